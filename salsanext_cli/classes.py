@@ -1,0 +1,262 @@
+# SPDX-License-Identifier: MIT
+"""Label spaces: which classes exist, what they are called and how raw ids map to train ids.
+
+Raw ids are what label files hold (uint32, the low 16 bits are the class, the high 16 the
+instance). Train ids are what the network predicts: 0…C-1, 0 being "unlabelled".
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from functools import cache
+from importlib import resources
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import yaml
+
+from salsanext_cli.errors import LabelError, UsageError
+from salsanext_cli.records import RawIds, TrainIds
+
+RAW_ID_COUNT = 1 << 16
+UNKNOWN = 255
+KEYS = ("labels", "learning_map", "learning_map_inv", "learning_ignore", "color_map", "split")
+BUILT_IN = ("semantic-kitti",)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class LabelSpace:
+    """The classes of a data set.
+
+    Attributes
+    ----------
+    name : str
+        What to call it.
+    labels : dict of int to str
+        Name of every raw id.
+    learning_map : dict of int to int
+        Train id of every raw id.
+    learning_map_inv : dict of int to int
+        The raw id that stands for each train id, keys 0…C-1.
+    ignored : tuple of bool, length C
+        Train ids that neither training nor evaluation counts.
+    colours : (C, 3) uint8
+        Red, green, blue of every train id.
+    splits : dict of str to tuple of str
+        Sequence names of every split.
+    """
+
+    name: str
+    labels: dict[int, str]
+    learning_map: dict[int, int]
+    learning_map_inv: dict[int, int]
+    ignored: tuple[bool, ...]
+    colours: npt.NDArray[np.uint8]
+    splits: dict[str, tuple[str, ...]]
+    _train_of_raw: TrainIds = field(init=False, repr=False)
+
+    def __post_init__(self) -> None:
+        table = np.full(RAW_ID_COUNT, UNKNOWN, np.uint8)
+        table[list(self.learning_map)] = list(self.learning_map.values())
+        object.__setattr__(self, "_train_of_raw", table)
+
+    @property
+    def class_count(self) -> int:
+        """C, the number of train ids including 0."""
+        return len(self.learning_map_inv)
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Name of every train id."""
+        return tuple(self.labels[self.learning_map_inv[i]] for i in range(self.class_count))
+
+    @property
+    def scored(self) -> npt.NDArray[np.bool_]:
+        """Which train ids count, (C,) bool."""
+        return ~np.array(self.ignored)
+
+    def unknown_ids(self, raw: RawIds) -> dict[int, int]:
+        """Return how often each raw id (without instance) occurs that this space does not know."""
+        classes = (raw & 0xFFFF)[self._train_of_raw[raw & 0xFFFF] == UNKNOWN]
+        ids, counts = np.unique(classes, return_counts=True)
+        return {int(i): int(n) for i, n in zip(ids, counts, strict=True)}
+
+    def to_train(self, raw: RawIds, *, strict: bool = True, source: object = "labels") -> TrainIds:
+        """Map raw ids to train ids; instance bits are dropped.
+
+        Parameters
+        ----------
+        raw : uint32, any shape
+            Raw ids as label files hold them.
+        strict : bool
+            Raise on an unknown id; otherwise it becomes 0, unlabelled, as the official evaluator
+            has it, and the caller reports `unknown_ids`.
+        source : object
+            What to name in the error.
+
+        Returns
+        -------
+        uint8, same shape
+
+        Raises
+        ------
+        LabelError
+            If `strict` and an id is unknown.
+        """
+        train: TrainIds = self._train_of_raw[raw & 0xFFFF]
+        unknown = train == UNKNOWN
+        if unknown.any():
+            if strict:
+                ids = ", ".join(f"{i} ({n}×)" for i, n in self.unknown_ids(raw).items())
+                raise LabelError(
+                    source,
+                    f"unknown label ids {ids}",
+                    f"ids of {self.name}",
+                    "give the label space of this data",
+                )
+            train[unknown] = 0
+        return train
+
+    def to_raw(self, train: npt.NDArray[Any]) -> RawIds:
+        """Map train ids to the raw ids that stand for them, uint32."""
+        table = np.array([self.learning_map_inv[i] for i in range(self.class_count)], np.uint32)
+        raw: RawIds = table[train]
+        return raw
+
+    def split(self, name: str) -> tuple[str, ...]:
+        """Return the sequence names of a split; an unknown split raises `UsageError`."""
+        if name not in self.splits:
+            raise UsageError(
+                f"split {name}", "no such split", f"one of {', '.join(self.splits) or 'none'}"
+            )
+        return self.splits[name]
+
+    def split_of(self, sequence: str) -> str | None:
+        """Return the split that names a sequence, None if none does."""
+        return next((name for name, members in self.splits.items() if sequence in members), None)
+
+    def fits(self, other: LabelSpace) -> bool:
+        """Whether both give the same names to the same train ids, so that weights can be shared."""
+        return self.names == other.names
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return plain data in the form of SemanticKITTI's yaml, which `from_dict` accepts."""
+        return {
+            "name": self.name,
+            "labels": self.labels,
+            "color_map": {
+                self.learning_map_inv[i]: self.colours[i, ::-1].tolist()
+                for i in range(self.class_count)
+            },
+            "learning_map": self.learning_map,
+            "learning_map_inv": self.learning_map_inv,
+            "learning_ignore": dict(enumerate(self.ignored)),
+            "split": {name: list(members) for name, members in self.splits.items()},
+        }
+
+    @classmethod
+    def from_dict(cls, data: Mapping[str, Any], source: object = "label space") -> LabelSpace:
+        """Build a label space from data in the form of SemanticKITTI's yaml.
+
+        Raises
+        ------
+        UsageError
+            If the data is not of that form or contradicts itself; `source` is named.
+        """
+        try:
+            labels = {int(i): str(name) for i, name in data["labels"].items()}
+            learning_map = {int(i): int(train) for i, train in data["learning_map"].items()}
+            inverse = {int(train): int(i) for train, i in data["learning_map_inv"].items()}
+            ignore = {
+                int(train): bool(flag)
+                for train, flag in data.get("learning_ignore", {0: True}).items()
+            }
+            colours = {int(i): list(bgr) for i, bgr in data.get("color_map", {}).items()}
+            splits = {
+                str(name): tuple(_sequence_name(s) for s in members)
+                for name, members in data.get("split", {}).items()
+            }
+        except (KeyError, TypeError, ValueError, AttributeError) as error:
+            raise UsageError(
+                source, f"not a label space: {error!r}", f"keys {', '.join(KEYS)}"
+            ) from error
+        if problem := _contradiction(labels, learning_map, inverse):
+            raise UsageError(source, problem, "a consistent label space")
+        ids = range(len(inverse))
+        return cls(
+            name=str(data.get("name", getattr(source, "stem", source))),
+            labels=labels,
+            learning_map=learning_map,
+            learning_map_inv=inverse,
+            ignored=tuple(ignore.get(i, i == 0) for i in ids),
+            colours=np.array(
+                [colours.get(inverse[i], _spare_colour(i))[::-1] for i in ids], np.uint8
+            ),
+            splits=splits,
+        )
+
+
+def _contradiction(
+    labels: dict[int, str], learning_map: dict[int, int], inverse: dict[int, int]
+) -> str:
+    """Say what is inconsistent, or return an empty string."""
+    if not inverse or sorted(inverse) != list(range(len(inverse))) or len(inverse) > UNKNOWN:
+        return f"train ids {sorted(inverse)} are not 0…C-1 with C ≤ {UNKNOWN}"
+    if bad := [i for i in (*learning_map, *labels) if not 0 <= i < RAW_ID_COUNT]:
+        return f"raw ids {bad} do not fit 16 bits"
+    if bad := sorted(set(learning_map.values()) - set(inverse)):
+        return f"learning_map leads to train ids {bad} that learning_map_inv lacks"
+    if bad := sorted(set(inverse.values()) - set(labels)):
+        return f"raw ids {bad} have no name in labels"
+    return ""
+
+
+def _sequence_name(sequence: object) -> str:
+    """Name a sequence as its folder is named: numbers get two digits."""
+    return f"{sequence:02d}" if isinstance(sequence, int) else str(sequence)
+
+
+def _spare_colour(train_id: int) -> list[int]:
+    """Return a stable blue, green, red for a class without a colour; unlabelled is black."""
+    return [0, 0, 0] if train_id == 0 else [(train_id * step) % 206 + 50 for step in (67, 109, 151)]
+
+
+@cache
+def _built_in(name: str) -> LabelSpace:
+    text = (
+        resources.files("salsanext_cli")
+        .joinpath(f"presets/label_spaces/{name}.yaml")
+        .read_text("utf-8")
+    )
+    return LabelSpace.from_dict(yaml.safe_load(text), name)
+
+
+def label_space(name_or_file: str | Path = "semantic-kitti") -> LabelSpace:
+    """Return a built-in label space by name, or read one from a SemanticKITTI-style yaml.
+
+    Raises
+    ------
+    UsageError
+        If there is no such name or file, or the file is not of that form.
+    """
+    if str(name_or_file) in BUILT_IN:
+        return _built_in(str(name_or_file))
+    path = Path(name_or_file)
+    try:
+        data = yaml.safe_load(path.read_text("utf-8"))
+    except FileNotFoundError as error:
+        raise UsageError(
+            path, "no such file", f"a .yaml file or one of {', '.join(BUILT_IN)}"
+        ) from error
+    except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
+        raise UsageError(
+            path, " ".join(str(error).split()), "a yaml file in SemanticKITTI's form"
+        ) from error
+    if not isinstance(data, dict):
+        raise UsageError(
+            path, f"a {type(data).__name__}", f"a mapping with the keys {', '.join(KEYS)}"
+        )
+    return LabelSpace.from_dict(data, path)

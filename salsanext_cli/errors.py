@@ -1,0 +1,80 @@
+# SPDX-License-Identifier: MIT
+"""Everything that can go wrong because of what the user gave us.
+
+::
+
+    SalsanextError            a mistake that one line can explain
+    ├── UsageError            the command line or a setting is wrong (exit status 2)
+    ├── NoInputError          there is nothing to work on
+    ├── FormatError           a file does not hold what its format promises
+    ├── LabelError            labels and scans, or labels and label space, do not fit
+    ├── WeightsError          a weights file cannot be used
+    ├── OutputError           a result cannot be written, or would overwrite another
+    ├── TrainingError         training cannot start or cannot go on
+    └── MissingDependency     an optional package or a system library is absent
+
+The library raises these; only the command line prints them and chooses the exit status.
+Anything else that escapes is a bug and keeps its traceback.
+"""
+
+from __future__ import annotations
+
+
+class SalsanextError(Exception):
+    """A mistake explained in one line: subject · found · expected · what to do.
+
+    Parameters
+    ----------
+    subject : object
+        The file, folder, option or setting that is wrong.
+    found : str
+        What was found there.
+    expected : str, optional
+        What should have been there.
+    remedy : str, optional
+        What the user can do about it.
+    """
+
+    def __init__(self, subject: object, found: str, expected: str = "", remedy: str = "") -> None:
+        super().__init__(str(subject), found, expected, remedy)
+        self.subject = str(subject)
+        self.found = found
+        self.expected = expected
+        self.remedy = remedy
+
+    def __str__(self) -> str:
+        expected = f"expected {self.expected}" if self.expected else ""
+        parts = (self.subject, self.found, expected, self.remedy)
+        return " · ".join(part for part in parts if part)
+
+
+class UsageError(SalsanextError):
+    """The command line or a setting is wrong."""
+
+
+class NoInputError(SalsanextError):
+    """There is nothing to work on."""
+
+
+class FormatError(SalsanextError):
+    """A file does not hold what its format promises."""
+
+
+class LabelError(SalsanextError):
+    """Labels and scans, or labels and label space, do not fit."""
+
+
+class WeightsError(SalsanextError):
+    """A weights file cannot be used."""
+
+
+class OutputError(SalsanextError):
+    """A result cannot be written, or would overwrite another."""
+
+
+class TrainingError(SalsanextError):
+    """Training cannot start or cannot go on."""
+
+
+class MissingDependency(SalsanextError):  # noqa: N818 - the name says what is wrong
+    """An optional package or a system library is absent."""

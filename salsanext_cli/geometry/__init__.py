@@ -1,0 +1,2 @@
+# SPDX-License-Identifier: MIT
+"""Points to pixels and back: pure functions."""

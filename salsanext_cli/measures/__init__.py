@@ -1,0 +1,2 @@
+# SPDX-License-Identifier: MIT
+"""Labels and probabilities to numbers: count first, divide once."""

@@ -1,0 +1,101 @@
+# SPDX-License-Identifier: MIT
+"""The values that stages pass to each other; shapes, dtypes, units and frames are stated here.
+
+Frame: the sensor's own, x forward, y left, z up. Lengths are metres, angles radians unless a
+name says degrees. N is the number of points of a scan, H × W the size of its range image, C the
+number of classes including the unlabelled class 0.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+Float = npt.NDArray[np.float32]
+Int = npt.NDArray[np.int32]
+TrainIds = npt.NDArray[np.uint8]
+RawIds = npt.NDArray[np.uint32]
+
+CHANNELS = ("range", "x", "y", "z", "intensity")
+"""Channels of a range image, in the published order."""
+
+
+@dataclass(frozen=True, slots=True)
+class Scan:
+    """One revolution of a LiDAR.
+
+    Attributes
+    ----------
+    points : (N, 3) float32
+        Cartesian coordinates in metres. May hold NaN, infinity or the origin: such points carry
+        no measurement, belong to no pixel and get label 0.
+    intensity : (N,) float32
+        Returned intensity (remission), nominally 0…1.
+    """
+
+    points: Float
+    intensity: Float
+
+    def __post_init__(self) -> None:
+        if self.points.ndim != 2 or self.points.shape[1] != 3 or self.points.dtype != np.float32:
+            raise ValueError(f"points: {self.points.shape} {self.points.dtype}, not (N, 3) float32")
+        if self.intensity.shape != self.points.shape[:1] or self.intensity.dtype != np.float32:
+            raise ValueError(
+                f"intensity: {self.intensity.shape} {self.intensity.dtype}, not (N,) float32"
+            )
+
+    def __len__(self) -> int:
+        return len(self.points)
+
+
+@dataclass(frozen=True, slots=True)
+class RangeImage:
+    """A scan seen from the sensor (paper eq. 1).
+
+    Attributes
+    ----------
+    channels : (5, H, W) float32
+        Range, x, y, z in metres and intensity of the nearest point of each pixel; 0 where empty.
+    pixel_of_point : (N,) int32
+        Flat pixel index ``v * W + u`` of every point, -1 where the point has none.
+    point_of_pixel : (H, W) int32
+        Index of the nearest point of every pixel, -1 where the pixel is empty.
+    point_range : (N,) float32
+        Distance of every point from the sensor in metres; 0 for points without a pixel.
+    """
+
+    channels: Float
+    pixel_of_point: Int
+    point_of_pixel: Int
+    point_range: Float
+
+    @property
+    def height(self) -> int:
+        """H, the number of rows."""
+        return int(self.channels.shape[1])
+
+    @property
+    def width(self) -> int:
+        """W, the number of columns."""
+        return int(self.channels.shape[2])
+
+
+@dataclass(frozen=True, slots=True)
+class Uncertainty:
+    """Per-pixel or per-point uncertainty of one scan; NaN where there is nothing to be sure of.
+
+    Attributes
+    ----------
+    epistemic : float32
+        Variance of the softmax over passes, mean over classes (paper III-C.2); 0…0.25.
+    entropy : float32
+        Predictive entropy of the mean softmax in nats; 0…ln C.
+    mutual_information : float32
+        Entropy of the mean softmax minus mean entropy of the passes in nats; 0…ln C.
+    """
+
+    epistemic: Float
+    entropy: Float
+    mutual_information: Float

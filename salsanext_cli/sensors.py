@@ -1,0 +1,127 @@
+# SPDX-License-Identifier: MIT
+"""What a sensor sees and how its range image is normalised."""
+
+from __future__ import annotations
+
+import math
+import tomllib
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, fields, replace
+from functools import cache
+from importlib import resources
+from pathlib import Path
+from typing import Any
+
+from salsanext_cli.errors import UsageError
+
+SEMANTIC_KITTI_MEANS = (12.12, 10.88, 0.23, -1.04, 0.21)
+SEMANTIC_KITTI_STDS = (12.32, 11.47, 6.91, 0.86, 0.16)
+
+
+@dataclass(frozen=True, slots=True)
+class Sensor:
+    """Geometry and normalisation of a rotating LiDAR.
+
+    Attributes
+    ----------
+    name : str
+        What to call it.
+    fov_up, fov_down : float
+        Upper and lower edge of the field of view in degrees, signed, above the horizon positive.
+    height, width : int
+        Size of the range image in pixels.
+    means, stds : 5 floats
+        Normalisation of range, x, y, z (metres) and intensity.
+    out_of_view : {"clamp", "drop"}
+        What happens to points above or below the field of view: to the edge row, or no pixel.
+    intensity_scale : float
+        Divides the intensity of the files; 255 where a sensor writes bytes as numbers.
+    """
+
+    name: str
+    fov_up: float
+    fov_down: float
+    height: int
+    width: int
+    means: tuple[float, ...] = SEMANTIC_KITTI_MEANS
+    stds: tuple[float, ...] = SEMANTIC_KITTI_STDS
+    out_of_view: str = "clamp"
+    intensity_scale: float = 1.0
+
+    def __post_init__(self) -> None:
+        self._require(math.isfinite(self.fov_up) and math.isfinite(self.fov_down), "fov not finite")
+        self._require(
+            self.fov_up > self.fov_down, f"fov_up {self.fov_up} ≤ fov_down {self.fov_down}"
+        )
+        self._require(self.height >= 1 and self.width >= 1, f"size {self.height}×{self.width}")
+        self._require(
+            len(self.means) == len(self.stds) == 5, "means and stds are not 5 numbers each"
+        )
+        self._require(all(std > 0 for std in self.stds), f"stds {self.stds} are not all positive")
+        self._require(self.out_of_view in ("clamp", "drop"), f"out_of_view {self.out_of_view!r}")
+        self._require(self.intensity_scale > 0, f"intensity_scale {self.intensity_scale}")
+
+    def _require(self, holds: bool, found: str) -> None:
+        if not holds:
+            raise UsageError(f"sensor {self.name}", found, "a possible sensor")
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return plain data that `from_dict` accepts."""
+        return asdict(self)
+
+    @classmethod
+    def from_dict(cls, data: Mapping[str, Any], source: object = "sensor") -> Sensor:
+        """Build a sensor from plain data; an unknown or missing key raises `UsageError`."""
+        known = {field.name for field in fields(cls)}
+        if unknown := sorted(set(data) - known):
+            raise UsageError(
+                source, f"unknown key {', '.join(unknown)}", f"keys {', '.join(sorted(known))}"
+            )
+        values: dict[str, Any] = {
+            key: tuple(value) if isinstance(value, list) else value for key, value in data.items()
+        }
+        try:
+            return cls(**values)
+        except TypeError as error:
+            raise UsageError(
+                source, str(error), "a sensor with fov_up, fov_down, height, width"
+            ) from error
+
+    def resized(self, height: int | None = None, width: int | None = None) -> Sensor:
+        """Return the same sensor with another image size."""
+        return replace(self, height=height or self.height, width=width or self.width)
+
+
+@cache
+def presets() -> dict[str, Sensor]:
+    """Return the built-in sensors by name."""
+    text = resources.files("salsanext_cli").joinpath("presets/sensors.toml").read_text("utf-8")
+    return {
+        name: Sensor.from_dict({"name": name, **data}, name)
+        for name, data in tomllib.loads(text).items()
+    }
+
+
+def sensor(name_or_file: str | Path) -> Sensor:
+    """Return the sensor of a preset's name or of a TOML file with one sensor's keys.
+
+    Raises
+    ------
+    UsageError
+        If there is no such preset or file, or the file does not describe a sensor.
+    """
+    if str(name_or_file) in presets():
+        return presets()[str(name_or_file)]
+    path = Path(name_or_file)
+    if not path.is_file():
+        known = ", ".join(presets())
+        raise UsageError(
+            f"sensor {name_or_file}",
+            "no preset and no file of that name",
+            f"one of {known}, or a .toml file",
+        )
+    try:
+        data = tomllib.loads(path.read_text("utf-8"))
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError, OSError) as error:
+        raise UsageError(path, str(error), "a TOML file with a sensor's keys") from error
+    return Sensor.from_dict({"name": path.stem, **data}, path)

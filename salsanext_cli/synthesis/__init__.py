@@ -1,0 +1,2 @@
+# SPDX-License-Identifier: MIT
+"""A procedural street and a simulated LiDAR."""
