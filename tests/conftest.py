@@ -1,0 +1,22 @@
+# SPDX-License-Identifier: MIT
+"""Fixtures shared by all tests."""
+
+import os
+from pathlib import Path
+
+import pytest
+
+
+@pytest.fixture(scope="session")
+def real_data() -> Path:
+    """The folder with `data/` (real scans) and `golden/` (published outputs), or skip."""
+    folder = os.environ.get("SALSANEXT_REAL_DATA")
+    if not folder or not Path(folder).is_dir():
+        pytest.skip("SALSANEXT_REAL_DATA does not name a folder")
+    return Path(folder)
+
+
+@pytest.fixture(scope="session")
+def golden(real_data: Path) -> Path:
+    """The folder with outputs of the published implementation and the official evaluator."""
+    return real_data / "golden"
