@@ -1,0 +1,148 @@
+# SPDX-License-Identifier: MIT
+"""How often each true class was predicted as each class: the counts behind every score."""
+
+from __future__ import annotations
+
+from typing import Any, Self
+
+import numpy as np
+import numpy.typing as npt
+
+Counts = npt.NDArray[np.int64]
+Mask = npt.NDArray[np.bool_]
+Ratios = npt.NDArray[np.float64]
+
+
+class Confusion:
+    """Counts of (truth, prediction) pairs; adding two gives the counts of both.
+
+    Every point is counted, also those whose truth is ignored: what to leave out is decided when
+    dividing, so that nothing is lost by counting.
+
+    Parameters
+    ----------
+    class_count : int
+        C, the number of train ids including 0.
+    matrix : (C, C) int64, optional
+        Counts to start from, truth × prediction; zeros if not given.
+    """
+
+    __slots__ = ("matrix",)
+
+    def __init__(self, class_count: int, matrix: npt.NDArray[Any] | None = None) -> None:
+        if class_count < 1:
+            raise ValueError(f"class_count: {class_count}, not positive")
+        shape = (class_count, class_count)
+        self.matrix: Counts = np.zeros(shape, np.int64)
+        if matrix is not None:
+            if matrix.shape != shape or matrix.dtype.kind not in "iu" or (matrix < 0).any():
+                raise ValueError(f"matrix: {matrix.shape} {matrix.dtype}, not {shape} counts")
+            self.matrix += matrix.astype(np.int64)
+
+    @property
+    def class_count(self) -> int:
+        """C, the number of train ids including 0."""
+        return len(self.matrix)
+
+    @property
+    def total(self) -> int:
+        """Number of points counted."""
+        return int(self.matrix.sum())
+
+    def update(self, truth: npt.NDArray[Any], predicted: npt.NDArray[Any]) -> Self:
+        """Count the points of a scan, or the pixels of an image.
+
+        Parameters
+        ----------
+        truth, predicted : integer, same shape
+            Train ids, 0…C-1.
+
+        Returns
+        -------
+        Confusion
+            This one.
+
+        Raises
+        ------
+        ValueError
+            If the shapes differ, or something is not a train id.
+        """
+        if truth.shape != predicted.shape:
+            raise ValueError(f"truth {truth.shape} and predicted {predicted.shape} differ in shape")
+        for name, ids in (("truth", truth), ("predicted", predicted)):
+            if ids.dtype.kind not in "iu":
+                raise ValueError(f"{name}: {ids.dtype}, not train ids")
+            if ids.size and not 0 <= int(ids.min()) <= int(ids.max()) < self.class_count:
+                raise ValueError(f"{name}: {ids.min()}…{ids.max()}, not 0…{self.class_count - 1}")
+        pair = truth.ravel().astype(np.intp) * self.class_count + predicted.ravel().astype(np.intp)
+        pairs = np.bincount(pair, minlength=self.class_count**2)
+        self.matrix += pairs.reshape(self.matrix.shape)
+        return self
+
+    def counted(self, scored: Mask | None = None) -> Counts:
+        """Return the matrix without the points whose truth is ignored.
+
+        Columns of ignored classes stay: a labelled point predicted "unlabelled" is a miss.
+
+        Parameters
+        ----------
+        scored : (C,) bool, optional
+            Which classes count; all but 0 if not given.
+
+        Returns
+        -------
+        (C, C) int64
+            Truth × prediction, the rows of ignored classes 0.
+        """
+        return np.where(self._scored(scored)[:, None], self.matrix, 0)
+
+    def iou(self, scored: Mask | None = None) -> Ratios:
+        """Return intersection over union of every class.
+
+        Parameters
+        ----------
+        scored : (C,) bool, optional
+            Which classes count; all but 0 if not given.
+
+        Returns
+        -------
+        (C,) float64
+            NaN for ignored classes and for those in neither truth nor prediction.
+        """
+        matrix = self.counted(scored)
+        hits = np.diagonal(matrix)
+        iou = ratio(hits, matrix.sum(axis=0) + matrix.sum(axis=1) - hits)
+        # An ignored class may be predicted for a labelled point: a union, but nothing to score.
+        iou[~self._scored(scored)] = np.nan
+        return iou
+
+    def _scored(self, scored: Mask | None) -> Mask:
+        if scored is None:
+            return np.arange(self.class_count) > 0
+        if scored.shape != (self.class_count,) or scored.dtype != np.bool_:
+            raise ValueError(
+                f"scored: {scored.shape} {scored.dtype}, not ({self.class_count},) bool"
+            )
+        return scored
+
+    def __add__(self, other: Confusion) -> Confusion:
+        if not isinstance(other, Confusion):
+            return NotImplemented
+        if other.class_count != self.class_count:
+            raise ValueError(f"{self.class_count} and {other.class_count} classes do not add")
+        return Confusion(self.class_count, self.matrix + other.matrix)
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, Confusion) and np.array_equal(self.matrix, other.matrix)
+
+    __hash__ = None  # type: ignore[assignment]
+
+    def __repr__(self) -> str:
+        return f"Confusion({self.class_count} classes, {self.total} points)"
+
+
+def ratio(part: Counts, whole: Counts) -> Ratios:
+    """Divide counts; NaN where there is nothing to divide by."""
+    quotient: Ratios = np.full(whole.shape, np.nan)
+    np.divide(part, whole, out=quotient, where=whole > 0)
+    return quotient
