@@ -1,0 +1,111 @@
+# SPDX-License-Identifier: MIT
+"""The building blocks of SalsaNext (paper III-B, Figure 2).
+
+Every block is a plain composition of elementary modules, so that another view of the same
+network, such as one that propagates variances, can be derived from it instead of written again.
+"""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor, nn
+
+from salsanext_cli.network.dropout import ChannelDropout
+
+SLOPE = 0.01
+
+
+class Unit(nn.Sequential):
+    """Convolution → LeakyReLU → batch norm, size preserving: (B, in, H, W) → (B, out, H, W).
+
+    A 2×2 kernel keeps its size only with dilation 2 and padding 1.
+    """
+
+    def __init__(self, inputs: int, outputs: int, kernel: int, dilation: int = 1) -> None:
+        padding = dilation * (kernel - 1) // 2
+        super().__init__(
+            nn.Conv2d(inputs, outputs, kernel, padding=padding, dilation=dilation),
+            nn.LeakyReLU(SLOPE),
+            nn.BatchNorm2d(outputs),
+        )
+
+
+class Shortcut(nn.Sequential):
+    """1×1 convolution → LeakyReLU."""
+
+    def __init__(self, inputs: int, outputs: int) -> None:
+        super().__init__(nn.Conv2d(inputs, outputs, 1), nn.LeakyReLU(SLOPE))
+
+
+class ContextBlock(nn.Module):
+    """Local and wider context side by side: s + dilated(local(s)), s = shortcut(x)."""
+
+    def __init__(self, inputs: int, outputs: int) -> None:
+        super().__init__()
+        self.shortcut = Shortcut(inputs, outputs)
+        self.local = Unit(outputs, outputs, 3)
+        self.dilated = Unit(outputs, outputs, 3, dilation=2)
+
+    def forward(self, x: Tensor) -> Tensor:
+        """Map (B, in, H, W) to (B, out, H, W)."""
+        shortcut = self.shortcut(x)
+        context: Tensor = shortcut + self.dilated(self.local(shortcut))
+        return context
+
+
+class DilatedStack(nn.Module):
+    """Receptive fields 3, 7 and 9 concatenated, then fused by a 1×1 unit."""
+
+    def __init__(self, inputs: int, outputs: int) -> None:
+        super().__init__()
+        self.narrow = Unit(inputs, outputs, 3)
+        self.middle = Unit(outputs, outputs, 3, dilation=2)
+        self.wide = Unit(outputs, outputs, 2, dilation=2)
+        self.fuse = Unit(3 * outputs, outputs, 1)
+
+    def forward(self, x: Tensor) -> Tensor:
+        """Map (B, in, H, W) to (B, out, H, W)."""
+        narrow = self.narrow(x)
+        middle = self.middle(narrow)
+        wide = self.wide(middle)
+        fused: Tensor = self.fuse(torch.cat((narrow, middle, wide), dim=1))
+        return fused
+
+
+class ResidualBlock(nn.Module):
+    """Residual dilated convolutions: shortcut(x) + stack(x)."""
+
+    def __init__(self, inputs: int, outputs: int) -> None:
+        super().__init__()
+        self.shortcut = Shortcut(inputs, outputs)
+        self.stack = DilatedStack(inputs, outputs)
+
+    def forward(self, x: Tensor) -> Tensor:
+        """Map (B, in, H, W) to (B, out, H, W)."""
+        features: Tensor = self.shortcut(x) + self.stack(x)
+        return features
+
+
+class Down(nn.Sequential):
+    """Channel dropout → 3×3 average pooling, stride 2: (B, C, H, W) → (B, C, H/2, W/2)."""
+
+    def __init__(self, dropout: float) -> None:
+        super().__init__(ChannelDropout(dropout), nn.AvgPool2d(3, stride=2, padding=1))
+
+
+class UpBlock(nn.Module):
+    """Pixel shuffle ×2, skip connection, dilated stack; channel dropout around each."""
+
+    def __init__(self, inputs: int, skip: int, outputs: int, dropout: float) -> None:
+        super().__init__()
+        self.shuffle = nn.PixelShuffle(2)
+        self.dropout_shuffled = ChannelDropout(dropout)
+        self.dropout_joined = ChannelDropout(dropout)
+        self.stack = DilatedStack(inputs // 4 + skip, outputs)
+        self.dropout_fused = ChannelDropout(dropout)
+
+    def forward(self, x: Tensor, skip: Tensor) -> Tensor:
+        """Map (B, in, H, W) and (B, skip, 2H, 2W) to (B, out, 2H, 2W)."""
+        joined = torch.cat((self.dropout_shuffled(self.shuffle(x)), skip), dim=1)
+        raised: Tensor = self.dropout_fused(self.stack(self.dropout_joined(joined)))
+        return raised

@@ -1,0 +1,88 @@
+# SPDX-License-Identifier: MIT
+"""A network ready to use: range image in, probabilities out."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import torch
+from torch import Tensor, nn
+
+from salsanext_cli.errors import UsageError
+from salsanext_cli.geometry.normalise import normalise
+from salsanext_cli.network.weights import WeightsCard, default_weights, read_weights
+from salsanext_cli.records import Float, RangeImage
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Network:
+    """Weights on a device, in evaluation mode.
+
+    Attributes
+    ----------
+    module : nn.Module
+        (B, 5, H, W) normalised range images to (B, C, H, W) logits.
+    card : WeightsCard
+        Architecture, label space, sensor and origin of the weights.
+    device : torch.device
+        Where the module is.
+    """
+
+    module: nn.Module
+    card: WeightsCard
+    device: torch.device
+
+    def input(self, image: RangeImage) -> Tensor:
+        """Return the normalised image as the network takes it, (1, 5, H, W) on the device."""
+        channels = torch.from_numpy(normalise(image.channels, self.card.sensor))[None]
+        return channels.to(self.device, memory_format=torch.channels_last)
+
+    @torch.inference_mode()
+    def probabilities(self, image: RangeImage) -> Float:
+        """Return the softmax of every pixel, (C, H, W) float32, sum over C = 1."""
+        logits = self.module(self.input(image))
+        probabilities: Float = torch.softmax(logits.float(), dim=1)[0].cpu().numpy()
+        return probabilities
+
+
+def load_network(path: Path | str | None = None, device: str = "auto") -> Network:
+    """Load weights onto a device.
+
+    Parameters
+    ----------
+    path : Path or str, optional
+        A weights file; None for the default weights.
+    device : str
+        ``"cpu"``, ``"cuda"``, ``"cuda:1"`` … or ``"auto"``: the first GPU if there is one.
+
+    Raises
+    ------
+    WeightsError
+        If the file cannot be used.
+    UsageError
+        If the device does not exist.
+    """
+    module, card = read_weights(default_weights() if path is None else Path(path))
+    place = choose_device(device)
+    module = module.to(place).to(memory_format=torch.channels_last)  # type: ignore[call-overload]
+    return Network(module, card, place)
+
+
+def choose_device(name: str) -> torch.device:
+    """Return the device of a name; ``"auto"`` is the first GPU, else the CPU."""
+    if name == "auto":
+        return torch.device("cuda" if torch.cuda.is_available() else "cpu")
+    try:
+        device = torch.device(name)
+    except RuntimeError as error:
+        raise UsageError(f"device {name}", "no such device", "cpu, cuda, cuda:0 …") from error
+    if device.type == "cuda":
+        count = torch.cuda.device_count()
+        if (device.index or 0) >= count:
+            raise UsageError(
+                f"device {name}", f"{count} GPUs visible to torch", "one of them, or cpu"
+            )
+    elif device.type != "cpu":
+        raise UsageError(f"device {name}", "not supported", "cpu or cuda")
+    return device

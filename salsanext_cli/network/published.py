@@ -1,0 +1,130 @@
+# SPDX-License-Identifier: MIT
+"""Checkpoints of the published implementation, read without running anything they contain."""
+
+from __future__ import annotations
+
+import io
+import pickle
+import pickletools
+import re
+import zipfile
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, BinaryIO
+
+import torch
+from torch import Tensor
+
+from salsanext_cli.errors import WeightsError
+
+UNITS = {"conv2": "narrow.0", "bn1": "narrow.2", "conv3": "middle.0", "bn2": "middle.2"}
+UNITS |= {"conv4": "wide.0", "bn3": "wide.2", "conv5": "fuse.0", "bn4": "fuse.2"}
+UP_UNITS = {"conv1": "narrow.0", "bn1": "narrow.2", "conv2": "middle.0", "bn2": "middle.2"}
+UP_UNITS |= {"conv3": "wide.0", "bn3": "wide.2", "conv4": "fuse.0", "bn4": "fuse.2"}
+CONTEXT_UNITS = {"conv1": "shortcut.0", "conv2": "local.0", "bn1": "local.2"}
+CONTEXT_UNITS |= {"conv3": "dilated.0", "bn2": "dilated.2"}
+RESIDUAL_UNITS = {"conv1": "shortcut.0"} | {key: f"stack.{name}" for key, name in UNITS.items()}
+STACKS = (
+    (re.compile(r"downCntx(\d?)\.(\w+)\.(\w+)"), "context.{index}", CONTEXT_UNITS),
+    (re.compile(r"resBlock(\d)\.(\w+)\.(\w+)"), "block{number}", RESIDUAL_UNITS),
+    (re.compile(r"upBlock(\d)\.(\w+)\.(\w+)"), "up{number}.stack", UP_UNITS),
+)
+LEGACY_PICKLES = 4
+"""Before torch 1.6: magic number, protocol, system, object; then the raw tensors."""
+UNREADABLE = (
+    pickle.UnpicklingError,
+    zipfile.BadZipFile,
+    RuntimeError,
+    EOFError,
+    ValueError,
+    KeyError,
+    IndexError,
+    TypeError,
+    AttributeError,
+)
+
+
+class Inert:
+    """Stands for any class a checkpoint names beside tensors, such as a scheduler; does nothing."""
+
+    def __new__(cls, *_args: object, **_keywords: object) -> Inert:
+        """Accept and forget whatever the pickle passes."""
+        return super().__new__(cls)
+
+    def __init__(self, *_args: object, **_keywords: object) -> None:
+        """Accept and forget whatever the pickle passes."""
+
+    def __setstate__(self, _state: object) -> None:
+        """Forget the state."""
+
+
+def read_published(path: Path) -> dict[str, Tensor]:
+    """Read the tensors of a published checkpoint under the names that our SalsaNext gives them.
+
+    Accepts what ``torch.save`` wrote: a dictionary with ``state_dict``, or the state dictionary
+    itself, its keys with or without the prefix ``module.``. Only tensors and plain containers are
+    built; every other class in the file becomes an inert stand-in.
+
+    Raises
+    ------
+    WeightsError
+        If the file is not such a checkpoint.
+    """
+    checkpoint = _load_inert(path)
+    state = checkpoint.get("state_dict", checkpoint) if isinstance(checkpoint, Mapping) else None
+    if not isinstance(state, Mapping) or not all(isinstance(t, Tensor) for t in state.values()):
+        raise WeightsError(path, "no state_dict of tensors inside", "a checkpoint of SalsaNext")
+    return {our_name(str(key).removeprefix("module."), path): t for key, t in state.items()}
+
+
+def _load_inert(path: Path) -> Any:
+    """Unpickle with torch's restricted reader, unknown classes replaced by `Inert`."""
+    try:
+        with path.open("rb") as file:
+            stand_ins: list[Any] = [(Inert, name) for name in sorted(_named_globals(file))]
+            with torch.serialization.safe_globals(stand_ins):
+                return torch.load(file, map_location="cpu", weights_only=True)
+    except OSError as error:
+        raise WeightsError(path, f"cannot be read: {error.strerror}") from error
+    except UNREADABLE as error:
+        reason = str(error).splitlines()[0] if str(error) else type(error).__name__
+        raise WeightsError(
+            path, f"not readable safely: {reason}", "what torch.save wrote"
+        ) from error
+
+
+def _named_globals(file: BinaryIO) -> set[str]:
+    """List the classes and functions that a checkpoint's pickles name, without running them.
+
+    torch checks its own list of harmless names first, so that a stand-in never hides a tensor.
+    """
+    if zipfile.is_zipfile(file):
+        with zipfile.ZipFile(file) as archive:
+            names = [name for name in archive.namelist() if name.endswith("/data.pkl")]
+            pickles: list[BinaryIO] = [io.BytesIO(archive.read(name)) for name in names]
+    else:
+        pickles = [file] * LEGACY_PICKLES
+        file.seek(0)
+    operations = (operation for stream in pickles for operation in pickletools.genops(stream))
+    named = {str(arg).replace(" ", ".") for code, arg, _ in operations if code.name == "GLOBAL"}
+    file.seek(0)
+    return named
+
+
+def our_name(key: str, source: object = "checkpoint") -> str:
+    """Return our name of a published tensor, ``up1.stack.fuse.2.bias`` for ``upBlock1.bn4.bias``.
+
+    Raises
+    ------
+    WeightsError
+        If no published SalsaNext has such a tensor.
+    """
+    if key in ("logits.weight", "logits.bias"):
+        return key
+    for pattern, block, units in STACKS:
+        match = pattern.fullmatch(key)
+        if match and match[2] in units:
+            number = int(match[1] or 1)
+            place = block.format(number=number, index=number - 1)
+            return f"{place}.{units[match[2]]}.{match[3]}"
+    raise WeightsError(source, f"unknown tensor {key}", "the names of the published SalsaNext")

@@ -1,0 +1,191 @@
+# SPDX-License-Identifier: MIT
+"""Weights files: one `.safetensors` whose metadata carries everything needed to use them."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from functools import cache
+from importlib import resources
+from pathlib import Path
+from typing import Any
+
+import safetensors
+import safetensors.torch
+import torch
+from torch import Tensor, nn
+
+from salsanext_cli import __version__
+from salsanext_cli.classes import LabelSpace
+from salsanext_cli.errors import UsageError, WeightsError
+from salsanext_cli.formats.atomic import writing
+from salsanext_cli.network.architectures import build
+from salsanext_cli.sensors import Sensor
+
+FORMAT = "salsanext-1"
+NORM_SUFFIXES = (".running_mean", ".running_var")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class WeightsCard:
+    """What a weights file says of itself.
+
+    Attributes
+    ----------
+    architecture : dict
+        Name and numbers of the network, as `architectures.build` takes them.
+    space : LabelSpace
+        The classes that the logits stand for.
+    sensor : Sensor
+        The geometry and normalisation that the network was trained with.
+    recipe : dict
+        The resolved training recipe; empty if unknown.
+    scores : dict
+        What was measured with these weights, and on what; empty if nothing was.
+    description : str
+        What these weights are, in a sentence or two.
+    """
+
+    architecture: Mapping[str, Any]
+    space: LabelSpace
+    sensor: Sensor
+    recipe: Mapping[str, Any] = field(default_factory=dict)
+    scores: Mapping[str, Any] = field(default_factory=dict)
+    description: str = ""
+
+    def to_metadata(self) -> dict[str, str]:
+        """Return the strings that a safetensors header holds."""
+        values = {
+            "architecture": dict(self.architecture),
+            "label_space": self.space.to_dict(),
+            "sensor": self.sensor.to_dict(),
+            "recipe": dict(self.recipe),
+            "scores": dict(self.scores),
+            "description": self.description,
+            "version": __version__,
+        }
+        return {"format": FORMAT} | {key: json.dumps(value) for key, value in values.items()}
+
+    @classmethod
+    def from_metadata(cls, metadata: Mapping[str, str], source: object) -> WeightsCard:
+        """Read the strings of a safetensors header; anything amiss raises `WeightsError`."""
+        if metadata.get("format") != FORMAT:
+            found = f"format {metadata.get('format')}"
+            raise WeightsError(source, found, FORMAT, "convert it with `salsanext import-weights`")
+        try:
+            return cls(
+                architecture=json.loads(metadata["architecture"]),
+                space=LabelSpace.from_dict(json.loads(metadata["label_space"]), source),
+                sensor=Sensor.from_dict(json.loads(metadata["sensor"]), source),
+                recipe=json.loads(metadata["recipe"]),
+                scores=json.loads(metadata["scores"]),
+                description=json.loads(metadata["description"]),
+            )
+        except (KeyError, json.JSONDecodeError, UsageError) as error:
+            raise WeightsError(source, f"damaged metadata: {error}") from error
+
+
+def save_weights(path: Path, module: nn.Module, card: WeightsCard, *, half: bool = False) -> None:
+    """Write a weights file, atomically.
+
+    Parameters
+    ----------
+    path : Path
+        The `.safetensors` file.
+    module : nn.Module
+        The network that `card.architecture` names.
+    card : WeightsCard
+        What the file says of itself.
+    half : bool
+        Store in float16, half the size; batch-norm statistics stay float32, since a variance may
+        exceed float16's range.
+    """
+    tensors = {name: _stored(name, tensor, half) for name, tensor in module.state_dict().items()}
+    with writing(path) as file:
+        file.write(safetensors.torch.save(tensors, card.to_metadata()))
+
+
+def _stored(name: str, tensor: Tensor, half: bool) -> Tensor:
+    tensor = tensor.detach().cpu().contiguous()
+    shrinks = half and tensor.is_floating_point() and not name.endswith(NORM_SUFFIXES)
+    return tensor.half() if shrinks else tensor
+
+
+def read_card(path: Path) -> WeightsCard:
+    """Read only what a weights file says of itself.
+
+    Raises
+    ------
+    WeightsError
+        If the file cannot be read or is not one of ours.
+    """
+    try:
+        with safetensors.safe_open(path, framework="pt") as file:
+            metadata = file.metadata() or {}
+    except (OSError, safetensors.SafetensorError) as error:
+        remedy = "convert a published checkpoint with `salsanext import-weights`"
+        raise WeightsError(
+            path, f"cannot be read: {error}", "a .safetensors file", remedy
+        ) from error
+    return WeightsCard.from_metadata(metadata, path)
+
+
+def read_weights(path: Path) -> tuple[nn.Module, WeightsCard]:
+    """Read a weights file: the network in evaluation mode, float32, on the CPU, and its card.
+
+    Raises
+    ------
+    WeightsError
+        If the file cannot be read, its tensors do not fit its architecture, its architecture
+        does not fit its label space, or a value is not finite.
+    """
+    card = read_card(path)
+    try:
+        module = build(card.architecture, path)
+    except UsageError as error:
+        raise WeightsError(path, error.found, error.expected) from error
+    load_tensors(module, safetensors.torch.load_file(path), path)
+    classes = card.architecture.get("class_count")
+    if classes != card.space.class_count:
+        found = f"{classes} outputs for the {card.space.class_count} classes of {card.space.name}"
+        raise WeightsError(path, found, "one output per class")
+    return module.eval(), card
+
+
+def load_tensors(module: nn.Module, tensors: Mapping[str, Tensor], source: object) -> None:
+    """Put tensors into a network, float32; names, shapes and finiteness are checked.
+
+    Raises
+    ------
+    WeightsError
+        Naming `source` and the first tensor that does not fit.
+    """
+    wanted = module.state_dict()
+    if missing := sorted(wanted.keys() - tensors.keys()):
+        raise WeightsError(source, f"lacks {len(missing)} tensors, such as {missing[0]}")
+    if surplus := sorted(tensors.keys() - wanted.keys()):
+        raise WeightsError(source, f"holds {len(surplus)} unknown tensors, such as {surplus[0]}")
+    for name, tensor in tensors.items():
+        if tensor.shape != wanted[name].shape:
+            found, expected = tuple(tensor.shape), tuple(wanted[name].shape)
+            raise WeightsError(source, f"{name} is {found}", str(expected))
+        if not torch.isfinite(tensor).all():
+            raise WeightsError(source, f"{name} holds values that are not finite")
+    module.load_state_dict(
+        {name: tensor.to(wanted[name].dtype) for name, tensor in tensors.items()}
+    )
+
+
+def default_weights() -> Path:
+    """Return the place of the weights that come with the package."""
+    folder = resources.files("salsanext_cli")
+    return Path(str(folder.joinpath("presets/weights/default.safetensors")))
+
+
+@cache
+def fingerprint(path: Path) -> str:
+    """Return the SHA-256 of a weights file, hexadecimal."""
+    with path.open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
