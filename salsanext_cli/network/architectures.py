@@ -6,15 +6,13 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from typing import Any
 
-from torch import nn
-
 from salsanext_cli.errors import UsageError
 from salsanext_cli.network.salsanext import SalsaNext
 
-ARCHITECTURES: dict[str, Callable[..., nn.Module]] = {"salsanext": SalsaNext}
+ARCHITECTURES: dict[str, Callable[..., SalsaNext]] = {"salsanext": SalsaNext}
 
 
-def build(architecture: Mapping[str, Any], source: object = "architecture") -> nn.Module:
+def build(architecture: Mapping[str, Any], source: object = "architecture") -> SalsaNext:
     """Build a network from its name and numbers, e.g. ``{"name": "salsanext", "class_count": 20}``.
 
     Raises

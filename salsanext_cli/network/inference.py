@@ -7,12 +7,14 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import torch
-from torch import Tensor, nn
+from torch import Tensor
 
 from salsanext_cli.errors import UsageError
 from salsanext_cli.geometry.normalise import normalise
+from salsanext_cli.network.salsanext import SalsaNext
 from salsanext_cli.network.weights import WeightsCard, default_weights, read_weights
 from salsanext_cli.records import Float, RangeImage
+from salsanext_cli.sensors import Sensor
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -21,32 +23,41 @@ class Network:
 
     Attributes
     ----------
-    module : nn.Module
+    module : SalsaNext
         (B, 5, H, W) normalised range images to (B, C, H, W) logits.
     card : WeightsCard
         Architecture, label space, sensor and origin of the weights.
+    sensor : Sensor
+        Geometry and normalisation of the range images: the card's unless another was asked for.
     device : torch.device
         Where the module is.
     """
 
-    module: nn.Module
+    module: SalsaNext
     card: WeightsCard
+    sensor: Sensor
     device: torch.device
 
-    def input(self, image: RangeImage) -> Tensor:
-        """Return the normalised image as the network takes it, (1, 5, H, W) on the device."""
-        channels = torch.from_numpy(normalise(image.channels, self.card.sensor))[None]
-        return channels.to(self.device, memory_format=torch.channels_last)
+    def input(self, channels: Float) -> Tensor:
+        """Return (5, H, W) channels normalised as the network takes them, (1, 5, H, W)."""
+        normalised = torch.from_numpy(normalise(channels, self.sensor))[None]
+        return normalised.to(self.device, memory_format=torch.channels_last)
 
-    @torch.inference_mode()
     def probabilities(self, image: RangeImage) -> Float:
         """Return the softmax of every pixel, (C, H, W) float32, sum over C = 1."""
-        logits = self.module(self.input(image))
+        return self.pixel_probabilities(image.channels)
+
+    @torch.inference_mode()
+    def pixel_probabilities(self, channels: Float) -> Float:
+        """Return the softmax of every pixel from the (5, H, W) channels of a range image."""
+        logits = self.module(self.input(channels))
         probabilities: Float = torch.softmax(logits.float(), dim=1)[0].cpu().numpy()
         return probabilities
 
 
-def load_network(path: Path | str | None = None, device: str = "auto") -> Network:
+def load_network(
+    path: Path | str | None = None, device: str = "auto", sensor: Sensor | None = None
+) -> Network:
     """Load weights onto a device.
 
     Parameters
@@ -55,6 +66,9 @@ def load_network(path: Path | str | None = None, device: str = "auto") -> Networ
         A weights file; None for the default weights.
     device : str
         ``"cpu"``, ``"cuda"``, ``"cuda:1"`` … or ``"auto"``: the first GPU if there is one.
+
+    sensor : Sensor, optional
+        What the range images come from, if not from the sensor that the weights name.
 
     Raises
     ------
@@ -66,7 +80,7 @@ def load_network(path: Path | str | None = None, device: str = "auto") -> Networ
     module, card = read_weights(default_weights() if path is None else Path(path))
     place = choose_device(device)
     module = module.to(place).to(memory_format=torch.channels_last)  # type: ignore[call-overload]
-    return Network(module, card, place)
+    return Network(module, card, sensor or card.sensor, place)
 
 
 def choose_device(name: str) -> torch.device:

@@ -103,7 +103,7 @@ def sample(network: Network, image: RangeImage, *, samples: int, seed: int) -> S
         found = "a network without dropout"
         raise WeightsError("weights", found, "a dropout rate above 0", "train with dropout")
     moments = Moments()
-    features = module.trunk(pad(network.input(image)))
+    features = module.trunk(pad(network.input(image.channels)))
     for number in range(samples):
         generator = torch.Generator().manual_seed(pass_seed(seed, number))
         with sampling(module, [generator]):
