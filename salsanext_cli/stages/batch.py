@@ -1,0 +1,149 @@
+# SPDX-License-Identifier: MIT
+"""Run one function over many scans: some done already, some in parallel, some failing."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Generic, TypeVar
+
+from salsanext_cli.errors import SalsanextError, UsageError
+from salsanext_cli.formats.layout import ScanFile
+
+Result = TypeVar("Result")
+Progress = Callable[[int, int], None]
+"""Called with the number of scans done and the number of scans to do."""
+
+
+@dataclass(frozen=True, slots=True)
+class BatchOptions:
+    """How a stage goes through its scans.
+
+    Attributes
+    ----------
+    jobs : int
+        Processes that work side by side; -1 is one per core.
+    on_error : {"skip", "stop"}
+        Whether a scan that fails is named at the end or ends the run.
+    overwrite : bool
+        Whether results that exist are made again.
+    progress : callable, optional
+        Called after each scan.
+    """
+
+    jobs: int = 1
+    on_error: str = "skip"
+    overwrite: bool = False
+    progress: Progress | None = None
+
+    def __post_init__(self) -> None:
+        if self.jobs == 0 or self.jobs < -1:
+            raise UsageError("--jobs", str(self.jobs), "a number of processes, or -1 for all cores")
+        if self.on_error not in ("skip", "stop"):
+            raise UsageError("--on-error", self.on_error, "skip or stop")
+
+
+@dataclass(frozen=True, slots=True)
+class Failure:
+    """A scan that could not be worked on, and why."""
+
+    scan: ScanFile
+    reason: str
+
+
+@dataclass(frozen=True, slots=True)
+class Outcome(Generic[Result]):
+    """What became of the scans of a run.
+
+    Attributes
+    ----------
+    results : tuple
+        What the function returned for each scan that was done, in no particular order.
+    skipped : int
+        Scans whose results were there already.
+    failures : tuple of Failure
+        Scans that failed.
+    """
+
+    results: tuple[Result, ...]
+    skipped: int
+    failures: tuple[Failure, ...]
+
+    @property
+    def done(self) -> int:
+        """How many scans were worked on with success."""
+        return len(self.results)
+
+
+def run_batch(
+    work: Callable[[ScanFile], Result],
+    scans: Sequence[ScanFile],
+    options: BatchOptions,
+    results_of: Callable[[ScanFile], Iterable[Path]] = lambda _: (),
+) -> Outcome[Result]:
+    """Run a function over scans.
+
+    Parameters
+    ----------
+    work : callable
+        Takes a scan, writes its results, returns something small. With several jobs it is
+        pickled, so it should hold settings and load heavy things itself.
+    scans : sequence of ScanFile
+        What to work on.
+    options : BatchOptions
+        Jobs, errors, overwriting and progress.
+    results_of : callable, optional
+        The files that `work` writes for a scan; a scan for which all exist is skipped unless
+        overwriting. Without any, no scan is skipped.
+
+    Raises
+    ------
+    SalsanextError
+        The first failure, if `options.on_error` is "stop".
+    """
+    todo = [s for s in scans if options.overwrite or not _exist(results_of(s))]
+    results: list[Result] = []
+    failures: list[Failure] = []
+    for number, (scan, result, error) in enumerate(_attempts(work, todo, options.jobs), start=1):
+        if error is None:
+            results.append(result)
+        elif options.on_error == "stop":
+            raise error
+        else:
+            failures.append(Failure(scan, str(error)))
+        if options.progress:
+            options.progress(number, len(todo))
+    failures.sort(key=lambda failure: (failure.scan.sequence, failure.scan.stem))
+    return Outcome(tuple(results), len(scans) - len(todo), tuple(failures))
+
+
+def _exist(paths: Iterable[Path]) -> bool:
+    listed = list(paths)
+    return bool(listed) and all(path.exists() for path in listed)
+
+
+Attempt = tuple[ScanFile, Any, SalsanextError | None]
+
+
+def _attempts(
+    work: Callable[[ScanFile], Any], scans: list[ScanFile], jobs: int
+) -> Iterator[Attempt]:
+    workers = min(len(scans), os.cpu_count() or 1 if jobs == -1 else jobs)
+    if workers <= 1:
+        yield from (_attempt(work, scan) for scan in scans)
+        return
+    import joblib
+
+    threads = max(1, (os.cpu_count() or 1) // workers)
+    with joblib.parallel_config("loky", n_jobs=workers, inner_max_num_threads=threads):
+        parallel = joblib.Parallel(return_as="generator_unordered")
+        yield from parallel(joblib.delayed(_attempt)(work, scan) for scan in scans)
+
+
+def _attempt(work: Callable[[ScanFile], Any], scan: ScanFile) -> Attempt:
+    try:
+        return scan, work(scan), None
+    except SalsanextError as error:
+        return scan, None, error
