@@ -1,2 +1,38 @@
 # SPDX-License-Identifier: MIT
 """Bytes to records and back; the only code that opens a point file."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from salsanext_cli.errors import FormatError
+from salsanext_cli.formats import kitti, pcd, ply
+from salsanext_cli.formats.layout import SCAN_SUFFIXES, scan_suffix
+from salsanext_cli.records import Scan
+
+__all__ = ["SCAN_SUFFIXES", "read_scan"]
+
+
+def read_scan(path: Path, *, intensity_scale: float = 1.0) -> Scan:
+    """Read a scan in the format that its suffix names, upper or lower case.
+
+    Parameters
+    ----------
+    path : Path
+        A file with one of the `SCAN_SUFFIXES`.
+    intensity_scale : float
+        Divides the intensity, except where the file holds bytes: they are divided by 255.
+
+    Raises
+    ------
+    FormatError
+        If the suffix is unknown or the file does not hold what it promises.
+    """
+    match scan_suffix(Path(path)):
+        case ".bin" | ".pcd.bin":
+            return kitti.read_bin(Path(path), intensity_scale=intensity_scale)
+        case ".pcd":
+            return pcd.read_pcd(Path(path), intensity_scale=intensity_scale)
+        case ".ply":
+            return ply.read_ply(Path(path), intensity_scale=intensity_scale)
+    raise FormatError(path, "not a known scan format", f"a {', '.join(SCAN_SUFFIXES)} file")

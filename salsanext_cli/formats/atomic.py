@@ -1,0 +1,59 @@
+# SPDX-License-Identifier: MIT
+"""Write a file whole or not at all: temporary name in the same folder, then rename."""
+
+from __future__ import annotations
+
+import errno
+import uuid
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+from typing import BinaryIO
+
+from salsanext_cli.errors import OutputError
+from salsanext_cli.formats.reading import reason
+
+FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
+
+
+@contextmanager
+def writing(path: Path) -> Iterator[BinaryIO]:
+    """Open a file for writing that appears under its name only when it is complete.
+
+    Parent folders are made. If the body raises, Ctrl-C included, nothing is left behind and an
+    older file of that name stays as it was. The body should do nothing but write.
+
+    Raises
+    ------
+    OutputError
+        If the system refuses: read-only folder, full disk, a file where a folder should be.
+    """
+    # A process id would not do: machines of a cluster share the folder, not the ids.
+    temporary = path.with_name(f".{uuid.uuid4().hex}.part")
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        with temporary.open("xb") as file:
+            yield file
+        temporary.replace(path)
+    except BaseException as error:
+        with suppress(OSError):
+            temporary.unlink()
+        if isinstance(error, OSError):
+            raise _refusal(path, error) from error
+        raise
+
+
+def _refusal(path: Path, error: OSError) -> OutputError:
+    remedy = "free some space" if error.errno in FULL else "change its permissions"
+    return OutputError(
+        path,
+        f"cannot be written: {reason(error)}",
+        "a folder that can be written to",
+        f"{remedy} or choose another output folder",
+    )
+
+
+def write_text(path: Path, text: str) -> None:
+    """Write a text file, UTF-8, whole or not at all."""
+    with writing(path) as file:
+        file.write(text.encode("utf-8"))

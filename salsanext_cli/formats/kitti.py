@@ -1,0 +1,132 @@
+# SPDX-License-Identifier: MIT
+"""KITTI's raw files: `.bin` scans and `.label` labels, little endian, no header."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from salsanext_cli.errors import FormatError, LabelError
+from salsanext_cli.formats.atomic import writing
+from salsanext_cli.formats.columns import normalised_intensity
+from salsanext_cli.formats.reading import reading, size_of
+from salsanext_cli.records import Float, RawIds, Scan
+
+COLUMNS = 4
+"""x, y, z in metres, remission."""
+COLUMNS_WITH_RING = 5
+"""x, y, z, intensity, ring: the `.pcd.bin` files of nuScenes."""
+REMEDIES = {
+    COLUMNS: "give a file of 4 columns the suffix .bin",
+    COLUMNS_WITH_RING: "give a file of 5 columns the suffix .pcd.bin",
+    6: "write it anew with the columns x, y, z, intensity",
+}
+"""Numbers of columns that occur, and what to do about each where another was expected."""
+
+
+def read_bin(path: Path, columns: int | None = None, *, intensity_scale: float = 1.0) -> Scan:
+    """Read a scan of float32 x, y, z, intensity and perhaps further columns.
+
+    Parameters
+    ----------
+    path : Path
+        The file; 0 bytes are a scan of 0 points.
+    columns : int, optional
+        Values per point; by default 5 for the suffix `.pcd.bin` and 4 otherwise.
+    intensity_scale : float
+        Divides the intensity.
+
+    Raises
+    ------
+    FormatError
+        If the file cannot be read, is cut off, or evidently has another number of columns.
+    """
+    columns = columns or (COLUMNS_WITH_RING if _has_ring(path) else COLUMNS)
+    with reading(path) as file:
+        size = size_of(file)
+        if size % (4 * columns):
+            fitting = next((n for n in REMEDIES if size % (4 * n) == 0), None)
+            raise FormatError(
+                path,
+                f"{size} bytes",
+                f"a multiple of {4 * columns} ({columns} float32 per point)",
+                "it is cut off or of another kind" + (f"; {REMEDIES[fitting]}" if fitting else ""),
+            )
+        values = np.fromfile(file, "<f4")
+    if (fitting := _evident_columns(values, columns)) is not None:
+        raise FormatError(
+            path, f"holds {fitting} columns", f"{columns} float32 per point", REMEDIES[fitting]
+        )
+    table = values.reshape(-1, columns)
+    return Scan(
+        np.ascontiguousarray(table[:, :3], np.float32),
+        normalised_intensity(table[:, 3], intensity_scale),
+    )
+
+
+def _has_ring(path: Path) -> bool:
+    return path.name.lower().endswith(".pcd.bin")
+
+
+def _evident_columns(values: Float, columns: int) -> int | None:
+    """Return another number of columns that evidently fits better, None if there is none.
+
+    Only coordinates are negative. A wrong number of columns lets coordinates slide into the
+    intensity, so there are negative ones; the right number has none after the third column.
+    """
+    if not (values[3::columns] < 0).any():
+        return None
+    for other in REMEDIES:
+        if other != columns and values.size % other == 0:
+            rest = values.reshape(-1, other)[:, 3:]
+            if not (rest < 0).any():
+                return other
+    return None
+
+
+def write_bin(path: Path, scan: Scan) -> None:
+    """Write a scan as float32 x, y, z, intensity."""
+    table = np.column_stack([scan.points, scan.intensity]).astype("<f4", copy=False)
+    with writing(path) as file:
+        file.write(table.tobytes())
+
+
+def read_labels(path: Path, count: int | None = None) -> RawIds:
+    """Read the raw ids of a scan's points, (N,) uint32.
+
+    Parameters
+    ----------
+    path : Path
+        The `.label` file.
+    count : int, optional
+        How many points the scan has.
+
+    Raises
+    ------
+    FormatError
+        If the file cannot be read or is cut off.
+    LabelError
+        If there are not `count` labels.
+    """
+    with reading(path) as file:
+        size = size_of(file)
+        if size % 4:
+            raise FormatError(
+                path, f"{size} bytes", "a multiple of 4 (one uint32 per point)", "it is cut off"
+            )
+        raw: RawIds = np.fromfile(file, "<u4").astype(np.uint32, copy=False)
+    if count is not None and len(raw) != count:
+        raise LabelError(
+            path,
+            f"{len(raw)} labels",
+            f"{count}, one per point of the scan",
+            "use the labels that belong to this scan",
+        )
+    return raw
+
+
+def write_labels(path: Path, raw: RawIds) -> None:
+    """Write the raw ids of a scan's points as uint32."""
+    with writing(path) as file:
+        file.write(raw.astype("<u4", copy=False).tobytes())

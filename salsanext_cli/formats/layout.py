@@ -1,0 +1,233 @@
+# SPDX-License-Identifier: MIT
+"""Where scans, labels and results lie: the folders of SemanticKITTI, and plain ones."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Collection, Iterator
+from dataclasses import dataclass
+from itertools import groupby
+from pathlib import Path
+
+from salsanext_cli.errors import NoInputError, OutputError
+from salsanext_cli.formats.reading import reason
+
+SCAN_SUFFIXES = (".pcd.bin", ".bin", ".pcd", ".ply")
+"""Suffixes of scans, upper or lower case; longer ones first, because they decide the stem."""
+
+SUFFIX_OF_FOLDER = {
+    "range": ".npy",
+    "pixels": ".npy",
+    "pixel_labels": ".npy",
+    "predictions": ".label",
+    "probabilities": ".npy",
+    "uncertainty/epistemic": ".npy",
+    "uncertainty/aleatoric": ".npy",
+    "uncertainty/total": ".npy",
+    "uncertainty/entropy": ".npy",
+    "uncertainty/mutual_information": ".npy",
+    "ply": ".ply",
+}
+"""Folders of a sequence in an output folder, and the suffix of the files in each."""
+
+SCAN_FOLDER = "velodyne"
+
+
+@dataclass(frozen=True, slots=True)
+class ScanFile:
+    """One scan on disk.
+
+    Attributes
+    ----------
+    sequence : str
+        Name of the sequence it belongs to.
+    stem : str
+        File name without suffix; unique within the sequence.
+    path : Path
+        The file, absolute.
+    """
+
+    sequence: str
+    stem: str
+    path: Path
+
+    @property
+    def label_path(self) -> Path:
+        """Where the labels of this scan would be; the file may not exist."""
+        name = f"{self.stem}.label"
+        folder = self.path.parent
+        if folder.name == SCAN_FOLDER:
+            return folder.parent / "labels" / name
+        nested = folder / "labels" / name
+        return nested if nested.exists() else folder / name
+
+
+@dataclass(frozen=True, slots=True)
+class OutputFile:
+    """One result on disk: of which sequence, of which scan, and where."""
+
+    sequence: str
+    stem: str
+    path: Path
+
+
+def find_scans(source: Path, sequences: Collection[str] | None = None) -> list[ScanFile]:
+    """Find scans, sorted by sequence and stem.
+
+    Parameters
+    ----------
+    source : Path
+        A scan, a folder of scans, a sequence folder (holding ``velodyne/``), a data set root
+        (holding ``sequences/``), or that ``sequences`` folder itself. Hidden files are left out.
+    sequences : collection of str, optional
+        Names of the sequences wanted; "8" also means "08".
+
+    Raises
+    ------
+    NoInputError
+        If the source does not exist or holds no scans, or a wanted sequence is missing.
+    OutputError
+        If two scans of a sequence have one stem, so that their results would overwrite each other.
+    """
+    path = _absolute(source)
+    try:
+        scans = sorted(_scans_of(path), key=lambda scan: (scan.sequence, scan.stem, scan.path.name))
+    except OSError as error:
+        raise NoInputError(source, reason(error), "a scan or a folder of scans") from error
+    if not scans:
+        raise NoInputError(
+            source, "holds no scans", f"{', '.join(SCAN_SUFFIXES)} files, or sequences/*/velodyne"
+        )
+    if sequences is not None:
+        scans = _wanted(scans, sequences, source)
+    _require_unique_stems(scans)
+    return scans
+
+
+def _absolute(path: Path) -> Path:
+    """Make a path absolute; names stay as typed unless ``..`` makes following links necessary."""
+    return path.resolve() if ".." in path.parts else path.absolute()
+
+
+def _scans_of(path: Path) -> Iterator[ScanFile]:
+    if not path.is_dir():
+        path.stat()
+        yield from _as_scan(path)
+    elif (path / "sequences").is_dir():
+        yield from _scans_of_sequences(path / "sequences")
+    elif (path / SCAN_FOLDER).is_dir():
+        yield from _scans_in(path / SCAN_FOLDER)
+    else:
+        scans = list(_scans_in(path))
+        yield from scans or _scans_of_sequences(path)
+
+
+def _scans_of_sequences(folder: Path) -> Iterator[ScanFile]:
+    for sequence in folder.iterdir():
+        if not sequence.name.startswith(".") and (sequence / SCAN_FOLDER).is_dir():
+            yield from _scans_in(sequence / SCAN_FOLDER)
+
+
+def _scans_in(folder: Path) -> Iterator[ScanFile]:
+    # Not is_file(): a link to a scan that is gone must fail when read, not be passed over.
+    with os.scandir(folder) as entries:
+        names = [e.name for e in entries if not e.name.startswith(".") and not e.is_dir()]
+    for name in names:
+        yield from _as_scan(folder / name)
+
+
+def _as_scan(path: Path) -> Iterator[ScanFile]:
+    suffix = scan_suffix(path)
+    if suffix:
+        yield ScanFile(_sequence_of(path.parent), path.name[: -len(suffix)], path)
+
+
+def scan_suffix(path: Path) -> str:
+    """Return the suffix that makes a file a scan, in lower case; empty if it is none."""
+    name = path.name.lower()
+    return next((suffix for suffix in SCAN_SUFFIXES if name.endswith(suffix)), "")
+
+
+def _sequence_of(folder: Path) -> str:
+    """Name the sequence of a folder of scans; at the top of a disk a folder has no parent name."""
+    named = folder.parent.name if folder.name == SCAN_FOLDER else ""
+    return named or folder.name or "scans"
+
+
+def _wanted(scans: list[ScanFile], sequences: Collection[str], source: Path) -> list[ScanFile]:
+    existing = {scan.sequence for scan in scans}
+    chosen: set[str] = set()
+    for name in sequences:
+        matches = {name} & existing or {
+            e for e in existing if _number(e) == _number(name) is not None
+        }
+        if not matches:
+            raise NoInputError(
+                source,
+                f"no scans of sequence {name}",
+                f"one of {', '.join(sorted(existing))}",
+            )
+        chosen |= matches
+    return [scan for scan in scans if scan.sequence in chosen]
+
+
+def _number(sequence: str) -> int | None:
+    return int(sequence) if sequence.isdecimal() else None
+
+
+def _require_unique_stems(scans: list[ScanFile]) -> None:
+    for (sequence, stem), group in groupby(scans, lambda scan: (scan.sequence, scan.stem)):
+        paths = [scan.path for scan in group]
+        if len(paths) > 1:
+            raise OutputError(
+                f"{sequence}/{stem}",
+                f"{len(paths)} scans of that name: {', '.join(map(str, paths))}",
+                "one, so that results do not overwrite each other",
+                "move or rename the others",
+            )
+
+
+def output_path(out: Path, sequence: str, folder: str, stem: str) -> Path:
+    """Return where a stage keeps the result of one scan.
+
+    Parameters
+    ----------
+    out : Path
+        The output folder.
+    sequence, stem : str
+        Of the scan.
+    folder : str
+        A key of `SUFFIX_OF_FOLDER`.
+
+    Raises
+    ------
+    OutputError
+        If a name would lead out of the output folder.
+    """
+    for name in (sequence, stem):
+        if name in ("", ".", "..") or Path(name).name != name:
+            raise OutputError(name or "''", "cannot name a file", "a plain name without slashes")
+    return out / "sequences" / sequence / folder / f"{stem}{SUFFIX_OF_FOLDER[folder]}"
+
+
+def find_outputs(out: Path, folder: str) -> list[OutputFile]:
+    """List the results that a stage wrote into one folder of every sequence, sorted.
+
+    Parameters
+    ----------
+    out : Path
+        The output folder; nothing is found where it does not exist.
+    folder : str
+        A key of `SUFFIX_OF_FOLDER`.
+    """
+    suffix = SUFFIX_OF_FOLDER[folder]
+    files = [
+        OutputFile(sequence.name, path.name.removesuffix(suffix), path)
+        for sequence in _folders(out / "sequences")
+        for path in (sequence / folder).glob(f"[!.]*{suffix}")
+    ]
+    return sorted(files, key=lambda file: (file.sequence, file.stem))
+
+
+def _folders(path: Path) -> list[Path]:
+    return [entry for entry in path.iterdir() if entry.is_dir()] if path.is_dir() else []
