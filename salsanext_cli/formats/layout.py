@@ -99,7 +99,7 @@ def find_scans(source: Path, sequences: Collection[str] | None = None) -> list[S
             source, "holds no scans", f"{', '.join(SCAN_SUFFIXES)} files, or sequences/*/velodyne"
         )
     if sequences is not None:
-        scans = _wanted(scans, sequences, source)
+        scans = of_sequences(scans, sequences, source)
     _require_unique_stems(scans)
     return scans
 
@@ -154,7 +154,16 @@ def _sequence_of(folder: Path) -> str:
     return named or folder.name or "scans"
 
 
-def _wanted(scans: list[ScanFile], sequences: Collection[str], source: Path) -> list[ScanFile]:
+def of_sequences(
+    scans: list[ScanFile], sequences: Collection[str], source: object
+) -> list[ScanFile]:
+    """Choose the scans of some sequences; "8" also means "08".
+
+    Raises
+    ------
+    NoInputError
+        If one of the sequences has no scans; `source` is named.
+    """
     existing = {scan.sequence for scan in scans}
     chosen: set[str] = set()
     for name in sequences:

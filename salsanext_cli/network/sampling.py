@@ -96,12 +96,8 @@ def sample(network: Network, image: RangeImage, *, samples: int, seed: int) -> S
     WeightsError
         If the network has no dropout to sample.
     """
-    if samples < 2:
-        raise UsageError("--samples", str(samples), "at least 2: one pass has no variance")
+    require_sampling(network, samples)
     module = network.module
-    if not dropouts(module):
-        found = "a network without dropout"
-        raise WeightsError("weights", found, "a dropout rate above 0", "train with dropout")
     moments = Moments()
     features = module.trunk(pad(network.input(image.channels)))
     for number in range(samples):
@@ -110,6 +106,15 @@ def sample(network: Network, image: RangeImage, *, samples: int, seed: int) -> S
             logits = module.rest(*features)[0, :, : image.height, : image.width]
         moments.add(torch.softmax(logits.float(), dim=0))
     return moments.summary()
+
+
+def require_sampling(network: Network, samples: int) -> None:
+    """Raise what `sample` raises, before any scan is read."""
+    if samples < 2:
+        raise UsageError("--samples", str(samples), "at least 2: one pass has no variance")
+    if not dropouts(network.module):
+        found = "a network without dropout"
+        raise WeightsError("weights", found, "a dropout rate above 0", "train with dropout")
 
 
 def pass_seed(seed: int, number: int) -> int:

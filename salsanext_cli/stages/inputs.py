@@ -10,7 +10,7 @@ from pathlib import Path
 
 from salsanext_cli.classes import LabelSpace, label_space
 from salsanext_cli.errors import NoInputError, UsageError
-from salsanext_cli.formats.layout import SCAN_FOLDER, ScanFile, find_scans
+from salsanext_cli.formats.layout import SCAN_FOLDER, ScanFile, find_scans, of_sequences
 
 LABEL_SPACE_FILES = ("labels.yaml", "semantic-kitti.yaml")
 """Where a data set may describe its own label space, in its root."""
@@ -62,34 +62,49 @@ def select_scans(source: Path, choice: Choice, space: LabelSpace | None = None) 
     UsageError
         If the split does not exist.
     """
-    scans = find_scans(source, choice.sequences or None)
+    scans = find_scans(source)
     return choose(scans, choice, space_of(scans, space), source)
 
 
 def choose(
-    scans: Sequence[ScanFile], choice: Choice, space: LabelSpace, source: object
+    scans: list[ScanFile], choice: Choice, space: LabelSpace, source: object
 ) -> list[ScanFile]:
-    """Choose among scans by split and limit.
+    """Choose among scans by sequences, split and limit.
 
     A split cannot choose where no split names any of the sequences, as in a folder of one's own:
     then all stay, and a warning says so.
+
+    Raises
+    ------
+    NoInputError
+        If nothing is left; `source` is named.
+    UsageError
+        If the split does not exist.
     """
-    chosen = list(scans)
+    if choice.sequences:
+        scans = of_sequences(scans, choice.sequences, source)
     if choice.split is not None:
-        members = space.split(choice.split)
-        chosen = [scan for scan in scans if scan.sequence in members]
-        if not chosen:
-            found = sorted({scan.sequence for scan in scans})
-            if any(space.split_of(sequence) for sequence in found):
-                raise NoInputError(
-                    source,
-                    f"no scans of split {choice.split} ({', '.join(members) or 'no sequences'})",
-                    f"some besides {', '.join(found)}",
-                    "choose with --split or --sequences",
-                )
-            log.warning("no split names %s: taking all", ", ".join(found))
-            chosen = list(scans)
-    return chosen[: choice.limit]
+        scans = _of_split(scans, choice.split, space, source)
+    return scans[: choice.limit]
+
+
+def _of_split(
+    scans: list[ScanFile], split: str, space: LabelSpace, source: object
+) -> list[ScanFile]:
+    members = space.split(split)
+    chosen = [scan for scan in scans if scan.sequence in members]
+    if chosen:
+        return chosen
+    found = sorted({scan.sequence for scan in scans})
+    if any(space.split_of(sequence) for sequence in found):
+        raise NoInputError(
+            source,
+            f"no scans of split {split} ({', '.join(members) or 'no sequences'})",
+            f"some besides {', '.join(found)}",
+            "choose with --split or --sequences",
+        )
+    log.warning("no split names %s: taking all", ", ".join(found))
+    return scans
 
 
 def data_set_of(scan: ScanFile) -> Path | None:

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from salsanext_cli import __version__
+from salsanext_cli.classes import LabelSpace
 from salsanext_cli.errors import NoInputError, OutputError
 from salsanext_cli.formats.atomic import write_text
 from salsanext_cli.formats.layout import SUFFIX_OF_FOLDER, ScanFile, find_outputs, find_scans
@@ -85,19 +86,31 @@ def claim(
     """
     folders = sorted(writes)
     settings = json.loads(json.dumps(settings))
-    recorded = stage_settings(out, stage)
-    if recorded is not None and recorded != settings:
+    manifest = read_json(out / f"{stage}.json") or {}
+    recorded = manifest.get("settings", settings)
+    if recorded == settings:
+        folders = sorted({*folders, *manifest.get("writes", ())})
+    else:
         if not overwrite:
             raise OutputError(
                 out / f"{stage}.json",
                 f"made with other settings: {_differences(recorded, settings)}",
                 remedy="use another output folder, or --overwrite to replace all its results",
             )
-        _remove_results(out, folders)
+        _remove_results(out, manifest["writes"])
     for folder in folders:
         _take_over(out, folder, stage, overwrite)
     manifest = {"stage": stage, "version": __version__, "settings": settings, "writes": folders}
     write_json(out / f"{stage}.json", manifest)
+
+
+def recorded_label_space(out: Path) -> LabelSpace | None:
+    """Return the label space of the predictions in an output folder, if a stage recorded one."""
+    stage = owner(out, "predictions") or owner(out, "pixel_labels")
+    settings = stage_settings(out, stage) if stage else None
+    return (
+        LabelSpace.from_dict(settings["label_space"], out / f"{stage}.json") if settings else None
+    )
 
 
 def _take_over(out: Path, folder: str, stage: str, overwrite: bool) -> None:

@@ -1,0 +1,140 @@
+# SPDX-License-Identifier: MIT
+"""Pixel labels, or anybody's point labels, to point labels by nearest neighbours."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass
+from pathlib import Path
+
+import numpy as np
+
+from salsanext_cli.classes import LabelSpace
+from salsanext_cli.errors import NoInputError
+from salsanext_cli.formats.arrays import read_array
+from salsanext_cli.formats.kitti import read_labels, write_labels
+from salsanext_cli.formats.layout import ScanFile, find_outputs, find_scans, output_path
+from salsanext_cli.geometry.knn import KnnParameters, knn_refine
+from salsanext_cli.records import RangeImage, TrainIds
+from salsanext_cli.sensors import Sensor
+from salsanext_cli.sensors import sensor as sensor_preset
+from salsanext_cli.stages.batch import BatchOptions, Outcome, run_batch
+from salsanext_cli.stages.inputs import Choice, choose, space_of
+from salsanext_cli.stages.outputs import (
+    claim,
+    recorded_label_space,
+    remember_sources,
+    remembered_scans,
+    stage_settings,
+)
+from salsanext_cli.stages.project import read_image
+
+
+@dataclass(frozen=True, slots=True)
+class RefineScan:
+    """Refine the labels of one scan."""
+
+    out: Path
+    labels: Path | None
+    space: LabelSpace
+    sensor: Sensor
+    knn: KnnParameters
+
+    def results_of(self, file: ScanFile) -> list[Path]:
+        """Return the file that is written for a scan."""
+        return [output_path(self.out, file.sequence, "predictions", file.stem)]
+
+    def __call__(self, file: ScanFile) -> None:
+        """Read, refine, write."""
+        image = read_image(file, self.sensor)
+        if self.labels is None:
+            pixel_labels = self._read_pixel_labels(file)
+        else:
+            raw = read_labels(given_labels(self.labels, file), len(image.pixel_of_point))
+            pixel_labels = labels_of_pixels(image, self.space.to_train(raw, source=self.labels))
+        refined = knn_refine(image, pixel_labels, self.space.class_count, self.knn)
+        write_labels(self.results_of(file)[0], self.space.to_raw(refined))
+
+    def _read_pixel_labels(self, file: ScanFile) -> TrainIds:
+        path = output_path(self.out, file.sequence, "pixel_labels", file.stem)
+        labels: TrainIds = read_array(path, "uint8", (self.sensor.height, self.sensor.width))
+        return labels
+
+
+def given_labels(folder: Path, file: ScanFile) -> Path:
+    """Return the label file of a scan in a folder of predictions, nested or plain."""
+    nested = output_path(folder, file.sequence, "predictions", file.stem)
+    return nested if nested.exists() else folder / nested.name
+
+
+def labels_of_pixels(image: RangeImage, labels: TrainIds) -> TrainIds:
+    """Give every pixel the label of its nearest point: (N,) to (H, W); 0 where empty."""
+    occupied = image.point_of_pixel >= 0
+    pixels: TrainIds = np.zeros(image.point_of_pixel.shape, np.uint8)
+    pixels[occupied] = labels[image.point_of_pixel[occupied]]
+    return pixels
+
+
+def knn_refine_scans(
+    out: Path,
+    *,
+    labels: Path | None = None,
+    scans_in: Path | None = None,
+    sensor: Sensor | None = None,
+    space: LabelSpace | None = None,
+    knn: KnnParameters = KnnParameters(),
+    choice: Choice = Choice(),
+    options: BatchOptions = BatchOptions(),
+) -> Outcome[None]:
+    """Refine labels into `OUT/sequences/<seq>/predictions`.
+
+    Parameters
+    ----------
+    out : Path
+        The output folder; holds `pixel_labels` unless `labels` is given.
+    labels : Path, optional
+        A folder of point labels to refine instead, of any origin: `.label` files in the layout of
+        the benchmark's predictions, or directly.
+    scans_in : Path, optional
+        Where the scans are; otherwise where those of `out` came from.
+    sensor : Sensor, optional
+        Otherwise the one that earlier stages recorded in `out`; else the HDL-64.
+    space : LabelSpace, optional
+        Otherwise the one that `predict` recorded in `out`, else that of the scans' data set.
+    knn, choice, options
+        Neighbours; which scans, and how to go through them.
+
+    Raises
+    ------
+    SalsanextError
+        If nothing can be done at all; failures of single scans are in the outcome.
+    """
+    scans = find_scans(scans_in) if scans_in else remembered_scans(out)
+    space = space or recorded_label_space(out) or space_of(scans)
+    if labels is None:
+        ready = {(file.sequence, file.stem) for file in find_outputs(out, "pixel_labels")}
+        scans = [scan for scan in scans if (scan.sequence, scan.stem) in ready]
+        if not scans:
+            remedy = (
+                "run `salsanext predict` on the output of `salsanext project`, or give --labels"
+            )
+            raise NoInputError(out, "holds no pixel_labels", remedy=remedy)
+    scans = choose(scans, choice, space_of(scans, space), out)
+    sensor = sensor or _recorded_sensor(out)
+    settings = {
+        "labels": str(labels.absolute()) if labels else None,
+        "label_space": space.to_dict(),
+        "sensor": sensor.to_dict(),
+        "knn": asdict(knn),
+    }
+    claim(out, "knn-refine", settings, ("predictions",), overwrite=options.overwrite)
+    remember_sources(out, scans)
+    work = RefineScan(out, labels, space, sensor, knn)
+    return run_batch(work, scans, options, work.results_of)
+
+
+def _recorded_sensor(out: Path) -> Sensor:
+    for stage in ("predict", "project"):
+        settings = stage_settings(out, stage)
+        if settings:
+            return Sensor.from_dict(settings["sensor"], out / f"{stage}.json")
+    return sensor_preset("hdl64")

@@ -1,0 +1,168 @@
+# SPDX-License-Identifier: MIT
+"""Scans to labels: projection, network and kNN in memory; or range images to pixel labels."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+
+from salsanext_cli.errors import UsageError
+from salsanext_cli.formats.arrays import write_array
+from salsanext_cli.formats.kitti import write_labels
+from salsanext_cli.formats.layout import ScanFile, find_outputs, output_path
+from salsanext_cli.geometry.knn import KnnParameters, knn_refine
+from salsanext_cli.records import Float, Int, TrainIds
+from salsanext_cli.sensors import Sensor
+from salsanext_cli.stages.batch import BatchOptions, Outcome, run_batch
+from salsanext_cli.stages.inputs import Choice, choose, select_scans, space_of
+from salsanext_cli.stages.networks import NetworkChoice
+from salsanext_cli.stages.outputs import claim, remember_sources, remembered_scans
+from salsanext_cli.stages.project import projected_sensor, read_channels, read_image
+
+EXTRAS = ("pixel_labels", "probabilities")
+
+
+@dataclass(frozen=True, slots=True)
+class PredictScan:
+    """Label the points of one scan."""
+
+    out: Path
+    network: NetworkChoice
+    knn: KnnParameters
+    extras: tuple[str, ...]
+
+    def results_of(self, file: ScanFile) -> list[Path]:
+        """Return the files that are written for a scan."""
+        return [self._path(file, folder) for folder in ("predictions", *self.extras)]
+
+    def _path(self, file: ScanFile, folder: str) -> Path:
+        return output_path(self.out, file.sequence, folder, file.stem)
+
+    def __call__(self, file: ScanFile) -> None:
+        """Read, project, classify, refine, write."""
+        network = self.network.load()
+        place, space = str(network.device), network.card.space
+        image = read_image(file, network.sensor, place)
+        probabilities = network.probabilities(image)
+        pixel_labels = most_probable(probabilities)
+        labels = knn_refine(image, pixel_labels, space.class_count, self.knn, place)
+        if "pixel_labels" in self.extras:
+            write_array(self._path(file, "pixel_labels"), pixel_labels)
+        if "probabilities" in self.extras:
+            of_points = point_probabilities(probabilities, image.pixel_of_point)
+            write_array(self._path(file, "probabilities"), of_points)
+        write_labels(self._path(file, "predictions"), space.to_raw(labels))
+
+
+@dataclass(frozen=True, slots=True)
+class PredictImage:
+    """Label the pixels of one range image that `project` wrote."""
+
+    folder: Path
+    out: Path
+    network: NetworkChoice
+
+    def results_of(self, file: ScanFile) -> list[Path]:
+        """Return the file that is written for a range image."""
+        return [output_path(self.out, file.sequence, "pixel_labels", file.stem)]
+
+    def __call__(self, file: ScanFile) -> None:
+        """Read, classify, write."""
+        network = self.network.load()
+        path = output_path(self.folder, file.sequence, "range", file.stem)
+        channels = read_channels(path, network.sensor)
+        pixel_labels = most_probable(network.pixel_probabilities(channels))
+        write_array(self.results_of(file)[0], pixel_labels)
+
+
+def most_probable(probabilities: Float) -> TrainIds:
+    """Return the most probable class of every pixel: (C, H, W) to (H, W) uint8."""
+    labels: TrainIds = probabilities.argmax(axis=0).astype(np.uint8)
+    return labels
+
+
+def point_probabilities(probabilities: Float, pixel_of_point: Int) -> npt.NDArray[np.float16]:
+    """Give every point its pixel's softmax: (N, C) float16; points without a pixel are class 0."""
+    of_points = probabilities.reshape(len(probabilities), -1).T[pixel_of_point].astype(np.float16)
+    of_points[pixel_of_point < 0] = np.eye(1, of_points.shape[1])
+    return of_points
+
+
+def predict(
+    source: Path,
+    out: Path,
+    *,
+    network: NetworkChoice = NetworkChoice(),
+    knn: KnnParameters = KnnParameters(),
+    extras: tuple[str, ...] = (),
+    choice: Choice = Choice(),
+    options: BatchOptions = BatchOptions(),
+) -> Outcome[None]:
+    """Label scans into `OUT/sequences/<seq>/predictions`.
+
+    Given the output folder of `project_scans`, label its range images into `pixel_labels`
+    instead; `knn_refine_scans` makes point labels of them, the same as in one go.
+
+    Parameters
+    ----------
+    source : Path
+        A scan, a folder of scans, a sequence, a data set, or what `project_scans` wrote.
+    out : Path
+        The output folder.
+    network : NetworkChoice
+        Weights, device and sensor.
+    knn : KnnParameters
+        Neighbours of the clean-up.
+    extras : tuple of {"pixel_labels", "probabilities"}
+        Intermediate results to keep.
+    choice, options
+        Which scans, and how to go through them.
+
+    Raises
+    ------
+    SalsanextError
+        If nothing can be done at all; failures of single scans are in the outcome.
+    """
+    seen = projected_sensor(source)
+    if seen is not None:
+        _require_same_sensor(source, seen, network.load().sensor)
+        return _predict_images(source, out, network, extras, choice, options)
+    scans = select_scans(source, choice, network.load().card.space)
+    settings = network.settings() | {"knn": asdict(knn)}
+    claim(out, "predict", settings, ("predictions", *extras), overwrite=options.overwrite)
+    remember_sources(out, scans)
+    work = PredictScan(out, network, knn, extras)
+    return run_batch(work, scans, options, work.results_of)
+
+
+def _predict_images(
+    folder: Path,
+    out: Path,
+    network: NetworkChoice,
+    extras: tuple[str, ...],
+    choice: Choice,
+    options: BatchOptions,
+) -> Outcome[None]:
+    if "probabilities" in extras:
+        found = "range images do not say which points they are of"
+        raise UsageError("--probabilities", found, "the scans themselves")
+    ready = {(file.sequence, file.stem) for file in find_outputs(folder, "range")}
+    scans = [scan for scan in remembered_scans(folder) if (scan.sequence, scan.stem) in ready]
+    scans = choose(scans, choice, space_of(scans, network.load().card.space), folder)
+    claim(out, "predict", network.settings(), ("pixel_labels",), overwrite=options.overwrite)
+    remember_sources(out, scans)
+    work = PredictImage(folder, out, network)
+    return run_batch(work, scans, options, work.results_of)
+
+
+def _require_same_sensor(folder: Path, seen: Sensor, wanted: Sensor) -> None:
+    if seen != wanted:
+        raise UsageError(
+            folder,
+            f"range images of {seen.name}, {seen.height}×{seen.width}",
+            f"{wanted.name}, {wanted.height}×{wanted.width}, as the weights or --sensor say",
+            "project again, or give the sensor that was projected with",
+        )
