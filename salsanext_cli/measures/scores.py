@@ -1,0 +1,177 @@
+# SPDX-License-Identifier: MIT
+"""Scores from counts, with the semantics and the figures of the official SemanticKITTI evaluator.
+
+The official formulas, with the points whose truth is ignored left out and n_tp the number of
+points of true class t predicted as class p::
+
+    IoU_c    = n_cc / (Σ_t n_tc + Σ_p n_cp − n_cc + 10⁻¹⁵)     0 for a class that is absent
+    mean IoU = mean of IoU_c over all scored classes           absent ones included
+    accuracy = Σ_c n_cc / (Σ_t Σ_p n_tp + 10⁻¹⁵)               p over scored classes only
+
+So a labelled point predicted "unlabelled" lowers the IoU of its class, but the official accuracy
+does not see it. `Scores.accuracy` is the plain share of labelled points that are right.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import numpy as np
+import yaml
+
+from salsanext_cli.classes import LabelSpace
+from salsanext_cli.measures.confusion import Confusion, Counts, Ratios, ratio
+
+EPSILON = 1e-15
+"""What the official evaluator adds to every denominator."""
+
+
+@dataclass(frozen=True, slots=True)
+class ClassScore:
+    """How well one class was found; NaN where there is nothing to divide by.
+
+    Attributes
+    ----------
+    name : str
+        Name of the class.
+    train_id : int
+        Its train id.
+    iou : float
+        Intersection over union; NaN if the class is in neither truth nor prediction.
+    precision : float
+        Share of the points predicted as this class that are of it; NaN if never predicted.
+    recall : float
+        Share of the points of this class that were found; NaN if there are none.
+    points : int
+        Number of points of this class.
+    predicted : int
+        Number of labelled points predicted as this class.
+    """
+
+    name: str
+    train_id: int
+    iou: float
+    precision: float
+    recall: float
+    points: int
+    predicted: int
+
+    @property
+    def present(self) -> bool:
+        """Whether the truth holds this class."""
+        return self.points > 0
+
+
+@dataclass(frozen=True, slots=True)
+class Scores:
+    """The scores of a set of points; shares are 0…1.
+
+    Attributes
+    ----------
+    classes : tuple of ClassScore
+        Every scored class, in the order of the train ids.
+    accuracy : float
+        Share of labelled points that are right; NaN without any.
+    accuracy_official : float
+        The same as the official evaluator prints it: points predicted "unlabelled" left out.
+    iou_mean_official : float
+        Mean IoU over all scored classes, an absent class counting 0.
+    iou_mean_present : float
+        Mean IoU over the classes that the truth holds, so that what is averaged does not
+        depend on the prediction; NaN if it holds none.
+    points : int
+        Number of labelled points.
+    """
+
+    classes: tuple[ClassScore, ...]
+    accuracy: float
+    accuracy_official: float
+    iou_mean_official: float
+    iou_mean_present: float
+    points: int
+
+    def official(self) -> dict[str, float]:
+        """Return the figures of the official ``scores.txt``, by its names."""
+        figures = {"accuracy_mean": self.accuracy_official, "iou_mean": self.iou_mean_official}
+        return figures | {f"iou_{c.name}": _zero_if_absent(c.iou) for c in self.classes}
+
+    def official_yaml(self) -> str:
+        """Return the text of the official ``scores.txt``: sorted yaml, every digit."""
+        return yaml.safe_dump(self.official(), default_flow_style=False, allow_unicode=True)
+
+    def comma_line(self) -> str:
+        """Return a row for a paper's table: IoU of every class, mean IoU, accuracy (official)."""
+        official = [_zero_if_absent(c.iou) for c in self.classes]
+        figures = (*official, self.iou_mean_official, self.accuracy_official)
+        return ",".join(f"{figure:.3f}" for figure in figures)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return plain data for JSON; null stands for NaN."""
+        plain = {name: _plain(value) for name, value in asdict(self).items() if name != "classes"}
+        classes = [{k: _plain(v) for k, v in asdict(c).items()} for c in self.classes]
+        return plain | {"classes": classes}
+
+
+def scores(confusion: Confusion, space: LabelSpace) -> Scores:
+    """Divide the counts.
+
+    Parameters
+    ----------
+    confusion : Confusion
+        Counts over the train ids of `space`.
+    space : LabelSpace
+        Which classes there are, and which of them are ignored.
+
+    Raises
+    ------
+    ValueError
+        If the number of classes differs.
+    """
+    if confusion.class_count != space.class_count:
+        raise ValueError(
+            f"{confusion.class_count} classes, but {space.class_count} in {space.name}"
+        )
+    scored = space.scored
+    matrix = confusion.counted(scored)
+    hits, truths, predictions = np.diagonal(matrix), matrix.sum(axis=1), matrix.sum(axis=0)
+    iou = confusion.iou(scored)
+    return Scores(
+        classes=_class_scores(space, iou, hits, truths, predictions),
+        accuracy=float(ratio(hits.sum(keepdims=True), matrix.sum(keepdims=True).ravel())[0]),
+        accuracy_official=float(hits.sum() / (matrix[:, scored].sum() + EPSILON)),
+        iou_mean_official=_mean(np.nan_to_num(iou[scored])),
+        iou_mean_present=_mean(iou[scored & (truths > 0)]),
+        points=int(matrix.sum()),
+    )
+
+
+def _class_scores(
+    space: LabelSpace, iou: Ratios, hits: Counts, truths: Counts, predictions: Counts
+) -> tuple[ClassScore, ...]:
+    precision, recall = ratio(hits, predictions), ratio(hits, truths)
+    return tuple(
+        ClassScore(
+            name=space.names[i],
+            train_id=int(i),
+            iou=float(iou[i]),
+            precision=float(precision[i]),
+            recall=float(recall[i]),
+            points=int(truths[i]),
+            predicted=int(predictions[i]),
+        )
+        for i in np.flatnonzero(space.scored)
+    )
+
+
+def _mean(values: Ratios) -> float:
+    return float(values.mean()) if len(values) else math.nan
+
+
+def _zero_if_absent(iou: float) -> float:
+    return 0.0 if math.isnan(iou) else iou
+
+
+def _plain(value: Any) -> Any:
+    return None if isinstance(value, float) and math.isnan(value) else value

@@ -1,0 +1,149 @@
+# SPDX-License-Identifier: MIT
+"""Scans seen from above, side by side."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+import numpy.typing as npt
+
+from salsanext_cli.records import Float
+from salsanext_cli.report import canvas
+from salsanext_cli.report.colours import EMPTY, Colours, Legend
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+SIZE = 900
+"""Height and width of a view in pixels."""
+OVERSAMPLING = 2
+MARGIN = 28
+TITLE = 40
+REACH = 45.0
+"""How far a view reaches from the sensor by default, in metres."""
+GRID = 10.0
+"""Metres between two circles."""
+
+
+@dataclass(frozen=True, slots=True)
+class View:
+    """One way to colour the points.
+
+    Attributes
+    ----------
+    title : str
+        Stands above it.
+    colours : (N, 3) uint8
+        Red, green, blue of every point.
+    """
+
+    title: str
+    colours: Colours
+
+
+def raster(
+    points: Float, colours: Colours, reach: float = REACH, size: int = SIZE, spread: int = 1
+) -> Colours:
+    """Draw points as seen from above; a higher point hides a lower one.
+
+    Parameters
+    ----------
+    points : (N, 3) float32
+        Metres, sensor frame: x forward, y left, z up. Points that are no numbers are left out.
+    colours : (N, 3) uint8
+        Red, green, blue of every point.
+    reach : float
+        Distance in metres from the sensor, in the middle, to an edge.
+    size : int
+        Height and width in pixels.
+    spread : int
+        Height and width of a point in pixels.
+
+    Returns
+    -------
+    (size, size, 3) uint8
+        x points up, y to the left.
+    """
+    finite = np.flatnonzero(np.isfinite(points).all(axis=1))
+    order = finite[np.argsort(points[finite, 2], kind="stable")]
+    corner = np.floor((reach - points[order, :2].astype(np.float64)) * size / (2 * reach))
+    inside = ((corner > -spread) & (corner < size)).all(axis=1)
+    row, column = corner[inside].astype(np.intp).T
+    picture = np.full((size + 2 * spread, size + 2 * spread, 3), EMPTY, np.uint8)
+    # All offsets of one point before the next point: a higher one stays whole.
+    across, down = np.meshgrid(np.arange(spread), np.arange(spread))
+    rows = (row[:, None] + down.ravel() + spread).ravel()
+    columns = (column[:, None] + across.ravel() + spread).ravel()
+    picture[rows, columns] = colours[order][inside].repeat(spread**2, axis=0)
+    return picture[spread : size + spread, spread : size + spread]
+
+
+def birds_eye(
+    path: Path,
+    points: Float,
+    views: Sequence[View],
+    legend: Legend = (),
+    reach: float = REACH,
+) -> None:
+    """Draw a scan from above, once per view, with circles every `GRID` metres, as a PNG.
+
+    Parameters
+    ----------
+    path : Path
+        Where to write.
+    points : (N, 3) float32
+        Metres, sensor frame.
+    views : sequence of View
+        From left to right.
+    legend : list of (name, colour)
+        Stands below them.
+    reach : float
+        Distance in metres from the sensor to an edge.
+    """
+    width = len(views) * (SIZE + MARGIN) - MARGIN
+    key = canvas.legend_height(legend, width)
+    figure = canvas.new_figure(
+        width + 2 * MARGIN, TITLE + SIZE + MARGIN + (key + MARGIN) * bool(legend)
+    )
+    for i, view in enumerate(views):
+        left = MARGIN + i * (SIZE + MARGIN)
+        canvas.text_at(figure, left, TITLE // 2, view.title, 18)
+        axes = canvas.axes_at(figure, left, TITLE, SIZE, SIZE)
+        _draw(axes, _smooth(points, view.colours, reach), reach)
+    canvas.draw_legend(figure, legend, MARGIN, TITLE + SIZE + MARGIN, width)
+    canvas.save_png(figure, path)
+
+
+def _smooth(points: Float, colours: Colours, reach: float) -> Colours:
+    """Draw larger and average down, so that edges of points are soft."""
+    large = raster(points, colours, reach, SIZE * OVERSAMPLING, spread=3)
+    blocks: npt.NDArray[np.float64] = large.reshape(SIZE, OVERSAMPLING, SIZE, OVERSAMPLING, 3).mean(
+        axis=(1, 3)
+    )
+    return blocks.round().astype(np.uint8)
+
+
+def _draw(axes: Axes, picture: Colours, reach: float) -> None:
+    """Show a raster with circles around the sensor and an arrow forward, in metres."""
+    from matplotlib.patches import Circle
+    from matplotlib.patheffects import withStroke
+
+    axes.set_axis_off()
+    axes.imshow(picture, extent=(reach, -reach, -reach, reach), interpolation="nearest")
+    for radius in np.arange(GRID, reach * 2**0.5, GRID):
+        axes.add_patch(Circle((0, 0), radius, fill=False, ec=canvas.FAINT, lw=0.6, alpha=0.55))
+        if radius < reach:
+            place = radius * 0.5**0.5
+            axes.text(
+                *(-place, place, f"{radius:g} m"),
+                color=canvas.INK,
+                fontsize=8,
+                path_effects=[withStroke(linewidth=2.5, foreground=canvas.NIGHT)],
+            )
+    axes.plot(0, 0, marker="^", color=canvas.INK, markersize=8)
+    axes.set_xlim(reach, -reach)
+    axes.set_ylim(-reach, reach)

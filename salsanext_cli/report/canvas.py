@@ -1,0 +1,96 @@
+# SPDX-License-Identifier: MIT
+"""A figure measured in pixels, and how it is saved.
+
+Figures are made and saved as objects; nothing here touches pyplot or another global state, so
+that drawing works in any thread or process and without a display.
+"""
+
+from __future__ import annotations
+
+from io import BytesIO
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from salsanext_cli.formats.atomic import writing
+from salsanext_cli.report.colours import EMPTY, Colours, Legend
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+DPI = 100
+PAPER = "white"
+NIGHT = "#{:02x}{:02x}{:02x}".format(*(c // 2 for c in EMPTY))
+"""Background of pictures of scans: darker than `EMPTY`, so that strips have an edge."""
+INK = "#e8e8ea"
+FAINT = "#8a8f98"
+"""Colours of text and of helping lines on `NIGHT`."""
+
+
+def new_figure(width: int, height: int, background: str = NIGHT) -> Figure:
+    """Return an empty figure of a size in pixels."""
+    from matplotlib.figure import Figure
+
+    return Figure(figsize=(width / DPI, height / DPI), dpi=DPI, facecolor=background)
+
+
+def axes_at(figure: Figure, left: int, top: int, width: int, height: int) -> Axes:
+    """Add axes at a place in pixels, measured from the upper left corner."""
+    full_width, full_height = figure.get_size_inches() * DPI
+    bottom = full_height - top - height
+    return figure.add_axes(
+        (left / full_width, bottom / full_height, width / full_width, height / full_height)
+    )
+
+
+def text_at(figure: Figure, left: int, top: int, text: str, size: int, colour: str = INK) -> None:
+    """Write text whose middle line is at `top`, in pixels from the upper left corner.
+
+    Names come from files and may hold a dollar sign: it is not taken for mathematics.
+    """
+    width, height = figure.get_size_inches() * DPI
+    figure.text(
+        left / width,
+        1 - top / height,
+        text,
+        fontsize=size * 72 / DPI,
+        color=colour,
+        va="center_baseline",
+        parse_math=False,
+    )
+
+
+def draw_legend(figure: Figure, legend: Legend, left: int, top: int, width: int) -> None:
+    """Draw a swatch and a name for each entry, `LEGEND_STEP` pixels apart, in rows."""
+    columns = max(1, width // LEGEND_STEP)
+    for i, (name, colour) in enumerate(legend):
+        x, y = left + i % columns * LEGEND_STEP, top + i // columns * LEGEND_ROW
+        swatch = axes_at(figure, x, y + 3, 22, 14)
+        swatch.set_axis_off()
+        swatch.imshow(np.array([[colour]], np.uint8), aspect="auto")
+        text_at(figure, x + 30, y + 10, name, 15)
+
+
+LEGEND_STEP = 165
+LEGEND_ROW = 26
+
+
+def legend_height(legend: Legend, width: int) -> int:
+    """Return the pixels that `draw_legend` needs."""
+    columns = max(1, width // LEGEND_STEP)
+    return -(-len(legend) // columns) * LEGEND_ROW
+
+
+def stretched(picture: Colours, rows: int, columns: int) -> Colours:
+    """Repeat every pixel so that nothing has to be interpolated."""
+    return picture.repeat(rows, axis=0).repeat(columns, axis=1)
+
+
+def save_png(figure: Figure, path: Path) -> None:
+    """Write a figure; the file appears when it is complete."""
+    png = BytesIO()
+    figure.savefig(png, format="png", dpi=DPI, metadata={"Software": None})
+    with writing(path) as file:
+        file.write(png.getvalue())

@@ -1,0 +1,127 @@
+# SPDX-License-Identifier: MIT
+"""Labels and values to colours; pictures and point clouds share these."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from salsanext_cli.classes import LabelSpace
+
+Colours = npt.NDArray[np.uint8]
+Legend = Sequence[tuple[str, tuple[int, int, int]]]
+"""Names with their red, green, blue."""
+
+EMPTY = (44, 46, 54)
+"""Where there is no measurement."""
+RIGHT = (92, 100, 112)
+WRONG = (255, 72, 48)
+"""Colours of a point whose label is right, and of one whose label is not."""
+SCALE_PERCENTILES = (1.0, 99.0)
+"""What a colour scale spans by default: a few outliers must not make all others look alike."""
+
+
+def label_colours(train: npt.NDArray[Any], space: LabelSpace) -> Colours:
+    """Return the label space's colour of each train id.
+
+    Parameters
+    ----------
+    train : integer, any shape
+        Train ids.
+    space : LabelSpace
+        Whose colours to take.
+
+    Returns
+    -------
+    (…, 3) uint8
+        Red, green, blue.
+    """
+    colours: Colours = space.colours[train]
+    return colours
+
+
+def error_colours(
+    truth: npt.NDArray[Any], predicted: npt.NDArray[Any], space: LabelSpace
+) -> Colours:
+    """Return `RIGHT`, `WRONG`, or `EMPTY` where the truth is ignored.
+
+    Parameters
+    ----------
+    truth, predicted : integer, same shape
+        Train ids.
+    space : LabelSpace
+        Says which classes are ignored.
+
+    Returns
+    -------
+    (…, 3) uint8
+        Red, green, blue.
+    """
+    verdict = np.where(space.scored[truth], 1 + (truth != predicted), 0)
+    return np.array((EMPTY, RIGHT, WRONG), np.uint8)[verdict]
+
+
+def value_range(values: npt.NDArray[Any]) -> tuple[float, float]:
+    """Return the lowest and highest value that a colour scale should span.
+
+    Parameters
+    ----------
+    values : float, any shape
+        What will be coloured; NaN and infinity are left out.
+
+    Returns
+    -------
+    tuple of float
+        The 1st and the 99th percentile; (0, 1) if there is nothing.
+    """
+    finite = values[np.isfinite(values)]
+    if not finite.size:
+        return 0.0, 1.0
+    low, high = np.percentile(finite, SCALE_PERCENTILES)
+    return float(low), float(high)
+
+
+def value_colours(
+    values: npt.NDArray[Any], low: float, high: float, colour_map: str = "viridis"
+) -> Colours:
+    """Colour values by a perceptually uniform map.
+
+    Parameters
+    ----------
+    values : float, any shape
+        Values; those beyond the scale take its end's colour, NaN takes `EMPTY`.
+    low, high : float
+        The values at the two ends of the scale.
+    colour_map : str
+        Name of a matplotlib colour map.
+
+    Returns
+    -------
+    (…, 3) uint8
+        Red, green, blue.
+    """
+    span = high - low if high > low else 1.0
+    share = np.clip((values.astype(np.float64) - low) / span, 0, 1)
+    position = np.rint(np.nan_to_num(share) * 255).astype(np.intp)
+    return np.where(
+        np.isnan(share)[..., None], np.array(EMPTY, np.uint8), map_colours(colour_map)[position]
+    )
+
+
+def map_colours(name: str) -> Colours:
+    """Return the 256 colours of a matplotlib map, (256, 3) uint8."""
+    import matplotlib
+
+    colours: Colours = matplotlib.colormaps[name](np.arange(256), bytes=True)[:, :3]
+    return colours
+
+
+def legend_of(space: LabelSpace, *labels: npt.NDArray[Any], errors: bool = False) -> Legend:
+    """Return names and colours of the classes that occur, and of the errors' if wanted."""
+    present = np.unique(np.concatenate([train.ravel() for train in labels]))
+    classes = [(space.names[i], space.colours[i]) for i in present]
+    legend = [(name, (int(red), int(green), int(blue))) for name, (red, green, blue) in classes]
+    return [*legend, ("right", RIGHT), ("wrong", WRONG)] if errors else legend

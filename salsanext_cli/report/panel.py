@@ -1,0 +1,132 @@
+# SPDX-License-Identifier: MIT
+"""Strips of a range image below each other: range, intensity, labels, errors, uncertainty."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import numpy.typing as npt
+
+from salsanext_cli.records import RangeImage
+from salsanext_cli.report import canvas
+from salsanext_cli.report.colours import Colours, Legend, map_colours, value_range
+from salsanext_cli.report.range_image import on_pixels, scalar_picture
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+MARGIN = 28
+TITLE = 34
+"""Pixels around strips, and between them for the title."""
+BAR = 130
+"""Pixels beside the strips for colour bars and their figures."""
+STRIP_WIDTH = 2048
+STRIP_HEIGHT = 192
+"""Least size of a strip in pixels: 64 rows are drawn three times as high as they are."""
+
+
+@dataclass(frozen=True, slots=True)
+class Bar:
+    """What the colours of a strip mean."""
+
+    low: float
+    high: float
+    unit: str = ""
+    colour_map: str = "viridis"
+
+
+@dataclass(frozen=True, slots=True)
+class Strip:
+    """A picture of a range image with its title, and a colour bar if it shows values.
+
+    Attributes
+    ----------
+    title : str
+        Stands above it.
+    picture : (H, W, 3) uint8
+        Red, green, blue of every pixel; row 0 is the highest beam.
+    bar : Bar, optional
+        The scale of its colours.
+    """
+
+    title: str
+    picture: Colours
+    bar: Bar | None = None
+
+
+def range_strip(image: RangeImage) -> Strip:
+    """Return a strip of the distance of every pixel."""
+    distances = image.channels[0]
+    _, high = value_range(distances[image.point_of_pixel >= 0])
+    bar = Bar(0.0, high, "m")
+    return Strip("range", scalar_picture(image, distances, bar.low, bar.high), bar)
+
+
+def scalar_strip(
+    image: RangeImage, title: str, values: npt.NDArray[Any], unit: str = "", colour_map: str = ""
+) -> Strip:
+    """Return a strip of values whose scale spans the bulk of them; `values` as `scalar_picture`."""
+    pixels = values if values.ndim == 2 else on_pixels(image, values)
+    low, high = value_range(pixels[image.point_of_pixel >= 0])
+    bar = Bar(low, high, unit, colour_map or "viridis")
+    return Strip(title, scalar_picture(image, pixels, low, high, bar.colour_map), bar)
+
+
+def panel(path: Path, strips: Sequence[Strip], legend: Legend = ()) -> None:
+    """Draw strips below each other, with titles, colour bars and a legend, as a PNG.
+
+    Parameters
+    ----------
+    path : Path
+        Where to write.
+    strips : sequence of Strip
+        From top to bottom.
+    legend : list of (name, colour)
+        Stands below them.
+    """
+    sizes = [_drawn(strip.picture) for strip in strips]
+    width = max(picture.shape[1] for picture in sizes)
+    body = sum(picture.shape[0] + TITLE for picture in sizes)
+    key = canvas.legend_height(legend, width)
+    figure = canvas.new_figure(MARGIN + width + BAR, body + MARGIN + (key + MARGIN) * bool(legend))
+    top = 0
+    for strip, picture in zip(strips, sizes, strict=True):
+        canvas.text_at(figure, MARGIN, top + TITLE // 2 + 2, strip.title, 18)
+        top += TITLE
+        _draw(figure, picture, MARGIN, top)
+        if strip.bar:
+            _draw_bar(figure, strip.bar, MARGIN + width + 16, top, picture.shape[0])
+        top += picture.shape[0]
+    canvas.draw_legend(figure, legend, MARGIN, top + MARGIN, width)
+    canvas.save_png(figure, path)
+
+
+def _drawn(picture: Colours) -> Colours:
+    """Stretch a picture to a legible size by repeating its pixels."""
+    height, width = picture.shape[:2]
+    return canvas.stretched(
+        picture, max(1, round(STRIP_HEIGHT / height)), max(1, round(STRIP_WIDTH / width))
+    )
+
+
+def _draw(figure: Figure, picture: Colours, left: int, top: int) -> None:
+    axes = canvas.axes_at(figure, left, top, picture.shape[1], picture.shape[0])
+    axes.set_axis_off()
+    axes.imshow(picture, aspect="auto", interpolation="nearest")
+
+
+def _draw_bar(figure: Figure, bar: Bar, left: int, top: int, height: int) -> None:
+    rows = np.linspace(255, 0, height).round().astype(np.intp)
+    _draw(figure, np.repeat(map_colours(bar.colour_map)[rows][:, None], 16, axis=1), left, top)
+    middle = (bar.low + bar.high) / 2
+    places = ((bar.high, 9), (middle, height // 2), (bar.low, height - 9))
+    # Digits by the span of the scale: its lower end is "0" rather than "0.00035".
+    digits = 2 - math.floor(math.log10(max(bar.high - bar.low, 1e-9)))
+    for value, place in places:
+        text = f"{round(value, digits):.4g} {bar.unit}".strip()
+        canvas.text_at(figure, left + 24, top + place, text, 15)
