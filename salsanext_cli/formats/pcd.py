@@ -8,62 +8,18 @@ memory on padding fields (`_` with COUNT ≠ 1) and fills short ascii files with
 from __future__ import annotations
 
 import io
-import math
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import BinaryIO
 
 import numpy as np
 import numpy.typing as npt
 
-from salsanext_cli.errors import FormatError, MissingDependency
+from salsanext_cli.errors import FormatError
 from salsanext_cli.formats.columns import Columns, scan_of
+from salsanext_cli.formats.packages import import_open3d
+from salsanext_cli.formats.pcd_header import Header, read_header
 from salsanext_cli.formats.reading import reading, size_of
 from salsanext_cli.records import Scan
-
-KINDS = ("ascii", "binary", "binary_compressed")
-TYPES = {
-    **{f"F{size}": f"<f{size}" for size in (4, 8)},
-    **{f"I{size}": f"<i{size}" for size in (1, 2, 4, 8)},
-    **{f"U{size}": f"<u{size}" for size in (1, 2, 4, 8)},
-}
-PADDING = "_"
-LONGEST_LINE = 1 << 16
-
-
-@dataclass(frozen=True, slots=True)
-class Header:
-    """What a PCD file says of itself: fields in order of storage, number of points, encoding."""
-
-    names: tuple[str, ...]
-    types: tuple[str, ...]
-    counts: tuple[int, ...]
-    points: int
-    kind: str
-
-    @property
-    def row(self) -> np.dtype[Any]:
-        """One point as plain binary stores it, without the padding fields."""
-        sizes = [
-            np.dtype(t).itemsize * count for t, count in zip(self.types, self.counts, strict=True)
-        ]
-        return np.dtype(
-            {
-                "names": [self.names[i] for i in self.scalars],
-                "formats": [self.types[i] for i in self.scalars],
-                "offsets": [sum(sizes[:i]) for i in self.scalars],
-                "itemsize": sum(sizes),
-            }
-        )
-
-    @property
-    def scalars(self) -> list[int]:
-        """Which fields hold one named value per point."""
-        return [
-            i
-            for i, (name, count) in enumerate(zip(self.names, self.counts, strict=True))
-            if name != PADDING and count == 1
-        ]
 
 
 def read_pcd(path: Path, *, intensity_scale: float = 1.0) -> Scan:
@@ -78,7 +34,7 @@ def read_pcd(path: Path, *, intensity_scale: float = 1.0) -> Scan:
     """
     with reading(path) as file:
         try:
-            header = _read_header(file)
+            header = read_header(file)
             match header.kind:
                 case "ascii":
                     columns = _read_ascii(file, header)
@@ -89,41 +45,6 @@ def read_pcd(path: Path, *, intensity_scale: float = 1.0) -> Scan:
         except ValueError as error:
             raise FormatError(path, str(error), "a whole PCD file") from error
     return scan_of(columns, path, intensity_scale)
-
-
-def _read_header(file: BinaryIO) -> Header:
-    entries: dict[str, list[str]] = {}
-    while "DATA" not in entries:
-        line = file.readline(LONGEST_LINE)
-        if not line:
-            raise ValueError("no PCD header")
-        words = line.decode("ascii", "replace").split()
-        if words and not words[0].startswith("#"):
-            entries[words[0].upper()] = words[1:]
-    try:
-        names = tuple(entries["FIELDS"])
-        types = tuple(
-            TYPES[kind + size] for kind, size in zip(entries["TYPE"], entries["SIZE"], strict=True)
-        )
-        counts = tuple(int(count) for count in entries.get("COUNT", ["1"] * len(names)))
-        size = entries.get("POINTS") or entries["WIDTH"] + entries["HEIGHT"]
-        header = Header(names, types, counts, math.prod(map(int, size)), entries["DATA"][0].lower())
-    except (KeyError, IndexError) as error:
-        raise ValueError(f"a PCD header without a usable {error}") from error
-    _require_consistent(header)
-    return header
-
-
-def _require_consistent(header: Header) -> None:
-    if not len(header.names) == len(header.types) == len(header.counts):
-        raise ValueError("a PCD header whose FIELDS, TYPE, SIZE and COUNT differ in length")
-    named = [name for name in header.names if name != PADDING]
-    if len(set(named)) < len(named):
-        raise ValueError("a PCD header with a field twice")
-    if header.points < 0 or min(header.counts, default=0) < 0:
-        raise ValueError("a PCD header with a negative number")
-    if header.kind not in KINDS:
-        raise ValueError(f"PCD data of kind {header.kind}, not {', '.join(KINDS)}")
 
 
 def _read_ascii(file: BinaryIO, header: Header) -> Columns:
@@ -147,7 +68,7 @@ def _read_ascii(file: BinaryIO, header: Header) -> Columns:
 
 
 def _read_binary(file: BinaryIO, header: Header) -> Columns:
-    promised = header.points * header.row.itemsize
+    promised = header.points * header.row_size
     if (held := size_of(file) - file.tell()) < promised:
         raise ValueError(f"{held} bytes of data, not {promised}")
     table = np.fromfile(file, header.row, header.points)
@@ -158,7 +79,7 @@ def _read_compressed(file: BinaryIO, path: Path, header: Header) -> Columns:
     if len(header.scalars) < len(header.names):
         raise ValueError("compressed PCD data with fields of several values")
     sizes = np.fromfile(file, "<u4", 2)
-    promised = header.points * header.row.itemsize
+    promised = header.points * header.row_size
     held = size_of(file) - file.tell()
     if len(sizes) < 2 or held < sizes[0] or sizes[1] != promised:
         raise ValueError(f"{held} bytes of compressed data that do not unpack to {promised}")
@@ -171,22 +92,3 @@ def _read_compressed(file: BinaryIO, path: Path, header: Header) -> Columns:
         raise ValueError("compressed PCD data that does not unpack")
     columns = {name: cloud.point[name].numpy()[:, 0] for name in cloud.point}
     return columns | dict(zip("xyz", cloud.point.positions.numpy().T, strict=True))
-
-
-def import_open3d() -> Any:
-    """Import open3d, which takes over a second and needs a system library.
-
-    Raises
-    ------
-    MissingDependency
-        If it cannot be imported.
-    """
-    try:
-        import open3d
-    except ModuleNotFoundError as error:
-        raise MissingDependency("open3d", "not installed", remedy="pip install open3d") from error
-    except (ImportError, OSError) as error:
-        raise MissingDependency(
-            "open3d", str(error), "the system library libusb-1.0", "apt-get install libusb-1.0-0"
-        ) from error
-    return open3d

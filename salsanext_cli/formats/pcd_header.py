@@ -1,0 +1,133 @@
+# SPDX-License-Identifier: MIT
+"""The header of a PCD file: which fields, of which type, how many points, how encoded."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any, BinaryIO
+
+import numpy as np
+
+KINDS = ("ascii", "binary", "binary_compressed")
+TYPES = {
+    **{f"F{size}": f"<f{size}" for size in (4, 8)},
+    **{f"I{size}": f"<i{size}" for size in (1, 2, 4, 8)},
+    **{f"U{size}": f"<u{size}" for size in (1, 2, 4, 8)},
+}
+"""numpy's type of each TYPE and SIZE."""
+PADDING = "_"
+LONGEST = 1 << 16
+"""Bytes within which a header must end; what is longer is another kind of file."""
+
+
+@dataclass(frozen=True, slots=True)
+class Header:
+    """What a PCD file says of itself.
+
+    Attributes
+    ----------
+    names, types, counts : tuples of equal length
+        Fields in order of storage: name, numpy type, values per point.
+    points : int
+        N.
+    kind : str
+        One of `KINDS`.
+    """
+
+    names: tuple[str, ...]
+    types: tuple[str, ...]
+    counts: tuple[int, ...]
+    points: int
+    kind: str
+
+    def __post_init__(self) -> None:
+        if not len(self.names) == len(self.types) == len(self.counts):
+            raise ValueError("a PCD header whose FIELDS, TYPE, SIZE and COUNT differ in length")
+        named = [name for name in self.names if name != PADDING]
+        if len(set(named)) < len(named):
+            raise ValueError("a PCD header with a field twice")
+        if self.points < 0 or min(self.counts, default=0) < 0:
+            raise ValueError("a PCD header with a negative number")
+        if self.row_size > LONGEST:
+            raise ValueError(f"a PCD header with {self.row_size} bytes per point")
+        if self.kind not in KINDS:
+            raise ValueError(f"PCD data of kind {self.kind}, not {', '.join(KINDS)}")
+
+    @property
+    def scalars(self) -> list[int]:
+        """Which fields hold one named value per point."""
+        return [
+            i
+            for i, (name, count) in enumerate(zip(self.names, self.counts, strict=True))
+            if name != PADDING and count == 1
+        ]
+
+    @property
+    def row_size(self) -> int:
+        """Bytes of one point, padding included."""
+        return sum(self._sizes)
+
+    @property
+    def row(self) -> np.dtype[Any]:
+        """One point as plain binary stores it; padding is passed over."""
+        return np.dtype(
+            {
+                "names": [self.names[i] for i in self.scalars],
+                "formats": [self.types[i] for i in self.scalars],
+                "offsets": [sum(self._sizes[:i]) for i in self.scalars],
+                "itemsize": self.row_size,
+            }
+        )
+
+    @property
+    def _sizes(self) -> list[int]:
+        return [
+            np.dtype(kind).itemsize * count
+            for kind, count in zip(self.types, self.counts, strict=True)
+        ]
+
+
+def read_header(file: BinaryIO) -> Header:
+    """Read up to the line DATA; anything unusable raises `ValueError`."""
+    entries = _entries(file)
+    try:
+        names = tuple(entries["FIELDS"])
+        kinds, sizes = entries["TYPE"], entries["SIZE"]
+        counts = entries.get("COUNT", ["1"] * len(names))
+        points = entries.get("POINTS") or entries["WIDTH"] + entries["HEIGHT"]
+        return Header(
+            names,
+            tuple(TYPES[kind + size] for kind, size in zip(kinds, sizes, strict=False)),
+            tuple(_number(count) for count in counts),
+            math.prod(map(_number, points)),
+            entries["DATA"][0].lower(),
+        )
+    except (KeyError, IndexError) as error:
+        raise ValueError(f"a PCD header without a usable {error}") from error
+
+
+def _entries(file: BinaryIO) -> dict[str, list[str]]:
+    """Return the words after each keyword."""
+    entries: dict[str, list[str]] = {}
+    while "DATA" not in entries:
+        line = file.readline(LONGEST)
+        if not line or file.tell() > LONGEST:
+            raise ValueError("no PCD header")
+        words = line.decode("ascii", "replace").split()
+        if words and not words[0].startswith("#"):
+            # Another reader may take the first of two where this one takes the last.
+            if words[0] in entries:
+                raise ValueError(f"a PCD header with {words[0]} twice")
+            entries[words[0]] = words[1:]
+    return entries
+
+
+def _number(word: str) -> int:
+    """Return a number of fields or points, of a size that can be calculated with."""
+    if len(word) > 15:
+        raise ValueError("a PCD header with an impossible number")
+    try:
+        return int(word)
+    except ValueError as error:
+        raise ValueError(f"a PCD header with {word} in place of a number") from error
