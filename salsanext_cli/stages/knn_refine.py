@@ -16,15 +16,14 @@ from salsanext_cli.formats.layout import ScanFile, find_outputs, find_scans, out
 from salsanext_cli.geometry.knn import KnnParameters, knn_refine
 from salsanext_cli.records import RangeImage, TrainIds
 from salsanext_cli.sensors import Sensor
-from salsanext_cli.sensors import sensor as sensor_preset
 from salsanext_cli.stages.batch import BatchOptions, Outcome, run_batch
 from salsanext_cli.stages.inputs import Choice, choose, space_of
 from salsanext_cli.stages.outputs import (
     claim,
     recorded_label_space,
+    recorded_sensor,
     remember_sources,
     remembered_scans,
-    stage_settings,
 )
 from salsanext_cli.stages.project import read_image
 
@@ -119,7 +118,7 @@ def knn_refine_scans(
             )
             raise NoInputError(out, "holds no pixel_labels", remedy=remedy)
     scans = choose(scans, choice, space_of(scans, space), out)
-    sensor = sensor or _recorded_sensor(out)
+    sensor = sensor or recorded_sensor(out)
     settings = {
         "labels": str(labels.absolute()) if labels else None,
         "label_space": space.to_dict(),
@@ -130,11 +129,3 @@ def knn_refine_scans(
     remember_sources(out, scans)
     work = RefineScan(out, labels, space, sensor, knn)
     return run_batch(work, scans, options, work.results_of)
-
-
-def _recorded_sensor(out: Path) -> Sensor:
-    for stage in ("predict", "project"):
-        settings = stage_settings(out, stage)
-        if settings:
-            return Sensor.from_dict(settings["sensor"], out / f"{stage}.json")
-    return sensor_preset("hdl64")

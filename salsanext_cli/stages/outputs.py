@@ -14,6 +14,7 @@ from salsanext_cli.errors import NoInputError, OutputError
 from salsanext_cli.formats.atomic import write_text
 from salsanext_cli.formats.layout import SUFFIX_OF_FOLDER, ScanFile, find_outputs, find_scans
 from salsanext_cli.formats.reading import reading
+from salsanext_cli.sensors import Sensor, sensor
 
 SOURCE = "source.json"
 RESULT_STAGES = ("project", "predict", "knn-refine", "uncertainty", "export-ply")
@@ -111,6 +112,15 @@ def recorded_label_space(out: Path) -> LabelSpace | None:
     return (
         LabelSpace.from_dict(settings["label_space"], out / f"{stage}.json") if settings else None
     )
+
+
+def recorded_sensor(out: Path) -> Sensor:
+    """Return the sensor that the stages in an output folder looked through; else the HDL-64."""
+    for stage in RESULT_STAGES:
+        settings = stage_settings(out, stage)
+        if settings and "sensor" in settings:
+            return Sensor.from_dict(settings["sensor"], out / f"{stage}.json")
+    return sensor("hdl64")
 
 
 def _take_over(out: Path, folder: str, stage: str, overwrite: bool) -> None:

@@ -23,6 +23,8 @@ from salsanext_cli.stages.project import read_image
 
 KINDS = ("epistemic", "entropy", "mutual_information")
 WRITES = tuple(f"uncertainty/{kind}" for kind in KINDS)
+SAMPLES = 30
+"""Passes per scan; the paper's number."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -73,7 +75,7 @@ def uncertainty(
     *,
     network: NetworkChoice = NetworkChoice(),
     knn: KnnParameters = KnnParameters(),
-    samples: int = 30,
+    samples: int = SAMPLES,
     seed: int = 0,
     choice: Choice = Choice(),
     options: BatchOptions = BatchOptions(),
@@ -105,8 +107,22 @@ def uncertainty(
     SalsanextError
         If nothing can be done at all; failures of single scans are in the outcome.
     """
-    require_sampling(network.load(), samples)
     scans = select_scans(source, choice, network.load().card.space)
+    return uncertainty_of(scans, out, network, options, knn=knn, samples=samples, seed=seed)
+
+
+def uncertainty_of(
+    scans: list[ScanFile],
+    out: Path,
+    network: NetworkChoice,
+    options: BatchOptions,
+    *,
+    knn: KnnParameters = KnnParameters(),
+    samples: int = SAMPLES,
+    seed: int = 0,
+) -> Outcome[None]:
+    """Do what `uncertainty` does, to scans already chosen."""
+    require_sampling(network.load(), samples)
     settings = network.settings() | {"knn": asdict(knn), "samples": samples, "seed": seed}
     labels_too = owner(out, "predictions") in (None, "uncertainty")
     writes = (*WRITES, "predictions") if labels_too else WRITES

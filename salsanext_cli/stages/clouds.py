@@ -1,0 +1,91 @@
+# SPDX-License-Identifier: MIT
+"""Everything known about the points of a scan: its own values, labels, truth, uncertainty."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+
+from salsanext_cli.classes import LabelSpace
+from salsanext_cli.formats import read_scan
+from salsanext_cli.formats.arrays import read_array
+from salsanext_cli.formats.kitti import read_labels
+from salsanext_cli.formats.layout import SUFFIX_OF_FOLDER, ScanFile, output_path
+from salsanext_cli.records import Float, RawIds, Scan
+
+UNCERTAINTY = tuple(
+    folder.removeprefix("uncertainty/")
+    for folder in SUFFIX_OF_FOLDER
+    if folder.startswith("uncertainty/")
+)
+"""The kinds of uncertainty that stages may have written."""
+
+
+@dataclass(frozen=True, slots=True)
+class Cloud:
+    """A scan and what is known about it.
+
+    Attributes
+    ----------
+    scan : Scan
+        N points.
+    label, truth : (N,) uint32 or None
+        Raw ids, predicted and given, without instances.
+    uncertainty : dict of str to (N,) float32
+        By kind; only kinds that were computed.
+    """
+
+    scan: Scan
+    label: RawIds | None = None
+    truth: RawIds | None = None
+    uncertainty: dict[str, Float] = field(default_factory=dict)
+
+    @property
+    def range(self) -> Float:
+        """Distance of every point from the sensor, (N,) float32, metres."""
+        distance: Float = np.linalg.norm(self.scan.points, axis=1)
+        return distance
+
+    def error(self, space: LabelSpace) -> Float:
+        """Return 1 where the label is wrong, 0 where right, NaN where truth does not count."""
+        if self.label is None or self.truth is None:
+            raise ValueError("an error needs a label and a truth")
+        truth = space.to_train(self.truth, strict=False)
+        wrong = (truth != space.to_train(self.label, strict=False)).astype(np.float32)
+        return np.where(space.scored[truth], wrong, np.float32(np.nan))
+
+
+def read_cloud(file: ScanFile, out: Path, intensity_scale: float = 1.0) -> Cloud:
+    """Read a scan and all that `out` and its data set hold about it.
+
+    Raises
+    ------
+    FormatError, LabelError
+        If a file is damaged or belongs to another scan.
+    """
+    scan = read_scan(file.path, intensity_scale=intensity_scale)
+    count = len(scan)
+    return Cloud(
+        scan=scan,
+        label=_labels(output_path(out, file.sequence, "predictions", file.stem), count),
+        truth=_labels(file.label_path, count),
+        uncertainty={
+            kind: read_array(path, "float32", (count,))
+            for kind, path in uncertainty_files(file, out)
+        },
+    )
+
+
+def uncertainty_files(file: ScanFile, out: Path) -> Iterator[tuple[str, Path]]:
+    """Yield the kinds of uncertainty that a stage wrote for a scan, and where."""
+    for kind in UNCERTAINTY:
+        path = output_path(out, file.sequence, f"uncertainty/{kind}", file.stem)
+        if path.exists():
+            yield kind, path
+
+
+def _labels(path: Path, count: int) -> RawIds | None:
+    return read_labels(path, count) & np.uint32(0xFFFF) if path.exists() else None
