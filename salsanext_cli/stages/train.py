@@ -1,0 +1,190 @@
+# SPDX-License-Identifier: MIT
+"""Train: a labelled data set in, a run folder with weights, log and curve out."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import torch
+
+from salsanext_cli.classes import LabelSpace, label_space
+from salsanext_cli.errors import NoInputError, WeightsError
+from salsanext_cli.formats.atomic import write_text
+from salsanext_cli.formats.layout import ScanFile, find_scans
+from salsanext_cli.network.architectures import build
+from salsanext_cli.network.inference import choose_device
+from salsanext_cli.network.salsanext import SalsaNext
+from salsanext_cli.network.weights import WeightsCard, fingerprint, read_weights
+from salsanext_cli.sensors import Sensor
+from salsanext_cli.sensors import sensor as preset_sensor
+from salsanext_cli.stages.inputs import data_set_label_space
+from salsanext_cli.stages.outputs import claim, read_json, write_json
+from salsanext_cli.training.counting import count_classes, require_labels
+from salsanext_cli.training.dataset import Samples
+from salsanext_cli.training.log import Row
+from salsanext_cli.training.loop import BEST, CHECKPOINT, LAST, Report, Training
+from salsanext_cli.training.losses import class_weights
+from salsanext_cli.training.optimise import Learner
+from salsanext_cli.training.recipe import Recipe
+
+DEFAULT_SENSOR = "hdl64"
+
+
+@dataclass(frozen=True, slots=True)
+class TrainResult:
+    """What a training ended with.
+
+    Attributes
+    ----------
+    best, last : Path
+        Weights files: of the best validation, and of the end.
+    best_miou : float
+        Validation mIoU on points, after kNN, of the best weights.
+    rows : sequence of Row
+        The log, a row per epoch.
+    """
+
+    best: Path
+    last: Path
+    best_miou: float
+    rows: Sequence[Row]
+
+
+def train(
+    dataset: Path,
+    run: Path,
+    *,
+    recipe: Recipe,
+    sensor: Sensor | None = None,
+    device: str = "auto",
+    jobs: int = 1,
+    weights: Path | None = None,
+    overwrite: bool = False,
+    progress: Callable[[Report], object] = lambda report: None,
+) -> TrainResult:
+    """Train a network, or go on with a training that was interrupted in the same folder.
+
+    Parameters
+    ----------
+    dataset : Path
+        A data set root; its label space says which sequences are for training and validation.
+    run : Path
+        Gets ``best.safetensors``, ``last.safetensors``, ``log.csv``, ``curve.png``,
+        ``recipe.toml`` and what is needed to resume.
+    recipe : Recipe
+        How to train.
+    sensor : Sensor, optional
+        How to project; by default the sensor of `weights`, else the HDL-64.
+    device : str
+        As `choose_device` takes it.
+    jobs : int
+        Processes that prepare samples; with 1 the training process does it itself.
+    weights : Path, optional
+        Weights to start from instead of random ones.
+    overwrite : bool
+        Whether to start anew where the folder holds a training.
+    progress : callable
+        Called with a `Report` after every step.
+
+    Raises
+    ------
+    NoInputError, LabelError, FormatError, TrainingError
+        Before the first step, if the data cannot be trained on; `TrainingError` if the loss is
+        not finite.
+    OutputError
+        If the folder cannot be written or holds another training.
+    WeightsError
+        If `weights` do not fit the label space.
+    """
+    space = data_set_label_space(dataset) or label_space()
+    training, validation = (_scans_of(dataset, space, split) for split in ("train", "valid"))
+    place = choose_device(device)
+    module, architecture, own_sensor = _start(weights, space, recipe)
+    sensor = sensor or own_sensor
+    card = WeightsCard(architecture, space, sensor, recipe.to_dict(), {}, _describe(dataset))
+    _claim(run, card, [*training, *validation], weights, overwrite)
+    require_labels([*training, *validation])
+    counts = _class_counts(run, training, space, sensor, jobs)
+    learner = Learner.of(module, recipe, class_weights(counts, space.scored), place)
+    samples = Samples(training, space, sensor, recipe)
+    workers = jobs if jobs > 1 else 0
+    done = Training(run, learner, samples, validation, card, workers, progress).to_the_end()
+    return TrainResult(run / BEST, run / LAST, done.best, done.rows)
+
+
+def _scans_of(dataset: Path, space: LabelSpace, split: str) -> list[ScanFile]:
+    members = space.split(split)
+    scans = [scan for scan in find_scans(dataset) if scan.sequence in members]
+    if not scans:
+        raise NoInputError(
+            dataset,
+            f"no scans of split {split}",
+            f"one of the sequences {', '.join(members) or '(none)'}",
+            "name your sequences in labels.yaml, under split",
+        )
+    return scans
+
+
+def _start(
+    weights: Path | None, space: LabelSpace, recipe: Recipe
+) -> tuple[SalsaNext, dict[str, Any], Sensor]:
+    """Return the network before training, its architecture and the sensor it knows."""
+    architecture = {
+        "name": "salsanext",
+        "class_count": space.class_count,
+        "dropout": recipe.dropout,
+    }
+    with torch.random.fork_rng([]):
+        torch.manual_seed(recipe.seed)
+        module = build(architecture)
+    if weights is None:
+        return module, architecture, preset_sensor(DEFAULT_SENSOR)
+    trained, card = read_weights(weights)
+    if not card.space.fits(space):
+        raise WeightsError(
+            weights, f"trained for the classes of {card.space.name}", f"those of {space.name}"
+        )
+    module.load_state_dict(trained.state_dict())
+    return module, architecture, card.sensor
+
+
+def _describe(dataset: Path) -> str:
+    return f"Trained with `salsanext train` on {dataset.resolve().name}."
+
+
+def _claim(
+    run: Path, card: WeightsCard, scans: list[ScanFile], weights: Path | None, overwrite: bool
+) -> None:
+    """Take the run folder for this training, or refuse."""
+    names = "\n".join(f"{scan.sequence}/{scan.stem}" for scan in scans)
+    settings = {
+        "recipe": dict(card.recipe),
+        "sensor": card.sensor.to_dict(),
+        "label_space": card.space.to_dict(),
+        "scans": f"{len(scans)}, {hashlib.sha256(names.encode()).hexdigest()[:16]}",
+        "weights": fingerprint(weights) if weights else None,
+    }
+    claim(run, "train", settings, [], overwrite=overwrite)
+    if overwrite:
+        (run / CHECKPOINT).unlink(missing_ok=True)
+        (run / "class_counts.json").unlink(missing_ok=True)
+    write_text(run / "recipe.toml", Recipe.from_dict(card.recipe).to_toml())
+
+
+def _class_counts(
+    run: Path, scans: Sequence[ScanFile], space: LabelSpace, sensor: Sensor, jobs: int
+) -> npt.NDArray[np.int64]:
+    """Return points per class, counted once per run folder."""
+    path = run / "class_counts.json"
+    known = read_json(path)
+    if known is not None:
+        return np.array([known[name] for name in space.names], np.int64)
+    counts = count_classes(scans, space, sensor, jobs)
+    write_json(path, dict(zip(space.names, counts.tolist(), strict=True)))
+    return counts

@@ -1,0 +1,83 @@
+# SPDX-License-Identifier: MIT
+"""The paper's four augmentations, on points, before projecting.
+
+Each happens on its own with its own probability. Because points move and not pixels, range, x, y
+and z of the range image stay consistent.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from salsanext_cli.records import Float, Scan, TrainIds
+
+SHIFT_LOW = (-5.0, -3.0, -1.0)
+SHIFT_HIGH = (5.0, 3.0, 0.0)
+MOST_DROPPED = 0.5
+
+
+@dataclass(frozen=True, slots=True)
+class Augmentation:
+    """Probability of each augmentation.
+
+    Attributes
+    ----------
+    rotate : float
+        Turn about z by a uniform angle of the whole circle.
+    shift : float
+        Move by up to ±5 m forward, ±3 m sideways, 1 m down.
+    flip : float
+        Mirror left and right.
+    drop : float
+        Drop a uniform share, at most half, of the points, without replacement.
+    """
+
+    rotate: float = 0.5
+    shift: float = 0.5
+    flip: float = 0.5
+    drop: float = 0.5
+
+    def __call__(
+        self, scan: Scan, labels: TrainIds, random: np.random.Generator
+    ) -> tuple[Scan, TrainIds]:
+        """Return a changed copy of a scan and of its labels (N,)."""
+        rotated, shifted, flipped, dropped = random.random(4) < (
+            self.rotate,
+            self.shift,
+            self.flip,
+            self.drop,
+        )
+        points, intensity = scan.points, scan.intensity
+        if rotated:
+            points = rotate(points, random.uniform(-np.pi, np.pi))
+        if shifted:
+            points = shift(points, random.uniform(SHIFT_LOW, SHIFT_HIGH))
+        if flipped:
+            points = points * np.array([1, -1, 1], np.float32)
+        if dropped:
+            kept = draw_kept(len(scan), random)
+            points, intensity, labels = points[kept], intensity[kept], labels[kept]
+        return Scan(points, intensity), labels
+
+
+def rotate(points: Float, angle: float) -> Float:
+    """Turn points (N, 3) counter-clockwise about z by an angle in radians."""
+    cosine, sine = np.cos(angle), np.sin(angle)
+    turn = np.array([[cosine, sine, 0], [-sine, cosine, 0], [0, 0, 1]], np.float32)
+    with np.errstate(invalid="ignore"):
+        turned: Float = points @ turn
+    return turned
+
+
+def shift(points: Float, offset: npt.NDArray[np.float64]) -> Float:
+    """Move points (N, 3) by (3,) metres; those at the origin measure nothing and stay."""
+    return points + points.any(axis=1, keepdims=True) * offset.astype(np.float32)
+
+
+def draw_kept(count: int, random: np.random.Generator) -> npt.NDArray[np.intp]:
+    """Draw which of `count` points stay: at least half, ascending, none twice."""
+    dropped = int(count * random.uniform(0, MOST_DROPPED))
+    return np.sort(random.permutation(count)[dropped:])

@@ -1,0 +1,71 @@
+# SPDX-License-Identifier: MIT
+"""All that is needed to go on after an interruption, in one file of tensors and plain numbers."""
+
+from __future__ import annotations
+
+import pickle
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import torch
+
+from salsanext_cli.errors import TrainingError
+from salsanext_cli.formats.atomic import writing
+from salsanext_cli.training.log import Row
+from salsanext_cli.training.optimise import Learner
+
+
+@dataclass(slots=True)
+class Progress:
+    """How far a training has come.
+
+    Attributes
+    ----------
+    epoch : int
+        Epochs finished.
+    best : float
+        Best validation mIoU so far; -1 before the first.
+    rows : list of Row
+        The log so far, a row per epoch.
+    """
+
+    epoch: int = 0
+    best: float = -1.0
+    rows: list[Row] = field(default_factory=list)
+
+
+def save_checkpoint(path: Path, learner: Learner, progress: Progress) -> None:
+    """Write the state after an epoch, atomically."""
+    state = {
+        "module": learner.module.state_dict(),
+        "average": learner.average.state_dict(),
+        "optimiser": learner.optimiser.state_dict(),
+        "epoch": progress.epoch,
+        "best": progress.best,
+        "rows": progress.rows,
+    }
+    with writing(path) as file:
+        torch.save(state, file)
+
+
+def load_checkpoint(path: Path, learner: Learner) -> Progress:
+    """Put a saved state back; only tensors and plain values are ever unpickled.
+
+    Raises
+    ------
+    TrainingError
+        If the file is damaged or of another network or optimiser.
+    """
+    try:
+        state = torch.load(path, map_location=learner.device, weights_only=True)
+        learner.module.load_state_dict(state["module"])
+        learner.average.load_state_dict(state["average"])
+        learner.optimiser.load_state_dict(state["optimiser"])
+        return Progress(state["epoch"], state["best"], state["rows"])
+    except (OSError, RuntimeError, ValueError, KeyError, pickle.UnpicklingError) as error:
+        raise TrainingError(
+            path,
+            f"cannot be resumed from: {' '.join(str(error).split())[:200]}",
+            "a checkpoint of this training",
+            "start anew with --overwrite or in another folder",
+        ) from error

@@ -1,0 +1,207 @@
+# SPDX-License-Identifier: MIT
+"""From labelled scans to samples, the same ones whatever the number of worker processes.
+
+Everything drawn for a sample comes from a generator of its own, seeded by the recipe's seed and
+the sample's position in the whole training.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from itertools import islice
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import torch
+from torch import Tensor
+from torch.utils.data import DataLoader, Dataset
+
+from salsanext_cli.classes import LabelSpace
+from salsanext_cli.formats import read_scan
+from salsanext_cli.formats.kitti import read_labels
+from salsanext_cli.formats.layout import ScanFile
+from salsanext_cli.geometry.normalise import normalise
+from salsanext_cli.geometry.projection import project
+from salsanext_cli.records import Float, RangeImage, Scan, TrainIds
+from salsanext_cli.sensors import Sensor
+from salsanext_cli.training.augment import Augmentation
+from salsanext_cli.training.recipe import Recipe
+
+ORDER, SAMPLE = 0, 1
+"""What a generator is for; part of its seed, so that no two are alike."""
+
+Draw = tuple[int, int]
+"""Position of a sample in the whole training, index of its scan."""
+Batch = tuple[Tensor, Tensor, Tensor]
+"""Normalised images (B, 5, H, W), truth (B, H, W) uint8, indices of the scans (B,) int64."""
+
+
+def read_labelled(file: ScanFile, space: LabelSpace, sensor: Sensor) -> tuple[Scan, TrainIds]:
+    """Read a scan and the train ids of its points, (N,) uint8.
+
+    Raises
+    ------
+    FormatError
+        If a file cannot be read.
+    LabelError
+        If the numbers differ or a label id is unknown.
+    """
+    scan = read_scan(file.path, intensity_scale=sensor.intensity_scale)
+    raw = read_labels(file.label_path, len(scan))
+    return scan, space.to_train(raw, source=file.label_path)
+
+
+def pixel_truth(image: RangeImage, labels: TrainIds) -> TrainIds:
+    """Return the train id of every pixel's point, (H, W) uint8; 0 where a pixel is empty."""
+    # Empty pixels hold -1, which is where the extra label stands.
+    truth: TrainIds = np.append(labels, np.uint8(0))[image.point_of_pixel]
+    return truth
+
+
+def choose_columns(
+    truth: TrainIds,
+    scored: npt.NDArray[np.bool_],
+    width: int,
+    on_class: float,
+    random: np.random.Generator,
+) -> npt.NDArray[np.intp]:
+    """Choose the columns of a window that may go round the circle.
+
+    Parameters
+    ----------
+    truth : (H, W) uint8
+        Train ids.
+    scored : (C,) bool
+        Which classes count.
+    width : int
+        Columns wanted; 0 or more than W for all, in their order.
+    on_class : float
+        Probability of placing the window so that it holds a pixel of a class drawn evenly from
+        those present, instead of anywhere.
+    random : np.random.Generator
+
+    Returns
+    -------
+    (width,) intp
+    """
+    whole = truth.shape[1]
+    if width == 0 or width >= whole:
+        return np.arange(whole)
+    start = random.integers(whole)
+    if random.random() < on_class:
+        present = np.flatnonzero(np.bincount(truth.ravel(), minlength=len(scored)) * scored)
+        if len(present):
+            _, candidates = np.nonzero(truth == random.choice(present))
+            start = random.choice(candidates) - random.integers(width)
+    columns: npt.NDArray[np.intp] = (start + np.arange(width)) % whole
+    return columns
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Samples(Dataset[tuple[Float, TrainIds, int]]):
+    """Augmented, projected, normalised and cropped scans, by what was drawn.
+
+    Attributes
+    ----------
+    files : sequence of ScanFile
+        Labelled scans.
+    space : LabelSpace
+        Of their labels.
+    sensor : Sensor
+        How to project and normalise.
+    recipe : Recipe
+        How to augment and crop.
+    """
+
+    files: Sequence[ScanFile]
+    space: LabelSpace
+    sensor: Sensor
+    recipe: Recipe
+
+    def __getitem__(self, draw: Draw) -> tuple[Float, TrainIds, int]:
+        """Return the image (5, H, W), the truth (H, W) and the index of the scan."""
+        position, index = draw
+        recipe = self.recipe
+        random = np.random.default_rng((recipe.seed, SAMPLE, position))
+        scan, labels = read_labelled(self.files[index], self.space, self.sensor)
+        augment = Augmentation(recipe.rotate, recipe.shift, recipe.flip, recipe.drop)
+        scan, labels = augment(scan, labels, random)
+        image = project(scan, self.sensor)
+        truth = pixel_truth(image, labels)
+        columns = choose_columns(
+            truth, self.space.scored, recipe.crop_width, recipe.crop_on_class, random
+        )
+        return normalise(image.channels[:, :, columns], self.sensor), truth[:, columns], index
+
+
+@dataclass(frozen=True, slots=True)
+class Plan:
+    """Which scan is drawn at which step, for the whole training.
+
+    Every scan is drawn once before any is drawn again. An epoch's last batch may be smaller.
+
+    Attributes
+    ----------
+    scan_count : int
+    recipe : Recipe
+    """
+
+    scan_count: int
+    recipe: Recipe
+
+    @property
+    def samples_per_epoch(self) -> int:
+        """Number of samples of an epoch."""
+        return self.recipe.samples_per_epoch or self.scan_count
+
+    @property
+    def steps_per_epoch(self) -> int:
+        """Number of batches of an epoch."""
+        return -(-self.samples_per_epoch // self.recipe.batch)
+
+    @property
+    def steps(self) -> int:
+        """Number of batches of the whole training."""
+        return self.steps_per_epoch * self.recipe.epochs
+
+    def batches(self, first_step: int = 0) -> Iterator[list[Draw]]:
+        """Yield what each batch holds, from a step of the whole training to its end."""
+        epoch, place = divmod(first_step, self.steps_per_epoch)
+        draws = self._draws(epoch * self.samples_per_epoch + place * self.recipe.batch)
+        for step in range(first_step, self.steps):
+            first = step % self.steps_per_epoch * self.recipe.batch
+            yield list(islice(draws, min(self.recipe.batch, self.samples_per_epoch - first)))
+
+    def _draws(self, position: int) -> Iterator[Draw]:
+        """Yield draws without end, from a position of the whole training."""
+        while True:
+            time, place = divmod(position, self.scan_count)
+            random = np.random.default_rng((self.recipe.seed, ORDER, time))
+            for index in random.permutation(self.scan_count)[place:]:
+                yield position, int(index)
+                position += 1
+
+
+def batches(samples: Samples, plan: Plan, first_step: int, workers: int) -> Iterator[Batch]:
+    """Yield the batches from a step to the end of the training.
+
+    Parameters
+    ----------
+    samples, plan
+        What there is, and when it is drawn.
+    first_step : int
+        Where to go on.
+    workers : int
+        Processes that prepare samples beside this one; 0 for none.
+    """
+    loader: DataLoader[Any] = DataLoader(
+        samples,
+        batch_sampler=plan.batches(first_step),
+        num_workers=workers,
+        # A fork would inherit locks that the threads of torch and numba may hold.
+        multiprocessing_context="spawn" if workers else None,
+        pin_memory=torch.cuda.is_available(),
+    )
+    yield from loader

@@ -1,0 +1,166 @@
+# SPDX-License-Identifier: MIT
+"""Epoch after epoch: learn, validate, write down, keep the best."""
+
+from __future__ import annotations
+
+import logging
+import math
+import time
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from itertools import islice
+from pathlib import Path
+
+import numpy as np
+
+from salsanext_cli.errors import TrainingError
+from salsanext_cli.formats.layout import ScanFile
+from salsanext_cli.network.inference import Network
+from salsanext_cli.network.weights import WeightsCard, save_weights
+from salsanext_cli.training.checkpoint import Progress, load_checkpoint, save_checkpoint
+from salsanext_cli.training.dataset import Batch, Plan, Samples, batches
+from salsanext_cli.training.log import Row, draw_curve, write_log
+from salsanext_cli.training.optimise import Learner
+from salsanext_cli.training.schedule import learning_rate
+from salsanext_cli.training.validation import evenly_spaced, validate
+
+CHECKPOINT = "checkpoint.pt"
+LAST, BEST = "last.safetensors", "best.safetensors"
+
+log = logging.getLogger(__name__)
+
+
+@dataclass(frozen=True, slots=True)
+class Report:
+    """Where training stands after a step.
+
+    Attributes
+    ----------
+    epoch, epochs : int
+        The epoch at work, from 1, and how many there are.
+    step, steps : int
+        Steps done and steps of the whole training.
+    loss : float
+        Of this step.
+    row : Row or None
+        The finished line of the log after the last step of an epoch.
+    """
+
+    epoch: int
+    epochs: int
+    step: int
+    steps: int
+    loss: float
+    row: Row | None = None
+
+
+@dataclass(slots=True, eq=False)
+class Training:
+    """Everything that a training needs.
+
+    Attributes
+    ----------
+    run : Path
+        Where log, curve, weights and checkpoint go.
+    learner : Learner
+    samples : Samples
+        What to learn from.
+    validation : sequence of ScanFile
+        What to score on.
+    card : WeightsCard
+        What the weights files will say, scores aside.
+    workers : int
+        Processes that prepare samples.
+    report : callable
+        Called after every step.
+    """
+
+    run: Path
+    learner: Learner
+    samples: Samples
+    validation: Sequence[ScanFile]
+    card: WeightsCard
+    workers: int
+    report: Callable[[Report], object]
+
+    @property
+    def plan(self) -> Plan:
+        """What is drawn when."""
+        return Plan(len(self.samples.files), self.learner.recipe)
+
+    def to_the_end(self) -> Progress:
+        """Train from the last finished epoch, if there is one, to the end."""
+        checkpoint = self.run / CHECKPOINT
+        progress = load_checkpoint(checkpoint, self.learner) if checkpoint.exists() else Progress()
+        first = progress.epoch * self.plan.steps_per_epoch
+        stream = batches(self.samples, self.plan, first, self.workers)
+        while progress.epoch < self.learner.recipe.epochs:
+            self._epoch(progress, stream)
+        return progress
+
+    def _epoch(self, progress: Progress, stream: Iterator[Batch]) -> None:
+        start = time.monotonic()
+        first = progress.epoch * self.plan.steps_per_epoch
+        losses = []
+        for step, batch in enumerate(islice(stream, self.plan.steps_per_epoch), first):
+            losses.append(self._step(batch, step))
+            if step + 1 < first + self.plan.steps_per_epoch:
+                self._tell(progress, step, losses[-1])
+        progress.epoch += 1
+        row: Row = {
+            "epoch": progress.epoch,
+            "learning_rate": learning_rate(self.learner.recipe, step, self.plan.steps_per_epoch),
+            "loss": float(np.mean(losses)),
+            "seconds": time.monotonic() - start,
+        }
+        self._keep(progress, row)
+        self._tell(progress, step, losses[-1], row)
+
+    def _step(self, batch: Batch, step: int) -> float:
+        images, truth, indices = batch
+        loss = self.learner.step(images, truth, step, self.plan.steps_per_epoch)
+        if not math.isfinite(loss):
+            scans = ", ".join(str(self.samples.files[i].path) for i in indices)
+            raise TrainingError(
+                f"step {step + 1}",
+                f"the loss is {loss}; the batch held {scans}",
+                "a finite loss",
+                "lower learning_rate or set clip_gradient",
+            )
+        return loss
+
+    def _keep(self, progress: Progress, row: Row) -> None:
+        """Validate where it is time, and write weights, log, curve and checkpoint."""
+        recipe = self.learner.recipe
+        last = progress.epoch == recipe.epochs
+        validated = last or progress.epoch % recipe.validate_every == 0
+        if validated:
+            row |= self._scores()
+        progress.rows.append(row)
+        scores = {key: value for key, value in row.items() if "iou" in key and value == value}
+        card = replace(self.card, scores=scores | {"epoch": progress.epoch})
+        save_weights(self.run / LAST, self.learner.average, card)
+        if validated and row["miou"] > progress.best:
+            progress.best = row["miou"]
+            save_weights(self.run / BEST, self.learner.average, card)
+        write_log(self.run / "log.csv", progress.rows)
+        draw_curve(self.run / "curve.png", progress.rows)
+        save_checkpoint(self.run / CHECKPOINT, self.learner, progress)
+
+    def _scores(self) -> Row:
+        space = self.card.space
+        files = evenly_spaced(self.validation, self.learner.recipe.validation_scans)
+        module = self.learner.average.eval()
+        network = Network(module, self.card, self.card.sensor, self.learner.device)
+        iou = validate(network, files).iou(space.scored)
+        names = {
+            f"iou_{name}": float(value)
+            for name, value, scored in zip(space.names, iou, space.scored, strict=True)
+            if scored
+        }
+        return {"miou": float(np.nanmean(iou))} | names
+
+    def _tell(self, progress: Progress, step: int, loss: float, row: Row | None = None) -> None:
+        epoch = progress.epoch + (row is None)
+        epochs = self.learner.recipe.epochs
+        self.report(Report(epoch, epochs, step + 1, self.plan.steps, loss, row))

@@ -1,0 +1,132 @@
+# SPDX-License-Identifier: MIT
+"""The loss: class-weighted cross-entropy plus Lovász-Softmax.
+
+Both look only at pixels whose truth is a class that counts; a batch without any such pixel has
+loss 0 and gradient 0.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+import torch
+from torch import Tensor, nn
+from torch.nn import functional as F
+
+
+def class_weights(counts: npt.NDArray[np.int64], scored: npt.NDArray[np.bool_]) -> Tensor:
+    """Weight every class by the inverse square root of its share of the scored points.
+
+    Parameters
+    ----------
+    counts : (C,) int64
+        Points of each class in the training data.
+    scored : (C,) bool
+        Which classes count.
+
+    Returns
+    -------
+    (C,) float32
+        1/√f_c; 0 for classes that are ignored or never seen.
+    """
+    used = np.where(scored, counts, 0).astype(np.float64)
+    share = used / max(used.sum(), 1)
+    weights = np.divide(1, np.sqrt(share), out=np.zeros_like(share), where=used > 0)
+    return torch.from_numpy(weights.astype(np.float32))
+
+
+def weighted_cross_entropy(log_probabilities: Tensor, truth: Tensor, weights: Tensor) -> Tensor:
+    """Return the weighted mean of -log p(truth).
+
+    Parameters
+    ----------
+    log_probabilities : (P, C) float
+    truth : (P,) int64
+    weights : (C,) float
+
+    Returns
+    -------
+    0-d tensor; 0 where no pixel has a weight.
+    """
+    total = F.nll_loss(log_probabilities, truth, weights, reduction="sum")
+    return total / weights[truth].sum().clamp_min(torch.finfo(weights.dtype).tiny)
+
+
+@torch.no_grad()
+def jaccard_gradient(errors: Tensor, foreground: Tensor) -> Tensor:
+    """Return the gradient of the Lovász extension of the Jaccard loss.
+
+    With the pixels sorted by falling error, pixel i weighs by how much the Jaccard loss grows when
+    it joins the mispredicted set {1 … i-1} (Berman et al. 2018, eq. 9 and algorithm 1).
+
+    Parameters
+    ----------
+    errors : (K, P) float
+        Error of every pixel for each of K classes.
+    foreground : (K, P) bool
+        Whether the pixel is of the class; at least one pixel of every class is.
+
+    Returns
+    -------
+    (K, P) float, in the order of the pixels.
+    """
+    order = errors.argsort(dim=1, descending=True)
+    belongs = foreground.gather(1, order)
+    hits = belongs.cumsum(1)
+    size = hits[:, -1:]
+    misses = torch.arange(1, errors.shape[1] + 1, device=errors.device) - hits
+    loss = 1 - (size - hits).to(errors.dtype) / (size + misses)
+    gradient = torch.diff(loss, dim=1, prepend=torch.zeros_like(loss[:, :1]))
+    return torch.empty_like(gradient).scatter_(1, order, gradient)
+
+
+def lovasz_softmax(probabilities: Tensor, truth: Tensor) -> Tensor:
+    """Return the Lovász-Softmax loss, the mean over the classes present in the truth.
+
+    Parameters
+    ----------
+    probabilities : (P, C) float
+    truth : (P,) int64
+
+    Returns
+    -------
+    0-d tensor; 0 without pixels.
+    """
+    if not len(truth):
+        return probabilities.sum()
+    present = truth.bincount(minlength=probabilities.shape[1]).nonzero()[:, 0]
+    foreground = truth == present[:, None]
+    of_class = probabilities.t()[present]
+    errors = torch.where(foreground, 1 - of_class, of_class)
+    return (errors * jaccard_gradient(errors.detach(), foreground)).sum() / len(present)
+
+
+class SegmentationLoss(nn.Module):
+    """Weighted cross-entropy plus Lovász-Softmax on logits (paper eq. 3).
+
+    Parameters
+    ----------
+    weights : (C,) float32
+        Weight of each class; pixels of a class with weight 0 are left out of both terms.
+    lovasz : float
+        Weight of the Lovász term.
+    """
+
+    weights: Tensor
+
+    def __init__(self, weights: Tensor, lovasz: float = 1.0) -> None:
+        super().__init__()
+        self.register_buffer("weights", weights)
+        self.lovasz = lovasz
+
+    def forward(self, logits: Tensor, truth: Tensor) -> Tensor:
+        """Return the loss of logits (B, C, H, W) for truth (B, H, W) integer, 0-d float32."""
+        truth = truth.flatten().long()
+        counts = (self.weights[truth] > 0).nonzero()[:, 0]
+        truth = truth[counts]
+        classes = logits.movedim(1, -1).reshape(-1, logits.shape[1])
+        log_probabilities = F.log_softmax(classes[counts].float(), 1)
+        loss = weighted_cross_entropy(log_probabilities, truth, self.weights)
+        if self.lovasz:
+            loss = loss + self.lovasz * lovasz_softmax(log_probabilities.exp(), truth)
+        return loss

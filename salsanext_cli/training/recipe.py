@@ -1,0 +1,174 @@
+# SPDX-License-Identifier: MIT
+"""How to train: typed settings with a default that works, read from small TOML files."""
+
+from __future__ import annotations
+
+import json
+import tomllib
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, fields, replace
+from importlib import resources
+from pathlib import Path
+from typing import Any, Self
+
+from salsanext_cli.errors import UsageError
+
+OPTIMISERS = ("sgd", "adamw")
+SCHEDULES = ("decay", "one-cycle")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Recipe:
+    """Everything that decides what a training ends with; the defaults are the paper's.
+
+    Attributes
+    ----------
+    epochs, batch : int
+        How often to go through the data, and samples per step.
+    samples_per_epoch : int
+        Samples of one epoch; 0 for every scan once. More than there are scans repeats scans, each
+        time augmented and cropped anew.
+    crop_width : int
+        Columns of the window cut from each range image at a random azimuth; 0 for the full circle.
+    crop_on_class : float
+        Probability of centring the window on a pixel of a class drawn evenly from those present.
+    optimiser : {"sgd", "adamw"}
+    learning_rate : float
+        Its peak.
+    schedule : {"decay", "one-cycle"}
+        After the warm-up, times `decay` at every epoch, or a half cosine down to nothing.
+    decay, warm_up : float
+        Factor per epoch, and epochs until the learning rate has reached its peak.
+    momentum, weight_decay : float
+        Of the optimiser; the momentum of AdamW is its first beta.
+    clip_gradient : float
+        Longest gradient (Euclidean norm over all weights); 0 for no limit.
+    average : float
+        Decay per step of the running average of the weights, which is then what is validated and
+        kept; 0 for none.
+    dropout : float
+        Rate of dropout in the network.
+    lovasz : float
+        Weight of Lovász-Softmax beside cross-entropy.
+    rotate, shift, flip, drop : float
+        Probability of each augmentation.
+    validate_every, validation_scans : int
+        Epochs between validations, and how many scans of the split, evenly spaced; 0 for all.
+    seed : int
+        Of everything that is drawn.
+    """
+
+    epochs: int = 150
+    batch: int = 24
+    samples_per_epoch: int = 0
+    crop_width: int = 0
+    crop_on_class: float = 0.0
+    optimiser: str = "sgd"
+    learning_rate: float = 0.01
+    schedule: str = "decay"
+    decay: float = 0.99
+    warm_up: float = 1.0
+    momentum: float = 0.9
+    weight_decay: float = 1e-4
+    clip_gradient: float = 0.0
+    average: float = 0.0
+    dropout: float = 0.2
+    lovasz: float = 1.0
+    rotate: float = 0.5
+    shift: float = 0.5
+    flip: float = 0.5
+    drop: float = 0.5
+    validate_every: int = 1
+    validation_scans: int = 0
+    seed: int = 1
+
+    def __post_init__(self) -> None:
+        for field in fields(self):
+            value = getattr(self, field.name)
+            kind = type(field.default)
+            if kind is float and type(value) is int:
+                object.__setattr__(self, field.name, float(value))
+            elif type(value) is not kind:
+                raise UsageError(f"recipe key {field.name}", f"{value!r}", f"a {kind.__name__}")
+        for key in ("epochs", "batch", "validate_every"):
+            self._require(key, getattr(self, key) >= 1, "at least 1")
+        for key in ("samples_per_epoch", "crop_width", "validation_scans", "seed"):
+            self._require(key, getattr(self, key) >= 0, "at least 0")
+        for key in ("weight_decay", "clip_gradient", "lovasz", "warm_up"):
+            self._require(key, getattr(self, key) >= 0, "at least 0")
+        for key in ("rotate", "shift", "flip", "drop", "crop_on_class", "dropout"):
+            self._require(key, 0 <= getattr(self, key) <= 1, "between 0 and 1")
+        for key in ("average", "momentum"):
+            self._require(key, 0 <= getattr(self, key) < 1, "from 0 to below 1")
+        for key in ("learning_rate", "decay"):
+            self._require(key, getattr(self, key) > 0, "above 0")
+        self._require("optimiser", self.optimiser in OPTIMISERS, f"one of {', '.join(OPTIMISERS)}")
+        self._require("schedule", self.schedule in SCHEDULES, f"one of {', '.join(SCHEDULES)}")
+
+    def _require(self, key: str, holds: bool, expected: str) -> None:
+        if not holds:
+            raise UsageError(f"recipe key {key}", f"{getattr(self, key)!r}", expected)
+
+    def with_changes(self, **changes: Any) -> Self:
+        """Return the recipe with some keys changed; an unknown key raises `UsageError`."""
+        refuse_unknown(changes, "recipe")
+        return replace(self, **changes)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return plain data that `from_dict` accepts."""
+        return asdict(self)
+
+    def to_toml(self) -> str:
+        """Return the text of a TOML file that `recipe` reads."""
+        return "".join(f"{key} = {json.dumps(value)}\n" for key, value in asdict(self).items())
+
+    @classmethod
+    def from_dict(cls, data: Mapping[str, Any], source: object = "recipe") -> Self:
+        """Build a recipe from plain data; keys that are left out keep the paper's value.
+
+        Raises
+        ------
+        UsageError
+            If a key is unknown or its value is impossible.
+        """
+        refuse_unknown(data, source)
+        return cls(**data)
+
+
+def refuse_unknown(data: Mapping[str, Any], source: object) -> None:
+    """Raise `UsageError` naming the known keys if `data` holds any other."""
+    known = sorted(field.name for field in fields(Recipe))
+    if unknown := sorted(set(data) - set(known)):
+        raise UsageError(source, f"unknown key {', '.join(unknown)}", f"keys {', '.join(known)}")
+
+
+def presets() -> tuple[str, ...]:
+    """Return the names of the built-in recipes."""
+    folder = resources.files("salsanext_cli").joinpath("presets/recipes")
+    return tuple(sorted(Path(file.name).stem for file in folder.iterdir()))
+
+
+def recipe(name_or_file: str | Path) -> Recipe:
+    """Return a built-in recipe by name, or read one from a TOML file.
+
+    Raises
+    ------
+    UsageError
+        If there is no such preset or file, or the file is not a recipe.
+    """
+    name = str(name_or_file)
+    if name in presets():
+        built_in = resources.files("salsanext_cli").joinpath(f"presets/recipes/{name}.toml")
+        return Recipe.from_dict(tomllib.loads(built_in.read_text("utf-8")), name)
+    path = Path(name_or_file)
+    if not path.is_file():
+        raise UsageError(
+            f"recipe {name}",
+            "no preset and no file of that name",
+            f"one of {', '.join(presets())}, or a .toml file",
+        )
+    try:
+        data = tomllib.loads(path.read_text("utf-8"))
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError, OSError) as error:
+        raise UsageError(path, str(error), "a TOML file with a recipe's keys") from error
+    return Recipe.from_dict(data, path)

@@ -1,0 +1,34 @@
+# SPDX-License-Identifier: MIT
+"""How good are the weights so far: intersection over union on points, after kNN."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from salsanext_cli.formats.layout import ScanFile
+from salsanext_cli.geometry.knn import knn_refine
+from salsanext_cli.geometry.projection import project
+from salsanext_cli.measures.confusion import Confusion
+from salsanext_cli.network.inference import Network
+from salsanext_cli.training.dataset import read_labelled
+
+
+def evenly_spaced(files: Sequence[ScanFile], count: int) -> list[ScanFile]:
+    """Return `count` of the files, evenly spaced; all if `count` is 0 or there are no more."""
+    if count == 0 or count >= len(files):
+        return list(files)
+    return [files[i] for i in np.linspace(0, len(files) - 1, count).round().astype(int)]
+
+
+def validate(network: Network, files: Sequence[ScanFile]) -> Confusion:
+    """Predict labelled scans as `predict` does and count truth against prediction."""
+    space = network.card.space
+    confusion = Confusion(space.class_count)
+    for file in files:
+        scan, truth = read_labelled(file, space, network.sensor)
+        image = project(scan, network.sensor)
+        pixel_labels = network.probabilities(image).argmax(axis=0)
+        confusion.update(truth, knn_refine(image, pixel_labels, space.class_count))
+    return confusion
