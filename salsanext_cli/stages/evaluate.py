@@ -21,7 +21,8 @@ from salsanext_cli.measures.distance import RING_NAMES
 from salsanext_cli.measures.scores import Scores, scores
 from salsanext_cli.stages.batch import BatchOptions, Failure, run_batch
 from salsanext_cli.stages.counting import ScanCounts, count_scan
-from salsanext_cli.stages.outputs import write_json
+from salsanext_cli.stages.inputs import Choice, choose, space_of
+from salsanext_cli.stages.outputs import recorded_label_space, remembered_scans, write_json
 
 log = logging.getLogger(__name__)
 
@@ -81,6 +82,37 @@ class Evaluation:
             "classes": list(self.space.names),
             "confusion": self.confusion.matrix.tolist(),
         }
+
+
+def predicted_scans(
+    out: Path, choice: Choice, dataset: Path | None = None, space: LabelSpace | None = None
+) -> tuple[list[ScanFile], LabelSpace]:
+    """Find the scans whose predictions an output folder holds, and the label space of both.
+
+    Parameters
+    ----------
+    out : Path
+        Output folder of `predict` or `knn-refine`.
+    choice : Choice
+        Which of them.
+    dataset : Path, optional
+        Where the scans and labels are, if not where the scans came from.
+    space : LabelSpace, optional
+        Otherwise that of the scans' data set, else the one recorded in `out`.
+
+    Raises
+    ------
+    NoInputError
+        If there are none.
+    """
+    scans = remembered_scans(out, dataset)
+    space = space or space_of(scans, recorded_label_space(out))
+    chosen = choose(scans, choice, space, out)
+    if choice.split:
+        absent = sorted(set(space.split(choice.split)) - {scan.sequence for scan in scans})
+        if absent:
+            log.warning("no predictions for %s of split %s", ", ".join(absent), choice.split)
+    return chosen, space
 
 
 def evaluate(

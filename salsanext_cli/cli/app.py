@@ -1,0 +1,61 @@
+# SPDX-License-Identifier: MIT
+"""The command line: which commands there are, in the order in which help lists them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Annotated
+
+import typer
+
+from salsanext_cli import __version__
+from salsanext_cli.cli.evaluate import evaluate
+from salsanext_cli.cli.export_ply import export_ply
+from salsanext_cli.cli.knn_refine import knn_refine
+from salsanext_cli.cli.predict import predict
+from salsanext_cli.cli.project import project
+from salsanext_cli.cli.uncertainty import uncertainty
+
+COMMANDS: dict[str, dict[str, Callable[..., None]]] = {
+    "Pipeline": {
+        "project": project,
+        "predict": predict,
+        "knn-refine": knn_refine,
+        "uncertainty": uncertainty,
+        "eval": evaluate,
+        "export-ply": export_ply,
+    },
+}
+
+app = typer.Typer(
+    name="salsanext",
+    no_args_is_help=True,
+    pretty_exceptions_enable=False,
+    rich_markup_mode="rich",
+    context_settings={"help_option_names": ["-h", "--help"]},
+)
+
+
+def _print_version(wanted: bool) -> None:
+    if wanted:
+        typer.echo(f"salsanext {__version__}")
+        raise typer.Exit
+
+
+@app.callback()
+def salsanext(
+    version: Annotated[
+        bool, typer.Option("--version", callback=_print_version, is_eager=True, help="Say which.")
+    ] = False,
+) -> None:
+    """Give every point of a LiDAR scan a class and an honest uncertainty."""
+
+
+for panel, commands in COMMANDS.items():
+    for name, command in commands.items():
+        app.command(name, rich_help_panel=panel)(command)
+
+
+def main() -> None:
+    """Run the command line."""
+    app()

@@ -1,0 +1,137 @@
+# SPDX-License-Identifier: MIT
+"""How commands talk: results to stdout, everything else to stderr, one exit status."""
+
+from __future__ import annotations
+
+import functools
+import json
+import logging
+import sys
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, NoReturn, ParamSpec
+
+import typer
+
+from salsanext_cli.errors import SalsanextError, UsageError
+
+if TYPE_CHECKING:
+    from rich.console import RenderableType
+
+    from salsanext_cli.stages.batch import BatchOptions, Failure, Outcome, Progress
+
+DONE, FAILED, WRONG_USE, INTERRUPTED = 0, 1, 2, 130
+"""Exit status: all done, something failed, the command line was wrong, Ctrl-C."""
+
+Parameters = ParamSpec("Parameters")
+
+
+@dataclass(frozen=True, slots=True)
+class Talk:
+    """How much a command says, and in which form."""
+
+    json: bool = False
+    verbose: bool = False
+    quiet: bool = False
+
+    def __post_init__(self) -> None:
+        if self.verbose and self.quiet:
+            raise UsageError("--verbose and --quiet", "both given", "one of them")
+        level = logging.DEBUG if self.verbose else logging.ERROR if self.quiet else logging.WARNING
+        logger = logging.getLogger("salsanext_cli")
+        logger.handlers[:] = [StderrHandler()]
+        logger.setLevel(level)
+
+    def say(self, text: str) -> None:
+        """Tell the user something, on stderr."""
+        if not self.quiet:
+            typer.echo(text, err=True)
+
+    def result(self, data: Mapping[str, Any], shown: RenderableType | None = None) -> None:
+        """Give the result: JSON if asked for, else what is to be shown, on stdout."""
+        if self.json:
+            typer.echo(json.dumps(data, ensure_ascii=False, allow_nan=False))
+        elif shown is not None:
+            from rich.console import Console
+
+            Console(file=sys.stdout, highlight=False, soft_wrap=True).print(shown)
+
+
+class StderrHandler(logging.Handler):
+    """Shows what the library logs as the command line shows its own errors."""
+
+    def emit(self, record: logging.LogRecord) -> None:
+        """Write one line."""
+        level = "" if record.levelno < logging.WARNING else f"{record.levelname.lower()}: "
+        typer.echo(f"{level}{record.getMessage()}", err=True)
+
+
+def guarded(command: Callable[Parameters, None]) -> Callable[Parameters, None]:
+    """Turn a user's mistake into one line and an exit status; let bugs keep their traceback."""
+
+    @functools.wraps(command)
+    def run(*args: Parameters.args, **kwargs: Parameters.kwargs) -> None:
+        try:
+            command(*args, **kwargs)
+        except SalsanextError as error:
+            typer.echo(f"error: {error}", err=True)
+            raise typer.Exit(WRONG_USE if isinstance(error, UsageError) else FAILED) from None
+        except KeyboardInterrupt:
+            typer.echo("interrupted: everything finished so far is intact", err=True)
+            raise typer.Exit(INTERRUPTED) from None
+
+    return run
+
+
+@contextmanager
+def progress(label: str, talk: Talk) -> Iterator[Progress | None]:
+    """Show a bar with rate and time left on stderr while the body runs."""
+    if talk.quiet:
+        yield None
+        return
+    from rich.console import Console
+    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TimeRemainingColumn
+
+    from salsanext_cli.cli.rate import RateColumn
+
+    console = Console(stderr=True)
+    columns = (
+        "{task.description}",
+        BarColumn(),
+        MofNCompleteColumn(),
+        RateColumn(),
+        TimeRemainingColumn(),
+    )
+    with Progress(*columns, console=console, disable=not console.is_terminal) as bar:
+        task = bar.add_task(label, total=None)
+        yield lambda done, total: bar.update(task, completed=done, total=total)
+
+
+@contextmanager
+def batch(
+    label: str, talk: Talk, jobs: int, on_error: str, overwrite: bool
+) -> Iterator[BatchOptions]:
+    """Give the options of a run over scans, with a bar while it lasts."""
+    from salsanext_cli.stages.batch import BatchOptions
+
+    with progress(label, talk) as advance:
+        yield BatchOptions(jobs, on_error, overwrite, advance)
+
+
+def name_failures(failures: tuple[Failure, ...]) -> None:
+    """Name every scan that failed, on stderr."""
+    for failure in failures:
+        typer.echo(f"error: {failure.reason}", err=True)
+
+
+def finish(stage: str, outcome: Outcome[Any], out: object, talk: Talk) -> NoReturn:
+    """Say what became of a run over scans and leave with the exit status for it."""
+    name_failures(outcome.failures)
+    counts = {"done": outcome.done, "skipped": outcome.skipped, "failed": len(outcome.failures)}
+    failures = [{"scan": str(f.scan.path), "reason": f.reason} for f in outcome.failures]
+    talk.result({"stage": stage, **counts, "out": str(out), "failures": failures})
+    already = f", {outcome.skipped} done already" if outcome.skipped else ""
+    failed = f", {len(outcome.failures)} failed" if outcome.failures else ""
+    talk.say(f"{stage}: {outcome.done} scans{already}{failed} → {out}")
+    raise typer.Exit(FAILED if outcome.failures else DONE)

@@ -1,0 +1,45 @@
+# SPDX-License-Identifier: MIT
+"""`salsanext eval`."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from salsanext_cli.cli import console, options
+
+
+@console.guarded
+def evaluate(
+    by_distance: Annotated[
+        bool, typer.Option("--by-distance", help="Score rings of distance too.")
+    ] = False,
+    out: options.OutOption = Path("out"),
+    dataset: options.DataSet = None,
+    split: options.Split = None,
+    sequences: options.Sequences = None,
+    limit: options.Limit = None,
+    label_space: options.LabelSpaceOption = None,
+    jobs: options.Jobs = 1,
+    on_error: options.OnErrorOption = options.OnError.skip,
+    json: options.Json = False,
+    verbose: options.Verbose = False,
+    quiet: options.Quiet = False,
+) -> None:
+    """Compare predictions with labels, as the official benchmark does.
+
+    Example: salsanext eval --split valid
+    """
+    from salsanext_cli.report.tables import score_table
+    from salsanext_cli.stages.evaluate import evaluate as run
+    from salsanext_cli.stages.evaluate import predicted_scans
+
+    talk = console.Talk(json, verbose, quiet)
+    wanted = options.choice(split, sequences, limit)
+    files, space = predicted_scans(out, wanted, dataset, options.label_space(label_space))
+    with console.batch("eval", talk, jobs, on_error.value, overwrite=False) as batch:
+        evaluation = run(files, out, space, batch, by_distance=by_distance)
+    talk.result(evaluation.to_dict(), score_table(evaluation.scores))
+    console.name_failures(evaluation.failures)
+    talk.say(f"eval: {evaluation.scans} scans → {out}/scores.txt, eval.json, eval_*.png")
+    raise typer.Exit(console.FAILED if evaluation.failures else console.DONE)

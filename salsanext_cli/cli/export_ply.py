@@ -1,0 +1,63 @@
+# SPDX-License-Identifier: MIT
+"""`salsanext export-ply`."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from salsanext_cli.cli import console, options
+
+
+@console.guarded
+def export_ply(
+    colour: Annotated[
+        str,
+        typer.Option(
+            "--colour",
+            "--color",
+            help="label, truth, error, intensity, range, uncertainty, or one kind of it: "
+            "epistemic, aleatoric, total, entropy, mutual_information.",
+        ),
+    ] = "label",
+    scale: Annotated[
+        tuple[float, float] | None,
+        typer.Option(
+            help="Values at the ends of the colour map.", show_default="what most points span"
+        ),
+    ] = None,
+    out: options.OutOption = Path("out"),
+    dataset: options.DataSet = None,
+    split: options.Split = None,
+    sequences: options.Sequences = None,
+    limit: options.Limit = None,
+    label_space: options.LabelSpaceOption = None,
+    weights: options.Weights = None,
+    device: options.Device = "auto",
+    sensor: options.Sensor = None,
+    jobs: options.Jobs = 1,
+    overwrite: options.Overwrite = False,
+    on_error: options.OnErrorOption = options.OnError.skip,
+    json: options.Json = False,
+    verbose: options.Verbose = False,
+    quiet: options.Quiet = False,
+) -> None:
+    """Write coloured point clouds that carry every known value of every point.
+
+    Example: salsanext export-ply --colour uncertainty
+    """
+    from salsanext_cli.stages.export_ply import export_ply as run
+
+    talk = console.Talk(json, verbose, quiet)
+    with console.batch("export-ply", talk, jobs, on_error.value, overwrite) as batch:
+        outcome = run(
+            out,
+            colour=colour,
+            scale=scale,
+            dataset=dataset,
+            space=options.label_space(label_space),
+            network=options.network(weights, device, sensor),
+            choice=options.choice(split, sequences, limit),
+            options=batch,
+        )
+    console.finish("export-ply", outcome, out, talk)

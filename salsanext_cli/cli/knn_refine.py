@@ -1,0 +1,57 @@
+# SPDX-License-Identifier: MIT
+"""`salsanext knn-refine`."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from salsanext_cli.cli import console, options
+
+
+@console.guarded
+def knn_refine(
+    out: options.Out = Path("out"),
+    labels: Annotated[
+        Path | None,
+        typer.Option(help="Refine the .label files of this folder, of any origin, instead."),
+    ] = None,
+    scans: Annotated[
+        Path | None,
+        typer.Option(help="Where the scans are.", show_default="where they came from"),
+    ] = None,
+    split: options.Split = None,
+    sequences: options.Sequences = None,
+    limit: options.Limit = None,
+    label_space: options.LabelSpaceOption = None,
+    sensor: options.Sensor = None,
+    knn_k: options.K = 5,
+    knn_window: options.Window = 5,
+    knn_sigma: options.Sigma = 1.0,
+    knn_cutoff: options.Cutoff = 1.0,
+    jobs: options.Jobs = 1,
+    overwrite: options.Overwrite = False,
+    on_error: options.OnErrorOption = options.OnError.skip,
+    json: options.Json = False,
+    verbose: options.Verbose = False,
+    quiet: options.Quiet = False,
+) -> None:
+    """Turn pixel labels, or anybody's point labels, into clean point labels.
+
+    Example: salsanext knn-refine out/
+    """
+    from salsanext_cli.stages.knn_refine import knn_refine_scans
+
+    talk = console.Talk(json, verbose, quiet)
+    with console.batch("knn-refine", talk, jobs, on_error.value, overwrite) as batch:
+        outcome = knn_refine_scans(
+            out,
+            labels=labels,
+            scans_in=scans,
+            sensor=options.sensor(sensor) if sensor else None,
+            space=options.label_space(label_space),
+            knn=options.knn(knn_k, knn_window, knn_sigma, knn_cutoff),
+            choice=options.choice(split, sequences, limit),
+            options=batch,
+        )
+    console.finish("knn-refine", outcome, out, talk)

@@ -1,0 +1,40 @@
+# SPDX-License-Identifier: MIT
+"""`salsanext project`."""
+
+from pathlib import Path
+
+from salsanext_cli.cli import console, options
+
+
+@console.guarded
+def project(
+    scans: options.Scans = None,
+    out: options.Out = Path("out"),
+    dataset: options.DataSet = None,
+    split: options.Split = None,
+    sequences: options.Sequences = None,
+    limit: options.Limit = None,
+    sensor: options.Sensor = None,
+    jobs: options.Jobs = 1,
+    overwrite: options.Overwrite = False,
+    on_error: options.OnErrorOption = options.OnError.skip,
+    json: options.Json = False,
+    verbose: options.Verbose = False,
+    quiet: options.Quiet = False,
+) -> None:
+    """Project scans to range images on disk, for `predict` or your own programs.
+
+    Example: salsanext project seq/velodyne out/ --sensor hdl64
+    """
+    from salsanext_cli.stages.project import project_scans
+
+    talk = console.Talk(json, verbose, quiet)
+    with console.batch("project", talk, jobs, on_error.value, overwrite) as batch:
+        outcome = project_scans(
+            options.source(scans, dataset),
+            out,
+            sensor=options.sensor(sensor or "hdl64"),
+            choice=options.choice(split, sequences, limit),
+            options=batch,
+        )
+    console.finish("project", outcome, out, talk)

@@ -1,0 +1,54 @@
+# SPDX-License-Identifier: MIT
+"""`salsanext uncertainty`."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from salsanext_cli.cli import console, options
+
+
+@console.guarded
+def uncertainty(
+    scans: options.Scans = None,
+    out: options.Out = Path("out"),
+    samples: Annotated[int, typer.Option(help="Monte-Carlo passes per scan.")] = 30,
+    seed: Annotated[int, typer.Option(help="Of the dropout masks.")] = 0,
+    dataset: options.DataSet = None,
+    split: options.Split = None,
+    sequences: options.Sequences = None,
+    limit: options.Limit = None,
+    weights: options.Weights = None,
+    device: options.Device = "auto",
+    sensor: options.Sensor = None,
+    knn_k: options.K = 5,
+    knn_window: options.Window = 5,
+    knn_sigma: options.Sigma = 1.0,
+    knn_cutoff: options.Cutoff = 1.0,
+    jobs: options.Jobs = 1,
+    overwrite: options.Overwrite = False,
+    on_error: options.OnErrorOption = options.OnError.skip,
+    json: options.Json = False,
+    verbose: options.Verbose = False,
+    quiet: options.Quiet = False,
+) -> None:
+    """Say of every point how sure its class is, by Monte-Carlo dropout.
+
+    Example: salsanext uncertainty seq/velodyne out/ --samples 30
+    """
+    from salsanext_cli.stages.uncertainty import uncertainty as run
+
+    talk = console.Talk(json, verbose, quiet)
+    with console.batch("uncertainty", talk, jobs, on_error.value, overwrite) as batch:
+        outcome = run(
+            options.source(scans, dataset),
+            out,
+            network=options.network(weights, device, sensor),
+            knn=options.knn(knn_k, knn_window, knn_sigma, knn_cutoff),
+            samples=samples,
+            seed=seed,
+            choice=options.choice(split, sequences, limit),
+            options=batch,
+        )
+    console.finish("uncertainty", outcome, out, talk)
