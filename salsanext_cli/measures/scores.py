@@ -40,6 +40,8 @@ class ClassScore:
         Its train id.
     iou : float
         Intersection over union; NaN if the class is in neither truth nor prediction.
+    iou_official : float
+        The same by the official formula, 0 if absent.
     precision : float
         Share of the points predicted as this class that are of it; NaN if never predicted.
     recall : float
@@ -53,6 +55,7 @@ class ClassScore:
     name: str
     train_id: int
     iou: float
+    iou_official: float
     precision: float
     recall: float
     points: int
@@ -95,7 +98,7 @@ class Scores:
     def official(self) -> dict[str, float]:
         """Return the figures of the official ``scores.txt``, by its names."""
         figures = {"accuracy_mean": self.accuracy_official, "iou_mean": self.iou_mean_official}
-        return figures | {f"iou_{c.name}": _zero_if_absent(c.iou) for c in self.classes}
+        return figures | {f"iou_{c.name}": c.iou_official for c in self.classes}
 
     def official_yaml(self) -> str:
         """Return the text of the official ``scores.txt``: sorted yaml, every digit."""
@@ -103,8 +106,11 @@ class Scores:
 
     def comma_line(self) -> str:
         """Return a row for a paper's table: IoU of every class, mean IoU, accuracy (official)."""
-        official = [_zero_if_absent(c.iou) for c in self.classes]
-        figures = (*official, self.iou_mean_official, self.accuracy_official)
+        figures = (
+            *(c.iou_official for c in self.classes),
+            self.iou_mean_official,
+            self.accuracy_official,
+        )
         return ",".join(f"{figure:.3f}" for figure in figures)
 
     def to_dict(self) -> dict[str, Any]:
@@ -137,18 +143,24 @@ def scores(confusion: Confusion, space: LabelSpace) -> Scores:
     matrix = confusion.counted(scored)
     hits, truths, predictions = np.diagonal(matrix), matrix.sum(axis=1), matrix.sum(axis=0)
     iou = confusion.iou(scored)
+    iou_official = hits / (truths + predictions - hits + EPSILON)
     return Scores(
-        classes=_class_scores(space, iou, hits, truths, predictions),
+        classes=_class_scores(space, iou, iou_official, hits, truths, predictions),
         accuracy=float(ratio(hits.sum(keepdims=True), matrix.sum(keepdims=True).ravel())[0]),
         accuracy_official=float(hits.sum() / (matrix[:, scored].sum() + EPSILON)),
-        iou_mean_official=_mean(np.nan_to_num(iou[scored])),
+        iou_mean_official=_mean(iou_official[scored]),
         iou_mean_present=_mean(iou[scored & (truths > 0)]),
         points=int(matrix.sum()),
     )
 
 
 def _class_scores(
-    space: LabelSpace, iou: Ratios, hits: Counts, truths: Counts, predictions: Counts
+    space: LabelSpace,
+    iou: Ratios,
+    iou_official: Ratios,
+    hits: Counts,
+    truths: Counts,
+    predictions: Counts,
 ) -> tuple[ClassScore, ...]:
     precision, recall = ratio(hits, predictions), ratio(hits, truths)
     return tuple(
@@ -156,6 +168,7 @@ def _class_scores(
             name=space.names[i],
             train_id=int(i),
             iou=float(iou[i]),
+            iou_official=float(iou_official[i]),
             precision=float(precision[i]),
             recall=float(recall[i]),
             points=int(truths[i]),
@@ -167,10 +180,6 @@ def _class_scores(
 
 def _mean(values: Ratios) -> float:
     return float(values.mean()) if len(values) else math.nan
-
-
-def _zero_if_absent(iou: float) -> float:
-    return 0.0 if math.isnan(iou) else iou
 
 
 def _plain(value: Any) -> Any:

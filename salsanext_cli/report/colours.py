@@ -15,7 +15,7 @@ Colours = npt.NDArray[np.uint8]
 Legend = Sequence[tuple[str, tuple[int, int, int]]]
 """Names with their red, green, blue."""
 
-EMPTY = (44, 46, 54)
+EMPTY = (36, 38, 45)
 """Where there is no measurement."""
 RIGHT = (92, 100, 112)
 WRONG = (255, 72, 48)

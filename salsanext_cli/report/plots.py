@@ -61,7 +61,7 @@ def iou_bars(path: Path, result: Scores, space: LabelSpace) -> None:
         )
     _mark_mean(axes, result, len(places))
     axes.set_yticks(places, [c.name for c in result.classes], parse_math=False)
-    axes.set_ylim(len(places) - 0.4, -0.6)
+    axes.set_ylim(len(places) - 0.5, -0.5)
     axes.set_xlim(0, 108)
     axes.set_xticks(range(0, 101, 20))
     axes.set_xlabel("IoU in %")

@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 from salsanext_cli.classes import LabelSpace
@@ -78,10 +78,9 @@ def count_scan(
     FormatError, LabelError
         If a file cannot be read, or the numbers of points differ.
     """
-    nothing = ScanCounts.none(space, by_distance)
     predictions = output_path(out, scan.sequence, "predictions", scan.stem)
     if not predictions.exists():
-        return nothing + ScanCounts(nothing.confusion, nothing.rings, missing=(scan,))
+        return replace(ScanCounts.none(space, by_distance), missing=(scan,))
     points = read_scan(scan.path).points if by_distance else None
     truth = read_labels(scan.label_path, None if points is None else len(points))
     predicted = read_labels(predictions, len(truth))

@@ -4,10 +4,10 @@
 from __future__ import annotations
 
 import logging
+from collections import defaultdict
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from functools import partial
-from itertools import groupby
 from pathlib import Path
 from typing import Any
 
@@ -174,8 +174,10 @@ def evaluate(
 
 def _require_labels(scans: Iterable[ScanFile]) -> None:
     """Refuse a sequence without any labels: it is a mistake, not a scan that failed."""
-    for sequence, members in groupby(scans, lambda scan: scan.sequence):
-        paths = [scan.label_path for scan in members]
+    label_paths = defaultdict(list)
+    for scan in scans:
+        label_paths[scan.sequence].append(scan.label_path)
+    for sequence, paths in label_paths.items():
         if not any(path.exists() for path in paths):
             raise LabelError(
                 paths[0].parent,

@@ -1,0 +1,152 @@
+# SPDX-License-Identifier: MIT
+import json
+import math
+
+import numpy as np
+import pytest
+import yaml
+from hypothesis import given
+from hypothesis import strategies as st
+
+from salsanext_cli.classes import LabelSpace, label_space
+from salsanext_cli.formats.kitti import read_labels
+from salsanext_cli.measures.confusion import Confusion
+from salsanext_cli.measures.scores import scores
+
+SPACE = LabelSpace.from_dict(
+    {
+        "name": "small",
+        "labels": {0: "unlabelled", 10: "car", 20: "on: road", 30: "tree"},
+        "learning_map": {0: 0, 10: 1, 20: 2, 30: 3},
+        "learning_map_inv": {0: 0, 1: 10, 2: 20, 3: 30},
+    }
+)
+PAIRS = st.lists(st.tuples(st.integers(0, 3), st.integers(0, 3)), max_size=60)
+
+
+def of(pairs):
+    truth, predicted = np.array(pairs, np.uint8).reshape(-1, 2).T
+    return scores(Confusion(4).update(truth, predicted), SPACE)
+
+
+@pytest.mark.real
+def test_scores_are_the_official_evaluators_to_the_last_digit(real_data):
+    space = label_space()
+    confusion = Confusion(space.class_count)
+    for path in sorted((real_data / "golden/evaluation").rglob("*.label")):
+        truth = real_data / "data/semantickitti/sequences/08/labels" / path.name
+        confusion.update(space.to_train(read_labels(truth)), space.to_train(read_labels(path)))
+    expected = (real_data / "golden/evaluation/scores.txt").read_text()
+    assert scores(confusion, space).official_yaml() == expected
+
+
+@given(PAIRS)
+def test_scores_follow_from_counting_one_by_one(pairs):
+    result = of(pairs)
+    labelled = [(t, p) for t, p in pairs if t != 0]
+    ious = []
+    for c in result.classes:
+        both = sum(t == p == c.train_id for t, p in labelled)
+        either = sum(c.train_id in pair for pair in labelled)
+        assert c.points == sum(t == c.train_id for t, _ in labelled)
+        assert c.predicted == sum(p == c.train_id for _, p in labelled)
+        assert _same(c.iou, both, either)
+        assert _same(c.precision, both, c.predicted)
+        assert _same(c.recall, both, c.points)
+        ious.append(both / either if either else 0.0)
+    right = sum(t == p for t, p in labelled)
+    assert result.points == len(labelled)
+    assert _same(result.accuracy, right, len(labelled))
+    assert result.iou_mean_official == pytest.approx(sum(ious) / 3, abs=1e-12)
+    present = [iou for iou, c in zip(ious, result.classes, strict=True) if c.points]
+    assert _same(result.iou_mean_present, sum(present), len(present))
+
+
+def _same(share, part, whole):
+    return share == pytest.approx(part / whole, abs=1e-12) if whole else math.isnan(share)
+
+
+def test_a_labelled_point_predicted_unlabelled_is_a_miss():
+    result = of([(1, 1), (1, 0)])
+    assert result.classes[0].iou == 0.5
+    assert result.accuracy == 0.5
+    # The official accuracy divides by the points predicted as a scored class.
+    assert result.accuracy_official == 1 / (1 + 1e-15)
+
+
+def test_an_unlabelled_point_predicted_as_something_is_no_error():
+    result = of([(1, 1), (0, 1), (0, 2)])
+    assert result.classes[0].iou == 1
+    assert result.accuracy == 1
+    assert math.isnan(result.classes[1].iou)
+
+
+def test_an_absent_class_counts_zero_in_the_official_mean_only():
+    result = of([(1, 1), (2, 2)])
+    assert math.isnan(result.classes[2].iou)
+    assert result.iou_mean_official == pytest.approx(2 / 3)
+    assert result.iou_mean_present == 1
+    assert result.official()["iou_tree"] == 0
+
+
+def test_the_mean_of_classes_present_does_not_depend_on_what_is_predicted_beside_them():
+    # "tree" is not in the truth: calling something so costs that class, and only that.
+    result = of([(1, 1), (2, 2), (2, 3)])
+    assert result.classes[2].iou == 0
+    assert not result.classes[2].present
+    assert result.iou_mean_present == pytest.approx((1 + 1 / 2) / 2)
+
+
+def test_no_points_give_no_scores():
+    result = of([])
+    assert math.isnan(result.accuracy)
+    assert math.isnan(result.iou_mean_present)
+    assert result.iou_mean_official == 0
+    assert result.accuracy_official == 0
+
+
+def test_ignored_classes_are_those_of_the_label_space():
+    data = SPACE.to_dict() | {"learning_ignore": {0: True, 3: True}}
+    space = LabelSpace.from_dict(data)
+    confusion = Confusion(4).update(np.array([1, 3, 1]), np.array([1, 1, 3]))
+    result = scores(confusion, space)
+    assert [c.name for c in result.classes] == ["car", "on: road"]
+    assert result.classes[0].iou == 0.5
+    assert result.points == 2
+
+
+def test_the_official_text_is_sorted_yaml_with_every_digit():
+    text = of([(1, 1), (1, 2), (1, 3), (2, 2)]).official_yaml()
+    # 10⁻¹⁵ in the denominator shows where points are few.
+    assert text.splitlines()[:2] == [
+        f"accuracy_mean: {2 / (4 + 1e-15)}",
+        f"iou_car: {1 / (3 + 1e-15)}",
+    ]
+    assert f"{2 / (4 + 1e-15)}" != "0.5"
+    assert list(yaml.safe_load(text)) == sorted(yaml.safe_load(text))
+    assert yaml.safe_load(text)["iou_on: road"] == pytest.approx(0.5)
+
+
+def test_the_comma_line_ends_with_mean_and_accuracy():
+    assert of([(1, 1), (1, 2), (1, 3), (2, 2)]).comma_line() == "0.333,0.500,0.000,0.278,0.500"
+
+
+def test_json_holds_null_for_what_is_absent():
+    plain = json.loads(json.dumps(of([(1, 1)]).to_dict(), allow_nan=False))
+    assert plain["classes"][0] == {
+        "name": "car",
+        "train_id": 1,
+        "iou": 1.0,
+        "iou_official": 1 / (1 + 1e-15),
+        "precision": 1.0,
+        "recall": 1.0,
+        "points": 1,
+        "predicted": 1,
+    }
+    assert plain["classes"][1]["iou"] is None
+    assert plain["accuracy"] == 1.0
+
+
+def test_counts_of_another_label_space_are_refused():
+    with pytest.raises(ValueError, match="3 classes, but 4 in small"):
+        scores(Confusion(3), SPACE)

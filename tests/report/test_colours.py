@@ -1,0 +1,85 @@
+# SPDX-License-Identifier: MIT
+import matplotlib
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
+
+from salsanext_cli.classes import label_space
+from salsanext_cli.report.colours import (
+    EMPTY,
+    RIGHT,
+    WRONG,
+    error_colours,
+    label_colours,
+    legend_of,
+    map_colours,
+    value_colours,
+    value_range,
+)
+
+SPACE = label_space()
+CAR, ROAD = SPACE.names.index("car"), SPACE.names.index("road")
+
+
+def test_labels_have_the_colours_of_the_label_space():
+    # SemanticKITTI writes blue first: a car is [245, 150, 100] there.
+    colours = label_colours(np.array([[CAR, ROAD]], np.uint8), SPACE)
+    assert colours.tolist() == [[[100, 150, 245], [255, 0, 255]]]
+    assert colours.dtype == np.uint8
+
+
+def test_errors_are_right_wrong_or_not_asked():
+    colours = error_colours(np.array([CAR, CAR, CAR, 0]), np.array([CAR, ROAD, 0, CAR]), SPACE)
+    np.testing.assert_array_equal(colours, [RIGHT, WRONG, WRONG, EMPTY])
+
+
+def test_values_have_the_colours_of_the_map():
+    colours = value_colours(np.array([-9.0, 1.0, 2.0, 3.0, np.inf, np.nan]), 1.0, 3.0)
+    viridis = matplotlib.colormaps["viridis"]
+    expected = [viridis(share, bytes=True)[:3] for share in (0.0, 0.0, 128, 1.0, 1.0)]
+    np.testing.assert_array_equal(colours[:2], expected[:2])
+    np.testing.assert_array_equal(colours[2], viridis(128, bytes=True)[:3])
+    np.testing.assert_array_equal(colours[3:5], expected[3:])
+    np.testing.assert_array_equal(colours[5], EMPTY)
+
+
+@given(arrays(np.float32, (3, 4), elements=st.floats(width=32)))
+def test_any_value_has_a_colour(values):
+    low, high = value_range(values)
+    colours = value_colours(values, low, high)
+    assert colours.shape == (3, 4, 3)
+    assert (np.isnan(values) == (colours == EMPTY).all(axis=-1)).all()
+
+
+def test_lightness_grows_with_the_value():
+    lightness = map_colours("viridis").astype(float) @ [0.2126, 0.7152, 0.0722]
+    assert (np.diff(lightness[::4]) > 0).all()
+
+
+def test_a_scale_leaves_outliers_out():
+    values = np.append(np.linspace(0, 1, 1000), [1e9, np.nan, np.inf])
+    low, high = value_range(values)
+    assert 0 < low < 0.02
+    assert 0.98 < high < 1
+
+
+@pytest.mark.parametrize("values", [[], [np.nan], [np.inf, -np.inf]], ids=str)
+def test_a_scale_of_nothing(values):
+    assert value_range(np.array(values)) == (0, 1)
+
+
+def test_equal_values_are_no_division_by_zero():
+    assert value_colours(np.array([2.0, 2.0]), 2.0, 2.0).shape == (2, 3)
+
+
+def test_a_legend_names_what_occurs_once():
+    legend = legend_of(SPACE, np.array([ROAD, CAR]), np.array([[CAR]]), errors=True)
+    assert legend == [
+        ("car", (100, 150, 245)),
+        ("road", (255, 0, 255)),
+        ("right", RIGHT),
+        ("wrong", WRONG),
+    ]
+    assert legend_of(SPACE, np.array([CAR])) == legend[:1]

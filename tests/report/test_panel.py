@@ -1,0 +1,104 @@
+# SPDX-License-Identifier: MIT
+from pathlib import Path
+
+import numpy as np
+import pytest
+from matplotlib.image import imread
+
+from salsanext_cli.errors import OutputError
+from salsanext_cli.records import RangeImage
+from salsanext_cli.report.colours import map_colours
+from salsanext_cli.report.panel import (
+    BAR,
+    MARGIN,
+    STRIP_HEIGHT,
+    STRIP_WIDTH,
+    TITLE,
+    Bar,
+    Strip,
+    panel,
+    range_strip,
+    scalar_strip,
+)
+
+
+def picture_of(path: Path) -> np.ndarray:
+    return (imread(path)[:, :, :3] * 255).round().astype(np.uint8)
+
+
+@pytest.fixture
+def strip():
+    rng = np.random.default_rng(5)
+    return Strip("Höhe $x$_1", rng.integers(0, 256, (64, 2048, 3)).astype(np.uint8))
+
+
+@pytest.mark.parametrize(("height", "width"), [(64, 2048), (32, 1024), (40, 1800), (128, 512)])
+def test_every_pixel_is_drawn_as_it_is_upright_and_large(tmp_path, height, width):
+    colours = np.random.default_rng(0).integers(0, 256, (height, width, 3)).astype(np.uint8)
+    panel(tmp_path / "panel.png", [Strip("one", colours)])
+    drawn = picture_of(tmp_path / "panel.png")
+    down, across = round(STRIP_HEIGHT / height), round(STRIP_WIDTH / width)
+    expected = colours.repeat(down, axis=0).repeat(across, axis=1)
+    rows, columns = expected.shape[:2]
+    assert rows >= 160
+    assert columns >= 1800
+    body = drawn[TITLE : TITLE + rows, MARGIN : MARGIN + columns]
+    np.testing.assert_array_equal(body, expected)
+    assert drawn.shape == (TITLE + rows + MARGIN, MARGIN + columns + BAR, 3)
+
+
+def test_strips_are_below_each_other_with_bar_and_legend(tmp_path, strip):
+    dark = Strip("dark", np.zeros((64, 2048, 3), np.uint8), Bar(0, 80, "m"))
+    legend = [(f"class {i}", (250, i, 0)) for i in range(15)]
+    panel(tmp_path / "panel.png", [strip, dark], legend)
+    drawn = picture_of(tmp_path / "panel.png")
+    second = drawn[2 * TITLE + STRIP_HEIGHT :][:STRIP_HEIGHT]
+    assert not second[:, MARGIN : MARGIN + 2048].any()
+    bar = second[:, MARGIN + 2048 + 16 + 8]
+    np.testing.assert_array_equal(bar[[0, -1]], map_colours("viridis")[[255, 0]])
+    colours = {tuple(pixel) for pixel in drawn[2 * (TITLE + STRIP_HEIGHT) :].reshape(-1, 3)}
+    assert {colour for _, colour in legend} <= colours
+
+
+def test_titles_are_written(tmp_path, strip):
+    panel(tmp_path / "a.png", [strip])
+    panel(tmp_path / "b.png", [Strip("", strip.picture)])
+    titled, bare = (picture_of(tmp_path / name)[:TITLE] for name in ("a.png", "b.png"))
+    assert len(np.unique(bare.reshape(-1, 3), axis=0)) == 1
+    assert (titled != bare).any(axis=-1).sum() > 200
+
+
+def test_the_same_picture_is_the_same_file(tmp_path, strip):
+    panel(tmp_path / "a.png", [strip])
+    panel(tmp_path / "b.png", [strip])
+    assert (tmp_path / "a.png").read_bytes() == (tmp_path / "b.png").read_bytes()
+
+
+def test_a_picture_appears_whole_or_not_at_all(tmp_path, strip, monkeypatch):
+    (tmp_path / "panel.png").write_text("older")
+    monkeypatch.setattr(Path, "replace", _full_disk)
+    with pytest.raises(OutputError, match="no space left"):
+        panel(tmp_path / "panel.png", [strip])
+    assert [path.read_text() for path in tmp_path.iterdir()] == ["older"]
+
+
+def _full_disk(self, target):
+    raise OSError(28, "No space left on device")
+
+
+def test_strips_of_values_say_their_scale():
+    point_of_pixel = np.arange(200, dtype=np.int32).reshape(2, 100)
+    point_of_pixel[0, 0] = -1
+    channels = np.zeros((5, 2, 100), np.float32)
+    channels[0] = np.linspace(2, 40, 200).reshape(2, 100)
+    image = RangeImage(
+        channels, np.arange(200, dtype=np.int32), point_of_pixel, channels[0].ravel()
+    )
+    distance = range_strip(image)
+    assert distance.bar == Bar(0, pytest.approx(39.6, abs=0.3), "m")
+    np.testing.assert_array_equal(distance.picture[1, 99], map_colours("viridis")[255])
+    doubt = scalar_strip(image, "doubt", np.linspace(0, 1, 200), "nats", "magma")
+    assert doubt.bar == Bar(
+        pytest.approx(0.01, abs=0.01), pytest.approx(0.99, abs=0.01), "nats", "magma"
+    )
+    np.testing.assert_array_equal(doubt.picture[1, 99], map_colours("magma")[255])

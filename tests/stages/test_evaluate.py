@@ -1,0 +1,236 @@
+# SPDX-License-Identifier: MIT
+import json
+import logging
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+
+from salsanext_cli.classes import label_space
+from salsanext_cli.errors import LabelError, NoInputError
+from salsanext_cli.formats.kitti import write_bin, write_labels
+from salsanext_cli.formats.layout import find_scans, output_path
+from salsanext_cli.measures.confusion import Confusion
+from salsanext_cli.records import Scan
+from salsanext_cli.stages.batch import BatchOptions
+from salsanext_cli.stages.counting import ScanCounts, count_scan
+from salsanext_cli.stages.evaluate import evaluate
+
+SPACE = label_space()
+CAR, ROAD, MOVING_CAR, UNKNOWN = 10, 40, 252, 77
+
+
+class World:
+    """A data set and an output folder that tests fill scan by scan."""
+
+    def __init__(self, folder: Path) -> None:
+        self.dataset, self.out = folder / "Daten 1", folder / "öut"
+
+    def add(self, stem, truth, predicted, sequence="08", distance=5.0):
+        """Write a scan on a circle; None writes no file."""
+        folder = self.dataset / "sequences" / sequence
+        count = len(truth if truth is not None else predicted)
+        angle = np.linspace(0, 6, count)
+        points = np.stack([np.cos(angle), np.sin(angle), 0 * angle], 1) * distance
+        scan = Scan(points.astype(np.float32), np.zeros(count, np.float32))
+        write_bin(folder / "velodyne" / f"{stem}.bin", scan)
+        if truth is not None:
+            write_labels(folder / "labels" / f"{stem}.label", np.array(truth, np.uint32))
+        if predicted is not None:
+            path = output_path(self.out, sequence, "predictions", stem)
+            write_labels(path, np.array(predicted, np.uint32))
+
+    def evaluate(self, *, by_distance=False, **options):
+        scans = find_scans(self.dataset)
+        how = BatchOptions(**options)
+        return evaluate(scans, self.out, SPACE, how, by_distance=by_distance)
+
+
+@pytest.fixture
+def world(tmp_path):
+    return World(tmp_path)
+
+
+def iou(evaluation, name):
+    return next(c.iou for c in evaluation.scores.classes if c.name == name)
+
+
+@pytest.mark.real
+@pytest.mark.parametrize("jobs", [1, 2])
+def test_the_file_is_the_official_evaluators(real_data, tmp_path, jobs):
+    shutil.copytree(real_data / "golden/evaluation/sequences", tmp_path / "out/sequences")
+    scans = find_scans(real_data / "data/semantickitti", ["08"])
+    evaluation = evaluate(scans, tmp_path / "out", SPACE, BatchOptions(jobs=jobs))
+    expected = (real_data / "golden/evaluation/scores.txt").read_bytes()
+    assert (tmp_path / "out/scores.txt").read_bytes() == expected
+    assert evaluation.scans == 3
+
+
+@pytest.mark.real
+def test_rings_of_real_scans_add_up(real_data, tmp_path):
+    shutil.copytree(real_data / "golden/evaluation/sequences", tmp_path / "out/sequences")
+    scan = find_scans(real_data / "data/semantickitti", ["08"])[0]
+    counts = count_scan(scan, tmp_path / "out", SPACE, by_distance=True)
+    assert sum(counts.rings, start=Confusion(SPACE.class_count)) == counts.confusion
+
+
+def test_scans_of_several_sequences_are_pooled(world):
+    world.add("000000", [CAR, CAR, ROAD], [CAR, ROAD, ROAD], "08")
+    world.add("000000", [CAR], [CAR], "09")
+    evaluation = world.evaluate()
+    assert iou(evaluation, "car") == pytest.approx(2 / 3)
+    assert iou(evaluation, "road") == pytest.approx(1 / 2)
+    assert evaluation.scores.points == 4
+    assert evaluation.scans == 2
+
+
+def test_instance_bits_and_moving_classes_do_not_matter(world):
+    instance = 1234 << 16
+    world.add("000000", [CAR | instance, MOVING_CAR], [MOVING_CAR | instance, CAR])
+    assert iou(world.evaluate(), "car") == 1
+
+
+def test_a_labelled_point_predicted_unlabelled_is_a_miss(world):
+    world.add("000000", [CAR, CAR], [CAR, 0])
+    evaluation = world.evaluate()
+    assert iou(evaluation, "car") == 0.5
+    assert evaluation.scores.accuracy == 0.5
+
+
+def test_unknown_ids_are_counted_named_and_taken_as_unlabelled(world, caplog):
+    world.add("000000", [CAR, CAR, UNKNOWN | 5 << 16], [CAR, UNKNOWN, CAR])
+    world.add("000001", [CAR, UNKNOWN], [65535, CAR])
+    with caplog.at_level(logging.WARNING):
+        evaluation = world.evaluate()
+    assert evaluation.unknown_truth == {UNKNOWN: 2}
+    assert evaluation.unknown_predictions == {UNKNOWN: 1, 65535: 1}
+    assert iou(evaluation, "car") == pytest.approx(1 / 3)
+    assert "predictions: unknown ids 77 (1×), 65535 (1×)" in caplog.text
+    assert "labels: unknown ids 77 (2×)" in caplog.text
+    report = json.loads((world.out / "eval.json").read_text())
+    assert report["unknown_ids"] == {"truth": {"77": 2}, "predictions": {"77": 1, "65535": 1}}
+
+
+def test_missing_predictions_are_listed_and_do_not_fail(world, caplog):
+    world.add("000000", [CAR], [CAR])
+    world.add("000001", [ROAD], None)
+    evaluation = world.evaluate()
+    assert [scan.stem for scan in evaluation.missing] == ["000001"]
+    assert not evaluation.failures
+    assert evaluation.scans == 1
+    assert evaluation.scores.points == 1
+    assert (
+        "1 of 2 scans have no predictions and are left out, the first is 08/000001" in caplog.text
+    )
+
+
+@pytest.mark.parametrize("jobs", [1, 2])
+def test_one_bad_scan_is_named_and_the_others_are_scored(world, jobs):
+    for i in range(5):
+        world.add(f"{i:06d}", [CAR, ROAD], [CAR, ROAD] if i != 3 else [CAR])
+    evaluation = world.evaluate(jobs=jobs)
+    assert evaluation.scans == 4
+    (failure,) = evaluation.failures
+    assert failure.scan.stem == "000003"
+    assert "1 labels" in failure.reason
+    assert "expected 2" in failure.reason
+    report = json.loads((world.out / "eval.json").read_text())
+    assert report["failures"][0]["scan"].endswith("000003.bin")
+
+
+def test_a_label_file_that_is_missing_or_cut_off_fails_that_scan(world):
+    world.add("000000", [CAR], [CAR])
+    world.add("000001", None, [CAR])
+    world.add("000002", [CAR], [CAR])
+    path = world.dataset / "sequences/08/labels/000002.label"
+    path.write_bytes(path.read_bytes()[:3])
+    evaluation = world.evaluate()
+    assert [failure.scan.stem for failure in evaluation.failures] == ["000001", "000002"]
+    assert evaluation.scans == 1
+
+
+def test_on_error_stop_raises_the_first_failure(world):
+    world.add("000000", [CAR, ROAD], [CAR])
+    world.add("000001", [CAR], [CAR])
+    with pytest.raises(LabelError, match=r"000000\.label.*1 labels"):
+        world.evaluate(on_error="stop")
+    assert not (world.out / "scores.txt").exists()
+
+
+def test_a_sequence_without_labels_is_an_error(world):
+    world.add("000000", [CAR], [CAR], "08")
+    world.add("000000", None, [CAR], "11")
+    with pytest.raises(LabelError, match=r"11/labels · no labels of sequence 11"):
+        world.evaluate()
+
+
+def test_no_predictions_at_all_is_an_error_with_advice(world):
+    world.add("000000", [CAR], None)
+    with pytest.raises(NoInputError, match=r"no predictions for any of 1 scans.*salsanext predict"):
+        world.evaluate()
+    assert not world.out.exists()
+
+
+def test_no_scan_that_can_be_compared_gives_no_scores(world):
+    world.add("000000", [CAR, ROAD], [CAR])
+    with pytest.raises(NoInputError, match=r"no scan could be compared.*1 labels"):
+        world.evaluate()
+    assert not (world.out / "scores.txt").exists()
+
+
+def test_an_empty_scan_is_a_scan(world):
+    world.add("000000", [], [])
+    world.add("000001", [CAR], [CAR])
+    evaluation = world.evaluate(by_distance=True)
+    assert evaluation.scans == 2
+    assert not evaluation.failures
+
+
+def test_rings_of_distance(world):
+    world.add("000000", [CAR, CAR], [CAR, CAR], distance=5)
+    world.add("000001", [CAR, CAR], [CAR, ROAD], distance=35)
+    world.add("000002", [CAR], None)
+    rings = world.evaluate(by_distance=True).by_distance
+    assert rings["0–10 m"].accuracy == 1
+    assert rings["30–40 m"].accuracy == 0.5
+    assert [ring.points for ring in rings.values()] == [2, 0, 0, 2, 0, 0]
+
+
+def test_rings_need_a_scan_of_as_many_points(world):
+    world.add("000000", [CAR, CAR], [CAR, CAR])
+    world.add("000001", [CAR], [CAR])
+    shutil.copy(*(world.dataset / "sequences/08/velodyne" / f"00000{i}.bin" for i in (1, 0)))
+    assert not world.evaluate().failures
+    (failure,) = world.evaluate(by_distance=True).failures
+    assert failure.scan.stem == "000000"
+
+
+def test_files_are_complete_and_replace_earlier_ones(world):
+    world.add("000000", [CAR], [CAR])
+    world.evaluate()
+    world.add("000001", [CAR], [ROAD])
+    world.evaluate(by_distance=True)
+    names = {path.name for path in world.out.iterdir() if path.is_file()}
+    assert names == {"scores.txt", "eval.json", "eval_iou.png", "eval_confusion.png"}
+    assert yaml.safe_load((world.out / "scores.txt").read_text())["iou_car"] == pytest.approx(0.5)
+    report = json.loads((world.out / "eval.json").read_text())
+    assert report["stage"] == "eval"
+    assert report["scans"] == 2
+    assert report["label_space"] == SPACE.name
+    assert report["scores"]["points"] == 2
+    assert report["by_distance"]["0–10 m"]["points"] == 2
+    assert np.sum(report["confusion"]) == 2
+    assert report["classes"] == list(SPACE.names)
+
+
+def test_counts_add_up_and_lists_join(world):
+    world.add("000000", [CAR], [UNKNOWN])
+    world.add("000001", [CAR], None)
+    one, two = (count_scan(scan, world.out, SPACE) for scan in find_scans(world.dataset))
+    total = ScanCounts.none(SPACE, by_distance=False) + one + two
+    assert total.scans == 1
+    assert len(total.missing) == 1
+    assert total.unknown_predictions == {UNKNOWN: 1}
+    assert total.confusion.total == 1
