@@ -174,7 +174,7 @@ class LabelSpace:
                 int(train): bool(flag)
                 for train, flag in data.get("learning_ignore", {0: True}).items()
             }
-            colours = {int(i): list(bgr) for i, bgr in data.get("color_map", {}).items()}
+            colours = {int(i): _colour(bgr) for i, bgr in data.get("color_map", {}).items()}
             splits = {
                 str(name): tuple(_sequence_name(s) for s in members)
                 for name, members in data.get("split", {}).items()
@@ -217,6 +217,14 @@ def _contradiction(
 def _sequence_name(sequence: object) -> str:
     """Name a sequence as its folder is named: numbers get two digits."""
     return f"{sequence:02d}" if isinstance(sequence, int) else str(sequence)
+
+
+def _colour(channels: Any) -> list[int]:
+    """Return the three bytes of a colour; anything else raises `ValueError`."""
+    colour = [int(channel) for channel in channels]
+    if len(colour) != 3 or not all(0 <= channel <= 255 for channel in colour):
+        raise ValueError(f"{channels!r} is not a colour of 3 bytes")
+    return colour
 
 
 def _spare_colour(train_id: int) -> list[int]:

@@ -53,11 +53,17 @@ class Sensor:
         self._require(
             self.fov_up > self.fov_down, f"fov_up {self.fov_up} ≤ fov_down {self.fov_down}"
         )
-        self._require(self.height >= 1 and self.width >= 1, f"size {self.height}×{self.width}")
+        self._require(
+            all(isinstance(size, int) and size >= 1 for size in (self.height, self.width)),
+            f"size {self.height}×{self.width}",
+        )
         self._require(
             len(self.means) == len(self.stds) == 5, "means and stds are not 5 numbers each"
         )
-        self._require(all(std > 0 for std in self.stds), f"stds {self.stds} are not all positive")
+        self._require(all(map(math.isfinite, self.means)), f"means {self.means} are not all finite")
+        self._require(
+            all(0 < std < math.inf for std in self.stds), f"stds {self.stds} are not all positive"
+        )
         self._require(self.out_of_view in ("clamp", "drop"), f"out_of_view {self.out_of_view!r}")
         self._require(self.intensity_scale > 0, f"intensity_scale {self.intensity_scale}")
 

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import math
+import re
 from pathlib import Path
 from typing import Any, BinaryIO
 
@@ -15,7 +16,11 @@ from salsanext_cli.errors import FormatError
 from salsanext_cli.formats.atomic import writing
 from salsanext_cli.formats.reading import reading, size_of
 
-HEADER_READERS = {(1, 0): npy.read_array_header_1_0, (2, 0): npy.read_array_header_2_0}
+MAGIC = b"\x93NUMPY\x01\x00"
+HEADER = re.compile(
+    rb"\{'descr': '([^']*)', 'fortran_order': (True|False), 'shape': \(([\d, ]*)\), \}\s*"
+)
+"""The one form in which numpy writes it; its own reader evaluates whatever it finds instead."""
 
 
 def read_array(path: Path, dtype: npt.DTypeLike, shape: tuple[int | None, ...]) -> npt.NDArray[Any]:
@@ -37,39 +42,36 @@ def read_array(path: Path, dtype: npt.DTypeLike, shape: tuple[int | None, ...]) 
     """
     expected = f"a .npy file of {np.dtype(dtype)} {_words(shape)}"
     with reading(path) as file:
-        try:
-            found_shape, in_columns, found_dtype = _read_header(file)
-        except ValueError as error:
-            raise FormatError(path, f"not a .npy file ({_first_line(error)})", expected) from error
-        if found_dtype != np.dtype(dtype) or not _fits(found_shape, shape):
-            raise FormatError(path, f"{found_dtype} {_words(found_shape)}", expected)
+        description, in_columns, found_shape = _read_header(file, path, expected)
+        if description != np.dtype(dtype).str or not _fits(found_shape, shape):
+            raise FormatError(path, f"{description} {_words(found_shape)}", expected)
         # Compare before allocating: a header can promise any amount of memory.
-        promised = math.prod(found_shape) * found_dtype.itemsize
+        promised = math.prod(found_shape) * np.dtype(dtype).itemsize
         if (held := size_of(file) - file.tell()) != promised:
             raise FormatError(path, f"{held} bytes of data", f"{promised} bytes", "it is cut off")
-        values = np.fromfile(file, found_dtype)
+        values = np.fromfile(file, dtype)
     return values.reshape(found_shape, order="F" if in_columns else "C")
 
 
-def _read_header(file: BinaryIO) -> tuple[tuple[int, ...], bool, np.dtype[Any]]:
-    version = npy.read_magic(file)
-    if version not in HEADER_READERS:
-        raise ValueError(f"version {version[0]}.{version[1]}")
-    return HEADER_READERS[version](file)
+def _read_header(file: BinaryIO, path: Path, expected: str) -> tuple[str, bool, tuple[int, ...]]:
+    """Return numpy's description of the dtype, whether columns come first, and the shape."""
+    magic = file.read(len(MAGIC))
+    header = HEADER.fullmatch(file.read(int.from_bytes(file.read(2), "little")))
+    if magic != MAGIC or header is None:
+        raise FormatError(path, "not a .npy file", expected)
+    description, in_columns, lengths = header.groups()
+    shape = tuple(int(length) for length in re.findall(rb"\d{1,18}", lengths))
+    return description.decode("ascii", "replace"), in_columns == b"True", shape
 
 
 def _fits(found: tuple[int, ...], wanted: tuple[int | None, ...]) -> bool:
     return len(found) == len(wanted) and all(
-        length >= 0 and want in (None, length) for length, want in zip(found, wanted, strict=True)
+        want in (None, length) for length, want in zip(found, wanted, strict=True)
     )
 
 
 def _words(shape: tuple[int | None, ...]) -> str:
     return f"({', '.join('any' if length is None else str(length) for length in shape)})"
-
-
-def _first_line(error: ValueError) -> str:
-    return str(error).splitlines()[0] if str(error) else "unreadable header"
 
 
 def write_array(path: Path, array: npt.NDArray[Any]) -> None:

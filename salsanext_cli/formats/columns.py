@@ -28,7 +28,7 @@ def scan_of(columns: Columns, path: Path, intensity_scale: float) -> Scan:
     FormatError
         If a coordinate is missing; `path` is named.
     """
-    known = {name.lower(): values for name, values in columns.items()}
+    known = {name.lower(): values for name, values in columns.items() if values.dtype.kind in "iuf"}
     if missing := [axis for axis in "xyz" if axis not in known]:
         found = ", ".join(columns) or "nothing"
         raise FormatError(path, f"points of {found}", f"also {', '.join(missing)}")

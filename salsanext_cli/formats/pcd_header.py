@@ -118,7 +118,7 @@ def _entries(file: BinaryIO) -> dict[str, list[str]]:
         if words and not words[0].startswith("#"):
             # Another reader may take the first of two where this one takes the last.
             if words[0] in entries:
-                raise ValueError(f"a PCD header with {words[0]} twice")
+                raise ValueError(f"a PCD header with {words[0][:20]!r} twice")
             entries[words[0]] = words[1:]
     return entries
 

@@ -34,19 +34,21 @@ def read_ply(path: Path, *, intensity_scale: float = 1.0) -> Scan:
 
 
 def _read_vertices(path: Path) -> npt.NDArray[Any]:
-    """Return the vertices as a structured array in memory."""
+    """Return the vertices as a structured array."""
     plyfile = _plyfile()
     with reading(path) as file:
-        try:
-            data = plyfile.PlyData.read(file)
-        # A header may promise more memory than there is.
-        except (plyfile.PlyParseError, ValueError, MemoryError) as error:
-            raise FormatError(
-                path, f"not a whole PLY file: {str(error) or 'too large'}", "a .ply file"
-            ) from error
-        if "vertex" not in data:
-            raise FormatError(path, "no vertices", "a PLY file with an element vertex")
-        return np.array(data["vertex"].data)
+        content = io.BytesIO(file.read())
+    try:
+        data = plyfile.PlyData.read(content)
+    # A header may promise more than any memory or index can hold.
+    except (plyfile.PlyParseError, ValueError, OverflowError, MemoryError) as error:
+        raise FormatError(
+            path, f"not a whole PLY file: {str(error) or 'too large'}", "a .ply file"
+        ) from error
+    if "vertex" not in data:
+        raise FormatError(path, "no vertices", "a PLY file with an element vertex")
+    vertices: npt.NDArray[Any] = data["vertex"].data
+    return vertices
 
 
 def write_ply(
@@ -59,21 +61,33 @@ def write_ply(
     path : Path
         The `.ply` file.
     columns : mapping of str to (N,) array
-        Values by property name; the dtype is the property's type (8, 16, 32 bit integers, float32,
-        float64).
+        Values by property name, any real dtype. They become uchar, int, float or double, the only
+        types that open3d reads: integers wider than a byte become int, or double beyond its range.
     comments : iterable of str
         Lines of the header; anything outside ASCII is escaped.
     """
     plyfile = _plyfile()
-    fields = [(name, values.dtype) for name, values in columns.items()]
-    table = np.empty(len(next(iter(columns.values()))), fields)
-    for name, values in columns.items():
+    readable = {name: _readable(values) for name, values in columns.items()}
+    table = np.empty(
+        len(next(iter(readable.values()))), [(name, v.dtype) for name, v in readable.items()]
+    )
+    for name, values in readable.items():
         table[name] = values
     lines = [" ".join(c.split()).encode("ascii", "backslashreplace").decode() for c in comments]
     element = plyfile.PlyElement.describe(table, "vertex")
     with io.BytesIO() as buffer, writing(path) as file:
         plyfile.PlyData([element], text=False, byte_order="<", comments=lines).write(buffer)
         file.write(buffer.getbuffer())
+
+
+def _readable(values: npt.NDArray[Any]) -> npt.NDArray[Any]:
+    """Return the same values in a type that open3d reads."""
+    if values.dtype.kind in "iu" and values.itemsize + (values.dtype.kind == "i") > 1:
+        limits = np.iinfo(np.int32)
+        fits = not len(values) or (values.min() >= limits.min and values.max() <= limits.max)
+        return values.astype(np.int32 if fits else np.float64)
+    smaller = {np.dtype(bool): np.uint8, np.dtype(np.float16): np.float32}
+    return values.astype(smaller.get(values.dtype, values.dtype), copy=False)
 
 
 def _plyfile() -> Any:

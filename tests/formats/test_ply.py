@@ -1,0 +1,191 @@
+# SPDX-License-Identifier: MIT
+import struct
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from hypothesis.extra import numpy as hnp
+
+from salsanext_cli.errors import FormatError, MissingDependency
+from salsanext_cli.formats import read_scan
+from salsanext_cli.formats.ply import read_ply, write_ply
+
+SCALARS = ["?", "u1", "i1", "u2", "i2", "u4", "i4", "i8", "f2", "f4", "f8"]
+
+
+def header(
+    properties: str = "float x,float y,float z,float intensity",
+    count: int = 2,
+    data: str = "binary_little_endian",
+) -> bytes:
+    lines = ["ply", f"format {data} 1.0", f"element vertex {count}"]
+    lines += [f"property {entry}" for entry in properties.split(",")]
+    return "\n".join([*lines, "end_header", ""]).encode()
+
+
+def elements(kind: str) -> st.SearchStrategy[object]:
+    # float64 is exact for whole numbers up to 2⁵³.
+    return st.integers(-(2**53), 2**53) if kind == "i8" else hnp.from_dtype(np.dtype(kind))
+
+
+@given(st.data())
+@settings(max_examples=20, deadline=None)
+def test_every_column_survives(
+    tmp_path_factory: pytest.TempPathFactory, data: st.DataObject
+) -> None:
+    plyfile = pytest.importorskip("plyfile")
+    count = data.draw(st.integers(0, 5))
+    dtypes = {"x": "f4", "y": "f4", "z": "f4", "red": "u1", "intensity": "f4"}
+    dtypes |= {f"scalar_{i}": kind for i, kind in enumerate(SCALARS)}
+    columns = {
+        name: data.draw(hnp.arrays(kind, count, elements=elements(kind)))
+        for name, kind in dtypes.items()
+    }
+    path = tmp_path_factory.mktemp("ply") / "s.ply"
+    write_ply(path, columns)
+    vertices = plyfile.PlyData.read(path)["vertex"]
+    assert [p.name for p in vertices.properties] == list(columns)
+    for name, values in columns.items():
+        np.testing.assert_array_equal(vertices[name], values)
+        assert vertices[name].dtype.str in ("|u1", "<i4", "<f4", "<f8")
+    scan = read_ply(path)
+    np.testing.assert_array_equal(scan.points[:, 1], columns["y"])
+    np.testing.assert_array_equal(scan.intensity, columns["intensity"])
+
+
+def test_bytes(tmp_path: Path) -> None:
+    path = tmp_path / "s.ply"
+    columns = {axis: np.float32([value]) for axis, value in zip("xyz", (1, 2, 3), strict=True)}
+    write_ply(path, columns | {"red": np.uint8([255])}, comments=["grün\nzwei", "10 %"])
+    assert path.read_bytes() == (
+        b"ply\nformat binary_little_endian 1.0\ncomment gr\\xfcn zwei\ncomment 10 %\n"
+        b"element vertex 1\nproperty float x\nproperty float y\nproperty float z\n"
+        b"property uchar red\nend_header\n" + struct.pack("<3fB", 1, 2, 3, 255)
+    )
+
+
+def test_open3d_opens_what_is_written(tmp_path: Path) -> None:
+    open3d = pytest.importorskip("open3d")
+    rng = np.random.default_rng(0)
+    columns = {axis: rng.normal(size=5).astype(np.float32) for axis in "xyz"}
+    colours = {name: rng.integers(0, 256, 5, np.uint8) for name in ("red", "green", "blue")}
+    scalars = {kind: np.arange(5).astype(kind) for kind in SCALARS}
+    scalars["beyond"] = np.uint32([0, 1, 2, 3, 2**32 - 1])
+    write_ply(tmp_path / "s.ply", columns | colours | scalars)
+    cloud = open3d.t.io.read_point_cloud(str(tmp_path / "s.ply"))
+    np.testing.assert_array_equal(
+        cloud.point.positions.numpy(), np.column_stack(list(columns.values()))
+    )
+    np.testing.assert_array_equal(
+        cloud.point.colors.numpy(), np.column_stack(list(colours.values()))
+    )
+    for name, values in scalars.items():
+        np.testing.assert_array_equal(cloud.point[name].numpy()[:, 0], values)
+
+
+@pytest.mark.parametrize(
+    "name",
+    ["intensity", "Intensity", "scalar_intensity", "scalar_Intensity", "reflectance", "remission"],
+)
+def test_names_of_the_intensity(tmp_path: Path, name: str) -> None:
+    path = tmp_path / "s.PLY"
+    body = struct.pack("<8f", 1, 2, 3, 51, 4, 5, 6, 255)
+    path.write_bytes(header(f"float x,float y,float z,float {name}") + body)
+    scan = read_scan(path, intensity_scale=255)
+    assert scan.points.tolist() == [[1, 2, 3], [4, 5, 6]]
+    np.testing.assert_array_equal(scan.intensity, np.float32([0.2, 1]))
+
+
+def test_byte_intensity_float64_and_big_endian(tmp_path: Path) -> None:
+    path = tmp_path / "s.ply"
+    path.write_bytes(
+        header("double x,double y,double z,uchar intensity", 1, "binary_big_endian")
+        + struct.pack(">3dB", 1, 2, 3, 51)
+    )
+    scan = read_scan(path, intensity_scale=100)
+    assert scan.points.tolist() == [[1, 2, 3]]
+    np.testing.assert_array_equal(scan.intensity, np.float32([0.2]))
+
+
+@pytest.mark.parametrize("data", ["ascii", "binary_little_endian", "binary_big_endian"])
+def test_empty(tmp_path: Path, data: str) -> None:
+    path = tmp_path / "s.ply"
+    path.write_bytes(header(count=0, data=data))
+    assert len(read_ply(path)) == 0
+
+
+@pytest.mark.parametrize(
+    "content",
+    [
+        b"",
+        b"ply\n",
+        bytes(range(256)) * 20,
+        header() + bytes(31),
+        header(count=10**12) + bytes(32),
+        header(count=10**12, data="ascii") + b"1 2 3 4\n",
+        header(count=10**30) + bytes(32),
+        header(count=-1),
+        header(data="ascii") + b"1 2 3 4\n",
+        header(data="ascii") + b"1 2 3 4\n5 6\n",
+        header(data="ascii") + b"1 2 3 4\na b c d\n",
+        header("float x,float y") + bytes(16),
+        header().replace(b"vertex", b"face") + bytes(32),
+        header("float x,float x,float y,float z") + bytes(32),
+        header("list uchar int x,float y,float z", 1) + bytes(9),
+    ],
+)
+def test_bad_files(tmp_path: Path, content: bytes) -> None:
+    path = tmp_path / "s.ply"
+    path.write_bytes(content)
+    with pytest.raises(FormatError) as caught:
+        read_ply(path)
+    assert caught.value.subject == str(path)
+    assert "\n" not in str(caught.value)
+
+
+@given(data=st.data(), kind=st.sampled_from(["ascii", "binary_little_endian"]))
+@settings(max_examples=200, deadline=None)
+def test_damaged_files_are_refused_or_read(
+    tmp_path_factory: pytest.TempPathFactory, data: st.DataObject, kind: str
+) -> None:
+    body = b"1 2 3 4\n5 6 7 8\n" if kind == "ascii" else bytes(32)
+    content = bytearray(header(data=kind) + body)
+    for _ in range(data.draw(st.integers(1, 3))):
+        content[data.draw(st.integers(0, len(content) - 1))] = data.draw(st.integers(0, 255))
+    path = tmp_path_factory.mktemp("damaged") / "s.ply"
+    path.write_bytes(content)
+    try:
+        scan = read_ply(path)
+    except FormatError:
+        return
+    assert len(scan) <= 99
+
+
+def test_missing_plyfile_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "plyfile", None)
+    with pytest.raises(MissingDependency, match="pip install plyfile"):
+        write_ply(tmp_path / "s.ply", {"x": np.zeros(1, np.float32)})
+
+
+@pytest.mark.real
+def test_real_files(real_data: Path) -> None:
+    folder = real_data / "data" / "sensors" / "ply"
+    float64 = read_scan(folder / "float64_xyz_only.ply")
+    assert len(float64) == 125_773
+    assert 60 < np.linalg.norm(float64.points, axis=1).max() < 130
+    assert not float64.intensity.any()
+    scalar = read_scan(folder / "hdl32_scalar_intensity.ply", intensity_scale=255)
+    assert len(scalar) == 69_792
+    assert 0.5 < scalar.intensity.max() <= 1
+
+
+@pytest.mark.real
+def test_real_ascii_equals_a_slow_reader(real_data: Path) -> None:
+    path = real_data / "data" / "sensors" / "ply" / "ascii_rgb_normals.ply"
+    text = path.read_text("ascii")
+    rows = [line.split() for line in text.split("end_header\n")[1].splitlines()]
+    points = np.array([row[:3] for row in rows], np.float64)
+    np.testing.assert_array_equal(read_ply(path).points, points.astype(np.float32))

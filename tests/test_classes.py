@@ -1,0 +1,218 @@
+# SPDX-License-Identifier: MIT
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+from hypothesis import given
+from hypothesis import strategies as st
+
+from salsanext_cli.classes import LabelSpace, label_space
+from salsanext_cli.errors import LabelError, UsageError
+
+NAMES = [
+    "unlabeled",
+    "car",
+    "bicycle",
+    "motorcycle",
+    "truck",
+    "other-vehicle",
+    "person",
+    "bicyclist",
+    "motorcyclist",
+    "road",
+    "parking",
+    "sidewalk",
+    "other-ground",
+    "building",
+    "fence",
+    "vegetation",
+    "trunk",
+    "terrain",
+    "pole",
+    "traffic-sign",
+]
+
+SMALL = """
+labels: {0: nothing, 5: street, 6: lane, 7: wall}
+color_map: {0: [0, 0, 0], 5: [255, 0, 10], 7: [1, 2, 3]}
+learning_map: {0: 0, 5: 1, 6: 1, 7: 2}
+learning_map_inv: {0: 0, 1: 5, 2: 7}
+learning_ignore: {0: true, 1: false, 2: true}
+split: {train: [0, 1, 10], valid: ["town", 8]}
+"""
+
+
+@pytest.fixture
+def small() -> LabelSpace:
+    return LabelSpace.from_dict(yaml.safe_load(SMALL), "small")
+
+
+def changed(**changes: object) -> dict[str, object]:
+    return {**yaml.safe_load(SMALL), **changes}
+
+
+def test_facts_of_semantic_kitti() -> None:
+    space = label_space()
+    assert space.class_count == 20
+    assert list(space.names) == NAMES
+    assert space.ignored == (True, *[False] * 19)
+    assert space.scored.tolist() == [False, *[True] * 19]
+    assert space.split("train") == ("00", "01", "02", "03", "04", "05", "06", "07", "09", "10")
+    assert space.split("valid") == ("08",)
+    assert space.split("test") == tuple(str(n) for n in range(11, 22))
+    assert space.to_train(np.uint32([10, 252, 1, 52, 99, 60, 81])).tolist() == [
+        1,
+        1,
+        0,
+        0,
+        0,
+        9,
+        19,
+    ]
+    assert space.to_raw(np.uint8([1, 9, 19, 0])).tolist() == [10, 40, 81, 0]
+    assert space.to_raw(np.uint8([1])).dtype == np.uint32
+
+
+def test_colours_are_red_green_blue() -> None:
+    space = label_space()
+    assert space.colours.dtype == np.uint8
+    assert space.colours.shape == (20, 3)
+    assert space.colours[1].tolist() == [100, 150, 245]
+    assert space.colours[9].tolist() == [255, 0, 255]
+    assert space.colours[15].tolist() == [0, 175, 0]
+
+
+def test_every_raw_id_survives_as_its_class() -> None:
+    space = label_space()
+    for train_id in range(space.class_count):
+        assert space.to_train(space.to_raw(np.array([train_id]))).tolist() == [train_id]
+    for raw, train_id in space.learning_map.items():
+        assert space.to_train(np.uint32([raw])).tolist() == [train_id]
+
+
+@given(st.sampled_from(sorted(label_space().learning_map)), st.integers(0, 2**16 - 1))
+def test_instance_bits_are_dropped(raw: int, instance: int) -> None:
+    space = label_space()
+    assert space.to_train(np.uint32([raw + (instance << 16)]))[0] == space.learning_map[raw]
+
+
+def test_shape_is_kept() -> None:
+    assert label_space().to_train(np.zeros((3, 4), np.uint32)).shape == (3, 4)
+    assert label_space().to_train(np.zeros(0, np.uint32)).dtype == np.uint8
+
+
+def test_unknown_ids() -> None:
+    raw = np.uint32([10, 7, 7 + (3 << 16), 65535, 40])
+    space = label_space()
+    with pytest.raises(LabelError, match=r"a\.label · unknown label ids 7 \(2×\), 65535 \(1×\)"):
+        space.to_train(raw, source="a.label")
+    assert space.to_train(raw, strict=False).tolist() == [1, 0, 0, 0, 9]
+    assert space.unknown_ids(raw) == {7: 2, 65535: 1}
+    assert space.unknown_ids(np.uint32([10])) == {}
+    assert space.to_train(raw, strict=False).tolist() == [1, 0, 0, 0, 9]
+
+
+def test_own_space(small: LabelSpace) -> None:
+    assert small.name == "small"
+    assert small.names == ("nothing", "street", "wall")
+    assert small.ignored == (True, False, True)
+    assert small.colours.tolist() == [[0, 0, 0], [10, 0, 255], [3, 2, 1]]
+    assert small.to_train(np.uint32([6, 7, 0])).tolist() == [1, 2, 0]
+    assert small.splits == {"train": ("00", "01", "10"), "valid": ("town", "08")}
+    assert small.split_of("town") == "valid"
+    assert small.split_of("10") == "train"
+    assert small.split_of("11") is None
+    with pytest.raises(UsageError, match="one of train, valid"):
+        small.split("test")
+
+
+def test_optional_keys_have_defaults() -> None:
+    data = yaml.safe_load(SMALL)
+    for key in ("color_map", "learning_ignore", "split"):
+        del data[key]
+    space = LabelSpace.from_dict(data, "bare")
+    assert space.ignored == (True, False, False)
+    assert space.splits == {}
+    assert space.colours[0].tolist() == [0, 0, 0]
+    assert len({tuple(colour) for colour in space.colours.tolist()}) == 3
+
+
+def test_round_trip_through_json_and_yaml(small: LabelSpace) -> None:
+    for space in (small, label_space()):
+        for back in (
+            LabelSpace.from_dict(json.loads(json.dumps(space.to_dict()))),
+            LabelSpace.from_dict(yaml.safe_load(yaml.safe_dump(space.to_dict()))),
+        ):
+            assert back.to_dict() == space.to_dict()
+            assert back.fits(space)
+            assert back.splits == space.splits
+
+
+def test_fits(small: LabelSpace) -> None:
+    other = LabelSpace.from_dict(changed(labels={0: "nothing", 5: "street", 6: "x", 7: "wall"}))
+    assert small.fits(other)
+    assert not small.fits(label_space())
+
+
+@pytest.mark.parametrize(
+    ("change", "found"),
+    [
+        ({"labels": None}, "not a label space"),
+        ({"labels": {"a": "b"}}, "not a label space"),
+        ({"labels": [1, 2]}, "not a label space"),
+        ({"learning_map": {0: 0, 5: "x"}}, "not a label space"),
+        ({"learning_map": {0: 0, 5: 3}}, r"train ids \[3\]"),
+        ({"learning_map": {0: 0, 70000: 1}}, "70000"),
+        ({"learning_map": {0: 0, -5: 1}}, "-5"),
+        ({"learning_map_inv": {}}, "0…C-1"),
+        ({"learning_map_inv": {0: 0, 2: 7}}, "0…C-1"),
+        ({"learning_map_inv": dict.fromkeys(range(300), 0)}, "0…C-1"),
+        ({"learning_map_inv": {0: 0, 1: 5, 2: 8}}, r"\[8\] have no name"),
+        ({"color_map": {5: "red"}}, "red|colour|color|label space"),
+        ({"color_map": {5: [1, 2]}}, "colour|color|label space"),
+        ({"color_map": {5: [1, 2, 256]}}, "colour|color|label space"),
+        ({"split": {"valid": 8}}, "not a label space"),
+        ({"split": [8]}, "not a label space"),
+    ],
+)
+def test_malformed_spaces(change: dict[str, object], found: str) -> None:
+    with pytest.raises(UsageError, match=found):
+        LabelSpace.from_dict(changed(**change))
+
+
+def test_file(tmp_path: Path, small: LabelSpace) -> None:
+    path = tmp_path / "größe 1.yaml"
+    path.write_text(SMALL)
+    space = label_space(path)
+    assert space.name == "größe 1"
+    assert space.fits(small)
+    assert label_space(str(path)).to_dict() == space.to_dict()
+
+
+@pytest.mark.parametrize(
+    "content",
+    [
+        b"",
+        b"text",
+        b"- 1\n- 2\n",
+        b"labels: {",
+        b"\xff\xfe",
+        b"labels: {0: a}\n",
+        b"a: !!python/x\n",
+    ],
+)
+def test_bad_files_are_named_in_one_line(tmp_path: Path, content: bytes) -> None:
+    path = tmp_path / "s.yaml"
+    path.write_bytes(content)
+    with pytest.raises(UsageError, match=r"s\.yaml") as caught:
+        label_space(path)
+    assert "\n" not in str(caught.value)
+
+
+def test_missing_file_and_folder(tmp_path: Path) -> None:
+    with pytest.raises(UsageError, match="semantic-kitti"):
+        label_space("semantic-kiti")
+    with pytest.raises(UsageError, match="directory"):
+        label_space(tmp_path)

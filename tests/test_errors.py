@@ -1,0 +1,50 @@
+# SPDX-License-Identifier: MIT
+import inspect
+import pickle
+import re
+
+import pytest
+
+from salsanext_cli import errors
+from salsanext_cli.errors import FormatError, OutputError, SalsanextError
+
+
+def test_message_is_one_line_of_four_parts() -> None:
+    error = FormatError("a.bin", "7 bytes", "a multiple of 16", "copy it again")
+    assert str(error) == "a.bin · 7 bytes · expected a multiple of 16 · copy it again"
+
+
+@pytest.mark.parametrize(
+    ("parts", "message"),
+    [
+        (("a", "b"), "a · b"),
+        (("a", "b", "c"), "a · b · expected c"),
+        (("a", "b", "", "d"), "a · b · d"),
+    ],
+)
+def test_missing_parts_leave_no_gap(parts: tuple[str, ...], message: str) -> None:
+    assert str(SalsanextError(*parts)) == message
+
+
+def test_errors_survive_the_way_from_a_worker_process() -> None:
+    error = OutputError("out", "disk full", remedy="free some space")
+    copy = pickle.loads(pickle.dumps(error))
+    assert type(copy) is OutputError
+    assert str(copy) == str(error)
+    assert (copy.subject, copy.found, copy.expected, copy.remedy) == (
+        "out",
+        "disk full",
+        "",
+        "free some space",
+    )
+
+
+def test_the_drawn_tree_is_the_tree() -> None:
+    classes = {
+        name: value
+        for name, value in vars(errors).items()
+        if inspect.isclass(value) and value.__module__ == errors.__name__
+    }
+    drawn = set(re.findall(r"(?:├──|└──|^    )\s*(\w+)  ", errors.__doc__ or "", re.MULTILINE))
+    assert drawn == set(classes)
+    assert all(issubclass(value, SalsanextError) for value in classes.values())
