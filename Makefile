@@ -1,0 +1,52 @@
+# SPDX-License-Identifier: MIT
+# From a fresh clone: `make demo` or `make test`, nothing else. Each installs what is missing.
+
+PYTHON ?= python3
+BIN := .venv/bin
+INSTALLED := .venv/.installed
+DEMO ?= demo
+
+.PHONY: help install demo test test-slow lint format docs clean
+
+help:
+	@echo "make demo       a small synthetic drive: predict, evaluate, export, look"
+	@echo "make test       all tests but the slow ones"
+	@echo "make test-slow  the slow tests"
+	@echo "make lint       style and types"
+	@echo "make docs       the documentation, into site/"
+	@echo "make clean      remove what the others made"
+
+install: $(INSTALLED)
+
+$(INSTALLED): pyproject.toml constraints.txt
+	@tools/system-libraries
+	test -x $(BIN)/python || $(PYTHON) -m venv .venv
+	$(BIN)/python -m pip install --quiet --requirement constraints.txt
+	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable '.[dev]'
+	@touch $@
+
+demo: $(INSTALLED)
+	$(BIN)/salsanext demo $(DEMO)
+
+test: $(INSTALLED)
+	$(BIN)/python -m pytest
+
+test-slow: $(INSTALLED)
+	$(BIN)/python -m pytest -m slow
+
+lint: $(INSTALLED)
+	$(BIN)/ruff format --check .
+	$(BIN)/ruff check .
+	$(BIN)/mypy
+
+format: $(INSTALLED)
+	$(BIN)/ruff format .
+	$(BIN)/ruff check --fix .
+
+docs: $(INSTALLED)
+	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable '.[docs]'
+	$(BIN)/python docs/reference.py
+	$(BIN)/mkdocs build --strict
+
+clean:
+	rm -rf .venv site demo .pytest_cache .mypy_cache .ruff_cache .hypothesis
