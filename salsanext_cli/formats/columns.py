@@ -53,5 +53,6 @@ def normalised_intensity(values: npt.NDArray[Any], scale: float) -> Float:
         scale, because their type already says their range.
     """
     divisor = 255.0 if values.dtype == np.uint8 else scale
-    with np.errstate(over="ignore"):
+    # A NaN that signals is still only a point without an intensity.
+    with np.errstate(over="ignore", invalid="ignore"):
         return values.astype(np.float32) / np.float32(divisor)

@@ -109,6 +109,12 @@ def test_negative_intensity_alone_is_no_reason_to_refuse(tmp_path: Path) -> None
     assert len(kitti.read_bin(tmp_path / "s.bin")) == 60
 
 
+def test_signalling_nan_is_only_a_nan(tmp_path: Path) -> None:
+    (tmp_path / "s.bin").write_bytes(struct.pack("<3f", 1, 2, 3) + b"\x01\x00\xa0\x7f")
+    scan = kitti.read_bin(tmp_path / "s.bin", intensity_scale=255)
+    assert np.isnan(scan.intensity).tolist() == [True]
+
+
 @given(hnp.arrays(np.uint32, st.integers(0, 50)))
 @settings(max_examples=30, deadline=None)
 def test_labels_survive_the_round_trip(
