@@ -1,56 +1,66 @@
 # SPDX-License-Identifier: MIT
 """How the CPU kernels are compiled, cached and shared among threads.
 
-Kernels work on a slice ``start … stop`` and release the interpreter lock, so plain threads run
-them side by side. Numba's own parallel loops are not used: its thread pools can neither be
-entered from several threads (its default) nor survive a fork (OpenMP), and both happen in data
-loaders and worker pools.
+Kernels release the interpreter lock and work on slices of arrays, so plain threads run them side
+by side. Numba's own parallel loops are not used: its thread pools can either not be entered from
+several threads (its default) or not survive a fork (OpenMP), and both happen in worker pools and
+data loaders.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
-from typing import TypeVar
+from itertools import pairwise
+from typing import Any, TypeVar, cast
 
 import numba
+import numpy as np
+import numpy.typing as npt
 
-Function = TypeVar("Function", bound=Callable[..., object])
+Function = TypeVar("Function", bound=Callable[..., Any])
 
-SMALLEST_SLICE = 8192
-"""Below this many items a second thread costs more than it saves."""
+SMALLEST_SLICE = 16384
+"""Items below which a second thread costs more than it saves."""
 
 
 def compiled(function: Function) -> Function:
     """Compile on first call, strictly in IEEE arithmetic, and cache where a cache can be written.
 
-    Numba caches beside the source or, where that is read-only, in the user's cache folder; with
-    neither it refuses to cache, and the kernel is compiled once per process.
+    Numba caches beside the source or, where that is read-only, in the user's cache folder. With
+    neither it refuses to cache; then the kernel is compiled once per process.
     """
     try:
         kernel = numba.njit(cache=True, nogil=True, error_model="numpy")(function)
     except RuntimeError:
         kernel = numba.njit(nogil=True, error_model="numpy")(function)
-    return kernel  # type: ignore[no-any-return]
+    return cast(Function, kernel)
 
 
-def in_slices(kernel: Callable[..., object], count: int, *arguments: object) -> None:
-    """Call ``kernel(start, stop, *arguments)`` for slices that cover ``0 … count``.
+def argument(array: npt.NDArray[Any], dtype: npt.DTypeLike) -> npt.NDArray[Any]:
+    """Return the array as kernels take it, copied only if it must be.
 
-    Slices run on up to ``NUMBA_NUM_THREADS`` threads (all cores unless set, as joblib does for its
-    workers). A kernel must write to its own slice only, so that the result does not depend on
-    their number.
+    Numba compiles anew for arrays that are read-only, unaligned or not contiguous.
     """
-    slices = max(1, min(numba.config.NUMBA_NUM_THREADS, count // SMALLEST_SLICE))
-    borders = [count * part // slices for part in range(slices + 1)]
-    if slices == 1:
-        kernel(0, count, *arguments)
+    return np.require(array, dtype, ["C_CONTIGUOUS", "ALIGNED", "WRITEABLE"])
+
+
+def in_slices(work: Callable[[slice], object], count: int) -> None:
+    """Call ``work(part)`` for slices that cover ``0 … count``, on several threads.
+
+    There are up to ``NUMBA_NUM_THREADS`` of them: all cores, unless that variable is set, as joblib
+    does for its workers. Each call must write to its own part only, so that the result does not
+    depend on their number.
+    """
+    cores: int = vars(numba.config)["NUMBA_NUM_THREADS"]
+    threads = max(1, min(cores, count // SMALLEST_SLICE))
+    borders = [count * part // threads for part in range(threads + 1)]
+    first, *rest = [slice(start, stop) for start, stop in pairwise(borders)]
+    if not rest:
+        work(first)
         return
-    with ThreadPoolExecutor(slices - 1) as threads:
-        others = [
-            threads.submit(kernel, start, stop, *arguments)
-            for start, stop in zip(borders[1:-1], borders[2:], strict=True)
-        ]
-        kernel(0, borders[1], *arguments)
-    for other in others:
-        other.result()
+    with ThreadPoolExecutor(len(rest)) as pool:
+        others = [pool.submit(work, part) for part in rest]
+        work(first)
+        for other in others:
+            other.result()

@@ -4,7 +4,7 @@
 The candidates of a point are the pixels of a window around its own. A candidate's distance is
 ``|range of the candidate − range of the point| × (1 − Gaussian of its offset)``; the point's own
 pixel stands for the point itself, at distance 0. The k nearest whose distance does not exceed the
-cutoff vote with their labels; label 0 takes a place but has no vote, and the lowest label wins ties.
+cutoff vote with their labels; label 0 takes a place but has no vote; the lowest label wins ties.
 
 The window goes on around the image in azimuth. Pixels that are empty or above or below the image
 are no candidates, and a point for which nobody votes keeps its pixel's label.
@@ -19,7 +19,7 @@ import numpy as np
 import numpy.typing as npt
 
 from salsanext_cli.errors import LabelError, UsageError
-from salsanext_cli.records import Float, RangeImage, TrainIds
+from salsanext_cli.records import Float, Int, RangeImage, TrainIds
 
 
 @dataclass(frozen=True, slots=True)
@@ -67,12 +67,37 @@ class KnnParameters:
         gaussian = np.exp(-(offset[:, None] ** 2 + offset**2) / (2 * self.sigma**2))
         return np.asarray(1 - gaussian / gaussian.sum(), np.float32)
 
+    def candidates(self, width: int) -> tuple[Int, Float]:
+        """Return where a point's candidates lie and what weighs their distance, row by row.
+
+        Parameters
+        ----------
+        width : int
+            W of the range image. If it is narrower than the window, no pixel comes round twice.
+
+        Returns
+        -------
+        offsets : (M,) int32
+            Flat offsets from the point's pixel, itself left out, in an image that is framed by
+            ``window // 2`` pixels on each side.
+        weights : (M,) float32
+            Their factors.
+        """
+        half = self.window // 2
+        dy, dx = np.mgrid[-half : half + 1, -half : half + 1]
+        kept = (dx >= -((width - 1) // 2)) & (dx <= width // 2) & ((dx != 0) | (dy != 0))
+        offsets = dy * (width + 2 * half) + dx
+        return offsets[kept].astype(np.int32), self.weights()[kept]
+
+
+PUBLISHED = KnnParameters()
+
 
 def knn_refine(
     image: RangeImage,
     pixel_labels: npt.ArrayLike,
     class_count: int = 20,
-    parameters: KnnParameters | None = None,
+    parameters: KnnParameters = PUBLISHED,
     device: str = "cpu",
 ) -> TrainIds:
     """Give every point a label by a vote of its nearest neighbours in the range image.
@@ -85,7 +110,7 @@ def knn_refine(
         Train id of every pixel, 0 … C − 1; of empty pixels too, but those are not used.
     class_count : int
         C, the number of classes including the unlabelled class 0.
-    parameters : KnnParameters, optional
+    parameters : KnnParameters
         Neighbourhood; the published one by default.
     device : str
         "cpu" (compiled by numba) or a torch device; the labels are the same.
@@ -100,10 +125,9 @@ def knn_refine(
     LabelError
         If the labels have another shape than the image or are no train ids.
     """
-    parameters = parameters or KnnParameters()
     labels = _checked_labels(image, np.asarray(pixel_labels), class_count)
     ranges = np.ascontiguousarray(image.channels[0])
-    arguments = (ranges, labels, image.pixel_of_point, image.point_range, class_count, parameters)
+    arguments = (ranges, labels, image.pixel_of_point, image.point_range, parameters)
     if device == "cpu":
         from salsanext_cli.geometry import knn_numba
 

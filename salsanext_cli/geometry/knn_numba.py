@@ -1,17 +1,31 @@
 # SPDX-License-Identifier: MIT
 """kNN refinement compiled for the CPU.
 
-Most windows hold one label only, whose vote needs no counting: the smallest and largest label of
-each window are found first, and neighbours are searched for the other points alone.
+The image is framed first, so that no step has to look for its border: at left and right with
+columns from the other side, above and below with nothing. Where a window holds one label only,
+nobody can outvote it. The other points are taken in blocks, and each step runs over a whole block
+before the next begins: loops without a branch are what the compiler can vectorise.
 """
 
 from __future__ import annotations
 
-import numpy as np
+from typing import TypeVar
 
-from salsanext_cli.geometry.compiled import compiled, in_slices
+import numpy as np
+import numpy.typing as npt
+
+from salsanext_cli.geometry.compiled import argument, compiled, in_slices
 from salsanext_cli.geometry.knn import KnnParameters
 from salsanext_cli.records import Float, Int, TrainIds
+
+Candidates = npt.NDArray[np.int64]
+Scalar = TypeVar("Scalar", bound=np.generic)
+
+BLOCK = 256
+"""Points per block: few enough that a block stays in the fastest cache."""
+
+LAST = np.int64(2**63 - 256)
+"""A candidate behind all others, with label 0."""
 
 
 def refine(
@@ -19,84 +33,167 @@ def refine(
     labels: TrainIds,
     pixel_of_point: Int,
     point_range: Float,
-    class_count: int,
     parameters: KnnParameters,
 ) -> TrainIds:
     """Return the label of every point; see `geometry.knn.knn_refine`."""
+    pixel_of_point = argument(pixel_of_point, np.int32)
+    point_range = argument(point_range, np.float32)
+    half, width = parameters.window // 2, ranges.shape[1]
+    empty = ranges <= 0
+    framed_ranges = framed(np.where(empty, np.float32(np.inf), ranges), half, np.inf)
+    framed_labels = framed(np.where(empty, np.uint8(0), labels), half, 0)
+    offsets, weights = parameters.candidates(width)
+    frame = half * (width + 2 * half) + half
+    mixed = np.empty(framed_labels.size - 2 * frame, np.bool_)
     refined = np.empty(len(pixel_of_point), np.uint8)
-    in_slices(
-        _vote,
-        len(pixel_of_point),
-        ranges,
-        labels,
-        pixel_of_point,
-        point_range,
-        class_count,
-        parameters.k,
-        np.float32(parameters.cutoff),
-        parameters.weights(),
-        refined,
-    )
+
+    def mark(part: slice) -> None:
+        mark_mixed(framed_labels, frame + part.start, offsets, mixed[part])
+
+    def vote(part: slice) -> None:
+        refine_points(
+            pixel_of_point[part],
+            point_range[part],
+            framed_ranges,
+            framed_labels,
+            mixed,
+            width,
+            half,
+            offsets,
+            weights,
+            parameters.k,
+            np.float32(parameters.cutoff),
+            refined[part],
+        )
+
+    in_slices(mark, mixed.size)
+    in_slices(vote, len(refined))
     return refined
 
 
+def framed(image: npt.NDArray[Scalar], half: int, beyond: float) -> npt.NDArray[Scalar]:
+    """Return the flattened image with a frame of `half` pixels, periodic in azimuth."""
+    height, width = image.shape
+    larger = np.full((height + 2 * half, width + 2 * half), beyond, image.dtype)
+    rows = larger[half : half + height]
+    rows[:, half : half + width] = image
+    rows[:, :half] = image[:, np.arange(-half, 0) % width]
+    rows[:, half + width :] = image[:, np.arange(half) % width]
+    return larger.reshape(-1)
+
+
 @compiled
-def _vote(
-    start: int,
-    stop: int,
-    ranges: Float,
-    labels: TrainIds,
+def mark_mixed(labels: TrainIds, first: int, offsets: Int, mixed: npt.NDArray[np.bool_]) -> None:
+    """Write whether a pixel's window holds a label above 0 other than the pixel's own."""
+    mixed[:] = False
+    size = len(mixed)
+    own = labels[first : first + size]
+    for offset in offsets:
+        other = labels[first + offset : first + offset + size]
+        for i in range(size):
+            mixed[i] |= (other[i] != own[i]) & (other[i] != 0)
+
+
+@compiled
+def refine_points(
     pixel_of_point: Int,
     point_range: Float,
-    class_count: int,
+    ranges: Float,
+    labels: TrainIds,
+    mixed: npt.NDArray[np.bool_],
+    width: int,
+    half: int,
+    offsets: Int,
+    weights: Float,
     k: int,
     cutoff: np.float32,
-    weights: Float,
     refined: TrainIds,
 ) -> None:
-    """Write the label of each point of the slice."""
-    height, width = ranges.shape
-    half = len(weights) // 2
-    # In an image narrower than the window no pixel may come round twice.
-    left, right = min(half, (width - 1) // 2), min(half, width // 2)
-    distances = np.empty(k + 1, np.float32)
-    nearest = np.empty(k + 1, np.uint8)
-    votes = np.zeros(class_count, np.int32)
-    for i in range(start, stop):
+    """Write the label of each point: 0 without a pixel, else its pixel's or a block's vote."""
+    frame = half * (width + 2 * half) + half
+    chosen = np.empty(BLOCK, np.int32)
+    centre = np.full(BLOCK, frame, np.int32)
+    own_range = np.zeros(BLOCK, np.float32)
+    winner = np.empty(BLOCK, np.int32)
+    size = 0
+    for i in range(len(refined)):
         pixel = pixel_of_point[i]
-        if pixel < 0:
-            refined[i] = 0
-            continue
-        row, column = pixel // width, pixel % width
-        distances[0] = 0
-        nearest[0] = labels[row, column]
-        found = 1
-        for dy in range(-min(half, row), min(half, height - 1 - row) + 1):
-            for dx in range(-left, right + 1):
-                u = column + dx
-                u = u + width if u < 0 else u - width if u >= width else u
-                candidate = ranges[row + dy, u]
-                distance = abs(candidate - point_range[i]) * weights[dy + half, dx + half]
-                if candidate <= 0 or (dy == 0 and dx == 0) or distance > cutoff:
-                    continue
-                if found == k and distance >= distances[k - 1]:
-                    continue
-                place = found
-                while place > 1 and distance < distances[place - 1]:
-                    distances[place] = distances[place - 1]
-                    nearest[place] = nearest[place - 1]
-                    place -= 1
-                distances[place] = distance
-                nearest[place] = labels[row + dy, u]
-                found = min(found + 1, k)
-        for j in range(found):
-            votes[nearest[j]] += 1
-        votes[0] = 0
-        best = nearest[0]
-        for j in range(found):
-            label = nearest[j]
-            if votes[label] > votes[best] or (votes[label] == votes[best] and 0 < label < best):
-                best = label
-        refined[i] = best
-        for j in range(found):
-            votes[nearest[j]] = 0
+        position = max(pixel, 0)
+        position += np.uint32(position) // np.uint32(width) * 2 * half
+        refined[i] = labels[position + frame] if pixel >= 0 else 0
+        if pixel >= 0 and mixed[position]:
+            chosen[size] = i
+            centre[size] = position + frame
+            own_range[size] = point_range[i]
+            size += 1
+        if size == BLOCK or (size > 0 and i == len(refined) - 1):
+            vote_of_block(centre, own_range, ranges, labels, offsets, weights, k, cutoff, winner)
+            for j in range(size):
+                refined[chosen[j]] = winner[j]
+            size = 0
+
+
+@compiled
+def vote_of_block(
+    centre: Int,
+    own_range: Float,
+    ranges: Float,
+    labels: TrainIds,
+    offsets: Int,
+    weights: Float,
+    k: int,
+    cutoff: np.float32,
+    winner: Int,
+) -> None:
+    """Write the elected label of each point of a block.
+
+    A candidate is one integer, so that one comparison ranks it: from the highest bit the distance
+    (the bits of a float ≥ 0 are in its order), the place in the window, the label.
+    """
+    distance = np.empty(BLOCK, np.float32)
+    distance_bits = distance.view(np.int32)
+    label = np.empty(BLOCK, np.int32)
+    candidate = np.empty(BLOCK, np.int64)
+    nearest = np.full((k, BLOCK), LAST, np.int64)
+    for j in range(BLOCK):
+        nearest[0, j] = labels[centre[j]]
+    for n in range(len(offsets)):
+        offset, weight = offsets[n], weights[n]
+        for j in range(BLOCK):
+            distance[j] = ranges[centre[j] + offset]
+            label[j] = labels[centre[j] + offset]
+        for j in range(BLOCK):
+            distance[j] = abs(distance[j] - own_range[j]) * weight
+            label[j] *= distance[j] <= cutoff
+        for j in range(BLOCK):
+            candidate[j] = (np.int64(distance_bits[j]) << 32) | (n << 8) | label[j]
+        for place in range(1, k):
+            keep_nearer(nearest[place], candidate)
+    elect(nearest, winner)
+
+
+@compiled
+def keep_nearer(nearest: Candidates, candidate: Candidates) -> None:
+    """Put the candidate in this place where it is nearer; the loser goes on to the next."""
+    for j in range(BLOCK):
+        here, new = nearest[j], candidate[j]
+        nearest[j] = min(here, new)
+        candidate[j] = max(here, new)
+
+
+@compiled
+def elect(nearest: Candidates, winner: Int) -> None:
+    """Write the most frequent label above 0, the lowest of equally frequent ones; 0 without any."""
+    voters = (nearest & 255).astype(np.int32)
+    count = np.empty(BLOCK, np.int32)
+    score = np.full(BLOCK, 255, np.int32)
+    for one in range(len(voters)):
+        count[:] = 0
+        for other in range(len(voters)):
+            for j in range(BLOCK):
+                count[j] += np.int32(voters[other, j] == voters[one, j])
+        for j in range(BLOCK):
+            merit = 256 * count[j] + 255 - voters[one, j] if voters[one, j] > 0 else 255
+            score[j] = max(score[j], merit)
+    for j in range(BLOCK):
+        winner[j] = 255 - (score[j] & 255)

@@ -42,6 +42,11 @@ class View:
     width: np.float32
     drop: bool
 
+    @property
+    def numbers(self) -> tuple[np.float32, np.float32, np.float32, np.float32, bool]:
+        """All fields in their order."""
+        return self.fov_down, self.fov, self.height, self.width, self.drop
+
     @classmethod
     def of(cls, sensor: Sensor) -> View:
         """Return the view of a sensor; both edges of the field of view are signed."""

@@ -1,0 +1,111 @@
+# SPDX-License-Identifier: MIT
+"""Projection on a torch device: the steps of the compiled one, so that every bit is the same.
+
+Divisors are tensors, because CUDA multiplies by the reciprocal of a number; and a product and the
+sum it goes into are two operations, which no device fuses.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import torch
+
+from salsanext_cli.geometry.projection import View
+from salsanext_cli.records import RangeImage, Scan
+
+PI = float(np.float32(math.pi))
+LARGEST = torch.finfo(torch.float32).max
+NOBODY = 2**63 - 1
+
+
+def project(scan: Scan, view: View, device: str) -> RangeImage:
+    """Project a scan on a device and bring the result back; see `geometry.projection.project`."""
+    points = torch.tensor(scan.points, device=device)
+    intensity = torch.tensor(scan.intensity, device=device)
+    return RangeImage(*(part.cpu().numpy() for part in project_tensors(points, intensity, view)))
+
+
+def project_tensors(
+    points: torch.Tensor, intensity: torch.Tensor, view: View
+) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor, torch.Tensor]:
+    """Return the fields of a `RangeImage` as tensors on the device of the points.
+
+    Parameters
+    ----------
+    points : (N, 3) float32
+        Metres.
+    intensity : (N,) float32
+        Nominally 0…1.
+    view : View
+        The sensor's numbers.
+    """
+    height, width = int(view.height), int(view.width)
+    pixel_of_point, point_range = find_pixels(points, view)
+    point_of_pixel = find_nearest(pixel_of_point, point_range, height * width)
+    usable = torch.where(torch.isfinite(intensity), intensity, torch.zeros_like(intensity))
+    columns = torch.cat([point_range[:, None], points, usable[:, None]], dim=1)
+    nothing = torch.zeros_like(columns[:1]) if len(columns) else columns.new_zeros(1, 5)
+    # Index -1, an empty pixel, finds the row of zeros at the end.
+    channels = torch.cat([columns, nothing])[point_of_pixel].T.contiguous()
+    return (
+        channels.reshape(-1, height, width),
+        pixel_of_point,
+        point_of_pixel.to(torch.int32).reshape(height, width),
+        point_range,
+    )
+
+
+def arctan2(y: torch.Tensor, x: torch.Tensor) -> torch.Tensor:
+    """Return atan2(y, x) of float64 tensors; see `projection_numba.arctan2`."""
+    steep = y.abs() > x.abs()
+    small = torch.where(steep, x.abs(), y.abs())
+    large = torch.where(steep, y.abs(), x.abs())
+    turned = small > (math.sqrt(2) - 1) * large
+    numerator = torch.where(turned, small - large, small)
+    denominator = torch.where(turned, small + large, large)
+    t = numerator / torch.where(denominator > 0, denominator, 1.0)
+    q = t * t
+    series = torch.full_like(q, 1 / 25)
+    for n in range(23, 1, -2):
+        series = q * series + (1 / n if n % 4 == 1 else -1 / n)
+    angle = t * (q * series + 1) + torch.where(turned, math.pi / 4, 0.0)
+    angle = torch.where(steep, math.pi / 2 - angle, angle)
+    angle = torch.where(torch.signbit(x), math.pi - angle, angle)
+    return torch.copysign(angle, y)
+
+
+def find_pixels(points: torch.Tensor, view: View) -> tuple[torch.Tensor, torch.Tensor]:
+    """Return flat pixel index (N,) int32 and range (N,) float32 of each point (paper eq. 1)."""
+    a, b, c = points.double().unbind(1)
+    distance = (a * a + b * b + c * c).sqrt().float()
+    slope = (points[:, 2] / distance).double()
+    yaw = arctan2(b, a).float()
+    pitch = arctan2(slope, ((1 - slope) * (1 + slope)).sqrt()).float()
+    pi, fov = yaw.new_tensor(PI), yaw.new_tensor(float(view.fov))
+    height, width = float(view.height), float(view.width)
+    u = 0.5 * (1 - yaw / pi) * width
+    v = (1 - (pitch - float(view.fov_down)) / fov) * height
+    seen = (distance > 0) & (distance <= LARGEST)
+    if view.drop:
+        seen &= (v >= 0) & (v <= height)
+    u = torch.where(seen, u, 0.0).clamp(0, width - 1).int()
+    v = torch.where(seen, v, 0.0).clamp(0, height - 1).int()
+    return torch.where(seen, v * int(width) + u, -1), torch.where(seen, distance, 0.0)
+
+
+def find_nearest(
+    pixel_of_point: torch.Tensor, point_range: torch.Tensor, pixels: int
+) -> torch.Tensor:
+    """Return the nearest point of each pixel, the first of equally near ones; (pixels,) int64.
+
+    Range and index make one integer (the bits of a float ≥ 0 are in its order), whose minimum does
+    not depend on the order in which threads arrive.
+    """
+    index = torch.arange(len(point_range), device=point_range.device)
+    claim = (point_range.view(torch.int32).long() << 32) | index
+    target = torch.where(pixel_of_point < 0, pixels, pixel_of_point).long()
+    winner = torch.full((pixels + 1,), NOBODY, dtype=torch.int64, device=claim.device)
+    winner = winner.scatter_reduce(0, target, claim, "amin")[:pixels]
+    return torch.where(winner == NOBODY, -1, winner & 0xFFFFFFFF)
