@@ -9,21 +9,39 @@ from typing import Annotated
 import typer
 
 from salsanext_cli import __version__
+from salsanext_cli.cli.demo import demo
 from salsanext_cli.cli.evaluate import evaluate
 from salsanext_cli.cli.export_ply import export_ply
+from salsanext_cli.cli.import_weights import import_weights
+from salsanext_cli.cli.inspect import inspect
 from salsanext_cli.cli.knn_refine import knn_refine
+from salsanext_cli.cli.models import models
 from salsanext_cli.cli.predict import predict
 from salsanext_cli.cli.project import project
+from salsanext_cli.cli.synth import synth
+from salsanext_cli.cli.train import train
 from salsanext_cli.cli.uncertainty import uncertainty
 
 COMMANDS: dict[str, dict[str, Callable[..., None]]] = {
     "Pipeline": {
         "project": project,
+        "train": train,
         "predict": predict,
         "knn-refine": knn_refine,
         "uncertainty": uncertainty,
         "eval": evaluate,
         "export-ply": export_ply,
+    },
+    "Data": {
+        "synth": synth,
+        "inspect": inspect,
+    },
+    "Models": {
+        "models": models,
+        "import-weights": import_weights,
+    },
+    "Look": {
+        "demo": demo,
     },
 }
 

@@ -24,6 +24,9 @@ if TYPE_CHECKING:
 DONE, FAILED, WRONG_USE, INTERRUPTED = 0, 1, 2, 130
 """Exit status: all done, something failed, the command line was wrong, Ctrl-C."""
 
+WIDTH_OF_FILES = 120
+"""Columns of a table that does not go to a terminal."""
+
 Parameters = ParamSpec("Parameters")
 
 
@@ -55,7 +58,8 @@ class Talk:
         elif shown is not None:
             from rich.console import Console
 
-            Console(file=sys.stdout, highlight=False, soft_wrap=True).print(shown)
+            width = None if sys.stdout.isatty() else WIDTH_OF_FILES
+            Console(file=sys.stdout, highlight=False, width=width).print(shown)
 
 
 class StderrHandler(logging.Handler):
@@ -85,7 +89,7 @@ def guarded(command: Callable[Parameters, None]) -> Callable[Parameters, None]:
 
 
 @contextmanager
-def progress(label: str, talk: Talk) -> Iterator[Progress | None]:
+def progress(label: str, talk: Talk, unit: str = "scans") -> Iterator[Progress | None]:
     """Show a bar with rate and time left on stderr while the body runs."""
     if talk.quiet:
         yield None
@@ -100,7 +104,7 @@ def progress(label: str, talk: Talk) -> Iterator[Progress | None]:
         "{task.description}",
         BarColumn(),
         MofNCompleteColumn(),
-        RateColumn(),
+        RateColumn(unit),
         TimeRemainingColumn(),
     )
     with Progress(*columns, console=console, disable=not console.is_terminal) as bar:

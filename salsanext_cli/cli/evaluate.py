@@ -30,7 +30,9 @@ def evaluate(
 
     Example: salsanext eval --split valid
     """
-    from salsanext_cli.report.tables import score_table
+    from rich.console import Group
+
+    from salsanext_cli.report.tables import ring_table, score_table
     from salsanext_cli.stages.evaluate import evaluate as run
     from salsanext_cli.stages.evaluate import predicted_scans
 
@@ -39,7 +41,10 @@ def evaluate(
     files, space = predicted_scans(out, wanted, dataset, options.label_space(label_space))
     with console.batch("eval", talk, jobs, on_error.value, overwrite=False) as batch:
         evaluation = run(files, out, space, batch, by_distance=by_distance)
-    talk.result(evaluation.to_dict(), score_table(evaluation.scores))
+    tables = [score_table(evaluation.scores)]
+    if by_distance:
+        tables.append(ring_table(evaluation.by_distance))
+    talk.result(evaluation.to_dict(), Group(*tables))
     console.name_failures(evaluation.failures)
     talk.say(f"eval: {evaluation.scans} scans → {out}/scores.txt, eval.json, eval_*.png")
     raise typer.Exit(console.FAILED if evaluation.failures else console.DONE)

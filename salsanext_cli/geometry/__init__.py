@@ -5,7 +5,8 @@
 
     projection          a scan seen from the sensor (paper eq. 1)
     ├── projection_numba    … compiled for the CPU
-    └── projection_torch    … on a torch device, the same bits
+    ├── projection_torch    … on a torch device, the same bits
+    └── view                the sensor's numbers as these take them
     normalise           the network's input from a range image
     knn                 labels of pixels to labels of points
     ├── knn_numba           … compiled for the CPU

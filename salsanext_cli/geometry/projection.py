@@ -13,59 +13,17 @@ code, so that points on a pixel border fall to the same side.
 
 from __future__ import annotations
 
-import math
-from dataclasses import dataclass
-
-import numpy as np
-
+from salsanext_cli.geometry.view import View
 from salsanext_cli.records import RangeImage, Scan
 from salsanext_cli.sensors import Sensor
-
-
-@dataclass(frozen=True, slots=True)
-class View:
-    """The numbers of eq. 1 as the kernels take them, all float32.
-
-    Attributes
-    ----------
-    fov_down, fov : float32
-        Lower edge and extent of the field of view in radians.
-    height, width : float32
-        Size of the range image in pixels.
-    drop : bool
-        Whether points above or below the field of view get no pixel instead of the edge row's.
-    """
-
-    fov_down: np.float32
-    fov: np.float32
-    height: np.float32
-    width: np.float32
-    drop: bool
-
-    @property
-    def numbers(self) -> tuple[np.float32, np.float32, np.float32, np.float32, bool]:
-        """All fields in their order."""
-        return self.fov_down, self.fov, self.height, self.width, self.drop
-
-    @classmethod
-    def of(cls, sensor: Sensor) -> View:
-        """Return the view of a sensor; both edges of the field of view are signed."""
-        up, down = math.radians(sensor.fov_up), math.radians(sensor.fov_down)
-        return cls(
-            np.float32(down),
-            np.float32(up - down),
-            np.float32(sensor.height),
-            np.float32(sensor.width),
-            sensor.out_of_view == "drop",
-        )
 
 
 def project(scan: Scan, sensor: Sensor, device: str = "cpu") -> RangeImage:
     """Project a scan onto the sensor's range image (paper eq. 1).
 
     A point has no pixel (index -1, range 0) if a coordinate is NaN or infinite, if it lies at the
-    origin, if its range exceeds float32, or if it is out of view and the sensor says ``drop``.
-    An intensity that is NaN or infinite becomes 0 in the image.
+    origin or beyond 1000 km, or if it is out of view and the sensor says ``drop``. An intensity
+    that is NaN, infinite or beyond a million becomes 0 in the image.
 
     Parameters
     ----------

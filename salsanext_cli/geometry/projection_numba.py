@@ -12,12 +12,11 @@ import math
 import numpy as np
 
 from salsanext_cli.geometry.compiled import argument, compiled, in_slices
-from salsanext_cli.geometry.projection import View
+from salsanext_cli.geometry.view import LARGEST, View
 from salsanext_cli.records import CHANNELS, Float, Int, RangeImage, Scan
 
 ZERO, HALF, ONE = np.float32(0), np.float32(0.5), np.float32(1)
 PI = np.float32(math.pi)
-LARGEST = np.finfo(np.float32).max
 TAN_22_5 = math.sqrt(2) - 1
 
 
@@ -143,4 +142,5 @@ def fill_channels(
             x_channel[pixel] = points[3 * i]
             y_channel[pixel] = points[3 * i + 1]
             z_channel[pixel] = points[3 * i + 2]
-            intensity_channel[pixel] = intensity[i] if math.isfinite(intensity[i]) else ZERO
+            usable = abs(intensity[i]) <= LARGEST
+            intensity_channel[pixel] = intensity[i] if usable else ZERO

@@ -12,11 +12,10 @@ import math
 import numpy as np
 import torch
 
-from salsanext_cli.geometry.projection import View
+from salsanext_cli.geometry.view import LARGEST, View
 from salsanext_cli.records import RangeImage, Scan
 
 PI = float(np.float32(math.pi))
-LARGEST = torch.finfo(torch.float32).max
 NOBODY = 2**63 - 1
 
 
@@ -44,9 +43,9 @@ def project_tensors(
     height, width = int(view.height), int(view.width)
     pixel_of_point, point_range = find_pixels(points, view)
     point_of_pixel = find_nearest(pixel_of_point, point_range, height * width)
-    usable = torch.where(torch.isfinite(intensity), intensity, torch.zeros_like(intensity))
+    usable = torch.where(intensity.abs() <= float(LARGEST), intensity, 0.0)
     columns = torch.cat([point_range[:, None], points, usable[:, None]], dim=1)
-    nothing = torch.zeros_like(columns[:1]) if len(columns) else columns.new_zeros(1, 5)
+    nothing = columns.new_zeros(1, columns.shape[1])
     # Index -1, an empty pixel, finds the row of zeros at the end.
     channels = torch.cat([columns, nothing])[point_of_pixel].T.contiguous()
     return (
@@ -87,11 +86,11 @@ def find_pixels(points: torch.Tensor, view: View) -> tuple[torch.Tensor, torch.T
     height, width = float(view.height), float(view.width)
     u = 0.5 * (1 - yaw / pi) * width
     v = (1 - (pitch - float(view.fov_down)) / fov) * height
-    seen = (distance > 0) & (distance <= LARGEST)
+    seen = (distance > 0) & (distance <= float(LARGEST))
     if view.drop:
         seen &= (v >= 0) & (v <= height)
-    u = torch.where(seen, u, 0.0).clamp(0, width - 1).int()
-    v = torch.where(seen, v, 0.0).clamp(0, height - 1).int()
+    u = torch.where(seen & (u > 0), u, 0.0).clamp(max=width - 1).int()
+    v = torch.where(seen & (v > 0), v, 0.0).clamp(max=height - 1).int()
     return torch.where(seen, v * int(width) + u, -1), torch.where(seen, distance, 0.0)
 
 

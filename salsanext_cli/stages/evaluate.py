@@ -109,8 +109,9 @@ def predicted_scans(
     space = space or space_of(scans, recorded_label_space(out))
     chosen = choose(scans, choice, space, out)
     if choice.split:
-        absent = sorted(set(space.split(choice.split)) - {scan.sequence for scan in scans})
-        if absent:
+        members = set(space.split(choice.split))
+        found = {scan.sequence for scan in chosen}
+        if absent := sorted(members - found if members & found else ()):
             log.warning("no predictions for %s of split %s", ", ".join(absent), choice.split)
     return chosen, space
 

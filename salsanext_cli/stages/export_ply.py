@@ -67,9 +67,7 @@ class ExportScan:
         comments = [f"colour {self._legend()}", f"label space {self.space.name}"]
         write_ply(self.results_of(file)[0], positions | channels | columns, comments)
 
-    def _colours(
-        self, cloud: Cloud, columns: dict[str, npt.NDArray[Any]]
-    ) -> npt.NDArray[np.uint8]:
+    def _colours(self, cloud: Cloud, columns: dict[str, npt.NDArray[Any]]) -> npt.NDArray[np.uint8]:
         if self.colour not in CLASS_COLOURS:
             return value_colours(columns[self.colour], *self.scale, COLOUR_MAP)
         ids = {

@@ -1,0 +1,51 @@
+# SPDX-License-Identifier: MIT
+"""`salsanext demo`."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from salsanext_cli.cli import console, options
+
+
+@console.guarded
+def demo(
+    folder: Annotated[Path, typer.Argument(metavar="FOLDER", help="For data and results.")] = Path(
+        "demo"
+    ),
+    scans: Annotated[int, typer.Option(help="Length of the synthetic drive.")] = 4,
+    samples: Annotated[int, typer.Option(help="Monte-Carlo passes per scan.")] = 8,
+    weights: options.Weights = None,
+    device: options.Device = "auto",
+    jobs: options.Jobs = 1,
+    json: options.Json = False,
+    verbose: options.Verbose = False,
+    quiet: options.Quiet = False,
+) -> None:
+    """Run the whole pipeline on a synthetic drive and say where to look.
+
+    Example: salsanext demo demo/
+    """
+    from salsanext_cli.report.tables import score_table
+    from salsanext_cli.stages.demo import demo as run
+
+    talk = console.Talk(json, verbose, quiet)
+    made = run(
+        folder,
+        scans=scans,
+        samples=samples,
+        network=options.network(weights, device, None),
+        jobs=jobs,
+        bars=lambda step: console.progress(step, talk),
+    )
+    pictures = [str(path) for path in made.pictures]
+    result = made.evaluation.to_dict() | {"stage": "demo", "pictures": pictures}
+    talk.result(result, score_table(made.evaluation.scores))
+    console.name_failures(made.failures)
+    talk.say("look at:")
+    for path in (*pictures, f"{made.out}/eval_iou.png", f"{made.out}/eval_confusion.png"):
+        talk.say(f"  {path}")
+    talk.say(f"  {made.out}/sequences/00/ply/*.ply   in CloudCompare, MeshLab or open3d")
+    talk.say(f"the scans are in {made.data}, results of each stage in {made.out}/sequences/00")
+    raise typer.Exit(console.FAILED if made.failures else console.DONE)

@@ -1,0 +1,47 @@
+# SPDX-License-Identifier: MIT
+"""`salsanext import-weights`."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from salsanext_cli.cli import console, options
+
+
+@console.guarded
+def import_weights(
+    source: Annotated[
+        Path, typer.Argument(help="A published checkpoint, or a .safetensors file of ours.")
+    ],
+    target: Annotated[Path, typer.Argument(help="The .safetensors file to write.")],
+    label_space: options.LabelSpaceOption = None,
+    sensor: options.Sensor = None,
+    dropout: Annotated[float, typer.Option(help="Rate that it was trained with.")] = 0.2,
+    description: Annotated[str, typer.Option(help="What these weights are.")] = "",
+    half: Annotated[bool, typer.Option("--half", help="Store in float16, half the size.")] = False,
+    overwrite: options.Overwrite = False,
+    json: options.Json = False,
+    verbose: options.Verbose = False,
+    quiet: options.Quiet = False,
+) -> None:
+    """Make a weights file of a published checkpoint, without running anything inside it.
+
+    Example: salsanext import-weights pretrained/SalsaNext salsanext.safetensors
+    """
+    from salsanext_cli.stages.import_weights import import_weights as run
+    from salsanext_cli.stages.models import describe_weights
+
+    talk = console.Talk(json, verbose, quiet)
+    run(
+        source,
+        target,
+        space=options.label_space(label_space),
+        view=options.sensor(sensor) if sensor else None,
+        dropout=dropout,
+        description=description,
+        half=half,
+        overwrite=overwrite,
+    )
+    talk.result(describe_weights(target))
+    talk.say(f"import-weights: {source} → {target}")

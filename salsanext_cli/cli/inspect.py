@@ -1,0 +1,56 @@
+# SPDX-License-Identifier: MIT
+"""`salsanext inspect`."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from salsanext_cli.cli import console, options
+
+
+@console.guarded
+def inspect(
+    scans: options.Scans = None,
+    fit: Annotated[
+        Path | None,
+        typer.Option(help="Write a sensor with these scans' view and normalisation, .toml."),
+    ] = None,
+    height: Annotated[int | None, typer.Option(help="Rows of its range image.")] = None,
+    width: Annotated[int | None, typer.Option(help="Columns of its range image.")] = None,
+    dataset: options.DataSet = None,
+    split: options.Split = None,
+    sequences: options.Sequences = None,
+    limit: options.Limit = None,
+    label_space: options.LabelSpaceOption = None,
+    sensor: options.Sensor = None,
+    jobs: options.Jobs = 1,
+    on_error: options.OnErrorOption = options.OnError.skip,
+    json: options.Json = False,
+    verbose: options.Verbose = False,
+    quiet: options.Quiet = False,
+) -> None:
+    """Say what is in a set of scans; fit a sensor to them.
+
+    Example: salsanext inspect my/scans --fit my-sensor.toml --height 32 --width 1024
+    """
+    from salsanext_cli.report.surveys import survey_tables
+    from salsanext_cli.stages.inspect import inspect as run
+    from salsanext_cli.stages.inspect import write_sensor
+
+    talk = console.Talk(json, verbose, quiet)
+    view = options.sensor(sensor or "hdl64").resized(height, width)
+    with console.batch("inspect", talk, jobs, on_error.value, overwrite=False) as batch:
+        found = run(
+            options.source(scans, dataset),
+            sensor=view,
+            space=options.label_space(label_space),
+            choice=options.choice(split, sequences, limit),
+            options=batch,
+        )
+    if fit is not None:
+        write_sensor(fit, found.fitted_sensor(fit.stem))
+        talk.say(f"inspect: sensor → {fit}")
+    talk.result(found.to_dict(), survey_tables(found.sequences, found.total, found.space))
+    console.name_failures(found.failures)
+    raise typer.Exit(console.FAILED if found.failures else console.DONE)

@@ -1,0 +1,49 @@
+# SPDX-License-Identifier: MIT
+"""`salsanext synth`."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from salsanext_cli.cli import console, options
+
+
+@console.guarded
+def synth(
+    out: Annotated[Path, typer.Argument(metavar="DATASET", help="Root of the new data set.")],
+    train: Annotated[int, typer.Option(help="Sequences for training.")] = 8,
+    valid: Annotated[int, typer.Option(help="Sequences for validation.")] = 2,
+    test: Annotated[int, typer.Option(help="Sequences for testing.")] = 0,
+    scans: Annotated[int, typer.Option(help="Scans per sequence.")] = 20,
+    spacing: Annotated[float, typer.Option(help="Metres driven between two scans.")] = 3.0,
+    seed: Annotated[int, typer.Option(help="The same seed gives the same bytes.")] = 0,
+    jobs: options.Jobs = 1,
+    overwrite: options.Overwrite = False,
+    json: options.Json = False,
+    verbose: options.Verbose = False,
+    quiet: options.Quiet = False,
+) -> None:
+    """Make labelled scans of synthetic streets, in SemanticKITTI's layout.
+
+    Example: salsanext synth streets/ --train 8 --valid 2 --scans 20
+    """
+    from salsanext_cli.stages.synth import synthesise
+
+    talk = console.Talk(json, verbose, quiet)
+    with console.progress("synth", talk) as progress:
+        made = synthesise(
+            out,
+            train=train,
+            valid=valid,
+            test=test,
+            scans=scans,
+            seed=seed,
+            spacing=spacing,
+            jobs=jobs,
+            overwrite=overwrite,
+            progress=progress,
+        )
+    points = {str(raw): count for raw, count in made.points.items()}
+    talk.result({"stage": "synth", "scans": made.scans, "splits": made.splits, "points": points})
+    talk.say(f"synth: {made.scans} scans, {sum(made.points.values()):,} points → {out}")

@@ -1,0 +1,78 @@
+# SPDX-License-Identifier: MIT
+"""`salsanext train`."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from salsanext_cli.cli import console, options
+
+if TYPE_CHECKING:
+    from salsanext_cli.stages.batch import Progress
+    from salsanext_cli.training.loop import Report
+
+
+@console.guarded
+def train(
+    dataset: Annotated[
+        Path,
+        typer.Argument(
+            metavar="DATASET",
+            envvar="SALSANEXT_DATASET",
+            help="Labelled, in SemanticKITTI's layout.",
+        ),
+    ] = Path(),
+    run: Annotated[Path, typer.Argument(metavar="RUN", help="Folder for the weights.")] = Path(
+        "run"
+    ),
+    recipe: Annotated[
+        str, typer.Option(help="paper, street, quick, or a .toml file.", rich_help_panel="Network")
+    ] = "paper",
+    epochs: Annotated[
+        int | None, typer.Option(help="Instead of the recipe's.", rich_help_panel="Network")
+    ] = None,
+    weights: options.Weights = None,
+    sensor: options.Sensor = None,
+    device: options.Device = "auto",
+    jobs: options.Jobs = 1,
+    overwrite: options.Overwrite = False,
+    json: options.Json = False,
+    verbose: options.Verbose = False,
+    quiet: options.Quiet = False,
+) -> None:
+    """Train a network; run again to go on after an interruption.
+
+    Example: salsanext train streets/ runs/street --recipe street
+    """
+    from salsanext_cli.stages.train import train as learn
+    from salsanext_cli.training.recipe import recipe as find
+
+    talk = console.Talk(json, verbose, quiet)
+    plan = find(recipe)
+    with console.progress("train", talk, unit="steps") as bar:
+        done = learn(
+            dataset,
+            run,
+            recipe=plan if epochs is None else plan.with_changes(epochs=epochs),
+            sensor=options.sensor(sensor) if sensor else None,
+            device=device,
+            jobs=jobs,
+            weights=weights,
+            overwrite=overwrite,
+            progress=lambda report: _tell(report, bar, talk),
+        )
+    best = f"{100 * done.best_miou:.1f} %"
+    paths = {"best": str(done.best), "last": str(done.last)}
+    talk.result({"stage": "train", "best_miou": done.best_miou, **paths})
+    talk.say(f"train: best validation mIoU {best} → {done.best}")
+
+
+def _tell(report: "Report", bar: "Progress | None", talk: console.Talk) -> None:
+    """Move the bar at every step; say how an epoch ended."""
+    if bar is not None:
+        bar(report.step, report.steps)
+    if report.row is not None:
+        miou = report.row.get("miou")
+        scored = "" if miou is None else f", validation mIoU {100 * miou:.1f} %"
+        talk.say(f"epoch {report.epoch}/{report.epochs}: loss {report.row['loss']:.3f}{scored}")

@@ -1,0 +1,137 @@
+# SPDX-License-Identifier: MIT
+"""What a set of scans is like: field of view, normalisation, classes. Count first, divide once."""
+
+from __future__ import annotations
+
+from collections import Counter
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from salsanext_cli.records import CHANNELS, RangeImage, RawIds, Scan
+
+ELEVATION_STEP = 0.05
+"""Width of an elevation bin in degrees."""
+BINS = round(180 / ELEVATION_STEP)
+OUTLIERS = 0.001
+"""Share of the points above, and of those below, that a fitted field of view leaves out."""
+
+
+@dataclass(slots=True)
+class Survey:
+    """Running counts over scans; adding two gives the counts of both.
+
+    Attributes
+    ----------
+    scans, labelled, points, invalid : int
+        Scans, scans with labels, points, and points without a measurement (origin, NaN, infinite).
+    smallest, largest : int
+        Fewest and most points of a scan.
+    farthest, brightest : float
+        Largest range in metres and largest intensity.
+    elevations : (BINS,) int64
+        Points by elevation from -90° to 90°.
+    pixels : int
+        Occupied pixels of the range images.
+    sums, squares : (5,) float64
+        Sums over occupied pixels of each channel and of its square.
+    classes : Counter of int
+        Points by raw id, without instance.
+    """
+
+    scans: int = 0
+    labelled: int = 0
+    points: int = 0
+    invalid: int = 0
+    smallest: int = np.iinfo(np.int64).max
+    largest: int = 0
+    farthest: float = 0.0
+    brightest: float = 0.0
+    elevations: npt.NDArray[np.int64] = field(default_factory=lambda: np.zeros(BINS, np.int64))
+    pixels: int = 0
+    sums: npt.NDArray[np.float64] = field(default_factory=lambda: np.zeros(len(CHANNELS)))
+    squares: npt.NDArray[np.float64] = field(default_factory=lambda: np.zeros(len(CHANNELS)))
+    classes: Counter[int] = field(default_factory=Counter)
+
+    def __add__(self, other: Survey) -> Survey:
+        return Survey(
+            self.scans + other.scans,
+            self.labelled + other.labelled,
+            self.points + other.points,
+            self.invalid + other.invalid,
+            min(self.smallest, other.smallest),
+            max(self.largest, other.largest),
+            max(self.farthest, other.farthest),
+            max(self.brightest, other.brightest),
+            self.elevations + other.elevations,
+            self.pixels + other.pixels,
+            self.sums + other.sums,
+            self.squares + other.squares,
+            self.classes + other.classes,
+        )
+
+    @property
+    def means(self) -> tuple[float, ...]:
+        """Mean of each channel over occupied pixels; 0 without any."""
+        return tuple(float(mean) for mean in self.sums / max(self.pixels, 1))
+
+    @property
+    def stds(self) -> tuple[float, ...]:
+        """Standard deviation of each channel over occupied pixels; 1 where nothing varies."""
+        variances = self.squares / max(self.pixels, 1) - np.square(self.means)
+        return tuple(float(np.sqrt(v)) if v > 0 else 1.0 for v in variances)
+
+    def field_of_view(self) -> tuple[float, float]:
+        """Return the upper and lower edge in degrees that leave out `OUTLIERS` on either side."""
+        cumulated = np.cumsum(self.elevations) / max(self.elevations.sum(), 1)
+        lowest = int(np.searchsorted(cumulated, OUTLIERS))
+        highest = int(np.searchsorted(cumulated, 1 - OUTLIERS)) + 1
+        return highest * ELEVATION_STEP - 90, lowest * ELEVATION_STEP - 90
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return plain data for JSON."""
+        up, down = self.field_of_view()
+        return {
+            "scans": self.scans,
+            "labelled": self.labelled,
+            "points": self.points,
+            "points_per_scan": [min(self.smallest, self.largest), self.largest],
+            "invalid_points": self.invalid,
+            "farthest": round(self.farthest, 3),
+            "brightest": round(self.brightest, 4),
+            "fov_up": round(up, 2),
+            "fov_down": round(down, 2),
+            "occupied_pixels": self.pixels,
+            "means": [round(mean, 4) for mean in self.means],
+            "stds": [round(std, 4) for std in self.stds],
+            "classes": {str(i): count for i, count in sorted(self.classes.items())},
+        }
+
+
+def survey(scan: Scan, image: RangeImage, raw: RawIds | None) -> Survey:
+    """Count one scan, its range image and its labels if there are any."""
+    points = scan.points.astype(np.float64)
+    distance = np.sqrt(np.square(points).sum(axis=1))
+    measured = np.isfinite(distance) & (distance > 0)
+    distance, z = distance[measured], points[measured, 2]
+    elevations = np.degrees(np.arcsin(z / distance))
+    occupied = image.channels[:, image.channels[0] > 0].astype(np.float64)
+    bright = scan.intensity[np.isfinite(scan.intensity)]
+    ids, counts = np.unique([] if raw is None else raw & np.uint32(0xFFFF), return_counts=True)
+    return Survey(
+        scans=1,
+        labelled=int(raw is not None),
+        points=len(scan),
+        invalid=int(len(scan) - measured.sum()),
+        smallest=len(scan),
+        largest=len(scan),
+        farthest=float(distance.max(initial=0)),
+        brightest=float(bright.max(initial=0)),
+        elevations=np.histogram(elevations, BINS, (-90, 90))[0].astype(np.int64),
+        pixels=occupied.shape[1],
+        sums=occupied.sum(axis=1),
+        squares=np.square(occupied).sum(axis=1),
+        classes=Counter({int(i): int(n) for i, n in zip(ids, counts, strict=True)}),
+    )

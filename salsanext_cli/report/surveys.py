@@ -1,0 +1,76 @@
+# SPDX-License-Identifier: MIT
+"""Tables of what is in a set of scans."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import TYPE_CHECKING
+
+from salsanext_cli.classes import LabelSpace
+from salsanext_cli.measures.survey import Survey
+from salsanext_cli.records import CHANNELS
+
+if TYPE_CHECKING:
+    from rich.console import Group
+    from rich.table import Table
+
+
+def survey_tables(sequences: Mapping[str, Survey], total: Survey, space: LabelSpace) -> Group:
+    """Return tables of the sequences, of the channels and, if there are labels, of the classes."""
+    from rich.console import Group
+
+    tables = [_sequences(sequences, total), _channels(total)]
+    if total.classes:
+        tables.append(_classes(total, space))
+    return Group(*tables)
+
+
+def _sequences(sequences: Mapping[str, Survey], total: Survey) -> Table:
+    table = _table("Scans", "sequence", "scans", "labelled", "points per scan", "invalid points")
+    for heading in ("farthest, m", "brightest", "field of view"):
+        table.add_column(heading, justify="right")
+    rows = dict(sequences) | ({"all": total} if len(sequences) > 1 else {})
+    for name, found in rows.items():
+        up, down = found.field_of_view()
+        table.add_row(
+            name,
+            f"{found.scans:,}",
+            f"{found.labelled:,}",
+            f"{min(found.smallest, found.largest):,} – {found.largest:,}",
+            f"{found.invalid:,}",
+            f"{found.farthest:.1f}",
+            f"{found.brightest:.3g}",
+            f"{up:+.2f}° to {down:+.2f}°",
+        )
+    return table
+
+
+def _channels(total: Survey) -> Table:
+    table = _table("Range images", "channel", "mean", "standard deviation")
+    for name, mean, std in zip(CHANNELS, total.means, total.stds, strict=True):
+        table.add_row(name, f"{mean:.3f}", f"{std:.3f}")
+    return table
+
+
+def _classes(total: Survey, space: LabelSpace) -> Table:
+    table = _table("Classes", "raw id and name", "train id and class", "points", "share %")
+    points = sum(total.classes.values())
+    for raw, count in sorted(total.classes.items()):
+        train = space.learning_map.get(raw)
+        table.add_row(
+            f"{raw} {space.labels.get(raw, 'unknown')}",
+            "unknown" if train is None else f"{train} {space.names[train]}",
+            f"{count:,}",
+            f"{100 * count / points:.3f}",
+        )
+    return table
+
+
+def _table(title: str, first: str, *others: str) -> Table:
+    from rich.table import Table
+
+    table = Table(title=title, title_justify="left")
+    table.add_column(first)
+    for heading in others:
+        table.add_column(heading, justify="right")
+    return table

@@ -1,0 +1,87 @@
+# SPDX-License-Identifier: MIT
+"""A published checkpoint, or weights of ours, to a weights file."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+from salsanext_cli.classes import LabelSpace, label_space
+from salsanext_cli.errors import OutputError, WeightsError
+from salsanext_cli.network.architectures import build
+from salsanext_cli.network.published import read_published
+from salsanext_cli.network.salsanext import SalsaNext
+from salsanext_cli.network.weights import WeightsCard, load_tensors, read_weights, save_weights
+from salsanext_cli.sensors import Sensor, sensor
+
+OWN_SUFFIX = ".safetensors"
+
+
+def import_weights(
+    source: Path,
+    target: Path,
+    *,
+    space: LabelSpace | None = None,
+    view: Sensor | None = None,
+    dropout: float = 0.2,
+    description: str = "",
+    half: bool = False,
+    overwrite: bool = False,
+) -> WeightsCard:
+    """Write a weights file from a published checkpoint, or again from one of ours.
+
+    Parameters
+    ----------
+    source : Path
+        What the published code saved with ``torch.save``, or a `.safetensors` file of ours.
+    target : Path
+        The `.safetensors` file to write.
+    space : LabelSpace, optional
+        The classes of a published checkpoint; SemanticKITTI's by default. Ours know theirs.
+    view : Sensor, optional
+        The sensor of a published checkpoint; the HDL-64 by default. Ours know theirs.
+    dropout : float
+        The dropout rate that a published checkpoint was trained with.
+    description : str
+        What these weights are; replaces what ours say.
+    half : bool
+        Store in float16.
+    overwrite : bool
+        Whether the target may exist.
+
+    Raises
+    ------
+    WeightsError
+        If the source cannot be used.
+    OutputError
+        If the target exists or cannot be written.
+    """
+    if target.suffix != OWN_SUFFIX:
+        raise OutputError(target, f"suffix {target.suffix or 'missing'}", OWN_SUFFIX)
+    if target.exists() and not overwrite:
+        raise OutputError(target, "exists", remedy="use another name, or --overwrite")
+    if source.suffix == OWN_SUFFIX:
+        module, card = read_weights(source)
+        card = replace(card, description=description or card.description)
+    else:
+        module, card = _read_checkpoint(
+            source, space or label_space(), view or sensor("hdl64"), dropout, description
+        )
+    save_weights(target, module, card, half=half)
+    return card
+
+
+def _read_checkpoint(
+    source: Path, space: LabelSpace, view: Sensor, dropout: float, description: str
+) -> tuple[SalsaNext, WeightsCard]:
+    tensors = read_published(source)
+    outputs = len(tensors["logits.bias"]) if "logits.bias" in tensors else 0
+    if outputs != space.class_count:
+        found = f"{outputs} outputs"
+        expected = f"{space.class_count}, one per class of {space.name}"
+        raise WeightsError(source, found, expected, "give its label space with --label-space")
+    architecture = {"name": "salsanext", "class_count": outputs, "dropout": dropout}
+    module = build(architecture, source)
+    load_tensors(module, tensors, source)
+    described = description or f"Imported from the published checkpoint {source.name}."
+    return module, WeightsCard(architecture, space, view, description=described)

@@ -1,0 +1,133 @@
+# SPDX-License-Identifier: MIT
+"""Look at a set of scans: how many, how large, what they see, which classes they hold."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+from salsanext_cli.classes import LabelSpace
+from salsanext_cli.formats import read_scan
+from salsanext_cli.formats.atomic import write_text
+from salsanext_cli.formats.kitti import read_labels
+from salsanext_cli.formats.layout import ScanFile
+from salsanext_cli.geometry.projection import project
+from salsanext_cli.measures.survey import Survey, survey
+from salsanext_cli.sensors import Sensor
+from salsanext_cli.stages.batch import BatchOptions, Failure, run_batch
+from salsanext_cli.stages.inputs import Choice, select_scans, space_of
+
+
+@dataclass(frozen=True, slots=True)
+class Inspection:
+    """What was found.
+
+    Attributes
+    ----------
+    sequences : dict of str to Survey
+        By sequence.
+    total : Survey
+        Of all.
+    sensor : Sensor
+        The sensor that the range images were counted with.
+    space : LabelSpace
+        What the classes are called.
+    failures : tuple of Failure
+        Scans that could not be read.
+    """
+
+    sequences: dict[str, Survey]
+    total: Survey
+    sensor: Sensor
+    space: LabelSpace
+    failures: tuple[Failure, ...]
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return plain data for JSON."""
+        return {
+            "stage": "inspect",
+            "sensor": self.sensor.to_dict(),
+            "total": self.total.to_dict(),
+            "sequences": {name: found.to_dict() for name, found in self.sequences.items()},
+            "failures": [{"scan": str(f.scan.path), "reason": f.reason} for f in self.failures],
+        }
+
+    def fitted_sensor(self, name: str) -> Sensor:
+        """Return the sensor with the field of view and normalisation of these scans."""
+        up, down = self.total.field_of_view()
+        return replace(
+            self.sensor,
+            name=name,
+            fov_up=round(up, 2),
+            fov_down=round(down, 2),
+            means=tuple(round(mean, 4) for mean in self.total.means),
+            stds=tuple(round(std, 4) for std in self.total.stds),
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class InspectScan:
+    """Survey one scan."""
+
+    sensor: Sensor
+
+    def __call__(self, file: ScanFile) -> tuple[str, Survey]:
+        """Read, project, count."""
+        scan = read_scan(file.path, intensity_scale=self.sensor.intensity_scale)
+        labelled = file.label_path.exists()
+        raw = read_labels(file.label_path, len(scan)) if labelled else None
+        return file.sequence, survey(scan, project(scan, self.sensor), raw)
+
+
+def inspect(
+    source: Path,
+    *,
+    sensor: Sensor,
+    space: LabelSpace | None = None,
+    choice: Choice = Choice(),
+    options: BatchOptions = BatchOptions(),
+) -> Inspection:
+    """Survey scans.
+
+    Parameters
+    ----------
+    source : Path
+        A scan, a folder of scans, a sequence or a data set.
+    sensor : Sensor
+        Size of the range images, over whose pixels means and deviations are taken.
+    space : LabelSpace, optional
+        What the classes are called; otherwise the data set's own, else SemanticKITTI's.
+    choice, options
+        Which scans, and how to go through them.
+
+    Raises
+    ------
+    SalsanextError
+        If nothing can be done at all; failures of single scans are in the result.
+    """
+    scans = select_scans(source, choice, space)
+    outcome = run_batch(InspectScan(sensor), scans, options)
+    sequences: dict[str, Survey] = {}
+    for name, found in outcome.results:
+        sequences[name] = sequences.get(name, Survey()) + found
+    return Inspection(
+        sequences=dict(sorted(sequences.items())),
+        total=sum(sequences.values(), start=Survey()),
+        sensor=sensor,
+        space=space or space_of(scans),
+        failures=outcome.failures,
+    )
+
+
+def write_sensor(path: Path, sensor: Sensor) -> None:
+    """Write a sensor as the TOML file that `--sensor` takes."""
+    values = {key: value for key, value in sensor.to_dict().items() if key != "name"}
+    lines = [f"{key} = {_toml(value)}\n" for key, value in values.items()]
+    write_text(path, "".join(lines))
+
+
+def _toml(value: object) -> str:
+    if isinstance(value, tuple | list):
+        return f"[{', '.join(_toml(item) for item in value)}]"
+    return f'"{value}"' if isinstance(value, str) else str(value)

@@ -1,0 +1,134 @@
+# SPDX-License-Identifier: MIT
+"""Where the lasers of an HDL-64E look: 64 beams in two blocks, some 2160 columns a revolution."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from salsanext_cli.synthesis.mesh import Array
+
+UPPER = (2.4, -8.0, 32)
+"""Elevation of the first and the last beam of the upper block in degrees, and their number."""
+LOWER = (-8.6, -23.9, 32)
+AZIMUTH_STEP = 0.1667
+"""Between firings of a laser at 10 Hz, degrees."""
+ENCODER_STEP = 0.09
+"""The sensor knows its azimuth in steps of this, degrees."""
+PERIOD = 0.1
+"""Time of a revolution, seconds."""
+
+
+@dataclass(frozen=True, slots=True)
+class Beams:
+    """The lasers of one sensor, upper ones first; L of them.
+
+    Attributes
+    ----------
+    elevation : (L,)
+        Radians.
+    azimuth : (L,)
+        Offset of the first firing, radians.
+    height, aside : (L,)
+        Where the beam starts, metres above and to the left of the sensor's origin.
+    gain : (L,)
+        Brightness that the laser reports relative to the others.
+    power : (L,)
+        Strength of the pulse relative to the others.
+    columns : int
+        Firings per revolution.
+    """
+
+    elevation: Array
+    azimuth: Array
+    height: Array
+    aside: Array
+    gain: Array
+    power: Array
+    columns: int
+
+    def azimuths(self) -> Array:
+        """Return where each firing looks, (L, columns), radians, anticlockwise from ahead."""
+        tick = np.radians(ENCODER_STEP)
+        step = np.arange(self.columns) * (2 * np.pi / self.columns)
+        azimuth: Array = np.floor(step / tick) * tick + self.azimuth[:, None]
+        return azimuth
+
+    def rays(self) -> tuple[Array, Array, Array]:
+        """Return origins and directions (L * columns, 3), sensor frame, and the time of each.
+
+        In the order of KITTI's files: laser by laser from the top, each once around from
+        straight ahead to the left. The time (L * columns,) is in seconds; the sensor turns
+        clockwise from behind and looks ahead at time 0.
+        """
+        azimuth = self.azimuths()
+        elevation = np.broadcast_to(self.elevation[:, None], azimuth.shape)
+        level = np.cos(elevation)
+        x, y = np.cos(azimuth), np.sin(azimuth)
+        directions = np.stack([level * x, level * y, np.sin(elevation)], -1)
+        aside = self.aside[:, None]
+        height = np.broadcast_to(self.height[:, None], azimuth.shape)
+        origins = np.stack([-y * aside, x * aside, height], -1)
+        turned = np.mod(np.pi - azimuth, 2 * np.pi) / (2 * np.pi)
+        times = (turned - 0.5) * PERIOD
+        return origins.reshape(-1, 3), directions.reshape(-1, 3), times.reshape(-1)
+
+
+def hdl64(rng: np.random.Generator) -> Beams:
+    """Return the beams of one HDL-64E with its own small deviations."""
+    elevation = np.concatenate([np.linspace(*UPPER), np.linspace(*LOWER)])
+    elevation = elevation + rng.normal(0, 0.045, 64) + rng.normal(0, 0.06)
+    columns = round(360 / (AZIMUTH_STEP + rng.normal(0, 0.0006)))
+    gain = rng.normal(1, 0.08, 64)
+    weak = rng.random(64) < 0.06
+    gain[weak] *= rng.uniform(0.6, 0.85, int(weak.sum()))
+    return Beams(
+        np.radians(np.sort(elevation)[::-1]),
+        rng.uniform(0, 2 * np.pi / columns, 64),
+        np.repeat([0.05, 0.0], 32) + rng.normal(0, 0.003, 64),
+        np.tile([0.026, -0.026], 32),
+        gain,
+        np.exp(rng.normal(0, 0.5, 64)),
+        columns,
+    )
+
+
+BLIND: tuple[tuple[tuple[float, float, float], ...], ...] = (
+    ((-25, -23.9, -90), (-18, -23, -90), (-12, -20.9, -90), (8, -20.9, -90), (13, -21.5, -90),
+     (17, -22.5, -90), (21, -24, -90)),
+    ((26, -24, -90), (31, -23, -90), (37, -22.6, -90), (40, -24, -90)),
+    ((125, -24, -90), (127, -20.8, -90), (130, -19.7, -90), (133, -20.3, -90),
+     (139, -22.5, -90), (150, -24, -90)),
+    ((156, -15, -20), (158, -13.4, -21.5), (163, -13.2, -21.7), (167, -15, -20)),
+    ((152, -24, -90), (158, -21, -90), (164, -19, -90), (172, -18.4, -90), (195, -18.2, -90),
+     (203, -20, -90), (209, -22.5, -90), (214, -24, -90)),
+    ((194, -16, -20), (197, -13.3, -22), (202, -13.2, -21.5), (206, -14, -19)),
+    ((218, -24, -90), (226, -22, -90), (229, -20.5, -90), (233, -20.2, -90), (238, -21.5, -90),
+     (241, -24, -90)),
+    ((278, -18.5, -24), (282, -16.7, -24), (288, -15.6, -23.5), (297, -15.3, -22.3),
+     (301, -16.5, -21), (304, -19, -20)),
+    ((319, -24, -90), (324, -22.2, -90), (330, -22.8, -90), (336, -24, -90)),
+)  # fmt: skip
+"""What the recording vehicle hides: outlines of (azimuth, upper edge, lower edge) in degrees.
+
+Azimuth is anticlockwise from straight ahead. Where the lower edge is above the lowest beam, the
+ground shows again below.
+"""
+NEAR_SHIFT = 1.2
+"""The lasers sit left and right of the axis: by so many degrees the vehicle seems shifted."""
+
+
+def blind(beams: Beams, rng: np.random.Generator) -> npt.NDArray[np.bool_]:
+    """Say which rays the recording vehicle blocks, (L * columns,); mounting varies a little."""
+    azimuth = np.degrees(beams.azimuths()) + NEAR_SHIFT * np.sign(beams.aside)[:, None]
+    elevation = np.degrees(beams.elevation)[:, None]
+    hidden = np.zeros(azimuth.shape, bool)
+    for outline in BLIND:
+        corner, upper, lower = np.array(outline).T
+        beyond = np.mod(azimuth - corner[0] - rng.normal(0, 0.3), 360)
+        shift = rng.normal(0, 0.3)
+        below = elevation < np.interp(beyond, corner - corner[0], upper, right=-90) + shift
+        hidden |= below & (elevation > np.interp(beyond, corner - corner[0], lower, right=-90))
+    return hidden.reshape(-1)

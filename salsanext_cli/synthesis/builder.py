@@ -1,0 +1,113 @@
+# SPDX-License-Identifier: MIT
+"""Set things down on a plan: where they go, which way they look, whether there is room."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+
+from salsanext_cli.synthesis.mesh import Mesh
+from salsanext_cli.synthesis.plan import Plan, Side
+
+PIECE = 5.0
+"""Long things follow a bend in pieces of this length, metres."""
+
+
+class Builder:
+    """A street under construction.
+
+    Attributes
+    ----------
+    rng : numpy.random.Generator
+        Where all chance comes from.
+    plan : Plan
+        The ground plan.
+    parts : list of Mesh
+        What has been set down so far, world coordinates.
+    """
+
+    def __init__(self, rng: np.random.Generator, plan: Plan) -> None:
+        self.rng = rng
+        self.plan = plan
+        self.parts: list[Mesh] = []
+        self._taken: list[tuple[float, float, float]] = []
+
+    def chance(self, probability: float) -> bool:
+        """Draw yes or no."""
+        return bool(self.rng.random() < probability)
+
+    def between(self, low: float, high: float) -> float:
+        """Draw a number."""
+        return float(self.rng.uniform(low, high))
+
+    def put(
+        self, mesh: Mesh, side: Side, s: float, out: float, yaw: float = 0.0, lift: float = 0.0
+    ) -> None:
+        """Set a thing down ``out`` metres beyond the kerb; its local y points away from the road."""
+        t = side.sign * (self.plan.half + out)
+        turned = float(self.plan.yaw(s)) + (0.0 if side.sign > 0 else np.pi) + yaw
+        self.parts.append(mesh.moved(self.plan.world(s, t) + [0, 0, lift], turned))
+
+    def put_if_free(
+        self, mesh: Mesh, side: Side, s: float, out: float, radius: float, yaw: float = 0.0
+    ) -> bool:
+        """Set a thing down where nothing else and no side street is within `radius`."""
+        if not self.reserve(side, s, out, radius):
+            return False
+        self.put(mesh, side, s, out, yaw)
+        return True
+
+    def reserve(self, side: Side, s: float, out: float, radius: float) -> bool:
+        """Take a place; False where it is taken, a side street, or off the street's ends."""
+        t = side.sign * (self.plan.half + out)
+        if not radius <= s <= self.plan.length - radius:
+            return False
+        if float(self.plan.from_side_street(np.array(s), side)) < radius:
+            return False
+        if any(np.hypot(s - a, t - b) < radius + r for a, b, r in self._taken):
+            return False
+        self._taken.append((s, t, radius))
+        return True
+
+    def put_line(
+        self,
+        make: Callable[[float], Mesh],
+        side: Side,
+        start: float,
+        end: float,
+        out: float,
+    ) -> None:
+        """Set down a long thing along the street; ``make(length)`` returns a piece along x."""
+        start, end = max(start, 0.0), min(end, self.plan.length)
+        if end - start < 0.3:
+            return
+        marks = np.linspace(start, end, max(2, int(np.ceil((end - start) / PIECE)) + 1))
+        for low, high in zip(marks[:-1], marks[1:], strict=True):
+            t = side.sign * (self.plan.half + out)
+            ends = self.plan.world([low, high], t)
+            first, last = ends if side.sign > 0 else ends[::-1]
+            step = last - first
+            yaw = float(np.arctan2(step[1], step[0]))
+            length = float(np.hypot(step[0], step[1]))
+            mesh = make(length)
+            # Long things follow the slope: shear them so that both ends stand on the ground.
+            rise = mesh.vertices[:, :1] * step[2] / max(length, 1e-6)
+            sheared = Mesh(
+                mesh.vertices + rise * [0.0, 0.0, 1.0],
+                mesh.triangles,
+                mesh.labels,
+                mesh.materials,
+                mesh.shades,
+            )
+            self.parts.append(sheared.moved(first, yaw))
+
+    def put_outward(
+        self, make: Callable[[float], Mesh], side: Side, s: float, start: float, end: float
+    ) -> None:
+        """Set down a long thing at right angles to the street, from `start` to `end` beyond the kerb."""
+        if end - start < 0.3 or not 0 < s < self.plan.length:
+            return
+        marks = np.linspace(start, end, max(2, int(np.ceil((end - start) / PIECE)) + 1))
+        for low, high in zip(marks[:-1], marks[1:], strict=True):
+            self.put(make(high - low), side, s, float(low), yaw=np.pi / 2)

@@ -1,0 +1,200 @@
+# SPDX-License-Identifier: MIT
+"""Houses: facades with recessed windows and doors, steps, balconies, roofs.
+
+Local frame: x along the street, y away from it, the front wall at y = 0, the ground at z = 0.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from salsanext_cli.synthesis.ids import BUILDING
+from salsanext_cli.synthesis.materials import Material
+from salsanext_cli.synthesis.mesh import Array, Mesh, Skin, merge
+from salsanext_cli.synthesis.shapes import box, quads
+
+FOOT = -1.5
+"""Walls reach this far below the ground, which is not level."""
+
+
+def house(rng: np.random.Generator, width: float, depth: float, floors: int) -> Mesh:
+    """Return a house whose front is `width` metres long and centred on x = 0."""
+    material = Material.PLASTER if rng.random() < 0.7 else Material.BRICK
+    wall = Skin(BUILDING, material, float(rng.uniform(0.65, 1.15)))
+    storey = float(rng.uniform(2.6, 3.6))
+    height = storey * floors + rng.uniform(0.2, 0.9)
+    bay = float(rng.uniform(2.2, 4.2))
+    corners = np.array([[-1, 0], [1, 0], [1, 1], [-1, 1]]) * [width / 2, depth]
+    parts = [
+        _facade(rng, corners[i], corners[(i + 1) % 4], height, storey, bay, wall, front=i == 0)
+        for i in range(4)
+    ]
+    parts.append(_roof(rng, width, depth, height, wall))
+    parts += _details(rng, width, storey, floors, wall)
+    return merge(parts)
+
+
+def _facade(
+    rng: np.random.Generator,
+    start: Array,
+    end: Array,
+    height: float,
+    storey: float,
+    bay: float,
+    wall: Skin,
+    *,
+    front: bool,
+) -> Mesh:
+    """Return one wall: a grid of bays and storeys, most of them with a window."""
+    length = float(np.hypot(*(end - start)))
+    columns = max(1, round(length / bay))
+    rows = max(1, int(height / storey))
+    lows = np.linspace(0, length, columns + 1)
+    open_chance = 0.85 if front else 0.5
+    door = int(rng.integers(columns)) if front else -1
+    shop = front and bool(rng.random() < 0.25)
+    size = rng.uniform([0.45, 1.1, 0.7], [0.75, 1.7, 1.0])
+    flat, glass, closed = [], [], []
+    for row in range(rows):
+        bottom = row * storey + (FOOT if row == 0 else 0)
+        top = (row + 1) * storey if row < rows - 1 else height
+        for column in range(columns):
+            x0, x1 = lows[column], lows[column + 1]
+            hole = _hole(rng, x0, x1, row, storey, size, is_door=column == door, shop=shop)
+            if hole is None or rng.random() > open_chance + 0.15 * (row == 0):
+                flat.append(_panel(x0, x1, bottom, top, 0))
+                continue
+            walls, pane = _pierced(x0, x1, bottom, top, hole, rng.uniform(0.08, 0.3))
+            flat += walls
+            (glass if rng.random() < 0.6 else closed).append(pane)
+    shutters = Skin(BUILDING, Material.WOOD, float(rng.uniform(0.4, 1.1)))
+    skins = (wall, Skin(BUILDING, Material.GLASS), shutters)
+    panels = zip((flat, glass, closed), skins, strict=True)
+    meshes = [quads(np.array(corners), skin) for corners, skin in panels if corners]
+    yaw = float(np.arctan2(*(end - start)[::-1]))
+    return merge(meshes).moved((start[0], start[1], 0), yaw)
+
+
+def _hole(
+    rng: np.random.Generator,
+    x0: float,
+    x1: float,
+    row: int,
+    storey: float,
+    size: Array,
+    *,
+    is_door: bool,
+    shop: bool,
+) -> tuple[float, float, float, float] | None:
+    """Return left, right, bottom and top of the opening in a bay."""
+    middle, width = (x0 + x1) / 2, (x1 - x0) * size[0]
+    if row == 0 and is_door:
+        return middle - 0.55, middle + 0.55, 0.15, 2.2
+    if row == 0 and shop:
+        return x0 + 0.25, x1 - 0.25, 0.4, 2.6
+    if width < 0.4:
+        return None
+    bottom = row * storey + size[2] + rng.normal(0, 0.01)
+    return (
+        middle - width / 2,
+        middle + width / 2,
+        bottom,
+        min(bottom + size[1], (row + 0.95) * storey),
+    )
+
+
+def _panel(x0: float, x1: float, z0: float, z1: float, y: float) -> list[list[float]]:
+    return [[x0, y, z0], [x1, y, z0], [x1, y, z1], [x0, y, z1]]
+
+
+def _pierced(
+    x0: float,
+    x1: float,
+    z0: float,
+    z1: float,
+    hole: tuple[float, float, float, float],
+    depth: float,
+) -> tuple[list[list[list[float]]], list[list[float]]]:
+    """Return the wall around an opening with its reveals, and the pane at the back of it."""
+    a, b, c, d = hole
+    walls = [
+        _panel(x0, a, z0, z1, 0),
+        _panel(b, x1, z0, z1, 0),
+        _panel(a, b, z0, c, 0),
+        _panel(a, b, d, z1, 0),
+        [[a, 0, c], [a, depth, c], [a, depth, d], [a, 0, d]],
+        [[b, 0, c], [b, depth, c], [b, depth, d], [b, 0, d]],
+        [[a, 0, c], [b, 0, c], [b, depth, c], [a, depth, c]],
+        [[a, 0, d], [b, 0, d], [b, depth, d], [a, depth, d]],
+    ]
+    return walls, _panel(a, b, c, d, depth)
+
+
+def _roof(rng: np.random.Generator, width: float, depth: float, height: float, wall: Skin) -> Mesh:
+    """Return a flat or a gabled roof with eaves."""
+    skin = Skin(BUILDING, Material.BRICK, float(rng.uniform(0.5, 0.9)))
+    eaves = rng.uniform(0.1, 0.6)
+    x, low, high = width / 2 + 0.1, -eaves, depth + eaves
+    if rng.random() < 0.3:
+        return box((-x, low / 2, height), (x, high, height + 0.3), skin)
+    ridge, middle = height + rng.uniform(0.3, 0.6) * depth, depth / 2
+    slopes = [
+        [[-x, low, height - 0.1], [x, low, height - 0.1], [x, middle, ridge], [-x, middle, ridge]],
+        [
+            [-x, high, height - 0.1],
+            [x, high, height - 0.1],
+            [x, middle, ridge],
+            [-x, middle, ridge],
+        ],
+    ]
+    gables = [[[e, 0, height], [e, depth, height], [e, middle, ridge - 0.1], [e, middle, ridge - 0.1]]
+              for e in (-width / 2, width / 2)]  # fmt: skip
+    return merge([quads(np.array(slopes), skin), quads(np.array(gables), wall)])
+
+
+def _details(
+    rng: np.random.Generator, width: float, storey: float, floors: int, wall: Skin
+) -> list[Mesh]:
+    """Return steps, downpipes, plinths, balconies, canopies and bays of the front."""
+    half = width / 2
+    metal = Skin(BUILDING, Material.METAL, 1.1)
+    parts = []
+    if rng.random() < 0.5:
+        parts.append(box((-half, -0.06, FOOT), (half, 0.02, rng.uniform(0.3, 0.9)), wall))
+    for x in (-half + 0.1, half - 0.2):
+        if rng.random() < 0.6:
+            parts.append(box((x, -0.1, 0), (x + 0.1, -0.01, storey * floors), metal))
+    if rng.random() < 0.5:
+        x = rng.uniform(-half, half - 1.8)
+        parts += [
+            box((x, -0.35 * n, FOOT), (x + 1.6, -0.35 * n + 0.4, 0.6 - 0.17 * n), wall)
+            for n in range(1, 4)
+        ]
+    if rng.random() < 0.35 and width > 6:
+        x = rng.uniform(-half + 1, half - 3.5)
+        parts.append(
+            box((x, -rng.uniform(0.5, 1.3), FOOT), (x + 2.5, 0.1, storey * floors * 0.9), wall)
+        )
+    if floors > 1 and rng.random() < 0.5:
+        for floor in range(1, floors):
+            x = rng.uniform(-half + 0.3, half - 2.8)
+            z = floor * storey
+            parts.append(box((x, -1.2, z - 0.15), (x + 2.5, 0, z), wall))
+            parts.append(box((x, -1.22, z), (x + 2.5, -1.17, z + 0.95), metal))
+    if rng.random() < 0.4:
+        x = rng.uniform(-half, half - 2)
+        parts.append(box((x, -rng.uniform(0.6, 1.4), 2.3), (x + 2, 0, 2.45), metal))
+    return parts
+
+
+def garage(rng: np.random.Generator) -> Mesh:
+    """Return a garage or shed, its door at y = 0."""
+    wall = Skin(BUILDING, Material.PLASTER, float(rng.uniform(0.6, 1.1)))
+    width, depth, height = rng.uniform([2.6, 4, 2.2], [6, 6.5, 2.9])
+    walls = box((-width / 2, 0, FOOT), (width / 2, depth, height), wall)
+    door = box(
+        (-width / 2 + 0.3, -0.03, 0),
+        (width / 2 - 0.3, 0.02, 2),
+        Skin(BUILDING, Material.METAL, 1.3),
+    )
+    return merge([walls, door])

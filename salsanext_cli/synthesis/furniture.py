@@ -1,0 +1,171 @@
+# SPDX-License-Identifier: MIT
+"""What stands at the roadside: poles, lamps, signs, bins, benches, cabinets, shelters.
+
+Local frame: x along the street, y away from it, the ground at z = 0.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from salsanext_cli.synthesis.ids import CLUTTER, POLE, SIGN, STRUCTURE
+from salsanext_cli.synthesis.materials import Material
+from salsanext_cli.synthesis.mesh import Mesh, Skin, merge
+from salsanext_cli.synthesis.shapes import box, disc, ellipsoid, quads, tube
+
+FOOT = -0.3
+
+
+def _steel(rng: np.random.Generator) -> Skin:
+    return Skin(POLE, Material.METAL, float(rng.uniform(0.35, 1.7)))
+
+
+def lamp(rng: np.random.Generator) -> Mesh:
+    """Return a street lamp, its arm over the road."""
+    steel = _steel(rng)
+    height, foot = float(rng.uniform(3.5, 9)), float(rng.uniform(0.05, 0.1))
+    parts = [
+        tube([[0, 0, FOOT], [0, 0, 1.1], [0, 0, 1.2], [0, 0, height]],
+             [foot * 1.35, foot * 1.35, foot, foot * 0.6], steel),
+    ]  # fmt: skip
+    if height > 5:
+        tip = (0.0, -rng.uniform(0.8, 2.2), height + 0.3)
+        parts += [tube([[0, 0, height - 0.1], tip], 0.05, steel, 5)]
+        parts += [box((-0.15, tip[1] - 0.5, tip[2] - 0.1), (0.15, tip[1], tip[2]), steel)]
+    else:
+        parts.append(ellipsoid((0, 0, height), (0.22, 0.22, 0.3), steel))
+    return merge(parts)
+
+
+def post(rng: np.random.Generator) -> Mesh:
+    """Return a bollard or a bare pole."""
+    short = rng.random() < 0.6
+    height = rng.uniform(0.7, 1.2) if short else rng.uniform(2.5, 8)
+    radius = rng.uniform(0.04, 0.09)
+    return tube([[0, 0, FOOT], [0, 0, height]], radius, _steel(rng), 8)
+
+
+def _face(rng: np.random.Generator, kind: str) -> Mesh:
+    """Return a sign's plate in the x-z plane around the origin, its bright side towards -y."""
+    bright = Skin(SIGN, Material.RETRO, float(rng.uniform(0.75, 1.1)))
+    dull = Skin(SIGN, Material.METAL, 0.9)
+    radius = float(rng.uniform(0.28, 0.45))
+    if kind == "round":
+        front = disc((0, 0, 0), radius, "y", bright, 14)
+    elif kind == "triangle":
+        r, x = radius * 1.25, radius * 1.1
+        front = quads(np.array([[[-x, 0, -r / 2], [x, 0, -r / 2], [0, 0, r], [0, 0, r]]]), bright)
+    else:
+        x, z = radius * rng.uniform(0.6, 1.6), radius * rng.uniform(0.5, 1.2)
+        front = quads(np.array([[[-x, 0, -z], [x, 0, -z], [x, 0, z], [-x, 0, z]]]), bright)
+    back = Mesh.of(
+        front.vertices + [0, 0.02, 0], front.triangles, Skin(dull.label, dull.material, dull.shade)
+    )
+    return merge([front, back])
+
+
+def sign(rng: np.random.Generator) -> Mesh:
+    """Return one or two traffic signs on a pole, facing -y."""
+    height = float(rng.uniform(2.0, 3.0) if rng.random() < 0.75 else rng.uniform(1.0, 2.0))
+    parts = [tube([[0, 0, FOOT], [0, 0, height + 0.35]], rng.uniform(0.03, 0.05), _steel(rng), 7)]
+    for level in range(int(rng.integers(1, 3))):
+        kind = ("round", "triangle", "panel")[rng.integers(3)]
+        parts.append(_face(rng, kind).moved((0, -0.07, height - 0.75 * level)))
+    return merge(parts)
+
+
+def board(rng: np.random.Generator) -> Mesh:
+    """Return a direction board on two posts, facing -y."""
+    half, low = float(rng.uniform(0.4, 1.4)), float(rng.uniform(0.8, 1.8))
+    high = low + float(rng.uniform(0.5, 1.2))
+    steel = _steel(rng)
+    bright = Skin(SIGN, Material.RETRO, float(rng.uniform(0.6, 1.1)))
+    back = Skin(SIGN, Material.METAL, 0.9)
+    parts = [tube([[x, 0, FOOT], [x, 0, high]], 0.05, steel) for x in (-half * 0.8, half * 0.8)]
+    plate = np.array([[[-half, 0, low], [half, 0, low], [half, 0, high], [-half, 0, high]]])
+    parts.append(quads(plate + [0, -0.08, 0], bright))
+    parts.append(quads(plate + [0, -0.06, 0], back))
+    return merge(parts)
+
+
+def traffic_light(rng: np.random.Generator) -> Mesh:
+    """Return a traffic light; its heads count as clutter, the pole as pole."""
+    height = float(rng.uniform(3.0, 3.6))
+    head = Skin(CLUTTER, Material.METAL, 0.4)
+    parts = [tube([[0, 0, FOOT], [0, 0, height]], 0.07, _steel(rng))]
+    for low in (height - 1.0, 1.9)[: int(rng.integers(1, 3))]:
+        parts.append(box((-0.16, -0.36, low), (0.16, -0.08, low + 0.9), head))
+    return merge(parts)
+
+
+def _bin(rng: np.random.Generator) -> Mesh:
+    skin = Skin(CLUTTER, Material.WOOD, float(rng.uniform(0.2, 1.1)))
+    size = rng.uniform([0.2, 0.2, 0.8], [0.35, 0.4, 1.15])
+    lid = box(
+        (-size[0] - 0.02, -size[1] - 0.05, size[2]), (size[0] + 0.02, size[1], size[2] + 0.08), skin
+    )
+    return merge([box((-size[0], -size[1], 0.05), size, skin), lid])
+
+
+def _cabinet(rng: np.random.Generator) -> Mesh:
+    skin = Skin(CLUTTER, Material.PLASTER, float(rng.uniform(0.5, 1.1)))
+    size = rng.uniform([0.25, 0.12, 0.8], [0.9, 0.3, 1.6])
+    return box((-size[0], -size[1], FOOT), size, skin)
+
+
+def _bench(rng: np.random.Generator) -> Mesh:
+    wood, iron = Skin(CLUTTER, Material.WOOD, 0.9), Skin(CLUTTER, Material.METAL, 0.7)
+    half = float(rng.uniform(0.7, 1.1))
+    slats = [box((-half, y, 0.42), (half, y + 0.1, 0.46), wood) for y in (-0.25, -0.12, 0.01)]
+    slats += [box((-half, 0.18, z), (half, 0.22, z + 0.1), wood) for z in (0.55, 0.72)]
+    legs = [
+        box((x - 0.03, -0.25, FOOT), (x + 0.03, 0.2, 0.42), iron) for x in (-half + 0.2, half - 0.2)
+    ]
+    return merge(slats + legs)
+
+
+def _planter(rng: np.random.Generator) -> Mesh:
+    skin = Skin(CLUTTER, Material.BRICK, float(rng.uniform(0.7, 1.1)))
+    radius, height = float(rng.uniform(0.25, 0.7)), float(rng.uniform(0.35, 0.7))
+    return tube(
+        [[0, 0, FOOT], [0, 0, height], [0, 0, height + 0.01]],
+        [radius, radius * 1.1, 0.02],
+        skin,
+        10,
+    )
+
+
+def _column(rng: np.random.Generator) -> Mesh:
+    skin = Skin(CLUTTER, Material.PLASTER, float(rng.uniform(0.7, 1.1)))
+    return tube([[0, 0, FOOT], [0, 0, 3.0], [0, 0, 3.3]], [0.6, 0.6, 0.75], skin, 12)
+
+
+def _crates(rng: np.random.Generator) -> Mesh:
+    parts = []
+    for _ in range(int(rng.integers(2, 6))):
+        low = np.array([*rng.normal(0, 0.6, 2), 0.0])
+        size = rng.uniform([0.2, 0.2, 0.15], [0.8, 0.6, 0.9])
+        skin = Skin(CLUTTER, Material.WOOD, float(rng.uniform(0.4, 1.1)))
+        parts.append(box(low, low + size, skin).moved(yaw=rng.uniform(0, 1.5)))
+    return merge(parts)
+
+
+CLUTTERED = (_bin, _bin, _cabinet, _cabinet, _bench, _planter, _column, _crates)
+
+
+def clutter(rng: np.random.Generator) -> Mesh:
+    """Return a bin, cabinet, bench, planter, advertising column or a heap of crates."""
+    return CLUTTERED[rng.integers(len(CLUTTERED))](rng)
+
+
+def shelter(rng: np.random.Generator) -> Mesh:
+    """Return a bus shelter of glass, open towards -y."""
+    steel = Skin(STRUCTURE, Material.METAL, 0.9)
+    glass = Skin(STRUCTURE, Material.GLASS)
+    half = float(rng.uniform(1.2, 2.2))
+    parts = [box((x - 0.04, y - 0.04, FOOT), (x + 0.04, y + 0.04, 2.4), steel)
+             for x in (-half, 0, half) for y in (0, 1.3)]  # fmt: skip
+    parts.append(box((-half - 0.1, -0.2, 2.4), (half + 0.1, 1.4, 2.5), steel))
+    parts.append(box((-half, 1.29, 0.15), (half, 1.31, 2.2), glass))
+    parts.append(box((-half, 0, 0.15), (-half + 0.02, 1.3, 2.2), glass))
+    return merge(parts)

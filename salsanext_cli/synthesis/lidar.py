@@ -1,0 +1,161 @@
+# SPDX-License-Identifier: MIT
+"""Cast the rays of one revolution and decide what comes back: range, brightness, nothing."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from salsanext_cli.errors import MissingDependency
+from salsanext_cli.records import RawIds, Scan
+from salsanext_cli.synthesis.materials import optics_table
+from salsanext_cli.synthesis.mesh import Array, Mesh
+
+MAX_RANGE, MIN_RANGE = 81.0, 1.6
+"""Metres; nothing is reported beyond or nearer."""
+RANGE_NOISE = 0.018
+"""Standard deviation along the ray, metres."""
+THRESHOLD = 6.0e-6
+"""Signal (brightness · cos / range²) at which half of the pulses are lost."""
+GRAZING = 0.14
+"""Cosine of incidence below which surfaces look darker."""
+PATCH = 11
+"""Mirrors lose pulses in runs of about this many firings."""
+LOST = 0.004
+"""Share of pulses lost for no reason."""
+DISTANCES = (0.0, 4.0, 8.0, 13.0, 20.0, 28.0, 40.0, 80.0)
+RESPONSE = (0.82, 0.86, 0.92, 1.0, 1.05, 0.92, 0.66, 0.45)
+"""Reported brightness of one surface by distance: optics and gain control of the sensor."""
+
+
+class Scene:
+    """Triangles that rays can hit.
+
+    Parameters
+    ----------
+    mesh : Mesh
+        World coordinates.
+
+    Raises
+    ------
+    MissingDependency
+        If open3d cannot be loaded.
+    """
+
+    def __init__(self, mesh: Mesh) -> None:
+        self.mesh = mesh
+        o3d = _open3d()
+        self._tensor = o3d.core.Tensor
+        self._scene = o3d.t.geometry.RaycastingScene(nthreads=1)
+        self._scene.add_triangles(
+            self._tensor(mesh.vertices.astype(np.float32)),
+            self._tensor(mesh.triangles.astype(np.uint32)),
+        )
+
+    def cast(self, rays: Array) -> tuple[Array, npt.NDArray[np.int64], Array]:
+        """Return distance (inf where nothing is hit), triangle and |cos| of incidence per ray."""
+        hits: dict[str, Any] = self._scene.cast_rays(
+            self._tensor(rays.astype(np.float32)), nthreads=1
+        )
+        distance = hits["t_hit"].numpy().astype(float)
+        triangle = hits["primitive_ids"].numpy().astype(np.int64)
+        normals = hits["primitive_normals"].numpy()
+        cosine = np.abs((normals * rays[:, 3:]).sum(1))
+        return distance, np.where(np.isfinite(distance), triangle, 0), cosine
+
+
+def _open3d() -> Any:
+    """Import open3d, which takes a second and needs a system library."""
+    try:
+        import open3d
+    except (ImportError, OSError) as error:
+        raise MissingDependency(
+            "open3d", f"cannot be loaded: {error}", remedy="install the system package libusb-1.0-0"
+        ) from error
+    return open3d
+
+
+def measure(
+    rng: np.random.Generator, scenes: list[Scene], rays: Array, gain: Array, power: Array
+) -> tuple[Array, Array, RawIds]:
+    """Measure along rays.
+
+    Parameters
+    ----------
+    rng : numpy.random.Generator
+        Of the noise.
+    scenes : list of Scene
+        The nearest hit over all of them counts.
+    rays : (R, 6)
+        Origins and unit directions, world coordinates.
+    gain, power : (R,)
+        Reported brightness and strength of the laser that fires each ray, 1 = usual.
+
+    Returns
+    -------
+    distance : (R,)
+        Metres, NaN where nothing came back.
+    intensity : (R,)
+        0…1.
+    labels : (R,) uint32
+        Raw ids.
+    """
+    distance, cosine = np.full(len(rays), np.inf), np.ones(len(rays))
+    labels = np.zeros(len(rays), np.uint32)
+    materials, shades = np.zeros(len(rays), np.int64), np.ones(len(rays))
+    for scene in scenes:
+        found, triangle, cos = scene.cast(rays)
+        nearer = found < distance
+        hit = triangle[nearer]
+        distance[nearer], cosine[nearer] = found[nearer], cos[nearer]
+        labels[nearer] = scene.mesh.labels[hit]
+        materials[nearer], shades[nearer] = scene.mesh.materials[hit], scene.mesh.shades[hit]
+    brightness, texture, falloff, gloss, roughness = optics_table()[materials].T
+    reach = np.where(np.isfinite(distance), distance, MAX_RANGE + 1)
+    noise = rng.standard_normal((3, len(rays)))
+    reflected = brightness * shades * np.exp(texture * noise[0] - texture**2 / 2)
+    kept = _returns(rng, reflected, cosine, reach, gloss, power)
+    measured = reach + noise[1] * np.hypot(RANGE_NOISE, roughness)
+    kept &= (reach < MAX_RANGE) & (measured > MIN_RANGE)
+    grazing = np.clip(cosine / GRAZING, 0.01, 1) ** falloff
+    intensity = reflected * np.interp(reach, DISTANCES, RESPONSE) * grazing * gain
+    intensity = np.round(np.clip(intensity + 0.02 * noise[2] - 0.02, 0, 0.99), 2)
+    return np.where(kept, measured, np.nan), intensity, labels
+
+
+def _returns(
+    rng: np.random.Generator,
+    reflected: Array,
+    cosine: Array,
+    reach: Array,
+    gloss: Array,
+    power: Array,
+) -> npt.NDArray[np.bool_]:
+    """Say which pulses come back."""
+    chance = rng.random(len(reach))
+    signal = power * (reflected + 0.01) * cosine / reach**2
+    detected = 1 / (1 + (THRESHOLD / np.maximum(signal, 1e-12)) ** 2.2)
+    # A mirror sends the pulse back only when hit straight on. Strong lasers still see its dirt, so
+    # that glass and dark paint come back in some rows and not in others.
+    dull = np.minimum(0.9, 0.75 * reflected / 0.3)
+    mirrored = gloss * (1 - 0.6 * cosine**16) * (1 - dull)
+    odds = mirrored / np.maximum(1 - mirrored, 1e-6) / power**3
+    away = odds / (1 + odds)
+    returned: npt.NDArray[np.bool_] = (chance < detected * (1 - LOST)) & (_patchy(rng, len(reach)) >= away)
+    return returned
+
+
+def _patchy(rng: np.random.Generator, count: int) -> Array:
+    """Return chances 0…1 that change slowly from firing to firing, (count,)."""
+    white = rng.standard_normal(count + PATCH - 1)
+    smooth = np.convolve(white, np.full(PATCH, PATCH**-0.5), "valid")
+    # The logistic function with this slope stands in for the normal distribution's integral.
+    chance: Array = 1 / (1 + np.exp(-1.702 * smooth))
+    return chance
+
+
+def as_scan(points: Array, intensity: Array) -> Scan:
+    """Return a scan of points (N, 3) in the sensor frame."""
+    return Scan(points.astype(np.float32), intensity.astype(np.float32))

@@ -1,0 +1,217 @@
+# SPDX-License-Identifier: MIT
+"""What stands on the plots beside the street: houses, gardens, yards, car parks, woods."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+
+from salsanext_cli.synthesis import buildings, fences, furniture, people, vegetation, vehicles
+from salsanext_cli.synthesis.builder import Builder
+from salsanext_cli.synthesis.mesh import Mesh
+from salsanext_cli.synthesis.plan import REACH, Lot, Side
+
+BOUNDARY = {"fence": 0.42, "hedge": 0.3, "open": 0.28}
+"""What closes a garden off, and how usual it is."""
+
+
+def furnish(builder: Builder, side: Side, lot: Lot) -> None:
+    """Build up one lot and what lies behind it."""
+    kinds: dict[str, Callable[[Builder, Side, Lot], None]] = {
+        "terrace": _terrace,
+        "house": _house,
+        "yard": _yard,
+        "green": _green,
+        "field": _field,
+        "thicket": _thicket,
+        "carpark": _carpark,
+    }
+    kinds[lot.kind](builder, side, lot)
+    _background(builder, side, lot)
+
+
+def _terrace(builder: Builder, side: Side, lot: Lot) -> None:
+    width, rng = lot.end - lot.start, builder.rng
+    front = side.depth + lot.setback
+    floors = int(rng.integers(2, 6))
+    if width > 5:
+        passage = builder.between(1.5, 4) if builder.chance(0.15) and width > 10 else 0.0
+        mesh = buildings.house(rng, width - passage - 0.05, builder.between(8, 14), floors)
+        builder.put(mesh, side, (lot.start + lot.end - passage) / 2, front)
+    if lot.setback > 1.2:
+        _close(builder, side, lot.start, lot.end, side.depth + 0.2)
+    _scatter(builder, side, lot, vegetation.bush, (0.3, 0.7), lot.setback / 3)
+
+
+def _house(builder: Builder, side: Side, lot: Lot) -> None:
+    width, rng = lot.end - lot.start, builder.rng
+    front = side.depth + lot.setback
+    gap = builder.between(2.5, 6)
+    drive = lot.drive[1] - lot.drive[0]
+    if width - gap > 5:
+        depth = builder.between(7, 12)
+        middle = lot.end - 0.7 - (width - gap) / 2
+        mesh = buildings.house(rng, width - gap, depth, int(rng.integers(1, 4)))
+        builder.put(mesh, side, middle, front)
+        if drive and builder.chance(0.5):
+            garage = buildings.garage(rng)
+            builder.put(garage, side, sum(lot.drive) / 2, front + builder.between(0, 5))
+        elif builder.chance(0.7):
+            _close(builder, side, lot.start, lot.start + gap, front + 1)
+    gate = lot.start if drive else builder.between(lot.start + 1, lot.end - 2)
+    gate_end = lot.drive[1] if drive else gate + 1.2
+    for start, end in ((lot.start, gate), (gate_end, lot.end)):
+        _close(builder, side, start, end, side.depth + builder.between(0.1, 0.4))
+    _scatter(builder, side, lot, vegetation.bush, (0.3, 1.1), lot.setback * width / 18)
+    if builder.chance(0.6) and lot.setback > 3:
+        kind = vegetation.tree if builder.chance(0.7) else vegetation.conifer
+        _scatter(builder, side, lot, kind, (3.0, 8.0), 1.2)
+    if drive and builder.chance(0.55):
+        _park(builder, side, sum(lot.drive) / 2, front - min(2.6, lot.setback / 2), np.pi / 2)
+    if builder.chance(0.5):
+        _partition(builder, side, lot.end, side.depth + 0.3, front + builder.between(2, 12))
+    _scatter(builder, side, lot, lambda r, _: furniture.clutter(r), (0, 1), 0.8)
+
+
+def _yard(builder: Builder, side: Side, lot: Lot) -> None:
+    _close(builder, side, lot.start, lot.end, side.depth + 0.25, open_chance=0.0)
+    _scatter(builder, side, lot, vegetation.tree, (4.0, 9.0), 1.5, reach=15)
+    _scatter(builder, side, lot, vegetation.bush, (0.5, 1.5), 3, reach=12)
+    _scatter(builder, side, lot, lambda r, _: furniture.clutter(r), (0, 1), 1.5, reach=8)
+    if builder.chance(0.35):
+        _park(builder, side, builder.between(lot.start + 2, lot.end - 2), side.depth + 5, 0.3)
+    if builder.chance(0.5) and lot.end - lot.start > 8:
+        middle = (lot.start + lot.end) / 2
+        builder.put(
+            buildings.garage(builder.rng), side, middle, side.depth + builder.between(4, 12)
+        )
+
+
+def _green(builder: Builder, side: Side, lot: Lot) -> None:
+    area = (lot.end - lot.start) / 8
+    _scatter(builder, side, lot, vegetation.tree, (4.0, 11.0), 2.0 * area, reach=25)
+    _scatter(builder, side, lot, vegetation.conifer, (3.0, 9.0), 0.5 * area, reach=25)
+    _scatter(builder, side, lot, vegetation.bush, (0.4, 1.6), 2.0 * area, reach=20)
+    _scatter(builder, side, lot, vegetation.weeds, (0.5, 1.6), 2.0 * area, reach=15)
+    _scatter(builder, side, lot, lambda r, _: people.person(r), (0, 1), 0.5 * area, reach=12)
+    _scatter(builder, side, lot, lambda r, _: furniture.clutter(r), (0, 1), 0.5 * area, reach=6)
+
+
+def _field(builder: Builder, side: Side, lot: Lot) -> None:
+    area = (lot.end - lot.start) / 8
+    _scatter(builder, side, lot, vegetation.bush, (0.4, 2.0), 0.9 * area, reach=30)
+    _scatter(builder, side, lot, vegetation.tree, (4.0, 11.0), 0.5 * area, reach=40)
+    _scatter(builder, side, lot, vegetation.weeds, (0.6, 2.0), 4.0 * area, reach=15)
+    if builder.chance(0.3):
+        _row_of(builder, side, lot, "barrier", 0.8)
+    elif builder.chance(0.25):
+        _row_of(builder, side, lot, "mesh", 3.0)
+
+
+def _row_of(builder: Builder, side: Side, lot: Lot, kind: str, out: float) -> None:
+    shade, height = builder.between(0.7, 1.4), builder.between(0.9, 1.3)
+    builder.put_line(
+        lambda length: fences.fence(builder.rng, length, kind, height, shade),
+        side, lot.start, lot.end, side.depth + out,
+    )  # fmt: skip
+
+
+def _thicket(builder: Builder, side: Side, lot: Lot) -> None:
+    height, deep = builder.between(2.5, 7), builder.between(3, 8)
+    if builder.chance(0.3):
+        _close(builder, side, lot.start, lot.end, side.depth + 0.2, open_chance=0.3)
+    builder.put_line(
+        lambda length: vegetation.thicket(builder.rng, length, deep, height),
+        side, lot.start, lot.end, side.depth + builder.between(0.8, 4),
+    )  # fmt: skip
+
+
+def _carpark(builder: Builder, side: Side, lot: Lot) -> None:
+    s = lot.start + 1.6
+    yaw = float(builder.rng.choice([np.pi / 2, -np.pi / 2]))
+    while s < lot.end - 1.2:
+        if builder.chance(0.7):
+            _park(builder, side, s, side.depth + builder.between(2.6, 3.2), yaw, radius=1.1)
+        s += builder.between(2.5, 2.8)
+    _close(builder, side, lot.start, lot.end, side.depth + lot.setback + 0.5)
+    _scatter(builder, side, lot, vegetation.tree, (4.0, 8.0), 1, reach=20)
+
+
+def _park(
+    builder: Builder, side: Side, s: float, out: float, yaw: float, radius: float = 2.0
+) -> None:
+    """Set down a parked car, sometimes the other way round."""
+    turned = yaw + np.pi * builder.chance(0.5) + builder.rng.normal(0, 0.03)
+    builder.put_if_free(vehicles.car(builder.rng), side, s, out, radius, turned)
+
+
+def _close(
+    builder: Builder, side: Side, start: float, end: float, out: float, open_chance: float = 0.25
+) -> None:
+    """Close a garden off towards the street by a fence or a hedge, or leave it open."""
+    if builder.chance(open_chance) or end - start < 0.5:
+        return
+    builder.put_line(_boundary(builder), side, start, end, out)
+    if builder.chance(0.4):
+        height, deep = builder.between(1.2, 3.5), builder.between(0.8, 1.6)
+        builder.put_line(
+            lambda length: vegetation.thicket(builder.rng, length, deep, height),
+            side,
+            start,
+            end,
+            out + builder.between(0.3, 0.9),
+        )
+
+
+def _partition(builder: Builder, side: Side, s: float, start: float, end: float) -> None:
+    builder.put_outward(_boundary(builder), side, s, start, end)
+
+
+def _boundary(builder: Builder) -> Callable[[float], Mesh]:
+    """Return a maker of fence or hedge pieces, alike along one garden."""
+    rng = builder.rng
+    if builder.chance(0.42):
+        height, depth = builder.between(0.7, 2.2), builder.between(0.5, 1.4)
+        return lambda length: vegetation.hedge(rng, length, height, depth)
+    kind = str(rng.choice(fences.KINDS))
+    height = builder.between(0.4, 1.2) if kind == "wall" else builder.between(0.8, 1.9)
+    shade = builder.between(0.7, 1.15)
+    return lambda length: fences.fence(rng, length, kind, height, shade)
+
+
+def _scatter(
+    builder: Builder,
+    side: Side,
+    lot: Lot,
+    make: Callable[[np.random.Generator, float], Mesh],
+    size: tuple[float, float],
+    count: float,
+    reach: float | None = None,
+) -> None:
+    """Strew things over the front of a lot, or `reach` metres deep."""
+    deep = lot.setback if reach is None else reach
+    if deep < 0.8 or lot.end - lot.start < 1.5:
+        return
+    for _ in range(int(builder.rng.poisson(count))):
+        s = builder.between(lot.start + 0.5, lot.end - 0.5)
+        out = side.depth + builder.between(0.5, max(0.6, deep - 0.4))
+        mesh = make(builder.rng, builder.between(*size))
+        builder.put_if_free(mesh, side, s, out, 0.7, builder.between(0, 6.28))
+
+
+def _background(builder: Builder, side: Side, lot: Lot) -> None:
+    """Close the view behind a lot: a second row of houses, or woods."""
+    rng, width = builder.rng, lot.end - lot.start
+    out = side.depth + lot.setback + builder.between(20, 30)
+    middle = (lot.start + lot.end) / 2
+    if builder.plan.half + out > REACH - 14:
+        return
+    if lot.kind not in ("field", "thicket") and width > 7 and builder.chance(0.8):
+        mesh = buildings.house(rng, width * builder.between(0.7, 1), 10, int(rng.integers(2, 6)))
+        builder.put(mesh, side, middle, out)
+    elif builder.chance(0.9):
+        height = builder.between(4, 9)
+        builder.put_line(
+            lambda length: vegetation.thicket(rng, length, 4, height), side, lot.start, lot.end, out
+        )

@@ -1,0 +1,335 @@
+# SPDX-License-Identifier: MIT
+"""The ground plan of a street: where road, pavement, gardens and side streets lie.
+
+Positions are given along the street and across it: ``s`` metres along the centre line, ``t``
+metres to its left. Everything here is vectorised over s and t.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from salsanext_cli.synthesis import ids
+from salsanext_cli.synthesis.mesh import Array
+from salsanext_cli.synthesis.style import Span, Style
+
+REACH = 62.0
+"""How far the world goes to either side, metres."""
+LEFT, RIGHT = 1, -1
+CORNER_LINES = np.arange(0.3, 4.2, 0.3)
+"""Rounded corners need a grid this fine, metres from the kerb."""
+
+
+@dataclass(frozen=True, slots=True)
+class Lot:
+    """A plot beside the street: from ``start`` to ``end`` along s, the house ``setback`` away.
+
+    ``drive`` is the interval along s that is paved as a driveway, empty where start = end.
+    """
+
+    kind: str
+    start: float
+    end: float
+    setback: float
+    front: int
+    back: int
+    drive: Span
+
+
+@dataclass(frozen=True, slots=True)
+class Crossing:
+    """A side street at ``s`` of half width ``half``, with pavements, to the given sides.
+
+    ``corner`` is the radius of the kerb where it meets the street.
+    """
+
+    s: float
+    half: float
+    pavement: float
+    sides: tuple[int, ...]
+    zebra: bool
+    corner: float
+
+
+@dataclass(frozen=True, slots=True)
+class Side:
+    """One side of the street: widths of its strips from the kerb outwards, then the lots."""
+
+    sign: int
+    parking: float
+    verge: float
+    sidewalk: float
+    kerb: float
+    raised_parking: bool
+    lots: tuple[Lot, ...]
+
+    @property
+    def depth(self) -> float:
+        """From the kerb to the lots."""
+        return self.parking + self.verge + self.sidewalk
+
+
+@dataclass(frozen=True, slots=True)
+class Plan:
+    """A whole street.
+
+    Attributes
+    ----------
+    style : Style
+        What it was drawn from.
+    length : float
+        Of the centre line, metres.
+    half : float
+        Half the width of the carriageway.
+    knots, x, y, heading : (K,)
+        The centre line at every half metre of s.
+    waves : (M, 4)
+        Amplitude, x and y wave number and phase of the rolling ground.
+    bank : 2 floats
+        Slope of the ground beyond the verge, left and right.
+    """
+
+    style: Style
+    length: float
+    half: float
+    knots: Array
+    x: Array
+    y: Array
+    heading: Array
+    waves: Array
+    bank: Span
+    crossings: tuple[Crossing, ...]
+    left: Side
+    right: Side
+
+    @property
+    def sides(self) -> tuple[Side, Side]:
+        """Left and right."""
+        return self.left, self.right
+
+    def yaw(self, s: npt.ArrayLike) -> Array:
+        """Heading of the street at s, radians."""
+        return np.interp(s, self.knots, self.heading)
+
+    def world(self, s: npt.ArrayLike, t: npt.ArrayLike) -> Array:
+        """World coordinates (..., 3) of the ground at (s, t)."""
+        s, t = np.broadcast_arrays(np.asarray(s, float), np.asarray(t, float))
+        yaw = self.yaw(s)
+        x = np.interp(s, self.knots, self.x) - t * np.sin(yaw)
+        y = np.interp(s, self.knots, self.y) + t * np.cos(yaw)
+        return np.stack([x, y, self.rolling(x, y) + self.relief(s, t)], -1)
+
+    def rolling(self, x: Array, y: Array) -> Array:
+        """Height of the landscape under everything."""
+        amplitude, kx, ky, phase = self.waves.T[(...,) + (None,) * np.ndim(x)]
+        height: Array = (amplitude * np.sin(kx * x + ky * y + phase)).sum(0)
+        return height
+
+    def relief(self, s: Array, t: Array) -> Array:
+        """Height of kerbs, camber and banks above the landscape."""
+        height = -0.015 * np.minimum(np.abs(t), self.half)
+        for side, slope in zip(self.sides, self.bank, strict=True):
+            beyond = side.sign * t - self.half
+            inside = (beyond > 0) & ~self.on_side_street(s, beyond, side)
+            flat = side.parking if not side.raised_parking else 0.0
+            height = height + side.kerb * (inside & (beyond > flat))
+            rise = slope * np.clip(beyond - side.depth - 0.5, 0, 14)
+            distance = self.from_side_street(s, side)
+            height = height + rise * np.clip(distance / 6, 0, 1) * (beyond > 0)
+        return height
+
+    def on_side_street(self, s: Array, beyond: Array, side: Side) -> npt.NDArray[np.bool_]:
+        """Whether a place `beyond` the kerb is carriageway of a side street, rounded corners included."""
+        found = np.zeros(np.broadcast_shapes(np.shape(s), np.shape(beyond)), bool)
+        for crossing in self.crossings:
+            if side.sign in crossing.sides:
+                away, radius = np.abs(s - crossing.s) - crossing.half, crossing.corner
+                cut = np.hypot(radius - away, radius - beyond) > radius
+                found |= (away <= 0) | ((away < radius) & (beyond < radius) & cut)
+        return found
+
+    def from_side_street(self, s: Array, side: Side) -> Array:
+        """Distance along s to the nearest side street's carriageway; negative inside."""
+        distance = np.full(np.shape(s), 1e3)
+        for crossing in self.crossings:
+            if side.sign in crossing.sides:
+                distance = np.minimum(distance, np.abs(s - crossing.s) - crossing.half)
+        return distance
+
+    def label(self, s: Array, t: Array) -> npt.NDArray[np.uint32]:
+        """Raw id of the ground at (s, t)."""
+        label = np.where(self._painted(s, t), ids.MARKING, ids.ROAD).astype(np.uint32)
+        for side in self.sides:
+            beyond = side.sign * t - self.half
+            label = np.where(beyond > 0, self._beside(s, beyond, side), label)
+        return label
+
+    def _painted(self, s: Array, t: Array) -> npt.NDArray[np.bool_]:
+        """Whether the carriageway is painted: dashes, edge lines, zebra and stop lines."""
+        dashed = (np.abs(t) < 0.08) & (np.mod(s, 9.0) < 3.0)
+        edge = (np.abs(np.abs(t) - (self.half - 0.3)) < 0.06) & (self.style.lane[1] > 4)
+        painted = dashed | edge
+        for crossing in self.crossings:
+            away = np.abs(s - crossing.s) - crossing.half
+            painted &= away > 1
+            if crossing.zebra:
+                painted |= (away > 1.5) & (away < 4.5) & (np.mod(t, 1.0) < 0.5)
+        return painted
+
+    def _beside(self, s: Array, beyond: Array, side: Side) -> npt.NDArray[np.uint32]:
+        label = np.full(np.shape(s), ids.TERRAIN, np.uint32)
+        for lot in side.lots:
+            inside = (s >= lot.start) & (s < lot.end)
+            front = beyond < side.depth + lot.setback
+            drive = (s > lot.drive[0]) & (s < lot.drive[1]) & front
+            ground = np.where(drive, ids.PARKING, np.where(front, lot.front, lot.back))
+            label = np.where(inside, ground, label)
+        strips = (
+            (side.depth, ids.SIDEWALK),
+            (side.parking + side.verge, ids.TERRAIN),
+            (side.parking, ids.PARKING),
+        )
+        for width, strip in strips:
+            label = np.where(beyond < width, strip, label)
+        for crossing in self.crossings:
+            if side.sign in crossing.sides:
+                paved = np.abs(s - crossing.s) - crossing.half < crossing.pavement
+                label = np.where(paved & (beyond > side.parking), ids.SIDEWALK, label)
+        return np.where(self.on_side_street(s, beyond, side), ids.ROAD, label).astype(np.uint32)
+
+    def edges(self) -> tuple[Array, Array]:
+        """Return the s and the t at which the ground changes."""
+        s = [
+            crossing.s + end * reach
+            for crossing in self.crossings
+            for end in (-1, 1)
+            for reach in (crossing.half, crossing.half + crossing.pavement)
+        ]
+        t = [-0.08, 0.08]
+        for side in self.sides:
+            s += [edge for lot in side.lots for edge in (lot.start, *lot.drive)]
+            strips = [0, side.parking, side.parking + side.verge, side.depth]
+            strips += [side.depth + lot.setback for lot in side.lots]
+            t += [side.sign * (self.half + strip) for strip in strips]
+            t += [side.sign * (self.half - 0.36), side.sign * (self.half - 0.24)]
+            t += list(side.sign * (self.half + CORNER_LINES))
+        for crossing in self.crossings:
+            for end in (-1, 1):
+                s += list(crossing.s + end * (crossing.half + CORNER_LINES))
+        return np.unique(np.round(s, 3)), np.unique(np.round(t, 3))
+
+
+def draw_plan(rng: np.random.Generator, style: Style, length: float) -> Plan:
+    """Draw a street of that style and length."""
+    knots = np.arange(-1.0, length + 1.5, 0.5)
+    heading = _heading(rng, knots)
+    half = rng.uniform(*style.lane)
+    crossings = _crossings(rng, style, length)
+    waves = np.stack(
+        [
+            rng.uniform(0.05, 1.0, 5) * np.array([1.2, 0.8, 0.3, 0.08, 0.03]),
+            *(rng.choice([-1, 1], 5) * 2 * np.pi / np.array([260, 140, 60, 22, 9])
+              * rng.uniform(0.3, 1, 5) for _ in range(2)),
+            rng.uniform(0, 2 * np.pi, 5),
+        ],
+        -1,
+    )  # fmt: skip
+    steep = 0.25 if style.name == "country" else 0.04
+    return Plan(
+        style,
+        length,
+        half,
+        knots,
+        np.cumsum(np.cos(heading)) * 0.5,
+        np.cumsum(np.sin(heading)) * 0.5,
+        heading,
+        waves,
+        (rng.uniform(-0.6, 1) * steep, rng.uniform(-0.6, 1) * steep),
+        crossings,
+        _side(rng, style, LEFT, length, crossings),
+        _side(rng, style, RIGHT, length, crossings),
+    )
+
+
+def _heading(rng: np.random.Generator, knots: Array) -> Array:
+    """Draw straights and bends no tighter than 85 m, so that the sides do not fold over."""
+    curvature = np.zeros(len(knots))
+    position = 0
+    while position < len(knots):
+        count = int(rng.uniform(40, 160))
+        if rng.random() < 0.6:
+            bend = rng.uniform(-1, 1) / 85
+            curvature[position : position + count] = (
+                bend * np.hanning(count)[: len(knots) - position]
+            )
+        position += count
+    heading: Array = rng.uniform(-np.pi, np.pi) + np.cumsum(curvature) * 0.5
+    return heading
+
+
+def _crossings(rng: np.random.Generator, style: Style, length: float) -> tuple[Crossing, ...]:
+    found = []
+    s = rng.uniform(0.3, 1.0) * style.crossing_gap[0]
+    while s < length:
+        sides = ((LEFT,), (RIGHT,), (LEFT, RIGHT))[rng.choice(3, p=(0.28, 0.28, 0.44))]
+        paved = 0.0 if style.name == "country" else rng.uniform(1.2, 3)
+        zebra = bool(rng.random() < 0.35) and style.name != "country"
+        found.append(Crossing(s, rng.uniform(2.2, 4.5), paved, sides, zebra, rng.uniform(0.8, 4.0)))
+        s += rng.uniform(*style.crossing_gap)
+    return tuple(found)
+
+
+def _side(
+    rng: np.random.Generator,
+    style: Style,
+    sign: int,
+    length: float,
+    crossings: tuple[Crossing, ...],
+) -> Side:
+    parking = rng.uniform(1.9, 2.4) if rng.random() < style.parking else 0.0
+    verge = rng.uniform(0.8, 3.0) if rng.random() < style.verge else 0.0
+    sidewalk = rng.uniform(*style.sidewalk_width) if rng.random() < style.sidewalk else 0.0
+    kerb = rng.uniform(0.03, 0.16) if sidewalk else 0.0
+    stops = [
+        (c.s - c.half - c.pavement, c.s + c.half + c.pavement) for c in crossings if sign in c.sides
+    ]
+    lots: list[Lot] = []
+    position = 0.0
+    for low, high in [*stops, (length, length)]:
+        lots += _lots(rng, style, position, low)
+        position = high
+    return Side(sign, parking, verge, sidewalk, kerb, bool(rng.random() < 0.5), tuple(lots))
+
+
+def _lots(rng: np.random.Generator, style: Style, start: float, end: float) -> list[Lot]:
+    """Fill the stretch between two side streets with lots."""
+    lots: list[Lot] = []
+    kinds, weights = list(style.lots), np.array(list(style.lots.values()), float)
+    setback = rng.uniform(*style.setback)
+    while end - start > 1:
+        width = rng.uniform(*style.lot_width)
+        stop = end if end - start - width < style.lot_width[0] * 0.6 else start + width
+        kind = str(rng.choice(kinds, p=weights / weights.sum()))
+        lots.append(_lot(rng, kind, start, stop, setback + rng.uniform(-0.15, 0.15) * setback))
+        start = stop
+    return lots
+
+
+def _lot(rng: np.random.Generator, kind: str, start: float, end: float, setback: float) -> Lot:
+    paved = ids.SIDEWALK if rng.random() < 0.4 else ids.TERRAIN
+    front, back = ids.TERRAIN, ids.TERRAIN
+    drive = (start, start)
+    if kind == "terrace":
+        front, back = paved if setback > 2 else ids.SIDEWALK, ids.TERRAIN
+    elif kind == "carpark":
+        front, back, setback = ids.PARKING, paved, rng.uniform(5.5, 12)
+    elif kind == "house":
+        if rng.random() < 0.6 and end - start > 8:
+            drive = (start + 0.4, start + 0.4 + rng.uniform(2.6, 3.6))
+        front = ids.SIDEWALK if rng.random() < 0.2 else ids.TERRAIN
+    elif kind == "yard" and rng.random() < 0.3:
+        front = ids.PARKING
+    return Lot(kind, start, end, setback, front, back, drive)

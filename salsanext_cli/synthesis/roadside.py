@@ -1,0 +1,165 @@
+# SPDX-License-Identifier: MIT
+"""What stands between the kerb and the lots, and in the side streets."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from salsanext_cli.synthesis import furniture, people, vegetation, vehicles
+from salsanext_cli.synthesis.builder import Builder
+from salsanext_cli.synthesis.plan import Crossing, Side
+
+TOWARDS_TRAFFIC = np.pi / 2
+"""A sign faces its local -y; turned by this it faces along the street."""
+
+
+def furnish(builder: Builder, side: Side) -> None:
+    """Fill the strips of one side: parked cars, trees, lamps, signs, people, clutter."""
+    _parked(builder, side)
+    _trees(builder, side)
+    _lamps(builder, side)
+    _signs(builder, side)
+    _bicycles(builder, side)
+    _people(builder, side)
+    _clutter(builder, side)
+    for crossing in builder.plan.crossings:
+        if side.sign in crossing.sides:
+            _side_street(builder, side, crossing)
+
+
+def _parked(builder: Builder, side: Side) -> None:
+    """Park vehicles at the kerb in groups with gaps."""
+    style = builder.plan.style
+    out = side.parking / 2 if side.parking else 0.55
+    share = style.parked if side.parking else style.parked * 0.45
+    s, occupied = 2.5, builder.chance(share)
+    while s < builder.plan.length - 2.5:
+        if builder.chance(0.35):
+            occupied = builder.chance(share)
+        length = 5.2
+        if occupied:
+            lorry = builder.chance(0.03)
+            mesh = (vehicles.truck if lorry else vehicles.car)(builder.rng)
+            length = 9.5 if lorry else builder.between(5.0, 6.2)
+            yaw = np.pi * (builder.chance(0.15) ^ (side.sign > 0)) + builder.rng.normal(0, 0.02)
+            beyond = out + (0.2 if lorry else 0.0) + builder.rng.normal(0, 0.08)
+            facing = yaw + (0 if side.sign > 0 else np.pi)
+            builder.put_if_free(mesh, side, s + length / 2, beyond, length / 2 - 0.35, facing)
+        s += length
+
+
+def _trees(builder: Builder, side: Side) -> None:
+    style = builder.plan.style
+    if not side.verge and builder.chance(0.5):
+        return
+    out = side.parking + side.verge / 2 if side.verge else side.parking + 0.7
+    s, height = builder.between(2, 10), builder.between(4.5, 12)
+    while s < builder.plan.length:
+        mesh = vegetation.tree(builder.rng, height * builder.between(0.85, 1.15))
+        builder.put_if_free(mesh, side, s, out + builder.rng.normal(0, 0.1), 0.5)
+        if side.verge and builder.chance(0.5):
+            weeds = vegetation.weeds(builder.rng, builder.between(0.3, 0.8))
+            builder.put(weeds, side, s + builder.between(1, 4), out)
+        s += builder.between(*style.tree_gap)
+    if side.verge and builder.chance(0.3):
+        _verge_bushes(builder, side, out)
+
+
+def _verge_bushes(builder: Builder, side: Side, out: float) -> None:
+    for s in np.arange(3, builder.plan.length, builder.between(2, 8)):
+        radius = min(1.0, 0.5 * side.verge) * builder.between(0.5, 1)
+        builder.put_if_free(vegetation.bush(builder.rng, radius), side, float(s), out, 0.8)
+
+
+def _lamps(builder: Builder, side: Side) -> None:
+    s = builder.between(0, 25)
+    kind = furniture.lamp(builder.rng)
+    while s < builder.plan.length:
+        builder.put_if_free(kind, side, s, side.parking + builder.between(0.35, 0.5), 0.3)
+        s += builder.between(20, 34)
+    for _ in range(int(builder.rng.poisson(builder.plan.length / 50))):
+        s, out = builder.between(0, builder.plan.length), side.parking + builder.between(0.3, 0.5)
+        for step in range(int(builder.rng.choice([1, 1, 1, 3, 5]))):
+            builder.put_if_free(furniture.post(builder.rng), side, s + 1.5 * step, out, 0.3)
+
+
+def _signs(builder: Builder, side: Side) -> None:
+    for _ in range(int(builder.rng.poisson(builder.plan.length / 17))):
+        s = builder.between(0, builder.plan.length)
+        make = furniture.board if builder.chance(0.22) else furniture.sign
+        yaw = builder.rng.choice([1, 1, 1, -1, 0]) * TOWARDS_TRAFFIC * -1
+        out = side.parking + builder.between(0.4, 1.3)
+        builder.put_if_free(make(builder.rng), side, s, out, 0.4, yaw + builder.rng.normal(0, 0.2))
+    for crossing in builder.plan.crossings:
+        reach = crossing.half + 0.5 * crossing.corner + builder.between(0.4, 2.0)
+        for s in (crossing.s - reach, crossing.s + reach):
+            if not builder.chance(0.7):
+                continue
+            make = furniture.traffic_light if builder.chance(0.3) else furniture.sign
+            yaw = -TOWARDS_TRAFFIC * builder.rng.choice([1, -1])
+            builder.put_if_free(make(builder.rng), side, s, side.parking + 0.5 + 0.2 * crossing.corner, 0.3, yaw)
+
+
+def _bicycles(builder: Builder, side: Side) -> None:
+    """Lean bicycles on the pavement, alone and in racks."""
+    crowd = builder.plan.style.crowd * builder.plan.length / 100
+    for _ in range(int(builder.rng.poisson(0.35 * crowd))):
+        s = builder.between(0, builder.plan.length)
+        out = side.parking + builder.between(0.5, max(0.8, side.verge + side.sidewalk))
+        yaw = builder.between(-0.4, 0.4) + (np.pi / 2) * builder.chance(0.6)
+        for step in range(int(builder.rng.choice([1, 1, 2, 5]))):
+            mesh = people.bicycle(builder.rng).leaned(builder.rng.normal(0, 0.12))
+            builder.put_if_free(
+                mesh, side, s + 0.62 * step, out, 0.3, yaw + builder.rng.normal(0, 0.1)
+            )
+
+
+def _people(builder: Builder, side: Side) -> None:
+    """Stand people about in ones, twos and threes."""
+    crowd = builder.plan.style.crowd * builder.plan.length / 100
+    for _ in range(int(builder.rng.poisson(0.35 * crowd))):
+        s = builder.between(0, builder.plan.length)
+        out = side.parking + builder.between(0.3, max(0.6, side.verge + side.sidewalk - 0.3))
+        for _ in range(int(builder.rng.integers(1, 4))):
+            place = s + builder.rng.normal(0, 0.7), out + builder.rng.normal(0, 0.3)
+            mesh = people.person(builder.rng)
+            builder.put_if_free(mesh, side, *place, 0.3, builder.between(0, 6.28))
+
+
+def _clutter(builder: Builder, side: Side) -> None:
+    for _ in range(int(builder.rng.poisson(builder.plan.length / 10))):
+        s = builder.between(0, builder.plan.length)
+        edge = side.depth - 0.4 if builder.chance(0.6) else side.parking + 0.6
+        builder.put_if_free(furniture.clutter(builder.rng), side, s, max(edge, 0.6), 0.7)
+    if side.sidewalk > 2 and builder.chance(0.4):
+        s = builder.between(0, builder.plan.length)
+        builder.put_if_free(furniture.shelter(builder.rng), side, s, side.depth - 1.6, 2.0)
+
+
+def _side_street(builder: Builder, side: Side, crossing: Crossing) -> None:
+    """Set vehicles, people and poles down in and along a side street."""
+    edge = crossing.half - 0.9
+    for out in np.arange(builder.between(7, 14), 48, builder.between(5.5, 9)):
+        if builder.chance(0.4):
+            make = vehicles.truck if builder.chance(0.08) else vehicles.car
+            s = crossing.s + edge * builder.rng.choice([-1, 1])
+            builder.put(make(builder.rng), side, s, float(out), yaw=np.pi / 2)
+    if builder.chance(0.5):
+        yaw = -np.pi / 2
+        s = crossing.s - side.sign * crossing.half * 0.45
+        builder.put(vehicles.car(builder.rng), side, s, builder.between(2.6, 5), yaw)
+    for _ in range(int(builder.rng.poisson(2 if crossing.pavement else 0.5))):
+        away = (crossing.half + builder.between(0.4, 1.4)) * builder.rng.choice([-1, 1])
+        make_thing = (people.person, people.person, furniture.post, people.bicycle, furniture.sign)
+        mesh = make_thing[builder.rng.integers(5)](builder.rng)
+        out = side.depth + builder.between(0, 25)
+        builder.put(mesh, side, crossing.s + away, out, builder.between(0, 6.28))
+    end = REACH_OF_VIEW
+    wide = 2 * crossing.half + 6
+    height = builder.between(4, 8)
+    wood = vegetation.thicket(builder.rng, wide, 3, height).moved((-wide / 2, 0, 0))
+    builder.put(wood, side, crossing.s, end)
+
+
+REACH_OF_VIEW = 50.0
+"""Where a side street's view is closed by trees, metres beyond the kerb."""

@@ -1,0 +1,113 @@
+# SPDX-License-Identifier: MIT
+"""Elementary shapes, in metres: boxes, tubes, blobs, lofts, clouds of facets."""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+
+from salsanext_cli.synthesis.mesh import Array, Mesh, Skin
+
+BOX_FACES = np.array(
+    [[0, 2, 1], [1, 2, 3], [4, 5, 6], [5, 7, 6], [0, 1, 4], [1, 5, 4]]
+    + [[2, 6, 3], [3, 6, 7], [0, 4, 2], [2, 4, 6], [1, 3, 5], [3, 7, 5]]
+)
+
+
+def box(low: npt.ArrayLike, high: npt.ArrayLike, skin: Skin) -> Mesh:
+    """Return an axis-parallel box between two corners."""
+    (x0, y0, z0), (x1, y1, z1) = np.asarray(low, float), np.asarray(high, float)
+    corners = np.array([[x, y, z] for z in (z0, z1) for y in (y0, y1) for x in (x0, x1)])
+    return Mesh.of(corners, BOX_FACES, skin)
+
+
+def quads(corners: Array, skin: Skin) -> Mesh:
+    """Return quadrangles given as (Q, 4, 3) corners in order around each."""
+    count = len(corners)
+    faces = np.arange(count)[:, None, None] * 4 + np.array([[0, 1, 2], [0, 2, 3]])
+    return Mesh.of(corners.reshape(-1, 3), faces.reshape(-1, 3), skin)
+
+
+def rings(sections: Array, skin: Skin, *, closed: bool = True) -> Mesh:
+    """Join consecutive (S, P, 3) sections by quadrangles; `closed` joins last point to first."""
+    count, size, _ = sections.shape
+    index = np.arange(count * size).reshape(count, size)
+    following = np.roll(index, -1, axis=1) if closed else index[:, 1:]
+    first = index if closed else index[:, :-1]
+    a, b, c, d = first[:-1], following[:-1], following[1:], first[1:]
+    faces = np.concatenate(
+        [np.stack([a, b, c], -1).reshape(-1, 3), np.stack([a, c, d], -1).reshape(-1, 3)]
+    )
+    return Mesh.of(sections.reshape(-1, 3), faces, skin)
+
+
+def tube(path: npt.ArrayLike, radii: npt.ArrayLike, skin: Skin, sides: int = 7) -> Mesh:
+    """Return a tube along a (K, 3) path with a radius at every point (or one for all)."""
+    points = np.asarray(path, float)
+    radius = np.broadcast_to(np.asarray(radii, float), len(points))
+    along = np.gradient(points, axis=0)
+    along /= np.linalg.norm(along, axis=1, keepdims=True)
+    steepest = np.where(np.abs(along[:, 2:]) > 0.9, [1.0, 0.0, 0.0], [0.0, 0.0, 1.0])
+    across = np.cross(along, steepest)
+    across /= np.linalg.norm(across, axis=1, keepdims=True)
+    upward = np.cross(along, across)
+    angle = np.linspace(0, 2 * np.pi, sides, endpoint=False)
+    spread = np.cos(angle)[:, None] * across[:, None] + np.sin(angle)[:, None] * upward[:, None]
+    return rings(points[:, None] + radius[:, None, None] * spread, skin)
+
+
+def ellipsoid(
+    centre: npt.ArrayLike,
+    radii: npt.ArrayLike,
+    skin: Skin,
+    *,
+    sides: int = 8,
+    lumps: float = 0.0,
+    rng: np.random.Generator | None = None,
+) -> Mesh:
+    """Return an ellipsoid; `lumps` is the relative unevenness that `rng` gives it."""
+    latitude = np.linspace(-np.pi / 2, np.pi / 2, max(4, sides // 2 + 2))
+    longitude = np.linspace(0, 2 * np.pi, sides, endpoint=False)
+    unit = np.stack(
+        [
+            np.cos(latitude)[:, None] * np.cos(longitude),
+            np.cos(latitude)[:, None] * np.sin(longitude),
+            np.broadcast_to(np.sin(latitude)[:, None], (len(latitude), sides)),
+        ],
+        -1,
+    )
+    if rng is not None and lumps > 0:
+        unit = unit * (1 + lumps * rng.standard_normal((*unit.shape[:2], 1)).clip(-2, 2))
+    return rings(unit * np.asarray(radii, float) + np.asarray(centre, float), skin)
+
+
+def disc(centre: npt.ArrayLike, radius: float, normal: str, skin: Skin, sides: int = 12) -> Mesh:
+    """Return a flat disc whose normal is the axis ``"x"`` or ``"y"``."""
+    angle = np.linspace(0, 2 * np.pi, sides, endpoint=False)
+    flat, up = radius * np.cos(angle), radius * np.sin(angle)
+    zero = np.zeros(sides)
+    rim = np.stack([zero, flat, up] if normal == "x" else [flat, zero, up], -1)
+    vertices = np.concatenate([np.zeros((1, 3)), rim]) + np.asarray(centre, float)
+    index = np.arange(sides)
+    faces = np.stack([np.zeros(sides, np.int64), index + 1, (index + 1) % sides + 1], -1)
+    return Mesh.of(vertices, faces, skin)
+
+
+def facets(
+    centres: Array,
+    sizes: npt.ArrayLike,
+    skin: Skin,
+    rng: np.random.Generator,
+    *,
+    shade: float = 0.2,
+) -> Mesh:
+    """Return one randomly turned triangle around each of (F, 3) centres, like leaves.
+
+    `sizes` (metres) is one number or F; `shade` is the relative spread of the brightness.
+    """
+    count = len(centres)
+    size = np.broadcast_to(np.asarray(sizes, float), count)[:, None, None]
+    corners = centres[:, None] + size * rng.uniform(-1, 1, (count, 3, 3))
+    mesh = Mesh.of(corners.reshape(-1, 3), np.arange(count * 3).reshape(-1, 3), skin)
+    mesh.shades[:] *= np.exp(shade * rng.standard_normal(count)).astype(np.float32)
+    return mesh

@@ -1,0 +1,136 @@
+# SPDX-License-Identifier: MIT
+"""Trees, bushes, hedges and thickets: many small facets around lumpy hearts, so that rays slip by.
+
+Local frame: the ground at z = 0, a tree's foot at the origin, a hedge along x.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from salsanext_cli.synthesis.ids import TRUNK, VEGETATION
+from salsanext_cli.synthesis.materials import Material
+from salsanext_cli.synthesis.mesh import Array, Mesh, Skin, merge
+from salsanext_cli.synthesis.shapes import ellipsoid, facets, rings, tube
+
+FOOT = -0.4
+
+
+def _leaf(rng: np.random.Generator) -> Skin:
+    return Skin(VEGETATION, Material.LEAF, float(rng.uniform(0.75, 1.2)))
+
+
+def _cluster(rng: np.random.Generator, centre: Array, radii: Array, count: int) -> Array:
+    """Return points that thicken towards the rim of an ellipsoid."""
+    direction = rng.standard_normal((count, 3))
+    direction /= np.linalg.norm(direction, axis=1, keepdims=True)
+    reach = rng.uniform(0.3, 1.0, (count, 1)) ** 0.5 + rng.normal(0, 0.08, (count, 1))
+    return centre + direction * reach * radii
+
+
+def tree(rng: np.random.Generator, height: float) -> Mesh:
+    """Return a broad-leaved tree: bent trunk, branches, a crown of clusters."""
+    bark = Skin(TRUNK, Material.BARK, float(rng.uniform(0.75, 1.15)))
+    radius = float(rng.uniform(0.03, 0.06) * height**0.75)
+    clear = float(rng.uniform(0.25, 0.45) * height)
+    bend = rng.normal(0, 0.05 * height, (2,))
+    levels = np.array([FOOT, 0.0, 0.4, clear * 0.5, clear, clear * 1.5])
+    share = np.clip(levels / levels[-1], 0, 1)[:, None]
+    path = np.concatenate([bend * share**1.5, levels[:, None]], 1)
+    swell = np.array([1.7, 1.4, 1.1, 0.95, 0.85, 0.5])
+    parts = [tube(path, radius * swell, bark, 9)]
+    spread = height * rng.uniform(0.2, 0.34)
+    leaf = _leaf(rng)
+    for _ in range(int(rng.integers(5, 9))):
+        angle = rng.uniform(0, 2 * np.pi)
+        out = np.array([np.cos(angle), np.sin(angle)]) * spread * rng.uniform(0.3, 1)
+        root = path[4] * [1, 1, rng.uniform(0.75, 1.0)]
+        tip = np.array([*(bend + out), rng.uniform(clear * 1.1, height * 0.85)])
+        knee = (root + tip) / 2 + [0, 0, rng.uniform(-0.2, 0.4)]
+        parts.append(tube([root, knee, tip], radius * np.array([0.5, 0.35, 0.12]), bark, 6))
+        size = spread * rng.uniform(0.4, 0.75, 3)
+        leaves = _cluster(rng, tip, size, int(rng.uniform(260, 500)))
+        parts.append(facets(leaves, rng.uniform(0.08, 0.22, len(leaves)), leaf, rng))
+    return merge(parts)
+
+
+def conifer(rng: np.random.Generator, height: float) -> Mesh:
+    """Return a conifer, its branches reaching down."""
+    bark = Skin(TRUNK, Material.BARK, 0.8)
+    base = float(rng.uniform(0.1, 0.9))
+    radius = height * rng.uniform(0.16, 0.26)
+    count = int(110 * height)
+    level = 1 - np.sqrt(rng.uniform(0, 1, count))
+    angle = rng.uniform(0, 2 * np.pi, count)
+    reach = radius * (1 - level) * np.sqrt(rng.uniform(0.25, 1, count)) + rng.normal(0, 0.06, count)
+    z = base + level * (height - base) - 0.25 * reach
+    centres = np.stack([reach * np.cos(angle), reach * np.sin(angle), z], -1)
+    trunk = tube([[0, 0, FOOT], [0, 0, height * 0.8]], [0.025 * height, 0.05], bark)
+    return merge([trunk, facets(centres, rng.uniform(0.1, 0.26, count), _leaf(rng), rng)])
+
+
+def bush(rng: np.random.Generator, radius: float) -> Mesh:
+    """Return a bush of one to four lumps."""
+    leaf = _leaf(rng)
+    parts = []
+    for _ in range(int(rng.integers(1, 5))):
+        size = radius * rng.uniform([0.5, 0.5, 0.5], [1, 1, 1.3])
+        centre = np.array([*rng.normal(0, radius * 0.4, 2), size[2] * 0.7])
+        parts.append(ellipsoid(centre, size * 0.7, leaf, lumps=0.15, rng=rng))
+        leaves = _cluster(rng, centre, size, int(130 + 160 * radius))
+        parts.append(facets(leaves, rng.uniform(0.04, 0.14, len(leaves)), leaf, rng))
+    return merge(parts)
+
+
+def hedge(rng: np.random.Generator, length: float, height: float, depth: float) -> Mesh:
+    """Return a clipped hedge from x = 0 to x = length: a rough wall under a coat of leaves."""
+    leaf = _leaf(rng)
+    stations = np.linspace(0, length, max(3, int(length / 0.5)))
+    outline = np.array(
+        [[-0.5, FOOT / height], [-0.52, 0.35], [-0.5, 0.7], [-0.42, 0.95], [0, 1.0]]
+        + [[0.42, 0.95], [0.5, 0.7], [0.52, 0.35], [0.5, FOOT / height]]
+    )
+    section = outline * [depth * 0.85, height * 0.95]
+    rough = rng.normal(0, 0.05, (len(stations), len(section), 2)) * min(1.5, depth)
+    sides = section + rough
+    x = np.broadcast_to(stations[:, None, None], (*sides.shape[:2], 1))
+    core = rings(np.concatenate([x, sides], -1), leaf)
+    count = int(length * (height + depth) * 55)
+    place = rng.uniform([0, -0.5, 0], [1, 0.5, 1], (count, 3)) * [length, depth, height]
+    outer = rng.random(count)
+    place[:, 1] = np.where(outer < 0.75, np.sign(place[:, 1]) * depth * 0.5, place[:, 1])
+    place[:, 2] = np.where(outer >= 0.75, height, place[:, 2])
+    place += rng.normal(0, 0.05, place.shape)
+    return merge([core, facets(place, rng.uniform(0.04, 0.13, count), leaf, rng)])
+
+
+def thicket(rng: np.random.Generator, length: float, depth: float, height: float) -> Mesh:
+    """Return undergrowth from x = 0 to x = length, y = 0 to y = depth: bushes, stems, crowns."""
+    leaf = _leaf(rng)
+    bark = Skin(TRUNK, Material.BARK, 0.85)
+    parts = []
+    for _ in range(max(2, int(length * depth / 5))):
+        x, y = rng.uniform(0, length), rng.uniform(0, depth)
+        low = rng.uniform(0.15, 0.55) * height * (0.5 + 0.5 * y / depth)
+        size = np.array([*rng.uniform(0.7, 1.8, 2), low])
+        centre = np.array([x, y, low * 0.6])
+        parts.append(ellipsoid(centre, size * 0.6, leaf, lumps=0.2, rng=rng))
+        leaves = _cluster(rng, centre, size, int(rng.uniform(150, 330)))
+        parts.append(facets(leaves, rng.uniform(0.06, 0.22, len(leaves)), leaf, rng))
+    for _ in range(max(1, int(length / 4))):
+        x, y = rng.uniform(0, length), rng.uniform(depth * 0.2, depth)
+        lean = rng.normal(0, 0.5, 2)
+        top = np.array([x + lean[0], y + lean[1], height * rng.uniform(0.6, 1.1)])
+        parts.append(tube([[x, y, FOOT], top], [rng.uniform(0.08, 0.22), 0.05], bark, 6))
+        leaves = _cluster(rng, top, np.array([2.0, 2.0, height * 0.3]), 260)
+        parts.append(facets(leaves, rng.uniform(0.12, 0.32, len(leaves)), leaf, rng))
+    return merge(parts)
+
+
+def weeds(rng: np.random.Generator, radius: float, label: int = VEGETATION) -> Mesh:
+    """Return a patch of tall grass and weeds."""
+    count = int(70 * radius)
+    centres = rng.normal(0, radius * 0.5, (count, 3))
+    centres[:, 2] = rng.uniform(0.0, 0.45, count) * rng.uniform(0.3, 1.0)
+    leaf = Skin(label, Material.LEAF, float(rng.uniform(0.8, 1.15)))
+    return facets(centres, rng.uniform(0.04, 0.14, count), leaf, rng)
