@@ -49,7 +49,8 @@ def draw_scan(
     panel(strips, _strips(cloud, labels, space, sensor), legend)
     views = [View(title, label_colours(ids, space)) for title, ids in labels.items()]
     if wrong:
-        views.append(View("errors", error_colours(*labels.values(), space)))
+        errors = error_colours(labels["truth"], labels["prediction"], space)
+        views.append(View("errors", errors))
     birds_eye(above, cloud.scan.points, views, legend)
     return strips, above
 
@@ -69,7 +70,8 @@ def _strips(
     strips = [range_strip(image), scalar_strip(image, "intensity", image.channels[4])]
     strips += [Strip(title, label_picture(image, ids, space)) for title, ids in labels.items()]
     if len(labels) == 2:
-        strips.append(Strip("errors", error_picture(image, *labels.values(), space)))
+        errors = error_picture(image, labels["truth"], labels["prediction"], space)
+        strips.append(Strip("errors", errors))
     for kind, values in cloud.uncertainty.items():
         strips.append(scalar_strip(image, kind.replace("_", " "), values))
     return strips
