@@ -26,6 +26,7 @@ def normalise(channels: Float, sensor: Sensor) -> Float:
     """
     means = np.asarray(sensor.means, np.float32).reshape(-1, 1, 1)
     stds = np.asarray(sensor.stds, np.float32).reshape(-1, 1, 1)
-    normal = (channels - means) / stds
-    normal *= channels[0] > 0
+    normal = channels - means
+    normal /= stds
+    normal[:, channels[0] <= 0] = 0
     return normal

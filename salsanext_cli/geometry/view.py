@@ -10,7 +10,6 @@ import numpy as np
 
 from salsanext_cli.sensors import Sensor
 
-
 LARGEST = np.float32(1e6)
 """Ranges (metres) and intensities above this are no measurements; they would drown the network."""
 

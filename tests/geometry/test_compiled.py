@@ -1,0 +1,71 @@
+# SPDX-License-Identifier: MIT
+"""Kernels: threads, and folders where nothing can be cached."""
+
+import os
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import salsanext_cli
+from salsanext_cli.geometry.compiled import SMALLEST_SLICE, argument, in_slices
+
+PROJECT_ONE_POINT = """
+import numpy as np
+from salsanext_cli.geometry.projection import project
+from salsanext_cli.records import Scan
+from salsanext_cli.sensors import sensor
+scan = Scan(np.array([[5, 0, 0]], np.float32), np.ones(1, np.float32))
+assert project(scan, sensor("hdl64")).pixel_of_point.tolist() == [6 * 2048 + 1024]
+"""
+
+
+@pytest.mark.parametrize("count", [0, 1, SMALLEST_SLICE, 10 * SMALLEST_SLICE + 3])
+def test_slices_cover_everything_once(count):
+    visits = np.zeros(count, int)
+
+    def visit(part):
+        visits[part] += 1
+
+    in_slices(visit, count)
+    assert (visits == 1).all()
+
+
+def test_an_error_in_any_slice_is_raised():
+    def fail(part):
+        if part.stop == 10 * SMALLEST_SLICE:
+            raise ValueError("last slice")
+
+    with pytest.raises(ValueError, match="last slice"):
+        in_slices(fail, 10 * SMALLEST_SLICE)
+
+
+def test_arguments_are_copied_only_if_they_must_be():
+    good = np.zeros((4, 3), np.float32)
+    assert argument(good, np.float32) is good
+    frozen = good.view()
+    frozen.setflags(write=False)
+    for other in (frozen, good[:, ::2], good.astype(np.float64)):
+        flags = argument(other, np.float32).flags
+        assert flags.writeable
+        assert flags.c_contiguous
+
+
+def test_works_where_nothing_can_be_cached(tmp_path):
+    """A file stands where the cache folder would be, beside the source and in the home."""
+    package = tmp_path / "salsanext_cli"
+    shutil.copytree(
+        Path(salsanext_cli.__file__).parent,
+        package,
+        ignore=shutil.ignore_patterns("__pycache__", "*.safetensors"),
+    )
+    (package / "geometry" / "__pycache__").touch()
+    home = tmp_path / "home"
+    home.touch()
+    places = dict.fromkeys(("HOME", "XDG_CACHE_HOME", "NUMBA_CACHE_DIR"), str(home))
+    environment = {**os.environ, **places, "PYTHONPATH": str(tmp_path)}
+    command = [sys.executable, "-B", "-c", PROJECT_ONE_POINT]
+    subprocess.run(command, env=environment, cwd=tmp_path, check=True, timeout=120)

@@ -1,0 +1,238 @@
+# SPDX-License-Identifier: MIT
+"""kNN refinement: against the slow loop, by hand, and against the published labels."""
+
+import math
+
+import numba
+import numpy as np
+import pytest
+import torch
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from slow_geometry import published_refine, slow_refine
+
+from salsanext_cli.errors import LabelError, UsageError
+from salsanext_cli.geometry import knn_torch
+from salsanext_cli.geometry.knn import KnnParameters, knn_refine
+from salsanext_cli.geometry.projection import project
+from salsanext_cli.records import RangeImage, Scan
+from salsanext_cli.sensors import sensor
+
+
+def image_of(ranges, pixels=None, point_range=None):
+    """Build an image with these ranges; one point per pixel unless told otherwise."""
+    ranges = np.asarray(ranges, np.float32)
+    pixels = np.flatnonzero(ranges) if pixels is None else pixels
+    pixels = np.asarray(pixels, np.int32)
+    own = ranges.reshape(-1)[pixels] if point_range is None else point_range
+    channels = np.zeros((5, *ranges.shape), np.float32)
+    channels[0] = ranges
+    nobody = np.full(ranges.shape, -1, np.int32)
+    return RangeImage(channels, pixels, nobody, np.asarray(own, np.float32))
+
+
+def slow(image, labels, parameters):
+    rules = (parameters.k, parameters.window, parameters.sigma, parameters.cutoff)
+    return slow_refine(image, labels, *rules)
+
+
+def on_torch(image, labels, parameters, device="cpu"):
+    labels = np.asarray(labels, np.uint8)
+    arrays = (image.channels[0], labels, image.pixel_of_point, image.point_range)
+    return knn_torch.refine(*arrays, parameters, device)
+
+
+@st.composite
+def problems(draw):
+    height, width = draw(st.integers(1, 6)), draw(st.integers(1, 9))
+    random = np.random.default_rng(draw(st.integers(0, 2**32)))
+    few, classes = draw(st.integers(1, 12)), draw(st.integers(2, 6))
+    ranges = random.integers(0, few, (height, width)) * draw(st.sampled_from([0.3, 1.0, 7.7]))
+    pixels = random.choice([-1, *np.flatnonzero(ranges)], draw(st.integers(0, 40)))
+    own = np.where(pixels < 0, 0, random.integers(1, few + 1, len(pixels)) * 0.7)
+    window = draw(st.sampled_from([1, 3, 5, 7]))
+    parameters = KnnParameters(
+        draw(st.integers(1, window**2)),
+        window,
+        draw(st.sampled_from([0.1, 1.0, 3.0])),
+        draw(st.sampled_from([0.0, 0.5, 1.0, 5.0, math.inf])),
+    )
+    labels = random.integers(0, classes, (height, width))
+    return image_of(ranges, pixels, own), labels, parameters
+
+
+@settings(deadline=None, max_examples=400)
+@given(problems())
+def test_equals_the_slow_loop_on_both_devices(problem):
+    image, labels, parameters = problem
+    expected = slow(image, labels, parameters)
+    refined = knn_refine(image, labels, parameters=parameters)
+    assert refined.dtype == np.uint8
+    np.testing.assert_array_equal(refined, expected)
+    np.testing.assert_array_equal(on_torch(image, labels, parameters), expected)
+
+
+@pytest.mark.parametrize("threads", [1, 2, 5])
+@pytest.mark.parametrize("cell", [1, 9])
+def test_many_points_on_any_number_of_threads(rings, cell, threads, monkeypatch):
+    """Labels that change with every pixel, and labels in patches of 9 × 9."""
+    monkeypatch.setattr("salsanext_cli.geometry.compiled.SMALLEST_SLICE", 100)
+    monkeypatch.setitem(vars(numba.config), "NUMBA_NUM_THREADS", threads)
+    image = project(rings, sensor("hdl64").resized(width=512))
+    labels = np.random.default_rng(1).integers(0, 20, (64, 512), np.uint8)
+    labels = labels[::cell, ::cell].repeat(cell, 0).repeat(cell, 1)[:64, :512]
+    parameters = KnnParameters(cutoff=4.0)
+    refined = knn_refine(image, labels, parameters=parameters)
+    np.testing.assert_array_equal(refined, on_torch(image, labels, parameters))
+    some = slice(0, None, 97)
+    few = RangeImage(
+        image.channels, image.pixel_of_point[some], image.point_of_pixel, image.point_range[some]
+    )
+    np.testing.assert_array_equal(refined[some], slow(few, labels, parameters))
+
+
+def test_window_goes_round_in_azimuth():
+    ranges = np.full((1, 8), 5.0)
+    labels = np.array([[1, 2, 3, 3, 3, 3, 2, 2]])
+    assert knn_refine(image_of(ranges), labels)[0] == 2
+
+
+def test_neither_padding_nor_empty_pixels_vote():
+    """A lone point 0.2 m away would take the published padding for neighbours of range 0."""
+    ranges = np.zeros((3, 8))
+    ranges[1, 4] = 0.2
+    labels = np.full((3, 8), 7)
+    labels[1, 4] = 3
+    assert knn_refine(image_of(ranges), labels).tolist() == [3]
+
+
+def test_without_a_vote_the_label_stays():
+    labels = np.zeros((3, 8), int)
+    assert knn_refine(image_of(np.full((3, 8), 5.0)), labels).max() == 0
+
+
+def test_unlabelled_neighbours_take_a_place_without_a_vote():
+    ranges = np.array([[5.0, 5.0, 5.0, 5.1, 5.1, 5.2, 5.2, 90]])
+    labels = np.array([[0, 4, 0, 6, 6, 6, 6, 0]])
+    image = image_of(ranges, [1])
+    assert knn_refine(image, labels, parameters=KnnParameters(3, 5)).tolist() == [4]
+    assert knn_refine(image, labels, parameters=KnnParameters(5, 7)).tolist() == [6]
+
+
+def test_lowest_label_wins_ties():
+    ranges = np.full((1, 8), 5.0)
+    labels = np.array([[9, 9, 2, 9, 2, 9, 9, 9]])
+    image = image_of(ranges, [3])
+    assert knn_refine(image, labels, parameters=KnnParameters(4, 3)).tolist() == [2]
+    labels[0, 4] = 1
+    assert knn_refine(image, labels, parameters=KnnParameters(3, 3)).tolist() == [1]
+
+
+def test_hidden_point_takes_the_label_of_its_own_distance():
+    """Seen through a fence at 5 m, a wall at 9 m is labelled as the wall beside it."""
+    ranges = np.full((3, 8), 9.0)
+    ranges[1, 4] = 5.0
+    labels = np.full((3, 8), 13)
+    labels[1, 4] = 14
+    assert knn_refine(image_of(ranges, [12, 12], [5.0, 9.0]), labels).tolist() == [14, 13]
+
+
+def test_takes_tensors_and_gives_points_without_pixel_label_0():
+    image = image_of(np.full((2, 8), 5.0), [-1, 3], [0, 5])
+    labels = torch.full((2, 8), 6)
+    assert knn_refine(image, labels).tolist() == [0, 6]
+
+
+def test_no_points():
+    image = project(Scan(np.empty((0, 3), np.float32), np.empty(0, np.float32)), sensor("hdl64"))
+    labels = np.ones((64, 2048), int)
+    assert knn_refine(image, labels).shape == (0,)
+    assert on_torch(image, labels, KnnParameters()).shape == (0,)
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [
+        {"k": 0},
+        {"k": 26},
+        {"k": 2, "window": 1},
+        {"window": 4},
+        {"window": -1},
+        {"sigma": 0.0},
+        {"sigma": math.nan},
+        {"sigma": math.inf},
+        {"cutoff": -0.1},
+        {"cutoff": math.nan},
+    ],
+)
+def test_impossible_parameters(wrong):
+    with pytest.raises(UsageError, match=next(iter(wrong))):
+        KnnParameters(**wrong)
+
+
+@pytest.mark.parametrize(
+    ("labels", "found"),
+    [
+        (np.zeros((8, 3), int), "shape"),
+        (np.zeros((3, 8)), "dtype"),
+        (np.full((3, 8), 20), "20"),
+        (np.full((3, 8), -1), "-1"),
+    ],
+)
+def test_labels_that_do_not_fit(labels, found):
+    with pytest.raises(LabelError, match=found):
+        knn_refine(image_of(np.ones((3, 8))), labels)
+
+
+@pytest.mark.parametrize("pixel", [-2, 24])
+def test_pixels_outside_the_image(pixel):
+    with pytest.raises(LabelError, match=str(pixel)):
+        knn_refine(image_of(np.ones((3, 8)), [pixel], [1]), np.zeros((3, 8), int))
+
+
+def test_too_many_classes():
+    with pytest.raises(UsageError, match="257"):
+        knn_refine(image_of(np.ones((3, 8))), np.zeros((3, 8), int), class_count=257)
+
+
+PUBLISHED = [("argmax_image", "point_labels"), ("blob_image", "blob_point_labels")]
+
+
+@pytest.mark.real
+@pytest.mark.parametrize(("image_name", "labels_name"), PUBLISHED)
+def test_published_labels(golden, real_image, image_name, labels_name):
+    """The published rules give the published labels, and every difference of ours is a correction.
+
+    These are: the window reaches over an edge of the image, or nobody votes.
+    """
+    with np.load(golden / "projection.npz") as projection, np.load(golden / "knn.npz") as knn:
+        column, row = (projection[name].astype(int) for name in ("pixel_x", "pixel_y"))
+        point_range, holder = projection["point_range"], projection["pixel_to_point"]
+        labels, published = knn[image_name], knn[labels_name]
+    ranges = np.where(holder >= 0, point_range[holder], np.float32(-1))
+    refined = published_refine(ranges, labels, column, row, point_range)
+    np.testing.assert_array_equal(refined, published)
+
+    ours = knn_refine(real_image, labels)
+    at_edge = (column < 2) | (column >= 2046) | (row < 2) | (row >= 62)
+    no_vote = (ours == 0) & (labels[row, column] == 0) & (published == 1)
+    differs = ours != published
+    assert differs.mean() < 0.005
+    assert (at_edge | no_vote)[differs].all()
+
+
+@pytest.mark.real
+@pytest.mark.parametrize("image_name", ["argmax_image", "blob_image"])
+def test_real_scan_equals_the_slow_loop(golden, real_image, image_name):
+    with np.load(golden / "knn.npz") as knn:
+        labels = knn[image_name]
+    ours = knn_refine(real_image, labels)
+    np.testing.assert_array_equal(ours, on_torch(real_image, labels, KnnParameters()))
+    some = slice(0, None, 11)
+    few = RangeImage(
+        real_image.channels,
+        real_image.pixel_of_point[some],
+        real_image.point_of_pixel,
+        real_image.point_range[some],
+    )
+    np.testing.assert_array_equal(ours[some], slow(few, labels, KnnParameters()))

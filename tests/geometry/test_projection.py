@@ -1,0 +1,171 @@
+# SPDX-License-Identifier: MIT
+"""Projection: against the slow loop, closed forms and the published implementation."""
+
+import math
+
+import numba
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from hypothesis.extra import numpy as arrays
+from slow_geometry import slow_project
+
+from salsanext_cli.geometry import projection_torch
+from salsanext_cli.geometry.projection import project
+from salsanext_cli.geometry.projection_numba import arctan2
+from salsanext_cli.geometry.view import View
+from salsanext_cli.records import Scan
+from salsanext_cli.sensors import Sensor, sensor
+
+FIELDS = ("channels", "pixel_of_point", "point_of_pixel", "point_range")
+WIDE = Sensor("wide", 90, -90, 4, 8)
+
+
+def scan_of(*points):
+    points = np.array(points, np.float32).reshape(-1, 3)
+    return Scan(points, np.linspace(0.1, 0.9, len(points), dtype=np.float32))
+
+
+def assert_same(image, expected):
+    for field, values in zip(FIELDS, expected, strict=True):
+        assert getattr(image, field).dtype == values.dtype
+        np.testing.assert_array_equal(getattr(image, field), values, err_msg=field)
+
+
+def fields_of(image):
+    return [getattr(image, field) for field in FIELDS]
+
+
+coordinates = st.one_of(
+    st.sampled_from([0.0, -0.0, 1.0, -1.0, 2.0, 1e-40, 1e30, -3e38, math.nan, math.inf, -math.inf]),
+    st.integers(-4, 4).map(float),
+    st.floats(-100, 100, width=32),
+)
+scans = st.integers(0, 24).flatmap(
+    lambda n: st.builds(
+        Scan,
+        arrays.arrays(np.float32, (n, 3), elements=coordinates),
+        arrays.arrays(np.float32, n, elements=coordinates),
+    )
+)
+
+
+@st.composite
+def sensors(draw):
+    down, extent = draw(st.floats(-90, 60)), draw(st.floats(0.01, 120))
+    height, width = draw(st.integers(1, 6)), draw(st.integers(1, 9))
+    out_of_view = draw(st.sampled_from(["clamp", "drop"]))
+    return Sensor("drawn", down + extent, down, height, width, out_of_view=out_of_view)
+
+
+@settings(deadline=None, max_examples=300)
+@given(scans, sensors())
+def test_equals_the_slow_loop_on_both_devices(scan, drawn):
+    expected = slow_project(scan, drawn)
+    assert_same(project(scan, drawn), expected)
+    assert_same(projection_torch.project(scan, View.of(drawn), "cpu"), expected)
+
+
+def test_equals_the_slow_loop_on_rings(rings):
+    assert_same(project(rings, sensor("hdl64")), slow_project(rings, sensor("hdl64")))
+
+
+@pytest.mark.parametrize("threads", [1, 2, 5])
+def test_does_not_depend_on_threads(rings, threads, monkeypatch):
+    monkeypatch.setattr("salsanext_cli.geometry.compiled.SMALLEST_SLICE", 100)
+    monkeypatch.setitem(vars(numba.config), "NUMBA_NUM_THREADS", threads)
+    expected = projection_torch.project(rings, View.of(sensor("hdl64")), "cpu")
+    assert_same(project(rings, sensor("hdl64")), fields_of(expected))
+
+
+def test_compass():
+    """Forward is the middle column, left a quarter before, backward the ends; up is row 0."""
+    image = project(scan_of((9, 0, 0), (0, 9, 0), (0, -9, 0), (-9, 1e-6, 0), (-9, -1e-6, 0)), WIDE)
+    assert (image.pixel_of_point % 8).tolist() == [4, 2, 6, 0, 7]
+    up, down = project(scan_of((0, 0, 5), (0, 0, -5)), WIDE).pixel_of_point // 8
+    assert (up, down) == (0, 3)
+
+
+def test_field_of_view_of_one_sign():
+    """A sensor that looks up from +10° to +50° has +11° in its last row and +49° in its first."""
+    angle = np.radians([11, 29, 31, 49])
+    points = np.stack([np.cos(angle), 0 * angle, np.sin(angle)], axis=1)
+    image = project(scan_of(*points), Sensor("up", 50, 10, 4, 1))
+    assert image.pixel_of_point.tolist() == [3, 2, 1, 0]
+
+
+def test_out_of_view():
+    points = ((5, 0, 5), (5, 0, 0), (5, 0, -5))
+    narrow = Sensor("narrow", 10, -10, 2, 1)
+    assert project(scan_of(*points), narrow).pixel_of_point.tolist() == [0, 1, 1]
+    dropping = Sensor("narrow", 10, -10, 2, 1, out_of_view="drop")
+    image = project(scan_of(*points), dropping)
+    assert image.pixel_of_point.tolist() == [-1, 1, -1]
+    assert image.point_range.tolist() == [0, 5, 0]
+
+
+def test_nearest_wins_and_the_first_of_equals():
+    image = project(scan_of((3, 0, 0), (2, 0, 0), (2, 0, 0), (4, 0, 0)), WIDE)
+    assert image.point_of_pixel.max() == 1
+    assert image.pixel_of_point.tolist() == [20] * 4
+    assert image.channels[:, 2, 4].tolist() == pytest.approx([2, 2, 0, 0, 0.1 + 0.8 / 3])
+
+
+def test_point_0_is_a_point_and_no_measurement_is_none():
+    nothing = [(0, 0, 0), (math.nan, 1, 1), (1, math.inf, 1), (1, 1, -math.inf), (3e38, 3e38, 1)]
+    image = project(scan_of((5, 0, 0), *nothing), WIDE)
+    assert image.pixel_of_point.tolist() == [20, -1, -1, -1, -1, -1]
+    assert image.point_range.tolist() == [5, 0, 0, 0, 0, 0]
+    assert image.point_of_pixel[2, 4] == 0
+    assert (image.point_of_pixel >= 0).sum() == (image.channels[0] > 0).sum() == 1
+
+
+def test_intensity_that_is_no_number_does_not_reach_the_image():
+    for bad in (math.nan, math.inf, -3e38):
+        image = project(Scan(scan_of((5, 0, 0)).points, np.array([bad], np.float32)), WIDE)
+        assert image.pixel_of_point.tolist() == [20]
+        assert image.channels[4].max() == image.channels[4].min() == 0
+
+
+@pytest.mark.parametrize("count", [0, 1, 1_000_000])
+def test_any_number_of_points(count):
+    points = np.random.default_rng(0).normal(0, 20, (count, 3)).astype(np.float32)
+    image = project(Scan(points, np.ones(count, np.float32)), sensor("hdl64"))
+    nearest = np.unique(image.point_of_pixel[image.point_of_pixel >= 0])
+    assert len(image.pixel_of_point) == count
+    assert len(nearest) == len(np.unique(image.pixel_of_point))
+
+
+def test_takes_views_and_read_only_arrays(rings):
+    columns = np.column_stack([rings.points, rings.intensity])
+    columns.setflags(write=False)
+    image = project(Scan(columns[:, :3], columns[:, 3]), WIDE)
+    assert_same(image, fields_of(project(rings, WIDE)))
+
+
+def test_arctangent():
+    random = np.random.default_rng(3)
+    pairs = random.normal(size=(20000, 2)) * 10.0 ** random.integers(-30, 30, (20000, 2))
+    special = [0.0, -0.0, 1.0, -1.0, math.tan(math.pi / 8), 1e-300]
+    pairs = [*map(tuple, pairs), *((y, x) for y in special for x in special)]
+    ours = np.array([arctan2(y, x) for y, x in pairs])
+    exact = np.array([math.atan2(y, x) for y, x in pairs])
+    np.testing.assert_allclose(ours, exact, rtol=1e-11, atol=0)
+    assert (np.signbit(ours) == np.signbit(exact)).all()
+
+
+@pytest.mark.real
+def test_published_projection(real_image, golden):
+    with np.load(golden / "projection.npz") as published:
+        column, row = real_image.pixel_of_point % 2048, real_image.pixel_of_point // 2048
+        assert (column == published["pixel_x"]).mean() >= 0.9999
+        assert (row == published["pixel_y"]).mean() >= 0.9999
+        assert (real_image.point_of_pixel == published["pixel_to_point"]).mean() >= 0.9999
+        np.testing.assert_allclose(real_image.point_range, published["point_range"], rtol=2e-7)
+
+
+@pytest.mark.real
+def test_torch_on_a_real_scan(real_scan, real_image):
+    image = projection_torch.project(real_scan, View.of(sensor("hdl64")), "cpu")
+    assert_same(image, fields_of(real_image))
