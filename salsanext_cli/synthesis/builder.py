@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from itertools import pairwise
 
 import numpy as np
 
@@ -44,10 +45,10 @@ class Builder:
     def put(
         self, mesh: Mesh, side: Side, s: float, out: float, yaw: float = 0.0, lift: float = 0.0
     ) -> None:
-        """Set a thing down ``out`` metres beyond the kerb; its local y points away from the road."""
+        """Set a thing down ``out`` metres beyond the kerb; its y points off the road."""
         t = side.sign * (self.plan.half + out)
         turned = float(self.plan.yaw(s)) + (0.0 if side.sign > 0 else np.pi) + yaw
-        self.parts.append(mesh.moved(self.plan.world(s, t) + [0, 0, lift], turned))
+        self.parts.append(mesh.moved(self.plan.world(s, t) + np.array([0, 0, lift]), turned))
 
     def put_if_free(
         self, mesh: Mesh, side: Side, s: float, out: float, radius: float, yaw: float = 0.0
@@ -83,7 +84,7 @@ class Builder:
         if end - start < 0.3:
             return
         marks = np.linspace(start, end, max(2, int(np.ceil((end - start) / PIECE)) + 1))
-        for low, high in zip(marks[:-1], marks[1:], strict=True):
+        for low, high in pairwise(marks):
             t = side.sign * (self.plan.half + out)
             ends = self.plan.world([low, high], t)
             first, last = ends if side.sign > 0 else ends[::-1]
@@ -105,9 +106,9 @@ class Builder:
     def put_outward(
         self, make: Callable[[float], Mesh], side: Side, s: float, start: float, end: float
     ) -> None:
-        """Set down a long thing at right angles to the street, from `start` to `end` beyond the kerb."""
+        """Set down a long thing across, from `start` to `end` metres beyond the kerb."""
         if end - start < 0.3 or not 0 < s < self.plan.length:
             return
         marks = np.linspace(start, end, max(2, int(np.ceil((end - start) / PIECE)) + 1))
-        for low, high in zip(marks[:-1], marks[1:], strict=True):
+        for low, high in pairwise(marks):
             self.put(make(high - low), side, s, float(low), yaw=np.pi / 2)

@@ -15,12 +15,14 @@ from salsanext_cli.synthesis.shapes import box, quads
 
 FOOT = -1.5
 """Walls reach this far below the ground, which is not level."""
+Corners = list[list[float]]
+"""Four points of a quadrangle."""
 
 
 def house(rng: np.random.Generator, width: float, depth: float, floors: int) -> Mesh:
     """Return a house whose front is `width` metres long and centred on x = 0."""
     material = Material.PLASTER if rng.random() < 0.7 else Material.BRICK
-    wall = Skin(BUILDING, material, float(rng.uniform(0.65, 1.15)))
+    wall = Skin(BUILDING, material, float(rng.uniform(0.5, 1.15)))
     storey = float(rng.uniform(2.6, 3.6))
     height = storey * floors + rng.uniform(0.2, 0.9)
     bay = float(rng.uniform(2.2, 4.2))
@@ -54,7 +56,9 @@ def _facade(
     door = int(rng.integers(columns)) if front else -1
     shop = front and bool(rng.random() < 0.25)
     size = rng.uniform([0.45, 1.1, 0.7], [0.75, 1.7, 1.0])
-    flat, glass, closed = [], [], []
+    flat: list[Corners] = []
+    glass: list[Corners] = []
+    closed: list[Corners] = []
     for row in range(rows):
         bottom = row * storey + (FOOT if row == 0 else 0)
         top = (row + 1) * storey if row < rows - 1 else height
@@ -103,7 +107,7 @@ def _hole(
     )
 
 
-def _panel(x0: float, x1: float, z0: float, z1: float, y: float) -> list[list[float]]:
+def _panel(x0: float, x1: float, z0: float, z1: float, y: float) -> Corners:
     return [[x0, y, z0], [x1, y, z0], [x1, y, z1], [x0, y, z1]]
 
 
@@ -114,7 +118,7 @@ def _pierced(
     z1: float,
     hole: tuple[float, float, float, float],
     depth: float,
-) -> tuple[list[list[list[float]]], list[list[float]]]:
+) -> tuple[list[Corners], Corners]:
     """Return the wall around an opening with its reveals, and the pane at the back of it."""
     a, b, c, d = hole
     walls = [
@@ -147,8 +151,11 @@ def _roof(rng: np.random.Generator, width: float, depth: float, height: float, w
             [-x, middle, ridge],
         ],
     ]
-    gables = [[[e, 0, height], [e, depth, height], [e, middle, ridge - 0.1], [e, middle, ridge - 0.1]]
-              for e in (-width / 2, width / 2)]  # fmt: skip
+    peak = ridge - 0.1
+    gables = [
+        [[end, 0, height], [end, depth, height], [end, middle, peak], [end, middle, peak]]
+        for end in (-width / 2, width / 2)
+    ]
     return merge([quads(np.array(slopes), skin), quads(np.array(gables), wall)])
 
 

@@ -7,17 +7,20 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
+import numpy.typing as npt
 
 from salsanext_cli.records import RawIds, Scan
-from salsanext_cli.synthesis.beams import blind, hdl64
-from salsanext_cli.synthesis.lidar import Scene, as_scan, measure
+from salsanext_cli.synthesis.beams import Beams, blind, hdl64
+from salsanext_cli.synthesis.lidar import Scene, measure
 from salsanext_cli.synthesis.mesh import Array, merge, turn_z
 from salsanext_cli.synthesis.plan import Plan
-from salsanext_cli.synthesis.street import MARGIN, build_street
+from salsanext_cli.synthesis.street import MARGIN, Street, build_street
 from salsanext_cli.synthesis.style import STYLES
 
 MOUNT = 1.73
 """Height of the sensor above the road, metres."""
+SPEED = (4.0, 12.0)
+"""Slowest and fastest drive, metres per second."""
 SIGHT = 90.0
 """Things farther away than this are left out, metres."""
 
@@ -45,43 +48,77 @@ class Frame:
 
 
 def record(seed: int, sequence: int, scans: int, spacing: float) -> Iterator[Frame]:
-    """Yield the frames of one sequence; all chance comes from (seed, sequence, frame)."""
+    """Yield the frames of one sequence; all chance comes from (seed, sequence, frame).
+
+    Parameters
+    ----------
+    seed, sequence : int
+        Not negative; the sequence number also chooses the style of the street.
+    scans : int
+        How many frames.
+    spacing : float
+        Metres that the vehicle drives between two frames.
+    """
     rng = np.random.default_rng([seed, sequence])
-    speed = float(rng.uniform(4, 12))
+    speed = float(rng.uniform(*SPEED))
     street = build_street(rng, STYLES[sequence % len(STYLES)], spacing * (scans - 1), speed)
     beams = hdl64(rng)
-    track = _Track(rng, street.plan)
-    origins, directions, times = beams.rays()
-    seen = ~blind(beams, rng)
-    origins, directions, times = origins[seen], directions[seen], times[seen]
-    gain = np.repeat(beams.gain, beams.columns)[seen]
-    power = np.repeat(beams.power, beams.columns)[seen]
+    track = _Track(rng, street.plan, speed)
+    sensor = _Sensor(beams, ~blind(beams, rng))
     standing = Scene(street.standing)
     for index in range(scans):
         noise = np.random.default_rng([seed, sequence, index, 1])
-        s = MARGIN + index * spacing
-        time = index * spacing / speed
+        s, time = MARGIN + index * spacing, index * spacing / speed
         pose = track.pose(s)
-        passing = [mover.at(street.plan, time) for mover in street.movers]
-        near = [
-            mesh
-            for mesh in passing
-            if mesh is not None and np.hypot(*(mesh.vertices[0] - pose[:3, 3])[:2]) < SIGHT
-        ]
-        scenes = [standing, Scene(merge(near))] if near else [standing]
-        starts, ways = _in_motion(track, s, speed, times, origins, directions)
-        rays = np.concatenate([starts, ways], 1)
-        distance, intensity, labels = measure(noise, scenes, rays, gain, power)
-        kept = np.isfinite(distance)
-        world = starts[kept] + ways[kept] * distance[kept, None]
-        points = (world - pose[:3, 3]) @ pose[:3, :3]
-        yield Frame(as_scan(points, intensity[kept]), labels[kept], pose, time)
+        scenes = [standing, *_moving(street, time, pose)]
+        yield _revolve(noise, scenes, sensor, track, s, pose, time)
+
+
+def _moving(street: Street, time: float, pose: Array) -> list[Scene]:
+    """Return what moves within sight at a time, as a scene if there is anything."""
+    meshes = [mover.at(street.plan, time) for mover in street.movers]
+    near = [
+        mesh
+        for mesh in meshes
+        if mesh is not None and np.hypot(*(mesh.vertices[0] - pose[:3, 3])[:2]) < SIGHT
+    ]
+    return [Scene(merge(near))] if near else []
+
+
+def _revolve(
+    noise: np.random.Generator,
+    scenes: list[Scene],
+    sensor: _Sensor,
+    track: _Track,
+    s: float,
+    pose: Array,
+    time: float,
+) -> Frame:
+    """Record one revolution around the moment at which the vehicle is at s."""
+    starts, ways = _in_motion(track, s, sensor)
+    rays = np.concatenate([starts, ways], 1)
+    distance, intensity, labels = measure(noise, scenes, rays, sensor.gain, sensor.power)
+    kept = np.isfinite(distance)
+    world = starts[kept] + ways[kept] * distance[kept, None]
+    points = (world - pose[:3, 3]) @ pose[:3, :3]
+    scan = Scan(points.astype(np.float32), intensity[kept].astype(np.float32))
+    return Frame(scan, labels[kept], pose, time)
+
+
+class _Sensor:
+    """The rays that the recording vehicle lets pass, R of them, sensor frame."""
+
+    def __init__(self, beams: Beams, seen: npt.NDArray[np.bool_]) -> None:
+        self.origins, self.directions, self.times = (values[seen] for values in beams.rays())
+        self.gain = np.repeat(beams.gain, beams.columns)[seen]
+        self.power = np.repeat(beams.power, beams.columns)[seen]
 
 
 class _Track:
     """The path of the sensor: in its lane, swaying a little, pitching and rolling."""
 
-    def __init__(self, rng: np.random.Generator, plan: Plan) -> None:
+    def __init__(self, rng: np.random.Generator, plan: Plan, speed: float) -> None:
+        self.speed = speed
         self._plan = plan
         self._lane = min(0.0, 2.4 - plan.half, -0.3 * plan.half) + rng.normal(0, 0.1)
         self._sway = rng.normal(0, 0.12)
@@ -114,23 +151,20 @@ def _turn_x(angle: float) -> Array:
     return np.array([[1, 0, 0], [0, c, -s], [0, s, c]])
 
 
-def _in_motion(
-    track: _Track, s: float, speed: float, times: Array, origins: Array, directions: Array
-) -> tuple[Array, Array]:
+def _in_motion(track: _Track, s: float, sensor: _Sensor) -> tuple[Array, Array]:
     """Return world origins and directions of rays fired while the vehicle drives on.
 
     The pose goes linearly from the one at the beginning to the one at the end of the revolution;
     over a tenth of a second that is what it does.
     """
-    first, last = track.pose(s + speed * times.min()), track.pose(s + speed * times.max())
-    share = ((times - times.min()) / (times.max() - times.min()))[:, None]
-    shift = first[:3, 3] * (1 - share) + last[:3, 3] * share
+    start, end = sensor.times.min(), sensor.times.max()
+    first, last = track.pose(s + track.speed * start), track.pose(s + track.speed * end)
+    share = ((sensor.times - start) / (end - start))[:, None]
 
     def turned(vectors: Array) -> Array:
-        mixed: Array = (vectors @ first[:3, :3].T) * (1 - share) + (
-            vectors @ last[:3, :3].T
-        ) * share
+        mixed: Array = vectors @ first[:3, :3].T * (1 - share) + vectors @ last[:3, :3].T * share
         return mixed
 
-    ways = turned(directions)
-    return shift + turned(origins), ways / np.linalg.norm(ways, axis=1, keepdims=True)
+    origins = first[:3, 3] * (1 - share) + last[:3, 3] * share + turned(sensor.origins)
+    directions = turned(sensor.directions)
+    return origins, directions / np.linalg.norm(directions, axis=1, keepdims=True)

@@ -17,7 +17,7 @@ FOOT = -0.3
 
 
 def _steel(rng: np.random.Generator) -> Skin:
-    return Skin(POLE, Material.METAL, float(rng.uniform(0.35, 1.7)))
+    return Skin(POLE, Material.METAL, float(rng.uniform(0.08, 1.6)))
 
 
 def lamp(rng: np.random.Generator) -> Mesh:
@@ -58,9 +58,7 @@ def _face(rng: np.random.Generator, kind: str) -> Mesh:
     else:
         x, z = radius * rng.uniform(0.6, 1.6), radius * rng.uniform(0.5, 1.2)
         front = quads(np.array([[[-x, 0, -z], [x, 0, -z], [x, 0, z], [-x, 0, z]]]), bright)
-    back = Mesh.of(
-        front.vertices + [0, 0.02, 0], front.triangles, Skin(dull.label, dull.material, dull.shade)
-    )
+    back = Mesh.of(front.vertices + np.array([0, 0.02, 0]), front.triangles, dull)
     return merge([front, back])
 
 
@@ -83,8 +81,8 @@ def board(rng: np.random.Generator) -> Mesh:
     back = Skin(SIGN, Material.METAL, 0.9)
     parts = [tube([[x, 0, FOOT], [x, 0, high]], 0.05, steel) for x in (-half * 0.8, half * 0.8)]
     plate = np.array([[[-half, 0, low], [half, 0, low], [half, 0, high], [-half, 0, high]]])
-    parts.append(quads(plate + [0, -0.08, 0], bright))
-    parts.append(quads(plate + [0, -0.06, 0], back))
+    parts.append(quads(plate + np.array([0, -0.08, 0]), bright))
+    parts.append(quads(plate + np.array([0, -0.06, 0]), back))
     return merge(parts)
 
 
@@ -150,7 +148,7 @@ def _crates(rng: np.random.Generator) -> Mesh:
     return merge(parts)
 
 
-CLUTTERED = (_bin, _bin, _cabinet, _cabinet, _bench, _planter, _column, _crates)
+CLUTTERED = (_bin, _bin, _bin, _cabinet, _cabinet, _cabinet, _bench, _planter, _column, _crates)
 
 
 def clutter(rng: np.random.Generator) -> Mesh:

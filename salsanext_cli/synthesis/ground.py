@@ -53,9 +53,10 @@ def _patches(rng: np.random.Generator, s: Array, t: Array, length: float) -> Arr
 
 
 def _lines(regular: Array, edges: Array, low: float, high: float) -> Array:
-    lines = np.unique(np.concatenate([regular, edges - KERB, edges + KERB]))
+    lines: Array = np.unique(np.concatenate([regular, edges - KERB, edges + KERB]))
     lines = lines[(lines >= low) & (lines <= high)]
-    return lines[np.concatenate([[True], np.diff(lines) > 0.01])]
+    apart: Array = lines[np.concatenate([[True], np.diff(lines) > 0.01])]
+    return apart
 
 
 def _grid(vertices: Array) -> Mesh:
@@ -66,7 +67,8 @@ def _grid(vertices: Array) -> Mesh:
     return Mesh.of(vertices.reshape(-1, 3), faces.reshape(-1, 3), Skin(0, Material.ASPHALT))
 
 
-def _with_skins(rng: np.random.Generator, mesh: Mesh, labels: npt.NDArray[np.uint32], patches: Array
+def _with_skins(
+    rng: np.random.Generator, mesh: Mesh, labels: npt.NDArray[np.uint32], patches: Array
 ) -> Mesh:
     materials = np.zeros(len(mesh), np.uint8)
     shades = np.ones(len(mesh), np.float32)

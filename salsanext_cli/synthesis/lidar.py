@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from salsanext_cli.errors import MissingDependency
-from salsanext_cli.records import RawIds, Scan
+from salsanext_cli.records import RawIds
 from salsanext_cli.synthesis.materials import optics_table
 from salsanext_cli.synthesis.mesh import Array, Mesh
 
@@ -143,8 +143,9 @@ def _returns(
     mirrored = gloss * (1 - 0.6 * cosine**16) * (1 - dull)
     odds = mirrored / np.maximum(1 - mirrored, 1e-6) / power**3
     away = odds / (1 + odds)
-    returned: npt.NDArray[np.bool_] = (chance < detected * (1 - LOST)) & (_patchy(rng, len(reach)) >= away)
-    return returned
+    kept = chance < detected * (1 - LOST)
+    reflected_back: npt.NDArray[np.bool_] = _patchy(rng, len(reach)) >= away
+    return kept & reflected_back
 
 
 def _patchy(rng: np.random.Generator, count: int) -> Array:
@@ -154,8 +155,3 @@ def _patchy(rng: np.random.Generator, count: int) -> Array:
     # The logistic function with this slope stands in for the normal distribution's integral.
     chance: Array = 1 / (1 + np.exp(-1.702 * smooth))
     return chance
-
-
-def as_scan(points: Array, intensity: Array) -> Scan:
-    """Return a scan of points (N, 3) in the sensor frame."""
-    return Scan(points.astype(np.float32), intensity.astype(np.float32))

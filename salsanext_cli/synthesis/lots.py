@@ -12,9 +12,6 @@ from salsanext_cli.synthesis.builder import Builder
 from salsanext_cli.synthesis.mesh import Mesh
 from salsanext_cli.synthesis.plan import REACH, Lot, Side
 
-BOUNDARY = {"fence": 0.42, "hedge": 0.3, "open": 0.28}
-"""What closes a garden off, and how usual it is."""
-
 
 def furnish(builder: Builder, side: Side, lot: Lot) -> None:
     """Build up one lot and what lies behind it."""
@@ -119,7 +116,7 @@ def _row_of(builder: Builder, side: Side, lot: Lot, kind: str, out: float) -> No
 
 def _thicket(builder: Builder, side: Side, lot: Lot) -> None:
     height, deep = builder.between(2.5, 7), builder.between(3, 8)
-    if builder.chance(0.3):
+    if builder.chance(0.5):
         _close(builder, side, lot.start, lot.end, side.depth + 0.2, open_chance=0.3)
     builder.put_line(
         lambda length: vegetation.thicket(builder.rng, length, deep, height),
@@ -147,7 +144,7 @@ def _park(
 
 
 def _close(
-    builder: Builder, side: Side, start: float, end: float, out: float, open_chance: float = 0.25
+    builder: Builder, side: Side, start: float, end: float, out: float, open_chance: float = 0.12
 ) -> None:
     """Close a garden off towards the street by a fence or a hedge, or leave it open."""
     if builder.chance(open_chance) or end - start < 0.5:
@@ -171,8 +168,8 @@ def _partition(builder: Builder, side: Side, s: float, start: float, end: float)
 def _boundary(builder: Builder) -> Callable[[float], Mesh]:
     """Return a maker of fence or hedge pieces, alike along one garden."""
     rng = builder.rng
-    if builder.chance(0.42):
-        height, depth = builder.between(0.7, 2.2), builder.between(0.5, 1.4)
+    if builder.chance(0.4):
+        height, depth = builder.between(0.7, 2.7), builder.between(0.5, 1.5)
         return lambda length: vegetation.hedge(rng, length, height, depth)
     kind = str(rng.choice(fences.KINDS))
     height = builder.between(0.4, 1.2) if kind == "wall" else builder.between(0.8, 1.9)

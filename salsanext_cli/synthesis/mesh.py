@@ -16,7 +16,7 @@ Array = npt.NDArray[np.float64]
 
 
 class Skin(NamedTuple):
-    """What a surface is (raw SemanticKITTI id), what it is made of, how bright it is (1 = usual)."""
+    """What a surface is (raw id), what it is made of, how bright it is (1 = usual)."""
 
     label: int
     material: Material

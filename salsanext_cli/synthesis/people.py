@@ -29,7 +29,7 @@ def person(rng: np.random.Generator) -> Mesh:
     top = Skin(PERSON, Material.CLOTH, float(rng.uniform(0.55, 1.2)))
     bottom = Skin(PERSON, Material.CLOTH, float(rng.uniform(0.5, 1.15)))
     bare = Skin(PERSON, Material.SKIN)
-    stride = float(rng.uniform(0.0, 0.38)) * (1 if rng.random() < 0.75 else 0.1)
+    stride = float(rng.uniform(0.03, 0.2)) * (1 if rng.random() < 0.75 else 0.1)
     hip, shoulder, girth = 0.52, 0.82, float(rng.uniform(0.85, 1.3))
     parts = [
         ellipsoid((0.01, 0, 0.935), (0.062, 0.05, 0.075), bare),
@@ -44,7 +44,11 @@ def person(rng: np.random.Generator) -> Mesh:
         knee = np.array([swing * 0.5 + 0.03, side * 0.052, 0.28])
         parts.append(_limb(np.array([0, side * 0.05, hip]), knee, foot, (0.055, 0.032), bottom))
         parts.append(
-            ellipsoid(foot + [0.035, 0, -0.008], (0.08, 0.03, 0.025), Skin(PERSON, Material.RUBBER))
+            ellipsoid(
+                foot + np.array([0.035, 0, -0.008]),
+                (0.08, 0.03, 0.025),
+                Skin(PERSON, Material.RUBBER),
+            )
         )
         raised = rng.uniform(0.0, 0.12)
         elbow = np.array([-swing * 0.35, side * 0.14 * girth, 0.64])
@@ -86,8 +90,8 @@ def bicycle(rng: np.random.Generator, label: int = BICYCLE) -> Mesh:
     bars = [
         (saddle - [0, 0, 0.1], crank), (saddle * [0.9, 1, 0.85], head - [0, 0, 0.08]),
         (crank, head - [-0.02, 0, 0.14]), (crank, rear), (saddle * [1, 1, 0.8], rear),
-        (head + [-0.03, 0, 0.16], fork), (saddle - [0, 0, 0.25], saddle),
-        (head + [-0.05, -0.28, 0.17], head + [-0.05, 0.28, 0.17]),
+        (head + np.array([-0.03, 0, 0.16]), fork), (saddle - [0, 0, 0.25], saddle),
+        (head + np.array([-0.05, -0.28, 0.17]), head + np.array([-0.05, 0.28, 0.17])),
     ]  # fmt: skip
     parts = [tube([a, b], 0.026, frame, 6) for a, b in bars]
     for hub in (fork, rear):
@@ -98,7 +102,9 @@ def bicycle(rng: np.random.Generator, label: int = BICYCLE) -> Mesh:
             parts.append(tube([hub - reach, hub + reach], 0.009, frame, 4))
     parts.append(ellipsoid(saddle, (0.13, 0.07, 0.04), tyre))
     parts.append(ellipsoid(crank, (0.1, 0.06, 0.1), frame))
-    parts.append(box((-0.02, -0.1, -0.02), (0.02, 0.1, 0.02), tyre).moved(crank + [0, 0, -0.14]))
+    parts.append(
+        box((-0.02, -0.1, -0.02), (0.02, 0.1, 0.02), tyre).moved(crank + np.array([0, 0, -0.14]))
+    )
     reflector = Skin(label, Material.RETRO)
     parts.append(box((-0.62, -0.03, 0.6), (-0.59, 0.03, 0.66), reflector))
     if rng.random() < 0.6:
@@ -120,24 +126,31 @@ def rider(rng: np.random.Generator) -> Mesh:
     hip = np.array([-0.2, 0, 0.98])
     shoulder = hip + np.array([lean, 0, 0.5 - 0.3 * lean])
     girth = float(rng.uniform(0.9, 1.25))
+    spine = [
+        hip - np.array([0.02, 0, 0.08]),
+        (hip + shoulder) / 2,
+        shoulder,
+        shoulder + np.array([0.03, 0, 0.07]),
+    ]
     parts = [
         bicycle(rng, BICYCLIST),
-        tube(
-            [hip - [0.02, 0, 0.08], (hip + shoulder) / 2, shoulder, shoulder + [0.03, 0, 0.07]],
-            np.array([0.15, 0.16, 0.17, 0.08]) * girth, cloth, 9,
-        ),
-        tube([shoulder, shoulder + [0.07, 0, 0.2]], 0.06, bare, 6),
-        ellipsoid(shoulder + [0.08, 0, 0.24], (0.11, 0.09, 0.14), bare),
-    ]  # fmt: skip
+        tube(spine, np.array([0.15, 0.16, 0.17, 0.08]) * girth, cloth, 9),
+        tube([shoulder, shoulder + np.array([0.07, 0, 0.2])], 0.06, bare, 6),
+        ellipsoid(shoulder + np.array([0.08, 0, 0.24]), (0.11, 0.09, 0.14), bare),
+    ]
     turn = rng.uniform(0, 2 * np.pi)
     for side in (-1, 1):
         angle = turn + (side > 0) * np.pi
         foot = np.array([-0.05 + 0.16 * np.cos(angle), side * 0.13, 0.3 + 0.16 * np.sin(angle)])
         knee = (hip + foot) / 2 + [0.2, side * 0.02, 0.08]
-        parts.append(_limb(hip + [0, side * 0.09, 0], knee, foot, (0.09, 0.055), trousers))
+        parts.append(
+            _limb(hip + np.array([0, side * 0.09, 0]), knee, foot, (0.09, 0.055), trousers)
+        )
         hand = np.array([0.3, side * 0.25, 1.02])
         elbow = (shoulder + hand) / 2 + [-0.03, side * 0.08, -0.08]
-        parts.append(_limb(shoulder + [0, side * 0.17, -0.02], elbow, hand, (0.055, 0.04), cloth))
+        parts.append(
+            _limb(shoulder + np.array([0, side * 0.17, -0.02]), elbow, hand, (0.055, 0.04), cloth)
+        )
     if rng.random() < 0.3:
         parts.append(box((-0.36, -0.16, 1.1), (-0.16, 0.16, 1.5), cloth))
     return merge(parts)

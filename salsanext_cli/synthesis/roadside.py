@@ -11,6 +11,8 @@ from salsanext_cli.synthesis.plan import Crossing, Side
 
 TOWARDS_TRAFFIC = np.pi / 2
 """A sign faces its local -y; turned by this it faces along the street."""
+REACH_OF_VIEW = 50.0
+"""Where a side street's view is closed by trees, metres beyond the kerb."""
 
 
 def furnish(builder: Builder, side: Side) -> None:
@@ -30,7 +32,7 @@ def furnish(builder: Builder, side: Side) -> None:
 def _parked(builder: Builder, side: Side) -> None:
     """Park vehicles at the kerb in groups with gaps."""
     style = builder.plan.style
-    out = side.parking / 2 if side.parking else 0.55
+    out = side.parking / 2 if side.parking else 0.75
     share = style.parked if side.parking else style.parked * 0.45
     s, occupied = 2.5, builder.chance(share)
     while s < builder.plan.length - 2.5:
@@ -97,7 +99,9 @@ def _signs(builder: Builder, side: Side) -> None:
                 continue
             make = furniture.traffic_light if builder.chance(0.3) else furniture.sign
             yaw = -TOWARDS_TRAFFIC * builder.rng.choice([1, -1])
-            builder.put_if_free(make(builder.rng), side, s, side.parking + 0.5 + 0.2 * crossing.corner, 0.3, yaw)
+            builder.put_if_free(
+                make(builder.rng), side, s, side.parking + 0.5 + 0.2 * crossing.corner, 0.3, yaw
+            )
 
 
 def _bicycles(builder: Builder, side: Side) -> None:
@@ -127,7 +131,7 @@ def _people(builder: Builder, side: Side) -> None:
 
 
 def _clutter(builder: Builder, side: Side) -> None:
-    for _ in range(int(builder.rng.poisson(builder.plan.length / 10))):
+    for _ in range(int(builder.rng.poisson(builder.plan.length / 18))):
         s = builder.between(0, builder.plan.length)
         edge = side.depth - 0.4 if builder.chance(0.6) else side.parking + 0.6
         builder.put_if_free(furniture.clutter(builder.rng), side, s, max(edge, 0.6), 0.7)
@@ -154,12 +158,7 @@ def _side_street(builder: Builder, side: Side, crossing: Crossing) -> None:
         mesh = make_thing[builder.rng.integers(5)](builder.rng)
         out = side.depth + builder.between(0, 25)
         builder.put(mesh, side, crossing.s + away, out, builder.between(0, 6.28))
-    end = REACH_OF_VIEW
     wide = 2 * crossing.half + 6
     height = builder.between(4, 8)
     wood = vegetation.thicket(builder.rng, wide, 3, height).moved((-wide / 2, 0, 0))
-    builder.put(wood, side, crossing.s, end)
-
-
-REACH_OF_VIEW = 50.0
-"""Where a side street's view is closed by trees, metres beyond the kerb."""
+    builder.put(wood, side, crossing.s, REACH_OF_VIEW)

@@ -9,9 +9,10 @@ import numpy as np
 
 from salsanext_cli.synthesis import lots, roadside
 from salsanext_cli.synthesis.builder import Builder
+from salsanext_cli.synthesis.draw import draw_plan
 from salsanext_cli.synthesis.ground import ground
 from salsanext_cli.synthesis.mesh import Mesh, merge
-from salsanext_cli.synthesis.plan import Plan, draw_plan
+from salsanext_cli.synthesis.plan import Plan
 from salsanext_cli.synthesis.style import Style
 from salsanext_cli.synthesis.traffic import Mover, populate
 

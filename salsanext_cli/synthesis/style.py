@@ -58,11 +58,11 @@ class Style:
 
 URBAN = Style(
     name="urban",
-    lane=(3.8, 7.0),
+    lane=(3.4, 6.2),
     parking=0.35,
     verge=0.2,
     sidewalk=1.0,
-    sidewalk_width=(2.2, 6.0),
+    sidewalk_width=(2.4, 7.0),
     lots={"terrace": 7, "yard": 1, "carpark": 1, "green": 1, "house": 1},
     setback=(0.0, 1.5),
     lot_width=(9, 22),
@@ -74,12 +74,12 @@ URBAN = Style(
 )
 RESIDENTIAL = Style(
     name="residential",
-    lane=(3.2, 4.8),
+    lane=(2.8, 4.3),
     parking=0.15,
     verge=0.4,
     sidewalk=1.0,
-    sidewalk_width=(1.6, 3.2),
-    lots={"house": 7, "yard": 2, "green": 1, "terrace": 1, "carpark": 0.5, "thicket": 1},
+    sidewalk_width=(1.7, 4.2),
+    lots={"house": 7, "yard": 2, "green": 1, "terrace": 2, "carpark": 0.5, "thicket": 1.5},
     setback=(2.0, 7.0),
     lot_width=(10, 20),
     tree_gap=(9, 22),
@@ -90,12 +90,12 @@ RESIDENTIAL = Style(
 )
 BOULEVARD = Style(
     name="boulevard",
-    lane=(5.0, 8.5),
+    lane=(4.2, 7.5),
     parking=0.25,
     verge=0.9,
     sidewalk=0.95,
-    sidewalk_width=(2.2, 5.0),
-    lots={"terrace": 2, "green": 3, "thicket": 2, "yard": 2, "carpark": 1.5, "house": 1},
+    sidewalk_width=(2.5, 6.0),
+    lots={"terrace": 2, "green": 3, "thicket": 3, "yard": 2, "carpark": 1.5, "house": 1},
     setback=(2.0, 10.0),
     lot_width=(14, 30),
     tree_gap=(7, 14),
@@ -106,7 +106,7 @@ BOULEVARD = Style(
 )
 COUNTRY = Style(
     name="country",
-    lane=(3.3, 4.6),
+    lane=(3.0, 4.4),
     parking=0.03,
     verge=1.0,
     sidewalk=0.3,

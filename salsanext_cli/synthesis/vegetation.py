@@ -30,8 +30,8 @@ def _cluster(rng: np.random.Generator, centre: Array, radii: Array, count: int) 
 
 def tree(rng: np.random.Generator, height: float) -> Mesh:
     """Return a broad-leaved tree: bent trunk, branches, a crown of clusters."""
-    bark = Skin(TRUNK, Material.BARK, float(rng.uniform(0.75, 1.15)))
-    radius = float(rng.uniform(0.03, 0.06) * height**0.75)
+    bark = Skin(TRUNK, Material.BARK, float(rng.uniform(0.5, 1.15)))
+    radius = float(rng.uniform(0.022, 0.05) * height**0.75)
     clear = float(rng.uniform(0.25, 0.45) * height)
     bend = rng.normal(0, 0.05 * height, (2,))
     levels = np.array([FOOT, 0.0, 0.4, clear * 0.5, clear, clear * 1.5])
@@ -121,7 +121,7 @@ def thicket(rng: np.random.Generator, length: float, depth: float, height: float
         x, y = rng.uniform(0, length), rng.uniform(depth * 0.2, depth)
         lean = rng.normal(0, 0.5, 2)
         top = np.array([x + lean[0], y + lean[1], height * rng.uniform(0.6, 1.1)])
-        parts.append(tube([[x, y, FOOT], top], [rng.uniform(0.08, 0.22), 0.05], bark, 6))
+        parts.append(tube([np.array([x, y, FOOT]), top], [rng.uniform(0.08, 0.22), 0.05], bark, 6))
         leaves = _cluster(rng, top, np.array([2.0, 2.0, height * 0.3]), 260)
         parts.append(facets(leaves, rng.uniform(0.12, 0.32, len(leaves)), leaf, rng))
     return merge(parts)
