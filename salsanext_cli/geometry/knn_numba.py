@@ -85,8 +85,9 @@ def framed(image: npt.NDArray[Scalar], half: int, beyond: float) -> npt.NDArray[
 @compiled
 def mark_mixed(labels: TrainIds, first: int, offsets: Int, mixed: npt.NDArray[np.bool_]) -> None:
     """Write whether a pixel's window holds a label above 0 other than the pixel's own."""
-    mixed[:] = False
     size = len(mixed)
+    for i in range(size):
+        mixed[i] = False
     own = labels[first : first + size]
     for offset in offsets:
         other = labels[first + offset : first + offset + size]
@@ -154,9 +155,10 @@ def vote_of_block(
     distance_bits = distance.view(np.int32)
     label = np.empty(BLOCK, np.int32)
     candidate = np.empty(BLOCK, np.int64)
-    nearest = np.full((k, BLOCK), LAST, np.int64)
-    for j in range(BLOCK):
-        nearest[0, j] = labels[centre[j]]
+    nearest = np.empty((k, BLOCK), np.int64)
+    for place in range(k):
+        for j in range(BLOCK):
+            nearest[place, j] = labels[centre[j]] if place == 0 else LAST
     for n in range(len(offsets)):
         offset, weight = offsets[n], weights[n]
         for j in range(BLOCK):
@@ -184,16 +186,21 @@ def keep_nearer(nearest: Candidates, candidate: Candidates) -> None:
 @compiled
 def elect(nearest: Candidates, winner: Int) -> None:
     """Write the most frequent label above 0, the lowest of equally frequent ones; 0 without any."""
-    voters = (nearest & 255).astype(np.int32)
+    voters = np.empty(nearest.shape, np.int32)
     count = np.empty(BLOCK, np.int32)
-    score = np.full(BLOCK, 255, np.int32)
     for one in range(len(voters)):
-        count[:] = 0
+        for j in range(BLOCK):
+            voters[one, j] = nearest[one, j] & 255
+    for j in range(BLOCK):
+        winner[j] = 255
+    for one in range(len(voters)):
+        for j in range(BLOCK):
+            count[j] = 0
         for other in range(len(voters)):
             for j in range(BLOCK):
                 count[j] += np.int32(voters[other, j] == voters[one, j])
         for j in range(BLOCK):
-            merit = 256 * count[j] + 255 - voters[one, j] if voters[one, j] > 0 else 255
-            score[j] = max(score[j], merit)
+            score = 256 * count[j] + 255 - voters[one, j] if voters[one, j] > 0 else 255
+            winner[j] = max(winner[j], score)
     for j in range(BLOCK):
-        winner[j] = 255 - (score[j] & 255)
+        winner[j] = 255 - (winner[j] & 255)

@@ -128,6 +128,14 @@ def test_lowest_label_wins_ties():
     assert knn_refine(image, labels, parameters=KnnParameters(3, 3)).tolist() == [1]
 
 
+def test_a_neighbour_at_the_cutoff_still_votes():
+    image = image_of([[5.0, 5.0, 5.0, 6.0]], [1])
+    exactly = KnnParameters(3, 3, cutoff=0.0)
+    labels = np.array([[8, 4, 8, 9]])
+    assert knn_refine(image, labels, parameters=exactly).tolist() == [8]
+    assert on_torch(image, labels, exactly).tolist() == [8]
+
+
 def test_hidden_point_takes_the_label_of_its_own_distance():
     """Seen through a fence at 5 m, a wall at 9 m is labelled as the wall beside it."""
     ranges = np.full((3, 8), 9.0)
