@@ -22,7 +22,7 @@ def build(architecture: Mapping[str, Any], source: object = "architecture") -> S
     """
     numbers = dict(architecture)
     name = numbers.pop("name", None)
-    if name not in ARCHITECTURES:
+    if not isinstance(name, str) or name not in ARCHITECTURES:
         raise UsageError(source, f"architecture {name}", f"one of {', '.join(ARCHITECTURES)}")
     try:
         return ARCHITECTURES[name](**numbers)

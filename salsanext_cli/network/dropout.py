@@ -21,6 +21,8 @@ class ChannelDropout(nn.Module):
 
     def __init__(self, rate: float) -> None:
         super().__init__()
+        if not 0 <= rate < 1:
+            raise ValueError(f"a dropout rate in 0 ≤ rate < 1, not {rate}")
         self.rate = rate
         self.generators: Sequence[torch.Generator] | None = None
 

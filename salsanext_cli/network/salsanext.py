@@ -13,6 +13,8 @@ from salsanext_cli.records import CHANNELS
 
 STRIDE = 16
 """What four poolings divide height and width by."""
+MOST_CLASSES = 255
+"""What train ids of one byte can tell apart, one value being kept for "unknown"."""
 
 
 class SalsaNext(nn.Module):
@@ -23,11 +25,13 @@ class SalsaNext(nn.Module):
     class_count : int
         C, including the unlabelled class 0.
     dropout : float
-        Rate of the channel dropout, 0…1; the paper trains with 0.2.
+        Rate of the channel dropout, 0 ≤ rate < 1; the paper trains with 0.2.
     """
 
     def __init__(self, class_count: int = 20, dropout: float = 0.2) -> None:
         super().__init__()
+        if not 1 <= class_count <= MOST_CLASSES:
+            raise ValueError(f"1 to {MOST_CLASSES} classes, not {class_count}")
         self.context = nn.Sequential(
             ContextBlock(len(CHANNELS), 32), ContextBlock(32, 32), ContextBlock(32, 32)
         )

@@ -69,7 +69,8 @@ class Moments:
 
 def entropy(probabilities: Tensor) -> Tensor:
     """Return the entropy over the first dimension in nats, (C, …) to (…)."""
-    return -(probabilities * probabilities.clamp(min=TINY).log()).sum(dim=0)
+    # A softmax rounded up to above 1 would have a negative one.
+    return -(probabilities * probabilities.clamp(TINY, 1).log()).sum(dim=0)
 
 
 @torch.inference_mode()

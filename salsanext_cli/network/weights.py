@@ -26,6 +26,8 @@ from salsanext_cli.network.salsanext import SalsaNext
 from salsanext_cli.sensors import Sensor
 
 FORMAT = "salsanext-1"
+TABLES = ("architecture", "label_space", "sensor", "recipe", "scores")
+"""Metadata that are mappings."""
 NORM_SUFFIXES = (".running_mean", ".running_var")
 
 
@@ -76,15 +78,20 @@ class WeightsCard:
             found = f"format {metadata.get('format')}"
             raise WeightsError(source, found, FORMAT, "convert it with `salsanext import-weights`")
         try:
+            values = {key: json.loads(metadata[key]) for key in (*TABLES, "description")}
+            if bad := [key for key in TABLES if not isinstance(values[key], dict)]:
+                raise TypeError(f"{bad[0]} is no table")
             return cls(
-                architecture=json.loads(metadata["architecture"]),
-                space=LabelSpace.from_dict(json.loads(metadata["label_space"]), source),
-                sensor=Sensor.from_dict(json.loads(metadata["sensor"]), source),
-                recipe=json.loads(metadata["recipe"]),
-                scores=json.loads(metadata["scores"]),
-                description=json.loads(metadata["description"]),
+                architecture=values["architecture"],
+                space=LabelSpace.from_dict(values["label_space"], source),
+                sensor=Sensor.from_dict(values["sensor"], source),
+                recipe=values["recipe"],
+                scores=values["scores"],
+                description=str(values["description"]),
             )
-        except (KeyError, json.JSONDecodeError, UsageError) as error:
+        except UsageError as error:
+            raise WeightsError(source, f"damaged metadata: {error.found}") from error
+        except (KeyError, TypeError, json.JSONDecodeError) as error:
             raise WeightsError(source, f"damaged metadata: {error}") from error
 
 
@@ -185,8 +192,21 @@ def default_weights() -> Path:
     return Path(str(folder.joinpath("presets/weights/default.safetensors")))
 
 
-@cache
 def fingerprint(path: Path) -> str:
     """Return the SHA-256 of a weights file, hexadecimal."""
+    return _fingerprint(path, identity(path))
+
+
+def identity(path: Path) -> tuple[object, ...]:
+    """Return what tells a file from its successor of the same name, empty if there is none."""
+    try:
+        status = path.stat()
+    except OSError:
+        return ()
+    return path.absolute(), status.st_ino, status.st_size, status.st_mtime_ns
+
+
+@cache
+def _fingerprint(path: Path, _: tuple[object, ...]) -> str:
     with path.open("rb") as file:
         return hashlib.file_digest(file, "sha256").hexdigest()

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from salsanext_cli.network.inference import Network, load_network
-from salsanext_cli.network.weights import default_weights, fingerprint
+from salsanext_cli.network.weights import default_weights, fingerprint, identity
 from salsanext_cli.sensors import Sensor
 
 
@@ -32,8 +32,8 @@ class NetworkChoice:
     sensor: Sensor | None = None
 
     def load(self) -> Network:
-        """Load the network, once per process."""
-        return _load(self)
+        """Load the network, once per process unless the file is replaced."""
+        return _load(self, identity(self.weights or default_weights()))
 
     def settings(self) -> dict[str, Any]:
         """Return what the results of a stage depend on."""
@@ -46,5 +46,5 @@ class NetworkChoice:
 
 
 @lru_cache(maxsize=1)
-def _load(choice: NetworkChoice) -> Network:
+def _load(choice: NetworkChoice, _: tuple[object, ...]) -> Network:
     return load_network(choice.weights, choice.device, choice.sensor)
