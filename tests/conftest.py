@@ -9,7 +9,7 @@ import pytest
 
 @pytest.fixture(scope="session")
 def real_data() -> Path:
-    """The folder with `data/` (real scans) and `golden/` (published outputs), or skip."""
+    """Return the folder with `data/` (real scans) and `golden/` (published outputs), or skip."""
     folder = os.environ.get("SALSANEXT_REAL_DATA")
     if not folder or not Path(folder).is_dir():
         pytest.skip("SALSANEXT_REAL_DATA does not name a folder")
@@ -18,5 +18,13 @@ def real_data() -> Path:
 
 @pytest.fixture(scope="session")
 def golden(real_data: Path) -> Path:
-    """The folder with outputs of the published implementation and the official evaluator."""
+    """Return the folder with outputs of the published implementation and the official evaluator."""
     return real_data / "golden"
+
+
+@pytest.fixture(scope="session")
+def weights(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Return a weights file of a random network for the sensor `scans.SMALL`."""
+    from scans import write_weights
+
+    return write_weights(tmp_path_factory.mktemp("weights") / "random.safetensors")

@@ -1,0 +1,143 @@
+# SPDX-License-Identifier: MIT
+import json
+
+import numpy as np
+import pytest
+import torch
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scans import lively
+
+from salsanext_cli.network.architectures import build
+from salsanext_cli.network.blocks import ContextBlock, DilatedStack, Down, UpBlock
+from salsanext_cli.network.cost import multiply_accumulates, parameter_count
+from salsanext_cli.network.published import our_name
+from salsanext_cli.network.salsanext import STRIDE, SalsaNext, pad
+
+
+@pytest.fixture(scope="module")
+def network():
+    return lively(SalsaNext(class_count=7))
+
+
+def noise(*shape, seed=0):
+    return torch.randn(*shape, generator=torch.Generator().manual_seed(seed))
+
+
+def test_costs_what_the_paper_says():
+    module = SalsaNext()
+    assert parameter_count(module) == 6_711_572
+    assert round(multiply_accumulates(module) / 1e9, 2) == 62.30
+
+
+@pytest.mark.real
+def test_names_and_shapes_are_those_of_the_published_checkpoint(golden):
+    rows = (golden / "salsanext_state_dict.tsv").read_text().splitlines()
+    published = {
+        our_name(name): tuple(json.loads(shape))
+        for name, shape in (row.split("\t") for row in rows)
+    }
+    ours = {name: tuple(tensor.shape) for name, tensor in SalsaNext().state_dict().items()}
+    assert published == ours
+
+
+@pytest.mark.parametrize("size", [(1, 1), (17, 33), (40, 1800), (16, 16), (5, 4), (64, 100)])
+def test_any_size_goes_in_and_comes_out(network, size):
+    with torch.inference_mode():
+        logits = network(noise(1, 5, *size))
+    assert logits.shape == (1, 7, *size)
+    assert torch.isfinite(logits).all()
+
+
+@settings(max_examples=8, deadline=None)
+@given(st.integers(1, 40), st.integers(1, 70))
+def test_every_small_size_works(height, width):
+    with torch.inference_mode():
+        assert pad(noise(1, 5, height, width)).shape[-1] % STRIDE == 0
+        assert SMALLEST(noise(1, 5, height, width)).shape == (1, 2, height, width)
+
+
+SMALLEST = SalsaNext(class_count=2).eval()
+
+
+@pytest.mark.parametrize(("height", "width"), [(17, 33), (1, 1), (16, 16), (3, 100)])
+def test_padding_goes_round_in_azimuth_and_is_empty_below(height, width):
+    image = noise(1, 5, height, width).numpy()
+    padded = pad(torch.from_numpy(image)).numpy()
+    assert padded.shape[2] == -(-height // 16) * 16
+    assert padded.shape[3] == -(-width // 16) * 16
+    for u in range(padded.shape[3]):
+        np.testing.assert_array_equal(padded[0, :, :height, u], image[0, :, :, u % width])
+    assert not padded[0, :, height:].any()
+
+
+def test_a_size_that_sixteen_divides_is_left_alone():
+    image = noise(1, 5, 32, 48)
+    assert torch.equal(pad(image), image)
+
+
+def test_what_lies_before_and_after_the_first_dropout_is_the_whole(network):
+    image = noise(1, 5, 32, 48)
+    with torch.inference_mode():
+        assert torch.equal(network.rest(*network.trunk(image)), network(image))
+
+
+def test_a_batch_gives_what_its_images_give(network):
+    images = noise(3, 5, 16, 32)
+    with torch.inference_mode():
+        together = network(images)
+        alone = torch.cat([network(image[None]) for image in images])
+    torch.testing.assert_close(together, alone, rtol=1e-4, atol=1e-4)
+
+
+def test_the_output_depends_on_every_channel(network):
+    image = noise(1, 5, 16, 32)
+    with torch.inference_mode():
+        before = network(image)
+        for channel in range(5):
+            changed = image.clone()
+            changed[:, channel] += 1
+            assert not torch.allclose(network(changed), before), channel
+
+
+def test_gradients_reach_every_parameter():
+    module = SalsaNext(class_count=3, dropout=0.0)
+    module(noise(2, 5, 32, 32)).square().sum().backward()
+    lost = [name for name, p in module.named_parameters() if p.grad is None or not p.grad.any()]
+    assert lost == []
+
+
+@pytest.mark.parametrize(
+    ("block", "inputs", "outputs"),
+    [
+        (ContextBlock(5, 8), (5, 9, 11), (8, 9, 11)),
+        (DilatedStack(6, 4), (6, 9, 11), (4, 9, 11)),
+        (Down(0.2), (3, 8, 12), (3, 4, 6)),
+    ],
+)
+def test_blocks_keep_or_halve_sizes(block, inputs, outputs):
+    assert block(noise(2, *inputs)).shape == (2, *outputs)
+
+
+def test_an_up_block_doubles_sizes():
+    block = UpBlock(8, 3, 5, 0.2)
+    assert block(noise(1, 8, 4, 6), noise(1, 3, 8, 12)).shape == (1, 5, 8, 12)
+
+
+def test_dropout_rates_and_their_places():
+    """Blocks 2 to 5 and up blocks 1 to 3 drop; the first and the last do not."""
+    rates = {
+        name: module.rate
+        for name, module in SalsaNext(dropout=0.3).named_modules()
+        if hasattr(module, "rate")
+    }
+    off = {name.split(".")[0] for name, rate in rates.items() if rate == 0}
+    on = {name.split(".")[0] for name, rate in rates.items() if rate == 0.3}
+    assert off == {"down1", "up4"}
+    assert on == {"down2", "down3", "down4", "bottom", "up1", "up2", "up3"}
+    assert len(rates) == 5 + 3 * 4
+
+
+def test_a_network_is_built_by_name():
+    module = build({"name": "salsanext", "class_count": 5, "dropout": 0.1})
+    assert module.logits.out_channels == 5

@@ -1,0 +1,92 @@
+# SPDX-License-Identifier: MIT
+"""Small scans, data sets and networks that many tests need."""
+
+from collections.abc import Iterable
+from pathlib import Path
+
+import numpy as np
+import torch
+
+from salsanext_cli.classes import LabelSpace, label_space
+from salsanext_cli.formats.kitti import write_bin, write_labels
+from salsanext_cli.network.salsanext import SalsaNext
+from salsanext_cli.network.weights import WeightsCard, save_weights
+from salsanext_cli.records import Scan
+from salsanext_cli.sensors import Sensor
+
+SMALL = Sensor("small", fov_up=3.0, fov_down=-25.0, height=16, width=128)
+"""Sees what an HDL-64 sees, in so few pixels that a network takes milliseconds."""
+
+
+def make_scan(count: int = 1500, seed: int = 0) -> Scan:
+    """Points on the ground and on walls around the sensor."""
+    random = np.random.default_rng(seed)
+    azimuth = random.uniform(-np.pi, np.pi, count)
+    elevation = np.radians(random.uniform(-25, 3, count))
+    wall = 6 + 4 * np.sin(3 * azimuth + seed) + random.normal(0, 0.05, count)
+    ground = -1.7 / np.minimum(np.sin(elevation), -1e-3)
+    distance = np.minimum(wall / np.cos(elevation), ground)
+    flat = distance * np.cos(elevation)
+    points = (flat * np.cos(azimuth), flat * np.sin(azimuth), distance * np.sin(elevation))
+    return Scan(
+        np.stack(points, axis=1).astype(np.float32), random.random(count).astype(np.float32)
+    )
+
+
+def write_sequence(
+    folder: Path, stems: Iterable[str] = ("000000",), *, count: int = 1500, labels: bool = True
+) -> Path:
+    """Write scans, and labels of every scored class, as SemanticKITTI lays a sequence out."""
+    space = label_space()
+    for number, stem in enumerate(stems):
+        write_bin(folder / "velodyne" / f"{stem}.bin", make_scan(count, number))
+        if labels:
+            train = np.random.default_rng(number).integers(0, space.class_count, count)
+            write_labels(folder / "labels" / f"{stem}.label", space.to_raw(train))
+    return folder
+
+
+def lively(module: SalsaNext, seed: int = 0) -> SalsaNext:
+    """Give an untrained network the statistics and logits of one that tells classes apart."""
+    random = torch.Generator().manual_seed(seed)
+    for name, values in module.state_dict().items():
+        if name.endswith("running_var"):
+            values.uniform_(0.5, 2.0, generator=random)
+        elif name.endswith("running_mean"):
+            values.normal_(0, 0.2, generator=random)
+        elif values.is_floating_point() and values.dim() > 1:
+            fan = values[0].numel()
+            values.normal_(0, (2 / fan) ** 0.5, generator=random)
+        elif name.endswith("bias"):
+            values.normal_(0, 0.1, generator=random)
+    return module.eval()
+
+
+def write_weights(
+    path: Path,
+    *,
+    space: LabelSpace | None = None,
+    sensor: Sensor = SMALL,
+    dropout: float = 0.2,
+    seed: int = 0,
+) -> Path:
+    """Write a weights file of a random network."""
+    space = space or label_space()
+    numbers = {"class_count": space.class_count, "dropout": dropout}
+    card = WeightsCard({"name": "salsanext", **numbers}, space, sensor, description="random")
+    save_weights(path, lively(SalsaNext(**numbers), seed), card)
+    return path
+
+
+def files_below(folder: Path) -> dict[str, bytes]:
+    """Return the content of every file below a folder by its relative name."""
+    return {
+        str(path.relative_to(folder)): path.read_bytes()
+        for path in sorted(folder.rglob("*"))
+        if path.is_file()
+    }
+
+
+def labels_below(folder: Path) -> dict[str, bytes]:
+    """Return the content of every `.label` file below a folder."""
+    return {name: data for name, data in files_below(folder).items() if name.endswith(".label")}
