@@ -104,9 +104,19 @@ def predicted_scans(
     ------
     NoInputError
         If there are none.
+    LabelError
+        If predictions and labels speak of different classes.
     """
     scans = remembered_scans(out, dataset)
-    space = space or space_of(scans, recorded_label_space(out))
+    recorded = recorded_label_space(out)
+    space = space or space_of(scans, recorded)
+    if recorded is not None and not recorded.fits(space):
+        raise LabelError(
+            out,
+            f"predictions in the classes of {recorded.name}",
+            f"those of {space.name}, as the labels",
+            "predict with weights for these classes",
+        )
     chosen = choose(scans, choice, space, out)
     if choice.split:
         members = set(space.split(choice.split))

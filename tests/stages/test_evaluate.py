@@ -16,7 +16,9 @@ from salsanext_cli.measures.confusion import Confusion
 from salsanext_cli.records import Scan
 from salsanext_cli.stages.batch import BatchOptions
 from salsanext_cli.stages.counting import ScanCounts, count_scan
-from salsanext_cli.stages.evaluate import evaluate
+from salsanext_cli.stages.evaluate import evaluate, predicted_scans
+from salsanext_cli.stages.inputs import Choice
+from salsanext_cli.stages.outputs import write_json
 
 SPACE = label_space()
 CAR, ROAD, MOVING_CAR, UNKNOWN = 10, 40, 252, 77
@@ -234,3 +236,18 @@ def test_counts_add_up_and_lists_join(world):
     assert len(total.missing) == 1
     assert total.unknown_predictions == {UNKNOWN: 1}
     assert total.confusion.total == 1
+
+
+def test_predictions_in_other_classes_are_refused(world, tmp_path):
+    world.add("000000", [CAR, ROAD], [CAR, ROAD])
+    other = SPACE.to_dict()
+    other["labels"] = SPACE.labels | {CAR: "tram"}
+    manifest = {"settings": {"label_space": other}, "writes": ["predictions"]}
+    write_json(world.out / "predict.json", manifest)
+    with pytest.raises(LabelError, match=r"predictions in the classes of semantic-kitti"):
+        predicted_scans(world.out, Choice(), world.dataset, SPACE)
+    manifest = {"settings": {"label_space": SPACE.to_dict()}, "writes": ["predictions"]}
+    write_json(world.out / "predict.json", manifest)
+    scans, space = predicted_scans(world.out, Choice(), world.dataset, SPACE)
+    assert [scan.stem for scan in scans] == ["000000"]
+    assert space.fits(SPACE)
