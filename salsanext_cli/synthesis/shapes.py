@@ -32,12 +32,10 @@ def rings(sections: Array, skin: Skin, *, closed: bool = True) -> Mesh:
     """Join consecutive (S, P, 3) sections by quadrangles; `closed` joins last point to first."""
     count, size, _ = sections.shape
     index = np.arange(count * size).reshape(count, size)
-    following = np.roll(index, -1, axis=1) if closed else index[:, 1:]
+    following = index[:, [*range(1, size), 0]] if closed else index[:, 1:]
     first = index if closed else index[:, :-1]
     a, b, c, d = first[:-1], following[:-1], following[1:], first[1:]
-    faces = np.concatenate(
-        [np.stack([a, b, c], -1).reshape(-1, 3), np.stack([a, c, d], -1).reshape(-1, 3)]
-    )
+    faces = np.concatenate([np.stack(f, -1).reshape(-1, 3) for f in ((a, b, c), (a, c, d))])
     return Mesh.of(sections.reshape(-1, 3), faces, skin)
 
 
@@ -48,12 +46,19 @@ def tube(path: npt.ArrayLike, radii: npt.ArrayLike, skin: Skin, sides: int = 7) 
     along = np.gradient(points, axis=0)
     along /= np.linalg.norm(along, axis=1, keepdims=True)
     steepest = np.where(np.abs(along[:, 2:]) > 0.9, [1.0, 0.0, 0.0], [0.0, 0.0, 1.0])
-    across = np.cross(along, steepest)
+    across = _cross(along, steepest)
     across /= np.linalg.norm(across, axis=1, keepdims=True)
-    upward = np.cross(along, across)
+    upward = _cross(along, across)
     angle = np.linspace(0, 2 * np.pi, sides, endpoint=False)
     spread = np.cos(angle)[:, None] * across[:, None] + np.sin(angle)[:, None] * upward[:, None]
     return rings(points[:, None] + radius[:, None, None] * spread, skin)
+
+
+def _cross(a: Array, b: Array) -> Array:
+    """Return the cross products of (K, 3) vectors; `numpy.cross` takes ten times as long on few."""
+    ax, ay, az = a.T
+    bx, by, bz = b.T
+    return np.stack([ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx], -1)
 
 
 def ellipsoid(

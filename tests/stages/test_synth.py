@@ -1,0 +1,178 @@
+# SPDX-License-Identifier: MIT
+"""The data set that `synthesise` writes: layout, labels, poses, splits, seeds, refusals."""
+
+import numpy as np
+import pytest
+import yaml
+
+from salsanext_cli.classes import label_space
+from salsanext_cli.errors import OutputError, UsageError
+from salsanext_cli.formats.kitti import read_bin, read_labels
+from salsanext_cli.formats.layout import find_scans
+from salsanext_cli.records import Scan
+from salsanext_cli.stages import synth
+from salsanext_cli.stages.synth import synthesise
+from salsanext_cli.synthesis.drive import Frame
+from salsanext_cli.synthesis.ids import ABSENT
+
+TINY = {"scans": 2, "spacing": 12.0, "seed": 3}
+
+
+@pytest.fixture(scope="module")
+def streets(tmp_path_factory):
+    """Make three small sequences; return what `synthesise` said about them too."""
+    out = tmp_path_factory.mktemp("synth") / "streets"
+    calls = []
+    made = synthesise(
+        out, train=1, valid=1, test=1, **TINY, progress=lambda *counts: calls.append(counts)
+    )
+    return out, made, calls
+
+
+def content(folder):
+    return {p.relative_to(folder): p.read_bytes() for p in folder.rglob("*") if p.is_file()}
+
+
+def test_every_file_of_the_layout_is_there(streets):
+    out, made, _ = streets
+    names = {str(path) for path in content(out)}
+    expected = {"labels.yaml", "synth.json"}
+    for sequence in ("00", "01", "02"):
+        files = ("poses.txt", "times.txt", "calib.txt")
+        expected |= {f"sequences/{sequence}/{file}" for file in files}
+        for stem in ("000000", "000001"):
+            expected.add(f"sequences/{sequence}/velodyne/{stem}.bin")
+            expected.add(f"sequences/{sequence}/labels/{stem}.label")
+    assert names == expected
+    assert made.scans == len(find_scans(out)) == 6
+    assert made.splits == {"train": ("00",), "valid": ("01",), "test": ("02",)}
+
+
+def test_scans_and_labels_belong_together(streets):
+    out, made, _ = streets
+    totals = {}
+    for file in find_scans(out):
+        scan = read_bin(file.path)
+        labels = read_labels(file.label_path, len(scan))
+        assert np.isfinite(scan.points).all()
+        assert scan.intensity.min() >= 0
+        assert scan.intensity.max() <= 1
+        assert not label_space().unknown_ids(labels)
+        for raw, count in zip(*np.unique(labels, return_counts=True), strict=True):
+            totals[int(raw)] = totals.get(int(raw), 0) + int(count)
+    assert totals == made.points
+
+
+def test_all_classes_but_the_absent_occur(streets):
+    out, made, _ = streets
+    space = label_space(out / "labels.yaml")
+    present = {space.names[space.learning_map[raw]] for raw in made.points}
+    assert present == set(space.names) - set(ABSENT)
+
+
+def test_labels_yaml_is_semantickittis_with_its_own_split(streets):
+    out, made, _ = streets
+    space, real = label_space(out / "labels.yaml"), label_space()
+    assert space.names == real.names
+    assert space.labels == real.labels
+    assert space.learning_map == real.learning_map
+    np.testing.assert_array_equal(space.colours, real.colours)
+    assert space.splits == made.splits
+    ignored = {name for name, flag in zip(space.names, space.ignored, strict=True) if flag}
+    assert ignored == {"unlabeled", *ABSENT}
+    assert set(yaml.safe_load((out / "labels.yaml").read_text())) >= {"labels", "color_map"}
+
+
+def test_poses_times_and_calibration_are_kittis(streets):
+    out, _, _ = streets
+    for sequence in ("00", "02"):
+        folder = out / "sequences" / sequence
+        poses = np.loadtxt(folder / "poses.txt")
+        assert poses.shape == (2, 12)
+        np.testing.assert_allclose(poses[0].reshape(3, 4), np.eye(4)[:3], atol=1e-9)
+        assert np.linalg.norm(poses[1].reshape(3, 4)[:, 3]) == pytest.approx(12, rel=0.1)
+        times = np.loadtxt(folder / "times.txt")
+        assert times[0] == 0
+        assert times[1] > 0
+        calibration = (folder / "calib.txt").read_text()
+        assert "Tr: 1 0 0 0 0 1 0 0 0 0 1 0\n" in calibration
+
+
+def test_progress_counts_every_scan(streets):
+    _, _, calls = streets
+    assert calls == [(n, 6) for n in range(1, 7)]
+
+
+def test_the_seed_decides_every_byte_whatever_else_is_made_in_how_many_jobs(streets, tmp_path):
+    out, _, _ = streets
+    synthesise(tmp_path / "again", train=2, valid=0, **TINY, jobs=2)
+    for sequence in ("00", "01"):
+        again = content(tmp_path / "again" / "sequences" / sequence)
+        assert again == content(out / "sequences" / sequence)
+
+
+@pytest.fixture
+def quick(monkeypatch):
+    """Record three points instead of a street."""
+
+    def record(seed, sequence, scans, spacing):
+        scan = Scan(np.full((3, 3), seed, np.float32), np.zeros(3, np.float32))
+        for index in range(scans):
+            yield Frame(scan, np.array([40, 40, 10], np.uint32), np.eye(4), index * spacing)
+
+    monkeypatch.setattr(synth, "record", record)
+
+
+def test_a_full_folder_is_not_touched(tmp_path):
+    out = tmp_path / "full"
+    scan = out / "sequences" / "00" / "velodyne" / "000000.bin"
+    scan.parent.mkdir(parents=True)
+    scan.write_bytes(b"precious")
+    for overwrite in (False, True):
+        with pytest.raises(OutputError, match="something else"):
+            synthesise(out, train=1, valid=0, scans=1, overwrite=overwrite)
+    assert list(content(out).values()) == [b"precious"]
+
+
+def test_only_a_synthetic_data_set_is_replaced_and_only_when_told(tmp_path, quick):
+    out = tmp_path / "streets"
+    synthesise(out, train=1, valid=0, scans=2, spacing=1.0)
+    kept = out / "sequences" / "00" / "notes.txt"
+    kept.write_text("mine")
+    with pytest.raises(OutputError, match="--overwrite"):
+        synthesise(out, train=1, valid=0, scans=1)
+    synthesise(out, train=1, valid=0, scans=1, seed=1, overwrite=True)
+    assert [read_bin(file.path).points[0, 0] for file in find_scans(out)] == [1]
+    assert len(list((out / "sequences" / "00" / "labels").iterdir())) == 1
+    assert kept.read_text() == "mine"
+
+
+def test_a_file_in_the_place_of_the_folder_is_refused(tmp_path):
+    out = tmp_path / "file"
+    out.write_text("no folder")
+    with pytest.raises(OutputError, match="file"):
+        synthesise(out, train=1, valid=0, scans=1)
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [
+        {"train": -1},
+        {"valid": -2},
+        {"test": -1},
+        {"train": 0, "valid": 0},
+        {"scans": 0},
+        {"seed": -1},
+        {"spacing": 0.0},
+        {"spacing": -3.0},
+        {"spacing": float("nan")},
+        {"scans": 5000},
+        {"jobs": 0},
+        {"jobs": -2},
+    ],
+    ids=str,
+)
+def test_numbers_that_make_no_sense_are_refused(tmp_path, wrong):
+    with pytest.raises(UsageError, match="--"):
+        synthesise(tmp_path / "out", **wrong)
+    assert not (tmp_path / "out").exists()

@@ -1,0 +1,70 @@
+# SPDX-License-Identifier: MIT
+"""The beams are those of an HDL-64E: angles, order, timing, what the vehicle hides."""
+
+import numpy as np
+import pytest
+
+from salsanext_cli.synthesis.beams import ENCODER_STEP, LOWER, UPPER, blind, hdl64
+
+
+@pytest.fixture(scope="module")
+def beams():
+    return hdl64(np.random.default_rng(3))
+
+
+def test_elevations_are_the_sensors_own_in_two_blocks(beams):
+    degrees = np.degrees(beams.elevation)
+    assert (np.diff(degrees) < 0).all()
+    nominal = np.concatenate([np.linspace(*UPPER), np.linspace(*LOWER)])
+    assert np.abs(degrees - nominal).max() < 0.5
+    assert -np.diff(degrees[:32]).mean() == pytest.approx(1 / 3, abs=0.02)
+    assert -np.diff(degrees[32:]).mean() == pytest.approx(1 / 2, abs=0.02)
+
+
+def test_sensors_differ_a_little():
+    first, second = (hdl64(np.random.default_rng(seed)) for seed in (0, 1))
+    difference = np.abs(np.degrees(first.elevation - second.elevation))
+    assert 0.01 < difference.mean() < 0.3
+
+
+def test_rays_are_unit_vectors_at_the_beams_angles(beams):
+    origins, directions, _ = beams.rays()
+    count = 64 * beams.columns
+    assert origins.shape == directions.shape == (count, 3)
+    assert 125_000 < count < 145_000
+    np.testing.assert_allclose(np.linalg.norm(directions, axis=1), 1, atol=1e-12)
+    elevation = np.arcsin(directions[:, 2]).reshape(64, -1)
+    np.testing.assert_allclose(elevation, np.repeat(beams.elevation[:, None], beams.columns, 1))
+
+
+def test_a_laser_goes_once_around_anticlockwise_in_steps_of_the_encoder(beams):
+    _, directions, _ = beams.rays()
+    azimuth = np.degrees(np.arctan2(directions[:, 1], directions[:, 0])).reshape(64, -1)
+    steps = np.diff(np.unwrap(azimuth, axis=1, period=360), axis=1)
+    multiples = steps / ENCODER_STEP
+    np.testing.assert_allclose(multiples, np.round(multiples), atol=1e-6)
+    assert set(np.round(multiples).astype(int).ravel()) == {1, 2}
+    assert steps.sum(1).max() < 360
+
+
+def test_the_sensor_looks_ahead_at_time_zero_and_turns_clockwise(beams):
+    _, directions, times = beams.rays()
+    azimuth = np.degrees(np.arctan2(directions[:, 1], directions[:, 0]))
+    assert np.abs(times).max() <= 0.05
+    np.testing.assert_allclose(times, -azimuth / 3600, atol=1e-9)
+
+
+def test_beams_start_close_to_the_origin(beams):
+    origins, _, _ = beams.rays()
+    assert np.linalg.norm(origins, axis=1).max() < 0.1
+
+
+def test_the_vehicle_hides_only_low_beams_and_a_small_part(beams):
+    hidden = blind(beams, np.random.default_rng(0)).reshape(64, -1)
+    assert not hidden[np.degrees(beams.elevation) > -12.5].any()
+    assert 0.02 < hidden.mean() < 0.12
+    lowest = hidden[-1]
+    straight_back = len(lowest) // 2
+    sideways = len(lowest) // 4
+    assert lowest[straight_back]
+    assert not lowest[sideways]

@@ -1,0 +1,97 @@
+# SPDX-License-Identifier: MIT
+"""A recorded drive: standing things stay where they are, the road is below, time goes on."""
+
+import numpy as np
+import pytest
+from sklearn.neighbors import NearestNeighbors
+
+from salsanext_cli.synthesis import ids
+from salsanext_cli.synthesis.drive import MOUNT, SPEED, record
+
+SPACING = 2.5
+
+
+@pytest.fixture(scope="module")
+def frames():
+    return list(record(7, 0, 3, SPACING))
+
+
+def world(frame, labels):
+    """Points of some classes, world coordinates."""
+    chosen = np.isin(frame.labels, labels)
+    return frame.scan.points[chosen] @ frame.pose[:3, :3].T + frame.pose[:3, 3]
+
+
+def test_scans_look_like_an_hdl64s(frames):
+    for frame in frames:
+        scan = frame.scan
+        assert len(scan) == len(frame.labels)
+        assert 60_000 < len(scan) < 135_000
+        assert np.isfinite(scan.points).all()
+        assert scan.intensity.min() >= 0
+        assert scan.intensity.max() <= 1
+        reach = np.linalg.norm(scan.points, axis=1)
+        assert reach.min() > 1
+        assert reach.max() < 82
+        assert len(np.unique(frame.labels)) > 8
+
+
+def test_the_road_is_below_the_sensor(frames):
+    for frame in frames:
+        road = frame.scan.points[np.isin(frame.labels, (ids.ROAD, ids.MARKING))]
+        near = road[np.hypot(road[:, 0], road[:, 1]) < 8]
+        assert np.median(near[:, 2]) == pytest.approx(-MOUNT, abs=0.15)
+        assert near[:, 2].std() < 0.15
+
+
+def test_standing_things_stay_where_they_are(frames):
+    still = (ids.BUILDING, ids.FENCE, ids.POLE, ids.CLUTTER, ids.CAR)
+    first, second = (world(frame, still) for frame in frames[:2])
+    here = first[np.linalg.norm(first - frames[1].pose[:3, 3], axis=1) < 12]
+    distance, _ = NearestNeighbors(n_neighbors=1).fit(second).kneighbors(here)
+    assert np.median(distance) < 0.12
+    shifted, _ = NearestNeighbors(n_neighbors=1).fit(second + [0, 0, 0.5]).kneighbors(here)
+    assert np.median(shifted) > 1.5 * np.median(distance)
+
+
+def test_poses_are_rigid_and_so_far_apart(frames):
+    for frame in frames:
+        rotation = frame.pose[:3, :3]
+        np.testing.assert_allclose(rotation @ rotation.T, np.eye(3), atol=1e-12)
+        assert np.linalg.det(rotation) == pytest.approx(1)
+    steps = np.diff([frame.pose[:3, 3] for frame in frames], axis=0)
+    np.testing.assert_allclose(np.linalg.norm(steps, axis=1), SPACING, rtol=0.1)
+    ahead = np.array([frame.pose[:3, 0] for frame in frames[:-1]])
+    assert ((steps * ahead).sum(1) > 0.95 * SPACING).all()
+
+
+def test_time_is_distance_by_speed(frames):
+    times = [frame.time for frame in frames]
+    assert times[0] == 0
+    speeds = SPACING / np.diff(times)
+    assert speeds == pytest.approx(speeds[0])
+    assert SPEED[0] <= speeds[0] <= SPEED[1]
+
+
+@pytest.fixture(scope="module")
+def next_street():
+    """Two frames of another sequence of the same seed."""
+    return list(record(7, 1, 2, 3.0))
+
+
+def test_another_sequence_is_another_street(frames, next_street):
+    assert not np.array_equal(next_street[0].scan.points[:1000], frames[0].scan.points[:1000])
+
+
+def test_another_seed_is_another_street(frames):
+    other = next(record(8, 0, 3, SPACING))
+    assert not np.array_equal(other.scan.points[:1000], frames[0].scan.points[:1000])
+
+
+def test_moving_things_are_not_where_they_were(next_street):
+    moving = tuple(ids.MOVING.values())
+    before, after = (world(frame, moving) for frame in next_street)
+    assert len(before)
+    assert len(after)
+    distance, _ = NearestNeighbors(n_neighbors=1).fit(after).kneighbors(before)
+    assert np.median(distance) > 0.2

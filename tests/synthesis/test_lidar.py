@@ -1,0 +1,155 @@
+# SPDX-License-Identifier: MIT
+"""Measured against closed forms: a wall, a floor, glass, nothing, two scenes."""
+
+import sys
+
+import numpy as np
+import pytest
+
+from salsanext_cli.errors import MissingDependency
+from salsanext_cli.synthesis.beams import hdl64
+from salsanext_cli.synthesis.ids import BUILDING, CAR, ROAD
+from salsanext_cli.synthesis.lidar import RANGE_NOISE, Scene, measure
+from salsanext_cli.synthesis.materials import OPTICS, Material
+from salsanext_cli.synthesis.mesh import Skin
+from salsanext_cli.synthesis.shapes import quads
+
+
+def wall(distance, material=Material.PLASTER, label=BUILDING, shade=1.0):
+    """Build a wall across x, 200 m wide and high."""
+    x, w = distance, 100.0
+    corners = np.array([[[x, -w, -w], [x, w, -w], [x, w, w], [x, -w, w]]])
+    return Scene(quads(corners, Skin(label, material, shade)))
+
+
+def fan(count=20_000, spread=0.3):
+    """Rays from the origin, forward, within `spread` radians to either side."""
+    azimuth = np.linspace(-spread, spread, count)
+    ways = np.stack([np.cos(azimuth), np.sin(azimuth), np.zeros(count)], -1)
+    return np.concatenate([np.zeros((count, 3)), ways], 1), azimuth
+
+
+def look(scenes, rays, seed=0, power=1.0):
+    ones = np.ones(len(rays))
+    return measure(np.random.default_rng(seed), scenes, rays, ones, power * ones)
+
+
+def test_a_wall_is_as_far_as_it_is():
+    rays, azimuth = fan()
+    distance, intensity, labels = look([wall(10)], rays)
+    kept = np.isfinite(distance)
+    error = distance[kept] - 10 / np.cos(azimuth[kept])
+    assert kept.mean() > 0.98
+    assert abs(error.mean()) < 1e-3
+    assert error.std() == pytest.approx(RANGE_NOISE, rel=0.05)
+    assert set(labels[kept]) == {BUILDING}
+    usual = OPTICS[Material.PLASTER].brightness
+    assert intensity[kept].mean() == pytest.approx(usual, abs=0.05)
+
+
+def test_intensity_is_between_0_and_1_in_hundredths():
+    rays, _ = fan()
+    _, intensity, _ = look([wall(6, Material.RETRO, shade=3.0)], rays)
+    assert intensity.min() >= 0
+    assert intensity.max() <= 1
+    np.testing.assert_allclose(intensity * 100, np.round(intensity * 100), atol=1e-9)
+
+
+@pytest.mark.parametrize(("near", "far"), [(10, 40), (30, 70)])
+def test_far_walls_look_darker_and_lose_more(near, far):
+    rays, _ = fan()
+    (d0, i0, _), (d1, i1, _) = (look([wall(x, shade=0.3)], rays) for x in (near, far))
+    assert np.isfinite(d0).mean() >= np.isfinite(d1).mean()
+    assert i0.mean() > i1.mean()
+
+
+def test_roads_seen_at_a_grazing_angle_fade_out():
+    z, w = -1.73, 300.0
+    corners = np.array([[[-w, -w, z], [w, -w, z], [w, w, z], [-w, w, z]]])
+    floor = Scene(quads(corners, Skin(ROAD, Material.ASPHALT)))
+
+    def share(reach):
+        way = np.array([reach, 0, z]) / np.hypot(reach, z)
+        rays = np.tile(np.concatenate([np.zeros(3), way]), (4000, 1))
+        distance, intensity, _ = look([floor], rays)
+        return np.isfinite(distance).mean(), intensity.mean()
+
+    shares, brightness = zip(*(share(reach) for reach in (8, 25, 50, 75)), strict=True)
+    assert shares[0] > 0.98
+    assert shares[0] >= shares[1] > shares[2] > shares[3]
+    assert brightness[0] > brightness[1] > brightness[2]
+
+
+def test_a_floor_is_hit_at_the_beams_angles():
+    beams = hdl64(np.random.default_rng(0))
+    origins, directions, _ = beams.rays()
+    z, w = -1.73, 300.0
+    corners = np.array([[[-w, -w, z], [w, -w, z], [w, w, z], [-w, w, z]]])
+    rays = np.concatenate([origins, directions], 1)
+    distance, _, _ = look([Scene(quads(corners, Skin(ROAD, Material.PAVING)))], rays)
+    laser = np.repeat(np.arange(64), beams.columns)
+    for row in (40, 50, 63):
+        found = distance[laser == row]
+        expected = (1.73 + beams.height[row]) / np.sin(-beams.elevation[row])
+        assert np.nanmedian(found) == pytest.approx(expected, abs=0.005)
+    assert np.isnan(distance[beams.elevation[laser] > 0]).all()
+
+
+def test_glass_and_dark_paint_swallow_pulses_in_runs():
+    rays, _ = fan()
+    shares = {}
+    for name, material, shade in (
+        ("plaster", Material.PLASTER, 1.0),
+        ("bright paint", Material.PAINT, 1.2),
+        ("dark paint", Material.PAINT, 0.05),
+        ("glass", Material.GLASS, 1.0),
+    ):
+        distance, _, _ = look([wall(8, material, CAR, shade)], rays)
+        shares[name] = np.isfinite(distance).mean()
+    assert shares["plaster"] > shares["bright paint"] > shares["dark paint"] > shares["glass"]
+    distance, _, _ = look([wall(8, Material.PAINT, CAR, 0.05)], rays)
+    lost = ~np.isfinite(distance)
+    share = lost.mean()
+    # Independent losses would follow a loss no more often than a return.
+    assert (lost[1:] & lost[:-1]).mean() > 1.5 * share**2
+
+
+def test_weak_lasers_see_less_glass():
+    rays, _ = fan()
+    strong, weak = (
+        np.isfinite(look([wall(8, Material.GLASS)], rays, power=power)[0]).mean()
+        for power in (2.0, 0.5)
+    )
+    assert strong > weak
+
+
+def test_nothing_comes_back_from_the_sky_or_from_too_near():
+    rays, _ = fan(100)
+    for x in (-10.0, 200.0, 0.8):
+        distance, _, _ = look([wall(x)], rays)
+        assert np.isnan(distance).all()
+
+
+def test_the_nearer_of_two_scenes_counts():
+    rays, _ = fan(500)
+    near, far = wall(6, label=CAR), wall(12)
+    for scenes in ([near, far], [far, near]):
+        distance, _, labels = look(scenes, rays)
+        kept = np.isfinite(distance)
+        assert set(labels[kept]) == {CAR}
+        assert distance[kept].max() < 7
+
+
+def test_the_noise_comes_from_the_generator_alone():
+    rays, _ = fan(2000)
+    scene = wall(9)
+    first, again, other = (look([scene], rays, seed) for seed in (5, 5, 6))
+    for a, b in zip(first, again, strict=True):
+        np.testing.assert_array_equal(a, b)
+    assert not np.array_equal(first[0], other[0])
+
+
+def test_a_missing_library_is_named(monkeypatch):
+    monkeypatch.setitem(sys.modules, "open3d", None)
+    with pytest.raises(MissingDependency, match=r"libusb-1\.0-0"):
+        wall(5)

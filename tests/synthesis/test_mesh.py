@@ -1,0 +1,107 @@
+# SPDX-License-Identifier: MIT
+"""Shapes have the size and the place that they are asked for; meshes join and move whole."""
+
+import numpy as np
+import pytest
+
+from salsanext_cli.synthesis.ids import CAR, POLE
+from salsanext_cli.synthesis.materials import OPTICS, Material, optics_table
+from salsanext_cli.synthesis.mesh import Mesh, Skin, merge
+from salsanext_cli.synthesis.shapes import box, disc, ellipsoid, facets, quads, tube
+
+STEEL = Skin(POLE, Material.METAL, 0.5)
+
+
+def signed_volume(mesh: Mesh) -> float:
+    """Sum the tetrahedra between the origin and every triangle."""
+    a, b, c = (mesh.vertices[mesh.triangles[:, i]] for i in range(3))
+    return float(np.linalg.det(np.stack([a, b, c], 1)).sum() / 6)
+
+
+def area(mesh: Mesh) -> float:
+    a, b, c = (mesh.vertices[mesh.triangles[:, i]] for i in range(3))
+    return float(np.linalg.norm(np.cross(b - a, c - a), axis=1).sum() / 2)
+
+
+def test_a_box_has_its_volume_and_its_surface():
+    mesh = box((1, 2, 3), (2, 4, 6), STEEL)
+    assert signed_volume(mesh) == pytest.approx(6)
+    assert area(mesh) == pytest.approx(2 * (2 + 3 + 6))
+
+
+def test_a_tube_keeps_its_radius():
+    mesh = tube([[0, 0, 0], [0, 0, 1], [0, 0, 2]], [0.1, 0.2, 0.3], STEEL, sides=9)
+    radius = np.hypot(mesh.vertices[:, 0], mesh.vertices[:, 1])
+    np.testing.assert_allclose(radius, 0.1 + 0.1 * mesh.vertices[:, 2], atol=1e-12)
+
+
+@pytest.mark.parametrize("direction", [(1, 0, 0), (0, 1, 0), (0, 0, 1), (1, -2, 0.5)])
+def test_a_tube_may_point_anywhere(direction):
+    end = np.array(direction, float)
+    mesh = tube([[0, 0, 0], end], 0.2, STEEL)
+    along = mesh.vertices @ end / np.linalg.norm(end)
+    across = np.sqrt((mesh.vertices**2).sum(1) - along**2)
+    np.testing.assert_allclose(across, 0.2, atol=1e-9)
+
+
+def test_an_ellipsoid_without_lumps_is_one():
+    mesh = ellipsoid((1, 2, 3), (0.5, 1, 2), STEEL, sides=12)
+    unit = (mesh.vertices - [1, 2, 3]) / [0.5, 1, 2]
+    np.testing.assert_allclose(np.linalg.norm(unit, axis=1), 1, atol=1e-12)
+
+
+def test_a_disc_is_a_regular_polygon():
+    mesh = disc((0, 0, 1), 2.0, "y", STEEL, sides=12)
+    assert area(mesh) == pytest.approx(0.5 * 12 * 4 * np.sin(2 * np.pi / 12))
+    assert np.ptp(mesh.vertices[:, 1]) == 0
+
+
+def test_quads_are_two_triangles_each():
+    square = np.array([[[0, 0, 0], [2, 0, 0], [2, 3, 0], [0, 3, 0]]], float)
+    assert area(quads(np.concatenate([square, square + 5]), STEEL)) == pytest.approx(12)
+
+
+def test_facets_stay_near_their_centres():
+    rng = np.random.default_rng(0)
+    centres = rng.normal(0, 5, (200, 3))
+    mesh = facets(centres, 0.1, STEEL, rng)
+    assert len(mesh) == 200
+    corners = mesh.vertices[mesh.triangles]
+    assert np.abs(corners - centres[:, None]).max() <= 0.1
+    assert np.ptp(mesh.shades) > 0
+
+
+def test_merging_keeps_every_triangle_and_its_skin():
+    first = box((0, 0, 0), (1, 1, 1), STEEL)
+    second = box((5, 0, 0), (6, 1, 1), Skin(CAR, Material.PAINT, 2.0))
+    both = merge([first, second])
+    corners = np.concatenate([m.vertices[m.triangles] for m in (first, second)])
+    np.testing.assert_array_equal(both.vertices[both.triangles], corners)
+    assert both.labels.tolist() == [POLE] * 12 + [CAR] * 12
+    assert both.materials.tolist() == [Material.METAL] * 12 + [Material.PAINT] * 12
+    assert both.shades.tolist() == [0.5] * 12 + [2.0] * 12
+
+
+def test_nothing_merges_to_nothing():
+    assert len(merge([])) == 0
+
+
+def test_moving_turns_first_and_shifts_then():
+    mesh = box((0, 0, 0), (2, 1, 1), STEEL).moved((10, 0, 0), np.pi / 2)
+    np.testing.assert_allclose(mesh.vertices.min(0), [9, 0, 0], atol=1e-12)
+    np.testing.assert_allclose(mesh.vertices.max(0), [10, 2, 1], atol=1e-12)
+
+
+def test_leaning_and_scaling_keep_the_triangles():
+    mesh = box((0, 0, 0), (1, 1, 1), STEEL)
+    assert signed_volume(mesh.leaned(0.4)) == pytest.approx(1)
+    assert signed_volume(mesh.scaled((2, 3, 4))) == pytest.approx(24)
+    assert set(mesh.relabelled(99).labels) == {99}
+
+
+def test_every_material_has_sensible_optics():
+    assert set(OPTICS) == set(Material)
+    table = optics_table()
+    assert table.shape == (len(Material), 5)
+    assert (table >= 0).all()
+    assert (table[:, 3] <= 1).all()

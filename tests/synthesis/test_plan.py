@@ -1,0 +1,102 @@
+# SPDX-License-Identifier: MIT
+"""The plan and the ground that is made of it: strips in order, kerbs, corners, one surface."""
+
+import numpy as np
+import pytest
+
+from salsanext_cli.synthesis import ids
+from salsanext_cli.synthesis.draw import draw_plan
+from salsanext_cli.synthesis.ground import ground
+from salsanext_cli.synthesis.plan import REACH
+from salsanext_cli.synthesis.style import STYLES
+
+PLANS = [draw_plan(np.random.default_rng(seed), STYLES[seed], 160.0) for seed in range(len(STYLES))]
+
+
+def away_from_crossings(plan, side, margin=6.0):
+    s = np.arange(10.0, plan.length - 10, 0.5)
+    return s[plan.from_side_street(s, side) > margin]
+
+
+@pytest.mark.parametrize("plan", PLANS, ids=lambda plan: plan.style.name)
+def test_strips_lie_in_order_from_the_kerb_outwards(plan):
+    for side in plan.sides:
+        s = away_from_crossings(plan, side)
+        ends = np.cumsum([side.parking, side.verge, side.sidewalk])
+        starts = ends - [side.parking, side.verge, side.sidewalk]
+        for start, end, label in zip(
+            starts, ends, (ids.PARKING, ids.TERRAIN, ids.SIDEWALK), strict=True
+        ):
+            if end > start:
+                t = side.sign * (plan.half + (start + end) / 2)
+                assert (plan.label(s, np.full_like(s, t)) == label).all()
+
+
+@pytest.mark.parametrize("plan", PLANS, ids=lambda plan: plan.style.name)
+def test_the_carriageway_is_road_or_paint(plan):
+    s, t = np.meshgrid(np.arange(0, 160, 0.5), np.linspace(-0.99, 0.99, 41) * plan.half)
+    labels = plan.label(s, t)
+    assert set(np.unique(labels)) <= {ids.ROAD, ids.MARKING}
+    assert (labels == ids.ROAD).mean() > 0.6
+
+
+@pytest.mark.parametrize("plan", PLANS, ids=lambda plan: plan.style.name)
+def test_side_streets_are_road_and_level_with_it(plan):
+    for crossing in plan.crossings:
+        for side in plan.sides:
+            if side.sign not in crossing.sides:
+                continue
+            s = np.array([crossing.s])
+            for out in (0.5, 5.0, 30.0):
+                t = np.array([side.sign * (plan.half + out)])
+                assert plan.label(s, t).item() == ids.ROAD
+                camber = -0.015 * plan.half
+                assert plan.relief(s, t).item() == pytest.approx(camber, abs=1e-9)
+
+
+def test_a_kerb_is_a_step_of_its_height():
+    plan = next(p for p in PLANS if p.left.sidewalk and p.left.kerb and not p.left.parking)
+    s = away_from_crossings(plan, plan.left)
+    low, high = (plan.relief(s, np.full_like(s, plan.half + offset)) for offset in (-0.01, 0.01))
+    np.testing.assert_allclose(high - low, plan.left.kerb, atol=1e-3)
+
+
+@pytest.mark.parametrize("plan", PLANS, ids=lambda plan: plan.style.name)
+def test_t_is_a_distance_in_the_world(plan):
+    s = np.linspace(5, 155, 40)
+    near, far = plan.world(s, 3.0), plan.world(s, 8.0)
+    np.testing.assert_allclose(np.hypot(*(far - near)[:, :2].T), 5, atol=1e-9)
+    step = plan.world(s + 0.5, 0.0) - plan.world(s, 0.0)
+    np.testing.assert_allclose(np.hypot(step[:, 0], step[:, 1]), 0.5, atol=5e-3)
+
+
+@pytest.mark.parametrize("plan", PLANS, ids=lambda plan: plan.style.name)
+def test_bends_do_not_fold_the_ground_over(plan):
+    turn = np.abs(np.diff(plan.heading)) / np.diff(plan.knots)
+    assert turn.max() * REACH < 1
+
+
+def test_lots_fill_the_street_between_side_streets():
+    for plan in PLANS:
+        for side in plan.sides:
+            for lot, following in zip(side.lots[:-1], side.lots[1:], strict=True):
+                gap = following.start - lot.end
+                widths = [2 * (c.half + c.pavement) for c in plan.crossings if side.sign in c.sides]
+                assert gap == pytest.approx(0, abs=1.01) or any(
+                    abs(gap - width) < 1.01 for width in widths
+                )
+
+
+def test_the_ground_has_no_holes_and_the_plans_labels():
+    plan = PLANS[0]
+    mesh = ground(np.random.default_rng(0), plan)
+    corners = mesh.vertices[mesh.triangles]
+    flat = corners[..., :2]
+    first, second = flat[:, 1] - flat[:, 0], flat[:, 2] - flat[:, 0]
+    twice = first[:, 0] * second[:, 1] - first[:, 1] * second[:, 0]
+    assert (twice > 0).all()
+    # On a bend the outside gains what the inside loses: the area is that of the straight street.
+    assert twice.sum() / 2 == pytest.approx(2 * REACH * plan.length, rel=0.01)
+    assert set(np.unique(mesh.labels)) <= {
+        ids.ROAD, ids.MARKING, ids.PARKING, ids.SIDEWALK, ids.TERRAIN
+    }  # fmt: skip

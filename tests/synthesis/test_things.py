@@ -1,0 +1,100 @@
+# SPDX-License-Identifier: MIT
+"""Things in the street have the classes and the sizes of their kind, whatever chance decides."""
+
+import numpy as np
+import pytest
+
+from salsanext_cli.synthesis import (
+    buildings,
+    fences,
+    furniture,
+    ids,
+    people,
+    vegetation,
+    vehicles,
+)
+
+THINGS = {
+    "car": (vehicles.car, {ids.CAR}, (3.4, 1.6, 1.3), (5.5, 2.4, 2.5)),
+    "truck": (vehicles.truck, {ids.TRUCK}, (5.0, 2.0, 2.0), (16.5, 3.3, 4.2)),
+    "person": (people.person, {ids.PERSON}, (0.2, 0.2, 1.0), (1.4, 1.1, 2.0)),
+    "bicycle": (people.bicycle, {ids.BICYCLE}, (1.5, 0.4, 0.8), (2.0, 0.8, 1.3)),
+    "rider": (people.rider, {ids.BICYCLIST}, (1.5, 0.4, 1.6), (2.1, 0.9, 2.1)),
+    "lamp": (furniture.lamp, {ids.POLE}, (0.1, 0.1, 3.5), (0.6, 3.5, 9.8)),
+    "post": (furniture.post, {ids.POLE}, (0.07, 0.07, 0.9), (0.25, 0.25, 8.5)),
+    "sign": (furniture.sign, {ids.POLE, ids.SIGN}, (0.05, 0.05, 1.3), (1.6, 0.3, 4.2)),
+    "board": (furniture.board, {ids.POLE, ids.SIGN}, (0.7, 0.1, 1.3), (3.0, 0.3, 3.5)),
+    "light": (
+        furniture.traffic_light, {ids.POLE, ids.CLUTTER}, (0.1, 0.1, 3.2), (0.5, 0.6, 4.0),
+    ),
+    "clutter": (furniture.clutter, {ids.CLUTTER}, (0.3, 0.2, 0.3), (7.0, 7.0, 3.7)),
+    "shelter": (furniture.shelter, {ids.STRUCTURE}, (2.4, 1.3, 2.4), (4.8, 1.8, 2.9)),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", THINGS)
+def test_things_have_their_classes_and_sizes(name):
+    make, labels, smallest, largest = THINGS[name]
+    for seed in range(15):
+        mesh = make(np.random.default_rng(seed))
+        assert set(np.unique(mesh.labels).tolist()) <= labels
+        assert np.isfinite(mesh.vertices).all()
+        assert mesh.triangles.min() >= 0
+        assert mesh.triangles.max() < len(mesh.vertices)
+        size = np.ptp(mesh.vertices, axis=0)
+        assert (size >= np.array(smallest) - 1e-9).all(), size
+        assert (size <= largest).all(), size
+
+
+def test_vehicles_stand_on_their_wheels_and_let_light_through_below():
+    for seed in range(10):
+        mesh = vehicles.car(np.random.default_rng(seed))
+        assert mesh.vertices[:, 2].min() == pytest.approx(0, abs=0.02)
+        low = mesh.vertices[mesh.vertices[:, 2] < 0.15]
+        assert np.abs(low[:, 0]).min() > 0.4
+
+
+def test_cars_come_in_many_paints_most_of_them_dark():
+    rng = np.random.default_rng(0)
+    paints = np.array([vehicles.car(rng).shades[0] for _ in range(60)])
+    assert (paints < 0.1).mean() > 0.4
+    assert paints.max() > 0.8
+
+
+PLANTS = {
+    "tree": lambda rng: vegetation.tree(rng, 8.0),
+    "conifer": lambda rng: vegetation.conifer(rng, 6.0),
+    "bush": lambda rng: vegetation.bush(rng, 1.0),
+    "hedge": lambda rng: vegetation.hedge(rng, 5.0, 1.5, 0.8),
+    "thicket": lambda rng: vegetation.thicket(rng, 5.0, 3.0, 4.0),
+}
+
+
+@pytest.mark.parametrize("name", PLANTS)
+def test_plants_are_vegetation_on_trunks_and_ragged(name):
+    mesh = PLANTS[name](np.random.default_rng(1))
+    assert set(np.unique(mesh.labels).tolist()) <= {ids.VEGETATION, ids.TRUNK}
+    leaves = mesh.triangles[mesh.labels == ids.VEGETATION]
+    corners = mesh.vertices[leaves]
+    edge = np.linalg.norm(corners[:, 0] - corners[:, 1], axis=1)
+    assert len(leaves) > 100
+    assert np.median(edge) < 0.4
+
+
+@pytest.mark.parametrize("kind", [*fences.KINDS, "barrier"])
+def test_fences_have_their_length(kind):
+    mesh = fences.fence(np.random.default_rng(0), 4.0, kind, 1.2, 1.0)
+    assert set(mesh.labels) == {ids.FENCE}
+    assert mesh.vertices[:, 0].min() >= 0
+    assert 4.0 <= mesh.vertices[:, 0].max() <= 4.25
+    assert mesh.vertices[:, 2].max() < 1.6
+
+
+def test_houses_have_glass_behind_the_wall():
+    mesh = buildings.house(np.random.default_rng(2), 12.0, 9.0, 3)
+    assert set(mesh.labels) == {ids.BUILDING}
+    glass = mesh.vertices[mesh.triangles[mesh.materials == 6]].reshape(-1, 3)
+    front = glass[np.abs(glass[:, 1]) < 1]
+    assert len(front)
+    assert (front[:, 1] > 0.05).all()
+    assert np.abs(mesh.vertices[:, 0]).max() <= 6.2
