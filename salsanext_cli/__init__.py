@@ -1,4 +1,74 @@
 # SPDX-License-Identifier: MIT
-"""A class and an honest uncertainty for every point of a LiDAR scan."""
+"""A class and an honest uncertainty for every point of a LiDAR scan.
+
+The names below are the public ones. Each is imported when it is first used, so that importing the
+package, and asking the command line for help, takes no time.
+"""
+
+from __future__ import annotations
+
+import importlib
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from salsanext_cli.classes import LabelSpace, label_space
+    from salsanext_cli.errors import SalsanextError
+    from salsanext_cli.formats import read_scan
+    from salsanext_cli.formats.kitti import read_labels, write_labels
+    from salsanext_cli.formats.ply import write_ply
+    from salsanext_cli.geometry.knn import KnnParameters, knn_refine
+    from salsanext_cli.geometry.projection import project
+    from salsanext_cli.network.inference import Network, load_network
+    from salsanext_cli.network.sampling import sample
+    from salsanext_cli.records import RangeImage, Scan
+    from salsanext_cli.sensors import Sensor, sensor
 
 __version__ = "0.1.0"
+
+__all__ = [
+    "KnnParameters",
+    "LabelSpace",
+    "Network",
+    "RangeImage",
+    "SalsanextError",
+    "Scan",
+    "Sensor",
+    "knn_refine",
+    "label_space",
+    "load_network",
+    "project",
+    "read_labels",
+    "read_scan",
+    "sample",
+    "sensor",
+    "write_labels",
+    "write_ply",
+]
+
+_HOMES = {
+    "classes": ("LabelSpace", "label_space"),
+    "errors": ("SalsanextError",),
+    "formats": ("read_scan",),
+    "formats.kitti": ("read_labels", "write_labels"),
+    "formats.ply": ("write_ply",),
+    "geometry.knn": ("KnnParameters", "knn_refine"),
+    "geometry.projection": ("project",),
+    "network.inference": ("Network", "load_network"),
+    "network.sampling": ("sample",),
+    "records": ("RangeImage", "Scan"),
+    "sensors": ("Sensor", "sensor"),
+}
+_HOME_OF = {name: home for home, names in _HOMES.items() for name in names}
+
+
+def __getattr__(name: str) -> Any:
+    """Import a public name from its home."""
+    if name not in _HOME_OF:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    value = getattr(importlib.import_module(f"{__name__}.{_HOME_OF[name]}"), name)
+    globals()[name] = value
+    return value
+
+
+def __dir__() -> list[str]:
+    return sorted({*globals(), *__all__})

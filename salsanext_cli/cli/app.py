@@ -63,7 +63,10 @@ def _print_version(wanted: bool) -> None:
 @app.callback()
 def salsanext(
     version: Annotated[
-        bool, typer.Option("--version", callback=_print_version, is_eager=True, help="Say which.")
+        bool,
+        typer.Option(
+            "--version", callback=_print_version, is_eager=True, help="Say which version this is."
+        ),
     ] = False,
 ) -> None:
     """Give every point of a LiDAR scan a class and an honest uncertainty."""

@@ -16,7 +16,7 @@ def import_weights(
     ],
     target: Annotated[Path, typer.Argument(help="The .safetensors file to write.")],
     label_space: options.LabelSpaceOption = None,
-    sensor: options.Sensor = None,
+    sensor: options.SensorWithoutWeights = None,
     dropout: Annotated[float, typer.Option(help="Rate that it was trained with.")] = 0.2,
     description: Annotated[str, typer.Option(help="What these weights are.")] = "",
     half: Annotated[bool, typer.Option("--half", help="Store in float16, half the size.")] = False,

@@ -23,7 +23,7 @@ def inspect(
     sequences: options.Sequences = None,
     limit: options.Limit = None,
     label_space: options.LabelSpaceOption = None,
-    sensor: options.Sensor = None,
+    sensor: options.SensorWithoutWeights = None,
     jobs: options.Jobs = 1,
     on_error: options.OnErrorOption = options.OnError.skip,
     json: options.Json = False,

@@ -24,7 +24,14 @@ def knn_refine(
     sequences: options.Sequences = None,
     limit: options.Limit = None,
     label_space: options.LabelSpaceOption = None,
-    sensor: options.Sensor = None,
+    sensor: Annotated[
+        str | None,
+        typer.Option(
+            help="Name of a sensor or a .toml file.",
+            show_default="the one of the earlier stages, else hdl64",
+            rich_help_panel="Network",
+        ),
+    ] = None,
     knn_k: options.K = 5,
     knn_window: options.Window = 5,
     knn_sigma: options.Sigma = 1.0,

@@ -69,7 +69,17 @@ Limit = Annotated[
 Sensor = Annotated[
     str | None,
     typer.Option(
-        help="Name of a sensor or a .toml file, if not the one of the weights.",
+        help="Name of a sensor or a .toml file.",
+        show_default="the one of the weights",
+        rich_help_panel=NETWORK,
+    ),
+]
+SensorWithoutWeights = Annotated[
+    str | None,
+    typer.Option(
+        "--sensor",
+        help="Name of a sensor or a .toml file.",
+        show_default="hdl64",
         rich_help_panel=NETWORK,
     ),
 ]

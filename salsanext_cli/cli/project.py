@@ -14,7 +14,7 @@ def project(
     split: options.Split = None,
     sequences: options.Sequences = None,
     limit: options.Limit = None,
-    sensor: options.Sensor = None,
+    sensor: options.SensorWithoutWeights = None,
     jobs: options.Jobs = 1,
     overwrite: options.Overwrite = False,
     on_error: options.OnErrorOption = options.OnError.skip,

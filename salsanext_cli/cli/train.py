@@ -32,8 +32,20 @@ def train(
     epochs: Annotated[
         int | None, typer.Option(help="Instead of the recipe's.", rich_help_panel="Network")
     ] = None,
-    weights: options.Weights = None,
-    sensor: options.Sensor = None,
+    weights: Annotated[
+        Path | None,
+        typer.Option(
+            help="Weights to start from.", show_default="random ones", rich_help_panel="Network"
+        ),
+    ] = None,
+    sensor: Annotated[
+        str | None,
+        typer.Option(
+            help="Name of a sensor or a .toml file.",
+            show_default="the one of --weights, else hdl64",
+            rich_help_panel="Network",
+        ),
+    ] = None,
     device: options.Device = "auto",
     jobs: options.Jobs = 1,
     overwrite: options.Overwrite = False,

@@ -13,12 +13,12 @@ from salsanext_cli.records import Scan
 __all__ = ["SCAN_SUFFIXES", "read_scan"]
 
 
-def read_scan(path: Path, *, intensity_scale: float = 1.0) -> Scan:
+def read_scan(path: Path | str, *, intensity_scale: float = 1.0) -> Scan:
     """Read a scan in the format that its suffix names, upper or lower case.
 
     Parameters
     ----------
-    path : Path
+    path : Path or str
         A file with one of the `SCAN_SUFFIXES`.
     intensity_scale : float
         Divides the intensity, except where the file holds bytes: they are divided by 255.
@@ -28,11 +28,12 @@ def read_scan(path: Path, *, intensity_scale: float = 1.0) -> Scan:
     FormatError
         If the suffix is unknown or the file does not hold what it promises.
     """
-    match scan_suffix(Path(path)):
+    path = Path(path)
+    match scan_suffix(path):
         case ".bin" | ".pcd.bin":
-            return kitti.read_bin(Path(path), intensity_scale=intensity_scale)
+            return kitti.read_bin(path, intensity_scale=intensity_scale)
         case ".pcd":
-            return pcd.read_pcd(Path(path), intensity_scale=intensity_scale)
+            return pcd.read_pcd(path, intensity_scale=intensity_scale)
         case ".ply":
-            return ply.read_ply(Path(path), intensity_scale=intensity_scale)
+            return ply.read_ply(path, intensity_scale=intensity_scale)
     raise FormatError(path, "not a known scan format", f"a {', '.join(SCAN_SUFFIXES)} file")
