@@ -18,6 +18,7 @@ from salsanext_cli.formats.kitti import write_bin, write_labels
 from salsanext_cli.stages.outputs import read_json, write_json
 from salsanext_cli.synthesis.drive import record
 from salsanext_cli.synthesis.ids import ABSENT
+from salsanext_cli.synthesis.lidar import load_open3d
 
 MANIFEST = "synth.json"
 LONGEST = 3000.0
@@ -112,6 +113,7 @@ def synthesise(
         split: tuple(_name(next(numbers)) for _ in range(count))
         for split, count in (("train", train), ("valid", valid), ("test", test))
     }
+    load_open3d()
     _claim(out, overwrite)
     settings = {"splits": splits, "scans": scans, "seed": seed, "spacing": spacing}
     write_json(out / MANIFEST, {"stage": "synth", "settings": settings})

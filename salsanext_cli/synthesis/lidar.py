@@ -46,7 +46,7 @@ class Scene:
 
     def __init__(self, mesh: Mesh) -> None:
         self.mesh = mesh
-        o3d = _open3d()
+        o3d = load_open3d()
         self._tensor = o3d.core.Tensor
         self._scene = o3d.t.geometry.RaycastingScene(nthreads=1)
         self._scene.add_triangles(
@@ -66,8 +66,14 @@ class Scene:
         return distance, np.where(np.isfinite(distance), triangle, 0), cosine
 
 
-def _open3d() -> Any:
-    """Import open3d, which takes a second and needs a system library."""
+def load_open3d() -> Any:
+    """Import open3d, which takes a second and needs a system library.
+
+    Raises
+    ------
+    MissingDependency
+        If that fails.
+    """
     try:
         import open3d
     except (ImportError, OSError) as error:

@@ -1,12 +1,14 @@
 # SPDX-License-Identifier: MIT
 """The data set that `synthesise` writes: layout, labels, poses, splits, seeds, refusals."""
 
+import sys
+
 import numpy as np
 import pytest
 import yaml
 
 from salsanext_cli.classes import label_space
-from salsanext_cli.errors import OutputError, UsageError
+from salsanext_cli.errors import MissingDependency, OutputError, UsageError
 from salsanext_cli.formats.kitti import read_bin, read_labels
 from salsanext_cli.formats.layout import find_scans
 from salsanext_cli.records import Scan
@@ -145,6 +147,13 @@ def test_only_a_synthetic_data_set_is_replaced_and_only_when_told(tmp_path, quic
     assert [read_bin(file.path).points[0, 0] for file in find_scans(out)] == [1]
     assert len(list((out / "sequences" / "00" / "labels").iterdir())) == 1
     assert kept.read_text() == "mine"
+
+
+def test_nothing_is_begun_without_open3d(tmp_path, monkeypatch):
+    monkeypatch.setitem(sys.modules, "open3d", None)
+    with pytest.raises(MissingDependency, match=r"libusb-1\.0-0"):
+        synthesise(tmp_path / "out", train=1, valid=0, scans=1)
+    assert not (tmp_path / "out").exists()
 
 
 def test_a_file_in_the_place_of_the_folder_is_refused(tmp_path):
