@@ -4,10 +4,14 @@
 from __future__ import annotations
 
 import io
+import lzma
 import pickle
 import pickletools
 import re
+import warnings
 import zipfile
+import zlib
+from _compat_pickle import IMPORT_MAPPING, NAME_MAPPING
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, BinaryIO
@@ -16,6 +20,7 @@ import torch
 from torch import Tensor
 
 from salsanext_cli.errors import WeightsError
+from salsanext_cli.formats.reading import reason
 
 UNITS = {"conv2": "narrow.0", "bn1": "narrow.2", "conv3": "middle.0", "bn2": "middle.2"}
 UNITS |= {"conv4": "wide.0", "bn3": "wide.2", "conv5": "fuse.0", "bn4": "fuse.2"}
@@ -31,17 +36,23 @@ STACKS = (
 )
 LEGACY_PICKLES = 4
 """Before torch 1.6: magic number, protocol, system, object; then the raw tensors."""
+ADVICE = ("Weights only load failed", "Check the documentation of torch.load")
 UNREADABLE = (
     pickle.UnpicklingError,
     zipfile.BadZipFile,
-    RuntimeError,
-    EOFError,
-    ValueError,
-    KeyError,
-    IndexError,
-    TypeError,
+    zlib.error,
+    lzma.LZMAError,
+    ArithmeticError,
+    AssertionError,
     AttributeError,
+    EOFError,
+    LookupError,
+    MemoryError,
+    RuntimeError,
+    TypeError,
+    ValueError,
 )
+"""What readers of pickles and archives raise over bytes that were not written by `torch.save`."""
 
 
 class Inert:
@@ -81,16 +92,32 @@ def _load_inert(path: Path) -> Any:
     """Unpickle with torch's restricted reader, unknown classes replaced by `Inert`."""
     try:
         with path.open("rb") as file:
-            stand_ins: list[Any] = [(Inert, name) for name in sorted(_named_globals(file))]
-            with torch.serialization.safe_globals(stand_ins):
+            stand_ins = [_stand_in(name) for name in sorted(_named_globals(file))]
+            with torch.serialization.safe_globals(stand_ins), warnings.catch_warnings():
+                # torch warns of what it then refuses, or of forms that are merely old.
+                warnings.simplefilter("ignore")
                 return torch.load(file, map_location="cpu", weights_only=True)
     except OSError as error:
-        raise WeightsError(path, f"cannot be read: {error.strerror}") from error
+        raise WeightsError(path, f"cannot be read: {reason(error)}") from error
     except UNREADABLE as error:
-        reason = str(error).splitlines()[0] if str(error) else type(error).__name__
-        raise WeightsError(
-            path, f"not readable safely: {reason}", "what torch.save wrote"
-        ) from error
+        found = f"not readable safely: {_first_sentence(error)}"
+        raise WeightsError(path, found, "what torch.save wrote") from error
+
+
+def _stand_in(name: str) -> Any:
+    """Return what torch takes for a class of that name; it fills only plain dictionaries."""
+    return (_plain_dictionary if name == "collections.defaultdict" else Inert), name
+
+
+def _plain_dictionary(*_: object) -> dict[Any, Any]:
+    return {}
+
+
+def _first_sentence(error: BaseException) -> str:
+    """Say what torch's restricted reader stumbled over, without its advice to trust the file."""
+    paragraphs = [paragraph.strip() for paragraph in str(error).split("\n\n")]
+    telling = [p for p in paragraphs if p and not p.startswith(ADVICE)]
+    return (telling or [type(error).__name__])[0].splitlines()[0].split(". ")[0].rstrip(".")
 
 
 def _named_globals(file: BinaryIO) -> set[str]:
@@ -106,9 +133,14 @@ def _named_globals(file: BinaryIO) -> set[str]:
         pickles = [file] * LEGACY_PICKLES
         file.seek(0)
     operations = (operation for stream in pickles for operation in pickletools.genops(stream))
-    named = {str(arg).replace(" ", ".") for code, arg, _ in operations if code.name == "GLOBAL"}
+    named = {tuple(str(arg).split(" ", 1)) for code, arg, _ in operations if code.name == "GLOBAL"}
     file.seek(0)
-    return named
+    return {".".join(_today(*name)) for name in named}
+
+
+def _today(module: str, name: str = "") -> tuple[str, str]:
+    """Return Python 3's name of what pickles name as Python 2 did, such as ``__builtin__``."""
+    return NAME_MAPPING.get((module, name), (IMPORT_MAPPING.get(module, module), name))
 
 
 def our_name(key: str, source: object = "checkpoint") -> str:

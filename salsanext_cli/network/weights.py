@@ -133,10 +133,9 @@ def read_card(path: Path) -> WeightsCard:
         with safetensors.safe_open(path, framework="pt") as file:
             metadata = file.metadata() or {}
     except (OSError, safetensors.SafetensorError) as error:
+        found = f"cannot be read: {error}" if path.exists() else "no such file"
         remedy = "convert a published checkpoint with `salsanext import-weights`"
-        raise WeightsError(
-            path, f"cannot be read: {error}", "a .safetensors file", remedy
-        ) from error
+        raise WeightsError(path, found, "a .safetensors file", remedy) from error
     return WeightsCard.from_metadata(metadata, path)
 
 

@@ -75,7 +75,7 @@ def _read_checkpoint(
     source: Path, space: LabelSpace, view: Sensor, dropout: float, description: str
 ) -> tuple[SalsaNext, WeightsCard]:
     tensors = read_published(source)
-    outputs = len(tensors["logits.bias"]) if "logits.bias" in tensors else 0
+    outputs = tensors["logits.bias"].numel() if "logits.bias" in tensors else 0
     if outputs != space.class_count:
         found = f"{outputs} outputs"
         expected = f"{space.class_count}, one per class of {space.name}"
