@@ -1,0 +1,32 @@
+# SPDX-License-Identifier: MIT
+"""Fit a sensor to a folder of scans, keep it as a file, and label the scans with it.
+
+Run: python examples/own_sensor.py my/scans out/ [weights.safetensors]
+"""
+
+import sys
+from pathlib import Path
+
+from salsanext_cli.sensors import sensor
+from salsanext_cli.stages.inspect import inspect, write_sensor
+from salsanext_cli.stages.networks import NetworkChoice
+from salsanext_cli.stages.predict import predict
+
+HEIGHT, WIDTH = 32, 512
+
+
+def main(scans: str, out: str, weights: str | None = None) -> None:
+    found = inspect(Path(scans), sensor=sensor("hdl64").resized(HEIGHT, WIDTH))
+    mine = found.fitted_sensor("mine")
+    write_sensor(Path(out) / "mine.toml", mine)
+    print(f"{found.total.scans} scans, {mine.fov_up:+.1f}° to {mine.fov_down:+.1f}°")
+
+    choice = NetworkChoice(Path(weights) if weights else None, sensor=mine)
+    outcome = predict(Path(scans), Path(out), network=choice)
+    for failure in outcome.failures:
+        print(failure.reason)
+    print(f"{outcome.done} done, {outcome.skipped} done before")
+
+
+if __name__ == "__main__":
+    main(*sys.argv[1:])

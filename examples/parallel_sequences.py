@@ -1,0 +1,39 @@
+# SPDX-License-Identifier: MIT
+"""Label the sequences of a data set side by side, each in a process of its own.
+
+The same works with any backend of joblib, such as a cluster's: all processes write into one output
+folder. For a single machine `salsanext predict --jobs` is enough.
+
+Run: python examples/parallel_sequences.py dataset/ out/ [weights.safetensors [loky]]
+"""
+
+import sys
+from pathlib import Path
+
+import joblib
+
+from salsanext_cli.formats.layout import find_scans
+from salsanext_cli.stages.inputs import Choice
+from salsanext_cli.stages.networks import NetworkChoice
+from salsanext_cli.stages.predict import predict
+
+
+def label_sequence(dataset: Path, out: Path, weights: Path | None, sequence: str) -> str:
+    """Label one sequence and say how it went; the network is loaded in this process."""
+    choice = Choice(sequences=(sequence,))
+    outcome = predict(dataset, out, network=NetworkChoice(weights), choice=choice)
+    return f"{sequence}: {outcome.done} done, {len(outcome.failures)} failed"
+
+
+def main(dataset: str, out: str, weights: str | None = None, backend: str = "loky") -> None:
+    sequences = sorted({scan.sequence for scan in find_scans(Path(dataset))})
+    arguments = Path(dataset), Path(out), Path(weights) if weights else None
+    with joblib.parallel_config(backend, n_jobs=2):
+        parallel = joblib.Parallel(return_as="generator")
+        jobs = (joblib.delayed(label_sequence)(*arguments, sequence) for sequence in sequences)
+        for line in parallel(jobs):
+            print(line)
+
+
+if __name__ == "__main__":
+    main(*sys.argv[1:])

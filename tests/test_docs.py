@@ -1,0 +1,319 @@
+# SPDX-License-Identifier: MIT
+"""What the documentation says is executed, parsed or looked up."""
+
+import importlib
+import importlib.util
+import json
+import re
+import shlex
+import subprocess
+import sys
+import tomllib
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+import pytest
+import typer
+import yaml
+from scans import SMALL, make_scan, write_sequence
+
+import salsanext_cli
+from salsanext_cli import sensors
+from salsanext_cli.classes import LabelSpace
+from salsanext_cli.cli.app import COMMANDS, app
+from salsanext_cli.formats.kitti import write_bin
+from salsanext_cli.formats.layout import SCAN_SUFFIXES, SUFFIX_OF_FOLDER
+from salsanext_cli.network.weights import default_weights
+from salsanext_cli.sensors import Sensor
+from salsanext_cli.training import recipe
+from salsanext_cli.training.recipe import Recipe
+
+ROOT = Path(__file__).parents[1]
+DOCS = ROOT / "docs"
+PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted(DOCS.glob("*.md"))]
+NAMES = [name for commands in COMMANDS.values() for name in commands]
+BLOCK = re.compile(r"^```(\w+)\n(.*?)^```", re.MULTILINE | re.DOTALL)
+INLINE = re.compile(r"`((?:time )?salsanext [^`]+)`")
+LINK = re.compile(r"\]\(([^)\s]+)\)")
+
+
+def text_of(name: str) -> str:
+    return (ROOT / name).read_text("utf-8")
+
+
+def blocks(page: Path, language: str) -> list[str]:
+    """Return the fenced blocks of a language."""
+    return [body for kind, body in BLOCK.findall(page.read_text("utf-8")) if kind == language]
+
+
+def command_lines(page: Path) -> Iterator[str]:
+    """Yield every call of the command line, in blocks and in running text."""
+    for body in blocks(page, "sh"):
+        for line in body.replace("\\\n", " ").splitlines():
+            yield line.strip()
+    for line in INLINE.findall(BLOCK.sub("", page.read_text("utf-8"))):
+        yield " ".join(line.split()).removeprefix("time ")
+
+
+CALLS = sorted(
+    {
+        (page.name, line)
+        for page in PAGES
+        for line in command_lines(page)
+        if line.startswith("salsanext ")
+    }
+)
+
+
+def parse(arguments: list[str]) -> None:
+    """Parse a command line, options, values and all, without running it."""
+    group: Any = typer.main.get_command(app)
+    context = group.make_context("salsanext", list(arguments), resilient_parsing=True)
+    name, command, rest = group.resolve_command(context, list(arguments))
+    assert command, f"no such command: {arguments[0]}"
+    command.make_context(name, rest, parent=context)
+
+
+@pytest.mark.parametrize(("page", "line"), CALLS)
+def test_every_command_line_parses(page, line, monkeypatch):
+    monkeypatch.delenv("SALSANEXT_OUT", raising=False)
+    arguments = shlex.split(line, comments=True)[1:]
+    if arguments == ["--help"] or "COMMAND" in arguments or "[OPTIONS]" in arguments:
+        return
+    if len(arguments) == 1:
+        assert arguments[0] in NAMES
+    else:
+        parse(arguments)
+
+
+@pytest.mark.parametrize("line", ["predict --splt valid", "eval extra", "synth", "nonsense"])
+def test_a_wrong_command_line_would_be_noticed(line):
+    with pytest.raises(Exception, match=r"(?i)no such|unexpected|missing"):
+        parse(line.split())
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_every_command_is_documented(name):
+    assert f"`{name}`" in text_of("README.md")
+    assert f"### salsanext {name}\n" in text_of("docs/cli.md")
+    own_words = [page for page in DOCS.glob("*.md") if page.name != "cli.md"]
+    assert any(f"salsanext {name} " in page.read_text("utf-8") for page in own_words)
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_every_help_is_a_sentence_and_an_example(name):
+    command: Any = typer.main.get_command(app).commands[name]  # type: ignore[attr-defined]
+    what, marker, example = command.help.partition("Example: ")
+    assert what.strip().endswith(".")
+    assert marker
+    parse(shlex.split(example)[1:])
+    assert shlex.split(example)[:2] == ["salsanext", name]
+    assert all(p.help for p in command.params)
+
+
+@pytest.fixture(scope="module")
+def reference() -> ModuleType:
+    spec = importlib.util.spec_from_file_location("reference", DOCS / "reference.py")
+    assert spec
+    assert spec.loader
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+def test_the_command_reference_is_current(reference):
+    assert text_of("docs/cli.md") == reference.page(), "run `make docs`"
+
+
+def test_the_command_reference_knows_no_terminal(reference, monkeypatch):
+    for variable, value in {"COLUMNS": "40", "TERMINAL_WIDTH": "40", "FORCE_COLOR": "1"}.items():
+        monkeypatch.setenv(variable, value)
+    assert text_of("docs/cli.md") == reference.page()
+
+
+def test_the_command_reference_holds_every_option():
+    group: Any = typer.main.get_command(app)
+    for name in NAMES:
+        section = text_of("docs/cli.md").split(f"### salsanext {name}\n")[1].split("\n### ")[0]
+        for parameter in group.commands[name].params:
+            for option in parameter.opts:
+                assert (
+                    f"`{option if option.startswith('-') else parameter.metavar or ''}" in section
+                )
+
+
+@pytest.fixture
+def a_scan_and_weights(tmp_path, weights, monkeypatch) -> Path:
+    """Make a folder with the files that the Python examples name the current one."""
+    write_bin(tmp_path / "000000.bin", make_scan())
+    write_sequence(tmp_path / "seq", ["000000", "000001"])
+    (tmp_path / "weights.safetensors").symlink_to(weights)
+    # As large as it is, the real one would take seconds.
+    monkeypatch.setattr(sensors, "presets", lambda: {"hdl64": SMALL})
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+@pytest.mark.parametrize("page", [ROOT / "README.md", DOCS / "python.md"], ids=lambda p: p.name)
+def test_the_python_blocks_run(page, a_scan_and_weights):
+    written = blocks(page, "python")
+    assert written
+    names: dict[str, Any] = {}
+    for number, body in enumerate(written):
+        exec(compile(body, f"{page.name}, block {number}", "exec"), names)
+    assert names["labels"].shape == (len(names["scan"]),)
+    assert abs(names["probabilities"].sum(axis=0) - 1).max() < 1e-5
+    if "outcome" in names:
+        assert (names["outcome"].done, names["outcome"].failures) == (2, ())
+        assert names["evaluation"].scans == 2
+
+
+def test_no_python_block_is_left_out():
+    assert [page.name for page in PAGES if blocks(page, "python")] == ["README.md", "python.md"]
+
+
+READERS: dict[tuple[str, str], Callable[[str], object]] = {
+    ("sensors.md", "toml"): lambda body: Sensor.from_dict({"name": "x", **tomllib.loads(body)}),
+    ("train.md", "toml"): lambda body: Recipe.from_dict(tomllib.loads(body)),
+    ("label-spaces.md", "yaml"): lambda body: LabelSpace.from_dict(yaml.safe_load(body)),
+    ("data.md", "json"): json.loads,
+}
+
+
+def test_the_settings_shown_are_accepted():
+    shown = [
+        (page.name, language, body)
+        for page in PAGES
+        for language in ("toml", "yaml", "json")
+        for body in blocks(page, language)
+    ]
+    assert {(name, language) for name, language, _ in shown} == set(READERS)
+    for name, language, body in shown:
+        assert READERS[name, language](body)
+
+
+def test_the_sensors_shown_are_the_presets():
+    rows = re.findall(r"^\| `(\S+)` \| (\S+)° \| (\S+)° \| (\d+)×(\d+) \| (\S+) \|$",
+                      text_of("docs/sensors.md"), re.MULTILINE)  # fmt: skip
+    shown = {
+        name: (float(up), float(down), int(height), int(width), float(scale))
+        for name, up, down, height, width, scale in rows
+    }
+    assert shown == {
+        name: (s.fov_up, s.fov_down, s.height, s.width, s.intensity_scale)
+        for name, s in sensors.presets().items()
+    }
+
+
+def test_the_recipes_shown_are_the_presets_and_their_defaults():
+    page = text_of("docs/train.md")
+    named, keys = page.split("A file holds only")
+    assert set(re.findall(r"^\| `(\w+)` \|", named.split("## Recipes")[1], re.MULTILINE)) == set(
+        recipe.presets()
+    )
+    shown: dict[str, Any] = {}
+    for names, values in re.findall(r"^\| (`.+?`) \| (.+?) \|", keys, re.MULTILINE):
+        listed = re.findall(r"`(\w+)`", names)
+        defaults = [json.loads(value.strip("`")) for value in values.split(", ")]
+        shown |= dict(zip(listed, defaults * len(listed) if len(defaults) == 1 else defaults,
+                          strict=False))  # fmt: skip
+    assert shown == Recipe().to_dict()
+
+
+def test_every_kind_of_file_is_described():
+    page = text_of("docs/data.md")
+    for suffix in SCAN_SUFFIXES:
+        assert f"| `{suffix}` |" in page
+    for folder in SUFFIX_OF_FOLDER:
+        name = "uncertainty/<kind>" if folder.startswith("uncertainty/") else folder
+        assert f"| `{name}/` | `{SUFFIX_OF_FOLDER[folder]}`" in page
+
+
+def find(name: str) -> object:
+    """Return the module, function, class or method of a dotted name below the package."""
+    found: Any = salsanext_cli
+    for part in name.split("."):
+        if not hasattr(found, part) or isinstance(getattr(found, part), Callable):
+            try:
+                found = importlib.import_module(f"{found.__name__}.{part}")
+                continue
+            except ModuleNotFoundError:
+                pass
+        found = getattr(found, part)
+    return found
+
+
+@pytest.mark.parametrize("page", ["paper-to-code.md", "python.md"])
+def test_every_name_in_the_tables_exists(page):
+    tops = {path.name.removesuffix(".py") for path in (ROOT / "salsanext_cli").iterdir()}
+    rows = [line for line in text_of(f"docs/{page}").splitlines() if line.startswith("|")]
+    dotted = {n for row in rows for n in re.findall(r"`([a-z_]+(?:\.\w+)+)`", row)}
+    names = {name for name in dotted if name.split(".")[0] in tops}
+    assert len(names) > 10
+    for name in names:
+        assert find(name), name
+    if page == "python.md":
+        assert len(names) == len(NAMES)
+
+
+def test_every_link_leads_somewhere():
+    for page in (*PAGES, ROOT / "CHANGELOG.md"):
+        for target in LINK.findall(BLOCK.sub("", page.read_text("utf-8"))):
+            path, _, anchor = target.partition("#")
+            if path.startswith("https:"):
+                continue
+            goal = (page.parent / path).resolve() if path else page
+            assert goal.exists(), f"{page.name}: {target}"
+            if anchor:
+                headings = re.findall(r"^#+ (.+)$", goal.read_text("utf-8"), re.MULTILINE)
+                assert anchor in [h.lower().replace(" ", "-") for h in headings], target
+
+
+def test_every_page_is_in_the_navigation():
+    # mkdocs' own tags, which plain yaml does not know, do not occur in this file.
+    listed = set(re.findall(r": (\S+\.md)$", text_of("mkdocs.yml"), re.MULTILINE))
+    assert listed == {page.name for page in DOCS.glob("*.md")}
+
+
+def test_every_make_target_mentioned_exists():
+    targets = set(re.findall(r"^([a-z-]+):", text_of("Makefile"), re.MULTILINE))
+    for page in PAGES:
+        text = page.read_text("utf-8")
+        mentioned = re.findall(r"`make ([a-z-]+)`", text)
+        mentioned += re.findall(r"^make ([a-z-]+)$", "\n".join(blocks(page, "sh")), re.MULTILINE)
+        assert set(mentioned) <= targets, page.name
+
+
+def test_the_changelog_names_the_version():
+    assert f"## [{salsanext_cli.__version__}]" in text_of("CHANGELOG.md")
+
+
+def test_the_public_names_are_all_there():
+    assert sorted(salsanext_cli.__all__) == salsanext_cli.__all__
+    for name in salsanext_cli.__all__:
+        assert getattr(salsanext_cli, name).__doc__
+    assert set(salsanext_cli.__all__) <= set(dir(salsanext_cli))
+    with pytest.raises(AttributeError, match="no attribute 'nonsense'"):
+        salsanext_cli.nonsense  # noqa: B018
+
+
+def test_importing_the_package_is_quick():
+    code = "import sys, salsanext_cli; sys.exit(any(m in sys.modules for m in ('torch', 'numpy')))"
+    assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(not default_weights().exists(), reason="no default weights")
+@pytest.mark.parametrize("block", blocks(DOCS / "quickstart.md", "sh"))
+def test_the_quick_start_works_as_typed(block, tmp_path):
+    if not block.startswith("salsanext"):
+        pytest.skip("installs")
+    write_sequence(tmp_path / "seq", ["000000"], count=20_000)
+    for line in block.splitlines():
+        command = [sys.executable, "-c", "from salsanext_cli.cli.app import main; main()"]
+        done = subprocess.run(
+            command + shlex.split(line)[1:], cwd=tmp_path, check=False, capture_output=True
+        )
+        assert done.returncode == 0, done.stderr.decode()

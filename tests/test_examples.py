@@ -1,0 +1,85 @@
+# SPDX-License-Identifier: MIT
+"""The examples run, and do what they say."""
+
+import importlib.util
+import re
+import tomllib
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scans import make_scan, write_sequence
+
+from salsanext_cli.formats.arrays import write_array
+from salsanext_cli.formats.kitti import read_labels, write_bin
+from salsanext_cli.formats.layout import output_path
+
+EXAMPLES = Path(__file__).parents[1] / "examples"
+NAMES = sorted(path.stem for path in EXAMPLES.glob("*.py"))
+
+
+def load(name: str) -> Callable[..., None]:
+    """Return the function `main` of an example, which is not part of any package."""
+    spec = importlib.util.spec_from_file_location(name, EXAMPLES / f"{name}.py")
+    assert spec
+    assert spec.loader
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module.main
+
+
+@pytest.fixture
+def scan(tmp_path) -> Path:
+    path = tmp_path / "my scans" / "000000.bin"
+    write_bin(path, make_scan())
+    return path
+
+
+def test_label_one_scan(scan, weights, capsys):
+    load("label_one_scan")(str(scan), str(weights))
+    counts = [int(line.split()[0]) for line in capsys.readouterr().out.splitlines()]
+    labels = read_labels(scan.with_suffix(".label"), 1500)
+    assert sorted(np.unique(labels, return_counts=True)[1], reverse=True) == counts
+    assert sum(counts) == 1500
+
+
+def test_own_sensor(scan, weights, tmp_path, capsys):
+    out = tmp_path / "out"
+    load("own_sensor")(str(scan.parent), str(out), str(weights))
+    fitted = tomllib.loads((out / "mine.toml").read_text("utf-8"))
+    assert (fitted["height"], fitted["width"]) == (32, 512)
+    assert fitted["fov_up"] == pytest.approx(3, abs=0.2)
+    assert fitted["fov_down"] == pytest.approx(-25, abs=0.2)
+    assert len(read_labels(output_path(out, "my scans", "predictions", "000000"))) == 1500
+    assert "1 done, 0 done before" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize("backend", ["sequential", pytest.param("loky", marks=pytest.mark.slow)])
+def test_parallel_sequences(backend, tmp_path, weights, capsys):
+    for name in ("00", "01"):
+        write_sequence(tmp_path / "data" / "sequences" / name, labels=False)
+    load("parallel_sequences")(str(tmp_path / "data"), str(tmp_path / "out"), str(weights), backend)
+    assert capsys.readouterr().out.splitlines() == ["00: 1 done, 0 failed", "01: 1 done, 0 failed"]
+    assert output_path(tmp_path / "out", "01", "predictions", "000000").exists()
+
+
+def test_draw_projection(scan, tmp_path, capsys):
+    picture = tmp_path / "range.png"
+    load("draw_projection")(str(scan), str(picture), "hdl64-512")
+    assert picture.read_bytes().startswith(b"\x89PNG")
+    assert "64×512 pixels hold a point" in capsys.readouterr().out
+
+
+def test_most_uncertain(tmp_path, capsys):
+    for stem, value in (("calm", 0.01), ("wild", 0.2), ("middling", 0.1)):
+        path = output_path(tmp_path, "08", "uncertainty/epistemic", stem)
+        write_array(path, np.array([value, value, np.nan], np.float32))
+    load("most_uncertain")(str(tmp_path), 2)
+    assert capsys.readouterr().out.split() == ["0.200000", "08/wild", "0.100000", "08/middling"]
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_every_example_says_how_to_run_it_and_is_tested(name):
+    assert f"\nRun: python examples/{name}.py " in (EXAMPLES / f"{name}.py").read_text("utf-8")
+    assert re.search(rf"^def test_{name}\(", Path(__file__).read_text("utf-8"), re.MULTILINE)
