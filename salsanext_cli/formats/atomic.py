@@ -7,12 +7,15 @@ import errno
 import uuid
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
+from contextvars import ContextVar
 from pathlib import Path
 from typing import BinaryIO
 
 from salsanext_cli.errors import OutputError
 from salsanext_cli.formats.reading import reason
 
+MARK: ContextVar[str] = ContextVar("MARK", default="")
+"""What begins the temporary names of a process, so that `sweep` finds them when it was killed."""
 FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 
 
@@ -29,7 +32,7 @@ def writing(path: Path) -> Iterator[BinaryIO]:
         If the system refuses: read-only folder, full disk, a file where a folder should be.
     """
     # A process id would not do: machines of a cluster share the folder, not the ids.
-    temporary = path.with_name(f".{uuid.uuid4().hex}.part")
+    temporary = path.with_name(f".{MARK.get()}{uuid.uuid4().hex}.part")
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         with temporary.open("xb") as file:
@@ -51,6 +54,13 @@ def _refusal(path: Path, error: OSError) -> OutputError:
         "a folder that can be written to",
         f"{remedy} or choose another output folder",
     )
+
+
+def sweep(folder: Path, mark: str) -> None:
+    """Remove the temporary files of killed processes that had set `MARK`."""
+    for temporary in folder.glob(f".{mark}*.part"):
+        with suppress(OSError):
+            temporary.unlink()
 
 
 def write_text(path: Path, text: str) -> None:

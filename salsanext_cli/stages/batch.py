@@ -4,12 +4,16 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Iterable, Iterator, Sequence
+import uuid
+import warnings
+from collections.abc import Callable, Generator, Iterable, Sequence
+from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Generic, TypeVar
 
 from salsanext_cli.errors import SalsanextError, UsageError
+from salsanext_cli.formats.atomic import MARK, sweep
 from salsanext_cli.formats.layout import ScanFile
 
 Result = TypeVar("Result")
@@ -106,15 +110,16 @@ def run_batch(
     todo = [s for s in scans if options.overwrite or not _exist(results_of(s))]
     results: list[Result] = []
     failures: list[Failure] = []
-    for number, (scan, result, error) in enumerate(_attempts(work, todo, options.jobs), start=1):
-        if error is None:
-            results.append(result)
-        elif options.on_error == "stop":
-            raise error
-        else:
-            failures.append(Failure(scan, str(error)))
-        if options.progress:
-            options.progress(number, len(todo))
+    with closing(_attempts(work, todo, options.jobs, results_of)) as attempts:
+        for number, (scan, result, error) in enumerate(attempts, start=1):
+            if error is None:
+                results.append(result)
+            elif options.on_error == "stop":
+                raise error
+            else:
+                failures.append(Failure(scan, str(error)))
+            if options.progress:
+                options.progress(number, len(todo))
     failures.sort(key=lambda failure: (failure.scan.sequence, failure.scan.stem))
     return Outcome(tuple(results), len(scans) - len(todo), tuple(failures))
 
@@ -128,18 +133,57 @@ Attempt = tuple[ScanFile, Any, SalsanextError | None]
 
 
 def _attempts(
-    work: Callable[[ScanFile], Any], scans: list[ScanFile], jobs: int
-) -> Iterator[Attempt]:
+    work: Callable[[ScanFile], Any],
+    scans: list[ScanFile],
+    jobs: int,
+    results_of: Callable[[ScanFile], Iterable[Path]],
+) -> Generator[Attempt, None, None]:
     workers = min(len(scans), os.cpu_count() or 1 if jobs == -1 else jobs)
     if workers <= 1:
         yield from (_attempt(work, scan) for scan in scans)
         return
+    mark = uuid.uuid4().hex
+    try:
+        yield from _attempts_of_workers(work, scans, workers, mark)
+    finally:
+        # Workers are killed when the run ends early, maybe while they write.
+        for folder in {path.parent for scan in scans for path in results_of(scan)}:
+            sweep(folder, mark)
+
+
+def _attempts_of_workers(
+    work: Callable[[ScanFile], Any], scans: list[ScanFile], workers: int, mark: str
+) -> Generator[Attempt, None, None]:
     import joblib
+    from joblib.externals.loky.process_executor import TerminatedWorkerError
 
     threads = max(1, (os.cpu_count() or 1) // workers)
-    with joblib.parallel_config("loky", n_jobs=workers, inner_max_num_threads=threads):
+    here = Path.cwd()
+    with (
+        joblib.parallel_config("loky", n_jobs=workers, inner_max_num_threads=threads),
+        warnings.catch_warnings(),
+    ):
+        # Who stops a run knows that it has been stopped.
+        warnings.filterwarnings("ignore", ".*tasks which were still being processed")
         parallel = joblib.Parallel(return_as="generator_unordered")
-        yield from parallel(joblib.delayed(_attempt)(work, scan) for scan in scans)
+        try:
+            yield from parallel(joblib.delayed(_attempt_in)(here, mark, work, s) for s in scans)
+        except TerminatedWorkerError as error:
+            raise SalsanextError(
+                f"--jobs {workers}",
+                "the system ended a process",
+                "memory for all of them",
+                "use fewer jobs",
+            ) from error
+
+
+def _attempt_in(
+    folder: Path, mark: str, work: Callable[[ScanFile], Any], scan: ScanFile
+) -> Attempt:
+    """Attempt in a worker, which may be an old one that was started in another folder."""
+    os.chdir(folder)
+    MARK.set(mark)
+    return _attempt(work, scan)
 
 
 def _attempt(work: Callable[[ScanFile], Any], scan: ScanFile) -> Attempt:
