@@ -1,0 +1,181 @@
+# SPDX-License-Identifier: MIT
+import os
+import signal
+import threading
+import time
+from pathlib import Path
+
+import pytest
+
+from salsanext_cli.errors import FormatError, SalsanextError, UsageError
+from salsanext_cli.formats.atomic import writing
+from salsanext_cli.formats.layout import ScanFile
+from salsanext_cli.stages.batch import BatchOptions, run_batch
+
+JOBS = pytest.mark.parametrize("jobs", [1, 2])
+
+
+class Write:
+    """Write a scan's stem into a file; some stems mean trouble."""
+
+    def __init__(self, out, pause=0.0):
+        self.out, self.pause = out, pause
+
+    def results_of(self, scan):
+        return [self.out / scan.sequence / scan.stem]
+
+    def __call__(self, scan):
+        if scan.stem.startswith("bad"):
+            raise FormatError(scan.path, "cut off")
+        if scan.stem.startswith("bug"):
+            raise ZeroDivisionError("a bug of ours")
+        with writing(self.results_of(scan)[0]) as file:
+            if scan.stem.startswith("killed"):
+                os.kill(os.getpid(), signal.SIGKILL)
+            if scan.stem.startswith("interrupt"):
+                raise KeyboardInterrupt
+            time.sleep(self.pause)
+            file.write(scan.stem.encode())
+        return scan.stem
+
+
+def scans_of(*stems, sequence="s"):
+    return [ScanFile(sequence, stem, Path("/scans") / f"{stem}.bin") for stem in stems]
+
+
+def run(work, scans, **options):
+    return run_batch(work, scans, BatchOptions(**options), work.results_of)
+
+
+@JOBS
+def test_every_scan_is_worked_on_once(tmp_path, jobs):
+    outcome = run(Write(tmp_path), scans_of(*"abcdefg"), jobs=jobs)
+    assert sorted(outcome.results) == list("abcdefg")
+    assert (outcome.done, outcome.skipped, outcome.failures) == (7, 0, ())
+    assert sorted(path.name for path in (tmp_path / "s").iterdir()) == list("abcdefg")
+
+
+@JOBS
+def test_failures_are_gathered_in_order_and_the_rest_is_done(tmp_path, jobs):
+    outcome = run(Write(tmp_path), scans_of("bad2", "a", "bad1", "b"), jobs=jobs)
+    assert outcome.done == 2
+    assert [failure.scan.stem for failure in outcome.failures] == ["bad1", "bad2"]
+    assert outcome.failures[0].reason == "/scans/bad1.bin · cut off"
+
+
+@JOBS
+def test_on_error_stop_raises_what_went_wrong(tmp_path, jobs):
+    with pytest.raises(FormatError, match="bad"):
+        run(Write(tmp_path), scans_of("a", "bad", *"bcdefghijklmnop"), jobs=jobs, on_error="stop")
+    assert not (tmp_path / "s" / "p").exists()
+
+
+@JOBS
+def test_bugs_are_not_taken_for_failures(tmp_path, jobs):
+    with pytest.raises(ZeroDivisionError, match="a bug of ours"):
+        run(Write(tmp_path), scans_of("a", "bug", "b"), jobs=jobs)
+
+
+def test_what_is_there_is_skipped_unless_overwriting(tmp_path):
+    work = Write(tmp_path)
+    run(work, scans_of("a", "b"))
+    (tmp_path / "s" / "a").write_bytes(b"mine")
+    outcome = run(work, scans_of("a", "b", "c"))
+    assert (outcome.done, outcome.skipped) == (1, 2)
+    assert (tmp_path / "s" / "a").read_bytes() == b"mine"
+    assert run(work, scans_of("a", "b", "c"), overwrite=True).done == 3
+    assert (tmp_path / "s" / "a").read_bytes() == b"a"
+
+
+def test_a_scan_is_done_when_all_its_results_are_there(tmp_path):
+    done = []
+
+    def two(scan):
+        return [tmp_path / f"{scan.stem}.1", tmp_path / f"{scan.stem}.2"]
+
+    (tmp_path / "a.1").touch()
+    (tmp_path / "b.1").touch()
+    (tmp_path / "b.2").touch()
+    outcome = run_batch(
+        lambda scan: done.append(scan.stem), scans_of("a", "b"), BatchOptions(), two
+    )
+    assert done == ["a"]
+    assert outcome.skipped == 1
+
+
+def test_without_results_nothing_is_skipped():
+    outcome = run_batch(lambda scan: scan.stem, scans_of("a", "b"), BatchOptions())
+    assert outcome.results == ("a", "b")
+
+
+@JOBS
+def test_progress_counts_what_is_to_do(tmp_path, jobs):
+    seen = []
+    run(Write(tmp_path), scans_of("a"))
+    work = Write(tmp_path)
+    run(work, scans_of("a", "bad", "b", "c"), jobs=jobs, progress=lambda *n: seen.append(n))
+    assert seen == [(1, 3), (2, 3), (3, 3)]
+
+
+def test_no_scans_at_all(tmp_path):
+    outcome = run(Write(tmp_path), [], jobs=2)
+    assert (outcome.done, outcome.skipped, outcome.failures) == (0, 0, ())
+
+
+@pytest.mark.parametrize("options", [{"jobs": 0}, {"jobs": -2}, {"on_error": "panic"}])
+def test_options_that_are_none(options):
+    with pytest.raises(UsageError):
+        BatchOptions(**options)
+
+
+def test_all_cores(tmp_path):
+    assert run(Write(tmp_path), scans_of(*"abc"), jobs=-1).done == 3
+
+
+def test_workers_follow_when_the_program_changes_its_folder(tmp_path, monkeypatch):
+    for name in ("one", "two"):
+        (tmp_path / name).mkdir()
+        monkeypatch.chdir(tmp_path / name)
+        run(Write(Path("out")), scans_of("a", "b"), jobs=2)
+        assert sorted(path.name for path in Path("out/s").iterdir()) == ["a", "b"]
+
+
+@JOBS
+def test_an_interruption_leaves_whole_files_only(tmp_path, jobs):
+    """Workers are killed while they write; what they had begun is removed."""
+    timer = threading.Timer(1.0, lambda: os.kill(os.getpid(), signal.SIGINT))
+    count = 0
+
+    def arm(done, _):
+        nonlocal count
+        count = done
+        if done == 2:
+            timer.start()
+
+    scans = scans_of(*(f"{n:03d}" for n in range(400)))
+    with pytest.raises(KeyboardInterrupt):
+        run(Write(tmp_path, pause=0.05), scans, jobs=jobs, progress=arm)
+    written = list((tmp_path / "s").iterdir())
+    assert 2 <= count <= len(written) < 400
+    for path in written:
+        assert not path.name.startswith(".")
+        assert path.read_text() == path.name
+    again = run(Write(tmp_path), scans, jobs=jobs)
+    assert again.skipped == len(written)
+    assert again.done == 400 - len(written)
+
+
+def test_a_worker_that_the_system_kills_is_a_matter_of_memory(tmp_path):
+    scans = scans_of("a", "killed", "b")
+    with pytest.raises(SalsanextError, match=r"--jobs 2 .* use fewer jobs"):
+        run(Write(tmp_path), scans, jobs=2)
+    assert not list((tmp_path / "s").glob(".*"))
+    assert run(Write(tmp_path), scans_of("a", "b"), jobs=2).done <= 2
+
+
+def test_others_who_write_into_the_same_folder_are_left_alone(tmp_path):
+    (tmp_path / "s").mkdir()
+    other = tmp_path / "s" / ".0123456789abcdef.part"
+    other.touch()
+    run(Write(tmp_path), scans_of("a", "b"), jobs=2)
+    assert other.exists()
