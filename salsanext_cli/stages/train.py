@@ -34,6 +34,7 @@ from salsanext_cli.training.optimise import Learner
 from salsanext_cli.training.recipe import Recipe
 
 DEFAULT_SENSOR = "hdl64"
+CLASS_COUNTS = "class_counts.json"
 
 
 @dataclass(frozen=True, slots=True)
@@ -110,7 +111,7 @@ def train(
     card = WeightsCard(architecture, space, sensor, recipe.to_dict(), {}, _describe(dataset))
     _claim(run, card, [*training, *validation], weights, overwrite)
     require_labels([*training, *validation])
-    counts = _class_counts(run, training, space, sensor, jobs)
+    counts = _class_counts(run, training, validation, space, sensor, jobs)
     learner = Learner.of(module, recipe, class_weights(counts, space.scored), place)
     samples = Samples(training, space, sensor, recipe)
     workers = jobs if jobs > 1 else 0
@@ -173,18 +174,24 @@ def _claim(
     claim(run, "train", settings, [], overwrite=overwrite)
     if overwrite:
         (run / CHECKPOINT).unlink(missing_ok=True)
-        (run / "class_counts.json").unlink(missing_ok=True)
+        (run / CLASS_COUNTS).unlink(missing_ok=True)
     write_text(run / "recipe.toml", Recipe.from_dict(card.recipe).to_toml())
 
 
 def _class_counts(
-    run: Path, scans: Sequence[ScanFile], space: LabelSpace, sensor: Sensor, jobs: int
+    run: Path,
+    training: Sequence[ScanFile],
+    validation: Sequence[ScanFile],
+    space: LabelSpace,
+    sensor: Sensor,
+    jobs: int,
 ) -> npt.NDArray[np.int64]:
-    """Return points per class, counted once per run folder."""
-    path = run / "class_counts.json"
+    """Return points per class of the training split; all scans are checked once per run folder."""
+    path = run / CLASS_COUNTS
     known = read_json(path)
     if known is not None:
         return np.array([known[name] for name in space.names], np.int64)
-    counts = count_classes(scans, space, sensor, jobs)
+    count_classes(validation, space, sensor, jobs)
+    counts = count_classes(training, space, sensor, jobs)
     write_json(path, dict(zip(space.names, counts.tolist(), strict=True)))
     return counts

@@ -3,9 +3,9 @@
 
 from __future__ import annotations
 
-import pickle
 from dataclasses import dataclass, field
 from pathlib import Path
+from pickle import UnpicklingError
 
 import torch
 
@@ -62,7 +62,7 @@ def load_checkpoint(path: Path, learner: Learner) -> Progress:
         learner.average.load_state_dict(state["average"])
         learner.optimiser.load_state_dict(state["optimiser"])
         return Progress(state["epoch"], state["best"], state["rows"])
-    except (OSError, RuntimeError, ValueError, KeyError, pickle.UnpicklingError) as error:
+    except (EOFError, OSError, RuntimeError, ValueError, KeyError, UnpicklingError) as error:
         raise TrainingError(
             path,
             f"cannot be resumed from: {' '.join(str(error).split())[:200]}",

@@ -14,7 +14,6 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-import torch
 from torch import Tensor
 from torch.utils.data import DataLoader, Dataset
 
@@ -184,7 +183,9 @@ class Plan:
                 position += 1
 
 
-def batches(samples: Samples, plan: Plan, first_step: int, workers: int) -> Iterator[Batch]:
+def batches(
+    samples: Samples, plan: Plan, first_step: int, workers: int = 0, *, pinned: bool = False
+) -> Iterator[Batch]:
     """Yield the batches from a step to the end of the training.
 
     Parameters
@@ -195,6 +196,8 @@ def batches(samples: Samples, plan: Plan, first_step: int, workers: int) -> Iter
         Where to go on.
     workers : int
         Processes that prepare samples beside this one; 0 for none.
+    pinned : bool
+        Whether to put batches where a GPU copies them from quickly.
     """
     loader: DataLoader[Any] = DataLoader(
         samples,
@@ -202,6 +205,6 @@ def batches(samples: Samples, plan: Plan, first_step: int, workers: int) -> Iter
         num_workers=workers,
         # A fork would inherit locks that the threads of torch and numba may hold.
         multiprocessing_context="spawn" if workers else None,
-        pin_memory=torch.cuda.is_available(),
+        pin_memory=pinned,
     )
     yield from loader

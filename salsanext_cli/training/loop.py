@@ -93,7 +93,10 @@ class Training:
         checkpoint = self.run / CHECKPOINT
         progress = load_checkpoint(checkpoint, self.learner) if checkpoint.exists() else Progress()
         first = progress.epoch * self.plan.steps_per_epoch
-        stream = batches(self.samples, self.plan, first, self.workers)
+        if first:
+            log.info("going on after epoch %d", progress.epoch)
+        pinned = self.learner.device.type == "cuda"
+        stream = batches(self.samples, self.plan, first, self.workers, pinned=pinned)
         while progress.epoch < self.learner.recipe.epochs:
             self._epoch(progress, stream)
         return progress

@@ -120,13 +120,14 @@ class SegmentationLoss(nn.Module):
         self.lovasz = lovasz
 
     def forward(self, logits: Tensor, truth: Tensor) -> Tensor:
-        """Return the loss of logits (B, C, H, W) for truth (B, H, W) integer, 0-d float32."""
+        """Return the loss of logits (B, C, H, W) for integer truth (B, H, W), 0-d."""
         truth = truth.flatten().long()
         counts = (self.weights[truth] > 0).nonzero()[:, 0]
         truth = truth[counts]
         classes = logits.movedim(1, -1).reshape(-1, logits.shape[1])
-        log_probabilities = F.log_softmax(classes[counts].float(), 1)
-        loss = weighted_cross_entropy(log_probabilities, truth, self.weights)
+        precise = torch.promote_types(logits.dtype, torch.float32)
+        log_probabilities = F.log_softmax(classes[counts], 1, dtype=precise)
+        loss = weighted_cross_entropy(log_probabilities, truth, self.weights.to(precise))
         if self.lovasz:
             loss = loss + self.lovasz * lovasz_softmax(log_probabilities.exp(), truth)
         return loss

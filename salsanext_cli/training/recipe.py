@@ -31,7 +31,8 @@ class Recipe:
     crop_width : int
         Columns of the window cut from each range image at a random azimuth; 0 for the full circle.
     crop_on_class : float
-        Probability of centring the window on a pixel of a class drawn evenly from those present.
+        Probability of placing the window so that it holds a pixel of a class drawn evenly from
+        those present, instead of anywhere.
     optimiser : {"sgd", "adamw"}
     learning_rate : float
         Its peak.

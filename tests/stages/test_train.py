@@ -1,0 +1,272 @@
+# SPDX-License-Identifier: MIT
+import json
+import math
+import os
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from safetensors.torch import load_file
+from scans import SMALL, write_sequence
+from tiny_network import TinyNetwork
+from torch import Tensor
+
+from salsanext_cli.classes import LabelSpace, label_space
+from salsanext_cli.errors import (
+    LabelError,
+    NoInputError,
+    OutputError,
+    TrainingError,
+    UsageError,
+    WeightsError,
+)
+from salsanext_cli.formats.kitti import write_labels
+from salsanext_cli.network.architectures import ARCHITECTURES
+from salsanext_cli.network.inference import load_network
+from salsanext_cli.network.salsanext import SalsaNext
+from salsanext_cli.network.weights import WeightsCard, read_card, save_weights
+from salsanext_cli.stages.train import TrainResult, train
+from salsanext_cli.training.loop import Report
+from salsanext_cli.training.losses import class_weights
+from salsanext_cli.training.optimise import Learner
+from salsanext_cli.training.recipe import Recipe, recipe
+
+TINY = Recipe(
+    epochs=3,
+    batch=2,
+    crop_width=32,
+    optimiser="adamw",
+    learning_rate=1e-3,
+    schedule="one-cycle",
+    average=0.5,
+)
+
+
+@pytest.fixture(autouse=True)
+def _tiny(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(ARCHITECTURES, "salsanext", TinyNetwork)
+
+
+@pytest.fixture
+def dataset(tmp_path: Path) -> Path:
+    """Three scans to train on and two to score on, by SemanticKITTI's split."""
+    root = tmp_path / "data"
+    write_sequence(root / "sequences" / "00", ["0", "1", "2"], count=600)
+    write_sequence(root / "sequences" / "08", ["0", "1"], count=600)
+    return root
+
+
+def go(dataset: Path, run: Path, **changes: object) -> TrainResult:
+    given = {"recipe": TINY, "sensor": SMALL, "device": "cpu"}
+    return train(dataset, run, **{**given, **changes})  # type: ignore[arg-type]
+
+
+def same(one: Path, other: Path) -> bool:
+    a, b = load_file(one), load_file(other)
+    return a.keys() == b.keys() and all(torch.equal(a[name], b[name]) for name in a)
+
+
+def test_a_run_folder_holds_weights_log_curve_and_recipe(dataset: Path, tmp_path: Path) -> None:
+    reports: list[Report] = []
+    run = tmp_path / "run"
+    result = go(dataset, run, progress=reports.append)
+    assert {path.name for path in run.iterdir()} == {
+        "best.safetensors",
+        "checkpoint.pt",
+        "class_counts.json",
+        "curve.png",
+        "last.safetensors",
+        "log.csv",
+        "recipe.toml",
+        "train.json",
+    }
+    assert recipe(run / "recipe.toml") == TINY
+    assert len((run / "log.csv").read_text().splitlines()) == 1 + TINY.epochs
+    # Three scans in batches of two: the incomplete batch counts.
+    assert [report.step for report in reports] == list(range(1, 7))
+    assert [report.row is not None for report in reports] == [False, True] * 3
+    assert [report.epoch for report in reports] == [1, 1, 2, 2, 3, 3]
+    assert result.best_miou == max(row["miou"] for row in result.rows)
+    card = read_card(run / "best.safetensors")
+    assert card.recipe == TINY.to_dict()
+    assert card.sensor == SMALL
+    assert card.scores["miou"] == result.best_miou
+
+
+class Stopped(BaseException):
+    """Ctrl-C at a chosen step."""
+
+
+@pytest.mark.parametrize(("stop", "jobs"), [(1, 1), (2, 1), (3, 2), (5, 1)])
+def test_an_interrupted_training_ends_with_the_weights_of_an_uninterrupted_one(
+    dataset: Path, tmp_path: Path, stop: int, jobs: int
+) -> None:
+    def interrupt(report: Report) -> None:
+        if report.step == stop:
+            raise Stopped
+
+    whole = go(dataset, tmp_path / "whole")
+    with pytest.raises(Stopped):
+        go(dataset, tmp_path / "parts", progress=interrupt)
+    steps: list[int] = []
+    parts = go(dataset, tmp_path / "parts", jobs=jobs, progress=lambda r: steps.append(r.step))
+    # Progress is reported after an epoch is on disk, so that stopping at 2 loses nothing.
+    assert steps[0] == stop // 2 * 2 + 1
+    assert same(whole.last, parts.last)
+    assert same(whole.best, parts.best)
+    assert [row["loss"] for row in whole.rows] == [row["loss"] for row in parts.rows]
+    assert parts.best_miou == whole.best_miou
+
+
+def test_the_real_network_can_be_interrupted_too(
+    dataset: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def interrupt(report: Report) -> None:
+        if report.step == 3:
+            raise Stopped
+
+    monkeypatch.setitem(ARCHITECTURES, "salsanext", SalsaNext)
+    short = {"recipe": TINY.with_changes(epochs=2)}
+    with pytest.raises(Stopped):
+        go(dataset, tmp_path / "parts", progress=interrupt, **short)
+    parts, whole = (go(dataset, tmp_path / name, **short) for name in ("parts", "whole"))
+    assert same(whole.last, parts.last)
+    assert load_network(whole.best, "cpu").card.space.fits(label_space())
+
+
+def test_a_finished_training_has_nothing_left_to_do(dataset: Path, tmp_path: Path) -> None:
+    first = go(dataset, tmp_path / "run")
+    steps: list[Report] = []
+    again = go(dataset, tmp_path / "run", progress=steps.append)
+    assert not steps
+    assert again == first
+
+
+def test_the_seed_decides(dataset: Path, tmp_path: Path) -> None:
+    one = go(dataset, tmp_path / "1", recipe=TINY.with_changes(epochs=1))
+    other = go(dataset, tmp_path / "2", recipe=TINY.with_changes(epochs=1, seed=5))
+    assert not same(one.last, other.last)
+
+
+def test_another_recipe_is_refused_and_overwrite_starts_anew(dataset: Path, tmp_path: Path) -> None:
+    go(dataset, tmp_path / "run", recipe=TINY.with_changes(epochs=1))
+    with pytest.raises(OutputError, match=r"train\.json .* recipe was"):
+        go(dataset, tmp_path / "run")
+    anew = go(dataset, tmp_path / "run", overwrite=True)
+    assert same(anew.last, go(dataset, tmp_path / "other").last)
+
+
+def test_class_weights_come_from_the_training_split(
+    dataset: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    seen: list[Tensor] = []
+    original = Learner.of.__func__  # type: ignore[attr-defined]
+
+    def spy(
+        cls: type[Learner], module: object, recipe: object, weights: Tensor, place: object
+    ) -> Learner:
+        seen.append(weights)
+        return original(cls, module, recipe, weights, place)
+
+    monkeypatch.setattr(Learner, "of", classmethod(spy))
+    go(dataset, tmp_path / "run", recipe=TINY.with_changes(epochs=1))
+    counts = json.loads((tmp_path / "run" / "class_counts.json").read_text())
+    assert sum(counts.values()) == 3 * 600
+    space = label_space()
+    expected = class_weights(np.array([counts[n] for n in space.names]), space.scored)
+    assert torch.equal(seen[0], expected)
+
+
+def tiny_weights(path: Path, space: LabelSpace) -> Path:
+    card = WeightsCard({"name": "salsanext", "class_count": space.class_count}, space, SMALL)
+    save_weights(path, TinyNetwork(space.class_count), card)
+    return path
+
+
+def test_training_goes_on_from_given_weights(dataset: Path, tmp_path: Path) -> None:
+    weights = tiny_weights(tmp_path / "start.safetensors", label_space())
+    still = TINY.with_changes(epochs=1, learning_rate=1e-30, average=0.0, weight_decay=0.0)
+    result = go(dataset, tmp_path / "run", recipe=still, weights=weights, sensor=None)
+    before, after = load_file(weights), load_file(result.last)
+    torch.testing.assert_close(after["logits.weight"], before["logits.weight"])
+    assert not torch.equal(after["norm.running_mean"], before["norm.running_mean"])
+    assert read_card(result.last).sensor == SMALL
+
+
+def test_weights_of_other_classes_are_refused(dataset: Path, tmp_path: Path) -> None:
+    data = label_space().to_dict()
+    other = LabelSpace.from_dict({**data, "labels": {**data["labels"], 10: "automobile"}}, "other")
+    weights = tiny_weights(tmp_path / "other.safetensors", other)
+    with pytest.raises(WeightsError, match="trained for the classes of"):
+        go(dataset, tmp_path / "run", weights=weights)
+
+
+def test_a_loss_that_is_not_finite_names_the_scans(
+    dataset: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(Learner, "step", lambda *_: math.nan)
+    with pytest.raises(
+        TrainingError, match=r"step 1 · the loss is nan.*00/velodyne/\d\.bin, .*bin"
+    ):
+        go(dataset, tmp_path / "run")
+
+
+def no_step(report: Report) -> None:
+    raise AssertionError("a step was taken")
+
+
+def test_missing_labels_stop_it_before_the_first_step(dataset: Path, tmp_path: Path) -> None:
+    for sequence in ("08", "00"):
+        (dataset / "sequences" / sequence / "labels" / "1.label").unlink()
+        with pytest.raises(LabelError, match=rf"{sequence}/labels/1\.label"):
+            go(dataset, tmp_path / "run", progress=no_step)
+
+
+@pytest.mark.parametrize("sequence", ["00", "08"])
+def test_a_wrong_number_of_labels_stops_it_before_the_first_step(
+    sequence: str, dataset: Path, tmp_path: Path
+) -> None:
+    write_labels(dataset / "sequences" / sequence / "labels" / "1.label", np.full(9, 40, np.uint32))
+    with pytest.raises(LabelError, match="9 labels · expected 600"):
+        go(dataset, tmp_path / "run", progress=no_step)
+
+
+def test_unknown_ids_stop_it_before_the_first_step(dataset: Path, tmp_path: Path) -> None:
+    unknown = np.full(600, 77, np.uint32)
+    write_labels(dataset / "sequences" / "00" / "labels" / "2.label", unknown)
+    with pytest.raises(LabelError, match=r"2\.label · unknown label ids 77 \(600×\)"):
+        go(dataset, tmp_path / "run", progress=no_step)
+
+
+def test_a_data_set_without_classes_that_count(dataset: Path, tmp_path: Path) -> None:
+    for stem in "012":
+        path = dataset / "sequences" / "00" / "labels" / f"{stem}.label"
+        write_labels(path, np.zeros(600, np.uint32))
+    with pytest.raises(TrainingError, match="none of 1800 points"):
+        go(dataset, tmp_path / "run", progress=no_step)
+
+
+def test_a_data_set_without_a_validation_split(dataset: Path, tmp_path: Path) -> None:
+    (dataset / "sequences" / "08").rename(dataset / "sequences" / "99")
+    with pytest.raises(NoInputError, match="no scans of split valid"):
+        go(dataset, tmp_path / "run")
+
+
+def test_a_folder_that_is_a_file(dataset: Path, tmp_path: Path) -> None:
+    (tmp_path / "run").write_text("")
+    with pytest.raises(OutputError):
+        go(dataset, tmp_path / "run", progress=no_step)
+
+
+@pytest.mark.skipif(os.geteuid() == 0, reason="root may write anywhere")
+def test_a_folder_that_cannot_be_written(dataset: Path, tmp_path: Path) -> None:
+    (tmp_path / "run").mkdir(mode=0o500)
+    with pytest.raises(OutputError, match="cannot be written"):
+        go(dataset, tmp_path / "run", progress=no_step)
+
+
+def test_no_such_device(dataset: Path, tmp_path: Path) -> None:
+    with pytest.raises(UsageError, match="device abacus"):
+        go(dataset, tmp_path / "run", device="abacus")
+    assert not (tmp_path / "run").exists()

@@ -1,0 +1,84 @@
+# SPDX-License-Identifier: MIT
+import io
+import pickle
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+import torch
+from tiny_network import TinyNetwork
+
+from salsanext_cli.errors import TrainingError
+from salsanext_cli.training.checkpoint import Progress, load_checkpoint, save_checkpoint
+from salsanext_cli.training.optimise import Learner
+from salsanext_cli.training.recipe import Recipe
+
+
+def learner(classes: int = 3, average: float = 0.9) -> Learner:
+    recipe = Recipe(optimiser="adamw", average=average)
+    return Learner.of(TinyNetwork(classes), recipe, torch.ones(classes), torch.device("cpu"))
+
+
+def trained() -> Learner:
+    learning = learner()
+    learning.step(torch.randn(2, 5, 16, 16), torch.ones(2, 16, 16, dtype=torch.uint8), 0, 1)
+    return learning
+
+
+def test_round_trip(tmp_path: Path) -> None:
+    learning, progress = trained(), Progress(2, 0.5, [{"epoch": 1, "loss": 2.5}])
+    save_checkpoint(tmp_path / "c.pt", learning, progress)
+    other = learner()
+    assert load_checkpoint(tmp_path / "c.pt", other) == progress
+    for mine, theirs in ((learning.module, other.module), (learning.average, other.average)):
+        for a, b in zip(mine.state_dict().values(), theirs.state_dict().values(), strict=True):
+            assert torch.equal(a, b)
+    kept = learning.optimiser.state_dict()["state"]
+    for key, state in other.optimiser.state_dict()["state"].items():
+        for name, value in state.items():
+            assert torch.equal(value, kept[key][name])
+
+
+def test_a_checkpoint_of_another_network(tmp_path: Path) -> None:
+    save_checkpoint(tmp_path / "c.pt", trained(), Progress())
+    with pytest.raises(TrainingError, match="cannot be resumed from"):
+        load_checkpoint(tmp_path / "c.pt", learner(classes=4))
+
+
+@pytest.mark.parametrize("cut", [0, 100, 5000])
+def test_a_damaged_checkpoint(cut: int, tmp_path: Path) -> None:
+    save_checkpoint(tmp_path / "c.pt", trained(), Progress())
+    data = (tmp_path / "c.pt").read_bytes()
+    (tmp_path / "c.pt").write_bytes(data[:cut])
+    with pytest.raises(TrainingError, match=r"c\.pt · cannot be resumed from"):
+        load_checkpoint(tmp_path / "c.pt", learner())
+
+
+class Malicious:
+    """What runs code when it is unpickled."""
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+
+    def __reduce__(self) -> tuple[object, tuple[str, ...]]:
+        return (Path.touch, (self.path,))
+
+
+def pickled(value: object) -> bytes:
+    return pickle.dumps(value, protocol=2)
+
+
+def zipped(value: object) -> bytes:
+    file = io.BytesIO()
+    torch.save(value, file)
+    return file.getvalue()
+
+
+@pytest.mark.parametrize("form", [pickled, zipped])
+def test_nothing_in_a_checkpoint_is_executed(
+    form: Callable[[object], bytes], tmp_path: Path
+) -> None:
+    (tmp_path / "c.pt").write_bytes(form({"module": Malicious(tmp_path / "executed")}))
+    with pytest.raises(TrainingError, match="cannot be resumed from"):
+        load_checkpoint(tmp_path / "c.pt", learner())
+    assert not (tmp_path / "executed").exists()

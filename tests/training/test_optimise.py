@@ -1,0 +1,113 @@
+# SPDX-License-Identifier: MIT
+import copy
+import math
+
+import pytest
+import torch
+from tiny_network import TinyNetwork
+from torch import Tensor, nn
+
+from salsanext_cli.training.optimise import Learner, build_optimiser, update_average
+from salsanext_cli.training.recipe import Recipe
+
+CPU = torch.device("cpu")
+WEIGHTS = torch.tensor([0.0, 1.0, 2.0])
+
+
+def batch(seed: int = 0) -> tuple[Tensor, Tensor]:
+    random = torch.Generator().manual_seed(seed)
+    images = torch.randn(2, 5, 16, 32, generator=random)
+    return images, (images[:, 0] > 0).byte() + 1
+
+
+def learner(**changes: object) -> Learner:
+    recipe = Recipe(batch=2, warm_up=0.0).with_changes(**changes)
+    with torch.random.fork_rng():
+        torch.manual_seed(0)
+        module = TinyNetwork(3, dropout=recipe.dropout)
+    return Learner.of(module, recipe, WEIGHTS, CPU)
+
+
+def test_sgd_is_the_papers() -> None:
+    """Two steps against the update rule written out: momentum 0.9, decay added to the gradient."""
+    weight = torch.tensor([2.0])
+    layer = nn.Linear(1, 1, bias=False)
+    layer.weight.data[:] = weight
+    optimiser = build_optimiser(layer, Recipe())
+    speed = torch.zeros(1)
+    for _ in range(2):
+        optimiser.zero_grad()
+        layer(torch.ones(1, 1)).square().sum().backward()
+        optimiser.step()
+        speed = 0.9 * speed + 2 * weight + 1e-4 * weight
+        weight = weight - 0.01 * speed
+    torch.testing.assert_close(layer.weight.detach()[0], weight)
+
+
+def test_the_loss_falls() -> None:
+    learning = learner(optimiser="adamw", learning_rate=0.01, dropout=0.0)
+    losses = [learning.step(*batch(), step, 10) for step in range(30)]
+    assert losses[-1] < 0.6 * losses[0]
+
+
+def test_a_step_is_a_function_of_its_number_and_leaves_the_global_generator_alone() -> None:
+    states = []
+    for seed in (1, 2):
+        torch.manual_seed(seed)
+        before = torch.get_rng_state()
+        learning = learner(dropout=0.5)
+        learning.step(*batch(), 4, 10)
+        assert torch.equal(torch.get_rng_state(), before)
+        states.append(learning.module.state_dict())
+    for one, other in zip(states[0].values(), states[1].values(), strict=True):
+        assert torch.equal(one, other)
+
+
+def test_dropout_differs_from_step_to_step() -> None:
+    losses = [learner(dropout=0.5).step(*batch(), step, 10) for step in range(2)]
+    assert losses[0] != losses[1]
+
+
+def test_a_loss_that_is_not_finite_changes_no_weight() -> None:
+    learning = learner()
+    before = copy.deepcopy(dict(learning.module.named_parameters()))
+    images, truth = batch()
+    images[0, 0, 3, 3] = math.nan
+    assert math.isnan(learning.step(images, truth, 0, 10))
+    for name, parameter in learning.module.named_parameters():
+        assert torch.equal(parameter, before[name])
+
+
+def test_clipping_bounds_the_gradient() -> None:
+    learning = learner(clip_gradient=1e-3)
+    learning.step(*batch(), 0, 10)
+    norms = [p.grad.norm() for p in learning.module.parameters() if p.grad is not None]
+    assert float(torch.stack(norms).norm()) == pytest.approx(1e-3, rel=1e-3)
+
+
+def test_the_average_moves_slowly_and_takes_batch_norm_along() -> None:
+    kept, new = nn.BatchNorm2d(1), nn.BatchNorm2d(1)
+    new.weight.data.fill_(3.0)
+    new.running_mean.fill_(1.0)
+    new.num_batches_tracked.fill_(7)
+    update_average(kept, new, 0.9, step=1000)
+    assert float(kept.weight.detach()) == pytest.approx(1.2)
+    assert float(kept.running_mean) == pytest.approx(0.1)
+    assert int(kept.num_batches_tracked) == 7
+
+
+def test_the_first_steps_of_an_average_forget_the_random_weights() -> None:
+    kept, new = nn.Linear(1, 1), nn.Linear(1, 1)
+    kept.weight.data.fill_(0.0)
+    new.weight.data.fill_(1.0)
+    for step in range(30):
+        update_average(kept, new, 0.999, step)
+    assert float(kept.weight.detach()) > 0.99
+
+
+def test_without_an_average_the_module_is_what_is_kept() -> None:
+    assert (without := learner()).average is without.module
+    averaged = learner(average=0.9)
+    assert averaged.average is not averaged.module
+    averaged.step(*batch(), 0, 10)
+    assert not averaged.average.training

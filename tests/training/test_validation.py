@@ -1,0 +1,37 @@
+# SPDX-License-Identifier: MIT
+from pathlib import Path
+
+import numpy as np
+from scans import SMALL, write_sequence
+
+from salsanext_cli.formats.kitti import read_bin, read_labels
+from salsanext_cli.formats.layout import find_scans
+from salsanext_cli.geometry.knn import knn_refine
+from salsanext_cli.geometry.projection import project
+from salsanext_cli.network.inference import load_network
+from salsanext_cli.training.validation import evenly_spaced, validate
+
+
+def test_scores_count_points_after_knn(tmp_path: Path, weights: Path) -> None:
+    """Every point of every scan is counted, not every pixel."""
+    files = find_scans(write_sequence(tmp_path / "08", ["a", "b", "c"]))
+    network = load_network(weights, "cpu")
+    assert network.sensor == SMALL
+    space = network.card.space
+    expected = np.zeros((20, 20), int)
+    for file in files:
+        image = project(read_bin(file.path), SMALL)
+        predicted = knn_refine(image, network.probabilities(image).argmax(0))
+        truth = space.to_train(read_labels(file.label_path))
+        np.add.at(expected, (truth, predicted), 1)
+    confusion = validate(network, files)
+    np.testing.assert_array_equal(confusion.matrix, expected)
+    assert confusion.total == 4500
+
+
+def test_evenly_spaced_takes_first_and_last_and_none_twice(tmp_path: Path) -> None:
+    files = find_scans(write_sequence(tmp_path / "08", [f"{i:02d}" for i in range(11)], count=1))
+    assert evenly_spaced(files, 0) == files
+    assert evenly_spaced(files, 20) == files
+    assert [file.stem for file in evenly_spaced(files, 3)] == ["00", "05", "10"]
+    assert len(set(evenly_spaced(files, 10))) == 10
