@@ -1,0 +1,39 @@
+# SPDX-License-Identifier: MIT
+"""Small records as JSON: what was run, and where its scans came from."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from salsanext_cli.errors import OutputError
+from salsanext_cli.formats.atomic import write_text
+from salsanext_cli.formats.reading import present, reading
+
+
+def write_json(path: Path, data: Mapping[str, Any]) -> None:
+    """Write plain data as JSON, atomically; names of files may be no text, so only ASCII."""
+    write_text(path, json.dumps(data, indent=2, allow_nan=False) + "\n")
+
+
+def read_json(path: Path) -> dict[str, Any] | None:
+    """Read what `write_json` wrote; None if there is no such file.
+
+    Raises
+    ------
+    OutputError
+        If the file is damaged.
+    """
+    if not present(path):
+        return None
+    with reading(path) as file:
+        text = file.read()
+    try:
+        data = json.loads(text)
+    except ValueError as error:
+        raise OutputError(path, "damaged", "JSON", "delete it or use another folder") from error
+    if not isinstance(data, dict):
+        raise OutputError(path, "damaged", "a JSON object", "delete it or use another folder")
+    return data
