@@ -34,11 +34,16 @@ def make_scan(count: int = 1500, seed: int = 0) -> Scan:
 
 
 def write_sequence(
-    folder: Path, stems: Iterable[str] = ("000000",), *, count: int = 1500, labels: bool = True
+    folder: Path,
+    stems: Iterable[str] = ("000000",),
+    *,
+    count: int = 1500,
+    labels: bool = True,
+    seed: int = 0,
 ) -> Path:
     """Write scans, and labels of every scored class, as SemanticKITTI lays a sequence out."""
     space = label_space()
-    for number, stem in enumerate(stems):
+    for number, stem in enumerate(stems, start=seed):
         write_bin(folder / "velodyne" / f"{stem}.bin", make_scan(count, number))
         if labels:
             train = np.random.default_rng(number).integers(0, space.class_count, count)

@@ -10,6 +10,7 @@ import yaml
 
 from salsanext_cli.classes import label_space
 from salsanext_cli.errors import LabelError, NoInputError
+from salsanext_cli.formats.json_files import write_json
 from salsanext_cli.formats.kitti import write_bin, write_labels
 from salsanext_cli.formats.layout import find_scans, output_path
 from salsanext_cli.measures.confusion import Confusion
@@ -18,7 +19,6 @@ from salsanext_cli.stages.batch import BatchOptions
 from salsanext_cli.stages.counting import ScanCounts, count_scan
 from salsanext_cli.stages.evaluate import evaluate, predicted_scans
 from salsanext_cli.stages.inputs import Choice
-from salsanext_cli.stages.outputs import write_json
 
 SPACE = label_space()
 CAR, ROAD, MOVING_CAR, UNKNOWN = 10, 40, 252, 77

@@ -1,0 +1,46 @@
+# SPDX-License-Identifier: MIT
+"""A data set and an output folder for every test of a stage."""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scans import write_sequence
+
+from salsanext_cli.formats.kitti import read_labels, write_labels
+from salsanext_cli.stages.networks import NetworkChoice
+
+
+@dataclass
+class World:
+    """Two sequences of equal file names, of which the split "valid" names one."""
+
+    data: Path
+    out: Path
+    network: NetworkChoice
+
+    def scan(self, sequence: str = "08", stem: str = "000000") -> Path:
+        return self.data / "sequences" / sequence / "velodyne" / f"{stem}.bin"
+
+    def result(self, folder: str, sequence: str = "08", stem: str = "000000") -> Path:
+        suffix = {"predictions": ".label", "ply": ".ply"}.get(folder, ".npy")
+        return self.out / "sequences" / sequence / folder / f"{stem}{suffix}"
+
+    def labels(self, sequence: str = "08", stem: str = "000000") -> np.ndarray:
+        return read_labels(self.result("predictions", sequence, stem))
+
+    def predict_by_hand(self, raw: int = 10, count: int = 1500) -> None:
+        """Leave predictions of unknown origin for every scan."""
+        for sequence, stem in (("00", "000000"), ("08", "000000"), ("08", "000001")):
+            path = self.result("predictions", sequence, stem)
+            write_labels(path, np.full(count, raw, np.uint32))
+
+
+@pytest.fixture
+def world(tmp_path: Path, weights: Path) -> World:
+    """Return scans in SemanticKITTI's layout, in a folder with a space and an umlaut."""
+    data = tmp_path / "Daten für 1"
+    write_sequence(data / "sequences/00", ["000000"], seed=7)
+    write_sequence(data / "sequences/08", ["000000", "000001"])
+    return World(data, tmp_path / "öut put", NetworkChoice(weights, "cpu"))

@@ -1,0 +1,303 @@
+# SPDX-License-Identifier: MIT
+import json
+from dataclasses import replace
+
+import numpy as np
+import plyfile
+import pytest
+from scans import SMALL, files_below, write_weights
+
+from salsanext_cli.classes import label_space
+from salsanext_cli.errors import NoInputError, OutputError, UsageError
+from salsanext_cli.formats import read_scan
+from salsanext_cli.formats.arrays import write_array
+from salsanext_cli.formats.kitti import read_labels, write_labels
+from salsanext_cli.report.colours import EMPTY, RIGHT, WRONG, map_colours
+from salsanext_cli.stages.batch import BatchOptions
+from salsanext_cli.stages.export_ply import COLOURS, export_ply
+from salsanext_cli.stages.inputs import Choice
+from salsanext_cli.stages.networks import NetworkChoice
+from salsanext_cli.stages.predict import predict
+from salsanext_cli.stages.uncertainty import uncertainty
+
+SPACE = label_space()
+OVERWRITE = BatchOptions(overwrite=True)
+KINDS = ("epistemic", "entropy", "mutual_information")
+
+
+@pytest.fixture
+def predicted(world):
+    predict(world.data, world.out, network=world.network)
+    return world
+
+
+@pytest.fixture
+def sampled(predicted):
+    uncertainty(predicted.data, predicted.out, network=predicted.network, samples=2)
+    return predicted
+
+
+def export(world, **options):
+    options.setdefault("network", world.network)
+    return export_ply(world.out, **options)
+
+
+def ply(world, sequence="08", stem="000000"):
+    return plyfile.PlyData.read(world.result("ply", sequence, stem))
+
+
+def column(world, name, *where):
+    return np.array(ply(world, *where)["vertex"][name])
+
+
+def colours(world, *where):
+    return np.stack([column(world, name, *where) for name in ("red", "green", "blue")], axis=1)
+
+
+def test_every_scalar_is_a_property(sampled):
+    assert export(sampled).done == 3
+    data = ply(sampled)
+    assert not data.text
+    assert data.byte_order == "<"
+    names = [p.name for p in data["vertex"].properties]
+    assert names[:6] == ["x", "y", "z", "red", "green", "blue"]
+    assert set(names[6:]) == {"intensity", "range", "label", "truth", "error", *KINDS}
+    scan = read_scan(sampled.scan())
+    for axis, values in zip("xyz", scan.points.T, strict=True):
+        np.testing.assert_array_equal(column(sampled, axis), values)
+    np.testing.assert_array_equal(column(sampled, "intensity"), scan.intensity)
+    np.testing.assert_array_equal(column(sampled, "label"), sampled.labels())
+    truth = read_labels(sampled.data / "sequences/08/labels/000000.label")
+    np.testing.assert_array_equal(column(sampled, "truth"), truth)
+    for kind in KINDS:
+        stored = np.load(sampled.result(f"uncertainty/{kind}"))
+        np.testing.assert_array_equal(column(sampled, kind), stored)
+
+
+def test_opens_in_open3d_with_every_scalar(sampled):
+    import open3d
+
+    export(sampled)
+    cloud = open3d.t.io.read_point_cloud(str(sampled.result("ply")))
+    positions = cloud.point.positions.numpy()
+    np.testing.assert_array_equal(positions, read_scan(sampled.scan()).points)
+    np.testing.assert_array_equal(cloud.point.colors.numpy(), colours(sampled))
+    for name in ("intensity", "range", "label", "truth", "error", *KINDS):
+        np.testing.assert_array_equal(
+            cloud.point[name].numpy().ravel(), column(sampled, name), err_msg=name
+        )
+    assert len(open3d.io.read_point_cloud(str(sampled.result("ply"))).colors) == 1500
+
+
+def test_labels_and_truth_take_the_colours_of_the_label_space(predicted):
+    export(predicted, colour="label")
+    ids = SPACE.to_train(predicted.labels())
+    np.testing.assert_array_equal(colours(predicted), SPACE.colours[ids])
+    assert "colour label" in ply(predicted).comments
+    export(predicted, colour="truth", options=OVERWRITE)
+    truth = SPACE.to_train(read_labels(predicted.data / "sequences/08/labels/000000.label"))
+    np.testing.assert_array_equal(colours(predicted), SPACE.colours[truth])
+
+
+def test_errors_are_right_wrong_or_not_counted(predicted):
+    path = predicted.data / "sequences/08/labels/000000.label"
+    truth = predicted.labels().copy()
+    truth[:10] = 0
+    truth[10:20] = np.where(truth[10:20] == 10, 40, 10)
+    write_labels(path, truth)
+    export(predicted, colour="error")
+    found = colours(predicted)
+    np.testing.assert_array_equal(found[:10], np.tile(EMPTY, (10, 1)))
+    np.testing.assert_array_equal(found[10:20], np.tile(WRONG, (10, 1)))
+    labelled = SPACE.to_train(truth[20:]) > 0
+    assert labelled.any()
+    assert (found[20:][labelled] == RIGHT).all()
+
+
+@pytest.mark.parametrize("colour", ["intensity", "range", *KINDS])
+def test_values_take_a_uniform_map_whose_range_is_written_down(sampled, colour):
+    export(sampled, colour=colour)
+    values = column(sampled, colour).astype(np.float64)
+    (comment,) = [c for c in ply(sampled).comments if c.startswith("colour")]
+    _, name, cmap, low, high = comment.split()
+    assert (name, cmap) == (colour, "viridis")
+    low, high = float(low), float(high)
+    assert low < high
+    share = np.clip((values - low) / (high - low), 0, 1)
+    nearest = map_colours("viridis")[np.rint(share * 255).astype(int)].astype(int)
+    assert np.abs(colours(sampled) - nearest).max() <= 3
+    recorded = json.loads((sampled.out / "export-ply.json").read_text())["settings"]["scale"]
+    assert recorded == pytest.approx([low, high], rel=1e-5)
+
+
+def test_the_scale_is_the_same_for_every_scan_and_spans_most_points(sampled):
+    export(sampled, colour="range")
+    comments = {ply(sampled, s, n).comments[0] for s, n in (("00", "000000"), ("08", "000001"))}
+    assert len(comments) == 1
+    low, high = (float(n) for n in comments.pop().split()[-2:])
+    assert ((column(sampled, "range") >= low) & (column(sampled, "range") <= high)).mean() > 0.95
+
+
+def test_a_scale_may_be_given(predicted):
+    export(predicted, colour="range", scale=(0, 10))
+    assert "colour range viridis 0 10" in ply(predicted).comments
+    far = column(predicted, "range") >= 10
+    assert (colours(predicted)[far] == map_colours("viridis")[-1]).all()
+    with pytest.raises(OutputError, match="scale was"):
+        export(predicted, colour="range", scale=(0, 20))
+
+
+@pytest.mark.parametrize("scale", [(1, 1), (2, 1), (float("nan"), 1), (0, float("inf"))])
+def test_scales_that_are_none(predicted, scale):
+    with pytest.raises(UsageError, match="--scale"):
+        export(predicted, colour="range", scale=scale)
+
+
+def test_a_run_that_goes_on_colours_alike(predicted):
+    export(predicted, colour="range", choice=Choice(limit=1))
+    export(predicted, colour="range")
+    comments = {ply(predicted, s).comments[0] for s in ("00", "08")}
+    assert len(comments) == 1
+
+
+def test_uncertainty_is_sampled_where_it_is_missing(predicted, caplog):
+    earlier = {"samples": 2, "seed": 3}
+    uncertainty(
+        predicted.data, predicted.out, network=predicted.network, choice=Choice(limit=1), **earlier
+    )
+    labels = predicted.labels()
+    with caplog.at_level("WARNING"):
+        assert export(predicted, colour="uncertainty").done == 3
+    assert "no uncertainty of 2 scans yet: sampling 2 passes each" in caplog.text
+    settings = json.loads((predicted.out / "uncertainty.json").read_text())["settings"]
+    assert (settings["samples"], settings["seed"]) == (2, 3)
+    np.testing.assert_array_equal(predicted.labels(), labels)
+    assert any(c.startswith("colour epistemic viridis") for c in ply(predicted).comments)
+    assert np.isfinite(column(predicted, "epistemic")).all()
+
+
+def test_total_comes_before_epistemic(sampled):
+    for sequence, stem in (("00", "000000"), ("08", "000000"), ("08", "000001")):
+        path = sampled.result("uncertainty/total", sequence, stem)
+        write_array(path, np.linspace(0, 1, 1500, dtype=np.float32))
+    export(sampled, colour="uncertainty")
+    assert any(c.startswith("colour total viridis") for c in ply(sampled).comments)
+
+
+def test_sampling_uses_the_weights_and_sensor_that_predicted(world, tmp_path):
+    wide = SMALL.resized(width=64)
+    predict(world.data, world.out, network=replace(world.network, sensor=wide))
+    other = NetworkChoice(write_weights(tmp_path / "other.safetensors", seed=1), "cpu")
+    with pytest.raises(UsageError, match="the same weights"):
+        export(world, colour="epistemic", network=other)
+    uncertainty(
+        world.data,
+        tmp_path / "expected",
+        network=replace(world.network, sensor=wide),
+        samples=30,
+        choice=Choice(limit=1),
+    )
+    export(world, colour="epistemic", choice=Choice(limit=1))
+    name = "sequences/00/uncertainty/epistemic/000000.npy"
+    assert files_below(world.out)[name] == files_below(tmp_path / "expected")[name]
+
+
+@pytest.mark.parametrize("colour", ["aleatoric", "total"])
+def test_a_kind_that_nobody_computed(predicted, colour):
+    with pytest.raises(NoInputError, match=rf"no {colour} known .*uncertainty/{colour}"):
+        export(predicted, colour=colour)
+    assert not (predicted.out / "export-ply.json").exists()
+
+
+@pytest.mark.parametrize("colour", ["truth", "error"])
+def test_without_labels_there_is_neither_truth_nor_error(predicted, colour):
+    for path in predicted.data.rglob("*.label"):
+        path.unlink()
+    with pytest.raises(NoInputError, match=r"has no labels .*labels.000000\.label"):
+        export(predicted, colour=colour)
+    assert export(predicted).done == 3
+    assert "truth" not in [p.name for p in ply(predicted)["vertex"].properties]
+
+
+def test_one_scan_without_labels_fails_alone(predicted):
+    (predicted.data / "sequences/08/labels/000001.label").unlink()
+    outcome = export(predicted, colour="error")
+    assert outcome.done == 2
+    assert "000001.bin · has no labels" in outcome.failures[0].reason
+
+
+def test_one_scan_without_predictions_is_left_out(predicted):
+    predicted.result("predictions", "08", "000001").unlink()
+    assert export(predicted).done == 2
+
+
+def test_unknown_colours(predicted):
+    with pytest.raises(UsageError, match=r"--colour · rainbow · expected one of label, truth"):
+        export(predicted, colour="rainbow")
+    assert set(COLOURS) >= {"label", "truth", "error", "intensity", "range", "uncertainty", *KINDS}
+
+
+def test_another_colour_is_refused_unless_overwriting(predicted):
+    export(predicted)
+    assert export(predicted).skipped == 3
+    with pytest.raises(OutputError, match='colour was "label" and is "range"'):
+        export(predicted, colour="range")
+    assert export(predicted, colour="range", options=OVERWRITE).done == 3
+
+
+def test_clouds_of_older_results_are_not_passed_over(predicted, tmp_path):
+    """What was exported before must not stay when labels or uncertainties have become others."""
+    export(predicted)
+    uncertainty(predicted.data, predicted.out, network=predicted.network, samples=2)
+    with pytest.raises(OutputError, match="what `uncertainty` made was made anew"):
+        export(predicted)
+    assert export(predicted, options=OVERWRITE).done == 3
+    assert "epistemic" in [p.name for p in ply(predicted)["vertex"].properties]
+
+
+def test_scans_that_have_moved_are_exported_from_where_one_says(predicted):
+    moved = predicted.data.rename(predicted.data.with_name("moved"))
+    with pytest.raises(NoInputError, match="--dataset"):
+        export(predicted)
+    assert export(predicted, dataset=moved).done == 3
+    assert export(predicted, dataset=moved, colour="epistemic", options=OVERWRITE).done == 3
+
+
+def test_predictions_of_unknown_origin(world, monkeypatch):
+    world.predict_by_hand()
+    monkeypatch.chdir(world.data)
+    assert export(world).done == 3
+    assert set(column(world, "label")) == {10}
+
+
+def test_odd_points_are_exported(world):
+    from salsanext_cli.formats.kitti import write_bin
+    from salsanext_cli.records import Scan
+
+    points = np.array([[0, 0, 0], [np.nan, 1, 1], [5, 0, 0], [np.inf, 0, 0]], np.float32)
+    write_bin(world.scan(), Scan(points, np.array([0, np.nan, 1, np.inf], np.float32)))
+    write_labels(world.data / "sequences/08/labels/000000.label", np.zeros(4, np.uint32))
+    predict(world.scan(), world.out, network=world.network)
+    assert export(world, colour="epistemic").done == 1
+    np.testing.assert_array_equal(colours(world)[[0, 1, 3]], np.tile(EMPTY, (3, 1)))
+    assert np.isnan(column(world, "epistemic")[[0, 1, 3]]).all()
+
+
+def test_an_empty_scan_is_exported(world):
+    world.scan().write_bytes(b"")
+    (world.data / "sequences/08/labels/000000.label").write_bytes(b"")
+    predict(world.scan(), world.out, network=world.network)
+    for colour in ("label", "error", "range"):
+        assert export(world, colour=colour, options=OVERWRITE).done == 1
+        assert len(ply(world)["vertex"].data) == 0
+
+
+def test_names_in_comments_are_ascii(predicted):
+    space = replace(SPACE, name="Straße")
+    export(predicted, space=space)
+    assert "label space Stra\\xdfe" in ply(predicted).comments
+
+
+def test_choices(predicted):
+    assert export(predicted, choice=Choice(split="valid", limit=1)).done == 1
+    assert predicted.result("ply").exists()

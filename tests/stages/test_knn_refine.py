@@ -1,0 +1,182 @@
+# SPDX-License-Identifier: MIT
+import shutil
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scans import SMALL, files_below, labels_below, write_weights
+
+from salsanext_cli.classes import label_space
+from salsanext_cli.errors import NoInputError, OutputError, UsageError
+from salsanext_cli.formats import read_scan
+from salsanext_cli.formats.arrays import write_array
+from salsanext_cli.formats.kitti import read_labels, write_labels
+from salsanext_cli.geometry.knn import KnnParameters, knn_refine
+from salsanext_cli.geometry.projection import project
+from salsanext_cli.stages.batch import BatchOptions
+from salsanext_cli.stages.inputs import Choice
+from salsanext_cli.stages.knn_refine import knn_refine_scans, labels_of_pixels
+from salsanext_cli.stages.predict import predict
+from salsanext_cli.stages.project import project_scans
+
+SPACE = label_space()
+
+
+@pytest.fixture
+def pixels(world):
+    """Leave the pixel labels of three scans in the output folder."""
+    project_scans(world.data, world.out, sensor=SMALL)
+    predict(world.out, world.out, network=world.network)
+    return world
+
+
+@pytest.fixture
+def truth(world):
+    """Return a folder of somebody's point labels, in the benchmark's layout."""
+    folder = world.out.with_name("somebody's")
+    for sequence in ("00", "08"):
+        source = world.data / "sequences" / sequence / "labels"
+        shutil.copytree(source, folder / "sequences" / sequence / "predictions")
+    return folder
+
+
+def refine(world, labels, **options):
+    return knn_refine_scans(world.out, labels=labels, scans_in=world.data, sensor=SMALL, **options)
+
+
+def expected(world, sequence, stem, knn=None):
+    image = project(read_scan(world.scan(sequence, stem)), SMALL)
+    raw = read_labels(world.data / f"sequences/{sequence}/labels/{stem}.label")
+    pixels = labels_of_pixels(image, SPACE.to_train(raw))
+    return SPACE.to_raw(knn_refine(image, pixels, 20, knn or KnnParameters()))
+
+
+def test_labels_of_anybody_are_refined(world, truth):
+    assert refine(world, truth).done == 3
+    for sequence, stem in (("00", "000000"), ("08", "000000"), ("08", "000001")):
+        np.testing.assert_array_equal(world.labels(sequence, stem), expected(world, sequence, stem))
+    assert (world.labels() != read_labels(truth / "sequences/08/predictions/000000.label")).any()
+
+
+def test_a_plain_folder_of_labels_will_do(world, truth):
+    plain = truth / "sequences/08/predictions"
+    outcome = knn_refine_scans(
+        world.out, labels=plain, scans_in=world.data / "sequences/08", sensor=SMALL
+    )
+    assert outcome.done == 2
+    np.testing.assert_array_equal(world.labels(), expected(world, "08", "000000"))
+
+
+def test_the_label_of_a_pixel_is_its_nearest_points():
+    from salsanext_cli.records import Scan
+
+    points = np.array([[9, 0, 0], [5, 0, 0], [0, 7, 0], [0, 0, 0]], np.float32)
+    image = project(Scan(points, np.zeros(4, np.float32)), SMALL)
+    pixels = labels_of_pixels(image, np.array([1, 2, 3, 4], np.uint8))
+    assert sorted(pixels[pixels > 0]) == [2, 3]
+    assert pixels.ravel()[image.pixel_of_point[1]] == 2
+
+
+def test_labels_that_do_not_fit_fail_that_scan_and_are_named(world, truth):
+    path = truth / "sequences/08/predictions/000000.label"
+    write_labels(path, read_labels(path)[:-1])
+    unknown = truth / "sequences/08/predictions/000001.label"
+    write_labels(unknown, np.full(1500, 77, np.uint32))
+    outcome = refine(world, truth)
+    assert outcome.done == 1
+    assert f"{path} · 1499 labels · expected 1500" in outcome.failures[0].reason
+    assert f"{unknown} · unknown label ids 77 (1500×)" in outcome.failures[1].reason
+
+
+def test_labels_that_are_missing_fail_that_scan(world, truth):
+    (truth / "sequences/08/predictions/000001.label").unlink()
+    outcome = refine(world, truth)
+    assert [failure.scan.stem for failure in outcome.failures] == ["000001"]
+    assert "no such file" in outcome.failures[0].reason
+    assert knn_refine_scans(world.out, labels=truth, sensor=SMALL).skipped == 2
+
+
+def test_labels_are_not_refined_onto_themselves(world, truth):
+    """Overwriting would remove what is to be read."""
+    predict(world.data, world.out, network=world.network)
+    before = files_below(world.out)
+    for inside in (world.out, world.out / "sequences/08/predictions"):
+        with pytest.raises(UsageError, match="--labels"):
+            knn_refine_scans(world.out, labels=inside, options=BatchOptions(overwrite=True))
+    assert files_below(world.out) == before
+
+
+def test_predictions_of_another_stage_are_not_replaced_unasked(world, truth):
+    predict(world.data, world.out, network=world.network)
+    with pytest.raises(OutputError, match="predictions/ holds the results of `predict`"):
+        refine(world, truth)
+    assert refine(world, truth, options=BatchOptions(overwrite=True)).done == 3
+    np.testing.assert_array_equal(world.labels(), expected(world, "08", "000000"))
+
+
+def test_other_neighbours_are_other_settings(pixels):
+    knn_refine_scans(pixels.out)
+    before = labels_below(pixels.out)
+    assert knn_refine_scans(pixels.out).skipped == 3
+    with pytest.raises(OutputError, match=r"knn\.cutoff was 1\.0 and is"):
+        knn_refine_scans(pixels.out, knn=KnnParameters(cutoff=float("inf")))
+    options = BatchOptions(overwrite=True)
+    wide = KnnParameters(5, 5, 1.0, float("inf"))
+    assert knn_refine_scans(pixels.out, knn=wide, options=options).done == 3
+    assert labels_below(pixels.out) != before
+    assert knn_refine_scans(pixels.out, knn=wide).skipped == 3
+
+
+def test_pixel_labels_of_other_weights_are_not_passed_over(pixels, tmp_path):
+    knn_refine_scans(pixels.out)
+    before = labels_below(pixels.out)
+    other = replace(pixels.network, weights=write_weights(tmp_path / "other.safetensors", seed=1))
+    overwrite = BatchOptions(overwrite=True)
+    predict(pixels.out, pixels.out, network=other, options=overwrite)
+    with pytest.raises(OutputError, match="what `predict` made was made anew"):
+        knn_refine_scans(pixels.out)
+    assert knn_refine_scans(pixels.out, options=overwrite).done == 3
+    assert labels_below(pixels.out) != before
+
+
+def test_choices(pixels):
+    assert knn_refine_scans(pixels.out, choice=Choice(split="valid", limit=1)).done == 1
+    assert list(labels_below(pixels.out)) == ["sequences/08/predictions/000000.label"]
+
+
+def test_only_scans_with_pixel_labels_are_refined(pixels):
+    pixels.result("pixel_labels", "08", "000001").unlink()
+    assert knn_refine_scans(pixels.out).done == 2
+
+
+def test_no_pixel_labels_at_all(world):
+    project_scans(world.data, world.out, sensor=SMALL)
+    with pytest.raises(NoInputError, match=r"holds no pixel_labels.*--labels"):
+        knn_refine_scans(world.out)
+    with pytest.raises(NoInputError, match="no such folder"):
+        knn_refine_scans(world.out / "none")
+
+
+@pytest.mark.parametrize(
+    ("array", "says"),
+    [
+        (np.zeros((16, 64), np.uint8), "16, 64"),
+        (np.zeros((16, 128), np.int32), "<i4"),
+        (np.full((16, 128), 20, np.uint8), "train ids up to 20 · expected 0 … 19"),
+    ],
+)
+def test_pixel_labels_that_do_not_fit_are_named(pixels, array, says):
+    path = pixels.result("pixel_labels")
+    write_array(path, array)
+    (failure,) = knn_refine_scans(pixels.out).failures
+    assert str(path) in failure.reason
+    assert says in failure.reason
+
+
+def test_ones_own_network_between_project_and_knn_refine(world):
+    """Pixel labels may come from any program; space and sensor are then project's and the set's."""
+    project_scans(world.data, world.out, sensor=SMALL)
+    for sequence, stem in (("00", "000000"), ("08", "000000"), ("08", "000001")):
+        write_array(world.result("pixel_labels", sequence, stem), np.full((16, 128), 9, np.uint8))
+    assert knn_refine_scans(world.out).done == 3
+    assert set(world.labels()) == {40}

@@ -1,0 +1,29 @@
+# SPDX-License-Identifier: MIT
+import hashlib
+
+import pytest
+
+from salsanext_cli.errors import WeightsError
+from salsanext_cli.stages.models import describe_weights, models
+
+
+def test_every_network_and_what_it_costs():
+    (salsanext,) = [model for model in models() if model.name == "salsanext"]
+    assert salsanext.parameters == 6_711_572
+    assert round(salsanext.multiply_accumulates / 1e9, 2) == 62.30
+
+
+def test_what_weights_say_of_themselves(weights):
+    said = describe_weights(weights)
+    assert said["sha256"] == hashlib.sha256(weights.read_bytes()).hexdigest()
+    assert said["bytes"] == weights.stat().st_size
+    assert said["description"] == "random"
+    assert said["architecture"] == {"name": "salsanext", "class_count": 20, "dropout": 0.2}
+    assert said["label_space"] == "semantic-kitti"
+    assert said["classes"][1] == "car"
+    assert (said["sensor"]["height"], said["sensor"]["width"]) == (16, 128)
+
+
+def test_no_weights(tmp_path):
+    with pytest.raises(WeightsError, match="no such file"):
+        describe_weights(tmp_path / "none.safetensors")

@@ -1,0 +1,328 @@
+# SPDX-License-Identifier: MIT
+import json
+import os
+import shutil
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scans import SMALL, files_below, labels_below, make_scan, write_sequence, write_weights
+
+from salsanext_cli.classes import LabelSpace, label_space
+from salsanext_cli.errors import NoInputError, OutputError, UsageError, WeightsError
+from salsanext_cli.formats import read_scan
+from salsanext_cli.formats.kitti import write_bin
+from salsanext_cli.geometry.knn import KnnParameters, knn_refine
+from salsanext_cli.geometry.projection import project
+from salsanext_cli.network.weights import fingerprint
+from salsanext_cli.records import Scan
+from salsanext_cli.stages.batch import BatchOptions
+from salsanext_cli.stages.inputs import Choice
+from salsanext_cli.stages.networks import NetworkChoice
+from salsanext_cli.stages.predict import predict
+from salsanext_cli.stages.project import project_scans
+
+
+def run(world, source=None, **options):
+    return predict(source or world.data, world.out, network=world.network, **options)
+
+
+def test_the_labels_are_those_of_the_three_steps(world):
+    assert run(world).done == 3
+    network = world.network.load()
+    image = project(read_scan(world.scan("08", "000001")), SMALL)
+    pixels = network.probabilities(image).argmax(axis=0)
+    expected = label_space().to_raw(knn_refine(image, pixels))
+    labels = world.labels("08", "000001")
+    np.testing.assert_array_equal(labels, expected)
+    assert len(np.unique(labels)) > 3
+    assert not (labels >> 16).any()
+
+
+def test_what_is_remembered(world):
+    run(world, knn=KnnParameters(k=3))
+    settings = json.loads((world.out / "predict.json").read_text())["settings"]
+    assert settings["weights"] == fingerprint(world.network.weights)
+    assert settings["knn"] == {"k": 3, "window": 5, "sigma": 1.0, "cutoff": 1.0}
+    assert settings["sensor"]["name"] == "small"
+    assert settings["label_space"]["name"] == "semantic-kitti"
+
+
+def test_extras_agree_with_the_labels(world):
+    run(world, extras=("pixel_labels", "probabilities"))
+    pixels = np.load(world.result("pixel_labels"))
+    probabilities = np.load(world.result("probabilities"))
+    assert pixels.dtype == np.uint8
+    assert pixels.shape == (16, 128)
+    assert probabilities.dtype == np.float16
+    assert probabilities.shape == (1500, 20)
+    np.testing.assert_allclose(probabilities.sum(axis=1, dtype=np.float32), 1, atol=5e-3)
+    image = project(read_scan(world.scan()), SMALL)
+    of_points = pixels.ravel()[image.pixel_of_point]
+    assert (probabilities.argmax(axis=1) == of_points).mean() > 0.99
+
+
+def test_extras_can_be_asked_for_later(world):
+    run(world)
+    before = labels_below(world.out)
+    outcome = run(world, extras=("probabilities",))
+    assert (outcome.done, outcome.skipped) == (3, 0)
+    assert labels_below(world.out) == before
+    assert run(world).skipped == 3
+
+
+def test_complete_results_are_skipped_and_missing_ones_made_again(world):
+    run(world)
+    before = files_below(world.out)
+    world.result("predictions").unlink()
+    outcome = run(world)
+    assert (outcome.done, outcome.skipped) == (1, 2)
+    assert files_below(world.out) == before
+
+
+def test_other_settings_stop_and_say_what_differs(world):
+    run(world)
+    before = files_below(world.out)
+    with pytest.raises(OutputError, match=r"knn\.k was 5 and is 3 .*--overwrite"):
+        run(world, knn=KnnParameters(k=3))
+    assert files_below(world.out) == before
+    outcome = run(world, knn=KnnParameters(k=3), options=BatchOptions(overwrite=True))
+    assert outcome.done == 3
+    assert labels_below(world.out) != {n: b for n, b in before.items() if n.endswith(".label")}
+
+
+def test_other_weights_stop(world, tmp_path):
+    run(world)
+    other = write_weights(tmp_path / "other.safetensors", seed=1)
+    with pytest.raises(OutputError, match="weights was"):
+        predict(world.data, world.out, network=replace(world.network, weights=other))
+
+
+def test_weights_replaced_under_the_same_name_are_noticed(world, tmp_path):
+    path = write_weights(tmp_path / "w.safetensors", seed=1)
+    choice = replace(world.network, weights=path)
+    predict(world.data, tmp_path / "a", network=choice)
+    write_weights(path, seed=2)
+    predict(world.data, tmp_path / "b", network=choice)
+    assert labels_below(tmp_path / "a") != labels_below(tmp_path / "b")
+    with pytest.raises(OutputError, match="weights was"):
+        predict(world.data, tmp_path / "a", network=choice)
+
+
+def test_overwriting_makes_every_result_again(world):
+    run(world)
+    before = labels_below(world.out)
+    world.result("predictions").write_bytes(b"")
+    assert run(world, options=BatchOptions(overwrite=True)).done == 3
+    assert labels_below(world.out) == before
+
+
+def test_equal_file_names_of_two_sequences_do_not_meet(world):
+    run(world)
+    assert (world.labels("00") != world.labels("08")).any()
+    assert len(labels_below(world.out)) == 3
+
+
+@pytest.mark.parametrize(
+    ("source", "choice", "expected"),
+    [
+        ("", Choice(split="valid"), ["08/000000", "08/000001"]),
+        ("", Choice(sequences=("0",)), ["00/000000"]),
+        ("", Choice(limit=2), ["00/000000", "08/000000"]),
+        ("sequences", Choice(), ["00/000000", "08/000000", "08/000001"]),
+        ("sequences/08", Choice(), ["08/000000", "08/000001"]),
+        ("sequences/08/velodyne", Choice(limit=1), ["08/000000"]),
+        ("sequences/08/velodyne/000001.bin", Choice(), ["08/000001"]),
+    ],
+)
+def test_every_kind_of_source(world, source, choice, expected):
+    run(world, world.data / source, choice=choice)
+    written = [name.split("/") for name in labels_below(world.out)]
+    assert [f"{parts[1]}/{parts[3].removesuffix('.label')}" for parts in written] == expected
+
+
+def test_a_plain_folder_and_several_formats(world, tmp_path):
+    from salsanext_cli.formats.ply import write_ply
+
+    folder = tmp_path / "my drive"
+    scan = make_scan(seed=4)
+    columns = dict(zip("xyz", scan.points.T, strict=True)) | {"intensity": scan.intensity}
+    write_bin(folder / "scan 1.bin", scan)
+    write_ply(folder / "Fahrt ü.ply", columns)
+    assert run(world, folder).done == 2
+    assert labels_below(world.out).keys() == {
+        "sequences/my drive/predictions/scan 1.label",
+        "sequences/my drive/predictions/Fahrt ü.label",
+    }
+    one, two = labels_below(world.out).values()
+    assert one == two
+
+
+def test_a_sequence_of_the_same_name_from_elsewhere_is_refused(world, tmp_path):
+    run(world, world.data / "sequences/08")
+    before = files_below(world.out)
+    other = write_sequence(tmp_path / "elsewhere/08", ["000005"])
+    with pytest.raises(OutputError, match="sequence 08 came from"):
+        run(world, other)
+    with pytest.raises(OutputError, match="sequence 08 came from"):
+        run(world, other, options=BatchOptions(overwrite=True), knn=KnnParameters(k=3))
+    assert files_below(world.out) == before
+
+
+NAN, INF = float("nan"), float("inf")
+ODD_POINTS = [(0, 0, 0), (NAN, 1, 1), (1, INF, 1), (-INF, 0, 0), (NAN, NAN, NAN)]
+
+
+def write_points(path, points):
+    table = np.array(points, np.float32).reshape(-1, 3)
+    write_bin(path, Scan(table, np.zeros(len(table), np.float32)))
+
+
+@pytest.mark.parametrize("points", [[], [(5, 1, 0)], [(0, 0, 0)], [*ODD_POINTS, (5, 0, 0)]])
+def test_odd_scans(world, points):
+    write_points(world.scan(), points)
+    outcome = run(world, world.scan(), extras=("probabilities",))
+    assert outcome.done == 1
+    labels = world.labels()
+    assert len(labels) == len(points)
+    nowhere = np.array([not np.isfinite(p).all() or not any(p) for p in points], bool)
+    assert not labels[nowhere].any()
+    probabilities = np.load(world.result("probabilities"))
+    assert probabilities.shape == (len(points), 20)
+    assert (probabilities[nowhere] == np.eye(1, 20)).all()
+    assert np.isfinite(probabilities).all()
+
+
+def test_points_without_a_measurement_change_nothing_for_the_others(world):
+    scan = make_scan()
+    points = np.concatenate([np.array(ODD_POINTS, np.float32), scan.points])
+    intensity = np.concatenate([np.full(5, NAN, np.float32), scan.intensity])
+    write_bin(world.scan("00"), scan)
+    run(world, world.scan("00"))
+    write_bin(world.scan("08"), Scan(points, intensity))
+    run(world, world.scan("08"))
+    np.testing.assert_array_equal(world.labels("08")[5:], world.labels("00"))
+    assert not world.labels("08")[:5].any()
+
+
+def test_a_million_points(world):
+    write_bin(world.scan(), make_scan(1_000_000))
+    assert run(world, world.scan()).done == 1
+    assert len(world.labels()) == 1_000_000
+
+
+def test_files_that_cannot_be_read_are_named_and_the_rest_is_done(world):
+    folder = world.scan().parent
+    shutil.rmtree(folder)
+    write_sequence(folder.parent, ["good"])
+    (folder / "cut.bin").write_bytes(b"\0" * 30)
+    (folder / "gone.bin").symlink_to(folder / "nowhere.bin")
+    (folder / "text.ply").write_text("no ply at all")
+    outcome = run(world, folder)
+    assert outcome.done == 1
+    assert [failure.scan.stem for failure in outcome.failures] == ["cut", "gone", "text"]
+    for failure in outcome.failures:
+        assert str(failure.scan.path) in failure.reason
+
+
+@pytest.mark.skipif(os.geteuid() == 0, reason="root reads everything")
+def test_a_scan_that_may_not_be_read(world):
+    world.scan().chmod(0)
+    (failure,) = run(world).failures
+    assert "permission denied" in failure.reason
+
+
+def test_one_bad_scan_of_a_hundred(world, tmp_path):
+    """Ninety-nine are labelled, and the bad one is named."""
+    folder = tmp_path / "hundred"
+    tiny = SMALL.resized(1, 16)
+    for number in range(100):
+        write_points(folder / f"{number:03d}.bin", [(5 + number, 1, 0), (3, -2, 0)])
+    (folder / "042.bin").write_bytes(b"\0" * 15)
+    network = replace(world.network, sensor=tiny)
+    outcome = predict(folder, world.out, network=network)
+    assert outcome.done == 99
+    assert [failure.scan.stem for failure in outcome.failures] == ["042"]
+    assert len(labels_below(world.out)) == 99
+    again = predict(folder, world.out, network=network)
+    assert (again.done, again.skipped, len(again.failures)) == (0, 99, 1)
+
+
+def test_a_result_that_cannot_be_written_fails_that_scan(world):
+    blocked = world.result("predictions", "00").parent
+    blocked.parent.mkdir(parents=True)
+    blocked.write_text("a file where a folder should be")
+    outcome = run(world)
+    assert outcome.done == 2
+    assert "cannot be written" in outcome.failures[0].reason
+
+
+def test_an_output_folder_that_is_a_file(world):
+    world.out.touch()
+    with pytest.raises(OutputError, match="cannot be written"):
+        run(world)
+
+
+def test_weights_that_cannot_be_used_stop_before_anything_is_written(world, tmp_path):
+    bad = tmp_path / "bad.safetensors"
+    bad.write_bytes(b"rubbish")
+    with pytest.raises(WeightsError, match="bad"):
+        predict(world.data, world.out, network=NetworkChoice(bad, "cpu"))
+    with pytest.raises(NoInputError):
+        predict(tmp_path / "nowhere", world.out, network=world.network)
+    with pytest.raises(UsageError, match="device"):
+        predict(world.data, world.out, network=NetworkChoice(world.network.weights, "cuda:77"))
+    assert not world.out.exists()
+
+
+def test_weights_of_another_label_space_write_its_raw_ids(world, tmp_path):
+    space = LabelSpace.from_dict(
+        {
+            "name": "two",
+            "labels": {7: "nothing", 500: "thing"},
+            "learning_map": {7: 0, 500: 1},
+            "learning_map_inv": {0: 7, 1: 500},
+        }
+    )
+    weights = write_weights(tmp_path / "two.safetensors", space=space)
+    predict(world.data, world.out, network=NetworkChoice(weights, "cpu"))
+    assert set(np.unique(world.labels())) <= {7, 500}
+
+
+@pytest.mark.parametrize("out_of_project", ["same", "other"])
+def test_in_three_steps_or_in_one_gives_the_same_bytes(world, tmp_path, out_of_project):
+    from salsanext_cli.stages.knn_refine import knn_refine_scans
+
+    write_points(world.scan("00"), [*ODD_POINTS, (5, 0, 0)])
+    projected = world.out if out_of_project == "same" else tmp_path / "projected"
+    project_scans(world.data, projected, sensor=SMALL)
+    assert predict(projected, world.out, network=world.network).done == 3
+    assert np.load(world.result("pixel_labels")).dtype == np.uint8
+    assert not labels_below(world.out)
+    assert knn_refine_scans(world.out).done == 3
+    predict(world.data, tmp_path / "fused", network=world.network)
+    assert labels_below(world.out) == labels_below(tmp_path / "fused")
+    assert len(labels_below(world.out)) == 3
+
+
+def test_range_images_of_another_sensor_are_refused(world, tmp_path):
+    project_scans(world.data, tmp_path / "p", sensor=SMALL.resized(width=64))
+    with pytest.raises(UsageError, match=r"small, 16×64 · expected small, 16×128"):
+        predict(tmp_path / "p", world.out, network=world.network)
+    network = replace(world.network, sensor=SMALL.resized(width=64))
+    assert predict(tmp_path / "p", world.out, network=network).done == 3
+
+
+def test_range_images_know_no_points(world, tmp_path):
+    project_scans(world.data, tmp_path / "p", sensor=SMALL)
+    with pytest.raises(UsageError, match="--probabilities"):
+        predict(tmp_path / "p", world.out, network=world.network, extras=("probabilities",))
+
+
+def test_damaged_range_images_are_named(world, tmp_path):
+    project_scans(world.data, world.out, sensor=SMALL)
+    path = world.result("range")
+    path.write_bytes(path.read_bytes()[:-1])
+    outcome = predict(world.out, world.out, network=world.network)
+    assert outcome.done == 2
+    assert str(path) in outcome.failures[0].reason

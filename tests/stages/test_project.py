@@ -1,0 +1,56 @@
+# SPDX-License-Identifier: MIT
+import json
+
+import numpy as np
+import pytest
+from scans import SMALL, files_below
+
+from salsanext_cli.errors import OutputError
+from salsanext_cli.formats import read_scan
+from salsanext_cli.geometry.projection import project
+from salsanext_cli.stages.batch import BatchOptions
+from salsanext_cli.stages.inputs import Choice
+from salsanext_cli.stages.project import project_scans, projected_sensor
+
+
+def test_the_files_hold_the_projection(world):
+    outcome = project_scans(world.data, world.out, sensor=SMALL)
+    assert outcome.done == 3
+    image = project(read_scan(world.scan("08", "000001")), SMALL)
+    channels = np.load(world.result("range", "08", "000001"))
+    pixels = np.load(world.result("pixels", "08", "000001"))
+    assert channels.dtype == np.float32
+    assert pixels.dtype == np.int32
+    np.testing.assert_array_equal(channels, image.channels)
+    np.testing.assert_array_equal(pixels, image.pixel_of_point)
+    assert json.loads((world.out / "project.json").read_text())["settings"] == {
+        "sensor": json.loads(json.dumps(SMALL.to_dict()))
+    }
+    assert projected_sensor(world.out) == SMALL
+    assert projected_sensor(world.data) is None
+
+
+def test_half_a_result_is_made_again(world):
+    project_scans(world.data, world.out, sensor=SMALL)
+    before = files_below(world.out)
+    world.result("pixels").unlink()
+    outcome = project_scans(world.data, world.out, sensor=SMALL)
+    assert (outcome.done, outcome.skipped) == (1, 2)
+    assert files_below(world.out) == before
+
+
+def test_another_sensor_is_refused(world):
+    project_scans(world.data, world.out, sensor=SMALL, choice=Choice(limit=1))
+    with pytest.raises(OutputError, match=r"sensor\.width was 128 and is 64"):
+        project_scans(world.data, world.out, sensor=SMALL.resized(width=64))
+    options = BatchOptions(overwrite=True)
+    project_scans(world.data, world.out, sensor=SMALL.resized(width=64), options=options)
+    assert np.load(world.result("range")).shape == (5, 16, 64)
+
+
+def test_files_that_are_no_scans_are_named_and_the_rest_is_done(world):
+    world.scan("08", "000001").write_bytes(b"\0" * 17)
+    outcome = project_scans(world.data, world.out, sensor=SMALL)
+    assert outcome.done == 2
+    (failure,) = outcome.failures
+    assert "000001.bin · 17 bytes" in failure.reason

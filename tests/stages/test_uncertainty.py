@@ -1,0 +1,132 @@
+# SPDX-License-Identifier: MIT
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scans import SMALL, files_below, labels_below, write_weights
+
+from salsanext_cli.classes import label_space
+from salsanext_cli.errors import OutputError, UsageError, WeightsError
+from salsanext_cli.formats import read_scan
+from salsanext_cli.formats.kitti import write_bin
+from salsanext_cli.geometry.knn import knn_refine
+from salsanext_cli.geometry.projection import project
+from salsanext_cli.network.sampling import sample, scan_seed
+from salsanext_cli.records import Scan
+from salsanext_cli.stages.batch import BatchOptions
+from salsanext_cli.stages.inputs import Choice
+from salsanext_cli.stages.networks import NetworkChoice
+from salsanext_cli.stages.predict import predict
+from salsanext_cli.stages.uncertainty import KINDS, uncertainty
+
+FOLDERS = [f"uncertainty/{kind}" for kind in KINDS]
+
+
+def run(world, source=None, out=None, samples=3, **options):
+    source, out = source or world.data, out or world.out
+    return uncertainty(source, out, network=world.network, samples=samples, **options)
+
+
+def test_the_files_hold_what_sampling_gives(world):
+    assert run(world, seed=4).done == 3
+    image = project(read_scan(world.scan("08", "000001")), SMALL)
+    seed = scan_seed(4, "08", "000001")
+    sampled = sample(world.network.load(), image, samples=3, seed=seed)
+    for kind in KINDS:
+        values = np.load(world.result(f"uncertainty/{kind}", "08", "000001"))
+        of_pixels = getattr(sampled.uncertainty, kind)
+        assert values.dtype == np.float32
+        np.testing.assert_array_equal(values, of_pixels.ravel()[image.pixel_of_point])
+        assert len(np.unique(values)) > 100
+    labels = label_space().to_raw(knn_refine(image, sampled.probabilities.argmax(axis=0)))
+    np.testing.assert_array_equal(world.labels("08", "000001"), labels)
+
+
+def test_the_same_whatever_the_order_and_company(world, tmp_path):
+    run(world)
+    alone = tmp_path / "alone"
+    run(world, world.scan("08", "000001"), alone)
+    everything = files_below(world.out)
+    for name, content in files_below(alone).items():
+        if name.endswith((".npy", ".label")):
+            assert everything[name] == content
+    assert len(files_below(alone)) == 3 + 1 + 2
+
+
+def test_another_seed_or_number_of_passes_is_refused(world):
+    run(world)
+    with pytest.raises(OutputError, match="seed was 0 and is 1"):
+        run(world, seed=1)
+    with pytest.raises(OutputError, match="samples was 3 and is 4"):
+        run(world, samples=4)
+    assert run(world).skipped == 3
+
+
+def test_resumes_when_one_kind_is_missing(world):
+    run(world)
+    before = files_below(world.out)
+    world.result("uncertainty/entropy").unlink()
+    outcome = run(world)
+    assert (outcome.done, outcome.skipped) == (1, 2)
+    assert files_below(world.out) == before
+
+
+def test_labels_that_predict_made_stay(world):
+    predict(world.data, world.out, network=world.network)
+    before = labels_below(world.out)
+    assert run(world).done == 3
+    assert labels_below(world.out) == before
+    assert predict(world.data, world.out, network=world.network).skipped == 3
+
+
+def test_predict_does_not_replace_labels_of_the_mean_unasked(world):
+    run(world)
+    with pytest.raises(OutputError, match="predictions/ holds the results of `uncertainty`"):
+        predict(world.data, world.out, network=world.network)
+    overwrite = BatchOptions(overwrite=True)
+    predict(world.data, world.out, network=world.network, options=overwrite)
+    before = labels_below(world.out)
+    assert run(world).skipped == 3
+    assert labels_below(world.out) == before
+    assert "predictions" not in json.loads((world.out / "uncertainty.json").read_text())["writes"]
+
+
+def test_points_without_a_measurement_are_unlabelled_and_have_no_uncertainty(world):
+    nan, inf = np.nan, np.inf
+    points = np.array([[0, 0, 0], [nan, 1, 1], [5, 0, 0], [inf, 0, 0]], np.float32)
+    write_bin(world.scan(), Scan(points, np.zeros(4, np.float32)))
+    run(world, world.scan())
+    for folder in FOLDERS:
+        values = np.load(world.result(folder))
+        np.testing.assert_array_equal(np.isnan(values), [True, True, False, True])
+    assert world.labels()[[0, 1, 3]].tolist() == [0, 0, 0]
+
+
+@pytest.mark.parametrize("count", [0, 1])
+def test_tiny_scans(world, count):
+    write_bin(world.scan(), Scan(np.full((count, 3), 4, np.float32), np.zeros(count, np.float32)))
+    assert run(world, world.scan()).done == 1
+    assert [np.load(world.result(folder)).shape for folder in FOLDERS] == [(count,)] * 3
+
+
+@pytest.mark.parametrize("samples", [0, 1])
+def test_one_pass_is_refused_before_anything_is_written(world, samples):
+    with pytest.raises(UsageError, match="--samples"):
+        run(world, samples=samples)
+    assert not world.out.exists()
+
+
+def test_a_network_without_dropout_is_refused(world, tmp_path):
+    weights = write_weights(tmp_path / "w.safetensors", dropout=0.0)
+    certain = replace(world, network=NetworkChoice(weights, "cpu"))
+    with pytest.raises(WeightsError, match="without dropout"):
+        run(certain)
+    assert not world.out.exists()
+
+
+def test_choices_and_bad_scans(world):
+    world.scan("08", "000000").write_bytes(b"123")
+    outcome = run(world, choice=Choice(split="valid"))
+    assert outcome.done == 1
+    assert [failure.scan.stem for failure in outcome.failures] == ["000000"]
