@@ -139,8 +139,12 @@ class LabelSpace:
         return next((name for name, members in self.splits.items() if sequence in members), None)
 
     def fits(self, other: LabelSpace) -> bool:
-        """Whether both give the same names to the same train ids, so that weights can be shared."""
-        return self.names == other.names
+        """Whether both give the same names and raw ids to the same train ids.
+
+        Then weights for one serve the other, whatever their splits and ignored classes.
+        """
+        same_ids = self.learning_map_inv == other.learning_map_inv
+        return same_ids and self.names == other.names
 
     def to_dict(self) -> dict[str, Any]:
         """Return plain data in the form of SemanticKITTI's yaml, which `from_dict` accepts."""
@@ -176,7 +180,7 @@ class LabelSpace:
             }
             colours = {int(i): _colour(bgr) for i, bgr in data.get("color_map", {}).items()}
             splits = {
-                str(name): tuple(_sequence_name(s) for s in members)
+                str(name): tuple(_sequence_name(s) for s in _listed(members))
                 for name, members in data.get("split", {}).items()
             }
         except (KeyError, TypeError, ValueError, AttributeError) as error:
@@ -212,6 +216,12 @@ def _contradiction(
     if bad := sorted(set(inverse.values()) - set(labels)):
         return f"raw ids {bad} have no name in labels"
     return ""
+
+
+def _listed(members: object) -> list[object]:
+    if not isinstance(members, list | tuple):
+        raise TypeError(f"a split is {members!r}, not a list of sequences")
+    return list(members)
 
 
 def _sequence_name(sequence: object) -> str:

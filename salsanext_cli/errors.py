@@ -27,7 +27,7 @@ class SalsanextError(Exception):
     ----------
     subject : object
         The file, folder, option or setting that is wrong.
-    found : str
+    found : str, optional
         What was found there.
     expected : str, optional
         What should have been there.
@@ -35,7 +35,9 @@ class SalsanextError(Exception):
         What the user can do about it.
     """
 
-    def __init__(self, subject: object, found: str, expected: str = "", remedy: str = "") -> None:
+    def __init__(
+        self, subject: object, found: str = "", expected: str = "", remedy: str = ""
+    ) -> None:
         super().__init__(str(subject), found, expected, remedy)
         self.subject = str(subject)
         self.found = found

@@ -16,6 +16,8 @@ from salsanext_cli.errors import UsageError
 
 SEMANTIC_KITTI_MEANS = (12.12, 10.88, 0.23, -1.04, 0.21)
 SEMANTIC_KITTI_STDS = (12.32, 11.47, 6.91, 0.86, 0.16)
+LARGEST = 1 << 24
+"""Most pixels of a range image; a hundred times what any sensor has."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,6 +60,10 @@ class Sensor:
             f"size {self.height}×{self.width}",
         )
         self._require(
+            self.height * self.width <= LARGEST,
+            f"size {self.height}×{self.width}, more than {LARGEST} pixels",
+        )
+        self._require(
             len(self.means) == len(self.stds) == 5, "means and stds are not 5 numbers each"
         )
         self._require(all(map(math.isfinite, self.means)), f"means {self.means} are not all finite")
@@ -95,7 +101,11 @@ class Sensor:
 
     def resized(self, height: int | None = None, width: int | None = None) -> Sensor:
         """Return the same sensor with another image size."""
-        return replace(self, height=height or self.height, width=width or self.width)
+        return replace(
+            self,
+            height=self.height if height is None else height,
+            width=self.width if width is None else width,
+        )
 
 
 @cache

@@ -14,12 +14,13 @@ from typing import TYPE_CHECKING, Any, NoReturn, ParamSpec
 
 import typer
 
+from salsanext_cli.cli.progress import progress
 from salsanext_cli.errors import SalsanextError, UsageError
 
 if TYPE_CHECKING:
     from rich.console import RenderableType
 
-    from salsanext_cli.stages.batch import BatchOptions, Failure, Outcome, Progress
+    from salsanext_cli.stages.batch import BatchOptions, Failure, Outcome
 
 DONE, FAILED, WRONG_USE, INTERRUPTED = 0, 1, 2, 130
 """Exit status: all done, something failed, the command line was wrong, Ctrl-C."""
@@ -41,7 +42,7 @@ class Talk:
     def __post_init__(self) -> None:
         if self.verbose and self.quiet:
             raise UsageError("--verbose and --quiet", "both given", "one of them")
-        level = logging.DEBUG if self.verbose else logging.ERROR if self.quiet else logging.WARNING
+        level = logging.INFO if self.verbose else logging.ERROR if self.quiet else logging.WARNING
         logger = logging.getLogger("salsanext_cli")
         logger.handlers[:] = [StderrHandler()]
         logger.setLevel(level)
@@ -80,6 +81,8 @@ def guarded(command: Callable[Parameters, None]) -> Callable[Parameters, None]:
             command(*args, **kwargs)
         except SalsanextError as error:
             typer.echo(f"error: {error}", err=True)
+            if kwargs.get("json"):
+                typer.echo(json.dumps({"error": str(error)}))
             raise typer.Exit(WRONG_USE if isinstance(error, UsageError) else FAILED) from None
         except KeyboardInterrupt:
             typer.echo("interrupted: everything finished so far is intact", err=True)
@@ -89,37 +92,13 @@ def guarded(command: Callable[Parameters, None]) -> Callable[Parameters, None]:
 
 
 @contextmanager
-def progress(label: str, talk: Talk, unit: str = "scans") -> Iterator[Progress | None]:
-    """Show a bar with rate and time left on stderr while the body runs."""
-    if talk.quiet:
-        yield None
-        return
-    from rich.console import Console
-    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TimeRemainingColumn
-
-    from salsanext_cli.cli.rate import RateColumn
-
-    console = Console(stderr=True)
-    columns = (
-        "{task.description}",
-        BarColumn(),
-        MofNCompleteColumn(),
-        RateColumn(unit),
-        TimeRemainingColumn(),
-    )
-    with Progress(*columns, console=console, disable=not console.is_terminal) as bar:
-        task = bar.add_task(label, total=None)
-        yield lambda done, total: bar.update(task, completed=done, total=total)
-
-
-@contextmanager
 def batch(
     label: str, talk: Talk, jobs: int, on_error: str, overwrite: bool
 ) -> Iterator[BatchOptions]:
     """Give the options of a run over scans, with a bar while it lasts."""
     from salsanext_cli.stages.batch import BatchOptions
 
-    with progress(label, talk) as advance:
+    with progress(label, talk.quiet) as advance:
         yield BatchOptions(jobs, on_error, overwrite, advance)
 
 

@@ -7,6 +7,7 @@ from typing import Annotated
 import typer
 
 from salsanext_cli.cli import console, options
+from salsanext_cli.cli.progress import progress
 
 
 @console.guarded
@@ -19,6 +20,7 @@ def demo(
     weights: options.Weights = None,
     device: options.Device = "auto",
     jobs: options.Jobs = 1,
+    overwrite: options.Overwrite = False,
     json: options.Json = False,
     verbose: options.Verbose = False,
     quiet: options.Quiet = False,
@@ -28,6 +30,7 @@ def demo(
     Example: salsanext demo demo/
     """
     from salsanext_cli.report.tables import score_table
+    from salsanext_cli.stages.batch import BatchOptions
     from salsanext_cli.stages.demo import demo as run
 
     talk = console.Talk(json, verbose, quiet)
@@ -36,8 +39,8 @@ def demo(
         scans=scans,
         samples=samples,
         network=options.network(weights, device, None),
-        jobs=jobs,
-        bars=lambda step: console.progress(step, talk),
+        options=BatchOptions(jobs=jobs, overwrite=overwrite),
+        bars=lambda step: progress(step, quiet),
     )
     pictures = [str(path) for path in made.pictures]
     result = made.evaluation.to_dict() | {"stage": "demo", "pictures": pictures}

@@ -15,7 +15,7 @@ def evaluate(
         bool, typer.Option("--by-distance", help="Score rings of distance too.")
     ] = False,
     out: options.OutOption = Path("out"),
-    dataset: options.DataSet = None,
+    dataset: options.DataSetOfResults = None,
     split: options.Split = None,
     sequences: options.Sequences = None,
     limit: options.Limit = None,
@@ -38,7 +38,9 @@ def evaluate(
 
     talk = console.Talk(json, verbose, quiet)
     wanted = options.choice(split, sequences, limit)
-    files, space = predicted_scans(out, wanted, dataset, options.label_space(label_space))
+    files, space = predicted_scans(
+        out, wanted, dataset, options.label_space(label_space), options.usual_dataset()
+    )
     with console.batch("eval", talk, jobs, on_error.value, overwrite=False) as batch:
         evaluation = run(files, out, space, batch, by_distance=by_distance)
     tables = [score_table(evaluation.scores)]
@@ -47,4 +49,5 @@ def evaluate(
     talk.result(evaluation.to_dict(), Group(*tables))
     console.name_failures(evaluation.failures)
     talk.say(f"eval: {evaluation.scans} scans → {out}/scores.txt, eval.json, eval_*.png")
-    raise typer.Exit(console.FAILED if evaluation.failures else console.DONE)
+    incomplete = evaluation.failures or evaluation.missing
+    raise typer.Exit(console.FAILED if incomplete else console.DONE)

@@ -25,6 +25,7 @@ def inspect(
     label_space: options.LabelSpaceOption = None,
     sensor: options.SensorWithoutWeights = None,
     jobs: options.Jobs = 1,
+    overwrite: options.Overwrite = False,
     on_error: options.OnErrorOption = options.OnError.skip,
     json: options.Json = False,
     verbose: options.Verbose = False,
@@ -49,8 +50,8 @@ def inspect(
             options=batch,
         )
     if fit is not None:
-        write_sensor(fit, found.fitted_sensor(fit.stem))
+        write_sensor(fit, found.fitted_sensor(fit.stem), overwrite=overwrite)
         talk.say(f"inspect: sensor → {fit}")
-    talk.result(found.to_dict(), survey_tables(found.sequences, found.total, found.space))
+    talk.result(found.to_dict(), survey_tables(found.sequences, found.total, found.space, view))
     console.name_failures(found.failures)
     raise typer.Exit(console.FAILED if found.failures else console.DONE)

@@ -3,11 +3,14 @@
 
 from __future__ import annotations
 
+import os
 from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
+
+from salsanext_cli.errors import UsageError
 
 if TYPE_CHECKING:
     from salsanext_cli.classes import LabelSpace
@@ -49,6 +52,15 @@ DataSet = Annotated[
         "--dataset",
         envvar="SALSANEXT_DATASET",
         help="Data set in SemanticKITTI's layout.",
+        show_default=".",
+        rich_help_panel=SELECTION,
+    ),
+]
+DataSetOfResults = Annotated[
+    Path | None,
+    typer.Option(
+        "--dataset",
+        help="Where scans and labels are; SALSANEXT_DATASET where that is not known.",
         show_default="where the scans came from, else .",
         rich_help_panel=SELECTION,
     ),
@@ -141,11 +153,18 @@ def source(scans: Path | None, dataset: Path | None = None) -> Path:
     return scans or dataset or Path()
 
 
+def usual_dataset() -> Path:
+    """Return where to look for scans of which nobody knows where they came from."""
+    return Path(os.environ.get("SALSANEXT_DATASET", ""))
+
+
 def choice(split: str | None, sequences: str | None, limit: int | None) -> Choice:
     """Gather which scans are wanted."""
     from salsanext_cli.stages.inputs import Choice
 
     names = tuple(name.strip() for name in (sequences or "").split(",") if name.strip())
+    if sequences is not None and not names:
+        raise UsageError("--sequences", repr(sequences), "names of sequences, such as 00,08")
     return Choice(split, names, limit)
 
 

@@ -7,6 +7,7 @@ from typing import Annotated
 import typer
 
 from salsanext_cli.cli import console, options
+from salsanext_cli.cli.progress import progress
 
 
 @console.guarded
@@ -31,7 +32,7 @@ def synth(
     from salsanext_cli.stages.synth import synthesise
 
     talk = console.Talk(json, verbose, quiet)
-    with console.progress("synth", talk) as progress:
+    with progress("synth", quiet) as advance:
         made = synthesise(
             out,
             train=train,
@@ -42,7 +43,7 @@ def synth(
             spacing=spacing,
             jobs=jobs,
             overwrite=overwrite,
-            progress=progress,
+            progress=advance,
         )
     points = {str(raw): count for raw, count in made.points.items()}
     talk.result({"stage": "synth", "scans": made.scans, "splits": made.splits, "points": points})

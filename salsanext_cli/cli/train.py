@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from salsanext_cli.cli import console, options
+from salsanext_cli.cli.progress import progress
 
 if TYPE_CHECKING:
     from salsanext_cli.stages.batch import Progress
@@ -38,6 +39,7 @@ def train(
             help="Weights to start from.", show_default="random ones", rich_help_panel="Network"
         ),
     ] = None,
+    label_space: options.LabelSpaceOption = None,
     sensor: Annotated[
         str | None,
         typer.Option(
@@ -62,12 +64,13 @@ def train(
 
     talk = console.Talk(json, verbose, quiet)
     plan = find(recipe)
-    with console.progress("train", talk, unit="steps") as bar:
+    with progress("train", quiet, unit="steps") as bar:
         done = learn(
             dataset,
             run,
             recipe=plan if epochs is None else plan.with_changes(epochs=epochs),
             sensor=options.sensor(sensor) if sensor else None,
+            space=options.label_space(label_space),
             device=device,
             jobs=jobs,
             weights=weights,

@@ -20,7 +20,7 @@ FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 
 
 @contextmanager
-def writing(path: Path) -> Iterator[BinaryIO]:
+def writing(path: Path | str) -> Iterator[BinaryIO]:
     """Open a file for writing that appears under its name only when it is complete.
 
     Parent folders are made. If the body raises, Ctrl-C included, nothing is left behind and an
@@ -31,6 +31,7 @@ def writing(path: Path) -> Iterator[BinaryIO]:
     OutputError
         If the system refuses: read-only folder, full disk, a file where a folder should be.
     """
+    path = Path(path)
     # A process id would not do: machines of a cluster share the folder, not the ids.
     temporary = path.with_name(f".{MARK.get()}{uuid.uuid4().hex}.part")
     try:

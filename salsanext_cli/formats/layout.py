@@ -10,7 +10,7 @@ from itertools import groupby
 from pathlib import Path
 
 from salsanext_cli.errors import NoInputError, OutputError
-from salsanext_cli.formats.reading import reason
+from salsanext_cli.formats.reading import present, reason
 
 SCAN_SUFFIXES = (".pcd.bin", ".bin", ".pcd", ".ply")
 """Suffixes of scans, upper or lower case; longer ones first, because they decide the stem."""
@@ -59,7 +59,7 @@ class ScanFile:
         if folder.name == SCAN_FOLDER:
             return folder.parent / "labels" / name
         nested = folder / "labels" / name
-        return nested if nested.exists() else folder / name
+        return nested if present(nested) else folder / name
 
 
 @dataclass(frozen=True, slots=True)

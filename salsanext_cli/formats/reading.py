@@ -13,13 +13,30 @@ from salsanext_cli.errors import FormatError
 
 
 @contextmanager
-def reading(path: Path) -> Iterator[BinaryIO]:
+def reading(path: Path | str) -> Iterator[BinaryIO]:
     """Open a file for reading; whatever the system refuses becomes a `FormatError`."""
     try:
-        with path.open("rb") as file:
+        with Path(path).open("rb") as file:
             yield file
     except OSError as error:
         raise FormatError(path, f"cannot be read: {reason(error)}", "a readable file") from error
+
+
+def present(path: Path) -> bool:
+    """Say whether there is something under a name.
+
+    Raises
+    ------
+    FormatError
+        If the system does not even let us look: the name is too long, a folder is not ours.
+    """
+    try:
+        path.stat()
+    except (FileNotFoundError, NotADirectoryError):
+        return False
+    except OSError as error:
+        raise FormatError(path, f"cannot be read: {reason(error)}", "a readable file") from error
+    return True
 
 
 def reason(error: OSError) -> str:

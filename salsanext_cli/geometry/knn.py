@@ -21,6 +21,9 @@ import numpy.typing as npt
 from salsanext_cli.errors import LabelError, UsageError
 from salsanext_cli.records import Float, Int, RangeImage, TrainIds
 
+LARGEST_WINDOW = 63
+"""Pixels; farther ones are no neighbours."""
+
 
 @dataclass(frozen=True, slots=True)
 class KnnParameters:
@@ -45,7 +48,9 @@ class KnnParameters:
 
     def __post_init__(self) -> None:
         self._require(
-            self.window >= 1 and self.window % 2 == 1, f"window {self.window}", "an odd window ≥ 1"
+            1 <= self.window <= LARGEST_WINDOW and self.window % 2 == 1,
+            f"window {self.window}",
+            f"an odd window from 1 to {LARGEST_WINDOW}",
         )
         self._require(
             1 <= self.k <= self.window**2,

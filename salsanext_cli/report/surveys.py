@@ -9,17 +9,20 @@ from typing import TYPE_CHECKING
 from salsanext_cli.classes import LabelSpace
 from salsanext_cli.measures.survey import Survey
 from salsanext_cli.records import CHANNELS
+from salsanext_cli.sensors import Sensor
 
 if TYPE_CHECKING:
     from rich.console import Group
     from rich.table import Table
 
 
-def survey_tables(sequences: Mapping[str, Survey], total: Survey, space: LabelSpace) -> Group:
+def survey_tables(
+    sequences: Mapping[str, Survey], total: Survey, space: LabelSpace, sensor: Sensor
+) -> Group:
     """Return tables of the sequences, of the channels and, if there are labels, of the classes."""
     from rich.console import Group
 
-    tables = [_sequences(sequences, total), _channels(total)]
+    tables = [_sequences(sequences, total), _channels(total, sensor)]
     if total.classes:
         tables.append(_classes(total, space))
     return Group(*tables)
@@ -45,8 +48,9 @@ def _sequences(sequences: Mapping[str, Survey], total: Survey) -> Table:
     return table
 
 
-def _channels(total: Survey) -> Table:
-    table = _table("Range images", "channel", "mean", "standard deviation")
+def _channels(total: Survey, sensor: Sensor) -> Table:
+    title = f"Range images of {sensor.name}, {sensor.height}×{sensor.width}"
+    table = _table(title, "channel", "mean", "standard deviation")
     for name, mean, std in zip(CHANNELS, total.means, total.stds, strict=True):
         table.add_row(name, f"{mean:.3f}", f"{std:.3f}")
     return table

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import logging
 import os
 import uuid
 import warnings
@@ -15,6 +16,9 @@ from typing import Any, Generic, TypeVar
 from salsanext_cli.errors import SalsanextError, UsageError
 from salsanext_cli.formats.atomic import MARK, sweep
 from salsanext_cli.formats.layout import ScanFile
+from salsanext_cli.formats.reading import present
+
+log = logging.getLogger(__name__)
 
 Result = TypeVar("Result")
 Progress = Callable[[int, int], None]
@@ -43,10 +47,16 @@ class BatchOptions:
     progress: Progress | None = None
 
     def __post_init__(self) -> None:
-        if self.jobs == 0 or self.jobs < -1:
-            raise UsageError("--jobs", str(self.jobs), "a number of processes, or -1 for all cores")
+        worker_count(self.jobs)
         if self.on_error not in ("skip", "stop"):
             raise UsageError("--on-error", self.on_error, "skip or stop")
+
+
+def worker_count(jobs: int) -> int:
+    """Return how many processes `--jobs` asks for; -1 is one per core."""
+    if jobs == 0 or jobs < -1:
+        raise UsageError("--jobs", str(jobs), "a number of processes, or -1 for all cores")
+    return os.cpu_count() or 1 if jobs == -1 else jobs
 
 
 @dataclass(frozen=True, slots=True)
@@ -112,6 +122,7 @@ def run_batch(
     failures: list[Failure] = []
     with closing(_attempts(work, todo, options.jobs, results_of)) as attempts:
         for number, (scan, result, error) in enumerate(attempts, start=1):
+            log.info("%s/%s: %s", scan.sequence, scan.stem, error or "done")
             if error is None:
                 results.append(result)
             elif options.on_error == "stop":
@@ -126,7 +137,7 @@ def run_batch(
 
 def _exist(paths: Iterable[Path]) -> bool:
     listed = list(paths)
-    return bool(listed) and all(path.exists() for path in listed)
+    return bool(listed) and all(present(path) for path in listed)
 
 
 Attempt = tuple[ScanFile, Any, SalsanextError | None]
@@ -138,7 +149,7 @@ def _attempts(
     jobs: int,
     results_of: Callable[[ScanFile], Iterable[Path]],
 ) -> Generator[Attempt, None, None]:
-    workers = min(len(scans), os.cpu_count() or 1 if jobs == -1 else jobs)
+    workers = min(len(scans), worker_count(jobs))
     if workers <= 1:
         yield from (_attempt(work, scan) for scan in scans)
         return

@@ -6,14 +6,18 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 
 from salsanext_cli.classes import LabelSpace
+from salsanext_cli.errors import NoInputError
 from salsanext_cli.formats import read_scan
 from salsanext_cli.formats.arrays import read_array
 from salsanext_cli.formats.kitti import read_labels
-from salsanext_cli.formats.layout import SUFFIX_OF_FOLDER, ScanFile, output_path
+from salsanext_cli.formats.layout import SUFFIX_OF_FOLDER, ScanFile, find_outputs, output_path
+from salsanext_cli.formats.reading import present
 from salsanext_cli.records import Float, RawIds, Scan
 
 UNCERTAINTY = tuple(
@@ -46,7 +50,11 @@ class Cloud:
     @property
     def range(self) -> Float:
         """Distance of every point from the sensor, (N,) float32, metres."""
-        distance: Float = np.linalg.norm(self.scan.points, axis=1)
+        # Squares of far points exceed float32; those too far for it become infinite.
+        with np.errstate(over="ignore"):
+            distance: Float = np.linalg.norm(self.scan.points.astype(np.float64), axis=1).astype(
+                np.float32
+            )
         return distance
 
     def error(self, space: LabelSpace) -> Float:
@@ -79,13 +87,58 @@ def read_cloud(file: ScanFile, out: Path, intensity_scale: float = 1.0) -> Cloud
     )
 
 
+def columns_of(cloud: Cloud, space: LabelSpace) -> dict[str, npt.NDArray[Any]]:
+    """Return every scalar known about the points, by the name that its property gets."""
+    columns: dict[str, npt.NDArray[Any]] = {
+        "intensity": cloud.scan.intensity,
+        "range": cloud.range,
+    }
+    if cloud.label is not None:
+        columns["label"] = cloud.label.astype(np.uint16)
+    if cloud.truth is not None:
+        columns["truth"] = cloud.truth.astype(np.uint16)
+        if cloud.label is not None:
+            columns["error"] = cloud.error(space)
+    return columns | cloud.uncertainty
+
+
+def unknown(column: str, file: ScanFile, out: Path) -> NoInputError:
+    """Return the error that says what is missing for a column, and where it would be."""
+    if column in ("truth", "error") and not present(file.label_path):
+        return NoInputError(file.path, "has no labels", str(file.label_path))
+    folder = f"uncertainty/{column}" if column in UNCERTAINTY else "predictions"
+    stage = "uncertainty" if column in UNCERTAINTY else "predict"
+    path = output_path(out, file.sequence, folder, file.stem)
+    return NoInputError(
+        file.path, f"no {column} known", str(path), f"run `salsanext {stage}` first"
+    )
+
+
+def resolve_colour(out: Path, colour: str) -> str:
+    """Say which kind "uncertainty" means here: the total if it was computed, else the epistemic."""
+    if colour != "uncertainty":
+        return colour
+    return "total" if find_outputs(out, "uncertainty/total") else "epistemic"
+
+
+def with_results(out: Path, scans: list[ScanFile]) -> list[ScanFile]:
+    """Leave out the scans for which no stage has left a result."""
+    folders = ("predictions", *(f"uncertainty/{kind}" for kind in UNCERTAINTY))
+    known = {(f.sequence, f.stem) for folder in folders for f in find_outputs(out, folder)}
+    chosen = [scan for scan in scans if (scan.sequence, scan.stem) in known]
+    if not chosen:
+        remedy = f"run `salsanext predict SCANS {out}` first"
+        raise NoInputError(out, "no results of these scans", remedy=remedy)
+    return chosen
+
+
 def uncertainty_files(file: ScanFile, out: Path) -> Iterator[tuple[str, Path]]:
     """Yield the kinds of uncertainty that a stage wrote for a scan, and where."""
     for kind in UNCERTAINTY:
         path = output_path(out, file.sequence, f"uncertainty/{kind}", file.stem)
-        if path.exists():
+        if present(path):
             yield kind, path
 
 
 def _labels(path: Path, count: int) -> RawIds | None:
-    return read_labels(path, count) & np.uint32(0xFFFF) if path.exists() else None
+    return read_labels(path, count) & np.uint32(0xFFFF) if present(path) else None

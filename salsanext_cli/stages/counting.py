@@ -11,6 +11,7 @@ from salsanext_cli.classes import LabelSpace
 from salsanext_cli.formats import read_scan
 from salsanext_cli.formats.kitti import read_labels
 from salsanext_cli.formats.layout import ScanFile, output_path
+from salsanext_cli.formats.reading import present
 from salsanext_cli.measures.confusion import Confusion
 from salsanext_cli.measures.distance import RING_NAMES, confusion_by_ring
 
@@ -79,7 +80,7 @@ def count_scan(
         If a file cannot be read, or the numbers of points differ.
     """
     predictions = output_path(out, scan.sequence, "predictions", scan.stem)
-    if not predictions.exists():
+    if not present(predictions):
         return replace(ScanCounts.none(space, by_distance), missing=(scan,))
     points = read_scan(scan.path).points if by_distance else None
     truth = read_labels(scan.label_path, None if points is None else len(points))

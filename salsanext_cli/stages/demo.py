@@ -5,9 +5,10 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from contextlib import AbstractContextManager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
+from salsanext_cli.formats.layout import find_scans
 from salsanext_cli.stages.batch import BatchOptions, Failure, Outcome, Progress
 from salsanext_cli.stages.evaluate import Evaluation, evaluate, predicted_scans
 from salsanext_cli.stages.export_ply import export_ply
@@ -55,10 +56,10 @@ def demo(
     scans: int,
     samples: int,
     network: NetworkChoice,
-    jobs: int,
+    options: BatchOptions,
     bars: Bars,
 ) -> Demonstration:
-    """Run every stage on a synthetic drive; what exists already is kept.
+    """Run every stage on a synthetic drive; what exists already is kept unless overwriting.
 
     Parameters
     ----------
@@ -70,8 +71,8 @@ def demo(
         Monte-Carlo passes per scan.
     network : NetworkChoice
         Weights and device.
-    jobs : int
-        Processes side by side.
+    options : BatchOptions
+        Jobs, errors and overwriting.
     bars : callable
         Called with the name of each step.
 
@@ -81,11 +82,11 @@ def demo(
         If a stage cannot be run.
     """
     data, out = folder / "data", folder / "out"
-    _make_data(data, scans, bars)
+    _make_data(data, scans, options.overwrite, bars)
 
     def run(step: str, stage: Callable[[BatchOptions], Outcome[None]]) -> tuple[Failure, ...]:
         with bars(step) as progress:
-            return stage(BatchOptions(jobs=jobs, progress=progress)).failures
+            return stage(replace(options, progress=progress)).failures
 
     failures = (
         *run("predict", lambda o: predict(data, out, network=network, options=o)),
@@ -97,15 +98,16 @@ def demo(
     )
     files, space = predicted_scans(out, Choice(split="valid"))
     with bars("eval") as progress:
-        evaluation = evaluate(files, out, space, BatchOptions(progress=progress))
+        evaluation = evaluate(files, out, space, replace(options, progress=progress))
     sensor = network.load().sensor
     pictures = draw_scan(files[len(files) // 2], out, space, sensor, out / "pictures")
     return Demonstration(data, out, evaluation, pictures, failures)
 
 
-def _make_data(data: Path, scans: int, bars: Bars) -> None:
+def _make_data(data: Path, scans: int, overwrite: bool, bars: Bars) -> None:
     """Generate the drive unless it is there; `labels.yaml` is written last."""
-    if (data / "labels.yaml").exists():
+    complete = (data / "labels.yaml").exists()
+    if complete and not overwrite and len(find_scans(data)) == scans:
         return
     with bars("synth") as progress:
         synthesise(
@@ -115,6 +117,6 @@ def _make_data(data: Path, scans: int, bars: Bars) -> None:
             scans=scans,
             seed=SEED,
             spacing=SPACING,
-            overwrite=True,
+            overwrite=overwrite or not complete,
             progress=progress,
         )

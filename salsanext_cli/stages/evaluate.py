@@ -15,14 +15,17 @@ from salsanext_cli import __version__
 from salsanext_cli.classes import LabelSpace
 from salsanext_cli.errors import LabelError, NoInputError
 from salsanext_cli.formats.atomic import write_text
+from salsanext_cli.formats.json_files import write_json
 from salsanext_cli.formats.layout import ScanFile
+from salsanext_cli.formats.reading import present
 from salsanext_cli.measures.confusion import Confusion
 from salsanext_cli.measures.distance import RING_NAMES
 from salsanext_cli.measures.scores import Scores, scores
 from salsanext_cli.stages.batch import BatchOptions, Failure, run_batch
 from salsanext_cli.stages.counting import ScanCounts, count_scan
 from salsanext_cli.stages.inputs import Choice, choose, space_of
-from salsanext_cli.stages.outputs import recorded_label_space, remembered_scans, write_json
+from salsanext_cli.stages.outputs import recorded_label_space
+from salsanext_cli.stages.sources import remembered_scans
 
 log = logging.getLogger(__name__)
 
@@ -85,7 +88,11 @@ class Evaluation:
 
 
 def predicted_scans(
-    out: Path, choice: Choice, dataset: Path | None = None, space: LabelSpace | None = None
+    out: Path,
+    choice: Choice,
+    dataset: Path | None = None,
+    space: LabelSpace | None = None,
+    usual_dataset: Path = Path(),
 ) -> tuple[list[ScanFile], LabelSpace]:
     """Find the scans whose predictions an output folder holds, and the label space of both.
 
@@ -99,6 +106,8 @@ def predicted_scans(
         Where the scans and labels are, if not where the scans came from.
     space : LabelSpace, optional
         Otherwise that of the scans' data set, else the one recorded in `out`.
+    usual_dataset : Path
+        Where to look for scans of which nobody recorded where they came from.
 
     Raises
     ------
@@ -107,7 +116,7 @@ def predicted_scans(
     LabelError
         If predictions and labels speak of different classes.
     """
-    scans = remembered_scans(out, dataset)
+    scans = remembered_scans(out, dataset, usual_dataset)
     recorded = recorded_label_space(out)
     space = space or space_of(scans, recorded)
     if recorded is not None and not recorded.fits(space):
@@ -189,12 +198,12 @@ def _require_labels(scans: Iterable[ScanFile]) -> None:
     for scan in scans:
         label_paths[scan.sequence].append(scan.label_path)
     for sequence, paths in label_paths.items():
-        if not any(path.exists() for path in paths):
+        if not any(present(path) for path in paths):
             raise LabelError(
                 paths[0].parent,
                 f"no labels of sequence {sequence}",
                 f"files like {paths[0].name}",
-                "choose labelled sequences with --split or --sequences",
+                "label them, or leave them out with --split or --sequences",
             )
 
 

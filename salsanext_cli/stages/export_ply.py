@@ -4,8 +4,9 @@
 from __future__ import annotations
 
 import logging
+import math
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -13,29 +14,40 @@ import numpy as np
 import numpy.typing as npt
 
 from salsanext_cli.classes import LabelSpace
-from salsanext_cli.errors import NoInputError, SalsanextError, UsageError
+from salsanext_cli.errors import SalsanextError, UsageError
 from salsanext_cli.formats.layout import ScanFile, find_outputs, output_path
 from salsanext_cli.formats.ply import write_ply
+from salsanext_cli.formats.reading import present
 from salsanext_cli.geometry.knn import KnnParameters
 from salsanext_cli.report.colours import error_colours, label_colours, value_colours, value_range
+from salsanext_cli.sensors import Sensor
 from salsanext_cli.stages.batch import BatchOptions, Outcome, run_batch
-from salsanext_cli.stages.clouds import UNCERTAINTY, Cloud, read_cloud
+from salsanext_cli.stages.clouds import (
+    UNCERTAINTY,
+    Cloud,
+    columns_of,
+    read_cloud,
+    resolve_colour,
+    unknown,
+    with_results,
+)
 from salsanext_cli.stages.inputs import Choice, choose, space_of
 from salsanext_cli.stages.networks import NetworkChoice
 from salsanext_cli.stages.outputs import (
     claim,
+    origins,
     recorded_label_space,
     recorded_sensor,
-    remember_sources,
-    remembered_scans,
     stage_settings,
 )
+from salsanext_cli.stages.sources import remembered_scans
 from salsanext_cli.stages.uncertainty import KINDS as SAMPLED
 from salsanext_cli.stages.uncertainty import SAMPLES, uncertainty_of
 
 CLASS_COLOURS = ("label", "truth", "error")
 COLOURS = (*CLASS_COLOURS, "intensity", "range", "uncertainty", *UNCERTAINTY)
 """What points can be coloured by; "uncertainty" is the total, else the epistemic."""
+STAGES_READ = ("predict", "knn-refine", "uncertainty")
 COLOUR_MAP = "viridis"
 SCANS_FOR_SCALE = 20
 
@@ -60,7 +72,8 @@ class ExportScan:
         """Read everything known, colour, write."""
         cloud = read_cloud(file, self.out, self.intensity_scale)
         columns = columns_of(cloud, self.space)
-        require_column(columns, self.colour, file, self.out)
+        if self.colour not in columns:
+            raise unknown(self.colour, file, self.out)
         colours = self._colours(cloud, columns)
         positions = dict(zip("xyz", cloud.scan.points.T, strict=True))
         channels = dict(zip(("red", "green", "blue"), colours.T, strict=True))
@@ -86,38 +99,13 @@ class ExportScan:
         return f"{self.colour} {COLOUR_MAP} {low:.6g} {high:.6g}"
 
 
-def columns_of(cloud: Cloud, space: LabelSpace) -> dict[str, npt.NDArray[Any]]:
-    """Return every scalar known about the points, by the name that its property gets."""
-    columns: dict[str, npt.NDArray[Any]] = {
-        "intensity": cloud.scan.intensity,
-        "range": cloud.range,
-    }
-    if cloud.label is not None:
-        columns["label"] = cloud.label.astype(np.uint16)
-    if cloud.truth is not None:
-        columns["truth"] = cloud.truth.astype(np.uint16)
-        if cloud.label is not None:
-            columns["error"] = cloud.error(space)
-    return columns | cloud.uncertainty
-
-
-def require_column(
-    columns: dict[str, npt.NDArray[Any]], colour: str, file: ScanFile, out: Path
-) -> None:
-    """Raise `NoInputError` if what a scan should be coloured by is not known."""
-    if colour not in columns:
-        missing = {"truth": "labels", "error": "labels and predictions"}.get(colour, colour)
-        stage = "predict" if colour in CLASS_COLOURS else "uncertainty"
-        remedy = f"run `salsanext {stage}` with the output folder {out} first"
-        raise NoInputError(file.path, f"no {missing} known", "some to colour by", remedy)
-
-
 def export_ply(
     out: Path,
     *,
     colour: str = "label",
     scale: tuple[float, float] | None = None,
     dataset: Path | None = None,
+    usual_dataset: Path = Path(),
     space: LabelSpace | None = None,
     network: NetworkChoice = NetworkChoice(),
     choice: Choice = Choice(),
@@ -137,6 +125,8 @@ def export_ply(
         every file.
     dataset : Path, optional
         Where the scans and labels are, if not where the scans came from.
+    usual_dataset : Path
+        Where to look for scans of which nobody recorded where they came from.
     space : LabelSpace, optional
         Otherwise the one that `predict` recorded in `out`, else that of the scans' data set.
     network : NetworkChoice
@@ -151,23 +141,40 @@ def export_ply(
     """
     if colour not in COLOURS:
         raise UsageError("--colour", colour, f"one of {', '.join(COLOURS)}")
+    if scale and not (scale[0] < scale[1] and all(map(math.isfinite, scale))):
+        raise UsageError("--scale", f"{scale[0]} {scale[1]}", "a lower and a higher number")
     colour = resolve_colour(out, colour)
-    scans = remembered_scans(out, dataset)
-    space = space or recorded_label_space(out) or space_of(scans)
+    scans = remembered_scans(out, dataset, usual_dataset)
+    space = space or space_of(scans, recorded_label_space(out))
     scans = with_results(out, choose(scans, Choice(choice.split, choice.sequences), space, out))
     scans = scans[: choice.limit]
     if colour in SAMPLED:
         _sample_missing(out, scans, colour, network, options)
+    _require_some(out, scans, colour)
     intensity_scale = recorded_sensor(out).intensity_scale
     if scale is None:
         scale = _recorded_scale(out, colour, options) or _scale(
             out, scans, colour, space, intensity_scale
         )
-    settings = {"colour": colour, "scale": list(scale), "label_space": space.to_dict()}
+    settings = {
+        "colour": colour,
+        "scale": list(scale),
+        "label_space": space.to_dict(),
+        "origins": origins(out, STAGES_READ),
+    }
     claim(out, "export-ply", settings, ("ply",), overwrite=options.overwrite)
-    remember_sources(out, scans)
     work = ExportScan(out, space, intensity_scale, colour, scale)
     return run_batch(work, scans, options, work.results_of)
+
+
+def _require_some(out: Path, scans: list[ScanFile], colour: str) -> None:
+    """Refuse at once what every scan would refuse for itself."""
+    if colour in ("truth", "error"):
+        known = any(present(scan.label_path) for scan in scans)
+    else:
+        known = colour not in UNCERTAINTY or bool(find_outputs(out, f"uncertainty/{colour}"))
+    if not known:
+        raise unknown(colour, scans[0], out)
 
 
 def _sample_missing(
@@ -175,46 +182,44 @@ def _sample_missing(
 ) -> None:
     """Sample the scans that lack an uncertainty, as the others in the folder were sampled."""
     folder = f"uncertainty/{colour}"
-    missing = [s for s in scans if not output_path(out, s.sequence, folder, s.stem).exists()]
+    missing = [s for s in scans if not present(output_path(out, s.sequence, folder, s.stem))]
     if not missing:
         return
-    _require_same_weights(out, network)
+    network = _as_predicted(out, network)
     earlier = stage_settings(out, "uncertainty") or {}
     samples = earlier.get("samples", SAMPLES)
     log.warning("no uncertainty of %d scans yet: sampling %d passes each", len(missing), samples)
-    knn = KnnParameters(**earlier.get("knn", {}))
-    seed = earlier.get("seed", 0)
-    again = replace(options, overwrite=False)
-    uncertainty_of(missing, out, network, again, knn=knn, samples=samples, seed=seed)
+    uncertainty_of(
+        missing,
+        out,
+        network,
+        replace(options, overwrite=False),
+        knn=_recorded_knn(earlier),
+        samples=samples,
+        seed=earlier.get("seed", 0),
+        remembered=True,
+    )
 
 
-def _require_same_weights(out: Path, network: NetworkChoice) -> None:
-    recorded = (stage_settings(out, "predict") or {}).get("weights")
-    if recorded not in (None, network.settings()["weights"]):
+def _recorded_knn(settings: dict[str, Any]) -> KnnParameters:
+    values: dict[str, Any] = settings.get("knn") or asdict(KnnParameters())
+    return KnnParameters(**(values | {"cutoff": float(values["cutoff"])}))
+
+
+def _as_predicted(out: Path, network: NetworkChoice) -> NetworkChoice:
+    """Return the network, looking through the sensor that `predict` used; refuse other weights."""
+    settings = stage_settings(out, "predict")
+    if settings is None:
+        return network
+    if settings["weights"] != network.settings()["weights"]:
         raise UsageError(
             out,
-            f"labels by the weights {recorded[:12]}… and no uncertainty yet",
+            f"labels by the weights {settings['weights'][:12]}… and no uncertainty yet",
             "the same weights",
             "give them with --weights, or run `salsanext uncertainty`",
         )
-
-
-def resolve_colour(out: Path, colour: str) -> str:
-    """Say which kind "uncertainty" means here: the total if it was computed, else the epistemic."""
-    if colour != "uncertainty":
-        return colour
-    return "total" if find_outputs(out, "uncertainty/total") else "epistemic"
-
-
-def with_results(out: Path, scans: list[ScanFile]) -> list[ScanFile]:
-    """Leave out the scans for which no stage has left a result."""
-    folders = ("predictions", *(f"uncertainty/{kind}" for kind in UNCERTAINTY))
-    known = {(f.sequence, f.stem) for folder in folders for f in find_outputs(out, folder)}
-    chosen = [scan for scan in scans if (scan.sequence, scan.stem) in known]
-    if not chosen:
-        remedy = f"run `salsanext predict SCANS {out}` first"
-        raise NoInputError(out, "no results of these scans", remedy=remedy)
-    return chosen
+    seen = Sensor.from_dict(settings["sensor"], out / "predict.json")
+    return network if network.sensor else replace(network, sensor=seen)
 
 
 def _recorded_scale(out: Path, colour: str, options: BatchOptions) -> tuple[float, float] | None:
@@ -237,5 +242,6 @@ def _scale(
     for file in scans[::step]:
         # A scan that cannot be read is named when its turn comes.
         with suppress(SalsanextError):
-            values.append(columns_of(read_cloud(file, out, intensity_scale), space)[colour])
+            columns = columns_of(read_cloud(file, out, intensity_scale), space)
+            values.append(columns.get(colour, values[0]))
     return value_range(np.concatenate(values))

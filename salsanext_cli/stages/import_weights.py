@@ -8,6 +8,7 @@ from pathlib import Path
 
 from salsanext_cli.classes import LabelSpace, label_space
 from salsanext_cli.errors import OutputError, WeightsError
+from salsanext_cli.formats.reading import present
 from salsanext_cli.network.architectures import build
 from salsanext_cli.network.published import read_published
 from salsanext_cli.network.salsanext import SalsaNext
@@ -58,7 +59,7 @@ def import_weights(
     """
     if target.suffix != OWN_SUFFIX:
         raise OutputError(target, f"suffix {target.suffix or 'missing'}", OWN_SUFFIX)
-    if target.exists() and not overwrite:
+    if present(target) and not overwrite:
         raise OutputError(target, "exists", remedy="use another name, or --overwrite")
     if source.suffix == OWN_SUFFIX:
         module, card = read_weights(source)

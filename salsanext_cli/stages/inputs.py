@@ -123,10 +123,14 @@ def data_set_label_space(root: Path) -> LabelSpace | None:
 
 
 def space_of(scans: Sequence[ScanFile], fallback: LabelSpace | None = None) -> LabelSpace:
-    """Return the label space of the data set that scans lie in, else the fallback's.
+    """Return the label space of the data set that scans lie in.
 
-    Without a fallback, SemanticKITTI's.
+    One that does not describe its own has SemanticKITTI's, with its splits and ignored classes,
+    unless the fallback, that of the weights say, has other classes.
     """
     root = data_set_of(scans[0]) if scans else None
     own = data_set_label_space(root) if root else None
-    return own or fallback or label_space()
+    if own is not None:
+        return own
+    usual = label_space()
+    return usual if fallback is None or fallback.fits(usual) else fallback

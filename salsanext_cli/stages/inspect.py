@@ -3,20 +3,29 @@
 
 from __future__ import annotations
 
+import json
+import logging
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 from salsanext_cli.classes import LabelSpace
+from salsanext_cli.errors import NoInputError, OutputError
 from salsanext_cli.formats import read_scan
 from salsanext_cli.formats.atomic import write_text
 from salsanext_cli.formats.kitti import read_labels
 from salsanext_cli.formats.layout import ScanFile
+from salsanext_cli.formats.reading import present
 from salsanext_cli.geometry.projection import project
 from salsanext_cli.measures.survey import Survey, survey
 from salsanext_cli.sensors import Sensor
 from salsanext_cli.stages.batch import BatchOptions, Failure, run_batch
 from salsanext_cli.stages.inputs import Choice, select_scans, space_of
+
+BRIGHT = 1.5
+"""Intensities above this have another scale than 0…1."""
+
+log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,7 +63,15 @@ class Inspection:
         }
 
     def fitted_sensor(self, name: str) -> Sensor:
-        """Return the sensor with the field of view and normalisation of these scans."""
+        """Return the sensor with the field of view and normalisation of these scans.
+
+        Raises
+        ------
+        NoInputError
+            If no point of them holds a measurement.
+        """
+        if not self.total.pixels:
+            raise NoInputError(name, "no point with a measurement", "scans to fit a sensor to")
         up, down = self.total.field_of_view()
         return replace(
             self.sensor,
@@ -75,7 +92,7 @@ class InspectScan:
     def __call__(self, file: ScanFile) -> tuple[str, Survey]:
         """Read, project, count."""
         scan = read_scan(file.path, intensity_scale=self.sensor.intensity_scale)
-        labelled = file.label_path.exists()
+        labelled = present(file.label_path)
         raw = read_labels(file.label_path, len(scan)) if labelled else None
         return file.sequence, survey(scan, project(scan, self.sensor), raw)
 
@@ -111,17 +128,29 @@ def inspect(
     sequences: dict[str, Survey] = {}
     for name, found in outcome.results:
         sequences[name] = sequences.get(name, Survey()) + found
+    total = sum(sequences.values(), start=Survey())
+    if total.brightest > BRIGHT:
+        bright = f"intensities up to {total.brightest:g}, where 0 to 1 is usual"
+        log.warning("%s: set intensity_scale in the sensor", bright)
     return Inspection(
         sequences=dict(sorted(sequences.items())),
-        total=sum(sequences.values(), start=Survey()),
+        total=total,
         sensor=sensor,
         space=space or space_of(scans),
         failures=outcome.failures,
     )
 
 
-def write_sensor(path: Path, sensor: Sensor) -> None:
-    """Write a sensor as the TOML file that `--sensor` takes."""
+def write_sensor(path: Path, sensor: Sensor, *, overwrite: bool = False) -> None:
+    """Write a sensor as the TOML file that `--sensor` takes.
+
+    Raises
+    ------
+    OutputError
+        If the file exists and may not be overwritten, or cannot be written.
+    """
+    if present(path) and not overwrite:
+        raise OutputError(path, "exists", remedy="use another name, or --overwrite")
     values = {key: value for key, value in sensor.to_dict().items() if key != "name"}
     lines = [f"{key} = {_toml(value)}\n" for key, value in values.items()]
     write_text(path, "".join(lines))
@@ -130,4 +159,4 @@ def write_sensor(path: Path, sensor: Sensor) -> None:
 def _toml(value: object) -> str:
     if isinstance(value, tuple | list):
         return f"[{', '.join(_toml(item) for item in value)}]"
-    return f'"{value}"' if isinstance(value, str) else str(value)
+    return json.dumps(value, ensure_ascii=False) if isinstance(value, str) else str(value)

@@ -9,10 +9,11 @@ from pathlib import Path
 import numpy as np
 
 from salsanext_cli.classes import LabelSpace
-from salsanext_cli.errors import NoInputError
+from salsanext_cli.errors import LabelError, NoInputError, UsageError
 from salsanext_cli.formats.arrays import read_array
 from salsanext_cli.formats.kitti import read_labels, write_labels
 from salsanext_cli.formats.layout import ScanFile, find_outputs, find_scans, output_path
+from salsanext_cli.formats.reading import present
 from salsanext_cli.geometry.knn import KnnParameters, knn_refine
 from salsanext_cli.records import RangeImage, TrainIds
 from salsanext_cli.sensors import Sensor
@@ -20,12 +21,12 @@ from salsanext_cli.stages.batch import BatchOptions, Outcome, run_batch
 from salsanext_cli.stages.inputs import Choice, choose, space_of
 from salsanext_cli.stages.outputs import (
     claim,
+    origins,
     recorded_label_space,
     recorded_sensor,
-    remember_sources,
-    remembered_scans,
 )
 from salsanext_cli.stages.project import read_image
+from salsanext_cli.stages.sources import remembered_scans
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,21 +49,25 @@ class RefineScan:
         if self.labels is None:
             pixel_labels = self._read_pixel_labels(file)
         else:
-            raw = read_labels(given_labels(self.labels, file), len(image.pixel_of_point))
-            pixel_labels = labels_of_pixels(image, self.space.to_train(raw, source=self.labels))
+            path = given_labels(self.labels, file)
+            raw = read_labels(path, len(image.pixel_of_point))
+            pixel_labels = labels_of_pixels(image, self.space.to_train(raw, source=path))
         refined = knn_refine(image, pixel_labels, self.space.class_count, self.knn)
         write_labels(self.results_of(file)[0], self.space.to_raw(refined))
 
     def _read_pixel_labels(self, file: ScanFile) -> TrainIds:
         path = output_path(self.out, file.sequence, "pixel_labels", file.stem)
         labels: TrainIds = read_array(path, "uint8", (self.sensor.height, self.sensor.width))
+        if labels.max() >= self.space.class_count:
+            expected = f"0 … {self.space.class_count - 1}, the classes of {self.space.name}"
+            raise LabelError(path, f"train ids up to {labels.max()}", expected)
         return labels
 
 
 def given_labels(folder: Path, file: ScanFile) -> Path:
     """Return the label file of a scan in a folder of predictions, nested or plain."""
     nested = output_path(folder, file.sequence, "predictions", file.stem)
-    return nested if nested.exists() else folder / nested.name
+    return nested if present(nested) else folder / nested.name
 
 
 def labels_of_pixels(image: RangeImage, labels: TrainIds) -> TrainIds:
@@ -107,6 +112,8 @@ def knn_refine_scans(
     SalsanextError
         If nothing can be done at all; failures of single scans are in the outcome.
     """
+    if labels and labels.resolve().is_relative_to(out.resolve()):
+        raise UsageError("--labels", f"{labels} inside {out}", "a folder that is only read")
     scans = find_scans(scans_in) if scans_in else remembered_scans(out)
     space = space or recorded_label_space(out) or space_of(scans)
     if labels is None:
@@ -125,7 +132,10 @@ def knn_refine_scans(
         "sensor": sensor.to_dict(),
         "knn": asdict(knn),
     }
-    claim(out, "knn-refine", settings, ("predictions",), overwrite=options.overwrite)
-    remember_sources(out, scans)
+    if labels is None:
+        # Labels of other weights must not be kept as those of these.
+        settings |= {"origins": origins(out, ["predict"])}
+    sources = scans if scans_in else ()
+    claim(out, "knn-refine", settings, ("predictions",), sources, overwrite=options.overwrite)
     work = RefineScan(out, labels, space, sensor, knn)
     return run_batch(work, scans, options, work.results_of)

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import logging
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
@@ -11,6 +12,8 @@ from typing import Any
 from salsanext_cli.network.inference import Network, load_network
 from salsanext_cli.network.weights import default_weights, fingerprint, identity
 from salsanext_cli.sensors import Sensor
+
+log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,4 +50,6 @@ class NetworkChoice:
 
 @lru_cache(maxsize=1)
 def _load(choice: NetworkChoice, _: tuple[object, ...]) -> Network:
-    return load_network(choice.weights, choice.device, choice.sensor)
+    network = load_network(choice.weights, choice.device, choice.sensor)
+    log.info("%s on %s", choice.weights or "default weights", network.device)
+    return network

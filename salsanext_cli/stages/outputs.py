@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: MIT
-"""What an output folder remembers: settings of each stage, and where the scans came from."""
+"""What an output folder remembers of each stage: its settings, and which results are its own."""
 
 from __future__ import annotations
 
+import hashlib
 import json
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
@@ -10,61 +11,65 @@ from typing import Any
 
 from salsanext_cli import __version__
 from salsanext_cli.classes import LabelSpace
-from salsanext_cli.errors import NoInputError, OutputError
-from salsanext_cli.formats.atomic import write_text
-from salsanext_cli.formats.layout import SUFFIX_OF_FOLDER, ScanFile, find_outputs, find_scans
-from salsanext_cli.formats.reading import reading
+from salsanext_cli.errors import OutputError
+from salsanext_cli.formats.json_files import read_json, write_json
+from salsanext_cli.formats.layout import ScanFile, find_outputs
 from salsanext_cli.sensors import Sensor, sensor
+from salsanext_cli.stages.sources import new_sources
 
-SOURCE = "source.json"
+SHOWN = 3
+"""How many differences an error names."""
 RESULT_STAGES = ("project", "predict", "knn-refine", "uncertainty", "export-ply")
-
-
-def write_json(path: Path, data: Mapping[str, Any]) -> None:
-    """Write plain data as JSON, atomically."""
-    write_text(path, json.dumps(data, indent=2, ensure_ascii=False, allow_nan=False) + "\n")
-
-
-def read_json(path: Path) -> dict[str, Any] | None:
-    """Read what `write_json` wrote; None if there is no such file.
-
-    Raises
-    ------
-    OutputError
-        If the file is damaged.
-    """
-    if not path.exists():
-        return None
-    with reading(path) as file:
-        text = file.read()
-    try:
-        data = json.loads(text)
-    except ValueError as error:
-        raise OutputError(path, "damaged", "JSON", "delete it or use another folder") from error
-    if not isinstance(data, dict):
-        raise OutputError(path, "damaged", "a JSON object", "delete it or use another folder")
-    return data
 
 
 def stage_settings(out: Path, stage: str) -> dict[str, Any] | None:
     """Return the settings a stage ran with in this output folder, None if it did not."""
-    manifest = read_json(out / f"{stage}.json")
-    return None if manifest is None else dict(manifest.get("settings", {}))
+    manifest = _manifest(out, stage)
+    return None if manifest is None else dict(manifest["settings"])
 
 
 def owner(out: Path, folder: str) -> str | None:
     """Return the stage that writes a folder of results in this output folder, if any does."""
     for stage in RESULT_STAGES:
-        manifest = read_json(out / f"{stage}.json")
-        if manifest and folder in manifest.get("writes", ()):
+        manifest = _manifest(out, stage)
+        if manifest and folder in manifest["writes"]:
             return stage
     return None
 
 
+def origins(out: Path, stages: Iterable[str]) -> dict[str, str]:
+    """Return a digest of the settings of each of the stages that ran in this output folder.
+
+    A stage that reads their results records it, so as not to keep what it made of older ones.
+    """
+    settings = {stage: stage_settings(out, stage) for stage in stages}
+    return {
+        stage: hashlib.sha256(json.dumps(values, sort_keys=True).encode()).hexdigest()[:12]
+        for stage, values in settings.items()
+        if values is not None
+    }
+
+
+def _manifest(out: Path, stage: str) -> dict[str, Any] | None:
+    path = out / f"{stage}.json"
+    manifest = read_json(path)
+    kinds = {"settings": dict, "writes": list}
+    if manifest and not all(isinstance(manifest.get(k), kind) for k, kind in kinds.items()):
+        found = f"not what `{stage}` writes"
+        raise OutputError(path, found, remedy="delete it or use another folder")
+    return manifest
+
+
 def claim(
-    out: Path, stage: str, settings: Mapping[str, Any], writes: Iterable[str], *, overwrite: bool
+    out: Path,
+    stage: str,
+    settings: Mapping[str, Any],
+    writes: Iterable[str],
+    scans: Sequence[ScanFile] = (),
+    *,
+    overwrite: bool,
 ) -> None:
-    """Record the settings of a stage in `OUT/<stage>.json`, or refuse to mix results.
+    """Record what a stage does in `OUT/<stage>.json`, or refuse to mix results.
 
     Parameters
     ----------
@@ -76,6 +81,8 @@ def claim(
         Resolved settings, JSON-able, that decide what the results are.
     writes : iterable of str
         The folders of results that the stage fills.
+    scans : sequence of ScanFile
+        What it works on; where they came from is remembered for later stages.
     overwrite : bool
         Whether other settings may replace those recorded; results made with them are removed.
 
@@ -83,11 +90,12 @@ def claim(
     ------
     OutputError
         If the folder holds results of other settings, or of another stage, and `overwrite` is
-        not set; or if it cannot be written.
+        not set; if a sequence of the same name came from elsewhere; or if it cannot be written.
     """
+    sources = new_sources(out, scans)
     folders = sorted(writes)
-    settings = json.loads(json.dumps(settings))
-    manifest = read_json(out / f"{stage}.json") or {}
+    settings = as_json(settings)
+    manifest = _manifest(out, stage) or {}
     recorded = manifest.get("settings", settings)
     if recorded == settings:
         folders = sorted({*folders, *manifest.get("writes", ())})
@@ -101,8 +109,18 @@ def claim(
         _remove_results(out, manifest["writes"])
     for folder in folders:
         _take_over(out, folder, stage, overwrite)
+        if not manifest and not overwrite:
+            _require_none(out, folder)
     manifest = {"stage": stage, "version": __version__, "settings": settings, "writes": folders}
     write_json(out / f"{stage}.json", manifest)
+    for path, folder in sources.items():
+        write_json(path, {"scans": folder})
+
+
+def as_json(settings: Any) -> Any:
+    """Return settings as they are read back: lists for tuples, strings for keys."""
+    # JSON has no number for an infinite cutoff.
+    return json.loads(json.dumps(settings), parse_constant=str)
 
 
 def recorded_label_space(out: Path) -> LabelSpace | None:
@@ -115,9 +133,10 @@ def recorded_label_space(out: Path) -> LabelSpace | None:
 
 
 def recorded_sensor(out: Path) -> Sensor:
-    """Return the sensor that the stages in an output folder looked through; else the HDL-64."""
-    for stage in RESULT_STAGES:
-        settings = stage_settings(out, stage)
+    """Return the sensor that labels in an output folder were made through; else the HDL-64."""
+    for folder in ("pixel_labels", "predictions", "uncertainty/epistemic", "range"):
+        stage = owner(out, folder)
+        settings = stage_settings(out, stage) if stage else None
         if settings and "sensor" in settings:
             return Sensor.from_dict(settings["sensor"], out / f"{stage}.json")
     return sensor("hdl64")
@@ -139,17 +158,41 @@ def _take_over(out: Path, folder: str, stage: str, overwrite: bool) -> None:
     write_json(path, manifest | {"writes": [name for name in manifest["writes"] if name != folder]})
 
 
+def _require_none(out: Path, folder: str) -> None:
+    """Refuse results that no stage of ours recorded: nobody knows how they were made."""
+    if owner(out, folder) is None and (found := find_outputs(out, folder)):
+        raise OutputError(
+            found[0].path,
+            "was there before, made nobody knows how",
+            remedy="use another output folder, or --overwrite to replace it",
+        )
+
+
 def _differences(recorded: Mapping[str, Any], settings: Mapping[str, Any]) -> str:
-    changed = sorted(
-        key for key in recorded.keys() | settings if recorded.get(key) != settings.get(key)
-    )
-    return ", ".join(
-        f"{key} was {_short(recorded.get(key))} and is {_short(settings.get(key))}"
-        for key in changed
-    )
+    """Name what differs, key by key, and how; origins are named without their digests."""
+    before, after = _flat(recorded), _flat(settings)
+    changed = sorted(k for k in before.keys() | after if before.get(k) != after.get(k))
+    shown = [
+        f"what `{key.removeprefix('origins.')}` made was made anew"
+        if key.startswith("origins.")
+        else f"{key} was {_short(before.get(key))} and is {_short(after.get(key))}"
+        for key in changed[:SHOWN]
+    ]
+    more = len(changed) - len(shown)
+    return ", ".join(shown) + (f", and {more} more" if more else "")
 
 
-def _short(value: object, length: int = 60) -> str:
+def _flat(settings: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
+    """Return nested settings by dotted key."""
+    flat: dict[str, Any] = {}
+    for key, value in settings.items():
+        flat |= (
+            _flat(value, f"{prefix}{key}.") if isinstance(value, dict) else {prefix + key: value}
+        )
+    return flat
+
+
+def _short(value: object, length: int = 40) -> str:
     text = json.dumps(value, ensure_ascii=False)
     return text if len(text) <= length else text[: length - 1] + "…"
 
@@ -159,66 +202,3 @@ def _remove_results(out: Path, folders: Iterable[str]) -> None:
     for folder in folders:
         for result in find_outputs(out, folder):
             result.path.unlink(missing_ok=True)
-
-
-def remember_sources(out: Path, scans: Sequence[ScanFile]) -> None:
-    """Record for each sequence which folder its scans came from.
-
-    Raises
-    ------
-    OutputError
-        If a sequence of that name came from another folder: the results would overwrite each
-        other.
-    """
-    for sequence, folder in sorted({(scan.sequence, scan.path.parent) for scan in scans}):
-        path = out / "sequences" / sequence / SOURCE
-        recorded = (read_json(path) or {}).get("scans")
-        if recorded not in (None, str(folder)):
-            raise OutputError(
-                path,
-                f"sequence {sequence} came from {recorded}",
-                f"scans from there, not from {folder}",
-                "use another output folder",
-            )
-        if recorded is None:
-            write_json(path, {"scans": str(folder)})
-
-
-def remembered_scans(out: Path, dataset: Path | None = None) -> list[ScanFile]:
-    """Find the scans whose results an output folder holds.
-
-    Parameters
-    ----------
-    out : Path
-        The output folder.
-    dataset : Path, optional
-        Where to look instead of where the scans came from.
-
-    Raises
-    ------
-    NoInputError
-        If there is no such folder, it holds no results, or a sequence's scans are not to be found.
-    """
-    sequences = sorted(
-        {file.sequence for folder in SUFFIX_OF_FOLDER for file in find_outputs(out, folder)}
-    )
-    if not sequences:
-        found = "holds no results" if out.is_dir() else "no such folder"
-        remedy = f"run `salsanext predict SCANS {out}` first"
-        raise NoInputError(out, found, "the output folder of an earlier stage", remedy)
-    return [scan for name in sequences for scan in _scans_of_sequence(out, name, dataset)]
-
-
-def _scans_of_sequence(out: Path, sequence: str, dataset: Path | None) -> list[ScanFile]:
-    recorded = (read_json(out / "sequences" / sequence / SOURCE) or {}).get("scans")
-    if dataset is None and recorded and Path(recorded).is_dir():
-        return find_scans(Path(recorded))
-    root = dataset or Path()
-    if (root / "sequences").is_dir():
-        return find_scans(root, [sequence])
-    raise NoInputError(
-        out / "sequences" / sequence,
-        f"its scans are not in {recorded or root.absolute()}",
-        "the folder that they came from",
-        "say with --dataset where the data set is",
-    )

@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -19,8 +19,9 @@ from salsanext_cli.sensors import Sensor
 from salsanext_cli.stages.batch import BatchOptions, Outcome, run_batch
 from salsanext_cli.stages.inputs import Choice, choose, select_scans, space_of
 from salsanext_cli.stages.networks import NetworkChoice
-from salsanext_cli.stages.outputs import claim, remember_sources, remembered_scans
+from salsanext_cli.stages.outputs import claim
 from salsanext_cli.stages.project import projected_sensor, read_channels, read_image
+from salsanext_cli.stages.sources import remembered_scans
 
 EXTRAS = ("pixel_labels", "probabilities")
 
@@ -129,11 +130,13 @@ def predict(
     seen = projected_sensor(source)
     if seen is not None:
         _require_same_sensor(source, seen, network.load().sensor)
+        if knn != KnnParameters():
+            found = "range images are refined by knn-refine"
+            raise UsageError("--knn-…", found, "the options given there")
         return _predict_images(source, out, network, extras, choice, options)
     scans = select_scans(source, choice, network.load().card.space)
     settings = network.settings() | {"knn": asdict(knn)}
-    claim(out, "predict", settings, ("predictions", *extras), overwrite=options.overwrite)
-    remember_sources(out, scans)
+    claim(out, "predict", settings, ("predictions", *extras), scans, overwrite=options.overwrite)
     work = PredictScan(out, network, knn, extras)
     return run_batch(work, scans, options, work.results_of)
 
@@ -152,14 +155,15 @@ def _predict_images(
     ready = {(file.sequence, file.stem) for file in find_outputs(folder, "range")}
     scans = [scan for scan in remembered_scans(folder) if (scan.sequence, scan.stem) in ready]
     scans = choose(scans, choice, space_of(scans, network.load().card.space), folder)
-    claim(out, "predict", network.settings(), ("pixel_labels",), overwrite=options.overwrite)
-    remember_sources(out, scans)
+    settings = network.settings()
+    claim(out, "predict", settings, ("pixel_labels",), scans, overwrite=options.overwrite)
     work = PredictImage(folder, out, network)
     return run_batch(work, scans, options, work.results_of)
 
 
 def _require_same_sensor(folder: Path, seen: Sensor, wanted: Sensor) -> None:
-    if seen != wanted:
+    """Refuse images of another geometry; what normalises them is the network's own affair."""
+    if replace(seen, name=wanted.name, means=wanted.means, stds=wanted.stds) != wanted:
         raise UsageError(
             folder,
             f"range images of {seen.name}, {seen.height}×{seen.width}",

@@ -14,7 +14,7 @@ from salsanext_cli.records import CHANNELS, Float, RangeImage
 from salsanext_cli.sensors import Sensor
 from salsanext_cli.stages.batch import BatchOptions, Outcome, run_batch
 from salsanext_cli.stages.inputs import Choice, select_scans
-from salsanext_cli.stages.outputs import claim, remember_sources, stage_settings
+from salsanext_cli.stages.outputs import claim, stage_settings
 
 WRITES = ("range", "pixels")
 
@@ -84,7 +84,7 @@ def project_scans(
         If nothing can be done at all; failures of single scans are in the outcome.
     """
     scans = select_scans(source, choice)
-    claim(out, "project", {"sensor": sensor.to_dict()}, WRITES, overwrite=options.overwrite)
-    remember_sources(out, scans)
+    settings = {"sensor": sensor.to_dict()}
+    claim(out, "project", settings, WRITES, scans, overwrite=options.overwrite)
     work = ProjectScan(out, sensor)
     return run_batch(work, scans, options, work.results_of)

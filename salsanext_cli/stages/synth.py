@@ -3,8 +3,7 @@
 
 from __future__ import annotations
 
-import os
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -14,17 +13,17 @@ import yaml
 from salsanext_cli.classes import LabelSpace, label_space
 from salsanext_cli.errors import OutputError, UsageError
 from salsanext_cli.formats.atomic import write_text
+from salsanext_cli.formats.json_files import read_json, write_json
 from salsanext_cli.formats.kitti import write_bin, write_labels
-from salsanext_cli.stages.outputs import read_json, write_json
+from salsanext_cli.formats.packages import import_open3d
+from salsanext_cli.stages.batch import Progress, worker_count
 from salsanext_cli.synthesis.drive import record
 from salsanext_cli.synthesis.ids import ABSENT
-from salsanext_cli.synthesis.lidar import load_open3d
 
 MANIFEST = "synth.json"
 LONGEST = 3000.0
 """Longest drive of one sequence, metres; the whole street is held in memory."""
 IDENTITY = "1 0 0 0 0 1 0 0 0 0 1 0"
-Progress = Callable[[int, int], None]
 
 
 @dataclass(frozen=True, slots=True)
@@ -113,7 +112,7 @@ def synthesise(
         split: tuple(_name(next(numbers)) for _ in range(count))
         for split, count in (("train", train), ("valid", valid), ("test", test))
     }
-    load_open3d()
+    import_open3d()
     _claim(out, overwrite)
     settings = {"splits": splits, "scans": scans, "seed": seed, "spacing": spacing}
     write_json(out / MANIFEST, {"stage": "synth", "settings": settings})
@@ -172,8 +171,7 @@ def _check(
             f"more than 0 m, and drives of up to {LONGEST:.0f} m",
             "ask for more sequences with fewer scans",
         )
-    if jobs == 0 or jobs < -1:
-        raise UsageError("--jobs", str(jobs), "a number of processes, or -1 for all cores")
+    worker_count(jobs)
 
 
 def _claim(out: Path, overwrite: bool) -> None:
@@ -196,7 +194,7 @@ def _claim(out: Path, overwrite: bool) -> None:
 
 def _write(sequences: list[_Sequence], jobs: int) -> Iterator[dict[int, int]]:
     """Write the sequences and yield, scan by scan, how many points each raw id has."""
-    workers = min(len(sequences), os.cpu_count() or 1 if jobs == -1 else jobs)
+    workers = min(len(sequences), worker_count(jobs))
     if workers == 1:
         for sequence in sequences:
             yield from _write_sequence(sequence)

@@ -16,6 +16,7 @@ import torch
 from salsanext_cli.classes import LabelSpace, label_space
 from salsanext_cli.errors import NoInputError, WeightsError
 from salsanext_cli.formats.atomic import write_text
+from salsanext_cli.formats.json_files import read_json, write_json
 from salsanext_cli.formats.layout import ScanFile, find_scans
 from salsanext_cli.network.architectures import build
 from salsanext_cli.network.inference import choose_device
@@ -23,12 +24,13 @@ from salsanext_cli.network.salsanext import SalsaNext
 from salsanext_cli.network.weights import WeightsCard, fingerprint, read_weights
 from salsanext_cli.sensors import Sensor
 from salsanext_cli.sensors import sensor as preset_sensor
+from salsanext_cli.stages.batch import worker_count
 from salsanext_cli.stages.inputs import data_set_label_space
-from salsanext_cli.stages.outputs import claim, read_json, write_json
+from salsanext_cli.stages.outputs import claim
 from salsanext_cli.training.counting import count_classes, require_labels
 from salsanext_cli.training.dataset import Samples
 from salsanext_cli.training.log import Row
-from salsanext_cli.training.loop import BEST, CHECKPOINT, LAST, Report, Training
+from salsanext_cli.training.loop import BEST, CHECKPOINT, CURVE, LAST, LOG, Report, Training
 from salsanext_cli.training.losses import class_weights
 from salsanext_cli.training.optimise import Learner
 from salsanext_cli.training.recipe import Recipe
@@ -63,6 +65,7 @@ def train(
     *,
     recipe: Recipe,
     sensor: Sensor | None = None,
+    space: LabelSpace | None = None,
     device: str = "auto",
     jobs: int = 1,
     weights: Path | None = None,
@@ -82,6 +85,9 @@ def train(
         How to train.
     sensor : Sensor, optional
         How to project; by default the sensor of `weights`, else the HDL-64.
+    space : LabelSpace, optional
+        What the labels mean and which sequences train; by default what the data set says, else
+        SemanticKITTI's.
     device : str
         As `choose_device` takes it.
     jobs : int
@@ -103,7 +109,8 @@ def train(
     WeightsError
         If `weights` do not fit the label space.
     """
-    space = data_set_label_space(dataset) or label_space()
+    worker_count(jobs)
+    space = space or data_set_label_space(dataset) or label_space()
     training, validation = (_scans_of(dataset, space, split) for split in ("train", "valid"))
     place = choose_device(device)
     module, architecture, own_sensor = _start(weights, space, recipe)
@@ -114,7 +121,7 @@ def train(
     counts = _class_counts(run, training, validation, space, sensor, jobs)
     learner = Learner.of(module, recipe, class_weights(counts, space.scored), place)
     samples = Samples(training, space, sensor, recipe)
-    workers = jobs if jobs > 1 else 0
+    workers = worker_count(jobs) if jobs != 1 else 0
     done = Training(run, learner, samples, validation, card, workers, progress).to_the_end()
     return TrainResult(run / BEST, run / LAST, done.best, done.rows)
 
@@ -173,8 +180,8 @@ def _claim(
     }
     claim(run, "train", settings, [], overwrite=overwrite)
     if overwrite:
-        (run / CHECKPOINT).unlink(missing_ok=True)
-        (run / CLASS_COUNTS).unlink(missing_ok=True)
+        for name in (CHECKPOINT, CLASS_COUNTS, BEST, LAST, LOG, CURVE):
+            (run / name).unlink(missing_ok=True)
     write_text(run / "recipe.toml", Recipe.from_dict(card.recipe).to_toml())
 
 
@@ -189,7 +196,7 @@ def _class_counts(
     """Return points per class of the training split; all scans are checked once per run folder."""
     path = run / CLASS_COUNTS
     known = read_json(path)
-    if known is not None:
+    if known is not None and all(isinstance(known.get(name), int) for name in space.names):
         return np.array([known[name] for name in space.names], np.int64)
     count_classes(validation, space, sensor, jobs)
     counts = count_classes(training, space, sensor, jobs)

@@ -5,9 +5,11 @@ from __future__ import annotations
 
 from dataclasses import asdict, dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
+from salsanext_cli.errors import OutputError
 from salsanext_cli.formats.arrays import write_array
 from salsanext_cli.formats.kitti import write_labels
 from salsanext_cli.formats.layout import ScanFile, output_path
@@ -17,7 +19,7 @@ from salsanext_cli.records import Float, Int
 from salsanext_cli.stages.batch import BatchOptions, Outcome, run_batch
 from salsanext_cli.stages.inputs import Choice, select_scans
 from salsanext_cli.stages.networks import NetworkChoice
-from salsanext_cli.stages.outputs import claim, owner, remember_sources
+from salsanext_cli.stages.outputs import as_json, claim, owner, stage_settings
 from salsanext_cli.stages.predict import most_probable
 from salsanext_cli.stages.project import read_image
 
@@ -60,6 +62,20 @@ class UncertaintyOfScan:
             pixel_labels = most_probable(sampled.probabilities)
             labels = knn_refine(image, pixel_labels, space.class_count, self.knn, place)
             write_labels(self._path(file, "predictions"), space.to_raw(labels))
+
+
+def _require_same_network(out: Path, settings: dict[str, Any]) -> None:
+    """Refuse to put the uncertainty of one network beside the labels of another."""
+    stage = owner(out, "predictions")
+    recorded = stage_settings(out, stage) if stage not in (None, "uncertainty") else None
+    for key in ("weights", "sensor"):
+        if recorded and recorded.get(key, settings[key]) != as_json(settings[key]):
+            raise OutputError(
+                out / f"{stage}.json",
+                f"labels made with other {key}",
+                "the same for labels and uncertainty",
+                f"give the same {key}, or use another output folder",
+            )
 
 
 def value_of_points(of_pixels: Float, pixel_of_point: Int) -> Float:
@@ -120,13 +136,15 @@ def uncertainty_of(
     knn: KnnParameters = KnnParameters(),
     samples: int = SAMPLES,
     seed: int = 0,
+    remembered: bool = False,
 ) -> Outcome[None]:
-    """Do what `uncertainty` does, to scans already chosen."""
+    """Do what `uncertainty` does, to scans already chosen, maybe because `out` remembers them."""
     require_sampling(network.load(), samples)
     settings = network.settings() | {"knn": asdict(knn), "samples": samples, "seed": seed}
     labels_too = owner(out, "predictions") in (None, "uncertainty")
     writes = (*WRITES, "predictions") if labels_too else WRITES
-    claim(out, "uncertainty", settings, writes, overwrite=options.overwrite)
-    remember_sources(out, scans)
+    _require_same_network(out, settings)
+    sources = () if remembered else scans
+    claim(out, "uncertainty", settings, writes, sources, overwrite=options.overwrite)
     work = UncertaintyOfScan(out, network, knn, samples, seed, writes)
     return run_batch(work, scans, options, work.results_of)

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from salsanext_cli.errors import MissingDependency
+from salsanext_cli.formats.packages import import_open3d
 from salsanext_cli.records import RawIds
 from salsanext_cli.synthesis.materials import optics_table
 from salsanext_cli.synthesis.mesh import Array, Mesh
@@ -46,7 +46,7 @@ class Scene:
 
     def __init__(self, mesh: Mesh) -> None:
         self.mesh = mesh
-        o3d = load_open3d()
+        o3d = import_open3d()
         self._tensor = o3d.core.Tensor
         self._scene = o3d.t.geometry.RaycastingScene(nthreads=1)
         self._scene.add_triangles(
@@ -64,23 +64,6 @@ class Scene:
         normals = hits["primitive_normals"].numpy()
         cosine = np.abs((normals * rays[:, 3:]).sum(1))
         return distance, np.where(np.isfinite(distance), triangle, 0), cosine
-
-
-def load_open3d() -> Any:
-    """Import open3d, which takes a second and needs a system library.
-
-    Raises
-    ------
-    MissingDependency
-        If that fails.
-    """
-    try:
-        import open3d
-    except (ImportError, OSError) as error:
-        raise MissingDependency(
-            "open3d", f"cannot be loaded: {error}", remedy="install the system package libusb-1.0-0"
-        ) from error
-    return open3d
 
 
 def measure(

@@ -15,9 +15,10 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 from torch import Tensor
-from torch.utils.data import DataLoader, Dataset
+from torch.utils.data import DataLoader, Dataset, default_collate
 
 from salsanext_cli.classes import LabelSpace
+from salsanext_cli.errors import SalsanextError
 from salsanext_cli.formats import read_scan
 from salsanext_cli.formats.kitti import read_labels
 from salsanext_cli.formats.layout import ScanFile
@@ -200,11 +201,34 @@ def batches(
         Whether to put batches where a GPU copies them from quickly.
     """
     loader: DataLoader[Any] = DataLoader(
-        samples,
+        _Sent(samples),
+        collate_fn=_collate,
         batch_sampler=plan.batches(first_step),
         num_workers=workers,
         # A fork would inherit locks that the threads of torch and numba may hold.
         multiprocessing_context="spawn" if workers else None,
         pin_memory=pinned,
     )
-    yield from loader
+    for batch in loader:
+        if isinstance(batch, SalsanextError):
+            raise batch
+        yield batch
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Sent(Dataset[tuple[Float, TrainIds, int] | SalsanextError]):
+    """Samples whose errors are sent as values, since a loader would not raise them as they are."""
+
+    samples: Samples
+
+    def __getitem__(self, draw: Draw) -> tuple[Float, TrainIds, int] | SalsanextError:
+        try:
+            return self.samples[draw]
+        except SalsanextError as error:
+            return error
+
+
+def _collate(items: list[tuple[Float, TrainIds, int] | SalsanextError]) -> Any:
+    """Make a batch of samples, or give the first error among them."""
+    errors = (item for item in items if isinstance(item, SalsanextError))
+    return next(errors, None) or default_collate(items)

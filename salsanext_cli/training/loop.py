@@ -15,6 +15,7 @@ import numpy as np
 
 from salsanext_cli.errors import TrainingError
 from salsanext_cli.formats.layout import ScanFile
+from salsanext_cli.measures.scores import scores
 from salsanext_cli.network.inference import Network
 from salsanext_cli.network.weights import WeightsCard, save_weights
 from salsanext_cli.training.checkpoint import Progress, load_checkpoint, save_checkpoint
@@ -26,6 +27,7 @@ from salsanext_cli.training.validation import evenly_spaced, validate
 
 CHECKPOINT = "checkpoint.pt"
 LAST, BEST = "last.safetensors", "best.safetensors"
+LOG, CURVE = "log.csv", "curve.png"
 
 log = logging.getLogger(__name__)
 
@@ -146,8 +148,8 @@ class Training:
         if validated and row["miou"] > progress.best:
             progress.best = row["miou"]
             save_weights(self.run / BEST, self.learner.average, card)
-        write_log(self.run / "log.csv", progress.rows)
-        draw_curve(self.run / "curve.png", progress.rows)
+        write_log(self.run / LOG, progress.rows)
+        draw_curve(self.run / CURVE, progress.rows)
         save_checkpoint(self.run / CHECKPOINT, self.learner, progress)
 
     def _scores(self) -> Row:
@@ -155,13 +157,12 @@ class Training:
         files = evenly_spaced(self.validation, self.learner.recipe.validation_scans)
         module = self.learner.average.eval()
         network = Network(module, self.card, self.card.sensor, self.learner.device)
-        iou = validate(network, files).iou(space.scored)
-        names = {
-            f"iou_{name}": float(value)
-            for name, value, scored in zip(space.names, iou, space.scored, strict=True)
-            if scored
-        }
-        return {"miou": float(np.nanmean(iou))} | names
+        result = scores(validate(network, files), space)
+        if not result.points:
+            found = "no point of the validation scans is of a class that counts"
+            raise TrainingError(files[0].label_path.parent, found, f"labels of {space.name}")
+        names = {f"iou_{score.name}": score.iou for score in result.classes}
+        return {"miou": result.iou_mean_present} | names
 
     def _tell(self, progress: Progress, step: int, loss: float, row: Row | None = None) -> None:
         epoch = progress.epoch + (row is None)

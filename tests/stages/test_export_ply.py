@@ -25,6 +25,12 @@ OVERWRITE = BatchOptions(overwrite=True)
 KINDS = ("epistemic", "entropy", "mutual_information")
 
 
+@pytest.fixture(autouse=True)
+def few_samples(monkeypatch):
+    """Take two passes where nobody says how many."""
+    monkeypatch.setattr("salsanext_cli.stages.export_ply.SAMPLES", 2)
+
+
 @pytest.fixture
 def predicted(world):
     predict(world.data, world.out, network=world.network)
@@ -194,7 +200,7 @@ def test_sampling_uses_the_weights_and_sensor_that_predicted(world, tmp_path):
         world.data,
         tmp_path / "expected",
         network=replace(world.network, sensor=wide),
-        samples=30,
+        samples=2,
         choice=Choice(limit=1),
     )
     export(world, colour="epistemic", choice=Choice(limit=1))

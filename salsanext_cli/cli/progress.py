@@ -1,0 +1,84 @@
+# SPDX-License-Identifier: MIT
+"""How far a command has come: a bar on a terminal, a line now and then in a log file."""
+
+from __future__ import annotations
+
+import sys
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import TYPE_CHECKING
+
+import typer
+
+if TYPE_CHECKING:
+    from rich.progress import Progress as Bar
+
+    from salsanext_cli.stages.batch import Progress
+
+INTERVAL = 30.0
+"""Seconds between two lines in a log file."""
+
+
+@contextmanager
+def progress(label: str, quiet: bool, unit: str = "scans") -> Iterator[Progress | None]:
+    """Show on stderr how many units are done, the rate and the time left, while the body runs."""
+    if quiet:
+        yield None
+    elif sys.stderr.isatty():
+        with _bar(unit) as bar:
+            task = bar.add_task(label, total=None)
+            yield lambda done, total: bar.update(task, completed=done, total=total)
+    else:
+        yield Lines(label, unit)
+
+
+class Lines:
+    """Says how far things are, one line at most every `INTERVAL`."""
+
+    def __init__(self, label: str, unit: str) -> None:
+        self.label, self.unit = label, unit
+        self.start = self.last = time.monotonic()
+
+    def __call__(self, done: int, total: int) -> None:
+        """Take note of how many units of how many are done."""
+        now = time.monotonic()
+        if now - self.last < INTERVAL or done == total:
+            return
+        self.last = now
+        each = (now - self.start) / done
+        left = f"{each * (total - done) / 60:.0f} min left"
+        rate = words_of_rate(1 / each, self.unit)
+        typer.echo(f"{self.label}: {done}/{total} {self.unit}, {rate}, {left}", err=True)
+
+
+def words_of_rate(rate: float, unit: str) -> str:
+    """Give units per second, or seconds per unit where that reads better."""
+    return f"{rate:.1f} {unit}/s" if rate >= 1 else f"{1 / rate:.1f} s/{unit[:-1]}"
+
+
+def _bar(unit: str) -> Bar:
+    from rich.console import Console
+    from rich.progress import (
+        BarColumn,
+        MofNCompleteColumn,
+        Progress,
+        ProgressColumn,
+        Task,
+        TimeRemainingColumn,
+    )
+    from rich.text import Text
+
+    class RateColumn(ProgressColumn):
+        def render(self, task: Task) -> Text:
+            speed = task.finished_speed or task.speed
+            return Text(words_of_rate(speed, unit) if speed else "")
+
+    return Progress(
+        "{task.description}",
+        BarColumn(),
+        MofNCompleteColumn(),
+        RateColumn(),
+        TimeRemainingColumn(),
+        console=Console(stderr=True),
+    )
