@@ -19,7 +19,9 @@ import numpy.typing as npt
 import yaml
 
 from salsanext_cli.errors import LabelError, UsageError
-from salsanext_cli.records import RawIds, TrainIds
+
+TrainIds = npt.NDArray[np.uint8]
+RawIds = npt.NDArray[np.uint32]
 
 RAW_ID_COUNT = 1 << 16
 UNKNOWN = 255

@@ -15,8 +15,6 @@ import numpy.typing as npt
 
 Float = npt.NDArray[np.float32]
 Int = npt.NDArray[np.int32]
-TrainIds = npt.NDArray[np.uint8]
-RawIds = npt.NDArray[np.uint32]
 
 CHANNELS = ("range", "x", "y", "z", "intensity")
 """Channels of a range image, in the published order."""

@@ -7,11 +7,12 @@ from pathlib import Path
 
 import numpy as np
 
+from salsanext_cli.classes import RawIds
 from salsanext_cli.errors import FormatError, LabelError
 from salsanext_cli.formats.atomic import writing
 from salsanext_cli.formats.columns import normalised_intensity
 from salsanext_cli.formats.reading import reading, size_of
-from salsanext_cli.records import Float, RawIds, Scan
+from salsanext_cli.records import Float, Scan
 
 COLUMNS = 4
 """x, y, z in metres, remission."""

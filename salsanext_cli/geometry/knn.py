@@ -18,8 +18,9 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from salsanext_cli.classes import TrainIds
 from salsanext_cli.errors import LabelError, UsageError
-from salsanext_cli.records import Float, Int, RangeImage, TrainIds
+from salsanext_cli.records import Float, Int, RangeImage
 
 LARGEST_WINDOW = 63
 """Pixels; farther ones are no neighbours."""

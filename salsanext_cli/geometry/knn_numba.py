@@ -14,9 +14,10 @@ from typing import TypeVar
 import numpy as np
 import numpy.typing as npt
 
+from salsanext_cli.classes import TrainIds
 from salsanext_cli.geometry.compiled import argument, compiled, in_slices
 from salsanext_cli.geometry.knn import KnnParameters
-from salsanext_cli.records import Float, Int, TrainIds
+from salsanext_cli.records import Float, Int
 
 Candidates = npt.NDArray[np.int64]
 Scalar = TypeVar("Scalar", bound=np.generic)

@@ -7,8 +7,9 @@ import numpy as np
 import torch
 import torch.nn.functional as F
 
+from salsanext_cli.classes import TrainIds
 from salsanext_cli.geometry.knn import KnnParameters
-from salsanext_cli.records import Float, Int, TrainIds
+from salsanext_cli.records import Float, Int
 
 CHUNK = 1 << 17
 """Points refined at once; bounds the memory of their windows."""

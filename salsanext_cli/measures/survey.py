@@ -10,7 +10,8 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from salsanext_cli.records import CHANNELS, RangeImage, RawIds, Scan
+from salsanext_cli.classes import RawIds
+from salsanext_cli.records import CHANNELS, RangeImage, Scan
 
 ELEVATION_STEP = 0.05
 """Width of an elevation bin in degrees."""

@@ -11,14 +11,14 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from salsanext_cli.classes import LabelSpace
+from salsanext_cli.classes import LabelSpace, RawIds
 from salsanext_cli.errors import NoInputError
 from salsanext_cli.formats import read_scan
 from salsanext_cli.formats.arrays import read_array
 from salsanext_cli.formats.kitti import read_labels
 from salsanext_cli.formats.layout import SUFFIX_OF_FOLDER, ScanFile, find_outputs, output_path
 from salsanext_cli.formats.reading import present
-from salsanext_cli.records import Float, RawIds, Scan
+from salsanext_cli.records import Float, Scan
 
 UNCERTAINTY = tuple(
     folder.removeprefix("uncertainty/")

@@ -8,14 +8,14 @@ from pathlib import Path
 
 import numpy as np
 
-from salsanext_cli.classes import LabelSpace
+from salsanext_cli.classes import LabelSpace, TrainIds
 from salsanext_cli.errors import LabelError, NoInputError, UsageError
 from salsanext_cli.formats.arrays import read_array
 from salsanext_cli.formats.kitti import read_labels, write_labels
 from salsanext_cli.formats.layout import ScanFile, find_outputs, find_scans, output_path
 from salsanext_cli.formats.reading import present
 from salsanext_cli.geometry.knn import KnnParameters, knn_refine
-from salsanext_cli.records import RangeImage, TrainIds
+from salsanext_cli.records import RangeImage
 from salsanext_cli.sensors import Sensor
 from salsanext_cli.stages.batch import BatchOptions, Outcome, run_batch
 from salsanext_cli.stages.inputs import Choice, choose, space_of

@@ -5,10 +5,9 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from salsanext_cli.classes import LabelSpace
+from salsanext_cli.classes import LabelSpace, TrainIds
 from salsanext_cli.formats.layout import ScanFile
 from salsanext_cli.geometry.projection import project
-from salsanext_cli.records import TrainIds
 from salsanext_cli.report.birds_eye import View, birds_eye
 from salsanext_cli.report.colours import error_colours, label_colours, legend_of
 from salsanext_cli.report.panel import Strip, panel, range_strip, scalar_strip

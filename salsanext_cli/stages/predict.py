@@ -9,12 +9,13 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
+from salsanext_cli.classes import TrainIds
 from salsanext_cli.errors import UsageError
 from salsanext_cli.formats.arrays import write_array
 from salsanext_cli.formats.kitti import write_labels
 from salsanext_cli.formats.layout import ScanFile, find_outputs, output_path
 from salsanext_cli.geometry.knn import KnnParameters, knn_refine
-from salsanext_cli.records import Float, Int, TrainIds
+from salsanext_cli.records import Float, Int
 from salsanext_cli.sensors import Sensor
 from salsanext_cli.stages.batch import BatchOptions, Outcome, run_batch
 from salsanext_cli.stages.inputs import Choice, choose, select_scans, space_of

@@ -9,7 +9,8 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from salsanext_cli.records import RawIds, Scan
+from salsanext_cli.classes import RawIds
+from salsanext_cli.records import Scan
 from salsanext_cli.synthesis.beams import Beams, blind, hdl64
 from salsanext_cli.synthesis.lidar import Scene, measure
 from salsanext_cli.synthesis.mesh import Array, merge, turn_z

@@ -12,7 +12,8 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from salsanext_cli.records import Float, Scan, TrainIds
+from salsanext_cli.classes import TrainIds
+from salsanext_cli.records import Float, Scan
 
 SHIFT_LOW = (-5.0, -3.0, -1.0)
 SHIFT_HIGH = (5.0, 3.0, 0.0)

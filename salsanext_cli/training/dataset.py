@@ -17,14 +17,14 @@ import numpy.typing as npt
 from torch import Tensor
 from torch.utils.data import DataLoader, Dataset, default_collate
 
-from salsanext_cli.classes import LabelSpace
+from salsanext_cli.classes import LabelSpace, TrainIds
 from salsanext_cli.errors import SalsanextError
 from salsanext_cli.formats import read_scan
 from salsanext_cli.formats.kitti import read_labels
 from salsanext_cli.formats.layout import ScanFile
 from salsanext_cli.geometry.normalise import normalise
 from salsanext_cli.geometry.projection import project
-from salsanext_cli.records import Float, RangeImage, Scan, TrainIds
+from salsanext_cli.records import Float, RangeImage, Scan
 from salsanext_cli.sensors import Sensor
 from salsanext_cli.training.augment import Augmentation
 from salsanext_cli.training.recipe import Recipe
