@@ -55,7 +55,8 @@ class Talk:
     def result(self, data: Mapping[str, Any], shown: RenderableType | None = None) -> None:
         """Give the result: JSON if asked for, else what is to be shown, on stdout."""
         if self.json:
-            typer.echo(json.dumps(data, ensure_ascii=False, allow_nan=False))
+            # ASCII, since names of files may be no text, and stdout no UTF-8.
+            typer.echo(json.dumps(data, allow_nan=False))
         elif shown is not None:
             from rich.console import Console
 

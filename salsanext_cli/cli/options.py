@@ -175,6 +175,13 @@ def sensor(name: str) -> SensorRecord:
     return find(name)
 
 
+def sensor_of(weights: Path | None) -> SensorRecord:
+    """Return the sensor that weights were trained with, so that what is projected fits them."""
+    from salsanext_cli.network.weights import default_weights, read_card
+
+    return read_card(weights or default_weights()).sensor
+
+
 def label_space(name: str | None) -> LabelSpace | None:
     """Look up a label space, None where none was named."""
     from salsanext_cli.classes import label_space as find

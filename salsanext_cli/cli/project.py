@@ -14,7 +14,8 @@ def project(
     split: options.Split = None,
     sequences: options.Sequences = None,
     limit: options.Limit = None,
-    sensor: options.SensorWithoutWeights = None,
+    weights: options.Weights = None,
+    sensor: options.Sensor = None,
     jobs: options.Jobs = 1,
     overwrite: options.Overwrite = False,
     on_error: options.OnErrorOption = options.OnError.skip,
@@ -24,7 +25,7 @@ def project(
 ) -> None:
     """Project scans to range images on disk, for `predict` or your own programs.
 
-    Example: salsanext project seq/velodyne out/ --sensor hdl64
+    Example: salsanext project seq/velodyne out/
     """
     from salsanext_cli.stages.project import project_scans
 
@@ -33,7 +34,7 @@ def project(
         outcome = project_scans(
             options.source(scans, dataset),
             out,
-            sensor=options.sensor(sensor or "hdl64"),
+            sensor=options.sensor(sensor) if sensor else options.sensor_of(weights),
             choice=options.choice(split, sequences, limit),
             options=batch,
         )

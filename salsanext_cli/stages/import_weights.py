@@ -40,7 +40,7 @@ def import_weights(
     space : LabelSpace, optional
         The classes of a published checkpoint; SemanticKITTI's by default. Ours know theirs.
     view : Sensor, optional
-        The sensor of a published checkpoint; the HDL-64 by default. Ours know theirs.
+        The sensor of a published checkpoint, the HDL-64 by default; or another than ours say.
     dropout : float
         The dropout rate that a published checkpoint was trained with.
     description : str
@@ -63,7 +63,8 @@ def import_weights(
         raise OutputError(target, "exists", remedy="use another name, or --overwrite")
     if source.suffix == OWN_SUFFIX:
         module, card = read_weights(source)
-        card = replace(card, description=description or card.description)
+        described = description or card.description
+        card = replace(card, description=described, sensor=view or card.sensor)
     else:
         module, card = _read_checkpoint(
             source, space or label_space(), view or sensor("hdl64"), dropout, description
