@@ -16,10 +16,7 @@ def knn_refine(
         Path | None,
         typer.Option(help="Refine the .label files of this folder, of any origin, instead."),
     ] = None,
-    scans: Annotated[
-        Path | None,
-        typer.Option(help="Where the scans are.", show_default="where they came from"),
-    ] = None,
+    dataset: options.DataSetOfResults = None,
     split: options.Split = None,
     sequences: options.Sequences = None,
     limit: options.Limit = None,
@@ -54,7 +51,8 @@ def knn_refine(
         outcome = knn_refine_scans(
             out,
             labels=labels,
-            scans_in=scans,
+            dataset=dataset,
+            usual_dataset=options.usual_dataset(),
             sensor=options.sensor(sensor) if sensor else None,
             space=options.label_space(label_space),
             knn=options.knn(knn_k, knn_window, knn_sigma, knn_cutoff),

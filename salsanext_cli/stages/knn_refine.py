@@ -82,7 +82,8 @@ def knn_refine_scans(
     out: Path,
     *,
     labels: Path | None = None,
-    scans_in: Path | None = None,
+    dataset: Path | None = None,
+    usual_dataset: Path = Path(),
     sensor: Sensor | None = None,
     space: LabelSpace | None = None,
     knn: KnnParameters = KnnParameters(),
@@ -98,8 +99,10 @@ def knn_refine_scans(
     labels : Path, optional
         A folder of point labels to refine instead, of any origin: `.label` files in the layout of
         the benchmark's predictions, or directly.
-    scans_in : Path, optional
-        Where the scans are; otherwise where those of `out` came from.
+    dataset : Path, optional
+        Where the scans are, a folder of scans or a data set, if not where those of `out` came from.
+    usual_dataset : Path
+        Where to look for scans of which nobody recorded where they came from.
     sensor : Sensor, optional
         Otherwise the one that earlier stages recorded in `out`; else the HDL-64.
     space : LabelSpace, optional
@@ -114,7 +117,7 @@ def knn_refine_scans(
     """
     if labels and labels.resolve().is_relative_to(out.resolve()):
         raise UsageError("--labels", f"{labels} inside {out}", "a folder that is only read")
-    scans = find_scans(scans_in) if scans_in else remembered_scans(out)
+    scans = find_scans(dataset) if dataset else remembered_scans(out, None, usual_dataset)
     space = space or recorded_label_space(out) or space_of(scans)
     if labels is None:
         ready = {(file.sequence, file.stem) for file in find_outputs(out, "pixel_labels")}
@@ -135,7 +138,7 @@ def knn_refine_scans(
     if labels is None:
         # Labels of other weights must not be kept as those of these.
         settings |= {"origins": origins(out, ["predict"])}
-    sources = scans if scans_in else ()
+    sources = scans if dataset else ()
     claim(out, "knn-refine", settings, ("predictions",), sources, overwrite=options.overwrite)
     work = RefineScan(out, labels, space, sensor, knn)
     return run_batch(work, scans, options, work.results_of)

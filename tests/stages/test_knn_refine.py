@@ -41,7 +41,7 @@ def truth(world):
 
 
 def refine(world, labels, **options):
-    return knn_refine_scans(world.out, labels=labels, scans_in=world.data, sensor=SMALL, **options)
+    return knn_refine_scans(world.out, labels=labels, dataset=world.data, sensor=SMALL, **options)
 
 
 def expected(world, sequence, stem, knn=None):
@@ -61,7 +61,7 @@ def test_labels_of_anybody_are_refined(world, truth):
 def test_a_plain_folder_of_labels_will_do(world, truth):
     plain = truth / "sequences/08/predictions"
     outcome = knn_refine_scans(
-        world.out, labels=plain, scans_in=world.data / "sequences/08", sensor=SMALL
+        world.out, labels=plain, dataset=world.data / "sequences/08", sensor=SMALL
     )
     assert outcome.done == 2
     np.testing.assert_array_equal(world.labels(), expected(world, "08", "000000"))
