@@ -1,0 +1,33 @@
+# SPDX-License-Identifier: MIT
+"""A command line in this process, and something for it to work on."""
+
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+from scans import write_sequence
+from typer.testing import CliRunner, Result
+
+from salsanext_cli.cli.app import app
+
+ALONE = ("SALSANEXT_OUT", "SALSANEXT_DATASET")
+Run = Callable[..., Result]
+
+
+@pytest.fixture
+def run(monkeypatch: pytest.MonkeyPatch) -> Run:
+    """Run a command; results and talk are kept apart."""
+    for name in ALONE:
+        monkeypatch.delenv(name, raising=False)
+
+    def call(*arguments: object) -> Result:
+        return CliRunner().invoke(app, [str(argument) for argument in arguments])
+
+    return call
+
+
+@pytest.fixture
+def data(tmp_path: Path) -> Path:
+    """Return a data set of one sequence of the split "valid"."""
+    write_sequence(tmp_path / "data/sequences/08", ["000000", "000001"])
+    return tmp_path / "data"

@@ -1,0 +1,101 @@
+# SPDX-License-Identifier: MIT
+import json
+import logging
+
+import pytest
+import typer
+from typer.testing import CliRunner
+
+from salsanext_cli.cli import console
+from salsanext_cli.errors import FormatError, UsageError
+
+
+def invoke(body, *arguments):
+    """Run a command of one line."""
+    app = typer.Typer(pretty_exceptions_enable=False)
+
+    @app.command()
+    @console.guarded
+    def command(json: bool = False, verbose: bool = False, quiet: bool = False) -> None:
+        body(console.Talk(json, verbose, quiet))
+
+    return CliRunner().invoke(app, list(arguments))
+
+
+def raising(error):
+    def body(_):
+        raise error
+
+    return body
+
+
+def test_a_users_mistake_is_one_line_and_status_one():
+    result = invoke(raising(FormatError("a.bin", "17 bytes", "a multiple of 16", "copy it again")))
+    assert result.exit_code == 1
+    assert result.stdout == ""
+    assert result.stderr == "error: a.bin · 17 bytes · expected a multiple of 16 · copy it again\n"
+
+
+def test_a_wrong_setting_is_status_two():
+    result = invoke(raising(UsageError("--limit", "0")))
+    assert result.exit_code == 2
+    assert result.stderr == "error: --limit · 0\n"
+
+
+def test_a_mistake_is_a_json_object_too():
+    result = invoke(raising(FormatError("a.bin", "17 bytes")), "--json")
+    assert result.exit_code == 1
+    assert json.loads(result.stdout) == {"error": "a.bin · 17 bytes"}
+
+
+def test_ctrl_c_is_status_130():
+    result = invoke(raising(KeyboardInterrupt()))
+    assert result.exit_code == 130
+    assert result.stderr == "interrupted: everything finished so far is intact\n"
+
+
+def test_a_bug_keeps_its_traceback():
+    result = invoke(raising(ZeroDivisionError("of ours")))
+    assert isinstance(result.exception, ZeroDivisionError)
+    assert result.exit_code not in (0, 2, 130)
+    assert "error:" not in result.stderr
+
+
+def test_verbose_and_quiet_exclude_each_other():
+    result = invoke(lambda talk: None, "--verbose", "--quiet")
+    assert result.exit_code == 2
+    assert "--verbose and --quiet" in result.stderr
+
+
+@pytest.mark.parametrize(
+    ("flag", "expected"),
+    [
+        ([], ["warning: three", "error: four", "said"]),
+        (["--quiet"], ["error: four"]),
+        (["--verbose"], ["two", "warning: three", "error: four", "said"]),
+    ],
+)
+def test_how_much_is_said(flag, expected):
+    def body(talk):
+        log = logging.getLogger("salsanext_cli.somewhere")
+        log.info("two")
+        log.warning("%s", "three")
+        log.error("four")
+        talk.say("said")
+
+    result = invoke(body, *flag)
+    assert result.stderr.splitlines() == expected
+    assert result.stdout == ""
+
+
+def test_a_result_is_shown_or_json():
+    def body(talk):
+        talk.result({"name": "Größe \udcff", "value": 1.5}, "a table")
+
+    assert invoke(body).stdout == "a table\n"
+    assert json.loads(invoke(body, "--json").stdout) == {"name": "Größe \udcff", "value": 1.5}
+
+
+def test_no_number_in_json_is_none_of_json():
+    result = invoke(lambda talk: talk.result({"value": float("nan")}), "--json")
+    assert isinstance(result.exception, ValueError)
