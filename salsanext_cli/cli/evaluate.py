@@ -34,7 +34,7 @@ def evaluate(
 
     from salsanext_cli.report.tables import ring_table, score_table
     from salsanext_cli.stages.evaluate import evaluate as run
-    from salsanext_cli.stages.evaluate import predicted_scans
+    from salsanext_cli.stages.predicted import predicted_scans, provenance
 
     talk = console.Talk(json, verbose, quiet)
     wanted = options.choice(split, sequences, limit)
@@ -42,7 +42,8 @@ def evaluate(
         out, wanted, dataset, options.label_space(label_space), options.usual_dataset()
     )
     with console.batch("eval", talk, jobs, on_error.value, overwrite=False) as batch:
-        evaluation = run(files, out, space, batch, by_distance=by_distance)
+        settings = provenance(out, wanted)
+        evaluation = run(files, out, space, batch, by_distance=by_distance, settings=settings)
     tables = [score_table(evaluation.scores)]
     if by_distance:
         tables.append(ring_table(evaluation.by_distance))

@@ -10,12 +10,13 @@ from pathlib import Path
 
 from salsanext_cli.formats.layout import find_scans
 from salsanext_cli.stages.batch import BatchOptions, Failure, Outcome, Progress
-from salsanext_cli.stages.evaluate import Evaluation, evaluate, predicted_scans
+from salsanext_cli.stages.evaluate import Evaluation, evaluate
 from salsanext_cli.stages.export_ply import export_ply
 from salsanext_cli.stages.inputs import Choice
 from salsanext_cli.stages.networks import NetworkChoice
 from salsanext_cli.stages.pictures import draw_scan
 from salsanext_cli.stages.predict import predict
+from salsanext_cli.stages.predicted import predicted_scans, provenance
 from salsanext_cli.stages.synth import synthesise
 from salsanext_cli.stages.uncertainty import uncertainty
 
@@ -96,9 +97,16 @@ def demo(
         ),
         *run("export-ply", lambda o: export_ply(out, colour="label", options=o)),
     )
-    files, space = predicted_scans(out, Choice(split="valid"))
+    choice = Choice(split="valid")
+    files, space = predicted_scans(out, choice)
     with bars("eval") as progress:
-        evaluation = evaluate(files, out, space, replace(options, progress=progress))
+        evaluation = evaluate(
+            files,
+            out,
+            space,
+            replace(options, progress=progress),
+            settings=provenance(out, choice),
+        )
     sensor = network.load().sensor
     pictures = draw_scan(files[len(files) // 2], out, space, sensor, out / "pictures")
     return Demonstration(data, out, evaluation, pictures, failures)

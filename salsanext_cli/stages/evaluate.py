@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import logging
 from collections import defaultdict
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -23,9 +23,6 @@ from salsanext_cli.measures.distance import RING_NAMES
 from salsanext_cli.measures.scores import Scores, scores
 from salsanext_cli.stages.batch import BatchOptions, Failure, run_batch
 from salsanext_cli.stages.counting import ScanCounts, count_scan
-from salsanext_cli.stages.inputs import Choice, choose, space_of
-from salsanext_cli.stages.outputs import recorded_label_space
-from salsanext_cli.stages.sources import remembered_scans
 
 log = logging.getLogger(__name__)
 
@@ -52,6 +49,8 @@ class Evaluation:
         Scans without predictions, left out.
     failures : tuple of Failure
         Scans that could not be compared, left out.
+    settings : dict
+        What was chosen and who made the predictions.
     """
 
     space: LabelSpace
@@ -63,12 +62,14 @@ class Evaluation:
     scans: int
     missing: tuple[ScanFile, ...]
     failures: tuple[Failure, ...]
+    settings: dict[str, Any]
 
     def to_dict(self) -> dict[str, Any]:
         """Return plain data for JSON; null stands for NaN."""
         return {
             "stage": "eval",
             "version": __version__,
+            "settings": self.settings,
             "label_space": self.space.name,
             "scans": self.scans,
             "missing": [str(scan.path) for scan in self.missing],
@@ -87,54 +88,6 @@ class Evaluation:
         }
 
 
-def predicted_scans(
-    out: Path,
-    choice: Choice,
-    dataset: Path | None = None,
-    space: LabelSpace | None = None,
-    usual_dataset: Path = Path(),
-) -> tuple[list[ScanFile], LabelSpace]:
-    """Find the scans whose predictions an output folder holds, and the label space of both.
-
-    Parameters
-    ----------
-    out : Path
-        Output folder of `predict` or `knn-refine`.
-    choice : Choice
-        Which of them.
-    dataset : Path, optional
-        Where the scans and labels are, if not where the scans came from.
-    space : LabelSpace, optional
-        Otherwise that of the scans' data set, else the one recorded in `out`.
-    usual_dataset : Path
-        Where to look for scans of which nobody recorded where they came from.
-
-    Raises
-    ------
-    NoInputError
-        If there are none.
-    LabelError
-        If predictions and labels speak of different classes.
-    """
-    scans = remembered_scans(out, dataset, usual_dataset)
-    recorded = recorded_label_space(out)
-    space = space or space_of(scans, recorded)
-    if recorded is not None and not recorded.fits(space):
-        raise LabelError(
-            out,
-            f"predictions in the classes of {recorded.name}",
-            f"those of {space.name}, as the labels",
-            "predict with weights for these classes",
-        )
-    chosen = choose(scans, choice, space, out)
-    if choice.split:
-        members = set(space.split(choice.split))
-        found = {scan.sequence for scan in chosen}
-        if absent := sorted(members - found if members & found else ()):
-            log.warning("no predictions for %s of split %s", ", ".join(absent), choice.split)
-    return chosen, space
-
-
 def evaluate(
     scans: Sequence[ScanFile],
     out: Path,
@@ -142,6 +95,7 @@ def evaluate(
     options: BatchOptions = BatchOptions(),
     *,
     by_distance: bool = False,
+    settings: Mapping[str, Any] | None = None,
 ) -> Evaluation:
     """Compare the predictions in an output folder with the labels of the scans.
 
@@ -160,6 +114,8 @@ def evaluate(
         Jobs, errors and progress.
     by_distance : bool
         Score rings of distance too, for which the scans are read.
+    settings : mapping, optional
+        What was chosen and who made the predictions, for the record.
 
     Raises
     ------
@@ -186,6 +142,7 @@ def evaluate(
         scans=counts.scans,
         missing=tuple(sorted(counts.missing, key=lambda scan: (scan.sequence, scan.stem))),
         failures=outcome.failures,
+        settings=dict(settings or {}),
     )
     _warn(evaluation)
     _write(evaluation, out)

@@ -16,7 +16,7 @@ from salsanext_cli.training.optimise import Learner
 
 
 @dataclass(slots=True)
-class Progress:
+class TrainingState:
     """How far a training has come.
 
     Attributes
@@ -34,7 +34,7 @@ class Progress:
     rows: list[Row] = field(default_factory=list)
 
 
-def save_checkpoint(path: Path, learner: Learner, progress: Progress) -> None:
+def save_checkpoint(path: Path, learner: Learner, progress: TrainingState) -> None:
     """Write the state after an epoch, atomically."""
     state = {
         "module": learner.module.state_dict(),
@@ -48,7 +48,7 @@ def save_checkpoint(path: Path, learner: Learner, progress: Progress) -> None:
         torch.save(state, file)
 
 
-def load_checkpoint(path: Path, learner: Learner) -> Progress:
+def load_checkpoint(path: Path, learner: Learner) -> TrainingState:
     """Put a saved state back; only tensors and plain values are ever unpickled.
 
     Raises
@@ -61,7 +61,7 @@ def load_checkpoint(path: Path, learner: Learner) -> Progress:
         learner.module.load_state_dict(state["module"])
         learner.average.load_state_dict(state["average"])
         learner.optimiser.load_state_dict(state["optimiser"])
-        return Progress(state["epoch"], state["best"], state["rows"])
+        return TrainingState(state["epoch"], state["best"], state["rows"])
     except (EOFError, OSError, RuntimeError, ValueError, KeyError, UnpicklingError) as error:
         raise TrainingError(
             path,

@@ -18,7 +18,7 @@ from salsanext_cli.formats.layout import ScanFile
 from salsanext_cli.measures.scores import scores
 from salsanext_cli.network.inference import Network
 from salsanext_cli.network.weights import WeightsCard, save_weights
-from salsanext_cli.training.checkpoint import Progress, load_checkpoint, save_checkpoint
+from salsanext_cli.training.checkpoint import TrainingState, load_checkpoint, save_checkpoint
 from salsanext_cli.training.dataset import Batch, Plan, Samples, batches
 from salsanext_cli.training.log import Row, draw_curve, write_log
 from salsanext_cli.training.optimise import Learner
@@ -90,36 +90,38 @@ class Training:
         """What is drawn when."""
         return Plan(len(self.samples.files), self.learner.recipe)
 
-    def to_the_end(self) -> Progress:
+    def to_the_end(self) -> TrainingState:
         """Train from the last finished epoch, if there is one, to the end."""
         checkpoint = self.run / CHECKPOINT
-        progress = load_checkpoint(checkpoint, self.learner) if checkpoint.exists() else Progress()
-        first = progress.epoch * self.plan.steps_per_epoch
+        state = (
+            load_checkpoint(checkpoint, self.learner) if checkpoint.exists() else TrainingState()
+        )
+        first = state.epoch * self.plan.steps_per_epoch
         if first:
-            log.info("going on after epoch %d", progress.epoch)
+            log.info("going on after epoch %d", state.epoch)
         pinned = self.learner.device.type == "cuda"
         stream = batches(self.samples, self.plan, first, self.workers, pinned=pinned)
-        while progress.epoch < self.learner.recipe.epochs:
-            self._epoch(progress, stream)
-        return progress
+        while state.epoch < self.learner.recipe.epochs:
+            self._epoch(state, stream)
+        return state
 
-    def _epoch(self, progress: Progress, stream: Iterator[Batch]) -> None:
+    def _epoch(self, state: TrainingState, stream: Iterator[Batch]) -> None:
         start = time.monotonic()
-        first = progress.epoch * self.plan.steps_per_epoch
+        first = state.epoch * self.plan.steps_per_epoch
         losses = []
         for step, batch in enumerate(islice(stream, self.plan.steps_per_epoch), first):
             losses.append(self._step(batch, step))
             if step + 1 < first + self.plan.steps_per_epoch:
-                self._tell(progress, step, losses[-1])
-        progress.epoch += 1
+                self._tell(state, step, losses[-1])
+        state.epoch += 1
         row: Row = {
-            "epoch": progress.epoch,
+            "epoch": state.epoch,
             "learning_rate": learning_rate(self.learner.recipe, step, self.plan.steps_per_epoch),
             "loss": float(np.mean(losses)),
             "seconds": time.monotonic() - start,
         }
-        self._keep(progress, row)
-        self._tell(progress, step, losses[-1], row)
+        self._keep(state, row)
+        self._tell(state, step, losses[-1], row)
 
     def _step(self, batch: Batch, step: int) -> float:
         images, truth, indices = batch
@@ -134,23 +136,23 @@ class Training:
             )
         return loss
 
-    def _keep(self, progress: Progress, row: Row) -> None:
+    def _keep(self, state: TrainingState, row: Row) -> None:
         """Validate where it is time, and write weights, log, curve and checkpoint."""
         recipe = self.learner.recipe
-        last = progress.epoch == recipe.epochs
-        validated = last or progress.epoch % recipe.validate_every == 0
+        last = state.epoch == recipe.epochs
+        validated = last or state.epoch % recipe.validate_every == 0
         if validated:
             row |= self._scores()
-        progress.rows.append(row)
+        state.rows.append(row)
         scores = {key: value for key, value in row.items() if "iou" in key and value == value}
-        card = replace(self.card, scores=scores | {"epoch": progress.epoch})
+        card = replace(self.card, scores=scores | {"epoch": state.epoch})
         save_weights(self.run / LAST, self.learner.average, card)
-        if validated and row["miou"] > progress.best:
-            progress.best = row["miou"]
+        if validated and row["miou"] > state.best:
+            state.best = row["miou"]
             save_weights(self.run / BEST, self.learner.average, card)
-        write_log(self.run / LOG, progress.rows)
-        draw_curve(self.run / CURVE, progress.rows)
-        save_checkpoint(self.run / CHECKPOINT, self.learner, progress)
+        write_log(self.run / LOG, state.rows)
+        draw_curve(self.run / CURVE, state.rows)
+        save_checkpoint(self.run / CHECKPOINT, self.learner, state)
 
     def _scores(self) -> Row:
         space = self.card.space
@@ -164,7 +166,7 @@ class Training:
         names = {f"iou_{score.name}": score.iou for score in result.classes}
         return {"miou": result.iou_mean_present} | names
 
-    def _tell(self, progress: Progress, step: int, loss: float, row: Row | None = None) -> None:
-        epoch = progress.epoch + (row is None)
+    def _tell(self, state: TrainingState, step: int, loss: float, row: Row | None = None) -> None:
+        epoch = state.epoch + (row is None)
         epochs = self.learner.recipe.epochs
         self.report(Report(epoch, epochs, step + 1, self.plan.steps, loss, row))

@@ -17,8 +17,9 @@ from salsanext_cli.measures.confusion import Confusion
 from salsanext_cli.records import Scan
 from salsanext_cli.stages.batch import BatchOptions
 from salsanext_cli.stages.counting import ScanCounts, count_scan
-from salsanext_cli.stages.evaluate import evaluate, predicted_scans
+from salsanext_cli.stages.evaluate import evaluate
 from salsanext_cli.stages.inputs import Choice
+from salsanext_cli.stages.predicted import predicted_scans
 
 SPACE = label_space()
 CAR, ROAD, MOVING_CAR, UNKNOWN = 10, 40, 252, 77

@@ -111,7 +111,7 @@ def test_an_interrupted_training_ends_with_the_weights_of_an_uninterrupted_one(
         go(dataset, tmp_path / "parts", progress=interrupt)
     steps: list[int] = []
     parts = go(dataset, tmp_path / "parts", jobs=jobs, progress=lambda r: steps.append(r.step))
-    # Progress is reported after an epoch is on disk, so that stopping at 2 loses nothing.
+    # TrainingState is reported after an epoch is on disk, so that stopping at 2 loses nothing.
     assert steps[0] == stop // 2 * 2 + 1
     assert same(whole.last, parts.last)
     assert same(whole.best, parts.best)
@@ -151,7 +151,7 @@ def test_the_seed_decides(dataset: Path, tmp_path: Path) -> None:
 
 def test_another_recipe_is_refused_and_overwrite_starts_anew(dataset: Path, tmp_path: Path) -> None:
     go(dataset, tmp_path / "run", recipe=TINY.with_changes(epochs=1))
-    with pytest.raises(OutputError, match=r"train\.json .* recipe was"):
+    with pytest.raises(OutputError, match=r"train\.json .* recipe\.epochs was 1 and is 3"):
         go(dataset, tmp_path / "run")
     anew = go(dataset, tmp_path / "run", overwrite=True)
     assert same(anew.last, go(dataset, tmp_path / "other").last)

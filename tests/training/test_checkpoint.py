@@ -9,7 +9,7 @@ import torch
 from tiny_network import TinyNetwork
 
 from salsanext_cli.errors import TrainingError
-from salsanext_cli.training.checkpoint import Progress, load_checkpoint, save_checkpoint
+from salsanext_cli.training.checkpoint import TrainingState, load_checkpoint, save_checkpoint
 from salsanext_cli.training.optimise import Learner
 from salsanext_cli.training.recipe import Recipe
 
@@ -26,7 +26,7 @@ def trained() -> Learner:
 
 
 def test_round_trip(tmp_path: Path) -> None:
-    learning, progress = trained(), Progress(2, 0.5, [{"epoch": 1, "loss": 2.5}])
+    learning, progress = trained(), TrainingState(2, 0.5, [{"epoch": 1, "loss": 2.5}])
     save_checkpoint(tmp_path / "c.pt", learning, progress)
     other = learner()
     assert load_checkpoint(tmp_path / "c.pt", other) == progress
@@ -40,14 +40,14 @@ def test_round_trip(tmp_path: Path) -> None:
 
 
 def test_a_checkpoint_of_another_network(tmp_path: Path) -> None:
-    save_checkpoint(tmp_path / "c.pt", trained(), Progress())
+    save_checkpoint(tmp_path / "c.pt", trained(), TrainingState())
     with pytest.raises(TrainingError, match="cannot be resumed from"):
         load_checkpoint(tmp_path / "c.pt", learner(classes=4))
 
 
 @pytest.mark.parametrize("cut", [0, 100, 5000])
 def test_a_damaged_checkpoint(cut: int, tmp_path: Path) -> None:
-    save_checkpoint(tmp_path / "c.pt", trained(), Progress())
+    save_checkpoint(tmp_path / "c.pt", trained(), TrainingState())
     data = (tmp_path / "c.pt").read_bytes()
     (tmp_path / "c.pt").write_bytes(data[:cut])
     with pytest.raises(TrainingError, match=r"c\.pt · cannot be resumed from"):

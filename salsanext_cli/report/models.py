@@ -1,0 +1,41 @@
+# SPDX-License-Identifier: MIT
+"""Tables of networks and of weights files."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from rich.table import Table
+
+
+def network_table(networks: Sequence[Mapping[str, Any]]) -> Table:
+    """Return a table of networks and what they cost."""
+    from rich.table import Table
+
+    table = Table(title="Networks", title_justify="left")
+    table.add_column("name")
+    table.add_column("parameters", justify="right")
+    table.add_column("multiply-accumulates at 64×2048", justify="right")
+    for network in networks:
+        macs = f"{network['multiply_accumulates'] / 1e9:.2f} G"
+        table.add_row(network["name"], f"{network['parameters']:,}", macs)
+    return table
+
+
+def card_table(card: Mapping[str, Any]) -> Table:
+    """Return a table of what a weights file says of itself."""
+    from rich.table import Table
+
+    sensor = card["sensor"]
+    table = Table(title=card["path"], title_justify="left", show_header=False)
+    table.add_row("what", card["description"] or "–")
+    table.add_row("architecture", ", ".join(f"{k} {v}" for k, v in card["architecture"].items()))
+    table.add_row("label space", f"{card['label_space']}, {len(card['classes'])} classes")
+    view = f"{sensor['fov_up']:+g}° to {sensor['fov_down']:+g}°"
+    table.add_row("sensor", f"{sensor['name']}, {sensor['height']}×{sensor['width']}, {view}")
+    table.add_row("scores", ", ".join(f"{k} {v}" for k, v in card["scores"].items()) or "–")
+    table.add_row("size", f"{card['bytes'] / 1e6:.1f} MB")
+    table.add_row("SHA-256", card["sha256"])
+    return table

@@ -1,0 +1,73 @@
+# SPDX-License-Identifier: MIT
+"""Which scans an output folder holds predictions of, and who made them."""
+
+from __future__ import annotations
+
+import logging
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+from salsanext_cli.classes import LabelSpace
+from salsanext_cli.errors import LabelError
+from salsanext_cli.formats.layout import ScanFile
+from salsanext_cli.stages.inputs import Choice, choose, space_of
+from salsanext_cli.stages.outputs import owner, recorded_label_space, stage_settings
+from salsanext_cli.stages.sources import remembered_scans
+
+log = logging.getLogger(__name__)
+
+
+def predicted_scans(
+    out: Path,
+    choice: Choice,
+    dataset: Path | None = None,
+    space: LabelSpace | None = None,
+    usual_dataset: Path = Path(),
+) -> tuple[list[ScanFile], LabelSpace]:
+    """Find the scans whose predictions an output folder holds, and the label space of both.
+
+    Parameters
+    ----------
+    out : Path
+        Output folder of `predict` or `knn-refine`.
+    choice : Choice
+        Which of them.
+    dataset : Path, optional
+        Where the scans and labels are, if not where the scans came from.
+    space : LabelSpace, optional
+        Otherwise that of the scans' data set, else the one recorded in `out`.
+    usual_dataset : Path
+        Where to look for scans of which nobody recorded where they came from.
+
+    Raises
+    ------
+    NoInputError
+        If there are none.
+    LabelError
+        If predictions and labels speak of different classes.
+    """
+    scans = remembered_scans(out, dataset, usual_dataset)
+    recorded = recorded_label_space(out)
+    space = space or space_of(scans, recorded)
+    if recorded is not None and not recorded.fits(space):
+        raise LabelError(
+            out,
+            f"predictions in the classes of {recorded.name}",
+            f"those of {space.name}, as the labels",
+            "predict with weights for these classes",
+        )
+    chosen = choose(scans, choice, space, out)
+    if choice.split:
+        members = set(space.split(choice.split))
+        found = {scan.sequence for scan in chosen}
+        if absent := sorted(members - found if members & found else ()):
+            log.warning("no predictions for %s of split %s", ", ".join(absent), choice.split)
+    return chosen, space
+
+
+def provenance(out: Path, choice: Choice) -> dict[str, Any]:
+    """Return, as plain data, what was chosen and which stage and weights made the predictions."""
+    stage = owner(out, "predictions")
+    made_with = (stage_settings(out, stage) or {}) if stage else {}
+    return asdict(choice) | {"predictions_of": stage, "weights": made_with.get("weights")}
