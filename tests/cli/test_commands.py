@@ -187,7 +187,7 @@ def test_settings_that_are_none_are_status_two(
     [
         (["predict", "nowhere"], "nowhere · no such file"),
         (["predict", "empty"], "empty · holds no scans"),
-        (["project", "empty"], "empty · holds no scans"),
+        (["project", "empty", "--sensor", "hdl64"], "empty · holds no scans"),
         (["uncertainty", "empty"], "empty · holds no scans"),
         (["eval", "--out", "nowhere"], "nowhere · no such folder"),
         (["eval", "--out", "empty"], "empty · holds no results"),

@@ -1,0 +1,248 @@
+# SPDX-License-Identifier: MIT
+"""The pipeline as a user types it: whole command lines in processes of their own."""
+
+import os
+import resource
+import shlex
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import plyfile
+import pytest
+from scans import SMALL, files_below, labels_below, write_sequence, write_weights
+
+from salsanext_cli.classes import label_space
+from salsanext_cli.formats.kitti import read_labels
+from salsanext_cli.network.weights import default_weights
+from salsanext_cli.stages.batch import BatchOptions
+from salsanext_cli.stages.export_ply import export_ply
+from salsanext_cli.stages.import_weights import import_weights
+from salsanext_cli.stages.inputs import Choice
+from salsanext_cli.stages.knn_refine import knn_refine_scans
+from salsanext_cli.stages.networks import NetworkChoice
+from salsanext_cli.stages.predict import predict
+from salsanext_cli.stages.project import project_scans
+from salsanext_cli.stages.uncertainty import uncertainty
+
+THREE_LINES = (
+    "salsanext predict seq/velodyne out/",
+    "salsanext eval --split valid",
+    "salsanext export-ply --colour uncertainty",
+)
+SCANS, POINTS = 300, 200
+
+
+@pytest.fixture
+def shell(tmp_path, weights):
+    """Run a line in a folder; a `salsanext` whose default weights are the test's is on the path."""
+    script = tmp_path / "bin" / "salsanext"
+    script.parent.mkdir()
+    script.write_text(
+        f"#!{sys.executable}\n"
+        "from pathlib import Path\n"
+        "import salsanext_cli.network.weights as weights\n"
+        f"weights.default_weights = lambda: Path({str(weights)!r})\n"
+        "from salsanext_cli.cli.app import main\n"
+        "main()\n"
+    )
+    script.chmod(0o755)
+    environment = {k: v for k, v in os.environ.items() if not k.startswith("SALSANEXT_")}
+    environment["PATH"] = f"{script.parent}{os.pathsep}{environment['PATH']}"
+
+    def run(line, folder):
+        return subprocess.run(
+            shlex.split(line),
+            cwd=folder,
+            env=environment,
+            capture_output=True,
+            text=True,
+            timeout=300,
+            check=False,
+        )
+
+    return run
+
+
+def assert_scored_and_exported(folder, sequence):
+    out = folder / "out"
+    assert (out / "scores.txt").read_text().startswith("accuracy_mean: ")
+    (cloud,) = (out / "sequences" / sequence / "ply").iterdir()
+    vertex = plyfile.PlyData.read(cloud)["vertex"]
+    names = [p.name for p in vertex.properties]
+    assert {"label", "truth", "error", "epistemic", "entropy", "mutual_information"} <= set(names)
+    assert np.isfinite(vertex["epistemic"]).all()
+    assert len(np.unique(vertex["green"])) > 20
+
+
+def test_the_three_lines_as_typed(shell, tmp_path):
+    """In the root of a data set, where `seq` is one of its sequences."""
+    folder = tmp_path / "Semantic KITTI"
+    write_sequence(folder / "sequences/08", ["000000"])
+    (folder / "seq").symlink_to("sequences/08")
+    for line in THREE_LINES:
+        done = shell(line, folder)
+        assert done.returncode == 0, done.stderr
+        assert "Traceback" not in done.stderr
+    assert_scored_and_exported(folder, "seq")
+
+
+def test_the_same_lines_when_the_scans_lie_elsewhere(shell, tmp_path):
+    elsewhere = write_sequence(tmp_path / "disk 2/Fahrt ü", ["000000"])
+    folder = tmp_path / "here"
+    folder.mkdir()
+    for line in (f"salsanext predict '{elsewhere}/velodyne' out/", *THREE_LINES[1:]):
+        done = shell(line, folder)
+        assert done.returncode == 0, done.stderr
+    assert_scored_and_exported(folder, "Fahrt ü")
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(not default_weights().exists(), reason="no default weights")
+def test_the_three_lines_with_the_default_weights(tmp_path):
+    write_sequence(tmp_path / "sequences/08", ["000000"], count=100_000)
+    (tmp_path / "seq").symlink_to("sequences/08")
+    for line in THREE_LINES:
+        _, *arguments = shlex.split(line)
+        salsanext = Path(sys.executable).with_name("salsanext")
+        done = subprocess.run([salsanext, *arguments], cwd=tmp_path, check=False)
+        assert done.returncode == 0
+    assert_scored_and_exported(tmp_path, "seq")
+
+
+@pytest.fixture
+def many(tmp_path):
+    """Return a folder of more scans than are labelled in the time that a test takes."""
+    return write_sequence(
+        tmp_path / "many", [f"{n:06d}" for n in range(SCANS)], count=POINTS, labels=False
+    )
+
+
+@pytest.mark.parametrize("jobs", [1, 2])
+def test_ctrl_c_in_the_middle(many, weights, tmp_path, jobs):
+    out = tmp_path / "out"
+    line = ["predict", many, out, "--weights", weights, "--device", "cpu", "--jobs", jobs]
+    process = subprocess.Popen(
+        [sys.executable, "-c", "from salsanext_cli.cli.app import main; main()", *map(str, line)],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        start_new_session=True,
+    )
+    try:
+        deadline = time.monotonic() + 240
+        while len(list(out.rglob("*.label"))) < 5:
+            assert process.poll() is None, process.communicate()
+            assert time.monotonic() < deadline
+            time.sleep(0.02)
+        os.killpg(process.pid, signal.SIGINT)
+        stdout, stderr = process.communicate(timeout=60)
+    finally:
+        process.kill()
+    assert process.returncode == 130
+    assert stdout == ""
+    assert stderr == "interrupted: everything finished so far is intact\n"
+    whole = labels_below(out)
+    assert 5 <= len(whole) < SCANS
+    assert {len(content) for content in whole.values()} == {4 * POINTS}
+    assert [name for name in files_below(out) if ".part" in name] == []
+    again = predict(many, out, network=NetworkChoice(weights, "cpu"), choice=Choice(limit=40))
+    assert again.skipped + again.done == 40
+    assert again.skipped >= min(len(whole), 5)
+    assert labels_below(out).items() >= whole.items()
+
+
+def test_two_jobs_give_the_bytes_of_one(tmp_path, weights):
+    """Through every stage that runs a network."""
+    data = write_sequence(tmp_path / "one", ["a", "b", "c"])
+    network = NetworkChoice(weights, "cpu")
+    for jobs in (1, 2):
+        out, options = tmp_path / f"jobs{jobs}", BatchOptions(jobs=jobs)
+        extras = ("pixel_labels", "probabilities")
+        predict(data, out, network=network, extras=extras, options=options)
+        uncertainty(data, out, network=network, samples=3, options=options)
+        export_ply(out, colour="epistemic", options=options)
+    one, two = (files_below(tmp_path / f"jobs{jobs}") for jobs in (1, 2))
+    assert len(one) == 3 * 7 + 4
+    assert one == two
+
+
+@pytest.fixture
+def full_disk():
+    """Refuse files above 100 000 bytes, as a full disk would."""
+    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
+    old = signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (100_000, hard))
+    yield
+    resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
+    signal.signal(signal.SIGXFSZ, old)
+
+
+def test_a_full_disk(tmp_path, weights, request):
+    large = write_sequence(tmp_path / "drive", ["large"], count=50_000, labels=False)
+    write_sequence(large, ["small"], count=100, labels=False)
+    request.getfixturevalue("full_disk")
+    outcome = predict(large, tmp_path / "out", network=NetworkChoice(weights, "cpu"))
+    assert outcome.done == 1
+    (failure,) = outcome.failures
+    assert failure.scan.stem == "large"
+    assert "free some space" in failure.reason
+    assert [name for name in files_below(tmp_path / "out") if ".part" in name] == []
+
+
+def test_the_steps_meet_whatever_the_sensor(tmp_path):
+    """Fused and in steps alike when the width is not divisible by 16 and points may be dropped."""
+    from dataclasses import replace
+
+    sensor = replace(SMALL, height=13, width=90, fov_up=-2.0, fov_down=-20.0, out_of_view="drop")
+    network = NetworkChoice(write_weights(tmp_path / "w.safetensors", sensor=sensor), "cpu")
+    data = write_sequence(tmp_path / "odd", ["a", "b"])
+    project_scans(data, tmp_path / "steps", sensor=sensor)
+    predict(tmp_path / "steps", tmp_path / "steps", network=network)
+    knn_refine_scans(tmp_path / "steps")
+    predict(data, tmp_path / "fused", network=network)
+    assert labels_below(tmp_path / "steps") == labels_below(tmp_path / "fused")
+    labels = read_labels(tmp_path / "fused/sequences/odd/predictions/a.label")
+    assert (labels == 0).any()
+
+
+@pytest.mark.real
+def test_real_scans_in_steps_or_in_one(golden, real_data, tmp_path):
+    """Published weights on real scans, a quarter of the width to save time."""
+    import_weights(golden / "SalsaNext", tmp_path / "w.safetensors", half=True)
+    from salsanext_cli.sensors import sensor
+
+    view = sensor("hdl64-512")
+    network = NetworkChoice(tmp_path / "w.safetensors", "cpu", view)
+    data, choice = real_data / "data/semantickitti", Choice(split="valid", limit=2)
+    project_scans(data, tmp_path / "steps", sensor=view, choice=choice)
+    predict(tmp_path / "steps", tmp_path / "steps", network=network)
+    knn_refine_scans(tmp_path / "steps")
+    predict(data, tmp_path / "fused", network=network, choice=choice)
+    labels = labels_below(tmp_path / "fused")
+    assert labels_below(tmp_path / "steps") == labels
+    assert list(labels) == [f"sequences/08/predictions/00000{n}.label" for n in (0, 1)]
+    for content in labels.values():
+        ids = set(np.frombuffer(content, "<u4"))
+        assert ids <= set(label_space().learning_map_inv.values())
+        assert len(ids) > 3
+
+
+@pytest.mark.real
+def test_knn_refine_betters_real_labels_that_were_cut_to_pixels(real_data, tmp_path):
+    """Truth, one label per pixel, refined: most points get their own label back."""
+    sequence = tmp_path / "08"
+    for kind, suffix in (("velodyne", "bin"), ("labels", "label")):
+        source = real_data / "data/semantickitti/sequences/08" / kind / f"000000.{suffix}"
+        (sequence / kind).mkdir(parents=True)
+        shutil.copy(source, sequence / kind)
+    knn_refine_scans(tmp_path / "out", labels=sequence / "labels", dataset=sequence)
+    space = label_space()
+    truth = space.to_train(read_labels(sequence / "labels/000000.label"))
+    refined = space.to_train(read_labels(tmp_path / "out/sequences/08/predictions/000000.label"))
+    labelled = truth > 0
+    assert (refined == truth)[labelled].mean() > 0.95
