@@ -6,7 +6,7 @@ from __future__ import annotations
 import logging
 import math
 from contextlib import suppress
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -18,10 +18,8 @@ from salsanext_cli.errors import SalsanextError, UsageError
 from salsanext_cli.formats.layout import ScanFile, find_outputs, output_path
 from salsanext_cli.formats.ply import write_ply
 from salsanext_cli.formats.reading import present
-from salsanext_cli.geometry.knn import KnnParameters
 from salsanext_cli.report.colours import error_colours, label_colours, value_colours, value_range
-from salsanext_cli.sensors import Sensor
-from salsanext_cli.stages.batch import BatchOptions, Outcome, run_batch
+from salsanext_cli.stages.batch import BatchOptions, Failure, Outcome, run_batch
 from salsanext_cli.stages.clouds import (
     UNCERTAINTY,
     Cloud,
@@ -32,6 +30,7 @@ from salsanext_cli.stages.clouds import (
     with_results,
 )
 from salsanext_cli.stages.inputs import Choice, choose, space_of
+from salsanext_cli.stages.late_uncertainty import sample_missing
 from salsanext_cli.stages.networks import NetworkChoice
 from salsanext_cli.stages.outputs import (
     claim,
@@ -42,7 +41,6 @@ from salsanext_cli.stages.outputs import (
 )
 from salsanext_cli.stages.sources import remembered_scans
 from salsanext_cli.stages.uncertainty import KINDS as SAMPLED
-from salsanext_cli.stages.uncertainty import SAMPLES, uncertainty_of
 
 CLASS_COLOURS = ("label", "truth", "error")
 COLOURS = (*CLASS_COLOURS, "intensity", "range", "uncertainty", *UNCERTAINTY)
@@ -148,8 +146,9 @@ def export_ply(
     space = space or space_of(scans, recorded_label_space(out))
     scans = with_results(out, choose(scans, Choice(choice.split, choice.sequences), space, out))
     scans = scans[: choice.limit]
+    unsampled: dict[ScanFile, Failure] = {}
     if colour in SAMPLED:
-        _sample_missing(out, scans, colour, network, options)
+        unsampled = sample_missing(out, scans, colour, network, options)
     _require_some(out, scans, colour)
     intensity_scale = recorded_sensor(out).intensity_scale
     if scale is None:
@@ -164,7 +163,9 @@ def export_ply(
     }
     claim(out, "export-ply", settings, ("ply",), overwrite=options.overwrite)
     work = ExportScan(out, space, intensity_scale, colour, scale)
-    return run_batch(work, scans, options, work.results_of)
+    outcome = run_batch(work, scans, options, work.results_of)
+    failures = tuple(unsampled.get(failure.scan, failure) for failure in outcome.failures)
+    return replace(outcome, failures=failures)
 
 
 def _require_some(out: Path, scans: list[ScanFile], colour: str) -> None:
@@ -175,51 +176,6 @@ def _require_some(out: Path, scans: list[ScanFile], colour: str) -> None:
         known = colour not in UNCERTAINTY or bool(find_outputs(out, f"uncertainty/{colour}"))
     if not known:
         raise unknown(colour, scans[0], out)
-
-
-def _sample_missing(
-    out: Path, scans: list[ScanFile], colour: str, network: NetworkChoice, options: BatchOptions
-) -> None:
-    """Sample the scans that lack an uncertainty, as the others in the folder were sampled."""
-    folder = f"uncertainty/{colour}"
-    missing = [s for s in scans if not present(output_path(out, s.sequence, folder, s.stem))]
-    if not missing:
-        return
-    network = _as_predicted(out, network)
-    earlier = stage_settings(out, "uncertainty") or {}
-    samples = earlier.get("samples", SAMPLES)
-    log.warning("no uncertainty of %d scans yet: sampling %d passes each", len(missing), samples)
-    uncertainty_of(
-        missing,
-        out,
-        network,
-        replace(options, overwrite=False),
-        knn=_recorded_knn(earlier),
-        samples=samples,
-        seed=earlier.get("seed", 0),
-        remembered=True,
-    )
-
-
-def _recorded_knn(settings: dict[str, Any]) -> KnnParameters:
-    values: dict[str, Any] = settings.get("knn") or asdict(KnnParameters())
-    return KnnParameters(**(values | {"cutoff": float(values["cutoff"])}))
-
-
-def _as_predicted(out: Path, network: NetworkChoice) -> NetworkChoice:
-    """Return the network, looking through the sensor that `predict` used; refuse other weights."""
-    settings = stage_settings(out, "predict")
-    if settings is None:
-        return network
-    if settings["weights"] != network.settings()["weights"]:
-        raise UsageError(
-            out,
-            f"labels by the weights {settings['weights'][:12]}… and no uncertainty yet",
-            "the same weights",
-            "give them with --weights, or run `salsanext uncertainty`",
-        )
-    seen = Sensor.from_dict(settings["sensor"], out / "predict.json")
-    return network if network.sensor else replace(network, sensor=seen)
 
 
 def _recorded_scale(out: Path, colour: str, options: BatchOptions) -> tuple[float, float] | None:
