@@ -19,13 +19,11 @@ import numpy.typing as npt
 import yaml
 
 from salsanext_cli.errors import LabelError, UsageError
+from salsanext_cli.label_yaml import KEYS, RAW_ID_COUNT, UNKNOWN, read_fields
 
 TrainIds = npt.NDArray[np.uint8]
 RawIds = npt.NDArray[np.uint32]
 
-RAW_ID_COUNT = 1 << 16
-UNKNOWN = 255
-KEYS = ("labels", "learning_map", "learning_map_inv", "learning_ignore", "color_map", "split")
 BUILT_IN = ("semantic-kitti",)
 
 
@@ -172,76 +170,7 @@ class LabelSpace:
         UsageError
             If the data is not of that form or contradicts itself; `source` is named.
         """
-        try:
-            labels = {int(i): str(name) for i, name in data["labels"].items()}
-            learning_map = {int(i): int(train) for i, train in data["learning_map"].items()}
-            inverse = {int(train): int(i) for train, i in data["learning_map_inv"].items()}
-            ignore = {
-                int(train): bool(flag)
-                for train, flag in data.get("learning_ignore", {0: True}).items()
-            }
-            colours = {int(i): _colour(bgr) for i, bgr in data.get("color_map", {}).items()}
-            splits = {
-                str(name): tuple(_sequence_name(s) for s in _listed(members))
-                for name, members in data.get("split", {}).items()
-            }
-        except (KeyError, TypeError, ValueError, AttributeError) as error:
-            raise UsageError(
-                source, f"not a label space: {error!r}", f"keys {', '.join(KEYS)}"
-            ) from error
-        if problem := _contradiction(labels, learning_map, inverse):
-            raise UsageError(source, problem, "a consistent label space")
-        ids = range(len(inverse))
-        return cls(
-            name=str(data.get("name", getattr(source, "stem", source))),
-            labels=labels,
-            learning_map=learning_map,
-            learning_map_inv=inverse,
-            ignored=tuple(ignore.get(i, i == 0) for i in ids),
-            colours=np.array(
-                [colours.get(inverse[i], _spare_colour(i))[::-1] for i in ids], np.uint8
-            ),
-            splits=splits,
-        )
-
-
-def _contradiction(
-    labels: dict[int, str], learning_map: dict[int, int], inverse: dict[int, int]
-) -> str:
-    """Say what is inconsistent, or return an empty string."""
-    if not inverse or sorted(inverse) != list(range(len(inverse))) or len(inverse) > UNKNOWN:
-        return f"train ids {sorted(inverse)} are not 0…C-1 with C ≤ {UNKNOWN}"
-    if bad := [i for i in (*learning_map, *labels) if not 0 <= i < RAW_ID_COUNT]:
-        return f"raw ids {bad} do not fit 16 bits"
-    if bad := sorted(set(learning_map.values()) - set(inverse)):
-        return f"learning_map leads to train ids {bad} that learning_map_inv lacks"
-    if bad := sorted(set(inverse.values()) - set(labels)):
-        return f"raw ids {bad} have no name in labels"
-    return ""
-
-
-def _listed(members: object) -> list[object]:
-    if not isinstance(members, list | tuple):
-        raise TypeError(f"a split is {members!r}, not a list of sequences")
-    return list(members)
-
-
-def _sequence_name(sequence: object) -> str:
-    """Name a sequence as its folder is named: numbers get two digits."""
-    return f"{sequence:02d}" if isinstance(sequence, int) else str(sequence)
-
-
-def _colour(channels: Any) -> list[int]:
-    """Return the three bytes of a colour; anything else raises `ValueError`."""
-    colour = [int(channel) for channel in channels]
-    if len(colour) != 3 or not all(0 <= channel <= 255 for channel in colour):
-        raise ValueError(f"{channels!r} is not a colour of 3 bytes")
-    return colour
-
-
-def _spare_colour(train_id: int) -> list[int]:
-    """Return a stable blue, green, red for a class without a colour; unlabelled is black."""
-    return [0, 0, 0] if train_id == 0 else [(train_id * step) % 206 + 50 for step in (67, 109, 151)]
+        return cls(**read_fields(data, source))
 
 
 @cache
