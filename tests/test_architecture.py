@@ -1,0 +1,229 @@
+# SPDX-License-Identifier: MIT
+"""The shape of the package: imports point one way, files stay small, the library is silent."""
+
+import ast
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import salsanext_cli
+
+ROOT = Path(__file__).parents[1]
+PACKAGE = Path(salsanext_cli.__file__).parent
+MODULES = sorted(PACKAGE.rglob("*.py"))
+LEVELS = (
+    ("errors",),
+    ("label_yaml",),
+    ("classes", "sensors"),
+    ("records",),
+    ("formats",),
+    ("geometry",),
+    ("network",),
+    ("measures",),
+    ("training", "synthesis"),
+    ("report",),
+    ("stages",),
+    ("cli",),
+)
+"""A part may import those in the lines above it, never one beside it."""
+LEVEL_OF = {part: level for level, parts in enumerate(LEVELS) for part in parts}
+LONGEST = 250
+"""Lines of a module; one idea is rarely longer than 200."""
+
+
+def tree_of(module: Path) -> ast.Module:
+    return ast.parse(module.read_text("utf-8"))
+
+
+def where(rule: Callable[[Path], object]) -> dict[str, object]:
+    """Return by module what a rule finds wrong with it."""
+    found = {str(module.relative_to(PACKAGE)): rule(module) for module in MODULES}
+    return {name: wrong for name, wrong in found.items() if wrong}
+
+
+def part_of(module: Path) -> str:
+    return module.relative_to(PACKAGE).parts[0].removesuffix(".py")
+
+
+def imported(tree: ast.AST) -> Iterator[str]:
+    """Yield every module that is imported anywhere, inside functions too."""
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Import):
+            yield from (alias.name for alias in node.names)
+        elif isinstance(node, ast.ImportFrom):
+            assert node.level == 0, f"line {node.lineno}: relative import"
+            assert node.module
+            yield node.module
+            yield from (f"{node.module}.{alias.name}" for alias in node.names)
+
+
+def own_parts(tree: ast.AST) -> set[str]:
+    """Return the parts of the package that are imported."""
+    names = (name.split(".") for name in imported(tree))
+    parts = {name[1] for name in names if name[0] == "salsanext_cli" and len(name) > 1}
+    return parts - {"__version__"}
+
+
+def test_every_part_has_its_level():
+    parts = {part_of(module) for module in MODULES} - {"__init__"}
+    assert parts == set(LEVEL_OF)
+
+
+def test_imports_point_one_way():
+    def beside_or_below(module):
+        part = part_of(module)
+        others = own_parts(tree_of(module)) - {part} if part != "__init__" else set()
+        return {other for other in others if LEVEL_OF[other] >= LEVEL_OF[part]}
+
+    assert where(beside_or_below) == {}
+
+
+def test_a_wrong_import_would_be_found():
+    tree = ast.parse(
+        "def f():\n    from salsanext_cli.cli import app\n    import salsanext_cli.stages.x"
+    )
+    assert own_parts(tree) == {"cli", "stages"}
+
+
+def test_training_and_synthesis_can_be_removed():
+    """Nothing but their own stages and commands, and the demonstration, may need them."""
+    allowed = {"train", "synth", "demo"}
+    users = {
+        module.stem
+        for module in MODULES
+        if part_of(module) not in ("training", "synthesis")
+        and own_parts(tree_of(module)) & {"training", "synthesis"}
+    }
+    assert users <= allowed
+
+
+def test_every_python_file_begins_with_its_licence():
+    folders = [PACKAGE, *(ROOT / name for name in ("tests", "examples", "docs", "tools"))]
+    files = [path for folder in folders for path in folder.rglob("*.py")]
+    first = {path: path.read_text("utf-8").partition("\n")[0] for path in files}
+    assert [path for path, line in first.items() if line != "# SPDX-License-Identifier: MIT"] == []
+
+
+def test_files_are_short():
+    lengths = {module: len(module.read_text("utf-8").splitlines()) for module in MODULES}
+    assert {module: n for module, n in lengths.items() if n > LONGEST} == {}
+
+
+def called(tree: ast.AST) -> Iterator[str]:
+    """Yield what is called, dots and all, such as ``sys.exit``."""
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Call):
+            yield ast.unparse(node.func)
+
+
+FORBIDDEN = {
+    *("print", "input", "exit", "quit", "sys.exit", "os._exit", "eval", "exec"),
+    *("pickle.load", "pickle.loads", "np.random.seed", "random.seed"),
+}
+
+
+def test_nothing_prints_exits_evaluates_or_unpickles():
+    assert where(lambda module: FORBIDDEN & set(called(tree_of(module)))) == {}
+
+
+def test_torch_loads_weights_only():
+    def freely(module):
+        calls = (node for node in ast.walk(tree_of(module)) if isinstance(node, ast.Call))
+        loads = [call for call in calls if ast.unparse(call.func) == "torch.load"]
+        return [c.lineno for c in loads if "weights_only=True" not in ast.unparse(c)]
+
+    assert where(freely) == {}
+    assert "torch.load" in set(called(tree_of(PACKAGE / "network" / "published.py")))
+
+
+def test_the_global_generator_is_left_as_it_was():
+    """Torch initialises by its global generator only, so it is seeded in a fork."""
+
+    def outside_of_forks(module):
+        tree = tree_of(module)
+        blocks = [node for node in ast.walk(tree) if isinstance(node, ast.With)]
+        forks = [b for b in blocks if any("fork_rng" in ast.unparse(i) for i in b.items)]
+        inside = [name for fork in forks for name in called(fork)]
+        return list(called(tree)).count("torch.manual_seed") - inside.count("torch.manual_seed")
+
+    assert where(outside_of_forks) == {}
+
+
+def test_no_exception_is_swallowed_whole():
+    def swallowed(module):
+        handlers = [n for n in ast.walk(tree_of(module)) if isinstance(n, ast.ExceptHandler)]
+        broad = [
+            h
+            for h in handlers
+            if h.type is None or ast.unparse(h.type) in ("Exception", "BaseException")
+        ]
+        return [
+            h.lineno
+            for h in broad
+            if not any(isinstance(n, ast.Raise) and n.exc is None for n in ast.walk(h))
+        ]
+
+    assert where(swallowed) == {}
+
+
+def documented(tree: ast.Module) -> Iterator[ast.AST]:
+    """Yield the module and its public classes, functions and methods."""
+    yield tree
+    todo: list[ast.AST] = [tree]
+    while todo:
+        for node in ast.iter_child_nodes(todo.pop()):
+            if isinstance(node, ast.ClassDef | ast.FunctionDef | ast.AsyncFunctionDef):
+                if node.name.startswith("_"):
+                    continue
+                yield node
+                if isinstance(node, ast.ClassDef):
+                    todo.append(node)
+
+
+def test_everything_public_is_documented():
+    def bare(module):
+        nodes = documented(tree_of(module))
+        return [getattr(n, "name", "module") for n in nodes if not ast.get_docstring(n)]
+
+    assert where(bare) == {}
+
+
+def test_only_formats_opens_point_files():
+    """What reads or writes points by itself would read them differently one day."""
+    readers = {"np.fromfile", "np.load", "np.save", "np.savez", "np.savetxt", "np.loadtxt"}
+
+    def readings(module):
+        if part_of(module) == "formats":
+            return set()
+        tree = tree_of(module)
+        return readers & set(called(tree)) | {"plyfile", "laspy"} & set(imported(tree))
+
+    assert where(readings) == {}
+
+
+def test_plyfile_is_imported_in_one_place_and_only_when_used():
+    """It is GPL, and the package MIT."""
+    assert list(where(lambda m: "plyfile" in set(imported(tree_of(m))))) == ["formats/ply.py"]
+    tree = tree_of(PACKAGE / "formats" / "ply.py")
+    functions = [node for node in tree.body if isinstance(node, ast.FunctionDef)]
+    assert sum("plyfile" in set(imported(function)) for function in functions) == 1
+
+
+def test_click_is_not_imported():
+    """Typer carries its own."""
+    assert where(lambda m: "click" in {n.split(".")[0] for n in imported(tree_of(m))}) == {}
+
+
+def test_commands_are_short():
+    """A command is parse, call, report."""
+    for module in (PACKAGE / "cli").glob("*.py"):
+        for node in tree_of(module).body:
+            if isinstance(node, ast.FunctionDef) and any(
+                ast.unparse(d) == "console.guarded" for d in node.decorator_list
+            ):
+                body = node.body[-1].end_lineno - node.body[0].lineno
+                assert body <= 60, node.name
+
+
+def test_no_name_says_nothing():
+    vague = {"utils", "util", "helpers", "helper", "misc", "common", "tools"}
+    assert not [m for m in MODULES if m.stem in vague]
