@@ -28,7 +28,7 @@ KINDS = ("epistemic", "entropy", "mutual_information")
 @pytest.fixture(autouse=True)
 def few_samples(monkeypatch):
     """Take two passes where nobody says how many."""
-    monkeypatch.setattr("salsanext_cli.stages.export_ply.SAMPLES", 2)
+    monkeypatch.setattr("salsanext_cli.stages.late_uncertainty.SAMPLES", 2)
 
 
 @pytest.fixture
