@@ -2,7 +2,6 @@
 """The pipeline as a user types it: whole command lines in processes of their own."""
 
 import os
-import resource
 import shlex
 import shutil
 import signal
@@ -14,6 +13,8 @@ from pathlib import Path
 import numpy as np
 import plyfile
 import pytest
+import torch
+from full_disk import full_disk
 from scans import SMALL, files_below, labels_below, write_sequence, write_weights
 
 from salsanext_cli.classes import label_space
@@ -156,6 +157,16 @@ def test_ctrl_c_in_the_middle(many, weights, tmp_path, jobs):
     assert labels_below(out).items() >= whole.items()
 
 
+@pytest.fixture
+def threads_of_two_jobs():
+    """Compute with as many threads as each of two workers has: sums depend on their order."""
+    before = torch.get_num_threads()
+    torch.set_num_threads(max(1, (os.cpu_count() or 1) // 2))
+    yield
+    torch.set_num_threads(before)
+
+
+@pytest.mark.usefixtures("threads_of_two_jobs")
 def test_two_jobs_give_the_bytes_of_one(tmp_path, weights):
     """Through every stage that runs a network."""
     data = write_sequence(tmp_path / "one", ["a", "b", "c"])
@@ -171,22 +182,11 @@ def test_two_jobs_give_the_bytes_of_one(tmp_path, weights):
     assert one == two
 
 
-@pytest.fixture
-def full_disk():
-    """Refuse files above 100 000 bytes, as a full disk would."""
-    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
-    old = signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
-    resource.setrlimit(resource.RLIMIT_FSIZE, (100_000, hard))
-    yield
-    resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
-    signal.signal(signal.SIGXFSZ, old)
-
-
-def test_a_full_disk(tmp_path, weights, request):
+def test_a_full_disk(tmp_path, weights):
     large = write_sequence(tmp_path / "drive", ["large"], count=50_000, labels=False)
     write_sequence(large, ["small"], count=100, labels=False)
-    request.getfixturevalue("full_disk")
-    outcome = predict(large, tmp_path / "out", network=NetworkChoice(weights, "cpu"))
+    with full_disk(100_000):
+        outcome = predict(large, tmp_path / "out", network=NetworkChoice(weights, "cpu"))
     assert outcome.done == 1
     (failure,) = outcome.failures
     assert failure.scan.stem == "large"

@@ -352,16 +352,6 @@ def test_refine_anybodys_labels(run, data, tmp_path):
     assert len(np.unique(refined)) > 5
 
 
-def test_several_jobs_give_the_same_bytes(run, data, weights, tmp_path):
-    for jobs in (1, 2):
-        out = tmp_path / str(jobs)
-        extras = ("--probabilities", "--pixel-labels")
-        assert run("predict", data, out, "--weights", weights, "-j", jobs, *extras).exit_code == 0
-    one, two = ({p.name: p.read_bytes() for p in (tmp_path / j).rglob("0*.*")} for j in "12")
-    assert one == two
-    assert len(list((tmp_path / "2").rglob("0*.*"))) == 6
-
-
 def test_every_error_of_ours_can_be_shown():
     for kind in SalsanextError.__subclasses__():
         assert str(kind("a", "b", "c", "d")) == "a · b · expected c · d"

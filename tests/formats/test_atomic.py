@@ -1,27 +1,14 @@
 # SPDX-License-Identifier: MIT
 import errno
-import resource
-import signal
 import subprocess
 import sys
-from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+from full_disk import full_disk
 
 from salsanext_cli.errors import OutputError
 from salsanext_cli.formats.atomic import write_text, writing
-
-
-@pytest.fixture
-def no_space() -> Iterator[None]:
-    """Let the system refuse files above 1000 bytes, as a full disk would."""
-    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
-    old = signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
-    resource.setrlimit(resource.RLIMIT_FSIZE, (1000, hard))
-    yield
-    resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
-    signal.signal(signal.SIGXFSZ, old)
 
 
 def test_file_appears_whole_and_parents_are_made(tmp_path: Path) -> None:
@@ -121,10 +108,9 @@ def test_read_only_folder(tmp_path: Path) -> None:
     assert "change its permissions" in done.stdout
 
 
-@pytest.mark.usefixtures("no_space")
 def test_full_disk(tmp_path: Path) -> None:
     path = tmp_path / "x"
-    with pytest.raises(OutputError, match="free some space") as caught:
+    with pytest.raises(OutputError, match="free some space") as caught, full_disk(1000):
         write_text(path, "x" * 5000)
     assert isinstance(caught.value.__cause__, OSError)
     assert caught.value.__cause__.errno == errno.EFBIG

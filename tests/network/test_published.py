@@ -265,7 +265,7 @@ def little(tmp_path_factory):
     return [save(folder / "SalsaNext", content, as_zip).read_bytes() for as_zip in (True, False)]
 
 
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=100, deadline=None)
 @given(data=st.data())
 def test_damaged_checkpoints_are_refused_or_harmless(little, tmp_path_factory, data):
     content = bytearray(data.draw(st.sampled_from(little)))
