@@ -20,6 +20,14 @@ from salsanext_cli.formats.reading import present
 
 log = logging.getLogger(__name__)
 
+HARMLESS = (
+    # Who stops a run knows that it has been stopped.
+    ".*tasks which were still being processed",
+    # A worker that grows, as it does when it loads a network, is replaced by a fresh one.
+    "A worker stopped while some jobs were given",
+)
+"""Warnings of joblib that say nothing to a user; raised as errors, they would stop its threads."""
+
 Result = TypeVar("Result")
 Progress = Callable[[int, int], None]
 """Called with the number of scans done and the number of scans to do."""
@@ -174,8 +182,8 @@ def _attempts_of_workers(
         joblib.parallel_config("loky", n_jobs=workers, inner_max_num_threads=threads),
         warnings.catch_warnings(),
     ):
-        # Who stops a run knows that it has been stopped.
-        warnings.filterwarnings("ignore", ".*tasks which were still being processed")
+        for harmless in HARMLESS:
+            warnings.filterwarnings("ignore", harmless)
         parallel = joblib.Parallel(return_as="generator_unordered")
         try:
             yield from parallel(joblib.delayed(_attempt_in)(here, mark, work, s) for s in scans)

@@ -5,6 +5,7 @@ import threading
 import time
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from salsanext_cli.errors import FormatError, SalsanextError, UsageError
@@ -175,6 +176,24 @@ def test_a_worker_that_the_system_kills_is_a_matter_of_memory(tmp_path):
         run(Write(tmp_path), scans, jobs=2)
     assert not list((tmp_path / "s").glob(".*"))
     assert run(Write(tmp_path), scans_of("a", "b"), jobs=2).done <= 2
+
+
+HOARD = []
+
+
+class Grow(Write):
+    """Keep memory that was not there after the worker's first scan, as a network does."""
+
+    def __call__(self, scan):
+        if not HOARD:
+            HOARD.append(np.ones(50_000_000))
+        return super().__call__(scan)
+
+
+def test_workers_that_grow_are_replaced_without_a_word(tmp_path):
+    run(Write(tmp_path / "small"), scans_of("a", "b"), jobs=2)
+    scans = scans_of(*(f"{n:02d}" for n in range(12)))
+    assert run(Grow(tmp_path / "large", pause=0.4), scans, jobs=2).done == 12
 
 
 def test_others_who_write_into_the_same_folder_are_left_alone(tmp_path):
