@@ -16,8 +16,10 @@ import pytest
 import torch
 from full_disk import full_disk
 from scans import SMALL, files_below, labels_below, write_sequence, write_weights
+from typer.testing import CliRunner
 
 from salsanext_cli.classes import label_space
+from salsanext_cli.cli.app import app
 from salsanext_cli.formats.kitti import read_labels
 from salsanext_cli.network.weights import default_weights
 from salsanext_cli.stages.batch import BatchOptions
@@ -92,14 +94,16 @@ def test_the_three_lines_as_typed(shell, tmp_path):
     assert_scored_and_exported(folder, "seq")
 
 
-def test_the_same_lines_when_the_scans_lie_elsewhere(shell, tmp_path):
+def test_the_same_lines_when_the_scans_lie_elsewhere(weights, tmp_path, monkeypatch):
+    for module in ("stages.networks", "network.inference"):
+        monkeypatch.setattr(f"salsanext_cli.{module}.default_weights", lambda: weights)
     elsewhere = write_sequence(tmp_path / "disk 2/Fahrt ü", ["000000"])
-    folder = tmp_path / "here"
-    folder.mkdir()
+    (tmp_path / "here").mkdir()
+    monkeypatch.chdir(tmp_path / "here")
     for line in (f"salsanext predict '{elsewhere}/velodyne' out/", *THREE_LINES[1:]):
-        done = shell(line, folder)
-        assert done.returncode == 0, done.stderr
-    assert_scored_and_exported(folder, "Fahrt ü")
+        done = CliRunner().invoke(app, shlex.split(line)[1:])
+        assert done.exit_code == 0, done.output
+    assert_scored_and_exported(tmp_path / "here", "Fahrt ü")
 
 
 @pytest.mark.slow
