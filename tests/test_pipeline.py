@@ -170,6 +170,7 @@ def threads_of_two_jobs():
     torch.set_num_threads(before)
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("threads_of_two_jobs")
 def test_two_jobs_give_the_bytes_of_one(tmp_path, weights):
     """Through every stage that runs a network."""
