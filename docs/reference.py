@@ -40,8 +40,18 @@ def page() -> str:
     for panel, names in COMMANDS.items():
         lines += [f"## {panel}", ""]
         for name in names:
-            lines += [*section(name, group.commands[name]), ""]
+            for full_name, command in members(name, group.commands[name]):
+                lines += [*section(full_name, command), ""]
     return "\n".join(lines).rstrip() + "\n"
+
+
+def members(name: str, command: Any) -> Iterator[tuple[str, Any]]:
+    """Yield a command and its name, or those of a group."""
+    inner = getattr(command, "commands", None)
+    if inner is None:
+        yield name, command
+    else:
+        yield from ((f"{name} {member}", each) for member, each in inner.items())
 
 
 def section(name: str, command: Any) -> Iterator[str]:

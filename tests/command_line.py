@@ -5,10 +5,36 @@ import json
 import os
 import subprocess
 import sys
+from collections.abc import Callable
 from typing import Any
 
 import pytest
+import typer
 from typer.testing import Result
+
+from salsanext_cli.cli.app import COMMANDS, app
+
+
+def every_command() -> dict[str, Callable[..., None]]:
+    """Return the function of every command, also of those in groups, by its full name."""
+    found: dict[str, Callable[..., None]] = {}
+    for commands in COMMANDS.values():
+        for name, command in commands.items():
+            if isinstance(command, typer.Typer):
+                for member in command.registered_commands:
+                    assert member.callback
+                    found[f"{name} {member.name}"] = member.callback
+            else:
+                found[name] = command
+    return found
+
+
+def parsed(name: str) -> Any:
+    """Return a command as the command line knows it, by its full name."""
+    command: Any = typer.main.get_command(app)
+    for word in name.split():
+        command = command.commands[word]
+    return command
 
 
 def only_json(result: Result) -> dict[str, Any]:

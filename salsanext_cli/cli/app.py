@@ -20,9 +20,10 @@ from salsanext_cli.cli.predict import predict
 from salsanext_cli.cli.project import project
 from salsanext_cli.cli.synth import synth
 from salsanext_cli.cli.train import train
+from salsanext_cli.cli.tune import tune
 from salsanext_cli.cli.uncertainty import uncertainty
 
-COMMANDS: dict[str, dict[str, Callable[..., None]]] = {
+COMMANDS: dict[str, dict[str, Callable[..., None] | typer.Typer]] = {
     "Pipeline": {
         "project": project,
         "train": train,
@@ -39,6 +40,7 @@ COMMANDS: dict[str, dict[str, Callable[..., None]]] = {
     "Models": {
         "models": models,
         "import-weights": import_weights,
+        "tune": tune,
     },
     "Look": {
         "demo": demo,
@@ -74,7 +76,10 @@ def salsanext(
 
 for panel, commands in COMMANDS.items():
     for name, command in commands.items():
-        app.command(name, rich_help_panel=panel)(command)
+        if isinstance(command, typer.Typer):
+            app.add_typer(command, name=name, rich_help_panel=panel)
+        else:
+            app.command(name, rich_help_panel=panel)(command)
 
 
 def main() -> None:

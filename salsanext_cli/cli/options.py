@@ -78,6 +78,26 @@ Sequences = Annotated[
 Limit = Annotated[
     int | None, typer.Option(help="Only so many scans, the first.", rich_help_panel=SELECTION)
 ]
+SplitOfLabels = Annotated[
+    str | None,
+    typer.Option(
+        "--split",
+        help="Only the sequences of a split: train, valid.",
+        show_default="valid, without --sequences",
+        rich_help_panel=SELECTION,
+    ),
+]
+LabelledDataSet = Annotated[
+    Path,
+    typer.Argument(
+        metavar="DATASET",
+        envvar="SALSANEXT_DATASET",
+        help="Labelled, in SemanticKITTI's layout.",
+    ),
+]
+WeightsOut = Annotated[
+    Path, typer.Argument(metavar="WEIGHTS_OUT", help="The .safetensors file to write.")
+]
 Sensor = Annotated[
     str | None,
     typer.Option(
@@ -166,6 +186,11 @@ def choice(split: str | None, sequences: str | None, limit: int | None) -> Choic
     if sequences is not None and not names:
         raise UsageError("--sequences", repr(sequences), "names of sequences, such as 00,08")
     return Choice(split, names, limit)
+
+
+def labelled_choice(split: str | None, sequences: str | None, limit: int | None) -> Choice:
+    """Gather which labelled scans are wanted: those for validation unless others are named."""
+    return choice(split or (None if sequences else "valid"), sequences, limit)
 
 
 def sensor(name: str) -> SensorRecord:

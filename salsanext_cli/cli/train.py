@@ -16,14 +16,7 @@ if TYPE_CHECKING:
 
 @console.guarded
 def train(
-    dataset: Annotated[
-        Path,
-        typer.Argument(
-            metavar="DATASET",
-            envvar="SALSANEXT_DATASET",
-            help="Labelled, in SemanticKITTI's layout.",
-        ),
-    ] = Path(),
+    dataset: options.LabelledDataSet = Path(),
     run: Annotated[Path, typer.Argument(metavar="RUN", help="Folder for the weights.")] = Path(
         "run"
     ),

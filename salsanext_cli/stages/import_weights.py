@@ -7,15 +7,13 @@ from dataclasses import replace
 from pathlib import Path
 
 from salsanext_cli.classes import LabelSpace, label_space
-from salsanext_cli.errors import OutputError, WeightsError
-from salsanext_cli.formats.reading import present
+from salsanext_cli.errors import WeightsError
 from salsanext_cli.network.architectures import build
 from salsanext_cli.network.published import read_published
 from salsanext_cli.network.salsanext import SalsaNext
 from salsanext_cli.network.weights import WeightsCard, load_tensors, read_weights, save_weights
 from salsanext_cli.sensors import Sensor, sensor
-
-OWN_SUFFIX = ".safetensors"
+from salsanext_cli.stages.new_weights import SUFFIX, require_target
 
 
 def import_weights(
@@ -57,11 +55,8 @@ def import_weights(
     OutputError
         If the target exists or cannot be written.
     """
-    if target.suffix != OWN_SUFFIX:
-        raise OutputError(target, f"suffix {target.suffix or 'missing'}", OWN_SUFFIX)
-    if present(target) and not overwrite:
-        raise OutputError(target, "exists", remedy="use another name, or --overwrite")
-    if source.suffix == OWN_SUFFIX:
+    require_target(target, overwrite)
+    if source.suffix == SUFFIX:
         module, card = read_weights(source)
         described = description or card.description
         card = replace(card, description=described, sensor=view or card.sensor)

@@ -3,14 +3,13 @@ import re
 import typing
 
 import pytest
-import typer
-from command_line import python
+from command_line import every_command, parsed, python
 
 from salsanext_cli import __version__
 from salsanext_cli.cli import options
-from salsanext_cli.cli.app import COMMANDS, app
+from salsanext_cli.cli.app import COMMANDS
 
-NAMES = [name for commands in COMMANDS.values() for name in commands]
+NAMES = list(every_command())
 PIPELINE = ["project", "train", "predict", "knn-refine", "uncertainty", "eval", "export-ply"]
 HEAVY = ("torch", "open3d", "numba", "matplotlib", "numpy", "scipy", "pandas", "joblib", "plyfile")
 
@@ -19,7 +18,8 @@ def test_help_lists_the_commands_by_panel_in_order(run):
     result = run("--help")
     assert result.exit_code == 0
     words = re.findall(r"^(?:╭─|│) (\S+)", result.stdout, re.MULTILINE)
-    listed = [word for word in words if word in NAMES or word in COMMANDS]
+    known = {name for commands in COMMANDS.values() for name in commands} | COMMANDS.keys()
+    listed = [word for word in words if word in known]
     assert listed == [w for panel, names in COMMANDS.items() for w in (panel, *names)]
 
 
@@ -28,14 +28,14 @@ def test_the_panels_are_those_of_the_design():
     assert [panel for panel in order if panel in COMMANDS] == list(COMMANDS)
     assert list(COMMANDS["Pipeline"]) == PIPELINE
     assert set(COMMANDS["Data"]) >= {"synth", "inspect"}
-    assert set(COMMANDS["Models"]) >= {"models", "import-weights"}
+    assert list(COMMANDS["Models"])[:3] == ["models", "import-weights", "tune"]
     assert "demo" in COMMANDS["Look"]
 
 
 @pytest.mark.parametrize("name", NAMES)
 @pytest.mark.parametrize("flag", ["--help", "-h"])
 def test_every_help_ends_its_text_with_an_example(run, name, flag):
-    result = run(name, flag)
+    result = run(*name.split(), flag)
     assert result.exit_code == 0
     text = " ".join(result.stdout.partition("╭─")[0].split())
     assert re.search(rf"\. Example: salsanext {name}( \S+)*$", text), text
@@ -45,6 +45,9 @@ def test_no_command_gives_help(run):
     result = run()
     assert "Pipeline" in result.output
     assert result.exit_code == 2
+    result = run("tune")
+    assert re.findall(r"│ (temperature|dropout) ", result.output) == ["temperature", "dropout"]
+    assert result.exit_code == 2
 
 
 def test_version(run):
@@ -53,7 +56,9 @@ def test_version(run):
     assert result.exit_code == 0
 
 
-@pytest.mark.parametrize("arguments", [["--help"], ["--version"], ["predict", "--help"]])
+@pytest.mark.parametrize(
+    "arguments", [["--help"], ["--version"], ["predict", "--help"], ["tune", "dropout", "-h"]]
+)
 def test_help_imports_nothing_heavy(arguments):
     done = python(
         "import sys\n"
@@ -77,6 +82,9 @@ def test_help_imports_nothing_heavy(arguments):
         ["eval", "--json=yes"],
         ["export-ply", "--scale", "1"],
         ["import-weights", "only-one"],
+        ["tune", "temprature"],
+        ["tune", "temperature", "only-one"],
+        ["tune", "dropout", "data", "w.safetensors", "--steps", "few"],
         ["--verbos"],
     ],
 )
@@ -107,12 +115,7 @@ def hints_of(command):
 
 
 def test_every_shared_option_is_used():
-    used = [
-        hint
-        for commands in COMMANDS.values()
-        for c in commands.values()
-        for hint in hints_of(c).values()
-    ]
+    used = [hint for command in every_command().values() for hint in hints_of(command).values()]
     unused = [name for name, option in declared_options().items() if option not in used]
     assert len(declared_options()) > 10
     assert unused == []
@@ -120,36 +123,33 @@ def test_every_shared_option_is_used():
 
 @pytest.mark.parametrize("name", NAMES)
 def test_every_command_talks_as_json_and_can_be_silent(name):
-    group = typer.main.get_command(app)
-    command = group.commands[name]
-    flags = {flag for parameter in command.params for flag in parameter.opts}
+    flags = {flag for parameter in parsed(name).params for flag in parameter.opts}
     assert flags >= {"--json", "-v", "--verbose", "-q", "--quiet"}
     assert not any(flag.startswith("--no-") for flag in flags)
 
 
 @pytest.mark.parametrize("name", NAMES)
 def test_every_option_has_help(name):
-    command = typer.main.get_command(app).commands[name]
     assert [
-        p.name for p in command.params if not getattr(p, "help", None) and p.name != "help"
+        p.name for p in parsed(name).params if not getattr(p, "help", None) and p.name != "help"
     ] == []
 
 
 def test_the_stages_of_the_pipeline_take_the_common_options():
     common = {"--split", "--sequences", "--limit", "--jobs", "--on-error", "--json", "-v", "-q"}
     for name in set(PIPELINE) - {"train"}:
-        command = typer.main.get_command(app).commands[name]
+        command = parsed(name)
         flags = {flag for parameter in command.params for flag in parameter.opts}
         assert flags >= common, name
         if name != "eval":
             assert flags >= {"--overwrite", "--sensor"}, name
     for name in ("predict", "uncertainty", "export-ply"):
-        command = typer.main.get_command(app).commands[name]
+        command = parsed(name)
         flags = {flag for parameter in command.params for flag in parameter.opts}
         assert flags >= {"--weights", "--device"}, name
 
 
 def test_colour_is_spelt_both_ways():
-    command = typer.main.get_command(app).commands["export-ply"]
+    command = parsed("export-ply")
     (colour,) = [p for p in command.params if p.name == "colour"]
     assert colour.opts == ["--colour", "--color"]

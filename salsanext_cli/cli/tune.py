@@ -1,0 +1,16 @@
+# SPDX-License-Identifier: MIT
+"""`salsanext tune`: a group, since what is tuned differs in all but its place in the help."""
+
+import typer
+
+from salsanext_cli.cli.tune_dropout import tune_dropout
+from salsanext_cli.cli.tune_temperature import tune_temperature
+
+COMMANDS = {"temperature": tune_temperature, "dropout": tune_dropout}
+
+tune = typer.Typer(
+    no_args_is_help=True,
+    help="Fit to labelled scans what makes probabilities and uncertainties honest.",
+)
+for name, command in COMMANDS.items():
+    tune.command(name)(command)

@@ -1,0 +1,184 @@
+# SPDX-License-Identifier: MIT
+"""Fit the temperature of a network on labelled scans."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Iterator, Sequence
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from salsanext_cli.classes import LabelSpace
+from salsanext_cli.errors import TrainingError, WeightsError
+from salsanext_cli.formats.layout import ScanFile
+from salsanext_cli.measures.calibration import Calibration, calibration_scores, judge
+from salsanext_cli.network.inference import Network
+from salsanext_cli.network.sampling import scan_seed
+from salsanext_cli.network.weights import TEMPERATURES, default_weights, save_with_card
+from salsanext_cli.records import Float
+from salsanext_cli.stages.batch import Progress
+from salsanext_cli.stages.inputs import Choice
+from salsanext_cli.stages.networks import NetworkChoice
+from salsanext_cli.stages.new_weights import require_target
+from salsanext_cli.stages.tuning import (
+    VALIDATION,
+    labelled_scans,
+    nothing_counts,
+    read_labelled_image,
+)
+from salsanext_cli.training.temperature import best_temperature, chunks, negative_log_likelihood
+
+NUMBERS = 20_000_000
+"""Logits kept at most, 80 MB: a million points with 20 classes."""
+SEED = 0
+"""Of the points that are kept."""
+
+log = logging.getLogger(__name__)
+
+
+@dataclass(frozen=True, slots=True)
+class Tempered:
+    """How well a softmax with a temperature fits the truth.
+
+    Attributes
+    ----------
+    temperature : float
+        Divides the logits.
+    nll : float
+        Mean negative log-likelihood of the true class, in nats.
+    ece : float
+        Expected calibration error over 15 bins, 0…1.
+    """
+
+    temperature: float
+    nll: float
+    ece: float
+
+
+@dataclass(frozen=True, slots=True)
+class TunedTemperature:
+    """What fitting a temperature ended with.
+
+    Attributes
+    ----------
+    before, after : Tempered
+        With the temperature that the weights had, and with the one that was fitted.
+    scans, points : int
+        How many were fitted to.
+    """
+
+    before: Tempered
+    after: Tempered
+    scans: int
+    points: int
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return plain data for JSON."""
+        return {"stage": "tune temperature", **asdict(self)}
+
+
+def tune_temperature(
+    dataset: Path,
+    target: Path,
+    *,
+    network: NetworkChoice = NetworkChoice(),
+    choice: Choice = VALIDATION,
+    numbers: int = NUMBERS,
+    overwrite: bool = False,
+    progress: Progress | None = None,
+) -> TunedTemperature:
+    """Write a weights file with the temperature of the least negative log-likelihood.
+
+    Each point has the logits of its pixel, as for `predict --probabilities`; points of ignored
+    classes do not count.
+
+    Parameters
+    ----------
+    dataset : Path
+        Labelled scans that the network was not trained on.
+    target : Path
+        The `.safetensors` file to write: the same tensors, bit for bit.
+    network : NetworkChoice
+        Weights, device and sensor.
+    choice : Choice
+        Which scans; a limit takes scans that are evenly spaced.
+    numbers : int
+        Logits to keep at most. Of a scan with more than its share, a random sample of the points
+        is taken, the same one every time.
+    overwrite : bool
+        Whether the target may exist.
+    progress : callable, optional
+        Called after each scan.
+
+    Raises
+    ------
+    SalsanextError
+        If the scans cannot be learnt from, or the file cannot be written.
+    """
+    loaded = network.load()
+    scans, space = labelled_scans(dataset, choice, loaded.card)
+    require_target(target, overwrite)
+    most = max(1, numbers // loaded.card.space.class_count // len(scans))
+    kept = list(_samples(scans, loaded, space, most, progress))
+    logits = torch.from_numpy(np.concatenate([values for values, _ in kept]))
+    truth = torch.from_numpy(np.concatenate([classes for _, classes in kept])).long()
+    if not len(truth):
+        raise nothing_counts(dataset, space)
+    temperature = best_temperature(logits, truth)
+    _require_possible(dataset, temperature, len(truth))
+    source = network.weights or default_weights()
+    save_with_card(source, target, replace(loaded.card, temperature=temperature))
+    before = _tempered(logits, truth, loaded.card.temperature)
+    after = _tempered(logits, truth, temperature)
+    return TunedTemperature(before, after, len(scans), len(truth))
+
+
+def _samples(
+    scans: Sequence[ScanFile],
+    network: Network,
+    space: LabelSpace,
+    most: int,
+    progress: Progress | None,
+) -> Iterator[tuple[Float, Any]]:
+    """Yield the logits (M, C) and train ids (M,) of at most so many points of each scan."""
+    for number, file in enumerate(scans, start=1):
+        labelled = read_labelled_image(file, network, space)
+        logits = network.logits(labelled.image).reshape(space.class_count, -1)
+        if not np.isfinite(logits).all():
+            raise WeightsError(file.path, "the network's logits are not finite", "finite ones")
+        random = np.random.default_rng(scan_seed(SEED, file.sequence, file.stem))
+        count = len(labelled.truth)
+        chosen = random.choice(count, most, replace=False) if count > most else slice(None)
+        log.info("%s/%s: %d points", file.sequence, file.stem, min(count, most))
+        yield logits[:, labelled.pixels[chosen]].T.copy(), labelled.truth[chosen]
+        if progress:
+            progress(number, len(scans))
+
+
+def _require_possible(dataset: Path, temperature: float, points: int) -> None:
+    """Refuse a temperature that no softmax can be used with."""
+    lowest, highest = TEMPERATURES
+    if temperature == 0:
+        found = f"each of {points} points is right: the lower, the better"
+    elif temperature == float("inf"):
+        found = f"{points} points whose classes the network does not know: the higher, the better"
+    else:
+        found = f"the best temperature is {temperature:g}"
+    if not lowest <= temperature <= highest:
+        expected = f"one between {lowest:g} and {highest:g}"
+        raise TrainingError(dataset, found, expected, "use more scans, or other weights")
+
+
+def _tempered(logits: Tensor, truth: Tensor, temperature: float) -> Tempered:
+    calibration = Calibration.none(1)
+    for part, classes in chunks(logits, truth):
+        probabilities = torch.softmax(part / temperature, dim=1).numpy()
+        judged = judge(probabilities, classes.numpy())
+        calibration.update(judged, np.zeros(len(classes), np.intp))
+    nll = negative_log_likelihood(logits, truth, temperature)
+    return Tempered(temperature, nll, calibration_scores(calibration).ece)
