@@ -1,0 +1,162 @@
+# SPDX-License-Identifier: MIT
+"""Assumed density filtering: a network that maps means and variances (paper III-C.1).
+
+The network is not written a second time. A `Gaussian` stands in for a tensor, and PyTorch asks it
+what each function of the network does to it: every rule below says so for one function. A
+function without a rule is an error, so the two views of a network cannot drift apart.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import torch
+import torch.nn.functional as F
+from torch import Tensor
+
+from salsanext_cli.network.moments import leaky_relu_moments, softmax_moments
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Gaussian:
+    """Independent Gaussians in place of a tensor's numbers.
+
+    Attributes
+    ----------
+    mean, variance : Tensor
+        Of the same shape, dtype and device; the variance is not negative.
+    """
+
+    mean: Tensor
+    variance: Tensor
+
+    def __post_init__(self) -> None:
+        if self.mean.shape != self.variance.shape:
+            found = f"mean {tuple(self.mean.shape)} and variance {tuple(self.variance.shape)}"
+            raise ValueError(f"{found} differ in shape")
+
+    @classmethod
+    def __torch_function__(
+        cls,
+        function: Callable[..., Any],
+        types: Sequence[type],
+        args: Sequence[Any] = (),
+        kwargs: dict[str, Any] | None = None,
+    ) -> Gaussian:
+        """Apply the rule of a function; PyTorch calls this."""
+        rule = RULES.get(function)
+        if rule is None:
+            raise NotImplementedError(f"no rule for the moments of {function.__name__}")
+        return rule(*args, **(kwargs or {}))
+
+    @property
+    def shape(self) -> torch.Size:
+        """Shape of the mean."""
+        return self.mean.shape
+
+    @property
+    def dtype(self) -> torch.dtype:
+        """Number type of the mean."""
+        return self.mean.dtype
+
+    @property
+    def device(self) -> torch.device:
+        """Device of the mean."""
+        return self.mean.device
+
+    def dim(self) -> int:
+        """Return the number of dimensions."""
+        return self.mean.dim()
+
+    def __getitem__(self, index: Any) -> Gaussian:
+        return Gaussian(self.mean[index], self.variance[index])
+
+    def __add__(self, other: Gaussian) -> Gaussian:
+        """Add independent Gaussians: Var = v₁ + v₂."""
+        return Gaussian(self.mean + other.mean, self.variance + other.variance)
+
+    def __mul__(self, factor: Tensor) -> Gaussian:
+        """Scale by known factors, such as the mask of a dropout: Var = k² v."""
+        return Gaussian(self.mean * factor, self.variance * factor.square())
+
+
+def _conv2d(
+    x: Gaussian, weight: Tensor, bias: Tensor | None = None, *geometry: Any, **more: Any
+) -> Gaussian:
+    """Var = W² ∗ v."""
+    return Gaussian(
+        F.conv2d(x.mean, weight, bias, *geometry, **more),
+        F.conv2d(x.variance, weight.square(), None, *geometry, **more),
+    )
+
+
+def _batch_norm(
+    x: Gaussian,
+    running_mean: Tensor,
+    running_var: Tensor,
+    weight: Tensor,
+    bias: Tensor,
+    training: bool = False,
+    momentum: float = 0.1,
+    eps: float = 1e-5,
+) -> Gaussian:
+    """Var = v γ² / (σ² + ε), the statistics frozen."""
+    if training:
+        raise ValueError("batch norm with statistics of its own batch has no moments: use eval()")
+    mean = F.batch_norm(x.mean, running_mean, running_var, weight, bias, False, momentum, eps)
+    factor = weight.square() / (running_var + eps)
+    return Gaussian(mean, x.variance * factor.view(1, -1, 1, 1))
+
+
+def _leaky_relu(x: Gaussian, negative_slope: float = 0.01, inplace: bool = False) -> Gaussian:
+    return Gaussian(*leaky_relu_moments(x.mean, x.variance, negative_slope))
+
+
+def _avg_pool2d(x: Gaussian, kernel: int, stride: int, padding: int, *count: Any) -> Gaussian:
+    """Var = Σv / k⁴, the mean of k² cells of which those outside are certain zeros."""
+    if count not in ((), (False, True, None)):
+        raise NotImplementedError(f"average pooling with {count}")
+    variance = F.avg_pool2d(x.variance, kernel, stride, padding) / kernel**2
+    return Gaussian(F.avg_pool2d(x.mean, kernel, stride, padding), variance)
+
+
+def _dropout2d(x: Gaussian, p: float, training: bool, inplace: bool = False) -> Gaussian:
+    """Var = m² v with the mask m that is drawn in training; nothing happens otherwise."""
+    if not training:
+        return x
+    ones = torch.ones((*x.shape[:2], 1, 1), dtype=x.dtype, device=x.device)
+    return x * F.dropout2d(ones, p, training)
+
+
+def _softmax(x: Gaussian, dim: int) -> Gaussian:
+    return Gaussian(*softmax_moments(x.mean, x.variance, dim))
+
+
+def _concatenate(parts: Sequence[Gaussian], dim: int = 0) -> Gaussian:
+    means, variances = zip(*((part.mean, part.variance) for part in parts), strict=True)
+    return Gaussian(torch.cat(means, dim), torch.cat(variances, dim))
+
+
+def _moved(function: Callable[..., Tensor]) -> Callable[..., Gaussian]:
+    """Return the rule of a function that only moves numbers, or puts certain zeros beside them."""
+
+    def rule(x: Gaussian, *args: Any, **kwargs: Any) -> Gaussian:
+        return Gaussian(function(x.mean, *args, **kwargs), function(x.variance, *args, **kwargs))
+
+    return rule
+
+
+RULES: dict[Callable[..., Any], Callable[..., Gaussian]] = {
+    F.conv2d: _conv2d,
+    F.batch_norm: _batch_norm,
+    F.leaky_relu: _leaky_relu,
+    F.avg_pool2d: _avg_pool2d,
+    F.dropout2d: _dropout2d,
+    F.pad: _moved(F.pad),
+    F.pixel_shuffle: _moved(F.pixel_shuffle),
+    torch.softmax: _softmax,
+    torch.cat: _concatenate,
+}
+"""What the functions of a network do to moments; design of the rules: Gast & Roth 2018."""
