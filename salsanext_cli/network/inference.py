@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import torch
@@ -11,6 +11,7 @@ from torch import Tensor
 
 from salsanext_cli.errors import UsageError
 from salsanext_cli.geometry.normalise import normalise
+from salsanext_cli.network.architectures import build
 from salsanext_cli.network.salsanext import SalsaNext
 from salsanext_cli.network.weights import WeightsCard, default_weights, read_weights
 from salsanext_cli.records import Float, RangeImage
@@ -90,6 +91,20 @@ def load_network(
     place = choose_device(device)
     module = module.to(place).to(memory_format=torch.channels_last)  # type: ignore[call-overload]
     return Network(module, card, sensor or card.sensor, place)
+
+
+def with_dropout(network: Network, rate: float) -> Network:
+    """Return the network with another dropout rate, from 0 to below 1; both share their weights.
+
+    One that was trained without dropout gets it where the paper has it.
+    """
+    architecture = {**network.card.architecture, "dropout": rate}
+    # On "meta" nothing is drawn: torch's global generator stays as it is.
+    with torch.device("meta"):
+        module = build(architecture)
+    module.load_state_dict(network.module.state_dict(), assign=True)
+    card = replace(network.card, architecture=architecture)
+    return replace(network, module=module.eval(), card=card)
 
 
 def choose_device(name: str) -> torch.device:

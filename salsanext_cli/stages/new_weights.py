@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Whether a weights file may be written under a name."""
+"""Whether a weights file, and what belongs to it, may be written under a name."""
 
 from __future__ import annotations
 
@@ -24,11 +24,16 @@ def require_target(target: Path, overwrite: bool) -> None:
     """
     if target.suffix != SUFFIX:
         raise OutputError(target, f"suffix {target.suffix or 'missing'}", SUFFIX)
-    if present(target) and not overwrite:
-        raise OutputError(target, "exists", remedy="use another name, or --overwrite")
-    if target.is_dir():
-        raise OutputError(target, "is a folder", "the name of a file")
+    require_free(target, overwrite)
     probe = target.with_name(f".{uuid.uuid4().hex}.probe")
     with writing(probe):
         pass
     probe.unlink()
+
+
+def require_free(path: Path, overwrite: bool) -> None:
+    """Raise `OutputError` if a file exists and may not be overwritten, or is a folder."""
+    if present(path) and not overwrite:
+        raise OutputError(path, "exists", remedy="use another name, or --overwrite")
+    if path.is_dir():
+        raise OutputError(path, "is a folder", "the name of a file")

@@ -4,12 +4,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
-from scans import SMALL, make_scan
+from scans import SMALL, make_scan, write_weights
 
 from salsanext_cli.errors import UsageError, WeightsError
 from salsanext_cli.geometry.normalise import normalise
 from salsanext_cli.geometry.projection import project
-from salsanext_cli.network.inference import choose_device, load_network
+from salsanext_cli.network.dropout import dropouts
+from salsanext_cli.network.inference import choose_device, load_network, with_dropout
 from salsanext_cli.records import Scan
 from salsanext_cli.sensors import Sensor
 
@@ -90,3 +91,18 @@ def test_weights_may_be_named_by_text_and_must_exist(weights, tmp_path):
     assert load_network(str(weights), "cpu").card.description == "random"
     with pytest.raises(WeightsError):
         load_network(tmp_path / "nothing", "cpu")
+
+
+@pytest.mark.parametrize("trained", [0.0, 0.2])
+def test_another_dropout_rate_shares_the_weights(tmp_path, trained):
+    network = load_network(write_weights(tmp_path / "w.safetensors", dropout=trained), "cpu")
+    state = torch.random.get_rng_state()
+    other = with_dropout(network, 0.4)
+    assert torch.equal(torch.random.get_rng_state(), state)
+    assert [layer.rate for layer in dropouts(other.module)] == [0.4] * 13
+    assert {layer.rate for layer in dropouts(network.module)} == ({trained} if trained else set())
+    assert other.card.architecture == {**network.card.architecture, "dropout": 0.4}
+    pairs = zip(other.module.parameters(), network.module.parameters(), strict=True)
+    assert all(one.data_ptr() == same.data_ptr() for one, same in pairs)
+    image = project(make_scan(), SMALL)
+    np.testing.assert_array_equal(other.probabilities(image), network.probabilities(image))

@@ -1,0 +1,169 @@
+# SPDX-License-Identifier: MIT
+"""Find the dropout rate to sample with on labelled scans, by the paper's grid search."""
+
+from __future__ import annotations
+
+import logging
+import math
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from salsanext_cli.errors import TrainingError
+from salsanext_cli.network.aleatoric import aleatoric
+from salsanext_cli.network.inference import Network, with_dropout
+from salsanext_cli.network.sampling import require_sampling, sample, scan_seed
+from salsanext_cli.network.weights import default_weights, save_with_card
+from salsanext_cli.records import Float
+from salsanext_cli.report.tuning import rate_curve
+from salsanext_cli.stages.batch import Progress
+from salsanext_cli.stages.inputs import Choice
+from salsanext_cli.stages.networks import NetworkChoice
+from salsanext_cli.stages.new_weights import require_free, require_target
+from salsanext_cli.stages.tuning import (
+    LabelledImage,
+    labelled_scans,
+    nothing_counts,
+    read_labelled_image,
+)
+from salsanext_cli.training.dropout_rate import objective, rates_between
+
+SAMPLES = 30
+LOWEST, HIGHEST, STEPS = 0.02, 0.5, 10
+SCANS = 20
+"""Scans that are sampled at every rate unless another limit is set."""
+
+log = logging.getLogger(__name__)
+
+
+@dataclass(frozen=True, slots=True)
+class TunedDropout:
+    """What the search for a dropout rate ended with.
+
+    Attributes
+    ----------
+    before, best : float
+        The rate that the weights had, and the one found.
+    rates, objectives : tuple of float
+        What was tried, and the objective of each, mean over the points.
+    scans, points : int
+        How many were sampled at every rate.
+    """
+
+    before: float
+    best: float
+    rates: tuple[float, ...]
+    objectives: tuple[float, ...]
+    scans: int
+    points: int
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return plain data for JSON."""
+        return {"stage": "tune dropout", **asdict(self)}
+
+
+def tune_dropout(
+    dataset: Path,
+    target: Path,
+    *,
+    network: NetworkChoice = NetworkChoice(),
+    choice: Choice = Choice(split="valid", limit=SCANS),
+    samples: int = SAMPLES,
+    seed: int = 0,
+    lowest: float = LOWEST,
+    highest: float = HIGHEST,
+    steps: int = STEPS,
+    overwrite: bool = False,
+    progress: Progress | None = None,
+) -> TunedDropout:
+    """Write a weights file with the dropout rate of the least objective, and draw the curve.
+
+    The objective is Σ ½ log s + (y − p)² / 2s over points and classes, with the mean p of the
+    passes and the total variance s, epistemic and aleatoric.
+
+    Parameters
+    ----------
+    dataset : Path
+        Labelled scans that the network was not trained on.
+    target : Path
+        The `.safetensors` file to write: the same tensors, bit for bit. The curve is `curve_of` it.
+    network : NetworkChoice
+        Weights, device and sensor.
+    choice : Choice
+        Which scans; a limit takes scans that are evenly spaced.
+    samples, seed : int
+        Passes per scan and rate, and the seed of their masks, as for `uncertainty`.
+    lowest, highest : float
+        Ends of the range.
+    steps : int
+        How many rates to try, at equal steps of the logarithm.
+    overwrite : bool
+        Whether the target may exist.
+    progress : callable, optional
+        Called after each scan at each rate.
+
+    Raises
+    ------
+    SalsanextError
+        If the scans cannot be learnt from, or the files cannot be written.
+    """
+    rates = rates_between(lowest, highest, steps)
+    loaded = network.load()
+    candidates = [with_dropout(loaded, rate) for rate in rates]
+    require_sampling(candidates[0], samples)
+    scans, space = labelled_scans(dataset, choice, loaded.card)
+    require_target(target, overwrite)
+    require_free(curve_of(target), overwrite)
+    sums, points = np.zeros(len(rates)), 0
+    for number, file in enumerate(scans):
+        labelled = read_labelled_image(file, loaded, space)
+        noise = of_points(aleatoric(loaded, labelled.image), labelled)
+        points += len(labelled.truth)
+        for index, candidate in enumerate(candidates):
+            of_scan = scan_seed(seed, file.sequence, file.stem)
+            sums[index] += _objective(candidate, labelled, noise, samples, of_scan)
+            if progress:
+                progress(number * len(rates) + index + 1, len(scans) * len(rates))
+        log.info("%s/%s: %d points", file.sequence, file.stem, len(labelled.truth))
+    if not points:
+        raise nothing_counts(dataset, space)
+    objectives = _means(dataset, sums, points)
+    best = int(np.argmin(objectives))
+    if best in (0, len(rates) - 1):
+        edge = ("--lowest", "--highest")[best > 0]
+        log.warning("the best rate, %g, is the last of the range: move %s", rates[best], edge)
+    source = network.weights or default_weights()
+    rate_curve(curve_of(target), rates, objectives, rates[best])
+    save_with_card(source, target, candidates[best].card)
+    before = float(loaded.card.architecture.get("dropout", math.nan))
+    return TunedDropout(before, rates[best], tuple(rates), tuple(objectives), len(scans), points)
+
+
+def curve_of(target: Path) -> Path:
+    """Return where the curve that goes with a weights file is drawn."""
+    return target.with_name(f"{target.stem}_dropout.png")
+
+
+def of_points(of_pixels: Float, labelled: LabelledImage) -> Float:
+    """Give every point that counts its pixel's values: (C, H, W) to (M, C)."""
+    values: Float = of_pixels.reshape(len(of_pixels), -1)[:, labelled.pixels].T
+    return values
+
+
+def _objective(
+    network: Network, labelled: LabelledImage, noise: Float, samples: int, seed: int
+) -> float:
+    sampled = sample(network, labelled.image, samples=samples, seed=seed)
+    variance = of_points(sampled.variance, labelled) + noise
+    return objective(of_points(sampled.probabilities, labelled), variance, labelled.truth)
+
+
+def _means(dataset: Path, sums: npt.NDArray[np.float64], points: int) -> list[float]:
+    means: list[float] = (sums / points).tolist()
+    if not all(map(math.isfinite, means)):
+        found = "the network's uncertainties are not finite"
+        raise TrainingError(dataset, found, "finite ones", "use other weights")
+    return means

@@ -1,0 +1,178 @@
+# SPDX-License-Identifier: MIT
+import logging
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+from safetensors.torch import load_file
+from scans import SMALL, write_weights
+
+from salsanext_cli.classes import label_space
+from salsanext_cli.errors import LabelError, OutputError, UsageError
+from salsanext_cli.formats import read_scan
+from salsanext_cli.formats.kitti import read_labels, write_labels
+from salsanext_cli.geometry.projection import project
+from salsanext_cli.network.aleatoric import aleatoric
+from salsanext_cli.network.dropout import dropouts
+from salsanext_cli.network.inference import load_network
+from salsanext_cli.network.sampling import sample, scan_seed
+from salsanext_cli.network.weights import read_card, read_weights
+from salsanext_cli.stages.inputs import Choice
+from salsanext_cli.stages.networks import NetworkChoice
+from salsanext_cli.stages.tune_dropout import curve_of, tune_dropout
+from salsanext_cli.training.dropout_rate import SMALLEST_VARIANCE
+
+SPACE = label_space()
+NOISY = SMALL
+FEW = {"samples": 3, "steps": 3, "lowest": 0.05, "highest": 0.3}
+
+
+@pytest.fixture
+def weights(tmp_path):
+    """Return weights of a sensor whose noise is known."""
+    return write_weights(tmp_path / "noisy.safetensors", sensor=NOISY)
+
+
+def go(world, target, **changes):
+    return tune_dropout(world.data, target, **{"network": world.network, **FEW, **changes})
+
+
+@pytest.fixture
+def target(tmp_path):
+    return tmp_path / "tuned.safetensors"
+
+
+def slow_mean(world, path, rate, stems, seed=0):
+    """Return the objective of one rate by a loop over points, from weights of that rate."""
+    network = load_network(write_weights(path, sensor=NOISY, dropout=rate), "cpu")
+    total, count = 0.0, 0
+    for stem in stems:
+        scan = world.scan("08", stem)
+        image = project(read_scan(scan), NOISY)
+        labels = SPACE.to_train(read_labels(scan.parent.parent / "labels" / f"{stem}.label"))
+        of_scan = scan_seed(seed, "08", stem)
+        sampled = sample(network, image, samples=FEW["samples"], seed=of_scan)
+        variance = sampled.variance.astype(np.float64) + aleatoric(network, image)
+        for point, label in enumerate(labels):
+            if label == 0 or image.pixel_of_point[point] < 0:
+                continue
+            row, column = divmod(int(image.pixel_of_point[point]), image.width)
+            s = np.maximum(variance[:, row, column], SMALLEST_VARIANCE)
+            error = np.eye(20)[label] - sampled.probabilities[:, row, column]
+            total += (0.5 * np.log(s) + error**2 / (2 * s)).sum()
+            count += 1
+    return total / count
+
+
+def test_every_rate_against_a_slow_loop_and_the_least_is_stored(world, target, tmp_path):
+    tuned = go(world, target)
+    slow = [
+        slow_mean(world, tmp_path / "w.safetensors", rate, ["000000", "000001"])
+        for rate in tuned.rates
+    ]
+    np.testing.assert_allclose(tuned.objectives, slow, rtol=1e-5)
+    np.testing.assert_allclose(tuned.rates, [0.05, math.sqrt(0.05 * 0.3), 0.3])
+    assert tuned.best == tuned.rates[int(np.argmin(slow))]
+    assert tuned.before == 0.2
+    assert tuned.scans == 2
+    assert read_card(target).architecture["dropout"] == tuned.best
+    assert {layer.rate for layer in dropouts(read_weights(target)[0])} == {tuned.best}
+    assert curve_of(target).read_bytes().startswith(b"\x89PNG")
+    assert curve_of(target).name == "tuned_dropout.png"
+
+
+def test_all_else_stays_bit_for_bit(world, target):
+    go(world, target)
+    old, new = load_file(world.network.weights), load_file(target)
+    assert old.keys() == new.keys()
+    assert all(torch.equal(tensor, new[name]) for name, tensor in old.items())
+    card, before = read_card(target), read_card(world.network.weights)
+    assert replace(card, architecture=before.architecture).to_metadata() == before.to_metadata()
+    assert before.architecture["dropout"] == 0.2
+
+
+def test_it_is_the_same_every_time_and_changes_with_the_seed(world, target):
+    world.network.load()
+    state = torch.random.get_rng_state()
+    first = go(world, target)
+    content = target.read_bytes()
+    assert go(world, target, overwrite=True) == first
+    assert target.read_bytes() == content
+    assert go(world, target, overwrite=True, seed=1).objectives != first.objectives
+    assert torch.equal(torch.random.get_rng_state(), state)
+    assert {layer.rate for layer in dropouts(world.network.load().module)} == {0.2}
+
+
+def test_a_network_that_was_trained_without_dropout_gets_it_where_the_paper_has_it(
+    world, target, tmp_path
+):
+    certain = write_weights(tmp_path / "certain.safetensors", sensor=NOISY, dropout=0.0)
+    tuned = go(world, target, network=NetworkChoice(certain, "cpu"))
+    assert tuned.before == 0
+    assert len(dropouts(read_weights(target)[0])) == 3 + 1 + 3 * 3
+    assert tuned.objectives == go(world, target, overwrite=True).objectives
+
+
+@pytest.mark.parametrize(
+    ("objectives", "best", "says"),
+    [
+        ([1.0, 2.0, 3.0], 0.05, "best rate, 0.05, is the last of the range: move --lowest"),
+        ([3.0, 2.0, 1.0], 0.3, "best rate, 0.3, is the last of the range: move --highest"),
+        ([3.0, 1.0, 2.0], math.sqrt(0.05 * 0.3), ""),
+    ],
+)
+def test_the_end_of_the_range_is_named(world, target, caplog, monkeypatch, objectives, best, says):
+    values = iter(objectives * 2)
+    module = "salsanext_cli.stages.tune_dropout"
+    monkeypatch.setattr(f"{module}.objective", lambda *_: next(values))
+    with caplog.at_level(logging.WARNING):
+        assert go(world, target).best == pytest.approx(best)
+    assert says in caplog.text
+    assert bool(caplog.text) == bool(says)
+
+
+def test_progress_and_which_scans(world, target):
+    seen = []
+    choice = Choice(split="valid", limit=1)
+    tuned = go(world, target, choice=choice, progress=lambda *args: seen.append(args))
+    assert tuned.scans == 1
+    assert seen == [(1, 3), (2, 3), (3, 3)]
+
+
+@pytest.mark.parametrize(
+    ("changes", "says"),
+    [
+        ({"samples": 1}, "--samples · 1"),
+        ({"samples": 0}, "--samples · 0"),
+        ({"steps": 1}, "--steps · 1"),
+        ({"lowest": 0.0}, "--lowest · 0"),
+        ({"highest": math.nan}, "--highest · nan"),
+        ({"lowest": 0.4}, "--lowest · 0.4"),
+    ],
+)
+def test_settings_that_are_none(world, target, changes, says):
+    with pytest.raises(UsageError, match=says):
+        go(world, target, **changes)
+    assert not target.exists()
+
+
+def test_nothing_to_learn_from(world, target):
+    for path in (world.data / "sequences/08/labels").iterdir():
+        write_labels(path, np.zeros(1500, np.uint32))
+    with pytest.raises(LabelError, match="no point is of a class that counts"):
+        go(world, target)
+    (world.data / "sequences/08/labels/000000.label").unlink()
+    with pytest.raises(LabelError, match=r"000000\.label · no such file"):
+        go(world, target)
+    assert not target.exists()
+
+
+def test_neither_weights_nor_curve_are_overwritten_unasked(world, target):
+    for path in (curve_of(target), target):
+        path.write_bytes(b"precious")
+        with pytest.raises(OutputError, match=f"{path.name} · exists"):
+            go(world, target)
+        assert path.read_bytes() == b"precious"
+        path.unlink()
