@@ -43,15 +43,24 @@ class Network:
         normalised = torch.from_numpy(normalise(channels, self.sensor))[None]
         return normalised.to(self.device, memory_format=torch.channels_last)
 
+    @torch.inference_mode()
+    def logits(self, image: RangeImage) -> Float:
+        """Return the logits of every pixel, (C, H, W) float32."""
+        logits: Float = self.module(self.input(image.channels))[0].float().cpu().numpy()
+        return logits
+
     def probabilities(self, image: RangeImage) -> Float:
         """Return the softmax of every pixel, (C, H, W) float32, sum over C = 1."""
         return self.pixel_probabilities(image.channels)
 
     @torch.inference_mode()
     def pixel_probabilities(self, channels: Float) -> Float:
-        """Return the softmax of every pixel from the (5, H, W) channels of a range image."""
-        logits = self.module(self.input(channels))
-        probabilities: Float = torch.softmax(logits.float(), dim=1)[0].cpu().numpy()
+        """Return the softmax of every pixel from the (5, H, W) channels of a range image.
+
+        The logits are divided by the card's temperature, which leaves their order as it is.
+        """
+        logits = self.module(self.input(channels)).float() / self.card.temperature
+        probabilities: Float = torch.softmax(logits, dim=1)[0].cpu().numpy()
         return probabilities
 
 

@@ -25,9 +25,13 @@ from salsanext_cli.network.architectures import build
 from salsanext_cli.network.salsanext import SalsaNext
 from salsanext_cli.sensors import Sensor
 
-FORMAT = "salsanext-1"
+KEY = "salsanext"
+"""The one key of the header: safetensors writes several in an order drawn anew each time."""
+FORMAT = "salsanext-2"
 TABLES = ("architecture", "label_space", "sensor", "recipe", "scores")
-"""Metadata that are mappings."""
+"""Parts of a card that are mappings."""
+TEMPERATURES = (1e-3, 1e3)
+"""Lowest and highest; beyond, the logits of float32 overflow or all classes become equal."""
 NORM_SUFFIXES = (".running_mean", ".running_var")
 
 
@@ -49,6 +53,9 @@ class WeightsCard:
         What was measured with these weights, and on what; empty if nothing was.
     description : str
         What these weights are, in a sentence or two.
+    temperature : float
+        Divides the logits before the softmax, so that its values can be taken for probabilities;
+        1 if none was fitted.
     """
 
     architecture: Mapping[str, Any]
@@ -57,28 +64,31 @@ class WeightsCard:
     recipe: Mapping[str, Any] = field(default_factory=dict)
     scores: Mapping[str, Any] = field(default_factory=dict)
     description: str = ""
+    temperature: float = 1.0
 
     def to_metadata(self) -> dict[str, str]:
-        """Return the strings that a safetensors header holds."""
+        """Return what a safetensors header holds; equal cards give equal text."""
         values = {
+            "format": FORMAT,
+            "version": __version__,
+            "description": self.description,
             "architecture": dict(self.architecture),
-            "label_space": self.space.to_dict(),
+            "temperature": self.temperature,
             "sensor": self.sensor.to_dict(),
+            "label_space": self.space.to_dict(),
             "recipe": dict(self.recipe),
             "scores": dict(self.scores),
-            "description": self.description,
-            "version": __version__,
         }
-        return {"format": FORMAT} | {key: json.dumps(value) for key, value in values.items()}
+        return {KEY: json.dumps(values)}
 
     @classmethod
     def from_metadata(cls, metadata: Mapping[str, str], source: object) -> WeightsCard:
-        """Read the strings of a safetensors header; anything amiss raises `WeightsError`."""
-        if metadata.get("format") != FORMAT:
-            found = f"format {metadata.get('format')}"
-            raise WeightsError(source, found, FORMAT, "convert it with `salsanext import-weights`")
+        """Read what a safetensors header holds; anything amiss raises `WeightsError`."""
         try:
-            values = {key: json.loads(metadata[key]) for key in (*TABLES, "description")}
+            values = json.loads(metadata.get(KEY, "{}"))
+            if not isinstance(values, dict):
+                raise TypeError(f"{KEY} is no table")
+            _require_format(values.get("format"), source)
             if bad := [key for key in TABLES if not isinstance(values[key], dict)]:
                 raise TypeError(f"{bad[0]} is no table")
             return cls(
@@ -88,11 +98,25 @@ class WeightsCard:
                 recipe=values["recipe"],
                 scores=values["scores"],
                 description=str(values["description"]),
+                temperature=_temperature(values["temperature"]),
             )
         except UsageError as error:
             raise WeightsError(source, f"damaged metadata: {error.found}") from error
-        except (KeyError, TypeError, json.JSONDecodeError) as error:
+        except (KeyError, TypeError, ValueError) as error:
             raise WeightsError(source, f"damaged metadata: {error}") from error
+
+
+def _require_format(found: object, source: object) -> None:
+    if found != FORMAT:
+        remedy = "convert it with `salsanext import-weights`"
+        raise WeightsError(source, f"format {found}", FORMAT, remedy)
+
+
+def _temperature(value: Any) -> float:
+    lowest, highest = TEMPERATURES
+    if type(value) not in (int, float) or not lowest <= value <= highest:
+        raise ValueError(f"temperature {value} is not between {lowest:g} and {highest:g}")
+    return float(value)
 
 
 def save_weights(path: Path, module: nn.Module, card: WeightsCard, *, half: bool = False) -> None:
@@ -111,6 +135,15 @@ def save_weights(path: Path, module: nn.Module, card: WeightsCard, *, half: bool
         exceed float16's range.
     """
     tensors = {name: _stored(name, tensor, half) for name, tensor in module.state_dict().items()}
+    _write(path, tensors, card)
+
+
+def save_with_card(source: Path, target: Path, card: WeightsCard) -> None:
+    """Write the tensors of a weights file, bit for bit as stored there, with another card."""
+    _write(target, safetensors.torch.load_file(source), card)
+
+
+def _write(path: Path, tensors: dict[str, Tensor], card: WeightsCard) -> None:
     with writing(path) as file:
         file.write(safetensors.torch.save(tensors, card.to_metadata()))
 

@@ -32,6 +32,7 @@ def card_table(card: Mapping[str, Any]) -> Table:
     table = Table(title=card["path"], title_justify="left", show_header=False)
     table.add_row("what", card["description"] or "–")
     table.add_row("architecture", ", ".join(f"{k} {v}" for k, v in card["architecture"].items()))
+    table.add_row("temperature", f"{card['temperature']:.4g}")
     table.add_row("label space", f"{card['label_space']}, {len(card['classes'])} classes")
     view = f"{sensor['fov_up']:+g}° to {sensor['fov_down']:+g}°"
     table.add_row("sensor", f"{sensor['name']}, {sensor['height']}×{sensor['width']}, {view}")

@@ -53,6 +53,7 @@ def describe_weights(path: Path) -> Mapping[str, Any]:
         "bytes": path.stat().st_size,
         "description": card.description,
         "architecture": dict(card.architecture),
+        "temperature": card.temperature,
         "label_space": card.space.name,
         "classes": list(card.space.names),
         "sensor": card.sensor.to_dict(),

@@ -135,8 +135,9 @@ def predict(
             found = "range images are refined by knn-refine"
             raise UsageError("--knn-…", found, "the options given there")
         return _predict_images(source, out, network, extras, choice, options)
-    scans = select_scans(source, choice, network.load().card.space)
-    settings = network.settings() | {"knn": asdict(knn)}
+    card = network.load().card
+    scans = select_scans(source, choice, card.space)
+    settings = network.settings() | {"temperature": card.temperature, "knn": asdict(knn)}
     claim(out, "predict", settings, ("predictions", *extras), scans, overwrite=options.overwrite)
     work = PredictScan(out, network, knn, extras)
     return run_batch(work, scans, options, work.results_of)

@@ -70,4 +70,5 @@ def provenance(out: Path, choice: Choice) -> dict[str, Any]:
     """Return, as plain data, what was chosen and which stage and weights made the predictions."""
     stage = owner(out, "predictions")
     made_with = (stage_settings(out, stage) or {}) if stage else {}
-    return asdict(choice) | {"predictions_of": stage, "weights": made_with.get("weights")}
+    kept = {key: made_with.get(key) for key in ("weights", "temperature")}
+    return asdict(choice) | {"predictions_of": stage} | kept

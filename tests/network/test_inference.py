@@ -1,4 +1,6 @@
 # SPDX-License-Identifier: MIT
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import torch
@@ -26,6 +28,18 @@ def test_probabilities_are_the_softmax_of_the_module(network):
     expected = np.exp(logits) / np.exp(logits).sum(axis=0)
     assert probabilities.dtype == np.float32
     np.testing.assert_allclose(probabilities, expected, atol=1e-5)
+    np.testing.assert_array_equal(network.logits(image), logits.astype(np.float32))
+
+
+@pytest.mark.parametrize("temperature", [0.4, 2.5])
+def test_the_temperature_divides_the_logits_and_keeps_the_labels(network, temperature):
+    image = project(make_scan(), SMALL)
+    tempered = replace(network, card=replace(network.card, temperature=temperature))
+    probabilities = tempered.probabilities(image)
+    powers = network.probabilities(image).astype(np.float64) ** (1 / temperature)
+    np.testing.assert_allclose(probabilities, powers / powers.sum(axis=0), atol=1e-5)
+    before = network.probabilities(image).argmax(axis=0)
+    np.testing.assert_array_equal(probabilities.argmax(axis=0), before)
 
 
 @pytest.mark.parametrize(

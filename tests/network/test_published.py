@@ -9,6 +9,7 @@ import sys
 import types
 import zipfile
 from collections import OrderedDict, defaultdict
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -21,7 +22,7 @@ from salsanext_cli.errors import OutputError, UsageError, WeightsError
 from salsanext_cli.network import published
 from salsanext_cli.network.published import our_name, read_published
 from salsanext_cli.network.salsanext import SalsaNext
-from salsanext_cli.network.weights import load_tensors, read_weights
+from salsanext_cli.network.weights import load_tensors, read_card, read_weights, save_with_card
 from salsanext_cli.sensors import sensor
 from salsanext_cli.stages.import_weights import import_weights
 
@@ -326,6 +327,13 @@ def test_ours_are_stored_anew_in_half_the_size(weights, tmp_path):
     assert card.description == "halved"
     assert target.stat().st_size < 0.51 * weights.stat().st_size
     assert read_weights(target)[1].sensor == card.sensor
+
+
+def test_ours_keep_their_temperature(weights, tmp_path):
+    tuned, target = tmp_path / "tuned.safetensors", tmp_path / "again.safetensors"
+    save_with_card(weights, tuned, replace(read_card(weights), temperature=1.75))
+    assert import_weights(tuned, target).temperature == 1.75
+    assert read_card(target).temperature == 1.75
 
 
 def test_a_target_that_exists_is_kept_unless_overwriting(checkpoint, tmp_path):

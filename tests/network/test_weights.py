@@ -17,12 +17,14 @@ from salsanext_cli.errors import OutputError, WeightsError
 from salsanext_cli.network.inference import load_network
 from salsanext_cli.network.salsanext import SalsaNext
 from salsanext_cli.network.weights import (
+    KEY,
     WeightsCard,
     fingerprint,
     load_tensors,
     read_card,
     read_weights,
     save_weights,
+    save_with_card,
 )
 
 SPACE = label_space()
@@ -33,6 +35,7 @@ CARD = WeightsCard(
     recipe={"epochs": 3},
     scores={"iou_mean": 0.5},
     description="für Prüfungen",
+    temperature=1.25,
 )
 
 
@@ -42,12 +45,12 @@ def module():
 
 
 def rewritten(source, target, change):
-    """Copy a weights file with its metadata and tensors changed."""
+    """Copy a weights file with what its card says and its tensors changed."""
     with safetensors.safe_open(source, framework="pt") as file:
-        metadata = dict(file.metadata())
+        said = json.loads(file.metadata()[KEY])
     tensors = safetensors.torch.load_file(source)
-    change(metadata, tensors)
-    target.write_bytes(safetensors.torch.save(tensors, metadata))
+    change(said, tensors)
+    target.write_bytes(safetensors.torch.save(tensors, {KEY: json.dumps(said)}))
     return target
 
 
@@ -65,6 +68,7 @@ def test_round_trip_keeps_every_bit(module, tmp_path):
         CARD.scores,
         CARD.description,
     )
+    assert card.temperature == 1.25
     assert loaded.bottom.rate == 0.3
 
 
@@ -72,11 +76,35 @@ def test_the_metadata_says_everything_and_which_version(module, tmp_path):
     save_weights(tmp_path / "w.safetensors", module, CARD)
     with safetensors.safe_open(tmp_path / "w.safetensors", framework="pt") as file:
         metadata = file.metadata()
-    assert set(metadata) == {
-        *("format", "architecture", "label_space", "sensor"),
+    assert list(metadata) == [KEY]
+    said = json.loads(metadata[KEY])
+    assert set(said) == {
+        *("format", "architecture", "label_space", "sensor", "temperature"),
         *("recipe", "scores", "description", "version"),
     }
-    assert json.loads(metadata["version"]) == __version__
+    assert said["version"] == __version__
+
+
+def test_equal_weights_give_equal_files(tmp_path):
+    """Several keys of metadata would be written in an order drawn anew each time."""
+    for number in range(8):
+        save_weights(tmp_path / f"{number}.safetensors", torch.nn.BatchNorm1d(1), CARD)
+    assert len({path.read_bytes() for path in tmp_path.iterdir()}) == 1
+    again = read_card(tmp_path / "0.safetensors")
+    assert again.to_metadata() == CARD.to_metadata()
+
+
+def test_another_card_leaves_the_tensors_as_they_are_stored(module, tmp_path):
+    source, target = tmp_path / "half.safetensors", tmp_path / "new.safetensors"
+    save_weights(source, module, CARD, half=True)
+    save_with_card(source, target, replace(CARD, temperature=1.75))
+    old, new = safetensors.torch.load_file(source), safetensors.torch.load_file(target)
+    assert {name: t.dtype for name, t in new.items()} == {name: t.dtype for name, t in old.items()}
+    assert all(torch.equal(new[name], tensor) for name, tensor in old.items())
+    assert read_card(target).temperature == 1.75
+    assert abs(target.stat().st_size - source.stat().st_size) < 64
+    save_with_card(target, target, CARD)
+    assert target.read_bytes() == source.read_bytes()
 
 
 def test_half_precision_is_small_close_and_keeps_large_variances(module, tmp_path):
@@ -105,9 +133,9 @@ def test_reading_does_not_alias_the_file(module, tmp_path):
 @pytest.mark.parametrize(
     ("key", "value", "says"),
     [
-        ("format", "somebody-else-3", "format somebody-else-3"),
+        ("format", '"somebody-else-3"', "format somebody-else-3"),
+        ("format", "[]", r"format \[\]"),
         ("architecture", None, "damaged"),
-        ("architecture", "{", "damaged"),
         ("architecture", "[1]", "architecture is no table"),
         ("architecture", '{"name": "resnet"}', "architecture resnet"),
         ("architecture", '{"name": ["salsanext"]}', "architecture"),
@@ -127,11 +155,11 @@ def test_reading_does_not_alias_the_file(module, tmp_path):
     ],
 )
 def test_damaged_metadata_is_named(weights, tmp_path, key, value, says):
-    def change(metadata, tensors):
+    def change(said, tensors):
         if value is None:
-            del metadata[key]
+            del said[key]
         else:
-            metadata[key] = value
+            said[key] = json.loads(value)
 
     path = rewritten(weights, tmp_path / "w.safetensors", change)
     if says is None:
@@ -170,10 +198,51 @@ def test_weights_of_another_label_space_do_not_fit(weights, tmp_path):
     path = rewritten(
         weights,
         tmp_path / "w.safetensors",
-        lambda metadata, _: metadata.update(label_space=json.dumps({"name": "two"} | small)),
+        lambda said, _: said.update(label_space={"name": "two"} | small),
     )
     with pytest.raises(WeightsError, match="20 outputs for the 2 classes of two"):
         read_weights(path)
+
+
+@pytest.mark.parametrize(
+    ("metadata", "says"),
+    [
+        (None, "format None"),
+        ({"format": "salsanext-1"}, "format None"),
+        ({KEY: "{"}, "damaged"),
+        ({KEY: "[]"}, "salsanext is no table"),
+        ({KEY: ""}, "damaged"),
+    ],
+)
+def test_metadata_of_another_form_are_refused(tmp_path, metadata, says):
+    path = tmp_path / "w.safetensors"
+    path.write_bytes(safetensors.torch.save({"a": torch.zeros(1)}, metadata))
+    with pytest.raises(WeightsError, match=says):
+        read_card(path)
+
+
+@pytest.mark.parametrize(
+    ("value", "says"),
+    [
+        (None, "damaged"),
+        ("0", "temperature 0"),
+        ("-1.5", "temperature -1.5"),
+        ("NaN", "temperature nan"),
+        ("Infinity", "temperature inf"),
+        ("1e-300", "temperature 1e-300 is not between 0.001 and 1000"),
+        (f"1{400 * '0'}", "is not between"),
+        ('"1"', "temperature 1 is not"),
+        ("true", "temperature True"),
+        ("null", "temperature None"),
+    ],
+)
+def test_temperatures_that_are_none_are_refused(value, says):
+    said = json.loads(CARD.to_metadata()[KEY])
+    del said["temperature"]
+    if value is not None:
+        said["temperature"] = json.loads(value)
+    with pytest.raises(WeightsError, match=says):
+        WeightsCard.from_metadata({KEY: json.dumps(said)}, "here")
 
 
 @pytest.mark.parametrize("content", [b"", b"\0" * 4, b"hello, world, this is no such file" * 9])
