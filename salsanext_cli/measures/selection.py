@@ -1,0 +1,149 @@
+# SPDX-License-Identifier: MIT
+"""Figures of how well uncertainty finds wrong points, from counts by uncertainty.
+
+All functions take the number of right and of wrong points in bins of ascending uncertainty, (B,)
+int64 each. Points in one bin are tied: they count as every order among them would on average.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from salsanext_cli.measures.confusion import Counts, Ratios
+from salsanext_cli.measures.ranking import Ranking
+
+
+@dataclass(frozen=True, slots=True)
+class RankingScores:
+    """How well an uncertainty finds wrong points; NaN where that has no answer.
+
+    Attributes
+    ----------
+    points, wrong : int
+        Number of points, and of those whose label is not the true one.
+    mean : float
+        Mean uncertainty.
+    auroc : float
+        Area under the receiver operating characteristic, 0…1: the chance that a wrong point is
+        more uncertain than a right one, ties counting half. 0.5 is guessing; higher is better.
+    aupr : float
+        Average precision with wrong points as the positives, 0…1. The share of wrong points is
+        guessing; higher is better.
+    aurc : float
+        Area under the risk-coverage curve, 0…1; lower is better.
+    excess_aurc : float
+        How much that is above the best order, all right points before all wrong ones.
+    ause : float
+        Area between the sparsification curve and that of the best order, both as multiples of the
+        share of wrong points among all; 0 is the best order, lower is better.
+    """
+
+    points: int
+    wrong: int
+    mean: float
+    auroc: float
+    aupr: float
+    aurc: float
+    excess_aurc: float
+    ause: float
+
+
+def ranking_scores(ranking: Ranking) -> RankingScores:
+    """Divide the counts of all groups together."""
+    pooled = ranking.total()
+    right, wrong = pooled.counts[:, 0]
+    points, errors = int(pooled.counts.sum()), int(wrong.sum())
+    area = aurc(right, wrong)
+    excess = area - aurc(*best_order(right, wrong))
+    return RankingScores(
+        points=points,
+        wrong=errors,
+        mean=float(pooled.means[0]),
+        auroc=auroc(right, wrong),
+        aupr=average_precision(right, wrong),
+        aurc=area,
+        excess_aurc=excess,
+        ause=excess * points / errors if errors else math.nan,
+    )
+
+
+def auroc(right: Counts, wrong: Counts) -> float:
+    """Return the chance that a wrong point is more uncertain than a right one, ties half."""
+    pairs = float(right.sum()) * float(wrong.sum())
+    below = right.cumsum() - right / 2
+    return float(wrong @ below / pairs) if pairs else math.nan
+
+
+def average_precision(right: Counts, wrong: Counts) -> float:
+    """Return Σ_t (recall_t − recall_{t−1}) precision_t over thresholds t, descending."""
+    found = wrong[::-1].cumsum()
+    flagged = found + right[::-1].cumsum()
+    held = flagged > 0
+    if not wrong.any():
+        return math.nan
+    precision = found[held] / flagged[held]
+    return float(wrong[::-1][held] @ precision / found[-1])
+
+
+def aurc(right: Counts, wrong: Counts) -> float:
+    """Return the mean over k = 1…n of the risk of the k least uncertain points.
+
+    The risk is the share of them that is wrong. Among the m tied points of a bin, w of them wrong,
+    it is on average (E + (k − K) w/m) / k, with E wrong ones among the K points of the bins
+    before; the sum over k is closed in harmonic numbers.
+    """
+    tied = right + wrong
+    held = tied > 0
+    if not held.any():
+        return math.nan
+    tied, errors = tied[held], wrong[held]
+    reached, errors_before = tied.cumsum(), errors.cumsum() - errors
+    before, rate = reached - tied, errors / tied
+    inverse = _harmonic(reached) - _harmonic(before)
+    return float((errors + (errors_before - before * rate) * inverse).sum() / reached[-1])
+
+
+def best_order(right: Counts, wrong: Counts) -> tuple[Counts, Counts]:
+    """Return counts of as many points, every wrong one more uncertain than every right one."""
+    return np.array([right.sum(), 0]), np.array([0, wrong.sum()])
+
+
+def risk_at(right: Counts, wrong: Counts, coverage: npt.NDArray[np.float64]) -> Ratios:
+    """Return the risk of keeping only the least uncertain points.
+
+    Parameters
+    ----------
+    right, wrong : (B,) int64
+        Points in bins of ascending uncertainty.
+    coverage : (K,) float64
+        Shares of the points that are kept, above 0.
+
+    Returns
+    -------
+    (K,) float64
+        Share of the kept points that is wrong; NaN without points.
+    """
+    reached = np.concatenate([[0], (right + wrong).cumsum()])
+    if not reached[-1]:
+        return np.full(coverage.shape, np.nan)
+    errors = np.interp(coverage * reached[-1], reached, np.concatenate([[0], wrong.cumsum()]))
+    risk: Ratios = errors / (coverage * reached[-1])
+    return risk
+
+
+EULER = 0.5772156649015329
+SERIES_FROM = 16
+"""From here on the asymptotic series of the harmonic numbers is exact to the last digit."""
+
+
+def _harmonic(numbers: Counts) -> Ratios:
+    """Return 1 + 1/2 + … + 1/n of each n, 0 for 0."""
+    small = np.concatenate([[0.0], (1 / np.arange(1, SERIES_FROM)).cumsum()])
+    n = np.maximum(numbers, SERIES_FROM).astype(np.float64)
+    tail = 1 / (2 * n) - 1 / (12 * n**2) + 1 / (120 * n**4) - 1 / (252 * n**6) + 1 / (240 * n**8)
+    series = np.log(n) + EULER + tail
+    return np.where(numbers < SERIES_FROM, small[np.minimum(numbers, SERIES_FROM - 1)], series)

@@ -1,0 +1,216 @@
+# SPDX-License-Identifier: MIT
+import math
+import pickle
+
+import numpy as np
+import pytest
+from sklearn.metrics import brier_score_loss, log_loss
+
+from salsanext_cli.measures.calibration import (
+    SCAN_BINS,
+    SMALLEST,
+    Calibration,
+    calibration_scores,
+    judge,
+)
+from salsanext_cli.measures.reliability import CONFIDENCES, adaptive_error, reliability
+
+C = 4
+SEEDS = pytest.mark.parametrize("seed", range(4))
+
+
+def softmax(seed: int, count: int = 200, scale: float = 3) -> tuple[np.ndarray, np.ndarray]:
+    """Return float16 probabilities, some of them rounded to 0 and 1, and a truth they may miss."""
+    rng = np.random.default_rng(seed)
+    logits = rng.normal(0, scale, (count, C))
+    powers = np.exp(logits - logits.max(axis=1, keepdims=True))
+    probabilities = (powers / powers.sum(axis=1, keepdims=True)).astype(np.float16)
+    guess = rng.integers(0, C, count)
+    return probabilities, np.where(rng.random(count) < 0.4, guess, probabilities.argmax(axis=1))
+
+
+def of(probabilities: np.ndarray, truth: np.ndarray) -> Calibration:
+    return Calibration.none(C).update(judge(probabilities, truth), truth)
+
+
+def slow_error(probabilities: np.ndarray, truth: np.ndarray, bins: int) -> float:
+    held = [[] for _ in range(bins)]
+    for row, true in zip(probabilities.astype(float), truth, strict=True):
+        b = 0
+        while row.max() > (b + 1) / bins:
+            b += 1
+        held[b].append((row.max(), row.argmax() == true))
+    gaps = [abs(sum(hit for _, hit in b) - sum(p for p, _ in b)) for b in held]
+    return sum(gaps) / len(truth)
+
+
+def slow_adaptive_error(probabilities: np.ndarray, truth: np.ndarray, bins: int) -> float:
+    """Sort, replace those of one confidence by their mean, cut into bins of one size."""
+    confidence = probabilities.max(axis=1).astype(float)
+    hit = (probabilities.argmax(axis=1) == truth).astype(float)
+    for value in set(confidence):
+        hit[confidence == value] = hit[confidence == value].mean()
+    order = np.argsort(confidence)
+    chunks = np.array_split(order, bins)
+    assert len({len(chunk) for chunk in chunks}) == 1
+    return sum(abs(hit[c].mean() - confidence[c].mean()) for c in chunks) / bins
+
+
+@SEEDS
+def test_log_likelihood_is_scikit_learns(seed):
+    probabilities, truth = softmax(seed)
+    clamped = np.maximum(probabilities.astype(float), SMALLEST)
+    # Rows that do not sum to 1 are scaled there, so the true class's share is given as one of two.
+    of_truth = clamped[np.arange(len(truth)), truth]
+    pairs = np.stack([1 - of_truth, of_truth], axis=1)
+    expected = log_loss(np.ones(len(truth)), pairs, labels=[0, 1])
+    assert calibration_scores(of(probabilities, truth)).nll == pytest.approx(expected, rel=1e-12)
+
+
+@SEEDS
+def test_brier_is_scikit_learns(seed):
+    probabilities, truth = softmax(seed)
+    exact = probabilities.astype(float)
+    exact /= exact.sum(axis=1, keepdims=True)
+    expected = brier_score_loss(truth, exact, labels=range(C), scale_by_half=False)
+    assert calibration_scores(of(exact, truth)).brier == pytest.approx(expected, rel=1e-12)
+
+
+@SEEDS
+@pytest.mark.parametrize("scale", [0.1, 1, 5])
+def test_errors_are_those_of_a_slow_loop(seed, scale):
+    probabilities, truth = softmax(seed, 300, scale)
+    calibration = of(probabilities, truth)
+    result = calibration_scores(calibration)
+    assert result.ece == pytest.approx(slow_error(probabilities, truth, 15), abs=1e-14)
+    assert calibration.scan_error == pytest.approx(slow_error(probabilities, truth, SCAN_BINS))
+    assert result.ace == pytest.approx(slow_adaptive_error(probabilities, truth, 15), abs=1e-14)
+    hits = probabilities.argmax(axis=1) == truth
+    assert result.accuracy == hits.mean()
+    assert result.confidence == pytest.approx(probabilities.max(axis=1).astype(float).mean())
+
+
+def test_borders_belong_to_the_bin_below():
+    counts = np.zeros((2, len(CONFIDENCES)), np.int64)
+    for confidence in (0, 0.25, 0.5, np.nextafter(np.float16(0.5), np.float16(1)), 1):
+        counts[0, np.searchsorted(CONFIDENCES, np.float16(confidence))] += 1
+    diagram = reliability(counts, 4)
+    assert diagram.points.tolist() == [2, 1, 1, 1]
+    np.testing.assert_allclose(diagram.confidence, [0.125, 0.5, 0.5 + 2**-11, 1], rtol=1e-15)
+
+
+def test_the_diagram_of_sure_and_unsure_points():
+    probabilities = np.array([[0.75, 0.25], [0.75, 0.25], [0.75, 0.25], [1, 0]], np.float16)
+    diagram = reliability(of(probabilities, np.array([0, 0, 1, 1])).total().counts[:, 0], 4)
+    assert diagram.points.tolist() == [0, 0, 3, 1]
+    np.testing.assert_array_equal(diagram.confidence, [np.nan, np.nan, 0.75, 1])
+    np.testing.assert_array_equal(diagram.accuracy, [np.nan, np.nan, 2 / 3, 0])
+    assert diagram.error == pytest.approx((3 * abs(2 / 3 - 0.75) + 1) / 4)
+
+
+def test_a_calibrated_network_has_no_error():
+    """Of the points with confidence 3/4, three of four are right."""
+    probabilities = np.tile(np.array([0.75, 0.25, 0, 0], np.float16), (400, 1))
+    result = calibration_scores(of(probabilities, np.repeat([0, 0, 0, 1], 100)))
+    assert (result.ece, result.ace) == (0, 0)
+    assert result.nll == pytest.approx(-0.75 * math.log(0.75) - 0.25 * math.log(0.25))
+    assert result.brier == pytest.approx(0.75 * 2 * 0.25**2 + 0.25 * 2 * 0.75**2)
+
+
+def test_bins_of_equal_mass_divide_ties_in_proportion():
+    """All of one confidence: however many bins, each is a fair sample."""
+    probabilities = np.tile(np.array([0.5, 0.25, 0.25, 0], np.float16), (7, 1))
+    truth = np.array([0, 0, 1, 1, 1, 1, 1])
+    counts = of(probabilities, truth).total().counts[:, 0]
+    for bins in (1, 2, 15):
+        assert adaptive_error(counts, bins) == pytest.approx(0.5 - 2 / 7)
+
+
+def test_a_probability_that_is_0_on_disk_costs_no_more_than_the_smallest():
+    probabilities = np.array([[1, 0, 0, 0]], np.float16)
+    result = calibration_scores(of(probabilities, np.array([1])))
+    assert result.nll == pytest.approx(24 * math.log(2))
+    assert result.brier == 2
+    assert result.ece == result.ace == 1
+
+
+@SEEDS
+def test_figures_do_not_depend_on_the_order_of_the_scans(seed):
+    scans = [of(*softmax(seed + i, 30 + i)) for i in range(5)]
+    order = np.random.default_rng(seed).permutation(5)
+    forth = sum(scans, start=Calibration.none(C))
+    mixed = (scans[order[0]] + scans[order[1]]) + (
+        scans[order[2]] + (scans[order[3]] + scans[order[4]])
+    )
+    assert forth == mixed
+    assert calibration_scores(forth) == calibration_scores(mixed)
+    assert forth.scan_error == mixed.scan_error
+
+
+def test_the_error_per_scan_is_the_mean_over_the_scans():
+    """Too sure in one scan, too unsure in the other; pooled, they make up for each other."""
+    half = np.tile(np.array([0.5, 0.5, 0, 0], np.float16), (10, 1))
+    sure, unsure = of(half, np.full(10, 2)), of(half, np.zeros(10, int))
+    both = sure + unsure + of(half[:0], np.zeros(0, int))
+    assert (both.scan_error, both.scans) == (0.5, 2)
+    assert calibration_scores(both).ece == 0
+
+
+def test_groups_together_are_the_whole():
+    probabilities, truth = softmax(1)
+    by_truth = of(probabilities, truth)
+    parts = [by_truth.group(i) for i in range(C)]
+    assert by_truth.points.tolist() == np.bincount(truth, minlength=C).tolist()
+    for i, part in enumerate(parts):
+        alone = of(probabilities[truth == i], truth[truth == i])
+        assert calibration_scores(part) == calibration_scores(alone)
+    at_once = Calibration.none(1).update(judge(probabilities, truth), np.zeros_like(truth))
+    np.testing.assert_array_equal(by_truth.total().counts, at_once.counts)
+
+
+def test_points_without_a_softmax_are_left_out_and_counted():
+    probabilities, truth = softmax(2, 20)
+    some = probabilities.copy()
+    some[::2] = np.nan
+    calibration = of(some, truth)
+    assert calibration.left_out == 10
+    assert calibration_scores(calibration) == calibration_scores(
+        of(probabilities[1::2], truth[1::2])
+    )
+
+
+@pytest.mark.parametrize("count", [0, 3])
+def test_without_points_there_are_no_figures(count):
+    nothing = of(np.full((count, C), np.nan, np.float16), np.zeros(count, int))
+    result = calibration_scores(nothing)
+    assert (result.points, nothing.scans, nothing.left_out) == (0, 0, count)
+    for name in ("confidence", "accuracy", "nll", "brier", "ece", "ace"):
+        assert math.isnan(getattr(result, name)), name
+    assert math.isnan(nothing.scan_error)
+
+
+def test_one_point_and_one_class():
+    one = Calibration.none(1).update(judge(np.ones((1, 1)), np.zeros(1, int)), np.zeros(1, int))
+    result = calibration_scores(one)
+    assert (result.nll, result.brier, result.ece, result.ace) == (0, 0, 0, 0)
+
+
+def test_pickled_counts_are_small_and_the_same():
+    calibration = of(*softmax(3, 2000))
+    text = pickle.dumps(calibration)
+    assert pickle.loads(text) == calibration
+    assert len(text) < calibration.counts.nbytes / 20
+
+
+def test_what_does_not_fit_is_refused():
+    probabilities, truth = softmax(4, 10)
+    with pytest.raises(ValueError, match=r"truth: \(9,\)"):
+        judge(probabilities, truth[:9])
+    judged = judge(probabilities, truth)
+    for group in (truth[:9], truth.astype(float), truth + C, truth - C):
+        with pytest.raises(ValueError, match="group"):
+            Calibration.none(C).update(judged, group)
+    with pytest.raises(ValueError, match="4 and 3 groups"):
+        Calibration.none(4) + Calibration.none(3)
+    with pytest.raises(ValueError, match="group_count"):
+        Calibration.none(0)

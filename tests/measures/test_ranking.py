@@ -1,0 +1,222 @@
+# SPDX-License-Identifier: MIT
+import math
+import pickle
+from fractions import Fraction
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from sklearn.metrics import average_precision_score, roc_auc_score
+
+from salsanext_cli.measures.calibration import Calibration
+from salsanext_cli.measures.ranking import BINS, HIGHEST, LOWEST, Ranking, bin_of
+from salsanext_cli.measures.selection import ranking_scores, risk_at
+
+LEVELS = (0.0, 2.0**-48, 1e-9, 2.0**-10, 0.3, 1.0, 1.0078125, 7.0, 255.0)
+"""Uncertainties of which no two share a bin."""
+FEW = settings(max_examples=40, deadline=None)
+POINTS = st.lists(st.tuples(st.sampled_from(LEVELS), st.booleans()), min_size=1, max_size=60)
+
+
+def of(uncertainty, wrong, group=None, groups=1) -> Ranking:
+    values = np.asarray(uncertainty, np.float32)
+    group = np.zeros(len(values), int) if group is None else np.asarray(group, int)
+    return Ranking.none(groups).update(values, np.asarray(wrong, bool), group)
+
+
+def scores(points):
+    return ranking_scores(of(*zip(*points, strict=True)))
+
+
+def slow_risks(points) -> list[Fraction]:
+    """Return the risk of the k least uncertain points, tied ones being wrong in equal parts."""
+    share = {}
+    for level in LEVELS:
+        tied = [wrong for value, wrong in points if value == level]
+        share[level] = Fraction(sum(tied), max(len(tied), 1))
+    errors, risks = Fraction(0), []
+    for k, (value, _) in enumerate(sorted(points), start=1):
+        errors += share[value]
+        risks.append(errors / k)
+    return risks
+
+
+def slow_best_risks(points) -> list[Fraction]:
+    wrong = sum(wrong for _, wrong in points)
+    right = len(points) - wrong
+    return [Fraction(max(0, k - right), k) for k in range(1, len(points) + 1)]
+
+
+def mean(values) -> float:
+    return float(sum(values) / len(values))
+
+
+@FEW
+@given(POINTS.filter(lambda points: len({wrong for _, wrong in points}) == 2))
+def test_auroc_and_precision_are_scikit_learns(points):
+    uncertainty, wrong = zip(*points, strict=True)
+    assert scores(points).auroc == pytest.approx(roc_auc_score(wrong, uncertainty), abs=1e-13)
+    expected = average_precision_score(wrong, uncertainty)
+    assert scores(points).aupr == pytest.approx(expected, abs=1e-13)
+
+
+@FEW
+@given(POINTS)
+def test_risk_is_that_of_a_slow_loop(points):
+    result = scores(points)
+    risks, best = slow_risks(points), slow_best_risks(points)
+    assert result.aurc == pytest.approx(mean(risks), abs=1e-12)
+    assert result.excess_aurc == pytest.approx(mean(risks) - mean(best), abs=1e-12)
+    counts = of(*zip(*points, strict=True)).counts[:, 0]
+    coverage = np.arange(1, len(points) + 1) / len(points)
+    np.testing.assert_allclose(risk_at(*counts, coverage), np.array(risks, float), atol=1e-12)
+
+
+@FEW
+@given(POINTS)
+def test_sparsification_is_that_of_a_slow_loop(points):
+    """Remove the most uncertain points one by one, and the wrong ones first."""
+    wrong = sum(wrong for _, wrong in points)
+    if not wrong:
+        assert math.isnan(scores(points).ause)
+        return
+    rate = Fraction(wrong, len(points))
+    curve = [risk / rate for risk in reversed(slow_risks(points))]
+    best = [risk / rate for risk in reversed(slow_best_risks(points))]
+    gaps = [one - other for one, other in zip(curve, best, strict=True)]
+    assert scores(points).ause == pytest.approx(mean(gaps), abs=1e-11)
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_raw_values_are_ranked_nearly_as_exactly(seed):
+    """Only pairs within a bin are not told apart, here about one in a thousand."""
+    rng = np.random.default_rng(seed)
+    uncertainty = np.exp(rng.normal(-12, 2, 4000)).astype(np.float32)
+    wrong = rng.random(4000) < np.clip(uncertainty * 2e4, 0.05, 0.6)
+    result = ranking_scores(of(uncertainty, wrong))
+    assert result.auroc == pytest.approx(roc_auc_score(wrong, uncertainty), abs=5e-4)
+    assert result.aupr == pytest.approx(average_precision_score(wrong, uncertainty), abs=5e-3)
+    risks = wrong[np.argsort(uncertainty)].cumsum() / np.arange(1, 4001)
+    assert result.aurc == pytest.approx(risks.mean(), abs=2e-4)
+    assert result.mean == pytest.approx(uncertainty.astype(float).mean(), rel=1e-12)
+
+
+def test_long_runs_of_ties_have_a_closed_form():
+    """A million tied points, a tenth wrong: any number of them has that risk."""
+    many = of([0.5] * 10, [True] + [False] * 9)
+    for _ in range(5):
+        many = sum([many] * 9, start=many)
+    result = ranking_scores(many)
+    assert result.points == 1_000_000
+    assert result.aurc == pytest.approx(0.1, abs=1e-13)
+    # The best order leaves (k − 900 000)/k; its sum is an integral but for 1e-6.
+    best = 0.1 + 0.9 * math.log(0.9)
+    assert result.excess_aurc == pytest.approx(0.1 - best, abs=2e-7)
+    assert result.auroc == 0.5
+
+
+def test_the_best_and_the_worst_order():
+    best = scores([(0.3, False)] * 3 + [(1.0, True)])
+    assert (best.auroc, best.aupr, best.excess_aurc, best.ause) == (1, 1, 0, 0)
+    assert best.aurc == pytest.approx(1 / 16)
+    worst = scores([(0.3, True)] + [(1.0, False)] * 3)
+    assert worst.auroc == 0
+    assert worst.aurc == pytest.approx((1 + 1 / 2 + 1 / 3 + 1 / 4) / 4)
+
+
+def test_no_wrong_point_leaves_nothing_to_find():
+    result = scores([(0.3, False), (1.0, False)])
+    assert (result.aurc, result.excess_aurc, result.wrong) == (0, 0, 0)
+    assert all(math.isnan(figure) for figure in (result.auroc, result.aupr, result.ause))
+
+
+def test_all_wrong():
+    result = scores([(0.3, True), (1.0, True)])
+    assert math.isnan(result.auroc)
+    assert (result.aupr, result.aurc, result.excess_aurc, result.ause) == (1, 1, 0, 0)
+
+
+@pytest.mark.parametrize("wrong", [True, False])
+def test_one_point(wrong):
+    result = scores([(0.3, wrong)])
+    assert math.isnan(result.auroc)
+    assert (result.points, result.aurc) == (1, float(wrong))
+
+
+@pytest.mark.parametrize("count", [0, 5])
+def test_without_values_there_are_no_figures(count):
+    nothing = of([math.nan] * count, [True] * count)
+    result = ranking_scores(nothing)
+    assert (result.points, nothing.left_out, nothing.scans) == (0, count, 0)
+    for name in ("mean", "auroc", "aupr", "aurc", "excess_aurc", "ause"):
+        assert math.isnan(getattr(result, name)), name
+    assert np.isnan(risk_at(*nothing.counts[:, 0], np.array([0.5, 1]))).all()
+
+
+def test_points_without_a_value_are_left_out_and_counted():
+    some = of([0.3, math.nan, 1.0], [False, True, True])
+    assert some.left_out == 1
+    assert ranking_scores(some) == scores([(0.3, False), (1.0, True)])
+
+
+@FEW
+@given(st.lists(st.floats(2.0**LOWEST, 2.0**HIGHEST, width=32), min_size=2, max_size=50))
+def test_bins_keep_the_order_and_are_narrow(values):
+    values = np.sort(np.array(values, np.float32))
+    bins = bin_of(values)
+    assert (np.diff(bins) >= 0).all()
+    tied = np.diff(bins) == 0
+    assert (np.diff(values) <= values[1:] / 128)[tied].all()
+    apart = np.diff(values) > values[:-1] / 128
+    assert (np.diff(bins) > 0)[apart].all()
+
+
+def test_bins_have_an_end_on_both_sides():
+    assert bin_of(np.array([0, -0.0, 1e-40, 2.0**-49], np.float32)).tolist() == [0, 0, 0, 0]
+    assert bin_of(np.array([2.0**-48, 300, np.inf], np.float32)).tolist() == [1, BINS - 1, BINS - 1]
+    assert bin_of(np.array([0.3], np.float64)) == bin_of(np.array([0.3], np.float32))
+
+
+@FEW
+@given(POINTS, st.permutations(range(4)))
+def test_any_partition_gives_the_same(points, order):
+    scans = [of(*zip(*part, strict=True)) for i in range(4) if (part := points[i::4])]
+    mixed = sum((scans[i] for i in order if i < len(scans)), start=Ranking.none(1))
+    assert sum(scans, start=Ranking.none(1)) == mixed
+    assert mixed.scans == len(scans)
+    at_once = of(*zip(*points, strict=True))
+    np.testing.assert_array_equal(mixed.counts, at_once.counts)
+
+
+def test_groups_together_are_the_whole():
+    rng = np.random.default_rng(0)
+    uncertainty, wrong = rng.random(90), rng.random(90) < 0.3
+    group = np.arange(90) % 3
+    ranking = of(uncertainty, wrong, group, 4)
+    whole, pooled = of(uncertainty, wrong), ranking.total()
+    np.testing.assert_array_equal(pooled.counts, whole.counts)
+    assert ranking_scores(ranking).mean == pytest.approx(ranking_scores(whole).mean, rel=1e-14)
+    for i in range(3):
+        alone = of(uncertainty[group == i], wrong[group == i])
+        assert ranking_scores(ranking.group(i)) == ranking_scores(alone)
+    assert ranking.points.tolist() == [30, 30, 30, 0]
+    assert math.isnan(ranking.means[3])
+
+
+def test_pickled_counts_are_small_and_the_same():
+    rng = np.random.default_rng(0)
+    ranking = of(rng.random(5000), rng.random(5000) < 0.1, rng.integers(0, 20, 5000), 20)
+    text = pickle.dumps(ranking)
+    assert pickle.loads(text) == ranking
+    assert len(text) < ranking.counts.nbytes / 20
+
+
+def test_what_does_not_fit_is_refused():
+    with pytest.raises(ValueError, match="wrong"):
+        of([0.1, 0.2], [True])
+    with pytest.raises(ValueError, match="group"):
+        of([0.1], [True], [1])
+    with pytest.raises(TypeError):
+        Ranking.none(1) + Calibration.none(1)
+    assert Ranking.none(1) != Calibration.none(1)
