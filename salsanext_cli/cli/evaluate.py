@@ -33,6 +33,7 @@ def evaluate(
     from rich.console import Group
 
     from salsanext_cli.report.tables import ring_table, score_table
+    from salsanext_cli.report.uncertainty_tables import trust_tables
     from salsanext_cli.stages.evaluate import evaluate as run
     from salsanext_cli.stages.predicted import predicted_scans, provenance
 
@@ -47,6 +48,7 @@ def evaluate(
     tables = [score_table(evaluation.scores)]
     if by_distance:
         tables.append(ring_table(evaluation.by_distance))
+    tables += trust_tables(evaluation.trust.calibration, evaluation.trust.uncertainty)
     talk.result(evaluation.to_dict(), Group(*tables))
     console.name_failures(evaluation.failures)
     talk.say(f"eval: {evaluation.scans} scans → {out}/scores.txt, eval.json, eval_*.png")

@@ -115,9 +115,9 @@ class Scores:
 
     def to_dict(self) -> dict[str, Any]:
         """Return plain data for JSON; null stands for NaN."""
-        plain = {name: _plain(value) for name, value in asdict(self).items() if name != "classes"}
-        classes = [{k: _plain(v) for k, v in asdict(c).items()} for c in self.classes]
-        return plain | {"classes": classes}
+        totals = {name: plain(value) for name, value in asdict(self).items() if name != "classes"}
+        classes = [{k: plain(v) for k, v in asdict(c).items()} for c in self.classes]
+        return totals | {"classes": classes}
 
 
 def scores(confusion: Confusion, space: LabelSpace) -> Scores:
@@ -182,5 +182,6 @@ def _mean(values: Ratios) -> float:
     return float(values.mean()) if len(values) else math.nan
 
 
-def _plain(value: Any) -> Any:
+def plain(value: Any) -> Any:
+    """Return a value for JSON: None for NaN."""
     return None if isinstance(value, float) and math.isnan(value) else value

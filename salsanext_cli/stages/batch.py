@@ -82,21 +82,25 @@ class Outcome(Generic[Result]):
     Attributes
     ----------
     results : tuple
-        What the function returned for each scan that was done, in no particular order.
+        What the function returned for each scan that was done, in no particular order; empty if
+        they were handed on.
     skipped : int
         Scans whose results were there already.
     failures : tuple of Failure
         Scans that failed.
+    handed_on : int
+        Results that were handed on as they came.
     """
 
     results: tuple[Result, ...]
     skipped: int
     failures: tuple[Failure, ...]
+    handed_on: int = 0
 
     @property
     def done(self) -> int:
         """How many scans were worked on with success."""
-        return len(self.results)
+        return len(self.results) + self.handed_on
 
 
 def run_batch(
@@ -104,6 +108,7 @@ def run_batch(
     scans: Sequence[ScanFile],
     options: BatchOptions,
     results_of: Callable[[ScanFile], Iterable[Path]] = lambda _: (),
+    hand_on: Callable[[Result], object] | None = None,
 ) -> Outcome[Result]:
     """Run a function over scans.
 
@@ -119,6 +124,9 @@ def run_batch(
     results_of : callable, optional
         The files that `work` writes for a scan; a scan for which all exist is skipped unless
         overwriting. Without any, no scan is skipped.
+    hand_on : callable, optional
+        Is given each result as it comes, in no particular order, so that they need not be kept
+        until the last; called in this process. Without it they are in the outcome.
 
     Raises
     ------
@@ -128,11 +136,12 @@ def run_batch(
     todo = [s for s in scans if options.overwrite or not _exist(results_of(s))]
     results: list[Result] = []
     failures: list[Failure] = []
+    take = hand_on or results.append
     with closing(_attempts(work, todo, options.jobs, results_of)) as attempts:
         for number, (scan, result, error) in enumerate(attempts, start=1):
             log.info("%s/%s: %s", scan.sequence, scan.stem, error or "done")
             if error is None:
-                results.append(result)
+                take(result)
             elif options.on_error == "stop":
                 raise error
             else:
@@ -140,7 +149,8 @@ def run_batch(
             if options.progress:
                 options.progress(number, len(todo))
     failures.sort(key=lambda failure: (failure.scan.sequence, failure.scan.stem))
-    return Outcome(tuple(results), len(scans) - len(todo), tuple(failures))
+    skipped, done = len(scans) - len(todo), len(todo) - len(failures)
+    return Outcome(tuple(results), skipped, tuple(failures), done - len(results))
 
 
 def _exist(paths: Iterable[Path]) -> bool:

@@ -13,7 +13,8 @@ from salsanext_cli.formats.kitti import read_labels
 from salsanext_cli.formats.layout import ScanFile, output_path
 from salsanext_cli.formats.reading import present
 from salsanext_cli.measures.confusion import Confusion
-from salsanext_cli.measures.distance import RING_NAMES, confusion_by_ring
+from salsanext_cli.measures.distance import RING_NAMES, confusion_by_ring, ring_of_point
+from salsanext_cli.stages.counting_uncertainty import UncertaintyCounts, count_uncertainty
 
 
 @dataclass(frozen=True, slots=True)
@@ -32,6 +33,8 @@ class ScanCounts:
         Number of scans counted.
     missing : tuple of ScanFile
         Scans without predictions.
+    uncertainty : UncertaintyCounts
+        Counts by probability and by uncertainty, of the scans that have such files.
     """
 
     confusion: Confusion
@@ -40,6 +43,7 @@ class ScanCounts:
     unknown_predictions: Counter[int] = field(default_factory=Counter)
     scans: int = 0
     missing: tuple[ScanFile, ...] = ()
+    uncertainty: UncertaintyCounts = field(default_factory=UncertaintyCounts)
 
     @classmethod
     def none(cls, space: LabelSpace, by_distance: bool) -> ScanCounts:
@@ -55,6 +59,7 @@ class ScanCounts:
             self.unknown_predictions + other.unknown_predictions,
             self.scans + other.scans,
             self.missing + other.missing,
+            self.uncertainty + other.uncertainty,
         )
 
 
@@ -86,10 +91,12 @@ def count_scan(
     truth = read_labels(scan.label_path, None if points is None else len(points))
     predicted = read_labels(predictions, len(truth))
     ids = space.to_train(truth, strict=False), space.to_train(predicted, strict=False)
+    ring = None if points is None else ring_of_point(points)
     return ScanCounts(
         Confusion(space.class_count).update(*ids),
         () if points is None else confusion_by_ring(points, *ids, space.class_count),
         Counter(space.unknown_ids(truth)),
         Counter(space.unknown_ids(predicted)),
         scans=1,
+        uncertainty=count_uncertainty(scan, out, space, *ids, ring),
     )

@@ -23,6 +23,7 @@ from salsanext_cli.measures.distance import RING_NAMES
 from salsanext_cli.measures.scores import Scores, scores
 from salsanext_cli.stages.batch import BatchOptions, Failure, run_batch
 from salsanext_cli.stages.counting import ScanCounts, count_scan
+from salsanext_cli.stages.trust import Trust, trust
 
 log = logging.getLogger(__name__)
 
@@ -51,6 +52,8 @@ class Evaluation:
         Scans that could not be compared, left out.
     settings : dict
         What was chosen and who made the predictions.
+    trust : Trust
+        How far probabilities and uncertainties can be trusted, if there are any.
     """
 
     space: LabelSpace
@@ -63,6 +66,7 @@ class Evaluation:
     missing: tuple[ScanFile, ...]
     failures: tuple[Failure, ...]
     settings: dict[str, Any]
+    trust: Trust
 
     def to_dict(self) -> dict[str, Any]:
         """Return plain data for JSON; null stands for NaN."""
@@ -85,6 +89,7 @@ class Evaluation:
             "by_distance": {name: ring.to_dict() for name, ring in self.by_distance.items()},
             "classes": list(self.space.names),
             "confusion": self.confusion.matrix.tolist(),
+            **self.trust.to_dict(),
         }
 
 
@@ -99,8 +104,9 @@ def evaluate(
 ) -> Evaluation:
     """Compare the predictions in an output folder with the labels of the scans.
 
-    Writes ``scores.txt`` (as the official evaluator does), ``eval.json``, ``eval_iou.png`` and
-    ``eval_confusion.png`` into the output folder.
+    Writes ``scores.txt`` (as the official evaluator does), ``eval.json`` and pictures,
+    ``eval_*.png``, into the output folder. Probabilities and uncertainties that lie there are
+    judged too.
 
     Parameters
     ----------
@@ -126,8 +132,13 @@ def evaluate(
     """
     _require_labels(scans)
     work = partial(count_scan, out=out, space=space, by_distance=by_distance)
-    outcome = run_batch(work, scans, options)
-    counts = sum(outcome.results, start=ScanCounts.none(space, by_distance))
+    counts = ScanCounts.none(space, by_distance)
+
+    def add(of_scan: ScanCounts) -> None:
+        nonlocal counts
+        counts += of_scan
+
+    outcome = run_batch(work, scans, options, hand_on=add)
     _require_counts(counts, out, outcome.failures)
     evaluation = Evaluation(
         space=space,
@@ -143,6 +154,7 @@ def evaluate(
         missing=tuple(sorted(counts.missing, key=lambda scan: (scan.sequence, scan.stem))),
         failures=outcome.failures,
         settings=dict(settings or {}),
+        trust=trust(counts.uncertainty, counts.scans, space),
     )
     _warn(evaluation)
     _write(evaluation, out)
@@ -204,4 +216,5 @@ def _write(evaluation: Evaluation, out: Path) -> None:
     write_text(out / "scores.txt", evaluation.scores.official_yaml())
     iou_bars(out / "eval_iou.png", evaluation.scores, evaluation.space)
     confusion_picture(out / "eval_confusion.png", evaluation.confusion, evaluation.space)
+    evaluation.trust.write_pictures(out)
     write_json(out / "eval.json", evaluation.to_dict())

@@ -1,0 +1,222 @@
+# SPDX-License-Identifier: MIT
+"""Plots of how far probabilities and uncertainties can be trusted."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from salsanext_cli.classes import LabelSpace
+from salsanext_cli.measures.confusion import Ratios
+from salsanext_cli.measures.figures import COVERAGE, CalibrationFigures, UncertaintyFigures
+from salsanext_cli.report import canvas
+from salsanext_cli.report.labels import name_dots
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+DARK = "#22262c"
+PALE = "#c9ced6"
+BLUE, SKY, ORANGE, RED, GREEN = "#0072b2", "#56b4e9", "#e69f00", "#d55e00", "#009e73"
+"""Colours that colour-blind people can tell apart."""
+DASHED = (0, (5, 2))
+LINES = {
+    "confidence": (DARK, "-"),
+    "softmax_entropy": (DARK, DASHED),
+    "epistemic": (BLUE, "-"),
+    "mutual_information": (BLUE, DASHED),
+    "aleatoric": (ORANGE, "-"),
+    "total": (RED, "-"),
+    "entropy": (GREEN, "-"),
+}
+"""Colour and dashes of each kind of uncertainty."""
+BEST: dict[str, Any] = {"color": canvas.FAINT, "linestyle": (0, (1, 2)), "linewidth": 1.4}
+"""How the curve of the best order is drawn."""
+LEFT, TOP, WIDTH, HEIGHT = 80, 60, 600, 420
+"""Place of the main axes, in pixels."""
+BELOW = 90
+"""Height of the axes below them that show where the points are."""
+
+
+def reliability_diagram(path: Path, figures: CalibrationFigures) -> None:
+    """Draw accuracy against confidence, and below it where the points are, as a PNG.
+
+    Parameters
+    ----------
+    path : Path
+        Where to write.
+    figures : CalibrationFigures
+        What to draw; a bin without points has no bar.
+    """
+    diagram, scores = figures.reliability, figures.scores
+    figure = canvas.new_figure(LEFT + WIDTH + 40, TOP + HEIGHT + BELOW + 80, canvas.PAPER)
+    title = f"Calibration of the softmax · {scores.points:,} points"
+    if scores.points:
+        title += f" · ECE {100 * scores.ece:.2f} %"
+    canvas.text_at(figure, LEFT, 30, title, 17, DARK)
+    axes = canvas.axes_at(figure, LEFT, TOP, WIDTH, HEIGHT)
+    bins = len(diagram.points)
+    edges, width = 100 * np.arange(bins) / bins, 100 / bins
+    accuracy = np.nan_to_num(100 * diagram.accuracy)
+    gap = np.nan_to_num(100 * diagram.confidence) - accuracy
+    axes.bar(edges, accuracy, width, align="edge", color=SKY, edgecolor=canvas.PAPER)
+    axes.bar(
+        edges,
+        gap,
+        width,
+        accuracy,
+        align="edge",
+        color="none",
+        edgecolor=RED,
+        linewidth=0.8,
+        hatch="////",
+        label="gap to the mean confidence",
+    )
+    axes.plot([0, 100], [0, 100], color=DARK, linestyle=DASHED, linewidth=1, label="calibrated")
+    axes.set_ylim(0, 100)
+    axes.set_ylabel("accuracy in %")
+    axes.legend(loc="upper left", frameon=False, fontsize=10)
+    below = canvas.axes_at(figure, LEFT, TOP + HEIGHT + 14, WIDTH, BELOW)
+    shares = 100 * diagram.points / max(scores.points, 1)
+    below.bar(edges, shares, width, align="edge", color=canvas.FAINT, edgecolor=canvas.PAPER)
+    below.set_ylabel("points in %")
+    below.set_ylim(0, max(1.0, 1.1 * float(shares.max())))
+    below.set_xlabel("confidence in %")
+    axes.set_xticks(range(0, 101, 20), [""] * 6)
+    below.set_xticks(range(0, 101, 20))
+    for each in (axes, below):
+        each.set_xlim(0, 100)
+        _plain_frame(each)
+    canvas.save_png(figure, path)
+
+
+def risk_coverage(path: Path, kinds: Mapping[str, UncertaintyFigures]) -> None:
+    """Draw how many of the least uncertain points are wrong, as a PNG.
+
+    Parameters
+    ----------
+    path : Path
+        Where to write.
+    kinds : mapping of str to UncertaintyFigures
+        A curve for each.
+    """
+    figure, axes = _curves("Wrong points among those that are kept")
+    for kind, figures in kinds.items():
+        colour, dashes = LINES[kind]
+        label = f"{kind} · AURC {_percent(figures.scores.aurc)}"
+        axes.plot(100 * COVERAGE, 100 * figures.risk, color=colour, linestyle=dashes, label=label)
+    for i, rate in enumerate(_error_rates(kinds)):
+        best = 100 * _risk_of_best_order(rate)
+        axes.plot(100 * COVERAGE, best, **BEST, label="" if i else "best order")
+    axes.set_xlabel("coverage: least uncertain points that are kept, in %")
+    axes.set_ylabel("risk: wrong points among them, in %")
+    _save_curves(figure, axes, path)
+
+
+def sparsification(path: Path, kinds: Mapping[str, UncertaintyFigures]) -> None:
+    """Draw how the share of wrong points falls as the most uncertain are removed, as a PNG.
+
+    Parameters
+    ----------
+    path : Path
+        Where to write.
+    kinds : mapping of str to UncertaintyFigures
+        A curve for each that has wrong points.
+    """
+    figure, axes = _curves("Wrong points that are left as the most uncertain are removed")
+    removed = 100 * (1 - COVERAGE)
+    for kind, figures in kinds.items():
+        if figures.scores.wrong:
+            colour, dashes = LINES[kind]
+            left = figures.risk / figures.risk[-1]
+            label = f"{kind} · AUSE {figures.scores.ause:.3f}"
+            axes.plot(removed, left, color=colour, linestyle=dashes, label=label)
+    for i, rate in enumerate(_error_rates(kinds)):
+        best = _risk_of_best_order(rate) / rate
+        axes.plot(removed, best, **BEST, label="" if i else "best order")
+    axes.set_xlabel("most uncertain points that are removed, in %")
+    axes.set_ylabel("share of wrong points, of that among all")
+    _save_curves(figure, axes, path)
+
+
+def _error_rates(kinds: Mapping[str, UncertaintyFigures]) -> list[float]:
+    """Return the different shares of wrong points: not every kind need be of the same points."""
+    scores = [figures.scores for figures in kinds.values()]
+    return sorted({s.wrong / s.points for s in scores if s.wrong})
+
+
+def _risk_of_best_order(rate: float) -> Ratios:
+    return np.maximum(0, 1 - (1 - rate) / COVERAGE)
+
+
+def _curves(title: str) -> tuple[Figure, Axes]:
+    figure = canvas.new_figure(LEFT + WIDTH + 330, TOP + HEIGHT + 70, canvas.PAPER)
+    canvas.text_at(figure, LEFT, 30, title, 17, DARK)
+    return figure, canvas.axes_at(figure, LEFT, TOP, WIDTH, HEIGHT)
+
+
+def _save_curves(figure: Figure, axes: Axes, path: Path) -> None:
+    axes.set_xlim(0, 100)
+    axes.set_ylim(bottom=0)
+    if axes.lines:
+        axes.legend(
+            loc="upper left",
+            bbox_to_anchor=(1.02, 1.02),
+            frameon=False,
+            fontsize=10,
+            handlelength=2.6,
+        )
+    _plain_frame(axes)
+    canvas.save_png(figure, path)
+
+
+def class_uncertainty(path: Path, figures: UncertaintyFigures, space: LabelSpace) -> None:
+    """Draw the mean uncertainty of each class against its number of points, as a PNG.
+
+    Parameters
+    ----------
+    path : Path
+        Where to write.
+    figures : UncertaintyFigures
+        Of epistemic uncertainty; a class that is absent has no dot.
+    space : LabelSpace
+        Names and colours of the classes.
+    """
+    present = {i: scores for i, scores in figures.classes.items() if scores.points}
+    points = np.array([scores.points for scores in present.values()], np.float64)
+    means = np.array([scores.mean for scores in present.values()])
+    figure = canvas.new_figure(LEFT + 780, TOP + HEIGHT + 150, canvas.PAPER)
+    title = "Epistemic uncertainty of the classes"
+    if not math.isnan(figures.correlation):
+        title += f" · rank correlation {figures.correlation:+.2f}"
+    canvas.text_at(figure, LEFT, 30, title, 17, DARK)
+    axes = canvas.axes_at(figure, LEFT, TOP, 740, HEIGHT + 80)
+    colours = [space.colours[i] / 255 for i in present]
+    axes.scatter(points, means, 60, colours, edgecolors=DARK, linewidths=0.8, zorder=3)
+    axes.set_xscale("log")
+    if present:
+        axes.set_xlim(points.min() / 3, points.max() * 3)
+    axes.set_ylim(0, max(1.12 * float(means.max(initial=0)), 1e-12))
+    axes.ticklabel_format(axis="y", style="sci", scilimits=(-2, 2), useMathText=True)
+    axes.set_xlabel("points of the class")
+    axes.set_ylabel("mean epistemic uncertainty")
+    _plain_frame(axes)
+    name_dots(axes, points, means, [space.names[i] for i in present], DARK)
+    canvas.save_png(figure, path)
+
+
+def _percent(share: float) -> str:
+    return "–" if math.isnan(share) else f"{100 * share:.2f} %"
+
+
+def _plain_frame(axes: Axes) -> None:
+    axes.grid(color=PALE, linewidth=0.6)
+    axes.set_axisbelow(True)
+    axes.tick_params(which="both", length=0, colors=DARK, labelsize=10)
+    for side in axes.spines.values():
+        side.set_visible(False)
