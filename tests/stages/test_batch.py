@@ -114,6 +114,18 @@ def test_without_results_nothing_is_skipped():
 
 
 @JOBS
+def test_results_can_be_handed_on_as_they_come(tmp_path, jobs):
+    work, taken, seen = Write(tmp_path), [], []
+    options = BatchOptions(jobs=jobs, progress=lambda *_: seen.append(len(taken)))
+    scans = scans_of("a", "bad", "b", "c")
+    outcome = run_batch(work, scans, options, work.results_of, hand_on=taken.append)
+    assert sorted(taken) == list("abc")
+    assert sorted(seen) == seen
+    assert seen[0] <= 1
+    assert (outcome.results, outcome.done, len(outcome.failures)) == ((), 3, 1)
+
+
+@JOBS
 def test_progress_counts_what_is_to_do(tmp_path, jobs):
     seen = []
     run(Write(tmp_path), scans_of("a"))

@@ -1,0 +1,48 @@
+# SPDX-License-Identifier: MIT
+"""A data set and an output folder to evaluate."""
+
+from pathlib import Path
+
+import numpy as np
+
+from salsanext_cli.classes import label_space
+from salsanext_cli.formats.arrays import write_array
+from salsanext_cli.formats.kitti import write_bin, write_labels
+from salsanext_cli.formats.layout import find_scans, output_path
+from salsanext_cli.records import Scan
+from salsanext_cli.stages.batch import BatchOptions
+from salsanext_cli.stages.evaluate import evaluate
+
+SPACE = label_space()
+CAR, ROAD, MOVING_CAR, UNKNOWN = 10, 40, 252, 77
+
+
+class World:
+    """A data set and an output folder that tests fill scan by scan."""
+
+    def __init__(self, folder: Path) -> None:
+        self.dataset, self.out = folder / "Daten 1", folder / "öut"
+
+    def add(self, stem, truth, predicted, sequence="08", distance=5.0):
+        """Write a scan on a circle; None writes no file."""
+        folder = self.dataset / "sequences" / sequence
+        count = len(truth if truth is not None else predicted)
+        angle = np.linspace(0, 6, count)
+        points = np.stack([np.cos(angle), np.sin(angle), 0 * angle], 1) * distance
+        scan = Scan(points.astype(np.float32), np.zeros(count, np.float32))
+        write_bin(folder / "velodyne" / f"{stem}.bin", scan)
+        if truth is not None:
+            write_labels(folder / "labels" / f"{stem}.label", np.array(truth, np.uint32))
+        if predicted is not None:
+            path = output_path(self.out, sequence, "predictions", stem)
+            write_labels(path, np.array(predicted, np.uint32))
+
+    def evaluate(self, *, by_distance=False, **options):
+        scans = find_scans(self.dataset)
+        how = BatchOptions(**options)
+        return evaluate(scans, self.out, SPACE, how, by_distance=by_distance)
+
+    def put(self, folder, stem, values, dtype=None, sequence="08"):
+        """Write probabilities or one kind of uncertainty of a scan; the dtype is the usual one."""
+        dtype = dtype or (np.float16 if folder == "probabilities" else np.float32)
+        write_array(output_path(self.out, sequence, folder, stem), np.asarray(values, dtype))

@@ -1,0 +1,277 @@
+# SPDX-License-Identifier: MIT
+import json
+import logging
+import math
+import pickle
+
+import numpy as np
+import pytest
+from evaluated import CAR, ROAD, SPACE, World
+from sklearn.metrics import average_precision_score, log_loss, roc_auc_score
+
+from salsanext_cli.errors import FormatError
+from salsanext_cli.formats.layout import find_scans, output_path
+from salsanext_cli.stages.counting import ScanCounts, count_scan
+from salsanext_cli.stages.counting_uncertainty import CLASS, FOLDERS, KINDS, UncertaintyCounts
+from salsanext_cli.stages.trust import Trust, trust
+
+C = SPACE.class_count
+CAR_ID, ROAD_ID = SPACE.names.index("car"), SPACE.names.index("road")
+PICTURES = {
+    "probabilities": {"eval_reliability.png", "eval_risk_coverage.png", "eval_sparsification.png"},
+    "uncertainty/entropy": {"eval_risk_coverage.png", "eval_sparsification.png"},
+    "uncertainty/epistemic": {
+        "eval_risk_coverage.png",
+        "eval_sparsification.png",
+        "eval_class_uncertainty.png",
+    },
+}
+ALWAYS = {"scores.txt", "eval.json", "eval_iou.png", "eval_confusion.png"}
+
+
+@pytest.fixture
+def world(tmp_path):
+    return World(tmp_path)
+
+
+def softmax(*cars: float) -> np.ndarray:
+    """Return a row per probability of a car, the rest being road."""
+    rows = np.zeros((len(cars), C), np.float16)
+    rows[:, CAR_ID] = cars
+    rows[:, ROAD_ID] = 1 - rows[:, CAR_ID]
+    return rows
+
+
+def random_scan(world: World, stem: str, count: int, distance: float = 5) -> None:
+    """Add a scan with every kind of file; the uncertain points are wrong more often."""
+    rng = np.random.default_rng(int(stem))
+    truth = rng.choice([CAR, ROAD, 0], count, p=[0.5, 0.4, 0.1])
+    doubt = np.exp(rng.normal(-3, 1, count))
+    wrong = rng.random(count) < np.clip(4 * doubt, 0, 0.9)
+    predicted = np.where(wrong, np.where(truth == CAR, ROAD, CAR), truth)
+    world.add(stem, truth, predicted, distance=distance)
+    cars = np.where(predicted == CAR, 1 - np.clip(doubt, 0, 0.5), np.clip(doubt, 0, 0.5))
+    world.put("probabilities", stem, softmax(*cars))
+    for i, folder in enumerate(FOLDERS[1:]):
+        values = doubt ** (i + 1)
+        values[::7] = np.nan
+        world.put(folder, stem, values)
+
+
+def trust_of(world: World, by_distance: bool = False) -> Trust:
+    """Count and divide without drawing anything."""
+    scans = find_scans(world.dataset)
+    counts = (count_scan(scan, world.out, SPACE, by_distance).uncertainty for scan in scans)
+    return trust(sum(counts, start=UncertaintyCounts()), len(scans), SPACE)
+
+
+def files_of(world: World) -> set[str]:
+    return {path.name for path in world.out.iterdir() if path.is_file()}
+
+
+def report_of(world: World) -> dict:
+    return json.loads((world.out / "eval.json").read_text())
+
+
+def test_without_such_files_nothing_is_said_of_them(world):
+    world.add("000000", [CAR], [CAR])
+    evaluation = world.evaluate(by_distance=True)
+    assert files_of(world) == ALWAYS
+    assert evaluation.trust.to_dict() == {}
+    assert not {"calibration", "uncertainty"} & report_of(world).keys()
+
+
+@pytest.mark.parametrize("folder", PICTURES)
+def test_whatever_is_there_is_judged(world, folder):
+    world.add("000000", [CAR, ROAD], [CAR, CAR])
+    scores = world.evaluate() and (world.out / "scores.txt").read_bytes()
+    world.put(folder, "000000", softmax(1, 0.25) if folder == "probabilities" else [0.1, 0.2])
+    world.evaluate()
+    assert files_of(world) == ALWAYS | PICTURES[folder]
+    assert (world.out / "scores.txt").read_bytes() == scores
+    report = report_of(world)
+    assert ("calibration" in report) == (folder == "probabilities")
+    kinds = ["confidence", "softmax_entropy"] if folder == "probabilities" else [folder[12:]]
+    assert list(report["uncertainty"]) == kinds
+
+
+def test_figures_are_scikit_learns(world):
+    """Two scans, pooled; points whose truth is ignored do not count, whatever is said of them."""
+    world.add("000000", [CAR, CAR, ROAD, 0], [CAR, CAR, CAR, CAR])
+    world.add("000001", [ROAD, ROAD, ROAD], [ROAD, CAR, ROAD])
+    first, second = softmax(0.875, 0.75, 0.625, 0.5), softmax(0.25, 0.5625, 0.125)
+    world.put("probabilities", "000000", first)
+    world.put("probabilities", "000001", second)
+    world.put("uncertainty/entropy", "000000", [0.1, 0.3, 0.25, 9])
+    world.put("uncertainty/entropy", "000001", [0.2, 0.5, 0.35])
+    judged = trust_of(world)
+    cars = np.concatenate([first[:3], second])[:, CAR_ID].astype(float)
+    is_car = np.array([1, 1, 0, 0, 0, 0])
+    calibration = judged.calibration
+    assert calibration.scores.points == 6
+    assert calibration.scores.nll == pytest.approx(log_loss(is_car, cars), abs=1e-12)
+    # The class of the probabilities, not of the predictions: the third and the fifth are wrong.
+    assert calibration.scores.accuracy == pytest.approx(4 / 6)
+    wrong = np.array([0, 0, 1, 0, 1, 0])
+    entropy = np.array([0.1, 0.3, 0.25, 0.2, 0.5, 0.35])
+    found = judged.uncertainty["entropy"].scores
+    assert found.auroc == pytest.approx(roc_auc_score(wrong, entropy), abs=1e-12)
+    assert found.aupr == pytest.approx(average_precision_score(wrong, entropy), abs=1e-12)
+    assert found.mean == pytest.approx(entropy.mean(), rel=1e-6)
+    unsure = 1 - np.maximum(cars, 1 - cars)
+    found = judged.uncertainty["confidence"].scores
+    assert found.auroc == pytest.approx(roc_auc_score(wrong, unsure), abs=1e-12)
+
+
+def test_a_label_that_neighbours_outvoted_is_judged_as_it_stands(world):
+    """Calibration is the softmax's; what uncertainty has to find is a wrong label."""
+    world.add("000000", [CAR, CAR], [CAR, CAR])
+    world.put("probabilities", "000000", softmax(0.25, 0.75))
+    judged = trust_of(world)
+    assert judged.calibration.scores.accuracy == 0.5
+    assert judged.uncertainty["confidence"].scores.wrong == 0
+
+
+def test_classes_and_rings(world):
+    world.add("000000", [CAR, CAR, ROAD], [CAR, ROAD, ROAD], distance=5)
+    world.put("probabilities", "000000", softmax(0.75, 0.25, 0.25))
+    world.put("uncertainty/epistemic", "000000", [0.1, 0.2, 0.5])
+    world.add("000001", [CAR], [ROAD], distance=25)
+    world.put("probabilities", "000001", softmax(0.125))
+    world.put("uncertainty/epistemic", "000001", [0.375])
+    assert trust_of(world).uncertainty["epistemic"].rings == {}
+    judged = world.evaluate(by_distance=True).trust
+    epistemic = judged.uncertainty["epistemic"]
+    cars = epistemic.classes[CAR_ID]
+    assert (cars.points, cars.wrong, cars.auroc) == (3, 2, 1)
+    assert cars.mean == pytest.approx(0.225)
+    assert epistemic.correlation == pytest.approx(-1)
+    assert epistemic.rings["0–10 m"].points == 3
+    assert epistemic.rings["20–30 m"].mean == 0.375
+    assert math.isnan(epistemic.rings["over 50 m"].mean)
+    # By what the softmax says: one car, and it is one; three roads, of which one is.
+    calibration = judged.calibration
+    assert calibration.classes[CAR_ID].accuracy == 1
+    assert calibration.classes[ROAD_ID].accuracy == pytest.approx(1 / 3)
+    assert calibration.rings["20–30 m"].nll == pytest.approx(math.log(8))
+    report = report_of(world)["uncertainty"]["epistemic"]
+    assert [c["points"] for c in report["classes"] if c["name"] in ("car", "road")] == [3, 1]
+    assert report["by_distance"]["20–30 m"]["auroc"] is None
+    assert len(report["risk_coverage"]) == 100
+
+
+def test_points_without_a_pixel_are_left_out_and_counted(world):
+    """`predict` gives them to class 0, certainly; `uncertainty` gives them NaN."""
+    world.add("000000", [CAR, CAR, ROAD], [CAR, 0, ROAD])
+    rows = softmax(0.75, 0, 0.25)
+    rows[1] = np.eye(1, C)
+    world.put("probabilities", "000000", rows)
+    world.put("uncertainty/total", "000000", [0.1, np.nan, 0.2])
+    judged = trust_of(world)
+    kinds = judged.uncertainty
+    for figures in (judged.calibration, kinds["total"], kinds["confidence"]):
+        assert (figures.scores.points, figures.left_out) == (2, 1)
+    assert judged.calibration.scores.accuracy == 1
+
+
+def test_no_point_with_a_value(world):
+    world.add("000000", [CAR, ROAD], [CAR, CAR])
+    world.put("probabilities", "000000", np.repeat(np.eye(1, C), 2, axis=0))
+    world.put("uncertainty/epistemic", "000000", [np.nan, np.nan])
+    world.evaluate(by_distance=True)
+    report = report_of(world)
+    assert report["calibration"]["nll"] is None
+    assert report["calibration"]["reliability"]["accuracy"] == [None] * 15
+    assert report["uncertainty"]["epistemic"]["auroc"] is None
+    assert report["uncertainty"]["epistemic"]["left_out"] == 2
+
+
+def test_files_of_some_scans_are_used_and_that_is_said(world, caplog):
+    for i in range(4):
+        world.add(f"{i:06d}", [CAR, ROAD], [CAR, CAR])
+    for i in (0, 3):
+        world.put("uncertainty/epistemic", f"{i:06d}", [0.1, 0.2])
+    world.put("probabilities", "000001", softmax(0.75, 0.75))
+    with caplog.at_level(logging.WARNING):
+        judged = trust_of(world)
+    assert judged.uncertainty["epistemic"].scans == 2
+    assert judged.uncertainty["epistemic"].scores.points == 4
+    assert judged.calibration.scans == 1
+    assert "uncertainty/epistemic of 2 of 4 scans only" in caplog.text
+    assert "probabilities of 1 of 4 scans only" in caplog.text
+
+
+BAD = {
+    "other classes": ("probabilities", np.full((2, 3), 1 / 3), r"float16 \(2, 20\)"),
+    "other points": ("probabilities", softmax(1, 1, 1), r"float16 \(2, 20\)"),
+    "NaN": ("probabilities", softmax(np.nan, 0.5), "NaN or no probabilities at 1 of 2 points"),
+    "infinity": ("probabilities", softmax(np.inf, 0.5), "at 1 of 2 points"),
+    "negative": ("probabilities", softmax(-0.5, 1.5), "at 2 of 2 points"),
+    "logits": ("probabilities", softmax(0.5, 0.5) * 7, "add up to 1"),
+    "length": ("uncertainty/total", [0.1], r"float32 \(2\)"),
+    "below 0": ("uncertainty/entropy", [0.1, -0.1], "negative or infinite at 1 of 2 points"),
+    "endless": ("uncertainty/entropy", [np.inf, np.nan], "negative or infinite at 1 of 2 points"),
+}
+
+
+def two_scans(world: World, folder: str, values: object, dtype: object = None) -> None:
+    """Add a good scan, and one with a file as given."""
+    for stem in ("000000", "000001"):
+        world.add(stem, [CAR, ROAD], [CAR, ROAD])
+        world.put(folder, stem, softmax(1, 0) if folder == "probabilities" else [0.1, 0.2])
+    world.put(folder, "000001", values, dtype)
+
+
+@pytest.mark.parametrize("case", BAD)
+def test_a_file_that_cannot_be_is_named(world, case):
+    folder, values, message = BAD[case]
+    two_scans(world, folder, values)
+    with pytest.raises(FormatError, match=message) as caught:
+        world.evaluate(on_error="stop")
+    assert caught.value.subject == str(output_path(world.out, "08", folder, "000001"))
+
+
+def test_the_scans_beside_a_bad_file_are_scored(world):
+    two_scans(world, "uncertainty/total", [0.1, 0.2], np.float64)
+    evaluation = world.evaluate()
+    assert evaluation.scans == evaluation.trust.uncertainty["total"].scans == 1
+    assert "<f8" in evaluation.failures[0].reason
+
+
+def test_figures_do_not_depend_on_order_or_partition(world):
+    for i in range(5):
+        random_scan(world, f"{i:06d}", 40 + i, distance=5 + 10 * i)
+    scans = find_scans(world.dataset)
+    counts = [count_scan(scan, world.out, SPACE, by_distance=True) for scan in scans]
+    forth = sum(counts, start=ScanCounts.none(SPACE, by_distance=True)).uncertainty
+    back = (counts[4] + counts[2]) + (counts[0] + (counts[3] + counts[1]))
+    assert forth == back.uncertainty
+    assert forth.files == dict.fromkeys(FOLDERS, 5)
+    world.evaluate(by_distance=True)
+    once = (world.out / "eval.json").read_bytes()
+    world.evaluate(by_distance=True, jobs=2)
+    assert (world.out / "eval.json").read_bytes() == once
+    assert list(report_of(world)["uncertainty"]) == list(KINDS)
+
+
+def test_what_a_worker_sends_is_small(world):
+    random_scan(world, "000000", 3000)
+    (scan,) = find_scans(world.dataset)
+    counts = count_scan(scan, world.out, SPACE, by_distance=True)
+    assert pickle.loads(pickle.dumps(counts)) == counts
+    held = [tally.counts.nbytes for tally in counts.uncertainty.rankings.values()]
+    assert len(pickle.dumps(counts)) < sum(held) / 50
+
+
+def test_counts_join_whatever_each_has(world):
+    world.add("000000", [CAR], [CAR])
+    world.put("uncertainty/total", "000000", [0.1])
+    world.add("000001", [CAR], [CAR])
+    world.put("uncertainty/entropy", "000001", [0.1])
+    one, two = (
+        count_scan(scan, world.out, SPACE).uncertainty for scan in find_scans(world.dataset)
+    )
+    both = one + two + UncertaintyCounts()
+    assert both.rankings.keys() == {("total", CLASS), ("entropy", CLASS)}
+    assert both.rankings["total", CLASS] == one.rankings["total", CLASS]
+    assert both.files == {"uncertainty/total": 1, "uncertainty/entropy": 1}
