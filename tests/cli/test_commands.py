@@ -109,6 +109,21 @@ def test_eval_prints_a_table_and_writes_scores(run, predicted):
     assert scores["scans"] == 2
 
 
+def test_eval_prints_what_uncertainty_is_worth(run, data, weights, tmp_path):
+    out, network = tmp_path / "out", ("--weights", weights, "--device", "cpu")
+    run("predict", data, out, "--probabilities", *network)
+    run("uncertainty", data, out, "--samples", 2, *network)
+    result = run("eval", "--out", out)
+    assert result.exit_code == 0
+    for word in ("NLL", "ECE per scan", "confidence", "mutual_information", "AUSE"):
+        assert word in result.stdout
+    found = only_json(run("eval", "--out", out, "--json"))
+    assert found["calibration"]["scans"] == 2
+    assert found["uncertainty"]["epistemic"]["scans"] == 2
+    for name in ("reliability", "risk_coverage", "sparsification", "class_uncertainty"):
+        assert (out / f"eval_{name}.png").exists()
+
+
 def test_eval_without_labels(run, predicted, data):
     for path in (data / "sequences/08/labels").iterdir():
         path.unlink()
