@@ -8,6 +8,7 @@ package, and asking the command line for help, takes no time.
 from __future__ import annotations
 
 import importlib
+import logging
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
@@ -22,6 +23,9 @@ if TYPE_CHECKING:
     from salsanext_cli.network.sampling import sample
     from salsanext_cli.records import RangeImage, Scan
     from salsanext_cli.sensors import Sensor, sensor
+
+# Who uses the package says where its warnings go.
+logging.getLogger(__name__).addHandler(logging.NullHandler())
 
 __version__ = "0.1.0"
 

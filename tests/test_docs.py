@@ -26,7 +26,6 @@ from salsanext_cli.classes import LabelSpace
 from salsanext_cli.cli.app import COMMANDS, app
 from salsanext_cli.formats.kitti import write_bin
 from salsanext_cli.formats.layout import SCAN_SUFFIXES, SUFFIX_OF_FOLDER
-from salsanext_cli.network.weights import default_weights
 from salsanext_cli.sensors import Sensor
 from salsanext_cli.training import recipe
 from salsanext_cli.training.recipe import Recipe
@@ -311,7 +310,6 @@ def test_importing_the_package_is_quick():
 
 
 @pytest.mark.slow
-@pytest.mark.skipif(not default_weights().exists(), reason="no default weights")
 @pytest.mark.parametrize("block", blocks(DOCS / "quickstart.md", "sh"))
 def test_the_quick_start_works_as_typed(block, tmp_path):
     if not block.startswith("salsanext"):

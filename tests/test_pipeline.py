@@ -21,7 +21,6 @@ from typer.testing import CliRunner
 from salsanext_cli.classes import label_space
 from salsanext_cli.cli.app import app
 from salsanext_cli.formats.kitti import read_labels
-from salsanext_cli.network.weights import default_weights
 from salsanext_cli.stages.batch import BatchOptions
 from salsanext_cli.stages.export_ply import export_ply
 from salsanext_cli.stages.import_weights import import_weights
@@ -107,7 +106,6 @@ def test_the_same_lines_when_the_scans_lie_elsewhere(weights, tmp_path, monkeypa
 
 
 @pytest.mark.slow
-@pytest.mark.skipif(not default_weights().exists(), reason="no default weights")
 def test_the_three_lines_with_the_default_weights(tmp_path):
     write_sequence(tmp_path / "sequences/08", ["000000"], count=100_000)
     (tmp_path / "seq").symlink_to("sequences/08")

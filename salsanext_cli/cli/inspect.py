@@ -48,10 +48,13 @@ def inspect(
             space=options.label_space(label_space),
             choice=options.choice(split, sequences, limit),
             options=batch,
+            fit=fit is not None,
         )
     if fit is not None:
         write_sensor(fit, found.fitted_sensor(fit.stem), overwrite=overwrite)
         talk.say(f"inspect: sensor → {fit}")
-    talk.result(found.to_dict(), survey_tables(found.sequences, found.total, found.space, view))
+    talk.result(
+        found.to_dict(), survey_tables(found.sequences, found.total, found.space, found.sensor)
+    )
     console.name_failures(found.failures)
     raise typer.Exit(console.FAILED if found.failures else console.DONE)

@@ -26,16 +26,19 @@ def network_table(networks: Sequence[Mapping[str, Any]]) -> Table:
 
 def card_table(card: Mapping[str, Any]) -> Table:
     """Return a table of what a weights file says of itself."""
+    from rich.markup import escape
     from rich.table import Table
 
     sensor = card["sensor"]
-    table = Table(title=card["path"], title_justify="left", show_header=False)
-    table.add_row("what", card["description"] or "–")
+    table = Table(title=escape(card["path"]), title_justify="left", show_header=False)
+    table.add_row("what", escape(card["description"]) or "–")
     table.add_row("architecture", ", ".join(f"{k} {v}" for k, v in card["architecture"].items()))
     table.add_row("temperature", f"{card['temperature']:.4g}")
-    table.add_row("label space", f"{card['label_space']}, {len(card['classes'])} classes")
+    table.add_row("label space", escape(f"{card['label_space']}, {len(card['classes'])} classes"))
     view = f"{sensor['fov_up']:+g}° to {sensor['fov_down']:+g}°"
-    table.add_row("sensor", f"{sensor['name']}, {sensor['height']}×{sensor['width']}, {view}")
+    table.add_row(
+        "sensor", escape(f"{sensor['name']}, {sensor['height']}×{sensor['width']}, {view}")
+    )
     table.add_row("scores", ", ".join(f"{k} {v}" for k, v in card["scores"].items()) or "–")
     table.add_row("size", f"{card['bytes'] / 1e6:.1f} MB")
     table.add_row("SHA-256", card["sha256"])

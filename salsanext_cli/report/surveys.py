@@ -29,6 +29,8 @@ def survey_tables(
 
 
 def _sequences(sequences: Mapping[str, Survey], total: Survey) -> Table:
+    from rich.markup import escape
+
     table = _table("Scans", "sequence", "scans", "labelled", "points per scan", "invalid points")
     for heading in ("farthest, m", "brightest", "field of view"):
         table.add_column(heading, justify="right")
@@ -36,7 +38,7 @@ def _sequences(sequences: Mapping[str, Survey], total: Survey) -> Table:
     for name, found in rows.items():
         up, down = found.field_of_view()
         table.add_row(
-            name,
+            escape(name),
             f"{found.scans:,}",
             f"{found.labelled:,}",
             f"{min(found.smallest, found.largest):,} – {found.largest:,}",
@@ -57,13 +59,15 @@ def _channels(total: Survey, sensor: Sensor) -> Table:
 
 
 def _classes(total: Survey, space: LabelSpace) -> Table:
+    from rich.markup import escape
+
     table = _table("Classes", "raw id and name", "train id and class", "points", "share %")
     points = sum(total.classes.values())
     for raw, count in sorted(total.classes.items()):
         train = space.learning_map.get(raw)
         table.add_row(
-            f"{raw} {space.labels.get(raw, 'unknown')}",
-            "unknown" if train is None else f"{train} {space.names[train]}",
+            escape(f"{raw} {space.labels.get(raw, 'unknown')}"),
+            "unknown" if train is None else escape(f"{train} {space.names[train]}"),
             f"{count:,}",
             f"{100 * count / points:.3f}",
         )
@@ -71,9 +75,10 @@ def _classes(total: Survey, space: LabelSpace) -> Table:
 
 
 def _table(title: str, first: str, *others: str) -> Table:
+    from rich.markup import escape
     from rich.table import Table
 
-    table = Table(title=title, title_justify="left")
+    table = Table(title=escape(title), title_justify="left")
     table.add_column(first)
     for heading in others:
         table.add_column(heading, justify="right")

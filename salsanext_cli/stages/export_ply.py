@@ -14,7 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from salsanext_cli.classes import LabelSpace
-from salsanext_cli.errors import SalsanextError, UsageError
+from salsanext_cli.errors import OutputError, SalsanextError, UsageError
 from salsanext_cli.formats.layout import ScanFile, find_outputs, output_path
 from salsanext_cli.formats.ply import write_ply
 from salsanext_cli.formats.reading import present
@@ -29,16 +29,17 @@ from salsanext_cli.stages.clouds import (
     unknown,
     with_results,
 )
-from salsanext_cli.stages.inputs import Choice, choose, space_of
+from salsanext_cli.stages.inputs import Choice, choose
 from salsanext_cli.stages.late_uncertainty import sample_missing
 from salsanext_cli.stages.networks import NetworkChoice
 from salsanext_cli.stages.outputs import (
     claim,
     origins,
-    recorded_label_space,
     recorded_sensor,
+    recorded_weights,
     stage_settings,
 )
+from salsanext_cli.stages.predicted import space_of_results
 from salsanext_cli.stages.sources import remembered_scans
 from salsanext_cli.stages.uncertainty import KINDS as SAMPLED
 
@@ -143,7 +144,8 @@ def export_ply(
         raise UsageError("--scale", f"{scale[0]} {scale[1]}", "a lower and a higher number")
     colour = resolve_colour(out, colour)
     scans = remembered_scans(out, dataset, usual_dataset)
-    space = space or space_of(scans, recorded_label_space(out))
+    space = space_of_results(out, scans, space)
+    _require_same_weights(out)
     scans = with_results(out, choose(scans, Choice(choice.split, choice.sequences), space, out))
     scans = scans[: choice.limit]
     unsampled: dict[ScanFile, Failure] = {}
@@ -166,6 +168,20 @@ def export_ply(
     outcome = run_batch(work, scans, options, work.results_of)
     failures = tuple(unsampled.get(failure.scan, failure) for failure in outcome.failures)
     return replace(outcome, failures=failures)
+
+
+def _require_same_weights(out: Path) -> None:
+    """Refuse to show the uncertainty of one network beside the labels of another."""
+    labels, doubts = (
+        recorded_weights(out, folder) for folder in ("predictions", "uncertainty/epistemic")
+    )
+    if labels and doubts and labels != doubts:
+        raise OutputError(
+            out,
+            f"labels by the weights {labels[:12]}…, uncertainty by {doubts[:12]}…",
+            "the same weights for both",
+            "run `salsanext uncertainty --overwrite` with the weights of the labels",
+        )
 
 
 def _require_some(out: Path, scans: list[ScanFile], colour: str) -> None:

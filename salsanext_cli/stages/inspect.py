@@ -72,15 +72,18 @@ class Inspection:
         """
         if not self.total.pixels:
             raise NoInputError(name, "no point with a measurement", "scans to fit a sensor to")
-        up, down = self.total.field_of_view()
         return replace(
-            self.sensor,
+            _seen_whole(self.sensor, self.total),
             name=name,
-            fov_up=round(up, 2),
-            fov_down=round(down, 2),
             means=tuple(round(mean, 4) for mean in self.total.means),
             stds=tuple(round(std, 4) for std in self.total.stds),
         )
+
+
+def _seen_whole(sensor: Sensor, found: Survey) -> Sensor:
+    """Return the sensor with the field of view that was found."""
+    up, down = found.field_of_view()
+    return replace(sensor, fov_up=round(up, 2), fov_down=round(down, 2))
 
 
 @dataclass(frozen=True, slots=True)
@@ -104,6 +107,7 @@ def inspect(
     space: LabelSpace | None = None,
     choice: Choice = Choice(),
     options: BatchOptions = BatchOptions(),
+    fit: bool = False,
 ) -> Inspection:
     """Survey scans.
 
@@ -117,6 +121,8 @@ def inspect(
         What the classes are called; otherwise the data set's own, else SemanticKITTI's.
     choice, options
         Which scans, and how to go through them.
+    fit : bool
+        Go through them twice: first for the field of view, then for the range images seen in it.
 
     Raises
     ------
@@ -124,11 +130,12 @@ def inspect(
         If nothing can be done at all; failures of single scans are in the result.
     """
     scans = select_scans(source, choice, space)
-    outcome = run_batch(InspectScan(sensor), scans, options)
-    sequences: dict[str, Survey] = {}
-    for name, found in outcome.results:
-        sequences[name] = sequences.get(name, Survey()) + found
+    sequences, failures = _survey(scans, sensor, options)
     total = sum(sequences.values(), start=Survey())
+    if fit and total.pixels:
+        sensor = _seen_whole(sensor, total)
+        sequences, failures = _survey(scans, sensor, options)
+        total = sum(sequences.values(), start=Survey())
     if total.brightest > BRIGHT:
         bright = f"intensities up to {total.brightest:g}, where 0 to 1 is usual"
         log.warning("%s: set intensity_scale in the sensor", bright)
@@ -137,8 +144,18 @@ def inspect(
         total=total,
         sensor=sensor,
         space=space or space_of(scans),
-        failures=outcome.failures,
+        failures=failures,
     )
+
+
+def _survey(
+    scans: list[ScanFile], sensor: Sensor, options: BatchOptions
+) -> tuple[dict[str, Survey], tuple[Failure, ...]]:
+    outcome = run_batch(InspectScan(sensor), scans, options)
+    sequences: dict[str, Survey] = {}
+    for name, found in outcome.results:
+        sequences[name] = sequences.get(name, Survey()) + found
+    return sequences, outcome.failures
 
 
 def write_sensor(path: Path, sensor: Sensor, *, overwrite: bool = False) -> None:

@@ -132,6 +132,16 @@ def recorded_label_space(out: Path) -> LabelSpace | None:
     )
 
 
+def recorded_weights(out: Path, folder: str) -> str | None:
+    """Return the SHA-256 of the weights behind a folder of results, None if nobody recorded it."""
+    stage = owner(out, folder)
+    settings = (stage_settings(out, stage) if stage else None) or {}
+    if stage == "knn-refine" and settings.get("labels") is None:
+        return recorded_weights(out, "pixel_labels")
+    found = settings.get("weights")
+    return None if found is None else str(found)
+
+
 def recorded_sensor(out: Path) -> Sensor:
     """Return the sensor that labels in an output folder were made through; else the HDL-64."""
     for folder in ("pixel_labels", "predictions", "uncertainty/epistemic", "range"):

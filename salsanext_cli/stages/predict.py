@@ -24,8 +24,6 @@ from salsanext_cli.stages.outputs import claim
 from salsanext_cli.stages.project import projected_sensor, read_channels, read_image
 from salsanext_cli.stages.sources import remembered_scans
 
-EXTRAS = ("pixel_labels", "probabilities")
-
 
 @dataclass(frozen=True, slots=True)
 class PredictScan:

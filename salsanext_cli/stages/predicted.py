@@ -12,7 +12,12 @@ from salsanext_cli.classes import LabelSpace
 from salsanext_cli.errors import LabelError
 from salsanext_cli.formats.layout import ScanFile
 from salsanext_cli.stages.inputs import Choice, choose, space_of
-from salsanext_cli.stages.outputs import owner, recorded_label_space, stage_settings
+from salsanext_cli.stages.outputs import (
+    owner,
+    recorded_label_space,
+    recorded_weights,
+    stage_settings,
+)
 from salsanext_cli.stages.sources import remembered_scans
 
 log = logging.getLogger(__name__)
@@ -48,15 +53,7 @@ def predicted_scans(
         If predictions and labels speak of different classes.
     """
     scans = remembered_scans(out, dataset, usual_dataset)
-    recorded = recorded_label_space(out)
-    space = space or space_of(scans, recorded)
-    if recorded is not None and not recorded.fits(space):
-        raise LabelError(
-            out,
-            f"predictions in the classes of {recorded.name}",
-            f"those of {space.name}, as the labels",
-            "predict with weights for these classes",
-        )
+    space = space_of_results(out, scans, space)
     chosen = choose(scans, choice, space, out)
     if choice.split:
         members = set(space.split(choice.split))
@@ -66,9 +63,34 @@ def predicted_scans(
     return chosen, space
 
 
+def space_of_results(
+    out: Path, scans: list[ScanFile], space: LabelSpace | None = None
+) -> LabelSpace:
+    """Return the classes of scans and of the predictions for them, if they are the same ones.
+
+    Raises
+    ------
+    LabelError
+        If predictions and labels speak of different classes.
+    """
+    recorded = recorded_label_space(out)
+    space = space or space_of(scans, recorded)
+    if recorded is not None and not recorded.fits(space):
+        raise LabelError(
+            out,
+            f"predictions in the classes of {recorded.name}",
+            f"those of {space.name}, as the labels",
+            "predict with weights for these classes",
+        )
+    return space
+
+
 def provenance(out: Path, choice: Choice) -> dict[str, Any]:
     """Return, as plain data, what was chosen and which stage and weights made the predictions."""
     stage = owner(out, "predictions")
     made_with = (stage_settings(out, stage) or {}) if stage else {}
-    kept = {key: made_with.get(key) for key in ("weights", "temperature")}
+    kept = {
+        "weights": recorded_weights(out, "predictions"),
+        "temperature": made_with.get("temperature"),
+    }
     return asdict(choice) | {"predictions_of": stage} | kept

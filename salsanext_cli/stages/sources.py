@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 from salsanext_cli.errors import NoInputError, OutputError
@@ -64,6 +65,14 @@ def remembered_scans(
         found = "holds no results" if out.is_dir() else "no such folder"
         remedy = f"run `salsanext predict SCANS {out}` first"
         raise NoInputError(out, found, "the output folder of an earlier stage", remedy)
+    if (
+        dataset
+        and len(sequences) == 1
+        and dataset.is_dir()
+        and not (dataset / "sequences").is_dir()
+    ):
+        # The folder of the scans themselves, which may have another name by now.
+        return [replace(scan, sequence=sequences[0]) for scan in find_scans(dataset)]
     return [scan for name in sequences for scan in _scans_of_sequence(out, name, dataset, usual)]
 
 

@@ -19,7 +19,13 @@ from salsanext_cli.records import Float, Int
 from salsanext_cli.stages.batch import BatchOptions, Outcome, run_batch
 from salsanext_cli.stages.inputs import Choice, select_scans
 from salsanext_cli.stages.networks import NetworkChoice
-from salsanext_cli.stages.outputs import as_json, claim, owner, stage_settings
+from salsanext_cli.stages.outputs import (
+    as_json,
+    claim,
+    owner,
+    recorded_weights,
+    stage_settings,
+)
 from salsanext_cli.stages.predict import most_probable
 from salsanext_cli.stages.project import read_image
 
@@ -68,6 +74,8 @@ def _require_same_network(out: Path, settings: dict[str, Any]) -> None:
     """Refuse to put the uncertainty of one network beside the labels of another."""
     stage = owner(out, "predictions")
     recorded = stage_settings(out, stage) if stage not in (None, "uncertainty") else None
+    if recorded and (weights := recorded_weights(out, "predictions")):
+        recorded["weights"] = weights
     for key in ("weights", "sensor"):
         if recorded and recorded.get(key, settings[key]) != as_json(settings[key]):
             raise OutputError(

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import json
+import math
 import tomllib
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, fields, replace
@@ -91,6 +92,8 @@ class Recipe:
                 object.__setattr__(self, field.name, float(value))
             elif type(value) is not kind:
                 raise UsageError(f"recipe key {field.name}", f"{value!r}", f"a {kind.__name__}")
+            if kind is float:
+                self._require(field.name, math.isfinite(value), "finite")
         for key in ("epochs", "batch", "validate_every"):
             self._require(key, getattr(self, key) >= 1, "at least 1")
         for key in ("samples_per_epoch", "crop_width", "validation_scans", "seed"):

@@ -210,7 +210,7 @@ def test_sampling_uses_the_weights_and_sensor_that_predicted(world, tmp_path):
 
 @pytest.mark.parametrize("colour", ["aleatoric", "total"])
 def test_a_kind_that_nobody_computed(predicted, colour):
-    with pytest.raises(NoInputError, match=rf"no {colour} known .*uncertainty/{colour}"):
+    with pytest.raises(NoInputError, match=f"no {colour} known .*no stage computes it yet"):
         export(predicted, colour=colour)
     assert not (predicted.out / "export-ply.json").exists()
 

@@ -68,6 +68,7 @@ def test_changes() -> None:
         ("learning_rate", 0.0),
         ("learning_rate", "fast"),
         ("learning_rate", float("nan")),
+        ("warm_up", float("inf")),
         ("dropout", 1.5),
         ("flip", -0.1),
         ("average", 1.0),

@@ -1,0 +1,50 @@
+# SPDX-License-Identifier: MIT
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from rich.console import Console
+from scans import SMALL, make_scan, write_sequence
+
+from salsanext_cli.classes import label_space
+from salsanext_cli.formats.kitti import write_bin
+from salsanext_cli.geometry.projection import project
+from salsanext_cli.records import Scan
+from salsanext_cli.report.surveys import survey_tables
+from salsanext_cli.sensors import sensor
+from salsanext_cli.stages.inspect import inspect, write_sensor
+
+TILT = np.radians(12)
+
+
+@pytest.fixture
+def tilted(tmp_path):
+    """Return a folder with a scan that reaches far above what an HDL-64 sees, and that scan."""
+    flat = make_scan(4000)
+    x, y, z = flat.points.T
+    up = np.stack([x * np.cos(TILT) - z * np.sin(TILT), y, x * np.sin(TILT) + z * np.cos(TILT)])
+    scan = Scan(np.ascontiguousarray(up.T, np.float32), flat.intensity)
+    write_bin(tmp_path / "scans/0.bin", scan)
+    return tmp_path / "scans", scan
+
+
+def test_a_fitted_sensor_is_measured_through_its_own_view(tilted, tmp_path):
+    folder, scan = tilted
+    fitted = inspect(folder, sensor=SMALL, fit=True).fitted_sensor("mine")
+    assert fitted.fov_up > SMALL.fov_up + 5
+    seen = project(scan, replace(fitted, name="seen")).channels
+    occupied = seen[:, seen[0] > 0]
+    np.testing.assert_allclose(fitted.means, occupied.mean(axis=1), atol=1e-3)
+    np.testing.assert_allclose(fitted.stds, occupied.std(axis=1), atol=1e-3)
+    write_sensor(tmp_path / "mine.toml", fitted)
+    again = inspect(folder, sensor=sensor(tmp_path / "mine.toml"), fit=True)
+    assert again.fitted_sensor("mine") == fitted
+
+
+def test_names_are_shown_as_they_are(tmp_path):
+    write_sequence(tmp_path / "sequences/[red]x[bold]")
+    found = inspect(tmp_path, sensor=SMALL)
+    console = Console(width=200)
+    with console.capture() as capture:
+        console.print(survey_tables(found.sequences, found.total, label_space(), SMALL))
+    assert "[red]x[bold]" in capture.get()
