@@ -5,11 +5,13 @@ from __future__ import annotations
 
 import logging
 import os
+import signal
 import uuid
 import warnings
 from collections.abc import Callable, Generator, Iterable, Sequence
-from contextlib import closing
+from contextlib import closing, contextmanager
 from dataclasses import dataclass
+from multiprocessing import resource_tracker
 from pathlib import Path
 from typing import Any, Generic, TypeVar
 
@@ -196,7 +198,9 @@ def _attempts_of_workers(
             warnings.filterwarnings("ignore", harmless)
         parallel = joblib.Parallel(return_as="generator_unordered")
         try:
-            yield from parallel(joblib.delayed(_attempt_in)(here, mark, work, s) for s in scans)
+            with _deaf_to_interrupts():
+                attempts = parallel(joblib.delayed(_attempt_in)(here, mark, work, s) for s in scans)
+            yield from attempts
         except TerminatedWorkerError as error:
             raise SalsanextError(
                 f"--jobs {workers}",
@@ -204,6 +208,28 @@ def _attempts_of_workers(
                 "memory for all of them",
                 "use fewer jobs",
             ) from error
+
+
+@contextmanager
+def _deaf_to_interrupts() -> Generator[None, None, None]:
+    """Start threads and processes that Ctrl-C does not reach: it is this thread that ends them.
+
+    A process inherits the signals that the thread which starts it has blocked, so workers that
+    joblib starts later, from a thread of its own, are deaf too.
+    """
+    if not hasattr(signal, "pthread_sigmask"):
+        yield
+        return
+    from joblib.externals.loky.backend import resource_tracker as tracker_of_loky
+
+    # Starting these lets the signal through again, so they are started before.
+    tracker_of_loky.ensure_running()
+    resource_tracker.ensure_running()
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
 def _attempt_in(

@@ -33,6 +33,8 @@ class Write:
         with writing(self.results_of(scan)[0]) as file:
             if scan.stem.startswith("killed"):
                 os.kill(os.getpid(), signal.SIGKILL)
+            if scan.stem.startswith("ctrl-c"):
+                os.kill(os.getpid(), signal.SIGINT)
             if scan.stem.startswith("interrupt"):
                 raise KeyboardInterrupt
             time.sleep(self.pause)
@@ -54,6 +56,12 @@ def test_every_scan_is_worked_on_once(tmp_path, jobs):
     assert sorted(outcome.results) == list("abcdefg")
     assert (outcome.done, outcome.skipped, outcome.failures) == (7, 0, ())
     assert sorted(path.name for path in (tmp_path / "s").iterdir()) == list("abcdefg")
+
+
+def test_ctrl_c_does_not_reach_workers(tmp_path):
+    """They would print a traceback each; who runs them is interrupted too, and ends them."""
+    outcome = run(Write(tmp_path), scans_of("a", "ctrl-c", "ctrl-c 2", "b"), jobs=2)
+    assert (outcome.done, outcome.failures) == (4, ())
 
 
 @JOBS
