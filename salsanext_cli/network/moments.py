@@ -44,7 +44,7 @@ def leaky_relu_moments(mean: Tensor, variance: Tensor, slope: float) -> tuple[Te
     mean, variance = (t.contiguous(memory_format=layout) for t in (mean, variance))
     results = torch.empty_like(mean), torch.empty_like(variance)
     step = CHUNK if mean.device.type == "cpu" else max(1, mean.numel())
-    parts = (_flat(t, layout).split(step) for t in (mean, variance, *results))
+    parts = (torch.split(_flat(t, layout), step) for t in (mean, variance, *results))
     for m, v, new_mean, new_variance in zip(*parts, strict=True):
         first, second = _leaky_relu(m.to(wide), v.to(wide), slope)
         new_mean.copy_(first)
@@ -80,10 +80,13 @@ def softmax_moments(mean: Tensor, variance: Tensor, dim: int) -> tuple[Tensor, T
 
     The softmax of class c is the logistic function of its logit minus the logarithm of the sum of
     the others' exponentials. That sum is taken as log-normal: with weights w, the softmax among
-    the others, its logarithm has mean log Σ exp(m) + ½ Σ w (1 − w) v, damped, and variance Σ w² v. The
-    moments of the logistic function of a Gaussian come from quadrature. The usual shortcut, a sum
-    that is certain, makes the standard deviation of a confident class too large by a factor of
-    hundreds.
+    the others, its logarithm has mean log Σ exp(m) + ½ Σ w (1 − w) v, damped, and variance
+    Σ w² v. The moments of the logistic function of a Gaussian come from quadrature. The usual
+    shortcut, a sum that is certain, makes the standard deviation of a confident class too large
+    by a factor of hundreds.
+
+    The means p are divided by their sum; each variance keeps its share of p (1 − p), which no
+    variable between 0 and 1 exceeds.
 
     Parameters
     ----------
@@ -101,50 +104,69 @@ def softmax_moments(mean: Tensor, variance: Tensor, dim: int) -> tuple[Tensor, T
     m, v = (t.to(wide).movedim(dim, 0) for t in (mean, variance))
     if len(m) == 1:
         return torch.ones_like(mean), torch.zeros_like(variance)
-    other_mean, other_variance = _log_of_others(m, v)
-    probability, second = _logistic(m - other_mean, (v + other_variance).sqrt())
-    probability = probability / probability.sum(dim=0)
-    return tuple(t.movedim(0, dim).to(mean.dtype) for t in (probability, second))  # type: ignore[return-value]
+    columns = [t.reshape(len(m), -1) for t in (m, v)]
+    step = max(1, CHUNK // len(m)) if m.device.type == "cpu" else max(1, columns[0].shape[1])
+    chunks = zip(*(torch.split(c, step, dim=1) for c in columns), strict=True)
+    parts = [_softmax(*chunk) for chunk in chunks]
+    results = (torch.cat(part, dim=1).view(m.shape) for part in zip(*parts, strict=True))
+    return tuple(t.movedim(0, dim).to(mean.dtype) for t in results)  # type: ignore[return-value]
 
 
-def _log_of_others(m: Tensor, v: Tensor) -> tuple[Tensor, Tensor]:
-    """Return mean and variance of log Σ exp over all classes but one, for each of them."""
-    top, best = m.max(dim=0, keepdim=True)
-    is_best = torch.zeros_like(m, dtype=torch.bool).scatter_(0, best, True)
+def _softmax(m: Tensor, v: Tensor) -> tuple[Tensor, Tensor]:
+    """Return the moments of (C, N)."""
+    is_best = torch.zeros_like(m, dtype=torch.bool).scatter_(0, m.argmax(0, keepdim=True), True)
+    lead, lead_variance = _lead(m, v, is_best)
+    probability, complement, variance = _logistic(lead, lead_variance.sqrt_())
+    total = probability.sum(dim=0)
+    others = _but_one(probability, probability.masked_fill(is_best, 0), is_best)
+    share = variance / complement.clamp(min=SMALLEST)
+    return probability / total, share * others / total.square()
+
+
+def _lead(m: Tensor, v: Tensor, is_best: Tensor) -> tuple[Tensor, Tensor]:
+    """Return mean and variance of each logit minus log Σ exp of the others."""
+    top = m.amax(dim=0, keepdim=True)
     shares = (m - top).exp()
-    weighted, squared = shares * v, shares.square() * v
     # Without the best class, whose share would hide the others, the scale is that of the second.
     rest = m.masked_fill(is_best, -math.inf)
     second = rest.amax(dim=0, keepdim=True)
     rest = (rest - second).exp()
-
-    def but_one(values: Tensor, values_of_rest: Tensor) -> Tensor:
-        of_rest = values_of_rest.sum(dim=0, keepdim=True)
-        return torch.where(is_best, of_rest, values.sum(dim=0, keepdim=True) - values).clamp(min=0)
-
-    total = but_one(shares, rest)
-    spread = but_one(weighted, rest * v) / total
-    variance = but_one(squared, rest.square() * v) / total.square()
-    scale = torch.where(is_best, second, top)
-    shift = 0.5 * (spread - variance).clamp(min=0)
-    return scale + total.log() + shift / (1 + DAMPING * shift).sqrt(), variance
+    total = _but_one(shares, rest, is_best)
+    weighted = _but_one(shares * v, rest * v, is_best) / total
+    variance = _but_one(shares.square() * v, rest.square() * v, is_best) / total.square()
+    shift = 0.5 * (weighted - variance).clamp(min=0)
+    lead = (m - torch.where(is_best, second, top)) - total.log()
+    return lead - shift / (1 + DAMPING * shift).sqrt(), variance + v
 
 
-def _logistic(d: Tensor, deviation: Tensor) -> tuple[Tensor, Tensor]:
-    """Return mean and variance of the logistic function of N(d, deviation²)."""
+def _but_one(values: Tensor, rest: Tensor, is_best: Tensor) -> Tensor:
+    """Return the sum over all classes but one, for each; `rest` has 0 for the best class."""
+    others = values.sum(dim=0, keepdim=True) - values
+    return torch.where(is_best, rest.sum(dim=0, keepdim=True), others).clamp_(min=0)
+
+
+def _logistic(d: Tensor, deviation: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+    """Return mean, 1 − mean and variance of the logistic function of N(d, deviation²).
+
+    Everything is a rise or fall from the smaller of logistic(d) and 1 − logistic(d), so that a
+    confident class keeps its digits.
+    """
     nodes, weights = np.polynomial.hermite_e.hermegauss(NODES)
-    weights = weights / weights.sum()
+    # The nodes lie in pairs around 0: one half gives steps up and down.
+    half = slice(NODES // 2, None)
+    pairs = zip(nodes[half].tolist(), (weights / weights.sum())[half].tolist(), strict=True)
+    near = -d.abs()
+    small, large = torch.sigmoid(near), torch.sigmoid(-near)
+    slope = small * large
     first, second = torch.zeros_like(d), torch.zeros_like(d)
-    for node, weight in zip(nodes.tolist(), weights.tolist(), strict=True):
-        rise = _logistic_rise(d, deviation * node)
-        first += weight * rise
-        second += weight * rise.square()
-    return (torch.sigmoid(d) + first).clamp(0, 1), (second - first.square()).clamp(min=0)
-
-
-def _logistic_rise(d: Tensor, step: Tensor) -> Tensor:
-    """Return logistic(d + step) − logistic(d), keeping its digits when the step is small."""
-    yes, no = torch.sigmoid(d), torch.sigmoid(-d)
-    growth = torch.expm1(step.clamp(max=1))
-    small = yes * no * growth / (1 + yes * growth)
-    return torch.where(step.abs() < 1, small, torch.sigmoid(d + step) - yes)
+    for node, weight in pairs:
+        step = deviation * node
+        part = torch.expm1(-step).neg_()
+        fall = slope * part / (1 - small * part)
+        near_rise = slope * part / (1 - large * part)
+        rise = torch.where(step < 1, near_rise, torch.sigmoid(near + step) - small)
+        first.add_(rise - fall, alpha=weight)
+        second.add_(rise.square_() + fall.square_(), alpha=weight)
+    small, large = (small + first).clamp_(0, 1), (large - first).clamp_(0, 1)
+    variance = (second - first.square()).clamp_(min=0)
+    return torch.where(d > 0, large, small), torch.where(d > 0, small, large), variance
