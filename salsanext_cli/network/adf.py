@@ -86,10 +86,10 @@ def _conv2d(
     x: Gaussian, weight: Tensor, bias: Tensor | None = None, *geometry: Any, **more: Any
 ) -> Gaussian:
     """Var = W² ∗ v."""
-    return Gaussian(
-        F.conv2d(x.mean, weight, bias, *geometry, **more),
-        F.conv2d(x.variance, weight.square(), None, *geometry, **more),
-    )
+    mean = F.conv2d(x.mean, weight, bias, *geometry, **more)
+    variance = F.conv2d(x.variance, weight.square(), None, *geometry, **more)
+    # Convolving by way of a transform can round a certain 0 to less.
+    return Gaussian(mean, variance.clamp_(min=0))
 
 
 def _batch_norm(
@@ -139,8 +139,13 @@ def _concatenate(parts: Sequence[Gaussian], dim: int = 0) -> Gaussian:
     return Gaussian(torch.cat(means, dim), torch.cat(variances, dim))
 
 
+def _pad(x: Gaussian, pad: Sequence[int], mode: str = "constant", value: Any = None) -> Gaussian:
+    """Put certain values around, or move some there."""
+    return Gaussian(F.pad(x.mean, pad, mode, value), F.pad(x.variance, pad, mode))
+
+
 def _moved(function: Callable[..., Tensor]) -> Callable[..., Gaussian]:
-    """Return the rule of a function that only moves numbers, or puts certain zeros beside them."""
+    """Return the rule of a function that only moves numbers."""
 
     def rule(x: Gaussian, *args: Any, **kwargs: Any) -> Gaussian:
         return Gaussian(function(x.mean, *args, **kwargs), function(x.variance, *args, **kwargs))
@@ -154,7 +159,7 @@ RULES: dict[Callable[..., Any], Callable[..., Gaussian]] = {
     F.leaky_relu: _leaky_relu,
     F.avg_pool2d: _avg_pool2d,
     F.dropout2d: _dropout2d,
-    F.pad: _moved(F.pad),
+    F.pad: _pad,
     F.pixel_shuffle: _moved(F.pixel_shuffle),
     torch.softmax: _softmax,
     torch.cat: _concatenate,
