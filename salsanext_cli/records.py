@@ -92,8 +92,16 @@ class Uncertainty:
         Predictive entropy of the mean softmax in nats; 0…ln C.
     mutual_information : float32
         Entropy of the mean softmax minus mean entropy of the passes in nats; 0…ln C.
+    aleatoric : float32, optional
+        Variance of the softmax by the sensor's noise, mean over classes; 0…0.25.
     """
 
     epistemic: Float
     entropy: Float
     mutual_information: Float
+    aleatoric: Float | None = None
+
+    @property
+    def total(self) -> Float | None:
+        """Epistemic plus aleatoric, if that is known (paper III-C)."""
+        return None if self.aleatoric is None else self.epistemic + self.aleatoric

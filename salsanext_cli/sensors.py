@@ -19,6 +19,8 @@ SEMANTIC_KITTI_STDS = (12.32, 11.47, 6.91, 0.86, 0.16)
 LARGEST = 1 << 24
 """Most pixels of a range image; a hundred times what any sensor has."""
 
+NOISE = ("range_noise", "intensity_noise")
+
 
 @dataclass(frozen=True, slots=True)
 class Sensor:
@@ -38,6 +40,10 @@ class Sensor:
         What happens to points above or below the field of view: to the edge row, or no pixel.
     intensity_scale : float
         Divides the intensity of the files; 255 where a sensor writes bytes as numbers.
+    range_noise : float, optional
+        Standard deviation of a range in metres, along the ray.
+    intensity_noise : float, optional
+        Standard deviation of an intensity, after the division.
     """
 
     name: str
@@ -49,6 +55,8 @@ class Sensor:
     stds: tuple[float, ...] = SEMANTIC_KITTI_STDS
     out_of_view: str = "clamp"
     intensity_scale: float = 1.0
+    range_noise: float | None = None
+    intensity_noise: float | None = None
 
     def __post_init__(self) -> None:
         self._require(math.isfinite(self.fov_up) and math.isfinite(self.fov_down), "fov not finite")
@@ -72,10 +80,18 @@ class Sensor:
         )
         self._require(self.out_of_view in ("clamp", "drop"), f"out_of_view {self.out_of_view!r}")
         self._require(self.intensity_scale > 0, f"intensity_scale {self.intensity_scale}")
+        for name in NOISE:
+            noise = getattr(self, name)
+            self._require(noise is None or 0 <= noise < math.inf, f"{name} {noise}")
 
     def _require(self, holds: bool, found: str) -> None:
         if not holds:
             raise UsageError(f"sensor {self.name}", found, "a possible sensor")
+
+    @property
+    def knows_noise(self) -> bool:
+        """Whether both noises are known."""
+        return self.range_noise is not None and self.intensity_noise is not None
 
     def to_dict(self) -> dict[str, Any]:
         """Return plain data that `from_dict` accepts."""
@@ -98,6 +114,10 @@ class Sensor:
             raise UsageError(
                 source, str(error), "a sensor with fov_up, fov_down, height, width"
             ) from error
+
+    def view(self) -> dict[str, Any]:
+        """Return, as plain data, what a network sees with: all but the name and the noise."""
+        return {key: value for key, value in asdict(self).items() if key not in ("name", *NOISE)}
 
     def resized(self, height: int | None = None, width: int | None = None) -> Sensor:
         """Return the same sensor with another image size."""

@@ -14,7 +14,15 @@ from salsanext_cli.network.weights import WeightsCard, save_weights
 from salsanext_cli.records import Scan
 from salsanext_cli.sensors import Sensor
 
-SMALL = Sensor("small", fov_up=3.0, fov_down=-25.0, height=16, width=128)
+SMALL = Sensor(
+    "small",
+    fov_up=3.0,
+    fov_down=-25.0,
+    height=16,
+    width=128,
+    range_noise=0.02,
+    intensity_noise=0.02,
+)
 """Sees what an HDL-64 sees, in so few pixels that a network takes milliseconds."""
 
 

@@ -22,6 +22,7 @@ from salsanext_cli.classes import label_space
 from salsanext_cli.cli.app import app
 from salsanext_cli.formats.kitti import read_labels
 from salsanext_cli.stages.batch import BatchOptions
+from salsanext_cli.stages.estimator import Estimator
 from salsanext_cli.stages.export_ply import export_ply
 from salsanext_cli.stages.import_weights import import_weights
 from salsanext_cli.stages.inputs import Choice
@@ -178,10 +179,10 @@ def test_two_jobs_give_the_bytes_of_one(tmp_path, weights):
         out, options = tmp_path / f"jobs{jobs}", BatchOptions(jobs=jobs)
         extras = ("pixel_labels", "probabilities")
         predict(data, out, network=network, extras=extras, options=options)
-        uncertainty(data, out, network=network, samples=3, options=options)
+        uncertainty(data, out, network=network, estimator=Estimator(samples=3), options=options)
         export_ply(out, colour="epistemic", options=options)
     one, two = (files_below(tmp_path / f"jobs{jobs}") for jobs in (1, 2))
-    assert len(one) == 3 * 7 + 4
+    assert len(one) == 3 * 9 + 4
     assert one == two
 
 

@@ -1,12 +1,17 @@
 # SPDX-License-Identifier: MIT
 """`salsanext tune`: a group, since what is tuned differs in all but its place in the help."""
 
+from collections.abc import Callable
+
 import typer
 
 from salsanext_cli.cli.tune_dropout import tune_dropout
 from salsanext_cli.cli.tune_temperature import tune_temperature
 
-COMMANDS = {"temperature": tune_temperature, "dropout": tune_dropout}
+COMMANDS: dict[str, Callable[..., None]] = {
+    "temperature": tune_temperature,
+    "dropout": tune_dropout,
+}
 
 tune = typer.Typer(
     no_args_is_help=True,

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: MIT
 """`salsanext uncertainty`."""
 
+from enum import StrEnum
 from pathlib import Path
 from typing import Annotated
 
@@ -9,12 +10,29 @@ import typer
 from salsanext_cli.cli import console, options
 
 
+class Method(StrEnum):
+    """How the spread of dropout is estimated."""
+
+    sampling = "sampling"
+    analytic = "analytic"
+
+
 @console.guarded
 def uncertainty(
     scans: options.Scans = None,
     out: options.Out = Path("out"),
+    method: Annotated[
+        Method, typer.Option(help="Monte-Carlo dropout, or an estimate of it in one pass.")
+    ] = Method.sampling,
     samples: Annotated[int, typer.Option(help="Monte-Carlo passes per scan.")] = 30,
     seed: Annotated[int, typer.Option(help="Of the dropout masks.")] = 0,
+    aleatoric: Annotated[
+        bool,
+        typer.Option(
+            "--aleatoric/--no-aleatoric",
+            help="Also aleatoric and total uncertainty, from the sensor's noise.",
+        ),
+    ] = True,
     dataset: options.DataSet = None,
     split: options.Split = None,
     sequences: options.Sequences = None,
@@ -33,10 +51,11 @@ def uncertainty(
     verbose: options.Verbose = False,
     quiet: options.Quiet = False,
 ) -> None:
-    """Say of every point how sure its class is, by Monte-Carlo dropout.
+    """Say of every point how sure its class is: epistemic, aleatoric and total uncertainty.
 
     Example: salsanext uncertainty seq/velodyne out/ --samples 30
     """
+    from salsanext_cli.stages.estimator import Estimator
     from salsanext_cli.stages.uncertainty import uncertainty as run
 
     talk = console.Talk(json, verbose, quiet)
@@ -46,8 +65,7 @@ def uncertainty(
             out,
             network=options.network(weights, device, sensor),
             knn=options.knn(knn_k, knn_window, knn_sigma, knn_cutoff),
-            samples=samples,
-            seed=seed,
+            estimator=Estimator(method.value, samples, seed, aleatoric),
             choice=options.choice(split, sequences, limit),
             options=batch,
         )

@@ -8,9 +8,9 @@ function without a rule is an error, so the two views of a network cannot drift 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, ClassVar, Self, TypeVar
 
 import torch
 import torch.nn.functional as F
@@ -27,7 +27,11 @@ class Gaussian:
     ----------
     mean, variance : Tensor
         Of the same shape, dtype and device; the variance is not negative.
+
+    RULES says what the functions of a network do to moments (Gast & Roth 2018).
     """
+
+    RULES: ClassVar[Mapping[Callable[..., Any], Callable[..., Any]]] = {}
 
     mean: Tensor
     variance: Tensor
@@ -46,10 +50,11 @@ class Gaussian:
         kwargs: dict[str, Any] | None = None,
     ) -> Gaussian:
         """Apply the rule of a function; PyTorch calls this."""
-        rule = RULES.get(function)
+        rule = cls.RULES.get(function)
         if rule is None:
             raise NotImplementedError(f"no rule for the moments of {function.__name__}")
-        return rule(*args, **(kwargs or {}))
+        moments: Gaussian = rule(*args, **(kwargs or {}))
+        return moments
 
     @property
     def shape(self) -> torch.Size:
@@ -70,16 +75,37 @@ class Gaussian:
         """Return the number of dimensions."""
         return self.mean.dim()
 
-    def __getitem__(self, index: Any) -> Gaussian:
-        return Gaussian(self.mean[index], self.variance[index])
+    def like(self, mean: Tensor, variance: Tensor) -> Self:
+        """Return other moments, of the same kind as these."""
+        return type(self)(mean, variance)
 
-    def __add__(self, other: Gaussian) -> Gaussian:
+    def __getitem__(self, index: Any) -> Self:
+        return self.like(self.mean[index], self.variance[index])
+
+    def __add__(self, other: Gaussian) -> Self:
         """Add independent Gaussians: Var = v₁ + v₂."""
-        return Gaussian(self.mean + other.mean, self.variance + other.variance)
+        return self.like(self.mean + other.mean, self.variance + other.variance)
 
-    def __mul__(self, factor: Tensor) -> Gaussian:
+    def __mul__(self, factor: Tensor) -> Self:
         """Scale by known factors, such as the mask of a dropout: Var = k² v."""
-        return Gaussian(self.mean * factor, self.variance * factor.square())
+        return self.like(self.mean * factor, self.variance * factor.square())
+
+    def __truediv__(self, divisor: float) -> Self:
+        """Divide by a known number, such as a temperature."""
+        return self.like(self.mean / divisor, self.variance / divisor**2)
+
+    def softmax(self, dim: int) -> Self:
+        """Return the moments of the softmax over a dimension."""
+        return self.like(*softmax_moments(self.mean, self.variance, dim))
+
+
+Kind = TypeVar("Kind", bound=Gaussian)
+
+
+def propagate(network: Callable[..., Any], *inputs: Kind) -> Kind:
+    """Run on Gaussians what is written for tensors."""
+    outputs: Kind = network(*inputs)
+    return outputs
 
 
 def _conv2d(
@@ -89,7 +115,7 @@ def _conv2d(
     mean = F.conv2d(x.mean, weight, bias, *geometry, **more)
     variance = F.conv2d(x.variance, weight.square(), None, *geometry, **more)
     # Convolving by way of a transform can round a certain 0 to less.
-    return Gaussian(mean, variance.clamp_(min=0))
+    return x.like(mean, variance.clamp_(min=0))
 
 
 def _batch_norm(
@@ -107,11 +133,11 @@ def _batch_norm(
         raise ValueError("batch norm with statistics of its own batch has no moments: use eval()")
     mean = F.batch_norm(x.mean, running_mean, running_var, weight, bias, False, momentum, eps)
     factor = weight.square() / (running_var + eps)
-    return Gaussian(mean, x.variance * factor.view(1, -1, 1, 1))
+    return x.like(mean, x.variance * factor.view(1, -1, 1, 1))
 
 
 def _leaky_relu(x: Gaussian, negative_slope: float = 0.01, inplace: bool = False) -> Gaussian:
-    return Gaussian(*leaky_relu_moments(x.mean, x.variance, negative_slope))
+    return x.like(*leaky_relu_moments(x.mean, x.variance, negative_slope))
 
 
 def _avg_pool2d(x: Gaussian, kernel: int, stride: int, padding: int, *count: Any) -> Gaussian:
@@ -119,7 +145,7 @@ def _avg_pool2d(x: Gaussian, kernel: int, stride: int, padding: int, *count: Any
     if count not in ((), (False, True, None)):
         raise NotImplementedError(f"average pooling with {count}")
     variance = F.avg_pool2d(x.variance, kernel, stride, padding) / kernel**2
-    return Gaussian(F.avg_pool2d(x.mean, kernel, stride, padding), variance)
+    return x.like(F.avg_pool2d(x.mean, kernel, stride, padding), variance)
 
 
 def _dropout2d(x: Gaussian, p: float, training: bool, inplace: bool = False) -> Gaussian:
@@ -130,30 +156,26 @@ def _dropout2d(x: Gaussian, p: float, training: bool, inplace: bool = False) -> 
     return x * F.dropout2d(ones, p, training)
 
 
-def _softmax(x: Gaussian, dim: int) -> Gaussian:
-    return Gaussian(*softmax_moments(x.mean, x.variance, dim))
-
-
 def _concatenate(parts: Sequence[Gaussian], dim: int = 0) -> Gaussian:
     means, variances = zip(*((part.mean, part.variance) for part in parts), strict=True)
-    return Gaussian(torch.cat(means, dim), torch.cat(variances, dim))
+    return parts[0].like(torch.cat(means, dim), torch.cat(variances, dim))
 
 
 def _pad(x: Gaussian, pad: Sequence[int], mode: str = "constant", value: Any = None) -> Gaussian:
     """Put certain values around, or move some there."""
-    return Gaussian(F.pad(x.mean, pad, mode, value), F.pad(x.variance, pad, mode))
+    return x.like(F.pad(x.mean, pad, mode, value), F.pad(x.variance, pad, mode))
 
 
 def _moved(function: Callable[..., Tensor]) -> Callable[..., Gaussian]:
     """Return the rule of a function that only moves numbers."""
 
     def rule(x: Gaussian, *args: Any, **kwargs: Any) -> Gaussian:
-        return Gaussian(function(x.mean, *args, **kwargs), function(x.variance, *args, **kwargs))
+        return x.like(function(x.mean, *args, **kwargs), function(x.variance, *args, **kwargs))
 
     return rule
 
 
-RULES: dict[Callable[..., Any], Callable[..., Gaussian]] = {
+Gaussian.RULES = {
     F.conv2d: _conv2d,
     F.batch_norm: _batch_norm,
     F.leaky_relu: _leaky_relu,
@@ -161,7 +183,6 @@ RULES: dict[Callable[..., Any], Callable[..., Gaussian]] = {
     F.dropout2d: _dropout2d,
     F.pad: _pad,
     F.pixel_shuffle: _moved(F.pixel_shuffle),
-    torch.softmax: _softmax,
+    torch.softmax: Gaussian.softmax,
     torch.cat: _concatenate,
 }
-"""What the functions of a network do to moments; design of the rules: Gast & Roth 2018."""

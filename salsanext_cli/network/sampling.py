@@ -4,6 +4,8 @@
 from __future__ import annotations
 
 import hashlib
+import logging
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import torch
@@ -12,10 +14,13 @@ from torch import Tensor
 from salsanext_cli.errors import UsageError, WeightsError
 from salsanext_cli.network.dropout import dropouts, sampling
 from salsanext_cli.network.inference import Network
-from salsanext_cli.network.salsanext import pad
+from salsanext_cli.network.salsanext import SalsaNext, pad
 from salsanext_cli.records import Float, RangeImage, Uncertainty
 
-TINY = 1e-12
+log = logging.getLogger(__name__)
+
+AT_ONCE = 64 * 1024
+"""Pixels that a CPU works on at once; more passes side by side only leave its cache."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -26,11 +31,14 @@ class Sampled:
     ----------
     probabilities : (C, H, W) float32
         Mean softmax over the passes: the prediction.
+    variance : (C, H, W) float32
+        Variance of the softmax over the passes, of each class.
     uncertainty : Uncertainty of (H, W) float32
         Every pixel's, occupied or not.
     """
 
     probabilities: Float
+    variance: Float
     uncertainty: Uncertainty
 
 
@@ -39,50 +47,58 @@ class Moments:
 
     def __init__(self) -> None:
         self.count = 0
-        self.sum: Tensor | float = 0.0
-        self.sum_of_squares: Tensor | float = 0.0
-        self.sum_of_entropies: Tensor | float = 0.0
+        self.sum = torch.zeros(())
+        self.sum_of_squares = torch.zeros(())
+        self.sum_of_entropies = torch.zeros(())
 
     def add(self, probabilities: Tensor) -> None:
         """Count one pass, (C, H, W)."""
         double = probabilities.double()
+        if self.count == 0:
+            self.sum = torch.zeros_like(double)
+            self.sum_of_squares = torch.zeros_like(double)
+            self.sum_of_entropies = torch.zeros_like(double[0])
         self.count += 1
-        self.sum = self.sum + double
-        self.sum_of_squares = self.sum_of_squares + double.square()
-        self.sum_of_entropies = self.sum_of_entropies + entropy(double)
+        self.sum += double
+        self.sum_of_squares.addcmul_(double, double)
+        self.sum_of_entropies += entropy(double)
 
     def summary(self) -> Sampled:
         """Divide once: mean, variance (of the population, paper III-C.2) and information."""
-        mean = torch.as_tensor(self.sum) / self.count
-        variance = (torch.as_tensor(self.sum_of_squares) / self.count - mean.square()).clamp(min=0)
+        mean = self.sum / self.count
+        variance = (self.sum_of_squares / self.count - mean.square()).clamp(min=0)
         total = entropy(mean)
-        expected = torch.as_tensor(self.sum_of_entropies) / self.count
         return Sampled(
-            probabilities=_array(mean),
+            probabilities=as_array(mean),
+            variance=as_array(variance),
             uncertainty=Uncertainty(
-                epistemic=_array(variance.mean(dim=0)),
-                entropy=_array(total),
-                mutual_information=_array((total - expected).clamp(min=0)),
+                epistemic=as_array(variance.mean(dim=0)),
+                entropy=as_array(total),
+                mutual_information=as_array(
+                    (total - self.sum_of_entropies / self.count).clamp(min=0)
+                ),
             ),
         )
 
 
 def entropy(probabilities: Tensor) -> Tensor:
     """Return the entropy over the first dimension in nats, (C, …) to (…)."""
+    nats: Tensor = torch.special.entr(probabilities).sum(dim=0)
     # A softmax rounded up to above 1 would have a negative one.
-    return -(probabilities * probabilities.clamp(TINY, 1).log()).sum(dim=0)
+    return nats.clamp(min=0)
 
 
 @torch.inference_mode()
 def sample(network: Network, image: RangeImage, *, samples: int, seed: int) -> Sampled:
     """Run the network with dropout on and batch norm frozen, and sum up the passes.
 
-    What lies before the first dropout is computed once.
+    What lies before the first dropout is computed once. Several passes run side by side; how many
+    depends on the size of the image, and only what rounds depends on how many.
 
     Parameters
     ----------
     network : Network
-        With at least one dropout of a rate above 0.
+        With at least one dropout of a rate above 0; its temperature divides the logits.
     image : RangeImage
         One scan.
     samples : int
@@ -98,21 +114,58 @@ def sample(network: Network, image: RangeImage, *, samples: int, seed: int) -> S
         If the network has no dropout to sample.
     """
     require_sampling(network, samples)
-    module = network.module
     moments = Moments()
-    features = module.trunk(pad(network.input(image.channels)))
-    for number in range(samples):
-        generator = torch.Generator().manual_seed(pass_seed(seed, number))
-        with sampling(module, [generator]):
-            logits = module.rest(*features)[0, :, : image.height, : image.width]
-        moments.add(torch.softmax(logits.float(), dim=0))
+    features = network.module.trunk(pad(network.input(image.channels)))
+    seeds = [pass_seed(seed, number) for number in range(samples)]
+    for logits in _passes(network.module, features, seeds):
+        logits = logits[:, : image.height, : image.width].float()
+        moments.add(torch.softmax(logits / network.card.temperature, dim=0))
     return moments.summary()
+
+
+def _passes(
+    module: SalsaNext, features: tuple[Tensor, Tensor], seeds: Sequence[int]
+) -> Iterator[Tensor]:
+    """Yield the logits (C, H, W) of every pass, computing several at once if there is room."""
+    size = _most_at_once(features[0], len(seeds))
+    start = 0
+    while start < len(seeds):
+        batch = seeds[start : start + size]
+        try:
+            logits = _run(module, features, batch)
+        except torch.OutOfMemoryError:
+            if size == 1:
+                raise
+            size //= 2
+            log.info("memory for %d passes at once is not there, trying %d", 2 * size, size)
+            continue
+        yield from logits
+        start += len(batch)
+
+
+def _most_at_once(features: Tensor, samples: int) -> int:
+    """Return how many passes to try side by side: on a GPU, all."""
+    if features.device.type != "cpu":
+        return samples
+    return max(1, min(samples, AT_ONCE // features.shape[-2:].numel()))
+
+
+def _run(module: SalsaNext, features: tuple[Tensor, Tensor], seeds: Sequence[int]) -> Tensor:
+    generators = [torch.Generator().manual_seed(seed) for seed in seeds]
+    with sampling(module, generators):
+        logits: Tensor = module.rest(*(f.expand(len(seeds), -1, -1, -1) for f in features))
+    return logits
 
 
 def require_sampling(network: Network, samples: int) -> None:
     """Raise what `sample` raises, before any scan is read."""
     if samples < 2:
         raise UsageError("--samples", str(samples), "at least 2: one pass has no variance")
+    require_dropout(network)
+
+
+def require_dropout(network: Network) -> None:
+    """Raise `WeightsError` if a network drops nothing, and so knows no epistemic uncertainty."""
     if not dropouts(network.module):
         found = "a network without dropout"
         raise WeightsError("weights", found, "a dropout rate above 0", "train with dropout")
@@ -132,6 +185,7 @@ def _hashed(text: str) -> int:
     return int.from_bytes(hashlib.sha256(text.encode()).digest()[:8], "little") >> 1
 
 
-def _array(values: Tensor) -> Float:
+def as_array(values: Tensor) -> Float:
+    """Return a tensor of any device and number type as a float32 array."""
     array: Float = values.float().cpu().numpy()
     return array

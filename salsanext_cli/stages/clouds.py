@@ -106,21 +106,12 @@ def unknown(column: str, file: ScanFile, out: Path) -> NoInputError:
     """Return the error that says what is missing for a column, and where it would be."""
     if column in ("truth", "error") and not present(file.label_path):
         return NoInputError(file.path, "has no labels", str(file.label_path))
-    if column in ("aleatoric", "total"):
-        return NoInputError(file.path, f"no {column} known", remedy="no stage computes it yet")
     folder = f"uncertainty/{column}" if column in UNCERTAINTY else "predictions"
     stage = "uncertainty" if column in UNCERTAINTY else "predict"
     path = output_path(out, file.sequence, folder, file.stem)
     return NoInputError(
         file.path, f"no {column} known", str(path), f"run `salsanext {stage}` first"
     )
-
-
-def resolve_colour(out: Path, colour: str) -> str:
-    """Say which kind "uncertainty" means here: the total if it was computed, else the epistemic."""
-    if colour != "uncertainty":
-        return colour
-    return "total" if find_outputs(out, "uncertainty/total") else "epistemic"
 
 
 def with_results(out: Path, scans: list[ScanFile]) -> list[ScanFile]:

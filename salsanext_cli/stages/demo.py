@@ -10,6 +10,7 @@ from pathlib import Path
 
 from salsanext_cli.formats.layout import find_scans
 from salsanext_cli.stages.batch import BatchOptions, Failure, Outcome, Progress
+from salsanext_cli.stages.estimator import Estimator
 from salsanext_cli.stages.evaluate import Evaluation, evaluate
 from salsanext_cli.stages.export_ply import export_ply
 from salsanext_cli.stages.inputs import Choice
@@ -83,6 +84,7 @@ def demo(
         If a stage cannot be run.
     """
     data, out = folder / "data", folder / "out"
+    estimator = Estimator(samples=samples)
     _make_data(data, scans, options.overwrite, bars)
 
     def run(step: str, stage: Callable[[BatchOptions], Outcome[None]]) -> tuple[Failure, ...]:
@@ -93,7 +95,7 @@ def demo(
         *run("predict", lambda o: predict(data, out, network=network, options=o)),
         *run(
             "uncertainty",
-            lambda o: uncertainty(data, out, network=network, samples=samples, options=o),
+            lambda o: uncertainty(data, out, network=network, estimator=estimator, options=o),
         ),
         *run("export-ply", lambda o: export_ply(out, colour="label", options=o)),
     )

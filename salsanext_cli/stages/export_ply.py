@@ -25,7 +25,6 @@ from salsanext_cli.stages.clouds import (
     Cloud,
     columns_of,
     read_cloud,
-    resolve_colour,
     unknown,
     with_results,
 )
@@ -41,7 +40,6 @@ from salsanext_cli.stages.outputs import (
 )
 from salsanext_cli.stages.predicted import space_of_results
 from salsanext_cli.stages.sources import remembered_scans
-from salsanext_cli.stages.uncertainty import KINDS as SAMPLED
 
 CLASS_COLOURS = ("label", "truth", "error")
 COLOURS = (*CLASS_COLOURS, "intensity", "range", "uncertainty", *UNCERTAINTY)
@@ -142,15 +140,14 @@ def export_ply(
         raise UsageError("--colour", colour, f"one of {', '.join(COLOURS)}")
     if scale and not (scale[0] < scale[1] and all(map(math.isfinite, scale))):
         raise UsageError("--scale", f"{scale[0]} {scale[1]}", "a lower and a higher number")
-    colour = resolve_colour(out, colour)
     scans = remembered_scans(out, dataset, usual_dataset)
     space = space_of_results(out, scans, space)
     _require_same_weights(out)
     scans = with_results(out, choose(scans, Choice(choice.split, choice.sequences), space, out))
     scans = scans[: choice.limit]
     unsampled: dict[ScanFile, Failure] = {}
-    if colour in SAMPLED:
-        unsampled = sample_missing(out, scans, colour, network, options)
+    if colour in ("uncertainty", *UNCERTAINTY):
+        colour, unsampled = sample_missing(out, scans, colour, network, options)
     _require_some(out, scans, colour)
     intensity_scale = recorded_sensor(out).intensity_scale
     if scale is None:

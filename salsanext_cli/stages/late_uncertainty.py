@@ -4,54 +4,86 @@
 from __future__ import annotations
 
 import logging
-from dataclasses import asdict, replace
+from dataclasses import asdict, fields, replace
 from pathlib import Path
 from typing import Any
 
 from salsanext_cli.errors import UsageError
-from salsanext_cli.formats.layout import ScanFile, output_path
+from salsanext_cli.formats.layout import ScanFile, find_outputs, output_path
 from salsanext_cli.formats.reading import present
 from salsanext_cli.geometry.knn import KnnParameters
 from salsanext_cli.sensors import Sensor
 from salsanext_cli.stages.batch import BatchOptions, Failure
+from salsanext_cli.stages.estimator import NOISY_KINDS, Estimator
 from salsanext_cli.stages.networks import NetworkChoice
 from salsanext_cli.stages.outputs import stage_settings
-from salsanext_cli.stages.uncertainty import SAMPLES, uncertainty_of
+from salsanext_cli.stages.uncertainty import uncertainty_of
 
 log = logging.getLogger(__name__)
 
 
 def sample_missing(
     out: Path, scans: list[ScanFile], colour: str, network: NetworkChoice, options: BatchOptions
-) -> dict[ScanFile, Failure]:
-    """Sample the scans that lack an uncertainty, as the others in the folder were sampled.
+) -> tuple[str, dict[ScanFile, Failure]]:
+    """Estimate the uncertainty of scans that lack it, as that of the others was estimated.
 
-    Returns the scans that could not be sampled, and why.
+    Returns the kind that the colour means, the total for "uncertainty" if it can be had, and the
+    scans whose uncertainty could not be estimated, and why.
 
     Raises
     ------
     UsageError
-        If the labels in the folder were made with other weights.
+        If the labels in the folder were made with other weights, or the uncertainties that are
+        there without the kind that is asked for.
     """
-    folder = f"uncertainty/{colour}"
-    missing = [s for s in scans if not present(output_path(out, s.sequence, folder, s.stem))]
-    if not missing:
-        return {}
+    earlier = stage_settings(out, "uncertainty")
+    kind = _kind_there(out) if colour == "uncertainty" else colour
+    if kind and not _without(out, scans, kind):
+        return kind, {}
     network = _as_predicted(out, network)
-    earlier = stage_settings(out, "uncertainty") or {}
-    samples = earlier.get("samples", SAMPLES)
-    log.warning("no uncertainty of %d scans yet: sampling %d passes each", len(missing), samples)
+    estimator = _recorded(earlier) if earlier else _possible(colour, network)
+    kind = kind or ("total" if estimator.aleatoric else "epistemic")
+    if kind not in estimator.kinds:
+        raise UsageError(
+            out, "uncertainty estimated without aleatoric", kind, "run `uncertainty` --overwrite"
+        )
+    missing = _without(out, scans, kind)
+    log.warning("no uncertainty of %d scans yet: estimating it", len(missing))
     outcome = uncertainty_of(
         missing,
         out,
         network,
         replace(options, overwrite=False),
-        knn=_recorded_knn(earlier),
-        samples=samples,
-        seed=earlier.get("seed", 0),
+        knn=_recorded_knn(earlier or {}),
+        estimator=estimator,
         remembered=True,
     )
-    return {failure.scan: failure for failure in outcome.failures}
+    return kind, {failure.scan: failure for failure in outcome.failures}
+
+
+def _kind_there(out: Path) -> str | None:
+    """Say which kind "uncertainty" means where some is there: the total, else the epistemic."""
+    kinds = ("total", "epistemic")
+    return next((kind for kind in kinds if find_outputs(out, f"uncertainty/{kind}")), None)
+
+
+def _without(out: Path, scans: list[ScanFile], kind: str) -> list[ScanFile]:
+    folder = f"uncertainty/{kind}"
+    return [s for s in scans if not present(output_path(out, s.sequence, folder, s.stem))]
+
+
+def _recorded(settings: dict[str, Any]) -> Estimator:
+    known = {field.name for field in fields(Estimator)} & set(settings)
+    return Estimator(**{key: settings[key] for key in known})
+
+
+def _possible(colour: str, network: NetworkChoice) -> Estimator:
+    """Leave out what needs a noise that the sensor does not know, unless it is asked for."""
+    seen = network.load().sensor
+    aleatoric = colour in NOISY_KINDS or seen.knows_noise
+    if not aleatoric:
+        log.warning("sensor %s does not know its noise: epistemic uncertainty only", seen.name)
+    return Estimator(aleatoric=aleatoric)
 
 
 def _recorded_knn(settings: dict[str, Any]) -> KnnParameters:

@@ -163,7 +163,7 @@ def _predict_images(
 
 def _require_same_sensor(folder: Path, seen: Sensor, wanted: Sensor) -> None:
     """Refuse images of another geometry; what normalises them is the network's own affair."""
-    if replace(seen, name=wanted.name, means=wanted.means, stds=wanted.stds) != wanted:
+    if replace(seen, means=wanted.means, stds=wanted.stds).view() != wanted.view():
         raise UsageError(
             folder,
             f"range images of {seen.name}, {seen.height}×{seen.width}",

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Scans to labels and uncertainties by Monte-Carlo dropout."""
+"""Scans to labels and uncertainties: Monte-Carlo dropout and assumed density filtering."""
 
 from __future__ import annotations
 
@@ -14,9 +14,10 @@ from salsanext_cli.formats.arrays import write_array
 from salsanext_cli.formats.kitti import write_labels
 from salsanext_cli.formats.layout import ScanFile, output_path
 from salsanext_cli.geometry.knn import KnnParameters, knn_refine
-from salsanext_cli.network.sampling import require_sampling, sample, scan_seed
 from salsanext_cli.records import Float, Int
+from salsanext_cli.sensors import Sensor
 from salsanext_cli.stages.batch import BatchOptions, Outcome, run_batch
+from salsanext_cli.stages.estimator import Estimator
 from salsanext_cli.stages.inputs import Choice, select_scans
 from salsanext_cli.stages.networks import NetworkChoice
 from salsanext_cli.stages.outputs import (
@@ -29,21 +30,15 @@ from salsanext_cli.stages.outputs import (
 from salsanext_cli.stages.predict import most_probable
 from salsanext_cli.stages.project import read_image
 
-KINDS = ("epistemic", "entropy", "mutual_information")
-WRITES = tuple(f"uncertainty/{kind}" for kind in KINDS)
-SAMPLES = 30
-"""Passes per scan; the paper's number."""
-
 
 @dataclass(frozen=True, slots=True)
 class UncertaintyOfScan:
-    """Sample one scan and write the uncertainty of its points."""
+    """Estimate the uncertainty of the points of one scan and write it."""
 
     out: Path
     network: NetworkChoice
     knn: KnnParameters
-    samples: int
-    seed: int
+    estimator: Estimator
     writes: tuple[str, ...]
 
     def results_of(self, file: ScanFile) -> list[Path]:
@@ -54,18 +49,17 @@ class UncertaintyOfScan:
         return output_path(self.out, file.sequence, folder, file.stem)
 
     def __call__(self, file: ScanFile) -> None:
-        """Read, project, sample, refine, write."""
+        """Read, project, estimate, refine, write."""
         network = self.network.load()
         place, space = str(network.device), network.card.space
         image = read_image(file, network.sensor, place)
-        seed = scan_seed(self.seed, file.sequence, file.stem)
-        sampled = sample(network, image, samples=self.samples, seed=seed)
-        for kind in KINDS:
-            of_pixels = getattr(sampled.uncertainty, kind)
+        estimated = self.estimator.estimate(network, image, file)
+        for kind in self.estimator.kinds:
+            of_pixels = getattr(estimated.uncertainty, kind)
             of_points = value_of_points(of_pixels, image.pixel_of_point)
             write_array(self._path(file, f"uncertainty/{kind}"), of_points)
         if "predictions" in self.writes:
-            pixel_labels = most_probable(sampled.probabilities)
+            pixel_labels = most_probable(estimated.probabilities)
             labels = knn_refine(image, pixel_labels, space.class_count, self.knn, place)
             write_labels(self._path(file, "predictions"), space.to_raw(labels))
 
@@ -76,14 +70,19 @@ def _require_same_network(out: Path, settings: dict[str, Any]) -> None:
     recorded = stage_settings(out, stage) if stage not in (None, "uncertainty") else None
     if recorded and (weights := recorded_weights(out, "predictions")):
         recorded["weights"] = weights
-    for key in ("weights", "sensor"):
-        if recorded and recorded.get(key, settings[key]) != as_json(settings[key]):
+    for key, seen in (("weights", str), ("sensor", _view)):
+        if recorded and key in recorded and seen(recorded[key]) != seen(as_json(settings[key])):
             raise OutputError(
                 out / f"{stage}.json",
                 f"labels made with other {key}",
                 "the same for labels and uncertainty",
                 f"give the same {key}, or use another output folder",
             )
+
+
+def _view(sensor: dict[str, Any]) -> dict[str, Any]:
+    """Leave out what labels do not depend on."""
+    return Sensor.from_dict(sensor).view()
 
 
 def value_of_points(of_pixels: Float, pixel_of_point: Int) -> Float:
@@ -99,14 +98,13 @@ def uncertainty(
     *,
     network: NetworkChoice = NetworkChoice(),
     knn: KnnParameters = KnnParameters(),
-    samples: int = SAMPLES,
-    seed: int = 0,
+    estimator: Estimator = Estimator(),
     choice: Choice = Choice(),
     options: BatchOptions = BatchOptions(),
 ) -> Outcome[None]:
     """Estimate uncertainty into `OUT/sequences/<seq>/uncertainty/<kind>`.
 
-    The labels of the mean of the passes go to `predictions`, unless another stage keeps its
+    The labels of the mean softmax go to `predictions`, unless another stage keeps its
     labels there already: those stay.
 
     Parameters
@@ -119,10 +117,8 @@ def uncertainty(
         Weights, device and sensor.
     knn : KnnParameters
         Neighbours of the clean-up of the labels.
-    samples : int
-        Passes per scan, at least 2.
-    seed : int
-        A scan's masks depend on this, its sequence and its name only.
+    estimator : Estimator
+        How; by default 30 passes of Monte-Carlo dropout and one of assumed density filtering.
     choice, options
         Which scans, and how to go through them.
 
@@ -132,7 +128,7 @@ def uncertainty(
         If nothing can be done at all; failures of single scans are in the outcome.
     """
     scans = select_scans(source, choice, network.load().card.space)
-    return uncertainty_of(scans, out, network, options, knn=knn, samples=samples, seed=seed)
+    return uncertainty_of(scans, out, network, options, knn=knn, estimator=estimator)
 
 
 def uncertainty_of(
@@ -142,17 +138,17 @@ def uncertainty_of(
     options: BatchOptions,
     *,
     knn: KnnParameters = KnnParameters(),
-    samples: int = SAMPLES,
-    seed: int = 0,
+    estimator: Estimator = Estimator(),
     remembered: bool = False,
 ) -> Outcome[None]:
     """Do what `uncertainty` does, to scans already chosen, maybe because `out` remembers them."""
-    require_sampling(network.load(), samples)
-    settings = network.settings() | {"knn": asdict(knn), "samples": samples, "seed": seed}
+    estimator.require(network.load())
+    settings = network.settings() | {"knn": asdict(knn)} | estimator.settings()
+    folders = tuple(f"uncertainty/{kind}" for kind in estimator.kinds)
     labels_too = owner(out, "predictions") in (None, "uncertainty")
-    writes = (*WRITES, "predictions") if labels_too else WRITES
+    writes = (*folders, "predictions") if labels_too else folders
     _require_same_network(out, settings)
     sources = () if remembered else scans
     claim(out, "uncertainty", settings, writes, sources, overwrite=options.overwrite)
-    work = UncertaintyOfScan(out, network, knn, samples, seed, writes)
+    work = UncertaintyOfScan(out, network, knn, estimator, writes)
     return run_batch(work, scans, options, work.results_of)

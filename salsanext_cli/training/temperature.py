@@ -74,13 +74,13 @@ def best_temperature(logits: Tensor, truth: Tensor) -> float:
             total += share.item()
         return total
 
-    search.step(loss)
+    search.step(loss)  # type: ignore[no-untyped-call]
     return math.exp(logarithm.item())
 
 
 def chunks(logits: Tensor, truth: Tensor) -> Iterator[tuple[Tensor, Tensor]]:
     """Yield logits and classes of at most `CHUNK` points at a time."""
-    return zip(logits.split(CHUNK), truth.split(CHUNK), strict=True)
+    return zip(torch.split(logits, CHUNK), torch.split(truth, CHUNK), strict=True)
 
 
 def _loss(logits: Tensor, truth: Tensor, temperature: Tensor, count: int) -> Tensor:

@@ -1,4 +1,6 @@
 # SPDX-License-Identifier: MIT
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import torch
@@ -12,6 +14,8 @@ from salsanext_cli.network.inference import load_network
 from salsanext_cli.network.sampling import Moments, entropy, pass_seed, sample, scan_seed
 
 SAMPLES = 4
+ROUNDING = {"rtol": 2e-4, "atol": 1e-8}
+"""Convolutions of batches of other sizes add up in another order."""
 
 
 @pytest.fixture(scope="module")
@@ -75,6 +79,8 @@ def test_against_explicit_passes(network, image, sampled):
 def test_shapes_types_and_bounds(sampled):
     uncertainty = sampled.uncertainty
     assert sampled.probabilities.shape == (20, 16, 128)
+    np.testing.assert_allclose(sampled.variance.mean(axis=0), uncertainty.epistemic, rtol=1e-5)
+    assert uncertainty.total is None
     for values in (uncertainty.epistemic, uncertainty.entropy, uncertainty.mutual_information):
         assert values.shape == (16, 128)
         assert values.dtype == np.float32
@@ -103,6 +109,39 @@ def test_neither_order_nor_global_generator_matters(network, image, sampled):
     torch.random.set_rng_state(state)
     sample(network, image, samples=2, seed=1)
     assert torch.equal(torch.random.get_rng_state(), state)
+
+
+@pytest.mark.parametrize("pixels", [1, 3 * 16 * 128, 10**9])
+def test_how_many_passes_run_at_once_only_rounds(network, image, sampled, monkeypatch, pixels):
+    monkeypatch.setattr("salsanext_cli.network.sampling.AT_ONCE", pixels)
+    again = sample(network, image, samples=SAMPLES, seed=5)
+    np.testing.assert_allclose(again.probabilities, sampled.probabilities, **ROUNDING)
+    np.testing.assert_allclose(again.variance, sampled.variance, **ROUNDING)
+
+
+def test_fewer_passes_at_once_when_memory_is_short(network, image, sampled, monkeypatch):
+    sizes, most = [], [1]
+    rest = type(network.module).rest
+
+    def short_of_memory(module, *features):
+        sizes.append(len(features[0]))
+        if sizes[-1] > most[0]:
+            raise torch.OutOfMemoryError("no room")
+        return rest(module, *features)
+
+    monkeypatch.setattr(type(network.module), "rest", short_of_memory)
+    again = sample(network, image, samples=SAMPLES, seed=5)
+    np.testing.assert_allclose(again.variance, sampled.variance, **ROUNDING)
+    assert sizes == [4, 2, 1, 1, 1, 1]
+    most[0] = 0
+    with pytest.raises(torch.OutOfMemoryError):
+        sample(network, image, samples=SAMPLES, seed=5)
+
+
+def test_the_temperature_divides_the_logits_of_every_pass(network, image):
+    hot = replace(network, card=replace(network.card, temperature=1e6))
+    flat = sample(hot, image, samples=2, seed=0)
+    np.testing.assert_allclose(flat.probabilities, 1 / 20, rtol=1e-4)
 
 
 def test_sampling_changes_nothing_in_the_network(network, image):

@@ -10,10 +10,10 @@ from scans import SMALL, files_below, write_weights
 from salsanext_cli.classes import label_space
 from salsanext_cli.errors import NoInputError, OutputError, UsageError
 from salsanext_cli.formats import read_scan
-from salsanext_cli.formats.arrays import write_array
 from salsanext_cli.formats.kitti import read_labels, write_labels
 from salsanext_cli.report.colours import EMPTY, RIGHT, WRONG, map_colours
 from salsanext_cli.stages.batch import BatchOptions
+from salsanext_cli.stages.estimator import Estimator
 from salsanext_cli.stages.export_ply import COLOURS, export_ply
 from salsanext_cli.stages.inputs import Choice
 from salsanext_cli.stages.networks import NetworkChoice
@@ -22,13 +22,8 @@ from salsanext_cli.stages.uncertainty import uncertainty
 
 SPACE = label_space()
 OVERWRITE = BatchOptions(overwrite=True)
-KINDS = ("epistemic", "entropy", "mutual_information")
-
-
-@pytest.fixture(autouse=True)
-def few_samples(monkeypatch):
-    """Take two passes where nobody says how many."""
-    monkeypatch.setattr("salsanext_cli.stages.late_uncertainty.SAMPLES", 2)
+FEW = Estimator(samples=2)
+KINDS = FEW.kinds
 
 
 @pytest.fixture
@@ -39,7 +34,7 @@ def predicted(world):
 
 @pytest.fixture
 def sampled(predicted):
-    uncertainty(predicted.data, predicted.out, network=predicted.network, samples=2)
+    uncertainty(predicted.data, predicted.out, network=predicted.network, estimator=FEW)
     return predicted
 
 
@@ -167,27 +162,41 @@ def test_a_run_that_goes_on_colours_alike(predicted):
 
 
 def test_uncertainty_is_sampled_where_it_is_missing(predicted, caplog):
-    earlier = {"samples": 2, "seed": 3}
-    uncertainty(
-        predicted.data, predicted.out, network=predicted.network, choice=Choice(limit=1), **earlier
-    )
+    earlier = {"estimator": Estimator(samples=2, seed=3), "choice": Choice(limit=1)}
+    uncertainty(predicted.data, predicted.out, network=predicted.network, **earlier)
     labels = predicted.labels()
     with caplog.at_level("WARNING"):
         assert export(predicted, colour="uncertainty").done == 3
-    assert "no uncertainty of 2 scans yet: sampling 2 passes each" in caplog.text
+    assert "no uncertainty of 2 scans yet: estimating it" in caplog.text
     settings = json.loads((predicted.out / "uncertainty.json").read_text())["settings"]
     assert (settings["samples"], settings["seed"]) == (2, 3)
     np.testing.assert_array_equal(predicted.labels(), labels)
-    assert any(c.startswith("colour epistemic viridis") for c in ply(predicted).comments)
-    assert np.isfinite(column(predicted, "epistemic")).all()
+    assert any(c.startswith("colour total viridis") for c in ply(predicted).comments)
+    assert np.isfinite(column(predicted, "total")).all()
 
 
-def test_total_comes_before_epistemic(sampled):
-    for sequence, stem in (("00", "000000"), ("08", "000000"), ("08", "000001")):
-        path = sampled.result("uncertainty/total", sequence, stem)
-        write_array(path, np.linspace(0, 1, 1500, dtype=np.float32))
+def test_uncertainty_is_the_total_unless_there_is_none(sampled):
     export(sampled, colour="uncertainty")
     assert any(c.startswith("colour total viridis") for c in ply(sampled).comments)
+    without = Estimator(samples=2, aleatoric=False)
+    uncertainty(
+        sampled.data, sampled.out, network=sampled.network, estimator=without, options=OVERWRITE
+    )
+    export(sampled, colour="uncertainty", options=OVERWRITE)
+    assert any(c.startswith("colour epistemic viridis") for c in ply(sampled).comments)
+    with pytest.raises(UsageError, match="without aleatoric · expected total"):
+        export(sampled, colour="total", options=OVERWRITE)
+
+
+def test_a_sensor_of_unknown_noise_has_no_total(world, caplog):
+    silent = replace(SMALL, range_noise=None)
+    predict(world.data, world.out, network=replace(world.network, sensor=silent))
+    with pytest.raises(UsageError, match="sensor small · its noise is not known"):
+        export(world, colour="aleatoric")
+    with caplog.at_level("WARNING"):
+        assert export(world, colour="uncertainty", choice=Choice(limit=1)).done == 1
+    assert "small does not know its noise: epistemic uncertainty only" in caplog.text
+    assert any(c.startswith("colour epistemic viridis") for c in ply(world, "00").comments)
 
 
 def test_sampling_uses_the_weights_and_sensor_that_predicted(world, tmp_path):
@@ -200,19 +209,11 @@ def test_sampling_uses_the_weights_and_sensor_that_predicted(world, tmp_path):
         world.data,
         tmp_path / "expected",
         network=replace(world.network, sensor=wide),
-        samples=2,
         choice=Choice(limit=1),
     )
     export(world, colour="epistemic", choice=Choice(limit=1))
     name = "sequences/00/uncertainty/epistemic/000000.npy"
     assert files_below(world.out)[name] == files_below(tmp_path / "expected")[name]
-
-
-@pytest.mark.parametrize("colour", ["aleatoric", "total"])
-def test_a_kind_that_nobody_computed(predicted, colour):
-    with pytest.raises(NoInputError, match=f"no {colour} known .*no stage computes it yet"):
-        export(predicted, colour=colour)
-    assert not (predicted.out / "export-ply.json").exists()
 
 
 @pytest.mark.parametrize("colour", ["truth", "error"])
@@ -254,7 +255,7 @@ def test_another_colour_is_refused_unless_overwriting(predicted):
 def test_clouds_of_older_results_are_not_passed_over(predicted, tmp_path):
     """What was exported before must not stay when labels or uncertainties have become others."""
     export(predicted)
-    uncertainty(predicted.data, predicted.out, network=predicted.network, samples=2)
+    uncertainty(predicted.data, predicted.out, network=predicted.network, estimator=FEW)
     with pytest.raises(OutputError, match="what `uncertainty` made was made anew"):
         export(predicted)
     assert export(predicted, options=OVERWRITE).done == 3

@@ -8,6 +8,7 @@ from salsanext_cli.classes import LabelSpace
 from salsanext_cli.errors import LabelError, OutputError
 from salsanext_cli.network.weights import fingerprint
 from salsanext_cli.stages.batch import BatchOptions
+from salsanext_cli.stages.estimator import Estimator
 from salsanext_cli.stages.export_ply import export_ply
 from salsanext_cli.stages.inputs import Choice
 from salsanext_cli.stages.knn_refine import knn_refine_scans
@@ -25,12 +26,14 @@ def other(tmp_path):
 
 def test_labels_made_anew_by_other_weights_are_not_shown_with_old_doubts(world, other):
     predict(world.data, world.out, network=world.network)
-    uncertainty(world.data, world.out, network=world.network, samples=2)
+    uncertainty(world.data, world.out, network=world.network, estimator=Estimator(samples=2))
     overwrite = BatchOptions(overwrite=True)
     predict(world.data, world.out, network=other, options=overwrite)
     with pytest.raises(OutputError, match=r"labels by the weights .* uncertainty --overwrite"):
         export_ply(world.out, colour="epistemic", network=other)
-    uncertainty(world.data, world.out, network=other, samples=2, options=overwrite)
+    uncertainty(
+        world.data, world.out, network=other, estimator=Estimator(samples=2), options=overwrite
+    )
     assert export_ply(world.out, colour="epistemic", network=other).done == 3
 
 
@@ -41,7 +44,7 @@ def test_labels_made_step_by_step_remember_their_weights(world, other):
     knn_refine_scans(world.out)
     assert provenance(world.out, Choice())["weights"] == fingerprint(other.weights)
     with pytest.raises(OutputError, match="labels made with other weights"):
-        uncertainty(world.data, world.out, network=world.network, samples=2)
+        uncertainty(world.data, world.out, network=world.network, estimator=Estimator(samples=2))
 
 
 def test_other_classes_than_those_predicted_are_refused(world):

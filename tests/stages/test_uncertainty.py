@@ -9,23 +9,31 @@ from scans import SMALL, files_below, labels_below, write_weights
 from salsanext_cli.classes import label_space
 from salsanext_cli.errors import OutputError, UsageError, WeightsError
 from salsanext_cli.formats import read_scan
+from salsanext_cli.formats.arrays import write_array
 from salsanext_cli.formats.kitti import write_bin
 from salsanext_cli.geometry.knn import knn_refine
 from salsanext_cli.geometry.projection import project
+from salsanext_cli.network.aleatoric import aleatoric
+from salsanext_cli.network.analytic import analyse
 from salsanext_cli.network.sampling import sample, scan_seed
 from salsanext_cli.records import Scan
 from salsanext_cli.stages.batch import BatchOptions
+from salsanext_cli.stages.estimator import Estimator
 from salsanext_cli.stages.inputs import Choice
 from salsanext_cli.stages.networks import NetworkChoice
 from salsanext_cli.stages.predict import predict
-from salsanext_cli.stages.uncertainty import KINDS, uncertainty
+from salsanext_cli.stages.uncertainty import uncertainty
 
+KINDS = Estimator().kinds
 FOLDERS = [f"uncertainty/{kind}" for kind in KINDS]
 
 
-def run(world, source=None, out=None, samples=3, **options):
+def run(world, source=None, out=None, *, options=BatchOptions(), choice=Choice(), **how):
     source, out = source or world.data, out or world.out
-    return uncertainty(source, out, network=world.network, samples=samples, **options)
+    estimator = Estimator(**{"samples": 3} | how)
+    return uncertainty(
+        source, out, network=world.network, estimator=estimator, options=options, choice=choice
+    )
 
 
 def test_the_files_hold_what_sampling_gives(world):
@@ -33,9 +41,11 @@ def test_the_files_hold_what_sampling_gives(world):
     image = project(read_scan(world.scan("08", "000001")), SMALL)
     seed = scan_seed(4, "08", "000001")
     sampled = sample(world.network.load(), image, samples=3, seed=seed)
+    noise = aleatoric(world.network.load(), image).mean(axis=0)
+    expected = replace(sampled.uncertainty, aleatoric=noise)
     for kind in KINDS:
         values = np.load(world.result(f"uncertainty/{kind}", "08", "000001"))
-        of_pixels = getattr(sampled.uncertainty, kind)
+        of_pixels = getattr(expected, kind)
         assert values.dtype == np.float32
         np.testing.assert_array_equal(values, of_pixels.ravel()[image.pixel_of_point])
         assert len(np.unique(values)) > 100
@@ -51,7 +61,7 @@ def test_the_same_whatever_the_order_and_company(world, tmp_path):
     for name, content in files_below(alone).items():
         if name.endswith((".npy", ".label")):
             assert everything[name] == content
-    assert len(files_below(alone)) == 3 + 1 + 2
+    assert len(files_below(alone)) == len(KINDS) + 1 + 2
 
 
 def test_another_seed_or_number_of_passes_is_refused(world):
@@ -107,7 +117,7 @@ def test_points_without_a_measurement_are_unlabelled_and_have_no_uncertainty(wor
 def test_tiny_scans(world, count):
     write_bin(world.scan(), Scan(np.full((count, 3), 4, np.float32), np.zeros(count, np.float32)))
     assert run(world, world.scan()).done == 1
-    assert [np.load(world.result(folder)).shape for folder in FOLDERS] == [(count,)] * 3
+    assert [np.load(world.result(folder)).shape for folder in FOLDERS] == [(count,)] * len(KINDS)
 
 
 @pytest.mark.parametrize("samples", [0, 1])
@@ -123,6 +133,83 @@ def test_a_network_without_dropout_is_refused(world, tmp_path):
     with pytest.raises(WeightsError, match="without dropout"):
         run(certain)
     assert not world.out.exists()
+
+
+def test_the_analytic_way_needs_neither_passes_nor_seed(world):
+    assert run(world, method="analytic", samples=0).done == 3
+    network = world.network.load()
+    image = project(read_scan(world.scan("08", "000001")), SMALL)
+    expected = analyse(network, image).uncertainty
+    for kind in ("epistemic", "entropy", "mutual_information"):
+        values = np.load(world.result(f"uncertainty/{kind}", "08", "000001"))
+        of_pixels = getattr(expected, kind).ravel()
+        np.testing.assert_array_equal(values, of_pixels[image.pixel_of_point])
+    assert run(world, method="analytic", samples=9, seed=7).skipped == 3
+    with pytest.raises(OutputError, match='method was "analytic" and is "sampling"'):
+        run(world)
+
+
+def test_without_aleatoric_there_is_no_total(world):
+    run(world, aleatoric=False)
+    found = {path.parent.name for path in world.out.rglob("*.npy")}
+    assert found == {"epistemic", "entropy", "mutual_information"}
+    run(world, options=BatchOptions(overwrite=True))
+    for folder in FOLDERS:
+        assert world.result(folder).exists()
+
+
+def test_total_is_the_sum(world):
+    run(world)
+    epistemic, aleatoric, total = (
+        np.load(world.result(f"uncertainty/{kind}")) for kind in ("epistemic", "aleatoric", "total")
+    )
+    np.testing.assert_array_equal(total, epistemic + aleatoric)
+    assert (aleatoric > 0).all()
+
+
+@pytest.mark.parametrize("missing", ["range_noise", "intensity_noise"])
+def test_a_sensor_of_unknown_noise_is_refused_unless_it_does_not_matter(world, missing):
+    silent = replace(
+        world, network=replace(world.network, sensor=replace(SMALL, **{missing: None}))
+    )
+    with pytest.raises(UsageError, match=r"its noise is not known .*--no-aleatoric"):
+        run(silent)
+    assert not world.out.exists()
+    assert run(silent, aleatoric=False).done == 3
+
+
+def test_labels_do_not_depend_on_the_noise_of_the_sensor(world):
+    silent = replace(SMALL, range_noise=None, name="the same")
+    predict(world.data, world.out, network=replace(world.network, sensor=silent))
+    assert run(world).done == 3
+    other = replace(world.network, sensor=replace(SMALL, fov_up=4.0))
+    with pytest.raises(OutputError, match="labels made with other sensor"):
+        run(replace(world, network=other), options=BatchOptions(overwrite=True))
+
+
+def test_interrupted_and_resumed_gives_the_same_bytes(world, tmp_path, monkeypatch):
+    whole = tmp_path / "whole"
+    run(world, out=whole)
+    writes = []
+
+    def interrupt(path, values):
+        writes.append(path)
+        if len(writes) == 8:
+            raise KeyboardInterrupt
+        write_array(path, values)
+
+    with monkeypatch.context() as patched:
+        patched.setattr("salsanext_cli.stages.uncertainty.write_array", interrupt)
+        with pytest.raises(KeyboardInterrupt):
+            run(world)
+    outcome = run(world)
+    assert (outcome.done, outcome.skipped) == (2, 1)
+    assert files_below(world.out) == files_below(whole)
+
+
+def test_a_method_that_there_is_not():
+    with pytest.raises(UsageError, match="--method · guess · expected sampling or analytic"):
+        Estimator("guess")
 
 
 def test_choices_and_bad_scans(world):

@@ -1,0 +1,53 @@
+# SPDX-License-Identifier: MIT
+"""Epistemic uncertainty in one pass: the variance of dropout carried through the network."""
+
+from __future__ import annotations
+
+import torch
+
+from salsanext_cli.network.adf import propagate
+from salsanext_cli.network.coherent import Coherent
+from salsanext_cli.network.inference import Network
+from salsanext_cli.network.salsanext import pad
+from salsanext_cli.network.sampling import Sampled, as_array, entropy, require_dropout
+from salsanext_cli.records import RangeImage, Uncertainty
+
+TINY = 1e-12
+
+
+@torch.inference_mode()
+def analyse(network: Network, image: RangeImage) -> Sampled:
+    """Estimate what `sample` would tend to with ever more passes.
+
+    The mutual information is that of a small spread of the softmax around its mean, ½ Σ v / p, and
+    at most the entropy.
+
+    Parameters
+    ----------
+    network : Network
+        With at least one dropout of a rate above 0; its temperature divides the logits.
+    image : RangeImage
+        One scan.
+
+    Raises
+    ------
+    WeightsError
+        If the network drops nothing.
+    """
+    require_dropout(network)
+    certain = network.module.trunk(pad(network.input(image.channels)))
+    features = (Coherent(f, torch.zeros_like(f)) for f in certain)
+    logits = propagate(network.module.rest, *features)[..., : image.height, : image.width]
+    softmax = (logits / network.card.temperature).softmax(dim=1)
+    mean, variance = softmax.mean[0].double(), softmax.variance[0].double()
+    total = entropy(mean)
+    information = (variance / (2 * mean).clamp(min=TINY)).sum(dim=0).minimum(total)
+    return Sampled(
+        probabilities=as_array(mean),
+        variance=as_array(variance),
+        uncertainty=Uncertainty(
+            epistemic=as_array(variance.mean(dim=0)),
+            entropy=as_array(total),
+            mutual_information=as_array(information),
+        ),
+    )

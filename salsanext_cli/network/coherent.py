@@ -1,0 +1,73 @@
+# SPDX-License-Identifier: MIT
+"""The noise of channel dropout in one pass, instead of sampling it.
+
+A dropped channel is dropped at all of its pixels, so what it does to neighbouring pixels does not
+average out, as independent noise would.
+"""
+
+from __future__ import annotations
+
+from typing import Any, ClassVar
+
+import torch
+import torch.nn.functional as F
+from torch import Tensor
+
+from salsanext_cli.network.adf import Gaussian
+
+
+class Coherent(Gaussian):
+    """Gaussians that are independent between channels, but move together within one.
+
+    Attributes
+    ----------
+    mean, variance : (B, C, H, W) Tensor
+        As of `Gaussian`. At a pixel, the neighbours of its window are taken to have its window's
+        mean variance.
+    """
+
+    __slots__ = ()
+    RULES: ClassVar = {}
+
+
+def _conv2d(
+    x: Coherent,
+    weight: Tensor,
+    bias: Tensor | None = None,
+    stride: Any = 1,
+    padding: Any = 0,
+    dilation: Any = 1,
+    groups: int = 1,
+) -> Coherent:
+    """Var = (Σ W)² ∗ v, the sum over the window: k equal deviations add up, not their squares."""
+    mean = F.conv2d(x.mean, weight, bias, stride, padding, dilation, groups)
+    variance = x.variance
+    if weight.shape[2:].numel() > 1:
+        channels, window = variance.shape[1], weight.shape[2:]
+        box = torch.full((channels, 1, *window), 1 / window.numel()).to(variance)
+        variance = F.conv2d(variance, box, None, stride, padding, dilation, channels)
+    together = weight.sum(dim=(2, 3), keepdim=True).square()
+    return x.like(mean, F.conv2d(variance, together, groups=groups))
+
+
+def _avg_pool2d(x: Coherent, kernel: int, stride: int, padding: int, *count: Any) -> Coherent:
+    """Var = Σv / k²: averaging equal deviations leaves them as they are."""
+    pooled = Gaussian.RULES[F.avg_pool2d](x, kernel, stride, padding, *count)
+    return x.like(pooled.mean, pooled.variance * kernel**2)
+
+
+def _dropout2d(x: Coherent, p: float, training: bool, inplace: bool = False) -> Coherent:
+    """Var = v / (1 − p) + m² p / (1 − p), of a factor that is 0 or 1 / (1 − p) of mean 1.
+
+    The noise is there in evaluation mode too, as in sampling.
+    """
+    odds = p / (1 - p)
+    return x.like(x.mean, x.variance * (1 + odds) + x.mean.square() * odds)
+
+
+Coherent.RULES = {
+    **Gaussian.RULES,
+    F.conv2d: _conv2d,
+    F.avg_pool2d: _avg_pool2d,
+    F.dropout2d: _dropout2d,
+}
