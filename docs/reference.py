@@ -101,7 +101,7 @@ def names(parameter: Any) -> str:
     """Return what to type for a parameter."""
     if not parameter.opts[0].startswith("-"):
         return f"`{word(parameter)}`"
-    return ", ".join(f"`{option}`" for option in parameter.opts)
+    return ", ".join(f"`{option}`" for option in (*parameter.opts, *parameter.secondary_opts))
 
 
 def meaning(parameter: Any) -> str:

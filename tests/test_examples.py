@@ -79,6 +79,17 @@ def test_most_uncertain(tmp_path, capsys):
     assert capsys.readouterr().out.split() == ["0.200000", "08/wild", "0.100000", "08/middling"]
 
 
+def test_uncertainty_figures(scan, weights, tmp_path, capsys):
+    folder = tmp_path / "figures"
+    load("uncertainty_figures")(str(scan), str(folder), "12", "12", str(weights))
+    lines = capsys.readouterr().out.splitlines()
+    assert [line.split()[0] for line in lines] == ["aleatoric,", "2", "3", "5", "10", "analytic:"]
+    ranks = [float(re.search(r"rank correlation (\S+?),", line)[1]) for line in lines]
+    assert all(0 < rank <= 1 for rank in ranks)
+    assert ranks[1] < ranks[4], "more passes rank more like many"
+    assert (folder / "uncertainty.png").read_bytes().startswith(b"\x89PNG")
+
+
 @pytest.mark.parametrize("name", NAMES)
 def test_every_example_says_how_to_run_it_and_is_tested(name):
     assert f"\nRun: python examples/{name}.py " in (EXAMPLES / f"{name}.py").read_text("utf-8")

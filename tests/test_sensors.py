@@ -122,3 +122,23 @@ def test_resized() -> None:
     assert VALID.resized() == VALID
     with pytest.raises(UsageError):
         VALID.resized(width=-1)
+
+
+@pytest.mark.parametrize("noise", [-0.01, math.nan, math.inf])
+@pytest.mark.parametrize("name", ["range_noise", "intensity_noise"])
+def test_a_noise_that_cannot_be(name, noise):
+    with pytest.raises(UsageError, match=name):
+        replace(sensor("hdl64"), **{name: noise})
+
+
+def test_every_preset_knows_its_noise():
+    assert all(preset.knows_noise for preset in presets().values())
+    assert not Sensor("s", 3, -25, 64, 512).knows_noise
+    assert not Sensor("s", 3, -25, 64, 512, range_noise=0.02).knows_noise
+
+
+def test_the_view_is_all_but_name_and_noise():
+    one = sensor("hdl64")
+    assert one.view() == replace(one, name="x", range_noise=None, intensity_noise=1.0).view()
+    assert one.view() != replace(one, out_of_view="drop").view()
+    assert set(one.to_dict()) - set(one.view()) == {"name", "range_noise", "intensity_noise"}

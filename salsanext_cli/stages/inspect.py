@@ -168,7 +168,7 @@ def write_sensor(path: Path, sensor: Sensor, *, overwrite: bool = False) -> None
     """
     if present(path) and not overwrite:
         raise OutputError(path, "exists", remedy="use another name, or --overwrite")
-    values = {key: value for key, value in sensor.to_dict().items() if key != "name"}
+    values = {k: v for k, v in sensor.to_dict().items() if k != "name" and v is not None}
     lines = [f"{key} = {_toml(value)}\n" for key, value in values.items()]
     write_text(path, "".join(lines))
 

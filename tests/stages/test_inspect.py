@@ -48,3 +48,9 @@ def test_names_are_shown_as_they_are(tmp_path):
     with console.capture() as capture:
         console.print(survey_tables(found.sequences, found.total, label_space(), SMALL))
     assert "[red]x[bold]" in capture.get()
+
+
+def test_a_noise_that_is_not_known_is_left_out_of_the_file(tmp_path):
+    write_sensor(tmp_path / "quiet.toml", replace(SMALL, range_noise=None))
+    written = sensor(tmp_path / "quiet.toml")
+    assert (written.range_noise, written.intensity_noise) == (None, SMALL.intensity_noise)

@@ -1,0 +1,54 @@
+# SPDX-License-Identifier: MIT
+"""What uncertainty costs, as a multiple of the deterministic pass measured in the same run.
+
+Every round times each of them once, one after the other, so that what else the machine does falls
+on all; printed are medians and the range of the rounds.
+
+Run: python benchmarks/uncertainty_cost.py 000000.bin [hdl64 30 5 weights.safetensors]
+"""
+
+import statistics
+import sys
+import time
+from collections.abc import Callable
+
+import salsanext_cli as sn
+from salsanext_cli.network.aleatoric import aleatoric
+from salsanext_cli.network.analytic import analyse
+from salsanext_cli.network.sampling import sample
+
+
+def seconds(work: Callable[[], object]) -> float:
+    start = time.perf_counter()
+    work()
+    return time.perf_counter() - start
+
+
+def main(
+    scan: str, sensor: str = "hdl64", samples: str = "30", rounds: str = "5", *weights: str
+) -> None:
+    network = sn.load_network(*weights, device="cpu", sensor=sn.sensor(sensor))
+    image = sn.project(sn.read_scan(scan), network.sensor)
+    passes = int(samples)
+    ways = {
+        "one deterministic pass": lambda: network.probabilities(image),
+        f"{passes} passes of dropout": lambda: sample(network, image, samples=passes, seed=0),
+        "assumed density filtering": lambda: aleatoric(network, image),
+        "analytic, one pass": lambda: analyse(network, image),
+    }
+    ways["one deterministic pass"]()
+    times = {name: [] for name in ways}
+    for _ in range(int(rounds)):
+        for name, way in ways.items():
+            times[name].append(seconds(way))
+    base, dropout, density, _ = times.values()
+    times["dropout and density filtering"] = [a + b for a, b in zip(dropout, density, strict=True)]
+    for name, measured in times.items():
+        ratios = [t / b for t, b in zip(measured, base, strict=True)]
+        median, low, high = statistics.median(ratios), min(ratios), max(ratios)
+        spread = f"{median:5.1f} × ({low:.1f} to {high:.1f})"
+        print(f"{name:32}{statistics.median(measured):8.2f} s {spread}")
+
+
+if __name__ == "__main__":
+    main(*sys.argv[1:])
