@@ -61,7 +61,8 @@ def scatter(axes: Axes, slow: Values, fast: Values, titles: tuple[str, str, str]
     """Draw one value per pixel against another, and the line where they would be equal."""
     seen = (slow > 0) & (fast > 0)
     axes.hexbin(slow[seen], fast[seen], xscale="log", yscale="log", gridsize=60, bins="log")
-    ends = [min(axes.get_xlim()[0], axes.get_ylim()[0]), max(axes.get_xlim()[1], axes.get_ylim()[1])]
+    (left, right), (low, high) = axes.get_xlim(), axes.get_ylim()
+    ends = [min(left, low), max(right, high)]
     axes.plot(ends, ends, "k--", linewidth=1, label="equal")
     axes.set(title=titles[0], xlabel=titles[1], ylabel=titles[2], xlim=ends, ylim=ends)
     axes.legend(loc="upper left")

@@ -45,7 +45,7 @@ def sample_missing(
     kind = kind or ("total" if estimator.aleatoric else "epistemic")
     if kind not in estimator.kinds:
         raise UsageError(
-            out, "uncertainty estimated without aleatoric", kind, "run `uncertainty` --overwrite"
+            out, "uncertainty estimated without aleatoric", kind, "run `salsanext uncertainty --overwrite`"
         )
     missing = _without(out, scans, kind)
     log.warning("no uncertainty of %d scans yet: estimating it", len(missing))
