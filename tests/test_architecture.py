@@ -97,7 +97,8 @@ def test_training_and_synthesis_can_be_removed():
 
 
 def test_every_python_file_begins_with_its_licence():
-    folders = [PACKAGE, *(ROOT / name for name in ("tests", "examples", "benchmarks", "docs", "tools"))]
+    others = ("tests", "examples", "benchmarks", "docs", "tools")
+    folders = [PACKAGE, *(ROOT / name for name in others)]
     files = [path for folder in folders for path in folder.rglob("*.py")]
     first = {path: path.read_text("utf-8").partition("\n")[0] for path in files}
     assert [path for path, line in first.items() if line != "# SPDX-License-Identifier: MIT"] == []

@@ -200,14 +200,14 @@ def test_the_settings_shown_are_accepted():
 
 
 def test_the_sensors_shown_are_the_presets():
-    rows = re.findall(r"^\| `(\S+)` \| (\S+)° \| (\S+)° \| (\d+)×(\d+) \| (\S+) \|$",
+    rows = re.findall(r"^\| `(\S+)` \| (\S+)° \| (\S+)° \| (\d+)×(\d+) \| (\S+) \| (\d+) cm \|$",
                       text_of("docs/sensors.md"), re.MULTILINE)  # fmt: skip
     shown = {
-        name: (float(up), float(down), int(height), int(width), float(scale))
-        for name, up, down, height, width, scale in rows
+        name: (float(up), float(down), int(height), int(width), float(scale), int(noise) / 100)
+        for name, up, down, height, width, scale, noise in rows
     }
     assert shown == {
-        name: (s.fov_up, s.fov_down, s.height, s.width, s.intensity_scale)
+        name: (s.fov_up, s.fov_down, s.height, s.width, s.intensity_scale, s.range_noise)
         for name, s in sensors.presets().items()
     }
 

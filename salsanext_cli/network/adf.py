@@ -90,10 +90,6 @@ class Gaussian:
         """Scale by known factors, such as the mask of a dropout: Var = k² v."""
         return self.like(self.mean * factor, self.variance * factor.square())
 
-    def __truediv__(self, divisor: float) -> Self:
-        """Divide by a known number, such as a temperature."""
-        return self.like(self.mean / divisor, self.variance / divisor**2)
-
     def softmax(self, dim: int) -> Self:
         """Return the moments of the softmax over a dimension."""
         return self.like(*softmax_moments(self.mean, self.variance, dim))

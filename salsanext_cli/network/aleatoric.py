@@ -16,7 +16,7 @@ from salsanext_cli.records import Float, RangeImage
 def aleatoric(network: Network, image: RangeImage) -> Float:
     """Return the variance of every pixel's softmax that comes from noise of the input.
 
-    One pass of assumed density filtering, dropout off; the temperature divides the logits.
+    One pass of assumed density filtering, dropout off, without the temperature, as in `sample`.
 
     Parameters
     ----------
@@ -38,5 +38,5 @@ def aleatoric(network: Network, image: RangeImage) -> Float:
     mean = network.input(image.channels)
     variance = torch.from_numpy(input_variance(image.channels, network.sensor))[None].to(mean)
     variance = variance.contiguous(memory_format=torch.channels_last)
-    logits = propagate(network.module, Gaussian(mean, variance)) / network.card.temperature
+    logits = propagate(network.module, Gaussian(mean, variance))
     return as_array(logits.softmax(dim=1).variance[0])

@@ -25,7 +25,7 @@ def analyse(network: Network, image: RangeImage) -> Sampled:
     Parameters
     ----------
     network : Network
-        With at least one dropout of a rate above 0; its temperature divides the logits.
+        With at least one dropout of a rate above 0; its temperature is left out, as in `sample`.
     image : RangeImage
         One scan.
 
@@ -38,7 +38,7 @@ def analyse(network: Network, image: RangeImage) -> Sampled:
     certain = network.module.trunk(pad(network.input(image.channels)))
     features = (Coherent(f, torch.zeros_like(f)) for f in certain)
     logits = propagate(network.module.rest, *features)[..., : image.height, : image.width]
-    softmax = (logits / network.card.temperature).softmax(dim=1)
+    softmax = logits.softmax(dim=1)
     mean, variance = softmax.mean[0].double(), softmax.variance[0].double()
     total = entropy(mean)
     information = (variance / (2 * mean).clamp(min=TINY)).sum(dim=0).minimum(total)

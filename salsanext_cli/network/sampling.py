@@ -98,7 +98,8 @@ def sample(network: Network, image: RangeImage, *, samples: int, seed: int) -> S
     Parameters
     ----------
     network : Network
-        With at least one dropout of a rate above 0; its temperature divides the logits.
+        With at least one dropout of a rate above 0. Its temperature is left out: the paper's
+        variance is that of the plain softmax, and ranks errors better.
     image : RangeImage
         One scan.
     samples : int
@@ -119,7 +120,7 @@ def sample(network: Network, image: RangeImage, *, samples: int, seed: int) -> S
     seeds = [pass_seed(seed, number) for number in range(samples)]
     for logits in _passes(network.module, features, seeds):
         logits = logits[:, : image.height, : image.width].float()
-        moments.add(torch.softmax(logits / network.card.temperature, dim=0))
+        moments.add(torch.softmax(logits, dim=0))
     return moments.summary()
 
 

@@ -44,9 +44,8 @@ def sample_missing(
     estimator = _recorded(earlier) if earlier else _possible(colour, network)
     kind = kind or ("total" if estimator.aleatoric else "epistemic")
     if kind not in estimator.kinds:
-        raise UsageError(
-            out, "uncertainty estimated without aleatoric", kind, "run `salsanext uncertainty --overwrite`"
-        )
+        remedy = "run `salsanext uncertainty --overwrite`"
+        raise UsageError(out, "uncertainty estimated without aleatoric", kind, remedy)
     missing = _without(out, scans, kind)
     log.warning("no uncertainty of %d scans yet: estimating it", len(missing))
     outcome = uncertainty_of(

@@ -1,5 +1,4 @@
 # SPDX-License-Identifier: MIT
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -101,11 +100,6 @@ def test_hardly_any_dropout_leaves_hardly_any_doubt(network, image):
     found = analyse(with_dropout(network, 1e-9), image)
     assert found.uncertainty.epistemic.max() < 1e-6
     np.testing.assert_allclose(found.probabilities, network.probabilities(image), atol=1e-5)
-
-
-def test_the_temperature_divides_the_logits(network, image):
-    hot = replace(network, card=replace(network.card, temperature=1e6))
-    np.testing.assert_allclose(analyse(hot, image).probabilities, 1 / 20, rtol=1e-3)
 
 
 def test_a_network_without_dropout(image, tmp_path):

@@ -9,6 +9,8 @@ from scans import SMALL, make_scan, write_weights
 from salsanext_cli.errors import UsageError, WeightsError
 from salsanext_cli.geometry.normalise import normalise
 from salsanext_cli.geometry.projection import project
+from salsanext_cli.network.aleatoric import aleatoric
+from salsanext_cli.network.analytic import analyse
 from salsanext_cli.network.dropout import ChannelDropout, dropouts, sampling
 from salsanext_cli.network.inference import load_network
 from salsanext_cli.network.sampling import Moments, entropy, pass_seed, sample, scan_seed
@@ -138,10 +140,12 @@ def test_fewer_passes_at_once_when_memory_is_short(network, image, sampled, monk
         sample(network, image, samples=SAMPLES, seed=5)
 
 
-def test_the_temperature_divides_the_logits_of_every_pass(network, image):
+def test_the_temperature_is_left_out(network, image, sampled):
     hot = replace(network, card=replace(network.card, temperature=1e6))
-    flat = sample(hot, image, samples=2, seed=0)
-    np.testing.assert_allclose(flat.probabilities, 1 / 20, rtol=1e-4)
+    again = sample(hot, image, samples=SAMPLES, seed=5)
+    np.testing.assert_array_equal(again.variance, sampled.variance)
+    np.testing.assert_array_equal(analyse(hot, image).variance, analyse(network, image).variance)
+    np.testing.assert_array_equal(aleatoric(hot, image), aleatoric(network, image))
 
 
 def test_sampling_changes_nothing_in_the_network(network, image):
