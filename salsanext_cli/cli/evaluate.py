@@ -21,6 +21,7 @@ def evaluate(
     limit: options.Limit = None,
     label_space: options.LabelSpaceOption = None,
     jobs: options.Jobs = 1,
+    overwrite: options.Overwrite = False,
     on_error: options.OnErrorOption = options.OnError.skip,
     json: options.Json = False,
     verbose: options.Verbose = False,
@@ -42,8 +43,8 @@ def evaluate(
     files, space = predicted_scans(
         out, wanted, dataset, options.label_space(label_space), options.usual_dataset()
     )
-    with console.batch("eval", talk, jobs, on_error.value, overwrite=False) as batch:
-        settings = provenance(out, wanted)
+    with console.batch("eval", talk, jobs, on_error.value, overwrite) as batch:
+        settings = provenance(out, wanted, dataset)
         evaluation = run(files, out, space, batch, by_distance=by_distance, settings=settings)
     tables = [score_table(evaluation.scores)]
     if by_distance:

@@ -13,9 +13,9 @@ from typing import Any
 
 from salsanext_cli import __version__
 from salsanext_cli.classes import LabelSpace
-from salsanext_cli.errors import LabelError, NoInputError
+from salsanext_cli.errors import LabelError, NoInputError, OutputError
 from salsanext_cli.formats.atomic import write_text
-from salsanext_cli.formats.json_files import write_json
+from salsanext_cli.formats.json_files import read_json, write_json
 from salsanext_cli.formats.layout import ScanFile
 from salsanext_cli.formats.reading import present
 from salsanext_cli.measures.confusion import Confusion
@@ -23,6 +23,7 @@ from salsanext_cli.measures.distance import RING_NAMES
 from salsanext_cli.measures.scores import Scores, scores
 from salsanext_cli.stages.batch import BatchOptions, Failure, run_batch
 from salsanext_cli.stages.counting import ScanCounts, count_scan
+from salsanext_cli.stages.outputs import as_json, require_same_settings
 from salsanext_cli.stages.trust import Trust, trust
 
 log = logging.getLogger(__name__)
@@ -106,7 +107,7 @@ def evaluate(
 
     Writes ``scores.txt`` (as the official evaluator does), ``eval.json`` and pictures,
     ``eval_*.png``, into the output folder. Probabilities and uncertainties that lie there are
-    judged too.
+    judged too. What an earlier evaluation with the same settings wrote is replaced.
 
     Parameters
     ----------
@@ -117,7 +118,7 @@ def evaluate(
     space : LabelSpace
         What the raw ids in both mean.
     options : BatchOptions
-        Jobs, errors and progress.
+        Jobs, errors and progress, and whether a result of other settings is replaced.
     by_distance : bool
         Score rings of distance too, for which the scans are read.
     settings : mapping, optional
@@ -129,7 +130,12 @@ def evaluate(
         If a sequence has no labels at all.
     NoInputError
         If there is nothing to compare.
+    OutputError
+        If the folder holds the result of other settings and may not be overwritten.
     """
+    settings = _resolved(settings or {}, by_distance, space)
+    if not options.overwrite:
+        _require_own_result(out / "eval.json", settings)
     _require_labels(scans)
     work = partial(count_scan, out=out, space=space, by_distance=by_distance)
     counts = ScanCounts.none(space, by_distance)
@@ -153,12 +159,29 @@ def evaluate(
         scans=counts.scans,
         missing=tuple(sorted(counts.missing, key=lambda scan: (scan.sequence, scan.stem))),
         failures=outcome.failures,
-        settings=dict(settings or {}),
+        settings=settings,
         trust=trust(counts.uncertainty, counts.scans, space),
     )
     _warn(evaluation)
     _write(evaluation, out)
     return evaluation
+
+
+def _resolved(settings: Mapping[str, Any], by_distance: bool, space: LabelSpace) -> dict[str, Any]:
+    """Return everything that decides what the result is, as it is read back."""
+    own = {"by_distance": by_distance, "label_space": space.to_dict()}
+    return dict(as_json({**settings, **own}))
+
+
+def _require_own_result(path: Path, settings: Mapping[str, Any]) -> None:
+    """Refuse to replace the result of other settings."""
+    earlier = read_json(path)
+    if earlier is None:
+        return
+    remedy = "move it, or use --overwrite to replace it"
+    if not isinstance(earlier.get("settings"), dict):
+        raise OutputError(path, "not what `eval` writes", remedy=remedy)
+    require_same_settings(path, earlier["settings"], settings, remedy)
 
 
 def _require_labels(scans: Iterable[ScanFile]) -> None:

@@ -101,11 +101,7 @@ def claim(
         folders = sorted({*folders, *manifest.get("writes", ())})
     else:
         if not overwrite:
-            raise OutputError(
-                out / f"{stage}.json",
-                f"made with other settings: {_differences(recorded, settings)}",
-                remedy="use another output folder, or --overwrite to replace all its results",
-            )
+            require_same_settings(out / f"{stage}.json", recorded, settings)
         _remove_results(out, manifest["writes"])
     for folder in folders:
         _take_over(out, folder, stage, overwrite)
@@ -115,6 +111,18 @@ def claim(
     write_json(out / f"{stage}.json", manifest)
     for path, folder in sources.items():
         write_json(path, {"scans": folder})
+
+
+def require_same_settings(
+    path: Path,
+    recorded: Mapping[str, Any],
+    settings: Mapping[str, Any],
+    remedy: str = "use another output folder, or --overwrite to replace all its results",
+) -> None:
+    """Refuse to mix or to replace what was made with other settings, and say which."""
+    if recorded != settings:
+        found = f"made with other settings: {_differences(recorded, settings)}"
+        raise OutputError(path, found, remedy=remedy)
 
 
 def as_json(settings: Any) -> Any:

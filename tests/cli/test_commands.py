@@ -105,8 +105,25 @@ def test_eval_prints_a_table_and_writes_scores(run, predicted):
     assert "mean" in result.stdout.lower()
     assert (predicted / "scores.txt").exists()
     assert "eval: 2 scans" in result.stderr
-    scores = only_json(run("eval", "--out", predicted, "--json"))
-    assert scores["scans"] == 2
+    again = ("eval", "--out", predicted, "--split", "valid", "--json")
+    assert only_json(run(*again))["scans"] == 2
+
+
+def test_eval_with_other_settings_needs_overwrite(run, predicted, data, weights):
+    assert run("eval", "--out", predicted, "--limit", 1).exit_code == 0
+    before = (predicted / "eval.json").read_bytes()
+    for other in ((), ("--limit", 2), ("--limit", 1, "--by-distance"), ("--dataset", data)):
+        result = run("eval", "--out", predicted, *other)
+        assert result.exit_code == 1
+        assert "eval.json · made with other settings" in result.stderr
+        assert result.stderr.count("\n") == 1
+    assert (predicted / "eval.json").read_bytes() == before
+    assert run("eval", "--out", predicted, "--overwrite").exit_code == 0
+    knn = ("--knn-k", 3, "--overwrite", "--weights", weights, "--device", "cpu")
+    assert run("predict", data, predicted, *knn).exit_code == 0
+    result = run("eval", "--out", predicted)
+    assert result.exit_code == 1
+    assert "what `predict` made was made anew" in result.stderr
 
 
 def test_eval_prints_what_uncertainty_is_worth(run, data, weights, tmp_path):
