@@ -20,6 +20,7 @@ from salsanext_cli.errors import SalsanextError, UsageError
 if TYPE_CHECKING:
     from rich.console import RenderableType
 
+    from salsanext_cli.stages.absent import Absent
     from salsanext_cli.stages.batch import BatchOptions, Failure, Outcome
 
 DONE, FAILED, WRONG_USE, INTERRUPTED = 0, 1, 2, 130
@@ -109,13 +110,21 @@ def name_failures(failures: tuple[Failure, ...]) -> None:
         typer.echo(f"error: {failure.reason}", err=True)
 
 
-def finish(stage: str, outcome: Outcome[Any], out: object, talk: Talk) -> NoReturn:
+def finish(
+    stage: str, outcome: Outcome[Any], out: object, talk: Talk, absent: Absent | None = None
+) -> NoReturn:
     """Say what became of a run over scans and leave with the exit status for it."""
     name_failures(outcome.failures)
     counts = {"done": outcome.done, "skipped": outcome.skipped, "failed": len(outcome.failures)}
     failures = [{"scan": str(f.scan.path), "reason": f.reason} for f in outcome.failures]
-    talk.result({"stage": stage, **counts, "out": str(out), "failures": failures})
+    found: dict[str, Any] = {"stage": stage, **counts, "out": str(out), "failures": failures}
+    missing = absent.missing if absent else ()
+    if absent:
+        found["missing"] = [str(scan.path) for scan in missing]
+        found["not_asked_for"] = absent.unasked
+    talk.result(found)
     already = f", {outcome.skipped} done already" if outcome.skipped else ""
     failed = f", {len(outcome.failures)} failed" if outcome.failures else ""
-    talk.say(f"{stage}: {outcome.done} scans{already}{failed} → {out}")
-    raise typer.Exit(FAILED if outcome.failures else DONE)
+    others = absent.words("results") if absent else ""
+    talk.say(f"{stage}: {outcome.done} scans{already}{failed}{others} → {out}")
+    raise typer.Exit(FAILED if outcome.failures or missing else DONE)

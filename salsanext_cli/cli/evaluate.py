@@ -52,6 +52,7 @@ def evaluate(
     tables += trust_tables(evaluation.trust.calibration, evaluation.trust.uncertainty)
     talk.result(evaluation.to_dict(), Group(*tables))
     console.name_failures(evaluation.failures)
-    talk.say(f"eval: {evaluation.scans} scans → {out}/scores.txt, eval.json, eval_*.png")
-    incomplete = evaluation.failures or evaluation.missing
+    counted = f"{evaluation.scans} scans{evaluation.absent.words('predictions')}"
+    talk.say(f"eval: {counted} → {out}/scores.txt, eval.json, eval_*.png")
+    incomplete = evaluation.failures or evaluation.absent.missing
     raise typer.Exit(console.FAILED if incomplete else console.DONE)

@@ -10,7 +10,8 @@ from pathlib import Path
 
 from salsanext_cli.formats.layout import find_scans
 from salsanext_cli.stages.batch import BatchOptions, Failure, Outcome, Progress
-from salsanext_cli.stages.evaluate import Evaluation, evaluate
+from salsanext_cli.stages.evaluate import evaluate
+from salsanext_cli.stages.evaluation import Evaluation
 from salsanext_cli.stages.export_ply import export_ply
 from salsanext_cli.stages.inputs import Choice
 from salsanext_cli.stages.networks import NetworkChoice

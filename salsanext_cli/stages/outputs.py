@@ -82,7 +82,7 @@ def claim(
     writes : iterable of str
         The folders of results that the stage fills.
     scans : sequence of ScanFile
-        What it works on; where they came from is remembered for later stages.
+        What it works on; that, and where they came from, is remembered for later stages.
     overwrite : bool
         Whether other settings may replace those recorded; results made with them are removed.
 
@@ -92,11 +92,11 @@ def claim(
         If the folder holds results of other settings, or of another stage, and `overwrite` is
         not set; if a sequence of the same name came from elsewhere; or if it cannot be written.
     """
-    sources = new_sources(out, scans)
     folders = sorted(writes)
     settings = as_json(settings)
     manifest = _manifest(out, stage) or {}
     recorded = manifest.get("settings", settings)
+    sources = new_sources(out, scans, stage, anew=recorded != settings)
     if recorded == settings:
         folders = sorted({*folders, *manifest.get("writes", ())})
     else:
@@ -109,8 +109,8 @@ def claim(
             _require_none(out, folder)
     manifest = {"stage": stage, "version": __version__, "settings": settings, "writes": folders}
     write_json(out / f"{stage}.json", manifest)
-    for path, folder in sources.items():
-        write_json(path, {"scans": folder})
+    for path, record in sources.items():
+        write_json(path, record)
 
 
 def require_same_settings(

@@ -158,6 +158,33 @@ def test_eval_of_an_incomplete_run_is_status_one(run, predicted):
     assert "1 of 2 scans have no predictions" in result.stderr
 
 
+@pytest.mark.parametrize("command", ["eval", "export-ply"])
+def test_scans_left_out_on_purpose_are_counted_and_no_failure(
+    run, data, weights, tmp_path, command
+):
+    out = tmp_path / "out"
+    network = ("--weights", weights, "--device", "cpu")
+    assert run("predict", data, out, "--limit", 1, *network).exit_code == 0
+    result = run(command, "--out", out)
+    assert result.exit_code == 0, result.output
+    assert f"{command}: 1 scans, 1 not asked for have no" in result.stderr
+    assert "error" not in result.stderr
+    found = only_json(run(command, "--out", out, "--json"))
+    assert (found["missing"], found["not_asked_for"]) == ([], 1)
+
+
+@pytest.mark.parametrize("command", ["eval", "export-ply"])
+def test_scans_that_should_have_results_are_status_one(run, predicted, command):
+    (predicted / "sequences/08/predictions/000001.label").unlink()
+    result = run(command, "--out", predicted, "-q")
+    assert result.exit_code == 1
+    assert result.stderr.startswith("error: 1 of 2 scans have no ")
+    assert result.stderr.endswith("the first is 08/000001\n")
+    found = only_json(run(command, "--out", predicted, "--json"))
+    assert [Path(path).name for path in found["missing"]] == ["000001.bin"]
+    assert run("export-ply", "--out", predicted, "--limit", 1).exit_code == 0
+
+
 def test_eval_names_labels_of_another_number(run, predicted, data):
     path = data / "sequences/08/labels/000001.label"
     path.write_bytes(path.read_bytes()[:-4])

@@ -89,7 +89,7 @@ def test_missing_predictions_are_listed_and_do_not_fail(world, caplog):
     world.add("000000", [CAR], [CAR])
     world.add("000001", [ROAD], None)
     evaluation = world.evaluate()
-    assert [scan.stem for scan in evaluation.missing] == ["000001"]
+    assert [scan.stem for scan in evaluation.absent.missing] == ["000001"]
     assert not evaluation.failures
     assert evaluation.scans == 1
     assert evaluation.scores.points == 1
