@@ -7,6 +7,7 @@ from collections.abc import Callable
 from contextlib import AbstractContextManager
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 from salsanext_cli.formats.layout import find_scans
 from salsanext_cli.stages.batch import BatchOptions, Failure, Outcome, Progress
@@ -86,7 +87,7 @@ def demo(
     data, out = folder / "data", folder / "out"
     _make_data(data, scans, options.overwrite, bars)
 
-    def run(step: str, stage: Callable[[BatchOptions], Outcome[None]]) -> tuple[Failure, ...]:
+    def run(step: str, stage: Callable[[BatchOptions], Outcome[Any]]) -> tuple[Failure, ...]:
         with bars(step) as progress:
             return stage(replace(options, progress=progress)).failures
 

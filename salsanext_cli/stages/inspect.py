@@ -17,10 +17,12 @@ from salsanext_cli.formats.kitti import read_labels
 from salsanext_cli.formats.layout import ScanFile
 from salsanext_cli.formats.reading import present
 from salsanext_cli.geometry.projection import project
+from salsanext_cli.geometry.sight import Sight, sight
 from salsanext_cli.measures.survey import Survey, survey
 from salsanext_cli.sensors import Sensor
 from salsanext_cli.stages.batch import BatchOptions, Failure, run_batch
 from salsanext_cli.stages.inputs import Choice, select_scans, space_of
+from salsanext_cli.stages.wrong_view import ViewCheck
 
 BRIGHT = 1.5
 """Intensities above this have another scale than 0…1."""
@@ -92,12 +94,13 @@ class InspectScan:
 
     sensor: Sensor
 
-    def __call__(self, file: ScanFile) -> tuple[str, Survey]:
+    def __call__(self, file: ScanFile) -> tuple[str, Survey, Sight]:
         """Read, project, count."""
         scan = read_scan(file.path, intensity_scale=self.sensor.intensity_scale)
         labelled = present(file.label_path)
         raw = read_labels(file.label_path, len(scan)) if labelled else None
-        return file.sequence, survey(scan, project(scan, self.sensor), raw)
+        found = survey(scan, project(scan, self.sensor), raw)
+        return file.sequence, found, sight(scan, self.sensor)
 
 
 def inspect(
@@ -130,11 +133,11 @@ def inspect(
         If nothing can be done at all; failures of single scans are in the result.
     """
     scans = select_scans(source, choice, space)
-    sequences, failures = _survey(scans, sensor, options)
+    sequences, failures = _survey(scans, sensor, options, fit)
     total = sum(sequences.values(), start=Survey())
     if fit and total.pixels:
         sensor = _seen_whole(sensor, total)
-        sequences, failures = _survey(scans, sensor, options)
+        sequences, failures = _survey(scans, sensor, options, fit)
         total = sum(sequences.values(), start=Survey())
     if total.brightest > BRIGHT:
         bright = f"intensities up to {total.brightest:g}, where 0 to 1 is usual"
@@ -149,12 +152,19 @@ def inspect(
 
 
 def _survey(
-    scans: list[ScanFile], sensor: Sensor, options: BatchOptions
+    scans: list[ScanFile], sensor: Sensor, options: BatchOptions, fit: bool
 ) -> tuple[dict[str, Survey], tuple[Failure, ...]]:
-    outcome = run_batch(InspectScan(sensor), scans, options)
     sequences: dict[str, Survey] = {}
-    for name, found in outcome.results:
+    check = ViewCheck(sensor)
+
+    def add(result: tuple[str, Survey, Sight]) -> None:
+        name, found, seen = result
         sequences[name] = sequences.get(name, Survey()) + found
+        if not fit:
+            check.add(seen)
+
+    outcome = run_batch(InspectScan(sensor), scans, options, hand_on=add)
+    check.finish()
     return sequences, outcome.failures
 
 
