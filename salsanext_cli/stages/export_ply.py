@@ -209,11 +209,10 @@ def _require_some(out: Path, scans: list[ScanFile], colour: str) -> None:
 
 def _recorded_scale(out: Path, colour: str, options: BatchOptions) -> tuple[float, float] | None:
     """Keep the scale of an earlier run, so that a run that goes on colours alike."""
-    settings = stage_settings(out, "export-ply") or {}
-    if options.overwrite or settings.get("colour") != colour:
+    settings = stage_settings(out, "export-ply")
+    if options.overwrite or settings is None or settings["colour"] != colour:
         return None
-    low, high = settings["scale"]
-    return float(low), float(high)
+    return settings.pair("scale")
 
 
 def _scale(

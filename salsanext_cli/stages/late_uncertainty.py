@@ -4,9 +4,8 @@
 from __future__ import annotations
 
 import logging
-from dataclasses import asdict, replace
+from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 from salsanext_cli.errors import UsageError
 from salsanext_cli.formats.layout import ScanFile, output_path
@@ -16,6 +15,7 @@ from salsanext_cli.sensors import Sensor
 from salsanext_cli.stages.batch import BatchOptions, Failure
 from salsanext_cli.stages.networks import NetworkChoice
 from salsanext_cli.stages.outputs import stage_settings
+from salsanext_cli.stages.settings import Settings
 from salsanext_cli.stages.uncertainty import SAMPLES, uncertainty_of
 
 log = logging.getLogger(__name__)
@@ -38,25 +38,29 @@ def sample_missing(
     if not missing:
         return {}
     network = _as_predicted(out, network)
-    earlier = stage_settings(out, "uncertainty") or {}
-    samples = earlier.get("samples", SAMPLES)
+    earlier = stage_settings(out, "uncertainty")
+    samples = SAMPLES if earlier is None else earlier.integer("samples")
     log.warning("no uncertainty of %d scans yet: sampling %d passes each", len(missing), samples)
     outcome = uncertainty_of(
         missing,
         out,
         network,
         replace(options, overwrite=False),
-        knn=_recorded_knn(earlier),
+        knn=KnnParameters() if earlier is None else _recorded_knn(earlier.table("knn")),
         samples=samples,
-        seed=earlier.get("seed", 0),
+        seed=0 if earlier is None else earlier.integer("seed"),
         remembered=True,
     )
     return {failure.scan: failure for failure in outcome.failures}
 
 
-def _recorded_knn(settings: dict[str, Any]) -> KnnParameters:
-    values: dict[str, Any] = settings.get("knn") or asdict(KnnParameters())
-    return KnnParameters(**(values | {"cutoff": float(values["cutoff"])}))
+def _recorded_knn(knn: Settings) -> KnnParameters:
+    return KnnParameters(
+        k=knn.integer("k"),
+        window=knn.integer("window"),
+        sigma=knn.number("sigma"),
+        cutoff=knn.number("cutoff"),
+    )
 
 
 def _as_predicted(out: Path, network: NetworkChoice) -> NetworkChoice:
@@ -67,9 +71,9 @@ def _as_predicted(out: Path, network: NetworkChoice) -> NetworkChoice:
     if settings["weights"] != network.settings()["weights"]:
         raise UsageError(
             out,
-            f"labels by the weights {settings['weights'][:12]}… and no uncertainty yet",
+            f"labels by the weights {str(settings['weights'])[:12]}… and no uncertainty yet",
             "the same weights",
             "give them with --weights, or run `salsanext uncertainty`",
         )
-    seen = Sensor.from_dict(settings["sensor"], out / "predict.json")
+    seen = Sensor.from_dict(settings.table("sensor"), settings.path)
     return network if network.sensor else replace(network, sensor=seen)

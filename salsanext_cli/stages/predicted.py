@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import logging
+from collections.abc import Mapping
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -89,7 +90,7 @@ def space_of_results(
 def provenance(out: Path, choice: Choice, dataset: Path | None = None) -> dict[str, Any]:
     """Return, as plain data, what was chosen and which stage and weights made the predictions."""
     stage = owner(out, "predictions")
-    made_with = (stage_settings(out, stage) or {}) if stage else {}
+    made_with: Mapping[str, Any] = (stage_settings(out, stage) or {}) if stage else {}
     kept = {
         "dataset": str(dataset.absolute()) if dataset else None,
         "predictions_of": stage,

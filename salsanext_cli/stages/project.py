@@ -62,7 +62,9 @@ def read_channels(path: Path, sensor: Sensor) -> Float:
 def projected_sensor(folder: Path) -> Sensor | None:
     """Return the sensor of the range images in an output folder, None if it holds none."""
     settings = stage_settings(folder, "project")
-    return Sensor.from_dict(settings["sensor"], folder / "project.json") if settings else None
+    if settings is None:
+        return None
+    return Sensor.from_dict(settings.table("sensor"), settings.path)
 
 
 def project_scans(
