@@ -381,6 +381,17 @@ def test_import_weights_and_predict_with_them(run, data, weights, tmp_path):
     assert run("predict", data, tmp_path / "out", "--weights", half).exit_code == 0
 
 
+@pytest.mark.parametrize("option", [("--dropout", 0.2), ("--label-space", "semantic-kitti")])
+def test_import_weights_takes_nothing_that_our_weights_say_themselves(
+    run, weights, tmp_path, option
+):
+    result = run("import-weights", weights, tmp_path / "w.safetensors", *option)
+    assert result.exit_code == 2
+    assert f"{option[0]} · {weights} says for itself" in result.stderr
+    assert f"leave {option[0]} out" in result.stderr
+    assert not (tmp_path / "w.safetensors").exists()
+
+
 def test_import_weights_of_a_checkpoint_that_runs_something(run, tmp_path):
     class Attack:
         def __reduce__(self):
