@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any, NoReturn, ParamSpec
 
 import typer
 
-from salsanext_cli.cli.progress import progress
+from salsanext_cli.cli.progress import progress, tell
 from salsanext_cli.errors import SalsanextError, UsageError
 
 if TYPE_CHECKING:
@@ -51,7 +51,7 @@ class Talk:
     def say(self, text: str) -> None:
         """Tell the user something, on stderr."""
         if not self.quiet:
-            typer.echo(text, err=True)
+            tell(text)
 
     def result(self, data: Mapping[str, Any], shown: RenderableType | None = None) -> None:
         """Give the result: JSON if asked for, else what is to be shown, on stdout."""
@@ -71,7 +71,7 @@ class StderrHandler(logging.Handler):
     def emit(self, record: logging.LogRecord) -> None:
         """Write one line."""
         level = "" if record.levelno < logging.WARNING else f"{record.levelname.lower()}: "
-        typer.echo(f"{level}{record.getMessage()}", err=True)
+        tell(f"{level}{record.getMessage()}")
 
 
 def guarded(command: Callable[Parameters, None]) -> Callable[Parameters, None]:
@@ -82,12 +82,12 @@ def guarded(command: Callable[Parameters, None]) -> Callable[Parameters, None]:
         try:
             command(*args, **kwargs)
         except SalsanextError as error:
-            typer.echo(f"error: {error}", err=True)
+            tell(f"error: {error}")
             if kwargs.get("json"):
                 typer.echo(json.dumps({"error": str(error)}))
             raise typer.Exit(WRONG_USE if isinstance(error, UsageError) else FAILED) from None
         except KeyboardInterrupt:
-            typer.echo("interrupted: everything finished so far is intact", err=True)
+            tell("interrupted: everything finished so far is intact")
             raise typer.Exit(INTERRUPTED) from None
 
     return run
@@ -107,7 +107,7 @@ def batch(
 def name_failures(failures: tuple[Failure, ...]) -> None:
     """Name every scan that failed, on stderr."""
     for failure in failures:
-        typer.echo(f"error: {failure.reason}", err=True)
+        tell(f"error: {failure.reason}")
 
 
 def finish(
