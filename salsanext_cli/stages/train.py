@@ -200,8 +200,12 @@ def _class_counts(
     path, files = run / CLASS_COUNTS, _state_of_files([*training, *validation])
     known = read_json(path) or {}
     counted = known.get("points")
-    if known.get("files") == files and isinstance(counted, dict):
-        return np.array([counted.get(name, 0) for name in space.names], np.int64)
+    if (
+        known.get("files") == files
+        and isinstance(counted, dict)
+        and counted.keys() == {*space.names}
+    ):
+        return np.array([counted[name] for name in space.names], np.int64)
     count_classes(validation, space, sensor, jobs)
     counts = count_classes(training, space, sensor, jobs)
     points = dict(zip(space.names, counts.tolist(), strict=True))
