@@ -27,6 +27,11 @@ from salsanext_cli.stages.wrong_view import ViewCheck
 BRIGHT = 1.5
 """Intensities above this have another scale than 0…1."""
 
+FEWEST_POINTS = 1000
+"""A fit leaves out one point in a thousand at either edge."""
+SMALLEST_VIEW = 1.0
+"""Degrees; a scanner of one plane sees less, a LiDAR for range images at least some."""
+
 log = logging.getLogger(__name__)
 
 
@@ -70,15 +75,34 @@ class Inspection:
         Raises
         ------
         NoInputError
-            If no point of them holds a measurement.
+            If their points are too few, or do not span what a LiDAR sees.
         """
-        if not self.total.pixels:
-            raise NoInputError(name, "no point with a measurement", "scans to fit a sensor to")
+        _require_believable(name, self.total)
         return replace(
             _seen_whole(self.sensor, self.total),
             name=name,
             means=tuple(round(mean, 4) for mean in self.total.means),
             stds=tuple(round(std, 4) for std in self.total.stds),
+        )
+
+
+def _require_believable(name: str, found: Survey) -> None:
+    """Refuse to fit a sensor to what is no picture of its field of view."""
+    measured = found.points - found.invalid
+    up, down = found.field_of_view()
+    if measured < FEWEST_POINTS:
+        raise NoInputError(
+            name,
+            f"{measured} points with a measurement",
+            f"{FEWEST_POINTS} or more",
+            "fit a sensor to whole scans",
+        )
+    if up - down < SMALLEST_VIEW:
+        raise NoInputError(
+            name,
+            f"a field of view of {up - down:.2f}°, from {up:+.2f}° to {down:+.2f}°",
+            f"{SMALLEST_VIEW:g}° or more",
+            "fit a sensor to whole scans of a 3D LiDAR, with z up and its origin at the sensor",
         )
 
 
