@@ -97,7 +97,7 @@ def test_a_record_of_project_without_its_sensor(world):
     change(world.out / "project.json", "sensor")
     for stage in (
         lambda: predict(world.out, world.out, network=world.network),
-        lambda: knn_refine_scans(world.out, labels=world.data),
+        lambda: knn_refine_scans(world.out, labels=world.data / "sequences/08/labels"),
     ):
         with pytest.raises(OutputError, match=r"project\.json · settings lack sensor"):
             stage()
