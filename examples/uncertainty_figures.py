@@ -9,6 +9,7 @@ Run: python examples/uncertainty_figures.py 000000.bin figures/ [256 200 weights
 
 import sys
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -70,6 +71,8 @@ def scatter(axes: Axes, slow: Values, fast: Values, titles: tuple[str, str, str]
 
 def main(scan: str, folder: str, copies: str = "256", passes: str = "200", *weights: str) -> None:
     network = sn.load_network(*weights, device="cpu")
+    # Uncertainties are those of the plain softmax.
+    network = replace(network, card=replace(network.card, temperature=1.0))
     image = sn.project(sn.read_scan(scan), network.sensor)
     seen = image.point_of_pixel >= 0
 

@@ -14,12 +14,13 @@ from typing import TYPE_CHECKING, Any, NoReturn, ParamSpec
 
 import typer
 
-from salsanext_cli.cli.progress import progress
+from salsanext_cli.cli.progress import progress, tell
 from salsanext_cli.errors import SalsanextError, UsageError
 
 if TYPE_CHECKING:
     from rich.console import RenderableType
 
+    from salsanext_cli.stages.absent import Absent
     from salsanext_cli.stages.batch import BatchOptions, Failure, Outcome
 
 DONE, FAILED, WRONG_USE, INTERRUPTED = 0, 1, 2, 130
@@ -50,7 +51,7 @@ class Talk:
     def say(self, text: str) -> None:
         """Tell the user something, on stderr."""
         if not self.quiet:
-            typer.echo(text, err=True)
+            tell(text)
 
     def result(self, data: Mapping[str, Any], shown: RenderableType | None = None) -> None:
         """Give the result: JSON if asked for, else what is to be shown, on stdout."""
@@ -70,7 +71,7 @@ class StderrHandler(logging.Handler):
     def emit(self, record: logging.LogRecord) -> None:
         """Write one line."""
         level = "" if record.levelno < logging.WARNING else f"{record.levelname.lower()}: "
-        typer.echo(f"{level}{record.getMessage()}", err=True)
+        tell(f"{level}{record.getMessage()}")
 
 
 def guarded(command: Callable[Parameters, None]) -> Callable[Parameters, None]:
@@ -81,12 +82,12 @@ def guarded(command: Callable[Parameters, None]) -> Callable[Parameters, None]:
         try:
             command(*args, **kwargs)
         except SalsanextError as error:
-            typer.echo(f"error: {error}", err=True)
+            tell(f"error: {error}")
             if kwargs.get("json"):
                 typer.echo(json.dumps({"error": str(error)}))
             raise typer.Exit(WRONG_USE if isinstance(error, UsageError) else FAILED) from None
         except KeyboardInterrupt:
-            typer.echo("interrupted: everything finished so far is intact", err=True)
+            tell("interrupted: everything finished so far is intact")
             raise typer.Exit(INTERRUPTED) from None
 
     return run
@@ -106,16 +107,24 @@ def batch(
 def name_failures(failures: tuple[Failure, ...]) -> None:
     """Name every scan that failed, on stderr."""
     for failure in failures:
-        typer.echo(f"error: {failure.reason}", err=True)
+        tell(f"error: {failure.reason}")
 
 
-def finish(stage: str, outcome: Outcome[Any], out: object, talk: Talk) -> NoReturn:
+def finish(
+    stage: str, outcome: Outcome[Any], out: object, talk: Talk, absent: Absent | None = None
+) -> NoReturn:
     """Say what became of a run over scans and leave with the exit status for it."""
     name_failures(outcome.failures)
     counts = {"done": outcome.done, "skipped": outcome.skipped, "failed": len(outcome.failures)}
     failures = [{"scan": str(f.scan.path), "reason": f.reason} for f in outcome.failures]
-    talk.result({"stage": stage, **counts, "out": str(out), "failures": failures})
+    found: dict[str, Any] = {"stage": stage, **counts, "out": str(out), "failures": failures}
+    missing = absent.missing if absent else ()
+    if absent:
+        found["missing"] = [str(scan.path) for scan in missing]
+        found["not_asked_for"] = absent.unasked
+    talk.result(found)
     already = f", {outcome.skipped} done already" if outcome.skipped else ""
     failed = f", {len(outcome.failures)} failed" if outcome.failures else ""
-    talk.say(f"{stage}: {outcome.done} scans{already}{failed} → {out}")
-    raise typer.Exit(FAILED if outcome.failures else DONE)
+    others = absent.words("results") if absent else ""
+    talk.say(f"{stage}: {outcome.done} scans{already}{failed}{others} → {out}")
+    raise typer.Exit(FAILED if outcome.failures or missing else DONE)

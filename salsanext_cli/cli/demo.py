@@ -45,10 +45,12 @@ def demo(
     pictures = [str(path) for path in made.pictures]
     result = made.evaluation.to_dict() | {"stage": "demo", "pictures": pictures}
     talk.result(result, score_table(made.evaluation.scores))
-    console.name_failures(made.failures)
+    failures = (*made.failures, *made.evaluation.failures)
+    console.name_failures(failures)
     talk.say("look at:")
     for path in (*pictures, f"{made.out}/eval_iou.png", f"{made.out}/eval_confusion.png"):
         talk.say(f"  {path}")
     talk.say(f"  {made.out}/sequences/00/ply/*.ply   in CloudCompare, MeshLab or open3d")
     talk.say(f"the scans are in {made.data}, results of each stage in {made.out}/sequences/00")
-    raise typer.Exit(console.FAILED if made.failures else console.DONE)
+    incomplete = failures or made.evaluation.absent.missing
+    raise typer.Exit(console.FAILED if incomplete else console.DONE)

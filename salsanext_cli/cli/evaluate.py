@@ -21,6 +21,7 @@ def evaluate(
     limit: options.Limit = None,
     label_space: options.LabelSpaceOption = None,
     jobs: options.Jobs = 1,
+    overwrite: options.Overwrite = False,
     on_error: options.OnErrorOption = options.OnError.skip,
     json: options.Json = False,
     verbose: options.Verbose = False,
@@ -42,8 +43,8 @@ def evaluate(
     files, space = predicted_scans(
         out, wanted, dataset, options.label_space(label_space), options.usual_dataset()
     )
-    with console.batch("eval", talk, jobs, on_error.value, overwrite=False) as batch:
-        settings = provenance(out, wanted)
+    with console.batch("eval", talk, jobs, on_error.value, overwrite) as batch:
+        settings = provenance(out, wanted, dataset)
         evaluation = run(files, out, space, batch, by_distance=by_distance, settings=settings)
     tables = [score_table(evaluation.scores)]
     if by_distance:
@@ -51,6 +52,7 @@ def evaluate(
     tables += trust_tables(evaluation.trust.calibration, evaluation.trust.uncertainty)
     talk.result(evaluation.to_dict(), Group(*tables))
     console.name_failures(evaluation.failures)
-    talk.say(f"eval: {evaluation.scans} scans → {out}/scores.txt, eval.json, eval_*.png")
-    incomplete = evaluation.failures or evaluation.missing
+    counted = f"{evaluation.scans} scans{evaluation.absent.words('predictions')}"
+    talk.say(f"eval: {counted} → {out}/scores.txt, eval.json, eval_*.png")
+    incomplete = evaluation.failures or evaluation.absent.missing
     raise typer.Exit(console.FAILED if incomplete else console.DONE)

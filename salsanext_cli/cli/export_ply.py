@@ -61,4 +61,4 @@ def export_ply(
             choice=options.choice(split, sequences, limit),
             options=batch,
         )
-    console.finish("export-ply", outcome, out, talk)
+    console.finish("export-ply", outcome, out, talk, outcome.absent)

@@ -15,9 +15,18 @@ def import_weights(
         Path, typer.Argument(help="A published checkpoint, or a .safetensors file of ours.")
     ],
     target: Annotated[Path, typer.Argument(help="The .safetensors file to write.")],
-    label_space: options.LabelSpaceOption = None,
+    label_space: Annotated[
+        str | None,
+        typer.Option(
+            help="Classes of a checkpoint: a label space or a .yaml file in SemanticKITTI's form.",
+            show_default="semantic-kitti",
+        ),
+    ] = None,
     sensor: options.SensorWithoutWeights = None,
-    dropout: Annotated[float, typer.Option(help="Rate that it was trained with.")] = 0.2,
+    dropout: Annotated[
+        float | None,
+        typer.Option(help="Rate that a checkpoint was trained with.", show_default="0.2"),
+    ] = None,
     description: Annotated[str, typer.Option(help="What these weights are.")] = "",
     half: Annotated[bool, typer.Option("--half", help="Store in float16, half the size.")] = False,
     overwrite: options.Overwrite = False,

@@ -9,8 +9,6 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import TYPE_CHECKING
 
-import typer
-
 if TYPE_CHECKING:
     from rich.progress import Progress as Bar
 
@@ -18,6 +16,15 @@ if TYPE_CHECKING:
 
 INTERVAL = 30.0
 """Seconds between two lines in a log file."""
+
+
+def tell(text: str) -> None:
+    """Write a line on stderr, above the bar if there is one.
+
+    While a bar is shown, rich stands in for `sys.stderr`. `typer.echo` would go past it, to the
+    file behind it, and write into the bar.
+    """
+    sys.stderr.write(f"{text}\n")
 
 
 @contextmanager
@@ -39,17 +46,21 @@ class Lines:
     def __init__(self, label: str, unit: str) -> None:
         self.label, self.unit = label, unit
         self.start = self.last = time.monotonic()
+        self.before: int | None = None
 
     def __call__(self, done: int, total: int) -> None:
         """Take note of how many units of how many are done."""
         now = time.monotonic()
+        if self.before is None:
+            # A training that goes on does not begin at 1.
+            self.before = max(done - 1, 0)
         if now - self.last < INTERVAL or done == total:
             return
         self.last = now
-        each = (now - self.start) / done
+        each = (now - self.start) / (done - self.before)
         left = f"{each * (total - done) / 60:.0f} min left"
         rate = words_of_rate(1 / each, self.unit)
-        typer.echo(f"{self.label}: {done}/{total} {self.unit}, {rate}, {left}", err=True)
+        tell(f"{self.label}: {done}/{total} {self.unit}, {rate}, {left}")
 
 
 def words_of_rate(rate: float, unit: str) -> str:

@@ -48,13 +48,18 @@ def writing(path: Path | str) -> Iterator[BinaryIO]:
 
 
 def _refusal(path: Path, error: OSError) -> OutputError:
-    remedy = "free some space" if error.errno in FULL else "change its permissions"
-    return OutputError(
-        path,
-        f"cannot be written: {reason(error)}",
-        "a folder that can be written to",
-        f"{remedy} or choose another output folder",
-    )
+    found, expected = reason(error), "a folder that can be written to"
+    remedy = "change its permissions or choose another output folder"
+    if error.errno in FULL:
+        remedy = "free some space or choose another output folder"
+    elif error.errno in (errno.ENOTDIR, errno.EEXIST):
+        files = (folder for folder in path.parents if folder.exists() and not folder.is_dir())
+        found, expected = f"{next(files, path.parent)} is no folder", "a folder to write to"
+        remedy = "move it or choose another output folder"
+    elif error.errno == errno.EISDIR:
+        found, expected = "there is a folder of that name", "a file or nothing"
+        remedy = "move it or choose another name"
+    return OutputError(path, f"cannot be written: {found}", expected, remedy)
 
 
 def sweep(folder: Path, mark: str) -> None:

@@ -104,15 +104,6 @@ class Scores:
         """Return the text of the official ``scores.txt``: sorted yaml, every digit."""
         return yaml.safe_dump(self.official(), default_flow_style=False, allow_unicode=True)
 
-    def comma_line(self) -> str:
-        """Return a row for a paper's table: IoU of every class, mean IoU, accuracy (official)."""
-        figures = (
-            *(c.iou_official for c in self.classes),
-            self.iou_mean_official,
-            self.accuracy_official,
-        )
-        return ",".join(f"{figure:.3f}" for figure in figures)
-
     def to_dict(self) -> dict[str, Any]:
         """Return plain data for JSON; null stands for NaN."""
         totals = {name: plain(value) for name, value in asdict(self).items() if name != "classes"}

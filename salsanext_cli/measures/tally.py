@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from typing import Any, Self
 
 import numpy as np
@@ -14,7 +15,7 @@ from salsanext_cli.measures.sums import Sums
 State = tuple[tuple[int, ...], npt.NDArray[Any], npt.NDArray[Any], dict[str, Sums], int, int]
 
 
-class Tally:
+class Tally(ABC):
     """Counts by right or wrong, group and bin; adding two gives the counts of both.
 
     Parameters
@@ -47,9 +48,9 @@ class Tally:
         self.left_out = 0
 
     @classmethod
+    @abstractmethod
     def none(cls, group_count: int) -> Self:
-        """Return the counts of nothing."""
-        raise NotImplementedError
+        """Return the counts of nothing in G groups."""
 
     @property
     def group_count(self) -> int:

@@ -107,9 +107,12 @@ class WeightsCard:
 
 
 def _require_format(found: object, source: object) -> None:
+    if found is None:
+        raise WeightsError(
+            source, "lacks what salsanext writes", "weights that `train` or `import-weights` wrote"
+        )
     if found != FORMAT:
-        remedy = "convert it with `salsanext import-weights`"
-        raise WeightsError(source, f"format {found}", FORMAT, remedy)
+        raise WeightsError(source, f"format {found}", FORMAT, "use the version that wrote it")
 
 
 def _temperature(value: Any) -> float:
@@ -168,6 +171,8 @@ def read_card(path: Path) -> WeightsCard:
     except (OSError, safetensors.SafetensorError) as error:
         found = f"cannot be read: {error}" if path.exists() else "no such file"
         remedy = "convert a published checkpoint with `salsanext import-weights`"
+        if path.is_dir():
+            found, remedy = "a folder", "name the file in it"
         raise WeightsError(path, found, "a .safetensors file", remedy) from error
     return WeightsCard.from_metadata(metadata, path)
 

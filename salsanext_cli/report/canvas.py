@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from io import BytesIO
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
@@ -27,6 +27,9 @@ NIGHT = "#{:02x}{:02x}{:02x}".format(*(c // 2 for c in EMPTY))
 INK = "#e8e8ea"
 FAINT = "#8a8f98"
 """Colours of text and of helping lines on `NIGHT`."""
+DARK = "#22262c"
+PALE = "#c9ced6"
+"""The same on `PAPER`."""
 
 
 def new_figure(width: int, height: int, background: str = NIGHT) -> Figure:
@@ -60,6 +63,19 @@ def text_at(figure: Figure, left: int, top: int, text: str, size: int, colour: s
         va="center_baseline",
         parse_math=False,
     )
+
+
+def plain_frame(axes: Axes) -> None:
+    """Leave out the box and the ticks; numbers and names stay."""
+    axes.tick_params(which="both", length=0, colors=DARK, labelsize=10)
+    for side in axes.spines.values():
+        side.set_visible(False)
+
+
+def draw_grid(axes: Axes, direction: Literal["both", "x", "y"] = "both") -> None:
+    """Draw thin lines behind what is plotted."""
+    axes.grid(axis=direction, color=PALE, linewidth=0.6)
+    axes.set_axisbelow(True)
 
 
 def draw_legend(figure: Figure, legend: Legend, left: int, top: int, width: int) -> None:

@@ -39,7 +39,15 @@ def card_table(card: Mapping[str, Any]) -> Table:
     table.add_row(
         "sensor", escape(f"{sensor['name']}, {sensor['height']}×{sensor['width']}, {view}")
     )
-    table.add_row("scores", ", ".join(f"{k} {v}" for k, v in card["scores"].items()) or "–")
+    table.add_row("scores of the scans that chose the weights", _scores(card["scores"]) or "–")
     table.add_row("size", f"{card['bytes'] / 1e6:.1f} MB")
     table.add_row("SHA-256", card["sha256"])
     return table
+
+
+def _scores(scores: Mapping[str, Any]) -> str:
+    """Return names and numbers, rounded: the digits beyond are those of a few scans."""
+    from rich.markup import escape
+
+    numbers = {name: f"{v:.3f}" if isinstance(v, float) else v for name, v in scores.items()}
+    return escape(", ".join(f"{name} {number}" for name, number in numbers.items()))

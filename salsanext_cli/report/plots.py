@@ -13,13 +13,13 @@ from salsanext_cli.classes import LabelSpace
 from salsanext_cli.measures.confusion import Confusion, ratio
 from salsanext_cli.measures.scores import Scores
 from salsanext_cli.report import canvas
+from salsanext_cli.report.canvas import DARK
+from salsanext_cli.report.numbers import percent
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.colors import Colormap
 
-DARK = "#22262c"
-PALE = "#c9ced6"
 ROW = 28
 """Pixels per class of the bar plot."""
 CELL = 46
@@ -65,10 +65,9 @@ def iou_bars(path: Path, result: Scores, space: LabelSpace) -> None:
     axes.set_xlim(0, 108)
     axes.set_xticks(range(0, 101, 20))
     axes.set_xlabel("IoU in %")
-    axes.grid(axis="x", color=PALE, linewidth=0.6)
-    axes.set_axisbelow(True)
-    _plain_frame(axes)
-    title = f"{result.points:,} labelled points · accuracy {_percent(result.accuracy)}"
+    canvas.draw_grid(axes, "x")
+    canvas.plain_frame(axes)
+    title = f"{result.points:,} labelled points · accuracy {percent(result.accuracy, 1, ' %')}"
     canvas.text_at(figure, NAMES, 25, title, 17, DARK)
     canvas.save_png(figure, path)
 
@@ -81,10 +80,6 @@ def _mark_mean(axes: Axes, result: Scores, count: int) -> None:
     axes.text(
         mean, -0.8, f"mean of classes present {mean:.1f}", ha="center", fontsize=9, color=DARK
     )
-
-
-def _percent(share: float) -> str:
-    return "–" if math.isnan(share) else f"{100 * share:.1f} %"
 
 
 def confusion_picture(path: Path, confusion: Confusion, space: LabelSpace) -> None:
@@ -129,7 +124,7 @@ def confusion_picture(path: Path, confusion: Confusion, space: LabelSpace) -> No
     axes.grid(which="minor", color=canvas.PAPER, linewidth=1)
     axes.set_ylabel("truth")
     axes.set_xlabel("prediction, % of the true class's points")
-    _plain_frame(axes)
+    canvas.plain_frame(axes)
     canvas.save_png(figure, path)
 
 
@@ -137,9 +132,3 @@ def _blues() -> Colormap:
     import matplotlib
 
     return matplotlib.colormaps["Blues"].with_extremes(bad="#eceef1")
-
-
-def _plain_frame(axes: Axes) -> None:
-    axes.tick_params(which="both", length=0, colors=DARK, labelsize=10)
-    for side in axes.spines.values():
-        side.set_visible(False)

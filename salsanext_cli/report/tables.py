@@ -3,15 +3,13 @@
 
 from __future__ import annotations
 
-import math
 from typing import TYPE_CHECKING
 
 from salsanext_cli.measures.scores import Scores
+from salsanext_cli.report.numbers import percent
 
 if TYPE_CHECKING:
     from rich.table import Table
-
-ABSENT = "–"
 
 
 def score_table(result: Scores) -> Table:
@@ -35,14 +33,14 @@ def score_table(result: Scores) -> Table:
     for heading in ("IoU %", "precision %", "recall %", "points"):
         table.add_column(heading, justify="right")
     for c in result.classes:
-        shares = (_percent(share) for share in (c.iou, c.precision, c.recall))
+        shares = (percent(share) for share in (c.iou, c.precision, c.recall))
         table.add_row(escape(c.name), *shares, f"{c.points:,}")
     table.add_section()
-    table.add_row("accuracy", _percent(result.accuracy), "", "", f"{result.points:,}")
-    table.add_row("accuracy, official", _percent(result.accuracy_official))
-    table.add_row("mean IoU, official", _percent(result.iou_mean_official))
+    table.add_row("accuracy", percent(result.accuracy), "", "", f"{result.points:,}")
+    table.add_row("accuracy, official", percent(result.accuracy_official))
+    table.add_row("mean IoU, official", percent(result.iou_mean_official))
     present = sum(c.present for c in result.classes)
-    table.add_row(f"mean IoU, {present} classes present", _percent(result.iou_mean_present))
+    table.add_row(f"mean IoU, {present} classes present", percent(result.iou_mean_present))
     return table
 
 
@@ -55,10 +53,6 @@ def ring_table(rings: dict[str, Scores]) -> Table:
     for heading in ("mean IoU %", "accuracy %", "points"):
         table.add_column(heading, justify="right")
     for name, result in rings.items():
-        shares = (_percent(share) for share in (result.iou_mean_present, result.accuracy))
+        shares = (percent(share) for share in (result.iou_mean_present, result.accuracy))
         table.add_row(name, *shares, f"{result.points:,}")
     return table
-
-
-def _percent(share: float) -> str:
-    return ABSENT if math.isnan(share) else f"{100 * share:.1f}"

@@ -14,14 +14,14 @@ from salsanext_cli.classes import LabelSpace
 from salsanext_cli.measures.confusion import Ratios
 from salsanext_cli.measures.figures import COVERAGE, CalibrationFigures, UncertaintyFigures
 from salsanext_cli.report import canvas
+from salsanext_cli.report.canvas import DARK
 from salsanext_cli.report.labels import name_dots
+from salsanext_cli.report.numbers import percent
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-DARK = "#22262c"
-PALE = "#c9ced6"
 BLUE, SKY, ORANGE, RED, GREEN = "#0072b2", "#56b4e9", "#e69f00", "#d55e00", "#009e73"
 """Colours that colour-blind people can tell apart."""
 DASHED = (0, (5, 2))
@@ -57,7 +57,7 @@ def reliability_diagram(path: Path, figures: CalibrationFigures) -> None:
     figure = canvas.new_figure(LEFT + WIDTH + 40, TOP + HEIGHT + BELOW + 80, canvas.PAPER)
     title = f"Calibration of the softmax · {scores.points:,} points"
     if scores.points:
-        title += f" · ECE {100 * scores.ece:.2f} %"
+        title += f" · ECE {percent(scores.ece, 2, ' %')}"
     canvas.text_at(figure, LEFT, 30, title, 17, DARK)
     axes = canvas.axes_at(figure, LEFT, TOP, WIDTH, HEIGHT)
     bins = len(diagram.points)
@@ -91,7 +91,8 @@ def reliability_diagram(path: Path, figures: CalibrationFigures) -> None:
     below.set_xticks(range(0, 101, 20))
     for each in (axes, below):
         each.set_xlim(0, 100)
-        _plain_frame(each)
+        canvas.draw_grid(each)
+        canvas.plain_frame(each)
     canvas.save_png(figure, path)
 
 
@@ -108,7 +109,7 @@ def risk_coverage(path: Path, kinds: Mapping[str, UncertaintyFigures]) -> None:
     figure, axes = _curves("Wrong points among those that are kept")
     for kind, figures in kinds.items():
         colour, dashes = LINES[kind]
-        label = f"{kind} · AURC {_percent(figures.scores.aurc)}"
+        label = f"{kind} · AURC {percent(figures.scores.aurc, 2, ' %')}"
         axes.plot(100 * COVERAGE, 100 * figures.risk, color=colour, linestyle=dashes, label=label)
     for i, rate in enumerate(_error_rates(kinds)):
         best = 100 * _risk_of_best_order(rate)
@@ -171,7 +172,8 @@ def _save_curves(figure: Figure, axes: Axes, path: Path) -> None:
             fontsize=10,
             handlelength=2.6,
         )
-    _plain_frame(axes)
+    canvas.draw_grid(axes)
+    canvas.plain_frame(axes)
     canvas.save_png(figure, path)
 
 
@@ -205,18 +207,7 @@ def class_uncertainty(path: Path, figures: UncertaintyFigures, space: LabelSpace
     axes.ticklabel_format(axis="y", style="sci", scilimits=(-2, 2), useMathText=True)
     axes.set_xlabel("points of the class")
     axes.set_ylabel("mean epistemic uncertainty")
-    _plain_frame(axes)
+    canvas.draw_grid(axes)
+    canvas.plain_frame(axes)
     name_dots(axes, points, means, [space.names[i] for i in present], DARK)
     canvas.save_png(figure, path)
-
-
-def _percent(share: float) -> str:
-    return "–" if math.isnan(share) else f"{100 * share:.2f} %"
-
-
-def _plain_frame(axes: Axes) -> None:
-    axes.grid(color=PALE, linewidth=0.6)
-    axes.set_axisbelow(True)
-    axes.tick_params(which="both", length=0, colors=DARK, labelsize=10)
-    for side in axes.spines.values():
-        side.set_visible(False)

@@ -8,7 +8,7 @@ from collections.abc import Mapping
 from typing import TYPE_CHECKING
 
 from salsanext_cli.measures.figures import CalibrationFigures, UncertaintyFigures
-from salsanext_cli.report.tables import ABSENT
+from salsanext_cli.report.numbers import ABSENT, percent
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -28,7 +28,7 @@ def calibration_table(figures: CalibrationFigures) -> Table:
     table = _table(
         "calibration", "NLL, nats", "Brier", "ECE %", "ECE per scan %", "ACE %", "scans", "points"
     )
-    errors = (_percent(error, 2) for error in (scores.ece, figures.scan_error, scores.ace))
+    errors = (percent(error, 2) for error in (scores.ece, figures.scan_error, scores.ace))
     table.add_row(
         "softmax",
         _number(scores.nll),
@@ -50,11 +50,11 @@ def uncertainty_table(kinds: Mapping[str, UncertaintyFigures]) -> Table:
         wrong = scores.wrong / scores.points if scores.points else math.nan
         table.add_row(
             kind,
-            _percent(scores.auroc, 1),
-            _percent(scores.aupr, 1),
-            _percent(scores.aurc, 2),
+            percent(scores.auroc, 1),
+            percent(scores.aupr, 1),
+            percent(scores.aurc, 2),
             _number(scores.ause),
-            _percent(wrong, 1),
+            percent(wrong, 1),
             f"{figures.scans:,}",
             f"{scores.points:,}",
         )
@@ -69,10 +69,6 @@ def _table(first: str, *headings: str) -> Table:
     for heading in headings:
         table.add_column(heading, justify="right")
     return table
-
-
-def _percent(share: float, digits: int) -> str:
-    return ABSENT if math.isnan(share) else f"{100 * share:.{digits}f}"
 
 
 def _number(value: float) -> str:

@@ -7,11 +7,13 @@ from collections.abc import Callable
 from contextlib import AbstractContextManager
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 from salsanext_cli.formats.layout import find_scans
 from salsanext_cli.stages.batch import BatchOptions, Failure, Outcome, Progress
 from salsanext_cli.stages.estimator import Estimator
-from salsanext_cli.stages.evaluate import Evaluation, evaluate
+from salsanext_cli.stages.evaluate import evaluate
+from salsanext_cli.stages.evaluation import Evaluation
 from salsanext_cli.stages.export_ply import export_ply
 from salsanext_cli.stages.inputs import Choice
 from salsanext_cli.stages.networks import NetworkChoice
@@ -87,7 +89,7 @@ def demo(
     estimator = Estimator(samples=samples)
     _make_data(data, scans, options.overwrite, bars)
 
-    def run(step: str, stage: Callable[[BatchOptions], Outcome[None]]) -> tuple[Failure, ...]:
+    def run(step: str, stage: Callable[[BatchOptions], Outcome[Any]]) -> tuple[Failure, ...]:
         with bars(step) as progress:
             return stage(replace(options, progress=progress)).failures
 

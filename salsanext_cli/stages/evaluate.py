@@ -6,91 +6,26 @@ from __future__ import annotations
 import logging
 from collections import defaultdict
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import Any
 
-from salsanext_cli import __version__
 from salsanext_cli.classes import LabelSpace
-from salsanext_cli.errors import LabelError, NoInputError
+from salsanext_cli.errors import LabelError, NoInputError, OutputError
 from salsanext_cli.formats.atomic import write_text
-from salsanext_cli.formats.json_files import write_json
+from salsanext_cli.formats.json_files import read_json, write_json
 from salsanext_cli.formats.layout import ScanFile
 from salsanext_cli.formats.reading import present
-from salsanext_cli.measures.confusion import Confusion
 from salsanext_cli.measures.distance import RING_NAMES
-from salsanext_cli.measures.scores import Scores, scores
+from salsanext_cli.measures.scores import scores
+from salsanext_cli.stages.absent import without_predictions
 from salsanext_cli.stages.batch import BatchOptions, Failure, run_batch
 from salsanext_cli.stages.counting import ScanCounts, count_scan
-from salsanext_cli.stages.trust import Trust, trust
+from salsanext_cli.stages.evaluation import Evaluation
+from salsanext_cli.stages.outputs import as_json, require_same_settings
+from salsanext_cli.stages.trust import trust
 
 log = logging.getLogger(__name__)
-
-
-@dataclass(frozen=True, slots=True)
-class Evaluation:
-    """The result of comparing predictions with labels.
-
-    Attributes
-    ----------
-    space : LabelSpace
-        Whose classes were compared.
-    confusion : Confusion
-        The counts that the scores come from.
-    scores : Scores
-        Over all points.
-    by_distance : dict of str to Scores
-        By name of the ring; empty if not wanted.
-    unknown_truth, unknown_predictions : dict of int to int
-        How often raw ids occur that the label space does not know; taken as unlabelled.
-    scans : int
-        Number of scans compared.
-    missing : tuple of ScanFile
-        Scans without predictions, left out.
-    failures : tuple of Failure
-        Scans that could not be compared, left out.
-    settings : dict
-        What was chosen and who made the predictions.
-    trust : Trust
-        How far probabilities and uncertainties can be trusted, if there are any.
-    """
-
-    space: LabelSpace
-    confusion: Confusion
-    scores: Scores
-    by_distance: dict[str, Scores]
-    unknown_truth: dict[int, int]
-    unknown_predictions: dict[int, int]
-    scans: int
-    missing: tuple[ScanFile, ...]
-    failures: tuple[Failure, ...]
-    settings: dict[str, Any]
-    trust: Trust
-
-    def to_dict(self) -> dict[str, Any]:
-        """Return plain data for JSON; null stands for NaN."""
-        return {
-            "stage": "eval",
-            "version": __version__,
-            "settings": self.settings,
-            "label_space": self.space.name,
-            "scans": self.scans,
-            "missing": [str(scan.path) for scan in self.missing],
-            "failures": [
-                {"scan": str(failure.scan.path), "reason": failure.reason}
-                for failure in self.failures
-            ],
-            "unknown_ids": {
-                "truth": {str(i): count for i, count in self.unknown_truth.items()},
-                "predictions": {str(i): count for i, count in self.unknown_predictions.items()},
-            },
-            "scores": self.scores.to_dict(),
-            "by_distance": {name: ring.to_dict() for name, ring in self.by_distance.items()},
-            "classes": list(self.space.names),
-            "confusion": self.confusion.matrix.tolist(),
-            **self.trust.to_dict(),
-        }
 
 
 def evaluate(
@@ -106,7 +41,7 @@ def evaluate(
 
     Writes ``scores.txt`` (as the official evaluator does), ``eval.json`` and pictures,
     ``eval_*.png``, into the output folder. Probabilities and uncertainties that lie there are
-    judged too.
+    judged too. What an earlier evaluation with the same settings wrote is replaced.
 
     Parameters
     ----------
@@ -117,7 +52,7 @@ def evaluate(
     space : LabelSpace
         What the raw ids in both mean.
     options : BatchOptions
-        Jobs, errors and progress.
+        Jobs, errors and progress, and whether a result of other settings is replaced.
     by_distance : bool
         Score rings of distance too, for which the scans are read.
     settings : mapping, optional
@@ -129,7 +64,12 @@ def evaluate(
         If a sequence has no labels at all.
     NoInputError
         If there is nothing to compare.
+    OutputError
+        If the folder holds the result of other settings and may not be overwritten.
     """
+    settings = _resolved(settings or {}, by_distance, space)
+    if not options.overwrite:
+        _require_own_result(out / "eval.json", settings)
     _require_labels(scans)
     work = partial(count_scan, out=out, space=space, by_distance=by_distance)
     counts = ScanCounts.none(space, by_distance)
@@ -151,14 +91,31 @@ def evaluate(
         unknown_truth=dict(sorted(counts.unknown_truth.items())),
         unknown_predictions=dict(sorted(counts.unknown_predictions.items())),
         scans=counts.scans,
-        missing=tuple(sorted(counts.missing, key=lambda scan: (scan.sequence, scan.stem))),
+        absent=without_predictions(out, counts.missing),
         failures=outcome.failures,
-        settings=dict(settings or {}),
+        settings=settings,
         trust=trust(counts.uncertainty, counts.scans, space),
     )
     _warn(evaluation)
     _write(evaluation, out)
     return evaluation
+
+
+def _resolved(settings: Mapping[str, Any], by_distance: bool, space: LabelSpace) -> dict[str, Any]:
+    """Return everything that decides what the result is, as it is read back."""
+    own = {"by_distance": by_distance, "label_space": space.to_dict()}
+    return dict(as_json({**settings, **own}))
+
+
+def _require_own_result(path: Path, settings: Mapping[str, Any]) -> None:
+    """Refuse to replace the result of other settings."""
+    earlier = read_json(path)
+    if earlier is None:
+        return
+    remedy = "move it, or use --overwrite to replace it"
+    if not isinstance(earlier.get("settings"), dict):
+        raise OutputError(path, "not what `eval` writes", remedy=remedy)
+    require_same_settings(path, earlier["settings"], settings, remedy)
 
 
 def _require_labels(scans: Iterable[ScanFile]) -> None:
@@ -199,15 +156,8 @@ def _warn(evaluation: Evaluation) -> None:
         if ids:
             listed = ", ".join(f"{i} ({count}×)" for i, count in ids.items())
             log.warning("%s: unknown ids %s are taken as unlabelled", where, listed)
-    if evaluation.missing:
-        first = evaluation.missing[0]
-        log.warning(
-            "%d of %d scans have no predictions and are left out, the first is %s/%s",
-            len(evaluation.missing),
-            len(evaluation.missing) + evaluation.scans + len(evaluation.failures),
-            first.sequence,
-            first.stem,
-        )
+    scans = evaluation.scans + len(evaluation.failures) + len(evaluation.absent.missing)
+    evaluation.absent.complain(scans + evaluation.absent.unasked, "predictions")
 
 
 def _write(evaluation: Evaluation, out: Path) -> None:

@@ -6,7 +6,7 @@ from __future__ import annotations
 import logging
 import math
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -19,6 +19,7 @@ from salsanext_cli.formats.layout import ScanFile, find_outputs, output_path
 from salsanext_cli.formats.ply import write_ply
 from salsanext_cli.formats.reading import present
 from salsanext_cli.report.colours import error_colours, label_colours, value_colours, value_range
+from salsanext_cli.stages.absent import Absent, without_results
 from salsanext_cli.stages.batch import BatchOptions, Failure, Outcome, run_batch
 from salsanext_cli.stages.clouds import (
     UNCERTAINTY,
@@ -96,6 +97,13 @@ class ExportScan:
         return f"{self.colour} {COLOUR_MAP} {low:.6g} {high:.6g}"
 
 
+@dataclass(frozen=True, slots=True)
+class Exported(Outcome[None]):
+    """What became of the scans, and which of them have no results to show."""
+
+    absent: Absent = field(default_factory=Absent)
+
+
 def export_ply(
     out: Path,
     *,
@@ -107,7 +115,7 @@ def export_ply(
     network: NetworkChoice = NetworkChoice(),
     choice: Choice = Choice(),
     options: BatchOptions = BatchOptions(),
-) -> Outcome[None]:
+) -> Exported:
     """Write `OUT/sequences/<seq>/ply/*.ply`: positions, colours and every known scalar.
 
     Parameters
@@ -143,8 +151,13 @@ def export_ply(
     scans = remembered_scans(out, dataset, usual_dataset)
     space = space_of_results(out, scans, space)
     _require_same_weights(out)
-    scans = with_results(out, choose(scans, Choice(choice.split, choice.sequences), space, out))
-    scans = scans[: choice.limit]
+    chosen = choose(scans, Choice(choice.split, choice.sequences), space, out)
+    scans = with_results(out, chosen)[: choice.limit]
+    if len(scans) == choice.limit:
+        # What comes after the last that is wanted is not looked at.
+        chosen = chosen[: chosen.index(scans[-1]) + 1]
+    absent = without_results(out, set(chosen) - set(scans))
+    absent.complain(len(chosen), "results")
     unsampled: dict[ScanFile, Failure] = {}
     if colour in ("uncertainty", *UNCERTAINTY):
         colour, unsampled = sample_missing(out, scans, colour, network, options)
@@ -164,7 +177,7 @@ def export_ply(
     work = ExportScan(out, space, intensity_scale, colour, scale)
     outcome = run_batch(work, scans, options, work.results_of)
     failures = tuple(unsampled.get(failure.scan, failure) for failure in outcome.failures)
-    return replace(outcome, failures=failures)
+    return Exported(outcome.results, outcome.skipped, failures, absent=absent)
 
 
 def _require_same_weights(out: Path) -> None:
@@ -193,11 +206,10 @@ def _require_some(out: Path, scans: list[ScanFile], colour: str) -> None:
 
 def _recorded_scale(out: Path, colour: str, options: BatchOptions) -> tuple[float, float] | None:
     """Keep the scale of an earlier run, so that a run that goes on colours alike."""
-    settings = stage_settings(out, "export-ply") or {}
-    if options.overwrite or settings.get("colour") != colour:
+    settings = stage_settings(out, "export-ply")
+    if options.overwrite or settings is None or settings["colour"] != colour:
         return None
-    low, high = settings["scale"]
-    return float(low), float(high)
+    return settings.pair("scale")
 
 
 def _scale(

@@ -3,17 +3,21 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 
 from salsanext_cli.classes import LabelSpace, label_space
-from salsanext_cli.errors import WeightsError
+from salsanext_cli.errors import UsageError, WeightsError
 from salsanext_cli.network.architectures import build
 from salsanext_cli.network.published import read_published
 from salsanext_cli.network.salsanext import SalsaNext
 from salsanext_cli.network.weights import WeightsCard, load_tensors, read_weights, save_weights
 from salsanext_cli.sensors import Sensor, sensor
 from salsanext_cli.stages.new_weights import SUFFIX, require_target
+
+DROPOUT = 0.2
+"""The rate of the published training."""
 
 
 def import_weights(
@@ -22,7 +26,7 @@ def import_weights(
     *,
     space: LabelSpace | None = None,
     view: Sensor | None = None,
-    dropout: float = 0.2,
+    dropout: float | None = None,
     description: str = "",
     half: bool = False,
     overwrite: bool = False,
@@ -36,11 +40,13 @@ def import_weights(
     target : Path
         The `.safetensors` file to write.
     space : LabelSpace, optional
-        The classes of a published checkpoint; SemanticKITTI's by default. Ours know theirs.
+        The classes of a published checkpoint; SemanticKITTI's by default. Ours know theirs, and
+        refuse others.
     view : Sensor, optional
         The sensor of a published checkpoint, the HDL-64 by default; or another than ours say.
-    dropout : float
-        The dropout rate that a published checkpoint was trained with.
+    dropout : float, optional
+        The dropout rate that a published checkpoint was trained with, 0.2 by default. Ours know
+        theirs, and refuse another.
     description : str
         What these weights are; replaces what ours say.
     half : bool
@@ -50,6 +56,8 @@ def import_weights(
 
     Raises
     ------
+    UsageError
+        If weights of ours are given what only a published checkpoint needs.
     WeightsError
         If the source cannot be used.
     OutputError
@@ -57,15 +65,25 @@ def import_weights(
     """
     require_target(target, overwrite)
     if source.suffix == SUFFIX:
+        _require_nothing_known(source, {"--label-space": space, "--dropout": dropout})
         module, card = read_weights(source)
         described = description or card.description
         card = replace(card, description=described, sensor=view or card.sensor)
     else:
+        rate = DROPOUT if dropout is None else dropout
         module, card = _read_checkpoint(
-            source, space or label_space(), view or sensor("hdl64"), dropout, description
+            source, space or label_space(), view or sensor("hdl64"), rate, description
         )
     save_weights(target, module, card, half=half)
     return card
+
+
+def _require_nothing_known(source: Path, options: Mapping[str, object]) -> None:
+    """Refuse what weights of ours know themselves, rather than pass over it."""
+    for option, value in options.items():
+        if value is not None:
+            found = f"{source} says for itself"
+            raise UsageError(option, found, "a published checkpoint", f"leave {option} out")
 
 
 def _read_checkpoint(

@@ -17,13 +17,20 @@ from salsanext_cli.formats.kitti import read_labels
 from salsanext_cli.formats.layout import ScanFile
 from salsanext_cli.formats.reading import present
 from salsanext_cli.geometry.projection import project
+from salsanext_cli.geometry.sight import Sight, sight
 from salsanext_cli.measures.survey import Survey, survey
 from salsanext_cli.sensors import Sensor
 from salsanext_cli.stages.batch import BatchOptions, Failure, run_batch
 from salsanext_cli.stages.inputs import Choice, select_scans, space_of
+from salsanext_cli.stages.wrong_view import ViewCheck
 
 BRIGHT = 1.5
 """Intensities above this have another scale than 0…1."""
+
+FEWEST_POINTS = 1000
+"""A fit leaves out one point in a thousand at either edge."""
+SMALLEST_VIEW = 1.0
+"""Degrees; a scanner of one plane sees less, a LiDAR for range images at least some."""
 
 log = logging.getLogger(__name__)
 
@@ -68,15 +75,34 @@ class Inspection:
         Raises
         ------
         NoInputError
-            If no point of them holds a measurement.
+            If their points are too few, or do not span what a LiDAR sees.
         """
-        if not self.total.pixels:
-            raise NoInputError(name, "no point with a measurement", "scans to fit a sensor to")
+        _require_believable(name, self.total)
         return replace(
             _seen_whole(self.sensor, self.total),
             name=name,
             means=tuple(round(mean, 4) for mean in self.total.means),
             stds=tuple(round(std, 4) for std in self.total.stds),
+        )
+
+
+def _require_believable(name: str, found: Survey) -> None:
+    """Refuse to fit a sensor to what is no picture of its field of view."""
+    measured = found.points - found.invalid
+    up, down = found.field_of_view()
+    if measured < FEWEST_POINTS:
+        raise NoInputError(
+            name,
+            f"{measured} points with a measurement",
+            f"{FEWEST_POINTS} or more",
+            "fit a sensor to whole scans",
+        )
+    if up - down < SMALLEST_VIEW:
+        raise NoInputError(
+            name,
+            f"a field of view of {up - down:.2f}°, from {up:+.2f}° to {down:+.2f}°",
+            f"{SMALLEST_VIEW:g}° or more",
+            "fit a sensor to whole scans of a 3D LiDAR, with z up and its origin at the sensor",
         )
 
 
@@ -92,12 +118,13 @@ class InspectScan:
 
     sensor: Sensor
 
-    def __call__(self, file: ScanFile) -> tuple[str, Survey]:
+    def __call__(self, file: ScanFile) -> tuple[str, Survey, Sight]:
         """Read, project, count."""
         scan = read_scan(file.path, intensity_scale=self.sensor.intensity_scale)
         labelled = present(file.label_path)
         raw = read_labels(file.label_path, len(scan)) if labelled else None
-        return file.sequence, survey(scan, project(scan, self.sensor), raw)
+        found = survey(scan, project(scan, self.sensor), raw)
+        return file.sequence, found, sight(scan, self.sensor)
 
 
 def inspect(
@@ -130,11 +157,11 @@ def inspect(
         If nothing can be done at all; failures of single scans are in the result.
     """
     scans = select_scans(source, choice, space)
-    sequences, failures = _survey(scans, sensor, options)
+    sequences, failures = _survey(scans, sensor, options, fit)
     total = sum(sequences.values(), start=Survey())
     if fit and total.pixels:
         sensor = _seen_whole(sensor, total)
-        sequences, failures = _survey(scans, sensor, options)
+        sequences, failures = _survey(scans, sensor, options, fit)
         total = sum(sequences.values(), start=Survey())
     if total.brightest > BRIGHT:
         bright = f"intensities up to {total.brightest:g}, where 0 to 1 is usual"
@@ -149,12 +176,19 @@ def inspect(
 
 
 def _survey(
-    scans: list[ScanFile], sensor: Sensor, options: BatchOptions
+    scans: list[ScanFile], sensor: Sensor, options: BatchOptions, fit: bool
 ) -> tuple[dict[str, Survey], tuple[Failure, ...]]:
-    outcome = run_batch(InspectScan(sensor), scans, options)
     sequences: dict[str, Survey] = {}
-    for name, found in outcome.results:
+    check = ViewCheck(sensor)
+
+    def add(result: tuple[str, Survey, Sight]) -> None:
+        name, found, seen = result
         sequences[name] = sequences.get(name, Survey()) + found
+        if not fit:
+            check.add(seen)
+
+    outcome = run_batch(InspectScan(sensor), scans, options, hand_on=add)
+    check.finish()
     return sequences, outcome.failures
 
 

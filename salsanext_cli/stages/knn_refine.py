@@ -70,6 +70,20 @@ def given_labels(folder: Path, file: ScanFile) -> Path:
     return nested if present(nested) else folder / nested.name
 
 
+def _require_some(folder: Path, scans: list[ScanFile]) -> None:
+    """Refuse at once what every scan would refuse for itself."""
+    if not folder.is_dir():
+        found = "not a folder" if present(folder) else "no such folder"
+        raise NoInputError(folder, found, "the folder of the labels to refine")
+    if not any(present(given_labels(folder, scan)) for scan in scans):
+        nested = output_path(Path(), scans[0].sequence, "predictions", scans[0].stem)
+        raise NoInputError(
+            folder,
+            f"no labels of any of {len(scans)} scans",
+            f"files like {nested} or {nested.name}",
+        )
+
+
 def labels_of_pixels(image: RangeImage, labels: TrainIds) -> TrainIds:
     """Give every pixel the label of its nearest point: (N,) to (H, W); 0 where empty."""
     occupied = image.point_of_pixel >= 0
@@ -128,6 +142,8 @@ def knn_refine_scans(
             )
             raise NoInputError(out, "holds no pixel_labels", remedy=remedy)
     scans = choose(scans, choice, space_of(scans, space), out)
+    if labels is not None:
+        _require_some(labels, scans)
     sensor = sensor or recorded_sensor(out)
     settings = {
         "labels": str(labels.absolute()) if labels else None,

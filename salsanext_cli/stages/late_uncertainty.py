@@ -4,9 +4,8 @@
 from __future__ import annotations
 
 import logging
-from dataclasses import asdict, fields, replace
+from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 from salsanext_cli.errors import UsageError
 from salsanext_cli.formats.layout import ScanFile, find_outputs, output_path
@@ -17,6 +16,7 @@ from salsanext_cli.stages.batch import BatchOptions, Failure
 from salsanext_cli.stages.estimator import NOISY_KINDS, Estimator
 from salsanext_cli.stages.networks import NetworkChoice
 from salsanext_cli.stages.outputs import stage_settings
+from salsanext_cli.stages.settings import Settings
 from salsanext_cli.stages.uncertainty import uncertainty_of
 
 log = logging.getLogger(__name__)
@@ -53,7 +53,7 @@ def sample_missing(
         out,
         network,
         replace(options, overwrite=False),
-        knn=_recorded_knn(earlier or {}),
+        knn=KnnParameters() if earlier is None else _recorded_knn(earlier.table("knn")),
         estimator=estimator,
         remembered=True,
     )
@@ -71,9 +71,11 @@ def _without(out: Path, scans: list[ScanFile], kind: str) -> list[ScanFile]:
     return [s for s in scans if not present(output_path(out, s.sequence, folder, s.stem))]
 
 
-def _recorded(settings: dict[str, Any]) -> Estimator:
-    known = {field.name for field in fields(Estimator)} & set(settings)
-    return Estimator(**{key: settings[key] for key in known})
+def _recorded(settings: Settings) -> Estimator:
+    method = settings["method"]
+    passes = ("samples", "seed") if method == "sampling" else ()
+    numbers = {key: settings.integer(key) for key in passes}
+    return Estimator(method, aleatoric=bool(settings["aleatoric"]), **numbers)
 
 
 def _possible(colour: str, network: NetworkChoice) -> Estimator:
@@ -85,9 +87,13 @@ def _possible(colour: str, network: NetworkChoice) -> Estimator:
     return Estimator(aleatoric=aleatoric)
 
 
-def _recorded_knn(settings: dict[str, Any]) -> KnnParameters:
-    values: dict[str, Any] = settings.get("knn") or asdict(KnnParameters())
-    return KnnParameters(**(values | {"cutoff": float(values["cutoff"])}))
+def _recorded_knn(knn: Settings) -> KnnParameters:
+    return KnnParameters(
+        k=knn.integer("k"),
+        window=knn.integer("window"),
+        sigma=knn.number("sigma"),
+        cutoff=knn.number("cutoff"),
+    )
 
 
 def _as_predicted(out: Path, network: NetworkChoice) -> NetworkChoice:
@@ -98,9 +104,9 @@ def _as_predicted(out: Path, network: NetworkChoice) -> NetworkChoice:
     if settings["weights"] != network.settings()["weights"]:
         raise UsageError(
             out,
-            f"labels by the weights {settings['weights'][:12]}… and no uncertainty yet",
+            f"labels by the weights {str(settings['weights'])[:12]}… and no uncertainty yet",
             "the same weights",
             "give them with --weights, or run `salsanext uncertainty`",
         )
-    seen = Sensor.from_dict(settings["sensor"], out / "predict.json")
+    seen = Sensor.from_dict(settings.table("sensor"), settings.path)
     return network if network.sensor else replace(network, sensor=seen)

@@ -13,8 +13,9 @@ from salsanext_cli import __version__
 from salsanext_cli.classes import LabelSpace
 from salsanext_cli.errors import OutputError
 from salsanext_cli.formats.json_files import read_json, write_json
-from salsanext_cli.formats.layout import ScanFile, find_outputs
+from salsanext_cli.formats.layout import SUFFIX_OF_FOLDER, ScanFile, find_outputs
 from salsanext_cli.sensors import Sensor, sensor
+from salsanext_cli.stages.settings import Settings
 from salsanext_cli.stages.sources import new_sources
 
 SHOWN = 3
@@ -22,10 +23,10 @@ SHOWN = 3
 RESULT_STAGES = ("project", "predict", "knn-refine", "uncertainty", "export-ply")
 
 
-def stage_settings(out: Path, stage: str) -> dict[str, Any] | None:
+def stage_settings(out: Path, stage: str) -> Settings | None:
     """Return the settings a stage ran with in this output folder, None if it did not."""
     manifest = _manifest(out, stage)
-    return None if manifest is None else dict(manifest["settings"])
+    return None if manifest is None else Settings(manifest["settings"], out / f"{stage}.json")
 
 
 def owner(out: Path, folder: str) -> str | None:
@@ -54,7 +55,10 @@ def _manifest(out: Path, stage: str) -> dict[str, Any] | None:
     path = out / f"{stage}.json"
     manifest = read_json(path)
     kinds = {"settings": dict, "writes": list}
-    if manifest and not all(isinstance(manifest.get(k), kind) for k, kind in kinds.items()):
+    if manifest is not None and not (
+        all(isinstance(manifest.get(k), kind) for k, kind in kinds.items())
+        and all(folder in [*SUFFIX_OF_FOLDER] for folder in manifest["writes"])
+    ):
         found = f"not what `{stage}` writes"
         raise OutputError(path, found, remedy="delete it or use another folder")
     return manifest
@@ -82,7 +86,7 @@ def claim(
     writes : iterable of str
         The folders of results that the stage fills.
     scans : sequence of ScanFile
-        What it works on; where they came from is remembered for later stages.
+        What it works on; that, and where they came from, is remembered for later stages.
     overwrite : bool
         Whether other settings may replace those recorded; results made with them are removed.
 
@@ -92,20 +96,16 @@ def claim(
         If the folder holds results of other settings, or of another stage, and `overwrite` is
         not set; if a sequence of the same name came from elsewhere; or if it cannot be written.
     """
-    sources = new_sources(out, scans)
     folders = sorted(writes)
     settings = as_json(settings)
     manifest = _manifest(out, stage) or {}
     recorded = manifest.get("settings", settings)
+    sources = new_sources(out, scans, stage, anew=recorded != settings)
     if recorded == settings:
         folders = sorted({*folders, *manifest.get("writes", ())})
     else:
         if not overwrite:
-            raise OutputError(
-                out / f"{stage}.json",
-                f"made with other settings: {_differences(recorded, settings)}",
-                remedy="use another output folder, or --overwrite to replace all its results",
-            )
+            require_same_settings(out / f"{stage}.json", recorded, settings)
         _remove_results(out, manifest["writes"])
     for folder in folders:
         _take_over(out, folder, stage, overwrite)
@@ -113,8 +113,20 @@ def claim(
             _require_none(out, folder)
     manifest = {"stage": stage, "version": __version__, "settings": settings, "writes": folders}
     write_json(out / f"{stage}.json", manifest)
-    for path, folder in sources.items():
-        write_json(path, {"scans": folder})
+    for path, record in sources.items():
+        write_json(path, record)
+
+
+def require_same_settings(
+    path: Path,
+    recorded: Mapping[str, Any],
+    settings: Mapping[str, Any],
+    remedy: str = "use another output folder, or --overwrite to replace all its results",
+) -> None:
+    """Refuse to mix or to replace what was made with other settings, and say which."""
+    if recorded != settings:
+        found = f"made with other settings: {_differences(recorded, settings)}"
+        raise OutputError(path, found, remedy=remedy)
 
 
 def as_json(settings: Any) -> Any:
@@ -127,15 +139,15 @@ def recorded_label_space(out: Path) -> LabelSpace | None:
     """Return the label space of the predictions in an output folder, if a stage recorded one."""
     stage = owner(out, "predictions") or owner(out, "pixel_labels")
     settings = stage_settings(out, stage) if stage else None
-    return (
-        LabelSpace.from_dict(settings["label_space"], out / f"{stage}.json") if settings else None
-    )
+    if settings is None:
+        return None
+    return LabelSpace.from_dict(settings.table("label_space"), settings.path)
 
 
 def recorded_weights(out: Path, folder: str) -> str | None:
     """Return the SHA-256 of the weights behind a folder of results, None if nobody recorded it."""
     stage = owner(out, folder)
-    settings = (stage_settings(out, stage) if stage else None) or {}
+    settings: Mapping[str, Any] = (stage_settings(out, stage) if stage else None) or {}
     if stage == "knn-refine" and settings.get("labels") is None:
         return recorded_weights(out, "pixel_labels")
     found = settings.get("weights")
@@ -147,8 +159,8 @@ def recorded_sensor(out: Path) -> Sensor:
     for folder in ("pixel_labels", "predictions", "uncertainty/epistemic", "range"):
         stage = owner(out, folder)
         settings = stage_settings(out, stage) if stage else None
-        if settings and "sensor" in settings:
-            return Sensor.from_dict(settings["sensor"], out / f"{stage}.json")
+        if settings is not None:
+            return Sensor.from_dict(settings.table("sensor"), settings.path)
     return sensor("hdl64")
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -15,14 +16,16 @@ from salsanext_cli.formats.arrays import write_array
 from salsanext_cli.formats.kitti import write_labels
 from salsanext_cli.formats.layout import ScanFile, find_outputs, output_path
 from salsanext_cli.geometry.knn import KnnParameters, knn_refine
+from salsanext_cli.geometry.sight import Sight
 from salsanext_cli.records import Float, Int
 from salsanext_cli.sensors import Sensor
 from salsanext_cli.stages.batch import BatchOptions, Outcome, run_batch
 from salsanext_cli.stages.inputs import Choice, choose, select_scans, space_of
 from salsanext_cli.stages.networks import NetworkChoice
 from salsanext_cli.stages.outputs import claim
-from salsanext_cli.stages.project import projected_sensor, read_channels, read_image
+from salsanext_cli.stages.project import projected_sensor, read_channels, read_seen
 from salsanext_cli.stages.sources import remembered_scans
+from salsanext_cli.stages.wrong_view import ViewCheck
 
 
 @dataclass(frozen=True, slots=True)
@@ -41,11 +44,11 @@ class PredictScan:
     def _path(self, file: ScanFile, folder: str) -> Path:
         return output_path(self.out, file.sequence, folder, file.stem)
 
-    def __call__(self, file: ScanFile) -> None:
-        """Read, project, classify, refine, write."""
+    def __call__(self, file: ScanFile) -> Sight:
+        """Read, project, classify, refine, write; return how much of the scan is in view."""
         network = self.network.load()
         place, space = str(network.device), network.card.space
-        image = read_image(file, network.sensor, place)
+        image, seen = read_seen(file, network.sensor, place)
         probabilities = network.probabilities(image)
         pixel_labels = most_probable(probabilities)
         labels = knn_refine(image, pixel_labels, space.class_count, self.knn, place)
@@ -55,6 +58,7 @@ class PredictScan:
             of_points = point_probabilities(probabilities, image.pixel_of_point)
             write_array(self._path(file, "probabilities"), of_points)
         write_labels(self._path(file, "predictions"), space.to_raw(labels))
+        return seen
 
 
 @dataclass(frozen=True, slots=True)
@@ -100,7 +104,7 @@ def predict(
     extras: tuple[str, ...] = (),
     choice: Choice = Choice(),
     options: BatchOptions = BatchOptions(),
-) -> Outcome[None]:
+) -> Outcome[Any]:
     """Label scans into `OUT/sequences/<seq>/predictions`.
 
     Given the output folder of `project_scans`, label its range images into `pixel_labels`
@@ -133,12 +137,15 @@ def predict(
             found = "range images are refined by knn-refine"
             raise UsageError("--knn-…", found, "the options given there")
         return _predict_images(source, out, network, extras, choice, options)
-    card = network.load().card
+    loaded = network.load()
+    card = loaded.card
     scans = select_scans(source, choice, card.space)
     settings = network.settings() | {"temperature": card.temperature, "knn": asdict(knn)}
     claim(out, "predict", settings, ("predictions", *extras), scans, overwrite=options.overwrite)
-    work = PredictScan(out, network, knn, extras)
-    return run_batch(work, scans, options, work.results_of)
+    work, check = PredictScan(out, network, knn, extras), ViewCheck(loaded.sensor)
+    outcome = run_batch(work, scans, options, work.results_of, check.add)
+    check.finish()
+    return outcome
 
 
 def _predict_images(

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import logging
+from collections.abc import Mapping
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -13,6 +14,7 @@ from salsanext_cli.errors import LabelError
 from salsanext_cli.formats.layout import ScanFile
 from salsanext_cli.stages.inputs import Choice, choose, space_of
 from salsanext_cli.stages.outputs import (
+    origins,
     owner,
     recorded_label_space,
     recorded_weights,
@@ -85,12 +87,15 @@ def space_of_results(
     return space
 
 
-def provenance(out: Path, choice: Choice) -> dict[str, Any]:
+def provenance(out: Path, choice: Choice, dataset: Path | None = None) -> dict[str, Any]:
     """Return, as plain data, what was chosen and which stage and weights made the predictions."""
     stage = owner(out, "predictions")
-    made_with = (stage_settings(out, stage) or {}) if stage else {}
+    made_with: Mapping[str, Any] = (stage_settings(out, stage) or {}) if stage else {}
     kept = {
+        "dataset": str(dataset.absolute()) if dataset else None,
+        "predictions_of": stage,
         "weights": recorded_weights(out, "predictions"),
         "temperature": made_with.get("temperature"),
+        "origins": origins(out, [stage] if stage else []),
     }
-    return asdict(choice) | {"predictions_of": stage} | kept
+    return asdict(choice) | kept

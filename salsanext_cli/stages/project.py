@@ -10,11 +10,13 @@ from salsanext_cli.formats import read_scan
 from salsanext_cli.formats.arrays import read_array, write_array
 from salsanext_cli.formats.layout import ScanFile, output_path
 from salsanext_cli.geometry.projection import project
+from salsanext_cli.geometry.sight import Sight, sight
 from salsanext_cli.records import CHANNELS, Float, RangeImage
 from salsanext_cli.sensors import Sensor
 from salsanext_cli.stages.batch import BatchOptions, Outcome, run_batch
 from salsanext_cli.stages.inputs import Choice, select_scans
 from salsanext_cli.stages.outputs import claim, stage_settings
+from salsanext_cli.stages.wrong_view import ViewCheck
 
 WRITES = ("range", "pixels")
 
@@ -30,18 +32,24 @@ class ProjectScan:
         """Return the files that are written for a scan."""
         return [output_path(self.out, file.sequence, folder, file.stem) for folder in WRITES]
 
-    def __call__(self, file: ScanFile) -> None:
-        """Read, project, write."""
-        image = read_image(file, self.sensor)
+    def __call__(self, file: ScanFile) -> Sight:
+        """Read, project, write; return how much of the scan is in view."""
+        image, seen = read_seen(file, self.sensor)
         range_path, pixels_path = self.results_of(file)
         write_array(range_path, image.channels)
         write_array(pixels_path, image.pixel_of_point)
+        return seen
 
 
 def read_image(file: ScanFile, sensor: Sensor, device: str = "cpu") -> RangeImage:
     """Read a scan and project it."""
+    return read_seen(file, sensor, device)[0]
+
+
+def read_seen(file: ScanFile, sensor: Sensor, device: str = "cpu") -> tuple[RangeImage, Sight]:
+    """Read a scan and project it; return how much of it is in view, too."""
     scan = read_scan(file.path, intensity_scale=sensor.intensity_scale)
-    return project(scan, sensor, device)
+    return project(scan, sensor, device), sight(scan, sensor)
 
 
 def read_channels(path: Path, sensor: Sensor) -> Float:
@@ -54,7 +62,9 @@ def read_channels(path: Path, sensor: Sensor) -> Float:
 def projected_sensor(folder: Path) -> Sensor | None:
     """Return the sensor of the range images in an output folder, None if it holds none."""
     settings = stage_settings(folder, "project")
-    return Sensor.from_dict(settings["sensor"], folder / "project.json") if settings else None
+    if settings is None:
+        return None
+    return Sensor.from_dict(settings.table("sensor"), settings.path)
 
 
 def project_scans(
@@ -64,7 +74,7 @@ def project_scans(
     sensor: Sensor,
     choice: Choice = Choice(),
     options: BatchOptions = BatchOptions(),
-) -> Outcome[None]:
+) -> Outcome[Sight]:
     """Project scans to `OUT/sequences/<seq>/range` and `pixels`.
 
     Parameters
@@ -86,5 +96,7 @@ def project_scans(
     scans = select_scans(source, choice)
     settings = {"sensor": sensor.to_dict()}
     claim(out, "project", settings, WRITES, scans, overwrite=options.overwrite)
-    work = ProjectScan(out, sensor)
-    return run_batch(work, scans, options, work.results_of)
+    work, check = ProjectScan(out, sensor), ViewCheck(sensor)
+    outcome = run_batch(work, scans, options, work.results_of, check.add)
+    check.finish()
+    return outcome

@@ -1,21 +1,36 @@
 # SPDX-License-Identifier: MIT
-"""Where the scans came from whose results an output folder holds."""
+"""Where the scans came from whose results an output folder holds, and which were asked for."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 from salsanext_cli.errors import NoInputError, OutputError
 from salsanext_cli.formats.json_files import read_json
 from salsanext_cli.formats.layout import SUFFIX_OF_FOLDER, ScanFile, find_outputs, find_scans
 
 SOURCE = "source.json"
+ASKED = "asked_for"
 
 
-def new_sources(out: Path, scans: Sequence[ScanFile]) -> dict[Path, str]:
-    """Return what to record of where scans come from.
+def new_sources(
+    out: Path, scans: Sequence[ScanFile], stage: str, *, anew: bool = False
+) -> dict[Path, dict[str, Any]]:
+    """Return what to record of where scans come from, and of which scans a stage was asked for.
+
+    Parameters
+    ----------
+    out : Path
+        The output folder.
+    scans : sequence of ScanFile
+        What the stage works on; added to what it was asked for before.
+    stage : str
+        Its name.
+    anew : bool
+        Whether its earlier results are removed, so that only these scans count.
 
     Raises
     ------
@@ -23,20 +38,42 @@ def new_sources(out: Path, scans: Sequence[ScanFile]) -> dict[Path, str]:
         If a sequence of that name came from another folder: the results would overwrite each
         other.
     """
-    new: dict[Path, str] = {}
-    for sequence, folder in sorted({(scan.sequence, str(scan.path.parent)) for scan in scans}):
+    records: dict[Path, dict[str, Any]] = {}
+    for (sequence, folder), stems in _stems_by_folder(scans).items():
         path = out / "sequences" / sequence / SOURCE
-        recorded = new.get(path) or (read_json(path) or {}).get("scans")
-        if recorded not in (None, folder):
+        recorded = records.get(path) or _record(path)
+        if recorded.get("scans", folder) != folder:
             raise OutputError(
                 path,
-                f"sequence {sequence} came from {recorded}",
+                f"sequence {sequence} came from {recorded['scans']}",
                 f"scans from there, not from {folder}",
                 "use another output folder",
             )
-        if recorded is None:
-            new[path] = folder
-    return new
+        asked = recorded.get(ASKED, {})
+        before = () if anew else asked.get(stage, ())
+        records[path] = {"scans": folder, ASKED: asked | {stage: sorted({*before, *stems})}}
+    return {path: record for path, record in records.items() if record != _record(path)}
+
+
+def _stems_by_folder(scans: Sequence[ScanFile]) -> dict[tuple[str, str], list[str]]:
+    found: dict[tuple[str, str], list[str]] = {}
+    for scan in scans:
+        found.setdefault((scan.sequence, str(scan.path.parent)), []).append(scan.stem)
+    return dict(sorted(found.items()))
+
+
+def _record(path: Path) -> dict[str, Any]:
+    record = read_json(path) or {}
+    asked = record.get(ASKED, {})
+    if not isinstance(asked, dict) or not all(isinstance(stems, list) for stems in asked.values()):
+        raise OutputError(path, "damaged", f"{ASKED}: names of scans by stage", "delete it")
+    return record
+
+
+def asked_for(out: Path, sequence: str) -> dict[str, set[str]]:
+    """Return the stems of the scans that each stage was asked for; without stages not recorded."""
+    record = _record(out / "sequences" / sequence / SOURCE)
+    return {stage: set(stems) for stage, stems in record.get(ASKED, {}).items()}
 
 
 def remembered_scans(

@@ -21,7 +21,7 @@ from salsanext_cli.formats.layout import ScanFile, find_scans
 from salsanext_cli.network.architectures import build
 from salsanext_cli.network.inference import choose_device
 from salsanext_cli.network.salsanext import SalsaNext
-from salsanext_cli.network.weights import WeightsCard, fingerprint, read_weights
+from salsanext_cli.network.weights import WeightsCard, fingerprint, identity, read_weights
 from salsanext_cli.sensors import Sensor
 from salsanext_cli.sensors import sensor as preset_sensor
 from salsanext_cli.stages.batch import worker_count
@@ -193,12 +193,31 @@ def _class_counts(
     sensor: Sensor,
     jobs: int,
 ) -> npt.NDArray[np.int64]:
-    """Return points per class of the training split; all scans are checked once per run folder."""
-    path = run / CLASS_COUNTS
-    known = read_json(path)
-    if known is not None and all(isinstance(known.get(name), int) for name in space.names):
-        return np.array([known[name] for name in space.names], np.int64)
+    """Return points per class of the training split; all scans are checked once per run folder.
+
+    They are checked and counted anew when a file of scans or labels has changed since.
+    """
+    path, files = run / CLASS_COUNTS, _state_of_files([*training, *validation])
+    known = read_json(path) or {}
+    counted = known.get("points")
+    if (
+        known.get("files") == files
+        and isinstance(counted, dict)
+        and counted.keys() == {*space.names}
+    ):
+        return np.array([counted[name] for name in space.names], np.int64)
     count_classes(validation, space, sensor, jobs)
     counts = count_classes(training, space, sensor, jobs)
-    write_json(path, dict(zip(space.names, counts.tolist(), strict=True)))
+    points = dict(zip(space.names, counts.tolist(), strict=True))
+    write_json(path, {"files": files, "points": points})
     return counts
+
+
+def _state_of_files(scans: Sequence[ScanFile]) -> str:
+    """Return a digest of size and time of every scan and its labels, which tells edited ones."""
+    digest = hashlib.sha256()
+    for path in (path for scan in scans for path in (scan.path, scan.label_path)):
+        # Not where it lies: a data set may move.
+        _, _, *state = identity(path) or (None, None)
+        digest.update(f"{state}\n".encode())
+    return digest.hexdigest()[:16]

@@ -14,6 +14,7 @@ from salsanext_cli.formats.arrays import write_array
 from salsanext_cli.formats.kitti import write_labels
 from salsanext_cli.formats.layout import ScanFile, output_path
 from salsanext_cli.geometry.knn import KnnParameters, knn_refine
+from salsanext_cli.geometry.sight import Sight
 from salsanext_cli.records import Float, Int
 from salsanext_cli.sensors import Sensor
 from salsanext_cli.stages.batch import BatchOptions, Outcome, run_batch
@@ -28,7 +29,8 @@ from salsanext_cli.stages.outputs import (
     stage_settings,
 )
 from salsanext_cli.stages.predict import most_probable
-from salsanext_cli.stages.project import read_image
+from salsanext_cli.stages.project import read_seen
+from salsanext_cli.stages.wrong_view import ViewCheck
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,11 +50,11 @@ class UncertaintyOfScan:
     def _path(self, file: ScanFile, folder: str) -> Path:
         return output_path(self.out, file.sequence, folder, file.stem)
 
-    def __call__(self, file: ScanFile) -> None:
-        """Read, project, estimate, refine, write."""
+    def __call__(self, file: ScanFile) -> Sight:
+        """Read, project, estimate, refine, write; return how much of the scan is in view."""
         network = self.network.load()
         place, space = str(network.device), network.card.space
-        image = read_image(file, network.sensor, place)
+        image, seen = read_seen(file, network.sensor, place)
         estimated = self.estimator.estimate(network, image, file)
         for kind in self.estimator.kinds:
             of_pixels = getattr(estimated.uncertainty, kind)
@@ -62,6 +64,7 @@ class UncertaintyOfScan:
             pixel_labels = most_probable(estimated.probabilities)
             labels = knn_refine(image, pixel_labels, space.class_count, self.knn, place)
             write_labels(self._path(file, "predictions"), space.to_raw(labels))
+        return seen
 
 
 def _require_same_network(out: Path, settings: dict[str, Any]) -> None:
@@ -101,7 +104,7 @@ def uncertainty(
     estimator: Estimator = Estimator(),
     choice: Choice = Choice(),
     options: BatchOptions = BatchOptions(),
-) -> Outcome[None]:
+) -> Outcome[Any]:
     """Estimate uncertainty into `OUT/sequences/<seq>/uncertainty/<kind>`.
 
     The labels of the mean softmax go to `predictions`, unless another stage keeps its
@@ -140,7 +143,7 @@ def uncertainty_of(
     knn: KnnParameters = KnnParameters(),
     estimator: Estimator = Estimator(),
     remembered: bool = False,
-) -> Outcome[None]:
+) -> Outcome[Any]:
     """Do what `uncertainty` does, to scans already chosen, maybe because `out` remembers them."""
     estimator.require(network.load())
     settings = network.settings() | {"knn": asdict(knn)} | estimator.settings()
@@ -151,4 +154,7 @@ def uncertainty_of(
     sources = () if remembered else scans
     claim(out, "uncertainty", settings, writes, sources, overwrite=options.overwrite)
     work = UncertaintyOfScan(out, network, knn, estimator, writes)
-    return run_batch(work, scans, options, work.results_of)
+    check = ViewCheck(network.load().sensor)
+    outcome = run_batch(work, scans, options, work.results_of, check.add)
+    check.finish()
+    return outcome

@@ -105,8 +105,25 @@ def test_eval_prints_a_table_and_writes_scores(run, predicted):
     assert "mean" in result.stdout.lower()
     assert (predicted / "scores.txt").exists()
     assert "eval: 2 scans" in result.stderr
-    scores = only_json(run("eval", "--out", predicted, "--json"))
-    assert scores["scans"] == 2
+    again = ("eval", "--out", predicted, "--split", "valid", "--json")
+    assert only_json(run(*again))["scans"] == 2
+
+
+def test_eval_with_other_settings_needs_overwrite(run, predicted, data, weights):
+    assert run("eval", "--out", predicted, "--limit", 1).exit_code == 0
+    before = (predicted / "eval.json").read_bytes()
+    for other in ((), ("--limit", 2), ("--limit", 1, "--by-distance"), ("--dataset", data)):
+        result = run("eval", "--out", predicted, *other)
+        assert result.exit_code == 1
+        assert "eval.json · made with other settings" in result.stderr
+        assert result.stderr.count("\n") == 1
+    assert (predicted / "eval.json").read_bytes() == before
+    assert run("eval", "--out", predicted, "--overwrite").exit_code == 0
+    knn = ("--knn-k", 3, "--overwrite", "--weights", weights, "--device", "cpu")
+    assert run("predict", data, predicted, *knn).exit_code == 0
+    result = run("eval", "--out", predicted)
+    assert result.exit_code == 1
+    assert "what `predict` made was made anew" in result.stderr
 
 
 def test_eval_prints_what_uncertainty_is_worth(run, data, weights, tmp_path):
@@ -139,6 +156,33 @@ def test_eval_of_an_incomplete_run_is_status_one(run, predicted):
     result = run("eval", "--out", predicted)
     assert result.exit_code == 1
     assert "1 of 2 scans have no predictions" in result.stderr
+
+
+@pytest.mark.parametrize("command", ["eval", "export-ply"])
+def test_scans_left_out_on_purpose_are_counted_and_no_failure(
+    run, data, weights, tmp_path, command
+):
+    out = tmp_path / "out"
+    network = ("--weights", weights, "--device", "cpu")
+    assert run("predict", data, out, "--limit", 1, *network).exit_code == 0
+    result = run(command, "--out", out)
+    assert result.exit_code == 0, result.output
+    assert f"{command}: 1 scans, 1 not asked for have no" in result.stderr
+    assert "error" not in result.stderr
+    found = only_json(run(command, "--out", out, "--json"))
+    assert (found["missing"], found["not_asked_for"]) == ([], 1)
+
+
+@pytest.mark.parametrize("command", ["eval", "export-ply"])
+def test_scans_that_should_have_results_are_status_one(run, predicted, command):
+    (predicted / "sequences/08/predictions/000001.label").unlink()
+    result = run(command, "--out", predicted, "-q")
+    assert result.exit_code == 1
+    assert result.stderr.startswith("error: 1 of 2 scans have no ")
+    assert result.stderr.endswith("the first is 08/000001\n")
+    found = only_json(run(command, "--out", predicted, "--json"))
+    assert [Path(path).name for path in found["missing"]] == ["000001.bin"]
+    assert run("export-ply", "--out", predicted, "--limit", 1).exit_code == 0
 
 
 def test_eval_names_labels_of_another_number(run, predicted, data):
@@ -335,6 +379,17 @@ def test_import_weights_and_predict_with_them(run, data, weights, tmp_path):
     assert "exists" in again.stderr
     assert run("import-weights", weights, half, "--overwrite", "-q").exit_code == 0
     assert run("predict", data, tmp_path / "out", "--weights", half).exit_code == 0
+
+
+@pytest.mark.parametrize("option", [("--dropout", 0.2), ("--label-space", "semantic-kitti")])
+def test_import_weights_takes_nothing_that_our_weights_say_themselves(
+    run, weights, tmp_path, option
+):
+    result = run("import-weights", weights, tmp_path / "w.safetensors", *option)
+    assert result.exit_code == 2
+    assert f"{option[0]} · {weights} says for itself" in result.stderr
+    assert f"leave {option[0]} out" in result.stderr
+    assert not (tmp_path / "w.safetensors").exists()
 
 
 def test_import_weights_of_a_checkpoint_that_runs_something(run, tmp_path):

@@ -127,10 +127,6 @@ def test_the_official_text_is_sorted_yaml_with_every_digit():
     assert yaml.safe_load(text)["iou_on: road"] == pytest.approx(0.5)
 
 
-def test_the_comma_line_ends_with_mean_and_accuracy():
-    assert of([(1, 1), (1, 2), (1, 3), (2, 2)]).comma_line() == "0.333,0.500,0.000,0.278,0.500"
-
-
 def test_json_holds_null_for_what_is_absent():
     plain = json.loads(json.dumps(of([(1, 1)]).to_dict(), allow_nan=False))
     assert plain["classes"][0] == {

@@ -7,8 +7,9 @@ import numpy as np
 import pytest
 import yaml
 from evaluated import CAR, MOVING_CAR, ROAD, SPACE, UNKNOWN, World
+from scans import files_below
 
-from salsanext_cli.errors import LabelError, NoInputError
+from salsanext_cli.errors import LabelError, NoInputError, OutputError
 from salsanext_cli.formats.json_files import write_json
 from salsanext_cli.formats.layout import find_scans
 from salsanext_cli.measures.confusion import Confusion
@@ -88,7 +89,7 @@ def test_missing_predictions_are_listed_and_do_not_fail(world, caplog):
     world.add("000000", [CAR], [CAR])
     world.add("000001", [ROAD], None)
     evaluation = world.evaluate()
-    assert [scan.stem for scan in evaluation.missing] == ["000001"]
+    assert [scan.stem for scan in evaluation.absent.missing] == ["000001"]
     assert not evaluation.failures
     assert evaluation.scans == 1
     assert evaluation.scores.points == 1
@@ -174,7 +175,7 @@ def test_rings_need_a_scan_of_as_many_points(world):
     world.add("000001", [CAR], [CAR])
     shutil.copy(*(world.dataset / "sequences/08/velodyne" / f"00000{i}.bin" for i in (1, 0)))
     assert not world.evaluate().failures
-    (failure,) = world.evaluate(by_distance=True).failures
+    (failure,) = world.evaluate(by_distance=True, overwrite=True).failures
     assert failure.scan.stem == "000000"
 
 
@@ -182,7 +183,7 @@ def test_files_are_complete_and_replace_earlier_ones(world):
     world.add("000000", [CAR], [CAR])
     world.evaluate()
     world.add("000001", [CAR], [ROAD])
-    world.evaluate(by_distance=True)
+    world.evaluate(by_distance=True, overwrite=True)
     names = {path.name for path in world.out.iterdir() if path.is_file()}
     assert names == {"scores.txt", "eval.json", "eval_iou.png", "eval_confusion.png"}
     assert yaml.safe_load((world.out / "scores.txt").read_text())["iou_car"] == pytest.approx(0.5)
@@ -194,6 +195,34 @@ def test_files_are_complete_and_replace_earlier_ones(world):
     assert report["by_distance"]["0–10 m"]["points"] == 2
     assert np.sum(report["confusion"]) == 2
     assert report["classes"] == list(SPACE.names)
+
+
+def test_more_predictions_may_be_evaluated_with_the_same_settings(world):
+    world.add("000000", [CAR], [CAR])
+    world.evaluate()
+    world.add("000001", [CAR], [ROAD])
+    assert world.evaluate().scans == 2
+    assert json.loads((world.out / "eval.json").read_text())["scans"] == 2
+
+
+def test_the_result_of_other_settings_stays(world):
+    world.add("000000", [CAR], [CAR])
+    world.evaluate()
+    before = files_below(world.out)
+    with pytest.raises(OutputError, match=r"eval\.json.*by_distance was false and is true"):
+        world.evaluate(by_distance=True)
+    assert files_below(world.out) == before
+    world.evaluate(by_distance=True, overwrite=True)
+    assert json.loads((world.out / "eval.json").read_text())["by_distance"]
+
+
+@pytest.mark.parametrize("text", ["{}", '{"settings": 3}'])
+def test_what_eval_did_not_write_stays(world, text):
+    world.add("000000", [CAR], [CAR])
+    (world.out / "eval.json").write_text(text)
+    with pytest.raises(OutputError, match=r"eval\.json · not what `eval` writes"):
+        world.evaluate()
+    assert world.evaluate(overwrite=True).scans == 1
 
 
 def test_counts_add_up_and_lists_join(world):

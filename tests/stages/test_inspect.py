@@ -7,6 +7,7 @@ from rich.console import Console
 from scans import SMALL, make_scan, write_sequence
 
 from salsanext_cli.classes import label_space
+from salsanext_cli.errors import NoInputError
 from salsanext_cli.formats.kitti import write_bin
 from salsanext_cli.geometry.projection import project
 from salsanext_cli.records import Scan
@@ -54,3 +55,29 @@ def test_a_noise_that_is_not_known_is_left_out_of_the_file(tmp_path):
     write_sensor(tmp_path / "quiet.toml", replace(SMALL, range_noise=None))
     written = sensor(tmp_path / "quiet.toml")
     assert (written.range_noise, written.intensity_noise) == (None, SMALL.intensity_noise)
+
+
+@pytest.mark.parametrize(
+    ("points", "found"),
+    [
+        (np.zeros((2000, 3)), r"0 points with a measurement · expected 1000 or more"),
+        (np.array([[5, 1, -1]]), r"1 points with a measurement · expected 1000 or more"),
+        (make_scan(999).points, r"999 points"),
+        (
+            make_scan(2000).points * [1, 1, 0.01],
+            r"a field of view of 0\.\d\d°.* expected 1° or more",
+        ),
+    ],
+)
+def test_what_is_no_picture_of_a_field_of_view_is_not_fitted(tmp_path, points, found):
+    scan = Scan(points.astype(np.float32), np.zeros(len(points), np.float32))
+    write_bin(tmp_path / "scans/0.bin", scan)
+    inspection = inspect(tmp_path / "scans", sensor=SMALL, fit=True)
+    with pytest.raises(NoInputError, match=found):
+        inspection.fitted_sensor("mine")
+
+
+def test_a_thousand_points_make_a_fit(tmp_path):
+    write_bin(tmp_path / "scans/0.bin", make_scan(1000))
+    fitted = inspect(tmp_path / "scans", sensor=SMALL, fit=True).fitted_sensor("mine")
+    assert fitted.fov_up - fitted.fov_down > 20

@@ -180,3 +180,18 @@ def test_ones_own_network_between_project_and_knn_refine(world):
         write_array(world.result("pixel_labels", sequence, stem), np.full((16, 128), 9, np.uint8))
     assert knn_refine_scans(world.out).done == 3
     assert set(world.labels()) == {40}
+
+
+def test_a_folder_without_labels_is_named_once(world, truth, tmp_path):
+    (tmp_path / "empty").mkdir()
+    (tmp_path / "file").touch()
+    for name, found in (
+        ("typo", "no such folder"),
+        ("file", "not a folder"),
+        ("empty", r"no labels of any of 3 scans · expected files like .*00/predictions/000000"),
+    ):
+        with pytest.raises(NoInputError, match=rf"{name} · {found}"):
+            refine(world, tmp_path / name)
+    assert not world.out.exists()
+    (truth / "sequences/08/predictions/000001.label").unlink()
+    assert [f.scan.stem for f in refine(world, truth).failures] == ["000001"]

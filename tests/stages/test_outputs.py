@@ -102,7 +102,11 @@ def test_an_infinite_setting_is_recorded_as_json_can(tmp_path):
 
 @pytest.mark.parametrize(
     "content",
-    [b"{", b"[]", b"\xff\xfe", b"null", b'{"settings": {}}', b'{"writes": []}'],
+    [
+        *(b"{", b"[]", b"\xff\xfe", b"null", b"{}", b'{"settings": {}}', b'{"writes": []}'),
+        b'{"settings": {}, "writes": ["elsewhere"]}',
+        b'{"settings": {}, "writes": [[]]}',
+    ],
 )
 def test_damaged_records_are_named(tmp_path, content):
     (tmp_path / "predict.json").write_bytes(content)

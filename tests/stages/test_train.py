@@ -171,11 +171,32 @@ def test_class_weights_come_from_the_training_split(
 
     monkeypatch.setattr(Learner, "of", classmethod(spy))
     go(dataset, tmp_path / "run", recipe=TINY.with_changes(epochs=1))
-    counts = json.loads((tmp_path / "run" / "class_counts.json").read_text())
+    counts = json.loads((tmp_path / "run" / "class_counts.json").read_text())["points"]
     assert sum(counts.values()) == 3 * 600
     space = label_space()
     expected = class_weights(np.array([counts[n] for n in space.names]), space.scored)
     assert torch.equal(seen[0], expected)
+
+
+def test_labels_edited_since_they_were_counted_are_counted_again(
+    dataset: Path, tmp_path: Path
+) -> None:
+    recipe = TINY.with_changes(epochs=1)
+    go(dataset, tmp_path / "run", recipe=recipe)
+    counted = tmp_path / "run" / "class_counts.json"
+    before = counted.read_bytes()
+    go(dataset, tmp_path / "run", recipe=recipe)
+    assert counted.read_bytes() == before
+    path = dataset / "sequences" / "00" / "labels" / "1.label"
+    write_labels(path, np.full(600, 40, np.uint32))
+    go(dataset, tmp_path / "run", recipe=recipe)
+    change = (
+        json.loads(counted.read_text())["points"]["road"] - json.loads(before)["points"]["road"]
+    )
+    assert change > 300
+    write_labels(path, np.full(600, 77, np.uint32))
+    with pytest.raises(LabelError, match=r"1\.label · unknown label ids 77"):
+        go(dataset, tmp_path / "run", recipe=recipe)
 
 
 def tiny_weights(path: Path, space: LabelSpace) -> Path:

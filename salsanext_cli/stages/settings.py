@@ -1,0 +1,60 @@
+# SPDX-License-Identifier: MIT
+"""The settings that a stage recorded, as later stages read them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from salsanext_cli.errors import OutputError
+
+
+class Settings(dict[str, Any]):
+    """Settings read back from `OUT/<stage>.json`; what was cut out of the file is named.
+
+    Parameters
+    ----------
+    values : mapping
+        The settings.
+    path : Path
+        The file that they were read from.
+    """
+
+    def __init__(self, values: Mapping[str, Any], path: Path) -> None:
+        super().__init__(values)
+        self.path = path
+
+    def __missing__(self, key: str) -> Any:
+        raise self._wrong(f"settings lack {key}", "what the stage wrote")
+
+    def table(self, key: str) -> Settings:
+        """Return a setting that is itself a mapping."""
+        value = self[key]
+        if not isinstance(value, dict):
+            raise self._wrong(f"settings have {key} {value!r}", "a JSON object")
+        return Settings(value, self.path)
+
+    def integer(self, key: str) -> int:
+        """Return a setting that is a whole number."""
+        value = self[key]
+        if type(value) is not int:
+            raise self._wrong(f"settings have {key} {value!r}", "a whole number")
+        return value
+
+    def number(self, key: str) -> float:
+        """Return a setting that is a number; an infinite one is text in JSON."""
+        value = self[key]
+        if type(value) not in (int, float) and value != "Infinity":
+            raise self._wrong(f"settings have {key} {value!r}", "a number")
+        return float(value)
+
+    def pair(self, key: str) -> tuple[float, float]:
+        """Return a setting that is two numbers."""
+        value = self[key]
+        if not isinstance(value, list) or [type(v) in (int, float) for v in value] != [True, True]:
+            raise self._wrong(f"settings have {key} {value!r}", "two numbers")
+        return float(value[0]), float(value[1])
+
+    def _wrong(self, found: str, expected: str) -> OutputError:
+        return OutputError(self.path, found, expected, "delete it or use another folder")

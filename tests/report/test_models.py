@@ -1,0 +1,26 @@
+# SPDX-License-Identifier: MIT
+from rich.console import Console
+from scans import write_weights
+
+from salsanext_cli.report.models import card_table
+from salsanext_cli.stages.models import describe_weights
+
+
+def test_scores_are_rounded_and_say_what_they_are_of(tmp_path):
+    card = dict(describe_weights(write_weights(tmp_path / "w.safetensors")))
+    card["scores"] = {"miou": 0.6926549546490874, "iou_[red]": 0.5, "epoch": 20}
+    console = Console(width=200)
+    with console.capture() as capture:
+        console.print(card_table(card))
+    (line,) = (line for line in capture.get().splitlines() if "scores of" in line)
+    assert "scores of the scans that chose the weights" in line
+    assert "miou 0.693, iou_[red] 0.500, epoch 20 " in line
+
+
+def test_weights_without_scores(tmp_path):
+    card = describe_weights(write_weights(tmp_path / "w.safetensors"))
+    console = Console(width=200)
+    with console.capture() as capture:
+        console.print(card_table(card))
+    (line,) = (line for line in capture.get().splitlines() if "scores of" in line)
+    assert "–" in line
