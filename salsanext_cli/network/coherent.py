@@ -47,7 +47,8 @@ def _conv2d(
         box = torch.full((channels, 1, *window), 1 / window.numel()).to(variance)
         variance = F.conv2d(variance, box, None, stride, padding, dilation, channels)
     together = weight.sum(dim=(2, 3), keepdim=True).square()
-    return x.like(mean, F.conv2d(variance, together, groups=groups))
+    # Some backends convolve through transforms, whose rounding can fall below 0.
+    return x.like(mean, F.conv2d(variance, together, groups=groups).clamp_(min=0))
 
 
 def _avg_pool2d(x: Coherent, kernel: int, stride: int, padding: int, *count: Any) -> Coherent:
