@@ -87,13 +87,14 @@ class Uncertainty:
     Attributes
     ----------
     epistemic : float32
-        Variance of the softmax over passes, mean over classes (paper III-C.2); 0…0.25.
+        Variance of the softmax over passes, mean over classes (paper III-C.2); 0…(1 - 1/C)/C.
     entropy : float32
         Predictive entropy of the mean softmax in nats; 0…ln C.
     mutual_information : float32
         Entropy of the mean softmax minus mean entropy of the passes in nats; 0…ln C.
     aleatoric : float32, optional
-        Variance of the softmax by the sensor's noise, mean over classes; 0…0.25.
+        Variance of the softmax by the sensor's noise, mean over classes; 0…(1 - 1/C)/C. It ranks
+        points; its scale is far too small.
     """
 
     epistemic: Float

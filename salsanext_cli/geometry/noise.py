@@ -58,6 +58,6 @@ def noise_of(sensor: Sensor) -> tuple[float, float]:
             f"sensor {sensor.name}",
             "its noise is not known",
             "range_noise in metres and intensity_noise",
-            "write them into a sensor's .toml and give it with --sensor, or say --no-aleatoric",
+            "write both into a sensor's .toml and give it with --sensor",
         )
     return sensor.range_noise, sensor.intensity_noise

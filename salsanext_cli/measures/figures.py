@@ -18,10 +18,10 @@ from salsanext_cli.measures.calibration import (
 from salsanext_cli.measures.confusion import Ratios
 from salsanext_cli.measures.correlation import spearman
 from salsanext_cli.measures.distance import RING_NAMES
-from salsanext_cli.measures.ranking import Ranking
+from salsanext_cli.measures.ranking import Ranking, highest_of_bins
 from salsanext_cli.measures.reliability import Reliability, reliability
 from salsanext_cli.measures.scores import plain
-from salsanext_cli.measures.selection import RankingScores, ranking_scores, risk_at
+from salsanext_cli.measures.selection import RankingScores, ranking_scores, risk_at, threshold_at
 from salsanext_cli.measures.tally import Tally
 
 COVERAGE = np.arange(1, 101) / 100
@@ -85,6 +85,8 @@ class UncertaintyFigures:
         Number of scans with points, and of points without a value.
     risk : (100,) float64
         Share of wrong points among the least uncertain 1 %, 2 %, … 100 %.
+    thresholds : (100,) float64
+        The uncertainty up to which these points go, at most 1 % too large.
     classes : dict of int to RankingScores
         By train id of the true class.
     rings : dict of str to RankingScores
@@ -98,6 +100,7 @@ class UncertaintyFigures:
     scans: int
     left_out: int
     risk: Ratios
+    thresholds: Ratios
     classes: dict[int, RankingScores]
     rings: dict[str, RankingScores]
     correlation: float
@@ -110,6 +113,7 @@ class UncertaintyFigures:
             **_plain_scores(self.scores),
             "class_size_correlation": plain(self.correlation),
             "risk_coverage": [plain(risk) for risk in self.risk.tolist()],
+            "thresholds": [plain(threshold) for threshold in self.thresholds.tolist()],
             **_plain_groups(self.classes, self.rings, space),
         }
 
@@ -158,6 +162,7 @@ def uncertainty_figures(
         scans=by_class.scans,
         left_out=by_class.left_out,
         risk=risk_at(right, wrong, COVERAGE),
+        thresholds=threshold_at(right, wrong, COVERAGE, highest_of_bins()),
         classes=_of_groups(ranking_scores, by_class, _scored(space)),
         rings=_of_rings(ranking_scores, by_ring),
         correlation=spearman(by_class.means[present], by_class.points[present]),

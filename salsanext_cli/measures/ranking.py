@@ -35,6 +35,14 @@ def bin_of(uncertainty: npt.NDArray[Any]) -> npt.NDArray[np.intp]:
     return bins
 
 
+def highest_of_bins() -> Ratios:
+    """Return the largest float32 that each bin holds, (BINS,) float64; the last is open."""
+    next_key = (np.arange(BINS, dtype=np.int32) + FIRST) << SHIFT
+    highest: Ratios = (next_key - 1).view(np.float32).astype(np.float64)
+    highest[-1] = np.inf
+    return highest
+
+
 class Ranking(Tally):
     """Counts by uncertainty; adding two gives the counts of both.
 

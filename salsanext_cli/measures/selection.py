@@ -135,6 +135,34 @@ def risk_at(right: Counts, wrong: Counts, coverage: npt.NDArray[np.float64]) -> 
     return risk
 
 
+def threshold_at(
+    right: Counts, wrong: Counts, coverage: npt.NDArray[np.float64], highest: Ratios
+) -> Ratios:
+    """Return the least uncertainty up to which at least a share of the points is kept.
+
+    Parameters
+    ----------
+    right, wrong : (B,) int64
+        Points in bins of ascending uncertainty.
+    coverage : (K,) float64
+        Shares of the points, above 0.
+    highest : (B,) float64
+        The largest uncertainty of each bin.
+
+    Returns
+    -------
+    (K,) float64
+        Upper end of the bin in which the share is reached; NaN without points.
+    """
+    reached = (right + wrong).cumsum()
+    if not reached[-1]:
+        return np.full(coverage.shape, np.nan)
+    # A share such as 0.07 of 100 points is 7.000000000000001 of them.
+    wanted = np.ceil(coverage * reached[-1] - 1e-6)
+    thresholds: Ratios = highest[np.searchsorted(reached, wanted)]
+    return thresholds
+
+
 EULER = 0.5772156649015329
 SERIES_FROM = 16
 """From here on the asymptotic series of the harmonic numbers is exact to the last digit."""

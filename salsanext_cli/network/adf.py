@@ -84,11 +84,15 @@ class Gaussian:
 
     def __add__(self, other: Gaussian) -> Self:
         """Add independent Gaussians: Var = v₁ + v₂."""
+        if not isinstance(other, Gaussian):
+            return NotImplemented
         return self.like(self.mean + other.mean, self.variance + other.variance)
 
-    def __mul__(self, factor: Tensor) -> Self:
+    def __mul__(self, factor: Tensor | float) -> Self:
         """Scale by known factors, such as the mask of a dropout: Var = k² v."""
-        return self.like(self.mean * factor, self.variance * factor.square())
+        if isinstance(factor, Gaussian):
+            raise NotImplementedError("no rule for the moments of mul")
+        return self.like(self.mean * factor, self.variance * factor**2)
 
     def softmax(self, dim: int) -> Self:
         """Return the moments of the softmax over a dimension."""

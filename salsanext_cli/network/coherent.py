@@ -23,7 +23,9 @@ class Coherent(Gaussian):
     ----------
     mean, variance : (B, C, H, W) Tensor
         As of `Gaussian`. At a pixel, the neighbours of its window are taken to have its window's
-        mean variance.
+        mean variance, and the image to go on beyond its border; the numbers that a pixel
+        shuffle makes neighbours are taken to move together too. It is an estimate, to be judged by
+        how it ranks.
     """
 
     __slots__ = ()
@@ -45,16 +47,19 @@ def _conv2d(
     if weight.shape[2:].numel() > 1:
         channels, window = variance.shape[1], weight.shape[2:]
         box = torch.full((channels, 1, *window), 1 / window.numel()).to(variance)
+        within = F.conv2d(torch.ones_like(variance), box, None, stride, padding, dilation, channels)
         variance = F.conv2d(variance, box, None, stride, padding, dilation, channels)
+        # Low levels may have windows all of which lies outside.
+        variance = variance / within.clamp(min=0.5 / window.numel())
     together = weight.sum(dim=(2, 3), keepdim=True).square()
     # Some backends convolve through transforms, whose rounding can fall below 0.
     return x.like(mean, F.conv2d(variance, together, groups=groups).clamp_(min=0))
 
 
 def _avg_pool2d(x: Coherent, kernel: int, stride: int, padding: int, *count: Any) -> Coherent:
-    """Var = Σv / k²: averaging equal deviations leaves them as they are."""
+    """Var = (Σ√v / k²)²: deviations add up, those outside of the image being 0."""
     pooled = Gaussian.RULES[F.avg_pool2d](x, kernel, stride, padding, *count)
-    return x.like(pooled.mean, pooled.variance * kernel**2)
+    return x.like(pooled.mean, F.avg_pool2d(x.variance.sqrt(), kernel, stride, padding).square())
 
 
 def _dropout2d(x: Coherent, p: float, training: bool, inplace: bool = False) -> Coherent:

@@ -120,7 +120,8 @@ def _softmax(m: Tensor, v: Tensor) -> tuple[Tensor, Tensor]:
     total = probability.sum(dim=0)
     others = _but_one(probability, probability.masked_fill(is_best, 0), is_best)
     share = variance / complement.clamp(min=SMALLEST)
-    return probability / total, share * others / total.square()
+    mean, rest = probability / total, others / total
+    return mean, _consistent(mean, share * rest / total).minimum(mean * rest)
 
 
 def _lead(m: Tensor, v: Tensor, is_best: Tensor) -> tuple[Tensor, Tensor]:
@@ -137,6 +138,20 @@ def _lead(m: Tensor, v: Tensor, is_best: Tensor) -> tuple[Tensor, Tensor]:
     shift = 0.5 * (weighted - variance).clamp(min=0)
     lead = (m - torch.where(is_best, second, top)) - total.log()
     return lead - shift / (1 + DAMPING * shift).sqrt(), variance + v
+
+
+def _consistent(mean: Tensor, variance: Tensor) -> Tensor:
+    """Raise the variance of the likeliest class to what the others' sum demands.
+
+    The classes sum to 1, so that one cannot vary by more than all others together. Where it seems
+    to, a sum of the others that is taken as log-normal has hidden it from the class they rival.
+    """
+    deviation = variance.sqrt()
+    most, loudest = deviation.max(dim=0, keepdim=True)
+    lacking = (2 * most - deviation.sum(dim=0, keepdim=True)).clamp(min=0)
+    others = mean.scatter(0, loudest, -1.0)
+    likeliest = others.argmax(dim=0, keepdim=True)
+    return (deviation.scatter_add(0, likeliest, lacking)).square()
 
 
 def _but_one(values: Tensor, rest: Tensor, is_best: Tensor) -> Tensor:

@@ -19,8 +19,8 @@ from salsanext_cli.records import Float, RangeImage, Uncertainty
 
 log = logging.getLogger(__name__)
 
-AT_ONCE = 64 * 1024
-"""Pixels that a CPU works on at once; more passes side by side only leave its cache."""
+AT_ONCE = {"cpu": 64 * 1024, "cuda": 16 * 64 * 2048}
+"""Pixels of passes side by side: on a CPU more only leave its cache, a GPU has enough to do."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -145,10 +145,9 @@ def _passes(
 
 
 def _most_at_once(features: Tensor, samples: int) -> int:
-    """Return how many passes to try side by side: on a GPU, all."""
-    if features.device.type != "cpu":
-        return samples
-    return max(1, min(samples, AT_ONCE // features.shape[-2:].numel()))
+    """Return how many passes to try side by side."""
+    pixels = features.shape[-2:].numel()
+    return max(1, min(samples, AT_ONCE[features.device.type] // pixels))
 
 
 def _run(module: SalsaNext, features: tuple[Tensor, Tensor], seeds: Sequence[int]) -> Tensor:
@@ -160,16 +159,22 @@ def _run(module: SalsaNext, features: tuple[Tensor, Tensor], seeds: Sequence[int
 
 def require_sampling(network: Network, samples: int) -> None:
     """Raise what `sample` raises, before any scan is read."""
+    require_samples(samples)
+    require_dropout(network)
+
+
+def require_samples(samples: int) -> None:
+    """Raise `UsageError` for less than two passes."""
     if samples < 2:
         raise UsageError("--samples", str(samples), "at least 2: one pass has no variance")
-    require_dropout(network)
 
 
 def require_dropout(network: Network) -> None:
     """Raise `WeightsError` if a network drops nothing, and so knows no epistemic uncertainty."""
     if not dropouts(network.module):
         found = "a network without dropout"
-        raise WeightsError("weights", found, "a dropout rate above 0", "train with dropout")
+        remedy = "`salsanext tune dropout` finds one"
+        raise WeightsError("weights", found, "a dropout rate above 0", remedy)
 
 
 def pass_seed(seed: int, number: int) -> int:

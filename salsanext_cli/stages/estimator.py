@@ -15,11 +15,12 @@ from salsanext_cli.network.inference import Network
 from salsanext_cli.network.sampling import (
     Sampled,
     require_dropout,
-    require_sampling,
+    require_samples,
     sample,
     scan_seed,
 )
 from salsanext_cli.records import RangeImage
+from salsanext_cli.sensors import Sensor
 
 KINDS = ("epistemic", "entropy", "mutual_information")
 NOISY_KINDS = ("aleatoric", "total")
@@ -51,21 +52,21 @@ class Estimator:
     def __post_init__(self) -> None:
         if self.method not in METHODS:
             raise UsageError("--method", self.method, " or ".join(METHODS))
+        require_samples(self.samples)
 
     @property
     def kinds(self) -> tuple[str, ...]:
         """Kinds of uncertainty that are estimated."""
         return (*KINDS, *NOISY_KINDS) if self.aleatoric else KINDS
 
-    def settings(self) -> dict[str, Any]:
-        """Return what the results depend on."""
+    def settings(self, sensor: Sensor) -> dict[str, Any]:
+        """Return what the results depend on besides the network and what it sees."""
         passes = {"samples": self.samples, "seed": self.seed} if self.method == "sampling" else {}
-        return {"method": self.method, "aleatoric": self.aleatoric, **passes}
+        noise = {"noise": noise_of(sensor)} if self.aleatoric else {}
+        return {"method": self.method, "aleatoric": self.aleatoric, **passes, **noise}
 
     def require(self, network: Network) -> None:
         """Raise what `estimate` raises, before any scan is read."""
-        if self.method == "sampling":
-            require_sampling(network, self.samples)
         require_dropout(network)
         if self.aleatoric:
             noise_of(network.sensor)

@@ -30,7 +30,7 @@ from salsanext_cli.stages.clouds import (
     with_results,
 )
 from salsanext_cli.stages.inputs import Choice, choose
-from salsanext_cli.stages.late_uncertainty import sample_missing
+from salsanext_cli.stages.late_uncertainty import estimate_missing
 from salsanext_cli.stages.networks import NetworkChoice
 from salsanext_cli.stages.outputs import (
     claim,
@@ -160,7 +160,7 @@ def export_ply(
     absent.complain(len(chosen), "results")
     unsampled: dict[ScanFile, Failure] = {}
     if colour in ("uncertainty", *UNCERTAINTY):
-        colour, unsampled = sample_missing(out, scans, colour, network, options)
+        colour, unsampled = estimate_missing(out, scans, colour, network, options)
     _require_some(out, scans, colour)
     intensity_scale = recorded_sensor(out).intensity_scale
     if scale is None:

@@ -11,7 +11,7 @@ from salsanext_cli.errors import UsageError
 from salsanext_cli.formats.layout import ScanFile, find_outputs, output_path
 from salsanext_cli.formats.reading import present
 from salsanext_cli.geometry.knn import KnnParameters
-from salsanext_cli.sensors import Sensor
+from salsanext_cli.sensors import Sensor, presets
 from salsanext_cli.stages.batch import BatchOptions, Failure
 from salsanext_cli.stages.estimator import NOISY_KINDS, Estimator
 from salsanext_cli.stages.networks import NetworkChoice
@@ -22,7 +22,7 @@ from salsanext_cli.stages.uncertainty import uncertainty_of
 log = logging.getLogger(__name__)
 
 
-def sample_missing(
+def estimate_missing(
     out: Path, scans: list[ScanFile], colour: str, network: NetworkChoice, options: BatchOptions
 ) -> tuple[str, dict[ScanFile, Failure]]:
     """Estimate the uncertainty of scans that lack it, as that of the others was estimated.
@@ -75,7 +75,7 @@ def _recorded(settings: Settings) -> Estimator:
     method = settings["method"]
     passes = ("samples", "seed") if method == "sampling" else ()
     numbers = {key: settings.integer(key) for key in passes}
-    return Estimator(method, aleatoric=bool(settings["aleatoric"]), **numbers)
+    return Estimator(method, aleatoric=settings.flag("aleatoric"), **numbers)
 
 
 def _possible(colour: str, network: NetworkChoice) -> Estimator:
@@ -109,4 +109,10 @@ def _as_predicted(out: Path, network: NetworkChoice) -> NetworkChoice:
             "give them with --weights, or run `salsanext uncertainty`",
         )
     seen = Sensor.from_dict(settings.table("sensor"), settings.path)
-    return network if network.sensor else replace(network, sensor=seen)
+    return network if network.sensor else replace(network, sensor=_with_noise(seen, network))
+
+
+def _with_noise(seen: Sensor, network: NetworkChoice) -> Sensor:
+    """Return the sensor, of which `predict` recorded only the view, with its noise if known."""
+    known = (network.load().sensor, presets().get(seen.name))
+    return next((sensor for sensor in known if sensor and sensor.view() == seen.view()), seen)

@@ -44,7 +44,7 @@ class NetworkChoice:
         return {
             "weights": fingerprint(self.weights or default_weights()),
             "label_space": network.card.space.to_dict(),
-            "sensor": network.sensor.to_dict(),
+            "sensor": {"name": network.sensor.name, **network.sensor.view()},
         }
 
 

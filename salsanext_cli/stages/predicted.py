@@ -24,6 +24,9 @@ from salsanext_cli.stages.sources import remembered_scans
 
 log = logging.getLogger(__name__)
 
+DOUBTS = ("method", "samples", "seed", "noise", "weights")
+"""What a report says of how uncertainties were estimated."""
+
 
 def predicted_scans(
     out: Path,
@@ -90,12 +93,15 @@ def space_of_results(
 def provenance(out: Path, choice: Choice, dataset: Path | None = None) -> dict[str, Any]:
     """Return, as plain data, what was chosen and which stage and weights made the predictions."""
     stage = owner(out, "predictions")
-    made_with: Mapping[str, Any] = (stage_settings(out, stage) or {}) if stage else {}
+    softmax: Mapping[str, Any] = stage_settings(out, "predict") or {}
+    doubts = stage_settings(out, "uncertainty")
+    made_by = sorted({*([stage] if stage else []), *(["uncertainty"] if doubts else [])})
     kept = {
         "dataset": str(dataset.absolute()) if dataset else None,
         "predictions_of": stage,
         "weights": recorded_weights(out, "predictions"),
-        "temperature": made_with.get("temperature"),
-        "origins": origins(out, [stage] if stage else []),
+        "temperature": softmax.get("temperature"),
+        "uncertainty": {key: doubts[key] for key in DOUBTS if key in doubts} if doubts else None,
+        "origins": origins(out, made_by),
     }
     return asdict(choice) | kept

@@ -35,6 +35,13 @@ class Settings(dict[str, Any]):
             raise self._wrong(f"settings have {key} {value!r}", "a JSON object")
         return Settings(value, self.path)
 
+    def flag(self, key: str) -> bool:
+        """Return a setting that is true or false."""
+        value = self[key]
+        if type(value) is not bool:
+            raise self._wrong(f"settings have {key} {value!r}", "true or false")
+        return value
+
     def integer(self, key: str) -> int:
         """Return a setting that is a whole number."""
         value = self[key]

@@ -13,7 +13,9 @@ import numpy as np
 import numpy.typing as npt
 
 from salsanext_cli.errors import TrainingError
+from salsanext_cli.geometry.noise import noise_of
 from salsanext_cli.network.aleatoric import aleatoric
+from salsanext_cli.network.dropout import dropouts
 from salsanext_cli.network.inference import Network, with_dropout
 from salsanext_cli.network.sampling import require_sampling, sample, scan_seed
 from salsanext_cli.network.weights import default_weights, save_with_card
@@ -114,6 +116,7 @@ def tune_dropout(
     loaded = network.load()
     candidates = [with_dropout(loaded, rate) for rate in rates]
     require_sampling(candidates[0], samples)
+    noise_of(loaded.sensor)
     scans, space = labelled_scans(dataset, choice, loaded.card)
     require_target(target, overwrite)
     require_free(curve_of(target), overwrite)
@@ -132,13 +135,13 @@ def tune_dropout(
         raise nothing_counts(dataset, space)
     objectives = _means(dataset, sums, points)
     best = int(np.argmin(objectives))
+    rate_curve(curve_of(target), rates, objectives, rates[best])
     if best in (0, len(rates) - 1):
         edge = ("--lowest", "--highest")[best > 0]
         log.warning("the best rate, %g, is the last of the range: move %s", rates[best], edge)
     source = network.weights or default_weights()
-    rate_curve(curve_of(target), rates, objectives, rates[best])
     save_with_card(source, target, candidates[best].card)
-    before = float(loaded.card.architecture.get("dropout", math.nan))
+    before = max((layer.rate for layer in dropouts(loaded.module)), default=0.0)
     return TunedDropout(before, rates[best], tuple(rates), tuple(objectives), len(scans), points)
 
 

@@ -146,7 +146,7 @@ def uncertainty_of(
 ) -> Outcome[Any]:
     """Do what `uncertainty` does, to scans already chosen, maybe because `out` remembers them."""
     estimator.require(network.load())
-    settings = network.settings() | {"knn": asdict(knn)} | estimator.settings()
+    settings = network.settings() | {"knn": asdict(knn)} | estimator.settings(network.load().sensor)
     folders = tuple(f"uncertainty/{kind}" for kind in estimator.kinds)
     labels_too = owner(out, "predictions") in (None, "uncertainty")
     writes = (*folders, "predictions") if labels_too else folders

@@ -10,8 +10,15 @@ from hypothesis import strategies as st
 from sklearn.metrics import average_precision_score, roc_auc_score
 
 from salsanext_cli.measures.calibration import Calibration
-from salsanext_cli.measures.ranking import BINS, HIGHEST, LOWEST, Ranking, bin_of
-from salsanext_cli.measures.selection import ranking_scores, risk_at
+from salsanext_cli.measures.ranking import (
+    BINS,
+    HIGHEST,
+    LOWEST,
+    Ranking,
+    bin_of,
+    highest_of_bins,
+)
+from salsanext_cli.measures.selection import ranking_scores, risk_at, threshold_at
 
 LEVELS = (0.0, 2.0**-48, 1e-9, 2.0**-10, 0.3, 1.0, 1.0078125, 7.0, 255.0)
 """Uncertainties of which no two share a bin."""
@@ -220,3 +227,19 @@ def test_what_does_not_fit_is_refused():
     with pytest.raises(TypeError):
         Ranking.none(1) + Calibration.none(1)
     assert Ranking.none(1) != Calibration.none(1)
+
+
+def test_thresholds_keep_the_share_that_they_say():
+    random = np.random.default_rng(3)
+    values = random.lognormal(-4, 1.5, 5000).astype(np.float32)
+    wrong = random.random(5000) < 0.2
+    counts = Ranking.none(1).update(values, wrong, np.zeros(5000, np.intp)).total().counts[:, 0]
+    coverage = np.arange(1, 101) / 100
+    thresholds = threshold_at(*counts, coverage, highest_of_bins())
+    kept = (values[:, None] <= thresholds).mean(axis=0)
+    assert (kept >= coverage - 1e-9).all()
+    exact = np.sort(values)[np.ceil(coverage * 5000 - 1e-6).astype(int) - 1]
+    np.testing.assert_array_less(exact, thresholds + 1e-12)
+    assert (thresholds <= exact * 1.01).all()
+    nothing = np.zeros_like(counts)
+    assert np.isnan(threshold_at(*nothing, coverage, highest_of_bins())).all()

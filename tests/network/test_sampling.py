@@ -13,7 +13,7 @@ from salsanext_cli.network.aleatoric import aleatoric
 from salsanext_cli.network.analytic import analyse
 from salsanext_cli.network.dropout import ChannelDropout, dropouts, sampling
 from salsanext_cli.network.inference import load_network
-from salsanext_cli.network.sampling import Moments, entropy, pass_seed, sample, scan_seed
+from salsanext_cli.network.sampling import AT_ONCE, Moments, entropy, pass_seed, sample, scan_seed
 
 SAMPLES = 4
 ROUNDING = {"rtol": 2e-4, "atol": 1e-8}
@@ -115,7 +115,7 @@ def test_neither_order_nor_global_generator_matters(network, image, sampled):
 
 @pytest.mark.parametrize("pixels", [1, 3 * 16 * 128, 10**9])
 def test_how_many_passes_run_at_once_only_rounds(network, image, sampled, monkeypatch, pixels):
-    monkeypatch.setattr("salsanext_cli.network.sampling.AT_ONCE", pixels)
+    monkeypatch.setitem(AT_ONCE, "cpu", pixels)
     again = sample(network, image, samples=SAMPLES, seed=5)
     np.testing.assert_allclose(again.probabilities, sampled.probabilities, **ROUNDING)
     np.testing.assert_allclose(again.variance, sampled.variance, **ROUNDING)

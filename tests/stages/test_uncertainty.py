@@ -136,7 +136,7 @@ def test_a_network_without_dropout_is_refused(world, tmp_path):
 
 
 def test_the_analytic_way_needs_neither_passes_nor_seed(world):
-    assert run(world, method="analytic", samples=0).done == 3
+    assert run(world, method="analytic").done == 3
     network = world.network.load()
     image = project(read_scan(world.scan("08", "000001")), SMALL)
     expected = analyse(network, image).uncertainty
