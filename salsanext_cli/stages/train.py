@@ -20,7 +20,7 @@ from salsanext_cli.formats.json_files import read_json, write_json
 from salsanext_cli.formats.layout import ScanFile, find_scans
 from salsanext_cli.network.architectures import build
 from salsanext_cli.network.inference import choose_device
-from salsanext_cli.network.salsanext import SalsaNext
+from salsanext_cli.network.segmentation import SegmentationNetwork
 from salsanext_cli.network.weights import WeightsCard, fingerprint, read_weights
 from salsanext_cli.sensors import Sensor
 from salsanext_cli.sensors import sensor as preset_sensor
@@ -141,7 +141,7 @@ def _scans_of(dataset: Path, space: LabelSpace, split: str) -> list[ScanFile]:
 
 def _start(
     weights: Path | None, space: LabelSpace, recipe: Recipe
-) -> tuple[SalsaNext, dict[str, Any], Sensor]:
+) -> tuple[SegmentationNetwork, dict[str, Any], Sensor]:
     """Return the network before training, its architecture and the sensor it knows."""
     architecture = {
         "name": "salsanext",
