@@ -19,7 +19,7 @@ from torch import Tensor
 
 from salsanext_cli.network.segmentation import SegmentationNetwork
 
-SIDE = 4096
+SIDE = 2048
 """Pixels of the square image in whose middle is measured; no edge may be in sight."""
 
 Spans = npt.NDArray[np.int64]

@@ -41,7 +41,7 @@ def _cells(network: Mapping[str, Any]) -> tuple[str, ...]:
     paper = network["paper"]
     marks = ("" if network["agrees"] else "*") + ("" if paper["determined"] else "†")
     height, width = network["receptive_field"]
-    flops = f"({paper['flops'] or '–'} G)"
+    flops = f"({paper['flops']} G)" if paper["flops"] else "(–)"
     return (
         network["name"] + marks,
         f"{network['parameters']:,} ({paper['parameters']} M)",

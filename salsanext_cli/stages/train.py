@@ -144,13 +144,13 @@ def _start(
 ) -> tuple[SegmentationNetwork, dict[str, Any], Sensor]:
     """Return the network before training, its architecture and the sensor it knows."""
     architecture = {
-        "name": "salsanext",
+        "name": recipe.architecture,
         "class_count": space.class_count,
         "dropout": recipe.dropout,
     }
     with torch.random.fork_rng([]):
         torch.manual_seed(recipe.seed)
-        module = build(architecture)
+        module = build(architecture, "recipe key architecture")
     if weights is None:
         return module, architecture, preset_sensor(DEFAULT_SENSOR)
     trained, card = read_weights(weights)
@@ -158,8 +158,16 @@ def _start(
         raise WeightsError(
             weights, f"trained for the classes of {card.space.name}", f"those of {space.name}"
         )
+    if _shapes(trained) != _shapes(module):
+        name = card.architecture["name"]
+        remedy = f'set architecture = "{name}" in the recipe'
+        raise WeightsError(weights, f"of a {name}", f"of a {recipe.architecture}", remedy)
     module.load_state_dict(trained.state_dict())
     return module, architecture, card.sensor
+
+
+def _shapes(module: SegmentationNetwork) -> dict[str, torch.Size]:
+    return {name: tensor.shape for name, tensor in module.state_dict().items()}
 
 
 def _describe(dataset: Path) -> str:
