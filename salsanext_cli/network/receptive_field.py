@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, ClassVar
+from typing import Any, ClassVar, Self
 
 import numpy as np
 import numpy.typing as npt
@@ -31,8 +31,7 @@ def receptive_field(network: SegmentationNetwork) -> tuple[int, int]:
 
     The largest, where it differs between the pixels of a cell of the coarsest level.
     """
-    lines = np.stack([np.arange(SIDE)] * 2)
-    image: Any = Reach(lines, lines)
+    image: Any = Reach.of(SIDE, SIDE)
     reach: Any = network.rest(*network.trunk(image))
     middle = [slice(SIDE // 2, SIDE // 2 + step) for step in network.stride]
     spans = (axis[:, part] for axis, part in zip((reach.rows, reach.columns), middle, strict=True))
@@ -55,6 +54,16 @@ class Reach:
 
     rows: Spans
     columns: Spans
+
+    @classmethod
+    def of(cls, height: int, width: int) -> Self:
+        """Return that of an image, each line of which depends on itself."""
+        return cls(*(np.stack([np.arange(n)] * 2) for n in (height, width)))
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """Height and width."""
+        return self.rows.shape[1], self.columns.shape[1]
 
     @classmethod
     def __torch_function__(

@@ -2,6 +2,7 @@
 import pytest
 import torch
 from counting import COUNTS
+from torch.utils.flop_counter import FlopCounterMode
 
 from salsanext_cli.network.architectures import ARCHITECTURES, build
 from salsanext_cli.network.cost import multiply_accumulates, parameter_count
@@ -28,6 +29,16 @@ def test_every_network_has_its_row():
 
 def test_costs_are_those_of_arithmetic(costs):
     assert costs == COUNTS
+
+
+@pytest.mark.parametrize("name", ["salsanext", "salsanet", "rangenet53"])
+def test_multiply_accumulates_are_those_that_torch_counts(name):
+    """Of an image that must be padded."""
+    with torch.device("meta"):
+        module = build({"name": name}).eval()
+    with FlopCounterMode(display=False) as counter:
+        module(torch.empty(1, 5, 20, 100, device="meta"))
+    assert multiply_accumulates(module, 20, 100) == counter.get_total_flops() // 2
 
 
 @pytest.mark.parametrize(
