@@ -38,6 +38,11 @@ def network(name):
     with torch.random.fork_rng([]), torch.inference_mode(False):
         torch.manual_seed(0)
         module = lively(build(architecture))
+    if name == "rangenet53":
+        # Dozens of residual blocks would make logits of 100 000, which training never does.
+        for key, values in module.state_dict().items():
+            if key.endswith("wide.1.weight"):
+                values.fill_(0.1)
     card = WeightsCard(architecture, SPACE, SMALL)
     return Network(module, card, SMALL, torch.device("cpu"))
 
@@ -131,7 +136,7 @@ def test_dropout_in_one_pass(name, image):
     assert np.isfinite(found.variance).all()
     assert found.uncertainty.epistemic.min() >= 0
     assert found.uncertainty.epistemic.max() > 0
-    hardly = analyse(with_dropout(network(name), 1e-9), image)
+    hardly = analyse(with_dropout(network(name), 1e-12), image)
     np.testing.assert_allclose(hardly.probabilities, network(name).probabilities(image), atol=1e-4)
 
 
