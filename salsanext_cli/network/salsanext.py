@@ -3,6 +3,8 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
+
 from torch import Tensor, nn
 
 from salsanext_cli.network.blocks import ResidualBlock
@@ -33,35 +35,44 @@ class SalsaNext(SegmentationNetwork):
         self.levels = len(design.raised)
         self.stride = (2**self.levels, 2**self.levels)
         self.certain = 2 if design.central else 1
-        width = len(CHANNELS)
-        context = []
-        for block in design.context:
-            context.append(block(width, CONTEXT_WIDTH))
-            width = CONTEXT_WIDTH
-        self.context = nn.Sequential(*context)
-        for number, outputs in enumerate(design.widths, 1):
-            self.add_module(f"block{number}", ResidualBlock(width, outputs, design.stack))
-            width = outputs
-        for number, channels in enumerate(design.widths[:-1], 1):
-            rate = 0.0 if number < self.certain else dropout
-            self.add_module(f"down{number}", design.pooling(channels, rate))
+        # In this order, so that a seed goes on giving the weights that it gave.
+        width = self._add_context(design)
+        width = self._add_encoder(design, width, dropout)
+        width = self._add_decoder(design, width, dropout)
+        self.logits = nn.Conv2d(width, class_count, 1)
+
+    def _add_context(self, design: Design) -> int:
+        widths = [len(CHANNELS), *(CONTEXT_WIDTH for _ in design.context)]
+        blocks = zip(design.context, pairwise(widths), strict=True)
+        self.context = nn.Sequential(*(make(*channels) for make, channels in blocks))
+        return widths[-1]
+
+    def _add_encoder(self, design: Design, width: int, dropout: float) -> int:
+        widths = (width, *design.widths)
+        for number, channels in enumerate(pairwise(widths), 1):
+            self.add_module(f"block{number}", ResidualBlock(*channels, design.stack))
+        for number, outputs in enumerate(design.widths[:-1], 1):
+            rate = dropout if number >= self.certain else 0.0
+            self.add_module(f"down{number}", design.pooling(outputs, rate))
         self.bottom = ChannelDropout(dropout)
-        skips = reversed(design.widths[:-1])
+        return widths[-1]
+
+    def _add_decoder(self, design: Design, width: int, dropout: float) -> int:
+        raising, skips = design.raising, reversed(design.widths[:-1])
         for number, (skip, outputs) in enumerate(zip(skips, design.raised, strict=True), 1):
             rate = 0.0 if design.central and number == self.levels else dropout
-            raising = design.raising
             module, joined = raising.module(width, skip), raising.joined(width, skip)
             up = raising.block(module, joined, outputs, design.fusing, rate)
             self.add_module(f"up{number}", up)
             width = outputs
-        self.logits = nn.Conv2d(width, class_count, 1)
+        return width
 
     def trunk(self, image: Tensor) -> tuple[Tensor, ...]:
         """Compute everything before the first dropout: the same for every Monte-Carlo pass.
 
         Takes (B, 5, H, W) with H and W divisible by `stride`; returns the features of the first
-        block, and of the second where the first has no dropout: (B, 64, H, W) and
-        (B, 128, H/2, W/2).
+        block and, where the first level has no dropout, of the second: of the paper's second
+        version (B, 64, H, W) and (B, 128, H/2, W/2).
         """
         features = [self._block(1, self.context(image))]
         if self.certain == 2:
