@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import torch
+from torch import nn
 
 from salsanext_cli.classes import LabelSpace, label_space
 from salsanext_cli.formats.kitti import write_bin, write_labels
@@ -59,7 +60,7 @@ def write_sequence(
     return folder
 
 
-def lively(module: SalsaNext, seed: int = 0) -> SalsaNext:
+def lively(module: nn.Module, seed: int = 0) -> nn.Module:
     """Give an untrained network the statistics and logits of one that tells classes apart."""
     random = torch.Generator().manual_seed(seed)
     for name, values in module.state_dict().items():

@@ -27,6 +27,7 @@ from salsanext_cli.cli.app import COMMANDS, app
 from salsanext_cli.formats.kitti import write_bin
 from salsanext_cli.formats.layout import SCAN_SUFFIXES, SUFFIX_OF_FOLDER
 from salsanext_cli.sensors import Sensor
+from salsanext_cli.stages.models import models
 from salsanext_cli.training import recipe
 from salsanext_cli.training.recipe import Recipe
 
@@ -182,6 +183,7 @@ def test_no_python_block_is_left_out():
 READERS: dict[tuple[str, str], Callable[[str], object]] = {
     ("sensors.md", "toml"): lambda body: Sensor.from_dict({"name": "x", **tomllib.loads(body)}),
     ("train.md", "toml"): lambda body: Recipe.from_dict(tomllib.loads(body)),
+    ("models.md", "toml"): lambda body: Recipe.from_dict(tomllib.loads(body)),
     ("label-spaces.md", "yaml"): lambda body: LabelSpace.from_dict(yaml.safe_load(body)),
     ("data.md", "json"): json.loads,
 }
@@ -210,6 +212,28 @@ def test_the_sensors_shown_are_the_presets():
         name: (s.fov_up, s.fov_down, s.height, s.width, s.intensity_scale, s.range_noise)
         for name, s in sensors.presets().items()
     }
+
+
+def test_the_networks_shown_are_those_counted():
+    def brackets(*parts: str | None) -> str:
+        return f" ({', '.join(part for part in parts if part)})" if any(parts) else ""
+
+    page = text_of("docs/models.md")
+    rows = re.findall(r"^\| `(\S+)` \| [^|]+ \| (.+) \|$", page, re.MULTILINE)
+    shown = {name: [cell.strip() for cell in cells.split("|")] for name, cells in rows}
+    counted = {}
+    for model in models():
+        paper = model.paper
+        of_table = (paper.miou_pixels, paper.miou)
+        mious = of_table if any(of_table) else (f"test {paper.miou_test}",)
+        counted[model.name] = [
+            f"{model.parameters:,}".replace(",", " ") + f" ({paper.parameters} M)",
+            f"{model.multiply_accumulates / 1e9:.2f}"
+            + brackets(paper.flops and f"{paper.flops} GFLOPs"),
+            "×".join(map(str, model.receptive_field)),
+            brackets(*mious).strip() if paper.flops else "",
+        ]
+    assert shown == counted
 
 
 def test_the_recipes_shown_are_the_presets_and_their_defaults():

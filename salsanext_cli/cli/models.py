@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: MIT
 """`salsanext models`."""
 
+from dataclasses import asdict
 from pathlib import Path
 from typing import Annotated
 
@@ -19,7 +20,7 @@ def models(
     verbose: options.Verbose = False,
     quiet: options.Quiet = False,
 ) -> None:
-    """List the networks and what they cost; say what weights files are.
+    """List the networks, what they cost and what the papers print; say what weights files are.
 
     Example: salsanext models runs/street/best.safetensors
     """
@@ -33,9 +34,6 @@ def models(
     talk = console.Talk(json, verbose, quiet)
     found = count()
     described = [describe_weights(path) for path in weights or [default_weights()]]
-    listed = [
-        {"name": m.name, "parameters": m.parameters, "multiply_accumulates": m.multiply_accumulates}
-        for m in found
-    ]
+    listed = [asdict(model) for model in found]
     tables = Group(network_table(listed), *map(card_table, described))
     talk.result({"models": listed, "weights": described}, tables)

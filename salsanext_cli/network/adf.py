@@ -108,14 +108,18 @@ def propagate(network: Callable[..., Any], *inputs: Kind) -> Kind:
     return outputs
 
 
-def _conv2d(
-    x: Gaussian, weight: Tensor, bias: Tensor | None = None, *geometry: Any, **more: Any
-) -> Gaussian:
-    """Var = W² ∗ v."""
-    mean = F.conv2d(x.mean, weight, bias, *geometry, **more)
-    variance = F.conv2d(x.variance, weight.square(), None, *geometry, **more)
-    # Convolving by way of a transform can round a certain 0 to less.
-    return x.like(mean, variance.clamp_(min=0))
+def _linear(function: Callable[..., Tensor]) -> Callable[..., Gaussian]:
+    """Return the rule of a convolution, transposed or not: Var = W² ∗ v."""
+
+    def rule(
+        x: Gaussian, weight: Tensor, bias: Tensor | None = None, *geometry: Any, **more: Any
+    ) -> Gaussian:
+        mean = function(x.mean, weight, bias, *geometry, **more)
+        variance = function(x.variance, weight.square(), None, *geometry, **more)
+        # Convolving by way of a transform can round a certain 0 to less.
+        return x.like(mean, variance.clamp_(min=0))
+
+    return rule
 
 
 def _batch_norm(
@@ -176,7 +180,8 @@ def _moved(function: Callable[..., Tensor]) -> Callable[..., Gaussian]:
 
 
 Gaussian.RULES = {
-    F.conv2d: _conv2d,
+    F.conv2d: _linear(F.conv2d),
+    F.conv_transpose2d: _linear(F.conv_transpose2d),
     F.batch_norm: _batch_norm,
     F.leaky_relu: _leaky_relu,
     F.avg_pool2d: _avg_pool2d,

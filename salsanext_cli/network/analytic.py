@@ -8,7 +8,6 @@ import torch
 from salsanext_cli.network.adf import propagate
 from salsanext_cli.network.coherent import Coherent
 from salsanext_cli.network.inference import Network
-from salsanext_cli.network.salsanext import pad
 from salsanext_cli.network.sampling import Sampled, as_array, entropy, require_dropout
 from salsanext_cli.records import RangeImage, Uncertainty
 
@@ -35,7 +34,7 @@ def analyse(network: Network, image: RangeImage) -> Sampled:
         If the network drops nothing.
     """
     require_dropout(network)
-    certain = network.module.trunk(pad(network.input(image.channels)))
+    certain = network.module.trunk(network.module.pad(network.input(image.channels)))
     features = (Coherent(f, torch.zeros_like(f)) for f in certain)
     logits = propagate(network.module.rest, *features)[..., : image.height, : image.width]
     softmax = logits.softmax(dim=1)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""The building blocks of SalsaNext (paper III-B, Figure 2).
+"""The building blocks of SalsaNext's encoder, and of SalsaNet's (paper III-B, Figure 2).
 
 Every block is a plain composition of elementary modules, so that another view of the same
 network, such as one that propagates variances, can be derived from it instead of written again.
@@ -7,12 +7,17 @@ network, such as one that propagates variances, can be derived from it instead o
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from itertools import pairwise
+
 import torch
 from torch import Tensor, nn
 
 from salsanext_cli.network.dropout import ChannelDropout
 
 SLOPE = 0.01
+Stack = Callable[[int, int], nn.Module]
+"""What makes a size preserving part of a block from its numbers of channels, in and out."""
 
 
 class Unit(nn.Sequential):
@@ -53,6 +58,20 @@ class ContextBlock(nn.Module):
         return context
 
 
+class PlainContextBlock(nn.Module):
+    """The context of the paper's first version: s + second(first(x)), nothing dilated."""
+
+    def __init__(self, inputs: int, outputs: int) -> None:
+        super().__init__()
+        self.shortcut = Shortcut(inputs, outputs)
+        self.local = UnitChain(inputs, outputs, 2)
+
+    def forward(self, x: Tensor) -> Tensor:
+        """Map (B, in, H, W) to (B, out, H, W)."""
+        context: Tensor = self.shortcut(x) + self.local(x)
+        return context
+
+
 class DilatedStack(nn.Module):
     """Receptive fields 3, 7 and 9 concatenated, then fused by a 1×1 unit."""
 
@@ -72,13 +91,29 @@ class DilatedStack(nn.Module):
         return fused
 
 
-class ResidualBlock(nn.Module):
-    """Residual dilated convolutions: shortcut(x) + stack(x)."""
+class UnitChain(nn.Sequential):
+    """3×3 units in a row, as in a ResNet."""
 
-    def __init__(self, inputs: int, outputs: int) -> None:
+    def __init__(self, inputs: int, outputs: int, length: int) -> None:
+        widths = (inputs, *(length * [outputs]))
+        super().__init__(*(Unit(a, b, 3) for a, b in pairwise(widths)))
+
+
+class ResidualBlock(nn.Module):
+    """shortcut(x) + stack(x), by default of dilated convolutions.
+
+    Parameters
+    ----------
+    inputs, outputs : int
+        Channels.
+    stack : callable
+        Makes what lies beside the shortcut from inputs and outputs.
+    """
+
+    def __init__(self, inputs: int, outputs: int, stack: Stack = DilatedStack) -> None:
         super().__init__()
         self.shortcut = Shortcut(inputs, outputs)
-        self.stack = DilatedStack(inputs, outputs)
+        self.stack = stack(inputs, outputs)
 
     def forward(self, x: Tensor) -> Tensor:
         """Map (B, in, H, W) to (B, out, H, W)."""
@@ -93,19 +128,9 @@ class Down(nn.Sequential):
         super().__init__(ChannelDropout(dropout), nn.AvgPool2d(3, stride=2, padding=1))
 
 
-class UpBlock(nn.Module):
-    """Pixel shuffle ×2, skip connection, dilated stack; channel dropout around each."""
+class StridedDown(nn.Sequential):
+    """Channel dropout → 3×3 convolution, stride 2: (B, C, H, W) → (B, C, H/2, W/2)."""
 
-    def __init__(self, inputs: int, skip: int, outputs: int, dropout: float) -> None:
-        super().__init__()
-        self.shuffle = nn.PixelShuffle(2)
-        self.dropout_shuffled = ChannelDropout(dropout)
-        self.dropout_joined = ChannelDropout(dropout)
-        self.stack = DilatedStack(inputs // 4 + skip, outputs)
-        self.dropout_fused = ChannelDropout(dropout)
-
-    def forward(self, x: Tensor, skip: Tensor) -> Tensor:
-        """Map (B, in, H, W) and (B, skip, 2H, 2W) to (B, out, 2H, 2W)."""
-        joined = torch.cat((self.dropout_shuffled(self.shuffle(x)), skip), dim=1)
-        raised: Tensor = self.dropout_fused(self.stack(self.dropout_joined(joined)))
-        return raised
+    def __init__(self, channels: int, dropout: float) -> None:
+        convolution = nn.Conv2d(channels, channels, 3, stride=2, padding=1)
+        super().__init__(ChannelDropout(dropout), convolution)

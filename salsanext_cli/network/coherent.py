@@ -7,6 +7,8 @@ average out, as independent noise would.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from itertools import product
 from typing import Any, ClassVar
 
 import torch
@@ -56,6 +58,37 @@ def _conv2d(
     return x.like(mean, F.conv2d(variance, together, groups=groups).clamp_(min=0))
 
 
+def _conv_transpose2d(
+    x: Coherent,
+    weight: Tensor,
+    bias: Tensor | None = None,
+    stride: Sequence[int] = (1, 1),
+    padding: Sequence[int] = (0, 0),
+    output_padding: Sequence[int] = (0, 0),
+    groups: int = 1,
+    dilation: Any = 1,
+) -> Coherent:
+    """Var = (Σ W)² ∗ v, the sum over those of the window's weights that meet at a pixel.
+
+    They differ between the stride² positions of a pixel in its cell, so each is summed apart.
+    """
+    geometry = (stride, padding, output_padding)
+    mean = F.conv_transpose2d(x.mean, weight, bias, *geometry, groups, dilation)
+    channels = weight.shape[0]
+    ones = torch.ones((channels, 1, *weight.shape[2:])).to(weight)
+    total = F.conv_transpose2d(x.variance, ones, None, *geometry, channels)
+    met = F.conv_transpose2d(torch.ones_like(x.variance[:1, :1]), ones[:1], None, *geometry)
+    around = total / met.clamp(min=1)
+    variance = torch.zeros_like(mean)
+    for row, column in product(range(stride[0]), range(stride[1])):
+        rows = slice((row + padding[0]) % stride[0], None, stride[0])
+        columns = slice((column + padding[1]) % stride[1], None, stride[1])
+        together = weight[:, :, rows, columns].sum(dim=(2, 3)).square()
+        place = (..., slice(row, None, stride[0]), slice(column, None, stride[1]))
+        variance[place] = F.conv2d(around[place], together.t()[:, :, None, None])
+    return x.like(mean, variance)
+
+
 def _avg_pool2d(x: Coherent, kernel: int, stride: int, padding: int, *count: Any) -> Coherent:
     """Var = (Σ√v / k²)²: deviations add up, those outside of the image being 0."""
     pooled = Gaussian.RULES[F.avg_pool2d](x, kernel, stride, padding, *count)
@@ -74,6 +107,7 @@ def _dropout2d(x: Coherent, p: float, training: bool, inplace: bool = False) -> 
 Coherent.RULES = {
     **Gaussian.RULES,
     F.conv2d: _conv2d,
+    F.conv_transpose2d: _conv_transpose2d,
     F.avg_pool2d: _avg_pool2d,
     F.dropout2d: _dropout2d,
 }

@@ -3,11 +3,12 @@
 
 from __future__ import annotations
 
-import torch
-from torch import nn
-from torch.utils.flop_counter import FlopCounterMode
+from typing import Any
 
-from salsanext_cli.records import CHANNELS
+from torch import nn
+
+from salsanext_cli.network.receptive_field import Reach
+from salsanext_cli.network.segmentation import SegmentationNetwork
 
 
 def parameter_count(module: nn.Module) -> int:
@@ -15,13 +16,24 @@ def parameter_count(module: nn.Module) -> int:
     return sum(parameter.numel() for parameter in module.parameters())
 
 
-def multiply_accumulates(module: nn.Module, height: int = 64, width: int = 2048) -> int:
+def multiply_accumulates(module: SegmentationNetwork, height: int = 64, width: int = 2048) -> int:
     """Count the multiply-accumulates of one range image, convolutions only.
 
-    Runs the network on torch's meta device, where shapes flow but nothing is computed; the
-    module is moved there, so pass one that is not needed any more.
+    Nothing is computed: what flows through the network knows its size and no numbers.
     """
-    image = torch.empty(1, len(CHANNELS), height, width, device="meta")
-    with FlopCounterMode(display=False) as counter:
-        module.to("meta").eval()(image)
-    return int(counter.get_total_flops()) // 2
+    counts: list[int] = []
+
+    def count(layer: nn.Module, inputs: tuple[Any, ...], output: Any) -> None:
+        # Every weight meets every pixel once: of what comes out, or of what is spread out.
+        spread = isinstance(layer, nn.ConvTranspose2d)
+        rows, columns = (inputs[0] if spread else output).shape
+        counts.append(next(layer.parameters()).numel() * rows * columns)
+
+    layers = [m for m in module.modules() if isinstance(m, nn.Conv2d | nn.ConvTranspose2d)]
+    hooks = [layer.register_forward_hook(count) for layer in layers]
+    size = (-(-n // step) * step for n, step in zip((height, width), module.stride, strict=True))
+    image: Any = Reach.of(*size)
+    module.rest(*module.trunk(image))
+    for hook in hooks:
+        hook.remove()
+    return sum(counts)

@@ -12,7 +12,7 @@ from torch import Tensor
 from salsanext_cli.errors import UsageError
 from salsanext_cli.geometry.normalise import normalise
 from salsanext_cli.network.architectures import build
-from salsanext_cli.network.salsanext import SalsaNext
+from salsanext_cli.network.segmentation import SegmentationNetwork
 from salsanext_cli.network.weights import WeightsCard, default_weights, read_weights
 from salsanext_cli.records import Float, RangeImage
 from salsanext_cli.sensors import Sensor
@@ -24,7 +24,7 @@ class Network:
 
     Attributes
     ----------
-    module : SalsaNext
+    module : SegmentationNetwork
         (B, 5, H, W) normalised range images to (B, C, H, W) logits.
     card : WeightsCard
         Architecture, label space, sensor and origin of the weights.
@@ -34,7 +34,7 @@ class Network:
         Where the module is.
     """
 
-    module: SalsaNext
+    module: SegmentationNetwork
     card: WeightsCard
     sensor: Sensor
     device: torch.device

@@ -1,24 +1,21 @@
 # SPDX-License-Identifier: MIT
-"""SalsaNext (arXiv 2003.03653, Figure 2): range image in, logits out."""
+"""SalsaNext (arXiv 2003.03653, Figure 2) and its family: range image in, logits out."""
 
 from __future__ import annotations
 
-import torch
-import torch.nn.functional as F
+from itertools import pairwise
+
 from torch import Tensor, nn
 
-from salsanext_cli.network.blocks import ContextBlock, Down, ResidualBlock, UpBlock
+from salsanext_cli.network.blocks import ResidualBlock
+from salsanext_cli.network.designs import CONTEXT_WIDTH, SALSANEXT, Design
 from salsanext_cli.network.dropout import ChannelDropout
+from salsanext_cli.network.segmentation import SegmentationNetwork, require_classes
 from salsanext_cli.records import CHANNELS
 
-STRIDE = 16
-"""What four poolings divide height and width by."""
-MOST_CLASSES = 255
-"""What train ids of one byte can tell apart, one value being kept for "unknown"."""
 
-
-class SalsaNext(nn.Module):
-    """The second version of the paper; 6 711 572 parameters with 20 classes.
+class SalsaNext(SegmentationNetwork):
+    """An encoder and a decoder; by default the second version, 6 711 572 parameters.
 
     Parameters
     ----------
@@ -26,63 +23,77 @@ class SalsaNext(nn.Module):
         C, including the unlabelled class 0.
     dropout : float
         Rate of the channel dropout, 0 ≤ rate < 1; the paper trains with 0.2.
+    design : Design
+        What it is made of.
     """
 
-    def __init__(self, class_count: int = 20, dropout: float = 0.2) -> None:
+    def __init__(
+        self, class_count: int = 20, dropout: float = 0.2, design: Design = SALSANEXT
+    ) -> None:
         super().__init__()
-        if not 1 <= class_count <= MOST_CLASSES:
-            raise ValueError(f"1 to {MOST_CLASSES} classes, not {class_count}")
-        self.context = nn.Sequential(
-            ContextBlock(len(CHANNELS), 32), ContextBlock(32, 32), ContextBlock(32, 32)
-        )
-        self.block1 = ResidualBlock(32, 64)
-        self.block2 = ResidualBlock(64, 128)
-        self.block3 = ResidualBlock(128, 256)
-        self.block4 = ResidualBlock(256, 256)
-        self.block5 = ResidualBlock(256, 256)
-        self.down1 = Down(0.0)
-        self.down2 = Down(dropout)
-        self.down3 = Down(dropout)
-        self.down4 = Down(dropout)
+        require_classes(class_count)
+        self.levels = len(design.raised)
+        self.stride = (2**self.levels, 2**self.levels)
+        self.certain = 2 if design.central else 1
+        # In this order, so that a seed goes on giving the weights that it gave.
+        width = self._add_context(design)
+        width = self._add_encoder(design, width, dropout)
+        width = self._add_decoder(design, width, dropout)
+        self.logits = nn.Conv2d(width, class_count, 1)
+
+    def _add_context(self, design: Design) -> int:
+        widths = [len(CHANNELS), *(CONTEXT_WIDTH for _ in design.context)]
+        blocks = zip(design.context, pairwise(widths), strict=True)
+        self.context = nn.Sequential(*(make(*channels) for make, channels in blocks))
+        return widths[-1]
+
+    def _add_encoder(self, design: Design, width: int, dropout: float) -> int:
+        widths = (width, *design.widths)
+        for number, channels in enumerate(pairwise(widths), 1):
+            self.add_module(f"block{number}", ResidualBlock(*channels, design.stack))
+        for number, outputs in enumerate(design.widths[:-1], 1):
+            rate = dropout if number >= self.certain else 0.0
+            self.add_module(f"down{number}", design.pooling(outputs, rate))
         self.bottom = ChannelDropout(dropout)
-        self.up1 = UpBlock(256, 256, 128, dropout)
-        self.up2 = UpBlock(128, 256, 128, dropout)
-        self.up3 = UpBlock(128, 128, 64, dropout)
-        self.up4 = UpBlock(64, 64, 32, 0.0)
-        self.logits = nn.Conv2d(32, class_count, 1)
+        return widths[-1]
 
-    def forward(self, image: Tensor) -> Tensor:
-        """Map a normalised range image (B, 5, H, W) to logits (B, C, H, W); any H, W."""
-        height, width = image.shape[-2:]
-        return self.rest(*self.trunk(pad(image)))[..., :height, :width]
+    def _add_decoder(self, design: Design, width: int, dropout: float) -> int:
+        raising, skips = design.raising, reversed(design.widths[:-1])
+        for number, (skip, outputs) in enumerate(zip(skips, design.raised, strict=True), 1):
+            rate = 0.0 if design.central and number == self.levels else dropout
+            module, joined = raising.module(width, skip), raising.joined(width, skip)
+            up = raising.block(module, joined, outputs, design.fusing, rate)
+            self.add_module(f"up{number}", up)
+            width = outputs
+        return width
 
-    def trunk(self, image: Tensor) -> tuple[Tensor, Tensor]:
+    def trunk(self, image: Tensor) -> tuple[Tensor, ...]:
         """Compute everything before the first dropout: the same for every Monte-Carlo pass.
 
-        Takes (B, 5, H, W) with H and W divisible by 16; returns the features of blocks 1 and 2,
-        (B, 64, H, W) and (B, 128, H/2, W/2).
+        Takes (B, 5, H, W) with H and W divisible by `stride`; returns the features of the first
+        block and, where the first level has no dropout, of the second: of the paper's second
+        version (B, 64, H, W) and (B, 128, H/2, W/2).
         """
-        features1 = self.block1(self.context(image))
-        features2 = self.block2(self.down1(features1))
-        return features1, features2
+        features = [self._block(1, self.context(image))]
+        if self.certain == 2:
+            features.append(self._block(2, self._down(1, features[0])))
+        return tuple(features)
 
-    def rest(self, features1: Tensor, features2: Tensor) -> Tensor:
+    def rest(self, *features: Tensor) -> Tensor:
         """Compute the logits (B, C, H, W) from what `trunk` returns."""
-        features3 = self.block3(self.down2(features2))
-        features4 = self.block4(self.down3(features3))
-        features5 = self.bottom(self.block5(self.down4(features4)))
-        raised = self.up1(features5, features4)
-        raised = self.up2(raised, features3)
-        raised = self.up3(raised, features2)
-        raised = self.up4(raised, features1)
+        skips = list(features)
+        for level in range(self.certain, self.levels + 1):
+            skips.append(self._block(level + 1, self._down(level, skips[-1])))
+        raised = self.bottom(skips.pop())
+        for number in range(1, self.levels + 1):
+            raised = self.get_submodule(f"up{number}")(raised, skips.pop())
         logits: Tensor = self.logits(raised)
         return logits
 
+    def _block(self, number: int, x: Tensor) -> Tensor:
+        features: Tensor = self.get_submodule(f"block{number}")(x)
+        return features
 
-def pad(image: Tensor) -> Tensor:
-    """Extend (B, 5, H, W) so that 16 divides H and W: azimuth goes round, below is empty."""
-    height, width = image.shape[-2:]
-    padded_width = -(-width // STRIDE) * STRIDE
-    if padded_width != width:
-        image = image[..., torch.arange(padded_width, device=image.device) % width]
-    return F.pad(image, (0, 0, 0, -height % STRIDE))
+    def _down(self, number: int, x: Tensor) -> Tensor:
+        pooled: Tensor = self.get_submodule(f"down{number}")(x)
+        return pooled

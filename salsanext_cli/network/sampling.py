@@ -14,7 +14,7 @@ from torch import Tensor
 from salsanext_cli.errors import UsageError, WeightsError
 from salsanext_cli.network.dropout import dropouts, sampling
 from salsanext_cli.network.inference import Network
-from salsanext_cli.network.salsanext import SalsaNext, pad
+from salsanext_cli.network.segmentation import SegmentationNetwork
 from salsanext_cli.records import Float, RangeImage, Uncertainty
 
 log = logging.getLogger(__name__)
@@ -116,7 +116,7 @@ def sample(network: Network, image: RangeImage, *, samples: int, seed: int) -> S
     """
     require_sampling(network, samples)
     moments = Moments()
-    features = network.module.trunk(pad(network.input(image.channels)))
+    features = network.module.trunk(network.module.pad(network.input(image.channels)))
     seeds = [pass_seed(seed, number) for number in range(samples)]
     for logits in _passes(network.module, features, seeds):
         logits = logits[:, : image.height, : image.width].float()
@@ -125,7 +125,7 @@ def sample(network: Network, image: RangeImage, *, samples: int, seed: int) -> S
 
 
 def _passes(
-    module: SalsaNext, features: tuple[Tensor, Tensor], seeds: Sequence[int]
+    module: SegmentationNetwork, features: tuple[Tensor, ...], seeds: Sequence[int]
 ) -> Iterator[Tensor]:
     """Yield the logits (C, H, W) of every pass, computing several at once if there is room."""
     size = _most_at_once(features[0], len(seeds))
@@ -150,7 +150,7 @@ def _most_at_once(features: Tensor, samples: int) -> int:
     return max(1, min(samples, AT_ONCE[features.device.type] // pixels))
 
 
-def _run(module: SalsaNext, features: tuple[Tensor, Tensor], seeds: Sequence[int]) -> Tensor:
+def _run(module: SegmentationNetwork, features: tuple[Tensor, ...], seeds: Sequence[int]) -> Tensor:
     generators = [torch.Generator().manual_seed(seed) for seed in seeds]
     with sampling(module, generators):
         logits: Tensor = module.rest(*(f.expand(len(seeds), -1, -1, -1) for f in features))

@@ -22,7 +22,7 @@ from salsanext_cli.classes import LabelSpace
 from salsanext_cli.errors import UsageError, WeightsError
 from salsanext_cli.formats.atomic import writing
 from salsanext_cli.network.architectures import build
-from salsanext_cli.network.salsanext import SalsaNext
+from salsanext_cli.network.segmentation import SegmentationNetwork
 from salsanext_cli.sensors import Sensor
 
 KEY = "salsanext"
@@ -177,7 +177,7 @@ def read_card(path: Path) -> WeightsCard:
     return WeightsCard.from_metadata(metadata, path)
 
 
-def read_weights(path: Path) -> tuple[SalsaNext, WeightsCard]:
+def read_weights(path: Path) -> tuple[SegmentationNetwork, WeightsCard]:
     """Read a weights file: the network in evaluation mode, float32, on the CPU, and its card.
 
     Raises

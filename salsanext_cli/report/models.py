@@ -10,18 +10,45 @@ if TYPE_CHECKING:
     from rich.table import Table
 
 
+NOTES = {
+    "agrees": "* not the paper's number of parameters to the digit",
+    "determined": "† the paper does not determine this network: the nearest reading",
+}
+"""What the marks mean; a mark is set where the key is not true."""
+
+
 def network_table(networks: Sequence[Mapping[str, Any]]) -> Table:
-    """Return a table of networks and what they cost."""
+    """Return a table of networks: what they cost, and beside it in brackets the papers' figures."""
     from rich.table import Table
 
-    table = Table(title="Networks", title_justify="left")
-    table.add_column("name")
+    table = Table(
+        title="Networks, with the papers' figures in brackets",
+        title_justify="left",
+        caption="\n".join(NOTES.values()),
+        caption_justify="left",
+    )
+    table.add_column("name", no_wrap=True)
     table.add_column("parameters", justify="right")
-    table.add_column("multiply-accumulates at 64×2048", justify="right")
+    table.add_column("multiply-accumulates at 64×2048 (FLOPs)", justify="right")
+    table.add_column("receptive field", justify="right")
+    table.add_column("mIoU without kNN, with, on test", justify="right")
     for network in networks:
-        macs = f"{network['multiply_accumulates'] / 1e9:.2f} G"
-        table.add_row(network["name"], f"{network['parameters']:,}", macs)
+        table.add_row(*_cells(network))
     return table
+
+
+def _cells(network: Mapping[str, Any]) -> tuple[str, ...]:
+    paper = network["paper"]
+    marks = ("" if network["agrees"] else "*") + ("" if paper["determined"] else "†")
+    height, width = network["receptive_field"]
+    flops = f"({paper['flops']} G)" if paper["flops"] else "(–)"
+    return (
+        network["name"] + marks,
+        f"{network['parameters']:,} ({paper['parameters']} M)",
+        f"{network['multiply_accumulates'] / 1e9:.2f} G {flops:>10}",
+        f"{height}×{width}",
+        ", ".join(f"{paper[key] or '–':>4}" for key in ("miou_pixels", "miou", "miou_test")),
+    )
 
 
 def card_table(card: Mapping[str, Any]) -> Table:

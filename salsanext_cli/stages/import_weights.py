@@ -11,7 +11,7 @@ from salsanext_cli.classes import LabelSpace, label_space
 from salsanext_cli.errors import UsageError, WeightsError
 from salsanext_cli.network.architectures import build
 from salsanext_cli.network.published import read_published
-from salsanext_cli.network.salsanext import SalsaNext
+from salsanext_cli.network.segmentation import SegmentationNetwork
 from salsanext_cli.network.weights import WeightsCard, load_tensors, read_weights, save_weights
 from salsanext_cli.sensors import Sensor, sensor
 from salsanext_cli.stages.new_weights import SUFFIX, require_target
@@ -88,7 +88,7 @@ def _require_nothing_known(source: Path, options: Mapping[str, object]) -> None:
 
 def _read_checkpoint(
     source: Path, space: LabelSpace, view: Sensor, dropout: float, description: str
-) -> tuple[SalsaNext, WeightsCard]:
+) -> tuple[SegmentationNetwork, WeightsCard]:
     tensors = read_published(source)
     outputs = tensors["logits.bias"].numel() if "logits.bias" in tensors else 0
     if outputs != space.class_count:

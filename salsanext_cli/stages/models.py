@@ -8,8 +8,12 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import torch
+
 from salsanext_cli.network.architectures import ARCHITECTURES, build
 from salsanext_cli.network.cost import multiply_accumulates, parameter_count
+from salsanext_cli.network.papers import PAPERS, Printed, agrees
+from salsanext_cli.network.receptive_field import receptive_field
 from salsanext_cli.network.weights import WeightsCard, fingerprint, read_card
 
 HEIGHT, WIDTH = 64, 2048
@@ -17,31 +21,49 @@ HEIGHT, WIDTH = 64, 2048
 
 @dataclass(frozen=True, slots=True)
 class Model:
-    """A network and what it costs on one range image of 64×2048.
+    """A network, what it costs on one range image of 64×2048, and what the papers print of it.
 
     Attributes
     ----------
     name : str
-        As weights files name it.
+        As weights files and recipes name it.
     parameters : int
         Trainable numbers, with 20 classes.
     multiply_accumulates : int
-        Of the convolutions; the papers print twice as many FLOPs.
+        Of the convolutions; the papers print twice as many FLOPs, and those of the rest.
+    receptive_field : (int, int)
+        Height and width of what a pixel's logits depend on; more than the image is beyond it.
+    paper : Printed
+        The papers' figures.
+    agrees : bool
+        Whether the parameters are those that the paper prints, to the digit.
     """
 
     name: str
     parameters: int
     multiply_accumulates: int
+    receptive_field: tuple[int, int]
+    paper: Printed
+    agrees: bool
 
 
 def models() -> list[Model]:
-    """Build every network and count."""
-    found = []
-    for name in ARCHITECTURES:
-        module = build({"name": name})
-        parameters = parameter_count(module)
-        found.append(Model(name, parameters, multiply_accumulates(module, HEIGHT, WIDTH)))
-    return found
+    """Build every network, without its numbers, and count."""
+    return [_model(name) for name in ARCHITECTURES]
+
+
+def _model(name: str) -> Model:
+    with torch.device("meta"):
+        module = build({"name": name}).eval()
+    parameters, paper = parameter_count(module), PAPERS[name]
+    return Model(
+        name=name,
+        parameters=parameters,
+        multiply_accumulates=multiply_accumulates(module, HEIGHT, WIDTH),
+        receptive_field=receptive_field(module),
+        paper=paper,
+        agrees=agrees(parameters, paper.parameters),
+    )
 
 
 def describe_weights(path: Path) -> Mapping[str, Any]:

@@ -20,7 +20,7 @@ from salsanext_cli.formats.json_files import read_json, write_json
 from salsanext_cli.formats.layout import ScanFile, find_scans
 from salsanext_cli.network.architectures import build
 from salsanext_cli.network.inference import choose_device
-from salsanext_cli.network.salsanext import SalsaNext
+from salsanext_cli.network.segmentation import SegmentationNetwork
 from salsanext_cli.network.weights import WeightsCard, fingerprint, identity, read_weights
 from salsanext_cli.sensors import Sensor
 from salsanext_cli.sensors import sensor as preset_sensor
@@ -141,16 +141,16 @@ def _scans_of(dataset: Path, space: LabelSpace, split: str) -> list[ScanFile]:
 
 def _start(
     weights: Path | None, space: LabelSpace, recipe: Recipe
-) -> tuple[SalsaNext, dict[str, Any], Sensor]:
+) -> tuple[SegmentationNetwork, dict[str, Any], Sensor]:
     """Return the network before training, its architecture and the sensor it knows."""
     architecture = {
-        "name": "salsanext",
+        "name": recipe.architecture,
         "class_count": space.class_count,
         "dropout": recipe.dropout,
     }
     with torch.random.fork_rng([]):
         torch.manual_seed(recipe.seed)
-        module = build(architecture)
+        module = build(architecture, "recipe key architecture")
     if weights is None:
         return module, architecture, preset_sensor(DEFAULT_SENSOR)
     trained, card = read_weights(weights)
@@ -158,8 +158,16 @@ def _start(
         raise WeightsError(
             weights, f"trained for the classes of {card.space.name}", f"those of {space.name}"
         )
+    if _shapes(trained) != _shapes(module):
+        name = card.architecture["name"]
+        remedy = f'set architecture = "{name}" in the recipe'
+        raise WeightsError(weights, f"of a {name}", f"of a {recipe.architecture}", remedy)
     module.load_state_dict(trained.state_dict())
     return module, architecture, card.sensor
+
+
+def _shapes(module: SegmentationNetwork) -> dict[str, torch.Size]:
+    return {name: tensor.shape for name, tensor in module.state_dict().items()}
 
 
 def _describe(dataset: Path) -> str:

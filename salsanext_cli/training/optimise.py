@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor, nn
 
-from salsanext_cli.network.salsanext import SalsaNext
+from salsanext_cli.network.segmentation import SegmentationNetwork
 from salsanext_cli.training.losses import SegmentationLoss
 from salsanext_cli.training.recipe import Recipe
 from salsanext_cli.training.schedule import learning_rate
@@ -55,26 +55,26 @@ class Learner:
     Attributes
     ----------
     recipe : Recipe
-    module : SalsaNext
+    module : SegmentationNetwork
         Being trained.
     loss : SegmentationLoss
     optimiser : torch.optim.Optimizer
-    average : SalsaNext
+    average : SegmentationNetwork
         What is validated and kept: the running average of the weights, or the module itself.
     device : torch.device
         Where all of them are.
     """
 
     recipe: Recipe
-    module: SalsaNext
+    module: SegmentationNetwork
     loss: SegmentationLoss
     optimiser: torch.optim.Optimizer
-    average: SalsaNext
+    average: SegmentationNetwork
     device: torch.device
 
     @classmethod
     def of(
-        cls, module: SalsaNext, recipe: Recipe, weights: Tensor, device: torch.device
+        cls, module: SegmentationNetwork, recipe: Recipe, weights: Tensor, device: torch.device
     ) -> Learner:
         """Prepare a module for training with class weights (C,)."""
         module = module.to(device)

@@ -24,6 +24,8 @@ class Recipe:
 
     Attributes
     ----------
+    architecture : str
+        Which network, by a name of `network.architectures`.
     epochs, batch : int
         How often to go through the data, and samples per step.
     samples_per_epoch : int
@@ -60,6 +62,7 @@ class Recipe:
         Of everything that is drawn.
     """
 
+    architecture: str = "salsanext"
     epochs: int = 150
     batch: int = 24
     samples_per_epoch: int = 0

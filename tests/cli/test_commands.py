@@ -362,8 +362,13 @@ def test_models_lists_networks_and_describes_weights(run, weights):
     assert "6,711,572" in result.stdout
     assert "62.30 G" in result.stdout
     assert "random" in result.stdout
+    assert "salsanet-dilated† " in result.stdout
+    assert "9,246,036 (9.25 M)" in result.stdout
+    assert "359.71 G (720.96 G)" in result.stdout
+    assert "† the paper does not determine this network" in result.stdout
     found = only_json(run("models", weights, "--json"))
     assert found["models"][0]["parameters"] == 6_711_572
+    assert found["models"][0]["paper"]["flops"] == "125.68"
     assert found["weights"][0]["classes"][1] == "car"
 
 

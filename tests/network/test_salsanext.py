@@ -7,12 +7,20 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scans import lively
+from torch import nn
 
 from salsanext_cli.network.architectures import build
-from salsanext_cli.network.blocks import ContextBlock, DilatedStack, Down, UpBlock
+from salsanext_cli.network.blocks import (
+    ContextBlock,
+    DilatedStack,
+    Down,
+    PlainContextBlock,
+    StridedDown,
+)
 from salsanext_cli.network.cost import parameter_count
 from salsanext_cli.network.published import our_name
-from salsanext_cli.network.salsanext import STRIDE, SalsaNext, pad
+from salsanext_cli.network.salsanext import SalsaNext
+from salsanext_cli.network.up_blocks import AddingUpBlock, TransposedUnit, UpBlock
 
 
 @pytest.fixture(scope="module")
@@ -51,7 +59,7 @@ def test_any_size_goes_in_and_comes_out(network, size):
 @given(st.integers(1, 40), st.integers(1, 70))
 def test_every_small_size_works(height, width):
     with torch.inference_mode():
-        assert pad(noise(1, 5, height, width)).shape[-1] % STRIDE == 0
+        assert SMALLEST.pad(noise(1, 5, height, width)).shape[-1] % 16 == 0
         assert SMALLEST(noise(1, 5, height, width)).shape == (1, 2, height, width)
 
 
@@ -61,7 +69,7 @@ SMALLEST = SalsaNext(class_count=2).eval()
 @pytest.mark.parametrize(("height", "width"), [(17, 33), (1, 1), (16, 16), (3, 100)])
 def test_padding_goes_round_in_azimuth_and_is_empty_below(height, width):
     image = noise(1, 5, height, width).numpy()
-    padded = pad(torch.from_numpy(image)).numpy()
+    padded = SMALLEST.pad(torch.from_numpy(image)).numpy()
     assert padded.shape[2] == -(-height // 16) * 16
     assert padded.shape[3] == -(-width // 16) * 16
     for u in range(padded.shape[3]):
@@ -71,7 +79,7 @@ def test_padding_goes_round_in_azimuth_and_is_empty_below(height, width):
 
 def test_a_size_that_sixteen_divides_is_left_alone():
     image = noise(1, 5, 32, 48)
-    assert torch.equal(pad(image), image)
+    assert torch.equal(SMALLEST.pad(image), image)
 
 
 def test_what_lies_before_and_after_the_first_dropout_is_the_whole(network):
@@ -110,15 +118,25 @@ def test_gradients_reach_every_parameter():
     [
         (ContextBlock(5, 8), (5, 9, 11), (8, 9, 11)),
         (DilatedStack(6, 4), (6, 9, 11), (4, 9, 11)),
+        (PlainContextBlock(5, 8), (5, 9, 11), (8, 9, 11)),
         (Down(0.2), (3, 8, 12), (3, 4, 6)),
+        (StridedDown(3, 0.2), (3, 8, 12), (3, 4, 6)),
+        (TransposedUnit(6, 4), (6, 8, 12), (4, 16, 24)),
+        (TransposedUnit(6, 4, kernel=2), (6, 8, 12), (4, 16, 24)),
     ],
 )
 def test_blocks_keep_or_halve_sizes(block, inputs, outputs):
     assert block(noise(2, *inputs)).shape == (2, *outputs)
 
 
-def test_an_up_block_doubles_sizes():
-    block = UpBlock(8, 3, 5, 0.2)
+@pytest.mark.parametrize(
+    "block",
+    [
+        UpBlock(nn.PixelShuffle(2), 8 // 4 + 3, 5, DilatedStack, 0.2),
+        AddingUpBlock(TransposedUnit(8, 3), 3, 5, DilatedStack, 0.2),
+    ],
+)
+def test_an_up_block_doubles_sizes(block):
     assert block(noise(1, 8, 4, 6), noise(1, 3, 8, 12)).shape == (1, 5, 8, 12)
 
 

@@ -135,6 +135,23 @@ def test_the_real_network_can_be_interrupted_too(
     assert load_network(whole.best, "cpu").card.space.fits(label_space())
 
 
+def test_another_network_by_its_name(dataset: Path, tmp_path: Path) -> None:
+    rung = {"recipe": TINY.with_changes(epochs=1, architecture="salsanet")}
+    first = go(dataset, tmp_path / "first", **rung)
+    assert load_network(first.best, "cpu").card.architecture["name"] == "salsanet"
+    assert recipe(tmp_path / "first/recipe.toml").architecture == "salsanet"
+    with pytest.raises(WeightsError, match='set architecture = "salsanet" in the recipe'):
+        go(dataset, tmp_path / "second", weights=first.best)
+
+
+def test_an_unknown_network(dataset: Path, tmp_path: Path) -> None:
+    with pytest.raises(
+        UsageError, match="recipe key architecture · architecture resnet · expected one of"
+    ):
+        go(dataset, tmp_path / "run", recipe=TINY.with_changes(architecture="resnet"))
+    assert not (tmp_path / "run").exists()
+
+
 def test_a_finished_training_has_nothing_left_to_do(dataset: Path, tmp_path: Path) -> None:
     first = go(dataset, tmp_path / "run")
     steps: list[Report] = []

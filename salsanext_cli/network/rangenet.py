@@ -1,0 +1,107 @@
+# SPDX-License-Identifier: MIT
+"""RangeNet53 (Milioto et al., IROS 2019), which the SalsaNext paper compares with."""
+
+from __future__ import annotations
+
+from torch import Tensor, nn
+
+from salsanext_cli.network.dropout import ChannelDropout
+from salsanext_cli.network.segmentation import SegmentationNetwork, require_classes
+from salsanext_cli.records import CHANNELS
+
+SLOPE = 0.1
+DEPTHS = (1, 2, 8, 8, 4)
+"""Residual blocks of the encoder's stages."""
+
+
+class NormedUnit(nn.Sequential):
+    """Convolution without bias → batch norm → LeakyReLU; a stride halves the width only."""
+
+    def __init__(self, inputs: int, outputs: int, kernel: int, stride: int = 1) -> None:
+        super().__init__(
+            nn.Conv2d(inputs, outputs, kernel, (1, stride), padding=kernel // 2, bias=False),
+            nn.BatchNorm2d(outputs),
+            nn.LeakyReLU(SLOPE),
+        )
+
+
+class Bottleneck(nn.Module):
+    """x + 3×3 unit(1×1 unit(x)), the 1×1 unit of another number of channels."""
+
+    def __init__(self, channels: int, inner: int) -> None:
+        super().__init__()
+        self.narrow = NormedUnit(channels, inner, 1)
+        self.wide = NormedUnit(inner, channels, 3)
+
+    def forward(self, x: Tensor) -> Tensor:
+        """Map (B, C, H, W) to the same shape."""
+        features: Tensor = x + self.wide(self.narrow(x))
+        return features
+
+
+class Stage(nn.Sequential):
+    """(B, C, H, W) to (B, 2C, H, W/2): a strided unit, then residual blocks."""
+
+    def __init__(self, inputs: int, depth: int) -> None:
+        outputs = 2 * inputs
+        blocks = (Bottleneck(outputs, inputs) for _ in range(depth))
+        super().__init__(NormedUnit(inputs, outputs, 3, stride=2), *blocks)
+
+
+class Raise(nn.Sequential):
+    """(B, 2C, H, W) to (B, C, H, 2W): a transposed convolution, then a residual block."""
+
+    def __init__(self, outputs: int) -> None:
+        super().__init__(
+            nn.ConvTranspose2d(2 * outputs, outputs, (1, 4), stride=(1, 2), padding=(0, 1)),
+            nn.BatchNorm2d(outputs),
+            nn.LeakyReLU(SLOPE),
+            Bottleneck(outputs, 2 * outputs),
+        )
+
+
+class RangeNet53(SegmentationNetwork):
+    """A Darknet53 that keeps the height of the image; 50 377 364 parameters with 20 classes.
+
+    Parameters
+    ----------
+    class_count : int
+        C, including the unlabelled class 0.
+    dropout : float
+        Rate of the channel dropout after every stage and before the logits.
+    width : int
+        Channels of the stem; every stage has twice as many as the one before.
+    """
+
+    stride = (1, 2 ** len(DEPTHS))
+
+    def __init__(self, class_count: int = 20, dropout: float = 0.01, width: int = 32) -> None:
+        super().__init__()
+        require_classes(class_count)
+        widths = [width * 2**level for level in range(len(DEPTHS))]
+        self.stem = NormedUnit(len(CHANNELS), width, 3)
+        self.stages = nn.ModuleList(map(Stage, widths, DEPTHS))
+        self.raises = nn.ModuleList(map(Raise, reversed(widths)))
+        self.dropout = ChannelDropout(dropout)
+        self.logits = nn.Conv2d(width, class_count, 3, padding=1)
+
+    def trunk(self, image: Tensor) -> tuple[Tensor, ...]:
+        """Compute everything before the first dropout: the same for every Monte-Carlo pass.
+
+        Takes (B, 5, H, W) with W divisible by 32; returns the features of stem and first stage,
+        (B, 32, H, W) and (B, 64, H, W/2).
+        """
+        stem: Tensor = self.stem(image)
+        return stem, self.stages[0](stem)
+
+    def rest(self, *features: Tensor) -> Tensor:
+        """Compute the logits (B, C, H, W) from what `trunk` returns."""
+        stem, first = features
+        skips = [stem, self.dropout(first)]
+        for stage in list(self.stages)[1:]:
+            skips.append(self.dropout(stage(skips[-1])))
+        raised = skips.pop()
+        for raising in self.raises:
+            raised = raising(raised) + skips.pop()
+        logits: Tensor = self.logits(self.dropout(raised))
+        return logits

@@ -1,0 +1,199 @@
+# SPDX-License-Identifier: MIT
+"""What every network must do, by name."""
+
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+import torch
+import torch.nn.functional as F
+from scans import SMALL, lively, make_scan
+
+from salsanext_cli.classes import label_space
+from salsanext_cli.geometry.projection import project
+from salsanext_cli.network.adf import Gaussian, propagate
+from salsanext_cli.network.aleatoric import aleatoric
+from salsanext_cli.network.analytic import analyse
+from salsanext_cli.network.architectures import ARCHITECTURES, build
+from salsanext_cli.network.dropout import dropouts, sampling
+from salsanext_cli.network.inference import Network, load_network, with_dropout
+from salsanext_cli.network.sampling import sample
+from salsanext_cli.network.weights import WeightsCard, save_weights
+from salsanext_cli.training.optimise import Learner
+from salsanext_cli.training.recipe import Recipe
+
+NAMES = list(ARCHITECTURES)
+TWINS = {"salsanet-shuffle": "salsanext", "salsanext-v1-pooling": "salsanext-v1"}
+"""Rungs of the same network as another's, which only the loss tells apart."""
+DIFFERENT = [name for name in NAMES if name not in TWINS]
+SPACE = label_space()
+
+
+@cache
+def network(name):
+    """Return a network of random weights that has seen training."""
+    architecture = {"name": name, "class_count": SPACE.class_count, "dropout": 0.2}
+    # What is made in inference mode could not be given to another module later.
+    with torch.random.fork_rng([]), torch.inference_mode(False):
+        torch.manual_seed(0)
+        module = lively(build(architecture))
+    if name == "rangenet53":
+        # Dozens of residual blocks would make logits of 100 000, which training never does.
+        for key, values in module.state_dict().items():
+            if key.endswith("wide.1.weight"):
+                values.fill_(0.1)
+    card = WeightsCard(architecture, SPACE, SMALL)
+    return Network(module, card, SMALL, torch.device("cpu"))
+
+
+def noise(*shape, seed=0):
+    return torch.randn(*shape, generator=torch.Generator().manual_seed(seed))
+
+
+@pytest.fixture(scope="module")
+def image():
+    return project(make_scan(), replace(SMALL, width=32))
+
+
+@pytest.mark.parametrize("name", DIFFERENT)
+@torch.inference_mode()
+def test_odd_sizes(name):
+    module = network(name).module
+    logits = module(noise(1, 5, 9, 37))
+    assert logits.shape == (1, 20, 9, 37)
+    assert torch.isfinite(logits).all()
+    assert logits.std() > 0
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_sizes_are_padded_to_what_the_network_divides(name):
+    rows, columns = network(name).module.stride
+    v1, ranges = name.startswith("salsanext-v1"), name == "rangenet53"
+    assert (rows, columns) == ((32, 32) if v1 else (1, 32) if ranges else (16, 16))
+    padded = network(name).module.pad(noise(1, 5, 9, 37))
+    assert padded.shape == (1, 5, -(-9 // rows) * rows, -(-37 // columns) * columns)
+    assert torch.equal(padded[..., :9, 37:], padded[..., :9, : padded.shape[3] - 37])
+    assert not padded[..., 9:, :].any()
+
+
+@pytest.mark.parametrize("name", DIFFERENT)
+@torch.inference_mode()
+def test_trunk_and_rest_are_the_whole(name):
+    module, image = network(name).module, noise(1, 5, 32, 32)
+    assert torch.equal(module.rest(*module.trunk(image)), module(image))
+
+
+@pytest.mark.parametrize("name", DIFFERENT)
+@torch.inference_mode()
+def test_nothing_drops_in_the_trunk_and_something_right_after_it(name):
+    module, image = network(name).module, noise(1, 5, 32, 32)
+    features = module.trunk(image)
+    with sampling(module, [torch.Generator().manual_seed(1)]):
+        for sampled, certain in zip(module.trunk(image), features, strict=True):
+            assert torch.equal(sampled, certain)
+        whole = module(image)
+    with sampling(module, [torch.Generator().manual_seed(1)]):
+        assert torch.equal(module.rest(*features), whole)
+    assert not torch.equal(module.rest(*features), whole)
+
+
+@pytest.mark.parametrize("name", DIFFERENT)
+def test_a_step_of_training_reaches_every_parameter(name):
+    module = build({"name": name, "class_count": 20, "dropout": 0.0})
+    recipe = Recipe(architecture=name, optimiser="sgd")
+    learner = Learner.of(module, recipe, torch.ones(20), torch.device("cpu"))
+    # Below 17 rows the coarsest level is one, which a dilated 2×2 window steps over.
+    truth = torch.from_numpy(np.random.default_rng(0).integers(0, 20, (2, 20, 40), np.uint8))
+    loss = learner.step(noise(2, 5, 20, 40), truth, 0, 1)
+    assert np.isfinite(loss)
+    lost = [key for key, p in module.named_parameters() if p.grad is None or not p.grad.any()]
+    assert lost == []
+
+
+@pytest.mark.parametrize("name", DIFFERENT)
+def test_weights_files_give_the_same_network(name, tmp_path):
+    path, first = tmp_path / "w.safetensors", network(name)
+    save_weights(path, first.module, first.card)
+    again = load_network(path, "cpu")
+    assert again.card.architecture["name"] == name
+    kept = again.module.state_dict()
+    for key, tensor in first.module.state_dict().items():
+        assert torch.equal(kept[key], tensor)
+
+
+@pytest.mark.parametrize("name", DIFFERENT)
+def test_sampling(name, image):
+    first, other = (sample(network(name), image, samples=2, seed=seed) for seed in (0, 1))
+    assert not np.array_equal(first.variance, other.variance)
+    assert first.uncertainty.epistemic.min() >= 0
+    assert first.uncertainty.epistemic.max() > 0
+
+
+@pytest.mark.parametrize("name", DIFFERENT)
+def test_dropout_in_one_pass(name, image):
+    found = analyse(network(name), image)
+    assert np.isfinite(found.variance).all()
+    assert found.uncertainty.epistemic.min() >= 0
+    assert found.uncertainty.epistemic.max() > 0
+    hardly = analyse(with_dropout(network(name), 1e-12), image)
+    np.testing.assert_allclose(hardly.probabilities, network(name).probabilities(image), atol=1e-4)
+
+
+@pytest.mark.parametrize("name", DIFFERENT)
+@torch.inference_mode()
+def test_a_certain_input_gives_the_deterministic_output(name):
+    module, image = network(name).module, noise(1, 5, 16, 32)
+    logits = propagate(module, Gaussian(image, torch.zeros_like(image)))
+    torch.testing.assert_close(logits.mean, module(image), rtol=1e-4, atol=1e-4)
+    assert not logits.variance.any()
+
+
+@pytest.mark.parametrize("name", DIFFERENT)
+def test_noise_of_the_input_is_noise_of_the_output(name, image):
+    variance = aleatoric(network(name), image)
+    assert np.isfinite(variance).all()
+    assert variance.min() >= 0
+    assert variance.mean() > 0
+
+
+@pytest.mark.parametrize(("name", "twin"), TWINS.items())
+def test_twins(name, twin):
+    one, other = (network(n).module.state_dict() for n in (name, twin))
+    assert one.keys() == other.keys()
+    assert all(torch.equal(one[key], other[key]) for key in one)
+
+
+def test_central_dropout_leaves_out_the_first_block_and_the_last():
+    everywhere, central = (
+        {key for key, m in network(n).module.named_modules() if m in dropouts(network(n).module)}
+        for n in ("salsanet-context", "salsanet-dropout")
+    )
+    assert central < everywhere
+    assert {key.split(".")[0] for key in everywhere - central} == {"down1", "up4"}
+
+
+def test_the_rate_left_out_is_the_papers():
+    assert {d.rate for d in dropouts(build({"name": "rangenet53"}))} == {0.01}
+    assert {d.rate for d in dropouts(build({"name": "salsanet"}))} == {0.2}
+
+
+def matrix_of(weight, geometry, size):
+    """Return a transposed convolution as a matrix, (outputs, inputs)."""
+    inputs = torch.eye(weight.shape[0] * size[0] * size[1], dtype=torch.float64)
+    outputs = F.conv_transpose2d(inputs.view(-1, weight.shape[0], *size), weight, None, *geometry)
+    return outputs.flatten(1).t(), outputs.shape[1:]
+
+
+@pytest.mark.parametrize(
+    ("kernel", "geometry"),
+    [((3, 3), (2, 1, 1)), ((2, 2), (2, 0, 0)), ((1, 4), ((1, 2), (0, 1), (0, 0)))],
+)
+def test_moments_of_transposed_convolutions_are_those_of_their_matrix(kernel, geometry):
+    weight = noise(3, 2, *kernel, seed=1).double()
+    mean, variance = noise(1, 3, 4, 5).double(), noise(1, 3, 4, 5, seed=2).double().square()
+    found = F.conv_transpose2d(Gaussian(mean, variance), weight, None, *geometry)
+    matrix, shape = matrix_of(weight, geometry, (4, 5))
+    torch.testing.assert_close(found.mean[0], (matrix @ mean.flatten()).view(shape))
+    expected = (matrix.square() @ variance.flatten()).view(shape)
+    torch.testing.assert_close(found.variance[0], expected)

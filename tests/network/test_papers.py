@@ -1,0 +1,91 @@
+# SPDX-License-Identifier: MIT
+import pytest
+import torch
+from counting import COUNTS
+from torch.utils.flop_counter import FlopCounterMode
+
+from salsanext_cli.network.architectures import ARCHITECTURES, build
+from salsanext_cli.network.cost import multiply_accumulates, parameter_count
+from salsanext_cli.network.papers import PAPERS, agrees
+
+OFF = {"salsanext", "salsanet-shuffle", "salsanet-pooling"}
+"""What the papers print differs from what their text and their code give."""
+
+
+@pytest.fixture(scope="module")
+def costs():
+    """Return parameters and multiply-accumulates of every network."""
+    found = {}
+    for name in ARCHITECTURES:
+        with torch.device("meta"):
+            module = build({"name": name})
+        found[name] = parameter_count(module), multiply_accumulates(module)
+    return found
+
+
+def test_every_network_has_its_row():
+    assert list(PAPERS) == list(ARCHITECTURES)
+
+
+def test_costs_are_those_of_arithmetic(costs):
+    assert costs == COUNTS
+
+
+@pytest.mark.parametrize("name", ["salsanext", "salsanet", "rangenet53"])
+def test_multiply_accumulates_are_those_that_torch_counts(name):
+    """Of an image that must be padded."""
+    with torch.device("meta"):
+        module = build({"name": name}).eval()
+    with FlopCounterMode(display=False) as counter:
+        module(torch.empty(1, 5, 20, 100, device="meta"))
+    assert multiply_accumulates(module, 20, 100) == counter.get_total_flops() // 2
+
+
+@pytest.mark.parametrize(
+    ("name", "count"),
+    [("salsanext", 6_711_572), ("salsanext-v1", 23_262_548), ("rangenet53", 50_377_364)],
+)
+def test_known_numbers_of_parameters(costs, name, count):
+    assert costs[name][0] == count
+
+
+@pytest.mark.parametrize("name", sorted(set(PAPERS) - OFF))
+def test_parameters_are_those_of_the_papers_to_the_digit(costs, name):
+    assert agrees(costs[name][0], PAPERS[name].parameters)
+
+
+@pytest.mark.parametrize("name", sorted(OFF))
+def test_parameters_that_the_papers_print_otherwise(costs, name):
+    count, printed = costs[name][0], PAPERS[name].parameters
+    assert not agrees(count, printed)
+    assert count / 1e6 == pytest.approx(float(printed), abs=0.02)
+
+
+@pytest.mark.parametrize(
+    "name", [n for n, paper in PAPERS.items() if paper.flops and paper.determined]
+)
+def test_convolutions_are_a_little_less_than_all_operations(costs, name):
+    share = 2 * costs[name][1] / 1e9 / float(PAPERS[name].flops)
+    assert 0.989 < share < 0.999
+
+
+def test_one_row_is_not_determined(costs):
+    assert [name for name, paper in PAPERS.items() if not paper.determined] == ["salsanet-dilated"]
+    share = 2 * costs["salsanet-dilated"][1] / 1e9 / float(PAPERS["salsanet-dilated"].flops)
+    assert 0.9 < share < 0.91
+
+
+@pytest.mark.parametrize(
+    ("count", "printed", "holds"),
+    [
+        (6_649_428, "6.64", True),
+        (6_649_428, "6.65", True),
+        (6_649_428, "6.63", False),
+        (6_649_428, "6.66", False),
+        (50_377_364, "50", True),
+        (50_377_364, "51", False),
+        (5_850_000, "5.85", True),
+    ],
+)
+def test_agreement_is_rounded_or_cut_off(count, printed, holds):
+    assert agrees(count, printed) is holds
