@@ -7,8 +7,8 @@ import torch
 
 from salsanext_cli.geometry.noise import input_variance
 from salsanext_cli.network.adf import Gaussian, propagate
+from salsanext_cli.network.estimate import as_array
 from salsanext_cli.network.inference import Network
-from salsanext_cli.network.sampling import as_array
 from salsanext_cli.records import Float, RangeImage
 
 

@@ -7,15 +7,15 @@ import torch
 
 from salsanext_cli.network.adf import propagate
 from salsanext_cli.network.coherent import Coherent
+from salsanext_cli.network.estimate import Estimate, entropy, require_dropout
 from salsanext_cli.network.inference import Network
-from salsanext_cli.network.sampling import Sampled, as_array, entropy, require_dropout
-from salsanext_cli.records import RangeImage, Uncertainty
+from salsanext_cli.records import RangeImage
 
 TINY = 1e-12
 
 
 @torch.inference_mode()
-def analyse(network: Network, image: RangeImage) -> Sampled:
+def analyse(network: Network, image: RangeImage) -> Estimate:
     """Estimate what `sample` would tend to with ever more passes.
 
     The mutual information is that of a small spread of the softmax around its mean, ½ Σ v / p, and
@@ -39,14 +39,5 @@ def analyse(network: Network, image: RangeImage) -> Sampled:
     logits = propagate(network.module.rest, *features)[..., : image.height, : image.width]
     softmax = logits.softmax(dim=1)
     mean, variance = softmax.mean[0].double(), softmax.variance[0].double()
-    total = entropy(mean)
-    information = (variance / (2 * mean).clamp(min=TINY)).sum(dim=0).minimum(total)
-    return Sampled(
-        probabilities=as_array(mean),
-        variance=as_array(variance),
-        uncertainty=Uncertainty(
-            epistemic=as_array(variance.mean(dim=0)),
-            entropy=as_array(total),
-            mutual_information=as_array(information),
-        ),
-    )
+    information = (variance / (2 * mean).clamp(min=TINY)).sum(dim=0)
+    return Estimate.of(mean, variance, information.minimum(entropy(mean)))

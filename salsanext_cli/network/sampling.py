@@ -6,40 +6,21 @@ from __future__ import annotations
 import hashlib
 import logging
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
 
 import torch
 from torch import Tensor
 
-from salsanext_cli.errors import UsageError, WeightsError
-from salsanext_cli.network.dropout import dropouts, sampling
+from salsanext_cli.errors import UsageError
+from salsanext_cli.network.dropout import sampling
+from salsanext_cli.network.estimate import Estimate, entropy, require_dropout
 from salsanext_cli.network.inference import Network
 from salsanext_cli.network.segmentation import SegmentationNetwork
-from salsanext_cli.records import Float, RangeImage, Uncertainty
+from salsanext_cli.records import RangeImage
 
 log = logging.getLogger(__name__)
 
 AT_ONCE = {"cpu": 64 * 1024, "cuda": 16 * 64 * 2048}
 """Pixels of passes side by side: on a CPU more only leave its cache, a GPU has enough to do."""
-
-
-@dataclass(frozen=True, slots=True)
-class Sampled:
-    """What the passes agree on and where they differ.
-
-    Attributes
-    ----------
-    probabilities : (C, H, W) float32
-        Mean softmax over the passes: the prediction.
-    variance : (C, H, W) float32
-        Variance of the softmax over the passes, of each class.
-    uncertainty : Uncertainty of (H, W) float32
-        Every pixel's, occupied or not.
-    """
-
-    probabilities: Float
-    variance: Float
-    uncertainty: Uncertainty
 
 
 class Moments:
@@ -63,33 +44,16 @@ class Moments:
         self.sum_of_squares.addcmul_(double, double)
         self.sum_of_entropies += entropy(double)
 
-    def summary(self) -> Sampled:
+    def summary(self) -> Estimate:
         """Divide once: mean, variance (of the population, paper III-C.2) and information."""
         mean = self.sum / self.count
         variance = (self.sum_of_squares / self.count - mean.square()).clamp(min=0)
-        total = entropy(mean)
-        return Sampled(
-            probabilities=as_array(mean),
-            variance=as_array(variance),
-            uncertainty=Uncertainty(
-                epistemic=as_array(variance.mean(dim=0)),
-                entropy=as_array(total),
-                mutual_information=as_array(
-                    (total - self.sum_of_entropies / self.count).clamp(min=0)
-                ),
-            ),
-        )
-
-
-def entropy(probabilities: Tensor) -> Tensor:
-    """Return the entropy over the first dimension in nats, (C, …) to (…)."""
-    nats: Tensor = torch.special.entr(probabilities).sum(dim=0)
-    # A softmax rounded up to above 1 would have a negative one.
-    return nats.clamp(min=0)
+        information = entropy(mean) - self.sum_of_entropies / self.count
+        return Estimate.of(mean, variance, information.clamp(min=0))
 
 
 @torch.inference_mode()
-def sample(network: Network, image: RangeImage, *, samples: int, seed: int) -> Sampled:
+def sample(network: Network, image: RangeImage, *, samples: int, seed: int) -> Estimate:
     """Run the network with dropout on and batch norm frozen, and sum up the passes.
 
     What lies before the first dropout is computed once. Several passes run side by side; how many
@@ -169,14 +133,6 @@ def require_samples(samples: int) -> None:
         raise UsageError("--samples", str(samples), "at least 2: one pass has no variance")
 
 
-def require_dropout(network: Network) -> None:
-    """Raise `WeightsError` if a network drops nothing, and so knows no epistemic uncertainty."""
-    if not dropouts(network.module):
-        found = "a network without dropout"
-        remedy = "`salsanext tune dropout` finds one"
-        raise WeightsError("weights", found, "a dropout rate above 0", remedy)
-
-
 def pass_seed(seed: int, number: int) -> int:
     """Return the seed of one pass: the sum of its parts would make neighbours share passes."""
     return _hashed(f"{seed}/{number}")
@@ -189,9 +145,3 @@ def scan_seed(seed: int, sequence: str, stem: str) -> int:
 
 def _hashed(text: str) -> int:
     return int.from_bytes(hashlib.sha256(text.encode()).digest()[:8], "little") >> 1
-
-
-def as_array(values: Tensor) -> Float:
-    """Return a tensor of any device and number type as a float32 array."""
-    array: Float = values.float().cpu().numpy()
-    return array

@@ -11,10 +11,9 @@ from salsanext_cli.formats.layout import ScanFile
 from salsanext_cli.geometry.noise import noise_of
 from salsanext_cli.network.aleatoric import aleatoric
 from salsanext_cli.network.analytic import analyse
+from salsanext_cli.network.estimate import Estimate, require_dropout
 from salsanext_cli.network.inference import Network
 from salsanext_cli.network.sampling import (
-    Sampled,
-    require_dropout,
     require_samples,
     sample,
     scan_seed,
@@ -71,7 +70,7 @@ class Estimator:
         if self.aleatoric:
             noise_of(network.sensor)
 
-    def estimate(self, network: Network, image: RangeImage, scan: ScanFile) -> Sampled:
+    def estimate(self, network: Network, image: RangeImage, scan: ScanFile) -> Estimate:
         """Return the prediction for a scan and the uncertainty of its pixels."""
         if self.method == "sampling":
             seed = scan_seed(self.seed, scan.sequence, scan.stem)

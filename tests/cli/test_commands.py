@@ -430,3 +430,20 @@ def test_refine_anybodys_labels(run, data, tmp_path):
 def test_every_error_of_ours_can_be_shown():
     for kind in SalsanextError.__subclasses__():
         assert str(kind("a", "b", "c", "d")) == "a · b · expected c · d"
+
+
+def test_eval_notices_that_uncertainties_were_made_anew(run, data, weights, tmp_path):
+    out = tmp_path / "out"
+    assert run("predict", data, out, "--weights", weights).exit_code == 0
+    made = ("uncertainty", data, out, "--weights", weights)
+    assert run(*made, "--samples", "2").exit_code == 0
+    judged = ("eval", "--dataset", data, "--out", out)
+    assert run(*judged).exit_code == 0
+    report = json.loads((out / "eval.json").read_text("utf-8"))
+    assert report["settings"]["uncertainty"]["method"] == "sampling"
+    assert len(report["uncertainty"]["total"]["thresholds"]) == 100
+    assert run(*made, "--method", "analytic", "--overwrite").exit_code == 0
+    again = run(*judged)
+    assert again.exit_code == 1
+    assert "uncertainty" in again.output
+    assert run(*judged, "--overwrite").exit_code == 0

@@ -12,8 +12,9 @@ from salsanext_cli.geometry.projection import project
 from salsanext_cli.network.aleatoric import aleatoric
 from salsanext_cli.network.analytic import analyse
 from salsanext_cli.network.dropout import ChannelDropout, dropouts, sampling
+from salsanext_cli.network.estimate import entropy
 from salsanext_cli.network.inference import load_network
-from salsanext_cli.network.sampling import AT_ONCE, Moments, entropy, pass_seed, sample, scan_seed
+from salsanext_cli.network.sampling import AT_ONCE, Moments, pass_seed, sample, scan_seed
 
 SAMPLES = 4
 ROUNDING = {"rtol": 2e-4, "atol": 1e-8}
