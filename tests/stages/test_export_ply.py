@@ -188,8 +188,16 @@ def test_uncertainty_is_the_total_unless_there_is_none(sampled):
         export(sampled, colour="total", options=OVERWRITE)
 
 
+def test_a_sensor_that_sees_as_that_of_the_weights_is_as_noisy(world):
+    predict(world.data, world.out, network=replace(world.network, sensor=SMALL))
+    assert export(world, colour="uncertainty", choice=Choice(limit=1)).done == 1
+    recorded = json.loads((world.out / "uncertainty.json").read_text())["settings"]
+    assert recorded["noise"] == [0.02, 0.02]
+    assert "range_noise" not in recorded["sensor"]
+
+
 def test_a_sensor_of_unknown_noise_has_no_total(world, caplog):
-    silent = replace(SMALL, range_noise=None)
+    silent = replace(SMALL, range_noise=None, fov_up=4.0)
     predict(world.data, world.out, network=replace(world.network, sensor=silent))
     with pytest.raises(UsageError, match="sensor small · its noise is not known"):
         export(world, colour="aleatoric")

@@ -172,7 +172,7 @@ def test_a_sensor_of_unknown_noise_is_refused_unless_it_does_not_matter(world, m
     silent = replace(
         world, network=replace(world.network, sensor=replace(SMALL, **{missing: None}))
     )
-    with pytest.raises(UsageError, match=r"its noise is not known .*--no-aleatoric"):
+    with pytest.raises(UsageError, match=r"its noise is not known .*give it with --sensor"):
         run(silent)
     assert not world.out.exists()
     assert run(silent, aleatoric=False).done == 3
