@@ -6,6 +6,7 @@ from pathlib import Path
 import pytest
 
 from salsanext_cli.errors import OutputError
+from salsanext_cli.stages.estimator import Estimator
 from salsanext_cli.stages.evaluate import evaluate
 from salsanext_cli.stages.export_ply import export_ply
 from salsanext_cli.stages.inputs import Choice
@@ -43,7 +44,7 @@ def test_settings_are_read_back():
     assert SETTINGS.get("none") is None
 
 
-@pytest.mark.parametrize("read", ["integer", "number", "pair", "table", "__getitem__"])
+@pytest.mark.parametrize("read", ["flag", "integer", "number", "pair", "table", "__getitem__"])
 def test_what_was_cut_out_is_named(read):
     with pytest.raises(OutputError, match=r"out/predict\.json · settings lack none · .*delete it"):
         getattr(SETTINGS, read)("none")
@@ -54,6 +55,7 @@ def test_what_was_cut_out_is_named(read):
 @pytest.mark.parametrize(
     ("read", "key"),
     [
+        *(("flag", key) for key in ("n", "pair", "in")),
         *(("integer", key) for key in ("x", "endless", "pair", "in", "yes")),
         *(("number", key) for key in ("pair", "in", "yes")),
         *(("pair", key) for key in ("n", "endless", "in")),
@@ -103,11 +105,13 @@ def test_a_record_of_project_without_its_sensor(world):
             stage()
 
 
-@pytest.mark.parametrize("keys", [("samples",), ("seed",), ("knn",), ("knn", "cutoff")])
+@pytest.mark.parametrize(
+    "keys", [("method",), ("samples",), ("seed",), ("aleatoric",), ("knn",), ("knn", "cutoff")]
+)
 def test_a_record_of_uncertainty_without_a_part(world, keys):
-    first = Choice(limit=1)
+    first = {"choice": Choice(limit=1), "estimator": Estimator(samples=2)}
     predict(world.data, world.out, network=world.network)
-    uncertainty(world.data, world.out, network=world.network, samples=2, choice=first)
+    uncertainty(world.data, world.out, network=world.network, **first)
     change(world.out / "uncertainty.json", *keys)
     with pytest.raises(OutputError, match=rf"uncertainty\.json · settings lack {keys[-1]}"):
         export_ply(world.out, colour="epistemic", network=world.network)
