@@ -28,6 +28,8 @@ from salsanext_cli.training.validation import evenly_spaced, validate
 CHECKPOINT = "checkpoint.pt"
 LAST, BEST = "last.safetensors", "best.safetensors"
 LOG, CURVE = "log.csv", "curve.png"
+SAVE_EVERY = 600.0
+"""Seconds between two checkpoints within an epoch."""
 
 log = logging.getLogger(__name__)
 
@@ -91,14 +93,14 @@ class Training:
         return Plan(len(self.samples.files), self.learner.recipe)
 
     def to_the_end(self) -> TrainingState:
-        """Train from the last finished epoch, if there is one, to the end."""
+        """Train from the last checkpoint, if there is one, to the end."""
         checkpoint = self.run / CHECKPOINT
         state = (
             load_checkpoint(checkpoint, self.learner) if checkpoint.exists() else TrainingState()
         )
-        first = state.epoch * self.plan.steps_per_epoch
+        first = state.epoch * self.plan.steps_per_epoch + len(state.losses)
         if first:
-            log.info("going on after epoch %d", state.epoch)
+            log.info("going on after step %d", first)
         pinned = self.learner.device.type == "cuda"
         stream = batches(self.samples, self.plan, first, self.workers, pinned=pinned)
         while state.epoch < self.learner.recipe.epochs:
@@ -106,22 +108,34 @@ class Training:
         return state
 
     def _epoch(self, state: TrainingState, stream: Iterator[Batch]) -> None:
-        start = time.monotonic()
-        first = state.epoch * self.plan.steps_per_epoch
-        losses = []
-        for step, batch in enumerate(islice(stream, self.plan.steps_per_epoch), first):
-            losses.append(self._step(batch, step))
-            if step + 1 < first + self.plan.steps_per_epoch:
-                self._tell(state, step, losses[-1])
-        state.epoch += 1
+        """Take the steps of an epoch that are left, and end it."""
+        saved = time.monotonic()
+        start = saved - state.seconds
+        end = (state.epoch + 1) * self.plan.steps_per_epoch
+        first = end - self.plan.steps_per_epoch + len(state.losses)
+        for step, batch in enumerate(islice(stream, end - first), first):
+            state.losses.append(self._step(batch, step))
+            now = time.monotonic()
+            state.seconds = now - start
+            if step + 1 == end:
+                break
+            if now - saved > SAVE_EVERY:
+                save_checkpoint(self.run / CHECKPOINT, self.learner, state)
+                saved = now
+            self._tell(state, step, state.losses[-1])
+        self._end_epoch(state, step)
+
+    def _end_epoch(self, state: TrainingState, step: int) -> None:
+        loss, losses, seconds = state.losses[-1], state.losses, state.seconds
+        state.epoch, state.losses, state.seconds = state.epoch + 1, [], 0.0
         row: Row = {
             "epoch": state.epoch,
             "learning_rate": learning_rate(self.learner.recipe, step, self.plan.steps_per_epoch),
             "loss": float(np.mean(losses)),
-            "seconds": time.monotonic() - start,
+            "seconds": seconds,
         }
         self._keep(state, row)
-        self._tell(state, step, losses[-1], row)
+        self._tell(state, step, loss, row)
 
     def _step(self, batch: Batch, step: int) -> float:
         images, truth, indices = batch

@@ -7,6 +7,8 @@ loss 0 and gradient 0.
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 import numpy.typing as npt
 import torch
@@ -35,7 +37,9 @@ def class_weights(counts: npt.NDArray[np.int64], scored: npt.NDArray[np.bool_]) 
     return torch.from_numpy(weights.astype(np.float32))
 
 
-def weighted_cross_entropy(log_probabilities: Tensor, truth: Tensor, weights: Tensor) -> Tensor:
+def weighted_cross_entropy(
+    log_probabilities: Tensor, truth: Tensor, weights: Tensor, whole: Tensor | None = None
+) -> Tensor:
     """Return the weighted mean of -log p(truth).
 
     Parameters
@@ -43,13 +47,16 @@ def weighted_cross_entropy(log_probabilities: Tensor, truth: Tensor, weights: Te
     log_probabilities : (P, C) float
     truth : (P,) int64
     weights : (C,) float
+    whole : 0-d float, optional
+        Weight of all pixels that the mean is over, where these are only some of them.
 
     Returns
     -------
     0-d tensor; 0 where no pixel has a weight.
     """
     total = F.nll_loss(log_probabilities, truth, weights, reduction="sum")
-    return total / weights[truth].sum().clamp_min(torch.finfo(weights.dtype).tiny)
+    whole = weights[truth].sum() if whole is None else whole
+    return total / whole.clamp_min(torch.finfo(weights.dtype).tiny)
 
 
 @torch.no_grad()
@@ -101,6 +108,22 @@ def lovasz_softmax(probabilities: Tensor, truth: Tensor) -> Tensor:
     return (errors * jaccard_gradient(errors.detach(), foreground)).sum() / len(present)
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class Whole:
+    """What the images of a call are a part of, so that the losses of all parts add up to one.
+
+    Attributes
+    ----------
+    weight : 0-d float tensor
+        Of all pixels of all parts.
+    parts : int
+        How many parts there are.
+    """
+
+    weight: Tensor
+    parts: int
+
+
 class SegmentationLoss(nn.Module):
     """Weighted cross-entropy plus Lovász-Softmax on logits (paper eq. 3).
 
@@ -119,15 +142,26 @@ class SegmentationLoss(nn.Module):
         self.register_buffer("weights", weights)
         self.lovasz = lovasz
 
-    def forward(self, logits: Tensor, truth: Tensor) -> Tensor:
-        """Return the loss of logits (B, C, H, W) for integer truth (B, H, W), 0-d."""
+    def weight(self, truth: Tensor) -> Tensor:
+        """Return the weight of all pixels of integer truth (B, H, W), 0-d."""
+        return self.weights[truth.long()].sum()
+
+    def forward(self, logits: Tensor, truth: Tensor, whole: Whole | None = None) -> Tensor:
+        """Return the loss of logits (B, C, H, W) for integer truth (B, H, W), 0-d.
+
+        Of a part of a `Whole` it is the part's share: cross-entropy is the mean over all pixels of
+        all parts. Lovász-Softmax is no mean over pixels; what counts is its mean over the parts.
+        """
         truth = truth.flatten().long()
         counts = (self.weights[truth] > 0).nonzero()[:, 0]
         truth = truth[counts]
         classes = logits.movedim(1, -1).reshape(-1, logits.shape[1])
         precise = torch.promote_types(logits.dtype, torch.float32)
         log_probabilities = F.log_softmax(classes[counts], 1, dtype=precise)
-        loss = weighted_cross_entropy(log_probabilities, truth, self.weights.to(precise))
+        loss = weighted_cross_entropy(
+            log_probabilities, truth, self.weights.to(precise), whole.weight if whole else None
+        )
         if self.lovasz:
-            loss = loss + self.lovasz * lovasz_softmax(log_probabilities.exp(), truth)
+            share = self.lovasz / (whole.parts if whole else 1)
+            loss = loss + share * lovasz_softmax(log_probabilities.exp(), truth)
         return loss

@@ -11,7 +11,8 @@ import torch
 from torch import Tensor, nn
 
 from salsanext_cli.network.segmentation import SegmentationNetwork
-from salsanext_cli.training.losses import SegmentationLoss
+from salsanext_cli.training.losses import SegmentationLoss, Whole
+from salsanext_cli.training.precision import autocast, dtype_of, scaler
 from salsanext_cli.training.recipe import Recipe
 from salsanext_cli.training.schedule import learning_rate
 
@@ -61,6 +62,10 @@ class Learner:
     optimiser : torch.optim.Optimizer
     average : SegmentationNetwork
         What is validated and kept: the running average of the weights, or the module itself.
+    scaler : torch.amp.GradScaler
+        Keeps small gradients of float16 from vanishing; does nothing in other types.
+    dtype : torch.dtype
+        What the network computes in.
     device : torch.device
         Where all of them are.
     """
@@ -70,6 +75,8 @@ class Learner:
     loss: SegmentationLoss
     optimiser: torch.optim.Optimizer
     average: SegmentationNetwork
+    scaler: torch.amp.GradScaler
+    dtype: torch.dtype
     device: torch.device
 
     @classmethod
@@ -82,7 +89,8 @@ class Learner:
             module = module.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
         average = copy.deepcopy(module).eval() if recipe.average else module
         loss = SegmentationLoss(weights, recipe.lovasz).to(device)
-        return cls(recipe, module, loss, build_optimiser(module, recipe), average, device)
+        optimiser, dtype = build_optimiser(module, recipe), dtype_of(recipe.precision, device)
+        return cls(recipe, module, loss, optimiser, average, scaler(dtype, device), dtype, device)
 
     def step(self, images: Tensor, truth: Tensor, step: int, steps_per_epoch: int) -> float:
         """Learn from one batch and return its loss; one that is not finite changes nothing.
@@ -95,28 +103,41 @@ class Learner:
             Of the whole training, from 0; decides learning rate and dropout.
         steps_per_epoch : int
         """
+        self.optimiser.zero_grad()
+        loss = float(self._gradient(images, truth, step))
+        if math.isfinite(loss):
+            self._update(step, steps_per_epoch)
+        return loss
+
+    def _gradient(self, images: Tensor, truth: Tensor, step: int) -> Tensor:
+        """Add up the gradient of a batch, part by part, and return its loss."""
         # On CPUs the gradient of the weights is a third slower with channels last.
         layout = torch.channels_last if self.device.type == "cuda" else torch.contiguous_format
-        images = images.to(self.device, memory_format=layout)
-        half = torch.autocast(self.device.type, torch.bfloat16, self.device.type == "cuda")
-        devices = [self.device] if self.device.type == "cuda" else []
+        truth = truth.to(self.device)
+        parts = min(self.recipe.accumulate, len(images))
+        whole = Whole(self.loss.weight(truth), parts) if parts > 1 else None
+        losses = []
         self.module.train()
         # Seeding every step makes it a function of its number, so that training can be resumed.
-        with torch.random.fork_rng(devices), half:
+        with torch.random.fork_rng([self.device] if self.device.type == "cuda" else []):
             torch.manual_seed(self.recipe.seed + step)
-            loss = self.loss(self.module(images), truth.to(self.device))
-        value = float(loss.detach())
-        if math.isfinite(value):
-            self._update(loss, step, steps_per_epoch)
-        return value
+            for some, labels in zip(
+                images.tensor_split(parts), truth.tensor_split(parts), strict=True
+            ):
+                with autocast(self.dtype, self.device):
+                    logits = self.module(some.to(self.device, memory_format=layout))
+                    loss = self.loss(logits, labels, whole)
+                self.scaler.scale(loss).backward()
+                losses.append(loss.detach())
+        return torch.stack(losses).sum()
 
-    def _update(self, loss: Tensor, step: int, steps_per_epoch: int) -> None:
+    def _update(self, step: int, steps_per_epoch: int) -> None:
         for group in self.optimiser.param_groups:
             group["lr"] = learning_rate(self.recipe, step, steps_per_epoch)
-        self.optimiser.zero_grad()
-        loss.backward()  # type: ignore[no-untyped-call]
         if self.recipe.clip_gradient:
+            self.scaler.unscale_(self.optimiser)
             nn.utils.clip_grad_norm_(self.module.parameters(), self.recipe.clip_gradient)
-        self.optimiser.step()
+        self.scaler.step(self.optimiser)
+        self.scaler.update()
         if self.average is not self.module:
             update_average(self.average, self.module, self.recipe.average, step)

@@ -27,6 +27,7 @@ from salsanext_cli.network.inference import load_network
 from salsanext_cli.network.salsanext import SalsaNext
 from salsanext_cli.network.weights import WeightsCard, read_card, save_weights
 from salsanext_cli.stages.train import TrainResult, train
+from salsanext_cli.training import loop
 from salsanext_cli.training.loop import Report
 from salsanext_cli.training.losses import class_weights
 from salsanext_cli.training.optimise import Learner
@@ -117,6 +118,36 @@ def test_an_interrupted_training_ends_with_the_weights_of_an_uninterrupted_one(
     assert same(whole.best, parts.best)
     assert [row["loss"] for row in whole.rows] == [row["loss"] for row in parts.rows]
     assert parts.best_miou == whole.best_miou
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {},
+        {"optimiser": "sgd", "schedule": "decay", "average": 0.0},
+        {"accumulate": 2, "clip_gradient": 0.5, "precision": "float16"},
+        {"precision": "bfloat16", "samples_per_epoch": 8},
+    ],
+)
+@pytest.mark.parametrize("stop", [1, 3, 4])
+def test_from_a_checkpoint_within_an_epoch_it_goes_on_at_the_next_step(
+    dataset: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, stop: int, changes: dict
+) -> None:
+    def interrupt(report: Report) -> None:
+        if report.step == stop:
+            raise Stopped
+
+    monkeypatch.setattr(loop, "SAVE_EVERY", -1.0)
+    wanted = {"recipe": TINY.with_changes(epochs=2, samples_per_epoch=6).with_changes(**changes)}
+    whole = go(dataset, tmp_path / "whole", **wanted)
+    with pytest.raises(Stopped):
+        go(dataset, tmp_path / "parts", progress=interrupt, **wanted)
+    steps: list[int] = []
+    parts = go(dataset, tmp_path / "parts", progress=lambda r: steps.append(r.step), **wanted)
+    assert steps[0] == stop + 1
+    assert same(whole.last, parts.last)
+    assert same(whole.best, parts.best)
+    assert [row["loss"] for row in whole.rows] == [row["loss"] for row in parts.rows]
 
 
 def test_the_real_network_can_be_interrupted_too(

@@ -67,6 +67,8 @@ def test_changes() -> None:
         ("epochs", 1.5),
         ("epochs", True),
         ("batch", -1),
+        ("accumulate", 0),
+        ("precision", "float64"),
         ("optimiser", "adam"),
         ("schedule", "cosine"),
         ("learning_rate", 0.0),
