@@ -9,31 +9,29 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-import numpy.typing as npt
 import torch
 
 from salsanext_cli.classes import LabelSpace, label_space
 from salsanext_cli.errors import NoInputError, WeightsError
 from salsanext_cli.formats.atomic import write_text
-from salsanext_cli.formats.json_files import read_json, write_json
 from salsanext_cli.formats.layout import ScanFile, find_scans
 from salsanext_cli.network.architectures import build
 from salsanext_cli.network.inference import choose_device
 from salsanext_cli.network.segmentation import SegmentationNetwork
-from salsanext_cli.network.weights import WeightsCard, fingerprint, identity, read_weights
+from salsanext_cli.network.weights import WeightsCard, fingerprint, read_weights
 from salsanext_cli.sensors import Sensor
 from salsanext_cli.sensors import sensor as preset_sensor
 from salsanext_cli.stages.batch import worker_count
 from salsanext_cli.stages.inputs import data_set_label_space
 from salsanext_cli.stages.outputs import claim
-from salsanext_cli.training.counting import count_classes, require_labels
+from salsanext_cli.training.counting import class_counts, require_labels
 from salsanext_cli.training.dataset import Samples
 from salsanext_cli.training.log import Row
 from salsanext_cli.training.loop import BEST, CHECKPOINT, CURVE, LAST, LOG, Report, Training
 from salsanext_cli.training.losses import class_weights
 from salsanext_cli.training.optimise import Learner
 from salsanext_cli.training.recipe import Recipe
+from salsanext_cli.training.validation import evenly_spaced
 
 DEFAULT_SENSOR = "hdl64"
 CLASS_COUNTS = "class_counts.json"
@@ -118,7 +116,8 @@ def train(
     card = WeightsCard(architecture, space, sensor, recipe.to_dict(), {}, _describe(dataset))
     _claim(run, card, [*training, *validation], weights, overwrite)
     require_labels([*training, *validation])
-    counts = _class_counts(run, training, validation, space, sensor, jobs)
+    splits = (training, validation, evenly_spaced(validation, recipe.validation_scans))
+    counts = class_counts(run / CLASS_COUNTS, splits, space, sensor, jobs)
     learner = Learner.of(module, recipe, class_weights(counts, space.scored), place)
     samples = Samples(training, space, sensor, recipe)
     workers = worker_count(jobs) if jobs != 1 else 0
@@ -191,41 +190,3 @@ def _claim(
         for name in (CHECKPOINT, CLASS_COUNTS, BEST, LAST, LOG, CURVE):
             (run / name).unlink(missing_ok=True)
     write_text(run / "recipe.toml", Recipe.from_dict(card.recipe).to_toml())
-
-
-def _class_counts(
-    run: Path,
-    training: Sequence[ScanFile],
-    validation: Sequence[ScanFile],
-    space: LabelSpace,
-    sensor: Sensor,
-    jobs: int,
-) -> npt.NDArray[np.int64]:
-    """Return points per class of the training split; all scans are checked once per run folder.
-
-    They are checked and counted anew when a file of scans or labels has changed since.
-    """
-    path, files = run / CLASS_COUNTS, _state_of_files([*training, *validation])
-    known = read_json(path) or {}
-    counted = known.get("points")
-    if (
-        known.get("files") == files
-        and isinstance(counted, dict)
-        and counted.keys() == {*space.names}
-    ):
-        return np.array([counted[name] for name in space.names], np.int64)
-    count_classes(validation, space, sensor, jobs)
-    counts = count_classes(training, space, sensor, jobs)
-    points = dict(zip(space.names, counts.tolist(), strict=True))
-    write_json(path, {"files": files, "points": points})
-    return counts
-
-
-def _state_of_files(scans: Sequence[ScanFile]) -> str:
-    """Return a digest of size and time of every scan and its labels, which tells edited ones."""
-    digest = hashlib.sha256()
-    for path in (path for scan in scans for path in (scan.path, scan.label_path)):
-        # Not where it lies: a data set may move.
-        _, _, *state = identity(path) or (None, None)
-        digest.update(f"{state}\n".encode())
-    return digest.hexdigest()[:16]

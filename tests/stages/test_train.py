@@ -312,8 +312,22 @@ def test_a_data_set_without_classes_that_count(dataset: Path, tmp_path: Path) ->
     for stem in "012":
         path = dataset / "sequences" / "00" / "labels" / f"{stem}.label"
         write_labels(path, np.zeros(600, np.uint32))
-    with pytest.raises(TrainingError, match="none of 1800 points"):
+    with pytest.raises(TrainingError, match="none of 1800 points in 3 scans"):
         go(dataset, tmp_path / "run", progress=no_step)
+
+
+def test_validation_scans_without_classes_that_count(dataset: Path, tmp_path: Path) -> None:
+    """Of the two, only the first is scored, and only the second is labelled."""
+    path = dataset / "sequences" / "08" / "labels" / "0.label"
+    write_labels(path, np.zeros(600, np.uint32))
+    go(dataset, tmp_path / "both", recipe=TINY.with_changes(epochs=1))
+    with pytest.raises(TrainingError, match="none of 600 points in 1 scans"):
+        go(
+            dataset,
+            tmp_path / "run",
+            recipe=TINY.with_changes(validation_scans=1),
+            progress=no_step,
+        )
 
 
 def test_a_data_set_without_a_validation_split(dataset: Path, tmp_path: Path) -> None:
