@@ -68,8 +68,11 @@ def train(
     from salsanext_cli.stages.train import train as learn
     from salsanext_cli.training.overrides import read_overrides
     from salsanext_cli.training.recipe import recipe as find
+    from salsanext_cli.training.team import team_here
 
-    talk = console.Talk(json, verbose, quiet)
+    leads = team_here().leads
+    quiet = quiet or not leads
+    talk = console.Talk(json and leads, verbose and leads, quiet)
     plan = find(recipe).with_changes(**read_overrides(changes or ()))
     with progress("train", quiet, unit="steps") as bar:
         done = learn(

@@ -9,14 +9,15 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+import numpy.typing as npt
 import torch
 
 from salsanext_cli.classes import LabelSpace, label_space
-from salsanext_cli.errors import NoInputError, WeightsError
+from salsanext_cli.errors import NoInputError, UsageError, WeightsError
 from salsanext_cli.formats.atomic import write_text
 from salsanext_cli.formats.layout import ScanFile, find_scans
 from salsanext_cli.network.architectures import build
-from salsanext_cli.network.inference import choose_device
 from salsanext_cli.network.segmentation import SegmentationNetwork
 from salsanext_cli.network.weights import WeightsCard, fingerprint, read_weights
 from salsanext_cli.sensors import Sensor
@@ -31,6 +32,7 @@ from salsanext_cli.training.loop import BEST, CHECKPOINT, CURVE, LAST, LOG, Repo
 from salsanext_cli.training.losses import class_weights
 from salsanext_cli.training.optimise import Learner
 from salsanext_cli.training.recipe import Recipe
+from salsanext_cli.training.team import Team, team_here, teamwork
 from salsanext_cli.training.validation import evenly_spaced
 
 DEFAULT_SENSOR = "hdl64"
@@ -72,6 +74,8 @@ def train(
 ) -> TrainResult:
     """Train a network, or go on with a training that was interrupted in the same folder.
 
+    Started by torchrun, each worker learns from its share of every batch, and the first writes.
+
     Parameters
     ----------
     dataset : Path
@@ -87,7 +91,7 @@ def train(
         What the labels mean and which sequences train; by default what the data set says, else
         SemanticKITTI's.
     device : str
-        As `choose_device` takes it.
+        As `choose_device` takes it; under torchrun each worker of a machine has its own GPU.
     jobs : int
         Processes that prepare samples; with 1 the training process does it itself.
     weights : Path, optional
@@ -107,22 +111,36 @@ def train(
     WeightsError
         If `weights` do not fit the label space.
     """
-    worker_count(jobs)
+    workers = worker_count(jobs)
     space = space or data_set_label_space(dataset) or label_space()
     training, validation = (_scans_of(dataset, space, split) for split in ("train", "valid"))
-    place = choose_device(device)
-    module, architecture, own_sensor = _start(weights, space, recipe)
-    sensor = sensor or own_sensor
-    card = WeightsCard(architecture, space, sensor, recipe.to_dict(), {}, _describe(dataset))
-    _claim(run, card, [*training, *validation], weights, overwrite)
-    require_labels([*training, *validation])
-    splits = (training, validation, evenly_spaced(validation, recipe.validation_scans))
-    counts = class_counts(run / CLASS_COUNTS, splits, space, sensor, jobs)
-    learner = Learner.of(module, recipe, class_weights(counts, space.scored), place)
-    samples = Samples(training, space, sensor, recipe)
-    workers = worker_count(jobs) if jobs != 1 else 0
-    done = Training(run, learner, samples, validation, card, workers, progress).to_the_end()
+    validated = evenly_spaced(validation, recipe.validation_scans)
+    _require_work_for_all(recipe, team_here())
+    with teamwork(device) as (team, place):
+        module, architecture, own_sensor = _start(weights, space, recipe)
+        sensor = sensor or own_sensor
+        card = WeightsCard(architecture, space, sensor, recipe.to_dict(), {}, _describe(dataset))
+
+        def prepare() -> npt.NDArray[np.int64]:
+            _claim(run, card, [*training, *validation], weights, overwrite)
+            require_labels([*training, *validation])
+            splits = (training, validation, validated)
+            return class_counts(run / CLASS_COUNTS, splits, space, sensor, jobs)
+
+        counts = team.told(prepare)
+        learner = Learner.of(module, recipe, class_weights(counts, space.scored), place, team)
+        samples = Samples(training, space, sensor, recipe)
+        helpers = workers if jobs != 1 else 0
+        course = Training(run, learner, samples, validated, card, helpers, progress)
+        done = course.to_the_end()
     return TrainResult(run / BEST, run / LAST, done.best, done.rows)
+
+
+def _require_work_for_all(recipe: Recipe, team: Team) -> None:
+    if recipe.batch < team.size:
+        remedy = "start fewer workers or set batch higher"
+        expected = f"at least one sample for each of {team.size} workers"
+        raise UsageError("recipe key batch", f"{recipe.batch}", expected, remedy)
 
 
 def _scans_of(dataset: Path, space: LabelSpace, split: str) -> list[ScanFile]:

@@ -19,11 +19,12 @@ from salsanext_cli.measures.scores import scores
 from salsanext_cli.network.inference import Network
 from salsanext_cli.network.weights import WeightsCard, save_weights
 from salsanext_cli.training.checkpoint import TrainingState, load_checkpoint, save_checkpoint
-from salsanext_cli.training.dataset import Batch, Plan, Samples, batches
+from salsanext_cli.training.dataset import Batch, Samples, batches
 from salsanext_cli.training.log import Row, draw_curve, write_log
 from salsanext_cli.training.optimise import Learner
+from salsanext_cli.training.plan import Plan
 from salsanext_cli.training.schedule import learning_rate
-from salsanext_cli.training.validation import evenly_spaced, validate
+from salsanext_cli.training.validation import validate
 
 CHECKPOINT = "checkpoint.pt"
 LAST, BEST = "last.safetensors", "best.safetensors"
@@ -70,13 +71,13 @@ class Training:
     samples : Samples
         What to learn from.
     validation : sequence of ScanFile
-        What to score on.
+        What to score on at every validation.
     card : WeightsCard
         What the weights files will say, scores aside.
     workers : int
         Processes that prepare samples.
     report : callable
-        Called after every step.
+        Called after every step; in a team by the leader, who alone writes and validates.
     """
 
     run: Path
@@ -102,10 +103,11 @@ class Training:
         if first:
             log.info("going on after step %d", first)
         pinned = self.learner.device.type == "cuda"
-        stream = batches(self.samples, self.plan, first, self.workers, pinned=pinned)
+        team = self.learner.team
+        stream = batches(self.samples, self.plan, first, self.workers, pinned=pinned, team=team)
         while state.epoch < self.learner.recipe.epochs:
             self._epoch(state, stream)
-        return state
+        return team.told(lambda: state)
 
     def _epoch(self, state: TrainingState, stream: Iterator[Batch]) -> None:
         """Take the steps of an epoch that are left, and end it."""
@@ -119,7 +121,7 @@ class Training:
             state.seconds = now - start
             if step + 1 == end:
                 break
-            if now - saved > SAVE_EVERY:
+            if now - saved > SAVE_EVERY and self.learner.team.leads:
                 save_checkpoint(self.run / CHECKPOINT, self.learner, state)
                 saved = now
             self._tell(state, step, state.losses[-1])
@@ -134,14 +136,15 @@ class Training:
             "loss": float(np.mean(losses)),
             "seconds": seconds,
         }
-        self._keep(state, row)
+        if self.learner.team.leads:
+            self._keep(state, row)
         self._tell(state, step, loss, row)
 
     def _step(self, batch: Batch, step: int) -> float:
         images, truth, indices = batch
         loss = self.learner.step(images, truth, step, self.plan.steps_per_epoch)
         if not math.isfinite(loss):
-            scans = ", ".join(str(self.samples.files[i].path) for i in indices)
+            scans = ", ".join(str(self.samples.files[i].path) for i in indices if i >= 0)
             raise TrainingError(
                 f"step {step + 1}",
                 f"the loss is {loss}; the batch held {scans}",
@@ -170,7 +173,7 @@ class Training:
 
     def _scores(self) -> Row:
         space = self.card.space
-        files = evenly_spaced(self.validation, self.learner.recipe.validation_scans)
+        files = self.validation
         module = self.learner.average.eval()
         network = Network(module, self.card, self.card.sensor, self.learner.device)
         result = scores(validate(network, files), space)
@@ -181,6 +184,8 @@ class Training:
         return {"miou": result.iou_mean_present} | names
 
     def _tell(self, state: TrainingState, step: int, loss: float, row: Row | None = None) -> None:
+        if not self.learner.team.leads:
+            return
         epoch = state.epoch + (row is None)
         epochs = self.learner.recipe.epochs
         self.report(Report(epoch, epochs, step + 1, self.plan.steps, loss, row))

@@ -15,6 +15,8 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional as F
 
+from salsanext_cli.training.team import ALONE, Team
+
 
 def class_weights(counts: npt.NDArray[np.int64], scored: npt.NDArray[np.bool_]) -> Tensor:
     """Weight every class by the inverse square root of its share of the scored points.
@@ -87,25 +89,38 @@ def jaccard_gradient(errors: Tensor, foreground: Tensor) -> Tensor:
     return torch.empty_like(gradient).scatter_(1, order, gradient)
 
 
-def lovasz_softmax(probabilities: Tensor, truth: Tensor) -> Tensor:
+def lovasz_softmax(probabilities: Tensor, truth: Tensor, team: Team = ALONE) -> Tensor:
     """Return the Lovász-Softmax loss, the mean over the classes present in the truth.
 
     Parameters
     ----------
     probabilities : (P, C) float
     truth : (P,) int64
+    team : Team
+        Workers whose pixels count as one set; the losses of all add up to that of the set.
 
     Returns
     -------
     0-d tensor; 0 without pixels.
     """
-    if not len(truth):
+    present = team.sum(truth.bincount(minlength=probabilities.shape[1])).nonzero()[:, 0]
+    if not len(present):
         return probabilities.sum()
-    present = truth.bincount(minlength=probabilities.shape[1]).nonzero()[:, 0]
     foreground = truth == present[:, None]
     of_class = probabilities.t()[present]
     errors = torch.where(foreground, 1 - of_class, of_class)
-    return (errors * jaccard_gradient(errors.detach(), foreground)).sum() / len(present)
+    return (errors * _gradient_of_own(errors.detach(), foreground, team)).sum() / len(present)
+
+
+def _gradient_of_own(errors: Tensor, foreground: Tensor, team: Team) -> Tensor:
+    """Return `jaccard_gradient` of a worker's pixels, sorted in among those of all workers."""
+    if team.size == 1:
+        return jaccard_gradient(errors, foreground)
+    of_all = team.gather(errors)
+    gradient = jaccard_gradient(
+        torch.cat(of_all, 1), torch.cat(team.gather(foreground.byte()), 1).bool()
+    )
+    return torch.split(gradient, [each.shape[1] for each in of_all], 1)[team.rank]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -115,13 +130,16 @@ class Whole:
     Attributes
     ----------
     weight : 0-d float tensor
-        Of all pixels of all parts.
+        Of all pixels of all parts of all workers.
     parts : int
-        How many parts there are.
+        How many parts each worker has.
+    team : Team
+        The workers.
     """
 
     weight: Tensor
     parts: int
+    team: Team = ALONE
 
 
 class SegmentationLoss(nn.Module):
@@ -150,7 +168,8 @@ class SegmentationLoss(nn.Module):
         """Return the loss of logits (B, C, H, W) for integer truth (B, H, W), 0-d.
 
         Of a part of a `Whole` it is the part's share: cross-entropy is the mean over all pixels of
-        all parts. Lovász-Softmax is no mean over pixels; what counts is its mean over the parts.
+        all parts. Lovász-Softmax is no mean over pixels: it is that of all workers' pixels of a
+        part, and what counts is its mean over the parts.
         """
         truth = truth.flatten().long()
         counts = (self.weights[truth] > 0).nonzero()[:, 0]
@@ -158,10 +177,10 @@ class SegmentationLoss(nn.Module):
         classes = logits.movedim(1, -1).reshape(-1, logits.shape[1])
         precise = torch.promote_types(logits.dtype, torch.float32)
         log_probabilities = F.log_softmax(classes[counts], 1, dtype=precise)
-        loss = weighted_cross_entropy(
-            log_probabilities, truth, self.weights.to(precise), whole.weight if whole else None
-        )
+        weight, parts, team = (whole.weight, whole.parts, whole.team) if whole else (None, 1, ALONE)
+        weights = self.weights.to(precise)
+        loss = weighted_cross_entropy(log_probabilities, truth, weights, weight)
         if self.lovasz:
-            share = self.lovasz / (whole.parts if whole else 1)
-            loss = loss + share * lovasz_softmax(log_probabilities.exp(), truth)
+            lovasz = lovasz_softmax(log_probabilities.exp(), truth, team)
+            loss = loss + self.lovasz / parts * lovasz
         return loss

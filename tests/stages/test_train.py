@@ -212,10 +212,10 @@ def test_class_weights_come_from_the_training_split(
     original = Learner.of.__func__  # type: ignore[attr-defined]
 
     def spy(
-        cls: type[Learner], module: object, recipe: object, weights: Tensor, place: object
+        cls: type[Learner], module: object, recipe: object, weights: Tensor, *rest: object
     ) -> Learner:
         seen.append(weights)
-        return original(cls, module, recipe, weights, place)
+        return original(cls, module, recipe, weights, *rest)
 
     monkeypatch.setattr(Learner, "of", classmethod(spy))
     go(dataset, tmp_path / "run", recipe=TINY.with_changes(epochs=1))

@@ -2,7 +2,7 @@
 from pathlib import Path
 
 import pytest
-from command_line import only_json
+from command_line import only_json, python
 from scans import SMALL, write_sequence
 from tiny_network import TinyNetwork
 
@@ -45,3 +45,23 @@ def test_a_wrong_override_is_one_line(run, data, tmp_path, text, found):
     assert result.stderr.startswith(f"error: {found}")
     assert result.stderr.count("\n") == 1
     assert not (tmp_path / "run").exists()
+
+
+def test_a_batch_too_small_for_the_workers(run, data, tmp_path, monkeypatch):
+    """Before they find each other, so that it is said at once."""
+    write_sequence(data / "sequences/00", ["0", "1"], count=300)
+    for name, value in {"RANK": "0", "WORLD_SIZE": "3", "TORCHELASTIC_RUN_ID": "x"}.items():
+        monkeypatch.setenv(name, value)
+    result = run("train", data, tmp_path / "run", "--recipe", "quick")
+    assert result.exit_code == 2
+    assert "recipe key batch · 2 · expected at least one sample for each of 3" in result.stderr
+    assert result.stderr.count("\n") == 1
+
+
+def test_python_runs_the_package_as_the_command():
+    ended = python(
+        "import runpy, sys; sys.argv[1:] = ['--version']; "
+        "runpy.run_module('salsanext_cli', run_name='__main__')"
+    )
+    assert ended.stdout.startswith("salsanext ")
+    assert ended.returncode == 0
