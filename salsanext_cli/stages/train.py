@@ -25,10 +25,21 @@ from salsanext_cli.sensors import sensor as preset_sensor
 from salsanext_cli.stages.batch import worker_count
 from salsanext_cli.stages.inputs import data_set_label_space
 from salsanext_cli.stages.outputs import claim
+from salsanext_cli.stages.sample_picture import draw_sample
 from salsanext_cli.training.counting import class_counts, require_labels
 from salsanext_cli.training.dataset import Samples
+from salsanext_cli.training.events import EVENTS, events_in
 from salsanext_cli.training.log import Row
-from salsanext_cli.training.loop import BEST, CHECKPOINT, CURVE, LAST, LOG, Report, Training
+from salsanext_cli.training.loop import (
+    BEST,
+    CHECKPOINT,
+    CURVE,
+    LAST,
+    LOG,
+    SAMPLES,
+    Report,
+    Training,
+)
 from salsanext_cli.training.losses import class_weights
 from salsanext_cli.training.optimise import Learner
 from salsanext_cli.training.recipe import Recipe
@@ -82,7 +93,7 @@ def train(
         A data set root; its label space says which sequences are for training and validation.
     run : Path
         Gets ``best.safetensors``, ``last.safetensors``, ``log.csv``, ``curve.png``,
-        ``recipe.toml`` and what is needed to resume.
+        ``recipe.toml``, a picture per epoch in ``samples`` and what is needed to resume.
     recipe : Recipe
         How to train.
     sensor : Sensor, optional
@@ -131,8 +142,14 @@ def train(
         learner = Learner.of(module, recipe, class_weights(counts, space.scored), place, team)
         samples = Samples(training, space, sensor, recipe)
         helpers = workers if jobs != 1 else 0
-        course = Training(run, learner, samples, validated, card, helpers, progress)
-        done = course.to_the_end()
+        with events_in(run / EVENTS, wanted=team.leads) as events:
+            course = Training(
+                *(run, learner, samples, validated, card, helpers),
+                draw=lambda path, network: draw_sample(path, validated[0], network),
+                events=events,
+                report=progress,
+            )
+            done = course.to_the_end()
     return TrainResult(run / BEST, run / LAST, done.best, done.rows)
 
 
@@ -207,4 +224,6 @@ def _claim(
     if overwrite:
         for name in (CHECKPOINT, CLASS_COUNTS, BEST, LAST, LOG, CURVE):
             (run / name).unlink(missing_ok=True)
+        for made in (*run.glob(f"{SAMPLES}/epoch-*.png"), *run.glob(f"{EVENTS}/events.*")):
+            made.unlink()
     write_text(run / "recipe.toml", Recipe.from_dict(card.recipe).to_toml())

@@ -12,6 +12,7 @@ from itertools import islice
 from pathlib import Path
 
 import numpy as np
+import numpy.typing as npt
 
 from salsanext_cli.errors import TrainingError
 from salsanext_cli.formats.layout import ScanFile
@@ -20,6 +21,7 @@ from salsanext_cli.network.inference import Network
 from salsanext_cli.network.weights import WeightsCard, save_weights
 from salsanext_cli.training.checkpoint import TrainingState, load_checkpoint, save_checkpoint
 from salsanext_cli.training.dataset import Batch, Samples, batches
+from salsanext_cli.training.events import Events
 from salsanext_cli.training.log import Row, draw_curve, write_log
 from salsanext_cli.training.optimise import Learner
 from salsanext_cli.training.plan import Plan
@@ -28,7 +30,7 @@ from salsanext_cli.training.validation import validate
 
 CHECKPOINT = "checkpoint.pt"
 LAST, BEST = "last.safetensors", "best.safetensors"
-LOG, CURVE = "log.csv", "curve.png"
+LOG, CURVE, SAMPLES = "log.csv", "curve.png", "samples"
 SAVE_EVERY = 600.0
 """Seconds between two checkpoints within an epoch."""
 
@@ -76,6 +78,10 @@ class Training:
         What the weights files will say, scores aside.
     workers : int
         Processes that prepare samples.
+    draw : callable
+        Draws what a network makes of a scan into a file, and returns the picture, (H, W, 3).
+    events : Events
+        Notes epochs for TensorBoard.
     report : callable
         Called after every step; in a team by the leader, who alone writes and validates.
     """
@@ -86,6 +92,8 @@ class Training:
     validation: Sequence[ScanFile]
     card: WeightsCard
     workers: int
+    draw: Callable[[Path, Network], npt.NDArray[np.uint8]]
+    events: Events
     report: Callable[[Report], object]
 
     @property
@@ -171,15 +179,20 @@ class Training:
         draw_curve(self.run / CURVE, state.rows)
         save_checkpoint(self.run / CHECKPOINT, self.learner, state)
 
+        picture = self.draw(self.run / SAMPLES / f"epoch-{state.epoch:03d}.png", self._network())
+        self.events.add(row, picture)
+
+    def _network(self) -> Network:
+        module = self.learner.average.eval()
+        return Network(module, self.card, self.card.sensor, self.learner.device)
+
     def _scores(self) -> Row:
         space = self.card.space
-        files = self.validation
-        module = self.learner.average.eval()
-        network = Network(module, self.card, self.card.sensor, self.learner.device)
-        result = scores(validate(network, files), space)
+        result = scores(validate(self._network(), self.validation), space)
         if not result.points:
             found = "no point of the validation scans is of a class that counts"
-            raise TrainingError(files[0].label_path.parent, found, f"labels of {space.name}")
+            where = self.validation[0].label_path.parent
+            raise TrainingError(where, found, f"labels of {space.name}")
         names = {f"iou_{score.name}": score.iou for score in result.classes}
         return {"miou": result.iou_mean_present} | names
 

@@ -2,6 +2,7 @@
 import json
 import math
 import os
+from importlib.util import find_spec
 from pathlib import Path
 
 import numpy as np
@@ -80,8 +81,11 @@ def test_a_run_folder_holds_weights_log_curve_and_recipe(dataset: Path, tmp_path
         "last.safetensors",
         "log.csv",
         "recipe.toml",
+        "samples",
         "train.json",
-    }
+    } | ({"tensorboard"} if find_spec("tensorboard") else set())
+    pictures = sorted(path.name for path in (run / "samples").iterdir())
+    assert pictures == ["epoch-001.png", "epoch-002.png", "epoch-003.png"]
     assert recipe(run / "recipe.toml") == TINY
     assert len((run / "log.csv").read_text().splitlines()) == 1 + TINY.epochs
     # Three scans in batches of two: the incomplete batch counts.
@@ -201,7 +205,9 @@ def test_another_recipe_is_refused_and_overwrite_starts_anew(dataset: Path, tmp_
     go(dataset, tmp_path / "run", recipe=TINY.with_changes(epochs=1))
     with pytest.raises(OutputError, match=r"train\.json .* recipe\.epochs was 1 and is 3"):
         go(dataset, tmp_path / "run")
+    (tmp_path / "run/samples/epoch-009.png").touch()
     anew = go(dataset, tmp_path / "run", overwrite=True)
+    assert not (tmp_path / "run/samples/epoch-009.png").exists()
     assert same(anew.last, go(dataset, tmp_path / "other").last)
 
 
