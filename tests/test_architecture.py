@@ -23,6 +23,7 @@ LEVELS = (
     ("report",),
     ("stages",),
     ("cli",),
+    ("__main__",),
 )
 """A part may import those in the lines above it, never one beside it."""
 LEVEL_OF = {part: level for level, parts in enumerate(LEVELS) for part in parts}

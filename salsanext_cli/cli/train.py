@@ -21,8 +21,21 @@ def train(
         "run"
     ),
     recipe: Annotated[
-        str, typer.Option(help="paper, street, quick, or a .toml file.", rich_help_panel="Network")
+        str,
+        typer.Option(
+            help="paper, paper-v1, modern, street, quick, or a .toml file.",
+            rich_help_panel="Network",
+        ),
     ] = "paper",
+    changes: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--set",
+            metavar="KEY=VALUE",
+            help="Instead of the recipe's value; may be given several times.",
+            rich_help_panel="Network",
+        ),
+    ] = None,
     epochs: Annotated[
         int | None, typer.Option(help="Instead of the recipe's.", rich_help_panel="Network")
     ] = None,
@@ -53,10 +66,14 @@ def train(
     Example: salsanext train streets/ runs/street --recipe street
     """
     from salsanext_cli.stages.train import train as learn
+    from salsanext_cli.training.overrides import read_overrides
     from salsanext_cli.training.recipe import recipe as find
+    from salsanext_cli.training.team import team_here
 
-    talk = console.Talk(json, verbose, quiet)
-    plan = find(recipe)
+    leads = team_here().leads
+    quiet = quiet or not leads
+    talk = console.Talk(json and leads, verbose and leads, quiet)
+    plan = find(recipe).with_changes(**read_overrides(changes or ()))
     with progress("train", quiet, unit="steps") as bar:
         done = learn(
             dataset,

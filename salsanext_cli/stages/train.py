@@ -14,26 +14,37 @@ import numpy.typing as npt
 import torch
 
 from salsanext_cli.classes import LabelSpace, label_space
-from salsanext_cli.errors import NoInputError, WeightsError
+from salsanext_cli.errors import NoInputError, UsageError, WeightsError
 from salsanext_cli.formats.atomic import write_text
-from salsanext_cli.formats.json_files import read_json, write_json
 from salsanext_cli.formats.layout import ScanFile, find_scans
 from salsanext_cli.network.architectures import build
-from salsanext_cli.network.inference import choose_device
 from salsanext_cli.network.segmentation import SegmentationNetwork
-from salsanext_cli.network.weights import WeightsCard, fingerprint, identity, read_weights
+from salsanext_cli.network.weights import WeightsCard, fingerprint, read_weights
 from salsanext_cli.sensors import Sensor
 from salsanext_cli.sensors import sensor as preset_sensor
 from salsanext_cli.stages.batch import worker_count
 from salsanext_cli.stages.inputs import data_set_label_space
 from salsanext_cli.stages.outputs import claim
-from salsanext_cli.training.counting import count_classes, require_labels
+from salsanext_cli.stages.sample_picture import draw_sample
+from salsanext_cli.training.counting import class_counts, require_labels
 from salsanext_cli.training.dataset import Samples
+from salsanext_cli.training.events import EVENTS, events_in
 from salsanext_cli.training.log import Row
-from salsanext_cli.training.loop import BEST, CHECKPOINT, CURVE, LAST, LOG, Report, Training
+from salsanext_cli.training.loop import (
+    BEST,
+    CHECKPOINT,
+    CURVE,
+    LAST,
+    LOG,
+    SAMPLES,
+    Report,
+    Training,
+)
 from salsanext_cli.training.losses import class_weights
 from salsanext_cli.training.optimise import Learner
 from salsanext_cli.training.recipe import Recipe
+from salsanext_cli.training.team import Team, team_here, teamwork
+from salsanext_cli.training.validation import evenly_spaced
 
 DEFAULT_SENSOR = "hdl64"
 CLASS_COUNTS = "class_counts.json"
@@ -74,13 +85,15 @@ def train(
 ) -> TrainResult:
     """Train a network, or go on with a training that was interrupted in the same folder.
 
+    Started by torchrun, each worker learns from its share of every batch, and the first writes.
+
     Parameters
     ----------
     dataset : Path
         A data set root; its label space says which sequences are for training and validation.
     run : Path
         Gets ``best.safetensors``, ``last.safetensors``, ``log.csv``, ``curve.png``,
-        ``recipe.toml`` and what is needed to resume.
+        ``recipe.toml``, a picture per epoch in ``samples`` and what is needed to resume.
     recipe : Recipe
         How to train.
     sensor : Sensor, optional
@@ -89,7 +102,7 @@ def train(
         What the labels mean and which sequences train; by default what the data set says, else
         SemanticKITTI's.
     device : str
-        As `choose_device` takes it.
+        As `choose_device` takes it; under torchrun each worker of a machine has its own GPU.
     jobs : int
         Processes that prepare samples; with 1 the training process does it itself.
     weights : Path, optional
@@ -109,21 +122,42 @@ def train(
     WeightsError
         If `weights` do not fit the label space.
     """
-    worker_count(jobs)
+    workers = worker_count(jobs)
     space = space or data_set_label_space(dataset) or label_space()
     training, validation = (_scans_of(dataset, space, split) for split in ("train", "valid"))
-    place = choose_device(device)
-    module, architecture, own_sensor = _start(weights, space, recipe)
-    sensor = sensor or own_sensor
-    card = WeightsCard(architecture, space, sensor, recipe.to_dict(), {}, _describe(dataset))
-    _claim(run, card, [*training, *validation], weights, overwrite)
-    require_labels([*training, *validation])
-    counts = _class_counts(run, training, validation, space, sensor, jobs)
-    learner = Learner.of(module, recipe, class_weights(counts, space.scored), place)
-    samples = Samples(training, space, sensor, recipe)
-    workers = worker_count(jobs) if jobs != 1 else 0
-    done = Training(run, learner, samples, validation, card, workers, progress).to_the_end()
+    validated = evenly_spaced(validation, recipe.validation_scans)
+    _require_work_for_all(recipe, team_here())
+    with teamwork(device) as (team, place):
+        module, architecture, own_sensor = _start(weights, space, recipe)
+        sensor = sensor or own_sensor
+        card = WeightsCard(architecture, space, sensor, recipe.to_dict(), {}, _describe(dataset))
+
+        def prepare() -> npt.NDArray[np.int64]:
+            _claim(run, card, [*training, *validation], weights, overwrite)
+            require_labels([*training, *validation])
+            splits = (training, validation, validated)
+            return class_counts(run / CLASS_COUNTS, splits, space, sensor, jobs)
+
+        counts = team.told(prepare)
+        learner = Learner.of(module, recipe, class_weights(counts, space.scored), place, team)
+        samples = Samples(training, space, sensor, recipe)
+        helpers = workers if jobs != 1 else 0
+        with events_in(run / EVENTS, wanted=team.leads) as events:
+            course = Training(
+                *(run, learner, samples, validated, card, helpers),
+                draw=lambda path, network: draw_sample(path, validated[0], network),
+                events=events,
+                report=progress,
+            )
+            done = course.to_the_end()
     return TrainResult(run / BEST, run / LAST, done.best, done.rows)
+
+
+def _require_work_for_all(recipe: Recipe, team: Team) -> None:
+    if recipe.batch < team.size:
+        remedy = "start fewer workers or set batch higher"
+        expected = f"at least one sample for each of {team.size} workers"
+        raise UsageError("recipe key batch", f"{recipe.batch}", expected, remedy)
 
 
 def _scans_of(dataset: Path, space: LabelSpace, split: str) -> list[ScanFile]:
@@ -190,42 +224,6 @@ def _claim(
     if overwrite:
         for name in (CHECKPOINT, CLASS_COUNTS, BEST, LAST, LOG, CURVE):
             (run / name).unlink(missing_ok=True)
+        for made in (*run.glob(f"{SAMPLES}/epoch-*.png"), *run.glob(f"{EVENTS}/events.*")):
+            made.unlink()
     write_text(run / "recipe.toml", Recipe.from_dict(card.recipe).to_toml())
-
-
-def _class_counts(
-    run: Path,
-    training: Sequence[ScanFile],
-    validation: Sequence[ScanFile],
-    space: LabelSpace,
-    sensor: Sensor,
-    jobs: int,
-) -> npt.NDArray[np.int64]:
-    """Return points per class of the training split; all scans are checked once per run folder.
-
-    They are checked and counted anew when a file of scans or labels has changed since.
-    """
-    path, files = run / CLASS_COUNTS, _state_of_files([*training, *validation])
-    known = read_json(path) or {}
-    counted = known.get("points")
-    if (
-        known.get("files") == files
-        and isinstance(counted, dict)
-        and counted.keys() == {*space.names}
-    ):
-        return np.array([counted[name] for name in space.names], np.int64)
-    count_classes(validation, space, sensor, jobs)
-    counts = count_classes(training, space, sensor, jobs)
-    points = dict(zip(space.names, counts.tolist(), strict=True))
-    write_json(path, {"files": files, "points": points})
-    return counts
-
-
-def _state_of_files(scans: Sequence[ScanFile]) -> str:
-    """Return a digest of size and time of every scan and its labels, which tells edited ones."""
-    digest = hashlib.sha256()
-    for path in (path for scan in scans for path in (scan.path, scan.label_path)):
-        # Not where it lies: a data set may move.
-        _, _, *state = identity(path) or (None, None)
-        digest.update(f"{state}\n".encode())
-    return digest.hexdigest()[:16]

@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from pickle import UnpicklingError
 
@@ -13,6 +13,8 @@ from salsanext_cli.errors import TrainingError
 from salsanext_cli.formats.atomic import writing
 from salsanext_cli.training.log import Row
 from salsanext_cli.training.optimise import Learner
+
+UNREADABLE = (EOFError, OSError, RuntimeError, ValueError, KeyError, TypeError, UnpicklingError)
 
 
 @dataclass(slots=True)
@@ -27,22 +29,27 @@ class TrainingState:
         Best validation mIoU so far; -1 before the first.
     rows : list of Row
         The log so far, a row per epoch.
+    losses : list of float
+        Of the steps done of the epoch at work.
+    seconds : float
+        What these steps took.
     """
 
     epoch: int = 0
     best: float = -1.0
     rows: list[Row] = field(default_factory=list)
+    losses: list[float] = field(default_factory=list)
+    seconds: float = 0.0
 
 
 def save_checkpoint(path: Path, learner: Learner, progress: TrainingState) -> None:
-    """Write the state after an epoch, atomically."""
+    """Write the state after a step, atomically."""
     state = {
         "module": learner.module.state_dict(),
         "average": learner.average.state_dict(),
         "optimiser": learner.optimiser.state_dict(),
-        "epoch": progress.epoch,
-        "best": progress.best,
-        "rows": progress.rows,
+        "scaler": learner.scaler.state_dict(),
+        "progress": asdict(progress),
     }
     with writing(path) as file:
         torch.save(state, file)
@@ -61,8 +68,9 @@ def load_checkpoint(path: Path, learner: Learner) -> TrainingState:
         learner.module.load_state_dict(state["module"])
         learner.average.load_state_dict(state["average"])
         learner.optimiser.load_state_dict(state["optimiser"])
-        return TrainingState(state["epoch"], state["best"], state["rows"])
-    except (EOFError, OSError, RuntimeError, ValueError, KeyError, UnpicklingError) as error:
+        learner.scaler.load_state_dict(state["scaler"])
+        return TrainingState(**state["progress"])
+    except UNREADABLE as error:
         raise TrainingError(
             path,
             f"cannot be resumed from: {' '.join(str(error).split())[:200]}",

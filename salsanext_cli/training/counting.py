@@ -3,7 +3,9 @@
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Sequence
+from pathlib import Path
 
 import joblib
 import numpy as np
@@ -11,7 +13,9 @@ import numpy.typing as npt
 
 from salsanext_cli.classes import LabelSpace
 from salsanext_cli.errors import LabelError, TrainingError
+from salsanext_cli.formats.json_files import read_json, write_json
 from salsanext_cli.formats.layout import ScanFile
+from salsanext_cli.network.weights import identity
 from salsanext_cli.sensors import Sensor
 from salsanext_cli.training.dataset import read_labelled
 
@@ -51,7 +55,62 @@ def count_classes(
     if not counts[space.scored].any():
         raise TrainingError(
             files[0].label_path.parent,
-            f"none of {counts.sum()} points is of a class that counts",
+            f"none of {counts.sum()} points in {len(files)} scans is of a class that counts",
             f"labels of {space.name}",
         )
     return counts
+
+
+def class_counts(
+    path: Path,
+    splits: tuple[Sequence[ScanFile], Sequence[ScanFile], Sequence[ScanFile]],
+    space: LabelSpace,
+    sensor: Sensor,
+    jobs: int = 1,
+) -> npt.NDArray[np.int64]:
+    """Return points per class of the training split, (C,); what was counted before is read back.
+
+    All scans are checked when they are counted: once, and anew when a file of scans or labels has
+    changed since.
+
+    Parameters
+    ----------
+    path : Path
+        Remembers the counts, as JSON.
+    splits : (training, validation, validated)
+        Scans to train on, all of the validation split, and those of them that are scored.
+    space, sensor, jobs
+        As `count_classes` takes them.
+
+    Raises
+    ------
+    FormatError, LabelError, TrainingError
+        As `count_classes`, of any of the three.
+    """
+    training, validation, validated = splits
+    files = _state_of_files([*training, *validation])
+    known = read_json(path) or {}
+    counted = known.get("points")
+    if (
+        known.get("files") == files
+        and isinstance(counted, dict)
+        and counted.keys() == {*space.names}
+    ):
+        return np.array([counted[name] for name in space.names], np.int64)
+    count_classes(validation, space, sensor, jobs)
+    if len(validated) < len(validation):
+        count_classes(validated, space, sensor, jobs)
+    counts = count_classes(training, space, sensor, jobs)
+    points = dict(zip(space.names, counts.tolist(), strict=True))
+    write_json(path, {"files": files, "points": points})
+    return counts
+
+
+def _state_of_files(scans: Sequence[ScanFile]) -> str:
+    """Return a digest of size and time of every scan and its labels, which tells edited ones."""
+    digest = hashlib.sha256()
+    for path in (path for scan in scans for path in (scan.path, scan.label_path)):
+        # Not where it lies: a data set may move.
+        _, _, *state = identity(path) or (None, None)
+        digest.update(f"{state}\n".encode())
+    return digest.hexdigest()[:16]

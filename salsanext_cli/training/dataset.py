@@ -9,7 +9,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from itertools import islice
 from typing import Any
 
 import numpy as np
@@ -27,13 +26,10 @@ from salsanext_cli.geometry.projection import project
 from salsanext_cli.records import Float, RangeImage, Scan
 from salsanext_cli.sensors import Sensor
 from salsanext_cli.training.augment import Augmentation
+from salsanext_cli.training.plan import NOTHING, SAMPLE, Draw, Plan
 from salsanext_cli.training.recipe import Recipe
+from salsanext_cli.training.team import ALONE, Team
 
-ORDER, SAMPLE = 0, 1
-"""What a generator is for; part of its seed, so that no two are alike."""
-
-Draw = tuple[int, int]
-"""Position of a sample in the whole training, index of its scan."""
 Batch = tuple[Tensor, Tensor, Tensor]
 """Normalised images (B, 5, H, W), truth (B, H, W) uint8, indices of the scans (B,) int64."""
 
@@ -122,8 +118,10 @@ class Samples(Dataset[tuple[Float, TrainIds, int]]):
 
     def __getitem__(self, draw: Draw) -> tuple[Float, TrainIds, int]:
         """Return the image (5, H, W), the truth (H, W) and the index of the scan."""
-        position, index = draw
         recipe = self.recipe
+        if draw == NOTHING:
+            return self._nothing()
+        position, index = draw
         random = np.random.default_rng((recipe.seed, SAMPLE, position))
         scan, labels = read_labelled(self.files[index], self.space, self.sensor)
         augment = Augmentation(recipe.rotate, recipe.shift, recipe.flip, recipe.drop)
@@ -135,57 +133,20 @@ class Samples(Dataset[tuple[Float, TrainIds, int]]):
         )
         return normalise(image.channels[:, :, columns], self.sensor), truth[:, columns], index
 
-
-@dataclass(frozen=True, slots=True)
-class Plan:
-    """Which scan is drawn at which step, for the whole training.
-
-    Every scan is drawn once before any is drawn again. An epoch's last batch may be smaller.
-
-    Attributes
-    ----------
-    scan_count : int
-    recipe : Recipe
-    """
-
-    scan_count: int
-    recipe: Recipe
-
-    @property
-    def samples_per_epoch(self) -> int:
-        """Number of samples of an epoch."""
-        return self.recipe.samples_per_epoch or self.scan_count
-
-    @property
-    def steps_per_epoch(self) -> int:
-        """Number of batches of an epoch."""
-        return -(-self.samples_per_epoch // self.recipe.batch)
-
-    @property
-    def steps(self) -> int:
-        """Number of batches of the whole training."""
-        return self.steps_per_epoch * self.recipe.epochs
-
-    def batches(self, first_step: int = 0) -> Iterator[list[Draw]]:
-        """Yield what each batch holds, from a step of the whole training to its end."""
-        epoch, place = divmod(first_step, self.steps_per_epoch)
-        draws = self._draws(epoch * self.samples_per_epoch + place * self.recipe.batch)
-        for step in range(first_step, self.steps):
-            first = step % self.steps_per_epoch * self.recipe.batch
-            yield list(islice(draws, min(self.recipe.batch, self.samples_per_epoch - first)))
-
-    def _draws(self, position: int) -> Iterator[Draw]:
-        """Yield draws without end, from a position of the whole training."""
-        while True:
-            time, place = divmod(position, self.scan_count)
-            random = np.random.default_rng((self.recipe.seed, ORDER, time))
-            for index in random.permutation(self.scan_count)[place:]:
-                yield position, int(index)
-                position += 1
+    def _nothing(self) -> tuple[Float, TrainIds, int]:
+        height, width = self.sensor.height, self.sensor.width
+        width = min(self.recipe.crop_width or width, width)
+        return np.zeros((5, height, width), np.float32), np.zeros((height, width), np.uint8), -1
 
 
 def batches(
-    samples: Samples, plan: Plan, first_step: int, workers: int = 0, *, pinned: bool = False
+    samples: Samples,
+    plan: Plan,
+    first_step: int,
+    workers: int = 0,
+    *,
+    pinned: bool = False,
+    team: Team = ALONE,
 ) -> Iterator[Batch]:
     """Yield the batches from a step to the end of the training.
 
@@ -199,11 +160,13 @@ def batches(
         Processes that prepare samples beside this one; 0 for none.
     pinned : bool
         Whether to put batches where a GPU copies them from quickly.
+    team : Team
+        Who shares the batches.
     """
     loader: DataLoader[Any] = DataLoader(
         _Sent(samples),
         collate_fn=_collate,
-        batch_sampler=plan.batches(first_step),
+        batch_sampler=plan.batches(first_step, team),
         num_workers=workers,
         # A fork would inherit locks that the threads of torch and numba may hold.
         multiprocessing_context="spawn" if workers else None,

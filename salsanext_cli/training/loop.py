@@ -12,6 +12,7 @@ from itertools import islice
 from pathlib import Path
 
 import numpy as np
+import numpy.typing as npt
 
 from salsanext_cli.errors import TrainingError
 from salsanext_cli.formats.layout import ScanFile
@@ -19,15 +20,19 @@ from salsanext_cli.measures.scores import scores
 from salsanext_cli.network.inference import Network
 from salsanext_cli.network.weights import WeightsCard, save_weights
 from salsanext_cli.training.checkpoint import TrainingState, load_checkpoint, save_checkpoint
-from salsanext_cli.training.dataset import Batch, Plan, Samples, batches
+from salsanext_cli.training.dataset import Batch, Samples, batches
+from salsanext_cli.training.events import Events
 from salsanext_cli.training.log import Row, draw_curve, write_log
 from salsanext_cli.training.optimise import Learner
+from salsanext_cli.training.plan import Plan
 from salsanext_cli.training.schedule import learning_rate
-from salsanext_cli.training.validation import evenly_spaced, validate
+from salsanext_cli.training.validation import validate
 
 CHECKPOINT = "checkpoint.pt"
 LAST, BEST = "last.safetensors", "best.safetensors"
-LOG, CURVE = "log.csv", "curve.png"
+LOG, CURVE, SAMPLES = "log.csv", "curve.png", "samples"
+SAVE_EVERY = 600.0
+"""Seconds between two checkpoints within an epoch."""
 
 log = logging.getLogger(__name__)
 
@@ -68,13 +73,17 @@ class Training:
     samples : Samples
         What to learn from.
     validation : sequence of ScanFile
-        What to score on.
+        What to score on at every validation.
     card : WeightsCard
         What the weights files will say, scores aside.
     workers : int
         Processes that prepare samples.
+    draw : callable
+        Draws what a network makes of a scan into a file, and returns the picture, (H, W, 3).
+    events : Events
+        Notes epochs for TensorBoard.
     report : callable
-        Called after every step.
+        Called after every step; in a team by the leader, who alone writes and validates.
     """
 
     run: Path
@@ -83,6 +92,8 @@ class Training:
     validation: Sequence[ScanFile]
     card: WeightsCard
     workers: int
+    draw: Callable[[Path, Network], npt.NDArray[np.uint8]]
+    events: Events
     report: Callable[[Report], object]
 
     @property
@@ -91,43 +102,57 @@ class Training:
         return Plan(len(self.samples.files), self.learner.recipe)
 
     def to_the_end(self) -> TrainingState:
-        """Train from the last finished epoch, if there is one, to the end."""
+        """Train from the last checkpoint, if there is one, to the end."""
         checkpoint = self.run / CHECKPOINT
         state = (
             load_checkpoint(checkpoint, self.learner) if checkpoint.exists() else TrainingState()
         )
-        first = state.epoch * self.plan.steps_per_epoch
+        first = state.epoch * self.plan.steps_per_epoch + len(state.losses)
         if first:
-            log.info("going on after epoch %d", state.epoch)
+            log.info("going on after step %d", first)
         pinned = self.learner.device.type == "cuda"
-        stream = batches(self.samples, self.plan, first, self.workers, pinned=pinned)
+        team = self.learner.team
+        stream = batches(self.samples, self.plan, first, self.workers, pinned=pinned, team=team)
         while state.epoch < self.learner.recipe.epochs:
             self._epoch(state, stream)
-        return state
+        return team.told(lambda: state)
 
     def _epoch(self, state: TrainingState, stream: Iterator[Batch]) -> None:
-        start = time.monotonic()
-        first = state.epoch * self.plan.steps_per_epoch
-        losses = []
-        for step, batch in enumerate(islice(stream, self.plan.steps_per_epoch), first):
-            losses.append(self._step(batch, step))
-            if step + 1 < first + self.plan.steps_per_epoch:
-                self._tell(state, step, losses[-1])
-        state.epoch += 1
+        """Take the steps of an epoch that are left, and end it."""
+        saved = time.monotonic()
+        start = saved - state.seconds
+        end = (state.epoch + 1) * self.plan.steps_per_epoch
+        first = end - self.plan.steps_per_epoch + len(state.losses)
+        for step, batch in enumerate(islice(stream, end - first), first):
+            state.losses.append(self._step(batch, step))
+            now = time.monotonic()
+            state.seconds = now - start
+            if step + 1 == end:
+                break
+            if now - saved > SAVE_EVERY and self.learner.team.leads:
+                save_checkpoint(self.run / CHECKPOINT, self.learner, state)
+                saved = now
+            self._tell(state, step, state.losses[-1])
+        self._end_epoch(state, step)
+
+    def _end_epoch(self, state: TrainingState, step: int) -> None:
+        loss, losses, seconds = state.losses[-1], state.losses, state.seconds
+        state.epoch, state.losses, state.seconds = state.epoch + 1, [], 0.0
         row: Row = {
             "epoch": state.epoch,
             "learning_rate": learning_rate(self.learner.recipe, step, self.plan.steps_per_epoch),
             "loss": float(np.mean(losses)),
-            "seconds": time.monotonic() - start,
+            "seconds": seconds,
         }
-        self._keep(state, row)
-        self._tell(state, step, losses[-1], row)
+        if self.learner.team.leads:
+            self._keep(state, row)
+        self._tell(state, step, loss, row)
 
     def _step(self, batch: Batch, step: int) -> float:
         images, truth, indices = batch
         loss = self.learner.step(images, truth, step, self.plan.steps_per_epoch)
         if not math.isfinite(loss):
-            scans = ", ".join(str(self.samples.files[i].path) for i in indices)
+            scans = ", ".join(str(self.samples.files[i].path) for i in indices if i >= 0)
             raise TrainingError(
                 f"step {step + 1}",
                 f"the loss is {loss}; the batch held {scans}",
@@ -154,19 +179,26 @@ class Training:
         draw_curve(self.run / CURVE, state.rows)
         save_checkpoint(self.run / CHECKPOINT, self.learner, state)
 
+        picture = self.draw(self.run / SAMPLES / f"epoch-{state.epoch:03d}.png", self._network())
+        self.events.add(row, picture)
+
+    def _network(self) -> Network:
+        module = self.learner.average.eval()
+        return Network(module, self.card, self.card.sensor, self.learner.device)
+
     def _scores(self) -> Row:
         space = self.card.space
-        files = evenly_spaced(self.validation, self.learner.recipe.validation_scans)
-        module = self.learner.average.eval()
-        network = Network(module, self.card, self.card.sensor, self.learner.device)
-        result = scores(validate(network, files), space)
+        result = scores(validate(self._network(), self.validation), space)
         if not result.points:
             found = "no point of the validation scans is of a class that counts"
-            raise TrainingError(files[0].label_path.parent, found, f"labels of {space.name}")
+            where = self.validation[0].label_path.parent
+            raise TrainingError(where, found, f"labels of {space.name}")
         names = {f"iou_{score.name}": score.iou for score in result.classes}
         return {"miou": result.iou_mean_present} | names
 
     def _tell(self, state: TrainingState, step: int, loss: float, row: Row | None = None) -> None:
+        if not self.learner.team.leads:
+            return
         epoch = state.epoch + (row is None)
         epochs = self.learner.recipe.epochs
         self.report(Report(epoch, epochs, step + 1, self.plan.steps, loss, row))

@@ -7,11 +7,15 @@ loss 0 and gradient 0.
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 import numpy.typing as npt
 import torch
 from torch import Tensor, nn
 from torch.nn import functional as F
+
+from salsanext_cli.training.team import ALONE, Team
 
 
 def class_weights(counts: npt.NDArray[np.int64], scored: npt.NDArray[np.bool_]) -> Tensor:
@@ -35,7 +39,9 @@ def class_weights(counts: npt.NDArray[np.int64], scored: npt.NDArray[np.bool_]) 
     return torch.from_numpy(weights.astype(np.float32))
 
 
-def weighted_cross_entropy(log_probabilities: Tensor, truth: Tensor, weights: Tensor) -> Tensor:
+def weighted_cross_entropy(
+    log_probabilities: Tensor, truth: Tensor, weights: Tensor, whole: Tensor | None = None
+) -> Tensor:
     """Return the weighted mean of -log p(truth).
 
     Parameters
@@ -43,13 +49,16 @@ def weighted_cross_entropy(log_probabilities: Tensor, truth: Tensor, weights: Te
     log_probabilities : (P, C) float
     truth : (P,) int64
     weights : (C,) float
+    whole : 0-d float, optional
+        Weight of all pixels that the mean is over, where these are only some of them.
 
     Returns
     -------
     0-d tensor; 0 where no pixel has a weight.
     """
     total = F.nll_loss(log_probabilities, truth, weights, reduction="sum")
-    return total / weights[truth].sum().clamp_min(torch.finfo(weights.dtype).tiny)
+    whole = weights[truth].sum() if whole is None else whole
+    return total / whole.clamp_min(torch.finfo(weights.dtype).tiny)
 
 
 @torch.no_grad()
@@ -80,25 +89,57 @@ def jaccard_gradient(errors: Tensor, foreground: Tensor) -> Tensor:
     return torch.empty_like(gradient).scatter_(1, order, gradient)
 
 
-def lovasz_softmax(probabilities: Tensor, truth: Tensor) -> Tensor:
+def lovasz_softmax(probabilities: Tensor, truth: Tensor, team: Team = ALONE) -> Tensor:
     """Return the Lovász-Softmax loss, the mean over the classes present in the truth.
 
     Parameters
     ----------
     probabilities : (P, C) float
     truth : (P,) int64
+    team : Team
+        Workers whose pixels count as one set; the losses of all add up to that of the set.
 
     Returns
     -------
     0-d tensor; 0 without pixels.
     """
-    if not len(truth):
+    present = team.sum(truth.bincount(minlength=probabilities.shape[1])).nonzero()[:, 0]
+    if not len(present):
         return probabilities.sum()
-    present = truth.bincount(minlength=probabilities.shape[1]).nonzero()[:, 0]
     foreground = truth == present[:, None]
     of_class = probabilities.t()[present]
     errors = torch.where(foreground, 1 - of_class, of_class)
-    return (errors * jaccard_gradient(errors.detach(), foreground)).sum() / len(present)
+    return (errors * _gradient_of_own(errors.detach(), foreground, team)).sum() / len(present)
+
+
+def _gradient_of_own(errors: Tensor, foreground: Tensor, team: Team) -> Tensor:
+    """Return `jaccard_gradient` of a worker's pixels, sorted in among those of all workers."""
+    if team.size == 1:
+        return jaccard_gradient(errors, foreground)
+    of_all = team.gather(errors)
+    gradient = jaccard_gradient(
+        torch.cat(of_all, 1), torch.cat(team.gather(foreground.byte()), 1).bool()
+    )
+    return torch.split(gradient, [each.shape[1] for each in of_all], 1)[team.rank]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Whole:
+    """What the images of a call are a part of, so that the losses of all parts add up to one.
+
+    Attributes
+    ----------
+    weight : 0-d float tensor
+        Of all pixels of all parts of all workers.
+    parts : int
+        How many parts each worker has.
+    team : Team
+        The workers.
+    """
+
+    weight: Tensor
+    parts: int
+    team: Team = ALONE
 
 
 class SegmentationLoss(nn.Module):
@@ -119,15 +160,27 @@ class SegmentationLoss(nn.Module):
         self.register_buffer("weights", weights)
         self.lovasz = lovasz
 
-    def forward(self, logits: Tensor, truth: Tensor) -> Tensor:
-        """Return the loss of logits (B, C, H, W) for integer truth (B, H, W), 0-d."""
+    def weight(self, truth: Tensor) -> Tensor:
+        """Return the weight of all pixels of integer truth (B, H, W), 0-d."""
+        return self.weights[truth.long()].sum()
+
+    def forward(self, logits: Tensor, truth: Tensor, whole: Whole | None = None) -> Tensor:
+        """Return the loss of logits (B, C, H, W) for integer truth (B, H, W), 0-d.
+
+        Of a part of a `Whole` it is the part's share: cross-entropy is the mean over all pixels of
+        all parts. Lovász-Softmax is no mean over pixels: it is that of all workers' pixels of a
+        part, and what counts is its mean over the parts.
+        """
         truth = truth.flatten().long()
         counts = (self.weights[truth] > 0).nonzero()[:, 0]
         truth = truth[counts]
         classes = logits.movedim(1, -1).reshape(-1, logits.shape[1])
         precise = torch.promote_types(logits.dtype, torch.float32)
         log_probabilities = F.log_softmax(classes[counts], 1, dtype=precise)
-        loss = weighted_cross_entropy(log_probabilities, truth, self.weights.to(precise))
+        weight, parts, team = (whole.weight, whole.parts, whole.team) if whole else (None, 1, ALONE)
+        weights = self.weights.to(precise)
+        loss = weighted_cross_entropy(log_probabilities, truth, weights, weight)
         if self.lovasz:
-            loss = loss + self.lovasz * lovasz_softmax(log_probabilities.exp(), truth)
+            lovasz = lovasz_softmax(log_probabilities.exp(), truth, team)
+            loss = loss + self.lovasz / parts * lovasz
         return loss

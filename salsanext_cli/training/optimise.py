@@ -5,15 +5,23 @@ from __future__ import annotations
 
 import copy
 import math
+from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass
 
 import torch
 from torch import Tensor, nn
+from torch.nn.parallel import DistributedDataParallel
 
 from salsanext_cli.network.segmentation import SegmentationNetwork
-from salsanext_cli.training.losses import SegmentationLoss
+from salsanext_cli.training.losses import SegmentationLoss, Whole
+from salsanext_cli.training.precision import autocast, dtype_of, scaler
 from salsanext_cli.training.recipe import Recipe
 from salsanext_cli.training.schedule import learning_rate
+from salsanext_cli.training.team import ALONE, Team
+
+STRIDE = 1 << 24
+"""Between the seeds of two workers: more than a training has steps, and within the 32 bits that
+torch takes of a seed on CPUs."""
 
 
 def build_optimiser(module: nn.Module, recipe: Recipe) -> torch.optim.Optimizer:
@@ -48,6 +56,15 @@ def update_average(average: nn.Module, module: nn.Module, decay: float, step: in
             kept.copy_(new)
 
 
+def shared(module: nn.Module, device: torch.device, team: Team) -> nn.Module:
+    """Return what to call in training: the module, or what adds up its gradient over a team."""
+    if team.size == 1:
+        return module
+    if device.type == "cuda":
+        module = nn.SyncBatchNorm.convert_sync_batchnorm(module)  # type: ignore[no-untyped-call]
+    return DistributedDataParallel(module, [device] if device.type == "cuda" else None)
+
+
 @dataclass(slots=True, eq=False)
 class Learner:
     """What changes during training.
@@ -61,8 +78,16 @@ class Learner:
     optimiser : torch.optim.Optimizer
     average : SegmentationNetwork
         What is validated and kept: the running average of the weights, or the module itself.
+    scaler : torch.amp.GradScaler
+        Keeps small gradients of float16 from vanishing; does nothing in other types.
+    dtype : torch.dtype
+        What the network computes in.
     device : torch.device
         Where all of them are.
+    team : Team
+        Who else trains the module.
+    forward : nn.Module
+        What is called in training: the module, wrapped for a team.
     """
 
     recipe: Recipe
@@ -70,11 +95,20 @@ class Learner:
     loss: SegmentationLoss
     optimiser: torch.optim.Optimizer
     average: SegmentationNetwork
+    scaler: torch.amp.GradScaler
+    dtype: torch.dtype
     device: torch.device
+    team: Team
+    forward: nn.Module
 
     @classmethod
     def of(
-        cls, module: SegmentationNetwork, recipe: Recipe, weights: Tensor, device: torch.device
+        cls,
+        module: SegmentationNetwork,
+        recipe: Recipe,
+        weights: Tensor,
+        device: torch.device,
+        team: Team = ALONE,
     ) -> Learner:
         """Prepare a module for training with class weights (C,)."""
         module = module.to(device)
@@ -82,10 +116,15 @@ class Learner:
             module = module.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
         average = copy.deepcopy(module).eval() if recipe.average else module
         loss = SegmentationLoss(weights, recipe.lovasz).to(device)
-        return cls(recipe, module, loss, build_optimiser(module, recipe), average, device)
+        forward = shared(module, device, team)
+        optimiser, dtype = build_optimiser(module, recipe), dtype_of(recipe.precision, device)
+        scale = scaler(dtype, device)
+        return cls(recipe, module, loss, optimiser, average, scale, dtype, device, team, forward)
 
     def step(self, images: Tensor, truth: Tensor, step: int, steps_per_epoch: int) -> float:
         """Learn from one batch and return its loss; one that is not finite changes nothing.
+
+        In a team the images are a worker's share of the batch, and the loss is that of all.
 
         Parameters
         ----------
@@ -95,28 +134,53 @@ class Learner:
             Of the whole training, from 0; decides learning rate and dropout.
         steps_per_epoch : int
         """
+        self.optimiser.zero_grad()
+        loss = float(self._gradient(images, truth, step))
+        if math.isfinite(loss):
+            self._update(step, steps_per_epoch)
+        return loss
+
+    def _gradient(self, images: Tensor, truth: Tensor, step: int) -> Tensor:
+        """Add up the gradient of a batch, part by part, and return its loss."""
         # On CPUs the gradient of the weights is a third slower with channels last.
         layout = torch.channels_last if self.device.type == "cuda" else torch.contiguous_format
-        images = images.to(self.device, memory_format=layout)
-        half = torch.autocast(self.device.type, torch.bfloat16, self.device.type == "cuda")
-        devices = [self.device] if self.device.type == "cuda" else []
+        truth = truth.to(self.device)
+        parts = min(self.recipe.accumulate, len(images))
+        whole = self._whole(truth, parts)
+        losses = []
         self.module.train()
         # Seeding every step makes it a function of its number, so that training can be resumed.
-        with torch.random.fork_rng(devices), half:
-            torch.manual_seed(self.recipe.seed + step)
-            loss = self.loss(self.module(images), truth.to(self.device))
-        value = float(loss.detach())
-        if math.isfinite(value):
-            self._update(loss, step, steps_per_epoch)
-        return value
+        with torch.random.fork_rng([self.device] if self.device.type == "cuda" else []):
+            torch.manual_seed(self.recipe.seed + step + self.team.rank * STRIDE)
+            pairs = zip(images.tensor_split(parts), truth.tensor_split(parts), strict=True)
+            for part, (some, labels) in enumerate(pairs, 1):
+                some = some.to(self.device, memory_format=layout)
+                with self._summing(at_last=part == parts):
+                    with autocast(self.dtype, self.device):
+                        loss = self.loss(self.forward(some), labels, whole)
+                    # The team's gradient is a mean over its workers, and the sum is wanted.
+                    self.scaler.scale(loss * self.team.size).backward()
+                losses.append(loss.detach())
+        return self.team.sum(torch.stack(losses).sum())
 
-    def _update(self, loss: Tensor, step: int, steps_per_epoch: int) -> None:
+    def _whole(self, truth: Tensor, parts: int) -> Whole | None:
+        if parts * self.team.size == 1:
+            return None
+        return Whole(self.team.sum(self.loss.weight(truth)), parts, self.team)
+
+    def _summing(self, *, at_last: bool) -> AbstractContextManager[None]:
+        """Exchange gradients with the team after the last part only."""
+        if isinstance(self.forward, DistributedDataParallel) and not at_last:
+            return self.forward.no_sync()
+        return nullcontext()
+
+    def _update(self, step: int, steps_per_epoch: int) -> None:
         for group in self.optimiser.param_groups:
             group["lr"] = learning_rate(self.recipe, step, steps_per_epoch)
-        self.optimiser.zero_grad()
-        loss.backward()  # type: ignore[no-untyped-call]
         if self.recipe.clip_gradient:
+            self.scaler.unscale_(self.optimiser)
             nn.utils.clip_grad_norm_(self.module.parameters(), self.recipe.clip_gradient)
-        self.optimiser.step()
+        self.scaler.step(self.optimiser)
+        self.scaler.update()
         if self.average is not self.module:
             update_average(self.average, self.module, self.recipe.average, step)

@@ -14,8 +14,12 @@ from typing import Any, Self
 
 from salsanext_cli.errors import UsageError
 
-OPTIMISERS = ("sgd", "adamw")
-SCHEDULES = ("decay", "one-cycle")
+CHOICES = {
+    "optimiser": ("sgd", "adamw"),
+    "schedule": ("decay", "one-cycle"),
+    "precision": ("auto", "float32", "bfloat16", "float16"),
+}
+"""What words a key may have."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -26,8 +30,13 @@ class Recipe:
     ----------
     architecture : str
         Which network, by a name of `network.architectures`.
+    precision : {"auto", "float32", "bfloat16", "float16"}
+        What the network computes in; weights and loss are float32 always. "auto" is the shorter
+        of what a GPU computes fast, and float32 on CPUs.
     epochs, batch : int
         How often to go through the data, and samples per step.
+    accumulate : int
+        Parts that a batch is computed in, one after the other, where memory does not hold all.
     samples_per_epoch : int
         Samples of one epoch; 0 for every scan once. More than there are scans repeats scans, each
         time augmented and cropped anew.
@@ -63,8 +72,10 @@ class Recipe:
     """
 
     architecture: str = "salsanext"
+    precision: str = "auto"
     epochs: int = 150
     batch: int = 24
+    accumulate: int = 1
     samples_per_epoch: int = 0
     crop_width: int = 0
     crop_on_class: float = 0.0
@@ -97,7 +108,7 @@ class Recipe:
                 raise UsageError(f"recipe key {field.name}", f"{value!r}", f"a {kind.__name__}")
             if kind is float:
                 self._require(field.name, math.isfinite(value), "finite")
-        for key in ("epochs", "batch", "validate_every"):
+        for key in ("epochs", "batch", "accumulate", "validate_every"):
             self._require(key, getattr(self, key) >= 1, "at least 1")
         for key in ("samples_per_epoch", "crop_width", "validation_scans", "seed"):
             self._require(key, getattr(self, key) >= 0, "at least 0")
@@ -109,8 +120,8 @@ class Recipe:
             self._require(key, 0 <= getattr(self, key) < 1, "from 0 to below 1")
         for key in ("learning_rate", "decay"):
             self._require(key, getattr(self, key) > 0, "above 0")
-        self._require("optimiser", self.optimiser in OPTIMISERS, f"one of {', '.join(OPTIMISERS)}")
-        self._require("schedule", self.schedule in SCHEDULES, f"one of {', '.join(SCHEDULES)}")
+        for key, names in CHOICES.items():
+            self._require(key, getattr(self, key) in names, f"one of {', '.join(names)}")
 
     def _require(self, key: str, holds: bool, expected: str) -> None:
         if not holds:

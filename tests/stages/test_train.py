@@ -2,6 +2,7 @@
 import json
 import math
 import os
+from importlib.util import find_spec
 from pathlib import Path
 
 import numpy as np
@@ -27,6 +28,7 @@ from salsanext_cli.network.inference import load_network
 from salsanext_cli.network.salsanext import SalsaNext
 from salsanext_cli.network.weights import WeightsCard, read_card, save_weights
 from salsanext_cli.stages.train import TrainResult, train
+from salsanext_cli.training import loop
 from salsanext_cli.training.loop import Report
 from salsanext_cli.training.losses import class_weights
 from salsanext_cli.training.optimise import Learner
@@ -79,8 +81,11 @@ def test_a_run_folder_holds_weights_log_curve_and_recipe(dataset: Path, tmp_path
         "last.safetensors",
         "log.csv",
         "recipe.toml",
+        "samples",
         "train.json",
-    }
+    } | ({"tensorboard"} if find_spec("tensorboard") else set())
+    pictures = sorted(path.name for path in (run / "samples").iterdir())
+    assert pictures == ["epoch-001.png", "epoch-002.png", "epoch-003.png"]
     assert recipe(run / "recipe.toml") == TINY
     assert len((run / "log.csv").read_text().splitlines()) == 1 + TINY.epochs
     # Three scans in batches of two: the incomplete batch counts.
@@ -117,6 +122,36 @@ def test_an_interrupted_training_ends_with_the_weights_of_an_uninterrupted_one(
     assert same(whole.best, parts.best)
     assert [row["loss"] for row in whole.rows] == [row["loss"] for row in parts.rows]
     assert parts.best_miou == whole.best_miou
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {},
+        {"optimiser": "sgd", "schedule": "decay", "average": 0.0},
+        {"accumulate": 2, "clip_gradient": 0.5, "precision": "float16"},
+        {"precision": "bfloat16", "samples_per_epoch": 8},
+    ],
+)
+@pytest.mark.parametrize("stop", [1, 3, 4])
+def test_from_a_checkpoint_within_an_epoch_it_goes_on_at_the_next_step(
+    dataset: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, stop: int, changes: dict
+) -> None:
+    def interrupt(report: Report) -> None:
+        if report.step == stop:
+            raise Stopped
+
+    monkeypatch.setattr(loop, "SAVE_EVERY", -1.0)
+    wanted = {"recipe": TINY.with_changes(epochs=2, samples_per_epoch=6).with_changes(**changes)}
+    whole = go(dataset, tmp_path / "whole", **wanted)
+    with pytest.raises(Stopped):
+        go(dataset, tmp_path / "parts", progress=interrupt, **wanted)
+    steps: list[int] = []
+    parts = go(dataset, tmp_path / "parts", progress=lambda r: steps.append(r.step), **wanted)
+    assert steps[0] == stop + 1
+    assert same(whole.last, parts.last)
+    assert same(whole.best, parts.best)
+    assert [row["loss"] for row in whole.rows] == [row["loss"] for row in parts.rows]
 
 
 def test_the_real_network_can_be_interrupted_too(
@@ -170,7 +205,9 @@ def test_another_recipe_is_refused_and_overwrite_starts_anew(dataset: Path, tmp_
     go(dataset, tmp_path / "run", recipe=TINY.with_changes(epochs=1))
     with pytest.raises(OutputError, match=r"train\.json .* recipe\.epochs was 1 and is 3"):
         go(dataset, tmp_path / "run")
+    (tmp_path / "run/samples/epoch-009.png").touch()
     anew = go(dataset, tmp_path / "run", overwrite=True)
+    assert not (tmp_path / "run/samples/epoch-009.png").exists()
     assert same(anew.last, go(dataset, tmp_path / "other").last)
 
 
@@ -181,10 +218,10 @@ def test_class_weights_come_from_the_training_split(
     original = Learner.of.__func__  # type: ignore[attr-defined]
 
     def spy(
-        cls: type[Learner], module: object, recipe: object, weights: Tensor, place: object
+        cls: type[Learner], module: object, recipe: object, weights: Tensor, *rest: object
     ) -> Learner:
         seen.append(weights)
-        return original(cls, module, recipe, weights, place)
+        return original(cls, module, recipe, weights, *rest)
 
     monkeypatch.setattr(Learner, "of", classmethod(spy))
     go(dataset, tmp_path / "run", recipe=TINY.with_changes(epochs=1))
@@ -281,8 +318,22 @@ def test_a_data_set_without_classes_that_count(dataset: Path, tmp_path: Path) ->
     for stem in "012":
         path = dataset / "sequences" / "00" / "labels" / f"{stem}.label"
         write_labels(path, np.zeros(600, np.uint32))
-    with pytest.raises(TrainingError, match="none of 1800 points"):
+    with pytest.raises(TrainingError, match="none of 1800 points in 3 scans"):
         go(dataset, tmp_path / "run", progress=no_step)
+
+
+def test_validation_scans_without_classes_that_count(dataset: Path, tmp_path: Path) -> None:
+    """Of the two, only the first is scored, and only the second is labelled."""
+    path = dataset / "sequences" / "08" / "labels" / "0.label"
+    write_labels(path, np.zeros(600, np.uint32))
+    go(dataset, tmp_path / "both", recipe=TINY.with_changes(epochs=1))
+    with pytest.raises(TrainingError, match="none of 600 points in 1 scans"):
+        go(
+            dataset,
+            tmp_path / "run",
+            recipe=TINY.with_changes(validation_scans=1),
+            progress=no_step,
+        )
 
 
 def test_a_data_set_without_a_validation_split(dataset: Path, tmp_path: Path) -> None:

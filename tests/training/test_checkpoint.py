@@ -14,8 +14,8 @@ from salsanext_cli.training.optimise import Learner
 from salsanext_cli.training.recipe import Recipe
 
 
-def learner(classes: int = 3, average: float = 0.9) -> Learner:
-    recipe = Recipe(optimiser="adamw", average=average)
+def learner(classes: int = 3, precision: str = "auto") -> Learner:
+    recipe = Recipe(optimiser="adamw", average=0.9, precision=precision)
     return Learner.of(TinyNetwork(classes), recipe, torch.ones(classes), torch.device("cpu"))
 
 
@@ -26,7 +26,7 @@ def trained() -> Learner:
 
 
 def test_round_trip(tmp_path: Path) -> None:
-    learning, progress = trained(), TrainingState(2, 0.5, [{"epoch": 1, "loss": 2.5}])
+    learning, progress = trained(), TrainingState(2, 0.5, [{"epoch": 1, "loss": 2.5}], [0.1], 3.5)
     save_checkpoint(tmp_path / "c.pt", learning, progress)
     other = learner()
     assert load_checkpoint(tmp_path / "c.pt", other) == progress
@@ -37,6 +37,16 @@ def test_round_trip(tmp_path: Path) -> None:
     for key, state in other.optimiser.state_dict()["state"].items():
         for name, value in state.items():
             assert torch.equal(value, kept[key][name])
+
+
+def test_the_scale_of_float16_is_kept(tmp_path: Path) -> None:
+    learning = learner(precision="float16")
+    learning.scaler.scale(torch.zeros(()))  # what a scaler has begins with its first use
+    learning.scaler.update(4096.0)
+    save_checkpoint(tmp_path / "c.pt", learning, TrainingState())
+    other = learner(precision="float16")
+    load_checkpoint(tmp_path / "c.pt", other)
+    assert other.scaler.get_scale() == 4096
 
 
 def test_a_checkpoint_of_another_network(tmp_path: Path) -> None:

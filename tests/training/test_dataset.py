@@ -14,14 +14,15 @@ from salsanext_cli.formats.layout import ScanFile, find_scans
 from salsanext_cli.geometry.projection import project
 from salsanext_cli.training.counting import count_classes, require_labels
 from salsanext_cli.training.dataset import (
-    Plan,
     Samples,
     batches,
     choose_columns,
     pixel_truth,
     read_labelled,
 )
+from salsanext_cli.training.plan import NOTHING, Plan
 from salsanext_cli.training.recipe import Recipe
+from salsanext_cli.training.team import Team
 
 SPACE = label_space()
 PLAIN = Recipe(rotate=0.0, shift=0.0, flip=0.0, drop=0.0)
@@ -144,6 +145,42 @@ def test_epochs_of_another_size_than_the_data(size: int) -> None:
 def test_what_is_drawn_from_a_step_on_does_not_depend_on_where_one_begins(first: int) -> None:
     plan = Plan(5, Recipe(epochs=3, batch=3, samples_per_epoch=7))
     assert list(plan.batches(first)) == list(plan.batches())[first:]
+
+
+@pytest.mark.parametrize("size", [1, 2, 3, 4])
+@pytest.mark.parametrize("accumulate", [1, 3])
+def test_workers_together_draw_what_one_alone_draws(size: int, accumulate: int) -> None:
+    """Four batches of 5, 5, 5 and 1; the number of parts is the same for all workers."""
+    plan = Plan(8, Recipe(epochs=2, batch=5, samples_per_epoch=8, accumulate=accumulate))
+    shares = [list(plan.batches(1, Team(rank, size))) for rank in range(size)]
+    whole = list(plan.batches(1))
+    assert len(whole) == 3
+    for batch, *parts in zip(whole, *shares, strict=True):
+        drawn = [draw for share in parts for draw in share if draw != NOTHING]
+        assert sorted(drawn) == sorted(batch)
+        lengths = [len(share) for share in parts]
+        assert len({min(accumulate, length) for length in lengths}) == 1
+        assert min(lengths) >= 1
+        assert max(lengths) == -(-len(batch) // size)
+        assert NOTHING not in parts[0]
+
+
+def test_an_epoch_of_all_workers_is_a_permutation_of_all_scans() -> None:
+    plan = Plan(11, Recipe(epochs=1, batch=4))
+    shares = [plan.batches(0, Team(rank, 2)) for rank in range(2)]
+    indices = [index for share in shares for batch in share for _, index in batch]
+    assert sorted(indices) == list(range(11))
+
+
+@pytest.mark.parametrize("width", [0, 32, 10_000])
+def test_nothing_has_the_size_of_a_sample_and_no_label(files: list[ScanFile], width: int) -> None:
+    drawn = samples(files, Recipe(crop_width=width))
+    (image, truth, _), (empty, none, index) = drawn[0, 0], drawn[NOTHING]
+    assert (empty.shape, empty.dtype) == (image.shape, image.dtype)
+    assert (none.shape, none.dtype) == (truth.shape, truth.dtype)
+    assert not empty.any()
+    assert not none.any()
+    assert index == -1
 
 
 def test_batches_do_not_depend_on_the_number_of_workers(files: list[ScanFile]) -> None:

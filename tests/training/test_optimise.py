@@ -7,6 +7,7 @@ import torch
 from tiny_network import TinyNetwork
 from torch import Tensor, nn
 
+from salsanext_cli.training.losses import SegmentationLoss
 from salsanext_cli.training.optimise import Learner, build_optimiser, update_average
 from salsanext_cli.training.recipe import Recipe
 
@@ -111,3 +112,54 @@ def test_without_an_average_the_module_is_what_is_kept() -> None:
     assert averaged.average is not averaged.module
     averaged.step(*batch(), 0, 10)
     assert not averaged.average.training
+
+
+def without_norm(**changes: object) -> Learner:
+    """Return a learner of a network whose images know nothing of each other."""
+    learning = learner(dropout=0.0, batch=5, learning_rate=1e-9, **changes)
+    learning.module.norm = nn.Identity()  # type: ignore[assignment]
+    return learning
+
+
+def five() -> tuple[Tensor, Tensor]:
+    """Return images that differ in how many pixels count, and of which class."""
+    images = torch.randn(5, 5, 16, 32, generator=torch.Generator().manual_seed(3))
+    truth = (images[:, 0] > torch.linspace(-1, 1, 5)[:, None, None]).byte() + 1
+    truth[1, :, 5:] = 0
+    return images, truth
+
+
+@pytest.mark.parametrize("parts", [2, 3, 5, 9])
+def test_a_batch_in_parts_has_the_gradient_of_the_whole(parts: int) -> None:
+    whole, accumulated = without_norm(lovasz=0.0), without_norm(lovasz=0.0, accumulate=parts)
+    loss = whole.step(*five(), 0, 10)
+    assert accumulated.step(*five(), 0, 10) == pytest.approx(loss, rel=1e-6)
+    for one, other in zip(whole.module.parameters(), accumulated.module.parameters(), strict=True):
+        torch.testing.assert_close(one.grad, other.grad, rtol=1e-5, atol=1e-7)
+
+
+def test_lovasz_is_the_mean_of_the_parts() -> None:
+    """The step beside the same loss put together by hand from the losses of the parts."""
+    images, truth = five()
+    learning = without_norm(accumulate=2)
+    entropy, both = (SegmentationLoss(WEIGHTS, lovasz) for lovasz in (0.0, 1.0))
+    with torch.no_grad():
+        logits = learning.module(images)
+    parts = [slice(0, 3), slice(3, 5)]
+    lovasz = [both(logits[p], truth[p]) - entropy(logits[p], truth[p]) for p in parts]
+    expected = float(entropy(logits, truth) + (lovasz[0] + lovasz[1]) / 2)
+    assert learning.step(images, truth, 0, 10) == pytest.approx(expected, rel=1e-6)
+
+
+def test_a_batch_in_parts_where_nothing_counts() -> None:
+    learning = without_norm(accumulate=2)
+    images, truth = five()
+    assert learning.step(images, truth * 0, 0, 10) == 0
+    for parameter in learning.module.parameters():
+        assert not parameter.grad.any()
+
+
+def test_parts_are_one_step_for_average_and_optimiser() -> None:
+    learning = learner(accumulate=2, average=0.9, optimiser="adamw")
+    learning.step(*batch(), 0, 10)
+    assert {float(state["step"]) for state in learning.optimiser.state.values()} == {1.0}

@@ -19,7 +19,11 @@ def test_the_papers_recipe_is_the_papers() -> None:
 
 
 def test_presets() -> None:
-    assert {"paper", "street", "quick"} <= set(presets())
+    assert set(presets()) == {"paper", "paper-v1", "modern", "street", "quick"}
+
+
+def test_the_first_versions_recipe_differs_by_its_network_only() -> None:
+    assert recipe("paper-v1") == Recipe(architecture="salsanext-v1")
 
 
 @pytest.mark.parametrize("name", presets())
@@ -63,6 +67,8 @@ def test_changes() -> None:
         ("epochs", 1.5),
         ("epochs", True),
         ("batch", -1),
+        ("accumulate", 0),
+        ("precision", "float64"),
         ("optimiser", "adam"),
         ("schedule", "cosine"),
         ("learning_rate", 0.0),
@@ -82,7 +88,9 @@ def test_impossible_values_name_the_key(key: str, value: object) -> None:
 
 
 def test_no_such_recipe_names_the_presets() -> None:
-    with pytest.raises(UsageError, match=r"recipe papr .* one of paper, quick, street"):
+    with pytest.raises(
+        UsageError, match=r"recipe papr .* one of modern, paper, paper-v1, quick, street"
+    ):
         recipe("papr")
 
 

@@ -1,0 +1,45 @@
+# SPDX-License-Identifier: MIT
+"""Changes to a recipe as they are typed: ``key=value``, with the type that the key has."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from dataclasses import fields
+from typing import Any
+
+from salsanext_cli.errors import UsageError
+from salsanext_cli.training.recipe import Recipe, refuse_unknown
+
+READERS: dict[type, tuple[Callable[[str], Any], str]] = {
+    int: (int, "a whole number"),
+    float: (float, "a number"),
+    str: (lambda text: text.strip("\"'"), "a word"),
+}
+"""How the text of each type of key is read; quotes are taken for those of TOML."""
+
+
+def read_overrides(texts: Iterable[str]) -> dict[str, Any]:
+    """Return what `Recipe.with_changes` takes; of a key given twice the last value holds.
+
+    Raises
+    ------
+    UsageError
+        If a text is no ``key=value``, the key is unknown or the value not of its type.
+    """
+    changes: dict[str, Any] = {}
+    for text in texts:
+        key, equals, value = (part.strip() for part in text.partition("="))
+        if not (key and equals and value):
+            raise UsageError(f"--set {text}", "no key and value", "key=value, such as batch=4")
+        refuse_unknown({key: value}, f"--set {text}")
+        changes[key] = _read(key, value)
+    return changes
+
+
+def _read(key: str, value: str) -> Any:
+    (default,) = (field.default for field in fields(Recipe) if field.name == key)
+    read, expected = READERS[type(default)]
+    try:
+        return read(value)
+    except ValueError as error:
+        raise UsageError(f"--set {key}={value}", f"{value!r}", expected) from error

@@ -1,0 +1,79 @@
+# SPDX-License-Identifier: MIT
+"""Which scan is drawn at which step, and by which worker."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from itertools import islice
+
+import numpy as np
+
+from salsanext_cli.training.recipe import Recipe
+from salsanext_cli.training.team import ALONE, Team
+
+ORDER, SAMPLE = 0, 1
+"""What a generator is for; part of its seed, so that no two are alike."""
+
+Draw = tuple[int, int]
+"""Position of a sample in the whole training, index of its scan."""
+NOTHING: Draw = (-1, -1)
+"""An empty image, for a worker for whom no sample of a small batch is left."""
+
+
+@dataclass(frozen=True, slots=True)
+class Plan:
+    """Which scan is drawn at which step, for the whole training.
+
+    Every scan is drawn once before any is drawn again. An epoch's last batch may be smaller.
+
+    Attributes
+    ----------
+    scan_count : int
+    recipe : Recipe
+    """
+
+    scan_count: int
+    recipe: Recipe
+
+    @property
+    def samples_per_epoch(self) -> int:
+        """Number of samples of an epoch."""
+        return self.recipe.samples_per_epoch or self.scan_count
+
+    @property
+    def steps_per_epoch(self) -> int:
+        """Number of batches of an epoch."""
+        return -(-self.samples_per_epoch // self.recipe.batch)
+
+    @property
+    def steps(self) -> int:
+        """Number of batches of the whole training."""
+        return self.steps_per_epoch * self.recipe.epochs
+
+    def batches(self, first_step: int = 0, team: Team = ALONE) -> Iterator[list[Draw]]:
+        """Yield a worker's share of each batch, from a step of the whole training to its end.
+
+        The workers take turns: together they have each batch as one alone would.
+        """
+        epoch, place = divmod(first_step, self.steps_per_epoch)
+        draws = self._draws(epoch * self.samples_per_epoch + place * self.recipe.batch)
+        for step in range(first_step, self.steps):
+            first = step % self.steps_per_epoch * self.recipe.batch
+            batch = list(islice(draws, min(self.recipe.batch, self.samples_per_epoch - first)))
+            yield self._share(batch, team)
+
+    def _share(self, batch: list[Draw], team: Team) -> list[Draw]:
+        """Return what a worker takes; all need as many parts, so that they wait for each other."""
+        most = -(-len(batch) // team.size)
+        own = batch[team.rank :: team.size]
+        return own + [NOTHING] * (min(self.recipe.accumulate, most) - len(own))
+
+    def _draws(self, position: int) -> Iterator[Draw]:
+        """Yield draws without end, from a position of the whole training."""
+        while True:
+            time, place = divmod(position, self.scan_count)
+            random = np.random.default_rng((self.recipe.seed, ORDER, time))
+            for index in random.permutation(self.scan_count)[place:]:
+                yield position, int(index)
+                position += 1

@@ -1,0 +1,124 @@
+# SPDX-License-Identifier: MIT
+"""The processes that train one network together, as torchrun starts them."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from datetime import timedelta
+from typing import Any, TypeVar
+
+import torch
+import torch.distributed as dist
+import torch.nn.functional as F
+from torch import Tensor
+
+from salsanext_cli.errors import SalsanextError, UsageError
+from salsanext_cli.network.inference import choose_device
+
+PATIENCE = timedelta(hours=12)
+"""How long the others wait while the leader validates."""
+
+T = TypeVar("T")
+
+
+@dataclass(frozen=True, slots=True)
+class Team:
+    """Who else trains this network; what is said of all workers costs nothing for one alone.
+
+    Attributes
+    ----------
+    rank : int
+        Number of this process; 0 leads: it alone writes, validates and reports.
+    size : int
+        How many there are.
+    """
+
+    rank: int = 0
+    size: int = 1
+
+    @property
+    def leads(self) -> bool:
+        """Whether this process writes, validates and reports."""
+        return self.rank == 0
+
+    def sum(self, tensor: Tensor) -> Tensor:
+        """Return the sum of the tensors of all workers, without a gradient."""
+        if self.size > 1:
+            tensor = tensor.clone()
+            dist.all_reduce(tensor)
+        return tensor
+
+    def gather(self, tensor: Tensor) -> list[Tensor]:
+        """Return the tensors of all workers by rank; the last of their dimensions may differ."""
+        if self.size == 1:
+            return [tensor]
+        lengths = torch.zeros(self.size, dtype=torch.int64, device=tensor.device)
+        lengths[self.rank] = tensor.shape[-1]
+        dist.all_reduce(lengths)
+        padded = F.pad(tensor, (0, int(lengths.max()) - tensor.shape[-1])).contiguous()
+        found = [torch.empty_like(padded) for _ in range(self.size)]
+        dist.all_gather(found, padded)
+        return [each[..., :n] for each, n in zip(found, lengths.tolist(), strict=True)]
+
+    def told(self, work: Callable[[], T]) -> T:
+        """Return what `work` returns to the leader; the others wait, and do not do it.
+
+        A `SalsanextError` of the leader is raised by all.
+        """
+        if self.size == 1:
+            return work()
+        answer: list[Any] = [None]
+        if self.leads:
+            try:
+                answer = [work()]
+            except SalsanextError as error:
+                answer = [error]
+        dist.broadcast_object_list(answer)
+        if isinstance(answer[0], SalsanextError):
+            raise answer[0]
+        result: T = answer[0]
+        return result
+
+
+ALONE = Team()
+
+
+def team_here() -> Team:
+    """Return the team that torchrun put this process into; `ALONE` without torchrun."""
+    if not (dist.is_available() and dist.is_torchelastic_launched()):
+        return ALONE
+    return Team(int(os.environ["RANK"]), int(os.environ["WORLD_SIZE"]))
+
+
+@contextmanager
+def teamwork(device: str) -> Iterator[tuple[Team, torch.device]]:
+    """Join the team of this process, and choose its device, as long as the body runs.
+
+    Parameters
+    ----------
+    device : str
+        As `choose_device` takes it; each worker of a machine takes a GPU of its own.
+
+    Raises
+    ------
+    UsageError
+        If the device does not exist or is one GPU for several workers.
+    """
+    team, place = team_here(), choose_device(device)
+    if team.size == 1:
+        yield team, place
+        return
+    if place.type == "cuda":
+        if place.index is not None:
+            found = f"one GPU for {team.size} workers"
+            raise UsageError(f"device {device}", found, "cuda, cpu or auto")
+        place = choose_device(f"cuda:{os.environ['LOCAL_RANK']}")
+        torch.cuda.set_device(place)
+    dist.init_process_group("nccl" if place.type == "cuda" else "gloo", timeout=PATIENCE)
+    try:
+        yield team, place
+    finally:
+        dist.destroy_process_group()

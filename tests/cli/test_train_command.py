@@ -1,0 +1,67 @@
+# SPDX-License-Identifier: MIT
+from pathlib import Path
+
+import pytest
+from command_line import only_json, python
+from scans import SMALL, write_sequence
+from tiny_network import TinyNetwork
+
+from salsanext_cli.cli import options
+from salsanext_cli.network.architectures import ARCHITECTURES
+from salsanext_cli.network.weights import read_card
+from salsanext_cli.training.recipe import recipe
+
+
+@pytest.fixture(autouse=True)
+def _tiny(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(ARCHITECTURES, "salsanext", TinyNetwork)
+    monkeypatch.setattr(options, "sensor", lambda name: SMALL)
+
+
+def test_set_changes_the_recipe_that_the_run_folder_and_the_weights_record(run, data, tmp_path):
+    write_sequence(data / "sequences/00", ["0", "1"], count=300)
+    changes = ("--set", "batch=1", "--set", "schedule=decay", "--set", "epochs=5", "--epochs", 1)
+    folder = tmp_path / "run"
+    given = ("train", data, folder, "--recipe", "quick", "--sensor", "small", "--json")
+    result = run(*given, *changes)
+    assert result.exit_code == 0, result.output
+    wanted = recipe("quick").with_changes(batch=1, schedule="decay", epochs=1)
+    assert recipe(folder / "recipe.toml") == wanted
+    assert read_card(Path(only_json(result)["best"])).recipe == wanted.to_dict()
+
+
+@pytest.mark.parametrize(
+    ("text", "found"),
+    [
+        ("epoch=3", "--set epoch=3 · unknown key epoch"),
+        ("epochs=x", "--set epochs=x · 'x' · expected a whole number"),
+        ("epochs=0", "recipe key epochs · 0 · expected at least 1"),
+        ("epochs", "--set epochs · no key and value"),
+    ],
+)
+def test_a_wrong_override_is_one_line(run, data, tmp_path, text, found):
+    result = run("train", data, tmp_path / "run", "--set", text)
+    assert result.exit_code == 2
+    assert result.stderr.startswith(f"error: {found}")
+    assert result.stderr.count("\n") == 1
+    assert not (tmp_path / "run").exists()
+
+
+def test_a_batch_too_small_for_the_workers(run, data, tmp_path, monkeypatch):
+    """Before they find each other, so that it is said at once."""
+    write_sequence(data / "sequences/00", ["0", "1"], count=300)
+    for name, value in {"RANK": "0", "WORLD_SIZE": "3", "TORCHELASTIC_RUN_ID": "x"}.items():
+        monkeypatch.setenv(name, value)
+    result = run("train", data, tmp_path / "run", "--recipe", "quick")
+    assert result.exit_code == 2
+    assert "recipe key batch · 2 · expected at least one sample for each of 3" in result.stderr
+    assert result.stderr.count("\n") == 1
+
+
+def test_python_runs_the_package_as_the_command():
+    ended = python(
+        "import runpy, sys; sys.argv[1:] = ['--version']; "
+        "runpy.run_module('salsanext_cli', run_name='__main__')"
+    )
+    assert ended.stdout.startswith("salsanext ")
+    assert ended.returncode == 0

@@ -1,0 +1,123 @@
+# SPDX-License-Identifier: MIT
+"""Two workers under torchrun, with gloo, beside one worker with twice the batch."""
+
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import pytest
+import torch
+from scans import SMALL, write_sequence
+from torch.distributed import is_gloo_available, is_torchelastic_launched
+from two_workers import CASES, batch, learner, share, stepped
+
+import salsanext_cli
+from salsanext_cli.errors import UsageError
+from salsanext_cli.training.team import ALONE, Team, team_here, teamwork
+
+SCRIPT = Path(__file__).with_name("two_workers.py")
+
+gloo = pytest.mark.skipif(not is_gloo_available(), reason="needs gloo")
+
+
+def torchrun(*arguments: object) -> subprocess.CompletedProcess[str]:
+    """Run two workers of one machine."""
+    command = [sys.executable, "-m", "torch.distributed.run", "--standalone"]
+    folder = str(Path(salsanext_cli.__file__).parents[1])
+    return subprocess.run(
+        [*command, "--nproc-per-node", "2", *map(str, arguments)],
+        capture_output=True,
+        text=True,
+        timeout=120,
+        check=False,
+        env={**os.environ, "PYTHONPATH": folder, "OMP_NUM_THREADS": "1"},
+    )
+
+
+@pytest.fixture(scope="module")
+def two(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
+    path = tmp_path_factory.mktemp("two") / "result.pt"
+    ended = torchrun(SCRIPT, path)
+    assert ended.returncode == 0, ended.stderr
+    found: dict[str, Any] = torch.load(path, weights_only=True)
+    assert found["size"] == 2
+    return found
+
+
+@gloo
+@pytest.mark.parametrize("case", CASES)
+def test_two_workers_have_the_gradient_of_one_with_twice_the_batch(
+    two: dict[str, Any], case: str
+) -> None:
+    """On a network without batch norm; five samples, so that the workers have unlike shares."""
+    for name, expected in stepped(ALONE, case).items():
+        torch.testing.assert_close(two[case][name], expected, rtol=1e-5, atol=1e-6)
+
+
+@gloo
+def test_the_cases_say_something(two: dict[str, Any]) -> None:
+    """The mean of two workers' own losses, the usual way, would be another loss."""
+    losses = []
+    for rank in range(2):
+        images, truth = (share(each, Team(rank, 2), 1) for each in batch())
+        losses.append(learner(ALONE).step(images, truth, 5, 1))
+    assert abs(sum(losses) / 2 - float(two["both losses"]["loss"])) > 1e-3
+    assert two["both losses"]["gradient of features.weight"].abs().max() > 1e-3
+
+
+@gloo
+def test_workers_drop_unlike_channels_and_agree_on_the_rest(two: dict[str, Any]) -> None:
+    first, second = two["apart"]["dropped"]
+    assert not torch.equal(first, second)
+    assert two["apart"]["told"].tolist() == [10, 10]
+    assert two["apart"]["uneven"].tolist() == [[0, 1, 1], [0, 1, 1]]
+    assert [bool(each) for each in two["refused"]] == [True, True]
+
+
+@gloo
+@pytest.mark.slow
+def test_the_command_line_under_torchrun(tmp_path: Path) -> None:
+    """Three samples an epoch, so that the second worker has one less."""
+    write_sequence(tmp_path / "data/sequences/00", ["0", "1", "2"], count=600)
+    write_sequence(tmp_path / "data/sequences/08", ["0"], count=600)
+    sensor, run = tmp_path / "small.toml", tmp_path / "run"
+    lines = (f"{key} = {json.dumps(value)}\n" for key, value in SMALL.to_dict().items())
+    sensor.write_text("".join(lines), "utf-8")
+    given = ("train", tmp_path / "data", run, "--recipe", "quick", "--sensor", sensor, "--json")
+    short = ("samples_per_epoch=3", "crop_width=32", "architecture=salsanet")
+    ended = torchrun("-m", "salsanext_cli", *given, *(f"--set={change}" for change in short))
+    assert ended.returncode == 0, ended.stderr
+    assert json.loads(ended.stdout)["best"] == str(run / "best.safetensors")
+    assert ended.stderr.count("train: best validation mIoU") == 1
+    assert len((run / "log.csv").read_text("utf-8").splitlines()) == 3
+
+
+def test_without_torchrun_one_works_alone() -> None:
+    assert not is_torchelastic_launched()
+    with teamwork("cpu") as (team, place):
+        assert (team, place) == (ALONE, torch.device("cpu"))
+    ones = torch.ones(2)
+    assert ALONE.sum(ones) is ones
+    assert ALONE.gather(ones)[0] is ones
+    assert ALONE.told(lambda: 3) == 3
+    assert ALONE.leads
+    assert not Team(1, 2).leads
+
+
+def test_torchrun_says_who_is_who(monkeypatch: pytest.MonkeyPatch) -> None:
+    for name, value in {"RANK": "3", "WORLD_SIZE": "4", "TORCHELASTIC_RUN_ID": "x"}.items():
+        monkeypatch.setenv(name, value)
+    assert team_here() == Team(3, 4)
+
+
+def test_one_gpu_for_several_workers_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("TORCHELASTIC_RUN_ID", "x")
+    monkeypatch.setenv("RANK", "0")
+    monkeypatch.setenv("WORLD_SIZE", "2")
+    monkeypatch.setattr(torch.cuda, "device_count", lambda: 2)
+    with pytest.raises(UsageError, match="device cuda:1 · one GPU for 2 workers"):  # noqa: SIM117
+        with teamwork("cuda:1"):
+            pass

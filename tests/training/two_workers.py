@@ -1,0 +1,131 @@
+# SPDX-License-Identifier: MIT
+"""Gradients and more of workers that torchrun starts; the same file gives one worker's.
+
+::
+
+    torchrun --nproc-per-node 2 two_workers.py RESULT
+"""
+
+import sys
+from pathlib import Path
+
+import torch
+from torch import Tensor, nn
+
+from salsanext_cli.errors import TrainingError
+from salsanext_cli.network.dropout import ChannelDropout
+from salsanext_cli.training.optimise import Learner
+from salsanext_cli.training.recipe import Recipe
+from salsanext_cli.training.team import Team, teamwork
+
+WEIGHTS = torch.tensor([0.0, 1.0, 2.0, 0.5])
+CASES: dict[str, dict[str, object]] = {
+    "both losses": {},
+    "clipped": {"clip_gradient": 0.01},
+    "in parts": {"lovasz": 0.0, "accumulate": 2},
+    "a batch of one": {"samples": 1},
+    "nothing labelled": {"labels": 0},
+}
+
+
+class Normless(nn.Module):
+    """A network whose images know nothing of each other: without batch norm."""
+
+    def __init__(self, dropout: float = 0.0) -> None:
+        super().__init__()
+        self.features = nn.Conv2d(5, 6, 3, padding=1)
+        self.dropout = ChannelDropout(dropout)
+        self.logits = nn.Conv2d(6, 4, 1)
+
+    def forward(self, image: Tensor) -> Tensor:
+        """Map (B, 5, H, W) to (B, 4, H, W)."""
+        made: Tensor = self.logits(self.dropout(self.features(image).relu()))
+        return made
+
+
+def batch(samples: int = 5, labels: int = 1) -> tuple[Tensor, Tensor]:
+    """Return images of unlike shares of labels; class 3 is in the first, so of one worker, only."""
+    images = torch.randn(5, 5, 8, 16, generator=torch.Generator().manual_seed(4))
+    truth = (images[:, 0] > torch.linspace(-1, 1, 5)[:, None, None]).byte() + 1
+    truth[1, :, 5:] = 0
+    truth[0, 3] = 3
+    return images[:samples], truth[:samples] * labels
+
+
+def share(whole: Tensor, team: Team, parts: int) -> Tensor:
+    """Return a worker's part of a batch as `Plan` deals it; zeros where nothing is left."""
+    own = whole[team.rank :: team.size]
+    missing = min(parts, -(-len(whole) // team.size)) - len(own)
+    return torch.cat([own, whole.new_zeros(max(missing, 0), *whole.shape[1:])])
+
+
+def learner(team: Team, **changes: object) -> Learner:
+    """Return the same network in every process."""
+    recipe = Recipe(batch=5, dropout=0.0, learning_rate=0.1, **changes)  # type: ignore[arg-type]
+    with torch.random.fork_rng():
+        torch.manual_seed(0)
+        module = Normless()
+    return Learner.of(module, recipe, WEIGHTS, torch.device("cpu"), team)  # type: ignore[arg-type]
+
+
+def stepped(team: Team, case: str) -> dict[str, Tensor]:
+    """Return loss, gradients and weights after a step of a case."""
+    changes = dict(CASES[case])
+    chosen = {key: changes.pop(key) for key in ("samples", "labels") if key in changes}
+    learning = learner(team, **changes)
+    images, truth = batch(**chosen)  # type: ignore[arg-type]
+    parts = learning.recipe.accumulate
+    own = (share(images, team, parts), share(truth, team, parts))
+    found = {"loss": torch.tensor(learning.step(*own, 5, 1))}
+    for name, parameter in learning.module.named_parameters():
+        assert parameter.grad is not None
+        found[f"gradient of {name}"] = parameter.grad
+        found[name] = parameter.detach()
+    return found
+
+
+def kept_apart(team: Team) -> dict[str, Tensor]:
+    """Return, of every worker, what dropout leaves, what it gathers, and what the leader says."""
+    module = Normless(0.5)
+    module.features.bias.data.fill_(10.0)  # so that only dropout leaves nothing
+    masks = []
+    module.dropout.register_forward_hook(lambda layer, given, made: masks.append(made.detach()))
+    recipe = Recipe(dropout=0.5)
+    one = Learner.of(module, recipe, WEIGHTS, torch.device("cpu"), team)  # type: ignore[arg-type]
+    one.step(torch.ones(1, 5, 8, 16), torch.ones(1, 8, 16, dtype=torch.uint8), 3, 1)
+    dropped = (masks[0] == 0).all(dim=(0, 2, 3))
+    told = team.told(lambda: 10 + team.rank)
+    uneven = team.gather(torch.full((2, 1 + team.rank), float(team.rank)))
+    return {
+        "dropped": torch.stack(team.gather(dropped.byte())),
+        "told": torch.cat(team.gather(torch.tensor([told]))),
+        "uneven": torch.cat(uneven, 1),
+    }
+
+
+def refused(team: Team) -> bool:
+    """Say whether an error of the leader reaches this worker as it is."""
+
+    def fail() -> None:
+        raise TrainingError("data", "found", "expected", f"remedy of {team.rank}")
+
+    try:
+        team.told(fail)
+    except TrainingError as error:
+        return str(error) == "data · found · expected expected · remedy of 0"
+    return False
+
+
+def main() -> None:
+    """Write everything that a team of processes computes."""
+    with teamwork("cpu") as (team, _):
+        found: dict[str, object] = {case: stepped(team, case) for case in CASES}
+        found["apart"] = kept_apart(team)
+        found["refused"] = team.gather(torch.tensor([refused(team)]).byte())
+        found["size"] = team.size
+        if team.leads:
+            torch.save(found, Path(sys.argv[1]))
+
+
+if __name__ == "__main__":
+    main()
