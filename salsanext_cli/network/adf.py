@@ -1,14 +1,13 @@
 # SPDX-License-Identifier: MIT
 """Assumed density filtering: a network that maps means and variances (paper III-C.1).
 
-The network is not written a second time. A `Gaussian` stands in for a tensor, and PyTorch asks it
-what each function of the network does to it: every rule below says so for one function. A
-function without a rule is an error, so the two views of a network cannot drift apart.
+The network is not written a second time. A `Gaussian` stands in for a tensor, and every rule below
+says what one function of the network does to it.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any, ClassVar, Self, TypeVar
 
@@ -17,10 +16,11 @@ import torch.nn.functional as F
 from torch import Tensor
 
 from salsanext_cli.network.moments import leaky_relu_moments, softmax_moments
+from salsanext_cli.network.stand_in import StandIn
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Gaussian:
+class Gaussian(StandIn):
     """Independent Gaussians in place of a tensor's numbers.
 
     Attributes
@@ -31,7 +31,7 @@ class Gaussian:
     RULES says what the functions of a network do to moments (Gast & Roth 2018).
     """
 
-    RULES: ClassVar[Mapping[Callable[..., Any], Callable[..., Any]]] = {}
+    VIEW: ClassVar[str] = "moments"
 
     mean: Tensor
     variance: Tensor
@@ -40,21 +40,6 @@ class Gaussian:
         if self.mean.shape != self.variance.shape:
             found = f"mean {tuple(self.mean.shape)} and variance {tuple(self.variance.shape)}"
             raise ValueError(f"{found} differ in shape")
-
-    @classmethod
-    def __torch_function__(
-        cls,
-        function: Callable[..., Any],
-        types: Sequence[type],
-        args: Sequence[Any] = (),
-        kwargs: dict[str, Any] | None = None,
-    ) -> Gaussian:
-        """Apply the rule of a function; PyTorch calls this."""
-        rule = cls.RULES.get(function)
-        if rule is None:
-            raise NotImplementedError(f"no rule for the moments of {function.__name__}")
-        moments: Gaussian = rule(*args, **(kwargs or {}))
-        return moments
 
     @property
     def shape(self) -> torch.Size:

@@ -7,7 +7,7 @@ every rule says what a function of the network does to the windows that its valu
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any, ClassVar, Self
 
@@ -18,6 +18,7 @@ import torch.nn.functional as F
 from torch import Tensor
 
 from salsanext_cli.network.segmentation import SegmentationNetwork
+from salsanext_cli.network.stand_in import StandIn
 
 SIDE = 2048
 """Pixels of the square image in whose middle is measured; no edge may be in sight."""
@@ -40,7 +41,7 @@ def receptive_field(network: SegmentationNetwork) -> tuple[int, int]:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Reach:
+class Reach(StandIn):
     """What of the image the values of a feature map depend on.
 
     Attributes
@@ -50,7 +51,7 @@ class Reach:
         channels reach as far, as they do where no weight is 0.
     """
 
-    RULES: ClassVar[Mapping[Callable[..., Any], Callable[..., Any]]] = {}
+    VIEW: ClassVar[str] = "reach"
 
     rows: Spans
     columns: Spans
@@ -64,21 +65,6 @@ class Reach:
     def shape(self) -> tuple[int, int]:
         """Height and width."""
         return self.rows.shape[1], self.columns.shape[1]
-
-    @classmethod
-    def __torch_function__(
-        cls,
-        function: Callable[..., Any],
-        types: Sequence[type],
-        args: Sequence[Any] = (),
-        kwargs: dict[str, Any] | None = None,
-    ) -> Reach:
-        """Apply the rule of a function; PyTorch calls this."""
-        rule = cls.RULES.get(function)
-        if rule is None:
-            raise NotImplementedError(f"no rule for the reach of {function.__name__}")
-        reach: Reach = rule(*args, **(kwargs or {}))
-        return reach
 
     def dim(self) -> int:
         """Return the number of dimensions of what this stands for."""
