@@ -5,16 +5,15 @@ from __future__ import annotations
 
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
-from pickle import UnpicklingError
+from zipfile import BadZipFile, ZipFile
 
 import torch
 
 from salsanext_cli.errors import TrainingError
 from salsanext_cli.formats.atomic import writing
+from salsanext_cli.network.published import UNREADABLE
 from salsanext_cli.training.log import Row
 from salsanext_cli.training.optimise import Learner
-
-UNREADABLE = (EOFError, OSError, RuntimeError, ValueError, KeyError, TypeError, UnpicklingError)
 
 
 @dataclass(slots=True)
@@ -64,16 +63,25 @@ def load_checkpoint(path: Path, learner: Learner) -> TrainingState:
         If the file is damaged or of another network or optimiser.
     """
     try:
-        state = torch.load(path, map_location=learner.device, weights_only=True)
+        _require_intact(path)
+        # To the CPU: on a GPU the optimiser's step counts would make it wait at every parameter.
+        state = torch.load(path, map_location="cpu", weights_only=True)
         learner.module.load_state_dict(state["module"])
         learner.average.load_state_dict(state["average"])
         learner.optimiser.load_state_dict(state["optimiser"])
         learner.scaler.load_state_dict(state["scaler"])
         return TrainingState(**state["progress"])
-    except UNREADABLE as error:
+    except (*UNREADABLE, OSError) as error:
         raise TrainingError(
             path,
             f"cannot be resumed from: {' '.join(str(error).split())[:200]}",
             "a checkpoint of this training",
             "start anew with --overwrite or in another folder",
         ) from error
+
+
+def _require_intact(path: Path) -> None:
+    """Check the checksums of the archive that `torch.save` writes; `torch.load` does not."""
+    with ZipFile(path) as archive:
+        if (damaged := archive.testzip()) is not None:
+            raise BadZipFile(f"the checksum of {damaged} is wrong")

@@ -72,7 +72,7 @@ class Recipe:
     """
 
     architecture: str = "salsanext"
-    precision: str = "auto"
+    precision: str = "float32"
     epochs: int = 150
     batch: int = 24
     accumulate: int = 1

@@ -3,6 +3,7 @@ import io
 import pickle
 from collections.abc import Callable
 from pathlib import Path
+from zipfile import ZipFile
 
 import pytest
 import torch
@@ -61,6 +62,25 @@ def test_a_damaged_checkpoint(cut: int, tmp_path: Path) -> None:
     data = (tmp_path / "c.pt").read_bytes()
     (tmp_path / "c.pt").write_bytes(data[:cut])
     with pytest.raises(TrainingError, match=r"c\.pt · cannot be resumed from"):
+        load_checkpoint(tmp_path / "c.pt", learner())
+
+
+@pytest.mark.parametrize("share", [0.1, 0.3, 0.5, 0.7, 0.9])
+def test_a_flipped_bit_is_noticed(share: float, tmp_path: Path) -> None:
+    save_checkpoint(tmp_path / "c.pt", trained(), TrainingState())
+    with ZipFile(tmp_path / "c.pt") as archive:
+        largest = max(archive.infolist(), key=lambda member: member.file_size)
+    data = bytearray((tmp_path / "c.pt").read_bytes())
+    # Behind the header of the member, whose padding nobody reads.
+    data[largest.header_offset + 200 + int(share * (largest.file_size - 200))] ^= 4
+    (tmp_path / "c.pt").write_bytes(data)
+    with pytest.raises(TrainingError, match="checksum"):
+        load_checkpoint(tmp_path / "c.pt", learner())
+
+
+def test_a_file_of_something_else(tmp_path: Path) -> None:
+    torch.save(torch.zeros(3), tmp_path / "c.pt")
+    with pytest.raises(TrainingError, match="cannot be resumed from"):
         load_checkpoint(tmp_path / "c.pt", learner())
 
 

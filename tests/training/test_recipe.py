@@ -14,6 +14,7 @@ def test_the_papers_recipe_is_the_papers() -> None:
     assert (paper.optimiser, paper.learning_rate, paper.momentum) == ("sgd", 0.01, 0.9)
     assert (paper.schedule, paper.decay, paper.warm_up) == ("decay", 0.99, 1.0)
     assert (paper.weight_decay, paper.batch, paper.epochs) == (1e-4, 24, 150)
+    assert paper.precision == "float32"
     assert (paper.dropout, paper.crop_width, paper.lovasz) == (0.2, 0, 1.0)
     assert (paper.rotate, paper.shift, paper.flip, paper.drop) == (0.5, 0.5, 0.5, 0.5)
 
