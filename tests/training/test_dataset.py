@@ -25,6 +25,7 @@ from salsanext_cli.training.recipe import Recipe
 from salsanext_cli.training.team import Team
 
 SPACE = label_space()
+RARE = np.isin(SPACE.names, ["bicycle", "person", "pole"])
 PLAIN = Recipe(rotate=0.0, shift=0.0, flip=0.0, drop=0.0)
 
 
@@ -35,7 +36,7 @@ def files(tmp_path_factory: pytest.TempPathFactory) -> list[ScanFile]:
 
 
 def samples(files: list[ScanFile], recipe: Recipe) -> Samples:
-    return Samples(files, SPACE, SMALL, recipe)
+    return Samples(files, SPACE, SMALL, recipe, RARE)
 
 
 def test_truth_is_that_of_each_pixels_nearest_point(files: list[ScanFile]) -> None:
