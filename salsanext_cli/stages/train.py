@@ -220,7 +220,8 @@ def _claim(
         "scans": f"{len(scans)}, {hashlib.sha256(names.encode()).hexdigest()[:16]}",
         "weights": fingerprint(weights) if weights else None,
     }
-    claim(run, "train", settings, [], overwrite=overwrite)
+    defaults = {"recipe": Recipe().to_dict()}
+    claim(run, "train", settings, [], overwrite=overwrite, defaults=defaults)
     if overwrite:
         for name in (CHECKPOINT, CLASS_COUNTS, BEST, LAST, LOG, CURVE):
             (run / name).unlink(missing_ok=True)

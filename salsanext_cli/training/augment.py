@@ -76,7 +76,8 @@ def rotate(points: Float, angle: float) -> Float:
 def shift(points: Float, offset: npt.NDArray[np.float64]) -> Float:
     """Move points (N, 3) by (3,) metres; those at the origin measure nothing and stay."""
     x, y, z = points.T != 0
-    return points + (x | y | z)[:, None] * offset.astype(np.float32)
+    moved: Float = points + (x | y | z)[:, None] * offset.astype(np.float32)
+    return moved
 
 
 def draw_kept(count: int, random: np.random.Generator) -> npt.NDArray[np.intp]:

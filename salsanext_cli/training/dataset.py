@@ -122,17 +122,16 @@ class Samples(Dataset[tuple[Float, TrainIds, int]]):
 
     def __getitem__(self, draw: Draw) -> tuple[Float, TrainIds, int]:
         """Return the image (5, H, W), the truth (H, W) and the index of the scan."""
-        recipe = self.recipe
-        if draw == NOTHING:
-            return self._nothing()
         position, index = draw
-        random = np.random.default_rng((recipe.seed, SAMPLE, position))
+        width = Plan(len(self.files), self.recipe).crop_width(position)
+        if index == NOTHING:
+            return self._nothing(width)
+        random = np.random.default_rng((self.recipe.seed, SAMPLE, position))
         scan, labels = self._mixed(index, random)
         image = project(scan, self.sensor)
         truth = pixel_truth(image, labels)
-        columns = choose_columns(
-            truth, self.space.scored, recipe.crop_width, recipe.crop_on_class, random
-        )
+        on_class = self.recipe.crop_on_class
+        columns = choose_columns(truth, self.space.scored, width, on_class, random)
         return normalise(image.channels[:, :, columns], self.sensor), truth[:, columns], index
 
     def _mixed(self, index: int, random: np.random.Generator) -> Labelled:
@@ -156,10 +155,10 @@ class Samples(Dataset[tuple[Float, TrainIds, int]]):
     def _read(self, index: int) -> Labelled:
         return read_labelled(self.files[index], self.space, self.sensor)
 
-    def _nothing(self) -> tuple[Float, TrainIds, int]:
-        height, width = self.sensor.height, self.sensor.width
-        width = min(self.recipe.crop_width or width, width)
-        return np.zeros((5, height, width), np.float32), np.zeros((height, width), np.uint8), -1
+    def _nothing(self, width: int) -> tuple[Float, TrainIds, int]:
+        height, whole = self.sensor.height, self.sensor.width
+        size = (height, min(width or whole, whole))
+        return np.zeros((5, *size), np.float32), np.zeros(size, np.uint8), NOTHING
 
 
 def batches(

@@ -45,6 +45,8 @@ class Recipe:
     crop_on_class : float
         Probability of placing the window so that it holds a pixel of a class drawn evenly from
         those present, instead of anywhere.
+    whole_epochs : int
+        Epochs at the end that take the full circle instead; all, if there are no more.
     optimiser : {"sgd", "adamw"}
     learning_rate : float
         Its peak.
@@ -85,6 +87,7 @@ class Recipe:
     samples_per_epoch: int = 0
     crop_width: int = 0
     crop_on_class: float = 0.0
+    whole_epochs: int = 0
     optimiser: str = "sgd"
     learning_rate: float = 0.01
     schedule: str = "decay"
@@ -119,7 +122,7 @@ class Recipe:
                 self._require(field.name, math.isfinite(value), "finite")
         for key in ("epochs", "batch", "accumulate", "validate_every"):
             self._require(key, getattr(self, key) >= 1, "at least 1")
-        for key in ("samples_per_epoch", "crop_width", "validation_scans", "seed"):
+        for key in ("samples_per_epoch", "crop_width", "whole_epochs", "validation_scans", "seed"):
             self._require(key, getattr(self, key) >= 0, "at least 0")
         for key in ("weight_decay", "clip_gradient", "lovasz", "warm_up"):
             self._require(key, getattr(self, key) >= 0, "at least 0")
