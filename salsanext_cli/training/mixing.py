@@ -30,7 +30,7 @@ FEWEST_BANDS, MOST_BANDS = 2, 6
 MOST_SECTOR_PAIRS = 3
 COPIES = 2
 """How often the points of rare classes are pasted, each time turned by another angle."""
-CLEAR = 2.0
+CLEAR = 3.0
 """Metres around the sensor where nothing is pasted: there is the vehicle that carries it."""
 
 

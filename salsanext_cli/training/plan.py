@@ -53,8 +53,8 @@ class Plan:
 
     def crop_width(self, position: int) -> int:
         """Return the columns of the window of a sample, 0 for the full circle."""
-        cropped = self.recipe.epochs - self.recipe.whole_epochs
-        return self.recipe.crop_width if position < cropped * self.samples_per_epoch else 0
+        last = position // self.samples_per_epoch >= self.recipe.epochs - self.recipe.whole_epochs
+        return 0 if self.recipe.whole_epochs and last else self.recipe.crop_width
 
     def batches(self, first_step: int = 0, team: Team = ALONE) -> Iterator[list[Draw]]:
         """Yield a worker's share of each batch, from a step of the whole training to its end.
