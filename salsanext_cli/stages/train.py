@@ -26,7 +26,7 @@ from salsanext_cli.stages.batch import worker_count
 from salsanext_cli.stages.inputs import data_set_label_space
 from salsanext_cli.stages.outputs import claim
 from salsanext_cli.stages.sample_picture import draw_sample
-from salsanext_cli.training.counting import class_counts, require_labels
+from salsanext_cli.training.counting import class_counts, rare_classes, require_labels
 from salsanext_cli.training.dataset import Samples
 from salsanext_cli.training.events import EVENTS, events_in
 from salsanext_cli.training.log import Row
@@ -140,7 +140,7 @@ def train(
 
         counts = team.told(prepare)
         learner = Learner.of(module, recipe, class_weights(counts, space.scored), place, team)
-        samples = Samples(training, space, sensor, recipe)
+        samples = Samples(training, space, sensor, recipe, rare_classes(counts, space.scored))
         helpers = workers if jobs != 1 else 0
         with events_in(run / EVENTS, wanted=team.leads) as events:
             course = Training(
@@ -220,7 +220,8 @@ def _claim(
         "scans": f"{len(scans)}, {hashlib.sha256(names.encode()).hexdigest()[:16]}",
         "weights": fingerprint(weights) if weights else None,
     }
-    claim(run, "train", settings, [], overwrite=overwrite)
+    defaults = {"recipe": Recipe().to_dict()}
+    claim(run, "train", settings, [], overwrite=overwrite, defaults=defaults)
     if overwrite:
         for name in (CHECKPOINT, CLASS_COUNTS, BEST, LAST, LOG, CURVE):
             (run / name).unlink(missing_ok=True)

@@ -60,7 +60,7 @@ class Augmentation:
             points = points * np.array([1, -1, 1], np.float32)
         if dropped:
             kept = draw_kept(len(scan), random)
-            points, intensity, labels = points[kept], intensity[kept], labels[kept]
+            points, intensity, labels = points.take(kept, 0), intensity[kept], labels[kept]
         return Scan(points, intensity), labels
 
 
@@ -75,10 +75,14 @@ def rotate(points: Float, angle: float) -> Float:
 
 def shift(points: Float, offset: npt.NDArray[np.float64]) -> Float:
     """Move points (N, 3) by (3,) metres; those at the origin measure nothing and stay."""
-    return points + points.any(axis=1, keepdims=True) * offset.astype(np.float32)
+    x, y, z = points.T != 0
+    moved: Float = points + (x | y | z)[:, None] * offset.astype(np.float32)
+    return moved
 
 
 def draw_kept(count: int, random: np.random.Generator) -> npt.NDArray[np.intp]:
     """Draw which of `count` points stay: at least half, ascending, none twice."""
     dropped = int(count * random.uniform(0, MOST_DROPPED))
-    return np.sort(random.permutation(count)[dropped:])
+    kept = np.ones(count, np.bool_)
+    kept[random.permutation(count)[:dropped]] = False
+    return np.flatnonzero(kept)

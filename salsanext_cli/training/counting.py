@@ -19,6 +19,9 @@ from salsanext_cli.network.weights import identity
 from salsanext_cli.sensors import Sensor
 from salsanext_cli.training.dataset import read_labelled
 
+RARE = 0.01
+"""Share of the scored training points below which a class is rare."""
+
 
 def require_labels(files: Sequence[ScanFile]) -> None:
     """Raise `LabelError` naming the first scan without a label file."""
@@ -59,6 +62,30 @@ def count_classes(
             f"labels of {space.name}",
         )
     return counts
+
+
+def class_shares(
+    counts: npt.NDArray[np.int64], scored: npt.NDArray[np.bool_]
+) -> npt.NDArray[np.float64]:
+    """Return the share of every class in the scored points, (C,) float64; 0 for ignored ones.
+
+    Parameters
+    ----------
+    counts : (C,) int64
+        Points of each class in the training data.
+    scored : (C,) bool
+        Which classes count.
+    """
+    used = np.where(scored, counts, 0).astype(np.float64)
+    shares: npt.NDArray[np.float64] = used / max(used.sum(), 1)
+    return shares
+
+
+def rare_classes(
+    counts: npt.NDArray[np.int64], scored: npt.NDArray[np.bool_]
+) -> npt.NDArray[np.bool_]:
+    """Return which scored classes are rare, (C,) bool; parameters as `class_shares`."""
+    return scored & (class_shares(counts, scored) < RARE)
 
 
 def class_counts(

@@ -23,9 +23,10 @@ from salsanext_cli.formats.kitti import read_labels
 from salsanext_cli.formats.layout import ScanFile
 from salsanext_cli.geometry.normalise import normalise
 from salsanext_cli.geometry.projection import project
-from salsanext_cli.records import Float, RangeImage, Scan
+from salsanext_cli.records import Float, RangeImage
 from salsanext_cli.sensors import Sensor
 from salsanext_cli.training.augment import Augmentation
+from salsanext_cli.training.mixing import COPIES, Board, Labelled, mix, part, paste
 from salsanext_cli.training.plan import NOTHING, SAMPLE, Draw, Plan
 from salsanext_cli.training.recipe import Recipe
 from salsanext_cli.training.team import ALONE, Team
@@ -34,7 +35,7 @@ Batch = tuple[Tensor, Tensor, Tensor]
 """Normalised images (B, 5, H, W), truth (B, H, W) uint8, indices of the scans (B,) int64."""
 
 
-def read_labelled(file: ScanFile, space: LabelSpace, sensor: Sensor) -> tuple[Scan, TrainIds]:
+def read_labelled(file: ScanFile, space: LabelSpace, sensor: Sensor) -> Labelled:
     """Read a scan and the train ids of its points, (N,) uint8.
 
     Raises
@@ -97,7 +98,7 @@ def choose_columns(
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Samples(Dataset[tuple[Float, TrainIds, int]]):
-    """Augmented, projected, normalised and cropped scans, by what was drawn.
+    """Augmented, mixed, projected, normalised and cropped scans, by what was drawn.
 
     Attributes
     ----------
@@ -108,35 +109,56 @@ class Samples(Dataset[tuple[Float, TrainIds, int]]):
     sensor : Sensor
         How to project and normalise.
     recipe : Recipe
-        How to augment and crop.
+        How to augment, mix and crop.
+    rare : (C,) bool
+        Classes that are pasted.
     """
 
     files: Sequence[ScanFile]
     space: LabelSpace
     sensor: Sensor
     recipe: Recipe
+    rare: npt.NDArray[np.bool_]
 
     def __getitem__(self, draw: Draw) -> tuple[Float, TrainIds, int]:
         """Return the image (5, H, W), the truth (H, W) and the index of the scan."""
-        recipe = self.recipe
-        if draw == NOTHING:
-            return self._nothing()
         position, index = draw
-        random = np.random.default_rng((recipe.seed, SAMPLE, position))
-        scan, labels = read_labelled(self.files[index], self.space, self.sensor)
-        augment = Augmentation(recipe.rotate, recipe.shift, recipe.flip, recipe.drop)
-        scan, labels = augment(scan, labels, random)
+        width = Plan(len(self.files), self.recipe).crop_width(position)
+        if index == NOTHING:
+            return self._nothing(width)
+        random = np.random.default_rng((self.recipe.seed, SAMPLE, position))
+        scan, labels = self._mixed(index, random)
         image = project(scan, self.sensor)
         truth = pixel_truth(image, labels)
-        columns = choose_columns(
-            truth, self.space.scored, recipe.crop_width, recipe.crop_on_class, random
-        )
+        on_class = self.recipe.crop_on_class
+        columns = choose_columns(truth, self.space.scored, width, on_class, random)
         return normalise(image.channels[:, :, columns], self.sensor), truth[:, columns], index
 
-    def _nothing(self) -> tuple[Float, TrainIds, int]:
-        height, width = self.sensor.height, self.sensor.width
-        width = min(self.recipe.crop_width or width, width)
-        return np.zeros((5, height, width), np.float32), np.zeros((height, width), np.uint8), -1
+    def _mixed(self, index: int, random: np.random.Generator) -> Labelled:
+        """Return an augmented scan, mixed with others as often as the recipe says."""
+        recipe = self.recipe
+        augment = Augmentation(recipe.rotate, recipe.shift, recipe.flip, recipe.drop)
+        labelled = augment(*self._read(index), random)
+        # Without mixing nothing more is drawn, so that the samples are those of older versions.
+        if recipe.mix and random.random() < recipe.mix:
+            partner = augment(*self._partner(random), random)
+            labelled = mix(labelled, partner, Board.drawn(self.sensor, random))
+        if recipe.paste and random.random() < recipe.paste:
+            partner = self._partner(random)
+            rare = augment(*part(partner, self.rare[partner[1]]), random)
+            labelled = paste(labelled, rare, random.uniform(-np.pi, np.pi, COPIES))
+        return labelled
+
+    def _partner(self, random: np.random.Generator) -> Labelled:
+        return self._read(int(random.integers(len(self.files))))
+
+    def _read(self, index: int) -> Labelled:
+        return read_labelled(self.files[index], self.space, self.sensor)
+
+    def _nothing(self, width: int) -> tuple[Float, TrainIds, int]:
+        height, whole = self.sensor.height, self.sensor.width
+        size = (height, min(width or whole, whole))
+        return np.zeros((5, *size), np.float32), np.zeros(size, np.uint8), NOTHING
 
 
 def batches(

@@ -15,6 +15,7 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional as F
 
+from salsanext_cli.training.counting import class_shares
 from salsanext_cli.training.team import ALONE, Team
 
 
@@ -33,16 +34,26 @@ def class_weights(counts: npt.NDArray[np.int64], scored: npt.NDArray[np.bool_]) 
     (C,) float32
         1/√f_c; 0 for classes that are ignored or never seen.
     """
-    used = np.where(scored, counts, 0).astype(np.float64)
-    share = used / max(used.sum(), 1)
-    weights = np.divide(1, np.sqrt(share), out=np.zeros_like(share), where=used > 0)
+    share = class_shares(counts, scored)
+    weights = np.divide(1, np.sqrt(share), out=np.zeros_like(share), where=share > 0)
     return torch.from_numpy(weights.astype(np.float32))
 
 
 def weighted_cross_entropy(
-    log_probabilities: Tensor, truth: Tensor, weights: Tensor, whole: Tensor | None = None
+    log_probabilities: Tensor,
+    truth: Tensor,
+    weights: Tensor,
+    whole: Tensor | None = None,
+    smoothing: float = 0.0,
 ) -> Tensor:
-    """Return the weighted mean of -log p(truth).
+    """Return the mean of -log p(truth), each pixel weighing what its true class does.
+
+    Smoothed, a share of the truth is spread evenly over the K classes with a weight::
+
+        (1 − ε) (−log p(truth)) + ε/K Σ_k (−log p(k))
+
+    The weight of a pixel stays that of its true class. `F.cross_entropy` weighs the terms of the
+    sum by their own classes instead, so that a common class is spread mostly over the rarest.
 
     Parameters
     ----------
@@ -51,12 +62,18 @@ def weighted_cross_entropy(
     weights : (C,) float
     whole : 0-d float, optional
         Weight of all pixels that the mean is over, where these are only some of them.
+    smoothing : float
+        The share ε.
 
     Returns
     -------
     0-d tensor; 0 where no pixel has a weight.
     """
     total = F.nll_loss(log_probabilities, truth, weights, reduction="sum")
+    if smoothing:
+        counts = (weights > 0).to(weights.dtype)
+        of_all = (log_probabilities * (counts / counts.sum().clamp_min(1))).sum(1)
+        total = (1 - smoothing) * total - smoothing * (weights[truth] * of_all).sum()
     whole = weights[truth].sum() if whole is None else whole
     return total / whole.clamp_min(torch.finfo(weights.dtype).tiny)
 
@@ -151,14 +168,17 @@ class SegmentationLoss(nn.Module):
         Weight of each class; pixels of a class with weight 0 are left out of both terms.
     lovasz : float
         Weight of the Lovász term.
+    smoothing : float
+        Share of the truth that cross-entropy spreads over all classes with a weight.
     """
 
     weights: Tensor
 
-    def __init__(self, weights: Tensor, lovasz: float = 1.0) -> None:
+    def __init__(self, weights: Tensor, lovasz: float = 1.0, smoothing: float = 0.0) -> None:
         super().__init__()
         self.register_buffer("weights", weights)
         self.lovasz = lovasz
+        self.smoothing = smoothing
 
     def weight(self, truth: Tensor) -> Tensor:
         """Return the weight of all pixels of integer truth (B, H, W), 0-d."""
@@ -179,7 +199,7 @@ class SegmentationLoss(nn.Module):
         log_probabilities = F.log_softmax(classes[counts], 1, dtype=precise)
         weight, parts, team = (whole.weight, whole.parts, whole.team) if whole else (None, 1, ALONE)
         weights = self.weights.to(precise)
-        loss = weighted_cross_entropy(log_probabilities, truth, weights, weight)
+        loss = weighted_cross_entropy(log_probabilities, truth, weights, weight, self.smoothing)
         if self.lovasz:
             lovasz = lovasz_softmax(log_probabilities.exp(), truth, team)
             loss = loss + self.lovasz / parts * lovasz

@@ -115,7 +115,7 @@ class Learner:
         if device.type == "cuda":
             module = module.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
         average = copy.deepcopy(module).eval() if recipe.average else module
-        loss = SegmentationLoss(weights, recipe.lovasz).to(device)
+        loss = SegmentationLoss(weights, recipe.lovasz, recipe.label_smoothing).to(device)
         forward = shared(module, device, team)
         optimiser, dtype = build_optimiser(module, recipe), dtype_of(recipe.precision, device)
         scale = scaler(dtype, device)

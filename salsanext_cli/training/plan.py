@@ -17,8 +17,8 @@ ORDER, SAMPLE = 0, 1
 
 Draw = tuple[int, int]
 """Position of a sample in the whole training, index of its scan."""
-NOTHING: Draw = (-1, -1)
-"""An empty image, for a worker for whom no sample of a small batch is left."""
+NOTHING = -1
+"""Index of an empty image, for a worker for whom no sample of a small batch is left."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,6 +51,11 @@ class Plan:
         """Number of batches of the whole training."""
         return self.steps_per_epoch * self.recipe.epochs
 
+    def crop_width(self, position: int) -> int:
+        """Return the columns of the window of a sample, 0 for the full circle."""
+        last = position // self.samples_per_epoch >= self.recipe.epochs - self.recipe.whole_epochs
+        return 0 if self.recipe.whole_epochs and last else self.recipe.crop_width
+
     def batches(self, first_step: int = 0, team: Team = ALONE) -> Iterator[list[Draw]]:
         """Yield a worker's share of each batch, from a step of the whole training to its end.
 
@@ -67,7 +72,9 @@ class Plan:
         """Return what a worker takes; all need as many parts, so that they wait for each other."""
         most = -(-len(batch) // team.size)
         own = batch[team.rank :: team.size]
-        return own + [NOTHING] * (min(self.recipe.accumulate, most) - len(own))
+        # With the position of another, since its image must be as wide as that.
+        nothing = (batch[0][0], NOTHING)
+        return own + [nothing] * (min(self.recipe.accumulate, most) - len(own))
 
     def _draws(self, position: int) -> Iterator[Draw]:
         """Yield draws without end, from a position of the whole training."""

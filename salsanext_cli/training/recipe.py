@@ -45,6 +45,8 @@ class Recipe:
     crop_on_class : float
         Probability of placing the window so that it holds a pixel of a class drawn evenly from
         those present, instead of anywhere.
+    whole_epochs : int
+        Epochs at the end that take the full circle instead; all, if there are no more.
     optimiser : {"sgd", "adamw"}
     learning_rate : float
         Its peak.
@@ -63,8 +65,14 @@ class Recipe:
         Rate of dropout in the network.
     lovasz : float
         Weight of Lovász-Softmax beside cross-entropy.
+    label_smoothing : float
+        Share of every truth that cross-entropy spreads evenly over the classes that count.
     rotate, shift, flip, drop : float
         Probability of each augmentation.
+    mix : float
+        Probability of taking some cells of a scan from another scan; see `training.mixing`.
+    paste : float
+        Probability of adding the points of rare classes of another scan.
     validate_every, validation_scans : int
         Epochs between validations, and how many scans of the split, evenly spaced; 0 for all.
     seed : int
@@ -79,6 +87,7 @@ class Recipe:
     samples_per_epoch: int = 0
     crop_width: int = 0
     crop_on_class: float = 0.0
+    whole_epochs: int = 0
     optimiser: str = "sgd"
     learning_rate: float = 0.01
     schedule: str = "decay"
@@ -90,10 +99,13 @@ class Recipe:
     average: float = 0.0
     dropout: float = 0.2
     lovasz: float = 1.0
+    label_smoothing: float = 0.0
     rotate: float = 0.5
     shift: float = 0.5
     flip: float = 0.5
     drop: float = 0.5
+    mix: float = 0.0
+    paste: float = 0.0
     validate_every: int = 1
     validation_scans: int = 0
     seed: int = 1
@@ -110,13 +122,14 @@ class Recipe:
                 self._require(field.name, math.isfinite(value), "finite")
         for key in ("epochs", "batch", "accumulate", "validate_every"):
             self._require(key, getattr(self, key) >= 1, "at least 1")
-        for key in ("samples_per_epoch", "crop_width", "validation_scans", "seed"):
+        for key in ("samples_per_epoch", "crop_width", "whole_epochs", "validation_scans", "seed"):
             self._require(key, getattr(self, key) >= 0, "at least 0")
         for key in ("weight_decay", "clip_gradient", "lovasz", "warm_up"):
             self._require(key, getattr(self, key) >= 0, "at least 0")
-        for key in ("rotate", "shift", "flip", "drop", "crop_on_class", "dropout"):
+        augmentations = ("rotate", "shift", "flip", "drop", "mix", "paste")
+        for key in (*augmentations, "crop_on_class", "dropout"):
             self._require(key, 0 <= getattr(self, key) <= 1, "between 0 and 1")
-        for key in ("average", "momentum"):
+        for key in ("average", "momentum", "label_smoothing"):
             self._require(key, 0 <= getattr(self, key) < 1, "from 0 to below 1")
         for key in ("learning_rate", "decay"):
             self._require(key, getattr(self, key) > 0, "above 0")

@@ -28,6 +28,7 @@ from salsanext_cli.network.inference import load_network
 from salsanext_cli.network.salsanext import SalsaNext
 from salsanext_cli.network.weights import WeightsCard, read_card, save_weights
 from salsanext_cli.stages.train import TrainResult, train
+from salsanext_cli.training import dataset as dataset_module
 from salsanext_cli.training import loop
 from salsanext_cli.training.loop import Report
 from salsanext_cli.training.losses import class_weights
@@ -129,8 +130,8 @@ def test_an_interrupted_training_ends_with_the_weights_of_an_uninterrupted_one(
     [
         {},
         {"optimiser": "sgd", "schedule": "decay", "average": 0.0},
-        {"accumulate": 2, "clip_gradient": 0.5, "precision": "float16"},
-        {"precision": "bfloat16", "samples_per_epoch": 8},
+        {"accumulate": 2, "clip_gradient": 0.5, "precision": "float16", "whole_epochs": 1},
+        {"precision": "bfloat16", "samples_per_epoch": 8, "mix": 0.5, "paste": 0.5},
     ],
 )
 @pytest.mark.parametrize("stop", [1, 3, 4])
@@ -209,6 +210,46 @@ def test_another_recipe_is_refused_and_overwrite_starts_anew(dataset: Path, tmp_
     anew = go(dataset, tmp_path / "run", overwrite=True)
     assert not (tmp_path / "run/samples/epoch-009.png").exists()
     assert same(anew.last, go(dataset, tmp_path / "other").last)
+
+
+def test_a_training_of_before_a_key_goes_on(dataset: Path, tmp_path: Path) -> None:
+    """What is not recorded was the default; another value is still another recipe."""
+    first = go(dataset, tmp_path / "run", recipe=TINY.with_changes(epochs=1))
+    path = tmp_path / "run/train.json"
+    manifest = json.loads(path.read_text("utf-8"))
+    for key in ("mix", "paste", "label_smoothing", "whole_epochs"):
+        del manifest["settings"]["recipe"][key]
+    path.write_text(json.dumps(manifest), "utf-8")
+    with pytest.raises(OutputError, match=r"recipe\.mix was 0\.0 and is 0\.5"):
+        go(dataset, tmp_path / "run", recipe=TINY.with_changes(epochs=1, mix=0.5))
+    assert go(dataset, tmp_path / "run", recipe=TINY.with_changes(epochs=1)) == first
+
+
+def test_rare_classes_come_from_the_training_split(
+    dataset: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    labels = np.full(600, 40, np.uint32)
+    labels[:10] = 30  # person: 10 of 1800 points
+    labels[10:100] = 10
+    for stem in "012":
+        write_labels(dataset / "sequences" / "00" / "labels" / f"{stem}.label", labels)
+        labels = np.full(600, 40, np.uint32)
+    pasted: list[np.ndarray] = []
+    original = dataset_module.paste
+
+    def spy(onto: object, rare: tuple[object, np.ndarray], angles: object) -> object:
+        pasted.append(rare[1])
+        return original(onto, rare, angles)  # type: ignore[arg-type]
+
+    monkeypatch.setattr(dataset_module, "paste", spy)
+    go(
+        dataset,
+        tmp_path / "run",
+        recipe=TINY.with_changes(epochs=1, samples_per_epoch=8, drop=0.0, paste=1.0),
+    )
+    person = label_space().names.index("person")
+    assert set(np.concatenate(pasted)) == {person}
+    assert {len(each) for each in pasted} == {0, 10}
 
 
 def test_class_weights_come_from_the_training_split(

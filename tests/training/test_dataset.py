@@ -11,8 +11,15 @@ from salsanext_cli.classes import label_space
 from salsanext_cli.errors import FormatError, LabelError, TrainingError
 from salsanext_cli.formats.kitti import read_bin, read_labels, write_labels
 from salsanext_cli.formats.layout import ScanFile, find_scans
+from salsanext_cli.geometry.normalise import normalise
 from salsanext_cli.geometry.projection import project
-from salsanext_cli.training.counting import count_classes, require_labels
+from salsanext_cli.training.augment import Augmentation
+from salsanext_cli.training.counting import (
+    class_shares,
+    count_classes,
+    rare_classes,
+    require_labels,
+)
 from salsanext_cli.training.dataset import (
     Samples,
     batches,
@@ -21,10 +28,11 @@ from salsanext_cli.training.dataset import (
     read_labelled,
 )
 from salsanext_cli.training.plan import NOTHING, Plan
-from salsanext_cli.training.recipe import Recipe
+from salsanext_cli.training.recipe import Recipe, recipe
 from salsanext_cli.training.team import Team
 
 SPACE = label_space()
+RARE = np.isin(SPACE.names, ["bicycle", "person", "pole"])
 PLAIN = Recipe(rotate=0.0, shift=0.0, flip=0.0, drop=0.0)
 
 
@@ -35,7 +43,7 @@ def files(tmp_path_factory: pytest.TempPathFactory) -> list[ScanFile]:
 
 
 def samples(files: list[ScanFile], recipe: Recipe) -> Samples:
-    return Samples(files, SPACE, SMALL, recipe)
+    return Samples(files, SPACE, SMALL, recipe, RARE)
 
 
 def test_truth_is_that_of_each_pixels_nearest_point(files: list[ScanFile]) -> None:
@@ -156,13 +164,13 @@ def test_workers_together_draw_what_one_alone_draws(size: int, accumulate: int) 
     whole = list(plan.batches(1))
     assert len(whole) == 3
     for batch, *parts in zip(whole, *shares, strict=True):
-        drawn = [draw for share in parts for draw in share if draw != NOTHING]
+        drawn = [draw for share in parts for draw in share if draw[1] != NOTHING]
         assert sorted(drawn) == sorted(batch)
         lengths = [len(share) for share in parts]
         assert len({min(accumulate, length) for length in lengths}) == 1
         assert min(lengths) >= 1
         assert max(lengths) == -(-len(batch) // size)
-        assert NOTHING not in parts[0]
+        assert NOTHING not in [index for _, index in parts[0]]
 
 
 def test_an_epoch_of_all_workers_is_a_permutation_of_all_scans() -> None:
@@ -175,7 +183,7 @@ def test_an_epoch_of_all_workers_is_a_permutation_of_all_scans() -> None:
 @pytest.mark.parametrize("width", [0, 32, 10_000])
 def test_nothing_has_the_size_of_a_sample_and_no_label(files: list[ScanFile], width: int) -> None:
     drawn = samples(files, Recipe(crop_width=width))
-    (image, truth, _), (empty, none, index) = drawn[0, 0], drawn[NOTHING]
+    (image, truth, _), (empty, none, index) = drawn[0, 0], drawn[0, NOTHING]
     assert (empty.shape, empty.dtype) == (image.shape, image.dtype)
     assert (none.shape, none.dtype) == (truth.shape, truth.dtype)
     assert not empty.any()
@@ -184,15 +192,111 @@ def test_nothing_has_the_size_of_a_sample_and_no_label(files: list[ScanFile], wi
 
 
 def test_batches_do_not_depend_on_the_number_of_workers(files: list[ScanFile]) -> None:
-    recipe = Recipe(epochs=1, batch=2, crop_width=32)
+    recipe = Recipe(epochs=2, batch=2, crop_width=32, mix=0.5, paste=0.5, whole_epochs=1)
     plan = Plan(len(files), recipe)
     alone, helped = (list(batches(samples(files, recipe), plan, 0, n)) for n in (0, 1))
-    assert len(alone) == len(helped) == 3
+    assert len(alone) == len(helped) == 6
+    assert [images.shape[3] for images, *_ in alone] == 3 * [32] + 3 * [SMALL.width]
     for one, other in zip(alone, helped, strict=True):
         for a, b in zip(one, other, strict=True):
             assert torch.equal(a, b)
     # Seeds that are equal in all workers would show up as equal samples here.
     assert not torch.equal(helped[0][0], helped[1][0])
+
+
+def by_hand(file: ScanFile, recipe: Recipe, position: int) -> tuple[np.ndarray, np.ndarray]:
+    """Return the sample of a recipe that does not mix, step by step."""
+    random = np.random.default_rng((recipe.seed, 1, position))
+    augment = Augmentation(recipe.rotate, recipe.shift, recipe.flip, recipe.drop)
+    scan, labels = augment(*read_labelled(file, SPACE, SMALL), random)
+    image = project(scan, SMALL)
+    truth = pixel_truth(image, labels)
+    columns = choose_columns(truth, SPACE.scored, recipe.crop_width, recipe.crop_on_class, random)
+    return normalise(image.channels, SMALL)[:, :, columns], truth[:, columns]
+
+
+@pytest.mark.parametrize("name", ["paper", "paper-v1", "street", "quick"])
+def test_a_recipe_that_does_not_mix_draws_nothing_for_it(files: list[ScanFile], name: str) -> None:
+    chosen = recipe(name).with_changes(crop_width=0 if "paper" in name else 32)
+    assert (chosen.mix, chosen.paste, chosen.label_smoothing, chosen.whole_epochs) == (0, 0, 0, 0)
+    for position in range(20):
+        image, truth, _ = samples(files, chosen)[position, position % 5]
+        expected_image, expected_truth = by_hand(files[position % 5], chosen, position)
+        np.testing.assert_array_equal(image, expected_image)
+        np.testing.assert_array_equal(truth, expected_truth)
+
+
+def pixels(files: list[ScanFile], recipe: Recipe, index: int) -> list[tuple[np.ndarray, int]]:
+    """Return x, y, z and the class of every filled pixel of a sample."""
+    image, truth, _ = samples(files, recipe)[3, index]
+    filled = image.any(axis=0)
+    shown = image[1:4, filled].T * SMALL.stds[1:4] + SMALL.means[1:4]
+    return list(zip(shown, truth[filled], strict=True))
+
+
+def test_pixels_of_a_mixed_sample_are_points_of_two_scans(files: list[ScanFile]) -> None:
+    read = [read_labelled(file, SPACE, SMALL) for file in files]
+    sources = Counter[int]()
+    for point, label in pixels(files, PLAIN.with_changes(mix=1.0), 1)[::5]:
+        off = [np.abs(scan.points - point).max(axis=1) for scan, _ in read]
+        source = int(np.argmin([each.min() for each in off]))
+        assert off[source].min() < 1e-4
+        assert label == read[source][1][off[source].argmin()]
+        sources[source] += 1
+    assert len(sources) == 2
+    assert 1 in sources
+    assert min(sources.values()) > 0.2 * sources.total()
+
+
+def test_pixels_of_a_pasted_sample_are_its_own_or_turned_ones_of_rare_classes(
+    files: list[ScanFile],
+) -> None:
+    read = [read_labelled(file, SPACE, SMALL) for file in files]
+    own = read[1][0].points
+    rare = np.concatenate([scan.points[RARE[labels]] for scan, labels in read])
+    pasted = 0
+    for point, label in pixels(files, PLAIN.with_changes(paste=1.0), 1)[::3]:
+        if np.abs(own - point).max(axis=1).min() > 1e-3:
+            assert RARE[label]
+            apart = np.hypot(*rare.T[:2]) - np.hypot(*point[:2])
+            assert np.hypot(apart, rare[:, 2] - point[2]).min() < 1e-3
+            pasted += 1
+    assert pasted > 20
+
+
+def test_pasting_where_no_point_is_rare(files: list[ScanFile]) -> None:
+    recipe = PLAIN.with_changes(paste=1.0)
+    none = Samples(files, SPACE, SMALL, recipe, np.zeros(20, bool))[3, 1]
+    np.testing.assert_array_equal(none[0], samples(files, PLAIN)[3, 1][0])
+    np.testing.assert_array_equal(none[1], samples(files, PLAIN)[3, 1][1])
+
+
+@pytest.mark.parametrize("size", [1, 2, 3])
+def test_all_images_of_a_batch_are_as_wide(files: list[ScanFile], size: int) -> None:
+    """Two of four epochs are whole; a worker that has nothing left goes along."""
+    recipe = Recipe(epochs=4, batch=3, samples_per_epoch=4, crop_width=32, whole_epochs=2)
+    plan = Plan(len(files), recipe)
+    drawn = samples(files, recipe)
+    shares = [list(plan.batches(0, Team(rank, size))) for rank in range(size)]
+    for step, parts in enumerate(zip(*shares, strict=True)):
+        widths = {drawn[draw][0].shape[2] for share in parts for draw in share}
+        assert widths == {32 if step < plan.steps / 2 else SMALL.width}
+
+
+def test_more_whole_epochs_than_epochs_are_all(files: list[ScanFile]) -> None:
+    recipe = Recipe(epochs=2, crop_width=32, whole_epochs=5)
+    assert samples(files, recipe)[0, 0][0].shape[2] == SMALL.width
+
+
+def test_rare_classes_have_less_than_a_hundredth_of_the_points_that_count() -> None:
+    counts = np.array([10_000, 9, 991, 10, 0])
+    scored = np.array([False, True, True, True, True])
+    shares = class_shares(counts, scored)
+    np.testing.assert_allclose(shares, [0, 9 / 1010, 991 / 1010, 10 / 1010, 0])
+    assert rare_classes(counts, scored).tolist() == [False, True, False, True, True]
+    counts[3] = 11
+    assert rare_classes(counts, scored).tolist() == [False, True, False, False, True]
+    assert not rare_classes(np.zeros(5, int), ~scored)[1:].any()
 
 
 def test_counting_counts_every_point(files: list[ScanFile]) -> None:

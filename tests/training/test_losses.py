@@ -8,6 +8,7 @@ from torch.nn import functional as F
 
 from salsanext_cli.training.losses import (
     SegmentationLoss,
+    Whole,
     class_weights,
     jaccard_gradient,
     lovasz_softmax,
@@ -142,6 +143,71 @@ def test_weighted_cross_entropy_is_torchs() -> None:
     log_probabilities = torch.randn(30, 5).log_softmax(1)
     ours = weighted_cross_entropy(log_probabilities, truth, weights)
     torch.testing.assert_close(ours, F.nll_loss(log_probabilities, truth, weights))
+
+
+def test_smoothed_with_equal_weights_it_is_torchs() -> None:
+    truth, logits = torch.randint(0, 5, (30,)), torch.randn(30, 5)
+    ours = weighted_cross_entropy(logits.log_softmax(1), truth, torch.full((5,), 3.0), None, 0.2)
+    weights = torch.full((5,), 3.0)
+    torch.testing.assert_close(ours, F.cross_entropy(logits, truth, weights, label_smoothing=0.2))
+
+
+def test_smoothed_it_is_the_weighted_mean_of_torchs_pixels() -> None:
+    weights, truth, logits = torch.rand(5) + 0.1, torch.randint(0, 5, (30,)), torch.randn(30, 5)
+    ours = weighted_cross_entropy(logits.log_softmax(1), truth, weights, None, 0.2)
+    each = F.cross_entropy(logits, truth, label_smoothing=0.2, reduction="none")
+    torch.testing.assert_close(ours, (weights[truth] * each).sum() / weights[truth].sum())
+
+
+def test_smoothing_gives_nothing_to_ignored_classes() -> None:
+    """A slow loop over pixels and classes; classes 0 and 3 are ignored, in the truth too."""
+    weights = np.array([0.0, 1.0, 4.0, 0.0, 0.5])
+    random = np.random.default_rng(3)
+    logits, truth = random.normal(0, 2, (5, 24)), random.integers(0, 5, 24)
+    total = weight = 0.0
+    for pixel, label in enumerate(truth):
+        if weights[label] == 0:
+            continue
+        each = np.exp(logits[:, pixel])
+        wanted = dict.fromkeys((1, 2, 4), 0.1 / 3)
+        wanted[label] += 0.9
+        total -= weights[label] * sum(t * np.log(each[c] / each.sum()) for c, t in wanted.items())
+        weight += weights[label]
+    given = torch.from_numpy(logits).reshape(1, 5, 4, 6).requires_grad_()
+    loss = SegmentationLoss(torch.from_numpy(weights), 0.0, 0.1)
+    value = loss(given, torch.from_numpy(truth).reshape(1, 4, 6))
+    assert float(value.detach()) == pytest.approx(total / weight, rel=1e-12)
+    value.backward()
+    assert given.grad is not None
+    assert (given.grad[:, [0, 3]] >= 0).all()  # pushed down wherever anything is
+    ignored = torch.from_numpy(np.isin(truth, [0, 3])).reshape(4, 6)
+    assert not given.grad[0, :, ignored].any()
+
+
+def test_the_best_prediction_of_a_smoothed_truth_does_not_depend_on_the_weights() -> None:
+    """`F.cross_entropy` would want 0.25 of class 0 here, and 0.75 of the rarest."""
+    weights, truth = torch.tensor([1.0, 1.0, 59.0]), torch.zeros(1, dtype=torch.long)
+    best = torch.tensor([[0.9 + 0.1 / 3, 0.1 / 3, 0.1 / 3]], dtype=torch.float64).log()
+    best.requires_grad_()
+    loss = weighted_cross_entropy(best.log_softmax(1), truth, weights.double(), None, 0.1)
+    loss.backward()
+    assert best.grad is not None
+    torch.testing.assert_close(best.grad, torch.zeros_like(best), rtol=0, atol=1e-12)
+
+
+def test_smoothed_parts_add_up_to_the_whole() -> None:
+    loss = SegmentationLoss(torch.tensor([0.0, 1.0, 3.0]), 0.0, 0.2)
+    logits, truth = torch.randn(4, 3, 5, 5), torch.randint(0, 3, (4, 5, 5))
+    whole = Whole(loss.weight(truth), 2)
+    parts = [loss(logits[p], truth[p], whole) for p in (slice(0, 1), slice(1, 4))]
+    torch.testing.assert_close(parts[0] + parts[1], loss(logits, truth))
+
+
+def test_the_smoothed_loss_of_ignored_pixels_is_zero() -> None:
+    loss = SegmentationLoss(torch.tensor([0.0, 1.0]), 1.0, 0.1)
+    assert float(loss(torch.randn(1, 2, 3, 3), torch.zeros(1, 3, 3, dtype=torch.long))) == 0
+    assert float(SegmentationLoss(torch.zeros(2), 1.0, 0.1)(torch.randn(1, 2, 1, 1),
+                                                            torch.zeros(1, 1, 1))) == 0  # fmt: skip
 
 
 def test_class_weights_are_inverse_square_roots_of_shares() -> None:

@@ -130,8 +130,10 @@ def five() -> tuple[Tensor, Tensor]:
 
 
 @pytest.mark.parametrize("parts", [2, 3, 5, 9])
-def test_a_batch_in_parts_has_the_gradient_of_the_whole(parts: int) -> None:
-    whole, accumulated = without_norm(lovasz=0.0), without_norm(lovasz=0.0, accumulate=parts)
+@pytest.mark.parametrize("smoothing", [0.0, 0.3])
+def test_a_batch_in_parts_has_the_gradient_of_the_whole(parts: int, smoothing: float) -> None:
+    given = {"lovasz": 0.0, "label_smoothing": smoothing}
+    whole, accumulated = without_norm(**given), without_norm(**given, accumulate=parts)
     loss = whole.step(*five(), 0, 10)
     assert accumulated.step(*five(), 0, 10) == pytest.approx(loss, rel=1e-6)
     for one, other in zip(whole.module.parameters(), accumulated.module.parameters(), strict=True):

@@ -27,6 +27,13 @@ def test_the_first_versions_recipe_differs_by_its_network_only() -> None:
     assert recipe("paper-v1") == Recipe(architecture="salsanext-v1")
 
 
+def test_only_the_modern_recipe_mixes_scans() -> None:
+    keys = ("mix", "paste", "label_smoothing", "whole_epochs")
+    mixing = {name for name in presets() if any(getattr(recipe(name), key) for key in keys)}
+    assert mixing == {"modern"}
+    assert all(getattr(recipe("modern"), key) for key in keys)
+
+
 @pytest.mark.parametrize("name", presets())
 def test_a_recipe_survives_its_toml(name: str, tmp_path: Path) -> None:
     path = tmp_path / "my recipe.toml"
@@ -38,6 +45,13 @@ def test_a_recipe_survives_its_toml(name: str, tmp_path: Path) -> None:
 def test_a_recipe_survives_its_dict() -> None:
     changed = Recipe(epochs=3, optimiser="adamw")
     assert Recipe.from_dict(changed.to_dict()) == changed
+
+
+def test_a_recipe_of_before_a_key_lacks_it() -> None:
+    old = recipe("street").to_dict()
+    for key in ("mix", "paste", "label_smoothing", "whole_epochs"):
+        del old[key]
+    assert Recipe.from_dict(old) == recipe("street")
 
 
 def test_keys_left_out_keep_the_papers_value(tmp_path: Path) -> None:
@@ -78,6 +92,13 @@ def test_changes() -> None:
         ("warm_up", float("inf")),
         ("dropout", 1.5),
         ("flip", -0.1),
+        ("mix", 1.1),
+        ("paste", -0.5),
+        ("paste", "often"),
+        ("label_smoothing", 1.0),
+        ("label_smoothing", -0.1),
+        ("whole_epochs", -1),
+        ("whole_epochs", 0.5),
         ("average", 1.0),
         ("crop_width", -2),
         ("clip_gradient", -1.0),
