@@ -27,7 +27,7 @@ from salsanext_cli.records import Float, RangeImage
 from salsanext_cli.sensors import Sensor
 from salsanext_cli.training.augment import Augmentation
 from salsanext_cli.training.mixing import COPIES, Board, Labelled, mix, part, paste
-from salsanext_cli.training.plan import NOTHING, SAMPLE, Draw, Plan
+from salsanext_cli.training.plan import SAMPLE, Draw, Plan
 from salsanext_cli.training.recipe import Recipe
 from salsanext_cli.training.team import ALONE, Team
 
@@ -124,8 +124,6 @@ class Samples(Dataset[tuple[Float, TrainIds, int]]):
         """Return the image (5, H, W), the truth (H, W) and the index of the scan."""
         position, index = draw
         width = Plan(len(self.files), self.recipe).crop_width(position)
-        if index == NOTHING:
-            return self._nothing(width)
         random = np.random.default_rng((self.recipe.seed, SAMPLE, position))
         scan, labels = self._mixed(index, random)
         image = project(scan, self.sensor)
@@ -154,11 +152,6 @@ class Samples(Dataset[tuple[Float, TrainIds, int]]):
 
     def _read(self, index: int) -> Labelled:
         return read_labelled(self.files[index], self.space, self.sensor)
-
-    def _nothing(self, width: int) -> tuple[Float, TrainIds, int]:
-        height, whole = self.sensor.height, self.sensor.width
-        size = (height, min(width or whole, whole))
-        return np.zeros((5, *size), np.float32), np.zeros(size, np.uint8), NOTHING
 
 
 def batches(

@@ -152,7 +152,7 @@ class Training:
         images, truth, indices = batch
         loss = self.learner.step(images, truth, step, self.plan.steps_per_epoch)
         if not math.isfinite(loss):
-            scans = ", ".join(str(self.samples.files[i].path) for i in indices if i >= 0)
+            scans = ", ".join(str(self.samples.files[i].path) for i in indices)
             raise TrainingError(
                 f"step {step + 1}",
                 f"the loss is {loss}; the batch held {scans}",

@@ -75,7 +75,7 @@ def weighted_cross_entropy(
         of_all = (log_probabilities * (counts / counts.sum().clamp_min(1))).sum(1)
         total = (1 - smoothing) * total - smoothing * (weights[truth] * of_all).sum()
     whole = weights[truth].sum() if whole is None else whole
-    return total / whole.clamp_min(torch.finfo(weights.dtype).tiny)
+    return total / whole.clamp_min(torch.finfo(whole.dtype).tiny)
 
 
 @torch.no_grad()
@@ -100,9 +100,11 @@ def jaccard_gradient(errors: Tensor, foreground: Tensor) -> Tensor:
     belongs = foreground.gather(1, order)
     hits = belongs.cumsum(1)
     size = hits[:, -1:]
-    misses = torch.arange(1, errors.shape[1] + 1, device=errors.device) - hits
-    loss = 1 - (size - hits).to(errors.dtype) / (size + misses)
-    gradient = torch.diff(loss, dim=1, prepend=torch.zeros_like(loss[:, :1]))
+    union = size + torch.arange(1, errors.shape[1] + 1, device=errors.device) - hits
+    # What a pixel adds, in closed form: differences of losses next to 1 would cancel. One more miss
+    # takes hits from size - hits of the intersection, one more false alarm widens the union by one.
+    shrinks, union = (size - hits).to(errors.dtype), union.to(errors.dtype)
+    gradient = torch.where(belongs, 1, shrinks / (union - 1).clamp_min(1)) / union
     return torch.empty_like(gradient).scatter_(1, order, gradient)
 
 

@@ -18,6 +18,7 @@ from salsanext_cli.training.precision import autocast, dtype_of, scaler
 from salsanext_cli.training.recipe import Recipe
 from salsanext_cli.training.schedule import learning_rate
 from salsanext_cli.training.team import ALONE, Team
+from salsanext_cli.training.team_norm import with_team_norm
 
 STRIDE = 1 << 24
 """Between the seeds of two workers: more than a training has steps, and within the 32 bits that
@@ -62,6 +63,8 @@ def shared(module: nn.Module, device: torch.device, team: Team) -> nn.Module:
         return module
     if device.type == "cuda":
         module = nn.SyncBatchNorm.convert_sync_batchnorm(module)  # type: ignore[no-untyped-call]
+    else:
+        module = with_team_norm(module)
     return DistributedDataParallel(module, [device] if device.type == "cuda" else None)
 
 
@@ -122,9 +125,11 @@ class Learner:
         return cls(recipe, module, loss, optimiser, average, scale, dtype, device, team, forward)
 
     def step(self, images: Tensor, truth: Tensor, step: int, steps_per_epoch: int) -> float:
-        """Learn from one batch and return its loss; one that is not finite changes nothing.
+        """Learn from one batch and return its loss; NaN if it or its gradient is not finite.
 
-        In a team the images are a worker's share of the batch, and the loss is that of all.
+        Then no weight has changed. (Gradients that overflow in float16 are no mistake: the scaler
+        leaves the step out.) In a team the images are a worker's share of the batch, and the loss
+        is that of all.
 
         Parameters
         ----------
@@ -136,16 +141,15 @@ class Learner:
         """
         self.optimiser.zero_grad()
         loss = float(self._gradient(images, truth, step))
-        if math.isfinite(loss):
-            self._update(step, steps_per_epoch)
-        return loss
+        return loss if math.isfinite(loss) and self._update(step, steps_per_epoch) else math.nan
 
     def _gradient(self, images: Tensor, truth: Tensor, step: int) -> Tensor:
         """Add up the gradient of a batch, part by part, and return its loss."""
         # On CPUs the gradient of the weights is a third slower with channels last.
         layout = torch.channels_last if self.device.type == "cuda" else torch.contiguous_format
         truth = truth.to(self.device)
-        parts = min(self.recipe.accumulate, len(images))
+        # As many for every worker, so that they wait for each other.
+        parts = min(self.recipe.accumulate, self.recipe.batch // self.team.size)
         whole = self._whole(truth, parts)
         losses = []
         self.module.train()
@@ -174,13 +178,17 @@ class Learner:
             return self.forward.no_sync()
         return nullcontext()
 
-    def _update(self, step: int, steps_per_epoch: int) -> None:
+    def _update(self, step: int, steps_per_epoch: int) -> bool:
+        """Move the weights; return False, and do not, if the gradient is not finite."""
         for group in self.optimiser.param_groups:
             group["lr"] = learning_rate(self.recipe, step, steps_per_epoch)
-        if self.recipe.clip_gradient:
-            self.scaler.unscale_(self.optimiser)
-            nn.utils.clip_grad_norm_(self.module.parameters(), self.recipe.clip_gradient)
+        self.scaler.unscale_(self.optimiser)
+        longest = self.recipe.clip_gradient or math.inf
+        length = nn.utils.clip_grad_norm_(self.module.parameters(), longest)
+        if not self.scaler.is_enabled() and not length.isfinite():
+            return False
         self.scaler.step(self.optimiser)
         self.scaler.update()
         if self.average is not self.module:
             update_average(self.average, self.module, self.recipe.average, step)
+        return True

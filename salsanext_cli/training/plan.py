@@ -17,15 +17,15 @@ ORDER, SAMPLE = 0, 1
 
 Draw = tuple[int, int]
 """Position of a sample in the whole training, index of its scan."""
-NOTHING = -1
-"""Index of an empty image, for a worker for whom no sample of a small batch is left."""
 
 
 @dataclass(frozen=True, slots=True)
 class Plan:
     """Which scan is drawn at which step, for the whole training.
 
-    Every scan is drawn once before any is drawn again. An epoch's last batch may be smaller.
+    Every scan is drawn once before any is drawn again, and every batch is whole: the last one of an
+    epoch goes on with the next round of scans. A batch of one or two would upset the statistics of
+    batch norm just before they are validated.
 
     Attributes
     ----------
@@ -37,14 +37,9 @@ class Plan:
     recipe: Recipe
 
     @property
-    def samples_per_epoch(self) -> int:
-        """Number of samples of an epoch."""
-        return self.recipe.samples_per_epoch or self.scan_count
-
-    @property
     def steps_per_epoch(self) -> int:
-        """Number of batches of an epoch."""
-        return -(-self.samples_per_epoch // self.recipe.batch)
+        """Number of batches of an epoch, which hold all its samples."""
+        return -(-(self.recipe.samples_per_epoch or self.scan_count) // self.recipe.batch)
 
     @property
     def steps(self) -> int:
@@ -53,7 +48,8 @@ class Plan:
 
     def crop_width(self, position: int) -> int:
         """Return the columns of the window of a sample, 0 for the full circle."""
-        last = position // self.samples_per_epoch >= self.recipe.epochs - self.recipe.whole_epochs
+        epoch = position // (self.steps_per_epoch * self.recipe.batch)
+        last = epoch >= self.recipe.epochs - self.recipe.whole_epochs
         return 0 if self.recipe.whole_epochs and last else self.recipe.crop_width
 
     def batches(self, first_step: int = 0, team: Team = ALONE) -> Iterator[list[Draw]]:
@@ -61,20 +57,9 @@ class Plan:
 
         The workers take turns: together they have each batch as one alone would.
         """
-        epoch, place = divmod(first_step, self.steps_per_epoch)
-        draws = self._draws(epoch * self.samples_per_epoch + place * self.recipe.batch)
-        for step in range(first_step, self.steps):
-            first = step % self.steps_per_epoch * self.recipe.batch
-            batch = list(islice(draws, min(self.recipe.batch, self.samples_per_epoch - first)))
-            yield self._share(batch, team)
-
-    def _share(self, batch: list[Draw], team: Team) -> list[Draw]:
-        """Return what a worker takes; all need as many parts, so that they wait for each other."""
-        most = -(-len(batch) // team.size)
-        own = batch[team.rank :: team.size]
-        # With the position of another, since its image must be as wide as that.
-        nothing = (batch[0][0], NOTHING)
-        return own + [nothing] * (min(self.recipe.accumulate, most) - len(own))
+        draws = self._draws(first_step * self.recipe.batch)
+        for _ in range(first_step, self.steps):
+            yield list(islice(draws, self.recipe.batch))[team.rank :: team.size]
 
     def _draws(self, position: int) -> Iterator[Draw]:
         """Yield draws without end, from a position of the whole training."""

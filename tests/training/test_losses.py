@@ -64,6 +64,22 @@ def test_the_jaccard_gradient_keeps_the_order_of_the_pixels() -> None:
     torch.testing.assert_close(jaccard_gradient(errors, foreground), torch.full((1, 3), 1 / 3))
 
 
+def test_the_jaccard_gradient_of_many_pixels_keeps_its_digits() -> None:
+    count = 1_000_000
+    random = torch.Generator().manual_seed(2)
+    # All unlike, so that there is one order only.
+    errors = torch.randperm(count, generator=random).float() / count
+    foreground = torch.rand(count, generator=random) < 0.3
+    falling = errors.numpy().argsort()[::-1]
+    hits = np.cumsum(foreground.numpy()[falling])
+    loss = 1 - (hits[-1] - hits) / (hits[-1] + np.arange(1, count + 1) - hits)
+    expected = np.empty(count)
+    expected[falling] = np.diff(loss, prepend=0)
+    found = jaccard_gradient(errors[None], foreground[None])[0].numpy()
+    # Differences of numbers next to 1 are themselves only good to their last bit.
+    np.testing.assert_allclose(found, expected, rtol=1e-6, atol=2e-16)
+
+
 def test_lovasz_gradient_is_that_of_its_value() -> None:
     random = torch.Generator().manual_seed(3)
     logits = torch.randn(7, 4, dtype=torch.float64, generator=random, requires_grad=True)

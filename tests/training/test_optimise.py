@@ -79,6 +79,17 @@ def test_a_loss_that_is_not_finite_changes_no_weight() -> None:
         assert torch.equal(parameter, before[name])
 
 
+@pytest.mark.parametrize("clip", [0.0, 1.0])
+def test_a_gradient_that_is_not_finite_changes_no_weight(clip: float) -> None:
+    learning = learner(clip_gradient=clip, average=0.5)
+    learning.module.features.weight.register_hook(lambda gradient: gradient * math.inf)
+    before = [copy.deepcopy(m.state_dict()) for m in (learning.module, learning.average)]
+    assert math.isnan(learning.step(*batch(), 0, 10))
+    for module, kept in zip((learning.module, learning.average), before, strict=True):
+        for name, parameter in module.named_parameters():
+            assert torch.equal(parameter, kept[name])
+
+
 def test_clipping_bounds_the_gradient() -> None:
     learning = learner(clip_gradient=1e-3)
     learning.step(*batch(), 0, 10)

@@ -52,9 +52,9 @@ def two(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
 def test_two_workers_have_the_gradient_of_one_with_twice_the_batch(
     two: dict[str, Any], case: str
 ) -> None:
-    """On a network without batch norm; five samples, so that the workers have unlike shares."""
+    """Weights and running statistics too; five samples, so that the workers have unlike shares."""
     for name, expected in stepped(ALONE, case).items():
-        torch.testing.assert_close(two[case][name], expected, rtol=1e-5, atol=1e-6)
+        torch.testing.assert_close(two[case][name], expected, rtol=1e-5, atol=1e-10)
 
 
 @gloo
@@ -62,9 +62,9 @@ def test_the_cases_say_something(two: dict[str, Any]) -> None:
     """The mean of two workers' own losses, the usual way, would be another loss."""
     losses = []
     for rank in range(2):
-        images, truth = (share(each, Team(rank, 2), 1) for each in batch())
+        images, truth = (share(each, Team(rank, 2)) for each in batch())
         losses.append(learner(ALONE).step(images, truth, 5, 1))
-    assert abs(sum(losses) / 2 - float(two["both losses"]["loss"])) > 1e-3
+    assert abs(sum(losses) / 2 - float(two["both losses"]["loss"])) > 1e-4
     assert two["both losses"]["gradient of features.weight"].abs().max() > 1e-3
 
 

@@ -25,40 +25,39 @@ CASES: dict[str, dict[str, object]] = {
     "smoothed in parts": {"label_smoothing": 0.2, "lovasz": 0.0, "accumulate": 2},
     "clipped": {"clip_gradient": 0.01},
     "in parts": {"lovasz": 0.0, "accumulate": 2},
-    "a batch of one": {"samples": 1},
     "nothing labelled": {"labels": 0},
 }
 
 
-class Normless(nn.Module):
-    """A network whose images know nothing of each other: without batch norm."""
+class Small(nn.Module):
+    """A network with what all have: convolutions, batch norm, dropout."""
 
     def __init__(self, dropout: float = 0.0) -> None:
         super().__init__()
         self.features = nn.Conv2d(5, 6, 3, padding=1)
+        self.norm = nn.BatchNorm2d(6)
         self.dropout = ChannelDropout(dropout)
         self.logits = nn.Conv2d(6, 4, 1)
 
     def forward(self, image: Tensor) -> Tensor:
         """Map (B, 5, H, W) to (B, 4, H, W)."""
-        made: Tensor = self.logits(self.dropout(self.features(image).relu()))
+        made: Tensor = self.logits(self.dropout(self.norm(self.features(image).relu())))
         return made
 
 
-def batch(samples: int = 5, labels: int = 1) -> tuple[Tensor, Tensor]:
+def batch(labels: int = 1) -> tuple[Tensor, Tensor]:
     """Return images of unlike shares of labels; class 3 is in the first, so of one worker, only."""
-    images = torch.randn(5, 5, 8, 16, generator=torch.Generator().manual_seed(4))
+    random = torch.Generator().manual_seed(4)
+    images = torch.randn(5, 5, 8, 16, generator=random, dtype=torch.float64)
     truth = (images[:, 0] > torch.linspace(-1, 1, 5)[:, None, None]).byte() + 1
     truth[1, :, 5:] = 0
     truth[0, 3] = 3
-    return images[:samples], truth[:samples] * labels
+    return images, truth * labels
 
 
-def share(whole: Tensor, team: Team, parts: int) -> Tensor:
-    """Return a worker's part of a batch as `Plan` deals it; zeros where nothing is left."""
-    own = whole[team.rank :: team.size]
-    missing = min(parts, -(-len(whole) // team.size)) - len(own)
-    return torch.cat([own, whole.new_zeros(max(missing, 0), *whole.shape[1:])])
+def share(whole: Tensor, team: Team) -> Tensor:
+    """Return a worker's part of a batch as `Plan` deals it."""
+    return whole[team.rank :: team.size]
 
 
 def learner(team: Team, **changes: object) -> Learner:
@@ -66,33 +65,31 @@ def learner(team: Team, **changes: object) -> Learner:
     recipe = Recipe(batch=5, dropout=0.0, learning_rate=0.1, **changes)  # type: ignore[arg-type]
     with torch.random.fork_rng():
         torch.manual_seed(0)
-        module = Normless()
+        module = Small().double()
     return Learner.of(module, recipe, WEIGHTS, torch.device("cpu"), team)  # type: ignore[arg-type]
 
 
 def stepped(team: Team, case: str) -> dict[str, Tensor]:
     """Return loss, gradients and weights after a step of a case."""
     changes = dict(CASES[case])
-    chosen = {key: changes.pop(key) for key in ("samples", "labels") if key in changes}
+    labels = changes.pop("labels", 1)
     learning = learner(team, **changes)
-    images, truth = batch(**chosen)  # type: ignore[arg-type]
-    parts = learning.recipe.accumulate
-    own = (share(images, team, parts), share(truth, team, parts))
+    own = (share(each, team) for each in batch(labels))  # type: ignore[arg-type]
     found = {"loss": torch.tensor(learning.step(*own, 5, 1))}
     for name, parameter in learning.module.named_parameters():
         assert parameter.grad is not None
         found[f"gradient of {name}"] = parameter.grad
         found[name] = parameter.detach()
-    return found
+    return found | dict(learning.module.named_buffers())
 
 
 def kept_apart(team: Team) -> dict[str, Tensor]:
     """Return, of every worker, what dropout leaves, what it gathers, and what the leader says."""
-    module = Normless(0.5)
-    module.features.bias.data.fill_(10.0)  # so that only dropout leaves nothing
+    module = Small(0.5)
+    module.norm.bias.data.fill_(10.0)  # so that only dropout leaves nothing
     masks = []
     module.dropout.register_forward_hook(lambda layer, given, made: masks.append(made.detach()))
-    recipe = Recipe(dropout=0.5)
+    recipe = Recipe(batch=2, dropout=0.5)
     one = Learner.of(module, recipe, WEIGHTS, torch.device("cpu"), team)  # type: ignore[arg-type]
     one.step(torch.ones(1, 5, 8, 16), torch.ones(1, 8, 16, dtype=torch.uint8), 3, 1)
     dropped = (masks[0] == 0).all(dim=(0, 2, 3))
