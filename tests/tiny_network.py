@@ -9,6 +9,8 @@ from salsanext_cli.network.dropout import ChannelDropout
 class TinyNetwork(nn.Module):
     """Takes and returns what SalsaNext does, in a millisecond."""
 
+    stride = (1, 1)
+
     def __init__(self, class_count: int = 20, dropout: float = 0.2) -> None:
         super().__init__()
         self.features = nn.Conv2d(5, 8, 3, padding=1)

@@ -72,7 +72,6 @@ def claim(
     scans: Sequence[ScanFile] = (),
     *,
     overwrite: bool,
-    defaults: Mapping[str, Mapping[str, Any]] = {},
 ) -> None:
     """Record what a stage does in `OUT/<stage>.json`, or refuse to mix results.
 
@@ -90,8 +89,6 @@ def claim(
         What it works on; that, and where they came from, is remembered for later stages.
     overwrite : bool
         Whether other settings may replace those recorded; results made with them are removed.
-    defaults : mapping of mappings
-        By table of the settings: what keys mean that a record, being older, lacks.
 
     Raises
     ------
@@ -102,7 +99,7 @@ def claim(
     folders = sorted(writes)
     settings = as_json(settings)
     manifest = _manifest(out, stage) or {}
-    recorded = _completed(manifest.get("settings", settings), defaults)
+    recorded = manifest.get("settings", settings)
     sources = new_sources(out, scans, stage, anew=recorded != settings)
     if recorded == settings:
         folders = sorted({*folders, *manifest.get("writes", ())})
@@ -118,13 +115,6 @@ def claim(
     write_json(out / f"{stage}.json", manifest)
     for path, record in sources.items():
         write_json(path, record)
-
-
-def _completed(
-    recorded: Mapping[str, Any], defaults: Mapping[str, Mapping[str, Any]]
-) -> dict[str, Any]:
-    tables = {key: recorded[key] for key in defaults if isinstance(recorded.get(key), dict)}
-    return {**recorded, **{key: {**defaults[key], **table} for key, table in tables.items()}}
 
 
 def require_same_settings(

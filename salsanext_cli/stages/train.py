@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import hashlib
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -15,7 +16,6 @@ import torch
 
 from salsanext_cli.classes import LabelSpace, label_space
 from salsanext_cli.errors import NoInputError, UsageError, WeightsError
-from salsanext_cli.formats.atomic import write_text
 from salsanext_cli.formats.layout import ScanFile, find_scans
 from salsanext_cli.network.architectures import build
 from salsanext_cli.network.segmentation import SegmentationNetwork
@@ -24,22 +24,13 @@ from salsanext_cli.sensors import Sensor
 from salsanext_cli.sensors import sensor as preset_sensor
 from salsanext_cli.stages.batch import worker_count
 from salsanext_cli.stages.inputs import data_set_label_space
-from salsanext_cli.stages.outputs import claim
+from salsanext_cli.stages.run_folder import require_free, take
 from salsanext_cli.stages.sample_picture import draw_sample
 from salsanext_cli.training.counting import class_counts, rare_classes, require_labels
 from salsanext_cli.training.dataset import Samples
 from salsanext_cli.training.events import EVENTS, events_in
 from salsanext_cli.training.log import Row
-from salsanext_cli.training.loop import (
-    BEST,
-    CHECKPOINT,
-    CURVE,
-    LAST,
-    LOG,
-    SAMPLES,
-    Report,
-    Training,
-)
+from salsanext_cli.training.loop import BEST, LAST, Report, Training
 from salsanext_cli.training.losses import class_weights
 from salsanext_cli.training.optimise import Learner
 from salsanext_cli.training.recipe import Recipe
@@ -123,28 +114,41 @@ def train(
         If `weights` do not fit the label space.
     """
     workers = worker_count(jobs)
-    space = space or data_set_label_space(dataset) or label_space()
-    training, validation = (_scans_of(dataset, space, split) for split in ("train", "valid"))
-    validated = evenly_spaced(validation, recipe.validation_scans)
     _require_work_for_all(recipe, team_here())
     with teamwork(device) as (team, place):
-        module, architecture, own_sensor = _start(weights, space, recipe)
+
+        def find() -> tuple[LabelSpace, list[ScanFile], list[ScanFile]]:
+            known = space or data_set_label_space(dataset) or label_space()
+            return known, _scans_of(dataset, known, "train"), _scans_of(dataset, known, "valid")
+
+        classes, training, validation = team.told(find)
+        validated = evenly_spaced(validation, recipe.validation_scans)
+        module, architecture, own_sensor = _start(weights, classes, recipe)
         sensor = sensor or own_sensor
-        card = WeightsCard(architecture, space, sensor, recipe.to_dict(), {}, _describe(dataset))
+        _require_pixels(recipe, sensor, module, team)
+        card = WeightsCard(architecture, classes, sensor, recipe.to_dict(), {}, _describe(dataset))
 
         def prepare() -> npt.NDArray[np.int64]:
-            _claim(run, card, [*training, *validation], weights, overwrite)
-            require_labels([*training, *validation])
+            scans = [*training, *validation]
+            settings = _settings(card, scans, weights)
+            require_free(run, settings, overwrite=overwrite)
+            require_labels(scans)
             splits = (training, validation, validated)
-            return class_counts(run / CLASS_COUNTS, splits, space, sensor, jobs)
+            counts = class_counts(run / CLASS_COUNTS, splits, classes, sensor, jobs)
+            take(run, settings, overwrite=overwrite)
+            return counts
 
         counts = team.told(prepare)
-        learner = Learner.of(module, recipe, class_weights(counts, space.scored), place, team)
-        samples = Samples(training, space, sensor, recipe, rare_classes(counts, space.scored))
-        helpers = workers if jobs != 1 else 0
+        learner = Learner.of(module, recipe, class_weights(counts, classes.scored), place, team)
+        rare = rare_classes(counts, classes.scored)
         with events_in(run / EVENTS, wanted=team.leads) as events:
             course = Training(
-                *(run, learner, samples, validated, card, helpers),
+                run=run,
+                learner=learner,
+                samples=Samples(training, classes, sensor, recipe, rare),
+                validation=validated,
+                card=card,
+                workers=workers if jobs != 1 else 0,
                 draw=lambda path, network: draw_sample(path, validated[0], network),
                 events=events,
                 report=progress,
@@ -158,6 +162,18 @@ def _require_work_for_all(recipe: Recipe, team: Team) -> None:
         remedy = "start fewer workers or set batch higher"
         expected = f"at least one sample for each of {team.size} workers"
         raise UsageError("recipe key batch", f"{recipe.batch}", expected, remedy)
+
+
+def _require_pixels(
+    recipe: Recipe, sensor: Sensor, module: SegmentationNetwork, team: Team
+) -> None:
+    """Refuse images whose coarsest level has one pixel: batch norm needs two to differ."""
+    part = recipe.batch // team.size // min(recipe.accumulate, recipe.batch // team.size)
+    size = (sensor.height, min(recipe.crop_width or sensor.width, sensor.width))
+    coarsest = [-(-pixels // step) for pixels, step in zip(size, module.stride, strict=True)]
+    if part * math.prod(coarsest) == 1:
+        found = f"one pixel is left of one image of {size[0]}×{size[1]}"
+        raise UsageError("recipe key crop_width", found, "two pixels for batch norm at least")
 
 
 def _scans_of(dataset: Path, space: LabelSpace, split: str) -> list[ScanFile]:
@@ -208,23 +224,13 @@ def _describe(dataset: Path) -> str:
     return f"Trained with `salsanext train` on {dataset.resolve().name}."
 
 
-def _claim(
-    run: Path, card: WeightsCard, scans: list[ScanFile], weights: Path | None, overwrite: bool
-) -> None:
-    """Take the run folder for this training, or refuse."""
+def _settings(card: WeightsCard, scans: list[ScanFile], weights: Path | None) -> dict[str, Any]:
+    """Return all that decides what a training ends with."""
     names = "\n".join(f"{scan.sequence}/{scan.stem}" for scan in scans)
-    settings = {
+    return {
         "recipe": dict(card.recipe),
         "sensor": card.sensor.to_dict(),
         "label_space": card.space.to_dict(),
         "scans": f"{len(scans)}, {hashlib.sha256(names.encode()).hexdigest()[:16]}",
         "weights": fingerprint(weights) if weights else None,
     }
-    defaults = {"recipe": Recipe().to_dict()}
-    claim(run, "train", settings, [], overwrite=overwrite, defaults=defaults)
-    if overwrite:
-        for name in (CHECKPOINT, CLASS_COUNTS, BEST, LAST, LOG, CURVE):
-            (run / name).unlink(missing_ok=True)
-        for made in (*run.glob(f"{SAMPLES}/epoch-*.png"), *run.glob(f"{EVENTS}/events.*")):
-            made.unlink()
-    write_text(run / "recipe.toml", Recipe.from_dict(card.recipe).to_toml())

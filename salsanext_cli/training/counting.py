@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import hashlib
+import json
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -27,10 +28,10 @@ def require_labels(files: Sequence[ScanFile]) -> None:
     """Raise `LabelError` naming the first scan without a label file."""
     missing = [file for file in files if not file.label_path.is_file()]
     if missing:
+        others = f", nor for {len(missing) - 1} other scans" if len(missing) > 1 else ""
         raise LabelError(
             missing[0].label_path,
-            f"no such file, nor for {len(missing) - 1} other scans" * (len(missing) > 1)
-            or "no such file",
+            f"no such file{others}",
             "a label file for every scan of the split",
         )
 
@@ -38,14 +39,12 @@ def require_labels(files: Sequence[ScanFile]) -> None:
 def count_classes(
     files: Sequence[ScanFile], space: LabelSpace, sensor: Sensor, jobs: int = 1
 ) -> npt.NDArray[np.int64]:
-    """Count the points of every class, (C,) int64, reading every scan with its labels.
+    """Count the points of every class in every scan, (F, C) int64, reading all with their labels.
 
     Raises
     ------
     FormatError, LabelError
         If any scan could not be trained on.
-    TrainingError
-        If no point is of a class that counts.
     """
 
     def count(file: ScanFile) -> npt.NDArray[np.int64]:
@@ -54,14 +53,19 @@ def count_classes(
 
     # Threads do: reading and counting leave the interpreter's lock alone.
     found = joblib.Parallel(jobs, backend="threading")(joblib.delayed(count)(f) for f in files)
-    counts: npt.NDArray[np.int64] = np.sum(found, axis=0)
-    if not counts[space.scored].any():
+    return np.stack(found)
+
+
+def require_some(
+    files: Sequence[ScanFile], counts: npt.NDArray[np.int64], space: LabelSpace
+) -> None:
+    """Raise `TrainingError` if no point of scans, counted (F, C), is of a class that counts."""
+    if not counts[:, space.scored].any():
         raise TrainingError(
             files[0].label_path.parent,
             f"none of {counts.sum()} points in {len(files)} scans is of a class that counts",
             f"labels of {space.name}",
         )
-    return counts
 
 
 def class_shares(
@@ -111,11 +115,13 @@ def class_counts(
 
     Raises
     ------
-    FormatError, LabelError, TrainingError
-        As `count_classes`, of any of the three.
+    FormatError, LabelError
+        As `count_classes`, of any of them.
+    TrainingError
+        If no point of the training scans, or of those that are scored, is of a class that counts.
     """
     training, validation, validated = splits
-    files = _state_of_files([*training, *validation])
+    files = _state_of_files([*training, *validation, *validated], space)
     known = read_json(path) or {}
     counted = known.get("points")
     if (
@@ -124,18 +130,20 @@ def class_counts(
         and counted.keys() == {*space.names}
     ):
         return np.array([counted[name] for name in space.names], np.int64)
-    count_classes(validation, space, sensor, jobs)
-    if len(validated) < len(validation):
-        count_classes(validated, space, sensor, jobs)
-    counts = count_classes(training, space, sensor, jobs)
+    of_validation = count_classes(validation, space, sensor, jobs)
+    scored = [file in {*validated} for file in validation]
+    require_some(validated, of_validation[scored], space)
+    of_training = count_classes(training, space, sensor, jobs)
+    require_some(training, of_training, space)
+    counts: npt.NDArray[np.int64] = of_training.sum(axis=0)
     points = dict(zip(space.names, counts.tolist(), strict=True))
     write_json(path, {"files": files, "points": points})
     return counts
 
 
-def _state_of_files(scans: Sequence[ScanFile]) -> str:
-    """Return a digest of size and time of every scan and its labels, which tells edited ones."""
-    digest = hashlib.sha256()
+def _state_of_files(scans: Sequence[ScanFile], space: LabelSpace) -> str:
+    """Return a digest of size and time of every scan and its labels, and what the labels mean."""
+    digest = hashlib.sha256(json.dumps(space.to_dict(), sort_keys=True).encode())
     for path in (path for scan in scans for path in (scan.path, scan.label_path)):
         # Not where it lies: a data set may move.
         _, _, *state = identity(path) or (None, None)

@@ -13,12 +13,15 @@ from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
+import torch
 
 from salsanext_cli.errors import TrainingError
 from salsanext_cli.formats.layout import ScanFile
+from salsanext_cli.measures.confusion import Confusion
 from salsanext_cli.measures.scores import scores
 from salsanext_cli.network.inference import Network
 from salsanext_cli.network.weights import WeightsCard, save_weights
+from salsanext_cli.training.blame import not_finite_alone
 from salsanext_cli.training.checkpoint import TrainingState, load_checkpoint, save_checkpoint
 from salsanext_cli.training.dataset import Batch, Samples, batches
 from salsanext_cli.training.events import Events
@@ -83,7 +86,7 @@ class Training:
     events : Events
         Notes epochs for TensorBoard.
     report : callable
-        Called after every step; in a team by the leader, who alone writes and validates.
+        Called after every step; in a team by the leader, who alone writes.
     """
 
     run: Path
@@ -108,6 +111,7 @@ class Training:
             load_checkpoint(checkpoint, self.learner) if checkpoint.exists() else TrainingState()
         )
         first = state.epoch * self.plan.steps_per_epoch + len(state.losses)
+        self._require_same_start(first)
         if first:
             log.info("going on after step %d", first)
         pinned = self.learner.device.type == "cuda"
@@ -116,6 +120,16 @@ class Training:
         while state.epoch < self.learner.recipe.epochs:
             self._epoch(state, stream)
         return team.told(lambda: state)
+
+    def _require_same_start(self, first: int) -> None:
+        """Refuse a team of which some go on and some begin: they do not see the same folder."""
+        leads = self.learner.team.told(lambda: first)
+        if leads != first:
+            raise TrainingError(
+                self.run,
+                f"the first worker goes on after step {leads}, this one after step {first}",
+                "one folder that all workers see",
+            )
 
     def _epoch(self, state: TrainingState, stream: Iterator[Batch]) -> None:
         """Take the steps of an epoch that are left, and end it."""
@@ -144,51 +158,66 @@ class Training:
             "loss": float(np.mean(losses)),
             "seconds": seconds,
         }
+        last = state.epoch == self.learner.recipe.epochs
+        if last or state.epoch % self.learner.recipe.validate_every == 0:
+            row |= self._scores()
         if self.learner.team.leads:
             self._keep(state, row)
         self._tell(state, step, loss, row)
 
     def _step(self, batch: Batch, step: int) -> float:
-        images, truth, indices = batch
-        loss = self.learner.step(images, truth, step, self.plan.steps_per_epoch)
-        if not math.isfinite(loss):
-            scans = ", ".join(str(self.samples.files[i].path) for i in indices)
+        images, truth, _ = batch
+        try:
+            loss = self.learner.step(images, truth, step, self.plan.steps_per_epoch)
+        except torch.OutOfMemoryError as error:
             raise TrainingError(
                 f"step {step + 1}",
-                f"the loss is {loss}; the batch held {scans}",
-                "a finite loss",
-                "lower learning_rate or set clip_gradient",
+                f"no memory is left on {self.learner.device} for {len(images)} images",
+                "images that fit",
+                "--set accumulate=2, or more parts still",
+            ) from error
+        if not math.isfinite(loss):
+            raise TrainingError(
+                f"step {step + 1}",
+                f"the loss or its gradient is not finite with {self._culprits(batch)}",
+                "finite ones",
+                "look at these scans, lower learning_rate or set clip_gradient",
             )
         return loss
 
+    def _culprits(self, batch: Batch) -> str:
+        """Name the scans whose loss alone is not finite; all of the batch if there are none."""
+        images, truth, indices = (each.to(self.learner.device) for each in batch)
+        alone = not_finite_alone(self.learner.module, self.learner.loss, images, truth)
+        found, every = (torch.cat(self.learner.team.gather(i)) for i in (indices[alone], indices))
+        chosen = found if len(found) else every
+        return ", ".join(str(self.samples.files[i].path) for i in chosen)
+
     def _keep(self, state: TrainingState, row: Row) -> None:
-        """Validate where it is time, and write weights, log, curve and checkpoint."""
-        recipe = self.learner.recipe
-        last = state.epoch == recipe.epochs
-        validated = last or state.epoch % recipe.validate_every == 0
-        if validated:
-            row |= self._scores()
+        """Write weights, log, curve, pictures and, last, the checkpoint."""
         state.rows.append(row)
         scores = {key: value for key, value in row.items() if "iou" in key and value == value}
         card = replace(self.card, scores=scores | {"epoch": state.epoch})
         save_weights(self.run / LAST, self.learner.average, card)
-        if validated and row["miou"] > state.best:
+        if row.get("miou", -1) > state.best:
             state.best = row["miou"]
             save_weights(self.run / BEST, self.learner.average, card)
         write_log(self.run / LOG, state.rows)
         draw_curve(self.run / CURVE, state.rows)
-        save_checkpoint(self.run / CHECKPOINT, self.learner, state)
-
         picture = self.draw(self.run / SAMPLES / f"epoch-{state.epoch:03d}.png", self._network())
         self.events.add(row, picture)
+        save_checkpoint(self.run / CHECKPOINT, self.learner, state)
 
     def _network(self) -> Network:
         module = self.learner.average.eval()
         return Network(module, self.card, self.card.sensor, self.learner.device)
 
     def _scores(self) -> Row:
-        space = self.card.space
-        result = scores(validate(self._network(), self.validation), space)
+        """Score the validation scans, each by one worker."""
+        team, space = self.learner.team, self.card.space
+        own = validate(self._network(), self.validation[team.rank :: team.size])
+        counts = team.sum(torch.from_numpy(own.matrix).to(self.learner.device))
+        result = scores(Confusion(space.class_count, counts.cpu().numpy()), space)
         if not result.points:
             found = "no point of the validation scans is of a class that counts"
             where = self.validation[0].label_path.parent

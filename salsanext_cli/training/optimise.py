@@ -148,8 +148,7 @@ class Learner:
         # On CPUs the gradient of the weights is a third slower with channels last.
         layout = torch.channels_last if self.device.type == "cuda" else torch.contiguous_format
         truth = truth.to(self.device)
-        # As many for every worker, so that they wait for each other.
-        parts = min(self.recipe.accumulate, self.recipe.batch // self.team.size)
+        parts = self._parts(images.shape[3])
         whole = self._whole(truth, parts)
         losses = []
         self.module.train()
@@ -166,6 +165,16 @@ class Learner:
                     self.scaler.scale(loss * self.team.size).backward()
                 losses.append(loss.detach())
         return self.team.sum(torch.stack(losses).sum())
+
+    def _parts(self, width: int) -> int:
+        """Return into how many parts a batch is cut, by every worker alike.
+
+        Whole circles after windows are cut into as many more as they are wider, so that a training
+        that began does not run out of memory.
+        """
+        recipe = self.recipe
+        wider = -(-width // recipe.crop_width) if recipe.crop_width else 1
+        return min(recipe.accumulate * wider, recipe.batch // self.team.size)
 
     def _whole(self, truth: Tensor, parts: int) -> Whole | None:
         if parts * self.team.size == 1:

@@ -28,12 +28,18 @@ class SumOverTeam(torch.autograd.Function):
         return total
 
     @staticmethod
-    @once_differentiable  # type: ignore[untyped-decorator]
+    @once_differentiable
     def backward(ctx: Any, gradient: Tensor) -> Tensor:
         """Add up the gradients of all workers."""
         total = gradient.contiguous().clone()
         dist.all_reduce(total)
         return total
+
+
+def add_up(own: Tensor) -> Tensor:
+    """Return the sum of the tensors of all workers."""
+    total: Tensor = SumOverTeam.apply(own)  # type: ignore[no-untyped-call]
+    return total
 
 
 class TeamBatchNorm(nn.BatchNorm2d):
@@ -43,9 +49,7 @@ class TeamBatchNorm(nn.BatchNorm2d):
         """Normalise (B, C, H, W); every worker must come here, with at least one image."""
         if not self.training:
             return super().forward(input)
-        add_up = SumOverTeam.apply
-        count = input.new_tensor(input.numel() / input.shape[1])
-        count = add_up(count)
+        count = add_up(input.new_tensor(input.numel() / input.shape[1]))
         mean = add_up(input.sum((0, 2, 3))) / count
         centred = input - mean[:, None, None]
         variance = add_up(centred.square().sum((0, 2, 3))) / count

@@ -89,7 +89,7 @@ def test_a_run_folder_holds_weights_log_curve_and_recipe(dataset: Path, tmp_path
     assert pictures == ["epoch-001.png", "epoch-002.png", "epoch-003.png"]
     assert recipe(run / "recipe.toml") == TINY
     assert len((run / "log.csv").read_text().splitlines()) == 1 + TINY.epochs
-    # Three scans in batches of two: the incomplete batch counts.
+    # Three scans in batches of two: the second batch of an epoch goes on with the next round.
     assert [report.step for report in reports] == list(range(1, 7))
     assert [report.row is not None for report in reports] == [False, True] * 3
     assert [report.epoch for report in reports] == [1, 1, 2, 2, 3, 3]
@@ -318,18 +318,78 @@ def test_weights_of_other_classes_are_refused(dataset: Path, tmp_path: Path) -> 
         go(dataset, tmp_path / "run", weights=weights)
 
 
-def test_a_loss_that_is_not_finite_names_the_scans(
+def test_a_loss_that_is_not_finite_names_the_scan(
+    dataset: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    original = dataset_module.Samples.__getitem__
+
+    def spoilt(self: object, draw: tuple[int, int]) -> tuple[np.ndarray, np.ndarray, int]:
+        image, truth, index = original(self, draw)  # type: ignore[arg-type]
+        return image * (np.float32(3e38) if index == 1 else 1), truth, index
+
+    monkeypatch.setattr(dataset_module.Samples, "__getitem__", spoilt)
+    message = r"step \d · the loss or its gradient is not finite with [^,]*00/velodyne/1\.bin ·"
+    with pytest.raises(TrainingError, match=message), np.errstate(over="ignore"):
+        go(dataset, tmp_path / "run")
+
+
+def test_a_loss_that_is_not_finite_without_a_culprit_names_the_batch(
     dataset: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(Learner, "step", lambda *_: math.nan)
-    with pytest.raises(
-        TrainingError, match=r"step 1 · the loss is nan.*00/velodyne/\d\.bin, .*bin"
-    ):
+    with pytest.raises(TrainingError, match=r"finite with .*00/velodyne/\d\.bin, .*bin ·"):
         go(dataset, tmp_path / "run")
+
+
+def test_no_memory_left_is_one_line_with_a_remedy(
+    dataset: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def full(*_: object) -> float:
+        raise torch.OutOfMemoryError
+
+    monkeypatch.setattr(Learner, "step", full)
+    message = r"step 1 · no memory is left on cpu for 2 images .* --set accumulate=2"
+    with pytest.raises(TrainingError, match=message):
+        go(dataset, tmp_path / "run")
+    monkeypatch.undo()
+    monkeypatch.setitem(ARCHITECTURES, "salsanext", TinyNetwork)
+    go(dataset, tmp_path / "run", recipe=TINY.with_changes(accumulate=2))
 
 
 def no_step(report: Report) -> None:
     raise AssertionError("a step was taken")
+
+
+def test_images_of_one_pixel_stop_it_before_the_first_step(
+    dataset: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(TinyNetwork, "stride", (16, 32))
+    with pytest.raises(UsageError, match="crop_width · one pixel is left of one image of 16×32"):
+        go(dataset, tmp_path / "run", recipe=TINY.with_changes(batch=1), progress=no_step)
+    assert not (tmp_path / "run").exists()
+
+
+def test_what_fails_before_the_first_step_costs_no_earlier_training(
+    dataset: Path, tmp_path: Path
+) -> None:
+    first = go(dataset, tmp_path / "run", recipe=TINY.with_changes(epochs=1))
+    (dataset / "sequences/00/labels/1.label").unlink()
+    with pytest.raises(LabelError):
+        go(dataset, tmp_path / "run", overwrite=True)
+    assert first.best.exists()
+    assert (tmp_path / "run/checkpoint.pt").exists()
+
+
+@pytest.mark.parametrize("name", ["best.safetensors", "checkpoint.pt"])
+def test_files_that_no_training_recorded_are_not_replaced(
+    name: str, dataset: Path, tmp_path: Path
+) -> None:
+    theirs = tmp_path / "run" / name
+    theirs.parent.mkdir()
+    theirs.write_text("mine")
+    with pytest.raises(OutputError, match=f"{name} · was there before"):
+        go(dataset, tmp_path / "run", progress=no_step)
+    assert theirs.read_text() == "mine"
 
 
 def test_missing_labels_stop_it_before_the_first_step(dataset: Path, tmp_path: Path) -> None:

@@ -19,6 +19,7 @@ from salsanext_cli.training.counting import (
     count_classes,
     rare_classes,
     require_labels,
+    require_some,
 )
 from salsanext_cli.training.dataset import (
     Samples,
@@ -288,7 +289,10 @@ def test_counting_counts_every_point(files: list[ScanFile]) -> None:
         for raw in read_labels(file.label_path):
             expected[SPACE.learning_map[int(raw)]] += 1
     for jobs in (1, 2):
-        np.testing.assert_array_equal(count_classes(files, SPACE, SMALL, jobs), expected)
+        counts = count_classes(files, SPACE, SMALL, jobs)
+        np.testing.assert_array_equal(counts.sum(axis=0), expected)
+        own = np.bincount(SPACE.to_train(read_labels(files[1].label_path)), minlength=20)
+        np.testing.assert_array_equal(counts[1], own)
 
 
 def test_missing_labels_are_named(tmp_path: Path) -> None:
@@ -308,7 +312,7 @@ def test_labels_that_cannot_be_trained_on(labels: np.ndarray, tmp_path: Path) ->
     files = find_scans(write_sequence(tmp_path / "00"))
     write_labels(files[0].label_path, labels.astype(np.uint32))
     with pytest.raises((LabelError, TrainingError), match=r"labels"):
-        count_classes(files, SPACE, SMALL)
+        require_some(files, count_classes(files, SPACE, SMALL), SPACE)
 
 
 def test_a_truncated_scan_is_named(tmp_path: Path) -> None:

@@ -1,0 +1,74 @@
+# SPDX-License-Identifier: MIT
+"""The folder of a training: whose it is, and taking it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from salsanext_cli.errors import OutputError
+from salsanext_cli.formats.atomic import write_text, writing
+from salsanext_cli.stages.outputs import as_json, claim, require_same_settings, stage_settings
+from salsanext_cli.training.events import EVENTS
+from salsanext_cli.training.loop import BEST, CHECKPOINT, CURVE, LAST, LOG, SAMPLES
+from salsanext_cli.training.recipe import Recipe
+
+STAGE = "train"
+RECIPE = "recipe.toml"
+MADE = (CHECKPOINT, BEST, LAST, LOG, CURVE)
+"""What a training leaves, and what is gone when another begins in its place."""
+
+
+def require_free(run: Path, settings: Mapping[str, Any], *, overwrite: bool) -> None:
+    """Refuse, before anything is done, a folder that a training may not have.
+
+    Raises
+    ------
+    OutputError
+        If it cannot be written; or, unless `overwrite`, if it holds a training with other settings
+        that has come to a first checkpoint, or files of such names that no training recorded.
+    """
+    probe = run / ".writable"
+    with writing(probe):
+        pass
+    probe.unlink()
+    there = [name for name in MADE if (run / name).exists()]
+    if overwrite or not there:
+        return
+    recorded = stage_settings(run, STAGE)
+    if recorded is None:
+        raise OutputError(
+            run / there[0],
+            "was there before, made nobody knows how",
+            remedy="use another folder, or --overwrite to replace it",
+        )
+    require_same_settings(run / f"{STAGE}.json", _completed(recorded), as_json(settings))
+
+
+def take(run: Path, settings: Mapping[str, Any], *, overwrite: bool) -> None:
+    """Record a training in a folder that is free; one with other settings is removed.
+
+    Parameters
+    ----------
+    run : Path
+        The folder.
+    settings : mapping
+        All that decides what the training ends with, its recipe under that name.
+    overwrite : bool
+        Whether to begin anew with the same settings too.
+    """
+    recorded = stage_settings(run, STAGE)
+    if overwrite or recorded is None or _completed(recorded) != as_json(settings):
+        pictures, events = run.glob(f"{SAMPLES}/epoch-*.png"), run.glob(f"{EVENTS}/events.*")
+        for made in (*(run / name for name in MADE), *pictures, *events):
+            made.unlink(missing_ok=True)
+    claim(run, STAGE, settings, [], overwrite=True)
+    write_text(run / RECIPE, Recipe.from_dict(settings["recipe"]).to_toml())
+
+
+def _completed(recorded: Mapping[str, Any]) -> dict[str, Any]:
+    """Return recorded settings with what recipes of older versions do not say."""
+    known = recorded.get("recipe")
+    recipe = {**Recipe().to_dict(), **known} if isinstance(known, dict) else known
+    return {**recorded, "recipe": recipe}
