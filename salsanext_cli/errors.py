@@ -33,7 +33,14 @@ class SalsanextError(Exception):
         What should have been there.
     remedy : str, optional
         What the user can do about it.
+
+    Attributes
+    ----------
+    said_elsewhere : bool
+        Whether another process of a team tells the user, so that it is not told twice.
     """
+
+    said_elsewhere: bool = False
 
     def __init__(
         self, subject: object, found: str = "", expected: str = "", remedy: str = ""

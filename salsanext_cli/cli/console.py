@@ -82,9 +82,10 @@ def guarded(command: Callable[Parameters, None]) -> Callable[Parameters, None]:
         try:
             command(*args, **kwargs)
         except SalsanextError as error:
-            tell(f"error: {error}")
-            if kwargs.get("json"):
-                typer.echo(json.dumps({"error": str(error)}))
+            if not error.said_elsewhere:
+                tell(f"error: {error}")
+                if kwargs.get("json"):
+                    typer.echo(json.dumps({"error": str(error)}))
             raise typer.Exit(WRONG_USE if isinstance(error, UsageError) else FAILED) from None
         except KeyboardInterrupt:
             tell("interrupted: everything finished so far is intact")

@@ -8,6 +8,7 @@ import math
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass
 
+import numpy as np
 import torch
 from torch import Tensor, nn
 from torch.nn.parallel import DistributedDataParallel
@@ -20,9 +21,8 @@ from salsanext_cli.training.schedule import learning_rate
 from salsanext_cli.training.team import ALONE, Team
 from salsanext_cli.training.team_norm import with_team_norm
 
-STRIDE = 1 << 24
-"""Between the seeds of two workers: more than a training has steps, and within the 32 bits that
-torch takes of a seed on CPUs."""
+DROPOUT = 2
+"""What a generator is for; part of its seed, beside those of `plan`."""
 
 
 def build_optimiser(module: nn.Module, recipe: Recipe) -> torch.optim.Optimizer:
@@ -147,17 +147,17 @@ class Learner:
         """Add up the gradient of a batch, part by part, and return its loss."""
         # On CPUs the gradient of the weights is a third slower with channels last.
         layout = torch.channels_last if self.device.type == "cuda" else torch.contiguous_format
-        truth = truth.to(self.device)
+        truth = truth.to(self.device, non_blocking=True)
         parts = self._parts(images.shape[3])
         whole = self._whole(truth, parts)
         losses = []
         self.module.train()
         # Seeding every step makes it a function of its number, so that training can be resumed.
         with torch.random.fork_rng([self.device] if self.device.type == "cuda" else []):
-            torch.manual_seed(self.recipe.seed + step + self.team.rank * STRIDE)
+            torch.manual_seed(self._seed(step))
             pairs = zip(images.tensor_split(parts), truth.tensor_split(parts), strict=True)
             for part, (some, labels) in enumerate(pairs, 1):
-                some = some.to(self.device, memory_format=layout)
+                some = some.to(self.device, memory_format=layout, non_blocking=True)
                 with self._summing(at_last=part == parts):
                     with autocast(self.dtype, self.device):
                         loss = self.loss(self.forward(some), labels, whole)
@@ -165,6 +165,11 @@ class Learner:
                     self.scaler.scale(loss * self.team.size).backward()
                 losses.append(loss.detach())
         return self.team.sum(torch.stack(losses).sum())
+
+    def _seed(self, step: int) -> int:
+        """Return a seed of what dropout draws, unlike for every training, step and worker."""
+        source = np.random.SeedSequence((self.recipe.seed, DROPOUT, step, self.team.rank))
+        return int(source.generate_state(1)[0])
 
     def _parts(self, width: int) -> int:
         """Return into how many parts a batch is cut, by every worker alike.

@@ -133,6 +133,7 @@ class Recipe:
             self._require(key, 0 <= getattr(self, key) < 1, "from 0 to below 1")
         for key in ("learning_rate", "decay"):
             self._require(key, getattr(self, key) > 0, "above 0")
+        self._require("seed", self.seed < 2**63, "below 2⁶³")
         for key, names in CHOICES.items():
             self._require(key, getattr(self, key) in names, f"one of {', '.join(names)}")
 

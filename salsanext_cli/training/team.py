@@ -66,7 +66,7 @@ class Team:
     def told(self, work: Callable[[], T]) -> T:
         """Return what `work` returns to the leader; the others wait, and do not do it.
 
-        A `SalsanextError` of the leader is raised by all.
+        A `SalsanextError` of the leader is raised by all, and the others know that it says it.
         """
         if self.size == 1:
             return work()
@@ -78,6 +78,7 @@ class Team:
                 answer = [error]
         dist.broadcast_object_list(answer)
         if isinstance(answer[0], SalsanextError):
+            answer[0].said_elsewhere = not self.leads
             raise answer[0]
         result: T = answer[0]
         return result

@@ -10,6 +10,7 @@ from typing import Any
 
 import pytest
 import torch
+from safetensors.torch import load_file
 from scans import SMALL, write_sequence
 from torch.distributed import is_gloo_available, is_torchelastic_launched
 from two_workers import CASES, batch, learner, share, stepped
@@ -26,14 +27,18 @@ gloo = pytest.mark.skipif(not is_gloo_available(), reason="needs gloo")
 def torchrun(*arguments: object) -> subprocess.CompletedProcess[str]:
     """Run two workers of one machine."""
     command = [sys.executable, "-m", "torch.distributed.run", "--standalone"]
-    folder = str(Path(salsanext_cli.__file__).parents[1])
+    folders = (Path(salsanext_cli.__file__).parents[1], Path(__file__).parents[1])
     return subprocess.run(
         [*command, "--nproc-per-node", "2", *map(str, arguments)],
         capture_output=True,
         text=True,
         timeout=120,
         check=False,
-        env={**os.environ, "PYTHONPATH": folder, "OMP_NUM_THREADS": "1"},
+        env={
+            **os.environ,
+            "PYTHONPATH": os.pathsep.join(map(str, folders)),
+            "OMP_NUM_THREADS": "1",
+        },
     )
 
 
@@ -93,6 +98,38 @@ def test_the_command_line_under_torchrun(tmp_path: Path) -> None:
     assert json.loads(ended.stdout)["best"] == str(run / "best.safetensors")
     assert ended.stderr.count("train: best validation mIoU") == 1
     assert len((run / "log.csv").read_text("utf-8").splitlines()) == 3
+
+
+@gloo
+@pytest.mark.slow
+def test_a_team_that_was_killed_goes_on_as_if_it_had_not_been(tmp_path: Path) -> None:
+    """In the middle of an epoch; from another folder than the first worker's none goes on."""
+    data = tmp_path / "data"
+    write_sequence(data / "sequences/00", ["0", "1", "2"], count=600)
+    write_sequence(data / "sequences/08", ["0", "1", "2"], count=600)
+    script = SCRIPT.with_name("stopped_training.py")
+    whole, parts = tmp_path / "whole", tmp_path / "parts"
+    assert torchrun(script, data, whole).returncode == 0
+    assert torchrun(script, data, parts, 6).returncode != 0
+    assert (parts / "checkpoint.pt").exists()
+    severed = torchrun(script, data, parts, "severed")
+    assert severed.returncode != 0
+    assert "the first worker goes on after step 6, this one after step 0" in severed.stderr
+    ended = torchrun(script, data, parts)
+    assert ended.returncode == 0, ended.stderr
+    for name in ("last.safetensors", "best.safetensors"):
+        one, other = load_file(whole / name), load_file(parts / name)
+        assert all(torch.equal(one[key], other[key]) for key in one)
+
+
+@gloo
+@pytest.mark.slow
+def test_what_is_wrong_is_said_once(tmp_path: Path) -> None:
+    for arguments in (("nowhere", "run"), (".", "run", "--recipe", "none")):
+        ended = torchrun("-m", "salsanext_cli", "train", *arguments, "--json")
+        assert ended.returncode != 0
+        assert ended.stderr.count("error: ") == 1
+        assert len(ended.stdout.splitlines()) == 1
 
 
 def test_without_torchrun_one_works_alone() -> None:
