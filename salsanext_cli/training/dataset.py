@@ -21,6 +21,7 @@ from salsanext_cli.errors import SalsanextError
 from salsanext_cli.formats import read_scan
 from salsanext_cli.formats.kitti import read_labels
 from salsanext_cli.formats.layout import ScanFile
+from salsanext_cli.geometry.noise import input_variance
 from salsanext_cli.geometry.normalise import normalise
 from salsanext_cli.geometry.projection import project
 from salsanext_cli.records import Float, RangeImage, Scan
@@ -31,7 +32,10 @@ from salsanext_cli.training.recipe import Recipe
 from salsanext_cli.training.team import ALONE, Team
 
 Batch = tuple[Tensor, Tensor, Tensor]
-"""Normalised images (B, 5, H, W), truth (B, H, W) uint8, indices of the scans (B,) int64."""
+"""Normalised images (B, 5, H, W), truth (B, H, W) uint8, indices of the scans (B,) int64.
+
+Of a heteroscedastic recipe the images have their variances behind them, (B, 10, H, W).
+"""
 
 
 def read_labelled(file: ScanFile, space: LabelSpace, sensor: Sensor) -> tuple[Scan, TrainIds]:
@@ -117,7 +121,10 @@ class Samples(Dataset[tuple[Float, TrainIds, int]]):
     recipe: Recipe
 
     def __getitem__(self, draw: Draw) -> tuple[Float, TrainIds, int]:
-        """Return the image (5, H, W), the truth (H, W) and the index of the scan."""
+        """Return the image (5, H, W), the truth (H, W) and the index of the scan.
+
+        Of a heteroscedastic recipe the image is (10, H, W): its variances are behind it.
+        """
         recipe = self.recipe
         if draw == NOTHING:
             return self._nothing()
@@ -131,12 +138,20 @@ class Samples(Dataset[tuple[Float, TrainIds, int]]):
         columns = choose_columns(
             truth, self.space.scored, recipe.crop_width, recipe.crop_on_class, random
         )
-        return normalise(image.channels[:, :, columns], self.sensor), truth[:, columns], index
+        return self._input(image.channels[:, :, columns]), truth[:, columns], index
+
+    def _input(self, channels: Float) -> Float:
+        """Return what the recipe's loss needs of (5, H, W) channels: normalised; variances."""
+        mean = normalise(channels, self.sensor)
+        if not self.recipe.heteroscedastic:
+            return mean
+        return np.concatenate([mean, input_variance(channels, self.sensor)])
 
     def _nothing(self) -> tuple[Float, TrainIds, int]:
         height, width = self.sensor.height, self.sensor.width
         width = min(self.recipe.crop_width or width, width)
-        return np.zeros((5, height, width), np.float32), np.zeros((height, width), np.uint8), -1
+        empty = np.zeros((5, height, width), np.float32)
+        return self._input(empty), np.zeros((height, width), np.uint8), -1
 
 
 def batches(

@@ -63,6 +63,8 @@ class Recipe:
         Rate of dropout in the network.
     lovasz : float
         Weight of Lovász-Softmax beside cross-entropy.
+    heteroscedastic : float
+        Weight of the term that trains the aleatoric variance; 0 for none. Moments are float32.
     rotate, shift, flip, drop : float
         Probability of each augmentation.
     validate_every, validation_scans : int
@@ -90,6 +92,7 @@ class Recipe:
     average: float = 0.0
     dropout: float = 0.2
     lovasz: float = 1.0
+    heteroscedastic: float = 0.0
     rotate: float = 0.5
     shift: float = 0.5
     flip: float = 0.5
@@ -112,7 +115,7 @@ class Recipe:
             self._require(key, getattr(self, key) >= 1, "at least 1")
         for key in ("samples_per_epoch", "crop_width", "validation_scans", "seed"):
             self._require(key, getattr(self, key) >= 0, "at least 0")
-        for key in ("weight_decay", "clip_gradient", "lovasz", "warm_up"):
+        for key in ("weight_decay", "clip_gradient", "lovasz", "heteroscedastic", "warm_up"):
             self._require(key, getattr(self, key) >= 0, "at least 0")
         for key in ("rotate", "shift", "flip", "drop", "crop_on_class", "dropout"):
             self._require(key, 0 <= getattr(self, key) <= 1, "between 0 and 1")
@@ -122,6 +125,8 @@ class Recipe:
             self._require(key, getattr(self, key) > 0, "above 0")
         for key, names in CHOICES.items():
             self._require(key, getattr(self, key) in names, f"one of {', '.join(names)}")
+        wide = not self.heteroscedastic or self.precision in ("auto", "float32")
+        self._require("precision", wide, "auto or float32 with heteroscedastic")
 
     def _require(self, key: str, holds: bool, expected: str) -> None:
         if not holds:

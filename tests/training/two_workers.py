@@ -11,6 +11,7 @@ from pathlib import Path
 
 import torch
 from torch import Tensor, nn
+from torch.nn import functional as F
 
 from salsanext_cli.errors import TrainingError
 from salsanext_cli.network.dropout import ChannelDropout
@@ -25,6 +26,8 @@ CASES: dict[str, dict[str, object]] = {
     "in parts": {"lovasz": 0.0, "accumulate": 2},
     "a batch of one": {"samples": 1},
     "nothing labelled": {"labels": 0},
+    "moments": {"heteroscedastic": 0.1},
+    "moments in parts": {"heteroscedastic": 0.1, "lovasz": 0.0, "accumulate": 2},
 }
 
 
@@ -39,7 +42,7 @@ class Normless(nn.Module):
 
     def forward(self, image: Tensor) -> Tensor:
         """Map (B, 5, H, W) to (B, 4, H, W)."""
-        made: Tensor = self.logits(self.dropout(self.features(image).relu()))
+        made: Tensor = self.logits(self.dropout(F.leaky_relu(self.features(image))))
         return made
 
 
@@ -74,6 +77,8 @@ def stepped(team: Team, case: str) -> dict[str, Tensor]:
     chosen = {key: changes.pop(key) for key in ("samples", "labels") if key in changes}
     learning = learner(team, **changes)
     images, truth = batch(**chosen)  # type: ignore[arg-type]
+    if learning.recipe.heteroscedastic:
+        images = torch.cat([images, images.square()], 1)
     parts = learning.recipe.accumulate
     own = (share(images, team, parts), share(truth, team, parts))
     found = {"loss": torch.tensor(learning.step(*own, 5, 1))}
