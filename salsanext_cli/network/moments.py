@@ -4,10 +4,14 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
+from functools import partial
 
-import numpy as np
 import torch
 from torch import Tensor
+
+from salsanext_cli.network.derivatives import differentiable
+from salsanext_cli.network.logistic import logistic_moments
 
 CHUNK = 1 << 17
 """Numbers per step on a CPU, so that what lies between stays in its cache."""
@@ -18,8 +22,6 @@ SMALLEST = 1e-30
 """Least divisor: what it divides is 0 where it acts."""
 DAMPING = 0.15
 """Of a shift of second order, so that for large v it grows like √v, as a largest of Gaussians."""
-NODES = 12
-"""Of the Gauss-Hermite quadrature."""
 
 
 def leaky_relu_moments(mean: Tensor, variance: Tensor, slope: float) -> tuple[Tensor, Tensor]:
@@ -39,16 +41,28 @@ def leaky_relu_moments(mean: Tensor, variance: Tensor, slope: float) -> tuple[Te
     slope : float
         a, 0 ≤ a ≤ 1.
     """
+    rule, back = (partial(f, slope=slope) for f in (_leaky_relu, _leaky_relu_gradients))
+    new_mean, new_variance = differentiable(
+        partial(_in_steps, rule), partial(_in_steps, back), mean, variance
+    )
+    return new_mean, new_variance
+
+
+def _in_steps(
+    function: Callable[..., tuple[Tensor, Tensor]], mean: Tensor, *others: Tensor
+) -> tuple[Tensor, Tensor]:
+    """Apply a function of each number to tensors of one shape, in the layout of the first."""
     wide = torch.promote_types(mean.dtype, torch.float32)
     layout = _layout(mean)
-    mean, variance = (t.contiguous(memory_format=layout) for t in (mean, variance))
-    results = torch.empty_like(mean), torch.empty_like(variance)
+    given = [t.contiguous(memory_format=layout) for t in (mean, *others)]
+    results = torch.empty_like(given[0]), torch.empty_like(given[0])
     step = CHUNK if mean.device.type == "cpu" else max(1, mean.numel())
-    parts = (torch.split(_flat(t, layout), step) for t in (mean, variance, *results))
-    for m, v, new_mean, new_variance in zip(*parts, strict=True):
-        first, second = _leaky_relu(m.to(wide), v.to(wide), slope)
-        new_mean.copy_(first)
-        new_variance.copy_(second)
+    for *numbers, one, other in zip(
+        *(torch.split(_flat(t, layout), step) for t in (*given, *results)), strict=True
+    ):
+        first, second = function(*(t.to(wide) for t in numbers))
+        one.copy_(first)
+        other.copy_(second)
     return results
 
 
@@ -73,6 +87,41 @@ def _leaky_relu(m: Tensor, v: Tensor, slope: float) -> tuple[Tensor, Tensor]:
     lost = excess.mul_(far.add_(excess))
     share = passed.mul_(1 - slope**2).add_(slope**2).sub_(lost, alpha=(1 - slope) ** 2)
     return mean, share.clamp_(min=0).mul_(v)
+
+
+def _leaky_relu_gradients(
+    m: Tensor, v: Tensor, of_mean: Tensor, of_variance: Tensor, slope: float
+) -> tuple[Tensor, Tensor]:
+    r"""Carry gradients of mean and variance back to m and v.
+
+    With p the mass above the kink, x₊ = E[max(x, 0)] and x₋ = E[max(−x, 0)]::
+
+        ∂mean/∂m = a + (1 − a) p                            ∂mean/∂v = ½ (1 − a) φ(τ) / √v
+        ∂variance/∂m = 2 (1 − a) [(1 − p) x₊ + a p x₋]
+        ∂variance/∂v = p + a² (1 − p) − (1 − a) φ(τ) (x₊ − a x₋) / √v
+
+    What is certain has the derivative of the function; its variance would rise from 0, but never
+    moves its mean.
+    """
+    deviation = v.sqrt()
+    far = m.abs().div_(deviation.clamp(min=SMALLEST)).clamp_(max=FARTHEST)
+    beyond = torch.special.erfc(far * math.sqrt(0.5)).mul_(0.5)
+    density = far.square().mul_(-0.5).exp_().mul_(1 / math.sqrt(2 * math.pi))
+    excess = density.addcmul(far, beyond, value=-1).clamp_(min=0)
+    positive, more = m > 0, far + excess
+    above, below = torch.where(positive, more, excess), torch.where(positive, excess, more)
+    passed = torch.where(positive, 1 - beyond, beyond)
+    steep = (density / deviation).masked_fill_((far >= FARTHEST) | (v == 0), 0)
+    by_m = of_mean * (slope + (1 - slope) * passed)
+    by_m += (
+        of_variance
+        * deviation
+        * (2 * (1 - slope))
+        * ((1 - passed) * above + slope * passed * below)
+    )
+    share = passed * (1 - slope**2) + slope**2 - (1 - slope) * density * (above - slope * below)
+    by_v = of_mean * steep * (0.5 * (1 - slope)) + of_variance * share
+    return by_m, by_v
 
 
 def softmax_moments(mean: Tensor, variance: Tensor, dim: int) -> tuple[Tensor, Tensor]:
@@ -116,7 +165,7 @@ def _softmax(m: Tensor, v: Tensor) -> tuple[Tensor, Tensor]:
     """Return the moments of (C, N)."""
     is_best = torch.zeros_like(m, dtype=torch.bool).scatter_(0, m.argmax(0, keepdim=True), True)
     lead, lead_variance = _lead(m, v, is_best)
-    probability, complement, variance = _logistic(lead, lead_variance.sqrt_())
+    probability, complement, variance = logistic_moments(lead, lead_variance)
     total = probability.sum(dim=0)
     others = _but_one(probability, probability.masked_fill(is_best, 0), is_best)
     share = variance / complement.clamp(min=SMALLEST)
@@ -126,11 +175,12 @@ def _softmax(m: Tensor, v: Tensor) -> tuple[Tensor, Tensor]:
 
 def _lead(m: Tensor, v: Tensor, is_best: Tensor) -> tuple[Tensor, Tensor]:
     """Return mean and variance of each logit minus log Σ exp of the others."""
-    top = m.amax(dim=0, keepdim=True)
+    # Neither scale changes the result, so no gradient need flow through it.
+    top = m.detach().amax(dim=0, keepdim=True)
     shares = (m - top).exp()
     # Without the best class, whose share would hide the others, the scale is that of the second.
     rest = m.masked_fill(is_best, -math.inf)
-    second = rest.amax(dim=0, keepdim=True)
+    second = rest.detach().amax(dim=0, keepdim=True)
     rest = (rest - second).exp()
     total = _but_one(shares, rest, is_best)
     weighted = _but_one(shares * v, rest * v, is_best) / total
@@ -146,7 +196,8 @@ def _consistent(mean: Tensor, variance: Tensor) -> Tensor:
     The classes sum to 1, so that one cannot vary by more than all others together. Where it seems
     to, a sum of the others that is taken as log-normal has hidden it from the class they rival.
     """
-    deviation = variance.sqrt()
+    # The derivative of a root at 0 is not finite.
+    deviation = torch.where(variance > 0, variance.clamp(min=SMALLEST).sqrt(), 0)
     most, loudest = deviation.max(dim=0, keepdim=True)
     lacking = (2 * most - deviation.sum(dim=0, keepdim=True)).clamp(min=0)
     others = mean.scatter(0, loudest, -1.0)
@@ -158,30 +209,3 @@ def _but_one(values: Tensor, rest: Tensor, is_best: Tensor) -> Tensor:
     """Return the sum over all classes but one, for each; `rest` has 0 for the best class."""
     others = values.sum(dim=0, keepdim=True) - values
     return torch.where(is_best, rest.sum(dim=0, keepdim=True), others).clamp_(min=0)
-
-
-def _logistic(d: Tensor, deviation: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-    """Return mean, 1 − mean and variance of the logistic function of N(d, deviation²).
-
-    Everything is a rise or fall from the smaller of logistic(d) and 1 − logistic(d), so that a
-    confident class keeps its digits.
-    """
-    nodes, weights = np.polynomial.hermite_e.hermegauss(NODES)
-    # The nodes lie in pairs around 0: one half gives steps up and down.
-    half = slice(NODES // 2, None)
-    pairs = zip(nodes[half].tolist(), (weights / weights.sum())[half].tolist(), strict=True)
-    near = -d.abs()
-    small, large = torch.sigmoid(near), torch.sigmoid(-near)
-    slope = small * large
-    first, second = torch.zeros_like(d), torch.zeros_like(d)
-    for node, weight in pairs:
-        step = deviation * node
-        part = torch.expm1(-step).neg_()
-        fall = slope * part / (1 - small * part)
-        near_rise = slope * part / (1 - large * part)
-        rise = torch.where(step < 1, near_rise, torch.sigmoid(near + step) - small)
-        first.add_(rise - fall, alpha=weight)
-        second.add_(rise.square_() + fall.square_(), alpha=weight)
-    small, large = (small + first).clamp_(0, 1), (large - first).clamp_(0, 1)
-    variance = (second - first.square()).clamp_(min=0)
-    return torch.where(d > 0, large, small), torch.where(d > 0, small, large), variance

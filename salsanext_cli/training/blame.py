@@ -9,12 +9,10 @@ from itertools import compress
 import torch
 from torch import Tensor, nn
 
-from salsanext_cli.training.losses import SegmentationLoss
-
 
 @torch.no_grad()
 def not_finite_alone(
-    module: nn.Module, loss: SegmentationLoss, images: Tensor, truth: Tensor
+    module: nn.Module, loss: nn.Module, images: Tensor, truth: Tensor
 ) -> list[int]:
     """Return the places in a batch of the images whose loss, each alone, is not finite.
 
@@ -25,6 +23,7 @@ def not_finite_alone(
     module, loss
         What was trained; neither changes.
     images : (B, 5, H, W) float32
+        Or whatever else the module takes.
     truth : (B, H, W) uint8
     """
     probe = copy.deepcopy(module).eval()

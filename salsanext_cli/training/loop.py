@@ -188,7 +188,7 @@ class Training:
     def _culprits(self, batch: Batch) -> str:
         """Name the scans whose loss alone is not finite; all of the batch if there are none."""
         images, truth, indices = (each.to(self.learner.device) for each in batch)
-        alone = not_finite_alone(self.learner.module, self.learner.loss, images, truth)
+        alone = not_finite_alone(self.learner.network, self.learner.loss, images, truth)
         found, every = (torch.cat(self.learner.team.gather(i)) for i in (indices[alone], indices))
         chosen = found if len(found) else every
         return ", ".join(str(self.samples.files[i].path) for i in chosen)

@@ -14,6 +14,7 @@ from torch import Tensor, nn
 from torch.nn.parallel import DistributedDataParallel
 
 from salsanext_cli.network.segmentation import SegmentationNetwork
+from salsanext_cli.training.heteroscedastic import HeteroscedasticLoss, MomentNetwork, with_moments
 from salsanext_cli.training.losses import SegmentationLoss, Whole
 from salsanext_cli.training.precision import autocast, dtype_of, scaler
 from salsanext_cli.training.recipe import Recipe
@@ -61,7 +62,8 @@ def shared(module: nn.Module, device: torch.device, team: Team) -> nn.Module:
     """Return what to call in training: the module, or what adds up its gradient over a team."""
     if team.size == 1:
         return module
-    if device.type == "cuda":
+    # torch's own is faster, but takes nothing but tensors on GPUs.
+    if device.type == "cuda" and not isinstance(module, MomentNetwork):
         module = nn.SyncBatchNorm.convert_sync_batchnorm(module)  # type: ignore[no-untyped-call]
     else:
         module = with_team_norm(module)
@@ -77,7 +79,8 @@ class Learner:
     recipe : Recipe
     module : SegmentationNetwork
         Being trained.
-    loss : SegmentationLoss
+    loss : SegmentationLoss or HeteroscedasticLoss
+        Takes what `forward` returns.
     optimiser : torch.optim.Optimizer
     average : SegmentationNetwork
         What is validated and kept: the running average of the weights, or the module itself.
@@ -90,12 +93,12 @@ class Learner:
     team : Team
         Who else trains the module.
     forward : nn.Module
-        What is called in training: the module, wrapped for a team.
+        What is called in training: the module, wrapped for moments and for a team.
     """
 
     recipe: Recipe
     module: SegmentationNetwork
-    loss: SegmentationLoss
+    loss: SegmentationLoss | HeteroscedasticLoss
     optimiser: torch.optim.Optimizer
     average: SegmentationNetwork
     scaler: torch.amp.GradScaler
@@ -118,11 +121,22 @@ class Learner:
         if device.type == "cuda":
             module = module.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
         average = copy.deepcopy(module).eval() if recipe.average else module
-        loss = SegmentationLoss(weights, recipe.lovasz, recipe.label_smoothing).to(device)
-        forward = shared(module, device, team)
-        optimiser, dtype = build_optimiser(module, recipe), dtype_of(recipe.precision, device)
+        of_mean = SegmentationLoss(weights, recipe.lovasz, recipe.label_smoothing)
+        loss, forward = with_moments(of_mean, module, recipe)
+        loss, forward = loss.to(device), shared(forward, device, team)
+        # Variances are too small for shorter types.
+        precision = "float32" if recipe.heteroscedastic else recipe.precision
+        optimiser, dtype = build_optimiser(module, recipe), dtype_of(precision, device)
         scale = scaler(dtype, device)
         return cls(recipe, module, loss, optimiser, average, scale, dtype, device, team, forward)
+
+    @property
+    def network(self) -> nn.Module:
+        """What is called in training, by this worker alone."""
+        if not isinstance(self.forward, DistributedDataParallel):
+            return self.forward
+        own: nn.Module = self.forward.module
+        return own
 
     def step(self, images: Tensor, truth: Tensor, step: int, steps_per_epoch: int) -> float:
         """Learn from one batch and return its loss; NaN if it or its gradient is not finite.
@@ -134,6 +148,7 @@ class Learner:
         Parameters
         ----------
         images : (B, 5, H, W) float32
+            As `Samples` of the recipe gives them: with their variances, (B, 10, H, W).
         truth : (B, H, W) uint8
         step : int
             Of the whole training, from 0; decides learning rate and dropout.
@@ -184,7 +199,8 @@ class Learner:
     def _whole(self, truth: Tensor, parts: int) -> Whole | None:
         if parts * self.team.size == 1:
             return None
-        return Whole(self.team.sum(self.loss.weight(truth)), parts, self.team)
+        weight, pixels = self.team.sum(self.loss.size(truth))
+        return Whole(weight, pixels, parts, self.team)
 
     def _summing(self, *, at_last: bool) -> AbstractContextManager[None]:
         """Exchange gradients with the team after the last part only."""

@@ -67,6 +67,8 @@ class Recipe:
         Weight of Lovász-Softmax beside cross-entropy.
     label_smoothing : float
         Share of every truth that cross-entropy spreads evenly over the classes that count.
+    heteroscedastic : float
+        Weight of the term that trains the aleatoric variance; 0 for none. Moments are float32.
     rotate, shift, flip, drop : float
         Probability of each augmentation.
     mix : float
@@ -100,6 +102,7 @@ class Recipe:
     dropout: float = 0.2
     lovasz: float = 1.0
     label_smoothing: float = 0.0
+    heteroscedastic: float = 0.0
     rotate: float = 0.5
     shift: float = 0.5
     flip: float = 0.5
@@ -124,7 +127,7 @@ class Recipe:
             self._require(key, getattr(self, key) >= 1, "at least 1")
         for key in ("samples_per_epoch", "crop_width", "whole_epochs", "validation_scans", "seed"):
             self._require(key, getattr(self, key) >= 0, "at least 0")
-        for key in ("weight_decay", "clip_gradient", "lovasz", "warm_up"):
+        for key in ("weight_decay", "clip_gradient", "lovasz", "heteroscedastic", "warm_up"):
             self._require(key, getattr(self, key) >= 0, "at least 0")
         augmentations = ("rotate", "shift", "flip", "drop", "mix", "paste")
         for key in (*augmentations, "crop_on_class", "dropout"):
@@ -136,6 +139,8 @@ class Recipe:
         self._require("seed", self.seed < 2**63, "below 2⁶³")
         for key, names in CHOICES.items():
             self._require(key, getattr(self, key) in names, f"one of {', '.join(names)}")
+        wide = not self.heteroscedastic or self.precision in ("auto", "float32")
+        self._require("precision", wide, "auto or float32 with heteroscedastic")
 
     def _require(self, key: str, holds: bool, expected: str) -> None:
         if not holds:

@@ -13,6 +13,8 @@ import torch.distributed as dist
 from torch import Tensor, nn
 from torch.autograd.function import once_differentiable
 
+from salsanext_cli.network.adf import Gaussian
+
 
 class SumOverTeam(torch.autograd.Function):
     """The sum of the tensors of all workers, with a gradient.
@@ -45,17 +47,21 @@ def add_up(own: Tensor) -> Tensor:
 class TeamBatchNorm(nn.BatchNorm2d):
     """`BatchNorm2d` whose statistics, in training, are those of the batches of all workers."""
 
-    def forward(self, input: Tensor) -> Tensor:
+    def forward(self, input: Tensor | Gaussian) -> Any:
         """Normalise (B, C, H, W); every worker must come here, with at least one image."""
         if not self.training:
-            return super().forward(input)
-        count = add_up(input.new_tensor(input.numel() / input.shape[1]))
-        mean = add_up(input.sum((0, 2, 3))) / count
-        centred = input - mean[:, None, None]
+            return super().forward(input)  # type: ignore[arg-type]
+        values = input.mean if isinstance(input, Gaussian) else input
+        count = add_up(values.new_tensor(values.numel() / values.shape[1]))
+        mean = add_up(values.sum((0, 2, 3))) / count
+        centred = values - mean[:, None, None]
         variance = add_up(centred.square().sum((0, 2, 3))) / count
         self._track(mean.detach(), variance.detach() * count / (count - 1))
-        scale = self.weight * torch.rsqrt(variance + self.eps)
-        return centred * scale[:, None, None] + self.bias[:, None, None]
+        scale = (self.weight * torch.rsqrt(variance + self.eps))[:, None, None]
+        made = centred * scale + self.bias[:, None, None]
+        if isinstance(input, Gaussian):
+            return input.like(made, input.variance * scale.square())
+        return made
 
     @torch.no_grad()
     def _track(self, mean: Tensor, variance: Tensor) -> None:

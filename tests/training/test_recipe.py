@@ -20,7 +20,7 @@ def test_the_papers_recipe_is_the_papers() -> None:
 
 
 def test_presets() -> None:
-    assert set(presets()) == {"paper", "paper-v1", "modern", "street", "quick"}
+    assert set(presets()) == {"paper", "paper-v1", "modern", "street", "heteroscedastic", "quick"}
 
 
 def test_the_first_versions_recipe_differs_by_its_network_only() -> None:
@@ -111,7 +111,7 @@ def test_impossible_values_name_the_key(key: str, value: object) -> None:
 
 def test_no_such_recipe_names_the_presets() -> None:
     with pytest.raises(
-        UsageError, match=r"recipe papr .* one of modern, paper, paper-v1, quick, street"
+        UsageError, match=r"recipe papr .* one of heteroscedastic, modern, paper, .* street"
     ):
         recipe("papr")
 

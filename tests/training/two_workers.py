@@ -11,6 +11,7 @@ from pathlib import Path
 
 import torch
 from torch import Tensor, nn
+from torch.nn import functional as F
 
 from salsanext_cli.errors import TrainingError
 from salsanext_cli.network.dropout import ChannelDropout
@@ -26,6 +27,8 @@ CASES: dict[str, dict[str, object]] = {
     "clipped": {"clip_gradient": 0.01},
     "in parts": {"lovasz": 0.0, "accumulate": 2},
     "nothing labelled": {"labels": 0},
+    "moments": {"heteroscedastic": 0.1},
+    "moments in parts": {"heteroscedastic": 0.1, "lovasz": 0.0, "accumulate": 2},
 }
 
 
@@ -41,7 +44,7 @@ class Small(nn.Module):
 
     def forward(self, image: Tensor) -> Tensor:
         """Map (B, 5, H, W) to (B, 4, H, W)."""
-        made: Tensor = self.logits(self.dropout(self.norm(self.features(image).relu())))
+        made: Tensor = self.logits(self.dropout(self.norm(F.leaky_relu(self.features(image)))))
         return made
 
 
@@ -74,7 +77,10 @@ def stepped(team: Team, case: str) -> dict[str, Tensor]:
     changes = dict(CASES[case])
     labels = changes.pop("labels", 1)
     learning = learner(team, **changes)
-    own = (share(each, team) for each in batch(labels))  # type: ignore[arg-type]
+    images, truth = batch(labels)  # type: ignore[arg-type]
+    if learning.recipe.heteroscedastic:
+        images = torch.cat([images, images.square()], 1)
+    own = (share(images, team), share(truth, team))
     found = {"loss": torch.tensor(learning.step(*own, 5, 1))}
     for name, parameter in learning.module.named_parameters():
         assert parameter.grad is not None
