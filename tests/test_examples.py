@@ -5,6 +5,8 @@ import importlib.util
 import re
 import tomllib
 from collections.abc import Callable
+from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -14,6 +16,11 @@ from scans import make_scan, write_sequence
 from salsanext_cli.formats.arrays import write_array
 from salsanext_cli.formats.kitti import read_labels, write_bin
 from salsanext_cli.formats.layout import output_path
+from salsanext_cli.network.architectures import ARCHITECTURES
+from salsanext_cli.network.designs import SALSANET
+from salsanext_cli.network.salsanext import SalsaNext
+from salsanext_cli.network.weights import read_card
+from salsanext_cli.training.log import write_log
 
 EXAMPLES = Path(__file__).parents[1] / "examples"
 NAMES = sorted(path.stem for path in EXAMPLES.glob("*.py"))
@@ -88,6 +95,43 @@ def test_uncertainty_figures(scan, weights, tmp_path, capsys):
     assert all(0 < rank <= 1 for rank in ranks)
     assert ranks[1] < ranks[4], "more passes rank more like many"
     assert (folder / "uncertainty.png").read_bytes().startswith(b"\x89PNG")
+
+
+def test_ablation(tmp_path, capsys, monkeypatch):
+    narrow = replace(SALSANET, widths=5 * (4,), raised=4 * (4,))
+    for name in ("salsanet", "salsanext"):
+        monkeypatch.setitem(ARCHITECTURES, name, partial(SalsaNext, design=narrow))
+    for name in ("00", "08"):
+        write_sequence(tmp_path / "data" / "sequences" / name, count=600)
+    arguments = (str(tmp_path / "data"), str(tmp_path / "ladder"), "2", "street")
+    load("ablation")(*arguments, "SalsaNet", "+ Lovász-Softmax")
+    _, _, first, last = capsys.readouterr().out.splitlines()
+    iou = r"\d+\.\d"
+    assert re.match(rf"\| SalsaNet \| {iou} \(43.5\) \| {iou} \(44.8\) \| \d", first)
+    assert re.match(rf"\| \+ Lovász-Softmax \| {iou} \(56.6\) \| {iou} \(59.5\) \| \d", last)
+    plain, best = (
+        read_card(tmp_path / "ladder" / name / "last.safetensors").recipe
+        for name in ("salsanet", "salsanext")
+    )
+    assert (plain.pop("lovasz"), best.pop("lovasz")) == (0, 1)
+    assert (plain.pop("architecture"), best.pop("architecture")) == ("salsanet", "salsanext")
+    assert plain == best, "all rungs are trained alike"
+
+
+def test_compare_runs(tmp_path, capsys):
+    for name, seconds in (("slow", 90), ("fast", 30)):
+        rows = [
+            {"epoch": 1, "seconds": seconds},
+            {"epoch": 2, "seconds": seconds, "miou": 0.25},
+            {"epoch": 3, "seconds": seconds, "miou": 0.5},
+        ]
+        (tmp_path / name).mkdir()
+        write_log(tmp_path / name / "log.csv", rows)
+    picture = tmp_path / "curve.png"
+    load("compare_runs")(str(picture), str(tmp_path / "slow"), str(tmp_path / "fast"))
+    lines = ["slow: 0.0 % within 1.5 minutes", "fast: 50.0 % within 1.5 minutes"]
+    assert capsys.readouterr().out.splitlines() == lines
+    assert picture.read_bytes().startswith(b"\x89PNG")
 
 
 @pytest.mark.parametrize("name", NAMES)

@@ -39,7 +39,9 @@ class Builder:
         return bool(self.rng.random() < probability)
 
     def between(self, low: float, high: float) -> float:
-        """Draw a number."""
+        """Draw a number; the middle where there is no room between the two."""
+        if high < low:
+            low = high = (low + high) / 2
         return float(self.rng.uniform(low, high))
 
     def put(

@@ -1,0 +1,98 @@
+# SPDX-License-Identifier: MIT
+"""Train every rung of the paper's ladder (Table II) alike, and print what each is worth.
+
+All rungs see the same samples in the same order for the same number of steps. The weights of the
+last step are scored, so that nothing is chosen on the scans that score. A rung that is finished is
+not trained again; an interrupted one goes on.
+
+Run: python examples/ablation.py streets/ ladder/ [steps [recipe [rung ...]]]
+"""
+
+import sys
+from collections.abc import Iterable
+from pathlib import Path
+
+import torch
+
+import salsanext_cli as sn
+from salsanext_cli.geometry.knn import KnnParameters
+from salsanext_cli.network.architectures import build
+from salsanext_cli.network.cost import multiply_accumulates, parameter_count
+from salsanext_cli.network.papers import PAPERS
+from salsanext_cli.stages.batch import BatchOptions
+from salsanext_cli.stages.evaluate import evaluate
+from salsanext_cli.stages.inputs import Choice
+from salsanext_cli.stages.networks import NetworkChoice
+from salsanext_cli.stages.predict import predict
+from salsanext_cli.stages.predicted import predicted_scans
+from salsanext_cli.stages.train import train
+from salsanext_cli.training.recipe import recipe
+
+LADDER = {
+    "SalsaNet": ("salsanet", False),
+    "+ context module": ("salsanet-context", False),
+    "+ central dropout": ("salsanet-dropout", False),
+    "+ average pooling": ("salsanet-pooling", False),
+    "+ dilated convolution": ("salsanet-dilated", False),
+    "+ pixel shuffle": ("salsanet-shuffle", False),
+    "+ Lovász-Softmax": ("salsanext", True),
+}
+"""Rung by rung: the network, and whether the loss has the Lovász term."""
+SENSOR = "hdl64-512"
+BATCH = 2
+"""Few samples per step: in a short training the number of steps counts."""
+VOTES = {"w/o kNN": KnnParameters(k=1, window=1), "with kNN": KnnParameters()}
+"""In a window of one pixel nobody but the point's own pixel votes."""
+
+
+def learn(dataset: Path, run: Path, rung: str, steps: int, plan: str) -> Path:
+    """Train a rung, and return the weights of the last step."""
+    architecture, lovasz = LADDER[rung]
+    equal = recipe(plan).with_changes(
+        architecture=architecture,
+        lovasz=float(lovasz),
+        epochs=1,
+        batch=BATCH,
+        samples_per_epoch=steps * BATCH,
+        warm_up=0.1,
+        validation_scans=1,
+    )
+    return train(dataset, run, recipe=equal, sensor=sn.sensor(SENSOR)).last
+
+
+def mean_iou(dataset: Path, out: Path, weights: Path, knn: KnnParameters) -> float:
+    """Score weights on the points of the validation split, in %."""
+    choice, options = Choice(split="valid"), BatchOptions()
+    predict(dataset, out, network=NetworkChoice(weights), knn=knn, choice=choice, options=options)
+    scans, space = predicted_scans(out, choice)
+    return 100 * evaluate(scans, out, space).scores.iou_mean_present
+
+
+def row(rung: str, scores: Iterable[float]) -> str:
+    """Return a rung's line of the table, the paper's figures in brackets."""
+    architecture, lovasz = LADDER[rung]
+    with torch.device("meta"):
+        module = build({"name": architecture}).eval()
+    paper = PAPERS["salsanext" if lovasz else architecture]
+    printed = (paper.miou_pixels, paper.miou)
+    ious = [f"{score:.1f} ({theirs})" for score, theirs in zip(scores, printed, strict=True)]
+    parameters = f"{parameter_count(module) / 1e6:.2f} ({paper.parameters})"
+    operations = f"{multiply_accumulates(module) / 1e9:.1f} ({paper.flops})"
+    return " | ".join(("", rung, *ious, parameters, operations, "")).strip()
+
+
+def main(dataset: str, folder: str, steps: str = "600", plan: str = "street", *rungs: str) -> None:
+    titles = (*VOTES, "parameters, 10⁶", "multiply-accumulates, 10⁹ (FLOPs)")
+    print(f"| | {' | '.join(titles)} |\n|---|{len(titles) * '---|'}", flush=True)
+    for rung in rungs or LADDER:
+        run = Path(folder) / LADDER[rung][0]
+        weights = learn(Path(dataset), run, rung, int(steps), plan)
+        scores = [
+            mean_iou(Path(dataset), run / name.replace("/", ""), weights, knn)
+            for name, knn in VOTES.items()
+        ]
+        print(row(rung, scores), flush=True)
+
+
+if __name__ == "__main__":
+    main(*sys.argv[1:])
