@@ -11,9 +11,13 @@ import numpy as np
 import pytest
 from scans import make_scan, write_sequence
 
+from salsanext_cli.classes import label_space
 from salsanext_cli.formats.arrays import write_array
 from salsanext_cli.formats.kitti import read_labels, write_bin
-from salsanext_cli.formats.layout import output_path
+from salsanext_cli.formats.layout import find_scans, output_path
+from salsanext_cli.measures.scores import scores
+from salsanext_cli.network.inference import load_network
+from salsanext_cli.training.validation import validate
 
 EXAMPLES = Path(__file__).parents[1] / "examples"
 NAMES = sorted(path.stem for path in EXAMPLES.glob("*.py"))
@@ -88,6 +92,18 @@ def test_uncertainty_figures(scan, weights, tmp_path, capsys):
     assert all(0 < rank <= 1 for rank in ranks)
     assert ranks[1] < ranks[4], "more passes rank more like many"
     assert (folder / "uncertainty.png").read_bytes().startswith(b"\x89PNG")
+
+
+def test_adapt_batchnorm(tmp_path, weights, capsys):
+    write_sequence(tmp_path / "data/sequences/08", ["000000", "000001"])
+    load("adapt_batchnorm")(str(tmp_path / "data"), "", str(weights), "1.0")
+    rows = [line.split() for line in capsys.readouterr().out.splitlines()]
+    assert rows[0] == ["share", "mIoU", "%", "accuracy", "%"]
+    assert [row[0] for row in rows[1:]] == ["0.00", "1.00"]
+    validated = validate(load_network(weights, "cpu"), find_scans(tmp_path / "data"))
+    before = scores(validated, label_space())
+    assert rows[1][1:] == [f"{100 * v:.1f}" for v in (before.iou_mean_present, before.accuracy)]
+    assert rows[2][1:] != rows[1][1:]
 
 
 @pytest.mark.parametrize("name", NAMES)
