@@ -13,14 +13,18 @@ import numpy as np
 import pytest
 from scans import make_scan, write_sequence
 
+from salsanext_cli.classes import label_space
 from salsanext_cli.formats.arrays import write_array
 from salsanext_cli.formats.kitti import read_labels, write_bin
-from salsanext_cli.formats.layout import output_path
+from salsanext_cli.formats.layout import find_scans, output_path
+from salsanext_cli.measures.scores import scores
 from salsanext_cli.network.architectures import ARCHITECTURES
 from salsanext_cli.network.designs import SALSANET
+from salsanext_cli.network.inference import load_network
 from salsanext_cli.network.salsanext import SalsaNext
 from salsanext_cli.network.weights import read_card
 from salsanext_cli.training.log import write_log
+from salsanext_cli.training.validation import validate
 
 EXAMPLES = Path(__file__).parents[1] / "examples"
 NAMES = sorted(path.stem for path in EXAMPLES.glob("*.py"))
@@ -132,6 +136,18 @@ def test_compare_runs(tmp_path, capsys):
     lines = ["slow: 0.0 % within 1.5 minutes", "fast: 50.0 % within 1.5 minutes"]
     assert capsys.readouterr().out.splitlines() == lines
     assert picture.read_bytes().startswith(b"\x89PNG")
+
+
+def test_adapt_batchnorm(tmp_path, weights, capsys):
+    write_sequence(tmp_path / "data/sequences/08", ["000000", "000001"])
+    load("adapt_batchnorm")(str(tmp_path / "data"), "", str(weights), "1.0")
+    rows = [line.split() for line in capsys.readouterr().out.splitlines()]
+    assert rows[0] == ["share", "mIoU", "%", "accuracy", "%"]
+    assert [row[0] for row in rows[1:]] == ["0.00", "1.00"]
+    validated = validate(load_network(weights, "cpu"), find_scans(tmp_path / "data"))
+    before = scores(validated, label_space())
+    assert rows[1][1:] == [f"{100 * v:.1f}" for v in (before.iou_mean_present, before.accuracy)]
+    assert rows[2][1:] != rows[1][1:]
 
 
 @pytest.mark.parametrize("name", NAMES)

@@ -78,6 +78,9 @@ Sequences = Annotated[
 Limit = Annotated[
     int | None, typer.Option(help="Only so many scans, the first.", rich_help_panel=SELECTION)
 ]
+LimitSpaced = Annotated[
+    int | None, typer.Option(help="Only so many scans, evenly spaced.", rich_help_panel=SELECTION)
+]
 SplitOfLabels = Annotated[
     str | None,
     typer.Option(

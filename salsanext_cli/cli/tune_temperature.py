@@ -1,10 +1,6 @@
 # SPDX-License-Identifier: MIT
 """`salsanext tune temperature`."""
 
-from typing import Annotated
-
-import typer
-
 from salsanext_cli.cli import console, options
 from salsanext_cli.cli.progress import progress
 
@@ -15,10 +11,7 @@ def tune_temperature(
     target: options.WeightsOut,
     split: options.SplitOfLabels = None,
     sequences: options.Sequences = None,
-    limit: Annotated[
-        int | None,
-        typer.Option(help="Only so many scans, evenly spaced.", rich_help_panel=options.SELECTION),
-    ] = None,
+    limit: options.LimitSpaced = None,
     weights: options.Weights = None,
     device: options.Device = "auto",
     sensor: options.Sensor = None,

@@ -141,9 +141,11 @@ def save_weights(path: Path, module: nn.Module, card: WeightsCard, *, half: bool
     _write(path, tensors, card)
 
 
-def save_with_card(source: Path, target: Path, card: WeightsCard) -> None:
-    """Write the tensors of a weights file, bit for bit as stored there, with another card."""
-    _write(target, safetensors.torch.load_file(source), card)
+def save_with_card(
+    source: Path, target: Path, card: WeightsCard, replaced: Mapping[str, Tensor] = {}
+) -> None:
+    """Write a weights file's tensors, bit for bit but for those replaced, with another card."""
+    _write(target, {**safetensors.torch.load_file(source), **replaced}, card)
 
 
 def _write(path: Path, tensors: dict[str, Tensor], card: WeightsCard) -> None:
@@ -225,8 +227,7 @@ def load_tensors(module: nn.Module, tensors: Mapping[str, Tensor], source: objec
 
 def default_weights() -> Path:
     """Return the place of the weights that come with the package."""
-    folder = resources.files("salsanext_cli")
-    return Path(str(folder.joinpath("presets/weights/default.safetensors")))
+    return Path(str(resources.files("salsanext_cli") / "presets/weights/default.safetensors"))
 
 
 def fingerprint(path: Path) -> str:

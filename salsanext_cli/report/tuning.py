@@ -4,8 +4,10 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from itertools import groupby
 from pathlib import Path
-from typing import TYPE_CHECKING
+from statistics import fmean, geometric_mean
+from typing import TYPE_CHECKING, Any
 
 from salsanext_cli.report import canvas
 
@@ -42,6 +44,33 @@ def rate_table(rates: Sequence[float], objectives: Sequence[float], best: float)
     for rate, objective in zip(rates, objectives, strict=True):
         table.add_row(f"{rate:.4f}", f"{objective:.4f}", "best" if rate == best else "")
     return table
+
+
+def moved_table(layers: Sequence[Mapping[str, Any]]) -> Table:
+    """Return a table of how far batch norms moved, by the part of the network that they are in.
+
+    Parameters
+    ----------
+    layers : sequence of mapping
+        `layer`, its name, `shift` in old standard deviations, and `variance_ratio`.
+    """
+    from rich.table import Table
+
+    table = Table(title="Batch norm", title_justify="left")
+    table.add_column("part")
+    for column in ("layers", "mean moved by, σ", "variance, new / old"):
+        table.add_column(column, justify="right")
+    for part, members in groupby(layers, lambda layer: layer["layer"].partition(".")[0]):
+        _add_moved(table, part, list(members))
+    table.add_section()
+    _add_moved(table, "all", layers)
+    return table
+
+
+def _add_moved(table: Table, part: str, layers: Sequence[Mapping[str, Any]]) -> None:
+    shift = fmean(layer["shift"] for layer in layers)
+    ratio = geometric_mean(layer["variance_ratio"] for layer in layers)
+    table.add_row(part, str(len(layers)), f"{shift:.3f}", f"{ratio:.3f}")
 
 
 def rate_curve(

@@ -46,7 +46,8 @@ def test_no_command_gives_help(run):
     assert "Pipeline" in result.output
     assert result.exit_code == 2
     result = run("tune")
-    assert re.findall(r"│ (temperature|dropout) ", result.output) == ["temperature", "dropout"]
+    names = ["temperature", "dropout", "batchnorm"]
+    assert re.findall(rf"│ ({'|'.join(names)}) ", result.output) == names
     assert result.exit_code == 2
 
 

@@ -7,6 +7,10 @@ import pytest
 from command_line import only_json
 
 from salsanext_cli.network.weights import read_card
+from salsanext_cli.stages.inputs import Choice
+from salsanext_cli.stages.tune_batchnorm import SHARE
+
+UPS = [f"up{i}" for i in range(1, 5)]
 
 
 def test_a_temperature_is_printed_and_stored(run, data, weights, tmp_path):
@@ -32,6 +36,66 @@ def test_a_temperature_is_printed_and_stored(run, data, weights, tmp_path):
     shown = only_json(run("models", target, "--json"))["weights"][0]
     assert shown["temperature"] == read_card(target).temperature
     assert f"{shown['temperature']:.4g}" in run("models", target).stdout
+
+
+def test_batch_norm_is_adapted_to_scans_without_labels(run, data, weights, tmp_path):
+    target = tmp_path / "adapted.safetensors"
+    scans = data / "sequences/08/velodyne"
+    arguments = ("tune", "batchnorm", scans, target, "--weights", weights, "--device", "cpu")
+    result = run(*arguments, "--limit", 1)
+    assert result.exit_code == 0, result.output
+    rows = [line.split("│")[1:-1] for line in result.stdout.splitlines() if "│" in line]
+    parts = {name.strip(): [float(cell) for cell in cells] for name, *cells in rows}
+    assert list(parts) == ["context", *(f"block{i}" for i in range(1, 6)), *UPS, "all"]
+    layers = sum(count for name, (count, *_) in parts.items() if name != "all")
+    assert layers == parts["all"][0] == 42
+    assert result.stderr == f"tune batchnorm: 1 scans of small → {target}\n"
+    assert "exists" in run(*arguments).stderr
+    found = only_json(run(*arguments, "--overwrite", "--json", "--share", 0.5))
+    assert (found["stage"], found["scans"], found["share"]) == ("tune batchnorm", 2, 0.5)
+    assert (found["sensor"], found["weights"]) == ("small", str(target))
+    assert found["layers"][0].keys() == {"layer", "shift", "variance_ratio"}
+    assert len(found["layers"]) == 42
+    assert "share 0.5" in only_json(run("models", target, "--json"))["weights"][0]["description"]
+
+
+def test_settings_of_batch_norm_reach_the_stage(run, weights, monkeypatch):
+    seen = {}
+
+    class Stop(Exception):  # noqa: N818
+        pass
+
+    def stage(source, target, **settings):
+        seen.update(settings, source=source, target=target)
+        raise Stop
+
+    monkeypatch.setattr("salsanext_cli.stages.tune_batchnorm.tune_batchnorm", stage)
+    run("tune", "batchnorm", "scans", "w.safetensors")
+    assert (seen["source"], seen["target"]) == (Path("scans"), Path("w.safetensors"))
+    assert seen["choice"] == Choice()
+    assert seen["share"] == SHARE
+    assert not seen["overwrite"]
+    network = ("--weights", weights, "--sensor", "hdl32", "--device", "cpu")
+    chosen = ("--split", "test", "--limit", 7, "--share", 0.9, "--overwrite", "-q")
+    result = run("tune", "batchnorm", "scans", "w.safetensors", *network, *chosen)
+    assert isinstance(result.exception, Stop)
+    assert seen["choice"] == Choice(split="test", limit=7)
+    assert (seen["share"], seen["overwrite"], seen["progress"]) == (0.9, True, None)
+    used = seen["network"]
+    assert (used.weights, used.sensor.name, used.device) == (weights, "hdl32", "cpu")
+
+
+@pytest.mark.parametrize(
+    ("share", "status", "says"),
+    [("0", 2, "--share · 0 · expected"), ("1.5", 2, "--share · 1.5"), ("nan", 2, "--share · nan")],
+)
+def test_shares_that_are_none(run, data, weights, tmp_path, share, status, says):
+    target = tmp_path / "w.safetensors"
+    result = run("tune", "batchnorm", data, target, "--weights", weights, "--share", share)
+    assert result.exit_code == status, result.output
+    assert says in result.stderr
+    assert result.stderr.count("\n") == 1
+    assert not target.exists()
 
 
 def test_settings_reach_the_stage(run, weights, monkeypatch):
@@ -65,7 +129,7 @@ def test_settings_reach_the_stage(run, weights, monkeypatch):
     assert [seen[name] for name in names] == [4, 3, 0.1, 0.3, 5]
 
 
-@pytest.mark.parametrize("what", ["temperature", "dropout"])
+@pytest.mark.parametrize("what", ["temperature", "dropout", "batchnorm"])
 @pytest.mark.parametrize(
     ("arguments", "status", "says"),
     [
@@ -100,7 +164,19 @@ def test_data_that_cannot_be_learnt_from(run, data, weights, tmp_path, what):
         assert result.stderr.count("\n") == 1
 
 
-@pytest.mark.parametrize("what", ["temperature", "dropout"])
+def test_scans_that_batch_norm_cannot_be_adapted_to(run, data, weights, tmp_path):
+    (tmp_path / "empty").mkdir()
+    (data / "sequences/08/velodyne/000001.bin").write_bytes(b"no point")
+    for source, says in ((data, "000001.bin · "), (tmp_path / "empty", "empty · ")):
+        target = tmp_path / "w.safetensors"
+        result = run("tune", "batchnorm", source, target, "--weights", weights)
+        assert result.exit_code == 1, result.output
+        assert says in result.stderr
+        assert result.stderr.count("\n") == 1
+        assert not target.exists()
+
+
+@pytest.mark.parametrize("what", ["temperature", "dropout", "batchnorm"])
 def test_targets_that_cannot_be_written(run, data, weights, tmp_path, what):
     (tmp_path / "file").touch()
     for target, says in (("w.pt", "suffix .pt"), ("file/w.safetensors", "cannot be written")):

@@ -1,0 +1,67 @@
+# SPDX-License-Identifier: MIT
+"""Find out on labelled scans what `salsanext tune batchnorm` is worth on scans like them.
+
+Adapts to every second scan without a look at its labels, scores the others, and the reverse.
+
+Run: python examples/adapt_batchnorm.py dataset/ [hdl64 weights.safetensors [0.1 0.3 1.0]]
+"""
+
+import sys
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+from salsanext_cli.classes import LabelSpace
+from salsanext_cli.formats.layout import ScanFile, find_scans
+from salsanext_cli.measures.confusion import Confusion
+from salsanext_cli.measures.scores import scores
+from salsanext_cli.network.weights import default_weights, read_card
+from salsanext_cli.sensors import sensor
+from salsanext_cli.stages.counting import ScanCounts, count_scan
+from salsanext_cli.stages.inputs import space_of
+from salsanext_cli.stages.networks import NetworkChoice
+from salsanext_cli.stages.predict import predict
+from salsanext_cli.stages.tune_batchnorm import tune_batchnorm
+
+
+def link(scans: list[ScanFile], folder: Path) -> Path:
+    """Make a data set of some scans of another."""
+    for scan in scans:
+        for file in (scan.path, scan.label_path):
+            place = folder / "sequences" / scan.sequence / file.parent.name / file.name
+            place.parent.mkdir(parents=True, exist_ok=True)
+            place.symlink_to(file.absolute())
+    return folder
+
+
+def count(scans: Path, out: Path, network: NetworkChoice, space: LabelSpace) -> Confusion:
+    """Label scans and compare, as `predict` and `eval` do."""
+    predict(scans, out, network=network)
+    counts = ScanCounts.none(space, by_distance=False)
+    for scan in find_scans(scans):
+        counts += count_scan(scan, out, space, by_distance=False)
+    return counts.confusion
+
+
+def main(dataset: str, sensor_name: str = "", weights: str = "", *shares: str) -> None:
+    before = Path(weights) if weights else default_weights()
+    card, scans = read_card(before), find_scans(Path(dataset))
+    space, own = space_of(scans, card.space), sensor(sensor_name) if sensor_name else None
+    print("share  mIoU %  accuracy %")
+    for share in (0.0, *map(float, shares or ("0.1", "0.2", "0.3", "0.5", "0.7", "1.0"))):
+        total = Confusion(space.class_count)
+        with TemporaryDirectory() as folder:
+            halves = [link(scans[i::2], Path(folder) / f"half{i}") for i in (0, 1)]
+            for number, (adapting, scoring) in enumerate((halves, halves[::-1])):
+                network = NetworkChoice(before, sensor=own)
+                if share:
+                    adapted = Path(folder) / f"{number}.safetensors"
+                    tune_batchnorm(adapting, adapted, network=network, share=share)
+                    # The adapted weights know their sensor.
+                    network = NetworkChoice(adapted)
+                total += count(scoring, Path(folder) / f"out{number}", network, space)
+        found = scores(total, space)
+        print(f"{share:5.2f}  {100 * found.iou_mean_present:6.1f}  {100 * found.accuracy:10.1f}")
+
+
+if __name__ == "__main__":
+    main(*sys.argv[1:])

@@ -1,0 +1,225 @@
+# SPDX-License-Identifier: MIT
+import logging
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+from safetensors.torch import load_file
+from scans import SMALL, make_scan, write_sequence
+
+from salsanext_cli.errors import FormatError, NoInputError, OutputError, UsageError, WeightsError
+from salsanext_cli.formats import read_scan
+from salsanext_cli.formats.kitti import write_bin
+from salsanext_cli.geometry.projection import project
+from salsanext_cli.network.batch_norm import norms
+from salsanext_cli.network.inference import load_network
+from salsanext_cli.network.weights import (
+    NORM_SUFFIXES,
+    read_card,
+    read_weights,
+    save_weights,
+)
+from salsanext_cli.records import Scan
+from salsanext_cli.stages.inputs import Choice
+from salsanext_cli.stages.networks import NetworkChoice
+from salsanext_cli.stages.tune_batchnorm import tune_batchnorm
+
+WIDER = replace(SMALL, name="wider", width=192, fov_up=5.0, means=(10.0, 9.0, 0.0, -1.0, 0.3))
+
+
+@pytest.fixture
+def folder(tmp_path):
+    """Return scans of one's own, without labels."""
+    for number in range(3):
+        write_bin(tmp_path / "my scans" / f"{number:06d}.bin", make_scan(1500, number))
+    return tmp_path / "my scans"
+
+
+@pytest.fixture
+def target(tmp_path):
+    return tmp_path / "adapted.safetensors"
+
+
+@pytest.fixture
+def network(weights):
+    return NetworkChoice(weights, "cpu")
+
+
+def slow_statistics(network, paths):
+    """Return mean and variance of each batch norm over all values of all scans side by side.
+
+    Torch's own batch norm, in training mode, normalises each scan by itself.
+    """
+    module, values = load_network(network.weights, "cpu").module, {}
+    for name, layer in norms(module).items():
+        layer.train()
+        layer.register_forward_pre_hook(
+            lambda _, inputs, name=name: values.setdefault(name, []).append(
+                inputs[0][0].detach().flatten(1).double().numpy()
+            )
+        )
+    loaded = network.load()
+    for path in paths:
+        module(loaded.input(project(read_scan(path), loaded.sensor).channels))
+    together = {name: np.concatenate(parts, axis=1) for name, parts in values.items()}
+    return {name: (each.mean(axis=1), each.var(axis=1)) for name, each in together.items()}
+
+
+def test_the_statistics_of_all_scans_are_stored_and_how_far_they_moved(folder, target, network):
+    tuned = tune_batchnorm(folder, target, network=network, share=1.0)
+    slow = slow_statistics(network, sorted(folder.iterdir()))
+    old, new = load_file(network.weights), load_file(target)
+    for moved, (name, (mean, variance)) in zip(tuned.layers, slow.items(), strict=True):
+        was = old[f"{name}.running_mean"].numpy(), old[f"{name}.running_var"].numpy()
+        deviation = np.sqrt(variance) + 1e-3
+        now = new[f"{name}.running_mean"].numpy(), new[f"{name}.running_var"].numpy()
+        np.testing.assert_allclose(now[0] / deviation, mean / deviation, atol=1e-4)
+        np.testing.assert_allclose(now[1], variance, rtol=1e-3, atol=1e-6)
+        shift = (np.abs(mean - was[0]) / np.sqrt(was[1] + 1e-5)).mean()
+        ratio = np.exp(np.log((variance + 1e-5) / (was[1] + 1e-5)).mean())
+        assert moved.layer == name
+        assert moved.shift == pytest.approx(shift, rel=1e-3)
+        assert moved.variance_ratio == pytest.approx(ratio, rel=1e-3)
+    assert (tuned.scans, tuned.share, tuned.sensor) == (3, 1.0, "small")
+
+
+def test_a_share_of_one_scan_leaves_the_rest_to_the_old(folder, target, network):
+    scan = folder / "000000.bin"
+    tune_batchnorm(scan, target, network=network, share=1e-6)
+    slow = slow_statistics(network, [scan])
+    old, new = load_file(network.weights), load_file(target)
+    tune_batchnorm(scan, target, network=network, share=0.25, overwrite=True)
+    quarter = load_file(target)
+    for layer in slow:
+        for name in (f"{layer}.running_mean", f"{layer}.running_var"):
+            torch.testing.assert_close(new[name], old[name], rtol=1e-4, atol=1e-4)
+    first = next(iter(slow))
+    for suffix, values in zip(NORM_SUFFIXES, slow[first], strict=True):
+        expected = 0.75 * old[first + suffix].numpy() + 0.25 * values
+        np.testing.assert_allclose(quarter[first + suffix], expected, rtol=1e-5, atol=1e-6)
+
+
+@pytest.mark.parametrize("half", [False, True])
+def test_all_other_tensors_stay_bit_for_bit_and_as_small(folder, target, network, tmp_path, half):
+    source = tmp_path / "source.safetensors"
+    save_weights(source, *read_weights(network.weights), half=half)
+    tune_batchnorm(folder / "000000.bin", target, network=NetworkChoice(source, "cpu"))
+    old, new = load_file(source), load_file(target)
+    assert {name: t.dtype for name, t in old.items()} == {name: t.dtype for name, t in new.items()}
+    for name, tensor in old.items():
+        assert torch.equal(tensor, new[name]) != name.endswith(NORM_SUFFIXES), name
+    assert abs(target.stat().st_size - source.stat().st_size) < 128
+
+
+def test_the_card_keeps_what_is_still_true(folder, target, weights, tmp_path):
+    module, card = read_weights(weights)
+    tempered = replace(card, temperature=1.5, scores={"miou": 0.5}, recipe={"name": "quick"})
+    source = tmp_path / "source.safetensors"
+    save_weights(source, module, tempered)
+    tune_batchnorm(folder, target, network=NetworkChoice(source, "cpu", WIDER), share=0.5)
+    found = read_card(target)
+    said = "random Batch norm re-estimated on 3 scans of wider, share 0.5."
+    expected = replace(tempered, scores={}, sensor=WIDER, description=said)
+    assert found.to_metadata() == expected.to_metadata()
+    # So that nobody has to name the sensor again.
+    assert NetworkChoice(target, "cpu").load().sensor == WIDER
+
+
+def test_it_is_the_same_every_time_and_leaves_the_network_alone(folder, target, network):
+    (folder / "000002.bin").unlink()
+    before = {name: t.clone() for name, t in network.load().module.state_dict().items()}
+    state = torch.random.get_rng_state()
+    first = tune_batchnorm(folder, target, network=network)
+    content = target.read_bytes()
+    assert tune_batchnorm(folder, target, network=network, overwrite=True) == first
+    assert target.read_bytes() == content
+    assert torch.equal(torch.random.get_rng_state(), state)
+    after = network.load().module.state_dict()
+    assert all(torch.equal(tensor, after[name]) for name, tensor in before.items())
+
+
+def test_the_order_of_the_scans_is_no_matter(folder, target, network, tmp_path):
+    tune_batchnorm(folder, target, network=network)
+    for number, path in enumerate(sorted(folder.iterdir(), reverse=True)):
+        path.rename(folder / f"{100 + number}.bin")
+    other = tmp_path / "other.safetensors"
+    tune_batchnorm(folder, other, network=network)
+    first, second = load_file(target), load_file(other)
+    for name, tensor in first.items():
+        torch.testing.assert_close(second[name], tensor, rtol=1e-6, atol=1e-7)
+
+
+def test_progress_and_which_scans(world, target, monkeypatch):
+    write_sequence(world.data / "sequences/08", [f"{i:06d}" for i in range(5)], labels=False)
+    seen, used = [], []
+    module = "salsanext_cli.stages.tune_batchnorm"
+    read = __import__(module, fromlist=["read_seen"]).read_seen
+    monkeypatch.setattr(
+        f"{module}.read_seen", lambda file, *rest: used.append(file) or read(file, *rest)
+    )
+    choice = Choice(split="valid", limit=3)
+    tuned = tune_batchnorm(
+        world.data,
+        target,
+        network=world.network,
+        choice=choice,
+        progress=lambda *args: seen.append(args),
+    )
+    assert tuned.scans == 3
+    assert seen == [(1, 3), (2, 3), (3, 3)]
+    assert [(f.sequence, f.stem) for f in used] == [("08", f"00000{i}") for i in (0, 2, 4)]
+
+
+@pytest.mark.parametrize("share", [0.0, -0.1, 1.01, math.nan, math.inf])
+def test_shares_that_are_none(folder, target, network, share):
+    with pytest.raises(UsageError, match=r"--share · .* · expected above 0, at most 1"):
+        tune_batchnorm(folder, target, network=network, share=share)
+    assert not target.exists()
+
+
+def test_scans_that_cannot_be_used(folder, target, network, tmp_path):
+    bad = folder / "000002.bin"
+    (tmp_path / "empty").mkdir()
+    with pytest.raises(NoInputError):
+        tune_batchnorm(tmp_path / "empty", target, network=network)
+    bad.write_bytes(b"half a point")
+    with pytest.raises(FormatError, match=r"000002\.bin · "):
+        tune_batchnorm(folder, target, network=network)
+    write_bin(bad, Scan(np.zeros((3, 3), np.float32), np.zeros(3, np.float32)))
+    with pytest.raises(FormatError, match=r"000002\.bin · none of its 3 points has a pixel"):
+        tune_batchnorm(folder, target, network=network)
+    assert not target.exists()
+
+
+def test_a_network_whose_values_overflow(folder, target, network, tmp_path):
+    module, card = read_weights(network.weights)
+    with torch.no_grad():
+        module.get_parameter("block2.shortcut.0.weight").mul_(1e25)
+    save_weights(tmp_path / "huge.safetensors", module, card)
+    with pytest.raises(WeightsError, match=r"000000\.bin · the network's \S+ is not finite"):
+        tune_batchnorm(folder, target, network=NetworkChoice(tmp_path / "huge.safetensors", "cpu"))
+    assert not target.exists()
+
+
+def test_a_network_without_batch_norm(folder, target, network, monkeypatch):
+    monkeypatch.setattr("salsanext_cli.stages.tune_batchnorm.norms", lambda _: {})
+    with pytest.raises(WeightsError, match=r"random\.safetensors · its network has no batch norm"):
+        tune_batchnorm(folder, target, network=network)
+
+
+def test_targets_that_may_not_be_written(folder, target, network):
+    target.write_bytes(b"precious")
+    with pytest.raises(OutputError, match="exists"):
+        tune_batchnorm(folder, target, network=network)
+    assert target.read_bytes() == b"precious"
+    with pytest.raises(OutputError, match=r"suffix \.pt"):
+        tune_batchnorm(folder, target.with_suffix(".pt"), network=network)
+
+
+def test_the_wrong_sensor_is_noticed(folder, target, network, caplog):
+    narrow = replace(network, sensor=replace(SMALL, fov_up=-5.0))
+    with caplog.at_level(logging.WARNING):
+        tune_batchnorm(folder / "000000.bin", target, network=narrow)
+    assert "lie outside the view of small" in caplog.text
