@@ -130,9 +130,9 @@ class Recipe:
         for key in ("weight_decay", "clip_gradient", "lovasz", "heteroscedastic", "warm_up"):
             self._require(key, getattr(self, key) >= 0, "at least 0")
         augmentations = ("rotate", "shift", "flip", "drop", "mix", "paste")
-        for key in (*augmentations, "crop_on_class", "dropout"):
+        for key in (*augmentations, "crop_on_class"):
             self._require(key, 0 <= getattr(self, key) <= 1, "between 0 and 1")
-        for key in ("average", "momentum", "label_smoothing"):
+        for key in ("average", "dropout", "momentum", "label_smoothing"):
             self._require(key, 0 <= getattr(self, key) < 1, "from 0 to below 1")
         for key in ("learning_rate", "decay"):
             self._require(key, getattr(self, key) > 0, "above 0")

@@ -9,7 +9,7 @@ from tiny_network import TinyNetwork
 from salsanext_cli.cli import options
 from salsanext_cli.network.architectures import ARCHITECTURES
 from salsanext_cli.network.weights import read_card
-from salsanext_cli.training.recipe import recipe
+from salsanext_cli.training.recipe import presets, recipe
 
 
 @pytest.fixture(autouse=True)
@@ -65,3 +65,8 @@ def test_python_runs_the_package_as_the_command():
     )
     assert ended.stdout.startswith("salsanext ")
     assert ended.returncode == 0
+
+
+def test_help_names_every_recipe(run):
+    said = " ".join(run("train", "--help").output.split())
+    assert all(name in said for name in presets())
