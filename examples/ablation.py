@@ -82,6 +82,8 @@ def row(rung: str, scores: Iterable[float]) -> str:
 
 
 def main(dataset: str, folder: str, steps: str = "600", plan: str = "street", *rungs: str) -> None:
+    if unknown := [rung for rung in rungs if rung not in LADDER]:
+        sys.exit(f"no rung {', '.join(unknown)}; there are {', '.join(LADDER)}")
     titles = (*VOTES, "parameters, 10⁶", "multiply-accumulates, 10⁹ (FLOPs)")
     print(f"| | {' | '.join(titles)} |\n|---|{len(titles) * '---|'}", flush=True)
     for rung in rungs or LADDER:

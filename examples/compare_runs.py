@@ -36,7 +36,9 @@ def at(minute: float, curve: Curve) -> float:
 
 
 def main(picture: str, *runs: str) -> None:
-    curves = {Path(run).name: read_curve(Path(run)) for run in runs}
+    curves = {run: read_curve(Path(run)) for run in runs}
+    if unscored := [run for run, (minutes, _) in curves.items() if not minutes]:
+        sys.exit(f"not validated yet: {', '.join(unscored)}")
     shortest = min(minutes[-1] for minutes, _ in curves.values())
 
     axes = (figure := Figure(figsize=(7, 4.2), layout="constrained")).subplots()

@@ -17,6 +17,16 @@ def interruptible() -> Iterator[None]:
     signal.signal(signal.SIGINT, before)
 
 
+@pytest.fixture(autouse=True)
+def drawn_alike() -> Iterator[None]:
+    """Let each test draw the same numbers of torch's global generator, and leave it as it was."""
+    import torch
+
+    with torch.random.fork_rng([]):
+        torch.manual_seed(0)
+        yield
+
+
 @pytest.fixture(scope="session")
 def real_data() -> Path:
     """Return the folder with `data/` (real scans) and `golden/` (published outputs), or skip."""

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: MIT
 """`salsanext train`."""
 
-from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -10,7 +8,6 @@ import typer
 
 from salsanext_cli.cli import console, options
 from salsanext_cli.cli.progress import progress
-from salsanext_cli.errors import UsageError
 
 if TYPE_CHECKING:
     from salsanext_cli.stages.batch import Progress
@@ -76,7 +73,7 @@ def train(
     leads = team_here().leads
     quiet = quiet or not leads
     talk = console.Talk(json and leads, verbose and leads, quiet)
-    with _said_once(leads), progress("train", quiet, unit="steps") as bar:
+    with progress("train", quiet, unit="steps") as bar:
         plan = find(recipe).with_changes(**read_overrides(changes or ()))
         done = learn(
             dataset,
@@ -94,16 +91,6 @@ def train(
     paths = {"best": str(done.best), "last": str(done.last)}
     talk.result({"stage": "train", "best_miou": done.best_miou, **paths})
     talk.say(f"train: best validation mIoU {best} → {done.best}")
-
-
-@contextmanager
-def _said_once(leads: bool) -> Iterator[None]:
-    """Leave it to the first worker to say what is wrong with the command line of all."""
-    try:
-        yield
-    except UsageError as error:
-        error.said_elsewhere = not leads
-        raise
 
 
 def _tell(report: "Report", bar: "Progress | None", talk: console.Talk) -> None:

@@ -43,7 +43,7 @@ def require_free(run: Path, settings: Mapping[str, Any], *, overwrite: bool) -> 
             "was there before, made nobody knows how",
             remedy="use another folder, or --overwrite to replace it",
         )
-    require_same_settings(run / f"{STAGE}.json", _completed(recorded), as_json(settings))
+    require_same_settings(run / f"{STAGE}.json", _decisive(recorded), _decisive(as_json(settings)))
 
 
 def take(run: Path, settings: Mapping[str, Any], *, overwrite: bool) -> None:
@@ -59,7 +59,8 @@ def take(run: Path, settings: Mapping[str, Any], *, overwrite: bool) -> None:
         Whether to begin anew with the same settings too.
     """
     recorded = stage_settings(run, STAGE)
-    if overwrite or recorded is None or _completed(recorded) != as_json(settings):
+    anew = recorded is None or _decisive(recorded) != _decisive(as_json(settings))
+    if overwrite or anew:
         pictures, events = run.glob(f"{SAMPLES}/epoch-*.png"), run.glob(f"{EVENTS}/events.*")
         for made in (*(run / name for name in MADE), *pictures, *events):
             made.unlink(missing_ok=True)
@@ -67,8 +68,13 @@ def take(run: Path, settings: Mapping[str, Any], *, overwrite: bool) -> None:
     write_text(run / RECIPE, Recipe.from_dict(settings["recipe"]).to_toml())
 
 
-def _completed(recorded: Mapping[str, Any]) -> dict[str, Any]:
-    """Return recorded settings with what recipes of older versions do not say."""
-    known = recorded.get("recipe")
-    recipe = {**Recipe().to_dict(), **known} if isinstance(known, dict) else known
-    return {**recorded, "recipe": recipe}
+def _decisive(settings: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the settings that a training may not change on the way.
+
+    What recipes of older versions do not say is the default. The parts of a batch may change, since
+    a training that has run out of memory must be able to go on.
+    """
+    recipe = settings.get("recipe")
+    if not isinstance(recipe, dict):
+        return dict(settings)
+    return {**settings, "recipe": {**Recipe().to_dict(), **recipe, "accumulate": None}}

@@ -30,8 +30,10 @@ def not_finite_alone(
     for norm in probe.modules():
         if isinstance(norm, nn.modules.batchnorm._BatchNorm):
             norm.running_mean = norm.running_var = None
+    # Each twice: an image may have a single pixel at the coarsest level, and one has no statistics.
     losses = (
-        loss(probe(image[None]), labels[None]) for image, labels in zip(images, truth, strict=True)
+        loss(probe(torch.stack(2 * [image])), torch.stack(2 * [labels]))
+        for image, labels in zip(images, truth, strict=True)
     )
     bad = [not bool(torch.isfinite(each)) for each in losses]
     return list(compress(range(len(bad)), bad))

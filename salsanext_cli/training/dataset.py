@@ -146,16 +146,18 @@ class Samples(Dataset[tuple[Float, TrainIds, int]]):
         labelled = augment(*self._read(index), random)
         # Without mixing nothing more is drawn, so that the samples are those of older versions.
         if recipe.mix and random.random() < recipe.mix:
-            partner = augment(*self._partner(random), random)
+            partner = augment(*self._partner(index, random), random)
             labelled = mix(labelled, partner, Board.drawn(self.sensor, random))
         if recipe.paste and random.random() < recipe.paste:
-            partner = self._partner(random)
+            partner = self._partner(index, random)
             rare = augment(*part(partner, self.rare[partner[1]]), random)
             labelled = paste(labelled, rare, random.uniform(-np.pi, np.pi, COPIES))
         return labelled
 
-    def _partner(self, random: np.random.Generator) -> Labelled:
-        return self._read(int(random.integers(len(self.files))))
+    def _partner(self, index: int, random: np.random.Generator) -> Labelled:
+        """Return another scan than the one of an index; the same if there is no other."""
+        away = 1 + random.integers(max(1, len(self.files) - 1))
+        return self._read(int((index + away) % len(self.files)))
 
     def _read(self, index: int) -> Labelled:
         return read_labelled(self.files[index], self.space, self.sensor)

@@ -28,6 +28,7 @@ from salsanext_cli.training.events import Events
 from salsanext_cli.training.log import Row, draw_curve, write_log
 from salsanext_cli.training.optimise import Learner
 from salsanext_cli.training.plan import Plan
+from salsanext_cli.training.precision import autocast
 from salsanext_cli.training.schedule import learning_rate
 from salsanext_cli.training.validation import validate
 
@@ -188,7 +189,8 @@ class Training:
     def _culprits(self, batch: Batch) -> str:
         """Name the scans whose loss alone is not finite; all of the batch if there are none."""
         images, truth, indices = (each.to(self.learner.device) for each in batch)
-        alone = not_finite_alone(self.learner.network, self.learner.loss, images, truth)
+        with autocast(self.learner.dtype, self.learner.device):
+            alone = not_finite_alone(self.learner.network, self.learner.loss, images, truth)
         found, every = (torch.cat(self.learner.team.gather(i)) for i in (indices[alone], indices))
         chosen = found if len(found) else every
         return ", ".join(str(self.samples.files[i].path) for i in chosen)

@@ -189,12 +189,16 @@ class Learner:
     def _parts(self, width: int) -> int:
         """Return into how many parts a batch is cut, by every worker alike.
 
-        Whole circles after windows are cut into as many more as they are wider, so that a training
-        that began does not run out of memory.
+        Whole circles after windows are cut into more, so that a part holds no more columns than one
+        of windows does, or a single circle.
         """
         recipe = self.recipe
-        wider = -(-width // recipe.crop_width) if recipe.crop_width else 1
-        return min(recipe.accumulate * wider, recipe.batch // self.team.size)
+        fewest, most = recipe.batch // self.team.size, -(-recipe.batch // self.team.size)
+        parts = min(recipe.accumulate, fewest)
+        if 0 < recipe.crop_width < width:
+            images = max(1, -(-most // parts) * recipe.crop_width // width)
+            parts = min(-(-most // images), fewest)
+        return parts
 
     def _whole(self, truth: Tensor, parts: int) -> Whole | None:
         if parts * self.team.size == 1:

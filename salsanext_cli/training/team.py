@@ -19,7 +19,7 @@ from salsanext_cli.errors import SalsanextError, UsageError
 from salsanext_cli.network.inference import choose_device
 
 PATIENCE = timedelta(hours=12)
-"""How long the others wait while the leader validates."""
+"""How long the others wait while the leader counts labels, writes and draws."""
 
 T = TypeVar("T")
 
@@ -31,7 +31,7 @@ class Team:
     Attributes
     ----------
     rank : int
-        Number of this process; 0 leads: it alone writes, validates and reports.
+        Number of this process; 0 leads: it alone writes and reports.
     size : int
         How many there are.
     """
@@ -41,7 +41,7 @@ class Team:
 
     @property
     def leads(self) -> bool:
-        """Whether this process writes, validates and reports."""
+        """Whether this process writes and reports."""
         return self.rank == 0
 
     def sum(self, tensor: Tensor) -> Tensor:

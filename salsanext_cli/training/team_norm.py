@@ -51,14 +51,16 @@ class TeamBatchNorm(nn.BatchNorm2d):
         """Normalise (B, C, H, W); every worker must come here, with at least one image."""
         if not self.training:
             return super().forward(input)  # type: ignore[arg-type]
-        values = input.mean if isinstance(input, Gaussian) else input
+        given = input.mean if isinstance(input, Gaussian) else input
+        # Sums over an image do not fit into shorter types.
+        values = given.to(torch.promote_types(given.dtype, torch.float32))
         count = add_up(values.new_tensor(values.numel() / values.shape[1]))
         mean = add_up(values.sum((0, 2, 3))) / count
         centred = values - mean[:, None, None]
         variance = add_up(centred.square().sum((0, 2, 3))) / count
         self._track(mean.detach(), variance.detach() * count / (count - 1))
         scale = (self.weight * torch.rsqrt(variance + self.eps))[:, None, None]
-        made = centred * scale + self.bias[:, None, None]
+        made = (centred * scale + self.bias[:, None, None]).to(given.dtype)
         if isinstance(input, Gaussian):
             return input.like(made, input.variance * scale.square())
         return made

@@ -225,6 +225,22 @@ def test_a_training_of_before_a_key_goes_on(dataset: Path, tmp_path: Path) -> No
     assert go(dataset, tmp_path / "run", recipe=TINY.with_changes(epochs=1)) == first
 
 
+def test_the_parts_of_a_batch_may_change_on_the_way(dataset: Path, tmp_path: Path) -> None:
+    """As they must when a training has run out of memory."""
+
+    def interrupt(report: Report) -> None:
+        if report.epoch == 2:
+            raise Stopped
+
+    with pytest.raises(Stopped):
+        go(dataset, tmp_path / "run", progress=interrupt)
+    steps: list[int] = []
+    halves = TINY.with_changes(accumulate=2)
+    go(dataset, tmp_path / "run", recipe=halves, progress=lambda r: steps.append(r.step))
+    assert steps[0] == 3
+    assert recipe(tmp_path / "run/recipe.toml") == halves
+
+
 def test_rare_classes_come_from_the_training_split(
     dataset: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

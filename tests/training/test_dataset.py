@@ -248,6 +248,15 @@ def test_pixels_of_a_pasted_sample_are_its_own_or_turned_ones_of_rare_classes(
     assert pasted > 20
 
 
+@pytest.mark.parametrize("index", range(5))
+def test_a_partner_is_another_scan(files: list[ScanFile], index: int) -> None:
+    drawn = samples(files, PLAIN)
+    random = np.random.default_rng(0)
+    partners = {drawn._partner(index, random)[0].points.tobytes() for _ in range(40)}
+    others = {drawn._read(k)[0].points.tobytes() for k in range(5) if k != index}
+    assert partners == others
+
+
 def test_pasting_where_no_point_is_rare(files: list[ScanFile]) -> None:
     recipe = PLAIN.with_changes(paste=1.0)
     none = Samples(files, SPACE, SMALL, recipe, np.zeros(20, bool))[3, 1]

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: MIT
 import copy
 import math
+from dataclasses import replace
 
 import pytest
 import torch
@@ -10,6 +11,7 @@ from torch import Tensor, nn
 from salsanext_cli.training.losses import SegmentationLoss
 from salsanext_cli.training.optimise import Learner, build_optimiser, update_average
 from salsanext_cli.training.recipe import Recipe
+from salsanext_cli.training.team import Team
 
 CPU = torch.device("cpu")
 WEIGHTS = torch.tensor([0.0, 1.0, 2.0])
@@ -176,3 +178,20 @@ def test_parts_are_one_step_for_average_and_optimiser() -> None:
     learning = learner(accumulate=2, average=0.9, optimiser="adamw")
     learning.step(*batch(), 0, 10)
     assert {float(state["step"]) for state in learning.optimiser.state.values()} == {1.0}
+
+
+@pytest.mark.parametrize("size", [1, 4, 8, 16, 24])
+@pytest.mark.parametrize("accumulate", [1, 3])
+def test_a_part_of_whole_circles_holds_no_more_than_one_of_windows(
+    size: int, accumulate: int
+) -> None:
+    """Or one circle; and no worker has more parts than images."""
+    recipe = Recipe(batch=24, accumulate=accumulate, crop_width=512, whole_epochs=1)
+    module = TinyNetwork(3)
+    learning = replace(Learner.of(module, recipe, WEIGHTS, CPU), team=Team(0, size))
+    share = -(-24 // size)
+    windows = -(-share // learning._parts(512)) * 512
+    assert learning._parts(512) == min(accumulate, 24 // size)
+    parts = learning._parts(2048)
+    assert parts <= 24 // size
+    assert -(-share // parts) * 2048 <= max(windows, 2048) or parts == 24 // size

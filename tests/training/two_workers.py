@@ -27,6 +27,7 @@ CASES: dict[str, dict[str, object]] = {
     "clipped": {"clip_gradient": 0.01},
     "in parts": {"lovasz": 0.0, "accumulate": 2},
     "nothing labelled": {"labels": 0},
+    "bfloat16": {"precision": "bfloat16"},
     "moments": {"heteroscedastic": 0.1},
     "moments in parts": {"heteroscedastic": 0.1, "lovasz": 0.0, "accumulate": 2},
 }
