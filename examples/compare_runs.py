@@ -23,7 +23,7 @@ def read_curve(run: Path) -> Curve:
     with (run / "log.csv").open(encoding="utf-8", newline="") as file:
         rows = list(csv.DictReader(file))
     minutes = [total / 60 for total in accumulate(float(row["seconds"]) for row in rows)]
-    validated = [number for number, row in enumerate(rows) if row["miou"]]
+    validated = [number for number, row in enumerate(rows) if row.get("miou")]
     return (
         [minutes[number] for number in validated],
         [100 * float(rows[number]["miou"]) for number in validated],

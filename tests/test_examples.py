@@ -138,7 +138,7 @@ def test_compare_runs(tmp_path, capsys):
     assert fast.endswith("fast: 50.0 % within 1.5 minutes")
     assert picture.read_bytes().startswith(b"\x89PNG")
     write_log(tmp_path / "slow" / "log.csv", rows[:1])
-    with pytest.raises(SystemExit, match="not validated yet: .*slow"):
+    with pytest.raises(SystemExit, match=r"not validated yet: .*slow"):
         load("compare_runs")(str(picture), str(tmp_path / "slow"))
 
 
