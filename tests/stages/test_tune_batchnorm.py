@@ -2,21 +2,26 @@
 import logging
 import math
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import pytest
 import torch
 from safetensors.torch import load_file
-from scans import SMALL, make_scan, write_sequence
+from scans import SMALL, lively, make_scan, write_sequence
 
+from salsanext_cli.classes import label_space
 from salsanext_cli.errors import FormatError, NoInputError, OutputError, UsageError, WeightsError
 from salsanext_cli.formats import read_scan
 from salsanext_cli.formats.kitti import write_bin
 from salsanext_cli.geometry.projection import project
+from salsanext_cli.network.architectures import ARCHITECTURES
 from salsanext_cli.network.batch_norm import norms
 from salsanext_cli.network.inference import load_network
+from salsanext_cli.network.rangenet import RangeNet53
 from salsanext_cli.network.weights import (
     NORM_SUFFIXES,
+    WeightsCard,
     read_card,
     read_weights,
     save_weights,
@@ -40,6 +45,16 @@ def folder(tmp_path):
 @pytest.fixture
 def target(tmp_path):
     return tmp_path / "adapted.safetensors"
+
+
+@pytest.fixture
+def weights(tmp_path, monkeypatch):
+    """Return weights of a network with many batch norms and few channels."""
+    monkeypatch.setitem(ARCHITECTURES, "narrow", partial(RangeNet53, width=2))
+    architecture = {"name": "narrow", "class_count": 20, "dropout": 0.1}
+    card = WeightsCard(architecture, label_space(), SMALL, description="random")
+    save_weights(tmp_path / "random.safetensors", lively(RangeNet53(width=2)), card)
+    return tmp_path / "random.safetensors"
 
 
 @pytest.fixture
@@ -87,18 +102,13 @@ def test_the_statistics_of_all_scans_are_stored_and_how_far_they_moved(folder, t
 
 def test_a_share_of_one_scan_leaves_the_rest_to_the_old(folder, target, network):
     scan = folder / "000000.bin"
-    tune_batchnorm(scan, target, network=network, share=1e-6)
-    slow = slow_statistics(network, [scan])
+    tune_batchnorm(scan, target, network=network, share=0.25)
     old, new = load_file(network.weights), load_file(target)
-    tune_batchnorm(scan, target, network=network, share=0.25, overwrite=True)
-    quarter = load_file(target)
-    for layer in slow:
-        for name in (f"{layer}.running_mean", f"{layer}.running_var"):
-            torch.testing.assert_close(new[name], old[name], rtol=1e-4, atol=1e-4)
-    first = next(iter(slow))
-    for suffix, values in zip(NORM_SUFFIXES, slow[first], strict=True):
-        expected = 0.75 * old[first + suffix].numpy() + 0.25 * values
-        np.testing.assert_allclose(quarter[first + suffix], expected, rtol=1e-5, atol=1e-6)
+    # What comes into the first batch norm depends on no other.
+    first, values = next(iter(slow_statistics(network, [scan]).items()))
+    for suffix, value in zip(NORM_SUFFIXES, values, strict=True):
+        expected = 0.75 * old[first + suffix].numpy() + 0.25 * value
+        np.testing.assert_allclose(new[first + suffix], expected, rtol=1e-5, atol=1e-6)
 
 
 @pytest.mark.parametrize("half", [False, True])
@@ -141,6 +151,7 @@ def test_it_is_the_same_every_time_and_leaves_the_network_alone(folder, target, 
 
 
 def test_the_order_of_the_scans_is_no_matter(folder, target, network, tmp_path):
+    (folder / "000002.bin").unlink()
     tune_batchnorm(folder, target, network=network)
     for number, path in enumerate(sorted(folder.iterdir(), reverse=True)):
         path.rename(folder / f"{100 + number}.bin")
@@ -196,7 +207,7 @@ def test_scans_that_cannot_be_used(folder, target, network, tmp_path):
 def test_a_network_whose_values_overflow(folder, target, network, tmp_path):
     module, card = read_weights(network.weights)
     with torch.no_grad():
-        module.get_parameter("block2.shortcut.0.weight").mul_(1e25)
+        module.get_parameter("stages.1.0.0.weight").mul_(1e25)
     save_weights(tmp_path / "huge.safetensors", module, card)
     with pytest.raises(WeightsError, match=r"000000\.bin · the network's \S+ is not finite"):
         tune_batchnorm(folder, target, network=NetworkChoice(tmp_path / "huge.safetensors", "cpu"))
