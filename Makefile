@@ -5,6 +5,8 @@ PYTHON ?= python3
 BIN := .venv/bin
 INSTALLED := .venv/.installed
 DEMO ?= demo
+# Processes that test side by side; each takes half a gigabyte.
+WORKERS ?= 2
 
 .PHONY: help install demo test test-slow lint format docs clean
 
@@ -29,7 +31,7 @@ demo: $(INSTALLED)
 	$(BIN)/salsanext demo $(DEMO)
 
 test: $(INSTALLED)
-	$(BIN)/python -m pytest
+	OMP_NUM_THREADS=1 $(BIN)/python -m pytest --numprocesses $(WORKERS) --dist loadfile
 
 test-slow: $(INSTALLED)
 	$(BIN)/python -m pytest -m slow

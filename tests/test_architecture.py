@@ -88,7 +88,7 @@ def test_a_wrong_import_would_be_found():
 def test_training_and_synthesis_can_be_removed():
     """Nothing but their own stages and commands, and the demonstration, may need them."""
     tuned = {"tuning", "tune_temperature", "tune_dropout", "tune_batchnorm"}
-    allowed = {"train", "synth", "demo"} | tuned
+    allowed = {"train", "run_folder", "synth", "demo"} | tuned
     users = {
         module.stem
         for module in MODULES
