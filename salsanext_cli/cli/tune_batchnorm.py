@@ -20,7 +20,10 @@ def tune_batchnorm(
     ],
     target: options.WeightsOut,
     share: Annotated[
-        float, typer.Option(help="Of the new statistics, 0…1; the rest are the old ones.")
+        float,
+        typer.Option(
+            help="Of the new statistics, above 0 and at most 1; the rest are the old ones."
+        ),
     ] = 0.3,
     split: options.Split = None,
     sequences: options.Sequences = None,
