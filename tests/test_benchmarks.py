@@ -1,10 +1,15 @@
 # SPDX-License-Identifier: MIT
 """The benchmarks run and print what they say; how fast they are is not tested."""
 
+import os
+import re
 import runpy
+import subprocess
+import sys
 from pathlib import Path
 
-from scans import make_scan
+import pytest
+from scans import make_scan, write_sequence
 
 from salsanext_cli.formats.kitti import write_bin
 from salsanext_cli.sensors import Sensor
@@ -29,3 +34,24 @@ def test_uncertainty_cost(tmp_path, weights, capsys):
     ]
     assert "1.0 × (1.0 to 1.0)" in lines[0]
     assert all(" s " in line for line in lines)
+
+
+def test_training_speed(tmp_path):
+    """Both sides find the same loss, or it would stop."""
+    write_sequence(tmp_path / "sequences/00", ["0", "1"])
+    write_sensor(tmp_path / "tiny.toml", Sensor("tiny", 3.0, -25.0, 16, 64))
+    options = ("--sensor", tmp_path / "tiny.toml", "--architecture", "salsanet", "--turns", "2")
+    script = str(BENCHMARKS / "training_speed.py")
+    done = subprocess.run(
+        [sys.executable, script, str(tmp_path), *map(str, options)],
+        capture_output=True,
+        text=True,
+        check=True,
+        env={**os.environ, "PYTHONPATH": str(BENCHMARKS.parent)},
+    )
+    _, losses, _, *parts, ratio = done.stdout.splitlines()
+    plain, ours = (float(each) for each in re.findall(r"\d+\.\d+", losses))
+    assert plain == pytest.approx(ours, rel=1e-4)
+    names = [line.split()[0] for line in parts]
+    assert names == ["data", "forward", "loss", "backward", "update", "book-keeping", "step"]
+    assert re.fullmatch(r"ours is \S+ × as fast \(\S+ to \S+ over 2 turns\)", ratio)

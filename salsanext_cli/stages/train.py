@@ -33,6 +33,7 @@ from salsanext_cli.training.heteroscedastic import require_noise
 from salsanext_cli.training.log import Row
 from salsanext_cli.training.loop import BEST, LAST, Report, Training
 from salsanext_cli.training.losses import class_weights
+from salsanext_cli.training.memory import keep_freed_memory
 from salsanext_cli.training.optimise import Learner
 from salsanext_cli.training.recipe import Recipe
 from salsanext_cli.training.team import Team, team_here, teamwork
@@ -119,6 +120,8 @@ def train(
     workers = worker_count(jobs)
     _require_work_for_all(recipe, team_here())
     with teamwork(device) as (team, place):
+        if place.type == "cpu":
+            keep_freed_memory()
 
         def find() -> tuple[LabelSpace, list[ScanFile], list[ScanFile]]:
             known = space or data_set_label_space(dataset) or label_space()
