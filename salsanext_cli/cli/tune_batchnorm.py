@@ -21,7 +21,7 @@ def tune_batchnorm(
     target: options.WeightsOut,
     share: Annotated[
         float, typer.Option(help="Of the new statistics, 0…1; the rest are the old ones.")
-    ] = 0.3,
+    ] = 0.5,
     split: options.Split = None,
     sequences: options.Sequences = None,
     limit: options.LimitSpaced = None,

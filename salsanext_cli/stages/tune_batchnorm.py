@@ -26,7 +26,7 @@ from salsanext_cli.stages.project import read_seen
 from salsanext_cli.stages.wrong_view import ViewCheck
 from salsanext_cli.training.validation import evenly_spaced
 
-SHARE = 0.3
+SHARE = 0.5
 
 log = logging.getLogger(__name__)
 
