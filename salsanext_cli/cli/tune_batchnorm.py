@@ -24,7 +24,7 @@ def tune_batchnorm(
         typer.Option(
             help="Of the new statistics, above 0 and at most 1; the rest are the old ones."
         ),
-    ] = 0.3,
+    ] = 0.5,
     split: options.Split = None,
     sequences: options.Sequences = None,
     limit: options.LimitSpaced = None,

@@ -3,6 +3,7 @@
 
 from pathlib import Path
 
+import numpy as np
 import pytest
 from command_line import only_json
 
@@ -51,12 +52,18 @@ def test_batch_norm_is_adapted_to_scans_without_labels(run, data, weights, tmp_p
     assert layers == parts["all"][0] == 42
     assert result.stderr == f"tune batchnorm: 1 scans of small → {target}\n"
     assert "exists" in run(*arguments).stderr
-    found = only_json(run(*arguments, "--overwrite", "--json", "--share", 0.5))
-    assert (found["stage"], found["scans"], found["share"]) == ("tune batchnorm", 2, 0.5)
+    same = only_json(run(*arguments, "--overwrite", "--json", "--limit", 1))["layers"]
+    context = [layer for layer in same if layer["layer"].startswith("context.")]
+    for name, layers in (("context", context), ("all", same)):
+        shift = np.mean([layer["shift"] for layer in layers])
+        ratio = np.exp(np.mean(np.log([layer["variance_ratio"] for layer in layers])))
+        assert parts[name] == pytest.approx([len(layers), shift, ratio], abs=6e-4)
+    found = only_json(run(*arguments, "--overwrite", "--json", "--share", 0.25))
+    assert (found["stage"], found["scans"], found["share"]) == ("tune batchnorm", 2, 0.25)
     assert (found["sensor"], found["weights"]) == ("small", str(target))
     assert found["layers"][0].keys() == {"layer", "shift", "variance_ratio"}
     assert len(found["layers"]) == 42
-    assert "share 0.5" in only_json(run("models", target, "--json"))["weights"][0]["description"]
+    assert "share 0.25" in only_json(run("models", target, "--json"))["weights"][0]["description"]
 
 
 def test_settings_of_batch_norm_reach_the_stage(run, weights, monkeypatch):
