@@ -34,8 +34,8 @@ def analyse(network: Network, image: RangeImage) -> Estimate:
         If the network drops nothing.
     """
     require_dropout(network)
-    certain = network.module.trunk(network.module.pad(network.input(image.channels)))
-    features = (Coherent(f, torch.zeros_like(f)) for f in certain)
+    certain = network.engine.trunk(network.engine.pad(network.input(image.channels)))
+    features = (Coherent(f, torch.zeros_like(f)) for f in map(torch.Tensor.float, certain))
     logits = propagate(network.module.rest, *features)[..., : image.height, : image.width]
     softmax = logits.softmax(dim=1)
     mean, variance = softmax.mean[0].double(), softmax.variance[0].double()

@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import torch
@@ -12,6 +12,8 @@ from torch import Tensor
 from salsanext_cli.errors import UsageError
 from salsanext_cli.geometry.normalise import normalise
 from salsanext_cli.network.architectures import build
+from salsanext_cli.network.engine import engine
+from salsanext_cli.network.precision import choose_precision
 from salsanext_cli.network.segmentation import SegmentationNetwork
 from salsanext_cli.network.weights import WeightsCard, default_weights, read_weights
 from salsanext_cli.records import Float, RangeImage
@@ -32,12 +34,23 @@ class Network:
         Geometry and normalisation of the range images: the card's unless another was asked for.
     device : torch.device
         Where the module is.
+    precision : {"float32", "bfloat16", "float16"}
+        What the engine computes in.
+    engine : SegmentationNetwork
+        Computes what the module does, faster; float32 in and out. It is made when the network is,
+        and does not follow later changes of the module.
     """
 
     module: SegmentationNetwork
     card: WeightsCard
     sensor: Sensor
     device: torch.device
+    precision: str = "float32"
+    engine: SegmentationNetwork = field(init=False)
+
+    def __post_init__(self) -> None:
+        made = engine(self.module, self.device, self.precision)
+        object.__setattr__(self, "engine", made)
 
     def input(self, channels: Float) -> Tensor:
         """Return (5, H, W) channels normalised as the network takes them, (1, 5, H, W)."""
@@ -47,7 +60,7 @@ class Network:
     @torch.inference_mode()
     def logits(self, image: RangeImage) -> Float:
         """Return the logits of every pixel, (C, H, W) float32."""
-        logits: Float = self.module(self.input(image.channels))[0].float().cpu().numpy()
+        logits: Float = self.engine(self.input(image.channels))[0].cpu().numpy()
         return logits
 
     def probabilities(self, image: RangeImage) -> Float:
@@ -60,13 +73,16 @@ class Network:
 
         The logits are divided by the card's temperature, which leaves their order as it is.
         """
-        logits = self.module(self.input(channels)).float() / self.card.temperature
+        logits = self.engine(self.input(channels)) / self.card.temperature
         probabilities: Float = torch.softmax(logits, dim=1)[0].cpu().numpy()
         return probabilities
 
 
 def load_network(
-    path: Path | str | None = None, device: str = "auto", sensor: Sensor | None = None
+    path: Path | str | None = None,
+    device: str = "auto",
+    sensor: Sensor | None = None,
+    precision: str = "auto",
 ) -> Network:
     """Load weights onto a device.
 
@@ -76,21 +92,22 @@ def load_network(
         A weights file; None for the default weights.
     device : str
         ``"cpu"``, ``"cuda"``, ``"cuda:1"`` … or ``"auto"``: the first GPU if there is one.
-
     sensor : Sensor, optional
         What the range images come from, if not from the sensor that the weights name.
+    precision : str
+        As `precision.choose_precision` takes it: ``"auto"`` is what the device is fast at.
 
     Raises
     ------
     WeightsError
         If the file cannot be used.
     UsageError
-        If the device does not exist.
+        If the device does not exist, or does not compute in that precision.
     """
     module, card = read_weights(default_weights() if path is None else Path(path))
     place = choose_device(device)
     module = module.to(place).to(memory_format=torch.channels_last)  # type: ignore[call-overload]
-    return Network(module, card, sensor or card.sensor, place)
+    return Network(module, card, sensor or card.sensor, place, choose_precision(precision, place))
 
 
 def with_dropout(network: Network, rate: float) -> Network:

@@ -80,9 +80,9 @@ def sample(network: Network, image: RangeImage, *, samples: int, seed: int) -> E
     """
     require_sampling(network, samples)
     moments = Moments()
-    features = network.module.trunk(network.module.pad(network.input(image.channels)))
+    features = network.engine.trunk(network.engine.pad(network.input(image.channels)))
     seeds = [pass_seed(seed, number) for number in range(samples)]
-    for logits in _passes(network.module, features, seeds):
+    for logits in _passes(network.engine, features, seeds):
         logits = logits[:, : image.height, : image.width].float()
         moments.add(torch.softmax(logits, dim=0))
     return moments.summary()
