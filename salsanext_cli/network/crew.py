@@ -10,26 +10,41 @@ from __future__ import annotations
 
 import os
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
+from contextvars import ContextVar
 from functools import lru_cache
 
 import torch
 from torch import Tensor
 
 _own = threading.local()
+_threads: ContextVar[int] = ContextVar("_threads", default=1)
+
+
+@contextmanager
+def on_duty() -> Iterator[None]:
+    """Give the threads that torch has to the crew while the body runs.
+
+    Torch itself has one then: its own threads wait for work by spinning, and would keep the crew
+    from the cores.
+    """
+    threads = torch.get_num_threads()
+    token = _threads.set(threads)
+    torch.set_num_threads(1)
+    try:
+        yield
+    finally:
+        torch.set_num_threads(threads)
+        _threads.reset(token)
 
 
 def in_parts(work: Callable[[int], object], count: int) -> None:
-    """Call ``work(0)`` to ``work(count - 1)`` on as many threads as torch has been given.
+    """Call ``work(0)`` to ``work(count - 1)`` on the threads of the crew; see `on_duty`.
 
     In each call torch has one thread. Calls must not write to the same places.
     """
-    threads = torch.get_num_threads()
-    if threads == 1:
-        for part in range(count):
-            work(part)
-        return
     parts = iter(range(count))
 
     # `next` of an iterator over a range is one step of the interpreter: no lock is needed.
@@ -38,15 +53,19 @@ def in_parts(work: Callable[[int], object], count: int) -> None:
             for part in parts:
                 work(part)
 
-    helpers = [_crew(threads, os.getpid()).submit(pull) for _ in range(min(threads, count))]
-    for helper in helpers:
-        helper.result()
+    helpers = min(_threads.get(), count) - 1
+    pulling = [_crew(_threads.get() - 1, os.getpid()).submit(pull) for _ in range(helpers)]
+    try:
+        pull()
+    finally:
+        for helper in pulling:
+            helper.result()
 
 
 @lru_cache(maxsize=1)
-def _crew(threads: int, _process: int) -> ThreadPoolExecutor:
+def _crew(size: int, _process: int) -> ThreadPoolExecutor:
     """Return threads of this process that have one torch thread each."""
-    started = threading.Barrier(threads + 1)
+    started = threading.Barrier(size + 1)
 
     def begin() -> None:
         torch.set_num_threads(1)
@@ -54,12 +73,10 @@ def _crew(threads: int, _process: int) -> ThreadPoolExecutor:
         torch.get_num_threads()
         started.wait()
 
-    crew = ThreadPoolExecutor(threads, "salsanext", begin)
-    for _ in range(threads):
+    crew = ThreadPoolExecutor(size, "salsanext", begin)
+    for _ in range(size):
         crew.submit(int)
     started.wait()
-    # The setting of the thread that calls is what threads started later begin with.
-    torch.set_num_threads(threads)
     return crew
 
 

@@ -12,6 +12,7 @@ from torch import Tensor
 from salsanext_cli.errors import UsageError
 from salsanext_cli.geometry.normalise import normalise
 from salsanext_cli.network.architectures import build
+from salsanext_cli.network.crew import on_duty
 from salsanext_cli.network.engine import engine
 from salsanext_cli.network.precision import choose_precision
 from salsanext_cli.network.segmentation import SegmentationNetwork
@@ -57,6 +58,7 @@ class Network:
         normalised = torch.from_numpy(normalise(channels, self.sensor))[None]
         return normalised.to(self.device, memory_format=torch.channels_last)
 
+    @on_duty()
     @torch.inference_mode()
     def logits(self, image: RangeImage) -> Float:
         """Return the logits of every pixel, (C, H, W) float32."""
@@ -67,6 +69,7 @@ class Network:
         """Return the softmax of every pixel, (C, H, W) float32, sum over C = 1."""
         return self.pixel_probabilities(image.channels)
 
+    @on_duty()
     @torch.inference_mode()
     def pixel_probabilities(self, channels: Float) -> Float:
         """Return the softmax of every pixel from the (5, H, W) channels of a range image.

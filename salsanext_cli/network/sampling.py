@@ -11,6 +11,7 @@ import torch
 from torch import Tensor
 
 from salsanext_cli.errors import UsageError
+from salsanext_cli.network.crew import on_duty
 from salsanext_cli.network.dropout import sampling
 from salsanext_cli.network.estimate import Estimate, entropy, require_dropout
 from salsanext_cli.network.inference import Network
@@ -52,6 +53,7 @@ class Moments:
         return Estimate.of(mean, variance, information.clamp(min=0))
 
 
+@on_duty()
 @torch.inference_mode()
 def sample(network: Network, image: RangeImage, *, samples: int, seed: int) -> Estimate:
     """Run the network with dropout on and batch norm frozen, and sum up the passes.

@@ -19,13 +19,13 @@ from salsanext_cli.network import winograd
 from salsanext_cli.network.crew import in_parts, scratch
 from salsanext_cli.records import Float
 
-PIXELS = 1024
-"""Pixels of a part of a 1×1 convolution."""
-FEWEST_TILES, MOST_TILES = 32, 128
-"""Tiles of a part of a 3×3 convolution: less, and kernels are read too often; more, and the
-products leave the cache."""
+PIXELS = range(128, 1024)
+"""Fewest and most pixels of a part of a 1×1 convolution."""
+TILES = range(32, 128)
+"""Fewest and most tiles of a part of a 3×3 convolution: less, and kernels are read too often; more,
+and the products leave the cache."""
 PARTS = 8
-"""Parts that an image is cut into where it is too small for parts of `MOST_TILES`."""
+"""Parts that an image is cut into if they are neither too small nor too large."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -87,7 +87,7 @@ class Convolution3x3(nn.Module):
             target = before.new_empty(batch, height, width, outputs).permute(0, 3, 1, 2)
         after = target.permute(0, 2, 3, 1)
         tiling = winograd.Tiling(height, width, self.dilation)
-        size = min(MOST_TILES, max(FEWEST_TILES, -(-tiling.count // PARTS)))
+        size = _part(tiling.count, TILES)
         parts = -(-tiling.count // size)
 
         def compute(part: int) -> None:
@@ -129,11 +129,12 @@ class Convolution1x1(nn.Module):
         batch, _, height, width = x.shape
         before = x.permute(0, 2, 3, 1).reshape(batch, height * width, inputs)
         after = before.new_empty(batch, height * width, outputs)
-        parts = -(-height * width // PIXELS)
+        size = _part(height * width, PIXELS)
+        parts = -(-height * width // size)
 
         def compute(part: int) -> None:
             image, part = divmod(part, parts)
-            pixels = slice(part * PIXELS, (part + 1) * PIXELS)
+            pixels = slice(part * size, (part + 1) * size)
             rows, target = before[image, pixels], after[image, pixels]
             if self.bias is not None:
                 torch.addmm(self.bias, rows, self.kernels, out=target)
@@ -186,6 +187,11 @@ class OneThread(nn.Module):
 
         in_parts(compute, len(x))
         return torch.cat(found)
+
+
+def _part(count: int, sizes: range) -> int:
+    """Return how many of so many tiles or pixels are a part."""
+    return min(sizes.stop, max(sizes.start, -(-count // PARTS)))
 
 
 def _channels_last(x: Tensor) -> Tensor:

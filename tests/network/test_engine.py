@@ -9,7 +9,7 @@ import torch
 
 from salsanext_cli.errors import UsageError
 from salsanext_cli.network.architectures import ARCHITECTURES, build
-from salsanext_cli.network.crew import in_parts
+from salsanext_cli.network.crew import in_parts, on_duty
 from salsanext_cli.network.engine import engine
 from salsanext_cli.network.precision import choose_precision
 
@@ -77,7 +77,7 @@ def test_the_bits_do_not_depend_on_threads_or_on_the_rest_of_the_batch(name):
     found = []
     for threads in (1, 2, 3):
         torch.set_num_threads(threads)
-        with torch.inference_mode():
+        with torch.inference_mode(), on_duty():
             found.append(fast(x))
             alone = fast(x[1:2])
         assert torch.equal(found[-1], found[0])
@@ -94,7 +94,8 @@ def test_other_number_types_are_computed_as_they_are():
 def test_every_part_is_computed_once_by_one_torch_thread(threads, count):
     seen = []
     torch.set_num_threads(threads)
-    in_parts(lambda part: seen.append((part, torch.get_num_threads())), count)
+    with on_duty():
+        in_parts(lambda part: seen.append((part, torch.get_num_threads())), count)
     assert torch.get_num_threads() == threads
     assert sorted(seen) == [(part, 1) for part in range(count)]
 
@@ -106,19 +107,21 @@ def test_an_error_in_a_part_is_raised(threads):
             raise MemoryError("no room")
 
     torch.set_num_threads(threads)
-    with pytest.raises(MemoryError, match="no room"):
+    with pytest.raises(MemoryError, match="no room"), on_duty():
         in_parts(fail, 5)
+    assert torch.get_num_threads() == threads
 
 
 @pytest.mark.filterwarnings("ignore:This process .* is multi-threaded")
 def test_threads_are_there_after_a_fork():
     torch.set_num_threads(2)
-    in_parts(lambda part: None, 2)
-    child = os.fork()
-    if child == 0:
-        threading.Timer(20, os._exit, (1,)).start()
+    with on_duty():
         in_parts(lambda part: None, 2)
-        os._exit(0)
+        child = os.fork()
+        if child == 0:
+            threading.Timer(20, os._exit, (1,)).start()
+            in_parts(lambda part: None, 2)
+            os._exit(0)
     assert os.waitpid(child, 0)[1] == 0
 
 
