@@ -19,6 +19,9 @@ Anything else that escapes is a bug and keeps its traceback.
 
 from __future__ import annotations
 
+NOTICE = 25
+"""Level of what the library logs for every user to see, though nothing is wrong."""
+
 
 class SalsanextError(Exception):
     """A mistake explained in one line: subject · found · expected · what to do.

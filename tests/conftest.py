@@ -8,6 +8,9 @@ from pathlib import Path
 
 import pytest
 
+# On a processor with tiles for bfloat16 commands would choose that, and other bits.
+os.environ.setdefault("SALSANEXT_PRECISION", "float32")
+
 
 @pytest.fixture(autouse=True, scope="session")
 def interruptible() -> Iterator[None]:

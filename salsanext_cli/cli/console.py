@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any, NoReturn, ParamSpec
 import typer
 
 from salsanext_cli.cli.progress import progress, tell
-from salsanext_cli.errors import SalsanextError, UsageError
+from salsanext_cli.errors import NOTICE, SalsanextError, UsageError
 
 if TYPE_CHECKING:
     from rich.console import RenderableType
@@ -43,7 +43,7 @@ class Talk:
     def __post_init__(self) -> None:
         if self.verbose and self.quiet:
             raise UsageError("--verbose and --quiet", "both given", "one of them")
-        level = logging.INFO if self.verbose else logging.ERROR if self.quiet else logging.WARNING
+        level = logging.INFO if self.verbose else logging.ERROR if self.quiet else NOTICE
         logger = logging.getLogger("salsanext_cli")
         logger.handlers[:] = [StderrHandler()]
         logger.setLevel(level)

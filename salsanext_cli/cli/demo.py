@@ -19,6 +19,7 @@ def demo(
     samples: Annotated[int, typer.Option(help="Monte-Carlo passes per scan.")] = 8,
     weights: options.Weights = None,
     device: options.Device = "auto",
+    precision: options.Precision = "auto",
     jobs: options.Jobs = 1,
     overwrite: options.Overwrite = False,
     json: options.Json = False,
@@ -38,7 +39,7 @@ def demo(
         folder,
         scans=scans,
         samples=samples,
-        network=options.network(weights, device, None),
+        network=options.network(weights, device, None, precision),
         options=BatchOptions(jobs=jobs, overwrite=overwrite),
         bars=lambda step: progress(step, quiet),
     )

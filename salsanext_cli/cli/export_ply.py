@@ -34,6 +34,7 @@ def export_ply(
     label_space: options.LabelSpaceOption = None,
     weights: options.Weights = None,
     device: options.Device = "auto",
+    precision: options.Precision = "auto",
     sensor: options.Sensor = None,
     jobs: options.Jobs = 1,
     overwrite: options.Overwrite = False,
@@ -57,7 +58,7 @@ def export_ply(
             dataset=dataset,
             usual_dataset=options.usual_dataset(),
             space=options.label_space(label_space),
-            network=options.network(weights, device, sensor),
+            network=options.network(weights, device, sensor, precision),
             choice=options.choice(split, sequences, limit),
             options=batch,
         )

@@ -136,6 +136,14 @@ Weights = Annotated[
 Device = Annotated[
     str, typer.Option(help="cpu, cuda, cuda:1 …; auto takes a GPU.", rich_help_panel=NETWORK)
 ]
+Precision = Annotated[
+    str,
+    typer.Option(
+        envvar="SALSANEXT_PRECISION",
+        help="float32, bfloat16, float16; auto: what the device is fast at.",
+        rich_help_panel=NETWORK,
+    ),
+]
 K = Annotated[int, typer.Option("--knn-k", help="Neighbours that vote.", rich_help_panel=NETWORK)]
 Window = Annotated[
     int, typer.Option("--knn-window", help="Side of their window.", rich_help_panel=NETWORK)
@@ -217,11 +225,13 @@ def label_space(name: str | None) -> LabelSpace | None:
     return None if name is None else find(name)
 
 
-def network(weights: Path | None, device: str, sensor_name: str | None) -> NetworkChoice:
+def network(
+    weights: Path | None, device: str, sensor_name: str | None, precision: str
+) -> NetworkChoice:
     """Gather which network is wanted."""
     from salsanext_cli.stages.networks import NetworkChoice
 
-    return NetworkChoice(weights, device, sensor(sensor_name) if sensor_name else None)
+    return NetworkChoice(weights, device, sensor(sensor_name) if sensor_name else None, precision)
 
 
 def knn(k: int, window: int, sigma: float, cutoff: float) -> KnnParameters:

@@ -25,6 +25,7 @@ def predict(
     limit: options.Limit = None,
     weights: options.Weights = None,
     device: options.Device = "auto",
+    precision: options.Precision = "auto",
     sensor: options.Sensor = None,
     knn_k: options.K = 5,
     knn_window: options.Window = 5,
@@ -49,7 +50,7 @@ def predict(
         outcome = run(
             options.source(scans, dataset),
             out,
-            network=options.network(weights, device, sensor),
+            network=options.network(weights, device, sensor, precision),
             knn=options.knn(knn_k, knn_window, knn_sigma, knn_cutoff),
             extras=tuple(name for name, keep in wanted.items() if keep),
             choice=options.choice(split, sequences, limit),

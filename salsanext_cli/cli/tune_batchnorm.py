@@ -30,6 +30,7 @@ def tune_batchnorm(
     limit: options.LimitSpaced = None,
     weights: options.Weights = None,
     device: options.Device = "auto",
+    precision: options.Precision = "auto",
     sensor: options.Sensor = None,
     overwrite: options.Overwrite = False,
     json: options.Json = False,
@@ -48,7 +49,7 @@ def tune_batchnorm(
         tuned = run(
             scans,
             target,
-            network=options.network(weights, device, sensor),
+            network=options.network(weights, device, sensor, precision),
             choice=options.choice(split, sequences, limit),
             share=share,
             overwrite=overwrite,

@@ -26,6 +26,7 @@ def tune_dropout(
     ] = 20,
     weights: options.Weights = None,
     device: options.Device = "auto",
+    precision: options.Precision = "auto",
     sensor: options.Sensor = None,
     overwrite: options.Overwrite = False,
     json: options.Json = False,
@@ -45,7 +46,7 @@ def tune_dropout(
         tuned = run(
             dataset,
             target,
-            network=options.network(weights, device, sensor),
+            network=options.network(weights, device, sensor, precision),
             choice=options.labelled_choice(split, sequences, limit),
             samples=samples,
             seed=seed,

@@ -14,6 +14,7 @@ def tune_temperature(
     limit: options.LimitSpaced = None,
     weights: options.Weights = None,
     device: options.Device = "auto",
+    precision: options.Precision = "auto",
     sensor: options.Sensor = None,
     overwrite: options.Overwrite = False,
     json: options.Json = False,
@@ -34,7 +35,7 @@ def tune_temperature(
         tuned = run(
             dataset,
             target,
-            network=options.network(weights, device, sensor),
+            network=options.network(weights, device, sensor, precision),
             choice=options.labelled_choice(split, sequences, limit),
             overwrite=overwrite,
             progress=advance,

@@ -39,6 +39,7 @@ def uncertainty(
     limit: options.Limit = None,
     weights: options.Weights = None,
     device: options.Device = "auto",
+    precision: options.Precision = "auto",
     sensor: options.Sensor = None,
     knn_k: options.K = 5,
     knn_window: options.Window = 5,
@@ -63,7 +64,7 @@ def uncertainty(
         outcome = run(
             options.source(scans, dataset),
             out,
-            network=options.network(weights, device, sensor),
+            network=options.network(weights, device, sensor, precision),
             knn=options.knn(knn_k, knn_window, knn_sigma, knn_cutoff),
             estimator=Estimator(method.value, samples, seed, aleatoric),
             choice=options.choice(split, sequences, limit),

@@ -9,9 +9,11 @@ data loaders.
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from itertools import pairwise
+from pathlib import Path
 from typing import Any, TypeVar, cast
 
 import numba
@@ -27,14 +29,33 @@ SMALLEST_SLICE = 16384
 def compiled(function: Function) -> Function:
     """Compile on first call, strictly in IEEE arithmetic, and cache where a cache can be written.
 
-    Numba caches beside the source or, where that is read-only, in the user's cache folder. With
-    neither it refuses to cache; then the kernel is compiled once per process.
+    That is the folder NUMBA_CACHE_DIR, by default the user's cache folder, which all processes
+    share; else beside the source. With neither numba refuses to cache; then the kernel is compiled
+    once per process.
     """
+    settings = vars(numba.config)
+    before = settings["CACHE_DIR"]
+    settings["CACHE_DIR"] = before or cache_folder()
     try:
         kernel = numba.njit(cache=True, nogil=True, error_model="numpy")(function)
     except RuntimeError:
         kernel = numba.njit(nogil=True, error_model="numpy")(function)
+    finally:
+        # What other programs compile in this process is not ours to place.
+        settings["CACHE_DIR"] = before
     return cast(Function, kernel)
+
+
+def cache_folder() -> str:
+    """Return where compiled kernels are kept: ``$XDG_CACHE_HOME/salsanext`` or the like.
+
+    It is empty, for nowhere, if the user has no home.
+    """
+    try:
+        home = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
+    except RuntimeError:
+        return ""
+    return str(Path(home) / "salsanext" / "kernels")
 
 
 def argument(array: npt.NDArray[Any], dtype: npt.DTypeLike) -> npt.NDArray[Any]:

@@ -85,7 +85,7 @@ def load_network(
     path: Path | str | None = None,
     device: str = "auto",
     sensor: Sensor | None = None,
-    precision: str = "auto",
+    precision: str = "float32",
 ) -> Network:
     """Load weights onto a device.
 
@@ -98,7 +98,7 @@ def load_network(
     sensor : Sensor, optional
         What the range images come from, if not from the sensor that the weights name.
     precision : str
-        As `precision.choose_precision` takes it: ``"auto"`` is what the device is fast at.
+        As `precision.choose_precision` takes it; ``"auto"`` is what the device is fast at.
 
     Raises
     ------

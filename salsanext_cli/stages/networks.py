@@ -9,6 +9,7 @@ from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
+from salsanext_cli.errors import NOTICE
 from salsanext_cli.network.inference import Network, load_network
 from salsanext_cli.network.weights import default_weights, fingerprint, identity
 from salsanext_cli.sensors import Sensor
@@ -28,15 +29,24 @@ class NetworkChoice:
         As `load_network` takes it.
     sensor : Sensor, optional
         What the scans come from, if not from the sensor that the weights name.
+    precision : str
+        As `load_network` takes it.
     """
 
     weights: Path | None = None
     device: str = "auto"
     sensor: Sensor | None = None
+    precision: str = "float32"
 
     def load(self) -> Network:
         """Load the network, once per process unless the file is replaced."""
         return _load(self, identity(self.weights or default_weights()))
+
+    def announce(self) -> None:
+        """Tell the user what computes, and in which number type."""
+        network = self.load()
+        name = self.weights or "default weights"
+        log.log(NOTICE, "%s on %s in %s", name, network.device, network.precision)
 
     def settings(self) -> dict[str, Any]:
         """Return what the results of a stage depend on."""
@@ -45,11 +55,10 @@ class NetworkChoice:
             "weights": fingerprint(self.weights or default_weights()),
             "label_space": network.card.space.to_dict(),
             "sensor": {"name": network.sensor.name, **network.sensor.view()},
+            "precision": network.precision,
         }
 
 
 @lru_cache(maxsize=1)
 def _load(choice: NetworkChoice, _: tuple[object, ...]) -> Network:
-    network = load_network(choice.weights, choice.device, choice.sensor)
-    log.info("%s on %s", choice.weights or "default weights", network.device)
-    return network
+    return load_network(choice.weights, choice.device, choice.sensor, choice.precision)

@@ -142,6 +142,7 @@ def predict(
     scans = select_scans(source, choice, card.space)
     settings = network.settings() | {"temperature": card.temperature, "knn": asdict(knn)}
     claim(out, "predict", settings, ("predictions", *extras), scans, overwrite=options.overwrite)
+    network.announce()
     work, check = PredictScan(out, network, knn, extras), ViewCheck(loaded.sensor)
     outcome = run_batch(work, scans, options, work.results_of, check.add)
     check.finish()
@@ -164,6 +165,7 @@ def _predict_images(
     scans = choose(scans, choice, space_of(scans, network.load().card.space), folder)
     settings = network.settings()
     claim(out, "predict", settings, ("pixel_labels",), scans, overwrite=options.overwrite)
+    network.announce()
     work = PredictImage(folder, out, network)
     return run_batch(work, scans, options, work.results_of)
 

@@ -33,8 +33,8 @@ def test_looking_up():
     assert options.sensor("hdl64").name == "hdl64"
     assert options.label_space(None) is None
     assert options.label_space("semantic-kitti").class_count == 20
-    assert options.network(Path("w"), "cpu", "hdl32").sensor.name == "hdl32"
-    assert options.network(None, "cpu", None).sensor is None
+    assert options.network(Path("w"), "cpu", "hdl32", "auto").sensor.name == "hdl32"
+    assert options.network(None, "cpu", None, "float32").sensor is None
     assert options.knn(3, 7, 2.0, 0.5).window == 7
     with pytest.raises(UsageError, match="no preset and no file"):
         options.sensor("hdl65")

@@ -7,11 +7,12 @@ import subprocess
 import sys
 from pathlib import Path
 
+import numba
 import numpy as np
 import pytest
 
 import salsanext_cli
-from salsanext_cli.geometry.compiled import SMALLEST_SLICE, argument, in_slices
+from salsanext_cli.geometry.compiled import SMALLEST_SLICE, argument, cache_folder, in_slices
 
 PROJECT_ONE_POINT = """
 import numpy as np
@@ -69,3 +70,26 @@ def test_works_where_nothing_can_be_cached(tmp_path):
     environment = {**os.environ, **places, "PYTHONPATH": str(tmp_path)}
     command = [sys.executable, "-B", "-c", PROJECT_ONE_POINT]
     subprocess.run(command, env=environment, cwd=tmp_path, check=True, timeout=120)
+
+
+def test_kernels_are_kept_in_the_users_cache_folder(tmp_path, monkeypatch):
+    environment = {k: v for k, v in os.environ.items() if k != "NUMBA_CACHE_DIR"}
+    environment["XDG_CACHE_HOME"] = str(tmp_path)
+    command = [sys.executable, "-c", PROJECT_ONE_POINT]
+    subprocess.run(command, env=environment, check=True, timeout=120)
+    compiled = {path: path.stat().st_mtime_ns for path in tmp_path.rglob("*.nbc")}
+    assert compiled
+    subprocess.run(command, env=environment, check=True, timeout=120)
+    assert {path: path.stat().st_mtime_ns for path in tmp_path.rglob("*.nbc")} == compiled
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    assert all(path.is_relative_to(cache_folder()) for path in compiled)
+
+
+def test_without_a_home_there_is_no_cache_folder(monkeypatch):
+    monkeypatch.delenv("XDG_CACHE_HOME", raising=False)
+    monkeypatch.setattr(Path, "home", lambda: (_ for _ in ()).throw(RuntimeError("no home")))
+    assert cache_folder() == ""
+
+
+def test_other_programs_keep_their_cache_folder():
+    assert "salsanext" not in numba.config.CACHE_DIR
