@@ -46,6 +46,7 @@ def in_parts(work: Callable[[int], object], count: int) -> None:
     In each call torch has one thread. Calls must not write to the same places.
     """
     parts = iter(range(count))
+    threads = _threads.get()
 
     # `next` of an iterator over a range is one step of the interpreter: no lock is needed.
     def pull() -> None:
@@ -53,11 +54,14 @@ def in_parts(work: Callable[[int], object], count: int) -> None:
             for part in parts:
                 work(part)
 
-    helpers = min(_threads.get(), count) - 1
-    pulling = [_crew(_threads.get() - 1, os.getpid()).submit(pull) for _ in range(helpers)]
+    helpers = min(threads, count) - 1
+    pulling = [_crew(threads - 1, os.getpid()).submit(pull) for _ in range(helpers)]
+    # Parts of a part are for the thread that has it.
+    token = _threads.set(1)
     try:
         pull()
     finally:
+        _threads.reset(token)
         for helper in pulling:
             helper.result()
 

@@ -5,10 +5,13 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from contextvars import ContextVar
 
 import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
+
+_GENERATORS: ContextVar[Sequence[torch.Generator] | None] = ContextVar("_GENERATORS", default=None)
 
 
 class ChannelDropout(nn.Module):
@@ -24,13 +27,13 @@ class ChannelDropout(nn.Module):
         if not 0 <= rate < 1:
             raise ValueError(f"a dropout rate in 0 ≤ rate < 1, not {rate}")
         self.rate = rate
-        self.generators: Sequence[torch.Generator] | None = None
 
     def forward(self, x: Tensor) -> Tensor:
         """Map (B, C, H, W) to the same shape."""
-        if self.generators is None:
+        generators = _GENERATORS.get()
+        if generators is None or self.rate == 0:
             return F.dropout2d(x, self.rate, self.training)
-        draws = torch.stack([torch.rand(x.shape[1], generator=g) for g in self.generators])
+        draws = torch.stack([torch.rand(x.shape[1], generator=g) for g in generators])
         kept = (draws >= self.rate).to(x.dtype) / (1 - self.rate)
         return x * kept.to(x.device)[:, :, None, None]
 
@@ -45,16 +48,13 @@ def dropouts(module: nn.Module) -> list[ChannelDropout]:
 
 
 @contextmanager
-def sampling(module: nn.Module, generators: Sequence[torch.Generator]) -> Iterator[None]:
-    """Make every dropout of `module` draw from one generator per batch element.
+def sampling(generators: Sequence[torch.Generator]) -> Iterator[None]:
+    """Make every dropout in this thread draw from one generator per batch element.
 
     Batch norm is untouched: it stays frozen as long as the module is in evaluation mode.
     """
-    layers = dropouts(module)
-    for layer in layers:
-        layer.generators = generators
+    token = _GENERATORS.set(generators)
     try:
         yield
     finally:
-        for layer in layers:
-            layer.generators = None
+        _GENERATORS.reset(token)

@@ -5,13 +5,13 @@ from __future__ import annotations
 
 import hashlib
 import logging
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 
 import torch
 from torch import Tensor
 
 from salsanext_cli.errors import UsageError
-from salsanext_cli.network.crew import on_duty
+from salsanext_cli.network.crew import in_parts, on_duty
 from salsanext_cli.network.dropout import sampling
 from salsanext_cli.network.estimate import Estimate, entropy, require_dropout
 from salsanext_cli.network.inference import Network
@@ -20,8 +20,12 @@ from salsanext_cli.records import RangeImage
 
 log = logging.getLogger(__name__)
 
-AT_ONCE = {"cpu": 64 * 1024, "cuda": 16 * 64 * 2048}
-"""Pixels of passes side by side: on a CPU more only leave its cache, a GPU has enough to do."""
+AT_ONCE = 16 * 64 * 2048
+"""Pixels of passes that a GPU computes side by side."""
+KEPT = 32
+"""Passes of which the softmax is kept until it is added up."""
+BANDS = 8
+"""Parts of an image that are added up side by side."""
 
 
 class Moments:
@@ -33,17 +37,24 @@ class Moments:
         self.sum_of_squares = torch.zeros(())
         self.sum_of_entropies = torch.zeros(())
 
-    def add(self, probabilities: Tensor) -> None:
-        """Count one pass, (C, H, W)."""
-        double = probabilities.double()
+    def add(self, passes: Sequence[Tensor]) -> None:
+        """Count passes, each the softmax (C, H, W)."""
         if self.count == 0:
-            self.sum = torch.zeros_like(double)
-            self.sum_of_squares = torch.zeros_like(double)
-            self.sum_of_entropies = torch.zeros_like(double[0])
-        self.count += 1
-        self.sum += double
-        self.sum_of_squares.addcmul_(double, double)
-        self.sum_of_entropies += entropy(double)
+            self.sum = torch.zeros_like(passes[0], dtype=torch.float64)
+            self.sum_of_squares = torch.zeros_like(self.sum)
+            self.sum_of_entropies = torch.zeros_like(self.sum[0])
+        self.count += len(passes)
+        width = self.sum.shape[-1]
+
+        def add_up(part: int) -> None:
+            band = slice(width * part // BANDS, width * (part + 1) // BANDS)
+            for probabilities in passes:
+                double = probabilities[..., band].double()
+                self.sum[..., band] += double
+                self.sum_of_squares[..., band].addcmul_(double, double)
+                self.sum_of_entropies[..., band] += entropy(double)
+
+        in_parts(add_up, BANDS)
 
     def summary(self) -> Estimate:
         """Divide once: mean, variance (of the population, paper III-C.2) and information."""
@@ -58,8 +69,8 @@ class Moments:
 def sample(network: Network, image: RangeImage, *, samples: int, seed: int) -> Estimate:
     """Run the network with dropout on and batch norm frozen, and sum up the passes.
 
-    What lies before the first dropout is computed once. Several passes run side by side; how many
-    depends on the size of the image, and only what rounds depends on how many.
+    What lies before the first dropout is computed once. Several passes run side by side: on a CPU
+    one on each thread, so that no bit depends on how many, on a GPU in batches.
 
     Parameters
     ----------
@@ -84,43 +95,50 @@ def sample(network: Network, image: RangeImage, *, samples: int, seed: int) -> E
     moments = Moments()
     features = network.engine.trunk(network.engine.pad(network.input(image.channels)))
     seeds = [pass_seed(seed, number) for number in range(samples)]
-    for logits in _passes(network.engine, features, seeds):
-        logits = logits[:, : image.height, : image.width].float()
-        moments.add(torch.softmax(logits, dim=0))
+    passes = on_threads if features[0].device.type == "cpu" else in_batches
+    for start in range(0, samples, KEPT):
+        kept = passes(network.engine, features, seeds[start : start + KEPT])
+        moments.add([probabilities[:, : image.height, : image.width] for probabilities in kept])
     return moments.summary()
 
 
-def _passes(
+def on_threads(
     module: SegmentationNetwork, features: tuple[Tensor, ...], seeds: Sequence[int]
-) -> Iterator[Tensor]:
-    """Yield the logits (C, H, W) of every pass, computing several at once if there is room."""
-    size = _most_at_once(features[0], len(seeds))
-    start = 0
-    while start < len(seeds):
-        batch = seeds[start : start + size]
+) -> list[Tensor]:
+    """Return the softmax (C, H, W) of every pass, each computed by one thread."""
+    found = [features[0]] * len(seeds)
+
+    def run(number: int) -> None:
+        (found[number],) = one_batch(module, features, seeds[number : number + 1])
+
+    in_parts(run, len(seeds))
+    return found
+
+
+def in_batches(
+    module: SegmentationNetwork, features: tuple[Tensor, ...], seeds: Sequence[int]
+) -> list[Tensor]:
+    """Return the softmax (C, H, W) of every pass, as many together as there is room for."""
+    size = max(1, min(len(seeds), AT_ONCE // features[0].shape[-2:].numel()))
+    found: list[Tensor] = []
+    while len(found) < len(seeds):
         try:
-            logits = _run(module, features, batch)
+            found += one_batch(module, features, seeds[len(found) : len(found) + size])
         except torch.OutOfMemoryError:
             if size == 1:
                 raise
             size //= 2
             log.info("memory for %d passes at once is not there, trying %d", 2 * size, size)
-            continue
-        yield from logits
-        start += len(batch)
+    return found
 
 
-def _most_at_once(features: Tensor, samples: int) -> int:
-    """Return how many passes to try side by side."""
-    pixels = features.shape[-2:].numel()
-    return max(1, min(samples, AT_ONCE[features.device.type] // pixels))
-
-
-def _run(module: SegmentationNetwork, features: tuple[Tensor, ...], seeds: Sequence[int]) -> Tensor:
-    generators = [torch.Generator().manual_seed(seed) for seed in seeds]
-    with sampling(module, generators):
-        logits: Tensor = module.rest(*(f.expand(len(seeds), -1, -1, -1) for f in features))
-    return logits
+def one_batch(
+    module: SegmentationNetwork, features: tuple[Tensor, ...], seeds: Sequence[int]
+) -> Tensor:
+    """Return the softmax (B, C, H, W) of passes computed together."""
+    with sampling([torch.Generator().manual_seed(seed) for seed in seeds]):
+        logits = module.rest(*(f.expand(len(seeds), -1, -1, -1) for f in features))
+    return torch.softmax(logits.float(), dim=1)
 
 
 def require_sampling(network: Network, samples: int) -> None:

@@ -82,7 +82,7 @@ def dropped_in_training(x):
 
 def dropped_in_sampling(x):
     layer = ChannelDropout(0.3)
-    with sampling(layer, [torch.Generator().manual_seed(2)]):
+    with sampling([torch.Generator().manual_seed(2)]):
         return layer(x)
 
 
@@ -296,7 +296,7 @@ def test_sampling_draws_the_same_channels_for_moments(network):
 
     def sampled(x):
         generators = [torch.Generator().manual_seed(seed) for seed in (3, 4)]
-        with sampling(network, generators):
+        with sampling(generators):
             return network(x)
 
     found = sampled(Gaussian(image, torch.zeros_like(image)))
