@@ -34,8 +34,8 @@ class _RayPool:
     def __init__(self, ray: Any, cpus: int, gpus: float) -> None:
         self.ray = ray
         # Ray would end a process that uses a GPU after one call, and the network with it.
-        self.remote = ray.remote(_called).options(
-            num_cpus=cpus, num_gpus=gpus, max_retries=TRIES, max_calls=0
+        self.remote = ray.remote(num_cpus=cpus, num_gpus=gpus, max_retries=TRIES, max_calls=0)(
+            _called
         )
 
     def send(self, call: Callable[[], Any]) -> Any:
