@@ -11,6 +11,7 @@
     ├── WeightsError          a weights file cannot be used
     ├── OutputError           a result cannot be written, or would overwrite another
     ├── TrainingError         training cannot start or cannot go on
+    ├── WorkersLost           workers died with what they had not done yet
     └── MissingDependency     an optional package or a system library is absent
 
 The library raises these; only the command line prints them and chooses the exit status.
@@ -86,6 +87,10 @@ class OutputError(SalsanextError):
 
 class TrainingError(SalsanextError):
     """Training cannot start or cannot go on."""
+
+
+class WorkersLost(SalsanextError):  # noqa: N818 - the name says what is wrong
+    """Workers died with what they had not done yet."""
 
 
 class MissingDependency(SalsanextError):  # noqa: N818 - the name says what is wrong

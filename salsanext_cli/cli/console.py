@@ -9,7 +9,7 @@ import logging
 import sys
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, NoReturn, ParamSpec
 
 import typer
@@ -95,14 +95,10 @@ def guarded(command: Callable[Parameters, None]) -> Callable[Parameters, None]:
 
 
 @contextmanager
-def batch(
-    label: str, talk: Talk, jobs: int, on_error: str, overwrite: bool
-) -> Iterator[BatchOptions]:
+def batch(label: str, talk: Talk, options: BatchOptions) -> Iterator[BatchOptions]:
     """Give the options of a run over scans, with a bar while it lasts."""
-    from salsanext_cli.stages.batch import BatchOptions
-
     with progress(label, talk.quiet) as advance:
-        yield BatchOptions(jobs, on_error, overwrite, advance)
+        yield replace(options, progress=advance)
 
 
 def name_failures(failures: tuple[Failure, ...]) -> None:

@@ -6,7 +6,7 @@ from typing import Annotated
 
 import typer
 
-from salsanext_cli.cli import console, options
+from salsanext_cli.cli import console, options, running
 
 
 @console.guarded
@@ -20,7 +20,9 @@ def evaluate(
     sequences: options.Sequences = None,
     limit: options.Limit = None,
     label_space: options.LabelSpaceOption = None,
-    jobs: options.Jobs = 1,
+    jobs: running.Jobs = None,
+    backend: running.BackendOption = running.Backend.loky,
+    scheduler: running.Scheduler = None,
     overwrite: options.Overwrite = False,
     on_error: options.OnErrorOption = options.OnError.skip,
     json: options.Json = False,
@@ -43,7 +45,8 @@ def evaluate(
     files, space = predicted_scans(
         out, wanted, dataset, options.label_space(label_space), options.usual_dataset()
     )
-    with console.batch("eval", talk, jobs, on_error.value, overwrite) as batch:
+    runs = running.gather(jobs, backend, scheduler, on_error, overwrite)
+    with console.batch("eval", talk, runs) as batch:
         settings = provenance(out, wanted, dataset)
         evaluation = run(files, out, space, batch, by_distance=by_distance, settings=settings)
     tables = [score_table(evaluation.scores)]

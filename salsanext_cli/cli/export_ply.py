@@ -6,7 +6,7 @@ from typing import Annotated
 
 import typer
 
-from salsanext_cli.cli import console, options
+from salsanext_cli.cli import console, options, running
 
 
 @console.guarded
@@ -36,7 +36,10 @@ def export_ply(
     device: options.Device = "auto",
     precision: options.Precision = "auto",
     sensor: options.Sensor = None,
-    jobs: options.Jobs = 1,
+    jobs: running.Jobs = None,
+    backend: running.BackendOption = running.Backend.loky,
+    scheduler: running.Scheduler = None,
+    shard: running.Share = None,
     overwrite: options.Overwrite = False,
     on_error: options.OnErrorOption = options.OnError.skip,
     json: options.Json = False,
@@ -50,7 +53,8 @@ def export_ply(
     from salsanext_cli.stages.export_ply import export_ply as run
 
     talk = console.Talk(json, verbose, quiet)
-    with console.batch("export-ply", talk, jobs, on_error.value, overwrite) as batch:
+    runs = running.gather(jobs, backend, scheduler, on_error, overwrite, running.share(shard, talk))
+    with console.batch("export-ply", talk, runs) as batch:
         outcome = run(
             out,
             colour=colour,

@@ -6,7 +6,7 @@ from typing import Annotated
 
 import typer
 
-from salsanext_cli.cli import console, options
+from salsanext_cli.cli import console, options, running
 
 
 @console.guarded
@@ -24,7 +24,9 @@ def inspect(
     limit: options.Limit = None,
     label_space: options.LabelSpaceOption = None,
     sensor: options.SensorWithoutWeights = None,
-    jobs: options.Jobs = 1,
+    jobs: running.Jobs = None,
+    backend: running.BackendOption = running.Backend.loky,
+    scheduler: running.Scheduler = None,
     overwrite: options.Overwrite = False,
     on_error: options.OnErrorOption = options.OnError.skip,
     json: options.Json = False,
@@ -41,7 +43,8 @@ def inspect(
 
     talk = console.Talk(json, verbose, quiet)
     view = options.sensor(sensor or "hdl64").resized(height, width)
-    with console.batch("inspect", talk, jobs, on_error.value, overwrite=False) as batch:
+    runs = running.gather(jobs, backend, scheduler, on_error)
+    with console.batch("inspect", talk, runs) as batch:
         found = run(
             options.source(scans, dataset),
             sensor=view,

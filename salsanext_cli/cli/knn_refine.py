@@ -6,7 +6,7 @@ from typing import Annotated
 
 import typer
 
-from salsanext_cli.cli import console, options
+from salsanext_cli.cli import console, options, running
 
 
 @console.guarded
@@ -33,7 +33,10 @@ def knn_refine(
     knn_window: options.Window = 5,
     knn_sigma: options.Sigma = 1.0,
     knn_cutoff: options.Cutoff = 1.0,
-    jobs: options.Jobs = 1,
+    jobs: running.Jobs = None,
+    backend: running.BackendOption = running.Backend.loky,
+    scheduler: running.Scheduler = None,
+    shard: running.Share = None,
     overwrite: options.Overwrite = False,
     on_error: options.OnErrorOption = options.OnError.skip,
     json: options.Json = False,
@@ -47,7 +50,8 @@ def knn_refine(
     from salsanext_cli.stages.knn_refine import knn_refine_scans
 
     talk = console.Talk(json, verbose, quiet)
-    with console.batch("knn-refine", talk, jobs, on_error.value, overwrite) as batch:
+    runs = running.gather(jobs, backend, scheduler, on_error, overwrite, running.share(shard, talk))
+    with console.batch("knn-refine", talk, runs) as batch:
         outcome = knn_refine_scans(
             out,
             labels=labels,

@@ -6,7 +6,7 @@ from typing import Annotated
 
 import typer
 
-from salsanext_cli.cli import console, options
+from salsanext_cli.cli import console, options, running
 
 
 @console.guarded
@@ -31,7 +31,10 @@ def predict(
     knn_window: options.Window = 5,
     knn_sigma: options.Sigma = 1.0,
     knn_cutoff: options.Cutoff = 1.0,
-    jobs: options.Jobs = 1,
+    jobs: running.Jobs = None,
+    backend: running.BackendOption = running.Backend.loky,
+    scheduler: running.Scheduler = None,
+    shard: running.Share = None,
     overwrite: options.Overwrite = False,
     on_error: options.OnErrorOption = options.OnError.skip,
     json: options.Json = False,
@@ -46,7 +49,8 @@ def predict(
 
     talk = console.Talk(json, verbose, quiet)
     wanted = {"pixel_labels": pixel_labels, "probabilities": probabilities}
-    with console.batch("predict", talk, jobs, on_error.value, overwrite) as batch:
+    runs = running.gather(jobs, backend, scheduler, on_error, overwrite, running.share(shard, talk))
+    with console.batch("predict", talk, runs) as batch:
         outcome = run(
             options.source(scans, dataset),
             out,

@@ -3,7 +3,7 @@
 
 from pathlib import Path
 
-from salsanext_cli.cli import console, options
+from salsanext_cli.cli import console, options, running
 
 
 @console.guarded
@@ -16,7 +16,10 @@ def project(
     limit: options.Limit = None,
     weights: options.Weights = None,
     sensor: options.Sensor = None,
-    jobs: options.Jobs = 1,
+    jobs: running.Jobs = None,
+    backend: running.BackendOption = running.Backend.loky,
+    scheduler: running.Scheduler = None,
+    shard: running.Share = None,
     overwrite: options.Overwrite = False,
     on_error: options.OnErrorOption = options.OnError.skip,
     json: options.Json = False,
@@ -30,7 +33,8 @@ def project(
     from salsanext_cli.stages.project import project_scans
 
     talk = console.Talk(json, verbose, quiet)
-    with console.batch("project", talk, jobs, on_error.value, overwrite) as batch:
+    runs = running.gather(jobs, backend, scheduler, on_error, overwrite, running.share(shard, talk))
+    with console.batch("project", talk, runs) as batch:
         outcome = project_scans(
             options.source(scans, dataset),
             out,

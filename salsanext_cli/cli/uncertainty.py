@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from salsanext_cli.cli import console, options
+from salsanext_cli.cli import console, options, running
 
 
 class Method(StrEnum):
@@ -45,7 +45,10 @@ def uncertainty(
     knn_window: options.Window = 5,
     knn_sigma: options.Sigma = 1.0,
     knn_cutoff: options.Cutoff = 1.0,
-    jobs: options.Jobs = 1,
+    jobs: running.Jobs = None,
+    backend: running.BackendOption = running.Backend.loky,
+    scheduler: running.Scheduler = None,
+    shard: running.Share = None,
     overwrite: options.Overwrite = False,
     on_error: options.OnErrorOption = options.OnError.skip,
     json: options.Json = False,
@@ -60,7 +63,8 @@ def uncertainty(
     from salsanext_cli.stages.uncertainty import uncertainty as run
 
     talk = console.Talk(json, verbose, quiet)
-    with console.batch("uncertainty", talk, jobs, on_error.value, overwrite) as batch:
+    runs = running.gather(jobs, backend, scheduler, on_error, overwrite, running.share(shard, talk))
+    with console.batch("uncertainty", talk, runs) as batch:
         outcome = run(
             options.source(scans, dataset),
             out,

@@ -4,31 +4,28 @@
 from __future__ import annotations
 
 import logging
-import os
-import signal
 import uuid
-import warnings
 from collections.abc import Callable, Generator, Iterable, Sequence
-from contextlib import closing, contextmanager
+from contextlib import closing
 from dataclasses import dataclass
-from multiprocessing import resource_tracker
 from pathlib import Path
-from typing import Any, Generic, TypeVar
+from typing import Generic, TypeVar
 
-from salsanext_cli.errors import SalsanextError, UsageError
-from salsanext_cli.formats.atomic import MARK, sweep
+from salsanext_cli.errors import UsageError, WorkersLost
+from salsanext_cli.formats.atomic import sweep
 from salsanext_cli.formats.layout import ScanFile
 from salsanext_cli.formats.reading import present
+from salsanext_cli.stages.attempts import Attempt, Errand, Work, attempt_each
+from salsanext_cli.stages.shards import Shard
+from salsanext_cli.stages.threads import worker_count
 
 log = logging.getLogger(__name__)
 
-HARMLESS = (
-    # Who stops a run knows that it has been stopped.
-    ".*tasks which were still being processed",
-    # A worker that grows, as it does when it loads a network, is replaced by a fresh one.
-    "A worker stopped while some jobs were given",
-)
-"""Warnings of joblib that say nothing to a user; raised as errors, they would stop its threads."""
+BACKENDS = ("loky", "threading", "dask", "ray")
+CLUSTERS = ("dask", "ray")
+"""Backends whose workers may be on other machines."""
+SHOWN = 3
+"""How many of the scans that are missing an error names."""
 
 Result = TypeVar("Result")
 Progress = Callable[[int, int], None]
@@ -41,32 +38,50 @@ class BatchOptions:
 
     Attributes
     ----------
-    jobs : int
-        Processes that work side by side; -1 is one per core.
+    jobs : int, optional
+        Workers side by side; -1 is one per core, or all of a cluster. None is one here, and all of
+        a cluster.
     on_error : {"skip", "stop"}
         Whether a scan that fails is named at the end or ends the run.
     overwrite : bool
         Whether results that exist are made again.
     progress : callable, optional
-        Called after each scan.
+        Called after each scan, or for several together when a worker is done with them.
+    backend : {"loky", "threading", "dask", "ray"}
+        Processes, threads, or the workers of a cluster.
+    scheduler : str, optional
+        The address of a cluster of Dask or Ray; without one, it is started on this machine.
+    shard : Shard
+        Which share of the scans, where other runs take the others.
     """
 
-    jobs: int = 1
+    jobs: int | None = None
     on_error: str = "skip"
     overwrite: bool = False
     progress: Progress | None = None
+    backend: str = "loky"
+    scheduler: str | None = None
+    shard: Shard = Shard()
 
     def __post_init__(self) -> None:
-        worker_count(self.jobs)
+        worker_count(1 if self.jobs is None else self.jobs)
         if self.on_error not in ("skip", "stop"):
             raise UsageError("--on-error", self.on_error, "skip or stop")
+        if self.backend not in BACKENDS:
+            raise UsageError("--backend", self.backend, f"one of {', '.join(BACKENDS)}")
+        if self.scheduler is not None and self.backend not in CLUSTERS:
+            raise UsageError(
+                f"--scheduler {self.scheduler}", f"--backend {self.backend}", "dask or ray"
+            )
 
+    def workers_here(self) -> int:
+        """Return how many workers are wanted on this machine."""
+        alone = -1 if self.backend in CLUSTERS else 1
+        return worker_count(alone if self.jobs is None else self.jobs)
 
-def worker_count(jobs: int) -> int:
-    """Return how many processes `--jobs` asks for; -1 is one per core."""
-    if jobs == 0 or jobs < -1:
-        raise UsageError("--jobs", str(jobs), "a number of processes, or -1 for all cores")
-    return os.cpu_count() or 1 if jobs == -1 else jobs
+    def wanted(self) -> int | None:
+        """Return how many workers of a cluster are wanted, None for all."""
+        return None if self.jobs in (None, -1) else self.jobs
 
 
 @dataclass(frozen=True, slots=True)
@@ -120,9 +135,9 @@ def run_batch(
         Takes a scan, writes its results, returns something small. With several jobs it is
         pickled, so it should hold settings and load heavy things itself.
     scans : sequence of ScanFile
-        What to work on.
+        What to work on; the same for every shard.
     options : BatchOptions
-        Jobs, errors, overwriting and progress.
+        Workers, shard, errors, overwriting and progress.
     results_of : callable, optional
         The files that `work` writes for a scan; a scan for which all exist is skipped unless
         overwriting. Without any, no scan is skipped.
@@ -134,24 +149,35 @@ def run_batch(
     ------
     SalsanextError
         The first failure, if `options.on_error` is "stop".
+    WorkersLost
+        If workers died and scans are missing for that; it says which.
     """
-    todo = [s for s in scans if options.overwrite or not _exist(results_of(s))]
+    mine = options.shard.of(scans)
+    todo = [s for s in mine if options.overwrite or not _exist(results_of(s))]
     results: list[Result] = []
     failures: list[Failure] = []
+    tried: set[ScanFile] = set()
     take = hand_on or results.append
-    with closing(_attempts(work, todo, options.jobs, results_of)) as attempts:
-        for number, (scan, result, error) in enumerate(attempts, start=1):
-            log.info("%s/%s: %s", scan.sequence, scan.stem, error or "done")
-            if error is None:
-                take(result)
-            elif options.on_error == "stop":
-                raise error
-            else:
-                failures.append(Failure(scan, str(error)))
-            if options.progress:
-                options.progress(number, len(todo))
+    try:
+        with closing(_attempts(work, todo, options, results_of)) as attempts:
+            for scan, result, error in attempts:
+                log.info("%s/%s: %s", scan.sequence, scan.stem, error or "done")
+                if error is None:
+                    take(result)
+                elif options.on_error == "stop":
+                    raise error
+                else:
+                    failures.append(Failure(scan, str(error)))
+                tried.add(scan)
+                if options.progress:
+                    options.progress(len(tried), len(todo))
+    except WorkersLost as lost:
+        for failure in failures:
+            log.error("%s", failure.reason)
+        left = [s for s in todo if s not in tried and not _exist(results_of(s))]
+        raise _missing(lost, left, len(todo)) from lost
     failures.sort(key=lambda failure: (failure.scan.sequence, failure.scan.stem))
-    skipped, done = len(scans) - len(todo), len(todo) - len(failures)
+    skipped, done = len(mine) - len(todo), len(todo) - len(failures)
     return Outcome(tuple(results), skipped, tuple(failures), done - len(results))
 
 
@@ -160,89 +186,36 @@ def _exist(paths: Iterable[Path]) -> bool:
     return bool(listed) and all(present(path) for path in listed)
 
 
-Attempt = tuple[ScanFile, Any, SalsanextError | None]
+def _missing(lost: WorkersLost, left: list[ScanFile], count: int) -> WorkersLost:
+    """Say which scans went with their workers."""
+    names = ", ".join(f"{scan.sequence}/{scan.stem}" for scan in left[:SHOWN])
+    more = f" and {len(left) - SHOWN} more" if len(left) > SHOWN else ""
+    return WorkersLost(
+        lost.subject,
+        f"{lost.found}; {len(left)} of {count} scans are missing: {names}{more}",
+        lost.expected,
+        f"{lost.remedy}; run again for the rest",
+    )
 
 
 def _attempts(
-    work: Callable[[ScanFile], Any],
+    work: Work,
     scans: list[ScanFile],
-    jobs: int,
+    options: BatchOptions,
     results_of: Callable[[ScanFile], Iterable[Path]],
 ) -> Generator[Attempt, None, None]:
-    workers = min(len(scans), worker_count(jobs))
-    if workers <= 1:
-        yield from (_attempt(work, scan) for scan in scans)
+    here = options.backend not in CLUSTERS
+    if not scans or (here and min(len(scans), options.workers_here()) == 1):
+        yield from attempt_each(work, scans)
         return
+    from salsanext_cli.stages.workers import attempts_of_workers
+
     mark = uuid.uuid4().hex
     try:
-        yield from _attempts_of_workers(work, scans, workers, mark)
+        yield from attempts_of_workers(
+            work, scans, options, Errand(mark, options.on_error == "stop")
+        )
     finally:
         # Workers are killed when the run ends early, maybe while they write.
         for folder in {path.parent for scan in scans for path in results_of(scan)}:
             sweep(folder, mark)
-
-
-def _attempts_of_workers(
-    work: Callable[[ScanFile], Any], scans: list[ScanFile], workers: int, mark: str
-) -> Generator[Attempt, None, None]:
-    import joblib
-    from joblib.externals.loky.process_executor import TerminatedWorkerError
-
-    threads = max(1, (os.cpu_count() or 1) // workers)
-    here = Path.cwd()
-    with (
-        joblib.parallel_config("loky", n_jobs=workers, inner_max_num_threads=threads),
-        warnings.catch_warnings(),
-    ):
-        for harmless in HARMLESS:
-            warnings.filterwarnings("ignore", harmless)
-        parallel = joblib.Parallel(return_as="generator_unordered")
-        try:
-            with _deaf_to_interrupts():
-                attempts = parallel(joblib.delayed(_attempt_in)(here, mark, work, s) for s in scans)
-            yield from attempts
-        except TerminatedWorkerError as error:
-            raise SalsanextError(
-                f"--jobs {workers}",
-                "the system ended a process",
-                "memory for all of them",
-                "use fewer jobs",
-            ) from error
-
-
-@contextmanager
-def _deaf_to_interrupts() -> Generator[None, None, None]:
-    """Start threads and processes that Ctrl-C does not reach: it is this thread that ends them.
-
-    A process inherits the signals that the thread which starts it has blocked, so workers that
-    joblib starts later, from a thread of its own, are deaf too.
-    """
-    if not hasattr(signal, "pthread_sigmask"):
-        yield
-        return
-    from joblib.externals.loky.backend import resource_tracker as tracker_of_loky
-
-    # Starting these lets the signal through again, so they are started before.
-    tracker_of_loky.ensure_running()
-    resource_tracker.ensure_running()
-    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
-    try:
-        yield
-    finally:
-        signal.pthread_sigmask(signal.SIG_SETMASK, before)
-
-
-def _attempt_in(
-    folder: Path, mark: str, work: Callable[[ScanFile], Any], scan: ScanFile
-) -> Attempt:
-    """Attempt in a worker, which may be an old one that was started in another folder."""
-    os.chdir(folder)
-    MARK.set(mark)
-    return _attempt(work, scan)
-
-
-def _attempt(work: Callable[[ScanFile], Any], scan: ScanFile) -> Attempt:
-    try:
-        return scan, work(scan), None
-    except SalsanextError as error:
-        return scan, None, error

@@ -28,18 +28,23 @@ def estimate_missing(
     """Estimate the uncertainty of scans that lack it, as that of the others was estimated.
 
     Returns the kind that the colour means, the total for "uncertainty" if it can be had, and the
-    scans whose uncertainty could not be estimated, and why.
+    scans whose uncertainty could not be estimated, and why. Shards take what is there.
 
     Raises
     ------
     UsageError
         If the labels in the folder were made with other weights, or the uncertainties that are
-        there without the kind that is asked for.
+        there without the kind that is asked for; or if a shard finds none at all.
     """
     earlier = stage_settings(out, "uncertainty")
     kind = _kind_there(out) if colour == "uncertainty" else colour
-    if kind and not _without(out, scans, kind):
+    if kind and (options.shard.count > 1 or not _without(out, scans, kind)):
+        # Shards begin at different times: they would not agree on which scans lack it.
         return kind, {}
+    if options.shard.count > 1:
+        found = f"no uncertainty in {out} yet"
+        remedy = "run `salsanext uncertainty` first, with shards too"
+        raise UsageError(f"--shard {options.shard}", found, "that of all scans", remedy)
     network = _as_predicted(out, network)
     estimator = _recorded(earlier) if earlier else _possible(colour, network)
     kind = kind or ("total" if estimator.aleatoric else "epistemic")

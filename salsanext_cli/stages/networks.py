@@ -1,18 +1,21 @@
 # SPDX-License-Identifier: MIT
-"""Which network a stage uses: loaded once per process, recorded with the results."""
+"""Which network a stage uses: loaded once per worker, recorded with the results."""
 
 from __future__ import annotations
 
 import logging
+import threading
 from dataclasses import dataclass
-from functools import lru_cache
 from pathlib import Path
 from typing import Any
+
+import torch
 
 from salsanext_cli.errors import NOTICE
 from salsanext_cli.network.inference import Network, load_network
 from salsanext_cli.network.weights import default_weights, fingerprint, identity
 from salsanext_cli.sensors import Sensor
+from salsanext_cli.stages.gpus import own_device
 
 log = logging.getLogger(__name__)
 
@@ -39,8 +42,16 @@ class NetworkChoice:
     precision: str = "float32"
 
     def load(self) -> Network:
-        """Load the network, once per process unless the file is replaced."""
-        return _load(self, identity(self.weights or default_weights()))
+        """Load the network, once per thread unless the file is replaced.
+
+        Threads do not share one: each may have a GPU of its own.
+        """
+        wanted = self, identity(self.weights or default_weights())
+        if _LOADED.network is None or _LOADED.wanted != wanted:
+            device = own_device(self.device, torch.cuda.device_count())
+            _LOADED.network = load_network(self.weights, device, self.sensor, self.precision)
+            _LOADED.wanted = wanted
+        return _LOADED.network
 
     def announce(self) -> None:
         """Tell the user what computes, and in which number type."""
@@ -59,6 +70,9 @@ class NetworkChoice:
         }
 
 
-@lru_cache(maxsize=1)
-def _load(choice: NetworkChoice, _: tuple[object, ...]) -> Network:
-    return load_network(choice.weights, choice.device, choice.sensor, choice.precision)
+class _Loaded(threading.local):
+    wanted: tuple[NetworkChoice, tuple[object, ...]] | None = None
+    network: Network | None = None
+
+
+_LOADED = _Loaded()

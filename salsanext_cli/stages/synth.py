@@ -16,7 +16,8 @@ from salsanext_cli.formats.atomic import write_text
 from salsanext_cli.formats.json_files import read_json, write_json
 from salsanext_cli.formats.kitti import write_bin, write_labels
 from salsanext_cli.formats.packages import import_open3d
-from salsanext_cli.stages.batch import Progress, worker_count
+from salsanext_cli.stages.batch import Progress
+from salsanext_cli.stages.threads import worker_count
 from salsanext_cli.synthesis.drive import record
 from salsanext_cli.synthesis.ids import ABSENT
 

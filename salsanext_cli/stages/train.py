@@ -22,10 +22,10 @@ from salsanext_cli.network.segmentation import SegmentationNetwork
 from salsanext_cli.network.weights import WeightsCard, fingerprint, read_weights
 from salsanext_cli.sensors import Sensor
 from salsanext_cli.sensors import sensor as preset_sensor
-from salsanext_cli.stages.batch import worker_count
 from salsanext_cli.stages.inputs import data_set_label_space
 from salsanext_cli.stages.run_folder import require_free, take
 from salsanext_cli.stages.sample_picture import draw_sample
+from salsanext_cli.stages.threads import worker_count
 from salsanext_cli.training.counting import class_counts, rare_classes, require_labels
 from salsanext_cli.training.dataset import Samples
 from salsanext_cli.training.events import EVENTS, events_in

@@ -2,57 +2,24 @@
 import os
 import signal
 import threading
-import time
 from pathlib import Path
 
 import numpy as np
 import pytest
+from works import DieOnce, Write, run, scans_of
 
-from salsanext_cli.errors import FormatError, SalsanextError, UsageError
-from salsanext_cli.formats.atomic import writing
-from salsanext_cli.formats.layout import ScanFile
+from salsanext_cli.errors import FormatError, UsageError, WorkersLost
 from salsanext_cli.stages.batch import BatchOptions, run_batch
 
 JOBS = pytest.mark.parametrize("jobs", [1, 2])
+LOCAL = pytest.mark.parametrize(
+    "options", [{}, {"jobs": 2}, {"jobs": 2, "backend": "threading"}], ids=["1", "2", "threads"]
+)
 
 
-class Write:
-    """Write a scan's stem into a file; some stems mean trouble."""
-
-    def __init__(self, out, pause=0.0):
-        self.out, self.pause = out, pause
-
-    def results_of(self, scan):
-        return [self.out / scan.sequence / scan.stem]
-
-    def __call__(self, scan):
-        if scan.stem.startswith("bad"):
-            raise FormatError(scan.path, "cut off")
-        if scan.stem.startswith("bug"):
-            raise ZeroDivisionError("a bug of ours")
-        with writing(self.results_of(scan)[0]) as file:
-            if scan.stem.startswith("killed"):
-                os.kill(os.getpid(), signal.SIGKILL)
-            if scan.stem.startswith("ctrl-c"):
-                os.kill(os.getpid(), signal.SIGINT)
-            if scan.stem.startswith("interrupt"):
-                raise KeyboardInterrupt
-            time.sleep(self.pause)
-            file.write(scan.stem.encode())
-        return scan.stem
-
-
-def scans_of(*stems, sequence="s"):
-    return [ScanFile(sequence, stem, Path("/scans") / f"{stem}.bin") for stem in stems]
-
-
-def run(work, scans, **options):
-    return run_batch(work, scans, BatchOptions(**options), work.results_of)
-
-
-@JOBS
-def test_every_scan_is_worked_on_once(tmp_path, jobs):
-    outcome = run(Write(tmp_path), scans_of(*"abcdefg"), jobs=jobs)
+@LOCAL
+def test_every_scan_is_worked_on_once(tmp_path, options):
+    outcome = run(Write(tmp_path), scans_of(*"abcdefg"), **options)
     assert sorted(outcome.results) == list("abcdefg")
     assert (outcome.done, outcome.skipped, outcome.failures) == (7, 0, ())
     assert sorted(path.name for path in (tmp_path / "s").iterdir()) == list("abcdefg")
@@ -64,29 +31,29 @@ def test_ctrl_c_does_not_reach_workers(tmp_path):
     assert (outcome.done, outcome.failures) == (4, ())
 
 
-@JOBS
-def test_failures_are_gathered_in_order_and_the_rest_is_done(tmp_path, jobs):
-    outcome = run(Write(tmp_path), scans_of("bad2", "a", "bad1", "b"), jobs=jobs)
+@LOCAL
+def test_failures_are_gathered_in_order_and_the_rest_is_done(tmp_path, options):
+    outcome = run(Write(tmp_path), scans_of("bad2", "a", "bad1", "b"), **options)
     assert outcome.done == 2
     assert [failure.scan.stem for failure in outcome.failures] == ["bad1", "bad2"]
     assert outcome.failures[0].reason == "/scans/bad1.bin · cut off"
 
 
-@JOBS
-def test_on_error_stop_raises_what_went_wrong(tmp_path, jobs):
+@LOCAL
+def test_on_error_stop_raises_what_went_wrong(tmp_path, options):
     scans = scans_of("a", "bad", *(f"{n:03d}" for n in range(100)))
     with pytest.raises(FormatError, match="bad"):
-        run(Write(tmp_path, pause=0.05), scans, jobs=jobs, on_error="stop")
+        run(Write(tmp_path, pause=0.05), scans, **options, on_error="stop")
     written = [path.name for path in (tmp_path / "s").iterdir()]
-    assert "a" in written or jobs == 2
+    assert "a" in written or options
     assert len(written) < 50
     assert not any(name.startswith(".") for name in written)
 
 
-@JOBS
-def test_bugs_are_not_taken_for_failures(tmp_path, jobs):
+@LOCAL
+def test_bugs_are_not_taken_for_failures(tmp_path, options):
     with pytest.raises(ZeroDivisionError, match="a bug of ours"):
-        run(Write(tmp_path), scans_of("a", "bug", "b"), jobs=jobs)
+        run(Write(tmp_path), scans_of("a", "bug", "b"), **options)
 
 
 def test_what_is_there_is_skipped_unless_overwriting(tmp_path):
@@ -121,24 +88,24 @@ def test_without_results_nothing_is_skipped():
     assert outcome.results == ("a", "b")
 
 
-@JOBS
-def test_results_can_be_handed_on_as_they_come(tmp_path, jobs):
+@LOCAL
+def test_results_can_be_handed_on_as_they_come(tmp_path, options):
     work, taken, seen = Write(tmp_path), [], []
-    options = BatchOptions(jobs=jobs, progress=lambda *_: seen.append(len(taken)))
+    chosen = BatchOptions(**options, progress=lambda *_: seen.append(len(taken)))
     scans = scans_of("a", "bad", "b", "c")
-    outcome = run_batch(work, scans, options, work.results_of, hand_on=taken.append)
+    outcome = run_batch(work, scans, chosen, work.results_of, hand_on=taken.append)
     assert sorted(taken) == list("abc")
     assert sorted(seen) == seen
     assert seen[0] <= 1
     assert (outcome.results, outcome.done, len(outcome.failures)) == ((), 3, 1)
 
 
-@JOBS
-def test_progress_counts_what_is_to_do(tmp_path, jobs):
+@LOCAL
+def test_progress_counts_what_is_to_do(tmp_path, options):
     seen = []
     run(Write(tmp_path), scans_of("a"))
     work = Write(tmp_path)
-    run(work, scans_of("a", "bad", "b", "c"), jobs=jobs, progress=lambda *n: seen.append(n))
+    run(work, scans_of("a", "bad", "b", "c"), **options, progress=lambda *n: seen.append(n))
     assert seen == [(1, 3), (2, 3), (3, 3)]
 
 
@@ -147,7 +114,17 @@ def test_no_scans_at_all(tmp_path):
     assert (outcome.done, outcome.skipped, outcome.failures) == (0, 0, ())
 
 
-@pytest.mark.parametrize("options", [{"jobs": 0}, {"jobs": -2}, {"on_error": "panic"}])
+@pytest.mark.parametrize(
+    "options",
+    [
+        {"jobs": 0},
+        {"jobs": -2},
+        {"on_error": "panic"},
+        {"backend": "multiprocessing"},
+        {"scheduler": "tcp://here:1"},
+        {"scheduler": "tcp://here:1", "backend": "threading"},
+    ],
+)
 def test_options_that_are_none(options):
     with pytest.raises(UsageError):
         BatchOptions(**options)
@@ -165,8 +142,8 @@ def test_workers_follow_when_the_program_changes_its_folder(tmp_path, monkeypatc
         assert sorted(path.name for path in Path("out/s").iterdir()) == ["a", "b"]
 
 
-@JOBS
-def test_an_interruption_leaves_whole_files_only(tmp_path, jobs):
+@LOCAL
+def test_an_interruption_leaves_whole_files_only(tmp_path, options):
     """Workers are killed while they write; what they had begun is removed."""
     timer = threading.Timer(1.0, lambda: os.kill(os.getpid(), signal.SIGINT))
     count = 0
@@ -179,23 +156,36 @@ def test_an_interruption_leaves_whole_files_only(tmp_path, jobs):
 
     scans = scans_of(*(f"{n:03d}" for n in range(400)))
     with pytest.raises(KeyboardInterrupt):
-        run(Write(tmp_path, pause=0.05), scans, jobs=jobs, progress=arm)
+        run(Write(tmp_path, pause=0.05), scans, **options, progress=arm)
     written = list((tmp_path / "s").iterdir())
     assert 2 <= count <= len(written) < 400
     for path in written:
         assert not path.name.startswith(".")
         assert path.read_text() == path.name
-    again = run(Write(tmp_path), scans, jobs=jobs)
+    again = run(Write(tmp_path), scans, **options)
     assert again.skipped == len(written)
     assert again.done == 400 - len(written)
 
 
 def test_a_worker_that_the_system_kills_is_a_matter_of_memory(tmp_path):
     scans = scans_of("a", "killed", "b")
-    with pytest.raises(SalsanextError, match=r"--jobs 2 .* use fewer jobs"):
+    with pytest.raises(WorkersLost, match=r"--jobs 2 .* use fewer jobs; run again for the rest"):
         run(Write(tmp_path), scans, jobs=2)
     assert not list((tmp_path / "s").glob(".*"))
     assert run(Write(tmp_path), scans_of("a", "b"), jobs=2).done <= 2
+
+
+def test_what_is_missing_after_a_kill_is_said_and_made_by_the_next_run(tmp_path):
+    scans = scans_of("deadly", *(f"{n:02d}" for n in range(40)))
+    with pytest.raises(WorkersLost) as caught:
+        run(DieOnce(tmp_path, pause=0.02), scans, jobs=2)
+    missing = [s for s in scans if not (tmp_path / "s" / s.stem).exists()]
+    named = ", ".join(f"s/{scan.stem}" for scan in missing[:3])
+    assert f"{len(missing)} of 41 scans are missing: {named} and" in str(caught.value)
+    assert "s/deadly" in named
+    again = run(DieOnce(tmp_path), scans, jobs=2)
+    assert (again.done, again.skipped) == (len(missing), 41 - len(missing))
+    assert {path.name for path in (tmp_path / "s").iterdir()} == {scan.stem for scan in scans}
 
 
 HOARD = []

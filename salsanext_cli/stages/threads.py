@@ -1,0 +1,60 @@
+# SPDX-License-Identifier: MIT
+"""How many threads a worker may use, so that all together use the cores once."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+from salsanext_cli.errors import UsageError
+
+
+def cores() -> int:
+    """Return how many cores this process may use, which on a cluster are not all there are."""
+    import joblib
+
+    return int(joblib.cpu_count())
+
+
+def worker_count(jobs: int) -> int:
+    """Return how many workers `--jobs` asks for; -1 is one per core."""
+    if jobs == 0 or jobs < -1:
+        raise UsageError("--jobs", str(jobs), "a number of workers, or -1 for all cores")
+    return cores() if jobs == -1 else jobs
+
+
+def threads_each(cores: int, workers: int) -> int:
+    """Return how many threads each of some workers may use."""
+    return max(1, cores // workers)
+
+
+def use_threads(count: int) -> None:
+    """Let torch and our kernels use so many threads, in this thread and those started later.
+
+    What is not loaded yet will not be used: work brings what it needs when it is unpickled.
+    """
+    if torch := sys.modules.get("torch"):
+        torch.set_num_threads(count)
+    if numba := sys.modules.get("numba"):
+        numba.config.NUMBA_NUM_THREADS = count
+
+
+@contextmanager
+def threads_of_workers(count: int) -> Iterator[None]:
+    """Let threads that are started in the body use so many each, and afterwards as before.
+
+    Torch keeps the number for each thread by itself; a new one begins with what was set last,
+    wherever that was. So it is set before they start, and never in them.
+    """
+    torch, numba = sys.modules.get("torch"), sys.modules.get("numba")
+    of_torch = torch.get_num_threads() if torch else 0
+    of_kernels = numba.config.NUMBA_NUM_THREADS if numba else 0
+    use_threads(count)
+    try:
+        yield
+    finally:
+        if torch:
+            torch.set_num_threads(of_torch)
+        if numba:
+            numba.config.NUMBA_NUM_THREADS = of_kernels

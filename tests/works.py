@@ -1,0 +1,77 @@
+# SPDX-License-Identifier: MIT
+"""Work for workers of all kinds, which import it: light, and sometimes deadly."""
+
+import os
+import signal
+import time
+from collections.abc import Sequence
+from pathlib import Path
+
+from salsanext_cli.errors import FormatError
+from salsanext_cli.formats.atomic import writing
+from salsanext_cli.formats.layout import ScanFile
+from salsanext_cli.stages.batch import BatchOptions, Outcome, run_batch
+
+
+class Write:
+    """Write a scan's stem into a file; some stems mean trouble."""
+
+    def __init__(self, out: Path, pause: float = 0.0) -> None:
+        self.out, self.pause = out, pause
+
+    def results_of(self, scan: ScanFile) -> list[Path]:
+        """Return the file that is written for a scan."""
+        return [self.out / scan.sequence / scan.stem]
+
+    def __call__(self, scan: ScanFile) -> str:
+        """Write, fail, or die."""
+        if scan.stem.startswith("bad"):
+            raise FormatError(scan.path, "cut off")
+        if scan.stem.startswith("bug"):
+            raise ZeroDivisionError("a bug of ours")
+        with writing(self.results_of(scan)[0]) as file:
+            if scan.stem.startswith("killed"):
+                os.kill(os.getpid(), signal.SIGKILL)
+            if scan.stem.startswith("ctrl-c"):
+                os.kill(os.getpid(), signal.SIGINT)
+            if scan.stem.startswith("interrupt"):
+                raise KeyboardInterrupt
+            time.sleep(self.pause)
+            file.write(scan.stem.encode())
+        return scan.stem
+
+
+class DieOnce(Write):
+    """Kill the worker in the middle of one scan, unless one was killed before."""
+
+    def __call__(self, scan: ScanFile) -> str:
+        """Die or write."""
+        if scan.stem == "deadly":
+            with writing(self.results_of(scan)[0]):
+                try:
+                    (self.out / "grave").mkdir(parents=True)
+                except FileExistsError:
+                    pass
+                else:
+                    os.kill(os.getpid(), signal.SIGKILL)
+        return super().__call__(scan)
+
+
+class Peaceful(Write):
+    """Write whatever the stem."""
+
+    def __call__(self, scan: ScanFile) -> str:
+        """Write."""
+        with writing(self.results_of(scan)[0]) as file:
+            file.write(scan.stem.encode())
+        return scan.stem
+
+
+def scans_of(*stems: str, sequence: str = "s") -> list[ScanFile]:
+    """Return scans that nobody reads."""
+    return [ScanFile(sequence, stem, Path("/scans") / f"{stem}.bin") for stem in stems]
+
+
+def run(work: Write, scans: Sequence[ScanFile], **options: object) -> Outcome[str]:
+    """Run such work."""
+    return run_batch(work, scans, BatchOptions(**options), work.results_of)  # type: ignore[arg-type]
