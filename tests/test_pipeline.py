@@ -150,7 +150,8 @@ def test_ctrl_c_in_the_middle(many, weights, tmp_path, jobs):
         process.kill()
     assert process.returncode == 130
     assert stdout == ""
-    *before, last = stderr.splitlines()
+    first, *before, last = stderr.splitlines()
+    assert first.endswith("on cpu in float32")
     assert last == "interrupted: everything finished so far is intact"
     # A slow machine has time to say how far it is.
     assert all(re.match(r"predict: \d+/300 scans", line) for line in before), stderr

@@ -31,6 +31,7 @@ def predict(
     knn_window: options.Window = 5,
     knn_sigma: options.Sigma = 1.0,
     knn_cutoff: options.Cutoff = 1.0,
+    batch: running.Batch = "auto",
     jobs: running.Jobs = None,
     backend: running.BackendOption = running.Backend.loky,
     scheduler: running.Scheduler = None,
@@ -50,14 +51,15 @@ def predict(
     talk = console.Talk(json, verbose, quiet)
     wanted = {"pixel_labels": pixel_labels, "probabilities": probabilities}
     runs = running.gather(jobs, backend, scheduler, on_error, overwrite, running.share(shard, talk))
-    with console.batch("predict", talk, runs) as batch:
+    with console.batch("predict", talk, runs) as how:
         outcome = run(
             options.source(scans, dataset),
             out,
             network=options.network(weights, device, sensor, precision),
             knn=options.knn(knn_k, knn_window, knn_sigma, knn_cutoff),
             extras=tuple(name for name, keep in wanted.items() if keep),
+            batch=running.batch_size(batch),
             choice=options.choice(split, sequences, limit),
-            options=batch,
+            options=how,
         )
     console.finish("predict", outcome, out, talk)

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from salsanext_cli.cli import options
+from salsanext_cli.errors import UsageError
 
 if TYPE_CHECKING:
     from salsanext_cli.cli.console import Talk
@@ -63,6 +64,23 @@ Share = Annotated[
         rich_help_panel=options.RUNNING,
     ),
 ]
+Batch = Annotated[
+    str,
+    typer.Option(
+        help="Scans computed together, halved when memory runs out; auto: 1 on a CPU, on a GPU "
+        "what keeps it busy.",
+        rich_help_panel=options.RUNNING,
+    ),
+]
+
+
+def batch_size(text: str) -> int | None:
+    """Return how many scans are computed together, None for what suits the device."""
+    if text == "auto":
+        return None
+    if not text.isascii() or not text.isdigit():
+        raise UsageError("--batch", repr(text), "auto, or a number of scans")
+    return int(text)
 
 
 def gather(

@@ -10,7 +10,7 @@ from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol, runtime_checkable
 
 from salsanext_cli.errors import OutputError, SalsanextError
 from salsanext_cli.formats.atomic import MARK
@@ -24,8 +24,21 @@ Attempt = tuple[ScanFile, Any, SalsanextError | None]
 """A scan, what came of it, and why nothing did."""
 
 
+@runtime_checkable
+class TakesSeveral(Protocol):
+    """Work that goes through scans by itself, maybe several at a time."""
+
+    def attempts(self, files: Iterable[ScanFile]) -> Iterator[Attempt]:
+        """Attempt scans; a failure is an attempt without a result."""
+
+
 def attempt_each(work: Work, scans: Iterable[ScanFile]) -> Iterator[Attempt]:
-    """Work on scans one after the other; what can take several together would do so here."""
+    """Work on scans, one by one unless the work knows better."""
+    return work.attempts(scans) if isinstance(work, TakesSeveral) else one_by_one(work, scans)
+
+
+def one_by_one(work: Work, scans: Iterable[ScanFile]) -> Iterator[Attempt]:
+    """Work on scans one after the other."""
     for scan in scans:
         try:
             yield scan, work(scan), None

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import logging
 import threading
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -53,11 +53,17 @@ class NetworkChoice:
             _LOADED.wanted = wanted
         return _LOADED.network
 
-    def announce(self) -> None:
-        """Tell the user what computes, and in which number type."""
+    def decided(self) -> NetworkChoice:
+        """Tell the user what computes, and return the choice for workers: in the same precision.
+
+        What is "auto" here might be another number type on their machines.
+        """
         network = self.load()
         name = self.weights or "default weights"
         log.log(NOTICE, "%s on %s in %s", name, network.device, network.precision)
+        chosen = replace(self, precision=network.precision)
+        _LOADED.wanted = chosen, _LOADED.wanted[1]
+        return chosen
 
     def settings(self) -> dict[str, Any]:
         """Return what the results of a stage depend on."""
@@ -71,7 +77,7 @@ class NetworkChoice:
 
 
 class _Loaded(threading.local):
-    wanted: tuple[NetworkChoice, tuple[object, ...]] | None = None
+    wanted: tuple[NetworkChoice | None, tuple[object, ...]] = (None, ())
     network: Network | None = None
 
 

@@ -3,14 +3,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Iterator
 from dataclasses import asdict, dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
-from salsanext_cli.classes import TrainIds
+from salsanext_cli.classes import LabelSpace, TrainIds
 from salsanext_cli.errors import UsageError
 from salsanext_cli.formats.arrays import write_array
 from salsanext_cli.formats.kitti import write_labels
@@ -19,10 +21,12 @@ from salsanext_cli.geometry.knn import KnnParameters, knn_refine
 from salsanext_cli.geometry.sight import Sight
 from salsanext_cli.records import Float, Int
 from salsanext_cli.sensors import Sensor
+from salsanext_cli.stages.attempts import Attempt, one_by_one
 from salsanext_cli.stages.batch import BatchOptions, Outcome, run_batch
 from salsanext_cli.stages.inputs import Choice, choose, select_scans, space_of
 from salsanext_cli.stages.networks import NetworkChoice
 from salsanext_cli.stages.outputs import claim
+from salsanext_cli.stages.predict_batches import predict_batches, usual_size
 from salsanext_cli.stages.project import projected_sensor, read_channels, read_seen
 from salsanext_cli.stages.sources import remembered_scans
 from salsanext_cli.stages.wrong_view import ViewCheck
@@ -36,6 +40,7 @@ class PredictScan:
     network: NetworkChoice
     knn: KnnParameters
     extras: tuple[str, ...]
+    batch: int | None = None
 
     def results_of(self, file: ScanFile) -> list[Path]:
         """Return the files that are written for a scan."""
@@ -52,13 +57,34 @@ class PredictScan:
         probabilities = network.probabilities(image)
         pixel_labels = most_probable(probabilities)
         labels = knn_refine(image, pixel_labels, space.class_count, self.knn, place)
+        self._write(space, file, labels, pixel_labels, probabilities, image.pixel_of_point)
+        return seen
+
+    def attempts(self, files: Iterable[ScanFile]) -> Iterator[Attempt]:
+        """Do the same to several scans, on a GPU in batches; see `predict_batches`."""
+        network = self.network.load()
+        size = self.batch or usual_size(network)
+        if size == 1 and network.device.type == "cpu":
+            return one_by_one(self, files)
+        wanted = "probabilities" in self.extras
+        write = partial(self._write, network.card.space)
+        return predict_batches(files, network, self.knn, size, write, probabilities=wanted)
+
+    def _write(
+        self,
+        space: LabelSpace,
+        file: ScanFile,
+        labels: TrainIds,
+        pixel_labels: TrainIds,
+        probabilities: Float | None,
+        pixel_of_point: Int,
+    ) -> None:
         if "pixel_labels" in self.extras:
             write_array(self._path(file, "pixel_labels"), pixel_labels)
-        if "probabilities" in self.extras:
-            of_points = point_probabilities(probabilities, image.pixel_of_point)
+        if "probabilities" in self.extras and probabilities is not None:
+            of_points = point_probabilities(probabilities, pixel_of_point)
             write_array(self._path(file, "probabilities"), of_points)
         write_labels(self._path(file, "predictions"), space.to_raw(labels))
-        return seen
 
 
 @dataclass(frozen=True, slots=True)
@@ -102,6 +128,7 @@ def predict(
     network: NetworkChoice = NetworkChoice(),
     knn: KnnParameters = KnnParameters(),
     extras: tuple[str, ...] = (),
+    batch: int | None = None,
     choice: Choice = Choice(),
     options: BatchOptions = BatchOptions(),
 ) -> Outcome[Any]:
@@ -122,6 +149,9 @@ def predict(
         Neighbours of the clean-up.
     extras : tuple of {"pixel_labels", "probabilities"}
         Intermediate results to keep.
+    batch : int, optional
+        Scans computed together, at least 1; by default one on a CPU, on a GPU as many as keep it
+        busy. Halved where memory runs out.
     choice, options
         Which scans, and how to go through them.
 
@@ -130,6 +160,8 @@ def predict(
     SalsanextError
         If nothing can be done at all; failures of single scans are in the outcome.
     """
+    if batch is not None and batch < 1:
+        raise UsageError("--batch", str(batch), "at least 1, or auto")
     seen = projected_sensor(source)
     if seen is not None:
         _require_same_sensor(source, seen, network.load().sensor)
@@ -142,8 +174,8 @@ def predict(
     scans = select_scans(source, choice, card.space)
     settings = network.settings() | {"temperature": card.temperature, "knn": asdict(knn)}
     claim(out, "predict", settings, ("predictions", *extras), scans, overwrite=options.overwrite)
-    network.announce()
-    work, check = PredictScan(out, network, knn, extras), ViewCheck(loaded.sensor)
+    work = PredictScan(out, network.decided(), knn, extras, batch)
+    check = ViewCheck(loaded.sensor)
     outcome = run_batch(work, scans, options, work.results_of, check.add)
     check.finish()
     return outcome
@@ -165,8 +197,7 @@ def _predict_images(
     scans = choose(scans, choice, space_of(scans, network.load().card.space), folder)
     settings = network.settings()
     claim(out, "predict", settings, ("pixel_labels",), scans, overwrite=options.overwrite)
-    network.announce()
-    work = PredictImage(folder, out, network)
+    work = PredictImage(folder, out, network.decided())
     return run_batch(work, scans, options, work.results_of)
 
 

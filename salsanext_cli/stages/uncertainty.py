@@ -153,8 +153,7 @@ def uncertainty_of(
     _require_same_network(out, settings)
     sources = () if remembered else scans
     claim(out, "uncertainty", settings, writes, sources, overwrite=options.overwrite)
-    network.announce()
-    work = UncertaintyOfScan(out, network, knn, estimator, writes)
+    work = UncertaintyOfScan(out, network.decided(), knn, estimator, writes)
     check = ViewCheck(network.load().sensor)
     outcome = run_batch(work, scans, options, work.results_of, check.add)
     check.finish()
