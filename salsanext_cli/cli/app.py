@@ -9,6 +9,7 @@ from typing import Annotated
 import typer
 
 from salsanext_cli import __version__
+from salsanext_cli.cli.benchmark import benchmark
 from salsanext_cli.cli.demo import demo
 from salsanext_cli.cli.evaluate import evaluate
 from salsanext_cli.cli.export_ply import export_ply
@@ -41,6 +42,7 @@ COMMANDS: dict[str, dict[str, Callable[..., None] | typer.Typer]] = {
         "models": models,
         "import-weights": import_weights,
         "tune": tune,
+        "benchmark": benchmark,
     },
     "Look": {
         "demo": demo,
