@@ -88,7 +88,7 @@ def padded(image: np.ndarray, device: torch.device) -> Tensor:
     height, width = image.shape[1:]
     image = np.pad(image, ((0, 0), (0, 0), (0, -width % STRIDE)), mode="wrap")
     image = np.pad(image, ((0, 0), (0, -height % STRIDE), (0, 0)))
-    return torch.from_numpy(image.astype(np.float32))[None].to(device)
+    return torch.from_numpy(np.ascontiguousarray(image, np.float32))[None].to(device)
 
 
 def vote(

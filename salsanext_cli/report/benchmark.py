@@ -11,13 +11,13 @@ if TYPE_CHECKING:
 
 MEANING = {
     "projection": "projection",
-    "network": "network, image to softmax",
+    "network": "network",
     "knn": "kNN",
     "predict": "predict, file to file",
-    "uncertainty": "uncertainty, {samples} passes + ADF",
+    "uncertainty": "uncertainty, {samples} passes",
     "confusion": "counting for eval",
     "cold": "one scan, cold process",
-    "help": "salsanext --help, CPU",
+    "help": "salsanext --help",
 }
 """What the rows are."""
 NOTHING = "–"
@@ -41,7 +41,7 @@ def benchmark_table(found: Mapping[str, Any]) -> Table:
         caption_justify="left",
     )
     table.add_column("part", no_wrap=True)
-    for heading in ("baseline", "product", "times as fast", "of ceiling", "peak memory"):
+    for heading in ("baseline", "product", "times as fast", "of ceiling", "peak memory, GB"):
         table.add_column(heading, justify="right", no_wrap=True)
     for part in found["parts"]:
         table.add_row(MEANING[part["part"]].format_map(found["settings"]), *_cells(part))
@@ -67,7 +67,8 @@ def _notes(found: Mapping[str, Any]) -> list[str]:
     operations, moved = ceiling["operations"] / 1e9, ceiling["bytes"] / 1e9
     timed, samples = settings["baseline_passes_timed"], settings["samples"]
     notes = [
-        f"Medians of {settings['rounds']} rounds; lowest and highest ratio of a round in brackets.",
+        f"Medians of {settings['rounds']} rounds; lowest and highest ratio of a round in brackets. "
+        "Of --help, seconds of the processor.",
         f"Ceiling: {operations:,.0f} GFLOP/s of a matrix product in {ceiling['precision']}, "
         f"{moved:,.1f} GB/s of a memory copy.",
     ]
@@ -83,11 +84,11 @@ def _cells(part: Mapping[str, Any]) -> list[str]:
     return [
         _time(baseline["median"]) if baseline else NOTHING,
         _time(product["median"]),
-        f"{ratio['median']:.2f} × ({ratio['lowest']:.2f} to {ratio['highest']:.2f})"
+        f"{ratio['median']:.3g} × ({ratio['lowest']:.3g} to {ratio['highest']:.3g})"
         if ratio
         else NOTHING,
         NOTHING if share is None else f"{share:.1%}",
-        f"{_memory(baseline)} / {_memory(product)}" if baseline else _memory(product),
+        " / ".join(_memory(side) for side in (baseline, product) if side),
     ]
 
 
@@ -98,4 +99,4 @@ def _time(seconds: float) -> str:
 def _memory(side: Mapping[str, Any]) -> str:
     """Return the peak: of the GPU where there is one, else of the process."""
     peak = side["device_peak_bytes"] or side["peak_bytes"]
-    return NOTHING if peak is None else f"{peak / 1e9:.2f} GB"
+    return NOTHING if peak is None else f"{peak / 1e9:.2f}"

@@ -61,7 +61,7 @@ def served(task: Task, threads: int | None) -> Iterator[dict[str, Line]]:
             ours, theirs = context.Pipe()
             lines[name] = Line(name, ours)
             arguments = (name, thread_variables(threads), theirs)
-            processes.append(context.Process(target=serve, args=arguments, daemon=True))
+            processes.append(context.Process(target=serve, args=arguments))
             processes[-1].start()
             theirs.close()
         for line in lines.values():
