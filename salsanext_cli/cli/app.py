@@ -41,8 +41,8 @@ COMMANDS: dict[str, dict[str, Callable[..., None] | typer.Typer]] = {
     "Models": {
         "models": models,
         "import-weights": import_weights,
-        "tune": tune,
         "benchmark": benchmark,
+        "tune": tune,
     },
     "Look": {
         "demo": demo,

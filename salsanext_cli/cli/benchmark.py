@@ -9,11 +9,15 @@ import typer
 from salsanext_cli.cli import console, options
 from salsanext_cli.cli.progress import progress
 
+LISTED = "projection, network, knn, predict, uncertainty, confusion, cold, help"
+
 
 @console.guarded
 def benchmark(
     scans: options.Scans = None,
-    parts: Annotated[str, typer.Option(help="Only these parts, such as network,knn.")] = "all",
+    parts: Annotated[
+        str, typer.Option(help=f"Only some of {LISTED}, such as network,knn.")
+    ] = "all",
     rounds: Annotated[int, typer.Option(help="Turns of each side.")] = 3,
     passes: Annotated[
         int, typer.Option(help="Of the baseline's 30 Monte-Carlo passes, how many are timed.")

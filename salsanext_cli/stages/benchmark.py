@@ -107,12 +107,13 @@ def benchmark(
         out.mkdir()
         # The copies hold intensities that are scaled already.
         sensor = replace(sensor, intensity_scale=1.0)
-        task = Task(weights.resolve(), device, sensor, scans, out, plan.passes)
+        named = replace(network, weights=weights.resolve(), device=device, sensor=sensor)
+        task = Task(named, scans, out, plan.passes)
         commands = Commands(task, card.sensor, plan.threads)
         with served(task, plan.threads) as lines:
             machine, precision = lines["product"].ask("machine"), lines["product"].ask("precision")
             turns = _Turns(lines, commands, find_scans(scans))
-            ceiling = Ceiling(str(precision).removeprefix("torch."), 0, 0)
+            ceiling = Ceiling(precision, 0, 0)
             total = plan.rounds * len(plan.parts)
             for number in range(total):
                 if number % len(plan.parts) == 0:

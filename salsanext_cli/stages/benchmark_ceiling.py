@@ -54,14 +54,16 @@ class Ceiling:
         return max(operations / self.operations, moved / self.bytes)
 
 
-def measure_ceiling(device: torch.device, precision: torch.dtype) -> Ceiling:
+def measure_ceiling(device: torch.device, precision: str) -> Ceiling:
     """Multiply matrices and copy memory, with the threads that torch has."""
     side, size = SIDE[device.type], BYTES[device.type]
-    one, other = (torch.ones(side, side, device=device, dtype=precision) for _ in range(2))
+    one, other = (
+        torch.ones(side, side, device=device, dtype=getattr(torch, precision)) for _ in range(2)
+    )
     source = torch.zeros(size, device=device, dtype=torch.uint8)
     target = torch.empty_like(source)
     return Ceiling(
-        str(precision).removeprefix("torch."),
+        precision,
         2 * side**3 / _least(lambda: one @ other, device),
         2 * size / _least(lambda: target.copy_(source), device),
     )

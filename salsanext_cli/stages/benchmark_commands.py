@@ -59,13 +59,13 @@ class Commands:
     def baseline(self, scan: Path, out: Path) -> tuple[object, ...]:
         """Return the baseline's command line."""
         sensor = ("--sensor", self.task.out / "sensor.json") if self.other else ()
-        network = ("--weights", self.task.weights, "--device", self.task.device)
+        network = ("--weights", self.task.weights, "--device", self.task.network.device)
         return PYTHON, baseline_path(), scan, out / "scan.label", *network, *sensor
 
     def product(self, scan: Path, out: Path) -> tuple[object, ...]:
         """Return the product's command line."""
         sensor = ("--sensor", self.task.out / "sensor.toml") if self.other else ()
-        network = ("--weights", self.task.weights, "--device", self.task.device)
+        network = ("--weights", self.task.weights, "--device", self.task.network.device)
         return *SALSANEXT, "predict", scan, out, *network, *sensor, "--quiet"
 
 

@@ -12,7 +12,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import torch
 
 import salsanext_cli
 from salsanext_cli.errors import SalsanextError
@@ -21,6 +20,7 @@ from salsanext_cli.formats.layout import ScanFile, find_scans
 from salsanext_cli.geometry.knn import knn_refine
 from salsanext_cli.geometry.projection import project
 from salsanext_cli.measures.confusion import Confusion
+from salsanext_cli.network.weights import default_weights, read_card
 from salsanext_cli.sensors import Sensor
 from salsanext_cli.stages.batch import BatchOptions
 from salsanext_cli.stages.estimator import Estimator
@@ -39,24 +39,28 @@ class Task:
 
     Attributes
     ----------
-    weights : Path
-        The weights file.
-    device : str
-        Where the network is to be.
-    sensor : Sensor
-        What the scans come from.
+    network : NetworkChoice
+        Weights, device and sensor, all of them named.
     scans, out : Path
         A folder of `.bin` files, and one for results.
     passes : int
         How many of the baseline's Monte-Carlo passes, which are alike, are timed.
     """
 
-    weights: Path
-    device: str
-    sensor: Sensor
+    network: NetworkChoice
     scans: Path
     out: Path
     passes: int
+
+    @property
+    def weights(self) -> Path:
+        """The weights file."""
+        return self.network.weights or default_weights()
+
+    @property
+    def sensor(self) -> Sensor:
+        """What the scans come from."""
+        return self.network.sensor or read_card(self.weights).sensor
 
 
 def baseline_path() -> Path:
@@ -82,11 +86,10 @@ class Product:
 
     def __init__(self, task: Task) -> None:
         self.task = task
-        self.choice = NetworkChoice(task.weights, task.device, task.sensor)
-        self.network = self.choice.load()
+        self.network = task.network.load()
         self.estimator = Estimator(samples=SAMPLES)
         self.place = str(self.network.device)
-        self.precision = next(self.network.module.parameters()).dtype
+        self.precision = str(next(self.network.module.parameters()).dtype).removeprefix("torch.")
 
     def parts(self, file: ScanFile) -> Parts:
         """Return what does each part for a scan."""
@@ -112,7 +115,7 @@ class Product:
             overwrite=True, progress=lambda done, total: ends.append(time.perf_counter())
         )
         outcome = predict(
-            self.task.scans, self.task.out / "product", network=self.choice, options=options
+            self.task.scans, self.task.out / "product", network=self.task.network, options=options
         )
         if outcome.failures:
             raise SalsanextError(outcome.failures[0].reason)
@@ -127,8 +130,8 @@ class Baseline:
         sys.path.insert(0, str(baseline_path().parent))
         self.plain: Any = importlib.import_module("baseline")
         sensor = task.sensor.to_dict()
-        self.method = self.plain.Baseline(task.weights, task.device, sensor)
-        self.precision = torch.float32
+        self.method = self.plain.Baseline(task.weights, task.network.device, sensor)
+        self.precision = "float32"
 
     def parts(self, file: ScanFile) -> Parts:
         """Return what does each part for a scan."""

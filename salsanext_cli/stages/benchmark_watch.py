@@ -7,8 +7,6 @@ import statistics
 import time
 from pathlib import Path
 
-import torch
-
 from salsanext_cli.formats.layout import ScanFile
 from salsanext_cli.network.inference import choose_device
 from salsanext_cli.stages.benchmark_ceiling import Ceiling, measure_ceiling, wait
@@ -25,7 +23,7 @@ class Watch:
     """A side, what it keeps of the scans that it has seen, and a watch."""
 
     def __init__(self, side: str, task: Task) -> None:
-        self.device = choose_device(task.device)
+        self.device = choose_device(task.network.device)
         self.side = Baseline(task) if side == "baseline" else Product(task)
         self.parts: dict[Path, Parts] = {}
         self.warm: set[str] = set()
@@ -34,11 +32,11 @@ class Watch:
         """Say what this process computes with."""
         return Machine.here(self.device)
 
-    def ceiling(self, precision: torch.dtype) -> Ceiling:
+    def ceiling(self, precision: str) -> Ceiling:
         """Measure the hardware."""
         return measure_ceiling(self.device, precision)
 
-    def precision(self) -> torch.dtype:
+    def precision(self) -> str:
         """Say in which numbers the network computes."""
         return self.side.precision
 

@@ -7,6 +7,9 @@ import sys
 import pytest
 from command_line import only_json
 
+from salsanext_cli.cli.benchmark import LISTED
+from salsanext_cli.stages.benchmark import PARTS
+
 pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="benchmark needs POSIX")
 
 
@@ -25,6 +28,10 @@ def test_a_few_parts(run, data, weights, tmp_path):
     again = run("benchmark", data, *options, *parts)
     assert again.exit_code == 1
     assert "exists" in again.stderr
+
+
+def test_help_lists_the_parts():
+    assert ", ".join(PARTS) == LISTED
 
 
 @pytest.mark.parametrize("option", [("--rounds", 0), ("--parts", ""), ("--parts", "knn,nets")])

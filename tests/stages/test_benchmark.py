@@ -41,7 +41,9 @@ def task(tmp_path, weights):
     for number in range(2):
         write_bin(tmp_path / f"scans/{number}.bin", make_scan(500, number))
     (tmp_path / "out").mkdir()
-    return Task(weights, "cpu", SMALL, tmp_path / "scans", tmp_path / "out", passes=1)
+    return Task(
+        NetworkChoice(weights, "cpu", SMALL), tmp_path / "scans", tmp_path / "out", passes=1
+    )
 
 
 def test_the_plan_is_checked():
@@ -165,7 +167,7 @@ def test_ceilings_are_those_of_the_clock(monkeypatch):
     monkeypatch.setattr("salsanext_cli.stages.benchmark_ceiling.BYTES", {"cpu": 1 << 16})
     clock = iter(range(100))
     monkeypatch.setattr("time.perf_counter", lambda: next(clock))
-    found = measure_ceiling(CPU, torch.float32)
+    found = measure_ceiling(CPU, "float32")
     assert found == Ceiling("float32", 2 * 64**3, 2 << 16)
     best = found.better(Ceiling("float32", 1e12, 1.0))
     assert best == Ceiling("float32", 1e12, 2 << 16)
@@ -289,7 +291,7 @@ def test_mistakes_are_answers(monkeypatch, task):
     monkeypatch.setenv("OMP_NUM_THREADS", "")
     missing = ScanFile("00", "none", task.scans / "none.bin")
     script = Script(
-        (replace(task, weights=Path("none.safetensors")),),
+        (replace(task, network=NetworkChoice(Path("none.safetensors"), "cpu", SMALL)),),
         (task,),
         ("turn", "knn", missing),
         ("precision",),
@@ -297,7 +299,7 @@ def test_mistakes_are_answers(monkeypatch, task):
     serve("product", {"OMP_NUM_THREADS": "7"}, script)
     no_weights, ready, no_scan, precision = script.sent
     assert os.environ["OMP_NUM_THREADS"] == "7"
-    assert (ready, precision) == (None, torch.float32)
+    assert (ready, precision) == (None, "float32")
     assert isinstance(no_weights, WeightsError)
     with pytest.raises(FormatError, match=r"none\.bin"):
         Line("product", Script(no_scan)).ask("turn")
