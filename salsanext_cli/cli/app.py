@@ -4,11 +4,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
+from typer.core import TyperGroup
 
 from salsanext_cli import __version__
+from salsanext_cli.cli.benchmark import benchmark
 from salsanext_cli.cli.demo import demo
 from salsanext_cli.cli.evaluate import evaluate
 from salsanext_cli.cli.export_ply import export_ply
@@ -41,14 +43,25 @@ COMMANDS: dict[str, dict[str, Callable[..., None] | typer.Typer]] = {
         "models": models,
         "import-weights": import_weights,
         "tune": tune,
+        "benchmark": benchmark,
     },
     "Look": {
         "demo": demo,
     },
 }
 
+
+class InOrder(TyperGroup):
+    """Lists commands as they stand above; by itself typer puts groups behind all others."""
+
+    def list_commands(self, ctx: Any) -> list[str]:
+        """Return the names of all commands."""
+        return [name for commands in COMMANDS.values() for name in commands]
+
+
 app = typer.Typer(
     name="salsanext",
+    cls=InOrder,
     no_args_is_help=True,
     pretty_exceptions_enable=False,
     rich_markup_mode="rich",
