@@ -32,6 +32,7 @@ def benchmark(
     limit: options.Limit = 4,
     weights: options.Weights = None,
     device: options.Device = "auto",
+    precision: options.Precision = "auto",
     sensor: options.Sensor = None,
     overwrite: options.Overwrite = False,
     json: options.Json = False,
@@ -54,7 +55,7 @@ def benchmark(
     with progress("benchmark", talk.quiet, "turns") as advance:
         found = run(
             options.source(scans, dataset),
-            network=options.network(weights, device, sensor),
+            network=options.network(weights, device, sensor, precision),
             choice=options.choice(split, sequences, limit),
             plan=Plan(named, rounds, passes, threads),
             progress=advance,

@@ -65,8 +65,10 @@ class Commands:
     def product(self, scan: Path, out: Path) -> tuple[object, ...]:
         """Return the product's command line."""
         sensor = ("--sensor", self.task.out / "sensor.toml") if self.other else ()
-        network = ("--weights", self.task.weights, "--device", self.task.network.device)
-        return *SALSANEXT, "predict", scan, out, *network, *sensor, "--quiet"
+        chosen = self.task.network
+        network = ("--weights", self.task.weights, "--device", chosen.device)
+        precision = ("--precision", chosen.precision)
+        return *SALSANEXT, "predict", scan, out, *network, *precision, *sensor, "--quiet"
 
 
 def run(

@@ -89,7 +89,7 @@ class Product:
         self.network = task.network.load()
         self.estimator = Estimator(samples=SAMPLES)
         self.place = str(self.network.device)
-        self.precision = str(next(self.network.module.parameters()).dtype).removeprefix("torch.")
+        self.precision = self.network.precision
 
     def parts(self, file: ScanFile) -> Parts:
         """Return what does each part for a scan."""

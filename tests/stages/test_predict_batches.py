@@ -29,7 +29,7 @@ def bytes_below(folder):
 
 @pytest.fixture
 def nine(world):
-    """A world with a sequence of nine scans: no points, one point, others of all sizes."""
+    """Return a world with a sequence of nine scans, of no points, of one and of many."""
     stems = [f"{n:06d}" for n in range(7)]
     folder = world.data / "sequences" / "05"
     write_sequence(folder, stems, labels=False)
