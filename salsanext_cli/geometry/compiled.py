@@ -11,7 +11,6 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
 from itertools import pairwise
 from pathlib import Path
 from typing import Any, TypeVar, cast
@@ -19,6 +18,8 @@ from typing import Any, TypeVar, cast
 import numba
 import numpy as np
 import numpy.typing as npt
+
+from salsanext_cli.geometry.crew import all_hands
 
 Function = TypeVar("Function", bound=Callable[..., Any])
 
@@ -76,12 +77,11 @@ def in_slices(work: Callable[[slice], object], count: int) -> None:
     cores: int = vars(numba.config)["NUMBA_NUM_THREADS"]
     threads = max(1, min(cores, count // SMALLEST_SLICE))
     borders = [count * part // threads for part in range(threads + 1)]
-    first, *rest = [slice(start, stop) for start, stop in pairwise(borders)]
-    if not rest:
-        work(first)
-        return
-    with ThreadPoolExecutor(len(rest)) as pool:
-        others = [pool.submit(work, part) for part in rest]
-        work(first)
-        for other in others:
-            other.result()
+    slices = iter([slice(start, stop) for start, stop in pairwise(borders)])
+
+    # `next` of an iterator over a list is one step of the interpreter: no lock is needed.
+    def pull() -> None:
+        for part in slices:
+            work(part)
+
+    all_hands(pull, threads)

@@ -74,9 +74,9 @@ class Confusion:
                 raise ValueError(f"{name}: {ids.dtype}, not train ids")
             if ids.size and not 0 <= int(ids.min()) <= int(ids.max()) < self.class_count:
                 raise ValueError(f"{name}: {ids.min()}…{ids.max()}, not 0…{self.class_count - 1}")
-        pair = truth.ravel().astype(np.intp) * self.class_count + predicted.ravel().astype(np.intp)
-        pairs = np.bincount(pair, minlength=self.class_count**2)
-        self.matrix += pairs.reshape(self.matrix.shape)
+        from salsanext_cli.measures.count_pairs import count_pairs
+
+        self.matrix += count_pairs(truth.ravel(), predicted.ravel(), self.class_count)
         return self
 
     def counted(self, scored: Mask | None = None) -> Counts:

@@ -16,8 +16,8 @@ from salsanext_cli.geometry.knn_torch import refine_tensors
 from salsanext_cli.geometry.projection_torch import project_tensors
 from salsanext_cli.geometry.view import View
 from salsanext_cli.network.captured import Captured
-from salsanext_cli.network.crew import on_duty
 from salsanext_cli.network.inference import Network
+from salsanext_cli.network.parts import on_duty
 
 log = logging.getLogger(__name__)
 

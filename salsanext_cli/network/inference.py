@@ -12,8 +12,8 @@ from torch import Tensor
 from salsanext_cli.errors import UsageError
 from salsanext_cli.geometry.normalise import normalise
 from salsanext_cli.network.architectures import build
-from salsanext_cli.network.crew import on_duty
 from salsanext_cli.network.engine import engine
+from salsanext_cli.network.parts import on_duty
 from salsanext_cli.network.precision import choose_precision
 from salsanext_cli.network.segmentation import SegmentationNetwork
 from salsanext_cli.network.weights import WeightsCard, default_weights, read_weights

@@ -11,10 +11,10 @@ import torch
 from torch import Tensor
 
 from salsanext_cli.errors import UsageError
-from salsanext_cli.network.crew import in_parts, on_duty
 from salsanext_cli.network.dropout import sampling
 from salsanext_cli.network.estimate import Estimate, entropy, require_dropout
 from salsanext_cli.network.inference import Network
+from salsanext_cli.network.parts import in_parts, on_duty
 from salsanext_cli.network.segmentation import SegmentationNetwork
 from salsanext_cli.records import RangeImage
 

@@ -16,7 +16,7 @@ import torch
 from torch import Tensor, nn
 
 from salsanext_cli.network import winograd
-from salsanext_cli.network.crew import in_parts, scratch
+from salsanext_cli.network.parts import in_parts, scratch
 from salsanext_cli.records import Float
 
 PIXELS = range(128, 1024)

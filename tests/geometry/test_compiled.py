@@ -5,6 +5,8 @@ import os
 import shutil
 import subprocess
 import sys
+import threading
+import time
 from pathlib import Path
 
 import numba
@@ -13,6 +15,7 @@ import pytest
 
 import salsanext_cli
 from salsanext_cli.geometry.compiled import SMALLEST_SLICE, argument, cache_folder, in_slices
+from salsanext_cli.geometry.crew import all_hands
 
 PROJECT_ONE_POINT = """
 import numpy as np
@@ -93,3 +96,25 @@ def test_without_a_home_there_is_no_cache_folder(monkeypatch):
 
 def test_other_programs_keep_their_cache_folder():
     assert "salsanext" not in numba.config.CACHE_DIR
+
+
+@pytest.mark.parametrize("hands", [1, 2, 5])
+def test_all_hands_work_at_once(hands):
+    together = threading.Barrier(hands, timeout=10)
+    all_hands(together.wait, hands)
+
+
+def test_an_error_of_any_hand_is_raised_after_all_are_done():
+    arrived = iter(range(3))
+    done = []
+
+    def work():
+        number = next(arrived)
+        if number == 1:
+            raise ValueError("no")
+        time.sleep(0.05)
+        done.append(number)
+
+    with pytest.raises(ValueError, match="no"):
+        all_hands(work, 3)
+    assert len(done) == 2

@@ -9,8 +9,8 @@ import torch
 
 from salsanext_cli.errors import UsageError
 from salsanext_cli.network.architectures import ARCHITECTURES, build
-from salsanext_cli.network.crew import in_parts, on_duty
 from salsanext_cli.network.engine import engine
+from salsanext_cli.network.parts import in_parts, on_duty
 from salsanext_cli.network.precision import choose_precision
 
 CPU = torch.device("cpu")
@@ -98,6 +98,12 @@ def test_every_part_is_computed_once_by_one_torch_thread(threads, count):
         in_parts(lambda part: seen.append((part, torch.get_num_threads())), count)
     assert torch.get_num_threads() == threads
     assert sorted(seen) == [(part, 1) for part in range(count)]
+
+
+def test_torch_keeps_its_threads_also_where_the_crew_has_none():
+    torch.set_num_threads(3)
+    in_parts(lambda part: None, 2)
+    assert torch.get_num_threads() == 3
 
 
 @pytest.mark.parametrize("threads", [1, 2])

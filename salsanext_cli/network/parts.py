@@ -8,16 +8,15 @@ result: not on the machine's cores, nor on how many processes share them.
 
 from __future__ import annotations
 
-import os
 import threading
 from collections.abc import Callable, Iterator
-from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from contextvars import ContextVar
-from functools import lru_cache
 
 import torch
 from torch import Tensor
+
+from salsanext_cli.geometry.crew import all_hands
 
 _own = threading.local()
 _threads: ContextVar[int] = ContextVar("_threads", default=1)
@@ -46,42 +45,24 @@ def in_parts(work: Callable[[int], object], count: int) -> None:
     In each call torch has one thread. Calls must not write to the same places.
     """
     parts = iter(range(count))
-    threads = _threads.get()
+    threads, of_torch = _threads.get(), torch.get_num_threads()
 
     # `next` of an iterator over a range is one step of the interpreter: no lock is needed.
     def pull() -> None:
-        with torch.inference_mode():
-            for part in parts:
-                work(part)
-
-    helpers = min(threads, count) - 1
-    pulling = [_crew(threads - 1, os.getpid()).submit(pull) for _ in range(helpers)]
-    # Parts of a part are for the thread that has it.
-    token = _threads.set(1)
-    try:
-        pull()
-    finally:
-        _threads.reset(token)
-        for helper in pulling:
-            helper.result()
-
-
-@lru_cache(maxsize=1)
-def _crew(size: int, _process: int) -> ThreadPoolExecutor:
-    """Return threads of this process that have one torch thread each."""
-    started = threading.Barrier(size + 1)
-
-    def begin() -> None:
+        # Torch keeps the number for each thread by itself. Parts of a part are for the same thread.
         torch.set_num_threads(1)
-        # Torch looks up the common setting on a thread's first question: now, while it is 1.
-        torch.get_num_threads()
-        started.wait()
+        token = _threads.set(1)
+        try:
+            with torch.inference_mode():
+                for part in parts:
+                    work(part)
+        finally:
+            _threads.reset(token)
 
-    crew = ThreadPoolExecutor(size, "salsanext", begin)
-    for _ in range(size):
-        crew.submit(int)
-    started.wait()
-    return crew
+    try:
+        all_hands(pull, min(threads, count) or 1)
+    finally:
+        torch.set_num_threads(of_torch)
 
 
 def scratch(name: str, size: int) -> Tensor:
