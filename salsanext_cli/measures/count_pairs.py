@@ -9,7 +9,7 @@ import numpy.typing as npt
 from salsanext_cli.geometry.compiled import argument, compiled
 
 TABLES = 4
-"""Neighbours are often of one class: with a table for every fourth, none waits for the one before."""
+"""Neighbours are often of one class: with as many tables, none waits for the one before it."""
 
 
 def count_pairs(
