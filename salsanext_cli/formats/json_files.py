@@ -14,8 +14,8 @@ from salsanext_cli.formats.reading import present, reading
 
 
 def write_json(path: Path, data: Mapping[str, Any]) -> None:
-    """Write plain data as JSON, atomically; names of files may be no text, so only ASCII."""
-    write_text(path, json.dumps(data, indent=2, allow_nan=False) + "\n")
+    """Write plain data as JSON, durably; names of files may be no text, so only ASCII."""
+    write_text(path, json.dumps(data, indent=2, allow_nan=False) + "\n", durable=True)
 
 
 def read_json(path: Path) -> dict[str, Any] | None:
@@ -31,9 +31,14 @@ def read_json(path: Path) -> dict[str, Any] | None:
     with reading(path) as file:
         text = file.read()
     try:
-        data = json.loads(text)
-    except ValueError as error:
+        data = json.loads(text, parse_constant=_refuse_constant)
+    except (ValueError, RecursionError) as error:
         raise OutputError(path, "damaged", "JSON", "delete it or use another folder") from error
     if not isinstance(data, dict):
         raise OutputError(path, "damaged", "a JSON object", "delete it or use another folder")
     return data
+
+
+def _refuse_constant(name: str) -> None:
+    """Refuse NaN and infinities, which `write_json` never writes."""
+    raise ValueError(f"{name} is no JSON")

@@ -149,7 +149,7 @@ def save_with_card(
 
 
 def _write(path: Path, tensors: dict[str, Tensor], card: WeightsCard) -> None:
-    with writing(path) as file:
+    with writing(path, durable=True) as file:
         file.write(safetensors.torch.save(tensors, card.to_metadata()))
 
 

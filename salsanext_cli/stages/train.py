@@ -6,6 +6,7 @@ from __future__ import annotations
 import hashlib
 import math
 from collections.abc import Callable, Sequence
+from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -24,7 +25,7 @@ from salsanext_cli.sensors import Sensor
 from salsanext_cli.sensors import sensor as preset_sensor
 from salsanext_cli.stages.batch import worker_count
 from salsanext_cli.stages.inputs import data_set_label_space
-from salsanext_cli.stages.run_folder import require_free, take
+from salsanext_cli.stages.run_folder import require_free, take, trained_alone
 from salsanext_cli.stages.sample_picture import draw_sample
 from salsanext_cli.training.counting import class_counts, rare_classes, require_labels
 from salsanext_cli.training.dataset import Samples
@@ -119,7 +120,7 @@ def train(
     """
     workers = worker_count(jobs)
     _require_work_for_all(recipe, team_here())
-    with teamwork(device) as (team, place):
+    with teamwork(device) as (team, place), ExitStack() as held:
         if place.type == "cpu":
             keep_freed_memory()
 
@@ -139,6 +140,7 @@ def train(
         def prepare() -> npt.NDArray[np.int64]:
             scans = [*training, *validation]
             settings = _settings(card, scans, weights)
+            held.enter_context(trained_alone(run))
             require_free(run, settings, overwrite=overwrite)
             require_labels(scans)
             splits = (training, validation, validated)

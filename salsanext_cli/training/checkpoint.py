@@ -50,7 +50,7 @@ def save_checkpoint(path: Path, learner: Learner, progress: TrainingState) -> No
         "scaler": learner.scaler.state_dict(),
         "progress": asdict(progress),
     }
-    with writing(path) as file:
+    with writing(path, durable=True) as file:
         torch.save(state, file)
 
 
