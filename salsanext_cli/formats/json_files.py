@@ -12,6 +12,9 @@ from salsanext_cli.errors import OutputError
 from salsanext_cli.formats.atomic import write_text
 from salsanext_cli.formats.reading import present, reading
 
+DEEPEST = 20
+"""How deep records are nested at most."""
+
 
 def write_json(path: Path, data: Mapping[str, Any]) -> None:
     """Write plain data as JSON, durably; names of files may be no text, so only ASCII."""
@@ -34,9 +37,18 @@ def read_json(path: Path) -> dict[str, Any] | None:
         data = json.loads(text, parse_constant=_refuse_constant)
     except (ValueError, RecursionError) as error:
         raise OutputError(path, "damaged", "JSON", "delete it or use another folder") from error
-    if not isinstance(data, dict):
+    if not isinstance(data, dict) or not _is_shallow(data):
         raise OutputError(path, "damaged", "a JSON object", "delete it or use another folder")
     return data
+
+
+def _is_shallow(data: dict[str, Any]) -> bool:
+    """Whether data is nested as our own records are, so that anything can be done with it."""
+    level: list[Any] = [data]
+    for _ in range(DEEPEST):
+        members = (each.values() if isinstance(each, dict) else each for each in level)
+        level = [m for each in members for m in each if isinstance(m, dict | list)]
+    return not level
 
 
 def _refuse_constant(name: str) -> None:

@@ -18,7 +18,7 @@ from typing import Any, Generic, TypeVar
 from salsanext_cli.errors import SalsanextError, UsageError
 from salsanext_cli.formats.atomic import MARK, sweep
 from salsanext_cli.formats.layout import ScanFile
-from salsanext_cli.formats.reading import present
+from salsanext_cli.formats.reading import filled
 
 log = logging.getLogger(__name__)
 
@@ -157,7 +157,7 @@ def run_batch(
 
 def _exist(paths: Iterable[Path]) -> bool:
     listed = list(paths)
-    return bool(listed) and all(present(path) for path in listed)
+    return bool(listed) and all(filled(path) for path in listed)
 
 
 Attempt = tuple[ScanFile, Any, SalsanextError | None]

@@ -9,8 +9,9 @@ from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
+from salsanext_cli.formats.identity import fingerprint, identity
 from salsanext_cli.network.inference import Network, load_network
-from salsanext_cli.network.weights import default_weights, fingerprint, identity
+from salsanext_cli.network.weights import default_weights
 from salsanext_cli.sensors import Sensor
 
 log = logging.getLogger(__name__)

@@ -17,10 +17,11 @@ import torch
 
 from salsanext_cli.classes import LabelSpace, label_space
 from salsanext_cli.errors import NoInputError, UsageError, WeightsError
+from salsanext_cli.formats.identity import fingerprint
 from salsanext_cli.formats.layout import ScanFile, find_scans
 from salsanext_cli.network.architectures import build
 from salsanext_cli.network.segmentation import SegmentationNetwork
-from salsanext_cli.network.weights import WeightsCard, fingerprint, read_weights
+from salsanext_cli.network.weights import WeightsCard, read_weights
 from salsanext_cli.sensors import Sensor
 from salsanext_cli.sensors import sensor as preset_sensor
 from salsanext_cli.stages.batch import worker_count

@@ -22,28 +22,21 @@ class TooMuchError(AssertionError):
 
 
 @contextmanager
-def tracing() -> Iterator[None]:
-    """Follow every allocation of Python and NumPy, touched or only promised."""
-    tracemalloc.start(1)
-    try:
-        yield
-    finally:
-        tracemalloc.stop()
-
-
-@contextmanager
 def bounded(size: int) -> Iterator[None]:
-    """Raise `TooMuchError` if the body takes more than a file of `size` bytes is worth."""
+    """Raise `TooMuchError` if the body takes more than a file of `size` bytes is worth.
+
+    Memory is that of Python and NumPy, touched or only promised.
+    """
     faulthandler.dump_traceback_later(HUNG, exit=True)
-    before = tracemalloc.get_traced_memory()[0]
-    tracemalloc.reset_peak()
+    tracemalloc.start(1)
     start = time.process_time()
     try:
         yield
+        seconds = time.process_time() - start
+        peak = tracemalloc.get_traced_memory()[1]
     finally:
+        tracemalloc.stop()
         faulthandler.cancel_dump_traceback_later()
-    seconds = time.process_time() - start
-    peak = tracemalloc.get_traced_memory()[1] - before
     if seconds > SECONDS:
         raise TooMuchError(f"{seconds:.1f} s")
     if peak > FREE + PER_BYTE * size:
