@@ -55,21 +55,25 @@ def present(path: Path) -> bool:
     FormatError
         If the system does not even let us look: the name is too long, a folder is not ours.
     """
-    try:
-        path.stat()
-    except (FileNotFoundError, NotADirectoryError):
-        return False
-    except OSError as error:
-        raise FormatError(path, f"cannot be read: {reason(error)}", "a readable file") from error
-    return True
+    return _status(path) is not None
 
 
 def filled(path: Path) -> bool:
     """Say whether there is a file under a name, and something in it.
 
-    A power cut can leave a file empty that had just got its name.
+    A power cut can leave a file empty that had just got its name. Raises what `present` raises.
     """
-    return present(path) and path.stat().st_size > 0
+    status = _status(path)
+    return status is not None and status.st_size > 0
+
+
+def _status(path: Path) -> os.stat_result | None:
+    try:
+        return path.stat()
+    except (FileNotFoundError, NotADirectoryError):
+        return None
+    except OSError as error:
+        raise FormatError(path, f"cannot be read: {reason(error)}", "a readable file") from error
 
 
 def is_folder(path: Path) -> bool:
