@@ -12,9 +12,12 @@ from salsanext_cli.errors import NoInputError, OutputError
 from salsanext_cli.formats.json_files import read_json
 from salsanext_cli.formats.layout import SUFFIX_OF_FOLDER, ScanFile, find_outputs, find_scans
 from salsanext_cli.formats.reading import is_folder
+from salsanext_cli.settings_files import shortened
 
 SOURCE = "source.json"
 ASKED = "asked_for"
+LONGEST = 500
+"""Characters of a folder's name that an error shows."""
 
 
 def new_sources(
@@ -46,7 +49,7 @@ def new_sources(
         if recorded.get("scans", folder) != folder:
             raise OutputError(
                 path,
-                f"sequence {sequence} came from {recorded['scans']}",
+                f"sequence {sequence} came from {shortened(recorded['scans'], LONGEST)}",
                 f"scans from there, not from {folder}",
                 "use another output folder",
             )
@@ -131,7 +134,7 @@ def _scans_of_sequence(
         return find_scans(root, [sequence])
     raise NoInputError(
         out / "sequences" / sequence,
-        f"its scans are not in {dataset or recorded or root.absolute()}",
+        f"its scans are not in {shortened(str(dataset or recorded or root.absolute()), LONGEST)}",
         "the folder that they came from",
         "give with --dataset the folder that holds sequences/",
     )

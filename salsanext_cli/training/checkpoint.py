@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import warnings
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from zipfile import BadZipFile, ZipFile
@@ -67,7 +68,10 @@ def load_checkpoint(path: Path, learner: Learner) -> TrainingState:
     try:
         _require_intact(path)
         # To the CPU: on a GPU the optimiser's step counts would make it wait at every parameter.
-        state = torch.load(path, map_location="cpu", weights_only=True)
+        with warnings.catch_warnings():
+            # Of forms that torch then refuses.
+            warnings.simplefilter("ignore")
+            state = torch.load(path, map_location="cpu", weights_only=True)
         learner.module.load_state_dict(state["module"])
         learner.average.load_state_dict(state["average"])
         learner.optimiser.load_state_dict(state["optimiser"])

@@ -11,8 +11,8 @@ from contextlib import contextmanager
 
 SECONDS = 2.0
 """Of the processor, for one file of some kilobytes."""
-HUNG = 60.0
-"""After so long a reader that never returns is shown and ended."""
+HUNG = 0.5
+"""Seconds for each file, on the clock, after which a reader that never returns is ended."""
 FREE, PER_BYTE = 16 << 20, 100
 """Bytes that any reader may take, and so many for each byte of the file."""
 
@@ -22,12 +22,21 @@ class TooMuchError(AssertionError):
 
 
 @contextmanager
+def ending(files: int) -> Iterator[None]:
+    """Show where the body hangs, and end the process, if it never returns."""
+    faulthandler.dump_traceback_later(60 + HUNG * files, exit=True)
+    try:
+        yield
+    finally:
+        faulthandler.cancel_dump_traceback_later()
+
+
+@contextmanager
 def bounded(size: int) -> Iterator[None]:
     """Raise `TooMuchError` if the body takes more than a file of `size` bytes is worth.
 
     Memory is that of Python and NumPy, touched or only promised.
     """
-    faulthandler.dump_traceback_later(HUNG, exit=True)
     tracemalloc.start(1)
     start = time.process_time()
     try:
@@ -36,7 +45,6 @@ def bounded(size: int) -> Iterator[None]:
         peak = tracemalloc.get_traced_memory()[1]
     finally:
         tracemalloc.stop()
-        faulthandler.cancel_dump_traceback_later()
     if seconds > SECONDS:
         raise TooMuchError(f"{seconds:.1f} s")
     if peak > FREE + PER_BYTE * size:

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Sequence
+from random import Random
 
 from hypothesis import strategies as st
 
@@ -127,6 +128,31 @@ def edits(seeds: Sequence[bytes]) -> st.SearchStrategy[Edit]:
         st.builds(_renumber, share, st.sampled_from(HUGE)),
         st.builds(_splice, share, st.sampled_from(seeds)),
     )
+
+
+def damage(random: Random, seeds: Sequence[bytes]) -> bytes:
+    """Return what `damaged` may return, drawn a hundred times faster and never made simpler."""
+    if random.random() < 0.1:
+        return random.randbytes(random.randrange(300))
+    data = random.choice(seeds)
+    for _ in range(random.randint(1, 4)):
+        share, length = random.randrange(1 << 16), random.randint(1, 64)
+        edge = random.choice(EDGES) % 256 ** (size := random.choice((1, 2, 4, 8)))
+        word = random.choice((random.choice(WORDS), edge.to_bytes(size, "little")))
+        edit = random.choice(
+            (
+                _flip(share, random.randint(1, 255)),
+                _put(share, word, over=random.random() < 0.5),
+                _cut(share, random.choice((length, 1 << 30))),
+                _repeat(share, length, random.choice((1, 3, 100))),
+                _repeat_line(share, random.choice((1, 3, 100))),
+                _swap_lines(share, random.randrange(1 << 16)),
+                _renumber(share, random.choice(HUGE)),
+                _splice(share, random.choice(seeds)),
+            )
+        )
+        data = edit(data)
+    return data
 
 
 def damaged(seeds: Sequence[bytes]) -> st.SearchStrategy[bytes]:

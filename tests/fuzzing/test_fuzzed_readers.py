@@ -4,14 +4,15 @@
 ``FUZZ_CASES`` is how many files each reader gets in the slow test.
 """
 
-import faulthandler
 import os
+from contextlib import suppress
 from pathlib import Path
+from random import Random
 
 import pytest
-from hypothesis import HealthCheck, Phase, given, settings
-from limits import bounded
-from mutations import damaged
+from hypothesis import HealthCheck, given, settings
+from limits import bounded, ending
+from mutations import damage, damaged
 from readers import Reader, readers
 from tiny_network import TinyNetwork
 
@@ -60,40 +61,60 @@ def test_valid_files_are_read(every: dict[str, Reader], tmp_path: Path, name: st
     assert read
 
 
-def attack(reader: Reader, folder: Path, cases: int) -> None:
-    """Give a reader damaged files."""
+def put(reader: Reader, folder: Path) -> Path:
+    """Return where damaged files go; what is imported or compiled at the first file is by now."""
     path = folder / reader.place
+    for seed in reader.seeds:
+        path.write_bytes(seed)
+        with suppress(SalsanextError):
+            reader.read(path)
+    return path
 
-    @settings(
-        max_examples=cases,
-        derandomize=True,
-        database=None,
-        deadline=None,
-        phases=(Phase.generate, Phase.shrink),
-        suppress_health_check=list(HealthCheck),
-    )
-    @given(damaged(reader.seeds))
-    def run(content: bytes) -> None:
-        path.write_bytes(content)
-        said = ""
-        with bounded(len(content)):
-            try:
-                reader.read(path)
-            except SalsanextError as error:
-                said = str(error)
-        assert len(said) < LONGEST, said
 
-    run()
-    path.write_bytes(reader.seeds[0])
+def endure(reader: Reader, path: Path, content: bytes) -> None:
+    """Let a reader read a damaged file."""
+    path.write_bytes(content)
+    said = ""
+    with bounded(len(content)):
+        try:
+            reader.read(path)
+        except SalsanextError as error:
+            said = str(error)
+    assert len(said) < LONGEST, said
 
 
 @pytest.mark.parametrize("name", NAMES)
 def test_a_few_damaged_files(every: dict[str, Reader], tmp_path: Path, name: str) -> None:
-    attack(every[name], tmp_path, FEW_CASES)
+    reader = every[name]
+    path = put(reader, tmp_path)
+
+    @settings(
+        max_examples=FEW_CASES,
+        derandomize=True,
+        database=None,
+        deadline=None,
+        suppress_health_check=list(HealthCheck),
+    )
+    @given(damaged(reader.seeds))
+    def attack(content: bytes) -> None:
+        endure(reader, path, content)
+
+    with ending(FEW_CASES):
+        attack()
+    path.write_bytes(reader.seeds[0])
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", NAMES)
 def test_many_damaged_files(every: dict[str, Reader], tmp_path: Path, name: str) -> None:
-    faulthandler.enable()
-    attack(every[name], tmp_path, MANY_CASES)
+    reader = every[name]
+    path = put(reader, tmp_path)
+    with ending(MANY_CASES):
+        for case in range(MANY_CASES):
+            content = damage(Random(f"{name} {case}"), reader.seeds)
+            try:
+                endure(reader, path, content)
+            except Exception as error:
+                error.add_note(f"case {case}: {content!r}"[:5000])
+                raise
+    path.write_bytes(reader.seeds[0])
