@@ -10,10 +10,12 @@ from typing import Any
 import numpy as np
 
 from salsanext_cli.errors import UsageError
-from salsanext_cli.settings_files import SHOWN, shortened
+from salsanext_cli.settings_files import shortened
 
 RAW_ID_COUNT = 1 << 16
 UNKNOWN = 255
+FEW = 20
+"""How many ids an error names, and digits of each."""
 KEYS = ("labels", "learning_map", "learning_map_inv", "learning_ignore", "color_map", "split")
 
 
@@ -41,7 +43,7 @@ def read_fields(data: Mapping[str, Any], source: object) -> dict[str, Any]:
         found = f"not a label space: {shortened(error)}"
         raise UsageError(source, found, f"keys {', '.join(KEYS)}") from error
     if problem := _contradiction(labels, learning_map, inverse):
-        raise UsageError(source, shortened(problem, 2 * SHOWN), "a consistent label space")
+        raise UsageError(source, problem, "a consistent label space")
     ids = range(len(inverse))
     bgr = [colours.get(inverse[i], _spare_colour(i)) for i in ids]
     return {
@@ -72,8 +74,9 @@ def _contradiction(
 
 def _some(ids: Iterable[int]) -> str:
     """Name the first ids, however many and large they are."""
-    first = sorted(ids)[:SHOWN]
-    return f"[{', '.join(map(shortened, first))}]"
+    listed = sorted(ids)
+    shown = [shortened(i, FEW) for i in listed[:FEW]]
+    return f"[{', '.join([*shown, '…'] if len(listed) > FEW else shown)}]"
 
 
 def _listed(members: object) -> list[object]:

@@ -12,8 +12,12 @@ import yaml
 
 from salsanext_cli.errors import UsageError
 
-LARGEST = 1 << 18
-"""Bytes of such a file; a hundred times what any has that a person wrote."""
+LARGEST_YAML, LARGEST_TOML = 1 << 18, 1 << 14
+"""Bytes of such a file, many times what any has that a person wrote; reading some texts takes
+time by the square of their length.
+"""
+DEEPEST = 20
+"""Brackets within brackets; each more makes every character after it slower to read."""
 SHOWN = 100
 """Characters of a wrong value that an error shows."""
 WRONG_YAML = (
@@ -28,6 +32,12 @@ class _PlainLoader(yaml.SafeLoader):
 
     A few lines of references to references would stand for billions of values.
     """
+
+    def fetch_flow_collection_start(self, kind: Any) -> None:
+        """Refuse brackets in too many brackets."""
+        if self.flow_level >= DEEPEST:
+            raise RecursionError
+        super().fetch_flow_collection_start(kind)
 
     def compose_node(self, parent: Any, index: Any) -> Any:
         """Refuse a reference."""
@@ -47,7 +57,7 @@ def read_yaml(path: Path, expected: str) -> Any:
     UsageError
         If it cannot be read; what was `expected` is said.
     """
-    text = _text(path, expected)
+    text = _text(path, LARGEST_YAML, expected)
     try:
         return yaml.load(text, _PlainLoader)
     except WRONG_YAML as error:
@@ -64,22 +74,23 @@ def read_toml(path: Path, expected: str) -> dict[str, Any]:
     UsageError
         If it cannot be read; what was `expected` is said.
     """
-    text = _text(path, expected)
+    text = _text(path, LARGEST_TOML, expected)
     try:
         return tomllib.loads(text)
     except (ValueError, RecursionError) as error:
         raise UsageError(path, words_of(error), expected) from error
 
 
-def _text(path: Path, expected: str) -> str:
+def _text(path: Path, largest: int, expected: str) -> str:
     try:
         # A pipe would keep us waiting, and a device may never end.
-        if not stat.S_ISREG(path.stat().st_mode):
+        mode = path.stat().st_mode
+        if not (stat.S_ISREG(mode) or stat.S_ISDIR(mode)):
             raise UsageError(path, "not a file", expected)
         with path.open("rb") as file:
-            content = file.read(LARGEST + 1)
-        if len(content) > LARGEST:
-            raise UsageError(path, f"more than {LARGEST} bytes", expected)
+            content = file.read(largest + 1)
+        if len(content) > largest:
+            raise UsageError(path, f"more than {largest} bytes", expected)
         return content.decode("utf-8").replace("\r\n", "\n")
     except FileNotFoundError:
         raise

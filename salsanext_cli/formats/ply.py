@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import io
+import warnings
 from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
@@ -42,7 +43,10 @@ def _read_vertices(path: Path) -> npt.NDArray[Any]:
         content = file.read()
     try:
         require_room(content)
-        data = plyfile.PlyData.read(io.BytesIO(content))
+        with warnings.catch_warnings():
+            # Of empty lines, which are then refused.
+            warnings.simplefilter("ignore")
+            data = plyfile.PlyData.read(io.BytesIO(content))
     except (plyfile.PlyParseError, ValueError, OverflowError) as error:
         raise FormatError(
             path, f"not a whole PLY file: {shortened(str(error))}", "a .ply file"

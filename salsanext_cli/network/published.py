@@ -8,6 +8,7 @@ import lzma
 import pickle
 import pickletools
 import re
+import struct
 import warnings
 import zipfile
 import zlib
@@ -52,6 +53,7 @@ UNREADABLE = (
     RuntimeError,
     TypeError,
     ValueError,
+    struct.error,
 )
 """What readers of pickles and archives raise over bytes that were not written by `torch.save`."""
 

@@ -119,7 +119,8 @@ class Recipe:
             value = getattr(self, field.name)
             kind = type(field.default)
             if kind is float and type(value) is int:
-                object.__setattr__(self, field.name, _as_float(value))
+                value = _as_float(value)
+                object.__setattr__(self, field.name, value)
             elif type(value) is not kind:
                 found = shortened(value)
                 raise UsageError(f"recipe key {field.name}", found, f"a {kind.__name__}")
@@ -179,7 +180,7 @@ def _as_float(value: int) -> float:
     try:
         return float(value)
     except OverflowError:
-        return math.copysign(math.inf, value)
+        return math.inf if value > 0 else -math.inf
 
 
 def refuse_unknown(data: Mapping[str, Any], source: object) -> None:

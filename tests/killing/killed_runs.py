@@ -9,8 +9,8 @@ seconds of a cold start. It prints what happened as one JSON object, or fails.
     OMP_NUM_THREADS=1 python killed_runs.py JOB MOMENTS KILLS FOLDER
 
 ``MOMENTS`` is how the moment of a kill is chosen: ``random``; ``steps``, before the first, second …
-time that the run touches its folder; or with two jobs ``group`` and ``parent``, at random, the whole
-group of processes or only the one that leads it.
+time that the run touches its folder; or with two jobs ``group`` and ``parent``, at random, the
+whole group of processes or only the one that leads it.
 """
 
 import json
@@ -24,6 +24,7 @@ from collections.abc import Callable
 from pathlib import Path
 from types import SimpleNamespace
 
+import numpy as np
 from whole_files import all_alike, require_whole
 
 Run = Callable[[Path], object]
@@ -144,7 +145,13 @@ def predict_job(folder: Path, jobs: int = 1) -> Run:
     network = NetworkChoice(write_weights(folder / "w.safetensors"), "cpu")
     network.load()
     extras, options = ("pixel_labels", "probabilities"), BatchOptions(jobs=jobs)
-    return lambda out: predict(data, out, network=network, extras=extras, options=options)
+
+    def run(out: Path, options: BatchOptions = options) -> None:
+        predict(data, out, network=network, extras=extras, options=options)
+
+    # What is loaded here need not be in every run; one thread, so that forks find no others.
+    run(folder / "warm", BatchOptions())
+    return run
 
 
 def uncertainty_job(folder: Path) -> Run:
@@ -159,17 +166,25 @@ def uncertainty_job(folder: Path) -> Run:
     network = NetworkChoice(write_weights(folder / "w.safetensors"), "cpu")
     network.load()
     estimator = Estimator(samples=2)
-    return lambda out: uncertainty(data, out, network=network, estimator=estimator)
+
+    def run(out: Path) -> None:
+        uncertainty(data, out, network=network, estimator=estimator)
+
+    run(folder / "warm")
+    return run
 
 
 def train_job(folder: Path) -> Run:
     """Return a training with a checkpoint after every step, on a clock that stands still."""
-    from scans import SMALL, write_sequence
+    from scans import SMALL, make_scan, write_sequence
     from tiny_network import TinyNetwork
 
+    from salsanext_cli.geometry.knn import knn_refine
+    from salsanext_cli.geometry.projection import project
     from salsanext_cli.network.architectures import ARCHITECTURES
     from salsanext_cli.stages.train import train
     from salsanext_cli.training import loop
+    from salsanext_cli.training.log import draw_curve
     from salsanext_cli.training.recipe import Recipe
 
     ARCHITECTURES["salsanext"] = TinyNetwork
@@ -177,6 +192,9 @@ def train_job(folder: Path) -> Run:
     loop.time = SimpleNamespace(monotonic=lambda: 0.0)  # type: ignore[assignment]
     write_sequence(folder / "data/sequences/00", ["0", "1"], count=600)
     write_sequence(folder / "data/sequences/08", ["0"], count=600)
+    # Loaded here, so as not to be in every run; but a step would start threads.
+    draw_curve(folder / "warm.png", [{"epoch": 1, "loss": 1.0, "miou": 0.5}])
+    knn_refine(project(make_scan(), SMALL), np.zeros((SMALL.height, SMALL.width), np.uint8))
     recipe = Recipe(epochs=2, batch=1, crop_width=32, samples_per_epoch=4, average=0.5)
     data = folder / "data"
     return lambda run: train(data, run, recipe=recipe, sensor=SMALL, device="cpu")
@@ -184,7 +202,6 @@ def train_job(folder: Path) -> Run:
 
 def overwriting_job(folder: Path) -> Run:
     """Return a run that replaces the results of other settings, and does nothing else."""
-    import numpy as np
     from claiming import claim
 
     from salsanext_cli.formats.kitti import write_labels
