@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Settings that people write, as YAML and TOML: read in bounded time, whatever they hold."""
+"""Settings that people write, as YAML and TOML: read in bounded time and memory."""
 
 from __future__ import annotations
 
@@ -16,6 +16,8 @@ LARGEST_YAML, LARGEST_TOML = 1 << 18, 1 << 14
 """Bytes of such a file, many times what any has that a person wrote; reading some texts takes
 time by the square of their length.
 """
+LONGEST_LINE = 1000
+"""Characters; a key of thousands of parts on a line of TOML takes hundreds of megabytes."""
 DEEPEST = 20
 """Brackets within brackets; each more makes every character after it slower to read."""
 SHOWN = 100
@@ -75,6 +77,8 @@ def read_toml(path: Path, expected: str) -> dict[str, Any]:
         If it cannot be read; what was `expected` is said.
     """
     text = _text(path, LARGEST_TOML, expected)
+    if any(len(line) > LONGEST_LINE for line in text.splitlines()):
+        raise UsageError(path, f"a line of more than {LONGEST_LINE} characters", expected)
     try:
         return tomllib.loads(text)
     except (ValueError, RecursionError) as error:

@@ -192,13 +192,13 @@ def read_weights(path: Path) -> tuple[SegmentationNetwork, WeightsCard]:
         does not fit its label space, or a value is not finite.
     """
     card = read_card(path)
+    classes = card.architecture.get("class_count", card.space.class_count)
     # Before a network is built of a size that somebody wrote into the file.
-    classes = card.architecture.get("class_count")
     if type(classes) is not int or classes != card.space.class_count:
         found = f"{shortened(classes)} outputs for the {card.space.class_count} classes"
         raise WeightsError(path, f"{found} of {card.space.name}", "one output per class")
     try:
-        module = build(card.architecture, path)
+        module = build({**card.architecture, "class_count": classes}, path)
     except UsageError as error:
         raise WeightsError(path, error.found, error.expected) from error
     try:

@@ -49,6 +49,7 @@ SPACE = "labels: {0: a, 1: b}\nlearning_map: {0: 0, 1: 1}\nlearning_map_inv: {0:
 @pytest.fixture(scope="module", autouse=True)
 def _imported(tmp_path_factory: pytest.TempPathFactory) -> None:
     """Import what readers import when they are first used; that is no matter of the file."""
+    tiny_learner()
     path = tmp_path_factory.mktemp("first") / "p.pt"
     for old in (False, True):
         torch.save({"logits.bias": torch.ones(1)}, path, _use_new_zipfile_serialization=not old)
