@@ -20,6 +20,7 @@ import yaml
 
 from salsanext_cli.errors import LabelError, UsageError
 from salsanext_cli.label_yaml import KEYS, RAW_ID_COUNT, UNKNOWN, read_fields
+from salsanext_cli.settings_files import read_yaml
 
 TrainIds = npt.NDArray[np.uint8]
 RawIds = npt.NDArray[np.uint32]
@@ -195,14 +196,10 @@ def label_space(name_or_file: str | Path = "semantic-kitti") -> LabelSpace:
         return _built_in(str(name_or_file))
     path = Path(name_or_file)
     try:
-        data = yaml.safe_load(path.read_text("utf-8"))
+        data = read_yaml(path, "a yaml file in SemanticKITTI's form")
     except FileNotFoundError as error:
         raise UsageError(
             path, "no such file", f"a .yaml file or one of {', '.join(BUILT_IN)}"
-        ) from error
-    except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
-        raise UsageError(
-            path, " ".join(str(error).split()), "a yaml file in SemanticKITTI's form"
         ) from error
     if not isinstance(data, dict):
         raise UsageError(

@@ -3,15 +3,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
+from itertools import islice
 from typing import Any
 
 import numpy as np
 
 from salsanext_cli.errors import UsageError
+from salsanext_cli.settings_files import shortened
 
 RAW_ID_COUNT = 1 << 16
 UNKNOWN = 255
+FEW = 20
+"""How many ids an error names, and digits of each."""
 KEYS = ("labels", "learning_map", "learning_map_inv", "learning_ignore", "color_map", "split")
 
 
@@ -35,10 +39,9 @@ def read_fields(data: Mapping[str, Any], source: object) -> dict[str, Any]:
             str(name): tuple(_sequence_name(s) for s in _listed(members))
             for name, members in data.get("split", {}).items()
         }
-    except (KeyError, TypeError, ValueError, AttributeError) as error:
-        raise UsageError(
-            source, f"not a label space: {error!r}", f"keys {', '.join(KEYS)}"
-        ) from error
+    except (KeyError, TypeError, ValueError, AttributeError, OverflowError) as error:
+        found = f"not a label space: {shortened(error)}"
+        raise UsageError(source, found, f"keys {', '.join(KEYS)}") from error
     if problem := _contradiction(labels, learning_map, inverse):
         raise UsageError(source, problem, "a consistent label space")
     ids = range(len(inverse))
@@ -59,19 +62,26 @@ def _contradiction(
 ) -> str:
     """Say what is inconsistent, or return an empty string."""
     if not inverse or sorted(inverse) != list(range(len(inverse))) or len(inverse) > UNKNOWN:
-        return f"train ids {sorted(inverse)} are not 0…C-1 with C ≤ {UNKNOWN}"
+        return f"train ids {_some(inverse)} are not 0…C-1 with C ≤ {UNKNOWN}"
     if bad := [i for i in (*learning_map, *labels) if not 0 <= i < RAW_ID_COUNT]:
-        return f"raw ids {bad} do not fit 16 bits"
+        return f"raw ids {_some(bad)} do not fit 16 bits"
     if bad := sorted(set(learning_map.values()) - set(inverse)):
-        return f"learning_map leads to train ids {bad} that learning_map_inv lacks"
+        return f"learning_map leads to train ids {_some(bad)} that learning_map_inv lacks"
     if bad := sorted(set(inverse.values()) - set(labels)):
-        return f"raw ids {bad} have no name in labels"
+        return f"raw ids {_some(bad)} have no name in labels"
     return ""
+
+
+def _some(ids: Iterable[int]) -> str:
+    """Name the first ids, however many and large they are."""
+    listed = sorted(ids)
+    shown = [shortened(i, FEW) for i in listed[:FEW]]
+    return f"[{', '.join([*shown, '…'] if len(listed) > FEW else shown)}]"
 
 
 def _listed(members: object) -> list[object]:
     if not isinstance(members, list | tuple):
-        raise TypeError(f"a split is {members!r}, not a list of sequences")
+        raise TypeError(f"a split is {shortened(members)}, not a list of sequences")
     return list(members)
 
 
@@ -82,9 +92,9 @@ def _sequence_name(sequence: object) -> str:
 
 def _colour(channels: Any) -> list[int]:
     """Return the three bytes of a colour; anything else raises `ValueError`."""
-    colour = [int(channel) for channel in channels]
+    colour = [int(channel) for channel in islice(channels, 4)]
     if len(colour) != 3 or not all(0 <= channel <= 255 for channel in colour):
-        raise ValueError(f"{channels!r} is not a colour of 3 bytes")
+        raise ValueError(f"{shortened(channels)} is not a colour of 3 bytes")
     return colour
 
 

@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from salsanext_cli.errors import UsageError
+from salsanext_cli.settings_files import read_toml, shortened, words_of
 
 SEMANTIC_KITTI_MEANS = (12.12, 10.88, 0.23, -1.04, 0.21)
 SEMANTIC_KITTI_STDS = (12.32, 11.47, 6.91, 0.86, 0.16)
@@ -59,34 +60,46 @@ class Sensor:
     intensity_noise: float | None = None
 
     def __post_init__(self) -> None:
+        self._require(isinstance(self.name, str), "a name that is no text")
         self._require(math.isfinite(self.fov_up) and math.isfinite(self.fov_down), "fov not finite")
         self._require(
-            self.fov_up > self.fov_down, f"fov_up {self.fov_up} ≤ fov_down {self.fov_down}"
+            self.fov_up > self.fov_down,
+            f"fov_up {shortened(self.fov_up)} ≤ fov_down {shortened(self.fov_down)}",
         )
         self._require(
-            all(isinstance(size, int) and size >= 1 for size in (self.height, self.width)),
-            f"size {self.height}×{self.width}",
+            all(type(size) is int and size >= 1 for size in (self.height, self.width)),
+            f"size {self._size}",
         )
         self._require(
             self.height * self.width <= LARGEST,
-            f"size {self.height}×{self.width}, more than {LARGEST} pixels",
+            f"size {self._size}, more than {LARGEST} pixels",
         )
         self._require(
             len(self.means) == len(self.stds) == 5, "means and stds are not 5 numbers each"
         )
-        self._require(all(map(math.isfinite, self.means)), f"means {self.means} are not all finite")
         self._require(
-            all(0 < std < math.inf for std in self.stds), f"stds {self.stds} are not all positive"
+            all(map(math.isfinite, self.means)), f"means {shortened(self.means)} are not all finite"
         )
-        self._require(self.out_of_view in ("clamp", "drop"), f"out_of_view {self.out_of_view!r}")
-        self._require(self.intensity_scale > 0, f"intensity_scale {self.intensity_scale}")
+        self._require(
+            all(0 < std < math.inf for std in self.stds),
+            f"stds {shortened(self.stds)} are not all positive",
+        )
+        self._require(
+            self.out_of_view in ("clamp", "drop"), f"out_of_view {shortened(self.out_of_view)}"
+        )
+        scale = self.intensity_scale
+        self._require(0 < scale < math.inf, f"intensity_scale {shortened(scale)}")
         for name in NOISE:
             noise = getattr(self, name)
-            self._require(noise is None or 0 <= noise < math.inf, f"{name} {noise}")
+            self._require(noise is None or 0 <= noise < math.inf, f"{name} {shortened(noise)}")
 
     def _require(self, holds: bool, found: str) -> None:
         if not holds:
-            raise UsageError(f"sensor {self.name}", found, "a possible sensor")
+            raise UsageError(f"sensor {shortened(self.name)}", found, "a possible sensor")
+
+    @property
+    def _size(self) -> str:
+        return f"{shortened(self.height)}×{shortened(self.width)}"
 
     @property
     def knows_noise(self) -> bool:
@@ -103,16 +116,18 @@ class Sensor:
         known = {field.name for field in fields(cls)}
         if unknown := sorted(set(data) - known):
             raise UsageError(
-                source, f"unknown key {', '.join(unknown)}", f"keys {', '.join(sorted(known))}"
+                source,
+                f"unknown key {shortened(', '.join(unknown))}",
+                f"keys {', '.join(sorted(known))}",
             )
         values: dict[str, Any] = {
             key: tuple(value) if isinstance(value, list) else value for key, value in data.items()
         }
         try:
             return cls(**values)
-        except TypeError as error:
+        except (TypeError, OverflowError) as error:
             raise UsageError(
-                source, str(error), "a sensor with fov_up, fov_down, height, width"
+                source, words_of(error), "a sensor with fov_up, fov_down, height, width"
             ) from error
 
     def view(self) -> dict[str, Any]:
@@ -156,8 +171,5 @@ def sensor(name_or_file: str | Path) -> Sensor:
             "no preset and no file of that name",
             f"one of {known}, or a .toml file",
         )
-    try:
-        data = tomllib.loads(path.read_text("utf-8"))
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError, OSError) as error:
-        raise UsageError(path, str(error), "a TOML file with a sensor's keys") from error
+    data = read_toml(path, "a TOML file with a sensor's keys")
     return Sensor.from_dict({"name": path.stem, **data}, path)

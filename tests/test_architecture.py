@@ -12,6 +12,7 @@ PACKAGE = Path(salsanext_cli.__file__).parent
 MODULES = sorted(PACKAGE.rglob("*.py"))
 LEVELS = (
     ("errors",),
+    ("settings_files",),
     ("label_yaml",),
     ("classes", "sensors"),
     ("records",),

@@ -14,7 +14,7 @@ from numpy.lib import format as npy
 
 from salsanext_cli.errors import FormatError
 from salsanext_cli.formats.atomic import writing
-from salsanext_cli.formats.reading import reading, size_of
+from salsanext_cli.formats.reading import read_values, reading, size_of
 
 MAGIC = b"\x93NUMPY\x01\x00"
 HEADER = re.compile(
@@ -49,7 +49,7 @@ def read_array(path: Path, dtype: npt.DTypeLike, shape: tuple[int | None, ...]) 
         promised = math.prod(found_shape) * np.dtype(dtype).itemsize
         if (held := size_of(file) - file.tell()) != promised:
             raise FormatError(path, f"{held} bytes of data", f"{promised} bytes", "it is cut off")
-        values = np.fromfile(file, dtype)
+        values = read_values(file, path, dtype, math.prod(found_shape))
     return values.reshape(found_shape, order="F" if in_columns else "C")
 
 

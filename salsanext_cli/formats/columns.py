@@ -32,8 +32,8 @@ def scan_of(columns: Columns, path: Path, intensity_scale: float) -> Scan:
     if missing := [axis for axis in "xyz" if axis not in known]:
         found = ", ".join(columns) or "nothing"
         raise FormatError(path, f"points of {found}", f"also {', '.join(missing)}")
-    # float64 beyond float32 becomes infinity: a point without a measurement.
-    with np.errstate(over="ignore"):
+    # float64 beyond float32 becomes infinity, and a NaN may signal: no measurement either way.
+    with np.errstate(over="ignore", invalid="ignore"):
         points = np.column_stack([known[axis].astype(np.float32) for axis in "xyz"])
     values = next((known[name] for name in INTENSITY_NAMES if name in known), None)
     if values is None:

@@ -11,7 +11,7 @@ from salsanext_cli.classes import RawIds
 from salsanext_cli.errors import FormatError, LabelError
 from salsanext_cli.formats.atomic import writing
 from salsanext_cli.formats.columns import normalised_intensity
-from salsanext_cli.formats.reading import reading, size_of
+from salsanext_cli.formats.reading import read_values, reading, size_of
 from salsanext_cli.records import Float, Scan
 
 COLUMNS = 4
@@ -54,7 +54,7 @@ def read_bin(path: Path, columns: int | None = None, *, intensity_scale: float =
                 f"a multiple of {4 * columns} ({columns} float32 per point)",
                 "it is cut off or of another kind" + (f"; {REMEDIES[fitting]}" if fitting else ""),
             )
-        values = np.fromfile(file, "<f4")
+        values = read_values(file, path, "<f4", size // 4)
     if (fitting := _evident_columns(values, columns)) is not None:
         raise FormatError(
             path, f"holds {fitting} columns", f"{columns} float32 per point", REMEDIES[fitting]
@@ -116,7 +116,7 @@ def read_labels(path: Path, count: int | None = None) -> RawIds:
             raise FormatError(
                 path, f"{size} bytes", "a multiple of 4 (one uint32 per point)", "it is cut off"
             )
-        raw: RawIds = np.fromfile(file, "<u4").astype(np.uint32, copy=False)
+        raw: RawIds = read_values(file, path, "<u4", size // 4).astype(np.uint32, copy=False)
     if count is not None and len(raw) != count:
         raise LabelError(
             path,

@@ -214,8 +214,8 @@ def output_path(out: Path, sequence: str, folder: str, stem: str) -> Path:
         If a name would lead out of the output folder.
     """
     for name in (sequence, stem):
-        if name in ("", ".", "..") or Path(name).name != name:
-            raise OutputError(name or "''", "cannot name a file", "a plain name without slashes")
+        if name in ("", ".", "..") or "\0" in name or Path(name).name != name:
+            raise OutputError(repr(name), "cannot name a file", "a plain name without slashes")
     return out / "sequences" / sequence / folder / f"{stem}{SUFFIX_OF_FOLDER[folder]}"
 
 

@@ -18,8 +18,12 @@ from salsanext_cli.errors import FormatError
 from salsanext_cli.formats.columns import Columns, scan_of
 from salsanext_cli.formats.packages import import_open3d
 from salsanext_cli.formats.pcd_header import Header, read_header
-from salsanext_cli.formats.reading import reading, size_of
+from salsanext_cli.formats.reading import read_values, reading, size_of
 from salsanext_cli.records import Scan
+from salsanext_cli.settings_files import shortened
+
+LARGEST_RATIO = 264 / 3
+"""What LZF makes of a byte at most: three of them stand for up to 264."""
 
 
 def read_pcd(path: Path, *, intensity_scale: float = 1.0) -> Scan:
@@ -39,11 +43,11 @@ def read_pcd(path: Path, *, intensity_scale: float = 1.0) -> Scan:
                 case "ascii":
                     columns = _read_ascii(file, header)
                 case "binary":
-                    columns = _read_binary(file, header)
+                    columns = _read_binary(file, path, header)
                 case _:
                     columns = _read_compressed(file, path, header)
         except ValueError as error:
-            raise FormatError(path, str(error), "a whole PCD file") from error
+            raise FormatError(path, shortened(str(error)), "a whole PCD file") from error
     return scan_of(columns, path, intensity_scale)
 
 
@@ -67,11 +71,11 @@ def _read_ascii(file: BinaryIO, header: Header) -> Columns:
         }
 
 
-def _read_binary(file: BinaryIO, header: Header) -> Columns:
+def _read_binary(file: BinaryIO, path: Path, header: Header) -> Columns:
     promised = header.points * header.row_size
     if (held := size_of(file) - file.tell()) < promised:
         raise ValueError(f"{held} bytes of data, not {promised}")
-    table = np.fromfile(file, header.row, header.points)
+    table = read_values(file, path, header.row, header.points)
     return {name: table[name] for name in table.dtype.names or ()}
 
 
@@ -83,6 +87,8 @@ def _read_compressed(file: BinaryIO, path: Path, header: Header) -> Columns:
     held = size_of(file) - file.tell()
     if len(sizes) < 2 or held < sizes[0] or sizes[1] != promised:
         raise ValueError(f"{held} bytes of compressed data that do not unpack to {promised}")
+    if promised > LARGEST_RATIO * sizes[0]:
+        raise ValueError(f"{sizes[0]} bytes of compressed data that cannot unpack to {promised}")
     if header.points == 0:
         return {name: np.empty(0, t) for name, t in zip(header.names, header.types, strict=True)}
     open3d = import_open3d()

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from itertools import accumulate
 from typing import Any, BinaryIO
 
 import numpy as np
@@ -66,21 +67,21 @@ class Header:
     @property
     def row_size(self) -> int:
         """Bytes of one point, padding included."""
-        return sum(self._sizes)
+        return sum(self._sizes())
 
     @property
     def row(self) -> np.dtype[Any]:
         """One point as plain binary stores it; padding is passed over."""
+        *offsets, row_size = accumulate(self._sizes(), initial=0)
         return np.dtype(
             {
                 "names": [self.names[i] for i in self.scalars],
                 "formats": [self.types[i] for i in self.scalars],
-                "offsets": [sum(self._sizes[:i]) for i in self.scalars],
-                "itemsize": self.row_size,
+                "offsets": [offsets[i] for i in self.scalars],
+                "itemsize": row_size,
             }
         )
 
-    @property
     def _sizes(self) -> list[int]:
         return [
             np.dtype(kind).itemsize * count

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import io
+import warnings
 from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
@@ -14,8 +15,10 @@ import numpy.typing as npt
 from salsanext_cli.errors import FormatError, MissingDependency
 from salsanext_cli.formats.atomic import writing
 from salsanext_cli.formats.columns import scan_of
+from salsanext_cli.formats.ply_header import require_room
 from salsanext_cli.formats.reading import reading
 from salsanext_cli.records import Scan
+from salsanext_cli.settings_files import shortened
 
 
 def read_ply(path: Path, *, intensity_scale: float = 1.0) -> Scan:
@@ -37,13 +40,16 @@ def _read_vertices(path: Path) -> npt.NDArray[Any]:
     """Return the vertices as a structured array."""
     plyfile = _plyfile()
     with reading(path) as file:
-        content = io.BytesIO(file.read())
+        content = file.read()
     try:
-        data = plyfile.PlyData.read(content)
-    # A header may promise more than any memory or index can hold.
-    except (plyfile.PlyParseError, ValueError, OverflowError, MemoryError) as error:
+        require_room(content)
+        with warnings.catch_warnings():
+            # Of empty lines, which are then refused.
+            warnings.simplefilter("ignore")
+            data = plyfile.PlyData.read(io.BytesIO(content))
+    except (plyfile.PlyParseError, ValueError, OverflowError) as error:
         raise FormatError(
-            path, f"not a whole PLY file: {str(error) or 'too large'}", "a .ply file"
+            path, f"not a whole PLY file: {shortened(str(error))}", "a .ply file"
         ) from error
     if "vertex" not in data:
         raise FormatError(path, "no vertices", "a PLY file with an element vertex")

@@ -1,13 +1,17 @@
 # SPDX-License-Identifier: MIT
-"""Open a file that may be missing, a folder, or not ours to read."""
+"""Open a file that may be missing, a folder, not ours to read, or no file at all."""
 
 from __future__ import annotations
 
 import os
+import stat
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import BinaryIO
+from typing import Any, BinaryIO
+
+import numpy as np
+import numpy.typing as npt
 
 from salsanext_cli.errors import FormatError
 
@@ -16,10 +20,31 @@ from salsanext_cli.errors import FormatError
 def reading(path: Path | str) -> Iterator[BinaryIO]:
     """Open a file for reading; whatever the system refuses becomes a `FormatError`."""
     try:
+        # A pipe would keep us waiting, and a device may never end.
+        if not stat.S_ISREG(Path(path).stat().st_mode):
+            raise FormatError(path, _kind(Path(path)), "a readable file")
         with Path(path).open("rb") as file:
             yield file
     except OSError as error:
         raise FormatError(path, f"cannot be read: {reason(error)}", "a readable file") from error
+
+
+def _kind(path: Path) -> str:
+    return "cannot be read: is a directory" if path.is_dir() else "neither a file nor a link to one"
+
+
+def read_values(file: BinaryIO, path: Path, dtype: npt.DTypeLike, count: int) -> npt.NDArray[Any]:
+    """Read so many values from where an open file stands.
+
+    Raises
+    ------
+    FormatError
+        If the file has become shorter since its size was asked for.
+    """
+    values = np.fromfile(file, dtype, count)
+    if len(values) != count:
+        raise FormatError(path, "changed while it was read", "a file that nobody writes to")
+    return values
 
 
 def present(path: Path) -> bool:
@@ -30,13 +55,33 @@ def present(path: Path) -> bool:
     FormatError
         If the system does not even let us look: the name is too long, a folder is not ours.
     """
+    return _status(path) is not None
+
+
+def filled(path: Path) -> bool:
+    """Say whether there is a file under a name, and something in it.
+
+    A power cut can leave a file empty that had just got its name. Raises what `present` raises.
+    """
+    status = _status(path)
+    return status is not None and status.st_size > 0
+
+
+def _status(path: Path) -> os.stat_result | None:
     try:
-        path.stat()
+        return path.stat()
     except (FileNotFoundError, NotADirectoryError):
-        return False
+        return None
     except OSError as error:
         raise FormatError(path, f"cannot be read: {reason(error)}", "a readable file") from error
-    return True
+
+
+def is_folder(path: Path) -> bool:
+    """Say whether a name is that of a folder; a name that the system refuses is none."""
+    try:
+        return path.is_dir()
+    except OSError:
+        return False
 
 
 def reason(error: OSError) -> str:

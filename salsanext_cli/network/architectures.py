@@ -12,6 +12,7 @@ from salsanext_cli.network.designs import Design
 from salsanext_cli.network.rangenet import RangeNet53
 from salsanext_cli.network.salsanext import SalsaNext
 from salsanext_cli.network.segmentation import SegmentationNetwork
+from salsanext_cli.settings_files import shortened, words_of
 
 
 def _of(design: Design) -> Callable[..., SegmentationNetwork]:
@@ -56,8 +57,11 @@ def build(architecture: Mapping[str, Any], source: object = "architecture") -> S
     numbers = dict(architecture)
     name = numbers.pop("name", None)
     if not isinstance(name, str) or name not in ARCHITECTURES:
-        raise UsageError(source, f"architecture {name}", f"one of {', '.join(ARCHITECTURES)}")
+        raise UsageError(
+            source, f"architecture {shortened(name)}", f"one of {', '.join(ARCHITECTURES)}"
+        )
     try:
         return ARCHITECTURES[name](**numbers)
     except (TypeError, ValueError) as error:
-        raise UsageError(source, f"architecture {name} with {numbers}", str(error)) from error
+        found = f"architecture {name} with {shortened(numbers)}"
+        raise UsageError(source, found, words_of(error)) from error

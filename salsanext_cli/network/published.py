@@ -8,6 +8,7 @@ import lzma
 import pickle
 import pickletools
 import re
+import struct
 import warnings
 import zipfile
 import zlib
@@ -21,6 +22,7 @@ from torch import Tensor
 
 from salsanext_cli.errors import WeightsError
 from salsanext_cli.formats.reading import reason
+from salsanext_cli.network.archives import require_stored
 
 UNITS = {"conv2": "narrow.0", "bn1": "narrow.2", "conv3": "middle.0", "bn2": "middle.2"}
 UNITS |= {"conv4": "wide.0", "bn3": "wide.2", "conv5": "fuse.0", "bn4": "fuse.2"}
@@ -51,6 +53,7 @@ UNREADABLE = (
     RuntimeError,
     TypeError,
     ValueError,
+    struct.error,
 )
 """What readers of pickles and archives raise over bytes that were not written by `torch.save`."""
 
@@ -91,7 +94,8 @@ def read_published(path: Path) -> dict[str, Tensor]:
 def _load_inert(path: Path) -> Any:
     """Unpickle with torch's restricted reader, unknown classes replaced by `Inert`."""
     try:
-        with path.open("rb") as file:
+        # In memory: of a file, as many bytes are made room for as a string claims to have.
+        with io.BytesIO(path.read_bytes()) as file:
             stand_ins = [_stand_in(name) for name in sorted(_named_globals(file))]
             with torch.serialization.safe_globals(stand_ins), warnings.catch_warnings():
                 # torch warns of what it then refuses, or of forms that are merely old.
@@ -127,6 +131,7 @@ def _named_globals(file: BinaryIO) -> set[str]:
     """
     if zipfile.is_zipfile(file):
         with zipfile.ZipFile(file) as archive:
+            require_stored(archive, file)
             names = [name for name in archive.namelist() if name.endswith("/data.pkl")]
             pickles: list[BinaryIO] = [io.BytesIO(archive.read(name)) for name in names]
     else:

@@ -3,11 +3,9 @@
 
 from __future__ import annotations
 
-import hashlib
 import json
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from functools import cache
 from importlib import resources
 from pathlib import Path
 from typing import Any
@@ -24,6 +22,7 @@ from salsanext_cli.formats.atomic import writing
 from salsanext_cli.network.architectures import build
 from salsanext_cli.network.segmentation import SegmentationNetwork
 from salsanext_cli.sensors import Sensor
+from salsanext_cli.settings_files import shortened, words_of
 
 KEY = "salsanext"
 """The one key of the header: safetensors writes several in an order drawn anew each time."""
@@ -102,8 +101,8 @@ class WeightsCard:
             )
         except UsageError as error:
             raise WeightsError(source, f"damaged metadata: {error.found}") from error
-        except (KeyError, TypeError, ValueError) as error:
-            raise WeightsError(source, f"damaged metadata: {error}") from error
+        except (KeyError, TypeError, ValueError, RecursionError) as error:
+            raise WeightsError(source, f"damaged metadata: {words_of(error)}") from error
 
 
 def _require_format(found: object, source: object) -> None:
@@ -112,13 +111,17 @@ def _require_format(found: object, source: object) -> None:
             source, "lacks what salsanext writes", "weights that `train` or `import-weights` wrote"
         )
     if found != FORMAT:
-        raise WeightsError(source, f"format {found}", FORMAT, "use the version that wrote it")
+        raise WeightsError(
+            source, f"format {shortened(found)}", FORMAT, "use the version that wrote it"
+        )
 
 
 def _temperature(value: Any) -> float:
     lowest, highest = TEMPERATURES
     if type(value) not in (int, float) or not lowest <= value <= highest:
-        raise ValueError(f"temperature {value} is not between {lowest:g} and {highest:g}")
+        raise ValueError(
+            f"temperature {shortened(value)} is not between {lowest:g} and {highest:g}"
+        )
     return float(value)
 
 
@@ -149,7 +152,7 @@ def save_with_card(
 
 
 def _write(path: Path, tensors: dict[str, Tensor], card: WeightsCard) -> None:
-    with writing(path) as file:
+    with writing(path, durable=True) as file:
         file.write(safetensors.torch.save(tensors, card.to_metadata()))
 
 
@@ -171,7 +174,7 @@ def read_card(path: Path) -> WeightsCard:
         with safetensors.safe_open(path, framework="pt") as file:
             metadata = file.metadata() or {}
     except (OSError, safetensors.SafetensorError) as error:
-        found = f"cannot be read: {error}" if path.exists() else "no such file"
+        found = f"cannot be read: {words_of(error)}" if path.exists() else "no such file"
         remedy = "convert a published checkpoint with `salsanext import-weights`"
         if path.is_dir():
             found, remedy = "a folder", "name the file in it"
@@ -189,15 +192,20 @@ def read_weights(path: Path) -> tuple[SegmentationNetwork, WeightsCard]:
         does not fit its label space, or a value is not finite.
     """
     card = read_card(path)
+    classes = card.architecture.get("class_count", card.space.class_count)
+    # Before a network is built of a size that somebody wrote into the file.
+    if type(classes) is not int or classes != card.space.class_count:
+        found = f"{shortened(classes)} outputs for the {card.space.class_count} classes"
+        raise WeightsError(path, f"{found} of {card.space.name}", "one output per class")
     try:
-        module = build(card.architecture, path)
+        module = build({**card.architecture, "class_count": classes}, path)
     except UsageError as error:
         raise WeightsError(path, error.found, error.expected) from error
-    load_tensors(module, safetensors.torch.load_file(path), path)
-    classes = card.architecture.get("class_count")
-    if classes != card.space.class_count:
-        found = f"{classes} outputs for the {card.space.class_count} classes of {card.space.name}"
-        raise WeightsError(path, found, "one output per class")
+    try:
+        tensors = safetensors.torch.load_file(path)
+    except (OSError, KeyError, ValueError, safetensors.SafetensorError) as error:
+        raise WeightsError(path, f"cannot be read: {words_of(error)}") from error
+    load_tensors(module, tensors, path)
     return module.eval(), card
 
 
@@ -211,9 +219,11 @@ def load_tensors(module: nn.Module, tensors: Mapping[str, Tensor], source: objec
     """
     wanted = module.state_dict()
     if missing := sorted(wanted.keys() - tensors.keys()):
-        raise WeightsError(source, f"lacks {len(missing)} tensors, such as {missing[0]}")
+        raise WeightsError(source, f"lacks {len(missing)} tensors, such as {shortened(missing[0])}")
     if surplus := sorted(tensors.keys() - wanted.keys()):
-        raise WeightsError(source, f"holds {len(surplus)} unknown tensors, such as {surplus[0]}")
+        raise WeightsError(
+            source, f"holds {len(surplus)} unknown tensors, such as {shortened(surplus[0])}"
+        )
     for name, tensor in tensors.items():
         if tensor.shape != wanted[name].shape:
             found, expected = tuple(tensor.shape), tuple(wanted[name].shape)
@@ -228,23 +238,3 @@ def load_tensors(module: nn.Module, tensors: Mapping[str, Tensor], source: objec
 def default_weights() -> Path:
     """Return the place of the weights that come with the package."""
     return Path(str(resources.files("salsanext_cli") / "presets/weights/default.safetensors"))
-
-
-def fingerprint(path: Path) -> str:
-    """Return the SHA-256 of a weights file, hexadecimal."""
-    return _fingerprint(path, identity(path))
-
-
-def identity(path: Path) -> tuple[object, ...]:
-    """Return what tells a file from its successor of the same name, empty if there is none."""
-    try:
-        status = path.stat()
-    except OSError:
-        return ()
-    return path.absolute(), status.st_ino, status.st_size, status.st_mtime_ns
-
-
-@cache
-def _fingerprint(path: Path, _: tuple[object, ...]) -> str:
-    with path.open("rb") as file:
-        return hashlib.file_digest(file, "sha256").hexdigest()

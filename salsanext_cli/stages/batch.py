@@ -14,7 +14,7 @@ from typing import Generic, TypeVar
 from salsanext_cli.errors import UsageError, WorkersLost
 from salsanext_cli.formats.atomic import sweep
 from salsanext_cli.formats.layout import ScanFile
-from salsanext_cli.formats.reading import present
+from salsanext_cli.formats.reading import filled
 from salsanext_cli.stages.attempts import Attempt, Errand, Work, attempt_each
 from salsanext_cli.stages.shards import Shard
 from salsanext_cli.stages.threads import worker_count
@@ -183,7 +183,7 @@ def run_batch(
 
 def _exist(paths: Iterable[Path]) -> bool:
     listed = list(paths)
-    return bool(listed) and all(present(path) for path in listed)
+    return bool(listed) and all(filled(path) for path in listed)
 
 
 def _missing(lost: WorkersLost, left: list[ScanFile], count: int) -> WorkersLost:

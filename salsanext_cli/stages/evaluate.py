@@ -20,6 +20,7 @@ from salsanext_cli.measures.distance import RING_NAMES
 from salsanext_cli.measures.scores import scores
 from salsanext_cli.stages.absent import without_predictions
 from salsanext_cli.stages.batch import BatchOptions, Failure, run_batch
+from salsanext_cli.stages.claims import recording
 from salsanext_cli.stages.counting import ScanCounts, count_scan
 from salsanext_cli.stages.evaluation import Evaluation
 from salsanext_cli.stages.outputs import as_json, require_same_settings
@@ -97,7 +98,10 @@ def evaluate(
         trust=trust(counts.uncertainty, counts.scans, space),
     )
     _warn(evaluation)
-    _write(evaluation, out)
+    with recording(out):
+        if not options.overwrite:
+            _require_own_result(out / "eval.json", settings)
+        _write(evaluation, out)
     return evaluation
 
 

@@ -21,6 +21,7 @@ from salsanext_cli.formats.reading import present
 from salsanext_cli.report.colours import error_colours, label_colours, value_colours, value_range
 from salsanext_cli.stages.absent import Absent, without_results
 from salsanext_cli.stages.batch import BatchOptions, Failure, Outcome, run_batch
+from salsanext_cli.stages.claims import claimed
 from salsanext_cli.stages.clouds import (
     UNCERTAINTY,
     Cloud,
@@ -33,7 +34,6 @@ from salsanext_cli.stages.inputs import Choice, choose
 from salsanext_cli.stages.late_uncertainty import estimate_missing
 from salsanext_cli.stages.networks import NetworkChoice
 from salsanext_cli.stages.outputs import (
-    claim,
     origins,
     recorded_sensor,
     recorded_weights,
@@ -173,9 +173,9 @@ def export_ply(
         "label_space": space.to_dict(),
         "origins": origins(out, STAGES_READ),
     }
-    claim(out, "export-ply", settings, ("ply",), overwrite=options.overwrite)
     work = ExportScan(out, space, intensity_scale, colour, scale)
-    outcome = run_batch(work, scans, options, work.results_of)
+    with claimed(out, "export-ply", settings, ("ply",), overwrite=options.overwrite):
+        outcome = run_batch(work, scans, options, work.results_of)
     failures = tuple(unsampled.get(failure.scan, failure) for failure in outcome.failures)
     return Exported(outcome.results, outcome.skipped, failures, absent=absent)
 

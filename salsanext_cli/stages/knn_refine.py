@@ -18,9 +18,9 @@ from salsanext_cli.geometry.knn import KnnParameters, knn_refine
 from salsanext_cli.records import RangeImage
 from salsanext_cli.sensors import Sensor
 from salsanext_cli.stages.batch import BatchOptions, Outcome, run_batch
+from salsanext_cli.stages.claims import claimed
 from salsanext_cli.stages.inputs import Choice, choose, space_of
 from salsanext_cli.stages.outputs import (
-    claim,
     origins,
     recorded_label_space,
     recorded_sensor,
@@ -155,6 +155,6 @@ def knn_refine_scans(
         # Labels of other weights must not be kept as those of these.
         settings |= {"origins": origins(out, ["predict"])}
     sources = scans if dataset else ()
-    claim(out, "knn-refine", settings, ("predictions",), sources, overwrite=options.overwrite)
-    work = RefineScan(out, labels, space, sensor, knn)
-    return run_batch(work, scans, options, work.results_of)
+    work, writes = RefineScan(out, labels, space, sensor, knn), ("predictions",)
+    with claimed(out, "knn-refine", settings, writes, sources, overwrite=options.overwrite):
+        return run_batch(work, scans, options, work.results_of)

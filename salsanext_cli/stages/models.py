@@ -10,11 +10,12 @@ from typing import Any
 
 import torch
 
+from salsanext_cli.formats.identity import fingerprint
 from salsanext_cli.network.architectures import ARCHITECTURES, build
 from salsanext_cli.network.cost import multiply_accumulates, parameter_count
 from salsanext_cli.network.papers import PAPERS, Printed, agrees
 from salsanext_cli.network.receptive_field import receptive_field
-from salsanext_cli.network.weights import WeightsCard, fingerprint, read_card
+from salsanext_cli.network.weights import WeightsCard, read_card
 
 HEIGHT, WIDTH = 64, 2048
 

@@ -12,8 +12,9 @@ from typing import Any
 import torch
 
 from salsanext_cli.errors import NOTICE
+from salsanext_cli.formats.identity import fingerprint, identity
 from salsanext_cli.network.inference import Network, load_network
-from salsanext_cli.network.weights import default_weights, fingerprint, identity
+from salsanext_cli.network.weights import default_weights
 from salsanext_cli.sensors import Sensor
 from salsanext_cli.stages.gpus import own_device
 

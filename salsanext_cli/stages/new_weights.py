@@ -3,11 +3,10 @@
 
 from __future__ import annotations
 
-import uuid
 from pathlib import Path
 
 from salsanext_cli.errors import OutputError
-from salsanext_cli.formats.atomic import writing
+from salsanext_cli.formats.atomic import require_writable, sweep_stale
 from salsanext_cli.formats.reading import present
 
 SUFFIX = ".safetensors"
@@ -25,10 +24,8 @@ def require_target(target: Path, overwrite: bool) -> None:
     if target.suffix != SUFFIX:
         raise OutputError(target, f"suffix {target.suffix or 'missing'}", SUFFIX)
     require_free(target, overwrite)
-    probe = target.with_name(f".{uuid.uuid4().hex}.probe")
-    with writing(probe):
-        pass
-    probe.unlink()
+    require_writable(target.parent)
+    sweep_stale(target.parent)
 
 
 def require_free(path: Path, overwrite: bool) -> None:

@@ -13,10 +13,9 @@ from salsanext_cli import __version__
 from salsanext_cli.classes import LabelSpace
 from salsanext_cli.errors import OutputError
 from salsanext_cli.formats.json_files import read_json, write_json
-from salsanext_cli.formats.layout import SUFFIX_OF_FOLDER, ScanFile, find_outputs
+from salsanext_cli.formats.layout import SUFFIX_OF_FOLDER
 from salsanext_cli.sensors import Sensor, sensor
 from salsanext_cli.stages.settings import Settings
-from salsanext_cli.stages.sources import new_sources
 
 SHOWN = 3
 """How many differences an error names."""
@@ -25,14 +24,14 @@ RESULT_STAGES = ("project", "predict", "knn-refine", "uncertainty", "export-ply"
 
 def stage_settings(out: Path, stage: str) -> Settings | None:
     """Return the settings a stage ran with in this output folder, None if it did not."""
-    manifest = _manifest(out, stage)
+    manifest = manifest_of(out, stage)
     return None if manifest is None else Settings(manifest["settings"], out / f"{stage}.json")
 
 
 def owner(out: Path, folder: str) -> str | None:
     """Return the stage that writes a folder of results in this output folder, if any does."""
     for stage in RESULT_STAGES:
-        manifest = _manifest(out, stage)
+        manifest = manifest_of(out, stage)
         if manifest and folder in manifest["writes"]:
             return stage
     return None
@@ -51,7 +50,8 @@ def origins(out: Path, stages: Iterable[str]) -> dict[str, str]:
     }
 
 
-def _manifest(out: Path, stage: str) -> dict[str, Any] | None:
+def manifest_of(out: Path, stage: str) -> dict[str, Any] | None:
+    """Return what `record` wrote of a stage, None if it did not run here."""
     path = out / f"{stage}.json"
     manifest = read_json(path)
     kinds = {"settings": dict, "writes": list}
@@ -64,57 +64,10 @@ def _manifest(out: Path, stage: str) -> dict[str, Any] | None:
     return manifest
 
 
-def claim(
-    out: Path,
-    stage: str,
-    settings: Mapping[str, Any],
-    writes: Iterable[str],
-    scans: Sequence[ScanFile] = (),
-    *,
-    overwrite: bool,
-) -> None:
-    """Record what a stage does in `OUT/<stage>.json`, or refuse to mix results.
-
-    Parameters
-    ----------
-    out : Path
-        The output folder.
-    stage : str
-        Its name on the command line.
-    settings : mapping
-        Resolved settings, JSON-able, that decide what the results are.
-    writes : iterable of str
-        The folders of results that the stage fills.
-    scans : sequence of ScanFile
-        What it works on; that, and where they came from, is remembered for later stages.
-    overwrite : bool
-        Whether other settings may replace those recorded; results made with them are removed.
-
-    Raises
-    ------
-    OutputError
-        If the folder holds results of other settings, or of another stage, and `overwrite` is
-        not set; if a sequence of the same name came from elsewhere; or if it cannot be written.
-    """
-    folders = sorted(writes)
-    settings = as_json(settings)
-    manifest = _manifest(out, stage) or {}
-    recorded = manifest.get("settings", settings)
-    sources = new_sources(out, scans, stage, anew=recorded != settings)
-    if recorded == settings:
-        folders = sorted({*folders, *manifest.get("writes", ())})
-    else:
-        if not overwrite:
-            require_same_settings(out / f"{stage}.json", recorded, settings)
-        _remove_results(out, manifest["writes"])
-    for folder in folders:
-        _take_over(out, folder, stage, overwrite)
-        if not manifest and not overwrite:
-            _require_none(out, folder)
-    manifest = {"stage": stage, "version": __version__, "settings": settings, "writes": folders}
+def record(out: Path, stage: str, settings: Mapping[str, Any], writes: Sequence[str]) -> None:
+    """Write `OUT/<stage>.json`: what a stage does, and which folders of results it fills."""
+    manifest = {"stage": stage, "version": __version__, "settings": settings, "writes": [*writes]}
     write_json(out / f"{stage}.json", manifest)
-    for path, record in sources.items():
-        write_json(path, record)
 
 
 def require_same_settings(
@@ -164,32 +117,6 @@ def recorded_sensor(out: Path) -> Sensor:
     return sensor("hdl64")
 
 
-def _take_over(out: Path, folder: str, stage: str, overwrite: bool) -> None:
-    other = owner(out, folder)
-    if other in (None, stage):
-        return
-    path = out / f"{other}.json"
-    if not overwrite:
-        raise OutputError(
-            path,
-            f"{folder}/ holds the results of `{other}`",
-            remedy="use another output folder, or --overwrite to replace them",
-        )
-    _remove_results(out, [folder])
-    manifest = read_json(path) or {}
-    write_json(path, manifest | {"writes": [name for name in manifest["writes"] if name != folder]})
-
-
-def _require_none(out: Path, folder: str) -> None:
-    """Refuse results that no stage of ours recorded: nobody knows how they were made."""
-    if owner(out, folder) is None and (found := find_outputs(out, folder)):
-        raise OutputError(
-            found[0].path,
-            "was there before, made nobody knows how",
-            remedy="use another output folder, or --overwrite to replace it",
-        )
-
-
 def _differences(recorded: Mapping[str, Any], settings: Mapping[str, Any]) -> str:
     """Name what differs, key by key, and how; origins are named without their digests."""
     before, after = _flat(recorded), _flat(settings)
@@ -217,10 +144,3 @@ def _flat(settings: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
 def _short(value: object, length: int = 40) -> str:
     text = json.dumps(value, ensure_ascii=False)
     return text if len(text) <= length else text[: length - 1] + "…"
-
-
-def _remove_results(out: Path, folders: Iterable[str]) -> None:
-    """Remove what was made with settings that no longer hold: only files that stages write."""
-    for folder in folders:
-        for result in find_outputs(out, folder):
-            result.path.unlink(missing_ok=True)

@@ -23,9 +23,9 @@ from salsanext_cli.records import Float, Int
 from salsanext_cli.sensors import Sensor
 from salsanext_cli.stages.attempts import Attempt, one_by_one
 from salsanext_cli.stages.batch import BatchOptions, Outcome, run_batch
+from salsanext_cli.stages.claims import claimed
 from salsanext_cli.stages.inputs import Choice, choose, select_scans, space_of
 from salsanext_cli.stages.networks import NetworkChoice
-from salsanext_cli.stages.outputs import claim
 from salsanext_cli.stages.predict_batches import predict_batches, usual_size
 from salsanext_cli.stages.project import projected_sensor, read_channels, read_seen
 from salsanext_cli.stages.sources import remembered_scans
@@ -173,10 +173,10 @@ def predict(
     card = loaded.card
     scans = select_scans(source, choice, card.space)
     settings = network.settings() | {"temperature": card.temperature, "knn": asdict(knn)}
-    claim(out, "predict", settings, ("predictions", *extras), scans, overwrite=options.overwrite)
-    work = PredictScan(out, network.decided(), knn, extras, batch)
-    check = ViewCheck(loaded.sensor)
-    outcome = run_batch(work, scans, options, work.results_of, check.add)
+    check, writes = ViewCheck(loaded.sensor), ("predictions", *extras)
+    with claimed(out, "predict", settings, writes, scans, overwrite=options.overwrite):
+        work = PredictScan(out, network.decided(), knn, extras, batch)
+        outcome = run_batch(work, scans, options, work.results_of, check.add)
     check.finish()
     return outcome
 
@@ -196,9 +196,10 @@ def _predict_images(
     scans = [scan for scan in remembered_scans(folder) if (scan.sequence, scan.stem) in ready]
     scans = choose(scans, choice, space_of(scans, network.load().card.space), folder)
     settings = network.settings()
-    claim(out, "predict", settings, ("pixel_labels",), scans, overwrite=options.overwrite)
-    work = PredictImage(folder, out, network.decided())
-    return run_batch(work, scans, options, work.results_of)
+    writes = ("pixel_labels",)
+    with claimed(out, "predict", settings, writes, scans, overwrite=options.overwrite):
+        work = PredictImage(folder, out, network.decided())
+        return run_batch(work, scans, options, work.results_of)
 
 
 def _require_same_sensor(folder: Path, seen: Sensor, wanted: Sensor) -> None:

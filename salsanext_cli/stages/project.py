@@ -14,8 +14,9 @@ from salsanext_cli.geometry.sight import Sight, sight
 from salsanext_cli.records import CHANNELS, Float, RangeImage
 from salsanext_cli.sensors import Sensor
 from salsanext_cli.stages.batch import BatchOptions, Outcome, run_batch
+from salsanext_cli.stages.claims import claimed
 from salsanext_cli.stages.inputs import Choice, select_scans
-from salsanext_cli.stages.outputs import claim, stage_settings
+from salsanext_cli.stages.outputs import stage_settings
 from salsanext_cli.stages.wrong_view import ViewCheck
 
 WRITES = ("range", "pixels")
@@ -95,8 +96,8 @@ def project_scans(
     """
     scans = select_scans(source, choice)
     settings = {"sensor": sensor.to_dict()}
-    claim(out, "project", settings, WRITES, scans, overwrite=options.overwrite)
     work, check = ProjectScan(out, sensor), ViewCheck(sensor)
-    outcome = run_batch(work, scans, options, work.results_of, check.add)
+    with claimed(out, "project", settings, WRITES, scans, overwrite=options.overwrite):
+        outcome = run_batch(work, scans, options, work.results_of, check.add)
     check.finish()
     return outcome

@@ -3,13 +3,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
 from salsanext_cli.errors import OutputError
-from salsanext_cli.formats.atomic import write_text, writing
-from salsanext_cli.stages.outputs import as_json, claim, require_same_settings, stage_settings
+from salsanext_cli.formats.atomic import require_writable, sweep_stale, write_text
+from salsanext_cli.stages.claims import alone
+from salsanext_cli.stages.outputs import as_json, record, require_same_settings, stage_settings
 from salsanext_cli.training.events import EVENTS
 from salsanext_cli.training.loop import BEST, CHECKPOINT, CURVE, LAST, LOG, SAMPLES
 from salsanext_cli.training.recipe import Recipe
@@ -18,6 +20,23 @@ STAGE = "train"
 RECIPE = "recipe.toml"
 MADE = (CHECKPOINT, BEST, LAST, LOG, CURVE)
 """What a training leaves, and what is gone when another begins in its place."""
+
+
+@contextmanager
+def trained_alone(run: Path) -> Iterator[None]:
+    """Keep other trainings out of a folder while the body runs.
+
+    What a training that was killed long ago left half written is removed.
+
+    Raises
+    ------
+    OutputError
+        If another training is at work in it.
+    """
+    with alone(run, STAGE):
+        for folder in (run, run / SAMPLES):
+            sweep_stale(folder)
+        yield
 
 
 def require_free(run: Path, settings: Mapping[str, Any], *, overwrite: bool) -> None:
@@ -29,10 +48,7 @@ def require_free(run: Path, settings: Mapping[str, Any], *, overwrite: bool) -> 
         If it cannot be written; or, unless `overwrite`, if it holds a training with other settings
         that has come to a first checkpoint, or files of such names that no training recorded.
     """
-    probe = run / ".writable"
-    with writing(probe):
-        pass
-    probe.unlink()
+    require_writable(run)
     there = [name for name in MADE if (run / name).exists()]
     if overwrite or not there:
         return
@@ -64,7 +80,7 @@ def take(run: Path, settings: Mapping[str, Any], *, overwrite: bool) -> None:
         pictures, events = run.glob(f"{SAMPLES}/epoch-*.png"), run.glob(f"{EVENTS}/events.*")
         for made in (*(run / name for name in MADE), *pictures, *events):
             made.unlink(missing_ok=True)
-    claim(run, STAGE, settings, [], overwrite=True)
+    record(run, STAGE, as_json(settings), [])
     write_text(run / RECIPE, Recipe.from_dict(settings["recipe"]).to_toml())
 
 

@@ -11,9 +11,13 @@ from typing import Any
 from salsanext_cli.errors import NoInputError, OutputError
 from salsanext_cli.formats.json_files import read_json
 from salsanext_cli.formats.layout import SUFFIX_OF_FOLDER, ScanFile, find_outputs, find_scans
+from salsanext_cli.formats.reading import is_folder
+from salsanext_cli.settings_files import shortened
 
 SOURCE = "source.json"
 ASKED = "asked_for"
+LONGEST = 500
+"""Characters of a folder's name that an error shows."""
 
 
 def new_sources(
@@ -45,7 +49,7 @@ def new_sources(
         if recorded.get("scans", folder) != folder:
             raise OutputError(
                 path,
-                f"sequence {sequence} came from {recorded['scans']}",
+                f"sequence {sequence} came from {shortened(recorded['scans'], LONGEST)}",
                 f"scans from there, not from {folder}",
                 "use another output folder",
             )
@@ -64,10 +68,16 @@ def _stems_by_folder(scans: Sequence[ScanFile]) -> dict[tuple[str, str], list[st
 
 def _record(path: Path) -> dict[str, Any]:
     record = read_json(path) or {}
-    asked = record.get(ASKED, {})
-    if not isinstance(asked, dict) or not all(isinstance(stems, list) for stems in asked.values()):
+    asked, folder = record.get(ASKED, {}), record.get("scans", "")
+    if not isinstance(asked, dict) or not all(map(_are_names, asked.values())):
         raise OutputError(path, "damaged", f"{ASKED}: names of scans by stage", "delete it")
+    if not isinstance(folder, str) or "\0" in folder:
+        raise OutputError(path, "damaged", "scans: the folder they came from", "delete it")
     return record
+
+
+def _are_names(stems: object) -> bool:
+    return isinstance(stems, list) and all(isinstance(stem, str) for stem in stems)
 
 
 def asked_for(out: Path, sequence: str) -> dict[str, set[str]]:
@@ -116,15 +126,15 @@ def remembered_scans(
 def _scans_of_sequence(
     out: Path, sequence: str, dataset: Path | None, usual: Path
 ) -> list[ScanFile]:
-    recorded = (read_json(out / "sequences" / sequence / SOURCE) or {}).get("scans")
-    if dataset is None and recorded and Path(recorded).is_dir():
+    recorded = _record(out / "sequences" / sequence / SOURCE).get("scans")
+    if dataset is None and recorded and is_folder(Path(recorded)):
         return find_scans(Path(recorded))
     root = dataset or usual
     if (root / "sequences").is_dir():
         return find_scans(root, [sequence])
     raise NoInputError(
         out / "sequences" / sequence,
-        f"its scans are not in {dataset or recorded or root.absolute()}",
+        f"its scans are not in {shortened(str(dataset or recorded or root.absolute()), LONGEST)}",
         "the folder that they came from",
         "give with --dataset the folder that holds sequences/",
     )

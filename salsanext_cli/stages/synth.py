@@ -186,11 +186,11 @@ def _claim(out: Path, overwrite: bool) -> None:
         raise OutputError(
             out, "holds a synthetic data set", "a new or empty folder", "--overwrite replaces it"
         )
-    for split in earlier["settings"]["splits"].values():
-        for name in split:
-            for folder, suffix in (("velodyne", "bin"), ("labels", "label")):
-                for path in (out / "sequences" / name / folder).glob(f"[0-9]*.{suffix}"):
-                    path.unlink()
+    # Not what the manifest names: it could name folders elsewhere.
+    for sequence in (out / "sequences").glob("[0-9]*"):
+        for folder, suffix in (("velodyne", "bin"), ("labels", "label")):
+            for path in (sequence / folder).glob(f"[0-9]*.{suffix}"):
+                path.unlink()
 
 
 def _write(sequences: list[_Sequence], jobs: int) -> Iterator[dict[int, int]]:

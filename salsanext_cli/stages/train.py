@@ -6,6 +6,7 @@ from __future__ import annotations
 import hashlib
 import math
 from collections.abc import Callable, Sequence
+from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -16,14 +17,15 @@ import torch
 
 from salsanext_cli.classes import LabelSpace, label_space
 from salsanext_cli.errors import NoInputError, UsageError, WeightsError
+from salsanext_cli.formats.identity import fingerprint
 from salsanext_cli.formats.layout import ScanFile, find_scans
 from salsanext_cli.network.architectures import build
 from salsanext_cli.network.segmentation import SegmentationNetwork
-from salsanext_cli.network.weights import WeightsCard, fingerprint, read_weights
+from salsanext_cli.network.weights import WeightsCard, read_weights
 from salsanext_cli.sensors import Sensor
 from salsanext_cli.sensors import sensor as preset_sensor
 from salsanext_cli.stages.inputs import data_set_label_space
-from salsanext_cli.stages.run_folder import require_free, take
+from salsanext_cli.stages.run_folder import require_free, take, trained_alone
 from salsanext_cli.stages.sample_picture import draw_sample
 from salsanext_cli.stages.threads import worker_count
 from salsanext_cli.training.counting import class_counts, rare_classes, require_labels
@@ -119,7 +121,7 @@ def train(
     """
     workers = worker_count(jobs)
     _require_work_for_all(recipe, team_here())
-    with teamwork(device) as (team, place):
+    with teamwork(device) as (team, place), ExitStack() as held:
         if place.type == "cpu":
             keep_freed_memory()
 
@@ -139,6 +141,7 @@ def train(
         def prepare() -> npt.NDArray[np.int64]:
             scans = [*training, *validation]
             settings = _settings(card, scans, weights)
+            held.enter_context(trained_alone(run))
             require_free(run, settings, overwrite=overwrite)
             require_labels(scans)
             splits = (training, validation, validated)

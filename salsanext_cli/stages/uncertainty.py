@@ -18,12 +18,12 @@ from salsanext_cli.geometry.sight import Sight
 from salsanext_cli.records import Float, Int
 from salsanext_cli.sensors import Sensor
 from salsanext_cli.stages.batch import BatchOptions, Outcome, run_batch
+from salsanext_cli.stages.claims import claimed
 from salsanext_cli.stages.estimator import Estimator
 from salsanext_cli.stages.inputs import Choice, select_scans
 from salsanext_cli.stages.networks import NetworkChoice
 from salsanext_cli.stages.outputs import (
     as_json,
-    claim,
     owner,
     recorded_weights,
     stage_settings,
@@ -152,9 +152,9 @@ def uncertainty_of(
     writes = (*folders, "predictions") if labels_too else folders
     _require_same_network(out, settings)
     sources = () if remembered else scans
-    claim(out, "uncertainty", settings, writes, sources, overwrite=options.overwrite)
-    work = UncertaintyOfScan(out, network.decided(), knn, estimator, writes)
     check = ViewCheck(network.load().sensor)
-    outcome = run_batch(work, scans, options, work.results_of, check.add)
+    with claimed(out, "uncertainty", settings, writes, sources, overwrite=options.overwrite):
+        work = UncertaintyOfScan(out, network.decided(), knn, estimator, writes)
+        outcome = run_batch(work, scans, options, work.results_of, check.add)
     check.finish()
     return outcome

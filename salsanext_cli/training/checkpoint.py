@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import warnings
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from zipfile import BadZipFile, ZipFile
@@ -11,7 +12,9 @@ import torch
 
 from salsanext_cli.errors import TrainingError
 from salsanext_cli.formats.atomic import writing
+from salsanext_cli.network.archives import require_stored
 from salsanext_cli.network.published import UNREADABLE
+from salsanext_cli.settings_files import shortened
 from salsanext_cli.training.log import Row
 from salsanext_cli.training.optimise import Learner
 
@@ -50,7 +53,7 @@ def save_checkpoint(path: Path, learner: Learner, progress: TrainingState) -> No
         "scaler": learner.scaler.state_dict(),
         "progress": asdict(progress),
     }
-    with writing(path) as file:
+    with writing(path, durable=True) as file:
         torch.save(state, file)
 
 
@@ -65,12 +68,15 @@ def load_checkpoint(path: Path, learner: Learner) -> TrainingState:
     try:
         _require_intact(path)
         # To the CPU: on a GPU the optimiser's step counts would make it wait at every parameter.
-        state = torch.load(path, map_location="cpu", weights_only=True)
+        with warnings.catch_warnings():
+            # Of forms that torch then refuses.
+            warnings.simplefilter("ignore")
+            state = torch.load(path, map_location="cpu", weights_only=True)
         learner.module.load_state_dict(state["module"])
         learner.average.load_state_dict(state["average"])
         learner.optimiser.load_state_dict(state["optimiser"])
         learner.scaler.load_state_dict(state["scaler"])
-        return TrainingState(**state["progress"])
+        return _checked(TrainingState(**state["progress"]))
     except (*UNREADABLE, OSError) as error:
         raise TrainingError(
             path,
@@ -80,8 +86,21 @@ def load_checkpoint(path: Path, learner: Learner) -> TrainingState:
         ) from error
 
 
+def _checked(state: TrainingState) -> TrainingState:
+    """Return a state that is of plain numbers; anything else raises `TypeError`."""
+    numbers = [state.best, state.seconds, *state.losses]
+    for row in state.rows:
+        numbers += [row["epoch"], row["loss"], *row.values()]
+    if type(state.epoch) is not int or state.epoch < 0:
+        raise TypeError(f"an epoch that is none: {shortened(state.epoch)}")
+    if any(type(number) not in (int, float) for number in numbers):
+        raise TypeError("a course of training that is not of numbers")
+    return state
+
+
 def _require_intact(path: Path) -> None:
     """Check the checksums of the archive that `torch.save` writes; `torch.load` does not."""
-    with ZipFile(path) as archive:
+    with path.open("rb") as file, ZipFile(file) as archive:
+        require_stored(archive, file)
         if (damaged := archive.testzip()) is not None:
             raise BadZipFile(f"the checksum of {damaged} is wrong")

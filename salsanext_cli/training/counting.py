@@ -14,9 +14,9 @@ import numpy.typing as npt
 
 from salsanext_cli.classes import LabelSpace
 from salsanext_cli.errors import LabelError, TrainingError
+from salsanext_cli.formats.identity import identity
 from salsanext_cli.formats.json_files import read_json, write_json
 from salsanext_cli.formats.layout import ScanFile
-from salsanext_cli.network.weights import identity
 from salsanext_cli.sensors import Sensor
 from salsanext_cli.training.dataset import read_labelled
 
@@ -128,6 +128,7 @@ def class_counts(
         known.get("files") == files
         and isinstance(counted, dict)
         and counted.keys() == {*space.names}
+        and all(type(n) is int and 0 <= n < 2**63 for n in counted.values())
     ):
         return np.array([counted[name] for name in space.names], np.int64)
     of_validation = count_classes(validation, space, sensor, jobs)

@@ -111,6 +111,9 @@ class Training:
         state = (
             load_checkpoint(checkpoint, self.learner) if checkpoint.exists() else TrainingState()
         )
+        if len(state.losses) >= self.plan.steps_per_epoch:
+            found = f"{len(state.losses)} steps of an epoch of {self.plan.steps_per_epoch}"
+            raise TrainingError(checkpoint, found, "a checkpoint of this training")
         first = state.epoch * self.plan.steps_per_epoch + len(state.losses)
         self._require_same_start(first)
         if first:

@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any, Self
 
 from salsanext_cli.errors import UsageError
+from salsanext_cli.settings_files import read_toml, shortened
 
 CHOICES = {
     "optimiser": ("sgd", "adamw"),
@@ -118,9 +119,11 @@ class Recipe:
             value = getattr(self, field.name)
             kind = type(field.default)
             if kind is float and type(value) is int:
-                object.__setattr__(self, field.name, float(value))
+                value = _as_float(value)
+                object.__setattr__(self, field.name, value)
             elif type(value) is not kind:
-                raise UsageError(f"recipe key {field.name}", f"{value!r}", f"a {kind.__name__}")
+                found = shortened(value)
+                raise UsageError(f"recipe key {field.name}", found, f"a {kind.__name__}")
             if kind is float:
                 self._require(field.name, math.isfinite(value), "finite")
         for key in ("epochs", "batch", "accumulate", "validate_every"):
@@ -144,7 +147,7 @@ class Recipe:
 
     def _require(self, key: str, holds: bool, expected: str) -> None:
         if not holds:
-            raise UsageError(f"recipe key {key}", f"{getattr(self, key)!r}", expected)
+            raise UsageError(f"recipe key {key}", shortened(getattr(self, key)), expected)
 
     def with_changes(self, **changes: Any) -> Self:
         """Return the recipe with some keys changed; an unknown key raises `UsageError`."""
@@ -172,11 +175,20 @@ class Recipe:
         return cls(**data)
 
 
+def _as_float(value: int) -> float:
+    """Return a whole number as another; one that is too large is infinite."""
+    try:
+        return float(value)
+    except OverflowError:
+        return math.inf if value > 0 else -math.inf
+
+
 def refuse_unknown(data: Mapping[str, Any], source: object) -> None:
     """Raise `UsageError` naming the known keys if `data` holds any other."""
     known = sorted(field.name for field in fields(Recipe))
     if unknown := sorted(set(data) - set(known)):
-        raise UsageError(source, f"unknown key {', '.join(unknown)}", f"keys {', '.join(known)}")
+        found = f"unknown key {shortened(', '.join(unknown))}"
+        raise UsageError(source, found, f"keys {', '.join(known)}")
 
 
 def presets() -> tuple[str, ...]:
@@ -204,8 +216,4 @@ def recipe(name_or_file: str | Path) -> Recipe:
             "no preset and no file of that name",
             f"one of {', '.join(presets())}, or a .toml file",
         )
-    try:
-        data = tomllib.loads(path.read_text("utf-8"))
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError, OSError) as error:
-        raise UsageError(path, str(error), "a TOML file with a recipe's keys") from error
-    return Recipe.from_dict(data, path)
+    return Recipe.from_dict(read_toml(path, "a TOML file with a recipe's keys"), path)

@@ -14,12 +14,12 @@ from scans import SMALL, lively, write_weights
 from salsanext_cli import __version__
 from salsanext_cli.classes import label_space
 from salsanext_cli.errors import OutputError, WeightsError
+from salsanext_cli.formats.identity import fingerprint
 from salsanext_cli.network.inference import load_network
 from salsanext_cli.network.salsanext import SalsaNext
 from salsanext_cli.network.weights import (
     KEY,
     WeightsCard,
-    fingerprint,
     load_tensors,
     read_card,
     read_weights,

@@ -1,5 +1,6 @@
 # SPDX-License-Identifier: MIT
 import pytest
+from claiming import claim
 from scans import SMALL
 
 from salsanext_cli.errors import OutputError
@@ -9,7 +10,6 @@ from salsanext_cli.stages.absent import without_predictions, without_results
 from salsanext_cli.stages.batch import BatchOptions
 from salsanext_cli.stages.inputs import Choice
 from salsanext_cli.stages.knn_refine import knn_refine_scans
-from salsanext_cli.stages.outputs import claim
 from salsanext_cli.stages.predict import predict
 from salsanext_cli.stages.project import project_scans
 

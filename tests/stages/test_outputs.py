@@ -2,6 +2,7 @@
 import json
 
 import pytest
+from claiming import claim
 from scans import files_below, write_sequence
 
 from salsanext_cli import __version__
@@ -11,7 +12,6 @@ from salsanext_cli.formats.arrays import write_array
 from salsanext_cli.formats.layout import ScanFile, find_scans
 from salsanext_cli.sensors import sensor
 from salsanext_cli.stages.outputs import (
-    claim,
     origins,
     owner,
     recorded_label_space,

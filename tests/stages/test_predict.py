@@ -11,10 +11,10 @@ from scans import SMALL, files_below, labels_below, make_scan, write_sequence, w
 from salsanext_cli.classes import LabelSpace, label_space
 from salsanext_cli.errors import NoInputError, OutputError, UsageError, WeightsError
 from salsanext_cli.formats import read_scan
+from salsanext_cli.formats.identity import fingerprint
 from salsanext_cli.formats.kitti import write_bin
 from salsanext_cli.geometry.knn import KnnParameters, knn_refine
 from salsanext_cli.geometry.projection import project
-from salsanext_cli.network.weights import fingerprint
 from salsanext_cli.records import Scan
 from salsanext_cli.stages.batch import BatchOptions
 from salsanext_cli.stages.inputs import Choice

@@ -6,7 +6,7 @@ from scans import write_weights
 
 from salsanext_cli.classes import LabelSpace
 from salsanext_cli.errors import LabelError, OutputError
-from salsanext_cli.network.weights import fingerprint
+from salsanext_cli.formats.identity import fingerprint
 from salsanext_cli.stages.batch import BatchOptions
 from salsanext_cli.stages.estimator import Estimator
 from salsanext_cli.stages.export_ply import export_ply

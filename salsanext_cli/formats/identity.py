@@ -1,0 +1,28 @@
+# SPDX-License-Identifier: MIT
+"""What tells a file from others and from its successors."""
+
+from __future__ import annotations
+
+import hashlib
+from functools import cache
+from pathlib import Path
+
+
+def fingerprint(path: Path) -> str:
+    """Return the SHA-256 of a weights file, hexadecimal."""
+    return _fingerprint(path, identity(path))
+
+
+def identity(path: Path) -> tuple[object, ...]:
+    """Return what tells a file from its successor of the same name, empty if there is none."""
+    try:
+        status = path.stat()
+    except OSError:
+        return ()
+    return path.absolute(), status.st_ino, status.st_size, status.st_mtime_ns
+
+
+@cache
+def _fingerprint(path: Path, _: tuple[object, ...]) -> str:
+    with path.open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()

@@ -1,0 +1,59 @@
+# SPDX-License-Identifier: MIT
+"""Whether a PLY file can hold what its header promises; plyfile makes room for it unasked."""
+
+from __future__ import annotations
+
+import re
+
+START = re.compile(rb"ply(\r\n|\r|\n)")
+"""The first line says how the lines of a header end."""
+LONGEST = 1 << 20
+"""Bytes within which a header must end."""
+SIZES = {
+    **dict.fromkeys(("char", "int8", "uchar", "uint8"), 1),
+    **dict.fromkeys(("short", "int16", "ushort", "uint16"), 2),
+    **dict.fromkeys(("int", "int32", "uint", "uint32", "float", "float32"), 4),
+    **dict.fromkeys(("double", "float64"), 8),
+}
+"""Bytes of each type in a binary file; anything else is refused when it is read."""
+TEXT = 2
+"""Bytes of a value in an ascii file at least: a digit and a blank or a line end."""
+
+
+def require_room(content: bytes) -> None:
+    """Raise `ValueError` if the elements of a PLY file cannot all be in it.
+
+    Parameters
+    ----------
+    content : bytes
+        The whole file. What is wrong with its header otherwise is left to who reads it.
+    """
+    start = START.match(content)
+    end = content.find(start[1] + b"end_header" + start[1], 0, LONGEST) if start else -1
+    if start is None or end < 0:
+        raise ValueError("no PLY header")
+    text = content[start.end() : end].decode("ascii")
+    # As plyfile splits it, or it may find elements that are not looked at here.
+    lines = [line.split() for line in text.split(start[1].decode())]
+    ascii_file = ["format", "ascii"] in (words[:2] for words in lines)
+    room = len(content) - end
+    for count, row in _elements(lines, ascii_file):
+        # A row without properties takes no room, but time.
+        room -= count * max(row, 1)
+        if count < 0 or room < 0:
+            raise ValueError("the header promises more than the file holds")
+
+
+def _elements(lines: list[list[str]], ascii_file: bool) -> list[tuple[int, int]]:
+    """Return how many rows each element has, and how many bytes one takes at least."""
+    elements: list[tuple[int, int]] = []
+    for words in lines:
+        if words[:1] == ["element"] and len(words) == 3:
+            elements.append((int(words[2]), 0))
+        elif words[:1] == ["property"] and len(words) > 1 and elements:
+            count, row = elements[-1]
+            # Of a list, its length at least.
+            kind = words[2] if words[1] == "list" and len(words) > 2 else words[1]
+            size = TEXT if ascii_file else SIZES.get(kind, 1)
+            elements[-1] = (count, row + size)
+    return elements

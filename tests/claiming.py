@@ -1,0 +1,12 @@
+# SPDX-License-Identifier: MIT
+"""Runs of stages that begin and end without doing anything."""
+
+from typing import Any
+
+from salsanext_cli.stages.claims import claimed
+
+
+def claim(*arguments: Any, **options: Any) -> None:
+    """Claim an output folder, as a run does that finds nothing to do."""
+    with claimed(*arguments, **options):
+        pass

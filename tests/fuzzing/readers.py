@@ -1,0 +1,320 @@
+# SPDX-License-Identifier: MIT
+"""Every reader of the package, and valid files to damage."""
+
+from __future__ import annotations
+
+import io
+import json
+import pickle
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from zipfile import ZipFile
+
+import numpy as np
+import torch
+import yaml
+from claiming import claim
+from scans import SMALL, make_scan, write_sequence
+from tiny_network import TinyNetwork
+
+from salsanext_cli.classes import LabelSpace, label_space
+from salsanext_cli.formats import read_scan
+from salsanext_cli.formats.arrays import read_array, write_array
+from salsanext_cli.formats.json_files import read_json
+from salsanext_cli.formats.kitti import read_labels
+from salsanext_cli.formats.layout import find_scans
+from salsanext_cli.formats.ply import write_ply
+from salsanext_cli.formats.point_values import read_probabilities, read_uncertainty
+from salsanext_cli.geometry.projection import project
+from salsanext_cli.geometry.sight import sight
+from salsanext_cli.network.published import read_published
+from salsanext_cli.network.weights import WeightsCard, read_weights, save_weights
+from salsanext_cli.sensors import sensor
+from salsanext_cli.stages.outputs import (
+    origins,
+    owner,
+    recorded_label_space,
+    recorded_sensor,
+    recorded_weights,
+    stage_settings,
+)
+from salsanext_cli.stages.run_folder import require_free
+from salsanext_cli.stages.sources import asked_for, remembered_scans
+from salsanext_cli.training.checkpoint import TrainingState, load_checkpoint, save_checkpoint
+from salsanext_cli.training.counting import class_counts
+from salsanext_cli.training.log import write_log
+from salsanext_cli.training.optimise import Learner
+from salsanext_cli.training.recipe import Recipe, recipe
+from salsanext_cli.training.team import Team
+
+FEW = LabelSpace.from_dict(
+    {
+        "name": "few",
+        "labels": {0: "nothing", 10: "car", 40: "road"},
+        "color_map": {10: [255, 0, 0]},
+        "learning_map": {0: 0, 10: 1, 40: 2},
+        "learning_map_inv": {0: 0, 1: 10, 2: 40},
+        "split": {"train": [0, 1], "valid": ["08"]},
+    }
+)
+COUNT = 30
+"""Points of the scans: a file so small is hit everywhere."""
+
+
+@dataclass(frozen=True, slots=True)
+class Reader:
+    """A reader, where it looks, and files that it reads.
+
+    Attributes
+    ----------
+    place : str
+        Where in a folder the damaged file goes.
+    seeds : list of bytes
+        Valid files.
+    read : callable
+        Is given the damaged file.
+    """
+
+    place: str
+    seeds: list[bytes]
+    read: Callable[[Path], object]
+
+
+def _scan(path: Path) -> None:
+    """Read a scan and use it as every stage does."""
+    scan = read_scan(path)
+    project(scan, SMALL)
+    sight(scan, SMALL)
+
+
+def _table() -> dict[str, np.ndarray]:
+    scan = make_scan(COUNT)
+    columns = dict(zip("xyz", scan.points.T, strict=True))
+    return {**columns, "intensity": scan.intensity, "ring": np.arange(COUNT, dtype=np.uint8)}
+
+
+def _bin(columns: int) -> list[bytes]:
+    table = np.column_stack([*_table().values()])[:, :columns].astype("<f4")
+    return [table.tobytes(), table[:3].tobytes(), b""]
+
+
+def _npy(folder: Path, *arrays: np.ndarray) -> list[bytes]:
+    for number, array in enumerate(arrays):
+        write_array(folder / f"{number}.npy", array)
+    return [(folder / f"{number}.npy").read_bytes() for number in range(len(arrays))]
+
+
+def _ply(folder: Path) -> list[bytes]:
+    import plyfile
+
+    write_ply(folder / "a.ply", _table(), ["by a test"])
+    seeds = [(folder / "a.ply").read_bytes()]
+    vertices = np.zeros(4, [("x", "f8"), ("y", "f4"), ("z", "f4"), ("i", "u2")])
+    faces = np.empty(2, [("vertex_indices", "O")])
+    faces["vertex_indices"] = [np.array([0, 1, 2], "i4"), np.array([1, 2, 3], "i4")]
+    elements = [plyfile.PlyElement.describe(vertices, "vertex")]
+    elements.append(plyfile.PlyElement.describe(faces, "face"))
+    for text, order in ((True, "="), (False, "<"), (False, ">")):
+        for chosen in (elements, elements[::-1]):
+            stream = io.BytesIO()
+            plyfile.PlyData(chosen, text=text, byte_order=order).write(stream)
+            seeds.append(stream.getvalue())
+    return seeds
+
+
+def _pcd(kind: str) -> list[bytes]:
+    table = _table()
+    header = (
+        "# .PCD v0.7\nVERSION 0.7\nFIELDS x y z _ intensity ring\nSIZE 4 4 4 1 4 1\n"
+        f"TYPE F F F U F U\nCOUNT 1 1 1 3 1 1\nWIDTH {COUNT}\nHEIGHT 1\n"
+        f"VIEWPOINT 0 0 0 1 0 0 0\nPOINTS {COUNT}\nDATA {kind}\n"
+    )
+    if kind == "ascii":
+        rows = zip(*table.values(), strict=True)
+        lines = [f"{x} {y} {z} 0 0 0 {i} {r}\n" for x, y, z, i, r in rows]
+        return [(header + "".join(lines)).encode()]
+    if kind == "binary":
+        fields = [("x", "<f4"), ("y", "<f4"), ("z", "<f4"), ("_", "V3"), ("intensity", "<f4")]
+        rows = np.zeros(COUNT, [*fields, ("ring", "u1")])
+        for name, values in table.items():
+            rows[name] = values
+        return [header.encode() + rows.tobytes()]
+    header = header.replace(" _", "").replace("4 1 4", "4 4").replace("F U F", "F F")
+    header = header.replace("1 3 1", "1 1")
+    plain = b"".join(values.astype("<f4").tobytes() for values in [*table.values()][:4])
+    plain += table["ring"].tobytes()
+    # Literal runs only, which is compressed data too; then one that refers back.
+    packed = b"".join(bytes([len(p) - 1]) + p for p in _pieces(plain, 32))
+    zeros = b"\0" + b"\0" + b"\xe0" + bytes([len(plain) % 256 and 255]) + b"\0"
+    sizes = np.array([len(packed), len(plain)], "<u4").tobytes()
+    short = np.array([len(zeros), 265], "<u4").tobytes()
+    few = header.replace(str(COUNT), "5").encode()
+    return [header.encode() + sizes + packed, few + short + zeros]
+
+
+def _pieces(data: bytes, length: int) -> list[bytes]:
+    return [data[at : at + length] for at in range(0, len(data), length)]
+
+
+def _learner() -> Learner:
+    torch.manual_seed(0)
+    settings = Recipe(epochs=2, batch=1, average=0.5, optimiser="adamw")
+    weights = torch.ones(FEW.class_count)
+    return Learner.of(TinyNetwork(FEW.class_count), settings, weights, torch.device("cpu"), Team())
+
+
+def _checkpoint(folder: Path) -> Reader:
+    learner = _learner()
+    row = {"epoch": 1, "learning_rate": 0.01, "loss": 1.5, "seconds": 2.0, "miou": 0.5}
+    learner.step(torch.zeros(1, 5, 16, 32), torch.ones(1, 16, 32, dtype=torch.long), 0, 1)
+    save_checkpoint(folder / "c.pt", learner, TrainingState(1, 0.5, [row], [1.0, 2.0], 3.0))
+
+    def read(path: Path) -> None:
+        state = load_checkpoint(path, learner)
+        # What a training that goes on does with it first.
+        state.rows.append(dict(row))
+        write_log(path.with_name("log.csv"), state.rows)
+        assert state.epoch * 7 + len(state.losses) >= 0
+        assert state.best > -2
+        float(np.mean([*state.losses, 1.0]))
+
+    return Reader("checkpoint.pt", [(folder / "c.pt").read_bytes()], read)
+
+
+def _in_archive(archive: bytes, inner: Reader) -> Reader:
+    """Damage the pickle inside an archive of torch, which then has the right checksum."""
+    with ZipFile(io.BytesIO(archive)) as members:
+        content = {name: members.read(name) for name in members.namelist()}
+    (pickled,) = (name for name in content if name.endswith("/data.pkl"))
+
+    def read(path: Path) -> None:
+        changed = {**content, pickled: path.read_bytes()}
+        with ZipFile(path, "w") as members:
+            for name, data in changed.items():
+                members.writestr(name, data)
+        inner.read(path)
+
+    return Reader(f"pickled {inner.place}", [content[pickled]], read)
+
+
+def _safetensors(folder: Path) -> list[bytes]:
+    card = WeightsCard({"name": "salsanext", "class_count": FEW.class_count}, FEW, SMALL)
+    save_weights(folder / "w.safetensors", TinyNetwork(FEW.class_count), card)
+    save_weights(folder / "h.safetensors", TinyNetwork(FEW.class_count), card, half=True)
+    return [(folder / name).read_bytes() for name in ("w.safetensors", "h.safetensors")]
+
+
+def _published(*, old: bool) -> list[bytes]:
+    tensors = {
+        "module.logits.weight": torch.ones(3, 2, 1, 1),
+        "module.logits.bias": torch.zeros(3),
+        "module.upBlock1.bn4.bias": torch.ones(2),
+    }
+    seeds = []
+    for checkpoint in ({"state_dict": tensors, "epoch": 3, "info": {"best": 0.5}}, tensors):
+        stream = io.BytesIO()
+        torch.save(checkpoint, stream, _use_new_zipfile_serialization=not old)
+        seeds.append(stream.getvalue())
+    return [*seeds, pickle.dumps({"state_dict": {}}, protocol=2)]
+
+
+def _out(folder: Path) -> tuple[Path, bytes, bytes]:
+    """Make an output folder; return it with its manifest and its record of sources."""
+    data, out = write_sequence(folder / "08", ["a", "b"], count=COUNT), folder / "out"
+    settings = {"weights": "abc", "label_space": FEW.to_dict(), "sensor": SMALL.to_dict()}
+    claim(out, "predict", settings, ["predictions"], find_scans(data), overwrite=False)
+    predictions = out / "sequences/08/predictions"
+    predictions.mkdir(parents=True)
+    (predictions / "a.label").write_bytes(bytes(4 * COUNT))
+    source = out / "sequences/08/source.json"
+    return out, (out / "predict.json").read_bytes(), source.read_bytes()
+
+
+def _read_manifest(path: Path) -> None:
+    out = path.parent
+    stage_settings(out, "predict")
+    origins(out, ["predict"])
+    owner(out, "predictions")
+    recorded_weights(out, "predictions")
+    recorded_label_space(out)
+    recorded_sensor(out)
+    claim(out, "knn-refine", {}, ["pixel_labels"], overwrite=True)
+
+
+def _read_source(path: Path) -> None:
+    out = path.parents[2]
+    asked_for(out, "08")
+    scans = remembered_scans(out)
+    claim(out, "export-ply", {}, ["ply"], scans[:1], overwrite=True)
+
+
+def _run_folder(folder: Path) -> tuple[Path, bytes, bytes, tuple]:
+    data, run = write_sequence(folder / "00", ["a"], count=COUNT), folder / "run"
+    scans = find_scans(data)
+    class_counts(run / "class_counts.json", (scans, scans, scans), label_space(), SMALL)
+    claim(run, "train", {"recipe": Recipe().to_dict()}, [], overwrite=True)
+    (run / "checkpoint.pt").touch()
+    records = [(run / name).read_bytes() for name in ("train.json", "class_counts.json")]
+    return run, records[0], records[1], (scans, scans, scans)
+
+
+def _read_curve(path: Path) -> None:
+    require_free(path.parent, {"recipe": Recipe().to_dict()}, overwrite=False)
+
+
+def readers(folder: Path) -> dict[str, Reader]:
+    """Return every reader by name, with valid files made in a folder."""
+    of_small = json.dumps({"settings": {"by_distance": False}}).encode()
+    softmax = np.full((COUNT, 3), 1 / 3, np.float16)
+    toml = Path(str(folder / "s.toml"))
+    keys = {key: value for key, value in SMALL.to_dict().items() if value is not None}
+    toml.write_text("".join(f"{key} = {json.dumps(value)}\n" for key, value in keys.items()))
+    space = yaml.safe_dump(FEW.to_dict(), sort_keys=False).encode()
+    out, manifest, source = _out(folder)
+    run, train, counts, splits = _run_folder(folder)
+    float_array = np.arange(COUNT, dtype=np.float32)
+    image = np.zeros((5, 4, 6), np.float32)
+
+    def npy(path: Path) -> None:
+        read_array(path, np.float32, (5, None, None))
+
+    def recorded_counts(path: Path) -> None:
+        class_counts(path, splits, label_space(), SMALL)
+
+    checkpoint = _checkpoint(folder)
+    published = Reader("p.pt", _published(old=False), read_published)
+    return {
+        "pickle of a checkpoint": _in_archive(checkpoint.seeds[0], checkpoint),
+        "pickle of a published one": _in_archive(published.seeds[0], published),
+        "bin": Reader("a.bin", _bin(4), _scan),
+        "pcd.bin": Reader("a.pcd.bin", _bin(5), _scan),
+        "label": Reader(
+            "a.label", [bytes(4 * COUNT), b"\x0a\0\1\0" * 3], lambda p: read_labels(p, COUNT)
+        ),
+        "npy": Reader("a.npy", _npy(folder, image, image[:, :1]), npy),
+        "npy of uncertainty": Reader(
+            "u.npy", _npy(folder, float_array), lambda p: read_uncertainty(p, COUNT)
+        ),
+        "npy of probabilities": Reader(
+            "p.npy", _npy(folder, softmax), lambda p: read_probabilities(p, COUNT, 3)
+        ),
+        "ply": Reader("a.ply", _ply(folder), _scan),
+        "pcd ascii": Reader("a.pcd", _pcd("ascii"), _scan),
+        "pcd binary": Reader("b.pcd", _pcd("binary"), _scan),
+        "pcd binary_compressed": Reader("c.pcd", _pcd("binary_compressed"), _scan),
+        "yaml": Reader("labels.yaml", [space, space[: len(space) // 2]], label_space),
+        "toml of a sensor": Reader("s.toml", [toml.read_bytes()], sensor),
+        "toml of a recipe": Reader(
+            "r.toml", [Recipe().to_toml().encode(), b"epochs = 3\n"], recipe
+        ),
+        "safetensors": Reader("w.safetensors", _safetensors(folder), read_weights),
+        "checkpoint": checkpoint,
+        "published": published,
+        "published, old": Reader("old.pt", _published(old=True), read_published),
+        "manifest": Reader(str(out / "predict.json"), [manifest], _read_manifest),
+        "source": Reader(str(out / "sequences/08/source.json"), [source], _read_source),
+        "train.json": Reader(str(run / "train.json"), [train], _read_curve),
+        "class_counts.json": Reader(str(run / "class_counts.json"), [counts], recorded_counts),
+        "json": Reader("eval.json", [of_small], read_json),
+    }
