@@ -205,10 +205,10 @@ def test_points_without_a_measurement_change_nothing_for_the_others(world):
     assert not world.labels("08")[:5].any()
 
 
-def test_a_million_points(world):
-    write_bin(world.scan(), make_scan(1_000_000))
+def test_two_million_points(world):
+    write_bin(world.scan(), make_scan(2_000_000))
     assert run(world, world.scan()).done == 1
-    assert len(world.labels()) == 1_000_000
+    assert len(world.labels()) == 2_000_000
 
 
 def test_files_that_cannot_be_read_are_named_and_the_rest_is_done(world):
