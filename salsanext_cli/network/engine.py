@@ -9,7 +9,7 @@ from salsanext_cli.network.reduced import reduced
 from salsanext_cli.network.segmentation import SegmentationNetwork
 
 
-def engine(
+def engine_for(
     module: SegmentationNetwork, device: torch.device, precision: str
 ) -> SegmentationNetwork:
     """Return a network for inference that computes what `module` does in evaluation mode.

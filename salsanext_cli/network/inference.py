@@ -3,7 +3,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
+from functools import cached_property
 from pathlib import Path
 
 import torch
@@ -12,7 +13,7 @@ from torch import Tensor
 from salsanext_cli.errors import UsageError
 from salsanext_cli.geometry.normalise import normalise
 from salsanext_cli.network.architectures import build
-from salsanext_cli.network.engine import engine
+from salsanext_cli.network.engine import engine_for
 from salsanext_cli.network.parts import on_duty
 from salsanext_cli.network.precision import choose_precision
 from salsanext_cli.network.segmentation import SegmentationNetwork
@@ -21,7 +22,7 @@ from salsanext_cli.records import Float, RangeImage
 from salsanext_cli.sensors import Sensor
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, eq=False)
 class Network:
     """Weights on a device, in evaluation mode.
 
@@ -37,9 +38,6 @@ class Network:
         Where the module is.
     precision : {"float32", "bfloat16", "float16"}
         What the engine computes in.
-    engine : SegmentationNetwork
-        Computes what the module does, faster; float32 in and out. It is made when the network is,
-        and does not follow later changes of the module.
     """
 
     module: SegmentationNetwork
@@ -47,11 +45,14 @@ class Network:
     sensor: Sensor
     device: torch.device
     precision: str = "float32"
-    engine: SegmentationNetwork = field(init=False)
 
-    def __post_init__(self) -> None:
-        made = engine(self.module, self.device, self.precision)
-        object.__setattr__(self, "engine", made)
+    @cached_property
+    def engine(self) -> SegmentationNetwork:
+        """What computes as the module does, faster; float32 in and out.
+
+        It is made on first use and does not follow later changes of the module.
+        """
+        return engine_for(self.module, self.device, self.precision)
 
     def input(self, channels: Float) -> Tensor:
         """Return (5, H, W) channels normalised as the network takes them, (1, 5, H, W)."""

@@ -19,25 +19,25 @@ LOGITS = "logits"
 """The name of the last layer, in every architecture."""
 
 
-class FirstLayer(nn.Module):
-    """A float32 convolution of the range image; its output is of the shorter type."""
+class LongSums(nn.Module):
+    """A convolution that sums up in float32; its output is of the shorter type."""
 
-    def __init__(self, layer: nn.Conv2d, dtype: torch.dtype) -> None:
+    def __init__(self, layer: nn.Module, dtype: torch.dtype) -> None:
         super().__init__()
-        self.layer = layer
+        self.layer = layer.float()
         self.dtype = dtype
 
     def forward(self, x: Tensor) -> Tensor:
-        """Map float32 to the shorter type; what is beyond its range becomes its border."""
+        """Map any type to the shorter one; what is beyond its range becomes its border."""
         border = torch.finfo(self.dtype)
-        features: Tensor = self.layer(x)
+        features: Tensor = self.layer(x.float())
         return features.clamp(border.min, border.max).to(self.dtype)
 
 
 class LastLayer(nn.Module):
     """A float32 convolution of features of the shorter type."""
 
-    def __init__(self, layer: nn.Conv2d) -> None:
+    def __init__(self, layer: nn.Module) -> None:
         super().__init__()
         self.layer = layer
 
@@ -48,16 +48,28 @@ class LastLayer(nn.Module):
 
 
 def reduced(module: SegmentationNetwork, dtype: torch.dtype) -> SegmentationNetwork:
-    """Return a copy of a network that computes in a shorter type, float32 in and out."""
-    found = copy.deepcopy(module).eval()
-    ends = {
-        name: layer
-        for name, layer in found.named_modules()
-        if isinstance(layer, nn.Conv2d) and (layer.in_channels == len(CHANNELS) or name == LOGITS)
-    }
-    found.to(dtype)
-    for name, layer in ends.items():
-        layer.float()
-        wrapped = LastLayer(layer) if name == LOGITS else FirstLayer(layer, dtype)
-        found.set_submodule(name, wrapped)
+    """Return a copy of a network that computes in a shorter type, float32 in and out.
+
+    Where the processor has no instructions for the type, convolutions sum up in float32, as
+    processors that have them do: torch would round at every step there, and take ten times as long.
+    """
+    found = copy.deepcopy(module).eval().to(dtype)
+    native = has_instructions(next(module.parameters()).device, dtype)
+    for name, layer in module.named_modules():
+        if not isinstance(layer, nn.Conv2d | nn.ConvTranspose2d):
+            continue
+        if name == LOGITS:
+            found.set_submodule(name, LastLayer(copy.deepcopy(layer)))
+        elif layer.in_channels == len(CHANNELS):
+            found.set_submodule(name, LongSums(copy.deepcopy(layer), dtype))
+        elif not native:
+            found.set_submodule(name, LongSums(found.get_submodule(name), dtype))
     return found.to(memory_format=torch.channels_last)  # type: ignore[call-overload, no-any-return]
+
+
+def has_instructions(device: torch.device, dtype: torch.dtype) -> bool:
+    """Say whether a processor multiplies a type by itself; GPUs do, or torch sums up as they do."""
+    if device.type != "cpu":
+        return True
+    name = {torch.bfloat16: "_is_mkldnn_bf16_supported"}.get(dtype, "_is_mkldnn_fp16_supported")
+    return bool(getattr(torch.ops.mkldnn, name)())

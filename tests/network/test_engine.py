@@ -9,9 +9,10 @@ import torch
 
 from salsanext_cli.errors import UsageError
 from salsanext_cli.network.architectures import ARCHITECTURES, build
-from salsanext_cli.network.engine import engine
+from salsanext_cli.network.engine import engine_for
 from salsanext_cli.network.parts import in_parts, on_duty
 from salsanext_cli.network.precision import choose_precision
+from salsanext_cli.network.reduced import LongSums
 
 CPU = torch.device("cpu")
 NAMES = sorted(ARCHITECTURES)
@@ -46,7 +47,7 @@ def test_every_architecture_in_float32(name):
     module = network(name)
     x = images(1, 5, 19, 70)
     with torch.inference_mode():
-        found = engine(module, CPU, "float32")(x)
+        found = engine_for(module, CPU, "float32")(x)
         expected = module.double()(x.double())
     assert found.dtype == torch.float32
     assert (found - expected).abs().max() < 1e-4 * expected.abs().max()
@@ -57,22 +58,32 @@ def test_every_end_stays_float32_when_the_rest_is_short(name):
     module = network(name)
     x = images(1, 5, 16, 64)
     with torch.inference_mode():
-        found = engine(module, CPU, "bfloat16")(x)
+        found = engine_for(module, CPU, "bfloat16")(x)
         expected = module(x)
     assert found.dtype == torch.float32
     assert (found - expected).abs().mean() < 0.03 * expected.abs().mean()
     assert {p.dtype for p in module.parameters()} == {torch.float32}
 
 
+def test_long_sums_are_rounded_once():
+    layer = torch.nn.Conv2d(16, 8, 3).bfloat16()
+    x = images(1, 16, 9, 11).bfloat16()
+    with torch.inference_mode():
+        exact = torch.nn.functional.conv2d(*(t.double() for t in (x, layer.weight, layer.bias)))
+        found = LongSums(layer, torch.bfloat16)(x)
+    assert found.dtype == torch.bfloat16
+    assert ((found - exact).abs() <= 2**-8 * exact.abs() + 1e-6).all()
+
+
 def test_what_overflows_becomes_finite():
-    short = engine(network("salsanext"), CPU, "bfloat16")
+    short = engine_for(network("salsanext"), CPU, "bfloat16")
     with torch.inference_mode():
         assert short(images(1, 5, 16, 64) * 1e38).isfinite().all()
 
 
 @pytest.mark.parametrize("name", ["salsanext", "salsanet"])
 def test_the_bits_do_not_depend_on_threads_or_on_the_rest_of_the_batch(name):
-    fast = engine(network(name), CPU, "float32")
+    fast = engine_for(network(name), CPU, "float32")
     x = images(3, 5, 32, 96)
     found = []
     for threads in (1, 2, 3):
@@ -86,7 +97,7 @@ def test_the_bits_do_not_depend_on_threads_or_on_the_rest_of_the_batch(name):
 
 def test_other_number_types_are_computed_as_they_are():
     module = network("salsanext").double()
-    assert engine(module, CPU, "float32") is module
+    assert engine_for(module, CPU, "float32") is module
 
 
 @pytest.mark.parametrize("threads", [1, 2, 4])

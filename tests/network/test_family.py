@@ -30,21 +30,29 @@ DIFFERENT = [name for name in NAMES if name not in TWINS]
 SPACE = label_space()
 
 
-@cache
 def network(name):
     """Return a network of random weights that has seen training."""
-    architecture = {"name": name, "class_count": SPACE.class_count, "dropout": 0.2}
+    card = WeightsCard(architecture(name), SPACE, SMALL)
+    # What the engine has in memory goes with the network; the largest has a gigabyte.
+    return Network(trained(name), card, SMALL, torch.device("cpu"))
+
+
+def architecture(name):
+    return {"name": name, "class_count": SPACE.class_count, "dropout": 0.2}
+
+
+@cache
+def trained(name):
     # What is made in inference mode could not be given to another module later.
     with torch.random.fork_rng([]), torch.inference_mode(False):
         torch.manual_seed(0)
-        module = lively(build(architecture))
+        module = lively(build(architecture(name)))
     if name == "rangenet53":
         # Dozens of residual blocks would make logits of 100 000, which training never does.
         for key, values in module.state_dict().items():
             if key.endswith("wide.1.weight"):
                 values.fill_(0.1)
-    card = WeightsCard(architecture, SPACE, SMALL)
-    return Network(module, card, SMALL, torch.device("cpu"))
+    return module
 
 
 def noise(*shape, seed=0):

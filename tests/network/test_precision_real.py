@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: MIT
 """A shorter number type leaves the labels of real scans as they are, but for a few."""
 
+import logging
+
 import numpy as np
 import pytest
 
@@ -15,7 +17,7 @@ from salsanext_cli.training.dataset import read_labelled
 
 @pytest.mark.slow
 @pytest.mark.real
-def test_bfloat16_agrees_with_float32(real_data, record_property):
+def test_bfloat16_agrees_with_float32(real_data):
     files = [f for f in find_scans(real_data / "data" / "semantickitti") if f.label_path.is_file()]
     networks = {p: load_network(device="cpu", precision=p) for p in ("float32", "bfloat16")}
     space, sensor = networks["float32"].card.space, networks["float32"].sensor
@@ -32,8 +34,8 @@ def test_bfloat16_agrees_with_float32(real_data, record_property):
         same += int(np.equal(*found.values()).sum())
         points += len(truth)
     iou = {name: 100 * scores(count, space).iou_mean_present for name, count in counts.items()}
-    record_property("agreement", same / points)
-    record_property("mean IoU", iou)
-    print(f"{same / points:.4%} of {points:,} points agree, mean IoU {iou}")
+    logging.getLogger(__name__).warning(
+        "%.4f of %d points agree, mean IoU %s", same / points, points, iou
+    )
     assert same / points >= 0.995
     assert abs(iou["float32"] - iou["bfloat16"]) <= 0.1
