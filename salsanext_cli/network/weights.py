@@ -192,15 +192,15 @@ def read_weights(path: Path) -> tuple[SegmentationNetwork, WeightsCard]:
         does not fit its label space, or a value is not finite.
     """
     card = read_card(path)
-    classes = card.architecture.get("class_count", card.space.class_count)
-    # Before a network is built of a size that somebody wrote into the file.
-    if type(classes) is not int or classes != card.space.class_count:
-        found = f"{shortened(classes)} outputs for the {card.space.class_count} classes"
-        raise WeightsError(path, f"{found} of {card.space.name}", "one output per class")
+    count = card.space.class_count
     try:
-        module = build({**card.architecture, "class_count": classes}, path)
+        # Never of a size that somebody wrote into the file.
+        module = build({**card.architecture, "class_count": count}, path)
     except UsageError as error:
         raise WeightsError(path, error.found, error.expected) from error
+    if (classes := card.architecture.get("class_count")) != count:
+        found = f"{shortened(classes)} outputs for the {count} classes of {card.space.name}"
+        raise WeightsError(path, found, "one output per class")
     try:
         tensors = safetensors.torch.load_file(path)
     except (OSError, KeyError, ValueError, safetensors.SafetensorError) as error:

@@ -61,7 +61,7 @@ def claimed(
     OutputError
         If the folder holds results of other settings, or of another stage, and `overwrite` is
         not set, or another run is making them now; if a sequence of the same name came from
-        elsewhere; or if it cannot be written.
+        elsewhere; or if it cannot be written. At the end, if it was removed meanwhile.
     """
     # What is wrong with the scans themselves is said before a folder is made.
     new_sources(out, scans, stage)
@@ -72,6 +72,7 @@ def claimed(
             run.enter_context(locked(_lock(out, stage), shared=True, patience=PATIENCE))
         _sweep(out, folders, scans)
         yield
+        _require_kept(out, stage, as_json(settings))
 
 
 @contextmanager
@@ -131,6 +132,16 @@ def _claim(
     for path, source in sources.items():
         write_json(path, source)
     record(out, stage, settings, folders)
+
+
+def _require_kept(out: Path, stage: str, settings: Mapping[str, Any]) -> None:
+    """Say so if somebody has removed the folder, and results with it, while it was filled."""
+    if (manifest_of(out, stage) or {}).get("settings") != settings:
+        raise OutputError(
+            out,
+            "was removed or replaced while results were written into it",
+            remedy="run again with --overwrite",
+        )
 
 
 def _take_over(out: Path, folder: str, stage: str, overwrite: bool) -> None:
