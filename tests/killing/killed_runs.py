@@ -21,6 +21,7 @@ import sys
 import time
 import traceback
 from collections.abc import Callable
+from importlib import import_module
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -194,6 +195,7 @@ def train_job(folder: Path) -> Run:
     write_sequence(folder / "data/sequences/08", ["0"], count=600)
     # Loaded here, so as not to be in every run; but a step would start threads.
     draw_curve(folder / "warm.png", [{"epoch": 1, "loss": 1.0, "miou": 0.5}])
+    import_module("torch._dynamo")
     knn_refine(project(make_scan(), SMALL), np.zeros((SMALL.height, SMALL.width), np.uint8))
     recipe = Recipe(epochs=2, batch=1, crop_width=32, samples_per_epoch=4, average=0.5)
     data = folder / "data"
