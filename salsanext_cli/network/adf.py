@@ -16,6 +16,7 @@ import torch.nn.functional as F
 from torch import Tensor
 
 from salsanext_cli.network.moments import leaky_relu_moments, softmax_moments
+from salsanext_cli.network.parts import in_parts, is_on_duty
 from salsanext_cli.network.stand_in import StandIn
 
 
@@ -99,8 +100,17 @@ def _linear(function: Callable[..., Tensor]) -> Callable[..., Gaussian]:
     def rule(
         x: Gaussian, weight: Tensor, bias: Tensor | None = None, *geometry: Any, **more: Any
     ) -> Gaussian:
-        mean = function(x.mean, weight, bias, *geometry, **more)
-        variance = function(x.variance, weight.square(), None, *geometry, **more)
+        both = (x.mean, weight, bias), (x.variance, weight.square(), None)
+        if is_on_duty():
+            found = [x.mean, x.variance]
+
+            def compute(number: int) -> None:
+                found[number] = function(*both[number], *geometry, **more)
+
+            in_parts(compute, len(both))
+            mean, variance = found
+        else:
+            mean, variance = (function(*one, *geometry, **more) for one in both)
         # Convolving by way of a transform can round a certain 0 to less.
         return x.like(mean, variance.clamp_(min=0))
 

@@ -9,9 +9,11 @@ from salsanext_cli.geometry.noise import input_variance
 from salsanext_cli.network.adf import Gaussian, propagate
 from salsanext_cli.network.estimate import as_array
 from salsanext_cli.network.inference import Network
+from salsanext_cli.network.parts import on_duty
 from salsanext_cli.records import Float, RangeImage
 
 
+@on_duty()
 @torch.inference_mode()
 def aleatoric(network: Network, image: RangeImage) -> Float:
     """Return the variance of every pixel's softmax that comes from noise of the input.

@@ -9,11 +9,13 @@ from salsanext_cli.network.adf import propagate
 from salsanext_cli.network.coherent import Coherent
 from salsanext_cli.network.estimate import Estimate, entropy, require_dropout
 from salsanext_cli.network.inference import Network
+from salsanext_cli.network.parts import on_duty
 from salsanext_cli.records import RangeImage
 
 TINY = 1e-12
 
 
+@on_duty()
 @torch.inference_mode()
 def analyse(network: Network, image: RangeImage) -> Estimate:
     """Estimate what `sample` would tend to with ever more passes.

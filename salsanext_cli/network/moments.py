@@ -12,6 +12,7 @@ from torch import Tensor
 
 from salsanext_cli.network.derivatives import differentiable
 from salsanext_cli.network.logistic import logistic_moments
+from salsanext_cli.network.parts import in_parts, is_on_duty
 
 CHUNK = 1 << 17
 """Numbers per step on a CPU, so that what lies between stays in its cache."""
@@ -57,12 +58,19 @@ def _in_steps(
     given = [t.contiguous(memory_format=layout) for t in (mean, *others)]
     results = torch.empty_like(given[0]), torch.empty_like(given[0])
     step = CHUNK if mean.device.type == "cpu" else max(1, mean.numel())
-    for *numbers, one, other in zip(
-        *(torch.split(_flat(t, layout), step) for t in (*given, *results)), strict=True
-    ):
+    steps = [*zip(*(torch.split(_flat(t, layout), step) for t in (*given, *results)), strict=True)]
+
+    def compute(number: int) -> None:
+        *numbers, one, other = steps[number]
         first, second = function(*(t.to(wide) for t in numbers))
         one.copy_(first)
         other.copy_(second)
+
+    if is_on_duty():
+        in_parts(compute, len(steps))
+    else:
+        for number in range(len(steps)):
+            compute(number)
     return results
 
 

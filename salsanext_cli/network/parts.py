@@ -19,7 +19,7 @@ from torch import Tensor
 from salsanext_cli.geometry.crew import all_hands
 
 _own = threading.local()
-_threads: ContextVar[int] = ContextVar("_threads", default=1)
+_threads: ContextVar[int] = ContextVar("_threads", default=0)
 
 
 @contextmanager
@@ -39,13 +39,18 @@ def on_duty() -> Iterator[None]:
         _threads.reset(token)
 
 
+def is_on_duty() -> bool:
+    """Say whether the crew has the threads, so that what can be shared should be."""
+    return _threads.get() > 0
+
+
 def in_parts(work: Callable[[int], object], count: int) -> None:
     """Call ``work(0)`` to ``work(count - 1)`` on the threads of the crew; see `on_duty`.
 
     In each call torch has one thread. Calls must not write to the same places.
     """
     parts = iter(range(count))
-    threads, of_torch = _threads.get(), torch.get_num_threads()
+    threads, of_torch = max(1, _threads.get()), torch.get_num_threads()
 
     # `next` of an iterator over a range is one step of the interpreter: no lock is needed.
     def pull() -> None:

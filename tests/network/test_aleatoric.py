@@ -9,6 +9,7 @@ from scans import SMALL, make_scan
 from salsanext_cli.errors import UsageError
 from salsanext_cli.geometry.projection import project
 from salsanext_cli.network.aleatoric import aleatoric
+from salsanext_cli.network.analytic import analyse
 from salsanext_cli.network.inference import load_network
 
 
@@ -84,3 +85,15 @@ def test_it_ranks_pixels_as_noisy_copies_do(network, image):
     propagated = aleatoric(network, image).mean(axis=0)[occupied]
     ranks = (np.argsort(np.argsort(values)) for values in (sampled, propagated))
     assert np.corrcoef(*ranks)[0, 1] > 0.6
+
+
+@pytest.mark.parametrize("method", [aleatoric, lambda *given: analyse(*given).variance])
+def test_no_bit_depends_on_the_number_of_threads(network, image, method):
+    before = torch.get_num_threads()
+    found = []
+    for threads in (1, 2, 3):
+        torch.set_num_threads(threads)
+        found.append(method(network, image))
+    torch.set_num_threads(before)
+    np.testing.assert_array_equal(found[1], found[0])
+    np.testing.assert_array_equal(found[2], found[0])

@@ -275,7 +275,7 @@ def test_a_sensor_without_known_noise_is_refused_before_anything_is_written(
 
 
 def test_moments_are_float32() -> None:
-    with pytest.raises(UsageError, match="key precision · 'bfloat16' · expected auto or float32"):
+    with pytest.raises(UsageError, match="key precision · bfloat16 · expected auto or float32"):
         TINY.with_changes(precision="bfloat16")
     assert learner().dtype is torch.float32
 
