@@ -55,3 +55,27 @@ def test_training_speed(tmp_path):
     names = [line.split()[0] for line in parts]
     assert names == ["data", "forward", "loss", "backward", "update", "book-keeping", "step"]
     assert re.fullmatch(r"ours is \S+ × as fast \(\S+ to \S+ over 2 turns\)", ratio)
+
+
+def test_stage_cost(tmp_path, weights, capsys):
+    if not Path("/proc/self/io").exists():
+        pytest.skip("Linux only")
+    write_sequence(tmp_path / "sequences/08", ["000000", "000001"])
+    main = runpy.run_path(str(BENCHMARKS / "stage_cost.py"))["main"]
+    main(str(tmp_path), str(tmp_path / "out"), "2", str(weights))
+    lines = capsys.readouterr().out.splitlines()
+    found = {line[:24].strip(): re.findall(r"(\d+\.\d+) MB", line) for line in lines}
+    stages = ["project", "predict, range images", "knn-refine", "predict, scans", "eval"]
+    assert list(found) == [*stages, "export-ply", "uncertainty, 2 passes"]
+    # 5 float32 channels of 16×128 pixels and 1500 int32; 1500 uint32; of 1500 points of 16 bytes.
+    assert found["project"] == ["0.02", "0.05"]
+    assert found["predict, scans"] == ["0.02", "0.01"]
+
+
+def test_many_scans(tmp_path, capsys):
+    main = runpy.run_path(str(BENCHMARKS / "many_scans.py"))["main"]
+    main(str(tmp_path), "40", "threading")
+    lines = capsys.readouterr().out.splitlines()
+    steps = ["find scans", "claim", "claim again", "divide into shards", "skip what is done"]
+    assert [line[:24].strip() for line in lines] == [*steps, "chunks, threading"]
+    assert not list(tmp_path.iterdir())

@@ -1,0 +1,82 @@
+# SPDX-License-Identifier: MIT
+"""What a scan costs in each stage on one core: CPU time, bytes read and bytes written.
+
+The first scan of each stage is left out, since it pays for loading and compiling. CPU time of the
+process, not time by the clock, so that what else the machine does plays a small part. Bytes are
+those that pass through system calls (`/proc/self/io`, Linux only), so nothing that is mapped.
+
+Run: python benchmarks/stage_cost.py dataset/ out/ [30 weights.safetensors]
+"""
+
+import statistics
+import sys
+import time
+from collections.abc import Callable
+from itertools import pairwise
+from pathlib import Path
+
+from salsanext_cli.stages.batch import BatchOptions
+from salsanext_cli.stages.estimator import Estimator
+from salsanext_cli.stages.evaluate import evaluate
+from salsanext_cli.stages.export_ply import export_ply
+from salsanext_cli.stages.inputs import Choice
+from salsanext_cli.stages.knn_refine import knn_refine_scans
+from salsanext_cli.stages.networks import NetworkChoice
+from salsanext_cli.stages.predict import predict
+from salsanext_cli.stages.predicted import predicted_scans
+from salsanext_cli.stages.project import project_scans
+from salsanext_cli.stages.threads import threads_of_workers
+from salsanext_cli.stages.uncertainty import uncertainty
+
+
+def used() -> tuple[float, int, int]:
+    """Return CPU seconds, bytes read and bytes written so far."""
+    lines = Path("/proc/self/io").read_text("ascii").splitlines()
+    counts = dict(line.split(": ") for line in lines)
+    return time.process_time(), int(counts["rchar"]), int(counts["wchar"])
+
+
+def measure(name: str, stage: Callable[[BatchOptions], object]) -> None:
+    """Run a stage and print what each scan but the first took."""
+    marks: list[tuple[float, int, int]] = []
+    stage(BatchOptions(progress=lambda *_: marks.append(used())))
+    each = [
+        [after - before for after, before in zip(later, earlier, strict=True)]
+        for earlier, later in pairwise(marks)
+    ]
+    cpu, read, written = zip(*each, strict=True)
+    megabytes = [statistics.median(values) / 1e6 for values in (read, written)]
+    print(
+        f"{name:24} {statistics.median(cpu):7.3f} s ({min(cpu):.3f} to {max(cpu):.3f})"
+        f"  read {megabytes[0]:5.2f} MB  written {megabytes[1]:5.2f} MB"
+    )
+
+
+def main(dataset: str, out: str, samples: str = "30", weights: str | None = None) -> None:
+    data, steps, whole = Path(dataset), Path(out) / "steps", Path(out) / "whole"
+    network = NetworkChoice(Path(weights) if weights else None, "cpu")
+    sensor = network.load().sensor
+    few, estimator = Choice(limit=4), Estimator(samples=int(samples))
+
+    def score(options: BatchOptions) -> None:
+        evaluate(*((found := predicted_scans(whole, Choice()))[0], whole, found[1]), options)
+
+    with threads_of_workers(1):
+        measure("project", lambda o: project_scans(data, steps, sensor=sensor, options=o))
+        measure(
+            "predict, range images", lambda o: predict(steps, steps, network=network, options=o)
+        )
+        measure("knn-refine", lambda o: knn_refine_scans(steps, options=o))
+        measure("predict, scans", lambda o: predict(data, whole, network=network, options=o))
+        measure("eval", score)
+        measure("export-ply", lambda o: export_ply(whole, network=network, options=o))
+        measure(
+            f"uncertainty, {samples} passes",
+            lambda o: uncertainty(
+                data, whole, network=network, estimator=estimator, choice=few, options=o
+            ),
+        )
+
+
+if __name__ == "__main__":
+    main(*sys.argv[1:])
