@@ -19,6 +19,9 @@ Anything else that escapes is a bug and keeps its traceback.
 
 from __future__ import annotations
 
+VISIBLE = {code: f"\\x{code:02x}" for code in (*range(32), *range(127, 160))}
+"""Control characters as text: a file's name may hold a line end, or what a terminal obeys."""
+
 
 class SalsanextError(Exception):
     """A mistake explained in one line: subject · found · expected · what to do.
@@ -54,7 +57,7 @@ class SalsanextError(Exception):
     def __str__(self) -> str:
         expected = f"expected {self.expected}" if self.expected else ""
         parts = (self.subject, self.found, expected, self.remedy)
-        return " · ".join(part for part in parts if part)
+        return " · ".join(part for part in parts if part).translate(VISIBLE)
 
 
 class UsageError(SalsanextError):
