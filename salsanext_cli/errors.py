@@ -22,6 +22,8 @@ from __future__ import annotations
 
 NOTICE = 25
 """Level of what the library logs for every user to see, though nothing is wrong."""
+VISIBLE = {code: f"\\x{code:02x}" for code in (*range(32), *range(127, 160))}
+"""Control characters as text: a file's name may hold a line end, or what a terminal obeys."""
 
 
 class SalsanextError(Exception):
@@ -58,7 +60,7 @@ class SalsanextError(Exception):
     def __str__(self) -> str:
         expected = f"expected {self.expected}" if self.expected else ""
         parts = (self.subject, self.found, expected, self.remedy)
-        return " · ".join(part for part in parts if part)
+        return " · ".join(part for part in parts if part).translate(VISIBLE)
 
 
 class UsageError(SalsanextError):

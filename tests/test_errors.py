@@ -48,3 +48,8 @@ def test_the_drawn_tree_is_the_tree() -> None:
     drawn = set(re.findall(r"(?:├──|└──|^    )\s*(\w+)  ", errors.__doc__ or "", re.MULTILINE))
     assert drawn == set(classes)
     assert all(issubclass(value, SalsanextError) for value in classes.values())
+
+
+def test_names_of_files_neither_end_the_line_nor_speak_to_the_terminal():
+    said = str(FormatError("a\nerror: b\x1b]0;x\x07.bin", "cut\x9b off", remedy="größer"))
+    assert said == "a\\x0aerror: b\\x1b]0;x\\x07.bin · cut\\x9b off · größer"

@@ -39,7 +39,9 @@ class Sight:
 
 def sight(scan: Scan, sensor: Sensor) -> Sight:
     """Count the points of a scan, whether the sensor clamps or drops those out of its view."""
-    points = scan.points.astype(np.float64)
+    # A NaN that signals is no measurement either.
+    with np.errstate(invalid="ignore"):
+        points = scan.points.astype(np.float64)
     distance = np.sqrt(np.einsum("ni,ni->n", points, points))
     measured = (distance > 0) & (distance <= LARGEST)
     distance, z = distance[measured], points[measured, 2]

@@ -30,7 +30,8 @@ def ring_of_point(points: Float) -> npt.NDArray[np.intp]:
     (N,) int
         Index into `RING_NAMES`; -1 for points without a measurement (origin, NaN, infinity).
     """
-    distance = np.linalg.norm(points.astype(np.float64), axis=1)
+    with np.errstate(invalid="ignore"):  # of a NaN that signals
+        distance = np.linalg.norm(points.astype(np.float64), axis=1)
     measured = np.isfinite(distance) & (distance > 0)
     return np.where(measured, np.digitize(np.nan_to_num(distance), RING_EDGES) - 1, -1)
 

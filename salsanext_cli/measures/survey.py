@@ -113,7 +113,8 @@ class Survey:
 
 def survey(scan: Scan, image: RangeImage, raw: RawIds | None) -> Survey:
     """Count one scan, its range image and its labels if there are any."""
-    points = scan.points.astype(np.float64)
+    with np.errstate(invalid="ignore"):  # of a NaN that signals
+        points = scan.points.astype(np.float64)
     distance = np.sqrt(np.square(points).sum(axis=1))
     measured = np.isfinite(distance) & (distance > 0)
     distance, z = distance[measured], points[measured, 2]

@@ -50,8 +50,9 @@ class Cloud:
     @property
     def range(self) -> Float:
         """Distance of every point from the sensor, (N,) float32, metres."""
-        # Squares of far points exceed float32; those too far for it become infinite.
-        with np.errstate(over="ignore"):
+        # Squares of far points exceed float32; those too far for it become infinite. And a NaN may
+        # signal.
+        with np.errstate(over="ignore", invalid="ignore"):
             distance: Float = np.linalg.norm(self.scan.points.astype(np.float64), axis=1).astype(
                 np.float32
             )

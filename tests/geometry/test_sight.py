@@ -22,6 +22,12 @@ def at(elevations, distance=20.0):
     return Scan(points.astype(np.float32), np.zeros(len(points), np.float32))
 
 
+def test_a_nan_that_signals_is_no_measurement():
+    values = np.array([[5, 1, 0], [0, 0, 0], [3, 2, 0]], np.float32)
+    values.view(np.uint32)[1, 2] = 0x7F800001
+    assert sight(Scan(values, np.zeros(3, np.float32)), SMALL).points == 2
+
+
 @given(st.lists(st.floats(-90, 90).filter(lambda e: min(abs(e - 3), abs(e + 25)) > 0.01)))
 def test_points_are_counted_one_by_one(elevations):
     outside = sum(not -25 <= elevation <= 3 for elevation in elevations)

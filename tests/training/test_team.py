@@ -32,7 +32,7 @@ def torchrun(*arguments: object) -> subprocess.CompletedProcess[str]:
         [*command, "--nproc-per-node", "2", *map(str, arguments)],
         capture_output=True,
         text=True,
-        timeout=120,
+        timeout=400,
         check=False,
         env={
             **os.environ,
