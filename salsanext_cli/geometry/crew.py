@@ -5,24 +5,32 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
-from contextlib import ExitStack
+from concurrent.futures import ThreadPoolExecutor, wait
 from functools import lru_cache
+
+MOST = 256
+"""Threads; only as many are started as were ever busy together."""
 
 
 def all_hands(work: Callable[[], object], hands: int) -> None:
-    """Call ``work()`` on so many threads at once, this one among them; return when all are done.
+    """Call ``work()`` on up to so many threads at once, this one among them.
 
-    The threads are started once. They must not wait for each other, nor call this.
+    Returns when all calls are done. `work` should take what is left to do, if anything is: when
+    this thread is done with its call, others that have not begun by then are not made. They must
+    not wait for each other.
     """
-    helpers = hands - 1
-    with ExitStack() as ends:
-        for _ in range(helpers):
-            ends.callback(_crew(helpers, os.getpid()).submit(work).result)
+    crew = _crew(os.getpid()) if hands > 1 else None
+    helpers = [crew.submit(work) for _ in range(hands - 1)] if crew else []
+    try:
         work()
+    finally:
+        begun = [helper for helper in helpers if not helper.cancel()]
+        wait(begun)
+    for helper in begun:
+        helper.result()
 
 
-@lru_cache(maxsize=2)
-def _crew(size: int, _process: int) -> ThreadPoolExecutor:
+@lru_cache(maxsize=1)
+def _crew(_process: int) -> ThreadPoolExecutor:
     """Return the threads; after a fork there are others."""
-    return ThreadPoolExecutor(size, "salsanext")
+    return ThreadPoolExecutor(MOST, "salsanext")

@@ -13,8 +13,6 @@ from salsanext_cli.network.parts import on_duty
 from salsanext_cli.records import Float, RangeImage
 
 
-@on_duty()
-@torch.inference_mode()
 def aleatoric(network: Network, image: RangeImage) -> Float:
     """Return the variance of every pixel's softmax that comes from noise of the input.
 
@@ -37,8 +35,9 @@ def aleatoric(network: Network, image: RangeImage) -> Float:
     UsageError
         If the sensor does not know its noise.
     """
-    mean = network.input(image.channels)
-    variance = torch.from_numpy(input_variance(image.channels, network.sensor))[None].to(mean)
-    variance = variance.contiguous(memory_format=torch.channels_last)
-    logits = propagate(network.module, Gaussian(mean, variance))
-    return as_array(logits.softmax(dim=1).variance[0])
+    with network.computing(), on_duty():
+        mean = network.input(image.channels)
+        variance = torch.from_numpy(input_variance(image.channels, network.sensor))[None].to(mean)
+        variance = variance.contiguous(memory_format=torch.channels_last)
+        logits = propagate(network.module, Gaussian(mean, variance))
+        return as_array(logits.softmax(dim=1).variance[0])

@@ -15,8 +15,6 @@ from salsanext_cli.records import RangeImage
 TINY = 1e-12
 
 
-@on_duty()
-@torch.inference_mode()
 def analyse(network: Network, image: RangeImage) -> Estimate:
     """Estimate what `sample` would tend to with ever more passes.
 
@@ -36,10 +34,11 @@ def analyse(network: Network, image: RangeImage) -> Estimate:
         If the network drops nothing.
     """
     require_dropout(network)
-    certain = network.engine.trunk(network.engine.pad(network.input(image.channels)))
-    features = (Coherent(f, torch.zeros_like(f)) for f in map(torch.Tensor.float, certain))
-    logits = propagate(network.module.rest, *features)[..., : image.height, : image.width]
-    softmax = logits.softmax(dim=1)
-    mean, variance = softmax.mean[0].double(), softmax.variance[0].double()
-    information = (variance / (2 * mean).clamp(min=TINY)).sum(dim=0)
-    return Estimate.of(mean, variance, information.minimum(entropy(mean)))
+    with network.computing(), on_duty():
+        certain = network.engine.trunk(network.engine.pad(network.input(image.channels)))
+        features = (Coherent(f, torch.zeros_like(f)) for f in map(torch.Tensor.float, certain))
+        logits = propagate(network.module.rest, *features)[..., : image.height, : image.width]
+        softmax = logits.softmax(dim=1)
+        mean, variance = softmax.mean[0].double(), softmax.variance[0].double()
+        information = (variance / (2 * mean).clamp(min=TINY)).sum(dim=0)
+        return Estimate.of(mean, variance, information.minimum(entropy(mean)))

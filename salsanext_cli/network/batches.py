@@ -17,7 +17,6 @@ from salsanext_cli.geometry.projection_torch import project_tensors
 from salsanext_cli.geometry.view import View
 from salsanext_cli.network.captured import Captured
 from salsanext_cli.network.inference import Network
-from salsanext_cli.network.parts import on_duty
 
 log = logging.getLogger(__name__)
 
@@ -68,8 +67,6 @@ class BatchLabeller:
         self.means = torch.tensor(network.sensor.means, device=network.device).view(shape)
         self.stds = torch.tensor(network.sensor.stds, device=network.device).view(shape)
 
-    @on_duty()
-    @torch.inference_mode()
     def label(self, scans: Sequence[Points]) -> list[Labelled]:
         """Label scans, whose tensors may be anywhere.
 
@@ -81,7 +78,8 @@ class BatchLabeller:
         found: list[Labelled] = []
         while len(found) < len(scans):
             try:
-                found += self._label(scans[len(found) : len(found) + self.size])
+                with self.network.computing():
+                    found += self._label(scans[len(found) : len(found) + self.size])
             except torch.OutOfMemoryError:
                 if self.size == 1:
                     raise
@@ -98,8 +96,9 @@ class BatchLabeller:
         on_device = [[part.to(device, non_blocking=True) for part in scan] for scan in scans]
         seen = [project_tensors(points, values, self.view) for points, values in on_device]
         images = torch.stack([self._normalised(channels) for channels, *_ in seen])
-        # One size of batch is one recording, and one choice of algorithms.
-        images = F.pad(images, (*6 * (0,), 0, self.size - len(scans)))
+        if device.type == "cuda":
+            # One size of batch is one recording, and one choice of algorithms.
+            images = F.pad(images, (*6 * (0,), 0, self.size - len(scans)))
         images = images.contiguous(memory_format=torch.channels_last)
         logits = self.logits(images)[: len(scans)] / self.network.card.temperature
         probabilities = torch.softmax(logits, dim=1)

@@ -6,11 +6,15 @@ A light network is many short kernels: starting them one by one takes the CPU lo
 
 from __future__ import annotations
 
+from threading import Lock
+
 import torch
 from torch import Tensor
 
 from salsanext_cli.network.segmentation import SegmentationNetwork
 
+RECORDING = Lock()
+"""A process may record one sequence at a time."""
 WARM_UP = 3
 """Runs before recording, in which libraries choose their algorithms and allocate."""
 
@@ -46,14 +50,16 @@ class Captured:
         torch.cuda.empty_cache()
 
     def _record(self, images: Tensor) -> tuple[torch.cuda.CUDAGraph, Tensor, Tensor]:
+        device = images.device
         inputs = images.clone(memory_format=torch.channels_last)
-        aside = torch.cuda.Stream(images.device)  # type: ignore[no-untyped-call]
-        aside.wait_stream(torch.cuda.current_stream(images.device))
+        aside = torch.cuda.Stream(device)  # type: ignore[no-untyped-call]
+        aside.wait_stream(torch.cuda.current_stream(device))
         with torch.cuda.stream(aside):
             for _ in range(WARM_UP):
                 self.engine(inputs)
-        torch.cuda.current_stream(images.device).wait_stream(aside)
+        torch.cuda.current_stream(device).wait_stream(aside)
         graph = torch.cuda.CUDAGraph()
-        with torch.cuda.graph(graph):
+        # Others may pin memory meanwhile, in other threads.
+        with RECORDING, torch.cuda.graph(graph, stream=aside, capture_error_mode="thread_local"):
             outputs = self.engine(inputs)
         return graph, inputs, outputs

@@ -34,6 +34,7 @@ def fuse(module: SegmentationNetwork) -> SegmentationNetwork:
     shared = {id(tensor): tensor for tensor in module.state_dict(keep_vars=True).values()}
     fused = copy.deepcopy(module, shared)
     _fuse_children(fused)
+    fused.in_parts = True
     return fused.eval()
 
 

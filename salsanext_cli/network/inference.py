@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from contextlib import AbstractContextManager
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
@@ -13,8 +14,8 @@ from torch import Tensor
 from salsanext_cli.errors import UsageError
 from salsanext_cli.geometry.normalise import normalise
 from salsanext_cli.network.architectures import build
+from salsanext_cli.network.computing import computing
 from salsanext_cli.network.engine import engine_for
-from salsanext_cli.network.parts import on_duty
 from salsanext_cli.network.precision import choose_precision
 from salsanext_cli.network.segmentation import SegmentationNetwork
 from salsanext_cli.network.weights import WeightsCard, default_weights, read_weights
@@ -59,26 +60,28 @@ class Network:
         normalised = torch.from_numpy(normalise(channels, self.sensor))[None]
         return normalised.to(self.device, memory_format=torch.channels_last)
 
-    @on_duty()
-    @torch.inference_mode()
+    def computing(self) -> AbstractContextManager[None]:
+        """Return the settings of torch under which the engine is to be called."""
+        return computing(self.engine, self.device)
+
     def logits(self, image: RangeImage) -> Float:
         """Return the logits of every pixel, (C, H, W) float32."""
-        logits: Float = self.engine(self.input(image.channels))[0].cpu().numpy()
+        with self.computing():
+            logits: Float = self.engine(self.input(image.channels))[0].cpu().numpy()
         return logits
 
     def probabilities(self, image: RangeImage) -> Float:
         """Return the softmax of every pixel, (C, H, W) float32, sum over C = 1."""
         return self.pixel_probabilities(image.channels)
 
-    @on_duty()
-    @torch.inference_mode()
     def pixel_probabilities(self, channels: Float) -> Float:
         """Return the softmax of every pixel from the (5, H, W) channels of a range image.
 
         The logits are divided by the card's temperature, which leaves their order as it is.
         """
-        logits = self.engine(self.input(channels)) / self.card.temperature
-        probabilities: Float = torch.softmax(logits, dim=1)[0].cpu().numpy()
+        with self.computing():
+            logits = self.engine(self.input(channels)) / self.card.temperature
+            probabilities: Float = torch.softmax(logits, dim=1)[0].cpu().numpy()
         return probabilities
 
 

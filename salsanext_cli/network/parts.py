@@ -29,6 +29,9 @@ def on_duty() -> Iterator[None]:
     Torch itself has one then: its own threads wait for work by spinning, and would keep the crew
     from the cores.
     """
+    if is_on_duty():
+        yield
+        return
     threads = torch.get_num_threads()
     token = _threads.set(threads)
     torch.set_num_threads(1)

@@ -44,17 +44,17 @@ class Moments:
             self.sum_of_squares = torch.zeros_like(self.sum)
             self.sum_of_entropies = torch.zeros_like(self.sum[0])
         self.count += len(passes)
-        width = self.sum.shape[-1]
+        width, bands = self.sum.shape[-1], BANDS if self.sum.device.type == "cpu" else 1
 
         def add_up(part: int) -> None:
-            band = slice(width * part // BANDS, width * (part + 1) // BANDS)
+            band = slice(width * part // bands, width * (part + 1) // bands)
             for probabilities in passes:
                 double = probabilities[..., band].double()
                 self.sum[..., band] += double
                 self.sum_of_squares[..., band].addcmul_(double, double)
                 self.sum_of_entropies[..., band] += entropy(double)
 
-        in_parts(add_up, BANDS)
+        in_parts(add_up, bands)
 
     def summary(self) -> Estimate:
         """Divide once: mean, variance (of the population, paper III-C.2) and information."""
@@ -64,8 +64,6 @@ class Moments:
         return Estimate.of(mean, variance, information.clamp(min=0))
 
 
-@on_duty()
-@torch.inference_mode()
 def sample(network: Network, image: RangeImage, *, samples: int, seed: int) -> Estimate:
     """Run the network with dropout on and batch norm frozen, and sum up the passes.
 
@@ -92,14 +90,16 @@ def sample(network: Network, image: RangeImage, *, samples: int, seed: int) -> E
         If the network has no dropout to sample.
     """
     require_sampling(network, samples)
-    moments = Moments()
-    features = network.engine.trunk(network.engine.pad(network.input(image.channels)))
+    moments, engine = Moments(), network.engine
     seeds = [pass_seed(seed, number) for number in range(samples)]
-    passes = on_threads if features[0].device.type == "cpu" else in_batches
-    for start in range(0, samples, KEPT):
-        kept = passes(network.engine, features, seeds[start : start + KEPT])
-        moments.add([probabilities[:, : image.height, : image.width] for probabilities in kept])
-    return moments.summary()
+    passes = on_threads if network.device.type == "cpu" else in_batches
+    # In a pass torch has one thread, whether the engine shares its work or not.
+    with network.computing(), on_duty():
+        features = engine.trunk(engine.pad(network.input(image.channels)))
+        for start in range(0, samples, KEPT):
+            kept = passes(engine, features, seeds[start : start + KEPT])
+            moments.add([softmax[:, : image.height, : image.width] for softmax in kept])
+        return moments.summary()
 
 
 def on_threads(

@@ -24,9 +24,12 @@ class SegmentationNetwork(nn.Module):
     ----------
     stride : (int, int)
         What height and width are divided by at the narrowest place.
+    in_parts : bool
+        Whether it shares its work among threads by itself; see `parts`.
     """
 
     stride: tuple[int, int]
+    in_parts = False
 
     @abstractmethod
     def trunk(self, image: Tensor) -> tuple[Tensor, ...]:

@@ -19,9 +19,9 @@ from salsanext_cli.network import winograd
 from salsanext_cli.network.parts import in_parts, scratch
 from salsanext_cli.records import Float
 
-PIXELS = range(128, 1024)
+PIXELS = (128, 1024)
 """Fewest and most pixels of a part of a 1×1 convolution."""
-TILES = range(32, 128)
+TILES = (32, 128)
 """Fewest and most tiles of a part of a 3×3 convolution: less, and kernels are read too often; more,
 and the products leave the cache."""
 PARTS = 8
@@ -189,9 +189,10 @@ class OneThread(nn.Module):
         return torch.cat(found)
 
 
-def _part(count: int, sizes: range) -> int:
+def _part(count: int, limits: tuple[int, int]) -> int:
     """Return how many of so many tiles or pixels are a part."""
-    return min(sizes.stop, max(sizes.start, -(-count // PARTS)))
+    fewest, most = limits
+    return min(most, max(fewest, -(-count // PARTS)))
 
 
 def _channels_last(x: Tensor) -> Tensor:

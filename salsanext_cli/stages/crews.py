@@ -112,7 +112,10 @@ def _threads(options: BatchOptions, most: int, errand: Errand) -> Iterator[Crew]
 
     workers = min(most, options.workers_here())
     ended = Event()
-    with threads_of_workers(threads_each(cores(), workers)):
+    threads = threads_each(cores(), workers)
+    # Set in each as well: what new ones begin with is what torch was told last, anywhere.
+    errand = replace(errand, threads=threads)
+    with threads_of_workers(threads):
         executor = ThreadPoolExecutor(workers)
         backend = FuturesBackend(_ThreadPool(executor), workers)
         parallel = {"backend": backend, "n_jobs": workers}

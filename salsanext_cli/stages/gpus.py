@@ -83,4 +83,6 @@ def _folder_of_locks() -> Path:
     """Return a folder of this user's; who sees other GPUs counts for himself."""
     visible = os.environ.get("CUDA_VISIBLE_DEVICES", "")
     seen = hashlib.sha256(visible.encode()).hexdigest()[:12]
-    return Path(tempfile.gettempdir()) / f"salsanext-gpus-{os.getuid()}-{seen}"
+    # Of this user alone where the system has such a place.
+    place = os.environ.get("XDG_RUNTIME_DIR") or tempfile.gettempdir()
+    return Path(place) / f"salsanext-gpus-{os.getuid()}-{seen}"

@@ -163,6 +163,8 @@ def predict(
     if batch is not None and batch < 1:
         raise UsageError("--batch", str(batch), "at least 1, or auto")
     seen = projected_sensor(source)
+    if seen is not None and batch is not None:
+        raise UsageError("--batch", "range images are computed one by one", "scans")
     if seen is not None:
         _require_same_sensor(source, seen, network.load().sensor)
         if knn != KnnParameters():

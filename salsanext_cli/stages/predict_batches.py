@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import threading
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
@@ -15,13 +16,14 @@ import torch
 from torch import Tensor
 
 from salsanext_cli.classes import TrainIds
-from salsanext_cli.errors import SalsanextError
+from salsanext_cli.errors import FormatError, SalsanextError
 from salsanext_cli.formats import read_scan
 from salsanext_cli.formats.layout import ScanFile
 from salsanext_cli.geometry.knn import KnnParameters
 from salsanext_cli.geometry.sight import Sight, sight
 from salsanext_cli.network.batches import BatchLabeller, Labelled, Points
 from salsanext_cli.network.inference import Network
+from salsanext_cli.network.sampling import AT_ONCE
 from salsanext_cli.records import Float, Int
 from salsanext_cli.stages.attempts import Attempt
 
@@ -29,9 +31,8 @@ READERS, WRITERS = 4, 4
 """Threads; both mostly wait for the system."""
 AHEAD = 3
 """Batches that are read before they are needed, or not yet written, at most."""
-ROOM = 16 * 64 * 2048
-"""Pixels of a batch on a GPU, unless the number of scans is given."""
-MOST = 64
+MOST = 16
+"""Scans of a batch on a GPU, unless the number is given; as many as a worker is sent together."""
 
 Write = Callable[[ScanFile, TrainIds, TrainIds, Float | None, Int], None]
 """Takes a scan, labels of points, labels of pixels, perhaps probabilities, pixels of points."""
@@ -68,7 +69,7 @@ def usual_size(network: Network) -> int:
     """Return how many scans are computed together where nobody says: on a CPU one."""
     if network.device.type == "cpu":
         return 1
-    return max(1, min(MOST, ROOM // (network.sensor.height * network.sensor.width)))
+    return max(1, min(MOST, AT_ONCE // (network.sensor.height * network.sensor.width)))
 
 
 def predict_batches(
@@ -97,10 +98,11 @@ def predict_batches(
     probabilities : bool
         Whether it wants probabilities; they are large.
     """
-    labeller = BatchLabeller(network, knn, size)
+    labeller = _labeller(network, knn, size)
     waiting, unwritten = iter(files), deque[tuple[ScanFile, Loaded, Future[None]]]()
     reading = deque[tuple[ScanFile, Future[Loaded]]]()
-    with ThreadPoolExecutor(READERS) as readers, ThreadPoolExecutor(WRITERS) as writers:
+    readers, writers = ThreadPoolExecutor(READERS), ThreadPoolExecutor(WRITERS)
+    try:
         while True:
             for file in islice(waiting, AHEAD * size - len(reading)):
                 reading.append((file, readers.submit(_read, file, network)))
@@ -113,8 +115,10 @@ def predict_batches(
                     loaded.append((file, future.result()))
                 except SalsanextError as error:
                     yield file, None, error
-            results = labeller.label([scan.points for _, scan in loaded])
-            for (file, scan), result in zip(loaded, results, strict=True):
+            for file, scan, result in _label(labeller, loaded):
+                if result is None:
+                    yield file, None, _too_large(file, scan, network)
+                    continue
                 found = _fetch(result, probabilities)
                 # The mark of temporary files is in the context.
                 job = writers.submit(copy_context().run, _write, write, file, found)
@@ -123,6 +127,51 @@ def predict_batches(
                 yield _written(*unwritten.popleft())
         while unwritten:
             yield _written(*unwritten.popleft())
+    finally:
+        readers.shutdown(cancel_futures=True)
+        writers.shutdown()
+
+
+class _Held(threading.local):
+    """What this thread recorded last, for the next scans that it is sent."""
+
+    labeller: BatchLabeller | None = None
+    size = 0
+
+
+_HELD = _Held()
+
+
+def _labeller(network: Network, knn: KnnParameters, size: int) -> BatchLabeller:
+    held = _HELD.labeller
+    if held is None or (held.network, held.knn, _HELD.size) != (network, knn, size):
+        held = _HELD.labeller = BatchLabeller(network, knn, size)
+        _HELD.size = size
+    return held
+
+
+def _label(
+    labeller: BatchLabeller, loaded: list[tuple[ScanFile, Loaded]]
+) -> Iterator[tuple[ScanFile, Loaded, Labelled | None]]:
+    """Label scans; what does not even fit alone has no result."""
+    try:
+        results: list[Labelled | None] = [*labeller.label([scan.points for _, scan in loaded])]
+    except torch.OutOfMemoryError:
+        results = [_label_alone(labeller, scan) for _, scan in loaded]
+    for (file, scan), result in zip(loaded, results, strict=True):
+        yield file, scan, result
+
+
+def _label_alone(labeller: BatchLabeller, scan: Loaded) -> Labelled | None:
+    try:
+        return labeller.label([scan.points])[0]
+    except torch.OutOfMemoryError:
+        return None
+
+
+def _too_large(file: ScanFile, scan: Loaded, network: Network) -> FormatError:
+    found = f"{len(scan.points[0])} points are too many for the memory of {network.device}"
+    return FormatError(file.path, found, "a smaller scan", "label it with --device cpu")
 
 
 def _read(file: ScanFile, network: Network) -> Loaded:
@@ -142,7 +191,7 @@ def _fetch(result: Labelled, probabilities: bool) -> Found:
     softmax = result.probabilities.to("cpu", non_blocking=True) if probabilities else None
     arrived = torch.cuda.Event() if on_gpu else None  # type: ignore[no-untyped-call]
     if arrived:
-        arrived.record()
+        arrived.record(torch.cuda.current_stream(result.labels.device))
     return Found(labels, pixel_labels, softmax, pixel_of_point, arrived)
 
 

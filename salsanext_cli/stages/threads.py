@@ -45,7 +45,7 @@ def threads_of_workers(count: int) -> Iterator[None]:
     """Let threads that are started in the body use so many each, and afterwards as before.
 
     Torch keeps the number for each thread by itself; a new one begins with what was set last,
-    wherever that was. So it is set before they start, and never in them.
+    wherever that was.
     """
     torch, numba = sys.modules.get("torch"), sys.modules.get("numba")
     of_torch = torch.get_num_threads() if torch else 0

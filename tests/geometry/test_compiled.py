@@ -7,6 +7,7 @@ import subprocess
 import sys
 import threading
 import time
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import numba
@@ -105,16 +106,26 @@ def test_all_hands_work_at_once(hands):
 
 
 def test_an_error_of_any_hand_is_raised_after_all_are_done():
-    arrived = iter(range(3))
-    done = []
+    together, arrived, done = threading.Barrier(3, timeout=10), iter(range(3)), []
 
     def work():
-        number = next(arrived)
-        if number == 1:
+        together.wait()
+        if next(arrived) == 1:
             raise ValueError("no")
         time.sleep(0.05)
-        done.append(number)
+        done.append(1)
 
     with pytest.raises(ValueError, match="no"):
         all_hands(work, 3)
     assert len(done) == 2
+
+
+def test_nobody_waits_for_hands_that_are_busy_elsewhere(monkeypatch):
+    busy = ThreadPoolExecutor(1)
+    free = threading.Event()
+    busy.submit(free.wait, 10)
+    monkeypatch.setattr("salsanext_cli.geometry.crew._crew", lambda _: busy)
+    calls = []
+    all_hands(lambda: calls.append(1), 3)
+    assert calls == [1]
+    free.set()

@@ -121,10 +121,28 @@ def test_batches_shrink_when_memory_is_short(nine, monkeypatch, caplog):
         labeller.label([points])
 
 
+def test_a_scan_that_does_not_fit_fails_alone(nine, tmp_path, monkeypatch):
+    label = BatchLabeller._label
+
+    def short_of_memory(self, scans):
+        if any(len(points) > 1000 for points, _ in scans):
+            raise torch.OutOfMemoryError("no room")
+        return label(self, scans)
+
+    write_sequence(nine.data / "sequences" / "05", ["000009"], count=900, labels=False)
+    monkeypatch.setattr(BatchLabeller, "_label", short_of_memory)
+    outcome = predict(
+        nine.data / "sequences" / "05", tmp_path / "out", network=nine.network, batch=4
+    )
+    assert outcome.done == 3
+    assert len(outcome.failures) == 7
+    assert "1500 points are too many for the memory of cpu" in outcome.failures[0].reason
+
+
 def test_sizes_of_batches(nine, tmp_path):
     assert usual_size(nine.network.load()) == 1
     on_gpu = replace(nine.network.load(), precision="bfloat16", device=torch.device("cuda"))
-    assert usual_size(on_gpu) == 64
+    assert usual_size(on_gpu) == 16
     with pytest.raises(UsageError, match="--batch"):
         predict(nine.data, tmp_path / "out", network=nine.network, batch=0)
 
