@@ -16,7 +16,7 @@ from typing import TypeVar
 
 from salsanext_cli.formats.layout import ScanFile, find_scans, output_path
 from salsanext_cli.stages.batch import BatchOptions, run_batch
-from salsanext_cli.stages.outputs import claim
+from salsanext_cli.stages.claims import claimed
 from salsanext_cli.stages.shards import Shard
 
 Result = TypeVar("Result")
@@ -44,8 +44,14 @@ def fill(folder: Path, count: int) -> tuple[Path, Path]:
         for path in files:
             if scan == 0:
                 path.parent.mkdir(parents=True)
-            path.touch()
+            path.write_bytes(b"0")
     return data, out
+
+
+def claim(out: Path, scans: list[ScanFile]) -> None:
+    """Take the output folder, and let it go."""
+    with claimed(out, "predict", {"device": "none"}, ("probabilities",), scans, overwrite=False):
+        pass
 
 
 def dispatch(scans: list[ScanFile], backend: str) -> None:
@@ -68,7 +74,7 @@ def main(folder: str, count: str = "20000", *backends: str) -> None:
         for name in ("claim", "claim again"):
             timed(
                 name,
-                lambda: claim(out, "predict", {}, ("predictions",), scans, overwrite=True),
+                lambda: claim(out, scans),
                 number,
             )
         timed("divide into shards", lambda: Shard(1, 8).of(scans), number)

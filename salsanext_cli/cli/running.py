@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import os
+import re
 from enum import StrEnum
 from typing import TYPE_CHECKING, Annotated
 
@@ -78,7 +79,7 @@ def batch_size(text: str) -> int | None:
     """Return how many scans are computed together, None for what suits the device."""
     if text == "auto":
         return None
-    if not text.isascii() or not text.isdigit():
+    if not re.fullmatch(r"\d{1,9}", text, re.ASCII):
         raise UsageError("--batch", repr(text), "auto, or a number of scans")
     return int(text)
 

@@ -23,6 +23,10 @@ HEADER = re.compile(
 """The one form in which numpy writes it; its own reader evaluates whatever it finds instead."""
 
 
+LONGEST = 15
+"""Digits of a length; more cannot be calculated with."""
+
+
 def read_array(path: Path, dtype: npt.DTypeLike, shape: tuple[int | None, ...]) -> npt.NDArray[Any]:
     """Read an array of known dtype and shape.
 
@@ -50,7 +54,11 @@ def read_array(path: Path, dtype: npt.DTypeLike, shape: tuple[int | None, ...]) 
         if (held := size_of(file) - file.tell()) != promised:
             raise FormatError(path, f"{held} bytes of data", f"{promised} bytes", "it is cut off")
         values = read_values(file, path, dtype, math.prod(found_shape))
-    return values.reshape(found_shape, order="F" if in_columns else "C")
+    try:
+        return values.reshape(found_shape, order="F" if in_columns else "C")
+    except ValueError as error:
+        # Of nothing, the other lengths may be any.
+        raise FormatError(path, "a .npy file of an impossible shape", expected) from error
 
 
 def _read_header(file: BinaryIO, path: Path, expected: str) -> tuple[str, bool, tuple[int, ...]]:
@@ -60,7 +68,10 @@ def _read_header(file: BinaryIO, path: Path, expected: str) -> tuple[str, bool, 
     if magic != MAGIC or header is None:
         raise FormatError(path, "not a .npy file", expected)
     description, in_columns, lengths = header.groups()
-    shape = tuple(int(length) for length in re.findall(rb"\d{1,18}", lengths))
+    words = [word.strip() for word in lengths.split(b",") if word.strip()]
+    if not all(word.isdigit() and len(word) <= LONGEST for word in words):
+        raise FormatError(path, "a .npy file of an impossible shape", expected)
+    shape = tuple(map(int, words))
     return description.decode("ascii", "replace"), in_columns == b"True", shape
 
 

@@ -94,7 +94,8 @@ def _open(path: Path) -> int:
 def _names(path: Path, handle: int) -> bool:
     """Whether a name is still that of an open file."""
     try:
-        return os.path.samestat(path.stat(), os.fstat(handle))
+        held = os.fstat(handle)
+        return held.st_nlink > 0 and os.path.samestat(path.stat(), held)
     except OSError:
         return False
 

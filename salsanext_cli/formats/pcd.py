@@ -93,7 +93,10 @@ def _read_compressed(file: BinaryIO, path: Path, header: Header) -> Columns:
         return {name: np.empty(0, t) for name, t in zip(header.names, header.types, strict=True)}
     open3d = import_open3d()
     with open3d.utility.VerbosityContextManager(open3d.utility.VerbosityLevel.Error):
-        cloud = open3d.t.io.read_point_cloud(str(path), format="pcd")
+        try:
+            cloud = open3d.t.io.read_point_cloud(str(path), format="pcd")
+        except RuntimeError as error:
+            raise ValueError("compressed PCD data that open3d cannot take") from error
     if "positions" not in cloud.point or len(cloud.point.positions) != header.points:
         raise ValueError("compressed PCD data that does not unpack")
     columns = {name: cloud.point[name].numpy()[:, 0] for name in cloud.point}

@@ -113,7 +113,7 @@ def _working_in(folder: Path | None) -> Iterator[None]:
         yield
         return
     with _Users.lock:
-        if _Users.count and Path.cwd() != folder:
+        if _Users.count and not Path.cwd().samefile(folder):
             raise OutputError(folder, "a worker serves runs from two folders", "one thread each")
         try:
             os.chdir(folder)

@@ -22,8 +22,9 @@ from salsanext_cli.stages.outputs import (
 )
 from salsanext_cli.stages.sources import new_sources
 
-PATIENCE = 60.0
-"""Seconds to wait while others record what they do; it takes them a moment."""
+PATIENCE = 1800.0
+"""Seconds to wait while others record what they do: a moment each, seconds if it is a million
+scans, and there may be a hundred of them."""
 
 
 @contextmanager
@@ -64,15 +65,19 @@ def claimed(
         elsewhere; or if it cannot be written. At the end, if it was removed meanwhile.
     """
     # What is wrong with the scans themselves is said before a folder is made.
-    new_sources(out, scans, stage)
-    folders = sorted(writes)
+    nothing_new = not new_sources(out, scans, stage)
+    folders, settings = sorted(writes), as_json(settings)
     with ExitStack() as run:
-        with recording(out):
-            _claim(out, stage, as_json(settings), folders, scans, overwrite)
+        if nothing_new and _is_recorded(out, stage, settings, folders):
             run.enter_context(locked(_lock(out, stage), shared=True, patience=PATIENCE))
+        if not (nothing_new and _is_recorded(out, stage, settings, folders)):
+            run.close()
+            with recording(out):
+                _claim(out, stage, settings, folders, scans, overwrite)
+                run.enter_context(locked(_lock(out, stage), shared=True, patience=PATIENCE))
         _sweep(out, folders, scans)
         yield
-        _require_kept(out, stage, as_json(settings))
+        _require_kept(out, stage, settings)
 
 
 @contextmanager
@@ -126,12 +131,20 @@ def _claim(
         _remove_results(out, stage, manifest["writes"])
     for folder in folders:
         _take_over(out, folder, stage, overwrite)
-        if not manifest and not overwrite:
-            _require_none(out, folder)
+        if not manifest and owner(out, folder) is None:
+            if not overwrite:
+                _require_none(out, folder)
+            _remove_results(out, stage, [folder])
     # The manifest comes last: without it, a run that was killed before begins anew.
     for path, source in sources.items():
         write_json(path, source)
     record(out, stage, settings, folders)
+
+
+def _is_recorded(out: Path, stage: str, settings: object, folders: list[str]) -> bool:
+    """Whether another run with the same settings has recorded all there is to record."""
+    manifest = manifest_of(out, stage) or {}
+    return manifest.get("settings") == settings and {*folders} <= {*manifest["writes"]}
 
 
 def _require_kept(out: Path, stage: str, settings: Mapping[str, Any]) -> None:
@@ -162,7 +175,7 @@ def _take_over(out: Path, folder: str, stage: str, overwrite: bool) -> None:
 
 def _require_none(out: Path, folder: str) -> None:
     """Refuse results that no stage of ours recorded: nobody knows how they were made."""
-    if owner(out, folder) is None and (found := find_outputs(out, folder)):
+    if found := find_outputs(out, folder):
         raise OutputError(
             found[0].path,
             "was there before, made nobody knows how",

@@ -3,7 +3,9 @@
 
 from __future__ import annotations
 
+import getpass
 import hashlib
+import logging
 import os
 import tempfile
 import threading
@@ -11,6 +13,8 @@ import weakref
 from contextvars import ContextVar
 from itertools import count
 from pathlib import Path
+
+log = logging.getLogger(__name__)
 
 ONE_EACH: ContextVar[bool] = ContextVar("ONE_EACH", default=False)
 """Whether this is a worker, beside others that may use the same GPUs."""
@@ -74,15 +78,18 @@ def own_device(device: str, gpus: int) -> str:
     """
     if not ONE_EACH.get() or device not in ("auto", "cuda") or gpus < 2:
         return device
-    if _HELD.slot is None:
-        _HELD.slot = Slot(_folder_of_locks())
-    return f"cuda:{_HELD.slot.number % gpus}"
+    try:
+        if _HELD.slot is None:
+            _HELD.slot = Slot(_folder_of_locks())
+        number = _HELD.slot.number
+    except (ImportError, OSError) as error:
+        number = os.getpid()
+        log.warning("GPUs are divided by chance, since workers cannot count: %s", error)
+    return f"cuda:{number % gpus}"
 
 
 def _folder_of_locks() -> Path:
     """Return a folder of this user's; who sees other GPUs counts for himself."""
     visible = os.environ.get("CUDA_VISIBLE_DEVICES", "")
     seen = hashlib.sha256(visible.encode()).hexdigest()[:12]
-    # Of this user alone where the system has such a place.
-    place = os.environ.get("XDG_RUNTIME_DIR") or tempfile.gettempdir()
-    return Path(place) / f"salsanext-gpus-{os.getuid()}-{seen}"
+    return Path(tempfile.gettempdir()) / f"salsanext-gpus-{getpass.getuser()}-{seen}"

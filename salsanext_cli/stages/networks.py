@@ -11,7 +11,7 @@ from typing import Any
 
 import torch
 
-from salsanext_cli.errors import NOTICE
+from salsanext_cli.errors import NOTICE, WeightsError
 from salsanext_cli.formats.identity import fingerprint, identity
 from salsanext_cli.network.inference import Network, load_network
 from salsanext_cli.network.weights import default_weights
@@ -35,20 +35,34 @@ class NetworkChoice:
         What the scans come from, if not from the sensor that the weights name.
     precision : str
         As `load_network` takes it.
+    sha256 : str, optional
+        Of the weights that a run began with; others are refused.
     """
 
     weights: Path | None = None
     device: str = "auto"
     sensor: Sensor | None = None
     precision: str = "float32"
+    sha256: str | None = None
 
     def load(self) -> Network:
         """Load the network, once per thread unless the file is replaced.
 
         Threads do not share one: each may have a GPU of its own.
+
+        Raises
+        ------
+        WeightsError
+            If the file cannot be used, or was replaced since the run began.
         """
-        wanted = self, identity(self.weights or default_weights())
+        path = self.weights or default_weights()
+        wanted = self, identity(path)
+        if _LOADED.network and self.sha256 and _LOADED.wanted[0] == self:
+            return _LOADED.network
         if _LOADED.network is None or _LOADED.wanted != wanted:
+            if self.sha256 not in (None, fingerprint(path)):
+                found = "was replaced since the run began"
+                raise WeightsError(path, found, "the same file", "run again with --overwrite")
             device = own_device(self.device, torch.cuda.device_count())
             _LOADED.network = load_network(self.weights, device, self.sensor, self.precision)
             _LOADED.wanted = wanted
@@ -57,12 +71,14 @@ class NetworkChoice:
     def decided(self) -> NetworkChoice:
         """Tell the user what computes, and return the choice for workers: in the same precision.
 
-        What is "auto" here might be another number type on their machines.
+        What is "auto" here might be another number type on their machines. And the same weights: a
+        training that goes on may replace its best ones.
         """
         network = self.load()
         name = self.weights or "default weights"
         log.log(NOTICE, "%s on %s in %s", name, network.device, network.precision)
-        chosen = replace(self, precision=network.precision)
+        sha256 = fingerprint(self.weights or default_weights())
+        chosen = replace(self, precision=network.precision, sha256=sha256)
         _LOADED.wanted = chosen, _LOADED.wanted[1]
         return chosen
 

@@ -71,7 +71,7 @@ def ray_crew(options: BatchOptions, most: int, errand: Errand) -> Iterator[Crew]
             yield _crew(ray, errand, workers, AHEAD * workers, 1, threads_each(cores(), workers))
         return
     with _there(ray, options.scheduler):
-        slots = int(ray.cluster_resources().get("CPU", 1))
+        slots = max(1, int(ray.cluster_resources().get("CPU", 1)))
         workers = wanted or slots
         largest = max(int(node["Resources"].get("CPU", 0)) for node in ray.nodes() if node["Alive"])
         cpus = max(1, min(largest, threads_each(slots, workers)))

@@ -133,3 +133,15 @@ def test_missing_and_folder(tmp_path: Path) -> None:
         read_array(tmp_path / "a.npy", np.float32, (None,))
     with pytest.raises(FormatError, match="is a directory"):
         read_array(tmp_path, np.float32, (None,))
+
+
+@pytest.mark.parametrize(
+    "lengths", [b"5, 0, 999999999999999999", b"5, 0, 1 2", b"5, 0, 9" + b"9" * 30]
+)
+def test_impossible_shapes_of_nothing(tmp_path: Path, lengths: bytes) -> None:
+    header = b"{'descr': '<f4', 'fortran_order': False, 'shape': (" + lengths + b"), }"
+    header = header.ljust(117) + b"\n"
+    path = tmp_path / "x.npy"
+    path.write_bytes(b"\x93NUMPY\x01\x00" + len(header).to_bytes(2, "little") + header)
+    with pytest.raises(FormatError, match="impossible shape"):
+        read_array(path, "float32", (5, None, None))

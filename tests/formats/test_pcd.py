@@ -217,6 +217,8 @@ def test_compressed(tmp_path: Path) -> None:
         (header(data="zipped") + bytes(32), "kind zipped"),
         (header().replace(b"TYPE F", b"TYPE"), "differ in length"),
         (header().replace(b"POINTS 2", b"POINTS 2\nPOINTS 1") + bytes(32), "'POINTS' twice"),
+        # Open3d takes these for the keyword that they begin with.
+        (header().replace(b"POINTS 2", b"POINTS 2\nPOINTSX 9"), "'POINTSX', no keyword"),
         (header().replace(b"POINTS 2", b"POINTS many"), "many"),
         (header() + bytes(31), "31 bytes of data, not 32"),
         (header(points=10**12) + bytes(32), "32 bytes of data"),

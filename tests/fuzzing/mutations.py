@@ -22,6 +22,7 @@ WORDS = (
     *(b"&a [*a]", b"*a", b"<<: *a", b"!!python/object/apply:os.system [id]", b"!!int ''"),
     *(b"!!timestamp x", b"2001-99-99", b"!!binary =", b"!!bool x", b"0b1", b"1:2:3", b"#", b"---"),
     *(b"list uchar int", b"property", b"element vertex 1000000000000", b"COUNT 0", b"binary"),
+    *(b"POINTSX 20000000\n", b"DATAX binary\n", b"SIZES 4\n", b"WIDTH_ 9\n"),
     *(b"_ F 4 0", b"'<f8'", b"'|O'", b"ctorch\n_utils\n", b"cos\nsystem\n", b"\x80\x02", b"PK\x03"),
 )
 """What is written anywhere: the words of the formats, and of those who attack them."""

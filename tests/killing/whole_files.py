@@ -88,4 +88,21 @@ def _same_values(one: Path, other: Path) -> None:
     import torch
 
     a, b = (torch.load(path, weights_only=True) for path in (one, other))
-    assert repr(a) == repr(b)
+    _same(a, b)
+
+
+def _same(one: object, other: object) -> None:
+    import torch
+
+    assert type(one) is type(other)
+    if isinstance(one, torch.Tensor) and isinstance(other, torch.Tensor):
+        assert torch.equal(one, other)
+    elif isinstance(one, dict) and isinstance(other, dict):
+        assert one.keys() == other.keys()
+        for key, value in one.items():
+            _same(value, other[key])
+    elif isinstance(one, list | tuple) and isinstance(other, list | tuple):
+        for mine, its in zip(one, other, strict=True):
+            _same(mine, its)
+    else:
+        assert repr(one) == repr(other)

@@ -119,6 +119,7 @@ def test_results_that_are_being_made_are_not_removed(tmp_path: Path, start: Star
 
 
 def test_runs_with_the_same_settings_work_side_by_side(tmp_path: Path) -> None:
+    claim(tmp_path, "predict", SETTINGS, ["predictions"], overwrite=False)
     path = leave_result(tmp_path)
     for overwrite in (True, False):
         with (
@@ -192,6 +193,8 @@ def age(path: Path, seconds: float) -> Path:
 def test_what_was_left_half_written_long_ago_is_removed(tmp_path: Path) -> None:
     """Nothing else is: others may be writing, and not all hidden files are ours."""
     out, hexadecimal = tmp_path / "out", "0123456789abcdef" * 2
+    scan = ScanFile("08", "000000", tmp_path / "08/velodyne/000000.bin")
+    claim(out, "predict", SETTINGS, ["predictions"], [scan], overwrite=False)
     folder, old = result(out).parent, STALE + 60
     gone = [
         age(folder / f".{hexadecimal}.part", old),
@@ -208,8 +211,30 @@ def test_what_was_left_half_written_long_ago_is_removed(tmp_path: Path) -> None:
         age(result(out, "000001"), old),
         age(out / "sequences/09/predictions" / f".{hexadecimal}.part", old),
     ]
-    scan = ScanFile("08", "000000", tmp_path / "08/velodyne/000000.bin")
     claim(out, "predict", SETTINGS, ["predictions"], [scan], overwrite=True)
     assert [path for path in gone if path.exists()] == []
     assert [path for path in kept if not path.exists()] == []
     assert len(files_below(out)) == len(kept) + 2
+
+
+def test_what_nobody_recorded_is_removed_by_overwriting(tmp_path: Path) -> None:
+    """Else the next run would take it for its own."""
+    path = tmp_path / "sequences/08/predictions/a.label"
+    path.parent.mkdir(parents=True)
+    path.write_bytes(b"mine")
+    with pytest.raises(OutputError, match="nobody knows how"):
+        claim(tmp_path, "predict", {}, ["predictions"], overwrite=False)
+    assert path.exists()
+    claim(tmp_path, "predict", {}, ["predictions"], overwrite=True)
+    assert not path.exists()
+
+
+def test_a_later_shard_does_not_wait_for_those_that_record(tmp_path: Path) -> None:
+    scans = [ScanFile("08", "a", tmp_path / "a.bin")]
+    with claimed(tmp_path, "predict", {"k": 1}, ["predictions"], scans, overwrite=False):
+        pass
+    with (
+        recording(tmp_path),
+        claimed(tmp_path, "predict", {"k": 1}, ["predictions"], scans, overwrite=False),
+    ):
+        assert owner(tmp_path, "predictions") == "predict"
