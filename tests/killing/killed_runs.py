@@ -2,15 +2,22 @@
 """Runs that are killed with SIGKILL, begun again, and compared with one that was not.
 
 One process imports torch and forks each run, so that a kill costs tenths of a second and not the
-seconds of a cold start. It prints what happened as one JSON object, or fails.
+seconds of a cold start. It prints what happened to each job as one JSON list, or fails.
 
 ::
 
-    OMP_NUM_THREADS=1 python killed_runs.py JOB MOMENTS KILLS FOLDER
+    OMP_NUM_THREADS=1 python killed_runs.py FOLDER [JOB:MOMENTS:TIMES ...]
 
-``MOMENTS`` is how the moment of a kill is chosen: ``random``; ``steps``, before the first, second …
-time that the run touches its folder; or with two jobs ``group`` and ``parent``, at random, the
-whole group of processes or only the one that leads it.
+How the moments of the kills are chosen:
+
+random
+    At any time while the run lasts, several runs in a folder after each other.
+steps
+    Before the first, second … time that the run touches its folder, until it is not killed.
+group, parent
+    With several jobs at any time, the whole group of processes or only the one that leads it.
+beside
+    Never; two runs fill a folder at once.
 """
 
 import json
@@ -134,6 +141,20 @@ def attack(run: Run, moments: str, kills: int, folder: Path) -> dict[str, object
     return {"kills": done, "finished": finished, "unfinished": unfinished, "seconds": seconds}
 
 
+def beside(run: Run, times: int, folder: Path) -> dict[str, object]:
+    """Let two runs fill one folder at the same time, and compare."""
+    expected = folder / "expected"
+    finish(run, expected)
+    for number in range(times):
+        out = folder / f"out{number}"
+        processes = [fork(run, out), fork(run, out)]
+        ends = [ended(process) for process in processes]
+        assert all(ends)
+        all_alike(expected, out)
+        assert not [path for path in out.rglob(".*") if path.is_file()]
+    return {"pairs": times}
+
+
 def predict_job(folder: Path, jobs: int = 1) -> Run:
     """Return a run of `predict` that writes three files per scan."""
     from scans import write_sequence, write_weights
@@ -142,7 +163,7 @@ def predict_job(folder: Path, jobs: int = 1) -> Run:
     from salsanext_cli.stages.networks import NetworkChoice
     from salsanext_cli.stages.predict import predict
 
-    data = write_sequence(folder / "data/08", [f"{n:06d}" for n in range(6)], count=3000)
+    data = write_sequence(folder / "data/08", ["a", "b", "c"], count=3000)
     network = NetworkChoice(write_weights(folder / "w.safetensors"), "cpu")
     network.load()
     extras, options = ("pixel_labels", "probabilities"), BatchOptions(jobs=jobs)
@@ -232,9 +253,19 @@ JOBS: dict[str, Callable[[Path], Run]] = {
 }
 
 
-def main(job: str, moments: str, kills: str, folder: str) -> None:
-    """Attack one job and print what happened."""
-    found = attack(JOBS[job](Path(folder)), moments, int(kills), Path(folder))
+def happened(job: str, folder: Path) -> dict[str, object]:
+    """Do what ``JOB:MOMENTS:TIMES`` says, in a folder of its own, and return what happened."""
+    name, moments, times = job.split(":")
+    folder.mkdir()
+    run = JOBS[name](folder)
+    if moments == "beside":
+        return beside(run, int(times), folder)
+    return attack(run, moments, int(times), folder)
+
+
+def main(folder: str, *jobs: str) -> None:
+    """Do one job after the other and print what happened."""
+    found = [happened(job, Path(folder) / str(n)) for n, job in enumerate(jobs)]
     sys.stdout.write(json.dumps(found) + "\n")
 
 

@@ -18,11 +18,11 @@ ROOT = Path(salsanext_cli.__file__).parents[1]
 pytestmark = pytest.mark.skipif(not hasattr(os, "fork"), reason="needs fork")
 
 
-def killed(job: str, moments: str, kills: int, folder: Path) -> dict[str, Any]:
-    """Return what happened to a job that was killed so often."""
+def happened(folder: Path, *jobs: str) -> list[dict[str, Any]]:
+    """Return what happened to jobs that `killed_runs` did."""
     places = os.pathsep.join(map(str, (ROOT, HERE.parent, HERE)))
     done = subprocess.run(
-        [sys.executable, str(HERE / "killed_runs.py"), job, moments, str(kills), str(folder)],
+        [sys.executable, str(HERE / "killed_runs.py"), str(folder), *jobs],
         capture_output=True,
         text=True,
         check=False,
@@ -30,39 +30,45 @@ def killed(job: str, moments: str, kills: int, folder: Path) -> dict[str, Any]:
     )
     assert done.returncode == 0, done.stderr[-5000:]
     found = json.loads(done.stdout.splitlines()[-1])
-    assert isinstance(found, dict)
+    assert isinstance(found, list)
     return found
 
 
-@pytest.mark.parametrize(("job", "kills"), [("predict", 5), ("train", 3)])
-def test_a_few_kills(tmp_path: Path, job: str, kills: int) -> None:
-    assert killed(job, "random", kills, tmp_path)["kills"] >= kills
-
-
-def test_kills_at_every_step_of_replacing_results(tmp_path: Path) -> None:
-    found = killed("overwriting", "steps", 0, tmp_path)
-    assert found["kills"] > 20
+def test_a_few_kills(tmp_path: Path) -> None:
+    """And two runs at once, in one process, since importing torch takes most of the time."""
+    jobs = ("overwriting:steps:0", "predict:random:5", "predict:beside:2", "train:random:3")
+    overwriting, predict, beside, train = happened(tmp_path, *jobs)
+    assert overwriting["kills"] > 20
+    assert predict["kills"] >= 5
+    assert beside["pairs"] == 2
+    assert train["kills"] >= 3
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("job", ["predict", "uncertainty", "train"])
 def test_fifty_kills(tmp_path: Path, job: str) -> None:
-    found = killed(job, "random", 50, tmp_path)
+    (found,) = happened(tmp_path, f"{job}:random:50")
     assert found["kills"] >= 50
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("job", ["predict", "uncertainty", "train"])
 def test_kills_at_every_step(tmp_path: Path, job: str) -> None:
-    found = killed(job, "steps", 0, tmp_path)
+    (found,) = happened(tmp_path, f"{job}:steps:0")
     assert found["kills"] > 30
     # Some of the steps are between opening a file and giving it its name.
     assert found["unfinished"] > 5
 
 
 @pytest.mark.slow
+def test_many_pairs_of_runs(tmp_path: Path) -> None:
+    jobs = ("predict:beside:20", "uncertainty:beside:10")
+    assert [found["pairs"] for found in happened(tmp_path, *jobs)] == [20, 10]
+
+
+@pytest.mark.slow
 @pytest.mark.parametrize("moments", ["group", "parent"])
 def test_kills_with_two_jobs(tmp_path: Path, moments: str) -> None:
     """Workers that outlive their run end the scans that they were at, and nothing else."""
-    found = killed("predict --jobs 2", moments, 5, tmp_path)
+    (found,) = happened(tmp_path, f"predict --jobs 2:{moments}:5")
     assert found["kills"] >= 5
