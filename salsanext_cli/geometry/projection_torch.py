@@ -69,7 +69,8 @@ def arctan2(y: torch.Tensor, x: torch.Tensor) -> torch.Tensor:
     series = torch.full_like(q, 1 / 25)
     for n in range(23, 1, -2):
         series = q * series + (1 / n if n % 4 == 1 else -1 / n)
-    angle = t * (q * series + 1) + torch.where(turned, math.pi / 4, 0.0)
+    # Of two plain numbers `where` would make float32.
+    angle = t * (q * series + 1) + turned.double() * (math.pi / 4)
     angle = torch.where(steep, math.pi / 2 - angle, angle)
     angle = torch.where(torch.signbit(x), math.pi - angle, angle)
     return torch.copysign(angle, y)

@@ -6,6 +6,7 @@ import math
 import numba
 import numpy as np
 import pytest
+import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays
@@ -153,6 +154,15 @@ def test_arctangent():
     exact = np.array([math.atan2(y, x) for y, x in pairs])
     np.testing.assert_allclose(ours, exact, rtol=1e-11, atol=0)
     assert (np.signbit(ours) == np.signbit(exact)).all()
+
+
+def test_both_arctangents_are_the_same_bits():
+    """A last bit of float32 moves one point in a hundred thousand to the next pixel."""
+    y, x = np.random.default_rng(5).normal(size=(2, 20_000))
+    x[:4], y[:4] = (0, -0.0, 0, 1), (0, 0.0, -1, 0)
+    found = projection_torch.arctan2(torch.from_numpy(y), torch.from_numpy(x)).numpy()
+    expected = np.array([arctan2(*pair) for pair in zip(y, x, strict=True)])
+    np.testing.assert_array_equal(found.view(np.int64), expected.view(np.int64))
 
 
 @pytest.mark.real
