@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from salsanext_cli.errors import OutputError
-from salsanext_cli.formats.atomic import sweep_stale
+from salsanext_cli.formats.atomic import refusal, sweep_stale
 from salsanext_cli.formats.json_files import write_json
 from salsanext_cli.formats.layout import ScanFile, find_outputs
 from salsanext_cli.formats.locks import Held, locked
@@ -188,7 +188,17 @@ def _remove_results(out: Path, stage: str, folders: Iterable[str]) -> None:
     with alone(out, stage):
         for folder in folders:
             for result in find_outputs(out, folder):
-                result.path.unlink(missing_ok=True)
+                _remove(result.path)
+
+
+def _remove(path: Path) -> None:
+    # A folder of that name is not ours; who wants to write there will name it.
+    if path.is_dir() and not path.is_symlink():
+        return
+    try:
+        path.unlink(missing_ok=True)
+    except OSError as error:
+        raise refusal(path, error) from error
 
 
 def _sweep(out: Path, folders: Sequence[str], scans: Sequence[ScanFile]) -> None:

@@ -60,7 +60,7 @@ class NetworkChoice:
         if _LOADED.network and self.sha256 and _LOADED.wanted[0] == self:
             return _LOADED.network
         if _LOADED.network is None or _LOADED.wanted != wanted:
-            if self.sha256 not in (None, fingerprint(path)):
+            if self.sha256 and self.sha256 != fingerprint(path):
                 found = "was replaced since the run began"
                 raise WeightsError(path, found, "the same file", "run again with --overwrite")
             device = own_device(self.device, torch.cuda.device_count())
