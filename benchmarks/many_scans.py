@@ -14,10 +14,10 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import TypeVar
 
-from salsanext_cli.formats.layout import ScanFile, find_scans, output_path
-from salsanext_cli.stages.batch import BatchOptions, run_batch
-from salsanext_cli.stages.claims import claimed
-from salsanext_cli.stages.shards import Shard
+from salsanext_cli.parallel.run import RunOptions, run_over_scans
+from salsanext_cli.parallel.shards import Shard
+from salsanext_cli.storage.layout import ScanFile, find_scans, output_path
+from salsanext_cli.storage.output_run import claimed
 
 Result = TypeVar("Result")
 PER_SEQUENCE = 1000
@@ -57,11 +57,11 @@ def claim(out: Path, scans: list[ScanFile]) -> None:
 def dispatch(scans: list[ScanFile], backend: str) -> None:
     """Send scans to two workers who do nothing; starting them is left out."""
     marks: list[tuple[int, float]] = []
-    options = BatchOptions(
+    options = RunOptions(
         jobs=2, backend=backend, progress=lambda done, _: marks.append((done, time.perf_counter()))
     )
     # Something that every worker has and that takes a scan.
-    run_batch(hash, scans, options, hand_on=lambda _: None)
+    run_over_scans(hash, scans, options, on_result=lambda _: None)
     (first, start), (last, end) = marks[0], marks[-1]
     print(f"{f'chunks, {backend}':24} {(last - first) / (end - start):7.0f} scans per second")
 
@@ -80,10 +80,10 @@ def main(folder: str, count: str = "20000", *backends: str) -> None:
         timed("divide into shards", lambda: Shard(1, 8).of(scans), number)
         timed(
             "skip what is done",
-            lambda: run_batch(
+            lambda: run_over_scans(
                 hash,
                 scans,
-                BatchOptions(),
+                RunOptions(),
                 lambda s: [output_path(out, s.sequence, "predictions", s.stem)],
             ),
             number,

@@ -12,8 +12,8 @@ import torch
 from torch import Tensor, nn
 
 from salsanext_cli.classes import LabelSpace
-from salsanext_cli.formats.layout import ScanFile
 from salsanext_cli.sensors import Sensor
+from salsanext_cli.storage.layout import ScanFile
 from salsanext_cli.training.recipe import Recipe
 
 

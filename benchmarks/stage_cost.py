@@ -15,18 +15,18 @@ from collections.abc import Callable
 from itertools import pairwise
 from pathlib import Path
 
-from salsanext_cli.stages.batch import BatchOptions
-from salsanext_cli.stages.estimator import Estimator
+from salsanext_cli.inference.settings import NetworkSettings
+from salsanext_cli.parallel.run import RunOptions
+from salsanext_cli.parallel.threads import threads_of_workers
 from salsanext_cli.stages.evaluate import evaluate
 from salsanext_cli.stages.export_ply import export_ply
-from salsanext_cli.stages.inputs import Choice
 from salsanext_cli.stages.knn_refine import knn_refine_scans
-from salsanext_cli.stages.networks import NetworkChoice
 from salsanext_cli.stages.predict import predict
-from salsanext_cli.stages.predicted import predicted_scans
 from salsanext_cli.stages.project import project_scans
-from salsanext_cli.stages.threads import threads_of_workers
 from salsanext_cli.stages.uncertainty import uncertainty
+from salsanext_cli.storage.predictions import predicted_scans
+from salsanext_cli.storage.selection import ScanSelection
+from salsanext_cli.uncertainty.settings import Estimator
 
 
 def used() -> tuple[float, int, int]:
@@ -36,10 +36,10 @@ def used() -> tuple[float, int, int]:
     return time.process_time(), int(counts["rchar"]), int(counts["wchar"])
 
 
-def measure(name: str, stage: Callable[[BatchOptions], object]) -> None:
+def measure(name: str, stage: Callable[[RunOptions], object]) -> None:
     """Run a stage and print what each scan but the first took."""
     marks: list[tuple[float, int, int]] = []
-    stage(BatchOptions(progress=lambda *_: marks.append(used())))
+    stage(RunOptions(progress=lambda *_: marks.append(used())))
     each = [
         [after - before for after, before in zip(later, earlier, strict=True)]
         for earlier, later in pairwise(marks)
@@ -54,12 +54,12 @@ def measure(name: str, stage: Callable[[BatchOptions], object]) -> None:
 
 def main(dataset: str, out: str, samples: str = "30", weights: str | None = None) -> None:
     data, steps, whole = Path(dataset), Path(out) / "steps", Path(out) / "whole"
-    network = NetworkChoice(Path(weights) if weights else None, "cpu")
+    network = NetworkSettings(Path(weights) if weights else None, "cpu")
     sensor = network.load().sensor
-    few, estimator = Choice(limit=4), Estimator(samples=int(samples))
+    few, estimator = ScanSelection(limit=4), Estimator(samples=int(samples))
 
-    def score(options: BatchOptions) -> None:
-        evaluate(*((found := predicted_scans(whole, Choice()))[0], whole, found[1]), options)
+    def score(options: RunOptions) -> None:
+        evaluate(*((found := predicted_scans(whole, ScanSelection()))[0], whole, found[1]), options)
 
     with threads_of_workers(1):
         measure("project", lambda o: project_scans(data, steps, sensor=sensor, options=o))
@@ -73,7 +73,7 @@ def main(dataset: str, out: str, samples: str = "30", weights: str | None = None
         measure(
             f"uncertainty, {samples} passes",
             lambda o: uncertainty(
-                data, whole, network=network, estimator=estimator, choice=few, options=o
+                data, whole, network=network, estimator=estimator, selection=few, options=o
             ),
         )
 

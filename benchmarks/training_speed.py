@@ -24,10 +24,10 @@ from plain_training import PlainTraining
 from torch import Tensor
 
 from salsanext_cli.classes import label_space
-from salsanext_cli.formats.layout import find_scans
-from salsanext_cli.network.architectures import build
+from salsanext_cli.network.registry import build
 from salsanext_cli.sensors import sensor
-from salsanext_cli.training.counting import count_classes, rare_classes
+from salsanext_cli.storage.layout import find_scans
+from salsanext_cli.training.class_counts import count_classes, rare_classes
 from salsanext_cli.training.dataset import Samples, batches
 from salsanext_cli.training.losses import class_weights
 from salsanext_cli.training.memory import keep_freed_memory

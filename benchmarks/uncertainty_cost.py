@@ -13,9 +13,9 @@ import time
 from collections.abc import Callable
 
 import salsanext_cli as sn
-from salsanext_cli.network.aleatoric import aleatoric
-from salsanext_cli.network.analytic import analyse
-from salsanext_cli.network.sampling import sample
+from salsanext_cli.uncertainty.aleatoric import aleatoric
+from salsanext_cli.uncertainty.monte_carlo import sample
+from salsanext_cli.uncertainty.one_pass import propagate_dropout
 
 
 def seconds(work: Callable[[], object]) -> float:
@@ -34,7 +34,7 @@ def main(
         "one deterministic pass": lambda: network.probabilities(image),
         f"{passes} passes of dropout": lambda: sample(network, image, samples=passes, seed=0),
         "assumed density filtering": lambda: aleatoric(network, image),
-        "analytic, one pass": lambda: analyse(network, image),
+        "analytic, one pass": lambda: propagate_dropout(network, image),
     }
     ways["one deterministic pass"]()
     times = {name: [] for name in ways}

@@ -16,16 +16,16 @@ import torch
 
 import salsanext_cli as sn
 from salsanext_cli.geometry.knn import KnnParameters
-from salsanext_cli.network.architectures import build
-from salsanext_cli.network.cost import multiply_accumulates, parameter_count
+from salsanext_cli.inference.settings import NetworkSettings
+from salsanext_cli.network.complexity import multiply_accumulates, parameter_count
 from salsanext_cli.network.papers import PAPERS
-from salsanext_cli.stages.batch import BatchOptions
+from salsanext_cli.network.registry import build
+from salsanext_cli.parallel.run import RunOptions
 from salsanext_cli.stages.evaluate import evaluate
-from salsanext_cli.stages.inputs import Choice
-from salsanext_cli.stages.networks import NetworkChoice
 from salsanext_cli.stages.predict import predict
-from salsanext_cli.stages.predicted import predicted_scans
 from salsanext_cli.stages.train import train
+from salsanext_cli.storage.predictions import predicted_scans
+from salsanext_cli.storage.selection import ScanSelection
 from salsanext_cli.training.recipe import recipe
 
 LADDER = {
@@ -62,9 +62,16 @@ def learn(dataset: Path, run: Path, rung: str, steps: int, plan: str) -> Path:
 
 def mean_iou(dataset: Path, out: Path, weights: Path, knn: KnnParameters) -> float:
     """Score weights on the points of the validation split, in %."""
-    choice, options = Choice(split="valid"), BatchOptions()
-    predict(dataset, out, network=NetworkChoice(weights), knn=knn, choice=choice, options=options)
-    scans, space = predicted_scans(out, choice)
+    selection, options = ScanSelection(split="valid"), RunOptions()
+    predict(
+        dataset,
+        out,
+        network=NetworkSettings(weights),
+        knn=knn,
+        selection=selection,
+        options=options,
+    )
+    scans, space = predicted_scans(out, selection)
     return 100 * evaluate(scans, out, space).scores.iou_mean_present
 
 

@@ -11,16 +11,16 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 
 from salsanext_cli.classes import LabelSpace
-from salsanext_cli.formats.layout import ScanFile, find_scans
+from salsanext_cli.inference.settings import NetworkSettings
 from salsanext_cli.measures.confusion import Confusion
+from salsanext_cli.measures.scan_counts import ScanCounts, count_scan
 from salsanext_cli.measures.scores import scores
 from salsanext_cli.network.weights import default_weights, read_card
 from salsanext_cli.sensors import sensor
-from salsanext_cli.stages.counting import ScanCounts, count_scan
-from salsanext_cli.stages.inputs import space_of
-from salsanext_cli.stages.networks import NetworkChoice
 from salsanext_cli.stages.predict import predict
 from salsanext_cli.stages.tune_batchnorm import tune_batchnorm
+from salsanext_cli.storage.layout import ScanFile, find_scans
+from salsanext_cli.storage.selection import space_of
 
 
 def link(scans: list[ScanFile], folder: Path) -> Path:
@@ -33,7 +33,7 @@ def link(scans: list[ScanFile], folder: Path) -> Path:
     return folder
 
 
-def count(scans: Path, out: Path, network: NetworkChoice, space: LabelSpace) -> Confusion:
+def count(scans: Path, out: Path, network: NetworkSettings, space: LabelSpace) -> Confusion:
     """Label scans and compare, as `predict` and `eval` do."""
     predict(scans, out, network=network)
     counts = ScanCounts.none(space, by_distance=False)
@@ -52,12 +52,12 @@ def main(dataset: str, sensor_name: str = "", weights: str = "", *shares: str) -
         with TemporaryDirectory() as folder:
             halves = [link(scans[i::2], Path(folder) / f"half{i}") for i in (0, 1)]
             for number, (adapting, scoring) in enumerate((halves, halves[::-1])):
-                network = NetworkChoice(before, sensor=own)
+                network = NetworkSettings(before, sensor=own)
                 if share:
                     adapted = Path(folder) / f"{number}.safetensors"
                     tune_batchnorm(adapting, adapted, network=network, share=share)
                     # The adapted weights know their sensor.
-                    network = NetworkChoice(adapted)
+                    network = NetworkSettings(adapted)
                 total += count(scoring, Path(folder) / f"out{number}", network, space)
         found = scores(total, space)
         print(f"{share:5.2f}  {100 * found.iou_mean_present:6.1f}  {100 * found.accuracy:10.1f}")

@@ -7,9 +7,9 @@ Run: python examples/own_sensor.py my/scans out/ [weights.safetensors]
 import sys
 from pathlib import Path
 
+from salsanext_cli.inference.settings import NetworkSettings
 from salsanext_cli.sensors import sensor
 from salsanext_cli.stages.inspect import inspect, write_sensor
-from salsanext_cli.stages.networks import NetworkChoice
 from salsanext_cli.stages.predict import predict
 
 HEIGHT, WIDTH = 32, 512
@@ -21,7 +21,7 @@ def main(scans: str, out: str, weights: str | None = None) -> None:
     write_sensor(Path(out) / "mine.toml", mine)
     print(f"{found.total.scans} scans, {mine.fov_up:+.1f}° to {mine.fov_down:+.1f}°")
 
-    choice = NetworkChoice(Path(weights) if weights else None, sensor=mine)
+    choice = NetworkSettings(Path(weights) if weights else None, sensor=mine)
     outcome = predict(Path(scans), Path(out), network=choice)
     for failure in outcome.failures:
         print(failure.reason)

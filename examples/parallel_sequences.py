@@ -12,16 +12,16 @@ from pathlib import Path
 
 import joblib
 
-from salsanext_cli.formats.layout import find_scans
-from salsanext_cli.stages.inputs import Choice
-from salsanext_cli.stages.networks import NetworkChoice
+from salsanext_cli.inference.settings import NetworkSettings
 from salsanext_cli.stages.predict import predict
+from salsanext_cli.storage.layout import find_scans
+from salsanext_cli.storage.selection import ScanSelection
 
 
 def label_sequence(dataset: Path, out: Path, weights: Path | None, sequence: str) -> str:
     """Label one sequence and say how it went; the network is loaded in this process."""
-    choice = Choice(sequences=(sequence,))
-    outcome = predict(dataset, out, network=NetworkChoice(weights), choice=choice)
+    selection = ScanSelection(sequences=(sequence,))
+    outcome = predict(dataset, out, network=NetworkSettings(weights), selection=selection)
     return f"{sequence}: {outcome.done} done, {len(outcome.failures)} failed"
 
 

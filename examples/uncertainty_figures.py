@@ -19,12 +19,12 @@ from matplotlib.figure import Figure
 
 import salsanext_cli as sn
 from salsanext_cli.geometry.noise import noise_of
+from salsanext_cli.inference.network import Network
 from salsanext_cli.measures.correlation import spearman
-from salsanext_cli.network.aleatoric import aleatoric
-from salsanext_cli.network.analytic import analyse
-from salsanext_cli.network.inference import Network
-from salsanext_cli.network.sampling import sample
 from salsanext_cli.records import RangeImage
+from salsanext_cli.uncertainty.aleatoric import aleatoric
+from salsanext_cli.uncertainty.monte_carlo import sample
+from salsanext_cli.uncertainty.one_pass import propagate_dropout
 
 Values = npt.NDArray[np.floating]
 PASSES = (2, 3, 5, 10, 20, 30, 50, 100)
@@ -89,7 +89,7 @@ def main(scan: str, folder: str, copies: str = "256", passes: str = "200", *weig
         ranks.append(spearman(many, few))
         error = np.abs(few - many).sum() / many.sum()
         print(f"{count:4d} passes: rank correlation {ranks[-1]:.3f}, error {error:.1%} of the mean")
-    once = analyse(network, image).uncertainty.epistemic[seen]
+    once = propagate_dropout(network, image).uncertainty.epistemic[seen]
     one_pass, scale = spearman(many, once), np.median(np.sqrt(once / many))
     print(f"analytic: rank correlation {one_pass:.3f}, scale of the deviation {scale:.3f}")
 

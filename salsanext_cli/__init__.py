@@ -15,14 +15,14 @@ if TYPE_CHECKING:
     from salsanext_cli.classes import LabelSpace, label_space
     from salsanext_cli.errors import SalsanextError
     from salsanext_cli.formats import read_scan
-    from salsanext_cli.formats.kitti import read_labels, write_labels
-    from salsanext_cli.formats.ply import write_ply
+    from salsanext_cli.formats.kitti import read_labels
     from salsanext_cli.geometry.knn import KnnParameters, knn_refine
     from salsanext_cli.geometry.projection import project
-    from salsanext_cli.network.inference import Network, load_network
-    from salsanext_cli.network.sampling import sample
+    from salsanext_cli.inference.network import Network, load_network
     from salsanext_cli.records import RangeImage, Scan
     from salsanext_cli.sensors import Sensor, sensor
+    from salsanext_cli.storage.point_files import write_labels, write_ply
+    from salsanext_cli.uncertainty.monte_carlo import sample
 
 # Who uses the package says where its warnings go.
 logging.getLogger(__name__).addHandler(logging.NullHandler())
@@ -53,14 +53,14 @@ _HOMES = {
     "classes": ("LabelSpace", "label_space"),
     "errors": ("SalsanextError",),
     "formats": ("read_scan",),
-    "formats.kitti": ("read_labels", "write_labels"),
-    "formats.ply": ("write_ply",),
+    "formats.kitti": ("read_labels",),
     "geometry.knn": ("KnnParameters", "knn_refine"),
     "geometry.projection": ("project",),
-    "network.inference": ("Network", "load_network"),
-    "network.sampling": ("sample",),
+    "inference.network": ("Network", "load_network"),
     "records": ("RangeImage", "Scan"),
     "sensors": ("Sensor", "sensor"),
+    "storage.point_files": ("write_labels", "write_ply"),
+    "uncertainty.monte_carlo": ("sample",),
 }
 _HOME_OF = {name: home for home, names in _HOMES.items() for name in names}
 

@@ -3,7 +3,7 @@
 
 from typing import Any
 
-from salsanext_cli.stages.claims import claimed
+from salsanext_cli.storage.output_run import claimed
 
 
 def claim(*arguments: Any, **options: Any) -> None:

@@ -6,12 +6,11 @@ from pathlib import Path
 import numpy as np
 
 from salsanext_cli.classes import label_space
-from salsanext_cli.formats.arrays import write_array
-from salsanext_cli.formats.kitti import write_bin, write_labels
-from salsanext_cli.formats.layout import find_scans, output_path
+from salsanext_cli.parallel.run import RunOptions
 from salsanext_cli.records import Scan
-from salsanext_cli.stages.batch import BatchOptions
 from salsanext_cli.stages.evaluate import evaluate
+from salsanext_cli.storage.layout import find_scans, output_path
+from salsanext_cli.storage.point_files import write_array, write_bin, write_labels
 
 SPACE = label_space()
 CAR, ROAD, MOVING_CAR, UNKNOWN = 10, 40, 252, 77
@@ -39,7 +38,7 @@ class World:
 
     def evaluate(self, *, by_distance=False, **options):
         scans = find_scans(self.dataset)
-        how = BatchOptions(**options)
+        how = RunOptions(**options)
         return evaluate(scans, self.out, SPACE, how, by_distance=by_distance)
 
     def put(self, folder, stem, values, dtype=None, sequence="08"):

@@ -9,11 +9,11 @@ import torch
 from torch import nn
 
 from salsanext_cli.classes import LabelSpace, label_space
-from salsanext_cli.formats.kitti import write_bin, write_labels
 from salsanext_cli.network.salsanext import SalsaNext
 from salsanext_cli.network.weights import WeightsCard, save_weights
 from salsanext_cli.records import Scan
 from salsanext_cli.sensors import Sensor
+from salsanext_cli.storage.point_files import write_bin, write_labels
 
 SMALL = Sensor(
     "small",

@@ -6,12 +6,12 @@ import torch
 
 from salsanext_cli.formats import read_scan
 from salsanext_cli.formats.kitti import read_labels
-from salsanext_cli.formats.layout import find_scans
 from salsanext_cli.geometry.knn import knn_refine
 from salsanext_cli.geometry.projection import project
-from salsanext_cli.network.inference import load_network
+from salsanext_cli.inference.network import load_network
 from salsanext_cli.network.weights import default_weights
 from salsanext_cli.stages.synth import synthesise
+from salsanext_cli.storage.layout import find_scans
 from salsanext_cli.training.recipe import Recipe, recipe
 
 

@@ -14,15 +14,15 @@ import pytest
 from scans import make_scan, write_sequence
 
 from salsanext_cli.classes import label_space
-from salsanext_cli.formats.arrays import write_array
-from salsanext_cli.formats.kitti import read_labels, write_bin
-from salsanext_cli.formats.layout import find_scans, output_path
+from salsanext_cli.formats.kitti import read_labels
+from salsanext_cli.inference.network import load_network
 from salsanext_cli.measures.scores import scores
-from salsanext_cli.network.architectures import ARCHITECTURES
 from salsanext_cli.network.designs import SALSANET
-from salsanext_cli.network.inference import load_network
+from salsanext_cli.network.registry import ARCHITECTURES
 from salsanext_cli.network.salsanext import SalsaNext
 from salsanext_cli.network.weights import read_card
+from salsanext_cli.storage.layout import find_scans, output_path
+from salsanext_cli.storage.point_files import write_array, write_bin
 from salsanext_cli.training.log import write_log
 from salsanext_cli.training.validation import validate
 

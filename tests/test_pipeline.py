@@ -22,16 +22,16 @@ from typer.testing import CliRunner
 from salsanext_cli.classes import label_space
 from salsanext_cli.cli.app import app
 from salsanext_cli.formats.kitti import read_labels
-from salsanext_cli.stages.batch import BatchOptions
-from salsanext_cli.stages.estimator import Estimator
+from salsanext_cli.inference.settings import NetworkSettings
+from salsanext_cli.parallel.run import RunOptions
 from salsanext_cli.stages.export_ply import export_ply
 from salsanext_cli.stages.import_weights import import_weights
-from salsanext_cli.stages.inputs import Choice
 from salsanext_cli.stages.knn_refine import knn_refine_scans
-from salsanext_cli.stages.networks import NetworkChoice
 from salsanext_cli.stages.predict import predict
 from salsanext_cli.stages.project import project_scans
 from salsanext_cli.stages.uncertainty import uncertainty
+from salsanext_cli.storage.selection import ScanSelection
+from salsanext_cli.uncertainty.settings import Estimator
 
 THREE_LINES = (
     "salsanext predict seq/velodyne out/",
@@ -159,7 +159,9 @@ def test_ctrl_c_in_the_middle(many, weights, tmp_path, jobs):
     assert 5 <= len(whole) < SCANS
     assert {len(content) for content in whole.values()} == {4 * POINTS}
     assert [name for name in files_below(out) if ".part" in name] == []
-    again = predict(many, out, network=NetworkChoice(weights, "cpu"), choice=Choice(limit=40))
+    again = predict(
+        many, out, network=NetworkSettings(weights, "cpu"), selection=ScanSelection(limit=40)
+    )
     assert again.skipped + again.done == 40
     assert again.skipped >= min(len(whole), 5)
     assert labels_below(out).items() >= whole.items()
@@ -179,9 +181,9 @@ def threads_of_two_jobs():
 def test_two_jobs_give_the_bytes_of_one(tmp_path, weights):
     """Through every stage that runs a network."""
     data = write_sequence(tmp_path / "one", ["a", "b", "c"])
-    network = NetworkChoice(weights, "cpu")
+    network = NetworkSettings(weights, "cpu")
     for jobs in (1, 2):
-        out, options = tmp_path / f"jobs{jobs}", BatchOptions(jobs=jobs)
+        out, options = tmp_path / f"jobs{jobs}", RunOptions(jobs=jobs)
         extras = ("pixel_labels", "probabilities")
         predict(data, out, network=network, extras=extras, options=options)
         uncertainty(data, out, network=network, estimator=Estimator(samples=3), options=options)
@@ -195,7 +197,7 @@ def test_a_full_disk(tmp_path, weights):
     large = write_sequence(tmp_path / "drive", ["large"], count=50_000, labels=False)
     write_sequence(large, ["small"], count=100, labels=False)
     with full_disk(100_000):
-        outcome = predict(large, tmp_path / "out", network=NetworkChoice(weights, "cpu"))
+        outcome = predict(large, tmp_path / "out", network=NetworkSettings(weights, "cpu"))
     assert outcome.done == 1
     (failure,) = outcome.failures
     assert failure.scan.stem == "large"
@@ -208,7 +210,7 @@ def test_the_steps_meet_whatever_the_sensor(tmp_path):
     from dataclasses import replace
 
     sensor = replace(SMALL, height=13, width=90, fov_up=-2.0, fov_down=-20.0, out_of_view="drop")
-    network = NetworkChoice(write_weights(tmp_path / "w.safetensors", sensor=sensor), "cpu")
+    network = NetworkSettings(write_weights(tmp_path / "w.safetensors", sensor=sensor), "cpu")
     data = write_sequence(tmp_path / "odd", ["a", "b"])
     project_scans(data, tmp_path / "steps", sensor=sensor)
     predict(tmp_path / "steps", tmp_path / "steps", network=network)
@@ -226,12 +228,12 @@ def test_real_scans_in_steps_or_in_one(golden, real_data, tmp_path):
     from salsanext_cli.sensors import sensor
 
     view = sensor("hdl64-512")
-    network = NetworkChoice(tmp_path / "w.safetensors", "cpu", view)
-    data, choice = real_data / "data/semantickitti", Choice(split="valid", limit=2)
-    project_scans(data, tmp_path / "steps", sensor=view, choice=choice)
+    network = NetworkSettings(tmp_path / "w.safetensors", "cpu", view)
+    data, selection = real_data / "data/semantickitti", ScanSelection(split="valid", limit=2)
+    project_scans(data, tmp_path / "steps", sensor=view, selection=selection)
     predict(tmp_path / "steps", tmp_path / "steps", network=network)
     knn_refine_scans(tmp_path / "steps")
-    predict(data, tmp_path / "fused", network=network, choice=choice)
+    predict(data, tmp_path / "fused", network=network, selection=selection)
     labels = labels_below(tmp_path / "fused")
     assert labels_below(tmp_path / "steps") == labels
     assert list(labels) == [f"sequences/08/predictions/00000{n}.label" for n in (0, 1)]

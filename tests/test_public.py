@@ -12,7 +12,7 @@ import pytest
 from scans import SMALL, make_scan
 
 import salsanext_cli as sn
-from salsanext_cli.formats.kitti import write_bin
+from salsanext_cli.storage.point_files import write_bin
 
 NAMES = [name for name in sn.__all__ if not name.startswith("__")]
 HEAVY = ("torch", "numpy", "numba", "open3d", "matplotlib", "typer", "rich", "yaml", "plyfile")

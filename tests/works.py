@@ -8,9 +8,9 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from salsanext_cli.errors import FormatError
-from salsanext_cli.formats.atomic import writing
-from salsanext_cli.formats.layout import ScanFile
-from salsanext_cli.stages.batch import BatchOptions, Outcome, run_batch
+from salsanext_cli.parallel.run import Outcome, RunOptions, run_over_scans
+from salsanext_cli.storage.atomic import writing
+from salsanext_cli.storage.layout import ScanFile
 
 
 class Write:
@@ -74,4 +74,4 @@ def scans_of(*stems: str, sequence: str = "s") -> list[ScanFile]:
 
 def run(work: Write, scans: Sequence[ScanFile], **options: object) -> Outcome[str]:
     """Run such work."""
-    return run_batch(work, scans, BatchOptions(**options), work.results_of)  # type: ignore[arg-type]
+    return run_over_scans(work, scans, RunOptions(**options), work.results_of)  # type: ignore[arg-type]

@@ -43,24 +43,24 @@ def benchmark(
 
     Example: salsanext benchmark seq/velodyne --parts network,predict --write speed.json
     """
-    from salsanext_cli.formats.json_files import write_json
-    from salsanext_cli.report.benchmark import benchmark_table
-    from salsanext_cli.stages.benchmark import PARTS, Plan, require_new
-    from salsanext_cli.stages.benchmark import benchmark as run
+    from salsanext_cli.benchmarking.benchmark import PARTS, Plan, require_new
+    from salsanext_cli.benchmarking.benchmark import benchmark as run
+    from salsanext_cli.benchmarking.table import benchmark_table
+    from salsanext_cli.storage.json_files import write_json
 
-    talk = console.Talk(json, verbose, quiet)
+    output = console.Output(json, verbose, quiet)
     if write is not None and not overwrite:
         require_new(write)
     named = PARTS if parts == "all" else tuple(name.strip() for name in parts.split(","))
-    with progress("benchmark", talk.quiet, "turns") as advance:
+    with progress("benchmark", output.quiet, "turns") as advance:
         found = run(
             options.source(scans, dataset),
             network=options.network(weights, device, sensor, precision),
-            choice=options.choice(split, sequences, limit),
+            selection=options.choice(split, sequences, limit),
             plan=Plan(named, rounds, passes, threads),
             progress=advance,
         ).to_dict()
     if write is not None:
         write_json(write, found)
-        talk.say(f"benchmark: every measurement → {write}")
-    talk.result(found, benchmark_table(found))
+        output.say(f"benchmark: every measurement → {write}")
+    output.result(found, benchmark_table(found))

@@ -20,8 +20,8 @@ from salsanext_cli.errors import NOTICE, SalsanextError, UsageError
 if TYPE_CHECKING:
     from rich.console import RenderableType
 
-    from salsanext_cli.stages.absent import Absent
-    from salsanext_cli.stages.batch import BatchOptions, Failure, Outcome
+    from salsanext_cli.parallel.run import Failure, Outcome, RunOptions
+    from salsanext_cli.storage.missing import Absent
 
 DONE, FAILED, WRONG_USE, INTERRUPTED = 0, 1, 2, 130
 """Exit status: all done, something failed, the command line was wrong, Ctrl-C."""
@@ -33,7 +33,7 @@ Parameters = ParamSpec("Parameters")
 
 
 @dataclass(frozen=True, slots=True)
-class Talk:
+class Output:
     """How much a command says, and in which form."""
 
     json: bool = False
@@ -95,9 +95,9 @@ def guarded(command: Callable[Parameters, None]) -> Callable[Parameters, None]:
 
 
 @contextmanager
-def batch(label: str, talk: Talk, options: BatchOptions) -> Iterator[BatchOptions]:
+def batch(label: str, output: Output, options: RunOptions) -> Iterator[RunOptions]:
     """Give the options of a run over scans, with a bar while it lasts."""
-    with progress(label, talk.quiet) as advance:
+    with progress(label, output.quiet) as advance:
         yield replace(options, progress=advance)
 
 
@@ -108,7 +108,7 @@ def name_failures(failures: tuple[Failure, ...]) -> None:
 
 
 def finish(
-    stage: str, outcome: Outcome[Any], out: object, talk: Talk, absent: Absent | None = None
+    stage: str, outcome: Outcome[Any], out: object, output: Output, absent: Absent | None = None
 ) -> NoReturn:
     """Say what became of a run over scans and leave with the exit status for it."""
     name_failures(outcome.failures)
@@ -119,9 +119,9 @@ def finish(
     if absent:
         found["missing"] = [str(scan.path) for scan in missing]
         found["not_asked_for"] = absent.unasked
-    talk.result(found)
+    output.result(found)
     already = f", {outcome.skipped} done already" if outcome.skipped else ""
     failed = f", {len(outcome.failures)} failed" if outcome.failures else ""
     others = absent.words("results") if absent else ""
-    talk.say(f"{stage}: {outcome.done} scans{already}{failed}{others} → {out}")
+    output.say(f"{stage}: {outcome.done} scans{already}{failed}{others} → {out}")
     raise typer.Exit(FAILED if outcome.failures or missing else DONE)

@@ -30,28 +30,28 @@ def demo(
 
     Example: salsanext demo demo/
     """
+    from salsanext_cli.parallel.run import RunOptions
     from salsanext_cli.report.tables import score_table
-    from salsanext_cli.stages.batch import BatchOptions
     from salsanext_cli.stages.demo import demo as run
 
-    talk = console.Talk(json, verbose, quiet)
+    output = console.Output(json, verbose, quiet)
     made = run(
         folder,
         scans=scans,
         samples=samples,
         network=options.network(weights, device, None, precision),
-        options=BatchOptions(jobs=jobs, overwrite=overwrite),
+        options=RunOptions(jobs=jobs, overwrite=overwrite),
         bars=lambda step: progress(step, quiet),
     )
     pictures = [str(path) for path in made.pictures]
     result = made.evaluation.to_dict() | {"stage": "demo", "pictures": pictures}
-    talk.result(result, score_table(made.evaluation.scores))
+    output.result(result, score_table(made.evaluation.scores))
     failures = (*made.failures, *made.evaluation.failures)
     console.name_failures(failures)
-    talk.say("look at:")
+    output.say("look at:")
     for path in (*pictures, f"{made.out}/eval_iou.png", f"{made.out}/eval_confusion.png"):
-        talk.say(f"  {path}")
-    talk.say(f"  {made.out}/sequences/00/ply/*.ply   in CloudCompare, MeshLab or open3d")
-    talk.say(f"the scans are in {made.data}, results of each stage in {made.out}/sequences/00")
+        output.say(f"  {path}")
+    output.say(f"  {made.out}/sequences/00/ply/*.ply   in CloudCompare, MeshLab or open3d")
+    output.say(f"the scans are in {made.data}, results of each stage in {made.out}/sequences/00")
     incomplete = failures or made.evaluation.absent.missing
     raise typer.Exit(console.FAILED if incomplete else console.DONE)

@@ -6,7 +6,7 @@ from typing import Annotated
 
 import typer
 
-from salsanext_cli.cli import console, options, running
+from salsanext_cli.cli import console, options, run_options
 
 
 @console.guarded
@@ -20,9 +20,9 @@ def evaluate(
     sequences: options.Sequences = None,
     limit: options.Limit = None,
     label_space: options.LabelSpaceOption = None,
-    jobs: running.Jobs = None,
-    backend: running.BackendOption = running.Backend.loky,
-    scheduler: running.Scheduler = None,
+    jobs: run_options.Jobs = None,
+    backend: run_options.BackendOption = run_options.Backend.loky,
+    scheduler: run_options.Scheduler = None,
     overwrite: options.Overwrite = False,
     on_error: options.OnErrorOption = options.OnError.skip,
     json: options.Json = False,
@@ -38,24 +38,24 @@ def evaluate(
     from salsanext_cli.report.tables import ring_table, score_table
     from salsanext_cli.report.uncertainty_tables import trust_tables
     from salsanext_cli.stages.evaluate import evaluate as run
-    from salsanext_cli.stages.predicted import predicted_scans, provenance
+    from salsanext_cli.storage.predictions import predicted_scans, provenance
 
-    talk = console.Talk(json, verbose, quiet)
+    output = console.Output(json, verbose, quiet)
     wanted = options.choice(split, sequences, limit)
     files, space = predicted_scans(
         out, wanted, dataset, options.label_space(label_space), options.usual_dataset()
     )
-    runs = running.gather(jobs, backend, scheduler, on_error, overwrite)
-    with console.batch("eval", talk, runs) as batch:
+    runs = run_options.gather(jobs, backend, scheduler, on_error, overwrite)
+    with console.batch("eval", output, runs) as batch:
         settings = provenance(out, wanted, dataset)
         evaluation = run(files, out, space, batch, by_distance=by_distance, settings=settings)
     tables = [score_table(evaluation.scores)]
     if by_distance:
         tables.append(ring_table(evaluation.by_distance))
     tables += trust_tables(evaluation.trust.calibration, evaluation.trust.uncertainty)
-    talk.result(evaluation.to_dict(), Group(*tables))
+    output.result(evaluation.to_dict(), Group(*tables))
     console.name_failures(evaluation.failures)
     counted = f"{evaluation.scans} scans{evaluation.absent.words('predictions')}"
-    talk.say(f"eval: {counted} → {out}/scores.txt, eval.json, eval_*.png")
+    output.say(f"eval: {counted} → {out}/scores.txt, eval.json, eval_*.png")
     incomplete = evaluation.failures or evaluation.absent.missing
     raise typer.Exit(console.FAILED if incomplete else console.DONE)

@@ -6,7 +6,7 @@ from typing import Annotated
 
 import typer
 
-from salsanext_cli.cli import console, options, running
+from salsanext_cli.cli import console, options, run_options
 
 
 @console.guarded
@@ -36,10 +36,10 @@ def export_ply(
     device: options.Device = "auto",
     precision: options.Precision = "auto",
     sensor: options.Sensor = None,
-    jobs: running.Jobs = None,
-    backend: running.BackendOption = running.Backend.loky,
-    scheduler: running.Scheduler = None,
-    shard: running.Share = None,
+    jobs: run_options.Jobs = None,
+    backend: run_options.BackendOption = run_options.Backend.loky,
+    scheduler: run_options.Scheduler = None,
+    shard: run_options.Share = None,
     overwrite: options.Overwrite = False,
     on_error: options.OnErrorOption = options.OnError.skip,
     json: options.Json = False,
@@ -52,9 +52,11 @@ def export_ply(
     """
     from salsanext_cli.stages.export_ply import export_ply as run
 
-    talk = console.Talk(json, verbose, quiet)
-    runs = running.gather(jobs, backend, scheduler, on_error, overwrite, running.share(shard, talk))
-    with console.batch("export-ply", talk, runs) as batch:
+    output = console.Output(json, verbose, quiet)
+    runs = run_options.gather(
+        jobs, backend, scheduler, on_error, overwrite, run_options.share(shard, output)
+    )
+    with console.batch("export-ply", output, runs) as batch:
         outcome = run(
             out,
             colour=colour,
@@ -63,7 +65,7 @@ def export_ply(
             usual_dataset=options.usual_dataset(),
             space=options.label_space(label_space),
             network=options.network(weights, device, sensor, precision),
-            choice=options.choice(split, sequences, limit),
+            selection=options.choice(split, sequences, limit),
             options=batch,
         )
-    console.finish("export-ply", outcome, out, talk, outcome.absent)
+    console.finish("export-ply", outcome, out, output, outcome.absent)

@@ -41,7 +41,7 @@ def import_weights(
     from salsanext_cli.stages.import_weights import import_weights as run
     from salsanext_cli.stages.models import describe_weights
 
-    talk = console.Talk(json, verbose, quiet)
+    output = console.Output(json, verbose, quiet)
     run(
         source,
         target,
@@ -52,5 +52,5 @@ def import_weights(
         half=half,
         overwrite=overwrite,
     )
-    talk.result(describe_weights(target))
-    talk.say(f"import-weights: {source} → {target}")
+    output.result(describe_weights(target))
+    output.say(f"import-weights: {source} → {target}")

@@ -6,7 +6,7 @@ from typing import Annotated
 
 import typer
 
-from salsanext_cli.cli import console, options, running
+from salsanext_cli.cli import console, options, run_options
 
 
 @console.guarded
@@ -24,9 +24,9 @@ def inspect(
     limit: options.Limit = None,
     label_space: options.LabelSpaceOption = None,
     sensor: options.SensorWithoutWeights = None,
-    jobs: running.Jobs = None,
-    backend: running.BackendOption = running.Backend.loky,
-    scheduler: running.Scheduler = None,
+    jobs: run_options.Jobs = None,
+    backend: run_options.BackendOption = run_options.Backend.loky,
+    scheduler: run_options.Scheduler = None,
     overwrite: options.Overwrite = False,
     on_error: options.OnErrorOption = options.OnError.skip,
     json: options.Json = False,
@@ -41,22 +41,22 @@ def inspect(
     from salsanext_cli.stages.inspect import inspect as run
     from salsanext_cli.stages.inspect import write_sensor
 
-    talk = console.Talk(json, verbose, quiet)
+    output = console.Output(json, verbose, quiet)
     view = options.sensor(sensor or "hdl64").resized(height, width)
-    runs = running.gather(jobs, backend, scheduler, on_error)
-    with console.batch("inspect", talk, runs) as batch:
+    runs = run_options.gather(jobs, backend, scheduler, on_error)
+    with console.batch("inspect", output, runs) as batch:
         found = run(
             options.source(scans, dataset),
             sensor=view,
             space=options.label_space(label_space),
-            choice=options.choice(split, sequences, limit),
+            selection=options.choice(split, sequences, limit),
             options=batch,
             fit=fit is not None,
         )
     if fit is not None:
         write_sensor(fit, found.fitted_sensor(fit.stem), overwrite=overwrite)
-        talk.say(f"inspect: sensor → {fit}")
-    talk.result(
+        output.say(f"inspect: sensor → {fit}")
+    output.result(
         found.to_dict(), survey_tables(found.sequences, found.total, found.space, found.sensor)
     )
     console.name_failures(found.failures)

@@ -6,7 +6,7 @@ from typing import Annotated
 
 import typer
 
-from salsanext_cli.cli import console, options, running
+from salsanext_cli.cli import console, options, run_options
 
 
 @console.guarded
@@ -33,10 +33,10 @@ def knn_refine(
     knn_window: options.Window = 5,
     knn_sigma: options.Sigma = 1.0,
     knn_cutoff: options.Cutoff = 1.0,
-    jobs: running.Jobs = None,
-    backend: running.BackendOption = running.Backend.loky,
-    scheduler: running.Scheduler = None,
-    shard: running.Share = None,
+    jobs: run_options.Jobs = None,
+    backend: run_options.BackendOption = run_options.Backend.loky,
+    scheduler: run_options.Scheduler = None,
+    shard: run_options.Share = None,
     overwrite: options.Overwrite = False,
     on_error: options.OnErrorOption = options.OnError.skip,
     json: options.Json = False,
@@ -49,9 +49,11 @@ def knn_refine(
     """
     from salsanext_cli.stages.knn_refine import knn_refine_scans
 
-    talk = console.Talk(json, verbose, quiet)
-    runs = running.gather(jobs, backend, scheduler, on_error, overwrite, running.share(shard, talk))
-    with console.batch("knn-refine", talk, runs) as batch:
+    output = console.Output(json, verbose, quiet)
+    runs = run_options.gather(
+        jobs, backend, scheduler, on_error, overwrite, run_options.share(shard, output)
+    )
+    with console.batch("knn-refine", output, runs) as batch:
         outcome = knn_refine_scans(
             out,
             labels=labels,
@@ -60,7 +62,7 @@ def knn_refine(
             sensor=options.sensor(sensor) if sensor else None,
             space=options.label_space(label_space),
             knn=options.knn(knn_k, knn_window, knn_sigma, knn_cutoff),
-            choice=options.choice(split, sequences, limit),
+            selection=options.choice(split, sequences, limit),
             options=batch,
         )
-    console.finish("knn-refine", outcome, out, talk)
+    console.finish("knn-refine", outcome, out, output)

@@ -31,9 +31,9 @@ def models(
     from salsanext_cli.stages.models import describe_weights
     from salsanext_cli.stages.models import models as count
 
-    talk = console.Talk(json, verbose, quiet)
+    output = console.Output(json, verbose, quiet)
     found = count()
     described = [describe_weights(path) for path in weights or [default_weights()]]
     listed = [asdict(model) for model in found]
     tables = Group(network_table(listed), *map(card_table, described))
-    talk.result({"models": listed, "weights": described}, tables)
+    output.result({"models": listed, "weights": described}, tables)

@@ -15,11 +15,11 @@ from salsanext_cli.errors import UsageError
 if TYPE_CHECKING:
     from salsanext_cli.classes import LabelSpace
     from salsanext_cli.geometry.knn import KnnParameters
+    from salsanext_cli.inference.settings import NetworkSettings
     from salsanext_cli.sensors import Sensor as SensorRecord
-    from salsanext_cli.stages.inputs import Choice
-    from salsanext_cli.stages.networks import NetworkChoice
+    from salsanext_cli.storage.selection import ScanSelection
 
-SELECTION, NETWORK, RUNNING, TALK = "Selection", "Network", "Running", "Talk"
+SELECTION, NETWORK, RUNNING, TALK = "Selection", "Network", "Running", "Output"
 
 
 class OnError(StrEnum):
@@ -189,17 +189,19 @@ def usual_dataset() -> Path:
     return Path(os.environ.get("SALSANEXT_DATASET", ""))
 
 
-def choice(split: str | None, sequences: str | None, limit: int | None) -> Choice:
+def choice(split: str | None, sequences: str | None, limit: int | None) -> ScanSelection:
     """Gather which scans are wanted."""
-    from salsanext_cli.stages.inputs import Choice
+    from salsanext_cli.storage.selection import ScanSelection
 
     names = tuple(name.strip() for name in (sequences or "").split(",") if name.strip())
     if sequences is not None and not names:
         raise UsageError("--sequences", repr(sequences), "names of sequences, such as 00,08")
-    return Choice(split, names, limit)
+    return ScanSelection(split, names, limit)
 
 
-def labelled_choice(split: str | None, sequences: str | None, limit: int | None) -> Choice:
+def labelled_selection(
+    split: str | None, sequences: str | None, limit: int | None
+) -> ScanSelection:
     """Gather which labelled scans are wanted: those for validation unless others are named."""
     return choice(split or (None if sequences else "valid"), sequences, limit)
 
@@ -227,11 +229,11 @@ def label_space(name: str | None) -> LabelSpace | None:
 
 def network(
     weights: Path | None, device: str, sensor_name: str | None, precision: str
-) -> NetworkChoice:
+) -> NetworkSettings:
     """Gather which network is wanted."""
-    from salsanext_cli.stages.networks import NetworkChoice
+    from salsanext_cli.inference.settings import NetworkSettings
 
-    return NetworkChoice(weights, device, sensor(sensor_name) if sensor_name else None, precision)
+    return NetworkSettings(weights, device, sensor(sensor_name) if sensor_name else None, precision)
 
 
 def knn(k: int, window: int, sigma: float, cutoff: float) -> KnnParameters:

@@ -6,7 +6,7 @@ from typing import Annotated
 
 import typer
 
-from salsanext_cli.cli import console, options, running
+from salsanext_cli.cli import console, options, run_options
 
 
 @console.guarded
@@ -31,11 +31,11 @@ def predict(
     knn_window: options.Window = 5,
     knn_sigma: options.Sigma = 1.0,
     knn_cutoff: options.Cutoff = 1.0,
-    batch: running.Batch = "auto",
-    jobs: running.Jobs = None,
-    backend: running.BackendOption = running.Backend.loky,
-    scheduler: running.Scheduler = None,
-    shard: running.Share = None,
+    batch: run_options.Batch = "auto",
+    jobs: run_options.Jobs = None,
+    backend: run_options.BackendOption = run_options.Backend.loky,
+    scheduler: run_options.Scheduler = None,
+    shard: run_options.Share = None,
     overwrite: options.Overwrite = False,
     on_error: options.OnErrorOption = options.OnError.skip,
     json: options.Json = False,
@@ -48,18 +48,20 @@ def predict(
     """
     from salsanext_cli.stages.predict import predict as run
 
-    talk = console.Talk(json, verbose, quiet)
+    output = console.Output(json, verbose, quiet)
     wanted = {"pixel_labels": pixel_labels, "probabilities": probabilities}
-    runs = running.gather(jobs, backend, scheduler, on_error, overwrite, running.share(shard, talk))
-    with console.batch("predict", talk, runs) as how:
+    runs = run_options.gather(
+        jobs, backend, scheduler, on_error, overwrite, run_options.share(shard, output)
+    )
+    with console.batch("predict", output, runs) as how:
         outcome = run(
             options.source(scans, dataset),
             out,
             network=options.network(weights, device, sensor, precision),
             knn=options.knn(knn_k, knn_window, knn_sigma, knn_cutoff),
             extras=tuple(name for name, keep in wanted.items() if keep),
-            batch=running.batch_size(batch),
-            choice=options.choice(split, sequences, limit),
+            batch=run_options.batch_size(batch),
+            selection=options.choice(split, sequences, limit),
             options=how,
         )
-    console.finish("predict", outcome, out, talk)
+    console.finish("predict", outcome, out, output)

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from rich.progress import Progress as Bar
 
-    from salsanext_cli.stages.batch import Progress
+    from salsanext_cli.parallel.run import Progress
 
 INTERVAL = 30.0
 """Seconds between two lines in a log file."""

@@ -3,7 +3,7 @@
 
 from pathlib import Path
 
-from salsanext_cli.cli import console, options, running
+from salsanext_cli.cli import console, options, run_options
 
 
 @console.guarded
@@ -16,10 +16,10 @@ def project(
     limit: options.Limit = None,
     weights: options.Weights = None,
     sensor: options.Sensor = None,
-    jobs: running.Jobs = None,
-    backend: running.BackendOption = running.Backend.loky,
-    scheduler: running.Scheduler = None,
-    shard: running.Share = None,
+    jobs: run_options.Jobs = None,
+    backend: run_options.BackendOption = run_options.Backend.loky,
+    scheduler: run_options.Scheduler = None,
+    shard: run_options.Share = None,
     overwrite: options.Overwrite = False,
     on_error: options.OnErrorOption = options.OnError.skip,
     json: options.Json = False,
@@ -32,14 +32,16 @@ def project(
     """
     from salsanext_cli.stages.project import project_scans
 
-    talk = console.Talk(json, verbose, quiet)
-    runs = running.gather(jobs, backend, scheduler, on_error, overwrite, running.share(shard, talk))
-    with console.batch("project", talk, runs) as batch:
+    output = console.Output(json, verbose, quiet)
+    runs = run_options.gather(
+        jobs, backend, scheduler, on_error, overwrite, run_options.share(shard, output)
+    )
+    with console.batch("project", output, runs) as batch:
         outcome = project_scans(
             options.source(scans, dataset),
             out,
             sensor=options.sensor(sensor) if sensor else options.sensor_of(weights),
-            choice=options.choice(split, sequences, limit),
+            selection=options.choice(split, sequences, limit),
             options=batch,
         )
-    console.finish("project", outcome, out, talk)
+    console.finish("project", outcome, out, output)

@@ -31,7 +31,7 @@ def synth(
     """
     from salsanext_cli.stages.synth import synthesise
 
-    talk = console.Talk(json, verbose, quiet)
+    output = console.Output(json, verbose, quiet)
     with progress("synth", quiet) as advance:
         made = synthesise(
             out,
@@ -46,5 +46,5 @@ def synth(
             progress=advance,
         )
     points = {str(raw): count for raw, count in made.points.items()}
-    talk.result({"stage": "synth", "scans": made.scans, "splits": made.splits, "points": points})
-    talk.say(f"synth: {made.scans} scans, {sum(made.points.values()):,} points → {out}")
+    output.result({"stage": "synth", "scans": made.scans, "splits": made.splits, "points": points})
+    output.say(f"synth: {made.scans} scans, {sum(made.points.values()):,} points → {out}")

@@ -10,8 +10,8 @@ from salsanext_cli.cli import console, options
 from salsanext_cli.cli.progress import progress
 
 if TYPE_CHECKING:
-    from salsanext_cli.stages.batch import Progress
-    from salsanext_cli.training.loop import Report
+    from salsanext_cli.parallel.run import Progress
+    from salsanext_cli.training.fit import Report
 
 
 @console.guarded
@@ -66,13 +66,13 @@ def train(
     Example: salsanext train streets/ runs/street --recipe street
     """
     from salsanext_cli.stages.train import train as learn
+    from salsanext_cli.training.distributed import group_of_environment
     from salsanext_cli.training.overrides import read_overrides
     from salsanext_cli.training.recipe import recipe as find
-    from salsanext_cli.training.team import team_here
 
-    leads = team_here().leads
-    quiet = quiet or not leads
-    talk = console.Talk(json and leads, verbose and leads, quiet)
+    is_main = group_of_environment().is_main
+    quiet = quiet or not is_main
+    output = console.Output(json and is_main, verbose and is_main, quiet)
     with progress("train", quiet, unit="steps") as bar:
         plan = find(recipe).with_changes(**read_overrides(changes or ()))
         done = learn(
@@ -85,19 +85,19 @@ def train(
             jobs=jobs,
             weights=weights,
             overwrite=overwrite,
-            progress=lambda report: _tell(report, bar, talk),
+            progress=lambda report: _tell(report, bar, output),
         )
     best = f"{100 * done.best_miou:.1f} %"
     paths = {"best": str(done.best), "last": str(done.last)}
-    talk.result({"stage": "train", "best_miou": done.best_miou, **paths})
-    talk.say(f"train: best validation mIoU {best} → {done.best}")
+    output.result({"stage": "train", "best_miou": done.best_miou, **paths})
+    output.say(f"train: best validation mIoU {best} → {done.best}")
 
 
-def _tell(report: "Report", bar: "Progress | None", talk: console.Talk) -> None:
+def _tell(report: "Report", bar: "Progress | None", output: console.Output) -> None:
     """Move the bar at every step; say how an epoch ended."""
     if bar is not None:
         bar(report.step, report.steps)
     if report.row is not None:
         miou = report.row.get("miou")
         scored = "" if miou is None else f", validation mIoU {100 * miou:.1f} %"
-        talk.say(f"epoch {report.epoch}/{report.epochs}: loss {report.row['loss']:.3f}{scored}")
+        output.say(f"epoch {report.epoch}/{report.epochs}: loss {report.row['loss']:.3f}{scored}")

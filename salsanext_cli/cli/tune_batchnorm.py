@@ -44,17 +44,17 @@ def tune_batchnorm(
     from salsanext_cli.report.tuning import moved_table
     from salsanext_cli.stages.tune_batchnorm import tune_batchnorm as run
 
-    talk = console.Talk(json, verbose, quiet)
+    output = console.Output(json, verbose, quiet)
     with progress("tune batchnorm", quiet) as advance:
         tuned = run(
             scans,
             target,
             network=options.network(weights, device, sensor, precision),
-            choice=options.choice(split, sequences, limit),
+            selection=options.choice(split, sequences, limit),
             share=share,
             overwrite=overwrite,
             progress=advance,
         )
     found = tuned.to_dict()
-    talk.result(found | {"weights": str(target)}, moved_table(found["layers"]))
-    talk.say(f"tune batchnorm: {tuned.scans} scans of {tuned.sensor} → {target}")
+    output.result(found | {"weights": str(target)}, moved_table(found["layers"]))
+    output.say(f"tune batchnorm: {tuned.scans} scans of {tuned.sensor} → {target}")

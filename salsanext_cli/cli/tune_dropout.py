@@ -41,13 +41,13 @@ def tune_dropout(
     from salsanext_cli.stages.tune_dropout import curve_of
     from salsanext_cli.stages.tune_dropout import tune_dropout as run
 
-    talk = console.Talk(json, verbose, quiet)
+    output = console.Output(json, verbose, quiet)
     with progress("tune dropout", quiet, unit="samplings") as advance:
         tuned = run(
             dataset,
             target,
             network=options.network(weights, device, sensor, precision),
-            choice=options.labelled_choice(split, sequences, limit),
+            selection=options.labelled_selection(split, sequences, limit),
             samples=samples,
             seed=seed,
             lowest=lowest,
@@ -57,5 +57,7 @@ def tune_dropout(
             progress=advance,
         )
     paths = {"weights": str(target), "curve": str(curve_of(target))}
-    talk.result(tuned.to_dict() | paths, rate_table(tuned.rates, tuned.objectives, tuned.best))
-    talk.say(f"tune dropout: {tuned.best:.4g}, was {tuned.before:g} → {target}, {curve_of(target)}")
+    output.result(tuned.to_dict() | paths, rate_table(tuned.rates, tuned.objectives, tuned.best))
+    output.say(
+        f"tune dropout: {tuned.best:.4g}, was {tuned.before:g} → {target}, {curve_of(target)}"
+    )

@@ -30,16 +30,16 @@ def tune_temperature(
     from salsanext_cli.report.tuning import temperature_table
     from salsanext_cli.stages.tune_temperature import tune_temperature as run
 
-    talk = console.Talk(json, verbose, quiet)
+    output = console.Output(json, verbose, quiet)
     with progress("tune temperature", quiet) as advance:
         tuned = run(
             dataset,
             target,
             network=options.network(weights, device, sensor, precision),
-            choice=options.labelled_choice(split, sequences, limit),
+            selection=options.labelled_selection(split, sequences, limit),
             overwrite=overwrite,
             progress=advance,
         )
     table = temperature_table(asdict(tuned.before), asdict(tuned.after))
-    talk.result(tuned.to_dict() | {"weights": str(target)}, table)
-    talk.say(f"tune temperature: {tuned.points:,} points of {tuned.scans} scans → {target}")
+    output.result(tuned.to_dict() | {"weights": str(target)}, table)
+    output.say(f"tune temperature: {tuned.points:,} points of {tuned.scans} scans → {target}")

@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from salsanext_cli.cli import console, options, running
+from salsanext_cli.cli import console, options, run_options
 
 
 class Method(StrEnum):
@@ -45,10 +45,10 @@ def uncertainty(
     knn_window: options.Window = 5,
     knn_sigma: options.Sigma = 1.0,
     knn_cutoff: options.Cutoff = 1.0,
-    jobs: running.Jobs = None,
-    backend: running.BackendOption = running.Backend.loky,
-    scheduler: running.Scheduler = None,
-    shard: running.Share = None,
+    jobs: run_options.Jobs = None,
+    backend: run_options.BackendOption = run_options.Backend.loky,
+    scheduler: run_options.Scheduler = None,
+    shard: run_options.Share = None,
     overwrite: options.Overwrite = False,
     on_error: options.OnErrorOption = options.OnError.skip,
     json: options.Json = False,
@@ -59,19 +59,21 @@ def uncertainty(
 
     Example: salsanext uncertainty seq/velodyne out/ --samples 30
     """
-    from salsanext_cli.stages.estimator import Estimator
     from salsanext_cli.stages.uncertainty import uncertainty as run
+    from salsanext_cli.uncertainty.settings import Estimator
 
-    talk = console.Talk(json, verbose, quiet)
-    runs = running.gather(jobs, backend, scheduler, on_error, overwrite, running.share(shard, talk))
-    with console.batch("uncertainty", talk, runs) as batch:
+    output = console.Output(json, verbose, quiet)
+    runs = run_options.gather(
+        jobs, backend, scheduler, on_error, overwrite, run_options.share(shard, output)
+    )
+    with console.batch("uncertainty", output, runs) as batch:
         outcome = run(
             options.source(scans, dataset),
             out,
             network=options.network(weights, device, sensor, precision),
             knn=options.knn(knn_k, knn_window, knn_sigma, knn_cutoff),
             estimator=Estimator(method.value, samples, seed, aleatoric),
-            choice=options.choice(split, sequences, limit),
+            selection=options.choice(split, sequences, limit),
             options=batch,
         )
-    console.finish("uncertainty", outcome, out, talk)
+    console.finish("uncertainty", outcome, out, output)

@@ -7,8 +7,8 @@ from pathlib import Path
 
 from salsanext_cli.errors import FormatError
 from salsanext_cli.formats import kitti, pcd, ply
-from salsanext_cli.formats.layout import SCAN_SUFFIXES, scan_suffix
 from salsanext_cli.records import Scan
+from salsanext_cli.storage.layout import SCAN_SUFFIXES, scan_suffix
 
 __all__ = ["SCAN_SUFFIXES", "read_scan"]
 

@@ -9,7 +9,6 @@ import numpy as np
 
 from salsanext_cli.classes import RawIds
 from salsanext_cli.errors import FormatError, LabelError
-from salsanext_cli.formats.atomic import writing
 from salsanext_cli.formats.columns import normalised_intensity
 from salsanext_cli.formats.reading import read_values, reading, size_of
 from salsanext_cli.records import Float, Scan
@@ -86,11 +85,9 @@ def _evident_columns(values: Float, columns: int) -> int | None:
     return None
 
 
-def write_bin(path: Path, scan: Scan) -> None:
-    """Write a scan as float32 x, y, z, intensity."""
-    table = np.column_stack([scan.points, scan.intensity]).astype("<f4", copy=False)
-    with writing(path) as file:
-        file.write(table.tobytes())
+def encode_bin(scan: Scan) -> bytes:
+    """Return the content of a `.bin` file: float32 x, y, z, intensity of each point."""
+    return np.column_stack([scan.points, scan.intensity]).astype("<f4", copy=False).tobytes()
 
 
 def read_labels(path: Path, count: int | None = None) -> RawIds:
@@ -127,7 +124,6 @@ def read_labels(path: Path, count: int | None = None) -> RawIds:
     return raw
 
 
-def write_labels(path: Path, raw: RawIds) -> None:
-    """Write the raw ids of a scan's points as uint32."""
-    with writing(path) as file:
-        file.write(raw.astype("<u4", copy=False).tobytes())
+def encode_labels(raw: RawIds) -> bytes:
+    """Return the content of a `.label` file: the raw id of each point as uint32."""
+    return raw.astype("<u4", copy=False).tobytes()

@@ -16,9 +16,9 @@ import numpy.typing as npt
 
 from salsanext_cli.errors import FormatError
 from salsanext_cli.formats.columns import Columns, scan_of
-from salsanext_cli.formats.packages import import_open3d
 from salsanext_cli.formats.pcd_header import Header, read_header
 from salsanext_cli.formats.reading import read_values, reading, size_of
+from salsanext_cli.packages import import_open3d
 from salsanext_cli.records import Scan
 from salsanext_cli.settings_files import shortened
 

@@ -13,7 +13,6 @@ import numpy as np
 import numpy.typing as npt
 
 from salsanext_cli.errors import FormatError, MissingDependency
-from salsanext_cli.formats.atomic import writing
 from salsanext_cli.formats.columns import scan_of
 from salsanext_cli.formats.ply_header import require_room
 from salsanext_cli.formats.reading import reading
@@ -57,15 +56,11 @@ def _read_vertices(path: Path) -> npt.NDArray[Any]:
     return vertices
 
 
-def write_ply(
-    path: Path, columns: Mapping[str, npt.NDArray[Any]], comments: Iterable[str] = ()
-) -> None:
-    """Write vertices as binary little endian PLY, one property per column, in order.
+def encode_ply(columns: Mapping[str, npt.NDArray[Any]], comments: Iterable[str] = ()) -> bytes:
+    """Return vertices as a binary little endian PLY file, one property per column, in order.
 
     Parameters
     ----------
-    path : Path
-        The `.ply` file.
     columns : mapping of str to (N,) array
         Values by property name, any real dtype. They become uchar, int, float or double, the only
         types that open3d reads: integers wider than a byte become int, or double beyond its range.
@@ -81,9 +76,9 @@ def write_ply(
         table[name] = values
     lines = [" ".join(c.split()).encode("ascii", "backslashreplace").decode() for c in comments]
     element = plyfile.PlyElement.describe(table, "vertex")
-    with io.BytesIO() as buffer, writing(path) as file:
+    with io.BytesIO() as buffer:
         plyfile.PlyData([element], text=False, byte_order="<", comments=lines).write(buffer)
-        file.write(buffer.getbuffer())
+        return buffer.getvalue()
 
 
 def _readable(values: npt.NDArray[Any]) -> npt.NDArray[Any]:

@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from salsanext_cli.errors import FormatError
-from salsanext_cli.formats.arrays import read_array
+from salsanext_cli.formats.npy import read_array
 from salsanext_cli.records import Float
 
 ROUNDING = 0.01

@@ -15,8 +15,8 @@ import numpy as np
 import numpy.typing as npt
 
 from salsanext_cli.classes import TrainIds
-from salsanext_cli.geometry.compiled import argument, compiled, in_slices
 from salsanext_cli.geometry.knn import KnnParameters
+from salsanext_cli.kernels import argument, compiled, parallel_for_slices
 from salsanext_cli.records import Float, Int
 
 Candidates = npt.NDArray[np.int64]
@@ -67,8 +67,8 @@ def refine(
             refined[part],
         )
 
-    in_slices(mark, mixed.size)
-    in_slices(vote, len(refined))
+    parallel_for_slices(mark, mixed.size)
+    parallel_for_slices(vote, len(refined))
     return refined
 
 

@@ -13,7 +13,7 @@ code, so that points on a pixel border fall to the same side.
 
 from __future__ import annotations
 
-from salsanext_cli.geometry.view import View
+from salsanext_cli.geometry.projection_parameters import ProjectionParameters
 from salsanext_cli.records import RangeImage, Scan
 from salsanext_cli.sensors import Sensor
 
@@ -42,7 +42,7 @@ def project(scan: Scan, sensor: Sensor, device: str = "cpu") -> RangeImage:
     if device == "cpu":
         from salsanext_cli.geometry import projection_numba
 
-        return projection_numba.project(scan, View.of(sensor))
+        return projection_numba.project(scan, ProjectionParameters.of(sensor))
     from salsanext_cli.geometry import projection_torch
 
-    return projection_torch.project(scan, View.of(sensor), device)
+    return projection_torch.project(scan, ProjectionParameters.of(sensor), device)

@@ -11,8 +11,8 @@ import math
 
 import numpy as np
 
-from salsanext_cli.geometry.compiled import argument, compiled, in_slices
-from salsanext_cli.geometry.view import LARGEST, View
+from salsanext_cli.geometry.projection_parameters import LARGEST, ProjectionParameters
+from salsanext_cli.kernels import argument, compiled, parallel_for_slices
 from salsanext_cli.records import CHANNELS, Float, Int, RangeImage, Scan
 
 ZERO, HALF, ONE = np.float32(0), np.float32(0.5), np.float32(1)
@@ -20,7 +20,7 @@ PI = np.float32(math.pi)
 TAN_22_5 = math.sqrt(2) - 1
 
 
-def project(scan: Scan, view: View) -> RangeImage:
+def project(scan: Scan, view: ProjectionParameters) -> RangeImage:
     """Project a scan; see `geometry.projection.project`."""
     height, width, count = int(view.height), int(view.width), len(scan)
     points = argument(scan.points, np.float32).reshape(-1)
@@ -37,9 +37,9 @@ def project(scan: Scan, view: View) -> RangeImage:
     def fill(part: slice) -> None:
         fill_channels(point_of_pixel[part], point_range, points, intensity, *channels[:, part])
 
-    in_slices(find, count)
+    parallel_for_slices(find, count)
     keep_nearest(pixel_of_point, point_range, point_of_pixel)
-    in_slices(fill, height * width)
+    parallel_for_slices(fill, height * width)
     return RangeImage(
         channels.reshape(-1, height, width),
         pixel_of_point,

@@ -12,14 +12,14 @@ import math
 import numpy as np
 import torch
 
-from salsanext_cli.geometry.view import LARGEST, View
+from salsanext_cli.geometry.projection_parameters import LARGEST, ProjectionParameters
 from salsanext_cli.records import RangeImage, Scan
 
 PI = float(np.float32(math.pi))
 NOBODY = 2**63 - 1
 
 
-def project(scan: Scan, view: View, device: str) -> RangeImage:
+def project(scan: Scan, view: ProjectionParameters, device: str) -> RangeImage:
     """Project a scan on a device and bring the result back; see `geometry.projection.project`."""
     points = torch.tensor(scan.points, device=device)
     intensity = torch.tensor(scan.intensity, device=device)
@@ -27,7 +27,7 @@ def project(scan: Scan, view: View, device: str) -> RangeImage:
 
 
 def project_tensors(
-    points: torch.Tensor, intensity: torch.Tensor, view: View
+    points: torch.Tensor, intensity: torch.Tensor, view: ProjectionParameters
 ) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor, torch.Tensor]:
     """Return the fields of a `RangeImage` as tensors on the device of the points.
 
@@ -76,7 +76,9 @@ def arctan2(y: torch.Tensor, x: torch.Tensor) -> torch.Tensor:
     return torch.copysign(angle, y)
 
 
-def find_pixels(points: torch.Tensor, view: View) -> tuple[torch.Tensor, torch.Tensor]:
+def find_pixels(
+    points: torch.Tensor, view: ProjectionParameters
+) -> tuple[torch.Tensor, torch.Tensor]:
     """Return flat pixel index (N,) int32 and range (N,) float32 of each point (paper eq. 1)."""
     a, b, c = points.double().unbind(1)
     distance = (a * a + b * b + c * c).sqrt().float()

@@ -6,7 +6,7 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
-from salsanext_cli.geometry.compiled import argument, compiled
+from salsanext_cli.kernels import argument, compiled
 
 TABLES = 4
 """Neighbours are often of one class: with as many tables, none waits for the one before it."""

@@ -20,8 +20,13 @@ from salsanext_cli.measures.correlation import spearman
 from salsanext_cli.measures.distance import RING_NAMES
 from salsanext_cli.measures.ranking import Ranking, highest_of_bins
 from salsanext_cli.measures.reliability import Reliability, reliability
+from salsanext_cli.measures.risk_coverage import (
+    RankingScores,
+    ranking_scores,
+    risk_at,
+    threshold_at,
+)
 from salsanext_cli.measures.scores import plain
-from salsanext_cli.measures.selection import RankingScores, ranking_scores, risk_at, threshold_at
 from salsanext_cli.measures.tally import Tally
 
 COVERAGE = np.arange(1, 101) / 100

@@ -18,7 +18,7 @@ import torch.nn.functional as F
 from torch import Tensor
 
 from salsanext_cli.network.segmentation import SegmentationNetwork
-from salsanext_cli.network.stand_in import StandIn
+from salsanext_cli.network.tensor_like import TensorLike
 
 SIDE = 2048
 """Pixels of the square image in whose middle is measured; no edge may be in sight."""
@@ -41,7 +41,7 @@ def receptive_field(network: SegmentationNetwork) -> tuple[int, int]:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Reach(StandIn):
+class Reach(TensorLike):
     """What of the image the values of a feature map depend on.
 
     Attributes

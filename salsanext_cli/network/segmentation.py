@@ -29,7 +29,7 @@ class SegmentationNetwork(nn.Module):
     """
 
     stride: tuple[int, int]
-    in_parts = False
+    parallel_for = False
 
     @abstractmethod
     def trunk(self, image: Tensor) -> tuple[Tensor, ...]:

@@ -18,11 +18,11 @@ from torch import Tensor, nn
 from salsanext_cli import __version__
 from salsanext_cli.classes import LabelSpace
 from salsanext_cli.errors import UsageError, WeightsError
-from salsanext_cli.formats.atomic import writing
-from salsanext_cli.network.architectures import build
+from salsanext_cli.network.registry import build
 from salsanext_cli.network.segmentation import SegmentationNetwork
 from salsanext_cli.sensors import Sensor
 from salsanext_cli.settings_files import shortened, words_of
+from salsanext_cli.storage.atomic import writing
 
 KEY = "salsanext"
 """The one key of the header: safetensors writes several in an order drawn anew each time."""

@@ -13,8 +13,8 @@ from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
-from salsanext_cli.formats.atomic import writing
 from salsanext_cli.report.colours import EMPTY, Colours, Legend
+from salsanext_cli.storage.atomic import writing
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -9,19 +9,19 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from salsanext_cli.formats.layout import find_scans
-from salsanext_cli.stages.batch import BatchOptions, Failure, Outcome, Progress
-from salsanext_cli.stages.estimator import Estimator
+from salsanext_cli.inference.settings import NetworkSettings
+from salsanext_cli.measures.evaluation import Evaluation
+from salsanext_cli.parallel.run import Failure, Outcome, Progress, RunOptions
+from salsanext_cli.report.scan_pictures import draw_scan
 from salsanext_cli.stages.evaluate import evaluate
-from salsanext_cli.stages.evaluation import Evaluation
 from salsanext_cli.stages.export_ply import export_ply
-from salsanext_cli.stages.inputs import Choice
-from salsanext_cli.stages.networks import NetworkChoice
-from salsanext_cli.stages.pictures import draw_scan
 from salsanext_cli.stages.predict import predict
-from salsanext_cli.stages.predicted import predicted_scans, provenance
 from salsanext_cli.stages.synth import synthesise
 from salsanext_cli.stages.uncertainty import uncertainty
+from salsanext_cli.storage.layout import find_scans
+from salsanext_cli.storage.predictions import predicted_scans, provenance
+from salsanext_cli.storage.selection import ScanSelection
+from salsanext_cli.uncertainty.settings import Estimator
 
 SEED = 2020
 """Not the seed that the default weights were trained with: these streets are new to them."""
@@ -59,8 +59,8 @@ def demo(
     *,
     scans: int,
     samples: int,
-    network: NetworkChoice,
-    options: BatchOptions,
+    network: NetworkSettings,
+    options: RunOptions,
     bars: Bars,
 ) -> Demonstration:
     """Run every stage on a synthetic drive; what exists already is kept unless overwriting.
@@ -89,7 +89,7 @@ def demo(
     estimator = Estimator(samples=samples)
     _make_data(data, scans, options.overwrite, bars)
 
-    def run(step: str, stage: Callable[[BatchOptions], Outcome[Any]]) -> tuple[Failure, ...]:
+    def run(step: str, stage: Callable[[RunOptions], Outcome[Any]]) -> tuple[Failure, ...]:
         with bars(step) as progress:
             return stage(replace(options, progress=progress)).failures
 
@@ -101,15 +101,15 @@ def demo(
         ),
         *run("export-ply", lambda o: export_ply(out, colour="label", options=o)),
     )
-    choice = Choice(split="valid")
-    files, space = predicted_scans(out, choice)
+    selection = ScanSelection(split="valid")
+    files, space = predicted_scans(out, selection)
     with bars("eval") as progress:
         evaluation = evaluate(
             files,
             out,
             space,
             replace(options, progress=progress),
-            settings=provenance(out, choice),
+            settings=provenance(out, selection),
         )
     sensor = network.load().sensor
     pictures = draw_scan(files[len(files) // 2], out, space, sensor, out / "pictures")

@@ -12,19 +12,19 @@ from typing import Any
 
 from salsanext_cli.classes import LabelSpace
 from salsanext_cli.errors import LabelError, NoInputError, OutputError
-from salsanext_cli.formats.atomic import write_text
-from salsanext_cli.formats.json_files import read_json, write_json
-from salsanext_cli.formats.layout import ScanFile
 from salsanext_cli.formats.reading import present
 from salsanext_cli.measures.distance import RING_NAMES
+from salsanext_cli.measures.evaluation import Evaluation
+from salsanext_cli.measures.scan_counts import ScanCounts, count_scan
 from salsanext_cli.measures.scores import scores
-from salsanext_cli.stages.absent import without_predictions
-from salsanext_cli.stages.batch import BatchOptions, Failure, run_batch
-from salsanext_cli.stages.claims import recording
-from salsanext_cli.stages.counting import ScanCounts, count_scan
-from salsanext_cli.stages.evaluation import Evaluation
-from salsanext_cli.stages.outputs import as_json, require_same_settings
-from salsanext_cli.stages.trust import trust
+from salsanext_cli.measures.uncertainty_evaluation import trust
+from salsanext_cli.parallel.run import Failure, RunOptions, run_over_scans
+from salsanext_cli.storage.atomic import write_text
+from salsanext_cli.storage.json_files import read_json, write_json
+from salsanext_cli.storage.layout import ScanFile
+from salsanext_cli.storage.missing import without_predictions
+from salsanext_cli.storage.output_run import recording
+from salsanext_cli.storage.stage_records import as_json, require_same_settings
 
 log = logging.getLogger(__name__)
 
@@ -33,7 +33,7 @@ def evaluate(
     scans: Sequence[ScanFile],
     out: Path,
     space: LabelSpace,
-    options: BatchOptions = BatchOptions(),
+    options: RunOptions = RunOptions(),
     *,
     by_distance: bool = False,
     settings: Mapping[str, Any] | None = None,
@@ -79,7 +79,7 @@ def evaluate(
         nonlocal counts
         counts += of_scan
 
-    outcome = run_batch(work, scans, options, hand_on=add)
+    outcome = run_over_scans(work, scans, options, on_result=add)
     _require_counts(counts, out, outcome.failures)
     evaluation = Evaluation(
         space=space,

@@ -15,32 +15,32 @@ import numpy.typing as npt
 
 from salsanext_cli.classes import LabelSpace
 from salsanext_cli.errors import OutputError, SalsanextError, UsageError
-from salsanext_cli.formats.layout import ScanFile, find_outputs, output_path
-from salsanext_cli.formats.ply import write_ply
 from salsanext_cli.formats.reading import present
+from salsanext_cli.inference.settings import NetworkSettings
+from salsanext_cli.parallel.run import Failure, Outcome, RunOptions, run_over_scans
 from salsanext_cli.report.colours import error_colours, label_colours, value_colours, value_range
-from salsanext_cli.stages.absent import Absent, without_results
-from salsanext_cli.stages.batch import BatchOptions, Failure, Outcome, run_batch
-from salsanext_cli.stages.claims import claimed
-from salsanext_cli.stages.clouds import (
+from salsanext_cli.stages.late_uncertainty import estimate_missing
+from salsanext_cli.storage.layout import ScanFile, find_outputs, output_path
+from salsanext_cli.storage.missing import Absent, without_results
+from salsanext_cli.storage.output_run import claimed
+from salsanext_cli.storage.point_files import write_ply
+from salsanext_cli.storage.predictions import space_of_results
+from salsanext_cli.storage.scan_results import (
     UNCERTAINTY,
-    Cloud,
-    columns_of,
-    read_cloud,
+    ScanResults,
+    read_results,
+    scalar_columns,
     unknown,
     with_results,
 )
-from salsanext_cli.stages.inputs import Choice, choose
-from salsanext_cli.stages.late_uncertainty import estimate_missing
-from salsanext_cli.stages.networks import NetworkChoice
-from salsanext_cli.stages.outputs import (
+from salsanext_cli.storage.selection import ScanSelection, choose
+from salsanext_cli.storage.sources import remembered_scans
+from salsanext_cli.storage.stage_records import (
     origins,
     recorded_sensor,
     recorded_weights,
     stage_settings,
 )
-from salsanext_cli.stages.predicted import space_of_results
-from salsanext_cli.stages.sources import remembered_scans
 
 CLASS_COLOURS = ("label", "truth", "error")
 COLOURS = (*CLASS_COLOURS, "intensity", "range", "uncertainty", *UNCERTAINTY)
@@ -68,8 +68,8 @@ class ExportScan:
 
     def __call__(self, file: ScanFile) -> None:
         """Read everything known, colour, write."""
-        cloud = read_cloud(file, self.out, self.intensity_scale)
-        columns = columns_of(cloud, self.space)
+        cloud = read_results(file, self.out, self.intensity_scale)
+        columns = scalar_columns(cloud, self.space)
         if self.colour not in columns:
             raise unknown(self.colour, file, self.out)
         colours = self._colours(cloud, columns)
@@ -78,7 +78,9 @@ class ExportScan:
         comments = [f"colour {self._legend()}", f"label space {self.space.name}"]
         write_ply(self.results_of(file)[0], positions | channels | columns, comments)
 
-    def _colours(self, cloud: Cloud, columns: dict[str, npt.NDArray[Any]]) -> npt.NDArray[np.uint8]:
+    def _colours(
+        self, cloud: ScanResults, columns: dict[str, npt.NDArray[Any]]
+    ) -> npt.NDArray[np.uint8]:
         if self.colour not in CLASS_COLOURS:
             return value_colours(columns[self.colour], *self.scale, COLOUR_MAP)
         ids = {
@@ -112,9 +114,9 @@ def export_ply(
     dataset: Path | None = None,
     usual_dataset: Path = Path(),
     space: LabelSpace | None = None,
-    network: NetworkChoice = NetworkChoice(),
-    choice: Choice = Choice(),
-    options: BatchOptions = BatchOptions(),
+    network: NetworkSettings = NetworkSettings(),
+    selection: ScanSelection = ScanSelection(),
+    options: RunOptions = RunOptions(),
 ) -> Exported:
     """Write `OUT/sequences/<seq>/ply/*.ply`: positions, colours and every known scalar.
 
@@ -136,7 +138,7 @@ def export_ply(
         Otherwise the one that `predict` recorded in `out`, else that of the scans' data set.
     network : NetworkChoice
         What to sample scans with whose uncertainty is asked for but was not computed yet.
-    choice, options
+    selection, options
         Which scans, and how to go through them.
 
     Raises
@@ -151,9 +153,9 @@ def export_ply(
     scans = remembered_scans(out, dataset, usual_dataset)
     space = space_of_results(out, scans, space)
     _require_same_weights(out)
-    chosen = choose(scans, Choice(choice.split, choice.sequences), space, out)
-    scans = with_results(out, chosen)[: choice.limit]
-    if len(scans) == choice.limit:
+    chosen = choose(scans, ScanSelection(selection.split, selection.sequences), space, out)
+    scans = with_results(out, chosen)[: selection.limit]
+    if len(scans) == selection.limit:
         # What comes after the last that is wanted is not looked at.
         chosen = chosen[: chosen.index(scans[-1]) + 1]
     absent = without_results(out, set(chosen) - set(scans))
@@ -175,7 +177,7 @@ def export_ply(
     }
     work = ExportScan(out, space, intensity_scale, colour, scale)
     with claimed(out, "export-ply", settings, ("ply",), overwrite=options.overwrite):
-        outcome = run_batch(work, scans, options, work.results_of)
+        outcome = run_over_scans(work, scans, options, work.results_of)
     failures = tuple(unsampled.get(failure.scan, failure) for failure in outcome.failures)
     return Exported(outcome.results, outcome.skipped, failures, absent=absent)
 
@@ -204,7 +206,7 @@ def _require_some(out: Path, scans: list[ScanFile], colour: str) -> None:
         raise unknown(colour, scans[0], out)
 
 
-def _recorded_scale(out: Path, colour: str, options: BatchOptions) -> tuple[float, float] | None:
+def _recorded_scale(out: Path, colour: str, options: RunOptions) -> tuple[float, float] | None:
     """Keep the scale of an earlier run, so that a run that goes on colours alike."""
     settings = stage_settings(out, "export-ply")
     if options.overwrite or settings is None or settings["colour"] != colour:
@@ -223,6 +225,6 @@ def _scale(
     for file in scans[::step]:
         # A scan that cannot be read is named when its turn comes.
         with suppress(SalsanextError):
-            columns = columns_of(read_cloud(file, out, intensity_scale), space)
+            columns = scalar_columns(read_results(file, out, intensity_scale), space)
             values.append(columns.get(colour, values[0]))
     return value_range(np.concatenate(values))

@@ -9,12 +9,12 @@ from pathlib import Path
 
 from salsanext_cli.classes import LabelSpace, label_space
 from salsanext_cli.errors import UsageError, WeightsError
-from salsanext_cli.network.architectures import build
 from salsanext_cli.network.published import read_published
+from salsanext_cli.network.registry import build
 from salsanext_cli.network.segmentation import SegmentationNetwork
 from salsanext_cli.network.weights import WeightsCard, load_tensors, read_weights, save_weights
 from salsanext_cli.sensors import Sensor, sensor
-from salsanext_cli.stages.new_weights import SUFFIX, require_target
+from salsanext_cli.storage.targets import SUFFIX, require_target
 
 DROPOUT = 0.2
 """The rate of the published training."""

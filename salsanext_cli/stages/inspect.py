@@ -12,17 +12,17 @@ from typing import Any
 from salsanext_cli.classes import LabelSpace
 from salsanext_cli.errors import NoInputError, OutputError
 from salsanext_cli.formats import read_scan
-from salsanext_cli.formats.atomic import write_text
 from salsanext_cli.formats.kitti import read_labels
-from salsanext_cli.formats.layout import ScanFile
 from salsanext_cli.formats.reading import present
+from salsanext_cli.geometry.coverage import FieldOfViewCoverage, field_of_view_coverage
+from salsanext_cli.geometry.coverage_check import CoverageCheck
 from salsanext_cli.geometry.projection import project
-from salsanext_cli.geometry.sight import Sight, sight
 from salsanext_cli.measures.survey import Survey, survey
+from salsanext_cli.parallel.run import Failure, RunOptions, run_over_scans
 from salsanext_cli.sensors import Sensor
-from salsanext_cli.stages.batch import BatchOptions, Failure, run_batch
-from salsanext_cli.stages.inputs import Choice, select_scans, space_of
-from salsanext_cli.stages.wrong_view import ViewCheck
+from salsanext_cli.storage.atomic import write_text
+from salsanext_cli.storage.layout import ScanFile
+from salsanext_cli.storage.selection import ScanSelection, select_scans, space_of
 
 BRIGHT = 1.5
 """Intensities above this have another scale than 0…1."""
@@ -118,13 +118,13 @@ class InspectScan:
 
     sensor: Sensor
 
-    def __call__(self, file: ScanFile) -> tuple[str, Survey, Sight]:
+    def __call__(self, file: ScanFile) -> tuple[str, Survey, FieldOfViewCoverage]:
         """Read, project, count."""
         scan = read_scan(file.path, intensity_scale=self.sensor.intensity_scale)
         labelled = present(file.label_path)
         raw = read_labels(file.label_path, len(scan)) if labelled else None
         found = survey(scan, project(scan, self.sensor), raw)
-        return file.sequence, found, sight(scan, self.sensor)
+        return file.sequence, found, field_of_view_coverage(scan, self.sensor)
 
 
 def inspect(
@@ -132,8 +132,8 @@ def inspect(
     *,
     sensor: Sensor,
     space: LabelSpace | None = None,
-    choice: Choice = Choice(),
-    options: BatchOptions = BatchOptions(),
+    selection: ScanSelection = ScanSelection(),
+    options: RunOptions = RunOptions(),
     fit: bool = False,
 ) -> Inspection:
     """Survey scans.
@@ -146,7 +146,7 @@ def inspect(
         Size of the range images, over whose pixels means and deviations are taken.
     space : LabelSpace, optional
         What the classes are called; otherwise the data set's own, else SemanticKITTI's.
-    choice, options
+    selection, options
         Which scans, and how to go through them.
     fit : bool
         Go through them twice: first for the field of view, then for the range images seen in it.
@@ -156,7 +156,7 @@ def inspect(
     SalsanextError
         If nothing can be done at all; failures of single scans are in the result.
     """
-    scans = select_scans(source, choice, space)
+    scans = select_scans(source, selection, space)
     sequences, failures = _survey(scans, sensor, options, fit)
     total = sum(sequences.values(), start=Survey())
     if fit and total.pixels:
@@ -176,18 +176,18 @@ def inspect(
 
 
 def _survey(
-    scans: list[ScanFile], sensor: Sensor, options: BatchOptions, fit: bool
+    scans: list[ScanFile], sensor: Sensor, options: RunOptions, fit: bool
 ) -> tuple[dict[str, Survey], tuple[Failure, ...]]:
     sequences: dict[str, Survey] = {}
-    check = ViewCheck(sensor)
+    check = CoverageCheck(sensor)
 
-    def add(result: tuple[str, Survey, Sight]) -> None:
+    def add(result: tuple[str, Survey, FieldOfViewCoverage]) -> None:
         name, found, seen = result
         sequences[name] = sequences.get(name, Survey()) + found
         if not fit:
             check.add(seen)
 
-    outcome = run_batch(InspectScan(sensor), scans, options, hand_on=add)
+    outcome = run_over_scans(InspectScan(sensor), scans, options, on_result=add)
     check.finish()
     return sequences, outcome.failures
 

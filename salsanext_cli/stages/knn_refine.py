@@ -10,23 +10,24 @@ import numpy as np
 
 from salsanext_cli.classes import LabelSpace, TrainIds
 from salsanext_cli.errors import LabelError, NoInputError, UsageError
-from salsanext_cli.formats.arrays import read_array
-from salsanext_cli.formats.kitti import read_labels, write_labels
-from salsanext_cli.formats.layout import ScanFile, find_outputs, find_scans, output_path
+from salsanext_cli.formats.kitti import read_labels
+from salsanext_cli.formats.npy import read_array
 from salsanext_cli.formats.reading import present
 from salsanext_cli.geometry.knn import KnnParameters, knn_refine
+from salsanext_cli.parallel.run import Outcome, RunOptions, run_over_scans
 from salsanext_cli.records import RangeImage
 from salsanext_cli.sensors import Sensor
-from salsanext_cli.stages.batch import BatchOptions, Outcome, run_batch
-from salsanext_cli.stages.claims import claimed
-from salsanext_cli.stages.inputs import Choice, choose, space_of
-from salsanext_cli.stages.outputs import (
+from salsanext_cli.stages.project import read_image
+from salsanext_cli.storage.layout import ScanFile, find_outputs, find_scans, output_path
+from salsanext_cli.storage.output_run import claimed
+from salsanext_cli.storage.point_files import write_labels
+from salsanext_cli.storage.selection import ScanSelection, choose, space_of
+from salsanext_cli.storage.sources import remembered_scans
+from salsanext_cli.storage.stage_records import (
     origins,
     recorded_label_space,
     recorded_sensor,
 )
-from salsanext_cli.stages.project import read_image
-from salsanext_cli.stages.sources import remembered_scans
 
 
 @dataclass(frozen=True, slots=True)
@@ -101,8 +102,8 @@ def knn_refine_scans(
     sensor: Sensor | None = None,
     space: LabelSpace | None = None,
     knn: KnnParameters = KnnParameters(),
-    choice: Choice = Choice(),
-    options: BatchOptions = BatchOptions(),
+    selection: ScanSelection = ScanSelection(),
+    options: RunOptions = RunOptions(),
 ) -> Outcome[None]:
     """Refine labels into `OUT/sequences/<seq>/predictions`.
 
@@ -121,7 +122,7 @@ def knn_refine_scans(
         Otherwise the one that earlier stages recorded in `out`; else the HDL-64.
     space : LabelSpace, optional
         Otherwise the one that `predict` recorded in `out`, else that of the scans' data set.
-    knn, choice, options
+    knn, selection, options
         Neighbours; which scans, and how to go through them.
 
     Raises
@@ -141,7 +142,7 @@ def knn_refine_scans(
                 "run `salsanext predict` on the output of `salsanext project`, or give --labels"
             )
             raise NoInputError(out, "holds no pixel_labels", remedy=remedy)
-    scans = choose(scans, choice, space_of(scans, space), out)
+    scans = choose(scans, selection, space_of(scans, space), out)
     if labels is not None:
         _require_some(labels, scans)
     sensor = sensor or recorded_sensor(out)
@@ -157,4 +158,4 @@ def knn_refine_scans(
     sources = scans if dataset else ()
     work, writes = RefineScan(out, labels, space, sensor, knn), ("predictions",)
     with claimed(out, "knn-refine", settings, writes, sources, overwrite=options.overwrite):
-        return run_batch(work, scans, options, work.results_of)
+        return run_over_scans(work, scans, options, work.results_of)

@@ -8,22 +8,22 @@ from dataclasses import replace
 from pathlib import Path
 
 from salsanext_cli.errors import UsageError
-from salsanext_cli.formats.layout import ScanFile, find_outputs, output_path
 from salsanext_cli.formats.reading import present
 from salsanext_cli.geometry.knn import KnnParameters
+from salsanext_cli.inference.settings import NetworkSettings
+from salsanext_cli.parallel.run import Failure, RunOptions
 from salsanext_cli.sensors import Sensor, presets
-from salsanext_cli.stages.batch import BatchOptions, Failure
-from salsanext_cli.stages.estimator import NOISY_KINDS, Estimator
-from salsanext_cli.stages.networks import NetworkChoice
-from salsanext_cli.stages.outputs import stage_settings
-from salsanext_cli.stages.settings import Settings
 from salsanext_cli.stages.uncertainty import uncertainty_of
+from salsanext_cli.storage.layout import ScanFile, find_outputs, output_path
+from salsanext_cli.storage.recorded_settings import Settings
+from salsanext_cli.storage.stage_records import stage_settings
+from salsanext_cli.uncertainty.settings import NOISY_KINDS, Estimator
 
 log = logging.getLogger(__name__)
 
 
 def estimate_missing(
-    out: Path, scans: list[ScanFile], colour: str, network: NetworkChoice, options: BatchOptions
+    out: Path, scans: list[ScanFile], colour: str, network: NetworkSettings, options: RunOptions
 ) -> tuple[str, dict[ScanFile, Failure]]:
     """Estimate the uncertainty of scans that lack it, as that of the others was estimated.
 
@@ -83,7 +83,7 @@ def _recorded(settings: Settings) -> Estimator:
     return Estimator(method, aleatoric=settings.flag("aleatoric"), **numbers)
 
 
-def _possible(colour: str, network: NetworkChoice) -> Estimator:
+def _possible(colour: str, network: NetworkSettings) -> Estimator:
     """Leave out what needs a noise that the sensor does not know, unless it is asked for."""
     seen = network.load().sensor
     aleatoric = colour in NOISY_KINDS or seen.knows_noise
@@ -101,7 +101,7 @@ def _recorded_knn(knn: Settings) -> KnnParameters:
     )
 
 
-def _as_predicted(out: Path, network: NetworkChoice) -> NetworkChoice:
+def _as_predicted(out: Path, network: NetworkSettings) -> NetworkSettings:
     """Return the network, looking through the sensor that `predict` used; refuse other weights."""
     settings = stage_settings(out, "predict")
     if settings is None:
@@ -117,7 +117,7 @@ def _as_predicted(out: Path, network: NetworkChoice) -> NetworkChoice:
     return network if network.sensor else replace(network, sensor=_with_noise(seen, network))
 
 
-def _with_noise(seen: Sensor, network: NetworkChoice) -> Sensor:
+def _with_noise(seen: Sensor, network: NetworkSettings) -> Sensor:
     """Return the sensor, of which `predict` recorded only the view, with its noise if known."""
     known = (network.load().sensor, presets().get(seen.name))
     return next((sensor for sensor in known if sensor and sensor.view() == seen.view()), seen)

@@ -10,12 +10,12 @@ from typing import Any
 
 import torch
 
-from salsanext_cli.formats.identity import fingerprint
-from salsanext_cli.network.architectures import ARCHITECTURES, build
-from salsanext_cli.network.cost import multiply_accumulates, parameter_count
+from salsanext_cli.network.complexity import multiply_accumulates, parameter_count
 from salsanext_cli.network.papers import PAPERS, Printed, agrees
 from salsanext_cli.network.receptive_field import receptive_field
+from salsanext_cli.network.registry import ARCHITECTURES, build
 from salsanext_cli.network.weights import WeightsCard, read_card
+from salsanext_cli.storage.identity import fingerprint
 
 HEIGHT, WIDTH = 64, 2048
 

@@ -14,22 +14,21 @@ import numpy.typing as npt
 
 from salsanext_cli.classes import LabelSpace, TrainIds
 from salsanext_cli.errors import UsageError
-from salsanext_cli.formats.arrays import write_array
-from salsanext_cli.formats.kitti import write_labels
-from salsanext_cli.formats.layout import ScanFile, find_outputs, output_path
+from salsanext_cli.geometry.coverage import FieldOfViewCoverage
+from salsanext_cli.geometry.coverage_check import CoverageCheck
 from salsanext_cli.geometry.knn import KnnParameters, knn_refine
-from salsanext_cli.geometry.sight import Sight
+from salsanext_cli.inference.predict_batches import predict_batches, usual_size
+from salsanext_cli.inference.settings import NetworkSettings
+from salsanext_cli.parallel.run import Outcome, RunOptions, run_over_scans
+from salsanext_cli.parallel.tasks import Attempt, one_by_one
 from salsanext_cli.records import Float, Int
 from salsanext_cli.sensors import Sensor
-from salsanext_cli.stages.attempts import Attempt, one_by_one
-from salsanext_cli.stages.batch import BatchOptions, Outcome, run_batch
-from salsanext_cli.stages.claims import claimed
-from salsanext_cli.stages.inputs import Choice, choose, select_scans, space_of
-from salsanext_cli.stages.networks import NetworkChoice
-from salsanext_cli.stages.predict_batches import predict_batches, usual_size
-from salsanext_cli.stages.project import projected_sensor, read_channels, read_seen
-from salsanext_cli.stages.sources import remembered_scans
-from salsanext_cli.stages.wrong_view import ViewCheck
+from salsanext_cli.stages.project import projected_sensor, read_and_project, read_channels
+from salsanext_cli.storage.layout import ScanFile, find_outputs, output_path
+from salsanext_cli.storage.output_run import claimed
+from salsanext_cli.storage.point_files import write_array, write_labels
+from salsanext_cli.storage.selection import ScanSelection, choose, select_scans, space_of
+from salsanext_cli.storage.sources import remembered_scans
 
 
 @dataclass(frozen=True, slots=True)
@@ -37,7 +36,7 @@ class PredictScan:
     """Label the points of one scan."""
 
     out: Path
-    network: NetworkChoice
+    network: NetworkSettings
     knn: KnnParameters
     extras: tuple[str, ...]
     batch: int | None = None
@@ -49,11 +48,11 @@ class PredictScan:
     def _path(self, file: ScanFile, folder: str) -> Path:
         return output_path(self.out, file.sequence, folder, file.stem)
 
-    def __call__(self, file: ScanFile) -> Sight:
+    def __call__(self, file: ScanFile) -> FieldOfViewCoverage:
         """Read, project, classify, refine, write; return how much of the scan is in view."""
         network = self.network.load()
         place, space = str(network.device), network.card.space
-        image, seen = read_seen(file, network.sensor, place)
+        image, seen = read_and_project(file, network.sensor, place)
         probabilities = network.probabilities(image)
         pixel_labels = most_probable(probabilities)
         labels = knn_refine(image, pixel_labels, space.class_count, self.knn, place)
@@ -93,7 +92,7 @@ class PredictImage:
 
     folder: Path
     out: Path
-    network: NetworkChoice
+    network: NetworkSettings
 
     def results_of(self, file: ScanFile) -> list[Path]:
         """Return the file that is written for a range image."""
@@ -125,12 +124,12 @@ def predict(
     source: Path,
     out: Path,
     *,
-    network: NetworkChoice = NetworkChoice(),
+    network: NetworkSettings = NetworkSettings(),
     knn: KnnParameters = KnnParameters(),
     extras: tuple[str, ...] = (),
     batch: int | None = None,
-    choice: Choice = Choice(),
-    options: BatchOptions = BatchOptions(),
+    selection: ScanSelection = ScanSelection(),
+    options: RunOptions = RunOptions(),
 ) -> Outcome[Any]:
     """Label scans into `OUT/sequences/<seq>/predictions`.
 
@@ -152,7 +151,7 @@ def predict(
     batch : int, optional
         Scans computed together, at least 1; by default one on a CPU, on a GPU as many as keep it
         busy. Halved where memory runs out.
-    choice, options
+    selection, options
         Which scans, and how to go through them.
 
     Raises
@@ -170,15 +169,15 @@ def predict(
         if knn != KnnParameters():
             found = "range images are refined by knn-refine"
             raise UsageError("--knn-…", found, "the options given there")
-        return _predict_images(source, out, network, extras, choice, options)
+        return _predict_images(source, out, network, extras, selection, options)
     loaded = network.load()
     card = loaded.card
-    scans = select_scans(source, choice, card.space)
+    scans = select_scans(source, selection, card.space)
     settings = network.settings() | {"temperature": card.temperature, "knn": asdict(knn)}
-    check, writes = ViewCheck(loaded.sensor), ("predictions", *extras)
+    check, writes = CoverageCheck(loaded.sensor), ("predictions", *extras)
     with claimed(out, "predict", settings, writes, scans, overwrite=options.overwrite):
-        work = PredictScan(out, network.decided(), knn, extras, batch)
-        outcome = run_batch(work, scans, options, work.results_of, check.add)
+        work = PredictScan(out, network.resolved(), knn, extras, batch)
+        outcome = run_over_scans(work, scans, options, work.results_of, check.add)
     check.finish()
     return outcome
 
@@ -186,22 +185,22 @@ def predict(
 def _predict_images(
     folder: Path,
     out: Path,
-    network: NetworkChoice,
+    network: NetworkSettings,
     extras: tuple[str, ...],
-    choice: Choice,
-    options: BatchOptions,
+    selection: ScanSelection,
+    options: RunOptions,
 ) -> Outcome[None]:
     if "probabilities" in extras:
         found = "range images do not say which points they are of"
         raise UsageError("--probabilities", found, "the scans themselves")
     ready = {(file.sequence, file.stem) for file in find_outputs(folder, "range")}
     scans = [scan for scan in remembered_scans(folder) if (scan.sequence, scan.stem) in ready]
-    scans = choose(scans, choice, space_of(scans, network.load().card.space), folder)
+    scans = choose(scans, selection, space_of(scans, network.load().card.space), folder)
     settings = network.settings()
     writes = ("pixel_labels",)
     with claimed(out, "predict", settings, writes, scans, overwrite=options.overwrite):
-        work = PredictImage(folder, out, network.decided())
-        return run_batch(work, scans, options, work.results_of)
+        work = PredictImage(folder, out, network.resolved())
+        return run_over_scans(work, scans, options, work.results_of)
 
 
 def _require_same_sensor(folder: Path, seen: Sensor, wanted: Sensor) -> None:

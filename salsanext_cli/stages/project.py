@@ -7,17 +7,18 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from salsanext_cli.formats import read_scan
-from salsanext_cli.formats.arrays import read_array, write_array
-from salsanext_cli.formats.layout import ScanFile, output_path
+from salsanext_cli.formats.npy import read_array
+from salsanext_cli.geometry.coverage import FieldOfViewCoverage, field_of_view_coverage
+from salsanext_cli.geometry.coverage_check import CoverageCheck
 from salsanext_cli.geometry.projection import project
-from salsanext_cli.geometry.sight import Sight, sight
+from salsanext_cli.parallel.run import Outcome, RunOptions, run_over_scans
 from salsanext_cli.records import CHANNELS, Float, RangeImage
 from salsanext_cli.sensors import Sensor
-from salsanext_cli.stages.batch import BatchOptions, Outcome, run_batch
-from salsanext_cli.stages.claims import claimed
-from salsanext_cli.stages.inputs import Choice, select_scans
-from salsanext_cli.stages.outputs import stage_settings
-from salsanext_cli.stages.wrong_view import ViewCheck
+from salsanext_cli.storage.layout import ScanFile, output_path
+from salsanext_cli.storage.output_run import claimed
+from salsanext_cli.storage.point_files import write_array
+from salsanext_cli.storage.selection import ScanSelection, select_scans
+from salsanext_cli.storage.stage_records import stage_settings
 
 WRITES = ("range", "pixels")
 
@@ -33,9 +34,9 @@ class ProjectScan:
         """Return the files that are written for a scan."""
         return [output_path(self.out, file.sequence, folder, file.stem) for folder in WRITES]
 
-    def __call__(self, file: ScanFile) -> Sight:
+    def __call__(self, file: ScanFile) -> FieldOfViewCoverage:
         """Read, project, write; return how much of the scan is in view."""
-        image, seen = read_seen(file, self.sensor)
+        image, seen = read_and_project(file, self.sensor)
         range_path, pixels_path = self.results_of(file)
         write_array(range_path, image.channels)
         write_array(pixels_path, image.pixel_of_point)
@@ -44,13 +45,15 @@ class ProjectScan:
 
 def read_image(file: ScanFile, sensor: Sensor, device: str = "cpu") -> RangeImage:
     """Read a scan and project it."""
-    return read_seen(file, sensor, device)[0]
+    return read_and_project(file, sensor, device)[0]
 
 
-def read_seen(file: ScanFile, sensor: Sensor, device: str = "cpu") -> tuple[RangeImage, Sight]:
+def read_and_project(
+    file: ScanFile, sensor: Sensor, device: str = "cpu"
+) -> tuple[RangeImage, FieldOfViewCoverage]:
     """Read a scan and project it; return how much of it is in view, too."""
     scan = read_scan(file.path, intensity_scale=sensor.intensity_scale)
-    return project(scan, sensor, device), sight(scan, sensor)
+    return project(scan, sensor, device), field_of_view_coverage(scan, sensor)
 
 
 def read_channels(path: Path, sensor: Sensor) -> Float:
@@ -73,9 +76,9 @@ def project_scans(
     out: Path,
     *,
     sensor: Sensor,
-    choice: Choice = Choice(),
-    options: BatchOptions = BatchOptions(),
-) -> Outcome[Sight]:
+    selection: ScanSelection = ScanSelection(),
+    options: RunOptions = RunOptions(),
+) -> Outcome[FieldOfViewCoverage]:
     """Project scans to `OUT/sequences/<seq>/range` and `pixels`.
 
     Parameters
@@ -86,7 +89,7 @@ def project_scans(
         The output folder.
     sensor : Sensor
         Field of view and size of the range images.
-    choice, options
+    selection, options
         Which scans, and how to go through them.
 
     Raises
@@ -94,10 +97,10 @@ def project_scans(
     SalsanextError
         If nothing can be done at all; failures of single scans are in the outcome.
     """
-    scans = select_scans(source, choice)
+    scans = select_scans(source, selection)
     settings = {"sensor": sensor.to_dict()}
-    work, check = ProjectScan(out, sensor), ViewCheck(sensor)
+    work, check = ProjectScan(out, sensor), CoverageCheck(sensor)
     with claimed(out, "project", settings, WRITES, scans, overwrite=options.overwrite):
-        outcome = run_batch(work, scans, options, work.results_of, check.add)
+        outcome = run_over_scans(work, scans, options, work.results_of, check.add)
     check.finish()
     return outcome

@@ -12,12 +12,12 @@ import yaml
 
 from salsanext_cli.classes import LabelSpace, label_space
 from salsanext_cli.errors import OutputError, UsageError
-from salsanext_cli.formats.atomic import write_text
-from salsanext_cli.formats.json_files import read_json, write_json
-from salsanext_cli.formats.kitti import write_bin, write_labels
-from salsanext_cli.formats.packages import import_open3d
-from salsanext_cli.stages.batch import Progress
-from salsanext_cli.stages.threads import worker_count
+from salsanext_cli.packages import import_open3d
+from salsanext_cli.parallel.run import Progress
+from salsanext_cli.parallel.threads import worker_count
+from salsanext_cli.storage.atomic import write_text
+from salsanext_cli.storage.json_files import read_json, write_json
+from salsanext_cli.storage.point_files import write_bin, write_labels
 from salsanext_cli.synthesis.drive import record
 from salsanext_cli.synthesis.ids import ABSENT
 

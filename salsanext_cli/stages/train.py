@@ -17,28 +17,28 @@ import torch
 
 from salsanext_cli.classes import LabelSpace, label_space
 from salsanext_cli.errors import NoInputError, UsageError, WeightsError
-from salsanext_cli.formats.identity import fingerprint
-from salsanext_cli.formats.layout import ScanFile, find_scans
-from salsanext_cli.network.architectures import build
+from salsanext_cli.network.registry import build
 from salsanext_cli.network.segmentation import SegmentationNetwork
 from salsanext_cli.network.weights import WeightsCard, read_weights
+from salsanext_cli.parallel.threads import worker_count
+from salsanext_cli.report.sample_picture import draw_sample
 from salsanext_cli.sensors import Sensor
 from salsanext_cli.sensors import sensor as preset_sensor
-from salsanext_cli.stages.inputs import data_set_label_space
-from salsanext_cli.stages.run_folder import require_free, take, trained_alone
-from salsanext_cli.stages.sample_picture import draw_sample
-from salsanext_cli.stages.threads import worker_count
-from salsanext_cli.training.counting import class_counts, rare_classes, require_labels
+from salsanext_cli.storage.identity import fingerprint
+from salsanext_cli.storage.layout import ScanFile, find_scans
+from salsanext_cli.storage.selection import data_set_label_space
+from salsanext_cli.training.class_counts import class_counts, rare_classes, require_labels
 from salsanext_cli.training.dataset import Samples
+from salsanext_cli.training.distributed import ProcessGroup, group_of_environment, process_group
 from salsanext_cli.training.events import EVENTS, events_in
+from salsanext_cli.training.fit import BEST, LAST, Report, Training
 from salsanext_cli.training.heteroscedastic import require_noise
 from salsanext_cli.training.log import Row
-from salsanext_cli.training.loop import BEST, LAST, Report, Training
 from salsanext_cli.training.losses import class_weights
 from salsanext_cli.training.memory import keep_freed_memory
 from salsanext_cli.training.optimise import Learner
 from salsanext_cli.training.recipe import Recipe
-from salsanext_cli.training.team import Team, team_here, teamwork
+from salsanext_cli.training.run_folder import require_free, take, trained_alone
 from salsanext_cli.training.validation import evenly_spaced
 
 DEFAULT_SENSOR = "hdl64"
@@ -120,8 +120,8 @@ def train(
         If `weights` do not fit the label space.
     """
     workers = worker_count(jobs)
-    _require_work_for_all(recipe, team_here())
-    with teamwork(device) as (team, place), ExitStack() as held:
+    _require_work_for_all(recipe, group_of_environment())
+    with process_group(device) as (group, place), ExitStack() as held:
         if place.type == "cpu":
             keep_freed_memory()
 
@@ -129,13 +129,13 @@ def train(
             known = space or data_set_label_space(dataset) or label_space()
             return known, _scans_of(dataset, known, "train"), _scans_of(dataset, known, "valid")
 
-        classes, training, validation = team.told(find)
+        classes, training, validation = group.on_main(find)
         validated = evenly_spaced(validation, recipe.validation_scans)
         module, architecture, own_sensor = _start(weights, classes, recipe)
         sensor = sensor or own_sensor
         if recipe.heteroscedastic:
             require_noise(sensor)
-        _require_pixels(recipe, sensor, module, team)
+        _require_pixels(recipe, sensor, module, group)
         card = WeightsCard(architecture, classes, sensor, recipe.to_dict(), {}, _describe(dataset))
 
         def prepare() -> npt.NDArray[np.int64]:
@@ -149,10 +149,10 @@ def train(
             take(run, settings, overwrite=overwrite)
             return counts
 
-        counts = team.told(prepare)
-        learner = Learner.of(module, recipe, class_weights(counts, classes.scored), place, team)
+        counts = group.on_main(prepare)
+        learner = Learner.of(module, recipe, class_weights(counts, classes.scored), place, group)
         rare = rare_classes(counts, classes.scored)
-        with events_in(run / EVENTS, wanted=team.leads) as events:
+        with events_in(run / EVENTS, wanted=group.is_main) as events:
             course = Training(
                 run=run,
                 learner=learner,
@@ -164,22 +164,22 @@ def train(
                 events=events,
                 report=progress,
             )
-            done = course.to_the_end()
+            done = course.fit()
     return TrainResult(run / BEST, run / LAST, done.best, done.rows)
 
 
-def _require_work_for_all(recipe: Recipe, team: Team) -> None:
-    if recipe.batch < team.size:
+def _require_work_for_all(recipe: Recipe, group: ProcessGroup) -> None:
+    if recipe.batch < group.size:
         remedy = "start fewer workers or set batch higher"
-        expected = f"at least one sample for each of {team.size} workers"
+        expected = f"at least one sample for each of {group.size} workers"
         raise UsageError("recipe key batch", f"{recipe.batch}", expected, remedy)
 
 
 def _require_pixels(
-    recipe: Recipe, sensor: Sensor, module: SegmentationNetwork, team: Team
+    recipe: Recipe, sensor: Sensor, module: SegmentationNetwork, group: ProcessGroup
 ) -> None:
     """Refuse images whose coarsest level has one pixel: batch norm needs two to differ."""
-    part = recipe.batch // team.size // min(recipe.accumulate, recipe.batch // team.size)
+    part = recipe.batch // group.size // min(recipe.accumulate, recipe.batch // group.size)
     size = (sensor.height, min(recipe.crop_width or sensor.width, sensor.width))
     coarsest = [-(-pixels // step) for pixels, step in zip(size, module.stride, strict=True)]
     if part * math.prod(coarsest) == 1:

@@ -14,16 +14,16 @@ import torch
 from torch import Tensor
 
 from salsanext_cli.errors import FormatError, UsageError, WeightsError
-from salsanext_cli.formats.layout import ScanFile
-from salsanext_cli.network.batch_norm import Statistics, norms, statistics_of_scan
-from salsanext_cli.network.inference import Network
+from salsanext_cli.geometry.coverage_check import CoverageCheck
+from salsanext_cli.inference.network import Network
+from salsanext_cli.inference.settings import NetworkSettings
 from salsanext_cli.network.weights import WeightsCard, default_weights, save_with_card
-from salsanext_cli.stages.batch import Progress
-from salsanext_cli.stages.inputs import Choice, select_scans
-from salsanext_cli.stages.networks import NetworkChoice
-from salsanext_cli.stages.new_weights import require_target
-from salsanext_cli.stages.project import read_seen
-from salsanext_cli.stages.wrong_view import ViewCheck
+from salsanext_cli.parallel.run import Progress
+from salsanext_cli.stages.project import read_and_project
+from salsanext_cli.storage.layout import ScanFile
+from salsanext_cli.storage.selection import ScanSelection, select_scans
+from salsanext_cli.storage.targets import require_target
+from salsanext_cli.training.tuning.batch_norm import Statistics, norms, statistics_of_scan
 from salsanext_cli.training.validation import evenly_spaced
 
 SHARE = 0.5
@@ -81,8 +81,8 @@ def tune_batchnorm(
     source: Path,
     target: Path,
     *,
-    network: NetworkChoice = NetworkChoice(),
-    choice: Choice = Choice(),
+    network: NetworkSettings = NetworkSettings(),
+    selection: ScanSelection = ScanSelection(),
     share: float = SHARE,
     overwrite: bool = False,
     progress: Progress | None = None,
@@ -102,7 +102,7 @@ def tune_batchnorm(
         `network`; what was measured with the old statistics, `scores`, is left out.
     network : NetworkChoice
         Weights, device and sensor.
-    choice : Choice
+    selection : Choice
         Which scans; a limit takes scans that are evenly spaced.
     share : float
         Of the new statistics, above 0 and at most 1; the rest are the old ones.
@@ -122,8 +122,8 @@ def tune_batchnorm(
     old = {name: Statistics.kept_by(layer) for name, layer in norms(loaded.module).items()}
     if not old:
         raise WeightsError(weights, "its network has no batch norm", "one with batch norm")
-    scans = select_scans(source, replace(choice, limit=None), loaded.card.space)
-    scans = evenly_spaced(scans, choice.limit or 0)
+    scans = select_scans(source, replace(selection, limit=None), loaded.card.space)
+    scans = evenly_spaced(scans, selection.limit or 0)
     require_target(target, overwrite)
     pooled = _pooled(scans, loaded, share, progress)
     new = {name: old[name].blended(statistics, share) for name, statistics in pooled.items()}
@@ -139,7 +139,7 @@ def _pooled(
 ) -> Mapping[str, Statistics]:
     """Return the statistics of all scans together, by layer."""
     pooled: dict[str, Statistics] = {}
-    check = ViewCheck(network.sensor)
+    check = CoverageCheck(network.sensor)
     for number, file in enumerate(scans, start=1):
         of_scan = _of_scan(file, network, share, check)
         pooled = {name: pooled[name] + new if pooled else new for name, new in of_scan.items()}
@@ -151,9 +151,9 @@ def _pooled(
 
 
 def _of_scan(
-    file: ScanFile, network: Network, share: float, check: ViewCheck
+    file: ScanFile, network: Network, share: float, check: CoverageCheck
 ) -> Mapping[str, Statistics]:
-    image, seen = read_seen(file, network.sensor, str(network.device))
+    image, seen = read_and_project(file, network.sensor, str(network.device))
     if not (image.pixel_of_point >= 0).any():
         found = f"none of its {len(image.pixel_of_point)} points has a pixel"
         raise FormatError(file.path, found, "points that were measured, in view of the sensor")

@@ -14,24 +14,24 @@ import numpy.typing as npt
 
 from salsanext_cli.errors import TrainingError
 from salsanext_cli.geometry.noise import noise_of
-from salsanext_cli.network.aleatoric import aleatoric
+from salsanext_cli.inference.network import Network, with_dropout
+from salsanext_cli.inference.settings import NetworkSettings
 from salsanext_cli.network.dropout import dropouts
-from salsanext_cli.network.inference import Network, with_dropout
-from salsanext_cli.network.sampling import require_sampling, sample, scan_seed
 from salsanext_cli.network.weights import default_weights, save_with_card
+from salsanext_cli.parallel.run import Progress
 from salsanext_cli.records import Float
 from salsanext_cli.report.tuning import rate_curve
-from salsanext_cli.stages.batch import Progress
-from salsanext_cli.stages.inputs import Choice
-from salsanext_cli.stages.networks import NetworkChoice
-from salsanext_cli.stages.new_weights import require_free, require_target
-from salsanext_cli.stages.tuning import (
+from salsanext_cli.storage.selection import ScanSelection
+from salsanext_cli.storage.targets import require_free, require_target
+from salsanext_cli.training.tuning.dropout_rate import objective, rates_between
+from salsanext_cli.training.tuning.labelled_images import (
     LabelledImage,
     labelled_scans,
     nothing_counts,
     read_labelled_image,
 )
-from salsanext_cli.training.dropout_rate import objective, rates_between
+from salsanext_cli.uncertainty.aleatoric import aleatoric
+from salsanext_cli.uncertainty.monte_carlo import require_sampling, sample, scan_seed
 
 SAMPLES = 30
 LOWEST, HIGHEST, STEPS = 0.02, 0.5, 10
@@ -71,8 +71,8 @@ def tune_dropout(
     dataset: Path,
     target: Path,
     *,
-    network: NetworkChoice = NetworkChoice(),
-    choice: Choice = Choice(split="valid", limit=SCANS),
+    network: NetworkSettings = NetworkSettings(),
+    selection: ScanSelection = ScanSelection(split="valid", limit=SCANS),
     samples: int = SAMPLES,
     seed: int = 0,
     lowest: float = LOWEST,
@@ -94,7 +94,7 @@ def tune_dropout(
         The `.safetensors` file to write: the same tensors, bit for bit. The curve is `curve_of` it.
     network : NetworkChoice
         Weights, device and sensor.
-    choice : Choice
+    selection : Choice
         Which scans; a limit takes scans that are evenly spaced.
     samples, seed : int
         Passes per scan and rate, and the seed of their masks, as for `uncertainty`.
@@ -117,7 +117,7 @@ def tune_dropout(
     candidates = [with_dropout(loaded, rate) for rate in rates]
     require_sampling(candidates[0], samples)
     noise_of(loaded.sensor)
-    scans, space = labelled_scans(dataset, choice, loaded.card)
+    scans, space = labelled_scans(dataset, selection, loaded.card)
     require_target(target, overwrite)
     require_free(curve_of(target), overwrite)
     sums, points = np.zeros(len(rates)), 0

@@ -15,23 +15,27 @@ from torch import Tensor
 
 from salsanext_cli.classes import LabelSpace
 from salsanext_cli.errors import TrainingError, WeightsError
-from salsanext_cli.formats.layout import ScanFile
+from salsanext_cli.inference.network import Network
+from salsanext_cli.inference.settings import NetworkSettings
 from salsanext_cli.measures.calibration import Calibration, calibration_scores, judge
-from salsanext_cli.network.inference import Network
-from salsanext_cli.network.sampling import scan_seed
 from salsanext_cli.network.weights import TEMPERATURES, default_weights, save_with_card
+from salsanext_cli.parallel.run import Progress
 from salsanext_cli.records import Float
-from salsanext_cli.stages.batch import Progress
-from salsanext_cli.stages.inputs import Choice
-from salsanext_cli.stages.networks import NetworkChoice
-from salsanext_cli.stages.new_weights import require_target
-from salsanext_cli.stages.tuning import (
+from salsanext_cli.storage.layout import ScanFile
+from salsanext_cli.storage.selection import ScanSelection
+from salsanext_cli.storage.targets import require_target
+from salsanext_cli.training.tuning.labelled_images import (
     VALIDATION,
     labelled_scans,
     nothing_counts,
     read_labelled_image,
 )
-from salsanext_cli.training.temperature import best_temperature, chunks, negative_log_likelihood
+from salsanext_cli.training.tuning.temperature import (
+    best_temperature,
+    chunks,
+    negative_log_likelihood,
+)
+from salsanext_cli.uncertainty.monte_carlo import scan_seed
 
 NUMBERS = 20_000_000
 """Logits kept at most, 80 MB: a million points with 20 classes."""
@@ -86,8 +90,8 @@ def tune_temperature(
     dataset: Path,
     target: Path,
     *,
-    network: NetworkChoice = NetworkChoice(),
-    choice: Choice = VALIDATION,
+    network: NetworkSettings = NetworkSettings(),
+    selection: ScanSelection = VALIDATION,
     numbers: int = NUMBERS,
     overwrite: bool = False,
     progress: Progress | None = None,
@@ -105,7 +109,7 @@ def tune_temperature(
         The `.safetensors` file to write: the same tensors, bit for bit.
     network : NetworkChoice
         Weights, device and sensor.
-    choice : Choice
+    selection : Choice
         Which scans; a limit takes scans that are evenly spaced.
     numbers : int
         Logits to keep at most. Of a scan with more than its share, a random sample of the points
@@ -121,7 +125,7 @@ def tune_temperature(
         If the scans cannot be learnt from, or the file cannot be written.
     """
     loaded = network.load()
-    scans, space = labelled_scans(dataset, choice, loaded.card)
+    scans, space = labelled_scans(dataset, selection, loaded.card)
     require_target(target, overwrite)
     most = max(1, numbers // loaded.card.space.class_count // len(scans))
     kept = list(_samples(scans, loaded, space, most, progress))

@@ -10,27 +10,26 @@ from typing import Any
 import numpy as np
 
 from salsanext_cli.errors import OutputError
-from salsanext_cli.formats.arrays import write_array
-from salsanext_cli.formats.kitti import write_labels
-from salsanext_cli.formats.layout import ScanFile, output_path
+from salsanext_cli.geometry.coverage import FieldOfViewCoverage
+from salsanext_cli.geometry.coverage_check import CoverageCheck
 from salsanext_cli.geometry.knn import KnnParameters, knn_refine
-from salsanext_cli.geometry.sight import Sight
+from salsanext_cli.inference.settings import NetworkSettings
+from salsanext_cli.parallel.run import Outcome, RunOptions, run_over_scans
 from salsanext_cli.records import Float, Int
 from salsanext_cli.sensors import Sensor
-from salsanext_cli.stages.batch import BatchOptions, Outcome, run_batch
-from salsanext_cli.stages.claims import claimed
-from salsanext_cli.stages.estimator import Estimator
-from salsanext_cli.stages.inputs import Choice, select_scans
-from salsanext_cli.stages.networks import NetworkChoice
-from salsanext_cli.stages.outputs import (
+from salsanext_cli.stages.predict import most_probable
+from salsanext_cli.stages.project import read_and_project
+from salsanext_cli.storage.layout import ScanFile, output_path
+from salsanext_cli.storage.output_run import claimed
+from salsanext_cli.storage.point_files import write_array, write_labels
+from salsanext_cli.storage.selection import ScanSelection, select_scans
+from salsanext_cli.storage.stage_records import (
     as_json,
     owner,
     recorded_weights,
     stage_settings,
 )
-from salsanext_cli.stages.predict import most_probable
-from salsanext_cli.stages.project import read_seen
-from salsanext_cli.stages.wrong_view import ViewCheck
+from salsanext_cli.uncertainty.settings import Estimator
 
 
 @dataclass(frozen=True, slots=True)
@@ -38,7 +37,7 @@ class UncertaintyOfScan:
     """Estimate the uncertainty of the points of one scan and write it."""
 
     out: Path
-    network: NetworkChoice
+    network: NetworkSettings
     knn: KnnParameters
     estimator: Estimator
     writes: tuple[str, ...]
@@ -50,11 +49,11 @@ class UncertaintyOfScan:
     def _path(self, file: ScanFile, folder: str) -> Path:
         return output_path(self.out, file.sequence, folder, file.stem)
 
-    def __call__(self, file: ScanFile) -> Sight:
+    def __call__(self, file: ScanFile) -> FieldOfViewCoverage:
         """Read, project, estimate, refine, write; return how much of the scan is in view."""
         network = self.network.load()
         place, space = str(network.device), network.card.space
-        image, seen = read_seen(file, network.sensor, place)
+        image, seen = read_and_project(file, network.sensor, place)
         estimated = self.estimator.estimate(network, image, file)
         for kind in self.estimator.kinds:
             of_pixels = getattr(estimated.uncertainty, kind)
@@ -99,11 +98,11 @@ def uncertainty(
     source: Path,
     out: Path,
     *,
-    network: NetworkChoice = NetworkChoice(),
+    network: NetworkSettings = NetworkSettings(),
     knn: KnnParameters = KnnParameters(),
     estimator: Estimator = Estimator(),
-    choice: Choice = Choice(),
-    options: BatchOptions = BatchOptions(),
+    selection: ScanSelection = ScanSelection(),
+    options: RunOptions = RunOptions(),
 ) -> Outcome[Any]:
     """Estimate uncertainty into `OUT/sequences/<seq>/uncertainty/<kind>`.
 
@@ -122,7 +121,7 @@ def uncertainty(
         Neighbours of the clean-up of the labels.
     estimator : Estimator
         How; by default 30 passes of Monte-Carlo dropout and one of assumed density filtering.
-    choice, options
+    selection, options
         Which scans, and how to go through them.
 
     Raises
@@ -130,15 +129,15 @@ def uncertainty(
     SalsanextError
         If nothing can be done at all; failures of single scans are in the outcome.
     """
-    scans = select_scans(source, choice, network.load().card.space)
+    scans = select_scans(source, selection, network.load().card.space)
     return uncertainty_of(scans, out, network, options, knn=knn, estimator=estimator)
 
 
 def uncertainty_of(
     scans: list[ScanFile],
     out: Path,
-    network: NetworkChoice,
-    options: BatchOptions,
+    network: NetworkSettings,
+    options: RunOptions,
     *,
     knn: KnnParameters = KnnParameters(),
     estimator: Estimator = Estimator(),
@@ -152,9 +151,9 @@ def uncertainty_of(
     writes = (*folders, "predictions") if labels_too else folders
     _require_same_network(out, settings)
     sources = () if remembered else scans
-    check = ViewCheck(network.load().sensor)
+    check = CoverageCheck(network.load().sensor)
     with claimed(out, "uncertainty", settings, writes, sources, overwrite=options.overwrite):
-        work = UncertaintyOfScan(out, network.decided(), knn, estimator, writes)
-        outcome = run_batch(work, scans, options, work.results_of, check.add)
+        work = UncertaintyOfScan(out, network.resolved(), knn, estimator, writes)
+        outcome = run_over_scans(work, scans, options, work.results_of, check.add)
     check.finish()
     return outcome

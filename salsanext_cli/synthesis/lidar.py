@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from salsanext_cli.classes import RawIds
-from salsanext_cli.formats.packages import import_open3d
+from salsanext_cli.packages import import_open3d
 from salsanext_cli.synthesis.materials import optics_table
 from salsanext_cli.synthesis.mesh import Array, Mesh
 

@@ -20,17 +20,17 @@ from salsanext_cli.classes import LabelSpace, TrainIds
 from salsanext_cli.errors import SalsanextError
 from salsanext_cli.formats import read_scan
 from salsanext_cli.formats.kitti import read_labels
-from salsanext_cli.formats.layout import ScanFile
 from salsanext_cli.geometry.noise import input_variance
 from salsanext_cli.geometry.normalise import normalise
 from salsanext_cli.geometry.projection import project
 from salsanext_cli.records import Float, RangeImage
 from salsanext_cli.sensors import Sensor
+from salsanext_cli.storage.layout import ScanFile
 from salsanext_cli.training.augment import Augmentation
+from salsanext_cli.training.distributed import SINGLE_PROCESS, ProcessGroup
 from salsanext_cli.training.mixing import COPIES, Board, Labelled, mix, part, paste
 from salsanext_cli.training.plan import SAMPLE, Draw, Plan
 from salsanext_cli.training.recipe import Recipe
-from salsanext_cli.training.team import ALONE, Team
 
 Batch = tuple[Tensor, Tensor, Tensor]
 """Normalised images (B, 5, H, W), truth (B, H, W) uint8, indices of the scans (B,) int64.
@@ -177,7 +177,7 @@ def batches(
     workers: int = 0,
     *,
     pinned: bool = False,
-    team: Team = ALONE,
+    group: ProcessGroup = SINGLE_PROCESS,
 ) -> Iterator[Batch]:
     """Yield the batches from a step to the end of the training.
 
@@ -197,7 +197,7 @@ def batches(
     loader: DataLoader[Any] = DataLoader(
         _Sent(samples),
         collate_fn=_collate,
-        batch_sampler=plan.batches(first_step, team),
+        batch_sampler=plan.batches(first_step, group),
         num_workers=workers,
         # A fork would inherit locks that the threads of torch and numba may hold.
         multiprocessing_context="spawn" if workers else None,

@@ -12,12 +12,12 @@ from torch.nn import functional as F
 
 from salsanext_cli.errors import UsageError
 from salsanext_cli.geometry.noise import noise_of
-from salsanext_cli.network.adf import Gaussian, propagate
-from salsanext_cli.network.moments import softmax_moments
 from salsanext_cli.network.segmentation import SegmentationNetwork
 from salsanext_cli.sensors import Sensor
 from salsanext_cli.training.losses import SegmentationLoss, Whole
 from salsanext_cli.training.recipe import Recipe
+from salsanext_cli.uncertainty.adf import Gaussian, propagate
+from salsanext_cli.uncertainty.moments import softmax_moments
 
 FLOOR = 1e-4
 """Variance of the softmax that is there without any noise of the sensor.

@@ -8,7 +8,7 @@ import io
 from collections.abc import Sequence
 from pathlib import Path
 
-from salsanext_cli.formats.atomic import write_text, writing
+from salsanext_cli.storage.atomic import write_text, writing
 
 Row = dict[str, float]
 """One epoch: epoch, learning_rate, loss, seconds and, where validated, miou and iou_<class>."""

@@ -15,8 +15,8 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional as F
 
-from salsanext_cli.training.counting import class_shares
-from salsanext_cli.training.team import ALONE, Team
+from salsanext_cli.training.class_counts import class_shares
+from salsanext_cli.training.distributed import SINGLE_PROCESS, ProcessGroup
 
 
 def class_weights(counts: npt.NDArray[np.int64], scored: npt.NDArray[np.bool_]) -> Tensor:
@@ -108,7 +108,9 @@ def jaccard_gradient(errors: Tensor, foreground: Tensor) -> Tensor:
     return torch.empty_like(gradient).scatter_(1, order, gradient)
 
 
-def lovasz_softmax(probabilities: Tensor, truth: Tensor, team: Team = ALONE) -> Tensor:
+def lovasz_softmax(
+    probabilities: Tensor, truth: Tensor, group: ProcessGroup = SINGLE_PROCESS
+) -> Tensor:
     """Return the Lovász-Softmax loss, the mean over the classes present in the truth.
 
     Parameters
@@ -122,24 +124,24 @@ def lovasz_softmax(probabilities: Tensor, truth: Tensor, team: Team = ALONE) -> 
     -------
     0-d tensor; 0 without pixels.
     """
-    present = team.sum(truth.bincount(minlength=probabilities.shape[1])).nonzero()[:, 0]
+    present = group.sum(truth.bincount(minlength=probabilities.shape[1])).nonzero()[:, 0]
     if not len(present):
         return probabilities.sum()
     foreground = truth == present[:, None]
     of_class = probabilities.t()[present]
     errors = torch.where(foreground, 1 - of_class, of_class)
-    return (errors * _gradient_of_own(errors.detach(), foreground, team)).sum() / len(present)
+    return (errors * _gradient_of_own(errors.detach(), foreground, group)).sum() / len(present)
 
 
-def _gradient_of_own(errors: Tensor, foreground: Tensor, team: Team) -> Tensor:
+def _gradient_of_own(errors: Tensor, foreground: Tensor, group: ProcessGroup) -> Tensor:
     """Return `jaccard_gradient` of a worker's pixels, sorted in among those of all workers."""
-    if team.size == 1:
+    if group.size == 1:
         return jaccard_gradient(errors, foreground)
-    of_all = team.gather(errors)
+    of_all = group.gather(errors)
     gradient = jaccard_gradient(
-        torch.cat(of_all, 1), torch.cat(team.gather(foreground.byte()), 1).bool()
+        torch.cat(of_all, 1), torch.cat(group.gather(foreground.byte()), 1).bool()
     )
-    return torch.split(gradient, [each.shape[1] for each in of_all], 1)[team.rank]
+    return torch.split(gradient, [each.shape[1] for each in of_all], 1)[group.rank]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -159,7 +161,7 @@ class Whole:
     weight: Tensor
     pixels: Tensor
     parts: int
-    team: Team = ALONE
+    group: ProcessGroup = SINGLE_PROCESS
 
 
 class SegmentationLoss(nn.Module):
@@ -201,10 +203,12 @@ class SegmentationLoss(nn.Module):
         classes = logits.movedim(1, -1).reshape(-1, logits.shape[1])
         precise = torch.promote_types(logits.dtype, torch.float32)
         log_probabilities = F.log_softmax(classes[counts], 1, dtype=precise)
-        weight, parts, team = (whole.weight, whole.parts, whole.team) if whole else (None, 1, ALONE)
+        weight, parts, group = (
+            (whole.weight, whole.parts, whole.group) if whole else (None, 1, SINGLE_PROCESS)
+        )
         weights = self.weights.to(precise)
         loss = weighted_cross_entropy(log_probabilities, truth, weights, weight, self.smoothing)
         if self.lovasz:
-            lovasz = lovasz_softmax(log_probabilities.exp(), truth, team)
+            lovasz = lovasz_softmax(log_probabilities.exp(), truth, group)
             loss = loss + self.lovasz / parts * lovasz
         return loss

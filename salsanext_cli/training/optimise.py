@@ -14,12 +14,12 @@ from torch import Tensor, nn
 from torch.nn.parallel import DistributedDataParallel
 
 from salsanext_cli.network.segmentation import SegmentationNetwork
+from salsanext_cli.training.distributed import SINGLE_PROCESS, ProcessGroup
 from salsanext_cli.training.heteroscedastic import HeteroscedasticLoss, MomentNetwork, with_moments
 from salsanext_cli.training.losses import SegmentationLoss, Whole
 from salsanext_cli.training.precision import autocast, dtype_of, scaler
 from salsanext_cli.training.recipe import Recipe
 from salsanext_cli.training.schedule import learning_rate
-from salsanext_cli.training.team import ALONE, Team
 from salsanext_cli.training.team_norm import with_team_norm
 
 DROPOUT = 2
@@ -58,9 +58,9 @@ def update_average(average: nn.Module, module: nn.Module, decay: float, step: in
             kept.copy_(new)
 
 
-def shared(module: nn.Module, device: torch.device, team: Team) -> nn.Module:
+def shared(module: nn.Module, device: torch.device, group: ProcessGroup) -> nn.Module:
     """Return what to call in training: the module, or what adds up its gradient over a team."""
-    if team.size == 1:
+    if group.size == 1:
         return module
     # torch's own is faster, but takes nothing but tensors on GPUs.
     if device.type == "cuda" and not isinstance(module, MomentNetwork):
@@ -104,7 +104,7 @@ class Learner:
     scaler: torch.amp.GradScaler
     dtype: torch.dtype
     device: torch.device
-    team: Team
+    group: ProcessGroup
     forward: nn.Module
 
     @classmethod
@@ -114,7 +114,7 @@ class Learner:
         recipe: Recipe,
         weights: Tensor,
         device: torch.device,
-        team: Team = ALONE,
+        group: ProcessGroup = SINGLE_PROCESS,
     ) -> Learner:
         """Prepare a module for training with class weights (C,)."""
         module = module.to(device)
@@ -123,12 +123,12 @@ class Learner:
         average = copy.deepcopy(module).eval() if recipe.average else module
         of_mean = SegmentationLoss(weights, recipe.lovasz, recipe.label_smoothing)
         loss, forward = with_moments(of_mean, module, recipe)
-        loss, forward = loss.to(device), shared(forward, device, team)
+        loss, forward = loss.to(device), shared(forward, device, group)
         # Variances are too small for shorter types.
         precision = "float32" if recipe.heteroscedastic else recipe.precision
         optimiser, dtype = build_optimiser(module, recipe), dtype_of(precision, device)
         scale = scaler(dtype, device)
-        return cls(recipe, module, loss, optimiser, average, scale, dtype, device, team, forward)
+        return cls(recipe, module, loss, optimiser, average, scale, dtype, device, group, forward)
 
     @property
     def network(self) -> nn.Module:
@@ -177,13 +177,13 @@ class Learner:
                     with autocast(self.dtype, self.device):
                         loss = self.loss(self.forward(some), labels, whole)
                     # The team's gradient is a mean over its workers, and the sum is wanted.
-                    self.scaler.scale(loss * self.team.size).backward()
+                    self.scaler.scale(loss * self.group.size).backward()
                 losses.append(loss.detach())
-        return self.team.sum(torch.stack(losses).sum())
+        return self.group.sum(torch.stack(losses).sum())
 
     def _seed(self, step: int) -> int:
         """Return a seed of what dropout draws, unlike for every training, step and worker."""
-        source = np.random.SeedSequence((self.recipe.seed, DROPOUT, step, self.team.rank))
+        source = np.random.SeedSequence((self.recipe.seed, DROPOUT, step, self.group.rank))
         return int(source.generate_state(1)[0])
 
     def _parts(self, width: int) -> int:
@@ -193,7 +193,7 @@ class Learner:
         of windows does, or a single circle.
         """
         recipe = self.recipe
-        fewest, most = recipe.batch // self.team.size, -(-recipe.batch // self.team.size)
+        fewest, most = recipe.batch // self.group.size, -(-recipe.batch // self.group.size)
         parts = min(recipe.accumulate, fewest)
         if 0 < recipe.crop_width < width:
             images = max(1, -(-most // parts) * recipe.crop_width // width)
@@ -201,10 +201,10 @@ class Learner:
         return parts
 
     def _whole(self, truth: Tensor, parts: int) -> Whole | None:
-        if parts * self.team.size == 1:
+        if parts * self.group.size == 1:
             return None
-        weight, pixels = self.team.sum(self.loss.size(truth))
-        return Whole(weight, pixels, parts, self.team)
+        weight, pixels = self.group.sum(self.loss.size(truth))
+        return Whole(weight, pixels, parts, self.group)
 
     def _summing(self, *, at_last: bool) -> AbstractContextManager[None]:
         """Exchange gradients with the team after the last part only."""

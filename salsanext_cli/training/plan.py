@@ -9,8 +9,8 @@ from itertools import islice
 
 import numpy as np
 
+from salsanext_cli.training.distributed import SINGLE_PROCESS, ProcessGroup
 from salsanext_cli.training.recipe import Recipe
-from salsanext_cli.training.team import ALONE, Team
 
 ORDER, SAMPLE = 0, 1
 """What a generator is for; part of its seed, so that no two are alike."""
@@ -52,14 +52,16 @@ class Plan:
         last = epoch >= self.recipe.epochs - self.recipe.whole_epochs
         return 0 if self.recipe.whole_epochs and last else self.recipe.crop_width
 
-    def batches(self, first_step: int = 0, team: Team = ALONE) -> Iterator[list[Draw]]:
+    def batches(
+        self, first_step: int = 0, group: ProcessGroup = SINGLE_PROCESS
+    ) -> Iterator[list[Draw]]:
         """Yield a worker's share of each batch, from a step of the whole training to its end.
 
         The workers take turns: together they have each batch as one alone would.
         """
         draws = self._draws(first_step * self.recipe.batch)
         for _ in range(first_step, self.steps):
-            yield list(islice(draws, self.recipe.batch))[team.rank :: team.size]
+            yield list(islice(draws, self.recipe.batch))[group.rank :: group.size]
 
     def _draws(self, position: int) -> Iterator[Draw]:
         """Yield draws without end, from a position of the whole training."""

@@ -13,7 +13,7 @@ import torch.distributed as dist
 from torch import Tensor, nn
 from torch.autograd.function import once_differentiable
 
-from salsanext_cli.network.adf import Gaussian
+from salsanext_cli.uncertainty.adf import Gaussian
 
 
 class SumOverTeam(torch.autograd.Function):

@@ -7,11 +7,11 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from salsanext_cli.formats.layout import ScanFile
 from salsanext_cli.geometry.knn import knn_refine
 from salsanext_cli.geometry.projection import project
+from salsanext_cli.inference.network import Network
 from salsanext_cli.measures.confusion import Confusion
-from salsanext_cli.network.inference import Network
+from salsanext_cli.storage.layout import ScanFile
 from salsanext_cli.training.dataset import read_labelled
 
 

@@ -7,8 +7,8 @@ import sys
 import pytest
 from command_line import only_json
 
+from salsanext_cli.benchmarking.benchmark import PARTS
 from salsanext_cli.cli.benchmark import LISTED
-from salsanext_cli.stages.benchmark import PARTS
 
 pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="benchmark needs POSIX")
 

@@ -12,7 +12,7 @@ from scans import labels_below, write_sequence
 
 from salsanext_cli.errors import SalsanextError
 from salsanext_cli.formats.kitti import read_labels
-from salsanext_cli.stages.batch import Outcome
+from salsanext_cli.parallel.run import Outcome
 
 
 @pytest.fixture

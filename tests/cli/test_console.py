@@ -17,7 +17,7 @@ def invoke(body, *arguments):
     @app.command()
     @console.guarded
     def command(json: bool = False, verbose: bool = False, quiet: bool = False) -> None:
-        body(console.Talk(json, verbose, quiet))
+        body(console.Output(json, verbose, quiet))
 
     return CliRunner().invoke(app, list(arguments))
 
@@ -62,7 +62,7 @@ def test_a_bug_keeps_its_traceback():
 
 
 def test_verbose_and_quiet_exclude_each_other():
-    result = invoke(lambda talk: None, "--verbose", "--quiet")
+    result = invoke(lambda output: None, "--verbose", "--quiet")
     assert result.exit_code == 2
     assert "--verbose and --quiet" in result.stderr
 
@@ -76,12 +76,12 @@ def test_verbose_and_quiet_exclude_each_other():
     ],
 )
 def test_how_much_is_said(flag, expected):
-    def body(talk):
+    def body(output):
         log = logging.getLogger("salsanext_cli.somewhere")
         log.info("two")
         log.warning("%s", "three")
         log.error("four")
-        talk.say("said")
+        output.say("said")
 
     result = invoke(body, *flag)
     assert result.stderr.splitlines() == expected
@@ -89,13 +89,13 @@ def test_how_much_is_said(flag, expected):
 
 
 def test_a_result_is_shown_or_json():
-    def body(talk):
-        talk.result({"name": "Größe \udcff", "value": 1.5}, "a table")
+    def body(output):
+        output.result({"name": "Größe \udcff", "value": 1.5}, "a table")
 
     assert invoke(body).stdout == "a table\n"
     assert json.loads(invoke(body, "--json").stdout) == {"name": "Größe \udcff", "value": 1.5}
 
 
 def test_no_number_in_json_is_none_of_json():
-    result = invoke(lambda talk: talk.result({"value": float("nan")}), "--json")
+    result = invoke(lambda output: output.result({"value": float("nan")}), "--json")
     assert isinstance(result.exception, ValueError)

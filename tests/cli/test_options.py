@@ -5,7 +5,7 @@ import pytest
 
 from salsanext_cli.cli import options
 from salsanext_cli.errors import UsageError
-from salsanext_cli.stages.batch import BatchOptions
+from salsanext_cli.parallel.run import RunOptions
 
 
 @pytest.mark.parametrize(
@@ -42,4 +42,4 @@ def test_looking_up():
 
 def test_errors_are_skipped_or_stop():
     for choice in options.OnError:
-        assert BatchOptions(on_error=choice.value).on_error == choice
+        assert RunOptions(on_error=choice.value).on_error == choice

@@ -11,7 +11,7 @@ from small_disk import filled, small_disk
 from tiny_network import TinyNetwork
 
 from salsanext_cli.cli import options
-from salsanext_cli.network.architectures import ARCHITECTURES
+from salsanext_cli.network.registry import ARCHITECTURES
 
 STAGES = {
     "project": (("project", "{data}", "{out}", "--sensor", "{sensor}"), ()),

@@ -8,8 +8,8 @@ import pytest
 from command_line import only_json
 
 from salsanext_cli.network.weights import read_card
-from salsanext_cli.stages.inputs import Choice
 from salsanext_cli.stages.tune_batchnorm import SHARE
+from salsanext_cli.storage.selection import ScanSelection
 
 UPS = [f"up{i}" for i in range(1, 5)]
 
@@ -79,14 +79,14 @@ def test_settings_of_batch_norm_reach_the_stage(run, weights, monkeypatch):
     monkeypatch.setattr("salsanext_cli.stages.tune_batchnorm.tune_batchnorm", stage)
     run("tune", "batchnorm", "scans", "w.safetensors")
     assert (seen["source"], seen["target"]) == (Path("scans"), Path("w.safetensors"))
-    assert seen["choice"] == Choice()
+    assert seen["selection"] == ScanSelection()
     assert seen["share"] == SHARE
     assert not seen["overwrite"]
     network = ("--weights", weights, "--sensor", "hdl32", "--device", "cpu")
     chosen = ("--split", "test", "--limit", 7, "--share", 0.9, "--overwrite", "-q")
     result = run("tune", "batchnorm", "scans", "w.safetensors", *network, *chosen)
     assert isinstance(result.exception, Stop)
-    assert seen["choice"] == Choice(split="test", limit=7)
+    assert seen["selection"] == ScanSelection(split="test", limit=7)
     assert (seen["share"], seen["overwrite"], seen["progress"]) == (0.9, True, None)
     used = seen["network"]
     assert (used.weights, used.sensor.name, used.device) == (weights, "hdl32", "cpu")
@@ -121,15 +121,15 @@ def test_settings_reach_the_stage(run, weights, monkeypatch):
         result = run("tune", name, "data", "w.safetensors", *common, "--overwrite", "-q")
         assert isinstance(result.exception, Stop)
         assert (seen["dataset"], seen["target"]) == (Path("data"), Path("w.safetensors"))
-        choice, network = seen["choice"], seen["network"]
-        assert (choice.split, choice.sequences, choice.limit) == (None, ("00",), 7)
+        selection, network = seen["selection"], seen["network"]
+        assert (selection.split, selection.sequences, selection.limit) == (None, ("00",), 7)
         assert (network.weights, network.sensor.name) == (weights, "hdl32")
         assert seen["overwrite"]
         run("tune", name, "data", "w.safetensors")
-        assert seen["choice"].split == "valid"
+        assert seen["selection"].split == "valid"
         run("tune", name, "data", "w.safetensors", "--split", "train")
-        assert seen["choice"].split == "train"
-    assert seen["choice"].limit == 20
+        assert seen["selection"].split == "train"
+    assert seen["selection"].limit == 20
     numbers = ("--samples", 4, "--seed", 3, "--lowest", 0.1, "--highest", 0.3, "--steps", 5)
     run("tune", "dropout", "data", "w.safetensors", *numbers)
     names = ("samples", "seed", "lowest", "highest", "steps")

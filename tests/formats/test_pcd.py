@@ -83,7 +83,7 @@ def header(
         kinds.append(kind)
         counts.append(count[0] if count else "1")
     lines = [
-        "# .PCD v0.7 - Point Cloud Data file format",
+        "# .PCD v0.7 - Point ScanResults Data file format",
         "VERSION 0.7",
         f"FIELDS {' '.join(names)}",
         f"SIZE {' '.join(kind[1:] for kind in kinds)}",

@@ -3,8 +3,8 @@ import numpy as np
 import pytest
 
 from salsanext_cli.errors import FormatError
-from salsanext_cli.formats.arrays import write_array
 from salsanext_cli.formats.point_values import read_probabilities, read_uncertainty
+from salsanext_cli.storage.point_files import write_array
 
 
 @pytest.fixture

@@ -7,9 +7,8 @@ import pytest
 
 from salsanext_cli.errors import FormatError
 from salsanext_cli.formats import SCAN_SUFFIXES, read_scan
-from salsanext_cli.formats.kitti import write_bin
-from salsanext_cli.formats.ply import write_ply
 from salsanext_cli.records import Scan
+from salsanext_cli.storage.point_files import write_bin, write_ply
 
 SCAN = Scan(np.float32([[1, 2, 3], [-4.5, 0, 1e-3], [70, -80, 2]]), np.float32([0.0, 127.5, 255.0]))
 

@@ -20,18 +20,19 @@ from tiny_network import TinyNetwork
 
 from salsanext_cli.classes import LabelSpace, label_space
 from salsanext_cli.formats import read_scan
-from salsanext_cli.formats.arrays import read_array, write_array
-from salsanext_cli.formats.json_files import read_json
 from salsanext_cli.formats.kitti import read_labels
-from salsanext_cli.formats.layout import find_scans
-from salsanext_cli.formats.ply import write_ply
+from salsanext_cli.formats.npy import read_array
 from salsanext_cli.formats.point_values import read_probabilities, read_uncertainty
+from salsanext_cli.geometry.coverage import field_of_view_coverage
 from salsanext_cli.geometry.projection import project
-from salsanext_cli.geometry.sight import sight
 from salsanext_cli.network.published import read_published
 from salsanext_cli.network.weights import WeightsCard, read_weights, save_weights
 from salsanext_cli.sensors import sensor
-from salsanext_cli.stages.outputs import (
+from salsanext_cli.storage.json_files import read_json
+from salsanext_cli.storage.layout import find_scans
+from salsanext_cli.storage.point_files import write_array, write_ply
+from salsanext_cli.storage.sources import asked_for, remembered_scans
+from salsanext_cli.storage.stage_records import (
     origins,
     owner,
     recorded_label_space,
@@ -39,14 +40,13 @@ from salsanext_cli.stages.outputs import (
     recorded_weights,
     stage_settings,
 )
-from salsanext_cli.stages.run_folder import require_free
-from salsanext_cli.stages.sources import asked_for, remembered_scans
 from salsanext_cli.training.checkpoint import TrainingState, load_checkpoint, save_checkpoint
-from salsanext_cli.training.counting import class_counts
+from salsanext_cli.training.class_counts import class_counts
+from salsanext_cli.training.distributed import ProcessGroup
 from salsanext_cli.training.log import write_log
 from salsanext_cli.training.optimise import Learner
 from salsanext_cli.training.recipe import Recipe, recipe
-from salsanext_cli.training.team import Team
+from salsanext_cli.training.run_folder import require_free
 
 FEW = LabelSpace.from_dict(
     {
@@ -85,7 +85,7 @@ def _scan(path: Path) -> None:
     """Read a scan and use it as every stage does."""
     scan = read_scan(path)
     project(scan, SMALL)
-    sight(scan, SMALL)
+    field_of_view_coverage(scan, SMALL)
 
 
 def _table() -> dict[str, np.ndarray]:
@@ -161,7 +161,9 @@ def _learner() -> Learner:
     torch.manual_seed(0)
     settings = Recipe(epochs=2, batch=1, average=0.5, optimiser="adamw")
     weights = torch.ones(FEW.class_count)
-    return Learner.of(TinyNetwork(FEW.class_count), settings, weights, torch.device("cpu"), Team())
+    return Learner.of(
+        TinyNetwork(FEW.class_count), settings, weights, torch.device("cpu"), ProcessGroup()
+    )
 
 
 def _checkpoint(folder: Path) -> Reader:

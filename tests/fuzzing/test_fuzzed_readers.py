@@ -17,7 +17,7 @@ from readers import Reader, readers
 from tiny_network import TinyNetwork
 
 from salsanext_cli.errors import SalsanextError
-from salsanext_cli.network.architectures import ARCHITECTURES
+from salsanext_cli.network.registry import ARCHITECTURES
 
 FEW_CASES, DRAWN_CASES = 75, 20
 """Of a generator that is fast, and of Hypothesis, which makes what fails simpler."""

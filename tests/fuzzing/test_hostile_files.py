@@ -28,20 +28,21 @@ from salsanext_cli.errors import (
     WeightsError,
 )
 from salsanext_cli.formats import read_scan
-from salsanext_cli.formats.arrays import read_array
-from salsanext_cli.formats.json_files import read_json
-from salsanext_cli.formats.kitti import read_bin, read_labels, write_bin, write_labels
-from salsanext_cli.formats.layout import ScanFile, output_path
-from salsanext_cli.network.architectures import ARCHITECTURES
+from salsanext_cli.formats.kitti import read_bin, read_labels
+from salsanext_cli.formats.npy import read_array
 from salsanext_cli.network.published import read_published
+from salsanext_cli.network.registry import ARCHITECTURES
 from salsanext_cli.network.weights import WeightsCard, read_card, read_weights, save_weights
 from salsanext_cli.sensors import Sensor, sensor
-from salsanext_cli.stages.sources import remembered_scans
 from salsanext_cli.stages.synth import _claim as claim_synth
+from salsanext_cli.storage.json_files import read_json
+from salsanext_cli.storage.layout import ScanFile, output_path
+from salsanext_cli.storage.point_files import write_bin, write_labels
+from salsanext_cli.storage.sources import remembered_scans
 from salsanext_cli.training.checkpoint import TrainingState, load_checkpoint, save_checkpoint
+from salsanext_cli.training.distributed import ProcessGroup
 from salsanext_cli.training.optimise import Learner
 from salsanext_cli.training.recipe import Recipe, recipe
-from salsanext_cli.training.team import Team
 
 SPACE = "labels: {0: a, 1: b}\nlearning_map: {0: 0, 1: 1}\nlearning_map_inv: {0: 0, 1: 1}\n"
 
@@ -303,7 +304,7 @@ def tiny_learner() -> Learner:
     with torch.random.fork_rng([]):
         torch.manual_seed(0)
         module = TinyNetwork(20)
-    return Learner.of(module, Recipe(), torch.ones(20), torch.device("cpu"), Team())
+    return Learner.of(module, Recipe(), torch.ones(20), torch.device("cpu"), ProcessGroup())
 
 
 @pytest.mark.parametrize(

@@ -15,7 +15,7 @@ from slow_geometry import slow_project
 from salsanext_cli.geometry import projection_torch
 from salsanext_cli.geometry.projection import project
 from salsanext_cli.geometry.projection_numba import arctan2
-from salsanext_cli.geometry.view import View
+from salsanext_cli.geometry.projection_parameters import ProjectionParameters
 from salsanext_cli.records import Scan
 from salsanext_cli.sensors import Sensor, sensor
 
@@ -65,7 +65,7 @@ def sensors(draw):
 def test_equals_the_slow_loop_on_both_devices(scan, drawn):
     expected = slow_project(scan, drawn)
     assert_same(project(scan, drawn), expected)
-    assert_same(projection_torch.project(scan, View.of(drawn), "cpu"), expected)
+    assert_same(projection_torch.project(scan, ProjectionParameters.of(drawn), "cpu"), expected)
 
 
 def test_equals_the_slow_loop_on_rings(rings):
@@ -74,9 +74,9 @@ def test_equals_the_slow_loop_on_rings(rings):
 
 @pytest.mark.parametrize("threads", [1, 2, 5])
 def test_does_not_depend_on_threads(rings, threads, monkeypatch):
-    monkeypatch.setattr("salsanext_cli.geometry.compiled.SMALLEST_SLICE", 100)
+    monkeypatch.setattr("salsanext_cli.kernels.SMALLEST_SLICE", 100)
     monkeypatch.setitem(vars(numba.config), "NUMBA_NUM_THREADS", threads)
-    expected = projection_torch.project(rings, View.of(sensor("hdl64")), "cpu")
+    expected = projection_torch.project(rings, ProjectionParameters.of(sensor("hdl64")), "cpu")
     assert_same(project(rings, sensor("hdl64")), fields_of(expected))
 
 
@@ -177,5 +177,5 @@ def test_published_projection(real_image, golden):
 
 @pytest.mark.real
 def test_torch_on_a_real_scan(real_scan, real_image):
-    image = projection_torch.project(real_scan, View.of(sensor("hdl64")), "cpu")
+    image = projection_torch.project(real_scan, ProjectionParameters.of(sensor("hdl64")), "cpu")
     assert_same(image, fields_of(real_image))

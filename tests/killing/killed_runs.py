@@ -159,20 +159,20 @@ def predict_job(folder: Path, jobs: int = 1) -> Run:
     """Return a run of `predict` that writes three files per scan."""
     from scans import write_sequence, write_weights
 
-    from salsanext_cli.stages.batch import BatchOptions
-    from salsanext_cli.stages.networks import NetworkChoice
+    from salsanext_cli.inference.settings import NetworkSettings
+    from salsanext_cli.parallel.run import RunOptions
     from salsanext_cli.stages.predict import predict
 
     data = write_sequence(folder / "data/08", ["a", "b", "c"], count=3000)
-    network = NetworkChoice(write_weights(folder / "w.safetensors"), "cpu")
+    network = NetworkSettings(write_weights(folder / "w.safetensors"), "cpu")
     network.load()
-    extras, options = ("pixel_labels", "probabilities"), BatchOptions(jobs=jobs)
+    extras, options = ("pixel_labels", "probabilities"), RunOptions(jobs=jobs)
 
-    def run(out: Path, options: BatchOptions = options) -> None:
+    def run(out: Path, options: RunOptions = options) -> None:
         predict(data, out, network=network, extras=extras, options=options)
 
     # What is loaded here need not be in every run; one thread, so that forks find no others.
-    run(folder / "warm", BatchOptions())
+    run(folder / "warm", RunOptions())
     return run
 
 
@@ -180,12 +180,12 @@ def uncertainty_job(folder: Path) -> Run:
     """Return a run of `uncertainty` that writes six files per scan."""
     from scans import write_sequence, write_weights
 
-    from salsanext_cli.stages.estimator import Estimator
-    from salsanext_cli.stages.networks import NetworkChoice
+    from salsanext_cli.inference.settings import NetworkSettings
     from salsanext_cli.stages.uncertainty import uncertainty
+    from salsanext_cli.uncertainty.settings import Estimator
 
     data = write_sequence(folder / "data/08", ["a", "b", "c"], count=3000)
-    network = NetworkChoice(write_weights(folder / "w.safetensors"), "cpu")
+    network = NetworkSettings(write_weights(folder / "w.safetensors"), "cpu")
     network.load()
     estimator = Estimator(samples=2)
 
@@ -203,9 +203,9 @@ def train_job(folder: Path) -> Run:
 
     from salsanext_cli.geometry.knn import knn_refine
     from salsanext_cli.geometry.projection import project
-    from salsanext_cli.network.architectures import ARCHITECTURES
+    from salsanext_cli.network.registry import ARCHITECTURES
     from salsanext_cli.stages.train import train
-    from salsanext_cli.training import loop
+    from salsanext_cli.training import fit as loop
     from salsanext_cli.training.log import draw_curve
     from salsanext_cli.training.recipe import Recipe
 
@@ -227,9 +227,9 @@ def overwriting_job(folder: Path) -> Run:
     """Return a run that replaces the results of other settings, and does nothing else."""
     from claiming import claim
 
-    from salsanext_cli.formats.kitti import write_labels
-    from salsanext_cli.formats.layout import ScanFile
-    from salsanext_cli.stages.outputs import stage_settings
+    from salsanext_cli.storage.layout import ScanFile
+    from salsanext_cli.storage.point_files import write_labels
+    from salsanext_cli.storage.stage_records import stage_settings
 
     scans = [ScanFile("08", stem, folder / f"data/{stem}.bin") for stem in "ab"]
     results = ["sequences/08/predictions/a.label", "sequences/08/predictions/b.label"]

@@ -18,7 +18,7 @@ from salsanext_cli.measures.ranking import (
     bin_of,
     highest_of_bins,
 )
-from salsanext_cli.measures.selection import ranking_scores, risk_at, threshold_at
+from salsanext_cli.measures.risk_coverage import ranking_scores, risk_at, threshold_at
 
 LEVELS = (0.0, 2.0**-48, 1e-9, 2.0**-10, 0.3, 1.0, 1.0078125, 7.0, 255.0)
 """Uncertainties of which no two share a bin."""

@@ -12,16 +12,16 @@ from scans import SMALL, lively, make_scan
 
 from salsanext_cli.classes import label_space
 from salsanext_cli.geometry.projection import project
-from salsanext_cli.network.adf import Gaussian, propagate
-from salsanext_cli.network.aleatoric import aleatoric
-from salsanext_cli.network.analytic import analyse
-from salsanext_cli.network.architectures import ARCHITECTURES, build
+from salsanext_cli.inference.network import Network, load_network, with_dropout
 from salsanext_cli.network.dropout import dropouts, sampling
-from salsanext_cli.network.inference import Network, load_network, with_dropout
-from salsanext_cli.network.sampling import sample
+from salsanext_cli.network.registry import ARCHITECTURES, build
 from salsanext_cli.network.weights import WeightsCard, save_weights
 from salsanext_cli.training.optimise import Learner
 from salsanext_cli.training.recipe import Recipe
+from salsanext_cli.uncertainty.adf import Gaussian, propagate
+from salsanext_cli.uncertainty.aleatoric import aleatoric
+from salsanext_cli.uncertainty.monte_carlo import sample
+from salsanext_cli.uncertainty.one_pass import propagate_dropout
 
 NAMES = list(ARCHITECTURES)
 TWINS = {"salsanet-shuffle": "salsanext", "salsanext-v1-pooling": "salsanext-v1"}
@@ -140,11 +140,11 @@ def test_sampling(name, image):
 
 @pytest.mark.parametrize("name", DIFFERENT)
 def test_dropout_in_one_pass(name, image):
-    found = analyse(network(name), image)
+    found = propagate_dropout(network(name), image)
     assert np.isfinite(found.variance).all()
     assert found.uncertainty.epistemic.min() >= 0
     assert found.uncertainty.epistemic.max() > 0
-    hardly = analyse(with_dropout(network(name), 1e-12), image)
+    hardly = propagate_dropout(with_dropout(network(name), 1e-12), image)
     np.testing.assert_allclose(hardly.probabilities, network(name).probabilities(image), atol=1e-4)
 
 

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 import torch
 
-from salsanext_cli.network.inference import load_network
+from salsanext_cli.inference.network import load_network
 from salsanext_cli.stages.import_weights import import_weights
 
 pytestmark = pytest.mark.real

@@ -1,12 +1,12 @@
 # SPDX-License-Identifier: MIT
 import pytest
 import torch
-from counting import COUNTS
+from op_counting import COUNTS
 from torch.utils.flop_counter import FlopCounterMode
 
-from salsanext_cli.network.architectures import ARCHITECTURES, build
-from salsanext_cli.network.cost import multiply_accumulates, parameter_count
+from salsanext_cli.network.complexity import multiply_accumulates, parameter_count
 from salsanext_cli.network.papers import PAPERS, agrees
+from salsanext_cli.network.registry import ARCHITECTURES, build
 
 OFF = {"salsanext", "salsanet-shuffle", "salsanet-pooling"}
 """What the papers print differs from what their text and their code give."""

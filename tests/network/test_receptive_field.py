@@ -6,7 +6,7 @@ import torch
 import torch.nn.functional as F
 
 from salsanext_cli.network import designs
-from salsanext_cli.network.rangenet import RangeNet53
+from salsanext_cli.network.rangenet53 import RangeNet53
 from salsanext_cli.network.receptive_field import Reach, receptive_field
 from salsanext_cli.network.salsanext import SalsaNext
 

@@ -9,7 +9,6 @@ from hypothesis import strategies as st
 from scans import lively
 from torch import nn
 
-from salsanext_cli.network.architectures import build
 from salsanext_cli.network.blocks import (
     ContextBlock,
     DilatedStack,
@@ -17,8 +16,9 @@ from salsanext_cli.network.blocks import (
     PlainContextBlock,
     StridedDown,
 )
-from salsanext_cli.network.cost import parameter_count
+from salsanext_cli.network.complexity import parameter_count
 from salsanext_cli.network.published import our_name
+from salsanext_cli.network.registry import build
 from salsanext_cli.network.salsanext import SalsaNext
 from salsanext_cli.network.up_blocks import AddingUpBlock, TransposedUnit, UpBlock
 

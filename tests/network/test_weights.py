@@ -14,8 +14,7 @@ from scans import SMALL, lively, write_weights
 from salsanext_cli import __version__
 from salsanext_cli.classes import label_space
 from salsanext_cli.errors import OutputError, WeightsError
-from salsanext_cli.formats.identity import fingerprint
-from salsanext_cli.network.inference import load_network
+from salsanext_cli.inference.network import load_network
 from salsanext_cli.network.salsanext import SalsaNext
 from salsanext_cli.network.weights import (
     KEY,
@@ -26,6 +25,7 @@ from salsanext_cli.network.weights import (
     save_weights,
     save_with_card,
 )
+from salsanext_cli.storage.identity import fingerprint
 
 SPACE = label_space()
 CARD = WeightsCard(

@@ -9,6 +9,7 @@ from salsanext_cli.classes import label_space
 from salsanext_cli.measures.calibration import Calibration, judge
 from salsanext_cli.measures.figures import calibration_figures, uncertainty_figures
 from salsanext_cli.measures.ranking import Ranking
+from salsanext_cli.measures.uncertainty_counts import KINDS
 from salsanext_cli.report import canvas
 from salsanext_cli.report.labels import name_dots
 from salsanext_cli.report.uncertainty_plots import (
@@ -24,7 +25,6 @@ from salsanext_cli.report.uncertainty_plots import (
     risk_coverage,
     sparsification,
 )
-from salsanext_cli.stages.counting_uncertainty import KINDS
 
 SPACE = label_space()
 C = SPACE.class_count

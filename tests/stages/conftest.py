@@ -8,8 +8,9 @@ import numpy as np
 import pytest
 from scans import write_sequence
 
-from salsanext_cli.formats.kitti import read_labels, write_labels
-from salsanext_cli.stages.networks import NetworkChoice
+from salsanext_cli.formats.kitti import read_labels
+from salsanext_cli.inference.settings import NetworkSettings
+from salsanext_cli.storage.point_files import write_labels
 
 
 @dataclass
@@ -18,7 +19,7 @@ class World:
 
     data: Path
     out: Path
-    network: NetworkChoice
+    network: NetworkSettings
 
     def scan(self, sequence: str = "08", stem: str = "000000") -> Path:
         return self.data / "sequences" / sequence / "velodyne" / f"{stem}.bin"
@@ -43,4 +44,4 @@ def world(tmp_path: Path, weights: Path) -> World:
     data = tmp_path / "Daten für 1"
     write_sequence(data / "sequences/00", ["000000"], seed=7)
     write_sequence(data / "sequences/08", ["000000", "000001"])
-    return World(data, tmp_path / "öut put", NetworkChoice(weights, "cpu"))
+    return World(data, tmp_path / "öut put", NetworkSettings(weights, "cpu"))

@@ -10,14 +10,14 @@ from evaluated import CAR, MOVING_CAR, ROAD, SPACE, UNKNOWN, World
 from scans import files_below
 
 from salsanext_cli.errors import LabelError, NoInputError, OutputError
-from salsanext_cli.formats.json_files import write_json
-from salsanext_cli.formats.layout import find_scans
 from salsanext_cli.measures.confusion import Confusion
-from salsanext_cli.stages.batch import BatchOptions
-from salsanext_cli.stages.counting import ScanCounts, count_scan
+from salsanext_cli.measures.scan_counts import ScanCounts, count_scan
+from salsanext_cli.parallel.run import RunOptions
 from salsanext_cli.stages.evaluate import evaluate
-from salsanext_cli.stages.inputs import Choice
-from salsanext_cli.stages.predicted import predicted_scans
+from salsanext_cli.storage.json_files import write_json
+from salsanext_cli.storage.layout import find_scans
+from salsanext_cli.storage.predictions import predicted_scans
+from salsanext_cli.storage.selection import ScanSelection
 
 
 @pytest.fixture
@@ -34,7 +34,7 @@ def iou(evaluation, name):
 def test_the_file_is_the_official_evaluators(real_data, tmp_path, jobs):
     shutil.copytree(real_data / "golden/evaluation/sequences", tmp_path / "out/sequences")
     scans = find_scans(real_data / "data/semantickitti", ["08"])
-    evaluation = evaluate(scans, tmp_path / "out", SPACE, BatchOptions(jobs=jobs))
+    evaluation = evaluate(scans, tmp_path / "out", SPACE, RunOptions(jobs=jobs))
     expected = (real_data / "golden/evaluation/scores.txt").read_bytes()
     assert (tmp_path / "out/scores.txt").read_bytes() == expected
     assert evaluation.scans == 3
@@ -243,9 +243,9 @@ def test_predictions_in_other_classes_are_refused(world, tmp_path):
     manifest = {"settings": {"label_space": other}, "writes": ["predictions"]}
     write_json(world.out / "predict.json", manifest)
     with pytest.raises(LabelError, match=r"predictions in the classes of semantic-kitti"):
-        predicted_scans(world.out, Choice(), world.dataset, SPACE)
+        predicted_scans(world.out, ScanSelection(), world.dataset, SPACE)
     manifest = {"settings": {"label_space": SPACE.to_dict()}, "writes": ["predictions"]}
     write_json(world.out / "predict.json", manifest)
-    scans, space = predicted_scans(world.out, Choice(), world.dataset, SPACE)
+    scans, space = predicted_scans(world.out, ScanSelection(), world.dataset, SPACE)
     assert [scan.stem for scan in scans] == ["000000"]
     assert space.fits(SPACE)

@@ -10,10 +10,10 @@ from evaluated import CAR, ROAD, SPACE, World
 from sklearn.metrics import average_precision_score, log_loss, roc_auc_score
 
 from salsanext_cli.errors import FormatError
-from salsanext_cli.formats.layout import find_scans, output_path
-from salsanext_cli.stages.counting import ScanCounts, count_scan
-from salsanext_cli.stages.counting_uncertainty import CLASS, FOLDERS, KINDS, UncertaintyCounts
-from salsanext_cli.stages.trust import Trust, trust
+from salsanext_cli.measures.scan_counts import ScanCounts, count_scan
+from salsanext_cli.measures.uncertainty_counts import CLASS, FOLDERS, KINDS, UncertaintyCounts
+from salsanext_cli.measures.uncertainty_evaluation import UncertaintyEvaluation, trust
+from salsanext_cli.storage.layout import find_scans, output_path
 
 C = SPACE.class_count
 CAR_ID, ROAD_ID = SPACE.names.index("car"), SPACE.names.index("road")
@@ -58,7 +58,7 @@ def random_scan(world: World, stem: str, count: int, distance: float = 5) -> Non
         world.put(folder, stem, values)
 
 
-def trust_of(world: World, by_distance: bool = False) -> Trust:
+def trust_of(world: World, by_distance: bool = False) -> UncertaintyEvaluation:
     """Count and divide without drawing anything."""
     scans = find_scans(world.dataset)
     counts = (count_scan(scan, world.out, SPACE, by_distance).uncertainty for scan in scans)

@@ -10,18 +10,19 @@ from scans import SMALL, files_below, write_weights
 from salsanext_cli.classes import label_space
 from salsanext_cli.errors import NoInputError, OutputError, UsageError
 from salsanext_cli.formats import read_scan
-from salsanext_cli.formats.kitti import read_labels, write_labels
+from salsanext_cli.formats.kitti import read_labels
+from salsanext_cli.inference.settings import NetworkSettings
+from salsanext_cli.parallel.run import RunOptions
 from salsanext_cli.report.colours import EMPTY, RIGHT, WRONG, map_colours
-from salsanext_cli.stages.batch import BatchOptions
-from salsanext_cli.stages.estimator import Estimator
 from salsanext_cli.stages.export_ply import COLOURS, export_ply
-from salsanext_cli.stages.inputs import Choice
-from salsanext_cli.stages.networks import NetworkChoice
 from salsanext_cli.stages.predict import predict
 from salsanext_cli.stages.uncertainty import uncertainty
+from salsanext_cli.storage.point_files import write_labels
+from salsanext_cli.storage.selection import ScanSelection
+from salsanext_cli.uncertainty.settings import Estimator
 
 SPACE = label_space()
-OVERWRITE = BatchOptions(overwrite=True)
+OVERWRITE = RunOptions(overwrite=True)
 FEW = Estimator(samples=2)
 KINDS = FEW.kinds
 
@@ -155,14 +156,14 @@ def test_scales_that_are_none(predicted, scale):
 
 
 def test_a_run_that_goes_on_colours_alike(predicted):
-    export(predicted, colour="range", choice=Choice(limit=1))
+    export(predicted, colour="range", selection=ScanSelection(limit=1))
     export(predicted, colour="range")
     comments = {ply(predicted, s).comments[0] for s in ("00", "08")}
     assert len(comments) == 1
 
 
 def test_uncertainty_is_sampled_where_it_is_missing(predicted, caplog):
-    earlier = {"estimator": Estimator(samples=2, seed=3), "choice": Choice(limit=1)}
+    earlier = {"estimator": Estimator(samples=2, seed=3), "selection": ScanSelection(limit=1)}
     uncertainty(predicted.data, predicted.out, network=predicted.network, **earlier)
     labels = predicted.labels()
     with caplog.at_level("WARNING"):
@@ -190,7 +191,7 @@ def test_uncertainty_is_the_total_unless_there_is_none(sampled):
 
 def test_a_sensor_that_sees_as_that_of_the_weights_is_as_noisy(world):
     predict(world.data, world.out, network=replace(world.network, sensor=SMALL))
-    assert export(world, colour="uncertainty", choice=Choice(limit=1)).done == 1
+    assert export(world, colour="uncertainty", selection=ScanSelection(limit=1)).done == 1
     recorded = json.loads((world.out / "uncertainty.json").read_text())["settings"]
     assert recorded["noise"] == [0.02, 0.02]
     assert "range_noise" not in recorded["sensor"]
@@ -202,7 +203,7 @@ def test_a_sensor_of_unknown_noise_has_no_total(world, caplog):
     with pytest.raises(UsageError, match="sensor small · its noise is not known"):
         export(world, colour="aleatoric")
     with caplog.at_level("WARNING"):
-        assert export(world, colour="uncertainty", choice=Choice(limit=1)).done == 1
+        assert export(world, colour="uncertainty", selection=ScanSelection(limit=1)).done == 1
     assert "small does not know its noise: epistemic uncertainty only" in caplog.text
     assert any(c.startswith("colour epistemic viridis") for c in ply(world, "00").comments)
 
@@ -210,16 +211,16 @@ def test_a_sensor_of_unknown_noise_has_no_total(world, caplog):
 def test_sampling_uses_the_weights_and_sensor_that_predicted(world, tmp_path):
     wide = SMALL.resized(width=64)
     predict(world.data, world.out, network=replace(world.network, sensor=wide))
-    other = NetworkChoice(write_weights(tmp_path / "other.safetensors", seed=1), "cpu")
+    other = NetworkSettings(write_weights(tmp_path / "other.safetensors", seed=1), "cpu")
     with pytest.raises(UsageError, match="the same weights"):
         export(world, colour="epistemic", network=other)
     uncertainty(
         world.data,
         tmp_path / "expected",
         network=replace(world.network, sensor=wide),
-        choice=Choice(limit=1),
+        selection=ScanSelection(limit=1),
     )
-    export(world, colour="epistemic", choice=Choice(limit=1))
+    export(world, colour="epistemic", selection=ScanSelection(limit=1))
     name = "sequences/00/uncertainty/epistemic/000000.npy"
     assert files_below(world.out)[name] == files_below(tmp_path / "expected")[name]
 
@@ -286,8 +287,8 @@ def test_predictions_of_unknown_origin(world, monkeypatch):
 
 
 def test_odd_points_are_exported(world):
-    from salsanext_cli.formats.kitti import write_bin
     from salsanext_cli.records import Scan
+    from salsanext_cli.storage.point_files import write_bin
 
     points = np.array([[0, 0, 0], [np.nan, 1, 1], [5, 0, 0], [np.inf, 0, 0]], np.float32)
     write_bin(world.scan(), Scan(points, np.array([0, np.nan, 1, np.inf], np.float32)))
@@ -314,5 +315,5 @@ def test_names_in_comments_are_ascii(predicted):
 
 
 def test_choices(predicted):
-    assert export(predicted, choice=Choice(split="valid", limit=1)).done == 1
+    assert export(predicted, selection=ScanSelection(split="valid", limit=1)).done == 1
     assert predicted.result("ply").exists()

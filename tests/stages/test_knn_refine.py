@@ -9,15 +9,15 @@ from scans import SMALL, files_below, labels_below, write_weights
 from salsanext_cli.classes import label_space
 from salsanext_cli.errors import NoInputError, OutputError, UsageError
 from salsanext_cli.formats import read_scan
-from salsanext_cli.formats.arrays import write_array
-from salsanext_cli.formats.kitti import read_labels, write_labels
+from salsanext_cli.formats.kitti import read_labels
 from salsanext_cli.geometry.knn import KnnParameters, knn_refine
 from salsanext_cli.geometry.projection import project
-from salsanext_cli.stages.batch import BatchOptions
-from salsanext_cli.stages.inputs import Choice
+from salsanext_cli.parallel.run import RunOptions
 from salsanext_cli.stages.knn_refine import knn_refine_scans, labels_of_pixels
 from salsanext_cli.stages.predict import predict
 from salsanext_cli.stages.project import project_scans
+from salsanext_cli.storage.point_files import write_array, write_labels
+from salsanext_cli.storage.selection import ScanSelection
 
 SPACE = label_space()
 
@@ -102,7 +102,7 @@ def test_labels_are_not_refined_onto_themselves(world, truth):
     before = files_below(world.out)
     for inside in (world.out, world.out / "sequences/08/predictions"):
         with pytest.raises(UsageError, match="--labels"):
-            knn_refine_scans(world.out, labels=inside, options=BatchOptions(overwrite=True))
+            knn_refine_scans(world.out, labels=inside, options=RunOptions(overwrite=True))
     assert files_below(world.out) == before
 
 
@@ -110,7 +110,7 @@ def test_predictions_of_another_stage_are_not_replaced_unasked(world, truth):
     predict(world.data, world.out, network=world.network)
     with pytest.raises(OutputError, match="predictions/ holds the results of `predict`"):
         refine(world, truth)
-    assert refine(world, truth, options=BatchOptions(overwrite=True)).done == 3
+    assert refine(world, truth, options=RunOptions(overwrite=True)).done == 3
     np.testing.assert_array_equal(world.labels(), expected(world, "08", "000000"))
 
 
@@ -120,7 +120,7 @@ def test_other_neighbours_are_other_settings(pixels):
     assert knn_refine_scans(pixels.out).skipped == 3
     with pytest.raises(OutputError, match=r"knn\.cutoff was 1\.0 and is"):
         knn_refine_scans(pixels.out, knn=KnnParameters(cutoff=float("inf")))
-    options = BatchOptions(overwrite=True)
+    options = RunOptions(overwrite=True)
     wide = KnnParameters(5, 5, 1.0, float("inf"))
     assert knn_refine_scans(pixels.out, knn=wide, options=options).done == 3
     assert labels_below(pixels.out) != before
@@ -131,7 +131,7 @@ def test_pixel_labels_of_other_weights_are_not_passed_over(pixels, tmp_path):
     knn_refine_scans(pixels.out)
     before = labels_below(pixels.out)
     other = replace(pixels.network, weights=write_weights(tmp_path / "other.safetensors", seed=1))
-    overwrite = BatchOptions(overwrite=True)
+    overwrite = RunOptions(overwrite=True)
     predict(pixels.out, pixels.out, network=other, options=overwrite)
     with pytest.raises(OutputError, match="what `predict` made was made anew"):
         knn_refine_scans(pixels.out)
@@ -140,7 +140,7 @@ def test_pixel_labels_of_other_weights_are_not_passed_over(pixels, tmp_path):
 
 
 def test_choices(pixels):
-    assert knn_refine_scans(pixels.out, choice=Choice(split="valid", limit=1)).done == 1
+    assert knn_refine_scans(pixels.out, selection=ScanSelection(split="valid", limit=1)).done == 1
     assert list(labels_below(pixels.out)) == ["sequences/08/predictions/000000.label"]
 
 

@@ -4,7 +4,7 @@ import hashlib
 import pytest
 
 from salsanext_cli.errors import WeightsError
-from salsanext_cli.network.architectures import ARCHITECTURES
+from salsanext_cli.network.registry import ARCHITECTURES
 from salsanext_cli.stages.models import describe_weights, models
 
 

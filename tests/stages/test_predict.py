@@ -11,16 +11,16 @@ from scans import SMALL, files_below, labels_below, make_scan, write_sequence, w
 from salsanext_cli.classes import LabelSpace, label_space
 from salsanext_cli.errors import NoInputError, OutputError, UsageError, WeightsError
 from salsanext_cli.formats import read_scan
-from salsanext_cli.formats.identity import fingerprint
-from salsanext_cli.formats.kitti import write_bin
 from salsanext_cli.geometry.knn import KnnParameters, knn_refine
 from salsanext_cli.geometry.projection import project
+from salsanext_cli.inference.settings import NetworkSettings
+from salsanext_cli.parallel.run import RunOptions
 from salsanext_cli.records import Scan
-from salsanext_cli.stages.batch import BatchOptions
-from salsanext_cli.stages.inputs import Choice
-from salsanext_cli.stages.networks import NetworkChoice
 from salsanext_cli.stages.predict import predict
 from salsanext_cli.stages.project import project_scans
+from salsanext_cli.storage.identity import fingerprint
+from salsanext_cli.storage.point_files import write_bin
+from salsanext_cli.storage.selection import ScanSelection
 
 
 def run(world, source=None, **options):
@@ -86,7 +86,7 @@ def test_other_settings_stop_and_say_what_differs(world):
     with pytest.raises(OutputError, match=r"knn\.k was 5 and is 3 .*--overwrite"):
         run(world, knn=KnnParameters(k=3))
     assert files_below(world.out) == before
-    outcome = run(world, knn=KnnParameters(k=3), options=BatchOptions(overwrite=True))
+    outcome = run(world, knn=KnnParameters(k=3), options=RunOptions(overwrite=True))
     assert outcome.done == 3
     assert labels_below(world.out) != {n: b for n, b in before.items() if n.endswith(".label")}
 
@@ -100,20 +100,20 @@ def test_other_weights_stop(world, tmp_path):
 
 def test_weights_replaced_under_the_same_name_are_noticed(world, tmp_path):
     path = write_weights(tmp_path / "w.safetensors", seed=1)
-    choice = replace(world.network, weights=path)
-    predict(world.data, tmp_path / "a", network=choice)
+    selection = replace(world.network, weights=path)
+    predict(world.data, tmp_path / "a", network=selection)
     write_weights(path, seed=2)
-    predict(world.data, tmp_path / "b", network=choice)
+    predict(world.data, tmp_path / "b", network=selection)
     assert labels_below(tmp_path / "a") != labels_below(tmp_path / "b")
     with pytest.raises(OutputError, match="weights was"):
-        predict(world.data, tmp_path / "a", network=choice)
+        predict(world.data, tmp_path / "a", network=selection)
 
 
 def test_overwriting_makes_every_result_again(world):
     run(world)
     before = labels_below(world.out)
     world.result("predictions").write_bytes(b"")
-    assert run(world, options=BatchOptions(overwrite=True)).done == 3
+    assert run(world, options=RunOptions(overwrite=True)).done == 3
     assert labels_below(world.out) == before
 
 
@@ -124,25 +124,25 @@ def test_equal_file_names_of_two_sequences_do_not_meet(world):
 
 
 @pytest.mark.parametrize(
-    ("source", "choice", "expected"),
+    ("source", "selection", "expected"),
     [
-        ("", Choice(split="valid"), ["08/000000", "08/000001"]),
-        ("", Choice(sequences=("0",)), ["00/000000"]),
-        ("", Choice(limit=2), ["00/000000", "08/000000"]),
-        ("sequences", Choice(), ["00/000000", "08/000000", "08/000001"]),
-        ("sequences/08", Choice(), ["08/000000", "08/000001"]),
-        ("sequences/08/velodyne", Choice(limit=1), ["08/000000"]),
-        ("sequences/08/velodyne/000001.bin", Choice(), ["08/000001"]),
+        ("", ScanSelection(split="valid"), ["08/000000", "08/000001"]),
+        ("", ScanSelection(sequences=("0",)), ["00/000000"]),
+        ("", ScanSelection(limit=2), ["00/000000", "08/000000"]),
+        ("sequences", ScanSelection(), ["00/000000", "08/000000", "08/000001"]),
+        ("sequences/08", ScanSelection(), ["08/000000", "08/000001"]),
+        ("sequences/08/velodyne", ScanSelection(limit=1), ["08/000000"]),
+        ("sequences/08/velodyne/000001.bin", ScanSelection(), ["08/000001"]),
     ],
 )
-def test_every_kind_of_source(world, source, choice, expected):
-    run(world, world.data / source, choice=choice)
+def test_every_kind_of_source(world, source, selection, expected):
+    run(world, world.data / source, selection=selection)
     written = [name.split("/") for name in labels_below(world.out)]
     assert [f"{parts[1]}/{parts[3].removesuffix('.label')}" for parts in written] == expected
 
 
 def test_a_plain_folder_and_several_formats(world, tmp_path):
-    from salsanext_cli.formats.ply import write_ply
+    from salsanext_cli.storage.point_files import write_ply
 
     folder = tmp_path / "my drive"
     scan = make_scan(seed=4)
@@ -165,7 +165,7 @@ def test_a_sequence_of_the_same_name_from_elsewhere_is_refused(world, tmp_path):
     with pytest.raises(OutputError, match="sequence 08 came from"):
         run(world, other)
     with pytest.raises(OutputError, match="sequence 08 came from"):
-        run(world, other, options=BatchOptions(overwrite=True), knn=KnnParameters(k=3))
+        run(world, other, options=RunOptions(overwrite=True), knn=KnnParameters(k=3))
     assert files_below(world.out) == before
 
 
@@ -267,11 +267,11 @@ def test_weights_that_cannot_be_used_stop_before_anything_is_written(world, tmp_
     bad = tmp_path / "bad.safetensors"
     bad.write_bytes(b"rubbish")
     with pytest.raises(WeightsError, match="bad"):
-        predict(world.data, world.out, network=NetworkChoice(bad, "cpu"))
+        predict(world.data, world.out, network=NetworkSettings(bad, "cpu"))
     with pytest.raises(NoInputError):
         predict(tmp_path / "nowhere", world.out, network=world.network)
     with pytest.raises(UsageError, match="device"):
-        predict(world.data, world.out, network=NetworkChoice(world.network.weights, "cuda:77"))
+        predict(world.data, world.out, network=NetworkSettings(world.network.weights, "cuda:77"))
     assert not world.out.exists()
 
 
@@ -285,7 +285,7 @@ def test_weights_of_another_label_space_write_its_raw_ids(world, tmp_path):
         }
     )
     weights = write_weights(tmp_path / "two.safetensors", space=space)
-    predict(world.data, world.out, network=NetworkChoice(weights, "cpu"))
+    predict(world.data, world.out, network=NetworkSettings(weights, "cpu"))
     assert set(np.unique(world.labels())) <= {7, 500}
 
 

@@ -8,9 +8,9 @@ from scans import SMALL, files_below
 from salsanext_cli.errors import OutputError
 from salsanext_cli.formats import read_scan
 from salsanext_cli.geometry.projection import project
-from salsanext_cli.stages.batch import BatchOptions
-from salsanext_cli.stages.inputs import Choice
+from salsanext_cli.parallel.run import RunOptions
 from salsanext_cli.stages.project import project_scans, projected_sensor
+from salsanext_cli.storage.selection import ScanSelection
 
 
 def test_the_files_hold_the_projection(world):
@@ -40,10 +40,10 @@ def test_half_a_result_is_made_again(world):
 
 
 def test_another_sensor_is_refused(world):
-    project_scans(world.data, world.out, sensor=SMALL, choice=Choice(limit=1))
+    project_scans(world.data, world.out, sensor=SMALL, selection=ScanSelection(limit=1))
     with pytest.raises(OutputError, match=r"sensor\.width was 128 and is 64"):
         project_scans(world.data, world.out, sensor=SMALL.resized(width=64))
-    options = BatchOptions(overwrite=True)
+    options = RunOptions(overwrite=True)
     project_scans(world.data, world.out, sensor=SMALL.resized(width=64), options=options)
     assert np.load(world.result("range")).shape == (5, 16, 64)
 

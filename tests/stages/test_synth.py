@@ -10,10 +10,10 @@ import yaml
 from salsanext_cli.classes import label_space
 from salsanext_cli.errors import MissingDependency, OutputError, UsageError
 from salsanext_cli.formats.kitti import read_bin, read_labels
-from salsanext_cli.formats.layout import find_scans
 from salsanext_cli.records import Scan
 from salsanext_cli.stages import synth
 from salsanext_cli.stages.synth import synthesise
+from salsanext_cli.storage.layout import find_scans
 from salsanext_cli.synthesis.drive import Frame
 from salsanext_cli.synthesis.ids import ABSENT
 

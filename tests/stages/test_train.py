@@ -22,15 +22,15 @@ from salsanext_cli.errors import (
     UsageError,
     WeightsError,
 )
-from salsanext_cli.formats.kitti import write_labels
-from salsanext_cli.network.architectures import ARCHITECTURES
-from salsanext_cli.network.inference import load_network
+from salsanext_cli.inference.network import load_network
+from salsanext_cli.network.registry import ARCHITECTURES
 from salsanext_cli.network.salsanext import SalsaNext
 from salsanext_cli.network.weights import WeightsCard, read_card, save_weights
 from salsanext_cli.stages.train import TrainResult, train
+from salsanext_cli.storage.point_files import write_labels
 from salsanext_cli.training import dataset as dataset_module
-from salsanext_cli.training import loop
-from salsanext_cli.training.loop import Report
+from salsanext_cli.training import fit as loop
+from salsanext_cli.training.fit import Report
 from salsanext_cli.training.losses import class_weights
 from salsanext_cli.training.optimise import Learner
 from salsanext_cli.training.recipe import Recipe, recipe

@@ -13,12 +13,11 @@ from scans import SMALL, lively, make_scan, write_sequence
 from salsanext_cli.classes import label_space
 from salsanext_cli.errors import FormatError, NoInputError, OutputError, UsageError, WeightsError
 from salsanext_cli.formats import read_scan
-from salsanext_cli.formats.kitti import write_bin
 from salsanext_cli.geometry.projection import project
-from salsanext_cli.network.architectures import ARCHITECTURES
-from salsanext_cli.network.batch_norm import norms
-from salsanext_cli.network.inference import load_network
-from salsanext_cli.network.rangenet import RangeNet53
+from salsanext_cli.inference.network import load_network
+from salsanext_cli.inference.settings import NetworkSettings
+from salsanext_cli.network.rangenet53 import RangeNet53
+from salsanext_cli.network.registry import ARCHITECTURES
 from salsanext_cli.network.weights import (
     NORM_SUFFIXES,
     WeightsCard,
@@ -27,9 +26,10 @@ from salsanext_cli.network.weights import (
     save_weights,
 )
 from salsanext_cli.records import Scan
-from salsanext_cli.stages.inputs import Choice
-from salsanext_cli.stages.networks import NetworkChoice
 from salsanext_cli.stages.tune_batchnorm import tune_batchnorm
+from salsanext_cli.storage.point_files import write_bin
+from salsanext_cli.storage.selection import ScanSelection
+from salsanext_cli.training.tuning.batch_norm import norms
 
 WIDER = replace(SMALL, name="wider", width=192, fov_up=5.0, means=(10.0, 9.0, 0.0, -1.0, 0.3))
 
@@ -59,7 +59,7 @@ def weights(tmp_path, monkeypatch):
 
 @pytest.fixture
 def network(weights):
-    return NetworkChoice(weights, "cpu")
+    return NetworkSettings(weights, "cpu")
 
 
 def slow_statistics(network, paths):
@@ -115,7 +115,7 @@ def test_a_share_of_one_scan_leaves_the_rest_to_the_old(folder, target, network)
 def test_all_other_tensors_stay_bit_for_bit_and_as_small(folder, target, network, tmp_path, half):
     source = tmp_path / "source.safetensors"
     save_weights(source, *read_weights(network.weights), half=half)
-    tune_batchnorm(folder / "000000.bin", target, network=NetworkChoice(source, "cpu"))
+    tune_batchnorm(folder / "000000.bin", target, network=NetworkSettings(source, "cpu"))
     old, new = load_file(source), load_file(target)
     assert {name: t.dtype for name, t in old.items()} == {name: t.dtype for name, t in new.items()}
     for name, tensor in old.items():
@@ -128,13 +128,13 @@ def test_the_card_keeps_what_is_still_true(folder, target, weights, tmp_path):
     tempered = replace(card, temperature=1.5, scores={"miou": 0.5}, recipe={"name": "quick"})
     source = tmp_path / "source.safetensors"
     save_weights(source, module, tempered)
-    tune_batchnorm(folder, target, network=NetworkChoice(source, "cpu", WIDER), share=0.5)
+    tune_batchnorm(folder, target, network=NetworkSettings(source, "cpu", WIDER), share=0.5)
     found = read_card(target)
     said = "random Batch norm re-estimated on 3 scans of wider, share 0.5."
     expected = replace(tempered, scores={}, sensor=WIDER, description=said)
     assert found.to_metadata() == expected.to_metadata()
     # So that nobody has to name the sensor again.
-    assert NetworkChoice(target, "cpu").load().sensor == WIDER
+    assert NetworkSettings(target, "cpu").load().sensor == WIDER
 
 
 def test_it_is_the_same_every_time_and_leaves_the_network_alone(folder, target, network):
@@ -166,16 +166,16 @@ def test_progress_and_which_scans(world, target, monkeypatch):
     write_sequence(world.data / "sequences/08", [f"{i:06d}" for i in range(5)], labels=False)
     seen, used = [], []
     module = "salsanext_cli.stages.tune_batchnorm"
-    read = __import__(module, fromlist=["read_seen"]).read_seen
+    read = __import__(module, fromlist=["read_and_project"]).read_and_project
     monkeypatch.setattr(
-        f"{module}.read_seen", lambda file, *rest: used.append(file) or read(file, *rest)
+        f"{module}.read_and_project", lambda file, *rest: used.append(file) or read(file, *rest)
     )
-    choice = Choice(split="valid", limit=3)
+    selection = ScanSelection(split="valid", limit=3)
     tuned = tune_batchnorm(
         world.data,
         target,
         network=world.network,
-        choice=choice,
+        selection=selection,
         progress=lambda *args: seen.append(args),
     )
     assert tuned.scans == 3
@@ -210,7 +210,9 @@ def test_a_network_whose_values_overflow(folder, target, network, tmp_path):
         module.get_parameter("stages.1.0.0.weight").mul_(1e25)
     save_weights(tmp_path / "huge.safetensors", module, card)
     with pytest.raises(WeightsError, match=r"000000\.bin · the network's \S+ is not finite"):
-        tune_batchnorm(folder, target, network=NetworkChoice(tmp_path / "huge.safetensors", "cpu"))
+        tune_batchnorm(
+            folder, target, network=NetworkSettings(tmp_path / "huge.safetensors", "cpu")
+        )
     assert not target.exists()
 
 

@@ -12,17 +12,18 @@ from scans import SMALL, write_weights
 from salsanext_cli.classes import label_space
 from salsanext_cli.errors import LabelError, OutputError, UsageError
 from salsanext_cli.formats import read_scan
-from salsanext_cli.formats.kitti import read_labels, write_labels
+from salsanext_cli.formats.kitti import read_labels
 from salsanext_cli.geometry.projection import project
-from salsanext_cli.network.aleatoric import aleatoric
+from salsanext_cli.inference.network import load_network
+from salsanext_cli.inference.settings import NetworkSettings
 from salsanext_cli.network.dropout import dropouts
-from salsanext_cli.network.inference import load_network
-from salsanext_cli.network.sampling import sample, scan_seed
 from salsanext_cli.network.weights import read_card, read_weights
-from salsanext_cli.stages.inputs import Choice
-from salsanext_cli.stages.networks import NetworkChoice
 from salsanext_cli.stages.tune_dropout import curve_of, tune_dropout
-from salsanext_cli.training.dropout_rate import SMALLEST_VARIANCE
+from salsanext_cli.storage.point_files import write_labels
+from salsanext_cli.storage.selection import ScanSelection
+from salsanext_cli.training.tuning.dropout_rate import SMALLEST_VARIANCE
+from salsanext_cli.uncertainty.aleatoric import aleatoric
+from salsanext_cli.uncertainty.monte_carlo import sample, scan_seed
 
 SPACE = label_space()
 NOISY = replace(SMALL, range_noise=0.02, intensity_noise=0.02)
@@ -109,7 +110,7 @@ def test_a_network_that_was_trained_without_dropout_gets_it_where_the_paper_has_
     world, target, tmp_path
 ):
     certain = write_weights(tmp_path / "certain.safetensors", sensor=NOISY, dropout=0.0)
-    tuned = go(world, target, network=NetworkChoice(certain, "cpu"))
+    tuned = go(world, target, network=NetworkSettings(certain, "cpu"))
     assert tuned.before == 0
     assert len(dropouts(read_weights(target)[0])) == 3 + 1 + 3 * 3
     assert tuned.objectives == go(world, target, overwrite=True).objectives
@@ -135,8 +136,8 @@ def test_the_end_of_the_range_is_named(world, target, caplog, monkeypatch, objec
 
 def test_progress_and_which_scans(world, target):
     seen = []
-    choice = Choice(split="valid", limit=1)
-    tuned = go(world, target, choice=choice, progress=lambda *args: seen.append(args))
+    selection = ScanSelection(split="valid", limit=1)
+    tuned = go(world, target, selection=selection, progress=lambda *args: seen.append(args))
     assert tuned.scans == 1
     assert seen == [(1, 3), (2, 3), (3, 3)]
 

@@ -10,15 +10,16 @@ from scans import write_sequence, write_weights
 from salsanext_cli.classes import label_space
 from salsanext_cli.errors import LabelError, NoInputError, OutputError, TrainingError, WeightsError
 from salsanext_cli.formats import read_scan
-from salsanext_cli.formats.kitti import read_labels, write_labels
+from salsanext_cli.formats.kitti import read_labels
 from salsanext_cli.geometry.projection import project
-from salsanext_cli.network.inference import load_network
+from salsanext_cli.inference.network import load_network
+from salsanext_cli.inference.settings import NetworkSettings
 from salsanext_cli.network.weights import read_card, read_weights, save_weights
-from salsanext_cli.stages.inputs import Choice
-from salsanext_cli.stages.networks import NetworkChoice
 from salsanext_cli.stages.predict import predict
 from salsanext_cli.stages.tune_temperature import tune_temperature
-from salsanext_cli.training.temperature import negative_log_likelihood
+from salsanext_cli.storage.point_files import write_labels
+from salsanext_cli.storage.selection import ScanSelection
+from salsanext_cli.training.tuning.temperature import negative_log_likelihood
 
 SPACE = label_space()
 
@@ -82,7 +83,7 @@ def test_the_temperature_of_the_labels_is_found_and_stored(drawn, target):
 def test_the_tensors_stay_bit_for_bit_and_as_small(drawn, target, tmp_path, half):
     source = tmp_path / "source.safetensors"
     save_weights(source, *read_weights(drawn.network.weights), half=half)
-    go(drawn, target, network=NetworkChoice(source, "cpu"))
+    go(drawn, target, network=NetworkSettings(source, "cpu"))
     old, new = load_file(source), load_file(target)
     assert {name: t.dtype for name, t in old.items()} == {name: t.dtype for name, t in new.items()}
     assert all(torch.equal(tensor, new[name]) for name, tensor in old.items())
@@ -98,7 +99,7 @@ def test_logits_times_three_have_three_times_the_temperature(drawn, target, tmp_
         module.logits.bias *= 3
     save_weights(tmp_path / "thrice.safetensors", module, card)
     once = go(drawn, target).after
-    network = NetworkChoice(tmp_path / "thrice.safetensors", "cpu")
+    network = NetworkSettings(tmp_path / "thrice.safetensors", "cpu")
     thrice = go(drawn, tmp_path / "other.safetensors", network=network).after
     assert thrice.temperature == pytest.approx(3 * once.temperature, rel=1e-4)
     assert thrice.nll == pytest.approx(once.nll, rel=1e-5)
@@ -118,7 +119,7 @@ def test_a_sample_of_the_points_is_enough_and_always_the_same(drawn, target):
 
 def test_what_was_tuned_can_be_tuned_again_in_place(drawn, target):
     first = go(drawn, target)
-    network = NetworkChoice(target, "cpu")
+    network = NetworkSettings(target, "cpu")
     again = go(drawn, target, network=network, overwrite=True)
     assert again.before == first.after
     assert again.after.temperature == pytest.approx(first.after.temperature, rel=1e-9)
@@ -128,7 +129,7 @@ def test_predict_uses_it_and_keeps_the_labels(drawn, target, tmp_path):
     temperature = go(drawn, target).after.temperature
     before, after = tmp_path / "before", tmp_path / "after"
     predict(drawn.data, before, network=drawn.network, extras=("probabilities",))
-    network = NetworkChoice(target, "cpu")
+    network = NetworkSettings(target, "cpu")
     predict(drawn.data, after, network=network, extras=("probabilities",))
     name = "sequences/08/probabilities/000000.npy"
     powers = np.load(before / name).astype(np.float64) ** (1 / temperature)
@@ -141,8 +142,8 @@ def test_predict_uses_it_and_keeps_the_labels(drawn, target, tmp_path):
 def test_progress_and_which_scans(drawn, target):
     write_sequence(drawn.data / "sequences/08", [f"{i:06d}" for i in range(2, 5)], seed=2)
     seen = []
-    choice = Choice(sequences=("08",), limit=3)
-    tuned = go(drawn, target, choice=choice, progress=lambda *args: seen.append(args))
+    selection = ScanSelection(sequences=("08",), limit=3)
+    tuned = go(drawn, target, selection=selection, progress=lambda *args: seen.append(args))
     assert tuned.scans == 3
     assert seen == [(1, 3), (2, 3), (3, 3)]
 
@@ -173,13 +174,13 @@ def test_labels_nobody_knows(world, target):
 
 def test_a_split_without_scans(world, target):
     with pytest.raises(NoInputError, match="no scans of split test"):
-        go(world, target, choice=Choice(split="test"))
+        go(world, target, selection=ScanSelection(split="test"))
 
 
 def test_labels_of_other_classes(world, target, tmp_path):
     small = {"labels": {0: "no", 10: "yes"}, "learning_map": {0: 0, 10: 1}}
     space = type(SPACE).from_dict(small | {"learning_map_inv": {0: 0, 1: 10}, "name": "two"})
-    network = NetworkChoice(write_weights(tmp_path / "two.safetensors", space=space), "cpu")
+    network = NetworkSettings(write_weights(tmp_path / "two.safetensors", space=space), "cpu")
     (world.data / "labels.yaml").write_text(
         "labels: {0: none, 10: car, 40: road}\nlearning_map: {0: 0, 10: 1, 40: 2}\n"
         "learning_map_inv: {0: 0, 1: 10, 2: 40}\nsplit: {valid: ['08']}\n"
@@ -196,7 +197,7 @@ def constant(world, tmp_path, bias):
         module.logits.bias.copy_(torch.tensor(bias))
     path = tmp_path / "constant.safetensors"
     save_weights(path, module, card)
-    return NetworkChoice(path, "cpu")
+    return NetworkSettings(path, "cpu")
 
 
 def test_a_network_that_is_always_or_never_right_has_no_best_temperature(world, target, tmp_path):
@@ -216,7 +217,7 @@ def test_logits_that_are_not_finite(world, target, tmp_path):
         module.logits.weight.fill_(3e38)
     save_weights(tmp_path / "huge.safetensors", module, card)
     with pytest.raises(WeightsError, match="logits are not finite"):
-        go(world, target, network=NetworkChoice(tmp_path / "huge.safetensors", "cpu"))
+        go(world, target, network=NetworkSettings(tmp_path / "huge.safetensors", "cpu"))
 
 
 def test_a_target_that_cannot_be_written_is_noticed_before_the_work(world, target, tmp_path):

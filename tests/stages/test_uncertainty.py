@@ -9,30 +9,34 @@ from scans import SMALL, files_below, labels_below, write_weights
 from salsanext_cli.classes import label_space
 from salsanext_cli.errors import OutputError, UsageError, WeightsError
 from salsanext_cli.formats import read_scan
-from salsanext_cli.formats.arrays import write_array
-from salsanext_cli.formats.kitti import write_bin
 from salsanext_cli.geometry.knn import knn_refine
 from salsanext_cli.geometry.projection import project
-from salsanext_cli.network.aleatoric import aleatoric
-from salsanext_cli.network.analytic import analyse
-from salsanext_cli.network.sampling import sample, scan_seed
+from salsanext_cli.inference.settings import NetworkSettings
+from salsanext_cli.parallel.run import RunOptions
 from salsanext_cli.records import Scan
-from salsanext_cli.stages.batch import BatchOptions
-from salsanext_cli.stages.estimator import Estimator
-from salsanext_cli.stages.inputs import Choice
-from salsanext_cli.stages.networks import NetworkChoice
 from salsanext_cli.stages.predict import predict
 from salsanext_cli.stages.uncertainty import uncertainty
+from salsanext_cli.storage.point_files import write_array, write_bin
+from salsanext_cli.storage.selection import ScanSelection
+from salsanext_cli.uncertainty.aleatoric import aleatoric
+from salsanext_cli.uncertainty.monte_carlo import sample, scan_seed
+from salsanext_cli.uncertainty.one_pass import propagate_dropout
+from salsanext_cli.uncertainty.settings import Estimator
 
 KINDS = Estimator().kinds
 FOLDERS = [f"uncertainty/{kind}" for kind in KINDS]
 
 
-def run(world, source=None, out=None, *, options=BatchOptions(), choice=Choice(), **how):
+def run(world, source=None, out=None, *, options=RunOptions(), selection=ScanSelection(), **how):
     source, out = source or world.data, out or world.out
     estimator = Estimator(**{"samples": 3} | how)
     return uncertainty(
-        source, out, network=world.network, estimator=estimator, options=options, choice=choice
+        source,
+        out,
+        network=world.network,
+        estimator=estimator,
+        options=options,
+        selection=selection,
     )
 
 
@@ -94,7 +98,7 @@ def test_predict_does_not_replace_labels_of_the_mean_unasked(world):
     run(world)
     with pytest.raises(OutputError, match="predictions/ holds the results of `uncertainty`"):
         predict(world.data, world.out, network=world.network)
-    overwrite = BatchOptions(overwrite=True)
+    overwrite = RunOptions(overwrite=True)
     predict(world.data, world.out, network=world.network, options=overwrite)
     before = labels_below(world.out)
     assert run(world).skipped == 3
@@ -129,7 +133,7 @@ def test_one_pass_is_refused_before_anything_is_written(world, samples):
 
 def test_a_network_without_dropout_is_refused(world, tmp_path):
     weights = write_weights(tmp_path / "w.safetensors", dropout=0.0)
-    certain = replace(world, network=NetworkChoice(weights, "cpu"))
+    certain = replace(world, network=NetworkSettings(weights, "cpu"))
     with pytest.raises(WeightsError, match="without dropout"):
         run(certain)
     assert not world.out.exists()
@@ -139,7 +143,7 @@ def test_the_analytic_way_needs_neither_passes_nor_seed(world):
     assert run(world, method="analytic").done == 3
     network = world.network.load()
     image = project(read_scan(world.scan("08", "000001")), SMALL)
-    expected = analyse(network, image).uncertainty
+    expected = propagate_dropout(network, image).uncertainty
     for kind in ("epistemic", "entropy", "mutual_information"):
         values = np.load(world.result(f"uncertainty/{kind}", "08", "000001"))
         of_pixels = getattr(expected, kind).ravel()
@@ -153,7 +157,7 @@ def test_without_aleatoric_there_is_no_total(world):
     run(world, aleatoric=False)
     found = {path.parent.name for path in world.out.rglob("*.npy")}
     assert found == {"epistemic", "entropy", "mutual_information"}
-    run(world, options=BatchOptions(overwrite=True))
+    run(world, options=RunOptions(overwrite=True))
     for folder in FOLDERS:
         assert world.result(folder).exists()
 
@@ -184,7 +188,7 @@ def test_labels_do_not_depend_on_the_noise_of_the_sensor(world):
     assert run(world).done == 3
     other = replace(world.network, sensor=replace(SMALL, fov_up=4.0))
     with pytest.raises(OutputError, match="labels made with other sensor"):
-        run(replace(world, network=other), options=BatchOptions(overwrite=True))
+        run(replace(world, network=other), options=RunOptions(overwrite=True))
 
 
 def test_interrupted_and_resumed_gives_the_same_bytes(world, tmp_path, monkeypatch):
@@ -214,6 +218,6 @@ def test_a_method_that_there_is_not():
 
 def test_choices_and_bad_scans(world):
     world.scan("08", "000000").write_bytes(b"123")
-    outcome = run(world, choice=Choice(split="valid"))
+    outcome = run(world, selection=ScanSelection(split="valid"))
     assert outcome.done == 1
     assert [failure.scan.stem for failure in outcome.failures] == ["000000"]

@@ -15,12 +15,12 @@ from scans import SMALL
 from tiny_network import TinyNetwork
 
 from salsanext_cli.errors import TrainingError
-from salsanext_cli.network.architectures import ARCHITECTURES
+from salsanext_cli.network.registry import ARCHITECTURES
 from salsanext_cli.stages.train import train
-from salsanext_cli.training import loop
+from salsanext_cli.training import fit as loop
+from salsanext_cli.training.distributed import group_of_environment
 from salsanext_cli.training.optimise import Learner
 from salsanext_cli.training.recipe import Recipe
-from salsanext_cli.training.team import team_here
 
 RECIPE = Recipe(
     epochs=2, batch=2, samples_per_epoch=8, crop_width=32, average=0.5, accumulate=1, dropout=0.5
@@ -41,7 +41,7 @@ def main(dataset: str, run: str, stop: str = "") -> None:
         return original(self, images, truth, at, of)
 
     Learner.step = step  # type: ignore[method-assign]
-    apart = stop == SEVERED and not team_here().leads
+    apart = stop == SEVERED and not group_of_environment().is_main
     folder = Path(run) / SEVERED if apart else Path(run)
     try:
         train(Path(dataset), folder, recipe=RECIPE, sensor=SMALL, device="cpu")

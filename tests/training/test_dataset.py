@@ -9,12 +9,13 @@ from scans import SMALL, write_sequence
 
 from salsanext_cli.classes import label_space
 from salsanext_cli.errors import FormatError, LabelError, TrainingError
-from salsanext_cli.formats.kitti import read_bin, read_labels, write_labels
-from salsanext_cli.formats.layout import ScanFile, find_scans
+from salsanext_cli.formats.kitti import read_bin, read_labels
 from salsanext_cli.geometry.normalise import normalise
 from salsanext_cli.geometry.projection import project
+from salsanext_cli.storage.layout import ScanFile, find_scans
+from salsanext_cli.storage.point_files import write_labels
 from salsanext_cli.training.augment import Augmentation
-from salsanext_cli.training.counting import (
+from salsanext_cli.training.class_counts import (
     class_shares,
     count_classes,
     rare_classes,
@@ -28,9 +29,9 @@ from salsanext_cli.training.dataset import (
     pixel_truth,
     read_labelled,
 )
+from salsanext_cli.training.distributed import ProcessGroup
 from salsanext_cli.training.plan import Plan
 from salsanext_cli.training.recipe import Recipe, recipe
-from salsanext_cli.training.team import Team
 
 SPACE = label_space()
 RARE = np.isin(SPACE.names, ["bicycle", "person", "pole"])
@@ -159,7 +160,7 @@ def test_what_is_drawn_from_a_step_on_does_not_depend_on_where_one_begins(first:
 @pytest.mark.parametrize("size", [1, 2, 3, 4])
 def test_workers_together_draw_what_one_alone_draws(size: int) -> None:
     plan = Plan(8, Recipe(epochs=2, batch=5))
-    shares = [list(plan.batches(1, Team(rank, size))) for rank in range(size)]
+    shares = [list(plan.batches(1, ProcessGroup(rank, size))) for rank in range(size)]
     whole = list(plan.batches(1))
     assert len(whole) == 3
     for batch, *parts in zip(whole, *shares, strict=True):
@@ -170,7 +171,7 @@ def test_workers_together_draw_what_one_alone_draws(size: int) -> None:
 
 def test_what_all_workers_draw_first_is_a_permutation_of_all_scans() -> None:
     plan = Plan(12, Recipe(epochs=1, batch=4))
-    shares = [plan.batches(0, Team(rank, 2)) for rank in range(2)]
+    shares = [plan.batches(0, ProcessGroup(rank, 2)) for rank in range(2)]
     indices = [index for share in shares for batch in share for _, index in batch]
     assert sorted(indices) == list(range(12))
 
@@ -270,7 +271,7 @@ def test_all_images_of_a_batch_are_as_wide(files: list[ScanFile], size: int) -> 
     recipe = Recipe(epochs=4, batch=3, samples_per_epoch=4, crop_width=32, whole_epochs=2)
     plan = Plan(len(files), recipe)
     drawn = samples(files, recipe)
-    shares = [list(plan.batches(0, Team(rank, size))) for rank in range(size)]
+    shares = [list(plan.batches(0, ProcessGroup(rank, size))) for rank in range(size)]
     for step, parts in enumerate(zip(*shares, strict=True)):
         widths = {drawn[draw][0].shape[2] for share in parts for draw in share}
         assert widths == {32 if step < plan.steps / 2 else SMALL.width}

@@ -14,17 +14,15 @@ from torch.autograd import gradcheck
 
 from salsanext_cli.classes import label_space
 from salsanext_cli.errors import UsageError
-from salsanext_cli.formats.layout import find_scans
 from salsanext_cli.geometry.noise import input_variance
 from salsanext_cli.geometry.projection import project
-from salsanext_cli.network.adf import Gaussian
-from salsanext_cli.network.architectures import ARCHITECTURES
 from salsanext_cli.network.blocks import Unit
 from salsanext_cli.network.dropout import ChannelDropout
-from salsanext_cli.network.moments import softmax_moments
+from salsanext_cli.network.registry import ARCHITECTURES
 from salsanext_cli.network.weights import read_card
 from salsanext_cli.sensors import Sensor
 from salsanext_cli.stages.train import TrainResult, train
+from salsanext_cli.storage.layout import find_scans
 from salsanext_cli.training.dataset import Samples, batches, read_labelled
 from salsanext_cli.training.heteroscedastic import (
     FLOOR,
@@ -37,6 +35,8 @@ from salsanext_cli.training.losses import SegmentationLoss
 from salsanext_cli.training.optimise import Learner
 from salsanext_cli.training.plan import Plan
 from salsanext_cli.training.recipe import Recipe, recipe
+from salsanext_cli.uncertainty.adf import Gaussian
+from salsanext_cli.uncertainty.moments import softmax_moments
 
 CPU = torch.device("cpu")
 WEIGHTS = torch.tensor([0.0, 1.0, 2.0])

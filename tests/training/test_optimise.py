@@ -8,10 +8,10 @@ import torch
 from tiny_network import TinyNetwork
 from torch import Tensor, nn
 
+from salsanext_cli.training.distributed import ProcessGroup
 from salsanext_cli.training.losses import SegmentationLoss
 from salsanext_cli.training.optimise import Learner, build_optimiser, update_average
 from salsanext_cli.training.recipe import Recipe
-from salsanext_cli.training.team import Team
 
 CPU = torch.device("cpu")
 WEIGHTS = torch.tensor([0.0, 1.0, 2.0])
@@ -188,7 +188,7 @@ def test_a_part_of_whole_circles_holds_no_more_than_one_of_windows(
     """Or one circle; and no worker has more parts than images."""
     recipe = Recipe(batch=24, accumulate=accumulate, crop_width=512, whole_epochs=1)
     module = TinyNetwork(3)
-    learning = replace(Learner.of(module, recipe, WEIGHTS, CPU), team=Team(0, size))
+    learning = replace(Learner.of(module, recipe, WEIGHTS, CPU), group=ProcessGroup(0, size))
     share = -(-24 // size)
     windows = -(-share // learning._parts(512)) * 512
     assert learning._parts(512) == min(accumulate, 24 // size)

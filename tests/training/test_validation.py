@@ -5,10 +5,10 @@ import numpy as np
 from scans import SMALL, write_sequence
 
 from salsanext_cli.formats.kitti import read_bin, read_labels
-from salsanext_cli.formats.layout import find_scans
 from salsanext_cli.geometry.knn import knn_refine
 from salsanext_cli.geometry.projection import project
-from salsanext_cli.network.inference import load_network
+from salsanext_cli.inference.network import load_network
+from salsanext_cli.storage.layout import find_scans
 from salsanext_cli.training.validation import evenly_spaced, validate
 
 

@@ -15,9 +15,9 @@ from torch.nn import functional as F
 
 from salsanext_cli.errors import TrainingError
 from salsanext_cli.network.dropout import ChannelDropout
+from salsanext_cli.training.distributed import ProcessGroup, process_group
 from salsanext_cli.training.optimise import Learner
 from salsanext_cli.training.recipe import Recipe
-from salsanext_cli.training.team import Team, teamwork
 
 WEIGHTS = torch.tensor([0.0, 1.0, 2.0, 0.5])
 CASES: dict[str, dict[str, object]] = {
@@ -59,29 +59,29 @@ def batch(labels: int = 1) -> tuple[Tensor, Tensor]:
     return images, truth * labels
 
 
-def share(whole: Tensor, team: Team) -> Tensor:
+def share(whole: Tensor, group: ProcessGroup) -> Tensor:
     """Return a worker's part of a batch as `Plan` deals it."""
-    return whole[team.rank :: team.size]
+    return whole[group.rank :: group.size]
 
 
-def learner(team: Team, **changes: object) -> Learner:
+def learner(group: ProcessGroup, **changes: object) -> Learner:
     """Return the same network in every process."""
     recipe = Recipe(batch=5, dropout=0.0, learning_rate=0.1, **changes)  # type: ignore[arg-type]
     with torch.random.fork_rng():
         torch.manual_seed(0)
         module = Small().double()
-    return Learner.of(module, recipe, WEIGHTS, torch.device("cpu"), team)  # type: ignore[arg-type]
+    return Learner.of(module, recipe, WEIGHTS, torch.device("cpu"), group)  # type: ignore[arg-type]
 
 
-def stepped(team: Team, case: str) -> dict[str, Tensor]:
+def stepped(group: ProcessGroup, case: str) -> dict[str, Tensor]:
     """Return loss, gradients and weights after a step of a case."""
     changes = dict(CASES[case])
     labels = changes.pop("labels", 1)
-    learning = learner(team, **changes)
+    learning = learner(group, **changes)
     images, truth = batch(labels)  # type: ignore[arg-type]
     if learning.recipe.heteroscedastic:
         images = torch.cat([images, images.square()], 1)
-    own = (share(images, team), share(truth, team))
+    own = (share(images, group), share(truth, group))
     found = {"loss": torch.tensor(learning.step(*own, 5, 1))}
     for name, parameter in learning.module.named_parameters():
         assert parameter.grad is not None
@@ -90,33 +90,33 @@ def stepped(team: Team, case: str) -> dict[str, Tensor]:
     return found | dict(learning.module.named_buffers())
 
 
-def kept_apart(team: Team) -> dict[str, Tensor]:
+def kept_apart(group: ProcessGroup) -> dict[str, Tensor]:
     """Return, of every worker, what dropout leaves, what it gathers, and what the leader says."""
     module = Small(0.5)
     module.norm.bias.data.fill_(10.0)  # so that only dropout leaves nothing
     masks = []
     module.dropout.register_forward_hook(lambda layer, given, made: masks.append(made.detach()))
     recipe = Recipe(batch=2, dropout=0.5)
-    one = Learner.of(module, recipe, WEIGHTS, torch.device("cpu"), team)  # type: ignore[arg-type]
+    one = Learner.of(module, recipe, WEIGHTS, torch.device("cpu"), group)  # type: ignore[arg-type]
     one.step(torch.ones(1, 5, 8, 16), torch.ones(1, 8, 16, dtype=torch.uint8), 3, 1)
     dropped = (masks[0] == 0).all(dim=(0, 2, 3))
-    told = team.told(lambda: 10 + team.rank)
-    uneven = team.gather(torch.full((2, 1 + team.rank), float(team.rank)))
+    on_main = group.on_main(lambda: 10 + group.rank)
+    uneven = group.gather(torch.full((2, 1 + group.rank), float(group.rank)))
     return {
-        "dropped": torch.stack(team.gather(dropped.byte())),
-        "told": torch.cat(team.gather(torch.tensor([told]))),
+        "dropped": torch.stack(group.gather(dropped.byte())),
+        "on_main": torch.cat(group.gather(torch.tensor([on_main]))),
         "uneven": torch.cat(uneven, 1),
     }
 
 
-def refused(team: Team) -> bool:
+def refused(group: ProcessGroup) -> bool:
     """Say whether an error of the leader reaches this worker as it is."""
 
     def fail() -> None:
-        raise TrainingError("data", "found", "expected", f"remedy of {team.rank}")
+        raise TrainingError("data", "found", "expected", f"remedy of {group.rank}")
 
     try:
-        team.told(fail)
+        group.on_main(fail)
     except TrainingError as error:
         return str(error) == "data · found · expected expected · remedy of 0"
     return False
@@ -124,12 +124,12 @@ def refused(team: Team) -> bool:
 
 def main() -> None:
     """Write everything that a team of processes computes."""
-    with teamwork("cpu") as (team, _):
-        found: dict[str, object] = {case: stepped(team, case) for case in CASES}
-        found["apart"] = kept_apart(team)
-        found["refused"] = team.gather(torch.tensor([refused(team)]).byte())
-        found["size"] = team.size
-        if team.leads:
+    with process_group("cpu") as (group, _):
+        found: dict[str, object] = {case: stepped(group, case) for case in CASES}
+        found["apart"] = kept_apart(group)
+        found["refused"] = group.gather(torch.tensor([refused(group)]).byte())
+        found["size"] = group.size
+        if group.is_main:
             torch.save(found, Path(sys.argv[1]))
 
 

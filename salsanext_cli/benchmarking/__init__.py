@@ -1,0 +1,2 @@
+# SPDX-License-Identifier: MIT
+"""What `salsanext benchmark` measures, and how."""

@@ -1,0 +1,2 @@
+# SPDX-License-Identifier: MIT
+"""A network ready to use: engines, precision, batches."""

@@ -1,0 +1,150 @@
+# SPDX-License-Identifier: MIT
+"""A network ready to use: range image in, probabilities out."""
+
+from __future__ import annotations
+
+from contextlib import AbstractContextManager
+from dataclasses import dataclass, replace
+from functools import cached_property
+from pathlib import Path
+
+import torch
+from torch import Tensor
+
+from salsanext_cli.errors import UsageError
+from salsanext_cli.geometry.normalise import normalise
+from salsanext_cli.inference.engine import engine_for
+from salsanext_cli.inference.precision import choose_precision
+from salsanext_cli.inference.torch_settings import computing
+from salsanext_cli.network.registry import build
+from salsanext_cli.network.segmentation import SegmentationNetwork
+from salsanext_cli.network.weights import WeightsCard, default_weights, read_weights
+from salsanext_cli.records import Float, RangeImage
+from salsanext_cli.sensors import Sensor
+
+
+@dataclass(frozen=True, eq=False)
+class Network:
+    """Weights on a device, in evaluation mode.
+
+    Attributes
+    ----------
+    module : SegmentationNetwork
+        (B, 5, H, W) normalised range images to (B, C, H, W) logits.
+    card : WeightsCard
+        Architecture, label space, sensor and origin of the weights.
+    sensor : Sensor
+        Geometry and normalisation of the range images: the card's unless another was asked for.
+    device : torch.device
+        Where the module is.
+    precision : {"float32", "bfloat16", "float16"}
+        What the engine computes in.
+    """
+
+    module: SegmentationNetwork
+    card: WeightsCard
+    sensor: Sensor
+    device: torch.device
+    precision: str = "float32"
+
+    @cached_property
+    def engine(self) -> SegmentationNetwork:
+        """What computes as the module does, faster; float32 in and out.
+
+        It is made on first use and does not follow later changes of the module.
+        """
+        return engine_for(self.module, self.device, self.precision)
+
+    def input(self, channels: Float) -> Tensor:
+        """Return (5, H, W) channels normalised as the network takes them, (1, 5, H, W)."""
+        normalised = torch.from_numpy(normalise(channels, self.sensor))[None]
+        return normalised.to(self.device, memory_format=torch.channels_last)
+
+    def computing(self) -> AbstractContextManager[None]:
+        """Return the settings of torch under which the engine is to be called."""
+        return computing(self.engine, self.device)
+
+    def logits(self, image: RangeImage) -> Float:
+        """Return the logits of every pixel, (C, H, W) float32."""
+        with self.computing():
+            logits: Float = self.engine(self.input(image.channels))[0].cpu().numpy()
+        return logits
+
+    def probabilities(self, image: RangeImage) -> Float:
+        """Return the softmax of every pixel, (C, H, W) float32, sum over C = 1."""
+        return self.pixel_probabilities(image.channels)
+
+    def pixel_probabilities(self, channels: Float) -> Float:
+        """Return the softmax of every pixel from the (5, H, W) channels of a range image.
+
+        The logits are divided by the card's temperature, which leaves their order as it is.
+        """
+        with self.computing():
+            logits = self.engine(self.input(channels)) / self.card.temperature
+            probabilities: Float = torch.softmax(logits, dim=1)[0].cpu().numpy()
+        return probabilities
+
+
+def load_network(
+    path: Path | str | None = None,
+    device: str = "auto",
+    sensor: Sensor | None = None,
+    precision: str = "float32",
+) -> Network:
+    """Load weights onto a device.
+
+    Parameters
+    ----------
+    path : Path or str, optional
+        A weights file; None for the default weights.
+    device : str
+        ``"cpu"``, ``"cuda"``, ``"cuda:1"`` … or ``"auto"``: the first GPU if there is one.
+    sensor : Sensor, optional
+        What the range images come from, if not from the sensor that the weights name.
+    precision : str
+        As `precision.choose_precision` takes it; ``"auto"`` is what the device is fast at.
+
+    Raises
+    ------
+    WeightsError
+        If the file cannot be used.
+    UsageError
+        If the device does not exist, or does not compute in that precision.
+    """
+    module, card = read_weights(default_weights() if path is None else Path(path))
+    place = choose_device(device)
+    module = module.to(place).to(memory_format=torch.channels_last)  # type: ignore[call-overload]
+    return Network(module, card, sensor or card.sensor, place, choose_precision(precision, place))
+
+
+def with_dropout(network: Network, rate: float) -> Network:
+    """Return the network with another dropout rate, from 0 to below 1; both share their weights.
+
+    One that was trained without dropout gets it where the paper has it.
+    """
+    architecture = {**network.card.architecture, "dropout": rate}
+    # On "meta" nothing is drawn: torch's global generator stays as it is.
+    with torch.device("meta"):
+        module = build(architecture)
+    module.load_state_dict(network.module.state_dict(), assign=True)
+    card = replace(network.card, architecture=architecture)
+    return replace(network, module=module.eval(), card=card)
+
+
+def choose_device(name: str) -> torch.device:
+    """Return the device of a name; ``"auto"`` is the first GPU, else the CPU."""
+    if name == "auto":
+        return torch.device("cuda" if torch.cuda.is_available() else "cpu")
+    try:
+        device = torch.device(name)
+    except RuntimeError as error:
+        raise UsageError(f"device {name}", "no such device", "cpu, cuda, cuda:0 …") from error
+    if device.type == "cuda":
+        count = torch.cuda.device_count()
+        if (device.index or 0) >= count:
+            raise UsageError(
+                f"device {name}", f"{count} GPUs visible to torch", "one of them, or cpu"
+            )
+    elif device.type != "cpu":
+        raise UsageError(f"device {name}", "not supported", "cpu or cuda")
+    return device

@@ -1,0 +1,67 @@
+# SPDX-License-Identifier: MIT
+"""Networks by name, so that a weights file can say which one it belongs to."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from typing import Any
+
+from salsanext_cli.errors import UsageError
+from salsanext_cli.network import designs
+from salsanext_cli.network.designs import Design
+from salsanext_cli.network.rangenet53 import RangeNet53
+from salsanext_cli.network.salsanext import SalsaNext
+from salsanext_cli.network.segmentation import SegmentationNetwork
+from salsanext_cli.settings_files import shortened, words_of
+
+
+def _of(design: Design) -> Callable[..., SegmentationNetwork]:
+    """Return what builds a network of a design from the numbers that a weights file may give."""
+
+    def make(class_count: int = 20, dropout: float = 0.2) -> SegmentationNetwork:
+        return SalsaNext(class_count, dropout, design)
+
+    return make
+
+
+def _rangenet53(class_count: int = 20, dropout: float = 0.01) -> SegmentationNetwork:
+    return RangeNet53(class_count, dropout)
+
+
+ARCHITECTURES: dict[str, Callable[..., SegmentationNetwork]] = {
+    "salsanext": _of(designs.SALSANEXT),
+    "salsanext-v1": _of(designs.V1_POOLING),
+    "rangenet53": _rangenet53,
+    "salsanet": _of(designs.SALSANET),
+    "salsanet-context": _of(designs.SALSANET_CONTEXT),
+    "salsanet-dropout": _of(designs.SALSANET_DROPOUT),
+    "salsanet-pooling": _of(designs.SALSANET_POOLING),
+    "salsanet-dilated": _of(designs.SALSANET_DILATED),
+    "salsanet-shuffle": _of(designs.SALSANEXT),
+    "salsanext-v1-layers": _of(designs.V1_LAYERS),
+    "salsanext-v1-context": _of(designs.V1_CONTEXT),
+    "salsanext-v1-dropout": _of(designs.V1_DROPOUT),
+    "salsanext-v1-pooling": _of(designs.V1_POOLING),
+}
+"""The last rung of either ladder changes only the loss: its network is that of the rung below."""
+
+
+def build(architecture: Mapping[str, Any], source: object = "architecture") -> SegmentationNetwork:
+    """Build a network from its name and numbers, e.g. ``{"name": "salsanext", "class_count": 20}``.
+
+    Raises
+    ------
+    UsageError
+        If the name is unknown or a number does not fit; `source` is named.
+    """
+    numbers = dict(architecture)
+    name = numbers.pop("name", None)
+    if not isinstance(name, str) or name not in ARCHITECTURES:
+        raise UsageError(
+            source, f"architecture {shortened(name)}", f"one of {', '.join(ARCHITECTURES)}"
+        )
+    try:
+        return ARCHITECTURES[name](**numbers)
+    except (TypeError, ValueError) as error:
+        found = f"architecture {name} with {shortened(numbers)}"
+        raise UsageError(source, found, words_of(error)) from error

@@ -1,0 +1,2 @@
+# SPDX-License-Identifier: MIT
+"""One function over many scans: workers, chunks, shards, devices."""

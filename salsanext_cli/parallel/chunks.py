@@ -1,0 +1,42 @@
+# SPDX-License-Identifier: MIT
+"""Cut scans into pieces for workers: large enough to be worth a message, small enough to share."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from itertools import groupby, pairwise
+
+from salsanext_cli.storage.layout import ScanFile
+
+LARGEST = 16
+"""Scans of a chunk at most: what is lost with a worker, and how often progress is heard of."""
+PER_WORKER = 4
+"""Chunks for each worker at least, so that the last ones end at about the same time."""
+
+Chunk = tuple[ScanFile, ...]
+
+
+def chunks(scans: Sequence[ScanFile], workers: int) -> list[Chunk]:
+    """Cut scans into chunks, in order; each holds neighbours of one sequence.
+
+    Parameters
+    ----------
+    scans : sequence of ScanFile
+        In the order in which they are to be begun.
+    workers : int
+        How many chunks will be worked on side by side.
+
+    Returns
+    -------
+    list of tuple of ScanFile
+        Of at most `LARGEST` scans, and at least `PER_WORKER` for each worker if there are so many
+        scans. Those of a sequence differ by one scan at most.
+    """
+    size = max(1, min(LARGEST, len(scans) // (PER_WORKER * workers)))
+    cut: list[Chunk] = []
+    for _, group in groupby(scans, key=lambda scan: scan.sequence):
+        run = tuple(group)
+        parts = -(-len(run) // size)
+        borders = [len(run) * part // parts for part in range(parts + 1)]
+        cut += [run[start:stop] for start, stop in pairwise(borders)]
+    return cut

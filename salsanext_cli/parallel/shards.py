@@ -1,0 +1,89 @@
+# SPDX-License-Identifier: MIT
+"""One run as several: each takes its share of the scans and needs to know nothing of the others."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+from salsanext_cli.errors import UsageError
+from salsanext_cli.storage.layout import ScanFile
+
+PREFIX = "SLURM_ARRAY_TASK_"
+
+
+@dataclass(frozen=True, slots=True)
+class Shard:
+    """Which share of the scans a run works on.
+
+    Attributes
+    ----------
+    number : int
+        From 1 to `count`.
+    count : int
+        How many shards there are.
+    """
+
+    number: int = 1
+    count: int = 1
+
+    def __post_init__(self) -> None:
+        if not 1 <= self.number <= self.count:
+            raise UsageError("--shard", str(self), "i/n with i from 1 to n")
+
+    def __str__(self) -> str:
+        return f"{self.number}/{self.count}"
+
+    @classmethod
+    def parse(cls, text: str) -> Shard:
+        """Read ``i/n``, counted from 1."""
+        found = re.fullmatch(r"(\d{1,9})/(\d{1,9})", text, re.ASCII)
+        if not found:
+            raise UsageError("--shard", repr(text), "i/n, such as 1/8")
+        return cls(int(found[1]), int(found[2]))
+
+    @classmethod
+    def of_slurm(cls, environment: Mapping[str, str]) -> Shard | None:
+        """Return the shard of a task of a Slurm array, None outside of one.
+
+        Arrays begin where their user likes, at 0 or 1, and may count in steps.
+
+        Raises
+        ------
+        UsageError
+            If the array leaves out numbers, as ``--array=1,3,7`` does.
+        """
+        names = [PREFIX + name for name in ("ID", "MIN", "COUNT")]
+        if any(name not in environment for name in names):
+            return None
+        number, least, count = (_number(name, environment) for name in names)
+        step = _number(PREFIX + "STEP", environment, "1")
+        index, rest = divmod(number - least, max(1, step))
+        if rest or not 0 <= index < count:
+            raise UsageError(
+                f"{names[0]}={number}",
+                f"an array of {count} tasks from {least} in steps of {step}",
+                "numbers without gaps",
+                "say which share with --shard i/n",
+            )
+        return cls(index + 1, count)
+
+    def of(self, scans: Sequence[ScanFile]) -> list[ScanFile]:
+        """Return this shard's scans, neighbours of each other, in order of sequence and stem.
+
+        All shards together have every scan once, and differ in size by one at most, if all are
+        given the same scans; neither the order nor what is done already plays a part.
+        """
+        if self.count == 1:
+            return list(scans)
+        ordered = sorted(scans, key=lambda scan: (scan.sequence, scan.stem))
+        start, stop = (len(ordered) * n // self.count for n in (self.number - 1, self.number))
+        return ordered[start:stop]
+
+
+def _number(name: str, environment: Mapping[str, str], default: str = "") -> int:
+    text = environment.get(name, default)
+    if not re.fullmatch(r"\d{1,9}", text, re.ASCII):
+        raise UsageError(name, repr(text), "a whole number", "say which share with --shard i/n")
+    return int(text)

@@ -1,0 +1,159 @@
+# SPDX-License-Identifier: MIT
+"""Write a file whole or not at all: temporary name in the same folder, then rename."""
+
+from __future__ import annotations
+
+import errno
+import os
+import re
+import uuid
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from contextvars import ContextVar
+from pathlib import Path
+from typing import BinaryIO
+
+from salsanext_cli.errors import OutputError
+from salsanext_cli.formats.reading import reason
+
+MARK: ContextVar[str] = ContextVar("MARK", default="")
+"""What begins the temporary names of a process, so that `sweep` finds them when it was killed."""
+FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
+TEMPORARY = re.compile(r"\.(?:[0-9a-f]{32}){1,2}\.part")
+"""The names, mark and all, that unfinished files have here."""
+STALE = 24 * 3600.0
+"""Seconds that an unfinished file has not been touched when its writer must be dead."""
+
+
+@contextmanager
+def writing(path: Path | str, *, durable: bool = False) -> Iterator[BinaryIO]:
+    """Open a file for writing that appears under its name only when it is complete.
+
+    Parent folders are made. If the body raises, Ctrl-C included, nothing is left behind and an
+    older file of that name stays as it was. The body should do nothing but write.
+
+    Parameters
+    ----------
+    path : Path or str
+        The file.
+    durable : bool
+        Whether it must survive a power cut too, for some milliseconds. Otherwise what was written
+        in the last half minute before may be empty or cut off then.
+
+    Raises
+    ------
+    OutputError
+        If the system refuses: read-only folder, full disk, a file where a folder should be.
+    """
+    path = Path(path)
+    temporary = _temporary(path)
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        with temporary.open("xb") as file:
+            yield file
+            if durable:
+                file.flush()
+                os.fsync(file.fileno())
+        temporary.replace(path)
+        if durable:
+            _keep_names(path.parent)
+    except BaseException as error:
+        with suppress(OSError):
+            temporary.unlink()
+        if isinstance(error, OSError):
+            raise refusal(path, error) from error
+        raise
+
+
+def _temporary(path: Path) -> Path:
+    # A process id would not do: machines of a cluster share the folder, not the ids.
+    return path.with_name(f".{MARK.get()}{uuid.uuid4().hex}.part")
+
+
+def _keep_names(folder: Path) -> None:
+    """Let the names in a folder survive a power cut, where the system can."""
+    with suppress(OSError):
+        handle = os.open(folder, os.O_RDONLY)
+        try:
+            os.fsync(handle)
+        finally:
+            os.close(handle)
+
+
+def require_writable(folder: Path) -> None:
+    """Raise `OutputError` if no file can be written into a folder, which is made."""
+    probe = _temporary(folder / "probe")
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        probe.touch()
+        probe.unlink()
+    except OSError as error:
+        raise refusal(folder, error) from error
+
+
+def refusal(path: Path, error: OSError) -> OutputError:
+    """Return the error that says why the system refuses to write a file, and what to do."""
+    found, expected = reason(error), "a folder that can be written to"
+    remedy = "change its permissions or choose another output folder"
+    if error.errno in FULL:
+        remedy = "free some space or choose another output folder"
+    elif error.errno in (errno.ENOTDIR, errno.EEXIST):
+        files = (folder for folder in path.parents if folder.exists() and not folder.is_dir())
+        found, expected = f"{next(files, path.parent)} is no folder", "a folder to write to"
+        remedy = "move it or choose another output folder"
+    elif error.errno == errno.EISDIR:
+        found, expected = "there is a folder of that name", "a file or nothing"
+        remedy = "move it or choose another name"
+    return OutputError(path, f"cannot be written: {found}", expected, remedy)
+
+
+def sweep(folder: Path, mark: str) -> None:
+    """Remove the temporary files of killed processes that had set `MARK`."""
+    for temporary in folder.glob(f".{mark}*.part"):
+        with suppress(OSError):
+            temporary.unlink()
+
+
+def sweep_stale(folder: Path) -> None:
+    """Remove the temporary files of writers that died long ago; nothing else is touched.
+
+    Others may be writing here at this moment, so an unfinished file is left alone until nobody
+    has touched it for a day. Both times are of the disk, whose clock may not be ours.
+    """
+    found = [path for path in _entries(folder) if TEMPORARY.fullmatch(path.name)]
+    if not found:
+        return
+    with suppress(OSError):
+        now = _time_of_disk(folder)
+        for temporary in found:
+            with suppress(OSError):
+                if now - temporary.stat().st_mtime > STALE:
+                    temporary.unlink()
+
+
+def _entries(folder: Path) -> list[Path]:
+    try:
+        return list(folder.iterdir())
+    except OSError:
+        return []
+
+
+def _time_of_disk(folder: Path) -> float:
+    """Return the time that a file gets which is written now."""
+    probe = _temporary(folder / "probe")
+    try:
+        probe.touch()
+        return probe.stat().st_mtime
+    finally:
+        probe.unlink(missing_ok=True)
+
+
+def write_bytes(path: Path, content: bytes, *, durable: bool = False) -> None:
+    """Write a file whole or not at all."""
+    with writing(path, durable=durable) as file:
+        file.write(content)
+
+
+def write_text(path: Path, text: str, *, durable: bool = False) -> None:
+    """Write a text file, UTF-8, whole or not at all."""
+    write_bytes(path, text.encode("utf-8"), durable=durable)

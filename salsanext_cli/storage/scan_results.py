@@ -1,0 +1,138 @@
+# SPDX-License-Identifier: MIT
+"""Everything known about the points of a scan: its own values, labels, truth, uncertainty."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from salsanext_cli.classes import LabelSpace, RawIds
+from salsanext_cli.errors import NoInputError
+from salsanext_cli.formats import read_scan
+from salsanext_cli.formats.kitti import read_labels
+from salsanext_cli.formats.npy import read_array
+from salsanext_cli.formats.reading import present
+from salsanext_cli.records import Float, Scan
+from salsanext_cli.storage.layout import SUFFIX_OF_FOLDER, ScanFile, find_outputs, output_path
+
+UNCERTAINTY = tuple(
+    folder.removeprefix("uncertainty/")
+    for folder in SUFFIX_OF_FOLDER
+    if folder.startswith("uncertainty/")
+)
+"""The kinds of uncertainty that stages may have written."""
+
+
+@dataclass(frozen=True, slots=True)
+class ScanResults:
+    """A scan and what is known about it.
+
+    Attributes
+    ----------
+    scan : Scan
+        N points.
+    label, truth : (N,) uint32 or None
+        Raw ids, predicted and given, without instances.
+    uncertainty : dict of str to (N,) float32
+        By kind; only kinds that were computed.
+    """
+
+    scan: Scan
+    label: RawIds | None = None
+    truth: RawIds | None = None
+    uncertainty: dict[str, Float] = field(default_factory=dict)
+
+    @property
+    def range(self) -> Float:
+        """Distance of every point from the sensor, (N,) float32, metres."""
+        # Squares of far points exceed float32; those too far for it become infinite. And a NaN may
+        # signal.
+        with np.errstate(over="ignore", invalid="ignore"):
+            distance: Float = np.linalg.norm(self.scan.points.astype(np.float64), axis=1).astype(
+                np.float32
+            )
+        return distance
+
+    def error(self, space: LabelSpace) -> Float:
+        """Return 1 where the label is wrong, 0 where right, NaN where truth does not count."""
+        if self.label is None or self.truth is None:
+            raise ValueError("an error needs a label and a truth")
+        truth = space.to_train(self.truth, strict=False)
+        wrong = (truth != space.to_train(self.label, strict=False)).astype(np.float32)
+        return np.where(space.scored[truth], wrong, np.float32(np.nan))
+
+
+def read_results(file: ScanFile, out: Path, intensity_scale: float = 1.0) -> ScanResults:
+    """Read a scan and all that `out` and its data set hold about it.
+
+    Raises
+    ------
+    FormatError, LabelError
+        If a file is damaged or belongs to another scan.
+    """
+    scan = read_scan(file.path, intensity_scale=intensity_scale)
+    count = len(scan)
+    return ScanResults(
+        scan=scan,
+        label=_labels(output_path(out, file.sequence, "predictions", file.stem), count),
+        truth=_labels(file.label_path, count),
+        uncertainty={
+            kind: read_array(path, "float32", (count,))
+            for kind, path in uncertainty_files(file, out)
+        },
+    )
+
+
+def scalar_columns(cloud: ScanResults, space: LabelSpace) -> dict[str, npt.NDArray[Any]]:
+    """Return every scalar known about the points, by the name that its property gets."""
+    columns: dict[str, npt.NDArray[Any]] = {
+        "intensity": cloud.scan.intensity,
+        "range": cloud.range,
+    }
+    if cloud.label is not None:
+        columns["label"] = cloud.label.astype(np.uint16)
+    if cloud.truth is not None:
+        columns["truth"] = cloud.truth.astype(np.uint16)
+        if cloud.label is not None:
+            columns["error"] = cloud.error(space)
+    return columns | cloud.uncertainty
+
+
+def unknown(column: str, file: ScanFile, out: Path) -> NoInputError:
+    """Return the error that says what is missing for a column, and where it would be."""
+    if column in ("truth", "error") and not present(file.label_path):
+        return NoInputError(file.path, "has no labels", str(file.label_path))
+    folder = f"uncertainty/{column}" if column in UNCERTAINTY else "predictions"
+    stage = "uncertainty" if column in UNCERTAINTY else "predict"
+    path = output_path(out, file.sequence, folder, file.stem)
+    return NoInputError(
+        file.path, f"no {column} known", str(path), f"run `salsanext {stage}` first"
+    )
+
+
+def with_results(out: Path, scans: list[ScanFile]) -> list[ScanFile]:
+    """Leave out the scans for which no stage has left a result."""
+    folders = ("predictions", *(f"uncertainty/{kind}" for kind in UNCERTAINTY))
+    known = {(f.sequence, f.stem) for folder in folders for f in find_outputs(out, folder)}
+    chosen = [scan for scan in scans if (scan.sequence, scan.stem) in known]
+    if not chosen:
+        remedy = f"run `salsanext predict SCANS {out}` first"
+        raise NoInputError(out, "no results of these scans", remedy=remedy)
+    return chosen
+
+
+def uncertainty_files(file: ScanFile, out: Path) -> Iterator[tuple[str, Path]]:
+    """Yield the kinds of uncertainty that a stage wrote for a scan, and where."""
+    for kind in UNCERTAINTY:
+        path = output_path(out, file.sequence, f"uncertainty/{kind}", file.stem)
+        if present(path):
+            yield kind, path
+
+
+def _labels(path: Path, count: int) -> RawIds | None:
+    return read_labels(path, count) & np.uint32(0xFFFF) if present(path) else None

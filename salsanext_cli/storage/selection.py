@@ -1,0 +1,138 @@
+# SPDX-License-Identifier: MIT
+"""Which scans a stage works on, and which label space belongs to them."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from salsanext_cli.classes import LabelSpace, label_space
+from salsanext_cli.errors import NoInputError, UsageError
+from salsanext_cli.storage.layout import SCAN_FOLDER, ScanFile, find_scans, of_sequences
+
+LABEL_SPACE_FILES = ("labels.yaml", "semantic-kitti.yaml")
+"""Where a data set may describe its own label space, in its root."""
+
+log = logging.getLogger(__name__)
+
+
+@dataclass(frozen=True, slots=True)
+class ScanSelection:
+    """Which of the scans found are wanted.
+
+    Attributes
+    ----------
+    split : str, optional
+        A split of the label space: only its sequences.
+    sequences : tuple of str
+        Names of sequences; empty for all.
+    limit : int, optional
+        At most so many scans, the first ones.
+    """
+
+    split: str | None = None
+    sequences: tuple[str, ...] = ()
+    limit: int | None = None
+
+    def __post_init__(self) -> None:
+        if self.split is not None and self.sequences:
+            raise UsageError("--split and --sequences", "both given", "one of them")
+        if self.limit is not None and self.limit < 1:
+            raise UsageError("--limit", str(self.limit), "at least 1")
+
+
+def select_scans(
+    source: Path, selection: ScanSelection, space: LabelSpace | None = None
+) -> list[ScanFile]:
+    """Find the scans of a source and choose among them.
+
+    Parameters
+    ----------
+    source : Path
+        What `formats.layout.find_scans` takes.
+    selection : Choice
+        Split, sequences and limit.
+    space : LabelSpace, optional
+        Whose splits count if the source does not bring its own label space.
+
+    Raises
+    ------
+    NoInputError
+        If nothing is left.
+    UsageError
+        If the split does not exist.
+    """
+    scans = find_scans(source)
+    return choose(scans, selection, space_of(scans, space), source)
+
+
+def choose(
+    scans: list[ScanFile], selection: ScanSelection, space: LabelSpace, source: object
+) -> list[ScanFile]:
+    """Choose among scans by sequences, split and limit.
+
+    A split cannot choose where no split names any of the sequences, as in a folder of one's own:
+    then all stay, and a warning says so.
+
+    Raises
+    ------
+    NoInputError
+        If nothing is left; `source` is named.
+    UsageError
+        If the split does not exist.
+    """
+    if selection.sequences:
+        scans = of_sequences(scans, selection.sequences, source)
+    if selection.split is not None:
+        scans = _of_split(scans, selection.split, space, source)
+    return scans[: selection.limit]
+
+
+def _of_split(
+    scans: list[ScanFile], split: str, space: LabelSpace, source: object
+) -> list[ScanFile]:
+    members = space.split(split)
+    chosen = [scan for scan in scans if scan.sequence in members]
+    if chosen:
+        return chosen
+    found = sorted({scan.sequence for scan in scans})
+    if any(space.split_of(sequence) for sequence in found):
+        raise NoInputError(
+            source,
+            f"no scans of split {split} ({', '.join(members) or 'no sequences'})",
+            f"some besides {', '.join(found)}",
+            "choose with --split or --sequences",
+        )
+    log.warning("no split names %s: taking all", ", ".join(found))
+    return scans
+
+
+def data_set_of(scan: ScanFile) -> Path | None:
+    """Return the root of the data set that a scan lies in, None for a folder of one's own."""
+    folder = scan.path.parent
+    inside = folder.name == SCAN_FOLDER and folder.parent.parent.name == "sequences"
+    return folder.parents[2] if inside else None
+
+
+def data_set_label_space(root: Path) -> LabelSpace | None:
+    """Return the label space that a data set describes in its root, None if it does not."""
+    for name in LABEL_SPACE_FILES:
+        if (root / name).is_file():
+            return label_space(root / name)
+    return None
+
+
+def space_of(scans: Sequence[ScanFile], fallback: LabelSpace | None = None) -> LabelSpace:
+    """Return the label space of the data set that scans lie in.
+
+    One that does not describe its own has SemanticKITTI's, with its splits and ignored classes,
+    unless the fallback, that of the weights say, has other classes.
+    """
+    root = data_set_of(scans[0]) if scans else None
+    own = data_set_label_space(root) if root else None
+    if own is not None:
+        return own
+    usual = label_space()
+    return usual if fallback is None or fallback.fits(usual) else fallback

@@ -1,0 +1,152 @@
+# SPDX-License-Identifier: MIT
+"""Look at every label of the training data once: all usable, and how common is each class."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Sequence
+from pathlib import Path
+
+import joblib
+import numpy as np
+import numpy.typing as npt
+
+from salsanext_cli.classes import LabelSpace
+from salsanext_cli.errors import LabelError, TrainingError
+from salsanext_cli.sensors import Sensor
+from salsanext_cli.storage.identity import identity
+from salsanext_cli.storage.json_files import read_json, write_json
+from salsanext_cli.storage.layout import ScanFile
+from salsanext_cli.training.dataset import read_labelled
+
+RARE = 0.01
+"""Share of the scored training points below which a class is rare."""
+
+
+def require_labels(files: Sequence[ScanFile]) -> None:
+    """Raise `LabelError` naming the first scan without a label file."""
+    missing = [file for file in files if not file.label_path.is_file()]
+    if missing:
+        others = f", nor for {len(missing) - 1} other scans" if len(missing) > 1 else ""
+        raise LabelError(
+            missing[0].label_path,
+            f"no such file{others}",
+            "a label file for every scan of the split",
+        )
+
+
+def count_classes(
+    files: Sequence[ScanFile], space: LabelSpace, sensor: Sensor, jobs: int = 1
+) -> npt.NDArray[np.int64]:
+    """Count the points of every class in every scan, (F, C) int64, reading all with their labels.
+
+    Raises
+    ------
+    FormatError, LabelError
+        If any scan could not be trained on.
+    """
+
+    def count(file: ScanFile) -> npt.NDArray[np.int64]:
+        _, labels = read_labelled(file, space, sensor)
+        return np.bincount(labels, minlength=space.class_count).astype(np.int64)
+
+    # Threads do: reading and counting leave the interpreter's lock alone.
+    found = joblib.Parallel(jobs, backend="threading")(joblib.delayed(count)(f) for f in files)
+    return np.stack(found)
+
+
+def require_some(
+    files: Sequence[ScanFile], counts: npt.NDArray[np.int64], space: LabelSpace
+) -> None:
+    """Raise `TrainingError` if no point of scans, counted (F, C), is of a class that counts."""
+    if not counts[:, space.scored].any():
+        raise TrainingError(
+            files[0].label_path.parent,
+            f"none of {counts.sum()} points in {len(files)} scans is of a class that counts",
+            f"labels of {space.name}",
+        )
+
+
+def class_shares(
+    counts: npt.NDArray[np.int64], scored: npt.NDArray[np.bool_]
+) -> npt.NDArray[np.float64]:
+    """Return the share of every class in the scored points, (C,) float64; 0 for ignored ones.
+
+    Parameters
+    ----------
+    counts : (C,) int64
+        Points of each class in the training data.
+    scored : (C,) bool
+        Which classes count.
+    """
+    used = np.where(scored, counts, 0).astype(np.float64)
+    shares: npt.NDArray[np.float64] = used / max(used.sum(), 1)
+    return shares
+
+
+def rare_classes(
+    counts: npt.NDArray[np.int64], scored: npt.NDArray[np.bool_]
+) -> npt.NDArray[np.bool_]:
+    """Return which scored classes are rare, (C,) bool; parameters as `class_shares`."""
+    return scored & (class_shares(counts, scored) < RARE)
+
+
+def class_counts(
+    path: Path,
+    splits: tuple[Sequence[ScanFile], Sequence[ScanFile], Sequence[ScanFile]],
+    space: LabelSpace,
+    sensor: Sensor,
+    jobs: int = 1,
+) -> npt.NDArray[np.int64]:
+    """Return points per class of the training split, (C,); what was counted before is read back.
+
+    All scans are checked when they are counted: once, and anew when a file of scans or labels has
+    changed since.
+
+    Parameters
+    ----------
+    path : Path
+        Remembers the counts, as JSON.
+    splits : (training, validation, validated)
+        Scans to train on, all of the validation split, and those of them that are scored.
+    space, sensor, jobs
+        As `count_classes` takes them.
+
+    Raises
+    ------
+    FormatError, LabelError
+        As `count_classes`, of any of them.
+    TrainingError
+        If no point of the training scans, or of those that are scored, is of a class that counts.
+    """
+    training, validation, validated = splits
+    files = _state_of_files([*training, *validation, *validated], space)
+    known = read_json(path) or {}
+    counted = known.get("points")
+    if (
+        known.get("files") == files
+        and isinstance(counted, dict)
+        and counted.keys() == {*space.names}
+        and all(type(n) is int and 0 <= n < 2**63 for n in counted.values())
+    ):
+        return np.array([counted[name] for name in space.names], np.int64)
+    of_validation = count_classes(validation, space, sensor, jobs)
+    scored = [file in {*validated} for file in validation]
+    require_some(validated, of_validation[scored], space)
+    of_training = count_classes(training, space, sensor, jobs)
+    require_some(training, of_training, space)
+    counts: npt.NDArray[np.int64] = of_training.sum(axis=0)
+    points = dict(zip(space.names, counts.tolist(), strict=True))
+    write_json(path, {"files": files, "points": points})
+    return counts
+
+
+def _state_of_files(scans: Sequence[ScanFile], space: LabelSpace) -> str:
+    """Return a digest of size and time of every scan and its labels, and what the labels mean."""
+    digest = hashlib.sha256(json.dumps(space.to_dict(), sort_keys=True).encode())
+    for path in (path for scan in scans for path in (scan.path, scan.label_path)):
+        # Not where it lies: a data set may move.
+        _, _, *state = identity(path) or (None, None)
+        digest.update(f"{state}\n".encode())
+    return digest.hexdigest()[:16]

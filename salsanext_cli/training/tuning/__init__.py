@@ -1,0 +1,2 @@
+# SPDX-License-Identifier: MIT
+"""Fits of trained weights to other scans: temperature, dropout rate, batch norm."""

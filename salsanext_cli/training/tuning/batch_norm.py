@@ -1,0 +1,163 @@
+# SPDX-License-Identifier: MIT
+"""Batch-norm statistics of scans that carry no labels (Li et al., arXiv 1603.04779).
+
+A convolution's values depend on the sensor and on the place. Batch norm takes off their mean and
+divides by their deviation, those of the scans that it was trained on; the statistics of other scans
+undo part of what is different there (Schneider et al., arXiv 2006.16971).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+
+import torch
+import torch.nn.functional as F
+from torch import Tensor, nn
+from torch.utils.hooks import RemovableHandle
+
+from salsanext_cli.inference.network import Network
+from salsanext_cli.records import RangeImage
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Statistics:
+    """Mean and variance of each channel; adding two gives those of both together.
+
+    Attributes
+    ----------
+    count : float
+        Values per channel.
+    mean, variance : (C,) float64
+        Of these values; the variance is that of the population, divided by `count`.
+    """
+
+    count: float
+    mean: Tensor
+    variance: Tensor
+
+    def __add__(self, other: Statistics) -> Statistics:
+        count = self.count + other.count
+        share = other.count / count
+        apart = other.mean - self.mean
+        # Variance within either, and between their means: no squares of large means are subtracted.
+        within = (1 - share) * self.variance + share * other.variance
+        between = share * (1 - share) * apart.square()
+        return Statistics(count, self.mean + share * apart, within + between)
+
+    @classmethod
+    def of(cls, values: Tensor, cells: Tensor) -> Statistics:
+        """Return the statistics of values (C, h, w), each counted as often as `cells` (h, w) says.
+
+        Parameters
+        ----------
+        values : (C, h, w) Tensor
+            Of any precision.
+        cells : (h, w) float64
+            Not negative, not all 0.
+        """
+        double, count = values.double(), cells.sum()
+        mean = torch.einsum("chw,hw->c", double, cells) / count
+        apart = (double - mean[:, None, None]).square()
+        return cls(float(count), mean, torch.einsum("chw,hw->c", apart, cells) / count)
+
+    @classmethod
+    def kept_by(cls, layer: nn.BatchNorm2d) -> Statistics:
+        """Return what a layer uses at inference; of how many values nobody knows, so count 0."""
+        mean, variance = layer.get_buffer("running_mean"), layer.get_buffer("running_var")
+        return cls(0.0, mean.double(), variance.double())
+
+    def blended(self, new: Statistics, share: float) -> Statistics:
+        """Return these statistics moved towards new ones: (1 − share) · these + share · new."""
+        mean = torch.lerp(self.mean, new.mean, share)
+        return Statistics(new.count, mean, torch.lerp(self.variance, new.variance, share))
+
+
+def norms(module: nn.Module) -> dict[str, nn.BatchNorm2d]:
+    """Return the batch-norm layers of a network that keep statistics, by name."""
+    return {
+        name: layer
+        for name, layer in module.named_modules()
+        if isinstance(layer, nn.BatchNorm2d) and layer.track_running_stats
+    }
+
+
+@torch.inference_mode()
+def statistics_of_scan(
+    network: Network, image: RangeImage, share: float = 1.0
+) -> dict[str, Statistics]:
+    """Return what goes into each batch norm when a scan passes with its own statistics.
+
+    Each layer normalises with its old statistics moved by `share` towards the scan's, as in a
+    network adapted to this scan alone, so that a layer sees what the layers before it make of the
+    scan once they are adapted. Dropout is off.
+
+    As in training, empty pixels count: the convolutions spread what surrounds them into them. What
+    `SegmentationNetwork.pad` adds does not count; a cell that lies partly on it counts by the share
+    of its area that is image.
+
+    Parameters
+    ----------
+    network : Network
+        Stays as it is.
+    image : RangeImage
+        One scan.
+    share : float
+        Of the scan's statistics, 0 to 1; the rest are those that the layer has.
+
+    Returns
+    -------
+    dict of str to Statistics
+        The scan's own, by the name of the layer, in order of computation.
+    """
+    inputs = network.input(image.channels)
+    height, width = inputs.shape[-2:]
+    place = torch.zeros(network.module.pad(inputs).shape[-2:], dtype=torch.float64)
+    place[:height, :width] = 1
+    found: dict[str, Statistics] = {}
+    with _hooked(network.module, _Normalise(place.to(network.device), share, found)):
+        network.module(inputs)
+    return found
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Normalise:
+    """Takes the place of a batch norm, and takes note of the statistics of what comes in.
+
+    Attributes
+    ----------
+    place : (H, W) float64
+        1 where the padded image is image.
+    share : float
+        Of the statistics of what comes in.
+    found : dict
+        Where they are noted by name of the layer.
+    """
+
+    place: Tensor
+    share: float
+    found: dict[str, Statistics]
+
+    def __call__(self, name: str, layer: nn.BatchNorm2d, values: Tensor) -> Tensor:
+        height, width = values.shape[-2:]
+        cells = F.adaptive_avg_pool2d(self.place[None], (height, width))[0]
+        own = self.found[name] = Statistics.of(values[0], cells)
+        used = Statistics.kept_by(layer).blended(own, self.share)
+        mean, variance = used.mean.to(values.dtype), used.variance.to(values.dtype)
+        return F.batch_norm(values, mean, variance, layer.weight, layer.bias, eps=layer.eps)
+
+
+@contextmanager
+def _hooked(module: nn.Module, normalise: _Normalise) -> Iterator[None]:
+    """Put `normalise` in the place of every batch norm; the layers themselves stay as they are."""
+
+    def hook(name: str, layer: nn.BatchNorm2d) -> RemovableHandle:
+        return layer.register_forward_hook(lambda _, inputs, __: normalise(name, layer, inputs[0]))
+
+    handles = [hook(name, layer) for name, layer in norms(module).items()]
+    try:
+        yield
+    finally:
+        for handle in handles:
+            handle.remove()

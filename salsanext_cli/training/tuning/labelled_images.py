@@ -1,0 +1,97 @@
+# SPDX-License-Identifier: MIT
+"""What is tuned on: labelled scans in the classes of a network, point by point."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+
+from salsanext_cli.classes import LabelSpace, TrainIds
+from salsanext_cli.errors import LabelError
+from salsanext_cli.geometry.projection import project
+from salsanext_cli.inference.network import Network
+from salsanext_cli.network.weights import WeightsCard
+from salsanext_cli.records import RangeImage
+from salsanext_cli.storage.layout import ScanFile
+from salsanext_cli.storage.selection import ScanSelection, select_scans, space_of
+from salsanext_cli.training.class_counts import require_labels
+from salsanext_cli.training.dataset import read_labelled
+from salsanext_cli.training.validation import evenly_spaced
+
+VALIDATION = ScanSelection(split="valid")
+
+
+@dataclass(frozen=True, slots=True)
+class LabelledImage:
+    """A range image and those of its points that count.
+
+    Attributes
+    ----------
+    image : RangeImage
+        Of the whole scan.
+    pixels : (M,) int
+        The pixel, v * W + u, of every point that has one and whose true class is not ignored.
+    truth : (M,) uint8
+        Train ids of these points.
+    """
+
+    image: RangeImage
+    pixels: npt.NDArray[np.int32]
+    truth: TrainIds
+
+
+def labelled_scans(
+    dataset: Path, selection: ScanSelection, card: WeightsCard
+) -> tuple[list[ScanFile], LabelSpace]:
+    """Find labelled scans whose classes are those of a network.
+
+    Parameters
+    ----------
+    dataset : Path
+        A data set, a sequence or a folder of scans.
+    selection : Choice
+        Which of them; a limit takes scans that are evenly spaced.
+    card : WeightsCard
+        Of the network.
+
+    Raises
+    ------
+    NoInputError
+        If there are none.
+    LabelError
+        If one has no labels, or the labels are of other classes.
+    """
+    scans = select_scans(dataset, replace(selection, limit=None), card.space)
+    space = space_of(scans, card.space)
+    if not space.fits(card.space):
+        raise LabelError(
+            dataset,
+            f"labels in the classes of {space.name}",
+            f"those of {card.space.name}, as the weights",
+            "use weights for these classes",
+        )
+    chosen = evenly_spaced(scans, selection.limit or 0)
+    require_labels(chosen)
+    return chosen, space
+
+
+def read_labelled_image(file: ScanFile, network: Network, space: LabelSpace) -> LabelledImage:
+    """Read a scan with its labels and project it.
+
+    Raises
+    ------
+    FormatError, LabelError
+        If a file cannot be read, the numbers of points differ or a label id is unknown.
+    """
+    scan, truth = read_labelled(file, space, network.sensor)
+    image = project(scan, network.sensor, str(network.device))
+    counts = space.scored[truth] & (image.pixel_of_point >= 0)
+    return LabelledImage(image, image.pixel_of_point[counts], truth[counts])
+
+
+def nothing_counts(dataset: Path, space: LabelSpace) -> LabelError:
+    """Return the error that says that no point can be learnt from."""
+    return LabelError(dataset, "no point is of a class that counts", f"labels of {space.name}")

@@ -1,0 +1,2 @@
+# SPDX-License-Identifier: MIT
+"""Epistemic and aleatoric uncertainty of a prediction."""

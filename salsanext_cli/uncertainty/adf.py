@@ -1,0 +1,196 @@
+# SPDX-License-Identifier: MIT
+"""Assumed density filtering: a network that maps means and variances (paper III-C.1).
+
+The network is not written a second time. A `Gaussian` stands in for a tensor, and every rule below
+says what one function of the network does to it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any, ClassVar, Self, TypeVar
+
+import torch
+import torch.nn.functional as F
+from torch import Tensor
+
+from salsanext_cli.inference.parallel_for import has_threads, parallel_for
+from salsanext_cli.network.tensor_like import TensorLike
+from salsanext_cli.uncertainty.moments import leaky_relu_moments, softmax_moments
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Gaussian(TensorLike):
+    """Independent Gaussians in place of a tensor's numbers.
+
+    Attributes
+    ----------
+    mean, variance : Tensor
+        Of the same shape, dtype and device; the variance is not negative.
+
+    RULES says what the functions of a network do to moments (Gast & Roth 2018).
+    """
+
+    VIEW: ClassVar[str] = "moments"
+
+    mean: Tensor
+    variance: Tensor
+
+    def __post_init__(self) -> None:
+        if self.mean.shape != self.variance.shape:
+            found = f"mean {tuple(self.mean.shape)} and variance {tuple(self.variance.shape)}"
+            raise ValueError(f"{found} differ in shape")
+
+    @property
+    def shape(self) -> torch.Size:
+        """Shape of the mean."""
+        return self.mean.shape
+
+    @property
+    def dtype(self) -> torch.dtype:
+        """Number type of the mean."""
+        return self.mean.dtype
+
+    @property
+    def device(self) -> torch.device:
+        """Device of the mean."""
+        return self.mean.device
+
+    def dim(self) -> int:
+        """Return the number of dimensions."""
+        return self.mean.dim()
+
+    def like(self, mean: Tensor, variance: Tensor) -> Self:
+        """Return other moments, of the same kind as these."""
+        return type(self)(mean, variance)
+
+    def __getitem__(self, index: Any) -> Self:
+        return self.like(self.mean[index], self.variance[index])
+
+    def __add__(self, other: Gaussian) -> Self:
+        """Add independent Gaussians: Var = v₁ + v₂."""
+        if not isinstance(other, Gaussian):
+            return NotImplemented
+        return self.like(self.mean + other.mean, self.variance + other.variance)
+
+    def __mul__(self, factor: Tensor | float) -> Self:
+        """Scale by known factors, such as the mask of a dropout: Var = k² v."""
+        if isinstance(factor, Gaussian):
+            raise NotImplementedError("no rule for the moments of mul")
+        return self.like(self.mean * factor, self.variance * factor**2)
+
+    def softmax(self, dim: int) -> Self:
+        """Return the moments of the softmax over a dimension."""
+        return self.like(*softmax_moments(self.mean, self.variance, dim))
+
+
+Kind = TypeVar("Kind", bound=Gaussian)
+
+
+def propagate(network: Callable[..., Any], *inputs: Kind) -> Kind:
+    """Run on Gaussians what is written for tensors."""
+    outputs: Kind = network(*inputs)
+    return outputs
+
+
+def _linear(function: Callable[..., Tensor]) -> Callable[..., Gaussian]:
+    """Return the rule of a convolution, transposed or not: Var = W² ∗ v."""
+
+    def rule(
+        x: Gaussian, weight: Tensor, bias: Tensor | None = None, *geometry: Any, **more: Any
+    ) -> Gaussian:
+        both = (x.mean, weight, bias), (x.variance, weight.square(), None)
+        if has_threads():
+            found = [x.mean, x.variance]
+
+            def compute(number: int) -> None:
+                found[number] = function(*both[number], *geometry, **more)
+
+            parallel_for(compute, len(both))
+            mean, variance = found
+        else:
+            mean, variance = (function(*one, *geometry, **more) for one in both)
+        # Convolving by way of a transform can round a certain 0 to less.
+        return x.like(mean, variance.clamp_(min=0))
+
+    return rule
+
+
+def _batch_norm(
+    x: Gaussian,
+    running_mean: Tensor,
+    running_var: Tensor,
+    weight: Tensor,
+    bias: Tensor,
+    training: bool = False,
+    momentum: float = 0.1,
+    eps: float = 1e-5,
+) -> Gaussian:
+    """Var = v γ² / (σ² + ε); in training σ² is the variance of the batch's means.
+
+    It is that by which the means are divided. What the noise itself adds to it is left out, as in
+    the statistics that evaluation uses.
+    """
+    mean = F.batch_norm(x.mean, running_mean, running_var, weight, bias, training, momentum, eps)
+    divisor = x.mean.var(dim=(0, 2, 3), correction=0) if training else running_var
+    factor = weight.square() / (divisor + eps)
+    return x.like(mean, x.variance * factor.view(1, -1, 1, 1))
+
+
+def _leaky_relu(x: Gaussian, negative_slope: float = 0.01, inplace: bool = False) -> Gaussian:
+    return x.like(*leaky_relu_moments(x.mean, x.variance, negative_slope))
+
+
+def _avg_pool2d(x: Gaussian, kernel: int, stride: int, padding: int, *count: Any) -> Gaussian:
+    """Var = Σv / k⁴, the mean of k² cells of which those outside are certain zeros."""
+    if count not in ((), (False, True, None)):
+        raise NotImplementedError(f"average pooling with {count}")
+    variance = F.avg_pool2d(x.variance, kernel, stride, padding) / kernel**2
+    return x.like(F.avg_pool2d(x.mean, kernel, stride, padding), variance)
+
+
+def _dropout2d(x: Gaussian, p: float, training: bool, inplace: bool = False) -> Gaussian:
+    """Var = m² v with the mask m that is drawn in training; nothing happens otherwise.
+
+    A pass of training is one of a thinned network whose mask is known, as a pass of sampling is
+    (paper III-C.1, after Loquercio et al. 2020). That masks differ from pass to pass is no noise
+    of the sensor: sampling and `ChannelCorrelatedGaussian` count it, as epistemic.
+    """
+    if not training:
+        return x
+    ones = torch.ones((*x.shape[:2], 1, 1), dtype=x.dtype, device=x.device)
+    return x * F.dropout2d(ones, p, training)
+
+
+def _concatenate(parts: Sequence[Gaussian], dim: int = 0) -> Gaussian:
+    means, variances = zip(*((part.mean, part.variance) for part in parts), strict=True)
+    return parts[0].like(torch.cat(means, dim), torch.cat(variances, dim))
+
+
+def _pad(x: Gaussian, pad: Sequence[int], mode: str = "constant", value: Any = None) -> Gaussian:
+    """Put certain values around, or move some there."""
+    return x.like(F.pad(x.mean, pad, mode, value), F.pad(x.variance, pad, mode))
+
+
+def _moved(function: Callable[..., Tensor]) -> Callable[..., Gaussian]:
+    """Return the rule of a function that only moves numbers."""
+
+    def rule(x: Gaussian, *args: Any, **kwargs: Any) -> Gaussian:
+        return x.like(function(x.mean, *args, **kwargs), function(x.variance, *args, **kwargs))
+
+    return rule
+
+
+Gaussian.RULES = {
+    F.conv2d: _linear(F.conv2d),
+    F.conv_transpose2d: _linear(F.conv_transpose2d),
+    F.batch_norm: _batch_norm,
+    F.leaky_relu: _leaky_relu,
+    F.avg_pool2d: _avg_pool2d,
+    F.dropout2d: _dropout2d,
+    F.pad: _pad,
+    F.pixel_shuffle: _moved(F.pixel_shuffle),
+    torch.softmax: Gaussian.softmax,
+    torch.cat: _concatenate,
+}

@@ -1,0 +1,219 @@
+# SPDX-License-Identifier: MIT
+"""Moments of what is not linear: a leaky-rectified Gaussian, a softmax of Gaussians."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from functools import partial
+
+import torch
+from torch import Tensor
+
+from salsanext_cli.inference.parallel_for import has_threads, parallel_for
+from salsanext_cli.uncertainty.derivatives import differentiable
+from salsanext_cli.uncertainty.logistic import logistic_moments
+
+CHUNK = 1 << 17
+"""Numbers per step on a CPU, so that what lies between stays in its cache."""
+FARTHEST = 12.0
+"""Standard deviations from the kink beyond which what is on the other side changes no float64;
+farther out are numbers so small that computing with them takes many times as long."""
+SMALLEST = 1e-30
+"""Least divisor: what it divides is 0 where it acts."""
+DAMPING = 0.15
+"""Of a shift of second order, so that for large v it grows like √v, as a largest of Gaussians."""
+
+
+def leaky_relu_moments(mean: Tensor, variance: Tensor, slope: float) -> tuple[Tensor, Tensor]:
+    r"""Return mean and variance of LeakyReLU(x), x ~ N(m, v).
+
+    With τ = \|m\|/√v, q = Q(τ) the mass beyond the kink and e = φ(τ) − τ q its mean excess::
+
+        mean     = LeakyReLU(m) + (1 − a) √v e
+        variance = v [a² + (1 − a²) p − (1 − a)² e (τ + e)]     p = 1 − q if m > 0, else q
+
+    Nothing cancels, as it does in E[y²] − E[y]², which is 0 in float32 for m = 10, v = 10⁻⁶.
+
+    Parameters
+    ----------
+    mean, variance : Tensor, same shape
+        float32 or float64; of a half precision, float32 is used in between.
+    slope : float
+        a, 0 ≤ a ≤ 1.
+    """
+    rule, back = (partial(f, slope=slope) for f in (_leaky_relu, _leaky_relu_gradients))
+    new_mean, new_variance = differentiable(
+        partial(_in_steps, rule), partial(_in_steps, back), mean, variance
+    )
+    return new_mean, new_variance
+
+
+def _in_steps(
+    function: Callable[..., tuple[Tensor, Tensor]], mean: Tensor, *others: Tensor
+) -> tuple[Tensor, Tensor]:
+    """Apply a function of each number to tensors of one shape, in the layout of the first."""
+    wide = torch.promote_types(mean.dtype, torch.float32)
+    layout = _layout(mean)
+    given = [t.contiguous(memory_format=layout) for t in (mean, *others)]
+    results = torch.empty_like(given[0]), torch.empty_like(given[0])
+    step = CHUNK if mean.device.type == "cpu" else max(1, mean.numel())
+    steps = [*zip(*(torch.split(_flat(t, layout), step) for t in (*given, *results)), strict=True)]
+
+    def compute(number: int) -> None:
+        *numbers, one, other = steps[number]
+        first, second = function(*(t.to(wide) for t in numbers))
+        one.copy_(first)
+        other.copy_(second)
+
+    if has_threads():
+        parallel_for(compute, len(steps))
+    else:
+        for number in range(len(steps)):
+            compute(number)
+    return results
+
+
+def _layout(x: Tensor) -> torch.memory_format:
+    last = torch.channels_last
+    return last if x.dim() == 4 and x.is_contiguous(memory_format=last) else torch.contiguous_format
+
+
+def _flat(x: Tensor, layout: torch.memory_format) -> Tensor:
+    """Return a one-dimensional view."""
+    return (x.permute(0, 2, 3, 1) if layout is torch.channels_last else x).flatten()
+
+
+def _leaky_relu(m: Tensor, v: Tensor, slope: float) -> tuple[Tensor, Tensor]:
+    deviation = v.sqrt()
+    far = m.abs().div_(deviation.clamp(min=SMALLEST)).clamp_(max=FARTHEST)
+    beyond = torch.special.erfc(far * math.sqrt(0.5)).mul_(0.5)
+    density = far.square().mul_(-0.5).exp_().mul_(1 / math.sqrt(2 * math.pi))
+    excess = density.addcmul_(far, beyond, value=-1).clamp_(min=0)
+    mean = torch.where(m > 0, m, m * slope).addcmul_(deviation, excess, value=1 - slope)
+    passed = torch.where(m > 0, 1 - beyond, beyond)
+    lost = excess.mul_(far.add_(excess))
+    share = passed.mul_(1 - slope**2).add_(slope**2).sub_(lost, alpha=(1 - slope) ** 2)
+    return mean, share.clamp_(min=0).mul_(v)
+
+
+def _leaky_relu_gradients(
+    m: Tensor, v: Tensor, of_mean: Tensor, of_variance: Tensor, slope: float
+) -> tuple[Tensor, Tensor]:
+    r"""Carry gradients of mean and variance back to m and v.
+
+    With p the mass above the kink, x₊ = E[max(x, 0)] and x₋ = E[max(−x, 0)]::
+
+        ∂mean/∂m = a + (1 − a) p                            ∂mean/∂v = ½ (1 − a) φ(τ) / √v
+        ∂variance/∂m = 2 (1 − a) [(1 − p) x₊ + a p x₋]
+        ∂variance/∂v = p + a² (1 − p) − (1 − a) φ(τ) (x₊ − a x₋) / √v
+
+    What is certain has the derivative of the function; its variance would rise from 0, but never
+    moves its mean.
+    """
+    deviation = v.sqrt()
+    far = m.abs().div_(deviation.clamp(min=SMALLEST)).clamp_(max=FARTHEST)
+    beyond = torch.special.erfc(far * math.sqrt(0.5)).mul_(0.5)
+    density = far.square().mul_(-0.5).exp_().mul_(1 / math.sqrt(2 * math.pi))
+    excess = density.addcmul(far, beyond, value=-1).clamp_(min=0)
+    positive, more = m > 0, far + excess
+    above, below = torch.where(positive, more, excess), torch.where(positive, excess, more)
+    passed = torch.where(positive, 1 - beyond, beyond)
+    steep = (density / deviation).masked_fill_((far >= FARTHEST) | (v == 0), 0)
+    by_m = of_mean * (slope + (1 - slope) * passed)
+    by_m += (
+        of_variance
+        * deviation
+        * (2 * (1 - slope))
+        * ((1 - passed) * above + slope * passed * below)
+    )
+    share = passed * (1 - slope**2) + slope**2 - (1 - slope) * density * (above - slope * below)
+    by_v = of_mean * steep * (0.5 * (1 - slope)) + of_variance * share
+    return by_m, by_v
+
+
+def softmax_moments(mean: Tensor, variance: Tensor, dim: int) -> tuple[Tensor, Tensor]:
+    """Return mean and variance of the softmax of independent Gaussian logits.
+
+    The softmax of class c is the logistic function of its logit minus the logarithm of the sum of
+    the others' exponentials. That sum is taken as log-normal: with weights w, the softmax among
+    the others, its logarithm has mean log Σ exp(m) + ½ Σ w (1 − w) v, damped, and variance
+    Σ w² v. The moments of the logistic function of a Gaussian come from quadrature. The usual
+    shortcut, a sum that is certain, makes the standard deviation of a confident class too large
+    by a factor of hundreds.
+
+    The means p are divided by their sum; each variance keeps its share of p (1 − p), which no
+    variable between 0 and 1 exceeds.
+
+    Parameters
+    ----------
+    mean, variance : Tensor, same shape
+        Of the logits; float32 or float64, a half precision is widened in between.
+    dim : int
+        The classes.
+
+    Returns
+    -------
+    mean, variance : Tensor
+        The means sum to 1; of variance 0, they are the plain softmax.
+    """
+    wide = torch.promote_types(mean.dtype, torch.float32)
+    m, v = (t.to(wide).movedim(dim, 0) for t in (mean, variance))
+    if len(m) == 1:
+        return torch.ones_like(mean), torch.zeros_like(variance)
+    columns = [t.reshape(len(m), -1) for t in (m, v)]
+    step = max(1, CHUNK // len(m)) if m.device.type == "cpu" else max(1, columns[0].shape[1])
+    chunks = zip(*(torch.split(c, step, dim=1) for c in columns), strict=True)
+    parts = [_softmax(*chunk) for chunk in chunks]
+    results = (torch.cat(part, dim=1).view(m.shape) for part in zip(*parts, strict=True))
+    return tuple(t.movedim(0, dim).to(mean.dtype) for t in results)  # type: ignore[return-value]
+
+
+def _softmax(m: Tensor, v: Tensor) -> tuple[Tensor, Tensor]:
+    """Return the moments of (C, N)."""
+    is_best = torch.zeros_like(m, dtype=torch.bool).scatter_(0, m.argmax(0, keepdim=True), True)
+    lead, lead_variance = _lead(m, v, is_best)
+    probability, complement, variance = logistic_moments(lead, lead_variance)
+    total = probability.sum(dim=0)
+    others = _but_one(probability, probability.masked_fill(is_best, 0), is_best)
+    share = variance / complement.clamp(min=SMALLEST)
+    mean, rest = probability / total, others / total
+    return mean, _consistent(mean, share * rest / total).minimum(mean * rest)
+
+
+def _lead(m: Tensor, v: Tensor, is_best: Tensor) -> tuple[Tensor, Tensor]:
+    """Return mean and variance of each logit minus log Σ exp of the others."""
+    # Neither scale changes the result, so no gradient need flow through it.
+    top = m.detach().amax(dim=0, keepdim=True)
+    shares = (m - top).exp()
+    # Without the best class, whose share would hide the others, the scale is that of the second.
+    rest = m.masked_fill(is_best, -math.inf)
+    second = rest.detach().amax(dim=0, keepdim=True)
+    rest = (rest - second).exp()
+    total = _but_one(shares, rest, is_best)
+    weighted = _but_one(shares * v, rest * v, is_best) / total
+    variance = _but_one(shares.square() * v, rest.square() * v, is_best) / total.square()
+    shift = 0.5 * (weighted - variance).clamp(min=0)
+    lead = (m - torch.where(is_best, second, top)) - total.log()
+    return lead - shift / (1 + DAMPING * shift).sqrt(), variance + v
+
+
+def _consistent(mean: Tensor, variance: Tensor) -> Tensor:
+    """Raise the variance of the likeliest class to what the others' sum demands.
+
+    The classes sum to 1, so that one cannot vary by more than all others together. Where it seems
+    to, a sum of the others that is taken as log-normal has hidden it from the class they rival.
+    """
+    # The derivative of a root at 0 is not finite.
+    deviation = torch.where(variance > 0, variance.clamp(min=SMALLEST).sqrt(), 0)
+    most, loudest = deviation.max(dim=0, keepdim=True)
+    lacking = (2 * most - deviation.sum(dim=0, keepdim=True)).clamp(min=0)
+    others = mean.scatter(0, loudest, -1.0)
+    likeliest = others.argmax(dim=0, keepdim=True)
+    return (deviation.scatter_add(0, likeliest, lacking)).square()
+
+
+def _but_one(values: Tensor, rest: Tensor, is_best: Tensor) -> Tensor:
+    """Return the sum over all classes but one, for each; `rest` has 0 for the best class."""
+    others = values.sum(dim=0, keepdim=True) - values
+    return torch.where(is_best, rest.sum(dim=0, keepdim=True), others).clamp_(min=0)

@@ -1,0 +1,167 @@
+# SPDX-License-Identifier: MIT
+"""Epistemic uncertainty by Monte-Carlo dropout (paper III-C.2)."""
+
+from __future__ import annotations
+
+import hashlib
+import logging
+from collections.abc import Sequence
+
+import torch
+from torch import Tensor
+
+from salsanext_cli.errors import UsageError
+from salsanext_cli.inference.network import Network
+from salsanext_cli.inference.parallel_for import parallel_for, single_threaded_torch
+from salsanext_cli.network.dropout import sampling
+from salsanext_cli.network.segmentation import SegmentationNetwork
+from salsanext_cli.records import RangeImage
+from salsanext_cli.uncertainty.estimate import Estimate, entropy, require_dropout
+
+log = logging.getLogger(__name__)
+
+AT_ONCE = 16 * 64 * 2048
+"""Pixels of passes that a GPU computes side by side."""
+KEPT = 32
+"""Passes of which the softmax is kept until it is added up."""
+BANDS = 8
+"""Parts of an image that are added up side by side."""
+
+
+class Moments:
+    """Running sums over passes, in float64 so that the variance does not cancel."""
+
+    def __init__(self) -> None:
+        self.count = 0
+        self.sum = torch.zeros(())
+        self.sum_of_squares = torch.zeros(())
+        self.sum_of_entropies = torch.zeros(())
+
+    def add(self, passes: Sequence[Tensor]) -> None:
+        """Count passes, each the softmax (C, H, W)."""
+        if self.count == 0:
+            self.sum = torch.zeros_like(passes[0], dtype=torch.float64)
+            self.sum_of_squares = torch.zeros_like(self.sum)
+            self.sum_of_entropies = torch.zeros_like(self.sum[0])
+        self.count += len(passes)
+        width, bands = self.sum.shape[-1], BANDS if self.sum.device.type == "cpu" else 1
+
+        def add_up(part: int) -> None:
+            band = slice(width * part // bands, width * (part + 1) // bands)
+            for probabilities in passes:
+                double = probabilities[..., band].double()
+                self.sum[..., band] += double
+                self.sum_of_squares[..., band].addcmul_(double, double)
+                self.sum_of_entropies[..., band] += entropy(double)
+
+        parallel_for(add_up, bands)
+
+    def summary(self) -> Estimate:
+        """Divide once: mean, variance (of the population, paper III-C.2) and information."""
+        mean = self.sum / self.count
+        variance = (self.sum_of_squares / self.count - mean.square()).clamp(min=0)
+        information = entropy(mean) - self.sum_of_entropies / self.count
+        return Estimate.of(mean, variance, information.clamp(min=0))
+
+
+def sample(network: Network, image: RangeImage, *, samples: int, seed: int) -> Estimate:
+    """Run the network with dropout on and batch norm frozen, and sum up the passes.
+
+    What lies before the first dropout is computed once. Several passes run side by side: on a CPU
+    one on each thread, so that no bit depends on how many, on a GPU in batches.
+
+    Parameters
+    ----------
+    network : Network
+        With at least one dropout of a rate above 0. Its temperature is left out: the paper's
+        variance is that of the plain softmax, and ranks errors better.
+    image : RangeImage
+        One scan.
+    samples : int
+        Number of passes, at least 2.
+    seed : int
+        Pass i draws its masks from a generator seeded with `pass_seed(seed, i)`.
+
+    Raises
+    ------
+    UsageError
+        If `samples` is below 2: one pass has no variance.
+    WeightsError
+        If the network has no dropout to sample.
+    """
+    require_sampling(network, samples)
+    moments, engine = Moments(), network.engine
+    seeds = [pass_seed(seed, number) for number in range(samples)]
+    passes = on_threads if network.device.type == "cpu" else in_batches
+    # In a pass torch has one thread, whether the engine shares its work or not.
+    with network.computing(), single_threaded_torch():
+        features = engine.trunk(engine.pad(network.input(image.channels)))
+        for start in range(0, samples, KEPT):
+            kept = passes(engine, features, seeds[start : start + KEPT])
+            moments.add([softmax[:, : image.height, : image.width] for softmax in kept])
+        return moments.summary()
+
+
+def on_threads(
+    module: SegmentationNetwork, features: tuple[Tensor, ...], seeds: Sequence[int]
+) -> list[Tensor]:
+    """Return the softmax (C, H, W) of every pass, each computed by one thread."""
+    found = [features[0]] * len(seeds)
+
+    def run(number: int) -> None:
+        (found[number],) = one_batch(module, features, seeds[number : number + 1])
+
+    parallel_for(run, len(seeds))
+    return found
+
+
+def in_batches(
+    module: SegmentationNetwork, features: tuple[Tensor, ...], seeds: Sequence[int]
+) -> list[Tensor]:
+    """Return the softmax (C, H, W) of every pass, as many together as there is room for."""
+    size = max(1, min(len(seeds), AT_ONCE // features[0].shape[-2:].numel()))
+    found: list[Tensor] = []
+    while len(found) < len(seeds):
+        try:
+            found += one_batch(module, features, seeds[len(found) : len(found) + size])
+        except torch.OutOfMemoryError:
+            if size == 1:
+                raise
+            size //= 2
+            log.info("memory for %d passes at once is not there, trying %d", 2 * size, size)
+    return found
+
+
+def one_batch(
+    module: SegmentationNetwork, features: tuple[Tensor, ...], seeds: Sequence[int]
+) -> Tensor:
+    """Return the softmax (B, C, H, W) of passes computed together."""
+    with sampling([torch.Generator().manual_seed(seed) for seed in seeds]):
+        logits = module.rest(*(f.expand(len(seeds), -1, -1, -1) for f in features))
+    return torch.softmax(logits.float(), dim=1)
+
+
+def require_sampling(network: Network, samples: int) -> None:
+    """Raise what `sample` raises, before any scan is read."""
+    require_samples(samples)
+    require_dropout(network)
+
+
+def require_samples(samples: int) -> None:
+    """Raise `UsageError` for less than two passes."""
+    if samples < 2:
+        raise UsageError("--samples", str(samples), "at least 2: one pass has no variance")
+
+
+def pass_seed(seed: int, number: int) -> int:
+    """Return the seed of one pass: the sum of its parts would make neighbours share passes."""
+    return _hashed(f"{seed}/{number}")
+
+
+def scan_seed(seed: int, sequence: str, stem: str) -> int:
+    """Return the seed of one scan, whatever the order in which scans are worked on."""
+    return _hashed(f"{seed}/{sequence}/{stem}")
+
+
+def _hashed(text: str) -> int:
+    return int.from_bytes(hashlib.sha256(text.encode()).digest()[:8], "little") >> 1

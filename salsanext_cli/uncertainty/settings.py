@@ -1,0 +1,83 @@
+# SPDX-License-Identifier: MIT
+"""How the uncertainty of a scan is estimated."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Any
+
+from salsanext_cli.errors import UsageError
+from salsanext_cli.geometry.noise import noise_of
+from salsanext_cli.inference.network import Network
+from salsanext_cli.records import RangeImage
+from salsanext_cli.sensors import Sensor
+from salsanext_cli.storage.layout import ScanFile
+from salsanext_cli.uncertainty.aleatoric import aleatoric
+from salsanext_cli.uncertainty.estimate import Estimate, require_dropout
+from salsanext_cli.uncertainty.monte_carlo import (
+    require_samples,
+    sample,
+    scan_seed,
+)
+from salsanext_cli.uncertainty.one_pass import propagate_dropout
+
+KINDS = ("epistemic", "entropy", "mutual_information")
+NOISY_KINDS = ("aleatoric", "total")
+"""Kinds that need the sensor's noise."""
+METHODS = ("sampling", "analytic")
+
+
+@dataclass(frozen=True, slots=True)
+class Estimator:
+    """How uncertainty is estimated.
+
+    Attributes
+    ----------
+    method : {"sampling", "analytic"}
+        Monte-Carlo dropout, or its variance carried through the network in one pass.
+    samples : int
+        Passes per scan, at least 2, if sampling; 30 is the paper's number.
+    seed : int
+        If sampling, a scan's masks depend on this, its sequence and its name only.
+    aleatoric : bool
+        Whether the sensor's noise is carried through the network too.
+    """
+
+    method: str = "sampling"
+    samples: int = 30
+    seed: int = 0
+    aleatoric: bool = True
+
+    def __post_init__(self) -> None:
+        if self.method not in METHODS:
+            raise UsageError("--method", self.method, " or ".join(METHODS))
+        require_samples(self.samples)
+
+    @property
+    def kinds(self) -> tuple[str, ...]:
+        """Kinds of uncertainty that are estimated."""
+        return (*KINDS, *NOISY_KINDS) if self.aleatoric else KINDS
+
+    def settings(self, sensor: Sensor) -> dict[str, Any]:
+        """Return what the results depend on besides the network and what it sees."""
+        passes = {"samples": self.samples, "seed": self.seed} if self.method == "sampling" else {}
+        noise = {"noise": noise_of(sensor)} if self.aleatoric else {}
+        return {"method": self.method, "aleatoric": self.aleatoric, **passes, **noise}
+
+    def require(self, network: Network) -> None:
+        """Raise what `estimate` raises, before any scan is read."""
+        require_dropout(network)
+        if self.aleatoric:
+            noise_of(network.sensor)
+
+    def estimate(self, network: Network, image: RangeImage, scan: ScanFile) -> Estimate:
+        """Return the prediction for a scan and the uncertainty of its pixels."""
+        if self.method == "sampling":
+            seed = scan_seed(self.seed, scan.sequence, scan.stem)
+            found = sample(network, image, samples=self.samples, seed=seed)
+        else:
+            found = propagate_dropout(network, image)
+        if not self.aleatoric:
+            return found
+        noise = aleatoric(network, image).mean(axis=0)
+        return replace(found, uncertainty=replace(found.uncertainty, aleatoric=noise))

@@ -1,0 +1,108 @@
+# SPDX-License-Identifier: MIT
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+from scans import SMALL, make_scan, write_weights
+
+from salsanext_cli.errors import UsageError, WeightsError
+from salsanext_cli.geometry.normalise import normalise
+from salsanext_cli.geometry.projection import project
+from salsanext_cli.inference.network import choose_device, load_network, with_dropout
+from salsanext_cli.network.dropout import dropouts
+from salsanext_cli.records import Scan
+from salsanext_cli.sensors import Sensor
+
+
+@pytest.fixture(scope="module")
+def network(weights):
+    return load_network(weights, "cpu")
+
+
+def test_probabilities_are_the_softmax_of_the_module(network):
+    image = project(make_scan(), SMALL)
+    probabilities = network.probabilities(image)
+    normalised = torch.from_numpy(normalise(image.channels, SMALL))[None]
+    with torch.inference_mode():
+        logits = network.module(normalised)[0].numpy().astype(np.float64)
+    expected = np.exp(logits) / np.exp(logits).sum(axis=0)
+    assert probabilities.dtype == np.float32
+    np.testing.assert_allclose(probabilities, expected, atol=1e-5)
+    np.testing.assert_allclose(network.logits(image), logits, atol=2e-5 * np.abs(logits).max())
+
+
+@pytest.mark.parametrize("temperature", [0.4, 2.5])
+def test_the_temperature_divides_the_logits_and_keeps_the_labels(network, temperature):
+    image = project(make_scan(), SMALL)
+    tempered = replace(network, card=replace(network.card, temperature=temperature))
+    probabilities = tempered.probabilities(image)
+    powers = network.probabilities(image).astype(np.float64) ** (1 / temperature)
+    np.testing.assert_allclose(probabilities, powers / powers.sum(axis=0), atol=1e-5)
+    before = network.probabilities(image).argmax(axis=0)
+    np.testing.assert_array_equal(probabilities.argmax(axis=0), before)
+
+
+@pytest.mark.parametrize(
+    "points",
+    [
+        np.empty((0, 3), np.float32),
+        np.array([[5, 0, 0]], np.float32),
+        np.array([[0, 0, 0], [np.nan, 1, 1], [np.inf, 0, 0], [-np.inf, np.nan, 0]], np.float32),
+        np.array([[1e30, 1e30, 1e30], [1e-30, 0, 0]], np.float32),
+    ],
+)
+def test_probabilities_are_finite_whatever_the_scan(network, points):
+    scan = Scan(points, np.full(len(points), np.nan, np.float32))
+    probabilities = network.probabilities(project(scan, SMALL))
+    assert np.isfinite(probabilities).all()
+    np.testing.assert_allclose(probabilities.sum(axis=0), 1, atol=1e-5)
+
+
+def test_an_extreme_logit_does_not_overflow(network, monkeypatch):
+    monkeypatch.setattr(
+        type(network.module),
+        "forward",
+        lambda self, x: torch.tensor([1e4, -1e4, 0.0]).view(1, 3, 1, 1).expand(1, 3, 2, 2),
+    )
+    probabilities = network.pixel_probabilities(np.zeros((5, 2, 2), np.float32))
+    np.testing.assert_array_equal(probabilities[:, 0, 0], [1, 0, 0])
+
+
+def test_another_size_than_the_one_trained_with(weights):
+    wide = Sensor("wide", 3, -25, 10, 45)
+    network = load_network(weights, "cpu", wide)
+    assert network.probabilities(project(make_scan(), wide)).shape == (20, 10, 45)
+
+
+@pytest.mark.parametrize("name", ["gpu", "cuda:99", "cuda:x", "mps", "meta", "", "cpu:banana"])
+def test_devices_that_are_not_there(name):
+    with pytest.raises(UsageError, match="device"):
+        choose_device(name)
+
+
+def test_devices():
+    assert choose_device("cpu") == torch.device("cpu")
+    expected = "cuda" if torch.cuda.is_available() else "cpu"
+    assert choose_device("auto").type == expected
+
+
+def test_weights_may_be_named_by_text_and_must_exist(weights, tmp_path):
+    assert load_network(str(weights), "cpu").card.description == "random"
+    with pytest.raises(WeightsError):
+        load_network(tmp_path / "nothing", "cpu")
+
+
+@pytest.mark.parametrize("trained", [0.0, 0.2])
+def test_another_dropout_rate_shares_the_weights(tmp_path, trained):
+    network = load_network(write_weights(tmp_path / "w.safetensors", dropout=trained), "cpu")
+    state = torch.random.get_rng_state()
+    other = with_dropout(network, 0.4)
+    assert torch.equal(torch.random.get_rng_state(), state)
+    assert [layer.rate for layer in dropouts(other.module)] == [0.4] * 13
+    assert {layer.rate for layer in dropouts(network.module)} == ({trained} if trained else set())
+    assert other.card.architecture == {**network.card.architecture, "dropout": 0.4}
+    pairs = zip(other.module.parameters(), network.module.parameters(), strict=True)
+    assert all(one.data_ptr() == same.data_ptr() for one, same in pairs)
+    image = project(make_scan(), SMALL)
+    np.testing.assert_array_equal(other.probabilities(image), network.probabilities(image))

@@ -1,0 +1,193 @@
+# SPDX-License-Identifier: MIT
+"""Every backend with real workers: the bytes do not depend on it, and deaths are survived."""
+
+import os
+import socket
+from contextlib import ExitStack
+from pathlib import Path
+
+import pytest
+from scans import files_below, write_sequence
+from works import DieOnce, Peaceful, Write, run, scans_of
+
+from salsanext_cli.errors import MissingDependency, UsageError, WorkersLost
+from salsanext_cli.inference.settings import NetworkSettings
+from salsanext_cli.parallel import dask_backend, ray_backend
+from salsanext_cli.parallel.run import RunOptions
+from salsanext_cli.parallel.threads import threads_of_workers
+from salsanext_cli.stages.predict import predict
+from salsanext_cli.stages.uncertainty import uncertainty
+from salsanext_cli.uncertainty.settings import Estimator
+
+TESTS = Path(__file__).parents[1]
+HERE = "127.0.0.1"
+
+
+@pytest.fixture(scope="module")
+def dask():
+    """Return the options for a real scheduler with two worker processes."""
+    config = pytest.importorskip("dask").config
+    distributed = pytest.importorskip("distributed")
+    with (
+        config.set({"distributed.scheduler.allowed-failures": 1}),
+        distributed.LocalCluster(
+            n_workers=2,
+            threads_per_worker=1,
+            host=HERE,
+            dashboard_address=f"{HERE}:0",
+            scheduler_kwargs={"dashboard": False},
+            memory_limit=0,
+            silence_logs=60,
+        ) as cluster,
+    ):
+        yield {"backend": "dask", "scheduler": cluster.scheduler_address}
+
+
+@pytest.fixture(scope="module")
+def ray():
+    """Return the options for a real Ray of two CPUs."""
+    pytest.importorskip("ray")
+    from ray.cluster_utils import Cluster
+
+    with pytest.MonkeyPatch.context() as patch:
+        # Workers of Ray are started anew and know nothing of the path of this process.
+        package = TESTS.parent
+        old = os.environ.get("PYTHONPATH", "")
+        patch.setenv("PYTHONPATH", os.pathsep.join([str(package), str(TESTS), old]))
+        patch.setattr(ray_backend, "TRIES", 1)
+        cluster = Cluster(
+            initialize_head=True, head_node_args={"num_cpus": 2, "include_dashboard": False}
+        )
+        yield {"backend": "ray", "scheduler": cluster.address}
+        cluster.shutdown()
+
+
+@pytest.fixture(params=["loky", "threading", "dask", "ray"])
+def workers(request):
+    """Return the options for two workers of each kind."""
+    if request.param in ("loky", "threading"):
+        return {"backend": request.param, "jobs": 2}
+    return request.getfixturevalue(request.param)
+
+
+@pytest.fixture(params=["dask", "ray"])
+def cluster(request):
+    return request.getfixturevalue(request.param)
+
+
+@pytest.fixture
+def two_cores(monkeypatch):
+    """Divide two cores among two workers: one thread each, whatever the machine."""
+    monkeypatch.setattr("joblib.cpu_count", lambda: 2)
+
+
+def everything(data, out, weights, **options):
+    """Run the stages that load a network, and return every file they leave."""
+    network, batch = NetworkSettings(weights, "cpu"), RunOptions(**options)
+    estimator = Estimator(samples=2, aleatoric=False)
+    predict(data, out, network=network, extras=("probabilities",), options=batch)
+    uncertainty(data, out, network=network, estimator=estimator, options=batch)
+    return files_below(out)
+
+
+@pytest.fixture(scope="module")
+def alone(tmp_path_factory, weights):
+    """Return a data set of two sequences, and what one process on one thread makes of it."""
+    folder = tmp_path_factory.mktemp("alone")
+    write_sequence(folder / "sequences/00", ["000000"], seed=7)
+    write_sequence(folder / "sequences/08", ["000000", "000001", "000002"])
+    with threads_of_workers(1):
+        return folder, everything(folder, folder / "out", weights)
+
+
+@pytest.fixture
+def connected(workers):
+    """Stay connected with Ray from stage to stage: it starts workers anew for each connection."""
+    with ExitStack() as stack:
+        if workers["backend"] == "ray":
+            stack.enter_context(ray_backend._there(ray_backend._ray(), workers["scheduler"]))
+        yield workers
+
+
+def test_the_bytes_do_not_depend_on_who_works(tmp_path, alone, weights, connected, two_cores):
+    data, expected = alone
+    assert len(expected) == 4 * (2 + 3) + 2 + 2
+    assert everything(data, tmp_path / "out", weights, **connected) == expected
+
+
+def test_a_bug_in_a_worker_keeps_its_type(tmp_path, workers):
+    with pytest.raises(ZeroDivisionError, match="a bug of ours"):
+        run(Write(tmp_path), scans_of("a", "bug", "b"), **workers)
+
+
+def test_failures_are_named_and_the_rest_is_done(tmp_path, workers, monkeypatch):
+    """Relative names start where the run was started."""
+    monkeypatch.chdir(tmp_path)
+    outcome = run(Write(Path("out")), scans_of("bad2", "a", "bad1", "b"), **workers)
+    assert sorted(outcome.results) == ["a", "b"]
+    assert [failure.reason for failure in outcome.failures] == [
+        "/scans/bad1.bin · cut off",
+        "/scans/bad2.bin · cut off",
+    ]
+    assert sorted(path.name for path in Path("out/s").iterdir()) == ["a", "b"]
+
+
+def test_a_worker_that_is_killed_once_is_made_up_for(tmp_path, cluster):
+    scans = scans_of("a", "deadly", *(f"{n:02d}" for n in range(30)))
+    outcome = run(DieOnce(tmp_path), scans, **cluster)
+    assert (tmp_path / "grave").exists()
+    assert sorted(outcome.results) == sorted(scan.stem for scan in scans)
+    assert {path.name for path in (tmp_path / "s").iterdir()} == {scan.stem for scan in scans}
+
+
+@pytest.mark.parametrize("name", ["dask", pytest.param("ray", marks=pytest.mark.slow)])
+def test_what_a_scan_that_kills_again_and_again_costs(tmp_path, name, request):
+    """Its chunk, and maybe one that waited beside it; the others are done."""
+    cluster = request.getfixturevalue(name)
+    scans = scans_of("00", "killed", *(f"{n:02d}" for n in range(1, 15)))
+    with pytest.raises(WorkersLost) as caught:
+        run(Write(tmp_path), scans, **cluster)
+    missing = [scan for scan in scans if not (tmp_path / "s" / scan.stem).exists()]
+    assert "killed" in {scan.stem for scan in missing}
+    assert len(missing) <= 4
+    named = ", ".join(f"s/{scan.stem}" for scan in missing[:3])
+    assert f"; {len(missing)} of 16 scans are missing: {named}" in str(caught.value)
+    assert str(caught.value).endswith("run again for the rest")
+    again = run(Peaceful(tmp_path), scans, **cluster)
+    assert (again.done, again.skipped) == (len(missing), 16 - len(missing))
+    assert {path.name for path in (tmp_path / "s").iterdir()} == {scan.stem for scan in scans}
+
+
+@pytest.mark.parametrize("backend", ["dask", pytest.param("ray", marks=pytest.mark.slow)])
+def test_a_cluster_of_our_own_ends_with_the_run(tmp_path, backend, monkeypatch):
+    pytest.importorskip({"dask": "distributed"}.get(backend, backend))
+    psutil = pytest.importorskip("psutil")
+    monkeypatch.setenv("PYTHONPATH", os.pathsep.join([str(TESTS.parent), str(TESTS)]))
+    before = {child.pid for child in psutil.Process().children(recursive=True)}
+    outcome = run(Write(tmp_path), scans_of(*"abc"), jobs=1, backend=backend)
+    assert sorted(outcome.results) == list("abc")
+    started = {child.pid for child in psutil.Process().children(recursive=True)} - before
+    assert not {pid for pid in started if "tracker" not in " ".join(psutil.Process(pid).cmdline())}
+
+
+def free_port():
+    with socket.socket() as found:
+        found.bind((HERE, 0))
+        return found.getsockname()[1]
+
+
+@pytest.mark.parametrize("backend", ["dask", "ray"])
+@pytest.mark.parametrize("address", ["{here}:{port}", "nonsense", "nonsense://{here}:{port}"])
+def test_where_no_cluster_answers(tmp_path, backend, address, monkeypatch):
+    pytest.importorskip({"dask": "distributed"}.get(backend, backend))
+    monkeypatch.setattr({"dask": dask_backend, "ray": ray_backend}[backend], "PATIENCE", 1)
+    address = address.format(here=HERE, port=free_port())
+    with pytest.raises(UsageError, match=f"^--scheduler {address} · "):
+        run(Write(tmp_path), scans_of("a"), backend=backend, scheduler=address)
+
+
+@pytest.mark.parametrize(("backend", "package"), [("dask", "distributed"), ("ray", "ray")])
+def test_a_missing_package_is_named(tmp_path, backend, package, monkeypatch):
+    monkeypatch.setitem(__import__("sys").modules, package, None)
+    with pytest.raises(MissingDependency, match=rf"pip install 'salsanext\[{backend}\]'"):
+        run(Write(tmp_path), scans_of("a", "b"), backend=backend, jobs=2)

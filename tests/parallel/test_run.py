@@ -1,0 +1,215 @@
+# SPDX-License-Identifier: MIT
+import os
+import signal
+import threading
+from pathlib import Path
+
+import numpy as np
+import pytest
+from works import DieOnce, Write, run, scans_of
+
+from salsanext_cli.errors import FormatError, UsageError, WorkersLost
+from salsanext_cli.parallel.run import RunOptions, run_over_scans
+
+JOBS = pytest.mark.parametrize("jobs", [1, 2])
+LOCAL = pytest.mark.parametrize(
+    "options", [{}, {"jobs": 2}, {"jobs": 2, "backend": "threading"}], ids=["1", "2", "threads"]
+)
+
+
+@LOCAL
+def test_every_scan_is_worked_on_once(tmp_path, options):
+    outcome = run(Write(tmp_path), scans_of(*"abcdefg"), **options)
+    assert sorted(outcome.results) == list("abcdefg")
+    assert (outcome.done, outcome.skipped, outcome.failures) == (7, 0, ())
+    assert sorted(path.name for path in (tmp_path / "s").iterdir()) == list("abcdefg")
+
+
+def test_ctrl_c_does_not_reach_workers(tmp_path):
+    """They would print a traceback each; who runs them is interrupted too, and ends them."""
+    outcome = run(Write(tmp_path), scans_of("a", "ctrl-c", "ctrl-c 2", "b"), jobs=2)
+    assert (outcome.done, outcome.failures) == (4, ())
+
+
+@LOCAL
+def test_failures_are_gathered_in_order_and_the_rest_is_done(tmp_path, options):
+    outcome = run(Write(tmp_path), scans_of("bad2", "a", "bad1", "b"), **options)
+    assert outcome.done == 2
+    assert [failure.scan.stem for failure in outcome.failures] == ["bad1", "bad2"]
+    assert outcome.failures[0].reason == "/scans/bad1.bin · cut off"
+
+
+@LOCAL
+def test_on_error_stop_raises_what_went_wrong(tmp_path, options):
+    scans = scans_of("a", "bad", *(f"{n:03d}" for n in range(100)))
+    with pytest.raises(FormatError, match="bad"):
+        run(Write(tmp_path, pause=0.05), scans, **options, on_error="stop")
+    written = [path.name for path in (tmp_path / "s").iterdir()]
+    assert "a" in written or options
+    assert len(written) < 50
+    assert not any(name.startswith(".") for name in written)
+
+
+@LOCAL
+def test_bugs_are_not_taken_for_failures(tmp_path, options):
+    with pytest.raises(ZeroDivisionError, match="a bug of ours"):
+        run(Write(tmp_path), scans_of("a", "bug", "b"), **options)
+
+
+def test_what_is_there_is_skipped_unless_overwriting(tmp_path):
+    work = Write(tmp_path)
+    run(work, scans_of("a", "b"))
+    (tmp_path / "s" / "a").write_bytes(b"mine")
+    outcome = run(work, scans_of("a", "b", "c"))
+    assert (outcome.done, outcome.skipped) == (1, 2)
+    assert (tmp_path / "s" / "a").read_bytes() == b"mine"
+    assert run(work, scans_of("a", "b", "c"), overwrite=True).done == 3
+    assert (tmp_path / "s" / "a").read_bytes() == b"a"
+
+
+def test_a_scan_is_done_when_all_its_results_are_there(tmp_path):
+    done = []
+
+    def two(scan):
+        return [tmp_path / f"{scan.stem}.1", tmp_path / f"{scan.stem}.2"]
+
+    for name in ("a.1", "b.1", "b.2", "c.1"):
+        (tmp_path / name).write_text("whole")
+    # What a power cut leaves of a file that was renamed just before.
+    (tmp_path / "c.2").touch()
+    outcome = run_over_scans(
+        lambda scan: done.append(scan.stem), scans_of("a", "b", "c"), RunOptions(), two
+    )
+    assert done == ["a", "c"]
+    assert outcome.skipped == 1
+
+
+def test_without_results_nothing_is_skipped():
+    outcome = run_over_scans(lambda scan: scan.stem, scans_of("a", "b"), RunOptions())
+    assert outcome.results == ("a", "b")
+
+
+@LOCAL
+def test_results_can_be_handed_on_as_they_come(tmp_path, options):
+    work, taken, seen = Write(tmp_path), [], []
+    chosen = RunOptions(**options, progress=lambda *_: seen.append(len(taken)))
+    scans = scans_of("a", "bad", "b", "c")
+    outcome = run_over_scans(work, scans, chosen, work.results_of, on_result=taken.append)
+    assert sorted(taken) == list("abc")
+    assert sorted(seen) == seen
+    assert seen[0] <= 1
+    assert (outcome.results, outcome.done, len(outcome.failures)) == ((), 3, 1)
+
+
+@LOCAL
+def test_progress_counts_what_is_to_do(tmp_path, options):
+    seen = []
+    run(Write(tmp_path), scans_of("a"))
+    work = Write(tmp_path)
+    run(work, scans_of("a", "bad", "b", "c"), **options, progress=lambda *n: seen.append(n))
+    assert seen == [(1, 3), (2, 3), (3, 3)]
+
+
+def test_no_scans_at_all(tmp_path):
+    outcome = run(Write(tmp_path), [], jobs=2)
+    assert (outcome.done, outcome.skipped, outcome.failures) == (0, 0, ())
+
+
+@pytest.mark.parametrize(
+    "options",
+    [
+        {"jobs": 0},
+        {"jobs": -2},
+        {"on_error": "panic"},
+        {"backend": "multiprocessing"},
+        {"scheduler": "tcp://here:1"},
+        {"scheduler": "tcp://here:1", "backend": "threading"},
+    ],
+)
+def test_options_that_are_none(options):
+    with pytest.raises(UsageError):
+        RunOptions(**options)
+
+
+def test_all_cores(tmp_path):
+    assert run(Write(tmp_path), scans_of(*"abc"), jobs=-1).done == 3
+
+
+def test_workers_follow_when_the_program_changes_its_folder(tmp_path, monkeypatch):
+    for name in ("one", "two"):
+        (tmp_path / name).mkdir()
+        monkeypatch.chdir(tmp_path / name)
+        run(Write(Path("out")), scans_of("a", "b"), jobs=2)
+        assert sorted(path.name for path in Path("out/s").iterdir()) == ["a", "b"]
+
+
+@LOCAL
+def test_an_interruption_leaves_whole_files_only(tmp_path, options):
+    """Workers are killed while they write; what they had begun is removed."""
+    timer = threading.Timer(1.0, lambda: os.kill(os.getpid(), signal.SIGINT))
+    count = 0
+
+    def arm(done, _):
+        nonlocal count
+        count = done
+        if done == 2:
+            timer.start()
+
+    scans = scans_of(*(f"{n:03d}" for n in range(400)))
+    with pytest.raises(KeyboardInterrupt):
+        run(Write(tmp_path, pause=0.05), scans, **options, progress=arm)
+    written = list((tmp_path / "s").iterdir())
+    assert 2 <= count <= len(written) < 400
+    for path in written:
+        assert not path.name.startswith(".")
+        assert path.read_text() == path.name
+    again = run(Write(tmp_path), scans, **options)
+    assert again.skipped == len(written)
+    assert again.done == 400 - len(written)
+
+
+def test_a_worker_that_the_system_kills_is_a_matter_of_memory(tmp_path):
+    scans = scans_of("a", "killed", "b")
+    with pytest.raises(WorkersLost, match=r"--jobs 2 .* use fewer jobs; run again for the rest"):
+        run(Write(tmp_path), scans, jobs=2)
+    assert not list((tmp_path / "s").glob(".*"))
+    assert run(Write(tmp_path), scans_of("a", "b"), jobs=2).done <= 2
+
+
+def test_what_is_missing_after_a_kill_is_said_and_made_by_the_next_run(tmp_path):
+    scans = scans_of("deadly", *(f"{n:02d}" for n in range(40)))
+    with pytest.raises(WorkersLost) as caught:
+        run(DieOnce(tmp_path, pause=0.02), scans, jobs=2)
+    missing = [s for s in scans if not (tmp_path / "s" / s.stem).exists()]
+    named = ", ".join(f"s/{scan.stem}" for scan in missing[:3])
+    assert f"{len(missing)} of 41 scans are missing: {named} and" in str(caught.value)
+    assert "s/deadly" in named
+    again = run(DieOnce(tmp_path), scans, jobs=2)
+    assert (again.done, again.skipped) == (len(missing), 41 - len(missing))
+    assert {path.name for path in (tmp_path / "s").iterdir()} == {scan.stem for scan in scans}
+
+
+HOARD = []
+
+
+class Grow(Write):
+    """Keep memory that was not there after the worker's first scan, as a network does."""
+
+    def __call__(self, scan):
+        if not HOARD:
+            HOARD.append(np.ones(50_000_000))
+        return super().__call__(scan)
+
+
+def test_workers_that_grow_are_replaced_without_a_word(tmp_path):
+    run(Write(tmp_path / "small"), scans_of("a", "b"), jobs=2)
+    scans = scans_of(*(f"{n:02d}" for n in range(12)))
+    assert run(Grow(tmp_path / "large", pause=0.4), scans, jobs=2).done == 12
+
+
+def test_others_who_write_into_the_same_folder_are_left_alone(tmp_path):
+    (tmp_path / "s").mkdir()
+    other = tmp_path / "s" / ".0123456789abcdef.part"
+    other.touch()
+    run(Write(tmp_path), scans_of("a", "b"), jobs=2)
+    assert other.exists()

@@ -1,0 +1,136 @@
+# SPDX-License-Identifier: MIT
+import random
+import tempfile
+from collections import Counter
+from pathlib import Path
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scans import files_below
+from works import Write, run
+
+from salsanext_cli.errors import UsageError
+from salsanext_cli.parallel.run import RunOptions
+from salsanext_cli.parallel.shards import Shard
+from salsanext_cli.stages.predict import predict
+from salsanext_cli.storage.layout import ScanFile
+
+COUNTS = st.integers(1, 9)
+NAMES = st.sets(st.tuples(st.sampled_from(["00", "08", "a"]), st.integers(0, 99)), max_size=40)
+
+
+def scans_of(names):
+    return [ScanFile(s, f"{n:06d}", Path(f"/{s}/{n}.bin")) for s, n in sorted(names)]
+
+
+def every(count):
+    return [Shard(number, count) for number in range(1, count + 1)]
+
+
+@given(NAMES, COUNTS, st.randoms(use_true_random=False))
+def test_all_shards_have_every_scan_once_whatever_the_order(names, count, draw):
+    scans = scans_of(names)
+    found: Counter[ScanFile] = Counter()
+    sizes = []
+    for shard in every(count):
+        shuffled = draw.sample(scans, len(scans))
+        mine = shard.of(shuffled)
+        found.update(mine)
+        sizes.append(len(mine))
+    assert found == Counter(scans)
+    assert max(sizes) - min(sizes) <= 1
+
+
+@settings(deadline=None)
+@given(NAMES, COUNTS, st.data())
+def test_all_shards_do_every_scan_once_whatever_is_done_already(names, count, data):
+    scans = scans_of(names)
+    done = data.draw(st.sets(st.sampled_from(scans))) if scans else set()
+    shards = data.draw(st.permutations(every(count)))
+    with tempfile.TemporaryDirectory() as folder:
+        work = Write(Path(folder))
+        for scan in done:
+            work(scan)
+        outcomes = [run(work, scans, shard=shard) for shard in shards]
+        assert sum(outcome.done for outcome in outcomes) == len(scans) - len(done)
+        assert sum(outcome.skipped for outcome in outcomes) == len(done)
+        written = {(p.parent.name, p.name) for p in Path(folder).glob("*/*")}
+    assert written == {(scan.sequence, scan.stem) for scan in scans}
+
+
+def test_one_shard_is_all_in_the_order_given():
+    scans = scans_of({("00", n) for n in range(5)})[::-1]
+    assert Shard().of(scans) == scans
+
+
+def test_shards_leave_what_one_run_leaves(world):
+    def files(out, shards):
+        for shard in shards:
+            options = RunOptions(shard=shard)
+            predict(world.data, out, network=world.network, options=options)
+        return files_below(out)
+
+    whole = files(world.out, [Shard()])
+    assert len(whole) == 3 + 2 + 1
+    some = every(3)
+    random.Random(1).shuffle(some)
+    assert files(world.out.with_name("shards"), some) == whole
+
+
+def test_what_is_remembered_is_the_same_for_every_shard(world):
+    """The first shard already says what all of them were asked for."""
+    out = world.out.with_name("shard")
+    options = RunOptions(shard=Shard(1, 3))
+    outcome = predict(world.data, out, network=world.network, options=options)
+    assert (outcome.done, outcome.skipped) == (1, 0)
+    predict(world.data, world.out, network=world.network)
+    remembered = [name for name in files_below(world.out) if name.endswith(".json")]
+    assert len(remembered) == 3
+    for name in remembered:
+        assert (out / name).read_bytes() == (world.out / name).read_bytes()
+
+
+@pytest.mark.parametrize(
+    ("text", "shard"), [("1/1", Shard()), ("3/8", Shard(3, 8)), ("08/08", Shard(8, 8))]
+)
+def test_shards_are_read(text, shard):
+    assert Shard.parse(text) == shard
+
+
+@pytest.mark.parametrize(
+    "text", ["", "1", "0/4", "5/4", "1/0", "-1/4", "1/4/2", "a/b", "1 / 4", "²/4", "1/" + 99 * "9"]
+)
+def test_what_is_no_shard(text):
+    with pytest.raises(UsageError, match="--shard"):
+        Shard.parse(text)
+
+
+def slurm(number, least, count, **more):
+    names = {"ID": number, "MIN": least, "COUNT": count, **more}
+    return {f"SLURM_ARRAY_TASK_{name}": str(value) for name, value in names.items()}
+
+
+@pytest.mark.parametrize(
+    ("environment", "shard"),
+    [
+        (slurm(0, 0, 8), Shard(1, 8)),
+        (slurm(7, 0, 8, STEP=1), Shard(8, 8)),
+        (slurm(1, 1, 8), Shard(1, 8)),
+        (slurm(14, 10, 3, STEP=2), Shard(3, 3)),
+        (slurm(5, 5, 1), Shard(1, 1)),
+        ({}, None),
+        ({"SLURM_ARRAY_TASK_ID": "1"}, None),
+    ],
+)
+def test_arrays_of_slurm(environment, shard):
+    assert Shard.of_slurm(environment) == shard
+
+
+@pytest.mark.parametrize(
+    "environment",
+    [slurm(7, 1, 3, STEP=1), slurm(0, 1, 3), slurm(3, 0, 4, STEP=2), slurm("x", 0, 4)],
+)
+def test_arrays_that_are_no_shards(environment):
+    with pytest.raises(UsageError, match=r"SLURM_ARRAY_TASK_ID.* --shard i/n"):
+        Shard.of_slurm(environment)

@@ -1,0 +1,153 @@
+# SPDX-License-Identifier: MIT
+"""What happens to a run while somebody meddles with its files, its folder or the clock."""
+
+import os
+import shutil
+import time
+from collections.abc import Callable
+
+import pytest
+from scans import files_below, labels_below, write_sequence, write_weights
+from small_disk import read_only
+
+from salsanext_cli.cli.progress import Lines
+from salsanext_cli.errors import OutputError, WeightsError
+from salsanext_cli.geometry.knn import KnnParameters
+from salsanext_cli.parallel.run import RunOptions, run_over_scans
+from salsanext_cli.stages.predict import PredictScan, predict
+from salsanext_cli.storage.identity import fingerprint
+from salsanext_cli.storage.layout import find_scans
+
+
+def run(world, meddle: Callable[[], object] = lambda: None, after: int = 1, **options):
+    """Predict, and meddle after some scans."""
+
+    def progress(done: int, _: int) -> None:
+        if done == after:
+            meddle()
+
+    given = RunOptions(progress=progress, **options)
+    return predict(world.data, world.out, network=world.network, options=given)
+
+
+@pytest.fixture
+def whole(world, tmp_path):
+    """Return the labels of a run that nobody meddled with."""
+    predict(world.data, tmp_path / "whole", network=world.network)
+    return labels_below(tmp_path / "whole")
+
+
+def test_a_scan_that_is_deleted(world, whole):
+    path = world.scan("08", "000001")
+    content = path.read_bytes()
+    outcome = run(world, path.unlink)
+    assert (outcome.done, len(outcome.failures)) == (2, 1)
+    assert outcome.failures[0].reason.startswith(f"{path} · cannot be read: no such file")
+    path.write_bytes(content)
+    assert run(world).done == 1
+    assert labels_below(world.out) == whole
+
+
+def test_weights_that_are_deleted(world, whole, tmp_path):
+    """They are loaded by then."""
+    weights = tmp_path / "w.safetensors"
+    shutil.copy(world.network.weights, weights)
+    expected = fingerprint(weights)
+    network = type(world.network)(weights, "cpu")
+    options = RunOptions(progress=lambda *_: weights.unlink(missing_ok=True))
+    before = labels_below(world.out)
+    outcome = predict(world.data, world.out, network=network, options=options)
+    assert before == {}
+    assert (outcome.done, outcome.failures) == (3, ())
+    assert labels_below(world.out) == whole
+    assert expected in (world.out / "predict.json").read_text()
+
+
+@pytest.mark.parametrize("jobs", [1, 2])
+def test_weights_that_are_replaced_label_no_scan(world, whole, tmp_path, jobs):
+    """As those of a training that goes on: who has not loaded the first ones stops."""
+    weights = tmp_path / "w.safetensors"
+    shutil.copy(world.network.weights, weights)
+    network = type(world.network)(weights, "cpu").resolved()
+    write_weights(weights, seed=1)
+    work = PredictScan(world.out, network, KnnParameters(), ())
+    scans, options = find_scans(world.data), RunOptions(jobs=jobs)
+    if jobs == 1:
+        assert run_over_scans(work, scans, options).done == 3
+        assert labels_below(world.out) == whole
+    else:
+        with pytest.raises(WeightsError, match="was replaced since the run began"):
+            run_over_scans(work, scans, options)
+        assert labels_below(world.out) == {}
+
+
+def test_a_result_folder_that_becomes_read_only(world, whole):
+    folder = world.result("predictions", "08").parent
+    folder.mkdir(parents=True)
+    with read_only(folder):
+        outcome = run(world)
+        assert (outcome.done, len(outcome.failures)) == (1, 2)
+        for failure in outcome.failures:
+            assert "read-only file system" in failure.reason
+            assert "change its permissions or choose another output folder" in failure.reason
+    assert run(world).done == 2
+    assert labels_below(world.out) == whole
+
+
+def test_an_output_folder_that_is_deleted(world, whole):
+    """The results that went with it are not taken for done."""
+    with pytest.raises(OutputError, match=r"was removed or replaced .* run again with --overwrite"):
+        run(world, lambda: shutil.rmtree(world.out))
+    with pytest.raises(OutputError, match="was there before, made nobody knows how"):
+        run(world)
+    assert run(world, overwrite=True).done == 3
+    assert labels_below(world.out) == whole
+
+
+def test_a_clock_that_goes_backwards(world, whole, monkeypatch):
+    """Nothing is compared by time, neither of the clock nor of files."""
+    now = time.time()
+    ticks = iter(range(10**9))
+    monkeypatch.setattr(time, "time", lambda: now - 3600 * next(ticks))
+    monkeypatch.setattr(time, "time_ns", lambda: int(time.time() * 1e9))
+    for number, path in enumerate(sorted(world.data.rglob("*.*"))):
+        then = now + (-1) ** number * 10**9
+        os.utime(path, (then, then))
+    assert run(world).done == 3
+    for path in world.out.rglob("*.*"):
+        os.utime(path, (0, 0) if path.suffix == ".label" else (now + 10**9, now + 10**9))
+    again = run(world)
+    assert (again.done, again.skipped) == (0, 3)
+    assert labels_below(world.out) == whole
+    assert not [name for name in files_below(world.out) if ".part" in name]
+
+
+def test_progress_on_a_clock_that_stands_still_or_goes_backwards(monkeypatch, capsys):
+    ticks = iter([100.0, 100.0, 50.0, 50.0, 200.0])
+    monkeypatch.setattr(time, "monotonic", lambda: next(ticks))
+    lines = Lines("predict", "scans")
+    for done in range(1, 5):
+        lines(done, 10)
+    said = capsys.readouterr().err
+    assert said == "predict: 4/10 scans, 25.0 s/scan, 2 min left\n"
+
+
+def test_a_file_replaced_by_one_of_the_same_size_and_time(tmp_path):
+    """As a clock that was set back, or a copy that keeps times, can leave it."""
+    first, second = tmp_path / "a", tmp_path / "b"
+    first.write_bytes(b"one")
+    second.write_bytes(b"two")
+    for path in (first, second):
+        os.utime(path, (1, 1))
+    before = fingerprint(first)
+    second.replace(first)
+    assert fingerprint(first) != before
+
+
+def test_scans_that_are_added_while_others_are_labelled(world, whole):
+    """They are left to the next run."""
+    folder = world.scan("08").parent.parent
+    outcome = run(world, lambda: write_sequence(folder, ["000009"], seed=5))
+    assert outcome.done == 3
+    assert labels_below(world.out) == whole
+    assert run(world).done == 1

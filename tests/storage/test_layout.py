@@ -1,0 +1,196 @@
+# SPDX-License-Identifier: MIT
+from pathlib import Path
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from salsanext_cli.errors import NoInputError, OutputError
+from salsanext_cli.storage.layout import (
+    SUFFIX_OF_FOLDER,
+    find_outputs,
+    find_scans,
+    output_path,
+)
+
+
+def make(folder: Path, *names: str) -> None:
+    folder.mkdir(parents=True, exist_ok=True)
+    for name in names:
+        (folder / name).write_bytes(b"")
+
+
+@pytest.fixture
+def dataset(tmp_path: Path) -> Path:
+    """Make two sequences, equal file names, and things that are no scans."""
+    root = tmp_path / "Straße 1"
+    for sequence in ("08", "00"):
+        make(root / "sequences" / sequence / "velodyne", "000001.bin", "000000.bin")
+        make(root / "sequences" / sequence / "labels", "000000.label")
+        make(root / "sequences" / sequence, "poses.txt", "calib.txt")
+    make(root / "sequences" / "08" / "velodyne", ".000002.bin", "notes.txt", "000000.npy")
+    make(root / "sequences" / "08" / "velodyne" / "000009.bin")
+    make(root / "sequences" / "empty" / "velodyne")
+    make(root / "sequences" / ".hidden" / "velodyne", "000000.bin")
+    make(root / "sequences", "readme.txt")
+    return root
+
+
+BOTH = [("00", "000000"), ("00", "000001"), ("08", "000000"), ("08", "000001")]
+
+
+@pytest.mark.parametrize(
+    ("place", "expected"),
+    [
+        (".", BOTH),
+        ("sequences", BOTH),
+        ("sequences/08", BOTH[2:]),
+        ("sequences/08/velodyne", BOTH[2:]),
+        ("sequences/08/velodyne/000001.bin", BOTH[3:]),
+        ("sequences/../sequences/08", BOTH[2:]),
+    ],
+)
+def test_every_way_to_name_scans(
+    dataset: Path, place: str, expected: list[tuple[str, str]]
+) -> None:
+    scans = find_scans(dataset / place)
+    assert [(scan.sequence, scan.stem) for scan in scans] == expected
+    for scan in scans:
+        folder = dataset / "sequences" / scan.sequence
+        assert scan.path == folder / "velodyne" / f"{scan.stem}.bin"
+        assert scan.label_path == folder / "labels" / f"{scan.stem}.label"
+
+
+@pytest.mark.parametrize("place", [".", "..", "../velodyne", "./000000.bin", "../../08/velodyne"])
+def test_relative_places_get_their_true_names(
+    dataset: Path, place: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(dataset / "sequences" / "08" / "velodyne")
+    scan = find_scans(Path(place))[0]
+    assert (scan.sequence, scan.stem) == ("08", "000000")
+    assert scan.path.is_absolute()
+
+
+def test_links_keep_the_name_as_typed(dataset: Path, tmp_path: Path) -> None:
+    link = tmp_path / "drive"
+    link.symlink_to(dataset / "sequences" / "08" / "velodyne")
+    assert {scan.sequence for scan in find_scans(link)} == {"drive"}
+    assert {scan.path.parent for scan in find_scans(link)} == {link}
+
+
+def test_link_to_a_scan_that_is_gone_is_not_passed_over(tmp_path: Path) -> None:
+    make(tmp_path / "scans", "a.bin")
+    (tmp_path / "scans" / "b.bin").symlink_to(tmp_path / "gone.bin")
+    assert [scan.stem for scan in find_scans(tmp_path / "scans")] == ["a", "b"]
+
+
+def test_plain_folder_and_its_labels(tmp_path: Path) -> None:
+    folder = tmp_path / "Fahrt 1 äöü"
+    make(folder, "b.PLY", "a.Pcd", "n__LIDAR_TOP__15.331.pcd.bin", "c.x.BIN", "c.txt")
+    scans = find_scans(folder)
+    assert [scan.stem for scan in scans] == ["a", "b", "c.x", "n__LIDAR_TOP__15.331"]
+    assert {scan.sequence for scan in scans} == {"Fahrt 1 äöü"}
+    assert scans[2].label_path == folder / "c.x.label"
+    make(folder / "labels", "c.x.label")
+    assert scans[2].label_path == folder / "labels" / "c.x.label"
+    assert scans[0].label_path == folder / "a.label"
+
+
+@pytest.mark.parametrize(
+    ("names", "expected"),
+    [
+        (["8"], ["08"]),
+        (["08"], ["08"]),
+        (["008"], ["08"]),
+        (["0", "8", "08"], ["00", "08"]),
+        ([], []),
+    ],
+)
+def test_sequences_are_chosen_by_name_or_number(
+    dataset: Path, names: list[str], expected: list[str]
+) -> None:
+    assert sorted({scan.sequence for scan in find_scans(dataset, names)}) == expected
+
+
+@pytest.mark.parametrize("name", ["9", "8.0", "-8", "x", "", "empty", ".hidden", "../08"])
+def test_missing_sequence_names_those_that_exist(dataset: Path, name: str) -> None:
+    with pytest.raises(NoInputError, match="one of 00, 08"):
+        find_scans(dataset, ["08", name])
+
+
+def test_exact_name_wins_over_number(tmp_path: Path) -> None:
+    for sequence in ("8", "08"):
+        make(tmp_path / "sequences" / sequence / "velodyne", "0.bin")
+    assert [scan.sequence for scan in find_scans(tmp_path, ["8"])] == ["8"]
+    assert [scan.sequence for scan in find_scans(tmp_path, ["008"])] == ["08", "8"]
+
+
+def test_nothing_to_find(tmp_path: Path) -> None:
+    make(tmp_path / "folder", "notes.txt", ".hidden.bin")
+    for source in ("folder", "folder/notes.txt"):
+        with pytest.raises(NoInputError, match="holds no scans"):
+            find_scans(tmp_path / source)
+    for source in ("missing", "folder/notes.txt/deeper"):
+        with pytest.raises(NoInputError, match="directory"):
+            find_scans(tmp_path / source)
+
+
+def test_two_scans_of_one_stem_are_both_named(tmp_path: Path) -> None:
+    make(tmp_path / "scans", "000000.bin", "000000.pcd", "000001.bin")
+    with pytest.raises(OutputError) as caught:
+        find_scans(tmp_path / "scans")
+    assert str(tmp_path / "scans" / "000000.bin") in str(caught.value)
+    assert str(tmp_path / "scans" / "000000.pcd") in str(caught.value)
+
+
+@pytest.mark.parametrize("folder", SUFFIX_OF_FOLDER)
+def test_outputs_are_found_where_they_are_put(tmp_path: Path, folder: str) -> None:
+    names = [("08", "b.c"), ("08", "a"), ("00 ä", "a")]
+    for sequence, stem in names:
+        path = output_path(tmp_path, sequence, folder, stem)
+        make(path.parent, path.name, ".half.part", f".{path.name}", "other.txt")
+    outputs = find_outputs(tmp_path, folder)
+    assert [(output.sequence, output.stem) for output in outputs] == sorted(names)
+    for output in outputs:
+        assert output.path == output_path(tmp_path, output.sequence, folder, output.stem)
+        assert output.path.is_file()
+
+
+def test_output_path_as_promised(tmp_path: Path) -> None:
+    path = output_path(tmp_path, "08", "uncertainty/epistemic", "000000")
+    assert path == tmp_path / "sequences/08/uncertainty/epistemic/000000.npy"
+    assert output_path(tmp_path, "08", "predictions", "1.5") == (
+        tmp_path / "sequences/08/predictions/1.5.label"
+    )
+
+
+def test_no_outputs(tmp_path: Path) -> None:
+    assert find_outputs(tmp_path / "missing", "predictions") == []
+    make(tmp_path / "sequences" / "08")
+    assert find_outputs(tmp_path, "predictions") == []
+
+
+@pytest.mark.parametrize("name", ["", ".", "..", "../x", "/etc", "a/b", "a/"])
+def test_names_cannot_lead_out_of_the_output_folder(tmp_path: Path, name: str) -> None:
+    for sequence, stem in ((name, "a"), ("a", name)):
+        with pytest.raises(OutputError):
+            output_path(tmp_path, sequence, "predictions", stem)
+
+
+@given(st.text(st.characters(exclude_characters="\0")), st.text())
+def test_whatever_is_accepted_lies_in_its_folder(sequence: str, stem: str) -> None:
+    out = Path("/out")
+    try:
+        path = output_path(out, sequence, "range", stem)
+    except OutputError:
+        return
+    assert len(path.parts) == len(out.parts) + 4
+    assert ".." not in path.parts
+
+
+@pytest.mark.real
+def test_real_folders(real_data: Path) -> None:
+    scans = find_scans(real_data / "data" / "semantickitti")
+    assert len(scans) == 12
+    assert all(scan.label_path.is_file() for scan in scans)
+    assert len(find_scans(real_data / "data" / "sensors" / "pcd")) == 7

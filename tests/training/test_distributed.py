@@ -1,0 +1,164 @@
+# SPDX-License-Identifier: MIT
+"""Two workers under torchrun, with gloo, beside one worker with twice the batch."""
+
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import pytest
+import torch
+from safetensors.torch import load_file
+from scans import SMALL, write_sequence
+from torch.distributed import is_gloo_available, is_torchelastic_launched
+from two_workers import CASES, batch, learner, share, stepped
+
+import salsanext_cli
+from salsanext_cli.errors import UsageError
+from salsanext_cli.training.distributed import (
+    SINGLE_PROCESS,
+    ProcessGroup,
+    group_of_environment,
+    process_group,
+)
+
+SCRIPT = Path(__file__).with_name("two_workers.py")
+
+gloo = pytest.mark.skipif(not is_gloo_available(), reason="needs gloo")
+
+
+def torchrun(*arguments: object) -> subprocess.CompletedProcess[str]:
+    """Run two workers of one machine."""
+    command = [sys.executable, "-m", "torch.distributed.run", "--standalone"]
+    folders = (Path(salsanext_cli.__file__).parents[1], Path(__file__).parents[1])
+    return subprocess.run(
+        [*command, "--nproc-per-node", "2", *map(str, arguments)],
+        capture_output=True,
+        text=True,
+        timeout=400,
+        check=False,
+        env={
+            **os.environ,
+            "PYTHONPATH": os.pathsep.join(map(str, folders)),
+            "OMP_NUM_THREADS": "1",
+        },
+    )
+
+
+@pytest.fixture(scope="module")
+def two(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
+    path = tmp_path_factory.mktemp("two") / "result.pt"
+    ended = torchrun(SCRIPT, path)
+    assert ended.returncode == 0, ended.stderr
+    found: dict[str, Any] = torch.load(path, weights_only=True)
+    assert found["size"] == 2
+    return found
+
+
+@gloo
+@pytest.mark.parametrize("case", CASES)
+def test_two_workers_have_the_gradient_of_one_with_twice_the_batch(
+    two: dict[str, Any], case: str
+) -> None:
+    """Weights and running statistics too; five samples, so that the workers have unlike shares."""
+    for name, expected in stepped(SINGLE_PROCESS, case).items():
+        torch.testing.assert_close(two[case][name], expected, rtol=1e-5, atol=1e-10)
+
+
+@gloo
+def test_the_cases_say_something(two: dict[str, Any]) -> None:
+    """The mean of two workers' own losses, the usual way, would be another loss."""
+    losses = []
+    for rank in range(2):
+        images, truth = (share(each, ProcessGroup(rank, 2)) for each in batch())
+        losses.append(learner(SINGLE_PROCESS).step(images, truth, 5, 1))
+    assert abs(sum(losses) / 2 - float(two["both losses"]["loss"])) > 1e-4
+    assert two["both losses"]["gradient of features.weight"].abs().max() > 1e-3
+
+
+@gloo
+def test_workers_drop_unlike_channels_and_agree_on_the_rest(two: dict[str, Any]) -> None:
+    first, second = two["apart"]["dropped"]
+    assert not torch.equal(first, second)
+    assert two["apart"]["on_main"].tolist() == [10, 10]
+    assert two["apart"]["uneven"].tolist() == [[0, 1, 1], [0, 1, 1]]
+    assert [bool(each) for each in two["refused"]] == [True, True]
+
+
+@gloo
+@pytest.mark.slow
+def test_the_command_line_under_torchrun(tmp_path: Path) -> None:
+    """Three samples an epoch, so that the second worker has one less."""
+    write_sequence(tmp_path / "data/sequences/00", ["0", "1", "2"], count=600)
+    write_sequence(tmp_path / "data/sequences/08", ["0"], count=600)
+    sensor, run = tmp_path / "small.toml", tmp_path / "run"
+    lines = (f"{key} = {json.dumps(value)}\n" for key, value in SMALL.to_dict().items())
+    sensor.write_text("".join(lines), "utf-8")
+    given = ("train", tmp_path / "data", run, "--recipe", "quick", "--sensor", sensor, "--json")
+    short = ("samples_per_epoch=3", "crop_width=32", "architecture=salsanet")
+    ended = torchrun("-m", "salsanext_cli", *given, *(f"--set={change}" for change in short))
+    assert ended.returncode == 0, ended.stderr
+    assert json.loads(ended.stdout)["best"] == str(run / "best.safetensors")
+    assert ended.stderr.count("train: best validation mIoU") == 1
+    assert len((run / "log.csv").read_text("utf-8").splitlines()) == 3
+
+
+@gloo
+@pytest.mark.slow
+def test_a_team_that_was_killed_goes_on_as_if_it_had_not_been(tmp_path: Path) -> None:
+    """In the middle of an epoch; from another folder than the first worker's none goes on."""
+    data = tmp_path / "data"
+    write_sequence(data / "sequences/00", ["0", "1", "2"], count=600)
+    write_sequence(data / "sequences/08", ["0", "1", "2"], count=600)
+    script = SCRIPT.with_name("stopped_training.py")
+    whole, parts = tmp_path / "whole", tmp_path / "parts"
+    assert torchrun(script, data, whole).returncode == 0
+    assert torchrun(script, data, parts, 6).returncode != 0
+    assert (parts / "checkpoint.pt").exists()
+    severed = torchrun(script, data, parts, "severed")
+    assert severed.returncode != 0
+    assert "the first worker goes on after step 6, this one after step 0" in severed.stderr
+    ended = torchrun(script, data, parts)
+    assert ended.returncode == 0, ended.stderr
+    for name in ("last.safetensors", "best.safetensors"):
+        one, other = load_file(whole / name), load_file(parts / name)
+        assert all(torch.equal(one[key], other[key]) for key in one)
+
+
+@gloo
+@pytest.mark.slow
+def test_what_is_wrong_with_the_data_is_said_once(tmp_path: Path) -> None:
+    ended = torchrun("-m", "salsanext_cli", "train", tmp_path / "nowhere", tmp_path, "--json")
+    assert ended.returncode != 0
+    assert ended.stderr.count("error: ") == 1
+    assert len(ended.stdout.splitlines()) == 1
+
+
+def test_without_torchrun_one_works_alone() -> None:
+    assert not is_torchelastic_launched()
+    with process_group("cpu") as (group, place):
+        assert (group, place) == (SINGLE_PROCESS, torch.device("cpu"))
+    ones = torch.ones(2)
+    assert SINGLE_PROCESS.sum(ones) is ones
+    assert SINGLE_PROCESS.gather(ones)[0] is ones
+    assert SINGLE_PROCESS.on_main(lambda: 3) == 3
+    assert SINGLE_PROCESS.is_main
+    assert not ProcessGroup(1, 2).is_main
+
+
+def test_torchrun_says_who_is_who(monkeypatch: pytest.MonkeyPatch) -> None:
+    for name, value in {"RANK": "3", "WORLD_SIZE": "4", "TORCHELASTIC_RUN_ID": "x"}.items():
+        monkeypatch.setenv(name, value)
+    assert group_of_environment() == ProcessGroup(3, 4)
+
+
+def test_one_gpu_for_several_workers_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("TORCHELASTIC_RUN_ID", "x")
+    monkeypatch.setenv("RANK", "0")
+    monkeypatch.setenv("WORLD_SIZE", "2")
+    monkeypatch.setattr(torch.cuda, "device_count", lambda: 2)
+    with pytest.raises(UsageError, match="device cuda:1 · one GPU for 2 workers"):  # noqa: SIM117
+        with process_group("cuda:1"):
+            pass

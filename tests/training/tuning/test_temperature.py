@@ -1,0 +1,73 @@
+# SPDX-License-Identifier: MIT
+import math
+
+import numpy as np
+import pytest
+import torch
+from sklearn.metrics import log_loss
+
+from salsanext_cli.training.tuning import temperature as module
+from salsanext_cli.training.tuning.temperature import best_temperature, negative_log_likelihood
+
+
+def drawn(temperature: float, count: int = 3000, classes: int = 5, seed: int = 0):
+    """Logits, and classes drawn from their softmax at a temperature."""
+    random = torch.Generator().manual_seed(seed)
+    logits = 3 * torch.randn(count, classes, generator=random)
+    shares = torch.softmax(logits / temperature, dim=1)
+    return logits, torch.multinomial(shares, 1, generator=random)[:, 0]
+
+
+@pytest.mark.parametrize("temperature", [0.3, 1.0, 2.5, 20.0])
+def test_the_best_is_the_lowest_of_a_dense_grid(temperature):
+    logits, truth = drawn(temperature)
+    best = best_temperature(logits, truth)
+    grid = np.geomspace(best / 2, best * 2, 201)
+    losses = [negative_log_likelihood(logits, truth, value) for value in grid]
+    assert grid[np.argmin(losses)] == pytest.approx(best, rel=0.007)
+    assert negative_log_likelihood(logits, truth, best) <= min(losses)
+
+
+def test_the_temperature_that_classes_were_drawn_with_is_found():
+    assert best_temperature(*drawn(2.5, 100_000)) == pytest.approx(2.5, rel=0.02)
+
+
+@pytest.mark.parametrize("factor", [1e-3, 3.0, 1e3])
+def test_logits_times_a_factor_have_that_many_times_the_temperature(factor):
+    logits, truth = drawn(1.7)
+    expected = factor * best_temperature(logits, truth)
+    assert best_temperature(factor * logits, truth) == pytest.approx(expected, rel=1e-5)
+
+
+def test_two_points_in_closed_form():
+    """Of points with the logits (1, 0), three in four are of the first class: 1/T = ln 3."""
+    logits = torch.tensor([[1.0, 0.0]]).expand(4, 2)
+    truth = torch.tensor([0, 0, 0, 1])
+    assert best_temperature(logits, truth) == pytest.approx(1 / math.log(3), rel=1e-7)
+
+
+def test_the_loss_against_scikit_learn():
+    logits, truth = drawn(1.3)
+    shares = torch.softmax(logits.double() / 0.8, dim=1).numpy()
+    expected = log_loss(truth.numpy(), shares, labels=range(5))
+    assert negative_log_likelihood(logits, truth, 0.8) == pytest.approx(expected, rel=1e-12)
+
+
+def test_chunks_change_nothing(monkeypatch):
+    logits, truth = drawn(1.3, 1000)
+    whole = best_temperature(logits, truth), negative_log_likelihood(logits, truth, 2.0)
+    monkeypatch.setattr(module, "CHUNK", 7)
+    parts = best_temperature(logits, truth), negative_log_likelihood(logits, truth, 2.0)
+    assert parts == pytest.approx(whole, rel=1e-9)
+
+
+def test_it_is_the_same_every_time():
+    logits, truth = drawn(1.3)
+    assert best_temperature(logits, truth) == best_temperature(logits, truth)
+
+
+def test_where_there_is_no_best():
+    logits, _ = drawn(1.0)
+    assert best_temperature(logits, logits.argmax(dim=1)) == 0
+    assert best_temperature(logits, logits.argmin(dim=1)) == math.inf
+    assert best_temperature(torch.zeros(3, 2), torch.tensor([0, 1, 0])) in (0, math.inf)

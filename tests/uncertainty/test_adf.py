@@ -1,0 +1,345 @@
+# SPDX-License-Identifier: MIT
+"""Every rule against the function's own derivatives and Monte Carlo; then whole networks."""
+
+from contextlib import nullcontext
+from copy import deepcopy
+
+import numpy as np
+import pytest
+import torch
+import torch.nn.functional as F
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scans import lively
+from torch import nn
+
+from salsanext_cli.network.blocks import Down, Unit
+from salsanext_cli.network.dropout import ChannelDropout, sampling
+from salsanext_cli.network.salsanext import SalsaNext
+from salsanext_cli.uncertainty.adf import Gaussian
+
+SAMPLES = 100_000
+SIGMAS = 5.0
+"""Standard errors that a Monte-Carlo estimate may be off: once in two million estimates."""
+SHAPE = 1, 4, 3, 4
+FLOATS = [torch.float64, torch.float32, torch.bfloat16]
+HUGE = 1e30
+
+
+@pytest.fixture(autouse=True)
+def no_gradients():
+    with torch.inference_mode():
+        yield
+
+
+def draw(*shape, seed=0):
+    return torch.randn(*shape, generator=torch.Generator().manual_seed(seed), dtype=torch.float64)
+
+
+def gaussian(*shape, seed=0):
+    """Return means and variances of order 1, one in eight of them certain.
+
+    No mean is far from 0: what is passed by one sample in thousands has no reliable error.
+    """
+    variance = 0.5 + draw(*shape, seed=seed + 1).square()
+    certain = draw(*shape, seed=seed + 2) < -1.15
+    return Gaussian(draw(*shape, seed=seed).clamp(-1.5, 1.5), variance.masked_fill(certain, 0))
+
+
+def to(x, dtype, layout=torch.contiguous_format):
+    mean, variance = (t.to(dtype).contiguous(memory_format=layout) for t in (x.mean, x.variance))
+    return Gaussian(mean, variance)
+
+
+def weights(like, *shape, seed):
+    return draw(*shape, seed=seed).to(like.dtype)
+
+
+def convolution(kernel, **geometry):
+    def rule(x):
+        channels = 4 // geometry.get("groups", 1)
+        weight = weights(x, 4, channels, *kernel, seed=5)
+        return F.conv2d(x, weight, weights(x, 4, seed=6), **geometry)
+
+    return rule
+
+
+def batch_norm(x):
+    mean, scale, shift = (weights(x, 4, seed=seed) for seed in (5, 6, 7))
+    variance = torch.tensor([1e-6, 0.3, 1, 100], dtype=x.dtype)
+    return F.batch_norm(x, mean, variance, scale, shift, False, 0.1, 1e-5)
+
+
+def dropped_in_training(x):
+    """Drop the same channels of every sample: samples side by side make one image."""
+    with torch.random.fork_rng():
+        torch.manual_seed(3)
+        if isinstance(x, Gaussian):
+            return F.dropout2d(x, 0.3, True)
+        wide = x.permute(1, 0, 2, 3).flatten(1, 2)[None]
+        return F.dropout2d(wide, 0.3, True)[0].view(4, *x.shape[::2], x.shape[3]).transpose(0, 1)
+
+
+def dropped_in_sampling(x):
+    layer = ChannelDropout(0.3)
+    with sampling([torch.Generator().manual_seed(2)]):
+        return layer(x)
+
+
+LINEAR = {
+    "convolution 1×1": convolution((1, 1)),
+    "convolution 3×3": convolution((3, 3), padding=1),
+    "dilated 3×3": convolution((3, 3), padding=2, dilation=2),
+    "dilated 2×2": convolution((2, 2), padding=1, dilation=2),
+    "strided 3×3 in groups": convolution((3, 3), padding=1, stride=2, groups=2),
+    "batch norm": batch_norm,
+    "average pooling": nn.AvgPool2d(3, stride=2, padding=1),
+    "average pooling without padding": lambda x: F.avg_pool2d(x, 2, 2, 0),
+    "pixel shuffle": nn.PixelShuffle(2),
+    "padding": lambda x: F.pad(x, (1, 0, 2, 3)),
+    "padding with a value": lambda x: F.pad(x, (1, 1), value=2.5),
+    "padding around": lambda x: F.pad(x, (2, 1, 0, 0), mode="circular"),
+    "indexing": lambda x: x[..., torch.arange(9) % 4][:, 1:, :3],
+    "concatenation": lambda x: torch.cat((x[:, 2:], x[:, :1]), dim=1),
+    "residual sum": lambda x: x[:, :2] + x[:, 2:],
+    "dropout not in training": lambda x: F.dropout2d(x, 0.3, False),
+    "dropout in training": dropped_in_training,
+    "dropout in sampling": dropped_in_sampling,
+}
+RULES = {
+    **LINEAR,
+    "leaky ReLU": nn.LeakyReLU(0.01),
+    "softmax": lambda x: torch.softmax(x, dim=1),
+}
+linear_rules = pytest.mark.parametrize("rule", LINEAR.values(), ids=LINEAR)
+rules = pytest.mark.parametrize("rule", RULES.values(), ids=RULES)
+
+
+def derived(function, x):
+    """Return the moments of a linear function: its columns squared, times the variances."""
+    size = x.mean.numel()
+    zero = function(torch.zeros_like(x.mean))
+    units = torch.eye(size, dtype=x.dtype).view(size, *x.shape[1:])
+    columns = function(units) - zero
+    return function(x.mean), (columns.square().flatten(1).T @ x.variance.flatten()).view(zero.shape)
+
+
+@pytest.fixture(scope="module")
+def noise():
+    return draw(SAMPLES, *SHAPE[1:], seed=9)
+
+
+def assert_agrees_with_monte_carlo(function, x, noise):
+    """Compare means and variances to within their standard errors."""
+    predicted = function(x)
+    parts = []
+    # Ten parts fit a cache better than the whole.
+    for part in noise.chunk(10):
+        off = function(x.mean + x.variance.sqrt() * part) - predicted.mean
+        square = off.square()
+        parts.append(torch.stack([t.mean(dim=0) for t in (off, square, square.square())]))
+    first, second, fourth = torch.stack(parts).mean(dim=0)
+    variance = predicted.variance[0]
+    error_of_mean = (variance / SAMPLES).sqrt()
+    error_of_variance = ((fourth - second.square()).clamp(min=0) / SAMPLES).sqrt()
+    # What is certain has no error but that of adding numbers of order 1 in another order.
+    assert (first.abs() - SIGMAS * error_of_mean).max() < 1e-14
+    assert ((second - variance).abs() - SIGMAS * error_of_variance).max() < 1e-14
+
+
+@linear_rules
+def test_linear_rules_are_exact(rule):
+    x = gaussian(*SHAPE)
+    found = rule(x)
+    mean, variance = derived(rule, x)
+    assert torch.equal(found.mean, mean)
+    torch.testing.assert_close(found.variance, variance, rtol=1e-13, atol=1e-15)
+
+
+@pytest.mark.parametrize("name", [name for name in RULES if name != "softmax"])
+def test_rules_against_monte_carlo(name, noise):
+    assert_agrees_with_monte_carlo(RULES[name], gaussian(*SHAPE), noise)
+
+
+def test_a_chain_without_shared_noise_against_monte_carlo(noise):
+    """A 1×1 unit, pooling and shuffling: no two numbers that meet depend on each other."""
+    chain = nn.Sequential(Unit(4, 8, 1), Down(0.0), nn.PixelShuffle(2))
+    assert_agrees_with_monte_carlo(lively(chain).double(), gaussian(*SHAPE), noise)
+
+
+def test_what_depends_on_each_other_is_taken_as_independent():
+    """The approximation of the method: x + x has the variance 4 v, the sum of two such x 2 v."""
+    x = gaussian(*SHAPE)
+    assert torch.equal((x + x).variance, 2 * x.variance)
+
+
+@pytest.mark.parametrize("dtype", FLOATS)
+@rules
+def test_certain_numbers_stay_certain(rule, dtype):
+    """Of variance 0, the mean is that of the function, bit for bit, and the variance 0."""
+    mean = (30 * draw(*SHAPE)).clamp(-100, 100).to(dtype)
+    found, expected = rule(Gaussian(mean, torch.zeros_like(mean))), rule(mean)
+    if rule is RULES["softmax"]:
+        torch.testing.assert_close(found.mean, expected, rtol=0, atol=5 * torch.finfo(dtype).eps)
+    else:
+        assert torch.equal(found.mean, expected)
+    assert found.dtype == found.variance.dtype == dtype
+    assert not found.variance.any()
+
+
+@pytest.mark.parametrize("scale", [1e-12, 1.0, 1e12])
+@pytest.mark.parametrize("dtype", FLOATS[1:])
+@linear_rules
+def test_variances_in_few_bits(rule, dtype, scale):
+    """A variance is a sum of positive products: nothing cancels, whatever the means.
+
+    A weight, its square, the product, the sum and what divides it are rounded: eight units.
+    """
+    exact = gaussian(*SHAPE)
+    x = to(Gaussian(100 * exact.mean, scale * exact.variance), dtype)
+    found, expected = rule(x), rule(to(x, torch.float64))
+    units = 8 * torch.finfo(dtype).eps
+    torch.testing.assert_close(found.variance.double(), expected.variance, rtol=units, atol=0)
+
+
+@settings(max_examples=60, deadline=None)
+@given(
+    st.integers(0, 2**32 - 1),
+    st.floats(-6, 2),
+    st.floats(-12, 30),
+    st.sampled_from(FLOATS),
+    st.sampled_from([torch.contiguous_format, torch.channels_last]),
+)
+def test_variances_are_finite_and_not_negative(seed, scale, power, dtype, layout):
+    """From certain to huge side by side, in any type and layout."""
+    random = np.random.default_rng(seed)
+    mean = np.clip(random.normal(size=SHAPE) * 10**scale, -100, 100)
+    variance = 10 ** random.uniform(-12, max(power, -12), SHAPE)
+    variance[random.random(SHAPE) < 0.3] = 0
+    x = to(Gaussian(torch.from_numpy(mean), torch.from_numpy(variance)), dtype, layout)
+    for name, rule in RULES.items():
+        found, shape = rule(x), rule(x.mean).shape
+        assert found.shape == shape, name
+        assert found.mean.isfinite().all(), name
+        assert found.variance.isfinite().all(), name
+        assert found.variance.min() >= 0, name
+
+
+# PyTorch says so wherever oneDNN is switched off.
+@pytest.mark.filterwarnings("ignore:TF32 acceleration")
+@pytest.mark.parametrize("batch", [1, 16])
+@pytest.mark.parametrize("own", [True, False])
+def test_convolutions_by_any_algorithm_give_no_negative_variance(batch, own):
+    """Beside large variances, an algorithm that transforms leaves less than 0 of a 0."""
+    mean = torch.zeros(batch, 32, 16, 64)
+    vague = torch.rand(mean.shape, generator=torch.Generator().manual_seed(0)) < 0.02
+    weight = draw(32, 32, 3, 3).float()
+    with nullcontext() if own else torch.backends.mkldnn.flags(enabled=False):
+        found = F.conv2d(Gaussian(mean, 1e6 * vague.float()), weight, padding=1)
+    assert found.variance.min() >= 0
+
+
+@rules
+def test_the_layout_of_memory_changes_nothing(rule):
+    x = gaussian(*SHAPE)
+    found, expected = rule(to(x, torch.float64, torch.channels_last)), rule(x)
+    torch.testing.assert_close(found.mean, expected.mean, rtol=1e-12, atol=1e-14)
+    torch.testing.assert_close(found.variance, expected.variance, rtol=1e-12, atol=1e-14)
+
+
+@pytest.mark.parametrize(
+    ("function", "name"),
+    [
+        (torch.relu, "relu"),
+        (nn.ELU(), "elu"),
+        (nn.MaxPool2d(2), "max_pool2d"),
+        (lambda x: x * x, "mul"),
+        (lambda x: 1.0 + draw(*SHAPE) + x, "add"),
+    ],
+)
+def test_a_function_without_a_rule_is_named(function, name):
+    with pytest.raises(NotImplementedError, match=f"no rule for the moments of .*{name}"):
+        function(gaussian(*SHAPE))
+
+
+def test_what_the_rules_do_not_cover_is_an_error():
+    x = gaussian(*SHAPE)
+    with pytest.raises(NotImplementedError, match="average pooling"):
+        nn.AvgPool2d(3, stride=2, padding=1, count_include_pad=False)(x)
+    with pytest.raises(ValueError, match=r"\(1, 4\) and variance \(4,\) differ in shape"):
+        Gaussian(torch.zeros(1, 4), torch.zeros(4))
+
+
+# Whole networks
+
+
+@pytest.fixture(scope="module")
+def network():
+    return lively(SalsaNext(class_count=6))
+
+
+def images(*shape, seed=0):
+    return draw(*shape, seed=seed).float()
+
+
+@pytest.mark.parametrize("size", [(16, 32), (17, 33), (5, 100)])
+@pytest.mark.parametrize("layout", [torch.contiguous_format, torch.channels_last])
+def test_of_a_certain_image_the_logits_are_the_networks(network, size, layout):
+    image = images(1, 5, *size).contiguous(memory_format=layout)
+    found = network(Gaussian(image, torch.zeros_like(image)))
+    assert torch.equal(found.mean, network(image))
+    assert torch.equal(found.variance, torch.zeros_like(found.mean))
+
+
+def test_sampling_draws_the_same_channels_for_moments(network):
+    image = images(2, 5, 16, 32)
+
+    def sampled(x):
+        generators = [torch.Generator().manual_seed(seed) for seed in (3, 4)]
+        with sampling(generators):
+            return network(x)
+
+    found = sampled(Gaussian(image, torch.zeros_like(image)))
+    assert torch.equal(found.mean, sampled(image))
+    assert not torch.equal(found.mean, network(image))
+    assert not found.variance.any()
+
+
+def test_a_batch_gives_what_its_images_give(network):
+    x = to(gaussian(3, 5, 16, 32), torch.float32)
+    together = network(x)
+    for number in range(3):
+        alone = network(x[number : number + 1])
+        torch.testing.assert_close(together.mean[number], alone.mean[0], rtol=1e-3, atol=1e-4)
+        torch.testing.assert_close(together.variance[number], alone.variance[0], rtol=1e-3, atol=0)
+
+
+def test_more_noise_in_gives_as_much_more_out(network):
+    """As long as it is so little that no LeakyReLU sees both of its sides."""
+    double = deepcopy(network).double()
+    image, pattern = draw(1, 5, 16, 32), draw(1, 5, 16, 32, seed=1).square()
+    little, more = (double(Gaussian(image, k * pattern)) for k in (1e-16, 1e-14))
+    torch.testing.assert_close(more.variance, 100 * little.variance, rtol=1e-3, atol=0)
+    assert more.variance.min() > 0
+
+
+@pytest.mark.parametrize("power", [-12, 6])
+@pytest.mark.parametrize("dtype", [torch.float32, torch.bfloat16])
+def test_a_network_in_few_bits_stays_finite(network, dtype, power):
+    narrow = deepcopy(network).to(dtype)
+    x = gaussian(1, 5, 16, 32)
+    x = to(Gaussian(x.mean, 10.0**power * x.variance), dtype)
+    logits = narrow(x)
+    for moments in (logits, torch.softmax(logits, dim=1)):
+        assert moments.dtype == dtype
+        assert moments.mean.isfinite().all()
+        assert moments.variance.isfinite().all()
+        assert moments.variance.min() >= 0
+        assert moments.variance.max() > 0
+
+
+def test_float32_gives_the_variance_of_float64(network):
+    x = gaussian(1, 5, 16, 32)
+    narrow = network(to(x, torch.float32))
+    wide = deepcopy(network).double()(x)
+    torch.testing.assert_close(narrow.variance.double(), wide.variance, rtol=1e-5, atol=0)

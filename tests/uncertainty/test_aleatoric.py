@@ -1,0 +1,99 @@
+# SPDX-License-Identifier: MIT
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+from scans import SMALL, make_scan
+
+from salsanext_cli.errors import UsageError
+from salsanext_cli.geometry.projection import project
+from salsanext_cli.inference.network import load_network
+from salsanext_cli.uncertainty.aleatoric import aleatoric
+from salsanext_cli.uncertainty.one_pass import propagate_dropout
+
+
+@pytest.fixture(scope="module")
+def network(weights):
+    return load_network(weights, "cpu")
+
+
+@pytest.fixture(scope="module")
+def image():
+    return project(make_scan(), SMALL)
+
+
+def with_noise(network, metres, intensity):
+    sensor = replace(network.sensor, range_noise=metres, intensity_noise=intensity)
+    return replace(network, sensor=sensor)
+
+
+def test_shape_type_and_bounds(network, image):
+    variance = aleatoric(network, image)
+    assert variance.shape == (20, 16, 128)
+    assert variance.dtype == np.float32
+    assert np.isfinite(variance).all()
+    assert variance.min() >= 0
+    assert variance.max() <= 0.25
+    assert variance.mean(axis=0).std() > 0
+
+
+def test_a_perfect_sensor_leaves_no_doubt(network, image):
+    assert not aleatoric(with_noise(network, 0.0, 0.0), image).any()
+
+
+@pytest.mark.parametrize("noise", [(1e-3, 0.0), (0.0, 1e-3)])
+def test_small_noises_act_as_their_squares(network, image, noise):
+    """To first order the variance of an output is proportional to that of the input."""
+    once = aleatoric(with_noise(network, *noise), image).mean(axis=0)
+    twice = aleatoric(with_noise(network, *(2 * n for n in noise)), image).mean(axis=0)
+    assert np.median(twice / once) == pytest.approx(4, rel=0.02)
+
+
+def test_either_noise_alone_is_less_than_both(network, image):
+    both = aleatoric(with_noise(network, 0.02, 0.02), image).mean()
+    assert 0 < aleatoric(with_noise(network, 0.02, 0.0), image).mean() < both
+    assert 0 < aleatoric(with_noise(network, 0.0, 0.02), image).mean() < both
+
+
+def test_dropout_is_off_and_the_network_stays_as_it_is(network, image):
+    before = torch.random.get_rng_state()
+    first = aleatoric(network, image)
+    assert torch.equal(torch.random.get_rng_state(), before)
+    np.testing.assert_array_equal(aleatoric(network, image), first)
+
+
+def test_a_sensor_of_unknown_noise(network, image):
+    with pytest.raises(UsageError, match="its noise is not known"):
+        aleatoric(with_noise(network, None, 0.02), image)
+
+
+def test_it_ranks_pixels_as_noisy_copies_do(network, image):
+    """Sixty-four copies of the scan, each with its own noise of 2 cm and 0.02."""
+    random = np.random.default_rng(0)
+    occupied = image.channels[0] > 0
+    rays = np.zeros_like(image.channels[:4])
+    rays[0] = 1
+    np.divide(image.channels[1:4], image.channels[0], out=rays[1:], where=occupied)
+    passes = []
+    for _ in range(64):
+        noisy = image.channels.copy()
+        noisy[:4] += rays * random.normal(0, 0.02, occupied.shape).astype(np.float32)
+        noisy[4] += random.normal(0, 0.02, occupied.shape).astype(np.float32)
+        passes.append(network.pixel_probabilities(noisy * occupied))
+    sampled = np.var(passes, axis=0).mean(axis=0)[occupied]
+    propagated = aleatoric(network, image).mean(axis=0)[occupied]
+    ranks = (np.argsort(np.argsort(values)) for values in (sampled, propagated))
+    assert np.corrcoef(*ranks)[0, 1] > 0.6
+
+
+@pytest.mark.parametrize("method", [aleatoric, lambda *given: propagate_dropout(*given).variance])
+def test_no_bit_depends_on_the_number_of_threads(network, image, method):
+    before = torch.get_num_threads()
+    found = []
+    for threads in (1, 2, 3):
+        torch.set_num_threads(threads)
+        found.append(method(network, image))
+    torch.set_num_threads(before)
+    np.testing.assert_array_equal(found[1], found[0])
+    np.testing.assert_array_equal(found[2], found[0])

@@ -1,0 +1,323 @@
+# SPDX-License-Identifier: MIT
+"""LeakyReLU and softmax of Gaussians against quadrature, closed forms and Monte Carlo."""
+
+import math
+from itertools import pairwise
+
+import numpy as np
+import pytest
+import torch
+import torch.nn.functional as F
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.special import expit
+from scipy.stats import norm
+
+from salsanext_cli.uncertainty import moments
+from salsanext_cli.uncertainty.moments import FARTHEST, leaky_relu_moments, softmax_moments
+
+SAMPLES = 100_000
+SIGMAS = 5.0
+"""Standard errors that a Monte-Carlo estimate may be off: once in two million estimates."""
+FLOATS = [torch.float64, torch.float32, torch.bfloat16, torch.float16]
+HUGE = 1e30
+LEGENDRE = np.polynomial.legendre.leggauss(100)
+
+
+def draw(*shape, seed=0):
+    return torch.randn(*shape, generator=torch.Generator().manual_seed(seed), dtype=torch.float64)
+
+
+def leaky(mean, variance, slope=0.01, dtype=torch.float64):
+    """Return floats for floats."""
+    pair = (torch.tensor([number], dtype=dtype) for number in (mean, variance))
+    return tuple(t.double().item() for t in leaky_relu_moments(*pair, slope))
+
+
+def softmax(mean, variance, dtype=torch.float64):
+    """Return the moments of one pixel."""
+    pair = (torch.as_tensor(numbers, dtype=torch.float64).to(dtype) for numbers in (mean, variance))
+    return tuple(t.double() for t in softmax_moments(*pair, 0))
+
+
+def normal_quadrature(*cuts):
+    """Return nodes and weights for N(0, 1), in pieces: exact to the last digits if smooth there."""
+    edges = sorted({-FARTHEST, FARTHEST, *(c for c in cuts if abs(c) < FARTHEST)})
+    nodes, weights = LEGENDRE
+    pieces = [(a, (b - a) / 2) for a, b in pairwise(edges)]
+    z = np.concatenate([a + half * (nodes + 1) for a, half in pieces])
+    return z, np.concatenate([half * weights for _, half in pieces]) * norm.pdf(z)
+
+
+def quadrature(function, *cuts):
+    """Return mean and variance of function(z), z ~ N(0, 1)."""
+    z, weights = normal_quadrature(*cuts)
+    values = function(z)
+    mean = weights @ values
+    return mean, weights @ np.square(values - mean)
+
+
+@pytest.mark.parametrize("slope", [0.0, 0.01, 0.2, 1.0])
+@pytest.mark.parametrize("variance", [1e-12, 1e-6, 1.0, 25.0, 1e6])
+def test_leaky_relu_against_quadrature(slope, variance):
+    """To 1e-12 of a standard deviation, and of the result where the slope keeps it from 0."""
+    deviation = math.sqrt(variance)
+    for far in [*np.linspace(-8, 8, 33), -1e-9, 1e-9]:
+        mean = far * deviation
+
+        def rectified(z, mean=mean):
+            x = mean + deviation * z
+            return np.where(x > 0, x, slope * x)
+
+        expected = quadrature(rectified, -far)
+        found = leaky(mean, variance, slope)
+        assert found[0] == pytest.approx(expected[0], rel=1e-12, abs=1e-14 * deviation)
+        assert found[1] == pytest.approx(expected[1], rel=1e-12, abs=1e-14 * variance)
+
+
+@pytest.mark.parametrize("mean", [-100, -3, -0.5, 0, 0.1, 2, 100])
+@pytest.mark.parametrize("variance", [1e-12, 0.25, 4, 1e4])
+def test_leaky_relu_against_monte_carlo(mean, variance):
+    samples = F.leaky_relu(mean + math.sqrt(variance) * draw(SAMPLES), 0.01)
+    found_mean, found_variance = leaky(mean, variance)
+    deviations = samples - samples.mean()
+    expected = deviations.square().mean().item()
+    error_of_mean = math.sqrt(expected / SAMPLES)
+    error_of_variance = deviations.square().std().item() / math.sqrt(SAMPLES)
+    # With a mean of 100 the samples themselves have no more digits than this.
+    digits = 1e-13 * abs(mean)
+    assert abs(found_mean - samples.mean().item()) < SIGMAS * error_of_mean + digits
+    assert abs(found_variance - expected) < SIGMAS * error_of_variance
+
+
+def test_nothing_cancels_where_squares_would():
+    """E[y²] − E[y]² is 0 in float32 for m = 10, v = 10⁻⁶."""
+    assert leaky(10, 1e-6, dtype=torch.float32)[1] == pytest.approx(1e-6, rel=1e-6)
+    assert leaky(-10, 1e-6, dtype=torch.float32)[1] == pytest.approx(1e-10, rel=1e-6)
+    assert leaky(100, 1e-12, dtype=torch.float32)[1] == pytest.approx(1e-12, rel=1e-6)
+    assert leaky(-100, 1e-12, dtype=torch.float32)[1] == pytest.approx(1e-16, rel=1e-6)
+
+
+def test_float32_is_as_good_as_float64():
+    mean, variance = draw(20_000) * 3, draw(20_000, seed=1).square()
+    mean, variance = mean.float(), variance.float()
+    narrow = leaky_relu_moments(mean, variance, 0.01)
+    wide = leaky_relu_moments(mean.double(), variance.double(), 0.01)
+    error = (narrow[0] - wide[0]).abs() / variance.sqrt().clamp(min=mean.abs())
+    assert error.max() < 1e-6
+    # Where the slope's 10⁻⁴ and a tail of 10⁻³ are all that passes, four digits are left.
+    torch.testing.assert_close(narrow[1].double(), wide[1], rtol=5e-5, atol=0)
+
+
+@pytest.mark.parametrize("sign", [1, -1])
+@pytest.mark.parametrize("variance", [1e-12, 1.0, 1e6])
+def test_far_from_the_kink_the_pieces_join(sign, variance):
+    deviation = math.sqrt(variance)
+    edge = sign * FARTHEST * deviation
+    (mean_in, inside), (mean_out, outside) = (
+        leaky(edge * (1 + step), variance) for step in (-1e-12, 1e-12)
+    )
+    slope = 1 if sign > 0 else 0.01
+    assert inside == pytest.approx(outside, rel=1e-12)
+    assert inside == pytest.approx(slope**2 * variance, rel=1e-12)
+    assert mean_in == pytest.approx(slope * edge, rel=1e-11)
+    assert mean_out == pytest.approx(slope * edge, rel=1e-11)
+
+
+@pytest.mark.parametrize("dtype", FLOATS)
+def test_a_certain_number_is_rectified_bit_for_bit(dtype):
+    x = torch.cat([draw(1000) * 10**k for k in range(-6, 3)] + [torch.tensor([0.0, -0.0])]).to(
+        dtype
+    )
+    mean, variance = leaky_relu_moments(x, torch.zeros_like(x), 0.01)
+    assert torch.equal(mean, F.leaky_relu(x, 0.01))
+    assert torch.equal(variance, torch.zeros_like(x))
+
+
+SHAPES = st.lists(st.integers(1, 4), min_size=4, max_size=4)
+
+
+@settings(max_examples=60, deadline=None)
+@given(SHAPES, st.booleans(), st.booleans(), st.integers(0, 3))
+def test_leaky_relu_of_any_layout(shape, last, last_variance, cut):
+    """Strides of dimensions of size 1 mean nothing, a slice has gaps, an expansion overlaps."""
+    mean, variance = draw(*shape), draw(*shape, seed=1).square()
+    expected = leaky_relu_moments(mean.flatten(), variance.flatten(), 0.01)
+    layouts = (
+        torch.channels_last if flag else torch.contiguous_format for flag in (last, last_variance)
+    )
+    laid = [t.contiguous(memory_format=m) for t, m in zip((mean, variance), layouts, strict=True)]
+    for found, flat in zip(leaky_relu_moments(*laid, 0.01), expected, strict=True):
+        assert torch.equal(found, flat.view(shape))
+        assert found.stride() == laid[0].stride()
+    part, of_part = (t[..., cut:] for t in laid)
+    sliced = leaky_relu_moments(part, of_part, 0.01)
+    assert torch.equal(sliced[1], expected[1].view(shape)[..., cut:])
+    same = leaky_relu_moments(mean, variance[:1].expand_as(mean), 0.01)
+    assert torch.equal(same[1][0], expected[1].view(shape)[0])
+
+
+def test_the_size_of_a_step_changes_nothing(monkeypatch):
+    mean, variance = draw(2, 5, 8, 7), draw(2, 5, 8, 7, seed=1).square()
+    whole = *leaky_relu_moments(mean, variance, 0.01), *softmax_moments(mean, variance, 1)
+    monkeypatch.setattr(moments, "CHUNK", 33)
+    parts = *leaky_relu_moments(mean, variance, 0.01), *softmax_moments(mean, variance, 1)
+    for one, other in zip(whole, parts, strict=True):
+        torch.testing.assert_close(one, other, rtol=1e-14, atol=0)
+
+
+# Softmax
+
+
+@pytest.mark.parametrize("dtype", FLOATS)
+@pytest.mark.parametrize("scale", [1, 10, 30])
+def test_certain_logits_give_the_plain_softmax(dtype, scale):
+    """To five units in the last place of 1; of a small p, to as many as its logit has and six."""
+    logits = (draw(20, 2000) * scale).clamp(-100, 100).to(dtype)
+    mean, variance = softmax_moments(logits, torch.zeros_like(logits), 0)
+    expected = torch.softmax(logits.double(), dim=0)
+    unit = torch.finfo(dtype).eps
+    behind = logits.double().amax(dim=0) - logits.double()
+    allowed = (expected * (6 + 2 * behind) * unit).clamp(max=5 * unit)
+    assert ((mean.double() - expected).abs() <= allowed + torch.finfo(dtype).tiny).all()
+    assert torch.equal(variance, torch.zeros_like(logits))
+
+
+@given(
+    st.integers(1, 30),
+    st.integers(0, 2**32 - 1),
+    st.floats(-2, 2),
+    st.floats(-12, 30),
+    st.sampled_from(FLOATS[:3]),
+)
+@settings(max_examples=200, deadline=None)
+def test_softmax_stays_within_what_a_probability_can_do(classes, seed, scale, power, dtype):
+    """Sum 1; 0 ≤ variance ≤ p (1 − p), whatever certain, vague and huge logits stand together."""
+    random = np.random.default_rng(seed)
+    logits = random.normal(size=(classes, 50)) * 10**scale
+    spread = 10 ** random.uniform(-12, max(power, -12), logits.shape)
+    spread[random.random(logits.shape) < 0.2] = 0
+    mean, variance = softmax(logits, spread, dtype)
+    assert mean.isfinite().all()
+    assert variance.isfinite().all()
+    assert mean.min() >= 0
+    assert variance.min() >= 0
+    # A sum of C numbers is rounded C − 1 times; some more roundings are each number's own.
+    digits = (4 + classes / 2) * torch.finfo(dtype).eps
+    assert (mean.sum(dim=0) - 1).abs().max() <= digits
+    assert (variance - mean * (1 - mean)).max() <= digits
+
+
+def test_one_class_is_certain():
+    mean, variance = softmax([3.0], [5.0])
+    assert mean.tolist() == [1]
+    assert variance.tolist() == [0]
+
+
+@pytest.mark.parametrize("classes", [2, 3, 20])
+def test_logits_of_huge_variance_choose_one_class_at_random(classes):
+    mean, variance = softmax(np.zeros(classes), np.full(classes, HUGE), torch.float32)
+    p = 1 / classes
+    np.testing.assert_allclose(mean, p, rtol=1e-6)
+    np.testing.assert_allclose(variance, p * (1 - p), rtol=5e-3)
+
+
+@pytest.mark.parametrize(("variance", "worst"), [(1e-6, 1e-6), (0.5, 1e-5), (1.0, 2e-4), (2, 3e-3)])
+@pytest.mark.parametrize("ahead", [0, 1, 5, 10, 20])
+def test_two_classes_against_quadrature(variance, worst, ahead):
+    """With two classes nothing is approximated but the integral."""
+    deviation = math.sqrt(2 * variance)
+    # The smaller of the two: 1 − p keeps no digits.
+    expected = quadrature(lambda z: expit(deviation * z - ahead), ahead / deviation, -3, 3, 6, 9)
+    mean, found = softmax([ahead, 0], [variance, variance])
+    assert mean[1].item() == pytest.approx(expected[0], rel=worst)
+    assert found.sqrt().tolist() == pytest.approx([math.sqrt(expected[1])] * 2, rel=worst)
+
+
+@pytest.mark.parametrize("variance", [0.01, 0.5, 1, 4])
+@pytest.mark.parametrize("ahead", [5, 10, 20, 30])
+def test_a_confident_class_keeps_its_digits_in_float32(variance, ahead):
+    logits, variances = [ahead, 0, -1], [variance] * 3
+    _, narrow = softmax(logits, variances, torch.float32)
+    _, wide = softmax(logits, variances)
+    np.testing.assert_allclose(narrow.sqrt(), wide.sqrt(), rtol=2e-6)
+
+
+@pytest.mark.parametrize("scale", [0.3, 3, 10])
+def test_a_small_variance_passes_through_the_derivatives(scale):
+    logits, variance = draw(10, 40) * scale, 1e-10 * draw(10, 40, seed=1).square()
+    p = torch.softmax(logits, dim=0)
+    jacobian = torch.diag_embed(p.T) - p.T[:, :, None] * p.T[:, None, :]
+    expected = (jacobian.square() @ variance.T[:, :, None])[..., 0].T
+    mean, found = softmax(logits, variance)
+    # The derivatives of a certain class cancel in the reference.
+    sure = p * (1 - p) > 1e-8
+    torch.testing.assert_close(found[sure], expected[sure], rtol=1e-6, atol=0)
+    torch.testing.assert_close(mean, p, rtol=1e-8, atol=1e-13)
+
+
+@pytest.mark.parametrize("scale", [1, 30])
+def test_softmax_knows_neither_order_nor_offset(scale):
+    logits, variance = draw(20, 300) * scale, 3 * draw(20, 300, seed=1).square()
+    order = torch.randperm(20, generator=torch.Generator().manual_seed(2))
+    plain = softmax(logits, variance)
+    for changed, back in (
+        (softmax(logits[order], variance[order]), torch.argsort(order)),
+        (softmax(logits + 100, variance), slice(None)),
+        (softmax(logits - 100, variance), slice(None)),
+    ):
+        for one, other in zip(plain, changed, strict=True):
+            torch.testing.assert_close(other[back], one, rtol=1e-10, atol=1e-300)
+
+
+@pytest.mark.parametrize("dim", [0, 1, 2, -3])
+def test_classes_lie_in_any_dimension(dim):
+    logits, variance = draw(4, 5, 6), draw(4, 5, 6, seed=1).square()
+    found = softmax_moments(logits, variance, dim)
+    columns = softmax(*(t.movedim(dim, 0).flatten(1) for t in (logits, variance)))
+    for one, other in zip(found, columns, strict=True):
+        torch.testing.assert_close(one.movedim(dim, 0).flatten(1), other, rtol=1e-13, atol=0)
+
+
+@pytest.fixture(scope="module")
+def noise():
+    return draw(SAMPLES, 20, 8)
+
+
+@pytest.mark.parametrize(
+    ("variance", "typical", "worst", "of_class", "of_mean"),
+    [(0.1, 0.01, 0.03, 0.003, 0.004), (1, 0.02, 0.2, 0.03, 0.04), (4, 0.04, 0.33, 0.09, 0.18)],
+)
+def test_accuracy_for_twenty_classes(noise, variance, typical, worst, of_class, of_mean):
+    """How far the approximation is from Monte Carlo: measured on 900 pixels, not derived.
+
+    Of a pixel's standard deviation, the root of its mean variance over the classes, the relative
+    error in the median and at worst; of one class's, and of its mean, the absolute error at worst.
+    The logits are spread by 3, their variances between 0 and twice the one given.
+    """
+    logits = 3 * draw(20, 8, seed=1)
+    variances = 2 * variance * torch.rand(20, 8, generator=torch.Generator().manual_seed(2))
+    p = torch.softmax(noise * variances.double().sqrt() + logits, dim=1)
+    mean, found = softmax(logits, variances)
+    expected = p.var(dim=0)
+    error = ((found.mean(dim=0) / expected.mean(dim=0)).sqrt() - 1).abs()
+    assert error.median() < typical
+    assert error.max() < worst
+    assert (found.sqrt() - expected.sqrt()).abs().max() < of_class
+    assert (mean - p.mean(dim=0)).abs().max() < of_mean
+
+
+@pytest.mark.parametrize(
+    ("lead", "variance"), [(12.0, 36.0), (8.0, 9.0), (8.0, 4.0), (4.0, 4.0), (2.0, 1.0)]
+)
+def test_a_sure_class_varies_as_its_one_vague_rival_does(lead, variance):
+    """Against 10⁶ samples: the log-normal sum alone makes the sure class look certain."""
+    logits = torch.zeros(20, 1, dtype=torch.float64)
+    logits[0], logits[2:] = lead, -10.0
+    variances = torch.full_like(logits, 0.01)
+    variances[1] = variance
+    random = np.random.default_rng(0)
+    noise = random.normal(size=(20, 1_000_000)) * variances.sqrt().numpy()
+    sampled = torch.softmax(torch.from_numpy(logits.numpy() + noise), dim=0).std(dim=1)
+    _, found = softmax_moments(logits, variances, 0)
+    torch.testing.assert_close(found[:2, 0].sqrt(), sampled[:2], rtol=0.15, atol=0)

@@ -1,0 +1,287 @@
+# SPDX-License-Identifier: MIT
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+from scans import SMALL, make_scan, write_weights
+
+from salsanext_cli.errors import UsageError, WeightsError
+from salsanext_cli.geometry.normalise import normalise
+from salsanext_cli.geometry.projection import project
+from salsanext_cli.inference.network import load_network
+from salsanext_cli.network.dropout import ChannelDropout, dropouts, sampling
+from salsanext_cli.uncertainty.aleatoric import aleatoric
+from salsanext_cli.uncertainty.estimate import entropy
+from salsanext_cli.uncertainty.monte_carlo import (
+    Moments,
+    in_batches,
+    on_threads,
+    pass_seed,
+    sample,
+    scan_seed,
+)
+from salsanext_cli.uncertainty.one_pass import propagate_dropout
+
+SAMPLES = 4
+
+
+@pytest.fixture(scope="module")
+def network(weights):
+    return load_network(weights, "cpu")
+
+
+@pytest.fixture(scope="module")
+def image():
+    return project(make_scan(), SMALL)
+
+
+@pytest.fixture(scope="module")
+def sampled(network, image):
+    return sample(network, image, samples=SAMPLES, seed=5)
+
+
+def one_pass(network, image, generator):
+    """Run the whole network, every dropout replaced by a multiplication written out here."""
+    rates = []
+
+    def drop(module, inputs, output):
+        (x,) = inputs
+        rates.append(module.rate)
+        if module.rate == 0:
+            return x
+        kept = torch.rand(x.shape[1], generator=generator) >= module.rate
+        factors = torch.where(kept, 1 / (1 - module.rate), 0.0)
+        return x * factors.view(1, -1, 1, 1)
+
+    layers = [m for m in network.module.modules() if isinstance(m, ChannelDropout)]
+    handles = [layer.register_forward_hook(drop) for layer in layers]
+    with torch.inference_mode():
+        logits = network.module(torch.from_numpy(normalise(image.channels, SMALL))[None])
+    for handle in handles:
+        handle.remove()
+    assert len(rates) == len(layers)
+    return torch.softmax(logits[0].double(), dim=0).numpy()
+
+
+def test_against_explicit_passes(network, image, sampled):
+    """Mean, variance, entropy and mutual information from a loop over whole passes."""
+    passes = np.stack(
+        [
+            one_pass(network, image, torch.Generator().manual_seed(pass_seed(5, number)))
+            for number in range(SAMPLES)
+        ]
+    )
+    mean = passes.mean(axis=0)
+    variance = ((passes - mean) ** 2).mean(axis=0).mean(axis=0)
+    total = -(mean * np.log(mean)).sum(axis=0)
+    expected = -(passes * np.log(passes)).sum(axis=1).mean(axis=0)
+    close = {"rtol": 1e-3, "atol": 1e-6}
+    np.testing.assert_allclose(sampled.probabilities, mean, **close)
+    np.testing.assert_allclose(sampled.uncertainty.epistemic, variance, **close)
+    np.testing.assert_allclose(sampled.uncertainty.entropy, total, **close)
+    np.testing.assert_allclose(sampled.uncertainty.mutual_information, total - expected, **close)
+    assert sampled.uncertainty.epistemic.max() > 1e-3
+
+
+def test_shapes_types_and_bounds(sampled):
+    uncertainty = sampled.uncertainty
+    assert sampled.probabilities.shape == (20, 16, 128)
+    np.testing.assert_allclose(sampled.variance.mean(axis=0), uncertainty.epistemic, rtol=1e-5)
+    assert uncertainty.total is None
+    for values in (uncertainty.epistemic, uncertainty.entropy, uncertainty.mutual_information):
+        assert values.shape == (16, 128)
+        assert values.dtype == np.float32
+        assert np.isfinite(values).all()
+        assert values.min() >= 0
+    assert (uncertainty.mutual_information <= uncertainty.entropy).all()
+    assert uncertainty.epistemic.max() <= 0.25
+    assert uncertainty.entropy.max() <= np.log(20) + 1e-6
+    np.testing.assert_allclose(sampled.probabilities.sum(axis=0), 1, atol=1e-5)
+
+
+def test_the_same_seed_gives_the_same_bits_and_another_gives_others(network, image, sampled):
+    again = sample(network, image, samples=SAMPLES, seed=5)
+    other = sample(network, image, samples=SAMPLES, seed=6)
+    np.testing.assert_array_equal(again.probabilities, sampled.probabilities)
+    np.testing.assert_array_equal(again.uncertainty.epistemic, sampled.uncertainty.epistemic)
+    assert (other.probabilities != sampled.probabilities).any()
+
+
+def test_neither_order_nor_global_generator_matters(network, image, sampled):
+    state = torch.random.get_rng_state()
+    sample(network, project(make_scan(seed=9), SMALL), samples=3, seed=1)
+    torch.rand(7)
+    again = sample(network, image, samples=SAMPLES, seed=5)
+    np.testing.assert_array_equal(again.probabilities, sampled.probabilities)
+    torch.random.set_rng_state(state)
+    sample(network, image, samples=2, seed=1)
+    assert torch.equal(torch.random.get_rng_state(), state)
+
+
+@pytest.mark.parametrize("threads", [1, 2, 3])
+def test_no_bit_depends_on_how_many_passes_run_side_by_side(network, image, sampled, threads):
+    before = torch.get_num_threads()
+    torch.set_num_threads(threads)
+    again = sample(network, image, samples=SAMPLES, seed=5)
+    torch.set_num_threads(before)
+    np.testing.assert_array_equal(again.probabilities, sampled.probabilities)
+    np.testing.assert_array_equal(again.variance, sampled.variance)
+
+
+@torch.inference_mode()
+def test_fewer_passes_at_once_when_memory_is_short(network, image, monkeypatch):
+    """As on a GPU, where passes are computed in batches."""
+    features = network.engine.trunk(network.input(image.channels))
+    seeds = [pass_seed(5, number) for number in range(4)]
+    expected = on_threads(network.engine, features, seeds)
+    sizes, most = [], [1]
+    rest = type(network.engine).rest
+
+    def short_of_memory(module, *features):
+        sizes.append(len(features[0]))
+        if sizes[-1] > most[0]:
+            raise torch.OutOfMemoryError("no room")
+        return rest(module, *features)
+
+    monkeypatch.setattr(type(network.engine), "rest", short_of_memory)
+    found = in_batches(network.engine, features, seeds)
+    torch.testing.assert_close(found, expected)
+    assert sizes == [4, 2, 1, 1, 1, 1]
+    most[0] = 0
+    with pytest.raises(torch.OutOfMemoryError):
+        in_batches(network.engine, features, seeds)
+
+
+def test_the_temperature_is_left_out(network, image, sampled):
+    hot = replace(network, card=replace(network.card, temperature=1e6))
+    again = sample(hot, image, samples=SAMPLES, seed=5)
+    np.testing.assert_array_equal(again.variance, sampled.variance)
+    np.testing.assert_array_equal(
+        propagate_dropout(hot, image).variance, propagate_dropout(network, image).variance
+    )
+    np.testing.assert_array_equal(aleatoric(hot, image), aleatoric(network, image))
+
+
+def test_sampling_changes_nothing_in_the_network(network, image):
+    before = {name: t.clone() for name, t in network.module.state_dict().items()}
+    expected = network.probabilities(image)
+    sample(network, image, samples=2, seed=0)
+    for name, tensor in network.module.state_dict().items():
+        assert torch.equal(tensor, before[name]), name
+    assert not network.module.training
+    np.testing.assert_array_equal(network.probabilities(image), expected)
+
+
+def test_batch_norm_is_frozen(network, image):
+    """The explicit passes have the stored statistics; nothing here may take up others."""
+    layers = [*network.module.modules(), *network.engine.modules()]
+    sample(network, image, samples=2, seed=0)
+    assert not any(layer.training for layer in layers)
+
+
+@pytest.mark.parametrize("samples", [-1, 0, 1])
+def test_one_pass_has_no_variance(network, image, samples):
+    with pytest.raises(UsageError, match=f"--samples · {samples} · expected at least 2"):
+        sample(network, image, samples=samples, seed=0)
+
+
+def test_a_network_without_dropout_cannot_be_sampled(image, tmp_path):
+    certain = load_network(write_weights(tmp_path / "w.safetensors", dropout=0.0), "cpu")
+    with pytest.raises(WeightsError, match="without dropout"):
+        sample(certain, image, samples=2, seed=0)
+
+
+def test_more_passes_come_closer_to_the_mean(network, image):
+    """The mean of n passes wanders by 1/√n, so 16 differ from another 16 less than 2 from 2."""
+
+    def distance(n):
+        one, two = (sample(network, image, samples=n, seed=seed).probabilities for seed in (1, 2))
+        return np.abs(one - two).mean()
+
+    assert distance(16) < 0.6 * distance(2)
+
+
+def test_moments_in_closed_form():
+    """Two certain passes in full disagreement share ln 2 of information; variance is ¼ each."""
+    moments = Moments()
+    moments.add([torch.tensor([1.0, 0.0]).view(2, 1, 1)])
+    moments.add([torch.tensor([0.0, 1.0]).view(2, 1, 1)])
+    sampled = moments.summary()
+    assert sampled.probabilities.ravel().tolist() == [0.5, 0.5]
+    assert sampled.uncertainty.epistemic.item() == 0.25
+    assert sampled.uncertainty.entropy.item() == pytest.approx(np.log(2))
+    assert sampled.uncertainty.mutual_information.item() == pytest.approx(np.log(2))
+
+
+def test_equal_passes_have_no_variance_and_share_no_information():
+    moments = Moments()
+    for _ in range(30):
+        moments.add([torch.tensor([0.1, 0.2, 0.7]).view(3, 1, 1)])
+    uncertainty = moments.summary().uncertainty
+    assert uncertainty.epistemic.item() == pytest.approx(0, abs=1e-15)
+    assert uncertainty.mutual_information.item() == pytest.approx(0, abs=1e-12)
+    assert uncertainty.entropy.item() == pytest.approx(0.801819, rel=1e-5)
+
+
+def test_a_tiny_variance_does_not_cancel():
+    moments = Moments()
+    for offset in (-1e-6, 1e-6):
+        moments.add([torch.tensor([0.9 + offset, 0.1 - offset], dtype=torch.float64).view(2, 1, 1)])
+    assert moments.summary().uncertainty.epistemic.item() == pytest.approx(1e-12, rel=1e-3)
+
+
+def test_entropy_of_certainty_is_zero_also_when_the_softmax_is_rounded_up():
+    certain = torch.tensor([1 + 1e-7, 0, 0], dtype=torch.float64)
+    assert entropy(certain).item() >= 0
+    assert entropy(torch.full((4,), 0.25)).item() == pytest.approx(np.log(4))
+
+
+def test_seeds_of_passes_and_scans_do_not_meet():
+    passes = {pass_seed(seed, number) for seed in range(50) for number in range(50)}
+    assert len(passes) == 2500
+    scans = {scan_seed(0, s, f"{n:06d}") for s in ("00", "08") for n in range(500)}
+    assert len(scans) == 1000
+    assert all(0 <= seed < 2**63 for seed in passes | scans)
+
+
+def test_dropout_keeps_the_expectation():
+    layer = ChannelDropout(0.3)
+    generators = [torch.Generator().manual_seed(seed) for seed in range(4000)]
+    with sampling(generators):
+        dropped = layer(torch.ones(4000, 3, 1, 1))
+    assert dropped.mean().item() == pytest.approx(1, abs=0.02)
+    assert (dropped == 0).float().mean().item() == pytest.approx(0.3, abs=0.02)
+    assert dropped.max().item() == pytest.approx(1 / 0.7)
+
+
+def test_dropout_takes_whole_channels_and_each_pass_its_own():
+    layer = ChannelDropout(0.5)
+    generators = [torch.Generator().manual_seed(seed) for seed in range(2)]
+    with sampling(generators):
+        dropped = layer(torch.ones(2, 64, 3, 5))
+    assert torch.equal(dropped, dropped[:, :, :1, :1].expand_as(dropped))
+    assert not torch.equal(dropped[0], dropped[1])
+
+
+def test_dropout_is_off_outside_of_sampling_and_training():
+    layer = ChannelDropout(0.5).eval()
+    x = torch.ones(1, 8, 2, 2)
+    assert torch.equal(layer(x), x)
+    with pytest.raises(ZeroDivisionError), sampling([torch.Generator()]):
+        raise ZeroDivisionError
+    assert torch.equal(layer(x), x)
+    layer.train()
+    torch.manual_seed(0)
+    assert not torch.equal(layer(x), x)
+    assert "rate=0.5" in repr(layer)
+
+
+@pytest.mark.parametrize("rate", [-0.1, 1.0, 1.5, float("nan")])
+def test_rates_that_are_none(rate):
+    with pytest.raises(ValueError, match="dropout"):
+        ChannelDropout(rate)
+
+
+def test_layers_that_drop_nothing_are_not_listed(network):
+    assert len(dropouts(network.module)) == 3 + 1 + 3 * 3
