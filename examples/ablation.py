@@ -22,7 +22,6 @@ from salsanext_cli.network.papers import PAPERS
 from salsanext_cli.network.registry import build
 from salsanext_cli.parallel.run import RunOptions
 from salsanext_cli.stages.evaluate import evaluate
-from salsanext_cli.stages.predict import predict
 from salsanext_cli.stages.train import train
 from salsanext_cli.storage.predictions import predicted_scans
 from salsanext_cli.storage.selection import ScanSelection

@@ -17,7 +17,6 @@ from salsanext_cli.measures.scan_counts import ScanCounts, count_scan
 from salsanext_cli.measures.scores import scores
 from salsanext_cli.network.weights import default_weights, read_card
 from salsanext_cli.sensors import sensor
-from salsanext_cli.stages.predict import predict
 from salsanext_cli.stages.tune_batchnorm import tune_batchnorm
 from salsanext_cli.storage.layout import ScanFile, find_scans
 from salsanext_cli.storage.selection import space_of

@@ -10,7 +10,6 @@ from pathlib import Path
 from salsanext_cli.inference.settings import NetworkSettings
 from salsanext_cli.sensors import sensor
 from salsanext_cli.stages.inspect import inspect, write_sensor
-from salsanext_cli.stages.predict import predict
 
 HEIGHT, WIDTH = 32, 512
 

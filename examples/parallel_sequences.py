@@ -13,7 +13,6 @@ from pathlib import Path
 import joblib
 
 from salsanext_cli.inference.settings import NetworkSettings
-from salsanext_cli.stages.predict import predict
 from salsanext_cli.storage.layout import find_scans
 from salsanext_cli.storage.selection import ScanSelection
 

@@ -27,7 +27,6 @@ from salsanext_cli.parallel.run import RunOptions
 from salsanext_cli.stages.export_ply import export_ply
 from salsanext_cli.stages.import_weights import import_weights
 from salsanext_cli.stages.knn_refine import knn_refine_scans
-from salsanext_cli.stages.predict import predict
 from salsanext_cli.stages.project import project_scans
 from salsanext_cli.stages.uncertainty import uncertainty
 from salsanext_cli.storage.selection import ScanSelection

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from rich.console import RenderableType
 
     from salsanext_cli.parallel.run import Failure, Outcome, RunOptions
-    from salsanext_cli.storage.missing import Absent
+    from salsanext_cli.storage.sources import MissingResults
 
 DONE, FAILED, WRONG_USE, INTERRUPTED = 0, 1, 2, 130
 """Exit status: all done, something failed, the command line was wrong, Ctrl-C."""
@@ -108,7 +108,11 @@ def name_failures(failures: tuple[Failure, ...]) -> None:
 
 
 def finish(
-    stage: str, outcome: Outcome[Any], out: object, output: Output, absent: Absent | None = None
+    stage: str,
+    outcome: Outcome[Any],
+    out: object,
+    output: Output,
+    absent: MissingResults | None = None,
 ) -> NoReturn:
     """Say what became of a run over scans and leave with the exit status for it."""
     name_failures(outcome.failures)
@@ -118,10 +122,14 @@ def finish(
     missing = absent.missing if absent else ()
     if absent:
         found["missing"] = [str(scan.path) for scan in missing]
-        found["not_asked_for"] = absent.unasked
+        found["not_asked_for"] = absent.not_asked_for
     output.result(found)
     already = f", {outcome.skipped} done already" if outcome.skipped else ""
     failed = f", {len(outcome.failures)} failed" if outcome.failures else ""
-    others = absent.words("results") if absent else ""
+    others = (
+        f", {absent.not_asked_for} not asked for have no results"
+        if absent and absent.not_asked_for
+        else ""
+    )
     output.say(f"{stage}: {outcome.done} scans{already}{failed}{others} → {out}")
     raise typer.Exit(FAILED if outcome.failures or missing else DONE)

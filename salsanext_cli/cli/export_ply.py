@@ -68,4 +68,4 @@ def export_ply(
             selection=options.choice(split, sequences, limit),
             options=batch,
         )
-    console.finish("export-ply", outcome, out, output, outcome.absent)
+    console.finish("export-ply", outcome, out, output, outcome.missing)

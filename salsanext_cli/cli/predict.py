@@ -46,7 +46,7 @@ def predict(
 
     Example: salsanext predict seq/velodyne out/
     """
-    from salsanext_cli.stages.predict import predict as run
+    from salsanext_cli.stages.predict import predict_scans as run
 
     output = console.Output(json, verbose, quiet)
     wanted = {"pixel_labels": pixel_labels, "probabilities": probabilities}

@@ -3,15 +3,18 @@
 
 from __future__ import annotations
 
+import logging
+from collections.abc import Sequence
 from contextlib import AbstractContextManager
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 
+import numpy as np
 import torch
 from torch import Tensor
 
-from salsanext_cli.errors import UsageError
+from salsanext_cli.errors import UsageError, WeightsError
 from salsanext_cli.geometry.normalise import normalise
 from salsanext_cli.inference.engine import engine_for
 from salsanext_cli.inference.precision import choose_precision
@@ -21,6 +24,8 @@ from salsanext_cli.network.segmentation import SegmentationNetwork
 from salsanext_cli.network.weights import WeightsCard, default_weights, read_weights
 from salsanext_cli.records import Float, RangeImage
 from salsanext_cli.sensors import Sensor
+
+log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,6 +44,8 @@ class Network:
         Where the module is.
     precision : {"float32", "bfloat16", "float16"}
         What the engine computes in.
+    weights : str
+        Name of the weights file, for errors.
     """
 
     module: SegmentationNetwork
@@ -46,6 +53,7 @@ class Network:
     sensor: Sensor
     device: torch.device
     precision: str = "float32"
+    weights: str = "the weights"
 
     @cached_property
     def engine(self) -> SegmentationNetwork:
@@ -70,19 +78,66 @@ class Network:
             logits: Float = self.engine(self.input(image.channels))[0].cpu().numpy()
         return logits
 
-    def probabilities(self, image: RangeImage) -> Float:
-        """Return the softmax of every pixel, (C, H, W) float32, sum over C = 1."""
-        return self.pixel_probabilities(image.channels)
-
-    def pixel_probabilities(self, channels: Float) -> Float:
-        """Return the softmax of every pixel from the (5, H, W) channels of a range image.
+    def probabilities(self, image: RangeImage, source: object = "a scan") -> Float:
+        """Return the softmax of every pixel, (C, H, W) float32, sum over C = 1.
 
         The logits are divided by the card's temperature, which leaves their order as it is.
+
+        Parameters
+        ----------
+        image : RangeImage
+            One scan.
+        source : object
+            What to call it in an error.
+
+        Raises
+        ------
+        WeightsError
+            If the softmax is not finite.
         """
-        with self.computing():
-            logits = self.engine(self.input(channels)) / self.card.temperature
-            probabilities: Float = torch.softmax(logits, dim=1)[0].cpu().numpy()
+        (probabilities,) = self.pixel_probabilities([image.channels])
+        self.require_finite(probabilities, source)
         return probabilities
+
+    def pixel_probabilities(self, channels: Sequence[Float]) -> list[Float]:
+        """Return the softmax of every pixel of some range images, as `probabilities` does.
+
+        They are computed together, half as many where memory runs out; no bit depends on it.
+
+        Parameters
+        ----------
+        channels : sequence of (5, H, W) float32
+            Of range images of the network's sensor.
+
+        Raises
+        ------
+        torch.OutOfMemoryError
+            If there is no room for a single one.
+        """
+        found: list[Float] = []
+        size = len(channels)
+        while len(found) < len(channels):
+            try:
+                found += list(self._softmax(channels[len(found) : len(found) + size]))
+            except torch.OutOfMemoryError:
+                if size == 1:
+                    raise
+                log.warning("not enough memory for %d scans at once: %d now", size, size // 2)
+                size //= 2
+        return found
+
+    def _softmax(self, channels: Sequence[Float]) -> Float:
+        with self.computing():
+            logits = self.engine(torch.cat([self.input(image) for image in channels]))
+            softmax = torch.softmax(logits / self.card.temperature, dim=1)
+            probabilities: Float = softmax.cpu().numpy()
+        return probabilities
+
+    def require_finite(self, probabilities: Float, source: object) -> None:
+        """Raise `WeightsError`, naming weights and scan, if a softmax is not finite."""
+        if not np.isfinite(probabilities).all():
+            found = f"their logits for {source} are not finite"
+            raise WeightsError(self.weights, found, "finite logits", "use other weights")
 
 
 def load_network(
@@ -114,7 +169,9 @@ def load_network(
     module, card = read_weights(default_weights() if path is None else Path(path))
     place = choose_device(device)
     module = module.to(place).to(memory_format=torch.channels_last)  # type: ignore[call-overload]
-    return Network(module, card, sensor or card.sensor, place, choose_precision(precision, place))
+    chosen = choose_precision(precision, place)
+    name = "default weights" if path is None else str(path)
+    return Network(module, card, sensor or card.sensor, place, chosen, name)
 
 
 def with_dropout(network: Network, rate: float) -> Network:

@@ -12,7 +12,7 @@ from salsanext_cli.measures.confusion import Confusion
 from salsanext_cli.measures.scores import Scores
 from salsanext_cli.measures.uncertainty_evaluation import UncertaintyEvaluation
 from salsanext_cli.parallel.run import Failure
-from salsanext_cli.storage.missing import Absent
+from salsanext_cli.storage.sources import MissingResults
 
 
 @dataclass(frozen=True, slots=True)
@@ -33,7 +33,7 @@ class Evaluation:
         How often raw ids occur that the label space does not know; taken as unlabelled.
     scans : int
         Number of scans compared.
-    absent : Absent
+    absent : MissingResults
         Scans without predictions, left out.
     failures : tuple of Failure
         Scans that could not be compared, left out.
@@ -50,7 +50,7 @@ class Evaluation:
     unknown_truth: dict[int, int]
     unknown_predictions: dict[int, int]
     scans: int
-    absent: Absent
+    absent: MissingResults
     failures: tuple[Failure, ...]
     settings: dict[str, Any]
     trust: UncertaintyEvaluation
@@ -64,7 +64,7 @@ class Evaluation:
             "label_space": self.space.name,
             "scans": self.scans,
             "missing": [str(scan.path) for scan in self.absent.missing],
-            "not_asked_for": self.absent.unasked,
+            "not_asked_for": self.absent.not_asked_for,
             "failures": [
                 {"scan": str(failure.scan.path), "reason": failure.reason}
                 for failure in self.failures

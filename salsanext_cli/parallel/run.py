@@ -124,7 +124,8 @@ def run_over_scans(
     work: Callable[[ScanFile], Result],
     scans: Sequence[ScanFile],
     options: RunOptions,
-    results_of: Callable[[ScanFile], Iterable[Path]] = lambda _: (),
+    *,
+    is_done: Callable[[ScanFile], bool] = lambda scan: False,
     on_result: Callable[[Result], object] | None = None,
 ) -> Outcome[Result]:
     """Run a function over scans.
@@ -153,13 +154,13 @@ def run_over_scans(
         If workers died and scans are missing for that; it says which.
     """
     mine = options.shard.of(scans)
-    todo = [s for s in mine if options.overwrite or not _exist(results_of(s))]
+    todo = [s for s in mine if not is_done(s)]
     results: list[Result] = []
     failures: list[Failure] = []
     tried: set[ScanFile] = set()
     take = on_result or results.append
     try:
-        with closing(_attempts(work, todo, options, results_of)) as attempts:
+        with closing(_attempts(work, todo, options, lambda _: ())) as attempts:
             for scan, result, error in attempts:
                 log.info("%s/%s: %s", scan.sequence, scan.stem, error or "done")
                 if error is None:
@@ -174,7 +175,7 @@ def run_over_scans(
     except WorkersLost as lost:
         for failure in failures:
             log.error("%s", failure.reason)
-        left = [s for s in todo if s not in tried and not _exist(results_of(s))]
+        left = [s for s in todo if s not in tried and not is_done(s)]
         raise _missing(lost, left, len(todo)) from lost
     failures.sort(key=lambda failure: (failure.scan.sequence, failure.scan.stem))
     skipped, done = len(mine) - len(todo), len(todo) - len(failures)

@@ -34,7 +34,7 @@ class TakesSeveral(Protocol):
 
 def attempt_each(work: Work, scans: Iterable[ScanFile]) -> Iterator[Attempt]:
     """Work on scans, one by one unless the work knows better."""
-    return work.attempts(scans) if isinstance(work, TakesSeveral) else one_by_one(work, scans)
+    return work.open()(scans) if hasattr(work, "open") else one_by_one(work, scans)
 
 
 def one_by_one(work: Work, scans: Iterable[ScanFile]) -> Iterator[Attempt]:

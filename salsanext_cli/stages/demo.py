@@ -15,7 +15,7 @@ from salsanext_cli.parallel.run import Failure, Outcome, Progress, RunOptions
 from salsanext_cli.report.scan_pictures import draw_scan
 from salsanext_cli.stages.evaluate import evaluate
 from salsanext_cli.stages.export_ply import export_ply
-from salsanext_cli.stages.predict import predict
+from salsanext_cli.stages.predict import predict_scans
 from salsanext_cli.stages.synth import synthesise
 from salsanext_cli.stages.uncertainty import uncertainty
 from salsanext_cli.storage.layout import find_scans
@@ -94,7 +94,7 @@ def demo(
             return stage(replace(options, progress=progress)).failures
 
     failures = (
-        *run("predict", lambda o: predict(data, out, network=network, options=o)),
+        *run("predict", lambda o: predict_scans(data, out, network=network, options=o)),
         *run(
             "uncertainty",
             lambda o: uncertainty(data, out, network=network, estimator=estimator, options=o),

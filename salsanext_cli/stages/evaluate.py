@@ -22,8 +22,8 @@ from salsanext_cli.parallel.run import Failure, RunOptions, run_over_scans
 from salsanext_cli.storage.atomic import write_text
 from salsanext_cli.storage.json_files import read_json, write_json
 from salsanext_cli.storage.layout import ScanFile
-from salsanext_cli.storage.missing import without_predictions
-from salsanext_cli.storage.output_run import recording
+from salsanext_cli.storage.run_registration import records_lock
+from salsanext_cli.storage.sources import missing_predictions
 from salsanext_cli.storage.stage_records import as_json, require_same_settings
 
 log = logging.getLogger(__name__)
@@ -92,13 +92,13 @@ def evaluate(
         unknown_truth=dict(sorted(counts.unknown_truth.items())),
         unknown_predictions=dict(sorted(counts.unknown_predictions.items())),
         scans=counts.scans,
-        absent=without_predictions(out, counts.missing),
+        absent=missing_predictions(out, counts.missing),
         failures=outcome.failures,
         settings=settings,
         trust=trust(counts.uncertainty, counts.scans, space),
     )
     _warn(evaluation)
-    with recording(out):
+    with records_lock(out):
         if not options.overwrite:
             _require_own_result(out / "eval.json", settings)
         _write(evaluation, out)
@@ -161,7 +161,7 @@ def _warn(evaluation: Evaluation) -> None:
             listed = ", ".join(f"{i} ({count}×)" for i, count in ids.items())
             log.warning("%s: unknown ids %s are taken as unlabelled", where, listed)
     scans = evaluation.scans + len(evaluation.failures) + len(evaluation.absent.missing)
-    evaluation.absent.complain(scans + evaluation.absent.unasked, "predictions")
+    evaluation.absent.log_error(scans + evaluation.absent.not_asked_for, "predictions")
 
 
 def _write(evaluation: Evaluation, out: Path) -> None:

@@ -1,68 +1,57 @@
 # SPDX-License-Identifier: MIT
-"""Pixel labels, or anybody's point labels, to point labels by nearest neighbours."""
+"""Stage `knn-refine`: pixel labels, or any point labels, to point labels by neighbours."""
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass
+from dataclasses import asdict
+from functools import partial
 from pathlib import Path
-
-import numpy as np
 
 from salsanext_cli.classes import LabelSpace, TrainIds
 from salsanext_cli.errors import LabelError, NoInputError, UsageError
+from salsanext_cli.formats import read_scan
 from salsanext_cli.formats.kitti import read_labels
 from salsanext_cli.formats.npy import read_array
 from salsanext_cli.formats.reading import present
+from salsanext_cli.geometry.gather import pixels_from_points
 from salsanext_cli.geometry.knn import KnnParameters, knn_refine
+from salsanext_cli.geometry.projection import project
 from salsanext_cli.parallel.run import Outcome, RunOptions, run_over_scans
-from salsanext_cli.records import RangeImage
 from salsanext_cli.sensors import Sensor
-from salsanext_cli.stages.project import read_image
 from salsanext_cli.storage.layout import ScanFile, find_outputs, find_scans, output_path
-from salsanext_cli.storage.output_run import claimed
-from salsanext_cli.storage.point_files import write_labels
+from salsanext_cli.storage.output_run import OutputRun, output_run
 from salsanext_cli.storage.selection import ScanSelection, choose, space_of
-from salsanext_cli.storage.sources import remembered_scans
-from salsanext_cli.storage.stage_records import (
-    origins,
-    recorded_label_space,
-    recorded_sensor,
-)
+from salsanext_cli.storage.sources import recorded_scans
+from salsanext_cli.storage.stage_records import origins, recorded_label_space, recorded_sensor
 
 
-@dataclass(frozen=True, slots=True)
-class RefineScan:
-    """Refine the labels of one scan."""
+def refine_scan(
+    file: ScanFile,
+    labels: Path | None,
+    space: LabelSpace,
+    sensor: Sensor,
+    knn: KnnParameters,
+    output: OutputRun,
+) -> None:
+    """Refine the labels of one scan: its pixel labels, or those of a folder of point labels."""
+    output.require_replaceable(file)
+    image = project(read_scan(file.path, intensity_scale=sensor.intensity_scale), sensor)
+    if labels is None:
+        path = output.path(file, "pixel_labels")
+        pixel_labels = _read_pixel_labels(path, space, sensor)
+    else:
+        path = given_labels(labels, file)
+        raw = read_labels(path, len(image.pixel_of_point))
+        pixel_labels = pixels_from_points(space.to_train(raw, source=path), image.point_of_pixel)
+    output.write_labels(file, space.to_raw(knn_refine(image, pixel_labels, space.class_count, knn)))
 
-    out: Path
-    labels: Path | None
-    space: LabelSpace
-    sensor: Sensor
-    knn: KnnParameters
 
-    def results_of(self, file: ScanFile) -> list[Path]:
-        """Return the file that is written for a scan."""
-        return [output_path(self.out, file.sequence, "predictions", file.stem)]
-
-    def __call__(self, file: ScanFile) -> None:
-        """Read, refine, write."""
-        image = read_image(file, self.sensor)
-        if self.labels is None:
-            pixel_labels = self._read_pixel_labels(file)
-        else:
-            path = given_labels(self.labels, file)
-            raw = read_labels(path, len(image.pixel_of_point))
-            pixel_labels = labels_of_pixels(image, self.space.to_train(raw, source=path))
-        refined = knn_refine(image, pixel_labels, self.space.class_count, self.knn)
-        write_labels(self.results_of(file)[0], self.space.to_raw(refined))
-
-    def _read_pixel_labels(self, file: ScanFile) -> TrainIds:
-        path = output_path(self.out, file.sequence, "pixel_labels", file.stem)
-        labels: TrainIds = read_array(path, "uint8", (self.sensor.height, self.sensor.width))
-        if labels.max() >= self.space.class_count:
-            expected = f"0 … {self.space.class_count - 1}, the classes of {self.space.name}"
-            raise LabelError(path, f"train ids up to {labels.max()}", expected)
-        return labels
+def _read_pixel_labels(path: Path, space: LabelSpace, sensor: Sensor) -> TrainIds:
+    labels: TrainIds = read_array(path, "uint8", (sensor.height, sensor.width))
+    if labels.max() >= space.class_count:
+        expected = f"0 … {space.class_count - 1}, the classes of {space.name}"
+        raise LabelError(path, f"train ids up to {labels.max()}", expected)
+    return labels
 
 
 def given_labels(folder: Path, file: ScanFile) -> Path:
@@ -72,7 +61,7 @@ def given_labels(folder: Path, file: ScanFile) -> Path:
 
 
 def _require_some(folder: Path, scans: list[ScanFile]) -> None:
-    """Refuse at once what every scan would refuse for itself."""
+    """Refuse a folder that has labels of none of the scans."""
     if not folder.is_dir():
         found = "not a folder" if present(folder) else "no such folder"
         raise NoInputError(folder, found, "the folder of the labels to refine")
@@ -83,14 +72,6 @@ def _require_some(folder: Path, scans: list[ScanFile]) -> None:
             f"no labels of any of {len(scans)} scans",
             f"files like {nested} or {nested.name}",
         )
-
-
-def labels_of_pixels(image: RangeImage, labels: TrainIds) -> TrainIds:
-    """Give every pixel the label of its nearest point: (N,) to (H, W); 0 where empty."""
-    occupied = image.point_of_pixel >= 0
-    pixels: TrainIds = np.zeros(image.point_of_pixel.shape, np.uint8)
-    pixels[occupied] = labels[image.point_of_pixel[occupied]]
-    return pixels
 
 
 def knn_refine_scans(
@@ -132,7 +113,7 @@ def knn_refine_scans(
     """
     if labels and labels.resolve().is_relative_to(out.resolve()):
         raise UsageError("--labels", f"{labels} inside {out}", "a folder that is only read")
-    scans = find_scans(dataset) if dataset else remembered_scans(out, None, usual_dataset)
+    scans = find_scans(dataset) if dataset else recorded_scans(out, None, usual_dataset)
     space = space or recorded_label_space(out) or space_of(scans)
     if labels is None:
         ready = {(file.sequence, file.stem) for file in find_outputs(out, "pixel_labels")}
@@ -155,7 +136,11 @@ def knn_refine_scans(
     if labels is None:
         # Labels of other weights must not be kept as those of these.
         settings |= {"origins": origins(out, ["predict"])}
-    sources = scans if dataset else ()
-    work, writes = RefineScan(out, labels, space, sensor, knn), ("predictions",)
-    with claimed(out, "knn-refine", settings, writes, sources, overwrite=options.overwrite):
-        return run_over_scans(work, scans, options, work.results_of)
+    with output_run(
+        *(out, "knn-refine", settings, ("predictions",), scans),
+        overwrite=options.overwrite,
+        record_scans=dataset is not None,
+    ) as output:
+        choices = {"labels": labels, "space": space, "sensor": sensor, "knn": knn}
+        task = partial(refine_scan, **choices, output=output)
+        return run_over_scans(task, scans, options, is_done=output.is_done)

@@ -1,110 +1,104 @@
 # SPDX-License-Identifier: MIT
-"""Scans to labels: projection, network and kNN in memory; or range images to pixel labels."""
+"""Stage `predict`: scans to labels in memory, or range images on disk to pixel labels."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
-from dataclasses import asdict, dataclass, replace
+from collections.abc import Iterator, Sequence
+from dataclasses import asdict, replace
 from functools import partial
 from pathlib import Path
-from typing import Any
 
 import numpy as np
-import numpy.typing as npt
+import torch
 
-from salsanext_cli.classes import LabelSpace, TrainIds
-from salsanext_cli.errors import UsageError
-from salsanext_cli.geometry.coverage import FieldOfViewCoverage
-from salsanext_cli.geometry.coverage_check import CoverageCheck
+from salsanext_cli.classes import TrainIds
+from salsanext_cli.errors import FormatError, SalsanextError, UsageError
+from salsanext_cli.formats import read_scan
+from salsanext_cli.formats.npy import read_array
+from salsanext_cli.geometry.coverage import (
+    CoverageCheck,
+    FieldOfViewCoverage,
+    field_of_view_coverage,
+)
+from salsanext_cli.geometry.gather import points_from_pixels
 from salsanext_cli.geometry.knn import KnnParameters, knn_refine
-from salsanext_cli.inference.predict_batches import predict_batches, usual_size
+from salsanext_cli.geometry.projection import project
+from salsanext_cli.inference.network import Network
 from salsanext_cli.inference.settings import NetworkSettings
+from salsanext_cli.parallel.network_task import NetworkTask
 from salsanext_cli.parallel.run import Outcome, RunOptions, run_over_scans
-from salsanext_cli.parallel.tasks import Attempt, one_by_one
-from salsanext_cli.records import Float, Int
+from salsanext_cli.parallel.tasks import Attempt
+from salsanext_cli.records import CHANNELS, Float, RangeImage
 from salsanext_cli.sensors import Sensor
-from salsanext_cli.stages.project import projected_sensor, read_and_project, read_channels
 from salsanext_cli.storage.layout import ScanFile, find_outputs, output_path
-from salsanext_cli.storage.output_run import claimed
-from salsanext_cli.storage.point_files import write_array, write_labels
+from salsanext_cli.storage.output_run import OutputRun, output_run
 from salsanext_cli.storage.selection import ScanSelection, choose, select_scans, space_of
-from salsanext_cli.storage.sources import remembered_scans
+from salsanext_cli.storage.sources import recorded_scans
+from salsanext_cli.storage.stage_records import stage_settings
 
 
-@dataclass(frozen=True, slots=True)
-class PredictScan:
-    """Label the points of one scan."""
-
-    out: Path
-    network: NetworkSettings
-    knn: KnnParameters
-    extras: tuple[str, ...]
-    batch: int | None = None
-
-    def results_of(self, file: ScanFile) -> list[Path]:
-        """Return the files that are written for a scan."""
-        return [self._path(file, folder) for folder in ("predictions", *self.extras)]
-
-    def _path(self, file: ScanFile, folder: str) -> Path:
-        return output_path(self.out, file.sequence, folder, file.stem)
-
-    def __call__(self, file: ScanFile) -> FieldOfViewCoverage:
-        """Read, project, classify, refine, write; return how much of the scan is in view."""
-        network = self.network.load()
-        place, space = str(network.device), network.card.space
-        image, seen = read_and_project(file, network.sensor, place)
-        probabilities = network.probabilities(image)
-        pixel_labels = most_probable(probabilities)
-        labels = knn_refine(image, pixel_labels, space.class_count, self.knn, place)
-        self._write(space, file, labels, pixel_labels, probabilities, image.pixel_of_point)
-        return seen
-
-    def attempts(self, files: Iterable[ScanFile]) -> Iterator[Attempt]:
-        """Do the same to several scans, on a GPU in batches; see `predict_batches`."""
-        network = self.network.load()
-        size = self.batch or usual_size(network)
-        if size == 1 and network.device.type == "cpu":
-            return one_by_one(self, files)
-        wanted = "probabilities" in self.extras
-        write = partial(self._write, network.card.space)
-        return predict_batches(files, network, self.knn, size, write, probabilities=wanted)
-
-    def _write(
-        self,
-        space: LabelSpace,
-        file: ScanFile,
-        labels: TrainIds,
-        pixel_labels: TrainIds,
-        probabilities: Float | None,
-        pixel_of_point: Int,
-    ) -> None:
-        if "pixel_labels" in self.extras:
-            write_array(self._path(file, "pixel_labels"), pixel_labels)
-        if "probabilities" in self.extras and probabilities is not None:
-            of_points = point_probabilities(probabilities, pixel_of_point)
-            write_array(self._path(file, "probabilities"), of_points)
-        write_labels(self._path(file, "predictions"), space.to_raw(labels))
+def predict_scan(
+    file: ScanFile, network: Network, knn: KnnParameters, output: OutputRun
+) -> FieldOfViewCoverage:
+    """Label the points of one scan; return how much of it is in view."""
+    image, coverage = _projected(file, network, output)
+    _write(file, image, network.probabilities(image, file.path), network, knn, output)
+    return coverage
 
 
-@dataclass(frozen=True, slots=True)
-class PredictImage:
-    """Label the pixels of one range image that `project` wrote."""
+def predict_batch(
+    files: Sequence[ScanFile], network: Network, knn: KnnParameters, output: OutputRun
+) -> Iterator[Attempt]:
+    """Label the points of several scans, computed together; yield an attempt of each."""
+    projected: dict[ScanFile, tuple[RangeImage, FieldOfViewCoverage]] = {}
+    for file in files:
+        try:
+            projected[file] = _projected(file, network, output)
+        except SalsanextError as error:
+            yield file, None, error
+    try:
+        softmax = network.pixel_probabilities([image.channels for image, _ in projected.values()])
+    except torch.OutOfMemoryError:
+        found = f"the image is too large for the memory of {network.device}"
+        for file in projected:
+            yield file, None, FormatError(file.path, found, remedy="label it with --device cpu")
+        return
+    for (file, (image, coverage)), probabilities in zip(projected.items(), softmax, strict=True):
+        try:
+            network.require_finite(probabilities, file.path)
+            _write(file, image, probabilities, network, knn, output)
+            yield file, coverage, None
+        except SalsanextError as error:
+            yield file, None, error
 
-    folder: Path
-    out: Path
-    network: NetworkSettings
 
-    def results_of(self, file: ScanFile) -> list[Path]:
-        """Return the file that is written for a range image."""
-        return [output_path(self.out, file.sequence, "pixel_labels", file.stem)]
+def _projected(
+    file: ScanFile, network: Network, output: OutputRun
+) -> tuple[RangeImage, FieldOfViewCoverage]:
+    output.require_replaceable(file)
+    sensor = network.sensor
+    scan = read_scan(file.path, intensity_scale=sensor.intensity_scale)
+    return project(scan, sensor, str(network.device)), field_of_view_coverage(scan, sensor)
 
-    def __call__(self, file: ScanFile) -> None:
-        """Read, classify, write."""
-        network = self.network.load()
-        path = output_path(self.folder, file.sequence, "range", file.stem)
-        channels = read_channels(path, network.sensor)
-        pixel_labels = most_probable(network.pixel_probabilities(channels))
-        write_array(self.results_of(file)[0], pixel_labels)
+
+def _write(
+    file: ScanFile,
+    image: RangeImage,
+    probabilities: Float,
+    network: Network,
+    knn: KnnParameters,
+    output: OutputRun,
+) -> None:
+    """Write what is made of the softmax (C, H, W) of a scan; the labels of its points last."""
+    space, pixel_labels = network.card.space, most_probable(probabilities)
+    labels = knn_refine(image, pixel_labels, space.class_count, knn, str(network.device))
+    if "pixel_labels" in output.folders:
+        output.write_array(file, "pixel_labels", pixel_labels)
+    if "probabilities" in output.folders:
+        certainly_unlabelled = np.eye(1, space.class_count)
+        of_points = points_from_pixels(probabilities, image.pixel_of_point, certainly_unlabelled)
+        output.write_array(file, "probabilities", of_points.astype(np.float16))
+    output.write_labels(file, space.to_raw(labels))
 
 
 def most_probable(probabilities: Float) -> TrainIds:
@@ -113,14 +107,7 @@ def most_probable(probabilities: Float) -> TrainIds:
     return labels
 
 
-def point_probabilities(probabilities: Float, pixel_of_point: Int) -> npt.NDArray[np.float16]:
-    """Give every point its pixel's softmax: (N, C) float16; points without a pixel are class 0."""
-    of_points = probabilities.reshape(len(probabilities), -1).T[pixel_of_point].astype(np.float16)
-    of_points[pixel_of_point < 0] = np.eye(1, of_points.shape[1])
-    return of_points
-
-
-def predict(
+def predict_scans(
     source: Path,
     out: Path,
     *,
@@ -130,20 +117,17 @@ def predict(
     batch: int | None = None,
     selection: ScanSelection = ScanSelection(),
     options: RunOptions = RunOptions(),
-) -> Outcome[Any]:
+) -> Outcome[FieldOfViewCoverage]:
     """Label scans into `OUT/sequences/<seq>/predictions`.
-
-    Given the output folder of `project_scans`, label its range images into `pixel_labels`
-    instead; `knn_refine_scans` makes point labels of them, the same as in one go.
 
     Parameters
     ----------
     source : Path
-        A scan, a folder of scans, a sequence, a data set, or what `project_scans` wrote.
+        A scan, a folder of scans, a sequence or a data set.
     out : Path
         The output folder.
-    network : NetworkChoice
-        Weights, device and sensor.
+    network : NetworkSettings
+        Weights, device, sensor and precision.
     knn : KnnParameters
         Neighbours of the clean-up.
     extras : tuple of {"pixel_labels", "probabilities"}
@@ -161,54 +145,88 @@ def predict(
     """
     if batch is not None and batch < 1:
         raise UsageError("--batch", str(batch), "at least 1, or auto")
-    seen = projected_sensor(source)
-    if seen is not None and batch is not None:
-        raise UsageError("--batch", "range images are computed one by one", "scans")
-    if seen is not None:
-        _require_same_sensor(source, seen, network.load().sensor)
-        if knn != KnnParameters():
-            found = "range images are refined by knn-refine"
-            raise UsageError("--knn-…", found, "the options given there")
-        return _predict_images(source, out, network, extras, selection, options)
     loaded = network.load()
-    card = loaded.card
-    scans = select_scans(source, selection, card.space)
-    settings = network.settings() | {"temperature": card.temperature, "knn": asdict(knn)}
-    check, writes = CoverageCheck(loaded.sensor), ("predictions", *extras)
-    with claimed(out, "predict", settings, writes, scans, overwrite=options.overwrite):
-        work = PredictScan(out, network.resolved(), knn, extras, batch)
-        outcome = run_over_scans(work, scans, options, work.results_of, check.add)
+    scans = select_scans(source, selection, loaded.card.space)
+    temperature = loaded.card.temperature
+    settings = network.record(loaded) | {"temperature": temperature, "knn": asdict(knn)}
+    check, folders = CoverageCheck(loaded.sensor), (*extras, "predictions")
+    with output_run(
+        out, "predict", settings, folders, scans, overwrite=options.overwrite
+    ) as output:
+        one = partial(predict_scan, knn=knn, output=output)
+        several = partial(predict_batch, knn=knn, output=output)
+        task = NetworkTask(one, network.resolved(loaded), loaded, several, batch)
+        outcome = run_over_scans(task, scans, options, is_done=output.is_done, on_result=check.add)
     check.finish()
     return outcome
 
 
-def _predict_images(
+def predict_image(file: ScanFile, network: Network, folder: Path, output: OutputRun) -> None:
+    """Label the pixels of one range image that `project` wrote into a folder."""
+    output.require_replaceable(file)
+    path = output_path(folder, file.sequence, "range", file.stem)
+    shape = (len(CHANNELS), network.sensor.height, network.sensor.width)
+    (probabilities,) = network.pixel_probabilities([read_array(path, "float32", shape)])
+    network.require_finite(probabilities, path)
+    output.write_array(file, "pixel_labels", most_probable(probabilities))
+
+
+def predict_range_images(
     folder: Path,
     out: Path,
-    network: NetworkSettings,
-    extras: tuple[str, ...],
-    selection: ScanSelection,
-    options: RunOptions,
+    *,
+    network: NetworkSettings = NetworkSettings(),
+    selection: ScanSelection = ScanSelection(),
+    options: RunOptions = RunOptions(),
 ) -> Outcome[None]:
-    if "probabilities" in extras:
-        found = "range images do not say which points they are of"
-        raise UsageError("--probabilities", found, "the scans themselves")
+    """Label range images that `project` wrote into `OUT/sequences/<seq>/pixel_labels`.
+
+    `knn_refine` makes point labels of them, the same as `predict_scans` does.
+
+    Parameters
+    ----------
+    folder : Path
+        The output folder of `project`.
+    out : Path
+        The output folder, which may be the same.
+    network, selection, options
+        As `predict_scans` takes them.
+
+    Raises
+    ------
+    SalsanextError
+        If nothing can be done at all; failures of single images are in the outcome.
+    """
+    loaded = network.load()
+    _require_same_view(folder, projected_sensor(folder), loaded.sensor)
     ready = {(file.sequence, file.stem) for file in find_outputs(folder, "range")}
-    scans = [scan for scan in remembered_scans(folder) if (scan.sequence, scan.stem) in ready]
-    scans = choose(scans, selection, space_of(scans, network.load().card.space), folder)
-    settings = network.settings()
-    writes = ("pixel_labels",)
-    with claimed(out, "predict", settings, writes, scans, overwrite=options.overwrite):
-        work = PredictImage(folder, out, network.resolved())
-        return run_over_scans(work, scans, options, work.results_of)
+    scans = [scan for scan in recorded_scans(folder) if (scan.sequence, scan.stem) in ready]
+    scans = choose(scans, selection, space_of(scans, loaded.card.space), folder)
+    settings, folders = network.record(loaded), ("pixel_labels",)
+    with output_run(
+        out, "predict", settings, folders, scans, overwrite=options.overwrite
+    ) as output:
+        label = partial(predict_image, folder=folder, output=output)
+        task = NetworkTask(label, network.resolved(loaded), loaded)
+        return run_over_scans(task, scans, options, is_done=output.is_done)
 
 
-def _require_same_sensor(folder: Path, seen: Sensor, wanted: Sensor) -> None:
-    """Refuse images of another geometry; what normalises them is the network's own affair."""
-    if replace(seen, means=wanted.means, stds=wanted.stds).view() != wanted.view():
+def projected_sensor(folder: Path) -> Sensor | None:
+    """Return the sensor of the range images in an output folder, None if it holds none."""
+    settings = stage_settings(folder, "project")
+    if settings is None:
+        return None
+    return Sensor.from_dict(settings.table("sensor"), settings.path)
+
+
+def _require_same_view(folder: Path, projected: Sensor | None, wanted: Sensor) -> None:
+    """Refuse images of another geometry; their normalisation is the network's own."""
+    if projected is None:
+        raise UsageError(folder, "holds no range images", "the output folder of `project`")
+    if replace(projected, means=wanted.means, stds=wanted.stds).view() != wanted.view():
         raise UsageError(
             folder,
-            f"range images of {seen.name}, {seen.height}×{seen.width}",
+            f"range images of {projected.name}, {projected.height}×{projected.width}",
             f"{wanted.name}, {wanted.height}×{wanted.width}, as the weights or --sensor say",
             "project again, or give the sensor that was projected with",
         )

@@ -14,12 +14,11 @@ import torch
 from torch import Tensor
 
 from salsanext_cli.errors import FormatError, UsageError, WeightsError
-from salsanext_cli.geometry.coverage_check import CoverageCheck
+from salsanext_cli.geometry.coverage import CoverageCheck
 from salsanext_cli.inference.network import Network
 from salsanext_cli.inference.settings import NetworkSettings
 from salsanext_cli.network.weights import WeightsCard, default_weights, save_with_card
 from salsanext_cli.parallel.run import Progress
-from salsanext_cli.stages.project import read_and_project
 from salsanext_cli.storage.layout import ScanFile
 from salsanext_cli.storage.selection import ScanSelection, select_scans
 from salsanext_cli.storage.targets import require_target

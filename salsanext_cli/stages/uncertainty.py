@@ -1,27 +1,36 @@
 # SPDX-License-Identifier: MIT
-"""Scans to labels and uncertainties: Monte-Carlo dropout and assumed density filtering."""
+"""Stage `uncertainty`: scans to labels and uncertainties of their points."""
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass
+import logging
+from dataclasses import asdict, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from salsanext_cli.errors import OutputError
-from salsanext_cli.geometry.coverage import FieldOfViewCoverage
-from salsanext_cli.geometry.coverage_check import CoverageCheck
+from salsanext_cli.errors import OutputError, UsageError
+from salsanext_cli.formats import read_scan
+from salsanext_cli.formats.reading import present
+from salsanext_cli.geometry.coverage import (
+    CoverageCheck,
+    FieldOfViewCoverage,
+    field_of_view_coverage,
+)
+from salsanext_cli.geometry.gather import points_from_pixels
 from salsanext_cli.geometry.knn import KnnParameters, knn_refine
+from salsanext_cli.geometry.projection import project
+from salsanext_cli.inference.network import Network
 from salsanext_cli.inference.settings import NetworkSettings
-from salsanext_cli.parallel.run import Outcome, RunOptions, run_over_scans
-from salsanext_cli.records import Float, Int
-from salsanext_cli.sensors import Sensor
-from salsanext_cli.stages.predict import most_probable
-from salsanext_cli.stages.project import read_and_project
-from salsanext_cli.storage.layout import ScanFile, output_path
-from salsanext_cli.storage.output_run import claimed
-from salsanext_cli.storage.point_files import write_array, write_labels
+from salsanext_cli.network.weights import read_card
+from salsanext_cli.parallel.network_task import NetworkTask
+from salsanext_cli.parallel.run import Failure, Outcome, RunOptions, run_over_scans
+from salsanext_cli.sensors import Sensor, presets
+from salsanext_cli.storage.identity import fingerprint
+from salsanext_cli.storage.layout import ScanFile, find_outputs, output_path
+from salsanext_cli.storage.output_run import OutputRun, output_run
 from salsanext_cli.storage.selection import ScanSelection, select_scans
 from salsanext_cli.storage.stage_records import (
     as_json,
@@ -29,41 +38,39 @@ from salsanext_cli.storage.stage_records import (
     recorded_weights,
     stage_settings,
 )
-from salsanext_cli.uncertainty.settings import Estimator
+from salsanext_cli.uncertainty.settings import (
+    Estimator,
+    possible_estimator,
+    recorded_estimator,
+    recorded_knn,
+)
+
+log = logging.getLogger(__name__)
 
 
-@dataclass(frozen=True, slots=True)
-class UncertaintyOfScan:
-    """Estimate the uncertainty of the points of one scan and write it."""
-
-    out: Path
-    network: NetworkSettings
-    knn: KnnParameters
-    estimator: Estimator
-    writes: tuple[str, ...]
-
-    def results_of(self, file: ScanFile) -> list[Path]:
-        """Return the files that are written for a scan."""
-        return [self._path(file, folder) for folder in self.writes]
-
-    def _path(self, file: ScanFile, folder: str) -> Path:
-        return output_path(self.out, file.sequence, folder, file.stem)
-
-    def __call__(self, file: ScanFile) -> FieldOfViewCoverage:
-        """Read, project, estimate, refine, write; return how much of the scan is in view."""
-        network = self.network.load()
-        place, space = str(network.device), network.card.space
-        image, seen = read_and_project(file, network.sensor, place)
-        estimated = self.estimator.estimate(network, image, file)
-        for kind in self.estimator.kinds:
-            of_pixels = getattr(estimated.uncertainty, kind)
-            of_points = value_of_points(of_pixels, image.pixel_of_point)
-            write_array(self._path(file, f"uncertainty/{kind}"), of_points)
-        if "predictions" in self.writes:
-            pixel_labels = most_probable(estimated.probabilities)
-            labels = knn_refine(image, pixel_labels, space.class_count, self.knn, place)
-            write_labels(self._path(file, "predictions"), space.to_raw(labels))
-        return seen
+def uncertainty_scan(
+    file: ScanFile,
+    network: Network,
+    knn: KnnParameters,
+    estimator: Estimator,
+    output: OutputRun,
+) -> FieldOfViewCoverage:
+    """Estimate the uncertainty of the points of one scan; return how much of it is in view."""
+    output.require_replaceable(file)
+    sensor, space, device = network.sensor, network.card.space, str(network.device)
+    scan = read_scan(file.path, intensity_scale=sensor.intensity_scale)
+    image = project(scan, sensor, device)
+    estimate = estimator.estimate(network, image, file)
+    network.require_finite(estimate.probabilities, file.path)
+    for kind in estimator.kinds:
+        of_pixels = getattr(estimate.uncertainty, kind)
+        of_points = points_from_pixels(of_pixels, image.pixel_of_point, np.nan)
+        output.write_array(file, f"uncertainty/{kind}", of_points)
+    if "predictions" in output.folders:
+        pixel_labels = estimate.probabilities.argmax(axis=0)
+        labels = knn_refine(image, pixel_labels, space.class_count, knn, device)
+        output.write_labels(file, space.to_raw(labels))
+    return field_of_view_coverage(scan, sensor)
 
 
 def _require_same_network(out: Path, settings: dict[str, Any]) -> None:
@@ -87,13 +94,6 @@ def _view(sensor: dict[str, Any]) -> dict[str, Any]:
     return Sensor.from_dict(sensor).view()
 
 
-def value_of_points(of_pixels: Float, pixel_of_point: Int) -> Float:
-    """Give every point its pixel's value: (H, W) to (N,) float32; NaN without a pixel."""
-    of_points: Float = of_pixels.ravel()[pixel_of_point]
-    of_points[pixel_of_point < 0] = np.nan
-    return of_points
-
-
 def uncertainty(
     source: Path,
     out: Path,
@@ -103,7 +103,7 @@ def uncertainty(
     estimator: Estimator = Estimator(),
     selection: ScanSelection = ScanSelection(),
     options: RunOptions = RunOptions(),
-) -> Outcome[Any]:
+) -> Outcome[FieldOfViewCoverage]:
     """Estimate uncertainty into `OUT/sequences/<seq>/uncertainty/<kind>`.
 
     The labels of the mean softmax go to `predictions`, unless another stage keeps its
@@ -115,7 +115,7 @@ def uncertainty(
         A scan, a folder of scans, a sequence or a data set.
     out : Path
         The output folder.
-    network : NetworkChoice
+    network : NetworkSettings
         Weights, device and sensor.
     knn : KnnParameters
         Neighbours of the clean-up of the labels.
@@ -129,8 +129,9 @@ def uncertainty(
     SalsanextError
         If nothing can be done at all; failures of single scans are in the outcome.
     """
-    scans = select_scans(source, selection, network.load().card.space)
-    return uncertainty_of(scans, out, network, options, knn=knn, estimator=estimator)
+    loaded = network.load()
+    scans = select_scans(source, selection, loaded.card.space)
+    return uncertainty_of(scans, out, network, options, loaded, knn=knn, estimator=estimator)
 
 
 def uncertainty_of(
@@ -138,22 +139,110 @@ def uncertainty_of(
     out: Path,
     network: NetworkSettings,
     options: RunOptions,
+    loaded: Network,
     *,
     knn: KnnParameters = KnnParameters(),
     estimator: Estimator = Estimator(),
-    remembered: bool = False,
-) -> Outcome[Any]:
-    """Do what `uncertainty` does, to scans already chosen, maybe because `out` remembers them."""
-    estimator.require(network.load())
-    settings = network.settings() | {"knn": asdict(knn)} | estimator.settings(network.load().sensor)
-    folders = tuple(f"uncertainty/{kind}" for kind in estimator.kinds)
+    record_scans: bool = True,
+) -> Outcome[FieldOfViewCoverage]:
+    """Do what `uncertainty` does to scans already chosen, with a network already loaded.
+
+    `record_scans` is as `output_run` takes it.
+    """
+    estimator.require(loaded)
+    settings = network.record(loaded) | {"knn": asdict(knn)} | estimator.settings(loaded.sensor)
+    kinds = tuple(f"uncertainty/{kind}" for kind in estimator.kinds)
     labels_too = owner(out, "predictions") in (None, "uncertainty")
-    writes = (*folders, "predictions") if labels_too else folders
+    folders = (*kinds, "predictions") if labels_too else kinds
     _require_same_network(out, settings)
-    sources = () if remembered else scans
-    check = CoverageCheck(network.load().sensor)
-    with claimed(out, "uncertainty", settings, writes, sources, overwrite=options.overwrite):
-        work = UncertaintyOfScan(out, network.resolved(), knn, estimator, writes)
-        outcome = run_over_scans(work, scans, options, work.results_of, check.add)
+    check = CoverageCheck(loaded.sensor)
+    with output_run(
+        *(out, "uncertainty", settings, folders, scans),
+        overwrite=options.overwrite,
+        record_scans=record_scans,
+    ) as output:
+        function = partial(uncertainty_scan, knn=knn, estimator=estimator, output=output)
+        task = NetworkTask(function, network.resolved(loaded), loaded)
+        outcome = run_over_scans(task, scans, options, is_done=output.is_done, on_result=check.add)
     check.finish()
     return outcome
+
+
+def estimate_missing(
+    out: Path, scans: list[ScanFile], colour: str, network: NetworkSettings, options: RunOptions
+) -> tuple[str, dict[ScanFile, Failure]]:
+    """Estimate the uncertainty of scans that lack it, as that of the others was estimated.
+
+    Returns the kind that the colour means, the total for "uncertainty" if it can be had, and the
+    scans whose uncertainty could not be estimated, and why. Shards take what is there.
+
+    Raises
+    ------
+    UsageError
+        If the labels in the folder were made with other weights, or the uncertainties that are
+        there without the kind that is asked for; or if a shard finds none at all.
+    """
+    earlier = stage_settings(out, "uncertainty")
+    kind = _kind_there(out) if colour == "uncertainty" else colour
+    if kind and (options.shard.count > 1 or not _without(out, scans, kind)):
+        # Shards begin at different times: they would not agree on which scans lack it.
+        return kind, {}
+    if options.shard.count > 1:
+        found = f"no uncertainty in {out} yet"
+        remedy = "run `salsanext uncertainty` first, with shards too"
+        raise UsageError(f"--shard {options.shard}", found, "that of all scans", remedy)
+    network = _as_predicted(out, network)
+    loaded = network.load()
+    estimator = (
+        recorded_estimator(earlier) if earlier else possible_estimator(colour, loaded.sensor)
+    )
+    kind = kind or ("total" if estimator.aleatoric else "epistemic")
+    if kind not in estimator.kinds:
+        remedy = "run `salsanext uncertainty --overwrite`"
+        raise UsageError(out, "uncertainty estimated without aleatoric", kind, remedy)
+    missing = _without(out, scans, kind)
+    log.warning("no uncertainty of %d scans yet: estimating it", len(missing))
+    outcome = uncertainty_of(
+        missing,
+        out,
+        network,
+        replace(options, overwrite=False),
+        loaded,
+        knn=KnnParameters() if earlier is None else recorded_knn(earlier.table("knn")),
+        estimator=estimator,
+        record_scans=False,
+    )
+    return kind, {failure.scan: failure for failure in outcome.failures}
+
+
+def _kind_there(out: Path) -> str | None:
+    """Say which kind "uncertainty" means where some is there: the total, else the epistemic."""
+    kinds = ("total", "epistemic")
+    return next((kind for kind in kinds if find_outputs(out, f"uncertainty/{kind}")), None)
+
+
+def _without(out: Path, scans: list[ScanFile], kind: str) -> list[ScanFile]:
+    folder = f"uncertainty/{kind}"
+    return [s for s in scans if not present(output_path(out, s.sequence, folder, s.stem))]
+
+
+def _as_predicted(out: Path, network: NetworkSettings) -> NetworkSettings:
+    """Return the network, looking through the sensor that `predict` used; refuse other weights."""
+    settings = stage_settings(out, "predict")
+    if settings is None:
+        return network
+    if settings["weights"] != fingerprint(network.path):
+        raise UsageError(
+            out,
+            f"labels by the weights {str(settings['weights'])[:12]}… and no uncertainty yet",
+            "the same weights",
+            "give them with --weights, or run `salsanext uncertainty`",
+        )
+    seen = Sensor.from_dict(settings.table("sensor"), settings.path)
+    return network if network.sensor else replace(network, sensor=_with_noise(seen, network))
+
+
+def _with_noise(seen: Sensor, network: NetworkSettings) -> Sensor:
+    """Return the sensor, of which `predict` recorded only the view, with its noise if known."""
+    known = (read_card(network.path).sensor, presets().get(seen.name))
+    return next((sensor for sensor in known if sensor and sensor.view() == seen.view()), seen)

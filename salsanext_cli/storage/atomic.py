@@ -7,7 +7,7 @@ import errno
 import os
 import re
 import uuid
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from contextvars import ContextVar
 from pathlib import Path
@@ -16,17 +16,24 @@ from typing import BinaryIO
 from salsanext_cli.errors import OutputError
 from salsanext_cli.formats.reading import reason
 
-MARK: ContextVar[str] = ContextVar("MARK", default="")
-"""What begins the temporary names of a process, so that `sweep` finds them when it was killed."""
+PROCESS_MARK = uuid.uuid4().hex
+"""Mark of this process and of the workers that it starts."""
+MARK: ContextVar[str] = ContextVar("MARK", default=PROCESS_MARK)
+"""Prefix of the temporary names of a run, so that `sweep` finds those of its killed workers."""
 FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 TEMPORARY = re.compile(r"\.(?:[0-9a-f]{32}){1,2}\.part")
 """The names, mark and all, that unfinished files have here."""
-STALE = 24 * 3600.0
+STALE_AFTER_S = 24 * 3600.0
 """Seconds that an unfinished file has not been touched when its writer must be dead."""
 
 
 @contextmanager
-def writing(path: Path | str, *, durable: bool = False) -> Iterator[BinaryIO]:
+def writing(
+    path: Path | str,
+    *,
+    durable: bool = False,
+    before_rename: Callable[[os.stat_result], object] | None = None,
+) -> Iterator[BinaryIO]:
     """Open a file for writing that appears under its name only when it is complete.
 
     Parent folders are made. If the body raises, Ctrl-C included, nothing is left behind and an
@@ -39,6 +46,8 @@ def writing(path: Path | str, *, durable: bool = False) -> Iterator[BinaryIO]:
     durable : bool
         Whether it must survive a power cut too, for some milliseconds. Otherwise what was written
         in the last half minute before may be empty or cut off then.
+    before_rename : callable, optional
+        Called with the status of the complete file before it gets its name.
 
     Raises
     ------
@@ -54,6 +63,8 @@ def writing(path: Path | str, *, durable: bool = False) -> Iterator[BinaryIO]:
             if durable:
                 file.flush()
                 os.fsync(file.fileno())
+        if before_rename:
+            before_rename(temporary.stat())
         temporary.replace(path)
         if durable:
             _keep_names(path.parent)
@@ -127,7 +138,7 @@ def sweep_stale(folder: Path) -> None:
         now = _time_of_disk(folder)
         for temporary in found:
             with suppress(OSError):
-                if now - temporary.stat().st_mtime > STALE:
+                if now - temporary.stat().st_mtime > STALE_AFTER_S:
                     temporary.unlink()
 
 

@@ -13,7 +13,7 @@ from salsanext_cli.classes import LabelSpace
 from salsanext_cli.errors import LabelError
 from salsanext_cli.storage.layout import ScanFile
 from salsanext_cli.storage.selection import ScanSelection, choose, space_of
-from salsanext_cli.storage.sources import remembered_scans
+from salsanext_cli.storage.sources import recorded_scans
 from salsanext_cli.storage.stage_records import (
     origins,
     owner,
@@ -57,7 +57,7 @@ def predicted_scans(
     LabelError
         If predictions and labels speak of different classes.
     """
-    scans = remembered_scans(out, dataset, usual_dataset)
+    scans = recorded_scans(out, dataset, usual_dataset)
     space = space_of_results(out, scans, space)
     chosen = choose(scans, selection, space, out)
     if selection.split:
@@ -94,15 +94,15 @@ def provenance(out: Path, selection: ScanSelection, dataset: Path | None = None)
     """Return, as plain data, what was chosen and which stage and weights made the predictions."""
     stage = owner(out, "predictions")
     softmax: Mapping[str, Any] = stage_settings(out, "predict") or {}
-    doubts = stage_settings(out, "uncertainty")
-    made_by = sorted({*([stage] if stage else []), *(["uncertainty"] if doubts else [])})
+    estimated = stage_settings(out, "uncertainty")
+    made_by = sorted({*([stage] if stage else []), *(["uncertainty"] if estimated else [])})
     kept = {
         "dataset": str(dataset.absolute()) if dataset else None,
         "predictions_of": stage,
         "weights": recorded_weights(out, "predictions"),
         "temperature": softmax.get("temperature"),
-        "uncertainty": {key: doubts[key] for key in UNCERTAINTY_SETTINGS if key in doubts}
-        if doubts
+        "uncertainty": {key: estimated[key] for key in UNCERTAINTY_SETTINGS if key in estimated}
+        if estimated
         else None,
         "origins": origins(out, made_by),
     }

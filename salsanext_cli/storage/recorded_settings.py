@@ -10,7 +10,7 @@ from typing import Any
 from salsanext_cli.errors import OutputError
 
 
-class Settings(dict[str, Any]):
+class RecordedSettings(dict[str, Any]):
     """Settings read back from `OUT/<stage>.json`; what was cut out of the file is named.
 
     Parameters
@@ -28,12 +28,12 @@ class Settings(dict[str, Any]):
     def __missing__(self, key: str) -> Any:
         raise self._wrong(f"settings lack {key}", "what the stage wrote")
 
-    def table(self, key: str) -> Settings:
+    def table(self, key: str) -> RecordedSettings:
         """Return a setting that is itself a mapping."""
         value = self[key]
         if not isinstance(value, dict):
             raise self._wrong(f"settings have {key} {value!r}", "a JSON object")
-        return Settings(value, self.path)
+        return RecordedSettings(value, self.path)
 
     def flag(self, key: str) -> bool:
         """Return a setting that is true or false."""

@@ -103,7 +103,7 @@ def scalar_columns(cloud: ScanResults, space: LabelSpace) -> dict[str, npt.NDArr
     return columns | cloud.uncertainty
 
 
-def unknown(column: str, file: ScanFile, out: Path) -> NoInputError:
+def missing_column(column: str, file: ScanFile, out: Path) -> NoInputError:
     """Return the error that says what is missing for a column, and where it would be."""
     if column in ("truth", "error") and not present(file.label_path):
         return NoInputError(file.path, "has no labels", str(file.label_path))

@@ -1,93 +1,82 @@
 # SPDX-License-Identifier: MIT
-"""Where the scans came from whose results an output folder holds, and which were asked for."""
+"""Scans behind the results of an output folder: where they lie, and which were asked for."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import replace
+import logging
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
 
 from salsanext_cli.errors import NoInputError, OutputError
 from salsanext_cli.formats.reading import is_folder
 from salsanext_cli.settings_files import shortened
-from salsanext_cli.storage.json_files import read_json
 from salsanext_cli.storage.layout import SUFFIX_OF_FOLDER, ScanFile, find_outputs, find_scans
+from salsanext_cli.storage.stage_records import ScanSource, owner, read_records
 
-SOURCE = "source.json"
-ASKED = "asked_for"
-LONGEST = 500
+LABELLING_STAGES = ("predict", "knn-refine", "uncertainty")
+"""The stages whose results later ones read."""
+MAX_PATH_SHOWN = 500
 """Characters of a folder's name that an error shows."""
 
+log = logging.getLogger(__name__)
 
-def new_sources(
-    out: Path, scans: Sequence[ScanFile], stage: str, *, anew: bool = False
-) -> dict[Path, dict[str, Any]]:
-    """Return what to record of where scans come from, and of which scans a stage was asked for.
 
-    Parameters
+@dataclass(frozen=True, slots=True)
+class MissingResults:
+    """Scans without results.
+
+    Attributes
     ----------
-    out : Path
-        The output folder.
-    scans : sequence of ScanFile
-        What the stage works on; added to what it was asked for before.
-    stage : str
-        Its name.
-    anew : bool
-        Whether its earlier results are removed, so that only these scans count.
+    missing : tuple of ScanFile
+        Those that a stage was asked for: it failed, was interrupted, or its results were deleted.
+        All, where no stage recorded what it was asked for.
+    not_asked_for : int
+        Number of the others, which were left out on purpose.
+    """
+
+    missing: tuple[ScanFile, ...] = ()
+    not_asked_for: int = 0
+
+    def log_error(self, scans: int, what: str) -> None:
+        """Log how many of the scans lack what they should have."""
+        if self.missing:
+            first = self.missing[0]
+            log.error(
+                "%d of %d scans have no %s and are left out, the first is %s/%s",
+                *(len(self.missing), scans, what, first.sequence, first.stem),
+            )
+
+
+def scan_sources(out: Path, scans: Iterable[ScanFile]) -> dict[str, ScanSource]:
+    """Return where scans lie and their stems, by sequence.
 
     Raises
     ------
     OutputError
-        If a sequence of that name came from another folder: the results would overwrite each
-        other.
+        If a sequence of that name came from another folder, in this run or in an earlier one of
+        any stage: the results would overwrite each other.
     """
-    records: dict[Path, dict[str, Any]] = {}
-    for (sequence, folder), stems in _stems_by_folder(scans).items():
-        path = out / "sequences" / sequence / SOURCE
-        recorded = records.get(path) or _record(path)
-        if recorded.get("scans", folder) != folder:
+    known: dict[str, str] = {}
+    for record in read_records(out).values():
+        known |= {sequence: source.folder for sequence, source in record.scans.items()}
+    stems: dict[str, set[str]] = {}
+    for scan in scans:
+        folder = str(scan.path.parent)
+        recorded = known.setdefault(scan.sequence, folder)
+        if recorded != folder:
             raise OutputError(
-                path,
-                f"sequence {sequence} came from {shortened(recorded['scans'], LONGEST)}",
+                out,
+                f"sequence {scan.sequence} came from {shortened(recorded, MAX_PATH_SHOWN)}",
                 f"scans from there, not from {folder}",
                 "use another output folder",
             )
-        asked = recorded.get(ASKED, {})
-        before = () if anew else asked.get(stage, ())
-        records[path] = {"scans": folder, ASKED: asked | {stage: sorted({*before, *stems})}}
-    return {path: record for path, record in records.items() if record != _record(path)}
+        stems.setdefault(scan.sequence, set()).add(scan.stem)
+    return {name: ScanSource(known[name], frozenset(names)) for name, names in stems.items()}
 
 
-def _stems_by_folder(scans: Sequence[ScanFile]) -> dict[tuple[str, str], list[str]]:
-    found: dict[tuple[str, str], list[str]] = {}
-    for scan in scans:
-        found.setdefault((scan.sequence, str(scan.path.parent)), []).append(scan.stem)
-    return dict(sorted(found.items()))
-
-
-def _record(path: Path) -> dict[str, Any]:
-    record = read_json(path) or {}
-    asked, folder = record.get(ASKED, {}), record.get("scans", "")
-    if not isinstance(asked, dict) or not all(map(_are_names, asked.values())):
-        raise OutputError(path, "damaged", f"{ASKED}: names of scans by stage", "delete it")
-    if not isinstance(folder, str) or "\0" in folder:
-        raise OutputError(path, "damaged", "scans: the folder they came from", "delete it")
-    return record
-
-
-def _are_names(stems: object) -> bool:
-    return isinstance(stems, list) and all(isinstance(stem, str) for stem in stems)
-
-
-def asked_for(out: Path, sequence: str) -> dict[str, set[str]]:
-    """Return the stems of the scans that each stage was asked for; without stages not recorded."""
-    record = _record(out / "sequences" / sequence / SOURCE)
-    return {stage: set(stems) for stage, stems in record.get(ASKED, {}).items()}
-
-
-def remembered_scans(
-    out: Path, dataset: Path | None = None, usual: Path = Path()
+def recorded_scans(
+    out: Path, dataset: Path | None = None, usual_dataset: Path = Path()
 ) -> list[ScanFile]:
     """Find the scans whose results an output folder holds.
 
@@ -97,8 +86,8 @@ def remembered_scans(
         The output folder.
     dataset : Path, optional
         Where to look instead of where the scans came from.
-    usual : Path
-        Where to look if nobody recorded where the scans came from, or they are gone.
+    usual_dataset : Path
+        Where to look if it is not recorded where the scans came from, or they are gone.
 
     Raises
     ------
@@ -120,21 +109,57 @@ def remembered_scans(
     ):
         # The folder of the scans themselves, which may have another name by now.
         return [replace(scan, sequence=sequences[0]) for scan in find_scans(dataset)]
-    return [scan for name in sequences for scan in _scans_of_sequence(out, name, dataset, usual)]
+    folders = {
+        sequence: source.folder
+        for record in read_records(out).values()
+        for sequence, source in record.scans.items()
+    }
+    return [
+        scan
+        for name in sequences
+        for scan in _scans_of_sequence(out, name, folders.get(name), dataset, usual_dataset)
+    ]
 
 
 def _scans_of_sequence(
-    out: Path, sequence: str, dataset: Path | None, usual: Path
+    out: Path, sequence: str, folder: str | None, dataset: Path | None, usual_dataset: Path
 ) -> list[ScanFile]:
-    recorded = _record(out / "sequences" / sequence / SOURCE).get("scans")
-    if dataset is None and recorded and is_folder(Path(recorded)):
-        return find_scans(Path(recorded))
-    root = dataset or usual
+    if dataset is None and folder and is_folder(Path(folder)):
+        return find_scans(Path(folder))
+    root = dataset or usual_dataset
     if (root / "sequences").is_dir():
         return find_scans(root, [sequence])
+    looked_in = shortened(str(dataset or folder or root.absolute()), MAX_PATH_SHOWN)
     raise NoInputError(
         out / "sequences" / sequence,
-        f"its scans are not in {shortened(str(dataset or recorded or root.absolute()), LONGEST)}",
+        f"its scans are not in {looked_in}",
         "the folder that they came from",
         "give with --dataset the folder that holds sequences/",
     )
+
+
+def missing_predictions(out: Path, scans: Iterable[ScanFile]) -> MissingResults:
+    """Divide scans without predictions by whether the stage that predicts was asked for them."""
+    sources = {stage: record.scans for stage, record in read_records(out).items()}
+    # `knn-refine` takes what `predict` left, wherever that came from.
+    of_stage = sources.get(owner(out, "predictions") or "") or sources.get("predict", {})
+    return _missing_results(scans, [of_stage])
+
+
+def missing_results(out: Path, scans: Iterable[ScanFile]) -> MissingResults:
+    """Divide scans without labels and uncertainty by whether any stage was asked for them."""
+    records = read_records(out)
+    return _missing_results(scans, [records[s].scans for s in LABELLING_STAGES if s in records])
+
+
+def _missing_results(
+    scans: Iterable[ScanFile], sources: Sequence[dict[str, ScanSource]]
+) -> MissingResults:
+    listed = sorted(scans, key=lambda scan: (scan.sequence, scan.stem))
+
+    def is_asked_for(scan: ScanFile) -> bool:
+        recorded = [of_stage[scan.sequence] for of_stage in sources if scan.sequence in of_stage]
+        return not recorded or any(scan.stem in source.stems for source in recorded)
+
+    missing = tuple(scan for scan in listed if is_asked_for(scan))
+    return MissingResults(missing, len(listed) - len(missing))

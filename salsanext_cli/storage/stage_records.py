@@ -1,11 +1,12 @@
 # SPDX-License-Identifier: MIT
-"""What an output folder remembers of each stage: its settings, and which results are its own."""
+"""Record of a stage in an output folder, ``OUT/<stage>.json``: settings, results and scans."""
 
 from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -15,26 +16,114 @@ from salsanext_cli.errors import OutputError
 from salsanext_cli.sensors import Sensor, sensor
 from salsanext_cli.storage.json_files import read_json, write_json
 from salsanext_cli.storage.layout import SUFFIX_OF_FOLDER
-from salsanext_cli.storage.recorded_settings import Settings
+from salsanext_cli.storage.recorded_settings import RecordedSettings
 
-SHOWN = 3
-"""How many differences an error names."""
+MAX_DIFFERENCES_SHOWN = 3
 RESULT_STAGES = ("project", "predict", "knn-refine", "uncertainty", "export-ply")
 
 
-def stage_settings(out: Path, stage: str) -> Settings | None:
+@dataclass(frozen=True, slots=True)
+class ScanSource:
+    """Scans of one sequence that a stage worked on.
+
+    Attributes
+    ----------
+    folder : str
+        Where they lie, absolute.
+    stems : frozenset of str
+        Those that the stage was asked for in any of its runs, done or failed.
+    """
+
+    folder: str
+    stems: frozenset[str]
+
+
+@dataclass(frozen=True, slots=True)
+class StageRecord:
+    """What is recorded of the runs of a stage, all with the same settings.
+
+    Attributes
+    ----------
+    stage : str
+        Its name on the command line.
+    settings : dict
+        Resolved settings that decide what the results are, as JSON gives them back.
+    folders : tuple of str
+        Folders of results that the stage fills, keys of `SUFFIX_OF_FOLDER`.
+    scans : dict of str to ScanSource
+        By sequence; empty for a stage that works on what earlier ones recorded.
+    """
+
+    stage: str
+    settings: dict[str, Any]
+    folders: tuple[str, ...] = ()
+    scans: dict[str, ScanSource] = field(default_factory=dict)
+
+    def write(self, out: Path) -> None:
+        """Write the record into an output folder, durably."""
+        scans = {
+            sequence: {"folder": source.folder, "asked_for": sorted(source.stems)}
+            for sequence, source in sorted(self.scans.items())
+        }
+        written = {"stage": self.stage, "version": __version__, "settings": self.settings}
+        record = written | {"writes": list(self.folders), "scans": scans}
+        write_json(out / f"{self.stage}.json", record)
+
+
+def read_record(out: Path, stage: str) -> StageRecord | None:
+    """Read the record of a stage, None if it did not run in this output folder.
+
+    Raises
+    ------
+    OutputError
+        If the record is damaged.
+    """
+    path = out / f"{stage}.json"
+    found = read_json(path)
+    if found is None:
+        return None
+    try:
+        settings, folders = found["settings"], tuple(found["writes"])
+        if not isinstance(settings, dict) or not all(f in SUFFIX_OF_FOLDER for f in folders):
+            raise TypeError
+        scans = {name: _scan_source(entry) for name, entry in found.get("scans", {}).items()}
+        return StageRecord(stage, settings, folders, scans)
+    except (TypeError, KeyError, AttributeError) as error:
+        remedy = "delete it or use another folder"
+        raise OutputError(path, f"not what `{stage}` writes", remedy=remedy) from error
+
+
+def _scan_source(entry: dict[str, Any]) -> ScanSource:
+    folder, stems = entry["folder"], entry["asked_for"]
+    if not isinstance(folder, str) or "\0" in folder or not isinstance(stems, list):
+        raise TypeError
+    if not all(isinstance(stem, str) for stem in stems):
+        raise TypeError
+    return ScanSource(folder, frozenset(stems))
+
+
+def read_records(out: Path) -> dict[str, StageRecord]:
+    """Read the records of all stages that ran in an output folder, by stage."""
+    records = {stage: read_record(out, stage) for stage in RESULT_STAGES}
+    return {stage: record for stage, record in records.items() if record is not None}
+
+
+def stage_settings(out: Path, stage: str) -> RecordedSettings | None:
     """Return the settings a stage ran with in this output folder, None if it did not."""
-    manifest = manifest_of(out, stage)
-    return None if manifest is None else Settings(manifest["settings"], out / f"{stage}.json")
+    record = read_record(out, stage)
+    return RecordedSettings(record.settings, out / f"{stage}.json") if record else None
 
 
 def owner(out: Path, folder: str) -> str | None:
     """Return the stage that writes a folder of results in this output folder, if any does."""
-    for stage in RESULT_STAGES:
-        manifest = manifest_of(out, stage)
-        if manifest and folder in manifest["writes"]:
-            return stage
-    return None
+    records = read_records(out)
+    return next((stage for stage, record in records.items() if folder in record.folders), None)
+
+
+def settings_of(out: Path, folder: str) -> RecordedSettings | None:
+    """Return the settings behind a folder of results, None if no stage recorded them."""
+    stage = owner(out, folder)
+    return stage_settings(out, stage) if stage else None
 
 
 def origins(out: Path, stages: Iterable[str]) -> dict[str, str]:
@@ -50,24 +139,36 @@ def origins(out: Path, stages: Iterable[str]) -> dict[str, str]:
     }
 
 
-def manifest_of(out: Path, stage: str) -> dict[str, Any] | None:
-    """Return what `record` wrote of a stage, None if it did not run here."""
-    path = out / f"{stage}.json"
-    manifest = read_json(path)
-    kinds = {"settings": dict, "writes": list}
-    if manifest is not None and not (
-        all(isinstance(manifest.get(k), kind) for k, kind in kinds.items())
-        and all(folder in [*SUFFIX_OF_FOLDER] for folder in manifest["writes"])
-    ):
-        found = f"not what `{stage}` writes"
-        raise OutputError(path, found, remedy="delete it or use another folder")
-    return manifest
+def recorded_label_space(out: Path) -> LabelSpace | None:
+    """Return the label space of the predictions in an output folder, if a stage recorded one."""
+    settings = settings_of(out, "predictions") or settings_of(out, "pixel_labels")
+    if settings is None:
+        return None
+    return LabelSpace.from_dict(settings.table("label_space"), settings.path)
 
 
-def record(out: Path, stage: str, settings: Mapping[str, Any], writes: Sequence[str]) -> None:
-    """Write `OUT/<stage>.json`: what a stage does, and which folders of results it fills."""
-    manifest = {"stage": stage, "version": __version__, "settings": settings, "writes": [*writes]}
-    write_json(out / f"{stage}.json", manifest)
+def recorded_weights(out: Path, folder: str) -> str | None:
+    """Return the SHA-256 of the weights behind a folder of results, None if none is recorded."""
+    settings: Mapping[str, Any] = settings_of(out, folder) or {}
+    if owner(out, folder) == "knn-refine" and settings.get("labels") is None:
+        return recorded_weights(out, "pixel_labels")
+    found = settings.get("weights")
+    return None if found is None else str(found)
+
+
+def recorded_sensor(out: Path) -> Sensor:
+    """Return the sensor that labels in an output folder were made through; else the HDL-64."""
+    for folder in ("pixel_labels", "predictions", "uncertainty/epistemic", "range"):
+        settings = settings_of(out, folder)
+        if settings is not None:
+            return Sensor.from_dict(settings.table("sensor"), settings.path)
+    return sensor("hdl64")
+
+
+def as_json(settings: Any) -> Any:
+    """Return settings as they are read back: lists for tuples, strings for keys."""
+    # JSON has no number for an infinite cutoff.
+    return json.loads(json.dumps(settings), parse_constant=str)
 
 
 def require_same_settings(
@@ -82,41 +183,6 @@ def require_same_settings(
         raise OutputError(path, found, remedy=remedy)
 
 
-def as_json(settings: Any) -> Any:
-    """Return settings as they are read back: lists for tuples, strings for keys."""
-    # JSON has no number for an infinite cutoff.
-    return json.loads(json.dumps(settings), parse_constant=str)
-
-
-def recorded_label_space(out: Path) -> LabelSpace | None:
-    """Return the label space of the predictions in an output folder, if a stage recorded one."""
-    stage = owner(out, "predictions") or owner(out, "pixel_labels")
-    settings = stage_settings(out, stage) if stage else None
-    if settings is None:
-        return None
-    return LabelSpace.from_dict(settings.table("label_space"), settings.path)
-
-
-def recorded_weights(out: Path, folder: str) -> str | None:
-    """Return the SHA-256 of the weights behind a folder of results, None if nobody recorded it."""
-    stage = owner(out, folder)
-    settings: Mapping[str, Any] = (stage_settings(out, stage) if stage else None) or {}
-    if stage == "knn-refine" and settings.get("labels") is None:
-        return recorded_weights(out, "pixel_labels")
-    found = settings.get("weights")
-    return None if found is None else str(found)
-
-
-def recorded_sensor(out: Path) -> Sensor:
-    """Return the sensor that labels in an output folder were made through; else the HDL-64."""
-    for folder in ("pixel_labels", "predictions", "uncertainty/epistemic", "range"):
-        stage = owner(out, folder)
-        settings = stage_settings(out, stage) if stage else None
-        if settings is not None:
-            return Sensor.from_dict(settings.table("sensor"), settings.path)
-    return sensor("hdl64")
-
-
 def _differences(recorded: Mapping[str, Any], settings: Mapping[str, Any]) -> str:
     """Name what differs, key by key, and how; origins are named without their digests."""
     before, after = _flat(recorded), _flat(settings)
@@ -125,7 +191,7 @@ def _differences(recorded: Mapping[str, Any], settings: Mapping[str, Any]) -> st
         f"what `{key.removeprefix('origins.')}` made was made anew"
         if key.startswith("origins.")
         else f"{key} was {_short(before.get(key))} and is {_short(after.get(key))}"
-        for key in changed[:SHOWN]
+        for key in changed[:MAX_DIFFERENCES_SHOWN]
     ]
     more = len(changed) - len(shown)
     return ", ".join(shown) + (f", and {more} more" if more else "")

@@ -10,10 +10,10 @@ from typing import Any
 
 from salsanext_cli.errors import OutputError
 from salsanext_cli.storage.atomic import require_writable, sweep_stale, write_text
-from salsanext_cli.storage.output_run import alone
+from salsanext_cli.storage.locks import locked
 from salsanext_cli.storage.stage_records import (
+    StageRecord,
     as_json,
-    record,
     require_same_settings,
     stage_settings,
 )
@@ -38,7 +38,7 @@ def trained_alone(run: Path) -> Iterator[None]:
     OutputError
         If another training is at work in it.
     """
-    with alone(run, STAGE):
+    with locked(run / ".train.lock"):
         for folder in (run, run / SAMPLES):
             sweep_stale(folder)
         yield
@@ -85,7 +85,7 @@ def take(run: Path, settings: Mapping[str, Any], *, overwrite: bool) -> None:
         pictures, events = run.glob(f"{SAMPLES}/epoch-*.png"), run.glob(f"{EVENTS}/events.*")
         for made in (*(run / name for name in MADE), *pictures, *events):
             made.unlink(missing_ok=True)
-    record(run, STAGE, as_json(settings), [])
+    StageRecord(STAGE, as_json(settings)).write(run)
     write_text(run / RECIPE, Recipe.from_dict(settings["recipe"]).to_toml())
 
 

@@ -1,17 +1,20 @@
 # SPDX-License-Identifier: MIT
-"""How the uncertainty of a scan is estimated."""
+"""Settings of uncertainty: which method estimates it, with which numbers."""
 
 from __future__ import annotations
 
+import logging
 from dataclasses import dataclass, replace
 from typing import Any
 
 from salsanext_cli.errors import UsageError
+from salsanext_cli.geometry.knn import KnnParameters
 from salsanext_cli.geometry.noise import noise_of
 from salsanext_cli.inference.network import Network
 from salsanext_cli.records import RangeImage
 from salsanext_cli.sensors import Sensor
 from salsanext_cli.storage.layout import ScanFile
+from salsanext_cli.storage.recorded_settings import RecordedSettings
 from salsanext_cli.uncertainty.aleatoric import aleatoric
 from salsanext_cli.uncertainty.estimate import Estimate, require_dropout
 from salsanext_cli.uncertainty.monte_carlo import (
@@ -25,6 +28,8 @@ KINDS = ("epistemic", "entropy", "mutual_information")
 NOISY_KINDS = ("aleatoric", "total")
 """Kinds that need the sensor's noise."""
 METHODS = ("sampling", "analytic")
+
+log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True, slots=True)
@@ -81,3 +86,29 @@ class Estimator:
             return found
         noise = aleatoric(network, image).mean(axis=0)
         return replace(found, uncertainty=replace(found.uncertainty, aleatoric=noise))
+
+
+def recorded_estimator(settings: RecordedSettings) -> Estimator:
+    """Return the estimator that the record of a run of `uncertainty` names."""
+    method = settings["method"]
+    passes = ("samples", "seed") if method == "sampling" else ()
+    numbers = {key: settings.integer(key) for key in passes}
+    return Estimator(method, aleatoric=settings.flag("aleatoric"), **numbers)
+
+
+def possible_estimator(colour: str, seen: Sensor) -> Estimator:
+    """Leave out what needs a noise that the sensor does not know, unless it is asked for."""
+    aleatoric = colour in NOISY_KINDS or seen.knows_noise
+    if not aleatoric:
+        log.warning("sensor %s does not know its noise: epistemic uncertainty only", seen.name)
+    return Estimator(aleatoric=aleatoric)
+
+
+def recorded_knn(knn: RecordedSettings) -> KnnParameters:
+    """Return the neighbours that the record of a run names."""
+    return KnnParameters(
+        k=knn.integer("k"),
+        window=knn.integer("window"),
+        sigma=knn.number("sigma"),
+        cutoff=knn.number("cutoff"),
+    )

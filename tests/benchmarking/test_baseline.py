@@ -19,7 +19,6 @@ from salsanext_cli.inference.network import load_network
 from salsanext_cli.inference.settings import NetworkSettings
 from salsanext_cli.measures.confusion import Confusion
 from salsanext_cli.records import RangeImage, Scan
-from salsanext_cli.stages.predict import predict
 from salsanext_cli.storage.point_files import write_bin
 from salsanext_cli.uncertainty.aleatoric import aleatoric
 

@@ -7,15 +7,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
+from salsanext_cli.inference.batches import BatchLabeller
+from salsanext_cli.inference.predict_batches import usual_size
 from scans import make_scan, write_sequence
 
 from salsanext_cli.errors import UsageError
 from salsanext_cli.geometry.knn import KnnParameters
-from salsanext_cli.inference.batches import BatchLabeller
-from salsanext_cli.inference.predict_batches import usual_size
 from salsanext_cli.parallel.run import RunOptions
 from salsanext_cli.records import Scan
-from salsanext_cli.stages.predict import predict
 from salsanext_cli.storage.point_files import write_bin
 
 EXTRAS = ("pixel_labels", "probabilities")

@@ -161,7 +161,6 @@ def predict_job(folder: Path, jobs: int = 1) -> Run:
 
     from salsanext_cli.inference.settings import NetworkSettings
     from salsanext_cli.parallel.run import RunOptions
-    from salsanext_cli.stages.predict import predict
 
     data = write_sequence(folder / "data/08", ["a", "b", "c"], count=3000)
     network = NetworkSettings(write_weights(folder / "w.safetensors"), "cpu")

@@ -15,7 +15,6 @@ from salsanext_cli.inference.settings import NetworkSettings
 from salsanext_cli.parallel import dask_backend, ray_backend
 from salsanext_cli.parallel.run import RunOptions
 from salsanext_cli.parallel.threads import threads_of_workers
-from salsanext_cli.stages.predict import predict
 from salsanext_cli.stages.uncertainty import uncertainty
 from salsanext_cli.uncertainty.settings import Estimator
 

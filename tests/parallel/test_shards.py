@@ -13,7 +13,6 @@ from works import Write, run
 from salsanext_cli.errors import UsageError
 from salsanext_cli.parallel.run import RunOptions
 from salsanext_cli.parallel.shards import Shard
-from salsanext_cli.stages.predict import predict
 from salsanext_cli.storage.layout import ScanFile
 
 COUNTS = st.integers(1, 9)

@@ -15,7 +15,6 @@ from salsanext_cli.inference.settings import NetworkSettings
 from salsanext_cli.parallel.run import RunOptions
 from salsanext_cli.report.colours import EMPTY, RIGHT, WRONG, map_colours
 from salsanext_cli.stages.export_ply import COLOURS, export_ply
-from salsanext_cli.stages.predict import predict
 from salsanext_cli.stages.uncertainty import uncertainty
 from salsanext_cli.storage.point_files import write_labels
 from salsanext_cli.storage.selection import ScanSelection

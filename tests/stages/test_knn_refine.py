@@ -14,7 +14,6 @@ from salsanext_cli.geometry.knn import KnnParameters, knn_refine
 from salsanext_cli.geometry.projection import project
 from salsanext_cli.parallel.run import RunOptions
 from salsanext_cli.stages.knn_refine import knn_refine_scans, labels_of_pixels
-from salsanext_cli.stages.predict import predict
 from salsanext_cli.stages.project import project_scans
 from salsanext_cli.storage.point_files import write_array, write_labels
 from salsanext_cli.storage.selection import ScanSelection

@@ -16,7 +16,6 @@ from salsanext_cli.geometry.projection import project
 from salsanext_cli.inference.settings import NetworkSettings
 from salsanext_cli.parallel.run import RunOptions
 from salsanext_cli.records import Scan
-from salsanext_cli.stages.predict import predict
 from salsanext_cli.stages.project import project_scans
 from salsanext_cli.storage.identity import fingerprint
 from salsanext_cli.storage.point_files import write_bin

@@ -15,7 +15,6 @@ from salsanext_cli.geometry.projection import project
 from salsanext_cli.inference.network import load_network
 from salsanext_cli.inference.settings import NetworkSettings
 from salsanext_cli.network.weights import read_card, read_weights, save_weights
-from salsanext_cli.stages.predict import predict
 from salsanext_cli.stages.tune_temperature import tune_temperature
 from salsanext_cli.storage.point_files import write_labels
 from salsanext_cli.storage.selection import ScanSelection

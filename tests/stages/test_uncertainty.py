@@ -14,7 +14,6 @@ from salsanext_cli.geometry.projection import project
 from salsanext_cli.inference.settings import NetworkSettings
 from salsanext_cli.parallel.run import RunOptions
 from salsanext_cli.records import Scan
-from salsanext_cli.stages.predict import predict
 from salsanext_cli.stages.uncertainty import uncertainty
 from salsanext_cli.storage.point_files import write_array, write_bin
 from salsanext_cli.storage.selection import ScanSelection

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Runs that want the same output folder at the same time, in processes of their own."""
+"""Runs of stages in an output folder: what is recorded, refused, removed and kept."""
 
 import json
 import os
@@ -9,39 +9,264 @@ from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
+import numpy as np
 import pytest
-from claiming import claim
-from scans import files_below
+from empty_runs import begin_and_end
+from scans import files_below, write_sequence
 
+import salsanext_cli
+from salsanext_cli import __version__
+from salsanext_cli.classes import label_space
 from salsanext_cli.errors import OutputError
-from salsanext_cli.storage import output_run as claims
-from salsanext_cli.storage.atomic import STALE
-from salsanext_cli.storage.layout import ScanFile
-from salsanext_cli.storage.output_run import alone, claimed, recording
-from salsanext_cli.storage.sources import asked_for
-from salsanext_cli.storage.stage_records import owner
-from salsanext_cli.training.run_folder import trained_alone
+from salsanext_cli.sensors import sensor
+from salsanext_cli.storage import run_registration
+from salsanext_cli.storage.atomic import STALE_AFTER_S
+from salsanext_cli.storage.layout import ScanFile, find_scans
+from salsanext_cli.storage.output_run import output_run
+from salsanext_cli.storage.run_registration import records_lock
+from salsanext_cli.storage.stage_records import (
+    origins,
+    owner,
+    read_record,
+    recorded_label_space,
+    recorded_sensor,
+    stage_settings,
+)
+from salsanext_cli.storage.written_files import RECORDS, WrittenFiles
 
-SETTINGS = {"weights": "a"}
+SETTINGS = {"weights": "abc", "knn": {"k": 5}}
+LABELS = np.full(5, 10, np.uint32)
 Start = Callable[..., subprocess.Popen[str]]
+
+
+def scans_of(tmp_path: Path, *stems: str, sequence: str = "08") -> list[ScanFile]:
+    folder = tmp_path / "data" / sequence / "velodyne"
+    return [ScanFile(sequence, stem, folder / f"{stem}.bin") for stem in stems]
+
+
+def predict(out: Path, settings=SETTINGS, folders=("predictions",), scans=(), overwrite=False):
+    return begin_and_end(out, "predict", settings, folders, scans, overwrite=overwrite)
+
+
+def predicted(out: Path, scans: list[ScanFile], settings=SETTINGS) -> list[Path]:
+    """Write labels of scans as a run does; return their paths."""
+    output = predict(out, settings, scans=scans)
+    for scan in scans:
+        output.write_labels(scan, LABELS)
+    return [output.path(scan, "predictions") for scan in scans]
+
+
+def visible(out: Path) -> list[str]:
+    """Return the files in an output folder, but for the record of those written."""
+    return [name for name in files_below(out) if RECORDS not in name]
+
+
+def test_what_is_recorded(tmp_path: Path) -> None:
+    scans = scans_of(tmp_path, "a", "b")
+    predict(tmp_path / "out", scans=scans)
+    assert json.loads((tmp_path / "out/predict.json").read_text()) == {
+        "stage": "predict",
+        "version": __version__,
+        "settings": SETTINGS,
+        "writes": ["predictions"],
+        "scans": {"08": {"folder": str(scans[0].path.parent), "asked_for": ["a", "b"]}},
+    }
+    assert stage_settings(tmp_path / "out", "predict") == SETTINGS
+    assert stage_settings(tmp_path / "out", "project") is None
+    assert owner(tmp_path / "out", "predictions") == "predict"
+    assert owner(tmp_path / "out", "range") is None
+
+
+def test_the_same_settings_may_go_on_and_write_more(tmp_path: Path) -> None:
+    scans = scans_of(tmp_path, "a", "b")
+    predict(tmp_path, scans=scans)
+    predict(tmp_path, folders=("predictions", "pixel_labels"), scans=scans[:1])
+    before = files_below(tmp_path)
+    predict(tmp_path, scans=scans[1:])
+    assert files_below(tmp_path) == before
+    record = read_record(tmp_path, "predict")
+    assert record is not None
+    assert record.folders == ("pixel_labels", "predictions")
+    assert record.scans["08"].stems == {"a", "b"}
+
+
+@pytest.mark.parametrize(
+    ("other", "named"),
+    [
+        ({"weights": "abc", "knn": {"k": 7}}, r"settings: knn\.k was 5 and is 7 · "),
+        ({"weights": "abc", "seed": 3}, r"knn\.k was 5 and is null, seed was null and is 3"),
+    ],
+)
+def test_other_settings_are_refused_and_named(tmp_path: Path, other, named: str) -> None:
+    predict(tmp_path)
+    before = files_below(tmp_path)
+    with pytest.raises(OutputError, match=named) as caught:
+        predict(tmp_path, other)
+    assert "--overwrite" in caught.value.remedy
+    assert files_below(tmp_path) == before
+
+
+def test_overwriting_removes_what_was_written_with_other_settings(tmp_path: Path) -> None:
+    """And what it was asked for; with the same settings nothing is removed."""
+    scans = scans_of(tmp_path, "a", "b")
+    paths = predicted(tmp_path / "out", scans)
+    predict(tmp_path / "out", scans=scans, overwrite=True)
+    assert all(path.exists() for path in paths)
+    predict(tmp_path / "out", {"weights": "new"}, scans=scans[:1], overwrite=True)
+    assert not any(path.exists() for path in paths)
+    record = read_record(tmp_path / "out", "predict")
+    assert record is not None
+    assert record.scans["08"].stems == {"a"}
+
+
+def test_overwriting_keeps_what_salsanext_did_not_write_so(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    """A corrected label, results of others, notes, and a sequence behind a link."""
+    out = tmp_path / "out"
+    scans = scans_of(tmp_path, "a", "b")
+    ours, corrected = predicted(out, scans)
+    corrected.write_bytes(b"corrected by hand...")
+    foreign = out / "sequences/99/predictions/a.label"
+    foreign.parent.mkdir(parents=True)
+    foreign.write_bytes(b"mine")
+    notes = ours.with_name("notes.txt")
+    notes.write_text("mine")
+    (linked,) = predicted(out, scans_of(tmp_path, "c", sequence="05"))
+    sequence = linked.parents[1].rename(tmp_path / "elsewhere")
+    (out / "sequences/05").symlink_to(sequence)
+
+    with output_run(
+        out, "predict", {"weights": "new"}, ("predictions",), scans, overwrite=True
+    ) as output:
+        assert output.kept == {corrected}
+        output.require_replaceable(scans[0])
+        with pytest.raises(OutputError, match=r"b\.label · was changed, or not written by"):
+            output.require_replaceable(scans[1])
+    assert not ours.exists()
+    assert corrected.read_bytes() == b"corrected by hand..."
+    assert (sequence / "predictions/c.label").exists()
+    assert foreign.exists()
+    assert notes.exists()
+    for path in (corrected, foreign, linked):
+        assert str(path) in caplog.text
+
+
+def test_results_of_another_stage_are_refused(tmp_path: Path) -> None:
+    (path,) = predicted(tmp_path, scans_of(tmp_path, "a"))
+    refine = (tmp_path, "knn-refine", {}, ["predictions"])
+    with pytest.raises(OutputError, match="predictions/ holds the results of `predict`"):
+        begin_and_end(*refine)
+    assert path.exists()
+    begin_and_end(*refine, overwrite=True)
+    assert owner(tmp_path, "predictions") == "knn-refine"
+    assert not path.exists()
+
+
+def test_results_that_no_stage_recorded(tmp_path: Path) -> None:
+    path = tmp_path / "out/sequences/08/predictions/a.label"
+    path.parent.mkdir(parents=True)
+    path.write_bytes(b"mine")
+    scans = scans_of(tmp_path, "a", "b")
+    with pytest.raises(OutputError, match="is a result that no stage recorded"):
+        predict(tmp_path / "out", scans=scans)
+    output = predict(tmp_path / "out", scans=scans, overwrite=True)
+    assert path.read_bytes() == b"mine"
+    assert output.kept == {path}
+
+
+def test_an_infinite_setting_is_recorded_as_json_can(tmp_path: Path) -> None:
+    for _ in range(2):
+        predict(tmp_path, {"cutoff": float("inf")})
+    text = (tmp_path / "predict.json").read_text()
+    assert json.loads(text, parse_constant=pytest.fail)["settings"] == {"cutoff": "Infinity"}
+
+
+@pytest.mark.parametrize(
+    "content",
+    [
+        *(b"{", b"[]", b"\xff\xfe", b"null", b"{}", b'{"settings": {}}', b'{"writes": []}'),
+        b'{"settings": {}, "writes": 3}',
+        b'{"settings": {}, "writes": ["elsewhere"]}',
+        b'{"settings": {}, "writes": [[]]}',
+        b'{"settings": {}, "writes": [], "scans": 3}',
+        b'{"settings": {}, "writes": [], "scans": {"08": {"folder": 3, "asked_for": []}}}',
+        b'{"settings": {}, "writes": [], "scans": {"08": {"folder": "a", "asked_for": "all"}}}',
+        b'{"settings": {}, "writes": [], "scans": {"08": {"folder": "a", "asked_for": [3]}}}',
+    ],
+)
+def test_damaged_records_are_named(tmp_path: Path, content: bytes) -> None:
+    (tmp_path / "predict.json").write_bytes(content)
+    with pytest.raises(OutputError, match=r"predict\.json"):
+        predict(tmp_path)
+    with pytest.raises(OutputError, match=r"predict\.json"):
+        owner(tmp_path, "predictions")
+
+
+def test_an_output_folder_that_cannot_be_made(tmp_path: Path) -> None:
+    (tmp_path / "file").touch()
+    for out in (tmp_path / "file/out", tmp_path / "file"):
+        with pytest.raises(OutputError, match="cannot be"):
+            predict(out)
+
+
+def test_origins_tell_settings_apart(tmp_path: Path) -> None:
+    predict(tmp_path)
+    first = origins(tmp_path, ["predict", "uncertainty"])
+    assert list(first) == ["predict"]
+    predict(tmp_path, {"weights": "new"}, overwrite=True)
+    assert origins(tmp_path, ["predict"]) != first
+
+
+def test_label_space_and_sensor_are_those_of_the_stage_that_wrote(tmp_path: Path) -> None:
+    assert recorded_label_space(tmp_path) is None
+    assert recorded_sensor(tmp_path) == sensor("hdl64")
+    space = label_space().to_dict()
+    predict(tmp_path, {"label_space": space, "sensor": sensor("hdl32").to_dict()})
+    found = recorded_label_space(tmp_path)
+    assert found is not None
+    assert found.to_dict() == space
+    assert recorded_sensor(tmp_path) == sensor("hdl32")
+
+
+def test_another_source_of_the_same_name_is_refused_before_anything_is_removed(
+    tmp_path: Path,
+) -> None:
+    predicted(tmp_path / "out", scans_of(tmp_path, "a"))
+    before = files_below(tmp_path / "out")
+    other = find_scans(write_sequence(tmp_path / "other/08", ["a"]))
+    with pytest.raises(OutputError, match=r"sequence 08 came from .*data.* not from .*other"):
+        predict(tmp_path / "out", {"weights": "new"}, scans=other, overwrite=True)
+    assert files_below(tmp_path / "out") == before
+
+
+def test_two_folders_of_one_name_in_one_run_are_refused(tmp_path: Path) -> None:
+    scans = [ScanFile("08", stem, tmp_path / stem / "scan.bin") for stem in "ab"]
+    with pytest.raises(OutputError, match="sequence 08 came from"):
+        predict(tmp_path / "out", scans=scans)
+    assert not (tmp_path / "out").exists()
+
+
+# Runs that want the same output folder at the same time
 
 
 @pytest.fixture
 def start() -> Iterator[Start]:
-    """Return what starts claimants; those left are killed."""
+    """Return what starts `holding_run`; those left are killed."""
     started: list[subprocess.Popen[str]] = []
-    script = Path(__file__).with_name("claimant.py")
+    root = str(Path(salsanext_cli.__file__).parents[1])
 
     def begin(out: Path, weights: str, overwrite: str = "") -> subprocess.Popen[str]:
+        script = Path(__file__).with_name("holding_run.py")
         process = subprocess.Popen(
             [sys.executable, str(script), str(out), weights, overwrite],
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             text=True,
-            cwd=Path(claims.__file__).parents[2],
-            env={**os.environ, "PYTHONPATH": str(Path(claims.__file__).parents[2])},
+            env={**os.environ, "PYTHONPATH": root},
         )
         started.append(process)
+        assert heard(process) == "ready"
         return process
 
     yield begin
@@ -50,7 +275,7 @@ def start() -> Iterator[Start]:
         process.communicate()
 
 
-def tell(process: subprocess.Popen[str]) -> None:
+def go(process: subprocess.Popen[str]) -> None:
     assert process.stdin
     process.stdin.write("\n")
     process.stdin.flush()
@@ -61,124 +286,90 @@ def heard(process: subprocess.Popen[str]) -> str:
     return process.stdout.readline().strip()
 
 
-def result(out: Path, name: str = "000000") -> Path:
-    return out / f"sequences/08/predictions/{name}.label"
-
-
-def leave_result(out: Path, content: bytes = b"whole") -> Path:
-    path = result(out)
-    path.parent.mkdir(parents=True, exist_ok=True)
-    path.write_bytes(content)
-    return path
-
-
-def recorded(out: Path) -> str:
-    weights = json.loads((out / "predict.json").read_text())["settings"]["weights"]
-    assert isinstance(weights, str)
-    return weights
+def recorded_weights(out: Path) -> object:
+    settings = stage_settings(out, "predict")
+    assert settings is not None
+    return settings["weights"]
 
 
 @pytest.mark.parametrize("overwrite", ["", "overwrite"])
 def test_of_two_with_other_settings_one_has_the_folder(
     tmp_path: Path, start: Start, overwrite: str
 ) -> None:
-    claimants = {name: start(tmp_path, name, overwrite) for name in "ab"}
-    for process in claimants.values():
-        assert heard(process) == "ready"
-    for process in claimants.values():
-        tell(process)
-    said = {name: heard(process) for name, process in claimants.items()}
-    (winner,) = (name for name, words in said.items() if words == "claimed")
+    runs = {name: start(tmp_path, name, overwrite) for name in "ab"}
+    for process in runs.values():
+        go(process)
+    said = {name: heard(process) for name, process in runs.items()}
+    (winner,) = (name for name, words in said.items() if words == "begun")
     (loser,) = {"a", "b"} - {winner}
     assert "weights was" in said[loser] or "another run of `predict` is at work" in said[loser]
-    assert recorded(tmp_path) == winner
-    tell(claimants[winner])
-    claimants[winner].wait()
+    assert recorded_weights(tmp_path) == winner
+    go(runs[winner])
+    runs[winner].wait()
     assert list(files_below(tmp_path)) == ["predict.json"]
 
 
 def test_results_that_are_being_made_are_not_removed(tmp_path: Path, start: Start) -> None:
     """Until who makes them has died, however that was."""
     process = start(tmp_path, "b")
-    heard(process)
-    tell(process)
-    assert heard(process) == "claimed"
-    path = leave_result(tmp_path)
-    with pytest.raises(OutputError, match="another run of `predict` is at work in it · wait"):
-        claim(tmp_path, "predict", SETTINGS, ["predictions"], overwrite=True)
-    with pytest.raises(OutputError, match="another run of `predict` is at work"):
-        claim(tmp_path, "knn-refine", {}, ["predictions"], overwrite=True)
+    go(process)
+    assert heard(process) == "begun"
+    path = tmp_path / "sequences/08/predictions/a.label"
+    WrittenFiles(tmp_path).write(path, b"whole")
+    for stage in ("predict", "knn-refine"):
+        with pytest.raises(OutputError, match="another run of `predict` is at work in it · wait"):
+            begin_and_end(tmp_path, stage, {"weights": "a"}, ["predictions"], overwrite=True)
     assert path.exists()
-    assert recorded(tmp_path) == "b"
+    assert recorded_weights(tmp_path) == "b"
     assert owner(tmp_path, "predictions") == "predict"
     process.kill()
     process.wait()
-    claim(tmp_path, "predict", SETTINGS, ["predictions"], overwrite=True)
+    predict(tmp_path, {"weights": "a"}, overwrite=True)
     assert not path.exists()
-    assert recorded(tmp_path) == "a"
+    assert recorded_weights(tmp_path) == "a"
+    assert visible(tmp_path) == ["predict.json"]
 
 
-def test_runs_with_the_same_settings_work_side_by_side(tmp_path: Path) -> None:
-    claim(tmp_path, "predict", SETTINGS, ["predictions"], overwrite=False)
-    path = leave_result(tmp_path)
-    for overwrite in (True, False):
-        with (
-            claimed(tmp_path, "predict", SETTINGS, ["predictions"], overwrite=True),
-            claimed(tmp_path, "predict", SETTINGS, ["predictions"], overwrite=overwrite),
-        ):
-            assert path.exists()
+def test_runs_side_by_side(tmp_path: Path) -> None:
+    """With the same settings, or of stages that fill other folders."""
+    (path,) = predicted(tmp_path, scans_of(tmp_path, "a"))
+    first = (tmp_path, "predict", SETTINGS, ["predictions"], ())
+    export = (tmp_path, "export-ply", {"colour": "label"}, ["ply"])
+    with (
+        output_run(*first, overwrite=True),
+        output_run(*first, overwrite=False),
+        output_run(*export, (), overwrite=False),
+    ):
+        assert path.exists()
+        begin_and_end(*export, overwrite=True)
+        with pytest.raises(OutputError, match="another run of `export-ply`"):
+            begin_and_end(*export[:2], {"colour": "range"}, ["ply"], overwrite=True)
     assert path.exists()
 
 
-def test_stages_that_fill_other_folders_do_not_wait(tmp_path: Path) -> None:
-    with (
-        claimed(tmp_path, "predict", SETTINGS, ["predictions"], overwrite=False),
-        claimed(tmp_path, "export-ply", {"colour": "label"}, ["ply"], overwrite=False),
-    ):
-        claim(tmp_path, "export-ply", {"colour": "label"}, ["ply"], overwrite=True)
-        with pytest.raises(OutputError, match="another run of `export-ply`"):
-            claim(tmp_path, "export-ply", {"colour": "range"}, ["ply"], overwrite=True)
-
-
-def test_no_claimant_forgets_what_others_were_asked_for(tmp_path: Path) -> None:
-    def ask(number: int) -> None:
-        scan = ScanFile("08", f"{number:03d}", tmp_path / "data" / f"{number:03d}.bin")
-        claim(tmp_path / "out", "predict", SETTINGS, ["predictions"], [scan], overwrite=False)
-
+def test_no_run_forgets_what_others_were_asked_for(tmp_path: Path) -> None:
+    stems = [f"{number:03d}" for number in range(40)]
     with ThreadPoolExecutor(8) as threads:
-        list(threads.map(ask, range(40)))
-    assert asked_for(tmp_path / "out", "08")["predict"] == {f"{n:03d}" for n in range(40)}
+        list(threads.map(lambda s: predict(tmp_path, scans=scans_of(tmp_path, s)), stems))
+    record = read_record(tmp_path, "predict")
+    assert record is not None
+    assert record.scans["08"].stems == {*stems}
 
 
-def test_whoever_never_ends_recording_is_named(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(claims, "PATIENCE", 0.1)
+def test_who_never_ends_recording_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(run_registration, "RECORDS_LOCK_TIMEOUT_S", 0.1)
     with (
-        recording(tmp_path),
+        records_lock(tmp_path),
         pytest.raises(OutputError, match=r"records\.lock · held by another process · wait"),
     ):
-        claim(tmp_path, "predict", SETTINGS, ["predictions"], overwrite=False)
+        predict(tmp_path)
 
 
-def test_one_training_at_a_time(tmp_path: Path) -> None:
-    with (
-        trained_alone(tmp_path),
-        pytest.raises(OutputError, match="another run of `train` is at work in it"),
-        trained_alone(tmp_path),
-    ):
-        pass
-    with trained_alone(tmp_path):
-        pass
-    assert files_below(tmp_path) == {}
-
-
-def test_a_refused_claim_leaves_the_folder_to_others(tmp_path: Path) -> None:
-    claim(tmp_path, "predict", SETTINGS, ["predictions"], overwrite=False)
+def test_a_refused_run_leaves_the_folder_to_others(tmp_path: Path) -> None:
+    predict(tmp_path)
     with pytest.raises(OutputError, match="weights was"):
-        claim(tmp_path, "predict", {"weights": "b"}, ["predictions"], overwrite=False)
-    with alone(tmp_path, "predict"):
-        pass
+        predict(tmp_path, {"weights": "b"})
+    predict(tmp_path, {"weights": "b"}, overwrite=True)
     assert list(files_below(tmp_path)) == ["predict.json"]
 
 
@@ -193,9 +384,7 @@ def age(path: Path, seconds: float) -> Path:
 def test_what_was_left_half_written_long_ago_is_removed(tmp_path: Path) -> None:
     """Nothing else is: others may be writing, and not all hidden files are ours."""
     out, hexadecimal = tmp_path / "out", "0123456789abcdef" * 2
-    scan = ScanFile("08", "000000", tmp_path / "08/velodyne/000000.bin")
-    claim(out, "predict", SETTINGS, ["predictions"], [scan], overwrite=False)
-    folder, old = result(out).parent, STALE + 60
+    folder, old = out / "sequences/08/predictions", STALE_AFTER_S + 60
     gone = [
         age(folder / f".{hexadecimal}.part", old),
         age(folder / f".{hexadecimal}{hexadecimal}.part", old),
@@ -203,38 +392,12 @@ def test_what_was_left_half_written_long_ago_is_removed(tmp_path: Path) -> None:
         age(folder.parent / f".{hexadecimal}.part", old),
     ]
     kept = [
-        age(folder / f".{hexadecimal[::-1]}.part", STALE - 60),
+        age(folder / f".{hexadecimal[::-1]}.part", STALE_AFTER_S - 60),
         age(folder / f".{'f' * 32}.part", -old),
         age(folder / ".mine.part", old),
         age(folder / f"{hexadecimal}.part", old),
-        age(folder / f".{hexadecimal}.label", old),
-        age(result(out, "000001"), old),
         age(out / "sequences/09/predictions" / f".{hexadecimal}.part", old),
     ]
-    claim(out, "predict", SETTINGS, ["predictions"], [scan], overwrite=True)
+    predict(out, scans=scans_of(tmp_path, "a"))
     assert [path for path in gone if path.exists()] == []
     assert [path for path in kept if not path.exists()] == []
-    assert len(files_below(out)) == len(kept) + 2
-
-
-def test_what_nobody_recorded_is_removed_by_overwriting(tmp_path: Path) -> None:
-    """Else the next run would take it for its own."""
-    path = tmp_path / "sequences/08/predictions/a.label"
-    path.parent.mkdir(parents=True)
-    path.write_bytes(b"mine")
-    with pytest.raises(OutputError, match="nobody knows how"):
-        claim(tmp_path, "predict", {}, ["predictions"], overwrite=False)
-    assert path.exists()
-    claim(tmp_path, "predict", {}, ["predictions"], overwrite=True)
-    assert not path.exists()
-
-
-def test_a_later_shard_does_not_wait_for_those_that_record(tmp_path: Path) -> None:
-    scans = [ScanFile("08", "a", tmp_path / "a.bin")]
-    with claimed(tmp_path, "predict", {"k": 1}, ["predictions"], scans, overwrite=False):
-        pass
-    with (
-        recording(tmp_path),
-        claimed(tmp_path, "predict", {"k": 1}, ["predictions"], scans, overwrite=False),
-    ):
-        assert owner(tmp_path, "predictions") == "predict"

@@ -9,7 +9,6 @@ from salsanext_cli.errors import OutputError
 from salsanext_cli.stages.evaluate import evaluate
 from salsanext_cli.stages.export_ply import export_ply
 from salsanext_cli.stages.knn_refine import knn_refine_scans
-from salsanext_cli.stages.predict import predict
 from salsanext_cli.stages.project import project_scans
 from salsanext_cli.stages.uncertainty import uncertainty
 from salsanext_cli.storage.predictions import predicted_scans

@@ -1,26 +1,26 @@
 # SPDX-License-Identifier: MIT
-"""A process that claims an output folder when it is told to, and holds it until told to end.
+"""A process that begins a run in an output folder when it is told to, and holds it until told.
 
 ::
 
-    python claimant.py OUT WEIGHTS [overwrite]
+    python holding_run.py OUT WEIGHTS [overwrite]
 """
 
 import sys
 from pathlib import Path
 
 from salsanext_cli.errors import OutputError
-from salsanext_cli.storage.output_run import claimed
+from salsanext_cli.storage.output_run import output_run
 
 
 def main(out: str, weights: str, overwrite: str = "") -> None:
-    """Claim at the first line of stdin, end at the second."""
+    """Begin at the first line of stdin, end at the second."""
     _say("ready")
     sys.stdin.readline()
-    settings, writes = {"weights": weights}, ("predictions",)
+    run = (Path(out), "predict", {"weights": weights}, ("predictions",), ())
     try:
-        with claimed(Path(out), "predict", settings, writes, overwrite=bool(overwrite)):
-            _say("claimed")
+        with output_run(*run, overwrite=bool(overwrite)):
+            _say("begun")
             sys.stdin.readline()
     except OutputError as error:
         _say(f"refused: {error}")

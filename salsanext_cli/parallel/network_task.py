@@ -1,0 +1,83 @@
+# SPDX-License-Identifier: MIT
+"""Work on scans that needs a network, which each worker loads once."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass, field, replace
+from itertools import islice
+from typing import Any, Generic, TypeVar
+
+import torch
+
+from salsanext_cli.inference.network import Network
+from salsanext_cli.inference.settings import NetworkSettings
+from salsanext_cli.parallel.devices import own_device
+from salsanext_cli.parallel.tasks import Attempt, one_by_one
+from salsanext_cli.storage.layout import ScanFile
+
+MAX_BATCH_SCANS = 16
+"""Scans computed together on a GPU; as many as a worker is sent together."""
+MAX_BATCH_PIXELS = 16 * 64 * 2048
+
+Result = TypeVar("Result")
+
+
+@dataclass(frozen=True, slots=True)
+class NetworkTask(Generic[Result]):
+    """A function of a scan and a network.
+
+    Attributes
+    ----------
+    function : callable
+        Takes a scan file and a network; picklable.
+    settings : NetworkSettings
+        Resolved: what the workers load.
+    network : Network, optional
+        The same, loaded in this process; it is not sent to others.
+    batch_function : callable, optional
+        Does the same to several scans together, and yields an attempt of each.
+    batch : int, optional
+        Scans computed together; by default one on a CPU, as many as keep it busy on a GPU.
+    """
+
+    function: Callable[[ScanFile, Network], Result]
+    settings: NetworkSettings
+    network: Network | None = field(default=None, compare=False)
+    batch_function: Callable[[Sequence[ScanFile], Network], Iterator[Attempt]] | None = None
+    batch: int | None = None
+
+    def open(self) -> Callable[[Iterable[ScanFile]], Iterator[Attempt]]:
+        """Load the network, unless it is there, and decide between one by one and batches."""
+        network = self.network or self._load()
+        size, several = self.batch or default_batch(network), self.batch_function
+        if several is None or (size == 1 and network.device.type == "cpu"):
+            return lambda files: one_by_one(lambda file: self.function(file, network), files)
+        return lambda files: _in_batches(lambda batch: several(batch, network), size, files)
+
+    def _load(self) -> Network:
+        return replace(
+            self.settings, device=own_device(self.settings.device, torch.cuda.device_count())
+        ).load()
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        parts = (self.function, self.settings, None, self.batch_function, self.batch)
+        return NetworkTask, parts
+
+
+def default_batch(network: Network) -> int:
+    """Return how many scans are computed together unless a number is given: one on a CPU."""
+    if network.device.type == "cpu":
+        return 1
+    pixels = network.sensor.height * network.sensor.width
+    return max(1, min(MAX_BATCH_SCANS, MAX_BATCH_PIXELS // pixels))
+
+
+def _in_batches(
+    function: Callable[[Sequence[ScanFile]], Iterator[Attempt]],
+    size: int,
+    files: Iterable[ScanFile],
+) -> Iterator[Attempt]:
+    waiting = iter(files)
+    while batch := tuple(islice(waiting, size)):
+        yield from function(batch)

@@ -1,0 +1,65 @@
+# SPDX-License-Identifier: MIT
+"""Colours of the points of a cloud, by class or by value."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from salsanext_cli.classes import LabelSpace
+from salsanext_cli.report.colours import error_colours, label_colours, value_colours
+from salsanext_cli.storage.scan_results import UNCERTAINTY, ScanResults
+
+CLASS_COLOURS = ("label", "truth", "error")
+COLOURS = (*CLASS_COLOURS, "intensity", "range", "uncertainty", *UNCERTAINTY)
+"""What points can be coloured by; "uncertainty" is the total, else the epistemic."""
+COLOUR_MAP = "viridis"
+
+
+@dataclass(frozen=True, slots=True)
+class PointColours:
+    """How points are coloured, the same for all scans of a run.
+
+    Attributes
+    ----------
+    colour : str
+        One of `COLOURS`, "uncertainty" aside.
+    scale : pair of float
+        Values at the ends of the colour map, for colours that are values.
+    space : LabelSpace
+        Colours of the classes.
+    """
+
+    colour: str
+    scale: tuple[float, float]
+    space: LabelSpace
+
+    @property
+    def is_class(self) -> bool:
+        """Whether points are coloured by class, so that there is no scale."""
+        return self.colour in CLASS_COLOURS
+
+    @property
+    def legend(self) -> str:
+        """One line that says what the colours mean."""
+        low, high = self.scale
+        return self.colour if self.is_class else f"{self.colour} {COLOUR_MAP} {low:.6g} {high:.6g}"
+
+    def of_points(
+        self, results: ScanResults, columns: Mapping[str, npt.NDArray[Any]]
+    ) -> npt.NDArray[np.uint8]:
+        """Return red, green and blue of every point, (N, 3), from its `scalar_columns`."""
+        if not self.is_class:
+            return value_colours(columns[self.colour], *self.scale, COLOUR_MAP)
+        ids = {
+            name: self.space.to_train(raw, strict=False)
+            for name, raw in (("label", results.label), ("truth", results.truth))
+            if raw is not None
+        }
+        if self.colour == "error":
+            return error_colours(ids["truth"], ids["label"], self.space)
+        return label_colours(ids[self.colour], self.space)

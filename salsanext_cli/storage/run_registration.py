@@ -1,0 +1,150 @@
+# SPDX-License-Identifier: MIT
+"""Registration of a run in an output folder: its settings recorded, or the run refused."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import ExitStack, contextmanager
+from dataclasses import replace
+from pathlib import Path
+
+from salsanext_cli.errors import OutputError
+from salsanext_cli.storage.layout import find_outputs
+from salsanext_cli.storage.locks import LockHeldError, locked
+from salsanext_cli.storage.stage_records import (
+    ScanSource,
+    StageRecord,
+    owner,
+    read_record,
+    require_same_settings,
+)
+from salsanext_cli.storage.written_files import WrittenFiles
+
+RECORDS_LOCK_TIMEOUT_S = 1800.0
+"""Others hold the lock for a moment each, seconds if it is a million scans, and there may be a
+hundred of them."""
+MAX_KEPT_SHOWN = 3
+"""Files in the way that a warning names."""
+
+log = logging.getLogger(__name__)
+
+
+@contextmanager
+def records_lock(out: Path) -> Iterator[None]:
+    """Let no other process read or write the records of an output folder while the body does."""
+    with locked(out / ".records.lock", RECORDS_LOCK_TIMEOUT_S):
+        yield
+
+
+@contextmanager
+def exclusive_run(out: Path, stage: str) -> Iterator[None]:
+    """Refuse while a run of a stage fills an output folder; hold `records_lock` meanwhile.
+
+    Raises
+    ------
+    OutputError
+        If there is such a run.
+    """
+    with ExitStack() as held:
+        for lock in sorted(out.glob(f".{stage}.*.lock")):
+            try:
+                held.enter_context(locked(lock))
+            except LockHeldError as error:
+                raise OutputError(
+                    out,
+                    f"another run of `{stage}` is at work in it",
+                    remedy="wait until it has ended, or use another folder",
+                ) from error
+        yield
+
+
+def register_run(wanted: StageRecord, out: Path, overwrite: bool) -> None:
+    """Bring the records of a folder, and its results, to what a run wants, under `records_lock`.
+
+    Parameters
+    ----------
+    wanted : StageRecord
+        What the run would record.
+    out : Path
+        The output folder.
+    overwrite : bool
+        Whether results of other settings or stages may be removed.
+
+    Raises
+    ------
+    OutputError
+        If there are such results and they may not be removed, or another run is making them now.
+    """
+    stage = wanted.stage
+    recorded = read_record(out, stage)
+    if recorded is not None and recorded.settings != wanted.settings:
+        if not overwrite:
+            require_same_settings(out / f"{stage}.json", recorded.settings, wanted.settings)
+        _remove_results(out, recorded, recorded.folders)
+        before = None
+    else:
+        before = recorded
+    for folder in wanted.folders:
+        other = owner(out, folder)
+        if other not in (None, stage):
+            _take_over(out, folder, other or "", overwrite)
+        elif recorded is None:
+            _require_none(out, folder, overwrite)
+    merged = _merged(before, wanted)
+    # The record comes last: without it, a run that was killed before begins anew.
+    if merged != recorded:
+        merged.write(out)
+
+
+def _merged(recorded: StageRecord | None, wanted: StageRecord) -> StageRecord:
+    """Return a record of what was done before with the same settings, and of what is wanted."""
+    if recorded is None:
+        return wanted
+    scans = dict(recorded.scans)
+    for sequence, source in wanted.scans.items():
+        before = scans[sequence].stems if sequence in scans else frozenset()
+        scans[sequence] = ScanSource(source.folder, source.stems | before)
+    folders = tuple(sorted({*recorded.folders, *wanted.folders}))
+    return replace(wanted, folders=folders, scans=scans)
+
+
+def _take_over(out: Path, folder: str, other: str, overwrite: bool) -> None:
+    """Remove the results of another stage from a folder, which is this stage's from now on."""
+    if not overwrite:
+        raise OutputError(
+            out / f"{other}.json",
+            f"{folder}/ holds the results of `{other}`",
+            remedy="use another output folder, or --overwrite to replace them",
+        )
+    record = read_record(out, other)
+    if record is not None:
+        _remove_results(out, record, [folder])
+        left = tuple(name for name in record.folders if name != folder)
+        replace(record, folders=left).write(out)
+
+
+def _require_none(out: Path, folder: str, overwrite: bool) -> None:
+    """Refuse results that no stage recorded: it is not known how they were made."""
+    found = [result.path for result in find_outputs(out, folder)]
+    if found and not overwrite:
+        raise OutputError(
+            found[0],
+            "is a result that no stage recorded",
+            remedy="use another output folder, or --overwrite to work beside it",
+        )
+    _warn_kept(WrittenFiles(out).remove(found))
+
+
+def _remove_results(out: Path, record: StageRecord, folders: Iterable[str]) -> None:
+    """Remove what a stage made with settings that no longer hold, and nothing else."""
+    with exclusive_run(out, record.stage):
+        found = [result.path for folder in folders for result in find_outputs(out, folder)]
+        _warn_kept(WrittenFiles(out).remove(found))
+
+
+def _warn_kept(kept: Sequence[Path]) -> None:
+    if kept:
+        names = ", ".join(map(str, kept[:MAX_KEPT_SHOWN]))
+        more = f" and {len(kept) - MAX_KEPT_SHOWN} more" if len(kept) > MAX_KEPT_SHOWN else ""
+        log.warning("kept, since changed or not written by salsanext: %s%s", names, more)
