@@ -1,0 +1,63 @@
+# SPDX-License-Identifier: MIT
+"""Values of pixels gathered onto points, and values of points onto pixels."""
+
+from __future__ import annotations
+
+from typing import Any, TypeVar
+
+import numpy as np
+import numpy.typing as npt
+
+from salsanext_cli.records import Int
+
+Value = TypeVar("Value", bound=np.generic)
+
+
+def points_from_pixels(
+    of_pixels: npt.NDArray[Value], pixel_of_point: Int, empty: npt.ArrayLike
+) -> npt.NDArray[Value]:
+    """Give every point its pixel's value.
+
+    Parameters
+    ----------
+    of_pixels : (H, W) or (C, H, W)
+        Values of the pixels, of any dtype.
+    pixel_of_point : (N,) int32
+        Flat pixel index, -1 without a pixel.
+    empty : scalar or (C,)
+        Value of the points without a pixel.
+
+    Returns
+    -------
+    (N,) or (N, C), same dtype
+        A new array.
+    """
+    flat = of_pixels.reshape(*of_pixels.shape[:-2], -1)
+    of_points: npt.NDArray[Value] = flat.T[pixel_of_point]
+    of_points[pixel_of_point < 0] = empty
+    return of_points
+
+
+def pixels_from_points(
+    of_points: npt.NDArray[Value], point_of_pixel: Int, empty: Any = 0
+) -> npt.NDArray[Value]:
+    """Give every pixel its nearest point's value.
+
+    Parameters
+    ----------
+    of_points : (N,)
+        Values of the points, of any dtype.
+    point_of_pixel : (H, W) int32
+        Index of the nearest point, -1 where a pixel is empty.
+    empty : scalar
+        Value of the empty pixels.
+
+    Returns
+    -------
+    (H, W), same dtype
+        A new array.
+    """
+    # Index -1 finds the value that is appended.
+    with_empty = np.append(of_points, np.asarray(empty, of_points.dtype))
+    of_pixels: npt.NDArray[Value] = with_empty[point_of_pixel]
+    return of_pixels
