@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Everything that can go wrong because of what the user gave us.
+"""Errors that the user can mend, and the text of messages.
 
 ::
 
@@ -11,7 +11,7 @@
     ├── WeightsError          a weights file cannot be used
     ├── OutputError           a result cannot be written, or would overwrite another
     ├── TrainingError         training cannot start or cannot go on
-    ├── WorkersLost           workers died with what they had not done yet
+    ├── WorkersLost           worker processes died
     └── MissingDependency     an optional package or a system library is absent
 
 The library raises these; only the command line prints them and chooses the exit status.
@@ -22,8 +22,12 @@ from __future__ import annotations
 
 NOTICE = 25
 """Level of what the library logs for every user to see, though nothing is wrong."""
-VISIBLE = {code: f"\\x{code:02x}" for code in (*range(32), *range(127, 160))}
-"""Control characters as text: a file's name may hold a line end, or what a terminal obeys."""
+ESCAPES = {code: f"\\x{code:02x}" for code in (*range(32), *range(127, 160))}
+
+
+def printable(text: str) -> str:
+    """Return a text on one line without control characters, which a file's name may hold."""
+    return text.translate(ESCAPES)
 
 
 class SalsanextError(Exception):
@@ -43,7 +47,7 @@ class SalsanextError(Exception):
     Attributes
     ----------
     said_elsewhere : bool
-        Whether another process of a team tells the user, so that it is not told twice.
+        Whether another process of the run reports the error, so that it is reported once.
     """
 
     said_elsewhere: bool = False
@@ -60,7 +64,7 @@ class SalsanextError(Exception):
     def __str__(self) -> str:
         expected = f"expected {self.expected}" if self.expected else ""
         parts = (self.subject, self.found, expected, self.remedy)
-        return " · ".join(part for part in parts if part).translate(VISIBLE)
+        return printable(" · ".join(part for part in parts if part))
 
 
 class UsageError(SalsanextError):
@@ -92,7 +96,7 @@ class TrainingError(SalsanextError):
 
 
 class WorkersLost(SalsanextError):  # noqa: N818 - the name says what is wrong
-    """Workers died with what they had not done yet."""
+    """Worker processes died."""
 
 
 class MissingDependency(SalsanextError):  # noqa: N818 - the name says what is wrong

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""How the CPU kernels are compiled, cached and shared among threads.
+"""Compilation of the CPU kernels, their cache, and loops over slices on several threads.
 
 Kernels release the interpreter lock and work on slices of arrays, so plain threads run them side
 by side. Numba's own parallel loops are not used: its thread pools can either not be entered from
@@ -9,7 +9,10 @@ data loaders.
 
 from __future__ import annotations
 
+import hashlib
+import logging
 import os
+import pickle
 from collections.abc import Callable
 from itertools import pairwise
 from pathlib import Path
@@ -18,11 +21,17 @@ from typing import Any, TypeVar, cast
 import numba
 import numpy as np
 import numpy.typing as npt
+from numba.core.caching import FunctionCache
+from numba.core.serialize import dumps
 
+from salsanext_cli.settings_files import words_of
 from salsanext_cli.thread_pool import run_on_threads
 
 Function = TypeVar("Function", bound=Callable[..., Any])
 
+log = logging.getLogger(__name__)
+
+CHECKSUM_BYTES = 32
 SMALLEST_SLICE = 16384
 """Items below which a second thread costs more than it saves."""
 
@@ -31,20 +40,78 @@ def compiled(function: Function) -> Function:
     """Compile on first call, strictly in IEEE arithmetic, and cache where a cache can be written.
 
     That is the folder NUMBA_CACHE_DIR, by default the user's cache folder, which all processes
-    share; else beside the source. With neither numba refuses to cache; then the kernel is compiled
-    once per process.
+    share; else beside the source. Without any of them, the kernel is compiled once per process.
     """
+    kernel: Any = numba.njit(nogil=True, error_model="numpy")(function)
     settings = vars(numba.config)
     before = settings["CACHE_DIR"]
     settings["CACHE_DIR"] = before or cache_folder()
     try:
-        kernel = numba.njit(cache=True, nogil=True, error_model="numpy")(function)
-    except RuntimeError:
-        kernel = numba.njit(nogil=True, error_model="numpy")(function)
+        kernel._cache = KernelCache(function)
+    except Exception as error:
+        warn_once(error)
     finally:
-        # What other programs compile in this process is not ours to place.
+        # What other programs compile in this process keeps its place.
         settings["CACHE_DIR"] = before
     return cast(Function, kernel)
+
+
+class KernelCache(FunctionCache):
+    """Cache of a kernel's machine code: a file per signature, with a checksum.
+
+    Numba's own files are an index and what it refers to. Two processes that write at once can mix
+    them up, and damaged ones end the program. Here, whatever fails is compiled anew.
+    """
+
+    failed = False
+
+    def load_overload(self, sig: Any, target_context: Any) -> Any:
+        """Return the compiled kernel of a signature; None if there is none that can be used."""
+        target_context.refresh()
+        try:
+            content = self._file(sig, target_context.codegen()).read_bytes()
+            checksum, data = content[:CHECKSUM_BYTES], content[CHECKSUM_BYTES:]
+            if hashlib.sha256(data).digest() != checksum:
+                raise ValueError(f"a damaged file in {self.cache_path}")
+            source, reduced = pickle.loads(data)
+            fresh = source == self._source(sig, target_context.codegen())
+            return self._impl.rebuild(target_context, reduced) if fresh else None
+        except FileNotFoundError:
+            return None
+        except Exception as error:
+            warn_once(error)
+            return None
+
+    def save_overload(self, sig: Any, data: Any) -> None:
+        """Keep the compiled kernel of a signature, if that is possible."""
+        try:
+            if not self._impl.check_cachable(data):
+                return
+            source = self._source(sig, data.codegen)
+            content = dumps((source, self._impl.reduce(data)))
+            file = self._file(sig, data.codegen)
+            self._impl.locator.ensure_cache_path()
+            # Under another name first, so that others find a whole file or none.
+            with self._cache_file._open_for_write(str(file)) as stream:
+                stream.write(hashlib.sha256(content).digest() + content)
+        except Exception as error:
+            warn_once(error)
+
+    def _file(self, sig: Any, codegen: Any) -> Path:
+        machine = repr((numba.__version__, sig, codegen.magic_tuple()))
+        name = f"{self._impl.filename_base}.{hashlib.sha256(machine.encode()).hexdigest()[:16]}.nbc"
+        return Path(self.cache_path) / name
+
+    def _source(self, sig: Any, codegen: Any) -> Any:
+        """Return what must be the same for a cached kernel to be used."""
+        return self._impl.locator.get_source_stamp(), self._index_key(sig, codegen)
+
+
+def warn_once(error: Exception) -> None:
+    """Log the first failure of the cache in this process."""
+    if not KernelCache.failed:
+        KernelCache.failed = True
+        log.warning("going on without the cache of compiled kernels: %s", words_of(error))
 
 
 def cache_folder() -> str:

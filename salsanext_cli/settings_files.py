@@ -87,7 +87,7 @@ def read_toml(path: Path, expected: str) -> dict[str, Any]:
 
 def _text(path: Path, largest: int, expected: str) -> str:
     try:
-        # A pipe would keep us waiting, and a device may never end.
+        # A pipe would block, and a device may never end.
         mode = path.stat().st_mode
         if not (stat.S_ISREG(mode) or stat.S_ISDIR(mode)):
             raise UsageError(path, "not a file", expected)

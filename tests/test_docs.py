@@ -24,9 +24,10 @@ import salsanext_cli
 from salsanext_cli import sensors
 from salsanext_cli.classes import LabelSpace
 from salsanext_cli.cli.app import COMMANDS, app
+from salsanext_cli.formats import SCAN_SUFFIXES
 from salsanext_cli.sensors import Sensor
 from salsanext_cli.stages.models import models
-from salsanext_cli.storage.layout import SCAN_SUFFIXES, SUFFIX_OF_FOLDER
+from salsanext_cli.storage.layout import SUFFIX_OF_FOLDER
 from salsanext_cli.storage.point_files import write_bin
 from salsanext_cli.training import recipe
 from salsanext_cli.training.recipe import Recipe

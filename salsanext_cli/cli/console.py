@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any, NoReturn, ParamSpec
 import typer
 
 from salsanext_cli.cli.progress import progress, tell
-from salsanext_cli.errors import NOTICE, SalsanextError, UsageError
+from salsanext_cli.errors import NOTICE, SalsanextError, UsageError, printable
 
 if TYPE_CHECKING:
     from rich.console import RenderableType
@@ -51,7 +51,7 @@ class Output:
     def say(self, text: str) -> None:
         """Tell the user something, on stderr."""
         if not self.quiet:
-            tell(text)
+            tell(printable(text))
 
     def result(self, data: Mapping[str, Any], shown: RenderableType | None = None) -> None:
         """Give the result: JSON if asked for, else what is to be shown, on stdout."""
@@ -71,7 +71,7 @@ class StderrHandler(logging.Handler):
     def emit(self, record: logging.LogRecord) -> None:
         """Write one line."""
         level = "" if record.levelno < logging.WARNING else f"{record.levelname.lower()}: "
-        tell(f"{level}{record.getMessage()}")
+        tell(printable(f"{level}{record.getMessage()}"))
 
 
 def guarded(command: Callable[Parameters, None]) -> Callable[Parameters, None]:

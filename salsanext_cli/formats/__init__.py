@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Bytes to records and back; the only code that opens a point file."""
+"""Readers and encoders of point files; nothing else opens one."""
 
 from __future__ import annotations
 
@@ -8,9 +8,15 @@ from pathlib import Path
 from salsanext_cli.errors import FormatError
 from salsanext_cli.formats import kitti, pcd, ply
 from salsanext_cli.records import Scan
-from salsanext_cli.storage.layout import SCAN_SUFFIXES, scan_suffix
 
-__all__ = ["SCAN_SUFFIXES", "read_scan"]
+SCAN_SUFFIXES = (".pcd.bin", ".bin", ".pcd", ".ply")
+"""Suffixes of scans, upper or lower case; longer ones first, because they decide the stem."""
+
+
+def scan_suffix(path: Path) -> str:
+    """Return the suffix that makes a file a scan, in lower case; empty if it is none."""
+    name = path.name.lower()
+    return next((suffix for suffix in SCAN_SUFFIXES if name.endswith(suffix)), "")
 
 
 def read_scan(path: Path | str, *, intensity_scale: float = 1.0) -> Scan:

@@ -1,11 +1,10 @@
 # SPDX-License-Identifier: MIT
-"""Intermediate results: `.npy` files of a known dtype and shape, never pickled."""
+"""`.npy` files of a known dtype and shape, never pickled: the intermediate results."""
 
 from __future__ import annotations
 
 import io
 import math
-import re
 from pathlib import Path
 from typing import Any, BinaryIO
 
@@ -16,15 +15,8 @@ from numpy.lib import format as npy
 from salsanext_cli.errors import FormatError
 from salsanext_cli.formats.reading import read_values, reading, size_of
 
-MAGIC = b"\x93NUMPY\x01\x00"
-HEADER = re.compile(
-    rb"\{'descr': '([^']*)', 'fortran_order': (True|False), 'shape': \(([\d, ]*)\), \}\s*"
-)
-"""The one form in which numpy writes it; its own reader evaluates whatever it finds instead."""
-
-
-LONGEST = 15
-"""Digits of a length; more cannot be calculated with."""
+MAX_HEADER_BYTES = 1024
+"""Many times what a header of a few lengths takes."""
 
 
 def read_array(path: Path, dtype: npt.DTypeLike, shape: tuple[int | None, ...]) -> npt.NDArray[Any]:
@@ -44,16 +36,17 @@ def read_array(path: Path, dtype: npt.DTypeLike, shape: tuple[int | None, ...]) 
     FormatError
         If the file cannot be read, is no `.npy` file, holds something else, or is cut off.
     """
-    expected = f"a .npy file of {np.dtype(dtype)} {_words(shape)}"
+    wanted = np.dtype(dtype)
+    expected = f"a .npy file of {wanted} {_words(shape)}"
     with reading(path) as file:
-        description, in_columns, found_shape = _read_header(file, path, expected)
-        if description != np.dtype(dtype).str or not _fits(found_shape, shape):
-            raise FormatError(path, f"{description} {_words(found_shape)}", expected)
+        found_shape, in_columns, found = _read_header(file, path, expected)
+        if found != wanted or not _fits(found_shape, shape):
+            raise FormatError(path, f"{found.str} {_words(found_shape)}", expected)
         # Compare before allocating: a header can promise any amount of memory.
-        promised = math.prod(found_shape) * np.dtype(dtype).itemsize
+        promised = math.prod(found_shape) * wanted.itemsize
         if (held := size_of(file) - file.tell()) != promised:
             raise FormatError(path, f"{held} bytes of data", f"{promised} bytes", "it is cut off")
-        values = read_values(file, path, dtype, math.prod(found_shape))
+        values = read_values(file, path, wanted, math.prod(found_shape))
     try:
         return values.reshape(found_shape, order="F" if in_columns else "C")
     except ValueError as error:
@@ -61,18 +54,20 @@ def read_array(path: Path, dtype: npt.DTypeLike, shape: tuple[int | None, ...]) 
         raise FormatError(path, "a .npy file of an impossible shape", expected) from error
 
 
-def _read_header(file: BinaryIO, path: Path, expected: str) -> tuple[str, bool, tuple[int, ...]]:
-    """Return numpy's description of the dtype, whether columns come first, and the shape."""
-    magic = file.read(len(MAGIC))
-    header = HEADER.fullmatch(file.read(int.from_bytes(file.read(2), "little")))
-    if magic != MAGIC or header is None:
-        raise FormatError(path, "not a .npy file", expected)
-    description, in_columns, lengths = header.groups()
-    words = [word.strip() for word in lengths.split(b",") if word.strip()]
-    if not all(word.isdigit() and len(word) <= LONGEST for word in words):
-        raise FormatError(path, "a .npy file of an impossible shape", expected)
-    shape = tuple(map(int, words))
-    return description.decode("ascii", "replace"), in_columns == b"True", shape
+def _read_header(
+    file: BinaryIO, path: Path, expected: str
+) -> tuple[tuple[int, ...], bool, np.dtype[Any]]:
+    """Return the shape, whether columns come first, and the dtype."""
+    try:
+        # Of 64 kB at most; headers of later versions may promise gigabytes.
+        if (version := npy.read_magic(file)) != (1, 0):
+            raise ValueError(f"version {version}")
+        return npy.read_array_header_1_0(file, max_header_size=MAX_HEADER_BYTES)
+    except OSError:
+        raise
+    except Exception as error:
+        # The header is a Python literal, and there is no list of what the evaluation raises.
+        raise FormatError(path, "not a .npy file", expected) from error
 
 
 def _fits(found: tuple[int, ...], wanted: tuple[int | None, ...]) -> bool:

@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: MIT
-"""Open a file that may be missing, a folder, not ours to read, or no file at all."""
+"""Opening and looking for files that may be missing, unreadable, or no files at all."""
 
 from __future__ import annotations
 
+import errno
 import os
 import stat
 from collections.abc import Iterator
@@ -20,7 +21,7 @@ from salsanext_cli.errors import FormatError
 def reading(path: Path | str) -> Iterator[BinaryIO]:
     """Open a file for reading; whatever the system refuses becomes a `FormatError`."""
     try:
-        # A pipe would keep us waiting, and a device may never end.
+        # A pipe would block, and a device may never end.
         if not stat.S_ISREG(Path(path).stat().st_mode):
             raise FormatError(path, _kind(Path(path)), "a readable file")
         with Path(path).open("rb") as file:
@@ -50,10 +51,12 @@ def read_values(file: BinaryIO, path: Path, dtype: npt.DTypeLike, count: int) ->
 def present(path: Path) -> bool:
     """Say whether there is something under a name.
 
+    A link to itself is something, which its reader refuses; a link to nothing is not.
+
     Raises
     ------
     FormatError
-        If the system does not even let us look: the name is too long, a folder is not ours.
+        If the system refuses to look: the name is too long, or a folder is not readable.
     """
     return _status(path) is not None
 
@@ -64,7 +67,7 @@ def filled(path: Path) -> bool:
     A power cut can leave a file empty that had just got its name. Raises what `present` raises.
     """
     status = _status(path)
-    return status is not None and status.st_size > 0
+    return status is not None and not stat.S_ISLNK(status.st_mode) and status.st_size > 0
 
 
 def _status(path: Path) -> os.stat_result | None:
@@ -73,11 +76,16 @@ def _status(path: Path) -> os.stat_result | None:
     except (FileNotFoundError, NotADirectoryError):
         return None
     except OSError as error:
+        if error.errno == errno.ELOOP:
+            return path.lstat() if path.is_symlink() else None
         raise FormatError(path, f"cannot be read: {reason(error)}", "a readable file") from error
 
 
-def is_folder(path: Path) -> bool:
-    """Say whether a name is that of a folder; a name that the system refuses is none."""
+def is_folder(path: Path | os.DirEntry[str]) -> bool:
+    """Say whether a name is that of a folder; a name that the system refuses is none.
+
+    Such as a link to itself.
+    """
     try:
         return path.is_dir()
     except OSError:

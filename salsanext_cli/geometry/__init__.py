@@ -3,13 +3,17 @@
 
 ::
 
-    projection          a scan seen from the sensor (paper eq. 1)
-    ├── projection_numba    … compiled for the CPU
-    ├── projection_torch    … on a torch device, the same bits
-    └── view                the sensor's numbers as these take them
-    normalise           the network's input from a range image
-    knn                 labels of pixels to labels of points
-    ├── knn_numba           … compiled for the CPU
-    └── knn_torch           … on a torch device, the same labels
-    compiled            how the CPU kernels are compiled, cached and shared among threads
+    projection              a scan seen from the sensor (paper eq. 1)
+    ├── projection_numba        … compiled for the CPU
+    ├── projection_torch        … on a torch device, the same bits
+    └── projection_parameters   the sensor's numbers as these take them
+    normalise               the network's input from a range image
+    noise                   the variance of that input by the sensor's noise
+    knn                     labels of pixels to labels of points
+    ├── knn_numba               … compiled for the CPU
+    ├── knn_torch               … on a torch device, the same labels
+    └── knn_parameters          the neighbourhood and the vote
+    gather                  values of pixels onto points and back
+    coverage                points inside and outside the field of view
+    └── coverage_check          the warning about a sensor that does not fit
 """

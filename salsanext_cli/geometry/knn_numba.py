@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: MIT
 """kNN refinement compiled for the CPU.
 
-The image is framed first, so that no step has to look for its border: at left and right with
-columns from the other side, above and below with nothing. Where a window holds one label only,
-nobody can outvote it. The other points are taken in blocks, and each step runs over a whole block
-before the next begins: loops without a branch are what the compiler can vectorise.
+The image is framed first, so that no step has to test for its border: at left and right with
+columns from the other side, above and below with empty pixels. Where a window holds one label only,
+no vote is needed. The other points are refined in blocks, and each step runs over a whole block
+before the next begins: the compiler can vectorise loops without a branch.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ import numpy as np
 import numpy.typing as npt
 
 from salsanext_cli.classes import TrainIds
-from salsanext_cli.geometry.knn import KnnParameters
+from salsanext_cli.geometry.knn_parameters import KnnParameters
 from salsanext_cli.kernels import argument, compiled, parallel_for_slices
 from salsanext_cli.records import Float, Int
 
@@ -116,7 +116,7 @@ def refine_points(
     chosen = np.empty(BLOCK, np.int32)
     centre = np.full(BLOCK, frame, np.int32)
     own_range = np.zeros(BLOCK, np.float32)
-    winner = np.empty(BLOCK, np.int32)
+    voted = np.empty(BLOCK, np.int32)
     size = 0
     for i in range(len(refined)):
         pixel = pixel_of_point[i]
@@ -129,9 +129,9 @@ def refine_points(
             own_range[size] = point_range[i]
             size += 1
         if size == BLOCK or (size > 0 and i == len(refined) - 1):
-            vote_of_block(centre, own_range, ranges, labels, offsets, weights, k, cutoff, winner)
+            vote_of_block(centre, own_range, ranges, labels, offsets, weights, k, cutoff, voted)
             for j in range(size):
-                refined[chosen[j]] = winner[j]
+                refined[chosen[j]] = voted[j]
             size = 0
 
 
@@ -145,9 +145,9 @@ def vote_of_block(
     weights: Float,
     k: int,
     cutoff: np.float32,
-    winner: Int,
+    voted: Int,
 ) -> None:
-    """Write the elected label of each point of a block.
+    """Write the label of each point of a block by the vote of its neighbours.
 
     A candidate is one integer, so that one comparison ranks it: from the highest bit the distance
     (the bits of a float ≥ 0 are in its order), the place in the window, the label.
@@ -172,12 +172,12 @@ def vote_of_block(
             candidate[j] = (np.int64(distance_bits[j]) << 32) | (n << 8) | label[j]
         for place in range(1, k):
             keep_nearer(nearest[place], candidate)
-    elect(nearest, winner)
+    majority(nearest, voted)
 
 
 @compiled
 def keep_nearer(nearest: Candidates, candidate: Candidates) -> None:
-    """Put the candidate in this place where it is nearer; the loser goes on to the next."""
+    """Put the candidate in this place where it is nearer; the farther one goes on to the next."""
     for j in range(BLOCK):
         here, new = nearest[j], candidate[j]
         nearest[j] = min(here, new)
@@ -185,7 +185,7 @@ def keep_nearer(nearest: Candidates, candidate: Candidates) -> None:
 
 
 @compiled
-def elect(nearest: Candidates, winner: Int) -> None:
+def majority(nearest: Candidates, voted: Int) -> None:
     """Write the most frequent label above 0, the lowest of equally frequent ones; 0 without any."""
     voters = np.empty(nearest.shape, np.int32)
     count = np.empty(BLOCK, np.int32)
@@ -193,7 +193,7 @@ def elect(nearest: Candidates, winner: Int) -> None:
         for j in range(BLOCK):
             voters[one, j] = nearest[one, j] & 255
     for j in range(BLOCK):
-        winner[j] = 255
+        voted[j] = 255
     for one in range(len(voters)):
         for j in range(BLOCK):
             count[j] = 0
@@ -202,6 +202,6 @@ def elect(nearest: Candidates, winner: Int) -> None:
                 count[j] += np.int32(voters[other, j] == voters[one, j])
         for j in range(BLOCK):
             score = 256 * count[j] + 255 - voters[one, j] if voters[one, j] > 0 else 255
-            winner[j] = max(winner[j], score)
+            voted[j] = max(voted[j], score)
     for j in range(BLOCK):
-        winner[j] = 255 - (winner[j] & 255)
+        voted[j] = 255 - (voted[j] & 255)

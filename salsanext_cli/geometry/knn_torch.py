@@ -8,7 +8,7 @@ import torch
 import torch.nn.functional as F
 
 from salsanext_cli.classes import TrainIds
-from salsanext_cli.geometry.knn import KnnParameters
+from salsanext_cli.geometry.knn_parameters import KnnParameters
 from salsanext_cli.records import Float, Int
 
 CHUNK = 1 << 17
@@ -73,8 +73,8 @@ def refine_tensors(
         distance = (framed_ranges[windows] - point_range[part, None]).abs() * factors
         candidates = torch.where(distance <= parameters.cutoff, framed_labels[windows], 0)
         own = framed_labels[centre]
-        winner = elect(nearest_labels(own, distance, candidates, parameters.k))
-        refined[part] = torch.where(pixel_of_point[part] >= 0, winner, 0)
+        voted = majority(nearest_labels(own, distance, candidates, parameters.k))
+        refined[part] = torch.where(pixel_of_point[part] >= 0, voted, 0)
     return refined
 
 
@@ -100,7 +100,7 @@ def nearest_labels(
     return torch.cat([own[:, None].long(), nearest], dim=1)
 
 
-def elect(voters: torch.Tensor) -> torch.Tensor:
+def majority(voters: torch.Tensor) -> torch.Tensor:
     """Return the most frequent label above 0, the lowest of equally frequent ones, else 0."""
     count = torch.zeros_like(voters)
     for voter in voters.unbind(1):

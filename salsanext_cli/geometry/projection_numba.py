@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: MIT
-"""Projection compiled for the CPU: pixels in slices, one pass of z-buffer, one gather.
+"""Projection compiled for the CPU: pixel of each point, z-buffer, channels of each pixel.
 
-The slices are flat arrays and free of branches and library calls, because only then does the
-compiler vectorise them.
+The first step works on flat arrays without branches and library calls, because only then does the
+compiler vectorise it.
 """
 
 from __future__ import annotations
@@ -28,14 +28,16 @@ def project(scan: Scan, view: ProjectionParameters) -> RangeImage:
     pixel_of_point = np.empty(count, np.int32)
     point_range = np.empty(count, np.float32)
     point_of_pixel = np.full(height * width, -1, np.int32)
-    channels = np.empty((len(CHANNELS), height * width), np.float32)
+    channels = np.zeros((len(CHANNELS), height * width), np.float32)
 
     def find(part: slice) -> None:
         coordinates = points[3 * part.start : 3 * part.stop]
-        find_pixels(coordinates, *view.numbers, pixel_of_point[part], point_range[part])
+        find_pixels(coordinates, *view, pixel_of_point[part], point_range[part])
 
     def fill(part: slice) -> None:
-        fill_channels(point_of_pixel[part], point_range, points, intensity, *channels[:, part])
+        fill_channels(
+            point_of_pixel, part.start, part.stop, point_range, points, intensity, channels
+        )
 
     parallel_for_slices(find, count)
     keep_nearest(pixel_of_point, point_range, point_of_pixel)
@@ -119,28 +121,20 @@ def keep_nearest(pixel_of_point: Int, point_range: Float, point_of_pixel: Int) -
 @compiled
 def fill_channels(
     point_of_pixel: Int,
+    start: int,
+    stop: int,
     point_range: Float,
     points: Float,
     intensity: Float,
-    range_channel: Float,
-    x_channel: Float,
-    y_channel: Float,
-    z_channel: Float,
-    intensity_channel: Float,
+    channels: Float,
 ) -> None:
-    """Write range, x, y, z and intensity of each pixel's point; 0 where there is none."""
-    for pixel in range(len(point_of_pixel)):
+    """Write range, x, y, z and intensity of each pixel's point; empty pixels stay as they are."""
+    for pixel in range(start, stop):
         i = point_of_pixel[pixel]
-        if i < 0:
-            range_channel[pixel] = ZERO
-            x_channel[pixel] = ZERO
-            y_channel[pixel] = ZERO
-            z_channel[pixel] = ZERO
-            intensity_channel[pixel] = ZERO
-        else:
-            range_channel[pixel] = point_range[i]
-            x_channel[pixel] = points[3 * i]
-            y_channel[pixel] = points[3 * i + 1]
-            z_channel[pixel] = points[3 * i + 2]
+        if i >= 0:
+            channels[0, pixel] = point_range[i]
+            channels[1, pixel] = points[3 * i]
+            channels[2, pixel] = points[3 * i + 1]
+            channels[3, pixel] = points[3 * i + 2]
             usable = abs(intensity[i]) <= LARGEST
-            intensity_channel[pixel] = intensity[i] if usable else ZERO
+            channels[4, pixel] = intensity[i] if usable else ZERO

@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: MIT
-"""The sensor's numbers as the projection kernels take them."""
+"""Parameters of the projection: the sensor's numbers as the kernels take them."""
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -14,9 +14,8 @@ LARGEST = np.float32(1e6)
 """Ranges (metres) and intensities above this are no measurements; they would drown the network."""
 
 
-@dataclass(frozen=True, slots=True)
-class ProjectionParameters:
-    """The numbers of eq. 1 as the kernels take them, all float32.
+class ProjectionParameters(NamedTuple):
+    """Numbers of eq. 1, in the order in which the kernels take them.
 
     Attributes
     ----------
@@ -34,14 +33,9 @@ class ProjectionParameters:
     width: np.float32
     drop: bool
 
-    @property
-    def numbers(self) -> tuple[np.float32, np.float32, np.float32, np.float32, bool]:
-        """All fields in their order."""
-        return self.fov_down, self.fov, self.height, self.width, self.drop
-
     @classmethod
     def of(cls, sensor: Sensor) -> ProjectionParameters:
-        """Return the view of a sensor; both edges of the field of view are signed."""
+        """Return the parameters of a sensor; both edges of the field of view are signed."""
         up, down = math.radians(sensor.fov_up), math.radians(sensor.fov_down)
         return cls(
             np.float32(down),

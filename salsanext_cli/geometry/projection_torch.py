@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Projection on a torch device: the steps of the compiled one, so that every bit is the same.
+"""Projection on a torch device by the steps of the compiled one, so that every bit is the same.
 
 Divisors are tensors, because CUDA multiplies by the reciprocal of a number; and a product and the
 sum it goes into are two operations, which no device fuses.
@@ -16,7 +16,7 @@ from salsanext_cli.geometry.projection_parameters import LARGEST, ProjectionPara
 from salsanext_cli.records import RangeImage, Scan
 
 PI = float(np.float32(math.pi))
-NOBODY = 2**63 - 1
+NO_POINT = 2**63 - 1
 
 
 def project(scan: Scan, view: ProjectionParameters, device: str) -> RangeImage:
@@ -37,7 +37,7 @@ def project_tensors(
         Metres.
     intensity : (N,) float32
         Nominally 0…1.
-    view : View
+    view : ProjectionParameters
         The sensor's numbers.
     """
     height, width = int(view.height), int(view.width)
@@ -106,8 +106,8 @@ def find_nearest(
     not depend on the order in which threads arrive.
     """
     index = torch.arange(len(point_range), device=point_range.device)
-    claim = (point_range.view(torch.int32).long() << 32) | index
+    key = (point_range.view(torch.int32).long() << 32) | index
     target = torch.where(pixel_of_point < 0, pixels, pixel_of_point).long()
-    winner = torch.full((pixels + 1,), NOBODY, dtype=torch.int64, device=claim.device)
-    winner = winner.scatter_reduce(0, target, claim, "amin")[:pixels]
-    return torch.where(winner == NOBODY, -1, winner & 0xFFFFFFFF)
+    nearest = torch.full((pixels + 1,), NO_POINT, dtype=torch.int64, device=key.device)
+    nearest = nearest.scatter_reduce(0, target, key, "amin")[:pixels]
+    return torch.where(nearest == NO_POINT, -1, nearest & 0xFFFFFFFF)

@@ -10,10 +10,8 @@ from itertools import groupby
 from pathlib import Path
 
 from salsanext_cli.errors import NoInputError, OutputError
-from salsanext_cli.formats.reading import present, reason
-
-SCAN_SUFFIXES = (".pcd.bin", ".bin", ".pcd", ".ply")
-"""Suffixes of scans, upper or lower case; longer ones first, because they decide the stem."""
+from salsanext_cli.formats import SCAN_SUFFIXES, scan_suffix
+from salsanext_cli.formats.reading import is_folder, present, reason
 
 SUFFIX_OF_FOLDER = {
     "range": ".npy",
@@ -89,9 +87,9 @@ def find_scans(source: Path, sequences: Collection[str] | None = None) -> list[S
     OutputError
         If two scans of a sequence have one stem, so that their results would overwrite each other.
     """
-    path = _absolute(source)
     try:
-        scans = sorted(_scans_of(path), key=lambda scan: (scan.sequence, scan.stem, scan.path.name))
+        found = _scans_of(_absolute(source))
+        scans = sorted(found, key=lambda scan: (scan.sequence, scan.stem, scan.path.name))
     except OSError as error:
         raise NoInputError(source, reason(error), "a scan or a folder of scans") from error
     if not scans:
@@ -106,7 +104,8 @@ def find_scans(source: Path, sequences: Collection[str] | None = None) -> list[S
 
 def _absolute(path: Path) -> Path:
     """Make a path absolute; names stay as typed unless ``..`` makes following links necessary."""
-    return path.resolve() if ".." in path.parts else path.absolute()
+    # Path.resolve() fails at a link to itself, which is for the reader of that scan to refuse.
+    return Path(os.path.realpath(path)) if ".." in path.parts else path.absolute()
 
 
 def _scans_of(path: Path) -> Iterator[ScanFile]:
@@ -131,7 +130,7 @@ def _scans_of_sequences(folder: Path) -> Iterator[ScanFile]:
 def _scans_in(folder: Path) -> Iterator[ScanFile]:
     # Not is_file(): a link to a scan that is gone must fail when read, not be passed over.
     with os.scandir(folder) as entries:
-        names = [e.name for e in entries if not e.name.startswith(".") and not e.is_dir()]
+        names = [e.name for e in entries if not e.name.startswith(".") and not is_folder(e)]
     for name in names:
         yield from _as_scan(folder / name)
 
@@ -140,12 +139,6 @@ def _as_scan(path: Path) -> Iterator[ScanFile]:
     suffix = scan_suffix(path)
     if suffix:
         yield ScanFile(_sequence_of(path.parent), path.name[: -len(suffix)], path)
-
-
-def scan_suffix(path: Path) -> str:
-    """Return the suffix that makes a file a scan, in lower case; empty if it is none."""
-    name = path.name.lower()
-    return next((suffix for suffix in SCAN_SUFFIXES if name.endswith(suffix)), "")
 
 
 def _sequence_of(folder: Path) -> str:
