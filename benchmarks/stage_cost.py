@@ -21,6 +21,7 @@ from salsanext_cli.parallel.threads import threads_of_workers
 from salsanext_cli.stages.evaluate import evaluate
 from salsanext_cli.stages.export_ply import export_ply
 from salsanext_cli.stages.knn_refine import knn_refine_scans
+from salsanext_cli.stages.predict import predict_scans
 from salsanext_cli.stages.project import project_scans
 from salsanext_cli.stages.uncertainty import uncertainty
 from salsanext_cli.storage.predictions import predicted_scans
@@ -63,10 +64,11 @@ def main(dataset: str, out: str, samples: str = "30", weights: str | None = None
     with threads_of_workers(1):
         measure("project", lambda o: project_scans(data, steps, sensor=sensor, options=o))
         measure(
-            "predict, range images", lambda o: predict(steps, steps, network=network, options=o)
+            "predict, range images",
+            lambda o: predict_scans(steps, steps, network=network, options=o),
         )
         measure("knn-refine", lambda o: knn_refine_scans(steps, options=o))
-        measure("predict, scans", lambda o: predict(data, whole, network=network, options=o))
+        measure("predict, scans", lambda o: predict_scans(data, whole, network=network, options=o))
         measure("eval", score)
         measure("export-ply", lambda o: export_ply(whole, network=network, options=o))
         measure(

@@ -22,6 +22,7 @@ from salsanext_cli.network.papers import PAPERS
 from salsanext_cli.network.registry import build
 from salsanext_cli.parallel.run import RunOptions
 from salsanext_cli.stages.evaluate import evaluate
+from salsanext_cli.stages.predict import predict_scans
 from salsanext_cli.stages.train import train
 from salsanext_cli.storage.predictions import predicted_scans
 from salsanext_cli.storage.selection import ScanSelection
@@ -62,7 +63,7 @@ def learn(dataset: Path, run: Path, rung: str, steps: int, plan: str) -> Path:
 def mean_iou(dataset: Path, out: Path, weights: Path, knn: KnnParameters) -> float:
     """Score weights on the points of the validation split, in %."""
     selection, options = ScanSelection(split="valid"), RunOptions()
-    predict(
+    predict_scans(
         dataset,
         out,
         network=NetworkSettings(weights),

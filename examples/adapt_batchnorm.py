@@ -17,6 +17,7 @@ from salsanext_cli.measures.scan_counts import ScanCounts, count_scan
 from salsanext_cli.measures.scores import scores
 from salsanext_cli.network.weights import default_weights, read_card
 from salsanext_cli.sensors import sensor
+from salsanext_cli.stages.predict import predict_scans
 from salsanext_cli.stages.tune_batchnorm import tune_batchnorm
 from salsanext_cli.storage.layout import ScanFile, find_scans
 from salsanext_cli.storage.selection import space_of
@@ -34,7 +35,7 @@ def link(scans: list[ScanFile], folder: Path) -> Path:
 
 def count(scans: Path, out: Path, network: NetworkSettings, space: LabelSpace) -> Confusion:
     """Label scans and compare, as `predict` and `eval` do."""
-    predict(scans, out, network=network)
+    predict_scans(scans, out, network=network)
     counts = ScanCounts.none(space, by_distance=False)
     for scan in find_scans(scans):
         counts += count_scan(scan, out, space, by_distance=False)

@@ -5,8 +5,12 @@ import os
 import signal
 from collections.abc import Iterator
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import pytest
+
+if TYPE_CHECKING:
+    from world import World
 
 # On a processor with tiles for bfloat16 commands would choose that, and other bits.
 os.environ.setdefault("SALSANEXT_PRECISION", "float32")
@@ -51,3 +55,17 @@ def weights(tmp_path_factory: pytest.TempPathFactory) -> Path:
     from scans import write_weights
 
     return write_weights(tmp_path_factory.mktemp("weights") / "random.safetensors")
+
+
+@pytest.fixture
+def world(tmp_path: Path, weights: Path) -> "World":
+    """Return scans in SemanticKITTI's layout, in a folder with a space and an umlaut."""
+    from scans import write_sequence
+    from world import World
+
+    from salsanext_cli.inference.settings import NetworkSettings
+
+    data = tmp_path / "Daten für 1"
+    write_sequence(data / "sequences/00", ["000000"], seed=7)
+    write_sequence(data / "sequences/08", ["000000", "000001"])
+    return World(data, tmp_path / "öut put", NetworkSettings(weights, "cpu"))

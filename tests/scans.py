@@ -14,6 +14,7 @@ from salsanext_cli.network.weights import WeightsCard, save_weights
 from salsanext_cli.records import Scan
 from salsanext_cli.sensors import Sensor
 from salsanext_cli.storage.point_files import write_bin, write_labels
+from salsanext_cli.storage.written_files import RECORDS
 
 SMALL = Sensor(
     "small",
@@ -93,11 +94,14 @@ def write_weights(
 
 
 def files_below(folder: Path) -> dict[str, bytes]:
-    """Return the content of every file below a folder by its relative name."""
+    """Return the content of every file below a folder by its relative name.
+
+    The record of written files, which tells when each was written, is left out.
+    """
     return {
         str(path.relative_to(folder)): path.read_bytes()
         for path in sorted(folder.rglob("*"))
-        if path.is_file()
+        if path.is_file() and RECORDS not in path.parts
     }
 
 

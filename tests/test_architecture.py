@@ -2,6 +2,7 @@
 """The shape of the package: imports point one way, files stay small, the library is silent."""
 
 import ast
+from collections import Counter
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
@@ -12,17 +13,17 @@ PACKAGE = Path(salsanext_cli.__file__).parent
 MODULES = sorted(PACKAGE.rglob("*.py"))
 LEVELS = (
     ("errors",),
-    ("settings_files",),
-    ("label_yaml",),
+    ("settings_files", "packages", "thread_pool"),
+    ("label_yaml", "kernels"),
     ("classes", "sensors"),
     ("records",),
-    ("formats",),
-    ("geometry",),
+    ("formats", "geometry"),
+    ("storage",),
     ("network",),
-    ("measures",),
-    ("training", "synthesis"),
-    ("report",),
-    ("stages",),
+    ("inference",),
+    ("uncertainty", "measures"),
+    ("training", "synthesis", "parallel", "report"),
+    ("stages", "benchmarking"),
     ("cli",),
     ("__main__",),
 )
@@ -79,6 +80,43 @@ def test_imports_point_one_way():
     assert where(beside_or_below) == {}
 
 
+def module_name(module: Path) -> str:
+    parts = module.relative_to(PACKAGE.parent).with_suffix("").parts
+    return ".".join(parts).removesuffix(".__init__")
+
+
+def circles(imports: dict[str, set[str]]) -> list[list[str]]:
+    """Return the modules of each circle of imports: those that can be reached from themselves."""
+
+    def reached(start: str) -> set[str]:
+        found: set[str] = set()
+        todo = [start]
+        while todo:
+            new = imports.get(todo.pop(), set()) - found
+            found |= new
+            todo += new
+        return found
+
+    reach = {name: reached(name) for name in imports}
+    in_one = {n: frozenset(m for m in reach[n] if n in reach[m]) for n in reach if n in reach[n]}
+    return sorted(sorted(circle) for circle in set(in_one.values()))
+
+
+def test_no_modules_import_each_other_in_a_circle():
+    """Imports inside functions and for type checkers count too; `__init__` only names homes."""
+    names = {module_name(module): module for module in MODULES} | {"salsanext_cli": PACKAGE}
+    imports = {
+        name: {found for found in imported(tree_of(module)) if found in names} - {"salsanext_cli"}
+        for name, module in names.items()
+        if name != "salsanext_cli"
+    }
+    assert circles(imports) == []
+
+
+def test_a_circle_would_be_found():
+    assert circles({"a": {"b"}, "b": {"c"}, "c": {"b"}, "d": {"a"}}) == [["b", "c"]]
+
+
 def test_a_wrong_import_would_be_found():
     tree = ast.parse(
         "def f():\n    from salsanext_cli.cli import app\n    import salsanext_cli.stages.x"
@@ -88,8 +126,8 @@ def test_a_wrong_import_would_be_found():
 
 def test_training_and_synthesis_can_be_removed():
     """Nothing but their own stages and commands, and the demonstration, may need them."""
-    tuned = {"tuning", "tune_temperature", "tune_dropout", "tune_batchnorm"}
-    allowed = {"train", "run_folder", "synth", "demo"} | tuned
+    tuned = {"tune", "tune_temperature", "tune_dropout", "tune_batchnorm"}
+    allowed = {"train", "synth", "demo"} | tuned
     users = {
         module.stem
         for module in MODULES
@@ -105,6 +143,23 @@ def test_every_python_file_begins_with_its_licence():
     files = [path for folder in folders for path in folder.rglob("*.py")]
     first = {path: path.read_text("utf-8").partition("\n")[0] for path in files}
     assert [path for path, line in first.items() if line != "# SPDX-License-Identifier: MIT"] == []
+
+
+ROOMS_OF_MANY = {"cli", "synthesis"}
+"""One file per command, and per kind of thing in a street."""
+MOST_FILES = 18
+
+
+def test_rooms_are_small():
+    rooms = Counter(module.parent.name for module in MODULES if module.parent != PACKAGE)
+    assert {room: n for room, n in rooms.items() if n > MOST_FILES}.keys() <= ROOMS_OF_MANY
+
+
+def test_stages_are_commands():
+    """Exactly one file each."""
+    commands = {path.stem for path in (PACKAGE / "cli").glob("*.py")}
+    stages = {path.stem for path in (PACKAGE / "stages").glob("*.py")} - {"__init__"}
+    assert stages <= commands
 
 
 def test_files_are_short():
@@ -192,7 +247,7 @@ def test_everything_public_is_documented():
 
 
 def test_only_formats_opens_point_files():
-    """What reads or writes points by itself would read them differently one day."""
+    """Any other reader of points would read them differently one day."""
     readers = {"np.fromfile", "np.load", "np.save", "np.savez", "np.savetxt", "np.loadtxt"}
 
     def readings(module):

@@ -27,6 +27,7 @@ from salsanext_cli.parallel.run import RunOptions
 from salsanext_cli.stages.export_ply import export_ply
 from salsanext_cli.stages.import_weights import import_weights
 from salsanext_cli.stages.knn_refine import knn_refine_scans
+from salsanext_cli.stages.predict import predict_range_images, predict_scans
 from salsanext_cli.stages.project import project_scans
 from salsanext_cli.stages.uncertainty import uncertainty
 from salsanext_cli.storage.selection import ScanSelection
@@ -158,7 +159,7 @@ def test_ctrl_c_in_the_middle(many, weights, tmp_path, jobs):
     assert 5 <= len(whole) < SCANS
     assert {len(content) for content in whole.values()} == {4 * POINTS}
     assert [name for name in files_below(out) if ".part" in name] == []
-    again = predict(
+    again = predict_scans(
         many, out, network=NetworkSettings(weights, "cpu"), selection=ScanSelection(limit=40)
     )
     assert again.skipped + again.done == 40
@@ -184,7 +185,7 @@ def test_two_jobs_give_the_bytes_of_one(tmp_path, weights):
     for jobs in (1, 2):
         out, options = tmp_path / f"jobs{jobs}", RunOptions(jobs=jobs)
         extras = ("pixel_labels", "probabilities")
-        predict(data, out, network=network, extras=extras, options=options)
+        predict_scans(data, out, network=network, extras=extras, options=options)
         uncertainty(data, out, network=network, estimator=Estimator(samples=3), options=options)
         export_ply(out, colour="epistemic", options=options)
     one, two = (files_below(tmp_path / f"jobs{jobs}") for jobs in (1, 2))
@@ -196,7 +197,7 @@ def test_a_full_disk(tmp_path, weights):
     large = write_sequence(tmp_path / "drive", ["large"], count=50_000, labels=False)
     write_sequence(large, ["small"], count=100, labels=False)
     with full_disk(100_000):
-        outcome = predict(large, tmp_path / "out", network=NetworkSettings(weights, "cpu"))
+        outcome = predict_scans(large, tmp_path / "out", network=NetworkSettings(weights, "cpu"))
     assert outcome.done == 1
     (failure,) = outcome.failures
     assert failure.scan.stem == "large"
@@ -212,9 +213,9 @@ def test_the_steps_meet_whatever_the_sensor(tmp_path):
     network = NetworkSettings(write_weights(tmp_path / "w.safetensors", sensor=sensor), "cpu")
     data = write_sequence(tmp_path / "odd", ["a", "b"])
     project_scans(data, tmp_path / "steps", sensor=sensor)
-    predict(tmp_path / "steps", tmp_path / "steps", network=network)
+    predict_range_images(tmp_path / "steps", tmp_path / "steps", network=network)
     knn_refine_scans(tmp_path / "steps")
-    predict(data, tmp_path / "fused", network=network)
+    predict_scans(data, tmp_path / "fused", network=network)
     assert labels_below(tmp_path / "steps") == labels_below(tmp_path / "fused")
     labels = read_labels(tmp_path / "fused/sequences/odd/predictions/a.label")
     assert (labels == 0).any()
@@ -230,9 +231,9 @@ def test_real_scans_in_steps_or_in_one(golden, real_data, tmp_path):
     network = NetworkSettings(tmp_path / "w.safetensors", "cpu", view)
     data, selection = real_data / "data/semantickitti", ScanSelection(split="valid", limit=2)
     project_scans(data, tmp_path / "steps", sensor=view, selection=selection)
-    predict(tmp_path / "steps", tmp_path / "steps", network=network)
+    predict_range_images(tmp_path / "steps", tmp_path / "steps", network=network)
     knn_refine_scans(tmp_path / "steps")
-    predict(data, tmp_path / "fused", network=network, selection=selection)
+    predict_scans(data, tmp_path / "fused", network=network, selection=selection)
     labels = labels_below(tmp_path / "fused")
     assert labels_below(tmp_path / "steps") == labels
     assert list(labels) == [f"sequences/08/predictions/00000{n}.label" for n in (0, 1)]

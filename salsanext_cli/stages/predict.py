@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from contextlib import contextmanager, suppress
 from dataclasses import asdict, replace
 from functools import partial
 from pathlib import Path
@@ -50,26 +51,37 @@ def predict_batch(
     files: Sequence[ScanFile], network: Network, knn: KnnParameters, output: OutputRun
 ) -> Iterator[Attempt]:
     """Label the points of several scans, computed together; yield an attempt of each."""
-    projected: dict[ScanFile, tuple[RangeImage, FieldOfViewCoverage]] = {}
+    images: dict[ScanFile, RangeImage] = {}
+    coverages: dict[ScanFile, FieldOfViewCoverage] = {}
     for file in files:
         try:
-            projected[file] = _projected(file, network, output)
+            with _named_if_too_large(file, network):
+                images[file], coverages[file] = _projected(file, network, output)
         except SalsanextError as error:
             yield file, None, error
-    try:
-        softmax = network.pixel_probabilities([image.channels for image, _ in projected.values()])
-    except torch.OutOfMemoryError:
-        found = f"the image is too large for the memory of {network.device}"
-        for file in projected:
-            yield file, None, FormatError(file.path, found, remedy="label it with --device cpu")
-        return
-    for (file, (image, coverage)), probabilities in zip(projected.items(), softmax, strict=True):
+    softmax: Sequence[Float | None] = [None] * len(images)
+    with suppress(torch.OutOfMemoryError):
+        softmax = network.pixel_probabilities([image.channels for image in images.values()])
+    for (file, image), probabilities in zip(images.items(), softmax, strict=True):
         try:
-            network.require_finite(probabilities, file.path)
-            _write(file, image, probabilities, network, knn, output)
-            yield file, coverage, None
+            with _named_if_too_large(file, network):
+                if probabilities is None:
+                    raise torch.OutOfMemoryError
+                network.require_finite(probabilities, file.path)
+                _write(file, image, probabilities, network, knn, output)
+            yield file, coverages[file], None
         except SalsanextError as error:
             yield file, None, error
+
+
+@contextmanager
+def _named_if_too_large(file: ScanFile, network: Network) -> Iterator[None]:
+    """Turn memory that runs out into an error of one scan."""
+    try:
+        yield
+    except torch.OutOfMemoryError as error:
+        found = f"is too large for the memory of {network.device}"
+        raise FormatError(file.path, found, remedy="label it with --device cpu") from error
 
 
 def _projected(

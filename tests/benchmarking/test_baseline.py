@@ -19,6 +19,7 @@ from salsanext_cli.inference.network import load_network
 from salsanext_cli.inference.settings import NetworkSettings
 from salsanext_cli.measures.confusion import Confusion
 from salsanext_cli.records import RangeImage, Scan
+from salsanext_cli.stages.predict import predict_scans
 from salsanext_cli.storage.point_files import write_bin
 from salsanext_cli.uncertainty.aleatoric import aleatoric
 
@@ -135,7 +136,7 @@ def test_the_script_labels_a_scan_as_predict_does(tmp_path, weights):
     out = tmp_path / "plain.label"
     command = (BENCHMARKS / "baseline.py", tmp_path / "000000.bin", out, "--weights", weights)
     subprocess.run([sys.executable, *map(str, command)], check=True)
-    predict(
+    predict_scans(
         tmp_path / "000000.bin", tmp_path / "out", network=NetworkSettings(weights, device="cpu")
     )
     (ours,) = (tmp_path / "out").rglob("*.label")

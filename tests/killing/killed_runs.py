@@ -168,7 +168,7 @@ def predict_job(folder: Path, jobs: int = 1) -> Run:
     extras, options = ("pixel_labels", "probabilities"), RunOptions(jobs=jobs)
 
     def run(out: Path, options: RunOptions = options) -> None:
-        predict(data, out, network=network, extras=extras, options=options)
+        predict_scans(data, out, network=network, extras=extras, options=options)
 
     # What is loaded here need not be in every run; one thread, so that forks find no others.
     run(folder / "warm", RunOptions())

@@ -15,6 +15,7 @@ from salsanext_cli.inference.settings import NetworkSettings
 from salsanext_cli.parallel import dask_backend, ray_backend
 from salsanext_cli.parallel.run import RunOptions
 from salsanext_cli.parallel.threads import threads_of_workers
+from salsanext_cli.stages.predict import predict_scans
 from salsanext_cli.stages.uncertainty import uncertainty
 from salsanext_cli.uncertainty.settings import Estimator
 
@@ -84,7 +85,7 @@ def everything(data, out, weights, **options):
     """Run the stages that load a network, and return every file they leave."""
     network, batch = NetworkSettings(weights, "cpu"), RunOptions(**options)
     estimator = Estimator(samples=2, aleatoric=False)
-    predict(data, out, network=network, extras=("probabilities",), options=batch)
+    predict_scans(data, out, network=network, extras=("probabilities",), options=batch)
     uncertainty(data, out, network=network, estimator=estimator, options=batch)
     return files_below(out)
 

@@ -13,6 +13,7 @@ from works import Write, run
 from salsanext_cli.errors import UsageError
 from salsanext_cli.parallel.run import RunOptions
 from salsanext_cli.parallel.shards import Shard
+from salsanext_cli.stages.predict import predict_scans
 from salsanext_cli.storage.layout import ScanFile
 
 COUNTS = st.integers(1, 9)
@@ -67,7 +68,7 @@ def test_shards_leave_what_one_run_leaves(world):
     def files(out, shards):
         for shard in shards:
             options = RunOptions(shard=shard)
-            predict(world.data, out, network=world.network, options=options)
+            predict_scans(world.data, out, network=world.network, options=options)
         return files_below(out)
 
     whole = files(world.out, [Shard()])
@@ -81,9 +82,9 @@ def test_what_is_remembered_is_the_same_for_every_shard(world):
     """The first shard already says what all of them were asked for."""
     out = world.out.with_name("shard")
     options = RunOptions(shard=Shard(1, 3))
-    outcome = predict(world.data, out, network=world.network, options=options)
+    outcome = predict_scans(world.data, out, network=world.network, options=options)
     assert (outcome.done, outcome.skipped) == (1, 0)
-    predict(world.data, world.out, network=world.network)
+    predict_scans(world.data, world.out, network=world.network)
     remembered = [name for name in files_below(world.out) if name.endswith(".json")]
     assert len(remembered) == 3
     for name in remembered:

@@ -15,6 +15,7 @@ from salsanext_cli.inference.settings import NetworkSettings
 from salsanext_cli.parallel.run import RunOptions
 from salsanext_cli.report.colours import EMPTY, RIGHT, WRONG, map_colours
 from salsanext_cli.stages.export_ply import COLOURS, export_ply
+from salsanext_cli.stages.predict import predict_scans
 from salsanext_cli.stages.uncertainty import uncertainty
 from salsanext_cli.storage.point_files import write_labels
 from salsanext_cli.storage.selection import ScanSelection
@@ -28,7 +29,7 @@ KINDS = FEW.kinds
 
 @pytest.fixture
 def predicted(world):
-    predict(world.data, world.out, network=world.network)
+    predict_scans(world.data, world.out, network=world.network)
     return world
 
 
@@ -189,7 +190,7 @@ def test_uncertainty_is_the_total_unless_there_is_none(sampled):
 
 
 def test_a_sensor_that_sees_as_that_of_the_weights_is_as_noisy(world):
-    predict(world.data, world.out, network=replace(world.network, sensor=SMALL))
+    predict_scans(world.data, world.out, network=replace(world.network, sensor=SMALL))
     assert export(world, colour="uncertainty", selection=ScanSelection(limit=1)).done == 1
     recorded = json.loads((world.out / "uncertainty.json").read_text())["settings"]
     assert recorded["noise"] == [0.02, 0.02]
@@ -198,7 +199,7 @@ def test_a_sensor_that_sees_as_that_of_the_weights_is_as_noisy(world):
 
 def test_a_sensor_of_unknown_noise_has_no_total(world, caplog):
     silent = replace(SMALL, range_noise=None, fov_up=4.0)
-    predict(world.data, world.out, network=replace(world.network, sensor=silent))
+    predict_scans(world.data, world.out, network=replace(world.network, sensor=silent))
     with pytest.raises(UsageError, match="sensor small · its noise is not known"):
         export(world, colour="aleatoric")
     with caplog.at_level("WARNING"):
@@ -209,7 +210,7 @@ def test_a_sensor_of_unknown_noise_has_no_total(world, caplog):
 
 def test_sampling_uses_the_weights_and_sensor_that_predicted(world, tmp_path):
     wide = SMALL.resized(width=64)
-    predict(world.data, world.out, network=replace(world.network, sensor=wide))
+    predict_scans(world.data, world.out, network=replace(world.network, sensor=wide))
     other = NetworkSettings(write_weights(tmp_path / "other.safetensors", seed=1), "cpu")
     with pytest.raises(UsageError, match="the same weights"):
         export(world, colour="epistemic", network=other)
@@ -292,7 +293,7 @@ def test_odd_points_are_exported(world):
     points = np.array([[0, 0, 0], [np.nan, 1, 1], [5, 0, 0], [np.inf, 0, 0]], np.float32)
     write_bin(world.scan(), Scan(points, np.array([0, np.nan, 1, np.inf], np.float32)))
     write_labels(world.data / "sequences/08/labels/000000.label", np.zeros(4, np.uint32))
-    predict(world.scan(), world.out, network=world.network)
+    predict_scans(world.scan(), world.out, network=world.network)
     assert export(world, colour="epistemic").done == 1
     np.testing.assert_array_equal(colours(world)[[0, 1, 3]], np.tile(EMPTY, (3, 1)))
     assert np.isnan(column(world, "epistemic")[[0, 1, 3]]).all()
@@ -301,7 +302,7 @@ def test_odd_points_are_exported(world):
 def test_an_empty_scan_is_exported(world):
     world.scan().write_bytes(b"")
     (world.data / "sequences/08/labels/000000.label").write_bytes(b"")
-    predict(world.scan(), world.out, network=world.network)
+    predict_scans(world.scan(), world.out, network=world.network)
     for colour in ("label", "error", "range"):
         assert export(world, colour=colour, options=OVERWRITE).done == 1
         assert len(ply(world)["vertex"].data) == 0

@@ -10,10 +10,12 @@ from salsanext_cli.classes import label_space
 from salsanext_cli.errors import NoInputError, OutputError, UsageError
 from salsanext_cli.formats import read_scan
 from salsanext_cli.formats.kitti import read_labels
+from salsanext_cli.geometry.gather import pixels_from_points
 from salsanext_cli.geometry.knn import KnnParameters, knn_refine
 from salsanext_cli.geometry.projection import project
 from salsanext_cli.parallel.run import RunOptions
-from salsanext_cli.stages.knn_refine import knn_refine_scans, labels_of_pixels
+from salsanext_cli.stages.knn_refine import knn_refine_scans
+from salsanext_cli.stages.predict import predict_range_images, predict_scans
 from salsanext_cli.stages.project import project_scans
 from salsanext_cli.storage.point_files import write_array, write_labels
 from salsanext_cli.storage.selection import ScanSelection
@@ -25,7 +27,7 @@ SPACE = label_space()
 def pixels(world):
     """Leave the pixel labels of three scans in the output folder."""
     project_scans(world.data, world.out, sensor=SMALL)
-    predict(world.out, world.out, network=world.network)
+    predict_range_images(world.out, world.out, network=world.network)
     return world
 
 
@@ -46,7 +48,7 @@ def refine(world, labels, **options):
 def expected(world, sequence, stem, knn=None):
     image = project(read_scan(world.scan(sequence, stem)), SMALL)
     raw = read_labels(world.data / f"sequences/{sequence}/labels/{stem}.label")
-    pixels = labels_of_pixels(image, SPACE.to_train(raw))
+    pixels = pixels_from_points(SPACE.to_train(raw), image.point_of_pixel)
     return SPACE.to_raw(knn_refine(image, pixels, 20, knn or KnnParameters()))
 
 
@@ -71,7 +73,7 @@ def test_the_label_of_a_pixel_is_its_nearest_points():
 
     points = np.array([[9, 0, 0], [5, 0, 0], [0, 7, 0], [0, 0, 0]], np.float32)
     image = project(Scan(points, np.zeros(4, np.float32)), SMALL)
-    pixels = labels_of_pixels(image, np.array([1, 2, 3, 4], np.uint8))
+    pixels = pixels_from_points(np.array([1, 2, 3, 4], np.uint8), image.point_of_pixel)
     assert sorted(pixels[pixels > 0]) == [2, 3]
     assert pixels.ravel()[image.pixel_of_point[1]] == 2
 
@@ -97,7 +99,7 @@ def test_labels_that_are_missing_fail_that_scan(world, truth):
 
 def test_labels_are_not_refined_onto_themselves(world, truth):
     """Overwriting would remove what is to be read."""
-    predict(world.data, world.out, network=world.network)
+    predict_scans(world.data, world.out, network=world.network)
     before = files_below(world.out)
     for inside in (world.out, world.out / "sequences/08/predictions"):
         with pytest.raises(UsageError, match="--labels"):
@@ -106,7 +108,7 @@ def test_labels_are_not_refined_onto_themselves(world, truth):
 
 
 def test_predictions_of_another_stage_are_not_replaced_unasked(world, truth):
-    predict(world.data, world.out, network=world.network)
+    predict_scans(world.data, world.out, network=world.network)
     with pytest.raises(OutputError, match="predictions/ holds the results of `predict`"):
         refine(world, truth)
     assert refine(world, truth, options=RunOptions(overwrite=True)).done == 3
@@ -131,7 +133,7 @@ def test_pixel_labels_of_other_weights_are_not_passed_over(pixels, tmp_path):
     before = labels_below(pixels.out)
     other = replace(pixels.network, weights=write_weights(tmp_path / "other.safetensors", seed=1))
     overwrite = RunOptions(overwrite=True)
-    predict(pixels.out, pixels.out, network=other, options=overwrite)
+    predict_range_images(pixels.out, pixels.out, network=other, options=overwrite)
     with pytest.raises(OutputError, match="what `predict` made was made anew"):
         knn_refine_scans(pixels.out)
     assert knn_refine_scans(pixels.out, options=overwrite).done == 3

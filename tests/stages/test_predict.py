@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import torch
 from scans import SMALL, files_below, labels_below, make_scan, write_sequence, write_weights
 
 from salsanext_cli.classes import LabelSpace, label_space
@@ -14,8 +15,10 @@ from salsanext_cli.formats import read_scan
 from salsanext_cli.geometry.knn import KnnParameters, knn_refine
 from salsanext_cli.geometry.projection import project
 from salsanext_cli.inference.settings import NetworkSettings
+from salsanext_cli.network.weights import read_weights, save_weights
 from salsanext_cli.parallel.run import RunOptions
 from salsanext_cli.records import Scan
+from salsanext_cli.stages.predict import predict_range_images, predict_scans
 from salsanext_cli.stages.project import project_scans
 from salsanext_cli.storage.identity import fingerprint
 from salsanext_cli.storage.point_files import write_bin
@@ -23,7 +26,7 @@ from salsanext_cli.storage.selection import ScanSelection
 
 
 def run(world, source=None, **options):
-    return predict(source or world.data, world.out, network=world.network, **options)
+    return predict_scans(source or world.data, world.out, network=world.network, **options)
 
 
 def test_the_labels_are_those_of_the_three_steps(world):
@@ -94,18 +97,18 @@ def test_other_weights_stop(world, tmp_path):
     run(world)
     other = write_weights(tmp_path / "other.safetensors", seed=1)
     with pytest.raises(OutputError, match="weights was"):
-        predict(world.data, world.out, network=replace(world.network, weights=other))
+        predict_scans(world.data, world.out, network=replace(world.network, weights=other))
 
 
 def test_weights_replaced_under_the_same_name_are_noticed(world, tmp_path):
     path = write_weights(tmp_path / "w.safetensors", seed=1)
     selection = replace(world.network, weights=path)
-    predict(world.data, tmp_path / "a", network=selection)
+    predict_scans(world.data, tmp_path / "a", network=selection)
     write_weights(path, seed=2)
-    predict(world.data, tmp_path / "b", network=selection)
+    predict_scans(world.data, tmp_path / "b", network=selection)
     assert labels_below(tmp_path / "a") != labels_below(tmp_path / "b")
     with pytest.raises(OutputError, match="weights was"):
-        predict(world.data, tmp_path / "a", network=selection)
+        predict_scans(world.data, tmp_path / "a", network=selection)
 
 
 def test_overwriting_makes_every_result_again(world):
@@ -239,11 +242,11 @@ def test_one_bad_scan_of_a_hundred(world, tmp_path):
         write_points(folder / f"{number:03d}.bin", [(5 + number, 1, 0), (3, -2, 0)])
     (folder / "042.bin").write_bytes(b"\0" * 15)
     network = replace(world.network, sensor=tiny)
-    outcome = predict(folder, world.out, network=network)
+    outcome = predict_scans(folder, world.out, network=network)
     assert outcome.done == 99
     assert [failure.scan.stem for failure in outcome.failures] == ["042"]
     assert len(labels_below(world.out)) == 99
-    again = predict(folder, world.out, network=network)
+    again = predict_scans(folder, world.out, network=network)
     assert (again.done, again.skipped, len(again.failures)) == (0, 99, 1)
 
 
@@ -266,11 +269,13 @@ def test_weights_that_cannot_be_used_stop_before_anything_is_written(world, tmp_
     bad = tmp_path / "bad.safetensors"
     bad.write_bytes(b"rubbish")
     with pytest.raises(WeightsError, match="bad"):
-        predict(world.data, world.out, network=NetworkSettings(bad, "cpu"))
+        predict_scans(world.data, world.out, network=NetworkSettings(bad, "cpu"))
     with pytest.raises(NoInputError):
-        predict(tmp_path / "nowhere", world.out, network=world.network)
+        predict_scans(tmp_path / "nowhere", world.out, network=world.network)
     with pytest.raises(UsageError, match="device"):
-        predict(world.data, world.out, network=NetworkSettings(world.network.weights, "cuda:77"))
+        predict_scans(
+            world.data, world.out, network=NetworkSettings(world.network.weights, "cuda:77")
+        )
     assert not world.out.exists()
 
 
@@ -284,7 +289,7 @@ def test_weights_of_another_label_space_write_its_raw_ids(world, tmp_path):
         }
     )
     weights = write_weights(tmp_path / "two.safetensors", space=space)
-    predict(world.data, world.out, network=NetworkSettings(weights, "cpu"))
+    predict_scans(world.data, world.out, network=NetworkSettings(weights, "cpu"))
     assert set(np.unique(world.labels())) <= {7, 500}
 
 
@@ -295,11 +300,11 @@ def test_in_three_steps_or_in_one_gives_the_same_bytes(world, tmp_path, out_of_p
     write_points(world.scan("00"), [*ODD_POINTS, (5, 0, 0)])
     projected = world.out if out_of_project == "same" else tmp_path / "projected"
     project_scans(world.data, projected, sensor=SMALL)
-    assert predict(projected, world.out, network=world.network).done == 3
+    assert predict_range_images(projected, world.out, network=world.network).done == 3
     assert np.load(world.result("pixel_labels")).dtype == np.uint8
     assert not labels_below(world.out)
     assert knn_refine_scans(world.out).done == 3
-    predict(world.data, tmp_path / "fused", network=world.network)
+    predict_scans(world.data, tmp_path / "fused", network=world.network)
     assert labels_below(world.out) == labels_below(tmp_path / "fused")
     assert len(labels_below(world.out)) == 3
 
@@ -307,21 +312,45 @@ def test_in_three_steps_or_in_one_gives_the_same_bytes(world, tmp_path, out_of_p
 def test_range_images_of_another_sensor_are_refused(world, tmp_path):
     project_scans(world.data, tmp_path / "p", sensor=SMALL.resized(width=64))
     with pytest.raises(UsageError, match=r"small, 16×64 · expected small, 16×128"):
-        predict(tmp_path / "p", world.out, network=world.network)
+        predict_range_images(tmp_path / "p", world.out, network=world.network)
     network = replace(world.network, sensor=SMALL.resized(width=64))
-    assert predict(tmp_path / "p", world.out, network=network).done == 3
-
-
-def test_range_images_know_no_points(world, tmp_path):
-    project_scans(world.data, tmp_path / "p", sensor=SMALL)
-    with pytest.raises(UsageError, match="--probabilities"):
-        predict(tmp_path / "p", world.out, network=world.network, extras=("probabilities",))
+    assert predict_range_images(tmp_path / "p", world.out, network=network).done == 3
 
 
 def test_damaged_range_images_are_named(world, tmp_path):
     project_scans(world.data, world.out, sensor=SMALL)
     path = world.result("range")
     path.write_bytes(path.read_bytes()[:-1])
-    outcome = predict(world.out, world.out, network=world.network)
+    outcome = predict_range_images(world.out, world.out, network=world.network)
     assert outcome.done == 2
     assert str(path) in outcome.failures[0].reason
+
+
+def test_a_label_corrected_by_hand_is_never_replaced(world):
+    """The scan is named as a failure; the others are made again."""
+    run(world)
+    path = world.result("predictions")
+    path.write_bytes(b"\x28\0\0\0" * 1500)
+    for how in ({}, {"knn": KnnParameters(k=3)}):
+        outcome = run(world, options=RunOptions(overwrite=True), **how)
+        assert outcome.done == 2
+        (failure,) = outcome.failures
+        assert str(path) in failure.reason
+        assert "was changed" in failure.reason
+        assert path.read_bytes() == b"\x28\0\0\0" * 1500
+
+
+def test_logits_that_are_not_finite_are_an_error_of_weights_and_scan(world, tmp_path):
+    """Weights may be finite and absurd."""
+    module, card = read_weights(world.network.weights)
+    with torch.no_grad():
+        module.logits.weight *= 1e38
+    save_weights(tmp_path / "absurd.safetensors", module, card)
+    network = replace(world.network, weights=tmp_path / "absurd.safetensors")
+    for batch in (None, 2):
+        outcome = predict_scans(world.data, world.out, network=network, batch=batch)
+        assert outcome.done == 0
+        for failure in outcome.failures:
+            assert "absurd.safetensors" in failure.reason
+            assert str(failure.scan.path) in failure.reason
+    assert not labels_below(world.out)

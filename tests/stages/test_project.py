@@ -9,7 +9,8 @@ from salsanext_cli.errors import OutputError
 from salsanext_cli.formats import read_scan
 from salsanext_cli.geometry.projection import project
 from salsanext_cli.parallel.run import RunOptions
-from salsanext_cli.stages.project import project_scans, projected_sensor
+from salsanext_cli.stages.predict import projected_sensor
+from salsanext_cli.stages.project import project_scans
 from salsanext_cli.storage.selection import ScanSelection
 
 

@@ -15,6 +15,7 @@ from salsanext_cli.geometry.projection import project
 from salsanext_cli.inference.network import load_network
 from salsanext_cli.inference.settings import NetworkSettings
 from salsanext_cli.network.weights import read_card, read_weights, save_weights
+from salsanext_cli.stages.predict import predict_scans
 from salsanext_cli.stages.tune_temperature import tune_temperature
 from salsanext_cli.storage.point_files import write_labels
 from salsanext_cli.storage.selection import ScanSelection
@@ -127,9 +128,9 @@ def test_what_was_tuned_can_be_tuned_again_in_place(drawn, target):
 def test_predict_uses_it_and_keeps_the_labels(drawn, target, tmp_path):
     temperature = go(drawn, target).after.temperature
     before, after = tmp_path / "before", tmp_path / "after"
-    predict(drawn.data, before, network=drawn.network, extras=("probabilities",))
+    predict_scans(drawn.data, before, network=drawn.network, extras=("probabilities",))
     network = NetworkSettings(target, "cpu")
-    predict(drawn.data, after, network=network, extras=("probabilities",))
+    predict_scans(drawn.data, after, network=network, extras=("probabilities",))
     name = "sequences/08/probabilities/000000.npy"
     powers = np.load(before / name).astype(np.float64) ** (1 / temperature)
     expected = powers / powers.sum(axis=1, keepdims=True)

@@ -14,8 +14,10 @@ from salsanext_cli.geometry.projection import project
 from salsanext_cli.inference.settings import NetworkSettings
 from salsanext_cli.parallel.run import RunOptions
 from salsanext_cli.records import Scan
+from salsanext_cli.stages.predict import predict_scans
 from salsanext_cli.stages.uncertainty import uncertainty
-from salsanext_cli.storage.point_files import write_array, write_bin
+from salsanext_cli.storage.output_run import OutputRun
+from salsanext_cli.storage.point_files import write_bin
 from salsanext_cli.storage.selection import ScanSelection
 from salsanext_cli.uncertainty.aleatoric import aleatoric
 from salsanext_cli.uncertainty.monte_carlo import sample, scan_seed
@@ -86,19 +88,19 @@ def test_resumes_when_one_kind_is_missing(world):
 
 
 def test_labels_that_predict_made_stay(world):
-    predict(world.data, world.out, network=world.network)
+    predict_scans(world.data, world.out, network=world.network)
     before = labels_below(world.out)
     assert run(world).done == 3
     assert labels_below(world.out) == before
-    assert predict(world.data, world.out, network=world.network).skipped == 3
+    assert predict_scans(world.data, world.out, network=world.network).skipped == 3
 
 
 def test_predict_does_not_replace_labels_of_the_mean_unasked(world):
     run(world)
     with pytest.raises(OutputError, match="predictions/ holds the results of `uncertainty`"):
-        predict(world.data, world.out, network=world.network)
+        predict_scans(world.data, world.out, network=world.network)
     overwrite = RunOptions(overwrite=True)
-    predict(world.data, world.out, network=world.network, options=overwrite)
+    predict_scans(world.data, world.out, network=world.network, options=overwrite)
     before = labels_below(world.out)
     assert run(world).skipped == 3
     assert labels_below(world.out) == before
@@ -183,7 +185,7 @@ def test_a_sensor_of_unknown_noise_is_refused_unless_it_does_not_matter(world, m
 
 def test_labels_do_not_depend_on_the_noise_of_the_sensor(world):
     silent = replace(SMALL, range_noise=None, name="the same")
-    predict(world.data, world.out, network=replace(world.network, sensor=silent))
+    predict_scans(world.data, world.out, network=replace(world.network, sensor=silent))
     assert run(world).done == 3
     other = replace(world.network, sensor=replace(SMALL, fov_up=4.0))
     with pytest.raises(OutputError, match="labels made with other sensor"):
@@ -195,14 +197,16 @@ def test_interrupted_and_resumed_gives_the_same_bytes(world, tmp_path, monkeypat
     run(world, out=whole)
     writes = []
 
-    def interrupt(path, values):
-        writes.append(path)
+    write_array = OutputRun.write_array
+
+    def interrupt(output, file, folder, values):
+        writes.append(file)
         if len(writes) == 8:
             raise KeyboardInterrupt
-        write_array(path, values)
+        write_array(output, file, folder, values)
 
     with monkeypatch.context() as patched:
-        patched.setattr("salsanext_cli.stages.uncertainty.write_array", interrupt)
+        patched.setattr(OutputRun, "write_array", interrupt)
         with pytest.raises(KeyboardInterrupt):
             run(world)
     outcome = run(world)

@@ -5,6 +5,7 @@ import os
 import shutil
 import time
 from collections.abc import Callable
+from functools import partial
 
 import pytest
 from scans import files_below, labels_below, write_sequence, write_weights
@@ -13,10 +14,12 @@ from small_disk import read_only
 from salsanext_cli.cli.progress import Lines
 from salsanext_cli.errors import OutputError, WeightsError
 from salsanext_cli.geometry.knn import KnnParameters
+from salsanext_cli.parallel.network_task import NetworkTask
 from salsanext_cli.parallel.run import RunOptions, run_over_scans
-from salsanext_cli.stages.predict import PredictScan, predict
+from salsanext_cli.stages.predict import predict_scan, predict_scans
 from salsanext_cli.storage.identity import fingerprint
 from salsanext_cli.storage.layout import find_scans
+from salsanext_cli.storage.output_run import OutputRun
 
 
 def run(world, meddle: Callable[[], object] = lambda: None, after: int = 1, **options):
@@ -27,13 +30,13 @@ def run(world, meddle: Callable[[], object] = lambda: None, after: int = 1, **op
             meddle()
 
     given = RunOptions(progress=progress, **options)
-    return predict(world.data, world.out, network=world.network, options=given)
+    return predict_scans(world.data, world.out, network=world.network, options=given)
 
 
 @pytest.fixture
 def whole(world, tmp_path):
     """Return the labels of a run that nobody meddled with."""
-    predict(world.data, tmp_path / "whole", network=world.network)
+    predict_scans(world.data, tmp_path / "whole", network=world.network)
     return labels_below(tmp_path / "whole")
 
 
@@ -56,7 +59,7 @@ def test_weights_that_are_deleted(world, whole, tmp_path):
     network = type(world.network)(weights, "cpu")
     options = RunOptions(progress=lambda *_: weights.unlink(missing_ok=True))
     before = labels_below(world.out)
-    outcome = predict(world.data, world.out, network=network, options=options)
+    outcome = predict_scans(world.data, world.out, network=network, options=options)
     assert before == {}
     assert (outcome.done, outcome.failures) == (3, ())
     assert labels_below(world.out) == whole
@@ -68,9 +71,13 @@ def test_weights_that_are_replaced_label_no_scan(world, whole, tmp_path, jobs):
     """As those of a training that goes on: who has not loaded the first ones stops."""
     weights = tmp_path / "w.safetensors"
     shutil.copy(world.network.weights, weights)
-    network = type(world.network)(weights, "cpu").resolved()
+    settings = type(world.network)(weights, "cpu")
+    network = settings.load()
+    settings = settings.resolved(network)
     write_weights(weights, seed=1)
-    work = PredictScan(world.out, network, KnnParameters(), ())
+    output = OutputRun(world.out, "predict", ("predictions",))
+    function = partial(predict_scan, knn=KnnParameters(), output=output)
+    work = NetworkTask(function, settings, network)
     scans, options = find_scans(world.data), RunOptions(jobs=jobs)
     if jobs == 1:
         assert run_over_scans(work, scans, options).done == 3
@@ -98,7 +105,7 @@ def test_an_output_folder_that_is_deleted(world, whole):
     """The results that went with it are not taken for done."""
     with pytest.raises(OutputError, match=r"was removed or replaced .* run again with --overwrite"):
         run(world, lambda: shutil.rmtree(world.out))
-    with pytest.raises(OutputError, match="was there before, made nobody knows how"):
+    with pytest.raises(OutputError, match="is a result that no stage recorded"):
         run(world)
     assert run(world, overwrite=True).done == 3
     assert labels_below(world.out) == whole

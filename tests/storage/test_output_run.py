@@ -32,7 +32,7 @@ from salsanext_cli.storage.stage_records import (
     recorded_sensor,
     stage_settings,
 )
-from salsanext_cli.storage.written_files import RECORDS, WrittenFiles
+from salsanext_cli.storage.written_files import WrittenFiles
 
 SETTINGS = {"weights": "abc", "knn": {"k": 5}}
 LABELS = np.full(5, 10, np.uint32)
@@ -54,11 +54,6 @@ def predicted(out: Path, scans: list[ScanFile], settings=SETTINGS) -> list[Path]
     for scan in scans:
         output.write_labels(scan, LABELS)
     return [output.path(scan, "predictions") for scan in scans]
-
-
-def visible(out: Path) -> list[str]:
-    """Return the files in an output folder, but for the record of those written."""
-    return [name for name in files_below(out) if RECORDS not in name]
 
 
 def test_what_is_recorded(tmp_path: Path) -> None:
@@ -327,7 +322,7 @@ def test_results_that_are_being_made_are_not_removed(tmp_path: Path, start: Star
     predict(tmp_path, {"weights": "a"}, overwrite=True)
     assert not path.exists()
     assert recorded_weights(tmp_path) == "a"
-    assert visible(tmp_path) == ["predict.json"]
+    assert list(files_below(tmp_path)) == ["predict.json"]
 
 
 def test_runs_side_by_side(tmp_path: Path) -> None:

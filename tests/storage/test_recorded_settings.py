@@ -9,14 +9,15 @@ from salsanext_cli.errors import OutputError
 from salsanext_cli.stages.evaluate import evaluate
 from salsanext_cli.stages.export_ply import export_ply
 from salsanext_cli.stages.knn_refine import knn_refine_scans
+from salsanext_cli.stages.predict import predict_range_images, predict_scans
 from salsanext_cli.stages.project import project_scans
 from salsanext_cli.stages.uncertainty import uncertainty
 from salsanext_cli.storage.predictions import predicted_scans
-from salsanext_cli.storage.recorded_settings import Settings
+from salsanext_cli.storage.recorded_settings import RecordedSettings
 from salsanext_cli.storage.selection import ScanSelection
 from salsanext_cli.uncertainty.settings import Estimator
 
-SETTINGS = Settings(
+SETTINGS = RecordedSettings(
     {"n": 3, "x": 0.5, "endless": "Infinity", "pair": [1, 2.5], "in": {"k": 5}, "yes": True},
     Path("out/predict.json"),
 )
@@ -68,7 +69,7 @@ def test_what_was_put_in_is_named(read, key):
 
 @pytest.fixture
 def exported(world):
-    predict(world.data, world.out, network=world.network, selection=ScanSelection(limit=2))
+    predict_scans(world.data, world.out, network=world.network, selection=ScanSelection(limit=2))
     export_ply(world.out, colour="range")
     return world
 
@@ -97,7 +98,7 @@ def test_a_record_of_project_without_its_sensor(world):
     project_scans(world.data, world.out, sensor=world.network.load().sensor)
     change(world.out / "project.json", "sensor")
     for stage in (
-        lambda: predict(world.out, world.out, network=world.network),
+        lambda: predict_range_images(world.out, world.out, network=world.network),
         lambda: knn_refine_scans(world.out, labels=world.data / "sequences/08/labels"),
     ):
         with pytest.raises(OutputError, match=r"project\.json · settings lack sensor"):
@@ -109,7 +110,7 @@ def test_a_record_of_project_without_its_sensor(world):
 )
 def test_a_record_of_uncertainty_without_a_part(world, keys):
     first = {"selection": ScanSelection(limit=1), "estimator": Estimator(samples=2)}
-    predict(world.data, world.out, network=world.network)
+    predict_scans(world.data, world.out, network=world.network)
     uncertainty(world.data, world.out, network=world.network, **first)
     change(world.out / "uncertainty.json", *keys)
     with pytest.raises(OutputError, match=rf"uncertainty\.json · settings lack {keys[-1]}"):

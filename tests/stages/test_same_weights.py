@@ -10,6 +10,7 @@ from salsanext_cli.inference.settings import NetworkSettings
 from salsanext_cli.parallel.run import RunOptions
 from salsanext_cli.stages.export_ply import export_ply
 from salsanext_cli.stages.knn_refine import knn_refine_scans
+from salsanext_cli.stages.predict import predict_range_images, predict_scans
 from salsanext_cli.stages.project import project_scans
 from salsanext_cli.stages.uncertainty import uncertainty
 from salsanext_cli.storage.identity import fingerprint
@@ -23,11 +24,11 @@ def other(tmp_path):
     return NetworkSettings(write_weights(tmp_path / "other.safetensors", seed=1), "cpu")
 
 
-def test_labels_made_anew_by_other_weights_are_not_shown_with_old_doubts(world, other):
-    predict(world.data, world.out, network=world.network)
+def test_labels_made_anew_by_other_weights_are_not_shown_with_older_uncertainty(world, other):
+    predict_scans(world.data, world.out, network=world.network)
     uncertainty(world.data, world.out, network=world.network, estimator=Estimator(samples=2))
     overwrite = RunOptions(overwrite=True)
-    predict(world.data, world.out, network=other, options=overwrite)
+    predict_scans(world.data, world.out, network=other, options=overwrite)
     with pytest.raises(OutputError, match=r"labels by the weights .* uncertainty --overwrite"):
         export_ply(world.out, colour="epistemic", network=other)
     uncertainty(
@@ -39,7 +40,7 @@ def test_labels_made_anew_by_other_weights_are_not_shown_with_old_doubts(world, 
 def test_labels_made_step_by_step_remember_their_weights(world, other):
     sensor = world.network.load().sensor
     project_scans(world.data, world.out, sensor=sensor)
-    predict(world.out, world.out, network=other)
+    predict_range_images(world.out, world.out, network=other)
     knn_refine_scans(world.out)
     assert provenance(world.out, ScanSelection())["weights"] == fingerprint(other.weights)
     with pytest.raises(OutputError, match="labels made with other weights"):
@@ -47,7 +48,7 @@ def test_labels_made_step_by_step_remember_their_weights(world, other):
 
 
 def test_other_classes_than_those_predicted_are_refused(world):
-    predict(world.data, world.out, network=world.network)
+    predict_scans(world.data, world.out, network=world.network)
     small = {"labels": {0: "no", 1: "yes"}, "learning_map": {0: 0, 1: 1}}
     small |= {"learning_map_inv": {0: 0, 1: 1}, "name": "two"}
     with pytest.raises(LabelError, match="predictions in the classes of"):

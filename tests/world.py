@@ -1,12 +1,10 @@
 # SPDX-License-Identifier: MIT
-"""A data set and an output folder for every test of a stage."""
+"""A data set and an output folder for tests of stages."""
 
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-import pytest
-from scans import write_sequence
 
 from salsanext_cli.formats.kitti import read_labels
 from salsanext_cli.inference.settings import NetworkSettings
@@ -36,12 +34,3 @@ class World:
         for sequence, stem in (("00", "000000"), ("08", "000000"), ("08", "000001")):
             path = self.result("predictions", sequence, stem)
             write_labels(path, np.full(count, raw, np.uint32))
-
-
-@pytest.fixture
-def world(tmp_path: Path, weights: Path) -> World:
-    """Return scans in SemanticKITTI's layout, in a folder with a space and an umlaut."""
-    data = tmp_path / "Daten für 1"
-    write_sequence(data / "sequences/00", ["000000"], seed=7)
-    write_sequence(data / "sequences/08", ["000000", "000001"])
-    return World(data, tmp_path / "öut put", NetworkSettings(weights, "cpu"))

@@ -1,0 +1,108 @@
+# SPDX-License-Identifier: MIT
+"""Scans in batches give the bytes that they give one by one."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+from scans import write_sequence
+
+from salsanext_cli.errors import UsageError
+from salsanext_cli.inference.network import Network
+from salsanext_cli.parallel.network_task import default_batch
+from salsanext_cli.parallel.run import RunOptions
+from salsanext_cli.records import Scan
+from salsanext_cli.stages.predict import predict_scans
+from salsanext_cli.storage.point_files import write_bin
+
+EXTRAS = ("pixel_labels", "probabilities")
+
+
+def bytes_below(folder):
+    files = (path for path in folder.rglob("*") if path.suffix in (".label", ".npy"))
+    return {str(path.relative_to(folder)): path.read_bytes() for path in files}
+
+
+@pytest.fixture
+def nine(world):
+    """Return a world with a sequence of nine scans, of no points, of one and of many."""
+    folder = world.data / "sequences" / "05"
+    write_sequence(folder, [f"{n:06d}" for n in range(7)], labels=False)
+    nothing = Scan(np.empty((0, 3), np.float32), np.empty(0, np.float32))
+    write_bin(folder / "velodyne" / "000007.bin", nothing)
+    write_bin(folder / "velodyne" / "000008.bin", Scan(np.float32([[5, 1, 0]]), np.float32([0.5])))
+    return world
+
+
+def predict(world, out, **options):
+    return predict_scans(world.data / "sequences/05", out, **{"network": world.network, **options})
+
+
+@pytest.mark.parametrize("size", [2, 4, 64])
+def test_the_same_bytes_in_batches_of_any_size(nine, tmp_path, size):
+    predict(nine, tmp_path / "one", extras=EXTRAS)
+    outcome = predict(nine, tmp_path / "many", extras=EXTRAS, batch=size)
+    assert (outcome.done, outcome.failures) == (9, ())
+    expected = bytes_below(tmp_path / "one")
+    assert len(expected) == 3 * 9
+    assert bytes_below(tmp_path / "many") == expected
+
+
+def test_scans_that_fail_do_not_keep_the_others(nine, tmp_path):
+    """Be it that they cannot be read, or that their result cannot be written."""
+    (nine.data / "sequences/05/velodyne/000003.bin").write_bytes(b"cut off")
+    blocked = tmp_path / "out/sequences/05/predictions/000002.label"
+    blocked.mkdir(parents=True)
+    outcome = predict(nine, tmp_path / "out", batch=4, options=RunOptions(overwrite=True))
+    assert [failure.scan.stem for failure in outcome.failures] == ["000002", "000003"]
+    assert outcome.done == 7
+
+
+def test_batches_shrink_when_memory_is_short(nine, tmp_path, monkeypatch, caplog):
+    predict(nine, tmp_path / "expected")
+    softmax = Network._softmax
+
+    def short_of_memory(self, channels):
+        if len(channels) > 2:
+            raise torch.OutOfMemoryError("no room")
+        return softmax(self, channels)
+
+    monkeypatch.setattr(Network, "_softmax", short_of_memory)
+    outcome = predict(nine, tmp_path / "out", batch=4)
+    assert (outcome.done, outcome.failures) == (9, ())
+    assert "not enough memory for 4 scans at once: 2 now" in caplog.text
+    assert bytes_below(tmp_path / "out") == bytes_below(tmp_path / "expected")
+
+
+@pytest.mark.parametrize("step", ["project", "knn_refine", "Network._softmax"])
+def test_scans_that_do_not_fit_into_memory_are_named(nine, tmp_path, monkeypatch, step):
+    def no_room(*_args, **_options):
+        raise torch.OutOfMemoryError("no room")
+
+    monkeypatch.setattr(f"salsanext_cli.stages.predict.{step}", no_room)
+    outcome = predict(nine, tmp_path / "out", batch=4)
+    assert len(outcome.failures) == 9
+    assert "000000.bin · is too large for the memory of cpu" in outcome.failures[0].reason
+
+
+def test_sizes_of_batches(nine, tmp_path):
+    network = nine.network.load()
+    assert default_batch(network) == 1
+    assert default_batch(replace(network, device=torch.device("cuda"))) == 16
+    with pytest.raises(UsageError, match="--batch"):
+        predict(nine, tmp_path / "out", batch=0)
+
+
+@pytest.mark.cuda
+@pytest.mark.skipif(not torch.cuda.is_available(), reason="no GPU")
+@pytest.mark.parametrize("precision", ["float32", "float16", "bfloat16"])
+def test_a_gpu_gives_the_labels_of_a_cpu(nine, tmp_path, precision):
+    predict(nine, tmp_path / "cpu")
+    there = replace(nine.network, device="cuda", precision=precision)
+    predict(nine, tmp_path / "gpu", network=there, batch=4)
+    expected, found = bytes_below(tmp_path / "cpu"), bytes_below(tmp_path / "gpu")
+    assert found.keys() == expected.keys()
+    pairs = [(np.frombuffer(found[n], "<u4"), np.frombuffer(expected[n], "<u4")) for n in found]
+    same = sum(int((one == other).sum()) for one, other in pairs)
+    assert same >= 0.99 * sum(len(one) for one, _ in pairs)
