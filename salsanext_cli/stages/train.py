@@ -38,7 +38,7 @@ from salsanext_cli.training.losses import class_weights
 from salsanext_cli.training.memory import keep_freed_memory
 from salsanext_cli.training.optimise import Learner
 from salsanext_cli.training.recipe import Recipe
-from salsanext_cli.training.run_folder import require_free, take, trained_alone
+from salsanext_cli.training.run_folder import require_absent, take, trained_alone
 from salsanext_cli.training.validation import evenly_spaced
 
 DEFAULT_SENSOR = "hdl64"
@@ -142,7 +142,7 @@ def train(
             scans = [*training, *validation]
             settings = _settings(card, scans, weights)
             held.enter_context(trained_alone(run))
-            require_free(run, settings, overwrite=overwrite)
+            require_absent(run, settings, overwrite=overwrite)
             require_labels(scans)
             splits = (training, validation, validated)
             counts = class_counts(run / CLASS_COUNTS, splits, classes, sensor, jobs)

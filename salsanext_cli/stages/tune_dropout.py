@@ -22,7 +22,7 @@ from salsanext_cli.parallel.run import Progress
 from salsanext_cli.records import Float
 from salsanext_cli.report.tuning import rate_curve
 from salsanext_cli.storage.selection import ScanSelection
-from salsanext_cli.storage.targets import require_free, require_target
+from salsanext_cli.storage.targets import require_absent, require_target
 from salsanext_cli.training.tuning.dropout_rate import objective, rates_between
 from salsanext_cli.training.tuning.labelled_images import (
     LabelledImage,
@@ -119,7 +119,7 @@ def tune_dropout(
     noise_of(loaded.sensor)
     scans, space = labelled_scans(dataset, selection, loaded.card)
     require_target(target, overwrite)
-    require_free(curve_of(target), overwrite)
+    require_absent(curve_of(target), overwrite)
     sums, points = np.zeros(len(rates)), 0
     for number, file in enumerate(scans):
         labelled = read_labelled_image(file, loaded, space)

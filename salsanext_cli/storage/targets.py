@@ -23,12 +23,12 @@ def require_target(target: Path, overwrite: bool) -> None:
     """
     if target.suffix != SUFFIX:
         raise OutputError(target, f"suffix {target.suffix or 'missing'}", SUFFIX)
-    require_free(target, overwrite)
+    require_absent(target, overwrite)
     require_writable(target.parent)
     sweep_stale(target.parent)
 
 
-def require_free(path: Path, overwrite: bool) -> None:
+def require_absent(path: Path, overwrite: bool) -> None:
     """Raise `OutputError` if a file exists and may not be overwritten, or is a folder."""
     if present(path) and not overwrite:
         raise OutputError(path, "exists", remedy="use another name, or --overwrite")
