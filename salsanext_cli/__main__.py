@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""What ``python -m salsanext_cli`` runs: the command line, as ``salsanext`` does."""
+"""Command line as ``python -m salsanext_cli``, the same as ``salsanext``."""
 
 from salsanext_cli.cli.app import main
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""What computes a network's function fastest where it is: the same weights, other arithmetic."""
+"""Choice of the engine: the same weights in the arithmetic that the device is fast at."""
 
 from __future__ import annotations
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""The same network in a shorter number type, but for its ends.
+"""A network in a shorter number type, all but its first and last layers.
 
 Layers that see the range image itself stay float32: eight bits of a range are metres. So do the
 logits.

@@ -57,7 +57,7 @@ class Network:
 
     @cached_property
     def engine(self) -> SegmentationNetwork:
-        """What computes as the module does, faster; float32 in and out.
+        """Engine that computes as the module does, faster; float32 in and out.
 
         It is made on first use and does not follow later changes of the module.
         """

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Which number type a network computes in, chosen from what the processor is fast at."""
+"""Number type that a network computes in, chosen from what the processor is fast at."""
 
 from __future__ import annotations
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Which network a stage uses: weights, device, sensor and precision."""
+"""Settings of a network: weights, device, sensor and precision."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ log = logging.getLogger(__name__)
 
 @dataclass(frozen=True, slots=True)
 class NetworkSettings:
-    """Which network to load; small enough to be sent to another process.
+    """Settings of a network to load; small enough to be sent to another process.
 
     Attributes
     ----------

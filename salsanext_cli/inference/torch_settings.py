@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""The settings of torch under which a network is computed, and what they were afterwards."""
+"""Settings of torch under which a network is computed."""
 
 from __future__ import annotations
 

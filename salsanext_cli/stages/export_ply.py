@@ -62,7 +62,7 @@ def export_scan(
 
 @dataclass(frozen=True, slots=True)
 class Exported(Outcome[None]):
-    """What became of the scans, and which of them have no results to show."""
+    """Outcome of an export, with the scans that have no results to show."""
 
     missing: MissingResults = field(default_factory=MissingResults)
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""What tells a file from others and from its successors."""
+"""Identity of a file: its digest, and what tells it from a later file of its name."""
 
 from __future__ import annotations
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Small records as JSON: what was run, and where its scans came from."""
+"""Small records as JSON files."""
 
 from __future__ import annotations
 
@@ -12,8 +12,7 @@ from salsanext_cli.errors import OutputError
 from salsanext_cli.formats.reading import present, reading
 from salsanext_cli.storage.atomic import write_text
 
-DEEPEST = 20
-"""How deep records are nested at most."""
+MAX_NESTING = 20
 
 
 def write_json(path: Path, data: Mapping[str, Any]) -> None:
@@ -43,9 +42,9 @@ def read_json(path: Path) -> dict[str, Any] | None:
 
 
 def _is_shallow(data: dict[str, Any]) -> bool:
-    """Whether data is nested as our own records are, so that anything can be done with it."""
+    """Say whether data is nested no deeper than records are."""
     level: list[Any] = [data]
-    for _ in range(DEEPEST):
+    for _ in range(MAX_NESTING):
         members = (each.values() if isinstance(each, dict) else each for each in level)
         level = [m for each in members for m in each if isinstance(m, dict | list)]
     return not level

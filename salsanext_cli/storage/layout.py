@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Where scans, labels and results lie: the folders of SemanticKITTI, and plain ones."""
+"""Layout of scans, labels and results: the folders of SemanticKITTI, and plain ones."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ class ScanFile:
 
     @property
     def label_path(self) -> Path:
-        """Where the labels of this scan would be; the file may not exist."""
+        """Path of the labels of this scan; the file may not exist."""
         name = f"{self.stem}.label"
         folder = self.path.parent
         if folder.name == SCAN_FOLDER:

@@ -17,7 +17,7 @@ from salsanext_cli.formats.reading import reason
 from salsanext_cli.storage.atomic import refusal
 
 UNSUPPORTED = (errno.ENOLCK, errno.EOPNOTSUPP, errno.ENOSYS, errno.EINVAL)
-"""What file systems without locks answer."""
+"""Error numbers of file systems without locks."""
 
 log = logging.getLogger(__name__)
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Which scans an output folder holds predictions of, and who made them."""
+"""Predictions in an output folder: their scans, their label space and their provenance."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from salsanext_cli.storage.stage_records import (
 log = logging.getLogger(__name__)
 
 UNCERTAINTY_SETTINGS = ("method", "samples", "seed", "noise", "weights")
-"""What a report says of how uncertainties were estimated."""
+"""Settings of `uncertainty` that an evaluation records."""
 
 
 def predicted_scans(

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Which scans a stage works on, and which label space belongs to them."""
+"""Selection of the scans that a stage works on, and their label space."""
 
 from __future__ import annotations
 
@@ -13,14 +13,14 @@ from salsanext_cli.errors import NoInputError, UsageError
 from salsanext_cli.storage.layout import SCAN_FOLDER, ScanFile, find_scans, of_sequences
 
 LABEL_SPACE_FILES = ("labels.yaml", "semantic-kitti.yaml")
-"""Where a data set may describe its own label space, in its root."""
+"""Names, in the root of a data set, of the file that describes its label space."""
 
 log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True, slots=True)
 class ScanSelection:
-    """Which of the scans found are wanted.
+    """Selection among the scans that are found.
 
     Attributes
     ----------

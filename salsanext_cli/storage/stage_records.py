@@ -40,7 +40,7 @@ class ScanSource:
 
 @dataclass(frozen=True, slots=True)
 class StageRecord:
-    """What is recorded of the runs of a stage, all with the same settings.
+    """Record of the runs of a stage, all with the same settings.
 
     Attributes
     ----------

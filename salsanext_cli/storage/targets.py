@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Whether a weights file, and what belongs to it, may be written under a name."""
+"""Checks of the name of a file to be written, before work is done for it."""
 
 from __future__ import annotations
 
