@@ -75,12 +75,6 @@ def test_long_sums_are_rounded_once():
     assert ((found - exact).abs() <= 2**-8 * exact.abs() + 1e-6).all()
 
 
-def test_what_overflows_becomes_finite():
-    short = engine_for(network("salsanext"), CPU, "bfloat16")
-    with torch.inference_mode():
-        assert short(images(1, 5, 16, 64) * 1e38).isfinite().all()
-
-
 @pytest.mark.parametrize("name", ["salsanext", "salsanet"])
 def test_the_bits_do_not_depend_on_threads_or_on_the_rest_of_the_batch(name):
     fast = engine_for(network(name), CPU, "float32")
