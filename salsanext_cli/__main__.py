@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""What ``python -m salsanext_cli`` runs: the command line, as ``salsanext`` does."""
+"""Entry point of ``python -m salsanext_cli``: the command line, as ``salsanext`` runs it."""
 
 from salsanext_cli.cli.app import main
 
