@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import io
 import math
+import warnings
 from pathlib import Path
 from tokenize import TokenError
 from typing import Any, BinaryIO
@@ -20,7 +21,7 @@ MAX_HEADER_BYTES = 1024
 """Many times what a header of a few lengths takes."""
 HEADER_ERRORS = (
     *(ArithmeticError, AttributeError, LookupError, MemoryError, RecursionError, SyntaxError),
-    *(TokenError, TypeError, ValueError, Warning),
+    *(TokenError, TypeError, ValueError),
 )
 """Raised by numpy over a header that is no Python literal, or not that of an array."""
 
@@ -68,7 +69,10 @@ def _read_header(
         # Of 64 kB at most; headers of later versions may promise gigabytes.
         if (version := npy.read_magic(file)) != (1, 0):
             raise ValueError(f"version {version}")
-        return npy.read_array_header_1_0(file, max_header_size=MAX_HEADER_BYTES)
+        with warnings.catch_warnings():
+            # Of a header that is parsed as Python, and then refused.
+            warnings.simplefilter("ignore")
+            return npy.read_array_header_1_0(file, max_header_size=MAX_HEADER_BYTES)
     except HEADER_ERRORS as error:
         raise FormatError(path, "not a .npy file", expected) from error
 
