@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Command line as ``python -m salsanext_cli``, the same as ``salsanext``."""
+"""Entry point of ``python -m salsanext_cli``: the command line, as ``salsanext`` runs it."""
 
 from salsanext_cli.cli.app import main
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Label spaces: which classes exist, what they are called and how raw ids map to train ids.
+"""Label spaces: classes, their names, and the mapping of raw ids to train ids.
 
 Raw ids are what label files hold (uint32, the low 16 bits are the class, the high 16 the
 instance). Train ids are what the network predicts: 0…C-1, 0 being "unlabelled".
@@ -35,7 +35,7 @@ class LabelSpace:
     Attributes
     ----------
     name : str
-        What to call it.
+        Name in messages and weights.
     labels : dict of int to str
         Name of every raw id.
     learning_map : dict of int to int

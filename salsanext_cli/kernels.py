@@ -12,10 +12,10 @@ from __future__ import annotations
 import hashlib
 import logging
 import os
-import pickle
 from collections.abc import Callable
 from itertools import pairwise
 from pathlib import Path
+from pickle import PickleError
 from typing import Any, TypeVar, cast
 
 import numba
@@ -31,6 +31,11 @@ Function = TypeVar("Function", bound=Callable[..., Any])
 
 log = logging.getLogger(__name__)
 
+CACHE_ERRORS = (
+    *(ArithmeticError, AssertionError, AttributeError, EOFError, ImportError, LookupError),
+    *(MemoryError, OSError, PickleError, RuntimeError, TypeError, ValueError),
+)
+"""Raised by files that cannot be read or written, and by code of another version of numba."""
 CHECKSUM_BYTES = 32
 SMALLEST_SLICE = 16384
 """Items below which a second thread costs more than it saves."""
@@ -48,7 +53,7 @@ def compiled(function: Function) -> Function:
     settings["CACHE_DIR"] = before or cache_folder()
     try:
         kernel._cache = KernelCache(function)
-    except Exception as error:
+    except CACHE_ERRORS as error:
         warn_once(error)
     finally:
         # What other programs compile in this process keeps its place.
@@ -68,17 +73,19 @@ class KernelCache(FunctionCache):
     def load_overload(self, sig: Any, target_context: Any) -> Any:
         """Return the compiled kernel of a signature; None if there is none that can be used."""
         target_context.refresh()
+        codegen = target_context.codegen()
         try:
-            content = self._file(sig, target_context.codegen()).read_bytes()
-            checksum, data = content[:CHECKSUM_BYTES], content[CHECKSUM_BYTES:]
+            file = self._file(sig, codegen)
+            content = file.read_bytes()
+            data, checksum = content[:-CHECKSUM_BYTES], content[-CHECKSUM_BYTES:]
             if hashlib.sha256(data).digest() != checksum:
-                raise ValueError(f"a damaged file in {self.cache_path}")
-            source, reduced = pickle.loads(data)
-            fresh = source == self._source(sig, target_context.codegen())
+                raise ValueError(f"{file} is damaged")
+            source, reduced = self._cache_file._load_data(file.name)
+            fresh = source == self._source(sig, codegen)
             return self._impl.rebuild(target_context, reduced) if fresh else None
         except FileNotFoundError:
             return None
-        except Exception as error:
+        except CACHE_ERRORS as error:
             warn_once(error)
             return None
 
@@ -93,8 +100,8 @@ class KernelCache(FunctionCache):
             self._impl.locator.ensure_cache_path()
             # Under another name first, so that others find a whole file or none.
             with self._cache_file._open_for_write(str(file)) as stream:
-                stream.write(hashlib.sha256(content).digest() + content)
-        except Exception as error:
+                stream.write(content + hashlib.sha256(content).digest())
+        except CACHE_ERRORS as error:
             warn_once(error)
 
     def _file(self, sig: Any, codegen: Any) -> Path:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""What a label space is made of, from data in the form of SemanticKITTI's yaml."""
+"""Fields of a label space from data in the form of SemanticKITTI's yaml."""
 
 from __future__ import annotations
 
@@ -14,8 +14,8 @@ from salsanext_cli.settings_files import shortened
 
 RAW_ID_COUNT = 1 << 16
 UNKNOWN = 255
-FEW = 20
-"""How many ids an error names, and digits of each."""
+SHOWN_IDS = 20
+"""Ids that an error names, and digits of each."""
 KEYS = ("labels", "learning_map", "learning_map_inv", "learning_ignore", "color_map", "split")
 
 
@@ -75,8 +75,8 @@ def _contradiction(
 def _some(ids: Iterable[int]) -> str:
     """Name the first ids, however many and large they are."""
     listed = sorted(ids)
-    shown = [shortened(i, FEW) for i in listed[:FEW]]
-    return f"[{', '.join([*shown, '…'] if len(listed) > FEW else shown)}]"
+    shown = [shortened(i, SHOWN_IDS) for i in listed[:SHOWN_IDS]]
+    return f"[{', '.join([*shown, '…'] if len(listed) > SHOWN_IDS else shown)}]"
 
 
 def _listed(members: object) -> list[object]:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""open3d, imported only when it is used, and what to do when it cannot be."""
+"""Import of open3d when it is first used, with the remedy where that fails."""
 
 from __future__ import annotations
 

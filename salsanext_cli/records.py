@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""The values that stages pass to each other; shapes, dtypes, units and frames are stated here.
+"""Records that stages exchange, with their shapes, dtypes, units and frames.
 
 Frame: the sensor's own, x forward, y left, z up. Lengths are metres, angles radians unless a
 name says degrees. N is the number of points of a scan, H × W the size of its range image, C the
@@ -82,7 +82,7 @@ class RangeImage:
 
 @dataclass(frozen=True, slots=True)
 class Uncertainty:
-    """Per-pixel or per-point uncertainty of one scan; NaN where there is nothing to be sure of.
+    """Per-pixel or per-point uncertainty of one scan; NaN for empty pixels and without a pixel.
 
     Attributes
     ----------

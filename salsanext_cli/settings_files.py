@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Settings that people write, as YAML and TOML: read in bounded time and memory."""
+"""YAML and TOML files that people write, read in bounded time and memory."""
 
 from __future__ import annotations
 
@@ -12,17 +12,17 @@ import yaml
 
 from salsanext_cli.errors import UsageError
 
-LARGEST_YAML, LARGEST_TOML = 1 << 18, 1 << 14
-"""Bytes of such a file, many times what any has that a person wrote; reading some texts takes
-time by the square of their length.
+MAX_YAML_BYTES, MAX_TOML_BYTES = 1 << 18, 1 << 14
+"""Many times what any file has that a person wrote; reading some texts takes time by the square
+of their length.
 """
-LONGEST_LINE = 1000
-"""Characters; a key of thousands of parts on a line of TOML takes hundreds of megabytes."""
-DEEPEST = 20
-"""Brackets within brackets; each more makes every character after it slower to read."""
-SHOWN = 100
-"""Characters of a wrong value that an error shows."""
-WRONG_YAML = (
+MAX_LINE_CHARACTERS = 1000
+"""A key of thousands of parts on a line of TOML takes hundreds of megabytes."""
+MAX_NESTED_BRACKETS = 20
+""" each more makes every character after it slower to read."""
+SHOWN_CHARACTERS = 100
+"""Of a wrong value in an error."""
+YAML_ERRORS = (
     *(yaml.YAMLError, ArithmeticError, AttributeError, LookupError, TypeError, ValueError),
     RecursionError,
 )
@@ -37,7 +37,7 @@ class _PlainLoader(yaml.SafeLoader):
 
     def fetch_flow_collection_start(self, kind: Any) -> None:
         """Refuse brackets in too many brackets."""
-        if self.flow_level >= DEEPEST:
+        if self.flow_level >= MAX_NESTED_BRACKETS:
             raise RecursionError
         super().fetch_flow_collection_start(kind)
 
@@ -59,10 +59,10 @@ def read_yaml(path: Path, expected: str) -> Any:
     UsageError
         If it cannot be read; what was `expected` is said.
     """
-    text = _text(path, LARGEST_YAML, expected)
+    text = _text(path, MAX_YAML_BYTES, expected)
     try:
         return yaml.load(text, _PlainLoader)
-    except WRONG_YAML as error:
+    except YAML_ERRORS as error:
         raise UsageError(path, words_of(error), expected) from error
 
 
@@ -76,9 +76,9 @@ def read_toml(path: Path, expected: str) -> dict[str, Any]:
     UsageError
         If it cannot be read; what was `expected` is said.
     """
-    text = _text(path, LARGEST_TOML, expected)
-    if any(len(line) > LONGEST_LINE for line in text.splitlines()):
-        raise UsageError(path, f"a line of more than {LONGEST_LINE} characters", expected)
+    text = _text(path, MAX_TOML_BYTES, expected)
+    if any(len(line) > MAX_LINE_CHARACTERS for line in text.splitlines()):
+        raise UsageError(path, f"a line of more than {MAX_LINE_CHARACTERS} characters", expected)
     try:
         return tomllib.loads(text)
     except (ValueError, RecursionError) as error:
@@ -103,13 +103,13 @@ def _text(path: Path, largest: int, expected: str) -> str:
 
 
 def words_of(error: BaseException) -> str:
-    """Return what an error says on one line of bearable length."""
+    """Return the message of an error on one line of limited length."""
     if isinstance(error, RecursionError):
         return "nested too deeply"
-    return shortened(" ".join(str(error).split()) or type(error).__name__, 3 * SHOWN)
+    return shortened(" ".join(str(error).split()) or type(error).__name__, 3 * SHOWN_CHARACTERS)
 
 
-def shortened(value: object, length: int = SHOWN) -> str:
+def shortened(value: object, length: int = SHOWN_CHARACTERS) -> str:
     """Show a value, however large it is."""
     if isinstance(value, int) and value.bit_length() > 4 * length:
         # Python refuses to write out numbers of thousands of digits.

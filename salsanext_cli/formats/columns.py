@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Find a scan among named columns, whatever programs call and type them."""
+"""A scan from named columns, by the names and types that programs give them."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ Columns = Mapping[str, npt.NDArray[Any]]
 """Values by name, each (N,)."""
 
 INTENSITY_NAMES = ("intensity", "scalar_intensity", "reflectivity", "reflectance", "remission", "i")
-"""What programs call the intensity, the first one found counts; upper and lower case are one."""
+"""Names of the intensity, in lower case; the first one found counts."""
 
 
 def scan_of(columns: Columns, path: Path, intensity_scale: float) -> Scan:

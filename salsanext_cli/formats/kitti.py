@@ -25,15 +25,13 @@ REMEDIES = {
 """Numbers of columns that occur, and what to do about each where another was expected."""
 
 
-def read_bin(path: Path, columns: int | None = None, *, intensity_scale: float = 1.0) -> Scan:
-    """Read a scan of float32 x, y, z, intensity and perhaps further columns.
+def read_bin(path: Path, *, intensity_scale: float = 1.0) -> Scan:
+    """Read a scan of float32 x, y, z, intensity and, in `.pcd.bin` files, ring.
 
     Parameters
     ----------
     path : Path
         The file; 0 bytes are a scan of 0 points.
-    columns : int, optional
-        Values per point; by default 5 for the suffix `.pcd.bin` and 4 otherwise.
     intensity_scale : float
         Divides the intensity.
 
@@ -42,7 +40,8 @@ def read_bin(path: Path, columns: int | None = None, *, intensity_scale: float =
     FormatError
         If the file cannot be read, is cut off, or evidently has another number of columns.
     """
-    columns = columns or (COLUMNS_WITH_RING if _has_ring(path) else COLUMNS)
+    has_ring = path.name.lower().endswith(".pcd.bin")
+    columns = COLUMNS_WITH_RING if has_ring else COLUMNS
     with reading(path) as file:
         size = size_of(file)
         if size % (4 * columns):
@@ -65,14 +64,10 @@ def read_bin(path: Path, columns: int | None = None, *, intensity_scale: float =
     )
 
 
-def _has_ring(path: Path) -> bool:
-    return path.name.lower().endswith(".pcd.bin")
-
-
 def _evident_columns(values: Float, columns: int) -> int | None:
     """Return another number of columns that evidently fits better, None if there is none.
 
-    Only coordinates are negative. A wrong number of columns lets coordinates slide into the
+    Only coordinates are negative. A wrong number of columns puts coordinates into the
     intensity, so there are negative ones; the right number has none after the third column.
     """
     if not (values[3::columns] < 0).any():

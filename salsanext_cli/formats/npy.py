@@ -5,7 +5,9 @@ from __future__ import annotations
 
 import io
 import math
+import warnings
 from pathlib import Path
+from tokenize import TokenError
 from typing import Any, BinaryIO
 
 import numpy as np
@@ -17,6 +19,11 @@ from salsanext_cli.formats.reading import read_values, reading, size_of
 
 MAX_HEADER_BYTES = 1024
 """Many times what a header of a few lengths takes."""
+HEADER_ERRORS = (
+    *(ArithmeticError, AttributeError, LookupError, MemoryError, RecursionError, SyntaxError),
+    *(TokenError, TypeError, ValueError),
+)
+"""Raised by numpy over a header that is no Python literal, or not that of an array."""
 
 
 def read_array(path: Path, dtype: npt.DTypeLike, shape: tuple[int | None, ...]) -> npt.NDArray[Any]:
@@ -62,11 +69,11 @@ def _read_header(
         # Of 64 kB at most; headers of later versions may promise gigabytes.
         if (version := npy.read_magic(file)) != (1, 0):
             raise ValueError(f"version {version}")
-        return npy.read_array_header_1_0(file, max_header_size=MAX_HEADER_BYTES)
-    except OSError:
-        raise
-    except Exception as error:
-        # The header is a Python literal, and there is no list of what the evaluation raises.
+        with warnings.catch_warnings():
+            # Of a header that is parsed as Python, and then refused.
+            warnings.simplefilter("ignore")
+            return npy.read_array_header_1_0(file, max_header_size=MAX_HEADER_BYTES)
+    except HEADER_ERRORS as error:
         raise FormatError(path, "not a .npy file", expected) from error
 
 

@@ -23,7 +23,7 @@ from salsanext_cli.records import Scan
 from salsanext_cli.settings_files import shortened
 
 LARGEST_RATIO = 264 / 3
-"""What LZF makes of a byte at most: three of them stand for up to 264."""
+"""Bytes that LZF unpacks from one: three of them stand for up to 264."""
 
 
 def read_pcd(path: Path, *, intensity_scale: float = 1.0) -> Scan:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""The header of a PCD file: which fields, of which type, how many points, how encoded."""
+"""Header of a PCD file: fields and their types, number of points, encoding."""
 
 from __future__ import annotations
 
@@ -22,13 +22,13 @@ KEYWORDS = (
     *("VERSION", "FIELDS", "SIZE", "TYPE", "COUNT"),
     *("WIDTH", "HEIGHT", "VIEWPOINT", "POINTS", "DATA"),
 )
-LONGEST = 1 << 16
-"""Bytes within which a header must end; what is longer is another kind of file."""
+MAX_HEADER_BYTES = 1 << 16
+"""What is longer is another kind of file."""
 
 
 @dataclass(frozen=True, slots=True)
 class Header:
-    """What a PCD file says of itself.
+    """Fields, points and encoding of a PCD file.
 
     Attributes
     ----------
@@ -54,7 +54,7 @@ class Header:
             raise ValueError("a PCD header with a field twice")
         if self.points < 0 or min(self.counts, default=0) < 0:
             raise ValueError("a PCD header with a negative number")
-        if self.row_size > LONGEST:
+        if self.row_size > MAX_HEADER_BYTES:
             raise ValueError(f"a PCD header with {self.row_size} bytes per point")
         if self.kind not in KINDS:
             raise ValueError(f"PCD data of kind {self.kind}, not {', '.join(KINDS)}")
@@ -116,8 +116,8 @@ def _entries(file: BinaryIO) -> dict[str, list[str]]:
     """Return the words after each keyword."""
     entries: dict[str, list[str]] = {}
     while "DATA" not in entries:
-        line = file.readline(LONGEST)
-        if not line or file.tell() > LONGEST:
+        line = file.readline(MAX_HEADER_BYTES)
+        if not line or file.tell() > MAX_HEADER_BYTES:
             raise ValueError("no PCD header")
         words = line.decode("ascii", "replace").split()
         if words and not words[0].startswith("#"):

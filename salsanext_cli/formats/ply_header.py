@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Whether a PLY file can hold what its header promises; plyfile makes room for it unasked."""
+"""Header of a PLY file compared with the file's size; plyfile allocates whatever it promises."""
 
 from __future__ import annotations
 
@@ -7,8 +7,7 @@ import re
 
 START = re.compile(rb"ply(\r\n|\r|\n)")
 """The first line says how the lines of a header end."""
-LONGEST = 1 << 20
-"""Bytes within which a header must end."""
+MAX_HEADER_BYTES = 1 << 20
 SIZES = {
     **dict.fromkeys(("char", "int8", "uchar", "uint8"), 1),
     **dict.fromkeys(("short", "int16", "ushort", "uint16"), 2),
@@ -16,8 +15,8 @@ SIZES = {
     **dict.fromkeys(("double", "float64"), 8),
 }
 """Bytes of each type in a binary file; anything else is refused when it is read."""
-TEXT = 2
-"""Bytes of a value in an ascii file at least: a digit and a blank or a line end."""
+MIN_ASCII_BYTES = 2
+"""Of a value in an ascii file: a digit and a blank or a line end."""
 
 
 def require_room(content: bytes) -> None:
@@ -29,7 +28,7 @@ def require_room(content: bytes) -> None:
         The whole file. What is wrong with its header otherwise is left to who reads it.
     """
     start = START.match(content)
-    end = content.find(start[1] + b"end_header" + start[1], 0, LONGEST) if start else -1
+    end = content.find(start[1] + b"end_header" + start[1], 0, MAX_HEADER_BYTES) if start else -1
     if start is None or end < 0:
         raise ValueError("no PLY header")
     text = content[start.end() : end].decode("ascii")
@@ -54,6 +53,6 @@ def _elements(lines: list[list[str]], ascii_file: bool) -> list[tuple[int, int]]
             count, row = elements[-1]
             # Of a list, its length at least.
             kind = words[2] if words[1] == "list" and len(words) > 2 else words[1]
-            size = TEXT if ascii_file else SIZES.get(kind, 1)
+            size = MIN_ASCII_BYTES if ascii_file else SIZES.get(kind, 1)
             elements[-1] = (count, row + size)
     return elements

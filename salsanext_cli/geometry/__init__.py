@@ -14,6 +14,5 @@
     ├── knn_torch               … on a torch device, the same labels
     └── knn_parameters          the neighbourhood and the vote
     gather                  values of pixels onto points and back
-    coverage                points inside and outside the field of view
-    └── coverage_check          the warning about a sensor that does not fit
+    coverage                share of points outside the field of view
 """

@@ -74,13 +74,8 @@ def refine(
 
 def framed(image: npt.NDArray[Scalar], half: int, beyond: float) -> npt.NDArray[Scalar]:
     """Return the flattened image with a frame of `half` pixels, periodic in azimuth."""
-    height, width = image.shape
-    larger = np.full((height + 2 * half, width + 2 * half), beyond, image.dtype)
-    rows = larger[half : half + height]
-    rows[:, half : half + width] = image
-    rows[:, :half] = image[:, np.arange(-half, 0) % width]
-    rows[:, half + width :] = image[:, np.arange(half) % width]
-    return larger.reshape(-1)
+    wide = np.pad(image, ((0, 0), (half, half)), mode="wrap")
+    return np.pad(wide, ((half, half), (0, 0)), constant_values=beyond).reshape(-1)
 
 
 @compiled

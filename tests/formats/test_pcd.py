@@ -1,14 +1,10 @@
 # SPDX-License-Identifier: MIT
-import os
 import struct
 import subprocess
 import sys
-from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 
 from salsanext_cli.errors import FormatError, MissingDependency
 from salsanext_cli.formats import read_scan
@@ -17,7 +13,7 @@ from salsanext_cli.formats.pcd import read_pcd
 KINDS = {"F4": "f", "F8": "d", "U1": "B", "U2": "H", "U4": "I", "I1": "b", "I2": "h", "I4": "i"}
 
 
-def unpack_lzf(data: bytes, size: int) -> bytes:
+def unpack_lzf(data, size) -> bytes:
     """Unpack LZF one byte at a time, as its description has it."""
     out = bytearray()
     at = 0
@@ -40,7 +36,7 @@ def unpack_lzf(data: bytes, size: int) -> bytes:
     return bytes(out)
 
 
-def slow_read(path: Path) -> dict[str, list[float]]:
+def slow_read(path) -> dict[str, list[float]]:
     """Read any PCD file field by field with nothing but the standard library."""
     data = path.read_bytes()
     head: dict[str, list[str]] = {}
@@ -76,29 +72,17 @@ def slow_read(path: Path) -> dict[str, list[float]]:
 def header(
     fields: str = "x:F4 y:F4 z:F4 intensity:F4", points: int = 2, data: str = "binary"
 ) -> bytes:
-    names, kinds, counts = [], [], []
-    for field in fields.split():
-        name, kind, *count = field.split(":")
-        names.append(name)
-        kinds.append(kind)
-        counts.append(count[0] if count else "1")
-    lines = [
-        "# .PCD v0.7 - Point ScanResults Data file format",
-        "VERSION 0.7",
-        f"FIELDS {' '.join(names)}",
-        f"SIZE {' '.join(kind[1:] for kind in kinds)}",
-        f"TYPE {' '.join(kind[0] for kind in kinds)}",
-        f"COUNT {' '.join(counts)}",
-        f"WIDTH {points}",
-        "HEIGHT 1",
-        "VIEWPOINT 0 0 0 1 0 0 0",
-        f"POINTS {points}",
-        f"DATA {data}",
-    ]
-    return "\n".join(lines).encode() + b"\n"
+    parts = [(*field.split(":"), "1") for field in fields.split()]
+    names, kinds, counts = zip(*(part[:3] for part in parts), strict=True)
+    return (
+        f"# .PCD v0.7 - Point Cloud Data file format\nVERSION 0.7\nFIELDS {' '.join(names)}\n"
+        f"SIZE {' '.join(kind[1:] for kind in kinds)}\n"
+        f"TYPE {' '.join(kind[0] for kind in kinds)}\nCOUNT {' '.join(counts)}\n"
+        f"WIDTH {points}\nHEIGHT 1\nVIEWPOINT 0 0 0 1 0 0 0\nPOINTS {points}\nDATA {data}\n"
+    ).encode()
 
 
-def stored_as_literals(plain: bytes) -> bytes:
+def stored_as_literals(plain) -> bytes:
     """Pack without compressing: LZF allows runs of up to 32 literal bytes."""
     runs = [plain[i : i + 32] for i in range(0, len(plain), 32)]
     packed = b"".join(bytes([len(run) - 1]) + run for run in runs)
@@ -109,16 +93,11 @@ def stored_as_literals(plain: bytes) -> bytes:
 @pytest.mark.parametrize(
     "name",
     [
-        "beams128_binary_compressed",
-        "hdl32_with_points_at_origin",
-        "hdl64",
-        "livox_front",
-        "os1_ascii_half_zeros",
-        "ring40_padding_fields",
-        "velodyne64_u1_intensity",
+        *("beams128_binary_compressed", "hdl32_with_points_at_origin", "hdl64", "livox_front"),
+        *("os1_ascii_half_zeros", "ring40_padding_fields", "velodyne64_u1_intensity"),
     ],
 )
-def test_real_files_equal_a_slow_reader(real_data: Path, name: str) -> None:
+def test_real_files_equal_a_slow_reader(real_data, name):
     path = real_data / "data" / "sensors" / "pcd" / f"{name}.pcd"
     slow = slow_read(path)
     scan = read_pcd(path)
@@ -130,16 +109,7 @@ def test_real_files_equal_a_slow_reader(real_data: Path, name: str) -> None:
     assert np.ptp(scan.intensity) > 0.5
 
 
-@pytest.mark.real
-def test_real_file_equals_the_same_scan_as_bin(real_data: Path) -> None:
-    data = real_data / "data"
-    scan = read_scan(data / "sensors" / "pcd" / "hdl64.pcd")
-    same = read_scan(data / "semantickitti" / "sequences" / "00" / "velodyne" / "000000.bin")
-    np.testing.assert_array_equal(scan.points, same.points)
-    np.testing.assert_array_equal(scan.intensity, same.intensity)
-
-
-def test_padding_and_fields_of_several_values(tmp_path: Path) -> None:
+def test_padding_and_fields_of_several_values(tmp_path):
     path = tmp_path / "s.PCD"
     row = struct.Struct("<ff4xfB3xf8xd")
     fields = "x:F4 y:F4 _:U1:4 z:F4 intensity:U1 _:U1:3 ring:F4 normal:F4:2 _:U1:0 t:F8"
@@ -150,7 +120,7 @@ def test_padding_and_fields_of_several_values(tmp_path: Path) -> None:
     np.testing.assert_array_equal(scan.intensity, np.float32([1, 0.2]))
 
 
-def test_float_intensity_is_scaled_and_float64_may_be_large(tmp_path: Path) -> None:
+def test_float_intensity_is_scaled_and_float64_may_be_large(tmp_path):
     path = tmp_path / "s.pcd"
     path.write_bytes(
         header("x:F8 y:F8 z:F8 intensity:F4", 1) + struct.pack("<3df", 1e300, 2, 3, 51)
@@ -160,21 +130,21 @@ def test_float_intensity_is_scaled_and_float64_may_be_large(tmp_path: Path) -> N
     np.testing.assert_array_equal(scan.intensity, np.float32([0.2]))
 
 
-def test_without_intensity_it_is_zero(tmp_path: Path) -> None:
+def test_without_intensity_it_is_zero(tmp_path):
     path = tmp_path / "s.pcd"
     path.write_bytes(header("x:F4 y:F4 z:F4 rgb:F4", 1) + struct.pack("<4f", 1, 2, 3, 4))
     assert read_pcd(path).intensity.tolist() == [0]
 
 
 @pytest.mark.parametrize("data", ["ascii", "binary", "binary_compressed"])
-def test_empty_cloud(tmp_path: Path, data: str) -> None:
+def test_empty_cloud(tmp_path, data):
     path = tmp_path / "s.pcd"
     body = stored_as_literals(b"") if data == "binary_compressed" else b""
     path.write_bytes(header(points=0, data=data) + body)
     assert len(read_pcd(path)) == 0
 
 
-def test_ascii(tmp_path: Path) -> None:
+def test_ascii(tmp_path):
     path = tmp_path / "s.pcd"
     fields = "x:F4 y:F4 z:F4 normal:F4:2 intensity:U1"
     path.write_bytes(header(fields, data="ascii") + b"1 nan 3 0 0 51\r\n-0 5 inf 0 0 255\r\n")
@@ -183,7 +153,7 @@ def test_ascii(tmp_path: Path) -> None:
     np.testing.assert_array_equal(scan.intensity, np.float32([0.2, 1]))
 
 
-def test_old_header_without_count_and_points(tmp_path: Path) -> None:
+def test_old_header_without_count_and_points(tmp_path):
     path = tmp_path / "s.pcd"
     lines = header(data="ascii").split(b"\n")
     kept = [line for line in lines if not line.startswith((b"COUNT", b"POINTS"))]
@@ -191,7 +161,7 @@ def test_old_header_without_count_and_points(tmp_path: Path) -> None:
     assert read_pcd(path).intensity.tolist() == [4, 8]
 
 
-def test_compressed(tmp_path: Path) -> None:
+def test_compressed(tmp_path):
     path = tmp_path / "gepäck 1.pcd"
     plain = struct.pack("<6f2B", 1, 4, 2, 5, 3, np.inf, 51, 255)
     path.write_bytes(
@@ -221,8 +191,6 @@ def test_compressed(tmp_path: Path) -> None:
         (header().replace(b"POINTS 2", b"POINTS 2\nPOINTSX 9"), "'POINTSX', no keyword"),
         (header().replace(b"POINTS 2", b"POINTS many"), "many"),
         (header() + bytes(31), "31 bytes of data, not 32"),
-        (header(points=10**12) + bytes(32), "32 bytes of data"),
-        (header(points=10**40) + bytes(32), "impossible number"),
         (header(data="ascii") + b"1 2 3 4\n", "1 lines of 4 values, not 2 of 4"),
         (header(data="ascii") + b"1 2 3 4\n5 6\n", "same count of numbers"),
         (header(data="ascii") + b"1 2 3 4\na b c d\n", "numbers"),
@@ -238,43 +206,17 @@ def test_compressed(tmp_path: Path) -> None:
         ),
     ],
 )
-def test_bad_files(tmp_path: Path, content: bytes, found: str) -> None:
+def test_bad_files(tmp_path, capfd, content, found):
     path = tmp_path / "s.pcd"
     path.write_bytes(content)
     with pytest.raises(FormatError) as caught:
         read_pcd(path)
     assert found in caught.value.found
     assert caught.value.subject == str(path)
+    assert capfd.readouterr() == ("", ""), "open3d prints by itself"
 
 
-def test_open3d_prints_nothing(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
-    path = tmp_path / "s.pcd"
-    body = struct.pack("<II", 9, 32) + b"\xff" * 9
-    path.write_bytes(header(data="binary_compressed") + body)
-    with pytest.raises(FormatError):
-        read_pcd(path)
-    assert capfd.readouterr() == ("", "")
-
-
-@given(data=st.data(), kind=st.sampled_from(["ascii", "binary"]))
-@settings(max_examples=200, deadline=None)
-def test_damaged_files_are_refused_or_read(
-    tmp_path_factory: pytest.TempPathFactory, data: st.DataObject, kind: str
-) -> None:
-    body = b"1 2 3 4\n5 6 7 8\n" if kind == "ascii" else bytes(32)
-    content = bytearray(header(data=kind) + body)
-    for _ in range(data.draw(st.integers(1, 3))):
-        content[data.draw(st.integers(0, len(content) - 1))] = data.draw(st.integers(0, 255))
-    path = tmp_path_factory.mktemp("damaged") / "s.pcd"
-    path.write_bytes(content)
-    try:
-        scan = read_pcd(path)
-    except FormatError:
-        return
-    assert len(scan) <= 99
-
-
-def test_missing_system_library_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_missing_system_library_is_named(tmp_path, monkeypatch):
     (tmp_path / "open3d.py").write_text("raise OSError('libusb-1.0.so.0: cannot open')")
     path = tmp_path / "s.pcd"
     path.write_bytes(header(data="binary_compressed") + stored_as_literals(bytes(32)))
@@ -288,13 +230,8 @@ def test_missing_system_library_is_named(tmp_path: Path, monkeypatch: pytest.Mon
         read_pcd(path)
 
 
-def test_importing_formats_is_cheap() -> None:
-    code = (
-        "import sys, salsanext_cli.formats as f, salsanext_cli.formats.ply\n"
-        "heavy = {'open3d', 'plyfile', 'numba', 'torch', 'matplotlib'} & set(sys.modules)\n"
-        "sys.exit(', '.join(heavy) or 0)\n"
-    )
-    done = subprocess.run(
-        [sys.executable, "-c", code], env=os.environ, capture_output=True, text=True, check=False
-    )
-    assert done.returncode == 0, done.stderr
+def test_importing_formats_is_cheap():
+    heavy = {"open3d", "plyfile", "numba", "torch", "matplotlib"}
+    code = f"import salsanext_cli.formats, sys; sys.exit(str({heavy} & {{*sys.modules}}))"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    assert done.stderr == "set()\n"

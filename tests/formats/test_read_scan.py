@@ -1,6 +1,5 @@
 # SPDX-License-Identifier: MIT
 import struct
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -13,7 +12,7 @@ from salsanext_cli.storage.point_files import write_bin, write_ply
 SCAN = Scan(np.float32([[1, 2, 3], [-4.5, 0, 1e-3], [70, -80, 2]]), np.float32([0.0, 127.5, 255.0]))
 
 
-def write(path: Path) -> None:
+def write(path):
     table = np.column_stack([SCAN.points, SCAN.intensity])
     if path.name.endswith(".pcd.bin"):
         path.write_bytes(np.column_stack([table, np.arange(3)]).astype("<f4").tobytes())
@@ -29,7 +28,7 @@ def write(path: Path) -> None:
 
 
 @pytest.mark.parametrize("suffix", SCAN_SUFFIXES)
-def test_the_same_scan_in_every_format(tmp_path: Path, suffix: str) -> None:
+def test_the_same_scan_in_every_format(tmp_path, suffix):
     lower = tmp_path / f"ein scan{suffix}"
     write(lower)
     upper = lower.rename(tmp_path / f"Übung{suffix.upper()}")
@@ -38,31 +37,12 @@ def test_the_same_scan_in_every_format(tmp_path: Path, suffix: str) -> None:
     np.testing.assert_array_equal(scan.intensity, np.float32([0, 0.5, 1]))
     assert scan.points.flags.c_contiguous
     assert scan.points.flags.writeable
+    assert scan.intensity.flags.writeable
     np.testing.assert_array_equal(read_scan(upper).intensity, SCAN.intensity)
 
 
-def test_a_million_points(tmp_path: Path) -> None:
-    rng = np.random.default_rng(0)
-    points = rng.normal(0, 30, (1_000_000, 3)).astype(np.float32)
-    scan = Scan(points, rng.random(1_000_000, np.float32))
-    write_bin(tmp_path / "s.bin", scan)
-    back = read_scan(tmp_path / "s.bin")
-    np.testing.assert_array_equal(back.points, scan.points)
-    np.testing.assert_array_equal(back.intensity, scan.intensity)
-
-
 @pytest.mark.parametrize("name", ["s.txt", "s", "bin", "s.bin.gz"])
-def test_unknown_suffix(tmp_path: Path, name: str) -> None:
+def test_unknown_suffix(tmp_path, name):
     (tmp_path / name).write_bytes(b"")
     with pytest.raises(FormatError, match=r"\.bin"):
         read_scan(tmp_path / name)
-
-
-@pytest.mark.parametrize("suffix", SCAN_SUFFIXES)
-def test_missing_file_and_folder_in_its_place(tmp_path: Path, suffix: str) -> None:
-    path = tmp_path / f"s{suffix}"
-    with pytest.raises(FormatError, match="no such file"):
-        read_scan(path)
-    path.mkdir()
-    with pytest.raises(FormatError, match="is a directory"):
-        read_scan(path)

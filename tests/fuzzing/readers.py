@@ -21,7 +21,7 @@ from tiny_network import TinyNetwork
 from salsanext_cli.classes import LabelSpace, label_space
 from salsanext_cli.formats import read_scan
 from salsanext_cli.formats.kitti import read_labels
-from salsanext_cli.formats.npy import read_array
+from salsanext_cli.formats.npy import encode_array, read_array
 from salsanext_cli.formats.point_values import read_probabilities, read_uncertainty
 from salsanext_cli.geometry.coverage import field_of_view_coverage
 from salsanext_cli.geometry.projection import project
@@ -30,7 +30,7 @@ from salsanext_cli.network.weights import WeightsCard, read_weights, save_weight
 from salsanext_cli.sensors import sensor
 from salsanext_cli.storage.json_files import read_json
 from salsanext_cli.storage.layout import find_scans
-from salsanext_cli.storage.point_files import write_array, write_ply
+from salsanext_cli.storage.point_files import write_ply
 from salsanext_cli.storage.sources import asked_for, remembered_scans
 from salsanext_cli.storage.stage_records import (
     origins,
@@ -64,17 +64,7 @@ COUNT = 30
 
 @dataclass(frozen=True, slots=True)
 class Reader:
-    """A reader, where it looks, and files that it reads.
-
-    Attributes
-    ----------
-    place : str
-        Where in a folder the damaged file goes.
-    seeds : list of bytes
-        Valid files.
-    read : callable
-        Is given the damaged file.
-    """
+    """A reader, the name of the file that it is given, and valid files."""
 
     place: str
     seeds: list[bytes]
@@ -99,12 +89,6 @@ def _bin(columns: int) -> list[bytes]:
     return [table.tobytes(), table[:3].tobytes(), b""]
 
 
-def _npy(folder: Path, *arrays: np.ndarray) -> list[bytes]:
-    for number, array in enumerate(arrays):
-        write_array(folder / f"{number}.npy", array)
-    return [(folder / f"{number}.npy").read_bytes() for number in range(len(arrays))]
-
-
 def _ply(folder: Path) -> list[bytes]:
     import plyfile
 
@@ -125,49 +109,40 @@ def _ply(folder: Path) -> list[bytes]:
 
 def _pcd(kind: str) -> list[bytes]:
     table = _table()
+    padding = [] if kind == "binary_compressed" else [("_", "V3")]
+    fields = [("x", "<f4"), ("y", "<f4"), ("z", "<f4"), *padding, ("intensity", "<f4")]
+    rows = np.zeros(COUNT, [*fields, ("ring", "u1")])
+    for name, values in table.items():
+        rows[name] = values
     header = (
-        "# .PCD v0.7\nVERSION 0.7\nFIELDS x y z _ intensity ring\nSIZE 4 4 4 1 4 1\n"
-        f"TYPE F F F U F U\nCOUNT 1 1 1 3 1 1\nWIDTH {COUNT}\nHEIGHT 1\n"
+        f"# .PCD v0.7\nVERSION 0.7\nFIELDS {' '.join(rows.dtype.names)}\n"
+        f"SIZE 4 4 4{' 1' * len(padding)} 4 1\nTYPE F F F{' U' * len(padding)} F U\n"
+        f"COUNT 1 1 1{' 3' * len(padding)} 1 1\nWIDTH {COUNT}\nHEIGHT 1\n"
         f"VIEWPOINT 0 0 0 1 0 0 0\nPOINTS {COUNT}\nDATA {kind}\n"
     )
     if kind == "ascii":
-        rows = zip(*table.values(), strict=True)
-        lines = [f"{x} {y} {z} 0 0 0 {i} {r}\n" for x, y, z, i, r in rows]
+        values = zip(*table.values(), strict=True)
+        lines = [f"{x} {y} {z} 0 0 0 {i} {r}\n" for x, y, z, i, r in values]
         return [(header + "".join(lines)).encode()]
     if kind == "binary":
-        fields = [("x", "<f4"), ("y", "<f4"), ("z", "<f4"), ("_", "V3"), ("intensity", "<f4")]
-        rows = np.zeros(COUNT, [*fields, ("ring", "u1")])
-        for name, values in table.items():
-            rows[name] = values
         return [header.encode() + rows.tobytes()]
-    header = header.replace(" _", "").replace("4 1 4", "4 4").replace("F U F", "F F")
-    header = header.replace("1 3 1", "1 1")
-    plain = b"".join(values.astype("<f4").tobytes() for values in [*table.values()][:4])
-    plain += table["ring"].tobytes()
+    plain = b"".join(rows[name].tobytes() for name in rows.dtype.names)
     # Literal runs only, which is compressed data too; then one that refers back.
-    packed = b"".join(bytes([len(p) - 1]) + p for p in _pieces(plain, 32))
-    zeros = b"\0" + b"\0" + b"\xe0" + bytes([len(plain) % 256 and 255]) + b"\0"
-    sizes = np.array([len(packed), len(plain)], "<u4").tobytes()
-    short = np.array([len(zeros), 265], "<u4").tobytes()
+    pieces = [plain[at : at + 32] for at in range(0, len(plain), 32)]
+    packed = b"".join(bytes([len(piece) - 1]) + piece for piece in pieces)
+    zeros = b"\0\0\xe0" + bytes([len(plain) % 256 and 255]) + b"\0"
+    sizes, short = (
+        np.array(pair, "<u4").tobytes() for pair in ((len(packed), len(plain)), (5, 265))
+    )
     few = header.replace(str(COUNT), "5").encode()
     return [header.encode() + sizes + packed, few + short + zeros]
 
 
-def _pieces(data: bytes, length: int) -> list[bytes]:
-    return [data[at : at + length] for at in range(0, len(data), length)]
-
-
-def _learner() -> Learner:
+def _checkpoint(folder: Path) -> Reader:
     torch.manual_seed(0)
     settings = Recipe(epochs=2, batch=1, average=0.5, optimiser="adamw")
-    weights = torch.ones(FEW.class_count)
-    return Learner.of(
-        TinyNetwork(FEW.class_count), settings, weights, torch.device("cpu"), ProcessGroup()
-    )
-
-
-def _checkpoint(folder: Path) -> Reader:
-    learner = _learner()
+    weights, device = torch.ones(FEW.class_count), torch.device("cpu")
+    learner = Learner.of(TinyNetwork(FEW.class_count), settings, weights, device, ProcessGroup())
     row = {"epoch": 1, "learning_rate": 0.01, "loss": 1.5, "seconds": 2.0, "miou": 0.5}
     learner.step(torch.zeros(1, 5, 16, 32), torch.ones(1, 16, 32, dtype=torch.long), 0, 1)
     save_checkpoint(folder / "c.pt", learner, TrainingState(1, 0.5, [row], [1.0, 2.0], 3.0))
@@ -184,9 +159,9 @@ def _checkpoint(folder: Path) -> Reader:
     return Reader("checkpoint.pt", [(folder / "c.pt").read_bytes()], read)
 
 
-def _in_archive(archive: bytes, inner: Reader) -> Reader:
+def _pickle_of(inner: Reader) -> Reader:
     """Damage the pickle inside an archive of torch, which then has the right checksum."""
-    with ZipFile(io.BytesIO(archive)) as members:
+    with ZipFile(io.BytesIO(inner.seeds[0])) as members:
         content = {name: members.read(name) for name in members.namelist()}
     (pickled,) = (name for name in content if name.endswith("/data.pkl"))
 
@@ -267,16 +242,15 @@ def _read_curve(path: Path) -> None:
 
 def readers(folder: Path) -> dict[str, Reader]:
     """Return every reader by name, with valid files made in a folder."""
-    of_small = json.dumps({"settings": {"by_distance": False}}).encode()
-    softmax = np.full((COUNT, 3), 1 / 3, np.float16)
-    toml = Path(str(folder / "s.toml"))
+    softmax = encode_array(np.full((COUNT, 3), 1 / 3, np.float16))
     keys = {key: value for key, value in SMALL.to_dict().items() if value is not None}
-    toml.write_text("".join(f"{key} = {json.dumps(value)}\n" for key, value in keys.items()))
+    toml = "".join(f"{key} = {json.dumps(value)}\n" for key, value in keys.items()).encode()
     space = yaml.safe_dump(FEW.to_dict(), sort_keys=False).encode()
     out, manifest, source = _out(folder)
     run, train, counts, splits = _run_folder(folder)
-    float_array = np.arange(COUNT, dtype=np.float32)
     image = np.zeros((5, 4, 6), np.float32)
+    images = [encode_array(image), encode_array(image[:, :1])]
+    numbers = encode_array(np.arange(COUNT, dtype=np.float32))
 
     def npy(path: Path) -> None:
         read_array(path, np.float32, (5, None, None))
@@ -284,39 +258,35 @@ def readers(folder: Path) -> dict[str, Reader]:
     def recorded_counts(path: Path) -> None:
         class_counts(path, splits, label_space(), SMALL)
 
-    checkpoint = _checkpoint(folder)
     published = Reader("p.pt", _published(old=False), read_published)
     return {
-        "pickle of a checkpoint": _in_archive(checkpoint.seeds[0], checkpoint),
-        "pickle of a published one": _in_archive(published.seeds[0], published),
         "bin": Reader("a.bin", _bin(4), _scan),
         "pcd.bin": Reader("a.pcd.bin", _bin(5), _scan),
         "label": Reader(
             "a.label", [bytes(4 * COUNT), b"\x0a\0\1\0" * 3], lambda p: read_labels(p, COUNT)
         ),
-        "npy": Reader("a.npy", _npy(folder, image, image[:, :1]), npy),
-        "npy of uncertainty": Reader(
-            "u.npy", _npy(folder, float_array), lambda p: read_uncertainty(p, COUNT)
-        ),
+        "npy": Reader("a.npy", images, npy),
+        "npy of uncertainty": Reader("u.npy", [numbers], lambda p: read_uncertainty(p, COUNT)),
         "npy of probabilities": Reader(
-            "p.npy", _npy(folder, softmax), lambda p: read_probabilities(p, COUNT, 3)
+            "p.npy", [softmax], lambda p: read_probabilities(p, COUNT, 3)
         ),
         "ply": Reader("a.ply", _ply(folder), _scan),
         "pcd ascii": Reader("a.pcd", _pcd("ascii"), _scan),
         "pcd binary": Reader("b.pcd", _pcd("binary"), _scan),
         "pcd binary_compressed": Reader("c.pcd", _pcd("binary_compressed"), _scan),
         "yaml": Reader("labels.yaml", [space, space[: len(space) // 2]], label_space),
-        "toml of a sensor": Reader("s.toml", [toml.read_bytes()], sensor),
+        "toml of a sensor": Reader("s.toml", [toml], sensor),
         "toml of a recipe": Reader(
             "r.toml", [Recipe().to_toml().encode(), b"epochs = 3\n"], recipe
         ),
         "safetensors": Reader("w.safetensors", _safetensors(folder), read_weights),
-        "checkpoint": checkpoint,
+        "checkpoint": _checkpoint(folder),
         "published": published,
+        "pickle of a published one": _pickle_of(published),
         "published, old": Reader("old.pt", _published(old=True), read_published),
         "manifest": Reader(str(out / "predict.json"), [manifest], _read_manifest),
         "source": Reader(str(out / "sequences/08/source.json"), [source], _read_source),
         "train.json": Reader(str(run / "train.json"), [train], _read_curve),
         "class_counts.json": Reader(str(run / "class_counts.json"), [counts], recorded_counts),
-        "json": Reader("eval.json", [of_small], read_json),
+        "json": Reader("eval.json", [b'{"settings": {"by_distance": false}}'], read_json),
     }

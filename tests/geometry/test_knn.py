@@ -2,6 +2,7 @@
 """kNN refinement: against the slow loop, by hand, and against the published labels."""
 
 import math
+from dataclasses import replace
 
 import numba
 import numpy as np
@@ -15,7 +16,7 @@ from salsanext_cli.errors import LabelError, UsageError
 from salsanext_cli.geometry import knn_torch
 from salsanext_cli.geometry.knn import KnnParameters, knn_refine
 from salsanext_cli.geometry.projection import project
-from salsanext_cli.records import RangeImage, Scan
+from salsanext_cli.records import RangeImage
 from salsanext_cli.sensors import sensor
 
 
@@ -27,8 +28,15 @@ def image_of(ranges, pixels=None, point_range=None):
     own = ranges.reshape(-1)[pixels] if point_range is None else point_range
     channels = np.zeros((5, *ranges.shape), np.float32)
     channels[0] = ranges
-    nobody = np.full(ranges.shape, -1, np.int32)
-    return RangeImage(channels, pixels, nobody, np.asarray(own, np.float32))
+    no_point = np.full(ranges.shape, -1, np.int32)
+    return RangeImage(channels, pixels, no_point, np.asarray(own, np.float32))
+
+
+def some_points(image, step):
+    """Return an image with every n-th point only."""
+    return replace(
+        image, pixel_of_point=image.pixel_of_point[::step], point_range=image.point_range[::step]
+    )
 
 
 def slow(image, labels, parameters):
@@ -84,93 +92,56 @@ def test_many_points_on_any_number_of_threads(rings, cell, threads, monkeypatch)
     parameters = KnnParameters(cutoff=4.0)
     refined = knn_refine(image, labels, parameters=parameters)
     np.testing.assert_array_equal(refined, on_torch(image, labels, parameters))
-    some = slice(0, None, 97)
-    few = RangeImage(
-        image.channels, image.pixel_of_point[some], image.point_of_pixel, image.point_range[some]
-    )
-    np.testing.assert_array_equal(refined[some], slow(few, labels, parameters))
+    np.testing.assert_array_equal(refined[::97], slow(some_points(image, 97), labels, parameters))
 
 
-def test_window_goes_round_in_azimuth():
-    ranges = np.full((1, 8), 5.0)
-    labels = np.array([[1, 2, 3, 3, 3, 3, 2, 2]])
-    assert knn_refine(image_of(ranges), labels)[0] == 2
+ROW = [5.0] * 8
+NEAR, FAR = [5.0, 5.0, 5.0, 5.1, 5.1, 5.2, 5.2, 90], [5.0, 5.0, 5.0, 6.0]
+
+
+@pytest.mark.parametrize(
+    ("ranges", "labels", "pixel", "parameters", "expected"),
+    [
+        pytest.param(ROW, [1, 2, 3, 3, 3, 3, 2, 2], 0, (), 2, id="periodic in azimuth"),
+        pytest.param(ROW, [0] * 8, 3, (), 0, id="without a vote the label stays"),
+        pytest.param(ROW, [9, 9, 2, 9, 2, 9, 9, 9], 3, (4, 3), 2, id="lowest of equals"),
+        pytest.param(ROW, [9, 9, 2, 9, 1, 9, 9, 9], 3, (3, 3), 1, id="lowest of three"),
+        pytest.param(NEAR, [0, 4, 0, 6, 6, 6, 6, 0], 1, (3, 5), 4, id="label 0 takes a place"),
+        pytest.param(NEAR, [0, 4, 0, 6, 6, 6, 6, 0], 1, (5, 7), 6, id="but has no vote"),
+        pytest.param(FAR, [8, 4, 8, 9], 1, (3, 3, 1.0, 0.0), 8, id="at the cutoff"),
+    ],
+)
+def test_one_row_by_hand(ranges, labels, pixel, parameters, expected):
+    image, parameters = image_of([ranges], [pixel]), KnnParameters(*parameters)
+    assert knn_refine(image, [labels], parameters=parameters).tolist() == [expected]
+    assert on_torch(image, [labels], parameters).tolist() == [expected]
 
 
 def test_neither_padding_nor_empty_pixels_vote():
-    """A lone point 0.2 m away would take the published padding for neighbours of range 0."""
-    ranges = np.zeros((3, 8))
-    ranges[1, 4] = 0.2
-    labels = np.full((3, 8), 7)
-    labels[1, 4] = 3
+    """The published padding would be neighbours of range 0 of a lone point 0.2 m away."""
+    ranges, labels = np.zeros((3, 8)), np.full((3, 8), 7)
+    ranges[1, 4], labels[1, 4] = 0.2, 3
     assert knn_refine(image_of(ranges), labels).tolist() == [3]
 
 
-def test_without_a_vote_the_label_stays():
-    labels = np.zeros((3, 8), int)
-    assert knn_refine(image_of(np.full((3, 8), 5.0)), labels).max() == 0
-
-
-def test_unlabelled_neighbours_take_a_place_without_a_vote():
-    ranges = np.array([[5.0, 5.0, 5.0, 5.1, 5.1, 5.2, 5.2, 90]])
-    labels = np.array([[0, 4, 0, 6, 6, 6, 6, 0]])
-    image = image_of(ranges, [1])
-    assert knn_refine(image, labels, parameters=KnnParameters(3, 5)).tolist() == [4]
-    assert knn_refine(image, labels, parameters=KnnParameters(5, 7)).tolist() == [6]
-
-
-def test_lowest_label_wins_ties():
-    ranges = np.full((1, 8), 5.0)
-    labels = np.array([[9, 9, 2, 9, 2, 9, 9, 9]])
-    image = image_of(ranges, [3])
-    assert knn_refine(image, labels, parameters=KnnParameters(4, 3)).tolist() == [2]
-    labels[0, 4] = 1
-    assert knn_refine(image, labels, parameters=KnnParameters(3, 3)).tolist() == [1]
-
-
-def test_a_neighbour_at_the_cutoff_still_votes():
-    image = image_of([[5.0, 5.0, 5.0, 6.0]], [1])
-    exactly = KnnParameters(3, 3, cutoff=0.0)
-    labels = np.array([[8, 4, 8, 9]])
-    assert knn_refine(image, labels, parameters=exactly).tolist() == [8]
-    assert on_torch(image, labels, exactly).tolist() == [8]
-
-
-def test_hidden_point_takes_the_label_of_its_own_distance():
+def test_hidden_point_gets_the_label_of_its_own_distance():
     """Seen through a fence at 5 m, a wall at 9 m is labelled as the wall beside it."""
-    ranges = np.full((3, 8), 9.0)
-    ranges[1, 4] = 5.0
-    labels = np.full((3, 8), 13)
-    labels[1, 4] = 14
+    ranges, labels = np.full((3, 8), 9.0), np.full((3, 8), 13)
+    ranges[1, 4], labels[1, 4] = 5.0, 14
     assert knn_refine(image_of(ranges, [12, 12], [5.0, 9.0]), labels).tolist() == [14, 13]
 
 
 def test_takes_tensors_and_gives_points_without_pixel_label_0():
     image = image_of(np.full((2, 8), 5.0), [-1, 3], [0, 5])
-    labels = torch.full((2, 8), 6)
-    assert knn_refine(image, labels).tolist() == [0, 6]
-
-
-def test_no_points():
-    image = project(Scan(np.empty((0, 3), np.float32), np.empty(0, np.float32)), sensor("hdl64"))
-    labels = np.ones((64, 2048), int)
-    assert knn_refine(image, labels).shape == (0,)
-    assert on_torch(image, labels, KnnParameters()).shape == (0,)
+    assert knn_refine(image, torch.full((2, 8), 6)).tolist() == [0, 6]
 
 
 @pytest.mark.parametrize(
     "wrong",
     [
-        {"k": 0},
-        {"k": 26},
-        {"k": 2, "window": 1},
-        {"window": 4},
-        {"window": -1},
-        {"sigma": 0.0},
-        {"sigma": math.nan},
-        {"sigma": math.inf},
-        {"cutoff": -0.1},
-        {"cutoff": math.nan},
+        *({"k": 0}, {"k": 26}, {"k": 2, "window": 1}, {"window": 4}, {"window": -1}),
+        *({"sigma": 0.0}, {"sigma": math.nan}, {"sigma": math.inf}),
+        *({"cutoff": -0.1}, {"cutoff": math.nan}),
     ],
 )
 def test_impossible_parameters(wrong):
@@ -192,13 +163,10 @@ def test_labels_that_do_not_fit(labels, found):
         knn_refine(image_of(np.ones((3, 8))), labels)
 
 
-@pytest.mark.parametrize("pixel", [-2, 24])
-def test_pixels_outside_the_image(pixel):
-    with pytest.raises(LabelError, match=str(pixel)):
-        knn_refine(image_of(np.ones((3, 8)), [pixel], [1]), np.zeros((3, 8), int))
-
-
-def test_too_many_classes():
+def test_pixels_outside_the_image_and_too_many_classes():
+    for pixel in (-2, 24):
+        with pytest.raises(LabelError, match=str(pixel)):
+            knn_refine(image_of(np.ones((3, 8)), [pixel], [1]), np.zeros((3, 8), int))
     with pytest.raises(UsageError, match="257"):
         knn_refine(image_of(np.ones((3, 8))), np.zeros((3, 8), int), class_count=257)
 
@@ -236,11 +204,5 @@ def test_real_scan_equals_the_slow_loop(golden, real_image, image_name):
         labels = knn[image_name]
     ours = knn_refine(real_image, labels)
     np.testing.assert_array_equal(ours, on_torch(real_image, labels, KnnParameters()))
-    some = slice(0, None, 11)
-    few = RangeImage(
-        real_image.channels,
-        real_image.pixel_of_point[some],
-        real_image.point_of_pixel,
-        real_image.point_range[some],
-    )
-    np.testing.assert_array_equal(ours[some], slow(few, labels, KnnParameters()))
+    few = some_points(real_image, 11)
+    np.testing.assert_array_equal(ours[::11], slow(few, labels, KnnParameters()))

@@ -31,11 +31,8 @@ def test_against_copies_that_are_shifted_along_their_rays(channels):
     np.testing.assert_allclose(found, expected, rtol=2e-2, atol=1e-10)
 
 
-def test_empty_pixels_are_certain(channels):
+def test_empty_pixels_and_perfect_sensors_are_certain(channels):
     assert not input_variance(channels, NOISY)[:, channels[0] <= 0].any()
-
-
-def test_a_perfect_sensor_has_no_variance(channels):
     perfect = replace(SMALL, range_noise=0.0, intensity_noise=0.0)
     assert not input_variance(channels, perfect).any()
 

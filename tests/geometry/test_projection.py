@@ -68,16 +68,11 @@ def test_equals_the_slow_loop_on_both_devices(scan, drawn):
     assert_same(projection_torch.project(scan, ProjectionParameters.of(drawn), "cpu"), expected)
 
 
-def test_equals_the_slow_loop_on_rings(rings):
-    assert_same(project(rings, sensor("hdl64")), slow_project(rings, sensor("hdl64")))
-
-
 @pytest.mark.parametrize("threads", [1, 2, 5])
-def test_does_not_depend_on_threads(rings, threads, monkeypatch):
+def test_many_points_on_any_number_of_threads(rings, threads, monkeypatch):
     monkeypatch.setattr("salsanext_cli.kernels.SMALLEST_SLICE", 100)
     monkeypatch.setitem(vars(numba.config), "NUMBA_NUM_THREADS", threads)
-    expected = projection_torch.project(rings, ProjectionParameters.of(sensor("hdl64")), "cpu")
-    assert_same(project(rings, sensor("hdl64")), fields_of(expected))
+    assert_same(project(rings, sensor("hdl64")), slow_project(rings, sensor("hdl64")))
 
 
 def test_compass():

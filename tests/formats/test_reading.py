@@ -1,0 +1,79 @@
+# SPDX-License-Identifier: MIT
+"""What is missing, no file, or changes while it is read."""
+
+import os
+
+import numpy as np
+import pytest
+from scans import make_scan
+
+from salsanext_cli.errors import FormatError
+from salsanext_cli.formats import SCAN_SUFFIXES, read_scan
+from salsanext_cli.formats.kitti import read_bin, read_labels
+from salsanext_cli.formats.npy import read_array
+from salsanext_cli.formats.reading import filled, is_folder, present
+from salsanext_cli.storage.point_files import write_bin, write_labels
+
+READERS = dict.fromkeys(SCAN_SUFFIXES, read_scan) | {
+    ".label": read_labels,
+    ".npy": lambda path: read_array(path, "float32", (None,)),
+}
+
+
+@pytest.mark.parametrize("suffix", READERS)
+def test_what_is_no_file_is_refused_at_once(tmp_path, suffix):
+    path, read = tmp_path / f"s{suffix}", READERS[suffix]
+    with pytest.raises(FormatError, match="no such file"):
+        read(path)
+    path.mkdir()
+    with pytest.raises(FormatError, match="is a directory"):
+        read(path)
+    path.rmdir()
+    path.symlink_to(path.name)
+    with pytest.raises(FormatError, match="too many levels of symbolic links"):
+        read(path)
+    path.unlink()
+    # Neither waits for a writer nor reads without an end.
+    os.mkfifo(path)
+    with pytest.raises(FormatError, match="neither a file nor a link to one"):
+        read(path)
+    path.unlink()
+    path.symlink_to("/dev/zero")
+    with pytest.raises(FormatError, match="neither a file nor a link to one"):
+        read(path)
+
+
+def test_names_that_lead_nowhere(tmp_path):
+    (tmp_path / "file").write_bytes(b"x")
+    (tmp_path / "loop").symlink_to("loop")
+    (tmp_path / "gone").symlink_to("nothing")
+    (tmp_path / "empty").touch()
+    found = {
+        name: (present(tmp_path / name), filled(tmp_path / name), is_folder(tmp_path / name))
+        for name in ("file", "empty", "loop", "loop/x", "gone", "nothing", "file/x", "")
+    }
+    assert found == {
+        "file": (True, True, False),
+        "empty": (True, False, False),
+        # Its reader refuses it, and a result may replace it.
+        "loop": (True, False, False),
+        "loop/x": (False, False, False),
+        "gone": (False, False, False),
+        "nothing": (False, False, False),
+        "file/x": (False, False, False),
+        "": (True, True, True),
+    }
+    with pytest.raises(FormatError, match="name too long"):
+        present(tmp_path / ("x" * 300))
+    assert not is_folder(tmp_path / ("x" * 300))
+
+
+@pytest.mark.parametrize(("name", "read"), [("a.bin", read_bin), ("a.label", read_labels)])
+def test_shorter_while_it_is_read(tmp_path, monkeypatch, name, read):
+    """A program that writes the file anew makes it short for a moment."""
+    write_bin(tmp_path / "a.bin", make_scan(10))
+    write_labels(tmp_path / "a.label", np.zeros(10, np.uint32))
+    original = np.fromfile
+    monkeypatch.setattr(np, "fromfile", lambda *given: original(*given)[:-1])
+    with pytest.raises(FormatError, match="changed while it was read"):
+        read(tmp_path / name)
