@@ -1,21 +1,30 @@
 # SPDX-License-Identifier: MIT
-"""How much of a scan lies in the field of view of a sensor."""
+"""Share of the points of scans that lies outside the field of view of a sensor."""
 
 from __future__ import annotations
 
+import logging
 import math
 from dataclasses import dataclass
 
 import numpy as np
 
 from salsanext_cli.geometry.projection_parameters import LARGEST
+from salsanext_cli.geometry.ranges import measured_ranges
 from salsanext_cli.records import Scan
 from salsanext_cli.sensors import Sensor
+
+LARGEST_SHARE_OUTSIDE = 0.2
+"""A matching sensor stays far below: it sees 93 % of the points or more."""
+EARLY_SCANS = 10
+"""Number of scans after which to check: nobody should have to wait for the last of thousands."""
+
+log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True, slots=True)
 class FieldOfViewCoverage:
-    """Points by whether a sensor sees them; adding two gives the counts of both.
+    """Numbers of points; adding two gives those of both.
 
     Attributes
     ----------
@@ -39,12 +48,37 @@ class FieldOfViewCoverage:
 
 def field_of_view_coverage(scan: Scan, sensor: Sensor) -> FieldOfViewCoverage:
     """Count the points of a scan, whether the sensor clamps or drops those out of its view."""
-    # A NaN that signals is no measurement either.
-    with np.errstate(invalid="ignore"):
-        points = scan.points.astype(np.float64)
-    distance = np.sqrt(np.einsum("ni,ni->n", points, points))
-    measured = (distance > 0) & (distance <= LARGEST)
-    distance, z = distance[measured], points[measured, 2]
+    ranges, measured = measured_ranges(scan.points, float(LARGEST))
+    ranges, z = ranges[measured], scan.points[measured, 2].astype(np.float64)
     lowest, highest = (math.sin(math.radians(f)) for f in (sensor.fov_down, sensor.fov_up))
-    outside = (z < lowest * distance) | (z > highest * distance)
+    outside = (z < lowest * ranges) | (z > highest * ranges)
     return FieldOfViewCoverage(len(z), int(outside.sum()))
+
+
+class CoverageCheck:
+    """Check that scans come from the sensor that was named; warns once if they do not."""
+
+    def __init__(self, sensor: Sensor) -> None:
+        self.sensor = sensor
+        self.coverage = FieldOfViewCoverage()
+        self.scans = 0
+        self.warned = False
+
+    def add(self, of_scan: FieldOfViewCoverage) -> None:
+        """Add the coverage of a scan."""
+        self.coverage += of_scan
+        self.scans += 1
+        if self.scans == EARLY_SCANS:
+            self.finish()
+
+    def finish(self) -> None:
+        """Warn if too many points lie outside, unless that was done."""
+        if self.warned or self.coverage.share <= LARGEST_SHARE_OUTSIDE:
+            return
+        self.warned = True
+        sensor = self.sensor
+        log.warning(
+            "%.0f %% of the points of %d scans lie outside the view of %s, %+g° to %+g°: "
+            "give their sensor with --sensor; `salsanext inspect SCANS --fit FILE.toml` finds it",
+            *(100 * self.coverage.share, self.scans, sensor.name, sensor.fov_up, sensor.fov_down),
+        )

@@ -94,7 +94,7 @@ def count_scan(
     ring = None if points is None else ring_of_point(points)
     return ScanCounts(
         Confusion(space.class_count).update(*ids),
-        () if points is None else confusion_by_ring(points, *ids, space.class_count),
+        () if ring is None else confusion_by_ring(ring, *ids, space.class_count),
         Counter(space.unknown_ids(truth)),
         Counter(space.unknown_ids(predicted)),
         scans=1,

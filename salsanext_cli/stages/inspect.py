@@ -14,8 +14,11 @@ from salsanext_cli.errors import NoInputError, OutputError
 from salsanext_cli.formats import read_scan
 from salsanext_cli.formats.kitti import read_labels
 from salsanext_cli.formats.reading import present
-from salsanext_cli.geometry.coverage import FieldOfViewCoverage, field_of_view_coverage
-from salsanext_cli.geometry.coverage_check import CoverageCheck
+from salsanext_cli.geometry.coverage import (
+    CoverageCheck,
+    FieldOfViewCoverage,
+    field_of_view_coverage,
+)
 from salsanext_cli.geometry.projection import project
 from salsanext_cli.measures.survey import Survey, survey
 from salsanext_cli.parallel.run import Failure, RunOptions, run_over_scans

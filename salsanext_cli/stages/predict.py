@@ -14,8 +14,7 @@ import numpy.typing as npt
 
 from salsanext_cli.classes import LabelSpace, TrainIds
 from salsanext_cli.errors import UsageError
-from salsanext_cli.geometry.coverage import FieldOfViewCoverage
-from salsanext_cli.geometry.coverage_check import CoverageCheck
+from salsanext_cli.geometry.coverage import CoverageCheck, FieldOfViewCoverage
 from salsanext_cli.geometry.knn import KnnParameters, knn_refine
 from salsanext_cli.inference.predict_batches import predict_batches, usual_size
 from salsanext_cli.inference.settings import NetworkSettings

@@ -8,8 +8,11 @@ from pathlib import Path
 
 from salsanext_cli.formats import read_scan
 from salsanext_cli.formats.npy import read_array
-from salsanext_cli.geometry.coverage import FieldOfViewCoverage, field_of_view_coverage
-from salsanext_cli.geometry.coverage_check import CoverageCheck
+from salsanext_cli.geometry.coverage import (
+    CoverageCheck,
+    FieldOfViewCoverage,
+    field_of_view_coverage,
+)
 from salsanext_cli.geometry.projection import project
 from salsanext_cli.parallel.run import Outcome, RunOptions, run_over_scans
 from salsanext_cli.records import CHANNELS, Float, RangeImage

@@ -14,7 +14,7 @@ import torch
 from torch import Tensor
 
 from salsanext_cli.errors import FormatError, UsageError, WeightsError
-from salsanext_cli.geometry.coverage_check import CoverageCheck
+from salsanext_cli.geometry.coverage import CoverageCheck
 from salsanext_cli.inference.network import Network
 from salsanext_cli.inference.settings import NetworkSettings
 from salsanext_cli.network.weights import WeightsCard, default_weights, save_with_card

@@ -10,8 +10,7 @@ from typing import Any
 import numpy as np
 
 from salsanext_cli.errors import OutputError
-from salsanext_cli.geometry.coverage import FieldOfViewCoverage
-from salsanext_cli.geometry.coverage_check import CoverageCheck
+from salsanext_cli.geometry.coverage import CoverageCheck, FieldOfViewCoverage
 from salsanext_cli.geometry.knn import KnnParameters, knn_refine
 from salsanext_cli.inference.settings import NetworkSettings
 from salsanext_cli.parallel.run import Outcome, RunOptions, run_over_scans

@@ -1,4 +1,6 @@
 # SPDX-License-Identifier: MIT
+"""Stages warn when scans come from another sensor than the one that was named."""
+
 import logging
 from dataclasses import replace
 
@@ -6,8 +8,6 @@ import pytest
 from scans import SMALL
 
 from salsanext_cli.errors import NOTICE
-from salsanext_cli.geometry.coverage import FieldOfViewCoverage
-from salsanext_cli.geometry.coverage_check import EARLY, CoverageCheck
 from salsanext_cli.parallel.run import RunOptions
 from salsanext_cli.sensors import sensor
 from salsanext_cli.stages.inspect import inspect
@@ -39,7 +39,7 @@ def test_another_sensors_scans_are_noticed_once(world, caplog, stage):
     assert "inspect SCANS --fit" in said
 
 
-def test_workers_tell_what_they_saw(world, caplog):
+def test_coverage_is_counted_in_workers_too(world, caplog):
     run("project", world, UPWARDS, jobs=2)
     assert "of the points of 3 scans" in caplog.text
 
@@ -52,25 +52,6 @@ def test_the_right_sensor_is_taken_as_it_is(world, caplog, stage):
 
 def test_a_fit_is_to_find_the_sensor(world, caplog):
     inspect(world.data, sensor=UPWARDS, fit=True)
-    assert not caplog.records
-
-
-def test_a_long_run_says_so_early_and_only_then(caplog):
-    check = CoverageCheck(SMALL)
-    for _ in range(EARLY):
-        assert not caplog.records
-        check.add(FieldOfViewCoverage(10, 9))
-    assert "90 % of the points of 10 scans" in caplog.text
-    check.add(FieldOfViewCoverage(10, 9))
-    check.finish()
-    assert len(caplog.records) == 1
-
-
-def test_some_points_out_of_view_are_usual(caplog):
-    check = CoverageCheck(SMALL)
-    check.add(FieldOfViewCoverage(100, 20))
-    check.finish()
-    CoverageCheck(SMALL).finish()
     assert not caplog.records
 
 

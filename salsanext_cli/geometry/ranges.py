@@ -1,0 +1,35 @@
+# SPDX-License-Identifier: MIT
+"""Ranges of points, and which points hold a measurement."""
+
+from __future__ import annotations
+
+import sys
+
+import numpy as np
+import numpy.typing as npt
+
+from salsanext_cli.records import Float
+
+
+def measured_ranges(
+    points: Float, farthest: float = sys.float_info.max
+) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.bool_]]:
+    """Return the range of every point, and whether the point holds a measurement.
+
+    Parameters
+    ----------
+    points : (N, 3) float32
+        Cartesian coordinates in metres, sensor frame.
+    farthest : float
+        Largest range in metres that is a measurement; any finite one if not given.
+
+    Returns
+    -------
+    ranges : (N,) float64
+        Distances from the sensor in metres.
+    measured : (N,) bool
+        False for the origin, NaN, infinity and ranges beyond the farthest.
+    """
+    with np.errstate(invalid="ignore"):  # of a signalling NaN
+        ranges = np.sqrt(np.square(points.astype(np.float64)).sum(axis=1))
+    return ranges, (ranges > 0) & (ranges <= farthest)
