@@ -21,7 +21,7 @@ from salsanext_cli.network.registry import build
 from salsanext_cli.network.segmentation import SegmentationNetwork
 from salsanext_cli.network.weights import WeightsCard, read_weights
 from salsanext_cli.parallel.threads import worker_count
-from salsanext_cli.report.sample_picture import draw_sample
+from salsanext_cli.report.scan_pictures import draw_sample
 from salsanext_cli.sensors import Sensor
 from salsanext_cli.sensors import sensor as preset_sensor
 from salsanext_cli.storage.identity import fingerprint
