@@ -38,7 +38,7 @@ def count(scans: Path, out: Path, network: NetworkSettings, space: LabelSpace) -
     predict_scans(scans, out, network=network)
     counts = ScanCounts.none(space, by_distance=False)
     for scan in find_scans(scans):
-        counts += count_scan(scan, out, space, by_distance=False)
+        counts.add(count_scan(scan, out, space))
     return counts.confusion
 
 

@@ -1,11 +1,20 @@
 # SPDX-License-Identifier: MIT
-"""A data set and an output folder to evaluate."""
+"""A data set and an output folder to evaluate, and results of evaluations."""
 
 from pathlib import Path
 
 import numpy as np
 
 from salsanext_cli.classes import label_space
+from salsanext_cli.measures.calibration import ConfidenceHistogram, softmax_errors
+from salsanext_cli.measures.reliability import SCAN_BINS, reliability
+from salsanext_cli.measures.scan_counts import CLASS, ScanCounts
+from salsanext_cli.measures.uncertainty_evaluation import (
+    CalibrationResult,
+    RankingResult,
+    evaluate_uncertainty,
+)
+from salsanext_cli.measures.uncertainty_histogram import UncertaintyHistogram
 from salsanext_cli.parallel.run import RunOptions
 from salsanext_cli.records import Scan
 from salsanext_cli.stages.evaluate import evaluate
@@ -45,3 +54,27 @@ class World:
         """Write probabilities or one kind of uncertainty of a scan; the dtype is the usual one."""
         dtype = dtype or (np.float16 if folder == "probabilities" else np.float32)
         write_array(output_path(self.out, sequence, folder, stem), np.asarray(values, dtype))
+
+
+def calibration_result(truth) -> CalibrationResult:
+    """Return the calibration of points of some classes, all called class 1 with 75 %, 2 with 25."""
+    rows = np.zeros((len(truth), SPACE.class_count), np.float16)
+    rows[:, 1], rows[:, 2] = 0.75, 0.25
+    errors = softmax_errors(rows, np.array(truth, int))
+    histogram = ConfidenceHistogram(SPACE.class_count).update(errors, errors.predicted)
+    counts = ScanCounts.none(SPACE, by_distance=False)
+    counts.confidence[CLASS] = histogram
+    if len(truth):
+        error = reliability(histogram.total().counts[:, 0], SCAN_BINS).error
+        counts.calibration_errors.append(error)
+    return evaluate_uncertainty(counts, SPACE).calibration
+
+
+def ranking_result(uncertainty, wrong, truth=None) -> RankingResult:
+    """Return how well an uncertainty finds wrong points, all of class 1 unless it is said."""
+    truth = np.ones(len(uncertainty), int) if truth is None else truth
+    histogram = UncertaintyHistogram(SPACE.class_count)
+    counts = ScanCounts.none(SPACE, by_distance=False)
+    histogram.update(np.array(uncertainty, np.float32), wrong, truth)
+    counts.uncertainty["epistemic", CLASS] = histogram
+    return evaluate_uncertainty(counts, SPACE).kinds["epistemic"]

@@ -106,7 +106,8 @@ def test_no_modules_import_each_other_in_a_circle():
     """Imports inside functions and for type checkers count too; `__init__` only names homes."""
     names = {module_name(module): module for module in MODULES} | {"salsanext_cli": PACKAGE}
     imports = {
-        name: {found for found in imported(tree_of(module)) if found in names} - {"salsanext_cli", name}
+        name: {found for found in imported(tree_of(module)) if found in names}
+        - {"salsanext_cli", name}
         for name, module in names.items()
         if name != "salsanext_cli"
     }

@@ -35,8 +35,7 @@ def evaluate(
     """
     from rich.console import Group
 
-    from salsanext_cli.report.tables import ring_table, score_table
-    from salsanext_cli.report.uncertainty_tables import trust_tables
+    from salsanext_cli.report.tables import ring_table, score_table, uncertainty_tables
     from salsanext_cli.stages.evaluate import evaluate as run
     from salsanext_cli.storage.predictions import predicted_scans, provenance
 
@@ -52,7 +51,7 @@ def evaluate(
     tables = [score_table(evaluation.scores)]
     if by_distance:
         tables.append(ring_table(evaluation.by_distance))
-    tables += trust_tables(evaluation.trust.calibration, evaluation.trust.uncertainty)
+    tables += uncertainty_tables(evaluation.uncertainty)
     output.result(evaluation.to_dict(), Group(*tables))
     console.name_failures(evaluation.failures)
     counted = f"{evaluation.scans} scans{evaluation.absent.words('predictions')}"

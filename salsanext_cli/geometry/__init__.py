@@ -14,5 +14,6 @@
     ├── knn_torch               … on a torch device, the same labels
     └── knn_parameters          the neighbourhood and the vote
     gather                  values of pixels onto points and back
+    ranges                  distances of points, and which of them hold a measurement
     coverage                share of points outside the field of view
 """

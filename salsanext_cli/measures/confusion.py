@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""How often each true class was predicted as each class: the counts behind every score."""
+"""Confusion matrix: how often each true class was predicted as each class."""
 
 from __future__ import annotations
 
@@ -74,9 +74,8 @@ class Confusion:
                 raise ValueError(f"{name}: {ids.dtype}, not train ids")
             if ids.size and not 0 <= int(ids.min()) <= int(ids.max()) < self.class_count:
                 raise ValueError(f"{name}: {ids.min()}…{ids.max()}, not 0…{self.class_count - 1}")
-        from salsanext_cli.measures.count_pairs import count_pairs
-
-        self.matrix += count_pairs(truth.ravel(), predicted.ravel(), self.class_count)
+        cell = truth.ravel().astype(np.intp) * self.class_count + predicted.ravel().astype(np.intp)
+        self.matrix += np.bincount(cell, minlength=self.matrix.size).reshape(self.matrix.shape)
         return self
 
     def counted(self, scored: Mask | None = None) -> Counts:

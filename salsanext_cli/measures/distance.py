@@ -8,11 +8,12 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from salsanext_cli.geometry.ranges import measured_ranges
 from salsanext_cli.measures.confusion import Confusion
 from salsanext_cli.records import Float
 
-RING_EDGES = (0.0, 10.0, 20.0, 30.0, 40.0, 50.0)
-"""Where rings begin, in metres; each ends where the next begins, the last one never."""
+RING_STARTS_M = (0.0, 10.0, 20.0, 30.0, 40.0, 50.0)
+"""Each ring ends where the next begins, the last one never."""
 
 RING_NAMES = ("0–10 m", "10–20 m", "20–30 m", "30–40 m", "40–50 m", "over 50 m")
 
@@ -30,21 +31,22 @@ def ring_of_point(points: Float) -> npt.NDArray[np.intp]:
     (N,) int
         Index into `RING_NAMES`; -1 for points without a measurement (origin, NaN, infinity).
     """
-    with np.errstate(invalid="ignore"):  # of a NaN that signals
-        distance = np.linalg.norm(points.astype(np.float64), axis=1)
-    measured = np.isfinite(distance) & (distance > 0)
-    return np.where(measured, np.digitize(np.nan_to_num(distance), RING_EDGES) - 1, -1)
+    ranges, measured = measured_ranges(points)
+    return np.where(measured, np.digitize(np.nan_to_num(ranges), RING_STARTS_M) - 1, -1)
 
 
 def confusion_by_ring(
-    points: Float, truth: npt.NDArray[Any], predicted: npt.NDArray[Any], class_count: int
+    ring: npt.NDArray[np.intp],
+    truth: npt.NDArray[Any],
+    predicted: npt.NDArray[Any],
+    class_count: int,
 ) -> tuple[Confusion, ...]:
     """Count each ring on its own.
 
     Parameters
     ----------
-    points : (N, 3) float32
-        Cartesian coordinates in metres, sensor frame.
+    ring : (N,) int
+        Ring of each point.
     truth, predicted : (N,) integer
         Train ids.
     class_count : int
@@ -55,7 +57,6 @@ def confusion_by_ring(
     tuple of Confusion
         One per name in `RING_NAMES`.
     """
-    ring = ring_of_point(points)
     return tuple(
         Confusion(class_count).update(truth[ring == i], predicted[ring == i])
         for i in range(len(RING_NAMES))

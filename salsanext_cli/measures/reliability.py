@@ -18,6 +18,8 @@ CONFIDENCES = np.arange(int(np.float16(1).view(np.uint16)) + 1).astype(np.uint16
 """Every float16 from 0 to 1, ascending: the bit patterns of numbers above 0 are in their order."""
 BINS = 15
 """Bins of the pooled errors and of the diagram."""
+SCAN_BINS = 10
+"""Bins of the error of a single scan, as Calib3D has it."""
 
 
 @dataclass(frozen=True, slots=True)

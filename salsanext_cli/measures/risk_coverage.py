@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Figures of how well uncertainty finds wrong points, from counts by uncertainty.
+"""Scores of how well uncertainty finds wrong points, from histograms of uncertainty.
 
 All functions take the number of right and of wrong points in bins of ascending uncertainty, (B,)
 int64 each. Points in one bin are tied: they count as every order among them would on average.
@@ -14,7 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from salsanext_cli.measures.confusion import Counts, Ratios
-from salsanext_cli.measures.ranking import Ranking
+from salsanext_cli.measures.uncertainty_histogram import UncertaintyHistogram
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,9 +52,9 @@ class RankingScores:
     ause: float
 
 
-def ranking_scores(ranking: Ranking) -> RankingScores:
+def ranking_scores(histogram: UncertaintyHistogram) -> RankingScores:
     """Divide the counts of all groups together."""
-    pooled = ranking.total()
+    pooled = histogram.total()
     right, wrong = pooled.counts[:, 0]
     points, errors = int(pooled.counts.sum()), int(wrong.sum())
     area = aurc(right, wrong)
@@ -62,7 +62,7 @@ def ranking_scores(ranking: Ranking) -> RankingScores:
     return RankingScores(
         points=points,
         wrong=errors,
-        mean=float(pooled.means[0]),
+        mean=float(pooled.means("uncertainty")[0]),
         auroc=auroc(right, wrong),
         aupr=average_precision(right, wrong),
         aurc=area,

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""What a set of scans is like: field of view, normalisation, classes. Count first, divide once."""
+"""Survey of a set of scans: field of view, normalisation, classes. Count first, divide once."""
 
 from __future__ import annotations
 
@@ -11,11 +11,11 @@ import numpy as np
 import numpy.typing as npt
 
 from salsanext_cli.classes import RawIds
+from salsanext_cli.geometry.ranges import measured_ranges
 from salsanext_cli.records import CHANNELS, RangeImage, Scan
 
-ELEVATION_STEP = 0.05
-"""Width of an elevation bin in degrees."""
-BINS = round(180 / ELEVATION_STEP)
+ELEVATION_STEP_DEG = 0.05
+ELEVATION_BINS = round(180 / ELEVATION_STEP_DEG)
 OUTLIERS = 0.001
 """Share of the points above, and of those below, that a fitted field of view leaves out."""
 
@@ -32,7 +32,7 @@ class Survey:
         Fewest and most points of a scan.
     farthest, brightest : float
         Largest range in metres and largest intensity.
-    elevations : (BINS,) int64
+    elevations : (ELEVATION_BINS,) int64
         Points by elevation from -90° to 90°.
     pixels : int
         Occupied pixels of the range images.
@@ -50,7 +50,9 @@ class Survey:
     largest: int = 0
     farthest: float = 0.0
     brightest: float = 0.0
-    elevations: npt.NDArray[np.int64] = field(default_factory=lambda: np.zeros(BINS, np.int64))
+    elevations: npt.NDArray[np.int64] = field(
+        default_factory=lambda: np.zeros(ELEVATION_BINS, np.int64)
+    )
     pixels: int = 0
     sums: npt.NDArray[np.float64] = field(default_factory=lambda: np.zeros(len(CHANNELS)))
     squares: npt.NDArray[np.float64] = field(default_factory=lambda: np.zeros(len(CHANNELS)))
@@ -89,7 +91,7 @@ class Survey:
         cumulated = np.cumsum(self.elevations) / max(self.elevations.sum(), 1)
         lowest = int(np.searchsorted(cumulated, OUTLIERS))
         highest = int(np.searchsorted(cumulated, 1 - OUTLIERS)) + 1
-        return highest * ELEVATION_STEP - 90, lowest * ELEVATION_STEP - 90
+        return highest * ELEVATION_STEP_DEG - 90, lowest * ELEVATION_STEP_DEG - 90
 
     def to_dict(self) -> dict[str, Any]:
         """Return plain data for JSON."""
@@ -113,12 +115,9 @@ class Survey:
 
 def survey(scan: Scan, image: RangeImage, raw: RawIds | None) -> Survey:
     """Count one scan, its range image and its labels if there are any."""
-    with np.errstate(invalid="ignore"):  # of a NaN that signals
-        points = scan.points.astype(np.float64)
-    distance = np.sqrt(np.square(points).sum(axis=1))
-    measured = np.isfinite(distance) & (distance > 0)
-    distance, z = distance[measured], points[measured, 2]
-    elevations = np.degrees(np.arcsin(z / distance))
+    ranges, measured = measured_ranges(scan.points)
+    ranges, z = ranges[measured], scan.points[measured, 2]
+    elevations = np.degrees(np.arcsin(z / ranges))
     occupied = image.channels[:, image.channels[0] > 0].astype(np.float64)
     bright = scan.intensity[np.isfinite(scan.intensity)]
     ids, counts = np.unique([] if raw is None else raw & np.uint32(0xFFFF), return_counts=True)
@@ -129,9 +128,9 @@ def survey(scan: Scan, image: RangeImage, raw: RawIds | None) -> Survey:
         invalid=int(len(scan) - measured.sum()),
         smallest=len(scan),
         largest=len(scan),
-        farthest=float(distance.max(initial=0)),
+        farthest=float(ranges.max(initial=0)),
         brightest=float(bright.max(initial=0)),
-        elevations=np.histogram(elevations, BINS, (-90, 90))[0].astype(np.int64),
+        elevations=np.histogram(elevations, ELEVATION_BINS, (-90, 90))[0].astype(np.int64),
         pixels=occupied.shape[1],
         sums=occupied.sum(axis=1),
         squares=np.square(occupied).sum(axis=1),

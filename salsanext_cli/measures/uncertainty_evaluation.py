@@ -1,100 +1,224 @@
 # SPDX-License-Identifier: MIT
-"""How far probabilities and uncertainties can be trusted: that part of an evaluation."""
+"""Evaluation of probabilities and uncertainties: of all points, by class and by distance."""
 
 from __future__ import annotations
 
 import logging
-from dataclasses import dataclass
-from pathlib import Path
-from typing import Any
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import asdict, dataclass
+from typing import Any, Generic, TypeVar
+
+import numpy as np
+import numpy.typing as npt
 
 from salsanext_cli.classes import LabelSpace
-from salsanext_cli.measures.figures import (
-    CalibrationFigures,
-    UncertaintyFigures,
-    calibration_figures,
-    uncertainty_figures,
+from salsanext_cli.measures.calibration import (
+    CalibrationScores,
+    calibration_scores,
 )
-from salsanext_cli.measures.uncertainty_counts import (
-    CLASS,
-    FOLDERS,
-    KINDS,
-    RING,
-    UncertaintyCounts,
+from salsanext_cli.measures.confusion import Ratios
+from salsanext_cli.measures.correlation import spearman
+from salsanext_cli.measures.distance import RING_NAMES
+from salsanext_cli.measures.grouped_histogram import GroupedHistogram
+from salsanext_cli.measures.reliability import Reliability, reliability
+from salsanext_cli.measures.risk_coverage import (
+    RankingScores,
+    ranking_scores,
+    risk_at,
+    threshold_at,
 )
+from salsanext_cli.measures.scan_counts import CLASS, FOLDERS, KINDS, RING, ScanCounts
+from salsanext_cli.measures.scores import plain
+from salsanext_cli.measures.uncertainty_histogram import highest_of_bins
+
+COVERAGE = np.arange(1, 101) / 100
+"""Where a risk-coverage curve is drawn: shares of the points, the least uncertain ones first."""
 
 log = logging.getLogger(__name__)
+
+Histogram = TypeVar("Histogram", bound=GroupedHistogram)
+Scores = TypeVar("Scores", CalibrationScores, RankingScores)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class GroupedScores(Generic[Scores]):
+    """Scores of all points, by class and by distance.
+
+    Attributes
+    ----------
+    scores : CalibrationScores or RankingScores
+        Over all points.
+    scans, left_out : int
+        Number of scans with points, and of points without a value.
+    classes : dict of int to scores
+        By train id.
+    rings : dict of str to scores
+        By name of the ring of distance; empty if not wanted.
+    """
+
+    scores: Scores
+    scans: int
+    left_out: int
+    classes: dict[int, Scores]
+    rings: dict[str, Scores]
+
+    def plain(self, space: LabelSpace, more: Mapping[str, Any]) -> dict[str, Any]:
+        """Return plain data for JSON, with more in the middle; null stands for NaN."""
+        return {
+            "scans": self.scans,
+            "left_out": self.left_out,
+            **_plain_scores(self.scores),
+            **more,
+            "classes": [
+                {"name": space.names[i], "train_id": i, **_plain_scores(of_class)}
+                for i, of_class in self.classes.items()
+            ],
+            "by_distance": {name: _plain_scores(ring) for name, ring in self.rings.items()},
+        }
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class CalibrationResult(GroupedScores[CalibrationScores]):
+    """How well probabilities are calibrated.
+
+    Classes are the most probable ones, since of these points a calibrated network is right as
+    often as it says; of the points that truly are of a class it need not be.
+
+    Attributes
+    ----------
+    scan_error : float
+        Expected calibration error of a scan over 10 bins, mean over the scans, 0…1.
+    reliability : Reliability
+        The diagram over 15 bins.
+    """
+
+    scan_error: float
+    reliability: Reliability
+
+    def to_dict(self, space: LabelSpace) -> dict[str, Any]:
+        """Return plain data for JSON; null stands for NaN."""
+        diagram = {k: _plain_list(v) for k, v in asdict(self.reliability).items()}
+        return self.plain(space, {"ece_per_scan": plain(self.scan_error), "reliability": diagram})
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RankingResult(GroupedScores[RankingScores]):
+    """How well one kind of uncertainty finds wrong points; classes are the true ones.
+
+    Attributes
+    ----------
+    risk : (100,) float64
+        Share of wrong points among the least uncertain 1 %, 2 %, … 100 %.
+    thresholds : (100,) float64
+        The uncertainty up to which these points go, at most 1 % too large.
+    correlation : float
+        Spearman's rank correlation, over the classes present, of the mean uncertainty of a class
+        and its number of points, -1…1.
+    """
+
+    risk: Ratios
+    thresholds: Ratios
+    correlation: float
+
+    def to_dict(self, space: LabelSpace) -> dict[str, Any]:
+        """Return plain data for JSON; null stands for NaN."""
+        curves = {"risk_coverage": self.risk, "thresholds": self.thresholds}
+        more = {name: _plain_list(curve) for name, curve in curves.items()}
+        return self.plain(space, {"class_size_correlation": plain(self.correlation)} | more)
 
 
 @dataclass(frozen=True, slots=True)
 class UncertaintyEvaluation:
-    """What was found beside the predictions, and how far it can be trusted.
+    """Evaluation of the probabilities and uncertainties that lie beside predictions.
 
     Attributes
     ----------
     space : LabelSpace
         Which classes there are.
-    calibration : CalibrationFigures or None
+    calibration : CalibrationResult or None
         Of the probabilities; None without any.
-    uncertainty : dict of str to UncertaintyFigures
-        By kind; empty without any.
+    kinds : dict of str to RankingResult
+        By kind of uncertainty; empty without any.
     """
 
     space: LabelSpace
-    calibration: CalibrationFigures | None
-    uncertainty: dict[str, UncertaintyFigures]
+    calibration: CalibrationResult | None
+    kinds: dict[str, RankingResult]
 
     def to_dict(self) -> dict[str, Any]:
         """Return plain data for JSON, without what there is none of; null stands for NaN."""
-        plain: dict[str, Any] = {}
+        data: dict[str, Any] = {}
         if self.calibration:
-            plain["calibration"] = self.calibration.to_dict(self.space)
-        if self.uncertainty:
-            kinds = self.uncertainty.items()
-            plain["uncertainty"] = {kind: figures.to_dict(self.space) for kind, figures in kinds}
-        return plain
-
-    def write_pictures(self, out: Path) -> None:
-        """Draw what there is into the output folder."""
-        from salsanext_cli.report.uncertainty_plots import (
-            class_uncertainty,
-            reliability_diagram,
-            risk_coverage,
-            sparsification,
-        )
-
-        if self.calibration:
-            reliability_diagram(out / "eval_reliability.png", self.calibration)
-        if self.uncertainty:
-            risk_coverage(out / "eval_risk_coverage.png", self.uncertainty)
-            sparsification(out / "eval_sparsification.png", self.uncertainty)
-        if epistemic := self.uncertainty.get("epistemic"):
-            class_uncertainty(out / "eval_class_uncertainty.png", epistemic, self.space)
+            data["calibration"] = self.calibration.to_dict(self.space)
+        if self.kinds:
+            data["uncertainty"] = {k: found.to_dict(self.space) for k, found in self.kinds.items()}
+        return data
 
 
-def trust(counts: UncertaintyCounts, scans: int, space: LabelSpace) -> UncertaintyEvaluation:
-    """Divide the counts, and say which files are there for some of the scans only.
+def evaluate_uncertainty(counts: ScanCounts, space: LabelSpace) -> UncertaintyEvaluation:
+    """Divide the counts of all scans; warn of files that only some of the scans have.
 
     Parameters
     ----------
-    counts : UncertaintyCounts
+    counts : ScanCounts
         Of all scans.
-    scans : int
-        How many scans that is.
     space : LabelSpace
         Which classes there are.
     """
     for folder in FOLDERS:
-        if 0 < counts.files[folder] < scans:
-            log.warning("%s of %d of %d scans only", folder, counts.files[folder], scans)
-    by_class = counts.calibrations.get(CLASS)
-    by_ring = counts.calibrations.get(RING)
+        if 0 < counts.files[folder] < counts.scans:
+            log.warning("%s of %d of %d scans only", folder, counts.files[folder], counts.scans)
+    kinds = [kind for kind in KINDS if (kind, CLASS) in counts.uncertainty]
     return UncertaintyEvaluation(
         space=space,
-        calibration=calibration_figures(by_class, by_ring, space) if by_class else None,
-        uncertainty={
-            kind: uncertainty_figures(found, counts.rankings.get((kind, RING)), space)
-            for kind in KINDS
-            if (found := counts.rankings.get((kind, CLASS)))
-        },
+        calibration=_calibration_result(counts, space) if counts.confidence else None,
+        kinds={kind: _ranking_result(counts, kind, space) for kind in kinds},
     )
+
+
+def _calibration_result(counts: ScanCounts, space: LabelSpace) -> CalibrationResult:
+    by_class, errors = counts.confidence[CLASS], counts.calibration_errors
+    return CalibrationResult(
+        **_grouped(calibration_scores, by_class, counts.confidence.get(RING), space),
+        scan_error=math.fsum(errors) / len(errors) if errors else math.nan,
+        reliability=reliability(by_class.total().counts[:, 0]),
+    )
+
+
+def _ranking_result(counts: ScanCounts, kind: str, space: LabelSpace) -> RankingResult:
+    by_class = counts.uncertainty[kind, CLASS]
+    present = by_class.points > 0
+    right, wrong = by_class.total().counts[:, 0]
+    return RankingResult(
+        **_grouped(ranking_scores, by_class, counts.uncertainty.get((kind, RING)), space),
+        risk=risk_at(right, wrong, COVERAGE),
+        thresholds=threshold_at(right, wrong, COVERAGE, highest_of_bins()),
+        correlation=spearman(by_class.means("uncertainty")[present], by_class.points[present]),
+    )
+
+
+def _grouped(
+    divide: Callable[[Histogram], Scores],
+    by_class: Histogram,
+    by_ring: Histogram | None,
+    space: LabelSpace,
+) -> dict[str, Any]:
+    """Return the fields of `GroupedScores`."""
+    return {
+        "scores": divide(by_class),
+        "scans": by_class.scans,
+        "left_out": by_class.left_out,
+        "classes": {i: divide(by_class.group(i)) for i in np.flatnonzero(space.scored).tolist()},
+        "rings": {name: divide(by_ring.group(i)) for i, name in enumerate(RING_NAMES)}
+        if by_ring
+        else {},
+    }
+
+
+def _plain_scores(scores: CalibrationScores | RankingScores) -> dict[str, Any]:
+    return {name: plain(value) for name, value in asdict(scores).items()}
+
+
+def _plain_list(values: npt.NDArray[Any]) -> list[Any]:
+    return [plain(value) for value in values.tolist()]

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Literal
 import numpy as np
 
 from salsanext_cli.report.colours import EMPTY, Colours, Legend
-from salsanext_cli.storage.atomic import writing
+from salsanext_cli.storage.atomic import write_bytes
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -65,17 +65,23 @@ def text_at(figure: Figure, left: int, top: int, text: str, size: int, colour: s
     )
 
 
-def plain_frame(axes: Axes) -> None:
-    """Leave out the box and the ticks; numbers and names stay."""
+def new_plot(
+    width: int, height: int, place: tuple[int, int, int, int], title: str = "", title_top: int = 25
+) -> tuple[Figure, Axes]:
+    """Return a figure on `PAPER` and its axes: left, top, width and height, all in pixels."""
+    figure = new_figure(width, height, PAPER)
+    text_at(figure, place[0], title_top, title, 17, DARK)
+    return figure, axes_at(figure, *place)
+
+
+def plain_frame(axes: Axes, grid: Literal["both", "x"] | None = "both") -> None:
+    """Leave out the box and the ticks; draw thin lines behind what is plotted."""
+    if grid:
+        axes.grid(axis=grid, color=PALE, linewidth=0.6)
+        axes.set_axisbelow(True)
     axes.tick_params(which="both", length=0, colors=DARK, labelsize=10)
     for side in axes.spines.values():
         side.set_visible(False)
-
-
-def draw_grid(axes: Axes, direction: Literal["both", "x", "y"] = "both") -> None:
-    """Draw thin lines behind what is plotted."""
-    axes.grid(axis=direction, color=PALE, linewidth=0.6)
-    axes.set_axisbelow(True)
 
 
 def draw_legend(figure: Figure, legend: Legend, left: int, top: int, width: int) -> None:
@@ -104,9 +110,13 @@ def stretched(picture: Colours, rows: int, columns: int) -> Colours:
     return picture.repeat(rows, axis=0).repeat(columns, axis=1)
 
 
-def save_png(figure: Figure, path: Path) -> None:
-    """Write a figure; the file appears when it is complete."""
+def png_of(figure: Figure) -> bytes:
+    """Return a figure as the content of a PNG file."""
     png = BytesIO()
     figure.savefig(png, format="png", dpi=DPI, metadata={"Software": None})
-    with writing(path) as file:
-        file.write(png.getvalue())
+    return png.getvalue()
+
+
+def save_png(figure: Figure, path: Path) -> None:
+    """Write a figure; the file appears when it is complete."""
+    write_bytes(path, png_of(figure))

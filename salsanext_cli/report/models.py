@@ -6,32 +6,25 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
+from salsanext_cli.report.tables import number_table
+
 if TYPE_CHECKING:
     from rich.table import Table
-
 
 NOTES = {
     "agrees": "* not the paper's number of parameters to the digit",
     "determined": "† the paper does not determine this network: the nearest reading",
 }
-"""What the marks mean; a mark is set where the key is not true."""
+"""Notes to the marks; a mark is set where the key is not true."""
 
 
 def network_table(networks: Sequence[Mapping[str, Any]]) -> Table:
     """Return a table of networks: what they cost, and beside it in brackets the papers' figures."""
-    from rich.table import Table
-
-    table = Table(
-        title="Networks, with the papers' figures in brackets",
-        title_justify="left",
-        caption="\n".join(NOTES.values()),
-        caption_justify="left",
-    )
-    table.add_column("name", no_wrap=True)
-    table.add_column("parameters", justify="right")
-    table.add_column("multiply-accumulates at 64×2048 (FLOPs)", justify="right")
-    table.add_column("receptive field", justify="right")
-    table.add_column("mIoU without kNN, with, on test", justify="right")
+    costs = ("parameters", "multiply-accumulates at 64×2048 (FLOPs)", "receptive field")
+    headings = ("name", *costs, "mIoU without kNN, with, on test")
+    title = "Networks, with the papers' figures in brackets"
+    table = number_table(*headings, title=title, no_wrap=True)
+    table.caption, table.caption_justify = "\n".join(NOTES.values()), "left"
     for network in networks:
         table.add_row(*_cells(network))
     return table
@@ -52,7 +45,7 @@ def _cells(network: Mapping[str, Any]) -> tuple[str, ...]:
 
 
 def card_table(card: Mapping[str, Any]) -> Table:
-    """Return a table of what a weights file says of itself."""
+    """Return a table of the card of a weights file."""
     from rich.markup import escape
     from rich.table import Table
 

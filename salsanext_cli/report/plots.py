@@ -4,8 +4,7 @@
 from __future__ import annotations
 
 import math
-from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -14,37 +13,35 @@ from salsanext_cli.measures.confusion import Confusion, ratio
 from salsanext_cli.measures.scores import Scores
 from salsanext_cli.report import canvas
 from salsanext_cli.report.canvas import DARK
-from salsanext_cli.report.numbers import percent
+from salsanext_cli.report.tables import percent
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.colors import Colormap
 
-ROW = 28
-"""Pixels per class of the bar plot."""
-CELL = 46
-"""Pixels per cell of the matrix."""
-NAMES = 150
-"""Pixels for the names of classes."""
+ROW_PX = 28
+"""Height of a class in the bar plot."""
+CELL_PX = 46
+"""Height and width of a cell of the matrix."""
+NAMES_PX = 150
+"""Space for the names of classes."""
 SMALLEST_SHARE = 0.005
 """Shares below this round to 0 % and are not written into their cell."""
 
 
-def iou_bars(path: Path, result: Scores, space: LabelSpace) -> None:
+def iou_bars(result: Scores, space: LabelSpace) -> bytes:
     """Draw the IoU of every class as a bar in the class's colour, as a PNG.
 
     Parameters
     ----------
-    path : Path
-        Where to write.
     result : Scores
         What to draw; a class that is absent has no bar.
     space : LabelSpace
         Whose colours to take.
     """
-    height = ROW * len(result.classes)
-    figure = canvas.new_figure(900, height + 130, canvas.PAPER)
-    axes = canvas.axes_at(figure, NAMES, 70, 690, height)
+    height = ROW_PX * len(result.classes)
+    title = f"{result.points:,} labelled points · accuracy {percent(result.accuracy, 1, ' %')}"
+    figure, axes = canvas.new_plot(900, height + 130, (NAMES_PX, 70, 690, height), title)
     places = range(len(result.classes))
     shares = [100 * c.iou for c in result.classes]
     colours = [space.colours[c.train_id] / 255 for c in result.classes]
@@ -65,11 +62,8 @@ def iou_bars(path: Path, result: Scores, space: LabelSpace) -> None:
     axes.set_xlim(0, 108)
     axes.set_xticks(range(0, 101, 20))
     axes.set_xlabel("IoU in %")
-    canvas.draw_grid(axes, "x")
-    canvas.plain_frame(axes)
-    title = f"{result.points:,} labelled points · accuracy {percent(result.accuracy, 1, ' %')}"
-    canvas.text_at(figure, NAMES, 25, title, 17, DARK)
-    canvas.save_png(figure, path)
+    canvas.plain_frame(axes, "x")
+    return canvas.png_of(figure)
 
 
 def _mark_mean(axes: Axes, result: Scores, count: int) -> None:
@@ -82,13 +76,11 @@ def _mark_mean(axes: Axes, result: Scores, count: int) -> None:
     )
 
 
-def confusion_picture(path: Path, confusion: Confusion, space: LabelSpace) -> None:
+def confusion_picture(confusion: Confusion, space: LabelSpace) -> bytes:
     """Draw the confusion matrix, each row in percent of its true class, as a PNG.
 
     Parameters
     ----------
-    path : Path
-        Where to write.
     confusion : Confusion
         Counts over the train ids of `space`.
     space : LabelSpace
@@ -97,9 +89,9 @@ def confusion_picture(path: Path, confusion: Confusion, space: LabelSpace) -> No
     matrix = confusion.counted(space.scored)
     scored, predicted = np.flatnonzero(space.scored), np.arange(space.class_count)
     shares = ratio(matrix, np.broadcast_to(matrix.sum(axis=1)[:, None], matrix.shape))[scored]
-    width, height = CELL * len(predicted), CELL * len(scored)
-    figure = canvas.new_figure(width + NAMES + 50, height + NAMES + 10, canvas.PAPER)
-    axes = canvas.axes_at(figure, NAMES, 30, width, height)
+    width, height = CELL_PX * len(predicted), CELL_PX * len(scored)
+    size = (width + NAMES_PX + 50, height + NAMES_PX + 10)
+    figure, axes = canvas.new_plot(*size, (NAMES_PX, 30, width, height))
     axes.imshow(np.ma.masked_invalid(shares), cmap=_blues(), vmin=0, vmax=1, aspect="auto")
     for (row, column), share in np.ndenumerate(shares):
         if share >= SMALLEST_SHARE:
@@ -109,14 +101,8 @@ def confusion_picture(path: Path, confusion: Confusion, space: LabelSpace) -> No
             )
     names = space.names
     axes.set_yticks(range(len(scored)), [names[i] for i in scored], parse_math=False)
-    axes.set_xticks(
-        range(len(predicted)),
-        names,
-        rotation=45,
-        ha="right",
-        rotation_mode="anchor",
-        parse_math=False,
-    )
+    slanted: dict[str, Any] = {"rotation": 45, "ha": "right", "rotation_mode": "anchor"}
+    axes.set_xticks(range(len(predicted)), names, parse_math=False, **slanted)
     for row in np.flatnonzero(np.isnan(shares[:, 0])).tolist():
         axes.text(0, row, "no points", color=canvas.FAINT, va="center", size=9)
     axes.set_xticks(np.arange(len(predicted) + 1) - 0.5, minor=True)
@@ -124,8 +110,8 @@ def confusion_picture(path: Path, confusion: Confusion, space: LabelSpace) -> No
     axes.grid(which="minor", color=canvas.PAPER, linewidth=1)
     axes.set_ylabel("truth")
     axes.set_xlabel("prediction, % of the true class's points")
-    canvas.plain_frame(axes)
-    canvas.save_png(figure, path)
+    canvas.plain_frame(axes, None)
+    return canvas.png_of(figure)
 
 
 def _blues() -> Colormap:

@@ -1,19 +1,33 @@
 # SPDX-License-Identifier: MIT
-"""Pictures of a scan and of all that is known about it."""
+"""Pictures of a scan: all that is known about it, and what a network in training predicts."""
 
 from __future__ import annotations
 
 from pathlib import Path
 
+import numpy as np
+
 from salsanext_cli.classes import LabelSpace, TrainIds
+from salsanext_cli.formats import read_scan
+from salsanext_cli.formats.kitti import read_labels
+from salsanext_cli.geometry.knn import knn_refine
 from salsanext_cli.geometry.projection import project
+from salsanext_cli.inference.network import Network
+from salsanext_cli.records import RangeImage
 from salsanext_cli.report.birds_eye import View, birds_eye
-from salsanext_cli.report.colours import error_colours, label_colours, legend_of
+from salsanext_cli.report.canvas import stretched
+from salsanext_cli.report.colours import Colours, error_colours, label_colours, legend_of
 from salsanext_cli.report.panel import Strip, panel, range_strip, scalar_strip
 from salsanext_cli.report.range_image import error_picture, label_picture
 from salsanext_cli.sensors import Sensor
+from salsanext_cli.storage.atomic import writing
 from salsanext_cli.storage.layout import ScanFile
-from salsanext_cli.storage.scan_results import ScanResults, read_results
+from salsanext_cli.storage.scan_results import read_results
+
+ROW_HEIGHT_PX = 3
+"""Height of a row of `draw_sample`, since beams are farther apart than columns."""
+GAP_PX = 6
+"""White rows between its strips."""
 
 
 def draw_scan(
@@ -39,38 +53,68 @@ def draw_scan(
     tuple of Path
         The strips and the view from above, both PNG.
     """
-    cloud = read_results(file, out, sensor.intensity_scale)
-    labels = _labels(cloud, space)
-    name = f"{file.sequence}_{file.stem}"
-    strips, above = folder / f"{name}_range.png", folder / f"{name}_above.png"
-    wrong = len(labels) == 2
-    legend = legend_of(space, *labels.values(), errors=wrong)
-    panel(strips, _strips(cloud, labels, space, sensor), legend)
-    views = [View(title, label_colours(ids, space)) for title, ids in labels.items()]
-    if wrong:
-        errors = error_colours(labels["truth"], labels["prediction"], space)
-        views.append(View("errors", errors))
-    birds_eye(above, cloud.scan.points, views, legend)
-    return strips, above
-
-
-def _labels(cloud: ScanResults, space: LabelSpace) -> dict[str, TrainIds]:
-    """Return train ids by title, truth before prediction, as far as known."""
-    known = {"truth": cloud.truth, "prediction": cloud.label}
-    return {
-        title: space.to_train(raw, strict=False) for title, raw in known.items() if raw is not None
-    }
-
-
-def _strips(
-    cloud: ScanResults, labels: dict[str, TrainIds], space: LabelSpace, sensor: Sensor
-) -> list[Strip]:
-    image = project(cloud.scan, sensor)
+    found = read_results(file, out, sensor.intensity_scale)
+    known = {"truth": found.truth, "prediction": found.label}
+    labels = {k: space.to_train(raw, strict=False) for k, raw in known.items() if raw is not None}
+    legend = legend_of(space, *labels.values(), errors=len(labels) == 2)
+    image = project(found.scan, sensor)
     strips = [range_strip(image), scalar_strip(image, "intensity", image.channels[4])]
-    strips += [Strip(title, label_picture(image, ids, space)) for title, ids in labels.items()]
+    strips += _label_strips(image, labels, space)
+    for kind, values in found.uncertainty.items():
+        strips.append(scalar_strip(image, kind.replace("_", " "), values))
+    views = [View(title, label_colours(ids, space)) for title, ids in labels.items()]
+    if len(labels) == 2:
+        views.append(View("errors", error_colours(labels["truth"], labels["prediction"], space)))
+    name = f"{file.sequence}_{file.stem}"
+    range_path, above_path = folder / f"{name}_range.png", folder / f"{name}_above.png"
+    panel(range_path, strips, legend)
+    birds_eye(above_path, found.scan.points, views, legend)
+    return range_path, above_path
+
+
+def draw_sample(path: Path, file: ScanFile, network: Network) -> Colours:
+    """Draw range, truth, prediction and errors of a labelled scan below each other, as PNG.
+
+    It is quick to draw: strips without words.
+
+    Parameters
+    ----------
+    path : Path
+        Where to write.
+    file : ScanFile
+        The scan.
+    network : Network
+        What predicts it, as `predict` does.
+
+    Returns
+    -------
+    (4·3·H + gaps, W, 3) uint8
+        The picture.
+    """
+    from matplotlib.image import imsave  # a second to import, and only this needs it
+
+    space, sensor = network.card.space, network.sensor
+    scan = read_scan(file.path, intensity_scale=sensor.intensity_scale)
+    truth = space.to_train(read_labels(file.label_path, len(scan)), source=file.label_path)
+    image = project(scan, sensor)
+    pixel_labels = network.probabilities(image).argmax(axis=0)
+    labels = knn_refine(image, pixel_labels, space.class_count)
+    strips = [
+        range_strip(image),
+        *_label_strips(image, {"truth": truth, "prediction": labels}, space),
+    ]
+    gap = np.full((GAP_PX, sensor.width, 3), 255, np.uint8)
+    rows = [part for s in strips for part in (gap, stretched(s.picture, ROW_HEIGHT_PX, 1))][1:]
+    picture = np.concatenate(rows)
+    with writing(path) as out:
+        imsave(out, picture, format="png")
+    return picture
+
+
+def _label_strips(image: RangeImage, labels: dict[str, TrainIds], space: LabelSpace) -> list[Strip]:
+    """Return strips of train ids by title, and of the errors if there are truth and prediction."""
+    strips = [Strip(title, label_picture(image, ids, space)) for title, ids in labels.items()]
     if len(labels) == 2:
         errors = error_picture(image, labels["truth"], labels["prediction"], space)
         strips.append(Strip("errors", errors))
-    for kind, values in cloud.uncertainty.items():
-        strips.append(scalar_strip(image, kind.replace("_", " "), values))
     return strips

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 from salsanext_cli.classes import LabelSpace
 from salsanext_cli.measures.survey import Survey
 from salsanext_cli.records import CHANNELS
+from salsanext_cli.report.tables import number_table
 from salsanext_cli.sensors import Sensor
 
 if TYPE_CHECKING:
@@ -31,9 +32,8 @@ def survey_tables(
 def _sequences(sequences: Mapping[str, Survey], total: Survey) -> Table:
     from rich.markup import escape
 
-    table = _table("Scans", "sequence", "scans", "labelled", "points per scan", "invalid points")
-    for heading in ("farthest, m", "brightest", "field of view"):
-        table.add_column(heading, justify="right")
+    numbers = ("scans", "labelled", "points per scan", "invalid points", "farthest, m", "brightest")
+    table = number_table("sequence", *numbers, "field of view", title="Scans")
     rows = dict(sequences) | ({"all": total} if len(sequences) > 1 else {})
     for name, found in rows.items():
         up, down = found.field_of_view()
@@ -52,7 +52,7 @@ def _sequences(sequences: Mapping[str, Survey], total: Survey) -> Table:
 
 def _channels(total: Survey, sensor: Sensor) -> Table:
     title = f"Range images of {sensor.name}, {sensor.height}×{sensor.width}"
-    table = _table(title, "channel", "mean", "standard deviation")
+    table = number_table("channel", "mean", "standard deviation", title=title)
     for name, mean, std in zip(CHANNELS, total.means, total.stds, strict=True):
         table.add_row(name, f"{mean:.3f}", f"{std:.3f}")
     return table
@@ -61,7 +61,8 @@ def _channels(total: Survey, sensor: Sensor) -> Table:
 def _classes(total: Survey, space: LabelSpace) -> Table:
     from rich.markup import escape
 
-    table = _table("Classes", "raw id and name", "train id and class", "points", "share %")
+    numbers = ("train id and class", "points", "share %")
+    table = number_table("raw id and name", *numbers, title="Classes")
     points = sum(total.classes.values())
     for raw, count in sorted(total.classes.items()):
         train = space.learning_map.get(raw)
@@ -71,15 +72,4 @@ def _classes(total: Survey, space: LabelSpace) -> Table:
             f"{count:,}",
             f"{100 * count / points:.3f}",
         )
-    return table
-
-
-def _table(title: str, first: str, *others: str) -> Table:
-    from rich.markup import escape
-    from rich.table import Table
-
-    table = Table(title=escape(title), title_justify="left")
-    table.add_column(first)
-    for heading in others:
-        table.add_column(heading, justify="right")
     return table

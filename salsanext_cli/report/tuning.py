@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""What tuning gave: tables, and the curve of the dropout rates."""
+"""Results of tuning: tables, and the curve of the dropout rates."""
 
 from __future__ import annotations
 
@@ -10,23 +10,18 @@ from statistics import fmean, geometric_mean
 from typing import TYPE_CHECKING, Any
 
 from salsanext_cli.report import canvas
+from salsanext_cli.report.canvas import DARK
+from salsanext_cli.report.tables import number_table
 
 if TYPE_CHECKING:
     from rich.table import Table
 
-DARK = "#22262c"
-PALE = "#c9ced6"
 BEST = "#b3472f"
 
 
 def temperature_table(before: Mapping[str, float], after: Mapping[str, float]) -> Table:
     """Return a table of `temperature`, `nll` in nats and `ece` as a share, before and after."""
-    from rich.table import Table
-
-    table = Table(title="Temperature", title_justify="left")
-    table.add_column("")
-    for column in ("temperature", "NLL in nats", "ECE in %"):
-        table.add_column(column, justify="right")
+    table = number_table("", "temperature", "NLL in nats", "ECE in %", title="Temperature")
     for name, found in (("before", before), ("after", after)):
         cells = (f"{found['temperature']:.4f}", f"{found['nll']:.4f}", f"{100 * found['ece']:.2f}")
         table.add_row(name, *cells)
@@ -35,11 +30,8 @@ def temperature_table(before: Mapping[str, float], after: Mapping[str, float]) -
 
 def rate_table(rates: Sequence[float], objectives: Sequence[float], best: float) -> Table:
     """Return a table of dropout rates and their objectives, the best one marked."""
-    from rich.table import Table
-
-    table = Table(title="Dropout rate", title_justify="left")
-    table.add_column("rate", justify="right")
-    table.add_column("objective per point", justify="right")
+    table = number_table("rate", "objective per point", title="Dropout rate")
+    table.columns[0].justify = "right"
     table.add_column("")
     for rate, objective in zip(rates, objectives, strict=True):
         table.add_row(f"{rate:.4f}", f"{objective:.4f}", "best" if rate == best else "")
@@ -54,12 +46,8 @@ def moved_table(layers: Sequence[Mapping[str, Any]]) -> Table:
     layers : sequence of mapping
         `layer`, its name, `shift` in old standard deviations, and `variance_ratio`.
     """
-    from rich.table import Table
-
-    table = Table(title="Batch norm", title_justify="left")
-    table.add_column("part")
-    for column in ("layers", "mean moved by, σ", "variance, new / old"):
-        table.add_column(column, justify="right")
+    numbers = ("layers", "mean moved by, σ", "variance, new / old")
+    table = number_table("part", *numbers, title="Batch norm")
     for part, members in groupby(layers, lambda layer: layer["layer"].partition(".")[0]):
         _add_moved(table, part, list(members))
     table.add_section()
@@ -77,8 +65,8 @@ def rate_curve(
     path: Path, rates: Sequence[float], objectives: Sequence[float], best: float
 ) -> None:
     """Draw the objective over the dropout rate, logarithmic, the best rate marked, as a PNG."""
-    figure = canvas.new_figure(760, 460, canvas.PAPER)
-    axes = canvas.axes_at(figure, 90, 50, 640, 340)
+    title = f"least at a dropout rate of {best:.3g}"
+    figure, axes = canvas.new_plot(760, 460, (90, 50, 640, 340), title)
     axes.plot(rates, objectives, color=DARK, marker="o", markersize=5, linewidth=1.2)
     axes.axvline(best, color=BEST, linewidth=1, linestyle=(0, (4, 3)))
     axes.set_xscale("log")
@@ -86,10 +74,5 @@ def rate_curve(
     axes.minorticks_off()
     axes.set_xlabel("dropout rate")
     axes.set_ylabel("objective per point")
-    axes.grid(color=PALE, linewidth=0.6)
-    axes.set_axisbelow(True)
-    axes.tick_params(length=0, colors=DARK, labelsize=10)
-    for side in axes.spines.values():
-        side.set_visible(False)
-    canvas.text_at(figure, 90, 25, f"least at a dropout rate of {best:.3g}", 17, DARK)
+    canvas.plain_frame(axes)
     canvas.save_png(figure, path)

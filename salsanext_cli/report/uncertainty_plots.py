@@ -1,22 +1,25 @@
 # SPDX-License-Identifier: MIT
-"""Plots of how far probabilities and uncertainties can be trusted."""
+"""Plots of the evaluation of probabilities and uncertainties."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from salsanext_cli.classes import LabelSpace
 from salsanext_cli.measures.confusion import Ratios
-from salsanext_cli.measures.figures import COVERAGE, CalibrationFigures, UncertaintyFigures
+from salsanext_cli.measures.uncertainty_evaluation import (
+    COVERAGE,
+    CalibrationResult,
+    RankingResult,
+)
 from salsanext_cli.report import canvas
 from salsanext_cli.report.canvas import DARK
-from salsanext_cli.report.labels import name_dots
-from salsanext_cli.report.numbers import percent
+from salsanext_cli.report.dot_names import name_dots
+from salsanext_cli.report.tables import percent
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -37,46 +40,30 @@ LINES = {
 """Colour and dashes of each kind of uncertainty."""
 BEST: dict[str, Any] = {"color": canvas.FAINT, "linestyle": (0, (1, 2)), "linewidth": 1.4}
 """How the curve of the best order is drawn."""
-LEFT, TOP, WIDTH, HEIGHT = 80, 60, 600, 420
-"""Place of the main axes, in pixels."""
+LEFT, TOP, WIDTH, HEIGHT, TITLE_TOP = 80, 60, 600, 420, 30
+"""Place of the main axes and of the title, in pixels."""
 BELOW = 90
 """Height of the axes below them that show where the points are."""
 
 
-def reliability_diagram(path: Path, figures: CalibrationFigures) -> None:
+def reliability_diagram(result: CalibrationResult) -> bytes:
     """Draw accuracy against confidence, and below it where the points are, as a PNG.
 
-    Parameters
-    ----------
-    path : Path
-        Where to write.
-    figures : CalibrationFigures
-        What to draw; a bin without points has no bar.
+    A bin without points has no bar.
     """
-    diagram, scores = figures.reliability, figures.scores
-    figure = canvas.new_figure(LEFT + WIDTH + 40, TOP + HEIGHT + BELOW + 80, canvas.PAPER)
+    diagram, scores = result.reliability, result.scores
     title = f"Calibration of the softmax · {scores.points:,} points"
     if scores.points:
         title += f" · ECE {percent(scores.ece, 2, ' %')}"
-    canvas.text_at(figure, LEFT, 30, title, 17, DARK)
-    axes = canvas.axes_at(figure, LEFT, TOP, WIDTH, HEIGHT)
+    figure, axes = _main_plot(40, BELOW + 80, title)
     bins = len(diagram.points)
     edges, width = 100 * np.arange(bins) / bins, 100 / bins
     accuracy = np.nan_to_num(100 * diagram.accuracy)
     gap = np.nan_to_num(100 * diagram.confidence) - accuracy
     axes.bar(edges, accuracy, width, align="edge", color=SKY, edgecolor=canvas.PAPER)
-    axes.bar(
-        edges,
-        gap,
-        width,
-        accuracy,
-        align="edge",
-        color="none",
-        edgecolor=RED,
-        linewidth=0.8,
-        hatch="////",
-        label="gap to the mean confidence",
-    )
+    hatched: dict[str, Any] = {"color": "none", "edgecolor": RED, "linewidth": 0.8, "hatch": "////"}
+    label = "gap to the mean confidence"
+    axes.bar(edges, gap, width, accuracy, align="edge", label=label, **hatched)
     axes.plot([0, 100], [0, 100], color=DARK, linestyle=DASHED, linewidth=1, label="calibrated")
     axes.set_ylim(0, 100)
     axes.set_ylabel("accuracy in %")
@@ -91,63 +78,50 @@ def reliability_diagram(path: Path, figures: CalibrationFigures) -> None:
     below.set_xticks(range(0, 101, 20))
     for each in (axes, below):
         each.set_xlim(0, 100)
-        canvas.draw_grid(each)
         canvas.plain_frame(each)
-    canvas.save_png(figure, path)
+    return canvas.png_of(figure)
 
 
-def risk_coverage(path: Path, kinds: Mapping[str, UncertaintyFigures]) -> None:
-    """Draw how many of the least uncertain points are wrong, as a PNG.
-
-    Parameters
-    ----------
-    path : Path
-        Where to write.
-    kinds : mapping of str to UncertaintyFigures
-        A curve for each.
-    """
-    figure, axes = _curves("Wrong points among those that are kept")
-    for kind, figures in kinds.items():
+def risk_coverage(kinds: Mapping[str, RankingResult]) -> bytes:
+    """Draw how many of the least uncertain points are wrong, a curve for each kind, as a PNG."""
+    figure, axes = _main_plot(330, 70, "Wrong points among those that are kept")
+    for kind, result in kinds.items():
         colour, dashes = LINES[kind]
-        label = f"{kind} · AURC {percent(figures.scores.aurc, 2, ' %')}"
-        axes.plot(100 * COVERAGE, 100 * figures.risk, color=colour, linestyle=dashes, label=label)
+        label = f"{kind} · AURC {percent(result.scores.aurc, 2, ' %')}"
+        axes.plot(100 * COVERAGE, 100 * result.risk, color=colour, linestyle=dashes, label=label)
     for i, rate in enumerate(_error_rates(kinds)):
         best = 100 * _risk_of_best_order(rate)
         axes.plot(100 * COVERAGE, best, **BEST, label="" if i else "best order")
     axes.set_xlabel("coverage: least uncertain points that are kept, in %")
     axes.set_ylabel("risk: wrong points among them, in %")
-    _save_curves(figure, axes, path)
+    return _png_of_curves(figure, axes)
 
 
-def sparsification(path: Path, kinds: Mapping[str, UncertaintyFigures]) -> None:
+def sparsification(kinds: Mapping[str, RankingResult]) -> bytes:
     """Draw how the share of wrong points falls as the most uncertain are removed, as a PNG.
 
-    Parameters
-    ----------
-    path : Path
-        Where to write.
-    kinds : mapping of str to UncertaintyFigures
-        A curve for each that has wrong points.
+    A kind without wrong points has no curve.
     """
-    figure, axes = _curves("Wrong points that are left as the most uncertain are removed")
+    title = "Wrong points that are left as the most uncertain are removed"
+    figure, axes = _main_plot(330, 70, title)
     removed = 100 * (1 - COVERAGE)
-    for kind, figures in kinds.items():
-        if figures.scores.wrong:
+    for kind, result in kinds.items():
+        if result.scores.wrong:
             colour, dashes = LINES[kind]
-            left = figures.risk / figures.risk[-1]
-            label = f"{kind} · AUSE {figures.scores.ause:.3f}"
+            left = result.risk / result.risk[-1]
+            label = f"{kind} · AUSE {result.scores.ause:.3f}"
             axes.plot(removed, left, color=colour, linestyle=dashes, label=label)
     for i, rate in enumerate(_error_rates(kinds)):
         best = _risk_of_best_order(rate) / rate
         axes.plot(removed, best, **BEST, label="" if i else "best order")
     axes.set_xlabel("most uncertain points that are removed, in %")
     axes.set_ylabel("share of wrong points, of that among all")
-    _save_curves(figure, axes, path)
+    return _png_of_curves(figure, axes)
 
 
-def _error_rates(kinds: Mapping[str, UncertaintyFigures]) -> list[float]:
+def _error_rates(kinds: Mapping[str, RankingResult]) -> list[float]:
     """Return the different shares of wrong points: not every kind need be of the same points."""
-    scores = [figures.scores for figures in kinds.values()]
+    scores = [result.scores for result in kinds.values()]
     return sorted({s.wrong / s.points for s in scores if s.wrong})
 
 
@@ -155,49 +129,40 @@ def _risk_of_best_order(rate: float) -> Ratios:
     return np.maximum(0, 1 - (1 - rate) / COVERAGE)
 
 
-def _curves(title: str) -> tuple[Figure, Axes]:
-    figure = canvas.new_figure(LEFT + WIDTH + 330, TOP + HEIGHT + 70, canvas.PAPER)
-    canvas.text_at(figure, LEFT, 30, title, 17, DARK)
-    return figure, canvas.axes_at(figure, LEFT, TOP, WIDTH, HEIGHT)
+def _main_plot(right: int, below: int, title: str) -> tuple[Figure, Axes]:
+    """Return a figure and its main axes, with room in pixels to the right and below."""
+    place = (LEFT, TOP, WIDTH, HEIGHT)
+    return canvas.new_plot(LEFT + WIDTH + right, TOP + HEIGHT + below, place, title, TITLE_TOP)
 
 
-def _save_curves(figure: Figure, axes: Axes, path: Path) -> None:
+def _png_of_curves(figure: Figure, axes: Axes) -> bytes:
     axes.set_xlim(0, 100)
     axes.set_ylim(bottom=0)
     if axes.lines:
-        axes.legend(
-            loc="upper left",
-            bbox_to_anchor=(1.02, 1.02),
-            frameon=False,
-            fontsize=10,
-            handlelength=2.6,
-        )
-    canvas.draw_grid(axes)
+        outside: dict[str, Any] = {"loc": "upper left", "bbox_to_anchor": (1.02, 1.02)}
+        axes.legend(frameon=False, fontsize=10, handlelength=2.6, **outside)
     canvas.plain_frame(axes)
-    canvas.save_png(figure, path)
+    return canvas.png_of(figure)
 
 
-def class_uncertainty(path: Path, figures: UncertaintyFigures, space: LabelSpace) -> None:
+def class_uncertainty(result: RankingResult, space: LabelSpace) -> bytes:
     """Draw the mean uncertainty of each class against its number of points, as a PNG.
 
     Parameters
     ----------
-    path : Path
-        Where to write.
-    figures : UncertaintyFigures
+    result : RankingResult
         Of epistemic uncertainty; a class that is absent has no dot.
     space : LabelSpace
         Names and colours of the classes.
     """
-    present = {i: scores for i, scores in figures.classes.items() if scores.points}
+    present = {i: scores for i, scores in result.classes.items() if scores.points}
     points = np.array([scores.points for scores in present.values()], np.float64)
     means = np.array([scores.mean for scores in present.values()])
-    figure = canvas.new_figure(LEFT + 780, TOP + HEIGHT + 150, canvas.PAPER)
     title = "Epistemic uncertainty of the classes"
-    if not math.isnan(figures.correlation):
-        title += f" · rank correlation {figures.correlation:+.2f}"
-    canvas.text_at(figure, LEFT, 30, title, 17, DARK)
-    axes = canvas.axes_at(figure, LEFT, TOP, 740, HEIGHT + 80)
+    if not math.isnan(result.correlation):
+        title += f" · rank correlation {result.correlation:+.2f}"
+    place = (LEFT, TOP, 740, HEIGHT + 80)
+    figure, axes = canvas.new_plot(LEFT + 780, TOP + HEIGHT + 150, place, title, TITLE_TOP)
     colours = [space.colours[i] / 255 for i in present]
     axes.scatter(points, means, 60, colours, edgecolors=DARK, linewidths=0.8, zorder=3)
     axes.set_xscale("log")
@@ -207,7 +172,6 @@ def class_uncertainty(path: Path, figures: UncertaintyFigures, space: LabelSpace
     axes.ticklabel_format(axis="y", style="sci", scilimits=(-2, 2), useMathText=True)
     axes.set_xlabel("points of the class")
     axes.set_ylabel("mean epistemic uncertainty")
-    canvas.draw_grid(axes)
     canvas.plain_frame(axes)
     name_dots(axes, points, means, [space.names[i] for i in present], DARK)
-    canvas.save_png(figure, path)
+    return canvas.png_of(figure)

@@ -10,10 +10,9 @@ from pathlib import Path
 from typing import Any
 
 from salsanext_cli.inference.settings import NetworkSettings
-from salsanext_cli.measures.evaluation import Evaluation
 from salsanext_cli.parallel.run import Failure, Outcome, Progress, RunOptions
 from salsanext_cli.report.scan_pictures import draw_scan
-from salsanext_cli.stages.evaluate import evaluate
+from salsanext_cli.stages.evaluate import Evaluation, evaluate
 from salsanext_cli.stages.export_ply import export_ply
 from salsanext_cli.stages.predict import predict_scans
 from salsanext_cli.stages.synth import synthesise

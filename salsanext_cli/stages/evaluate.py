@@ -1,32 +1,111 @@
 # SPDX-License-Identifier: MIT
-"""Compare predictions with labels: scores, a report and plots."""
+"""Comparison of predictions with labels: scores, a report and plots."""
 
 from __future__ import annotations
 
+import json
 import logging
 from collections import defaultdict
 from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import Any
 
+from salsanext_cli import __version__
 from salsanext_cli.classes import LabelSpace
 from salsanext_cli.errors import LabelError, NoInputError, OutputError
 from salsanext_cli.formats.reading import present
+from salsanext_cli.measures.confusion import Confusion
 from salsanext_cli.measures.distance import RING_NAMES
-from salsanext_cli.measures.evaluation import Evaluation
 from salsanext_cli.measures.scan_counts import ScanCounts, count_scan
-from salsanext_cli.measures.scores import scores
-from salsanext_cli.measures.uncertainty_evaluation import trust
+from salsanext_cli.measures.scores import Scores, scores
+from salsanext_cli.measures.uncertainty_evaluation import (
+    UncertaintyEvaluation,
+    evaluate_uncertainty,
+)
 from salsanext_cli.parallel.run import Failure, RunOptions, run_over_scans
-from salsanext_cli.storage.atomic import write_text
-from salsanext_cli.storage.json_files import read_json, write_json
+from salsanext_cli.report import plots, uncertainty_plots
+from salsanext_cli.storage.json_files import read_json
 from salsanext_cli.storage.layout import ScanFile
 from salsanext_cli.storage.run_registration import records_lock
-from salsanext_cli.storage.sources import missing_predictions
+from salsanext_cli.storage.sources import MissingResults, missing_predictions
 from salsanext_cli.storage.stage_records import as_json, require_same_settings
+from salsanext_cli.storage.written_files import WrittenFiles
+
+FILES = (
+    "scores.txt",
+    "eval_iou.png",
+    "eval_confusion.png",
+    "eval_reliability.png",
+    "eval_risk_coverage.png",
+    "eval_sparsification.png",
+    "eval_class_uncertainty.png",
+    "eval.json",
+)
+"""Files that an evaluation may write into the output folder."""
 
 log = logging.getLogger(__name__)
+
+
+@dataclass(frozen=True, slots=True)
+class Evaluation:
+    """Result of comparing predictions with labels.
+
+    Attributes
+    ----------
+    space : LabelSpace
+        Whose classes were compared.
+    confusion : Confusion
+        The counts that the scores come from.
+    scores : Scores
+        Over all points.
+    by_distance : dict of str to Scores
+        By name of the ring; empty if not wanted.
+    unknown_ids : dict of str to dict of int to int
+        How often raw ids occur in ``truth`` and ``predictions`` that the label space does not know;
+        they are taken as unlabelled.
+    scans : int
+        Number of scans compared.
+    missing : MissingResults
+        Scans without predictions, left out.
+    failures : tuple of Failure
+        Scans that could not be compared, left out.
+    settings : dict
+        What was chosen and who made the predictions.
+    uncertainty : UncertaintyEvaluation
+        Of the probabilities and uncertainties, if there are any.
+    """
+
+    space: LabelSpace
+    confusion: Confusion
+    scores: Scores
+    by_distance: dict[str, Scores]
+    unknown_ids: dict[str, dict[int, int]]
+    scans: int
+    missing: MissingResults
+    failures: tuple[Failure, ...]
+    settings: dict[str, Any]
+    uncertainty: UncertaintyEvaluation
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return plain data for JSON; null stands for NaN."""
+        return {
+            "stage": "eval",
+            "version": __version__,
+            "settings": self.settings,
+            "label_space": self.space.name,
+            "scans": self.scans,
+            "missing": [str(scan.path) for scan in self.missing.scans],
+            "not_asked_for": self.missing.not_asked_for,
+            "failures": [{"scan": str(f.scan.path), "reason": f.reason} for f in self.failures],
+            "unknown_ids": self.unknown_ids,
+            "scores": self.scores.to_dict(),
+            "by_distance": {name: ring.to_dict() for name, ring in self.by_distance.items()},
+            "classes": list(self.space.names),
+            "confusion": self.confusion.matrix.tolist(),
+            **self.uncertainty.to_dict(),
+        }
 
 
 def evaluate(
@@ -40,9 +119,8 @@ def evaluate(
 ) -> Evaluation:
     """Compare the predictions in an output folder with the labels of the scans.
 
-    Writes ``scores.txt`` (as the official evaluator does), ``eval.json`` and pictures,
-    ``eval_*.png``, into the output folder. Probabilities and uncertainties that lie there are
-    judged too. What an earlier evaluation with the same settings wrote is replaced.
+    Writes ``scores.txt``, ``eval.json`` and ``eval_*.png`` into the output folder. Probabilities
+    and uncertainties that lie there are evaluated too. An earlier result is replaced.
 
     Parameters
     ----------
@@ -52,7 +130,7 @@ def evaluate(
         Output folder of `predict` or `knn-refine`.
     space : LabelSpace
         What the raw ids in both mean.
-    options : BatchOptions
+    options : RunOptions
         Jobs, errors and progress, and whether a result of other settings is replaced.
     by_distance : bool
         Score rings of distance too, for which the scans are read.
@@ -66,60 +144,50 @@ def evaluate(
     NoInputError
         If there is nothing to compare.
     OutputError
-        If the folder holds the result of other settings and may not be overwritten.
+        If the folder holds the result of other settings and may not be overwritten, or files of
+        these names that salsanext did not write.
     """
-    settings = _resolved(settings or {}, by_distance, space)
-    if not options.overwrite:
-        _require_own_result(out / "eval.json", settings)
+    own = {"by_distance": by_distance, "label_space": space.to_dict()}
+    settings = dict(as_json({**(settings or {}), **own}))
+    _require_replaceable(out, settings, options.overwrite)
     _require_labels(scans)
-    work = partial(count_scan, out=out, space=space, by_distance=by_distance)
     counts = ScanCounts.none(space, by_distance)
-
-    def add(of_scan: ScanCounts) -> None:
-        nonlocal counts
-        counts += of_scan
-
-    outcome = run_over_scans(work, scans, options, on_result=add)
+    count = partial(count_scan, out=out, space=space, by_distance=by_distance)
+    outcome = run_over_scans(count, scans, options, on_result=counts.add)
     _require_counts(counts, out, outcome.failures)
+    rings = zip(RING_NAMES, counts.rings, strict=by_distance)
     evaluation = Evaluation(
         space=space,
         confusion=counts.confusion,
         scores=scores(counts.confusion, space),
-        by_distance={
-            name: scores(ring, space)
-            for name, ring in zip(RING_NAMES, counts.rings, strict=by_distance)
+        by_distance={name: scores(ring, space) for name, ring in rings},
+        unknown_ids={
+            "truth": dict(sorted(counts.unknown_truth.items())),
+            "predictions": dict(sorted(counts.unknown_predictions.items())),
         },
-        unknown_truth=dict(sorted(counts.unknown_truth.items())),
-        unknown_predictions=dict(sorted(counts.unknown_predictions.items())),
         scans=counts.scans,
-        absent=missing_predictions(out, counts.missing),
+        missing=missing_predictions(out, counts.missing),
         failures=outcome.failures,
         settings=settings,
-        trust=trust(counts.uncertainty, counts.scans, space),
+        uncertainty=evaluate_uncertainty(counts, space),
     )
     _warn(evaluation)
+    files = _files(evaluation)
     with records_lock(out):
-        if not options.overwrite:
-            _require_own_result(out / "eval.json", settings)
-        _write(evaluation, out)
+        _require_replaceable(out, settings, options.overwrite)
+        for name, content in files.items():
+            WrittenFiles(out).write(out / name, content, durable=True)
     return evaluation
 
 
-def _resolved(settings: Mapping[str, Any], by_distance: bool, space: LabelSpace) -> dict[str, Any]:
-    """Return everything that decides what the result is, as it is read back."""
-    own = {"by_distance": by_distance, "label_space": space.to_dict()}
-    return dict(as_json({**settings, **own}))
-
-
-def _require_own_result(path: Path, settings: Mapping[str, Any]) -> None:
-    """Refuse to replace the result of other settings."""
-    earlier = read_json(path)
-    if earlier is None:
-        return
-    remedy = "move it, or use --overwrite to replace it"
-    if not isinstance(earlier.get("settings"), dict):
-        raise OutputError(path, "not what `eval` writes", remedy=remedy)
-    require_same_settings(path, earlier["settings"], settings, remedy)
+def _require_replaceable(out: Path, settings: Mapping[str, Any], overwrite: bool) -> None:
+    """Refuse to replace what `eval` did not write, and the result of other settings."""
+    if others := WrittenFiles(out).others(out / name for name in FILES):
+        found = "exists, and was not recorded by salsanext or was changed since"
+        raise OutputError(others[0], found, remedy="move it, or use another folder")
+    if not overwrite and (earlier := read_json(out / "eval.json")):
+        remedy = "move it, or use --overwrite to replace it"
+        require_same_settings(out / "eval.json", earlier["settings"], settings, remedy)
 
 
 def _require_labels(scans: Iterable[ScanFile]) -> None:
@@ -151,24 +219,30 @@ def _require_counts(counts: ScanCounts, out: Path, failures: Sequence[Failure]) 
 
 
 def _warn(evaluation: Evaluation) -> None:
-    """Say what the figures do not show."""
-    unknown = {
-        "labels": evaluation.unknown_truth,
-        "predictions": evaluation.unknown_predictions,
-    }
-    for where, ids in unknown.items():
-        if ids:
+    """Warn of ids that the label space does not know and of missing predictions."""
+    for where, key in (("labels", "truth"), ("predictions", "predictions")):
+        if ids := evaluation.unknown_ids[key]:
             listed = ", ".join(f"{i} ({count}×)" for i, count in ids.items())
             log.warning("%s: unknown ids %s are taken as unlabelled", where, listed)
-    scans = evaluation.scans + len(evaluation.failures) + len(evaluation.absent.missing)
-    evaluation.absent.log_error(scans + evaluation.absent.not_asked_for, "predictions")
+    scans = evaluation.scans + len(evaluation.failures) + len(evaluation.missing.scans)
+    evaluation.missing.log_error(scans + evaluation.missing.not_asked_for, "predictions")
 
 
-def _write(evaluation: Evaluation, out: Path) -> None:
-    from salsanext_cli.report.plots import confusion_picture, iou_bars
-
-    write_text(out / "scores.txt", evaluation.scores.official_yaml())
-    iou_bars(out / "eval_iou.png", evaluation.scores, evaluation.space)
-    confusion_picture(out / "eval_confusion.png", evaluation.confusion, evaluation.space)
-    evaluation.trust.write_pictures(out)
-    write_json(out / "eval.json", evaluation.to_dict())
+def _files(evaluation: Evaluation) -> dict[str, bytes]:
+    """Return the content of every file to write, by its name; the report is the last one."""
+    space, found = evaluation.space, evaluation.uncertainty
+    files = {
+        "scores.txt": evaluation.scores.official_yaml().encode(),
+        "eval_iou.png": plots.iou_bars(evaluation.scores, space),
+        "eval_confusion.png": plots.confusion_picture(evaluation.confusion, space),
+    }
+    if found.calibration:
+        files["eval_reliability.png"] = uncertainty_plots.reliability_diagram(found.calibration)
+    if found.kinds:
+        files["eval_risk_coverage.png"] = uncertainty_plots.risk_coverage(found.kinds)
+        files["eval_sparsification.png"] = uncertainty_plots.sparsification(found.kinds)
+    if epistemic := found.kinds.get("epistemic"):
+        picture = uncertainty_plots.class_uncertainty(epistemic, space)
+        files["eval_class_uncertainty.png"] = picture
+    report = json.dumps(evaluation.to_dict(), indent=2, allow_nan=False) + "\n"
+    return files | {"eval.json": report.encode()}

@@ -1,16 +1,17 @@
 # SPDX-License-Identifier: MIT
-"""Look at a set of scans: how many, how large, what they see, which classes they hold."""
+"""Inspection of a set of scans: size, field of view, classes; a sensor fitted to them."""
 
 from __future__ import annotations
 
 import json
 import logging
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 from salsanext_cli.classes import LabelSpace
-from salsanext_cli.errors import NoInputError, OutputError
+from salsanext_cli.errors import NoInputError
 from salsanext_cli.formats import read_scan
 from salsanext_cli.formats.kitti import read_labels
 from salsanext_cli.formats.reading import present
@@ -26,21 +27,21 @@ from salsanext_cli.sensors import Sensor
 from salsanext_cli.storage.atomic import write_text
 from salsanext_cli.storage.layout import ScanFile
 from salsanext_cli.storage.selection import ScanSelection, select_scans, space_of
+from salsanext_cli.storage.targets import require_absent
 
-BRIGHT = 1.5
+USUAL_INTENSITY = 1.5
 """Intensities above this have another scale than 0…1."""
-
-FEWEST_POINTS = 1000
+MIN_POINTS_OF_FIT = 1000
 """A fit leaves out one point in a thousand at either edge."""
-SMALLEST_VIEW = 1.0
-"""Degrees; a scanner of one plane sees less, a LiDAR for range images at least some."""
+MIN_FIELD_OF_VIEW_DEG = 1.0
+"""A scanner of one plane sees less, a LiDAR for range images at least some degrees."""
 
 log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True, slots=True)
 class Inspection:
-    """What was found.
+    """Result of inspecting scans.
 
     Attributes
     ----------
@@ -80,54 +81,13 @@ class Inspection:
         NoInputError
             If their points are too few, or do not span what a LiDAR sees.
         """
-        _require_believable(name, self.total)
+        _require_fit(name, self.total)
         return replace(
-            _seen_whole(self.sensor, self.total),
+            _with_field_of_view(self.sensor, self.total),
             name=name,
             means=tuple(round(mean, 4) for mean in self.total.means),
             stds=tuple(round(std, 4) for std in self.total.stds),
         )
-
-
-def _require_believable(name: str, found: Survey) -> None:
-    """Refuse to fit a sensor to what is no picture of its field of view."""
-    measured = found.points - found.invalid
-    up, down = found.field_of_view()
-    if measured < FEWEST_POINTS:
-        raise NoInputError(
-            name,
-            f"{measured} points with a measurement",
-            f"{FEWEST_POINTS} or more",
-            "fit a sensor to whole scans",
-        )
-    if up - down < SMALLEST_VIEW:
-        raise NoInputError(
-            name,
-            f"a field of view of {up - down:.2f}°, from {up:+.2f}° to {down:+.2f}°",
-            f"{SMALLEST_VIEW:g}° or more",
-            "fit a sensor to whole scans of a 3D LiDAR, with z up and its origin at the sensor",
-        )
-
-
-def _seen_whole(sensor: Sensor, found: Survey) -> Sensor:
-    """Return the sensor with the field of view that was found."""
-    up, down = found.field_of_view()
-    return replace(sensor, fov_up=round(up, 2), fov_down=round(down, 2))
-
-
-@dataclass(frozen=True, slots=True)
-class InspectScan:
-    """Survey one scan."""
-
-    sensor: Sensor
-
-    def __call__(self, file: ScanFile) -> tuple[str, Survey, FieldOfViewCoverage]:
-        """Read, project, count."""
-        scan = read_scan(file.path, intensity_scale=self.sensor.intensity_scale)
-        labelled = present(file.label_path)
-        raw = read_labels(file.label_path, len(scan)) if labelled else None
-        found = survey(scan, project(scan, self.sensor), raw)
-        return file.sequence, found, field_of_view_coverage(scan, self.sensor)
 
 
 def inspect(
@@ -160,39 +120,72 @@ def inspect(
         If nothing can be done at all; failures of single scans are in the result.
     """
     scans = select_scans(source, selection, space)
-    sequences, failures = _survey(scans, sensor, options, fit)
-    total = sum(sequences.values(), start=Survey())
-    if fit and total.pixels:
-        sensor = _seen_whole(sensor, total)
-        sequences, failures = _survey(scans, sensor, options, fit)
-        total = sum(sequences.values(), start=Survey())
-    if total.brightest > BRIGHT:
-        bright = f"intensities up to {total.brightest:g}, where 0 to 1 is usual"
+    found = _inspect(scans, sensor, space, options, warn=not fit)
+    if fit and found.total.pixels:
+        sensor = _with_field_of_view(sensor, found.total)
+        found = _inspect(scans, sensor, space, options, warn=False)
+    if found.total.brightest > USUAL_INTENSITY:
+        bright = f"intensities up to {found.total.brightest:g}, where 0 to 1 is usual"
         log.warning("%s: set intensity_scale in the sensor", bright)
-    return Inspection(
-        sequences=dict(sorted(sequences.items())),
-        total=total,
-        sensor=sensor,
-        space=space or space_of(scans),
-        failures=failures,
-    )
+    return found
 
 
-def _survey(
-    scans: list[ScanFile], sensor: Sensor, options: RunOptions, fit: bool
-) -> tuple[dict[str, Survey], tuple[Failure, ...]]:
+def _inspect(
+    scans: list[ScanFile],
+    sensor: Sensor,
+    space: LabelSpace | None,
+    options: RunOptions,
+    warn: bool,
+) -> Inspection:
+    """Go through the scans once; warn if their points lie outside the sensor's field of view."""
     sequences: dict[str, Survey] = {}
     check = CoverageCheck(sensor)
 
     def add(result: tuple[str, Survey, FieldOfViewCoverage]) -> None:
-        name, found, seen = result
+        name, found, coverage = result
         sequences[name] = sequences.get(name, Survey()) + found
-        if not fit:
-            check.add(seen)
+        if warn:
+            check.add(coverage)
 
-    outcome = run_over_scans(InspectScan(sensor), scans, options, on_result=add)
+    outcome = run_over_scans(partial(inspect_scan, sensor=sensor), scans, options, on_result=add)
     check.finish()
-    return sequences, outcome.failures
+    sequences = dict(sorted(sequences.items()))
+    total = sum(sequences.values(), start=Survey())
+    return Inspection(sequences, total, sensor, space or space_of(scans), outcome.failures)
+
+
+def inspect_scan(file: ScanFile, sensor: Sensor) -> tuple[str, Survey, FieldOfViewCoverage]:
+    """Read, project and count one scan; return its sequence and what was found."""
+    scan = read_scan(file.path, intensity_scale=sensor.intensity_scale)
+    raw = read_labels(file.label_path, len(scan)) if present(file.label_path) else None
+    found = survey(scan, project(scan, sensor), raw)
+    return file.sequence, found, field_of_view_coverage(scan, sensor)
+
+
+def _require_fit(name: str, found: Survey) -> None:
+    """Refuse to fit a sensor to scans that do not show its field of view."""
+    measured = found.points - found.invalid
+    up, down = found.field_of_view()
+    if measured < MIN_POINTS_OF_FIT:
+        raise NoInputError(
+            name,
+            f"{measured} points with a measurement",
+            f"{MIN_POINTS_OF_FIT} or more",
+            "fit a sensor to whole scans",
+        )
+    if up - down < MIN_FIELD_OF_VIEW_DEG:
+        raise NoInputError(
+            name,
+            f"a field of view of {up - down:.2f}°, from {up:+.2f}° to {down:+.2f}°",
+            f"{MIN_FIELD_OF_VIEW_DEG:g}° or more",
+            "fit a sensor to whole scans of a 3D LiDAR, with z up and its origin at the sensor",
+        )
+
+
+def _with_field_of_view(sensor: Sensor, found: Survey) -> Sensor:
+    """Return the sensor with the field of view that was found."""
+    up, down = found.field_of_view()
+    return replace(sensor, fov_up=round(up, 2), fov_down=round(down, 2))
 
 
 def write_sensor(path: Path, sensor: Sensor, *, overwrite: bool = False) -> None:
@@ -203,8 +196,7 @@ def write_sensor(path: Path, sensor: Sensor, *, overwrite: bool = False) -> None
     OutputError
         If the file exists and may not be overwritten, or cannot be written.
     """
-    if present(path) and not overwrite:
-        raise OutputError(path, "exists", remedy="use another name, or --overwrite")
+    require_absent(path, overwrite)
     values = {k: v for k, v in sensor.to_dict().items() if k != "name" and v is not None}
     lines = [f"{key} = {_toml(value)}\n" for key, value in values.items()]
     write_text(path, "".join(lines))

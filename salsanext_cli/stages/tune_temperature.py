@@ -17,7 +17,11 @@ from salsanext_cli.classes import LabelSpace
 from salsanext_cli.errors import TrainingError, WeightsError
 from salsanext_cli.inference.network import Network
 from salsanext_cli.inference.settings import NetworkSettings
-from salsanext_cli.measures.calibration import Calibration, calibration_scores, judge
+from salsanext_cli.measures.calibration import (
+    ConfidenceHistogram,
+    calibration_scores,
+    softmax_errors,
+)
 from salsanext_cli.network.weights import TEMPERATURES, default_weights, save_with_card
 from salsanext_cli.parallel.run import Progress
 from salsanext_cli.records import Float
@@ -179,10 +183,10 @@ def _require_possible(dataset: Path, temperature: float, points: int) -> None:
 
 
 def _tempered(logits: Tensor, truth: Tensor, temperature: float) -> Tempered:
-    calibration = Calibration.none(1)
+    histogram = ConfidenceHistogram(1)
     for part, classes in chunks(logits, truth):
         probabilities = torch.softmax(part / temperature, dim=1).numpy()
-        judged = judge(probabilities, classes.numpy())
-        calibration.update(judged, np.zeros(len(classes), np.intp))
+        errors = softmax_errors(probabilities, classes.numpy())
+        histogram.update(errors, np.zeros(len(classes), np.intp))
     nll = negative_log_likelihood(logits, truth, temperature)
-    return Tempered(temperature, nll, calibration_scores(calibration).ece)
+    return Tempered(temperature, nll, calibration_scores(histogram).ece)

@@ -28,23 +28,23 @@ class MissingResults:
 
     Attributes
     ----------
-    missing : tuple of ScanFile
+    scans : tuple of ScanFile
         Those that a stage was asked for: it failed, was interrupted, or its results were deleted.
         All, where no stage recorded what it was asked for.
     not_asked_for : int
         Number of the others, which were left out on purpose.
     """
 
-    missing: tuple[ScanFile, ...] = ()
+    scans: tuple[ScanFile, ...] = ()
     not_asked_for: int = 0
 
-    def log_error(self, scans: int, what: str) -> None:
-        """Log how many of the scans lack what they should have."""
-        if self.missing:
-            first = self.missing[0]
+    def log_error(self, count: int, what: str) -> None:
+        """Log how many of so many scans lack what they should have."""
+        if self.scans:
+            first = self.scans[0]
             log.error(
                 "%d of %d scans have no %s and are left out, the first is %s/%s",
-                *(len(self.missing), scans, what, first.sequence, first.stem),
+                *(len(self.scans), count, what, first.sequence, first.stem),
             )
 
 

@@ -8,8 +8,14 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scans import SMALL, make_scan
 
-from salsanext_cli.geometry.coverage import FieldOfViewCoverage, field_of_view_coverage
+from salsanext_cli.geometry.coverage import (
+    EARLY_SCANS,
+    CoverageCheck,
+    FieldOfViewCoverage,
+    field_of_view_coverage,
+)
 from salsanext_cli.geometry.projection import project
+from salsanext_cli.geometry.ranges import measured_ranges
 from salsanext_cli.records import Scan
 
 DROPPING = replace(SMALL, out_of_view="drop")
@@ -22,10 +28,14 @@ def at(elevations, distance=20.0):
     return Scan(points.astype(np.float32), np.zeros(len(points), np.float32))
 
 
-def test_a_nan_that_signals_is_no_measurement():
-    values = np.array([[5, 1, 0], [0, 0, 0], [3, 2, 0]], np.float32)
-    values.view(np.uint32)[1, 2] = 0x7F800001
-    assert field_of_view_coverage(Scan(values, np.zeros(3, np.float32)), SMALL).points == 2
+def test_ranges_and_which_of_them_are_measurements():
+    values = np.array([[3, 4, 0], [0, 0, 0], [1, 1, 1], [0, 0, 0], [3e38, 0, 0]], np.float32)
+    values.view(np.uint32)[1, 2] = 0x7F800001  # a NaN that signals
+    values[2, 0] = -np.inf
+    ranges, measured = measured_ranges(values)
+    assert measured.tolist() == [True, False, False, False, True]
+    assert ranges[measured].tolist() == [5, values[4, 0]]
+    assert measured_ranges(values, 5.0)[1].tolist() == [True, False, False, False, False]
 
 
 @given(st.lists(st.floats(-90, 90).filter(lambda e: min(abs(e - 3), abs(e + 25)) > 0.01)))
@@ -58,3 +68,22 @@ def test_points_without_a_measurement_do_not_count():
 def test_counts_add_up():
     assert (FieldOfViewCoverage(6, 1) + FieldOfViewCoverage(4, 2)) == FieldOfViewCoverage(10, 3)
     assert FieldOfViewCoverage(10, 3).share == pytest.approx(0.3)
+
+
+def test_a_long_run_says_so_early_and_only_then(caplog):
+    check = CoverageCheck(SMALL)
+    for _ in range(EARLY_SCANS):
+        assert not caplog.records
+        check.add(FieldOfViewCoverage(10, 9))
+    assert "90 % of the points of 10 scans" in caplog.text
+    check.add(FieldOfViewCoverage(10, 9))
+    check.finish()
+    assert len(caplog.records) == 1
+
+
+def test_some_points_out_of_view_are_usual(caplog):
+    check = CoverageCheck(SMALL)
+    check.add(FieldOfViewCoverage(100, 20))
+    check.finish()
+    CoverageCheck(SMALL).finish()
+    assert not caplog.records

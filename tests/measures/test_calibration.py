@@ -1,17 +1,15 @@
 # SPDX-License-Identifier: MIT
 import math
-import pickle
 
 import numpy as np
 import pytest
 from sklearn.metrics import brier_score_loss, log_loss
 
 from salsanext_cli.measures.calibration import (
-    SCAN_BINS,
-    SMALLEST,
-    Calibration,
+    SMALLEST_PROBABILITY,
+    ConfidenceHistogram,
     calibration_scores,
-    judge,
+    softmax_errors,
 )
 from salsanext_cli.measures.reliability import CONFIDENCES, adaptive_error, reliability
 
@@ -29,8 +27,8 @@ def softmax(seed: int, count: int = 200, scale: float = 3) -> tuple[np.ndarray, 
     return probabilities, np.where(rng.random(count) < 0.4, guess, probabilities.argmax(axis=1))
 
 
-def of(probabilities: np.ndarray, truth: np.ndarray) -> Calibration:
-    return Calibration.none(C).update(judge(probabilities, truth), truth)
+def of(probabilities: np.ndarray, truth: np.ndarray) -> ConfidenceHistogram:
+    return ConfidenceHistogram(C).update(softmax_errors(probabilities, truth), truth)
 
 
 def slow_error(probabilities: np.ndarray, truth: np.ndarray, bins: int) -> float:
@@ -59,7 +57,7 @@ def slow_adaptive_error(probabilities: np.ndarray, truth: np.ndarray, bins: int)
 @SEEDS
 def test_log_likelihood_is_scikit_learns(seed):
     probabilities, truth = softmax(seed)
-    clamped = np.maximum(probabilities.astype(float), SMALLEST)
+    clamped = np.maximum(probabilities.astype(float), SMALLEST_PROBABILITY)
     # Rows that do not sum to 1 are scaled there, so the true class's share is given as one of two.
     of_truth = clamped[np.arange(len(truth)), truth]
     pairs = np.stack([1 - of_truth, of_truth], axis=1)
@@ -80,10 +78,11 @@ def test_brier_is_scikit_learns(seed):
 @pytest.mark.parametrize("scale", [0.1, 1, 5])
 def test_errors_are_those_of_a_slow_loop(seed, scale):
     probabilities, truth = softmax(seed, 300, scale)
-    calibration = of(probabilities, truth)
-    result = calibration_scores(calibration)
+    histogram = of(probabilities, truth)
+    result = calibration_scores(histogram)
     assert result.ece == pytest.approx(slow_error(probabilities, truth, 15), abs=1e-14)
-    assert calibration.scan_error == pytest.approx(slow_error(probabilities, truth, SCAN_BINS))
+    of_ten_bins = reliability(histogram.total().counts[:, 0], 10)
+    assert of_ten_bins.error == pytest.approx(slow_error(probabilities, truth, 10))
     assert result.ace == pytest.approx(slow_adaptive_error(probabilities, truth, 15), abs=1e-14)
     hits = probabilities.argmax(axis=1) == truth
     assert result.accuracy == hits.mean()
@@ -134,28 +133,6 @@ def test_a_probability_that_is_0_on_disk_costs_no_more_than_the_smallest():
     assert result.ece == result.ace == 1
 
 
-@SEEDS
-def test_figures_do_not_depend_on_the_order_of_the_scans(seed):
-    scans = [of(*softmax(seed + i, 30 + i)) for i in range(5)]
-    order = np.random.default_rng(seed).permutation(5)
-    forth = sum(scans, start=Calibration.none(C))
-    mixed = (scans[order[0]] + scans[order[1]]) + (
-        scans[order[2]] + (scans[order[3]] + scans[order[4]])
-    )
-    assert forth == mixed
-    assert calibration_scores(forth) == calibration_scores(mixed)
-    assert forth.scan_error == mixed.scan_error
-
-
-def test_the_error_per_scan_is_the_mean_over_the_scans():
-    """Too sure in one scan, too unsure in the other; pooled, they make up for each other."""
-    half = np.tile(np.array([0.5, 0.5, 0, 0], np.float16), (10, 1))
-    sure, unsure = of(half, np.full(10, 2)), of(half, np.zeros(10, int))
-    both = sure + unsure + of(half[:0], np.zeros(0, int))
-    assert (both.scan_error, both.scans) == (0.5, 2)
-    assert calibration_scores(both).ece == 0
-
-
 def test_groups_together_are_the_whole():
     probabilities, truth = softmax(1)
     by_truth = of(probabilities, truth)
@@ -164,7 +141,8 @@ def test_groups_together_are_the_whole():
     for i, part in enumerate(parts):
         alone = of(probabilities[truth == i], truth[truth == i])
         assert calibration_scores(part) == calibration_scores(alone)
-    at_once = Calibration.none(1).update(judge(probabilities, truth), np.zeros_like(truth))
+    at_once = ConfidenceHistogram(1)
+    at_once.update(softmax_errors(probabilities, truth), np.zeros_like(truth))
     np.testing.assert_array_equal(by_truth.total().counts, at_once.counts)
 
 
@@ -172,11 +150,9 @@ def test_points_without_a_softmax_are_left_out_and_counted():
     probabilities, truth = softmax(2, 20)
     some = probabilities.copy()
     some[::2] = np.nan
-    calibration = of(some, truth)
-    assert calibration.left_out == 10
-    assert calibration_scores(calibration) == calibration_scores(
-        of(probabilities[1::2], truth[1::2])
-    )
+    histogram = of(some, truth)
+    assert histogram.left_out == 10
+    assert calibration_scores(histogram) == calibration_scores(of(probabilities[1::2], truth[1::2]))
 
 
 @pytest.mark.parametrize("count", [0, 3])
@@ -186,31 +162,24 @@ def test_without_points_there_are_no_figures(count):
     assert (result.points, nothing.scans, nothing.left_out) == (0, 0, count)
     for name in ("confidence", "accuracy", "nll", "brier", "ece", "ace"):
         assert math.isnan(getattr(result, name)), name
-    assert math.isnan(nothing.scan_error)
 
 
 def test_one_point_and_one_class():
-    one = Calibration.none(1).update(judge(np.ones((1, 1)), np.zeros(1, int)), np.zeros(1, int))
+    zero = np.zeros(1, int)
+    one = ConfidenceHistogram(1).update(softmax_errors(np.ones((1, 1)), zero), zero)
     result = calibration_scores(one)
     assert (result.nll, result.brier, result.ece, result.ace) == (0, 0, 0, 0)
-
-
-def test_pickled_counts_are_small_and_the_same():
-    calibration = of(*softmax(3, 2000))
-    text = pickle.dumps(calibration)
-    assert pickle.loads(text) == calibration
-    assert len(text) < calibration.counts.nbytes / 20
 
 
 def test_what_does_not_fit_is_refused():
     probabilities, truth = softmax(4, 10)
     with pytest.raises(ValueError, match=r"truth: \(9,\)"):
-        judge(probabilities, truth[:9])
-    judged = judge(probabilities, truth)
+        softmax_errors(probabilities, truth[:9])
+    errors = softmax_errors(probabilities, truth)
     for group in (truth[:9], truth.astype(float), truth + C, truth - C):
         with pytest.raises(ValueError, match="group"):
-            Calibration.none(C).update(judged, group)
+            ConfidenceHistogram(C).update(errors, group)
     with pytest.raises(ValueError, match="4 and 3 groups"):
-        Calibration.none(4) + Calibration.none(3)
+        ConfidenceHistogram(4).add(ConfidenceHistogram(3))
     with pytest.raises(ValueError, match="group_count"):
-        Calibration.none(0)
+        ConfidenceHistogram(0)

@@ -44,17 +44,9 @@ def test_iou_is_scikit_learns_where_a_class_occurs(pairs):
 
 @given(PAIRS, PAIRS)
 def test_adding_is_pooling(one, two):
-    assert of(one) + of(two) == of(one + two)
+    assert of(one) + of(two) == of(one + two) == of(one).update(*split(two))
+    assert of(one).total == len(one)
     assert (of(one) == of(two)) == (sorted(one) == sorted(two))
-
-
-@given(PAIRS)
-def test_counting_in_any_portion_is_counting_at_once(pairs):
-    gradually = Confusion(C)
-    for pair in pairs:
-        gradually.update(*split([pair]))
-    assert gradually == of(pairs)
-    assert gradually.total == len(pairs)
 
 
 def test_only_points_of_ignored_truth_are_left_out():
@@ -76,12 +68,6 @@ def test_a_class_never_seen_is_nan_and_a_class_never_found_is_zero():
     assert np.isnan(iou[3])
 
 
-def test_no_points_at_all():
-    confusion = Confusion(3).update(ids(), ids())
-    assert confusion == Confusion(3)
-    assert np.isnan(confusion.iou()).all()
-
-
 def test_images_count_like_points():
     rng = np.random.default_rng(7)
     truth, predicted = rng.integers(0, C, (2, 8, 16)).astype(np.uint8)
@@ -93,12 +79,6 @@ def test_images_count_like_points():
 def test_any_integer_will_do(dtype):
     confusion = Confusion(255).update(np.array([254], dtype), np.array([253], np.uint8))
     assert confusion.matrix[254, 253] == 1
-
-
-def test_counts_do_not_overflow():
-    many = Confusion(2, np.full((2, 2), 2**40))
-    assert (many + many).matrix[1, 1] == 2**41
-    assert (many + many).iou()[1] == pytest.approx(1 / 2)
 
 
 def test_a_sum_does_not_share_counts():

@@ -20,7 +20,7 @@ def test_a_ring_begins_where_the_one_before_ends(distance, ring):
 def test_points_without_a_measurement_are_in_no_ring(point):
     points = np.array([point, (6, 8, 1)], np.float32)
     assert ring_of_point(points).tolist() == [-1, 1]
-    rings = confusion_by_ring(points, np.array([1, 2]), np.array([1, 1]), 3)
+    rings = confusion_by_ring(ring_of_point(points), np.array([1, 2]), np.array([1, 1]), 3)
     assert sum(ring.total for ring in rings) == 1
     assert rings[1].matrix[2, 1] == 1
 
@@ -31,7 +31,7 @@ def test_rings_together_are_the_whole(coordinates):
     measured = np.linalg.norm(points.astype(float), axis=1) > 0
     rng = np.random.default_rng(len(points))
     truth, predicted = rng.integers(0, 4, (2, len(points)))
-    rings = confusion_by_ring(points, truth, predicted, 4)
+    rings = confusion_by_ring(ring_of_point(points), truth, predicted, 4)
     assert len(rings) == len(RING_NAMES)
     whole = Confusion(4).update(truth[measured], predicted[measured])
     assert sum(rings, start=Confusion(4)) == whole

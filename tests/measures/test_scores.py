@@ -74,13 +74,6 @@ def test_a_labelled_point_predicted_unlabelled_is_a_miss():
     assert result.accuracy_official == 1 / (1 + 1e-15)
 
 
-def test_an_unlabelled_point_predicted_as_something_is_no_error():
-    result = of([(1, 1), (0, 1), (0, 2)])
-    assert result.classes[0].iou == 1
-    assert result.accuracy == 1
-    assert math.isnan(result.classes[1].iou)
-
-
 def test_an_absent_class_counts_zero_in_the_official_mean_only():
     result = of([(1, 1), (2, 2)])
     assert math.isnan(result.classes[2].iou)

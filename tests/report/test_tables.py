@@ -1,13 +1,18 @@
 # SPDX-License-Identifier: MIT
 import io
+import math
 
 import numpy as np
-from rich.console import Console
+import pytest
+from evaluated import SPACE as FULL_SPACE
+from evaluated import calibration_result, ranking_result
+from rich.console import Console, Group
 
 from salsanext_cli.classes import LabelSpace
 from salsanext_cli.measures.confusion import Confusion
 from salsanext_cli.measures.scores import scores
-from salsanext_cli.report.tables import ring_table, score_table
+from salsanext_cli.measures.uncertainty_evaluation import UncertaintyEvaluation
+from salsanext_cli.report.tables import percent, ring_table, score_table, uncertainty_tables
 
 SPACE = LabelSpace.from_dict(
     {
@@ -18,10 +23,14 @@ SPACE = LabelSpace.from_dict(
 )
 
 
-def printed(table) -> list[list[str]]:
+def text_of(*tables) -> str:
     text = io.StringIO()
-    Console(file=text, width=120).print(table)
-    rows = [line.split("│")[1:-1] for line in text.getvalue().splitlines() if "│" in line]
+    Console(file=text, width=120).print(Group(*tables))
+    return text.getvalue()
+
+
+def printed(*tables) -> list[list[str]]:
+    rows = [line.split("│")[1:-1] for line in text_of(*tables).splitlines() if "│" in line]
     return [[cell.strip() for cell in row] for row in rows]
 
 
@@ -49,3 +58,53 @@ def test_a_row_per_ring():
         ["0–10 m", "75.0", "66.7", "3,000"],
         ["over 50 m", "–", "–", "0"],
     ]
+
+
+def ranked(*uncertainty):
+    """Return what is found of points of which the last is wrong."""
+    count = len(uncertainty)
+    return ranking_result(uncertainty, np.arange(count) == count - 1)
+
+
+def tables_of(calibration=None, **kinds):
+    return uncertainty_tables(UncertaintyEvaluation(FULL_SPACE, calibration, kinds))
+
+
+def test_a_row_of_calibration_and_one_for_each_kind():
+    kinds = {"epistemic": ranked(0.1, 0.2, 0.4), "total": ranked(0.4, 0.4)}
+    assert printed(*tables_of(calibration_result([1, 1, 2, 2]), **kinds)) == [
+        ["softmax", "0.837", "0.625", "25.00", "25.00", "25.00", "1", "4"],
+        ["epistemic", "100.0", "100.0", "11.11", "0.000", "33.3", "1", "3"],
+        ["total", "50.0", "50.0", "50.00", "0.500", "50.0", "1", "2"],
+    ]
+
+
+def test_what_has_no_answer_is_a_dash():
+    assert printed(*tables_of(calibration_result([]), total=ranked())) == [
+        ["softmax", *"–––––", "0", "0"],
+        ["total", *"–––––", "0", "0"],
+    ]
+
+
+def test_no_table_of_what_is_not_there():
+    assert tables_of() == []
+    assert "AUROC" not in text_of(*tables_of(calibration_result([1])))
+    assert "NLL" not in text_of(*tables_of(total=ranked(0.1)))
+
+
+def test_tables_are_as_narrow_as_a_terminal():
+    tables = tables_of(calibration_result([1, 2]), mutual_information=ranked(0.1, 0.2, 0.4))
+    assert max(map(len, text_of(*tables).splitlines())) <= 100
+
+
+@pytest.mark.parametrize(
+    ("share", "digits", "unit", "words"),
+    [
+        (0.12345, 1, "", "12.3"),
+        (0.12345, 2, " %", "12.35 %"),
+        (0, 1, " %", "0.0 %"),
+        (math.nan, 2, " %", "–"),
+    ],
+)
+def test_shares_read_as_percent(share, digits, unit, words):
+    assert percent(share, digits, unit) == words

@@ -1,17 +1,15 @@
 # SPDX-License-Identifier: MIT
 import itertools
+from io import BytesIO
 
 import numpy as np
 import pytest
+from evaluated import SPACE, calibration_result, ranking_result
 from matplotlib.image import imread
 
-from salsanext_cli.classes import label_space
-from salsanext_cli.measures.calibration import Calibration, judge
-from salsanext_cli.measures.figures import calibration_figures, uncertainty_figures
-from salsanext_cli.measures.ranking import Ranking
-from salsanext_cli.measures.uncertainty_counts import KINDS
+from salsanext_cli.measures.scan_counts import KINDS
 from salsanext_cli.report import canvas
-from salsanext_cli.report.labels import name_dots
+from salsanext_cli.report.dot_names import name_dots
 from salsanext_cli.report.uncertainty_plots import (
     BLUE,
     HEIGHT,
@@ -26,12 +24,9 @@ from salsanext_cli.report.uncertainty_plots import (
     sparsification,
 )
 
-SPACE = label_space()
-C = SPACE.class_count
 
-
-def pixels(path):
-    return (imread(path)[:, :, :3] * 255).round().astype(int)
+def pixels(png: bytes) -> np.ndarray:
+    return (imread(BytesIO(png))[:, :, :3] * 255).round().astype(int)
 
 
 def rgb(colour: str) -> list[int]:
@@ -45,42 +40,30 @@ def rows_of(picture, colour, x) -> np.ndarray:
     return 1 - np.flatnonzero(near) / HEIGHT
 
 
-def ranked(uncertainty, wrong, truth):
-    ranking = Ranking.none(C).update(np.asarray(uncertainty, np.float32), wrong, truth)
-    return uncertainty_figures(ranking, None, SPACE)
-
-
 def half_wrong(count=1000):
     """Uncertainty that says nothing: one in two is wrong, wherever one looks."""
-    return ranked(np.full(count, 0.1), np.arange(count) % 2 == 1, np.ones(count, int))
+    return ranking_result(np.full(count, 0.1), np.arange(count) % 2 == 1)
 
 
-def test_bars_are_as_high_as_the_accuracy(tmp_path):
-    rows = np.tile(np.array([[0, 0.75, 0.25]], np.float16), (10, 1))
-    judged = judge(rows, np.array([1] * 6 + [2] * 4))
-    by_class = Calibration.none(C).update(judged, judged.predicted)
-    reliability_diagram(tmp_path / "r.png", calibration_figures(by_class, None, SPACE))
-    picture = pixels(tmp_path / "r.png")
+def test_bars_are_as_high_as_the_accuracy():
+    picture = pixels(reliability_diagram(calibration_result([1] * 6 + [2] * 4)))
     assert rows_of(picture, SKY, 11.5 / 15).max() == pytest.approx(0.6, abs=0.01)
     assert not rows_of(picture, SKY, 5.5 / 15).size
 
 
-def test_the_risk_of_useless_uncertainty_is_flat(tmp_path):
-    risk_coverage(tmp_path / "rc.png", {"epistemic": half_wrong()})
-    sparsification(tmp_path / "sp.png", {"epistemic": half_wrong()})
-    for name in ("rc.png", "sp.png"):
-        picture = pixels(tmp_path / name)
-        heights = [rows_of(picture, BLUE, x).mean() for x in (0.1, 0.5, 0.9)]
-        assert max(heights) - min(heights) < 0.01
-        assert min(heights) > 0.9
+@pytest.mark.parametrize("draw", [risk_coverage, sparsification])
+def test_the_risk_of_useless_uncertainty_is_flat(draw):
+    picture = pixels(draw({"epistemic": half_wrong()}))
+    heights = [rows_of(picture, BLUE, x).mean() for x in (0.1, 0.5, 0.9)]
+    assert max(heights) - min(heights) < 0.01
+    assert min(heights) > 0.9
 
 
-def test_the_dots_are_where_the_classes_are(tmp_path):
+def test_the_dots_are_where_the_classes_are():
     car, road = SPACE.names.index("car"), SPACE.names.index("road")
     truth = np.repeat([car, road], [10, 1000])
-    figures = ranked(np.where(truth == car, 0.2, 0.1), truth < 0, truth)
-    class_uncertainty(tmp_path / "c.png", figures, SPACE)
-    picture = pixels(tmp_path / "c.png")
+    result = ranking_result(np.where(truth == car, 0.2, 0.1), truth < 0, truth)
+    picture = pixels(class_uncertainty(result, SPACE))
     places = {}
     for i in (car, road):
         rows, columns = np.nonzero((picture == SPACE.colours[i]).all(axis=-1))
@@ -92,16 +75,16 @@ def test_the_dots_are_where_the_classes_are(tmp_path):
     assert heights[0] / heights[1] == pytest.approx(2, abs=0.03)
 
 
-def test_nothing_to_draw_is_drawn(tmp_path):
-    nothing = ranked([], np.zeros(0, bool), np.zeros(0, int))
-    right = ranked([0.1, 0.1], np.array([False, False]), np.array([1, 1]))
-    for name, figures in {"nothing": nothing, "right": right}.items():
-        risk_coverage(tmp_path / f"{name}-rc.png", {"epistemic": figures})
-        sparsification(tmp_path / f"{name}-sp.png", {"epistemic": figures})
-        class_uncertainty(tmp_path / f"{name}-c.png", figures, SPACE)
-    empty = calibration_figures(Calibration.none(C), None, SPACE)
-    reliability_diagram(tmp_path / "r.png", empty)
-    assert len(list(tmp_path.glob("*.png"))) == 7
+@pytest.mark.parametrize("count", [0, 2])
+def test_without_wrong_points_there_is_a_picture(count):
+    result = ranking_result([0.1] * count, np.zeros(count, bool))
+    for picture in (
+        risk_coverage({"epistemic": result}),
+        sparsification({"epistemic": result}),
+        class_uncertainty(result, SPACE),
+        reliability_diagram(calibration_result([])),
+    ):
+        assert pixels(picture).size
 
 
 def test_every_kind_has_a_line_of_its_own(tmp_path):

@@ -10,9 +10,8 @@ from evaluated import CAR, MOVING_CAR, ROAD, SPACE, UNKNOWN, World
 from scans import files_below
 
 from salsanext_cli.errors import LabelError, NoInputError, OutputError
-from salsanext_cli.measures.confusion import Confusion
-from salsanext_cli.measures.scan_counts import ScanCounts, count_scan
 from salsanext_cli.parallel.run import RunOptions
+from salsanext_cli.report import plots
 from salsanext_cli.stages.evaluate import evaluate
 from salsanext_cli.storage.json_files import write_json
 from salsanext_cli.storage.layout import find_scans
@@ -23,6 +22,13 @@ from salsanext_cli.storage.selection import ScanSelection
 @pytest.fixture
 def world(tmp_path):
     return World(tmp_path)
+
+
+@pytest.fixture(autouse=True)
+def quick_to_draw(monkeypatch):
+    """Draw nothing: pictures take a second each, and have their own tests."""
+    for name in ("iou_bars", "confusion_picture"):
+        monkeypatch.setattr(plots, name, lambda *_: b"picture")
 
 
 def iou(evaluation, name):
@@ -38,14 +44,6 @@ def test_the_file_is_the_official_evaluators(real_data, tmp_path, jobs):
     expected = (real_data / "golden/evaluation/scores.txt").read_bytes()
     assert (tmp_path / "out/scores.txt").read_bytes() == expected
     assert evaluation.scans == 3
-
-
-@pytest.mark.real
-def test_rings_of_real_scans_add_up(real_data, tmp_path):
-    shutil.copytree(real_data / "golden/evaluation/sequences", tmp_path / "out/sequences")
-    scan = find_scans(real_data / "data/semantickitti", ["08"])[0]
-    counts = count_scan(scan, tmp_path / "out", SPACE, by_distance=True)
-    assert sum(counts.rings, start=Confusion(SPACE.class_count)) == counts.confusion
 
 
 def test_scans_of_several_sequences_are_pooled(world):
@@ -64,20 +62,12 @@ def test_instance_bits_and_moving_classes_do_not_matter(world):
     assert iou(world.evaluate(), "car") == 1
 
 
-def test_a_labelled_point_predicted_unlabelled_is_a_miss(world):
-    world.add("000000", [CAR, CAR], [CAR, 0])
-    evaluation = world.evaluate()
-    assert iou(evaluation, "car") == 0.5
-    assert evaluation.scores.accuracy == 0.5
-
-
-def test_unknown_ids_are_counted_named_and_taken_as_unlabelled(world, caplog):
+def test_unknown_ids_are_counted_and_taken_as_unlabelled(world, caplog):
     world.add("000000", [CAR, CAR, UNKNOWN | 5 << 16], [CAR, UNKNOWN, CAR])
     world.add("000001", [CAR, UNKNOWN], [65535, CAR])
     with caplog.at_level(logging.WARNING):
         evaluation = world.evaluate()
-    assert evaluation.unknown_truth == {UNKNOWN: 2}
-    assert evaluation.unknown_predictions == {UNKNOWN: 1, 65535: 1}
+    assert evaluation.unknown_ids["truth"] == {UNKNOWN: 2}
     assert iou(evaluation, "car") == pytest.approx(1 / 3)
     assert "predictions: unknown ids 77 (1×), 65535 (1×)" in caplog.text
     assert "labels: unknown ids 77 (2×)" in caplog.text
@@ -197,7 +187,7 @@ def test_files_are_complete_and_replace_earlier_ones(world):
     assert report["classes"] == list(SPACE.names)
 
 
-def test_more_predictions_may_be_evaluated_with_the_same_settings(world):
+def test_a_second_evaluation_replaces_what_the_first_one_wrote(world):
     world.add("000000", [CAR], [CAR])
     world.evaluate()
     world.add("000001", [CAR], [ROAD])
@@ -216,24 +206,33 @@ def test_the_result_of_other_settings_stays(world):
     assert json.loads((world.out / "eval.json").read_text())["by_distance"]
 
 
-@pytest.mark.parametrize("text", ["{}", '{"settings": 3}'])
-def test_what_eval_did_not_write_stays(world, text):
+@pytest.mark.parametrize(
+    "name", ["scores.txt", "eval.json", "eval_iou.png", "eval_reliability.png"]
+)
+@pytest.mark.parametrize("overwrite", [False, True])
+def test_what_eval_did_not_write_stays(world, name, overwrite):
     world.add("000000", [CAR], [CAR])
-    (world.out / "eval.json").write_text(text)
-    with pytest.raises(OutputError, match=r"eval\.json · not what `eval` writes"):
-        world.evaluate()
-    assert world.evaluate(overwrite=True).scans == 1
+    (world.out / name).write_text("somebody's own")
+    before = files_below(world.out)
+    with pytest.raises(OutputError, match=rf"{name} · exists, and was not recorded by salsanext"):
+        world.evaluate(overwrite=overwrite)
+    assert files_below(world.out) == before
 
 
-def test_counts_add_up_and_lists_join(world):
-    world.add("000000", [CAR], [UNKNOWN])
-    world.add("000001", [CAR], None)
-    one, two = (count_scan(scan, world.out, SPACE) for scan in find_scans(world.dataset))
-    total = ScanCounts.none(SPACE, by_distance=False) + one + two
-    assert total.scans == 1
-    assert len(total.missing) == 1
-    assert total.unknown_predictions == {UNKNOWN: 1}
-    assert total.confusion.total == 1
+@pytest.mark.parametrize("linked", [False, True])
+def test_what_eval_wrote_stays_once_it_was_changed(world, tmp_path, linked):
+    world.add("000000", [CAR], [CAR])
+    world.evaluate()
+    path = world.out / "scores.txt"
+    if linked:
+        path.rename(tmp_path / "kept.txt")
+        path.symlink_to(tmp_path / "kept.txt")
+    else:
+        path.write_text(path.read_text() + "# seen by me\n")
+    before = files_below(world.out)
+    with pytest.raises(OutputError, match=r"scores\.txt · exists, and .* was changed since"):
+        world.evaluate(overwrite=True)
+    assert files_below(world.out) == before
 
 
 def test_predictions_in_other_classes_are_refused(world, tmp_path):

@@ -2,18 +2,22 @@
 import json
 import logging
 import math
-import pickle
+import re
 
 import numpy as np
 import pytest
 from evaluated import CAR, ROAD, SPACE, World
 from sklearn.metrics import average_precision_score, log_loss, roc_auc_score
 
-from salsanext_cli.errors import FormatError
-from salsanext_cli.measures.scan_counts import ScanCounts, count_scan
-from salsanext_cli.measures.uncertainty_counts import CLASS, FOLDERS, KINDS, UncertaintyCounts
-from salsanext_cli.measures.uncertainty_evaluation import UncertaintyEvaluation, trust
+from salsanext_cli.measures.scan_counts import FOLDERS, KINDS, ScanCounts, count_scan
+from salsanext_cli.measures.uncertainty_evaluation import (
+    UncertaintyEvaluation,
+    evaluate_uncertainty,
+)
+from salsanext_cli.parallel.run import RunOptions
+from salsanext_cli.stages.evaluate import evaluate
 from salsanext_cli.storage.layout import find_scans, output_path
+from salsanext_cli.storage.point_files import write_array
 
 C = SPACE.class_count
 CAR_ID, ROAD_ID = SPACE.names.index("car"), SPACE.names.index("road")
@@ -58,11 +62,12 @@ def random_scan(world: World, stem: str, count: int, distance: float = 5) -> Non
         world.put(folder, stem, values)
 
 
-def trust_of(world: World, by_distance: bool = False) -> UncertaintyEvaluation:
+def uncertainty_of(world: World, by_distance: bool = False) -> UncertaintyEvaluation:
     """Count and divide without drawing anything."""
-    scans = find_scans(world.dataset)
-    counts = (count_scan(scan, world.out, SPACE, by_distance).uncertainty for scan in scans)
-    return trust(sum(counts, start=UncertaintyCounts()), len(scans), SPACE)
+    counts = ScanCounts.none(SPACE, by_distance)
+    for scan in find_scans(world.dataset):
+        counts.add(count_scan(scan, world.out, SPACE, by_distance))
+    return evaluate_uncertainty(counts, SPACE)
 
 
 def files_of(world: World) -> set[str]:
@@ -73,16 +78,16 @@ def report_of(world: World) -> dict:
     return json.loads((world.out / "eval.json").read_text())
 
 
-def test_without_such_files_nothing_is_said_of_them(world):
+def test_without_such_files_there_is_no_word_of_them(world):
     world.add("000000", [CAR], [CAR])
     evaluation = world.evaluate(by_distance=True)
     assert files_of(world) == ALWAYS
-    assert evaluation.trust.to_dict() == {}
+    assert evaluation.uncertainty.to_dict() == {}
     assert not {"calibration", "uncertainty"} & report_of(world).keys()
 
 
 @pytest.mark.parametrize("folder", PICTURES)
-def test_whatever_is_there_is_judged(world, folder):
+def test_whatever_is_there_is_evaluated(world, folder):
     world.add("000000", [CAR, ROAD], [CAR, CAR])
     scores = world.evaluate() and (world.out / "scores.txt").read_bytes()
     world.put(folder, "000000", softmax(1, 0.25) if folder == "probabilities" else [0.1, 0.2])
@@ -95,7 +100,7 @@ def test_whatever_is_there_is_judged(world, folder):
     assert list(report["uncertainty"]) == kinds
 
 
-def test_figures_are_scikit_learns(world):
+def test_scores_are_scikit_learns(world):
     """Two scans, pooled; points whose truth is ignored do not count, whatever is said of them."""
     world.add("000000", [CAR, CAR, ROAD, 0], [CAR, CAR, CAR, CAR])
     world.add("000001", [ROAD, ROAD, ROAD], [ROAD, CAR, ROAD])
@@ -104,32 +109,42 @@ def test_figures_are_scikit_learns(world):
     world.put("probabilities", "000001", second)
     world.put("uncertainty/entropy", "000000", [0.1, 0.3, 0.25, 9])
     world.put("uncertainty/entropy", "000001", [0.2, 0.5, 0.35])
-    judged = trust_of(world)
+    found = uncertainty_of(world)
     cars = np.concatenate([first[:3], second])[:, CAR_ID].astype(float)
     is_car = np.array([1, 1, 0, 0, 0, 0])
-    calibration = judged.calibration
+    calibration = found.calibration
     assert calibration.scores.points == 6
     assert calibration.scores.nll == pytest.approx(log_loss(is_car, cars), abs=1e-12)
     # The class of the probabilities, not of the predictions: the third and the fifth are wrong.
     assert calibration.scores.accuracy == pytest.approx(4 / 6)
     wrong = np.array([0, 0, 1, 0, 1, 0])
     entropy = np.array([0.1, 0.3, 0.25, 0.2, 0.5, 0.35])
-    found = judged.uncertainty["entropy"].scores
-    assert found.auroc == pytest.approx(roc_auc_score(wrong, entropy), abs=1e-12)
-    assert found.aupr == pytest.approx(average_precision_score(wrong, entropy), abs=1e-12)
-    assert found.mean == pytest.approx(entropy.mean(), rel=1e-6)
+    scores = found.kinds["entropy"].scores
+    assert scores.auroc == pytest.approx(roc_auc_score(wrong, entropy), abs=1e-12)
+    assert scores.aupr == pytest.approx(average_precision_score(wrong, entropy), abs=1e-12)
+    assert scores.mean == pytest.approx(entropy.mean(), rel=1e-6)
     unsure = 1 - np.maximum(cars, 1 - cars)
-    found = judged.uncertainty["confidence"].scores
-    assert found.auroc == pytest.approx(roc_auc_score(wrong, unsure), abs=1e-12)
+    scores = found.kinds["confidence"].scores
+    assert scores.auroc == pytest.approx(roc_auc_score(wrong, unsure), abs=1e-12)
 
 
-def test_a_label_that_neighbours_outvoted_is_judged_as_it_stands(world):
+def test_a_label_that_neighbours_outvoted_counts_as_it_stands(world):
     """Calibration is the softmax's; what uncertainty has to find is a wrong label."""
     world.add("000000", [CAR, CAR], [CAR, CAR])
     world.put("probabilities", "000000", softmax(0.25, 0.75))
-    judged = trust_of(world)
-    assert judged.calibration.scores.accuracy == 0.5
-    assert judged.uncertainty["confidence"].scores.wrong == 0
+    found = uncertainty_of(world)
+    assert found.calibration.scores.accuracy == 0.5
+    assert found.kinds["confidence"].scores.wrong == 0
+
+
+def test_the_error_per_scan_is_the_mean_over_the_scans_that_have_points(world):
+    """Too sure in one scan, too unsure in the other; pooled, they make up for each other."""
+    for stem, truth in (("000000", [ROAD] * 10), ("000001", [0]), ("000002", [CAR] * 10)):
+        world.add(stem, truth, truth)
+        world.put("probabilities", stem, softmax(*[0.5] * len(truth)))
+    calibration = uncertainty_of(world).calibration
+    assert (calibration.scan_error, calibration.scans) == (0.5, 2)
+    assert calibration.scores.ece == 0
 
 
 def test_classes_and_rings(world):
@@ -139,9 +154,9 @@ def test_classes_and_rings(world):
     world.add("000001", [CAR], [ROAD], distance=25)
     world.put("probabilities", "000001", softmax(0.125))
     world.put("uncertainty/epistemic", "000001", [0.375])
-    assert trust_of(world).uncertainty["epistemic"].rings == {}
-    judged = world.evaluate(by_distance=True).trust
-    epistemic = judged.uncertainty["epistemic"]
+    assert uncertainty_of(world).kinds["epistemic"].rings == {}
+    found = world.evaluate(by_distance=True).uncertainty
+    epistemic = found.kinds["epistemic"]
     cars = epistemic.classes[CAR_ID]
     assert (cars.points, cars.wrong, cars.auroc) == (3, 2, 1)
     assert cars.mean == pytest.approx(0.225)
@@ -150,7 +165,7 @@ def test_classes_and_rings(world):
     assert epistemic.rings["20–30 m"].mean == 0.375
     assert math.isnan(epistemic.rings["over 50 m"].mean)
     # By what the softmax says: one car, and it is one; three roads, of which one is.
-    calibration = judged.calibration
+    calibration = found.calibration
     assert calibration.classes[CAR_ID].accuracy == 1
     assert calibration.classes[ROAD_ID].accuracy == pytest.approx(1 / 3)
     assert calibration.rings["20–30 m"].nll == pytest.approx(math.log(8))
@@ -167,11 +182,10 @@ def test_points_without_a_pixel_are_left_out_and_counted(world):
     rows[1] = np.eye(1, C)
     world.put("probabilities", "000000", rows)
     world.put("uncertainty/total", "000000", [0.1, np.nan, 0.2])
-    judged = trust_of(world)
-    kinds = judged.uncertainty
-    for figures in (judged.calibration, kinds["total"], kinds["confidence"]):
-        assert (figures.scores.points, figures.left_out) == (2, 1)
-    assert judged.calibration.scores.accuracy == 1
+    found = uncertainty_of(world)
+    for result in (found.calibration, found.kinds["total"], found.kinds["confidence"]):
+        assert (result.scores.points, result.left_out) == (2, 1)
+    assert found.calibration.scores.accuracy == 1
 
 
 def test_no_point_with_a_value(world):
@@ -186,92 +200,49 @@ def test_no_point_with_a_value(world):
     assert report["uncertainty"]["epistemic"]["left_out"] == 2
 
 
-def test_files_of_some_scans_are_used_and_that_is_said(world, caplog):
+def test_files_of_some_scans_are_used_with_a_warning(world, caplog):
     for i in range(4):
         world.add(f"{i:06d}", [CAR, ROAD], [CAR, CAR])
     for i in (0, 3):
         world.put("uncertainty/epistemic", f"{i:06d}", [0.1, 0.2])
     world.put("probabilities", "000001", softmax(0.75, 0.75))
     with caplog.at_level(logging.WARNING):
-        judged = trust_of(world)
-    assert judged.uncertainty["epistemic"].scans == 2
-    assert judged.uncertainty["epistemic"].scores.points == 4
-    assert judged.calibration.scans == 1
+        found = uncertainty_of(world)
+    assert found.kinds["epistemic"].scans == 2
+    assert found.kinds["epistemic"].scores.points == 4
+    assert found.calibration.scans == 1
     assert "uncertainty/epistemic of 2 of 4 scans only" in caplog.text
     assert "probabilities of 1 of 4 scans only" in caplog.text
 
 
 BAD = {
-    "other classes": ("probabilities", np.full((2, 3), 1 / 3), r"float16 \(2, 20\)"),
-    "other points": ("probabilities", softmax(1, 1, 1), r"float16 \(2, 20\)"),
-    "NaN": ("probabilities", softmax(np.nan, 0.5), "NaN or no probabilities at 1 of 2 points"),
-    "infinity": ("probabilities", softmax(np.inf, 0.5), "at 1 of 2 points"),
-    "negative": ("probabilities", softmax(-0.5, 1.5), "at 2 of 2 points"),
-    "logits": ("probabilities", softmax(0.5, 0.5) * 7, "add up to 1"),
-    "length": ("uncertainty/total", [0.1], r"float32 \(2\)"),
-    "below 0": ("uncertainty/entropy", [0.1, -0.1], "negative or infinite at 1 of 2 points"),
-    "endless": ("uncertainty/entropy", [np.inf, np.nan], "negative or infinite at 1 of 2 points"),
+    "probabilities": (np.full((2, 3), 1 / 3, np.float16), r"float16 \(2, 20\)"),
+    "uncertainty/entropy": (np.float32([0.1, -0.1]), "negative or infinite at 1 of 2 points"),
+    "uncertainty/total": (np.array([0.1, 0.2]), "<f8"),
 }
 
 
-def two_scans(world: World, folder: str, values: object, dtype: object = None) -> None:
-    """Add a good scan, and one with a file as given."""
+@pytest.mark.parametrize("folder", BAD)
+def test_a_bad_file_is_named_and_the_other_scans_are_scored(world, folder):
+    values, message = BAD[folder]
     for stem in ("000000", "000001"):
         world.add(stem, [CAR, ROAD], [CAR, ROAD])
         world.put(folder, stem, softmax(1, 0) if folder == "probabilities" else [0.1, 0.2])
-    world.put(folder, "000001", values, dtype)
-
-
-@pytest.mark.parametrize("case", BAD)
-def test_a_file_that_cannot_be_is_named(world, case):
-    folder, values, message = BAD[case]
-    two_scans(world, folder, values)
-    with pytest.raises(FormatError, match=message) as caught:
-        world.evaluate(on_error="stop")
-    assert caught.value.subject == str(output_path(world.out, "08", folder, "000001"))
-
-
-def test_the_scans_beside_a_bad_file_are_scored(world):
-    two_scans(world, "uncertainty/total", [0.1, 0.2], np.float64)
+    write_array(output_path(world.out, "08", folder, "000001"), np.asarray(values))
     evaluation = world.evaluate()
-    assert evaluation.scans == evaluation.trust.uncertainty["total"].scans == 1
-    assert "<f8" in evaluation.failures[0].reason
+    assert evaluation.scans == 1
+    (failure,) = evaluation.failures
+    assert str(output_path(world.out, "08", folder, "000001")) in failure.reason
+    assert re.search(message, failure.reason)
 
 
-def test_figures_do_not_depend_on_order_or_partition(world):
+def test_the_report_does_not_depend_on_jobs_or_order(world):
+    """Float64 sums that were added in the order of the results would differ in the last digit."""
     for i in range(5):
-        random_scan(world, f"{i:06d}", 40 + i, distance=5 + 10 * i)
+        random_scan(world, f"{i:06d}", 400 + i, distance=5 + 10 * i)
     scans = find_scans(world.dataset)
-    counts = [count_scan(scan, world.out, SPACE, by_distance=True) for scan in scans]
-    forth = sum(counts, start=ScanCounts.none(SPACE, by_distance=True)).uncertainty
-    back = (counts[4] + counts[2]) + (counts[0] + (counts[3] + counts[1]))
-    assert forth == back.uncertainty
-    assert forth.files == dict.fromkeys(FOLDERS, 5)
-    world.evaluate(by_distance=True)
+    evaluate(scans, world.out, SPACE, by_distance=True)
     once = (world.out / "eval.json").read_bytes()
-    world.evaluate(by_distance=True, jobs=2)
+    evaluate(scans[::-1], world.out, SPACE, RunOptions(jobs=2), by_distance=True)
     assert (world.out / "eval.json").read_bytes() == once
     assert list(report_of(world)["uncertainty"]) == list(KINDS)
-
-
-def test_what_a_worker_sends_is_small(world):
-    random_scan(world, "000000", 3000)
-    (scan,) = find_scans(world.dataset)
-    counts = count_scan(scan, world.out, SPACE, by_distance=True)
-    assert pickle.loads(pickle.dumps(counts)) == counts
-    held = [tally.counts.nbytes for tally in counts.uncertainty.rankings.values()]
-    assert len(pickle.dumps(counts)) < sum(held) / 50
-
-
-def test_counts_join_whatever_each_has(world):
-    world.add("000000", [CAR], [CAR])
-    world.put("uncertainty/total", "000000", [0.1])
-    world.add("000001", [CAR], [CAR])
-    world.put("uncertainty/entropy", "000001", [0.1])
-    one, two = (
-        count_scan(scan, world.out, SPACE).uncertainty for scan in find_scans(world.dataset)
-    )
-    both = one + two + UncertaintyCounts()
-    assert both.rankings.keys() == {("total", CLASS), ("entropy", CLASS)}
-    assert both.rankings["total", CLASS] == one.rankings["total", CLASS]
-    assert both.files == {"uncertainty/total": 1, "uncertainty/entropy": 1}

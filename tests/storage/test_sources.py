@@ -23,7 +23,7 @@ def ask(world, scans, settings=None, overwrite=False):
 
 
 def names(results):
-    return [f"{scan.sequence}/{scan.stem}" for scan in results.missing], results.not_asked_for
+    return [f"{scan.sequence}/{scan.stem}" for scan in results.scans], results.not_asked_for
 
 
 def test_where_scans_came_from_is_recorded(world):

@@ -11,7 +11,7 @@ from salsanext_cli.classes import label_space
 from salsanext_cli.inference.network import Network
 from salsanext_cli.network.weights import WeightsCard
 from salsanext_cli.report.colours import EMPTY, label_colours
-from salsanext_cli.report.sample_picture import GAP, TALLER, draw_sample
+from salsanext_cli.report.scan_pictures import GAP_PX, ROW_HEIGHT_PX, draw_sample
 from salsanext_cli.storage.layout import find_scans
 
 SPACE = label_space()
@@ -26,12 +26,12 @@ def test_strips_are_range_truth_prediction_and_errors(tmp_path: Path) -> None:
     card = WeightsCard({"name": "tiny"}, SPACE, SMALL)
     network = Network(module, card, SMALL, torch.device("cpu"))
     picture = draw_sample(tmp_path / "new" / "sample.png", file, network)
-    height = TALLER * SMALL.height
-    assert picture.shape == (4 * height + 3 * GAP, SMALL.width, 3)
+    height = ROW_HEIGHT_PX * SMALL.height
+    assert picture.shape == (4 * height + 3 * GAP_PX, SMALL.width, 3)
     written = imread(tmp_path / "new" / "sample.png")[..., :3]
     np.testing.assert_array_equal((written * 255).round().astype(np.uint8), picture)
-    starts = [i * (height + GAP) for i in range(4)]
-    _, truth, prediction, _ = (picture[s : s + height : TALLER] for s in starts)
+    starts = [i * (height + GAP_PX) for i in range(4)]
+    _, truth, prediction, _ = (picture[s : s + height : ROW_HEIGHT_PX] for s in starts)
     road = label_colours(np.array([SPACE.names.index("road")]), SPACE)[0]
     filled = (prediction != EMPTY).any(axis=2)
     assert 100 < filled.sum() < filled.size

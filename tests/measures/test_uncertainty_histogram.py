@@ -2,6 +2,7 @@
 import math
 import pickle
 from fractions import Fraction
+from itertools import chain
 
 import numpy as np
 import pytest
@@ -9,16 +10,15 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from sklearn.metrics import average_precision_score, roc_auc_score
 
-from salsanext_cli.measures.calibration import Calibration
-from salsanext_cli.measures.ranking import (
+from salsanext_cli.measures.risk_coverage import ranking_scores, risk_at, threshold_at
+from salsanext_cli.measures.uncertainty_histogram import (
     BINS,
     HIGHEST,
     LOWEST,
-    Ranking,
+    UncertaintyHistogram,
     bin_of,
     highest_of_bins,
 )
-from salsanext_cli.measures.risk_coverage import ranking_scores, risk_at, threshold_at
 
 LEVELS = (0.0, 2.0**-48, 1e-9, 2.0**-10, 0.3, 1.0, 1.0078125, 7.0, 255.0)
 """Uncertainties of which no two share a bin."""
@@ -26,10 +26,17 @@ FEW = settings(max_examples=40, deadline=None)
 POINTS = st.lists(st.tuples(st.sampled_from(LEVELS), st.booleans()), min_size=1, max_size=60)
 
 
-def of(uncertainty, wrong, group=None, groups=1) -> Ranking:
+def of(uncertainty, wrong, group=None, groups=1) -> UncertaintyHistogram:
     values = np.asarray(uncertainty, np.float32)
     group = np.zeros(len(values), int) if group is None else np.asarray(group, int)
-    return Ranking.none(groups).update(values, np.asarray(wrong, bool), group)
+    return UncertaintyHistogram(groups).update(values, np.asarray(wrong, bool), group)
+
+
+def added(histograms) -> UncertaintyHistogram:
+    total = UncertaintyHistogram(1)
+    for histogram in histograms:
+        total.add(histogram)
+    return total
 
 
 def scores(points):
@@ -113,7 +120,7 @@ def test_long_runs_of_ties_have_a_closed_form():
     """A million tied points, a tenth wrong: any number of them has that risk."""
     many = of([0.5] * 10, [True] + [False] * 9)
     for _ in range(5):
-        many = sum([many] * 9, start=many)
+        many = added([many] * 10)
     result = ranking_scores(many)
     assert result.points == 1_000_000
     assert result.aurc == pytest.approx(0.1, abs=1e-13)
@@ -132,23 +139,20 @@ def test_the_best_and_the_worst_order():
     assert worst.aurc == pytest.approx((1 + 1 / 2 + 1 / 3 + 1 / 4) / 4)
 
 
-def test_no_wrong_point_leaves_nothing_to_find():
-    result = scores([(0.3, False), (1.0, False)])
-    assert (result.aurc, result.excess_aurc, result.wrong) == (0, 0, 0)
-    assert all(math.isnan(figure) for figure in (result.auroc, result.aupr, result.ause))
-
-
-def test_all_wrong():
-    result = scores([(0.3, True), (1.0, True)])
-    assert math.isnan(result.auroc)
-    assert (result.aupr, result.aurc, result.excess_aurc, result.ause) == (1, 1, 0, 0)
-
-
-@pytest.mark.parametrize("wrong", [True, False])
-def test_one_point(wrong):
-    result = scores([(0.3, wrong)])
-    assert math.isnan(result.auroc)
-    assert (result.points, result.aurc) == (1, float(wrong))
+@pytest.mark.parametrize(
+    ("wrong", "auroc", "aupr", "aurc", "ause"),
+    [
+        ((False, False), math.nan, math.nan, 0, math.nan),
+        ((True, True), math.nan, 1, 1, 0),
+        ((False,), math.nan, math.nan, 0, math.nan),
+        ((True,), math.nan, 1, 1, 0),
+    ],
+)
+def test_with_nothing_to_find_or_nothing_else_there_is_no_auroc(wrong, auroc, aupr, aurc, ause):
+    result = ranking_scores(of([0.3, 1.0][: len(wrong)], wrong))
+    found = (result.auroc, result.aupr, result.aurc, result.ause)
+    np.testing.assert_array_equal(found, (auroc, aupr, aurc, ause))
+    assert (result.points, result.wrong, result.excess_aurc) == (len(wrong), sum(wrong), 0)
 
 
 @pytest.mark.parametrize("count", [0, 5])
@@ -185,38 +189,56 @@ def test_bins_have_an_end_on_both_sides():
     assert bin_of(np.array([0.3], np.float64)) == bin_of(np.array([0.3], np.float32))
 
 
+SCANS = st.lists(
+    st.lists(st.tuples(st.floats(0, 1e6, width=32), st.booleans()), min_size=1, max_size=9),
+    min_size=1,
+    max_size=6,
+)
+
+
 @FEW
-@given(POINTS, st.permutations(range(4)))
-def test_any_partition_gives_the_same(points, order):
-    scans = [of(*zip(*part, strict=True)) for i in range(4) if (part := points[i::4])]
-    mixed = sum((scans[i] for i in order if i < len(scans)), start=Ranking.none(1))
-    assert sum(scans, start=Ranking.none(1)) == mixed
-    assert mixed.scans == len(scans)
-    at_once = of(*zip(*points, strict=True))
-    np.testing.assert_array_equal(mixed.counts, at_once.counts)
+@given(SCANS, st.randoms(use_true_random=False))
+def test_scores_do_not_depend_on_the_order_of_the_scans(scans, random):
+    histograms = [of(*zip(*scan, strict=True)) for scan in scans]
+    forth = added(histograms)
+    at_once = of(*zip(*chain(*scans), strict=True))
+    np.testing.assert_array_equal(forth.counts, at_once.counts)
+    assert forth.scans == len(scans)
+    random.shuffle(histograms)
+    halves = added(histograms[::2]), added(histograms[1::2])
+    assert ranking_scores(added(halves)) == ranking_scores(forth)
+
+
+def test_means_lose_nothing_where_float64_would_round():
+    """With 2³⁰ before each of them, a thousand times 2⁻⁴⁰ would be lost one by one."""
+    scans = [of([2.0**30], [True]), *[of([2.0**-40], [True])] * 1000]
+    assert added(scans).means("uncertainty") == (2.0**30 + 1000 * 2.0**-40) / 1001
 
 
 def test_groups_together_are_the_whole():
     rng = np.random.default_rng(0)
     uncertainty, wrong = rng.random(90), rng.random(90) < 0.3
     group = np.arange(90) % 3
-    ranking = of(uncertainty, wrong, group, 4)
-    whole, pooled = of(uncertainty, wrong), ranking.total()
+    histogram = of(uncertainty, wrong, group, 4)
+    whole, pooled = of(uncertainty, wrong), histogram.total()
     np.testing.assert_array_equal(pooled.counts, whole.counts)
-    assert ranking_scores(ranking).mean == pytest.approx(ranking_scores(whole).mean, rel=1e-14)
+    assert ranking_scores(histogram).mean == pytest.approx(ranking_scores(whole).mean, rel=1e-14)
     for i in range(3):
         alone = of(uncertainty[group == i], wrong[group == i])
-        assert ranking_scores(ranking.group(i)) == ranking_scores(alone)
-    assert ranking.points.tolist() == [30, 30, 30, 0]
-    assert math.isnan(ranking.means[3])
+        assert ranking_scores(histogram.group(i)) == ranking_scores(alone)
+    assert histogram.points.tolist() == [30, 30, 30, 0]
+    assert math.isnan(histogram.means("uncertainty")[3])
 
 
 def test_pickled_counts_are_small_and_the_same():
     rng = np.random.default_rng(0)
-    ranking = of(rng.random(5000), rng.random(5000) < 0.1, rng.integers(0, 20, 5000), 20)
-    text = pickle.dumps(ranking)
-    assert pickle.loads(text) == ranking
-    assert len(text) < ranking.counts.nbytes / 20
+    histogram = of(rng.random(5000), rng.random(5000) < 0.1, rng.integers(0, 20, 5000), 20)
+    text = pickle.dumps(histogram)
+    again = pickle.loads(text)
+    np.testing.assert_array_equal(again.counts, histogram.counts)
+    assert ranking_scores(again) == ranking_scores(histogram)
+    assert (again.scans, again.left_out) == (1, 0)
+    assert len(text) < histogram.counts.nbytes / 20
 
 
 def test_what_does_not_fit_is_refused():
@@ -224,16 +246,13 @@ def test_what_does_not_fit_is_refused():
         of([0.1, 0.2], [True])
     with pytest.raises(ValueError, match="group"):
         of([0.1], [True], [1])
-    with pytest.raises(TypeError):
-        Ranking.none(1) + Calibration.none(1)
-    assert Ranking.none(1) != Calibration.none(1)
 
 
 def test_thresholds_keep_the_share_that_they_say():
     random = np.random.default_rng(3)
     values = random.lognormal(-4, 1.5, 5000).astype(np.float32)
     wrong = random.random(5000) < 0.2
-    counts = Ranking.none(1).update(values, wrong, np.zeros(5000, np.intp)).total().counts[:, 0]
+    counts = of(values, wrong).counts[:, 0]
     coverage = np.arange(1, 101) / 100
     thresholds = threshold_at(*counts, coverage, highest_of_bins())
     kept = (values[:, None] <= thresholds).mean(axis=0)

@@ -1,0 +1,93 @@
+# SPDX-License-Identifier: MIT
+"""Stages warn when scans come from another sensor than the one that was named."""
+
+import logging
+from dataclasses import replace
+
+import pytest
+from scans import SMALL
+
+from salsanext_cli.errors import NOTICE
+from salsanext_cli.parallel.run import RunOptions
+from salsanext_cli.sensors import sensor
+from salsanext_cli.stages.inspect import inspect
+from salsanext_cli.stages.predict import predict_scans
+from salsanext_cli.stages.project import project_scans
+
+UPWARDS = replace(SMALL, name="upwards", fov_up=30.0, fov_down=-2.0)
+
+
+def run(stage, world, view, **options):
+    how = RunOptions(**options)
+    if stage == "project":
+        project_scans(world.data, world.out, sensor=view, options=how)
+    elif stage == "inspect":
+        inspect(world.data, sensor=view, options=how)
+    else:
+        network = replace(world.network, sensor=view)
+        predict_scans(world.data, world.out, network=network, options=how)
+
+
+@pytest.mark.parametrize("stage", ["project", "inspect", "predict"])
+def test_another_sensors_scans_are_noticed_once(world, caplog, stage):
+    run(stage, world, UPWARDS)
+    (record,) = [record for record in caplog.records if record.levelno != NOTICE]
+    assert record.levelno == logging.WARNING
+    said = record.getMessage()
+    assert "% of the points of 3 scans lie outside the view of upwards, +30° to -2°" in said
+    assert "--sensor" in said
+    assert "inspect SCANS --fit" in said
+
+
+def test_coverage_is_counted_in_workers_too(world, caplog):
+    run("project", world, UPWARDS, jobs=2)
+    assert "of the points of 3 scans" in caplog.text
+
+
+@pytest.mark.parametrize("stage", ["project", "inspect", "predict"])
+def test_the_right_sensor_is_taken_as_it_is(world, caplog, stage):
+    run(stage, world, SMALL)
+    assert {record.levelno for record in caplog.records} <= {NOTICE}
+
+
+def test_a_fit_is_to_find_the_sensor(world, caplog):
+    inspect(world.data, sensor=UPWARDS, fit=True)
+    assert not caplog.records
+
+
+@pytest.mark.real
+@pytest.mark.parametrize(
+    ("folder", "preset"),
+    [
+        ("semantickitti/sequences/08", "hdl64"),
+        ("semantickitti/sequences/x1", "hdl64"),
+        ("semantickitti/sequences/x2", "hdl64"),
+        ("pandaset/sequences/002/velodyne/000000.bin", "pandar64"),
+        ("sensors/nuscenes_hdl32/five_columns.pcd.bin", "hdl32"),
+        ("sensors/nuscenes_hdl32/four_columns", "hdl32"),
+        ("sensors/ouster/os0_128.bin", "os0-128"),
+        ("sensors/ouster/os1_128.bin", "os1-128"),
+        ("sensors/ouster/os2_32.bin", "os2-32"),
+        ("sensors/pcd/hdl64.pcd", "hdl64"),
+        ("sensors/pcd/hdl32_with_points_at_origin.pcd", "hdl32"),
+        ("sensors/ply/hdl32_scalar_intensity.ply", "hdl32"),
+    ],
+)
+def test_real_scans_fit_their_sensors(real_data, tmp_path, caplog, folder, preset):
+    project_scans(real_data / "data" / folder, tmp_path, sensor=sensor(preset))
+    assert not caplog.records
+
+
+@pytest.mark.real
+@pytest.mark.parametrize(
+    ("folder", "preset"),
+    [
+        ("semantickitti/sequences/08", "vlp16"),
+        ("sensors/nuscenes_hdl32/four_columns", "hdl64"),
+        ("sensors/ouster/os0_128.bin", "hdl64"),
+        ("sensors/ouster/os1_128.bin", "os2-32"),
+    ],
+)
+def test_real_scans_do_not_fit_others(real_data, tmp_path, caplog, folder, preset):
+    project_scans(real_data / "data" / folder, tmp_path, sensor=sensor(preset))
+    assert "lie outside the view" in caplog.text
