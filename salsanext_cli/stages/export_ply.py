@@ -15,7 +15,7 @@ import numpy.typing as npt
 
 from salsanext_cli.classes import LabelSpace
 from salsanext_cli.errors import OutputError, SalsanextError, UsageError
-from salsanext_cli.formats.reading import present
+from salsanext_cli.formats.reading import filled, present
 from salsanext_cli.inference.settings import NetworkSettings
 from salsanext_cli.parallel.run import Failure, Outcome, RunOptions, run_over_scans
 from salsanext_cli.report.colours import error_colours, label_colours, value_colours, value_range
@@ -65,6 +65,10 @@ class ExportScan:
     def results_of(self, file: ScanFile) -> list[Path]:
         """Return the file that is written for a scan."""
         return [output_path(self.out, file.sequence, "ply", file.stem)]
+
+    def is_done(self, file: ScanFile) -> bool:
+        """Whether a scan has all its results."""
+        return all(filled(path) for path in self.results_of(file))
 
     def __call__(self, file: ScanFile) -> None:
         """Read everything known, colour, write."""
@@ -177,7 +181,7 @@ def export_ply(
     }
     work = ExportScan(out, space, intensity_scale, colour, scale)
     with claimed(out, "export-ply", settings, ("ply",), overwrite=options.overwrite):
-        outcome = run_over_scans(work, scans, options, work.results_of)
+        outcome = run_over_scans(work, scans, options, is_done=work.is_done)
     failures = tuple(unsampled.get(failure.scan, failure) for failure in outcome.failures)
     return Exported(outcome.results, outcome.skipped, failures, absent=absent)
 

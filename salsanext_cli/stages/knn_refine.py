@@ -12,7 +12,7 @@ from salsanext_cli.classes import LabelSpace, TrainIds
 from salsanext_cli.errors import LabelError, NoInputError, UsageError
 from salsanext_cli.formats.kitti import read_labels
 from salsanext_cli.formats.npy import read_array
-from salsanext_cli.formats.reading import present
+from salsanext_cli.formats.reading import filled, present
 from salsanext_cli.geometry.knn import KnnParameters, knn_refine
 from salsanext_cli.parallel.run import Outcome, RunOptions, run_over_scans
 from salsanext_cli.records import RangeImage
@@ -43,6 +43,10 @@ class RefineScan:
     def results_of(self, file: ScanFile) -> list[Path]:
         """Return the file that is written for a scan."""
         return [output_path(self.out, file.sequence, "predictions", file.stem)]
+
+    def is_done(self, file: ScanFile) -> bool:
+        """Whether a scan has all its results."""
+        return all(filled(path) for path in self.results_of(file))
 
     def __call__(self, file: ScanFile) -> None:
         """Read, refine, write."""
@@ -158,4 +162,4 @@ def knn_refine_scans(
     sources = scans if dataset else ()
     work, writes = RefineScan(out, labels, space, sensor, knn), ("predictions",)
     with claimed(out, "knn-refine", settings, writes, sources, overwrite=options.overwrite):
-        return run_over_scans(work, scans, options, work.results_of)
+        return run_over_scans(work, scans, options, is_done=work.is_done)

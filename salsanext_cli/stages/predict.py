@@ -14,13 +14,14 @@ import numpy.typing as npt
 
 from salsanext_cli.classes import LabelSpace, TrainIds
 from salsanext_cli.errors import UsageError
+from salsanext_cli.formats.reading import filled
 from salsanext_cli.geometry.coverage import FieldOfViewCoverage
 from salsanext_cli.geometry.coverage_check import CoverageCheck
 from salsanext_cli.geometry.knn import KnnParameters, knn_refine
 from salsanext_cli.inference.predict_batches import predict_batches, usual_size
 from salsanext_cli.inference.settings import NetworkSettings
 from salsanext_cli.parallel.run import Outcome, RunOptions, run_over_scans
-from salsanext_cli.parallel.tasks import Attempt, one_by_one
+from salsanext_cli.parallel.tasks import Attempt, Attempts, one_by_one
 from salsanext_cli.records import Float, Int
 from salsanext_cli.sensors import Sensor
 from salsanext_cli.stages.project import projected_sensor, read_and_project, read_channels
@@ -45,6 +46,10 @@ class PredictScan:
         """Return the files that are written for a scan."""
         return [self._path(file, folder) for folder in ("predictions", *self.extras)]
 
+    def is_done(self, file: ScanFile) -> bool:
+        """Whether a scan has all its results."""
+        return all(filled(path) for path in self.results_of(file))
+
     def _path(self, file: ScanFile, folder: str) -> Path:
         return output_path(self.out, file.sequence, folder, file.stem)
 
@@ -58,6 +63,10 @@ class PredictScan:
         labels = knn_refine(image, pixel_labels, space.class_count, self.knn, place)
         self._write(space, file, labels, pixel_labels, probabilities, image.pixel_of_point)
         return seen
+
+    def open(self) -> Attempts:
+        """Return what attempts several scans."""
+        return self.attempts
 
     def attempts(self, files: Iterable[ScanFile]) -> Iterator[Attempt]:
         """Do the same to several scans, on a GPU in batches; see `predict_batches`."""
@@ -97,6 +106,10 @@ class PredictImage:
     def results_of(self, file: ScanFile) -> list[Path]:
         """Return the file that is written for a range image."""
         return [output_path(self.out, file.sequence, "pixel_labels", file.stem)]
+
+    def is_done(self, file: ScanFile) -> bool:
+        """Whether a scan has all its results."""
+        return all(filled(path) for path in self.results_of(file))
 
     def __call__(self, file: ScanFile) -> None:
         """Read, classify, write."""
@@ -177,7 +190,7 @@ def predict(
     check, writes = CoverageCheck(loaded.sensor), ("predictions", *extras)
     with claimed(out, "predict", settings, writes, scans, overwrite=options.overwrite):
         work = PredictScan(out, network.resolved(), knn, extras, batch)
-        outcome = run_over_scans(work, scans, options, work.results_of, check.add)
+        outcome = run_over_scans(work, scans, options, is_done=work.is_done, on_result=check.add)
     check.finish()
     return outcome
 
@@ -200,7 +213,7 @@ def _predict_images(
     writes = ("pixel_labels",)
     with claimed(out, "predict", settings, writes, scans, overwrite=options.overwrite):
         work = PredictImage(folder, out, network.resolved())
-        return run_over_scans(work, scans, options, work.results_of)
+        return run_over_scans(work, scans, options, is_done=work.is_done)
 
 
 def _require_same_sensor(folder: Path, seen: Sensor, wanted: Sensor) -> None:

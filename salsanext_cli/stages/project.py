@@ -8,6 +8,7 @@ from pathlib import Path
 
 from salsanext_cli.formats import read_scan
 from salsanext_cli.formats.npy import read_array
+from salsanext_cli.formats.reading import filled
 from salsanext_cli.geometry.coverage import FieldOfViewCoverage, field_of_view_coverage
 from salsanext_cli.geometry.coverage_check import CoverageCheck
 from salsanext_cli.geometry.projection import project
@@ -33,6 +34,10 @@ class ProjectScan:
     def results_of(self, file: ScanFile) -> list[Path]:
         """Return the files that are written for a scan."""
         return [output_path(self.out, file.sequence, folder, file.stem) for folder in WRITES]
+
+    def is_done(self, file: ScanFile) -> bool:
+        """Whether a scan has all its results."""
+        return all(filled(path) for path in self.results_of(file))
 
     def __call__(self, file: ScanFile) -> FieldOfViewCoverage:
         """Read, project, write; return how much of the scan is in view."""
@@ -101,6 +106,6 @@ def project_scans(
     settings = {"sensor": sensor.to_dict()}
     work, check = ProjectScan(out, sensor), CoverageCheck(sensor)
     with claimed(out, "project", settings, WRITES, scans, overwrite=options.overwrite):
-        outcome = run_over_scans(work, scans, options, work.results_of, check.add)
+        outcome = run_over_scans(work, scans, options, is_done=work.is_done, on_result=check.add)
     check.finish()
     return outcome

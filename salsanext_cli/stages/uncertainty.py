@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from salsanext_cli.errors import OutputError
+from salsanext_cli.formats.reading import filled
 from salsanext_cli.geometry.coverage import FieldOfViewCoverage
 from salsanext_cli.geometry.coverage_check import CoverageCheck
 from salsanext_cli.geometry.knn import KnnParameters, knn_refine
@@ -45,6 +46,10 @@ class UncertaintyOfScan:
     def results_of(self, file: ScanFile) -> list[Path]:
         """Return the files that are written for a scan."""
         return [self._path(file, folder) for folder in self.writes]
+
+    def is_done(self, file: ScanFile) -> bool:
+        """Whether a scan has all its results."""
+        return all(filled(path) for path in self.results_of(file))
 
     def _path(self, file: ScanFile, folder: str) -> Path:
         return output_path(self.out, file.sequence, folder, file.stem)
@@ -154,6 +159,6 @@ def uncertainty_of(
     check = CoverageCheck(network.load().sensor)
     with claimed(out, "uncertainty", settings, writes, sources, overwrite=options.overwrite):
         work = UncertaintyOfScan(out, network.resolved(), knn, estimator, writes)
-        outcome = run_over_scans(work, scans, options, work.results_of, check.add)
+        outcome = run_over_scans(work, scans, options, is_done=work.is_done, on_result=check.add)
     check.finish()
     return outcome
