@@ -9,7 +9,7 @@ from pathlib import Path
 
 from salsanext_cli.errors import FormatError
 from salsanext_cli.parallel.run import Outcome, RunOptions, run_over_scans
-from salsanext_cli.storage.atomic import writing
+from salsanext_cli.storage.atomic import PROCESS_MARK, sweep, writing
 from salsanext_cli.storage.layout import ScanFile
 
 
@@ -19,9 +19,9 @@ class Write:
     def __init__(self, out: Path, pause: float = 0.0) -> None:
         self.out, self.pause = out, pause
 
-    def results_of(self, scan: ScanFile) -> list[Path]:
+    def path(self, scan: ScanFile) -> Path:
         """Return the file that is written for a scan."""
-        return [self.out / scan.sequence / scan.stem]
+        return self.out / scan.sequence / scan.stem
 
     def __call__(self, scan: ScanFile) -> str:
         """Write, fail, or die."""
@@ -29,7 +29,7 @@ class Write:
             raise FormatError(scan.path, "cut off")
         if scan.stem.startswith("bug"):
             raise ZeroDivisionError("a bug of ours")
-        with writing(self.results_of(scan)[0]) as file:
+        with writing(self.path(scan)) as file:
             if scan.stem.startswith("killed"):
                 os.kill(os.getpid(), signal.SIGKILL)
             if scan.stem.startswith("ctrl-c"):
@@ -47,7 +47,7 @@ class DieOnce(Write):
     def __call__(self, scan: ScanFile) -> str:
         """Die or write."""
         if scan.stem == "deadly":
-            with writing(self.results_of(scan)[0]):
+            with writing(self.path(scan)):
                 try:
                     (self.out / "grave").mkdir(parents=True)
                 except FileExistsError:
@@ -62,7 +62,7 @@ class Peaceful(Write):
 
     def __call__(self, scan: ScanFile) -> str:
         """Write."""
-        with writing(self.results_of(scan)[0]) as file:
+        with writing(self.path(scan)) as file:
             file.write(scan.stem.encode())
         return scan.stem
 
@@ -73,5 +73,10 @@ def scans_of(*stems: str, sequence: str = "s") -> list[ScanFile]:
 
 
 def run(work: Write, scans: Sequence[ScanFile], **options: object) -> Outcome[str]:
-    """Run such work."""
-    return run_over_scans(work, scans, RunOptions(**options), work.results_of)  # type: ignore[arg-type]
+    """Run such work on the scans that have no file yet, and sweep up after killed workers."""
+    chosen = RunOptions(**options)  # type: ignore[arg-type]
+    try:
+        return run_over_scans(work, scans, chosen, is_done=lambda scan: work.path(scan).exists())
+    finally:
+        for folder in {work.path(scan).parent for scan in scans}:
+            sweep(folder, PROCESS_MARK)

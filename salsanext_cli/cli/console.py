@@ -1,12 +1,15 @@
 # SPDX-License-Identifier: MIT
-"""How commands talk: results to stdout, everything else to stderr, one exit status."""
+"""Output and exit status of commands: results to stdout, everything else to stderr."""
 
 from __future__ import annotations
 
 import functools
 import json
 import logging
+import os
+import signal
 import sys
+import threading
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
@@ -23,11 +26,11 @@ if TYPE_CHECKING:
     from salsanext_cli.parallel.run import Failure, Outcome, RunOptions
     from salsanext_cli.storage.sources import MissingResults
 
-DONE, FAILED, WRONG_USE, INTERRUPTED = 0, 1, 2, 130
-"""Exit status: all done, something failed, the command line was wrong, Ctrl-C."""
+DONE, FAILED, WRONG_USE, INTERRUPTED, TERMINATED = 0, 1, 2, 130, 143
+"""Exit status: all done, something failed, the command line was wrong, Ctrl-C, SIGTERM."""
 
-WIDTH_OF_FILES = 120
-"""Columns of a table that does not go to a terminal."""
+FILE_WIDTH_COLUMNS = 120
+"""Width of a table that does not go to a terminal."""
 
 Parameters = ParamSpec("Parameters")
 
@@ -61,17 +64,21 @@ class Output:
         elif shown is not None:
             from rich.console import Console
 
-            width = None if sys.stdout.isatty() else WIDTH_OF_FILES
+            width = None if sys.stdout.isatty() else FILE_WIDTH_COLUMNS
             Console(file=sys.stdout, highlight=False, width=width).print(shown)
 
 
 class StderrHandler(logging.Handler):
-    """Shows what the library logs as the command line shows its own errors."""
+    """Handler that shows what the library logs as the command line shows its own errors."""
 
     def emit(self, record: logging.LogRecord) -> None:
         """Write one line."""
         level = "" if record.levelno < logging.WARNING else f"{record.levelname.lower()}: "
         tell(printable(f"{level}{record.getMessage()}"))
+
+
+class Terminated(KeyboardInterrupt):
+    """SIGTERM: what stops at Ctrl-C stops at that too."""
 
 
 def guarded(command: Callable[Parameters, None]) -> Callable[Parameters, None]:
@@ -80,18 +87,44 @@ def guarded(command: Callable[Parameters, None]) -> Callable[Parameters, None]:
     @functools.wraps(command)
     def run(*args: Parameters.args, **kwargs: Parameters.kwargs) -> None:
         try:
-            command(*args, **kwargs)
+            with _sigterm_raised():
+                command(*args, **kwargs)
         except SalsanextError as error:
             if not error.said_elsewhere:
                 tell(f"error: {error}")
                 if kwargs.get("json"):
                     typer.echo(json.dumps({"error": str(error)}))
             raise typer.Exit(WRONG_USE if isinstance(error, UsageError) else FAILED) from None
+        except Terminated:
+            tell("terminated: everything finished so far is intact")
+            raise typer.Exit(TERMINATED) from None
         except KeyboardInterrupt:
             tell("interrupted: everything finished so far is intact")
             raise typer.Exit(INTERRUPTED) from None
 
     return run
+
+
+@contextmanager
+def _sigterm_raised() -> Iterator[None]:
+    """Raise `Terminated` at SIGTERM while the body runs, unless the program handles it itself."""
+    mine = os.getpid()
+
+    def handle(number: int, _: object) -> NoReturn:
+        if os.getpid() != mine:
+            # A child made by fork ends at once, as it would have without this handler.
+            os._exit(128 + number)
+        raise Terminated
+
+    in_main_thread = threading.current_thread() is threading.main_thread()
+    if not in_main_thread or signal.getsignal(signal.SIGTERM) != signal.SIG_DFL:
+        yield
+        return
+    signal.signal(signal.SIGTERM, handle)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGTERM, signal.SIG_DFL)
 
 
 @contextmanager

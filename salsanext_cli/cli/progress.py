@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""How far a command has come: a bar on a terminal, a line now and then in a log file."""
+"""Progress of a command: a bar on a terminal, a line now and then in a log file."""
 
 from __future__ import annotations
 
@@ -14,8 +14,8 @@ if TYPE_CHECKING:
 
     from salsanext_cli.parallel.run import Progress
 
-INTERVAL = 30.0
-"""Seconds between two lines in a log file."""
+LINE_INTERVAL_S = 30.0
+"""Time between two lines in a log file."""
 
 
 def tell(text: str) -> None:
@@ -41,7 +41,7 @@ def progress(label: str, quiet: bool, unit: str = "scans") -> Iterator[Progress 
 
 
 class Lines:
-    """Says how far things are, one line at most every `INTERVAL`."""
+    """Progress as lines of text, one at most every `LINE_INTERVAL_S`."""
 
     def __init__(self, label: str, unit: str) -> None:
         self.label, self.unit = label, unit
@@ -54,7 +54,7 @@ class Lines:
         if self.before is None:
             # A training that goes on does not begin at 1.
             self.before = max(done - 1, 0)
-        if now - self.last < INTERVAL or done == total:
+        if now - self.last < LINE_INTERVAL_S or done == total:
             return
         self.last = now
         each = (now - self.start) / (done - self.before)

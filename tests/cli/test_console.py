@@ -1,6 +1,10 @@
 # SPDX-License-Identifier: MIT
 import json
 import logging
+import os
+import signal
+import time
+from concurrent.futures import ThreadPoolExecutor
 
 import pytest
 import typer
@@ -52,6 +56,44 @@ def test_ctrl_c_is_status_130():
     result = invoke(raising(KeyboardInterrupt()))
     assert result.exit_code == 130
     assert result.stderr == "interrupted: everything finished so far is intact\n"
+
+
+def sigterm(_):
+    os.kill(os.getpid(), signal.SIGTERM)
+    time.sleep(10)
+
+
+def test_sigterm_is_status_143_and_unwinds(tmp_path):
+    lock = tmp_path / "lock"
+
+    def body(output):
+        lock.touch()
+        try:
+            sigterm(output)
+        finally:
+            lock.unlink()
+
+    result = invoke(body)
+    assert result.exit_code == 143
+    assert result.stderr == "terminated: everything finished so far is intact\n"
+    assert not lock.exists()
+    assert signal.getsignal(signal.SIGTERM) == signal.SIG_DFL
+
+
+def test_a_program_that_handles_sigterm_goes_on_doing_so():
+    seen = []
+    before = signal.signal(signal.SIGTERM, lambda *_: seen.append(1))
+    try:
+        result = invoke(lambda _: os.kill(os.getpid(), signal.SIGTERM))
+    finally:
+        signal.signal(signal.SIGTERM, before)
+    assert (result.exit_code, seen) == (0, [1])
+
+
+def test_a_command_in_another_thread_leaves_signals_alone():
+    with ThreadPoolExecutor(1) as thread:
+        result = thread.submit(invoke, lambda output: output.result({}, "done")).result()
+    assert (result.exit_code, result.stdout) == (0, "done\n")
 
 
 def test_a_bug_keeps_its_traceback():

@@ -53,12 +53,12 @@ import logging
 from salsanext_cli.cli import console
 from salsanext_cli.cli.progress import progress
 
-talk = console.Talk(verbose=True)
+output = console.Output(verbose=True)
 with progress("predict", quiet=False) as advance:
     advance(1, 4)
     logging.getLogger("salsanext_cli.x").info("08/000001: [red]done[/red]")
     logging.getLogger("salsanext_cli.x").warning("somewhere · %s", "long " * 40)
-    talk.say("epoch 1")
+    output.say("epoch 1")
     advance(2, 4)
 """
     )

@@ -67,34 +67,12 @@ def test_what_is_there_is_skipped_unless_overwriting(tmp_path):
     assert (tmp_path / "s" / "a").read_bytes() == b"a"
 
 
-def test_a_scan_is_done_when_all_its_results_are_there(tmp_path):
-    done = []
-
-    def two(scan):
-        return [tmp_path / f"{scan.stem}.1", tmp_path / f"{scan.stem}.2"]
-
-    for name in ("a.1", "b.1", "b.2", "c.1"):
-        (tmp_path / name).write_text("whole")
-    # What a power cut leaves of a file that was renamed just before.
-    (tmp_path / "c.2").touch()
-    outcome = run_over_scans(
-        lambda scan: done.append(scan.stem), scans_of("a", "b", "c"), RunOptions(), two
-    )
-    assert done == ["a", "c"]
-    assert outcome.skipped == 1
-
-
-def test_without_results_nothing_is_skipped():
-    outcome = run_over_scans(lambda scan: scan.stem, scans_of("a", "b"), RunOptions())
-    assert outcome.results == ("a", "b")
-
-
 @LOCAL
 def test_results_can_be_handed_on_as_they_come(tmp_path, options):
     work, taken, seen = Write(tmp_path), [], []
     chosen = RunOptions(**options, progress=lambda *_: seen.append(len(taken)))
     scans = scans_of("a", "bad", "b", "c")
-    outcome = run_over_scans(work, scans, chosen, work.results_of, on_result=taken.append)
+    outcome = run_over_scans(work, scans, chosen, on_result=taken.append)
     assert sorted(taken) == list("abc")
     assert sorted(seen) == seen
     assert seen[0] <= 1
@@ -205,11 +183,3 @@ def test_workers_that_grow_are_replaced_without_a_word(tmp_path):
     run(Write(tmp_path / "small"), scans_of("a", "b"), jobs=2)
     scans = scans_of(*(f"{n:02d}" for n in range(12)))
     assert run(Grow(tmp_path / "large", pause=0.4), scans, jobs=2).done == 12
-
-
-def test_others_who_write_into_the_same_folder_are_left_alone(tmp_path):
-    (tmp_path / "s").mkdir()
-    other = tmp_path / "s" / ".0123456789abcdef.part"
-    other.touch()
-    run(Write(tmp_path), scans_of("a", "b"), jobs=2)
-    assert other.exists()

@@ -1,0 +1,83 @@
+# SPDX-License-Identifier: MIT
+"""Worker pools of a run; those of this machine: processes, or threads of this process."""
+
+from __future__ import annotations
+
+import os
+import threading
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from typing import Any
+
+from salsanext_cli.parallel.options import RunOptions
+from salsanext_cli.parallel.processes import end_with_parent
+from salsanext_cli.parallel.threads import cores, threads_each, threads_of_workers
+from salsanext_cli.parallel.worker import WORKER, never
+
+AHEAD = 2
+"""Chunks sent for each worker, so that the next one is there when one is done."""
+
+
+@dataclass(frozen=True, slots=True)
+class WorkerPool:
+    """Workers that are ready.
+
+    Attributes
+    ----------
+    backend : dict
+        What `joblib.parallel_config` takes.
+    workers : int
+        How many chunks are worked on side by side.
+    in_flight : int
+        How many chunks are sent before the first comes back.
+    threads : int
+        Threads that each worker may use.
+    died : tuple of exception types
+        What the backend raises when a worker died.
+    ended : callable
+        Whether the run is over, for workers that cannot be killed.
+    """
+
+    backend: dict[str, Any]
+    workers: int
+    in_flight: int
+    threads: int
+    died: tuple[type[BaseException], ...] = ()
+    ended: Callable[[], bool] = never
+
+
+@contextmanager
+def process_pool(options: RunOptions, most: int) -> Iterator[WorkerPool]:
+    """Give a pool of processes, at most so many; joblib starts them with the first chunks."""
+    from joblib.externals.loky.process_executor import TerminatedWorkerError
+
+    workers = min(most, options.workers_here())
+    threads = threads_each(cores(), workers)
+    backend = {
+        "backend": "loky",
+        "n_jobs": workers,
+        "inner_max_num_threads": threads,
+        "initializer": end_with_parent,
+        "initargs": (os.getpid(),),
+    }
+    yield WorkerPool(backend, workers, AHEAD * workers, threads, (TerminatedWorkerError,))
+
+
+@contextmanager
+def thread_pool(options: RunOptions, most: int) -> Iterator[WorkerPool]:
+    """Give a pool of threads, at most so many.
+
+    A thread cannot be killed: at the end of the run each finishes its scan. Joblib would not wait
+    for that.
+    """
+    workers = min(most, options.workers_here())
+    threads = threads_each(cores(), workers)
+    backend = {"backend": "threading", "n_jobs": workers}
+    ended = threading.Event()
+    with threads_of_workers(threads):
+        try:
+            yield WorkerPool(backend, workers, AHEAD * workers, threads, ended=ended.is_set)
+        finally:
+            ended.set()
+            WORKER.release()

@@ -1,0 +1,94 @@
+# SPDX-License-Identifier: MIT
+"""Workers of a Ray cluster, or of one that is started on this machine."""
+
+from __future__ import annotations
+
+import logging
+import os
+import re
+import signal
+import socket
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager, redirect_stdout
+from typing import Any
+
+from salsanext_cli.errors import MissingDependency, UsageError
+from salsanext_cli.parallel.options import RunOptions
+from salsanext_cli.parallel.pools import AHEAD, WorkerPool
+from salsanext_cli.parallel.processes import signals_blocked
+from salsanext_cli.parallel.threads import cores, threads_each
+
+CONNECT_TIMEOUT_S = 15
+"""Time for a cluster to answer; Ray itself waits for minutes."""
+
+
+@contextmanager
+def ray_pool(options: RunOptions, most: int) -> Iterator[WorkerPool]:
+    """Connect to a cluster, or start at most so many workers here that end with the run."""
+    try:
+        import ray
+    except ImportError as error:
+        raise MissingDependency(
+            "--backend ray", "Ray is not installed", remedy="pip install 'salsanext[ray]'"
+        ) from error
+    started = options.scheduler is None and not ray.is_initialized()
+    here = min(most, options.workers_here()) if started else None
+    # Ray tells on stdout that a worker died.
+    with redirect_stdout(sys.stderr), _connected(ray, options.scheduler, here) as total:
+        slots = max(2, int(total.get("CPU", 2)))
+        workers = min(here or options.workers_of_cluster() or slots, slots)
+        yield WorkerPool(
+            # Joblib does the work of a single worker itself.
+            {"backend": _backend(workers, int(total.get("GPU", 0))), "n_jobs": max(2, workers)},
+            workers,
+            1 if workers == 1 else AHEAD * workers,
+            threads_each(cores() if here else slots, workers),
+            (ray.exceptions.RayActorError, ray.exceptions.OutOfMemoryError),
+        )
+
+
+def _backend(workers: int, gpus: int) -> Any:
+    """Return joblib's backend; it waits until all workers have what they reserve."""
+    from ray.util.joblib.ray_backend import RayBackend
+
+    class AsTheyCome(RayBackend):
+        """Backend that does not say that it can give results as they come."""
+
+        supports_return_generator = True
+
+    reserved = (
+        {"num_cpus": 0, "num_gpus": 1 / -(-max(2, workers) // gpus)} if gpus else {"num_cpus": 1}
+    )
+    return AsTheyCome(ray_remote_args={**reserved, "scheduling_strategy": "SPREAD"})
+
+
+@contextmanager
+def _connected(ray: Any, address: str | None, here: int | None) -> Iterator[dict[str, float]]:
+    """Connect, or start workers here, unless the program that calls us has done so.
+
+    Gives how many CPUs and GPUs there are.
+    """
+    if ray.is_initialized():
+        yield ray.cluster_resources()
+        return
+    # It would tell its makers that it was used.
+    os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")
+    quiet = {"log_to_driver": False, "logging_level": logging.ERROR}
+    if here:
+        with signals_blocked(signal.SIGINT):
+            ray.init(address="local", num_cpus=max(2, here), include_dashboard=False, **quiet)
+    else:
+        try:
+            if found := re.fullmatch(r"(?:ray://)?\[?([^/]+?)]?:(\d+)", address or ""):
+                peer = found[1], int(found[2])
+                socket.create_connection(peer, CONNECT_TIMEOUT_S).close()
+            ray.init(address=address, **quiet)
+        except (OSError, ValueError, RuntimeError, OverflowError) as error:
+            expected = "a Ray cluster, such as host:6379, ray://host:10001 or auto"
+            found_there = str(error).partition("\n")[0]
+            raise UsageError(f"--scheduler {address}", found_there, expected) from error
+    try:
+        yield ray.cluster_resources()
+    finally:
+        ray.shutdown()

@@ -1,0 +1,133 @@
+# SPDX-License-Identifier: MIT
+"""Entry point of workers: attempts at the scans of a chunk."""
+
+from __future__ import annotations
+
+import os
+import socket
+import threading
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+
+from salsanext_cli.errors import OutputError
+from salsanext_cli.parallel.chunks import Chunk
+from salsanext_cli.parallel.tasks import Attempt, Attempts, Task, opened
+from salsanext_cli.parallel.threads import use_threads
+from salsanext_cli.storage.atomic import MARK
+
+
+def never() -> bool:
+    """Say that the run goes on, for workers that are killed at its end."""
+    return False
+
+
+@dataclass(frozen=True, slots=True)
+class WorkerContext:
+    """What a worker needs to know besides the task.
+
+    Attributes
+    ----------
+    run : str
+        Identifies the run: a worker may be an old one that served other runs before.
+    mark : str
+        Start of the names of temporary files.
+    stop : bool
+        Whether the first failure ends the chunk.
+    folder : Path
+        Working folder, from which relative names start.
+    threads : int
+        Threads that each worker may use.
+    ended : callable
+        Whether the run is over, so that a worker that cannot be killed leaves the rest.
+    """
+
+    run: str
+    mark: str
+    stop: bool
+    folder: Path
+    threads: int = 1
+    ended: Callable[[], bool] = never
+
+
+class Worker:
+    """State of a process that works on chunks.
+
+    Attributes
+    ----------
+    run : str
+        The run that it works for; empty where it works for none.
+    slot : tuple of int and object, optional
+        Number of this process among the workers of its machine, once needed, and the lock on it.
+    """
+
+    def __init__(self) -> None:
+        self.run = ""
+        self.slot: tuple[int, object] | None = None
+        self._attempts: Attempts | None = None
+        self._busy = 0
+        self._changed = threading.Condition()
+
+    @contextmanager
+    def serving(self, context: WorkerContext, task: Task) -> Iterator[Attempts]:
+        """Give the opened task of a run, in its folder.
+
+        The threads of a process share the folder and what is opened, so they serve one run at a
+        time.
+        """
+        with self._changed:
+            self._changed.wait_for(lambda: self.run == context.run or not self._busy)
+            attempts = self._opened(context, task)
+            self._busy += 1
+        try:
+            yield attempts
+        finally:
+            with self._changed:
+                self._busy -= 1
+                self._changed.notify_all()
+
+    def _opened(self, context: WorkerContext, task: Task) -> Attempts:
+        if context.ended():
+            return lambda _: iter(())
+        if self._attempts is None or self.run != context.run:
+            self._attempts = None
+            _go_to(context.folder)
+            self.run = context.run
+            self._attempts = opened(task)
+        return self._attempts
+
+    def release(self) -> None:
+        """Wait until no thread of this process works any more, and let go of what was opened."""
+        with self._changed:
+            self._changed.wait_for(lambda: not self._busy)
+            self.run, self._attempts = "", None
+
+
+WORKER = Worker()
+"""State of this process."""
+
+
+def attempt_chunk(context: WorkerContext, task: Task, scans: Chunk) -> list[Attempt]:
+    """Attempt the scans of a chunk, in a worker."""
+    MARK.set(context.mark)
+    use_threads(context.threads)
+    found: list[Attempt] = []
+    with WORKER.serving(context, task) as attempts:
+        for attempt in attempts(scans):
+            found.append(attempt)
+            if context.ended() or (context.stop and attempt[2]):
+                break
+    return found
+
+
+def _go_to(folder: Path) -> None:
+    try:
+        os.chdir(folder)
+    except OSError as error:
+        raise OutputError(
+            folder,
+            f"no such folder on {socket.gethostname()}",
+            "folders that all machines share",
+            "start the run in one of them",
+        ) from error
