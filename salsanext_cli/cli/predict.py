@@ -9,59 +9,40 @@ import typer
 from salsanext_cli.cli import console, options, run_options
 
 
-@console.guarded
 def predict(
     scans: options.Scans = None,
     out: options.Out = Path("out"),
+    *,
     pixel_labels: Annotated[
-        bool, typer.Option("--pixel-labels", help="Keep the labels of the range image.")
+        bool, typer.Option("--pixel-labels", help="Also write the label of every pixel.")
     ] = False,
     probabilities: Annotated[
-        bool, typer.Option("--probabilities", help="Keep the softmax of every point.")
+        bool,
+        typer.Option("--probabilities", help="Also write the class probabilities of every point."),
     ] = False,
-    dataset: options.DataSet = None,
-    split: options.Split = None,
-    sequences: options.Sequences = None,
-    limit: options.Limit = None,
-    weights: options.Weights = None,
-    device: options.Device = "auto",
-    precision: options.Precision = "auto",
-    sensor: options.Sensor = None,
-    knn_k: options.K = 5,
-    knn_window: options.Window = 5,
-    knn_sigma: options.Sigma = 1.0,
-    knn_cutoff: options.Cutoff = 1.0,
-    batch: run_options.Batch = "auto",
-    jobs: run_options.Jobs = None,
-    backend: run_options.BackendOption = run_options.Backend.loky,
-    scheduler: run_options.Scheduler = None,
-    shard: run_options.Share = None,
-    overwrite: options.Overwrite = False,
-    on_error: options.OnErrorOption = options.OnError.skip,
-    json: options.Json = False,
-    verbose: options.Verbose = False,
-    quiet: options.Quiet = False,
+    selection: options.Selection,
+    network: options.NetworkOptions,
+    knn: options.Knn,
+    batch: run_options.BatchSize = "auto",
+    running: run_options.Running,
+    output: run_options.Output,
 ) -> None:
-    """Give every point of every scan a class.
+    """Predict the class of every point of every scan.
 
     Example: salsanext predict seq/velodyne out/
     """
-    from salsanext_cli.stages.predict import predict as run
+    from salsanext_cli.stages.predict import predict as stage
 
-    output = console.Output(json, verbose, quiet)
-    wanted = {"pixel_labels": pixel_labels, "probabilities": probabilities}
-    runs = run_options.gather(
-        jobs, backend, scheduler, on_error, overwrite, run_options.share(shard, output)
-    )
-    with console.batch("predict", output, runs) as how:
-        outcome = run(
-            options.source(scans, dataset),
+    extras = {"pixel_labels": pixel_labels, "probabilities": probabilities}
+    with running.over_scans("predict", output) as run:
+        outcome = stage(
+            selection.source(scans),
             out,
-            network=options.network(weights, device, sensor, precision),
-            knn=options.knn(knn_k, knn_window, knn_sigma, knn_cutoff),
-            extras=tuple(name for name, keep in wanted.items() if keep),
+            network=network.settings(),
+            knn=knn.parameters(),
+            extras=tuple(name for name, wanted in extras.items() if wanted),
             batch=run_options.batch_size(batch),
-            selection=options.choice(split, sequences, limit),
-            options=how,
+            selection=selection.scans(),
+            options=run,
         )
     console.finish("predict", outcome, out, output)

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from salsanext_cli.cli import console, options
+from salsanext_cli.cli import console, options, run_options
 from salsanext_cli.cli.progress import progress
 
 if TYPE_CHECKING:
@@ -14,78 +14,66 @@ if TYPE_CHECKING:
     from salsanext_cli.training.fit import Report
 
 
-@console.guarded
 def train(
     dataset: options.LabelledDataSet = Path(),
-    run: Annotated[Path, typer.Argument(metavar="RUN", help="Folder for the weights.")] = Path(
-        "run"
-    ),
+    run: Annotated[
+        Path, typer.Argument(metavar="RUN", help="Folder for the weights, the log and the curves.")
+    ] = Path("run"),
+    *,
     recipe: Annotated[
         str,
-        typer.Option(
-            help="paper, paper-v1, modern, street, heteroscedastic, quick, or a .toml file.",
-            rich_help_panel="Network",
+        options.network_option(
+            help="paper, paper-v1, modern, street, heteroscedastic, quick, or a .toml file."
         ),
     ] = "paper",
     changes: Annotated[
         list[str] | None,
-        typer.Option(
+        options.network_option(
             "--set",
             metavar="KEY=VALUE",
-            help="Instead of the recipe's value; may be given several times.",
-            rich_help_panel="Network",
+            help="Value instead of the recipe's; may be given several times.",
         ),
     ] = None,
     epochs: Annotated[
-        int | None, typer.Option(help="Instead of the recipe's.", rich_help_panel="Network")
+        int | None, options.network_option(help="Number of epochs instead of the recipe's.")
     ] = None,
     weights: Annotated[
         Path | None,
-        typer.Option(
-            help="Weights to start from.", show_default="random ones", rich_help_panel="Network"
-        ),
+        options.network_option(help="Weights to start from.", show_default="random weights"),
     ] = None,
     label_space: options.LabelSpaceOption = None,
     sensor: Annotated[
-        str | None,
-        typer.Option(
-            help="Name of a sensor or a .toml file.",
-            show_default="the one of --weights, else hdl64",
-            rich_help_panel="Network",
-        ),
+        str | None, options.sensor_option(show_default="the sensor of --weights, else hdl64")
     ] = None,
     device: options.Device = "auto",
-    jobs: options.Jobs = 1,
-    overwrite: options.Overwrite = False,
-    json: options.Json = False,
-    verbose: options.Verbose = False,
-    quiet: options.Quiet = False,
+    jobs: run_options.Jobs = 1,
+    overwrite: run_options.Overwrite = False,
+    output: run_options.Output,
 ) -> None:
-    """Train a network; run again to go on after an interruption.
+    """Train a network. After an interruption, the same command continues the training.
 
     Example: salsanext train streets/ runs/street --recipe street
     """
-    from salsanext_cli.stages.train import train as learn
+    from salsanext_cli.stages.train import train as stage
     from salsanext_cli.training.distributed import group_of_environment
     from salsanext_cli.training.overrides import read_overrides
-    from salsanext_cli.training.recipe import recipe as find
+    from salsanext_cli.training.recipe import recipe as find_recipe
 
-    is_main = group_of_environment().is_main
-    quiet = quiet or not is_main
-    output = console.Output(json and is_main, verbose and is_main, quiet)
-    with progress("train", quiet, unit="steps") as bar:
-        plan = find(recipe).with_changes(**read_overrides(changes or ()))
-        done = learn(
+    if not group_of_environment().is_main:
+        output = run_options.Output(quiet=True)
+    with progress("train", output.quiet, unit="steps") as bar:
+        plan = find_recipe(recipe).with_changes(**read_overrides(changes or ()))
+        done = stage(
             dataset,
             run,
             recipe=plan if epochs is None else plan.with_changes(epochs=epochs),
-            sensor=options.sensor(sensor) if sensor else None,
+            sensor=options.sensor(sensor),
             space=options.label_space(label_space),
             device=device,
             jobs=jobs,
             weights=weights,
             overwrite=overwrite,
-            progress=lambda report: _tell(report, bar, output),
+            progress=lambda report: _show(report, bar, output),
         )
     best = f"{100 * done.best_miou:.1f} %"
     paths = {"best": str(done.best), "last": str(done.last)}
@@ -93,8 +81,8 @@ def train(
     output.say(f"train: best validation mIoU {best} → {done.best}")
 
 
-def _tell(report: "Report", bar: "Progress | None", output: console.Output) -> None:
-    """Move the bar at every step; say how an epoch ended."""
+def _show(report: "Report", bar: "Progress | None", output: console.Output) -> None:
+    """Move the bar at every step; print a line at the end of an epoch."""
     if bar is not None:
         bar(report.step, report.steps)
     if report.row is not None:

@@ -1,59 +1,46 @@
 # SPDX-License-Identifier: MIT
 """`salsanext tune batchnorm`."""
 
-from pathlib import Path
 from typing import Annotated
 
 import typer
 
-from salsanext_cli.cli import console, options
+from salsanext_cli.cli import options, run_options
+from salsanext_cli.cli.option_groups import Without
 from salsanext_cli.cli.progress import progress
 
 
-@console.guarded
 def tune_batchnorm(
-    scans: Annotated[
-        Path,
-        typer.Argument(
-            metavar="SCANS", help="A scan, a folder of scans, a sequence or a data set."
-        ),
-    ],
+    scans: options.RequiredScans,
     target: options.WeightsOut,
+    *,
     share: Annotated[
         float,
         typer.Option(
-            help="Of the new statistics, above 0 and at most 1; the rest are the old ones."
+            help="Weight of the new statistics, above 0 and at most 1; the old ones have the rest."
         ),
     ] = 0.5,
-    split: options.Split = None,
-    sequences: options.Sequences = None,
-    limit: options.LimitSpaced = None,
-    weights: options.Weights = None,
-    device: options.Device = "auto",
-    precision: options.Precision = "auto",
-    sensor: options.Sensor = None,
-    overwrite: options.Overwrite = False,
-    json: options.Json = False,
-    verbose: options.Verbose = False,
-    quiet: options.Quiet = False,
+    selection: Annotated[options.SpacedSelection, Without({"dataset"})],
+    network: options.NetworkOptions,
+    overwrite: run_options.Overwrite = False,
+    output: run_options.Output,
 ) -> None:
-    """Adapt batch norm to scans without labels, of another sensor or place, into new weights.
+    """Adapt batch normalisation to scans of another sensor or place, without labels.
 
     Example: salsanext tune batchnorm my/scans adapted.safetensors --sensor hdl32
     """
     from salsanext_cli.report.tuning import moved_table
-    from salsanext_cli.stages.tune_batchnorm import tune_batchnorm as run
+    from salsanext_cli.stages.tune_batchnorm import tune_batchnorm as stage
 
-    output = console.Output(json, verbose, quiet)
-    with progress("tune batchnorm", quiet) as advance:
-        tuned = run(
+    with progress("tune batchnorm", output.quiet) as on_progress:
+        tuned = stage(
             scans,
             target,
-            network=options.network(weights, device, sensor, precision),
-            selection=options.choice(split, sequences, limit),
+            network=network.settings(),
+            selection=selection.scans(),
             share=share,
             overwrite=overwrite,
-            progress=advance,
+            progress=on_progress,
         )
     found = tuned.to_dict()
     output.result(found | {"weights": str(target)}, moved_table(found["layers"]))

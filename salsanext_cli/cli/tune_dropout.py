@@ -5,56 +5,48 @@ from typing import Annotated
 
 import typer
 
-from salsanext_cli.cli import console, options
+from salsanext_cli.cli import options, run_options
+from salsanext_cli.cli.option_groups import Default, Without
 from salsanext_cli.cli.progress import progress
 
 
-@console.guarded
 def tune_dropout(
     dataset: options.LabelledDataSet,
     target: options.WeightsOut,
+    *,
     samples: Annotated[int, typer.Option(help="Monte-Carlo passes per scan and rate.")] = 30,
     lowest: Annotated[float, typer.Option(help="Lowest rate to try.")] = 0.02,
     highest: Annotated[float, typer.Option(help="Highest rate to try.")] = 0.5,
-    steps: Annotated[int, typer.Option(help="Rates to try, evenly on a log scale.")] = 10,
-    seed: Annotated[int, typer.Option(help="Of the dropout masks.")] = 0,
-    split: options.SplitOfLabels = None,
-    sequences: options.Sequences = None,
-    limit: Annotated[
-        int,
-        typer.Option(help="Only so many scans, evenly spaced.", rich_help_panel=options.SELECTION),
-    ] = 20,
-    weights: options.Weights = None,
-    device: options.Device = "auto",
-    precision: options.Precision = "auto",
-    sensor: options.Sensor = None,
-    overwrite: options.Overwrite = False,
-    json: options.Json = False,
-    verbose: options.Verbose = False,
-    quiet: options.Quiet = False,
+    steps: Annotated[
+        int, typer.Option(help="Number of rates to try, evenly spaced on a log scale.")
+    ] = 10,
+    seed: Annotated[int, typer.Option(help="Seed of the dropout masks.")] = 0,
+    selection: Annotated[options.LabelledSelection, Without({"dataset"}), Default(limit=20)],
+    network: options.NetworkOptions,
+    overwrite: run_options.Overwrite = False,
+    output: run_options.Output,
 ) -> None:
-    """Find the dropout rate to sample with, into a new weights file, and draw the curve.
+    """Find the dropout rate to sample with, write new weights and plot the search.
 
     Example: salsanext tune dropout streets/ tuned.safetensors --steps 10
     """
     from salsanext_cli.report.tuning import rate_table
     from salsanext_cli.stages.tune_dropout import curve_of
-    from salsanext_cli.stages.tune_dropout import tune_dropout as run
+    from salsanext_cli.stages.tune_dropout import tune_dropout as stage
 
-    output = console.Output(json, verbose, quiet)
-    with progress("tune dropout", quiet, unit="samplings") as advance:
-        tuned = run(
+    with progress("tune dropout", output.quiet, unit="samplings") as on_progress:
+        tuned = stage(
             dataset,
             target,
-            network=options.network(weights, device, sensor, precision),
-            selection=options.labelled_selection(split, sequences, limit),
+            network=network.settings(),
+            selection=selection.scans(),
             samples=samples,
             seed=seed,
             lowest=lowest,
             highest=highest,
             steps=steps,
             overwrite=overwrite,
-            progress=advance,
+            progress=on_progress,
         )
     paths = {"weights": str(target), "curve": str(curve_of(target))}
     output.result(tuned.to_dict() | paths, rate_table(tuned.rates, tuned.objectives, tuned.best))
