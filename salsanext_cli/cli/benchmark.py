@@ -29,7 +29,7 @@ def benchmark(
     write: Annotated[Path | None, typer.Option(help="Write every measurement, .json.")] = None,
     selection: Annotated[options.Selection, Default(limit=4)],
     network: options.NetworkOptions,
-    overwrite: run_options.Overwrite = False,
+    running: run_options.Overwriting,
     output: run_options.Output,
 ) -> None:
     """Say how fast each part is beside the method written plainly, both measured now and here.
@@ -41,7 +41,7 @@ def benchmark(
     from salsanext_cli.benchmarking.table import benchmark_table
     from salsanext_cli.storage.json_files import write_json
 
-    if write is not None and not overwrite:
+    if write is not None and not running.overwrite:
         require_new(write)
     named = PARTS if parts == "all" else tuple(name.strip() for name in parts.split(","))
     with progress("benchmark", output.quiet, "turns") as advance:

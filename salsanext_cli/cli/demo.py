@@ -19,8 +19,7 @@ def demo(
     scans: Annotated[int, typer.Option(help="Number of scans of the synthetic drive.")] = 4,
     samples: Annotated[int, typer.Option(help="Monte-Carlo passes per scan.")] = 8,
     network: Annotated[options.NetworkOptions, Without({"sensor"})],
-    jobs: run_options.Jobs = 1,
-    overwrite: run_options.Overwrite = False,
+    local: run_options.Local,
     output: run_options.Output,
 ) -> None:
     """Run the whole pipeline on a synthetic drive and list what to look at.
@@ -36,7 +35,7 @@ def demo(
         scans=scans,
         samples=samples,
         network=network.settings(),
-        options=RunOptions(jobs=jobs, overwrite=overwrite),
+        options=RunOptions(jobs=local.jobs, overwrite=local.overwrite),
         bars=lambda step: progress(step, output.quiet),
     )
     pictures = [str(path) for path in made.pictures]

@@ -16,6 +16,7 @@ def evaluate(
     ] = False,
     out: options.OutOption = Path("out"),
     selection: options.ResultSelection,
+    classes: options.Classes,
     running: run_options.RunningUnsharded,
     output: run_options.Output,
 ) -> None:
@@ -31,9 +32,7 @@ def evaluate(
     from salsanext_cli.storage.predictions import predicted_scans, provenance
 
     chosen, dataset = selection.scans(), selection.dataset
-    files, space = predicted_scans(
-        out, chosen, dataset, selection.space(), selection.usual_dataset()
-    )
+    files, space = predicted_scans(out, chosen, dataset, classes.space(), selection.usual_dataset())
     with running.over_scans("eval", output) as run:
         settings = provenance(out, chosen, dataset)
         evaluation = stage(files, out, space, run, by_distance=by_distance, settings=settings)

@@ -35,7 +35,7 @@ def import_weights(
     half: Annotated[
         bool, typer.Option("--half", help="Store in float16, at half the size.")
     ] = False,
-    overwrite: run_options.Overwrite = False,
+    running: run_options.Overwriting,
     output: run_options.Output,
 ) -> None:
     """Convert a published checkpoint to a weights file, without running anything inside it.
@@ -53,7 +53,7 @@ def import_weights(
         dropout=dropout,
         description=description,
         half=half,
-        overwrite=overwrite,
+        overwrite=running.overwrite,
     )
     output.result(describe_weights(target))
     output.say(f"import-weights: {source} → {target}")

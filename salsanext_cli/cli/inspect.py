@@ -19,7 +19,7 @@ def inspect(
     height: Annotated[int | None, typer.Option(help="Rows of its range image.")] = None,
     width: Annotated[int | None, typer.Option(help="Columns of its range image.")] = None,
     selection: options.Selection,
-    label_space: options.LabelSpaceOption = None,
+    classes: options.Classes,
     sensor: options.SensorWithoutWeights = None,
     running: run_options.RunningUnsharded,
     output: run_options.Output,
@@ -38,7 +38,7 @@ def inspect(
         found = stage(
             selection.source(scans),
             sensor=view,
-            space=options.label_space(label_space),
+            space=classes.space(),
             selection=selection.scans(),
             options=run,
             fit=fit is not None,

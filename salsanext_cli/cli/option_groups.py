@@ -7,36 +7,58 @@ import dataclasses
 import functools
 import inspect
 from collections.abc import Callable
-from typing import Annotated, Any, get_args, get_origin, get_type_hints
+from typing import (
+    Annotated,
+    Any,
+    TypeVar,
+    dataclass_transform,
+    get_args,
+    get_origin,
+    get_type_hints,
+)
+
+import typer
+
+Group = TypeVar("Group")
 
 
-class OptionGroup:
-    """Base of the groups.
-
-    A command that has a parameter of such a type offers the fields as options and receives the
-    filled group: ``def command(*, knn: Knn)``.
-    """
-
-    __slots__ = ()
+class Only(frozenset[str]):
+    """Fields that a command offers of a group: ``Annotated[Running, Only({"overwrite"})]``."""
 
 
 class Without(frozenset[str]):
-    """Fields that a command leaves out: ``Annotated[Running, Without({"shard"})]``."""
+    """Fields that a command does not offer: ``Annotated[Running, Without({"shard"})]``."""
 
 
 class Default(dict[str, Any]):
     """Fields with another default than in the group: ``Annotated[Selection, Default(limit=4)]``."""
 
 
+@dataclass_transform(frozen_default=True)
+def option_group(kind: type[Group]) -> type[Group]:
+    """Turn a class into a dataclass whose fields, made by `option`, are options of commands.
+
+    A command that has a parameter of such a type offers the fields as options and receives the
+    filled group: ``def command(*, knn: Knn)``.
+    """
+    return dataclasses.dataclass(frozen=True, slots=True)(kind)
+
+
+def option(panel: str, text: str, *names: str, default: Any = None, **settings: Any) -> Any:
+    """Return a field of a group: panel and text of the help, names if not that of the field."""
+    declared = typer.Option(*names, help=text, rich_help_panel=panel, **settings)
+    return dataclasses.field(default=default, metadata={"option": declared})
+
+
 def expanded(command: Callable[..., None]) -> Callable[..., None]:
     """Return a command with the signature that typer reads: options in the place of groups."""
     parameters: list[inspect.Parameter] = []
-    groups: dict[str, Callable[[dict[str, Any]], OptionGroup]] = {}
+    groups: dict[str, Callable[[dict[str, Any]], object]] = {}
     hints = get_type_hints(command, include_extras=True)
     for name, parameter in inspect.signature(command).parameters.items():
         hint = hints[name]
         kind, *marks = get_args(hint) if get_origin(hint) is Annotated else (hint,)
-        if isinstance(kind, type) and issubclass(kind, OptionGroup):
+        if dataclasses.is_dataclass(kind) and isinstance(kind, type):
             options, groups[name] = _fields(kind, marks)
             parameters += options
         else:
@@ -54,24 +76,28 @@ def expanded(command: Callable[..., None]) -> Callable[..., None]:
 
 def _fields(
     kind: type, marks: list[Any]
-) -> tuple[list[inspect.Parameter], Callable[[dict[str, Any]], OptionGroup]]:
+) -> tuple[list[inspect.Parameter], Callable[[dict[str, Any]], object]]:
     """Return the options of a group, and what takes their values out of all values given."""
-    hints = get_type_hints(kind, include_extras=True)
-    fields: dict[str, Any] = {field.name: field.default for field in dataclasses.fields(kind)}
+    hints = get_type_hints(kind)
+    fields = {field.name: field for field in dataclasses.fields(kind)}
+    defaults = {name: field.default for name, field in fields.items()}
+    offered = list(fields)
     for mark in marks:
-        fields |= mark if isinstance(mark, Default) else {}
-    left_out = {name for mark in marks if isinstance(mark, Without) for name in mark}
+        if isinstance(mark, Default):
+            defaults |= mark
+        elif isinstance(mark, Only | Without):
+            offered = [name for name in offered if (name in mark) == isinstance(mark, Only)]
     options = [
         inspect.Parameter(
-            name, inspect.Parameter.KEYWORD_ONLY, default=default, annotation=hints[name]
+            name,
+            inspect.Parameter.KEYWORD_ONLY,
+            default=defaults[name],
+            annotation=Annotated[hints[name], fields[name].metadata["option"]],
         )
-        for name, default in fields.items()
-        if name not in left_out
+        for name in offered
     ]
 
-    def fill(given: dict[str, Any]) -> OptionGroup:
-        values = fields | {option.name: given.pop(option.name) for option in options}
-        group: OptionGroup = kind(**values)
-        return group
+    def fill(given: dict[str, Any]) -> object:
+        return kind(**defaults | {name: given.pop(name) for name in offered})
 
     return options, fill

@@ -4,14 +4,13 @@
 from __future__ import annotations
 
 import os
-from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from salsanext_cli.cli.option_groups import OptionGroup
+from salsanext_cli.cli.option_groups import option, option_group
 from salsanext_cli.errors import UsageError
 
 if TYPE_CHECKING:
@@ -21,16 +20,21 @@ if TYPE_CHECKING:
     from salsanext_cli.sensors import Sensor
     from salsanext_cli.storage.selection import ScanSelection
 
-selection_option = partial(typer.Option, rich_help_panel="Selection")
-network_option = partial(typer.Option, rich_help_panel="Network")
-sensor_option = partial(network_option, help="Name of a built-in sensor, or a .toml file.")
-
 SCANS_HELP = "Scan file, folder of scans, sequence folder or data set."
+SENSOR_HELP = "Name of a built-in sensor, or a .toml file."
 
 Scans = Annotated[
     Path | None, typer.Argument(metavar="SCANS", help=SCANS_HELP, show_default="the data set")
 ]
 RequiredScans = Annotated[Path, typer.Argument(metavar="SCANS", help=SCANS_HELP)]
+LabelledDataSet = Annotated[
+    Path,
+    typer.Argument(
+        metavar="DATASET",
+        envvar="SALSANEXT_DATASET",
+        help="Labelled data set in SemanticKITTI's layout.",
+    ),
+]
 Out = Annotated[
     Path, typer.Argument(metavar="OUT", envvar="SALSANEXT_OUT", help="Folder for the results.")
 ]
@@ -40,52 +44,27 @@ OutOption = Annotated[
         "--out", envvar="SALSANEXT_OUT", help="Folder with the results of earlier stages."
     ),
 ]
-LabelledDataSet = Annotated[
-    Path,
-    typer.Argument(
-        metavar="DATASET",
-        envvar="SALSANEXT_DATASET",
-        help="Labelled data set in SemanticKITTI's layout.",
-    ),
-]
 WeightsOut = Annotated[
     Path, typer.Argument(metavar="WEIGHTS_OUT", help="Weights file to write (.safetensors).")
 ]
-SensorWithoutWeights = Annotated[str | None, sensor_option(show_default="hdl64")]
-LabelSpaceOption = Annotated[
-    str | None,
-    selection_option(
-        help="Name of a built-in label space, or a .yaml file in SemanticKITTI's format.",
-        show_default="that of the data set, else semantic-kitti",
-    ),
-]
-Device = Annotated[
-    str, network_option(help="cpu, cuda, cuda:1 …; auto uses a GPU if there is one.")
+SensorWithoutWeights = Annotated[
+    str | None, typer.Option(help=SENSOR_HELP, show_default="hdl64", rich_help_panel="Network")
 ]
 
+selection_option = partial(option, "Selection")
+network_option = partial(option, "Network")
 
-@dataclass(frozen=True, slots=True)
-class Selection(OptionGroup):
+
+@option_group
+class Selection:
     """Selection among the scans of a source."""
 
-    dataset: Annotated[
-        Path | None,
-        selection_option(
-            envvar="SALSANEXT_DATASET",
-            help="Data set in SemanticKITTI's layout.",
-            show_default=".",
-        ),
-    ] = None
-    split: Annotated[
-        str | None,
-        selection_option(help="Only the sequences of this split: train, valid or test."),
-    ] = None
-    sequences: Annotated[
-        str | None, selection_option(help="Only these sequences, such as 00,08.")
-    ] = None
-    limit: Annotated[
-        int | None, selection_option(help="At most this number of scans, the first ones.")
-    ] = None
+    dataset: Path | None = selection_option(
+        "Data set in SemanticKITTI's layout.", envvar="SALSANEXT_DATASET", show_default="."
+    )
+    split: str | None = selection_option("Only the sequences of this split: train, valid or test.")
+    sequences: str | None = selection_option("Only these sequences, such as 00,08.")
+    limit: int | None = selection_option("At most this number of scans, the first ones.")
 
     def source(self, scans: Path | None) -> Path:
         """Return where to look for scans: SCANS, else the data set, else the current folder."""
@@ -102,73 +81,72 @@ class Selection(OptionGroup):
         return ScanSelection(self.split, names, self.limit)
 
 
-@dataclass(frozen=True, slots=True)
-class ResultSelection(Selection):
-    """Selection among the scans of which an output folder holds results."""
+@option_group
+class SpacedSelection(Selection):
+    """Selection whose limit takes scans evenly spaced."""
 
-    dataset: Annotated[
-        Path | None,
-        selection_option(
-            help="Data set with the scans and labels; SALSANEXT_DATASET for results that do not "
-            "record it.",
-            show_default="the one that the results record, else .",
-        ),
-    ] = None
-    label_space: LabelSpaceOption = None
+    limit: int | None = selection_option("At most this number of scans, evenly spaced.")
 
-    def usual_dataset(self) -> Path:
-        """Return the data set of results that do not record theirs."""
-        return Path(os.environ.get("SALSANEXT_DATASET", ""))
+
+@option_group
+class LabelledSelection(SpacedSelection):
+    """Selection among labelled scans: those for validation, unless others are named."""
+
+    split: str | None = selection_option(
+        "Only the sequences of this split: train or valid.",
+        show_default="valid, without --sequences",
+    )
+
+    def scans(self) -> ScanSelection:
+        """Build the selection that stages take."""
+        split = self.split or (None if self.sequences else "valid")
+        return Selection(self.dataset, split, self.sequences, self.limit).scans()
+
+
+@option_group
+class Classes:
+    """Label space of the data."""
+
+    label_space: str | None = selection_option(
+        "Name of a built-in label space, or a .yaml file in SemanticKITTI's format.",
+        show_default="that of the data set, else semantic-kitti",
+    )
 
     def space(self) -> LabelSpace | None:
         """Look up the label space, None where none was named."""
         return label_space(self.label_space)
 
 
-@dataclass(frozen=True, slots=True)
-class SpacedSelection(Selection):
-    """Selection whose limit takes scans evenly spaced."""
+@option_group
+class ResultSelection(Selection):
+    """Selection among the scans of which an output folder holds results."""
 
-    limit: Annotated[
-        int | None, selection_option(help="At most this number of scans, evenly spaced.")
-    ] = None
+    dataset: Path | None = selection_option(
+        "Data set with the scans and labels; SALSANEXT_DATASET for results that do not record it.",
+        show_default="the one that the results record, else .",
+    )
 
-
-@dataclass(frozen=True, slots=True)
-class LabelledSelection(SpacedSelection):
-    """Selection among labelled scans: those for validation, unless others are named."""
-
-    split: Annotated[
-        str | None,
-        selection_option(
-            help="Only the sequences of this split: train or valid.",
-            show_default="valid, without --sequences",
-        ),
-    ] = None
-
-    def scans(self) -> ScanSelection:
-        """Build the selection that stages take."""
-        split = self.split or (None if self.sequences else "valid")
-        return Selection.scans(replace(self, split=split))
+    def usual_dataset(self) -> Path:
+        """Return the data set of results that do not record theirs."""
+        return Path(os.environ.get("SALSANEXT_DATASET", ""))
 
 
-@dataclass(frozen=True, slots=True)
-class NetworkOptions(OptionGroup):
+@option_group
+class NetworkOptions:
     """Network, its sensor and its device."""
 
-    weights: Annotated[
-        Path | None,
-        network_option(help="Weights file (.safetensors).", show_default="the default weights"),
-    ] = None
-    device: Device = "auto"
-    precision: Annotated[
-        str,
-        network_option(
-            envvar="SALSANEXT_PRECISION",
-            help="float32, bfloat16 or float16; auto chooses what is fast on the device.",
-        ),
-    ] = "auto"
-    sensor: Annotated[str | None, sensor_option(show_default="the sensor of the weights")] = None
+    weights: Path | None = network_option(
+        "Weights file (.safetensors).", show_default="the default weights"
+    )
+    device: str = network_option(
+        "cpu, cuda, cuda:1 …; auto uses a GPU if there is one.", default="auto"
+    )
+    precision: str = network_option(
+        "float32, bfloat16 or float16; auto chooses what is fast on the device.",
+        default="auto",
+        envvar="SALSANEXT_PRECISION",
+    )
+    sensor: str | None = network_option(SENSOR_HELP, show_default="the sensor of the weights")
 
     def settings(self) -> NetworkSettings:
         """Build the settings that stages take."""
@@ -183,20 +161,18 @@ class NetworkOptions(OptionGroup):
         return sensor(self.sensor) or read_card(self.weights or default_weights()).sensor
 
 
-@dataclass(frozen=True, slots=True)
-class Knn(OptionGroup):
+@option_group
+class Knn:
     """Refinement of labels by nearest neighbours."""
 
-    knn_k: Annotated[int, network_option(help="Number of neighbours that vote.")] = 5
-    knn_window: Annotated[
-        int, network_option(help="Side of the window of neighbours, in pixels.")
-    ] = 5
-    knn_sigma: Annotated[
-        float, network_option(help="Standard deviation of the Gaussian weights, in pixels.")
-    ] = 1.0
-    knn_cutoff: Annotated[
-        float, network_option(help="Maximum range difference of a neighbour, in metres.")
-    ] = 1.0
+    knn_k: int = network_option("Number of neighbours that vote.", default=5)
+    knn_window: int = network_option("Side of the window of neighbours, in pixels.", default=5)
+    knn_sigma: float = network_option(
+        "Standard deviation of the Gaussian weights, in pixels.", default=1.0
+    )
+    knn_cutoff: float = network_option(
+        "Maximum range difference of a neighbour, in metres.", default=1.0
+    )
 
     def parameters(self) -> KnnParameters:
         """Build the parameters that stages take."""

@@ -1,12 +1,14 @@
 # SPDX-License-Identifier: MIT
 """`salsanext predict`."""
 
+import re
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
 from salsanext_cli.cli import console, options, run_options
+from salsanext_cli.errors import UsageError
 
 
 def predict(
@@ -23,7 +25,14 @@ def predict(
     selection: options.Selection,
     network: options.NetworkOptions,
     knn: options.Knn,
-    batch: run_options.BatchSize = "auto",
+    batch: Annotated[
+        str,
+        typer.Option(
+            help="Scans computed together, halved when memory runs out; auto: 1 on a CPU, on a "
+            "GPU as many as keep it busy.",
+            rich_help_panel="Running",
+        ),
+    ] = "auto",
     running: run_options.Running,
     output: run_options.Output,
 ) -> None:
@@ -41,8 +50,17 @@ def predict(
             network=network.settings(),
             knn=knn.parameters(),
             extras=tuple(name for name, wanted in extras.items() if wanted),
-            batch=run_options.batch_size(batch),
+            batch=_batch_size(batch),
             selection=selection.scans(),
             options=run,
         )
     console.finish("predict", outcome, out, output)
+
+
+def _batch_size(text: str) -> int | None:
+    """Return the number of scans computed together, None for what suits the device."""
+    if text == "auto":
+        return None
+    if not re.fullmatch(r"\d{1,9}", text, re.ASCII):
+        raise UsageError("--batch", repr(text), "auto, or a number of scans")
+    return int(text)

@@ -4,36 +4,23 @@
 from __future__ import annotations
 
 import os
-import re
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
 from enum import StrEnum
 from functools import partial
 from typing import TYPE_CHECKING, Annotated
 
-import typer
-
 from salsanext_cli.cli import console
-from salsanext_cli.cli.option_groups import Default, OptionGroup, Without
-from salsanext_cli.errors import UsageError
+from salsanext_cli.cli.option_groups import Default, Only, Without, option, option_group
 
 if TYPE_CHECKING:
     from salsanext_cli.parallel.run import RunOptions
     from salsanext_cli.parallel.shards import Shard
 
-running_option = partial(typer.Option, rich_help_panel="Running")
-output_option = partial(typer.Option, rich_help_panel="Output")
+OVERWRITE_HELP = "Replace existing results."
 
-Overwrite = Annotated[bool, running_option("--overwrite", help="Replace existing results.")]
-Jobs = Annotated[int, running_option("--jobs", "-j", help="Number of processes; -1: one per core.")]
-BatchSize = Annotated[
-    str,
-    running_option(
-        help="Scans computed together, halved when memory runs out; auto: 1 on a CPU, on a GPU as "
-        "many as keep it busy."
-    ),
-]
+running_option = partial(option, "Running")
+output_option = partial(option, "Output")
 
 
 class Backend(StrEnum):
@@ -52,54 +39,55 @@ class OnError(StrEnum):
     stop = "stop"
 
 
-@dataclass(frozen=True, slots=True)
-class Output(console.Output, OptionGroup):
+@option_group
+class Output(console.Output):
     """Amount and form of what a command prints."""
 
-    json: Annotated[bool, output_option("--json", help="Print one JSON object on stdout.")] = False
-    verbose: Annotated[
-        bool, output_option("--verbose", "-v", help="Print more messages on stderr.")
-    ] = False
-    quiet: Annotated[bool, output_option("--quiet", "-q", help="Print errors only.")] = False
+    json: bool = output_option("Print one JSON object on stdout.", "--json", default=False)
+    verbose: bool = output_option(
+        "Print more messages on stderr.", "--verbose", "-v", default=False
+    )
+    quiet: bool = output_option("Print errors only.", "--quiet", "-q", default=False)
 
 
-@dataclass(frozen=True, slots=True)
-class Running(OptionGroup):
+@option_group
+class Local:
+    """Way in which a command runs that uses this machine only."""
+
+    jobs: int = running_option("Number of processes; -1: one per core.", "--jobs", "-j", default=1)
+    overwrite: bool = running_option(OVERWRITE_HELP, "--overwrite", default=False)
+
+
+Overwriting = Annotated[Local, Only({"overwrite"})]
+
+
+@option_group
+class Running:
     """Way in which a command goes through scans."""
 
-    jobs: Annotated[
-        int | None,
-        running_option(
-            "--jobs",
-            "-j",
-            help="Number of workers; -1: one per core.",
-            show_default="1; all workers of a cluster",
-        ),
-    ] = None
-    backend: Annotated[
-        Backend,
-        running_option(help="Processes (loky), threads, or workers of a Dask or Ray cluster."),
-    ] = Backend.loky
-    scheduler: Annotated[
-        str | None,
-        running_option(
-            metavar="ADDRESS",
-            help="Address of a running Dask or Ray cluster.",
-            show_default="a new cluster on this machine",
-        ),
-    ] = None
-    shard: Annotated[
-        str | None,
-        running_option(
-            metavar="I/N",
-            help="Only share I of N shares of the scans, from 1/N to N/N.",
-            show_default="the share of this Slurm array task, else 1/1",
-        ),
-    ] = None
-    overwrite: Overwrite = False
-    on_error: Annotated[
-        OnError, running_option(help="Skip a scan that fails, or stop at the first.")
-    ] = OnError.skip
+    jobs: int | None = running_option(
+        "Number of workers; -1: one per core.",
+        "--jobs",
+        "-j",
+        show_default="1; all workers of a cluster",
+    )
+    backend: Backend = running_option(
+        "Processes (loky), threads, or workers of a Dask or Ray cluster.", default=Backend.loky
+    )
+    scheduler: str | None = running_option(
+        "Address of a running Dask or Ray cluster.",
+        metavar="ADDRESS",
+        show_default="a new cluster on this machine",
+    )
+    shard: str | None = running_option(
+        "Only share I of N shares of the scans, from 1/N to N/N.",
+        metavar="I/N",
+        show_default="the share of this Slurm array task, else 1/1",
+    )
+    overwrite: bool = running_option(OVERWRITE_HELP, "--overwrite", default=False)
+    on_error: OnError = running_option(
+        "Skip a scan that fails, or stop at the first.", default=OnError.skip
+    )
 
     @contextmanager
     def over_scans(self, label: str, output: Output) -> Iterator[RunOptions]:
@@ -131,12 +119,3 @@ class Running(OptionGroup):
 
 RunningUnsharded = Annotated[Running, Without({"shard"}), Default(shard="1/1")]
 """For results over all scans, which several runs cannot share."""
-
-
-def batch_size(text: str) -> int | None:
-    """Return the number of scans computed together, None for what suits the device."""
-    if text == "auto":
-        return None
-    if not re.fullmatch(r"\d{1,9}", text, re.ASCII):
-        raise UsageError("--batch", repr(text), "auto, or a number of scans")
-    return int(text)

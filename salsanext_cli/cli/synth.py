@@ -21,8 +21,7 @@ def synth(
         float, typer.Option(help="Distance driven between two scans, in metres.")
     ] = 3.0,
     seed: Annotated[int, typer.Option(help="The same seed gives the same bytes.")] = 0,
-    jobs: run_options.Jobs = 1,
-    overwrite: run_options.Overwrite = False,
+    local: run_options.Local,
     output: run_options.Output,
 ) -> None:
     """Generate labelled scans of synthetic streets, in SemanticKITTI's layout.
@@ -40,8 +39,8 @@ def synth(
             scans=scans,
             seed=seed,
             spacing=spacing,
-            jobs=jobs,
-            overwrite=overwrite,
+            jobs=local.jobs,
+            overwrite=local.overwrite,
             progress=on_progress,
         )
     points = {str(raw): count for raw, count in made.points.items()}

@@ -7,11 +7,40 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from salsanext_cli.cli import console, options, run_options
+from salsanext_cli.cli.option_groups import Only, option_group
 from salsanext_cli.cli.progress import progress
 
 if TYPE_CHECKING:
     from salsanext_cli.parallel.run import Progress
     from salsanext_cli.training.fit import Report
+    from salsanext_cli.training.recipe import Recipe
+
+
+@option_group
+class Start:
+    """Recipe, weights and sensor that a training starts from."""
+
+    recipe: str = options.network_option(
+        "paper, paper-v1, modern, street, heteroscedastic, quick, or a .toml file.", default="paper"
+    )
+    changes: list[str] | None = options.network_option(
+        "Value instead of the recipe's; may be given several times.", "--set", metavar="KEY=VALUE"
+    )
+    epochs: int | None = options.network_option("Number of epochs instead of the recipe's.")
+    weights: Path | None = options.network_option(
+        "Weights to start from.", show_default="random weights"
+    )
+    sensor: str | None = options.network_option(
+        options.SENSOR_HELP, show_default="the sensor of --weights, else hdl64"
+    )
+
+    def plan(self) -> "Recipe":
+        """Return the recipe with its changes."""
+        from salsanext_cli.training.overrides import read_overrides
+        from salsanext_cli.training.recipe import recipe
+
+        plan = recipe(self.recipe).with_changes(**read_overrides(self.changes or ()))
+        return plan if self.epochs is None else plan.with_changes(epochs=self.epochs)
 
 
 def train(
@@ -20,34 +49,10 @@ def train(
         Path, typer.Argument(metavar="RUN", help="Folder for the weights, the log and the curves.")
     ] = Path("run"),
     *,
-    recipe: Annotated[
-        str,
-        options.network_option(
-            help="paper, paper-v1, modern, street, heteroscedastic, quick, or a .toml file."
-        ),
-    ] = "paper",
-    changes: Annotated[
-        list[str] | None,
-        options.network_option(
-            "--set",
-            metavar="KEY=VALUE",
-            help="Value instead of the recipe's; may be given several times.",
-        ),
-    ] = None,
-    epochs: Annotated[
-        int | None, options.network_option(help="Number of epochs instead of the recipe's.")
-    ] = None,
-    weights: Annotated[
-        Path | None,
-        options.network_option(help="Weights to start from.", show_default="random weights"),
-    ] = None,
-    label_space: options.LabelSpaceOption = None,
-    sensor: Annotated[
-        str | None, options.sensor_option(show_default="the sensor of --weights, else hdl64")
-    ] = None,
-    device: options.Device = "auto",
-    jobs: run_options.Jobs = 1,
-    overwrite: run_options.Overwrite = False,
+    start: Start,
+    classes: options.Classes,
+    network: Annotated[options.NetworkOptions, Only({"device"})],
+    local: run_options.Local,
     output: run_options.Output,
 ) -> None:
     """Train a network. After an interruption, the same command continues the training.
@@ -56,23 +61,20 @@ def train(
     """
     from salsanext_cli.stages.train import train as stage
     from salsanext_cli.training.distributed import group_of_environment
-    from salsanext_cli.training.overrides import read_overrides
-    from salsanext_cli.training.recipe import recipe as find_recipe
 
     if not group_of_environment().is_main:
         output = run_options.Output(quiet=True)
     with progress("train", output.quiet, unit="steps") as bar:
-        plan = find_recipe(recipe).with_changes(**read_overrides(changes or ()))
         done = stage(
             dataset,
             run,
-            recipe=plan if epochs is None else plan.with_changes(epochs=epochs),
-            sensor=options.sensor(sensor),
-            space=options.label_space(label_space),
-            device=device,
-            jobs=jobs,
-            weights=weights,
-            overwrite=overwrite,
+            recipe=start.plan(),
+            sensor=options.sensor(start.sensor),
+            space=classes.space(),
+            device=network.device,
+            jobs=local.jobs,
+            weights=start.weights,
+            overwrite=local.overwrite,
             progress=lambda report: _show(report, bar, output),
         )
     best = f"{100 * done.best_miou:.1f} %"

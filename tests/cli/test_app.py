@@ -1,17 +1,13 @@
 # SPDX-License-Identifier: MIT
 """Commands and their help."""
 
-import inspect
 import re
-import typing
 
 import pytest
 from command_line import every_command, parsed, python
 
 from salsanext_cli import __version__
-from salsanext_cli.cli import options, run_options
 from salsanext_cli.cli.app import COMMANDS
-from salsanext_cli.cli.option_groups import OptionGroup
 
 NAMES = list(every_command())
 PIPELINE = ["project", "train", "predict", "knn-refine", "uncertainty", "eval", "export-ply"]
@@ -117,20 +113,6 @@ def test_a_typo_is_not_taken_for_something_else(run):
     result = run("predict", "--overwrit")
     assert "No such option" in result.stderr
     assert "--overwrite" in result.stderr
-
-
-def test_every_shared_option_is_used():
-    declared = {
-        value
-        for module in (options, run_options)
-        for value in vars(module).values()
-        if typing.get_origin(value) is typing.Annotated
-        and not (isinstance(value.__origin__, type) and issubclass(value.__origin__, OptionGroup))
-    }
-    signatures = map(inspect.signature, every_command().values())
-    used = [p.annotation for signature in signatures for p in signature.parameters.values()]
-    assert len(declared) > 10
-    assert [option for option in declared if option not in used] == []
 
 
 @pytest.mark.parametrize("name", NAMES)

@@ -205,6 +205,7 @@ ON_DATA = "{data} other --weights {weights}"
         ("export-ply --colour range --scale nan 1", "--scale"),
         (f"predict {ON_DATA} --jobs 0", "--jobs · 0"),
         (f"predict {ON_DATA} --limit 0", "--limit · 0"),
+        (f"predict {ON_DATA} --batch many", "--batch · 'many'"),
         (f"predict {ON_DATA} --split tset", "split tset · no such split"),
         (f"predict {ON_DATA} --split valid --sequences 08", "both given"),
         (f"predict {ON_DATA} --sensor hdl65", "sensor hdl65"),

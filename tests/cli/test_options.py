@@ -11,7 +11,7 @@ from command_line import every_command, only_json, parsed
 from scans import labels_below
 
 from salsanext_cli.cli import options, run_options
-from salsanext_cli.cli.option_groups import Default, Without, expanded
+from salsanext_cli.cli.option_groups import Default, Only, Without, expanded
 from salsanext_cli.errors import UsageError
 from salsanext_cli.parallel.run import BACKENDS, RunOptions
 from salsanext_cli.parallel.shards import Shard
@@ -27,17 +27,14 @@ def test_a_group_is_expanded_filled_and_handed_over():
         name: str = "x",
         *,
         selection: Annotated[options.Selection, Without({"split", "dataset"}), Default(limit=4)],
-        knn: options.Knn,
+        knn: Annotated[options.Knn, Only({"knn_k"})],
     ) -> None:
         seen.update(name=name, selection=selection, knn=knn)
 
     typed = expanded(command)
     parameters = inspect.signature(typed).parameters
-    assert list(parameters) == [
-        *("name", "sequences", "limit", "knn_k", "knn_window", "knn_sigma", "knn_cutoff")
-    ]
     defaults = {name: parameter.default for name, parameter in parameters.items()}
-    assert defaults["limit"] == 4
+    assert defaults == {"name": "x", "sequences": None, "limit": 4, "knn_k": 5}
     typed(**defaults | {"sequences": "00", "knn_k": 3})
     assert seen["selection"] == options.Selection(sequences="00", limit=4)
     assert seen["knn"] == options.Knn(knn_k=3)
@@ -79,8 +76,8 @@ def test_labelled_scans_are_those_for_validation_unless_others_are_named():
 
 def test_looking_up():
     assert options.sensor("hdl64").name == "hdl64"
-    assert options.ResultSelection().space() is None
-    assert options.ResultSelection(label_space="semantic-kitti").space().class_count == 20
+    assert options.Classes().space() is None
+    assert options.Classes("semantic-kitti").space().class_count == 20
     named = options.NetworkOptions(Path("w"), "cpu", "auto", "hdl32")
     assert named.settings().sensor == named.sensor_to_project() == options.sensor("hdl32")
     assert options.NetworkOptions(precision="float32").settings().sensor is None
@@ -100,13 +97,6 @@ def test_the_options_of_a_run():
                     4, on_error, True, None, backend, scheduler, shard=Shard(2, 3)
                 )
     assert tuple(backend.value for backend in run_options.Backend) == BACKENDS
-
-
-def test_the_size_of_a_batch():
-    assert run_options.batch_size("auto") is None
-    assert run_options.batch_size("12") == 12
-    with pytest.raises(UsageError, match="--batch · 'many'"):
-        run_options.batch_size("many")
 
 
 def options_of(name):
