@@ -34,11 +34,11 @@ from salsanext_cli.network.published import read_published
 from salsanext_cli.network.registry import ARCHITECTURES
 from salsanext_cli.network.weights import WeightsCard, read_card, read_weights, save_weights
 from salsanext_cli.sensors import Sensor, sensor
-from salsanext_cli.stages.synth import _claim as claim_synth
 from salsanext_cli.storage.json_files import read_json
 from salsanext_cli.storage.layout import ScanFile, output_path
 from salsanext_cli.storage.point_files import write_bin, write_labels
 from salsanext_cli.storage.sources import remembered_scans
+from salsanext_cli.storage.written_files import WrittenFiles
 from salsanext_cli.training.checkpoint import TrainingState, load_checkpoint, save_checkpoint
 from salsanext_cli.training.distributed import ProcessGroup
 from salsanext_cli.training.optimise import Learner
@@ -418,18 +418,16 @@ def test_records_of_folders_that_are_none(tmp_path: Path, folder: object) -> Non
         remembered_scans(tmp_path)
 
 
-@pytest.mark.parametrize("splits", [{"train": ["../../victim"]}, {"train": [3]}, 5, None])
-def test_synthetic_data_sets_that_name_folders_elsewhere(tmp_path: Path, splits: object) -> None:
-    victim = tmp_path / "victim/velodyne/000000.bin"
-    victim.parent.mkdir(parents=True)
-    victim.touch()
-    own = tmp_path / "out/sequences/00/velodyne/000000.bin"
-    own.parent.mkdir(parents=True)
-    own.touch()
-    (tmp_path / "out/synth.json").write_text(json.dumps({"settings": {"splits": splits}}))
-    claim_synth(tmp_path / "out", True)
+@pytest.mark.parametrize("name", ["../victim.bin", "{folder}/victim.bin", "a/../../victim.bin"])
+def test_records_of_written_files_that_name_others(tmp_path: Path, name: str) -> None:
+    victim, out = tmp_path / "victim.bin", tmp_path / "out"
+    victim.write_bytes(b"mine")
+    (out / "a").mkdir(parents=True)
+    found = victim.stat()
+    line = f"{name.format(folder=tmp_path)}\t{found.st_size}\t{found.st_mtime_ns}\n"
+    (out / ".synth.files").write_text(line)
+    WrittenFiles(out, ".synth.files").remove_all()
     assert victim.exists()
-    assert not own.exists()
 
 
 def test_links_in_an_output_folder(tmp_path: Path) -> None:
