@@ -12,20 +12,17 @@ import pytest
 import typer
 from typer.testing import Result
 
-from salsanext_cli.cli.app import COMMANDS, app
+from salsanext_cli.cli.app import app
 
 
 def every_command() -> dict[str, Callable[..., None]]:
-    """Return the function of every command, also of those in groups, by its full name."""
-    found: dict[str, Callable[..., None]] = {}
-    for commands in COMMANDS.values():
-        for name, command in commands.items():
-            if isinstance(command, typer.Typer):
-                for member in command.registered_commands:
-                    assert member.callback
-                    found[f"{name} {member.name}"] = member.callback
-            else:
-                found[name] = command
+    """Return the function of every command, as typer reads it, by its full name."""
+    found: dict[str, Any] = {
+        command.name or "": command.callback for command in app.registered_commands
+    }
+    for group in app.registered_groups:
+        members = group.typer_instance.registered_commands if group.typer_instance else []
+        found |= {f"{group.name} {member.name}": member.callback for member in members}
     return found
 
 

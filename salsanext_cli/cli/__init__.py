@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: MIT
-"""Words to stage calls."""
+"""Command line: options, commands, and what they print."""

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""The command line: which commands there are, in the order in which help lists them."""
+"""Command line: all commands, in the order in which the help lists them."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ from typer.core import TyperGroup
 
 from salsanext_cli import __version__
 from salsanext_cli.cli.benchmark import benchmark
+from salsanext_cli.cli.console import guarded
 from salsanext_cli.cli.demo import demo
 from salsanext_cli.cli.evaluate import evaluate
 from salsanext_cli.cli.export_ply import export_ply
@@ -18,6 +19,7 @@ from salsanext_cli.cli.import_weights import import_weights
 from salsanext_cli.cli.inspect import inspect
 from salsanext_cli.cli.knn_refine import knn_refine
 from salsanext_cli.cli.models import models
+from salsanext_cli.cli.option_groups import expanded
 from salsanext_cli.cli.predict import predict
 from salsanext_cli.cli.project import project
 from salsanext_cli.cli.synth import synth
@@ -52,7 +54,7 @@ COMMANDS: dict[str, dict[str, Callable[..., None] | typer.Typer]] = {
 
 
 class InOrder(TyperGroup):
-    """Lists commands as they stand above; by itself typer puts groups behind all others."""
+    """Group that lists commands in the order above; typer would list groups last."""
 
     def list_commands(self, ctx: Any) -> list[str]:
         """Return the names of all commands."""
@@ -80,11 +82,11 @@ def salsanext(
     version: Annotated[
         bool,
         typer.Option(
-            "--version", callback=_print_version, is_eager=True, help="Say which version this is."
+            "--version", callback=_print_version, is_eager=True, help="Print the version."
         ),
     ] = False,
 ) -> None:
-    """Give every point of a LiDAR scan a class and an honest uncertainty."""
+    """Predict a class and an uncertainty for every point of a LiDAR scan."""
 
 
 for panel, commands in COMMANDS.items():
@@ -92,7 +94,7 @@ for panel, commands in COMMANDS.items():
         if isinstance(command, typer.Typer):
             app.add_typer(command, name=name, rich_help_panel=panel)
         else:
-            app.command(name, rich_help_panel=panel)(command)
+            app.command(name, rich_help_panel=panel)(guarded(expanded(command)))
 
 
 def main() -> None:

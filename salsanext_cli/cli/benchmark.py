@@ -6,15 +6,16 @@ from typing import Annotated
 
 import typer
 
-from salsanext_cli.cli import console, options
+from salsanext_cli.cli import options, run_options
+from salsanext_cli.cli.option_groups import Default
 from salsanext_cli.cli.progress import progress
 
 LISTED = "projection, network, knn, predict, uncertainty, confusion, cold, help"
 
 
-@console.guarded
 def benchmark(
     scans: options.Scans = None,
+    *,
     parts: Annotated[
         str, typer.Option(help=f"Only some of {LISTED}, such as network,knn.")
     ] = "all",
@@ -26,18 +27,10 @@ def benchmark(
         int | None, typer.Option(help="Of both sides.", show_default="as usual")
     ] = None,
     write: Annotated[Path | None, typer.Option(help="Write every measurement, .json.")] = None,
-    dataset: options.DataSet = None,
-    split: options.Split = None,
-    sequences: options.Sequences = None,
-    limit: options.Limit = 4,
-    weights: options.Weights = None,
-    device: options.Device = "auto",
-    precision: options.Precision = "auto",
-    sensor: options.Sensor = None,
-    overwrite: options.Overwrite = False,
-    json: options.Json = False,
-    verbose: options.Verbose = False,
-    quiet: options.Quiet = False,
+    selection: Annotated[options.Selection, Default(limit=4)],
+    network: options.NetworkOptions,
+    running: run_options.Overwriting,
+    output: run_options.Output,
 ) -> None:
     """Say how fast each part is beside the method written plainly, both measured now and here.
 
@@ -48,15 +41,14 @@ def benchmark(
     from salsanext_cli.benchmarking.table import benchmark_table
     from salsanext_cli.storage.json_files import write_json
 
-    output = console.Output(json, verbose, quiet)
-    if write is not None and not overwrite:
+    if write is not None and not running.overwrite:
         require_new(write)
     named = PARTS if parts == "all" else tuple(name.strip() for name in parts.split(","))
     with progress("benchmark", output.quiet, "turns") as advance:
         found = run(
-            options.source(scans, dataset),
-            network=options.network(weights, device, sensor, precision),
-            selection=options.choice(split, sequences, limit),
+            selection.source(scans),
+            network=network.settings(),
+            selection=selection.scans(),
             plan=Plan(named, rounds, passes, threads),
             progress=advance,
         ).to_dict()

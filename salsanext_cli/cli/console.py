@@ -145,24 +145,26 @@ def finish(
     outcome: Outcome[Any],
     out: object,
     output: Output,
-    absent: MissingResults | None = None,
+    missing: MissingResults | None = None,
 ) -> NoReturn:
     """Say what became of a run over scans and leave with the exit status for it."""
     name_failures(outcome.failures)
     counts = {"done": outcome.done, "skipped": outcome.skipped, "failed": len(outcome.failures)}
     failures = [{"scan": str(f.scan.path), "reason": f.reason} for f in outcome.failures]
     found: dict[str, Any] = {"stage": stage, **counts, "out": str(out), "failures": failures}
-    missing = absent.missing if absent else ()
-    if absent:
-        found["missing"] = [str(scan.path) for scan in missing]
-        found["not_asked_for"] = absent.not_asked_for
+    if missing:
+        found["missing"] = [str(scan.path) for scan in missing.scans]
+        found["not_asked_for"] = missing.not_asked_for
     output.result(found)
     already = f", {outcome.skipped} done already" if outcome.skipped else ""
     failed = f", {len(outcome.failures)} failed" if outcome.failures else ""
-    others = (
-        f", {absent.not_asked_for} not asked for have no results"
-        if absent and absent.not_asked_for
-        else ""
-    )
+    others = left_out(missing, "results") if missing else ""
     output.say(f"{stage}: {outcome.done} scans{already}{failed}{others} → {out}")
-    raise typer.Exit(FAILED if outcome.failures or missing else DONE)
+    incomplete = outcome.failures or (missing and missing.scans)
+    raise typer.Exit(FAILED if incomplete else DONE)
+
+
+def left_out(missing: MissingResults, what: str) -> str:
+    """Return the part of a sentence that says how many scans were left out on purpose."""
+    count = missing.not_asked_for
+    return f", {count} not asked for have no {what}" if count else ""

@@ -9,25 +9,16 @@ import typer
 from salsanext_cli.cli import console, options, run_options
 
 
-@console.guarded
 def evaluate(
+    *,
     by_distance: Annotated[
-        bool, typer.Option("--by-distance", help="Score rings of distance too.")
+        bool, typer.Option("--by-distance", help="Also evaluate by distance from the sensor.")
     ] = False,
     out: options.OutOption = Path("out"),
-    dataset: options.DataSetOfResults = None,
-    split: options.Split = None,
-    sequences: options.Sequences = None,
-    limit: options.Limit = None,
-    label_space: options.LabelSpaceOption = None,
-    jobs: run_options.Jobs = None,
-    backend: run_options.BackendOption = run_options.Backend.loky,
-    scheduler: run_options.Scheduler = None,
-    overwrite: options.Overwrite = False,
-    on_error: options.OnErrorOption = options.OnError.skip,
-    json: options.Json = False,
-    verbose: options.Verbose = False,
-    quiet: options.Quiet = False,
+    selection: options.ResultSelection,
+    classes: options.Classes,
+    running: run_options.RunningUnsharded,
+    output: run_options.Output,
 ) -> None:
     """Compare predictions with labels, as the official benchmark does.
 
@@ -36,25 +27,21 @@ def evaluate(
     from rich.console import Group
 
     from salsanext_cli.report.tables import ring_table, score_table, uncertainty_tables
-    from salsanext_cli.stages.evaluate import evaluate as run
+    from salsanext_cli.stages.evaluate import evaluate as stage
     from salsanext_cli.storage.predictions import predicted_scans, provenance
 
-    output = console.Output(json, verbose, quiet)
-    wanted = options.choice(split, sequences, limit)
-    files, space = predicted_scans(
-        out, wanted, dataset, options.label_space(label_space), options.usual_dataset()
-    )
-    runs = run_options.gather(jobs, backend, scheduler, on_error, overwrite)
-    with console.batch("eval", output, runs) as batch:
-        settings = provenance(out, wanted, dataset)
-        evaluation = run(files, out, space, batch, by_distance=by_distance, settings=settings)
+    chosen, dataset = selection.scans(), selection.dataset
+    files, space = predicted_scans(out, chosen, dataset, classes.space(), selection.usual_dataset())
+    with running.over_scans("eval", output) as run:
+        settings = provenance(out, chosen, dataset)
+        evaluation = stage(files, out, space, run, by_distance=by_distance, settings=settings)
     tables = [score_table(evaluation.scores)]
     if by_distance:
         tables.append(ring_table(evaluation.by_distance))
     tables += uncertainty_tables(evaluation.uncertainty)
     output.result(evaluation.to_dict(), Group(*tables))
     console.name_failures(evaluation.failures)
-    counted = f"{evaluation.scans} scans{evaluation.absent.words('predictions')}"
+    counted = f"{evaluation.scans} scans{console.left_out(evaluation.missing, 'predictions')}"
     output.say(f"eval: {counted} → {out}/scores.txt, eval.json, eval_*.png")
-    incomplete = evaluation.failures or evaluation.absent.missing
+    incomplete = evaluation.failures or evaluation.missing.scans
     raise typer.Exit(console.FAILED if incomplete else console.DONE)

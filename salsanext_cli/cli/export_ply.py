@@ -9,8 +9,8 @@ import typer
 from salsanext_cli.cli import console, options, run_options
 
 
-@console.guarded
 def export_ply(
+    *,
     colour: Annotated[
         str,
         typer.Option(
@@ -23,49 +23,33 @@ def export_ply(
     scale: Annotated[
         tuple[float, float] | None,
         typer.Option(
-            help="Values at the ends of the colour map.", show_default="what most points span"
+            help="Values at the two ends of the colour map.",
+            show_default="range of most of the values",
         ),
     ] = None,
     out: options.OutOption = Path("out"),
-    dataset: options.DataSetOfResults = None,
-    split: options.Split = None,
-    sequences: options.Sequences = None,
-    limit: options.Limit = None,
-    label_space: options.LabelSpaceOption = None,
-    weights: options.Weights = None,
-    device: options.Device = "auto",
-    precision: options.Precision = "auto",
-    sensor: options.Sensor = None,
-    jobs: run_options.Jobs = None,
-    backend: run_options.BackendOption = run_options.Backend.loky,
-    scheduler: run_options.Scheduler = None,
-    shard: run_options.Share = None,
-    overwrite: options.Overwrite = False,
-    on_error: options.OnErrorOption = options.OnError.skip,
-    json: options.Json = False,
-    verbose: options.Verbose = False,
-    quiet: options.Quiet = False,
+    selection: options.ResultSelection,
+    classes: options.Classes,
+    network: options.NetworkOptions,
+    running: run_options.Running,
+    output: run_options.Output,
 ) -> None:
-    """Write coloured point clouds that carry every known value of every point.
+    """Write coloured point clouds that hold every known value of every point.
 
     Example: salsanext export-ply --colour uncertainty
     """
-    from salsanext_cli.stages.export_ply import export_ply as run
+    from salsanext_cli.stages.export_ply import export_ply as stage
 
-    output = console.Output(json, verbose, quiet)
-    runs = run_options.gather(
-        jobs, backend, scheduler, on_error, overwrite, run_options.share(shard, output)
-    )
-    with console.batch("export-ply", output, runs) as batch:
-        outcome = run(
+    with running.over_scans("export-ply", output) as run:
+        outcome = stage(
             out,
             colour=colour,
             scale=scale,
-            dataset=dataset,
-            usual_dataset=options.usual_dataset(),
-            space=options.label_space(label_space),
-            network=options.network(weights, device, sensor, precision),
-            selection=options.choice(split, sequences, limit),
-            options=batch,
+            dataset=selection.dataset,
+            usual_dataset=selection.usual_dataset(),
+            space=classes.space(),
+            network=network.settings(),
+            selection=selection.scans(),
+            options=run,
         )
     console.finish("export-ply", outcome, out, output, outcome.missing)

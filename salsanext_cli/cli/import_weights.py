@@ -6,51 +6,54 @@ from typing import Annotated
 
 import typer
 
-from salsanext_cli.cli import console, options
+from salsanext_cli.cli import options, run_options
 
 
-@console.guarded
 def import_weights(
     source: Annotated[
-        Path, typer.Argument(help="A published checkpoint, or a .safetensors file of ours.")
+        Path,
+        typer.Argument(help="Published checkpoint, or weights file of salsanext (.safetensors)."),
     ],
-    target: Annotated[Path, typer.Argument(help="The .safetensors file to write.")],
+    target: Annotated[Path, typer.Argument(help="Weights file to write (.safetensors).")],
+    *,
     label_space: Annotated[
         str | None,
         typer.Option(
-            help="Classes of a checkpoint: a label space or a .yaml file in SemanticKITTI's form.",
+            help="Classes of a checkpoint: a label space, or a .yaml file in SemanticKITTI's "
+            "format.",
             show_default="semantic-kitti",
         ),
     ] = None,
     sensor: options.SensorWithoutWeights = None,
     dropout: Annotated[
         float | None,
-        typer.Option(help="Rate that a checkpoint was trained with.", show_default="0.2"),
+        typer.Option(help="Dropout rate that a checkpoint was trained with.", show_default="0.2"),
     ] = None,
-    description: Annotated[str, typer.Option(help="What these weights are.")] = "",
-    half: Annotated[bool, typer.Option("--half", help="Store in float16, half the size.")] = False,
-    overwrite: options.Overwrite = False,
-    json: options.Json = False,
-    verbose: options.Verbose = False,
-    quiet: options.Quiet = False,
+    description: Annotated[
+        str, typer.Option(help="Description to store in the weights file.")
+    ] = "",
+    half: Annotated[
+        bool, typer.Option("--half", help="Store in float16, at half the size.")
+    ] = False,
+    running: run_options.Overwriting,
+    output: run_options.Output,
 ) -> None:
-    """Make a weights file of a published checkpoint, without running anything inside it.
+    """Convert a published checkpoint to a weights file, without running anything inside it.
 
     Example: salsanext import-weights pretrained/SalsaNext salsanext.safetensors
     """
-    from salsanext_cli.stages.import_weights import import_weights as run
+    from salsanext_cli.stages.import_weights import import_weights as stage
     from salsanext_cli.stages.models import describe_weights
 
-    output = console.Output(json, verbose, quiet)
-    run(
+    stage(
         source,
         target,
         space=options.label_space(label_space),
-        view=options.sensor(sensor) if sensor else None,
+        view=options.sensor(sensor),
         dropout=dropout,
         description=description,
         half=half,
-        overwrite=overwrite,
+        overwrite=running.overwrite,
     )
     output.result(describe_weights(target))
     output.say(f"import-weights: {source} → {target}")

@@ -9,55 +9,44 @@ import typer
 from salsanext_cli.cli import console, options, run_options
 
 
-@console.guarded
 def inspect(
     scans: options.Scans = None,
+    *,
     fit: Annotated[
         Path | None,
-        typer.Option(help="Write a sensor with these scans' view and normalisation, .toml."),
+        typer.Option(help="Write a sensor file (.toml) with the view and statistics of the scans."),
     ] = None,
     height: Annotated[int | None, typer.Option(help="Rows of its range image.")] = None,
     width: Annotated[int | None, typer.Option(help="Columns of its range image.")] = None,
-    dataset: options.DataSet = None,
-    split: options.Split = None,
-    sequences: options.Sequences = None,
-    limit: options.Limit = None,
-    label_space: options.LabelSpaceOption = None,
+    selection: options.Selection,
+    classes: options.Classes,
     sensor: options.SensorWithoutWeights = None,
-    jobs: run_options.Jobs = None,
-    backend: run_options.BackendOption = run_options.Backend.loky,
-    scheduler: run_options.Scheduler = None,
-    overwrite: options.Overwrite = False,
-    on_error: options.OnErrorOption = options.OnError.skip,
-    json: options.Json = False,
-    verbose: options.Verbose = False,
-    quiet: options.Quiet = False,
+    running: run_options.RunningUnsharded,
+    output: run_options.Output,
 ) -> None:
-    """Say what is in a set of scans; fit a sensor to them.
+    """Summarise a set of scans; fit a sensor to them.
 
     Example: salsanext inspect my/scans --fit my-sensor.toml --height 32 --width 1024
     """
     from salsanext_cli.report.surveys import survey_tables
-    from salsanext_cli.stages.inspect import inspect as run
+    from salsanext_cli.sensors import sensor as find_sensor
+    from salsanext_cli.stages.inspect import inspect as stage
     from salsanext_cli.stages.inspect import write_sensor
 
-    output = console.Output(json, verbose, quiet)
-    view = options.sensor(sensor or "hdl64").resized(height, width)
-    runs = run_options.gather(jobs, backend, scheduler, on_error)
-    with console.batch("inspect", output, runs) as batch:
-        found = run(
-            options.source(scans, dataset),
+    view = find_sensor(sensor or "hdl64").resized(height, width)
+    with running.over_scans("inspect", output) as run:
+        found = stage(
+            selection.source(scans),
             sensor=view,
-            space=options.label_space(label_space),
-            selection=options.choice(split, sequences, limit),
-            options=batch,
+            space=classes.space(),
+            selection=selection.scans(),
+            options=run,
             fit=fit is not None,
         )
     if fit is not None:
-        write_sensor(fit, found.fitted_sensor(fit.stem), overwrite=overwrite)
+        write_sensor(fit, found.fitted_sensor(fit.stem), overwrite=running.overwrite)
         output.say(f"inspect: sensor → {fit}")
-    output.result(
-        found.to_dict(), survey_tables(found.sequences, found.total, found.space, found.sensor)
-    )
+    tables = survey_tables(found.sequences, found.total, found.space, found.sensor)
+    output.result(found.to_dict(), tables)
     console.name_failures(found.failures)
     raise typer.Exit(console.FAILED if found.failures else console.DONE)

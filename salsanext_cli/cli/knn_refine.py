@@ -9,60 +9,43 @@ import typer
 from salsanext_cli.cli import console, options, run_options
 
 
-@console.guarded
 def knn_refine(
     out: options.Out = Path("out"),
+    *,
     labels: Annotated[
         Path | None,
-        typer.Option(help="Refine the .label files of this folder, of any origin, instead."),
+        typer.Option(help="Refine the .label files of this folder instead, of any program."),
     ] = None,
-    dataset: options.DataSetOfResults = None,
-    split: options.Split = None,
-    sequences: options.Sequences = None,
-    limit: options.Limit = None,
-    label_space: options.LabelSpaceOption = None,
+    selection: options.ResultSelection,
+    classes: options.Classes,
     sensor: Annotated[
         str | None,
         typer.Option(
-            help="Name of a sensor or a .toml file.",
-            show_default="the one of the earlier stages, else hdl64",
+            help=options.SENSOR_HELP,
+            show_default="the sensor of the earlier stages, else hdl64",
             rich_help_panel="Network",
         ),
     ] = None,
-    knn_k: options.K = 5,
-    knn_window: options.Window = 5,
-    knn_sigma: options.Sigma = 1.0,
-    knn_cutoff: options.Cutoff = 1.0,
-    jobs: run_options.Jobs = None,
-    backend: run_options.BackendOption = run_options.Backend.loky,
-    scheduler: run_options.Scheduler = None,
-    shard: run_options.Share = None,
-    overwrite: options.Overwrite = False,
-    on_error: options.OnErrorOption = options.OnError.skip,
-    json: options.Json = False,
-    verbose: options.Verbose = False,
-    quiet: options.Quiet = False,
+    knn: options.Knn,
+    running: run_options.Running,
+    output: run_options.Output,
 ) -> None:
-    """Turn pixel labels, or anybody's point labels, into clean point labels.
+    """Turn labels of pixels into labels of points, or correct labels of points, by neighbours.
 
     Example: salsanext knn-refine out/
     """
     from salsanext_cli.stages.knn_refine import knn_refine_scans
 
-    output = console.Output(json, verbose, quiet)
-    runs = run_options.gather(
-        jobs, backend, scheduler, on_error, overwrite, run_options.share(shard, output)
-    )
-    with console.batch("knn-refine", output, runs) as batch:
+    with running.over_scans("knn-refine", output) as run:
         outcome = knn_refine_scans(
             out,
             labels=labels,
-            dataset=dataset,
-            usual_dataset=options.usual_dataset(),
-            sensor=options.sensor(sensor) if sensor else None,
-            space=options.label_space(label_space),
-            knn=options.knn(knn_k, knn_window, knn_sigma, knn_cutoff),
-            selection=options.choice(split, sequences, limit),
-            options=batch,
+            dataset=selection.dataset,
+            usual_dataset=selection.usual_dataset(),
+            sensor=options.sensor(sensor),
+            space=classes.space(),
+            knn=knn.parameters(),
+            selection=selection.scans(),
+            options=run,
         )
     console.finish("knn-refine", outcome, out, output)

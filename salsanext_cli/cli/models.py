@@ -7,20 +7,18 @@ from typing import Annotated
 
 import typer
 
-from salsanext_cli.cli import console, options
+from salsanext_cli.cli import run_options
 
 
-@console.guarded
 def models(
     weights: Annotated[
         list[Path] | None,
         typer.Argument(help="Weights files to describe.", show_default="the default weights"),
     ] = None,
-    json: options.Json = False,
-    verbose: options.Verbose = False,
-    quiet: options.Quiet = False,
+    *,
+    output: run_options.Output,
 ) -> None:
-    """List the networks, what they cost and what the papers print; say what weights files are.
+    """List the networks with their cost and the papers' figures; describe weights files.
 
     Example: salsanext models runs/street/best.safetensors
     """
@@ -29,11 +27,9 @@ def models(
     from salsanext_cli.network.weights import default_weights
     from salsanext_cli.report.models import card_table, network_table
     from salsanext_cli.stages.models import describe_weights
-    from salsanext_cli.stages.models import models as count
+    from salsanext_cli.stages.models import models as stage
 
-    output = console.Output(json, verbose, quiet)
-    found = count()
+    listed = [asdict(model) for model in stage()]
     described = [describe_weights(path) for path in weights or [default_weights()]]
-    listed = [asdict(model) for model in found]
     tables = Group(network_table(listed), *map(card_table, described))
     output.result({"models": listed, "weights": described}, tables)

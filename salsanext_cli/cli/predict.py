@@ -1,67 +1,90 @@
 # SPDX-License-Identifier: MIT
 """`salsanext predict`."""
 
+import re
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from salsanext_cli.cli import console, options, run_options
+from salsanext_cli.errors import UsageError
+
+if TYPE_CHECKING:
+    from salsanext_cli.parallel.run import Outcome
 
 
-@console.guarded
 def predict(
     scans: options.Scans = None,
     out: options.Out = Path("out"),
+    *,
     pixel_labels: Annotated[
-        bool, typer.Option("--pixel-labels", help="Keep the labels of the range image.")
+        bool, typer.Option("--pixel-labels", help="Also write the label of every pixel.")
     ] = False,
     probabilities: Annotated[
-        bool, typer.Option("--probabilities", help="Keep the softmax of every point.")
+        bool,
+        typer.Option("--probabilities", help="Also write the class probabilities of every point."),
     ] = False,
-    dataset: options.DataSet = None,
-    split: options.Split = None,
-    sequences: options.Sequences = None,
-    limit: options.Limit = None,
-    weights: options.Weights = None,
-    device: options.Device = "auto",
-    precision: options.Precision = "auto",
-    sensor: options.Sensor = None,
-    knn_k: options.K = 5,
-    knn_window: options.Window = 5,
-    knn_sigma: options.Sigma = 1.0,
-    knn_cutoff: options.Cutoff = 1.0,
-    batch: run_options.Batch = "auto",
-    jobs: run_options.Jobs = None,
-    backend: run_options.BackendOption = run_options.Backend.loky,
-    scheduler: run_options.Scheduler = None,
-    shard: run_options.Share = None,
-    overwrite: options.Overwrite = False,
-    on_error: options.OnErrorOption = options.OnError.skip,
-    json: options.Json = False,
-    verbose: options.Verbose = False,
-    quiet: options.Quiet = False,
+    selection: options.Selection,
+    network: options.NetworkOptions,
+    knn: options.Knn,
+    batch: Annotated[
+        str,
+        typer.Option(
+            help="Scans computed together, halved when memory runs out; auto: 1 on a CPU, on a "
+            "GPU as many as keep it busy.",
+            rich_help_panel="Running",
+        ),
+    ] = "auto",
+    running: run_options.Running,
+    output: run_options.Output,
 ) -> None:
-    """Give every point of every scan a class.
+    """Predict the class of every point of every scan.
 
     Example: salsanext predict seq/velodyne out/
     """
-    from salsanext_cli.stages.predict import predict_scans as run
+    from salsanext_cli.stages import predict as stage
 
-    output = console.Output(json, verbose, quiet)
-    wanted = {"pixel_labels": pixel_labels, "probabilities": probabilities}
-    runs = run_options.gather(
-        jobs, backend, scheduler, on_error, overwrite, run_options.share(shard, output)
-    )
-    with console.batch("predict", output, runs) as how:
-        outcome = run(
-            options.source(scans, dataset),
-            out,
-            network=options.network(weights, device, sensor, precision),
-            knn=options.knn(knn_k, knn_window, knn_sigma, knn_cutoff),
-            extras=tuple(name for name, keep in wanted.items() if keep),
-            batch=run_options.batch_size(batch),
-            selection=options.choice(split, sequences, limit),
-            options=how,
-        )
+    source = selection.source(scans)
+    chosen = {"network": network.settings(), "selection": selection.scans()}
+    outcome: Outcome[Any]
+    with running.over_scans("predict", output) as run:
+        if stage.projected_sensor(source) is None:
+            outcome = stage.predict_scans(
+                source,
+                out,
+                knn=knn.parameters(),
+                extras=_extras(pixel_labels=pixel_labels, probabilities=probabilities),
+                batch=_batch_size(batch),
+                options=run,
+                **chosen,
+            )
+        else:
+            _require_no_scans(knn, probabilities, batch)
+            outcome = stage.predict_range_images(source, out, options=run, **chosen)
     console.finish("predict", outcome, out, output)
+
+
+def _extras(**wanted: bool) -> tuple[str, ...]:
+    return tuple(name for name, is_wanted in wanted.items() if is_wanted)
+
+
+def _require_no_scans(knn: options.Knn, probabilities: bool, batch: str) -> None:
+    """Refuse options that need scans, where range images of `project` are given."""
+    if probabilities:
+        found = "range images do not tell which points they are of"
+        raise UsageError("--probabilities", found, "the scans themselves")
+    if knn != options.Knn():
+        found = "range images are refined by knn-refine"
+        raise UsageError("--knn-…", found, "the options given there")
+    if batch != "auto":
+        raise UsageError("--batch", "range images are computed one by one", "scans")
+
+
+def _batch_size(text: str) -> int | None:
+    """Return the number of scans computed together, None for what suits the device."""
+    if text == "auto":
+        return None
+    if not re.fullmatch(r"\d{1,9}", text, re.ASCII):
+        raise UsageError("--batch", repr(text), "auto, or a number of scans")
+    return int(text)

@@ -6,33 +6,31 @@ from typing import Annotated
 
 import typer
 
-from salsanext_cli.cli import console, options
+from salsanext_cli.cli import run_options
 from salsanext_cli.cli.progress import progress
 
 
-@console.guarded
 def synth(
     out: Annotated[Path, typer.Argument(metavar="DATASET", help="Root of the new data set.")],
-    train: Annotated[int, typer.Option(help="Sequences for training.")] = 8,
-    valid: Annotated[int, typer.Option(help="Sequences for validation.")] = 2,
-    test: Annotated[int, typer.Option(help="Sequences for testing.")] = 0,
+    *,
+    train: Annotated[int, typer.Option(help="Number of sequences for training.")] = 8,
+    valid: Annotated[int, typer.Option(help="Number of sequences for validation.")] = 2,
+    test: Annotated[int, typer.Option(help="Number of sequences for testing.")] = 0,
     scans: Annotated[int, typer.Option(help="Scans per sequence.")] = 20,
-    spacing: Annotated[float, typer.Option(help="Metres driven between two scans.")] = 3.0,
+    spacing: Annotated[
+        float, typer.Option(help="Distance driven between two scans, in metres.")
+    ] = 3.0,
     seed: Annotated[int, typer.Option(help="The same seed gives the same bytes.")] = 0,
-    jobs: options.Jobs = 1,
-    overwrite: options.Overwrite = False,
-    json: options.Json = False,
-    verbose: options.Verbose = False,
-    quiet: options.Quiet = False,
+    local: run_options.Local,
+    output: run_options.Output,
 ) -> None:
-    """Make labelled scans of synthetic streets, in SemanticKITTI's layout.
+    """Generate labelled scans of synthetic streets, in SemanticKITTI's layout.
 
     Example: salsanext synth streets/ --train 8 --valid 2 --scans 20
     """
     from salsanext_cli.stages.synth import synthesise
 
-    output = console.Output(json, verbose, quiet)
-    with progress("synth", quiet) as advance:
+    with progress("synth", output.quiet) as on_progress:
         made = synthesise(
             out,
             train=train,
@@ -41,9 +39,9 @@ def synth(
             scans=scans,
             seed=seed,
             spacing=spacing,
-            jobs=jobs,
-            overwrite=overwrite,
-            progress=advance,
+            jobs=local.jobs,
+            overwrite=local.overwrite,
+            progress=on_progress,
         )
     points = {str(raw): count for raw, count in made.points.items()}
     output.result({"stage": "synth", "scans": made.scans, "splits": made.splits, "points": points})

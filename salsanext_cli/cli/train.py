@@ -6,86 +6,76 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from salsanext_cli.cli import console, options
+from salsanext_cli.cli import console, options, run_options
+from salsanext_cli.cli.option_groups import Only, option_group
 from salsanext_cli.cli.progress import progress
 
 if TYPE_CHECKING:
     from salsanext_cli.parallel.run import Progress
     from salsanext_cli.training.fit import Report
+    from salsanext_cli.training.recipe import Recipe
 
 
-@console.guarded
+@option_group
+class Start:
+    """Recipe, weights and sensor that a training starts from."""
+
+    recipe: str = options.network_option(
+        "paper, paper-v1, modern, street, heteroscedastic, quick, or a .toml file.", default="paper"
+    )
+    changes: list[str] | None = options.network_option(
+        "Value instead of the recipe's; may be given several times.", "--set", metavar="KEY=VALUE"
+    )
+    epochs: int | None = options.network_option("Number of epochs instead of the recipe's.")
+    weights: Path | None = options.network_option(
+        "Weights to start from.", show_default="random weights"
+    )
+    sensor: str | None = options.network_option(
+        options.SENSOR_HELP, show_default="the sensor of --weights, else hdl64"
+    )
+
+    def plan(self) -> "Recipe":
+        """Return the recipe with its changes."""
+        from salsanext_cli.training.overrides import read_overrides
+        from salsanext_cli.training.recipe import recipe
+
+        plan = recipe(self.recipe).with_changes(**read_overrides(self.changes or ()))
+        return plan if self.epochs is None else plan.with_changes(epochs=self.epochs)
+
+
 def train(
     dataset: options.LabelledDataSet = Path(),
-    run: Annotated[Path, typer.Argument(metavar="RUN", help="Folder for the weights.")] = Path(
-        "run"
-    ),
-    recipe: Annotated[
-        str,
-        typer.Option(
-            help="paper, paper-v1, modern, street, heteroscedastic, quick, or a .toml file.",
-            rich_help_panel="Network",
-        ),
-    ] = "paper",
-    changes: Annotated[
-        list[str] | None,
-        typer.Option(
-            "--set",
-            metavar="KEY=VALUE",
-            help="Instead of the recipe's value; may be given several times.",
-            rich_help_panel="Network",
-        ),
-    ] = None,
-    epochs: Annotated[
-        int | None, typer.Option(help="Instead of the recipe's.", rich_help_panel="Network")
-    ] = None,
-    weights: Annotated[
-        Path | None,
-        typer.Option(
-            help="Weights to start from.", show_default="random ones", rich_help_panel="Network"
-        ),
-    ] = None,
-    label_space: options.LabelSpaceOption = None,
-    sensor: Annotated[
-        str | None,
-        typer.Option(
-            help="Name of a sensor or a .toml file.",
-            show_default="the one of --weights, else hdl64",
-            rich_help_panel="Network",
-        ),
-    ] = None,
-    device: options.Device = "auto",
-    jobs: options.Jobs = 1,
-    overwrite: options.Overwrite = False,
-    json: options.Json = False,
-    verbose: options.Verbose = False,
-    quiet: options.Quiet = False,
+    run: Annotated[
+        Path, typer.Argument(metavar="RUN", help="Folder for the weights, the log and the curves.")
+    ] = Path("run"),
+    *,
+    start: Start,
+    classes: options.Classes,
+    network: Annotated[options.NetworkOptions, Only({"device"})],
+    local: run_options.Local,
+    output: run_options.Output,
 ) -> None:
-    """Train a network; run again to go on after an interruption.
+    """Train a network. After an interruption, the same command continues the training.
 
     Example: salsanext train streets/ runs/street --recipe street
     """
-    from salsanext_cli.stages.train import train as learn
+    from salsanext_cli.stages.train import train as stage
     from salsanext_cli.training.distributed import group_of_environment
-    from salsanext_cli.training.overrides import read_overrides
-    from salsanext_cli.training.recipe import recipe as find
 
-    is_main = group_of_environment().is_main
-    quiet = quiet or not is_main
-    output = console.Output(json and is_main, verbose and is_main, quiet)
-    with progress("train", quiet, unit="steps") as bar:
-        plan = find(recipe).with_changes(**read_overrides(changes or ()))
-        done = learn(
+    if not group_of_environment().is_main:
+        output = run_options.Output(quiet=True)
+    with progress("train", output.quiet, unit="steps") as bar:
+        done = stage(
             dataset,
             run,
-            recipe=plan if epochs is None else plan.with_changes(epochs=epochs),
-            sensor=options.sensor(sensor) if sensor else None,
-            space=options.label_space(label_space),
-            device=device,
-            jobs=jobs,
-            weights=weights,
-            overwrite=overwrite,
-            progress=lambda report: _tell(report, bar, output),
+            recipe=start.plan(),
+            sensor=options.sensor(start.sensor),
+            space=classes.space(),
+            device=network.device,
+            jobs=local.jobs,
+            weights=start.weights,
+            overwrite=local.overwrite,
+            progress=lambda report: _show(report, bar, output),
         )
     best = f"{100 * done.best_miou:.1f} %"
     paths = {"best": str(done.best), "last": str(done.last)}
@@ -93,8 +83,8 @@ def train(
     output.say(f"train: best validation mIoU {best} → {done.best}")
 
 
-def _tell(report: "Report", bar: "Progress | None", output: console.Output) -> None:
-    """Move the bar at every step; say how an epoch ended."""
+def _show(report: "Report", bar: "Progress | None", output: console.Output) -> None:
+    """Move the bar at every step; print a line at the end of an epoch."""
     if bar is not None:
         bar(report.step, report.steps)
     if report.row is not None:

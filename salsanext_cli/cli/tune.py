@@ -1,23 +1,134 @@
 # SPDX-License-Identifier: MIT
-"""`salsanext tune`: a group, since what is tuned differs in all but its place in the help."""
+"""`salsanext tune`: a group of commands, one for each part of the weights that can be fitted."""
 
-from collections.abc import Callable
+from typing import Annotated
 
 import typer
 
-from salsanext_cli.cli.tune_batchnorm import tune_batchnorm
-from salsanext_cli.cli.tune_dropout import tune_dropout
-from salsanext_cli.cli.tune_temperature import tune_temperature
+from salsanext_cli.cli import options, run_options
+from salsanext_cli.cli.console import guarded
+from salsanext_cli.cli.option_groups import Default, Without, expanded
+from salsanext_cli.cli.progress import progress
 
-COMMANDS: dict[str, Callable[..., None]] = {
-    "temperature": tune_temperature,
-    "dropout": tune_dropout,
-    "batchnorm": tune_batchnorm,
-}
+
+def tune_temperature(
+    dataset: options.LabelledDataSet,
+    target: options.WeightsOut,
+    *,
+    selection: Annotated[options.LabelledSelection, Without({"dataset"})],
+    network: options.NetworkOptions,
+    running: run_options.Overwriting,
+    output: run_options.Output,
+) -> None:
+    """Fit the temperature that calibrates the probabilities, and write new weights.
+
+    Example: salsanext tune temperature streets/ tuned.safetensors --limit 50
+    """
+    from dataclasses import asdict
+
+    from salsanext_cli.report.tuning import temperature_table
+    from salsanext_cli.stages.tune_temperature import tune_temperature as stage
+
+    with progress("tune temperature", output.quiet) as on_progress:
+        tuned = stage(
+            dataset,
+            target,
+            network=network.settings(),
+            selection=selection.scans(),
+            overwrite=running.overwrite,
+            progress=on_progress,
+        )
+    table = temperature_table(asdict(tuned.before), asdict(tuned.after))
+    output.result(tuned.to_dict() | {"weights": str(target)}, table)
+    output.say(f"tune temperature: {tuned.points:,} points of {tuned.scans} scans → {target}")
+
+
+def tune_dropout(
+    dataset: options.LabelledDataSet,
+    target: options.WeightsOut,
+    *,
+    samples: Annotated[int, typer.Option(help="Monte-Carlo passes per scan and rate.")] = 30,
+    lowest: Annotated[float, typer.Option(help="Lowest rate to try.")] = 0.02,
+    highest: Annotated[float, typer.Option(help="Highest rate to try.")] = 0.5,
+    steps: Annotated[
+        int, typer.Option(help="Number of rates to try, evenly spaced on a log scale.")
+    ] = 10,
+    seed: Annotated[int, typer.Option(help="Seed of the dropout masks.")] = 0,
+    selection: Annotated[options.LabelledSelection, Without({"dataset"}), Default(limit=20)],
+    network: options.NetworkOptions,
+    running: run_options.Overwriting,
+    output: run_options.Output,
+) -> None:
+    """Find the dropout rate to sample with, write new weights and plot the search.
+
+    Example: salsanext tune dropout streets/ tuned.safetensors --steps 10
+    """
+    from salsanext_cli.report.tuning import rate_table
+    from salsanext_cli.stages.tune_dropout import curve_of
+    from salsanext_cli.stages.tune_dropout import tune_dropout as stage
+
+    with progress("tune dropout", output.quiet, unit="samplings") as on_progress:
+        tuned = stage(
+            dataset,
+            target,
+            network=network.settings(),
+            selection=selection.scans(),
+            samples=samples,
+            seed=seed,
+            lowest=lowest,
+            highest=highest,
+            steps=steps,
+            overwrite=running.overwrite,
+            progress=on_progress,
+        )
+    paths = {"weights": str(target), "curve": str(curve_of(target))}
+    output.result(tuned.to_dict() | paths, rate_table(tuned.rates, tuned.objectives, tuned.best))
+    output.say(
+        f"tune dropout: {tuned.best:.4g}, was {tuned.before:g} → {target}, {curve_of(target)}"
+    )
+
+
+def tune_batchnorm(
+    scans: options.RequiredScans,
+    target: options.WeightsOut,
+    *,
+    share: Annotated[
+        float,
+        typer.Option(
+            help="Weight of the new statistics, above 0 and at most 1; the old ones have the rest."
+        ),
+    ] = 0.5,
+    selection: Annotated[options.SpacedSelection, Without({"dataset"})],
+    network: options.NetworkOptions,
+    running: run_options.Overwriting,
+    output: run_options.Output,
+) -> None:
+    """Adapt batch normalisation to scans of another sensor or place, without labels.
+
+    Example: salsanext tune batchnorm my/scans adapted.safetensors --sensor hdl32
+    """
+    from salsanext_cli.report.tuning import moved_table
+    from salsanext_cli.stages.tune_batchnorm import tune_batchnorm as stage
+
+    with progress("tune batchnorm", output.quiet) as on_progress:
+        tuned = stage(
+            scans,
+            target,
+            network=network.settings(),
+            selection=selection.scans(),
+            share=share,
+            overwrite=running.overwrite,
+            progress=on_progress,
+        )
+    found = tuned.to_dict()
+    output.result(found | {"weights": str(target)}, moved_table(found["layers"]))
+    output.say(f"tune batchnorm: {tuned.scans} scans of {tuned.sensor} → {target}")
+
 
 tune = typer.Typer(
     no_args_is_help=True,
-    help="Fit weights to scans: honest probabilities and uncertainties, another sensor or place.",
+    help="Fit weights to scans: temperature, dropout rate or batch normalisation.",
 )
-for name, command in COMMANDS.items():
-    tune.command(name)(command)
+tune.command("temperature")(guarded(expanded(tune_temperature)))
+tune.command("dropout")(guarded(expanded(tune_dropout)))
+tune.command("batchnorm")(guarded(expanded(tune_batchnorm)))

@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import json
 import logging
 from collections import defaultdict
 from collections.abc import Iterable, Mapping, Sequence
@@ -26,7 +25,7 @@ from salsanext_cli.measures.uncertainty_evaluation import (
 )
 from salsanext_cli.parallel.run import Failure, RunOptions, run_over_scans
 from salsanext_cli.report import plots, uncertainty_plots
-from salsanext_cli.storage.json_files import read_json
+from salsanext_cli.storage.json_files import encode_json, read_json
 from salsanext_cli.storage.layout import ScanFile
 from salsanext_cli.storage.run_registration import records_lock
 from salsanext_cli.storage.sources import MissingResults, missing_predictions
@@ -244,5 +243,4 @@ def _files(evaluation: Evaluation) -> dict[str, bytes]:
     if epistemic := found.kinds.get("epistemic"):
         picture = uncertainty_plots.class_uncertainty(epistemic, space)
         files["eval_class_uncertainty.png"] = picture
-    report = json.dumps(evaluation.to_dict(), indent=2, allow_nan=False) + "\n"
-    return files | {"eval.json": report.encode()}
+    return files | {"eval.json": encode_json(evaluation.to_dict())}

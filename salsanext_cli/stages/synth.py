@@ -1,10 +1,12 @@
 # SPDX-License-Identifier: MIT
-"""A data set of synthetic streets in SemanticKITTI's layout."""
+"""Data set of synthetic streets, in SemanticKITTI's layout."""
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from itertools import islice
 from pathlib import Path
 
 import numpy as np
@@ -12,24 +14,28 @@ import yaml
 
 from salsanext_cli.classes import LabelSpace, label_space
 from salsanext_cli.errors import OutputError, UsageError
+from salsanext_cli.formats.kitti import encode_bin, encode_labels
 from salsanext_cli.packages import import_open3d
 from salsanext_cli.parallel.run import Progress
 from salsanext_cli.parallel.threads import worker_count
-from salsanext_cli.storage.atomic import write_text
-from salsanext_cli.storage.json_files import read_json, write_json
-from salsanext_cli.storage.point_files import write_bin, write_labels
+from salsanext_cli.storage.json_files import encode_json, read_json
+from salsanext_cli.storage.written_files import WrittenFiles
 from salsanext_cli.synthesis.drive import record
 from salsanext_cli.synthesis.ids import ABSENT
 
 MANIFEST = "synth.json"
-LONGEST = 3000.0
-"""Longest drive of one sequence, metres; the whole street is held in memory."""
+LABEL_SPACE = "labels.yaml"
+MAX_DRIVE_M = 3000.0
+"""Longest drive of one sequence; the whole street is held in memory."""
+SEQUENCE_FILES = ("poses.txt", "times.txt", "calib.txt")
 IDENTITY = "1 0 0 0 0 1 0 0 0 0 1 0"
+
+log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True, slots=True)
 class Synthesised:
-    """What was written.
+    """Data set that was written.
 
     Attributes
     ----------
@@ -63,6 +69,18 @@ class _Sequence:
     def folder(self) -> Path:
         return self.out / "sequences" / _name(self.number)
 
+    def scan(self, index: int) -> Path:
+        return self.folder / "velodyne" / f"{index:06d}.bin"
+
+    def labels(self, index: int) -> Path:
+        return self.folder / "labels" / f"{index:06d}.label"
+
+    def files(self) -> Iterator[Path]:
+        """Yield every file that is going to be written."""
+        yield from (self.folder / name for name in SEQUENCE_FILES)
+        for index in range(self.scans):
+            yield from (self.scan(index), self.labels(index))
+
 
 def synthesise(
     out: Path,
@@ -94,7 +112,8 @@ def synthesise(
     jobs : int
         Processes that work side by side, each on a sequence; -1 is one per core.
     overwrite : bool
-        Whether an earlier synthetic data set in `out` may be replaced.
+        Whether an earlier synthetic data set in `out` may be replaced. Only files that were
+        written by it, are unchanged since and are not behind a link are removed.
     progress : callable, optional
         Called with the number of scans done and the number to do.
 
@@ -103,30 +122,33 @@ def synthesise(
     UsageError
         If a number makes no sense.
     OutputError
-        If the folder holds something already or cannot be written.
+        If the folder holds something else or cannot be written, or if a file that would be
+        replaced was changed or not written here.
     MissingDependency
         If open3d cannot be loaded.
     """
-    _check(train, valid, test, scans, seed, spacing, jobs)
-    numbers = iter(range(train + valid + test))
-    splits = {
-        split: tuple(_name(next(numbers)) for _ in range(count))
-        for split, count in (("train", train), ("valid", valid), ("test", test))
-    }
+    counts = {"train": train, "valid": valid, "test": test}
+    _check({f"--{split}": count for split, count in counts.items()}, scans, seed, spacing, jobs)
+    numbers = range(sum(counts.values()))
+    names = map(_name, numbers)
+    splits = {split: tuple(islice(names, count)) for split, count in counts.items()}
     import_open3d()
-    _claim(out, overwrite)
+    sequences = [_Sequence(out, n, scans, seed, spacing) for n in numbers]
+    _require_room(out, sequences, overwrite)
     settings = {"splits": splits, "scans": scans, "seed": seed, "spacing": spacing}
-    write_json(out / MANIFEST, {"stage": "synth", "settings": settings})
-    sequences = [_Sequence(out, n, scans, seed, spacing) for n in range(train + valid + test)]
+    written = WrittenFiles(out)
+    manifest = encode_json({"stage": "synth", "settings": settings})
+    written.write(out / MANIFEST, manifest, durable=True)
     total = len(sequences) * scans
     points: dict[int, int] = {}
-    for done, counts in enumerate(_write(sequences, jobs), start=1):
-        for label, count in counts.items():
+    for done, of_scan in enumerate(_write(sequences, jobs), start=1):
+        for label, count in of_scan.items():
             points[label] = points.get(label, 0) + count
         if progress:
             progress(done, total)
     space = synthetic_space(splits).to_dict()
-    write_text(out / "labels.yaml", yaml.safe_dump(space, sort_keys=False, allow_unicode=True))
+    text = yaml.safe_dump(space, sort_keys=False, allow_unicode=True)
+    written.write(out / LABEL_SPACE, text.encode())
     return Synthesised(out, splits, total, dict(sorted(points.items())))
 
 
@@ -136,47 +158,32 @@ def synthetic_space(splits: dict[str, tuple[str, ...]]) -> LabelSpace:
     ignored = tuple(
         flag or name in ABSENT for flag, name in zip(real.ignored, real.names, strict=True)
     )
-    return LabelSpace(
-        "synthetic-street",
-        real.labels,
-        real.learning_map,
-        real.learning_map_inv,
-        ignored,
-        real.colours,
-        splits,
-    )
+    return replace(real, name="synthetic-street", ignored=ignored, splits=splits)
 
 
 def _name(number: int) -> str:
     return f"{number:02d}"
 
 
-def _check(
-    train: int, valid: int, test: int, scans: int, seed: int, spacing: float, jobs: int
-) -> None:
-    for name, count, least in (
-        ("--train", train, 0),
-        ("--valid", valid, 0),
-        ("--test", test, 0),
-        ("--scans", scans, 1),
-        ("--seed", seed, 0),
-    ):
-        if count < least:
-            raise UsageError(name, str(count), f"a whole number of at least {least}")
-    if train + valid + test == 0:
-        raise UsageError("--train, --valid, --test", "0 sequences", "at least one")
-    if not spacing > 0 or spacing * (scans - 1) > LONGEST:
+def _check(sequences: dict[str, int], scans: int, seed: int, spacing: float, jobs: int) -> None:
+    least = {**dict.fromkeys(sequences, 0), "--scans": 1, "--seed": 0}
+    for name, count in {**sequences, "--scans": scans, "--seed": seed}.items():
+        if count < least[name]:
+            raise UsageError(name, str(count), f"a whole number of at least {least[name]}")
+    if sum(sequences.values()) == 0:
+        raise UsageError(", ".join(sequences), "0 sequences", "at least one")
+    if not spacing > 0 or spacing * (scans - 1) > MAX_DRIVE_M:
         raise UsageError(
             "--spacing",
             f"{spacing} m, a drive of {spacing * (scans - 1):.0f} m",
-            f"more than 0 m, and drives of up to {LONGEST:.0f} m",
+            f"more than 0 m, and drives of up to {MAX_DRIVE_M:.0f} m",
             "ask for more sequences with fewer scans",
         )
     worker_count(jobs)
 
 
-def _claim(out: Path, overwrite: bool) -> None:
-    """Make sure that nothing but an earlier synthetic data set is replaced, and remove that."""
+def _require_room(out: Path, sequences: list[_Sequence], overwrite: bool) -> None:
+    """Remove an earlier synthetic data set, as far as it is unchanged; refuse to replace more."""
     if not out.exists() or (out.is_dir() and not any(out.iterdir())):
         return
     earlier = read_json(out / MANIFEST) if out.is_dir() else None
@@ -186,11 +193,16 @@ def _claim(out: Path, overwrite: bool) -> None:
         raise OutputError(
             out, "holds a synthetic data set", "a new or empty folder", "--overwrite replaces it"
         )
-    # Not what the manifest names: it could name folders elsewhere.
-    for sequence in (out / "sequences").glob("[0-9]*"):
-        for folder, suffix in (("velodyne", "bin"), ("labels", "label")):
-            for path in (sequence / folder).glob(f"[0-9]*.{suffix}"):
-                path.unlink()
+    written = WrittenFiles(out)
+    files = [out / MANIFEST, out / LABEL_SPACE]
+    files += [path for sequence in sequences for path in sequence.files()]
+    folders = {folder for path in files for folder in path.parents if out in folder.parents}
+    links = sorted(folder for folder in folders if folder.is_symlink())
+    for path in (*links, *written.others(files)):
+        found = "is a link, was changed, or was not written by `synth`"
+        raise OutputError(path, found, remedy="move it, or choose another folder")
+    for path in written.remove(written.recorded()):
+        log.warning("%s was changed since it was written: it is kept", path)
 
 
 def _write(sequences: list[_Sequence], jobs: int) -> Iterator[dict[int, int]]:
@@ -213,19 +225,19 @@ def _whole(sequence: _Sequence) -> list[dict[int, int]]:
 
 def _write_sequence(sequence: _Sequence) -> Iterator[dict[int, int]]:
     """Write one sequence; poses are relative to the first scan, so that the first is identity."""
+    written = WrittenFiles(sequence.out)
     poses, times = [], []
     first = np.eye(4)
     frames = record(sequence.seed, sequence.number, sequence.scans, sequence.spacing)
     for index, frame in enumerate(frames):
-        write_bin(sequence.folder / "velodyne" / f"{index:06d}.bin", frame.scan)
-        write_labels(sequence.folder / "labels" / f"{index:06d}.label", frame.labels)
+        written.write(sequence.scan(index), encode_bin(frame.scan))
+        written.write(sequence.labels(index), encode_labels(frame.labels))
         first = frame.pose if index == 0 else first
         relative = np.linalg.inv(first) @ frame.pose
         poses.append(" ".join(f"{value:.9e}" for value in relative[:3].ravel()))
         times.append(f"{frame.time:.6e}")
         raw, counts = np.unique(frame.labels, return_counts=True)
         yield dict(zip(raw.tolist(), counts.tolist(), strict=True))
-    write_text(sequence.folder / "poses.txt", "\n".join(poses) + "\n")
-    write_text(sequence.folder / "times.txt", "\n".join(times) + "\n")
     calibration = [f"{key}: {IDENTITY}" for key in ("P0", "P1", "P2", "P3", "Tr")]
-    write_text(sequence.folder / "calib.txt", "\n".join(calibration) + "\n")
+    for name, lines in zip(SEQUENCE_FILES, (poses, times, calibration), strict=True):
+        written.write(sequence.folder / name, ("\n".join(lines) + "\n").encode())

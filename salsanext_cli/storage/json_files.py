@@ -10,14 +10,19 @@ from typing import Any
 
 from salsanext_cli.errors import OutputError
 from salsanext_cli.formats.reading import present, reading
-from salsanext_cli.storage.atomic import write_text
+from salsanext_cli.storage.atomic import write_bytes
 
 MAX_NESTING = 20
 
 
 def write_json(path: Path, data: Mapping[str, Any]) -> None:
     """Write plain data as JSON, durably; names of files may be no text, so only ASCII."""
-    write_text(path, json.dumps(data, indent=2, allow_nan=False) + "\n", durable=True)
+    write_bytes(path, encode_json(data), durable=True)
+
+
+def encode_json(data: Mapping[str, Any]) -> bytes:
+    """Return the content of a JSON file of plain data."""
+    return (json.dumps(data, indent=2, allow_nan=False) + "\n").encode("ascii")
 
 
 def read_json(path: Path) -> dict[str, Any] | None:

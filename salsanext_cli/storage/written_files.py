@@ -110,8 +110,11 @@ class WrittenFiles:
                 # A line that was cut off says nothing.
                 lines = [match for line in file if (match := LINE.fullmatch(line.rstrip()))]
             for name, size, time_ns in (line.groups() for line in lines):
-                path = self.folder / os.fsdecode(unquote_to_bytes(name))
-                states.setdefault(path, set()).add((int(size), int(time_ns)))
+                below = Path(os.fsdecode(unquote_to_bytes(name)))
+                # Anybody may have written a record; it is of files below the folder only.
+                if not below.is_absolute() and ".." not in below.parts:
+                    state = int(size), int(time_ns)
+                    states.setdefault(self.folder / below, set()).add(state)
         return states
 
     def _append(self, path: Path, status: os.stat_result) -> None:

@@ -1,17 +1,21 @@
 # SPDX-License-Identifier: MIT
+"""Commands and their help."""
+
 import re
-import typing
 
 import pytest
 from command_line import every_command, parsed, python
 
 from salsanext_cli import __version__
-from salsanext_cli.cli import options
 from salsanext_cli.cli.app import COMMANDS
 
 NAMES = list(every_command())
 PIPELINE = ["project", "train", "predict", "knn-refine", "uncertainty", "eval", "export-ply"]
 HEAVY = ("torch", "open3d", "numba", "matplotlib", "numpy", "scipy", "pandas", "joblib", "plyfile")
+
+
+def flags_of(name):
+    return {flag for parameter in parsed(name).params for flag in parameter.opts}
 
 
 def test_help_lists_the_commands_by_panel_in_order(run):
@@ -72,6 +76,15 @@ def test_help_imports_nothing_heavy(arguments):
     assert done.stdout.splitlines()[-1] == "HEAVY []"
 
 
+def test_python_runs_the_package_as_the_command():
+    ended = python(
+        "import runpy, sys; sys.argv[1:] = ['--version']; "
+        "runpy.run_module('salsanext_cli', run_name='__main__')"
+    )
+    assert ended.stdout.startswith("salsanext ")
+    assert ended.returncode == 0
+
+
 @pytest.mark.parametrize(
     "arguments",
     [
@@ -102,55 +115,18 @@ def test_a_typo_is_not_taken_for_something_else(run):
     assert "--overwrite" in result.stderr
 
 
-def declared_options():
-    """Return the options and arguments that `options` declares, by name."""
-    return {
-        name: value
-        for name, value in vars(options).items()
-        if typing.get_origin(value) is typing.Annotated
-    }
-
-
-def hints_of(command):
-    return typing.get_type_hints(command, include_extras=True)
-
-
-def test_every_shared_option_is_used():
-    used = [hint for command in every_command().values() for hint in hints_of(command).values()]
-    unused = [name for name, option in declared_options().items() if option not in used]
-    assert len(declared_options()) > 10
-    assert unused == []
-
-
 @pytest.mark.parametrize("name", NAMES)
-def test_every_command_talks_as_json_and_can_be_silent(name):
-    flags = {flag for parameter in parsed(name).params for flag in parameter.opts}
-    assert flags >= {"--json", "-v", "--verbose", "-q", "--quiet"}
-    assert not any(flag.startswith("--no-") for flag in flags)
-
-
-@pytest.mark.parametrize("name", NAMES)
-def test_every_option_has_help(name):
-    assert [
-        p.name for p in parsed(name).params if not getattr(p, "help", None) and p.name != "help"
-    ] == []
+def test_every_command_prints_json_and_can_be_silent(name):
+    assert flags_of(name) >= {"--json", "-v", "--verbose", "-q", "--quiet"}
+    assert not any(flag.startswith("--no-") for flag in flags_of(name))
 
 
 def test_the_stages_of_the_pipeline_take_the_common_options():
     common = {"--split", "--sequences", "--limit", "--jobs", "--on-error", "--json", "-v", "-q"}
     for name in set(PIPELINE) - {"train"}:
-        command = parsed(name)
-        flags = {flag for parameter in command.params for flag in parameter.opts}
-        assert flags >= common, name
+        assert flags_of(name) >= common, name
         if name != "eval":
-            assert flags >= {"--overwrite", "--sensor"}, name
+            assert flags_of(name) >= {"--overwrite", "--sensor"}, name
     for name in ("predict", "uncertainty", "export-ply"):
-        command = parsed(name)
-        flags = {flag for parameter in command.params for flag in parameter.opts}
-        assert flags >= {"--weights", "--device"}, name
-
-
-def test_colour_is_spelt_both_ways():
-    command = parsed("export-ply")
-    (colour,) = [p for p in command.params if p.name == "colour"]
-    assert colour.opts == ["--colour", "--color"]
+        assert flags_of(name) >= {"--weights", "--device"}, name
+    assert flags_of("export-ply") >= {"--colour", "--color"}

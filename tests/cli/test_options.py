@@ -1,45 +1,168 @@
 # SPDX-License-Identifier: MIT
+"""Groups of options: what is typed, and what stages are given."""
+
+import inspect
+import json
 from pathlib import Path
+from typing import Annotated
 
 import pytest
+from command_line import every_command, only_json, parsed
+from scans import labels_below
 
-from salsanext_cli.cli import options
+from salsanext_cli.cli import options, run_options
+from salsanext_cli.cli.option_groups import Default, Only, Without, expanded
 from salsanext_cli.errors import UsageError
-from salsanext_cli.parallel.run import RunOptions
+from salsanext_cli.parallel.run import BACKENDS, RunOptions
+from salsanext_cli.parallel.shards import Shard
+
+QUIET = run_options.Output(quiet=True)
+SHARDED = {"project", "predict", "knn-refine", "uncertainty", "export-ply"}
+
+
+def test_a_group_is_expanded_filled_and_handed_over():
+    seen = {}
+
+    def command(
+        name: str = "x",
+        *,
+        selection: Annotated[options.Selection, Without({"split", "dataset"}), Default(limit=4)],
+        knn: Annotated[options.Knn, Only({"knn_k"})],
+    ) -> None:
+        seen.update(name=name, selection=selection, knn=knn)
+
+    typed = expanded(command)
+    parameters = inspect.signature(typed).parameters
+    defaults = {name: parameter.default for name, parameter in parameters.items()}
+    assert defaults == {"name": "x", "sequences": None, "limit": 4, "knn_k": 5}
+    typed(**defaults | {"sequences": "00", "knn_k": 3})
+    assert seen["selection"] == options.Selection(sequences="00", limit=4)
+    assert seen["knn"] == options.Knn(knn_k=3)
+
+
+def test_two_groups_cannot_have_the_same_option():
+    def command(*, first: options.Selection, second: options.ResultSelection) -> None: ...
+
+    with pytest.raises(ValueError, match="duplicate parameter"):
+        expanded(command)
 
 
 @pytest.mark.parametrize(
     ("text", "names"), [(None, ()), ("08", ("08",)), (" 00, 8 ,my drive", ("00", "8", "my drive"))]
 )
 def test_sequences(text, names):
-    assert options.choice(None, text, None).sequences == names
+    assert options.Selection(sequences=text).scans().sequences == names
 
 
 @pytest.mark.parametrize("text", ["", " ", ","])
 def test_sequences_that_are_none(text):
     with pytest.raises(UsageError, match="--sequences"):
-        options.choice(None, text, None)
+        options.Selection(sequences=text).scans()
 
 
 def test_where_scans_are_looked_for(monkeypatch):
-    assert options.source(Path("a"), Path("b")) == Path("a")
-    assert options.source(None, Path("b")) == Path("b")
-    assert options.source(None) == Path()
+    assert options.Selection(dataset=Path("b")).source(Path("a")) == Path("a")
+    assert options.Selection(dataset=Path("b")).source(None) == Path("b")
+    assert options.Selection().source(None) == Path()
     monkeypatch.setenv("SALSANEXT_DATASET", "/data")
-    assert options.usual_dataset() == Path("/data")
+    assert options.ResultSelection().usual_dataset() == Path("/data")
+
+
+def test_labelled_scans_are_those_for_validation_unless_others_are_named():
+    assert options.LabelledSelection().scans().split == "valid"
+    assert options.LabelledSelection(split="train").scans().split == "train"
+    assert options.LabelledSelection(sequences="00").scans().split is None
 
 
 def test_looking_up():
     assert options.sensor("hdl64").name == "hdl64"
-    assert options.label_space(None) is None
-    assert options.label_space("semantic-kitti").class_count == 20
-    assert options.network(Path("w"), "cpu", "hdl32", "auto").sensor.name == "hdl32"
-    assert options.network(None, "cpu", None, "float32").sensor is None
-    assert options.knn(3, 7, 2.0, 0.5).window == 7
+    assert options.Classes().space() is None
+    assert options.Classes("semantic-kitti").space().class_count == 20
+    named = options.NetworkOptions(Path("w"), "cpu", "auto", "hdl32")
+    assert named.settings().sensor == named.sensor_to_project() == options.sensor("hdl32")
+    assert options.NetworkOptions(precision="float32").settings().sensor is None
+    assert options.Knn(3, 7, 2.0, 0.5).parameters().window == 7
     with pytest.raises(UsageError, match="no preset and no file"):
         options.sensor("hdl65")
 
 
-def test_errors_are_skipped_or_stop():
-    for choice in options.OnError:
-        assert RunOptions(on_error=choice.value).on_error == choice
+def test_the_options_of_a_run():
+    for on_error in run_options.OnError:
+        for backend, scheduler in (("threading", None), ("dask", "tcp://here:8786")):
+            running = run_options.Running(
+                4, run_options.Backend(backend), scheduler, "2/3", True, on_error
+            )
+            with running.over_scans("predict", QUIET) as run:
+                assert run == RunOptions(
+                    4, on_error, True, None, backend, scheduler, shard=Shard(2, 3)
+                )
+    assert tuple(backend.value for backend in run_options.Backend) == BACKENDS
+
+
+def options_of(name):
+    return {option for parameter in parsed(name).params for option in parameter.opts}
+
+
+def test_workers_can_be_chosen_for_every_stage_that_goes_through_scans():
+    for name in SHARDED | {"eval", "inspect"}:
+        assert {"--jobs", "--backend", "--scheduler", "--on-error"} <= options_of(name)
+    assert {name for name in every_command() if "--shard" in options_of(name)} == SHARDED
+
+
+@pytest.mark.parametrize(
+    ("arguments", "found"),
+    [
+        (["--shard", "3/2"], "--shard · 3/2"),
+        (["--shard", "0"], "i/n"),
+        (["--backend", "spark"], "spark"),
+        (["--scheduler", "tcp://here:8786"], "--scheduler tcp://here:8786 · --backend loky"),
+    ],
+)
+def test_a_command_line_that_is_wrong(run, data, tmp_path, weights, arguments, found):
+    result = run("predict", data, tmp_path / "out", "--weights", weights, *arguments)
+    assert result.exit_code == 2
+    assert found in result.stderr
+    assert not (tmp_path / "out").exists()
+
+
+@pytest.fixture
+def task(monkeypatch):
+    """Return a function that makes this process a task of a Slurm array of two, from 4."""
+
+    def become(number):
+        for name, value in {"ID": number, "MIN": 4, "COUNT": 2}.items():
+            monkeypatch.setenv(f"SLURM_ARRAY_TASK_{name}", str(value))
+
+    return become
+
+
+def test_tasks_of_an_array_share_the_scans(run, data, tmp_path, weights, task):
+    out = tmp_path / "out"
+    call = ["predict", data, out, "--weights", weights, "--device", "cpu"]
+    for number in (5, 4):
+        task(number)
+        result = run(*call, "--json")
+        assert result.exit_code == 0
+        assert f"shard {number - 3}/2 of the scans" in result.stderr
+        assert only_json(result)["done"] == 1
+    assert len(labels_below(out)) == 2
+    assert only_json(run("eval", "--out", out, "--json"))["scans"] == 2
+    asked = json.loads((out / "sequences/08/source.json").read_text())["asked_for"]
+    assert asked == {"predict": ["000000", "000001"]}
+
+
+def test_a_shard_that_is_typed_goes_before_the_array(run, data, tmp_path, weights, task):
+    task(4)
+    out = tmp_path / "out"
+    result = run("project", data, out, "--weights", weights, "--shard", "1/1", "--json")
+    assert "of the scans" not in result.stderr
+    assert only_json(result)["done"] == 2
+
+
+def test_shards_do_not_estimate_what_others_may_be_estimating(run, data, tmp_path, weights):
+    out = tmp_path / "out"
+    run("predict", data, out, "--weights", weights, "--device", "cpu")
+    call = ["export-ply", "--out", out, "--colour", "uncertainty", "--shard", "1/2"]
+    result = run(*call, "--weights", weights)
+    assert result.exit_code == 2
+    assert "run `salsanext uncertainty` first" in result.stderr

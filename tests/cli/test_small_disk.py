@@ -14,23 +14,14 @@ from salsanext_cli.cli import options
 from salsanext_cli.network.registry import ARCHITECTURES
 
 STAGES = {
-    "project": (("project", "{data}", "{out}", "--sensor", "{sensor}"), ()),
-    "predict": (("predict", "{data}", "{out}", "--weights", "{weights}", "--probabilities"), ()),
+    "project": ("project {data} {out} --sensor {sensor}", ()),
+    "predict": ("predict {data} {out} --weights {weights} --probabilities", ()),
     "uncertainty": (
-        (
-            "uncertainty",
-            "{data}",
-            "{out}",
-            "--weights",
-            "{weights}",
-            "--samples",
-            "2",
-            "--no-aleatoric",
-        ),
+        "uncertainty {data} {out} --weights {weights} --samples 2 --no-aleatoric",
         (),
     ),
-    "export-ply": (("export-ply", "--out", "{out}", "--colour", "label"), ("predict",)),
-    "eval": (("eval", "--out", "{out}"), ("predict",)),
+    "export-ply": ("export-ply --out {out} --colour label", ("predict",)),
+    "eval": ("eval --out {out}", ("predict",)),
 }
 """What is typed, and which stages come before."""
 COUNT = 20_000
@@ -75,7 +66,7 @@ def test_a_full_disk(run, places, disk, tmp_path, stage, room) -> None:
     _, earlier = STAGES[stage]
 
     def go(stage: str, out: Path):
-        return run(*(word.format(**places, out=out) for word in STAGES[stage][0]))
+        return run(*(word.format(**places, out=out) for word in STAGES[stage][0].split()))
 
     whole, out = tmp_path / "whole", disk / "out"
     for needed in (*earlier, stage):

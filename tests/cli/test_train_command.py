@@ -2,7 +2,7 @@
 from pathlib import Path
 
 import pytest
-from command_line import only_json, python
+from command_line import only_json
 from scans import SMALL, write_sequence
 from tiny_network import TinyNetwork
 
@@ -56,15 +56,6 @@ def test_a_batch_too_small_for_the_workers(run, data, tmp_path, monkeypatch):
     assert result.exit_code == 2
     assert "recipe key batch · 2 · expected at least one sample for each of 3" in result.stderr
     assert result.stderr.count("\n") == 1
-
-
-def test_python_runs_the_package_as_the_command():
-    ended = python(
-        "import runpy, sys; sys.argv[1:] = ['--version']; "
-        "runpy.run_module('salsanext_cli', run_name='__main__')"
-    )
-    assert ended.stdout.startswith("salsanext ")
-    assert ended.returncode == 0
 
 
 def test_help_names_every_recipe(run):

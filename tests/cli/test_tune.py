@@ -27,10 +27,8 @@ def test_a_temperature_is_printed_and_stored(run, data, weights, tmp_path):
     assert result.stderr.endswith(f" points of 2 scans → {target}\n")
     assert "exists" in run(*arguments).stderr
     found = only_json(run(*arguments, "--overwrite", "--json", "--limit", 1))
-    assert (found["stage"], found["scans"], found["weights"]) == (
-        "tune temperature",
-        1,
-        str(target),
+    assert (
+        found.items() >= {"stage": "tune temperature", "scans": 1, "weights": str(target)}.items()
     )
     assert found["after"]["temperature"] == read_card(target).temperature
     assert set(found["before"]) == {"temperature", "nll", "ece"}
@@ -66,74 +64,50 @@ def test_batch_norm_is_adapted_to_scans_without_labels(run, data, weights, tmp_p
     assert "share 0.25" in only_json(run("models", target, "--json"))["weights"][0]["description"]
 
 
-def test_settings_of_batch_norm_reach_the_stage(run, weights, monkeypatch):
-    seen = {}
+@pytest.fixture
+def typed(run, monkeypatch):
+    """Return a function that gives what the stage of a tuning is called with."""
 
-    class Stop(Exception):  # noqa: N818
-        pass
+    def call(what, *arguments):
+        seen = {}
 
-    def stage(source, target, **settings):
-        seen.update(settings, source=source, target=target)
-        raise Stop
+        def stage(source, target, **settings):
+            assert (source, target) == (Path("data"), Path("w.safetensors"))
+            seen.update(settings)
+            raise InterruptedError
 
-    monkeypatch.setattr("salsanext_cli.stages.tune_batchnorm.tune_batchnorm", stage)
-    run("tune", "batchnorm", "scans", "w.safetensors")
-    assert (seen["source"], seen["target"]) == (Path("scans"), Path("w.safetensors"))
-    assert seen["selection"] == ScanSelection()
-    assert seen["share"] == SHARE
-    assert not seen["overwrite"]
-    network = ("--weights", weights, "--sensor", "hdl32", "--device", "cpu")
-    chosen = ("--split", "test", "--limit", 7, "--share", 0.9, "--overwrite", "-q")
-    result = run("tune", "batchnorm", "scans", "w.safetensors", *network, *chosen)
-    assert isinstance(result.exception, Stop)
-    assert seen["selection"] == ScanSelection(split="test", limit=7)
-    assert (seen["share"], seen["overwrite"], seen["progress"]) == (0.9, True, None)
-    used = seen["network"]
-    assert (used.weights, used.sensor.name, used.device) == (weights, "hdl32", "cpu")
+        module = f"salsanext_cli.stages.tune_{what}"
+        monkeypatch.setattr(f"{module}.tune_{what}", stage)
+        result = run("tune", what, "data", "w.safetensors", *arguments)
+        assert isinstance(result.exception, InterruptedError), result.output
+        return seen
+
+    return call
 
 
 @pytest.mark.parametrize(
-    ("share", "status", "says"),
-    [("0", 2, "--share · 0 · expected"), ("1.5", 2, "--share · 1.5"), ("nan", 2, "--share · nan")],
+    ("what", "split", "limit"),
+    [("temperature", "valid", None), ("dropout", "valid", 20), ("batchnorm", None, None)],
 )
-def test_shares_that_are_none(run, data, weights, tmp_path, share, status, says):
-    target = tmp_path / "w.safetensors"
-    result = run("tune", "batchnorm", data, target, "--weights", weights, "--share", share)
-    assert result.exit_code == status, result.output
-    assert says in result.stderr
-    assert result.stderr.count("\n") == 1
-    assert not target.exists()
+def test_settings_reach_the_stage(typed, weights, what, split, limit):
+    seen = typed(what)
+    assert seen["selection"] == ScanSelection(split=split, limit=limit)
+    assert not seen["overwrite"]
+    network = ("--weights", weights, "--sensor", "hdl32", "--device", "cpu")
+    seen = typed(what, "--sequences", "00", "--limit", 7, *network, "--overwrite", "-q")
+    assert seen["selection"] == ScanSelection(sequences=("00",), limit=7)
+    assert (seen["overwrite"], seen["progress"]) == (True, None)
+    used = seen["network"]
+    assert (used.weights, used.sensor.name, used.device) == (weights, "hdl32", "cpu")
+    assert typed(what, "--split", "train", "--limit", 1)["selection"].split == "train"
 
 
-def test_settings_reach_the_stage(run, weights, monkeypatch):
-    seen = {}
-
-    class Stop(Exception):  # noqa: N818
-        pass
-
-    def stage(dataset, target, **settings):
-        seen.update(settings, dataset=dataset, target=target)
-        raise Stop
-
-    for name, module in (("temperature", "tune_temperature"), ("dropout", "tune_dropout")):
-        monkeypatch.setattr(f"salsanext_cli.stages.{module}.{module}", stage)
-        common = ("--sequences", "00", "--limit", 7, "--weights", weights, "--sensor", "hdl32")
-        result = run("tune", name, "data", "w.safetensors", *common, "--overwrite", "-q")
-        assert isinstance(result.exception, Stop)
-        assert (seen["dataset"], seen["target"]) == (Path("data"), Path("w.safetensors"))
-        selection, network = seen["selection"], seen["network"]
-        assert (selection.split, selection.sequences, selection.limit) == (None, ("00",), 7)
-        assert (network.weights, network.sensor.name) == (weights, "hdl32")
-        assert seen["overwrite"]
-        run("tune", name, "data", "w.safetensors")
-        assert seen["selection"].split == "valid"
-        run("tune", name, "data", "w.safetensors", "--split", "train")
-        assert seen["selection"].split == "train"
-    assert seen["selection"].limit == 20
-    numbers = ("--samples", 4, "--seed", 3, "--lowest", 0.1, "--highest", 0.3, "--steps", 5)
-    run("tune", "dropout", "data", "w.safetensors", *numbers)
-    names = ("samples", "seed", "lowest", "highest", "steps")
-    assert [seen[name] for name in names] == [4, 3, 0.1, 0.3, 5]
+def test_numbers_reach_the_stage(typed):
+    assert typed("batchnorm")["share"] == SHARE
+    assert typed("batchnorm", "--share", 0.9)["share"] == 0.9
+    numbers = {"samples": 4, "seed": 3, "lowest": 0.1, "highest": 0.3, "steps": 5}
+    words = (word for name, number in numbers.items() for word in (f"--{name}", number))
+    assert typed("dropout", *words).items() >= numbers.items()
 
 
 @pytest.mark.parametrize("what", ["temperature", "dropout", "batchnorm"])
@@ -150,7 +124,7 @@ def test_settings_reach_the_stage(run, weights, monkeypatch):
         (["--verbose", "--quiet"], 2, "both given"),
     ],
 )
-def test_settings_that_are_none(run, data, weights, tmp_path, what, arguments, status, says):
+def test_wrong_settings_are_one_line(run, data, weights, tmp_path, what, arguments, status, says):
     target = tmp_path / "tuned.safetensors"
     network = () if "--weights" in arguments else ("--weights", weights)
     result = run("tune", what, data, target, *network, *arguments)
@@ -158,36 +132,3 @@ def test_settings_that_are_none(run, data, weights, tmp_path, what, arguments, s
     assert says in result.stderr
     assert result.stderr.count("\n") == 1
     assert not target.exists()
-
-
-@pytest.mark.parametrize("what", ["temperature", "dropout"])
-def test_data_that_cannot_be_learnt_from(run, data, weights, tmp_path, what):
-    (tmp_path / "empty").mkdir()
-    (data / "sequences/08/labels/000001.label").unlink()
-    for dataset, says in ((data, "000001.label · no such file"), ("empty", "empty · ")):
-        result = run("tune", what, dataset, tmp_path / "w.safetensors", "--weights", weights)
-        assert result.exit_code == 1, result.output
-        assert says in result.stderr
-        assert result.stderr.count("\n") == 1
-
-
-def test_scans_that_batch_norm_cannot_be_adapted_to(run, data, weights, tmp_path):
-    (tmp_path / "empty").mkdir()
-    (data / "sequences/08/velodyne/000001.bin").write_bytes(b"no point")
-    for source, says in ((data, "000001.bin · "), (tmp_path / "empty", "empty · ")):
-        target = tmp_path / "w.safetensors"
-        result = run("tune", "batchnorm", source, target, "--weights", weights)
-        assert result.exit_code == 1, result.output
-        assert says in result.stderr
-        assert result.stderr.count("\n") == 1
-        assert not target.exists()
-
-
-@pytest.mark.parametrize("what", ["temperature", "dropout", "batchnorm"])
-def test_targets_that_cannot_be_written(run, data, weights, tmp_path, what):
-    (tmp_path / "file").touch()
-    for target, says in (("w.pt", "suffix .pt"), ("file/w.safetensors", "cannot be written")):
-        result = run("tune", what, data, tmp_path / target, "--weights", weights)
-        assert result.exit_code == 1, result.output
-        assert says in result.stderr
-    assert [path.name for path in tmp_path.iterdir() if path.name.startswith(".")] == []

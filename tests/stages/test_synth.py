@@ -6,6 +6,7 @@ import sys
 import numpy as np
 import pytest
 import yaml
+from scans import write_sequence
 
 from salsanext_cli.classes import label_space
 from salsanext_cli.errors import MissingDependency, OutputError, UsageError
@@ -38,7 +39,7 @@ def content(folder):
 def test_every_file_of_the_layout_is_there(streets):
     out, made, _ = streets
     names = {str(path) for path in content(out)}
-    expected = {"labels.yaml", "synth.json"}
+    expected = {"labels.yaml", "synth.json", synth.RECORD}
     for sequence in ("00", "01", "02"):
         files = ("poses.txt", "times.txt", "calib.txt")
         expected |= {f"sequences/{sequence}/{file}" for file in files}
@@ -136,17 +137,91 @@ def test_a_full_folder_is_not_touched(tmp_path):
     assert list(content(out).values()) == [b"precious"]
 
 
-def test_only_a_synthetic_data_set_is_replaced_and_only_when_told(tmp_path, quick):
+@pytest.fixture
+def again(tmp_path, quick):
+    """Return a small data set, and a function that replaces it by one of a single scan."""
     out = tmp_path / "streets"
-    synthesise(out, train=1, valid=0, scans=2, spacing=1.0)
-    kept = out / "sequences" / "00" / "notes.txt"
-    kept.write_text("mine")
+    synthesise(out, train=1, valid=1, scans=2, spacing=1.0)
+    return out, lambda: synthesise(out, train=1, valid=0, scans=1, seed=1, overwrite=True)
+
+
+def test_only_a_synthetic_data_set_is_replaced_and_only_when_told(again):
+    out, replace = again
+    notes = out / "sequences" / "00" / "notes.txt"
+    notes.write_text("mine")
     with pytest.raises(OutputError, match="--overwrite"):
         synthesise(out, train=1, valid=0, scans=1)
-    synthesise(out, train=1, valid=0, scans=1, seed=1, overwrite=True)
-    assert [read_bin(file.path).points[0, 0] for file in find_scans(out)] == [1]
-    assert len(list((out / "sequences" / "00" / "labels").iterdir())) == 1
-    assert kept.read_text() == "mine"
+    replace()
+    assert [read_bin(file.path).points[0, 0] for file in find_scans(out, ["00"])] == [1]
+    labels = out / "sequences/00/labels/000000.label"
+    assert set(out.rglob("*.label")) == {labels}
+    assert {path.name for path in out.rglob("*.txt")} == {
+        *("poses.txt", "times.txt", "calib.txt", "notes.txt")
+    }
+    assert notes.read_text() == "mine"
+    replace()
+
+
+@pytest.mark.parametrize("scan", ["00/velodyne/999999.bin", "07/velodyne/000000.bin"])
+def test_real_scans_beside_the_generated_ones_stay(again, scan):
+    out, replace = again
+    real = out / "sequences" / scan
+    real.parent.mkdir(parents=True, exist_ok=True)
+    real.write_bytes(b"precious")
+    replace()
+    assert real.read_bytes() == b"precious"
+
+
+@pytest.mark.parametrize("sequence", ["00", "01", "07"])
+def test_a_linked_sequence_keeps_its_scans(again, tmp_path, sequence):
+    """Whether a generated sequence was moved and linked, or one was added."""
+    out, replace = again
+    folder, elsewhere = out / "sequences" / sequence, tmp_path / "elsewhere"
+    if folder.exists():
+        folder.rename(elsewhere)
+    else:
+        write_sequence(elsewhere, ["000000"])
+    folder.symlink_to(elsewhere)
+    before = content(elsewhere)
+    if sequence == "00":
+        with pytest.raises(OutputError, match="sequences/00 · is a link"):
+            replace()
+    else:
+        replace()
+    assert content(elsewhere) == before
+
+
+@pytest.mark.parametrize(
+    ("name", "in_the_way"),
+    [
+        ("sequences/00/labels/000000.label", True),
+        ("sequences/00/poses.txt", True),
+        ("labels.yaml", True),
+        ("sequences/00/labels/000001.label", False),
+        ("sequences/01/labels/000000.label", False),
+    ],
+)
+def test_an_edited_file_is_kept_and_named(again, caplog, name, in_the_way):
+    out, replace = again
+    (out / name).write_bytes(b"corrected")
+    before = content(out)
+    if in_the_way:
+        with pytest.raises(OutputError, match=f"{name} · .*was changed"):
+            replace()
+        assert content(out) == before
+    else:
+        replace()
+        assert str(out / name) in caplog.text
+        assert (out / name).read_bytes() == b"corrected"
+
+
+def test_a_data_set_without_a_record_is_not_replaced(again):
+    out, replace = again
+    (out / synth.RECORD).unlink()
+    before = content(out)
+    with pytest.raises(OutputError, match="not written by salsanext"):
+        replace()
+    assert content(out) == before
 
 
 def test_nothing_is_begun_without_open3d(tmp_path, monkeypatch):

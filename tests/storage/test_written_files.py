@@ -101,3 +101,18 @@ def test_many_at_once_lose_no_line(written: WrittenFiles) -> None:
         list(threads.map(lambda path: written.write(path, b"x"), paths))
     assert written.recorded() == paths
     assert written.others(paths) == []
+
+
+@pytest.mark.parametrize("name", ["../victim", "{folder}/victim", "a/../../victim", "%2e./victim"])
+def test_records_that_name_files_elsewhere(
+    written: WrittenFiles, tmp_path: Path, name: str
+) -> None:
+    victim = tmp_path / "victim"
+    victim.write_bytes(b"mine")
+    found = victim.stat()
+    line = f"{name.format(folder=tmp_path)}\t{found.st_size}\t{found.st_mtime_ns}\n"
+    (written.folder / RECORDS).mkdir(parents=True)
+    (written.folder / RECORDS / "machine.tsv").write_text(line)
+    assert written.recorded() == []
+    written.remove(written.recorded())
+    assert victim.exists()
