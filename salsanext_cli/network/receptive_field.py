@@ -129,6 +129,17 @@ def _pixel_shuffle(x: Reach, factor: int) -> Reach:
     return Reach(x.rows.repeat(factor, axis=1), x.columns.repeat(factor, axis=1))
 
 
+def _pad(x: Reach, pad: Sequence[int], mode: str, value: Any = None) -> Reach:
+    if mode != "replicate":
+        raise NotImplementedError(f"padding of mode {mode}")
+    left, right, top, bottom = pad
+
+    def repeated(lines: Spans, before: int, after: int) -> Spans:
+        return np.pad(lines, ((0, 0), (before, after)), mode="edge")
+
+    return Reach(repeated(x.rows, top, bottom), repeated(x.columns, left, right))
+
+
 def _concatenate(parts: Sequence[Reach], dim: int) -> Reach:
     whole = parts[0]
     for part in parts[1:]:
@@ -144,6 +155,7 @@ Reach.RULES = {
     F.conv2d: _conv2d,
     F.conv_transpose2d: _conv_transpose2d,
     F.avg_pool2d: _avg_pool2d,
+    F.pad: _pad,
     F.pixel_shuffle: _pixel_shuffle,
     F.batch_norm: _same,
     F.leaky_relu: _same,

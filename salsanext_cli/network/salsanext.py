@@ -32,7 +32,7 @@ class SalsaNext(SegmentationNetwork):
     ) -> None:
         super().__init__()
         require_classes(class_count)
-        self.levels = len(design.raised)
+        self.levels = len(design.decoder_widths)
         self.stride = (2**self.levels, 2**self.levels)
         self.certain = 2 if design.central else 1
         # In this order, so that a seed goes on giving the weights that it gave.
@@ -58,11 +58,11 @@ class SalsaNext(SegmentationNetwork):
         return widths[-1]
 
     def _add_decoder(self, design: Design, width: int, dropout: float) -> int:
-        raising, skips = design.raising, reversed(design.widths[:-1])
-        for number, (skip, outputs) in enumerate(zip(skips, design.raised, strict=True), 1):
+        upsampling, skips = design.upsampling, reversed(design.widths[:-1])
+        for number, (skip, outputs) in enumerate(zip(skips, design.decoder_widths, strict=True), 1):
             rate = 0.0 if design.central and number == self.levels else dropout
-            module, joined = raising.module(width, skip), raising.joined(width, skip)
-            up = raising.block(module, joined, outputs, design.fusing, rate)
+            module, joined = upsampling.module(width, skip), upsampling.joined(width, skip)
+            up = upsampling.block(module, joined, outputs, design.fusing, rate)
             self.add_module(f"up{number}", up)
             width = outputs
         return width

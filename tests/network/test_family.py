@@ -186,6 +186,12 @@ def test_the_rate_left_out_is_the_papers():
     assert {d.rate for d in dropouts(build({"name": "salsanet"}))} == {0.2}
 
 
+@pytest.mark.parametrize(("name", "momentum"), [("rangenet53", 0.01), ("salsanext", 0.1)])
+def test_the_momentum_of_batch_norm_is_the_authors(name, momentum):
+    norms = [m for m in build({"name": name}).modules() if isinstance(m, nn.BatchNorm2d)]
+    assert {norm.momentum for norm in norms} == {momentum}
+
+
 def matrix_of(weight, geometry, size):
     """Return a transposed convolution as a matrix, (outputs, inputs)."""
     inputs = torch.eye(weight.shape[0] * size[0] * size[1], dtype=torch.float64)

@@ -13,8 +13,8 @@ from salsanext_cli.network.salsanext import SalsaNext
 
 def narrow(design):
     """Return a network that reaches as far with four channels."""
-    widths, raised = (tuple(4 for _ in many) for many in (design.widths, design.raised))
-    return SalsaNext(1, 0.0, replace(design, widths=widths, raised=raised))
+    widths, raised = (tuple(4 for _ in many) for many in (design.widths, design.decoder_widths))
+    return SalsaNext(1, 0.0, replace(design, widths=widths, decoder_widths=raised))
 
 
 NETWORKS = {

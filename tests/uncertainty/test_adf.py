@@ -89,6 +89,7 @@ LINEAR = {
     "padding": lambda x: F.pad(x, (1, 0, 2, 3)),
     "padding with a value": lambda x: F.pad(x, (1, 1), value=2.5),
     "padding around": lambda x: F.pad(x, (2, 1, 0, 0), mode="circular"),
+    "padding by repetition": lambda x: F.pad(x, (0, 1, 0, 2), mode="replicate"),
     "indexing": lambda x: x[..., torch.arange(9) % 4][:, 1:, :3],
     "concatenation": lambda x: torch.cat((x[:, 2:], x[:, :1]), dim=1),
     "residual sum": lambda x: x[:, :2] + x[:, 2:],
