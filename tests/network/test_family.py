@@ -9,6 +9,7 @@ import pytest
 import torch
 import torch.nn.functional as F
 from scans import SMALL, lively, make_scan
+from torch import nn
 
 from salsanext_cli.classes import label_space
 from salsanext_cli.geometry.projection import project
