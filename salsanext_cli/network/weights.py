@@ -37,7 +37,7 @@ NORM_SUFFIXES = (".running_mean", ".running_var")
 
 @dataclass(frozen=True, slots=True, eq=False)
 class WeightsCard:
-    """What a weights file says of itself.
+    """Metadata of a weights file.
 
     Attributes
     ----------
@@ -50,9 +50,9 @@ class WeightsCard:
     recipe : dict
         The resolved training recipe; empty if unknown.
     scores : dict
-        What was measured with these weights, and on what; empty if nothing was.
+        Measurements with these weights, and the data; empty if there are none.
     description : str
-        What these weights are, in a sentence or two.
+        A sentence or two on these weights.
     temperature : float
         Divides the logits before the softmax, so that its values can be taken for probabilities;
         1 if none was fitted.

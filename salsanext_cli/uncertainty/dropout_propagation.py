@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""The noise of channel dropout in one pass, instead of sampling it.
+"""Propagation of the noise of channel dropout in one pass, instead of sampling it.
 
 A dropped channel is dropped at all of its pixels, so what it does to neighbouring pixels does not
 average out, as independent noise would.

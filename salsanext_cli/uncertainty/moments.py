@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Moments of what is not linear: a leaky-rectified Gaussian, a softmax of Gaussians."""
+"""Moments of the functions that are not linear: LeakyReLU and softmax of Gaussians."""
 
 from __future__ import annotations
 
@@ -123,16 +123,16 @@ def softmax_moments(mean: Tensor, variance: Tensor, dim: int) -> tuple[Tensor, T
 def _softmax(m: Tensor, v: Tensor) -> tuple[Tensor, Tensor]:
     """Return the moments of (C, N)."""
     is_best = torch.zeros_like(m, dtype=torch.bool).scatter_(0, m.argmax(0, keepdim=True), True)
-    lead, lead_variance = _lead(m, v, is_best)
-    probability, complement, variance = logistic_moments(lead, lead_variance)
+    margin, margin_variance = _margins(m, v, is_best)
+    probability, complement, variance = logistic_moments(margin, margin_variance)
     total = probability.sum(dim=0)
-    others = _but_one(probability, probability.masked_fill(is_best, 0), is_best)
+    others = _sum_of_others(probability, probability.masked_fill(is_best, 0), is_best)
     share = variance / complement.clamp(min=SMALLEST)
     mean, rest = probability / total, others / total
     return mean, _consistent(mean, share * rest / total).minimum(mean * rest)
 
 
-def _lead(m: Tensor, v: Tensor, is_best: Tensor) -> tuple[Tensor, Tensor]:
+def _margins(m: Tensor, v: Tensor, is_best: Tensor) -> tuple[Tensor, Tensor]:
     """Return mean and variance of each logit minus log Σ exp of the others."""
     top = m.amax(dim=0, keepdim=True)
     shares = (m - top).exp()
@@ -140,29 +140,28 @@ def _lead(m: Tensor, v: Tensor, is_best: Tensor) -> tuple[Tensor, Tensor]:
     rest = m.masked_fill(is_best, -math.inf)
     second = rest.amax(dim=0, keepdim=True)
     rest = (rest - second).exp()
-    total = _but_one(shares, rest, is_best)
-    weighted = _but_one(shares * v, rest * v, is_best) / total
-    variance = _but_one(shares.square() * v, rest.square() * v, is_best) / total.square()
+    total = _sum_of_others(shares, rest, is_best)
+    weighted = _sum_of_others(shares * v, rest * v, is_best) / total
+    variance = _sum_of_others(shares.square() * v, rest.square() * v, is_best) / total.square()
     shift = 0.5 * (weighted - variance).clamp(min=0)
-    lead = (m - torch.where(is_best, second, top)) - total.log()
-    return lead - shift / (1 + DAMPING * shift).sqrt(), variance + v
+    margin = (m - torch.where(is_best, second, top)) - total.log()
+    return margin - shift / (1 + DAMPING * shift).sqrt(), variance + v
 
 
 def _consistent(mean: Tensor, variance: Tensor) -> Tensor:
-    """Raise the variance of the likeliest class to what the others' sum demands.
+    """Raise the variance of the likeliest class to what the sum of the others demands.
 
     The classes sum to 1, so that one cannot vary by more than all others together. Where it seems
     to, a sum of the others that is taken as log-normal has hidden it from the class they rival.
     """
     deviation = variance.sqrt()
-    most, loudest = deviation.max(dim=0, keepdim=True)
-    lacking = (2 * most - deviation.sum(dim=0, keepdim=True)).clamp(min=0)
-    others = mean.scatter(0, loudest, -1.0)
-    likeliest = others.argmax(dim=0, keepdim=True)
-    return (deviation.scatter_add(0, likeliest, lacking)).square()
+    largest, class_of_largest = deviation.max(dim=0, keepdim=True)
+    lacking = (2 * largest - deviation.sum(dim=0, keepdim=True)).clamp(min=0)
+    likeliest = mean.scatter(0, class_of_largest, -1.0).argmax(dim=0, keepdim=True)
+    return deviation.scatter_add(0, likeliest, lacking).square()
 
 
-def _but_one(values: Tensor, rest: Tensor, is_best: Tensor) -> Tensor:
+def _sum_of_others(values: Tensor, rest: Tensor, is_best: Tensor) -> Tensor:
     """Return the sum over all classes but one, for each; `rest` has 0 for the best class."""
     others = values.sum(dim=0, keepdim=True) - values
     return torch.where(is_best, rest.sum(dim=0, keepdim=True), others).clamp_(min=0)
