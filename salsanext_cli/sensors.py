@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""What a sensor sees and how its range image is normalised."""
+"""Sensors: the geometry of their range images and how these are normalised."""
 
 from __future__ import annotations
 
@@ -17,9 +17,13 @@ from salsanext_cli.settings_files import read_toml, shortened, words_of
 
 SEMANTIC_KITTI_MEANS = (12.12, 10.88, 0.23, -1.04, 0.21)
 SEMANTIC_KITTI_STDS = (12.32, 11.47, 6.91, 0.86, 0.16)
-LARGEST = 1 << 24
-"""Most pixels of a range image; a hundred times what any sensor has."""
-
+MAX_PIXELS = 1 << 21
+"""Pixels of a range image: 64×32768, eight times what the finest sensor has."""
+BYTES_PER_PIXEL = 1000
+"""Memory that a network takes for a pixel, roughly."""
+MAX_NUMBER = 1e6
+"""Bound of means, deviations and scales, in metres and units of intensity, and of their inverse."""
+SCALES = f"numbers from {1 / MAX_NUMBER:g} to {MAX_NUMBER:g}"
 NOISE = ("range_noise", "intensity_noise")
 
 
@@ -71,35 +75,46 @@ class Sensor:
             f"size {self._size}",
         )
         self._require(
-            self.height * self.width <= LARGEST,
-            f"size {self._size}, more than {LARGEST} pixels",
+            self.height * self.width <= MAX_PIXELS,
+            f"size {self._size}, of which an image takes {self._memory} in a network",
+            f"at most {MAX_PIXELS} pixels, such as 64×{MAX_PIXELS // 64}",
         )
         self._require(
             len(self.means) == len(self.stds) == 5, "means and stds are not 5 numbers each"
         )
         self._require(
-            all(map(math.isfinite, self.means)), f"means {shortened(self.means)} are not all finite"
+            all(abs(mean) <= MAX_NUMBER for mean in self.means),
+            f"means {shortened(self.means)}",
+            f"numbers up to {MAX_NUMBER:g}",
         )
         self._require(
-            all(0 < std < math.inf for std in self.stds),
-            f"stds {shortened(self.stds)} are not all positive",
+            all(1 / MAX_NUMBER <= std <= MAX_NUMBER for std in self.stds),
+            f"stds {shortened(self.stds)}",
+            SCALES,
         )
         self._require(
             self.out_of_view in ("clamp", "drop"), f"out_of_view {shortened(self.out_of_view)}"
         )
         scale = self.intensity_scale
-        self._require(0 < scale < math.inf, f"intensity_scale {shortened(scale)}")
+        self._require(
+            1 / MAX_NUMBER <= scale <= MAX_NUMBER, f"intensity_scale {shortened(scale)}", SCALES
+        )
         for name in NOISE:
             noise = getattr(self, name)
             self._require(noise is None or 0 <= noise < math.inf, f"{name} {shortened(noise)}")
 
-    def _require(self, holds: bool, found: str) -> None:
+    def _require(self, holds: bool, found: str, expected: str = "a possible sensor") -> None:
         if not holds:
-            raise UsageError(f"sensor {shortened(self.name)}", found, "a possible sensor")
+            raise UsageError(f"sensor {shortened(self.name)}", found, expected)
 
     @property
     def _size(self) -> str:
         return f"{shortened(self.height)}×{shortened(self.width)}"
+
+    @property
+    def _memory(self) -> str:
+        gigabytes = self.height * self.width * BYTES_PER_PIXEL // 10**9
+        return f"{shortened(gigabytes, 12)} GB"
 
     @property
     def knows_noise(self) -> bool:

@@ -58,11 +58,28 @@ def test_any_possible_sensor_survives_json(
         {"stds": (1, 1, 1, 1, 0)},
         {"out_of_view": "wrap"},
         {"intensity_scale": 0},
+        {"intensity_scale": 1e-40},
+        {"stds": (1, 1, 1, 1, 1e-40)},
+        {"stds": (1, 1, 1, 1, math.inf)},
+        {"means": (1e30, 0, 0, 0, 0)},
+        {"means": (math.nan, 0, 0, 0, 0)},
     ],
 )
 def test_impossible_sensors(change: dict[str, object]) -> None:
     with pytest.raises(UsageError, match="sensor valid"):
         Sensor.from_dict(VALID.to_dict() | change)
+
+
+def test_what_a_size_would_take_is_said_before_it_is_taken() -> None:
+    assert VALID.resized(width=32768).width == 32768
+    with pytest.raises(UsageError) as caught:
+        VALID.resized(4096, 4096)
+    assert str(caught.value) == (
+        "sensor valid · size 4096×4096, of which an image takes 16 GB in a network"
+        " · expected at most 2097152 pixels, such as 64×32768"
+    )
+    with pytest.raises(UsageError, match=r"a number of \d+ bits"):
+        VALID.resized(1 << 2000, 1 << 2000)
 
 
 def test_unknown_and_missing_keys() -> None:

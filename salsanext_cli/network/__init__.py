@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: MIT
-"""Pixels to probabilities."""
+"""Networks that map range images to logits, their weights files and their costs."""

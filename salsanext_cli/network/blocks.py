@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""The building blocks of SalsaNext's encoder, and of SalsaNet's (paper III-B, Figure 2).
+"""Building blocks of the encoders of SalsaNext and SalsaNet (paper III-B, Figure 2).
 
 Every block is a plain composition of elementary modules, so that another view of the same
 network, such as one that propagates variances, can be derived from it instead of written again.
@@ -17,7 +17,7 @@ from salsanext_cli.network.dropout import ChannelDropout
 
 SLOPE = 0.01
 Stack = Callable[[int, int], nn.Module]
-"""What makes a size preserving part of a block from its numbers of channels, in and out."""
+"""Factory of a size preserving part of a block, from its numbers of channels in and out."""
 
 
 class Unit(nn.Sequential):

@@ -1,14 +1,16 @@
 # SPDX-License-Identifier: MIT
-"""What a network costs: parameters and multiply-accumulates, counted."""
+"""Parameters and multiply-accumulates of a network."""
 
 from __future__ import annotations
 
-from typing import Any
+import copy
 
+import torch
 from torch import nn
+from torch.utils.flop_counter import FlopCounterMode
 
-from salsanext_cli.network.receptive_field import Reach
 from salsanext_cli.network.segmentation import SegmentationNetwork
+from salsanext_cli.records import CHANNELS
 
 
 def parameter_count(module: nn.Module) -> int:
@@ -17,23 +19,9 @@ def parameter_count(module: nn.Module) -> int:
 
 
 def multiply_accumulates(module: SegmentationNetwork, height: int = 64, width: int = 2048) -> int:
-    """Count the multiply-accumulates of one range image, convolutions only.
-
-    Nothing is computed: what flows through the network knows its size and no numbers.
-    """
-    counts: list[int] = []
-
-    def count(layer: nn.Module, inputs: tuple[Any, ...], output: Any) -> None:
-        # Every weight meets every pixel once: of what comes out, or of what is spread out.
-        spread = isinstance(layer, nn.ConvTranspose2d)
-        rows, columns = (inputs[0] if spread else output).shape
-        counts.append(next(layer.parameters()).numel() * rows * columns)
-
-    layers = [m for m in module.modules() if isinstance(m, nn.Conv2d | nn.ConvTranspose2d)]
-    hooks = [layer.register_forward_hook(count) for layer in layers]
-    size = (-(-n // step) * step for n, step in zip((height, width), module.stride, strict=True))
-    image: Any = Reach.of(*size)
-    module.rest(*module.trunk(image))
-    for hook in hooks:
-        hook.remove()
-    return sum(counts)
+    """Count the multiply-accumulates of one range image, convolutions only; nothing is computed."""
+    image = torch.empty(1, len(CHANNELS), height, width, device="meta")
+    with FlopCounterMode(display=False) as counter:
+        copy.deepcopy(module).to("meta").eval()(image)
+    operations: int = counter.get_total_flops()
+    return operations // 2

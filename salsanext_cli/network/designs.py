@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""The designs of SalsaNext's family: both versions, and every rung from SalsaNet up to them.
+"""Designs of SalsaNext's family: both versions, and every rung from SalsaNet up to them.
 
 Each rung of the papers' ladders (Table II) says only what differs from the one below it.
 """
@@ -28,7 +28,7 @@ CONTEXT_WIDTH = 32
 
 
 @dataclass(frozen=True, slots=True)
-class Raising:
+class Upsampling:
     """How a decoder gets from one level to the next.
 
     Attributes
@@ -46,18 +46,19 @@ class Raising:
     block: type[UpBlock]
 
 
-SHUFFLING = Raising(lambda inputs, skip: nn.PixelShuffle(2), lambda i, skip: i // 4 + skip, UpBlock)
-ADDING = Raising(TransposedUnit, lambda inputs, skip: skip, AddingUpBlock)
-KEEPING = Raising(
-    lambda inputs, skip: TransposedUnit(inputs, inputs, kernel=2),
-    lambda inputs, skip: inputs + skip,
-    UpBlock,
+PIXEL_SHUFFLE = Upsampling(
+    lambda i, skip: nn.PixelShuffle(2), lambda i, skip: i // 4 + skip, UpBlock
+)
+TRANSPOSED = Upsampling(TransposedUnit.of_3x3, lambda i, skip: skip, AddingUpBlock)
+TRANSPOSED_V1 = replace(TRANSPOSED, module=TransposedUnit.replicating)
+TRANSPOSED_WIDE = Upsampling(
+    lambda i, skip: TransposedUnit.of_2x2(i, i), lambda i, skip: i + skip, UpBlock
 )
 
 
 @dataclass(frozen=True, slots=True)
 class Design:
-    """What a network of the family is made of.
+    """Composition of a network of the family.
 
     Attributes
     ----------
@@ -69,9 +70,9 @@ class Design:
         What lies beside the shortcut of the encoder's blocks.
     pooling : callable
         What makes the way down, from channels and dropout rate.
-    raising : Raising
+    upsampling : Upsampling
         The way up.
-    raised : tuple of int
+    decoder_widths : tuple of int
         Channels of the decoder's blocks, from above the bottom to the finest level.
     fusing : callable
         What fuses the joined channels in the decoder's blocks.
@@ -83,8 +84,8 @@ class Design:
     widths: tuple[int, ...]
     stack: Stack
     pooling: Callable[[int, float], nn.Module]
-    raising: Raising
-    raised: tuple[int, ...]
+    upsampling: Upsampling
+    decoder_widths: tuple[int, ...]
     fusing: Stack
     central: bool
 
@@ -98,8 +99,8 @@ SALSANET = Design(
     widths=(32, 64, 128, 256, 256),
     stack=partial(UnitChain, length=2),
     pooling=StridedDown,
-    raising=ADDING,
-    raised=(256, 128, 64, 32),
+    upsampling=TRANSPOSED,
+    decoder_widths=(256, 128, 64, 32),
     fusing=partial(UnitChain, length=3),
     central=False,
 )
@@ -110,15 +111,20 @@ SALSANET_DILATED = replace(
     SALSANET_POOLING,
     widths=(64, 128, 256, 256, 256),
     stack=DilatedStack,
-    raising=KEEPING,
+    upsampling=TRANSPOSED_WIDE,
     fusing=DilatedStack,
 )
 """The paper does not say how its decoder is widened. Of the readings that keep its channels, this
 is the nearest in parameters: transposed convolutions of 2×2 that keep what comes in, the skip
 connections beside it, as the pixel shuffle has them."""
-SALSANEXT = replace(SALSANET_DILATED, raising=SHUFFLING, raised=(128, 128, 64, 32))
+SALSANEXT = replace(SALSANET_DILATED, upsampling=PIXEL_SHUFFLE, decoder_widths=(128, 128, 64, 32))
 
-V1_LAYERS = replace(SALSANET, widths=(32, 64, 128, 256, 512, 512), raised=(512, 256, 128, 64, 32))
+V1_LAYERS = replace(
+    SALSANET,
+    widths=(32, 64, 128, 256, 512, 512),
+    upsampling=TRANSPOSED_V1,
+    decoder_widths=(512, 256, 128, 64, 32),
+)
 V1_CONTEXT = replace(V1_LAYERS, context=(PlainContextBlock,))
 V1_DROPOUT = replace(V1_CONTEXT, central=True)
 V1_POOLING = replace(V1_DROPOUT, pooling=_average)

@@ -9,7 +9,8 @@ from salsanext_cli.network.dropout import ChannelDropout
 from salsanext_cli.network.segmentation import SegmentationNetwork, require_classes
 from salsanext_cli.records import CHANNELS
 
-SLOPE = 0.1
+SLOPE, MOMENTUM = 0.1, 0.01
+"""Of LeakyReLU below 0, and of the running statistics of batch norm, as its authors have them."""
 DEPTHS = (1, 2, 8, 8, 4)
 """Residual blocks of the encoder's stages."""
 
@@ -20,7 +21,7 @@ class NormedUnit(nn.Sequential):
     def __init__(self, inputs: int, outputs: int, kernel: int, stride: int = 1) -> None:
         super().__init__(
             nn.Conv2d(inputs, outputs, kernel, (1, stride), padding=kernel // 2, bias=False),
-            nn.BatchNorm2d(outputs),
+            nn.BatchNorm2d(outputs, momentum=MOMENTUM),
             nn.LeakyReLU(SLOPE),
         )
 
@@ -54,7 +55,7 @@ class Raise(nn.Sequential):
     def __init__(self, outputs: int) -> None:
         super().__init__(
             nn.ConvTranspose2d(2 * outputs, outputs, (1, 4), stride=(1, 2), padding=(0, 1)),
-            nn.BatchNorm2d(outputs),
+            nn.BatchNorm2d(outputs, momentum=MOMENTUM),
             nn.LeakyReLU(SLOPE),
             Bottleneck(outputs, 2 * outputs),
         )

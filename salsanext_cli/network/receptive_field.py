@@ -1,18 +1,19 @@
 # SPDX-License-Identifier: MIT
-"""How much of a range image a pixel's logits depend on, followed through the network.
+"""Receptive field: the window of a range image that a pixel's logits depend on.
 
-As with the moments, the network is not written a second time: `Reach` stands in for a tensor, and
-every rule says what a function of the network does to the windows that its values depend on.
+As with the moments, the network is not written a second time: `Dependence` stands in for a tensor,
+and every rule says what a function of the network does to the windows that its values depend on.
 """
 
 from __future__ import annotations
 
+import math
+import operator
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import reduce
 from typing import Any, ClassVar, Self
 
-import numpy as np
-import numpy.typing as npt
 import torch
 import torch.nn.functional as F
 from torch import Tensor
@@ -23,43 +24,44 @@ from salsanext_cli.network.tensor_like import TensorLike
 SIDE = 2048
 """Pixels of the square image in whose middle is measured; no edge may be in sight."""
 
-Spans = npt.NDArray[np.int64]
-"""(2, N): the first and the last line of the image that each of N lines depends on."""
-
 
 def receptive_field(network: SegmentationNetwork) -> tuple[int, int]:
     """Return height and width of the window of the image that a pixel's logits depend on.
 
     The largest, where it differs between the pixels of a cell of the coarsest level.
     """
-    image: Any = Reach.of(SIDE, SIDE)
-    reach: Any = network.rest(*network.trunk(image))
+    image: Any = Dependence.of(SIDE, SIDE)
+    logits: Any = network.rest(*network.trunk(image))
     middle = [slice(SIDE // 2, SIDE // 2 + step) for step in network.stride]
-    spans = (axis[:, part] for axis, part in zip((reach.rows, reach.columns), middle, strict=True))
-    height, width = (int((last - first).max()) + 1 for first, last in spans)
+    axes = zip((logits.rows, logits.columns), middle, strict=True)
+    height, width = (int(lines[:, part].sum(dim=0).max()) + 1 for lines, part in axes)
     return height, width
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Reach(TensorLike):
+class Dependence(TensorLike):
     """What of the image the values of a feature map depend on.
+
+    All channels depend on as much, as they do where no weight is 0.
 
     Attributes
     ----------
-    rows, columns : (2, H) and (2, W) int64
-        First and last row of the image for each row of the map, and the same of columns. All
-        channels reach as far, as they do where no weight is 0.
+    rows, columns : (2, H) and (2, W) float32 Tensor
+        For each row of the map the first row of the image, negated, and the last, so that both are
+        maxima; -inf if it depends on none. The same of columns.
     """
 
-    VIEW: ClassVar[str] = "reach"
+    VIEW: ClassVar[str] = "receptive field"
 
-    rows: Spans
-    columns: Spans
+    rows: Tensor
+    columns: Tensor
 
     @classmethod
     def of(cls, height: int, width: int) -> Self:
         """Return that of an image, each line of which depends on itself."""
-        return cls(*(np.stack([np.arange(n)] * 2) for n in (height, width)))
+        return cls(
+            *(torch.stack([-torch.arange(n), torch.arange(n)]).float() for n in (height, width))
+        )
 
     @property
     def shape(self) -> tuple[int, int]:
@@ -70,80 +72,71 @@ class Reach(TensorLike):
         """Return the number of dimensions of what this stands for."""
         return 4
 
-    def __add__(self, other: Reach) -> Reach:
-        return Reach(_hull(self.rows, other.rows), _hull(self.columns, other.columns))
+    def __add__(self, other: Dependence) -> Dependence:
+        return Dependence(self.rows.maximum(other.rows), self.columns.maximum(other.columns))
 
 
-def _hull(one: Spans, other: Spans) -> Spans:
-    return np.stack([np.minimum(one[0], other[0]), np.maximum(one[1], other[1])])
+def _windows(lines: Tensor, size: int, stride: int, padding: int, dilation: int) -> Tensor:
+    padded = F.pad(lines, (padding, padding), value=-math.inf)
+    return F.max_pool1d(padded, size, stride, dilation=dilation)
 
 
-def _windows(x: Spans, size: int, stride: int, padding: int, dilation: int) -> Spans:
-    """Return the spans of windows over lines; what lies outside of the image depends on nothing."""
-    reach = dilation * (size - 1) + 1
-    starts = np.arange(0, x.shape[1] + 2 * padding - reach + 1, stride) - padding
-    taps = starts[:, None] + dilation * np.arange(size)
-    return _span(x, taps, (taps >= 0) & (taps < x.shape[1]))
-
-
-def _raised(x: Spans, size: int, stride: int, padding: int, output_padding: int) -> Spans:
-    """Return the spans of what a transposed convolution makes of lines."""
-    count = (x.shape[1] - 1) * stride - 2 * padding + size + output_padding
-    steps = np.arange(count)[:, None] + padding - np.arange(size)
-    taps = steps // stride
-    return _span(x, taps, (steps % stride == 0) & (taps >= 0) & (taps < x.shape[1]))
-
-
-def _span(x: Spans, taps: Spans, there: npt.NDArray[np.bool_]) -> Spans:
-    """Return the spans from the first to the last of the taps that are there."""
-    taps = taps.clip(0, x.shape[1] - 1)
-    first = np.where(there, x[0][taps], np.iinfo(np.int64).max).min(axis=1)
-    return np.stack([first, np.where(there, x[1][taps], -1).max(axis=1)])
+def _transposed(lines: Tensor, size: int, stride: int, padding: int, more: int) -> Tensor:
+    spread = lines.new_full((2, (lines.shape[1] - 1) * stride + 1), -math.inf)
+    spread[:, ::stride] = lines
+    margin = size - 1 - padding
+    return F.max_pool1d(F.pad(spread, (margin, margin + more), value=-math.inf), size, 1)
 
 
 def _both(
-    rule: Callable[..., Spans], x: Reach, window: Sequence[int], *geometry: int | Sequence[int]
-) -> Reach:
+    rule: Callable[..., Tensor], x: Dependence, window: Sequence[int], *geometry: Any
+) -> Dependence:
     """Apply a rule of lines to rows and columns, numbers given once or for each."""
     pairs = [(g, g) if isinstance(g, int) else g for g in (window, *geometry)]
-    return Reach(*(rule(x, *g) for x, *g in zip((x.rows, x.columns), *pairs, strict=True)))
+    rows, columns = zip(*pairs, strict=True)
+    return Dependence(rule(x.rows, *rows), rule(x.columns, *columns))
 
 
 def _conv2d(
-    x: Reach, weight: Tensor, bias: Any, stride: Any, padding: Any, dilation: Any, groups: int
-) -> Reach:
+    x: Dependence, weight: Tensor, bias: Any, stride: Any, padding: Any, dilation: Any, groups: int
+) -> Dependence:
     return _both(_windows, x, weight.shape[2:], stride, padding, dilation)
 
 
 def _conv_transpose2d(
-    x: Reach, weight: Tensor, bias: Any, stride: Any, padding: Any, more: Any, *_: Any
-) -> Reach:
-    return _both(_raised, x, weight.shape[2:], stride, padding, more)
+    x: Dependence, weight: Tensor, bias: Any, stride: Any, padding: Any, more: Any, *_: Any
+) -> Dependence:
+    return _both(_transposed, x, weight.shape[2:], stride, padding, more)
 
 
-def _avg_pool2d(x: Reach, kernel: int, stride: int, padding: int, *_: Any) -> Reach:
+def _avg_pool2d(x: Dependence, kernel: int, stride: int, padding: int, *_: Any) -> Dependence:
     return _both(_windows, x, (kernel, kernel), stride, padding, 1)
 
 
-def _pixel_shuffle(x: Reach, factor: int) -> Reach:
-    return Reach(x.rows.repeat(factor, axis=1), x.columns.repeat(factor, axis=1))
+def _pad(x: Dependence, pad: Sequence[int], mode: str, value: Any = None) -> Dependence:
+    if mode != "replicate":
+        raise NotImplementedError(f"padding of mode {mode}")
+    left, right, top, bottom = pad
+    return Dependence(F.pad(x.rows, (top, bottom), mode), F.pad(x.columns, (left, right), mode))
 
 
-def _concatenate(parts: Sequence[Reach], dim: int) -> Reach:
-    whole = parts[0]
-    for part in parts[1:]:
-        whole = whole + part
-    return whole
+def _pixel_shuffle(x: Dependence, factor: int) -> Dependence:
+    return Dependence(*(lines.repeat_interleave(factor, dim=1) for lines in (x.rows, x.columns)))
 
 
-def _same(x: Reach, *_: Any, **__: Any) -> Reach:
+def _concatenate(parts: Sequence[Dependence], dim: int) -> Dependence:
+    return reduce(operator.add, parts)
+
+
+def _same(x: Dependence, *_: Any, **__: Any) -> Dependence:
     return x
 
 
-Reach.RULES = {
+Dependence.RULES = {
     F.conv2d: _conv2d,
     F.conv_transpose2d: _conv_transpose2d,
     F.avg_pool2d: _avg_pool2d,
+    F.pad: _pad,
     F.pixel_shuffle: _pixel_shuffle,
     F.batch_norm: _same,
     F.leaky_relu: _same,

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Networks by name, so that a weights file can say which one it belongs to."""
+"""Registry of the networks by name, as weights files and recipes give it."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from salsanext_cli.settings_files import shortened, words_of
 
 
 def _of(design: Design) -> Callable[..., SegmentationNetwork]:
-    """Return what builds a network of a design from the numbers that a weights file may give."""
+    """Return a builder of a design's networks, from the numbers that a weights file may give."""
 
     def make(class_count: int = 20, dropout: float = 0.2) -> SegmentationNetwork:
         return SalsaNext(class_count, dropout, design)

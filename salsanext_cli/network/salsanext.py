@@ -24,7 +24,7 @@ class SalsaNext(SegmentationNetwork):
     dropout : float
         Rate of the channel dropout, 0 ≤ rate < 1; the paper trains with 0.2.
     design : Design
-        What it is made of.
+        Its composition.
     """
 
     def __init__(
@@ -32,9 +32,10 @@ class SalsaNext(SegmentationNetwork):
     ) -> None:
         super().__init__()
         require_classes(class_count)
-        self.levels = len(design.raised)
+        self.levels = len(design.decoder_widths)
         self.stride = (2**self.levels, 2**self.levels)
-        self.certain = 2 if design.central else 1
+        # Blocks before the first dropout.
+        self.trunk_blocks = 2 if design.central else 1
         # In this order, so that a seed goes on giving the weights that it gave.
         width = self._add_context(design)
         width = self._add_encoder(design, width, dropout)
@@ -52,17 +53,17 @@ class SalsaNext(SegmentationNetwork):
         for number, channels in enumerate(pairwise(widths), 1):
             self.add_module(f"block{number}", ResidualBlock(*channels, design.stack))
         for number, outputs in enumerate(design.widths[:-1], 1):
-            rate = dropout if number >= self.certain else 0.0
+            rate = dropout if number >= self.trunk_blocks else 0.0
             self.add_module(f"down{number}", design.pooling(outputs, rate))
         self.bottom = ChannelDropout(dropout)
         return widths[-1]
 
     def _add_decoder(self, design: Design, width: int, dropout: float) -> int:
-        raising, skips = design.raising, reversed(design.widths[:-1])
-        for number, (skip, outputs) in enumerate(zip(skips, design.raised, strict=True), 1):
+        upsampling, skips = design.upsampling, reversed(design.widths[:-1])
+        for number, (skip, outputs) in enumerate(zip(skips, design.decoder_widths, strict=True), 1):
             rate = 0.0 if design.central and number == self.levels else dropout
-            module, joined = raising.module(width, skip), raising.joined(width, skip)
-            up = raising.block(module, joined, outputs, design.fusing, rate)
+            module, joined = upsampling.module(width, skip), upsampling.joined(width, skip)
+            up = upsampling.block(module, joined, outputs, design.fusing, rate)
             self.add_module(f"up{number}", up)
             width = outputs
         return width
@@ -75,19 +76,19 @@ class SalsaNext(SegmentationNetwork):
         version (B, 64, H, W) and (B, 128, H/2, W/2).
         """
         features = [self._block(1, self.context(image))]
-        if self.certain == 2:
+        if self.trunk_blocks == 2:
             features.append(self._block(2, self._down(1, features[0])))
         return tuple(features)
 
     def rest(self, *features: Tensor) -> Tensor:
         """Compute the logits (B, C, H, W) from what `trunk` returns."""
         skips = list(features)
-        for level in range(self.certain, self.levels + 1):
+        for level in range(self.trunk_blocks, self.levels + 1):
             skips.append(self._block(level + 1, self._down(level, skips[-1])))
-        raised = self.bottom(skips.pop())
+        upsampled = self.bottom(skips.pop())
         for number in range(1, self.levels + 1):
-            raised = self.get_submodule(f"up{number}")(raised, skips.pop())
-        logits: Tensor = self.logits(raised)
+            upsampled = self.get_submodule(f"up{number}")(upsampled, skips.pop())
+        logits: Tensor = self.logits(upsampled)
         return logits
 
     def _block(self, number: int, x: Tensor) -> Tensor:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""What training, prediction, sampling and the moments ask of any network."""
+"""Interface of the networks, as training, prediction, sampling and the moments use it."""
 
 from __future__ import annotations
 
@@ -10,22 +10,22 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
 
-MOST_CLASSES = 255
-"""What train ids of one byte can tell apart, one value being kept for "unknown"."""
+MAX_CLASSES = 255
+"""Train ids of one byte, but for one that means "unknown"."""
 
 
 class SegmentationNetwork(nn.Module):
-    """A network of two parts: `trunk`, up to the first dropout, and the `rest`.
+    """Base class of networks in two parts: `trunk`, up to the first dropout, and the `rest`.
 
     Both are written for tensors of sizes that `stride` divides, and with functions of torch only,
-    so that Gaussians and intervals can take the place of tensors.
+    so that Gaussians and receptive fields can take the place of tensors.
 
     Attributes
     ----------
     stride : (int, int)
-        What height and width are divided by at the narrowest place.
-    in_parts : bool
-        Whether it shares its work among threads by itself; see `parts`.
+        Divisors of height and width at the coarsest level.
+    parallel_for : bool
+        Whether it shares its work among threads itself; see `inference.parallel_for`.
     """
 
     stride: tuple[int, int]
@@ -45,7 +45,7 @@ class SegmentationNetwork(nn.Module):
         return self.rest(*self.trunk(self.pad(image)))[..., :height, :width]
 
     def pad(self, image: Tensor) -> Tensor:
-        """Extend (B, 5, H, W) so that `stride` divides it: azimuth goes round, below is empty."""
+        """Extend (B, 5, H, W) to what `stride` divides: around the circle, and by empty rows."""
         height, width = image.shape[-2:]
         padded_width = -(-width // self.stride[1]) * self.stride[1]
         if padded_width != width:
@@ -55,5 +55,5 @@ class SegmentationNetwork(nn.Module):
 
 def require_classes(count: int) -> None:
     """Raise `ValueError` unless labels of one byte can tell so many classes apart."""
-    if not 1 <= count <= MOST_CLASSES:
-        raise ValueError(f"1 to {MOST_CLASSES} classes, not {count}")
+    if not 1 <= count <= MAX_CLASSES:
+        raise ValueError(f"1 to {MAX_CLASSES} classes, not {count}")

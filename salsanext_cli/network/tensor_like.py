@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Another view of a network, derived from the network itself instead of written again."""
+"""Stand-ins for tensors, by which other functions are derived from a network itself."""
 
 from __future__ import annotations
 
@@ -8,16 +8,16 @@ from typing import Any, ClassVar
 
 
 class TensorLike:
-    """Takes the place of a tensor: PyTorch asks it what each function of a network does to it.
+    """Stand-in for a tensor that PyTorch asks what each function of a network does to it.
 
     A function without a rule is an error, so the views of a network cannot drift apart.
 
     Attributes
     ----------
     RULES : mapping
-        From a function to what stands for it; its arguments are the function's.
+        Replacements of functions, with the same arguments.
     VIEW : str
-        What the rules are about, for the error.
+        Subject of the rules, for the error.
     """
 
     __slots__ = ()

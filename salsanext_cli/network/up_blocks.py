@@ -1,27 +1,53 @@
 # SPDX-License-Identifier: MIT
-"""The building blocks of the decoders: raise, join the skip connection, fuse (paper III-B)."""
+"""Building blocks of the decoders: upsample, join the skip connection, fuse (paper III-B)."""
 
 from __future__ import annotations
 
+from typing import Self
+
 import torch
+import torch.nn.functional as F
 from torch import Tensor, nn
 
 from salsanext_cli.network.blocks import SLOPE, Stack
 from salsanext_cli.network.dropout import ChannelDropout
 
 
+class ReplicatingConvTranspose2d(nn.ConvTranspose2d):
+    """Transposed 3×3 convolution ×2 of the paper's first version.
+
+    The convolution makes (2H − 1, 2W − 1) of (H, W); its last row and column are repeated.
+    """
+
+    def __init__(self, inputs: int, outputs: int) -> None:
+        super().__init__(inputs, outputs, 3, stride=2, padding=1)
+
+    def forward(self, x: Tensor, output_size: list[int] | None = None) -> Tensor:
+        """Map (B, in, H, W) to (B, out, 2H, 2W)."""
+        return F.pad(super().forward(x, output_size), (0, 1, 0, 1), mode="replicate")
+
+
 class TransposedUnit(nn.Sequential):
     """Transposed convolution ×2 → LeakyReLU → batch norm: (B, in, H, W) → (B, out, 2H, 2W)."""
 
-    def __init__(self, inputs: int, outputs: int, kernel: int = 3) -> None:
-        margin = kernel - 2
-        super().__init__(
-            nn.ConvTranspose2d(
-                inputs, outputs, kernel, stride=2, padding=margin, output_padding=margin
-            ),
-            nn.LeakyReLU(SLOPE),
-            nn.BatchNorm2d(outputs),
-        )
+    def __init__(self, convolution: nn.ConvTranspose2d) -> None:
+        norm = nn.BatchNorm2d(convolution.out_channels)
+        super().__init__(convolution, nn.LeakyReLU(SLOPE), norm)
+
+    @classmethod
+    def of_3x3(cls, inputs: int, outputs: int) -> Self:
+        """Return one of kernel 3×3, the last row and column computed like all others."""
+        return cls(nn.ConvTranspose2d(inputs, outputs, 3, 2, padding=1, output_padding=1))
+
+    @classmethod
+    def of_2x2(cls, inputs: int, outputs: int) -> Self:
+        """Return one of kernel 2×2."""
+        return cls(nn.ConvTranspose2d(inputs, outputs, 2, 2))
+
+    @classmethod
+    def replicating(cls, inputs: int, outputs: int) -> Self:
+        """Return one of kernel 3×3, the last row and column repeated."""
+        return cls(ReplicatingConvTranspose2d(inputs, outputs))
 
 
 class UpBlock(nn.Module):

@@ -19,6 +19,7 @@ from salsanext_cli import __version__
 from salsanext_cli.classes import LabelSpace
 from salsanext_cli.errors import UsageError, WeightsError
 from salsanext_cli.network.registry import build
+from salsanext_cli.network.restricted_unpickler import DTYPES
 from salsanext_cli.network.segmentation import SegmentationNetwork
 from salsanext_cli.sensors import Sensor
 from salsanext_cli.settings_files import shortened, words_of
@@ -36,12 +37,12 @@ NORM_SUFFIXES = (".running_mean", ".running_var")
 
 @dataclass(frozen=True, slots=True, eq=False)
 class WeightsCard:
-    """What a weights file says of itself.
+    """Metadata of a weights file.
 
     Attributes
     ----------
     architecture : dict
-        Name and numbers of the network, as `architectures.build` takes them.
+        Name and numbers of the network, as `registry.build` takes them.
     space : LabelSpace
         The classes that the logits stand for.
     sensor : Sensor
@@ -49,9 +50,9 @@ class WeightsCard:
     recipe : dict
         The resolved training recipe; empty if unknown.
     scores : dict
-        What was measured with these weights, and on what; empty if nothing was.
+        Measurements with these weights, and the data; empty if there are none.
     description : str
-        What these weights are, in a sentence or two.
+        A sentence or two on these weights.
     temperature : float
         Divides the logits before the softmax, so that its values can be taken for probabilities;
         1 if none was fitted.
@@ -137,8 +138,8 @@ def save_weights(path: Path, module: nn.Module, card: WeightsCard, *, half: bool
     card : WeightsCard
         What the file says of itself.
     half : bool
-        Store in float16, half the size; batch-norm statistics stay float32, since a variance may
-        exceed float16's range.
+        Store in float16, half the size; batch-norm statistics stay float32, as does a tensor with a
+        value beyond float16's range.
     """
     tensors = {name: _stored(name, tensor, half) for name, tensor in module.state_dict().items()}
     _write(path, tensors, card)
@@ -158,8 +159,10 @@ def _write(path: Path, tensors: dict[str, Tensor], card: WeightsCard) -> None:
 
 def _stored(name: str, tensor: Tensor, half: bool) -> Tensor:
     tensor = tensor.detach().cpu().contiguous()
-    shrinks = half and tensor.is_floating_point() and not name.endswith(NORM_SUFFIXES)
-    return tensor.half() if shrinks else tensor
+    if not half or not tensor.is_floating_point() or name.endswith(NORM_SUFFIXES):
+        return tensor
+    halved = tensor.half()
+    return halved if halved.isfinite().all() else tensor
 
 
 def read_card(path: Path) -> WeightsCard:
@@ -189,7 +192,7 @@ def read_weights(path: Path) -> tuple[SegmentationNetwork, WeightsCard]:
     ------
     WeightsError
         If the file cannot be read, its tensors do not fit its architecture, its architecture
-        does not fit its label space, or a value is not finite.
+        does not fit its label space, or a value is impossible.
     """
     card = read_card(path)
     count = card.space.class_count
@@ -210,7 +213,7 @@ def read_weights(path: Path) -> tuple[SegmentationNetwork, WeightsCard]:
 
 
 def load_tensors(module: nn.Module, tensors: Mapping[str, Tensor], source: object) -> None:
-    """Put tensors into a network, float32; names, shapes and finiteness are checked.
+    """Put tensors into a network, float32; names, shapes and values are checked.
 
     Raises
     ------
@@ -224,15 +227,22 @@ def load_tensors(module: nn.Module, tensors: Mapping[str, Tensor], source: objec
         raise WeightsError(
             source, f"holds {len(surplus)} unknown tensors, such as {shortened(surplus[0])}"
         )
-    for name, tensor in tensors.items():
-        if tensor.shape != wanted[name].shape:
-            found, expected = tuple(tensor.shape), tuple(wanted[name].shape)
-            raise WeightsError(source, f"{name} is {found}", str(expected))
-        if not torch.isfinite(tensor).all():
-            raise WeightsError(source, f"{name} holds values that are not finite")
-    module.load_state_dict(
-        {name: tensor.to(wanted[name].dtype) for name, tensor in tensors.items()}
-    )
+    fitting = {name: _checked(name, t, wanted[name], source) for name, t in tensors.items()}
+    module.load_state_dict(fitting)
+
+
+def _checked(name: str, tensor: Tensor, wanted: Tensor, source: object) -> Tensor:
+    """Return a tensor in the number type that is wanted; anything amiss raises `WeightsError`."""
+    if tensor.shape != wanted.shape:
+        raise WeightsError(source, f"{name} is {tuple(tensor.shape)}", str(tuple(wanted.shape)))
+    if tensor.dtype not in DTYPES.values():
+        raise WeightsError(source, f"{name} is of {tensor.dtype}", "float32 or float16")
+    found = tensor.to(wanted.dtype)
+    if not torch.isfinite(found).all():
+        raise WeightsError(source, f"{name} holds values that are not finite in {found.dtype}")
+    if name.endswith("running_var") and (found < 0).any():
+        raise WeightsError(source, f"{name} holds variances below 0")
+    return found
 
 
 def default_weights() -> Path:

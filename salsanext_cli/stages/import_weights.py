@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""A published checkpoint, or weights of ours, to a weights file."""
+"""Import of a published checkpoint, or of weights of ours, as a weights file."""
 
 from __future__ import annotations
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Which networks there are, what they cost, and what weights files say of themselves."""
+"""Networks, their costs, and the metadata of weights files."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from typing import Any
 import torch
 
 from salsanext_cli.network.complexity import multiply_accumulates, parameter_count
-from salsanext_cli.network.papers import PAPERS, Printed, agrees
+from salsanext_cli.network.papers import PAPERS, PaperFigures, agrees
 from salsanext_cli.network.receptive_field import receptive_field
 from salsanext_cli.network.registry import ARCHITECTURES, build
 from salsanext_cli.network.weights import WeightsCard, read_card
@@ -34,7 +34,7 @@ class Model:
         Of the convolutions; the papers print twice as many FLOPs, and those of the rest.
     receptive_field : (int, int)
         Height and width of what a pixel's logits depend on; more than the image is beyond it.
-    paper : Printed
+    paper : PaperFigures
         The papers' figures.
     agrees : bool
         Whether the parameters are those that the paper prints, to the digit.
@@ -44,7 +44,7 @@ class Model:
     parameters: int
     multiply_accumulates: int
     receptive_field: tuple[int, int]
-    paper: Printed
+    paper: PaperFigures
     agrees: bool
 
 

@@ -11,8 +11,7 @@ from zipfile import BadZipFile, ZipFile
 import torch
 
 from salsanext_cli.errors import TrainingError
-from salsanext_cli.network.archives import require_stored
-from salsanext_cli.network.published import UNREADABLE
+from salsanext_cli.network.torch_files import UNREADABLE, require_stored
 from salsanext_cli.settings_files import shortened
 from salsanext_cli.storage.atomic import writing
 from salsanext_cli.training.log import Row

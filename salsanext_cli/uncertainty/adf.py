@@ -127,14 +127,11 @@ def _batch_norm(
     momentum: float = 0.1,
     eps: float = 1e-5,
 ) -> Gaussian:
-    """Var = v γ² / (σ² + ε); in training σ² is the variance of the batch's means.
-
-    It is that by which the means are divided. What the noise itself adds to it is left out, as in
-    the statistics that evaluation uses.
-    """
-    mean = F.batch_norm(x.mean, running_mean, running_var, weight, bias, training, momentum, eps)
-    divisor = x.mean.var(dim=(0, 2, 3), correction=0) if training else running_var
-    factor = weight.square() / (divisor + eps)
+    """Var = v γ² / (σ² + ε), with the statistics that are stored."""
+    if training:
+        raise NotImplementedError("no rule for the moments of batch_norm in training")
+    mean = F.batch_norm(x.mean, running_mean, running_var, weight, bias, False, momentum, eps)
+    factor = weight.square() / (running_var + eps)
     return x.like(mean, x.variance * factor.view(1, -1, 1, 1))
 
 
@@ -151,16 +148,10 @@ def _avg_pool2d(x: Gaussian, kernel: int, stride: int, padding: int, *count: Any
 
 
 def _dropout2d(x: Gaussian, p: float, training: bool, inplace: bool = False) -> Gaussian:
-    """Var = m² v with the mask m that is drawn in training; nothing happens otherwise.
-
-    A pass of training is one of a thinned network whose mask is known, as a pass of sampling is
-    (paper III-C.1, after Loquercio et al. 2020). That masks differ from pass to pass is no noise
-    of the sensor: sampling and `ChannelCorrelatedGaussian` count it, as epistemic.
-    """
-    if not training:
-        return x
-    ones = torch.ones((*x.shape[:2], 1, 1), dtype=x.dtype, device=x.device)
-    return x * F.dropout2d(ones, p, training)
+    """Change nothing: outside of training and sampling nothing is dropped."""
+    if training:
+        raise NotImplementedError("no rule for the moments of dropout2d in training")
+    return x
 
 
 def _concatenate(parts: Sequence[Gaussian], dim: int = 0) -> Gaussian:

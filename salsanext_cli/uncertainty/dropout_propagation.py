@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""The noise of channel dropout in one pass, instead of sampling it.
+"""Propagation of the noise of channel dropout in one pass, instead of sampling it.
 
 A dropped channel is dropped at all of its pixels, so what it does to neighbouring pixels does not
 average out, as independent noise would.
@@ -80,7 +80,8 @@ def _conv_transpose2d(
     met = F.conv_transpose2d(torch.ones_like(x.variance[:1, :1]), ones[:1], None, *geometry)
     around = total / met.clamp(min=1)
     variance = torch.zeros_like(mean)
-    for row, column in product(range(stride[0]), range(stride[1])):
+    phases = (range(min(step, size)) for step, size in zip(stride, mean.shape[2:], strict=True))
+    for row, column in product(*phases):
         rows = slice((row + padding[0]) % stride[0], None, stride[0])
         columns = slice((column + padding[1]) % stride[1], None, stride[1])
         together = weight[:, :, rows, columns].sum(dim=(2, 3)).square()

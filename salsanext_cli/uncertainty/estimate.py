@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""What an estimate of epistemic uncertainty consists of, however it is made."""
+"""Estimate of epistemic uncertainty, however it is made."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from salsanext_cli.records import Float, Uncertainty
 
 @dataclass(frozen=True, slots=True)
 class Estimate:
-    """The softmax under dropout: its mean, and how far it wanders.
+    """Mean and spread of the softmax under dropout.
 
     Attributes
     ----------

@@ -1,17 +1,14 @@
 # SPDX-License-Identifier: MIT
-"""Moments of what is not linear: a leaky-rectified Gaussian, a softmax of Gaussians."""
+"""Moments of the functions that are not linear: LeakyReLU and softmax of Gaussians."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
-from functools import partial
 
 import torch
 from torch import Tensor
 
 from salsanext_cli.inference.parallel_for import has_threads, parallel_for
-from salsanext_cli.uncertainty.derivatives import differentiable
 from salsanext_cli.uncertainty.logistic import logistic_moments
 
 CHUNK = 1 << 17
@@ -42,34 +39,23 @@ def leaky_relu_moments(mean: Tensor, variance: Tensor, slope: float) -> tuple[Te
     slope : float
         a, 0 ≤ a ≤ 1.
     """
-    rule, back = (partial(f, slope=slope) for f in (_leaky_relu, _leaky_relu_gradients))
-    new_mean, new_variance = differentiable(
-        partial(_in_steps, rule), partial(_in_steps, back), mean, variance
-    )
-    return new_mean, new_variance
-
-
-def _in_steps(
-    function: Callable[..., tuple[Tensor, Tensor]], mean: Tensor, *others: Tensor
-) -> tuple[Tensor, Tensor]:
-    """Apply a function of each number to tensors of one shape, in the layout of the first."""
     wide = torch.promote_types(mean.dtype, torch.float32)
     layout = _layout(mean)
-    given = [t.contiguous(memory_format=layout) for t in (mean, *others)]
+    given = [t.contiguous(memory_format=layout) for t in (mean, variance)]
     results = torch.empty_like(given[0]), torch.empty_like(given[0])
     step = CHUNK if mean.device.type == "cpu" else max(1, mean.numel())
-    steps = [*zip(*(torch.split(_flat(t, layout), step) for t in (*given, *results)), strict=True)]
+    chunks = [*zip(*(torch.split(_flat(t, layout), step) for t in (*given, *results)), strict=True)]
 
     def compute(number: int) -> None:
-        *numbers, one, other = steps[number]
-        first, second = function(*(t.to(wide) for t in numbers))
-        one.copy_(first)
-        other.copy_(second)
+        m, v, new_mean, new_variance = chunks[number]
+        found = _leaky_relu(m.to(wide), v.to(wide), slope)
+        new_mean.copy_(found[0])
+        new_variance.copy_(found[1])
 
     if has_threads():
-        parallel_for(compute, len(steps))
+        parallel_for(compute, len(chunks))
     else:
-        for number in range(len(steps)):
+        for number in range(len(chunks)):
             compute(number)
     return results
 
@@ -95,41 +81,6 @@ def _leaky_relu(m: Tensor, v: Tensor, slope: float) -> tuple[Tensor, Tensor]:
     lost = excess.mul_(far.add_(excess))
     share = passed.mul_(1 - slope**2).add_(slope**2).sub_(lost, alpha=(1 - slope) ** 2)
     return mean, share.clamp_(min=0).mul_(v)
-
-
-def _leaky_relu_gradients(
-    m: Tensor, v: Tensor, of_mean: Tensor, of_variance: Tensor, slope: float
-) -> tuple[Tensor, Tensor]:
-    r"""Carry gradients of mean and variance back to m and v.
-
-    With p the mass above the kink, x₊ = E[max(x, 0)] and x₋ = E[max(−x, 0)]::
-
-        ∂mean/∂m = a + (1 − a) p                            ∂mean/∂v = ½ (1 − a) φ(τ) / √v
-        ∂variance/∂m = 2 (1 − a) [(1 − p) x₊ + a p x₋]
-        ∂variance/∂v = p + a² (1 − p) − (1 − a) φ(τ) (x₊ − a x₋) / √v
-
-    What is certain has the derivative of the function; its variance would rise from 0, but never
-    moves its mean.
-    """
-    deviation = v.sqrt()
-    far = m.abs().div_(deviation.clamp(min=SMALLEST)).clamp_(max=FARTHEST)
-    beyond = torch.special.erfc(far * math.sqrt(0.5)).mul_(0.5)
-    density = far.square().mul_(-0.5).exp_().mul_(1 / math.sqrt(2 * math.pi))
-    excess = density.addcmul(far, beyond, value=-1).clamp_(min=0)
-    positive, more = m > 0, far + excess
-    above, below = torch.where(positive, more, excess), torch.where(positive, excess, more)
-    passed = torch.where(positive, 1 - beyond, beyond)
-    steep = (density / deviation).masked_fill_((far >= FARTHEST) | (v == 0), 0)
-    by_m = of_mean * (slope + (1 - slope) * passed)
-    by_m += (
-        of_variance
-        * deviation
-        * (2 * (1 - slope))
-        * ((1 - passed) * above + slope * passed * below)
-    )
-    share = passed * (1 - slope**2) + slope**2 - (1 - slope) * density * (above - slope * below)
-    by_v = of_mean * steep * (0.5 * (1 - slope)) + of_variance * share
-    return by_m, by_v
 
 
 def softmax_moments(mean: Tensor, variance: Tensor, dim: int) -> tuple[Tensor, Tensor]:
@@ -172,48 +123,45 @@ def softmax_moments(mean: Tensor, variance: Tensor, dim: int) -> tuple[Tensor, T
 def _softmax(m: Tensor, v: Tensor) -> tuple[Tensor, Tensor]:
     """Return the moments of (C, N)."""
     is_best = torch.zeros_like(m, dtype=torch.bool).scatter_(0, m.argmax(0, keepdim=True), True)
-    lead, lead_variance = _lead(m, v, is_best)
-    probability, complement, variance = logistic_moments(lead, lead_variance)
+    margin, margin_variance = _margins(m, v, is_best)
+    probability, complement, variance = logistic_moments(margin, margin_variance)
     total = probability.sum(dim=0)
-    others = _but_one(probability, probability.masked_fill(is_best, 0), is_best)
+    others = _sum_of_others(probability, probability.masked_fill(is_best, 0), is_best)
     share = variance / complement.clamp(min=SMALLEST)
     mean, rest = probability / total, others / total
     return mean, _consistent(mean, share * rest / total).minimum(mean * rest)
 
 
-def _lead(m: Tensor, v: Tensor, is_best: Tensor) -> tuple[Tensor, Tensor]:
+def _margins(m: Tensor, v: Tensor, is_best: Tensor) -> tuple[Tensor, Tensor]:
     """Return mean and variance of each logit minus log Σ exp of the others."""
-    # Neither scale changes the result, so no gradient need flow through it.
-    top = m.detach().amax(dim=0, keepdim=True)
+    top = m.amax(dim=0, keepdim=True)
     shares = (m - top).exp()
     # Without the best class, whose share would hide the others, the scale is that of the second.
     rest = m.masked_fill(is_best, -math.inf)
-    second = rest.detach().amax(dim=0, keepdim=True)
+    second = rest.amax(dim=0, keepdim=True)
     rest = (rest - second).exp()
-    total = _but_one(shares, rest, is_best)
-    weighted = _but_one(shares * v, rest * v, is_best) / total
-    variance = _but_one(shares.square() * v, rest.square() * v, is_best) / total.square()
+    total = _sum_of_others(shares, rest, is_best)
+    weighted = _sum_of_others(shares * v, rest * v, is_best) / total
+    variance = _sum_of_others(shares.square() * v, rest.square() * v, is_best) / total.square()
     shift = 0.5 * (weighted - variance).clamp(min=0)
-    lead = (m - torch.where(is_best, second, top)) - total.log()
-    return lead - shift / (1 + DAMPING * shift).sqrt(), variance + v
+    margin = (m - torch.where(is_best, second, top)) - total.log()
+    return margin - shift / (1 + DAMPING * shift).sqrt(), variance + v
 
 
 def _consistent(mean: Tensor, variance: Tensor) -> Tensor:
-    """Raise the variance of the likeliest class to what the others' sum demands.
+    """Raise the variance of the likeliest class to what the sum of the others demands.
 
     The classes sum to 1, so that one cannot vary by more than all others together. Where it seems
     to, a sum of the others that is taken as log-normal has hidden it from the class they rival.
     """
-    # The derivative of a root at 0 is not finite.
-    deviation = torch.where(variance > 0, variance.clamp(min=SMALLEST).sqrt(), 0)
-    most, loudest = deviation.max(dim=0, keepdim=True)
-    lacking = (2 * most - deviation.sum(dim=0, keepdim=True)).clamp(min=0)
-    others = mean.scatter(0, loudest, -1.0)
-    likeliest = others.argmax(dim=0, keepdim=True)
-    return (deviation.scatter_add(0, likeliest, lacking)).square()
+    deviation = variance.sqrt()
+    largest, class_of_largest = deviation.max(dim=0, keepdim=True)
+    lacking = (2 * largest - deviation.sum(dim=0, keepdim=True)).clamp(min=0)
+    likeliest = mean.scatter(0, class_of_largest, -1.0).argmax(dim=0, keepdim=True)
+    return deviation.scatter_add(0, likeliest, lacking).square()
 
 
-def _but_one(values: Tensor, rest: Tensor, is_best: Tensor) -> Tensor:
+def _sum_of_others(values: Tensor, rest: Tensor, is_best: Tensor) -> Tensor:
     """Return the sum over all classes but one, for each; `rest` has 0 for the best class."""
     others = values.sum(dim=0, keepdim=True) - values
     return torch.where(is_best, rest.sum(dim=0, keepdim=True), others).clamp_(min=0)

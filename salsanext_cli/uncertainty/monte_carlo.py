@@ -21,14 +21,14 @@ from salsanext_cli.uncertainty.estimate import Estimate, entropy, require_dropou
 log = logging.getLogger(__name__)
 
 AT_ONCE = 16 * 64 * 2048
-"""Pixels of passes that a GPU computes side by side."""
-KEPT = 32
+"""Pixels of the passes that a GPU computes side by side."""
+MAX_KEPT_PASSES = 32
 """Passes of which the softmax is kept until it is added up."""
 BANDS = 8
 """Parts of an image that are added up side by side."""
 
 
-class Moments:
+class PassStatistics:
     """Running sums over passes, in float64 so that the variance does not cancel."""
 
     def __init__(self) -> None:
@@ -90,16 +90,16 @@ def sample(network: Network, image: RangeImage, *, samples: int, seed: int) -> E
         If the network has no dropout to sample.
     """
     require_sampling(network, samples)
-    moments, engine = Moments(), network.engine
+    statistics, engine = PassStatistics(), network.engine
     seeds = [pass_seed(seed, number) for number in range(samples)]
     passes = on_threads if network.device.type == "cpu" else in_batches
     # In a pass torch has one thread, whether the engine shares its work or not.
     with network.computing(), single_threaded_torch():
         features = engine.trunk(engine.pad(network.input(image.channels)))
-        for start in range(0, samples, KEPT):
-            kept = passes(engine, features, seeds[start : start + KEPT])
-            moments.add([softmax[:, : image.height, : image.width] for softmax in kept])
-        return moments.summary()
+        for start in range(0, samples, MAX_KEPT_PASSES):
+            kept = passes(engine, features, seeds[start : start + MAX_KEPT_PASSES])
+            statistics.add([softmax[:, : image.height, : image.width] for softmax in kept])
+        return statistics.summary()
 
 
 def on_threads(
@@ -128,7 +128,7 @@ def in_batches(
             if size == 1:
                 raise
             size //= 2
-            log.info("memory for %d passes at once is not there, trying %d", 2 * size, size)
+            log.info("not enough memory for %d passes at once, trying %d", 2 * size, size)
     return found
 
 

@@ -9,6 +9,7 @@ import pytest
 import torch
 import torch.nn.functional as F
 from scans import SMALL, lively, make_scan
+from torch import nn
 
 from salsanext_cli.classes import label_space
 from salsanext_cli.geometry.projection import project
@@ -184,6 +185,12 @@ def test_central_dropout_leaves_out_the_first_block_and_the_last():
 def test_the_rate_left_out_is_the_papers():
     assert {d.rate for d in dropouts(build({"name": "rangenet53"}))} == {0.01}
     assert {d.rate for d in dropouts(build({"name": "salsanet"}))} == {0.2}
+
+
+@pytest.mark.parametrize(("name", "momentum"), [("rangenet53", 0.01), ("salsanext", 0.1)])
+def test_the_momentum_of_batch_norm_is_the_authors(name, momentum):
+    norms = [m for m in build({"name": name}).modules() if isinstance(m, nn.BatchNorm2d)]
+    assert {norm.momentum for norm in norms} == {momentum}
 
 
 def matrix_of(weight, geometry, size):

@@ -1,21 +1,12 @@
 # SPDX-License-Identifier: MIT
 """Checkpoints as the published code saves them, and files that only look like it."""
 
-import argparse
-import functools
-import os
-import pickle
-import sys
-import types
-import zipfile
-from collections import OrderedDict, defaultdict
+from collections import OrderedDict
 from dataclasses import replace
+from pathlib import Path
 
-import numpy as np
 import pytest
 import torch
-from hypothesis import given, settings
-from hypothesis import strategies as st
 from scans import lively
 
 from salsanext_cli.errors import OutputError, UsageError, WeightsError
@@ -25,8 +16,6 @@ from salsanext_cli.network.salsanext import SalsaNext
 from salsanext_cli.network.weights import load_tensors, read_card, read_weights, save_with_card
 from salsanext_cli.sensors import sensor
 from salsanext_cli.stages.import_weights import import_weights
-
-FORMS = pytest.mark.parametrize("as_zip", [True, False], ids=["zip", "legacy"])
 
 
 def published_names():
@@ -67,231 +56,48 @@ FEW = {
 FEW_OURS = ("logits.bias", "up1.stack.fuse.2.num_batches_tracked", "context.1.shortcut.0.weight")
 
 
-def assert_few(tensors):
-    assert tuple(tensors) == FEW_OURS
-    for read, written in zip(tensors.values(), FEW.values(), strict=True):
-        assert torch.equal(read, written)
-        assert read.dtype == written.dtype
-
-
-@pytest.fixture
-def vanishing_class():
-    """Provide a scheduler-like class whose module is gone when the file is read."""
-    source = types.ModuleType("common_of_somebody")
-    exec(
-        "class WarmupLR:\n"
-        "    def __init__(self):\n"
-        "        self.state = {'step': 3, 'lrs': [0.1]}\n",
-        source.__dict__,
-    )
-    sys.modules["common_of_somebody"] = source
-    yield source.WarmupLR
-    sys.modules.pop("common_of_somebody", None)
-
-
-def save(path, content, as_zip):
-    torch.save(content, path, _use_new_zipfile_serialization=as_zip)
+def save(path, content):
+    torch.save(content, path)
     return path
 
 
-@FORMS
-def test_a_whole_checkpoint(tmp_path, state, module, as_zip):
-    path = save(tmp_path / "SalsaNext", {"epoch": 7, "state_dict": state}, as_zip)
+def test_a_whole_checkpoint(tmp_path, state, module):
+    path = save(tmp_path / "SalsaNext", {"epoch": 7, "state_dict": state})
     fresh = SalsaNext(20)
     load_tensors(fresh, read_published(path), path)
     for name, tensor in module.state_dict().items():
         assert torch.equal(fresh.state_dict()[name], tensor), name
 
 
-@FORMS
 @pytest.mark.parametrize("prefix", ["", "module."])
 @pytest.mark.parametrize("wrapped", [True, False], ids=["wrapped", "bare"])
-def test_prefix_wrapping_and_form_do_not_matter(tmp_path, as_zip, prefix, wrapped):
+def test_prefix_and_wrapping_do_not_matter(tmp_path, prefix, wrapped):
     tensors = OrderedDict((prefix + name, tensor) for name, tensor in FEW.items())
     content = {"epoch": 7, "state_dict": tensors, "info": {"best": 0.5}} if wrapped else tensors
-    assert_few(read_published(save(tmp_path / "SalsaNext", content, as_zip)))
+    found = read_published(save(tmp_path / "SalsaNext", content))
+    assert tuple(found) == FEW_OURS
+    for read, written in zip(found.values(), FEW.values(), strict=True):
+        assert torch.equal(read, written)
 
 
-@FORMS
-def test_a_scheduler_of_a_module_that_is_gone_is_passed_over(tmp_path, as_zip, vanishing_class):
-    content = {
-        "epoch": 1,
-        "scheduler": vanishing_class(),
-        "state_dict": {
-            name: torch.nn.Parameter(t) if t.is_floating_point() else t for name, t in FEW.items()
-        },
-        "info": {"device": torch.device("cpu"), "set": {1, 2}, "best": np.float64(0.5)},
-        "args": argparse.Namespace(epochs=150),
-    }
-    path = save(tmp_path / "SalsaNext", content, as_zip)
-    del sys.modules["common_of_somebody"]
-    assert_few(read_published(path))
-    assert "common_of_somebody" not in sys.modules
-
-
-@FORMS
-def test_built_in_classes_inside_a_scheduler_are_passed_over(tmp_path, as_zip):
-    """Pickles call them by the names of Python 2, such as `__builtin__.dict`."""
-    scheduler = {"by": defaultdict(dict, {1: {}}), "kind": dict, "step": functools.partial(max, 1)}
-    content = {"scheduler": scheduler, "state_dict": FEW}
-    assert_few(read_published(save(tmp_path / "SalsaNext", content, as_zip)))
-
-
-class Runs:
-    """Pickles as a call of a function."""
-
-    def __init__(self, function, *arguments):
-        self.call = function, arguments
-
-    def __reduce__(self):
-        return self.call
-
-
-def touch(path):
-    open(path, "w").close()  # noqa: PTH123
-
-
-@FORMS
 @pytest.mark.parametrize(
-    "attack",
+    ("content", "says"),
     [
-        lambda file: Runs(os.system, f"touch {file}"),
-        lambda file: Runs(exec, f"open({str(file)!r}, 'w')"),
-        lambda file: Runs(eval, f"open({str(file)!r}, 'w')"),
-        lambda file: Runs(open, str(file), "w"),
-        lambda file: Runs(touch, str(file)),
-        lambda file: Runs(os.mkdir, str(file)),
-    ],
-    ids=["os.system", "exec", "eval", "open", "function", "mkdir"],
-)
-def test_nothing_in_the_file_is_run(tmp_path, as_zip, attack):
-    proof = tmp_path / "proof"
-    content = {"state_dict": FEW, "scheduler": attack(proof)}
-    path = save(tmp_path / "SalsaNext", content, as_zip)
-    try:
-        read_published(path)
-    except WeightsError as error:
-        assert str(path) in str(error)  # noqa: PT017
-    assert not proof.exists()
-
-
-@FORMS
-def test_the_attack_would_have_worked(tmp_path, as_zip):
-    """Read without our restriction, the same file does what it says."""
-    proof = tmp_path / "proof"
-    path = save(tmp_path / "bad", {"x": Runs(os.mkdir, str(proof))}, as_zip)
-    torch.load(path, weights_only=False)
-    assert proof.exists()
-
-
-@FORMS
-def test_an_attack_in_place_of_the_tensors_is_refused(tmp_path, as_zip):
-    proof = tmp_path / "proof"
-    path = save(tmp_path / "bad", Runs(os.mkdir, str(proof)), as_zip)
-    with pytest.raises(WeightsError, match=r"posix\.mkdir whose module posix is blocked"):
-        read_published(path)
-    assert not proof.exists()
-
-
-@pytest.mark.parametrize("protocol", range(6))
-def test_a_plain_pickle_that_runs_something_is_refused(tmp_path, protocol):
-    proof = tmp_path / "proof"
-    path = tmp_path / "bad"
-    path.write_bytes(pickle.dumps(Runs(os.mkdir, str(proof)), protocol))
-    with pytest.raises(WeightsError, match="bad"):
-        read_published(path)
-    assert not proof.exists()
-
-
-def test_a_zip_behind_a_pickle_is_refused_or_harmless(tmp_path):
-    """Both readers of the file must not disagree about what it is to an attacker's advantage."""
-    proof = tmp_path / "proof"
-    good = save(tmp_path / "good", {"state_dict": FEW}, as_zip=True).read_bytes()
-    bad = save(tmp_path / "bad", {"x": Runs(os.mkdir, str(proof))}, as_zip=False)
-    bad.write_bytes(bad.read_bytes() + good)
-    with pytest.raises(WeightsError):
-        read_published(bad)
-    assert not proof.exists()
-
-
-@FORMS
-@pytest.mark.parametrize(
-    "content",
-    [
-        {"state_dict": 3},
-        {"state_dict": {"logits.weight": "text"}},
-        {"model": {"x": torch.zeros(1)}},
-        [torch.zeros(1)],
-        torch.zeros(3),
-        "text",
-        {"state_dict": {"unheard.of.weight": torch.zeros(1)}},
-        {"state_dict": {3: torch.zeros(1)}},
+        ({"state_dict": 3}, "no state_dict of tensors"),
+        ({"state_dict": {"logits.weight": "text"}}, "no state_dict of tensors"),
+        ({"model": {"x": torch.zeros(1)}}, "no state_dict of tensors"),
+        ([torch.zeros(1)], "no state_dict of tensors"),
+        (torch.zeros(3), "no state_dict of tensors"),
+        ({"state_dict": {**FEW, "logits.weight": "text"}}, "logits.weight is no plain tensor"),
+        ({"state_dict": {**FEW, "logits.weight": torch.ones(2).to_sparse()}}, "no plain tensor"),
+        ({"state_dict": {**FEW, "logits.weight": Path()}}, "no plain tensor but pathlib"),
+        ({"state_dict": {"unheard.of.weight": torch.zeros(1)}}, "unknown tensor unheard.of.weight"),
+        ({"state_dict": {3: torch.zeros(1)}}, "unknown tensor 3"),
     ],
 )
-def test_files_that_are_no_checkpoints(tmp_path, content, as_zip):
-    path = save(tmp_path / "SalsaNext", content, as_zip)
-    with pytest.raises(WeightsError, match="SalsaNext"):
-        read_published(path)
-
-
-@pytest.mark.parametrize("content", [b"", b"\x80", b"PK\x03\x04", b"x" * 5000, b"\x80\x02." * 4])
-def test_files_of_rubbish(tmp_path, content):
-    (tmp_path / "SalsaNext").write_bytes(content)
-    with pytest.raises(WeightsError, match="SalsaNext"):
-        read_published(tmp_path / "SalsaNext")
-
-
-def test_files_that_are_not_there(tmp_path):
-    with pytest.raises(WeightsError, match="no such file"):
-        read_published(tmp_path / "nothing")
-    with pytest.raises(WeightsError, match="directory"):
-        read_published(tmp_path)
-
-
-@FORMS
-@pytest.mark.parametrize("share", [0.0005, 0.1, 0.5, 0.99, 0.9999])
-def test_truncated_checkpoints(tmp_path, state, share, as_zip):
-    path = save(tmp_path / "SalsaNext", {"state_dict": state}, as_zip)
-    content = path.read_bytes()
-    path.write_bytes(content[: int(len(content) * share)])
-    with pytest.raises(WeightsError, match="SalsaNext"):
-        read_published(path)
-
-
-@pytest.fixture(scope="module")
-def little(tmp_path_factory):
-    """Return the bytes of two little checkpoints, in both forms."""
-    folder = tmp_path_factory.mktemp("little")
-    content = {"state_dict": {"logits.bias": torch.arange(3.0)}, "info": {"a": [1, 2.5, "x", None]}}
-    return [save(folder / "SalsaNext", content, as_zip).read_bytes() for as_zip in (True, False)]
-
-
-@settings(max_examples=100, deadline=None)
-@given(data=st.data())
-def test_damaged_checkpoints_are_refused_or_harmless(little, tmp_path_factory, data):
-    content = bytearray(data.draw(st.sampled_from(little)))
-    for _ in range(data.draw(st.integers(1, 4))):
-        content[data.draw(st.integers(0, len(content) - 1))] = data.draw(st.integers(0, 255))
-    path = tmp_path_factory.getbasetemp() / "damaged"
-    path.write_bytes(content)
-    try:
-        tensors = read_published(path)
-    except WeightsError as error:
-        assert str(path) in str(error)  # noqa: PT017
-    else:
-        assert all(isinstance(tensor, torch.Tensor) for tensor in tensors.values())
-
-
-@pytest.mark.parametrize("method", [zipfile.ZIP_DEFLATED, zipfile.ZIP_BZIP2, zipfile.ZIP_LZMA])
-def test_a_damaged_compressed_zip_is_refused(tmp_path, method):
-    path = tmp_path / "SalsaNext"
-    with zipfile.ZipFile(path, "w", method) as archive:
-        archive.writestr("SalsaNext/data.pkl", b"abc" * 1000)
-    content = bytearray(path.read_bytes())
-    start = content.index(b"data.pkl") + len(b"data.pkl")
-    content[start : start + 20] = b"\xff" * 20
-    path.write_bytes(content)
-    with pytest.raises(WeightsError, match="SalsaNext"):
+def test_files_that_are_no_checkpoints(tmp_path, content, says):
+    path = save(tmp_path / "SalsaNext", content)
+    with pytest.raises(WeightsError, match=f"SalsaNext · .*{says}"):
         read_published(path)
 
 
@@ -318,7 +124,7 @@ def test_the_published_file_is_imported(golden, tmp_path):
 
 @pytest.fixture
 def checkpoint(tmp_path, state):
-    return save(tmp_path / "SalsaNext", {"state_dict": state}, as_zip=True)
+    return save(tmp_path / "SalsaNext", {"state_dict": state})
 
 
 def test_ours_are_stored_anew_in_half_the_size(weights, tmp_path):
@@ -353,7 +159,7 @@ def test_a_target_needs_its_suffix(checkpoint, tmp_path):
 
 def test_a_checkpoint_of_another_label_space_is_refused(tmp_path, state):
     cut = {k: v[:5] if k.startswith("logits") else v for k, v in state.items()}
-    path = save(tmp_path / "SalsaNext", {"state_dict": cut}, as_zip=True)
+    path = save(tmp_path / "SalsaNext", {"state_dict": cut})
     with pytest.raises(WeightsError, match="5 outputs · expected 20, one per class"):
         import_weights(path, tmp_path / "w.safetensors")
 
@@ -362,7 +168,7 @@ def test_a_checkpoint_of_another_label_space_is_refused(tmp_path, state):
 def test_a_checkpoint_without_usable_outputs_is_refused(tmp_path, state, bias):
     cut = {name: tensor for name, tensor in state.items() if name != "logits.bias"}
     cut |= {} if bias is None else {"logits.bias": bias}
-    path = save(tmp_path / "SalsaNext", {"state_dict": cut}, as_zip=True)
+    path = save(tmp_path / "SalsaNext", {"state_dict": cut})
     with pytest.raises(WeightsError, match="outputs"):
         import_weights(path, tmp_path / "w.safetensors")
 
@@ -372,10 +178,3 @@ def test_a_dropout_rate_that_is_none(checkpoint, tmp_path, rate):
     with pytest.raises(UsageError, match="dropout"):
         import_weights(checkpoint, tmp_path / "w.safetensors", dropout=rate)
     assert not (tmp_path / "w.safetensors").exists()
-
-
-def test_values_that_are_not_finite_are_refused(tmp_path, state):
-    bad = state | {"logits.bias": torch.full((20,), torch.nan)}
-    path = save(tmp_path / "SalsaNext", {"state_dict": bad}, as_zip=True)
-    with pytest.raises(WeightsError, match=r"logits\.bias holds values that are not finite"):
-        import_weights(path, tmp_path / "w.safetensors")

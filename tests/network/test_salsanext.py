@@ -4,6 +4,7 @@ import json
 import numpy as np
 import pytest
 import torch
+import torch.nn.functional as F
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scans import lively
@@ -18,9 +19,14 @@ from salsanext_cli.network.blocks import (
 )
 from salsanext_cli.network.complexity import parameter_count
 from salsanext_cli.network.published import our_name
-from salsanext_cli.network.registry import build
+from salsanext_cli.network.registry import ARCHITECTURES, build
 from salsanext_cli.network.salsanext import SalsaNext
-from salsanext_cli.network.up_blocks import AddingUpBlock, TransposedUnit, UpBlock
+from salsanext_cli.network.up_blocks import (
+    AddingUpBlock,
+    ReplicatingConvTranspose2d,
+    TransposedUnit,
+    UpBlock,
+)
 
 
 @pytest.fixture(scope="module")
@@ -121,8 +127,9 @@ def test_gradients_reach_every_parameter():
         (PlainContextBlock(5, 8), (5, 9, 11), (8, 9, 11)),
         (Down(0.2), (3, 8, 12), (3, 4, 6)),
         (StridedDown(3, 0.2), (3, 8, 12), (3, 4, 6)),
-        (TransposedUnit(6, 4), (6, 8, 12), (4, 16, 24)),
-        (TransposedUnit(6, 4, kernel=2), (6, 8, 12), (4, 16, 24)),
+        (TransposedUnit.of_3x3(6, 4), (6, 8, 12), (4, 16, 24)),
+        (TransposedUnit.of_2x2(6, 4), (6, 8, 12), (4, 16, 24)),
+        (TransposedUnit.replicating(6, 4), (6, 8, 12), (4, 16, 24)),
     ],
 )
 def test_blocks_keep_or_halve_sizes(block, inputs, outputs):
@@ -133,11 +140,41 @@ def test_blocks_keep_or_halve_sizes(block, inputs, outputs):
     "block",
     [
         UpBlock(nn.PixelShuffle(2), 8 // 4 + 3, 5, DilatedStack, 0.2),
-        AddingUpBlock(TransposedUnit(8, 3), 3, 5, DilatedStack, 0.2),
+        AddingUpBlock(TransposedUnit.of_3x3(8, 3), 3, 5, DilatedStack, 0.2),
     ],
 )
 def test_an_up_block_doubles_sizes(block):
     assert block(noise(1, 8, 4, 6), noise(1, 3, 8, 12)).shape == (1, 5, 8, 12)
+
+
+@pytest.mark.parametrize("training", [False, True])
+def test_the_first_version_repeats_the_last_row_and_column(training):
+    """The published up block: convolution, repetition, LeakyReLU, batch norm, in this order."""
+    unit = lively(TransposedUnit.replicating(6, 4)).train(training)
+    x = noise(2, 6, 5, 7)
+    convolution, _, norm = unit
+    short = F.conv_transpose2d(x, convolution.weight, convolution.bias, stride=2, padding=1)
+    assert short.shape == (2, 4, 9, 13)
+    edges = np.pad(short.detach().numpy(), ((0, 0), (0, 0), (0, 1), (0, 1)), mode="edge")
+    bent = np.where(edges > 0, edges, 0.01 * edges)
+    mean, variance = norm.running_mean.numpy(), norm.running_var.numpy()
+    if training:
+        mean, variance = bent.mean(axis=(0, 2, 3)), bent.var(axis=(0, 2, 3))
+    scale, shift = (p.detach().numpy()[:, None, None] for p in (norm.weight, norm.bias))
+    mean, variance = mean[:, None, None].copy(), variance[:, None, None].copy()
+    expected = (bent - mean) / np.sqrt(variance + norm.eps) * scale + shift
+    np.testing.assert_allclose(unit(x).detach().numpy(), expected, rtol=1e-4, atol=1e-5)
+
+
+def test_every_rung_of_the_first_version_repeats_and_no_other_does():
+    def repeats(name):
+        with torch.device("meta"):
+            modules = build({"name": name}).modules()
+        return any(isinstance(module, ReplicatingConvTranspose2d) for module in modules)
+
+    assert {name for name in ARCHITECTURES if repeats(name)} == {
+        name for name in ARCHITECTURES if name.startswith("salsanext-v1")
+    }
 
 
 def test_dropout_rates_and_their_places():

@@ -54,6 +54,11 @@ def rewritten(source, target, change):
     return target
 
 
+def changed(tensors, change):
+    """Change the logits' bias."""
+    tensors["logits.bias"] = change(tensors["logits.bias"])
+
+
 def test_round_trip_keeps_every_bit(module, tmp_path):
     save_weights(tmp_path / "w.safetensors", module, CARD)
     loaded, card = read_weights(tmp_path / "w.safetensors")
@@ -121,15 +126,6 @@ def test_half_precision_is_small_close_and_keeps_large_variances(module, tmp_pat
         torch.testing.assert_close(tensor, original, rtol=1e-3, atol=1e-6)
 
 
-def test_reading_does_not_alias_the_file(module, tmp_path):
-    path = tmp_path / "w.safetensors"
-    save_weights(path, module, CARD)
-    loaded, _ = read_weights(path)
-    before = loaded.logits.bias.clone()
-    path.unlink()
-    assert torch.equal(loaded.logits.bias, before)
-
-
 @pytest.mark.parametrize(
     ("key", "value", "says"),
     [
@@ -149,6 +145,17 @@ def test_reading_does_not_alias_the_file(module, tmp_path):
         ("sensor", '{"name": "s", "fov_up": 3}', "fov_down"),
         ("sensor", "[]", "damaged"),
         ("sensor", '"hdl64"', "damaged"),
+        (
+            "sensor",
+            '{"name": "s", "fov_up": 3, "fov_down": 0, "height": 1, "width": 1, '
+            '"stds": [1, 1, 1, 1, 1e-40]}',
+            r"stds .* 1e-40",
+        ),
+        (
+            "sensor",
+            '{"name": "s", "fov_up": 3, "fov_down": 0, "height": 4096, "width": 4096}',
+            "16 GB",
+        ),
         ("recipe", "[]", "damaged"),
         ("scores", "3", "damaged"),
         ("version", None, None),
@@ -181,6 +188,10 @@ def test_damaged_metadata_is_named(weights, tmp_path, key, value, says):
         ),
         (lambda _, t: t["logits.bias"].fill_(torch.nan), r"logits\.bias holds .* not finite"),
         (lambda _, t: t["logits.weight"].view(-1)[5:6].fill_(torch.inf), "not finite"),
+        (lambda _, t: changed(t, lambda b: b.double().fill_(1e300)), r"bias holds .* not finite"),
+        (lambda _, t: changed(t, lambda b: b.to(torch.float8_e5m2)), r"bias is of torch\.float8"),
+        (lambda _, t: changed(t, lambda b: b.to(torch.complex64)), r"bias is of torch\.complex64"),
+        (lambda _, t: t["block1.stack.fuse.2.running_var"][:1].fill_(-1e-6), "variances below 0"),
         (lambda m, _: m.clear(), "lacks what salsanext writes"),
     ],
 )
@@ -252,7 +263,7 @@ def test_what_is_no_weights_file_is_refused(tmp_path, content):
         read_weights(tmp_path / "w.safetensors")
 
 
-@pytest.mark.parametrize("share", [0.0001, 0.01, 0.5, 0.999999])
+@pytest.mark.parametrize("share", [0.0001, 0.5, 0.999999])
 def test_a_truncated_file_is_refused(weights, tmp_path, share):
     content = weights.read_bytes()
     path = tmp_path / "w.safetensors"
@@ -285,23 +296,6 @@ def test_weights_that_cannot_be_written(module, tmp_path):
     (tmp_path / "file").touch()
     with pytest.raises(OutputError, match="cannot be written"):
         save_weights(tmp_path / "file" / "w.safetensors", module, CARD)
-
-
-def test_saving_replaces_whole_files_only(module, tmp_path, monkeypatch):
-    path = tmp_path / "w.safetensors"
-    path.write_bytes(b"old")
-
-    class Stop(Exception):  # noqa: N818
-        pass
-
-    def fail(*_):
-        raise Stop
-
-    monkeypatch.setattr(safetensors.torch, "save", fail)
-    with pytest.raises(Stop):
-        save_weights(path, module, CARD)
-    assert path.read_bytes() == b"old"
-    assert list(tmp_path.iterdir()) == [path]
 
 
 def test_loading_tensors_casts_to_float32():

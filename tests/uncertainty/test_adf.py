@@ -70,16 +70,6 @@ def batch_norm(x):
     return F.batch_norm(x, mean, variance, scale, shift, False, 0.1, 1e-5)
 
 
-def dropped_in_training(x):
-    """Drop the same channels of every sample: samples side by side make one image."""
-    with torch.random.fork_rng():
-        torch.manual_seed(3)
-        if isinstance(x, Gaussian):
-            return F.dropout2d(x, 0.3, True)
-        wide = x.permute(1, 0, 2, 3).flatten(1, 2)[None]
-        return F.dropout2d(wide, 0.3, True)[0].view(4, *x.shape[::2], x.shape[3]).transpose(0, 1)
-
-
 def dropped_in_sampling(x):
     layer = ChannelDropout(0.3)
     with sampling([torch.Generator().manual_seed(2)]):
@@ -99,11 +89,11 @@ LINEAR = {
     "padding": lambda x: F.pad(x, (1, 0, 2, 3)),
     "padding with a value": lambda x: F.pad(x, (1, 1), value=2.5),
     "padding around": lambda x: F.pad(x, (2, 1, 0, 0), mode="circular"),
+    "padding by repetition": lambda x: F.pad(x, (0, 1, 0, 2), mode="replicate"),
     "indexing": lambda x: x[..., torch.arange(9) % 4][:, 1:, :3],
     "concatenation": lambda x: torch.cat((x[:, 2:], x[:, :1]), dim=1),
     "residual sum": lambda x: x[:, :2] + x[:, 2:],
     "dropout not in training": lambda x: F.dropout2d(x, 0.3, False),
-    "dropout in training": dropped_in_training,
     "dropout in sampling": dropped_in_sampling,
 }
 RULES = {
@@ -266,6 +256,9 @@ def test_what_the_rules_do_not_cover_is_an_error():
     x = gaussian(*SHAPE)
     with pytest.raises(NotImplementedError, match="average pooling"):
         nn.AvgPool2d(3, stride=2, padding=1, count_include_pad=False)(x)
+    for layer in (nn.BatchNorm2d(4), ChannelDropout(0.3)):
+        with pytest.raises(NotImplementedError, match="in training"):
+            layer.train()(x)
     with pytest.raises(ValueError, match=r"\(1, 4\) and variance \(4,\) differ in shape"):
         Gaussian(torch.zeros(1, 4), torch.zeros(4))
 

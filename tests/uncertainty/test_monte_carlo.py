@@ -14,7 +14,7 @@ from salsanext_cli.network.dropout import ChannelDropout, dropouts, sampling
 from salsanext_cli.uncertainty.aleatoric import aleatoric
 from salsanext_cli.uncertainty.estimate import entropy
 from salsanext_cli.uncertainty.monte_carlo import (
-    Moments,
+    PassStatistics,
     in_batches,
     on_threads,
     pass_seed,
@@ -204,10 +204,10 @@ def test_more_passes_come_closer_to_the_mean(network, image):
 
 def test_moments_in_closed_form():
     """Two certain passes in full disagreement share ln 2 of information; variance is ¼ each."""
-    moments = Moments()
-    moments.add([torch.tensor([1.0, 0.0]).view(2, 1, 1)])
-    moments.add([torch.tensor([0.0, 1.0]).view(2, 1, 1)])
-    sampled = moments.summary()
+    statistics = PassStatistics()
+    statistics.add([torch.tensor([1.0, 0.0]).view(2, 1, 1)])
+    statistics.add([torch.tensor([0.0, 1.0]).view(2, 1, 1)])
+    sampled = statistics.summary()
     assert sampled.probabilities.ravel().tolist() == [0.5, 0.5]
     assert sampled.uncertainty.epistemic.item() == 0.25
     assert sampled.uncertainty.entropy.item() == pytest.approx(np.log(2))
@@ -215,20 +215,22 @@ def test_moments_in_closed_form():
 
 
 def test_equal_passes_have_no_variance_and_share_no_information():
-    moments = Moments()
+    statistics = PassStatistics()
     for _ in range(30):
-        moments.add([torch.tensor([0.1, 0.2, 0.7]).view(3, 1, 1)])
-    uncertainty = moments.summary().uncertainty
+        statistics.add([torch.tensor([0.1, 0.2, 0.7]).view(3, 1, 1)])
+    uncertainty = statistics.summary().uncertainty
     assert uncertainty.epistemic.item() == pytest.approx(0, abs=1e-15)
     assert uncertainty.mutual_information.item() == pytest.approx(0, abs=1e-12)
     assert uncertainty.entropy.item() == pytest.approx(0.801819, rel=1e-5)
 
 
 def test_a_tiny_variance_does_not_cancel():
-    moments = Moments()
+    statistics = PassStatistics()
     for offset in (-1e-6, 1e-6):
-        moments.add([torch.tensor([0.9 + offset, 0.1 - offset], dtype=torch.float64).view(2, 1, 1)])
-    assert moments.summary().uncertainty.epistemic.item() == pytest.approx(1e-12, rel=1e-3)
+        statistics.add(
+            [torch.tensor([0.9 + offset, 0.1 - offset], dtype=torch.float64).view(2, 1, 1)]
+        )
+    assert statistics.summary().uncertainty.epistemic.item() == pytest.approx(1e-12, rel=1e-3)
 
 
 def test_entropy_of_certainty_is_zero_also_when_the_softmax_is_rounded_up():

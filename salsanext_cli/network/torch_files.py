@@ -1,0 +1,124 @@
+# SPDX-License-Identifier: MIT
+"""Files of `torch.save`, read without running anything that they contain."""
+
+from __future__ import annotations
+
+import io
+import struct
+import warnings
+from pathlib import Path
+from pickle import UnpicklingError
+from typing import Any, BinaryIO
+from zipfile import ZIP_STORED, BadZipFile, ZipFile
+
+import torch
+from torch import Tensor
+from torch.serialization import MAGIC_NUMBER, PROTOCOL_VERSION
+
+from salsanext_cli.errors import WeightsError
+from salsanext_cli.formats.reading import reason
+from salsanext_cli.network.restricted_unpickler import RestrictedUnpickler
+from salsanext_cli.settings_files import words_of
+
+UNREADABLE = (
+    *(ArithmeticError, AssertionError, AttributeError, EOFError, LookupError, MemoryError),
+    *(RuntimeError, TypeError, ValueError, struct.error, BadZipFile, UnpicklingError),
+)
+"""Errors over bytes that `torch.save` did not write, of this reader and of torch's own."""
+
+
+def read_torch_file(path: Path) -> Any:
+    """Return what was given to `torch.save`, as `RestrictedUnpickler` builds it, on the CPU.
+
+    Both forms are read: the archive, and that of before torch 1.6. No more memory is taken than a
+    few times the size of the file.
+
+    Raises
+    ------
+    WeightsError
+        If the file cannot be read.
+    """
+    try:
+        if path.exists() and not (path.is_file() or path.is_dir()):
+            raise WeightsError(path, "neither a file nor a link to one", "a file of torch.save")
+        # In memory: of a file, as many bytes are made room for as a string claims to have.
+        content = path.read_bytes()
+        read = _read_archive if content.startswith(b"PK\x03\x04") else _read_legacy
+        with warnings.catch_warnings():
+            # Of escapes in damaged names.
+            warnings.simplefilter("ignore")
+            return read(io.BytesIO(content))
+    except OSError as error:
+        raise WeightsError(path, f"cannot be read: {reason(error)}") from error
+    except UNREADABLE as error:
+        found = f"not readable safely: {words_of(error)}"
+        raise WeightsError(path, found, "a file of torch.save") from error
+
+
+def require_stored(archive: ZipFile, file: BinaryIO) -> None:
+    """Raise `BadZipFile` if an archive holds less than it unpacks to; torch never compresses.
+
+    Parameters
+    ----------
+    archive : ZipFile
+        Opened on `file`.
+    file : BinaryIO
+        The file itself.
+    """
+    members = archive.infolist()
+    size = file.seek(0, 2)
+    if (
+        any(m.compress_type != ZIP_STORED for m in members)
+        or sum(m.file_size for m in members) > size
+    ):
+        raise BadZipFile("it would unpack to more than it holds")
+
+
+def _read_archive(file: BinaryIO) -> Any:
+    with ZipFile(file) as archive:
+        require_stored(archive, file)
+        names = archive.namelist()
+        (pickled,) = [name for name in names if name.endswith("/data.pkl")]
+        folder = pickled.removesuffix("data.pkl")
+        if f"{folder}byteorder" in names:
+            _require(archive.read(f"{folder}byteorder") == b"little", "big-endian numbers")
+
+        def load(key: str, dtype: torch.dtype, count: int) -> Tensor:
+            return _numbers(archive.read(f"{folder}data/{key}"), dtype, count)
+
+        return RestrictedUnpickler(io.BytesIO(archive.read(pickled)), load).load()
+
+
+def _read_legacy(file: BinaryIO) -> Any:
+    """Read four pickles, magic number, version, system and object, then keys and raw numbers."""
+    room = file.seek(0, 2)
+    file.seek(0)
+
+    def load(key: str, dtype: torch.dtype, count: int) -> Tensor:
+        nonlocal room
+        room -= count * dtype.itemsize
+        _require(count >= 0 and room >= 0, "more numbers than bytes")
+        return torch.empty(count, dtype=dtype)
+
+    magic, version, _ = (RestrictedUnpickler(file, load).load() for _ in range(3))
+    _require(magic == MAGIC_NUMBER, "neither an archive nor the magic number")
+    _require(version == PROTOCOL_VERSION, "an unknown version of the format")
+    unpickler = RestrictedUnpickler(file, load)
+    found, keys = unpickler.load(), RestrictedUnpickler(file, load).load()
+    _require(isinstance(keys, list) and all(type(key) is str for key in keys), "no list of keys")
+    _require(sorted(keys) == sorted(unpickler.storages), "keys of other tensors")
+    for storage in (unpickler.storages[key] for key in keys):
+        (count,) = struct.unpack("<q", file.read(8))
+        _require(count == len(storage), f"{count} numbers in place of {len(storage)}")
+        storage.copy_(_numbers(file.read(storage.nbytes), storage.dtype, count))
+    return found
+
+
+def _numbers(data: bytes, dtype: torch.dtype, count: int) -> Tensor:
+    _require(len(data) == count * dtype.itemsize, f"{len(data)} bytes for {count} numbers")
+    return torch.frombuffer(bytearray(data), dtype=dtype) if data else torch.empty(0, dtype=dtype)
+
+
+def _require(holds: bool, found: str) -> None:
+    if not holds:
+        raise ValueError(found)
