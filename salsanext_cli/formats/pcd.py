@@ -1,14 +1,16 @@
 # SPDX-License-Identifier: MIT
 """PCD clouds: ascii, binary and binary_compressed.
 
-open3d only unpacks compressed files, and only after their header was checked here: it corrupts
-memory on padding fields (`_` with COUNT ≠ 1) and fills short ascii files with uninitialised values.
+open3d only unpacks compressed data, of a copy with a header in the usual form: it writes beyond its
+memory where HEIGHT comes after POINTS and on padding fields (`_` with COUNT ≠ 1), and fills clouds
+with uninitialised values where ascii files are short or DATA is in upper case.
 """
 
 from __future__ import annotations
 
 import io
 from pathlib import Path
+from tempfile import NamedTemporaryFile
 from typing import BinaryIO
 
 import numpy as np
@@ -45,7 +47,7 @@ def read_pcd(path: Path, *, intensity_scale: float = 1.0) -> Scan:
                 case "binary":
                     columns = _read_binary(file, path, header)
                 case _:
-                    columns = _read_compressed(file, path, header)
+                    columns = _read_compressed(file, header)
         except ValueError as error:
             raise FormatError(path, shortened(str(error)), "a whole PCD file") from error
     return scan_of(columns, path, intensity_scale)
@@ -79,7 +81,7 @@ def _read_binary(file: BinaryIO, path: Path, header: Header) -> Columns:
     return {name: table[name] for name in table.dtype.names or ()}
 
 
-def _read_compressed(file: BinaryIO, path: Path, header: Header) -> Columns:
+def _read_compressed(file: BinaryIO, header: Header) -> Columns:
     if len(header.scalars) < len(header.names):
         raise ValueError("compressed PCD data with fields of several values")
     sizes = np.fromfile(file, "<u4", 2)
@@ -92,9 +94,14 @@ def _read_compressed(file: BinaryIO, path: Path, header: Header) -> Columns:
     if header.points == 0:
         return {name: np.empty(0, t) for name, t in zip(header.names, header.types, strict=True)}
     open3d = import_open3d()
-    with open3d.utility.VerbosityContextManager(open3d.utility.VerbosityLevel.Error):
+    with (
+        NamedTemporaryFile(suffix=".pcd") as copy,
+        open3d.utility.VerbosityContextManager(open3d.utility.VerbosityLevel.Error),
+    ):
+        copy.write(header.encode() + sizes.tobytes() + file.read(sizes[0]))
+        copy.flush()
         try:
-            cloud = open3d.t.io.read_point_cloud(str(path), format="pcd")
+            cloud = open3d.t.io.read_point_cloud(copy.name, format="pcd")
         except RuntimeError as error:
             raise ValueError("compressed PCD data that open3d cannot take") from error
     if "positions" not in cloud.point or len(cloud.point.positions) != header.points:

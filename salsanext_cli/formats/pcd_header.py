@@ -17,6 +17,7 @@ TYPES = {
     **{f"U{size}": f"<u{size}" for size in (1, 2, 4, 8)},
 }
 """numpy's type of each TYPE and SIZE."""
+CODES = {kind: code for code, kind in TYPES.items()}
 PADDING = "_"
 KEYWORDS = (
     *("VERSION", "FIELDS", "SIZE", "TYPE", "COUNT"),
@@ -85,6 +86,15 @@ class Header:
                 "itemsize": row_size,
             }
         )
+
+    def encode(self) -> bytes:
+        """Return the header in its usual form and order, of a cloud in one row."""
+        types = [CODES[kind] for kind in self.types]
+        return (
+            f"VERSION 0.7\nFIELDS {' '.join(self.names)}\nSIZE {' '.join(t[1:] for t in types)}\n"
+            f"TYPE {' '.join(t[0] for t in types)}\nCOUNT {' '.join(map(str, self.counts))}\n"
+            f"WIDTH {self.points}\nHEIGHT 1\nPOINTS {self.points}\nDATA {self.kind}\n"
+        ).encode()
 
     def _sizes(self) -> list[int]:
         return [

@@ -89,6 +89,11 @@ def stored_as_literals(plain) -> bytes:
     return struct.pack("<II", len(packed), len(plain)) + packed
 
 
+def reordered(head):
+    """Return a header whose HEIGHT comes after POINTS."""
+    return head.replace(b"HEIGHT 1\n", b"").replace(b"DATA", b"HEIGHT 1\nDATA")
+
+
 @pytest.mark.real
 @pytest.mark.parametrize(
     "name",
@@ -161,12 +166,13 @@ def test_old_header_without_count_and_points(tmp_path):
     assert read_pcd(path).intensity.tolist() == [4, 8]
 
 
-def test_compressed(tmp_path):
+@pytest.mark.parametrize("spoil", [bytes, lambda h: h.replace(b"_c", b"_C"), reordered])
+def test_compressed(tmp_path, spoil):
+    """Open3d gives other values where DATA is in upper case, or dies where HEIGHT comes last."""
     path = tmp_path / "gepäck 1.pcd"
     plain = struct.pack("<6f2B", 1, 4, 2, 5, 3, np.inf, 51, 255)
-    path.write_bytes(
-        header("x:F4 y:F4 z:F4 intensity:U1", data="binary_compressed") + stored_as_literals(plain)
-    )
+    head = header("x:F4 y:F4 z:F4 intensity:U1", data="binary_compressed")
+    path.write_bytes(spoil(head) + stored_as_literals(plain))
     scan = read_pcd(path)
     np.testing.assert_array_equal(scan.points, np.float32([[1, 2, 3], [4, 5, np.inf]]))
     np.testing.assert_array_equal(scan.intensity, np.float32([0.2, 1]))
