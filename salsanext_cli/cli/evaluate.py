@@ -41,7 +41,8 @@ def evaluate(
     tables += uncertainty_tables(evaluation.uncertainty)
     output.result(evaluation.to_dict(), Group(*tables))
     console.name_failures(evaluation.failures)
-    counted = f"{evaluation.scans} scans{console.left_out(evaluation.missing, 'predictions')}"
-    output.say(f"eval: {counted} → {out}/scores.txt, eval.json, eval_*.png")
+    left_out = console.left_out(evaluation.missing, "predictions")
+    written = "scores.txt, eval.json, eval_*.png"
+    output.say(f"eval: {evaluation.scans} scans{left_out} → {out}/{written}")
     incomplete = evaluation.failures or evaluation.missing.scans
     raise typer.Exit(console.FAILED if incomplete else console.DONE)

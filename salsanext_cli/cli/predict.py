@@ -46,7 +46,7 @@ def predict(
     from salsanext_cli.stages import predict as stage
 
     source = selection.source(scans)
-    chosen = {"network": network.settings(), "selection": selection.scans()}
+    chosen: dict[str, Any] = {"network": network.settings(), "selection": selection.scans()}
     outcome: Outcome[Any]
     with running.over_scans("predict", output) as run:
         if stage.projected_sensor(source) is None:

@@ -6,6 +6,7 @@ from __future__ import annotations
 from dataclasses import asdict
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 from salsanext_cli.classes import LabelSpace, TrainIds
 from salsanext_cli.errors import LabelError, NoInputError, UsageError
@@ -141,6 +142,6 @@ def knn_refine_scans(
         overwrite=options.overwrite,
         record_scans=dataset is not None,
     ) as output:
-        choices = {"labels": labels, "space": space, "sensor": sensor, "knn": knn}
+        choices: dict[str, Any] = {"labels": labels, "space": space, "sensor": sensor, "knn": knn}
         task = partial(refine_scan, **choices, output=output)
         return run_over_scans(task, scans, options, is_done=output.is_done)
