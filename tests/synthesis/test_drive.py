@@ -6,7 +6,7 @@ import pytest
 from sklearn.neighbors import NearestNeighbors
 
 from salsanext_cli.synthesis import ids
-from salsanext_cli.synthesis.drive import MOUNT, SPEED, record
+from salsanext_cli.synthesis.drive import MOUNT_M, SPEED_M_PER_S, record
 
 SPACING = 2.5
 
@@ -40,7 +40,7 @@ def test_the_road_is_below_the_sensor(frames):
     for frame in frames:
         road = frame.scan.points[np.isin(frame.labels, (ids.ROAD, ids.MARKING))]
         near = road[np.hypot(road[:, 0], road[:, 1]) < 8]
-        assert np.median(near[:, 2]) == pytest.approx(-MOUNT, abs=0.15)
+        assert np.median(near[:, 2]) == pytest.approx(-MOUNT_M, abs=0.15)
         assert near[:, 2].std() < 0.15
 
 
@@ -70,7 +70,7 @@ def test_time_is_distance_by_speed(frames):
     assert times[0] == 0
     speeds = SPACING / np.diff(times)
     assert speeds == pytest.approx(speeds[0])
-    assert SPEED[0] <= speeds[0] <= SPEED[1]
+    assert SPEED_M_PER_S[0] <= speeds[0] <= SPEED_M_PER_S[1]
 
 
 @pytest.fixture(scope="module")

@@ -9,7 +9,7 @@ import pytest
 from salsanext_cli.errors import MissingDependency
 from salsanext_cli.synthesis.beams import hdl64
 from salsanext_cli.synthesis.ids import BUILDING, CAR, ROAD
-from salsanext_cli.synthesis.lidar import RANGE_NOISE, Scene, measure
+from salsanext_cli.synthesis.lidar import RANGE_NOISE_M, Scene, measure
 from salsanext_cli.synthesis.materials import OPTICS, Material
 from salsanext_cli.synthesis.mesh import Skin
 from salsanext_cli.synthesis.shapes import quads
@@ -41,7 +41,7 @@ def test_a_wall_is_as_far_as_it_is():
     error = distance[kept] - 10 / np.cos(azimuth[kept])
     assert kept.mean() > 0.98
     assert abs(error.mean()) < 1e-3
-    assert error.std() == pytest.approx(RANGE_NOISE, rel=0.05)
+    assert error.std() == pytest.approx(RANGE_NOISE_M, rel=0.05)
     assert set(labels[kept]) == {BUILDING}
     usual = OPTICS[Material.PLASTER].brightness
     assert intensity[kept].mean() == pytest.approx(usual, abs=0.05)

@@ -45,13 +45,13 @@ def test_a_tube_may_point_anywhere(direction):
 
 
 def test_an_ellipsoid_without_lumps_is_one():
-    mesh = ellipsoid((1, 2, 3), (0.5, 1, 2), STEEL, sides=12)
+    mesh = ellipsoid((1, 2, 3), (0.5, 1, 2), STEEL)
     unit = (mesh.vertices - [1, 2, 3]) / [0.5, 1, 2]
     np.testing.assert_allclose(np.linalg.norm(unit, axis=1), 1, atol=1e-12)
 
 
 def test_a_disc_is_a_regular_polygon():
-    mesh = disc((0, 0, 1), 2.0, "y", STEEL, sides=12)
+    mesh = disc((0, 0, 1), 2.0, STEEL, sides=12)
     assert area(mesh) == pytest.approx(0.5 * 12 * 4 * np.sin(2 * np.pi / 12))
     assert np.ptp(mesh.vertices[:, 1]) == 0
 
@@ -64,7 +64,7 @@ def test_quads_are_two_triangles_each():
 def test_facets_stay_near_their_centres():
     rng = np.random.default_rng(0)
     centres = rng.normal(0, 5, (200, 3))
-    mesh = facets(centres, 0.1, STEEL, rng)
+    mesh = facets(centres, np.full(200, 0.1), STEEL, rng)
     assert len(mesh) == 200
     corners = mesh.vertices[mesh.triangles]
     assert np.abs(corners - centres[:, None]).max() <= 0.1
