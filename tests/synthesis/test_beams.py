@@ -21,12 +21,6 @@ def test_elevations_are_the_sensors_own_in_two_blocks(beams):
     assert -np.diff(degrees[32:]).mean() == pytest.approx(1 / 2, abs=0.02)
 
 
-def test_sensors_differ_a_little():
-    first, second = (hdl64(np.random.default_rng(seed)) for seed in (0, 1))
-    difference = np.abs(np.degrees(first.elevation - second.elevation))
-    assert 0.01 < difference.mean() < 0.3
-
-
 def test_rays_are_unit_vectors_at_the_beams_angles(beams):
     origins, directions, _ = beams.rays()
     count = 64 * beams.columns

@@ -27,9 +27,6 @@ def test_scans_look_like_an_hdl64s(frames):
         scan = frame.scan
         assert len(scan) == len(frame.labels)
         assert 60_000 < len(scan) < 135_000
-        assert np.isfinite(scan.points).all()
-        assert scan.intensity.min() >= 0
-        assert scan.intensity.max() <= 1
         reach = np.linalg.norm(scan.points, axis=1)
         assert reach.min() > 1
         assert reach.max() < 82
@@ -77,15 +74,6 @@ def test_time_is_distance_by_speed(frames):
 def next_street():
     """Two frames of another sequence of the same seed."""
     return list(record(7, 1, 2, 3.0))
-
-
-def test_another_sequence_is_another_street(frames, next_street):
-    assert not np.array_equal(next_street[0].scan.points[:1000], frames[0].scan.points[:1000])
-
-
-def test_another_seed_is_another_street(frames):
-    other = next(record(8, 0, 3, SPACING))
-    assert not np.array_equal(other.scan.points[:1000], frames[0].scan.points[:1000])
 
 
 def test_moving_things_are_not_where_they_were(next_street):
