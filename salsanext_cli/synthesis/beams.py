@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Where the lasers of an HDL-64E look: 64 beams in two blocks, some 2160 columns a revolution."""
+"""Beams of an HDL-64E: 64 lasers in two blocks, about 2160 firings of each per revolution."""
 
 from __future__ import annotations
 
@@ -10,15 +10,11 @@ import numpy.typing as npt
 
 from salsanext_cli.synthesis.mesh import Array
 
-UPPER = (2.4, -8.0, 32)
-"""Elevation of the first and the last beam of the upper block in degrees, and their number."""
-LOWER = (-8.6, -23.9, 32)
-AZIMUTH_STEP = 0.1667
-"""Between firings of a laser at 10 Hz, degrees."""
-ENCODER_STEP = 0.09
-"""The sensor knows its azimuth in steps of this, degrees."""
-PERIOD = 0.1
-"""Time of a revolution, seconds."""
+UPPER, LOWER = (2.4, -8.0, 32), (-8.6, -23.9, 32)
+"""Elevation of the first and the last beam of a block in degrees, and their number."""
+AZIMUTH_STEP_DEG, ENCODER_STEP_DEG = 0.1667, 0.09
+"""Between firings of a laser at 10 Hz; resolution of the azimuth."""
+REVOLUTION_S = 0.1
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,8 +46,8 @@ class Beams:
     columns: int
 
     def azimuths(self) -> Array:
-        """Return where each firing looks, (L, columns), radians, anticlockwise from ahead."""
-        tick = np.radians(ENCODER_STEP)
+        """Return the azimuth of each firing, (L, columns), radians, anticlockwise from ahead."""
+        tick = np.radians(ENCODER_STEP_DEG)
         step = np.arange(self.columns) * (2 * np.pi / self.columns)
         azimuth: Array = np.floor(step / tick) * tick + self.azimuth[:, None]
         return azimuth
@@ -72,7 +68,7 @@ class Beams:
         height = np.broadcast_to(self.height[:, None], azimuth.shape)
         origins = np.stack([-y * aside, x * aside, height], -1)
         turned = np.mod(np.pi - azimuth, 2 * np.pi) / (2 * np.pi)
-        times = (turned - 0.5) * PERIOD
+        times = (turned - 0.5) * REVOLUTION_S
         return origins.reshape(-1, 3), directions.reshape(-1, 3), times.reshape(-1)
 
 
@@ -80,7 +76,7 @@ def hdl64(rng: np.random.Generator) -> Beams:
     """Return the beams of one HDL-64E with its own small deviations."""
     elevation = np.concatenate([np.linspace(*UPPER), np.linspace(*LOWER)])
     elevation = elevation + rng.normal(0, 0.045, 64) + rng.normal(0, 0.06)
-    columns = round(360 / (AZIMUTH_STEP + rng.normal(0, 0.0006)))
+    columns = round(360 / (AZIMUTH_STEP_DEG + rng.normal(0, 0.0006)))
     gain = rng.normal(1, 0.08, 64)
     weak = rng.random(64) < 0.06
     gain[weak] *= rng.uniform(0.6, 0.85, int(weak.sum()))
@@ -95,7 +91,7 @@ def hdl64(rng: np.random.Generator) -> Beams:
     )
 
 
-BLIND: tuple[tuple[tuple[float, float, float], ...], ...] = (
+VEHICLE: tuple[tuple[tuple[float, float, float], ...], ...] = (
     ((-25, -23.9, -90), (-18, -23, -90), (-12, -20.9, -90), (8, -20.9, -90), (13, -21.5, -90),
      (17, -22.5, -90), (21, -24, -90)),
     ((26, -24, -90), (31, -23, -90), (37, -22.6, -90), (40, -24, -90)),
@@ -111,21 +107,21 @@ BLIND: tuple[tuple[tuple[float, float, float], ...], ...] = (
      (301, -16.5, -21), (304, -19, -20)),
     ((319, -24, -90), (324, -22.2, -90), (330, -22.8, -90), (336, -24, -90)),
 )  # fmt: skip
-"""What the recording vehicle hides: outlines of (azimuth, upper edge, lower edge) in degrees.
+"""Outlines of the recording vehicle: (azimuth, upper edge, lower edge) in degrees.
 
 Azimuth is anticlockwise from straight ahead. Where the lower edge is above the lowest beam, the
 ground shows again below.
 """
-NEAR_SHIFT = 1.2
-"""The lasers sit left and right of the axis: by so many degrees the vehicle seems shifted."""
+PARALLAX_DEG = 1.2
+"""Shift of the vehicle as seen by lasers to the left and right of the axis."""
 
 
-def blind(beams: Beams, rng: np.random.Generator) -> npt.NDArray[np.bool_]:
-    """Say which rays the recording vehicle blocks, (L * columns,); mounting varies a little."""
-    azimuth = np.degrees(beams.azimuths()) + NEAR_SHIFT * np.sign(beams.aside)[:, None]
+def hidden_by_vehicle(beams: Beams, rng: np.random.Generator) -> npt.NDArray[np.bool_]:
+    """Return the rays that the recording vehicle blocks, (L * columns,); mounting varies a bit."""
+    azimuth = np.degrees(beams.azimuths()) + PARALLAX_DEG * np.sign(beams.aside)[:, None]
     elevation = np.degrees(beams.elevation)[:, None]
     hidden = np.zeros(azimuth.shape, bool)
-    for outline in BLIND:
+    for outline in VEHICLE:
         corner, upper, lower = np.array(outline).T
         beyond = np.mod(azimuth - corner[0] - rng.normal(0, 0.3), 360)
         shift = rng.normal(0, 0.3)

@@ -1,9 +1,10 @@
 # SPDX-License-Identifier: MIT
-"""Set things down on a plan: where they go, which way they look, whether there is room."""
+"""Street under construction: placement of objects on a ground plan."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
@@ -11,21 +12,21 @@ import numpy as np
 from salsanext_cli.synthesis.mesh import Mesh
 from salsanext_cli.synthesis.plan import Plan, Side
 
-PIECE = 5.0
-"""Long things follow a bend in pieces of this length, metres."""
+PIECE_M = 5.0
+"""Long things follow a bend in pieces of this length."""
 
 
 class Builder:
-    """A street under construction.
+    """Street under construction.
 
     Attributes
     ----------
     rng : numpy.random.Generator
-        Where all chance comes from.
+        Source of all randomness.
     plan : Plan
         The ground plan.
     parts : list of Mesh
-        What has been set down so far, world coordinates.
+        Objects placed so far, world coordinates.
     """
 
     def __init__(self, rng: np.random.Generator, plan: Plan) -> None:
@@ -43,6 +44,14 @@ class Builder:
         if high < low:
             low = high = (low + high) / 2
         return float(self.rng.uniform(low, high))
+
+    def count(self, mean: float) -> range:
+        """Draw a number of things, as a range to go through."""
+        return range(int(self.rng.poisson(mean)))
+
+    def along(self) -> float:
+        """Draw a position along the street."""
+        return self.between(0, self.plan.length)
 
     def put(
         self, mesh: Mesh, side: Side, s: float, out: float, yaw: float = 0.0, lift: float = 0.0
@@ -74,43 +83,32 @@ class Builder:
         return True
 
     def put_line(
-        self,
-        make: Callable[[float], Mesh],
-        side: Side,
-        start: float,
-        end: float,
-        out: float,
+        self, make: Callable[[float], Mesh], side: Side, start: float, end: float, out: float
     ) -> None:
         """Set down a long thing along the street; ``make(length)`` returns a piece along x."""
-        start, end = max(start, 0.0), min(end, self.plan.length)
-        if end - start < 0.3:
-            return
-        marks = np.linspace(start, end, max(2, int(np.ceil((end - start) / PIECE)) + 1))
-        for low, high in pairwise(marks):
-            t = side.sign * (self.plan.half + out)
+        t = side.sign * (self.plan.half + out)
+        for low, high in _pieces(max(start, 0.0), min(end, self.plan.length)):
             ends = self.plan.world([low, high], t)
             first, last = ends if side.sign > 0 else ends[::-1]
             step = last - first
-            yaw = float(np.arctan2(step[1], step[0]))
             length = float(np.hypot(step[0], step[1]))
             mesh = make(length)
             # Long things follow the slope: shear them so that both ends stand on the ground.
             rise = mesh.vertices[:, :1] * step[2] / max(length, 1e-6)
-            sheared = Mesh(
-                mesh.vertices + rise * [0.0, 0.0, 1.0],
-                mesh.triangles,
-                mesh.labels,
-                mesh.materials,
-                mesh.shades,
-            )
-            self.parts.append(sheared.moved(first, yaw))
+            sheared = replace(mesh, vertices=mesh.vertices + rise * [0.0, 0.0, 1.0])
+            self.parts.append(sheared.moved(first, float(np.arctan2(step[1], step[0]))))
 
     def put_outward(
         self, make: Callable[[float], Mesh], side: Side, s: float, start: float, end: float
     ) -> None:
         """Set down a long thing across, from `start` to `end` metres beyond the kerb."""
-        if end - start < 0.3 or not 0 < s < self.plan.length:
-            return
-        marks = np.linspace(start, end, max(2, int(np.ceil((end - start) / PIECE)) + 1))
-        for low, high in pairwise(marks):
-            self.put(make(high - low), side, s, float(low), yaw=np.pi / 2)
+        if 0 < s < self.plan.length:
+            for low, high in _pieces(start, end):
+                self.put(make(high - low), side, s, float(low), yaw=np.pi / 2)
+
+
+def _pieces(start: float, end: float) -> Iterator[tuple[float, float]]:
+    """Divide a stretch into pieces of equal length; one that is too short has none."""
+    if end - start >= 0.3:
+        count = max(1, int(np.ceil((end - start) / PIECE_M)))
+        yield from pairwise(np.linspace(start, end, count + 1))

@@ -17,6 +17,8 @@ FOOT = -1.5
 """Walls reach this far below the ground, which is not level."""
 Corners = list[list[float]]
 """Four points of a quadrangle."""
+Opening = tuple[float, float, float, float]
+"""Left, right, bottom and top."""
 
 
 def house(rng: np.random.Generator, width: float, depth: float, floors: int) -> Mesh:
@@ -71,7 +73,7 @@ def _facade(
             walls, pane = _pierced(x0, x1, bottom, top, hole, rng.uniform(0.08, 0.3))
             flat += walls
             (glass if rng.random() < 0.6 else closed).append(pane)
-    shutters = Skin(BUILDING, Material.WOOD, float(rng.uniform(0.4, 1.1)))
+    shutters = Skin.drawn(rng, BUILDING, Material.WOOD, 0.4, 1.1)
     skins = (wall, Skin(BUILDING, Material.GLASS), shutters)
     panels = zip((flat, glass, closed), skins, strict=True)
     meshes = [quads(np.array(corners), skin) for corners, skin in panels if corners]
@@ -89,8 +91,8 @@ def _hole(
     *,
     is_door: bool,
     shop: bool,
-) -> tuple[float, float, float, float] | None:
-    """Return left, right, bottom and top of the opening in a bay."""
+) -> Opening | None:
+    """Return the opening in a bay, None where it is too narrow."""
     middle, width = (x0 + x1) / 2, (x1 - x0) * size[0]
     if row == 0 and is_door:
         return middle - 0.55, middle + 0.55, 0.15, 2.2
@@ -99,12 +101,8 @@ def _hole(
     if width < 0.4:
         return None
     bottom = row * storey + size[2] + rng.normal(0, 0.01)
-    return (
-        middle - width / 2,
-        middle + width / 2,
-        bottom,
-        min(bottom + size[1], (row + 0.95) * storey),
-    )
+    top = min(bottom + size[1], (row + 0.95) * storey)
+    return middle - width / 2, middle + width / 2, bottom, top
 
 
 def _panel(x0: float, x1: float, z0: float, z1: float, y: float) -> Corners:
@@ -112,12 +110,7 @@ def _panel(x0: float, x1: float, z0: float, z1: float, y: float) -> Corners:
 
 
 def _pierced(
-    x0: float,
-    x1: float,
-    z0: float,
-    z1: float,
-    hole: tuple[float, float, float, float],
-    depth: float,
+    x0: float, x1: float, z0: float, z1: float, hole: Opening, depth: float
 ) -> tuple[list[Corners], Corners]:
     """Return the wall around an opening with its reveals, and the pane at the back of it."""
     a, b, c, d = hole
@@ -136,22 +129,17 @@ def _pierced(
 
 def _roof(rng: np.random.Generator, width: float, depth: float, height: float, wall: Skin) -> Mesh:
     """Return a flat or a gabled roof with eaves."""
-    skin = Skin(BUILDING, Material.BRICK, float(rng.uniform(0.5, 0.9)))
+    skin = Skin.drawn(rng, BUILDING, Material.BRICK, 0.5, 0.9)
     eaves = rng.uniform(0.1, 0.6)
     x, low, high = width / 2 + 0.1, -eaves, depth + eaves
     if rng.random() < 0.3:
         return box((-x, low / 2, height), (x, high, height + 0.3), skin)
     ridge, middle = height + rng.uniform(0.3, 0.6) * depth, depth / 2
+    z, peak = height - 0.1, ridge - 0.1
     slopes = [
-        [[-x, low, height - 0.1], [x, low, height - 0.1], [x, middle, ridge], [-x, middle, ridge]],
-        [
-            [-x, high, height - 0.1],
-            [x, high, height - 0.1],
-            [x, middle, ridge],
-            [-x, middle, ridge],
-        ],
+        [[-x, eave, z], [x, eave, z], [x, middle, ridge], [-x, middle, ridge]]
+        for eave in (low, high)
     ]
-    peak = ridge - 0.1
     gables = [
         [[end, 0, height], [end, depth, height], [end, middle, peak], [end, middle, peak]]
         for end in (-width / 2, width / 2)
@@ -173,15 +161,13 @@ def _details(
             parts.append(box((x, -0.1, 0), (x + 0.1, -0.01, storey * floors), metal))
     if rng.random() < 0.5:
         x = rng.uniform(-half, half - 1.8)
-        parts += [
-            box((x, -0.35 * n, FOOT), (x + 1.6, -0.35 * n + 0.4, 0.6 - 0.17 * n), wall)
-            for n in range(1, 4)
-        ]
+        for n in range(1, 4):
+            y, z = -0.35 * n, 0.6 - 0.17 * n
+            parts.append(box((x, y, FOOT), (x + 1.6, y + 0.4, z), wall))
     if rng.random() < 0.35 and width > 6:
         x = rng.uniform(-half + 1, half - 3.5)
-        parts.append(
-            box((x, -rng.uniform(0.5, 1.3), FOOT), (x + 2.5, 0.1, storey * floors * 0.9), wall)
-        )
+        y = -rng.uniform(0.5, 1.3)
+        parts.append(box((x, y, FOOT), (x + 2.5, 0.1, storey * floors * 0.9), wall))
     if floors > 1 and rng.random() < 0.5:
         for floor in range(1, floors):
             x = rng.uniform(-half + 0.3, half - 2.8)
@@ -196,12 +182,8 @@ def _details(
 
 def garage(rng: np.random.Generator) -> Mesh:
     """Return a garage or shed, its door at y = 0."""
-    wall = Skin(BUILDING, Material.PLASTER, float(rng.uniform(0.6, 1.1)))
+    wall = Skin.drawn(rng, BUILDING, Material.PLASTER, 0.6, 1.1)
     width, depth, height = rng.uniform([2.6, 4, 2.2], [6, 6.5, 2.9])
     walls = box((-width / 2, 0, FOOT), (width / 2, depth, height), wall)
-    door = box(
-        (-width / 2 + 0.3, -0.03, 0),
-        (width / 2 - 0.3, 0.02, 2),
-        Skin(BUILDING, Material.METAL, 1.3),
-    )
-    return merge([walls, door])
+    metal = Skin(BUILDING, Material.METAL, 1.3)
+    return merge([walls, box((-width / 2 + 0.3, -0.03, 0), (width / 2 - 0.3, 0.02, 2), metal)])

@@ -1,7 +1,9 @@
 # SPDX-License-Identifier: MIT
-"""Draw a ground plan by chance, in a given style."""
+"""Random ground plans of a given style."""
 
 from __future__ import annotations
+
+from collections.abc import Iterable
 
 import numpy as np
 
@@ -27,20 +29,10 @@ def draw_plan(rng: np.random.Generator, style: Style, length: float) -> Plan:
         -1,
     )  # fmt: skip
     steep = 0.25 if style.name == "country" else 0.04
-    return Plan(
-        style,
-        length,
-        half,
-        knots,
-        np.cumsum(np.cos(heading)) * 0.5,
-        np.cumsum(np.sin(heading)) * 0.5,
-        heading,
-        waves,
-        (rng.uniform(-0.6, 1) * steep, rng.uniform(-0.6, 1) * steep),
-        crossings,
-        _side(rng, style, LEFT, length, crossings),
-        _side(rng, style, RIGHT, length, crossings),
-    )
+    bank = (rng.uniform(-0.6, 1) * steep, rng.uniform(-0.6, 1) * steep)
+    x, y = np.cumsum(np.cos(heading)) * 0.5, np.cumsum(np.sin(heading)) * 0.5
+    sides = (_side(rng, style, sign, length, crossings) for sign in (LEFT, RIGHT))
+    return Plan(style, length, half, knots, x, y, heading, waves, bank, crossings, *sides)
 
 
 def _heading(rng: np.random.Generator, knots: Array) -> Array:
@@ -51,9 +43,8 @@ def _heading(rng: np.random.Generator, knots: Array) -> Array:
         count = int(rng.uniform(40, 160))
         if rng.random() < 0.6:
             bend = rng.uniform(-1, 1) / 85
-            curvature[position : position + count] = (
-                bend * np.hanning(count)[: len(knots) - position]
-            )
+            curve = bend * np.hanning(count)[: len(knots) - position]
+            curvature[position : position + count] = curve
         position += count
     heading: Array = rng.uniform(-np.pi, np.pi) + np.cumsum(curvature) * 0.5
     return heading
@@ -72,19 +63,14 @@ def _crossings(rng: np.random.Generator, style: Style, length: float) -> tuple[C
 
 
 def _side(
-    rng: np.random.Generator,
-    style: Style,
-    sign: int,
-    length: float,
-    crossings: tuple[Crossing, ...],
+    rng: np.random.Generator, style: Style, sign: int, length: float, crossings: Iterable[Crossing]
 ) -> Side:
     parking = rng.uniform(1.9, 2.4) if rng.random() < style.parking else 0.0
     verge = rng.uniform(0.8, 3.0) if rng.random() < style.verge else 0.0
     sidewalk = rng.uniform(*style.sidewalk_width) if rng.random() < style.sidewalk else 0.0
     kerb = rng.uniform(0.03, 0.16) if sidewalk else 0.0
-    stops = [
-        (c.s - c.half - c.pavement, c.s + c.half + c.pavement) for c in crossings if sign in c.sides
-    ]
+    here = [c for c in crossings if sign in c.sides]
+    stops = [(c.s - c.half - c.pavement, c.s + c.half + c.pavement) for c in here]
     lots: list[Lot] = []
     position = 0.0
     for low, high in [*stops, (length, length)]:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Drive through a street and record a scan every few metres."""
+"""Recorded drive through a street: a scan every few metres."""
 
 from __future__ import annotations
 
@@ -11,19 +11,19 @@ import numpy.typing as npt
 
 from salsanext_cli.classes import RawIds
 from salsanext_cli.records import Scan
-from salsanext_cli.synthesis.beams import Beams, blind, hdl64
+from salsanext_cli.synthesis.beams import Beams, hdl64, hidden_by_vehicle
 from salsanext_cli.synthesis.lidar import Scene, measure
-from salsanext_cli.synthesis.mesh import Array, merge, turn_z
+from salsanext_cli.synthesis.mesh import Array, merge, turn_x, turn_y, turn_z
 from salsanext_cli.synthesis.plan import Plan
-from salsanext_cli.synthesis.street import MARGIN, Street, build_street
+from salsanext_cli.synthesis.street import MARGIN_M, Street, build_street
 from salsanext_cli.synthesis.style import STYLES
 
-MOUNT = 1.73
-"""Height of the sensor above the road, metres."""
-SPEED = (4.0, 12.0)
-"""Slowest and fastest drive, metres per second."""
-SIGHT = 90.0
-"""Things farther away than this are left out, metres."""
+MOUNT_M = 1.73
+"""Height of the sensor above the road."""
+SPEED_M_PER_S = (4.0, 12.0)
+"""Slowest and fastest drive."""
+VIEW_M = 90.0
+"""Things farther away than this are left out."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -49,7 +49,7 @@ class Frame:
 
 
 def record(seed: int, sequence: int, scans: int, spacing: float) -> Iterator[Frame]:
-    """Yield the frames of one sequence; all chance comes from (seed, sequence, frame).
+    """Yield the frames of one sequence; all randomness comes from (seed, sequence, frame).
 
     Parameters
     ----------
@@ -61,28 +61,25 @@ def record(seed: int, sequence: int, scans: int, spacing: float) -> Iterator[Fra
         Metres that the vehicle drives between two frames.
     """
     rng = np.random.default_rng([seed, sequence])
-    speed = float(rng.uniform(*SPEED))
+    speed = float(rng.uniform(*SPEED_M_PER_S))
     street = build_street(rng, STYLES[sequence % len(STYLES)], spacing * (scans - 1), speed)
     beams = hdl64(rng)
     track = _Track(rng, street.plan, speed)
-    sensor = _Sensor(beams, ~blind(beams, rng))
+    sensor = _Sensor(beams, ~hidden_by_vehicle(beams, rng))
     standing = Scene(street.standing)
     for index in range(scans):
         noise = np.random.default_rng([seed, sequence, index, 1])
-        s, time = MARGIN + index * spacing, index * spacing / speed
+        s, time = MARGIN_M + index * spacing, index * spacing / speed
         pose = track.pose(s)
         scenes = [standing, *_moving(street, time, pose)]
         yield _revolve(noise, scenes, sensor, track, s, pose, time)
 
 
 def _moving(street: Street, time: float, pose: Array) -> list[Scene]:
-    """Return what moves within sight at a time, as a scene if there is anything."""
+    """Return what moves near the sensor at a time, as a scene if there is anything."""
     meshes = [mover.at(street.plan, time) for mover in street.movers]
-    near = [
-        mesh
-        for mesh in meshes
-        if mesh is not None and np.hypot(*(mesh.vertices[0] - pose[:3, 3])[:2]) < SIGHT
-    ]
+    place = pose[:2, 3]
+    near = [m for m in meshes if m is not None and np.hypot(*(m.vertices[0, :2] - place)) < VIEW_M]
     return [Scene(merge(near))] if near else []
 
 
@@ -137,19 +134,9 @@ class _Track:
         pitch = -slope + self._tilt[0] + np.radians(0.25) * wave[1]
         roll = self._tilt[1] + np.radians(0.3) * wave[2]
         pose = np.eye(4)
-        pose[:3, :3] = turn_z(yaw) @ _turn_y(pitch) @ _turn_x(roll)
-        pose[:3, 3] = foot[1] + [0, 0, MOUNT]
+        pose[:3, :3] = turn_z(yaw) @ turn_y(pitch) @ turn_x(roll)
+        pose[:3, 3] = foot[1] + [0, 0, MOUNT_M]
         return pose
-
-
-def _turn_y(angle: float) -> Array:
-    c, s = np.cos(angle), np.sin(angle)
-    return np.array([[c, 0, s], [0, 1, 0], [-s, 0, c]])
-
-
-def _turn_x(angle: float) -> Array:
-    c, s = np.cos(angle), np.sin(angle)
-    return np.array([[1, 0, 0], [0, c, -s], [0, s, c]])
 
 
 def _in_motion(track: _Track, s: float, sensor: _Sensor) -> tuple[Array, Array]:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""What stands at the roadside: poles, lamps, signs, bins, benches, cabinets, shelters.
+"""Objects at the roadside: poles, lamps, signs, bins, benches, cabinets, shelters.
 
 Local frame: x along the street, y away from it, the ground at z = 0.
 """
@@ -17,17 +17,15 @@ FOOT = -0.3
 
 
 def _steel(rng: np.random.Generator) -> Skin:
-    return Skin(POLE, Material.METAL, float(rng.uniform(0.08, 1.6)))
+    return Skin.drawn(rng, POLE, Material.METAL, 0.08, 1.6)
 
 
 def lamp(rng: np.random.Generator) -> Mesh:
     """Return a street lamp, its arm over the road."""
     steel = _steel(rng)
     height, foot = float(rng.uniform(3.5, 9)), float(rng.uniform(0.05, 0.1))
-    parts = [
-        tube([[0, 0, FOOT], [0, 0, 1.1], [0, 0, 1.2], [0, 0, height]],
-             [foot * 1.35, foot * 1.35, foot, foot * 0.6], steel),
-    ]  # fmt: skip
+    levels, radii = (FOOT, 1.1, 1.2, height), (foot * 1.35, foot * 1.35, foot, foot * 0.6)
+    parts = [tube([[0, 0, z] for z in levels], radii, steel)]
     if height > 5:
         tip = (0.0, -rng.uniform(0.8, 2.2), height + 0.3)
         parts += [tube([[0, 0, height - 0.1], tip], 0.05, steel, 5)]
@@ -47,11 +45,11 @@ def post(rng: np.random.Generator) -> Mesh:
 
 def _face(rng: np.random.Generator, kind: str) -> Mesh:
     """Return a sign's plate in the x-z plane around the origin, its bright side towards -y."""
-    bright = Skin(SIGN, Material.RETRO, float(rng.uniform(0.75, 1.1)))
+    bright = Skin.drawn(rng, SIGN, Material.RETRO, 0.75, 1.1)
     dull = Skin(SIGN, Material.METAL, 0.9)
     radius = float(rng.uniform(0.28, 0.45))
     if kind == "round":
-        front = disc((0, 0, 0), radius, "y", bright, 14)
+        front = disc((0, 0, 0), radius, bright, 14)
     elif kind == "triangle":
         r, x = radius * 1.25, radius * 1.1
         front = quads(np.array([[[-x, 0, -r / 2], [x, 0, -r / 2], [0, 0, r], [0, 0, r]]]), bright)
@@ -77,7 +75,7 @@ def board(rng: np.random.Generator) -> Mesh:
     half, low = float(rng.uniform(0.4, 1.4)), float(rng.uniform(0.8, 1.8))
     high = low + float(rng.uniform(0.5, 1.2))
     steel = _steel(rng)
-    bright = Skin(SIGN, Material.RETRO, float(rng.uniform(0.6, 1.1)))
+    bright = Skin.drawn(rng, SIGN, Material.RETRO, 0.6, 1.1)
     back = Skin(SIGN, Material.METAL, 0.9)
     parts = [tube([[x, 0, FOOT], [x, 0, high]], 0.05, steel) for x in (-half * 0.8, half * 0.8)]
     plate = np.array([[[-half, 0, low], [half, 0, low], [half, 0, high], [-half, 0, high]]])
@@ -97,16 +95,15 @@ def traffic_light(rng: np.random.Generator) -> Mesh:
 
 
 def _bin(rng: np.random.Generator) -> Mesh:
-    skin = Skin(CLUTTER, Material.WOOD, float(rng.uniform(0.2, 1.1)))
+    skin = Skin.drawn(rng, CLUTTER, Material.WOOD, 0.2, 1.1)
     size = rng.uniform([0.2, 0.2, 0.8], [0.35, 0.4, 1.15])
-    lid = box(
-        (-size[0] - 0.02, -size[1] - 0.05, size[2]), (size[0] + 0.02, size[1], size[2] + 0.08), skin
-    )
-    return merge([box((-size[0], -size[1], 0.05), size, skin), lid])
+    x, y, z = size
+    lid = box((-x - 0.02, -y - 0.05, z), (x + 0.02, y, z + 0.08), skin)
+    return merge([box((-x, -y, 0.05), size, skin), lid])
 
 
 def _cabinet(rng: np.random.Generator) -> Mesh:
-    skin = Skin(CLUTTER, Material.PLASTER, float(rng.uniform(0.5, 1.1)))
+    skin = Skin.drawn(rng, CLUTTER, Material.PLASTER, 0.5, 1.1)
     size = rng.uniform([0.25, 0.12, 0.8], [0.9, 0.3, 1.6])
     return box((-size[0], -size[1], FOOT), size, skin)
 
@@ -116,25 +113,20 @@ def _bench(rng: np.random.Generator) -> Mesh:
     half = float(rng.uniform(0.7, 1.1))
     slats = [box((-half, y, 0.42), (half, y + 0.1, 0.46), wood) for y in (-0.25, -0.12, 0.01)]
     slats += [box((-half, 0.18, z), (half, 0.22, z + 0.1), wood) for z in (0.55, 0.72)]
-    legs = [
-        box((x - 0.03, -0.25, FOOT), (x + 0.03, 0.2, 0.42), iron) for x in (-half + 0.2, half - 0.2)
-    ]
+    ends = (-half + 0.2, half - 0.2)
+    legs = [box((x - 0.03, -0.25, FOOT), (x + 0.03, 0.2, 0.42), iron) for x in ends]
     return merge(slats + legs)
 
 
 def _planter(rng: np.random.Generator) -> Mesh:
-    skin = Skin(CLUTTER, Material.BRICK, float(rng.uniform(0.7, 1.1)))
+    skin = Skin.drawn(rng, CLUTTER, Material.BRICK, 0.7, 1.1)
     radius, height = float(rng.uniform(0.25, 0.7)), float(rng.uniform(0.35, 0.7))
-    return tube(
-        [[0, 0, FOOT], [0, 0, height], [0, 0, height + 0.01]],
-        [radius, radius * 1.1, 0.02],
-        skin,
-        10,
-    )
+    path = [[0, 0, FOOT], [0, 0, height], [0, 0, height + 0.01]]
+    return tube(path, [radius, radius * 1.1, 0.02], skin, 10)
 
 
 def _column(rng: np.random.Generator) -> Mesh:
-    skin = Skin(CLUTTER, Material.PLASTER, float(rng.uniform(0.7, 1.1)))
+    skin = Skin.drawn(rng, CLUTTER, Material.PLASTER, 0.7, 1.1)
     return tube([[0, 0, FOOT], [0, 0, 3.0], [0, 0, 3.3]], [0.6, 0.6, 0.75], skin, 12)
 
 
@@ -143,7 +135,7 @@ def _crates(rng: np.random.Generator) -> Mesh:
     for _ in range(int(rng.integers(2, 6))):
         low = np.array([*rng.normal(0, 0.6, 2), 0.0])
         size = rng.uniform([0.2, 0.2, 0.15], [0.8, 0.6, 0.9])
-        skin = Skin(CLUTTER, Material.WOOD, float(rng.uniform(0.4, 1.1)))
+        skin = Skin.drawn(rng, CLUTTER, Material.WOOD, 0.4, 1.1)
         parts.append(box(low, low + size, skin).moved(yaw=rng.uniform(0, 1.5)))
     return merge(parts)
 

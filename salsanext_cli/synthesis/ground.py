@@ -36,9 +36,8 @@ def ground(rng: np.random.Generator, plan: Plan) -> Mesh:
         (grid_s[:-1, :-1] + grid_s[1:, 1:]) / 2, (grid_t[:-1, :-1] + grid_t[1:, 1:]) / 2
     )
     patches = _patches(rng, (s[:-1] + s[1:]) / 2, (t[:-1] + t[1:]) / 2, plan.length)
-    return _with_skins(
-        rng, _grid(vertices), np.repeat(middle.ravel(), 2), np.repeat(patches.ravel(), 2)
-    )
+    labels, brightness = np.repeat(middle.ravel(), 2), np.repeat(patches.ravel(), 2)
+    return _with_skins(rng, _grid(vertices), labels, brightness)
 
 
 def _patches(rng: np.random.Generator, s: Array, t: Array, length: float) -> Array:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Raw SemanticKITTI ids of what stands in the street."""
+"""Raw SemanticKITTI ids of the classes of a street."""
 
 from __future__ import annotations
 

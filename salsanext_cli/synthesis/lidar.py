@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Cast the rays of one revolution and decide what comes back: range, brightness, nothing."""
+"""Simulated measurement of one revolution: range and intensity of the pulses that return."""
 
 from __future__ import annotations
 
@@ -13,10 +13,10 @@ from salsanext_cli.packages import import_open3d
 from salsanext_cli.synthesis.materials import optics_table
 from salsanext_cli.synthesis.mesh import Array, Mesh
 
-MAX_RANGE, MIN_RANGE = 81.0, 1.6
-"""Metres; nothing is reported beyond or nearer."""
-RANGE_NOISE = 0.018
-"""Standard deviation along the ray, metres."""
+MAX_RANGE_M, MIN_RANGE_M = 81.0, 1.6
+"""Nothing is reported beyond or nearer."""
+RANGE_NOISE_M = 0.018
+"""Standard deviation along the ray."""
 THRESHOLD = 6.0e-6
 """Signal (brightness · cos / range²) at which half of the pulses are lost."""
 GRAZING = 0.14
@@ -25,7 +25,7 @@ PATCH = 11
 """Mirrors lose pulses in runs of about this many firings."""
 LOST = 0.004
 """Share of pulses lost for no reason."""
-DISTANCES = (0.0, 4.0, 8.0, 13.0, 20.0, 28.0, 40.0, 80.0)
+DISTANCES_M = (0.0, 4.0, 8.0, 13.0, 20.0, 28.0, 40.0, 80.0)
 RESPONSE = (0.82, 0.86, 0.92, 1.0, 1.05, 0.92, 0.66, 0.45)
 """Reported brightness of one surface by distance: optics and gain control of the sensor."""
 
@@ -102,14 +102,14 @@ def measure(
         labels[nearer] = scene.mesh.labels[hit]
         materials[nearer], shades[nearer] = scene.mesh.materials[hit], scene.mesh.shades[hit]
     brightness, texture, falloff, gloss, roughness = optics_table()[materials].T
-    reach = np.where(np.isfinite(distance), distance, MAX_RANGE + 1)
+    reach = np.where(np.isfinite(distance), distance, MAX_RANGE_M + 1)
     noise = rng.standard_normal((3, len(rays)))
     reflected = brightness * shades * np.exp(texture * noise[0] - texture**2 / 2)
     kept = _returns(rng, reflected, cosine, reach, gloss, power)
-    measured = reach + noise[1] * np.hypot(RANGE_NOISE, roughness)
-    kept &= (reach < MAX_RANGE) & (measured > MIN_RANGE)
+    measured = reach + noise[1] * np.hypot(RANGE_NOISE_M, roughness)
+    kept &= (reach < MAX_RANGE_M) & (measured > MIN_RANGE_M)
     grazing = np.clip(cosine / GRAZING, 0.01, 1) ** falloff
-    intensity = reflected * np.interp(reach, DISTANCES, RESPONSE) * grazing * gain
+    intensity = reflected * np.interp(reach, DISTANCES_M, RESPONSE) * grazing * gain
     intensity = np.round(np.clip(intensity + 0.02 * noise[2] - 0.02, 0, 0.99), 2)
     return np.where(kept, measured, np.nan), intensity, labels
 
@@ -122,7 +122,7 @@ def _returns(
     gloss: Array,
     power: Array,
 ) -> npt.NDArray[np.bool_]:
-    """Say which pulses come back."""
+    """Decide which pulses return."""
     chance = rng.random(len(reach))
     signal = power * (reflected + 0.01) * cosine / reach**2
     detected = 1 / (1 + (THRESHOLD / np.maximum(signal, 1e-12)) ** 2.2)

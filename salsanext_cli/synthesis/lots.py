@@ -1,9 +1,10 @@
 # SPDX-License-Identifier: MIT
-"""What stands on the plots beside the street: houses, gardens, yards, car parks, woods."""
+"""Objects on the lots beside the street: houses, gardens, yards, car parks, woods."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
 
 import numpy as np
 
@@ -15,16 +16,7 @@ from salsanext_cli.synthesis.plan import REACH, Lot, Side
 
 def furnish(builder: Builder, side: Side, lot: Lot) -> None:
     """Build up one lot and what lies behind it."""
-    kinds: dict[str, Callable[[Builder, Side, Lot], None]] = {
-        "terrace": _terrace,
-        "house": _house,
-        "yard": _yard,
-        "green": _green,
-        "field": _field,
-        "thicket": _thicket,
-        "carpark": _carpark,
-    }
-    kinds[lot.kind](builder, side, lot)
+    KINDS[lot.kind](builder, side, lot)
     _background(builder, side, lot)
 
 
@@ -80,9 +72,8 @@ def _yard(builder: Builder, side: Side, lot: Lot) -> None:
         _park(builder, side, builder.between(lot.start + 2, lot.end - 2), side.depth + 5, 0.3)
     if builder.chance(0.5) and lot.end - lot.start > 8:
         middle = (lot.start + lot.end) / 2
-        builder.put(
-            buildings.garage(builder.rng), side, middle, side.depth + builder.between(4, 12)
-        )
+        garage = buildings.garage(builder.rng)
+        builder.put(garage, side, middle, side.depth + builder.between(4, 12))
 
 
 def _green(builder: Builder, side: Side, lot: Lot) -> None:
@@ -108,20 +99,16 @@ def _field(builder: Builder, side: Side, lot: Lot) -> None:
 
 def _row_of(builder: Builder, side: Side, lot: Lot, kind: str, out: float) -> None:
     shade, height = builder.between(0.7, 1.4), builder.between(0.9, 1.3)
-    builder.put_line(
-        lambda length: fences.fence(builder.rng, length, kind, height, shade),
-        side, lot.start, lot.end, side.depth + out,
-    )  # fmt: skip
+    fence = partial(fences.fence, builder.rng, kind=kind, height=height, shade=shade)
+    builder.put_line(fence, side, lot.start, lot.end, side.depth + out)
 
 
 def _thicket(builder: Builder, side: Side, lot: Lot) -> None:
     height, deep = builder.between(2.5, 7), builder.between(3, 8)
     if builder.chance(0.5):
         _close(builder, side, lot.start, lot.end, side.depth + 0.2, open_chance=0.3)
-    builder.put_line(
-        lambda length: vegetation.thicket(builder.rng, length, deep, height),
-        side, lot.start, lot.end, side.depth + builder.between(0.8, 4),
-    )  # fmt: skip
+    thicket = partial(vegetation.thicket, builder.rng, depth=deep, height=height)
+    builder.put_line(thicket, side, lot.start, lot.end, side.depth + builder.between(0.8, 4))
 
 
 def _carpark(builder: Builder, side: Side, lot: Lot) -> None:
@@ -152,13 +139,8 @@ def _close(
     builder.put_line(_boundary(builder), side, start, end, out)
     if builder.chance(0.4):
         height, deep = builder.between(1.2, 3.5), builder.between(0.8, 1.6)
-        builder.put_line(
-            lambda length: vegetation.thicket(builder.rng, length, deep, height),
-            side,
-            start,
-            end,
-            out + builder.between(0.3, 0.9),
-        )
+        thicket = partial(vegetation.thicket, builder.rng, depth=deep, height=height)
+        builder.put_line(thicket, side, start, end, out + builder.between(0.3, 0.9))
 
 
 def _partition(builder: Builder, side: Side, s: float, start: float, end: float) -> None:
@@ -170,11 +152,11 @@ def _boundary(builder: Builder) -> Callable[[float], Mesh]:
     rng = builder.rng
     if builder.chance(0.4):
         height, depth = builder.between(0.7, 2.7), builder.between(0.5, 1.5)
-        return lambda length: vegetation.hedge(rng, length, height, depth)
+        return partial(vegetation.hedge, rng, height=height, depth=depth)
     kind = str(rng.choice(fences.KINDS))
     height = builder.between(0.4, 1.2) if kind == "wall" else builder.between(0.8, 1.9)
     shade = builder.between(0.7, 1.15)
-    return lambda length: fences.fence(rng, length, kind, height, shade)
+    return partial(fences.fence, rng, kind=kind, height=height, shade=shade)
 
 
 def _scatter(
@@ -190,7 +172,7 @@ def _scatter(
     deep = lot.setback if reach is None else reach
     if deep < 0.8 or lot.end - lot.start < 1.5:
         return
-    for _ in range(int(builder.rng.poisson(count))):
+    for _ in builder.count(count):
         s = builder.between(lot.start + 0.5, lot.end - 0.5)
         out = side.depth + builder.between(0.5, max(0.6, deep - 0.4))
         mesh = make(builder.rng, builder.between(*size))
@@ -209,6 +191,11 @@ def _background(builder: Builder, side: Side, lot: Lot) -> None:
         builder.put(mesh, side, middle, out)
     elif builder.chance(0.9):
         height = builder.between(4, 9)
-        builder.put_line(
-            lambda length: vegetation.thicket(rng, length, 4, height), side, lot.start, lot.end, out
-        )
+        thicket = partial(vegetation.thicket, rng, depth=4, height=height)
+        builder.put_line(thicket, side, lot.start, lot.end, out)
+
+
+KINDS: dict[str, Callable[[Builder, Side, Lot], None]] = {
+    "terrace": _terrace, "house": _house, "yard": _yard, "green": _green, "field": _field,
+    "thicket": _thicket, "carpark": _carpark,
+}  # fmt: skip

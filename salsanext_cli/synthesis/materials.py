@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""How surfaces answer a 905 nm laser pulse: brightness, gloss, roughness.
+"""Reflection of a 905 nm laser pulse by materials: brightness, gloss, roughness.
 
 The levels were set so that the intensity of each class spreads as it does in scans of an HDL-64E.
 """
@@ -14,7 +14,7 @@ import numpy.typing as npt
 
 
 class Material(IntEnum):
-    """What a surface is made of."""
+    """Material of a surface."""
 
     ASPHALT = 0
     PAVING = 1
@@ -36,7 +36,7 @@ class Material(IntEnum):
 
 
 class Optics(NamedTuple):
-    """How a material reflects.
+    """Reflection by a material.
 
     Attributes
     ----------

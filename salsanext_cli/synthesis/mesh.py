@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: MIT
-"""Triangle meshes whose triangles know what they are and what they are made of."""
+"""Triangle meshes with a raw id, a material and a brightness per triangle."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -16,11 +16,18 @@ Array = npt.NDArray[np.float64]
 
 
 class Skin(NamedTuple):
-    """What a surface is (raw id), what it is made of, how bright it is (1 = usual)."""
+    """Raw id, material and relative brightness of a surface."""
 
     label: int
     material: Material
     shade: float = 1.0
+
+    @classmethod
+    def drawn(
+        cls, rng: np.random.Generator, label: int, material: Material, low: float, high: float
+    ) -> Skin:
+        """Draw the brightness between two bounds."""
+        return cls(label, material, float(rng.uniform(low, high)))
 
 
 @dataclass(frozen=True, slots=True)
@@ -64,30 +71,37 @@ class Mesh:
 
     def moved(self, offset: npt.ArrayLike = (0.0, 0.0, 0.0), yaw: float = 0.0) -> Mesh:
         """Return the mesh turned about z by `yaw` radians, then shifted by `offset` metres."""
-        return self._with(self.vertices @ turn_z(yaw).T + np.asarray(offset, float))
+        return replace(self, vertices=self.vertices @ turn_z(yaw).T + np.asarray(offset, float))
 
     def scaled(self, factors: npt.ArrayLike) -> Mesh:
         """Return the mesh stretched along x, y and z."""
-        return self._with(self.vertices * np.asarray(factors, float))
+        return replace(self, vertices=self.vertices * np.asarray(factors, float))
 
     def leaned(self, angle: float) -> Mesh:
         """Return the mesh tilted about x by `angle` radians."""
-        c, s = np.cos(angle), np.sin(angle)
-        return self._with(self.vertices @ np.array([[1, 0, 0], [0, c, -s], [0, s, c]]).T)
+        return replace(self, vertices=self.vertices @ turn_x(angle).T)
 
     def relabelled(self, label: int) -> Mesh:
         """Return the mesh with one raw id for all triangles."""
-        labels = np.full(len(self), label, np.uint32)
-        return Mesh(self.vertices, self.triangles, labels, self.materials, self.shades)
-
-    def _with(self, vertices: Array) -> Mesh:
-        return Mesh(vertices, self.triangles, self.labels, self.materials, self.shades)
+        return replace(self, labels=np.full(len(self), label, np.uint32))
 
 
-def turn_z(yaw: float) -> Array:
+def turn_x(angle: float) -> Array:
+    """Return the (3, 3) rotation about x."""
+    c, s = np.cos(angle), np.sin(angle)
+    return np.array([[1, 0, 0], [0, c, -s], [0, s, c]])
+
+
+def turn_y(angle: float) -> Array:
+    """Return the (3, 3) rotation about y."""
+    c, s = np.cos(angle), np.sin(angle)
+    return np.array([[c, 0, s], [0, 1, 0], [-s, 0, c]])
+
+
+def turn_z(angle: float) -> Array:
     """Return the (3, 3) rotation about z."""
-    c, s = np.cos(yaw), np.sin(yaw)
-    return np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
+    c, s = np.cos(angle), np.sin(angle)
+    return np.array([[c, -s, 0], [s, c, 0], [0, 0, 1]])
 
 
 def merge(meshes: Iterable[Mesh]) -> Mesh:
@@ -96,10 +110,10 @@ def merge(meshes: Iterable[Mesh]) -> Mesh:
     if not parts:
         return Mesh.of(np.zeros((0, 3)), np.zeros((0, 3), np.int64), Skin(0, Material.ASPHALT))
     starts = np.cumsum([0, *(len(part.vertices) for part in parts[:-1])])
+    shifted = [part.triangles + start for part, start in zip(parts, starts, strict=True)]
+    kept = ("labels", "materials", "shades")
     return Mesh(
         np.concatenate([part.vertices for part in parts]),
-        np.concatenate([p.triangles + start for p, start in zip(parts, starts, strict=True)]),
-        np.concatenate([part.labels for part in parts]),
-        np.concatenate([part.materials for part in parts]),
-        np.concatenate([part.shades for part in parts]),
+        np.concatenate(shifted),
+        *(np.concatenate([getattr(part, name) for part in parts]) for name in kept),
     )

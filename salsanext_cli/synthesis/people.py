@@ -26,8 +26,8 @@ def _limb(start: Array, joint: Array, end: Array, radii: tuple[float, float], sk
 def person(rng: np.random.Generator) -> Mesh:
     """Return a person who stands or walks, 1.1 to 1.95 m tall, perhaps with a bag or a coat."""
     height = float(rng.uniform(1.1, 1.5) if rng.random() < 0.12 else rng.uniform(1.55, 1.95))
-    top = Skin(PERSON, Material.CLOTH, float(rng.uniform(0.55, 1.2)))
-    bottom = Skin(PERSON, Material.CLOTH, float(rng.uniform(0.5, 1.15)))
+    top = Skin.drawn(rng, PERSON, Material.CLOTH, 0.55, 1.2)
+    bottom = Skin.drawn(rng, PERSON, Material.CLOTH, 0.5, 1.15)
     bare = Skin(PERSON, Material.SKIN)
     stride = float(rng.uniform(0.03, 0.2)) * (1 if rng.random() < 0.75 else 0.1)
     hip, shoulder, girth = 0.52, 0.82, float(rng.uniform(0.85, 1.3))
@@ -43,33 +43,21 @@ def person(rng: np.random.Generator) -> Mesh:
         foot = np.array([swing, side * 0.05, 0.03])
         knee = np.array([swing * 0.5 + 0.03, side * 0.052, 0.28])
         parts.append(_limb(np.array([0, side * 0.05, hip]), knee, foot, (0.055, 0.032), bottom))
-        parts.append(
-            ellipsoid(
-                foot + np.array([0.035, 0, -0.008]),
-                (0.08, 0.03, 0.025),
-                Skin(PERSON, Material.RUBBER),
-            )
-        )
+        sole = foot + np.array([0.035, 0, -0.008])
+        parts.append(ellipsoid(sole, (0.08, 0.03, 0.025), Skin(PERSON, Material.RUBBER)))
         raised = rng.uniform(0.0, 0.12)
         elbow = np.array([-swing * 0.35, side * 0.14 * girth, 0.64])
         hand = np.array([-swing * 0.8 + raised, side * 0.145 * girth, 0.5 + raised])
-        parts.append(
-            _limb(
-                np.array([0, side * 0.11 * girth, shoulder - 0.01]),
-                elbow,
-                hand,
-                (0.034, 0.022),
-                top,
-            )
-        )
+        arm = np.array([0, side * 0.11 * girth, shoulder - 0.01])
+        parts.append(_limb(arm, elbow, hand, (0.034, 0.022), top))
     if rng.random() < 0.3:
-        skirt = tube([[0, 0, 0.3], [0, 0, hip + 0.04]], [0.13 * girth, 0.09 * girth], bottom, 9)
-        parts.append(skirt)
+        radii = [0.13 * girth, 0.09 * girth]
+        parts.append(tube([[0, 0, 0.3], [0, 0, hip + 0.04]], radii, bottom, 9))
     if rng.random() < 0.3:
-        bag = Skin(PERSON, Material.CLOTH, float(rng.uniform(0.4, 1.1)))
+        bag = Skin.drawn(rng, PERSON, Material.CLOTH, 0.4, 1.1)
         parts.append(box((-0.17, -0.09, 0.58), (-0.07, 0.09, 0.8), bag))
     elif rng.random() < 0.25:
-        bag = Skin(PERSON, Material.CLOTH, float(rng.uniform(0.4, 1.1)))
+        bag = Skin.drawn(rng, PERSON, Material.CLOTH, 0.4, 1.1)
         parts.append(box((-0.1, 0.13, 0.3), (0.1, 0.19, 0.48), bag))
     return merge(parts).scaled(height)
 
@@ -82,7 +70,7 @@ def _ring(centre: Array, radius: float, thickness: float, skin: Skin) -> Mesh:
 
 def bicycle(rng: np.random.Generator, label: int = BICYCLE) -> Mesh:
     """Return a bicycle: wheels with spokes and mudguards, frame, handlebar, saddle, baskets."""
-    frame = Skin(label, Material.METAL, float(rng.uniform(0.6, 1.6)))
+    frame = Skin.drawn(rng, label, Material.METAL, 0.6, 1.6)
     tyre = Skin(label, Material.RUBBER, 3.0)
     saddle, crank = np.array([-0.22, 0, 0.92]), np.array([-0.05, 0, 0.3])
     head, fork = np.array([0.33, 0, 0.85]), np.array([AXLE, 0, WHEEL])
@@ -102,9 +90,8 @@ def bicycle(rng: np.random.Generator, label: int = BICYCLE) -> Mesh:
             parts.append(tube([hub - reach, hub + reach], 0.009, frame, 4))
     parts.append(ellipsoid(saddle, (0.13, 0.07, 0.04), tyre))
     parts.append(ellipsoid(crank, (0.1, 0.06, 0.1), frame))
-    parts.append(
-        box((-0.02, -0.1, -0.02), (0.02, 0.1, 0.02), tyre).moved(crank + np.array([0, 0, -0.14]))
-    )
+    pedals = box((-0.02, -0.1, -0.02), (0.02, 0.1, 0.02), tyre)
+    parts.append(pedals.moved(crank + np.array([0, 0, -0.14])))
     reflector = Skin(label, Material.RETRO)
     parts.append(box((-0.62, -0.03, 0.6), (-0.59, 0.03, 0.66), reflector))
     if rng.random() < 0.6:
@@ -119,19 +106,15 @@ def bicycle(rng: np.random.Generator, label: int = BICYCLE) -> Mesh:
 
 def rider(rng: np.random.Generator) -> Mesh:
     """Return a bicycle with its rider, all of it labelled as rider."""
-    cloth = Skin(BICYCLIST, Material.CLOTH, float(rng.uniform(0.6, 1.2)))
-    trousers = Skin(BICYCLIST, Material.CLOTH, float(rng.uniform(0.5, 1.1)))
+    cloth = Skin.drawn(rng, BICYCLIST, Material.CLOTH, 0.6, 1.2)
+    trousers = Skin.drawn(rng, BICYCLIST, Material.CLOTH, 0.5, 1.1)
     bare = Skin(BICYCLIST, Material.SKIN)
     lean = rng.uniform(0.08, 0.4)
     hip = np.array([-0.2, 0, 0.98])
     shoulder = hip + np.array([lean, 0, 0.5 - 0.3 * lean])
     girth = float(rng.uniform(0.9, 1.25))
-    spine = [
-        hip - np.array([0.02, 0, 0.08]),
-        (hip + shoulder) / 2,
-        shoulder,
-        shoulder + np.array([0.03, 0, 0.07]),
-    ]
+    pelvis, neck = hip - np.array([0.02, 0, 0.08]), shoulder + np.array([0.03, 0, 0.07])
+    spine = [pelvis, (hip + shoulder) / 2, shoulder, neck]
     parts = [
         bicycle(rng, BICYCLIST),
         tube(spine, np.array([0.15, 0.16, 0.17, 0.08]) * girth, cloth, 9),
@@ -143,14 +126,12 @@ def rider(rng: np.random.Generator) -> Mesh:
         angle = turn + (side > 0) * np.pi
         foot = np.array([-0.05 + 0.16 * np.cos(angle), side * 0.13, 0.3 + 0.16 * np.sin(angle)])
         knee = (hip + foot) / 2 + [0.2, side * 0.02, 0.08]
-        parts.append(
-            _limb(hip + np.array([0, side * 0.09, 0]), knee, foot, (0.09, 0.055), trousers)
-        )
+        thigh = hip + np.array([0, side * 0.09, 0])
+        parts.append(_limb(thigh, knee, foot, (0.09, 0.055), trousers))
         hand = np.array([0.3, side * 0.25, 1.02])
         elbow = (shoulder + hand) / 2 + [-0.03, side * 0.08, -0.08]
-        parts.append(
-            _limb(shoulder + np.array([0, side * 0.17, -0.02]), elbow, hand, (0.055, 0.04), cloth)
-        )
+        arm = shoulder + np.array([0, side * 0.17, -0.02])
+        parts.append(_limb(arm, elbow, hand, (0.055, 0.04), cloth))
     if rng.random() < 0.3:
         parts.append(box((-0.36, -0.16, 1.1), (-0.16, 0.16, 1.5), cloth))
     return merge(parts)

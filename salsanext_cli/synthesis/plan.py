@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""The ground plan of a street: where road, pavement, gardens and side streets lie.
+"""Ground plan of a street: road, pavements, lots and side streets.
 
 Positions are given along the street and across it: ``s`` metres along the centre line, ``t``
 metres to its left. Everything here is vectorised over s and t.
@@ -110,6 +110,9 @@ class Plan:
         """Left and right."""
         return self.left, self.right
 
+    def _crossings_of(self, side: Side) -> list[Crossing]:
+        return [crossing for crossing in self.crossings if side.sign in crossing.sides]
+
     def yaw(self, s: npt.ArrayLike) -> Array:
         """Heading of the street at s, radians."""
         heading: Array = np.interp(np.asarray(s, float), self.knots, self.heading)
@@ -145,19 +148,17 @@ class Plan:
     def on_side_street(self, s: Array, beyond: Array, side: Side) -> npt.NDArray[np.bool_]:
         """Whether a place `beyond` the kerb is on a side street, its rounded corners included."""
         found = np.zeros(np.broadcast_shapes(np.shape(s), np.shape(beyond)), bool)
-        for crossing in self.crossings:
-            if side.sign in crossing.sides:
-                away, radius = np.abs(s - crossing.s) - crossing.half, crossing.corner
-                cut = np.hypot(radius - away, radius - beyond) > radius
-                found |= (away <= 0) | ((away < radius) & (beyond < radius) & cut)
+        for crossing in self._crossings_of(side):
+            away, radius = np.abs(s - crossing.s) - crossing.half, crossing.corner
+            cut = np.hypot(radius - away, radius - beyond) > radius
+            found |= (away <= 0) | ((away < radius) & (beyond < radius) & cut)
         return found
 
     def from_side_street(self, s: Array, side: Side) -> Array:
         """Distance along s to the nearest side street's carriageway; negative inside."""
         distance = np.full(np.shape(s), 1e3)
-        for crossing in self.crossings:
-            if side.sign in crossing.sides:
-                distance = np.minimum(distance, np.abs(s - crossing.s) - crossing.half)
+        for crossing in self._crossings_of(side):
+            distance = np.minimum(distance, np.abs(s - crossing.s) - crossing.half)
         return distance
 
     def label(self, s: Array, t: Array) -> npt.NDArray[np.uint32]:
@@ -188,27 +189,21 @@ class Plan:
             drive = (s > lot.drive[0]) & (s < lot.drive[1]) & front
             ground = np.where(drive, ids.PARKING, np.where(front, lot.front, lot.back))
             label = np.where(inside, ground, label)
-        strips = (
-            (side.depth, ids.SIDEWALK),
-            (side.parking + side.verge, ids.TERRAIN),
-            (side.parking, ids.PARKING),
-        )
-        for width, strip in strips:
-            label = np.where(beyond < width, strip, label)
-        for crossing in self.crossings:
-            if side.sign in crossing.sides:
-                paved = np.abs(s - crossing.s) - crossing.half < crossing.pavement
-                label = np.where(paved & (beyond > side.parking), ids.SIDEWALK, label)
+        label = np.where(beyond < side.depth, ids.SIDEWALK, label)
+        label = np.where(beyond < side.parking + side.verge, ids.TERRAIN, label)
+        label = np.where(beyond < side.parking, ids.PARKING, label)
+        for crossing in self._crossings_of(side):
+            paved = np.abs(s - crossing.s) - crossing.half < crossing.pavement
+            label = np.where(paved & (beyond > side.parking), ids.SIDEWALK, label)
         return np.where(self.on_side_street(s, beyond, side), ids.ROAD, label).astype(np.uint32)
 
     def edges(self) -> tuple[Array, Array]:
         """Return the s and the t at which the ground changes."""
-        s = [
-            crossing.s + end * reach
-            for crossing in self.crossings
-            for end in (-1, 1)
-            for reach in (crossing.half, crossing.half + crossing.pavement)
-        ]
+        s: list[float] = []
+        for crossing in self.crossings:
+            corner = crossing.half + CORNER_LINES
+            for reach in (crossing.half, crossing.half + crossing.pavement, *corner):
+                s += [crossing.s - reach, crossing.s + reach]
         t = [-0.08, 0.08]
         for side in self.sides:
             s += [edge for lot in side.lots for edge in (lot.start, *lot.drive)]
@@ -217,7 +212,4 @@ class Plan:
             t += [side.sign * (self.half + strip) for strip in strips]
             t += [side.sign * (self.half - 0.36), side.sign * (self.half - 0.24)]
             t += list(side.sign * (self.half + CORNER_LINES))
-        for crossing in self.crossings:
-            for end in (-1, 1):
-                s += list(crossing.s + end * (crossing.half + CORNER_LINES))
         return np.unique(np.round(s, 3)), np.unique(np.round(t, 3))

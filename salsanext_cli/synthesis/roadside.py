@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""What stands between the kerb and the lots, and in the side streets."""
+"""Objects between the kerb and the lots, and in the side streets."""
 
 from __future__ import annotations
 
@@ -11,19 +11,14 @@ from salsanext_cli.synthesis.plan import Crossing, Side
 
 TOWARDS_TRAFFIC = np.pi / 2
 """A sign faces its local -y; turned by this it faces along the street."""
-REACH_OF_VIEW = 50.0
-"""Where a side street's view is closed by trees, metres beyond the kerb."""
+SIDE_STREET_END_M = 50.0
+"""Distance beyond the kerb at which trees close a side street."""
 
 
 def furnish(builder: Builder, side: Side) -> None:
     """Fill the strips of one side: parked cars, trees, lamps, signs, people, clutter."""
-    _parked(builder, side)
-    _trees(builder, side)
-    _lamps(builder, side)
-    _signs(builder, side)
-    _bicycles(builder, side)
-    _people(builder, side)
-    _clutter(builder, side)
+    for fill in (_parked, _trees, _lamps, _signs, _bicycles, _people, _clutter):
+        fill(builder, side)
     for crossing in builder.plan.crossings:
         if side.sign in crossing.sides:
             _side_street(builder, side, crossing)
@@ -64,13 +59,9 @@ def _trees(builder: Builder, side: Side) -> None:
             builder.put(weeds, side, s + builder.between(1, 4), out)
         s += builder.between(*style.tree_gap)
     if side.verge and builder.chance(0.3):
-        _verge_bushes(builder, side, out)
-
-
-def _verge_bushes(builder: Builder, side: Side, out: float) -> None:
-    for s in np.arange(3, builder.plan.length, builder.between(2, 8)):
-        radius = min(1.0, 0.5 * side.verge) * builder.between(0.5, 1)
-        builder.put_if_free(vegetation.bush(builder.rng, radius), side, float(s), out, 0.8)
+        for s in np.arange(3, builder.plan.length, builder.between(2, 8)):
+            radius = min(1.0, 0.5 * side.verge) * builder.between(0.5, 1)
+            builder.put_if_free(vegetation.bush(builder.rng, radius), side, float(s), out, 0.8)
 
 
 def _lamps(builder: Builder, side: Side) -> None:
@@ -79,15 +70,15 @@ def _lamps(builder: Builder, side: Side) -> None:
     while s < builder.plan.length:
         builder.put_if_free(kind, side, s, side.parking + builder.between(0.35, 0.5), 0.3)
         s += builder.between(20, 34)
-    for _ in range(int(builder.rng.poisson(builder.plan.length / 50))):
-        s, out = builder.between(0, builder.plan.length), side.parking + builder.between(0.3, 0.5)
+    for _ in builder.count(builder.plan.length / 50):
+        s, out = builder.along(), side.parking + builder.between(0.3, 0.5)
         for step in range(int(builder.rng.choice([1, 1, 1, 3, 5]))):
             builder.put_if_free(furniture.post(builder.rng), side, s + 1.5 * step, out, 0.3)
 
 
 def _signs(builder: Builder, side: Side) -> None:
-    for _ in range(int(builder.rng.poisson(builder.plan.length / 17))):
-        s = builder.between(0, builder.plan.length)
+    for _ in builder.count(builder.plan.length / 17):
+        s = builder.along()
         make = furniture.board if builder.chance(0.22) else furniture.sign
         yaw = builder.rng.choice([1, 1, 1, -1, 0]) * TOWARDS_TRAFFIC * -1
         out = side.parking + builder.between(0.4, 1.3)
@@ -99,30 +90,28 @@ def _signs(builder: Builder, side: Side) -> None:
                 continue
             make = furniture.traffic_light if builder.chance(0.3) else furniture.sign
             yaw = -TOWARDS_TRAFFIC * builder.rng.choice([1, -1])
-            builder.put_if_free(
-                make(builder.rng), side, s, side.parking + 0.5 + 0.2 * crossing.corner, 0.3, yaw
-            )
+            out = side.parking + 0.5 + 0.2 * crossing.corner
+            builder.put_if_free(make(builder.rng), side, s, out, 0.3, yaw)
 
 
 def _bicycles(builder: Builder, side: Side) -> None:
     """Lean bicycles on the pavement, alone and in racks."""
     crowd = builder.plan.style.crowd * builder.plan.length / 100
-    for _ in range(int(builder.rng.poisson(0.35 * crowd))):
-        s = builder.between(0, builder.plan.length)
+    for _ in builder.count(0.35 * crowd):
+        s = builder.along()
         out = side.parking + builder.between(0.5, max(0.8, side.verge + side.sidewalk))
         yaw = builder.between(-0.4, 0.4) + (np.pi / 2) * builder.chance(0.6)
         for step in range(int(builder.rng.choice([1, 1, 2, 5]))):
             mesh = people.bicycle(builder.rng).leaned(builder.rng.normal(0, 0.12))
-            builder.put_if_free(
-                mesh, side, s + 0.62 * step, out, 0.3, yaw + builder.rng.normal(0, 0.1)
-            )
+            turned = yaw + builder.rng.normal(0, 0.1)
+            builder.put_if_free(mesh, side, s + 0.62 * step, out, 0.3, turned)
 
 
 def _people(builder: Builder, side: Side) -> None:
     """Stand people about in ones, twos and threes."""
     crowd = builder.plan.style.crowd * builder.plan.length / 100
-    for _ in range(int(builder.rng.poisson(0.35 * crowd))):
-        s = builder.between(0, builder.plan.length)
+    for _ in builder.count(0.35 * crowd):
+        s = builder.along()
         out = side.parking + builder.between(0.3, max(0.6, side.verge + side.sidewalk - 0.3))
         for _ in range(int(builder.rng.integers(1, 4))):
             place = s + builder.rng.normal(0, 0.7), out + builder.rng.normal(0, 0.3)
@@ -131,12 +120,12 @@ def _people(builder: Builder, side: Side) -> None:
 
 
 def _clutter(builder: Builder, side: Side) -> None:
-    for _ in range(int(builder.rng.poisson(builder.plan.length / 18))):
-        s = builder.between(0, builder.plan.length)
+    for _ in builder.count(builder.plan.length / 18):
+        s = builder.along()
         edge = side.depth - 0.4 if builder.chance(0.6) else side.parking + 0.6
         builder.put_if_free(furniture.clutter(builder.rng), side, s, max(edge, 0.6), 0.7)
     if side.sidewalk > 2 and builder.chance(0.4):
-        s = builder.between(0, builder.plan.length)
+        s = builder.along()
         builder.put_if_free(furniture.shelter(builder.rng), side, s, side.depth - 1.6, 2.0)
 
 
@@ -152,7 +141,7 @@ def _side_street(builder: Builder, side: Side, crossing: Crossing) -> None:
         yaw = -np.pi / 2
         s = crossing.s - side.sign * crossing.half * 0.45
         builder.put(vehicles.car(builder.rng), side, s, builder.between(2.6, 5), yaw)
-    for _ in range(int(builder.rng.poisson(2 if crossing.pavement else 0.5))):
+    for _ in builder.count(2 if crossing.pavement else 0.5):
         away = (crossing.half + builder.between(0.4, 1.4)) * builder.rng.choice([-1, 1])
         make_thing = (people.person, people.person, furniture.post, people.bicycle, furniture.sign)
         mesh = make_thing[builder.rng.integers(5)](builder.rng)
@@ -161,4 +150,4 @@ def _side_street(builder: Builder, side: Side, crossing: Crossing) -> None:
     wide = 2 * crossing.half + 6
     height = builder.between(4, 8)
     wood = vegetation.thicket(builder.rng, wide, 3, height).moved((-wide / 2, 0, 0))
-    builder.put(wood, side, crossing.s, REACH_OF_VIEW)
+    builder.put(wood, side, crossing.s, SIDE_STREET_END_M)

@@ -62,57 +62,36 @@ def _cross(a: Array, b: Array) -> Array:
 
 
 def ellipsoid(
-    centre: npt.ArrayLike,
-    radii: npt.ArrayLike,
-    skin: Skin,
-    *,
-    sides: int = 8,
-    lumps: float = 0.0,
-    rng: np.random.Generator | None = None,
+    centre: npt.ArrayLike, radii: npt.ArrayLike, skin: Skin, unevenness: Array | None = None
 ) -> Mesh:
-    """Return an ellipsoid; `lumps` is the relative unevenness that `rng` gives it."""
-    latitude = np.linspace(-np.pi / 2, np.pi / 2, max(4, sides // 2 + 2))
-    longitude = np.linspace(0, 2 * np.pi, sides, endpoint=False)
-    unit = np.stack(
-        [
-            np.cos(latitude)[:, None] * np.cos(longitude),
-            np.cos(latitude)[:, None] * np.sin(longitude),
-            np.broadcast_to(np.sin(latitude)[:, None], (len(latitude), sides)),
-        ],
-        -1,
-    )
-    if rng is not None and lumps > 0:
-        unit = unit * (1 + lumps * rng.standard_normal((*unit.shape[:2], 1)).clip(-2, 2))
+    """Return an ellipsoid of 6 rings of 8 points; `unevenness` (6, 8, 1) is relative, if any."""
+    latitude = np.linspace(-np.pi / 2, np.pi / 2, 6)[:, None]
+    longitude = np.linspace(0, 2 * np.pi, 8, endpoint=False)
+    level = np.cos(latitude)
+    height = np.broadcast_to(np.sin(latitude), (6, 8))
+    unit = np.stack([level * np.cos(longitude), level * np.sin(longitude), height], -1)
+    if unevenness is not None:
+        unit = unit * (1 + unevenness)
     return rings(unit * np.asarray(radii, float) + np.asarray(centre, float), skin)
 
 
-def disc(centre: npt.ArrayLike, radius: float, normal: str, skin: Skin, sides: int = 12) -> Mesh:
-    """Return a flat disc whose normal is the axis ``"x"`` or ``"y"``."""
+def disc(centre: npt.ArrayLike, radius: float, skin: Skin, sides: int = 12) -> Mesh:
+    """Return a flat disc across the y axis."""
     angle = np.linspace(0, 2 * np.pi, sides, endpoint=False)
-    flat, up = radius * np.cos(angle), radius * np.sin(angle)
-    zero = np.zeros(sides)
-    rim = np.stack([zero, flat, up] if normal == "x" else [flat, zero, up], -1)
+    rim = np.stack([radius * np.cos(angle), np.zeros(sides), radius * np.sin(angle)], -1)
     vertices = np.concatenate([np.zeros((1, 3)), rim]) + np.asarray(centre, float)
     index = np.arange(sides)
     faces = np.stack([np.zeros(sides, np.int64), index + 1, (index + 1) % sides + 1], -1)
     return Mesh.of(vertices, faces, skin)
 
 
-def facets(
-    centres: Array,
-    sizes: npt.ArrayLike,
-    skin: Skin,
-    rng: np.random.Generator,
-    *,
-    shade: float = 0.2,
-) -> Mesh:
+def facets(centres: Array, sizes: Array, skin: Skin, rng: np.random.Generator) -> Mesh:
     """Return one randomly turned triangle around each of (F, 3) centres, like leaves.
 
-    `sizes` (metres) is one number or F; `shade` is the relative spread of the brightness.
+    `sizes` (F,) in metres; their brightness varies by a fifth.
     """
     count = len(centres)
-    size = np.broadcast_to(np.asarray(sizes, float), count)[:, None, None]
-    corners = centres[:, None] + size * rng.uniform(-1, 1, (count, 3, 3))
+    corners = centres[:, None] + sizes[:, None, None] * rng.uniform(-1, 1, (count, 3, 3))
     mesh = Mesh.of(corners.reshape(-1, 3), np.arange(count * 3).reshape(-1, 3), skin)
-    mesh.shades[:] *= np.exp(shade * rng.standard_normal(count)).astype(np.float32)
+    mesh.shades[:] *= np.exp(0.2 * rng.standard_normal(count)).astype(np.float32)
     return mesh

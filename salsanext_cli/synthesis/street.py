@@ -3,26 +3,56 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
 
-from salsanext_cli.synthesis import lots, roadside
+from salsanext_cli.synthesis import ids, lots, people, roadside, vehicles
 from salsanext_cli.synthesis.builder import Builder
 from salsanext_cli.synthesis.draw import draw_plan
 from salsanext_cli.synthesis.ground import ground
 from salsanext_cli.synthesis.mesh import Mesh, merge
 from salsanext_cli.synthesis.plan import Plan
 from salsanext_cli.synthesis.style import Style
-from salsanext_cli.synthesis.traffic import Mover, populate
 
-MARGIN = 70.0
-"""How far the street goes on behind the first and beyond the last scan, metres."""
+MARGIN_M = 70.0
+"""How far the street goes on behind the first and beyond the last scan."""
+
+
+@dataclass(frozen=True, slots=True)
+class Mover:
+    """A thing that keeps its speed and its distance from the centre line.
+
+    Attributes
+    ----------
+    mesh : Mesh
+        In its own frame, x forward.
+    start : float
+        Position along the street at time 0, metres.
+    t : float
+        Distance to the left of the centre line, metres.
+    speed : float
+        Along the street, metres per second; negative comes towards the start.
+    """
+
+    mesh: Mesh
+    start: float
+    t: float
+    speed: float
+
+    def at(self, plan: Plan, time: float) -> Mesh | None:
+        """Return it in world coordinates at a time, None while it is off the street."""
+        s = self.start + self.speed * time
+        if not 3 < s < plan.length - 3:
+            return None
+        yaw = float(plan.yaw(s)) + (np.pi if self.speed < 0 else 0.0)
+        return self.mesh.moved(plan.world(s, self.t), yaw)
 
 
 @dataclass(frozen=True, slots=True)
 class Street:
-    """What there is to scan.
+    """Everything there is to scan.
 
     Attributes
     ----------
@@ -43,12 +73,70 @@ def build_street(
     rng: np.random.Generator, style: Style, distance: float, ego_speed: float
 ) -> Street:
     """Build a street on which the recording vehicle can drive `distance` metres."""
-    plan = draw_plan(rng, style, distance + 2 * MARGIN)
+    plan = draw_plan(rng, style, distance + 2 * MARGIN_M)
     builder = Builder(rng, plan)
     builder.parts.append(ground(rng, plan))
     for side in plan.sides:
         roadside.furnish(builder, side)
         for lot in side.lots:
             lots.furnish(builder, side, lot)
-    movers = populate(builder, MARGIN, ego_speed, distance / ego_speed)
-    return Street(plan, merge(builder.parts), tuple(movers))
+    duration = distance / ego_speed
+    movers = (
+        *_vehicles(builder, ego_speed, duration),
+        *_walkers(builder, duration),
+        *_riders(builder, ego_speed, duration),
+    )
+    return Street(plan, merge(builder.parts), movers)
+
+
+def _vehicles(builder: Builder, speed: float, duration: float) -> Iterator[Mover]:
+    """Yield vehicles ahead of and behind the recording one, and those that come towards it."""
+    plan = builder.plan
+    t, gap = 0.5 * plan.half, 100 / plan.style.traffic
+    s = MARGIN_M + builder.between(9, 40)
+    while s < plan.length + speed * duration:
+        yield Mover(_vehicle(builder), s, -t, speed)
+        s += builder.between(0.3, 1.7) * gap + 8
+    s = MARGIN_M - builder.between(9, 50)
+    while s > -speed * duration:
+        yield Mover(_vehicle(builder), s, -t, speed)
+        s -= builder.between(0.3, 1.7) * gap + 8
+    pace = speed * builder.between(0.5, 1.2)
+    s = builder.between(0, 40)
+    while s < plan.length + pace * duration:
+        yield Mover(_vehicle(builder), s, t, -pace)
+        s += builder.between(0.3, 1.7) * gap + 9
+
+
+def _vehicle(builder: Builder) -> Mesh:
+    if builder.chance(0.12):
+        return vehicles.truck(builder.rng).relabelled(ids.MOVING[ids.TRUCK])
+    return vehicles.car(builder.rng).relabelled(ids.MOVING[ids.CAR])
+
+
+def _walkers(builder: Builder, duration: float) -> Iterator[Mover]:
+    """Yield pedestrians, alone or in twos."""
+    plan = builder.plan
+    for side in plan.sides:
+        for _ in builder.count(0.35 * plan.style.crowd * plan.length / 100):
+            pace = builder.between(0.7, 1.6) * builder.rng.choice([-1, 1])
+            s = builder.along() - pace * duration / 2
+            out = side.parking + builder.between(0.3, max(0.6, side.verge + side.sidewalk - 0.3))
+            for _ in range(int(builder.rng.integers(1, 3))):
+                t = side.sign * (plan.half + out + builder.rng.normal(0, 0.35))
+                place = s + builder.rng.normal(0, 0.6)
+                person = people.person(builder.rng).relabelled(ids.MOVING[ids.PERSON])
+                yield Mover(person, place, t, pace)
+
+
+def _riders(builder: Builder, speed: float, duration: float) -> Iterator[Mover]:
+    """Yield riders, each of whom meets the recording vehicle some time during the drive."""
+    plan = builder.plan
+    for _ in range(1 + len(builder.count(0.12 * plan.style.crowd * plan.length / 100))):
+        sign = builder.rng.choice([-1, 1])
+        pace = -sign * builder.between(0.5, 1.05) * speed
+        meeting = builder.between(0, duration)
+        s = MARGIN_M + speed * meeting - pace * meeting + builder.rng.normal(0, 22)
+        t = sign * (plan.half + builder.between(-0.9, 0.9))
+        rider = people.rider(builder.rng).relabelled(ids.MOVING[ids.BICYCLIST])
+        yield Mover(rider, float(s), t, pace)

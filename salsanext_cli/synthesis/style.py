@@ -57,68 +57,31 @@ class Style:
 
 
 URBAN = Style(
-    name="urban",
-    lane=(3.4, 6.2),
-    parking=0.35,
-    verge=0.2,
-    sidewalk=1.0,
-    sidewalk_width=(2.4, 7.0),
+    name="urban", lane=(3.4, 6.2), parking=0.35, verge=0.2, sidewalk=1.0, sidewalk_width=(2.4, 7.0),
     lots={"terrace": 7, "yard": 1, "carpark": 1, "green": 1, "house": 1},
-    setback=(0.0, 1.5),
-    lot_width=(9, 22),
-    tree_gap=(10, 25),
-    parked=0.5,
-    crossing_gap=(45, 90),
-    crowd=9.0,
-    traffic=1.6,
-)
+    setback=(0.0, 1.5), lot_width=(9, 22), tree_gap=(10, 25), parked=0.5, crossing_gap=(45, 90),
+    crowd=9.0, traffic=1.6,
+)  # fmt: skip
 RESIDENTIAL = Style(
-    name="residential",
-    lane=(2.8, 4.3),
-    parking=0.15,
-    verge=0.4,
-    sidewalk=1.0,
+    name="residential", lane=(2.8, 4.3), parking=0.15, verge=0.4, sidewalk=1.0,
     sidewalk_width=(1.7, 4.2),
     lots={"house": 7, "yard": 2, "green": 1, "terrace": 2, "carpark": 0.5, "thicket": 1.5},
-    setback=(2.0, 7.0),
-    lot_width=(10, 20),
-    tree_gap=(9, 22),
-    parked=0.42,
-    crossing_gap=(40, 90),
-    crowd=5.0,
-    traffic=0.8,
-)
+    setback=(2.0, 7.0), lot_width=(10, 20), tree_gap=(9, 22), parked=0.42, crossing_gap=(40, 90),
+    crowd=5.0, traffic=0.8,
+)  # fmt: skip
 BOULEVARD = Style(
-    name="boulevard",
-    lane=(4.2, 7.5),
-    parking=0.25,
-    verge=0.9,
-    sidewalk=0.95,
+    name="boulevard", lane=(4.2, 7.5), parking=0.25, verge=0.9, sidewalk=0.95,
     sidewalk_width=(2.5, 6.0),
     lots={"terrace": 2, "green": 3, "thicket": 3, "yard": 2, "carpark": 1.5, "house": 1},
-    setback=(2.0, 10.0),
-    lot_width=(14, 30),
-    tree_gap=(7, 14),
-    parked=0.5,
-    crossing_gap=(60, 120),
-    crowd=7.0,
-    traffic=2.0,
-)
+    setback=(2.0, 10.0), lot_width=(14, 30), tree_gap=(7, 14), parked=0.5, crossing_gap=(60, 120),
+    crowd=7.0, traffic=2.0,
+)  # fmt: skip
 COUNTRY = Style(
-    name="country",
-    lane=(3.0, 4.4),
-    parking=0.03,
-    verge=1.0,
-    sidewalk=0.3,
+    name="country", lane=(3.0, 4.4), parking=0.03, verge=1.0, sidewalk=0.3,
     sidewalk_width=(1.2, 2.2),
     lots={"field": 4, "thicket": 5, "green": 3, "house": 1, "yard": 1},
-    setback=(5.0, 14.0),
-    lot_width=(14, 40),
-    tree_gap=(12, 40),
-    parked=0.1,
-    crossing_gap=(80, 160),
-    crowd=2.5,
-    traffic=1.0,
-)
+    setback=(5.0, 14.0), lot_width=(14, 40), tree_gap=(12, 40), parked=0.1, crossing_gap=(80, 160),
+    crowd=2.5, traffic=1.0,
+)  # fmt: skip
 STYLES = (RESIDENTIAL, URBAN, RESIDENTIAL, COUNTRY, BOULEVARD)
-"""Drawn in turn by the sequence number, so that a small data set has them all."""
+"""Order in which sequences take them, so that a small data set has all."""

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Trees, bushes, hedges and thickets: many small facets around lumpy hearts, so that rays slip by.
+"""Trees, bushes, hedges and thickets: many small facets, which let some rays through.
 
 Local frame: the ground at z = 0, a tree's foot at the origin, a hedge along x.
 """
@@ -12,25 +12,33 @@ from salsanext_cli.synthesis.ids import TRUNK, VEGETATION
 from salsanext_cli.synthesis.materials import Material
 from salsanext_cli.synthesis.mesh import Array, Mesh, Skin, merge
 from salsanext_cli.synthesis.shapes import ellipsoid, facets, rings, tube
+from salsanext_cli.synthesis.style import Span
 
 FOOT = -0.4
 
 
 def _leaf(rng: np.random.Generator) -> Skin:
-    return Skin(VEGETATION, Material.LEAF, float(rng.uniform(0.75, 1.2)))
+    return Skin.drawn(rng, VEGETATION, Material.LEAF, 0.75, 1.2)
 
 
-def _cluster(rng: np.random.Generator, centre: Array, radii: Array, count: int) -> Array:
-    """Return points that thicken towards the rim of an ellipsoid."""
+def _leaves(
+    rng: np.random.Generator, centre: Array, radii: Array, count: int, sizes: Span, leaf: Skin
+) -> Mesh:
+    """Return leaves that thicken towards the rim of an ellipsoid."""
     direction = rng.standard_normal((count, 3))
     direction /= np.linalg.norm(direction, axis=1, keepdims=True)
     reach = rng.uniform(0.3, 1.0, (count, 1)) ** 0.5 + rng.normal(0, 0.08, (count, 1))
-    return centre + direction * reach * radii
+    return facets(centre + direction * reach * radii, rng.uniform(*sizes, count), leaf, rng)
+
+
+def _lumps(rng: np.random.Generator, spread: float) -> Array:
+    """Return the unevenness of an ellipsoid."""
+    return spread * rng.standard_normal((6, 8, 1)).clip(-2, 2)
 
 
 def tree(rng: np.random.Generator, height: float) -> Mesh:
     """Return a broad-leaved tree: bent trunk, branches, a crown of clusters."""
-    bark = Skin(TRUNK, Material.BARK, float(rng.uniform(0.5, 1.15)))
+    bark = Skin.drawn(rng, TRUNK, Material.BARK, 0.5, 1.15)
     radius = float(rng.uniform(0.022, 0.05) * height**0.75)
     clear = float(rng.uniform(0.25, 0.45) * height)
     bend = rng.normal(0, 0.05 * height, (2,))
@@ -49,8 +57,7 @@ def tree(rng: np.random.Generator, height: float) -> Mesh:
         knee = (root + tip) / 2 + [0, 0, rng.uniform(-0.2, 0.4)]
         parts.append(tube([root, knee, tip], radius * np.array([0.5, 0.35, 0.12]), bark, 6))
         size = spread * rng.uniform(0.4, 0.75, 3)
-        leaves = _cluster(rng, tip, size, int(rng.uniform(260, 500)))
-        parts.append(facets(leaves, rng.uniform(0.08, 0.22, len(leaves)), leaf, rng))
+        parts.append(_leaves(rng, tip, size, int(rng.uniform(260, 500)), (0.08, 0.22), leaf))
     return merge(parts)
 
 
@@ -76,9 +83,8 @@ def bush(rng: np.random.Generator, radius: float) -> Mesh:
     for _ in range(int(rng.integers(1, 5))):
         size = radius * rng.uniform([0.5, 0.5, 0.5], [1, 1, 1.3])
         centre = np.array([*rng.normal(0, radius * 0.4, 2), size[2] * 0.7])
-        parts.append(ellipsoid(centre, size * 0.7, leaf, lumps=0.15, rng=rng))
-        leaves = _cluster(rng, centre, size, int(130 + 160 * radius))
-        parts.append(facets(leaves, rng.uniform(0.04, 0.14, len(leaves)), leaf, rng))
+        parts.append(ellipsoid(centre, size * 0.7, leaf, _lumps(rng, 0.15)))
+        parts.append(_leaves(rng, centre, size, int(130 + 160 * radius), (0.04, 0.14), leaf))
     return merge(parts)
 
 
@@ -114,23 +120,21 @@ def thicket(rng: np.random.Generator, length: float, depth: float, height: float
         low = rng.uniform(0.15, 0.55) * height * (0.5 + 0.5 * y / depth)
         size = np.array([*rng.uniform(0.7, 1.8, 2), low])
         centre = np.array([x, y, low * 0.6])
-        parts.append(ellipsoid(centre, size * 0.6, leaf, lumps=0.2, rng=rng))
-        leaves = _cluster(rng, centre, size, int(rng.uniform(150, 330)))
-        parts.append(facets(leaves, rng.uniform(0.06, 0.22, len(leaves)), leaf, rng))
+        parts.append(ellipsoid(centre, size * 0.6, leaf, _lumps(rng, 0.2)))
+        parts.append(_leaves(rng, centre, size, int(rng.uniform(150, 330)), (0.06, 0.22), leaf))
     for _ in range(max(1, int(length / 4))):
         x, y = rng.uniform(0, length), rng.uniform(depth * 0.2, depth)
         lean = rng.normal(0, 0.5, 2)
         top = np.array([x + lean[0], y + lean[1], height * rng.uniform(0.6, 1.1)])
         parts.append(tube([np.array([x, y, FOOT]), top], [rng.uniform(0.08, 0.22), 0.05], bark, 6))
-        leaves = _cluster(rng, top, np.array([2.0, 2.0, height * 0.3]), 260)
-        parts.append(facets(leaves, rng.uniform(0.12, 0.32, len(leaves)), leaf, rng))
+        parts.append(_leaves(rng, top, np.array([2.0, 2.0, height * 0.3]), 260, (0.12, 0.32), leaf))
     return merge(parts)
 
 
-def weeds(rng: np.random.Generator, radius: float, label: int = VEGETATION) -> Mesh:
+def weeds(rng: np.random.Generator, radius: float) -> Mesh:
     """Return a patch of tall grass and weeds."""
     count = int(70 * radius)
     centres = rng.normal(0, radius * 0.5, (count, 3))
     centres[:, 2] = rng.uniform(0.0, 0.45, count) * rng.uniform(0.3, 1.0)
-    leaf = Skin(label, Material.LEAF, float(rng.uniform(0.8, 1.15)))
+    leaf = Skin.drawn(rng, VEGETATION, Material.LEAF, 0.8, 1.15)
     return facets(centres, rng.uniform(0.04, 0.14, count), leaf, rng)

@@ -25,7 +25,7 @@ def _loft(body: Body, label: int, paint: float, stretch: Array) -> Mesh:
     """Return the body without wheels."""
     profile = body.profile
     x = (0.5 - profile[:, 0]) * body.length
-    half = np.full(len(x), body.width / 2) * np.where((profile[:, 0] % 1.0) == 0, 0.86, 1.0)
+    half = body.width / 2 * np.where(profile[:, 0] % 1.0 == 0, 0.86, 1.0)
     belt, roof, top = profile[:, 1], profile[:, 2], half * profile[:, 3]
     sill = np.full(len(x), body.bottom)
     middle = (sill + belt) / 2
@@ -45,18 +45,16 @@ def _loft(body: Body, label: int, paint: float, stretch: Array) -> Mesh:
     return merge([shell, *ends]).scaled(stretch)
 
 
-def _wheels(
-    label: int, places: list[tuple[float, float]], radius: float, wide: float
-) -> list[Mesh]:
-    """Return wheels at (x, half track): a tyre and, on its outside, a rim."""
+def _wheels(label: int, axles: list[float], track: float, radius: float, wide: float) -> list[Mesh]:
+    """Return wheels at both ends of axles: a tyre and, on its outside, a rim."""
     tyre, rim = Skin(label, Material.RUBBER), Skin(label, Material.METAL, 0.9)
     parts = []
-    for x, track in places:
+    for x in axles:
         for side in (-1, 1):
             inner, outer = side * (track - wide), side * track
             parts.append(tube([[x, inner, radius], [x, outer, radius]], radius, tyre, 14))
-            parts.append(disc((x, outer - side * 0.02, radius), radius * 0.97, "y", tyre))
-            parts.append(disc((x, outer + side * 0.01, radius), radius * 0.66, "y", rim))
+            parts.append(disc((x, outer - side * 0.02, radius), radius * 0.97, tyre))
+            parts.append(disc((x, outer + side * 0.01, radius), radius * 0.66, rim))
     return parts
 
 
@@ -86,10 +84,10 @@ def car(rng: np.random.Generator) -> Mesh:
     body = CARS[rng.integers(len(CARS))]
     stretch = rng.uniform([0.93, 0.96, 0.96], [1.07, 1.03, 1.05])
     track = (body.width / 2 + 0.005) * stretch[1]
-    axles = [(0.31 * body.length * stretch[0], track), (-0.30 * body.length * stretch[0], track)]
+    axles = [0.31 * body.length * stretch[0], -0.30 * body.length * stretch[0]]
     parts = [
         _loft(body, CAR, _paint(rng), stretch),
-        *_wheels(CAR, axles, body.wheel, 0.2),
+        *_wheels(CAR, axles, track, body.wheel, 0.2),
         *_fittings(body, CAR, stretch),
     ]
     floor = Skin(CAR, Material.RUBBER)
@@ -117,18 +115,16 @@ def truck(rng: np.random.Generator) -> Mesh:
     if kind == 0:
         top = floor + rng.uniform(1.6, 2.6)
         parts.append(box((-front, -half, floor), (front, half, top), cargo))
-        parts += [
-            box((x, -half - 0.02, floor), (x + 0.05, half + 0.02, top), steel)
-            for x in np.arange(-front, front, rng.uniform(0.6, 2.5))
-        ]
+        for x in np.arange(-front, front, rng.uniform(0.6, 2.5)):
+            parts.append(box((x, -half - 0.02, floor), (x + 0.05, half + 0.02, top), steel))
     else:
         parts += _open_bed(rng, front, half, floor, cargo)
         if kind == 2:
             parts.append(_load(rng, front, half, floor))
-    axles = [(front + cab_length * 0.55, half), (-front * 0.62, half)]
+    axles = [front + cab_length * 0.55, -front * 0.62]
     if bed_length > 6:
-        axles += [(-front * 0.62 + 1.15, half), (-front * 0.62 - 1.15, half)]
-    parts += _wheels(TRUCK, axles, 0.46, 0.35)
+        axles += [-front * 0.62 + 1.15, -front * 0.62 - 1.15]
+    parts += _wheels(TRUCK, axles, half, 0.46, 0.35)
     retro = Skin(TRUCK, Material.RETRO)
     for y in (-half + 0.1, half - 0.4):
         parts.append(box((-front - 0.03, y, 0.6), (-front + 0.01, y + 0.3, 0.75), retro))
@@ -137,8 +133,7 @@ def truck(rng: np.random.Generator) -> Mesh:
         low, high = sorted((side * (half + 0.02), side * (half + 0.28)))
         x = front + cab_length
         parts.append(box((x - 0.25, low, 1.7), (x - 0.15, high, 2.3), steel))
-    middle = -(cab_length + 0.1) / 2
-    return merge(parts).moved((middle, 0, 0))
+    return merge(parts).moved((-(cab_length + 0.1) / 2, 0, 0))
 
 
 def _open_bed(
@@ -161,6 +156,6 @@ def _load(rng: np.random.Generator, front: float, half: float, floor: float) -> 
     for _ in range(int(rng.integers(2, 7))):
         size = rng.uniform([0.5, 0.4, 0.3], [1.6, 1.0, 1.4])
         x, y = rng.uniform(-front, front - size[0]), rng.uniform(-half, half - size[1])
-        skin = Skin(TRUCK, Material.WOOD, float(rng.uniform(0.5, 1.1)))
+        skin = Skin.drawn(rng, TRUCK, Material.WOOD, 0.5, 1.1)
         crates.append(box((x, y, floor + 0.1), (x + size[0], y + size[1], floor + size[2]), skin))
     return merge(crates)

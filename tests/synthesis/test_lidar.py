@@ -1,15 +1,12 @@
 # SPDX-License-Identifier: MIT
 """Measured against closed forms: a wall, a floor, glass, nothing, two scenes."""
 
-import sys
-
 import numpy as np
 import pytest
 
-from salsanext_cli.errors import MissingDependency
 from salsanext_cli.synthesis.beams import hdl64
 from salsanext_cli.synthesis.ids import BUILDING, CAR, ROAD
-from salsanext_cli.synthesis.lidar import RANGE_NOISE, Scene, measure
+from salsanext_cli.synthesis.lidar import RANGE_NOISE_M, Scene, measure
 from salsanext_cli.synthesis.materials import OPTICS, Material
 from salsanext_cli.synthesis.mesh import Skin
 from salsanext_cli.synthesis.shapes import quads
@@ -20,6 +17,13 @@ def wall(distance, material=Material.PLASTER, label=BUILDING, shade=1.0):
     x, w = distance, 100.0
     corners = np.array([[[x, -w, -w], [x, w, -w], [x, w, w], [x, -w, w]]])
     return Scene(quads(corners, Skin(label, material, shade)))
+
+
+def floor(material):
+    """Build a road 1.73 m below the sensor."""
+    z, w = -1.73, 300.0
+    corners = np.array([[[-w, -w, z], [w, -w, z], [w, w, z], [-w, w, z]]])
+    return Scene(quads(corners, Skin(ROAD, material)))
 
 
 def fan(count=20_000, spread=0.3):
@@ -41,18 +45,11 @@ def test_a_wall_is_as_far_as_it_is():
     error = distance[kept] - 10 / np.cos(azimuth[kept])
     assert kept.mean() > 0.98
     assert abs(error.mean()) < 1e-3
-    assert error.std() == pytest.approx(RANGE_NOISE, rel=0.05)
+    assert error.std() == pytest.approx(RANGE_NOISE_M, rel=0.05)
     assert set(labels[kept]) == {BUILDING}
+    np.testing.assert_allclose(intensity * 100, np.round(intensity * 100), atol=1e-9)
     usual = OPTICS[Material.PLASTER].brightness
     assert intensity[kept].mean() == pytest.approx(usual, abs=0.05)
-
-
-def test_intensity_is_between_0_and_1_in_hundredths():
-    rays, _ = fan()
-    _, intensity, _ = look([wall(6, Material.RETRO, shade=3.0)], rays)
-    assert intensity.min() >= 0
-    assert intensity.max() <= 1
-    np.testing.assert_allclose(intensity * 100, np.round(intensity * 100), atol=1e-9)
 
 
 @pytest.mark.parametrize(("near", "far"), [(10, 40), (30, 70)])
@@ -64,14 +61,12 @@ def test_far_walls_look_darker_and_lose_more(near, far):
 
 
 def test_roads_seen_at_a_grazing_angle_fade_out():
-    z, w = -1.73, 300.0
-    corners = np.array([[[-w, -w, z], [w, -w, z], [w, w, z], [-w, w, z]]])
-    floor = Scene(quads(corners, Skin(ROAD, Material.ASPHALT)))
+    scene = floor(Material.ASPHALT)
 
     def share(reach):
-        way = np.array([reach, 0, z]) / np.hypot(reach, z)
+        way = np.array([reach, 0, -1.73]) / np.hypot(reach, 1.73)
         rays = np.tile(np.concatenate([np.zeros(3), way]), (4000, 1))
-        distance, intensity, _ = look([floor], rays)
+        distance, intensity, _ = look([scene], rays)
         return np.isfinite(distance).mean(), intensity.mean()
 
     shares, brightness = zip(*(share(reach) for reach in (8, 25, 50, 75)), strict=True)
@@ -83,10 +78,7 @@ def test_roads_seen_at_a_grazing_angle_fade_out():
 def test_a_floor_is_hit_at_the_beams_angles():
     beams = hdl64(np.random.default_rng(0))
     origins, directions, _ = beams.rays()
-    z, w = -1.73, 300.0
-    corners = np.array([[[-w, -w, z], [w, -w, z], [w, w, z], [-w, w, z]]])
-    rays = np.concatenate([origins, directions], 1)
-    distance, _, _ = look([Scene(quads(corners, Skin(ROAD, Material.PAVING)))], rays)
+    distance, _, _ = look([floor(Material.PAVING)], np.concatenate([origins, directions], 1))
     laser = np.repeat(np.arange(64), beams.columns)
     for row in (40, 50, 63):
         found = distance[laser == row]
@@ -138,18 +130,3 @@ def test_the_nearer_of_two_scenes_counts():
         kept = np.isfinite(distance)
         assert set(labels[kept]) == {CAR}
         assert distance[kept].max() < 7
-
-
-def test_the_noise_comes_from_the_generator_alone():
-    rays, _ = fan(2000)
-    scene = wall(9)
-    first, again, other = (look([scene], rays, seed) for seed in (5, 5, 6))
-    for a, b in zip(first, again, strict=True):
-        np.testing.assert_array_equal(a, b)
-    assert not np.array_equal(first[0], other[0])
-
-
-def test_a_missing_library_is_named(monkeypatch):
-    monkeypatch.setitem(sys.modules, "open3d", None)
-    with pytest.raises(MissingDependency, match="open3d · not installed"):
-        wall(5)

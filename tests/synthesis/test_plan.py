@@ -76,17 +76,6 @@ def test_bends_do_not_fold_the_ground_over(plan):
     assert turn.max() * REACH < 1
 
 
-def test_lots_fill_the_street_between_side_streets():
-    for plan in PLANS:
-        for side in plan.sides:
-            for lot, following in zip(side.lots[:-1], side.lots[1:], strict=True):
-                gap = following.start - lot.end
-                widths = [2 * (c.half + c.pavement) for c in plan.crossings if side.sign in c.sides]
-                assert gap == pytest.approx(0, abs=1.01) or any(
-                    abs(gap - width) < 1.01 for width in widths
-                )
-
-
 def test_the_ground_has_no_holes_and_the_plans_labels():
     plan = PLANS[0]
     mesh = ground(np.random.default_rng(0), plan)
