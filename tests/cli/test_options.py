@@ -13,7 +13,7 @@ from scans import labels_below
 from salsanext_cli.cli import options, run_options
 from salsanext_cli.cli.option_groups import Default, Only, Without, expanded
 from salsanext_cli.errors import UsageError
-from salsanext_cli.parallel.run import BACKENDS, RunOptions
+from salsanext_cli.parallel.options import BACKENDS, RunOptions
 from salsanext_cli.parallel.shards import Shard
 
 QUIET = run_options.Output(quiet=True)
