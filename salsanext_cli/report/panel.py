@@ -20,13 +20,13 @@ from salsanext_cli.report.range_image import on_pixels, scalar_picture
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-MARGIN = 28
-TITLE = 34
+MARGIN_PX = 28
+TITLE_PX = 34
 """Pixels around strips, and between them for the title."""
-BAR = 130
-"""Pixels beside the strips for colour bars and their figures."""
-STRIP_WIDTH = 2048
-STRIP_HEIGHT = 192
+BAR_PX = 130
+"""Pixels beside the strips for colour bars and their numbers."""
+STRIP_WIDTH_PX = 2048
+STRIP_HEIGHT_PX = 192
 """Least size of a strip in pixels: 64 rows are drawn three times as high as they are."""
 
 
@@ -91,18 +91,20 @@ def panel(path: Path, strips: Sequence[Strip], legend: Legend = ()) -> None:
     """
     sizes = [_drawn(strip.picture) for strip in strips]
     width = max(picture.shape[1] for picture in sizes)
-    body = sum(picture.shape[0] + TITLE for picture in sizes)
+    body = sum(picture.shape[0] + TITLE_PX for picture in sizes)
     key = canvas.legend_height(legend, width)
-    figure = canvas.new_figure(MARGIN + width + BAR, body + MARGIN + (key + MARGIN) * bool(legend))
+    figure = canvas.new_figure(
+        MARGIN_PX + width + BAR_PX, body + MARGIN_PX + (key + MARGIN_PX) * bool(legend)
+    )
     top = 0
     for strip, picture in zip(strips, sizes, strict=True):
-        canvas.text_at(figure, MARGIN, top + TITLE // 2 + 2, strip.title, 18)
-        top += TITLE
-        _draw(figure, picture, MARGIN, top)
+        canvas.text_at(figure, MARGIN_PX, top + TITLE_PX // 2 + 2, strip.title, 18)
+        top += TITLE_PX
+        _draw(figure, picture, MARGIN_PX, top)
         if strip.bar:
-            _draw_bar(figure, strip.bar, MARGIN + width + 16, top, picture.shape[0])
+            _draw_bar(figure, strip.bar, MARGIN_PX + width + 16, top, picture.shape[0])
         top += picture.shape[0]
-    canvas.draw_legend(figure, legend, MARGIN, top + MARGIN, width)
+    canvas.draw_legend(figure, legend, MARGIN_PX, top + MARGIN_PX, width)
     canvas.save_png(figure, path)
 
 
@@ -110,7 +112,7 @@ def _drawn(picture: Colours) -> Colours:
     """Stretch a picture to a legible size by repeating its pixels."""
     height, width = picture.shape[:2]
     return canvas.stretched(
-        picture, max(1, round(STRIP_HEIGHT / height)), max(1, round(STRIP_WIDTH / width))
+        picture, max(1, round(STRIP_HEIGHT_PX / height)), max(1, round(STRIP_WIDTH_PX / width))
     )
 
 

@@ -25,7 +25,7 @@ def on_pixels(image: RangeImage, of_points: npt.NDArray[Any], empty: Any = 0) ->
     Parameters
     ----------
     image : RangeImage
-        Knows which point each pixel shows.
+        Holds the point that each pixel shows.
     of_points : (N, …) array
         Something per point.
     empty : scalar
