@@ -82,13 +82,7 @@ def raster(
     return picture[spread : size + spread, spread : size + spread]
 
 
-def birds_eye(
-    path: Path,
-    points: Float,
-    views: Sequence[View],
-    legend: Legend = (),
-    reach: float = REACH_M,
-) -> None:
+def birds_eye(path: Path, points: Float, views: Sequence[View], legend: Legend = ()) -> None:
     """Draw a scan from above, once per view, with circles every `GRID_M` metres, as a PNG.
 
     Parameters
@@ -101,8 +95,6 @@ def birds_eye(
         From left to right.
     legend : list of (name, colour)
         Stands below them.
-    reach : float
-        Distance in metres from the sensor to an edge.
     """
     width = len(views) * (VIEW_PX + MARGIN_PX) - MARGIN_PX
     key = canvas.legend_height(legend, width)
@@ -113,25 +105,26 @@ def birds_eye(
         left = MARGIN_PX + i * (VIEW_PX + MARGIN_PX)
         canvas.text_at(figure, left, TITLE_PX // 2, view.title, 18)
         axes = canvas.axes_at(figure, left, TITLE_PX, VIEW_PX, VIEW_PX)
-        _draw(axes, _smooth(points, view.colours, reach), reach)
+        _draw(axes, _smooth(points, view.colours))
     canvas.draw_legend(figure, legend, MARGIN_PX, TITLE_PX + VIEW_PX + MARGIN_PX, width)
     canvas.save_png(figure, path)
 
 
-def _smooth(points: Float, colours: Colours, reach: float) -> Colours:
+def _smooth(points: Float, colours: Colours) -> Colours:
     """Draw larger and average down, so that edges of points are soft."""
-    large = raster(points, colours, reach, VIEW_PX * OVERSAMPLING, spread=3)
+    large = raster(points, colours, REACH_M, VIEW_PX * OVERSAMPLING, spread=3)
     blocks: npt.NDArray[np.float64] = large.reshape(
         VIEW_PX, OVERSAMPLING, VIEW_PX, OVERSAMPLING, 3
     ).mean(axis=(1, 3))
     return blocks.round().astype(np.uint8)
 
 
-def _draw(axes: Axes, picture: Colours, reach: float) -> None:
+def _draw(axes: Axes, picture: Colours) -> None:
     """Show a raster with circles around the sensor and an arrow forward, in metres."""
     from matplotlib.patches import Circle
     from matplotlib.patheffects import withStroke
 
+    reach = REACH_M
     axes.set_axis_off()
     axes.imshow(picture, extent=(reach, -reach, -reach, reach), interpolation="nearest")
     for radius in np.arange(GRID_M, reach * 2**0.5, GRID_M):

@@ -14,7 +14,7 @@ import numpy.typing as npt
 
 from salsanext_cli.records import RangeImage
 from salsanext_cli.report import canvas
-from salsanext_cli.report.colours import Colours, Legend, map_colours, value_range
+from salsanext_cli.report.colours import COLOUR_MAP, Colours, Legend, map_colours, value_range
 from salsanext_cli.report.range_image import on_pixels, scalar_picture
 
 if TYPE_CHECKING:
@@ -32,12 +32,11 @@ STRIP_HEIGHT_PX = 192
 
 @dataclass(frozen=True, slots=True)
 class Bar:
-    """What the colours of a strip mean."""
+    """Scale of the colours of a strip."""
 
     low: float
     high: float
     unit: str = ""
-    colour_map: str = "viridis"
 
 
 @dataclass(frozen=True, slots=True)
@@ -67,14 +66,11 @@ def range_strip(image: RangeImage) -> Strip:
     return Strip("range", scalar_picture(image, distances, bar.low, bar.high), bar)
 
 
-def scalar_strip(
-    image: RangeImage, title: str, values: npt.NDArray[Any], unit: str = "", colour_map: str = ""
-) -> Strip:
-    """Return a strip of values whose scale spans the bulk of them; `values` as `scalar_picture`."""
+def scalar_strip(image: RangeImage, title: str, values: npt.NDArray[Any]) -> Strip:
+    """Return a strip of values of pixels (H, W) or points (N,); the scale spans most of them."""
     pixels = values if values.ndim == 2 else on_pixels(image, values)
     low, high = value_range(pixels[image.point_of_pixel >= 0])
-    bar = Bar(low, high, unit, colour_map or "viridis")
-    return Strip(title, scalar_picture(image, pixels, low, high, bar.colour_map), bar)
+    return Strip(title, scalar_picture(image, pixels, low, high), Bar(low, high))
 
 
 def panel(path: Path, strips: Sequence[Strip], legend: Legend = ()) -> None:
@@ -124,7 +120,7 @@ def _draw(figure: Figure, picture: Colours, left: int, top: int) -> None:
 
 def _draw_bar(figure: Figure, bar: Bar, left: int, top: int, height: int) -> None:
     rows = np.linspace(255, 0, height).round().astype(np.intp)
-    _draw(figure, np.repeat(map_colours(bar.colour_map)[rows][:, None], 16, axis=1), left, top)
+    _draw(figure, np.repeat(map_colours(COLOUR_MAP)[rows][:, None], 16, axis=1), left, top)
     middle = (bar.low + bar.high) / 2
     places = ((bar.high, 9), (middle, height // 2), (bar.low, height - 9))
     # Digits by the span of the scale: its lower end is "0" rather than "0.00035".
