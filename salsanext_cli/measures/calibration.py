@@ -20,7 +20,7 @@ from salsanext_cli.measures.grouped_histogram import GroupedHistogram, require_p
 from salsanext_cli.measures.reliability import CONFIDENCES, adaptive_error, reliability
 
 SMALLEST_PROBABILITY = 2.0**-24
-"""What the probability of the true class is at least taken as: the smallest float16 above 0.
+"""Least probability of the true class: the smallest float16 above 0.
 
 A probability below half of it is 0 on disk, and one such point would make the mean infinite. So a
 point costs at most 24 ln 2 = 16.6 nats.

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Rank correlation: whether two quantities put things in the same order."""
+"""Spearman's rank correlation."""
 
 from __future__ import annotations
 

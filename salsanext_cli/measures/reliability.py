@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Confidence against accuracy: calibration errors from counts by confidence.
+"""Reliability diagram and calibration errors, from counts by confidence.
 
 Probabilities are float16 on disk, and there are 15 361 such numbers from 0 to 1. Points are counted
 in a bin for each of these, so that what follows from confidences is exact, however many scans.
@@ -16,7 +16,7 @@ from salsanext_cli.measures.confusion import Counts, Ratios, ratio
 
 CONFIDENCES = np.arange(int(np.float16(1).view(np.uint16)) + 1).astype(np.uint16).view(np.float16)
 """Every float16 from 0 to 1, ascending: the bit patterns of numbers above 0 are in their order."""
-BINS = 15
+POOLED_BINS = 15
 """Bins of the pooled errors and of the diagram."""
 SCAN_BINS = 10
 """Bins of the error of a single scan, as Calib3D has it."""
@@ -48,7 +48,7 @@ class Reliability:
         return float(self.points[held] @ gaps / self.points.sum()) if held.any() else math.nan
 
 
-def reliability(counts: Counts, bin_count: int = BINS) -> Reliability:
+def reliability(counts: Counts, bin_count: int = POOLED_BINS) -> Reliability:
     """Sum up counts by confidence in bins of equal width.
 
     Parameters
@@ -68,7 +68,7 @@ def reliability(counts: Counts, bin_count: int = BINS) -> Reliability:
     return Reliability(points, ratio(confidence, points), ratio(hits, points))
 
 
-def adaptive_error(counts: Counts, bin_count: int = BINS) -> float:
+def adaptive_error(counts: Counts, bin_count: int = POOLED_BINS) -> float:
     """Return the calibration error over bins that hold equally many points each.
 
     Points of one confidence that a border falls among are divided in proportion, right and wrong

@@ -29,13 +29,13 @@ from salsanext_cli.storage.layout import SUFFIX_OF_FOLDER, ScanFile, output_path
 
 UNCERTAINTY = "uncertainty/"
 FOLDERS = ("probabilities", *(f for f in SUFFIX_OF_FOLDER if f.startswith(UNCERTAINTY)))
-"""What is looked for in the output folder, beside the predictions."""
+"""Folders of the output folder that are read beside the predictions."""
 OF_SOFTMAX = {"confidence": lack_of_confidence, "softmax_entropy": softmax_entropy}
 """Uncertainties that come from the probabilities."""
 KINDS = (*OF_SOFTMAX, *(folder.removeprefix(UNCERTAINTY) for folder in FOLDERS[1:]))
 """Every kind of uncertainty, in the order in which they are reported."""
 CLASS, RING = "class", "ring"
-"""What points are grouped by."""
+"""Names of what points are grouped by."""
 NO_RING = len(RING_NAMES)
 """The group of points without a measurement."""
 

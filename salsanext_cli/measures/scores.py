@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Scores from counts, with the semantics and the figures of the official SemanticKITTI evaluator.
+"""Scores from counts, with the semantics and the numbers of the official SemanticKITTI evaluator.
 
 The official formulas, with the points whose truth is ignored left out and n_tp the number of
 points of true class t predicted as class p::
@@ -25,7 +25,7 @@ from salsanext_cli.classes import LabelSpace
 from salsanext_cli.measures.confusion import Confusion, Counts, Ratios, ratio
 
 EPSILON = 1e-15
-"""What the official evaluator adds to every denominator."""
+"""Added to every denominator by the official evaluator."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -96,9 +96,9 @@ class Scores:
     points: int
 
     def official(self) -> dict[str, float]:
-        """Return the figures of the official ``scores.txt``, by its names."""
-        figures = {"accuracy_mean": self.accuracy_official, "iou_mean": self.iou_mean_official}
-        return figures | {f"iou_{c.name}": c.iou_official for c in self.classes}
+        """Return the numbers of the official ``scores.txt``, by its names."""
+        numbers = {"accuracy_mean": self.accuracy_official, "iou_mean": self.iou_mean_official}
+        return numbers | {f"iou_{c.name}": c.iou_official for c in self.classes}
 
     def official_yaml(self) -> str:
         """Return the text of the official ``scores.txt``: sorted yaml, every digit."""

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Uncertainties that a single softmax holds: what to beat by sampling."""
+"""Uncertainties that follow from a single softmax, to compare others with."""
 
 from __future__ import annotations
 

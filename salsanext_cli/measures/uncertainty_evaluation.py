@@ -33,7 +33,7 @@ from salsanext_cli.measures.scores import plain
 from salsanext_cli.measures.uncertainty_histogram import highest_of_bins
 
 COVERAGE = np.arange(1, 101) / 100
-"""Where a risk-coverage curve is drawn: shares of the points, the least uncertain ones first."""
+"""Shares of the points, the least uncertain ones first, at which the risk is given."""
 
 log = logging.getLogger(__name__)
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Histograms of uncertainty, of right and of wrong points: what ranking is computed from.
+"""Histograms of uncertainty, of right and of wrong points.
 
 A bin is a bfloat16 number, to which uncertainties are cut off: 128 bins for every doubling, which
 tell 1 from 1.008. Points in one bin are tied. Ranking depends on the order alone, so that results

@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: MIT
-"""Numbers to pictures."""
+"""Numbers to tables, pictures and pages."""

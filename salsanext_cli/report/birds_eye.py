@@ -18,14 +18,14 @@ from salsanext_cli.report.colours import EMPTY, Colours, Legend
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-SIZE = 900
+VIEW_PX = 900
 """Height and width of a view in pixels."""
 OVERSAMPLING = 2
-MARGIN = 28
-TITLE = 40
-REACH = 45.0
-"""How far a view reaches from the sensor by default, in metres."""
-GRID = 10.0
+MARGIN_PX = 28
+TITLE_PX = 40
+REACH_M = 45.0
+"""Distance from the sensor to the edge of a view by default."""
+GRID_M = 10.0
 """Metres between two circles."""
 
 
@@ -46,7 +46,7 @@ class View:
 
 
 def raster(
-    points: Float, colours: Colours, reach: float = REACH, size: int = SIZE, spread: int = 1
+    points: Float, colours: Colours, reach: float = REACH_M, size: int = VIEW_PX, spread: int = 1
 ) -> Colours:
     """Draw points as seen from above; a higher point hides a lower one.
 
@@ -82,14 +82,8 @@ def raster(
     return picture[spread : size + spread, spread : size + spread]
 
 
-def birds_eye(
-    path: Path,
-    points: Float,
-    views: Sequence[View],
-    legend: Legend = (),
-    reach: float = REACH,
-) -> None:
-    """Draw a scan from above, once per view, with circles every `GRID` metres, as a PNG.
+def birds_eye(path: Path, points: Float, views: Sequence[View], legend: Legend = ()) -> None:
+    """Draw a scan from above, once per view, with circles every `GRID_M` metres, as a PNG.
 
     Parameters
     ----------
@@ -101,40 +95,39 @@ def birds_eye(
         From left to right.
     legend : list of (name, colour)
         Stands below them.
-    reach : float
-        Distance in metres from the sensor to an edge.
     """
-    width = len(views) * (SIZE + MARGIN) - MARGIN
+    width = len(views) * (VIEW_PX + MARGIN_PX) - MARGIN_PX
     key = canvas.legend_height(legend, width)
     figure = canvas.new_figure(
-        width + 2 * MARGIN, TITLE + SIZE + MARGIN + (key + MARGIN) * bool(legend)
+        width + 2 * MARGIN_PX, TITLE_PX + VIEW_PX + MARGIN_PX + (key + MARGIN_PX) * bool(legend)
     )
     for i, view in enumerate(views):
-        left = MARGIN + i * (SIZE + MARGIN)
-        canvas.text_at(figure, left, TITLE // 2, view.title, 18)
-        axes = canvas.axes_at(figure, left, TITLE, SIZE, SIZE)
-        _draw(axes, _smooth(points, view.colours, reach), reach)
-    canvas.draw_legend(figure, legend, MARGIN, TITLE + SIZE + MARGIN, width)
+        left = MARGIN_PX + i * (VIEW_PX + MARGIN_PX)
+        canvas.text_at(figure, left, TITLE_PX // 2, view.title, 18)
+        axes = canvas.axes_at(figure, left, TITLE_PX, VIEW_PX, VIEW_PX)
+        _draw(axes, _smooth(points, view.colours))
+    canvas.draw_legend(figure, legend, MARGIN_PX, TITLE_PX + VIEW_PX + MARGIN_PX, width)
     canvas.save_png(figure, path)
 
 
-def _smooth(points: Float, colours: Colours, reach: float) -> Colours:
+def _smooth(points: Float, colours: Colours) -> Colours:
     """Draw larger and average down, so that edges of points are soft."""
-    large = raster(points, colours, reach, SIZE * OVERSAMPLING, spread=3)
-    blocks: npt.NDArray[np.float64] = large.reshape(SIZE, OVERSAMPLING, SIZE, OVERSAMPLING, 3).mean(
-        axis=(1, 3)
-    )
+    large = raster(points, colours, REACH_M, VIEW_PX * OVERSAMPLING, spread=3)
+    blocks: npt.NDArray[np.float64] = large.reshape(
+        VIEW_PX, OVERSAMPLING, VIEW_PX, OVERSAMPLING, 3
+    ).mean(axis=(1, 3))
     return blocks.round().astype(np.uint8)
 
 
-def _draw(axes: Axes, picture: Colours, reach: float) -> None:
+def _draw(axes: Axes, picture: Colours) -> None:
     """Show a raster with circles around the sensor and an arrow forward, in metres."""
     from matplotlib.patches import Circle
     from matplotlib.patheffects import withStroke
 
+    reach = REACH_M
     axes.set_axis_off()
     axes.imshow(picture, extent=(reach, -reach, -reach, reach), interpolation="nearest")
-    for radius in np.arange(GRID, reach * 2**0.5, GRID):
+    for radius in np.arange(GRID_M, reach * 2**0.5, GRID_M):
         axes.add_patch(Circle((0, 0), radius, fill=False, ec=canvas.FAINT, lw=0.6, alpha=0.55))
         if radius < reach:
             place = radius * 0.5**0.5

@@ -85,24 +85,24 @@ def plain_frame(axes: Axes, grid: Literal["both", "x"] | None = "both") -> None:
 
 
 def draw_legend(figure: Figure, legend: Legend, left: int, top: int, width: int) -> None:
-    """Draw a swatch and a name for each entry, `LEGEND_STEP` pixels apart, in rows."""
-    columns = max(1, width // LEGEND_STEP)
+    """Draw a swatch and a name for each entry, `LEGEND_STEP_PX` pixels apart, in rows."""
+    columns = max(1, width // LEGEND_STEP_PX)
     for i, (name, colour) in enumerate(legend):
-        x, y = left + i % columns * LEGEND_STEP, top + i // columns * LEGEND_ROW
+        x, y = left + i % columns * LEGEND_STEP_PX, top + i // columns * LEGEND_ROW_PX
         swatch = axes_at(figure, x, y + 3, 22, 14)
         swatch.set_axis_off()
         swatch.imshow(np.array([[colour]], np.uint8), aspect="auto")
         text_at(figure, x + 30, y + 10, name, 15)
 
 
-LEGEND_STEP = 165
-LEGEND_ROW = 26
+LEGEND_STEP_PX = 165
+LEGEND_ROW_PX = 26
 
 
 def legend_height(legend: Legend, width: int) -> int:
     """Return the pixels that `draw_legend` needs."""
-    columns = max(1, width // LEGEND_STEP)
-    return -(-len(legend) // columns) * LEGEND_ROW
+    columns = max(1, width // LEGEND_STEP_PX)
+    return -(-len(legend) // columns) * LEGEND_ROW_PX
 
 
 def stretched(picture: Colours, rows: int, columns: int) -> Colours:

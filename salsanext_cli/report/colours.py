@@ -16,12 +16,14 @@ Legend = Sequence[tuple[str, tuple[int, int, int]]]
 """Names with their red, green, blue."""
 
 EMPTY = (36, 38, 45)
-"""Where there is no measurement."""
+"""Colour of a place without a measurement."""
+COLOUR_MAP = "viridis"
+"""Name of matplotlib's colour map for values; it is perceptually uniform."""
 RIGHT = (92, 100, 112)
 WRONG = (255, 72, 48)
 """Colours of a point whose label is right, and of one whose label is not."""
 SCALE_PERCENTILES = (1.0, 99.0)
-"""What a colour scale spans by default: a few outliers must not make all others look alike."""
+"""Ends of a colour scale by default: a few outliers must not make all others look alike."""
 
 
 def label_colours(train: npt.NDArray[Any], space: LabelSpace) -> Colours:
@@ -85,7 +87,7 @@ def value_range(values: npt.NDArray[Any]) -> tuple[float, float]:
 
 
 def value_colours(
-    values: npt.NDArray[Any], low: float, high: float, colour_map: str = "viridis"
+    values: npt.NDArray[Any], low: float, high: float, colour_map: str = COLOUR_MAP
 ) -> Colours:
     """Colour values by a perceptually uniform map.
 

@@ -16,11 +16,11 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.transforms import Bbox
 
-DISTANCES = (9, 16, 26, 40, 56, 76, 100)
+DISTANCES_PX = (9, 16, 26, 40, 56, 76, 100)
 """Pixels from a dot to its name, in the order in which they are tried."""
-DIRECTIONS = (0, 180, 90, 270, 30, 330, 150, 210, 60, 300, 120, 240)
+DIRECTIONS_DEG = (0, 180, 90, 270, 30, 330, 150, 210, 60, 300, 120, 240)
 """Degrees around a dot, in the order in which they are tried."""
-DOT = 6
+DOT_PX = 6
 """Half the width of what a name must not cover, in pixels."""
 
 
@@ -43,7 +43,7 @@ def name_dots(axes: Axes, x: Ratios, y: Ratios, names: Sequence[str], colour: st
     from matplotlib.transforms import Bbox, IdentityTransform
 
     dots = axes.transData.transform(np.stack([x, y], axis=1))
-    taken = [Bbox([dot - DOT, dot + DOT]) for dot in dots]
+    taken = [Bbox([dot - DOT_PX, dot + DOT_PX]) for dot in dots]
     pixels = IdentityTransform()
     style: dict[str, Any] = {"size": 9, "color": colour, "va": "center", "parse_math": False}
     renderer = FigureCanvasAgg(axes.get_figure(root=True)).get_renderer()  # type: ignore[no-untyped-call]
@@ -54,7 +54,7 @@ def name_dots(axes: Axes, x: Ratios, y: Ratios, names: Sequence[str], colour: st
         text.set_position((box.x0, (box.y0 + box.y1) / 2))
         taken.append(box)
         nearest = np.clip(dot, box.min, box.max)
-        if np.linalg.norm(nearest - dot) > DISTANCES[1]:
+        if np.linalg.norm(nearest - dot) > DISTANCES_PX[1]:
             ends = np.stack([dot, nearest], axis=1)
             axes.add_line(Line2D(*ends, transform=pixels, color=FAINT, linewidth=0.7))
 
@@ -64,8 +64,8 @@ def _free_place(dot: Ratios, size: Ratios, taken: Sequence[Bbox], inside: Bbox) 
     from matplotlib.transforms import Bbox
 
     boxes = []
-    for distance in DISTANCES:
-        for direction in np.radians(DIRECTIONS).tolist():
+    for distance in DISTANCES_PX:
+        for direction in np.radians(DIRECTIONS_DEG).tolist():
             across, up = distance * math.cos(direction), distance * math.sin(direction)
             side = round(math.cos(direction))
             left, bottom = dot + (across - size[0] * (1 - side) / 2, up - size[1] / 2)

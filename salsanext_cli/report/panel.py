@@ -14,30 +14,29 @@ import numpy.typing as npt
 
 from salsanext_cli.records import RangeImage
 from salsanext_cli.report import canvas
-from salsanext_cli.report.colours import Colours, Legend, map_colours, value_range
+from salsanext_cli.report.colours import COLOUR_MAP, Colours, Legend, map_colours, value_range
 from salsanext_cli.report.range_image import on_pixels, scalar_picture
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-MARGIN = 28
-TITLE = 34
+MARGIN_PX = 28
+TITLE_PX = 34
 """Pixels around strips, and between them for the title."""
-BAR = 130
-"""Pixels beside the strips for colour bars and their figures."""
-STRIP_WIDTH = 2048
-STRIP_HEIGHT = 192
+BAR_PX = 130
+"""Pixels beside the strips for colour bars and their numbers."""
+STRIP_WIDTH_PX = 2048
+STRIP_HEIGHT_PX = 192
 """Least size of a strip in pixels: 64 rows are drawn three times as high as they are."""
 
 
 @dataclass(frozen=True, slots=True)
 class Bar:
-    """What the colours of a strip mean."""
+    """Scale of the colours of a strip."""
 
     low: float
     high: float
     unit: str = ""
-    colour_map: str = "viridis"
 
 
 @dataclass(frozen=True, slots=True)
@@ -67,14 +66,11 @@ def range_strip(image: RangeImage) -> Strip:
     return Strip("range", scalar_picture(image, distances, bar.low, bar.high), bar)
 
 
-def scalar_strip(
-    image: RangeImage, title: str, values: npt.NDArray[Any], unit: str = "", colour_map: str = ""
-) -> Strip:
-    """Return a strip of values whose scale spans the bulk of them; `values` as `scalar_picture`."""
+def scalar_strip(image: RangeImage, title: str, values: npt.NDArray[Any]) -> Strip:
+    """Return a strip of values of pixels (H, W) or points (N,); the scale spans most of them."""
     pixels = values if values.ndim == 2 else on_pixels(image, values)
     low, high = value_range(pixels[image.point_of_pixel >= 0])
-    bar = Bar(low, high, unit, colour_map or "viridis")
-    return Strip(title, scalar_picture(image, pixels, low, high, bar.colour_map), bar)
+    return Strip(title, scalar_picture(image, pixels, low, high), Bar(low, high))
 
 
 def panel(path: Path, strips: Sequence[Strip], legend: Legend = ()) -> None:
@@ -91,18 +87,20 @@ def panel(path: Path, strips: Sequence[Strip], legend: Legend = ()) -> None:
     """
     sizes = [_drawn(strip.picture) for strip in strips]
     width = max(picture.shape[1] for picture in sizes)
-    body = sum(picture.shape[0] + TITLE for picture in sizes)
+    body = sum(picture.shape[0] + TITLE_PX for picture in sizes)
     key = canvas.legend_height(legend, width)
-    figure = canvas.new_figure(MARGIN + width + BAR, body + MARGIN + (key + MARGIN) * bool(legend))
+    figure = canvas.new_figure(
+        MARGIN_PX + width + BAR_PX, body + MARGIN_PX + (key + MARGIN_PX) * bool(legend)
+    )
     top = 0
     for strip, picture in zip(strips, sizes, strict=True):
-        canvas.text_at(figure, MARGIN, top + TITLE // 2 + 2, strip.title, 18)
-        top += TITLE
-        _draw(figure, picture, MARGIN, top)
+        canvas.text_at(figure, MARGIN_PX, top + TITLE_PX // 2 + 2, strip.title, 18)
+        top += TITLE_PX
+        _draw(figure, picture, MARGIN_PX, top)
         if strip.bar:
-            _draw_bar(figure, strip.bar, MARGIN + width + 16, top, picture.shape[0])
+            _draw_bar(figure, strip.bar, MARGIN_PX + width + 16, top, picture.shape[0])
         top += picture.shape[0]
-    canvas.draw_legend(figure, legend, MARGIN, top + MARGIN, width)
+    canvas.draw_legend(figure, legend, MARGIN_PX, top + MARGIN_PX, width)
     canvas.save_png(figure, path)
 
 
@@ -110,7 +108,7 @@ def _drawn(picture: Colours) -> Colours:
     """Stretch a picture to a legible size by repeating its pixels."""
     height, width = picture.shape[:2]
     return canvas.stretched(
-        picture, max(1, round(STRIP_HEIGHT / height)), max(1, round(STRIP_WIDTH / width))
+        picture, max(1, round(STRIP_HEIGHT_PX / height)), max(1, round(STRIP_WIDTH_PX / width))
     )
 
 
@@ -122,7 +120,7 @@ def _draw(figure: Figure, picture: Colours, left: int, top: int) -> None:
 
 def _draw_bar(figure: Figure, bar: Bar, left: int, top: int, height: int) -> None:
     rows = np.linspace(255, 0, height).round().astype(np.intp)
-    _draw(figure, np.repeat(map_colours(bar.colour_map)[rows][:, None], 16, axis=1), left, top)
+    _draw(figure, np.repeat(map_colours(COLOUR_MAP)[rows][:, None], 16, axis=1), left, top)
     middle = (bar.low + bar.high) / 2
     places = ((bar.high, 9), (middle, height // 2), (bar.low, height - 9))
     # Digits by the span of the scale: its lower end is "0" rather than "0.00035".

@@ -19,25 +19,23 @@ from salsanext_cli.report.colours import (
 )
 
 
-def on_pixels(image: RangeImage, of_points: npt.NDArray[Any], empty: Any = 0) -> npt.NDArray[Any]:
-    """Return what belongs to the point that each pixel shows.
+def on_pixels(image: RangeImage, of_points: npt.NDArray[Any]) -> npt.NDArray[Any]:
+    """Return the value of the point that each pixel shows.
 
     Parameters
     ----------
     image : RangeImage
-        Knows which point each pixel shows.
+        Holds the point that each pixel shows.
     of_points : (N, …) array
-        Something per point.
-    empty : scalar
-        What empty pixels get.
+        A value per point.
 
     Returns
     -------
     (H, W, …) array
-        Of the same dtype.
+        Of the same dtype, 0 where empty.
     """
     filled = image.point_of_pixel >= 0
-    pixels = np.full((*filled.shape, *of_points.shape[1:]), empty, of_points.dtype)
+    pixels = np.zeros((*filled.shape, *of_points.shape[1:]), of_points.dtype)
     pixels[filled] = of_points[image.point_of_pixel[filled]]
     return pixels
 
@@ -70,33 +68,24 @@ def error_picture(
     return _on_empty(image, colours)
 
 
-def scalar_picture(
-    image: RangeImage,
-    values: npt.NDArray[Any],
-    low: float,
-    high: float,
-    colour_map: str = "viridis",
-) -> Colours:
-    """Colour a range image by values of its pixels or of its points.
+def scalar_picture(image: RangeImage, values: npt.NDArray[Any], low: float, high: float) -> Colours:
+    """Colour a range image by values of its pixels.
 
     Parameters
     ----------
     image : RangeImage
         The image.
-    values : (H, W) or (N,) float
+    values : (H, W) float
         What to show.
     low, high : float
         The values at the two ends of the scale.
-    colour_map : str
-        Name of a matplotlib colour map.
 
     Returns
     -------
     (H, W, 3) uint8
         Red, green, blue; `EMPTY` where there is no point or no number.
     """
-    pixels = values if values.ndim == 2 else on_pixels(image, values)
-    return _on_empty(image, value_colours(pixels, low, high, colour_map))
+    return _on_empty(image, value_colours(values, low, high))
 
 
 def _on_empty(image: RangeImage, colours: Colours) -> Colours:

@@ -16,7 +16,7 @@ from salsanext_cli.report.tables import number_table
 if TYPE_CHECKING:
     from rich.table import Table
 
-BEST = "#b3472f"
+BEST_COLOUR = "#b3472f"
 
 
 def temperature_table(before: Mapping[str, float], after: Mapping[str, float]) -> Table:
@@ -68,7 +68,7 @@ def rate_curve(
     title = f"least at a dropout rate of {best:.3g}"
     figure, axes = canvas.new_plot(760, 460, (90, 50, 640, 340), title)
     axes.plot(rates, objectives, color=DARK, marker="o", markersize=5, linewidth=1.2)
-    axes.axvline(best, color=BEST, linewidth=1, linestyle=(0, (4, 3)))
+    axes.axvline(best, color=BEST_COLOUR, linewidth=1, linestyle=(0, (4, 3)))
     axes.set_xscale("log")
     axes.set_xticks(rates, [f"{rate:.2g}" for rate in rates])
     axes.minorticks_off()

@@ -38,11 +38,15 @@ LINES = {
     "entropy": (GREEN, "-"),
 }
 """Colour and dashes of each kind of uncertainty."""
-BEST: dict[str, Any] = {"color": canvas.FAINT, "linestyle": (0, (1, 2)), "linewidth": 1.4}
-"""How the curve of the best order is drawn."""
+BEST_ORDER_STYLE: dict[str, Any] = {
+    "color": canvas.FAINT,
+    "linestyle": (0, (1, 2)),
+    "linewidth": 1.4,
+}
+"""Style of the curve of the best order."""
 LEFT, TOP, WIDTH, HEIGHT, TITLE_TOP = 80, 60, 600, 420, 30
 """Place of the main axes and of the title, in pixels."""
-BELOW = 90
+BELOW_PX = 90
 """Height of the axes below them that show where the points are."""
 
 
@@ -55,7 +59,7 @@ def reliability_diagram(result: CalibrationResult) -> bytes:
     title = f"Calibration of the softmax · {scores.points:,} points"
     if scores.points:
         title += f" · ECE {percent(scores.ece, 2, ' %')}"
-    figure, axes = _main_plot(40, BELOW + 80, title)
+    figure, axes = _main_plot(40, BELOW_PX + 80, title)
     bins = len(diagram.points)
     edges, width = 100 * np.arange(bins) / bins, 100 / bins
     accuracy = np.nan_to_num(100 * diagram.accuracy)
@@ -68,7 +72,7 @@ def reliability_diagram(result: CalibrationResult) -> bytes:
     axes.set_ylim(0, 100)
     axes.set_ylabel("accuracy in %")
     axes.legend(loc="upper left", frameon=False, fontsize=10)
-    below = canvas.axes_at(figure, LEFT, TOP + HEIGHT + 14, WIDTH, BELOW)
+    below = canvas.axes_at(figure, LEFT, TOP + HEIGHT + 14, WIDTH, BELOW_PX)
     shares = 100 * diagram.points / max(scores.points, 1)
     below.bar(edges, shares, width, align="edge", color=canvas.FAINT, edgecolor=canvas.PAPER)
     below.set_ylabel("points in %")
@@ -91,7 +95,7 @@ def risk_coverage(kinds: Mapping[str, RankingResult]) -> bytes:
         axes.plot(100 * COVERAGE, 100 * result.risk, color=colour, linestyle=dashes, label=label)
     for i, rate in enumerate(_error_rates(kinds)):
         best = 100 * _risk_of_best_order(rate)
-        axes.plot(100 * COVERAGE, best, **BEST, label="" if i else "best order")
+        axes.plot(100 * COVERAGE, best, **BEST_ORDER_STYLE, label="" if i else "best order")
     axes.set_xlabel("coverage: least uncertain points that are kept, in %")
     axes.set_ylabel("risk: wrong points among them, in %")
     return _png_of_curves(figure, axes)
@@ -113,7 +117,7 @@ def sparsification(kinds: Mapping[str, RankingResult]) -> bytes:
             axes.plot(removed, left, color=colour, linestyle=dashes, label=label)
     for i, rate in enumerate(_error_rates(kinds)):
         best = _risk_of_best_order(rate) / rate
-        axes.plot(removed, best, **BEST, label="" if i else "best order")
+        axes.plot(removed, best, **BEST_ORDER_STYLE, label="" if i else "best order")
     axes.set_xlabel("most uncertain points that are removed, in %")
     axes.set_ylabel("share of wrong points, of that among all")
     return _png_of_curves(figure, axes)

@@ -156,7 +156,7 @@ def test_points_without_a_softmax_are_left_out_and_counted():
 
 
 @pytest.mark.parametrize("count", [0, 3])
-def test_without_points_there_are_no_figures(count):
+def test_without_points_there_are_no_scores(count):
     nothing = of(np.full((count, C), np.nan, np.float16), np.zeros(count, int))
     result = calibration_scores(nothing)
     assert (result.points, nothing.scans, nothing.left_out) == (0, 0, count)

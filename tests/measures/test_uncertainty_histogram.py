@@ -156,7 +156,7 @@ def test_with_nothing_to_find_or_nothing_else_there_is_no_auroc(wrong, auroc, au
 
 
 @pytest.mark.parametrize("count", [0, 5])
-def test_without_values_there_are_no_figures(count):
+def test_without_values_there_are_no_scores(count):
     nothing = of([math.nan] * count, [True] * count)
     result = ranking_scores(nothing)
     assert (result.points, nothing.left_out, nothing.scans) == (0, count, 0)

@@ -3,7 +3,7 @@ import numpy as np
 import pytest
 from matplotlib.image import imread
 
-from salsanext_cli.report.birds_eye import MARGIN, SIZE, TITLE, View, birds_eye, raster
+from salsanext_cli.report.birds_eye import MARGIN_PX, TITLE_PX, VIEW_PX, View, birds_eye, raster
 from salsanext_cli.report.colours import EMPTY
 
 RED, GREEN = (255, 0, 0), (0, 255, 0)
@@ -65,12 +65,14 @@ def test_views_are_side_by_side(tmp_path):
     path = tmp_path / "birds eye.png"
     birds_eye(path, points, views, [("car", (1, 2, 250))])
     drawn = (imread(path)[:, :, :3] * 255).round().astype(np.uint8)
-    assert drawn.shape[1] == 2 * SIZE + 3 * MARGIN
-    left = drawn[TITLE : TITLE + SIZE, MARGIN : MARGIN + SIZE].astype(int)
-    right = drawn[TITLE : TITLE + SIZE, 2 * MARGIN + SIZE : 2 * MARGIN + 2 * SIZE].astype(int)
+    assert drawn.shape[1] == 2 * VIEW_PX + 3 * MARGIN_PX
+    left = drawn[TITLE_PX : TITLE_PX + VIEW_PX, MARGIN_PX : MARGIN_PX + VIEW_PX].astype(int)
+    right = drawn[
+        TITLE_PX : TITLE_PX + VIEW_PX, 2 * MARGIN_PX + VIEW_PX : 2 * MARGIN_PX + 2 * VIEW_PX
+    ].astype(int)
     for view, own, other in ((left, 0, 1), (right, 1, 0)):
         coloured = view[..., own] - view[..., other] > 100
-        assert coloured[: SIZE // 2].sum() > 5000
-        assert not coloured[SIZE // 2 + 5 :].any()
+        assert coloured[: VIEW_PX // 2].sum() > 5000
+        assert not coloured[VIEW_PX // 2 + 5 :].any()
         assert not (view[..., other] - view[..., own] > 100).any()
-    assert (drawn[TITLE + SIZE :] == (1, 2, 250)).all(axis=-1).any()
+    assert (drawn[TITLE_PX + VIEW_PX :] == (1, 2, 250)).all(axis=-1).any()

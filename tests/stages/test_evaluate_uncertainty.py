@@ -50,14 +50,16 @@ def random_scan(world: World, stem: str, count: int, distance: float = 5) -> Non
     """Add a scan with every kind of file; the uncertain points are wrong more often."""
     rng = np.random.default_rng(int(stem))
     truth = rng.choice([CAR, ROAD, 0], count, p=[0.5, 0.4, 0.1])
-    doubt = np.exp(rng.normal(-3, 1, count))
-    wrong = rng.random(count) < np.clip(4 * doubt, 0, 0.9)
+    uncertainty = np.exp(rng.normal(-3, 1, count))
+    wrong = rng.random(count) < np.clip(4 * uncertainty, 0, 0.9)
     predicted = np.where(wrong, np.where(truth == CAR, ROAD, CAR), truth)
     world.add(stem, truth, predicted, distance=distance)
-    cars = np.where(predicted == CAR, 1 - np.clip(doubt, 0, 0.5), np.clip(doubt, 0, 0.5))
+    cars = np.where(
+        predicted == CAR, 1 - np.clip(uncertainty, 0, 0.5), np.clip(uncertainty, 0, 0.5)
+    )
     world.put("probabilities", stem, softmax(*cars))
     for i, folder in enumerate(FOLDERS[1:]):
-        values = doubt ** (i + 1)
+        values = uncertainty ** (i + 1)
         values[::7] = np.nan
         world.put(folder, stem, values)
 
