@@ -266,7 +266,7 @@ def test_bugs_keep_their_traceback_and_ctrl_c_is_status_130(predict, monkeypatch
     def stage(*_, **__):
         raise raised
 
-    monkeypatch.setattr("salsanext_cli.stages.predict.predict", stage)
+    monkeypatch.setattr("salsanext_cli.stages.predict.predict_scans", stage)
     result = predict("out")
     assert result.exit_code == status
     if status == 130:
@@ -283,7 +283,7 @@ def test_settings_reach_the_stage(run, weights, monkeypatch):
         seen.update(settings, source=source, out=out)
         return Outcome((None,), 0, ())
 
-    monkeypatch.setattr("salsanext_cli.stages.predict.predict", stage)
+    monkeypatch.setattr("salsanext_cli.stages.predict.predict_scans", stage)
     result = run(
         *("predict", "scans", "results", "--pixel-labels", "--probabilities", "--batch", 3),
         *("--sequences", "00,08", "--limit", 7, "--weights", weights, "--device", "cpu"),

@@ -147,8 +147,8 @@ def test_tasks_of_an_array_share_the_scans(run, data, tmp_path, weights, task):
         assert only_json(result)["done"] == 1
     assert len(labels_below(out)) == 2
     assert only_json(run("eval", "--out", out, "--json"))["scans"] == 2
-    asked = json.loads((out / "sequences/08/source.json").read_text())["asked_for"]
-    assert asked == {"predict": ["000000", "000001"]}
+    scans = json.loads((out / "predict.json").read_text())["scans"]
+    assert scans["08"]["asked_for"] == ["000000", "000001"]
 
 
 def test_a_shard_that_is_typed_goes_before_the_array(run, data, tmp_path, weights, task):

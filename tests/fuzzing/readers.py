@@ -14,7 +14,7 @@ from zipfile import ZipFile
 import numpy as np
 import torch
 import yaml
-from claiming import claim
+from empty_runs import begin_and_end
 from scans import SMALL, make_scan, write_sequence
 from tiny_network import TinyNetwork
 
@@ -31,8 +31,9 @@ from salsanext_cli.sensors import sensor
 from salsanext_cli.storage.json_files import read_json
 from salsanext_cli.storage.layout import find_scans
 from salsanext_cli.storage.point_files import write_ply
-from salsanext_cli.storage.sources import asked_for, remembered_scans
+from salsanext_cli.storage.sources import missing_results, recorded_scans
 from salsanext_cli.storage.stage_records import (
+    StageRecord,
     origins,
     owner,
     recorded_label_space,
@@ -196,19 +197,18 @@ def _published(*, old: bool) -> list[bytes]:
     return [*seeds, pickle.dumps({"state_dict": {}}, protocol=2)]
 
 
-def _out(folder: Path) -> tuple[Path, bytes, bytes]:
-    """Make an output folder; return it with its manifest and its record of sources."""
+def _out(folder: Path) -> tuple[Path, bytes]:
+    """Make an output folder; return it with its record of `predict`."""
     data, out = write_sequence(folder / "08", ["a", "b"], count=COUNT), folder / "out"
     settings = {"weights": "abc", "label_space": FEW.to_dict(), "sensor": SMALL.to_dict()}
-    claim(out, "predict", settings, ["predictions"], find_scans(data), overwrite=False)
+    begin_and_end(out, "predict", settings, ["predictions"], find_scans(data))
     predictions = out / "sequences/08/predictions"
     predictions.mkdir(parents=True)
     (predictions / "a.label").write_bytes(bytes(4 * COUNT))
-    source = out / "sequences/08/source.json"
-    return out, (out / "predict.json").read_bytes(), source.read_bytes()
+    return out, (out / "predict.json").read_bytes()
 
 
-def _read_manifest(path: Path) -> None:
+def _read_record(path: Path) -> None:
     out = path.parent
     stage_settings(out, "predict")
     origins(out, ["predict"])
@@ -216,21 +216,17 @@ def _read_manifest(path: Path) -> None:
     recorded_weights(out, "predictions")
     recorded_label_space(out)
     recorded_sensor(out)
-    claim(out, "knn-refine", {}, ["pixel_labels"], overwrite=True)
-
-
-def _read_source(path: Path) -> None:
-    out = path.parents[2]
-    asked_for(out, "08")
-    scans = remembered_scans(out)
-    claim(out, "export-ply", {}, ["ply"], scans[:1], overwrite=True)
+    begin_and_end(out, "knn-refine", {}, ["pixel_labels"], overwrite=True)
+    scans = recorded_scans(out)
+    missing_results(out, scans)
+    begin_and_end(out, "export-ply", {}, ["ply"], scans[:1], overwrite=True)
 
 
 def _run_folder(folder: Path) -> tuple[Path, bytes, bytes, tuple]:
     data, run = write_sequence(folder / "00", ["a"], count=COUNT), folder / "run"
     scans = find_scans(data)
     class_counts(run / "class_counts.json", (scans, scans, scans), label_space(), SMALL)
-    claim(run, "train", {"recipe": Recipe().to_dict()}, [], overwrite=True)
+    StageRecord("train", {"recipe": Recipe().to_dict()}).write(run)
     (run / "checkpoint.pt").touch()
     records = [(run / name).read_bytes() for name in ("train.json", "class_counts.json")]
     return run, records[0], records[1], (scans, scans, scans)
@@ -246,7 +242,7 @@ def readers(folder: Path) -> dict[str, Reader]:
     keys = {key: value for key, value in SMALL.to_dict().items() if value is not None}
     toml = "".join(f"{key} = {json.dumps(value)}\n" for key, value in keys.items()).encode()
     space = yaml.safe_dump(FEW.to_dict(), sort_keys=False).encode()
-    out, manifest, source = _out(folder)
+    out, record = _out(folder)
     run, train, counts, splits = _run_folder(folder)
     image = np.zeros((5, 4, 6), np.float32)
     images = [encode_array(image), encode_array(image[:, :1])]
@@ -284,8 +280,7 @@ def readers(folder: Path) -> dict[str, Reader]:
         "published": published,
         "pickle of a published one": _pickle_of(published),
         "published, old": Reader("old.pt", _published(old=True), read_published),
-        "manifest": Reader(str(out / "predict.json"), [manifest], _read_manifest),
-        "source": Reader(str(out / "sequences/08/source.json"), [source], _read_source),
+        "record": Reader(str(out / "predict.json"), [record], _read_record),
         "train.json": Reader(str(run / "train.json"), [train], _read_curve),
         "class_counts.json": Reader(str(run / "class_counts.json"), [counts], recorded_counts),
         "json": Reader("eval.json", [b'{"settings": {"by_distance": false}}'], read_json),

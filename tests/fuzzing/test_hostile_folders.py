@@ -5,14 +5,15 @@ import json
 
 import numpy as np
 import pytest
-from claiming import claim
+from empty_runs import begin_and_end
 from scans import files_below, write_sequence
 
 from salsanext_cli.errors import OutputError
-from salsanext_cli.stages.synth import _claim as claim_synth
-from salsanext_cli.storage.layout import ScanFile, output_path
-from salsanext_cli.storage.point_files import write_labels
-from salsanext_cli.storage.sources import remembered_scans
+from salsanext_cli.stages.synth import synthesise
+from salsanext_cli.storage.layout import find_scans, output_path
+from salsanext_cli.storage.sources import recorded_scans
+
+LABELS = np.zeros(5, np.uint32)
 
 
 @pytest.mark.parametrize("name", ["..", ".", "", "../../x", "/etc", "a/b", "a/../b", "x\0y"])
@@ -23,42 +24,34 @@ def test_names_that_lead_elsewhere(tmp_path, name):
 
 
 @pytest.mark.parametrize("folder", ["../../victim", "/victim", "victim", ".."])
-def test_manifests_that_claim_other_folders(tmp_path, folder):
+def test_records_that_claim_other_folders(tmp_path, folder):
     victim, out = tmp_path / "victim" / "000000.label", tmp_path / "out"
     victim.parent.mkdir()
     victim.touch()
-    claim(out, "predict", {"weights": 1}, ["predictions"], overwrite=False)
-    manifest = json.loads((out / "predict.json").read_text())
-    (out / "predict.json").write_text(json.dumps(manifest | {"writes": [folder]}))
+    begin_and_end(out, "predict", {"weights": 1}, ["predictions"])
+    record = json.loads((out / "predict.json").read_text())
+    (out / "predict.json").write_text(json.dumps(record | {"writes": [folder]}))
     with pytest.raises(OutputError, match=r"predict\.json"):
-        claim(out, "predict", {"weights": 2}, ["predictions"], overwrite=True)
+        begin_and_end(out, "predict", {"weights": 2}, ["predictions"], overwrite=True)
     assert victim.exists()
 
 
 @pytest.mark.parametrize("stem", ["../../../victim", "/victim", "..", 3, None, ["a"]])
 def test_records_of_scans_that_lead_elsewhere(tmp_path, stem):
-    out, data = tmp_path / "out", write_sequence(tmp_path / "08", ["a"], count=5)
-    scan = ScanFile("08", "a", data / "velodyne/a.bin")
-    claim(out, "predict", {}, ["predictions"], [scan], overwrite=False)
-    write_labels(output_path(out, "08", "predictions", "a"), np.zeros(5, np.uint32))
-    path = out / "sequences/08/source.json"
+    """Names that were asked for say only which results are missing."""
+    out, scans = tmp_path / "out", find_scans(write_sequence(tmp_path / "08", ["a"], count=5))
+    output = begin_and_end(out, "predict", {}, ["predictions"], scans)
+    output.write_labels(scans[0], LABELS)
     before = files_below(tmp_path)
-    record = json.loads(path.read_text())
-    path.write_text(json.dumps(record | {"asked_for": {"predict": [stem]}}))
+    record = json.loads((out / "predict.json").read_text())
+    record["scans"]["08"]["asked_for"] = [stem]
+    (out / "predict.json").write_text(json.dumps(record))
     if isinstance(stem, str):
-        assert remembered_scans(out) == [scan]
+        assert recorded_scans(out) == scans
     else:
-        with pytest.raises(OutputError, match=r"source\.json · damaged"):
-            remembered_scans(out)
+        with pytest.raises(OutputError, match=r"predict\.json · not what `predict` writes"):
+            recorded_scans(out)
     assert files_below(tmp_path).keys() == before.keys()
-
-
-@pytest.mark.parametrize("folder", [3, ["/"], "a\0b", {"a": 1}])
-def test_records_of_folders_that_are_none(tmp_path, folder):
-    write_labels(output_path(tmp_path, "08", "predictions", "a"), np.zeros(5, np.uint32))
-    (tmp_path / "sequences/08/source.json").write_text(json.dumps({"scans": folder}))
-    with pytest.raises(OutputError, match=r"source\.json · damaged"):
-        remembered_scans(tmp_path)
 
 
 @pytest.mark.parametrize("splits", [{"train": ["../../victim"]}, {"train": [3]}, 5, None])
@@ -66,31 +59,26 @@ def test_synthetic_data_sets_that_name_folders_elsewhere(tmp_path, splits):
     victim = tmp_path / "victim/velodyne/000000.bin"
     victim.parent.mkdir(parents=True)
     victim.touch()
-    own = tmp_path / "out/sequences/00/velodyne/000000.bin"
-    own.parent.mkdir(parents=True)
-    own.touch()
+    (tmp_path / "out").mkdir()
     (tmp_path / "out/synth.json").write_text(json.dumps({"settings": {"splits": splits}}))
-    claim_synth(tmp_path / "out", True)
+    with pytest.raises(OutputError, match=r"synth\.json · is a link, was changed, or was not"):
+        synthesise(tmp_path / "out", train=1, valid=0, scans=1, overwrite=True)
     assert victim.exists()
-    assert not own.exists()
 
 
 def test_links_in_an_output_folder(tmp_path):
-    """Those to folders are followed, which is how results get onto another disk.
-
-    A link to a file is replaced or removed, and what it leads to stays as it is.
-    """
+    """New results go through those to folders, onto another disk; nothing there is removed."""
     out, disk, victim = tmp_path / "out", tmp_path / "disk", tmp_path / "victim.label"
     disk.mkdir()
     victim.write_bytes(b"mine")
-    claim(out, "predict", {"weights": 1}, ["predictions"], overwrite=False)
     (out / "sequences/08").mkdir(parents=True)
     (out / "sequences/08/predictions").symlink_to(disk)
-    (disk / "notes.txt").touch()
-    for stem in "ab":
-        (disk / f"{stem}.label").symlink_to(victim)
-    write_labels(output_path(out, "08", "predictions", "a"), np.zeros(5, np.uint32))
+    (disk / "b.label").symlink_to(victim)
+    scans = find_scans(write_sequence(tmp_path / "08", ["a", "b"], count=5))
+    output = begin_and_end(out, "predict", {}, ["predictions"], scans, overwrite=True)
+    assert {path.name for path in output.kept} == {"b.label"}
+    output.write_labels(scans[0], LABELS)
     assert (disk / "a.label").stat().st_size == 20
-    claim(out, "predict", {"weights": 2}, ["predictions"], overwrite=True)
-    assert [path.name for path in disk.iterdir()] == ["notes.txt"]
+    output = begin_and_end(out, "predict", {"k": 2}, ["predictions"], scans, overwrite=True)
+    assert {path.name for path in output.kept} == {"a.label", "b.label"}
     assert victim.read_bytes() == b"mine"
