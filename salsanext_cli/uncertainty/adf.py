@@ -48,11 +48,6 @@ class Gaussian(TensorLike):
         return self.mean.shape
 
     @property
-    def dtype(self) -> torch.dtype:
-        """Number type of the mean."""
-        return self.mean.dtype
-
-    @property
     def device(self) -> torch.device:
         """Device of the mean."""
         return self.mean.device
@@ -73,12 +68,6 @@ class Gaussian(TensorLike):
         if not isinstance(other, Gaussian):
             return NotImplemented
         return self.like(self.mean + other.mean, self.variance + other.variance)
-
-    def __mul__(self, factor: Tensor | float) -> Self:
-        """Scale by known factors, such as the mask of a dropout: Var = k² v."""
-        if isinstance(factor, Gaussian):
-            raise NotImplementedError("no rule for the moments of mul")
-        return self.like(self.mean * factor, self.variance * factor**2)
 
     def softmax(self, dim: int) -> Self:
         """Return the moments of the softmax over a dimension."""

@@ -9,7 +9,7 @@ import safetensors.torch
 import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from scans import SMALL, lively, write_weights
+from scans import SMALL, lively
 
 from salsanext_cli import __version__
 from salsanext_cli.classes import label_space
@@ -25,7 +25,6 @@ from salsanext_cli.network.weights import (
     save_weights,
     save_with_card,
 )
-from salsanext_cli.storage.identity import fingerprint
 
 SPACE = label_space()
 CARD = WeightsCard(
@@ -112,9 +111,10 @@ def test_another_card_leaves_the_tensors_as_they_are_stored(module, tmp_path):
     assert target.read_bytes() == source.read_bytes()
 
 
-def test_half_precision_is_small_close_and_keeps_large_variances(module, tmp_path):
+def test_half_precision_is_small_close_and_keeps_large_values(module, tmp_path):
     module = lively(SalsaNext(20))
     module.block1.stack.fuse[2].running_var[:] = 1e6
+    module.logits.weight.data[0, 0] = 1e5
     save_weights(tmp_path / "half.safetensors", module, CARD, half=True)
     assert (tmp_path / "half.safetensors").stat().st_size < 15e6
     loaded, _ = read_weights(tmp_path / "half.safetensors")
@@ -304,16 +304,6 @@ def test_loading_tensors_casts_to_float32():
     load_tensors(module, tensors, "here")
     assert module.logits.weight.dtype == torch.float32
     assert module.context[0].local[2].num_batches_tracked.dtype == torch.int64
-
-
-def test_a_fingerprint_follows_the_file(tmp_path):
-    """A network trained further under the same name is another network."""
-    import hashlib
-
-    path = tmp_path / "w.safetensors"
-    for seed in (0, 1):
-        write_weights(path, seed=seed)
-        assert fingerprint(path) == hashlib.sha256(path.read_bytes()).hexdigest()
 
 
 def test_a_card_of_another_sensor_gives_other_inputs(weights):
