@@ -71,7 +71,7 @@ def _model(name: str) -> Model:
 
 
 def describe_weights(path: Path) -> Mapping[str, Any]:
-    """Return what a weights file says of itself, as plain data."""
+    """Return the metadata of a weights file, its size and its digest as plain data."""
     card: WeightsCard = read_card(path)
     return {
         "path": str(path),

@@ -275,15 +275,6 @@ def test_of_a_certain_image_the_logits_are_the_networks(network, size, layout):
     assert torch.equal(found.variance, torch.zeros_like(found.mean))
 
 
-def test_a_batch_gives_what_its_images_give(network):
-    x = to(gaussian(3, 5, 16, 32), torch.float32)
-    together = network(x)
-    for number in range(3):
-        alone = network(x[number : number + 1])
-        torch.testing.assert_close(together.mean[number], alone.mean[0], rtol=1e-3, atol=1e-4)
-        torch.testing.assert_close(together.variance[number], alone.variance[0], rtol=1e-3, atol=0)
-
-
 def test_more_noise_in_gives_as_much_more_out(network):
     """As long as it is so little that no LeakyReLU sees both of its sides."""
     double = deepcopy(network).double()
