@@ -107,7 +107,7 @@ class ResidualBlock(nn.Module):
     inputs, outputs : int
         Channels.
     stack : callable
-        Makes what lies beside the shortcut from inputs and outputs.
+        Factory of the path beside the shortcut, from inputs and outputs.
     """
 
     def __init__(self, inputs: int, outputs: int, stack: Stack = DilatedStack) -> None:

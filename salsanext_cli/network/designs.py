@@ -29,16 +29,17 @@ CONTEXT_WIDTH = 32
 
 @dataclass(frozen=True, slots=True)
 class Upsampling:
-    """How a decoder gets from one level to the next.
+    """Step of a decoder from one level to the next.
 
     Attributes
     ----------
     module : callable
-        Makes what doubles height and width, from channels in and those of the skip connection.
+        Makes the layer that doubles height and width, from the channels of its input and of the
+        skip connection.
     joined : callable
-        The channels in a block after the join, from the same two numbers.
-    block : callable
-        The kind of up block, which joins.
+        Channels after the skip connection is joined, from the same two numbers.
+    block : type
+        Up block, which joins.
     """
 
     module: Callable[[int, int], nn.Module]
@@ -63,19 +64,19 @@ class Design:
     Attributes
     ----------
     context : tuple of callable
-        What makes each block of the context module; empty for none.
+        Factories of the context module's blocks, from channels in and out; empty for none.
     widths : tuple of int
         Channels of the encoder's blocks, from the finest level to the bottom.
     stack : callable
-        What lies beside the shortcut of the encoder's blocks.
+        Factory of the path beside the shortcut of the encoder's blocks.
     pooling : callable
-        What makes the way down, from channels and dropout rate.
+        Factory of dropout and pooling, from channels and dropout rate.
     upsampling : Upsampling
-        The way up.
+        Step of the decoder.
     decoder_widths : tuple of int
         Channels of the decoder's blocks, from above the bottom to the finest level.
     fusing : callable
-        What fuses the joined channels in the decoder's blocks.
+        Factory of the layers that fuse the joined channels in the decoder's blocks.
     central : bool
         Whether the first block and the last are without dropout.
     """
@@ -90,10 +91,6 @@ class Design:
     central: bool
 
 
-def _average(channels: int, dropout: float) -> nn.Module:
-    return Down(dropout)
-
-
 SALSANET = Design(
     context=(),
     widths=(32, 64, 128, 256, 256),
@@ -106,7 +103,7 @@ SALSANET = Design(
 )
 SALSANET_CONTEXT = replace(SALSANET, context=3 * (ContextBlock,))
 SALSANET_DROPOUT = replace(SALSANET_CONTEXT, central=True)
-SALSANET_POOLING = replace(SALSANET_DROPOUT, pooling=_average)
+SALSANET_POOLING = replace(SALSANET_DROPOUT, pooling=lambda _, dropout: Down(dropout))
 SALSANET_DILATED = replace(
     SALSANET_POOLING,
     widths=(64, 128, 256, 256, 256),
@@ -115,8 +112,8 @@ SALSANET_DILATED = replace(
     fusing=DilatedStack,
 )
 """The paper does not say how its decoder is widened. Of the readings that keep its channels, this
-is the nearest in parameters: transposed convolutions of 2×2 that keep what comes in, the skip
-connections beside it, as the pixel shuffle has them."""
+is the nearest in parameters: transposed convolutions of 2×2 that keep the number of channels, the
+skip connection concatenated, as with the pixel shuffle."""
 SALSANEXT = replace(SALSANET_DILATED, upsampling=PIXEL_SHUFFLE, decoder_widths=(128, 128, 64, 32))
 
 V1_LAYERS = replace(
@@ -127,4 +124,4 @@ V1_LAYERS = replace(
 )
 V1_CONTEXT = replace(V1_LAYERS, context=(PlainContextBlock,))
 V1_DROPOUT = replace(V1_CONTEXT, central=True)
-V1_POOLING = replace(V1_DROPOUT, pooling=_average)
+V1_POOLING = replace(V1_DROPOUT, pooling=lambda _, dropout: Down(dropout))

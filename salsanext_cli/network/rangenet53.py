@@ -49,7 +49,7 @@ class Stage(nn.Sequential):
         super().__init__(NormedUnit(inputs, outputs, 3, stride=2), *blocks)
 
 
-class Raise(nn.Sequential):
+class UpStage(nn.Sequential):
     """(B, 2C, H, W) to (B, C, H, 2W): a transposed convolution, then a residual block."""
 
     def __init__(self, outputs: int) -> None:
@@ -82,7 +82,7 @@ class RangeNet53(SegmentationNetwork):
         widths = [width * 2**level for level in range(len(DEPTHS))]
         self.stem = NormedUnit(len(CHANNELS), width, 3)
         self.stages = nn.ModuleList(map(Stage, widths, DEPTHS))
-        self.raises = nn.ModuleList(map(Raise, reversed(widths)))
+        self.raises = nn.ModuleList(map(UpStage, reversed(widths)))
         self.dropout = ChannelDropout(dropout)
         self.logits = nn.Conv2d(width, class_count, 3, padding=1)
 
@@ -101,8 +101,8 @@ class RangeNet53(SegmentationNetwork):
         skips = [stem, self.dropout(first)]
         for stage in list(self.stages)[1:]:
             skips.append(self.dropout(stage(skips[-1])))
-        raised = skips.pop()
-        for raising in self.raises:
-            raised = raising(raised) + skips.pop()
-        logits: Tensor = self.logits(self.dropout(raised))
+        upsampled = skips.pop()
+        for step in self.raises:
+            upsampled = step(upsampled) + skips.pop()
+        logits: Tensor = self.logits(self.dropout(upsampled))
         return logits

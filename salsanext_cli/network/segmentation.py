@@ -18,7 +18,7 @@ class SegmentationNetwork(nn.Module):
     """Base class of networks in two parts: `trunk`, up to the first dropout, and the `rest`.
 
     Both are written for tensors of sizes that `stride` divides, and with functions of torch only,
-    so that Gaussians and receptive fields can take the place of tensors.
+    so that Gaussians can take the place of tensors.
 
     Attributes
     ----------

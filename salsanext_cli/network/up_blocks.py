@@ -51,25 +51,26 @@ class TransposedUnit(nn.Sequential):
 
 
 class UpBlock(nn.Module):
-    """Raise ×2, join the skip connection, fuse; channel dropout around each.
+    """Upsample ×2, concatenate the skip connection, fuse; channel dropout around each.
 
     Parameters
     ----------
-    raising : Module
-        (B, in, H, W) to (B, raised, 2H, 2W).
+    upsampling : Module
+        (B, in, H, W) to (B, upsampled, 2H, 2W).
     joined, outputs : int
-        Channels after the join and of the block.
+        Channels after the concatenation, and of the block.
     stack : callable
-        Makes what fuses the joined channels.
+        Factory of the layers that fuse, from these two numbers.
     dropout : float
         Rate.
     """
 
     def __init__(
-        self, raising: nn.Module, joined: int, outputs: int, stack: Stack, dropout: float
+        self, upsampling: nn.Module, joined: int, outputs: int, stack: Stack, dropout: float
     ) -> None:
         super().__init__()
-        self.raising = raising
+        # The attributes' names are those in weights files.
+        self.raising = upsampling
         self.dropout_raised = ChannelDropout(dropout)
         self.dropout_joined = ChannelDropout(dropout)
         self.stack = stack(joined, outputs)
@@ -78,17 +79,17 @@ class UpBlock(nn.Module):
     def forward(self, x: Tensor, skip: Tensor) -> Tensor:
         """Map (B, in, H, W) and (B, skip, 2H, 2W) to (B, out, 2H, 2W)."""
         joined = self.join(self.dropout_raised(self.raising(x)), skip)
-        raised: Tensor = self.dropout_fused(self.stack(self.dropout_joined(joined)))
-        return raised
+        fused: Tensor = self.dropout_fused(self.stack(self.dropout_joined(joined)))
+        return fused
 
-    def join(self, raised: Tensor, skip: Tensor) -> Tensor:
-        """Put both side by side."""
-        return torch.cat((raised, skip), dim=1)
+    def join(self, upsampled: Tensor, skip: Tensor) -> Tensor:
+        """Concatenate."""
+        return torch.cat((upsampled, skip), dim=1)
 
 
 class AddingUpBlock(UpBlock):
-    """An up block that adds the skip connection, of as many channels as what was raised."""
+    """Up block that adds the skip connection, which has as many channels."""
 
-    def join(self, raised: Tensor, skip: Tensor) -> Tensor:
+    def join(self, upsampled: Tensor, skip: Tensor) -> Tensor:
         """Add."""
-        return raised + skip
+        return upsampled + skip

@@ -54,7 +54,7 @@ class WeightsCard:
     description : str
         A sentence or two on these weights.
     temperature : float
-        Divides the logits before the softmax, so that its values can be taken for probabilities;
+        Divides the logits before the softmax, so that its values are probabilities;
         1 if none was fitted.
     """
 
@@ -136,7 +136,7 @@ def save_weights(path: Path, module: nn.Module, card: WeightsCard, *, half: bool
     module : nn.Module
         The network that `card.architecture` names.
     card : WeightsCard
-        What the file says of itself.
+        Metadata to write.
     half : bool
         Store in float16, half the size; batch-norm statistics stay float32, as does a tensor with a
         value beyond float16's range.
@@ -166,7 +166,7 @@ def _stored(name: str, tensor: Tensor, half: bool) -> Tensor:
 
 
 def read_card(path: Path) -> WeightsCard:
-    """Read only what a weights file says of itself.
+    """Read only the metadata of a weights file.
 
     Raises
     ------

@@ -10,9 +10,12 @@ from typing import Any
 
 import torch
 
-from salsanext_cli.network.complexity import multiply_accumulates, parameter_count
+from salsanext_cli.network.complexity import (
+    RECEPTIVE_FIELDS,
+    multiply_accumulates,
+    parameter_count,
+)
 from salsanext_cli.network.papers import PAPERS, PaperFigures, agrees
-from salsanext_cli.network.receptive_field import receptive_field
 from salsanext_cli.network.registry import ARCHITECTURES, build
 from salsanext_cli.network.weights import WeightsCard, read_card
 from salsanext_cli.storage.identity import fingerprint
@@ -61,14 +64,14 @@ def _model(name: str) -> Model:
         name=name,
         parameters=parameters,
         multiply_accumulates=multiply_accumulates(module, HEIGHT, WIDTH),
-        receptive_field=receptive_field(module),
+        receptive_field=RECEPTIVE_FIELDS[name],
         paper=paper,
         agrees=agrees(parameters, paper.parameters),
     )
 
 
 def describe_weights(path: Path) -> Mapping[str, Any]:
-    """Return what a weights file says of itself, as plain data."""
+    """Return the metadata of a weights file, its size and its digest as plain data."""
     card: WeightsCard = read_card(path)
     return {
         "path": str(path),

@@ -7,7 +7,7 @@ says what one function of the network does to it.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, ClassVar, Self, TypeVar
 
@@ -16,23 +16,25 @@ import torch.nn.functional as F
 from torch import Tensor
 
 from salsanext_cli.inference.parallel_for import has_threads, parallel_for
-from salsanext_cli.network.tensor_like import TensorLike
 from salsanext_cli.uncertainty.moments import leaky_relu_moments, softmax_moments
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Gaussian(TensorLike):
+class Gaussian:
     """Independent Gaussians in place of a tensor's numbers.
+
+    PyTorch asks such a stand-in what each function of a network does to it. A function without a
+    rule is an error, so that the moments cannot drift apart from the network.
 
     Attributes
     ----------
     mean, variance : Tensor
         Of the same shape, dtype and device; the variance is not negative.
-
-    RULES says what the functions of a network do to moments (Gast & Roth 2018).
+    RULES : mapping
+        From a function to what it does to moments (Gast & Roth 2018), with the same arguments.
     """
 
-    VIEW: ClassVar[str] = "moments"
+    RULES: ClassVar[Mapping[Callable[..., Any], Callable[..., Any]]] = {}
 
     mean: Tensor
     variance: Tensor
@@ -42,15 +44,24 @@ class Gaussian(TensorLike):
             found = f"mean {tuple(self.mean.shape)} and variance {tuple(self.variance.shape)}"
             raise ValueError(f"{found} differ in shape")
 
+    @classmethod
+    def __torch_function__(
+        cls,
+        function: Callable[..., Any],
+        types: Sequence[type],
+        args: Sequence[Any] = (),
+        kwargs: dict[str, Any] | None = None,
+    ) -> Any:
+        """Apply the rule of a function; PyTorch calls this."""
+        rule = cls.RULES.get(function)
+        if rule is None:
+            raise NotImplementedError(f"no rule for the moments of {function.__name__}")
+        return rule(*args, **(kwargs or {}))
+
     @property
     def shape(self) -> torch.Size:
         """Shape of the mean."""
         return self.mean.shape
-
-    @property
-    def dtype(self) -> torch.dtype:
-        """Number type of the mean."""
-        return self.mean.dtype
 
     @property
     def device(self) -> torch.device:
@@ -73,12 +84,6 @@ class Gaussian(TensorLike):
         if not isinstance(other, Gaussian):
             return NotImplemented
         return self.like(self.mean + other.mean, self.variance + other.variance)
-
-    def __mul__(self, factor: Tensor | float) -> Self:
-        """Scale by known factors, such as the mask of a dropout: Var = k² v."""
-        if isinstance(factor, Gaussian):
-            raise NotImplementedError("no rule for the moments of mul")
-        return self.like(self.mean * factor, self.variance * factor**2)
 
     def softmax(self, dim: int) -> Self:
         """Return the moments of the softmax over a dimension."""

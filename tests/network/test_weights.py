@@ -1,15 +1,12 @@
 # SPDX-License-Identifier: MIT
 import json
-from contextlib import suppress
 from dataclasses import replace
 
 import numpy as np
 import pytest
 import safetensors.torch
 import torch
-from hypothesis import given, settings
-from hypothesis import strategies as st
-from scans import SMALL, lively, write_weights
+from scans import SMALL, lively
 
 from salsanext_cli import __version__
 from salsanext_cli.classes import label_space
@@ -25,7 +22,6 @@ from salsanext_cli.network.weights import (
     save_weights,
     save_with_card,
 )
-from salsanext_cli.storage.identity import fingerprint
 
 SPACE = label_space()
 CARD = WeightsCard(
@@ -77,19 +73,6 @@ def test_round_trip_keeps_every_bit(module, tmp_path):
     assert loaded.bottom.rate == 0.3
 
 
-def test_the_metadata_says_everything_and_which_version(module, tmp_path):
-    save_weights(tmp_path / "w.safetensors", module, CARD)
-    with safetensors.safe_open(tmp_path / "w.safetensors", framework="pt") as file:
-        metadata = file.metadata()
-    assert list(metadata) == [KEY]
-    said = json.loads(metadata[KEY])
-    assert set(said) == {
-        *("format", "architecture", "label_space", "sensor", "temperature"),
-        *("recipe", "scores", "description", "version"),
-    }
-    assert said["version"] == __version__
-
-
 def test_equal_weights_give_equal_files(tmp_path):
     """Several keys of metadata would be written in an order drawn anew each time."""
     for number in range(8):
@@ -97,6 +80,7 @@ def test_equal_weights_give_equal_files(tmp_path):
     assert len({path.read_bytes() for path in tmp_path.iterdir()}) == 1
     again = read_card(tmp_path / "0.safetensors")
     assert again.to_metadata() == CARD.to_metadata()
+    assert json.loads(again.to_metadata()[KEY])["version"] == __version__
 
 
 def test_another_card_leaves_the_tensors_as_they_are_stored(module, tmp_path):
@@ -112,9 +96,10 @@ def test_another_card_leaves_the_tensors_as_they_are_stored(module, tmp_path):
     assert target.read_bytes() == source.read_bytes()
 
 
-def test_half_precision_is_small_close_and_keeps_large_variances(module, tmp_path):
+def test_half_precision_is_small_close_and_keeps_large_values(module, tmp_path):
     module = lively(SalsaNext(20))
     module.block1.stack.fuse[2].running_var[:] = 1e6
+    module.logits.weight.data[0, 0] = 1e5
     save_weights(tmp_path / "half.safetensors", module, CARD, half=True)
     assert (tmp_path / "half.safetensors").stat().st_size < 15e6
     loaded, _ = read_weights(tmp_path / "half.safetensors")
@@ -263,28 +248,6 @@ def test_what_is_no_weights_file_is_refused(tmp_path, content):
         read_weights(tmp_path / "w.safetensors")
 
 
-@pytest.mark.parametrize("share", [0.0001, 0.5, 0.999999])
-def test_a_truncated_file_is_refused(weights, tmp_path, share):
-    content = weights.read_bytes()
-    path = tmp_path / "w.safetensors"
-    path.write_bytes(content[: int(len(content) * share)])
-    with pytest.raises(WeightsError):
-        read_weights(path)
-
-
-@settings(max_examples=60, deadline=None)
-@given(data=st.data())
-def test_a_flipped_byte_in_the_header_is_refused_or_harmless(weights, tmp_path_factory, data):
-    content = weights.read_bytes()
-    header = 8 + int.from_bytes(content[:8], "little")
-    place = data.draw(st.integers(0, header - 1))
-    byte = data.draw(st.integers(0, 255))
-    path = tmp_path_factory.mktemp("flipped") / "w.safetensors"
-    path.write_bytes(content[:place] + bytes([byte]) + content[place + 1 : header] + b"\0" * 64)
-    with suppress(WeightsError):
-        read_card(path)
-
-
 def test_a_missing_file_and_a_folder_are_refused(tmp_path):
     with pytest.raises(WeightsError, match="no such file"):
         read_weights(tmp_path / "none.safetensors")
@@ -304,16 +267,6 @@ def test_loading_tensors_casts_to_float32():
     load_tensors(module, tensors, "here")
     assert module.logits.weight.dtype == torch.float32
     assert module.context[0].local[2].num_batches_tracked.dtype == torch.int64
-
-
-def test_a_fingerprint_follows_the_file(tmp_path):
-    """A network trained further under the same name is another network."""
-    import hashlib
-
-    path = tmp_path / "w.safetensors"
-    for seed in (0, 1):
-        write_weights(path, seed=seed)
-        assert fingerprint(path) == hashlib.sha256(path.read_bytes()).hexdigest()
 
 
 def test_a_card_of_another_sensor_gives_other_inputs(weights):
