@@ -22,7 +22,7 @@ from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
-from sitecustomize import signal_at
+from sitecustomize import STEPS, at_each_step
 from whole_files import all_alike, require_whole
 
 Run = Callable[[Path], object]
@@ -36,7 +36,11 @@ def fork(run: Run, folder: Path, step: int = 0) -> bool:
     process = os.fork()
     if not process:
         if step:
-            signal_at(str(folder), step, signal.SIGKILL)
+            at_each_step(
+                str(folder),
+                lambda number: number == step and os.kill(os.getpid(), signal.SIGKILL),
+                (*STEPS, "os.remove"),
+            )
         try:
             run(folder)
         except BaseException:

@@ -1,36 +1,34 @@
 # SPDX-License-Identifier: MIT
 """A signal at a step of a run; Python imports this first if PYTHONPATH names the folder.
 
-``SIGNAL_AT=FOLDER:STEP:SIGNAL`` sends a signal to the process itself before it opens, renames,
-removes or makes something below the folder for the so-manieth time, from 1.
+``SIGNAL_AT=FOLDER:STEP:SIGNAL`` sends a signal to the process itself before it opens, renames or
+makes something below the folder for the so-manieth time, from 1. Not before it removes something:
+SIGTERM would interrupt the very tidying up that is looked at afterwards.
 """
 
 import os
 import sys
 from collections.abc import Callable
 
-STEPS = ("open", "os.rename", "os.remove", "os.mkdir")
+STEPS = ("open", "os.rename", "os.mkdir")
 """What a process does to files, as Python's audit names it."""
 
 
-def at_each_step(folder: str, call: Callable[[int], object]) -> None:
+def at_each_step(
+    folder: str, call: Callable[[int], object], steps: tuple[str, ...] = STEPS
+) -> None:
     """Call something with the number of each step of this process, before it is done."""
-    steps = 0
+    number = 0
 
     def count(event: str, arguments: tuple[object, ...]) -> None:
-        nonlocal steps
-        if event in STEPS and folder in str(arguments[0]):
-            steps += 1
-            call(steps)
+        nonlocal number
+        if event in steps and folder in str(arguments[0]):
+            number += 1
+            call(number)
 
     sys.addaudithook(count)
 
 
-def signal_at(folder: str, step: int, number: int) -> None:
-    """Send a signal to this process before a step."""
-    at_each_step(folder, lambda steps: steps == step and os.kill(os.getpid(), number))
-
-
 if "SIGNAL_AT" in os.environ:
-    _folder, _step, _number = os.environ["SIGNAL_AT"].split(":")
-    signal_at(_folder, int(_step), int(_number))
+    _folder, _step, _signal = os.environ["SIGNAL_AT"].split(":")
+    at_each_step(_folder, lambda n: n == int(_step) and os.kill(os.getpid(), int(_signal)))
