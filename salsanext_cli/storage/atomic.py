@@ -97,9 +97,11 @@ def require_writable(folder: Path) -> None:
     try:
         folder.mkdir(parents=True, exist_ok=True)
         probe.touch()
-        probe.unlink()
     except OSError as error:
         raise refusal(folder, error) from error
+    finally:
+        with suppress(OSError):
+            probe.unlink()
 
 
 def refusal(path: Path, error: OSError) -> OutputError:

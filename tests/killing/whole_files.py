@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Whether every file that can be seen in a folder is complete."""
+"""Whether the files of a folder are complete, and the same as those of another."""
 
 import json
 import tomllib
@@ -8,8 +8,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import torch
 
-POINTS_OF = {"predictions": (4, np.uint32)}
+JOURNALS = (".files", ".files.tsv")
+"""Ends of the names of hidden files that may stay: lists of what a stage has written."""
 
 
 def _is_png(path: Path) -> None:
@@ -24,47 +26,51 @@ def _is_csv(path: Path) -> None:
     assert path.read_text().endswith("\n")
 
 
+def _is_ply(path: Path) -> None:
+    from salsanext_cli.formats.ply import read_ply
+
+    read_ply(path)
+
+
 def _is_weights(path: Path) -> None:
     from salsanext_cli.network.weights import read_weights
 
     read_weights(path)
 
 
-def _is_checkpoint(path: Path) -> None:
-    from salsanext_cli.training.checkpoint import _require_intact
-
-    _require_intact(path)
+def _is_labels(path: Path) -> None:
+    length = path.stat().st_size
+    assert length, path
+    assert length % 4 == 0, path
 
 
 WHOLE: dict[str, Callable[[Path], Any]] = {
-    ".label": lambda path: _divisible(path, 4),
+    ".bin": lambda path: None,
+    ".label": _is_labels,
+    ".ply": _is_ply,
     ".npy": lambda path: np.load(path),
     ".json": lambda path: json.loads(path.read_text()),
     ".toml": lambda path: tomllib.loads(path.read_text()),
+    ".txt": lambda path: path.read_text().endswith("\n"),
     ".png": _is_png,
     ".csv": _is_csv,
     ".safetensors": _is_weights,
-    ".pt": _is_checkpoint,
+    ".pt": lambda path: torch.load(path, weights_only=True),
 }
 """What raises, by suffix, if a file is not whole."""
 
 
-def _divisible(path: Path, size: int) -> None:
-    length = path.stat().st_size
-    assert length, path
-    assert length % size == 0, path
-
-
-def seen(folder: Path) -> dict[str, Path]:
-    """Return the files below a folder by name that are not hidden."""
-    files = (path for path in sorted(folder.rglob("*")) if path.is_file())
-    named = {str(path.relative_to(folder)): path for path in files}
-    return {name: path for name, path in named.items() if not path.name.startswith(".")}
+def files(folder: Path, *, hidden: bool) -> dict[str, Path]:
+    """Return the files below a folder by name, either the hidden ones or the others."""
+    found = (path for path in sorted(folder.rglob("*")) if path.is_file())
+    return {
+        str(path.relative_to(folder)): path for path in found if path.name.startswith(".") == hidden
+    }
 
 
 def require_whole(folder: Path) -> None:
     """Fail if a file that can be seen is half written; those of one scan must be of one length."""
-    for path in seen(folder).values():
+    for path in files(folder, hidden=False).values():
         WHOLE[path.suffix](path)
     for labels in folder.glob("sequences/*/predictions/*.label"):
         values = labels.parents[1] / "probabilities" / f"{labels.stem}.npy"
@@ -72,28 +78,25 @@ def require_whole(folder: Path) -> None:
             assert len(np.load(values)) * 4 == labels.stat().st_size
 
 
+def require_tidy(folder: Path) -> None:
+    """Fail if a hidden file is left, lists of written files excepted."""
+    left = [name for name in files(folder, hidden=True) if not name.endswith(JOURNALS)]
+    assert not left, left
+
+
 def all_alike(expected: Path, found: Path) -> None:
     """Fail if two folders do not show the same files with the same content."""
-    mine, theirs = seen(expected), seen(found)
+    mine, theirs = files(expected, hidden=False), files(found, hidden=False)
     assert mine.keys() == theirs.keys(), sorted(mine.keys() ^ theirs.keys())
     for name, path in mine.items():
         if path.suffix == ".pt":
-            _same_values(path, theirs[name])
+            # Pickles of equal values may differ.
+            _same(*(torch.load(each, weights_only=True) for each in (path, theirs[name])))
         else:
             assert path.read_bytes() == theirs[name].read_bytes(), name
 
 
-def _same_values(one: Path, other: Path) -> None:
-    """Compare checkpoints by what they hold: pickles of equal values may differ."""
-    import torch
-
-    a, b = (torch.load(path, weights_only=True) for path in (one, other))
-    _same(a, b)
-
-
 def _same(one: object, other: object) -> None:
-    import torch
-
     assert type(one) is type(other)
     if isinstance(one, torch.Tensor) and isinstance(other, torch.Tensor):
         assert torch.equal(one, other)

@@ -1,0 +1,227 @@
+# SPDX-License-Identifier: MIT
+"""The real command, killed or told to end at any moment: no result is lost, nothing else stays."""
+
+import os
+import random
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from contextlib import chdir
+from pathlib import Path
+
+import pytest
+from scans import SMALL, write_sequence, write_weights
+from sitecustomize import at_each_step
+from typer.testing import CliRunner
+from whole_files import all_alike, require_tidy, require_whole
+
+import salsanext_cli
+from salsanext_cli.cli.app import app
+
+psutil = pytest.importorskip("psutil")
+
+HERE = Path(__file__).parent
+OUT = "folder-of-results"
+"""A name that no other path contains."""
+NETWORK = "--weights DATA/w.safetensors --device cpu"
+PREDICT = f"predict DATA {OUT} --probabilities {NETWORK}"
+COMMANDS = {
+    "predict": (PREDICT,),
+    "export-ply": (PREDICT, f"export-ply --out {OUT} --colour label"),
+    "eval": (PREDICT, f"eval --out {OUT}"),
+    "knn-refine": (
+        f"project DATA {OUT} --sensor DATA/small.toml",
+        f"predict {OUT} {OUT} {NETWORK}",
+        f"knn-refine {OUT}",
+    ),
+    "tune": (f"tune temperature DATA {OUT}/tuned.safetensors {NETWORK} --overwrite",),
+}
+"""Commands that are disturbed, each after those that make what it reads."""
+END_TIMEOUT_S = 10.0
+"""Time for everything that a run has started to end after it."""
+STEPS_SEEN = [0]
+at_each_step(OUT, lambda steps: STEPS_SEEN.append(steps))
+
+
+def call(command: str) -> None:
+    """Run a command to its end in this process."""
+    result = CliRunner().invoke(app, command.split())
+    assert result.exit_code == 0, result.output
+
+
+class Trial:
+    """A command, what it starts from, and its results when nothing disturbs it."""
+
+    def __init__(self, name: str, folder: Path, scans: int = 4) -> None:
+        data, self.start, whole = (folder / name for name in ("data", "start", "whole"))
+        stems = [f"{number:06d}" for number in range(scans)]
+        write_sequence(data / "sequences/08", stems, count=400)
+        write_weights(data / "w.safetensors")
+        view = ("fov_up", "fov_down", "height", "width")
+        (data / "small.toml").write_text("\n".join(f"{k} = {getattr(SMALL, k)}" for k in view))
+        *before, self.command = (command.replace("DATA", str(data)) for command in COMMANDS[name])
+        (self.start / OUT).mkdir(parents=True)
+        with chdir(self.start):
+            for command in before:
+                call(command)
+        shutil.copytree(self.start, whole)
+        first = STEPS_SEEN[-1]
+        with chdir(whole):
+            call(self.command)
+        self.steps = STEPS_SEEN[-1] - first
+        self.expected = whole / OUT
+
+    def begun(self, folder: Path, options: str = "", **environment: str) -> subprocess.Popen[str]:
+        """Start the command in a process and a session of its own, in a copy of the start."""
+        shutil.copytree(self.start, folder, dirs_exist_ok=True)
+        paths = os.pathsep.join(map(str, (Path(salsanext_cli.__file__).parents[1], HERE)))
+        return subprocess.Popen(
+            [sys.executable, "-m", "salsanext_cli", *self.command.split(), *options.split()],
+            cwd=folder,
+            env={**os.environ, "PYTHONPATH": paths, "OMP_NUM_THREADS": "1", **environment},
+            stdout=subprocess.PIPE,
+            stderr=subprocess.STDOUT,
+            text=True,
+            start_new_session=True,
+        )
+
+    def require_made_good(self, folder: Path) -> None:
+        """Fail if files are half written, or if another run does not make the results whole."""
+        require_whole(folder / OUT)
+        with chdir(folder):
+            call(self.command)
+        all_alike(self.expected, folder / OUT)
+        require_tidy(folder / OUT)
+
+
+@pytest.fixture(scope="module")
+def trials(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Trial]:
+    return {name: Trial(name, tmp_path_factory.mktemp(name)) for name in COMMANDS}
+
+
+def require_ended(process: subprocess.Popen[str], number: signal.Signals) -> None:
+    """Fail if something that a run has started outlives it, or if it ended otherwise than told."""
+    said, _ = process.communicate(timeout=END_TIMEOUT_S)
+    end = time.monotonic() + END_TIMEOUT_S
+    while left := in_session(process.pid):
+        assert time.monotonic() < end, left
+        time.sleep(0.1)
+    if number == signal.SIGKILL:
+        assert process.returncode in (0, -signal.SIGKILL), said
+    elif process.returncode not in (0, -signal.SIGTERM):
+        assert process.returncode == 143, said
+        assert said.endswith("terminated: everything finished so far is intact\n")
+
+
+def in_session(leader: int) -> list[str]:
+    """Return the processes that a session still has."""
+    found = []
+    for process in psutil.process_iter():
+        try:
+            if os.getsid(process.pid) == leader and process.status() != psutil.STATUS_ZOMBIE:
+                found.append(" ".join(process.cmdline()))
+        except (psutil.Error, ProcessLookupError):
+            continue
+    return found
+
+
+def disturb(trial: Trial, folder: Path, number: signal.Signals, step: int) -> None:
+    """Let a run get a signal at a step, and another one finish."""
+    process = trial.begun(folder, SIGNAL_AT=f"{OUT}:{step}:{number:d}")
+    process.wait(timeout=120)
+    assert process.returncode == {signal.SIGKILL: -signal.SIGKILL, signal.SIGTERM: 143}[number]
+    require_ended(process, number)
+    if number == signal.SIGTERM:
+        require_tidy(folder / OUT)
+    trial.require_made_good(folder)
+
+
+SIGNALS = pytest.mark.parametrize(
+    "number", [signal.SIGKILL, signal.SIGTERM], ids=lambda number: number.name
+)
+
+
+@pytest.mark.parametrize(
+    ("name", "number"),
+    [
+        ("predict", signal.SIGKILL),
+        ("export-ply", signal.SIGTERM),
+        ("eval", signal.SIGKILL),
+        ("knn-refine", signal.SIGKILL),
+        ("tune", signal.SIGTERM),
+    ],
+)
+def test_a_signal_at_some_step(
+    tmp_path: Path, trials: dict[str, Trial], name: str, number: signal.Signals
+) -> None:
+    step = random.Random(f"{name} {number}").randint(1, trials[name].steps)
+    disturb(trials[name], tmp_path / "trial", number, step)
+
+
+@pytest.mark.slow
+@SIGNALS
+@pytest.mark.parametrize("name", COMMANDS)
+def test_a_signal_at_many_steps(
+    tmp_path: Path, trials: dict[str, Trial], name: str, number: signal.Signals
+) -> None:
+    for step in range(1, trials[name].steps + 1, max(1, trials[name].steps // 12)):
+        disturb(trials[name], tmp_path / f"{step}", number, step)
+
+
+def test_two_runs_at_once(tmp_path: Path, trials: dict[str, Trial]) -> None:
+    folder = tmp_path / "trial"
+    for process in [trials["predict"].begun(folder) for _ in range(2)]:
+        said, _ = process.communicate(timeout=120)
+        assert process.returncode == 0, said
+    all_alike(trials["predict"].expected, folder / OUT)
+    require_tidy(folder / OUT)
+
+
+@pytest.fixture(scope="module")
+def long(tmp_path_factory: pytest.TempPathFactory) -> Trial:
+    """Return a run that lasts a while after its first result."""
+    return Trial("predict", tmp_path_factory.mktemp("long"), scans=60)
+
+
+def when_working(folder: Path) -> None:
+    """Wait until there are results."""
+    end = time.monotonic() + 120
+    while not list(folder.glob(f"{OUT}/sequences/*/predictions/*.label")):
+        assert time.monotonic() < end
+        time.sleep(0.02)
+
+
+@SIGNALS
+def test_workers_end_with_their_run(tmp_path: Path, long: Trial, number: signal.Signals) -> None:
+    process = long.begun(tmp_path / "trial", "--jobs 2")
+    when_working(tmp_path / "trial")
+    assert len(in_session(process.pid)) > 2
+    process.send_signal(number)
+    require_ended(process, number)
+    assert process.returncode
+    long.require_made_good(tmp_path / "trial")
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("options", ["--jobs 2", "--jobs 2 --backend threading"])
+@pytest.mark.parametrize("whom", ["parent", "all"])
+@SIGNALS
+def test_signals_at_random_moments(
+    tmp_path: Path, long: Trial, number: signal.Signals, whom: str, options: str
+) -> None:
+    """As Docker sends them, to the first process, or as systemd does, to all."""
+    draw = random.Random(f"{number} {whom} {options}")
+    for turn in range(5):
+        folder = tmp_path / f"{turn}"
+        process = long.begun(folder, options)
+        if turn % 2:
+            when_working(folder)
+        time.sleep(draw.uniform(0, 3))
+        if whom == "parent":
+            process.send_signal(number)
+        else:
+            os.killpg(process.pid, number)
+        require_ended(process, number)
+        long.require_made_good(folder)
