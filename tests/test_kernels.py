@@ -26,15 +26,6 @@ from salsanext_cli.kernels import (
 )
 from salsanext_cli.thread_pool import run_on_threads
 
-PROJECT_ONE_POINT = """
-import numpy as np
-from salsanext_cli.geometry.projection import project
-from salsanext_cli.records import Scan
-from salsanext_cli.sensors import sensor
-scan = Scan(np.array([[5, 0, 0]], np.float32), np.ones(1, np.float32))
-assert project(scan, sensor("hdl64")).pixel_of_point.tolist() == [6 * 2048 + 1024]
-"""
-
 
 @pytest.mark.parametrize("count", [0, 1, SMALLEST_SLICE, 10 * SMALLEST_SLICE + 3])
 def test_slices_cover_everything_once(count):
@@ -100,17 +91,6 @@ def test_a_kernel_is_kept_in_the_users_cache_folder_for_each_signature(kernel, t
     assert not list(tmp_path.rglob("*.tmp*"))
 
 
-def swap(files):
-    """Give one signature the machine code of another."""
-    contents = [file.read_bytes() for file in files]
-    for file, content in zip(files, reversed(contents), strict=True):
-        file.write_bytes(content)
-
-
-def in_each(damage):
-    return lambda files: [damage(file) for file in files]
-
-
 def flip(file):
     data = bytearray(file.read_bytes())
     data[len(data) // 2] ^= 255
@@ -118,12 +98,12 @@ def flip(file):
 
 
 DAMAGES = {
-    "empty": in_each(lambda file: file.write_bytes(b"")),
-    "cut": in_each(lambda file: file.write_bytes(file.read_bytes()[:-100])),
-    "flipped": in_each(flip),
-    "not ours": in_each(lambda file: file.write_bytes(b"\x80\x04N." * 99)),
-    "a link to itself": in_each(lambda file: (file.unlink(), file.symlink_to(file))),
-    "a folder": in_each(lambda file: (file.unlink(), file.mkdir())),
+    "empty": lambda file: file.write_bytes(b""),
+    "cut": lambda file: file.write_bytes(file.read_bytes()[:-100]),
+    "flipped": flip,
+    "not ours": lambda file: file.write_bytes(b"\x80\x04N." * 99),
+    "a link to itself": lambda file: (file.unlink(), file.symlink_to(file)),
+    "a folder": lambda file: (file.unlink(), file.mkdir()),
 }
 
 
@@ -131,7 +111,8 @@ DAMAGES = {
 def test_a_damaged_cache_is_said_once_and_done_without(kernel, tmp_path, caplog, damage):
     first = kernel()
     assert (first(2), first(1.5)) == (4, 3.0)
-    DAMAGES[damage](cached_in(tmp_path))
+    for file in cached_in(tmp_path):
+        DAMAGES[damage](file)
     again = kernel()
     assert (again(2), again(1.5)) == (4, 3.0)
     assert [record.levelname for record in caplog.records] == ["WARNING"]
@@ -145,10 +126,11 @@ def test_a_damaged_cache_is_said_once_and_done_without(kernel, tmp_path, caplog,
 def test_machine_code_of_other_source_or_signature_is_not_used(kernel, tmp_path):
     first = kernel()
     assert (first(2), first(1.5)) == (4, 3.0)
-    swap(cached_in(tmp_path))
+    one, other = cached_in(tmp_path)
+    one.write_bytes(other.read_bytes())
     again = kernel()
     assert (again(2), again(1.5)) == (4, 3.0)
-    assert not again.stats.cache_hits
+    assert sum(again.stats.cache_hits.values()) == 1
     (tmp_path / "small_kernel.py").write_text("def twice(x):\n    return x + x + 1\n")
     assert kernel()(2) == 5
 
@@ -173,7 +155,7 @@ def test_a_cache_folder_that_goes_away(kernel, tmp_path, caplog):
     shutil.rmtree(tmp_path / "salsanext")
     (tmp_path / "salsanext").touch()
     assert first(2) == 4
-    assert "going on without the cache" in caplog.text
+    assert len(caplog.records) == 1
 
 
 def test_processes_that_write_at_once(kernel, tmp_path):
@@ -195,21 +177,14 @@ def test_processes_that_write_at_once(kernel, tmp_path):
     assert last.stdout == "2\n"
 
 
-def test_works_where_nothing_can_be_cached(tmp_path):
+def test_works_where_nothing_can_be_cached(kernel, tmp_path, monkeypatch, caplog):
     """A file stands where the cache folder would be, beside the source and in the home."""
-    package = tmp_path / "salsanext_cli"
-    shutil.copytree(
-        Path(salsanext_cli.__file__).parent,
-        package,
-        ignore=shutil.ignore_patterns("__pycache__", "*.safetensors"),
-    )
-    (package / "geometry" / "__pycache__").touch()
-    home = tmp_path / "home"
-    home.touch()
-    places = dict.fromkeys(("HOME", "XDG_CACHE_HOME", "NUMBA_CACHE_DIR"), str(home))
-    environment = {**os.environ, **places, "PYTHONPATH": str(tmp_path)}
-    command = [sys.executable, "-B", "-c", PROJECT_ONE_POINT]
-    subprocess.run(command, env=environment, cwd=tmp_path, check=True, timeout=120)
+    for name in ("home", "__pycache__"):
+        (tmp_path / name).touch()
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "home"))
+    assert [kernel()(2), kernel()(1.5)] == [4, 3.0]
+    assert "no locator available" in caplog.text
+    assert len(caplog.records) == 1
 
 
 def test_without_a_home_there_is_no_cache_folder(monkeypatch):
