@@ -1,18 +1,2 @@
 # SPDX-License-Identifier: MIT
-"""Points to pixels and back: pure functions.
-
-::
-
-    projection              a scan seen from the sensor (paper eq. 1)
-    ├── projection_numba        … compiled for the CPU
-    ├── projection_torch        … on a torch device, the same bits
-    └── projection_parameters   the sensor's numbers as these take them
-    normalise               the network's input from a range image
-    noise                   the variance of that input by the sensor's noise
-    knn                     labels of pixels to labels of points
-    ├── knn_numba               … compiled for the CPU
-    ├── knn_torch               … on a torch device, the same labels
-    └── knn_parameters          the neighbourhood and the vote
-    gather                  values of pixels onto points and back
-    coverage                share of points outside the field of view
-"""
+"""Points to pixels and back: pure functions, compiled for the CPU and on torch devices."""
