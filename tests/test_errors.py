@@ -1,11 +1,13 @@
 # SPDX-License-Identifier: MIT
 import inspect
+import logging
 import pickle
 import re
 
 import pytest
 
 from salsanext_cli import errors
+from salsanext_cli.cli.console import Output
 from salsanext_cli.errors import FormatError, OutputError, SalsanextError, printable
 
 
@@ -45,3 +47,13 @@ def test_names_of_files_neither_end_the_line_nor_speak_to_the_terminal():
     said = str(FormatError("a\nerror: b\x1b]0;x\x07.bin", "cut\x9b off", remedy="größer"))
     assert said == "a\\x0aerror: b\\x1b]0;x\\x07.bin · cut\\x9b off · größer"
     assert printable("ä\t\x7f") == "ä\\x09\\x7f"
+
+
+def test_commands_log_and_say_printable_text(capsys, monkeypatch):
+    logger = logging.getLogger("salsanext_cli")
+    monkeypatch.setattr(logger, "handlers", [])
+    monkeypatch.setattr(logger, "level", logger.level)
+    output = Output(verbose=True)
+    logger.info("reading %s", "a\x1b[2J.bin")
+    output.say("→ b\x07\nc")
+    assert capsys.readouterr().err == "reading a\\x1b[2J.bin\n→ b\\x07\\x0ac\n"
