@@ -1,45 +1,38 @@
 # SPDX-License-Identifier: MIT
 import inspect
+import logging
 import pickle
 import re
 
 import pytest
 
 from salsanext_cli import errors
-from salsanext_cli.errors import FormatError, OutputError, SalsanextError
-
-
-def test_message_is_one_line_of_four_parts() -> None:
-    error = FormatError("a.bin", "7 bytes", "a multiple of 16", "copy it again")
-    assert str(error) == "a.bin · 7 bytes · expected a multiple of 16 · copy it again"
+from salsanext_cli.cli.console import Output
+from salsanext_cli.errors import FormatError, OutputError, SalsanextError, printable
 
 
 @pytest.mark.parametrize(
     ("parts", "message"),
     [
+        (("a", "7 bytes", "16", "copy it again"), "a · 7 bytes · expected 16 · copy it again"),
         (("a", "b"), "a · b"),
         (("a", "b", "c"), "a · b · expected c"),
         (("a", "b", "", "d"), "a · b · d"),
     ],
 )
-def test_missing_parts_leave_no_gap(parts: tuple[str, ...], message: str) -> None:
+def test_message_is_one_line_of_four_parts_without_gaps(parts, message):
     assert str(SalsanextError(*parts)) == message
 
 
-def test_errors_survive_the_way_from_a_worker_process() -> None:
+def test_errors_survive_the_way_from_a_worker_process():
     error = OutputError("out", "disk full", remedy="free some space")
     copy = pickle.loads(pickle.dumps(error))
     assert type(copy) is OutputError
     assert str(copy) == str(error)
-    assert (copy.subject, copy.found, copy.expected, copy.remedy) == (
-        "out",
-        "disk full",
-        "",
-        "free some space",
-    )
+    assert vars(copy) == vars(error)
 
 
-def test_the_drawn_tree_is_the_tree() -> None:
+def test_the_drawn_tree_is_the_tree():
     classes = {
         name: value
         for name, value in vars(errors).items()
@@ -53,3 +46,14 @@ def test_the_drawn_tree_is_the_tree() -> None:
 def test_names_of_files_neither_end_the_line_nor_speak_to_the_terminal():
     said = str(FormatError("a\nerror: b\x1b]0;x\x07.bin", "cut\x9b off", remedy="größer"))
     assert said == "a\\x0aerror: b\\x1b]0;x\\x07.bin · cut\\x9b off · größer"
+    assert printable("ä\t\x7f") == "ä\\x09\\x7f"
+
+
+def test_commands_log_and_say_printable_text(capsys, monkeypatch):
+    logger = logging.getLogger("salsanext_cli")
+    monkeypatch.setattr(logger, "handlers", [])
+    monkeypatch.setattr(logger, "level", logger.level)
+    output = Output(verbose=True)
+    logger.info("reading %s", "a\x1b[2J.bin")
+    output.say("→ b\x07\nc")
+    assert capsys.readouterr().err == "reading a\\x1b[2J.bin\n→ b\\x07\\x0ac\n"

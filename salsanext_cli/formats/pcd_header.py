@@ -19,10 +19,6 @@ TYPES = {
 """numpy's type of each TYPE and SIZE."""
 CODES = {kind: code for code, kind in TYPES.items()}
 PADDING = "_"
-KEYWORDS = (
-    *("VERSION", "FIELDS", "SIZE", "TYPE", "COUNT"),
-    *("WIDTH", "HEIGHT", "VIEWPOINT", "POINTS", "DATA"),
-)
 MAX_HEADER_BYTES = 1 << 16
 """What is longer is another kind of file."""
 
@@ -131,13 +127,6 @@ def _entries(file: BinaryIO) -> dict[str, list[str]]:
             raise ValueError("no PCD header")
         words = line.decode("ascii", "replace").split()
         if words and not words[0].startswith("#"):
-            # Another reader may take the first of two where this one takes the last, and a word
-            # for the keyword that it begins with.
-            if words[0] in entries or words[0] not in KEYWORDS:
-                if not entries:
-                    raise ValueError("no PCD header")
-                wrong = " twice" if words[0] in entries else ", no keyword"
-                raise ValueError(f"a PCD header with {words[0][:20]!r}{wrong}")
             entries[words[0]] = words[1:]
     return entries
 

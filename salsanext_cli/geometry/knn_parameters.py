@@ -56,12 +56,6 @@ class KnnParameters:
         if not holds:
             raise UsageError("knn", found, expected)
 
-    def weights(self) -> Float:
-        """Return 1 − Gaussian of each offset in the window, (window, window) float32."""
-        offset = np.arange(self.window) - self.window // 2
-        gaussian = np.exp(-(offset[:, None] ** 2 + offset**2) / (2 * self.sigma**2))
-        return np.asarray(1 - gaussian / gaussian.sum(), np.float32)
-
     def candidates(self, width: int) -> tuple[Int, Float]:
         """Return the offsets of a point's candidates and the factors of their distances.
 
@@ -76,10 +70,12 @@ class KnnParameters:
             Flat offsets from the point's pixel, itself left out, in an image that is framed by
             ``window // 2`` pixels on each side.
         weights : (M,) float32
-            Their factors.
+            Their factors, 1 − Gaussian of the offset.
         """
         half = self.window // 2
         dy, dx = np.mgrid[-half : half + 1, -half : half + 1]
+        gaussian = np.exp(-(dy**2 + dx**2) / (2 * self.sigma**2))
+        weights = np.asarray(1 - gaussian / gaussian.sum(), np.float32)
         kept = (dx >= -((width - 1) // 2)) & (dx <= width // 2) & ((dx != 0) | (dy != 0))
         offsets = dy * (width + 2 * half) + dx
-        return offsets[kept].astype(np.int32), self.weights()[kept]
+        return offsets[kept].astype(np.int32), weights[kept]

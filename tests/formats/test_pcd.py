@@ -192,9 +192,6 @@ def test_compressed(tmp_path, spoil):
         (header("x:F4 y:F4 z:F4 _:U1:9999999999", 0), "bytes per point"),
         (header(data="zipped") + bytes(32), "kind zipped"),
         (header().replace(b"TYPE F", b"TYPE"), "differ in length"),
-        (header().replace(b"POINTS 2", b"POINTS 2\nPOINTS 1") + bytes(32), "'POINTS' twice"),
-        # Open3d takes these for the keyword that they begin with.
-        (header().replace(b"POINTS 2", b"POINTS 2\nPOINTSX 9"), "'POINTSX', no keyword"),
         (header().replace(b"POINTS 2", b"POINTS many"), "many"),
         (header() + bytes(31), "31 bytes of data, not 32"),
         (header(data="ascii") + b"1 2 3 4\n", "1 lines of 4 values, not 2 of 4"),

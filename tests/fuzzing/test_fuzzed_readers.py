@@ -70,7 +70,7 @@ def endure(reader, path, content):
             except SalsanextError as error:
                 said = str(error)
     assert len(said) < LONGEST, said
-    assert not warned, warned[0]
+    assert not [str(warning.message) for warning in warned]
 
 
 def bombard(reader, folder, name, cases):
