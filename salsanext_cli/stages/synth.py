@@ -22,7 +22,7 @@ from salsanext_cli.storage.json_files import read_json, write_json
 from salsanext_cli.storage.point_files import write_bin, write_labels
 from salsanext_cli.storage.written_files import WrittenFiles
 from salsanext_cli.synthesis.drive import record
-from salsanext_cli.synthesis.ids import ABSENT
+from salsanext_cli.synthesis.surfaces import ABSENT
 
 MANIFEST = "synth.json"
 LABEL_SPACE = "labels.yaml"
