@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""The whole pipeline on a synthetic drive: generate, predict, sample, evaluate, export, draw."""
+"""Whole pipeline on a synthetic drive: generate, predict, sample, evaluate, export, draw."""
 
 from __future__ import annotations
 
@@ -23,27 +23,27 @@ from salsanext_cli.storage.selection import ScanSelection
 from salsanext_cli.uncertainty.settings import Estimator
 
 SEED = 2020
-"""Not the seed that the default weights were trained with: these streets are new to them."""
-SPACING = 12.0
+"""Another seed than that of the default weights: they were not trained on this street."""
+SPACING_M = 12.0
 
-Bars = Callable[[str], AbstractContextManager[Progress | None]]
-"""Gives each step, by name, something to report its progress to."""
+StepProgress = Callable[[str], AbstractContextManager[Progress | None]]
+"""Takes the name of a step; gives what the step reports its progress to."""
 
 
 @dataclass(frozen=True, slots=True)
 class Demonstration:
-    """What was made, and where it is.
+    """Results of the demonstration.
 
     Attributes
     ----------
     data, out : Path
-        The synthetic data set, and the results of the stages.
+        Folders of the synthetic data set and of the results.
     evaluation : Evaluation
         Scores of the predictions.
     pictures : tuple of Path
         PNG files.
     failures : tuple of Failure
-        Scans that a stage could not work on.
+        Scans that a stage could not process.
     """
 
     data: Path
@@ -60,24 +60,24 @@ def demo(
     samples: int,
     network: NetworkSettings,
     options: RunOptions,
-    bars: Bars,
+    bars: StepProgress,
 ) -> Demonstration:
-    """Run every stage on a synthetic drive; what exists already is kept unless overwriting.
+    """Run every stage on a synthetic drive; existing results are kept unless overwriting.
 
     Parameters
     ----------
     folder : Path
-        Gets ``data/`` and ``out/``.
+        Folder of ``data/`` and ``out/``.
     scans : int
-        Length of the drive.
+        Number of scans of the drive.
     samples : int
         Monte-Carlo passes per scan.
-    network : NetworkChoice
+    network : NetworkSettings
         Weights and device.
-    options : BatchOptions
+    options : RunOptions
         Jobs, errors and overwriting.
     bars : callable
-        Called with the name of each step.
+        Gives the progress of a step, by its name.
 
     Raises
     ------
@@ -115,8 +115,8 @@ def demo(
     return Demonstration(data, out, evaluation, pictures, failures)
 
 
-def _make_data(data: Path, scans: int, overwrite: bool, bars: Bars) -> None:
-    """Generate the drive unless it is there; `labels.yaml` is written last."""
+def _make_data(data: Path, scans: int, overwrite: bool, bars: StepProgress) -> None:
+    """Generate the drive unless it is complete; `labels.yaml` is written last."""
     complete = (data / "labels.yaml").exists()
     if complete and not overwrite and len(find_scans(data)) == scans:
         return
@@ -127,7 +127,7 @@ def _make_data(data: Path, scans: int, overwrite: bool, bars: Bars) -> None:
             valid=1,
             scans=scans,
             seed=SEED,
-            spacing=SPACING,
+            spacing=SPACING_M,
             overwrite=overwrite or not complete,
             progress=progress,
         )

@@ -21,7 +21,7 @@ from salsanext_cli.parallel.threads import worker_count
 from salsanext_cli.storage.json_files import encode_json, read_json
 from salsanext_cli.storage.written_files import WrittenFiles
 from salsanext_cli.synthesis.drive import record
-from salsanext_cli.synthesis.ids import ABSENT
+from salsanext_cli.synthesis.surfaces import ABSENT
 
 MANIFEST = "synth.json"
 LABEL_SPACE = "labels.yaml"
@@ -44,9 +44,9 @@ class Synthesised:
     splits : dict of str to tuple of str
         Sequence names by split.
     scans : int
-        Over all sequences.
+        Number of scans of all sequences.
     points : dict of int to int
-        Points by raw id.
+        Number of points by raw id.
     """
 
     folder: Path
@@ -108,19 +108,19 @@ def synthesise(
     seed : int
         The same seed gives the same bytes, whatever `jobs` is.
     spacing : float
-        Metres that the vehicle drives between two scans.
+        Distance driven between two scans, metres.
     jobs : int
-        Processes that work side by side, each on a sequence; -1 is one per core.
+        Number of processes, each for a sequence at a time; -1 is one per core.
     overwrite : bool
         Whether an earlier synthetic data set in `out` may be replaced. Only files that were
         written by it, are unchanged since and are not behind a link are removed.
     progress : callable, optional
-        Called with the number of scans done and the number to do.
+        Called with the number of scans done and in total.
 
     Raises
     ------
     UsageError
-        If a number makes no sense.
+        If a number is out of range.
     OutputError
         If the folder holds something else or cannot be written, or if a file that would be
         replaced was changed or not written here.

@@ -8,10 +8,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from salsanext_cli.synthesis.ids import BUILDING
-from salsanext_cli.synthesis.materials import Material
-from salsanext_cli.synthesis.mesh import Array, Mesh, Skin, merge
-from salsanext_cli.synthesis.shapes import box, quads
+from salsanext_cli.synthesis.mesh import Array, Mesh, Skin, box, merge, quads
+from salsanext_cli.synthesis.surfaces import BUILDING, Material
 
 FOOT = -1.5
 """Walls reach this far below the ground, which is not level."""

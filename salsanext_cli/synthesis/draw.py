@@ -7,7 +7,7 @@ from collections.abc import Iterable
 
 import numpy as np
 
-from salsanext_cli.synthesis import ids
+from salsanext_cli.synthesis import surfaces
 from salsanext_cli.synthesis.mesh import Array
 from salsanext_cli.synthesis.plan import LEFT, RIGHT, Crossing, Lot, Plan, Side
 from salsanext_cli.synthesis.style import Style
@@ -94,17 +94,17 @@ def _lots(rng: np.random.Generator, style: Style, start: float, end: float) -> l
 
 
 def _lot(rng: np.random.Generator, kind: str, start: float, end: float, setback: float) -> Lot:
-    paved = ids.SIDEWALK if rng.random() < 0.4 else ids.TERRAIN
-    front, back = ids.TERRAIN, ids.TERRAIN
+    paved = surfaces.SIDEWALK if rng.random() < 0.4 else surfaces.TERRAIN
+    front, back = surfaces.TERRAIN, surfaces.TERRAIN
     drive = (start, start)
     if kind == "terrace":
-        front, back = paved if setback > 2 else ids.SIDEWALK, ids.TERRAIN
+        front, back = paved if setback > 2 else surfaces.SIDEWALK, surfaces.TERRAIN
     elif kind == "carpark":
-        front, back, setback = ids.PARKING, paved, rng.uniform(5.5, 12)
+        front, back, setback = surfaces.PARKING, paved, rng.uniform(5.5, 12)
     elif kind == "house":
         if rng.random() < 0.6 and end - start > 8:
             drive = (start + 0.4, start + 0.4 + rng.uniform(2.6, 3.6))
-        front = ids.SIDEWALK if rng.random() < 0.2 else ids.TERRAIN
+        front = surfaces.SIDEWALK if rng.random() < 0.2 else surfaces.TERRAIN
     elif kind == "yard" and rng.random() < 0.3:
-        front = ids.PARKING
+        front = surfaces.PARKING
     return Lot(kind, start, end, setback, front, back, drive)

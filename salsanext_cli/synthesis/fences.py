@@ -5,10 +5,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from salsanext_cli.synthesis.ids import FENCE
-from salsanext_cli.synthesis.materials import Material
-from salsanext_cli.synthesis.mesh import Mesh, Skin, merge
-from salsanext_cli.synthesis.shapes import box, quads
+from salsanext_cli.synthesis.mesh import Mesh, Skin, box, merge, quads
+from salsanext_cli.synthesis.surfaces import FENCE, Material
 
 FOOT = -0.4
 KINDS = ("pickets", "boards", "wall", "railing", "mesh")

@@ -8,10 +8,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from salsanext_cli.synthesis.ids import CLUTTER, POLE, SIGN, STRUCTURE
-from salsanext_cli.synthesis.materials import Material
-from salsanext_cli.synthesis.mesh import Mesh, Skin, merge
-from salsanext_cli.synthesis.shapes import box, disc, ellipsoid, quads, tube
+from salsanext_cli.synthesis.mesh import Mesh, Skin, box, disc, ellipsoid, merge, quads, tube
+from salsanext_cli.synthesis.surfaces import CLUTTER, POLE, SIGN, STRUCTURE, Material
 
 FOOT = -0.3
 

@@ -6,19 +6,19 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
-from salsanext_cli.synthesis import ids
-from salsanext_cli.synthesis.materials import Material
+from salsanext_cli.synthesis import surfaces
 from salsanext_cli.synthesis.mesh import Array, Mesh, Skin
 from salsanext_cli.synthesis.plan import REACH, Plan
+from salsanext_cli.synthesis.surfaces import Material
 
 KERB = 0.02
 """Half the depth of a kerb's face, metres: the grid has lines this far off every edge."""
 MATERIAL_OF = {
-    ids.ROAD: Material.ASPHALT,
-    ids.MARKING: Material.MARKING,
-    ids.PARKING: Material.PAVING,
-    ids.SIDEWALK: Material.PAVING,
-    ids.TERRAIN: Material.GRASS,
+    surfaces.ROAD: Material.ASPHALT,
+    surfaces.MARKING: Material.MARKING,
+    surfaces.PARKING: Material.PAVING,
+    surfaces.SIDEWALK: Material.PAVING,
+    surfaces.TERRAIN: Material.GRASS,
 }
 
 
@@ -30,7 +30,7 @@ def ground(rng: np.random.Generator, plan: Plan) -> Mesh:
     t = _lines(np.concatenate([across, -across]), t_edges, -REACH, REACH)
     grid_s, grid_t = np.meshgrid(s, t, indexing="ij")
     vertices = plan.world(grid_s, grid_t)
-    rough = (plan.label(grid_s, grid_t) == ids.TERRAIN) * rng.normal(0, 0.03, grid_s.shape)
+    rough = (plan.label(grid_s, grid_t) == surfaces.TERRAIN) * rng.normal(0, 0.03, grid_s.shape)
     vertices[..., 2] += rough
     middle = plan.label(
         (grid_s[:-1, :-1] + grid_s[1:, 1:]) / 2, (grid_t[:-1, :-1] + grid_t[1:, 1:]) / 2

@@ -10,8 +10,8 @@ import numpy.typing as npt
 
 from salsanext_cli.classes import RawIds
 from salsanext_cli.packages import import_open3d
-from salsanext_cli.synthesis.materials import optics_table
 from salsanext_cli.synthesis.mesh import Array, Mesh
+from salsanext_cli.synthesis.surfaces import optics_table
 
 MAX_RANGE_M, MIN_RANGE_M = 81.0, 1.6
 """Nothing is reported beyond or nearer."""

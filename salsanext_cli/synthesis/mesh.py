@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Triangle meshes with a raw id, a material and a brightness per triangle."""
+"""Triangle meshes with a class, a material and a brightness per triangle; elementary shapes."""
 
 from __future__ import annotations
 
@@ -10,9 +10,13 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from salsanext_cli.synthesis.materials import Material
+from salsanext_cli.synthesis.surfaces import Material
 
 Array = npt.NDArray[np.float64]
+BOX_FACES = np.array(
+    [[0, 2, 1], [1, 2, 3], [4, 5, 6], [5, 7, 6], [0, 1, 4], [1, 5, 4]]
+    + [[2, 6, 3], [3, 6, 7], [0, 4, 2], [2, 4, 6], [1, 3, 5], [3, 7, 5]]
+)
 
 
 class Skin(NamedTuple):
@@ -117,3 +121,86 @@ def merge(meshes: Iterable[Mesh]) -> Mesh:
         np.concatenate(shifted),
         *(np.concatenate([getattr(part, name) for part in parts]) for name in kept),
     )
+
+
+def box(low: npt.ArrayLike, high: npt.ArrayLike, skin: Skin) -> Mesh:
+    """Return an axis-parallel box between two corners."""
+    (x0, y0, z0), (x1, y1, z1) = np.asarray(low, float), np.asarray(high, float)
+    corners = np.array([[x, y, z] for z in (z0, z1) for y in (y0, y1) for x in (x0, x1)])
+    return Mesh.of(corners, BOX_FACES, skin)
+
+
+def quads(corners: Array, skin: Skin) -> Mesh:
+    """Return quadrangles given as (Q, 4, 3) corners in order around each."""
+    count = len(corners)
+    faces = np.arange(count)[:, None, None] * 4 + np.array([[0, 1, 2], [0, 2, 3]])
+    return Mesh.of(corners.reshape(-1, 3), faces.reshape(-1, 3), skin)
+
+
+def rings(sections: Array, skin: Skin, *, closed: bool = True) -> Mesh:
+    """Join consecutive (S, P, 3) sections by quadrangles; `closed` joins last point to first."""
+    count, size, _ = sections.shape
+    index = np.arange(count * size).reshape(count, size)
+    following = index[:, [*range(1, size), 0]] if closed else index[:, 1:]
+    first = index if closed else index[:, :-1]
+    a, b, c, d = first[:-1], following[:-1], following[1:], first[1:]
+    faces = np.concatenate([np.stack(f, -1).reshape(-1, 3) for f in ((a, b, c), (a, c, d))])
+    return Mesh.of(sections.reshape(-1, 3), faces, skin)
+
+
+def tube(path: npt.ArrayLike, radii: npt.ArrayLike, skin: Skin, sides: int = 7) -> Mesh:
+    """Return a tube along a (K, 3) path with a radius at every point (or one for all)."""
+    points = np.asarray(path, float)
+    radius = np.broadcast_to(np.asarray(radii, float), len(points))
+    along = np.gradient(points, axis=0)
+    along /= np.linalg.norm(along, axis=1, keepdims=True)
+    steepest = np.where(np.abs(along[:, 2:]) > 0.9, [1.0, 0.0, 0.0], [0.0, 0.0, 1.0])
+    across = _cross(along, steepest)
+    across /= np.linalg.norm(across, axis=1, keepdims=True)
+    upward = _cross(along, across)
+    angle = np.linspace(0, 2 * np.pi, sides, endpoint=False)
+    spread = np.cos(angle)[:, None] * across[:, None] + np.sin(angle)[:, None] * upward[:, None]
+    return rings(points[:, None] + radius[:, None, None] * spread, skin)
+
+
+def _cross(a: Array, b: Array) -> Array:
+    """Return the cross products of (K, 3) vectors; `numpy.cross` takes ten times as long on few."""
+    ax, ay, az = a.T
+    bx, by, bz = b.T
+    return np.stack([ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx], -1)
+
+
+def ellipsoid(
+    centre: npt.ArrayLike, radii: npt.ArrayLike, skin: Skin, unevenness: Array | None = None
+) -> Mesh:
+    """Return an ellipsoid of 6 rings of 8 points; `unevenness` (6, 8, 1) is relative, if any."""
+    latitude = np.linspace(-np.pi / 2, np.pi / 2, 6)[:, None]
+    longitude = np.linspace(0, 2 * np.pi, 8, endpoint=False)
+    level = np.cos(latitude)
+    height = np.broadcast_to(np.sin(latitude), (6, 8))
+    unit = np.stack([level * np.cos(longitude), level * np.sin(longitude), height], -1)
+    if unevenness is not None:
+        unit = unit * (1 + unevenness)
+    return rings(unit * np.asarray(radii, float) + np.asarray(centre, float), skin)
+
+
+def disc(centre: npt.ArrayLike, radius: float, skin: Skin, sides: int = 12) -> Mesh:
+    """Return a flat disc across the y axis."""
+    angle = np.linspace(0, 2 * np.pi, sides, endpoint=False)
+    rim = np.stack([radius * np.cos(angle), np.zeros(sides), radius * np.sin(angle)], -1)
+    vertices = np.concatenate([np.zeros((1, 3)), rim]) + np.asarray(centre, float)
+    index = np.arange(sides)
+    faces = np.stack([np.zeros(sides, np.int64), index + 1, (index + 1) % sides + 1], -1)
+    return Mesh.of(vertices, faces, skin)
+
+
+def facets(centres: Array, sizes: Array, skin: Skin, rng: np.random.Generator) -> Mesh:
+    """Return one randomly turned triangle around each of (F, 3) centres, like leaves.
+
+    `sizes` (F,) in metres; their brightness varies by a fifth.
+    """
+    count = len(centres)
+    corners = centres[:, None] + sizes[:, None, None] * rng.uniform(-1, 1, (count, 3, 3))
+    mesh = Mesh.of(corners.reshape(-1, 3), np.arange(count * 3).reshape(-1, 3), skin)
+    mesh.shades[:] *= np.exp(0.2 * rng.standard_normal(count)).astype(np.float32)
+    return mesh

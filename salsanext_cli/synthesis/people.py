@@ -8,10 +8,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from salsanext_cli.synthesis.ids import BICYCLE, BICYCLIST, PERSON
-from salsanext_cli.synthesis.materials import Material
-from salsanext_cli.synthesis.mesh import Array, Mesh, Skin, merge
-from salsanext_cli.synthesis.shapes import box, ellipsoid, tube
+from salsanext_cli.synthesis.mesh import Array, Mesh, Skin, box, ellipsoid, merge, tube
+from salsanext_cli.synthesis.surfaces import BICYCLE, BICYCLIST, PERSON, Material
 
 WHEEL = 0.34
 """Radius of a bicycle's wheel, metres."""

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from salsanext_cli.synthesis import ids
+from salsanext_cli.synthesis import surfaces
 from salsanext_cli.synthesis.mesh import Array
 from salsanext_cli.synthesis.style import Span, Style
 
@@ -163,7 +163,7 @@ class Plan:
 
     def label(self, s: Array, t: Array) -> npt.NDArray[np.uint32]:
         """Raw id of the ground at (s, t)."""
-        label = np.where(self._painted(s, t), ids.MARKING, ids.ROAD).astype(np.uint32)
+        label = np.where(self._painted(s, t), surfaces.MARKING, surfaces.ROAD).astype(np.uint32)
         for side in self.sides:
             beyond = side.sign * t - self.half
             label = np.where(beyond > 0, self._beside(s, beyond, side), label)
@@ -182,20 +182,22 @@ class Plan:
         return painted
 
     def _beside(self, s: Array, beyond: Array, side: Side) -> npt.NDArray[np.uint32]:
-        label = np.full(np.shape(s), ids.TERRAIN, np.uint32)
+        label = np.full(np.shape(s), surfaces.TERRAIN, np.uint32)
         for lot in side.lots:
             inside = (s >= lot.start) & (s < lot.end)
             front = beyond < side.depth + lot.setback
             drive = (s > lot.drive[0]) & (s < lot.drive[1]) & front
-            ground = np.where(drive, ids.PARKING, np.where(front, lot.front, lot.back))
+            ground = np.where(drive, surfaces.PARKING, np.where(front, lot.front, lot.back))
             label = np.where(inside, ground, label)
-        label = np.where(beyond < side.depth, ids.SIDEWALK, label)
-        label = np.where(beyond < side.parking + side.verge, ids.TERRAIN, label)
-        label = np.where(beyond < side.parking, ids.PARKING, label)
+        label = np.where(beyond < side.depth, surfaces.SIDEWALK, label)
+        label = np.where(beyond < side.parking + side.verge, surfaces.TERRAIN, label)
+        label = np.where(beyond < side.parking, surfaces.PARKING, label)
         for crossing in self._crossings_of(side):
             paved = np.abs(s - crossing.s) - crossing.half < crossing.pavement
-            label = np.where(paved & (beyond > side.parking), ids.SIDEWALK, label)
-        return np.where(self.on_side_street(s, beyond, side), ids.ROAD, label).astype(np.uint32)
+            label = np.where(paved & (beyond > side.parking), surfaces.SIDEWALK, label)
+        return np.where(self.on_side_street(s, beyond, side), surfaces.ROAD, label).astype(
+            np.uint32
+        )
 
     def edges(self) -> tuple[Array, Array]:
         """Return the s and the t at which the ground changes."""

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from salsanext_cli.synthesis import ids, lots, people, roadside, vehicles
+from salsanext_cli.synthesis import lots, people, roadside, surfaces, vehicles
 from salsanext_cli.synthesis.builder import Builder
 from salsanext_cli.synthesis.draw import draw_plan
 from salsanext_cli.synthesis.ground import ground
@@ -110,8 +110,8 @@ def _vehicles(builder: Builder, speed: float, duration: float) -> Iterator[Mover
 
 def _vehicle(builder: Builder) -> Mesh:
     if builder.chance(0.12):
-        return vehicles.truck(builder.rng).relabelled(ids.MOVING[ids.TRUCK])
-    return vehicles.car(builder.rng).relabelled(ids.MOVING[ids.CAR])
+        return vehicles.truck(builder.rng).relabelled(surfaces.MOVING[surfaces.TRUCK])
+    return vehicles.car(builder.rng).relabelled(surfaces.MOVING[surfaces.CAR])
 
 
 def _walkers(builder: Builder, duration: float) -> Iterator[Mover]:
@@ -125,7 +125,7 @@ def _walkers(builder: Builder, duration: float) -> Iterator[Mover]:
             for _ in range(int(builder.rng.integers(1, 3))):
                 t = side.sign * (plan.half + out + builder.rng.normal(0, 0.35))
                 place = s + builder.rng.normal(0, 0.6)
-                person = people.person(builder.rng).relabelled(ids.MOVING[ids.PERSON])
+                person = people.person(builder.rng).relabelled(surfaces.MOVING[surfaces.PERSON])
                 yield Mover(person, place, t, pace)
 
 
@@ -138,5 +138,5 @@ def _riders(builder: Builder, speed: float, duration: float) -> Iterator[Mover]:
         meeting = builder.between(0, duration)
         s = MARGIN_M + speed * meeting - pace * meeting + builder.rng.normal(0, 22)
         t = sign * (plan.half + builder.between(-0.9, 0.9))
-        rider = people.rider(builder.rng).relabelled(ids.MOVING[ids.BICYCLIST])
+        rider = people.rider(builder.rng).relabelled(surfaces.MOVING[surfaces.BICYCLIST])
         yield Mover(rider, float(s), t, pace)

@@ -8,11 +8,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from salsanext_cli.synthesis.ids import TRUNK, VEGETATION
-from salsanext_cli.synthesis.materials import Material
-from salsanext_cli.synthesis.mesh import Array, Mesh, Skin, merge
-from salsanext_cli.synthesis.shapes import ellipsoid, facets, rings, tube
+from salsanext_cli.synthesis.mesh import Array, Mesh, Skin, ellipsoid, facets, merge, rings, tube
 from salsanext_cli.synthesis.style import Span
+from salsanext_cli.synthesis.surfaces import TRUNK, VEGETATION, Material
 
 FOOT = -0.4
 

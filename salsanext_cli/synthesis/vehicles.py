@@ -6,13 +6,86 @@ Local frame: x forward, y left, the middle of the footprint at the origin, the g
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 
-from salsanext_cli.synthesis.bodies import CARS, LORRY_CAB, POINTS, Body
-from salsanext_cli.synthesis.ids import CAR, TRUCK
-from salsanext_cli.synthesis.materials import Material
-from salsanext_cli.synthesis.mesh import Array, Mesh, Skin, merge
-from salsanext_cli.synthesis.shapes import box, disc, rings, tube
+from salsanext_cli.synthesis.mesh import Array, Mesh, Skin, box, disc, merge, rings, tube
+from salsanext_cli.synthesis.surfaces import CAR, TRUCK, Material
+
+POINTS = 8
+"""Points of a cross-section of a body."""
+
+
+class Body(NamedTuple):
+    """Shape of a car.
+
+    ``profile`` has a row per station from front to rear: position (0…1 of the length), height of
+    the belt line and of the roof (metres), width of the roof (share of the width).
+    ``cabin`` are the stations whose sides are windows, ``screens`` those whose top is glass too.
+    """
+
+    length: float
+    width: float
+    bottom: float
+    wheel: float
+    profile: Array
+    cabin: tuple[int, ...]
+    screens: tuple[int, ...]
+
+
+SEDAN = Body(
+    4.55, 1.78, 0.22, 0.31,
+    np.array([
+        [0.00, 0.52, 0.58, 0.80], [0.02, 0.64, 0.70, 0.86], [0.25, 0.84, 0.96, 0.86],
+        [0.41, 0.92, 1.40, 0.68], [0.55, 0.93, 1.45, 0.68], [0.58, 0.93, 1.45, 0.68],
+        [0.70, 0.95, 1.40, 0.68], [0.85, 0.97, 1.08, 0.80], [0.98, 0.90, 1.02, 0.82],
+        [1.00, 0.58, 0.66, 0.80],
+    ]), (3, 5), (2, 6),
+)  # fmt: skip
+HATCH = Body(
+    3.95, 1.70, 0.22, 0.29,
+    np.array([
+        [0.00, 0.52, 0.60, 0.80], [0.03, 0.66, 0.74, 0.84], [0.24, 0.88, 1.00, 0.86],
+        [0.42, 0.95, 1.45, 0.70], [0.58, 0.96, 1.49, 0.70], [0.61, 0.96, 1.49, 0.70],
+        [0.86, 0.98, 1.44, 0.68], [0.97, 0.95, 1.02, 0.78], [1.00, 0.60, 0.70, 0.82],
+    ]), (3, 5), (2, 6),
+)  # fmt: skip
+WAGON = Body(
+    4.65, 1.80, 0.22, 0.31,
+    np.array([
+        [0.00, 0.52, 0.58, 0.80], [0.02, 0.66, 0.72, 0.86], [0.25, 0.86, 0.98, 0.86],
+        [0.40, 0.93, 1.44, 0.70], [0.55, 0.94, 1.50, 0.70], [0.57, 0.94, 1.50, 0.70],
+        [0.76, 0.96, 1.50, 0.70], [0.78, 0.96, 1.50, 0.70], [0.91, 0.98, 1.46, 0.68],
+        [0.98, 0.96, 1.04, 0.78], [1.00, 0.60, 0.68, 0.82],
+    ]), (3, 5, 7), (2, 8),
+)  # fmt: skip
+SUV = Body(
+    4.50, 1.86, 0.30, 0.36,
+    np.array([
+        [0.00, 0.62, 0.70, 0.82], [0.03, 0.82, 0.90, 0.86], [0.24, 1.02, 1.12, 0.88],
+        [0.38, 1.08, 1.62, 0.74], [0.55, 1.09, 1.70, 0.74], [0.58, 1.09, 1.70, 0.74],
+        [0.78, 1.10, 1.70, 0.74], [0.80, 1.10, 1.69, 0.74], [0.93, 1.12, 1.62, 0.72],
+        [0.98, 1.08, 1.16, 0.80], [1.00, 0.66, 0.74, 0.84],
+    ]), (3, 5, 7), (2, 8),
+)  # fmt: skip
+VAN = Body(
+    4.95, 1.92, 0.26, 0.33,
+    np.array([
+        [0.00, 0.62, 0.70, 0.84], [0.02, 0.86, 0.94, 0.88], [0.13, 1.08, 1.18, 0.90],
+        [0.28, 1.16, 1.88, 0.80], [0.42, 1.16, 1.95, 0.82], [0.45, 1.16, 1.95, 0.82],
+        [0.66, 1.16, 1.95, 0.82], [0.69, 1.16, 1.95, 0.82], [0.95, 1.16, 1.93, 0.80],
+        [0.99, 1.12, 1.30, 0.84], [1.00, 0.70, 0.80, 0.84],
+    ]), (3, 5, 7), (2, 8),
+)  # fmt: skip
+LORRY_CAB = Body(
+    2.2, 2.3, 0.45, 0.45,
+    np.array([
+        [0.00, 0.80, 0.90, 0.92], [0.03, 1.25, 1.35, 0.94], [0.14, 1.40, 2.40, 0.90],
+        [0.45, 1.40, 2.60, 0.90], [0.70, 1.40, 2.62, 0.90], [1.00, 1.40, 2.60, 0.90],
+    ]), (3,), (1,),
+)  # fmt: skip
+CARS = (SEDAN, HATCH, WAGON, HATCH, SUV, WAGON, VAN)
 
 
 def _paint(rng: np.random.Generator) -> float:

@@ -37,9 +37,8 @@ def test_the_panels_are_those_of_the_design():
 
 
 @pytest.mark.parametrize("name", NAMES)
-@pytest.mark.parametrize("flag", ["--help", "-h"])
-def test_every_help_ends_its_text_with_an_example(run, name, flag):
-    result = run(*name.split(), flag)
+def test_every_help_ends_its_text_with_an_example(run, name):
+    result = run(*name.split(), "-h")
     assert result.exit_code == 0
     text = " ".join(result.stdout.partition("╭─")[0].split())
     assert re.search(rf"\. Example: salsanext {name}( \S+)*$", text), text
@@ -107,12 +106,9 @@ def test_a_wrong_command_line_is_status_two(run, arguments):
     assert result.exit_code == 2
     assert result.stdout == ""
     assert "Traceback" not in result.stderr
-
-
-def test_a_typo_is_not_taken_for_something_else(run):
-    result = run("predict", "--overwrit")
-    assert "No such option" in result.stderr
-    assert "--overwrite" in result.stderr
+    if "--overwrit" in arguments:
+        assert "No such option" in result.stderr
+        assert "--overwrite" in result.stderr
 
 
 @pytest.mark.parametrize("name", NAMES)

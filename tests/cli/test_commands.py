@@ -103,15 +103,6 @@ def test_on_error_stop(predict, data, tmp_path):
     assert len(labels_below(out)) == 1
 
 
-def test_eval_prints_a_table_and_writes_scores(run, predicted):
-    result = run("eval", "--out", predicted, "--split", "valid")
-    assert result.exit_code == 0
-    assert "car" in result.stdout
-    assert "mean" in result.stdout.lower()
-    assert (predicted / "scores.txt").exists()
-    assert "eval: 2 scans" in result.stderr
-
-
 def test_eval_with_other_settings_needs_overwrite(run, predict, predicted, data):
     assert run("eval", "--out", predicted, "--limit", 1).exit_code == 0
     before = (predicted / "eval.json").read_bytes()
@@ -137,7 +128,9 @@ def test_eval_prints_how_good_the_uncertainty_is_and_notices_when_it_changes(
     assert run(*sampled, "--samples", 2).exit_code == 0
     result = run("eval", "--out", out)
     assert result.exit_code == 0
-    for word in ("NLL", "ECE per scan", "confidence", "mutual_information", "AUSE"):
+    assert "eval: 2 scans" in result.stderr
+    assert (out / "scores.txt").exists()
+    for word in ("car", "mean", "NLL", "ECE per scan", "confidence", "mutual_information", "AUSE"):
         assert word in result.stdout
     for name in ("reliability", "risk_coverage", "sparsification", "class_uncertainty"):
         assert (out / f"eval_{name}.png").exists()
@@ -310,12 +303,6 @@ def test_folders_from_the_environment(run, data, weights, tmp_path, monkeypatch)
     assert len(labels_below(tmp_path / "from environment")) == 2
     assert run("eval", "-q").exit_code == 0
     assert run("export-ply", "-q").exit_code == 0
-
-
-def test_without_scans_the_data_set_here(run, data, weights, monkeypatch):
-    monkeypatch.chdir(data)
-    assert run("predict", "--weights", weights).exit_code == 0
-    assert len(labels_below(data / "out")) == 2
 
 
 def test_file_names_that_are_not_text(run, weights, tmp_path):

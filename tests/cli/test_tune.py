@@ -14,27 +14,28 @@ from salsanext_cli.storage.selection import ScanSelection
 UPS = [f"up{i}" for i in range(1, 5)]
 
 
+def rows_of(result):
+    """Return the rows of a printed table."""
+    lines = (line.split("│")[1:-1] for line in result.stdout.splitlines() if "│" in line)
+    return [[cell.strip() for cell in line] for line in lines]
+
+
 def test_a_temperature_is_printed_and_stored(run, data, weights, tmp_path):
     target = tmp_path / "tuned.safetensors"
     arguments = ("tune", "temperature", data, target, "--weights", weights, "--device", "cpu")
     result = run(*arguments)
     assert result.exit_code == 0, result.output
-    rows = [line.split("│")[1:-1] for line in result.stdout.splitlines() if "│" in line]
-    (_, *before), (_, *after) = ([cell.strip() for cell in row] for row in rows)
+    (_, *before), (_, *after) = rows_of(result)
     assert before[0] == "1.0000"
     assert after[0] == f"{read_card(target).temperature:.4f}"
     assert float(after[1]) < float(before[1])
     assert result.stderr.endswith(f" points of 2 scans → {target}\n")
     assert "exists" in run(*arguments).stderr
     found = only_json(run(*arguments, "--overwrite", "--json", "--limit", 1))
-    assert (
-        found.items() >= {"stage": "tune temperature", "scans": 1, "weights": str(target)}.items()
-    )
+    expected = {"stage": "tune temperature", "scans": 1, "weights": str(target)}
+    assert found.items() >= expected.items()
     assert found["after"]["temperature"] == read_card(target).temperature
-    assert set(found["before"]) == {"temperature", "nll", "ece"}
-    shown = only_json(run("models", target, "--json"))["weights"][0]
-    assert shown["temperature"] == read_card(target).temperature
-    assert f"{shown['temperature']:.4g}" in run("models", target).stdout
+    assert f"{read_card(target).temperature:.4g}" in run("models", target).stdout
 
 
 def test_batch_norm_is_adapted_to_scans_without_labels(run, data, weights, tmp_path):
@@ -43,25 +44,18 @@ def test_batch_norm_is_adapted_to_scans_without_labels(run, data, weights, tmp_p
     arguments = ("tune", "batchnorm", scans, target, "--weights", weights, "--device", "cpu")
     result = run(*arguments, "--limit", 1)
     assert result.exit_code == 0, result.output
-    rows = [line.split("│")[1:-1] for line in result.stdout.splitlines() if "│" in line]
-    parts = {name.strip(): [float(cell) for cell in cells] for name, *cells in rows}
+    parts = {name: [float(cell) for cell in cells] for name, *cells in rows_of(result)}
     assert list(parts) == ["context", *(f"block{i}" for i in range(1, 6)), *UPS, "all"]
-    layers = sum(count for name, (count, *_) in parts.items() if name != "all")
-    assert layers == parts["all"][0] == 42
     assert result.stderr == f"tune batchnorm: 1 scans of small → {target}\n"
     assert "exists" in run(*arguments).stderr
-    same = only_json(run(*arguments, "--overwrite", "--json", "--limit", 1))["layers"]
-    context = [layer for layer in same if layer["layer"].startswith("context.")]
-    for name, layers in (("context", context), ("all", same)):
+    found = only_json(run(*arguments, "--overwrite", "--json", "--limit", 1, "--share", 0.5))
+    expected = {"stage": "tune batchnorm", "scans": 1, "sensor": "small", "share": 0.5}
+    assert found.items() >= {**expected, "weights": str(target)}.items()
+    context = [layer for layer in found["layers"] if layer["layer"].startswith("context.")]
+    for name, layers in (("context", context), ("all", found["layers"])):
         shift = np.mean([layer["shift"] for layer in layers])
         ratio = np.exp(np.mean(np.log([layer["variance_ratio"] for layer in layers])))
         assert parts[name] == pytest.approx([len(layers), shift, ratio], abs=6e-4)
-    found = only_json(run(*arguments, "--overwrite", "--json", "--share", 0.25))
-    assert (found["stage"], found["scans"], found["share"]) == ("tune batchnorm", 2, 0.25)
-    assert (found["sensor"], found["weights"]) == ("small", str(target))
-    assert found["layers"][0].keys() == {"layer", "shift", "variance_ratio"}
-    assert len(found["layers"]) == 42
-    assert "share 0.25" in only_json(run("models", target, "--json"))["weights"][0]["description"]
 
 
 @pytest.fixture

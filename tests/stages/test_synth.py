@@ -16,7 +16,7 @@ from salsanext_cli.stages import synth
 from salsanext_cli.stages.synth import synthesise
 from salsanext_cli.storage.layout import find_scans
 from salsanext_cli.synthesis.drive import Frame
-from salsanext_cli.synthesis.ids import ABSENT
+from salsanext_cli.synthesis.surfaces import ABSENT
 
 TINY = {"scans": 2, "spacing": 12.0, "seed": 3}
 

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 from sklearn.neighbors import NearestNeighbors
 
-from salsanext_cli.synthesis import ids
+from salsanext_cli.synthesis import surfaces
 from salsanext_cli.synthesis.drive import MOUNT_M, SPEED_M_PER_S, record
 
 SPACING = 2.5
@@ -35,14 +35,14 @@ def test_scans_look_like_an_hdl64s(frames):
 
 def test_the_road_is_below_the_sensor(frames):
     for frame in frames:
-        road = frame.scan.points[np.isin(frame.labels, (ids.ROAD, ids.MARKING))]
+        road = frame.scan.points[np.isin(frame.labels, (surfaces.ROAD, surfaces.MARKING))]
         near = road[np.hypot(road[:, 0], road[:, 1]) < 8]
         assert np.median(near[:, 2]) == pytest.approx(-MOUNT_M, abs=0.15)
         assert near[:, 2].std() < 0.15
 
 
 def test_standing_things_stay_where_they_are(frames):
-    still = (ids.BUILDING, ids.FENCE, ids.POLE, ids.CLUTTER, ids.CAR)
+    still = (surfaces.BUILDING, surfaces.FENCE, surfaces.POLE, surfaces.CLUTTER, surfaces.CAR)
     first, second = (world(frame, still) for frame in frames[:2])
     here = first[np.linalg.norm(first - frames[1].pose[:3, 3], axis=1) < 12]
     distance, _ = NearestNeighbors(n_neighbors=1).fit(second).kneighbors(here)
@@ -77,7 +77,7 @@ def next_street():
 
 
 def test_moving_things_are_not_where_they_were(next_street):
-    moving = tuple(ids.MOVING.values())
+    moving = tuple(surfaces.MOVING.values())
     before, after = (world(frame, moving) for frame in next_street)
     assert len(before)
     assert len(after)

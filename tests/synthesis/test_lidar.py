@@ -5,11 +5,9 @@ import numpy as np
 import pytest
 
 from salsanext_cli.synthesis.beams import hdl64
-from salsanext_cli.synthesis.ids import BUILDING, CAR, ROAD
 from salsanext_cli.synthesis.lidar import RANGE_NOISE_M, Scene, measure
-from salsanext_cli.synthesis.materials import OPTICS, Material
-from salsanext_cli.synthesis.mesh import Skin
-from salsanext_cli.synthesis.shapes import quads
+from salsanext_cli.synthesis.mesh import Skin, quads
+from salsanext_cli.synthesis.surfaces import BUILDING, CAR, OPTICS, ROAD, Material
 
 
 def wall(distance, material=Material.PLASTER, label=BUILDING, shade=1.0):

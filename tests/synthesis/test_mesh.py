@@ -4,10 +4,18 @@
 import numpy as np
 import pytest
 
-from salsanext_cli.synthesis.ids import CAR, POLE
-from salsanext_cli.synthesis.materials import Material
-from salsanext_cli.synthesis.mesh import Mesh, Skin, merge
-from salsanext_cli.synthesis.shapes import box, disc, ellipsoid, facets, quads, tube
+from salsanext_cli.synthesis.mesh import (
+    Mesh,
+    Skin,
+    box,
+    disc,
+    ellipsoid,
+    facets,
+    merge,
+    quads,
+    tube,
+)
+from salsanext_cli.synthesis.surfaces import CAR, POLE, Material
 
 STEEL = Skin(POLE, Material.METAL, 0.5)
 

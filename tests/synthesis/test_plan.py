@@ -4,7 +4,7 @@
 import numpy as np
 import pytest
 
-from salsanext_cli.synthesis import ids
+from salsanext_cli.synthesis import surfaces
 from salsanext_cli.synthesis.draw import draw_plan
 from salsanext_cli.synthesis.ground import ground
 from salsanext_cli.synthesis.plan import REACH
@@ -25,7 +25,7 @@ def test_strips_lie_in_order_from_the_kerb_outwards(plan):
         ends = np.cumsum([side.parking, side.verge, side.sidewalk])
         starts = ends - [side.parking, side.verge, side.sidewalk]
         for start, end, label in zip(
-            starts, ends, (ids.PARKING, ids.TERRAIN, ids.SIDEWALK), strict=True
+            starts, ends, (surfaces.PARKING, surfaces.TERRAIN, surfaces.SIDEWALK), strict=True
         ):
             if end > start:
                 t = side.sign * (plan.half + (start + end) / 2)
@@ -36,8 +36,8 @@ def test_strips_lie_in_order_from_the_kerb_outwards(plan):
 def test_the_carriageway_is_road_or_paint(plan):
     s, t = np.meshgrid(np.arange(0, 160, 0.5), np.linspace(-0.99, 0.99, 41) * plan.half)
     labels = plan.label(s, t)
-    assert set(np.unique(labels)) <= {ids.ROAD, ids.MARKING}
-    assert (labels == ids.ROAD).mean() > 0.6
+    assert set(np.unique(labels)) <= {surfaces.ROAD, surfaces.MARKING}
+    assert (labels == surfaces.ROAD).mean() > 0.6
 
 
 @pytest.mark.parametrize("plan", PLANS, ids=lambda plan: plan.style.name)
@@ -49,7 +49,7 @@ def test_side_streets_are_road_and_level_with_it(plan):
             s = np.array([crossing.s])
             for out in (0.5, 5.0, 30.0):
                 t = np.array([side.sign * (plan.half + out)])
-                assert plan.label(s, t).item() == ids.ROAD
+                assert plan.label(s, t).item() == surfaces.ROAD
                 camber = -0.015 * plan.half
                 assert plan.relief(s, t).item() == pytest.approx(camber, abs=1e-9)
 
@@ -87,5 +87,5 @@ def test_the_ground_has_no_holes_and_the_plans_labels():
     # On a bend the outside gains what the inside loses: the area is that of the straight street.
     assert twice.sum() / 2 == pytest.approx(2 * REACH * plan.length, rel=0.01)
     assert set(np.unique(mesh.labels)) <= {
-        ids.ROAD, ids.MARKING, ids.PARKING, ids.SIDEWALK, ids.TERRAIN
+        surfaces.ROAD, surfaces.MARKING, surfaces.PARKING, surfaces.SIDEWALK, surfaces.TERRAIN
     }  # fmt: skip

@@ -8,9 +8,9 @@ from salsanext_cli.synthesis import (
     buildings,
     fences,
     furniture,
-    ids,
     lots,
     people,
+    surfaces,
     vegetation,
     vehicles,
 )
@@ -20,20 +20,21 @@ from salsanext_cli.synthesis.plan import Lot
 from salsanext_cli.synthesis.style import STYLES
 
 THINGS = {
-    "car": (vehicles.car, {ids.CAR}, (3.4, 1.6, 1.3), (5.5, 2.4, 2.5)),
-    "truck": (vehicles.truck, {ids.TRUCK}, (5.0, 2.0, 2.0), (16.5, 3.3, 4.2)),
-    "person": (people.person, {ids.PERSON}, (0.2, 0.2, 1.0), (1.4, 1.1, 2.0)),
-    "bicycle": (people.bicycle, {ids.BICYCLE}, (1.5, 0.4, 0.8), (2.0, 0.8, 1.3)),
-    "rider": (people.rider, {ids.BICYCLIST}, (1.5, 0.4, 1.6), (2.1, 0.9, 2.1)),
-    "lamp": (furniture.lamp, {ids.POLE}, (0.1, 0.1, 3.5), (0.6, 3.5, 9.8)),
-    "post": (furniture.post, {ids.POLE}, (0.07, 0.07, 0.9), (0.25, 0.25, 8.5)),
-    "sign": (furniture.sign, {ids.POLE, ids.SIGN}, (0.05, 0.05, 1.3), (1.6, 0.3, 4.2)),
-    "board": (furniture.board, {ids.POLE, ids.SIGN}, (0.7, 0.1, 1.3), (3.0, 0.3, 3.5)),
+    "car": (vehicles.car, {surfaces.CAR}, (3.4, 1.6, 1.3), (5.5, 2.4, 2.5)),
+    "truck": (vehicles.truck, {surfaces.TRUCK}, (5.0, 2.0, 2.0), (16.5, 3.3, 4.2)),
+    "person": (people.person, {surfaces.PERSON}, (0.2, 0.2, 1.0), (1.4, 1.1, 2.0)),
+    "bicycle": (people.bicycle, {surfaces.BICYCLE}, (1.5, 0.4, 0.8), (2.0, 0.8, 1.3)),
+    "rider": (people.rider, {surfaces.BICYCLIST}, (1.5, 0.4, 1.6), (2.1, 0.9, 2.1)),
+    "lamp": (furniture.lamp, {surfaces.POLE}, (0.1, 0.1, 3.5), (0.6, 3.5, 9.8)),
+    "post": (furniture.post, {surfaces.POLE}, (0.07, 0.07, 0.9), (0.25, 0.25, 8.5)),
+    "sign": (furniture.sign, {surfaces.POLE, surfaces.SIGN}, (0.05, 0.05, 1.3), (1.6, 0.3, 4.2)),
+    "board": (furniture.board, {surfaces.POLE, surfaces.SIGN}, (0.7, 0.1, 1.3), (3.0, 0.3, 3.5)),
     "light": (
-        furniture.traffic_light, {ids.POLE, ids.CLUTTER}, (0.1, 0.1, 3.2), (0.5, 0.6, 4.0),
+        furniture.traffic_light, {surfaces.POLE, surfaces.CLUTTER},
+        (0.1, 0.1, 3.2), (0.5, 0.6, 4.0),
     ),
-    "clutter": (furniture.clutter, {ids.CLUTTER}, (0.3, 0.2, 0.3), (7.0, 7.0, 3.7)),
-    "shelter": (furniture.shelter, {ids.STRUCTURE}, (2.4, 1.3, 2.4), (4.8, 1.8, 2.9)),
+    "clutter": (furniture.clutter, {surfaces.CLUTTER}, (0.3, 0.2, 0.3), (7.0, 7.0, 3.7)),
+    "shelter": (furniture.shelter, {surfaces.STRUCTURE}, (2.4, 1.3, 2.4), (4.8, 1.8, 2.9)),
 }  # fmt: skip
 
 
@@ -71,8 +72,8 @@ PLANTS = {
 @pytest.mark.parametrize("name", PLANTS)
 def test_plants_are_vegetation_on_trunks_and_ragged(name):
     mesh = PLANTS[name](np.random.default_rng(1))
-    assert set(np.unique(mesh.labels).tolist()) <= {ids.VEGETATION, ids.TRUNK}
-    leaves = mesh.triangles[mesh.labels == ids.VEGETATION]
+    assert set(np.unique(mesh.labels).tolist()) <= {surfaces.VEGETATION, surfaces.TRUNK}
+    leaves = mesh.triangles[mesh.labels == surfaces.VEGETATION]
     corners = mesh.vertices[leaves]
     edge = np.linalg.norm(corners[:, 0] - corners[:, 1], axis=1)
     assert len(leaves) > 100
@@ -82,7 +83,7 @@ def test_plants_are_vegetation_on_trunks_and_ragged(name):
 @pytest.mark.parametrize("kind", [*fences.KINDS, "barrier"])
 def test_fences_have_their_length(kind):
     mesh = fences.fence(np.random.default_rng(0), 4.0, kind, 1.2, 1.0)
-    assert set(mesh.labels) == {ids.FENCE}
+    assert set(mesh.labels) == {surfaces.FENCE}
     assert mesh.vertices[:, 0].min() >= 0
     assert 4.0 <= mesh.vertices[:, 0].max() <= 4.25
     assert mesh.vertices[:, 2].max() < 1.6
@@ -90,7 +91,7 @@ def test_fences_have_their_length(kind):
 
 def test_houses_have_glass_behind_the_wall():
     mesh = buildings.house(np.random.default_rng(2), 12.0, 9.0, 3)
-    assert set(mesh.labels) == {ids.BUILDING}
+    assert set(mesh.labels) == {surfaces.BUILDING}
     glass = mesh.vertices[mesh.triangles[mesh.materials == 6]].reshape(-1, 3)
     front = glass[np.abs(glass[:, 1]) < 1]
     assert len(front)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Reflection of a 905 nm laser pulse by materials: brightness, gloss, roughness.
+"""Surfaces: raw SemanticKITTI ids, materials, and how these reflect a 905 nm laser pulse.
 
 The levels were set so that the intensity of each class spreads as it does in scans of an HDL-64E.
 """
@@ -11,6 +11,18 @@ from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
+
+CAR, BICYCLE, TRUCK, PERSON, BICYCLIST = 10, 11, 18, 30, 31
+ROAD, PARKING, SIDEWALK, MARKING, TERRAIN = 40, 44, 48, 60, 72
+BUILDING, FENCE, STRUCTURE = 50, 51, 52
+VEGETATION, TRUNK = 70, 71
+POLE, SIGN, CLUTTER = 80, 81, 99
+
+MOVING = {CAR: 252, BICYCLIST: 253, PERSON: 254, TRUCK: 258}
+"""The raw id of a class while it moves."""
+
+ABSENT = ("motorcycle", "other-vehicle", "motorcyclist", "other-ground")
+"""Classes that the street never holds."""
 
 
 class Material(IntEnum):
