@@ -23,7 +23,7 @@ def train(
     recipe: Annotated[
         str,
         typer.Option(
-            help="paper, paper-v1, modern, street, heteroscedastic, quick, or a .toml file.",
+            help="paper, paper-v1, modern, street, quick, or a .toml file.",
             rich_help_panel="Network",
         ),
     ] = "paper",

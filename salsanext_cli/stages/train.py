@@ -32,7 +32,6 @@ from salsanext_cli.training.dataset import Samples
 from salsanext_cli.training.distributed import ProcessGroup, group_of_environment, process_group
 from salsanext_cli.training.events import EVENTS, events_in
 from salsanext_cli.training.fit import BEST, LAST, Report, Training
-from salsanext_cli.training.heteroscedastic import require_noise
 from salsanext_cli.training.log import Row
 from salsanext_cli.training.losses import class_weights
 from salsanext_cli.training.memory import keep_freed_memory
@@ -112,8 +111,6 @@ def train(
     NoInputError, LabelError, FormatError, TrainingError
         Before the first step, if the data cannot be trained on; `TrainingError` if the loss is
         not finite.
-    UsageError
-        If the recipe trains variances and the sensor's noise is unknown or nothing.
     OutputError
         If the folder cannot be written or holds another training.
     WeightsError
@@ -133,8 +130,6 @@ def train(
         validated = evenly_spaced(validation, recipe.validation_scans)
         module, architecture, own_sensor = _start(weights, classes, recipe)
         sensor = sensor or own_sensor
-        if recipe.heteroscedastic:
-            require_noise(sensor)
         _require_pixels(recipe, sensor, module, group)
         card = WeightsCard(architecture, classes, sensor, recipe.to_dict(), {}, _describe(dataset))
 

@@ -20,7 +20,6 @@ from salsanext_cli.classes import LabelSpace, TrainIds
 from salsanext_cli.errors import SalsanextError
 from salsanext_cli.formats import read_scan
 from salsanext_cli.formats.kitti import read_labels
-from salsanext_cli.geometry.noise import input_variance
 from salsanext_cli.geometry.normalise import normalise
 from salsanext_cli.geometry.projection import project
 from salsanext_cli.records import Float, RangeImage
@@ -33,10 +32,7 @@ from salsanext_cli.training.plan import SAMPLE, Draw, Plan
 from salsanext_cli.training.recipe import Recipe
 
 Batch = tuple[Tensor, Tensor, Tensor]
-"""Normalised images (B, 5, H, W), truth (B, H, W) uint8, indices of the scans (B,) int64.
-
-Of a heteroscedastic recipe the images have their variances behind them, (B, 10, H, W).
-"""
+"""Normalised images (B, 5, H, W), truth (B, H, W) uint8, indices of the scans (B,) int64."""
 
 
 def read_labelled(file: ScanFile, space: LabelSpace, sensor: Sensor) -> Labelled:
@@ -125,10 +121,7 @@ class Samples(Dataset[tuple[Float, TrainIds, int]]):
     rare: npt.NDArray[np.bool_]
 
     def __getitem__(self, draw: Draw) -> tuple[Float, TrainIds, int]:
-        """Return the image (5, H, W), the truth (H, W) and the index of the scan.
-
-        Of a heteroscedastic recipe the image is (10, H, W): its variances are behind it.
-        """
+        """Return the image (5, H, W), the truth (H, W) and the index of the scan."""
         position, index = draw
         width = Plan(len(self.files), self.recipe).crop_width(position)
         random = np.random.default_rng((self.recipe.seed, SAMPLE, position))
@@ -137,7 +130,7 @@ class Samples(Dataset[tuple[Float, TrainIds, int]]):
         truth = pixel_truth(image, labels)
         on_class = self.recipe.crop_on_class
         columns = choose_columns(truth, self.space.scored, width, on_class, random)
-        return self._input(image.channels[:, :, columns]), truth[:, columns], index
+        return normalise(image.channels[:, :, columns], self.sensor), truth[:, columns], index
 
     def _mixed(self, index: int, random: np.random.Generator) -> Labelled:
         """Return an augmented scan, mixed with others as often as the recipe says."""
@@ -161,13 +154,6 @@ class Samples(Dataset[tuple[Float, TrainIds, int]]):
 
     def _read(self, index: int) -> Labelled:
         return read_labelled(self.files[index], self.space, self.sensor)
-
-    def _input(self, channels: Float) -> Float:
-        """Return what the recipe's loss needs of (5, H, W) channels: normalised; variances."""
-        mean = normalise(channels, self.sensor)
-        if not self.recipe.heteroscedastic:
-            return mean
-        return np.concatenate([mean, input_variance(channels, self.sensor)])
 
 
 def batches(

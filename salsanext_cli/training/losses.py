@@ -150,8 +150,8 @@ class Whole:
 
     Attributes
     ----------
-    weight, pixels : 0-d float tensor
-        Of all pixels of all parts of all workers, and how many of them count.
+    weight : 0-d float tensor
+        Of all pixels of all parts of all workers.
     parts : int
         How many parts each worker has.
     team : Team
@@ -159,7 +159,6 @@ class Whole:
     """
 
     weight: Tensor
-    pixels: Tensor
     parts: int
     group: ProcessGroup = SINGLE_PROCESS
 
@@ -185,10 +184,9 @@ class SegmentationLoss(nn.Module):
         self.lovasz = lovasz
         self.smoothing = smoothing
 
-    def size(self, truth: Tensor) -> Tensor:
-        """Return weight and number of the pixels of integer truth (B, H, W) that count, (2,)."""
-        of_pixels = self.weights[truth.long()]
-        return torch.stack([of_pixels.sum(), (of_pixels > 0).sum()])
+    def weight_of(self, truth: Tensor) -> Tensor:
+        """Return the weight of all pixels of integer truth (B, H, W), 0-d."""
+        return self.weights[truth.long()].sum()
 
     def forward(self, logits: Tensor, truth: Tensor, whole: Whole | None = None) -> Tensor:
         """Return the loss of logits (B, C, H, W) for integer truth (B, H, W), 0-d.

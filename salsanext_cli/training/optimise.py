@@ -15,7 +15,6 @@ from torch.nn.parallel import DistributedDataParallel
 
 from salsanext_cli.network.segmentation import SegmentationNetwork
 from salsanext_cli.training.distributed import SINGLE_PROCESS, ProcessGroup
-from salsanext_cli.training.heteroscedastic import HeteroscedasticLoss, MomentNetwork, with_moments
 from salsanext_cli.training.losses import SegmentationLoss, Whole
 from salsanext_cli.training.precision import autocast, dtype_of, scaler
 from salsanext_cli.training.recipe import Recipe
@@ -63,7 +62,7 @@ def shared(module: nn.Module, device: torch.device, group: ProcessGroup) -> nn.M
     if group.size == 1:
         return module
     # torch's own is faster, but takes nothing but tensors on GPUs.
-    if device.type == "cuda" and not isinstance(module, MomentNetwork):
+    if device.type == "cuda":
         module = nn.SyncBatchNorm.convert_sync_batchnorm(module)  # type: ignore[no-untyped-call]
     else:
         module = with_team_norm(module)
@@ -79,8 +78,7 @@ class Learner:
     recipe : Recipe
     module : SegmentationNetwork
         Being trained.
-    loss : SegmentationLoss or HeteroscedasticLoss
-        Takes what `forward` returns.
+    loss : SegmentationLoss
     optimiser : torch.optim.Optimizer
     average : SegmentationNetwork
         What is validated and kept: the running average of the weights, or the module itself.
@@ -93,12 +91,12 @@ class Learner:
     team : Team
         Who else trains the module.
     forward : nn.Module
-        What is called in training: the module, wrapped for moments and for a team.
+        What is called in training: the module, wrapped for a team.
     """
 
     recipe: Recipe
     module: SegmentationNetwork
-    loss: SegmentationLoss | HeteroscedasticLoss
+    loss: SegmentationLoss
     optimiser: torch.optim.Optimizer
     average: SegmentationNetwork
     scaler: torch.amp.GradScaler
@@ -121,12 +119,9 @@ class Learner:
         if device.type == "cuda":
             module = module.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
         average = copy.deepcopy(module).eval() if recipe.average else module
-        of_mean = SegmentationLoss(weights, recipe.lovasz, recipe.label_smoothing)
-        loss, forward = with_moments(of_mean, module, recipe)
-        loss, forward = loss.to(device), shared(forward, device, group)
-        # Variances are too small for shorter types.
-        precision = "float32" if recipe.heteroscedastic else recipe.precision
-        optimiser, dtype = build_optimiser(module, recipe), dtype_of(precision, device)
+        loss = SegmentationLoss(weights, recipe.lovasz, recipe.label_smoothing).to(device)
+        forward = shared(module, device, group)
+        optimiser, dtype = build_optimiser(module, recipe), dtype_of(recipe.precision, device)
         scale = scaler(dtype, device)
         return cls(recipe, module, loss, optimiser, average, scale, dtype, device, group, forward)
 
@@ -148,7 +143,6 @@ class Learner:
         Parameters
         ----------
         images : (B, 5, H, W) float32
-            As `Samples` of the recipe gives them: with their variances, (B, 10, H, W).
         truth : (B, H, W) uint8
         step : int
             Of the whole training, from 0; decides learning rate and dropout.
@@ -203,8 +197,7 @@ class Learner:
     def _whole(self, truth: Tensor, parts: int) -> Whole | None:
         if parts * self.group.size == 1:
             return None
-        weight, pixels = self.group.sum(self.loss.size(truth))
-        return Whole(weight, pixels, parts, self.group)
+        return Whole(self.group.sum(self.loss.weight_of(truth)), parts, self.group)
 
     def _summing(self, *, at_last: bool) -> AbstractContextManager[None]:
         """Exchange gradients with the team after the last part only."""

@@ -19,7 +19,7 @@ from salsanext_cli.storage.stage_records import (
 )
 from salsanext_cli.training.events import EVENTS
 from salsanext_cli.training.fit import BEST, CHECKPOINT, CURVE, LAST, LOG, SAMPLES
-from salsanext_cli.training.recipe import Recipe
+from salsanext_cli.training.recipe import REMOVED, Recipe
 
 STAGE = "train"
 RECIPE = "recipe.toml"
@@ -92,10 +92,12 @@ def take(run: Path, settings: Mapping[str, Any], *, overwrite: bool) -> None:
 def _decisive(settings: Mapping[str, Any]) -> dict[str, Any]:
     """Return the settings that a training may not change on the way.
 
-    What recipes of older versions do not say is the default. The parts of a batch may change, since
-    a training that has run out of memory must be able to go on.
+    What recipes of older versions do not say is the default, and what they say in vain is left
+    out. The parts of a batch may change, since a training that has run out of memory must be able
+    to go on.
     """
     recipe = settings.get("recipe")
     if not isinstance(recipe, dict):
         return dict(settings)
+    recipe = {key: v for key, v in recipe.items() if key not in REMOVED or v != REMOVED[key]}
     return {**settings, "recipe": {**Recipe().to_dict(), **recipe, "accumulate": None}}

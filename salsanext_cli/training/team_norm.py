@@ -13,8 +13,6 @@ import torch.distributed as dist
 from torch import Tensor, nn
 from torch.autograd.function import once_differentiable
 
-from salsanext_cli.uncertainty.adf import Gaussian
-
 
 class SumOverTeam(torch.autograd.Function):
     """The sum of the tensors of all workers, with a gradient.
@@ -47,23 +45,19 @@ def add_up(own: Tensor) -> Tensor:
 class TeamBatchNorm(nn.BatchNorm2d):
     """`BatchNorm2d` whose statistics, in training, are those of the batches of all workers."""
 
-    def forward(self, input: Tensor | Gaussian) -> Any:
+    def forward(self, input: Tensor) -> Tensor:
         """Normalise (B, C, H, W); every worker must come here, with at least one image."""
         if not self.training:
-            return super().forward(input)  # type: ignore[arg-type]
-        given = input.mean if isinstance(input, Gaussian) else input
+            return super().forward(input)
         # Sums over an image do not fit into shorter types.
-        values = given.to(torch.promote_types(given.dtype, torch.float32))
+        values = input.to(torch.promote_types(input.dtype, torch.float32))
         count = add_up(values.new_tensor(values.numel() / values.shape[1]))
         mean = add_up(values.sum((0, 2, 3))) / count
         centred = values - mean[:, None, None]
         variance = add_up(centred.square().sum((0, 2, 3))) / count
         self._track(mean.detach(), variance.detach() * count / (count - 1))
         scale = (self.weight * torch.rsqrt(variance + self.eps))[:, None, None]
-        made = (centred * scale + self.bias[:, None, None]).to(given.dtype)
-        if isinstance(input, Gaussian):
-            return input.like(made, input.variance * scale.square())
-        return made
+        return (centred * scale + self.bias[:, None, None]).to(input.dtype)
 
     @torch.no_grad()
     def _track(self, mean: Tensor, variance: Tensor) -> None:

@@ -28,8 +28,6 @@ CASES: dict[str, dict[str, object]] = {
     "in parts": {"lovasz": 0.0, "accumulate": 2},
     "nothing labelled": {"labels": 0},
     "bfloat16": {"precision": "bfloat16"},
-    "moments": {"heteroscedastic": 0.1},
-    "moments in parts": {"heteroscedastic": 0.1, "lovasz": 0.0, "accumulate": 2},
 }
 
 
@@ -79,8 +77,6 @@ def stepped(group: ProcessGroup, case: str) -> dict[str, Tensor]:
     labels = changes.pop("labels", 1)
     learning = learner(group, **changes)
     images, truth = batch(labels)  # type: ignore[arg-type]
-    if learning.recipe.heteroscedastic:
-        images = torch.cat([images, images.square()], 1)
     own = (share(images, group), share(truth, group))
     found = {"loss": torch.tensor(learning.step(*own, 5, 1))}
     for name, parameter in learning.module.named_parameters():
