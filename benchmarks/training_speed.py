@@ -2,8 +2,7 @@
 """Steps per second of `salsanext train` beside those of a loop as published ones are written.
 
 Both have the same network, weights to begin with, scans, recipe and number of threads, and prepare
-their samples themselves, without worker processes. Each is a process of its own, since how it takes
-memory is part of its speed. They take turns of a few steps, so that what else the machine does
+their samples themselves, without worker processes. Each is a process of its own. They take turns of a few steps, so that what else the machine does
 falls on both; printed are the median and the range of the turns' ratios, and what each part of a
 step took. First, both must find the same loss for the same batch.
 
@@ -30,7 +29,6 @@ from salsanext_cli.storage.layout import find_scans
 from salsanext_cli.training.class_counts import count_classes, rare_classes
 from salsanext_cli.training.dataset import Samples, batches
 from salsanext_cli.training.losses import class_weights
-from salsanext_cli.training.memory import keep_freed_memory
 from salsanext_cli.training.optimise import Learner
 from salsanext_cli.training.plan import Plan
 from salsanext_cli.training.recipe import Recipe
@@ -94,7 +92,6 @@ class Comparison:
 
     def ours(self) -> tuple[float, Callable[[], object]]:
         """Return the same of our training, whose parts are told by hooks."""
-        keep_freed_memory()
         learner = Learner.of(self.module, self.recipe, self.weights, torch.device("cpu"))
         images, truth, _ = next(self.stream())
         learner.module.train()

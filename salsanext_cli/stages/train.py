@@ -34,7 +34,6 @@ from salsanext_cli.training.events import EVENTS, events_in
 from salsanext_cli.training.fit import BEST, LAST, Report, Training
 from salsanext_cli.training.log import Row
 from salsanext_cli.training.losses import class_weights
-from salsanext_cli.training.memory import keep_freed_memory
 from salsanext_cli.training.optimise import Learner
 from salsanext_cli.training.recipe import Recipe
 from salsanext_cli.training.run_folder import require_free, take, trained_alone
@@ -119,8 +118,6 @@ def train(
     workers = worker_count(jobs)
     _require_work_for_all(recipe, group_of_environment())
     with process_group(device) as (group, place), ExitStack() as held:
-        if place.type == "cpu":
-            keep_freed_memory()
 
         def find() -> tuple[LabelSpace, list[ScanFile], list[ScanFile]]:
             known = space or data_set_label_space(dataset) or label_space()
