@@ -220,6 +220,8 @@ class Training:
     def _scores(self) -> Row:
         """Score the validation scans, each by one worker."""
         group, space = self.learner.group, self.card.space
+        # On CPUs the workers' statistics of batch norm differ; kept are those of the main one.
+        group.broadcast(self.learner.average.buffers())
         own = validate(self._network(), self.validation[group.rank :: group.size])
         counts = group.sum(torch.from_numpy(own.matrix).to(self.learner.device))
         result = scores(Confusion(space.class_count, counts.cpu().numpy()), space)

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import copy
+import logging
 import math
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass
@@ -19,10 +20,11 @@ from salsanext_cli.training.losses import SegmentationLoss, Whole
 from salsanext_cli.training.precision import autocast, dtype_of, scaler
 from salsanext_cli.training.recipe import Recipe
 from salsanext_cli.training.schedule import learning_rate
-from salsanext_cli.training.team_norm import with_team_norm
 
 DROPOUT = 2
 """What a generator is for; part of its seed, beside those of `plan`."""
+
+log = logging.getLogger(__name__)
 
 
 def build_optimiser(module: nn.Module, recipe: Recipe) -> torch.optim.Optimizer:
@@ -61,12 +63,12 @@ def shared(module: nn.Module, device: torch.device, group: ProcessGroup) -> nn.M
     """Return what to call in training: the module, or what adds up its gradient over a team."""
     if group.size == 1:
         return module
-    # torch's own is faster, but takes nothing but tensors on GPUs.
     if device.type == "cuda":
         module = nn.SyncBatchNorm.convert_sync_batchnorm(module)  # type: ignore[no-untyped-call]
-    else:
-        module = with_team_norm(module)
-    return DistributedDataParallel(module, [device] if device.type == "cuda" else None)
+        return DistributedDataParallel(module, [device])
+    if group.is_main and any(isinstance(layer, nn.BatchNorm2d) for layer in module.modules()):
+        log.warning("on CPUs batch norm has the statistics of each worker's share of a batch")
+    return DistributedDataParallel(module)
 
 
 @dataclass(slots=True, eq=False)
