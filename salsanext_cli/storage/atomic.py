@@ -7,7 +7,7 @@ import errno
 import os
 import re
 import uuid
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from contextvars import ContextVar
 from pathlib import Path
@@ -26,7 +26,12 @@ STALE = 24 * 3600.0
 
 
 @contextmanager
-def writing(path: Path | str, *, durable: bool = False) -> Iterator[BinaryIO]:
+def writing(
+    path: Path | str,
+    *,
+    durable: bool = False,
+    before_rename: Callable[[os.stat_result], object] | None = None,
+) -> Iterator[BinaryIO]:
     """Open a file for writing that appears under its name only when it is complete.
 
     Parent folders are made. If the body raises, Ctrl-C included, nothing is left behind and an
@@ -39,6 +44,8 @@ def writing(path: Path | str, *, durable: bool = False) -> Iterator[BinaryIO]:
     durable : bool
         Whether it must survive a power cut too, for some milliseconds. Otherwise what was written
         in the last half minute before may be empty or cut off then.
+    before_rename : callable, optional
+        Called with the status of the complete file before it gets its name.
 
     Raises
     ------
@@ -54,6 +61,8 @@ def writing(path: Path | str, *, durable: bool = False) -> Iterator[BinaryIO]:
             if durable:
                 file.flush()
                 os.fsync(file.fileno())
+        if before_rename:
+            before_rename(temporary.stat())
         temporary.replace(path)
         if durable:
             _keep_names(path.parent)
