@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from pathlib import Path
+from typing import BinaryIO
 
 import numpy as np
 
@@ -16,7 +16,6 @@ from salsanext_cli.report.canvas import stretched
 from salsanext_cli.report.colours import Colours
 from salsanext_cli.report.panel import range_strip
 from salsanext_cli.report.range_image import error_picture, label_picture
-from salsanext_cli.storage.atomic import writing
 from salsanext_cli.storage.layout import ScanFile
 
 TALLER = 3
@@ -25,13 +24,13 @@ GAP = 6
 """White rows between strips."""
 
 
-def draw_sample(path: Path, file: ScanFile, network: Network) -> Colours:
+def draw_sample(out: BinaryIO, file: ScanFile, network: Network) -> Colours:
     """Draw range, truth, prediction and errors of a labelled scan below each other, as PNG.
 
     Parameters
     ----------
-    path : Path
-        Where to write.
+    out : BinaryIO
+        An open file.
     file : ScanFile
         The scan.
     network : Network
@@ -59,6 +58,5 @@ def draw_sample(path: Path, file: ScanFile, network: Network) -> Colours:
     gap = np.full((GAP, sensor.width, 3), 255, np.uint8)
     rows = [part for strip in strips for part in (gap, stretched(strip, TALLER, 1))][1:]
     picture = np.concatenate(rows)
-    with writing(path) as out:
-        imsave(out, picture, format="png")
+    imsave(out, picture, format="png")
     return picture

@@ -25,7 +25,7 @@ LONGEST = 2000
 """Characters of an error, which is one line to read."""
 MANY_CASES = int(os.environ.get("FUZZ_CASES", "5000"))
 NAMES = (
-    *("pickle of a checkpoint", "pickle of a published one"),
+    "pickle of a published one",
     *("bin", "pcd.bin", "label", "npy", "npy of uncertainty", "npy of probabilities", "ply"),
     *("pcd ascii", "pcd binary", "pcd binary_compressed", "yaml", "toml of a sensor"),
     *("toml of a recipe", "safetensors", "checkpoint", "published", "published, old"),

@@ -23,7 +23,6 @@ from salsanext_cli.errors import (
     FormatError,
     OutputError,
     SalsanextError,
-    TrainingError,
     UsageError,
     WeightsError,
 )
@@ -39,10 +38,7 @@ from salsanext_cli.storage.json_files import read_json
 from salsanext_cli.storage.layout import ScanFile, output_path
 from salsanext_cli.storage.point_files import write_bin, write_labels
 from salsanext_cli.storage.sources import remembered_scans
-from salsanext_cli.training.checkpoint import TrainingState, load_checkpoint, save_checkpoint
-from salsanext_cli.training.distributed import ProcessGroup
-from salsanext_cli.training.optimise import Learner
-from salsanext_cli.training.recipe import Recipe, recipe
+from salsanext_cli.training.recipe import recipe
 
 SPACE = "labels: {0: a, 1: b}\nlearning_map: {0: 0, 1: 1}\nlearning_map_inv: {0: 0, 1: 1}\n"
 
@@ -50,7 +46,6 @@ SPACE = "labels: {0: a, 1: b}\nlearning_map: {0: 0, 1: 1}\nlearning_map_inv: {0:
 @pytest.fixture(scope="module", autouse=True)
 def _imported(tmp_path_factory: pytest.TempPathFactory) -> None:
     """Import what readers import when they are first used; that is no matter of the file."""
-    tiny_learner()
     path = tmp_path_factory.mktemp("first") / "p.pt"
     for old in (False, True):
         torch.save({"logits.bias": torch.ones(1)}, path, _use_new_zipfile_serialization=not old)
@@ -294,17 +289,7 @@ def test_checkpoints_run_nothing(tmp_path: Path, wrap: Callable[[bytes], bytes])
     witness = tmp_path / "witness"
     data = wrap(pickle.dumps({"state_dict": Evil(witness)}, protocol=2))
     refused(tmp_path / "p.pt", data, read_published, WeightsError)
-    refused(
-        tmp_path / "c.pt", data, lambda path: load_checkpoint(path, tiny_learner()), TrainingError
-    )
     assert not witness.exists()
-
-
-def tiny_learner() -> Learner:
-    with torch.random.fork_rng([]):
-        torch.manual_seed(0)
-        module = TinyNetwork(20)
-    return Learner.of(module, Recipe(), torch.ones(20), torch.device("cpu"), ProcessGroup())
 
 
 @pytest.mark.parametrize(
@@ -319,31 +304,6 @@ def tiny_learner() -> Learner:
 )
 def test_checkpoints_that_promise_more_than_they_hold(tmp_path: Path, data: bytes) -> None:
     refused(tmp_path / "p.pt", data, read_published, WeightsError)
-    refused(
-        tmp_path / "c.pt", data, lambda path: load_checkpoint(path, tiny_learner()), TrainingError
-    )
-
-
-@pytest.mark.parametrize(
-    "progress",
-    [
-        *(
-            {"epoch": "1"},
-            {"epoch": -1},
-            {"epoch": True},
-            {"best": None},
-            {"rows": [{"loss": 1.0}]},
-        ),
-        *({"losses": ["x"]}, {"rows": [{"epoch": 1, "loss": "x"}]}, {"rows": 3}, {"other": 1}),
-    ],
-)
-def test_checkpoints_whose_course_is_none(tmp_path: Path, progress: dict[str, object]) -> None:
-    learner, path = tiny_learner(), tmp_path / "c.pt"
-    save_checkpoint(path, learner, TrainingState())
-    state = torch.load(path, weights_only=True)
-    torch.save({**state, "progress": {**state["progress"], **progress}}, path)
-    with pytest.raises(TrainingError, match="cannot be resumed from"):
-        load_checkpoint(path, learner)
 
 
 def test_half_as_large_while_it_is_read(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

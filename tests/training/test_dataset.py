@@ -30,8 +30,8 @@ from salsanext_cli.training.dataset import (
     read_labelled,
 )
 from salsanext_cli.training.distributed import ProcessGroup
-from salsanext_cli.training.plan import Plan
 from salsanext_cli.training.recipe import Recipe, recipe
+from salsanext_cli.training.sampling import SamplingPlan
 
 SPACE = label_space()
 RARE = np.isin(SPACE.names, ["bicycle", "person", "pole"])
@@ -127,7 +127,7 @@ def test_windows_on_a_class_where_none_is() -> None:
 
 
 def test_every_scan_is_drawn_once_before_any_is_drawn_again() -> None:
-    plan = Plan(10, Recipe(epochs=3, batch=4))
+    plan = SamplingPlan(10, Recipe(epochs=3, batch=4))
     drawn = [index for batch in plan.batches() for _, index in batch]
     assert len(drawn) == 36
     for time in range(3):
@@ -136,14 +136,14 @@ def test_every_scan_is_drawn_once_before_any_is_drawn_again() -> None:
 
 
 def test_every_batch_is_whole() -> None:
-    plan = Plan(10, Recipe(epochs=2, batch=4))
+    plan = SamplingPlan(10, Recipe(epochs=2, batch=4))
     assert [len(batch) for batch in plan.batches()] == 6 * [4]
     assert (plan.steps_per_epoch, plan.steps) == (3, 6)
 
 
 @pytest.mark.parametrize("size", [3, 7, 25])
 def test_epochs_of_another_size_than_the_data(size: int) -> None:
-    plan = Plan(10, Recipe(epochs=4, batch=4, samples_per_epoch=size))
+    plan = SamplingPlan(10, Recipe(epochs=4, batch=4, samples_per_epoch=size))
     draws = [draw for batch in plan.batches() for draw in batch]
     assert [position for position, _ in draws] == list(range(4 * plan.steps))
     assert size <= 4 * plan.steps_per_epoch < size + 4
@@ -153,13 +153,13 @@ def test_epochs_of_another_size_than_the_data(size: int) -> None:
 
 @pytest.mark.parametrize("first", range(7))
 def test_what_is_drawn_from_a_step_on_does_not_depend_on_where_one_begins(first: int) -> None:
-    plan = Plan(5, Recipe(epochs=3, batch=3, samples_per_epoch=7))
+    plan = SamplingPlan(5, Recipe(epochs=3, batch=3, samples_per_epoch=7))
     assert list(plan.batches(first)) == list(plan.batches())[first:]
 
 
 @pytest.mark.parametrize("size", [1, 2, 3, 4])
 def test_workers_together_draw_what_one_alone_draws(size: int) -> None:
-    plan = Plan(8, Recipe(epochs=2, batch=5))
+    plan = SamplingPlan(8, Recipe(epochs=2, batch=5))
     shares = [list(plan.batches(1, ProcessGroup(rank, size))) for rank in range(size)]
     whole = list(plan.batches(1))
     assert len(whole) == 3
@@ -170,7 +170,7 @@ def test_workers_together_draw_what_one_alone_draws(size: int) -> None:
 
 
 def test_what_all_workers_draw_first_is_a_permutation_of_all_scans() -> None:
-    plan = Plan(12, Recipe(epochs=1, batch=4))
+    plan = SamplingPlan(12, Recipe(epochs=1, batch=4))
     shares = [plan.batches(0, ProcessGroup(rank, 2)) for rank in range(2)]
     indices = [index for share in shares for batch in share for _, index in batch]
     assert sorted(indices) == list(range(12))
@@ -178,7 +178,7 @@ def test_what_all_workers_draw_first_is_a_permutation_of_all_scans() -> None:
 
 def test_batches_do_not_depend_on_the_number_of_workers(files: list[ScanFile]) -> None:
     recipe = Recipe(epochs=2, batch=2, crop_width=32, mix=0.5, paste=0.5, whole_epochs=1)
-    plan = Plan(len(files), recipe)
+    plan = SamplingPlan(len(files), recipe)
     alone, helped = (list(batches(samples(files, recipe), plan, 0, n)) for n in (0, 1))
     assert len(alone) == len(helped) == 6
     assert [images.shape[3] for images, *_ in alone] == 3 * [32] + 3 * [SMALL.width]
@@ -269,7 +269,7 @@ def test_pasting_where_no_point_is_rare(files: list[ScanFile]) -> None:
 def test_all_images_of_a_batch_are_as_wide(files: list[ScanFile], size: int) -> None:
     """Two of four epochs are whole; a worker that has nothing left goes along."""
     recipe = Recipe(epochs=4, batch=3, samples_per_epoch=4, crop_width=32, whole_epochs=2)
-    plan = Plan(len(files), recipe)
+    plan = SamplingPlan(len(files), recipe)
     drawn = samples(files, recipe)
     shares = [list(plan.batches(0, ProcessGroup(rank, size))) for rank in range(size)]
     for step, parts in enumerate(zip(*shares, strict=True)):

@@ -131,7 +131,7 @@ def test_workers_that_were_killed_go_on_as_if_they_had_not_been(tmp_path: Path) 
     whole, parts = tmp_path / "whole", tmp_path / "parts"
     assert torchrun(script, data, whole).returncode == 0
     assert torchrun(script, data, parts, 6).returncode != 0
-    assert (parts / "checkpoint.pt").exists()
+    assert (parts / "checkpoint.safetensors").exists()
     severed = torchrun(script, data, parts, "severed")
     assert severed.returncode != 0
     assert "the first worker goes on after step 6, this one after step 0" in severed.stderr

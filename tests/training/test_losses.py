@@ -8,7 +8,7 @@ from torch.nn import functional as F
 
 from salsanext_cli.training.losses import (
     SegmentationLoss,
-    Whole,
+    WholeBatch,
     class_weights,
     jaccard_gradient,
     lovasz_softmax,
@@ -214,7 +214,7 @@ def test_the_best_prediction_of_a_smoothed_truth_does_not_depend_on_the_weights(
 def test_smoothed_parts_add_up_to_the_whole() -> None:
     loss = SegmentationLoss(torch.tensor([0.0, 1.0, 3.0]), 0.0, 0.2)
     logits, truth = torch.randn(4, 3, 5, 5), torch.randint(0, 3, (4, 5, 5))
-    whole = Whole(loss.weight_of(truth), 2)
+    whole = WholeBatch(loss.weight_of(truth), 2)
     parts = [loss(logits[p], truth[p], whole) for p in (slice(0, 1), slice(1, 4))]
     torch.testing.assert_close(parts[0] + parts[1], loss(logits, truth))
 

@@ -16,7 +16,7 @@ from torch.nn import functional as F
 from salsanext_cli.errors import TrainingError
 from salsanext_cli.network.dropout import ChannelDropout
 from salsanext_cli.training.distributed import ProcessGroup, process_group
-from salsanext_cli.training.optimise import Learner
+from salsanext_cli.training.learner import Learner
 from salsanext_cli.training.recipe import Recipe
 
 WEIGHTS = torch.tensor([0.0, 1.0, 2.0, 0.5])
@@ -58,7 +58,7 @@ def batch(labels: int = 1) -> tuple[Tensor, Tensor]:
 
 
 def share(whole: Tensor, group: ProcessGroup) -> Tensor:
-    """Return a worker's part of a batch as `Plan` deals it."""
+    """Return a worker's part of a batch as `SamplingPlan` deals it."""
     return whole[group.rank :: group.size]
 
 
