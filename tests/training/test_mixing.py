@@ -14,7 +14,6 @@ from salsanext_cli.training.mixing import (
     CLEAR_RADIUS_M,
     Checkerboard,
     LabelledScan,
-    concatenate,
     mix,
     paste,
     select,
@@ -64,11 +63,6 @@ def test_odd_points_are_those_of_odd_cells(bands: int, sectors: int, azimuth: fl
     assert sure.mean() > 0.98
     np.testing.assert_array_equal(odd[sure], np.array(expected)[sure].astype(bool))
     assert 0.1 < odd.mean() < 0.9
-
-
-def test_points_beyond_the_view_belong_to_the_outer_bands() -> None:
-    points = np.float32([[1, 0, -5], [1, 0, -0.4], [1, 0, 0], [1, 0, 9]])
-    assert Checkerboard(2, 1, 0.0, DOWN, UP).odd(points).tolist() == [False, False, True, True]
 
 
 @settings(max_examples=40)
@@ -174,11 +168,3 @@ def test_nothing_is_pasted_on_the_sensor_or_without_a_measurement() -> None:
     scan, labels = paste(labelled(1), broken, np.array([1.0, 2.0]))
     assert len(labels) == 1500 + 2
     np.testing.assert_allclose(np.hypot(*scan.points[1500:].T[:2]), 1.1 * CLEAR_RADIUS_M, rtol=1e-5)
-
-
-def test_joining_keeps_the_order() -> None:
-    scan, labels = concatenate(labelled(1), labelled(2, 5000), labelled(3, 9000, 4))
-    np.testing.assert_array_equal(
-        scan.intensity, [*range(1500), *range(5000, 6500), *range(9000, 9004)]
-    )
-    np.testing.assert_array_equal(labels[3000:], labelled(3, 9000, 4)[1])

@@ -42,11 +42,6 @@ def test_a_recipe_survives_its_toml(name: str, tmp_path: Path) -> None:
     assert tomllib.loads(recipe(name).to_toml()) == recipe(name).to_dict()
 
 
-def test_a_recipe_survives_its_dict() -> None:
-    changed = Recipe(epochs=3, optimiser="adamw")
-    assert Recipe.from_dict(changed.to_dict()) == changed
-
-
 def test_a_recipe_of_before_a_key_lacks_it() -> None:
     old = recipe("street").to_dict()
     for key in ("mix", "paste", "label_smoothing", "whole_epochs"):
@@ -79,10 +74,6 @@ def test_an_unknown_key_names_the_known_ones(tmp_path: Path) -> None:
         recipe(path)
     with pytest.raises(UsageError, match="unknown key learnig_rate"):
         Recipe().with_changes(learnig_rate=1.0)
-
-
-def test_changes() -> None:
-    assert recipe("quick").with_changes(epochs=9).epochs == 9
 
 
 @pytest.mark.parametrize(
