@@ -2,10 +2,10 @@
 """Steps per second of `salsanext train` beside those of a loop as published ones are written.
 
 Both have the same network, weights to begin with, scans, recipe and number of threads, and prepare
-their samples themselves, without worker processes. Each is a process of its own, since how it takes
-memory is part of its speed. They take turns of a few steps, so that what else the machine does
-falls on both; printed are the median and the range of the turns' ratios, and what each part of a
-step took. First, both must find the same loss for the same batch.
+their samples themselves, without worker processes. Each is a process of its own. They take turns
+of a few steps, so that what else the machine does falls on both; printed are the median and the
+range of the turns' ratios, and what each part of a step took. First, both must find the same loss
+for the same batch.
 
 Run: python benchmarks/training_speed.py DATASET [--sensor hdl64 --batch 2 --width 512 …]
 """
@@ -29,11 +29,10 @@ from salsanext_cli.sensors import sensor
 from salsanext_cli.storage.layout import find_scans
 from salsanext_cli.training.class_counts import count_classes, rare_classes
 from salsanext_cli.training.dataset import Samples, batches
+from salsanext_cli.training.learner import Learner
 from salsanext_cli.training.losses import class_weights
-from salsanext_cli.training.memory import keep_freed_memory
-from salsanext_cli.training.optimise import Learner
-from salsanext_cli.training.plan import Plan
 from salsanext_cli.training.recipe import Recipe
+from salsanext_cli.training.sampling import SamplingPlan
 
 SIDES = ("plain", "ours")
 PARTS = ("data", "forward", "loss", "backward", "update", "book-keeping")
@@ -79,7 +78,7 @@ class Comparison:
 
     def stream(self) -> Iterator[tuple[Tensor, Tensor, Tensor]]:
         """Return the batches as `salsanext train` has them."""
-        return batches(self.samples, Plan(len(self.samples.files), self.recipe), 0)
+        return batches(self.samples, SamplingPlan(len(self.samples.files), self.recipe), 0)
 
     def plain(self) -> tuple[float, Callable[[], object]]:
         """Return the plain loop's loss of the first batch, and what takes a step."""
@@ -94,7 +93,6 @@ class Comparison:
 
     def ours(self) -> tuple[float, Callable[[], object]]:
         """Return the same of our training, whose parts are told by hooks."""
-        keep_freed_memory()
         learner = Learner.of(self.module, self.recipe, self.weights, torch.device("cpu"))
         images, truth, _ = next(self.stream())
         learner.module.train()

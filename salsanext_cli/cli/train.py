@@ -21,7 +21,7 @@ class Start:
     """Recipe, weights and sensor that a training starts from."""
 
     recipe: str = options.network_option(
-        "paper, paper-v1, modern, street, heteroscedastic, quick, or a .toml file.", default="paper"
+        "paper, paper-v1, modern, street, quick, or a .toml file.", default="paper"
     )
     changes: list[str] | None = options.network_option(
         "Value instead of the recipe's; may be given several times.", "--set", metavar="KEY=VALUE"

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import BinaryIO
 
 import numpy as np
 
@@ -20,7 +21,6 @@ from salsanext_cli.report.colours import Colours, error_colours, label_colours, 
 from salsanext_cli.report.panel import Strip, panel, range_strip, scalar_strip
 from salsanext_cli.report.range_image import error_picture, label_picture
 from salsanext_cli.sensors import Sensor
-from salsanext_cli.storage.atomic import writing
 from salsanext_cli.storage.layout import ScanFile
 from salsanext_cli.storage.scan_results import read_results
 
@@ -72,15 +72,15 @@ def draw_scan(
     return range_path, above_path
 
 
-def draw_sample(path: Path, file: ScanFile, network: Network) -> Colours:
+def draw_sample(out: BinaryIO, file: ScanFile, network: Network) -> Colours:
     """Draw range, truth, prediction and errors of a labelled scan below each other, as PNG.
 
     It is quick to draw: strips without words.
 
     Parameters
     ----------
-    path : Path
-        Where to write.
+    out : BinaryIO
+        An open file.
     file : ScanFile
         The scan.
     network : Network
@@ -106,8 +106,7 @@ def draw_sample(path: Path, file: ScanFile, network: Network) -> Colours:
     gap = np.full((GAP_PX, sensor.width, 3), 255, np.uint8)
     rows = [part for s in strips for part in (gap, stretched(s.picture, ROW_HEIGHT_PX, 1))][1:]
     picture = np.concatenate(rows)
-    with writing(path) as out:
-        imsave(out, picture, format="png")
+    imsave(out, picture, format="png")
     return picture
 
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Train: a labelled data set in, a run folder with weights, log and curve out."""
+"""Stage `train`: a labelled data set to a run folder with weights, log and curve."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from salsanext_cli.network.registry import build
 from salsanext_cli.network.segmentation import SegmentationNetwork
 from salsanext_cli.network.weights import WeightsCard, read_weights
 from salsanext_cli.parallel.threads import worker_count
-from salsanext_cli.report.sample_picture import draw_sample
+from salsanext_cli.report.scan_pictures import draw_sample
 from salsanext_cli.sensors import Sensor
 from salsanext_cli.sensors import sensor as preset_sensor
 from salsanext_cli.storage.identity import fingerprint
@@ -30,24 +30,28 @@ from salsanext_cli.storage.selection import data_set_label_space
 from salsanext_cli.training.class_counts import class_counts, rare_classes, require_labels
 from salsanext_cli.training.dataset import Samples
 from salsanext_cli.training.distributed import ProcessGroup, group_of_environment, process_group
-from salsanext_cli.training.events import EVENTS, events_in
-from salsanext_cli.training.fit import BEST, LAST, Report, Training
-from salsanext_cli.training.heteroscedastic import require_noise
-from salsanext_cli.training.log import Row
+from salsanext_cli.training.fit import Report, Training
+from salsanext_cli.training.learner import Learner
+from salsanext_cli.training.log import Row, tensorboard_in
 from salsanext_cli.training.losses import class_weights
-from salsanext_cli.training.memory import keep_freed_memory
-from salsanext_cli.training.optimise import Learner
 from salsanext_cli.training.recipe import Recipe
-from salsanext_cli.training.run_folder import require_absent, take, trained_alone
+from salsanext_cli.training.run_folder import (
+    BEST,
+    CLASS_COUNTS,
+    EVENTS,
+    LAST,
+    begin,
+    require_free,
+    trained_alone,
+)
 from salsanext_cli.training.validation import evenly_spaced
 
 DEFAULT_SENSOR = "hdl64"
-CLASS_COUNTS = "class_counts.json"
 
 
 @dataclass(frozen=True, slots=True)
 class TrainResult:
-    """What a training ended with.
+    """Result of a training.
 
     Attributes
     ----------
@@ -88,13 +92,13 @@ def train(
         A data set root; its label space says which sequences are for training and validation.
     run : Path
         Gets ``best.safetensors``, ``last.safetensors``, ``log.csv``, ``curve.png``,
-        ``recipe.toml``, a picture per epoch in ``samples`` and what is needed to resume.
+        ``recipe.toml``, a picture per epoch in ``samples`` and a checkpoint to resume from.
     recipe : Recipe
         How to train.
     sensor : Sensor, optional
         How to project; by default the sensor of `weights`, else the HDL-64.
     space : LabelSpace, optional
-        What the labels mean and which sequences train; by default what the data set says, else
+        Meaning of the labels and split of the sequences; by default what the data set says, else
         SemanticKITTI's.
     device : str
         As `choose_device` takes it; under torchrun each worker of a machine has its own GPU.
@@ -112,63 +116,51 @@ def train(
     NoInputError, LabelError, FormatError, TrainingError
         Before the first step, if the data cannot be trained on; `TrainingError` if the loss is
         not finite.
-    UsageError
-        If the recipe trains variances and the sensor's noise is unknown or nothing.
     OutputError
-        If the folder cannot be written or holds another training.
+        If the folder cannot be written, holds another training or files that salsanext did not
+        write.
     WeightsError
         If `weights` do not fit the label space.
     """
     workers = worker_count(jobs)
-    _require_work_for_all(recipe, group_of_environment())
+    _require_sample_for_each(recipe, group_of_environment())
     with process_group(device) as (group, place), ExitStack() as held:
-        if place.type == "cpu":
-            keep_freed_memory()
-
-        def find() -> tuple[LabelSpace, list[ScanFile], list[ScanFile]]:
-            known = space or data_set_label_space(dataset) or label_space()
-            return known, _scans_of(dataset, known, "train"), _scans_of(dataset, known, "valid")
-
-        classes, training, validation = group.on_main(find)
+        classes, training, validation = group.on_main(lambda: _splits(dataset, space))
         validated = evenly_spaced(validation, recipe.validation_scans)
-        module, architecture, own_sensor = _start(weights, classes, recipe)
+        module, architecture, own_sensor = _initial_network(weights, classes, recipe)
         sensor = sensor or own_sensor
-        if recipe.heteroscedastic:
-            require_noise(sensor)
         _require_pixels(recipe, sensor, module, group)
-        card = WeightsCard(architecture, classes, sensor, recipe.to_dict(), {}, _describe(dataset))
+        description = f"Trained with `salsanext train` on {dataset.resolve().name}."
+        card = WeightsCard(architecture, classes, sensor, recipe.to_dict(), {}, description)
 
         def prepare() -> npt.NDArray[np.int64]:
             scans = [*training, *validation]
             settings = _settings(card, scans, weights)
             held.enter_context(trained_alone(run))
-            require_absent(run, settings, overwrite=overwrite)
+            require_free(run, settings, overwrite=overwrite)
             require_labels(scans)
             splits = (training, validation, validated)
             counts = class_counts(run / CLASS_COUNTS, splits, classes, sensor, jobs)
-            take(run, settings, overwrite=overwrite)
+            begin(run, settings, overwrite=overwrite)
             return counts
 
         counts = group.on_main(prepare)
-        learner = Learner.of(module, recipe, class_weights(counts, classes.scored), place, group)
         rare = rare_classes(counts, classes.scored)
-        with events_in(run / EVENTS, wanted=group.is_main) as events:
-            course = Training(
-                run=run,
-                learner=learner,
-                samples=Samples(training, classes, sensor, recipe, rare),
-                validation=validated,
-                card=card,
-                workers=workers if jobs != 1 else 0,
-                draw=lambda path, network: draw_sample(path, validated[0], network),
-                events=events,
-                report=progress,
-            )
-            done = course.fit()
-    return TrainResult(run / BEST, run / LAST, done.best, done.rows)
+        state = Training(
+            run=run,
+            learner=Learner.of(module, recipe, class_weights(counts, classes.scored), place, group),
+            samples=Samples(training, classes, sensor, recipe, rare),
+            validation=validated,
+            card=card,
+            workers=workers if jobs != 1 else 0,
+            draw=lambda file, network: draw_sample(file, validated[0], network),
+            write_epoch=held.enter_context(tensorboard_in(run, EVENTS, wanted=group.is_main)),
+            report=progress,
+        ).fit()
+    return TrainResult(run / BEST, run / LAST, state.best, state.rows)
 
 
-def _require_work_for_all(recipe: Recipe, group: ProcessGroup) -> None:
+def _require_sample_for_each(recipe: Recipe, group: ProcessGroup) -> None:
     if recipe.batch < group.size:
         remedy = "start fewer workers or set batch higher"
         expected = f"at least one sample for each of {group.size} workers"
@@ -187,23 +179,29 @@ def _require_pixels(
         raise UsageError("recipe key crop_width", found, "two pixels for batch norm at least")
 
 
-def _scans_of(dataset: Path, space: LabelSpace, split: str) -> list[ScanFile]:
-    members = space.split(split)
-    scans = [scan for scan in find_scans(dataset) if scan.sequence in members]
-    if not scans:
-        raise NoInputError(
-            dataset,
-            f"no scans of split {split}",
-            f"one of the sequences {', '.join(members) or '(none)'}",
-            "name your sequences in labels.yaml, under split",
-        )
-    return scans
+def _splits(
+    dataset: Path, space: LabelSpace | None
+) -> tuple[LabelSpace, list[ScanFile], list[ScanFile]]:
+    """Return the label space of a data set, and its scans for training and for validation."""
+    space = space or data_set_label_space(dataset) or label_space()
+    found: dict[str, list[ScanFile]] = {}
+    for split in ("train", "valid"):
+        members = space.split(split)
+        found[split] = [scan for scan in find_scans(dataset) if scan.sequence in members]
+        if not found[split]:
+            raise NoInputError(
+                dataset,
+                f"no scans of split {split}",
+                f"one of the sequences {', '.join(members) or '(none)'}",
+                "name your sequences in labels.yaml, under split",
+            )
+    return space, found["train"], found["valid"]
 
 
-def _start(
+def _initial_network(
     weights: Path | None, space: LabelSpace, recipe: Recipe
 ) -> tuple[SegmentationNetwork, dict[str, Any], Sensor]:
-    """Return the network before training, its architecture and the sensor it knows."""
+    """Return the network before training, its architecture and its sensor."""
     architecture = {
         "name": recipe.architecture,
         "class_count": space.class_count,
@@ -216,9 +214,8 @@ def _start(
         return module, architecture, preset_sensor(DEFAULT_SENSOR)
     trained, card = read_weights(weights)
     if not card.space.fits(space):
-        raise WeightsError(
-            weights, f"trained for the classes of {card.space.name}", f"those of {space.name}"
-        )
+        found = f"trained for the classes of {card.space.name}"
+        raise WeightsError(weights, found, f"those of {space.name}")
     if _shapes(trained) != _shapes(module):
         name = card.architecture["name"]
         remedy = f'set architecture = "{name}" in the recipe'
@@ -231,12 +228,8 @@ def _shapes(module: SegmentationNetwork) -> dict[str, torch.Size]:
     return {name: tensor.shape for name, tensor in module.state_dict().items()}
 
 
-def _describe(dataset: Path) -> str:
-    return f"Trained with `salsanext train` on {dataset.resolve().name}."
-
-
 def _settings(card: WeightsCard, scans: list[ScanFile], weights: Path | None) -> dict[str, Any]:
-    """Return all that decides what a training ends with."""
+    """Return all that decides the result of a training."""
     names = "\n".join(f"{scan.sequence}/{scan.stem}" for scan in scans)
     return {
         "recipe": dict(card.recipe),

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Re-estimate the batch-norm statistics of a network on scans without labels."""
+"""Stage `tune batchnorm`: batch-norm statistics re-estimated on scans without labels."""
 
 from __future__ import annotations
 
@@ -14,10 +14,12 @@ import torch
 from torch import Tensor
 
 from salsanext_cli.errors import FormatError, UsageError, WeightsError
-from salsanext_cli.geometry.coverage import CoverageCheck
+from salsanext_cli.formats import read_scan
+from salsanext_cli.geometry.coverage import CoverageCheck, field_of_view_coverage
+from salsanext_cli.geometry.projection import project
 from salsanext_cli.inference.network import Network
 from salsanext_cli.inference.settings import NetworkSettings
-from salsanext_cli.network.weights import WeightsCard, default_weights, save_with_card
+from salsanext_cli.network.weights import default_weights, save_with_card
 from salsanext_cli.parallel.run import Progress
 from salsanext_cli.storage.layout import ScanFile
 from salsanext_cli.storage.selection import ScanSelection, select_scans
@@ -32,8 +34,8 @@ log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True, slots=True)
-class Moved:
-    """How far the statistics of a batch norm moved, mean over its channels.
+class MovedStatistics:
+    """Distance that the statistics of a batch norm moved, mean over its channels.
 
     Attributes
     ----------
@@ -52,24 +54,24 @@ class Moved:
 
 @dataclass(frozen=True, slots=True)
 class TunedBatchNorm:
-    """What re-estimating batch-norm statistics ended with.
+    """Result of re-estimating batch-norm statistics.
 
     Attributes
     ----------
     scans : int
-        How many the statistics are of.
+        Number of scans that the statistics are of.
     share : float
-        Of the new statistics in what was written.
+        Of the new statistics in the weights written.
     sensor : str
-        What the weights are for from now on.
-    layers : tuple of Moved
+        Sensor of the weights written.
+    layers : tuple of MovedStatistics
         Every batch norm, in order of computation.
     """
 
     scans: int
     share: float
     sensor: str
-    layers: tuple[Moved, ...]
+    layers: tuple[MovedStatistics, ...]
 
     def to_dict(self) -> dict[str, Any]:
         """Return plain data for JSON."""
@@ -98,10 +100,10 @@ def tune_batchnorm(
         A scan, a folder of scans, a sequence or a data set.
     target : Path
         The `.safetensors` file to write: all other tensors bit for bit. Its sensor is that of
-        `network`; what was measured with the old statistics, `scores`, is left out.
-    network : NetworkChoice
+        `network`; `scores`, measured with the old statistics, are left out.
+    network : NetworkSettings
         Weights, device and sensor.
-    selection : Choice
+    selection : ScanSelection
         Which scans; a limit takes scans that are evenly spaced.
     share : float
         Of the new statistics, above 0 and at most 1; the rest are the old ones.
@@ -118,62 +120,51 @@ def tune_batchnorm(
     if not 0 < share <= 1:
         raise UsageError("--share", f"{share:g}", "above 0, at most 1")
     loaded, weights = network.load(), network.weights or default_weights()
-    old = {name: Statistics.kept_by(layer) for name, layer in norms(loaded.module).items()}
-    if not old:
+    layers = norms(loaded.module)
+    if not layers:
         raise WeightsError(weights, "its network has no batch norm", "one with batch norm")
     scans = select_scans(source, replace(selection, limit=None), loaded.card.space)
     scans = evenly_spaced(scans, selection.limit or 0)
     require_target(target, overwrite)
-    pooled = _pooled(scans, loaded, share, progress)
-    new = {name: old[name].blended(statistics, share) for name, statistics in pooled.items()}
-    card = _card(loaded, len(scans), share)
-    save_with_card(weights, target, card, _tensors(new))
-    layers = norms(loaded.module)
-    moved = tuple(_moved(name, old[name], new[name], layers[name].eps) for name in new)
-    return TunedBatchNorm(len(scans), share, loaded.sensor.name, moved)
-
-
-def _pooled(
-    scans: list[ScanFile], network: Network, share: float, progress: Progress | None
-) -> Mapping[str, Statistics]:
-    """Return the statistics of all scans together, by layer."""
+    old = {name: Statistics.kept_by(layer) for name, layer in layers.items()}
     pooled: dict[str, Statistics] = {}
-    check = CoverageCheck(network.sensor)
+    check = CoverageCheck(loaded.sensor)
     for number, file in enumerate(scans, start=1):
-        of_scan = _of_scan(file, network, share, check)
-        pooled = {name: pooled[name] + new if pooled else new for name, new in of_scan.items()}
+        found = _statistics(file, loaded, share, check)
+        pooled = {name: pooled[name] + new if pooled else new for name, new in found.items()}
         log.info("%s/%s: done", file.sequence, file.stem)
         if progress:
             progress(number, len(scans))
     check.finish()
-    return pooled
+    new = {name: old[name].blended(statistics, share) for name, statistics in pooled.items()}
+    sensor = loaded.sensor
+    done = f"Batch norm re-estimated on {len(scans)} scans of {sensor.name}, share {share:g}."
+    description = f"{loaded.card.description} {done}".lstrip()
+    card = replace(loaded.card, sensor=sensor, scores={}, description=description)
+    save_with_card(weights, target, card, _tensors(new))
+    moved = tuple(_moved(name, old[name], new[name], layers[name].eps) for name in new)
+    return TunedBatchNorm(len(scans), share, sensor.name, moved)
 
 
-def _of_scan(
+def _statistics(
     file: ScanFile, network: Network, share: float, check: CoverageCheck
 ) -> Mapping[str, Statistics]:
-    image, seen = read_and_project(file, network.sensor, str(network.device))
+    """Read and project a scan; return its statistics, by layer."""
+    scan = read_scan(file.path, intensity_scale=network.sensor.intensity_scale)
+    image = project(scan, network.sensor, str(network.device))
     if not (image.pixel_of_point >= 0).any():
-        found = f"none of its {len(image.pixel_of_point)} points has a pixel"
-        raise FormatError(file.path, found, "points that were measured, in view of the sensor")
-    check.add(seen)
-    of_scan = statistics_of_scan(network, image, share)
-    for name, values in _tensors(of_scan).items():
+        none = f"none of its {len(image.pixel_of_point)} points has a pixel"
+        raise FormatError(file.path, none, "points that were measured, in view of the sensor")
+    check.add(field_of_view_coverage(scan, network.sensor))
+    found = statistics_of_scan(network, image, share)
+    for name, values in _tensors(found).items():
         if not torch.isfinite(values).all():
             raise WeightsError(file.path, f"the network's {name} is not finite", "finite values")
-    return of_scan
-
-
-def _card(network: Network, scans: int, share: float) -> WeightsCard:
-    """Return the card with the sensor in use, without scores, and with a word on what was done."""
-    sensor = network.sensor
-    done = f"Batch norm re-estimated on {scans} scans of {sensor.name}, share {share:g}."
-    description = f"{network.card.description} {done}".lstrip()
-    return replace(network.card, sensor=sensor, scores={}, description=description)
+    return found
 
 
 def _tensors(statistics: Mapping[str, Statistics]) -> dict[str, Tensor]:
-    """Return what a weights file holds of the statistics, float32."""
+    """Return statistics as a weights file holds them, float32."""
     return {
         f"{layer}.{name}": values.float().cpu()
         for layer, new in statistics.items()
@@ -181,8 +172,8 @@ def _tensors(statistics: Mapping[str, Statistics]) -> dict[str, Tensor]:
     }
 
 
-def _moved(layer: str, old: Statistics, new: Statistics, eps: float) -> Moved:
+def _moved(layer: str, old: Statistics, new: Statistics, eps: float) -> MovedStatistics:
     variance = old.variance + eps
     shift = ((new.mean - old.mean).abs() / variance.sqrt()).mean()
     ratio = ((new.variance + eps) / variance).log().mean()
-    return Moved(layer, float(shift), math.exp(ratio))
+    return MovedStatistics(layer, float(shift), math.exp(ratio))

@@ -1,34 +1,31 @@
 # SPDX-License-Identifier: MIT
-"""Find the dropout rate to sample with on labelled scans, by the paper's grid search."""
+"""Stage `tune dropout`: the paper's grid search of the dropout rate to sample with."""
 
 from __future__ import annotations
 
 import logging
-import math
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from salsanext_cli.errors import TrainingError
 from salsanext_cli.geometry.noise import noise_of
-from salsanext_cli.inference.network import Network, with_dropout
+from salsanext_cli.inference.network import with_dropout
 from salsanext_cli.inference.settings import NetworkSettings
 from salsanext_cli.network.dropout import dropouts
 from salsanext_cli.network.weights import default_weights, save_with_card
 from salsanext_cli.parallel.run import Progress
-from salsanext_cli.records import Float
 from salsanext_cli.report.tuning import rate_curve
 from salsanext_cli.storage.selection import ScanSelection
 from salsanext_cli.storage.targets import require_absent, require_target
 from salsanext_cli.training.tuning.dropout_rate import objective, rates_between
 from salsanext_cli.training.tuning.labelled_images import (
-    LabelledImage,
     labelled_scans,
-    nothing_counts,
+    of_points,
     read_labelled_image,
+    require_points,
 )
 from salsanext_cli.uncertainty.aleatoric import aleatoric
 from salsanext_cli.uncertainty.monte_carlo import require_sampling, sample, scan_seed
@@ -36,23 +33,23 @@ from salsanext_cli.uncertainty.monte_carlo import require_sampling, sample, scan
 SAMPLES = 30
 LOWEST, HIGHEST, STEPS = 0.02, 0.5, 10
 SCANS = 20
-"""Scans that are sampled at every rate unless another limit is set."""
+"""Scans that are sampled at every rate, unless another limit is given."""
 
 log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True, slots=True)
 class TunedDropout:
-    """What the search for a dropout rate ended with.
+    """Result of the search for a dropout rate.
 
     Attributes
     ----------
     before, best : float
-        The rate that the weights had, and the one found.
+        Rate that the weights had, and the one found.
     rates, objectives : tuple of float
-        What was tried, and the objective of each, mean over the points.
+        Rates that were tried, and the objective of each, mean over the points.
     scans, points : int
-        How many were sampled at every rate.
+        Number of those sampled at every rate.
     """
 
     before: float
@@ -92,16 +89,16 @@ def tune_dropout(
         Labelled scans that the network was not trained on.
     target : Path
         The `.safetensors` file to write: the same tensors, bit for bit. The curve is `curve_of` it.
-    network : NetworkChoice
+    network : NetworkSettings
         Weights, device and sensor.
-    selection : Choice
+    selection : ScanSelection
         Which scans; a limit takes scans that are evenly spaced.
     samples, seed : int
         Passes per scan and rate, and the seed of their masks, as for `uncertainty`.
     lowest, highest : float
         Ends of the range.
     steps : int
-        How many rates to try, at equal steps of the logarithm.
+        Number of rates to try, at equal steps of the logarithm.
     overwrite : bool
         Whether the target may exist.
     progress : callable, optional
@@ -125,48 +122,30 @@ def tune_dropout(
         labelled = read_labelled_image(file, loaded, space)
         noise = of_points(aleatoric(loaded, labelled.image), labelled)
         points += len(labelled.truth)
+        masks = scan_seed(seed, file.sequence, file.stem)
         for index, candidate in enumerate(candidates):
-            of_scan = scan_seed(seed, file.sequence, file.stem)
-            sums[index] += _objective(candidate, labelled, noise, samples, of_scan)
+            sampled = sample(candidate, labelled.image, samples=samples, seed=masks)
+            variance = of_points(sampled.variance, labelled) + noise
+            probabilities = of_points(sampled.probabilities, labelled)
+            sums[index] += objective(probabilities, variance, labelled.truth)
             if progress:
                 progress(number * len(rates) + index + 1, len(scans) * len(rates))
         log.info("%s/%s: %d points", file.sequence, file.stem, len(labelled.truth))
-    if not points:
-        raise nothing_counts(dataset, space)
-    objectives = _means(dataset, sums, points)
+    require_points(points, dataset, space)
+    objectives = tuple((sums / points).tolist())
+    if not np.isfinite(objectives).all():
+        found = "the network's uncertainties are not finite"
+        raise TrainingError(dataset, found, "finite ones", "use other weights")
     best = int(np.argmin(objectives))
     rate_curve(curve_of(target), rates, objectives, rates[best])
     if best in (0, len(rates) - 1):
         edge = ("--lowest", "--highest")[best > 0]
         log.warning("the best rate, %g, is the last of the range: move %s", rates[best], edge)
-    source = network.weights or default_weights()
-    save_with_card(source, target, candidates[best].card)
+    save_with_card(network.weights or default_weights(), target, candidates[best].card)
     before = max((layer.rate for layer in dropouts(loaded.module)), default=0.0)
-    return TunedDropout(before, rates[best], tuple(rates), tuple(objectives), len(scans), points)
+    return TunedDropout(before, rates[best], tuple(rates), objectives, len(scans), points)
 
 
 def curve_of(target: Path) -> Path:
-    """Return where the curve that goes with a weights file is drawn."""
+    """Return the path of the curve that goes with a weights file."""
     return target.with_name(f"{target.stem}_dropout.png")
-
-
-def of_points(of_pixels: Float, labelled: LabelledImage) -> Float:
-    """Give every point that counts its pixel's values: (C, H, W) to (M, C)."""
-    values: Float = of_pixels.reshape(len(of_pixels), -1)[:, labelled.pixels].T
-    return values
-
-
-def _objective(
-    network: Network, labelled: LabelledImage, noise: Float, samples: int, seed: int
-) -> float:
-    sampled = sample(network, labelled.image, samples=samples, seed=seed)
-    variance = of_points(sampled.variance, labelled) + noise
-    return objective(of_points(sampled.probabilities, labelled), variance, labelled.truth)
-
-
-def _means(dataset: Path, sums: npt.NDArray[np.float64], points: int) -> list[float]:
-    means: list[float] = (sums / points).tolist()
-    if not all(map(math.isfinite, means)):
-        found = "the network's uncertainties are not finite"
-        raise TrainingError(dataset, found, "finite ones", "use other weights")
-    return means

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Fit the temperature of a network on labelled scans."""
+"""Stage `tune temperature`: the temperature of a network, fitted on labelled scans."""
 
 from __future__ import annotations
 
@@ -31,8 +31,8 @@ from salsanext_cli.storage.targets import require_target
 from salsanext_cli.training.tuning.labelled_images import (
     VALIDATION,
     labelled_scans,
-    nothing_counts,
     read_labelled_image,
+    require_points,
 )
 from salsanext_cli.training.tuning.temperature import (
     best_temperature,
@@ -41,17 +41,17 @@ from salsanext_cli.training.tuning.temperature import (
 )
 from salsanext_cli.uncertainty.monte_carlo import scan_seed
 
-NUMBERS = 20_000_000
-"""Logits kept at most, 80 MB: a million points with 20 classes."""
+MAX_LOGITS = 20_000_000
+"""Logits that are kept, 80 MB: a million points with 20 classes."""
 SEED = 0
-"""Of the points that are kept."""
+"""Of the choice of points that are kept."""
 
 log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True, slots=True)
 class Tempered:
-    """How well a softmax with a temperature fits the truth.
+    """Fit of a softmax with a temperature to the truth.
 
     Attributes
     ----------
@@ -70,14 +70,14 @@ class Tempered:
 
 @dataclass(frozen=True, slots=True)
 class TunedTemperature:
-    """What fitting a temperature ended with.
+    """Result of fitting a temperature.
 
     Attributes
     ----------
     before, after : Tempered
         With the temperature that the weights had, and with the one that was fitted.
     scans, points : int
-        How many were fitted to.
+        Number of those fitted to.
     """
 
     before: Tempered
@@ -96,7 +96,7 @@ def tune_temperature(
     *,
     network: NetworkSettings = NetworkSettings(),
     selection: ScanSelection = VALIDATION,
-    numbers: int = NUMBERS,
+    numbers: int = MAX_LOGITS,
     overwrite: bool = False,
     progress: Progress | None = None,
 ) -> TunedTemperature:
@@ -111,9 +111,9 @@ def tune_temperature(
         Labelled scans that the network was not trained on.
     target : Path
         The `.safetensors` file to write: the same tensors, bit for bit.
-    network : NetworkChoice
+    network : NetworkSettings
         Weights, device and sensor.
-    selection : Choice
+    selection : ScanSelection
         Which scans; a limit takes scans that are evenly spaced.
     numbers : int
         Logits to keep at most. Of a scan with more than its share, a random sample of the points
@@ -135,12 +135,11 @@ def tune_temperature(
     kept = list(_samples(scans, loaded, space, most, progress))
     logits = torch.from_numpy(np.concatenate([values for values, _ in kept]))
     truth = torch.from_numpy(np.concatenate([classes for _, classes in kept])).long()
-    if not len(truth):
-        raise nothing_counts(dataset, space)
+    require_points(len(truth), dataset, space)
     temperature = best_temperature(logits, truth)
     _require_possible(dataset, temperature, len(truth))
-    source = network.weights or default_weights()
-    save_with_card(source, target, replace(loaded.card, temperature=temperature))
+    card = replace(loaded.card, temperature=temperature)
+    save_with_card(network.weights or default_weights(), target, card)
     before = _tempered(logits, truth, loaded.card.temperature)
     after = _tempered(logits, truth, temperature)
     return TunedTemperature(before, after, len(scans), len(truth))

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""The paper's four augmentations, on points, before projecting.
+"""Augmentations of the paper, on points, before projecting.
 
 Each happens on its own with its own probability. Because points move and not pixels, range, x, y
 and z of the range image stay consistent.
@@ -15,9 +15,9 @@ import numpy.typing as npt
 from salsanext_cli.classes import TrainIds
 from salsanext_cli.records import Float, Scan
 
-SHIFT_LOW = (-5.0, -3.0, -1.0)
-SHIFT_HIGH = (5.0, 3.0, 0.0)
-MOST_DROPPED = 0.5
+SHIFT_LOW_M = (-5.0, -3.0, -1.0)
+SHIFT_HIGH_M = (5.0, 3.0, 0.0)
+MAX_DROPPED_SHARE = 0.5
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,17 +45,13 @@ class Augmentation:
         self, scan: Scan, labels: TrainIds, random: np.random.Generator
     ) -> tuple[Scan, TrainIds]:
         """Return a changed copy of a scan and of its labels (N,)."""
-        rotated, shifted, flipped, dropped = random.random(4) < (
-            self.rotate,
-            self.shift,
-            self.flip,
-            self.drop,
-        )
+        chances = (self.rotate, self.shift, self.flip, self.drop)
+        rotated, shifted, flipped, dropped = random.random(4) < chances
         points, intensity = scan.points, scan.intensity
         if rotated:
             points = rotate(points, random.uniform(-np.pi, np.pi))
         if shifted:
-            points = shift(points, random.uniform(SHIFT_LOW, SHIFT_HIGH))
+            points = shift(points, random.uniform(SHIFT_LOW_M, SHIFT_HIGH_M))
         if flipped:
             points = points * np.array([1, -1, 1], np.float32)
         if dropped:
@@ -82,7 +78,7 @@ def shift(points: Float, offset: npt.NDArray[np.float64]) -> Float:
 
 def draw_kept(count: int, random: np.random.Generator) -> npt.NDArray[np.intp]:
     """Draw which of `count` points stay: at least half, ascending, none twice."""
-    dropped = int(count * random.uniform(0, MOST_DROPPED))
+    dropped = int(count * random.uniform(0, MAX_DROPPED_SHARE))
     kept = np.ones(count, np.bool_)
     kept[random.permutation(count)[:dropped]] = False
     return np.flatnonzero(kept)

@@ -1,39 +1,61 @@
 # SPDX-License-Identifier: MIT
-"""All that is needed to go on after an interruption, in one file of tensors and plain numbers."""
+"""Checkpoint of a training: all that is needed to resume it, in one safetensors file.
+
+Its tensors are those of ``module``, of ``average`` where it is another, and of the ``optimiser`` by
+name of parameter, and the ``losses`` of the epoch. Progress, scaler and a checksum are in the
+header. Nothing in it is ever unpickled.
+"""
 
 from __future__ import annotations
 
-import warnings
+import hashlib
+import json
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
-from zipfile import BadZipFile, ZipFile
+from typing import Any
 
+import safetensors
+import safetensors.torch
 import torch
+from torch import Tensor
 
-from salsanext_cli.errors import TrainingError
-from salsanext_cli.network.torch_files import UNREADABLE, require_stored
-from salsanext_cli.settings_files import shortened
-from salsanext_cli.storage.atomic import writing
+from salsanext_cli.errors import FormatError, TrainingError
+from salsanext_cli.formats.reading import reading
+from salsanext_cli.settings_files import shortened, words_of
+from salsanext_cli.storage.written_files import WrittenFiles
+from salsanext_cli.training.learner import Learner
 from salsanext_cli.training.log import Row
-from salsanext_cli.training.optimise import Learner
+
+KEY = "salsanext-checkpoint"
+"""The one key of the header: safetensors writes several in an order drawn anew each time."""
+MAX_HEADER_BYTES = 16 << 20
+"""Many times what thousands of epochs take; plain values need twenty times as much memory."""
+OPTIMISER_STATE = {"sgd": ("momentum_buffer",), "adamw": ("step", "exp_avg", "exp_avg_sq")}
+DTYPES = {torch.float32: "F32", torch.float64: "F64", torch.int64: "I64"}
+"""Types of a checkpoint's tensors, as safetensors names them."""
+DAMAGE = (
+    *(FormatError, safetensors.SafetensorError, OSError, ArithmeticError, LookupError, TypeError),
+    *(ValueError, RecursionError, RuntimeError),
+)
 
 
 @dataclass(slots=True)
 class TrainingState:
-    """How far a training has come.
+    """Progress of a training.
 
     Attributes
     ----------
     epoch : int
-        Epochs finished.
+        Finished epochs.
     best : float
         Best validation mIoU so far; -1 before the first.
     rows : list of Row
         The log so far, a row per epoch.
     losses : list of float
-        Of the steps done of the epoch at work.
+        Of the steps that are done of the current epoch.
     seconds : float
-        What these steps took.
+        Time that these steps took.
     """
 
     epoch: int = 0
@@ -43,21 +65,23 @@ class TrainingState:
     seconds: float = 0.0
 
 
-def save_checkpoint(path: Path, learner: Learner, progress: TrainingState) -> None:
+def save_checkpoint(path: Path, learner: Learner, state: TrainingState) -> None:
     """Write the state after a step, atomically."""
-    state = {
-        "module": learner.module.state_dict(),
-        "average": learner.average.state_dict(),
-        "optimiser": learner.optimiser.state_dict(),
-        "scaler": learner.scaler.state_dict(),
-        "progress": asdict(progress),
-    }
-    with writing(path, durable=True) as file:
-        torch.save(state, file)
+    progress = asdict(state)
+    tensors = _networks(learner)
+    tensors["losses"] = torch.tensor(progress.pop("losses"), dtype=torch.float64)
+    for name, parameter in learner.module.named_parameters():
+        for key, value in learner.optimiser.state.get(parameter, {}).items():
+            tensors[f"optimiser.{name}.{key}"] = value
+    tensors = {name: tensor.detach().cpu().contiguous() for name, tensor in tensors.items()}
+    values: dict[str, Any] = {"progress": progress, "scaler": learner.scaler.state_dict()}
+    values["sha256"] = _checksum(values, tensors)
+    content = safetensors.torch.save(tensors, {KEY: json.dumps(values)})
+    WrittenFiles(path.parent).write(path, content, durable=True)
 
 
 def load_checkpoint(path: Path, learner: Learner) -> TrainingState:
-    """Put a saved state back; only tensors and plain values are ever unpickled.
+    """Restore a saved state; no more is read than the learner has room for.
 
     Raises
     ------
@@ -65,41 +89,94 @@ def load_checkpoint(path: Path, learner: Learner) -> TrainingState:
         If the file is damaged or of another network or optimiser.
     """
     try:
-        _require_intact(path)
-        # To the CPU: on a GPU the optimiser's step counts would make it wait at every parameter.
-        with warnings.catch_warnings():
-            # Of forms that torch then refuses.
-            warnings.simplefilter("ignore")
-            state = torch.load(path, map_location="cpu", weights_only=True)
-        learner.module.load_state_dict(state["module"])
-        learner.average.load_state_dict(state["average"])
-        learner.optimiser.load_state_dict(state["optimiser"])
-        learner.scaler.load_state_dict(state["scaler"])
-        return _checked(TrainingState(**state["progress"]))
-    except (*UNREADABLE, OSError) as error:
+        tensors, values = _read(path, learner)
+        if values.pop("sha256") != _checksum(values, tensors):
+            raise ValueError("the checksum is wrong")
+        state = TrainingState(**values["progress"], losses=tensors.pop("losses").tolist())
+        _require_numbers(state, learner.recipe.epochs)
+        scaler = values["scaler"]
+        if {k: type(v) for k, v in scaler.items()} != {
+            k: type(v) for k, v in learner.scaler.state_dict().items()
+        }:
+            raise TypeError("a scaler of another precision")
+        learner.scaler.load_state_dict(scaler)
+        _restore(learner, tensors)
+    except DAMAGE as error:
         raise TrainingError(
             path,
-            f"cannot be resumed from: {' '.join(str(error).split())[:200]}",
+            f"cannot be resumed from: {words_of(error)}",
             "a checkpoint of this training",
             "start anew with --overwrite or in another folder",
         ) from error
-
-
-def _checked(state: TrainingState) -> TrainingState:
-    """Return a state that is of plain numbers; anything else raises `TypeError`."""
-    numbers = [state.best, state.seconds, *state.losses]
-    for row in state.rows:
-        numbers += [row["epoch"], row["loss"], *row.values()]
-    if type(state.epoch) is not int or state.epoch < 0:
-        raise TypeError(f"an epoch that is none: {shortened(state.epoch)}")
-    if any(type(number) not in (int, float) for number in numbers):
-        raise TypeError("a course of training that is not of numbers")
     return state
 
 
-def _require_intact(path: Path) -> None:
-    """Check the checksums of the archive that `torch.save` writes; `torch.load` does not."""
-    with path.open("rb") as file, ZipFile(file) as archive:
-        require_stored(archive, file)
-        if (damaged := archive.testzip()) is not None:
-            raise BadZipFile(f"the checksum of {damaged} is wrong")
+def _networks(learner: Learner) -> dict[str, Tensor]:
+    """Return the tensors of the module, and of the average if it is another, by name."""
+    named = {f"module.{name}": t for name, t in learner.module.state_dict().items()}
+    if learner.average is not learner.module:
+        named |= {f"average.{name}": t for name, t in learner.average.state_dict().items()}
+    return named
+
+
+def _read(path: Path, learner: Learner) -> tuple[dict[str, Tensor], dict[str, Any]]:
+    """Return tensors and values of a file that holds what the learner needs, and no more."""
+    with reading(path) as file:
+        length = int.from_bytes(file.read(8), "little")
+    if length > MAX_HEADER_BYTES:
+        raise ValueError(f"a header of {length} bytes")
+    with safetensors.safe_open(path, framework="pt") as file:
+        names = set(file.keys())
+        wanted = _networks(learner)
+        for name, parameter in learner.module.named_parameters():
+            state = {f"optimiser.{name}.{k}": k for k in OPTIMISER_STATE[learner.recipe.optimiser]}
+            if names & state.keys():
+                step = torch.zeros(())
+                wanted |= {key: step if k == "step" else parameter for key, k in state.items()}
+        if unlike := names ^ {*wanted, "losses"}:
+            raise ValueError(f"{min(unlike)} is of another network or optimiser, or is missing")
+        for name, tensor in wanted.items():
+            slot = file.get_slice(name)
+            if slot.get_dtype() != DTYPES[tensor.dtype] or slot.get_shape() != [*tensor.shape]:
+                raise ValueError(f"{name} is of another type or shape")
+        losses = file.get_slice("losses")
+        if losses.get_dtype() != "F64" or len(losses.get_shape()) != 1:
+            raise ValueError("losses is of another type or shape")
+        values = json.loads((file.metadata() or {})[KEY])
+        return {name: file.get_tensor(name) for name in names}, values
+
+
+def _checksum(values: Mapping[str, Any], tensors: Mapping[str, Tensor]) -> str:
+    """Return the SHA-256 of values and tensors."""
+    digest = hashlib.sha256(json.dumps(values).encode())
+    for name, tensor in sorted(tensors.items()):
+        digest.update(name.encode())
+        digest.update(tensor.reshape(-1).view(torch.uint8).numpy().data)
+    return digest.hexdigest()
+
+
+def _require_numbers(state: TrainingState, epochs: int) -> None:
+    """Raise `TypeError` unless a state is of plain numbers."""
+    if type(state.epoch) is not int or not 0 <= state.epoch <= epochs:
+        raise TypeError(f"epoch {shortened(state.epoch)} of {epochs}")
+    numbers = [state.best, state.seconds]
+    for row in state.rows:
+        numbers += [row["epoch"], row["loss"], *row.values()]
+    if any(type(number) not in (int, float) for number in numbers):
+        raise TypeError("a log that is not of numbers")
+    # An integer may be too large for a float.
+    sum(map(float, numbers))
+
+
+@torch.no_grad()
+def _restore(learner: Learner, tensors: Mapping[str, Tensor]) -> None:
+    for name, tensor in _networks(learner).items():
+        tensor.copy_(tensors[name])
+    learner.optimiser.state.clear()
+    for name, parameter in learner.module.named_parameters():
+        for key in OPTIMISER_STATE[learner.recipe.optimiser]:
+            kept = tensors.get(f"optimiser.{name}.{key}")
+            if kept is not None:
+                # The count of steps stays on the CPU: on a GPU every parameter would wait for it.
+                like = torch.zeros(()) if key == "step" else torch.empty_like(parameter)
+                learner.optimiser.state[parameter][key] = like.copy_(kept)

@@ -1,11 +1,11 @@
 # SPDX-License-Identifier: MIT
-"""Look at every label of the training data once: all usable, and how common is each class."""
+"""Class counts: points of every class in labelled scans, which are all read and checked once."""
 
 from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 
 import joblib
@@ -16,11 +16,13 @@ from salsanext_cli.classes import LabelSpace
 from salsanext_cli.errors import LabelError, TrainingError
 from salsanext_cli.sensors import Sensor
 from salsanext_cli.storage.identity import identity
-from salsanext_cli.storage.json_files import read_json, write_json
+from salsanext_cli.storage.json_files import read_json
 from salsanext_cli.storage.layout import ScanFile
+from salsanext_cli.storage.written_files import WrittenFiles
 from salsanext_cli.training.dataset import read_labelled
 
-RARE = 0.01
+Counts = npt.NDArray[np.int64]
+RARE_SHARE = 0.01
 """Share of the scored training points below which a class is rare."""
 
 
@@ -29,16 +31,13 @@ def require_labels(files: Sequence[ScanFile]) -> None:
     missing = [file for file in files if not file.label_path.is_file()]
     if missing:
         others = f", nor for {len(missing) - 1} other scans" if len(missing) > 1 else ""
-        raise LabelError(
-            missing[0].label_path,
-            f"no such file{others}",
-            "a label file for every scan of the split",
-        )
+        found, expected = f"no such file{others}", "a label file for every scan of the split"
+        raise LabelError(missing[0].label_path, found, expected)
 
 
 def count_classes(
     files: Sequence[ScanFile], space: LabelSpace, sensor: Sensor, jobs: int = 1
-) -> npt.NDArray[np.int64]:
+) -> Counts:
     """Count the points of every class in every scan, (F, C) int64, reading all with their labels.
 
     Raises
@@ -47,30 +46,23 @@ def count_classes(
         If any scan could not be trained on.
     """
 
-    def count(file: ScanFile) -> npt.NDArray[np.int64]:
+    def count(file: ScanFile) -> Counts:
         _, labels = read_labelled(file, space, sensor)
         return np.bincount(labels, minlength=space.class_count).astype(np.int64)
 
-    # Threads do: reading and counting leave the interpreter's lock alone.
+    # Reading and counting release the interpreter's lock, so that threads do.
     found = joblib.Parallel(jobs, backend="threading")(joblib.delayed(count)(f) for f in files)
     return np.stack(found)
 
 
-def require_some(
-    files: Sequence[ScanFile], counts: npt.NDArray[np.int64], space: LabelSpace
-) -> None:
+def require_some(files: Sequence[ScanFile], counts: Counts, space: LabelSpace) -> None:
     """Raise `TrainingError` if no point of scans, counted (F, C), is of a class that counts."""
     if not counts[:, space.scored].any():
-        raise TrainingError(
-            files[0].label_path.parent,
-            f"none of {counts.sum()} points in {len(files)} scans is of a class that counts",
-            f"labels of {space.name}",
-        )
+        found = f"none of {counts.sum()} points in {len(files)} scans is of a class that counts"
+        raise TrainingError(files[0].label_path.parent, found, f"labels of {space.name}")
 
 
-def class_shares(
-    counts: npt.NDArray[np.int64], scored: npt.NDArray[np.bool_]
-) -> npt.NDArray[np.float64]:
+def class_shares(counts: Counts, scored: npt.NDArray[np.bool_]) -> npt.NDArray[np.float64]:
     """Return the share of every class in the scored points, (C,) float64; 0 for ignored ones.
 
     Parameters
@@ -78,18 +70,16 @@ def class_shares(
     counts : (C,) int64
         Points of each class in the training data.
     scored : (C,) bool
-        Which classes count.
+        Classes that count.
     """
     used = np.where(scored, counts, 0).astype(np.float64)
     shares: npt.NDArray[np.float64] = used / max(used.sum(), 1)
     return shares
 
 
-def rare_classes(
-    counts: npt.NDArray[np.int64], scored: npt.NDArray[np.bool_]
-) -> npt.NDArray[np.bool_]:
+def rare_classes(counts: Counts, scored: npt.NDArray[np.bool_]) -> npt.NDArray[np.bool_]:
     """Return which scored classes are rare, (C,) bool; parameters as `class_shares`."""
-    return scored & (class_shares(counts, scored) < RARE)
+    return scored & (class_shares(counts, scored) < RARE_SHARE)
 
 
 def class_counts(
@@ -98,16 +88,15 @@ def class_counts(
     space: LabelSpace,
     sensor: Sensor,
     jobs: int = 1,
-) -> npt.NDArray[np.int64]:
-    """Return points per class of the training split, (C,); what was counted before is read back.
+) -> Counts:
+    """Return the points per class of the training split, (C,).
 
-    All scans are checked when they are counted: once, and anew when a file of scans or labels has
-    changed since.
+    All scans are read and checked; not again, until a file of scans or labels changes.
 
     Parameters
     ----------
     path : Path
-        Remembers the counts, as JSON.
+        The JSON file that keeps the counts.
     splits : (training, validation, validated)
         Scans to train on, all of the validation split, and those of them that are scored.
     space, sensor, jobs
@@ -121,32 +110,32 @@ def class_counts(
         If no point of the training scans, or of those that are scored, is of a class that counts.
     """
     training, validation, validated = splits
-    files = _state_of_files([*training, *validation, *validated], space)
+    digest = _digest([*training, *validation, *validated], space)
     known = read_json(path) or {}
-    counted = known.get("points")
+    points = known.get("points")
     if (
-        known.get("files") == files
-        and isinstance(counted, dict)
-        and counted.keys() == {*space.names}
-        and all(type(n) is int and 0 <= n < 2**63 for n in counted.values())
+        known.get("files") == digest
+        and isinstance(points, dict)
+        and points.keys() == {*space.names}
+        and all(type(n) is int and 0 <= n < 2**63 for n in points.values())
     ):
-        return np.array([counted[name] for name in space.names], np.int64)
+        return np.array([points[name] for name in space.names], np.int64)
     of_validation = count_classes(validation, space, sensor, jobs)
-    scored = [file in {*validated} for file in validation]
-    require_some(validated, of_validation[scored], space)
+    scored = {*validated}
+    require_some(validated, of_validation[[file in scored for file in validation]], space)
     of_training = count_classes(training, space, sensor, jobs)
     require_some(training, of_training, space)
-    counts: npt.NDArray[np.int64] = of_training.sum(axis=0)
-    points = dict(zip(space.names, counts.tolist(), strict=True))
-    write_json(path, {"files": files, "points": points})
+    counts: Counts = of_training.sum(axis=0)
+    counted = {"files": digest, "points": dict(zip(space.names, counts.tolist(), strict=True))}
+    WrittenFiles(path.parent).write(path, (json.dumps(counted, indent=2) + "\n").encode())
     return counts
 
 
-def _state_of_files(scans: Sequence[ScanFile], space: LabelSpace) -> str:
-    """Return a digest of size and time of every scan and its labels, and what the labels mean."""
+def _digest(scans: Iterable[ScanFile], space: LabelSpace) -> str:
+    """Return a digest of the label space and of size and time of every scan and its labels."""
     digest = hashlib.sha256(json.dumps(space.to_dict(), sort_keys=True).encode())
     for path in (path for scan in scans for path in (scan.path, scan.label_path)):
-        # Not where it lies: a data set may move.
+        # Without its folder: a data set may move.
         _, _, *state = identity(path) or (None, None)
         digest.update(f"{state}\n".encode())
     return digest.hexdigest()[:16]

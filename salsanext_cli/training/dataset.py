@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""From labelled scans to samples, the same ones whatever the number of worker processes.
+"""Samples of labelled scans, the same ones whatever the number of worker processes.
 
 Everything drawn for a sample comes from a generator of its own, seeded by the recipe's seed and
 the sample's position in the whole training.
@@ -20,26 +20,33 @@ from salsanext_cli.classes import LabelSpace, TrainIds
 from salsanext_cli.errors import SalsanextError
 from salsanext_cli.formats import read_scan
 from salsanext_cli.formats.kitti import read_labels
-from salsanext_cli.geometry.noise import input_variance
+from salsanext_cli.geometry.gather import pixels_from_points
 from salsanext_cli.geometry.normalise import normalise
 from salsanext_cli.geometry.projection import project
-from salsanext_cli.records import Float, RangeImage
+from salsanext_cli.records import Float
 from salsanext_cli.sensors import Sensor
 from salsanext_cli.storage.layout import ScanFile
 from salsanext_cli.training.augment import Augmentation
 from salsanext_cli.training.distributed import SINGLE_PROCESS, ProcessGroup
-from salsanext_cli.training.mixing import COPIES, Board, Labelled, mix, part, paste
-from salsanext_cli.training.plan import SAMPLE, Draw, Plan
+from salsanext_cli.training.mixing import (
+    PASTED_COPIES,
+    Checkerboard,
+    LabelledScan,
+    mix,
+    paste,
+    select,
+)
 from salsanext_cli.training.recipe import Recipe
+from salsanext_cli.training.sampling import SAMPLE, SampleKey, SamplingPlan
+
+Sample = tuple[Float, TrainIds, int]
+"""Normalised image (5, H, W), truth (H, W), index of the scan."""
 
 Batch = tuple[Tensor, Tensor, Tensor]
-"""Normalised images (B, 5, H, W), truth (B, H, W) uint8, indices of the scans (B,) int64.
-
-Of a heteroscedastic recipe the images have their variances behind them, (B, 10, H, W).
-"""
+"""Normalised images (B, 5, H, W), truth (B, H, W) uint8, indices of the scans (B,) int64."""
 
 
-def read_labelled(file: ScanFile, space: LabelSpace, sensor: Sensor) -> Labelled:
+def read_labelled(file: ScanFile, space: LabelSpace, sensor: Sensor) -> LabelledScan:
     """Read a scan and the train ids of its points, (N,) uint8.
 
     Raises
@@ -52,13 +59,6 @@ def read_labelled(file: ScanFile, space: LabelSpace, sensor: Sensor) -> Labelled
     scan = read_scan(file.path, intensity_scale=sensor.intensity_scale)
     raw = read_labels(file.label_path, len(scan))
     return scan, space.to_train(raw, source=file.label_path)
-
-
-def pixel_truth(image: RangeImage, labels: TrainIds) -> TrainIds:
-    """Return the train id of every pixel's point, (H, W) uint8; 0 where a pixel is empty."""
-    # Empty pixels hold -1, which is where the extra label stands.
-    truth: TrainIds = np.append(labels, np.uint8(0))[image.point_of_pixel]
-    return truth
 
 
 def choose_columns(
@@ -101,8 +101,8 @@ def choose_columns(
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Samples(Dataset[tuple[Float, TrainIds, int]]):
-    """Augmented, mixed, projected, normalised and cropped scans, by what was drawn.
+class Samples(Dataset[Sample]):
+    """Augmented, mixed, projected, normalised and cropped scans, by sample key.
 
     Attributes
     ----------
@@ -111,9 +111,9 @@ class Samples(Dataset[tuple[Float, TrainIds, int]]):
     space : LabelSpace
         Of their labels.
     sensor : Sensor
-        How to project and normalise.
+        Geometry and normalisation of the images.
     recipe : Recipe
-        How to augment, mix and crop.
+        Settings of augmentation, mixing and cropping.
     rare : (C,) bool
         Classes that are pasted.
     """
@@ -124,22 +124,19 @@ class Samples(Dataset[tuple[Float, TrainIds, int]]):
     recipe: Recipe
     rare: npt.NDArray[np.bool_]
 
-    def __getitem__(self, draw: Draw) -> tuple[Float, TrainIds, int]:
-        """Return the image (5, H, W), the truth (H, W) and the index of the scan.
-
-        Of a heteroscedastic recipe the image is (10, H, W): its variances are behind it.
-        """
-        position, index = draw
-        width = Plan(len(self.files), self.recipe).crop_width(position)
+    def __getitem__(self, key: SampleKey) -> Sample:
+        """Return the sample at a position of the training, of the scan with an index."""
+        position, index = key
+        width = SamplingPlan(len(self.files), self.recipe).crop_width(position)
         random = np.random.default_rng((self.recipe.seed, SAMPLE, position))
         scan, labels = self._mixed(index, random)
         image = project(scan, self.sensor)
-        truth = pixel_truth(image, labels)
+        truth = pixels_from_points(labels, image.point_of_pixel)
         on_class = self.recipe.crop_on_class
         columns = choose_columns(truth, self.space.scored, width, on_class, random)
-        return self._input(image.channels[:, :, columns]), truth[:, columns], index
+        return normalise(image.channels[:, :, columns], self.sensor), truth[:, columns], index
 
-    def _mixed(self, index: int, random: np.random.Generator) -> Labelled:
+    def _mixed(self, index: int, random: np.random.Generator) -> LabelledScan:
         """Return an augmented scan, mixed with others as often as the recipe says."""
         recipe = self.recipe
         augment = Augmentation(recipe.rotate, recipe.shift, recipe.flip, recipe.drop)
@@ -147,32 +144,25 @@ class Samples(Dataset[tuple[Float, TrainIds, int]]):
         # Without mixing nothing more is drawn, so that the samples are those of older versions.
         if recipe.mix and random.random() < recipe.mix:
             partner = augment(*self._partner(index, random), random)
-            labelled = mix(labelled, partner, Board.drawn(self.sensor, random))
+            labelled = mix(labelled, partner, Checkerboard.drawn(self.sensor, random))
         if recipe.paste and random.random() < recipe.paste:
             partner = self._partner(index, random)
-            rare = augment(*part(partner, self.rare[partner[1]]), random)
-            labelled = paste(labelled, rare, random.uniform(-np.pi, np.pi, COPIES))
+            rare = augment(*select(partner, self.rare[partner[1]]), random)
+            labelled = paste(labelled, rare, random.uniform(-np.pi, np.pi, PASTED_COPIES))
         return labelled
 
-    def _partner(self, index: int, random: np.random.Generator) -> Labelled:
+    def _partner(self, index: int, random: np.random.Generator) -> LabelledScan:
         """Return another scan than the one of an index; the same if there is no other."""
         away = 1 + random.integers(max(1, len(self.files) - 1))
         return self._read(int((index + away) % len(self.files)))
 
-    def _read(self, index: int) -> Labelled:
+    def _read(self, index: int) -> LabelledScan:
         return read_labelled(self.files[index], self.space, self.sensor)
-
-    def _input(self, channels: Float) -> Float:
-        """Return what the recipe's loss needs of (5, H, W) channels: normalised; variances."""
-        mean = normalise(channels, self.sensor)
-        if not self.recipe.heteroscedastic:
-            return mean
-        return np.concatenate([mean, input_variance(channels, self.sensor)])
 
 
 def batches(
     samples: Samples,
-    plan: Plan,
+    plan: SamplingPlan,
     first_step: int,
     workers: int = 0,
     *,
@@ -184,18 +174,18 @@ def batches(
     Parameters
     ----------
     samples, plan
-        What there is, and when it is drawn.
+        The samples, and their order.
     first_step : int
-        Where to go on.
+        Step to begin with.
     workers : int
         Processes that prepare samples beside this one; 0 for none.
     pinned : bool
-        Whether to put batches where a GPU copies them from quickly.
-    team : Team
-        Who shares the batches.
+        Whether to put batches into memory that a GPU copies from quickly.
+    group : ProcessGroup
+        Workers that share each batch.
     """
     loader: DataLoader[Any] = DataLoader(
-        _Sent(samples),
+        _ErrorsAsValues(samples),
         collate_fn=_collate,
         batch_sampler=plan.batches(first_step, group),
         num_workers=workers,
@@ -210,19 +200,19 @@ def batches(
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Sent(Dataset[tuple[Float, TrainIds, int] | SalsanextError]):
-    """Samples whose errors are sent as values, since a loader would not raise them as they are."""
+class _ErrorsAsValues(Dataset[Sample | SalsanextError]):
+    """Samples whose errors are returned, since a loader would not raise them as they are."""
 
     samples: Samples
 
-    def __getitem__(self, draw: Draw) -> tuple[Float, TrainIds, int] | SalsanextError:
+    def __getitem__(self, key: SampleKey) -> Sample | SalsanextError:
         try:
-            return self.samples[draw]
+            return self.samples[key]
         except SalsanextError as error:
             return error
 
 
-def _collate(items: list[tuple[Float, TrainIds, int] | SalsanextError]) -> Any:
-    """Make a batch of samples, or give the first error among them."""
+def _collate(items: list[Sample | SalsanextError]) -> Any:
+    """Make a batch of samples, or return the first error among them."""
     errors = (item for item in items if isinstance(item, SalsanextError))
     return next(errors, None) or default_collate(items)

@@ -1,10 +1,11 @@
 # SPDX-License-Identifier: MIT
-"""The processes that train one network together, as torchrun starts them."""
+"""Process group of a training: the workers that torchrun started to train one network."""
 
 from __future__ import annotations
 
+import logging
 import os
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from datetime import timedelta
@@ -13,27 +14,30 @@ from typing import Any, TypeVar
 import torch
 import torch.distributed as dist
 import torch.nn.functional as F
-from torch import Tensor
+from torch import Tensor, nn
+from torch.nn.parallel import DistributedDataParallel
 
 from salsanext_cli.errors import SalsanextError, UsageError
 from salsanext_cli.inference.network import choose_device
 
-PATIENCE = timedelta(hours=12)
-"""How long the others wait while the leader counts labels, writes and draws."""
+PROCESS_GROUP_TIMEOUT = timedelta(hours=12)
+"""Time that workers wait for the main one, which counts labels, writes and draws."""
 
 T = TypeVar("T")
+
+log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True, slots=True)
 class ProcessGroup:
-    """Who else trains this network; what is said of all workers costs nothing for one alone.
+    """Place of this process among the workers; in a group of one, collectives do nothing.
 
     Attributes
     ----------
     rank : int
-        Number of this process; 0 leads: it alone writes and reports.
+        Number of this process; 0 is the main one, which alone writes and reports.
     size : int
-        How many there are.
+        Number of workers.
     """
 
     rank: int = 0
@@ -63,10 +67,16 @@ class ProcessGroup:
         dist.all_gather(found, padded)
         return [each[..., :n] for each, n in zip(found, lengths.tolist(), strict=True)]
 
-    def on_main(self, work: Callable[[], T]) -> T:
-        """Return what `work` returns to the leader; the others wait, and do not do it.
+    def broadcast(self, tensors: Iterable[Tensor]) -> None:
+        """Overwrite tensors by those of the main worker."""
+        if self.size > 1:
+            for tensor in tensors:
+                dist.broadcast(tensor, 0)
 
-        A `SalsanextError` of the leader is raised by all, and the others know that it says it.
+    def on_main(self, work: Callable[[], T]) -> T:
+        """Call a function in the main worker only, and return its result in all of them.
+
+        A `SalsanextError` of the main worker is raised by all, marked as reported by the main one.
         """
         if self.size == 1:
             return work()
@@ -96,7 +106,7 @@ def group_of_environment() -> ProcessGroup:
 
 @contextmanager
 def process_group(device: str) -> Iterator[tuple[ProcessGroup, torch.device]]:
-    """Join the team of this process, and choose its device, as long as the body runs.
+    """Join the group of this process, and choose its device, while the body runs.
 
     Parameters
     ----------
@@ -118,8 +128,26 @@ def process_group(device: str) -> Iterator[tuple[ProcessGroup, torch.device]]:
             raise UsageError(f"device {device}", found, "cuda, cpu or auto")
         place = choose_device(f"cuda:{os.environ['LOCAL_RANK']}")
         torch.cuda.set_device(place)
-    dist.init_process_group("nccl" if place.type == "cuda" else "gloo", timeout=PATIENCE)
+    backend = "nccl" if place.type == "cuda" else "gloo"
+    dist.init_process_group(backend, timeout=PROCESS_GROUP_TIMEOUT)
     try:
         yield group, place
+        # A worker that leaves early closes connections that others still read from.
+        dist.barrier()
     finally:
         dist.destroy_process_group()
+
+
+def data_parallel(module: nn.Module, device: torch.device, group: ProcessGroup) -> nn.Module:
+    """Return what to call in training: the module, or a wrapper that sums its gradients.
+
+    On GPUs batch norm has the statistics of the whole batch; torch has none for CPUs.
+    """
+    if group.size == 1:
+        return module
+    if device.type == "cuda":
+        module = nn.SyncBatchNorm.convert_sync_batchnorm(module)  # type: ignore[no-untyped-call]
+        return DistributedDataParallel(module, [device])
+    if group.is_main and any(isinstance(layer, nn.BatchNorm2d) for layer in module.modules()):
+        log.warning("on CPUs batch norm has the statistics of each worker's share of a batch")
+    return DistributedDataParallel(module)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Epoch after epoch: learn, validate, write down, keep the best."""
+"""Training loop: learn, validate, write down, keep the best; epoch after epoch."""
 
 from __future__ import annotations
 
@@ -10,32 +10,30 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import islice
 from pathlib import Path
+from typing import BinaryIO
 
 import numpy as np
 import numpy.typing as npt
+import safetensors.torch
 import torch
 
 from salsanext_cli.errors import TrainingError
 from salsanext_cli.inference.network import Network
 from salsanext_cli.measures.confusion import Confusion
 from salsanext_cli.measures.scores import scores
-from salsanext_cli.network.weights import WeightsCard, save_weights
+from salsanext_cli.network.weights import WeightsCard
 from salsanext_cli.storage.layout import ScanFile
+from salsanext_cli.storage.written_files import WrittenFiles
 from salsanext_cli.training.checkpoint import TrainingState, load_checkpoint, save_checkpoint
 from salsanext_cli.training.dataset import Batch, Samples, batches
-from salsanext_cli.training.events import Events
-from salsanext_cli.training.log import Row, draw_curve, write_log
-from salsanext_cli.training.non_finite import non_finite_samples
-from salsanext_cli.training.optimise import Learner
-from salsanext_cli.training.plan import Plan
-from salsanext_cli.training.precision import autocast
-from salsanext_cli.training.schedule import learning_rate
+from salsanext_cli.training.learner import Learner
+from salsanext_cli.training.log import EpochWriter, Row, draw_curve, write_log
+from salsanext_cli.training.optimiser import learning_rate
+from salsanext_cli.training.run_folder import BEST, CHECKPOINT, CURVE, LAST, LOG, SAMPLES
+from salsanext_cli.training.sampling import SamplingPlan
 from salsanext_cli.training.validation import validate
 
-CHECKPOINT = "checkpoint.pt"
-LAST, BEST = "last.safetensors", "best.safetensors"
-LOG, CURVE, SAMPLES = "log.csv", "curve.png", "samples"
-SAVE_EVERY = 600.0
+SAVE_INTERVAL_S = 600.0
 """Seconds between two checkpoints within an epoch."""
 
 log = logging.getLogger(__name__)
@@ -43,12 +41,12 @@ log = logging.getLogger(__name__)
 
 @dataclass(frozen=True, slots=True)
 class Report:
-    """Where training stands after a step.
+    """Progress of a training after a step.
 
     Attributes
     ----------
     epoch, epochs : int
-        The epoch at work, from 1, and how many there are.
+        The current epoch, from 1, and the number of epochs.
     step, steps : int
         Steps done and steps of the whole training.
     loss : float
@@ -72,22 +70,22 @@ class Training:
     Attributes
     ----------
     run : Path
-        Where log, curve, weights and checkpoint go.
+        Folder for log, curve, weights and checkpoint.
     learner : Learner
     samples : Samples
-        What to learn from.
+        Samples to learn from.
     validation : sequence of ScanFile
-        What to score on at every validation.
+        Scans that every validation scores.
     card : WeightsCard
-        What the weights files will say, scores aside.
+        Card of the weights files, without scores.
     workers : int
         Processes that prepare samples.
     draw : callable
-        Draws what a network makes of a scan into a file, and returns the picture, (H, W, 3).
-    events : Events
-        Notes epochs for TensorBoard.
+        Draws a network's predictions into an open file, and returns the picture, (H, W, 3).
+    write_epoch : callable
+        Writes a finished epoch for TensorBoard.
     report : callable
-        Called after every step; in a team by the leader, who alone writes.
+        Called after every step, by the main worker only.
     """
 
     run: Path
@@ -96,44 +94,35 @@ class Training:
     validation: Sequence[ScanFile]
     card: WeightsCard
     workers: int
-    draw: Callable[[Path, Network], npt.NDArray[np.uint8]]
-    events: Events
+    draw: Callable[[BinaryIO, Network], npt.NDArray[np.uint8]]
+    write_epoch: EpochWriter
     report: Callable[[Report], object]
 
     @property
-    def plan(self) -> Plan:
-        """What is drawn when."""
-        return Plan(len(self.samples.files), self.learner.recipe)
+    def plan(self) -> SamplingPlan:
+        """Batches of the whole training."""
+        return SamplingPlan(len(self.samples.files), self.learner.recipe)
 
     def fit(self) -> TrainingState:
         """Train from the last checkpoint, if there is one, to the end."""
-        checkpoint = self.run / CHECKPOINT
-        state = (
-            load_checkpoint(checkpoint, self.learner) if checkpoint.exists() else TrainingState()
-        )
-        if len(state.losses) >= self.plan.steps_per_epoch:
-            found = f"{len(state.losses)} steps of an epoch of {self.plan.steps_per_epoch}"
+        checkpoint, steps = self.run / CHECKPOINT, self.plan.steps_per_epoch
+        state = TrainingState()
+        if checkpoint.exists():
+            state = load_checkpoint(checkpoint, self.learner)
+        if len(state.losses) >= steps:
+            found = f"{len(state.losses)} steps of an epoch of {steps}"
             raise TrainingError(checkpoint, found, "a checkpoint of this training")
-        first = state.epoch * self.plan.steps_per_epoch + len(state.losses)
-        self._require_same_start(first)
+        first, group = state.epoch * steps + len(state.losses), self.learner.group
+        if (of_main := group.on_main(lambda: first)) != first:
+            found = f"the first worker goes on after step {of_main}, this one after step {first}"
+            raise TrainingError(self.run, found, "one folder that all workers see")
         if first:
             log.info("going on after step %d", first)
         pinned = self.learner.device.type == "cuda"
-        group = self.learner.group
         stream = batches(self.samples, self.plan, first, self.workers, pinned=pinned, group=group)
         while state.epoch < self.learner.recipe.epochs:
             self._epoch(state, stream)
         return group.on_main(lambda: state)
-
-    def _require_same_start(self, first: int) -> None:
-        """Refuse a team of which some go on and some begin: they do not see the same folder."""
-        is_main = self.learner.group.on_main(lambda: first)
-        if is_main != first:
-            raise TrainingError(
-                self.run,
-                f"the first worker goes on after step {is_main}, this one after step {first}",
-                "one folder that all workers see",
-            )
 
     def _epoch(self, state: TrainingState, stream: Iterator[Batch]) -> None:
         """Take the steps of an epoch that are left, and end it."""
@@ -147,30 +136,30 @@ class Training:
             state.seconds = now - start
             if step + 1 == end:
                 break
-            if now - saved > SAVE_EVERY and self.learner.group.is_main:
+            if now - saved > SAVE_INTERVAL_S and self.learner.group.is_main:
                 save_checkpoint(self.run / CHECKPOINT, self.learner, state)
                 saved = now
-            self._tell(state, step, state.losses[-1])
+            self._report(state, step, state.losses[-1])
         self._end_epoch(state, step)
 
     def _end_epoch(self, state: TrainingState, step: int) -> None:
+        recipe = self.learner.recipe
         loss, losses, seconds = state.losses[-1], state.losses, state.seconds
         state.epoch, state.losses, state.seconds = state.epoch + 1, [], 0.0
         row: Row = {
             "epoch": state.epoch,
-            "learning_rate": learning_rate(self.learner.recipe, step, self.plan.steps_per_epoch),
+            "learning_rate": learning_rate(recipe, step, self.plan.steps_per_epoch),
             "loss": float(np.mean(losses)),
             "seconds": seconds,
         }
-        last = state.epoch == self.learner.recipe.epochs
-        if last or state.epoch % self.learner.recipe.validate_every == 0:
+        if state.epoch == recipe.epochs or state.epoch % recipe.validate_every == 0:
             row |= self._scores()
         if self.learner.group.is_main:
-            self._keep(state, row)
-        self._tell(state, step, loss, row)
+            self._write(state, row)
+        self._report(state, step, loss, row)
 
     def _step(self, batch: Batch, step: int) -> float:
-        images, truth, _ = batch
+        images, truth, indices = batch
         try:
             loss = self.learner.step(images, truth, step, self.plan.steps_per_epoch)
         except torch.OutOfMemoryError as error:
@@ -180,37 +169,36 @@ class Training:
                 "images that fit",
                 "--set accumulate=2, or more parts still",
             ) from error
-        if not math.isfinite(loss):
-            raise TrainingError(
-                f"step {step + 1}",
-                f"the loss or its gradient is not finite with {self._culprits(batch)}",
-                "finite ones",
-                "look at these scans, lower learning_rate or set clip_gradient",
-            )
-        return loss
+        if math.isfinite(loss):
+            return loss
+        alone = indices[self.learner.non_finite_samples(images, truth)]
+        group, device = self.learner.group, self.learner.device
+        found, every = (torch.cat(group.gather(i.to(device))) for i in (alone, indices))
+        paths = (str(self.samples.files[i].path) for i in (found if len(found) else every))
+        raise TrainingError(
+            f"step {step + 1}",
+            f"the loss or its gradient is not finite with {', '.join(paths)}",
+            "finite ones",
+            "look at these scans, lower learning_rate or set clip_gradient",
+        )
 
-    def _culprits(self, batch: Batch) -> str:
-        """Name the scans whose loss alone is not finite; all of the batch if there are none."""
-        images, truth, indices = (each.to(self.learner.device) for each in batch)
-        with autocast(self.learner.dtype, self.learner.device):
-            alone = non_finite_samples(self.learner.network, self.learner.loss, images, truth)
-        found, every = (torch.cat(self.learner.group.gather(i)) for i in (indices[alone], indices))
-        chosen = found if len(found) else every
-        return ", ".join(str(self.samples.files[i].path) for i in chosen)
-
-    def _keep(self, state: TrainingState, row: Row) -> None:
+    def _write(self, state: TrainingState, row: Row) -> None:
         """Write weights, log, curve, pictures and, last, the checkpoint."""
         state.rows.append(row)
-        scores = {key: value for key, value in row.items() if "iou" in key and value == value}
-        card = replace(self.card, scores=scores | {"epoch": state.epoch})
-        save_weights(self.run / LAST, self.learner.average, card)
+        measured = {key: value for key, value in row.items() if "iou" in key and value == value}
+        network, written = self._network(), WrittenFiles(self.run)
+        card = replace(self.card, scores=measured | {"epoch": state.epoch})
+        tensors = {name: t.cpu().contiguous() for name, t in network.module.state_dict().items()}
+        weights = safetensors.torch.save(tensors, card.to_metadata())
+        written.write(self.run / LAST, weights, durable=True)
         if row.get("miou", -1) > state.best:
             state.best = row["miou"]
-            save_weights(self.run / BEST, self.learner.average, card)
+            written.write(self.run / BEST, weights, durable=True)
         write_log(self.run / LOG, state.rows)
         draw_curve(self.run / CURVE, state.rows)
-        picture = self.draw(self.run / SAMPLES / f"epoch-{state.epoch:03d}.png", self._network())
-        self.events.add(row, picture)
+        with written.writing(self.run / SAMPLES / f"epoch-{state.epoch:03d}.png") as file:
+            picture = self.draw(file, network)
+        self.write_epoch(row, picture)
         save_checkpoint(self.run / CHECKPOINT, self.learner, state)
 
     def _network(self) -> Network:
@@ -220,6 +208,8 @@ class Training:
     def _scores(self) -> Row:
         """Score the validation scans, each by one worker."""
         group, space = self.learner.group, self.card.space
+        # On CPUs the workers' statistics of batch norm differ; kept are those of the main one.
+        group.broadcast(self.learner.average.buffers())
         own = validate(self._network(), self.validation[group.rank :: group.size])
         counts = group.sum(torch.from_numpy(own.matrix).to(self.learner.device))
         result = scores(Confusion(space.class_count, counts.cpu().numpy()), space)
@@ -230,9 +220,7 @@ class Training:
         names = {f"iou_{score.name}": score.iou for score in result.classes}
         return {"miou": result.iou_mean_present} | names
 
-    def _tell(self, state: TrainingState, step: int, loss: float, row: Row | None = None) -> None:
-        if not self.learner.group.is_main:
-            return
-        epoch = state.epoch + (row is None)
-        epochs = self.learner.recipe.epochs
-        self.report(Report(epoch, epochs, step + 1, self.plan.steps, loss, row))
+    def _report(self, state: TrainingState, step: int, loss: float, row: Row | None = None) -> None:
+        if self.learner.group.is_main:
+            epoch, epochs = state.epoch + (row is None), self.learner.recipe.epochs
+            self.report(Report(epoch, epochs, step + 1, self.plan.steps, loss, row))

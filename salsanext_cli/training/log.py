@@ -1,30 +1,41 @@
 # SPDX-License-Identifier: MIT
-"""The course of a training as a table and as a picture."""
+"""Log of a training: a table, a curve, and events for TensorBoard."""
 
 from __future__ import annotations
 
 import csv
 import io
-from collections.abc import Sequence
+import logging
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from importlib.util import find_spec
 from pathlib import Path
+from typing import Any
 
-from salsanext_cli.storage.atomic import write_text, writing
+import numpy as np
+import numpy.typing as npt
+
+from salsanext_cli.storage.written_files import WrittenFiles
 
 Row = dict[str, float]
 """One epoch: epoch, learning_rate, loss, seconds and, where validated, miou and iou_<class>."""
+EpochWriter = Callable[[Row, npt.NDArray[np.uint8]], None]
+"""Writes a finished epoch and its picture, (H, W, 3)."""
+
+log = logging.getLogger(__name__)
 
 
 def write_log(path: Path, rows: Sequence[Row]) -> None:
-    """Write one line per epoch as CSV; what was not measured is empty."""
+    """Write one line per epoch as CSV; cells without a measurement are empty."""
     columns = dict.fromkeys(key for row in rows for key in row)
     text = io.StringIO()
     table = csv.DictWriter(text, columns, lineterminator="\n")
     table.writeheader()
-    table.writerows({key: _written(value) for key, value in row.items()} for row in rows)
-    write_text(path, text.getvalue())
+    table.writerows({key: _cell(value) for key, value in row.items()} for row in rows)
+    WrittenFiles(path.parent).write(path, text.getvalue().encode())
 
 
-def _written(value: float) -> str:
+def _cell(value: float) -> str:
     if value != value:
         return ""
     return str(value) if isinstance(value, int) else f"{value:.6g}"
@@ -44,5 +55,54 @@ def draw_curve(path: Path, rows: Sequence[Row]) -> None:
     right.set(ylabel="validation mIoU on points", ylim=(0, 1))
     right.yaxis.label.set_color("C1")
     left.set_title("Training")
-    with writing(path) as file:
+    with WrittenFiles(path.parent).writing(path) as file:
         figure.savefig(file, format="png", dpi=120)
+
+
+@contextmanager
+def tensorboard_in(run: Path, folder: str, *, wanted: bool = True) -> Iterator[EpochWriter]:
+    """Yield what writes epochs for TensorBoard; without TensorBoard it writes nothing.
+
+    Parameters
+    ----------
+    run : Path
+        The run folder.
+    folder : str
+        Folder below it that gets a file every time that training begins or is resumed.
+    wanted : bool
+        Whether to write; only the main worker does.
+    """
+    if not wanted or find_spec("tensorboard") is None:
+        if wanted:
+            log.info("TensorBoard is not installed, so nothing is written for it")
+        yield lambda row, picture: None
+        return
+    from torch.utils.tensorboard import SummaryWriter  # an optional dependency
+
+    before, written = {*(run / folder).glob("events.*")}, WrittenFiles(run)
+    with SummaryWriter(str(run / folder)) as writer:
+
+        def write(row: Row, picture: npt.NDArray[np.uint8]) -> None:
+            add_epoch(writer, row, picture)
+            for path in {*(run / folder).glob("events.*")} - before:
+                written.record(path)
+
+        yield write
+
+
+def add_epoch(writer: Any, row: Row, picture: npt.NDArray[np.uint8]) -> None:
+    """Write an epoch's figures as scalars, classes below ``iou/``, and its picture as image.
+
+    Parameters
+    ----------
+    writer : torch.utils.tensorboard.SummaryWriter
+    row : Row
+        Figures that were not measured are left out.
+    picture : (H, W, 3) uint8
+    """
+    epoch = int(row["epoch"])
+    for key, value in row.items():
+        if key != "epoch" and value == value:
+            writer.add_scalar(key.replace("iou_", "iou/", 1), value, epoch)
+    writer.add_image("sample", picture, epoch, dataformats="HWC")
+    writer.flush()

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""The loss: class-weighted cross-entropy plus Lovász-Softmax.
+"""Loss of a training: class-weighted cross-entropy plus Lovász-Softmax.
 
 Both look only at pixels whose truth is a class that counts; a batch without any such pixel has
 loss 0 and gradient 0.
@@ -27,7 +27,7 @@ def class_weights(counts: npt.NDArray[np.int64], scored: npt.NDArray[np.bool_]) 
     counts : (C,) int64
         Points of each class in the training data.
     scored : (C,) bool
-        Which classes count.
+        Classes that count.
 
     Returns
     -------
@@ -43,7 +43,7 @@ def weighted_cross_entropy(
     log_probabilities: Tensor,
     truth: Tensor,
     weights: Tensor,
-    whole: Tensor | None = None,
+    total_weight: Tensor | None = None,
     smoothing: float = 0.0,
 ) -> Tensor:
     """Return the mean of -log p(truth), each pixel weighing what its true class does.
@@ -60,8 +60,8 @@ def weighted_cross_entropy(
     log_probabilities : (P, C) float
     truth : (P,) int64
     weights : (C,) float
-    whole : 0-d float, optional
-        Weight of all pixels that the mean is over, where these are only some of them.
+    total_weight : 0-d float, optional
+        Weight of all pixels that the mean is over, if these are only some of them.
     smoothing : float
         The share ε.
 
@@ -69,13 +69,13 @@ def weighted_cross_entropy(
     -------
     0-d tensor; 0 where no pixel has a weight.
     """
-    total = F.nll_loss(log_probabilities, truth, weights, reduction="sum")
+    loss = F.nll_loss(log_probabilities, truth, weights, reduction="sum")
     if smoothing:
         counts = (weights > 0).to(weights.dtype)
         of_all = (log_probabilities * (counts / counts.sum().clamp_min(1))).sum(1)
-        total = (1 - smoothing) * total - smoothing * (weights[truth] * of_all).sum()
-    whole = weights[truth].sum() if whole is None else whole
-    return total / whole.clamp_min(torch.finfo(whole.dtype).tiny)
+        loss = (1 - smoothing) * loss - smoothing * (weights[truth] * of_all).sum()
+    total = weights[truth].sum() if total_weight is None else total_weight
+    return loss / total.clamp_min(torch.finfo(total.dtype).tiny)
 
 
 @torch.no_grad()
@@ -117,7 +117,7 @@ def lovasz_softmax(
     ----------
     probabilities : (P, C) float
     truth : (P,) int64
-    team : Team
+    group : ProcessGroup
         Workers whose pixels count as one set; the losses of all add up to that of the set.
 
     Returns
@@ -145,21 +145,20 @@ def _gradient_of_own(errors: Tensor, foreground: Tensor, group: ProcessGroup) ->
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Whole:
-    """What the images of a call are a part of, so that the losses of all parts add up to one.
+class WholeBatch:
+    """The batch that a part's loss is a share of, so that the losses of all parts add up to one.
 
     Attributes
     ----------
-    weight, pixels : 0-d float tensor
-        Of all pixels of all parts of all workers, and how many of them count.
+    weight : 0-d float tensor
+        Of all pixels of all parts of all workers.
     parts : int
-        How many parts each worker has.
-    team : Team
+        Number of parts of each worker.
+    group : ProcessGroup
         The workers.
     """
 
     weight: Tensor
-    pixels: Tensor
     parts: int
     group: ProcessGroup = SINGLE_PROCESS
 
@@ -185,17 +184,16 @@ class SegmentationLoss(nn.Module):
         self.lovasz = lovasz
         self.smoothing = smoothing
 
-    def size(self, truth: Tensor) -> Tensor:
-        """Return weight and number of the pixels of integer truth (B, H, W) that count, (2,)."""
-        of_pixels = self.weights[truth.long()]
-        return torch.stack([of_pixels.sum(), (of_pixels > 0).sum()])
+    def weight_of(self, truth: Tensor) -> Tensor:
+        """Return the weight of all pixels of integer truth (B, H, W), 0-d."""
+        return self.weights[truth.long()].sum()
 
-    def forward(self, logits: Tensor, truth: Tensor, whole: Whole | None = None) -> Tensor:
+    def forward(self, logits: Tensor, truth: Tensor, whole: WholeBatch | None = None) -> Tensor:
         """Return the loss of logits (B, C, H, W) for integer truth (B, H, W), 0-d.
 
-        Of a part of a `Whole` it is the part's share: cross-entropy is the mean over all pixels of
-        all parts. Lovász-Softmax is no mean over pixels: it is that of all workers' pixels of a
-        part, and what counts is its mean over the parts.
+        Of a part of a batch it is the part's share: cross-entropy is the mean over all pixels of
+        all parts. Lovász-Softmax is no mean over pixels: all workers' pixels of a part have one,
+        and what counts is the mean over the parts.
         """
         truth = truth.flatten().long()
         counts = (self.weights[truth] > 0).nonzero()[:, 0]
@@ -203,12 +201,10 @@ class SegmentationLoss(nn.Module):
         classes = logits.movedim(1, -1).reshape(-1, logits.shape[1])
         precise = torch.promote_types(logits.dtype, torch.float32)
         log_probabilities = F.log_softmax(classes[counts], 1, dtype=precise)
-        weight, parts, group = (
-            (whole.weight, whole.parts, whole.group) if whole else (None, 1, SINGLE_PROCESS)
-        )
-        weights = self.weights.to(precise)
-        loss = weighted_cross_entropy(log_probabilities, truth, weights, weight, self.smoothing)
+        weights, total = self.weights.to(precise), whole.weight if whole else None
+        loss = weighted_cross_entropy(log_probabilities, truth, weights, total, self.smoothing)
         if self.lovasz:
+            parts, group = (whole.parts, whole.group) if whole else (1, SINGLE_PROCESS)
             lovasz = lovasz_softmax(log_probabilities.exp(), truth, group)
             loss = loss + self.lovasz / parts * lovasz
         return loss

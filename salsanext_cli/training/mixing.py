@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: MIT
-"""Two labelled scans made into one, on points, before projecting.
+"""Mixing of two labelled scans into one, on points, before projecting.
 
 The nearest point then wins each pixel whichever scan it is from, and range, x, y and z of the range
-image stay consistent. Sources: LaserMix (Kong et al. 2023) takes turns between two scans band by
+image stay consistent. Sources: LaserMix (Kong et al. 2023) alternates two scans band by
 band of inclination, PolarMix (Xiao et al. 2022) sector by sector of azimuth, RangeFormer (Kong et
 al. 2023) box by box of the range image; the last two add points of rare classes of another scan.
 """
@@ -21,22 +21,22 @@ from salsanext_cli.records import Float, Scan
 from salsanext_cli.sensors import Sensor
 from salsanext_cli.training.augment import rotate
 
-Labelled = tuple[Scan, TrainIds]
+LabelledScan = tuple[Scan, TrainIds]
 """A scan and the train ids of its points, (N,) uint8."""
 
 KINDS = ((True, False), (False, True), (True, True))
-"""Whether a board has several bands, and several sectors: LaserMix, PolarMix and boxes."""
-FEWEST_BANDS, MOST_BANDS = 2, 6
-MOST_SECTOR_PAIRS = 3
-COPIES = 2
-"""How often the points of rare classes are pasted, each time turned by another angle."""
-CLEAR = 3.0
+"""Whether a checkerboard has several bands, and several sectors: LaserMix, PolarMix, boxes."""
+MIN_BANDS, MAX_BANDS = 2, 6
+MAX_SECTOR_PAIRS = 3
+PASTED_COPIES = 2
+"""Times that the points of rare classes are pasted, each time turned by another angle."""
+CLEAR_RADIUS_M = 3.0
 """Metres around the sensor where nothing is pasted: there is the vehicle that carries it."""
 
 
 @dataclass(frozen=True, slots=True)
-class Board:
-    """A checkerboard over the directions in which a sensor looks.
+class Checkerboard:
+    """Checkerboard over the directions in which a sensor looks.
 
     Cell (i, j) is band i of inclination, from below, and sector j of azimuth, counter-clockwise; it
     is odd if i + j is.
@@ -45,11 +45,11 @@ class Board:
     ----------
     bands : int
         Equally high, from the lower edge of the field of view to the upper. The outer ones hold
-        what lies beyond, too.
+        the points beyond, too.
     sectors : int
         Equally wide; 1 or an even number, so that neighbours differ all around the circle.
     azimuth : float
-        Where the first sector ends, in radians.
+        End of the first sector, in radians.
     fov_down, fov_up : float
         Edges of the field of view in degrees.
     """
@@ -62,10 +62,10 @@ class Board:
 
     @classmethod
     def drawn(cls, sensor: Sensor, random: np.random.Generator) -> Self:
-        """Draw bands, sectors or boxes, all three as often, how many, and where they begin."""
+        """Draw bands, sectors or boxes, all three as often, their number and azimuth."""
         in_bands, in_sectors = KINDS[random.integers(len(KINDS))]
-        bands = int(random.integers(FEWEST_BANDS, MOST_BANDS + 1)) if in_bands else 1
-        sectors = 2 * int(random.integers(1, MOST_SECTOR_PAIRS + 1)) if in_sectors else 1
+        bands = int(random.integers(MIN_BANDS, MAX_BANDS + 1)) if in_bands else 1
+        sectors = 2 * int(random.integers(1, MAX_SECTOR_PAIRS + 1)) if in_sectors else 1
         return cls(bands, sectors, random.uniform(-np.pi, np.pi), sensor.fov_down, sensor.fov_up)
 
     def odd(self, points: Float) -> npt.NDArray[np.bool_]:
@@ -90,28 +90,30 @@ class Board:
         return odd
 
 
-def mix(even: Labelled, odd: Labelled, board: Board) -> Labelled:
+def mix(even: LabelledScan, odd: LabelledScan, board: Checkerboard) -> LabelledScan:
     """Return the points of one scan in the even cells of a board, of another in the odd ones."""
-    return joined(
-        part(even, ~board.odd(even[0].points)),
-        part(odd, board.odd(odd[0].points)),
+    return concatenate(
+        select(even, ~board.odd(even[0].points)),
+        select(odd, board.odd(odd[0].points)),
     )
 
 
-def paste(onto: Labelled, pasted: Labelled, angles: npt.NDArray[np.float64]) -> Labelled:
+def paste(
+    onto: LabelledScan, pasted: LabelledScan, angles: npt.NDArray[np.float64]
+) -> LabelledScan:
     """Return a scan and, for each angle (radians), all points of another turned about z by it.
 
-    Points within `CLEAR` metres of the z axis, or without a measurement, are not pasted.
+    Points within `CLEAR_RADIUS_M` of the z axis, or without a measurement, are not pasted.
     """
     points = pasted[0].points
     with np.errstate(invalid="ignore", over="ignore"):
-        clear = np.hypot(points[:, 0], points[:, 1]) > CLEAR
-    scan, labels = part(pasted, clear & np.isfinite(points).all(axis=1))
+        clear = np.hypot(points[:, 0], points[:, 1]) > CLEAR_RADIUS_M
+    scan, labels = select(pasted, clear & np.isfinite(points).all(axis=1))
     turned = [(Scan(rotate(scan.points, angle), scan.intensity), labels) for angle in angles]
-    return joined(onto, *turned)
+    return concatenate(onto, *turned)
 
 
-def part(labelled: Labelled, chosen: npt.NDArray[np.bool_]) -> Labelled:
+def select(labelled: LabelledScan, chosen: npt.NDArray[np.bool_]) -> LabelledScan:
     """Return the chosen points of a labelled scan, (N,) bool."""
     scan, labels = labelled
     # By index it takes a fifth of the time that NumPy needs by mask.
@@ -119,7 +121,7 @@ def part(labelled: Labelled, chosen: npt.NDArray[np.bool_]) -> Labelled:
     return Scan(scan.points.take(index, 0), scan.intensity.take(index)), labels.take(index)
 
 
-def joined(*scans: Labelled) -> Labelled:
+def concatenate(*scans: LabelledScan) -> LabelledScan:
     """Return the points of all scans, in their order."""
     points = np.concatenate([scan.points for scan, _ in scans])
     intensity = np.concatenate([scan.intensity for scan, _ in scans])

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Changes to a recipe as they are typed: ``key=value``, with the type that the key has."""
+"""Overrides of a recipe's keys as they are typed: ``key=value``."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ READERS: dict[type, tuple[Callable[[str], Any], str]] = {
     float: (float, "a number"),
     str: (lambda text: text.strip("\"'"), "a word"),
 }
-"""How the text of each type of key is read; quotes are taken for those of TOML."""
+"""Reader of the text of each type of key, and its name; quotes are taken for those of TOML."""
 
 
 def read_overrides(texts: Iterable[str]) -> dict[str, Any]:

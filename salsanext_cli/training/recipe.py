@@ -21,6 +21,8 @@ CHOICES = {
     "precision": ("auto", "float32", "bfloat16", "float16"),
 }
 """What words a key may have."""
+REMOVED = {"heteroscedastic": 0.0}
+"""Keys of older versions, and the value with which they did nothing."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -68,8 +70,6 @@ class Recipe:
         Weight of Lovász-Softmax beside cross-entropy.
     label_smoothing : float
         Share of every truth that cross-entropy spreads evenly over the classes that count.
-    heteroscedastic : float
-        Weight of the term that trains the aleatoric variance; 0 for none. Moments are float32.
     rotate, shift, flip, drop : float
         Probability of each augmentation.
     mix : float
@@ -103,7 +103,6 @@ class Recipe:
     dropout: float = 0.2
     lovasz: float = 1.0
     label_smoothing: float = 0.0
-    heteroscedastic: float = 0.0
     rotate: float = 0.5
     shift: float = 0.5
     flip: float = 0.5
@@ -130,7 +129,7 @@ class Recipe:
             self._require(key, getattr(self, key) >= 1, "at least 1")
         for key in ("samples_per_epoch", "crop_width", "whole_epochs", "validation_scans", "seed"):
             self._require(key, getattr(self, key) >= 0, "at least 0")
-        for key in ("weight_decay", "clip_gradient", "lovasz", "heteroscedastic", "warm_up"):
+        for key in ("weight_decay", "clip_gradient", "lovasz", "warm_up"):
             self._require(key, getattr(self, key) >= 0, "at least 0")
         augmentations = ("rotate", "shift", "flip", "drop", "mix", "paste")
         for key in (*augmentations, "crop_on_class"):
@@ -142,8 +141,6 @@ class Recipe:
         self._require("seed", self.seed < 2**63, "below 2⁶³")
         for key, names in CHOICES.items():
             self._require(key, getattr(self, key) in names, f"one of {', '.join(names)}")
-        wide = not self.heteroscedastic or self.precision in ("auto", "float32")
-        self._require("precision", wide, "auto or float32 with heteroscedastic")
 
     def _require(self, key: str, holds: bool, expected: str) -> None:
         if not holds:
@@ -171,6 +168,7 @@ class Recipe:
         UsageError
             If a key is unknown or its value is impossible.
         """
+        data = without_removed(data, source)
         refuse_unknown(data, source)
         return cls(**data)
 
@@ -181,6 +179,21 @@ def _as_float(value: int) -> float:
         return float(value)
     except OverflowError:
         return math.inf if value > 0 else -math.inf
+
+
+def without_removed(data: Mapping[str, Any], source: object) -> dict[str, Any]:
+    """Return a recipe's data without keys of older versions that did nothing in it.
+
+    Raises
+    ------
+    UsageError
+        If such a key did something.
+    """
+    for key, idle in REMOVED.items():
+        if key in data and data[key] != idle:
+            found, remedy = f"{key} = {shortened(data[key])}", "use the version that wrote it"
+            raise UsageError(source, found, f"no {key}, which is no longer trained", remedy)
+    return {key: value for key, value in data.items() if key not in REMOVED}
 
 
 def refuse_unknown(data: Mapping[str, Any], source: object) -> None:

@@ -1,44 +1,57 @@
 # SPDX-License-Identifier: MIT
-"""The folder of a training: whose it is, and taking it."""
+"""Run folder of a training: its files, its settings, its lock, and whose files lie in it."""
 
 from __future__ import annotations
 
+import json
+import logging
 from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
 from salsanext_cli.errors import OutputError
-from salsanext_cli.storage.atomic import require_writable, sweep_stale, write_text
-from salsanext_cli.storage.locks import locked
+from salsanext_cli.storage.atomic import require_writable, sweep_stale
+from salsanext_cli.storage.locks import LockHeldError, locked
 from salsanext_cli.storage.stage_records import (
     StageRecord,
     as_json,
     require_same_settings,
     stage_settings,
 )
-from salsanext_cli.training.events import EVENTS
-from salsanext_cli.training.fit import BEST, CHECKPOINT, CURVE, LAST, LOG, SAMPLES
-from salsanext_cli.training.recipe import Recipe
+from salsanext_cli.storage.written_files import WrittenFiles
+from salsanext_cli.training.recipe import REMOVED, Recipe
 
 STAGE = "train"
-RECIPE = "recipe.toml"
-MADE = (CHECKPOINT, BEST, LAST, LOG, CURVE)
-"""What a training leaves, and what is gone when another begins in its place."""
+CHECKPOINT = "checkpoint.safetensors"
+LAST, BEST = "last.safetensors", "best.safetensors"
+LOG, CURVE = "log.csv", "curve.png"
+RECIPE, CLASS_COUNTS = "recipe.toml", "class_counts.json"
+SAMPLES, EVENTS = "samples", "tensorboard"
+RESULTS = (CHECKPOINT, BEST, LAST, LOG, CURVE)
+"""Files that are gone when another training begins in the folder, beside pictures and events."""
+
+log = logging.getLogger(__name__)
 
 
 @contextmanager
 def trained_alone(run: Path) -> Iterator[None]:
     """Keep other trainings out of a folder while the body runs.
 
-    What a training that was killed long ago left half written is removed.
+    Temporary files of a training that was killed long ago are removed.
 
     Raises
     ------
     OutputError
-        If another training is at work in it.
+        If another training runs in it.
     """
-    with locked(run / ".train.lock"):
+    with ExitStack() as held:
+        try:
+            held.enter_context(locked(run / f".{STAGE}.lock"))
+        except LockHeldError as error:
+            found = "another run of `train` is at work in it"
+            remedy = "wait until it has ended, or use another folder"
+            raise OutputError(run, found, remedy=remedy) from error
         for folder in (run, run / SAMPLES):
             sweep_stale(folder)
         yield
@@ -50,52 +63,72 @@ def require_free(run: Path, settings: Mapping[str, Any], *, overwrite: bool) -> 
     Raises
     ------
     OutputError
-        If it cannot be written; or, unless `overwrite`, if it holds a training with other settings
-        that has come to a first checkpoint, or files of such names that no training recorded.
+        If it cannot be written; if it holds files of a training's names that salsanext did not
+        write, or that were changed since; or, unless `overwrite`, if it holds a training with
+        other settings that has come to a first checkpoint.
     """
     require_writable(run)
-    there = [name for name in MADE if (run / name).exists()]
-    if overwrite or not there:
-        return
     recorded = stage_settings(run, STAGE)
-    if recorded is None:
-        raise OutputError(
-            run / there[0],
-            "was there before, made nobody knows how",
-            remedy="use another folder, or --overwrite to replace it",
-        )
-    require_same_settings(run / f"{STAGE}.json", _decisive(recorded), _decisive(as_json(settings)))
+    if foreign := _foreign(run, settings):
+        found = "not written by salsanext, or changed since"
+        raise OutputError(foreign[0], found, remedy="move it, or use another folder")
+    if recorded is not None and not overwrite and any((run / name).exists() for name in RESULTS):
+        path = run / f"{STAGE}.json"
+        require_same_settings(path, _decisive(recorded), _decisive(as_json(settings)))
 
 
-def take(run: Path, settings: Mapping[str, Any], *, overwrite: bool) -> None:
-    """Record a training in a folder that is free; one with other settings is removed.
+def begin(run: Path, settings: Mapping[str, Any], *, overwrite: bool) -> None:
+    """Record a training in a folder that is free; results of other settings are removed.
 
     Parameters
     ----------
     run : Path
         The folder.
     settings : mapping
-        All that decides what the training ends with, its recipe under that name.
+        All that decides the result of the training, its recipe under that name.
     overwrite : bool
         Whether to begin anew with the same settings too.
     """
-    recorded = stage_settings(run, STAGE)
-    anew = recorded is None or _decisive(recorded) != _decisive(as_json(settings))
-    if overwrite or anew:
-        pictures, events = run.glob(f"{SAMPLES}/epoch-*.png"), run.glob(f"{EVENTS}/events.*")
-        for made in (*(run / name for name in MADE), *pictures, *events):
-            made.unlink(missing_ok=True)
+    recorded, written = stage_settings(run, STAGE), WrittenFiles(run)
+    if overwrite or recorded is None or _decisive(recorded) != _decisive(as_json(settings)):
+        results = [run / name for name in RESULTS]
+        results += [*run.glob(f"{SAMPLES}/epoch-*.png"), *run.glob(f"{EVENTS}/events.*")]
+        for path in written.remove(results):
+            log.warning("%s is kept: not written by salsanext, or changed since", path)
     StageRecord(STAGE, as_json(settings)).write(run)
-    write_text(run / RECIPE, Recipe.from_dict(settings["recipe"]).to_toml())
+    recipe = _toml(settings["recipe"])
+    if _content(run / RECIPE) != recipe:
+        written.write(run / RECIPE, recipe)
+
+
+def _foreign(run: Path, settings: Mapping[str, Any]) -> list[Path]:
+    """Return the files that a training would replace and salsanext did not write as they are."""
+    others = WrittenFiles(run).others(run / name for name in (*RESULTS, RECIPE, CLASS_COUNTS))
+    recipe = _toml(settings["recipe"])
+    return [path for path in others if path.name != RECIPE or _content(path) != recipe]
+
+
+def _toml(recipe: object) -> bytes:
+    """Return the recipe file of recorded settings, keys of older versions included."""
+    items = recipe.items() if isinstance(recipe, dict) else ()
+    return "".join(f"{key} = {json.dumps(value)}\n" for key, value in items).encode()
+
+
+def _content(path: Path) -> bytes | None:
+    with suppress(OSError):
+        return path.read_bytes()
+    return None
 
 
 def _decisive(settings: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the settings that a training may not change on the way.
+    """Return the settings that may not change when a training is resumed.
 
-    What recipes of older versions do not say is the default. The parts of a batch may change, since
-    a training that has run out of memory must be able to go on.
+    Keys that recipes of older versions lack are the default, and keys that did nothing in them are
+    left out. The parts of a batch may change, since a training that has run out of memory must be
+    able to go on.
     """
     recipe = settings.get("recipe")
     if not isinstance(recipe, dict):
         return dict(settings)
+    recipe = {key: v for key, v in recipe.items() if key not in REMOVED or v != REMOVED[key]}
     return {**settings, "recipe": {**Recipe().to_dict(), **recipe, "accumulate": None}}

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""How good are the weights so far: intersection over union on points, after kNN."""
+"""Validation of a training: confusion on points, after kNN."""
 
 from __future__ import annotations
 

@@ -44,8 +44,8 @@ from salsanext_cli.storage.stage_records import (
 from salsanext_cli.training.checkpoint import TrainingState, load_checkpoint, save_checkpoint
 from salsanext_cli.training.class_counts import class_counts
 from salsanext_cli.training.distributed import ProcessGroup
+from salsanext_cli.training.learner import Learner
 from salsanext_cli.training.log import write_log
-from salsanext_cli.training.optimise import Learner
 from salsanext_cli.training.recipe import Recipe, recipe
 from salsanext_cli.training.run_folder import require_free
 
@@ -146,7 +146,8 @@ def _checkpoint(folder: Path) -> Reader:
     learner = Learner.of(TinyNetwork(FEW.class_count), settings, weights, device, ProcessGroup())
     row = {"epoch": 1, "learning_rate": 0.01, "loss": 1.5, "seconds": 2.0, "miou": 0.5}
     learner.step(torch.zeros(1, 5, 16, 32), torch.ones(1, 16, 32, dtype=torch.long), 0, 1)
-    save_checkpoint(folder / "c.pt", learner, TrainingState(1, 0.5, [row], [1.0, 2.0], 3.0))
+    path = folder / "checkpoint.safetensors"
+    save_checkpoint(path, learner, TrainingState(1, 0.5, [row], [1.0, 2.0], 3.0))
 
     def read(path: Path) -> None:
         state = load_checkpoint(path, learner)
@@ -157,7 +158,7 @@ def _checkpoint(folder: Path) -> Reader:
         assert state.best > -2
         float(np.mean([*state.losses, 1.0]))
 
-    return Reader("checkpoint.pt", [(folder / "c.pt").read_bytes()], read)
+    return Reader(path.name, [path.read_bytes()], read)
 
 
 def _pickle_of(inner: Reader) -> Reader:
@@ -227,7 +228,7 @@ def _run_folder(folder: Path) -> tuple[Path, bytes, bytes, tuple]:
     scans = find_scans(data)
     class_counts(run / "class_counts.json", (scans, scans, scans), label_space(), SMALL)
     StageRecord("train", {"recipe": Recipe().to_dict()}).write(run)
-    (run / "checkpoint.pt").touch()
+    (run / "checkpoint.safetensors").touch()
     records = [(run / name).read_bytes() for name in ("train.json", "class_counts.json")]
     return run, records[0], records[1], (scans, scans, scans)
 

@@ -98,13 +98,13 @@ def training(folder: Path) -> Run:
     from salsanext_cli.geometry.projection import project
     from salsanext_cli.network.registry import ARCHITECTURES
     from salsanext_cli.stages.train import train
-    from salsanext_cli.training import fit as loop
+    from salsanext_cli.training import fit
     from salsanext_cli.training.log import draw_curve
     from salsanext_cli.training.recipe import Recipe
 
     ARCHITECTURES["salsanext"] = TinyNetwork
-    loop.SAVE_EVERY = -1.0
-    loop.time = SimpleNamespace(monotonic=lambda: 0.0)  # type: ignore[assignment]
+    fit.SAVE_INTERVAL_S = -1.0
+    fit.time = SimpleNamespace(monotonic=lambda: 0.0)  # type: ignore[assignment]
     write_sequence(folder / "data/sequences/00", ["0", "1"], count=600)
     write_sequence(folder / "data/sequences/08", ["0"], count=600)
     # Loaded here, so as not to be in every run; but a step would start threads.

@@ -33,9 +33,13 @@ def _is_ply(path: Path) -> None:
 
 
 def _is_weights(path: Path) -> None:
+    from safetensors.torch import load_file
+
     from salsanext_cli.network.weights import read_weights
 
-    read_weights(path)
+    load_file(path)
+    if path.name != "checkpoint.safetensors":
+        read_weights(path)
 
 
 def _is_labels(path: Path) -> None:
@@ -55,7 +59,6 @@ WHOLE: dict[str, Callable[[Path], Any]] = {
     ".png": _is_png,
     ".csv": _is_csv,
     ".safetensors": _is_weights,
-    ".pt": lambda path: torch.load(path, weights_only=True),
 }
 """What raises, by suffix, if a file is not whole."""
 

@@ -17,7 +17,7 @@ from salsanext_cli.inference.network import Network, load_network, with_dropout
 from salsanext_cli.network.dropout import dropouts, sampling
 from salsanext_cli.network.registry import ARCHITECTURES, build
 from salsanext_cli.network.weights import WeightsCard, save_weights
-from salsanext_cli.training.optimise import Learner
+from salsanext_cli.training.learner import Learner
 from salsanext_cli.training.recipe import Recipe
 from salsanext_cli.uncertainty.adf import Gaussian, propagate
 from salsanext_cli.uncertainty.aleatoric import aleatoric

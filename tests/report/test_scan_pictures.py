@@ -25,10 +25,11 @@ def test_strips_are_range_truth_prediction_and_errors(tmp_path: Path) -> None:
     module.logits.bias.data.zero_()[SPACE.names.index("road")] = 9.0
     card = WeightsCard({"name": "tiny"}, SPACE, SMALL)
     network = Network(module, card, SMALL, torch.device("cpu"))
-    picture = draw_sample(tmp_path / "new" / "sample.png", file, network)
+    with (tmp_path / "sample.png").open("wb") as out:
+        picture = draw_sample(out, file, network)
     height = ROW_HEIGHT_PX * SMALL.height
     assert picture.shape == (4 * height + 3 * GAP_PX, SMALL.width, 3)
-    written = imread(tmp_path / "new" / "sample.png")[..., :3]
+    written = imread(tmp_path / "sample.png")[..., :3]
     np.testing.assert_array_equal((written * 255).round().astype(np.uint8), picture)
     starts = [i * (height + GAP_PX) for i in range(4)]
     _, truth, prediction, _ = (picture[s : s + height : ROW_HEIGHT_PX] for s in starts)

@@ -17,9 +17,9 @@ from tiny_network import TinyNetwork
 from salsanext_cli.errors import TrainingError
 from salsanext_cli.network.registry import ARCHITECTURES
 from salsanext_cli.stages.train import train
-from salsanext_cli.training import fit as loop
+from salsanext_cli.training import fit
 from salsanext_cli.training.distributed import group_of_environment
-from salsanext_cli.training.optimise import Learner
+from salsanext_cli.training.learner import Learner
 from salsanext_cli.training.recipe import Recipe
 
 RECIPE = Recipe(
@@ -32,7 +32,7 @@ SEVERED = "severed"
 def main(dataset: str, run: str, stop: str = "") -> None:
     """Train, with a checkpoint after every step."""
     ARCHITECTURES["salsanext"] = TinyNetwork
-    loop.SAVE_EVERY = 0.0
+    fit.SAVE_INTERVAL_S = 0.0
     original = Learner.step
 
     def step(self: Learner, images: torch.Tensor, truth: torch.Tensor, at: int, of: int) -> float:

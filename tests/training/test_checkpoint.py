@@ -1,114 +1,236 @@
 # SPDX-License-Identifier: MIT
-import io
+import json
 import pickle
+import struct
+import time
+import tracemalloc
 from collections.abc import Callable
 from pathlib import Path
-from zipfile import ZipFile
+from typing import Any
 
 import pytest
+import safetensors
+import safetensors.torch
 import torch
 from tiny_network import TinyNetwork
 
 from salsanext_cli.errors import TrainingError
-from salsanext_cli.training.checkpoint import TrainingState, load_checkpoint, save_checkpoint
-from salsanext_cli.training.optimise import Learner
+from salsanext_cli.training.checkpoint import (
+    KEY,
+    TrainingState,
+    _checksum,
+    load_checkpoint,
+    save_checkpoint,
+)
+from salsanext_cli.training.learner import Learner
 from salsanext_cli.training.recipe import Recipe
 
+NAME = "c.safetensors"
 
-def learner(classes: int = 3, precision: str = "auto") -> Learner:
-    recipe = Recipe(optimiser="adamw", average=0.9, precision=precision)
+
+def learner(classes: int = 3, **changes: object) -> Learner:
+    recipe = Recipe(epochs=9, optimiser="adamw", average=0.9).with_changes(**changes)
     return Learner.of(TinyNetwork(classes), recipe, torch.ones(classes), torch.device("cpu"))
 
 
-def trained() -> Learner:
-    learning = learner()
-    learning.step(torch.randn(2, 5, 16, 16), torch.ones(2, 16, 16, dtype=torch.uint8), 0, 1)
+def trained(**changes: object) -> Learner:
+    learning = learner(**changes)
+    images = torch.randn(2, 5, 16, 16)
+    learning.step(images, torch.ones(2, 16, 16, dtype=torch.uint8), 0, 1)
     return learning
 
 
-def test_round_trip(tmp_path: Path) -> None:
-    learning, progress = trained(), TrainingState(2, 0.5, [{"epoch": 1, "loss": 2.5}], [0.1], 3.5)
-    save_checkpoint(tmp_path / "c.pt", learning, progress)
-    other = learner()
-    assert load_checkpoint(tmp_path / "c.pt", other) == progress
+def refused(path: Path, learning: Learner, words: str = "") -> None:
+    """Fail unless a file is refused in one line, at once, and without taking memory."""
+    before = {name: t.clone() for name, t in learning.module.state_dict().items()}
+    tracemalloc.start()
+    start = time.process_time()
+    with pytest.raises(TrainingError, match=rf"c\.safetensors · cannot be resumed.*{words}") as e:
+        load_checkpoint(path, learning)
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert time.process_time() - start < 2
+    assert peak < 16 << 20
+    assert "\n" not in str(e.value)
+    for name, tensor in learning.module.state_dict().items():
+        assert torch.equal(tensor, before[name])
+    assert not learning.optimiser.state
+
+
+@pytest.mark.parametrize("changes", [{}, {"average": 0.0}, {"optimiser": "sgd"}])
+def test_round_trip(tmp_path: Path, changes: dict[str, object]) -> None:
+    rows = [{"epoch": 1, "loss": 2.5}, {"epoch": 2, "loss": 0.1, "miou": 0.25}]
+    learning, state = trained(**changes), TrainingState(2, 0.5, rows, [0.1, 1 / 3], 3.5)
+    save_checkpoint(tmp_path / NAME, learning, state)
+    other = learner(**changes)
+    assert load_checkpoint(tmp_path / NAME, other) == state
     for mine, theirs in ((learning.module, other.module), (learning.average, other.average)):
         for a, b in zip(mine.state_dict().values(), theirs.state_dict().values(), strict=True):
             assert torch.equal(a, b)
-    kept = learning.optimiser.state_dict()["state"]
-    for key, state in other.optimiser.state_dict()["state"].items():
-        for name, value in state.items():
-            assert torch.equal(value, kept[key][name])
+    kept, found = (each.optimiser.state_dict()["state"] for each in (learning, other))
+    assert kept.keys() == found.keys()
+    for key, values in kept.items():
+        assert values.keys() == found[key].keys()
+        assert all(torch.equal(value, found[key][name]) for name, value in values.items())
+
+
+def test_before_the_first_step_and_with_no_loss(tmp_path: Path) -> None:
+    save_checkpoint(tmp_path / NAME, learner(), TrainingState())
+    other = learner()
+    assert load_checkpoint(tmp_path / NAME, other) == TrainingState()
+    assert not other.optimiser.state
+
+
+def test_equal_states_have_equal_bytes(tmp_path: Path) -> None:
+    learning = trained()
+    for name in ("a", "b"):
+        save_checkpoint(tmp_path / name, learning, TrainingState())
+    assert (tmp_path / "a").read_bytes() == (tmp_path / "b").read_bytes()
 
 
 def test_the_scale_of_float16_is_kept(tmp_path: Path) -> None:
     learning = learner(precision="float16")
-    learning.scaler.scale(torch.zeros(()))  # what a scaler has begins with its first use
+    learning.scaler.scale(torch.zeros(()))  # a scaler has its state from its first use on
     learning.scaler.update(4096.0)
-    save_checkpoint(tmp_path / "c.pt", learning, TrainingState())
+    save_checkpoint(tmp_path / NAME, learning, TrainingState())
     other = learner(precision="float16")
-    load_checkpoint(tmp_path / "c.pt", other)
+    load_checkpoint(tmp_path / NAME, other)
     assert other.scaler.get_scale() == 4096
+    refused(tmp_path / NAME, learner(), "another precision")
 
 
-def test_a_checkpoint_of_another_network(tmp_path: Path) -> None:
-    save_checkpoint(tmp_path / "c.pt", trained(), TrainingState())
-    with pytest.raises(TrainingError, match="cannot be resumed from"):
-        load_checkpoint(tmp_path / "c.pt", learner(classes=4))
+@pytest.mark.parametrize(
+    "changes", [{"classes": 4}, {"optimiser": "sgd"}, {"average": 0.0}, {"epochs": 1}]
+)
+def test_a_checkpoint_of_another_training(tmp_path: Path, changes: dict[str, Any]) -> None:
+    save_checkpoint(tmp_path / NAME, trained(), TrainingState(2))
+    refused(tmp_path / NAME, learner(**changes))
 
 
-@pytest.mark.parametrize("cut", [0, 100, 5000])
-def test_a_damaged_checkpoint(cut: int, tmp_path: Path) -> None:
-    save_checkpoint(tmp_path / "c.pt", trained(), TrainingState())
-    data = (tmp_path / "c.pt").read_bytes()
-    (tmp_path / "c.pt").write_bytes(data[:cut])
-    with pytest.raises(TrainingError, match=r"c\.pt · cannot be resumed from"):
-        load_checkpoint(tmp_path / "c.pt", learner())
+@pytest.mark.parametrize("cut", [0, 5, 100, 5000, -1])
+def test_a_checkpoint_that_was_cut(cut: int, tmp_path: Path) -> None:
+    save_checkpoint(tmp_path / NAME, trained(), TrainingState())
+    (tmp_path / NAME).write_bytes((tmp_path / NAME).read_bytes()[:cut])
+    refused(tmp_path / NAME, learner())
 
 
-@pytest.mark.parametrize("share", [0.1, 0.3, 0.5, 0.7, 0.9])
+@pytest.mark.parametrize("share", [0.0, 0.1, 0.3, 0.5, 0.7, 0.9])
 def test_a_flipped_bit_is_noticed(share: float, tmp_path: Path) -> None:
-    save_checkpoint(tmp_path / "c.pt", trained(), TrainingState())
-    with ZipFile(tmp_path / "c.pt") as archive:
-        largest = max(archive.infolist(), key=lambda member: member.file_size)
-    data = bytearray((tmp_path / "c.pt").read_bytes())
-    # Behind the header of the member, whose padding nobody reads.
-    data[largest.header_offset + 200 + int(share * (largest.file_size - 200))] ^= 4
-    (tmp_path / "c.pt").write_bytes(data)
-    with pytest.raises(TrainingError, match="checksum"):
-        load_checkpoint(tmp_path / "c.pt", learner())
+    save_checkpoint(tmp_path / NAME, trained(), TrainingState())
+    data = bytearray((tmp_path / NAME).read_bytes())
+    start = 8 + struct.unpack("<Q", data[:8])[0]
+    data[start + int(share * (len(data) - start))] ^= 4
+    (tmp_path / NAME).write_bytes(data)
+    refused(tmp_path / NAME, learner(), "the checksum is wrong")
 
 
-def test_a_file_of_something_else(tmp_path: Path) -> None:
-    torch.save(torch.zeros(3), tmp_path / "c.pt")
-    with pytest.raises(TrainingError, match="cannot be resumed from"):
-        load_checkpoint(tmp_path / "c.pt", learner())
+def test_no_file_at_all(tmp_path: Path) -> None:
+    (tmp_path / NAME).mkdir()
+    refused(tmp_path / NAME, learner())
+
+
+def rewritten(path: Path, change: Callable[[dict[str, Any], dict[str, Any]], object]) -> None:
+    """Change the values and tensors of a checkpoint, and mend its checksum."""
+    with safetensors.safe_open(path, "pt") as file:
+        values = json.loads(file.metadata()[KEY])
+        tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
+    del values["sha256"]
+    change(values, tensors)
+    values["sha256"] = _checksum(values, tensors)
+    safetensors.torch.save_file(tensors, path, {KEY: json.dumps(values)})
+
+
+@pytest.mark.parametrize(
+    "progress",
+    [
+        *({"epoch": "1"}, {"epoch": -1}, {"epoch": True}, {"epoch": 10}, {"best": None}),
+        *({"rows": [{"loss": 1.0}]}, {"rows": [{"epoch": 1, "loss": "x"}]}, {"rows": 3}),
+        *({"rows": [{"epoch": 10**400, "loss": 1.0}]}, {"seconds": [1]}, {"other": 1}),
+    ],
+)
+def test_progress_that_is_none(tmp_path: Path, progress: dict[str, object]) -> None:
+    save_checkpoint(tmp_path / NAME, trained(), TrainingState())
+    rewritten(tmp_path / NAME, lambda values, _: values["progress"].update(progress))
+    refused(tmp_path / NAME, learner())
+
+
+@pytest.mark.parametrize(
+    ("name", "tensor"),
+    [
+        ("losses", torch.zeros(2)),
+        ("losses", torch.zeros(2, 2, dtype=torch.float64)),
+        ("module.norm.running_mean", torch.zeros(8, dtype=torch.float64)),
+        ("module.norm.running_mean", torch.zeros(9)),
+        ("module.norm.running_mean", torch.zeros(8).to(torch.float8_e4m3fn)),
+        ("module.norm.running_mean", None),
+        ("optimiser.norm.bias.step", torch.zeros(1)),
+        ("optimiser.norm.bias.exp_avg", None),
+        ("optimiser.norm.bias.other", torch.zeros(8)),
+        ("other", torch.zeros(8)),
+    ],
+)
+def test_tensors_that_are_others(tmp_path: Path, name: str, tensor: torch.Tensor | None) -> None:
+    save_checkpoint(tmp_path / NAME, trained(), TrainingState())
+    rewritten(
+        tmp_path / NAME,
+        lambda _, tensors: tensors.pop(name) if tensor is None else tensors.update({name: tensor}),
+    )
+    refused(tmp_path / NAME, learner())
 
 
 class Malicious:
-    """What runs code when it is unpickled."""
+    """Takes six gigabytes, or runs code, when it is unpickled."""
 
-    def __init__(self, path: Path) -> None:
-        self.path = path
+    def __init__(self, function: Callable[..., object], argument: object) -> None:
+        self.reduced = (function, (argument,))
 
-    def __reduce__(self) -> tuple[object, tuple[str, ...]]:
-        return (Path.touch, (self.path,))
-
-
-def pickled(value: object) -> bytes:
-    return pickle.dumps(value, protocol=2)
+    def __reduce__(self) -> tuple[object, tuple[object, ...]]:
+        return self.reduced
 
 
-def zipped(value: object) -> bytes:
-    file = io.BytesIO()
-    torch.save(value, file)
-    return file.getvalue()
+def nested() -> bytes:
+    """Return a pickle of a dictionary whose key takes 2⁶⁰ steps to hash."""
+    return b"\x80\x02)" + 60 * b"2\x86" + b"}\x94R."
 
 
-@pytest.mark.parametrize("form", [pickled, zipped])
-def test_nothing_in_a_checkpoint_is_executed(
-    form: Callable[[object], bytes], tmp_path: Path
+@pytest.mark.parametrize("form", ["code", "memory", "time", "zip"])
+def test_pickles_are_not_read(form: str, tmp_path: Path) -> None:
+    executed = tmp_path / "executed"
+    if form == "zip":
+        torch.save({"module": torch.zeros(3)}, tmp_path / NAME)
+    else:
+        value = (
+            Malicious(Path.touch, executed) if form == "code" else Malicious(bytearray, 6 * 10**9)
+        )
+        content = nested() if form == "time" else pickle.dumps(value, protocol=2)
+        (tmp_path / NAME).write_bytes(content)
+    refused(tmp_path / NAME, learner())
+    assert not executed.exists()
+
+
+@pytest.mark.parametrize(
+    "header",
+    [
+        b"[" * (1 << 20),
+        b'{"losses": {"dtype": "F64", "shape": [750000000], "data_offsets": [0, 6000000000]}}',
+        json.dumps({"__metadata__": {KEY: "[" * 100_000}}).encode(),
+        b'{"__metadata__": {}}',
+    ],
+)
+@pytest.mark.parametrize("length", [None, 1 << 62, 50 << 20])
+def test_headers_that_promise_more_than_there_is(
+    header: bytes, length: int | None, tmp_path: Path
 ) -> None:
-    (tmp_path / "c.pt").write_bytes(form({"module": Malicious(tmp_path / "executed")}))
-    with pytest.raises(TrainingError, match="cannot be resumed from"):
-        load_checkpoint(tmp_path / "c.pt", learner())
-    assert not (tmp_path / "executed").exists()
+    (tmp_path / NAME).write_bytes(struct.pack("<Q", length or len(header)) + header)
+    refused(tmp_path / NAME, learner())
+
+
+def test_a_file_of_gigabytes_is_not_read(tmp_path: Path) -> None:
+    """Of holes, so that it takes no space; the name is known, the shape is another."""
+    size = 4 * 10**9
+    entry = {"dtype": "F32", "shape": [size // 4], "data_offsets": [0, size]}
+    header = json.dumps({"module.norm.running_mean": entry}).encode()
+    with (tmp_path / NAME).open("wb") as file:
+        file.write(struct.pack("<Q", len(header)) + header)
+        file.truncate(8 + len(header) + size)
+    refused(tmp_path / NAME, learner())

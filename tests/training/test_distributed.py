@@ -62,7 +62,7 @@ def two(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
 def test_two_workers_have_the_gradient_of_one_with_twice_the_batch(
     two: dict[str, Any], case: str
 ) -> None:
-    """Weights and running statistics too; five samples, so that the workers have unlike shares."""
+    """And its weights; without batch norm, and of five samples, so that their shares are unlike."""
     for name, expected in stepped(SINGLE_PROCESS, case).items():
         torch.testing.assert_close(two[case][name], expected, rtol=1e-5, atol=1e-10)
 
@@ -76,6 +76,20 @@ def test_the_cases_say_something(two: dict[str, Any]) -> None:
         losses.append(learner(SINGLE_PROCESS).step(images, truth, 5, 1))
     assert abs(sum(losses) / 2 - float(two["both losses"]["loss"])) > 1e-4
     assert two["both losses"]["gradient of features.weight"].abs().max() > 1e-3
+
+
+@gloo
+def test_batch_norm_on_cpus_is_each_workers_own_and_validated_is_the_main_ones(
+    two: dict[str, Any],
+) -> None:
+    images, truth = (share(each, ProcessGroup(0, 2)) for each in batch())
+    alone = learner(SINGLE_PROCESS, norm=True, average=0.5)
+    alone.step(images, truth, 5, 1)
+    found = two["normed"]
+    torch.testing.assert_close(found["own"][0], alone.average.norm.running_mean)
+    assert not torch.allclose(found["own"][0], found["own"][1])
+    assert torch.equal(found["after"], found["own"][[0, 0]])
+    assert torch.equal(found["weight"][0], found["weight"][1])
 
 
 @gloo
@@ -101,13 +115,14 @@ def test_the_command_line_under_torchrun(tmp_path: Path) -> None:
     ended = torchrun("-m", "salsanext_cli", *given, *(f"--set={change}" for change in short))
     assert ended.returncode == 0, ended.stderr
     assert json.loads(ended.stdout)["best"] == str(run / "best.safetensors")
+    assert ended.stderr.count("on CPUs batch norm has the statistics of each worker's share") == 1
     assert ended.stderr.count("train: best validation mIoU") == 1
     assert len((run / "log.csv").read_text("utf-8").splitlines()) == 3
 
 
 @gloo
 @pytest.mark.slow
-def test_a_team_that_was_killed_goes_on_as_if_it_had_not_been(tmp_path: Path) -> None:
+def test_workers_that_were_killed_go_on_as_if_they_had_not_been(tmp_path: Path) -> None:
     """In the middle of an epoch; from another folder than the first worker's none goes on."""
     data = tmp_path / "data"
     write_sequence(data / "sequences/00", ["0", "1", "2"], count=600)
@@ -116,7 +131,7 @@ def test_a_team_that_was_killed_goes_on_as_if_it_had_not_been(tmp_path: Path) ->
     whole, parts = tmp_path / "whole", tmp_path / "parts"
     assert torchrun(script, data, whole).returncode == 0
     assert torchrun(script, data, parts, 6).returncode != 0
-    assert (parts / "checkpoint.pt").exists()
+    assert (parts / "checkpoint.safetensors").exists()
     severed = torchrun(script, data, parts, "severed")
     assert severed.returncode != 0
     assert "the first worker goes on after step 6, this one after step 0" in severed.stderr

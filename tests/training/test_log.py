@@ -2,29 +2,77 @@
 import csv
 from pathlib import Path
 
-from salsanext_cli.training.log import draw_curve, write_log
+import numpy as np
+import pytest
+
+from salsanext_cli.training import log
+from salsanext_cli.training.log import add_epoch, draw_curve, tensorboard_in, write_log
 
 ROWS = [
     {"epoch": 1, "loss": 3.25},
     {"epoch": 2, "loss": 2.5, "miou": 0.25, "iou_car": float("nan"), "iou_road": 0.5},
 ]
+PICTURE = np.zeros((4, 6, 3), np.uint8)
 
 
 def test_log_has_a_line_per_epoch_and_nothing_where_nothing_was_measured(tmp_path: Path) -> None:
     write_log(tmp_path / "log.csv", ROWS)
     with (tmp_path / "log.csv").open(newline="") as file:
         first, second = csv.DictReader(file)
-    assert first == {"epoch": "1", "loss": "3.25", "miou": "", "iou_car": "", "iou_road": ""}
-    assert second == {
-        "epoch": "2",
-        "loss": "2.5",
-        "miou": "0.25",
-        "iou_car": "",
-        "iou_road": "0.5",
-    }
+    empty = {"miou": "", "iou_car": "", "iou_road": ""}
+    assert first == {"epoch": "1", "loss": "3.25", **empty}
+    assert second == {"epoch": "2", "loss": "2.5", **empty, "miou": "0.25", "iou_road": "0.5"}
 
 
 def test_curve_is_a_picture(tmp_path: Path) -> None:
     for rows in (ROWS, ROWS[:1]):
         draw_curve(tmp_path / "curve.png", rows)
         assert (tmp_path / "curve.png").read_bytes().startswith(b"\x89PNG")
+
+
+class Recorder:
+    """Stands for TensorBoard's writer and keeps what it is given."""
+
+    def __init__(self) -> None:
+        self.scalars: dict[str, tuple[float, int]] = {}
+        self.images: list[tuple[str, tuple[int, ...], int, str]] = []
+        self.flushed = 0
+
+    def add_scalar(self, name: str, value: float, step: int) -> None:
+        self.scalars[name] = (value, step)
+
+    def add_image(self, name: str, image: np.ndarray, step: int, dataformats: str) -> None:
+        self.images.append((name, image.shape, step, dataformats))
+
+    def flush(self) -> None:
+        self.flushed += 1
+
+
+def test_an_epoch_is_scalars_and_an_image() -> None:
+    recorder = Recorder()
+    add_epoch(recorder, ROWS[1], PICTURE)
+    assert recorder.scalars == {"loss": (2.5, 2), "miou": (0.25, 2), "iou/road": (0.5, 2)}
+    assert recorder.images == [("sample", (4, 6, 3), 2, "HWC")]
+    assert recorder.flushed == 1
+
+
+@pytest.mark.parametrize("wanted", [True, False])
+def test_without_tensorboard_nothing_is_written(
+    wanted: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(log, "find_spec", lambda name: None)
+    with tensorboard_in(tmp_path, "tensorboard", wanted=wanted) as write:
+        write(ROWS[1], PICTURE)
+    assert not list(tmp_path.iterdir())
+
+
+def test_tensorboard_reads_what_was_written(tmp_path: Path) -> None:
+    pytest.importorskip("tensorboard")
+    from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
+
+    with tensorboard_in(tmp_path, "events") as write:
+        write(ROWS[1], PICTURE)
+    found = EventAccumulator(str(tmp_path / "events")).Reload()
+    assert set(found.Tags()["scalars"]) == {"loss", "miou", "iou/road"}
+    assert [(e.step, e.value) for e in found.Scalars("miou")] == [(2, 0.25)]
+    assert [(e.step, e.width) for e in found.Images("sample")] == [(2, 6)]

@@ -10,13 +10,20 @@ from scans import SMALL, make_scan
 
 from salsanext_cli.geometry.projection import project
 from salsanext_cli.records import Scan
-from salsanext_cli.training.mixing import CLEAR, Board, Labelled, joined, mix, part, paste
+from salsanext_cli.training.mixing import (
+    CLEAR_RADIUS_M,
+    Checkerboard,
+    LabelledScan,
+    mix,
+    paste,
+    select,
+)
 
 BOARDS = [(4, 1), (6, 1), (1, 2), (1, 6), (2, 2), (3, 4), (5, 6)]
 DOWN, UP = SMALL.fov_down, SMALL.fov_up
 
 
-def labelled(seed: int, first: int = 0, count: int = 1500) -> Labelled:
+def labelled(seed: int, first: int = 0, count: int = 1500) -> LabelledScan:
     """Return a scan whose intensities number its points, and random labels."""
     numbers = np.arange(first, first + count, dtype=np.float32)
     labels = np.random.default_rng(seed).integers(0, 20, count).astype(np.uint8)
@@ -50,7 +57,7 @@ def by_cells(scan: Scan, bands: int, sectors: int, azimuth: float) -> list[bool 
 @pytest.mark.parametrize("azimuth", [0.0, 2.3, -3.1])
 def test_odd_points_are_those_of_odd_cells(bands: int, sectors: int, azimuth: float) -> None:
     scan = make_scan(800, bands)
-    odd = Board(bands, sectors, azimuth, DOWN, UP).odd(scan.points)
+    odd = Checkerboard(bands, sectors, azimuth, DOWN, UP).odd(scan.points)
     expected = by_cells(scan, bands, sectors, azimuth)
     sure = np.array([each is not None for each in expected])
     assert sure.mean() > 0.98
@@ -58,15 +65,10 @@ def test_odd_points_are_those_of_odd_cells(bands: int, sectors: int, azimuth: fl
     assert 0.1 < odd.mean() < 0.9
 
 
-def test_points_beyond_the_view_belong_to_the_outer_bands() -> None:
-    points = np.float32([[1, 0, -5], [1, 0, -0.4], [1, 0, 0], [1, 0, 9]])
-    assert Board(2, 1, 0.0, DOWN, UP).odd(points).tolist() == [False, False, True, True]
-
-
 @settings(max_examples=40)
 @given(st.integers(0, 2**32 - 1))
 def test_every_point_comes_from_the_scan_of_its_cell_and_keeps_its_label(seed: int) -> None:
-    board = Board.drawn(SMALL, np.random.default_rng(seed))
+    board = Checkerboard.drawn(SMALL, np.random.default_rng(seed))
     sources = (labelled(1, 0, 90), labelled(2, 1000, 60))
     scan, labels = mix(*sources, board)
     numbers = scan.intensity.astype(int).tolist()
@@ -84,7 +86,7 @@ def test_every_point_comes_from_the_scan_of_its_cell_and_keeps_its_label(seed: i
 
 def test_both_ways_of_mixing_two_scans_use_every_point_once() -> None:
     first, second = labelled(1), labelled(2, 5000)
-    board = Board(3, 4, 0.3, DOWN, UP)
+    board = Checkerboard(3, 4, 0.3, DOWN, UP)
     ways = (mix(first, second, board), mix(second, first, board))
     numbers = sorted(int(n) for scan, _ in ways for n in scan.intensity)
     assert numbers == [*range(1500), *range(5000, 6500)]
@@ -92,7 +94,7 @@ def test_both_ways_of_mixing_two_scans_use_every_point_once() -> None:
 
 def test_the_nearest_point_wins_whichever_scan_it_is_from() -> None:
     """Of two walls, cut along a border that runs through pixels, none shines through the other."""
-    scan, _ = mix(labelled(1), labelled(2, 5000), Board(5, 6, 0.123, DOWN, UP))
+    scan, _ = mix(labelled(1), labelled(2, 5000), Checkerboard(5, 6, 0.123, DOWN, UP))
     image = project(scan, SMALL)
     nearest = np.full(SMALL.height * SMALL.width, np.inf)
     for pixel, distance in zip(image.pixel_of_point, image.point_range, strict=True):
@@ -104,7 +106,7 @@ def test_the_nearest_point_wins_whichever_scan_it_is_from() -> None:
 
 
 def test_boards_are_bands_sectors_and_boxes_as_often_as_each_other() -> None:
-    boards = [Board.drawn(SMALL, np.random.default_rng(seed)) for seed in range(900)]
+    boards = [Checkerboard.drawn(SMALL, np.random.default_rng(seed)) for seed in range(900)]
     kinds = Counter((board.bands > 1, board.sectors > 1) for board in boards)
     assert set(kinds) == {(True, False), (False, True), (True, True)}
     assert min(kinds.values()) > 250
@@ -122,7 +124,7 @@ POINTLESS = np.float32(
 @pytest.mark.parametrize(("bands", "sectors"), BOARDS)
 def test_points_without_a_measurement_stay_without(bands: int, sectors: int) -> None:
     broken = (Scan(POINTLESS, np.ones(5, np.float32)), np.ones(5, np.uint8))
-    scan, _ = mix(broken, broken, Board(bands, sectors, 0.5, DOWN, UP))
+    scan, _ = mix(broken, broken, Checkerboard(bands, sectors, 0.5, DOWN, UP))
     assert len(scan) == len(broken[0])
     assert (project(scan, SMALL).pixel_of_point < 0).all()
 
@@ -130,7 +132,7 @@ def test_points_without_a_measurement_stay_without(bands: int, sectors: int) -> 
 @pytest.mark.parametrize("counts", [(0, 0), (0, 50), (50, 0)])
 def test_scans_without_points_can_be_mixed_and_pasted(counts: tuple[int, int]) -> None:
     first, second = (labelled(seed, 0, count) for seed, count in enumerate(counts))
-    scan, labels = mix(first, second, Board(3, 2, 0.0, DOWN, UP))
+    scan, labels = mix(first, second, Checkerboard(3, 2, 0.0, DOWN, UP))
     assert len(scan) == len(labels) <= sum(counts)
     scan, labels = paste(first, second, np.array([1.0, 2.0]))
     assert len(scan) == len(labels) >= counts[0]
@@ -138,7 +140,7 @@ def test_scans_without_points_can_be_mixed_and_pasted(counts: tuple[int, int]) -
 
 def test_pasting_adds_the_points_turned_and_nothing_else() -> None:
     onto, other = labelled(1), labelled(2, 5000)
-    rare = part(other, (other[1] == 6) & (np.hypot(*other[0].points.T[:2]) > CLEAR))
+    rare = select(other, (other[1] == 6) & (np.hypot(*other[0].points.T[:2]) > CLEAR_RADIUS_M))
     angles = np.array([0.7, -2.0, 3.0])
     scan, labels = paste(onto, rare, angles)
     count = len(rare[0])
@@ -160,17 +162,9 @@ def test_pasting_adds_the_points_turned_and_nothing_else() -> None:
 
 
 def test_nothing_is_pasted_on_the_sensor_or_without_a_measurement() -> None:
-    near = np.float32([[0.9 * CLEAR, 0, -1], [0, 0, 5], [1.1 * CLEAR, 0, -1]])
+    near = np.float32([[0.9 * CLEAR_RADIUS_M, 0, -1], [0, 0, 5], [1.1 * CLEAR_RADIUS_M, 0, -1]])
     points = np.concatenate([POINTLESS[:4], near])
     broken = (Scan(points, np.ones(7, np.float32)), np.full(7, 6, np.uint8))
     scan, labels = paste(labelled(1), broken, np.array([1.0, 2.0]))
     assert len(labels) == 1500 + 2
-    np.testing.assert_allclose(np.hypot(*scan.points[1500:].T[:2]), 1.1 * CLEAR, rtol=1e-5)
-
-
-def test_joining_keeps_the_order() -> None:
-    scan, labels = joined(labelled(1), labelled(2, 5000), labelled(3, 9000, 4))
-    np.testing.assert_array_equal(
-        scan.intensity, [*range(1500), *range(5000, 6500), *range(9000, 9004)]
-    )
-    np.testing.assert_array_equal(labels[3000:], labelled(3, 9000, 4)[1])
+    np.testing.assert_allclose(np.hypot(*scan.points[1500:].T[:2]), 1.1 * CLEAR_RADIUS_M, rtol=1e-5)

@@ -16,7 +16,7 @@ from torch.nn import functional as F
 from salsanext_cli.errors import TrainingError
 from salsanext_cli.network.dropout import ChannelDropout
 from salsanext_cli.training.distributed import ProcessGroup, process_group
-from salsanext_cli.training.optimise import Learner
+from salsanext_cli.training.learner import Learner
 from salsanext_cli.training.recipe import Recipe
 
 WEIGHTS = torch.tensor([0.0, 1.0, 2.0, 0.5])
@@ -28,18 +28,16 @@ CASES: dict[str, dict[str, object]] = {
     "in parts": {"lovasz": 0.0, "accumulate": 2},
     "nothing labelled": {"labels": 0},
     "bfloat16": {"precision": "bfloat16"},
-    "moments": {"heteroscedastic": 0.1},
-    "moments in parts": {"heteroscedastic": 0.1, "lovasz": 0.0, "accumulate": 2},
 }
 
 
 class Small(nn.Module):
-    """A network with what all have: convolutions, batch norm, dropout."""
+    """A network of convolutions and dropout, and of batch norm if that is wanted."""
 
-    def __init__(self, dropout: float = 0.0) -> None:
+    def __init__(self, dropout: float = 0.0, norm: bool = False) -> None:
         super().__init__()
         self.features = nn.Conv2d(5, 6, 3, padding=1)
-        self.norm = nn.BatchNorm2d(6)
+        self.norm = nn.BatchNorm2d(6) if norm else nn.Identity()
         self.dropout = ChannelDropout(dropout)
         self.logits = nn.Conv2d(6, 4, 1)
 
@@ -60,40 +58,47 @@ def batch(labels: int = 1) -> tuple[Tensor, Tensor]:
 
 
 def share(whole: Tensor, group: ProcessGroup) -> Tensor:
-    """Return a worker's part of a batch as `Plan` deals it."""
+    """Return a worker's part of a batch as `SamplingPlan` deals it."""
     return whole[group.rank :: group.size]
 
 
-def learner(group: ProcessGroup, **changes: object) -> Learner:
+def learner(group: ProcessGroup, *, norm: bool = False, **changes: object) -> Learner:
     """Return the same network in every process."""
     recipe = Recipe(batch=5, dropout=0.0, learning_rate=0.1, **changes)  # type: ignore[arg-type]
     with torch.random.fork_rng():
         torch.manual_seed(0)
-        module = Small().double()
+        module = Small(norm=norm).double()
     return Learner.of(module, recipe, WEIGHTS, torch.device("cpu"), group)  # type: ignore[arg-type]
 
 
 def stepped(group: ProcessGroup, case: str) -> dict[str, Tensor]:
     """Return loss, gradients and weights after a step of a case."""
     changes = dict(CASES[case])
-    labels = changes.pop("labels", 1)
+    images, truth = batch(changes.pop("labels", 1))  # type: ignore[arg-type]
     learning = learner(group, **changes)
-    images, truth = batch(labels)  # type: ignore[arg-type]
-    if learning.recipe.heteroscedastic:
-        images = torch.cat([images, images.square()], 1)
-    own = (share(images, group), share(truth, group))
-    found = {"loss": torch.tensor(learning.step(*own, 5, 1))}
+    found = {"loss": torch.tensor(learning.step(share(images, group), share(truth, group), 5, 1))}
     for name, parameter in learning.module.named_parameters():
         assert parameter.grad is not None
         found[f"gradient of {name}"] = parameter.grad
         found[name] = parameter.detach()
-    return found | dict(learning.module.named_buffers())
+    return found
 
 
-def kept_apart(group: ProcessGroup) -> dict[str, Tensor]:
-    """Return, of every worker, what dropout leaves, what it gathers, and what the leader says."""
+def normed(group: ProcessGroup) -> dict[str, Tensor]:
+    """Return every worker's running means after a step, and after those of the main one came."""
+    learning = learner(group, norm=True, average=0.5)
+    learning.step(*(share(each, group) for each in batch()), 5, 1)
+    own = torch.stack(group.gather(learning.average.norm.running_mean))  # type: ignore[union-attr]
+    group.broadcast(learning.average.buffers())
+    after = torch.stack(group.gather(learning.average.norm.running_mean))  # type: ignore[union-attr]
+    weight = torch.stack(group.gather(learning.average.features.weight[0, 0, 0]))  # type: ignore
+    return {"own": own, "after": after, "weight": weight.detach()}
+
+
+def apart(group: ProcessGroup) -> dict[str, Tensor]:
+    """Return, of every worker, what dropout leaves, what it gathers, and what the main one says."""
     module = Small(0.5)
-    module.norm.bias.data.fill_(10.0)  # so that only dropout leaves nothing
+    module.features.bias.data.fill_(100.0)  # so that only dropout leaves nothing
     masks = []
     module.dropout.register_forward_hook(lambda layer, given, made: masks.append(made.detach()))
     recipe = Recipe(batch=2, dropout=0.5)
@@ -110,7 +115,7 @@ def kept_apart(group: ProcessGroup) -> dict[str, Tensor]:
 
 
 def refused(group: ProcessGroup) -> bool:
-    """Say whether an error of the leader reaches this worker as it is."""
+    """Say whether an error of the main worker reaches this one as it is."""
 
     def fail() -> None:
         raise TrainingError("data", "found", "expected", f"remedy of {group.rank}")
@@ -123,10 +128,10 @@ def refused(group: ProcessGroup) -> bool:
 
 
 def main() -> None:
-    """Write everything that a team of processes computes."""
+    """Write everything that two workers compute."""
     with process_group("cpu") as (group, _):
         found: dict[str, object] = {case: stepped(group, case) for case in CASES}
-        found["apart"] = kept_apart(group)
+        found["normed"], found["apart"] = normed(group), apart(group)
         found["refused"] = group.gather(torch.tensor([refused(group)]).byte())
         found["size"] = group.size
         if group.is_main:

@@ -8,8 +8,6 @@ undo part of what is different there (Schneider et al., arXiv 2006.16971).
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from contextlib import contextmanager
 from dataclasses import dataclass
 
 import torch
@@ -64,7 +62,7 @@ class Statistics:
 
     @classmethod
     def kept_by(cls, layer: nn.BatchNorm2d) -> Statistics:
-        """Return what a layer uses at inference; of how many values nobody knows, so count 0."""
+        """Return the statistics of a layer at inference; their count is unknown, hence 0."""
         mean, variance = layer.get_buffer("running_mean"), layer.get_buffer("running_var")
         return cls(0.0, mean.double(), variance.double())
 
@@ -87,15 +85,15 @@ def norms(module: nn.Module) -> dict[str, nn.BatchNorm2d]:
 def statistics_of_scan(
     network: Network, image: RangeImage, share: float = 1.0
 ) -> dict[str, Statistics]:
-    """Return what goes into each batch norm when a scan passes with its own statistics.
+    """Return the statistics of each batch norm's input when a scan passes.
 
     Each layer normalises with its old statistics moved by `share` towards the scan's, as in a
     network adapted to this scan alone, so that a layer sees what the layers before it make of the
     scan once they are adapted. Dropout is off.
 
-    As in training, empty pixels count: the convolutions spread what surrounds them into them. What
-    `SegmentationNetwork.pad` adds does not count; a cell that lies partly on it counts by the share
-    of its area that is image.
+    As in training, empty pixels count: the convolutions spread what surrounds them into them. The
+    padding of `SegmentationNetwork.pad` does not count; a cell that lies partly on it counts by the
+    share of its area that is image.
 
     Parameters
     ----------
@@ -104,7 +102,7 @@ def statistics_of_scan(
     image : RangeImage
         One scan.
     share : float
-        Of the scan's statistics, 0 to 1; the rest are those that the layer has.
+        Of the scan's statistics, 0 to 1; the rest are those of the layer.
 
     Returns
     -------
@@ -113,51 +111,26 @@ def statistics_of_scan(
     """
     inputs = network.input(image.channels)
     height, width = inputs.shape[-2:]
-    place = torch.zeros(network.module.pad(inputs).shape[-2:], dtype=torch.float64)
-    place[:height, :width] = 1
+    inside = torch.zeros(network.module.pad(inputs).shape[-2:], dtype=torch.float64)
+    inside[:height, :width] = 1
+    inside = inside.to(network.device)
     found: dict[str, Statistics] = {}
-    with _hooked(network.module, _Normalise(place.to(network.device), share, found)):
-        network.module(inputs)
-    return found
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class _Normalise:
-    """Takes the place of a batch norm, and takes note of the statistics of what comes in.
-
-    Attributes
-    ----------
-    place : (H, W) float64
-        1 where the padded image is image.
-    share : float
-        Of the statistics of what comes in.
-    found : dict
-        Where they are noted by name of the layer.
-    """
-
-    place: Tensor
-    share: float
-    found: dict[str, Statistics]
-
-    def __call__(self, name: str, layer: nn.BatchNorm2d, values: Tensor) -> Tensor:
-        height, width = values.shape[-2:]
-        cells = F.adaptive_avg_pool2d(self.place[None], (height, width))[0]
-        own = self.found[name] = Statistics.of(values[0], cells)
-        used = Statistics.kept_by(layer).blended(own, self.share)
-        mean, variance = used.mean.to(values.dtype), used.variance.to(values.dtype)
-        return F.batch_norm(values, mean, variance, layer.weight, layer.bias, eps=layer.eps)
-
-
-@contextmanager
-def _hooked(module: nn.Module, normalise: _Normalise) -> Iterator[None]:
-    """Put `normalise` in the place of every batch norm; the layers themselves stay as they are."""
 
     def hook(name: str, layer: nn.BatchNorm2d) -> RemovableHandle:
-        return layer.register_forward_hook(lambda _, inputs, __: normalise(name, layer, inputs[0]))
+        def normalise(_: nn.Module, given: tuple[Tensor], __: Tensor) -> Tensor:
+            (values,) = given
+            cells = F.adaptive_avg_pool2d(inside[None], (values.shape[2], values.shape[3]))[0]
+            own = found[name] = Statistics.of(values[0], cells)
+            used = Statistics.kept_by(layer).blended(own, share)
+            mean, variance = used.mean.to(values.dtype), used.variance.to(values.dtype)
+            return F.batch_norm(values, mean, variance, layer.weight, layer.bias, eps=layer.eps)
 
-    handles = [hook(name, layer) for name, layer in norms(module).items()]
+        return layer.register_forward_hook(normalise)
+
+    handles = [hook(name, layer) for name, layer in norms(network.module).items()]
     try:
-        yield
+        network.module(inputs)
     finally:
         for handle in handles:
             handle.remove()
+    return found

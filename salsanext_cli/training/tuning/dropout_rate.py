@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Which dropout rate makes the total variance explain the errors (arXiv 1907.06890)."""
+"""Objective of a dropout rate: how well total variances explain errors (arXiv 1907.06890)."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from salsanext_cli.errors import UsageError
 from salsanext_cli.records import Float
 
 SMALLEST_VARIANCE = 1e-4
-"""What a variance is at least taken as: a standard deviation of 1 % of probability.
+"""Lower bound of a variance: a standard deviation of 1 % of probability.
 
 Without it a few points that are sure and wrong would weigh more than all others.
 """
@@ -49,7 +49,7 @@ def objective(probabilities: Float, variance: Float, truth: npt.NDArray[Any]) ->
     probabilities : (M, C) float32
         Mean softmax over the passes of each point.
     variance : (M, C) float32
-        Its total variance, at least taken as `SMALLEST_VARIANCE`.
+        Its total variance; smaller ones count as `SMALLEST_VARIANCE`.
     truth : (M,) integer
         Train ids.
     """

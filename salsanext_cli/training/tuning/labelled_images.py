@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""What is tuned on: labelled scans in the classes of a network, point by point."""
+"""Labelled scans in the classes of a network, point by point, to tune on."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from salsanext_cli.errors import LabelError
 from salsanext_cli.geometry.projection import project
 from salsanext_cli.inference.network import Network
 from salsanext_cli.network.weights import WeightsCard
-from salsanext_cli.records import RangeImage
+from salsanext_cli.records import Float, RangeImage
 from salsanext_cli.storage.layout import ScanFile
 from salsanext_cli.storage.selection import ScanSelection, select_scans, space_of
 from salsanext_cli.training.class_counts import require_labels
@@ -33,7 +33,7 @@ class LabelledImage:
     image : RangeImage
         Of the whole scan.
     pixels : (M,) int
-        The pixel, v * W + u, of every point that has one and whose true class is not ignored.
+        Pixel, v * W + u, of every point that has one and whose true class is not ignored.
     truth : (M,) uint8
         Train ids of these points.
     """
@@ -52,7 +52,7 @@ def labelled_scans(
     ----------
     dataset : Path
         A data set, a sequence or a folder of scans.
-    selection : Choice
+    selection : ScanSelection
         Which of them; a limit takes scans that are evenly spaced.
     card : WeightsCard
         Of the network.
@@ -92,6 +92,13 @@ def read_labelled_image(file: ScanFile, network: Network, space: LabelSpace) -> 
     return LabelledImage(image, image.pixel_of_point[counts], truth[counts])
 
 
-def nothing_counts(dataset: Path, space: LabelSpace) -> LabelError:
-    """Return the error that says that no point can be learnt from."""
-    return LabelError(dataset, "no point is of a class that counts", f"labels of {space.name}")
+def require_points(points: int, dataset: Path, space: LabelSpace) -> None:
+    """Raise `LabelError` if there is no point to learn from."""
+    if not points:
+        raise LabelError(dataset, "no point is of a class that counts", f"labels of {space.name}")
+
+
+def of_points(of_pixels: Float, labelled: LabelledImage) -> Float:
+    """Give every point that counts its pixel's values: (C, H, W) to (M, C)."""
+    values: Float = of_pixels.reshape(len(of_pixels), -1)[:, labelled.pixels].T
+    return values

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Temperature scaling (arXiv 1706.04599): one number that makes a softmax mean what it says."""
+"""Temperature scaling (arXiv 1706.04599): one number that calibrates a softmax."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
-CHUNK = 1 << 16
+CHUNK_POINTS = 1 << 16
 """Points whose logits are float64 at the same time."""
 
 
@@ -79,8 +79,8 @@ def best_temperature(logits: Tensor, truth: Tensor) -> float:
 
 
 def chunks(logits: Tensor, truth: Tensor) -> Iterator[tuple[Tensor, Tensor]]:
-    """Yield logits and classes of at most `CHUNK` points at a time."""
-    return zip(torch.split(logits, CHUNK), torch.split(truth, CHUNK), strict=True)
+    """Yield logits and classes of at most `CHUNK_POINTS` points at a time."""
+    return zip(torch.split(logits, CHUNK_POINTS), torch.split(truth, CHUNK_POINTS), strict=True)
 
 
 def _loss(logits: Tensor, truth: Tensor, temperature: Tensor, count: int) -> Tensor:

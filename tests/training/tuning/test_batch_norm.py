@@ -100,21 +100,6 @@ def test_all_that_a_weights_file_holds_of_batch_norm_is_found(name):
     assert [f"{layer}.running_mean" for layer in norms(module)] == kept != []
 
 
-def test_several_scans_against_all_their_values_side_by_side(network):
-    pooled, values = {}, {}
-    for seed in range(3):
-        image = image_of(seed)
-        found = statistics_of_scan(network, image)
-        pooled = {name: pooled[name] + new if pooled else new for name, new in found.items()}
-        training = as_when_training(network.module)
-        for name, seen in inputs_of_norms(training, network.input(image.channels))[0].items():
-            values.setdefault(name, []).append(seen.reshape(len(seen), -1))
-    for name, parts in values.items():
-        together = np.concatenate(parts, axis=1)
-        assert pooled[name].count == together.shape[1]
-        close(pooled[name], together.mean(axis=1), together.var(axis=1))
-
-
 def test_a_share_is_the_fixed_point_of_adapting_layer_by_layer():
     network, image, share = network_of(Chain()), image_of(), 0.3
     slow = copy.deepcopy(network.module)

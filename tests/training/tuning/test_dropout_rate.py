@@ -39,10 +39,6 @@ def test_it_is_least_where_the_variance_is_the_squared_error():
     assert at(1.0) == pytest.approx(math.log(0.09) + 1, rel=1e-6)
 
 
-def test_no_points_weigh_nothing():
-    assert objective(np.empty((0, 4)), np.empty((0, 4)), np.empty(0, np.uint8)) == 0
-
-
 def test_rates_are_equal_steps_of_the_logarithm_with_exact_ends():
     rates = rates_between(0.02, 0.5, 10)
     assert len(rates) == 10

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Which scan is drawn at which step, and by which worker."""
+"""Order of a training: the scans that are drawn at each step, and by which worker."""
 
 from __future__ import annotations
 
@@ -13,15 +13,15 @@ from salsanext_cli.training.distributed import SINGLE_PROCESS, ProcessGroup
 from salsanext_cli.training.recipe import Recipe
 
 ORDER, SAMPLE = 0, 1
-"""What a generator is for; part of its seed, so that no two are alike."""
+"""Purpose of a generator, a part of its seed, so that no two are alike."""
 
-Draw = tuple[int, int]
+SampleKey = tuple[int, int]
 """Position of a sample in the whole training, index of its scan."""
 
 
 @dataclass(frozen=True, slots=True)
-class Plan:
-    """Which scan is drawn at which step, for the whole training.
+class SamplingPlan:
+    """Batches of the whole training, each a list of sample keys.
 
     Every scan is drawn once before any is drawn again, and every batch is whole: the last one of an
     epoch goes on with the next round of scans. A batch of one or two would upset the statistics of
@@ -54,17 +54,17 @@ class Plan:
 
     def batches(
         self, first_step: int = 0, group: ProcessGroup = SINGLE_PROCESS
-    ) -> Iterator[list[Draw]]:
+    ) -> Iterator[list[SampleKey]]:
         """Yield a worker's share of each batch, from a step of the whole training to its end.
 
-        The workers take turns: together they have each batch as one alone would.
+        The shares of all workers together are the batch that one alone would have.
         """
-        draws = self._draws(first_step * self.recipe.batch)
+        keys = self._keys(first_step * self.recipe.batch)
         for _ in range(first_step, self.steps):
-            yield list(islice(draws, self.recipe.batch))[group.rank :: group.size]
+            yield list(islice(keys, self.recipe.batch))[group.rank :: group.size]
 
-    def _draws(self, position: int) -> Iterator[Draw]:
-        """Yield draws without end, from a position of the whole training."""
+    def _keys(self, position: int) -> Iterator[SampleKey]:
+        """Yield keys without end, from a position of the whole training."""
         while True:
             time, place = divmod(position, self.scan_count)
             random = np.random.default_rng((self.recipe.seed, ORDER, time))

@@ -9,8 +9,8 @@ from tiny_network import TinyNetwork
 from torch import Tensor, nn
 
 from salsanext_cli.training.distributed import ProcessGroup
+from salsanext_cli.training.learner import Learner
 from salsanext_cli.training.losses import SegmentationLoss
-from salsanext_cli.training.optimise import Learner, build_optimiser, update_average
 from salsanext_cli.training.recipe import Recipe
 
 CPU = torch.device("cpu")
@@ -29,22 +29,6 @@ def learner(**changes: object) -> Learner:
         torch.manual_seed(0)
         module = TinyNetwork(3, dropout=recipe.dropout)
     return Learner.of(module, recipe, WEIGHTS, CPU)
-
-
-def test_sgd_is_the_papers() -> None:
-    """Two steps against the update rule written out: momentum 0.9, decay added to the gradient."""
-    weight = torch.tensor([2.0])
-    layer = nn.Linear(1, 1, bias=False)
-    layer.weight.data[:] = weight
-    optimiser = build_optimiser(layer, Recipe())
-    speed = torch.zeros(1)
-    for _ in range(2):
-        optimiser.zero_grad()
-        layer(torch.ones(1, 1)).square().sum().backward()
-        optimiser.step()
-        speed = 0.9 * speed + 2 * weight + 1e-4 * weight
-        weight = weight - 0.01 * speed
-    torch.testing.assert_close(layer.weight.detach()[0], weight)
 
 
 def test_the_loss_falls() -> None:
@@ -71,25 +55,34 @@ def test_dropout_differs_from_step_to_step() -> None:
     assert losses[0] != losses[1]
 
 
-def test_a_loss_that_is_not_finite_changes_no_weight() -> None:
-    learning = learner()
-    before = copy.deepcopy(dict(learning.module.named_parameters()))
-    images, truth = batch()
-    images[0, 0, 3, 3] = math.nan
-    assert math.isnan(learning.step(images, truth, 0, 10))
-    for name, parameter in learning.module.named_parameters():
-        assert torch.equal(parameter, before[name])
-
-
 @pytest.mark.parametrize("clip", [0.0, 1.0])
-def test_a_gradient_that_is_not_finite_changes_no_weight(clip: float) -> None:
+@pytest.mark.parametrize("spoilt", ["image", "gradient"])
+def test_what_is_not_finite_changes_no_weight(clip: float, spoilt: str) -> None:
     learning = learner(clip_gradient=clip, average=0.5)
-    learning.module.features.weight.register_hook(lambda gradient: gradient * math.inf)
     before = [copy.deepcopy(m.state_dict()) for m in (learning.module, learning.average)]
-    assert math.isnan(learning.step(*batch(), 0, 10))
+    images, truth = batch()
+    if spoilt == "image":
+        images[0, 0, 3, 3] = math.nan
+    else:
+        learning.module.features.weight.register_hook(lambda gradient: gradient * math.inf)
+    assert math.isnan(learning.step(images, truth, 0, 10))
     for module, kept in zip((learning.module, learning.average), before, strict=True):
         for name, parameter in module.named_parameters():
             assert torch.equal(parameter, kept[name])
+
+
+@pytest.mark.parametrize("bad", [[], [1], [0, 3]])
+def test_images_are_tried_alone_and_by_their_own_statistics(bad: list[int]) -> None:
+    learning = learner()
+    images = torch.randn(4, 5, 8, 16)
+    truth = torch.ones(4, 8, 16, dtype=torch.uint8)
+    images[bad, 2, 3, 3] = math.inf
+    learning.module.train().norm.running_mean.fill_(math.nan)  # as a step with such an image does
+    before = {name: values.clone() for name, values in learning.module.state_dict().items()}
+    assert learning.non_finite_samples(images, truth) == bad
+    assert learning.module.training
+    for name, values in learning.module.state_dict().items():
+        torch.testing.assert_close(values, before[name], equal_nan=True)
 
 
 def test_clipping_bounds_the_gradient() -> None:
@@ -99,32 +92,15 @@ def test_clipping_bounds_the_gradient() -> None:
     assert float(torch.stack(norms).norm()) == pytest.approx(1e-3, rel=1e-3)
 
 
-def test_the_average_moves_slowly_and_takes_batch_norm_along() -> None:
-    kept, new = nn.BatchNorm2d(1), nn.BatchNorm2d(1)
-    new.weight.data.fill_(3.0)
-    new.running_mean.fill_(1.0)
-    new.num_batches_tracked.fill_(7)
-    update_average(kept, new, 0.9, step=1000)
-    assert float(kept.weight.detach()) == pytest.approx(1.2)
-    assert float(kept.running_mean) == pytest.approx(0.1)
-    assert int(kept.num_batches_tracked) == 7
-
-
-def test_the_first_steps_of_an_average_forget_the_random_weights() -> None:
-    kept, new = nn.Linear(1, 1), nn.Linear(1, 1)
-    kept.weight.data.fill_(0.0)
-    new.weight.data.fill_(1.0)
-    for step in range(30):
-        update_average(kept, new, 0.999, step)
-    assert float(kept.weight.detach()) > 0.99
-
-
 def test_without_an_average_the_module_is_what_is_kept() -> None:
     assert (without := learner()).average is without.module
     averaged = learner(average=0.9)
     assert averaged.average is not averaged.module
     averaged.step(*batch(), 0, 10)
     assert not averaged.average.training
+
+
+# Parts of a batch
 
 
 def without_norm(**changes: object) -> Learner:
@@ -187,11 +163,48 @@ def test_a_part_of_whole_circles_holds_no_more_than_one_of_windows(
 ) -> None:
     """Or one circle; and no worker has more parts than images."""
     recipe = Recipe(batch=24, accumulate=accumulate, crop_width=512, whole_epochs=1)
-    module = TinyNetwork(3)
-    learning = replace(Learner.of(module, recipe, WEIGHTS, CPU), group=ProcessGroup(0, size))
+    learning = replace(
+        Learner.of(TinyNetwork(3), recipe, WEIGHTS, CPU), group=ProcessGroup(0, size)
+    )
     share = -(-24 // size)
     windows = -(-share // learning._parts(512)) * 512
     assert learning._parts(512) == min(accumulate, 24 // size)
     parts = learning._parts(2048)
     assert parts <= 24 // size
     assert -(-share // parts) * 2048 <= max(windows, 2048) or parts == 24 // size
+
+
+# Shorter types
+
+
+def stepped(precision: str) -> tuple[Learner, float, set[torch.dtype]]:
+    """Return a learner after a step, the loss, and the types that its last layer computed in."""
+    learning, seen = learner(precision=precision, dropout=0.0, clip_gradient=1.0), set()
+    learning.module.register_forward_hook(lambda module, given, made: seen.add(made.dtype))
+    return learning, learning.step(*batch(), 0, 1), seen
+
+
+@pytest.mark.parametrize("precision", ["bfloat16", "float16"])
+def test_shorter_types_compute_shorter_and_learn_the_same(precision: str) -> None:
+    """Their rounding, 2⁻⁹ and 2⁻¹², is all that may tell the losses apart."""
+    exact, loss, dtypes = stepped("float32")
+    assert dtypes == {torch.float32}
+    shorter, shorter_loss, dtypes = stepped(precision)
+    assert dtypes == {getattr(torch, precision)}
+    assert shorter_loss == pytest.approx(loss, rel=0.02)
+    assert shorter_loss != loss
+    assert shorter.scaler.is_enabled() == (precision == "float16")
+    weights = shorter.module.state_dict()
+    for name, expected in exact.module.state_dict().items():
+        assert weights[name].dtype == expected.dtype
+        torch.testing.assert_close(weights[name], expected, rtol=0.05, atol=1e-3)
+
+
+def test_gradients_that_overflow_in_float16_are_left_out_and_scaled_less() -> None:
+    learning, _, _ = stepped("float16")
+    before = {name: tensor.clone() for name, tensor in learning.module.named_parameters()}
+    learning.scaler.update(2.0**40)
+    learning.step(*batch(1), 1, 1)
+    for name, parameter in learning.module.named_parameters():
+        assert torch.equal(parameter, before[name])
+    assert learning.scaler.get_scale() < 2.0**40

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""One step of training: forward, loss, backward, update."""
+"""Learner: the network in training and one step of it — forward, loss, backward, update."""
 
 from __future__ import annotations
 
@@ -14,91 +14,49 @@ from torch import Tensor, nn
 from torch.nn.parallel import DistributedDataParallel
 
 from salsanext_cli.network.segmentation import SegmentationNetwork
-from salsanext_cli.training.distributed import SINGLE_PROCESS, ProcessGroup
-from salsanext_cli.training.heteroscedastic import HeteroscedasticLoss, MomentNetwork, with_moments
-from salsanext_cli.training.losses import SegmentationLoss, Whole
-from salsanext_cli.training.precision import autocast, dtype_of, scaler
+from salsanext_cli.training.distributed import SINGLE_PROCESS, ProcessGroup, data_parallel
+from salsanext_cli.training.losses import SegmentationLoss, WholeBatch
+from salsanext_cli.training.optimiser import (
+    autocast,
+    build_optimiser,
+    dtype_of,
+    gradient_scaler,
+    learning_rate,
+    update_average,
+)
 from salsanext_cli.training.recipe import Recipe
-from salsanext_cli.training.schedule import learning_rate
-from salsanext_cli.training.team_norm import with_team_norm
 
 DROPOUT = 2
-"""What a generator is for; part of its seed, beside those of `plan`."""
-
-
-def build_optimiser(module: nn.Module, recipe: Recipe) -> torch.optim.Optimizer:
-    """Return the recipe's optimiser of all parameters."""
-    parameters = list(module.parameters())
-    if recipe.optimiser == "sgd":
-        return torch.optim.SGD(
-            parameters,
-            lr=recipe.learning_rate,
-            momentum=recipe.momentum,
-            weight_decay=recipe.weight_decay,
-        )
-    return torch.optim.AdamW(
-        parameters,
-        lr=recipe.learning_rate,
-        betas=(recipe.momentum, 0.999),
-        weight_decay=recipe.weight_decay,
-    )
-
-
-@torch.no_grad()
-def update_average(average: nn.Module, module: nn.Module, decay: float, step: int) -> None:
-    """Move the running average towards the module; early steps count more, so that none lingers.
-
-    Batch-norm statistics are averaged like weights.
-    """
-    decay = min(decay, (1 + step) / (10 + step))
-    for kept, new in zip(average.state_dict().values(), module.state_dict().values(), strict=True):
-        if kept.is_floating_point():
-            kept.lerp_(new, 1 - decay)
-        else:
-            kept.copy_(new)
-
-
-def shared(module: nn.Module, device: torch.device, group: ProcessGroup) -> nn.Module:
-    """Return what to call in training: the module, or what adds up its gradient over a team."""
-    if group.size == 1:
-        return module
-    # torch's own is faster, but takes nothing but tensors on GPUs.
-    if device.type == "cuda" and not isinstance(module, MomentNetwork):
-        module = nn.SyncBatchNorm.convert_sync_batchnorm(module)  # type: ignore[no-untyped-call]
-    else:
-        module = with_team_norm(module)
-    return DistributedDataParallel(module, [device] if device.type == "cuda" else None)
+"""Purpose of a generator, a part of its seed beside those of `sampling`."""
 
 
 @dataclass(slots=True, eq=False)
 class Learner:
-    """What changes during training.
+    """Everything that changes during training.
 
     Attributes
     ----------
     recipe : Recipe
     module : SegmentationNetwork
-        Being trained.
-    loss : SegmentationLoss or HeteroscedasticLoss
-        Takes what `forward` returns.
+        The network in training.
+    loss : SegmentationLoss
     optimiser : torch.optim.Optimizer
     average : SegmentationNetwork
-        What is validated and kept: the running average of the weights, or the module itself.
+        The network that is validated and kept: the running average of the weights, or `module`.
     scaler : torch.amp.GradScaler
         Keeps small gradients of float16 from vanishing; does nothing in other types.
     dtype : torch.dtype
-        What the network computes in.
+        Type that the network computes in.
     device : torch.device
-        Where all of them are.
-    team : Team
-        Who else trains the module.
+    group : ProcessGroup
+        The workers that train the module together.
     forward : nn.Module
-        What is called in training: the module, wrapped for moments and for a team.
+        The module, wrapped if several workers train it.
     """
 
     recipe: Recipe
     module: SegmentationNetwork
-    loss: SegmentationLoss | HeteroscedasticLoss
+    loss: SegmentationLoss
     optimiser: torch.optim.Optimizer
     average: SegmentationNetwork
     scaler: torch.amp.GradScaler
@@ -121,34 +79,22 @@ class Learner:
         if device.type == "cuda":
             module = module.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
         average = copy.deepcopy(module).eval() if recipe.average else module
-        of_mean = SegmentationLoss(weights, recipe.lovasz, recipe.label_smoothing)
-        loss, forward = with_moments(of_mean, module, recipe)
-        loss, forward = loss.to(device), shared(forward, device, group)
-        # Variances are too small for shorter types.
-        precision = "float32" if recipe.heteroscedastic else recipe.precision
-        optimiser, dtype = build_optimiser(module, recipe), dtype_of(precision, device)
-        scale = scaler(dtype, device)
-        return cls(recipe, module, loss, optimiser, average, scale, dtype, device, group, forward)
-
-    @property
-    def network(self) -> nn.Module:
-        """What is called in training, by this worker alone."""
-        if not isinstance(self.forward, DistributedDataParallel):
-            return self.forward
-        own: nn.Module = self.forward.module
-        return own
+        loss = SegmentationLoss(weights, recipe.lovasz, recipe.label_smoothing).to(device)
+        forward = data_parallel(module, device, group)
+        optimiser, dtype = build_optimiser(module, recipe), dtype_of(recipe.precision, device)
+        scaler = gradient_scaler(dtype, device)
+        return cls(recipe, module, loss, optimiser, average, scaler, dtype, device, group, forward)
 
     def step(self, images: Tensor, truth: Tensor, step: int, steps_per_epoch: int) -> float:
         """Learn from one batch and return its loss; NaN if it or its gradient is not finite.
 
         Then no weight has changed. (Gradients that overflow in float16 are no mistake: the scaler
-        leaves the step out.) In a team the images are a worker's share of the batch, and the loss
-        is that of all.
+        leaves the step out.) With several workers the images are this one's share of the batch,
+        and the loss is that of all.
 
         Parameters
         ----------
         images : (B, 5, H, W) float32
-            As `Samples` of the recipe gives them: with their variances, (B, 10, H, W).
         truth : (B, H, W) uint8
         step : int
             Of the whole training, from 0; decides learning rate and dropout.
@@ -164,7 +110,7 @@ class Learner:
         layout = torch.channels_last if self.device.type == "cuda" else torch.contiguous_format
         truth = truth.to(self.device, non_blocking=True)
         parts = self._parts(images.shape[3])
-        whole = self._whole(truth, parts)
+        whole = self._whole_batch(truth, parts)
         losses = []
         self.module.train()
         # Seeding every step makes it a function of its number, so that training can be resumed.
@@ -173,23 +119,23 @@ class Learner:
             pairs = zip(images.tensor_split(parts), truth.tensor_split(parts), strict=True)
             for part, (some, labels) in enumerate(pairs, 1):
                 some = some.to(self.device, memory_format=layout, non_blocking=True)
-                with self._summing(at_last=part == parts):
+                with self._exchange(at_last=part == parts):
                     with autocast(self.dtype, self.device):
                         loss = self.loss(self.forward(some), labels, whole)
-                    # The team's gradient is a mean over its workers, and the sum is wanted.
+                    # The workers' gradients are averaged, and their sum is wanted.
                     self.scaler.scale(loss * self.group.size).backward()
                 losses.append(loss.detach())
         return self.group.sum(torch.stack(losses).sum())
 
     def _seed(self, step: int) -> int:
-        """Return a seed of what dropout draws, unlike for every training, step and worker."""
+        """Return the seed of dropout, unlike for every training, step and worker."""
         source = np.random.SeedSequence((self.recipe.seed, DROPOUT, step, self.group.rank))
         return int(source.generate_state(1)[0])
 
     def _parts(self, width: int) -> int:
-        """Return into how many parts a batch is cut, by every worker alike.
+        """Return the number of parts that every worker computes its images in.
 
-        Whole circles after windows are cut into more, so that a part holds no more columns than one
+        Full circles after windows are cut into more, so that a part holds no more columns than one
         of windows does, or a single circle.
         """
         recipe = self.recipe
@@ -200,14 +146,13 @@ class Learner:
             parts = min(-(-most // images), fewest)
         return parts
 
-    def _whole(self, truth: Tensor, parts: int) -> Whole | None:
+    def _whole_batch(self, truth: Tensor, parts: int) -> WholeBatch | None:
         if parts * self.group.size == 1:
             return None
-        weight, pixels = self.group.sum(self.loss.size(truth))
-        return Whole(weight, pixels, parts, self.group)
+        return WholeBatch(self.group.sum(self.loss.weight_of(truth)), parts, self.group)
 
-    def _summing(self, *, at_last: bool) -> AbstractContextManager[None]:
-        """Exchange gradients with the team after the last part only."""
+    def _exchange(self, *, at_last: bool) -> AbstractContextManager[None]:
+        """Exchange gradients with other workers after the last part only."""
         if isinstance(self.forward, DistributedDataParallel) and not at_last:
             return self.forward.no_sync()
         return nullcontext()
@@ -217,12 +162,33 @@ class Learner:
         for group in self.optimiser.param_groups:
             group["lr"] = learning_rate(self.recipe, step, steps_per_epoch)
         self.scaler.unscale_(self.optimiser)
-        longest = self.recipe.clip_gradient or math.inf
-        length = nn.utils.clip_grad_norm_(self.module.parameters(), longest)
-        if not self.scaler.is_enabled() and not length.isfinite():
+        max_norm = self.recipe.clip_gradient or math.inf
+        norm = nn.utils.clip_grad_norm_(self.module.parameters(), max_norm)
+        if not self.scaler.is_enabled() and not norm.isfinite():
             return False
         self.scaler.step(self.optimiser)
         self.scaler.update()
         if self.average is not self.module:
             update_average(self.average, self.module, self.recipe.average, step)
         return True
+
+    @torch.no_grad()
+    def non_finite_samples(self, images: Tensor, truth: Tensor) -> list[int]:
+        """Return the places in a batch of the images whose loss, each alone, is not finite.
+
+        Each is normalised by its own statistics: the running ones may be non-finite by now. The
+        module does not change.
+        """
+        probe = copy.deepcopy(self.module).eval()
+        for norm in probe.modules():
+            if isinstance(norm, nn.modules.batchnorm._BatchNorm):
+                norm.running_mean = norm.running_var = None
+        found = []
+        for place, (image, labels) in enumerate(zip(images, truth, strict=True)):
+            # Twice: of one pixel at the coarsest level there would be no statistics.
+            pair = torch.stack(2 * [image]).to(self.device)
+            with autocast(self.dtype, self.device):
+                loss = self.loss(probe(pair), torch.stack(2 * [labels]).to(self.device))
+            if not loss.isfinite():
+                found.append(place)
+        return found
