@@ -7,7 +7,6 @@ import io
 import struct
 import warnings
 from pathlib import Path
-from pickle import UnpicklingError
 from typing import Any, BinaryIO
 from zipfile import ZIP_STORED, BadZipFile, ZipFile
 
@@ -22,9 +21,9 @@ from salsanext_cli.settings_files import words_of
 
 UNREADABLE = (
     *(ArithmeticError, AssertionError, AttributeError, EOFError, LookupError, MemoryError),
-    *(RuntimeError, TypeError, ValueError, struct.error, BadZipFile, UnpicklingError),
+    *(RuntimeError, TypeError, ValueError, struct.error, BadZipFile),
 )
-"""Errors over bytes that `torch.save` did not write, of this reader and of torch's own."""
+"""Errors over bytes that `torch.save` did not write."""
 
 
 def read_torch_file(path: Path) -> Any:
