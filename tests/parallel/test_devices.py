@@ -1,89 +1,60 @@
 # SPDX-License-Identifier: MIT
-"""No GPU is needed: how many there are is said."""
+"""GPUs of workers; none is needed, since their number is an argument."""
 
-import os
-import signal
 import subprocess
 import sys
-import threading
-from contextvars import copy_context
 
 import pytest
 
-from salsanext_cli.parallel import devices as gpus
-from salsanext_cli.parallel.devices import ONE_EACH, Slot, own_device
+from salsanext_cli.parallel import devices
+from salsanext_cli.parallel.worker import WORKER
 
-pytest.importorskip("fcntl")
-
-
-@pytest.fixture(autouse=True)
-def alone(tmp_path, monkeypatch):
-    """Keep the locks of this test to itself."""
-    monkeypatch.setattr(gpus, "_folder_of_locks", lambda: tmp_path / "locks")
-    monkeypatch.setattr(gpus, "_HELD", gpus._Held())
-
-
-def in_worker(device, count):
-    def ask():
-        ONE_EACH.set(True)
-        return own_device(device, count)
-
-    return copy_context().run(ask)
-
-
-def test_slots_are_numbered_from_zero_and_used_again(tmp_path):
-    slots = [Slot(tmp_path) for _ in range(3)]
-    assert [slot.number for slot in slots] == [0, 1, 2]
-    del slots[1]
-    assert Slot(tmp_path).number == 1
-
-
-HOLD = """
+ASK = """
 import sys
 from pathlib import Path
-from salsanext_cli.parallel.devices import Slot
-slot = Slot(Path(sys.argv[1]))
-sys.stdout.write(f"{slot.number}\\n")
-sys.stdout.flush()
+from salsanext_cli.parallel import devices
+from salsanext_cli.parallel.worker import WORKER
+WORKER.run = "a run"
+devices._folder_of_slots = lambda: Path(sys.argv[1])
+print(devices.own_device("cuda", 2), devices.own_device("auto", 2), flush=True)
 sys.stdin.read()
 """
 
 
-def test_a_killed_process_leaves_its_slot_to_the_next(tmp_path):
-    command = [sys.executable, "-c", HOLD, str(tmp_path)]
-    with subprocess.Popen(
-        command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
-    ) as other:
-        assert other.stdout.readline() == "0\n"
-        assert Slot(tmp_path).number == 1
-        os.kill(other.pid, signal.SIGKILL)
-        other.wait()
-        assert Slot(tmp_path).number == 0
-
-
-@pytest.mark.parametrize("device", ["auto", "cuda"])
-def test_workers_take_a_gpu_each_and_keep_it(device):
-    found = []
-
+def test_worker_processes_take_a_gpu_each_and_a_killed_one_leaves_it(tmp_path):
     def worker():
-        ONE_EACH.set(True)
-        found.append([own_device(device, 2) for _ in range(2)])
-        meeting.wait(10)
+        return subprocess.Popen(
+            [sys.executable, "-c", ASK, str(tmp_path / "slots")],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            text=True,
+        )
 
-    meeting = threading.Barrier(5)
-    threads = [threading.Thread(target=worker) for _ in range(4)]
-    for thread in threads:
-        thread.start()
-    meeting.wait(10)
-    for thread in threads:
-        thread.join()
-    assert sorted(found) == [["cuda:0"] * 2] * 2 + [["cuda:1"] * 2] * 2
+    # Each reads until it is closed, and the system lets go of its lock.
+    with worker() as first, worker() as second, worker() as third:
+        found = [process.stdout.readline().split() for process in (first, second, third)]
+        assert sorted(found) == [["cuda:0"] * 2] * 2 + [["cuda:1"] * 2]
+        odd = (first, second, third)[found.index(["cuda:1"] * 2)]
+        odd.kill()
+        odd.wait()
+        with worker() as fourth:
+            assert fourth.stdout.readline() == "cuda:1 cuda:1\n"
 
 
 @pytest.mark.parametrize(("device", "count"), [("cpu", 4), ("cuda:3", 4), ("auto", 1), ("cuda", 0)])
-def test_what_was_named_or_is_alone_stays(device, count):
-    assert in_worker(device, count) == device
+def test_a_device_that_was_named_or_is_alone_stays(device, count, monkeypatch):
+    monkeypatch.setattr(WORKER, "run", "a run")
+    assert devices.own_device(device, count) == device
 
 
-def test_who_is_no_worker_takes_the_first():
-    assert own_device("auto", 4) == "auto"
+def test_a_process_that_is_no_worker_takes_the_first():
+    assert devices.own_device("auto", 4) == "auto"
+
+
+def test_where_nothing_can_be_locked_chance_divides(tmp_path, monkeypatch, caplog):
+    (tmp_path / "file").touch()
+    monkeypatch.setattr(WORKER, "run", "a run")
+    monkeypatch.setattr(WORKER, "slot", None)
+    monkeypatch.setattr(devices, "_folder_of_slots", lambda: tmp_path / "file")
+    assert devices.own_device("auto", 2) in ("cuda:0", "cuda:1")
+    assert "GPUs are shared by chance" in caplog.text

@@ -2,16 +2,18 @@
 import os
 import signal
 import threading
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 import pytest
-from works import DieOnce, Write, run, scans_of
+from works import Write, run, scans_of
 
-from salsanext_cli.errors import FormatError, UsageError, WorkersLost
+from salsanext_cli.errors import FormatError, UsageError
 from salsanext_cli.parallel.run import RunOptions, run_over_scans
+from salsanext_cli.parallel.tasks import one_by_one
+from salsanext_cli.parallel.worker import WORKER
 
-JOBS = pytest.mark.parametrize("jobs", [1, 2])
 LOCAL = pytest.mark.parametrize(
     "options", [{}, {"jobs": 2}, {"jobs": 2, "backend": "threading"}], ids=["1", "2", "threads"]
 )
@@ -54,6 +56,28 @@ def test_on_error_stop_raises_what_went_wrong(tmp_path, options):
 def test_bugs_are_not_taken_for_failures(tmp_path, options):
     with pytest.raises(ZeroDivisionError, match="a bug of ours"):
         run(Write(tmp_path), scans_of("a", "bug", "b"), **options)
+
+
+class Opens(Write):
+    """Note who opens this, and write as opened then."""
+
+    def open(self):
+        with (self.out / "opened").open("a") as file:
+            file.write(f"{os.getpid()}\n")
+        return partial(one_by_one, self)
+
+
+@LOCAL
+def test_a_task_is_opened_once_by_each_worker_of_a_run(tmp_path, options):
+    for sequence in ("first", "second"):
+        outcome = run(Opens(tmp_path), scans_of(*"abcdefgh", sequence=sequence), **options)
+        assert sorted(outcome.results) == list("abcdefgh")
+        opened = (tmp_path / "opened").read_text().split()
+        (tmp_path / "opened").unlink()
+        assert len(opened) == len(set(opened)) <= 2
+        if options.get("backend") == "threading" or not options:
+            assert opened == [str(os.getpid())]
+    assert WORKER.run == ""
 
 
 def test_what_is_there_is_skipped_unless_overwriting(tmp_path):
@@ -109,10 +133,6 @@ def test_options_that_are_none(options):
         RunOptions(**options)
 
 
-def test_all_cores(tmp_path):
-    assert run(Write(tmp_path), scans_of(*"abc"), jobs=-1).done == 3
-
-
 def test_workers_follow_when_the_program_changes_its_folder(tmp_path, monkeypatch):
     for name in ("one", "two"):
         (tmp_path / name).mkdir()
@@ -144,27 +164,6 @@ def test_an_interruption_leaves_whole_files_only(tmp_path, options):
     again = run(Write(tmp_path), scans, **options)
     assert again.skipped == len(written)
     assert again.done == 400 - len(written)
-
-
-def test_a_worker_that_the_system_kills_is_a_matter_of_memory(tmp_path):
-    scans = scans_of("a", "killed", "b")
-    with pytest.raises(WorkersLost, match=r"--jobs 2 .* use fewer jobs; run again for the rest"):
-        run(Write(tmp_path), scans, jobs=2)
-    assert not list((tmp_path / "s").glob(".*"))
-    assert run(Write(tmp_path), scans_of("a", "b"), jobs=2).done <= 2
-
-
-def test_what_is_missing_after_a_kill_is_said_and_made_by_the_next_run(tmp_path):
-    scans = scans_of("deadly", *(f"{n:02d}" for n in range(40)))
-    with pytest.raises(WorkersLost) as caught:
-        run(DieOnce(tmp_path, pause=0.02), scans, jobs=2)
-    missing = [s for s in scans if not (tmp_path / "s" / s.stem).exists()]
-    named = ", ".join(f"s/{scan.stem}" for scan in missing[:3])
-    assert f"{len(missing)} of 41 scans are missing: {named} and" in str(caught.value)
-    assert "s/deadly" in named
-    again = run(DieOnce(tmp_path), scans, jobs=2)
-    assert (again.done, again.skipped) == (len(missing), 41 - len(missing))
-    assert {path.name for path in (tmp_path / "s").iterdir()} == {scan.stem for scan in scans}
 
 
 HOARD = []
