@@ -6,11 +6,12 @@ import json
 import numpy as np
 import pytest
 from claiming import claim
-from scans import files_below, write_sequence
+from scans import SMALL, files_below, write_sequence
 
-from salsanext_cli.errors import OutputError
+from salsanext_cli.errors import NoInputError, OutputError
+from salsanext_cli.stages.project import project_scans
 from salsanext_cli.stages.synth import _claim as claim_synth
-from salsanext_cli.storage.layout import ScanFile, output_path
+from salsanext_cli.storage.layout import ScanFile, find_scans, output_path
 from salsanext_cli.storage.point_files import write_labels
 from salsanext_cli.storage.sources import remembered_scans
 
@@ -94,3 +95,16 @@ def test_links_in_an_output_folder(tmp_path):
     claim(out, "predict", {"weights": 2}, ["predictions"], overwrite=True)
     assert [path.name for path in disk.iterdir()] == ["notes.txt"]
     assert victim.read_bytes() == b"mine"
+
+
+def test_a_scan_that_is_a_link_to_itself_fails_alone(tmp_path):
+    data = write_sequence(tmp_path / "08", ["a"], count=50)
+    (data / "velodyne/b.bin").symlink_to("b.bin")
+    for source in (data, data / ".." / "08" / "velodyne"):
+        assert [scan.stem for scan in find_scans(source)] == ["a", "b"]
+    outcome = project_scans(data, tmp_path / "out", sensor=SMALL)
+    assert outcome.done == 1
+    assert [failure.scan.stem for failure in outcome.failures] == ["b"]
+    assert "too many levels of symbolic links" in outcome.failures[0].reason
+    with pytest.raises(NoInputError, match="too many levels of symbolic links"):
+        find_scans(data / "velodyne" / ".." / "velodyne" / "b.bin")
