@@ -6,9 +6,10 @@ import json
 import numpy as np
 import pytest
 from empty_runs import begin_and_end
-from scans import files_below, write_sequence
+from scans import SMALL, files_below, write_sequence
 
 from salsanext_cli.errors import OutputError
+from salsanext_cli.stages.project import project_scans
 from salsanext_cli.stages.synth import synthesise
 from salsanext_cli.storage.layout import find_scans, output_path
 from salsanext_cli.storage.sources import recorded_scans
@@ -82,3 +83,14 @@ def test_links_in_an_output_folder(tmp_path):
     output = begin_and_end(out, "predict", {"k": 2}, ["predictions"], scans, overwrite=True)
     assert {path.name for path in output.kept} == {"a.label", "b.label"}
     assert victim.read_bytes() == b"mine"
+
+
+def test_a_scan_that_is_a_link_to_itself_fails_alone(tmp_path):
+    data = write_sequence(tmp_path / "08", ["a"], count=50)
+    (data / "velodyne/b.bin").symlink_to("b.bin")
+    for source in (data, data / ".." / "08" / "velodyne"):
+        assert [scan.stem for scan in find_scans(source)] == ["a", "b"]
+    outcome = project_scans(data, tmp_path / "out", sensor=SMALL)
+    assert outcome.done == 1
+    assert [failure.scan.stem for failure in outcome.failures] == ["b"]
+    assert "too many levels of symbolic links" in outcome.failures[0].reason
