@@ -2,6 +2,7 @@
 """The shape of the package: imports point one way, files stay small, the library is silent."""
 
 import ast
+import re
 from collections import Counter
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -157,10 +158,10 @@ def test_rooms_are_small():
 
 
 def test_stages_are_commands():
-    """Exactly one file each."""
+    """Exactly one file each; those of `tune` are in one file of the command line."""
     commands = {path.stem for path in (PACKAGE / "cli").glob("*.py")}
     stages = {path.stem for path in (PACKAGE / "stages").glob("*.py")} - {"__init__"}
-    assert stages <= commands
+    assert {re.sub("^tune_.*", "tune", stage) for stage in stages} <= commands
 
 
 def test_files_are_short():
@@ -182,9 +183,9 @@ FORBIDDEN = {
 
 
 def test_nothing_prints_exits_evaluates_or_unpickles():
-    """But for the compiled kernels in the user's own cache, which numba pickles."""
+    """Of two processes only the one that is to end does so at once."""
     found = where(lambda module: FORBIDDEN & set(called(tree_of(module))))
-    assert found == {"kernels.py": {"pickle.loads"}}
+    assert found == {"cli/console.py": {"os._exit"}, "parallel/processes.py": {"os._exit"}}
 
 
 def test_torch_loads_weights_only():
@@ -194,7 +195,7 @@ def test_torch_loads_weights_only():
         return [c.lineno for c in loads if "weights_only=True" not in ast.unparse(c)]
 
     assert where(freely) == {}
-    assert "torch.load" in set(called(tree_of(PACKAGE / "network" / "published.py")))
+    # There is none today: checkpoints are read by network/restricted_unpickler.py.
 
 
 def test_the_global_generator_is_left_as_it_was():
@@ -224,8 +225,7 @@ def test_no_exception_is_swallowed_whole():
             if not any(isinstance(n, ast.Raise) and n.exc is None for n in ast.walk(h))
         ]
 
-    # A cache may fail in any way; numpy evaluates a header, and may raise anything.
-    assert where(swallowed).keys() == {"kernels.py", "formats/npy.py"}
+    assert where(swallowed) == {}
 
 
 def documented(tree: ast.Module) -> Iterator[ast.AST]:
