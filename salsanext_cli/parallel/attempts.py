@@ -21,7 +21,7 @@ from salsanext_cli.parallel.pools import WorkerPool, process_pool, thread_pool
 from salsanext_cli.parallel.processes import signals_blocked
 from salsanext_cli.parallel.ray_pool import ray_pool
 from salsanext_cli.parallel.tasks import Attempt, Task
-from salsanext_cli.parallel.worker import WorkerContext, attempt_chunk
+from salsanext_cli.parallel.worker import WORKER, WorkerContext, attempt_chunk
 from salsanext_cli.storage.layout import ScanFile
 
 PoolMaker = Callable[[RunOptions, int], AbstractContextManager[WorkerPool]]
@@ -55,10 +55,14 @@ def attempts_of_workers(
         for message in HARMLESS:
             warnings.filterwarnings("ignore", message)
         with POOLS[options.backend](options, len(scans)) as pool:
-            context = replace(context, threads=pool.threads, ended=pool.ended)
+            context = replace(context, threads=pool.threads)
             attempt = partial(attempt_chunk, context, task)
             calls = (joblib.delayed(attempt)(chunk) for chunk in chunks(scans, pool.workers))
-            yield from _results(calls, pool, options.backend)
+            try:
+                yield from _results(calls, pool, options.backend)
+            finally:
+                # Joblib kills processes, but cannot kill threads and does not wait for them.
+                WORKER.end(context.run)
 
 
 def _results(

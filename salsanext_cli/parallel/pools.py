@@ -4,8 +4,7 @@
 from __future__ import annotations
 
 import os
-import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Any
@@ -13,7 +12,6 @@ from typing import Any
 from salsanext_cli.parallel.options import RunOptions
 from salsanext_cli.parallel.processes import end_with_parent
 from salsanext_cli.parallel.threads import cores, threads_each, threads_of_workers
-from salsanext_cli.parallel.worker import WORKER, never
 
 AHEAD = 2
 """Chunks sent for each worker, so that the next one is there when one is done."""
@@ -35,8 +33,6 @@ class WorkerPool:
         Threads that each worker may use.
     died : tuple of exception types
         What the backend raises when a worker died.
-    ended : callable
-        Whether the run is over, for workers that cannot be killed.
     """
 
     backend: dict[str, Any]
@@ -44,7 +40,6 @@ class WorkerPool:
     in_flight: int
     threads: int
     died: tuple[type[BaseException], ...] = ()
-    ended: Callable[[], bool] = never
 
 
 @contextmanager
@@ -66,18 +61,9 @@ def process_pool(options: RunOptions, most: int) -> Iterator[WorkerPool]:
 
 @contextmanager
 def thread_pool(options: RunOptions, most: int) -> Iterator[WorkerPool]:
-    """Give a pool of threads, at most so many.
-
-    A thread cannot be killed: at the end of the run each finishes its scan. Joblib would not wait
-    for that.
-    """
+    """Give a pool of threads, at most so many."""
     workers = min(most, options.workers_here())
     threads = threads_each(cores(), workers)
     backend = {"backend": "threading", "n_jobs": workers}
-    ended = threading.Event()
     with threads_of_workers(threads):
-        try:
-            yield WorkerPool(backend, workers, AHEAD * workers, threads, ended=ended.is_set)
-        finally:
-            ended.set()
-            WORKER.release()
+        yield WorkerPool(backend, workers, AHEAD * workers, threads)

@@ -35,17 +35,27 @@ def ray_pool(options: RunOptions, most: int) -> Iterator[WorkerPool]:
     started = options.scheduler is None and not ray.is_initialized()
     here = min(most, options.workers_here()) if started else None
     # Ray tells on stdout that a worker died.
-    with redirect_stdout(sys.stderr), _connected(ray, options.scheduler, here) as total:
-        slots = max(2, int(total.get("CPU", 2)))
+    with redirect_stdout(sys.stderr), _connected(ray, options.scheduler, here):
+        cpus, gpus = _resources(ray, "CPU"), _resources(ray, "GPU")
+        slots = sum(cpus)
+        if slots < 2:
+            # Joblib does the work of a single worker itself, and Ray wants a CPU for each.
+            raise UsageError("--backend ray", "a cluster of one CPU", "at least two")
         workers = min(here or options.workers_of_cluster() or slots, slots)
         yield WorkerPool(
-            # Joblib does the work of a single worker itself.
-            {"backend": _backend(workers, int(total.get("GPU", 0))), "n_jobs": max(2, workers)},
+            {"backend": _backend(workers, sum(gpus)), "n_jobs": max(2, workers)},
             workers,
             1 if workers == 1 else AHEAD * workers,
-            threads_each(cores() if here else slots, workers),
+            threads_each(cores(), workers)
+            if here
+            else min(max(cpus), threads_each(slots, workers)),
             (ray.exceptions.RayActorError, ray.exceptions.OutOfMemoryError),
         )
+
+
+def _resources(ray: Any, kind: str) -> list[int]:
+    """Return how many CPUs or GPUs each machine has."""
+    return [int(node["Resources"].get(kind, 0)) for node in ray.nodes() if node["Alive"]]
 
 
 def _backend(workers: int, gpus: int) -> Any:
@@ -64,13 +74,10 @@ def _backend(workers: int, gpus: int) -> Any:
 
 
 @contextmanager
-def _connected(ray: Any, address: str | None, here: int | None) -> Iterator[dict[str, float]]:
-    """Connect, or start workers here, unless the program that calls us has done so.
-
-    Gives how many CPUs and GPUs there are.
-    """
+def _connected(ray: Any, address: str | None, here: int | None) -> Iterator[None]:
+    """Connect, or start workers here, unless the program that calls us has done so."""
     if ray.is_initialized():
-        yield ray.cluster_resources()
+        yield
         return
     # It would tell its makers that it was used.
     os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")
@@ -89,6 +96,6 @@ def _connected(ray: Any, address: str | None, here: int | None) -> Iterator[dict
             found_there = str(error).partition("\n")[0]
             raise UsageError(f"--scheduler {address}", found_there, expected) from error
     try:
-        yield ray.cluster_resources()
+        yield
     finally:
         ray.shutdown()

@@ -6,7 +6,7 @@ from __future__ import annotations
 import os
 import socket
 import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -16,11 +16,6 @@ from salsanext_cli.parallel.chunks import Chunk
 from salsanext_cli.parallel.tasks import Attempt, Attempts, Task, opened
 from salsanext_cli.parallel.threads import use_threads
 from salsanext_cli.storage.atomic import MARK
-
-
-def never() -> bool:
-    """Say that the run goes on, for workers that are killed at its end."""
-    return False
 
 
 @dataclass(frozen=True, slots=True)
@@ -39,8 +34,6 @@ class WorkerContext:
         Working folder, from which relative names start.
     threads : int
         Threads that each worker may use.
-    ended : callable
-        Whether the run is over, so that a worker that cannot be killed leaves the rest.
     """
 
     run: str
@@ -48,7 +41,6 @@ class WorkerContext:
     stop: bool
     folder: Path
     threads: int = 1
-    ended: Callable[[], bool] = never
 
 
 class Worker:
@@ -56,14 +48,14 @@ class Worker:
 
     Attributes
     ----------
-    run : str
-        The run that it works for; empty where it works for none.
+    run, ended : str
+        The run that it works for, empty where it works for none, and the last one that it ended.
     slot : tuple of int and object, optional
         Number of this process among the workers of its machine, once needed, and the lock on it.
     """
 
     def __init__(self) -> None:
-        self.run = ""
+        self.run = self.ended = ""
         self.slot: tuple[int, object] | None = None
         self._attempts: Attempts | None = None
         self._busy = 0
@@ -88,7 +80,7 @@ class Worker:
                 self._changed.notify_all()
 
     def _opened(self, context: WorkerContext, task: Task) -> Attempts:
-        if context.ended():
+        if context.run == self.ended:
             return lambda _: iter(())
         if self._attempts is None or self.run != context.run:
             self._attempts = None
@@ -97,11 +89,13 @@ class Worker:
             self._attempts = opened(task)
         return self._attempts
 
-    def release(self) -> None:
-        """Wait until no thread of this process works any more, and let go of what was opened."""
+    def end(self, run: str) -> None:
+        """End a run in this process: wait until each thread has finished its scan."""
         with self._changed:
-            self._changed.wait_for(lambda: not self._busy)
-            self.run, self._attempts = "", None
+            self.ended = run
+            if self.run == run:
+                self._changed.wait_for(lambda: not self._busy)
+                self.run, self._attempts = "", None
 
 
 WORKER = Worker()
@@ -116,7 +110,7 @@ def attempt_chunk(context: WorkerContext, task: Task, scans: Chunk) -> list[Atte
     with WORKER.serving(context, task) as attempts:
         for attempt in attempts(scans):
             found.append(attempt)
-            if context.ended() or (context.stop and attempt[2]):
+            if WORKER.ended == context.run or (context.stop and attempt[2]):
                 break
     return found
 
