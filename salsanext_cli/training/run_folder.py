@@ -97,7 +97,8 @@ def begin(run: Path, settings: Mapping[str, Any], *, overwrite: bool) -> None:
         results += [*run.glob(f"{SAMPLES}/epoch-*.png"), *run.glob(f"{EVENTS}/events.*")]
         if _is_old(run, recorded):
             results.append(run / OLD_CHECKPOINT)
-            for path in results:
+            # Its files are taken for what their names say, and its counts are kept.
+            for path in (*results, run / CLASS_COUNTS):
                 if path.is_file():
                     written.record(path)
         for path in written.remove(results):

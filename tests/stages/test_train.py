@@ -311,6 +311,7 @@ def test_a_training_of_an_older_version_is_not_silently_begun_anew(
     anew = go(dataset, run, overwrite=True)
     assert not (run / "checkpoint.pt").exists()
     require_same(go(dataset, tmp_path / "whole"), anew)
+    assert go(dataset, run, progress=no_step) == anew
 
 
 def test_rare_classes_and_weights_come_from_the_training_split(
