@@ -44,7 +44,9 @@ class WrittenFiles:
     @contextmanager
     def writing(self, path: Path, *, durable: bool = False) -> Iterator[BinaryIO]:
         """Open a file below the folder as `atomic.writing` does, and record it."""
-        with writing(path, durable=durable, before_rename=partial(self._append, path)) as file:
+        with writing(
+            path, durable=durable, before_rename=partial(self._append, path, durable=durable)
+        ) as file:
             yield file
 
     def write(self, path: Path, content: bytes, *, durable: bool = False) -> None:
@@ -117,7 +119,7 @@ class WrittenFiles:
                     states.setdefault(self.folder / below, set()).add(state)
         return states
 
-    def _append(self, path: Path, status: os.stat_result) -> None:
+    def _append(self, path: Path, status: os.stat_result, *, durable: bool = False) -> None:
         machine = re.sub(r"[^\w.-]", "_", socket.gethostname())
         record = self.folder / RECORDS / f"{machine}.tsv"
         name = quote_from_bytes(os.fsencode(path.relative_to(self.folder)))
@@ -128,5 +130,7 @@ class WrittenFiles:
             # Unbuffered, it is one write, and those of other processes do not mix with it.
             with record.open("ab", buffering=0) as file:
                 file.write(line)
+                if durable:
+                    os.fsync(file.fileno())
         except OSError as error:
             raise refusal(record, error) from error
