@@ -11,7 +11,10 @@ Run: python benchmarks/baseline.py 000000.bin OUT.label [--weights FILE --device
 
 import argparse
 import json
+import tomllib
+from collections.abc import Callable, Mapping
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import safetensors
@@ -201,15 +204,36 @@ class Baseline:
         return result[0, :, : image.shape[1], : image.shape[2]]
 
 
+def prepare(part: str, path: Path, task: Mapping[str, Any]) -> Callable[[], Any]:
+    """Compute the input of a part for one scan, and return the function that is timed."""
+    method = Baseline(Path(task["weights"]), task["device"], task["sensor"])
+    points = read_points(path)
+    points = points[seen(points, method.sensor)]
+    image, pixel, depth = project(points, method.sensor)
+    work = {
+        "projection": lambda: project(points, method.sensor),
+        "network": lambda: method.probabilities(image),
+        "predict": lambda: method.label(path, path.with_suffix(".label")),
+        "uncertainty": lambda: method.uncertainty(image, task["passes"]),
+    }
+    if part in work:
+        return work[part]
+    pixel_labels = method.probabilities(image).argmax(0).astype(np.uint8)
+    if part == "knn":
+        return lambda: method.refine(image, pixel_labels, pixel, depth)
+    labels = method.refine(image, pixel_labels, pixel, depth)
+    return lambda: confusion(labels, pixel_labels.ravel()[pixel], method.classes)
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description="Label a scan, plainly.")
     parser.add_argument("scan", type=Path, help="of float32 x, y, z, intensity")
     parser.add_argument("out", type=Path, help="uint32 raw ids, one per point")
     parser.add_argument("--weights", type=Path, help="a weights file of salsanext")
-    parser.add_argument("--sensor", type=Path, help="another sensor, as JSON")
+    parser.add_argument("--sensor", type=Path, help="another sensor, all keys, .toml")
     parser.add_argument("--device", default="cpu")
     options = parser.parse_args()
-    sensor = json.loads(options.sensor.read_text("utf-8")) if options.sensor else None
+    sensor = tomllib.loads(options.sensor.read_text("utf-8")) if options.sensor else None
     baseline = Baseline(options.weights or default_weights(), options.device, sensor)
     baseline.label(options.scan, options.out)
 

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: MIT
-"""What each scan costs besides the work on it: finding, claiming, skipping, sending to workers.
+"""Cost of a scan besides the work on it: finding it, recording the run, skipping, sending.
 
-The scans and results are empty files in a new folder below the one given. Backends whose package is
-not installed can be left out.
+The scans and results are empty files in a new folder below the one given. Only the backends named
+are measured, since some need a package of their own.
 
 Run: python benchmarks/many_scans.py folder/ [20000 loky threading dask ray]
 """
@@ -11,16 +11,17 @@ import sys
 import tempfile
 import time
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import TypeVar
 
 from salsanext_cli.parallel.run import RunOptions, run_over_scans
 from salsanext_cli.parallel.shards import Shard
 from salsanext_cli.storage.layout import ScanFile, find_scans, output_path
-from salsanext_cli.storage.output_run import claimed
+from salsanext_cli.storage.output_run import OutputRun, output_run
 
 Result = TypeVar("Result")
-PER_SEQUENCE = 1000
+SCANS_PER_SEQUENCE = 1000
 
 
 def timed(name: str, work: Callable[[], Result], scans: int) -> Result:
@@ -36,7 +37,7 @@ def fill(folder: Path, count: int) -> tuple[Path, Path]:
     """Make empty scans and results."""
     data, out = folder / "data", folder / "out"
     for number in range(count):
-        sequence, scan = divmod(number, PER_SEQUENCE)
+        sequence, scan = divmod(number, SCANS_PER_SEQUENCE)
         files = (
             data / f"sequences/{sequence:04d}/velodyne/{scan:06d}.bin",
             output_path(out, f"{sequence:04d}", "predictions", f"{scan:06d}"),
@@ -48,19 +49,19 @@ def fill(folder: Path, count: int) -> tuple[Path, Path]:
     return data, out
 
 
-def claim(out: Path, scans: list[ScanFile]) -> None:
-    """Take the output folder, and let it go."""
-    with claimed(out, "predict", {"device": "none"}, ("probabilities",), scans, overwrite=False):
+def record(out: Path, scans: list[ScanFile]) -> None:
+    """Record a run in the output folder, and end it."""
+    with output_run(out, "predict", {}, ("probabilities",), scans, overwrite=False):
         pass
 
 
-def dispatch(scans: list[ScanFile], backend: str) -> None:
-    """Send scans to two workers who do nothing; starting them is left out."""
+def send(scans: list[ScanFile], backend: str) -> None:
+    """Send scans to two workers that do nothing; starting them is left out."""
     marks: list[tuple[int, float]] = []
     options = RunOptions(
         jobs=2, backend=backend, progress=lambda done, _: marks.append((done, time.perf_counter()))
     )
-    # Something that every worker has and that takes a scan.
+    # A function that every worker has and that takes a scan.
     run_over_scans(hash, scans, options, on_result=lambda _: None)
     (first, start), (last, end) = marks[0], marks[-1]
     print(f"{f'chunks, {backend}':24} {(last - first) / (end - start):7.0f} scans per second")
@@ -71,25 +72,14 @@ def main(folder: str, count: str = "20000", *backends: str) -> None:
     with tempfile.TemporaryDirectory(dir=folder) as made:
         data, out = fill(Path(made), number)
         scans = timed("find scans", lambda: find_scans(data), number)
-        for name in ("claim", "claim again"):
-            timed(
-                name,
-                lambda: claim(out, scans),
-                number,
-            )
+        for step in ("record the run", "record another run"):
+            timed(step, lambda: record(out, scans), number)
         timed("divide into shards", lambda: Shard(1, 8).of(scans), number)
-        timed(
-            "skip what is done",
-            lambda: run_over_scans(
-                hash,
-                scans,
-                RunOptions(),
-                lambda s: [output_path(out, s.sequence, "predictions", s.stem)],
-            ),
-            number,
-        )
+        done = OutputRun(out, "predict", ("predictions",)).is_done
+        skip = partial(run_over_scans, hash, scans, RunOptions(), is_done=done)
+        timed("skip what is done", skip, number)
         for backend in backends:
-            dispatch(scans, backend)
+            send(scans, backend)
 
 
 if __name__ == "__main__":

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: MIT
-"""What a scan costs in each stage on one core: CPU time, bytes read and bytes written.
+"""Cost of a scan in each stage on one core: CPU time, bytes read and bytes written.
 
-The first scan of each stage is left out, since it pays for loading and compiling. CPU time of the
-process, not time by the clock, so that what else the machine does plays a small part. Bytes are
-those that pass through system calls (`/proc/self/io`, Linux only), so nothing that is mapped.
+The first scan of each stage is left out, since it pays for loading and compiling. CPU time depends
+less than elapsed time on what else the machine does. Bytes are those that pass through system calls
+(`/proc/self/io`, Linux only), so nothing that is mapped.
 
 Run: python benchmarks/stage_cost.py dataset/ out/ [30 weights.safetensors]
 """
@@ -21,7 +21,7 @@ from salsanext_cli.parallel.threads import threads_of_workers
 from salsanext_cli.stages.evaluate import evaluate
 from salsanext_cli.stages.export_ply import export_ply
 from salsanext_cli.stages.knn_refine import knn_refine_scans
-from salsanext_cli.stages.predict import predict_scans
+from salsanext_cli.stages.predict import predict_range_images, predict_scans
 from salsanext_cli.stages.project import project_scans
 from salsanext_cli.stages.uncertainty import uncertainty
 from salsanext_cli.storage.predictions import predicted_scans
@@ -65,7 +65,7 @@ def main(dataset: str, out: str, samples: str = "30", weights: str | None = None
         measure("project", lambda o: project_scans(data, steps, sensor=sensor, options=o))
         measure(
             "predict, range images",
-            lambda o: predict_scans(steps, steps, network=network, options=o),
+            lambda o: predict_range_images(steps, steps, network=network, options=o),
         )
         measure("knn-refine", lambda o: knn_refine_scans(steps, options=o))
         measure("predict, scans", lambda o: predict_scans(data, whole, network=network, options=o))

@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: MIT
-"""What `salsanext benchmark` measures, and how."""
+"""Measurements of `salsanext benchmark`: the toolkit beside the plain baseline."""

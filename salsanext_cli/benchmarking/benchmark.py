@@ -1,191 +1,138 @@
 # SPDX-License-Identifier: MIT
-"""How fast each part of the method is, beside the same written plainly, in one run."""
+"""Time and memory of each part of the method, beside the same method written plainly."""
 
 from __future__ import annotations
 
+import json
 import os
 import tempfile
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
+from statistics import median
+from typing import Any
 
-from salsanext_cli.benchmarking.ceiling import Ceiling, floors
-from salsanext_cli.benchmarking.commands import Commands
-from salsanext_cli.benchmarking.processes import SIDES, Line, served
-from salsanext_cli.benchmarking.result import Benchmark, Measured, Turn
-from salsanext_cli.benchmarking.sides import SAMPLES, Task
-from salsanext_cli.errors import OutputError, UsageError, WeightsError
+from salsanext_cli.benchmarking.hardware import least_seconds
+from salsanext_cli.benchmarking.turn import take_turn
+from salsanext_cli.errors import UsageError, WeightsError
 from salsanext_cli.formats import read_scan
-from salsanext_cli.formats.reading import present
 from salsanext_cli.geometry.noise import noise_of
 from salsanext_cli.inference.network import choose_device
 from salsanext_cli.inference.settings import NetworkSettings
 from salsanext_cli.network.weights import WeightsCard, default_weights, read_card
-from salsanext_cli.parallel.run import Progress
 from salsanext_cli.sensors import Sensor
-from salsanext_cli.storage.layout import ScanFile, find_scans
 from salsanext_cli.storage.point_files import write_bin
 from salsanext_cli.storage.selection import ScanSelection, select_scans
 
-IN_PROCESS = ("projection", "network", "knn", "predict", "uncertainty", "confusion")
-PARTS = (*IN_PROCESS, "cold", "help")
-FEWEST = 4
-"""Scans of a run of `predict`, of which the first does not count; fewer are repeated."""
-MOST = 4
-"""Scans that are measured unless more are asked for."""
-
-
-@dataclass(frozen=True, slots=True)
-class Plan:
-    """What is measured, and how often.
-
-    Attributes
-    ----------
-    parts : tuple of str
-        Of `PARTS`.
-    rounds : int
-        Turns of each side; in each, every part is measured once on the next scan.
-    passes : int
-        How many of the baseline's Monte-Carlo passes, which are alike, are timed.
-    threads : int, optional
-        Of both sides; as many as the libraries take by themselves if not given.
-    """
-
-    parts: tuple[str, ...] = PARTS
-    rounds: int = 3
-    passes: int = 1
-    threads: int | None = None
-
-    def __post_init__(self) -> None:
-        if unknown := sorted(set(self.parts) - set(PARTS)):
-            raise UsageError("--parts", ", ".join(unknown), f"some of {', '.join(PARTS)}")
-        for name in ("rounds", "passes", "threads"):
-            value = getattr(self, name)
-            if value is not None and value < 1:
-                raise UsageError(f"--{name}", str(value), "at least 1")
+PARTS = ("projection", "network", "knn", "predict", "uncertainty", "confusion", "cold", "help")
+SIDES = ("baseline", "product")
+SAMPLES = 30
+"""Monte-Carlo passes of a scan."""
 
 
 def benchmark(
     source: Path,
     *,
     network: NetworkSettings = NetworkSettings(),
-    selection: ScanSelection = ScanSelection(limit=MOST),
-    plan: Plan = Plan(),
-    progress: Progress | None = None,
-) -> Benchmark:
-    """Measure product and baseline by turns, each in its own process.
-
-    The scans are copied as `.bin` files first, so that both sides read the same.
+    selection: ScanSelection = ScanSelection(limit=4),
+    parts: Sequence[str] = PARTS,
+    rounds: int = 3,
+    passes: int = 1,
+    threads: int | None = None,
+    progress: Callable[[int, int], None] | None = None,
+) -> dict[str, Any]:
+    """Measure both sides by turns, each turn in a process of its own, and return plain data.
 
     Parameters
     ----------
-    source : Path
-        A scan, a folder of scans, a sequence or a data set.
-    network : NetworkChoice
-        Weights of SalsaNext, device and sensor.
-    selection : Choice
-        Which scans.
-    plan : Plan
-        What is measured.
+    source, selection : Path, ScanSelection
+        The scans; every round takes the next one.
+    network : NetworkSettings
+        Weights of SalsaNext, device, sensor and precision.
+    parts : sequence of str
+        Some of `PARTS`.
+    rounds, passes : int
+        Turns of each side at each part, and how many of the baseline's `SAMPLES` passes are timed.
+    threads : int, optional
+        Threads of each side; the default of its libraries if not given.
     progress : callable, optional
-        Called with the turns done and to do.
-
-    Raises
-    ------
-    SalsanextError
-        If something cannot be measured at all.
+        Called with the number of parts measured and to be measured.
     """
     if os.name != "posix":
         raise UsageError("benchmark", f"a system of the kind {os.name}", "Linux or macOS")
+    if unknown := sorted(set(parts) - set(PARTS)):
+        raise UsageError("--parts", ", ".join(unknown), f"some of {', '.join(PARTS)}")
+    counts = {"rounds": rounds, "passes": passes, "threads": threads}
+    for name, value in counts.items():
+        if value is not None and value < 1:
+            raise UsageError(f"--{name}", str(value), "at least 1")
     weights = network.weights or default_weights()
     card = read_card(weights)
-    sensor, device = network.sensor or card.sensor, str(choose_device(network.device))
-    _require(card, sensor, plan, weights)
-    with tempfile.TemporaryDirectory(prefix="salsanext-") as folder:
-        scans, out = Path(folder, "scans"), Path(folder, "out")
-        points = _copy(select_scans(source, selection, card.space), sensor, scans)
-        out.mkdir()
-        # The copies hold intensities that are scaled already.
-        sensor = replace(sensor, intensity_scale=1.0)
-        named = replace(network, weights=weights.resolve(), device=device, sensor=sensor)
-        task = Task(named, scans, out, plan.passes)
-        commands = Commands(task, card.sensor, plan.threads)
-        with served(task, plan.threads) as lines:
-            machine, precision = lines["product"].ask("machine"), lines["product"].ask("precision")
-            turns = _Turns(lines, commands, find_scans(scans))
-            ceiling = Ceiling(precision, 0, 0)
-            total = plan.rounds * len(plan.parts)
-            for number in range(total):
-                if number % len(plan.parts) == 0:
-                    ceiling = ceiling.better(lines["product"].ask("ceiling", precision))
-                turns.take(plan.parts[number % len(plan.parts)], number // len(plan.parts))
-                if progress:
-                    progress(number + 1, total)
-    lowest = floors(card, sensor, sum(points) // len(points), ceiling)
-    settings = {
-        "weights": str(weights),
-        "sensor": {"name": sensor.name, "height": sensor.height, "width": sensor.width},
-        "points": points,
-        "rounds": plan.rounds,
+    sensor = network.sensor or card.sensor
+    _require(weights, card, sensor, parts)
+    scans = [
+        read_scan(file.path, intensity_scale=sensor.intensity_scale)
+        for file in select_scans(source, selection, card.space)[:rounds]
+    ]
+    task: dict[str, Any] = {
+        "weights": str(weights.resolve()),
+        "device": str(choose_device(network.device)),
+        "precision": network.precision,
+        "sensor": replace(sensor, intensity_scale=1.0).to_dict(),
         "samples": SAMPLES,
-        "baseline_passes_timed": plan.passes,
+        **counts,
     }
-    return Benchmark(machine, ceiling, settings, turns.measured(lowest))
+    turns: dict[str, Any] = {part: {side: [] for side in SIDES} for part in parts}
+    hardware = []
+    with tempfile.TemporaryDirectory(prefix="salsanext-") as folder:
+        known = {k: v for k, v in task["sensor"].items() if k != "name" and v is not None}
+        toml = "".join(f"{key} = {json.dumps(value)}\n" for key, value in known.items())
+        Path(folder, "sensor.toml").write_text(toml, "utf-8")
+        for number in range(rounds):
+            scan = Path(folder, f"{number:06}.bin")
+            write_bin(scan, scans[number % len(scans)])
+            hardware.append(take_turn("product", "hardware", task, scan))
+            for done, part in enumerate(parts, start=1 + number * len(parts)):
+                # Each side begins in every other round; help has no baseline.
+                for side in SIDES if number % 2 else reversed(SIDES):
+                    if (side, part) != ("baseline", "help"):
+                        turns[part][side].append(take_turn(side, part, task, scan))
+                if progress:
+                    progress(done, rounds * len(parts))
+    ceiling = {key: max(each[key] for each in hardware) for key in ("operations", "bytes")}
+    points = sum(map(len, scans)) // len(scans)
+    least = least_seconds(card.architecture, sensor, points, ceiling)
+    return {
+        "machine": hardware[0]["machine"],
+        "ceiling": ceiling,
+        "settings": {**task, "scans": len(scans), "points": points},
+        "parts": [_summary(part, turns[part], least.get(part)) for part in parts],
+    }
 
 
-def require_new(path: Path) -> None:
-    """Raise `OutputError` if there is a file of that name, before minutes are spent."""
-    if present(path):
-        raise OutputError(path, "exists", remedy="use another name, or --overwrite")
-
-
-def _require(card: WeightsCard, sensor: Sensor, plan: Plan, weights: Path) -> None:
-    """Refuse what the baseline does not know, and parts that are not possible."""
-    name = card.architecture.get("name")
-    if name != "salsanext":
+def _require(weights: Path, card: WeightsCard, sensor: Sensor, parts: Sequence[str]) -> None:
+    """Refuse a network that the baseline does not have, and uncertainty that is not possible."""
+    if (name := card.architecture.get("name")) != "salsanext":
         raise WeightsError(weights, f"architecture {name}", "salsanext, as the baseline has it")
-    if "uncertainty" in plan.parts:
+    if "uncertainty" in parts:
         noise_of(sensor)
         if not card.architecture.get("dropout", 1):
             remedy = "leave uncertainty out of --parts"
             raise WeightsError(weights, "a network without dropout", "one with it", remedy)
 
 
-def _copy(files: Sequence[ScanFile], sensor: Sensor, folder: Path) -> list[int]:
-    """Write the scans as `.bin` files, again from the first if they are few; return their sizes."""
-    points = []
-    for number in range(max(FEWEST, len(files))):
-        path = files[number % len(files)].path
-        scan = read_scan(path, intensity_scale=sensor.intensity_scale)
-        write_bin(folder / f"{number:06}.bin", scan)
-        points.append(len(scan))
-    return points[: len(files)]
-
-
-class _Turns:
-    """What was measured, by part and side."""
-
-    def __init__(
-        self, lines: Mapping[str, Line], commands: Commands, scans: Sequence[ScanFile]
-    ) -> None:
-        self.lines, self.commands, self.scans = lines, commands, scans
-        self.turns: dict[str, dict[str, list[Turn]]] = {}
-
-    def take(self, part: str, number: int) -> None:
-        """Let both sides have a turn, each the first in every other round."""
-        scan = self.scans[number % len(self.scans)]
-        for side in SIDES if number % 2 else reversed(SIDES):
-            turns = self.turns.setdefault(part, {side: [] for side in SIDES})[side]
-            if part == "cold":
-                turns.append(self.commands.cold(side, scan.path))
-            elif part != "help":
-                turns.append(self.lines[side].ask("turn", part, scan))
-            elif side == "product":
-                turns.append(self.commands.help())
-
-    def measured(self, floors: Mapping[str, float]) -> tuple[Measured, ...]:
-        """Gather the turns of each part."""
-        return tuple(
-            Measured(part, tuple(turns["baseline"]), tuple(turns["product"]), floors.get(part))
-            for part, turns in self.turns.items()
-        )
+def _summary(part: str, turns: Mapping[str, Any], least: float | None) -> dict[str, Any]:
+    """Return every turn, medians, the ratio and its spread, and the share of the ceiling."""
+    found: dict[str, Any] = {"part": part, "ratio": None, "share_of_ceiling": None}
+    for side in SIDES:
+        seconds, peaks = ([turn[key] for turn in turns[side]] for key in ("seconds", "peak_bytes"))
+        peak = max(filter(None, peaks), default=None)
+        values = {"seconds": seconds, "peak_bytes": peak}
+        found[side] = {"median": median(seconds), **values} if seconds else None
+    if found["baseline"]:
+        pairs = zip(found["baseline"]["seconds"], found["product"]["seconds"], strict=True)
+        ratios = [plain / ours for plain, ours in pairs]
+        found["ratio"] = {"median": median(ratios), "lowest": min(ratios), "highest": max(ratios)}
+    if least is not None:
+        found["share_of_ceiling"] = least / found["product"]["median"]
+    return found

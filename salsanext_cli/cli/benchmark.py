@@ -17,41 +17,44 @@ def benchmark(
     scans: options.Scans = None,
     *,
     parts: Annotated[
-        str, typer.Option(help=f"Only some of {LISTED}, such as network,knn.")
+        str, typer.Option(help=f"Parts to measure, such as network,knn. All are {LISTED}.")
     ] = "all",
-    rounds: Annotated[int, typer.Option(help="Turns of each side.")] = 3,
+    rounds: Annotated[int, typer.Option(help="Turns of each side at each part.")] = 3,
     passes: Annotated[
-        int, typer.Option(help="Of the baseline's 30 Monte-Carlo passes, how many are timed.")
+        int, typer.Option(help="Monte-Carlo passes of the baseline that are timed, of 30.")
     ] = 1,
     threads: Annotated[
-        int | None, typer.Option(help="Of both sides.", show_default="as usual")
+        int | None, typer.Option(help="Threads of each side.", show_default="as usual")
     ] = None,
-    write: Annotated[Path | None, typer.Option(help="Write every measurement, .json.")] = None,
+    write: Annotated[Path | None, typer.Option(help="File for every measurement (.json).")] = None,
     selection: Annotated[options.Selection, Default(limit=4)],
     network: options.NetworkOptions,
     running: run_options.Overwriting,
     output: run_options.Output,
 ) -> None:
-    """Say how fast each part is beside the method written plainly, both measured now and here.
+    """Measure the speed of each part of the method beside a plain implementation of it.
 
     Example: salsanext benchmark seq/velodyne --parts network,predict --write speed.json
     """
-    from salsanext_cli.benchmarking.benchmark import PARTS, Plan, require_new
+    from salsanext_cli.benchmarking.benchmark import PARTS
     from salsanext_cli.benchmarking.benchmark import benchmark as run
     from salsanext_cli.benchmarking.table import benchmark_table
     from salsanext_cli.storage.json_files import write_json
+    from salsanext_cli.storage.targets import require_absent
 
-    if write is not None and not running.overwrite:
-        require_new(write)
-    named = PARTS if parts == "all" else tuple(name.strip() for name in parts.split(","))
-    with progress("benchmark", output.quiet, "turns") as advance:
+    if write is not None:
+        require_absent(write, running.overwrite)
+    with progress("benchmark", output.quiet, "parts") as advance:
         found = run(
             selection.source(scans),
             network=network.settings(),
             selection=selection.scans(),
-            plan=Plan(named, rounds, passes, threads),
+            parts=PARTS if parts == "all" else [name.strip() for name in parts.split(",")],
+            rounds=rounds,
+            passes=passes,
+            threads=threads,
             progress=advance,
-        ).to_dict()
+        )
     if write is not None:
         write_json(write, found)
         output.say(f"benchmark: every measurement → {write}")

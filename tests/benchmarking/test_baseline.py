@@ -12,6 +12,7 @@ import pytest
 import torch
 from scans import SMALL, make_scan, write_weights
 
+from salsanext_cli.benchmarking import product
 from salsanext_cli.formats.kitti import read_labels
 from salsanext_cli.geometry.knn import knn_refine
 from salsanext_cli.geometry.projection import project
@@ -35,13 +36,6 @@ def plain(monkeypatch):
     return importlib.import_module("baseline")
 
 
-@pytest.fixture
-def both(plain, weights):
-    """Return the network of the product and the baseline, for images of an odd size."""
-    baseline = plain.Baseline(weights, sensor=ODD.to_dict())
-    return load_network(weights, "cpu", ODD), baseline
-
-
 def table_of(scan: Scan) -> np.ndarray:
     return np.column_stack((scan.points, scan.intensity))
 
@@ -49,6 +43,12 @@ def table_of(scan: Scan) -> np.ndarray:
 def with_holes(image: RangeImage) -> np.ndarray:
     """Return the channels as the baseline has them: -1 where a pixel is empty."""
     return np.where(image.channels[0] > 0, image.channels, np.float32(-1))
+
+
+def is_inner(image: RangeImage) -> np.ndarray:
+    """Return which points have a window that lies in the image."""
+    v, u = np.divmod(image.pixel_of_point, image.width)
+    return (v >= 2) & (v < image.height - 2) & (u >= 2) & (u < image.width - 2)
 
 
 @pytest.mark.parametrize("out_of_view", ["clamp", "drop"])
@@ -68,19 +68,10 @@ def test_same_pixels_but_for_rounding(plain, out_of_view, fov_up):
     assert np.mean(~np.isclose(image, with_holes(ours), rtol=1e-6).all(0)) <= 1e-3
 
 
-def test_same_softmax(both):
-    network, baseline = both
+def test_same_moments(plain, weights):
     image = project(make_scan(), ODD)
-    ours = torch.from_numpy(network.logits(image)).softmax(0).numpy()
-    assert ours.std(axis=(1, 2)).max() > 0.01
-    np.testing.assert_allclose(baseline.probabilities(with_holes(image)), ours, atol=1e-4)
-
-
-def test_same_moments(both):
-    network, baseline = both
-    image = project(make_scan(), ODD)
-    _, variance = baseline.aleatoric(with_holes(image))
-    ours = aleatoric(network, image)
+    _, variance = plain.Baseline(weights, sensor=ODD.to_dict()).aleatoric(with_holes(image))
+    ours = aleatoric(load_network(weights, "cpu", ODD), image)
     assert ours.max() > 1e-3
     np.testing.assert_allclose(variance.numpy(), ours, rtol=1e-3, atol=1e-12)
 
@@ -104,46 +95,59 @@ def test_passes_without_noise_are_those_of_plain_dropout(plain, tmp_path):
     np.testing.assert_allclose(baseline.aleatoric(image)[0], certain, atol=1e-5)
 
 
-def test_same_neighbours_but_for_the_published_rules(both):
+def test_same_neighbours_but_for_the_published_rules(plain):
     """The published image has an end, padding that votes, and a class 1 for nobody's vote."""
-    _, baseline = both
-    scan = make_scan(20_000)
-    image = project(scan, SMALL)
+    image = project(make_scan(20_000), SMALL)
     labels = np.random.default_rng(0).integers(0, 20, (SMALL.height, SMALL.width))
     labels[3:10, 20:60] = 0
     ours = knn_refine(image, labels)
-    plain = baseline.refine(with_holes(image), labels, image.pixel_of_point, image.point_range)
-    v, u = np.divmod(image.pixel_of_point, SMALL.width)
-    half = 2
-    inner = (v >= half) & (v < SMALL.height - half) & (u >= half) & (u < SMALL.width - half)
-    voted = ours > 0
+    ranges, points = with_holes(image)[0], (image.pixel_of_point, image.point_range)
+    theirs = plain.vote(ranges, labels, *points, 20, torch.device("cpu"))
+    inner, voted = is_inner(image), ours > 0
     assert inner.mean() > 0.6
-    np.testing.assert_array_equal(plain[inner & voted], ours[inner & voted])
+    np.testing.assert_array_equal(theirs[inner & voted], ours[inner & voted])
     assert (inner & ~voted).any()
-    assert set(plain[inner & ~voted]) == {1}
+    assert set(theirs[inner & ~voted]) == {1}
 
 
 def test_same_counts(plain):
-    truth, predicted = np.random.default_rng(0).integers(0, 20, (2, 10_000)).astype(np.uint8)
-    ours = Confusion(20).update(truth, predicted)
-    np.testing.assert_array_equal(plain.confusion(truth, predicted, 20), ours.matrix)
+    pair = np.random.default_rng(0).integers(0, 20, (2, 10_000)).astype(np.uint8)
+    np.testing.assert_array_equal(plain.confusion(*pair, 20), Confusion(20).update(*pair).matrix)
 
 
-def test_the_script_labels_a_scan_as_predict_does(tmp_path, weights):
-    """No window of these neighbours reaches an edge of the image, nor is anybody unlabelled."""
-    scan = make_scan()
-    write_bin(tmp_path / "000000.bin", scan)
-    out = tmp_path / "plain.label"
-    command = (BENCHMARKS / "baseline.py", tmp_path / "000000.bin", out, "--weights", weights)
+def test_script_and_benchmark_label_a_scan_as_predict_does(tmp_path, weights):
+    """No window of the points compared reaches an edge of the image, and all have a label."""
+    scan, file = make_scan(), tmp_path / "000000.bin"
+    write_bin(file, scan)
+    command = (BENCHMARKS / "baseline.py", file, tmp_path / "plain.label", "--weights", weights)
     subprocess.run([sys.executable, *map(str, command)], check=True)
-    predict_scans(
-        tmp_path / "000000.bin", tmp_path / "out", network=NetworkSettings(weights, device="cpu")
-    )
-    (ours,) = (tmp_path / "out").rglob("*.label")
-    image = project(scan, SMALL)
-    v, u = np.divmod(image.pixel_of_point, SMALL.width)
-    inner = (v >= 2) & (v < SMALL.height - 2) & (u >= 2) & (u < SMALL.width - 2)
-    plain, labels = read_labels(out, len(scan)), read_labels(ours, len(scan))
-    voted = labels > 0
-    assert (inner & voted).mean() > 0.5
-    assert np.mean(plain[inner & voted] != labels[inner & voted]) <= 2e-3
+    product.predict(file, tmp_path / "product.label", load_network(weights, "cpu"))
+    predict_scans(file, tmp_path / "out", network=NetworkSettings(weights, device="cpu"))
+    (stage,) = (tmp_path / "out").rglob("*.label")
+    assert (tmp_path / "product.label").read_bytes() == stage.read_bytes()
+    plain, labels = (read_labels(path, 1500) for path in (tmp_path / "plain.label", stage))
+    compared = is_inner(project(scan, SMALL)) & (labels > 0)
+    assert compared.mean() > 0.5
+    assert np.mean(plain[compared] != labels[compared]) <= 2e-3
+
+
+def test_both_sides_of_a_benchmark_do_the_same(plain, tmp_path, weights):
+    scan, sensor = tmp_path / "0.bin", ODD.to_dict()
+    write_bin(scan, make_scan())
+    task = {"weights": weights, "device": "cpu", "precision": "float32", "sensor": sensor}
+    task |= {"passes": 3, "samples": 3}
+    for part in ("projection", "network", "knn", "confusion", "uncertainty"):
+        theirs, ours = (side.prepare(part, scan, task)() for side in (plain, product))
+        if part == "projection":
+            np.testing.assert_array_equal(theirs[1], ours.pixel_of_point)
+        elif part == "network":
+            np.testing.assert_allclose(theirs, ours, atol=1e-4)
+        elif part == "knn":
+            assert np.mean(theirs == ours) > 0.8
+        elif part == "confusion":
+            assert theirs.sum() == ours.total == 1500
+        else:
+            # Three passes with other masks: alike on average.
+            found = ours.uncertainty
+            assert theirs[1].mean() == pytest.approx(found.epistemic.mean(), rel=0.5)
+            assert theirs[2].mean() == pytest.approx(found.aleatoric.mean(), rel=0.5)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""The benchmarks run and print what they say; how fast they are is not tested."""
+"""The scripts of benchmarks/ run and print what they say; no test says how fast anything is."""
 
 import os
 import re
@@ -9,74 +9,68 @@ import sys
 from pathlib import Path
 
 import pytest
-from scans import make_scan, write_sequence
-
-from salsanext_cli.sensors import Sensor
-from salsanext_cli.stages.inspect import write_sensor
-from salsanext_cli.storage.point_files import write_bin
+from scans import write_sequence
 
 BENCHMARKS = Path(__file__).parents[2] / "benchmarks"
+TINY = "fov_up = 3.0\nfov_down = -25.0\nheight = 16\nwidth = 64\n"
+NOISE = "range_noise = 0.02\nintensity_noise = 0.02\n"
 
 
-def test_uncertainty_cost(tmp_path, weights, capsys):
-    write_bin(tmp_path / "000000.bin", make_scan())
-    tiny = Sensor("tiny", 3.0, -25.0, 16, 64, range_noise=0.02, intensity_noise=0.02)
-    write_sensor(tmp_path / "tiny.toml", tiny)
-    main = runpy.run_path(str(BENCHMARKS / "uncertainty_cost.py"))["main"]
-    main(str(tmp_path / "000000.bin"), str(tmp_path / "tiny.toml"), "2", "2", str(weights))
-    lines = capsys.readouterr().out.splitlines()
-    assert [line[:32].strip() for line in lines] == [
-        "one deterministic pass",
-        "2 passes of dropout",
-        "assumed density filtering",
-        "analytic, one pass",
-        "dropout and density filtering",
-    ]
-    assert "1.0 × (1.0 to 1.0)" in lines[0]
-    assert all(" s " in line for line in lines)
-
-
-def test_training_speed(tmp_path):
-    """Both sides find the same loss, or it would stop."""
+@pytest.fixture
+def data(tmp_path):
+    """Return a data set of two scans with a sensor beside it."""
     write_sequence(tmp_path / "sequences/00", ["0", "1"])
-    write_sensor(tmp_path / "tiny.toml", Sensor("tiny", 3.0, -25.0, 16, 64))
-    options = ("--sensor", tmp_path / "tiny.toml", "--architecture", "salsanet", "--turns", "2")
-    script = str(BENCHMARKS / "training_speed.py")
+    (tmp_path / "tiny.toml").write_text(TINY + NOISE)
+    return tmp_path
+
+
+def printed(capsys, script: str, *words: object) -> dict[str, str]:
+    """Run a script; return the rest of each line by its name."""
+    runpy.run_path(str(BENCHMARKS / script))["main"](*map(str, words))
+    lines = capsys.readouterr().out.splitlines()
+    return dict(re.split(r" {2,}", line, maxsplit=1) for line in lines)
+
+
+def test_uncertainty_cost(data, weights, capsys):
+    scan = data / "sequences/00/velodyne/0.bin"
+    found = printed(capsys, "uncertainty_cost.py", scan, data / "tiny.toml", 2, 2, weights)
+    assert list(found) == [
+        *("one deterministic pass", "2 passes of dropout", "assumed density filtering"),
+        *("analytic, one pass", "dropout and density filtering"),
+    ]
+    assert "1.0 × (1.0 to 1.0)" in found["one deterministic pass"]
+
+
+@pytest.mark.skipif(not Path("/proc/self/io").exists(), reason="Linux only")
+def test_stage_cost(data, weights, capsys):
+    found = printed(capsys, "stage_cost.py", data, data / "out", 2, weights)
+    stages = ["project", "predict, range images", "knn-refine", "predict, scans", "eval"]
+    assert list(found) == [*stages, "export-ply", "uncertainty, 2 passes"]
+    # 1500 points of 16 bytes; 5 float32 channels of 16×128 pixels and 1500 int32; 1500 uint32.
+    for stage, read, written in (("project", 0.024, 0.047), ("predict, scans", 0.024, 0.006)):
+        numbers = [float(number) for number in re.findall(r"(\d+\.\d+) MB", found[stage])]
+        assert numbers == pytest.approx([read, written], abs=0.011)
+
+
+def test_many_scans(tmp_path, capsys):
+    found = printed(capsys, "many_scans.py", tmp_path, 40, "threading")
+    steps = ["find scans", "record the run", "record another run", "divide into shards"]
+    assert list(found) == [*steps, "skip what is done", "chunks, threading"]
+    assert not list(tmp_path.iterdir())
+
+
+def test_training_speed(data):
+    """Both sides find the same loss, or it would stop."""
+    script, sensor = str(BENCHMARKS / "training_speed.py"), str(data / "tiny.toml")
+    options = ("--sensor", sensor, "--architecture", "salsanet", "--turns", "2")
     done = subprocess.run(
-        [sys.executable, script, str(tmp_path), *map(str, options)],
+        [sys.executable, script, str(data), *options],
         capture_output=True,
         text=True,
         check=True,
         env={**os.environ, "PYTHONPATH": str(BENCHMARKS.parent)},
     )
-    _, losses, _, *parts, ratio = done.stdout.splitlines()
+    losses, ratio = done.stdout.splitlines()[1], done.stdout.splitlines()[-1]
     plain, ours = (float(each) for each in re.findall(r"\d+\.\d+", losses))
     assert plain == pytest.approx(ours, rel=1e-4)
-    names = [line.split()[0] for line in parts]
-    assert names == ["data", "forward", "loss", "backward", "update", "book-keeping", "step"]
     assert re.fullmatch(r"ours is \S+ × as fast \(\S+ to \S+ over 2 turns\)", ratio)
-
-
-def test_stage_cost(tmp_path, weights, capsys):
-    if not Path("/proc/self/io").exists():
-        pytest.skip("Linux only")
-    write_sequence(tmp_path / "sequences/08", ["000000", "000001"])
-    main = runpy.run_path(str(BENCHMARKS / "stage_cost.py"))["main"]
-    main(str(tmp_path), str(tmp_path / "out"), "2", str(weights))
-    lines = capsys.readouterr().out.splitlines()
-    found = {line[:24].strip(): re.findall(r"(\d+\.\d+) MB", line) for line in lines}
-    stages = ["project", "predict, range images", "knn-refine", "predict, scans", "eval"]
-    assert list(found) == [*stages, "export-ply", "uncertainty, 2 passes"]
-    # 1500 points of 16 bytes; 5 float32 channels of 16×128 pixels and 1500 int32; 1500 uint32.
-    for stage, read, written in (("project", 0.024, 0.047), ("predict, scans", 0.024, 0.006)):
-        numbers = [float(number) for number in found[stage]]
-        assert numbers == pytest.approx([read, written], abs=0.011)
-
-
-def test_many_scans(tmp_path, capsys):
-    main = runpy.run_path(str(BENCHMARKS / "many_scans.py"))["main"]
-    main(str(tmp_path), "40", "threading")
-    lines = capsys.readouterr().out.splitlines()
-    steps = ["find scans", "claim", "claim again", "divide into shards", "skip what is done"]
-    assert [line[:24].strip() for line in lines] == [*steps, "chunks, threading"]
-    assert not list(tmp_path.iterdir())

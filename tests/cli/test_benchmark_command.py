@@ -22,8 +22,11 @@ def test_a_few_parts(run, data, weights, tmp_path):
     found = only_json(result)
     assert json.loads(file.read_text()) == found
     assert found["machine"]["threads"] == 1
+    assert found["machine"]["precision"] == "float32"
+    assert found["ceiling"].keys() == {"operations", "bytes"}
     knn, help_ = found["parts"]
     assert knn["ratio"]["median"] == knn["baseline"]["median"] / knn["product"]["median"]
+    assert 0 < knn["share_of_ceiling"] < 1
     assert help_["baseline"] is None
     again = run("benchmark", data, *options, *parts)
     assert again.exit_code == 1
@@ -34,8 +37,10 @@ def test_help_lists_the_parts():
     assert ", ".join(PARTS) == LISTED
 
 
-@pytest.mark.parametrize("option", [("--rounds", 0), ("--parts", ""), ("--parts", "knn,nets")])
+@pytest.mark.parametrize(
+    "option", [("--rounds", 0), ("--threads", 0), ("--parts", ""), ("--parts", "knn,nets")]
+)
 def test_a_wrong_option(run, data, option):
     result = run("benchmark", data, *option)
     assert result.exit_code == 2
-    assert option[0] in result.stderr
+    assert f"error: {option[0]} · " in result.stderr

@@ -1,0 +1,48 @@
+# SPDX-License-Identifier: MIT
+"""The toolkit's side of a benchmark: each part by public functions of the package."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+import salsanext_cli as sn
+from salsanext_cli.benchmarking.hardware import describe
+from salsanext_cli.measures.confusion import Confusion
+from salsanext_cli.storage.layout import ScanFile
+from salsanext_cli.uncertainty.settings import Estimator
+
+
+def predict(path: Path, out: Path, network: sn.Network) -> None:
+    """Label the points of one scan, file to file, by the steps of `salsanext predict`."""
+    place, space = str(network.device), network.card.space
+    image = sn.project(sn.read_scan(path), network.sensor, place)
+    pixel_labels = network.probabilities(image).argmax(axis=0).astype(np.uint8)
+    labels = sn.knn_refine(image, pixel_labels, space.class_count, device=place)
+    sn.write_labels(out, space.to_raw(labels))
+
+
+def prepare(part: str, path: Path, task: Mapping[str, Any]) -> Callable[[], Any]:
+    """Compute the input of a part for one scan, and return the function that is timed."""
+    place, sensor = task["device"], sn.Sensor.from_dict(task["sensor"])
+    network = sn.load_network(task["weights"], place, sensor, task["precision"])
+    scan, count = sn.read_scan(path), network.card.space.class_count
+    image, file = sn.project(scan, sensor, place), ScanFile("", path.stem, path)
+    work: dict[str, Callable[[], Any]] = {
+        "hardware": lambda: describe(network.device, network.precision),
+        "projection": lambda: sn.project(scan, sensor, place),
+        "network": lambda: network.probabilities(image),
+        "predict": lambda: predict(path, path.with_suffix(".label"), network),
+        "uncertainty": lambda: Estimator(samples=task["samples"]).estimate(network, image, file),
+    }
+    if part in work:
+        return work[part]
+    pixel_labels = network.probabilities(image).argmax(axis=0).astype(np.uint8)
+    if part == "knn":
+        return lambda: sn.knn_refine(image, pixel_labels, count, device=place)
+    labels = sn.knn_refine(image, pixel_labels, count, device=place)
+    before = np.where(image.pixel_of_point < 0, 0, pixel_labels.ravel()[image.pixel_of_point])
+    return lambda: Confusion(count).update(labels, before)
