@@ -11,6 +11,7 @@ import numpy as np
 
 import salsanext_cli as sn
 from salsanext_cli.benchmarking.hardware import describe
+from salsanext_cli.geometry.gather import points_from_pixels
 from salsanext_cli.measures.confusion import Confusion
 from salsanext_cli.storage.layout import ScanFile
 from salsanext_cli.uncertainty.settings import Estimator
@@ -44,5 +45,5 @@ def prepare(part: str, path: Path, task: Mapping[str, Any]) -> Callable[[], Any]
     if part == "knn":
         return lambda: sn.knn_refine(image, pixel_labels, count, device=place)
     labels = sn.knn_refine(image, pixel_labels, count, device=place)
-    before = np.where(image.pixel_of_point < 0, 0, pixel_labels.ravel()[image.pixel_of_point])
+    before = points_from_pixels(pixel_labels, image.pixel_of_point, 0)
     return lambda: Confusion(count).update(labels, before)
