@@ -11,7 +11,7 @@ import numpy as np
 import torch
 
 JOURNALS = (".files", ".files.tsv")
-"""Ends of the names of hidden files that may stay: lists of what a stage has written."""
+"""Ends of the names of hidden files and folders that may stay: lists of what a stage has written."""
 
 
 def _is_png(path: Path) -> None:
@@ -80,7 +80,8 @@ def require_whole(folder: Path) -> None:
 
 def require_tidy(folder: Path) -> None:
     """Fail if a hidden file is left, lists of written files excepted."""
-    left = [name for name in files(folder, hidden=True) if not name.endswith(JOURNALS)]
+    hidden = files(folder, hidden=True)
+    left = [name for name in hidden if not any(p.endswith(JOURNALS) for p in Path(name).parts)]
     assert not left, left
 
 
