@@ -11,7 +11,7 @@ import numpy as np
 import torch
 
 JOURNALS = (".files", ".files.tsv")
-"""Ends of the names of hidden files and folders that may stay: lists of what a stage has written."""
+"""Ends of hidden names that may stay: lists of the files that a stage has written."""
 
 
 def _is_png(path: Path) -> None:
