@@ -63,9 +63,8 @@ WHOLE: dict[str, Callable[[Path], Any]] = {
 def files(folder: Path, *, hidden: bool) -> dict[str, Path]:
     """Return the files below a folder by name, either the hidden ones or the others."""
     found = (path for path in sorted(folder.rglob("*")) if path.is_file())
-    return {
-        str(path.relative_to(folder)): path for path in found if path.name.startswith(".") == hidden
-    }
+    named = {str(path.relative_to(folder)): path for path in found}
+    return {name: path for name, path in named.items() if ("/." in f"/{name}") == hidden}
 
 
 def require_whole(folder: Path) -> None:
