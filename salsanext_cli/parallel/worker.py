@@ -17,6 +17,9 @@ from salsanext_cli.parallel.tasks import Attempt, Attempts, Task, opened
 from salsanext_cli.parallel.threads import use_threads
 from salsanext_cli.storage.atomic import MARK
 
+THREAD_TIMEOUT_S = 10.0
+"""Time for an idle thread of joblib's to end."""
+
 
 @dataclass(frozen=True, slots=True)
 class WorkerContext:
@@ -59,6 +62,7 @@ class Worker:
         self.slot: tuple[int, object] | None = None
         self._attempts: Attempts | None = None
         self._busy = 0
+        self._threads: set[threading.Thread] = set()
         self._changed = threading.Condition()
 
     @contextmanager
@@ -72,6 +76,7 @@ class Worker:
             self._changed.wait_for(lambda: self.run == context.run or not self._busy)
             attempts = self._opened(context, task)
             self._busy += 1
+            self._threads.add(threading.current_thread())
         try:
             yield attempts
         finally:
@@ -90,12 +95,19 @@ class Worker:
         return self._attempts
 
     def end(self, run: str) -> None:
-        """End a run in this process: wait until each thread has finished its scan."""
+        """End a run in this process: let each thread finish its scan, and wait for them to end.
+
+        What belongs to a thread, such as tensors, must not be freed while Python shuts down.
+        """
         with self._changed:
             self.ended = run
-            if self.run == run:
-                self._changed.wait_for(lambda: not self._busy)
-                self.run, self._attempts = "", None
+            if self.run != run:
+                return
+            self._changed.wait_for(lambda: not self._busy)
+            self.run, self._attempts = "", None
+            threads, self._threads = self._threads, set()
+        for thread in threads:
+            thread.join(THREAD_TIMEOUT_S)
 
 
 WORKER = Worker()

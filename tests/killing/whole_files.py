@@ -11,7 +11,7 @@ import numpy as np
 import torch
 
 JOURNALS = (".files", ".files.tsv")
-"""Ends of the names of hidden files that may stay: lists of what a stage has written."""
+"""Ends of hidden names that may stay: lists of the files that a stage has written."""
 
 
 def _is_png(path: Path) -> None:
@@ -66,9 +66,8 @@ WHOLE: dict[str, Callable[[Path], Any]] = {
 def files(folder: Path, *, hidden: bool) -> dict[str, Path]:
     """Return the files below a folder by name, either the hidden ones or the others."""
     found = (path for path in sorted(folder.rglob("*")) if path.is_file())
-    return {
-        str(path.relative_to(folder)): path for path in found if path.name.startswith(".") == hidden
-    }
+    named = {str(path.relative_to(folder)): path for path in found}
+    return {name: path for name, path in named.items() if ("/." in f"/{name}") == hidden}
 
 
 def require_whole(folder: Path) -> None:
@@ -83,7 +82,8 @@ def require_whole(folder: Path) -> None:
 
 def require_tidy(folder: Path) -> None:
     """Fail if a hidden file is left, lists of written files excepted."""
-    left = [name for name in files(folder, hidden=True) if not name.endswith(JOURNALS)]
+    hidden = files(folder, hidden=True)
+    left = [name for name in hidden if not any(p.endswith(JOURNALS) for p in Path(name).parts)]
     assert not left, left
 
 
