@@ -4,7 +4,6 @@ import math
 
 import numpy as np
 import pytest
-from evaluated import SPACE as FULL_SPACE
 from evaluated import calibration_result, ranking_result
 from rich.console import Console, Group
 
@@ -67,7 +66,7 @@ def ranked(*uncertainty):
 
 
 def tables_of(calibration=None, **kinds):
-    return uncertainty_tables(UncertaintyEvaluation(FULL_SPACE, calibration, kinds))
+    return uncertainty_tables(UncertaintyEvaluation(calibration, kinds))
 
 
 def test_a_row_of_calibration_and_one_for_each_kind():
