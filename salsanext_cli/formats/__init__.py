@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Readers and encoders of point files; nothing else opens one."""
+"""Readers and encoders of point files."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ def read_scan(path: Path | str, *, intensity_scale: float = 1.0) -> Scan:
     Raises
     ------
     FormatError
-        If the suffix is unknown or the file does not hold what it promises.
+        If the suffix is unknown or the file is not of that format.
     """
     path = Path(path)
     match scan_suffix(path):

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""A scan from named columns, by the names and types that programs give them."""
+"""Scans from named columns, with the names and types of several programs."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ def scan_of(columns: Columns, path: Path, intensity_scale: float) -> Scan:
     if missing := [axis for axis in "xyz" if axis not in known]:
         found = ", ".join(columns) or "nothing"
         raise FormatError(path, f"points of {found}", f"also {', '.join(missing)}")
-    # float64 beyond float32 becomes infinity, and a NaN may signal: no measurement either way.
+    # float64 beyond float32 becomes infinity, and a NaN may signal; neither is a measurement.
     with np.errstate(over="ignore", invalid="ignore"):
         points = np.column_stack([known[axis].astype(np.float32) for axis in "xyz"])
     values = next((known[name] for name in INTENSITY_NAMES if name in known), None)
@@ -47,12 +47,12 @@ def normalised_intensity(values: npt.NDArray[Any], scale: float) -> Float:
     Parameters
     ----------
     values : (N,), any real dtype
-        As the file holds them.
+        Values of the file.
     scale : float
         Divides the values; a sensor's `intensity_scale`. Bytes are divided by 255 whatever the
         scale, because their type already says their range.
     """
     divisor = 255.0 if values.dtype == np.uint8 else scale
-    # A NaN that signals is still only a point without an intensity.
+    # A signalling NaN is a point without an intensity.
     with np.errstate(over="ignore", invalid="ignore"):
         return values.astype(np.float32) / np.float32(divisor)

@@ -22,7 +22,7 @@ REMEDIES = {
     COLUMNS_WITH_RING: "give a file of 5 columns the suffix .pcd.bin",
     6: "write it anew with the columns x, y, z, intensity",
 }
-"""Numbers of columns that occur, and what to do about each where another was expected."""
+"""Advice for a file with that number of columns where another is expected."""
 
 
 def read_bin(path: Path, *, intensity_scale: float = 1.0) -> Scan:
@@ -38,7 +38,7 @@ def read_bin(path: Path, *, intensity_scale: float = 1.0) -> Scan:
     Raises
     ------
     FormatError
-        If the file cannot be read, is cut off, or evidently has another number of columns.
+        If the file cannot be read, is truncated, or evidently has another number of columns.
     """
     has_ring = path.name.lower().endswith(".pcd.bin")
     columns = COLUMNS_WITH_RING if has_ring else COLUMNS
@@ -53,7 +53,7 @@ def read_bin(path: Path, *, intensity_scale: float = 1.0) -> Scan:
                 "it is cut off or of another kind" + (f"; {REMEDIES[fitting]}" if fitting else ""),
             )
         values = read_values(file, path, "<f4", size // 4)
-    if (fitting := _evident_columns(values, columns)) is not None:
+    if fitting := _evident_columns(values, columns):
         raise FormatError(
             path, f"holds {fitting} columns", f"{columns} float32 per point", REMEDIES[fitting]
         )
@@ -72,12 +72,8 @@ def _evident_columns(values: Float, columns: int) -> int | None:
     """
     if not (values[3::columns] < 0).any():
         return None
-    for other in REMEDIES:
-        if other != columns and values.size % other == 0:
-            rest = values.reshape(-1, other)[:, 3:]
-            if not (rest < 0).any():
-                return other
-    return None
+    others = (n for n in REMEDIES if n != columns and values.size % n == 0)
+    return next((n for n in others if not (values.reshape(-1, n)[:, 3:] < 0).any()), None)
 
 
 def encode_bin(scan: Scan) -> bytes:
@@ -93,7 +89,7 @@ def read_labels(path: Path, count: int | None = None) -> RawIds:
     path : Path
         The `.label` file.
     count : int, optional
-        How many points the scan has.
+        Number of points of the scan.
 
     Raises
     ------

@@ -18,12 +18,12 @@ from salsanext_cli.errors import FormatError
 from salsanext_cli.formats.reading import read_values, reading, size_of
 
 MAX_HEADER_BYTES = 1024
-"""Many times what a header of a few lengths takes."""
+"""Largest header; that of an array with a few dimensions has 128."""
 HEADER_ERRORS = (
     *(ArithmeticError, AttributeError, LookupError, MemoryError, RecursionError, SyntaxError),
     *(TokenError, TypeError, ValueError),
 )
-"""Raised by numpy over a header that is no Python literal, or not that of an array."""
+"""Errors of numpy for a header that is no Python literal, or not that of an array."""
 
 
 def read_array(path: Path, dtype: npt.DTypeLike, shape: tuple[int | None, ...]) -> npt.NDArray[Any]:
@@ -34,9 +34,9 @@ def read_array(path: Path, dtype: npt.DTypeLike, shape: tuple[int | None, ...]) 
     path : Path
         The `.npy` file.
     dtype : dtype-like
-        What the file must hold.
+        Required dtype.
     shape : tuple of int or None
-        What the file must hold; None stands for any length.
+        Required shape; None stands for any length.
 
     Raises
     ------
@@ -47,7 +47,9 @@ def read_array(path: Path, dtype: npt.DTypeLike, shape: tuple[int | None, ...]) 
     expected = f"a .npy file of {wanted} {_words(shape)}"
     with reading(path) as file:
         found_shape, in_columns, found = _read_header(file, path, expected)
-        if found != wanted or not _fits(found_shape, shape):
+        lengths = zip(found_shape, shape, strict=False)
+        fits = all(want in (None, length) for length, want in lengths)
+        if found != wanted or len(found_shape) != len(shape) or not fits:
             raise FormatError(path, f"{found.str} {_words(found_shape)}", expected)
         # Compare before allocating: a header can promise any amount of memory.
         promised = math.prod(found_shape) * wanted.itemsize
@@ -57,30 +59,24 @@ def read_array(path: Path, dtype: npt.DTypeLike, shape: tuple[int | None, ...]) 
     try:
         return values.reshape(found_shape, order="F" if in_columns else "C")
     except ValueError as error:
-        # Of nothing, the other lengths may be any.
+        # If one length is 0, the others may be any number.
         raise FormatError(path, "a .npy file of an impossible shape", expected) from error
 
 
 def _read_header(
     file: BinaryIO, path: Path, expected: str
 ) -> tuple[tuple[int, ...], bool, np.dtype[Any]]:
-    """Return the shape, whether columns come first, and the dtype."""
+    """Return the shape, whether the first index varies fastest, and the dtype."""
     try:
-        # Of 64 kB at most; headers of later versions may promise gigabytes.
+        # A header of version 1 has 64 kB at most; those of later versions may promise gigabytes.
         if (version := npy.read_magic(file)) != (1, 0):
             raise ValueError(f"version {version}")
         with warnings.catch_warnings():
-            # Of a header that is parsed as Python, and then refused.
+            # A header that is parsed as Python may warn before it is refused.
             warnings.simplefilter("ignore")
             return npy.read_array_header_1_0(file, max_header_size=MAX_HEADER_BYTES)
     except HEADER_ERRORS as error:
         raise FormatError(path, "not a .npy file", expected) from error
-
-
-def _fits(found: tuple[int, ...], wanted: tuple[int | None, ...]) -> bool:
-    return len(found) == len(wanted) and all(
-        want in (None, length) for length, want in zip(found, wanted, strict=True)
-    )
 
 
 def _words(shape: tuple[int | None, ...]) -> str:

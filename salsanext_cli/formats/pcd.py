@@ -25,7 +25,7 @@ from salsanext_cli.records import Scan
 from salsanext_cli.settings_files import shortened
 
 LARGEST_RATIO = 264 / 3
-"""Bytes that LZF unpacks from one: three of them stand for up to 264."""
+"""Largest compression ratio of LZF: three bytes stand for up to 264."""
 
 
 def read_pcd(path: Path, *, intensity_scale: float = 1.0) -> Scan:
@@ -66,7 +66,7 @@ def _read_ascii(file: BinaryIO, header: Header) -> Columns:
         found = f"{len(values)} lines of {values.shape[1]} values"
         raise ValueError(f"{found}, not {header.points} of {width}")
     first = np.cumsum((0, *header.counts))
-    # A NaN in an integer field that nobody reads is no reason to fail.
+    # A NaN in an integer field that is not used is no reason to fail.
     with np.errstate(invalid="ignore", over="ignore"):
         return {
             header.names[i]: values[:, first[i]].astype(header.types[i]) for i in header.scalars

@@ -20,7 +20,7 @@ TYPES = {
 CODES = {kind: code for code, kind in TYPES.items()}
 PADDING = "_"
 MAX_HEADER_BYTES = 1 << 16
-"""What is longer is another kind of file."""
+"""Size of the largest header and of the largest row."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,7 +58,7 @@ class Header:
 
     @property
     def scalars(self) -> list[int]:
-        """Which fields hold one named value per point."""
+        """Indices of the fields with one named value per point."""
         return [
             i
             for i, (name, count) in enumerate(zip(self.names, self.counts, strict=True))
@@ -67,12 +67,12 @@ class Header:
 
     @property
     def row_size(self) -> int:
-        """Bytes of one point, padding included."""
+        """Size of one point in bytes, padding included."""
         return sum(self._sizes())
 
     @property
     def row(self) -> np.dtype[Any]:
-        """One point as plain binary stores it; padding is passed over."""
+        """Type of a point in plain binary data, with gaps for padding."""
         *offsets, row_size = accumulate(self._sizes(), initial=0)
         return np.dtype(
             {
@@ -100,7 +100,7 @@ class Header:
 
 
 def read_header(file: BinaryIO) -> Header:
-    """Read up to the line DATA; anything unusable raises `ValueError`."""
+    """Read up to the line DATA; an unusable header raises `ValueError`."""
     entries = _entries(file)
     try:
         names = tuple(entries["FIELDS"])

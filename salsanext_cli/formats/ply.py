@@ -30,20 +30,13 @@ def read_ply(path: Path, *, intensity_scale: float = 1.0) -> Scan:
     MissingDependency
         If plyfile is not installed.
     """
-    vertices = _read_vertices(path)
-    columns = {name: vertices[name] for name in vertices.dtype.names or ()}
-    return scan_of(columns, path, intensity_scale)
-
-
-def _read_vertices(path: Path) -> npt.NDArray[Any]:
-    """Return the vertices as a structured array."""
     plyfile = _plyfile()
     with reading(path) as file:
         content = file.read()
     try:
         require_room(content)
         with warnings.catch_warnings():
-            # Of empty lines, which are then refused.
+            # plyfile warns of empty lines before it refuses them.
             warnings.simplefilter("ignore")
             data = plyfile.PlyData.read(io.BytesIO(content))
     except (plyfile.PlyParseError, ValueError, OverflowError) as error:
@@ -52,8 +45,9 @@ def _read_vertices(path: Path) -> npt.NDArray[Any]:
         ) from error
     if "vertex" not in data:
         raise FormatError(path, "no vertices", "a PLY file with an element vertex")
-    vertices: npt.NDArray[Any] = data["vertex"].data
-    return vertices
+    vertices = data["vertex"].data
+    columns = {name: vertices[name] for name in vertices.dtype.names or ()}
+    return scan_of(columns, path, intensity_scale)
 
 
 def encode_ply(columns: Mapping[str, npt.NDArray[Any]], comments: Iterable[str] = ()) -> bytes:
@@ -82,7 +76,7 @@ def encode_ply(columns: Mapping[str, npt.NDArray[Any]], comments: Iterable[str] 
 
 
 def _readable(values: npt.NDArray[Any]) -> npt.NDArray[Any]:
-    """Return the same values in a type that open3d reads."""
+    """Convert values to a type that open3d reads."""
     if values.dtype.kind in "iu" and values.itemsize + (values.dtype.kind == "i") > 1:
         limits = np.iinfo(np.int32)
         fits = not len(values) or (values.min() >= limits.min and values.max() <= limits.max)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Probabilities and uncertainties of the points of a scan, checked for what they can mean."""
+"""Probabilities and uncertainties of the points of a scan, checked for possible values."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from salsanext_cli.formats.npy import read_array
 from salsanext_cli.records import Float
 
 ROUNDING = 0.01
-"""How far from 1 the sum over the classes may be; rounding to float16 gives a tenth of it."""
+"""Largest deviation of a sum over the classes from 1; that by float16 is a tenth of it."""
 
 
 def read_probabilities(path: Path, count: int, class_count: int) -> npt.NDArray[np.float16]:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Opening and looking for files that may be missing, unreadable, or no files at all."""
+"""Opening of files and tests for their presence, where names may be anything."""
 
 from __future__ import annotations
 
@@ -16,6 +16,8 @@ import numpy.typing as npt
 
 from salsanext_cli.errors import FormatError
 
+NO_FILE = "neither a file nor a link to one"
+
 
 @contextmanager
 def reading(path: Path | str) -> Iterator[BinaryIO]:
@@ -23,24 +25,21 @@ def reading(path: Path | str) -> Iterator[BinaryIO]:
     try:
         # A pipe would block, and a device may never end.
         if not stat.S_ISREG(Path(path).stat().st_mode):
-            raise FormatError(path, _kind(Path(path)), "a readable file")
+            kind = "cannot be read: is a directory" if Path(path).is_dir() else NO_FILE
+            raise FormatError(path, kind, "a readable file")
         with Path(path).open("rb") as file:
             yield file
     except OSError as error:
         raise FormatError(path, f"cannot be read: {reason(error)}", "a readable file") from error
 
 
-def _kind(path: Path) -> str:
-    return "cannot be read: is a directory" if path.is_dir() else "neither a file nor a link to one"
-
-
 def read_values(file: BinaryIO, path: Path, dtype: npt.DTypeLike, count: int) -> npt.NDArray[Any]:
-    """Read so many values from where an open file stands.
+    """Read values from the current position of an open file.
 
     Raises
     ------
     FormatError
-        If the file has become shorter since its size was asked for.
+        If the file has become shorter since its size was read.
     """
     values = np.fromfile(file, dtype, count)
     if len(values) != count:
@@ -49,22 +48,22 @@ def read_values(file: BinaryIO, path: Path, dtype: npt.DTypeLike, count: int) ->
 
 
 def present(path: Path) -> bool:
-    """Say whether there is something under a name.
+    """Return whether a name exists.
 
-    A link to itself is something, which its reader refuses; a link to nothing is not.
+    A link to itself counts, and its reader refuses it; a link to nothing does not.
 
     Raises
     ------
     FormatError
-        If the system refuses to look: the name is too long, or a folder is not readable.
+        If the system cannot tell: the name is too long, or a folder is not readable.
     """
     return _status(path) is not None
 
 
 def filled(path: Path) -> bool:
-    """Say whether there is a file under a name, and something in it.
+    """Return whether a name is that of a file with content.
 
-    A power cut can leave a file empty that had just got its name. Raises what `present` raises.
+    A power cut can leave a file empty that had just got its name. Raises as `present` does.
     """
     status = _status(path)
     return status is not None and not stat.S_ISLNK(status.st_mode) and status.st_size > 0
@@ -82,10 +81,7 @@ def _status(path: Path) -> os.stat_result | None:
 
 
 def is_folder(path: Path | os.DirEntry[str]) -> bool:
-    """Say whether a name is that of a folder; a name that the system refuses is none.
-
-    Such as a link to itself.
-    """
+    """Return whether a name is that of a folder; a link to itself or too long a name is not."""
     try:
         return path.is_dir()
     except OSError:
@@ -93,7 +89,7 @@ def is_folder(path: Path | os.DirEntry[str]) -> bool:
 
 
 def reason(error: OSError) -> str:
-    """Return the system's words for an error, without number and file name."""
+    """Return the system's description of an error, without number and file name."""
     return (error.strerror or str(error)).lower()
 
 

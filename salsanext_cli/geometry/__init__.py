@@ -6,7 +6,7 @@
     projection              a scan seen from the sensor (paper eq. 1)
     ├── projection_numba        … compiled for the CPU
     ├── projection_torch        … on a torch device, the same bits
-    └── projection_parameters   the sensor's numbers as these take them
+    └── projection_parameters   the sensor's numbers for both
     normalise               the network's input from a range image
     noise                   the variance of that input by the sensor's noise
     knn                     labels of pixels to labels of points

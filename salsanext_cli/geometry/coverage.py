@@ -15,9 +15,9 @@ from salsanext_cli.records import Scan
 from salsanext_cli.sensors import Sensor
 
 LARGEST_SHARE_OUTSIDE = 0.2
-"""A matching sensor stays far below: it sees 93 % of the points or more."""
+"""Largest share of points outside without a warning; a matching sensor has 0.07 or less."""
 EARLY_SCANS = 10
-"""Number of scans after which to check: nobody should have to wait for the last of thousands."""
+"""Number of scans after which to check first, before the end of a long run."""
 
 log = logging.getLogger(__name__)
 
@@ -31,7 +31,7 @@ class FieldOfViewCoverage:
     points : int
         Number of points with a measurement.
     outside : int
-        How many of them lie above or below the field of view.
+        Number of those above or below the field of view.
     """
 
     points: int = 0
@@ -47,7 +47,7 @@ class FieldOfViewCoverage:
 
 
 def field_of_view_coverage(scan: Scan, sensor: Sensor) -> FieldOfViewCoverage:
-    """Count the points of a scan, whether the sensor clamps or drops those out of its view."""
+    """Count the points of a scan in and out of view; `out_of_view` of the sensor has no effect."""
     ranges, measured = measured_ranges(scan.points, float(LARGEST))
     ranges, z = ranges[measured], scan.points[measured, 2].astype(np.float64)
     lowest, highest = (math.sin(math.radians(f)) for f in (sensor.fov_down, sensor.fov_up))
@@ -56,7 +56,7 @@ def field_of_view_coverage(scan: Scan, sensor: Sensor) -> FieldOfViewCoverage:
 
 
 class CoverageCheck:
-    """Check that scans come from the sensor that was named; warns once if they do not."""
+    """Check that scans come from a sensor, with one warning if they do not."""
 
     def __init__(self, sensor: Sensor) -> None:
         self.sensor = sensor
@@ -72,7 +72,7 @@ class CoverageCheck:
             self.finish()
 
     def finish(self) -> None:
-        """Warn if too many points lie outside, unless that was done."""
+        """Warn if too many points lie outside, at most once."""
         if self.warned or self.coverage.share <= LARGEST_SHARE_OUTSIDE:
             return
         self.warned = True

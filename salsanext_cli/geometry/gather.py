@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from typing import Any, TypeVar
+from typing import TypeVar
 
 import numpy as np
 import numpy.typing as npt
@@ -39,25 +39,25 @@ def points_from_pixels(
 
 
 def pixels_from_points(
-    of_points: npt.NDArray[Value], point_of_pixel: Int, empty: Any = 0
+    of_points: npt.NDArray[Value], point_of_pixel: Int, empty: npt.ArrayLike = 0
 ) -> npt.NDArray[Value]:
     """Give every pixel its nearest point's value.
 
     Parameters
     ----------
-    of_points : (N,)
+    of_points : (N, …)
         Values of the points, of any dtype.
     point_of_pixel : (H, W) int32
         Index of the nearest point, -1 where a pixel is empty.
-    empty : scalar
+    empty : scalar or (…)
         Value of the empty pixels.
 
     Returns
     -------
-    (H, W), same dtype
+    (H, W, …), same dtype
         A new array.
     """
     # Index -1 finds the value that is appended.
-    with_empty = np.append(of_points, np.asarray(empty, of_points.dtype))
-    of_pixels: npt.NDArray[Value] = with_empty[point_of_pixel]
+    last = np.full((1, *of_points.shape[1:]), empty, of_points.dtype)
+    of_pixels: npt.NDArray[Value] = np.concatenate([of_points, last])[point_of_pixel]
     return of_pixels

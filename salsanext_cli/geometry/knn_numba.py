@@ -23,10 +23,9 @@ Candidates = npt.NDArray[np.int64]
 Scalar = TypeVar("Scalar", bound=np.generic)
 
 BLOCK = 256
-"""Points per block: few enough that a block stays in the fastest cache."""
-
+"""Number of points per block, which fits the fastest cache."""
 LAST = np.int64(2**63 - 256)
-"""A candidate behind all others, with label 0."""
+"""Candidate farther than all others, with label 0."""
 
 
 def refine(
@@ -172,7 +171,7 @@ def vote_of_block(
 
 @compiled
 def keep_nearer(nearest: Candidates, candidate: Candidates) -> None:
-    """Put the candidate in this place where it is nearer; the farther one goes on to the next."""
+    """Keep the nearer one in this place; the farther one becomes the candidate of the next."""
     for j in range(BLOCK):
         here, new = nearest[j], candidate[j]
         nearest[j] = min(here, new)

@@ -11,8 +11,8 @@ import numpy as np
 from salsanext_cli.errors import UsageError
 from salsanext_cli.records import Float, Int
 
-LARGEST_WINDOW = 63
-"""Pixels; beyond them nothing is a neighbour."""
+LARGEST_WINDOW_PX = 63
+"""Largest side of the window in pixels."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -22,7 +22,7 @@ class KnnParameters:
     Attributes
     ----------
     k : int
-        How many nearest neighbours may vote, the point's own pixel included.
+        Number of nearest neighbours that may vote, the point's own pixel included.
     window : int
         Odd side of the window in pixels.
     sigma : float
@@ -37,24 +37,22 @@ class KnnParameters:
     cutoff: float = 1.0
 
     def __post_init__(self) -> None:
-        self._require(
-            1 <= self.window <= LARGEST_WINDOW and self.window % 2 == 1,
-            f"window {self.window}",
-            f"an odd window from 1 to {LARGEST_WINDOW}",
-        )
-        self._require(
-            1 <= self.k <= self.window**2,
-            f"k {self.k}",
-            f"1 ≤ k ≤ {self.window**2} neighbours in a window of {self.window}",
-        )
-        self._require(
-            0 < self.sigma < math.inf, f"sigma {self.sigma}", "a finite sigma above 0 pixels"
-        )
-        self._require(self.cutoff >= 0, f"cutoff {self.cutoff}", "a cutoff ≥ 0 metres")
-
-    def _require(self, holds: bool, found: str, expected: str) -> None:
-        if not holds:
-            raise UsageError("knn", found, expected)
+        window, k = self.window, self.k
+        possible = {
+            "window": 1 <= window <= LARGEST_WINDOW_PX and window % 2 == 1,
+            "k": 1 <= k <= window**2,
+            "sigma": 0 < self.sigma < math.inf,
+            "cutoff": self.cutoff >= 0,
+        }
+        expected = {
+            "window": f"an odd window from 1 to {LARGEST_WINDOW_PX}",
+            "k": f"1 ≤ k ≤ {window**2} neighbours in a window of {window}",
+            "sigma": "a finite sigma above 0 pixels",
+            "cutoff": "a cutoff ≥ 0 metres",
+        }
+        for name, holds in possible.items():
+            if not holds:
+                raise UsageError("knn", f"{name} {getattr(self, name)}", expected[name])
 
     def candidates(self, width: int) -> tuple[Int, Float]:
         """Return the offsets of a point's candidates and the factors of their distances.
@@ -70,12 +68,12 @@ class KnnParameters:
             Flat offsets from the point's pixel, itself left out, in an image that is framed by
             ``window // 2`` pixels on each side.
         weights : (M,) float32
-            Their factors, 1 − Gaussian of the offset.
+            Their factors, 1 − Gaussian.
         """
         half = self.window // 2
         dy, dx = np.mgrid[-half : half + 1, -half : half + 1]
-        gaussian = np.exp(-(dy**2 + dx**2) / (2 * self.sigma**2))
-        weights = np.asarray(1 - gaussian / gaussian.sum(), np.float32)
         kept = (dx >= -((width - 1) // 2)) & (dx <= width // 2) & ((dx != 0) | (dy != 0))
         offsets = dy * (width + 2 * half) + dx
-        return offsets[kept].astype(np.int32), weights[kept]
+        gaussian = np.exp(-(dy**2 + dx**2) / (2 * self.sigma**2))
+        weights = 1 - gaussian / gaussian.sum()
+        return offsets[kept].astype(np.int32), weights[kept].astype(np.float32)

@@ -11,8 +11,8 @@ from salsanext_cli.classes import TrainIds
 from salsanext_cli.geometry.knn_parameters import KnnParameters
 from salsanext_cli.records import Float, Int
 
-CHUNK = 1 << 17
-"""Points refined at once; bounds the memory of their windows."""
+CHUNK_POINTS = 1 << 17
+"""Number of points refined at once, which bounds the memory of their windows."""
 
 
 def refine(
@@ -23,59 +23,30 @@ def refine(
     parameters: KnnParameters,
     device: str,
 ) -> TrainIds:
-    """Return the label of every point as an array; see `geometry.knn.knn_refine`."""
-    refined = refine_tensors(
-        torch.tensor(ranges, device=device),
-        torch.tensor(labels, device=device),
-        torch.tensor(pixel_of_point, device=device),
-        torch.tensor(point_range, device=device),
-        parameters,
-    )
-    result: TrainIds = refined.cpu().numpy()
-    return result
-
-
-def refine_tensors(
-    ranges: torch.Tensor,
-    labels: torch.Tensor,
-    pixel_of_point: torch.Tensor,
-    point_range: torch.Tensor,
-    parameters: KnnParameters,
-) -> torch.Tensor:
-    """Return the label of every point, (N,) uint8 on the device of the ranges.
-
-    Parameters
-    ----------
-    ranges : (H, W) float32
-        Metres; 0 where empty.
-    labels : (H, W) uint8
-        Train ids.
-    pixel_of_point : (N,) int32
-        Flat pixel index, -1 without a pixel.
-    point_range : (N,) float32
-        Metres.
-    parameters : KnnParameters
-        Neighbourhood.
-    """
+    """Return the label of every point; see `geometry.knn.knn_refine`."""
     half, width = parameters.window // 2, ranges.shape[1]
-    empty = ranges <= 0
-    framed_ranges = framed(torch.where(empty, torch.inf, ranges), half, torch.inf)
-    framed_labels = framed(torch.where(empty, 0, labels), half, 0)
+    range_of_pixel = torch.tensor(ranges, device=device)
+    empty = range_of_pixel <= 0
+    framed_ranges = framed(torch.where(empty, torch.inf, range_of_pixel), half, torch.inf)
+    framed_labels = framed(torch.where(empty, 0, torch.tensor(labels, device=device)), half, 0)
     offsets, weights = parameters.candidates(width)
-    neighbours = torch.tensor(offsets.astype(np.int64), device=ranges.device)
-    factors = torch.tensor(weights, device=ranges.device)
-    refined = torch.zeros_like(pixel_of_point, dtype=torch.uint8)
-    for start in range(0, len(refined), CHUNK):
-        part = slice(start, start + CHUNK)
-        pixel = pixel_of_point[part].clamp(min=0).long()
+    neighbours = torch.tensor(offsets.astype(np.int64), device=device)
+    factors = torch.tensor(weights, device=device)
+    pixels = torch.tensor(pixel_of_point, device=device)
+    own_range = torch.tensor(point_range, device=device)
+    refined = torch.zeros_like(pixels, dtype=torch.uint8)
+    for start in range(0, len(refined), CHUNK_POINTS):
+        part = slice(start, start + CHUNK_POINTS)
+        pixel = pixels[part].clamp(min=0).long()
         centre = pixel + (pixel // width + half) * 2 * half + half * width + half
         windows = centre[:, None] + neighbours
-        distance = (framed_ranges[windows] - point_range[part, None]).abs() * factors
+        distance = (framed_ranges[windows] - own_range[part, None]).abs() * factors
         candidates = torch.where(distance <= parameters.cutoff, framed_labels[windows], 0)
         own = framed_labels[centre]
         voted = majority(nearest_labels(own, distance, candidates, parameters.k))
-        refined[part] = torch.where(pixel_of_point[part] >= 0, voted, 0)
-    return refined
+        refined[part] = torch.where(pixels[part] >= 0, voted, 0)
+    result: TrainIds = refined.cpu().numpy()
+    return result
 
 
 def framed(image: torch.Tensor, half: int, beyond: float) -> torch.Tensor:

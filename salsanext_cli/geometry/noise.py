@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""How a sensor's noise enters the network's input."""
+"""Variance of the network's input by the sensor's noise."""
 
 from __future__ import annotations
 

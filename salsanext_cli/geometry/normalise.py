@@ -17,7 +17,7 @@ def normalise(channels: Float, sensor: Sensor) -> Float:
     channels : (5, H, W) float32
         Range, x, y, z in metres and intensity; a pixel of range 0 is empty.
     sensor : Sensor
-        Whose means and standard deviations to use.
+        Sensor with the means and standard deviations.
 
     Returns
     -------

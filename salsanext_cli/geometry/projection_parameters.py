@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Parameters of the projection: the sensor's numbers as the kernels take them."""
+"""Parameters of the projection, in the form of the kernels' arguments."""
 
 from __future__ import annotations
 
@@ -11,11 +11,11 @@ import numpy as np
 from salsanext_cli.sensors import Sensor
 
 LARGEST = np.float32(1e6)
-"""Ranges (metres) and intensities above this are no measurements; they would drown the network."""
+"""Largest range in metres, and largest intensity, that counts as a measurement."""
 
 
 class ProjectionParameters(NamedTuple):
-    """Numbers of eq. 1, in the order in which the kernels take them.
+    """Numbers of eq. 1, in the order of the kernels' arguments.
 
     Attributes
     ----------

@@ -20,26 +20,9 @@ NO_POINT = 2**63 - 1
 
 
 def project(scan: Scan, view: ProjectionParameters, device: str) -> RangeImage:
-    """Project a scan on a device and bring the result back; see `geometry.projection.project`."""
+    """Project a scan on a device and copy the result back; see `geometry.projection.project`."""
     points = torch.tensor(scan.points, device=device)
     intensity = torch.tensor(scan.intensity, device=device)
-    return RangeImage(*(part.cpu().numpy() for part in project_tensors(points, intensity, view)))
-
-
-def project_tensors(
-    points: torch.Tensor, intensity: torch.Tensor, view: ProjectionParameters
-) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor, torch.Tensor]:
-    """Return the fields of a `RangeImage` as tensors on the device of the points.
-
-    Parameters
-    ----------
-    points : (N, 3) float32
-        Metres.
-    intensity : (N,) float32
-        Nominally 0…1.
-    view : ProjectionParameters
-        The sensor's numbers.
-    """
     height, width = int(view.height), int(view.width)
     pixel_of_point, point_range = find_pixels(points, view)
     point_of_pixel = find_nearest(pixel_of_point, point_range, height * width)
@@ -48,11 +31,11 @@ def project_tensors(
     nothing = columns.new_zeros(1, columns.shape[1])
     # Index -1, an empty pixel, finds the row of zeros at the end.
     channels = torch.cat([columns, nothing])[point_of_pixel].T.contiguous()
-    return (
-        channels.reshape(-1, height, width),
-        pixel_of_point,
-        point_of_pixel.to(torch.int32).reshape(height, width),
-        point_range,
+    return RangeImage(
+        channels.reshape(-1, height, width).cpu().numpy(),
+        pixel_of_point.cpu().numpy(),
+        point_of_pixel.to(torch.int32).reshape(height, width).cpu().numpy(),
+        point_range.cpu().numpy(),
     )
 
 

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: MIT
 """Calibration of probabilities: confidence against accuracy, log-likelihood, Brier score.
 
-The confidence of a point is its largest probability, and the point is right if the class that has
-it is the true one. So the softmax itself is evaluated, before neighbours have voted; the label in
-``predictions/`` may be another.
+The confidence of a point is its largest probability, and the point is right if the class of that
+probability is the true one. So the softmax itself is evaluated, before the vote of the neighbours;
+the label in ``predictions/`` may be another.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ class SoftmaxErrors:
     predicted : intp
         The most probable class.
     wrong : bool
-        Whether that is not the true one.
+        Whether the true class is another.
     confidence : float16
         The largest probability.
     nll : float64
@@ -81,7 +81,7 @@ def softmax_errors(probabilities: npt.NDArray[Any], truth: npt.NDArray[Any]) -> 
 
 
 class ConfidenceHistogram(GroupedHistogram):
-    """Histograms of confidence by group, a bin for each of `CONFIDENCES`; errors are summed up."""
+    """Histograms of confidence by group, a bin for each of `CONFIDENCES`, and sums of errors."""
 
     BIN_COUNT = len(CONFIDENCES)
     SUMMED = ("nll", "brier")
@@ -107,18 +107,14 @@ class ConfidenceHistogram(GroupedHistogram):
         ValueError
             If the arrays do not fit.
         """
-        require_points(len(errors.confidence), group=group)
+        bins = errors.confidence.view(np.uint16).astype(np.intp)
         known = ~np.isnan(errors.confidence)
-        bits = errors.confidence[known].view(np.uint16).astype(np.intp)
-        sums = {"nll": errors.nll[known], "brier": errors.brier[known]}
-        self.count(errors.wrong[known], group[known], bits, **sums)
-        self.left_out += int((~known).sum())
-        return self
+        return self.count(known, errors.wrong, group, bins, nll=errors.nll, brier=errors.brier)
 
 
 @dataclass(frozen=True, slots=True)
 class CalibrationScores:
-    """How well the probabilities of a set of points are calibrated; NaN without points.
+    """Calibration of the probabilities of a set of points; NaN without points.
 
     Attributes
     ----------
@@ -151,10 +147,10 @@ def calibration_scores(histogram: ConfidenceHistogram) -> CalibrationScores:
     """Divide the counts of all groups together."""
     pooled = histogram.total()
     counts, total = pooled.counts[:, 0], int(pooled.points[0])
-    held = counts.sum(axis=0) @ CONFIDENCES.astype(np.float64)
+    confidence = counts.sum(axis=0) @ CONFIDENCES.astype(np.float64)
     return CalibrationScores(
         points=total,
-        confidence=float(held / total) if total else math.nan,
+        confidence=float(confidence / total) if total else math.nan,
         accuracy=float(counts[0].sum() / total) if total else math.nan,
         nll=float(pooled.means("nll")[0]),
         brier=float(pooled.means("brier")[0]),

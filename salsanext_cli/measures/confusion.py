@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Confusion matrix: how often each true class was predicted as each class."""
+"""Confusion matrix: counts of points by true class and by predicted class."""
 
 from __future__ import annotations
 
@@ -16,8 +16,8 @@ Ratios = npt.NDArray[np.float64]
 class Confusion:
     """Counts of (truth, prediction) pairs; adding two gives the counts of both.
 
-    Every point is counted, also those whose truth is ignored: what to leave out is decided when
-    dividing, so that nothing is lost by counting.
+    Every point is counted, also those whose truth is ignored: they are left out when the counts
+    are divided.
 
     Parameters
     ----------
@@ -43,11 +43,6 @@ class Confusion:
     def class_count(self) -> int:
         """C, the number of train ids including 0."""
         return len(self.matrix)
-
-    @property
-    def total(self) -> int:
-        """Number of points counted."""
-        return int(self.matrix.sum())
 
     def update(self, truth: npt.NDArray[Any], predicted: npt.NDArray[Any]) -> Self:
         """Count the points of a scan, or the pixels of an image.
@@ -78,51 +73,22 @@ class Confusion:
         self.matrix += np.bincount(cell, minlength=self.matrix.size).reshape(self.matrix.shape)
         return self
 
-    def counted(self, scored: Mask | None = None) -> Counts:
+    def counted(self, scored: Mask) -> Counts:
         """Return the matrix without the points whose truth is ignored.
 
         Columns of ignored classes stay: a labelled point predicted "unlabelled" is a miss.
 
         Parameters
         ----------
-        scored : (C,) bool, optional
-            Which classes count; all but 0 if not given.
+        scored : (C,) bool
+            Classes that count.
 
         Returns
         -------
         (C, C) int64
             Truth × prediction, the rows of ignored classes 0.
         """
-        return np.where(self._scored(scored)[:, None], self.matrix, 0)
-
-    def iou(self, scored: Mask | None = None) -> Ratios:
-        """Return intersection over union of every class.
-
-        Parameters
-        ----------
-        scored : (C,) bool, optional
-            Which classes count; all but 0 if not given.
-
-        Returns
-        -------
-        (C,) float64
-            NaN for ignored classes and for those in neither truth nor prediction.
-        """
-        matrix = self.counted(scored)
-        hits = np.diagonal(matrix)
-        iou = ratio(hits, matrix.sum(axis=0) + matrix.sum(axis=1) - hits)
-        # An ignored class may be predicted for a labelled point: a union, but nothing to score.
-        iou[~self._scored(scored)] = np.nan
-        return iou
-
-    def _scored(self, scored: Mask | None) -> Mask:
-        if scored is None:
-            return np.arange(self.class_count) > 0
-        if scored.shape != (self.class_count,) or scored.dtype != np.bool_:
-            raise ValueError(
-                f"scored: {scored.shape} {scored.dtype}, not ({self.class_count},) bool"
-            )
-        return scored
+        return np.where(scored[:, None], self.matrix, 0)
 
     def __add__(self, other: Confusion) -> Confusion:
         if not isinstance(other, Confusion):
@@ -130,14 +96,6 @@ class Confusion:
         if other.class_count != self.class_count:
             raise ValueError(f"{self.class_count} and {other.class_count} classes do not add")
         return Confusion(self.class_count, self.matrix + other.matrix)
-
-    def __eq__(self, other: object) -> bool:
-        return isinstance(other, Confusion) and np.array_equal(self.matrix, other.matrix)
-
-    __hash__ = None  # type: ignore[assignment]
-
-    def __repr__(self) -> str:
-        return f"Confusion({self.class_count} classes, {self.total} points)"
 
 
 def ratio(part: Counts, whole: Counts) -> Ratios:

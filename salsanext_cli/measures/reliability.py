@@ -2,7 +2,7 @@
 """Reliability diagram and calibration errors, from counts by confidence.
 
 Probabilities are float16 on disk, and there are 15 361 such numbers from 0 to 1. Points are counted
-in a bin for each of these, so that what follows from confidences is exact, however many scans.
+in a bin for each of these, so that errors are exact for any number of scans.
 """
 
 from __future__ import annotations
@@ -17,9 +17,9 @@ from salsanext_cli.measures.confusion import Counts, Ratios, ratio
 CONFIDENCES = np.arange(int(np.float16(1).view(np.uint16)) + 1).astype(np.uint16).view(np.float16)
 """Every float16 from 0 to 1, ascending: the bit patterns of numbers above 0 are in their order."""
 POOLED_BINS = 15
-"""Bins of the pooled errors and of the diagram."""
+"""Number of bins of the pooled errors and of the diagram."""
 SCAN_BINS = 10
-"""Bins of the error of a single scan, as Calib3D has it."""
+"""Number of bins of the error of a single scan, as in Calib3D."""
 
 
 @dataclass(frozen=True, slots=True)

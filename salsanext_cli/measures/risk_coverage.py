@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: MIT
-"""Scores of how well uncertainty finds wrong points, from histograms of uncertainty.
+"""Scores of uncertainty as a detector of wrong points, from histograms of uncertainty.
 
 All functions take the number of right and of wrong points in bins of ascending uncertainty, (B,)
-int64 each. Points in one bin are tied: they count as every order among them would on average.
+int64 each. Points in one bin are tied: scores are the mean over every order among them.
 """
 
 from __future__ import annotations
@@ -14,12 +14,12 @@ import numpy as np
 import numpy.typing as npt
 
 from salsanext_cli.measures.confusion import Counts, Ratios
-from salsanext_cli.measures.uncertainty_histogram import UncertaintyHistogram
+from salsanext_cli.measures.uncertainty_histogram import UncertaintyHistogram, highest_of_bins
 
 
 @dataclass(frozen=True, slots=True)
 class RankingScores:
-    """How well an uncertainty finds wrong points; NaN where that has no answer.
+    """Scores of an uncertainty as a detector of wrong points; NaN where undefined.
 
     Attributes
     ----------
@@ -36,7 +36,7 @@ class RankingScores:
     aurc : float
         Area under the risk-coverage curve, 0…1; lower is better.
     excess_aurc : float
-        How much that is above the best order, all right points before all wrong ones.
+        Difference to the area of the best order, all right points before all wrong ones.
     ause : float
         Area between the sparsification curve and that of the best order, both as multiples of the
         share of wrong points among all; 0 is the best order, lower is better.
@@ -58,7 +58,8 @@ def ranking_scores(histogram: UncertaintyHistogram) -> RankingScores:
     right, wrong = pooled.counts[:, 0]
     points, errors = int(pooled.counts.sum()), int(wrong.sum())
     area = aurc(right, wrong)
-    excess = area - aurc(*best_order(right, wrong))
+    # In the best order, every wrong point is more uncertain than every right one.
+    excess = area - aurc(np.array([right.sum(), 0]), np.array([0, errors]))
     return RankingScores(
         points=points,
         wrong=errors,
@@ -107,11 +108,6 @@ def aurc(right: Counts, wrong: Counts) -> float:
     return float((errors + (errors_before - before * rate) * inverse).sum() / reached[-1])
 
 
-def best_order(right: Counts, wrong: Counts) -> tuple[Counts, Counts]:
-    """Return counts of as many points, every wrong one more uncertain than every right one."""
-    return np.array([right.sum(), 0]), np.array([0, wrong.sum()])
-
-
 def risk_at(right: Counts, wrong: Counts, coverage: npt.NDArray[np.float64]) -> Ratios:
     """Return the risk of keeping only the least uncertain points.
 
@@ -135,9 +131,7 @@ def risk_at(right: Counts, wrong: Counts, coverage: npt.NDArray[np.float64]) -> 
     return risk
 
 
-def threshold_at(
-    right: Counts, wrong: Counts, coverage: npt.NDArray[np.float64], highest: Ratios
-) -> Ratios:
+def threshold_at(right: Counts, wrong: Counts, coverage: npt.NDArray[np.float64]) -> Ratios:
     """Return the least uncertainty up to which at least a share of the points is kept.
 
     Parameters
@@ -146,8 +140,6 @@ def threshold_at(
         Points in bins of ascending uncertainty.
     coverage : (K,) float64
         Shares of the points, above 0.
-    highest : (B,) float64
-        The largest uncertainty of each bin.
 
     Returns
     -------
@@ -159,13 +151,13 @@ def threshold_at(
         return np.full(coverage.shape, np.nan)
     # A share such as 0.07 of 100 points is 7.000000000000001 of them.
     wanted = np.ceil(coverage * reached[-1] - 1e-6)
-    thresholds: Ratios = highest[np.searchsorted(reached, wanted)]
+    thresholds: Ratios = highest_of_bins()[np.searchsorted(reached, wanted)]
     return thresholds
 
 
 EULER = 0.5772156649015329
 SERIES_FROM = 16
-"""From here on the asymptotic series of the harmonic numbers is exact to the last digit."""
+"""Number from which the asymptotic series of the harmonic numbers is exact to the last digit."""
 
 
 def _harmonic(numbers: Counts) -> Ratios:

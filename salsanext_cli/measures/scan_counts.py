@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Counts of how the predictions for scans compare with their labels."""
+"""Counts of the points of scans by label, prediction, probability and uncertainty."""
 
 from __future__ import annotations
 
@@ -12,14 +12,14 @@ from typing import Any, TypeVar
 import numpy as np
 import numpy.typing as npt
 
-from salsanext_cli.classes import LabelSpace, TrainIds
+from salsanext_cli.classes import LabelSpace
 from salsanext_cli.formats import read_scan
 from salsanext_cli.formats.kitti import read_labels
 from salsanext_cli.formats.point_values import read_probabilities, read_uncertainty
 from salsanext_cli.formats.reading import present
 from salsanext_cli.measures.calibration import ConfidenceHistogram, SoftmaxErrors, softmax_errors
-from salsanext_cli.measures.confusion import Confusion, Mask
-from salsanext_cli.measures.distance import RING_NAMES, confusion_by_ring, ring_of_point
+from salsanext_cli.measures.confusion import Confusion
+from salsanext_cli.measures.distance import RING_NAMES, ring_of_point
 from salsanext_cli.measures.grouped_histogram import GroupedHistogram
 from salsanext_cli.measures.reliability import SCAN_BINS, reliability
 from salsanext_cli.measures.softmax import lack_of_confidence, softmax_entropy
@@ -35,14 +35,14 @@ OF_SOFTMAX = {"confidence": lack_of_confidence, "softmax_entropy": softmax_entro
 KINDS = (*OF_SOFTMAX, *(folder.removeprefix(UNCERTAINTY) for folder in FOLDERS[1:]))
 """Every kind of uncertainty, in the order in which they are reported."""
 CLASS, RING = "class", "ring"
-"""Names of what points are grouped by."""
+"""Names of the groupings of points."""
 NO_RING = len(RING_NAMES)
 """The group of points without a measurement."""
 
 Key = TypeVar("Key")
 Histogram = TypeVar("Histogram", bound=GroupedHistogram)
 Groups = dict[str, tuple[npt.NDArray[Any], int]]
-"""The group of every point and the number of groups, by what the points are grouped by."""
+"""The group of every point and the number of groups, by grouping."""
 
 
 @dataclass(slots=True)
@@ -54,9 +54,9 @@ class ScanCounts:
     confusion : Confusion
         Counts of all points.
     rings : tuple of Confusion
-        Counts by distance, one per name in `RING_NAMES`; empty if not wanted.
+        Counts by distance, one per name in `RING_NAMES`; empty if not requested.
     unknown_truth, unknown_predictions : Counter
-        How often raw ids occur that the label space does not know.
+        Number of points by raw id that the label space does not know.
     scans : int
         Number of scans counted.
     missing : list of ScanFile
@@ -64,12 +64,11 @@ class ScanCounts:
     files : Counter of str
         Number of scans that have probabilities or a kind of uncertainty, by folder.
     confidence : dict of str to ConfidenceHistogram
-        By what the points are grouped by: `CLASS`, the most probable one, or `RING`.
+        By grouping: `CLASS`, the most probable one, or `RING`.
     calibration_errors : list of float
         Expected calibration error of each scan that has a softmax.
     uncertainty : dict of (str, str) to UncertaintyHistogram
-        By kind of uncertainty and by what the points are grouped by: `CLASS`, the true one, or
-        `RING`.
+        By kind of uncertainty and by grouping: `CLASS`, the true one, or `RING`.
     """
 
     confusion: Confusion
@@ -90,7 +89,7 @@ class ScanCounts:
         return cls(Confusion(space.class_count), rings if by_distance else ())
 
     def add(self, other: ScanCounts) -> None:
-        """Add the counts of other scans."""
+        """Add the counts of other scans, which are used up."""
         self.confusion += other.confusion
         self.rings = tuple(a + b for a, b in zip(self.rings, other.rings, strict=True))
         self.unknown_truth += other.unknown_truth
@@ -105,9 +104,8 @@ class ScanCounts:
 
 def _add_histograms(total: dict[Key, Histogram], other: Mapping[Key, Histogram]) -> None:
     for key, histogram in other.items():
-        if key not in total:
-            total[key] = type(histogram)(histogram.group_count)
-        total[key].add(histogram)
+        if total.setdefault(key, histogram) is not histogram:
+            total[key].add(histogram)
 
 
 def count_scan(
@@ -115,8 +113,8 @@ def count_scan(
 ) -> ScanCounts:
     """Count one scan; one without predictions counts as missing.
 
-    Points are counted by probability and by uncertainty too, as far as the output folder holds
-    `probabilities/` and `uncertainty/` of the scan, if their truth is scored.
+    Points whose truth is scored are counted by probability and by uncertainty too, if the output
+    folder holds `probabilities/` and `uncertainty/` of the scan.
 
     Parameters
     ----------
@@ -125,14 +123,14 @@ def count_scan(
     out : Path
         Output folder with the predictions.
     space : LabelSpace
-        What the raw ids in both mean.
+        Meaning of the raw ids in both.
     by_distance : bool
         Count rings of distance too, for which the scan is read.
 
     Raises
     ------
     FormatError, LabelError
-        If a file cannot be read, is not of this scan, or holds what it cannot mean.
+        If a file cannot be read, is not of this scan, or holds impossible values.
     """
     counts = ScanCounts.none(space, by_distance)
     predictions = output_path(out, scan.sequence, "predictions", scan.stem)
@@ -148,34 +146,24 @@ def count_scan(
     counts.unknown_truth.update(space.unknown_ids(raw_truth))
     counts.unknown_predictions.update(space.unknown_ids(raw_predicted))
     counts.confusion.update(truth, predicted)
-    ring = None
+    scored = space.scored[truth]
+    rings: Groups = {}
     if points is not None:
         ring = ring_of_point(points)
-        counts.rings = confusion_by_ring(ring, truth, predicted, space.class_count)
-    _count_uncertainty(counts, scan, out, space, truth, predicted, ring)
-    return counts
-
-
-def _count_uncertainty(
-    counts: ScanCounts,
-    scan: ScanFile,
-    out: Path,
-    space: LabelSpace,
-    truth: TrainIds,
-    predicted: TrainIds,
-    ring: npt.NDArray[np.intp] | None,
-) -> None:
-    """Count the points of a scan whose truth is scored, by whatever lies in the output folder."""
+        counts.rings = tuple(
+            Confusion(space.class_count).update(truth[ring == i], predicted[ring == i])
+            for i in range(len(RING_NAMES))
+        )
+        rings = {RING: (np.where(ring < 0, NO_RING, ring)[scored], NO_RING + 1)}
     paths = {f: output_path(out, scan.sequence, f, scan.stem) for f in FOLDERS}
     paths = {folder: path for folder, path in paths.items() if present(path)}
     counts.files.update(paths.keys())
-    scored = space.scored[truth]
-    rings: Groups = {}
-    if ring is not None:
-        rings = {RING: (np.where(ring < 0, NO_RING, ring)[scored], NO_RING + 1)}
     values: dict[str, Float] = {}
     if path := paths.pop("probabilities", None):
-        softmax = _read_softmax(path, scored, space)
+        softmax = read_probabilities(path, len(scored), space.class_count)[scored]
+        if not space.scored[0]:
+            # `predict` marks points without a pixel as certainly unlabelled; no softmax is that.
+            softmax[softmax[:, 0] == 1] = np.nan
         _count_confidence(counts, softmax_errors(softmax, truth[scored]), rings, space)
         values = {kind: derive(softmax) for kind, derive in OF_SOFTMAX.items()}
     for folder, path in paths.items():
@@ -186,15 +174,7 @@ def _count_uncertainty(
         for name, (group, group_count) in groups.items():
             histogram = UncertaintyHistogram(group_count).update(of_points, wrong, group)
             counts.uncertainty[kind, name] = histogram
-
-
-def _read_softmax(path: Path, scored: Mask, space: LabelSpace) -> npt.NDArray[np.float16]:
-    """Read the probabilities of the points whose truth is scored; NaN for those without a pixel."""
-    softmax = read_probabilities(path, len(scored), space.class_count)[scored]
-    if not space.scored[0]:
-        # `predict` marks them as certainly unlabelled, which no softmax says.
-        softmax[softmax[:, 0] == 1] = np.nan
-    return softmax
+    return counts
 
 
 def _count_confidence(

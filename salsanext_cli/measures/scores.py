@@ -22,7 +22,7 @@ import numpy as np
 import yaml
 
 from salsanext_cli.classes import LabelSpace
-from salsanext_cli.measures.confusion import Confusion, Counts, Ratios, ratio
+from salsanext_cli.measures.confusion import Confusion, Ratios, ratio
 
 EPSILON = 1e-15
 """Added to every denominator by the official evaluator."""
@@ -30,7 +30,7 @@ EPSILON = 1e-15
 
 @dataclass(frozen=True, slots=True)
 class ClassScore:
-    """How well one class was found; NaN where there is nothing to divide by.
+    """Scores of one class; NaN where there is nothing to divide by.
 
     Attributes
     ----------
@@ -73,8 +73,6 @@ class Scores:
 
     Attributes
     ----------
-    classes : tuple of ClassScore
-        Every scored class, in the order of the train ids.
     accuracy : float
         Share of labelled points that are right; NaN without any.
     accuracy_official : float
@@ -82,18 +80,20 @@ class Scores:
     iou_mean_official : float
         Mean IoU over all scored classes, an absent class counting 0.
     iou_mean_present : float
-        Mean IoU over the classes that the truth holds, so that what is averaged does not
-        depend on the prediction; NaN if it holds none.
+        Mean IoU over the classes that the truth holds, whatever is predicted; NaN if it
+        holds none.
     points : int
         Number of labelled points.
+    classes : tuple of ClassScore
+        Every scored class, in the order of the train ids.
     """
 
-    classes: tuple[ClassScore, ...]
     accuracy: float
     accuracy_official: float
     iou_mean_official: float
     iou_mean_present: float
     points: int
+    classes: tuple[ClassScore, ...]
 
     def official(self) -> dict[str, float]:
         """Return the numbers of the official ``scores.txt``, by its names."""
@@ -106,9 +106,8 @@ class Scores:
 
     def to_dict(self) -> dict[str, Any]:
         """Return plain data for JSON; null stands for NaN."""
-        totals = {name: plain(value) for name, value in asdict(self).items() if name != "classes"}
-        classes = [{k: plain(v) for k, v in asdict(c).items()} for c in self.classes]
-        return totals | {"classes": classes}
+        data: dict[str, Any] = plain(asdict(self))
+        return data
 
 
 def scores(confusion: Confusion, space: LabelSpace) -> Scores:
@@ -133,39 +132,28 @@ def scores(confusion: Confusion, space: LabelSpace) -> Scores:
     scored = space.scored
     matrix = confusion.counted(scored)
     hits, truths, predictions = np.diagonal(matrix), matrix.sum(axis=1), matrix.sum(axis=0)
-    iou = confusion.iou(scored)
-    iou_official = hits / (truths + predictions - hits + EPSILON)
+    union = truths + predictions - hits
+    iou, iou_official = ratio(hits, union), hits / (union + EPSILON)
+    precision, recall = ratio(hits, predictions), ratio(hits, truths)
     return Scores(
-        classes=_class_scores(space, iou, iou_official, hits, truths, predictions),
         accuracy=float(ratio(hits.sum(keepdims=True), matrix.sum(keepdims=True).ravel())[0]),
         accuracy_official=float(hits.sum() / (matrix[:, scored].sum() + EPSILON)),
         iou_mean_official=_mean(iou_official[scored]),
         iou_mean_present=_mean(iou[scored & (truths > 0)]),
         points=int(matrix.sum()),
-    )
-
-
-def _class_scores(
-    space: LabelSpace,
-    iou: Ratios,
-    iou_official: Ratios,
-    hits: Counts,
-    truths: Counts,
-    predictions: Counts,
-) -> tuple[ClassScore, ...]:
-    precision, recall = ratio(hits, predictions), ratio(hits, truths)
-    return tuple(
-        ClassScore(
-            name=space.names[i],
-            train_id=int(i),
-            iou=float(iou[i]),
-            iou_official=float(iou_official[i]),
-            precision=float(precision[i]),
-            recall=float(recall[i]),
-            points=int(truths[i]),
-            predicted=int(predictions[i]),
-        )
-        for i in np.flatnonzero(space.scored)
+        classes=tuple(
+            ClassScore(
+                name=space.names[i],
+                train_id=int(i),
+                iou=float(iou[i]),
+                iou_official=float(iou_official[i]),
+                precision=float(precision[i]),
+                recall=float(recall[i]),
+                points=int(truths[i]),
+                predicted=int(predictions[i]),
+            )
+            for i in np.flatnonzero(scored)
+        ),
     )
 
 
@@ -174,5 +162,14 @@ def _mean(values: Ratios) -> float:
 
 
 def plain(value: Any) -> Any:
-    """Return a value for JSON: None for NaN."""
-    return None if isinstance(value, float) and math.isnan(value) else value
+    """Return data for JSON: arrays and tuples as lists, NaN as None."""
+    match value:
+        case float():
+            return None if math.isnan(value) else value
+        case dict():
+            return {key: plain(each) for key, each in value.items()}
+        case list() | tuple():
+            return [plain(each) for each in value]
+        case np.ndarray():
+            return plain(value.tolist())
+    return value

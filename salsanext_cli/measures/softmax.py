@@ -14,7 +14,7 @@ from salsanext_cli.records import Float
 def lack_of_confidence(probabilities: npt.NDArray[Any]) -> Float:
     """Return 1 − the largest probability: (N, C) to (N,) float32, 0 … 1 − 1/C.
 
-    As the sum of the others, which float16 holds finely where 1 − 0.9999 would be 0.
+    It is the sum of the others, which float16 resolves finely where 1 − 0.9999 would be 0.
     """
     others = probabilities.astype(np.float32)
     others[np.arange(len(others)), others.argmax(axis=1)] = 0
@@ -25,7 +25,7 @@ def lack_of_confidence(probabilities: npt.NDArray[Any]) -> Float:
 def softmax_entropy(probabilities: npt.NDArray[Any]) -> Float:
     """Return the entropy −Σ_c p_c ln p_c in nats: (N, C) to (N,) float32, 0 … ln C."""
     some = probabilities.astype(np.float32)
-    # 0 ln 0 is 0, and no float16 above 0 is smaller than this.
+    # 0 ln 0 is 0, and no float16 above 0 is smaller than 2⁻²⁴.
     logarithm = np.log(np.clip(some, 2.0**-24, 1))
     entropy: Float = -np.einsum("nc,nc->n", some, logarithm)
     return np.maximum(entropy, 0)

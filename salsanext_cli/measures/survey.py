@@ -1,10 +1,11 @@
 # SPDX-License-Identifier: MIT
-"""Survey of a set of scans: field of view, normalisation, classes. Count first, divide once."""
+"""Survey of a set of scans: field of view, normalisation, classes."""
 
 from __future__ import annotations
 
 from collections import Counter
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
+from operator import add
 from typing import Any
 
 import numpy as np
@@ -18,6 +19,8 @@ ELEVATION_STEP_DEG = 0.05
 ELEVATION_BINS = round(180 / ELEVATION_STEP_DEG)
 OUTLIERS = 0.001
 """Share of the points above, and of those below, that a fitted field of view leaves out."""
+EXTREMES = {"smallest": min, "largest": max, "farthest": max, "brightest": max}
+"""Fields of a survey that are not added."""
 
 
 @dataclass(slots=True)
@@ -59,21 +62,8 @@ class Survey:
     classes: Counter[int] = field(default_factory=Counter)
 
     def __add__(self, other: Survey) -> Survey:
-        return Survey(
-            self.scans + other.scans,
-            self.labelled + other.labelled,
-            self.points + other.points,
-            self.invalid + other.invalid,
-            min(self.smallest, other.smallest),
-            max(self.largest, other.largest),
-            max(self.farthest, other.farthest),
-            max(self.brightest, other.brightest),
-            self.elevations + other.elevations,
-            self.pixels + other.pixels,
-            self.sums + other.sums,
-            self.squares + other.squares,
-            self.classes + other.classes,
-        )
+        names = (field.name for field in fields(self))
+        return Survey(*(EXTREMES.get(n, add)(getattr(self, n), getattr(other, n)) for n in names))
 
     @property
     def means(self) -> tuple[float, ...]:

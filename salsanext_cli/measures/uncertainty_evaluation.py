@@ -10,13 +10,9 @@ from dataclasses import asdict, dataclass
 from typing import Any, Generic, TypeVar
 
 import numpy as np
-import numpy.typing as npt
 
 from salsanext_cli.classes import LabelSpace
-from salsanext_cli.measures.calibration import (
-    CalibrationScores,
-    calibration_scores,
-)
+from salsanext_cli.measures.calibration import CalibrationScores, calibration_scores
 from salsanext_cli.measures.confusion import Ratios
 from salsanext_cli.measures.correlation import spearman
 from salsanext_cli.measures.distance import RING_NAMES
@@ -30,7 +26,6 @@ from salsanext_cli.measures.risk_coverage import (
 )
 from salsanext_cli.measures.scan_counts import CLASS, FOLDERS, KINDS, RING, ScanCounts
 from salsanext_cli.measures.scores import plain
-from salsanext_cli.measures.uncertainty_histogram import highest_of_bins
 
 COVERAGE = np.arange(1, 101) / 100
 """Shares of the points, the least uncertain ones first, at which the risk is given."""
@@ -54,7 +49,7 @@ class GroupedScores(Generic[Scores]):
     classes : dict of int to scores
         By train id.
     rings : dict of str to scores
-        By name of the ring of distance; empty if not wanted.
+        By name of the ring of distance; empty if not requested.
     """
 
     scores: Scores
@@ -65,25 +60,25 @@ class GroupedScores(Generic[Scores]):
 
     def plain(self, space: LabelSpace, more: Mapping[str, Any]) -> dict[str, Any]:
         """Return plain data for JSON, with more in the middle; null stands for NaN."""
-        return {
-            "scans": self.scans,
-            "left_out": self.left_out,
-            **_plain_scores(self.scores),
-            **more,
-            "classes": [
-                {"name": space.names[i], "train_id": i, **_plain_scores(of_class)}
-                for i, of_class in self.classes.items()
-            ],
-            "by_distance": {name: _plain_scores(ring) for name, ring in self.rings.items()},
-        }
+        data: dict[str, Any] = plain(
+            {"scans": self.scans, "left_out": self.left_out, **asdict(self.scores), **more}
+            | {
+                "classes": [
+                    {"name": space.names[i], "train_id": i, **asdict(of_class)}
+                    for i, of_class in self.classes.items()
+                ],
+                "by_distance": {name: asdict(ring) for name, ring in self.rings.items()},
+            }
+        )
+        return data
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CalibrationResult(GroupedScores[CalibrationScores]):
-    """How well probabilities are calibrated.
+    """Calibration of probabilities.
 
-    Classes are the most probable ones, since of these points a calibrated network is right as
-    often as it says; of the points that truly are of a class it need not be.
+    Classes are the most probable ones: among the points of such a class, a calibrated network is
+    right as often as its confidence says; among the points of a true class it need not be.
 
     Attributes
     ----------
@@ -98,20 +93,20 @@ class CalibrationResult(GroupedScores[CalibrationScores]):
 
     def to_dict(self, space: LabelSpace) -> dict[str, Any]:
         """Return plain data for JSON; null stands for NaN."""
-        diagram = {k: _plain_list(v) for k, v in asdict(self.reliability).items()}
-        return self.plain(space, {"ece_per_scan": plain(self.scan_error), "reliability": diagram})
+        diagram = asdict(self.reliability)
+        return self.plain(space, {"ece_per_scan": self.scan_error, "reliability": diagram})
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RankingResult(GroupedScores[RankingScores]):
-    """How well one kind of uncertainty finds wrong points; classes are the true ones.
+    """Scores of one kind of uncertainty as a detector of wrong points; classes are the true ones.
 
     Attributes
     ----------
     risk : (100,) float64
         Share of wrong points among the least uncertain 1 %, 2 %, … 100 %.
     thresholds : (100,) float64
-        The uncertainty up to which these points go, at most 1 % too large.
+        Largest uncertainty of these points, at most 1 % too large.
     correlation : float
         Spearman's rank correlation, over the classes present, of the mean uncertainty of a class
         and its number of points, -1…1.
@@ -124,8 +119,7 @@ class RankingResult(GroupedScores[RankingScores]):
     def to_dict(self, space: LabelSpace) -> dict[str, Any]:
         """Return plain data for JSON; null stands for NaN."""
         curves = {"risk_coverage": self.risk, "thresholds": self.thresholds}
-        more = {name: _plain_list(curve) for name, curve in curves.items()}
-        return self.plain(space, {"class_size_correlation": plain(self.correlation)} | more)
+        return self.plain(space, {"class_size_correlation": self.correlation} | curves)
 
 
 @dataclass(frozen=True, slots=True)
@@ -134,44 +128,32 @@ class UncertaintyEvaluation:
 
     Attributes
     ----------
-    space : LabelSpace
-        Which classes there are.
     calibration : CalibrationResult or None
         Of the probabilities; None without any.
     kinds : dict of str to RankingResult
         By kind of uncertainty; empty without any.
     """
 
-    space: LabelSpace
     calibration: CalibrationResult | None
     kinds: dict[str, RankingResult]
 
-    def to_dict(self) -> dict[str, Any]:
-        """Return plain data for JSON, without what there is none of; null stands for NaN."""
+    def to_dict(self, space: LabelSpace) -> dict[str, Any]:
+        """Return plain data for JSON, without absent parts; null stands for NaN."""
         data: dict[str, Any] = {}
         if self.calibration:
-            data["calibration"] = self.calibration.to_dict(self.space)
+            data["calibration"] = self.calibration.to_dict(space)
         if self.kinds:
-            data["uncertainty"] = {k: found.to_dict(self.space) for k, found in self.kinds.items()}
+            data["uncertainty"] = {k: found.to_dict(space) for k, found in self.kinds.items()}
         return data
 
 
 def evaluate_uncertainty(counts: ScanCounts, space: LabelSpace) -> UncertaintyEvaluation:
-    """Divide the counts of all scans; warn of files that only some of the scans have.
-
-    Parameters
-    ----------
-    counts : ScanCounts
-        Of all scans.
-    space : LabelSpace
-        Which classes there are.
-    """
+    """Divide the counts of all scans; warn of files that only some of the scans have."""
     for folder in FOLDERS:
         if 0 < counts.files[folder] < counts.scans:
             log.warning("%s of %d of %d scans only", folder, counts.files[folder], counts.scans)
     kinds = [kind for kind in KINDS if (kind, CLASS) in counts.uncertainty]
     return UncertaintyEvaluation(
-        space=space,
         calibration=_calibration_result(counts, space) if counts.confidence else None,
         kinds={kind: _ranking_result(counts, kind, space) for kind in kinds},
     )
@@ -193,7 +175,7 @@ def _ranking_result(counts: ScanCounts, kind: str, space: LabelSpace) -> Ranking
     return RankingResult(
         **_grouped(ranking_scores, by_class, counts.uncertainty.get((kind, RING)), space),
         risk=risk_at(right, wrong, COVERAGE),
-        thresholds=threshold_at(right, wrong, COVERAGE, highest_of_bins()),
+        thresholds=threshold_at(right, wrong, COVERAGE),
         correlation=spearman(by_class.means("uncertainty")[present], by_class.points[present]),
     )
 
@@ -214,11 +196,3 @@ def _grouped(
         if by_ring
         else {},
     }
-
-
-def _plain_scores(scores: CalibrationScores | RankingScores) -> dict[str, Any]:
-    return {name: plain(value) for name, value in asdict(scores).items()}
-
-
-def _plain_list(values: npt.NDArray[Any]) -> list[Any]:
-    return [plain(value) for value in values.tolist()]

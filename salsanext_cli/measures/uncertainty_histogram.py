@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: MIT
 """Histograms of uncertainty, of right and of wrong points.
 
-A bin is a bfloat16 number, to which uncertainties are cut off: 128 bins for every doubling, which
-tell 1 from 1.008. Points in one bin are tied. Ranking depends on the order alone, so that results
-from these counts differ from those of the raw values only by pairs of points within a bin.
+A bin is a bfloat16 number, to which uncertainties are truncated: 128 bins per octave, which
+separate 1 from 1.008. Points in one bin are tied. Ranking depends on the order alone, so that
+results from these counts differ from those of the raw values only by pairs of points within a bin.
 """
 
 from __future__ import annotations
@@ -14,13 +14,13 @@ import numpy as np
 import numpy.typing as npt
 
 from salsanext_cli.measures.confusion import Mask, Ratios
-from salsanext_cli.measures.grouped_histogram import GroupedHistogram, require_points
+from salsanext_cli.measures.grouped_histogram import GroupedHistogram
 
 BINS_PER_OCTAVE = 128
 LOWEST, HIGHEST = -48, 8
-"""Powers of two between which bins lie: below are 0 and what float32 could not tell from it."""
+"""Exponents of two of the first and the last bin; uncertainties below are as good as 0."""
 BINS = 1 + (HIGHEST - LOWEST) * BINS_PER_OCTAVE
-"""One for everything up to the lowest, then 128 for every octave; the last is open."""
+"""Number of bins: one for everything below the lowest, then 128 per octave; the last is open."""
 BFLOAT16_SHIFT = 16
 """Bits of a float32 that a bfloat16 does not have."""
 FIRST_KEY = int(np.float32(2.0**LOWEST).view(np.int32)) >> BFLOAT16_SHIFT
@@ -43,7 +43,7 @@ def highest_of_bins() -> Ratios:
 
 
 class UncertaintyHistogram(GroupedHistogram):
-    """Histograms of uncertainty by group; the uncertainty itself is summed up too."""
+    """Histograms of uncertainty by group, and sums of the uncertainty."""
 
     BIN_COUNT = BINS
     SUMMED = ("uncertainty",)
@@ -55,7 +55,7 @@ class UncertaintyHistogram(GroupedHistogram):
         Parameters
         ----------
         uncertainty : (N,) float
-            Not negative; NaN for points that have none, which are left out.
+            Not negative; NaN for points without one, which are left out.
         wrong : (N,) bool
             Whether the label of each point is not the true one.
         group : (N,) integer
@@ -71,11 +71,5 @@ class UncertaintyHistogram(GroupedHistogram):
         ValueError
             If the arrays do not fit.
         """
-        require_points(len(uncertainty), wrong=wrong, group=group)
-        known = ~np.isnan(uncertainty)
-        values = uncertainty[known]
-        self.count(
-            wrong[known], group[known], bin_of(values), uncertainty=values.astype(np.float64)
-        )
-        self.left_out += len(known) - len(values)
-        return self
+        values = uncertainty.astype(np.float64)
+        return self.count(~np.isnan(values), wrong, group, bin_of(uncertainty), uncertainty=values)

@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: MIT
-"""Numbers to tables, pictures and pages."""
+"""Tables and pictures of results."""

@@ -3,13 +3,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
-import numpy.typing as npt
 
 from salsanext_cli.records import Float
 from salsanext_cli.report import canvas
@@ -29,22 +27,6 @@ GRID_M = 10.0
 """Metres between two circles."""
 
 
-@dataclass(frozen=True, slots=True)
-class View:
-    """One way to colour the points.
-
-    Attributes
-    ----------
-    title : str
-        Stands above it.
-    colours : (N, 3) uint8
-        Red, green, blue of every point.
-    """
-
-    title: str
-    colours: Colours
-
-
 def raster(
     points: Float, colours: Colours, reach: float = REACH_M, size: int = VIEW_PX, spread: int = 1
 ) -> Colours:
@@ -53,7 +35,7 @@ def raster(
     Parameters
     ----------
     points : (N, 3) float32
-        Metres, sensor frame: x forward, y left, z up. Points that are no numbers are left out.
+        Metres, sensor frame: x forward, y left, z up. NaN and infinity are left out.
     colours : (N, 3) uint8
         Red, green, blue of every point.
     reach : float
@@ -82,30 +64,30 @@ def raster(
     return picture[spread : size + spread, spread : size + spread]
 
 
-def birds_eye(path: Path, points: Float, views: Sequence[View], legend: Legend = ()) -> None:
+def birds_eye(path: Path, points: Float, views: Mapping[str, Colours], legend: Legend = ()) -> None:
     """Draw a scan from above, once per view, with circles every `GRID_M` metres, as a PNG.
 
     Parameters
     ----------
     path : Path
-        Where to write.
+        The file to write.
     points : (N, 3) float32
         Metres, sensor frame.
-    views : sequence of View
-        From left to right.
+    views : mapping of str to (N, 3) uint8
+        Red, green, blue of every point by title, from left to right.
     legend : list of (name, colour)
-        Stands below them.
+        Entries of the legend below them.
     """
     width = len(views) * (VIEW_PX + MARGIN_PX) - MARGIN_PX
     key = canvas.legend_height(legend, width)
     figure = canvas.new_figure(
         width + 2 * MARGIN_PX, TITLE_PX + VIEW_PX + MARGIN_PX + (key + MARGIN_PX) * bool(legend)
     )
-    for i, view in enumerate(views):
+    for i, (title, colours) in enumerate(views.items()):
         left = MARGIN_PX + i * (VIEW_PX + MARGIN_PX)
-        canvas.text_at(figure, left, TITLE_PX // 2, view.title, 18)
+        canvas.text_at(figure, left, TITLE_PX // 2, title, 18)
         axes = canvas.axes_at(figure, left, TITLE_PX, VIEW_PX, VIEW_PX)
-        _draw(axes, _smooth(points, view.colours))
+        _draw(axes, _smooth(points, colours))
     canvas.draw_legend(figure, legend, MARGIN_PX, TITLE_PX + VIEW_PX + MARGIN_PX, width)
     canvas.save_png(figure, path)
 
@@ -113,10 +95,9 @@ def birds_eye(path: Path, points: Float, views: Sequence[View], legend: Legend =
 def _smooth(points: Float, colours: Colours) -> Colours:
     """Draw larger and average down, so that edges of points are soft."""
     large = raster(points, colours, REACH_M, VIEW_PX * OVERSAMPLING, spread=3)
-    blocks: npt.NDArray[np.float64] = large.reshape(
-        VIEW_PX, OVERSAMPLING, VIEW_PX, OVERSAMPLING, 3
-    ).mean(axis=(1, 3))
-    return blocks.round().astype(np.uint8)
+    blocks = large.reshape(VIEW_PX, OVERSAMPLING, VIEW_PX, OVERSAMPLING, 3)
+    picture: Colours = blocks.mean(axis=(1, 3)).round().astype(np.uint8)
+    return picture
 
 
 def _draw(axes: Axes, picture: Colours) -> None:

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: MIT
-"""A figure measured in pixels, and how it is saved.
+"""Figures measured in pixels, their axes, text and legend, and PNG files of them.
 
-Figures are made and saved as objects; nothing here touches pyplot or another global state, so
-that drawing works in any thread or process and without a display.
+Figures are made and saved as objects, without pyplot or another global state, so that drawing
+works in any thread or process and without a display.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
-from salsanext_cli.report.colours import EMPTY, Colours, Legend
+from salsanext_cli.report.colours import EMPTY, Legend
 from salsanext_cli.storage.atomic import write_bytes
 
 if TYPE_CHECKING:
@@ -26,7 +26,7 @@ NIGHT = "#{:02x}{:02x}{:02x}".format(*(c // 2 for c in EMPTY))
 """Background of pictures of scans: darker than `EMPTY`, so that strips have an edge."""
 INK = "#e8e8ea"
 FAINT = "#8a8f98"
-"""Colours of text and of helping lines on `NIGHT`."""
+"""Colours of text and of grid lines on `NIGHT`."""
 DARK = "#22262c"
 PALE = "#c9ced6"
 """The same on `PAPER`."""
@@ -51,7 +51,7 @@ def axes_at(figure: Figure, left: int, top: int, width: int, height: int) -> Axe
 def text_at(figure: Figure, left: int, top: int, text: str, size: int, colour: str = INK) -> None:
     """Write text whose middle line is at `top`, in pixels from the upper left corner.
 
-    Names come from files and may hold a dollar sign: it is not taken for mathematics.
+    Names come from files and may hold a dollar sign, which does not start mathematics.
     """
     width, height = figure.get_size_inches() * DPI
     figure.text(
@@ -75,7 +75,7 @@ def new_plot(
 
 
 def plain_frame(axes: Axes, grid: Literal["both", "x"] | None = "both") -> None:
-    """Leave out the box and the ticks; draw thin lines behind what is plotted."""
+    """Remove the box and the ticks; draw a thin grid behind the data."""
     if grid:
         axes.grid(axis=grid, color=PALE, linewidth=0.6)
         axes.set_axisbelow(True)
@@ -103,11 +103,6 @@ def legend_height(legend: Legend, width: int) -> int:
     """Return the pixels that `draw_legend` needs."""
     columns = max(1, width // LEGEND_STEP_PX)
     return -(-len(legend) // columns) * LEGEND_ROW_PX
-
-
-def stretched(picture: Colours, rows: int, columns: int) -> Colours:
-    """Repeat every pixel so that nothing has to be interpolated."""
-    return picture.repeat(rows, axis=0).repeat(columns, axis=1)
 
 
 def png_of(figure: Figure) -> bytes:

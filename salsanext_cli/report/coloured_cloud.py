@@ -11,18 +11,17 @@ import numpy as np
 import numpy.typing as npt
 
 from salsanext_cli.classes import LabelSpace
-from salsanext_cli.report.colours import error_colours, label_colours, value_colours
+from salsanext_cli.report.colours import COLOUR_MAP, error_colours, value_colours
 from salsanext_cli.storage.scan_results import UNCERTAINTY, ScanResults
 
 CLASS_COLOURS = ("label", "truth", "error")
 COLOURS = (*CLASS_COLOURS, "intensity", "range", "uncertainty", *UNCERTAINTY)
-"""What points can be coloured by; "uncertainty" is the total, else the epistemic."""
-COLOUR_MAP = "viridis"
+"""Colourings of points; "uncertainty" is the total, else the epistemic."""
 
 
 @dataclass(frozen=True, slots=True)
 class PointColours:
-    """How points are coloured, the same for all scans of a run.
+    """Colouring of points, the same for all scans of a run.
 
     Attributes
     ----------
@@ -45,7 +44,7 @@ class PointColours:
 
     @property
     def legend(self) -> str:
-        """One line that says what the colours mean."""
+        """One line with the meaning of the colours."""
         low, high = self.scale
         return self.colour if self.is_class else f"{self.colour} {COLOUR_MAP} {low:.6g} {high:.6g}"
 
@@ -54,7 +53,7 @@ class PointColours:
     ) -> npt.NDArray[np.uint8]:
         """Return red, green and blue of every point, (N, 3), from its `scalar_columns`."""
         if not self.is_class:
-            return value_colours(columns[self.colour], *self.scale, COLOUR_MAP)
+            return value_colours(columns[self.colour], *self.scale)
         ids = {
             name: self.space.to_train(raw, strict=False)
             for name, raw in (("label", results.label), ("truth", results.truth))
@@ -62,4 +61,5 @@ class PointColours:
         }
         if self.colour == "error":
             return error_colours(ids["truth"], ids["label"], self.space)
-        return label_colours(ids[self.colour], self.space)
+        colours: npt.NDArray[np.uint8] = self.space.colours[ids[self.colour]]
+        return colours

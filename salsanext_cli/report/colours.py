@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Labels and values to colours; pictures and point clouds share these."""
+"""Colours of labels and values, for pictures and point clouds."""
 
 from __future__ import annotations
 
@@ -21,28 +21,9 @@ COLOUR_MAP = "viridis"
 """Name of matplotlib's colour map for values; it is perceptually uniform."""
 RIGHT = (92, 100, 112)
 WRONG = (255, 72, 48)
-"""Colours of a point whose label is right, and of one whose label is not."""
+"""Colours of points with a right and with a wrong label."""
 SCALE_PERCENTILES = (1.0, 99.0)
-"""Ends of a colour scale by default: a few outliers must not make all others look alike."""
-
-
-def label_colours(train: npt.NDArray[Any], space: LabelSpace) -> Colours:
-    """Return the label space's colour of each train id.
-
-    Parameters
-    ----------
-    train : integer, any shape
-        Train ids.
-    space : LabelSpace
-        Whose colours to take.
-
-    Returns
-    -------
-    (…, 3) uint8
-        Red, green, blue.
-    """
-    colours: Colours = space.colours[train]
-    return colours
+"""Ends of a colour scale by default, which leave out a few outliers."""
 
 
 def error_colours(
@@ -62,8 +43,8 @@ def error_colours(
     (…, 3) uint8
         Red, green, blue.
     """
-    verdict = np.where(space.scored[truth], 1 + (truth != predicted), 0)
-    return np.array((EMPTY, RIGHT, WRONG), np.uint8)[verdict]
+    place = np.where(space.scored[truth], 1 + (truth != predicted), 0)
+    return np.array((EMPTY, RIGHT, WRONG), np.uint8)[place]
 
 
 def value_range(values: npt.NDArray[Any]) -> tuple[float, float]:
@@ -72,12 +53,12 @@ def value_range(values: npt.NDArray[Any]) -> tuple[float, float]:
     Parameters
     ----------
     values : float, any shape
-        What will be coloured; NaN and infinity are left out.
+        Values to colour; NaN and infinity are left out.
 
     Returns
     -------
     tuple of float
-        The 1st and the 99th percentile; (0, 1) if there is nothing.
+        The 1st and the 99th percentile; (0, 1) without values.
     """
     finite = values[np.isfinite(values)]
     if not finite.size:
@@ -86,19 +67,15 @@ def value_range(values: npt.NDArray[Any]) -> tuple[float, float]:
     return float(low), float(high)
 
 
-def value_colours(
-    values: npt.NDArray[Any], low: float, high: float, colour_map: str = COLOUR_MAP
-) -> Colours:
+def value_colours(values: npt.NDArray[Any], low: float, high: float) -> Colours:
     """Colour values by a perceptually uniform map.
 
     Parameters
     ----------
     values : float, any shape
-        Values; those beyond the scale take its end's colour, NaN takes `EMPTY`.
+        Values; those beyond the scale get the colour of its end, NaN gets `EMPTY`.
     low, high : float
         The values at the two ends of the scale.
-    colour_map : str
-        Name of a matplotlib colour map.
 
     Returns
     -------
@@ -108,9 +85,8 @@ def value_colours(
     span = high - low if high > low else 1.0
     share = np.clip((values.astype(np.float64) - low) / span, 0, 1)
     position = np.rint(np.nan_to_num(share) * 255).astype(np.intp)
-    return np.where(
-        np.isnan(share)[..., None], np.array(EMPTY, np.uint8), map_colours(colour_map)[position]
-    )
+    colours = map_colours(COLOUR_MAP)[position]
+    return np.where(np.isnan(share)[..., None], np.array(EMPTY, np.uint8), colours)
 
 
 def map_colours(name: str) -> Colours:

@@ -15,11 +15,11 @@ NOTES = {
     "agrees": "* not the paper's number of parameters to the digit",
     "determined": "† the paper does not determine this network: the nearest reading",
 }
-"""Notes to the marks; a mark is set where the key is not true."""
+"""Footnotes; networks for which the key is false get the mark."""
 
 
 def network_table(networks: Sequence[Mapping[str, Any]]) -> Table:
-    """Return a table of networks: what they cost, and beside it in brackets the papers' figures."""
+    """Return a table of the costs of networks, with the papers' figures in brackets."""
     costs = ("parameters", "multiply-accumulates at 64×2048 (FLOPs)", "receptive field")
     headings = ("name", *costs, "mIoU without kNN, with, on test")
     title = "Networks, with the papers' figures in brackets"
@@ -66,7 +66,7 @@ def card_table(card: Mapping[str, Any]) -> Table:
 
 
 def _scores(scores: Mapping[str, Any]) -> str:
-    """Return names and numbers, rounded: the digits beyond are those of a few scans."""
+    """Return names and rounded numbers; further digits depend on a few scans."""
     from rich.markup import escape
 
     numbers = {name: f"{v:.3f}" if isinstance(v, float) else v for name, v in scores.items()}

@@ -12,10 +12,18 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
+from salsanext_cli.geometry.gather import pixels_from_points
 from salsanext_cli.records import RangeImage
 from salsanext_cli.report import canvas
-from salsanext_cli.report.colours import COLOUR_MAP, Colours, Legend, map_colours, value_range
-from salsanext_cli.report.range_image import on_pixels, scalar_picture
+from salsanext_cli.report.colours import (
+    COLOUR_MAP,
+    EMPTY,
+    Colours,
+    Legend,
+    map_colours,
+    value_colours,
+    value_range,
+)
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -46,7 +54,7 @@ class Strip:
     Attributes
     ----------
     title : str
-        Stands above it.
+        Text above the picture.
     picture : (H, W, 3) uint8
         Red, green, blue of every pixel; row 0 is the highest beam.
     bar : Bar, optional
@@ -58,19 +66,36 @@ class Strip:
     bar: Bar | None = None
 
 
+def coloured_strip(image: RangeImage, title: str, colours: Colours) -> Strip:
+    """Return a strip of the colours of points, (N, 3)."""
+    return Strip(title, pixels_from_points(colours, image.point_of_pixel, EMPTY))
+
+
 def range_strip(image: RangeImage) -> Strip:
-    """Return a strip of the distance of every pixel."""
-    distances = image.channels[0]
-    _, high = value_range(distances[image.point_of_pixel >= 0])
-    bar = Bar(0.0, high, "m")
-    return Strip("range", scalar_picture(image, distances, bar.low, bar.high), bar)
+    """Return a strip of the distance of every pixel, from 0 m."""
+    return _value_strip(image, "range", image.channels[0], "m", 0.0)
 
 
 def scalar_strip(image: RangeImage, title: str, values: npt.NDArray[Any]) -> Strip:
     """Return a strip of values of pixels (H, W) or points (N,); the scale spans most of them."""
-    pixels = values if values.ndim == 2 else on_pixels(image, values)
-    low, high = value_range(pixels[image.point_of_pixel >= 0])
-    return Strip(title, scalar_picture(image, pixels, low, high), Bar(low, high))
+    pixels = values if values.ndim == 2 else pixels_from_points(values, image.point_of_pixel)
+    return _value_strip(image, title, pixels)
+
+
+def _value_strip(
+    image: RangeImage,
+    title: str,
+    values: npt.NDArray[Any],
+    unit: str = "",
+    lowest: float | None = None,
+) -> Strip:
+    filled = image.point_of_pixel >= 0
+    low, high = value_range(values[filled])
+    low = low if lowest is None else lowest
+    colours = np.where(
+        filled[..., None], value_colours(values, low, high), np.array(EMPTY, np.uint8)
+    )
+    return Strip(title, colours, Bar(low, high, unit))
 
 
 def panel(path: Path, strips: Sequence[Strip], legend: Legend = ()) -> None:
@@ -79,13 +104,13 @@ def panel(path: Path, strips: Sequence[Strip], legend: Legend = ()) -> None:
     Parameters
     ----------
     path : Path
-        Where to write.
+        The file to write.
     strips : sequence of Strip
         From top to bottom.
     legend : list of (name, colour)
-        Stands below them.
+        Entries of the legend below them.
     """
-    sizes = [_drawn(strip.picture) for strip in strips]
+    sizes = [_enlarged(strip.picture) for strip in strips]
     width = max(picture.shape[1] for picture in sizes)
     body = sum(picture.shape[0] + TITLE_PX for picture in sizes)
     key = canvas.legend_height(legend, width)
@@ -104,12 +129,11 @@ def panel(path: Path, strips: Sequence[Strip], legend: Legend = ()) -> None:
     canvas.save_png(figure, path)
 
 
-def _drawn(picture: Colours) -> Colours:
-    """Stretch a picture to a legible size by repeating its pixels."""
-    height, width = picture.shape[:2]
-    return canvas.stretched(
-        picture, max(1, round(STRIP_HEIGHT_PX / height)), max(1, round(STRIP_WIDTH_PX / width))
-    )
+def _enlarged(picture: Colours) -> Colours:
+    """Enlarge a picture to a legible size by repeating its pixels."""
+    rows = max(1, round(STRIP_HEIGHT_PX / picture.shape[0]))
+    columns = max(1, round(STRIP_WIDTH_PX / picture.shape[1]))
+    return picture.repeat(rows, axis=0).repeat(columns, axis=1)
 
 
 def _draw(figure: Figure, picture: Colours, left: int, top: int) -> None:

@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -14,10 +14,6 @@ from salsanext_cli.measures.scores import Scores
 from salsanext_cli.report import canvas
 from salsanext_cli.report.canvas import DARK
 from salsanext_cli.report.tables import percent
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.colors import Colormap
 
 ROW_PX = 28
 """Height of a class in the bar plot."""
@@ -35,9 +31,9 @@ def iou_bars(result: Scores, space: LabelSpace) -> bytes:
     Parameters
     ----------
     result : Scores
-        What to draw; a class that is absent has no bar.
+        Scores to draw; a class that is absent has no bar.
     space : LabelSpace
-        Whose colours to take.
+        Colours of the classes.
     """
     height = ROW_PX * len(result.classes)
     title = f"{result.points:,} labelled points · accuracy {percent(result.accuracy, 1, ' %')}"
@@ -56,7 +52,11 @@ def iou_bars(result: Scores, space: LabelSpace) -> bytes:
             va="center_baseline",
             bbox={"facecolor": canvas.PAPER, "edgecolor": "none", "pad": 1.5},
         )
-    _mark_mean(axes, result, len(places))
+    mean = 100 * result.iou_mean_present
+    if not math.isnan(mean):
+        axes.axvline(mean, color=DARK, linewidth=1, linestyle=(0, (4, 3)))
+        text = f"mean of classes present {mean:.1f}"
+        axes.text(mean, -0.8, text, ha="center", fontsize=9, color=DARK)
     axes.set_yticks(places, [c.name for c in result.classes], parse_math=False)
     axes.set_ylim(len(places) - 0.5, -0.5)
     axes.set_xlim(0, 108)
@@ -64,16 +64,6 @@ def iou_bars(result: Scores, space: LabelSpace) -> bytes:
     axes.set_xlabel("IoU in %")
     canvas.plain_frame(axes, "x")
     return canvas.png_of(figure)
-
-
-def _mark_mean(axes: Axes, result: Scores, count: int) -> None:
-    mean = 100 * result.iou_mean_present
-    if math.isnan(mean):
-        return
-    axes.axvline(mean, color=DARK, linewidth=1, linestyle=(0, (4, 3)))
-    axes.text(
-        mean, -0.8, f"mean of classes present {mean:.1f}", ha="center", fontsize=9, color=DARK
-    )
 
 
 def confusion_picture(confusion: Confusion, space: LabelSpace) -> bytes:
@@ -84,15 +74,18 @@ def confusion_picture(confusion: Confusion, space: LabelSpace) -> bytes:
     confusion : Confusion
         Counts over the train ids of `space`.
     space : LabelSpace
-        Names the classes; ignored ones have no row, but the column of what was predicted.
+        Names of the classes; ignored ones have a column, but no row.
     """
+    import matplotlib
+
     matrix = confusion.counted(space.scored)
     scored, predicted = np.flatnonzero(space.scored), np.arange(space.class_count)
     shares = ratio(matrix, np.broadcast_to(matrix.sum(axis=1)[:, None], matrix.shape))[scored]
     width, height = CELL_PX * len(predicted), CELL_PX * len(scored)
     size = (width + NAMES_PX + 50, height + NAMES_PX + 10)
     figure, axes = canvas.new_plot(*size, (NAMES_PX, 30, width, height))
-    axes.imshow(np.ma.masked_invalid(shares), cmap=_blues(), vmin=0, vmax=1, aspect="auto")
+    blues = matplotlib.colormaps["Blues"].with_extremes(bad="#eceef1")
+    axes.imshow(np.ma.masked_invalid(shares), cmap=blues, vmin=0, vmax=1, aspect="auto")
     for (row, column), share in np.ndenumerate(shares):
         if share >= SMALLEST_SHARE:
             colour = "white" if share > 0.5 else DARK
@@ -112,9 +105,3 @@ def confusion_picture(confusion: Confusion, space: LabelSpace) -> bytes:
     axes.set_xlabel("prediction, % of the true class's points")
     canvas.plain_frame(axes, None)
     return canvas.png_of(figure)
-
-
-def _blues() -> Colormap:
-    import matplotlib
-
-    return matplotlib.colormaps["Blues"].with_extremes(bad="#eceef1")

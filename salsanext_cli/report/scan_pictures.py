@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Pictures of a scan: all that is known about it, and what a network in training predicts."""
+"""Pictures of a scan with its labels and results, and of a prediction during training."""
 
 from __future__ import annotations
 
@@ -14,18 +14,15 @@ from salsanext_cli.formats.kitti import read_labels
 from salsanext_cli.geometry.knn import knn_refine
 from salsanext_cli.geometry.projection import project
 from salsanext_cli.inference.network import Network
-from salsanext_cli.records import RangeImage
-from salsanext_cli.report.birds_eye import View, birds_eye
-from salsanext_cli.report.canvas import stretched
-from salsanext_cli.report.colours import Colours, error_colours, label_colours, legend_of
-from salsanext_cli.report.panel import Strip, panel, range_strip, scalar_strip
-from salsanext_cli.report.range_image import error_picture, label_picture
+from salsanext_cli.report.birds_eye import birds_eye
+from salsanext_cli.report.colours import Colours, error_colours, legend_of
+from salsanext_cli.report.panel import coloured_strip, panel, range_strip, scalar_strip
 from salsanext_cli.sensors import Sensor
 from salsanext_cli.storage.layout import ScanFile
 from salsanext_cli.storage.scan_results import read_results
 
 ROW_HEIGHT_PX = 3
-"""Height of a row of `draw_sample`, since beams are farther apart than columns."""
+"""Height of a row of `draw_sample`; beams are farther apart than columns."""
 GAP_PX = 6
 """White rows between its strips."""
 
@@ -40,13 +37,13 @@ def draw_scan(
     file : ScanFile
         The scan.
     out : Path
-        Holds what earlier stages left of it.
+        Output folder with results of earlier stages.
     space : LabelSpace
-        What the labels mean.
+        Meaning of the labels.
     sensor : Sensor
-        How to project it.
+        Sensor of the range image.
     folder : Path
-        Where the two pictures go.
+        Folder of the two pictures.
 
     Returns
     -------
@@ -58,24 +55,22 @@ def draw_scan(
     labels = {k: space.to_train(raw, strict=False) for k, raw in known.items() if raw is not None}
     legend = legend_of(space, *labels.values(), errors=len(labels) == 2)
     image = project(found.scan, sensor)
+    colours = _colours(labels, space)
     strips = [range_strip(image), scalar_strip(image, "intensity", image.channels[4])]
-    strips += _label_strips(image, labels, space)
+    strips += [coloured_strip(image, *each) for each in colours.items()]
     for kind, values in found.uncertainty.items():
         strips.append(scalar_strip(image, kind.replace("_", " "), values))
-    views = [View(title, label_colours(ids, space)) for title, ids in labels.items()]
-    if len(labels) == 2:
-        views.append(View("errors", error_colours(labels["truth"], labels["prediction"], space)))
     name = f"{file.sequence}_{file.stem}"
     range_path, above_path = folder / f"{name}_range.png", folder / f"{name}_above.png"
     panel(range_path, strips, legend)
-    birds_eye(above_path, found.scan.points, views, legend)
+    birds_eye(above_path, found.scan.points, colours, legend)
     return range_path, above_path
 
 
 def draw_sample(out: BinaryIO, file: ScanFile, network: Network) -> Colours:
     """Draw range, truth, prediction and errors of a labelled scan below each other, as PNG.
 
-    It is quick to draw: strips without words.
+    It is quick to draw: strips without text.
 
     Parameters
     ----------
@@ -84,7 +79,7 @@ def draw_sample(out: BinaryIO, file: ScanFile, network: Network) -> Colours:
     file : ScanFile
         The scan.
     network : Network
-        What predicts it, as `predict` does.
+        Network to predict it with, as `predict` does.
 
     Returns
     -------
@@ -99,21 +94,18 @@ def draw_sample(out: BinaryIO, file: ScanFile, network: Network) -> Colours:
     image = project(scan, sensor)
     pixel_labels = network.probabilities(image).argmax(axis=0)
     labels = knn_refine(image, pixel_labels, space.class_count)
-    strips = [
-        range_strip(image),
-        *_label_strips(image, {"truth": truth, "prediction": labels}, space),
-    ]
+    colours = _colours({"truth": truth, "prediction": labels}, space)
+    strips = [range_strip(image), *(coloured_strip(image, *each) for each in colours.items())]
     gap = np.full((GAP_PX, sensor.width, 3), 255, np.uint8)
-    rows = [part for s in strips for part in (gap, stretched(s.picture, ROW_HEIGHT_PX, 1))][1:]
+    rows = [part for s in strips for part in (gap, s.picture.repeat(ROW_HEIGHT_PX, axis=0))][1:]
     picture = np.concatenate(rows)
     imsave(out, picture, format="png")
     return picture
 
 
-def _label_strips(image: RangeImage, labels: dict[str, TrainIds], space: LabelSpace) -> list[Strip]:
-    """Return strips of train ids by title, and of the errors if there are truth and prediction."""
-    strips = [Strip(title, label_picture(image, ids, space)) for title, ids in labels.items()]
+def _colours(labels: dict[str, TrainIds], space: LabelSpace) -> dict[str, Colours]:
+    """Return the colours of points by title, and of the errors of a prediction with its truth."""
+    colours: dict[str, Colours] = {title: space.colours[ids] for title, ids in labels.items()}
     if len(labels) == 2:
-        errors = error_picture(image, labels["truth"], labels["prediction"], space)
-        strips.append(Strip("errors", errors))
-    return strips
+        colours["errors"] = error_colours(labels["truth"], labels["prediction"], space)
+    return colours

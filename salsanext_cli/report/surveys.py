@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Tables of what is in a set of scans."""
+"""Tables of the survey of a set of scans."""
 
 from __future__ import annotations
 

@@ -43,7 +43,7 @@ def score_table(result: Scores) -> Table:
     Parameters
     ----------
     result : Scores
-        What to show.
+        Scores to show.
 
     Returns
     -------
@@ -95,7 +95,7 @@ def _calibration_table(result: CalibrationResult) -> Table:
 
 
 def _ranking_table(kinds: Mapping[str, RankingResult]) -> Table:
-    """Return a table with a row per kind of uncertainty: how well it finds wrong points."""
+    """Return a table with a row of scores per kind of uncertainty."""
     columns = ("AUROC %", "AUPR %", "AURC %", "AUSE", "wrong %", "scans", "points")
     table = number_table("uncertainty", *columns, no_wrap=True)
     for kind, result in kinds.items():

@@ -47,11 +47,11 @@ BEST_ORDER_STYLE: dict[str, Any] = {
 LEFT, TOP, WIDTH, HEIGHT, TITLE_TOP = 80, 60, 600, 420, 30
 """Place of the main axes and of the title, in pixels."""
 BELOW_PX = 90
-"""Height of the axes below them that show where the points are."""
+"""Height in pixels of the axes below them, which show the distribution of the points."""
 
 
 def reliability_diagram(result: CalibrationResult) -> bytes:
-    """Draw accuracy against confidence, and below it where the points are, as a PNG.
+    """Draw accuracy against confidence, and the distribution of the points below, as a PNG.
 
     A bin without points has no bar.
     """
@@ -87,7 +87,7 @@ def reliability_diagram(result: CalibrationResult) -> bytes:
 
 
 def risk_coverage(kinds: Mapping[str, RankingResult]) -> bytes:
-    """Draw how many of the least uncertain points are wrong, a curve for each kind, as a PNG."""
+    """Draw the share of wrong points among the least uncertain, a curve per kind, as a PNG."""
     figure, axes = _main_plot(330, 70, "Wrong points among those that are kept")
     for kind, result in kinds.items():
         colour, dashes = LINES[kind]
@@ -102,7 +102,7 @@ def risk_coverage(kinds: Mapping[str, RankingResult]) -> bytes:
 
 
 def sparsification(kinds: Mapping[str, RankingResult]) -> bytes:
-    """Draw how the share of wrong points falls as the most uncertain are removed, as a PNG.
+    """Draw the share of wrong points that remain as the most uncertain are removed, as a PNG.
 
     A kind without wrong points has no curve.
     """
@@ -124,7 +124,7 @@ def sparsification(kinds: Mapping[str, RankingResult]) -> bytes:
 
 
 def _error_rates(kinds: Mapping[str, RankingResult]) -> list[float]:
-    """Return the different shares of wrong points: not every kind need be of the same points."""
+    """Return the different shares of wrong points; kinds may be known of different points."""
     scores = [result.scores for result in kinds.values()]
     return sorted({s.wrong / s.points for s in scores if s.wrong})
 

@@ -103,7 +103,7 @@ class Evaluation:
             "by_distance": {name: ring.to_dict() for name, ring in self.by_distance.items()},
             "classes": list(self.space.names),
             "confusion": self.confusion.matrix.tolist(),
-            **self.uncertainty.to_dict(),
+            **self.uncertainty.to_dict(self.space),
         }
 
 

@@ -44,19 +44,13 @@ def test_another_dtype_or_shape_is_refused(tmp_path, dtype, shape):
     assert np.dtype(dtype).str in caught.value.found
 
 
-@pytest.mark.parametrize("cut", [0, 1, 6, 8, 10, 64, 127, 128, 200, 287])
-def test_truncated(tmp_path, cut):
+@pytest.mark.parametrize("size", [0, 1, 6, 8, 10, 64, 127, 128, 200, 287, 289])
+def test_files_of_another_size(tmp_path, size):
     path = tmp_path / "a.npy"
     np.save(path, np.zeros(40, np.float32))
-    path.write_bytes(path.read_bytes()[:cut])
+    path.write_bytes((path.read_bytes() + b"x")[:size])
     with pytest.raises(FormatError):
         read_array(path, np.float32, (None,))
-
-
-def test_trailing_bytes(tmp_path):
-    (tmp_path / "a.npy").write_bytes(encode_array(np.zeros(4, np.float32)) + b"x")
-    with pytest.raises(FormatError, match="17 bytes of data"):
-        read_array(tmp_path / "a.npy", np.float32, (None,))
 
 
 class Trap:
@@ -74,17 +68,3 @@ def test_pickles_are_not_opened(tmp_path):
     path.write_bytes(pickle.dumps(Trap()))
     with pytest.raises(FormatError, match=r"not a \.npy file"):
         read_array(path, np.float32, (None,))
-
-
-@given(st.integers(0, 127), st.integers(0, 255))
-@settings(max_examples=200, deadline=None)
-def test_a_damaged_header_is_refused_or_harmless(tmp_path_factory, position, value):
-    damaged = bytearray(encode_array(np.arange(10, dtype=np.float32)))
-    damaged[position] = value
-    path = tmp_path_factory.mktemp("damaged") / "a.npy"
-    path.write_bytes(damaged)
-    try:
-        array = read_array(path, np.float32, (None,))
-    except FormatError:
-        return
-    np.testing.assert_array_equal(array, np.arange(10, dtype=np.float32))

@@ -125,30 +125,6 @@ def test_padding_and_fields_of_several_values(tmp_path):
     np.testing.assert_array_equal(scan.intensity, np.float32([1, 0.2]))
 
 
-def test_float_intensity_is_scaled_and_float64_may_be_large(tmp_path):
-    path = tmp_path / "s.pcd"
-    path.write_bytes(
-        header("x:F8 y:F8 z:F8 intensity:F4", 1) + struct.pack("<3df", 1e300, 2, 3, 51)
-    )
-    scan = read_scan(path, intensity_scale=255)
-    np.testing.assert_array_equal(scan.points, np.float32([[np.inf, 2, 3]]))
-    np.testing.assert_array_equal(scan.intensity, np.float32([0.2]))
-
-
-def test_without_intensity_it_is_zero(tmp_path):
-    path = tmp_path / "s.pcd"
-    path.write_bytes(header("x:F4 y:F4 z:F4 rgb:F4", 1) + struct.pack("<4f", 1, 2, 3, 4))
-    assert read_pcd(path).intensity.tolist() == [0]
-
-
-@pytest.mark.parametrize("data", ["ascii", "binary", "binary_compressed"])
-def test_empty_cloud(tmp_path, data):
-    path = tmp_path / "s.pcd"
-    body = stored_as_literals(b"") if data == "binary_compressed" else b""
-    path.write_bytes(header(points=0, data=data) + body)
-    assert len(read_pcd(path)) == 0
-
-
 def test_ascii(tmp_path):
     path = tmp_path / "s.pcd"
     fields = "x:F4 y:F4 z:F4 normal:F4:2 intensity:U1"
@@ -156,6 +132,20 @@ def test_ascii(tmp_path):
     scan = read_pcd(path)
     np.testing.assert_array_equal(scan.points, np.float32([[1, np.nan, 3], [0, 5, np.inf]]))
     np.testing.assert_array_equal(scan.intensity, np.float32([0.2, 1]))
+
+
+@pytest.mark.parametrize("data", ["ascii", "binary", "binary_compressed"])
+def test_clouds_without_points_or_intensity_and_of_large_float64(tmp_path, data):
+    path = tmp_path / "s.pcd"
+    for rows in ([], [(1e300, 2, 3)]):
+        plain = b"".join(struct.pack("<3d", *row) for row in rows)
+        text = "".join(f"{x} {y} {z}\n" for x, y, z in rows).encode()
+        packed = stored_as_literals(plain)
+        body = {"ascii": text, "binary": plain, "binary_compressed": packed}[data]
+        path.write_bytes(header("x:F8 y:F8 z:F8", len(rows), data) + body)
+        scan = read_pcd(path)
+        assert scan.points.tolist() == [[np.inf, 2, 3]] * len(rows)
+        assert scan.intensity.tolist() == [0] * len(rows)
 
 
 def test_old_header_without_count_and_points(tmp_path):

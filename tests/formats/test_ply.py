@@ -54,17 +54,6 @@ def test_every_column_survives(tmp_path_factory, data):
     np.testing.assert_array_equal(scan.intensity, columns["intensity"])
 
 
-def test_bytes(tmp_path):
-    path = tmp_path / "s.ply"
-    columns = {axis: np.float32([value]) for axis, value in zip("xyz", (1, 2, 3), strict=True)}
-    write_ply(path, columns | {"red": np.uint8([255])}, comments=["grün\nzwei", "10 %"])
-    assert path.read_bytes() == (
-        b"ply\nformat binary_little_endian 1.0\ncomment gr\\xfcn zwei\ncomment 10 %\n"
-        b"element vertex 1\nproperty float x\nproperty float y\nproperty float z\n"
-        b"property uchar red\nend_header\n" + struct.pack("<3fB", 1, 2, 3, 255)
-    )
-
-
 def test_open3d_opens_what_is_written(tmp_path):
     open3d = pytest.importorskip("open3d")
     rng = np.random.default_rng(0)
@@ -97,22 +86,22 @@ def test_names_of_the_intensity(tmp_path, name):
     np.testing.assert_array_equal(scan.intensity, np.float32([0.2, 1]))
 
 
-def test_byte_intensity_float64_and_big_endian(tmp_path):
+@pytest.mark.parametrize(
+    ("data", "row"),
+    [
+        ("ascii", b"1 2 3 51\n"),
+        ("binary_little_endian", struct.pack("<3dB", 1, 2, 3, 51)),
+        ("binary_big_endian", struct.pack(">3dB", 1, 2, 3, 51)),
+    ],
+)
+def test_float64_and_bytes_in_every_encoding(tmp_path, data, row):
     path = tmp_path / "s.ply"
-    path.write_bytes(
-        header("double x,double y,double z,uchar intensity", 1, "binary_big_endian")
-        + struct.pack(">3dB", 1, 2, 3, 51)
-    )
-    scan = read_scan(path, intensity_scale=100)
-    assert scan.points.tolist() == [[1, 2, 3]]
-    np.testing.assert_array_equal(scan.intensity, np.float32([0.2]))
-
-
-@pytest.mark.parametrize("data", ["ascii", "binary_little_endian", "binary_big_endian"])
-def test_empty(tmp_path, data):
-    path = tmp_path / "s.ply"
-    path.write_bytes(header(count=0, data=data))
-    assert len(read_ply(path)) == 0
+    for count in (0, 2):
+        properties = "double x,double y,double z,uchar intensity"
+        path.write_bytes(header(properties, count, data) + row * count)
+        scan = read_scan(path, intensity_scale=100)
+        assert scan.points.tolist() == [[1, 2, 3]] * count
+        np.testing.assert_array_equal(scan.intensity, np.float32([0.2] * count))
 
 
 @pytest.mark.parametrize(

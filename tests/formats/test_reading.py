@@ -1,7 +1,8 @@
 # SPDX-License-Identifier: MIT
-"""What is missing, no file, or changes while it is read."""
+"""Names that are no files, and files that change while they are read."""
 
 import os
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -21,26 +22,20 @@ READERS = dict.fromkeys(SCAN_SUFFIXES, read_scan) | {
 
 
 @pytest.mark.parametrize("suffix", READERS)
-def test_what_is_no_file_is_refused_at_once(tmp_path, suffix):
-    path, read = tmp_path / f"s{suffix}", READERS[suffix]
-    with pytest.raises(FormatError, match="no such file"):
-        read(path)
-    path.mkdir()
-    with pytest.raises(FormatError, match="is a directory"):
-        read(path)
-    path.rmdir()
-    path.symlink_to(path.name)
-    with pytest.raises(FormatError, match="too many levels of symbolic links"):
-        read(path)
-    path.unlink()
-    # Neither waits for a writer nor reads without an end.
-    os.mkfifo(path)
-    with pytest.raises(FormatError, match="neither a file nor a link to one"):
-        read(path)
-    path.unlink()
-    path.symlink_to("/dev/zero")
-    with pytest.raises(FormatError, match="neither a file nor a link to one"):
-        read(path)
+def test_other_things_than_files_are_refused_at_once(tmp_path, suffix):
+    """A reader neither waits for the writer of a pipe nor reads a device without end."""
+    things = {
+        "no such file": lambda path: None,
+        "is a directory": Path.mkdir,
+        "too many levels of symbolic links": lambda path: path.symlink_to(path.name),
+        "neither a file nor a link to one": os.mkfifo,
+        "file nor a link": lambda path: path.symlink_to("/dev/zero"),
+    }
+    for number, (message, make) in enumerate(things.items()):
+        path = tmp_path / f"{number}{suffix}"
+        make(path)
+        with pytest.raises(FormatError, match=message):
+            READERS[suffix](path)
 
 
 def test_names_that_lead_nowhere(tmp_path):

@@ -4,6 +4,7 @@
 import numpy as np
 import pytest
 
+from salsanext_cli.formats import read_scan
 from salsanext_cli.geometry.projection import project
 from salsanext_cli.records import Scan
 from salsanext_cli.sensors import sensor
@@ -26,10 +27,7 @@ def rings():
 
 @pytest.fixture(scope="session")
 def real_scan(real_data):
-    columns = np.fromfile(
-        real_data / "data/semantickitti/sequences/08/velodyne/000000.bin", "<f4"
-    ).reshape(-1, 4)
-    return Scan(columns[:, :3].copy(), columns[:, 3].copy())
+    return read_scan(real_data / "data/semantickitti/sequences/08/velodyne/000000.bin")
 
 
 @pytest.fixture(scope="session")

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""The rules of projection and kNN as loops that are obviously right, however slow."""
+"""Projection and kNN as slow loops without any optimisation."""
 
 import math
 
@@ -9,7 +9,7 @@ F = np.float32
 
 
 def slow_project(scan, sensor):
-    """One point after the other; returns the four arrays of a `RangeImage`."""
+    """Project one point after the other; return the four arrays of a `RangeImage`."""
     height, width = sensor.height, sensor.width
     down = F(math.radians(sensor.fov_down))
     extent = F(math.radians(sensor.fov_up) - math.radians(sensor.fov_down))
@@ -42,7 +42,7 @@ def slow_project(scan, sensor):
 
 
 def slow_weights(window, sigma):
-    """1 − a Gaussian whose sum over the window is 1."""
+    """Return 1 − a Gaussian whose sum over the window is 1."""
     half = window // 2
     gaussian = {
         (dy, dx): math.exp(-(dx * dx + dy * dy) / (2 * sigma * sigma))
@@ -54,7 +54,7 @@ def slow_weights(window, sigma):
 
 
 def slow_refine(image, labels, k, window, sigma, cutoff):
-    """Every point asks every pixel of its window, once."""
+    """Compare every point with every pixel of its window, once."""
     height, width = image.height, image.width
     ranges = image.channels[0]
     weights = slow_weights(window, sigma)
@@ -80,7 +80,7 @@ def slow_refine(image, labels, k, window, sigma, cutoff):
 
 
 def published_refine(ranges, labels, pixel_x, pixel_y, point_range, class_count=20):
-    """Edge rules as published: padding is range 0 and label 0, no vote means class 1, no wrap.
+    """Refine by the published edge rules: padding of range 0 and label 0, no vote is class 1.
 
     `ranges` is -1 where empty, which the published code turns to infinity.
     """

@@ -63,15 +63,13 @@ def test_points_without_a_measurement_do_not_count():
     level = replace(SMALL, fov_up=0.0)
     assert field_of_view_coverage(scan, level) == FieldOfViewCoverage(1, 1)
     assert field_of_view_coverage(at([]), SMALL).share == 0
+    assert (FieldOfViewCoverage(6, 1) + FieldOfViewCoverage(4, 2)).share == pytest.approx(0.3)
 
 
-def test_counts_add_up():
-    assert (FieldOfViewCoverage(6, 1) + FieldOfViewCoverage(4, 2)) == FieldOfViewCoverage(10, 3)
-    assert FieldOfViewCoverage(10, 3).share == pytest.approx(0.3)
-
-
-def test_a_long_run_says_so_early_and_only_then(caplog):
-    check = CoverageCheck(SMALL)
+def test_a_long_run_warns_early_and_once(caplog):
+    usual, check = CoverageCheck(SMALL), CoverageCheck(SMALL)
+    usual.add(FieldOfViewCoverage(100, 20))
+    usual.finish()
     for _ in range(EARLY_SCANS):
         assert not caplog.records
         check.add(FieldOfViewCoverage(10, 9))
@@ -79,11 +77,3 @@ def test_a_long_run_says_so_early_and_only_then(caplog):
     check.add(FieldOfViewCoverage(10, 9))
     check.finish()
     assert len(caplog.records) == 1
-
-
-def test_some_points_out_of_view_are_usual(caplog):
-    check = CoverageCheck(SMALL)
-    check.add(FieldOfViewCoverage(100, 20))
-    check.finish()
-    CoverageCheck(SMALL).finish()
-    assert not caplog.records

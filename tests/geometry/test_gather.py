@@ -35,6 +35,9 @@ def test_pixels_from_points_equals_a_loop(data, dtype, count):
     assert found.dtype == dtype
     expected = [[9 if i < 0 else values[i] for i in row] for row in indices.tolist()]
     np.testing.assert_array_equal(found, np.array(expected, dtype))
+    pairs = pixels_from_points(np.stack([values, values], axis=1), indices, (9, 8))
+    np.testing.assert_array_equal(pairs[..., 0], found)
+    assert (pairs[indices < 0] == (9, 8)).all()
 
 
 def test_there_and_back_gives_points_the_nearest_points_value():

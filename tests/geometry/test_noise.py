@@ -37,15 +37,6 @@ def test_empty_pixels_and_perfect_sensors_are_certain(channels):
     assert not input_variance(channels, perfect).any()
 
 
-def test_the_variance_of_a_point_straight_ahead():
-    channels = np.zeros((5, 1, 2), np.float32)
-    channels[:, 0, 0] = (10, 10, 0, 0, 0.5)
-    variance = input_variance(channels, NOISY)[:, 0, 0]
-    stds = np.array(NOISY.stds)
-    expected = np.array([0.03, 0.03, 0, 0, 0.1]) ** 2 / stds**2
-    np.testing.assert_allclose(variance, expected, rtol=1e-6)
-
-
 @pytest.mark.parametrize("missing", ["range_noise", "intensity_noise"])
 def test_a_sensor_that_does_not_know_its_noise(channels, missing):
     silent = replace(NOISY, **{missing: None})

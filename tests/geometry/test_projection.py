@@ -91,48 +91,6 @@ def test_field_of_view_of_one_sign():
     assert image.pixel_of_point.tolist() == [3, 2, 1, 0]
 
 
-def test_out_of_view():
-    points = ((5, 0, 5), (5, 0, 0), (5, 0, -5))
-    narrow = Sensor("narrow", 10, -10, 2, 1)
-    assert project(scan_of(*points), narrow).pixel_of_point.tolist() == [0, 1, 1]
-    dropping = Sensor("narrow", 10, -10, 2, 1, out_of_view="drop")
-    image = project(scan_of(*points), dropping)
-    assert image.pixel_of_point.tolist() == [-1, 1, -1]
-    assert image.point_range.tolist() == [0, 5, 0]
-
-
-def test_nearest_wins_and_the_first_of_equals():
-    image = project(scan_of((3, 0, 0), (2, 0, 0), (2, 0, 0), (4, 0, 0)), WIDE)
-    assert image.point_of_pixel.max() == 1
-    assert image.pixel_of_point.tolist() == [20] * 4
-    assert image.channels[:, 2, 4].tolist() == pytest.approx([2, 2, 0, 0, 0.1 + 0.8 / 3])
-
-
-def test_point_0_is_a_point_and_no_measurement_is_none():
-    nothing = [(0, 0, 0), (math.nan, 1, 1), (1, math.inf, 1), (1, 1, -math.inf), (3e38, 3e38, 1)]
-    image = project(scan_of((5, 0, 0), *nothing), WIDE)
-    assert image.pixel_of_point.tolist() == [20, -1, -1, -1, -1, -1]
-    assert image.point_range.tolist() == [5, 0, 0, 0, 0, 0]
-    assert image.point_of_pixel[2, 4] == 0
-    assert (image.point_of_pixel >= 0).sum() == (image.channels[0] > 0).sum() == 1
-
-
-def test_intensity_that_is_no_number_does_not_reach_the_image():
-    for bad in (math.nan, math.inf, -3e38):
-        image = project(Scan(scan_of((5, 0, 0)).points, np.array([bad], np.float32)), WIDE)
-        assert image.pixel_of_point.tolist() == [20]
-        assert image.channels[4].max() == image.channels[4].min() == 0
-
-
-@pytest.mark.parametrize("count", [0, 1, 1_000_000])
-def test_any_number_of_points(count):
-    points = np.random.default_rng(0).normal(0, 20, (count, 3)).astype(np.float32)
-    image = project(Scan(points, np.ones(count, np.float32)), sensor("hdl64"))
-    nearest = np.unique(image.point_of_pixel[image.point_of_pixel >= 0])
-    assert len(image.pixel_of_point) == count
-    assert len(nearest) == len(np.unique(image.pixel_of_point))
-
-
 def test_takes_views_and_read_only_arrays(rings):
     columns = np.column_stack([rings.points, rings.intensity])
     columns.setflags(write=False)

@@ -11,14 +11,14 @@ from salsanext_cli.measures.calibration import (
     calibration_scores,
     softmax_errors,
 )
-from salsanext_cli.measures.reliability import CONFIDENCES, adaptive_error, reliability
+from salsanext_cli.measures.reliability import adaptive_error, reliability
 
 C = 4
 SEEDS = pytest.mark.parametrize("seed", range(4))
 
 
 def softmax(seed: int, count: int = 200, scale: float = 3) -> tuple[np.ndarray, np.ndarray]:
-    """Return float16 probabilities, some of them rounded to 0 and 1, and a truth they may miss."""
+    """Return float16 probabilities, some of them rounded to 0 and 1, and true classes."""
     rng = np.random.default_rng(seed)
     logits = rng.normal(0, scale, (count, C))
     powers = np.exp(logits - logits.max(axis=1, keepdims=True))
@@ -55,23 +55,18 @@ def slow_adaptive_error(probabilities: np.ndarray, truth: np.ndarray, bins: int)
 
 
 @SEEDS
-def test_log_likelihood_is_scikit_learns(seed):
+def test_log_likelihood_and_brier_are_those_of_scikit_learn(seed):
     probabilities, truth = softmax(seed)
+    exact = probabilities.astype(float)
+    exact /= exact.sum(axis=1, keepdims=True)
+    expected = brier_score_loss(truth, exact, labels=range(C), scale_by_half=False)
+    assert calibration_scores(of(exact, truth)).brier == pytest.approx(expected, rel=1e-12)
     clamped = np.maximum(probabilities.astype(float), SMALLEST_PROBABILITY)
     # Rows that do not sum to 1 are scaled there, so the true class's share is given as one of two.
     of_truth = clamped[np.arange(len(truth)), truth]
     pairs = np.stack([1 - of_truth, of_truth], axis=1)
     expected = log_loss(np.ones(len(truth)), pairs, labels=[0, 1])
     assert calibration_scores(of(probabilities, truth)).nll == pytest.approx(expected, rel=1e-12)
-
-
-@SEEDS
-def test_brier_is_scikit_learns(seed):
-    probabilities, truth = softmax(seed)
-    exact = probabilities.astype(float)
-    exact /= exact.sum(axis=1, keepdims=True)
-    expected = brier_score_loss(truth, exact, labels=range(C), scale_by_half=False)
-    assert calibration_scores(of(exact, truth)).brier == pytest.approx(expected, rel=1e-12)
 
 
 @SEEDS
@@ -89,16 +84,8 @@ def test_errors_are_those_of_a_slow_loop(seed, scale):
     assert result.confidence == pytest.approx(probabilities.max(axis=1).astype(float).mean())
 
 
-def test_borders_belong_to_the_bin_below():
-    counts = np.zeros((2, len(CONFIDENCES)), np.int64)
-    for confidence in (0, 0.25, 0.5, np.nextafter(np.float16(0.5), np.float16(1)), 1):
-        counts[0, np.searchsorted(CONFIDENCES, np.float16(confidence))] += 1
-    diagram = reliability(counts, 4)
-    assert diagram.points.tolist() == [2, 1, 1, 1]
-    np.testing.assert_allclose(diagram.confidence, [0.125, 0.5, 0.5 + 2**-11, 1], rtol=1e-15)
-
-
-def test_the_diagram_of_sure_and_unsure_points():
+def test_diagram_by_hand():
+    """A confidence at the border of two bins belongs to the lower one."""
     probabilities = np.array([[0.75, 0.25], [0.75, 0.25], [0.75, 0.25], [1, 0]], np.float16)
     diagram = reliability(of(probabilities, np.array([0, 0, 1, 1])).total().counts[:, 0], 4)
     assert diagram.points.tolist() == [0, 0, 3, 1]
@@ -107,17 +94,8 @@ def test_the_diagram_of_sure_and_unsure_points():
     assert diagram.error == pytest.approx((3 * abs(2 / 3 - 0.75) + 1) / 4)
 
 
-def test_a_calibrated_network_has_no_error():
-    """Of the points with confidence 3/4, three of four are right."""
-    probabilities = np.tile(np.array([0.75, 0.25, 0, 0], np.float16), (400, 1))
-    result = calibration_scores(of(probabilities, np.repeat([0, 0, 0, 1], 100)))
-    assert (result.ece, result.ace) == (0, 0)
-    assert result.nll == pytest.approx(-0.75 * math.log(0.75) - 0.25 * math.log(0.25))
-    assert result.brier == pytest.approx(0.75 * 2 * 0.25**2 + 0.25 * 2 * 0.75**2)
-
-
 def test_bins_of_equal_mass_divide_ties_in_proportion():
-    """All of one confidence: however many bins, each is a fair sample."""
+    """Of points of one confidence, each bin holds the same shares of right and wrong ones."""
     probabilities = np.tile(np.array([0.5, 0.25, 0.25, 0], np.float16), (7, 1))
     truth = np.array([0, 0, 1, 1, 1, 1, 1])
     counts = of(probabilities, truth).total().counts[:, 0]
@@ -125,7 +103,7 @@ def test_bins_of_equal_mass_divide_ties_in_proportion():
         assert adaptive_error(counts, bins) == pytest.approx(0.5 - 2 / 7)
 
 
-def test_a_probability_that_is_0_on_disk_costs_no_more_than_the_smallest():
+def test_a_probability_of_0_costs_as_much_as_the_smallest_float16():
     probabilities = np.array([[1, 0, 0, 0]], np.float16)
     result = calibration_scores(of(probabilities, np.array([1])))
     assert result.nll == pytest.approx(24 * math.log(2))
@@ -133,26 +111,16 @@ def test_a_probability_that_is_0_on_disk_costs_no_more_than_the_smallest():
     assert result.ece == result.ace == 1
 
 
-def test_groups_together_are_the_whole():
+def test_groups_are_separate_and_points_without_a_softmax_left_out():
     probabilities, truth = softmax(1)
-    by_truth = of(probabilities, truth)
-    parts = [by_truth.group(i) for i in range(C)]
-    assert by_truth.points.tolist() == np.bincount(truth, minlength=C).tolist()
-    for i, part in enumerate(parts):
-        alone = of(probabilities[truth == i], truth[truth == i])
-        assert calibration_scores(part) == calibration_scores(alone)
-    at_once = ConfidenceHistogram(1)
-    at_once.update(softmax_errors(probabilities, truth), np.zeros_like(truth))
-    np.testing.assert_array_equal(by_truth.total().counts, at_once.counts)
-
-
-def test_points_without_a_softmax_are_left_out_and_counted():
-    probabilities, truth = softmax(2, 20)
     some = probabilities.copy()
     some[::2] = np.nan
-    histogram = of(some, truth)
-    assert histogram.left_out == 10
-    assert calibration_scores(histogram) == calibration_scores(of(probabilities[1::2], truth[1::2]))
+    by_truth = of(some, truth)
+    assert by_truth.left_out == 100
+    assert by_truth.points.tolist() == np.bincount(truth[1::2], minlength=C).tolist()
+    for i in range(C):
+        alone = of(probabilities[1::2][truth[1::2] == i], truth[1::2][truth[1::2] == i])
+        assert calibration_scores(by_truth.group(i)) == calibration_scores(alone)
 
 
 @pytest.mark.parametrize("count", [0, 3])
@@ -164,14 +132,7 @@ def test_without_points_there_are_no_scores(count):
         assert math.isnan(getattr(result, name)), name
 
 
-def test_one_point_and_one_class():
-    zero = np.zeros(1, int)
-    one = ConfidenceHistogram(1).update(softmax_errors(np.ones((1, 1)), zero), zero)
-    result = calibration_scores(one)
-    assert (result.nll, result.brier, result.ece, result.ace) == (0, 0, 0, 0)
-
-
-def test_what_does_not_fit_is_refused():
+def test_arrays_that_do_not_fit_are_refused():
     probabilities, truth = softmax(4, 10)
     with pytest.raises(ValueError, match=r"truth: \(9,\)"):
         softmax_errors(probabilities, truth[:9])

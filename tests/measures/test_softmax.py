@@ -2,23 +2,18 @@
 import math
 
 import numpy as np
-import pytest
 from scipy.stats import entropy
 
 from salsanext_cli.measures.softmax import lack_of_confidence, softmax_entropy
 
 
-@pytest.fixture
-def softmax():
-    logits = np.random.default_rng(0).normal(0, 4, (300, 20))
-    powers = np.exp(logits)
-    return powers / powers.sum(axis=1, keepdims=True)
-
-
-def test_entropy_is_scipys(softmax):
+def test_entropy_is_that_of_scipy_and_confidence_the_largest():
+    powers = np.exp(np.random.default_rng(0).normal(0, 4, (300, 20)))
+    softmax = powers / powers.sum(axis=1, keepdims=True)
     found = softmax_entropy(softmax)
     assert found.dtype == np.float32
     np.testing.assert_allclose(found, entropy(softmax, axis=1), atol=1e-5)
+    np.testing.assert_allclose(lack_of_confidence(softmax), 1 - softmax.max(axis=1), atol=1e-6)
 
 
 def test_the_ends_of_the_scale():
@@ -28,17 +23,13 @@ def test_the_ends_of_the_scale():
     assert not np.signbit(softmax_entropy(rows)).any()
 
 
-def test_lack_of_confidence_is_one_minus_the_largest(softmax):
-    np.testing.assert_allclose(lack_of_confidence(softmax), 1 - softmax.max(axis=1), atol=1e-6)
-
-
-def test_sure_points_are_told_apart_although_float16_rounds_them_to_1():
+def test_confident_points_differ_although_float16_rounds_them_to_1():
     rows = np.array([[1 - 1e-4, 1e-4], [1 - 1e-5, 1e-5]], np.float16)
     assert (rows[:, 0] == 1).all()
     np.testing.assert_allclose(lack_of_confidence(rows), [1e-4, 1e-5], rtol=5e-3)
 
 
-def test_what_is_not_there_stays_so():
+def test_points_without_a_softmax_have_none():
     nothing = np.full((1, 3), np.nan, np.float16)
     assert np.isnan(lack_of_confidence(nothing)).all()
     assert np.isnan(softmax_entropy(nothing)).all()

@@ -3,7 +3,7 @@ import numpy as np
 import pytest
 from matplotlib.image import imread
 
-from salsanext_cli.report.birds_eye import MARGIN_PX, TITLE_PX, VIEW_PX, View, birds_eye, raster
+from salsanext_cli.report.birds_eye import MARGIN_PX, TITLE_PX, VIEW_PX, birds_eye, raster
 from salsanext_cli.report.colours import EMPTY
 
 RED, GREEN = (255, 0, 0), (0, 255, 0)
@@ -39,8 +39,9 @@ def test_a_higher_point_hides_a_lower_one(spread):
 
 
 @pytest.mark.parametrize("point", [(np.nan, 0, 0), (np.inf, 0, 0), (10.01, 0, 0), (0, -1e9, 0)])
-def test_points_that_cannot_be_seen_are_left_out(point):
+def test_points_outside_the_view_are_left_out(point):
     assert (seen([point], [RED]) == EMPTY).all()
+    assert (seen(np.zeros((0, 3)), np.zeros((0, 3))) == EMPTY).all()
 
 
 def test_large_points_are_cut_at_the_edge_not_wrapped():
@@ -50,27 +51,20 @@ def test_large_points_are_cut_at_the_edge_not_wrapped():
     assert green.tolist() == [[0, 0], [0, 1], [1, 0], [1, 1]]
 
 
-def test_no_points(tmp_path):
-    assert (seen(np.zeros((0, 3)), np.zeros((0, 3))) == EMPTY).all()
-
-
 def test_views_are_side_by_side(tmp_path):
     rng = np.random.default_rng(3)
     points = rng.uniform(-40, 40, (5000, 3)).astype(np.float32)
     points[:, 0] = abs(points[:, 0])
-    views = [
-        View("truth", np.full((5000, 3), RED, np.uint8)),
-        View("prediction", np.full((5000, 3), GREEN, np.uint8)),
-    ]
+    colours = {"truth": RED, "prediction": GREEN}
+    views = {title: np.full((5000, 3), colour, np.uint8) for title, colour in colours.items()}
     path = tmp_path / "birds eye.png"
     birds_eye(path, points, views, [("car", (1, 2, 250))])
     drawn = (imread(path)[:, :, :3] * 255).round().astype(np.uint8)
     assert drawn.shape[1] == 2 * VIEW_PX + 3 * MARGIN_PX
-    left = drawn[TITLE_PX : TITLE_PX + VIEW_PX, MARGIN_PX : MARGIN_PX + VIEW_PX].astype(int)
-    right = drawn[
-        TITLE_PX : TITLE_PX + VIEW_PX, 2 * MARGIN_PX + VIEW_PX : 2 * MARGIN_PX + 2 * VIEW_PX
-    ].astype(int)
-    for view, own, other in ((left, 0, 1), (right, 1, 0)):
+    starts = (MARGIN_PX, 2 * MARGIN_PX + VIEW_PX)
+    body = drawn[TITLE_PX : TITLE_PX + VIEW_PX].astype(int)
+    for start, own, other in zip(starts, (0, 1), (1, 0), strict=True):
+        view = body[:, start : start + VIEW_PX]
         coloured = view[..., own] - view[..., other] > 100
         assert coloured[: VIEW_PX // 2].sum() > 5000
         assert not coloured[VIEW_PX // 2 + 5 :].any()

@@ -1,5 +1,4 @@
 # SPDX-License-Identifier: MIT
-import sys
 from io import BytesIO
 
 import numpy as np
@@ -9,7 +8,6 @@ from matplotlib.image import imread
 from salsanext_cli.classes import LabelSpace, label_space
 from salsanext_cli.measures.confusion import Confusion
 from salsanext_cli.measures.scores import scores
-from salsanext_cli.report import plots
 from salsanext_cli.report.plots import CELL_PX, NAMES_PX, ROW_PX, confusion_picture, iou_bars
 
 SPACE = label_space()
@@ -65,11 +63,3 @@ def test_without_points_and_with_any_names_there_is_a_picture():
     for confusion in (Confusion(3), Confusion(3).update(np.array([1, 2]), np.array([1, 1]))):
         assert pixels(iou_bars(scores(confusion, space), space)).size
         assert pixels(confusion_picture(confusion, space)).size
-
-
-def test_drawing_leaves_no_state_behind():
-    iou_bars(scores(counts(), SPACE), SPACE)
-    assert (
-        "matplotlib.pyplot" not in sys.modules or not sys.modules["matplotlib.pyplot"].get_fignums()
-    )
-    assert not hasattr(plots, "matplotlib")
