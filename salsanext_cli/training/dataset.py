@@ -111,7 +111,7 @@ class Samples(Dataset[Sample]):
     space : LabelSpace
         Of their labels.
     sensor : Sensor
-        Geometry and normalisation of the images.
+        Projection and normalisation of the images.
     recipe : Recipe
         Settings of augmentation, mixing and cropping.
     rare : (C,) bool
@@ -124,10 +124,15 @@ class Samples(Dataset[Sample]):
     recipe: Recipe
     rare: npt.NDArray[np.bool_]
 
+    @property
+    def plan(self) -> SamplingPlan:
+        """Order of the samples in the whole training."""
+        return SamplingPlan(len(self.files), self.recipe)
+
     def __getitem__(self, key: SampleKey) -> Sample:
         """Return the sample at a position of the training, of the scan with an index."""
         position, index = key
-        width = SamplingPlan(len(self.files), self.recipe).crop_width(position)
+        width = self.plan.crop_width(position)
         random = np.random.default_rng((self.recipe.seed, SAMPLE, position))
         scan, labels = self._mixed(index, random)
         image = project(scan, self.sensor)
@@ -162,7 +167,6 @@ class Samples(Dataset[Sample]):
 
 def batches(
     samples: Samples,
-    plan: SamplingPlan,
     first_step: int,
     workers: int = 0,
     *,
@@ -173,8 +177,7 @@ def batches(
 
     Parameters
     ----------
-    samples, plan
-        The samples, and their order.
+    samples : Samples
     first_step : int
         Step to begin with.
     workers : int
@@ -187,7 +190,7 @@ def batches(
     loader: DataLoader[Any] = DataLoader(
         _ErrorsAsValues(samples),
         collate_fn=_collate,
-        batch_sampler=plan.batches(first_step, group),
+        batch_sampler=samples.plan.batches(first_step, group),
         num_workers=workers,
         # A fork would inherit locks that the threads of torch and numba may hold.
         multiprocessing_context="spawn" if workers else None,

@@ -9,34 +9,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-import numpy as np
-import numpy.typing as npt
 import torch
 from torch import Tensor, nn
 from torch.nn import functional as F
 
-from salsanext_cli.training.class_counts import class_shares
 from salsanext_cli.training.distributed import SINGLE_PROCESS, ProcessGroup
-
-
-def class_weights(counts: npt.NDArray[np.int64], scored: npt.NDArray[np.bool_]) -> Tensor:
-    """Weight every class by the inverse square root of its share of the scored points.
-
-    Parameters
-    ----------
-    counts : (C,) int64
-        Points of each class in the training data.
-    scored : (C,) bool
-        Classes that count.
-
-    Returns
-    -------
-    (C,) float32
-        1/√f_c; 0 for classes that are ignored or never seen.
-    """
-    share = class_shares(counts, scored)
-    weights = np.divide(1, np.sqrt(share), out=np.zeros_like(share), where=share > 0)
-    return torch.from_numpy(weights.astype(np.float32))
 
 
 def weighted_cross_entropy(
@@ -128,20 +105,14 @@ def lovasz_softmax(
     if not len(present):
         return probabilities.sum()
     foreground = truth == present[:, None]
-    of_class = probabilities.t()[present]
-    errors = torch.where(foreground, 1 - of_class, of_class)
-    return (errors * _gradient_of_own(errors.detach(), foreground, group)).sum() / len(present)
-
-
-def _gradient_of_own(errors: Tensor, foreground: Tensor, group: ProcessGroup) -> Tensor:
-    """Return `jaccard_gradient` of a worker's pixels, sorted in among those of all workers."""
-    if group.size == 1:
-        return jaccard_gradient(errors, foreground)
-    of_all = group.gather(errors)
-    gradient = jaccard_gradient(
-        torch.cat(of_all, 1), torch.cat(group.gather(foreground.byte()), 1).bool()
-    )
-    return torch.split(gradient, [each.shape[1] for each in of_all], 1)[group.rank]
+    predicted = probabilities.t()[present]
+    errors = torch.where(foreground, 1 - predicted, predicted)
+    # A worker's pixels are sorted in among those of all workers.
+    of_all = group.gather(errors.detach())
+    of_class = torch.cat(group.gather(foreground.byte()), 1).bool()
+    gradients = jaccard_gradient(torch.cat(of_all, 1), of_class)
+    own = torch.split(gradients, [each.shape[1] for each in of_all], 1)[group.rank]
+    return (errors * own).sum() / len(present)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

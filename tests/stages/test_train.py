@@ -30,9 +30,9 @@ from salsanext_cli.stages.train import TrainResult, train
 from salsanext_cli.storage.point_files import write_labels
 from salsanext_cli.training import dataset as dataset_module
 from salsanext_cli.training import fit
+from salsanext_cli.training.class_counts import class_weights
 from salsanext_cli.training.fit import Report
 from salsanext_cli.training.learner import Learner
-from salsanext_cli.training.losses import class_weights
 from salsanext_cli.training.recipe import Recipe, recipe
 
 TINY = Recipe(
@@ -296,18 +296,18 @@ def test_rare_classes_and_weights_come_from_the_training_split(
         labels = np.full(600, 40, np.uint32)
     pasted: list[np.ndarray] = []
     weights: list[Tensor] = []
-    paste, of = dataset_module.paste, Learner.of.__func__  # type: ignore[attr-defined]
+    paste, prepare = dataset_module.paste, Learner.__init__
 
     def spy_paste(onto: object, rare: tuple[object, np.ndarray], angles: object) -> object:
         pasted.append(rare[1])
         return paste(onto, rare, angles)  # type: ignore[arg-type]
 
-    def spy_of(cls: type[Learner], *given: object) -> Learner:
+    def spy_weights(self: Learner, *given: object) -> None:
         weights.append(given[2])  # type: ignore[arg-type]
-        return of(cls, *given)
+        prepare(self, *given)  # type: ignore[arg-type]
 
     monkeypatch.setattr(dataset_module, "paste", spy_paste)
-    monkeypatch.setattr(Learner, "of", classmethod(spy_of))
+    monkeypatch.setattr(Learner, "__init__", spy_weights)
     short = TINY.with_changes(epochs=1, samples_per_epoch=8, drop=0.0, paste=1.0)
     go(dataset, tmp_path / "run", recipe=short)
     space = label_space()

@@ -95,14 +95,11 @@ def test_all_else_stays_bit_for_bit(world, target):
 
 
 def test_it_is_the_same_every_time_and_changes_with_the_seed(world, target):
-    world.network.load()
-    state = torch.random.get_rng_state()
     first = go(world, target)
     content = target.read_bytes()
     assert go(world, target, overwrite=True) == first
     assert target.read_bytes() == content
     assert go(world, target, overwrite=True, seed=1).objectives != first.objectives
-    assert torch.equal(torch.random.get_rng_state(), state)
     assert {layer.rate for layer in dropouts(world.network.load().module)} == {0.2}
 
 

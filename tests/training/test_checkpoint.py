@@ -30,7 +30,7 @@ NAME = "c.safetensors"
 
 def learner(classes: int = 3, **changes: object) -> Learner:
     recipe = Recipe(epochs=9, optimiser="adamw", average=0.9).with_changes(**changes)
-    return Learner.of(TinyNetwork(classes), recipe, torch.ones(classes), torch.device("cpu"))
+    return Learner(TinyNetwork(classes), recipe, torch.ones(classes), torch.device("cpu"))
 
 
 def trained(**changes: object) -> Learner:

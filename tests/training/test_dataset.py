@@ -160,8 +160,7 @@ def test_workers_together_draw_what_one_alone_draws(size: int) -> None:
 
 def test_batches_do_not_depend_on_the_number_of_workers(files: list[ScanFile]) -> None:
     recipe = Recipe(epochs=2, batch=2, crop_width=32, mix=0.5, paste=0.5, whole_epochs=1)
-    plan = SamplingPlan(len(files), recipe)
-    alone, helped = (list(batches(samples(files, recipe), plan, 0, n)) for n in (0, 1))
+    alone, helped = (list(batches(samples(files, recipe), 0, n)) for n in (0, 1))
     assert len(alone) == len(helped) == 6
     assert [images.shape[3] for images, *_ in alone] == 3 * [32] + 3 * [SMALL.width]
     for one, other in zip(alone, helped, strict=True):

@@ -1,7 +1,6 @@
 # SPDX-License-Identifier: MIT
 import copy
 import math
-from dataclasses import replace
 
 import pytest
 import torch
@@ -28,7 +27,7 @@ def learner(**changes: object) -> Learner:
     with torch.random.fork_rng():
         torch.manual_seed(0)
         module = TinyNetwork(3, dropout=recipe.dropout)
-    return Learner.of(module, recipe, WEIGHTS, CPU)
+    return Learner(module, recipe, WEIGHTS, CPU)
 
 
 def test_the_loss_falls() -> None:
@@ -163,9 +162,8 @@ def test_a_part_of_whole_circles_holds_no_more_than_one_of_windows(
 ) -> None:
     """Or one circle; and no worker has more parts than images."""
     recipe = Recipe(batch=24, accumulate=accumulate, crop_width=512, whole_epochs=1)
-    learning = replace(
-        Learner.of(TinyNetwork(3), recipe, WEIGHTS, CPU), group=ProcessGroup(0, size)
-    )
+    learning = Learner(TinyNetwork(3), recipe, WEIGHTS, CPU)
+    learning.group = ProcessGroup(0, size)
     share = -(-24 // size)
     windows = -(-share // learning._parts(512)) * 512
     assert learning._parts(512) == min(accumulate, 24 // size)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from salsanext_cli.training import log
-from salsanext_cli.training.log import add_epoch, draw_curve, tensorboard_in, write_log
+from salsanext_cli.training.log import draw_curve, tensorboard_in, write_log
 
 ROWS = [
     {"epoch": 1, "loss": 3.25},
@@ -28,32 +28,6 @@ def test_curve_is_a_picture(tmp_path: Path) -> None:
     for rows in (ROWS, ROWS[:1]):
         draw_curve(tmp_path / "curve.png", rows)
         assert (tmp_path / "curve.png").read_bytes().startswith(b"\x89PNG")
-
-
-class Recorder:
-    """Stands for TensorBoard's writer and keeps what it is given."""
-
-    def __init__(self) -> None:
-        self.scalars: dict[str, tuple[float, int]] = {}
-        self.images: list[tuple[str, tuple[int, ...], int, str]] = []
-        self.flushed = 0
-
-    def add_scalar(self, name: str, value: float, step: int) -> None:
-        self.scalars[name] = (value, step)
-
-    def add_image(self, name: str, image: np.ndarray, step: int, dataformats: str) -> None:
-        self.images.append((name, image.shape, step, dataformats))
-
-    def flush(self) -> None:
-        self.flushed += 1
-
-
-def test_an_epoch_is_scalars_and_an_image() -> None:
-    recorder = Recorder()
-    add_epoch(recorder, ROWS[1], PICTURE)
-    assert recorder.scalars == {"loss": (2.5, 2), "miou": (0.25, 2), "iou/road": (0.5, 2)}
-    assert recorder.images == [("sample", (4, 6, 3), 2, "HWC")]
-    assert recorder.flushed == 1
 
 
 @pytest.mark.parametrize("wanted", [True, False])

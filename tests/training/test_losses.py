@@ -11,10 +11,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from torch.nn import functional as F
 
+from salsanext_cli.training.class_counts import class_weights
 from salsanext_cli.training.losses import (
     SegmentationLoss,
     WholeBatch,
-    class_weights,
     jaccard_gradient,
     lovasz_softmax,
     weighted_cross_entropy,
