@@ -1,6 +1,9 @@
 # SPDX-License-Identifier: MIT
 import csv
+import sys
 from pathlib import Path
+from types import SimpleNamespace
+from typing import ClassVar
 
 import numpy as np
 import pytest
@@ -38,6 +41,39 @@ def test_without_tensorboard_nothing_is_written(
     with tensorboard_in(tmp_path, "tensorboard", wanted=wanted) as write:
         write(ROWS[1], PICTURE)
     assert not list(tmp_path.iterdir())
+
+
+class Recorder:
+    """Stands for TensorBoard's writer, which need not be installed, and keeps what it is given."""
+
+    given: ClassVar[list[tuple[object, ...]]] = []
+
+    def __init__(self, folder: str) -> None:
+        self.given.clear()
+
+    def __enter__(self) -> "Recorder":
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.given.append(())
+
+    def add_scalar(self, *given: object) -> None:
+        self.given.append(given)
+
+    def add_image(self, name: str, image: np.ndarray, step: int, dataformats: str) -> None:
+        self.given.append((name, image.shape, step, dataformats))
+
+    def flush(self) -> None: ...
+
+
+def test_an_epoch_is_scalars_and_an_image(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    stand_in = SimpleNamespace(SummaryWriter=Recorder)
+    monkeypatch.setitem(sys.modules, "torch.utils.tensorboard", stand_in)
+    monkeypatch.setattr(log, "find_spec", lambda name: True)
+    with tensorboard_in(tmp_path, "events") as write:
+        write(ROWS[1], PICTURE)
+    scalars = [("loss", 2.5, 2), ("miou", 0.25, 2), ("iou/road", 0.5, 2)]
+    assert Recorder.given == [*scalars, ("sample", (4, 6, 3), 2, "HWC"), ()]
 
 
 def test_tensorboard_reads_what_was_written(tmp_path: Path) -> None:
