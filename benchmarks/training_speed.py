@@ -36,7 +36,7 @@ SIDES = ("plain", "ours")
 PARTS = ("data", "forward", "loss", "backward", "update", "book-keeping")
 CLOCKS = {"wall": time.perf_counter, "cpu": time.process_time}
 SAME = 1e-4
-"""How far the two losses of one batch may be apart, relatively; sums of float32 differ in order."""
+"""Largest relative difference of the two losses of a batch: sums of float32 differ in order."""
 
 
 class Laps:
@@ -59,7 +59,7 @@ class Laps:
 
 
 class Comparison:
-    """What both sides have in common: scans, recipe, weights."""
+    """Scans, recipe and weights that both sides have in common."""
 
     def __init__(self, options: argparse.Namespace) -> None:
         self.space, self.sensor = label_space(), sensor(options.sensor)

@@ -51,6 +51,7 @@ from salsanext_cli.training.run_folder import (
 from salsanext_cli.training.validation import evenly_spaced
 
 DEFAULT_SENSOR = "hdl64"
+"""Sensor of a training from random weights, unless another is given."""
 
 
 @dataclass(frozen=True, slots=True)

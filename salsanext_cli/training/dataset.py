@@ -26,16 +26,9 @@ from salsanext_cli.geometry.projection import project
 from salsanext_cli.records import Float
 from salsanext_cli.sensors import Sensor
 from salsanext_cli.storage.layout import ScanFile
-from salsanext_cli.training.augment import Augmentation
+from salsanext_cli.training.augment import LabelledScan, augment
 from salsanext_cli.training.distributed import SINGLE_PROCESS, ProcessGroup
-from salsanext_cli.training.mixing import (
-    PASTED_COPIES,
-    Checkerboard,
-    LabelledScan,
-    mix,
-    paste,
-    select,
-)
+from salsanext_cli.training.mixing import PASTED_COPIES, Checkerboard, mix, paste, select
 from salsanext_cli.training.recipe import Recipe
 from salsanext_cli.training.sampling import SAMPLE, SampleKey, SamplingPlan
 
@@ -144,15 +137,14 @@ class Samples(Dataset[Sample]):
     def _mixed(self, index: int, random: np.random.Generator) -> LabelledScan:
         """Return an augmented scan, mixed with others as often as the recipe says."""
         recipe = self.recipe
-        augment = Augmentation(recipe.rotate, recipe.shift, recipe.flip, recipe.drop)
-        labelled = augment(*self._read(index), random)
+        labelled = augment(self._read(index), recipe, random)
         # Without mixing nothing more is drawn, so that the samples are those of older versions.
         if recipe.mix and random.random() < recipe.mix:
-            partner = augment(*self._partner(index, random), random)
+            partner = augment(self._partner(index, random), recipe, random)
             labelled = mix(labelled, partner, Checkerboard.drawn(self.sensor, random))
         if recipe.paste and random.random() < recipe.paste:
             partner = self._partner(index, random)
-            rare = augment(*select(partner, self.rare[partner[1]]), random)
+            rare = augment(select(partner, self.rare[partner[1]]), recipe, random)
             labelled = paste(labelled, rare, random.uniform(-np.pi, np.pi, PASTED_COPIES))
         return labelled
 

@@ -14,7 +14,7 @@ from torch.nn.parallel import DistributedDataParallel
 
 from salsanext_cli.network.segmentation import SegmentationNetwork
 from salsanext_cli.training.distributed import SINGLE_PROCESS, ProcessGroup, data_parallel
-from salsanext_cli.training.losses import SegmentationLoss, WholeBatch
+from salsanext_cli.training.losses import SegmentationLoss
 from salsanext_cli.training.optimiser import (
     autocast,
     build_optimiser,
@@ -98,9 +98,9 @@ class Learner:
         layout = torch.channels_last if self.device.type == "cuda" else torch.contiguous_format
         truth = truth.to(self.device, non_blocking=True)
         parts = self._parts(images.shape[3])
-        whole = None
+        total = None
         if parts * self.group.size > 1:
-            whole = WholeBatch(self.group.sum(self.loss.weight_of(truth)), parts, self.group)
+            total = self.group.sum(self.loss.weight_of(truth))
         losses = []
         self.module.train()
         # Seeding every step makes it a function of its number, so that training can be resumed.
@@ -115,7 +115,7 @@ class Learner:
                     exchange = self.forward.no_sync()
                 with exchange:
                     with autocast(self.dtype, self.device):
-                        loss = self.loss(self.forward(some), labels, whole)
+                        loss = self.loss(self.forward(some), labels, total, parts, self.group)
                     # The workers' gradients are averaged, and their sum is wanted.
                     self.scaler.scale(loss * self.group.size).backward()
                 losses.append(loss.detach())

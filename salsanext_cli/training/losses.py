@@ -7,8 +7,6 @@ loss 0 and gradient 0.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import torch
 from torch import Tensor, nn
 from torch.nn import functional as F
@@ -115,25 +113,6 @@ def lovasz_softmax(
     return (errors * own).sum() / len(present)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class WholeBatch:
-    """The batch that a part's loss is a share of, so that the losses of all parts add up to one.
-
-    Attributes
-    ----------
-    weight : 0-d float tensor
-        Of all pixels of all parts of all workers.
-    parts : int
-        Number of parts of each worker.
-    group : ProcessGroup
-        The workers.
-    """
-
-    weight: Tensor
-    parts: int
-    group: ProcessGroup = SINGLE_PROCESS
-
-
 class SegmentationLoss(nn.Module):
     """Weighted cross-entropy plus Lovász-Softmax on logits (paper eq. 3).
 
@@ -159,12 +138,30 @@ class SegmentationLoss(nn.Module):
         """Return the weight of all pixels of integer truth (B, H, W), 0-d."""
         return self.weights[truth.long()].sum()
 
-    def forward(self, logits: Tensor, truth: Tensor, whole: WholeBatch | None = None) -> Tensor:
+    def forward(
+        self,
+        logits: Tensor,
+        truth: Tensor,
+        total_weight: Tensor | None = None,
+        parts: int = 1,
+        group: ProcessGroup = SINGLE_PROCESS,
+    ) -> Tensor:
         """Return the loss of logits (B, C, H, W) for integer truth (B, H, W), 0-d.
 
         Of a part of a batch it is the part's share: cross-entropy is the mean over all pixels of
         all parts. Lovász-Softmax is no mean over pixels: all workers' pixels of a part have one,
         and what counts is the mean over the parts.
+
+        Parameters
+        ----------
+        logits, truth
+            Of a batch, or of a part of it.
+        total_weight : 0-d float, optional
+            Weight of all pixels of all parts of all workers, if there are several.
+        parts : int
+            Number of parts of each worker.
+        group : ProcessGroup
+            The workers.
         """
         truth = truth.flatten().long()
         counts = (self.weights[truth] > 0).nonzero()[:, 0]
@@ -172,10 +169,10 @@ class SegmentationLoss(nn.Module):
         classes = logits.movedim(1, -1).reshape(-1, logits.shape[1])
         precise = torch.promote_types(logits.dtype, torch.float32)
         log_probabilities = F.log_softmax(classes[counts], 1, dtype=precise)
-        weights, total = self.weights.to(precise), whole.weight if whole else None
-        loss = weighted_cross_entropy(log_probabilities, truth, weights, total, self.smoothing)
+        loss = weighted_cross_entropy(
+            log_probabilities, truth, self.weights.to(precise), total_weight, self.smoothing
+        )
         if self.lovasz:
-            parts, group = (whole.parts, whole.group) if whole else (1, SINGLE_PROCESS)
             lovasz = lovasz_softmax(log_probabilities.exp(), truth, group)
             loss = loss + self.lovasz / parts * lovasz
         return loss

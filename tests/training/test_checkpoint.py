@@ -200,7 +200,7 @@ def test_headers_that_promise_more_than_there_is(
 
 
 def test_a_file_of_gigabytes_is_not_read(tmp_path: Path) -> None:
-    """Of holes, so that it takes no space; the name is known, the shape is another."""
+    """The file has holes, so that it takes no space; its tensor is of another shape."""
     size = 4 * 10**9
     entry = {"dtype": "F32", "shape": [size // 4], "data_offsets": [0, size]}
     header = json.dumps({"module.norm.running_mean": entry}).encode()

@@ -21,7 +21,7 @@ from salsanext_cli.training.losses import (
 
 Numbers = npt.NDArray[np.float64]
 SIXTHS = st.integers(0, 6).map(lambda k: k / 6)
-"""So few that most pixels tie with another."""
+"""Few values, so that most pixels tie with another."""
 
 
 def jaccard_losses(members: npt.NDArray[np.bool_]) -> Numbers:

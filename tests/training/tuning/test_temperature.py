@@ -29,7 +29,7 @@ def test_the_best_is_the_lowest_of_a_dense_grid(temperature):
 
 
 def test_two_points_in_closed_form():
-    """Of points with the logits (1, 0), three in four are of the first class: 1/T = ln 3."""
+    """Three in four points with the logits (1, 0) are of the first class: 1/T = ln 3."""
     logits = torch.tensor([[1.0, 0.0]]).expand(4, 2)
     truth = torch.tensor([0, 0, 0, 1])
     assert best_temperature(logits, truth) == pytest.approx(1 / math.log(3), rel=1e-7)
