@@ -27,18 +27,16 @@ from salsanext_cli.classes import label_space
 from salsanext_cli.network.registry import build
 from salsanext_cli.sensors import sensor
 from salsanext_cli.storage.layout import find_scans
-from salsanext_cli.training.class_counts import count_classes, rare_classes
+from salsanext_cli.training.class_counts import class_weights, count_classes, rare_classes
 from salsanext_cli.training.dataset import Samples, batches
 from salsanext_cli.training.learner import Learner
-from salsanext_cli.training.losses import class_weights
 from salsanext_cli.training.recipe import Recipe
-from salsanext_cli.training.sampling import SamplingPlan
 
 SIDES = ("plain", "ours")
 PARTS = ("data", "forward", "loss", "backward", "update", "book-keeping")
 CLOCKS = {"wall": time.perf_counter, "cpu": time.process_time}
 SAME = 1e-4
-"""How far the two losses of one batch may be apart, relatively; sums of float32 differ in order."""
+"""Largest relative difference of the two losses of a batch: sums of float32 differ in order."""
 
 
 class Laps:
@@ -61,7 +59,7 @@ class Laps:
 
 
 class Comparison:
-    """What both sides have in common: scans, recipe, weights."""
+    """Scans, recipe and weights that both sides have in common."""
 
     def __init__(self, options: argparse.Namespace) -> None:
         self.space, self.sensor = label_space(), sensor(options.sensor)
@@ -78,7 +76,7 @@ class Comparison:
 
     def stream(self) -> Iterator[tuple[Tensor, Tensor, Tensor]]:
         """Return the batches as `salsanext train` has them."""
-        return batches(self.samples, SamplingPlan(len(self.samples.files), self.recipe), 0)
+        return batches(self.samples, 0)
 
     def plain(self) -> tuple[float, Callable[[], object]]:
         """Return the plain loop's loss of the first batch, and what takes a step."""
@@ -93,7 +91,7 @@ class Comparison:
 
     def ours(self) -> tuple[float, Callable[[], object]]:
         """Return the same of our training, whose parts are told by hooks."""
-        learner = Learner.of(self.module, self.recipe, self.weights, torch.device("cpu"))
+        learner = Learner(self.module, self.recipe, self.weights, torch.device("cpu"))
         images, truth, _ = next(self.stream())
         learner.module.train()
         loss = self.first(lambda: learner.loss(learner.module(images), truth))

@@ -27,13 +27,17 @@ from salsanext_cli.sensors import sensor as preset_sensor
 from salsanext_cli.storage.identity import fingerprint
 from salsanext_cli.storage.layout import ScanFile, find_scans
 from salsanext_cli.storage.selection import data_set_label_space
-from salsanext_cli.training.class_counts import class_counts, rare_classes, require_labels
+from salsanext_cli.training.class_counts import (
+    class_counts,
+    class_weights,
+    rare_classes,
+    require_labels,
+)
 from salsanext_cli.training.dataset import Samples
 from salsanext_cli.training.distributed import ProcessGroup, group_of_environment, process_group
 from salsanext_cli.training.fit import Report, Training
 from salsanext_cli.training.learner import Learner
 from salsanext_cli.training.log import Row, tensorboard_in
-from salsanext_cli.training.losses import class_weights
 from salsanext_cli.training.recipe import Recipe
 from salsanext_cli.training.run_folder import (
     BEST,
@@ -47,6 +51,7 @@ from salsanext_cli.training.run_folder import (
 from salsanext_cli.training.validation import evenly_spaced
 
 DEFAULT_SENSOR = "hdl64"
+"""Sensor of a training from random weights, unless another is given."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -148,7 +153,7 @@ def train(
         rare = rare_classes(counts, classes.scored)
         state = Training(
             run=run,
-            learner=Learner.of(module, recipe, class_weights(counts, classes.scored), place, group),
+            learner=Learner(module, recipe, class_weights(counts, classes.scored), place, group),
             samples=Samples(training, classes, sensor, recipe, rare),
             validation=validated,
             card=card,

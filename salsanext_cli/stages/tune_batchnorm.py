@@ -28,7 +28,7 @@ from salsanext_cli.training.tuning.batch_norm import Statistics, norms, statisti
 from salsanext_cli.training.validation import evenly_spaced
 
 SHARE = 0.5
-"""Within 0.3 points of the best on real scans of three sensors; see docs/tune.md."""
+"""Share of the new statistics: within 0.3 points of the best on three sensors (docs/tune.md)."""
 
 log = logging.getLogger(__name__)
 

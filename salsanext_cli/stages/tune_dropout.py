@@ -31,9 +31,11 @@ from salsanext_cli.uncertainty.aleatoric import aleatoric
 from salsanext_cli.uncertainty.monte_carlo import require_sampling, sample, scan_seed
 
 SAMPLES = 30
+"""Passes per scan and rate."""
 LOWEST, HIGHEST, STEPS = 0.02, 0.5, 10
+"""Ends of the range of rates, and their number."""
 SCANS = 20
-"""Scans that are sampled at every rate, unless another limit is given."""
+"""Number of scans that are sampled at every rate, unless another limit is given."""
 
 log = logging.getLogger(__name__)
 

@@ -42,9 +42,9 @@ from salsanext_cli.training.tuning.temperature import (
 from salsanext_cli.uncertainty.monte_carlo import scan_seed
 
 MAX_LOGITS = 20_000_000
-"""Logits that are kept, 80 MB: a million points with 20 classes."""
+"""Bound of the number of logits that are kept, 80 MB: a million points with 20 classes."""
 SEED = 0
-"""Of the choice of points that are kept."""
+"""Seed of the choice of points that are kept."""
 
 log = logging.getLogger(__name__)
 
@@ -96,14 +96,14 @@ def tune_temperature(
     *,
     network: NetworkSettings = NetworkSettings(),
     selection: ScanSelection = VALIDATION,
-    numbers: int = MAX_LOGITS,
     overwrite: bool = False,
     progress: Progress | None = None,
 ) -> TunedTemperature:
     """Write a weights file with the temperature of the least negative log-likelihood.
 
     Each point has the logits of its pixel, as for `predict --probabilities`; points of ignored
-    classes do not count.
+    classes do not count. Of a scan with more points than its share of `MAX_LOGITS`, a random sample
+    is taken, the same one every time.
 
     Parameters
     ----------
@@ -115,9 +115,6 @@ def tune_temperature(
         Weights, device and sensor.
     selection : ScanSelection
         Which scans; a limit takes scans that are evenly spaced.
-    numbers : int
-        Logits to keep at most. Of a scan with more than its share, a random sample of the points
-        is taken, the same one every time.
     overwrite : bool
         Whether the target may exist.
     progress : callable, optional
@@ -131,7 +128,7 @@ def tune_temperature(
     loaded = network.load()
     scans, space = labelled_scans(dataset, selection, loaded.card)
     require_target(target, overwrite)
-    most = max(1, numbers // loaded.card.space.class_count // len(scans))
+    most = max(1, MAX_LOGITS // loaded.card.space.class_count // len(scans))
     kept = list(_samples(scans, loaded, space, most, progress))
     logits = torch.from_numpy(np.concatenate([values for values, _ in kept]))
     truth = torch.from_numpy(np.concatenate([classes for _, classes in kept])).long()

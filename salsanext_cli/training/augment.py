@@ -7,57 +7,43 @@ and z of the range image stay consistent.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 import numpy.typing as npt
 
 from salsanext_cli.classes import TrainIds
 from salsanext_cli.records import Float, Scan
+from salsanext_cli.training.recipe import Recipe
+
+LabelledScan = tuple[Scan, TrainIds]
+"""A scan and the train ids of its points, (N,) uint8."""
 
 SHIFT_LOW_M = (-5.0, -3.0, -1.0)
 SHIFT_HIGH_M = (5.0, 3.0, 0.0)
 MAX_DROPPED_SHARE = 0.5
+"""Bounds of the shift along x, y and z, and of the share of points that are dropped."""
 
 
-@dataclass(frozen=True, slots=True)
-class Augmentation:
-    """Probability of each augmentation.
+def augment(labelled: LabelledScan, recipe: Recipe, random: np.random.Generator) -> LabelledScan:
+    """Return a changed copy of a labelled scan.
 
-    Attributes
-    ----------
-    rotate : float
-        Turn about z by a uniform angle of the whole circle.
-    shift : float
-        Move by up to ±5 m forward, ±3 m sideways, 1 m down.
-    flip : float
-        Mirror left and right.
-    drop : float
-        Drop a uniform share, at most half, of the points, without replacement.
+    Turned about z by a uniform angle of the whole circle; moved by up to ±5 m forward, ±3 m
+    sideways and 1 m down; mirrored left and right; without a uniform share, at most half, of the
+    points. The recipe holds the probability of each.
     """
-
-    rotate: float = 0.5
-    shift: float = 0.5
-    flip: float = 0.5
-    drop: float = 0.5
-
-    def __call__(
-        self, scan: Scan, labels: TrainIds, random: np.random.Generator
-    ) -> tuple[Scan, TrainIds]:
-        """Return a changed copy of a scan and of its labels (N,)."""
-        chances = (self.rotate, self.shift, self.flip, self.drop)
-        rotated, shifted, flipped, dropped = random.random(4) < chances
-        points, intensity = scan.points, scan.intensity
-        if rotated:
-            points = rotate(points, random.uniform(-np.pi, np.pi))
-        if shifted:
-            points = shift(points, random.uniform(SHIFT_LOW_M, SHIFT_HIGH_M))
-        if flipped:
-            points = points * np.array([1, -1, 1], np.float32)
-        if dropped:
-            kept = draw_kept(len(scan), random)
-            points, intensity, labels = points.take(kept, 0), intensity[kept], labels[kept]
-        return Scan(points, intensity), labels
+    scan, labels = labelled
+    chances = (recipe.rotate, recipe.shift, recipe.flip, recipe.drop)
+    rotated, shifted, flipped, dropped = random.random(4) < chances
+    points, intensity = scan.points, scan.intensity
+    if rotated:
+        points = rotate(points, random.uniform(-np.pi, np.pi))
+    if shifted:
+        points = shift(points, random.uniform(SHIFT_LOW_M, SHIFT_HIGH_M))
+    if flipped:
+        points = points * np.array([1, -1, 1], np.float32)
+    if dropped:
+        kept = draw_kept(len(scan), random)
+        points, intensity, labels = points.take(kept, 0), intensity[kept], labels[kept]
+    return Scan(points, intensity), labels
 
 
 def rotate(points: Float, angle: float) -> Float:

@@ -30,14 +30,16 @@ from salsanext_cli.training.log import Row
 KEY = "salsanext-checkpoint"
 """The one key of the header: safetensors writes several in an order drawn anew each time."""
 MAX_HEADER_BYTES = 16 << 20
-"""Many times what thousands of epochs take; plain values need twenty times as much memory."""
+"""Bound of the header: many times the size of thousands of epochs, a twentieth of their memory."""
 OPTIMISER_STATE = {"sgd": ("momentum_buffer",), "adamw": ("step", "exp_avg", "exp_avg_sq")}
+"""Names of the tensors that torch's optimisers keep for each parameter."""
 DTYPES = {torch.float32: "F32", torch.float64: "F64", torch.int64: "I64"}
 """Types of a checkpoint's tensors, as safetensors names them."""
 DAMAGE = (
     *(FormatError, safetensors.SafetensorError, OSError, ArithmeticError, LookupError, TypeError),
     *(ValueError, RecursionError, RuntimeError),
 )
+"""Errors that reading a damaged checkpoint may end in."""
 
 
 @dataclass(slots=True)

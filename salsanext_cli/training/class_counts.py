@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Class counts: points of every class in labelled scans, which are all read and checked once."""
+"""Class counts: points of every class in labelled scans, and the class weights from them."""
 
 from __future__ import annotations
 
@@ -11,6 +11,8 @@ from pathlib import Path
 import joblib
 import numpy as np
 import numpy.typing as npt
+import torch
+from torch import Tensor
 
 from salsanext_cli.classes import LabelSpace
 from salsanext_cli.errors import LabelError, TrainingError
@@ -43,7 +45,7 @@ def count_classes(
     Raises
     ------
     FormatError, LabelError
-        If any scan could not be trained on.
+        If any scan cannot be trained on.
     """
 
     def count(file: ScanFile) -> Counts:
@@ -53,13 +55,6 @@ def count_classes(
     # Reading and counting release the interpreter's lock, so that threads do.
     found = joblib.Parallel(jobs, backend="threading")(joblib.delayed(count)(f) for f in files)
     return np.stack(found)
-
-
-def require_some(files: Sequence[ScanFile], counts: Counts, space: LabelSpace) -> None:
-    """Raise `TrainingError` if no point of scans, counted (F, C), is of a class that counts."""
-    if not counts[:, space.scored].any():
-        found = f"none of {counts.sum()} points in {len(files)} scans is of a class that counts"
-        raise TrainingError(files[0].label_path.parent, found, f"labels of {space.name}")
 
 
 def class_shares(counts: Counts, scored: npt.NDArray[np.bool_]) -> npt.NDArray[np.float64]:
@@ -75,6 +70,16 @@ def class_shares(counts: Counts, scored: npt.NDArray[np.bool_]) -> npt.NDArray[n
     used = np.where(scored, counts, 0).astype(np.float64)
     shares: npt.NDArray[np.float64] = used / max(used.sum(), 1)
     return shares
+
+
+def class_weights(counts: Counts, scored: npt.NDArray[np.bool_]) -> Tensor:
+    """Return the weight of every class, (C,) float32; parameters as `class_shares`.
+
+    It is the inverse square root of the share; 0 for classes that are ignored or never seen.
+    """
+    share = class_shares(counts, scored)
+    weights = np.divide(1, np.sqrt(share), out=np.zeros_like(share), where=share > 0)
+    return torch.from_numpy(weights.astype(np.float32))
 
 
 def rare_classes(counts: Counts, scored: npt.NDArray[np.bool_]) -> npt.NDArray[np.bool_]:
@@ -122,10 +127,13 @@ def class_counts(
         return np.array([points[name] for name in space.names], np.int64)
     of_validation = count_classes(validation, space, sensor, jobs)
     scored = {*validated}
-    require_some(validated, of_validation[[file in scored for file in validation]], space)
-    of_training = count_classes(training, space, sensor, jobs)
-    require_some(training, of_training, space)
-    counts: Counts = of_training.sum(axis=0)
+    of_validated = of_validation[[file in scored for file in validation]].sum(axis=0)
+    counts: Counts = count_classes(training, space, sensor, jobs).sum(axis=0)
+    for files, of_files in ((validated, of_validated), (training, counts)):
+        if not of_files[space.scored].any():
+            total = f"{of_files.sum()} points in {len(files)} scans"
+            found = f"none of {total} is of a class that counts"
+            raise TrainingError(files[0].label_path.parent, found, f"labels of {space.name}")
     counted = {"files": digest, "points": dict(zip(space.names, counts.tolist(), strict=True))}
     WrittenFiles(path.parent).write(path, (json.dumps(counted, indent=2) + "\n").encode())
     return counts

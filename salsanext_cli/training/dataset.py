@@ -26,16 +26,9 @@ from salsanext_cli.geometry.projection import project
 from salsanext_cli.records import Float
 from salsanext_cli.sensors import Sensor
 from salsanext_cli.storage.layout import ScanFile
-from salsanext_cli.training.augment import Augmentation
+from salsanext_cli.training.augment import LabelledScan, augment
 from salsanext_cli.training.distributed import SINGLE_PROCESS, ProcessGroup
-from salsanext_cli.training.mixing import (
-    PASTED_COPIES,
-    Checkerboard,
-    LabelledScan,
-    mix,
-    paste,
-    select,
-)
+from salsanext_cli.training.mixing import PASTED_COPIES, Checkerboard, mix, paste, select
 from salsanext_cli.training.recipe import Recipe
 from salsanext_cli.training.sampling import SAMPLE, SampleKey, SamplingPlan
 
@@ -111,7 +104,7 @@ class Samples(Dataset[Sample]):
     space : LabelSpace
         Of their labels.
     sensor : Sensor
-        Geometry and normalisation of the images.
+        Projection and normalisation of the images.
     recipe : Recipe
         Settings of augmentation, mixing and cropping.
     rare : (C,) bool
@@ -124,10 +117,15 @@ class Samples(Dataset[Sample]):
     recipe: Recipe
     rare: npt.NDArray[np.bool_]
 
+    @property
+    def plan(self) -> SamplingPlan:
+        """Order of the samples in the whole training."""
+        return SamplingPlan(len(self.files), self.recipe)
+
     def __getitem__(self, key: SampleKey) -> Sample:
         """Return the sample at a position of the training, of the scan with an index."""
         position, index = key
-        width = SamplingPlan(len(self.files), self.recipe).crop_width(position)
+        width = self.plan.crop_width(position)
         random = np.random.default_rng((self.recipe.seed, SAMPLE, position))
         scan, labels = self._mixed(index, random)
         image = project(scan, self.sensor)
@@ -139,15 +137,14 @@ class Samples(Dataset[Sample]):
     def _mixed(self, index: int, random: np.random.Generator) -> LabelledScan:
         """Return an augmented scan, mixed with others as often as the recipe says."""
         recipe = self.recipe
-        augment = Augmentation(recipe.rotate, recipe.shift, recipe.flip, recipe.drop)
-        labelled = augment(*self._read(index), random)
+        labelled = augment(self._read(index), recipe, random)
         # Without mixing nothing more is drawn, so that the samples are those of older versions.
         if recipe.mix and random.random() < recipe.mix:
-            partner = augment(*self._partner(index, random), random)
+            partner = augment(self._partner(index, random), recipe, random)
             labelled = mix(labelled, partner, Checkerboard.drawn(self.sensor, random))
         if recipe.paste and random.random() < recipe.paste:
             partner = self._partner(index, random)
-            rare = augment(*select(partner, self.rare[partner[1]]), random)
+            rare = augment(select(partner, self.rare[partner[1]]), recipe, random)
             labelled = paste(labelled, rare, random.uniform(-np.pi, np.pi, PASTED_COPIES))
         return labelled
 
@@ -162,7 +159,6 @@ class Samples(Dataset[Sample]):
 
 def batches(
     samples: Samples,
-    plan: SamplingPlan,
     first_step: int,
     workers: int = 0,
     *,
@@ -173,8 +169,7 @@ def batches(
 
     Parameters
     ----------
-    samples, plan
-        The samples, and their order.
+    samples : Samples
     first_step : int
         Step to begin with.
     workers : int
@@ -187,7 +182,7 @@ def batches(
     loader: DataLoader[Any] = DataLoader(
         _ErrorsAsValues(samples),
         collate_fn=_collate,
-        batch_sampler=plan.batches(first_step, group),
+        batch_sampler=samples.plan.batches(first_step, group),
         num_workers=workers,
         # A fork would inherit locks that the threads of torch and numba may hold.
         multiprocessing_context="spawn" if workers else None,

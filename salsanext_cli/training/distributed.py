@@ -45,7 +45,7 @@ class ProcessGroup:
 
     @property
     def is_main(self) -> bool:
-        """Whether this process writes and reports."""
+        """True in the process that writes and reports."""
         return self.rank == 0
 
     def sum(self, tensor: Tensor) -> Tensor:
@@ -95,6 +95,7 @@ class ProcessGroup:
 
 
 SINGLE_PROCESS = ProcessGroup()
+"""Group of a training without torchrun."""
 
 
 def group_of_environment() -> ProcessGroup:

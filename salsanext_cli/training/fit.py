@@ -30,7 +30,6 @@ from salsanext_cli.training.learner import Learner
 from salsanext_cli.training.log import EpochWriter, Row, draw_curve, write_log
 from salsanext_cli.training.optimiser import learning_rate
 from salsanext_cli.training.run_folder import BEST, CHECKPOINT, CURVE, LAST, LOG, SAMPLES
-from salsanext_cli.training.sampling import SamplingPlan
 from salsanext_cli.training.validation import validate
 
 SAVE_INTERVAL_S = 600.0
@@ -98,14 +97,9 @@ class Training:
     write_epoch: EpochWriter
     report: Callable[[Report], object]
 
-    @property
-    def plan(self) -> SamplingPlan:
-        """Batches of the whole training."""
-        return SamplingPlan(len(self.samples.files), self.learner.recipe)
-
     def fit(self) -> TrainingState:
         """Train from the last checkpoint, if there is one, to the end."""
-        checkpoint, steps = self.run / CHECKPOINT, self.plan.steps_per_epoch
+        checkpoint, steps = self.run / CHECKPOINT, self.samples.plan.steps_per_epoch
         state = TrainingState()
         if checkpoint.exists():
             state = load_checkpoint(checkpoint, self.learner)
@@ -119,7 +113,7 @@ class Training:
         if first:
             log.info("going on after step %d", first)
         pinned = self.learner.device.type == "cuda"
-        stream = batches(self.samples, self.plan, first, self.workers, pinned=pinned, group=group)
+        stream = batches(self.samples, first, self.workers, pinned=pinned, group=group)
         while state.epoch < self.learner.recipe.epochs:
             self._epoch(state, stream)
         return group.on_main(lambda: state)
@@ -128,8 +122,8 @@ class Training:
         """Take the steps of an epoch that are left, and end it."""
         saved = time.monotonic()
         start = saved - state.seconds
-        end = (state.epoch + 1) * self.plan.steps_per_epoch
-        first = end - self.plan.steps_per_epoch + len(state.losses)
+        end = (state.epoch + 1) * self.samples.plan.steps_per_epoch
+        first = end - self.samples.plan.steps_per_epoch + len(state.losses)
         for step, batch in enumerate(islice(stream, end - first), first):
             state.losses.append(self._step(batch, step))
             now = time.monotonic()
@@ -148,7 +142,7 @@ class Training:
         state.epoch, state.losses, state.seconds = state.epoch + 1, [], 0.0
         row: Row = {
             "epoch": state.epoch,
-            "learning_rate": learning_rate(recipe, step, self.plan.steps_per_epoch),
+            "learning_rate": learning_rate(recipe, step, self.samples.plan.steps_per_epoch),
             "loss": float(np.mean(losses)),
             "seconds": seconds,
         }
@@ -161,7 +155,7 @@ class Training:
     def _step(self, batch: Batch, step: int) -> float:
         images, truth, indices = batch
         try:
-            loss = self.learner.step(images, truth, step, self.plan.steps_per_epoch)
+            loss = self.learner.step(images, truth, step, self.samples.plan.steps_per_epoch)
         except torch.OutOfMemoryError as error:
             raise TrainingError(
                 f"step {step + 1}",
@@ -223,4 +217,4 @@ class Training:
     def _report(self, state: TrainingState, step: int, loss: float, row: Row | None = None) -> None:
         if self.learner.group.is_main:
             epoch, epochs = state.epoch + (row is None), self.learner.recipe.epochs
-            self.report(Report(epoch, epochs, step + 1, self.plan.steps, loss, row))
+            self.report(Report(epoch, epochs, step + 1, self.samples.plan.steps, loss, row))

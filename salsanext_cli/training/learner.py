@@ -6,7 +6,6 @@ from __future__ import annotations
 import copy
 import math
 from contextlib import AbstractContextManager, nullcontext
-from dataclasses import dataclass
 
 import numpy as np
 import torch
@@ -15,75 +14,64 @@ from torch.nn.parallel import DistributedDataParallel
 
 from salsanext_cli.network.segmentation import SegmentationNetwork
 from salsanext_cli.training.distributed import SINGLE_PROCESS, ProcessGroup, data_parallel
-from salsanext_cli.training.losses import SegmentationLoss, WholeBatch
+from salsanext_cli.training.losses import SegmentationLoss
 from salsanext_cli.training.optimiser import (
     autocast,
     build_optimiser,
     dtype_of,
-    gradient_scaler,
     learning_rate,
     update_average,
 )
 from salsanext_cli.training.recipe import Recipe
 
 DROPOUT = 2
-"""Purpose of a generator, a part of its seed beside those of `sampling`."""
+"""Purpose of the generator of dropout, a part of its seed beside those of `sampling`."""
 
 
-@dataclass(slots=True, eq=False)
 class Learner:
-    """Everything that changes during training.
+    """Everything that changes during training: network, running average, optimiser, scaler.
 
     Attributes
     ----------
-    recipe : Recipe
     module : SegmentationNetwork
         The network in training.
-    loss : SegmentationLoss
-    optimiser : torch.optim.Optimizer
     average : SegmentationNetwork
         The network that is validated and kept: the running average of the weights, or `module`.
+    forward : nn.Module
+        The module, wrapped if several workers train it.
     scaler : torch.amp.GradScaler
         Keeps small gradients of float16 from vanishing; does nothing in other types.
-    dtype : torch.dtype
-        Type that the network computes in.
+
+    Parameters
+    ----------
+    module : SegmentationNetwork
+        The network to train.
+    recipe : Recipe
+    weights : (C,) float32
+        Class weights.
     device : torch.device
     group : ProcessGroup
         The workers that train the module together.
-    forward : nn.Module
-        The module, wrapped if several workers train it.
     """
 
-    recipe: Recipe
-    module: SegmentationNetwork
-    loss: SegmentationLoss
-    optimiser: torch.optim.Optimizer
-    average: SegmentationNetwork
-    scaler: torch.amp.GradScaler
-    dtype: torch.dtype
-    device: torch.device
-    group: ProcessGroup
-    forward: nn.Module
-
-    @classmethod
-    def of(
-        cls,
+    def __init__(
+        self,
         module: SegmentationNetwork,
         recipe: Recipe,
         weights: Tensor,
         device: torch.device,
         group: ProcessGroup = SINGLE_PROCESS,
-    ) -> Learner:
-        """Prepare a module for training with class weights (C,)."""
+    ) -> None:
         module = module.to(device)
         if device.type == "cuda":
             module = module.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
-        average = copy.deepcopy(module).eval() if recipe.average else module
-        loss = SegmentationLoss(weights, recipe.lovasz, recipe.label_smoothing).to(device)
-        forward = data_parallel(module, device, group)
-        optimiser, dtype = build_optimiser(module, recipe), dtype_of(recipe.precision, device)
-        scaler = gradient_scaler(dtype, device)
-        return cls(recipe, module, loss, optimiser, average, scaler, dtype, device, group, forward)
+        self.recipe, self.module, self.device, self.group = recipe, module, device, group
+        self.average = copy.deepcopy(module).eval() if recipe.average else module
+        self.loss = SegmentationLoss(weights, recipe.lovasz, recipe.label_smoothing).to(device)
+        self.forward = data_parallel(module, device, group)
+        self.optimiser = build_optimiser(module, recipe)
+        self.dtype = dtype_of(recipe.precision, device)
+        self.scaler = torch.amp.GradScaler(device.type, enabled=self.dtype is torch.float16)
 
     def step(self, images: Tensor, truth: Tensor, step: int, steps_per_epoch: int) -> float:
         """Learn from one batch and return its loss; NaN if it or its gradient is not finite.
@@ -110,7 +98,9 @@ class Learner:
         layout = torch.channels_last if self.device.type == "cuda" else torch.contiguous_format
         truth = truth.to(self.device, non_blocking=True)
         parts = self._parts(images.shape[3])
-        whole = self._whole_batch(truth, parts)
+        total = None
+        if parts * self.group.size > 1:
+            total = self.group.sum(self.loss.weight_of(truth))
         losses = []
         self.module.train()
         # Seeding every step makes it a function of its number, so that training can be resumed.
@@ -119,9 +109,13 @@ class Learner:
             pairs = zip(images.tensor_split(parts), truth.tensor_split(parts), strict=True)
             for part, (some, labels) in enumerate(pairs, 1):
                 some = some.to(self.device, memory_format=layout, non_blocking=True)
-                with self._exchange(at_last=part == parts):
+                # With the other workers gradients are exchanged after the last part only.
+                exchange: AbstractContextManager[None] = nullcontext()
+                if part < parts and isinstance(self.forward, DistributedDataParallel):
+                    exchange = self.forward.no_sync()
+                with exchange:
                     with autocast(self.dtype, self.device):
-                        loss = self.loss(self.forward(some), labels, whole)
+                        loss = self.loss(self.forward(some), labels, total, parts, self.group)
                     # The workers' gradients are averaged, and their sum is wanted.
                     self.scaler.scale(loss * self.group.size).backward()
                 losses.append(loss.detach())
@@ -145,17 +139,6 @@ class Learner:
             images = max(1, -(-most // parts) * recipe.crop_width // width)
             parts = min(-(-most // images), fewest)
         return parts
-
-    def _whole_batch(self, truth: Tensor, parts: int) -> WholeBatch | None:
-        if parts * self.group.size == 1:
-            return None
-        return WholeBatch(self.group.sum(self.loss.weight_of(truth)), parts, self.group)
-
-    def _exchange(self, *, at_last: bool) -> AbstractContextManager[None]:
-        """Exchange gradients with other workers after the last part only."""
-        if isinstance(self.forward, DistributedDataParallel) and not at_last:
-            return self.forward.no_sync()
-        return nullcontext()
 
     def _update(self, step: int, steps_per_epoch: int) -> bool:
         """Move the weights; return False, and do not, if the gradient is not finite."""

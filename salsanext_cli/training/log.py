@@ -10,7 +10,6 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from importlib.util import find_spec
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -61,7 +60,9 @@ def draw_curve(path: Path, rows: Sequence[Row]) -> None:
 
 @contextmanager
 def tensorboard_in(run: Path, folder: str, *, wanted: bool = True) -> Iterator[EpochWriter]:
-    """Yield what writes epochs for TensorBoard; without TensorBoard it writes nothing.
+    """Yield the writer of epochs for TensorBoard; without TensorBoard it writes nothing.
+
+    Figures become scalars, those of classes below ``iou/``, and the picture an image.
 
     Parameters
     ----------
@@ -83,26 +84,13 @@ def tensorboard_in(run: Path, folder: str, *, wanted: bool = True) -> Iterator[E
     with SummaryWriter(str(run / folder)) as writer:
 
         def write(row: Row, picture: npt.NDArray[np.uint8]) -> None:
-            add_epoch(writer, row, picture)
+            epoch = int(row["epoch"])
+            for key, value in row.items():
+                if key != "epoch" and value == value:
+                    writer.add_scalar(key.replace("iou_", "iou/", 1), value, epoch)
+            writer.add_image("sample", picture, epoch, dataformats="HWC")
+            writer.flush()
             for path in {*(run / folder).glob("events.*")} - before:
                 written.record(path)
 
         yield write
-
-
-def add_epoch(writer: Any, row: Row, picture: npt.NDArray[np.uint8]) -> None:
-    """Write an epoch's figures as scalars, classes below ``iou/``, and its picture as image.
-
-    Parameters
-    ----------
-    writer : torch.utils.tensorboard.SummaryWriter
-    row : Row
-        Figures that were not measured are left out.
-    picture : (H, W, 3) uint8
-    """
-    epoch = int(row["epoch"])
-    for key, value in row.items():
-        if key != "epoch" and value == value:
-            writer.add_scalar(key.replace("iou_", "iou/", 1), value, epoch)
-    writer.add_image("sample", picture, epoch, dataformats="HWC")
-    writer.flush()

@@ -7,36 +7,11 @@ loss 0 and gradient 0.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
-import numpy as np
-import numpy.typing as npt
 import torch
 from torch import Tensor, nn
 from torch.nn import functional as F
 
-from salsanext_cli.training.class_counts import class_shares
 from salsanext_cli.training.distributed import SINGLE_PROCESS, ProcessGroup
-
-
-def class_weights(counts: npt.NDArray[np.int64], scored: npt.NDArray[np.bool_]) -> Tensor:
-    """Weight every class by the inverse square root of its share of the scored points.
-
-    Parameters
-    ----------
-    counts : (C,) int64
-        Points of each class in the training data.
-    scored : (C,) bool
-        Classes that count.
-
-    Returns
-    -------
-    (C,) float32
-        1/√f_c; 0 for classes that are ignored or never seen.
-    """
-    share = class_shares(counts, scored)
-    weights = np.divide(1, np.sqrt(share), out=np.zeros_like(share), where=share > 0)
-    return torch.from_numpy(weights.astype(np.float32))
 
 
 def weighted_cross_entropy(
@@ -128,39 +103,14 @@ def lovasz_softmax(
     if not len(present):
         return probabilities.sum()
     foreground = truth == present[:, None]
-    of_class = probabilities.t()[present]
-    errors = torch.where(foreground, 1 - of_class, of_class)
-    return (errors * _gradient_of_own(errors.detach(), foreground, group)).sum() / len(present)
-
-
-def _gradient_of_own(errors: Tensor, foreground: Tensor, group: ProcessGroup) -> Tensor:
-    """Return `jaccard_gradient` of a worker's pixels, sorted in among those of all workers."""
-    if group.size == 1:
-        return jaccard_gradient(errors, foreground)
-    of_all = group.gather(errors)
-    gradient = jaccard_gradient(
-        torch.cat(of_all, 1), torch.cat(group.gather(foreground.byte()), 1).bool()
-    )
-    return torch.split(gradient, [each.shape[1] for each in of_all], 1)[group.rank]
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class WholeBatch:
-    """The batch that a part's loss is a share of, so that the losses of all parts add up to one.
-
-    Attributes
-    ----------
-    weight : 0-d float tensor
-        Of all pixels of all parts of all workers.
-    parts : int
-        Number of parts of each worker.
-    group : ProcessGroup
-        The workers.
-    """
-
-    weight: Tensor
-    parts: int
-    group: ProcessGroup = SINGLE_PROCESS
+    predicted = probabilities.t()[present]
+    errors = torch.where(foreground, 1 - predicted, predicted)
+    # A worker's pixels are sorted in among those of all workers.
+    of_all = group.gather(errors.detach())
+    of_class = torch.cat(group.gather(foreground.byte()), 1).bool()
+    gradients = jaccard_gradient(torch.cat(of_all, 1), of_class)
+    own = torch.split(gradients, [each.shape[1] for each in of_all], 1)[group.rank]
+    return (errors * own).sum() / len(present)
 
 
 class SegmentationLoss(nn.Module):
@@ -188,12 +138,30 @@ class SegmentationLoss(nn.Module):
         """Return the weight of all pixels of integer truth (B, H, W), 0-d."""
         return self.weights[truth.long()].sum()
 
-    def forward(self, logits: Tensor, truth: Tensor, whole: WholeBatch | None = None) -> Tensor:
+    def forward(
+        self,
+        logits: Tensor,
+        truth: Tensor,
+        total_weight: Tensor | None = None,
+        parts: int = 1,
+        group: ProcessGroup = SINGLE_PROCESS,
+    ) -> Tensor:
         """Return the loss of logits (B, C, H, W) for integer truth (B, H, W), 0-d.
 
         Of a part of a batch it is the part's share: cross-entropy is the mean over all pixels of
         all parts. Lovász-Softmax is no mean over pixels: all workers' pixels of a part have one,
         and what counts is the mean over the parts.
+
+        Parameters
+        ----------
+        logits, truth
+            Of a batch, or of a part of it.
+        total_weight : 0-d float, optional
+            Weight of all pixels of all parts of all workers, if there are several.
+        parts : int
+            Number of parts of each worker.
+        group : ProcessGroup
+            The workers.
         """
         truth = truth.flatten().long()
         counts = (self.weights[truth] > 0).nonzero()[:, 0]
@@ -201,10 +169,10 @@ class SegmentationLoss(nn.Module):
         classes = logits.movedim(1, -1).reshape(-1, logits.shape[1])
         precise = torch.promote_types(logits.dtype, torch.float32)
         log_probabilities = F.log_softmax(classes[counts], 1, dtype=precise)
-        weights, total = self.weights.to(precise), whole.weight if whole else None
-        loss = weighted_cross_entropy(log_probabilities, truth, weights, total, self.smoothing)
+        loss = weighted_cross_entropy(
+            log_probabilities, truth, self.weights.to(precise), total_weight, self.smoothing
+        )
         if self.lovasz:
-            parts, group = (whole.parts, whole.group) if whole else (1, SINGLE_PROCESS)
             lovasz = lovasz_softmax(log_probabilities.exp(), truth, group)
             loss = loss + self.lovasz / parts * lovasz
         return loss

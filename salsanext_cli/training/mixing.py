@@ -16,22 +16,18 @@ from typing import Self
 import numpy as np
 import numpy.typing as npt
 
-from salsanext_cli.classes import TrainIds
 from salsanext_cli.records import Float, Scan
 from salsanext_cli.sensors import Sensor
-from salsanext_cli.training.augment import rotate
-
-LabelledScan = tuple[Scan, TrainIds]
-"""A scan and the train ids of its points, (N,) uint8."""
+from salsanext_cli.training.augment import LabelledScan, rotate
 
 KINDS = ((True, False), (False, True), (True, True))
-"""Whether a checkerboard has several bands, and several sectors: LaserMix, PolarMix, boxes."""
+"""Kinds of checkerboards, of several bands or sectors or both: LaserMix, PolarMix, boxes."""
 MIN_BANDS, MAX_BANDS = 2, 6
 MAX_SECTOR_PAIRS = 3
 PASTED_COPIES = 2
-"""Times that the points of rare classes are pasted, each time turned by another angle."""
+"""Number of times that rare points are pasted, each time turned by another angle."""
 CLEAR_RADIUS_M = 3.0
-"""Metres around the sensor where nothing is pasted: there is the vehicle that carries it."""
+"""Radius in metres around the sensor where nothing is pasted: the vehicle is there."""
 
 
 @dataclass(frozen=True, slots=True)

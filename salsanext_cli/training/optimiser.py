@@ -14,25 +14,14 @@ ONE_CYCLE_START, ONE_CYCLE_END = 1 / 25, 1 / 250_000
 """Learning rate at both ends of a one-cycle schedule, as shares of its peak."""
 BFLOAT16_CAPABILITY = 8
 """Lowest compute capability (major) of GPUs that compute in bfloat16: Ampere."""
-DTYPES = {"float32": torch.float32, "bfloat16": torch.bfloat16, "float16": torch.float16}
 
 
 def build_optimiser(module: nn.Module, recipe: Recipe) -> torch.optim.Optimizer:
     """Return the recipe's optimiser of all parameters."""
-    parameters = list(module.parameters())
+    parameters, rate, decay = module.parameters(), recipe.learning_rate, recipe.weight_decay
     if recipe.optimiser == "sgd":
-        return torch.optim.SGD(
-            parameters,
-            lr=recipe.learning_rate,
-            momentum=recipe.momentum,
-            weight_decay=recipe.weight_decay,
-        )
-    return torch.optim.AdamW(
-        parameters,
-        lr=recipe.learning_rate,
-        betas=(recipe.momentum, 0.999),
-        weight_decay=recipe.weight_decay,
-    )
+        return torch.optim.SGD(parameters, rate, recipe.momentum, weight_decay=decay)
+    return torch.optim.AdamW(parameters, rate, (recipe.momentum, 0.999), weight_decay=decay)
 
 
 def learning_rate(recipe: Recipe, step: int, steps_per_epoch: int) -> float:
@@ -78,7 +67,8 @@ def dtype_of(precision: str, device: torch.device) -> torch.dtype:
     it is bfloat16, or float16 on those too old for it.
     """
     if precision != "auto":
-        return DTYPES[precision]
+        dtype: torch.dtype = getattr(torch, precision)
+        return dtype
     if device.type != "cuda":
         return torch.float32
     major, _ = torch.cuda.get_device_capability(device)
@@ -87,10 +77,4 @@ def dtype_of(precision: str, device: torch.device) -> torch.dtype:
 
 def autocast(dtype: torch.dtype, device: torch.device) -> torch.autocast:
     """Return the context in which convolutions compute in a type; of float32 it does nothing."""
-    shorter = dtype is not torch.float32
-    return torch.autocast(device.type, dtype if shorter else torch.bfloat16, enabled=shorter)
-
-
-def gradient_scaler(dtype: torch.dtype, device: torch.device) -> torch.amp.GradScaler:
-    """Return the scaler that keeps small gradients of float16; of other types it does nothing."""
-    return torch.amp.GradScaler(device.type, enabled=dtype is torch.float16)
+    return torch.autocast(device.type, dtype, enabled=dtype is not torch.float32)

@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
-from dataclasses import fields
 from typing import Any
 
 from salsanext_cli.errors import UsageError
@@ -32,14 +31,9 @@ def read_overrides(texts: Iterable[str]) -> dict[str, Any]:
         if not (key and equals and value):
             raise UsageError(f"--set {text}", "no key and value", "key=value, such as batch=4")
         refuse_unknown({key: value}, f"--set {text}")
-        changes[key] = _read(key, value)
+        read, expected = READERS[type(getattr(Recipe(), key))]
+        try:
+            changes[key] = read(value)
+        except ValueError as error:
+            raise UsageError(f"--set {key}={value}", f"{value!r}", expected) from error
     return changes
-
-
-def _read(key: str, value: str) -> Any:
-    (default,) = (field.default for field in fields(Recipe) if field.name == key)
-    read, expected = READERS[type(default)]
-    try:
-        return read(value)
-    except ValueError as error:
-        raise UsageError(f"--set {key}={value}", f"{value!r}", expected) from error

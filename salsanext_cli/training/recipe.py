@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""How to train: typed settings with a default that works, read from small TOML files."""
+"""Recipe of a training: typed settings with defaults that work, read from small TOML files."""
 
 from __future__ import annotations
 
@@ -20,9 +20,11 @@ CHOICES = {
     "schedule": ("decay", "one-cycle"),
     "precision": ("auto", "float32", "bfloat16", "float16"),
 }
-"""What words a key may have."""
+"""Words that the keys of type str may have."""
 REMOVED = {"heteroscedastic": 0.0}
 """Keys of older versions, and the value with which they did nothing."""
+MAX_INTEGER = 2**53
+"""Bound of whole numbers in place of others: floats are no longer exact beyond."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -32,12 +34,12 @@ class Recipe:
     Attributes
     ----------
     architecture : str
-        Which network, by a name of `network.architectures`.
+        Name of the network in `network.registry`.
     precision : {"auto", "float32", "bfloat16", "float16"}
-        What the network computes in; weights and loss are float32 always. "auto" is the shorter
-        of what a GPU computes fast, and float32 on CPUs.
+        Type that the network computes in; weights and loss are float32 always. "auto" is the
+        shortest type that a GPU computes fast, and float32 on CPUs.
     epochs, batch : int
-        How often to go through the data, and samples per step.
+        Number of passes through the data, and samples per step.
     accumulate : int
         Parts that a batch is computed in, one after the other, where memory does not hold all.
     samples_per_epoch : int
@@ -117,14 +119,14 @@ class Recipe:
         for field in fields(self):
             value = getattr(self, field.name)
             kind = type(field.default)
-            if kind is float and type(value) is int:
-                value = _as_float(value)
+            if kind is float and type(value) is int and abs(value) < MAX_INTEGER:
+                value = float(value)
                 object.__setattr__(self, field.name, value)
-            elif type(value) is not kind:
+            if type(value) is not kind:
                 found = shortened(value)
                 raise UsageError(f"recipe key {field.name}", found, f"a {kind.__name__}")
             if kind is float:
-                self._require(field.name, math.isfinite(value), "finite")
+                self._require(field.name, math.isfinite(getattr(self, field.name)), "finite")
         for key in ("epochs", "batch", "accumulate", "validate_every"):
             self._require(key, getattr(self, key) >= 1, "at least 1")
         for key in ("samples_per_epoch", "crop_width", "whole_epochs", "validation_scans", "seed"):
@@ -168,32 +170,13 @@ class Recipe:
         UsageError
             If a key is unknown or its value is impossible.
         """
-        data = without_removed(data, source)
+        for key, idle in REMOVED.items():
+            if key in data and data[key] != idle:
+                found, remedy = f"{key} = {shortened(data[key])}", "use the version that wrote it"
+                raise UsageError(source, found, f"no {key}, which is no longer trained", remedy)
+        data = {key: value for key, value in data.items() if key not in REMOVED}
         refuse_unknown(data, source)
         return cls(**data)
-
-
-def _as_float(value: int) -> float:
-    """Return a whole number as another; one that is too large is infinite."""
-    try:
-        return float(value)
-    except OverflowError:
-        return math.inf if value > 0 else -math.inf
-
-
-def without_removed(data: Mapping[str, Any], source: object) -> dict[str, Any]:
-    """Return a recipe's data without keys of older versions that did nothing in it.
-
-    Raises
-    ------
-    UsageError
-        If such a key did something.
-    """
-    for key, idle in REMOVED.items():
-        if key in data and data[key] != idle:
-            found, remedy = f"{key} = {shortened(data[key])}", "use the version that wrote it"
-            raise UsageError(source, found, f"no {key}, which is no longer trained", remedy)
-    return {key: value for key, value in data.items() if key not in REMOVED}
 
 
 def refuse_unknown(data: Mapping[str, Any], source: object) -> None:

@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import json
 import logging
 from collections.abc import Iterator, Mapping
 from contextlib import ExitStack, contextmanager, suppress
@@ -29,7 +28,7 @@ LOG, CURVE = "log.csv", "curve.png"
 RECIPE, CLASS_COUNTS = "recipe.toml", "class_counts.json"
 SAMPLES, EVENTS = "samples", "tensorboard"
 RESULTS = (CHECKPOINT, BEST, LAST, LOG, CURVE)
-"""Files that are gone when another training begins in the folder, beside pictures and events."""
+"""Files that a new training in the folder removes, beside pictures and events."""
 
 log = logging.getLogger(__name__)
 
@@ -69,9 +68,10 @@ def require_free(run: Path, settings: Mapping[str, Any], *, overwrite: bool) -> 
     """
     require_writable(run)
     recorded = stage_settings(run, STAGE)
-    if foreign := _foreign(run, settings):
-        found = "not written by salsanext, or changed since"
-        raise OutputError(foreign[0], found, remedy="move it, or use another folder")
+    for path in WrittenFiles(run).others(run / name for name in (*RESULTS, RECIPE, CLASS_COUNTS)):
+        if path.name != RECIPE or _content(path) != _recipe_file(settings):
+            found = "not written by salsanext, or changed since"
+            raise OutputError(path, found, remedy="move it, or use another folder")
     if recorded is not None and not overwrite and any((run / name).exists() for name in RESULTS):
         path = run / f"{STAGE}.json"
         require_same_settings(path, _decisive(recorded), _decisive(as_json(settings)))
@@ -96,22 +96,12 @@ def begin(run: Path, settings: Mapping[str, Any], *, overwrite: bool) -> None:
         for path in written.remove(results):
             log.warning("%s is kept: not written by salsanext, or changed since", path)
     StageRecord(STAGE, as_json(settings)).write(run)
-    recipe = _toml(settings["recipe"])
-    if _content(run / RECIPE) != recipe:
-        written.write(run / RECIPE, recipe)
+    if _content(run / RECIPE) != _recipe_file(settings):
+        written.write(run / RECIPE, _recipe_file(settings))
 
 
-def _foreign(run: Path, settings: Mapping[str, Any]) -> list[Path]:
-    """Return the files that a training would replace and salsanext did not write as they are."""
-    others = WrittenFiles(run).others(run / name for name in (*RESULTS, RECIPE, CLASS_COUNTS))
-    recipe = _toml(settings["recipe"])
-    return [path for path in others if path.name != RECIPE or _content(path) != recipe]
-
-
-def _toml(recipe: object) -> bytes:
-    """Return the recipe file of recorded settings, keys of older versions included."""
-    items = recipe.items() if isinstance(recipe, dict) else ()
-    return "".join(f"{key} = {json.dumps(value)}\n" for key, value in items).encode()
+def _recipe_file(settings: Mapping[str, Any]) -> bytes:
+    return Recipe.from_dict(settings["recipe"]).to_toml().encode()
 
 
 def _content(path: Path) -> bytes | None:

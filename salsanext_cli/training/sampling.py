@@ -13,7 +13,7 @@ from salsanext_cli.training.distributed import SINGLE_PROCESS, ProcessGroup
 from salsanext_cli.training.recipe import Recipe
 
 ORDER, SAMPLE = 0, 1
-"""Purpose of a generator, a part of its seed, so that no two are alike."""
+"""Purposes of generators, a part of their seeds, so that no two are alike."""
 
 SampleKey = tuple[int, int]
 """Position of a sample in the whole training, index of its scan."""

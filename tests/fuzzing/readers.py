@@ -143,7 +143,7 @@ def _checkpoint(folder: Path) -> Reader:
     torch.manual_seed(0)
     settings = Recipe(epochs=2, batch=1, average=0.5, optimiser="adamw")
     weights, device = torch.ones(FEW.class_count), torch.device("cpu")
-    learner = Learner.of(TinyNetwork(FEW.class_count), settings, weights, device, ProcessGroup())
+    learner = Learner(TinyNetwork(FEW.class_count), settings, weights, device, ProcessGroup())
     row = {"epoch": 1, "learning_rate": 0.01, "loss": 1.5, "seconds": 2.0, "miou": 0.5}
     learner.step(torch.zeros(1, 5, 16, 32), torch.ones(1, 16, 32, dtype=torch.long), 0, 1)
     path = folder / "checkpoint.safetensors"

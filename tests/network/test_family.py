@@ -105,7 +105,7 @@ def test_nothing_drops_in_the_trunk_and_something_right_after_it(name):
 def test_a_step_of_training_reaches_every_parameter(name):
     module = build({"name": name, "class_count": 20, "dropout": 0.0})
     recipe = Recipe(architecture=name, optimiser="sgd")
-    learner = Learner.of(module, recipe, torch.ones(20), torch.device("cpu"))
+    learner = Learner(module, recipe, torch.ones(20), torch.device("cpu"))
     # Below 17 rows the coarsest level is one, which a dilated 2×2 window steps over.
     truth = torch.from_numpy(np.random.default_rng(0).integers(0, 20, (2, 20, 40), np.uint8))
     loss = learner.step(noise(2, 5, 20, 40), truth, 0, 1)

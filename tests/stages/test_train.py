@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: MIT
 import json
 import math
-import os
+from dataclasses import replace
 from importlib.util import find_spec
 from pathlib import Path
 
@@ -11,7 +11,6 @@ import torch
 from safetensors.torch import load_file
 from scans import SMALL, write_sequence
 from tiny_network import TinyNetwork
-from torch import Tensor
 
 from salsanext_cli.classes import LabelSpace, label_space
 from salsanext_cli.errors import (
@@ -24,15 +23,15 @@ from salsanext_cli.errors import (
 )
 from salsanext_cli.inference.network import load_network
 from salsanext_cli.network.registry import ARCHITECTURES
-from salsanext_cli.network.salsanext import SalsaNext
 from salsanext_cli.network.weights import WeightsCard, read_card, save_weights
 from salsanext_cli.stages.train import TrainResult, train
 from salsanext_cli.storage.point_files import write_labels
 from salsanext_cli.training import dataset as dataset_module
 from salsanext_cli.training import fit
-from salsanext_cli.training.fit import Report
+from salsanext_cli.training.checkpoint import TrainingState
+from salsanext_cli.training.class_counts import class_weights
+from salsanext_cli.training.fit import Report, Training
 from salsanext_cli.training.learner import Learner
-from salsanext_cli.training.losses import class_weights
 from salsanext_cli.training.recipe import Recipe, recipe
 
 TINY = Recipe(
@@ -150,32 +149,18 @@ def test_from_a_checkpoint_within_an_epoch_it_goes_on_at_the_next_step(
     require_same(go(dataset, tmp_path / "whole", **wanted), parts)
 
 
-def test_the_real_network_can_be_interrupted_too(
-    dataset: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setitem(ARCHITECTURES, "salsanext", SalsaNext)
-    short = {"recipe": TINY.with_changes(epochs=2)}
-    stop_at(dataset, tmp_path / "parts", 3, **short)
-    parts, whole = (go(dataset, tmp_path / name, **short) for name in ("parts", "whole"))
-    require_same(whole, parts)
-    assert load_network(whole.best, "cpu").card.space.fits(label_space())
-
-
 def test_another_network_by_its_name(dataset: Path, tmp_path: Path) -> None:
     rung = {"recipe": TINY.with_changes(epochs=1, architecture="salsanet")}
     first = go(dataset, tmp_path / "first", **rung)
-    assert load_network(first.best, "cpu").card.architecture["name"] == "salsanet"
+    network = load_network(first.best, "cpu")
+    assert network.card.architecture["name"] == "salsanet"
+    assert network.card.space.fits(label_space())
     assert recipe(tmp_path / "first/recipe.toml").architecture == "salsanet"
     with pytest.raises(WeightsError, match='set architecture = "salsanet" in the recipe'):
         go(dataset, tmp_path / "second", weights=first.best)
-
-
-def test_an_unknown_network(dataset: Path, tmp_path: Path) -> None:
-    with pytest.raises(
-        UsageError, match="recipe key architecture · architecture resnet · expected one of"
-    ):
-        go(dataset, tmp_path / "run", recipe=TINY.with_changes(architecture="resnet"))
-    assert not (tmp_path / "run").exists()
+    with pytest.raises(UsageError, match="architecture resnet · expected one of"):
+        go(dataset, tmp_path / "second", recipe=TINY.with_changes(architecture="resnet"))
+    assert not (tmp_path / "second").exists()
 
 
 def test_a_finished_training_has_nothing_left_to_do(dataset: Path, tmp_path: Path) -> None:
@@ -199,7 +184,7 @@ def test_another_recipe_is_refused_and_overwrite_starts_anew(dataset: Path, tmp_
 
 
 def test_a_training_of_before_a_key_goes_on(dataset: Path, tmp_path: Path) -> None:
-    """What is not recorded was the default; another value is still another recipe."""
+    """A key that is not recorded was the default; another value is another recipe."""
     first = go(dataset, tmp_path / "run", recipe=TINY.with_changes(epochs=1))
     path = tmp_path / "run/train.json"
     manifest = json.loads(path.read_text("utf-8"))
@@ -288,35 +273,27 @@ def test_overwrite_follows_no_link_and_keeps_pictures_of_others(
 def test_rare_classes_and_weights_come_from_the_training_split(
     dataset: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    labels = np.full(600, 40, np.uint32)
+    labels = np.full(1800, 40, np.uint32)
     labels[:10] = 30  # person: 10 of 1800 points
     labels[10:100] = 10
-    for stem in "012":
-        write_labels(dataset / "sequences" / "00" / "labels" / f"{stem}.label", labels)
-        labels = np.full(600, 40, np.uint32)
-    pasted: list[np.ndarray] = []
-    weights: list[Tensor] = []
-    paste, of = dataset_module.paste, Learner.of.__func__  # type: ignore[attr-defined]
+    for stem, own in zip("012", np.split(labels, 3), strict=True):
+        write_labels(dataset / "sequences" / "00" / "labels" / f"{stem}.label", own)
+    prepared: list[Training] = []
+    fit = Training.fit
 
-    def spy_paste(onto: object, rare: tuple[object, np.ndarray], angles: object) -> object:
-        pasted.append(rare[1])
-        return paste(onto, rare, angles)  # type: ignore[arg-type]
+    def spy(self: Training) -> TrainingState:
+        prepared.append(self)
+        return fit(self)
 
-    def spy_of(cls: type[Learner], *given: object) -> Learner:
-        weights.append(given[2])  # type: ignore[arg-type]
-        return of(cls, *given)
-
-    monkeypatch.setattr(dataset_module, "paste", spy_paste)
-    monkeypatch.setattr(Learner, "of", classmethod(spy_of))
-    short = TINY.with_changes(epochs=1, samples_per_epoch=8, drop=0.0, paste=1.0)
-    go(dataset, tmp_path / "run", recipe=short)
-    space = label_space()
-    assert set(np.concatenate(pasted)) == {space.names.index("person")}
-    assert {len(each) for each in pasted} == {0, 10}
+    monkeypatch.setattr(Training, "fit", spy)
+    go(dataset, tmp_path / "run", recipe=TINY.with_changes(epochs=1))
+    space, (training,) = label_space(), prepared
     counts = json.loads((tmp_path / "run" / "class_counts.json").read_text())["points"]
     assert {n: c for n, c in counts.items() if c} == {"person": 10, "car": 90, "road": 1700}
+    rare = [name for name in np.array(space.names)[training.samples.rare] if counts[name]]
+    assert rare == ["person"]
     expected = class_weights(np.array([counts[n] for n in space.names]), space.scored)
-    assert torch.equal(weights[0], expected)
+    assert torch.equal(training.learner.loss.weights, expected)
 
 
 def test_labels_edited_since_they_were_counted_are_counted_again(
@@ -340,28 +317,21 @@ def test_labels_edited_since_they_were_counted_are_counted_again(
         go(dataset, tmp_path / "run", recipe=recipe)
 
 
-def tiny_weights(path: Path, space: LabelSpace) -> Path:
-    card = WeightsCard({"name": "salsanext", "class_count": space.class_count}, space, SMALL)
-    save_weights(path, TinyNetwork(space.class_count), card)
-    return path
-
-
 def test_training_goes_on_from_given_weights(dataset: Path, tmp_path: Path) -> None:
-    weights = tiny_weights(tmp_path / "start.safetensors", label_space())
+    space, weights = label_space(), tmp_path / "start.safetensors"
+    card = WeightsCard({"name": "salsanext", "class_count": 20}, space, SMALL)
+    save_weights(weights, TinyNetwork(), card)
     still = TINY.with_changes(epochs=1, learning_rate=1e-30, average=0.0, weight_decay=0.0)
     result = go(dataset, tmp_path / "run", recipe=still, weights=weights, sensor=None)
     before, after = load_file(weights), load_file(result.last)
     torch.testing.assert_close(after["logits.weight"], before["logits.weight"])
     assert not torch.equal(after["norm.running_mean"], before["norm.running_mean"])
     assert read_card(result.last).sensor == SMALL
-
-
-def test_weights_of_other_classes_are_refused(dataset: Path, tmp_path: Path) -> None:
-    data = label_space().to_dict()
-    other = LabelSpace.from_dict({**data, "labels": {**data["labels"], 10: "automobile"}}, "other")
-    weights = tiny_weights(tmp_path / "other.safetensors", other)
+    labels = {**space.to_dict(), "labels": {**space.to_dict()["labels"], 10: "automobile"}}
+    other = replace(card, space=LabelSpace.from_dict(labels, "other"))
+    save_weights(weights, TinyNetwork(), other)
     with pytest.raises(WeightsError, match="trained for the classes of"):
-        go(dataset, tmp_path / "run", weights=weights)
+        go(dataset, tmp_path / "other", weights=weights)
 
 
 def test_a_loss_that_is_not_finite_names_the_scans(
@@ -394,9 +364,6 @@ def test_no_memory_left_is_one_line_with_a_remedy(
     message = r"step 1 · no memory is left on cpu for 2 images .* --set accumulate=2"
     with pytest.raises(TrainingError, match=message):
         go(dataset, tmp_path / "run")
-    monkeypatch.undo()
-    monkeypatch.setitem(ARCHITECTURES, "salsanext", TinyNetwork)
-    go(dataset, tmp_path / "run", recipe=TINY.with_changes(accumulate=2))
 
 
 def no_step(report: Report) -> None:
@@ -423,55 +390,43 @@ def test_what_fails_before_the_first_step_costs_no_earlier_training(
     assert (tmp_path / "run/checkpoint.safetensors").exists()
 
 
-def test_missing_labels_stop_it_before_the_first_step(dataset: Path, tmp_path: Path) -> None:
-    for sequence in ("08", "00"):
-        (dataset / "sequences" / sequence / "labels" / "1.label").unlink()
-        with pytest.raises(LabelError, match=rf"{sequence}/labels/1\.label · no such file"):
-            go(dataset, tmp_path / "run", progress=no_step)
-
-
-@pytest.mark.parametrize("sequence", ["00", "08"])
 @pytest.mark.parametrize(
-    ("count", "label", "says"),
+    ("sequence", "stems", "count", "label", "error", "says"),
     [
-        (9, 40, r"1\.label · 9 labels · expected 600"),
-        (600, 77, r"1\.label · unknown label ids 77 \(600×\)"),
+        ("00", "1", None, 0, LabelError, r"00/labels/1\.label · no such file"),
+        ("08", "1", None, 0, LabelError, r"08/labels/1\.label · no such file"),
+        ("08", "1", 9, 40, LabelError, r"1\.label · 9 labels · expected 600"),
+        ("00", "1", 600, 77, LabelError, r"1\.label · unknown label ids 77 \(600×\)"),
+        ("00", "012", 600, 0, TrainingError, "none of 1800 points in 3 scans"),
+        # Of the two, only the first is scored, and only the second is labelled.
+        ("08", "0", 600, 0, TrainingError, "none of 600 points in 1 scans"),
     ],
 )
 def test_labels_that_cannot_be_trained_on_stop_it_before_the_first_step(
-    sequence: str, count: int, label: int, says: str, dataset: Path, tmp_path: Path
+    sequence: str,
+    stems: str,
+    count: int | None,
+    label: int,
+    error: type[Exception],
+    says: str,
+    dataset: Path,
+    tmp_path: Path,
 ) -> None:
-    path = dataset / "sequences" / sequence / "labels" / "1.label"
-    write_labels(path, np.full(count, label, np.uint32))
-    with pytest.raises(LabelError, match=says):
-        go(dataset, tmp_path / "run", progress=no_step)
-
-
-def test_a_data_set_without_classes_that_count(dataset: Path, tmp_path: Path) -> None:
-    for path in (dataset / "sequences/00/labels").iterdir():
-        write_labels(path, np.zeros(600, np.uint32))
-    with pytest.raises(TrainingError, match="none of 1800 points in 3 scans"):
-        go(dataset, tmp_path / "run", progress=no_step)
-
-
-def test_validation_scans_without_classes_that_count(dataset: Path, tmp_path: Path) -> None:
-    """Of the two, only the first is scored, and only the second is labelled."""
-    path = dataset / "sequences" / "08" / "labels" / "0.label"
-    write_labels(path, np.zeros(600, np.uint32))
-    go(dataset, tmp_path / "both", recipe=TINY.with_changes(epochs=1))
+    for stem in stems:
+        path = dataset / "sequences" / sequence / "labels" / f"{stem}.label"
+        if count is None:
+            path.unlink()
+        else:
+            write_labels(path, np.full(count, label, np.uint32))
     one = TINY.with_changes(validation_scans=1)
-    with pytest.raises(TrainingError, match="none of 600 points in 1 scans"):
+    with pytest.raises(error, match=says):
         go(dataset, tmp_path / "run", recipe=one, progress=no_step)
 
 
-def test_a_data_set_without_a_validation_split(dataset: Path, tmp_path: Path) -> None:
+def test_folders_that_cannot_be_used(dataset: Path, tmp_path: Path) -> None:
+    (tmp_path / "file").touch()
+    with pytest.raises(OutputError, match="cannot be written"):
+        go(dataset, tmp_path / "file" / "run", progress=no_step)
     (dataset / "sequences" / "08").rename(dataset / "sequences" / "99")
     with pytest.raises(NoInputError, match="no scans of split valid"):
         go(dataset, tmp_path / "run")
-
-
-@pytest.mark.skipif(os.geteuid() == 0, reason="root may write anywhere")
-def test_a_folder_that_cannot_be_written(dataset: Path, tmp_path: Path) -> None:
-    (tmp_path / "run").mkdir(mode=0o500)
-    with pytest.raises(OutputError, match="cannot be written"):
-        go(dataset, tmp_path / "run", progress=no_step)

@@ -1,6 +1,5 @@
 # SPDX-License-Identifier: MIT
 import json
-import pickle
 import struct
 import time
 import tracemalloc
@@ -30,7 +29,7 @@ NAME = "c.safetensors"
 
 def learner(classes: int = 3, **changes: object) -> Learner:
     recipe = Recipe(epochs=9, optimiser="adamw", average=0.9).with_changes(**changes)
-    return Learner.of(TinyNetwork(classes), recipe, torch.ones(classes), torch.device("cpu"))
+    return Learner(TinyNetwork(classes), recipe, torch.ones(classes), torch.device("cpu"))
 
 
 def trained(**changes: object) -> Learner:
@@ -58,10 +57,16 @@ def refused(path: Path, learning: Learner, words: str = "") -> None:
 
 
 @pytest.mark.parametrize("changes", [{}, {"average": 0.0}, {"optimiser": "sgd"}])
-def test_round_trip(tmp_path: Path, changes: dict[str, object]) -> None:
+@pytest.mark.parametrize("steps", [0, 1])
+def test_round_trip(tmp_path: Path, changes: dict[str, object], steps: int) -> None:
     rows = [{"epoch": 1, "loss": 2.5}, {"epoch": 2, "loss": 0.1, "miou": 0.25}]
-    learning, state = trained(**changes), TrainingState(2, 0.5, rows, [0.1, 1 / 3], 3.5)
+    learning, state = learner(**changes), TrainingState()
+    if steps:
+        learning, state = trained(**changes), TrainingState(2, 0.5, rows, [0.1, 1 / 3], 3.5)
     save_checkpoint(tmp_path / NAME, learning, state)
+    first = (tmp_path / NAME).read_bytes()
+    save_checkpoint(tmp_path / NAME, learning, state)
+    assert (tmp_path / NAME).read_bytes() == first
     other = learner(**changes)
     assert load_checkpoint(tmp_path / NAME, other) == state
     for mine, theirs in ((learning.module, other.module), (learning.average, other.average)):
@@ -72,20 +77,6 @@ def test_round_trip(tmp_path: Path, changes: dict[str, object]) -> None:
     for key, values in kept.items():
         assert values.keys() == found[key].keys()
         assert all(torch.equal(value, found[key][name]) for name, value in values.items())
-
-
-def test_before_the_first_step_and_with_no_loss(tmp_path: Path) -> None:
-    save_checkpoint(tmp_path / NAME, learner(), TrainingState())
-    other = learner()
-    assert load_checkpoint(tmp_path / NAME, other) == TrainingState()
-    assert not other.optimiser.state
-
-
-def test_equal_states_have_equal_bytes(tmp_path: Path) -> None:
-    learning = trained()
-    for name in ("a", "b"):
-        save_checkpoint(tmp_path / name, learning, TrainingState())
-    assert (tmp_path / "a").read_bytes() == (tmp_path / "b").read_bytes()
 
 
 def test_the_scale_of_float16_is_kept(tmp_path: Path) -> None:
@@ -122,11 +113,6 @@ def test_a_flipped_bit_is_noticed(share: float, tmp_path: Path) -> None:
     data[start + int(share * (len(data) - start))] ^= 4
     (tmp_path / NAME).write_bytes(data)
     refused(tmp_path / NAME, learner(), "the checksum is wrong")
-
-
-def test_no_file_at_all(tmp_path: Path) -> None:
-    (tmp_path / NAME).mkdir()
-    refused(tmp_path / NAME, learner())
 
 
 def rewritten(path: Path, change: Callable[[dict[str, Any], dict[str, Any]], object]) -> None:
@@ -178,34 +164,22 @@ def test_tensors_that_are_others(tmp_path: Path, name: str, tensor: torch.Tensor
     refused(tmp_path / NAME, learner())
 
 
-class Malicious:
-    """Takes six gigabytes, or runs code, when it is unpickled."""
-
-    def __init__(self, function: Callable[..., object], argument: object) -> None:
-        self.reduced = (function, (argument,))
-
-    def __reduce__(self) -> tuple[object, tuple[object, ...]]:
-        return self.reduced
-
-
-def nested() -> bytes:
-    """Return a pickle of a dictionary whose key takes 2⁶⁰ steps to hash."""
-    return b"\x80\x02)" + 60 * b"2\x86" + b"}\x94R."
-
-
-@pytest.mark.parametrize("form", ["code", "memory", "time", "zip"])
-def test_pickles_are_not_read(form: str, tmp_path: Path) -> None:
-    executed = tmp_path / "executed"
-    if form == "zip":
-        torch.save({"module": torch.zeros(3)}, tmp_path / NAME)
-    else:
-        value = (
-            Malicious(Path.touch, executed) if form == "code" else Malicious(bytearray, 6 * 10**9)
-        )
-        content = nested() if form == "time" else pickle.dumps(value, protocol=2)
-        (tmp_path / NAME).write_bytes(content)
+@pytest.mark.parametrize(
+    "content",
+    [
+        b"cos\nmkdir\n(S'executed'\ntR.",
+        b"cbuiltins\nbytearray\n(I6000000000\ntR.",
+        # A dictionary whose key takes 2⁶⁰ steps to hash.
+        b"\x80\x02)" + 60 * b"2\x86" + b"}\x94R.",
+    ],
+)
+def test_pickles_are_not_read(
+    content: bytes, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / NAME).write_bytes(content)
     refused(tmp_path / NAME, learner())
-    assert not executed.exists()
+    assert [path.name for path in tmp_path.iterdir()] == [NAME]
 
 
 @pytest.mark.parametrize(
@@ -226,7 +200,7 @@ def test_headers_that_promise_more_than_there_is(
 
 
 def test_a_file_of_gigabytes_is_not_read(tmp_path: Path) -> None:
-    """Of holes, so that it takes no space; the name is known, the shape is another."""
+    """The file has holes, so that it takes no space; its tensor is of another shape."""
     size = 4 * 10**9
     entry = {"dtype": "F32", "shape": [size // 4], "data_offsets": [0, size]}
     header = json.dumps({"module.norm.running_mean": entry}).encode()

@@ -10,11 +10,8 @@ from scans import SMALL, write_sequence
 from salsanext_cli.classes import label_space
 from salsanext_cli.errors import FormatError
 from salsanext_cli.formats.kitti import read_bin, read_labels
-from salsanext_cli.geometry.gather import pixels_from_points
-from salsanext_cli.geometry.normalise import normalise
 from salsanext_cli.geometry.projection import project
 from salsanext_cli.storage.layout import ScanFile, find_scans
-from salsanext_cli.training.augment import Augmentation
 from salsanext_cli.training.class_counts import (
     class_shares,
     count_classes,
@@ -27,7 +24,7 @@ from salsanext_cli.training.dataset import (
     read_labelled,
 )
 from salsanext_cli.training.distributed import ProcessGroup
-from salsanext_cli.training.recipe import Recipe, recipe
+from salsanext_cli.training.recipe import Recipe
 from salsanext_cli.training.sampling import SamplingPlan
 
 SPACE = label_space()
@@ -43,17 +40,6 @@ def files(tmp_path_factory: pytest.TempPathFactory) -> list[ScanFile]:
 
 def samples(files: list[ScanFile], recipe: Recipe) -> Samples:
     return Samples(files, SPACE, SMALL, recipe, RARE)
-
-
-def test_truth_is_that_of_each_pixels_nearest_point(files: list[ScanFile]) -> None:
-    scan, labels = read_labelled(files[0], SPACE, SMALL)
-    image = project(scan, SMALL)
-    truth = pixels_from_points(labels, image.point_of_pixel)
-    for row, column in np.ndindex(truth.shape):
-        point = image.point_of_pixel[row, column]
-        assert truth[row, column] == (labels[point] if point >= 0 else 0)
-    assert 0 in image.point_of_pixel  # the first point counts too
-    assert (image.point_of_pixel < 0).any()
 
 
 def test_truth_of_an_empty_scan_is_unlabelled(tmp_path: Path) -> None:
@@ -119,25 +105,27 @@ def test_windows_on_a_class_hold_rare_ones_as_often_as_common_ones() -> None:
     assert len(choose_columns(0 * truth, SPACE.scored, 16, 1.0, random)) == 16
 
 
-def test_every_scan_is_drawn_once_before_any_is_drawn_again() -> None:
-    plan = SamplingPlan(10, Recipe(epochs=3, batch=4))
-    drawn = [index for batch in plan.batches() for _, index in batch]
-    assert len(drawn) == 36
-    for time in range(3):
-        assert sorted(drawn[10 * time : 10 * time + 10]) == list(range(10))
-    assert drawn[:10] != drawn[10:20]
-    assert [len(batch) for batch in plan.batches()] == 9 * [4]
-    assert (plan.steps_per_epoch, plan.steps) == (3, 9)
-
-
-@pytest.mark.parametrize("size", [3, 7, 25])
-def test_epochs_of_another_size_than_the_data(size: int) -> None:
+@pytest.mark.parametrize("size", [0, 3, 7, 25])
+def test_every_scan_is_drawn_once_before_any_is_drawn_again(size: int) -> None:
+    """In epochs of any size, whose batches are all whole."""
     plan = SamplingPlan(10, Recipe(epochs=4, batch=4, samples_per_epoch=size))
+    assert [len(batch) for batch in plan.batches()] == plan.steps * [4]
     draws = [draw for batch in plan.batches() for draw in batch]
     assert [position for position, _ in draws] == list(range(4 * plan.steps))
-    assert size <= 4 * plan.steps_per_epoch < size + 4
-    counts = Counter(index for _, index in draws)
-    assert max(counts.values()) - min(counts[i] for i in range(10)) <= 1
+    assert (size or 10) <= 4 * plan.steps_per_epoch < (size or 10) + 4
+    rounds = [[index for _, index in draws[i : i + 10]] for i in range(0, len(draws), 10)]
+    assert all(sorted(each) == list(range(10)) for each in rounds[:-1])
+    assert len(set(rounds[-1])) == len(rounds[-1])
+    assert rounds[0] != rounds[1][: len(rounds[0])]
+
+
+def test_the_last_epochs_are_whole_and_a_batch_is_never_mixed() -> None:
+    """More whole epochs than there are epochs are all of them."""
+    for whole, expected in ((0, 4 * [32]), (2, [32, 32, 0, 0]), (9, 4 * [0])):
+        recipe = Recipe(epochs=4, batch=3, samples_per_epoch=4, crop_width=32, whole_epochs=whole)
+        plan = SamplingPlan(5, recipe)
+        batches = [{plan.crop_width(position) for position, _ in batch} for batch in plan.batches()]
+        assert batches == [{width} for width in expected for _ in range(plan.steps_per_epoch)]
 
 
 @pytest.mark.parametrize("first", range(7))
@@ -160,8 +148,7 @@ def test_workers_together_draw_what_one_alone_draws(size: int) -> None:
 
 def test_batches_do_not_depend_on_the_number_of_workers(files: list[ScanFile]) -> None:
     recipe = Recipe(epochs=2, batch=2, crop_width=32, mix=0.5, paste=0.5, whole_epochs=1)
-    plan = SamplingPlan(len(files), recipe)
-    alone, helped = (list(batches(samples(files, recipe), plan, 0, n)) for n in (0, 1))
+    alone, helped = (list(batches(samples(files, recipe), 0, n)) for n in (0, 1))
     assert len(alone) == len(helped) == 6
     assert [images.shape[3] for images, *_ in alone] == 3 * [32] + 3 * [SMALL.width]
     for one, other in zip(alone, helped, strict=True):
@@ -169,28 +156,6 @@ def test_batches_do_not_depend_on_the_number_of_workers(files: list[ScanFile]) -
             assert torch.equal(a, b)
     # Seeds that are equal in all workers would show up as equal samples here.
     assert not torch.equal(helped[0][0], helped[1][0])
-
-
-def by_hand(file: ScanFile, recipe: Recipe, position: int) -> tuple[np.ndarray, np.ndarray]:
-    """Return the sample of a recipe that does not mix, step by step."""
-    random = np.random.default_rng((recipe.seed, 1, position))
-    augment = Augmentation(recipe.rotate, recipe.shift, recipe.flip, recipe.drop)
-    scan, labels = augment(*read_labelled(file, SPACE, SMALL), random)
-    image = project(scan, SMALL)
-    truth = pixels_from_points(labels, image.point_of_pixel)
-    columns = choose_columns(truth, SPACE.scored, recipe.crop_width, recipe.crop_on_class, random)
-    return normalise(image.channels, SMALL)[:, :, columns], truth[:, columns]
-
-
-@pytest.mark.parametrize("name", ["paper", "street"])
-def test_a_recipe_that_does_not_mix_draws_nothing_for_it(files: list[ScanFile], name: str) -> None:
-    chosen = recipe(name).with_changes(crop_width=0 if "paper" in name else 32)
-    assert (chosen.mix, chosen.paste, chosen.label_smoothing, chosen.whole_epochs) == (0, 0, 0, 0)
-    for position in range(20):
-        image, truth, _ = samples(files, chosen)[position, position % 5]
-        expected_image, expected_truth = by_hand(files[position % 5], chosen, position)
-        np.testing.assert_array_equal(image, expected_image)
-        np.testing.assert_array_equal(truth, expected_truth)
 
 
 def pixels(files: list[ScanFile], recipe: Recipe, index: int) -> list[tuple[np.ndarray, int]]:
@@ -236,20 +201,6 @@ def test_pasting_where_no_point_is_rare(files: list[ScanFile]) -> None:
     none = Samples(files, SPACE, SMALL, recipe, np.zeros(20, bool))[3, 1]
     np.testing.assert_array_equal(none[0], samples(files, PLAIN)[3, 1][0])
     np.testing.assert_array_equal(none[1], samples(files, PLAIN)[3, 1][1])
-
-
-@pytest.mark.parametrize("size", [1, 2, 3])
-def test_all_images_of_a_batch_are_as_wide(files: list[ScanFile], size: int) -> None:
-    """Two of four epochs are whole; a worker that has nothing left goes along."""
-    recipe = Recipe(epochs=4, batch=3, samples_per_epoch=4, crop_width=32, whole_epochs=2)
-    plan = SamplingPlan(len(files), recipe)
-    drawn = samples(files, recipe)
-    shares = [list(plan.batches(0, ProcessGroup(rank, size))) for rank in range(size)]
-    for step, parts in enumerate(zip(*shares, strict=True)):
-        widths = {drawn[draw][0].shape[2] for share in parts for draw in share}
-        assert widths == {32 if step < plan.steps / 2 else SMALL.width}
-    # More whole epochs than there are epochs are all of them.
-    assert samples(files, recipe.with_changes(whole_epochs=9))[0, 0][0].shape[2] == SMALL.width
 
 
 def test_rare_classes_have_less_than_a_hundredth_of_the_points_that_count() -> None:

@@ -12,7 +12,7 @@ import pytest
 import torch
 from safetensors.torch import load_file
 from scans import SMALL, write_sequence
-from torch.distributed import is_gloo_available, is_torchelastic_launched
+from torch.distributed import is_gloo_available
 from two_workers import CASES, batch, learner, share, stepped
 
 import salsanext_cli
@@ -20,7 +20,6 @@ from salsanext_cli.errors import UsageError
 from salsanext_cli.training.distributed import (
     SINGLE_PROCESS,
     ProcessGroup,
-    group_of_environment,
     process_group,
 )
 
@@ -149,24 +148,6 @@ def test_what_is_wrong_with_the_data_is_said_once(tmp_path: Path) -> None:
     assert ended.returncode != 0
     assert ended.stderr.count("error: ") == 1
     assert len(ended.stdout.splitlines()) == 1
-
-
-def test_without_torchrun_one_works_alone() -> None:
-    assert not is_torchelastic_launched()
-    with process_group("cpu") as (group, place):
-        assert (group, place) == (SINGLE_PROCESS, torch.device("cpu"))
-    ones = torch.ones(2)
-    assert SINGLE_PROCESS.sum(ones) is ones
-    assert SINGLE_PROCESS.gather(ones)[0] is ones
-    assert SINGLE_PROCESS.on_main(lambda: 3) == 3
-    assert SINGLE_PROCESS.is_main
-    assert not ProcessGroup(1, 2).is_main
-
-
-def test_torchrun_says_who_is_who(monkeypatch: pytest.MonkeyPatch) -> None:
-    for name, value in {"RANK": "3", "WORLD_SIZE": "4", "TORCHELASTIC_RUN_ID": "x"}.items():
-        monkeypatch.setenv(name, value)
-    assert group_of_environment() == ProcessGroup(3, 4)
 
 
 def test_one_gpu_for_several_workers_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:

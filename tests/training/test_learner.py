@@ -1,14 +1,12 @@
 # SPDX-License-Identifier: MIT
 import copy
 import math
-from dataclasses import replace
 
 import pytest
 import torch
 from tiny_network import TinyNetwork
 from torch import Tensor, nn
 
-from salsanext_cli.training.distributed import ProcessGroup
 from salsanext_cli.training.learner import Learner
 from salsanext_cli.training.losses import SegmentationLoss
 from salsanext_cli.training.recipe import Recipe
@@ -28,7 +26,7 @@ def learner(**changes: object) -> Learner:
     with torch.random.fork_rng():
         torch.manual_seed(0)
         module = TinyNetwork(3, dropout=recipe.dropout)
-    return Learner.of(module, recipe, WEIGHTS, CPU)
+    return Learner(module, recipe, WEIGHTS, CPU)
 
 
 def test_the_loss_falls() -> None:
@@ -92,14 +90,6 @@ def test_clipping_bounds_the_gradient() -> None:
     assert float(torch.stack(norms).norm()) == pytest.approx(1e-3, rel=1e-3)
 
 
-def test_without_an_average_the_module_is_what_is_kept() -> None:
-    assert (without := learner()).average is without.module
-    averaged = learner(average=0.9)
-    assert averaged.average is not averaged.module
-    averaged.step(*batch(), 0, 10)
-    assert not averaged.average.training
-
-
 # Parts of a batch
 
 
@@ -156,22 +146,18 @@ def test_parts_are_one_step_for_average_and_optimiser() -> None:
     assert {float(state["step"]) for state in learning.optimiser.state.values()} == {1.0}
 
 
-@pytest.mark.parametrize("size", [1, 4, 8, 16, 24])
-@pytest.mark.parametrize("accumulate", [1, 3])
-def test_a_part_of_whole_circles_holds_no_more_than_one_of_windows(
-    size: int, accumulate: int
+@pytest.mark.parametrize(
+    ("accumulate", "width", "sizes"),
+    [(1, 8, [4]), (2, 8, [2, 2]), (1, 16, [2, 2]), (2, 16, [1, 1, 1, 1]), (1, 64, [1, 1, 1, 1])],
+)
+def test_a_part_of_whole_circles_holds_no_more_columns_than_one_of_windows(
+    accumulate: int, width: int, sizes: list[int]
 ) -> None:
-    """Or one circle; and no worker has more parts than images."""
-    recipe = Recipe(batch=24, accumulate=accumulate, crop_width=512, whole_epochs=1)
-    learning = replace(
-        Learner.of(TinyNetwork(3), recipe, WEIGHTS, CPU), group=ProcessGroup(0, size)
-    )
-    share = -(-24 // size)
-    windows = -(-share // learning._parts(512)) * 512
-    assert learning._parts(512) == min(accumulate, 24 // size)
-    parts = learning._parts(2048)
-    assert parts <= 24 // size
-    assert -(-share // parts) * 2048 <= max(windows, 2048) or parts == 24 // size
+    """Or one circle."""
+    learning, seen = learner(batch=4, crop_width=8, accumulate=accumulate), []
+    learning.module.register_forward_pre_hook(lambda _, given: seen.append(len(given[0])))
+    learning.step(torch.ones(4, 5, 8, width), torch.ones(4, 8, width, dtype=torch.uint8), 0, 1)
+    assert seen == sizes
 
 
 # Shorter types

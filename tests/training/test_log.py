@@ -1,12 +1,15 @@
 # SPDX-License-Identifier: MIT
 import csv
+import sys
 from pathlib import Path
+from types import SimpleNamespace
+from typing import ClassVar
 
 import numpy as np
 import pytest
 
 from salsanext_cli.training import log
-from salsanext_cli.training.log import add_epoch, draw_curve, tensorboard_in, write_log
+from salsanext_cli.training.log import draw_curve, tensorboard_in, write_log
 
 ROWS = [
     {"epoch": 1, "loss": 3.25},
@@ -30,32 +33,6 @@ def test_curve_is_a_picture(tmp_path: Path) -> None:
         assert (tmp_path / "curve.png").read_bytes().startswith(b"\x89PNG")
 
 
-class Recorder:
-    """Stands for TensorBoard's writer and keeps what it is given."""
-
-    def __init__(self) -> None:
-        self.scalars: dict[str, tuple[float, int]] = {}
-        self.images: list[tuple[str, tuple[int, ...], int, str]] = []
-        self.flushed = 0
-
-    def add_scalar(self, name: str, value: float, step: int) -> None:
-        self.scalars[name] = (value, step)
-
-    def add_image(self, name: str, image: np.ndarray, step: int, dataformats: str) -> None:
-        self.images.append((name, image.shape, step, dataformats))
-
-    def flush(self) -> None:
-        self.flushed += 1
-
-
-def test_an_epoch_is_scalars_and_an_image() -> None:
-    recorder = Recorder()
-    add_epoch(recorder, ROWS[1], PICTURE)
-    assert recorder.scalars == {"loss": (2.5, 2), "miou": (0.25, 2), "iou/road": (0.5, 2)}
-    assert recorder.images == [("sample", (4, 6, 3), 2, "HWC")]
-    assert recorder.flushed == 1
-
-
 @pytest.mark.parametrize("wanted", [True, False])
 def test_without_tensorboard_nothing_is_written(
     wanted: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
@@ -64,6 +41,39 @@ def test_without_tensorboard_nothing_is_written(
     with tensorboard_in(tmp_path, "tensorboard", wanted=wanted) as write:
         write(ROWS[1], PICTURE)
     assert not list(tmp_path.iterdir())
+
+
+class Recorder:
+    """Stands for TensorBoard's writer, which need not be installed, and keeps what it is given."""
+
+    given: ClassVar[list[tuple[object, ...]]] = []
+
+    def __init__(self, folder: str) -> None:
+        self.given.clear()
+
+    def __enter__(self) -> "Recorder":
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.given.append(())
+
+    def add_scalar(self, *given: object) -> None:
+        self.given.append(given)
+
+    def add_image(self, name: str, image: np.ndarray, step: int, dataformats: str) -> None:
+        self.given.append((name, image.shape, step, dataformats))
+
+    def flush(self) -> None: ...
+
+
+def test_an_epoch_is_scalars_and_an_image(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    stand_in = SimpleNamespace(SummaryWriter=Recorder)
+    monkeypatch.setitem(sys.modules, "torch.utils.tensorboard", stand_in)
+    monkeypatch.setattr(log, "find_spec", lambda name: True)
+    with tensorboard_in(tmp_path, "events") as write:
+        write(ROWS[1], PICTURE)
+    scalars = [("loss", 2.5, 2), ("miou", 0.25, 2), ("iou/road", 0.5, 2)]
+    assert Recorder.given == [*scalars, ("sample", (4, 6, 3), 2, "HWC"), ()]
 
 
 def test_tensorboard_reads_what_was_written(tmp_path: Path) -> None:

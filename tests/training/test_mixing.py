@@ -84,27 +84,6 @@ def test_every_point_comes_from_the_scan_of_its_cell_and_keeps_its_label(seed: i
                 assert labels[place] == truth[index]
 
 
-def test_both_ways_of_mixing_two_scans_use_every_point_once() -> None:
-    first, second = labelled(1), labelled(2, 5000)
-    board = Checkerboard(3, 4, 0.3, DOWN, UP)
-    ways = (mix(first, second, board), mix(second, first, board))
-    numbers = sorted(int(n) for scan, _ in ways for n in scan.intensity)
-    assert numbers == [*range(1500), *range(5000, 6500)]
-
-
-def test_the_nearest_point_wins_whichever_scan_it_is_from() -> None:
-    """Of two walls, cut along a border that runs through pixels, none shines through the other."""
-    scan, _ = mix(labelled(1), labelled(2, 5000), Checkerboard(5, 6, 0.123, DOWN, UP))
-    image = project(scan, SMALL)
-    nearest = np.full(SMALL.height * SMALL.width, np.inf)
-    for pixel, distance in zip(image.pixel_of_point, image.point_range, strict=True):
-        nearest[pixel] = min(nearest[pixel], distance)
-    shown = image.channels.reshape(5, -1)
-    filled = np.isfinite(nearest)
-    np.testing.assert_array_equal(shown[0, filled], nearest[filled].astype(np.float32))
-    np.testing.assert_allclose(np.linalg.norm(shown[1:4], axis=0), shown[0], rtol=1e-5)
-
-
 def test_boards_are_bands_sectors_and_boxes_as_often_as_each_other() -> None:
     boards = [Checkerboard.drawn(SMALL, np.random.default_rng(seed)) for seed in range(900)]
     kinds = Counter((board.bands > 1, board.sectors > 1) for board in boards)

@@ -11,8 +11,6 @@ from salsanext_cli.training.optimiser import (
 )
 from salsanext_cli.training.recipe import Recipe
 
-CPU, GPU = torch.device("cpu"), torch.device("cuda", 0)
-
 
 def test_sgd_is_the_papers() -> None:
     """Two steps against the update rule written out: momentum 0.9, decay added to the gradient."""
@@ -85,18 +83,21 @@ def test_the_first_steps_of_an_average_forget_the_random_weights() -> None:
     assert float(kept.weight.detach()) > 0.99
 
 
-def test_on_a_cpu_auto_is_float32() -> None:
-    assert dtype_of("auto", CPU) is torch.float32
-    for name in ("float32", "bfloat16", "float16"):
-        assert dtype_of(name, CPU) is dtype_of(name, GPU) is getattr(torch, name)
-
-
 @pytest.mark.parametrize(
-    ("capability", "dtype"),
-    [((9, 0), torch.bfloat16), ((8, 0), torch.bfloat16), ((7, 5), torch.float16)],
+    ("precision", "capability", "dtypes"),
+    [
+        ("auto", (9, 0), (torch.float32, torch.bfloat16)),
+        ("auto", (8, 0), (torch.float32, torch.bfloat16)),
+        ("auto", (7, 5), (torch.float32, torch.float16)),
+        ("bfloat16", (7, 5), (torch.bfloat16, torch.bfloat16)),
+    ],
 )
-def test_on_a_gpu_auto_is_what_it_computes_fast(
-    capability: tuple[int, int], dtype: torch.dtype, monkeypatch: pytest.MonkeyPatch
+def test_auto_is_float32_on_cpus_and_what_gpus_compute_fast(
+    precision: str,
+    capability: tuple[int, int],
+    dtypes: tuple[torch.dtype, torch.dtype],
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     monkeypatch.setattr(torch.cuda, "get_device_capability", lambda device: capability)
-    assert dtype_of("auto", GPU) is dtype
+    devices = (torch.device("cpu"), torch.device("cuda", 0))
+    assert tuple(dtype_of(precision, device) for device in devices) == dtypes

@@ -8,17 +8,12 @@ from salsanext_cli.training.overrides import read_overrides
 from salsanext_cli.training.recipe import Recipe, presets, recipe
 
 
-def test_values_have_the_type_of_their_key() -> None:
+def test_values_have_the_type_of_their_key_and_the_last_of_several_holds() -> None:
     texts = ["epochs=3", "learning_rate=1", " decay = 9.5e-1 ", "optimiser=adamw", "batch=08"]
-    found = read_overrides(texts)
-    assert found == {
-        "epochs": 3,
-        "learning_rate": 1.0,
-        "decay": 0.95,
-        "optimiser": "adamw",
-        "batch": 8,
-    }
-    assert [type(value) for value in found.values()] == [int, float, float, str, int]
+    found = read_overrides(["batch=7", *texts])
+    wanted = {"batch": 8, "epochs": 3, "learning_rate": 1.0, "decay": 0.95, "optimiser": "adamw"}
+    assert found == wanted
+    assert [type(value) for value in found.values()] == [int, int, float, float, str]
 
 
 @pytest.mark.parametrize("name", presets())
@@ -27,11 +22,6 @@ def test_every_key_can_be_set_to_what_a_recipe_says(name: str) -> None:
     wanted = recipe(name)
     assert Recipe(seed=9).with_changes(**read_overrides(wanted.to_toml().splitlines())) == wanted
     assert len(wanted.to_toml().splitlines()) == len(fields(Recipe))
-
-
-def test_the_last_of_several_holds() -> None:
-    assert read_overrides(["seed=1", "seed=2"]) == {"seed": 2}
-    assert read_overrides([]) == {}
 
 
 @pytest.mark.parametrize(
@@ -50,9 +40,3 @@ def test_the_last_of_several_holds() -> None:
 def test_what_cannot_be_read_is_named(text: str, words: str) -> None:
     with pytest.raises(UsageError, match=words):
         read_overrides(["seed=3", text])
-
-
-@pytest.mark.parametrize("text", ["epochs=0", "flip=nan", "schedule=cosine", "dropout=2"])
-def test_impossible_values_are_the_recipes_to_refuse(text: str) -> None:
-    with pytest.raises(UsageError, match=f"recipe key {text.partition('=')[0]}"):
-        Recipe().with_changes(**read_overrides([text]))

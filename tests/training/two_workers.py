@@ -68,7 +68,7 @@ def learner(group: ProcessGroup, *, norm: bool = False, **changes: object) -> Le
     with torch.random.fork_rng():
         torch.manual_seed(0)
         module = Small(norm=norm).double()
-    return Learner.of(module, recipe, WEIGHTS, torch.device("cpu"), group)  # type: ignore[arg-type]
+    return Learner(module, recipe, WEIGHTS, torch.device("cpu"), group)  # type: ignore[arg-type]
 
 
 def stepped(group: ProcessGroup, case: str) -> dict[str, Tensor]:
@@ -102,7 +102,7 @@ def apart(group: ProcessGroup) -> dict[str, Tensor]:
     masks = []
     module.dropout.register_forward_hook(lambda layer, given, made: masks.append(made.detach()))
     recipe = Recipe(batch=2, dropout=0.5)
-    one = Learner.of(module, recipe, WEIGHTS, torch.device("cpu"), group)  # type: ignore[arg-type]
+    one = Learner(module, recipe, WEIGHTS, torch.device("cpu"), group)  # type: ignore[arg-type]
     one.step(torch.ones(1, 5, 8, 16), torch.ones(1, 8, 16, dtype=torch.uint8), 3, 1)
     dropped = (masks[0] == 0).all(dim=(0, 2, 3))
     on_main = group.on_main(lambda: 10 + group.rank)

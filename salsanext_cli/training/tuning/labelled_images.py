@@ -22,6 +22,7 @@ from salsanext_cli.training.dataset import read_labelled
 from salsanext_cli.training.validation import evenly_spaced
 
 VALIDATION = ScanSelection(split="valid")
+"""Selection of scans to tune on, unless another is given."""
 
 
 @dataclass(frozen=True, slots=True)
