@@ -11,7 +11,7 @@ import numpy.typing as npt
 from salsanext_cli.classes import RawIds
 from salsanext_cli.packages import import_open3d
 from salsanext_cli.synthesis.mesh import Array, Mesh
-from salsanext_cli.synthesis.surfaces import optics_table
+from salsanext_cli.synthesis.surfaces import OPTICS
 
 MAX_RANGE_M, MIN_RANGE_M = 81.0, 1.6
 """Nothing is reported beyond or nearer."""
@@ -101,7 +101,7 @@ def measure(
         distance[nearer], cosine[nearer] = found[nearer], cos[nearer]
         labels[nearer] = scene.mesh.labels[hit]
         materials[nearer], shades[nearer] = scene.mesh.materials[hit], scene.mesh.shades[hit]
-    brightness, texture, falloff, gloss, roughness = optics_table()[materials].T
+    brightness, texture, falloff, gloss, roughness = OPTICS[materials].T
     reach = np.where(np.isfinite(distance), distance, MAX_RANGE_M + 1)
     noise = rng.standard_normal((3, len(rays)))
     reflected = brightness * shades * np.exp(texture * noise[0] - texture**2 / 2)

@@ -7,7 +7,7 @@ import pytest
 from salsanext_cli.synthesis.beams import hdl64
 from salsanext_cli.synthesis.lidar import RANGE_NOISE_M, Scene, measure
 from salsanext_cli.synthesis.mesh import Skin, quads
-from salsanext_cli.synthesis.surfaces import BUILDING, CAR, OPTICS, ROAD, Material
+from salsanext_cli.synthesis.surfaces import BUILDING, CAR, ROAD, Material
 
 
 def wall(distance, material=Material.PLASTER, label=BUILDING, shade=1.0):
@@ -46,7 +46,7 @@ def test_a_wall_is_as_far_as_it_is():
     assert error.std() == pytest.approx(RANGE_NOISE_M, rel=0.05)
     assert set(labels[kept]) == {BUILDING}
     np.testing.assert_allclose(intensity * 100, np.round(intensity * 100), atol=1e-9)
-    usual = OPTICS[Material.PLASTER].brightness
+    usual = Material.PLASTER.optics[0]
     assert intensity[kept].mean() == pytest.approx(usual, abs=0.05)
 
 
