@@ -86,7 +86,20 @@ def demo(
     """
     data, out = folder / "data", folder / "out"
     estimator = Estimator(samples=samples)
-    _make_data(data, scans, options.overwrite, bars)
+    # `labels.yaml` is written last.
+    complete = (data / "labels.yaml").exists()
+    if options.overwrite or not complete or len(find_scans(data)) != scans:
+        with bars("synth") as progress:
+            synthesise(
+                data,
+                train=0,
+                valid=1,
+                scans=scans,
+                seed=SEED,
+                spacing=SPACING_M,
+                overwrite=options.overwrite or not complete,
+                progress=progress,
+            )
 
     def run(step: str, stage: Callable[[RunOptions], Outcome[Any]]) -> tuple[Failure, ...]:
         with bars(step) as progress:
@@ -113,21 +126,3 @@ def demo(
     sensor = network.load().sensor
     pictures = draw_scan(files[len(files) // 2], out, space, sensor, out / "pictures")
     return Demonstration(data, out, evaluation, pictures, failures)
-
-
-def _make_data(data: Path, scans: int, overwrite: bool, bars: StepProgress) -> None:
-    """Generate the drive unless it is complete; `labels.yaml` is written last."""
-    complete = (data / "labels.yaml").exists()
-    if complete and not overwrite and len(find_scans(data)) == scans:
-        return
-    with bars("synth") as progress:
-        synthesise(
-            data,
-            train=0,
-            valid=1,
-            scans=scans,
-            seed=SEED,
-            spacing=SPACING_M,
-            overwrite=overwrite or not complete,
-            progress=progress,
-        )
