@@ -23,11 +23,11 @@ from salsanext_cli.storage.selection import ScanSelection
 from salsanext_cli.uncertainty.settings import Estimator
 
 SEED = 2020
-"""Another seed than that of the default weights: they were not trained on this street."""
+"""Seed of the drive: another than that of the default weights, which do not know this street."""
 SPACING_M = 12.0
 
 StepProgress = Callable[[str], AbstractContextManager[Progress | None]]
-"""Takes the name of a step; gives what the step reports its progress to."""
+"""Function from the name of a step to a context that gives its progress callback."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -13,7 +13,7 @@ from salsanext_cli.synthesis.mesh import Mesh
 from salsanext_cli.synthesis.plan import Plan, Side
 
 PIECE_M = 5.0
-"""Long things follow a bend in pieces of this length."""
+"""Largest length of the pieces in which long things follow a bend."""
 
 
 class Builder:

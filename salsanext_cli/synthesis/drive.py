@@ -22,7 +22,7 @@ MOUNT_M = 1.73
 SPEED_M_PER_S = (4.0, 12.0)
 """Slowest and fastest drive."""
 VIEW_M = 90.0
-"""Things farther away than this are left out."""
+"""Largest distance at which moving things are recorded."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -11,7 +11,7 @@ import numpy as np
 from salsanext_cli.synthesis import buildings, fences, furniture, people, vegetation, vehicles
 from salsanext_cli.synthesis.builder import Builder
 from salsanext_cli.synthesis.mesh import Mesh
-from salsanext_cli.synthesis.plan import REACH, Lot, Side
+from salsanext_cli.synthesis.plan import REACH_M, Lot, Side
 
 
 def furnish(builder: Builder, side: Side, lot: Lot) -> None:
@@ -176,7 +176,7 @@ def _background(builder: Builder, side: Side, lot: Lot) -> None:
     rng, width = builder.rng, lot.end - lot.start
     out = side.depth + lot.setback + builder.between(20, 30)
     middle = (lot.start + lot.end) / 2
-    if builder.plan.half + out > REACH - 14:
+    if builder.plan.half + out > REACH_M - 14:
         return
     if lot.kind not in ("field", "thicket") and width > 7 and builder.chance(0.8):
         mesh = buildings.house(rng, width * builder.between(0.7, 1), 10, int(rng.integers(2, 6)))

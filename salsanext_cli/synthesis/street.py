@@ -17,7 +17,7 @@ from salsanext_cli.synthesis.plan import Plan
 from salsanext_cli.synthesis.style import Style
 
 MARGIN_M = 70.0
-"""How far the street goes on behind the first and beyond the last scan."""
+"""Length of the street behind the first scan and beyond the last one."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -52,12 +52,8 @@ def test_two_groups_cannot_have_the_same_option():
 )
 def test_sequences(text, names):
     assert options.Selection(sequences=text).scans().sequences == names
-
-
-@pytest.mark.parametrize("text", ["", " ", ","])
-def test_sequences_that_are_none(text):
     with pytest.raises(UsageError, match="--sequences"):
-        options.Selection(sequences=text).scans()
+        options.Selection(sequences=" ,").scans()
 
 
 def test_where_scans_are_looked_for(monkeypatch):
@@ -66,12 +62,6 @@ def test_where_scans_are_looked_for(monkeypatch):
     assert options.Selection().source(None) == Path()
     monkeypatch.setenv("SALSANEXT_DATASET", "/data")
     assert options.ResultSelection().usual_dataset() == Path("/data")
-
-
-def test_labelled_scans_are_those_for_validation_unless_others_are_named():
-    assert options.LabelledSelection().scans().split == "valid"
-    assert options.LabelledSelection(split="train").scans().split == "train"
-    assert options.LabelledSelection(sequences="00").scans().split is None
 
 
 def test_looking_up():

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Measured against closed forms: a wall, a floor, glass, nothing, two scenes."""
+"""Simulated measurement against closed forms: a wall, a floor, glass, nothing, two scenes."""
 
 import numpy as np
 import pytest
@@ -25,7 +25,7 @@ def floor(material):
 
 
 def fan(count=20_000, spread=0.3):
-    """Rays from the origin, forward, within `spread` radians to either side."""
+    """Return rays from the origin, forward, within `spread` radians to either side."""
     azimuth = np.linspace(-spread, spread, count)
     ways = np.stack([np.cos(azimuth), np.sin(azimuth), np.zeros(count)], -1)
     return np.concatenate([np.zeros((count, 3)), ways], 1), azimuth
