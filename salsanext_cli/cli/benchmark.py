@@ -6,7 +6,7 @@ from typing import Annotated
 
 import typer
 
-from salsanext_cli.cli import options, run_options
+from salsanext_cli.cli import console, options, run_options
 from salsanext_cli.cli.option_groups import Default
 from salsanext_cli.cli.progress import progress
 
@@ -30,7 +30,7 @@ def benchmark(
     selection: Annotated[options.Selection, Default(limit=4)],
     network: options.NetworkOptions,
     running: run_options.Overwriting,
-    output: run_options.Output,
+    output: console.Output,
 ) -> None:
     """Measure the speed of each part of the method beside a plain implementation of it.
 

@@ -12,18 +12,19 @@ import sys
 import threading
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from functools import partial
 from typing import TYPE_CHECKING, Any, NoReturn, ParamSpec
 
 import typer
 
-from salsanext_cli.cli.progress import progress, tell
+from salsanext_cli.cli.option_groups import option, option_group
+from salsanext_cli.cli.progress import tell
 from salsanext_cli.errors import NOTICE, SalsanextError, UsageError, printable
 
 if TYPE_CHECKING:
     from rich.console import RenderableType
 
-    from salsanext_cli.parallel.run import Failure, Outcome, RunOptions
+    from salsanext_cli.parallel.run import Failure, Outcome
     from salsanext_cli.storage.sources import MissingResults
 
 DONE, FAILED, WRONG_USE, INTERRUPTED, TERMINATED = 0, 1, 2, 130, 143
@@ -33,15 +34,18 @@ FILE_WIDTH_COLUMNS = 120
 """Width of a table that does not go to a terminal."""
 
 Parameters = ParamSpec("Parameters")
+output_option = partial(option, "Output")
 
 
-@dataclass(frozen=True, slots=True)
+@option_group
 class Output:
-    """How much a command says, and in which form."""
+    """Amount and form of what a command prints."""
 
-    json: bool = False
-    verbose: bool = False
-    quiet: bool = False
+    json: bool = output_option("Print one JSON object on stdout.", "--json", default=False)
+    verbose: bool = output_option(
+        "Print more messages on stderr.", "--verbose", "-v", default=False
+    )
+    quiet: bool = output_option("Print errors only.", "--quiet", "-q", default=False)
 
     def __post_init__(self) -> None:
         if self.verbose and self.quiet:
@@ -125,13 +129,6 @@ def _sigterm_raised() -> Iterator[None]:
         yield
     finally:
         signal.signal(signal.SIGTERM, signal.SIG_DFL)
-
-
-@contextmanager
-def batch(label: str, output: Output, options: RunOptions) -> Iterator[RunOptions]:
-    """Give the options of a run over scans, with a bar while it lasts."""
-    with progress(label, output.quiet) as advance:
-        yield replace(options, progress=advance)
 
 
 def name_failures(failures: tuple[Failure, ...]) -> None:

@@ -20,7 +20,7 @@ def demo(
     samples: Annotated[int, typer.Option(help="Monte-Carlo passes per scan.")] = 8,
     network: Annotated[options.NetworkOptions, Without({"sensor"})],
     local: run_options.Local,
-    output: run_options.Output,
+    output: console.Output,
 ) -> None:
     """Run the whole pipeline on a synthetic drive and list what to look at.
 

@@ -18,7 +18,7 @@ def evaluate(
     selection: options.ResultSelection,
     classes: options.Classes,
     running: run_options.RunningUnsharded,
-    output: run_options.Output,
+    output: console.Output,
 ) -> None:
     """Compare predictions with labels, as the official benchmark does.
 

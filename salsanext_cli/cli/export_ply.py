@@ -32,7 +32,7 @@ def export_ply(
     classes: options.Classes,
     network: options.NetworkOptions,
     running: run_options.Running,
-    output: run_options.Output,
+    output: console.Output,
 ) -> None:
     """Write coloured point clouds that hold every known value of every point.
 

@@ -6,7 +6,7 @@ from typing import Annotated
 
 import typer
 
-from salsanext_cli.cli import options, run_options
+from salsanext_cli.cli import console, options, run_options
 
 
 def import_weights(
@@ -36,7 +36,7 @@ def import_weights(
         bool, typer.Option("--half", help="Store in float16, at half the size.")
     ] = False,
     running: run_options.Overwriting,
-    output: run_options.Output,
+    output: console.Output,
 ) -> None:
     """Convert a published checkpoint to a weights file, without running anything inside it.
 

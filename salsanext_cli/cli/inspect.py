@@ -22,7 +22,7 @@ def inspect(
     classes: options.Classes,
     sensor: options.SensorWithoutWeights = None,
     running: run_options.RunningUnsharded,
-    output: run_options.Output,
+    output: console.Output,
 ) -> None:
     """Summarise a set of scans; fit a sensor to them.
 

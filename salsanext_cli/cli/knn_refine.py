@@ -28,7 +28,7 @@ def knn_refine(
     ] = None,
     knn: options.Knn,
     running: run_options.Running,
-    output: run_options.Output,
+    output: console.Output,
 ) -> None:
     """Turn labels of pixels into labels of points, or correct labels of points, by neighbours.
 

@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from salsanext_cli.cli import run_options
+from salsanext_cli.cli import console
 
 
 def models(
@@ -16,7 +16,7 @@ def models(
         typer.Argument(help="Weights files to describe.", show_default="the default weights"),
     ] = None,
     *,
-    output: run_options.Output,
+    output: console.Output,
 ) -> None:
     """List the networks with their cost and the papers' figures; describe weights files.
 

@@ -22,10 +22,6 @@ import typer
 Group = TypeVar("Group")
 
 
-class Only(frozenset[str]):
-    """Fields that a command offers of a group: ``Annotated[Running, Only({"overwrite"})]``."""
-
-
 class Without(frozenset[str]):
     """Fields that a command does not offer: ``Annotated[Running, Without({"shard"})]``."""
 
@@ -85,8 +81,8 @@ def _fields(
     for mark in marks:
         if isinstance(mark, Default):
             defaults |= mark
-        elif isinstance(mark, Only | Without):
-            offered = [name for name in offered if (name in mark) == isinstance(mark, Only)]
+        elif isinstance(mark, Without):
+            offered = [name for name in offered if name not in mark]
     options = [
         inspect.Parameter(
             name,

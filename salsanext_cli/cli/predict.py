@@ -37,7 +37,7 @@ def predict(
         ),
     ] = "auto",
     running: run_options.Running,
-    output: run_options.Output,
+    output: console.Output,
 ) -> None:
     """Predict the class of every point of every scan.
 
@@ -46,6 +46,8 @@ def predict(
     from salsanext_cli.stages import predict as stage
 
     source = selection.source(scans)
+    wanted = {"pixel_labels": pixel_labels, "probabilities": probabilities}
+    extras = tuple(name for name in wanted if wanted[name])
     chosen: dict[str, Any] = {"network": network.settings(), "selection": selection.scans()}
     outcome: Outcome[Any]
     with running.over_scans("predict", output) as run:
@@ -54,7 +56,7 @@ def predict(
                 source,
                 out,
                 knn=knn.parameters(),
-                extras=_extras(pixel_labels=pixel_labels, probabilities=probabilities),
+                extras=extras,
                 batch=_batch_size(batch),
                 options=run,
                 **chosen,
@@ -63,10 +65,6 @@ def predict(
             _require_no_scans(knn, probabilities, batch)
             outcome = stage.predict_range_images(source, out, options=run, **chosen)
     console.finish("predict", outcome, out, output)
-
-
-def _extras(**wanted: bool) -> tuple[str, ...]:
-    return tuple(name for name, is_wanted in wanted.items() if is_wanted)
 
 
 def _require_no_scans(knn: options.Knn, probabilities: bool, batch: str) -> None:

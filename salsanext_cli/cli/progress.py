@@ -69,27 +69,13 @@ def words_of_rate(rate: float, unit: str) -> str:
 
 
 def _bar(unit: str) -> Bar:
-    from rich.console import Console
-    from rich.progress import (
-        BarColumn,
-        MofNCompleteColumn,
-        Progress,
-        ProgressColumn,
-        Task,
-        TimeRemainingColumn,
-    )
-    from rich.text import Text
+    from rich import console, progress, text
 
-    class RateColumn(ProgressColumn):
-        def render(self, task: Task) -> Text:
+    class RateColumn(progress.ProgressColumn):
+        def render(self, task: progress.Task) -> text.Text:
             speed = task.finished_speed or task.speed
-            return Text(words_of_rate(speed, unit) if speed else "")
+            return text.Text(words_of_rate(speed, unit) if speed else "")
 
-    return Progress(
-        "{task.description}",
-        BarColumn(),
-        MofNCompleteColumn(),
-        RateColumn(),
-        TimeRemainingColumn(),
-        console=Console(stderr=True),
-    )
+    done, left = progress.MofNCompleteColumn(), progress.TimeRemainingColumn()
+    columns = ("{task.description}", progress.BarColumn(), done, RateColumn(), left)
+    return progress.Progress(*columns, console=console.Console(stderr=True))

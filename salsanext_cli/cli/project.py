@@ -15,7 +15,7 @@ def project(
     selection: options.Selection,
     network: Annotated[options.NetworkOptions, Without({"device", "precision"})],
     running: run_options.Running,
-    output: run_options.Output,
+    output: console.Output,
 ) -> None:
     """Project scans onto range images and write these, for `predict` or your own programs.
 

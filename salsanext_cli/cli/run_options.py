@@ -1,17 +1,17 @@
 # SPDX-License-Identifier: MIT
-"""Options that more than one command takes, about workers, existing results and output."""
+"""Options that more than one command takes, about workers and existing results."""
 
 from __future__ import annotations
 
 import os
 from collections.abc import Iterator
 from contextlib import contextmanager
-from enum import StrEnum
 from functools import partial
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Literal
 
-from salsanext_cli.cli import console
-from salsanext_cli.cli.option_groups import Default, Only, Without, option, option_group
+from salsanext_cli.cli.console import Output
+from salsanext_cli.cli.option_groups import Default, Without, option, option_group
+from salsanext_cli.cli.progress import progress
 
 if TYPE_CHECKING:
     from salsanext_cli.parallel.run import RunOptions
@@ -20,34 +20,7 @@ if TYPE_CHECKING:
 OVERWRITE_HELP = "Replace existing results."
 
 running_option = partial(option, "Running")
-output_option = partial(option, "Output")
-
-
-class Backend(StrEnum):
-    """Kinds of workers."""
-
-    loky = "loky"
-    threading = "threading"
-    dask = "dask"
-    ray = "ray"
-
-
-class OnError(StrEnum):
-    """Behaviour when a scan fails."""
-
-    skip = "skip"
-    stop = "stop"
-
-
-@option_group
-class Output(console.Output):
-    """Amount and form of what a command prints."""
-
-    json: bool = output_option("Print one JSON object on stdout.", "--json", default=False)
-    verbose: bool = output_option(
-        "Print more messages on stderr.", "--verbose", "-v", default=False
-    )
-    quiet: bool = output_option("Print errors only.", "--quiet", "-q", default=False)
+Backend = Literal["loky", "threading", "dask", "ray"]
 
 
 @option_group
@@ -58,7 +31,7 @@ class Local:
     overwrite: bool = running_option(OVERWRITE_HELP, "--overwrite", default=False)
 
 
-Overwriting = Annotated[Local, Only({"overwrite"})]
+Overwriting = Annotated[Local, Without({"jobs"})]
 
 
 @option_group
@@ -72,7 +45,7 @@ class Running:
         show_default="1; all workers of a cluster",
     )
     backend: Backend = running_option(
-        "Processes (loky), threads, or workers of a Dask or Ray cluster.", default=Backend.loky
+        "Processes (loky), threads, or workers of a Dask or Ray cluster.", default="loky"
     )
     scheduler: str | None = running_option(
         "Address of a running Dask or Ray cluster.",
@@ -85,8 +58,8 @@ class Running:
         show_default="the share of this Slurm array task, else 1/1",
     )
     overwrite: bool = running_option(OVERWRITE_HELP, "--overwrite", default=False)
-    on_error: OnError = running_option(
-        "Skip a scan that fails, or stop at the first.", default=OnError.skip
+    on_error: Literal["skip", "stop"] = running_option(
+        "Skip a scan that fails, or stop at the first.", default="skip"
     )
 
     @contextmanager
@@ -94,16 +67,17 @@ class Running:
         """Build the options of a run that stages take; show its progress while the body runs."""
         from salsanext_cli.parallel.run import RunOptions
 
-        options = RunOptions(
-            self.jobs,
-            self.on_error.value,
-            self.overwrite,
-            backend=self.backend.value,
-            scheduler=self.scheduler,
-            shard=self._shard(output),
-        )
-        with console.batch(label, output, options) as with_progress:
-            yield with_progress
+        shard = self._shard(output)
+        with progress(label, output.quiet) as bar:
+            yield RunOptions(
+                self.jobs,
+                self.on_error,
+                self.overwrite,
+                bar,
+                self.backend,
+                self.scheduler,
+                shard=shard,
+            )
 
     def _shard(self, output: Output) -> Shard:
         from salsanext_cli.parallel.shards import Shard

@@ -6,7 +6,7 @@ from typing import Annotated
 
 import typer
 
-from salsanext_cli.cli import run_options
+from salsanext_cli.cli import console, run_options
 from salsanext_cli.cli.progress import progress
 
 
@@ -22,7 +22,7 @@ def synth(
     ] = 3.0,
     seed: Annotated[int, typer.Option(help="The same seed gives the same bytes.")] = 0,
     local: run_options.Local,
-    output: run_options.Output,
+    output: console.Output,
 ) -> None:
     """Generate labelled scans of synthetic streets, in SemanticKITTI's layout.
 

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from salsanext_cli.cli import console, options, run_options
-from salsanext_cli.cli.option_groups import Only, option_group
+from salsanext_cli.cli.option_groups import Without, option_group
 from salsanext_cli.cli.progress import progress
 
 if TYPE_CHECKING:
@@ -51,9 +51,9 @@ def train(
     *,
     start: Start,
     classes: options.Classes,
-    network: Annotated[options.NetworkOptions, Only({"device"})],
+    network: Annotated[options.NetworkOptions, Without({"weights", "precision", "sensor"})],
     local: run_options.Local,
-    output: run_options.Output,
+    output: console.Output,
 ) -> None:
     """Train a network. After an interruption, the same command continues the training.
 
@@ -63,7 +63,7 @@ def train(
     from salsanext_cli.training.distributed import group_of_environment
 
     if not group_of_environment().is_main:
-        output = run_options.Output(quiet=True)
+        output = console.Output(quiet=True)
     with progress("train", output.quiet, unit="steps") as bar:
         done = stage(
             dataset,

@@ -5,7 +5,7 @@ from typing import Annotated
 
 import typer
 
-from salsanext_cli.cli import options, run_options
+from salsanext_cli.cli import console, options, run_options
 from salsanext_cli.cli.console import guarded
 from salsanext_cli.cli.option_groups import Default, Without, expanded
 from salsanext_cli.cli.progress import progress
@@ -18,7 +18,7 @@ def tune_temperature(
     selection: Annotated[options.LabelledSelection, Without({"dataset"})],
     network: options.NetworkOptions,
     running: run_options.Overwriting,
-    output: run_options.Output,
+    output: console.Output,
 ) -> None:
     """Fit the temperature that calibrates the probabilities, and write new weights.
 
@@ -57,7 +57,7 @@ def tune_dropout(
     selection: Annotated[options.LabelledSelection, Without({"dataset"}), Default(limit=20)],
     network: options.NetworkOptions,
     running: run_options.Overwriting,
-    output: run_options.Output,
+    output: console.Output,
 ) -> None:
     """Find the dropout rate to sample with, write new weights and plot the search.
 
@@ -101,7 +101,7 @@ def tune_batchnorm(
     selection: Annotated[options.SpacedSelection, Without({"dataset"})],
     network: options.NetworkOptions,
     running: run_options.Overwriting,
-    output: run_options.Output,
+    output: console.Output,
 ) -> None:
     """Adapt batch normalisation to scans of another sensor or place, without labels.
 

@@ -1,20 +1,12 @@
 # SPDX-License-Identifier: MIT
 """`salsanext uncertainty`."""
 
-from enum import StrEnum
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 import typer
 
 from salsanext_cli.cli import console, options, run_options
-
-
-class Method(StrEnum):
-    """Ways to estimate the spread that dropout causes."""
-
-    sampling = "sampling"
-    analytic = "analytic"
 
 
 def uncertainty(
@@ -22,8 +14,9 @@ def uncertainty(
     out: options.Out = Path("out"),
     *,
     method: Annotated[
-        Method, typer.Option(help="Monte-Carlo dropout, or an estimate of it in one pass.")
-    ] = Method.sampling,
+        Literal["sampling", "analytic"],
+        typer.Option(help="Monte-Carlo dropout, or an estimate of it in one pass."),
+    ] = "sampling",
     samples: Annotated[int, typer.Option(help="Monte-Carlo passes per scan.")] = 30,
     seed: Annotated[int, typer.Option(help="Seed of the dropout masks.")] = 0,
     aleatoric: Annotated[
@@ -37,7 +30,7 @@ def uncertainty(
     network: options.NetworkOptions,
     knn: options.Knn,
     running: run_options.Running,
-    output: run_options.Output,
+    output: console.Output,
 ) -> None:
     """Predict the class of every point and its epistemic, aleatoric and total uncertainty.
 
@@ -52,7 +45,7 @@ def uncertainty(
             out,
             network=network.settings(),
             knn=knn.parameters(),
-            estimator=Estimator(method.value, samples, seed, aleatoric),
+            estimator=Estimator(method, samples, seed, aleatoric),
             selection=selection.scans(),
             options=run,
         )

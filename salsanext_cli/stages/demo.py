@@ -23,11 +23,11 @@ from salsanext_cli.storage.selection import ScanSelection
 from salsanext_cli.uncertainty.settings import Estimator
 
 SEED = 2020
-"""Another seed than that of the default weights: they were not trained on this street."""
+"""Seed of the drive: another than that of the default weights, which do not know this street."""
 SPACING_M = 12.0
 
 StepProgress = Callable[[str], AbstractContextManager[Progress | None]]
-"""Takes the name of a step; gives what the step reports its progress to."""
+"""Function from the name of a step to a context that gives its progress callback."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -86,7 +86,20 @@ def demo(
     """
     data, out = folder / "data", folder / "out"
     estimator = Estimator(samples=samples)
-    _make_data(data, scans, options.overwrite, bars)
+    # `labels.yaml` is written last.
+    complete = (data / "labels.yaml").exists()
+    if options.overwrite or not complete or len(find_scans(data)) != scans:
+        with bars("synth") as progress:
+            synthesise(
+                data,
+                train=0,
+                valid=1,
+                scans=scans,
+                seed=SEED,
+                spacing=SPACING_M,
+                overwrite=options.overwrite or not complete,
+                progress=progress,
+            )
 
     def run(step: str, stage: Callable[[RunOptions], Outcome[Any]]) -> tuple[Failure, ...]:
         with bars(step) as progress:
@@ -113,21 +126,3 @@ def demo(
     sensor = network.load().sensor
     pictures = draw_scan(files[len(files) // 2], out, space, sensor, out / "pictures")
     return Demonstration(data, out, evaluation, pictures, failures)
-
-
-def _make_data(data: Path, scans: int, overwrite: bool, bars: StepProgress) -> None:
-    """Generate the drive unless it is complete; `labels.yaml` is written last."""
-    complete = (data / "labels.yaml").exists()
-    if complete and not overwrite and len(find_scans(data)) == scans:
-        return
-    with bars("synth") as progress:
-        synthesise(
-            data,
-            train=0,
-            valid=1,
-            scans=scans,
-            seed=SEED,
-            spacing=SPACING_M,
-            overwrite=overwrite or not complete,
-            progress=progress,
-        )

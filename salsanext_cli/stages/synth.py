@@ -4,15 +4,17 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Iterator
+from collections import Counter
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
+from functools import partial
 from itertools import islice
 from pathlib import Path
 
 import numpy as np
 import yaml
 
-from salsanext_cli.classes import LabelSpace, label_space
+from salsanext_cli.classes import label_space
 from salsanext_cli.errors import OutputError, UsageError
 from salsanext_cli.formats.kitti import encode_bin, encode_labels
 from salsanext_cli.packages import import_open3d
@@ -29,6 +31,8 @@ MAX_DRIVE_M = 3000.0
 """Longest drive of one sequence; the whole street is held in memory."""
 SEQUENCE_FILES = ("poses.txt", "times.txt", "calib.txt")
 IDENTITY = "1 0 0 0 0 1 0 0 0 0 1 0"
+SequenceWriter = Callable[[str], Iterator[dict[int, int]]]
+"""Writes the sequence of a name; yields the number of points of each raw id, scan by scan."""
 
 log = logging.getLogger(__name__)
 
@@ -39,8 +43,6 @@ class Synthesised:
 
     Attributes
     ----------
-    folder : Path
-        The data set's root.
     splits : dict of str to tuple of str
         Sequence names by split.
     scans : int
@@ -49,37 +51,9 @@ class Synthesised:
         Number of points by raw id.
     """
 
-    folder: Path
     splits: dict[str, tuple[str, ...]]
     scans: int
     points: dict[int, int]
-
-
-@dataclass(frozen=True, slots=True)
-class _Sequence:
-    """One sequence to be written."""
-
-    out: Path
-    number: int
-    scans: int
-    seed: int
-    spacing: float
-
-    @property
-    def folder(self) -> Path:
-        return self.out / "sequences" / _name(self.number)
-
-    def scan(self, index: int) -> Path:
-        return self.folder / "velodyne" / f"{index:06d}.bin"
-
-    def labels(self, index: int) -> Path:
-        return self.folder / "labels" / f"{index:06d}.label"
-
-    def files(self) -> Iterator[Path]:
-        """Yield every file that is going to be written."""
-        yield from (self.folder / name for name in SEQUENCE_FILES)
-        for index in range(self.scans):
-            yield from (self.scan(index), self.labels(index))
 
 
 def synthesise(
@@ -129,40 +103,28 @@ def synthesise(
     """
     counts = {"train": train, "valid": valid, "test": test}
     _check({f"--{split}": count for split, count in counts.items()}, scans, seed, spacing, jobs)
-    numbers = range(sum(counts.values()))
-    names = map(_name, numbers)
-    splits = {split: tuple(islice(names, count)) for split, count in counts.items()}
+    names = [f"{number:02d}" for number in range(sum(counts.values()))]
+    unused = iter(names)
+    splits = {split: tuple(islice(unused, count)) for split, count in counts.items()}
     import_open3d()
-    sequences = [_Sequence(out, n, scans, seed, spacing) for n in numbers]
-    _require_room(out, sequences, overwrite)
+    _require_room(out, names, scans, overwrite)
     settings = {"splits": splits, "scans": scans, "seed": seed, "spacing": spacing}
     written = WrittenFiles(out)
     manifest = encode_json({"stage": "synth", "settings": settings})
     written.write(out / MANIFEST, manifest, durable=True)
-    total = len(sequences) * scans
-    points: dict[int, int] = {}
-    for done, of_scan in enumerate(_write(sequences, jobs), start=1):
-        for label, count in of_scan.items():
-            points[label] = points.get(label, 0) + count
+    total = len(names) * scans
+    points: Counter[int] = Counter()
+    write = partial(_write_sequence, out, scans, seed, spacing)
+    for done, of_scan in enumerate(_write(write, names, jobs), start=1):
+        points.update(of_scan)
         if progress:
             progress(done, total)
-    space = synthetic_space(splits).to_dict()
-    text = yaml.safe_dump(space, sort_keys=False, allow_unicode=True)
-    written.write(out / LABEL_SPACE, text.encode())
-    return Synthesised(out, splits, total, dict(sorted(points.items())))
-
-
-def synthetic_space(splits: dict[str, tuple[str, ...]]) -> LabelSpace:
-    """Return SemanticKITTI's label space with these splits and without what the street lacks."""
     real = label_space("semantic-kitti")
-    ignored = tuple(
-        flag or name in ABSENT for flag, name in zip(real.ignored, real.names, strict=True)
-    )
-    return replace(real, name="synthetic-street", ignored=ignored, splits=splits)
-
-
-def _name(number: int) -> str:
-    return f"{number:02d}"
+    ignored = [flag or name in ABSENT for flag, name in zip(real.ignored, real.names, strict=True)]
+    space = replace(real, name="synthetic-street", ignored=tuple(ignored), splits=splits)
+    text = yaml.safe_dump(space.to_dict(), sort_keys=False, allow_unicode=True)
+    written.write(out / LABEL_SPACE, text.encode())
+    return Synthesised(splits, total, dict(sorted(points.items())))
 
 
 def _check(sequences: dict[str, int], scans: int, seed: int, spacing: float, jobs: int) -> None:
@@ -182,7 +144,7 @@ def _check(sequences: dict[str, int], scans: int, seed: int, spacing: float, job
     worker_count(jobs)
 
 
-def _require_room(out: Path, sequences: list[_Sequence], overwrite: bool) -> None:
+def _require_room(out: Path, names: list[str], scans: int, overwrite: bool) -> None:
     """Remove an earlier synthetic data set, as far as it is unchanged; refuse to replace more."""
     if not out.exists() or (out.is_dir() and not any(out.iterdir())):
         return
@@ -195,7 +157,9 @@ def _require_room(out: Path, sequences: list[_Sequence], overwrite: bool) -> Non
         )
     written = WrittenFiles(out)
     files = [out / MANIFEST, out / LABEL_SPACE]
-    files += [path for sequence in sequences for path in sequence.files()]
+    for sequence in (out / "sequences" / name for name in names):
+        files += [sequence / name for name in SEQUENCE_FILES]
+        files += [path for index in range(scans) for path in _scan_files(sequence, index)]
     folders = {folder for path in files for folder in path.parents if out in folder.parents}
     links = sorted(folder for folder in folders if folder.is_symlink())
     for path in (*links, *written.others(files)):
@@ -205,33 +169,41 @@ def _require_room(out: Path, sequences: list[_Sequence], overwrite: bool) -> Non
         log.warning("%s was changed since it was written: it is kept", path)
 
 
-def _write(sequences: list[_Sequence], jobs: int) -> Iterator[dict[int, int]]:
+def _scan_files(sequence: Path, index: int) -> tuple[Path, Path]:
+    """Return the paths of a scan and its labels."""
+    stem = f"{index:06d}"
+    return sequence / "velodyne" / f"{stem}.bin", sequence / "labels" / f"{stem}.label"
+
+
+def _write(write: SequenceWriter, names: list[str], jobs: int) -> Iterator[dict[int, int]]:
     """Write the sequences and yield, scan by scan, how many points each raw id has."""
-    workers = min(len(sequences), worker_count(jobs))
+    workers = min(len(names), worker_count(jobs))
     if workers == 1:
-        for sequence in sequences:
-            yield from _write_sequence(sequence)
+        for name in names:
+            yield from write(name)
         return
     import joblib
 
     parallel = joblib.Parallel(n_jobs=workers, backend="loky", return_as="generator_unordered")
-    for counts in parallel(joblib.delayed(_whole)(sequence) for sequence in sequences):
+    for counts in parallel(joblib.delayed(_write_whole)(write, name) for name in names):
         yield from counts
 
 
-def _whole(sequence: _Sequence) -> list[dict[int, int]]:
-    return list(_write_sequence(sequence))
+def _write_whole(write: SequenceWriter, name: str) -> list[dict[int, int]]:
+    return list(write(name))
 
 
-def _write_sequence(sequence: _Sequence) -> Iterator[dict[int, int]]:
+def _write_sequence(
+    out: Path, scans: int, seed: int, spacing: float, name: str
+) -> Iterator[dict[int, int]]:
     """Write one sequence; poses are relative to the first scan, so that the first is identity."""
-    written = WrittenFiles(sequence.out)
+    written, folder = WrittenFiles(out), out / "sequences" / name
     poses, times = [], []
     first = np.eye(4)
-    frames = record(sequence.seed, sequence.number, sequence.scans, sequence.spacing)
-    for index, frame in enumerate(frames):
-        written.write(sequence.scan(index), encode_bin(frame.scan))
-        written.write(sequence.labels(index), encode_labels(frame.labels))
+    for index, frame in enumerate(record(seed, int(name), scans, spacing)):
+        scan, labels = _scan_files(folder, index)
+        written.write(scan, encode_bin(frame.scan))
+        written.write(labels, encode_labels(frame.labels))
         first = frame.pose if index == 0 else first
         relative = np.linalg.inv(first) @ frame.pose
         poses.append(" ".join(f"{value:.9e}" for value in relative[:3].ravel()))
@@ -239,5 +211,5 @@ def _write_sequence(sequence: _Sequence) -> Iterator[dict[int, int]]:
         raw, counts = np.unique(frame.labels, return_counts=True)
         yield dict(zip(raw.tolist(), counts.tolist(), strict=True))
     calibration = [f"{key}: {IDENTITY}" for key in ("P0", "P1", "P2", "P3", "Tr")]
-    for name, lines in zip(SEQUENCE_FILES, (poses, times, calibration), strict=True):
-        written.write(sequence.folder / name, ("\n".join(lines) + "\n").encode())
+    for file, lines in zip(SEQUENCE_FILES, (poses, times, calibration), strict=True):
+        written.write(folder / file, ("\n".join(lines) + "\n").encode())

@@ -10,10 +10,10 @@ import numpy.typing as npt
 
 from salsanext_cli.synthesis.mesh import Array
 
-UPPER, LOWER = (2.4, -8.0, 32), (-8.6, -23.9, 32)
+UPPER_BLOCK, LOWER_BLOCK = (2.4, -8.0, 32), (-8.6, -23.9, 32)
 """Elevation of the first and the last beam of a block in degrees, and their number."""
 AZIMUTH_STEP_DEG, ENCODER_STEP_DEG = 0.1667, 0.09
-"""Between firings of a laser at 10 Hz; resolution of the azimuth."""
+"""Angle between firings of a laser at 10 Hz; resolution of the azimuth."""
 REVOLUTION_S = 0.1
 
 
@@ -74,7 +74,7 @@ class Beams:
 
 def hdl64(rng: np.random.Generator) -> Beams:
     """Return the beams of one HDL-64E with its own small deviations."""
-    elevation = np.concatenate([np.linspace(*UPPER), np.linspace(*LOWER)])
+    elevation = np.concatenate([np.linspace(*UPPER_BLOCK), np.linspace(*LOWER_BLOCK)])
     elevation = elevation + rng.normal(0, 0.045, 64) + rng.normal(0, 0.06)
     columns = round(360 / (AZIMUTH_STEP_DEG + rng.normal(0, 0.0006)))
     gain = rng.normal(1, 0.08, 64)
@@ -91,7 +91,7 @@ def hdl64(rng: np.random.Generator) -> Beams:
     )
 
 
-VEHICLE: tuple[tuple[tuple[float, float, float], ...], ...] = (
+VEHICLE_OUTLINES_DEG: tuple[tuple[tuple[float, float, float], ...], ...] = (
     ((-25, -23.9, -90), (-18, -23, -90), (-12, -20.9, -90), (8, -20.9, -90), (13, -21.5, -90),
      (17, -22.5, -90), (21, -24, -90)),
     ((26, -24, -90), (31, -23, -90), (37, -22.6, -90), (40, -24, -90)),
@@ -107,7 +107,7 @@ VEHICLE: tuple[tuple[tuple[float, float, float], ...], ...] = (
      (301, -16.5, -21), (304, -19, -20)),
     ((319, -24, -90), (324, -22.2, -90), (330, -22.8, -90), (336, -24, -90)),
 )  # fmt: skip
-"""Outlines of the recording vehicle: (azimuth, upper edge, lower edge) in degrees.
+"""Outlines of the recording vehicle: azimuth, upper edge and lower edge of each corner.
 
 Azimuth is anticlockwise from straight ahead. Where the lower edge is above the lowest beam, the
 ground shows again below.
@@ -121,7 +121,7 @@ def hidden_by_vehicle(beams: Beams, rng: np.random.Generator) -> npt.NDArray[np.
     azimuth = np.degrees(beams.azimuths()) + PARALLAX_DEG * np.sign(beams.aside)[:, None]
     elevation = np.degrees(beams.elevation)[:, None]
     hidden = np.zeros(azimuth.shape, bool)
-    for outline in VEHICLE:
+    for outline in VEHICLE_OUTLINES_DEG:
         corner, upper, lower = np.array(outline).T
         beyond = np.mod(azimuth - corner[0] - rng.normal(0, 0.3), 360)
         shift = rng.normal(0, 0.3)

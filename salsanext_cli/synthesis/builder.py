@@ -13,7 +13,7 @@ from salsanext_cli.synthesis.mesh import Mesh
 from salsanext_cli.synthesis.plan import Plan, Side
 
 PIECE_M = 5.0
-"""Long things follow a bend in pieces of this length."""
+"""Largest length of the pieces in which long things follow a bend."""
 
 
 class Builder:
@@ -63,24 +63,17 @@ class Builder:
 
     def put_if_free(
         self, mesh: Mesh, side: Side, s: float, out: float, radius: float, yaw: float = 0.0
-    ) -> bool:
-        """Set a thing down where nothing else and no side street is within `radius`."""
-        if not self.reserve(side, s, out, radius):
-            return False
-        self.put(mesh, side, s, out, yaw)
-        return True
-
-    def reserve(self, side: Side, s: float, out: float, radius: float) -> bool:
-        """Take a place; False where it is taken, a side street, or off the street's ends."""
+    ) -> None:
+        """Set a thing down unless a thing, a side street or the street's end is within `radius`."""
         t = side.sign * (self.plan.half + out)
         if not radius <= s <= self.plan.length - radius:
-            return False
+            return
         if float(self.plan.from_side_street(np.array(s), side)) < radius:
-            return False
+            return
         if any(np.hypot(s - a, t - b) < radius + r for a, b, r in self._taken):
-            return False
+            return
         self._taken.append((s, t, radius))
-        return True
+        self.put(mesh, side, s, out, yaw)
 
     def put_line(
         self, make: Callable[[float], Mesh], side: Side, start: float, end: float, out: float

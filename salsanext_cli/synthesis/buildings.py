@@ -11,8 +11,8 @@ import numpy as np
 from salsanext_cli.synthesis.mesh import Array, Mesh, Skin, box, merge, quads
 from salsanext_cli.synthesis.surfaces import BUILDING, Material
 
-FOOT = -1.5
-"""Walls reach this far below the ground, which is not level."""
+FOOT_M = -1.5
+"""Height of the foot of a wall: below the ground, which is not level."""
 Corners = list[list[float]]
 """Four points of a quadrangle."""
 Opening = tuple[float, float, float, float]
@@ -60,7 +60,7 @@ def _facade(
     glass: list[Corners] = []
     closed: list[Corners] = []
     for row in range(rows):
-        bottom = row * storey + (FOOT if row == 0 else 0)
+        bottom = row * storey + (FOOT_M if row == 0 else 0)
         top = (row + 1) * storey if row < rows - 1 else height
         for column in range(columns):
             x0, x1 = lows[column], lows[column + 1]
@@ -153,7 +153,7 @@ def _details(
     metal = Skin(BUILDING, Material.METAL, 1.1)
     parts = []
     if rng.random() < 0.5:
-        parts.append(box((-half, -0.06, FOOT), (half, 0.02, rng.uniform(0.3, 0.9)), wall))
+        parts.append(box((-half, -0.06, FOOT_M), (half, 0.02, rng.uniform(0.3, 0.9)), wall))
     for x in (-half + 0.1, half - 0.2):
         if rng.random() < 0.6:
             parts.append(box((x, -0.1, 0), (x + 0.1, -0.01, storey * floors), metal))
@@ -161,11 +161,11 @@ def _details(
         x = rng.uniform(-half, half - 1.8)
         for n in range(1, 4):
             y, z = -0.35 * n, 0.6 - 0.17 * n
-            parts.append(box((x, y, FOOT), (x + 1.6, y + 0.4, z), wall))
+            parts.append(box((x, y, FOOT_M), (x + 1.6, y + 0.4, z), wall))
     if rng.random() < 0.35 and width > 6:
         x = rng.uniform(-half + 1, half - 3.5)
         y = -rng.uniform(0.5, 1.3)
-        parts.append(box((x, y, FOOT), (x + 2.5, 0.1, storey * floors * 0.9), wall))
+        parts.append(box((x, y, FOOT_M), (x + 2.5, 0.1, storey * floors * 0.9), wall))
     if floors > 1 and rng.random() < 0.5:
         for floor in range(1, floors):
             x = rng.uniform(-half + 0.3, half - 2.8)
@@ -182,6 +182,6 @@ def garage(rng: np.random.Generator) -> Mesh:
     """Return a garage or shed, its door at y = 0."""
     wall = Skin.drawn(rng, BUILDING, Material.PLASTER, 0.6, 1.1)
     width, depth, height = rng.uniform([2.6, 4, 2.2], [6, 6.5, 2.9])
-    walls = box((-width / 2, 0, FOOT), (width / 2, depth, height), wall)
+    walls = box((-width / 2, 0, FOOT_M), (width / 2, depth, height), wall)
     metal = Skin(BUILDING, Material.METAL, 1.3)
     return merge([walls, box((-width / 2 + 0.3, -0.03, 0), (width / 2 - 0.3, 0.02, 2), metal)])

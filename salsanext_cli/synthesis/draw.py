@@ -46,8 +46,7 @@ def _heading(rng: np.random.Generator, knots: Array) -> Array:
             curve = bend * np.hanning(count)[: len(knots) - position]
             curvature[position : position + count] = curve
         position += count
-    heading: Array = rng.uniform(-np.pi, np.pi) + np.cumsum(curvature) * 0.5
-    return heading
+    return rng.uniform(-np.pi, np.pi) + np.cumsum(curvature) * 0.5
 
 
 def _crossings(rng: np.random.Generator, style: Style, length: float) -> tuple[Crossing, ...]:

@@ -8,7 +8,7 @@ import numpy as np
 from salsanext_cli.synthesis.mesh import Mesh, Skin, box, merge, quads
 from salsanext_cli.synthesis.surfaces import FENCE, Material
 
-FOOT = -0.4
+FOOT_M = -0.4
 KINDS = ("pickets", "boards", "wall", "railing", "mesh")
 PALES = {
     "pickets": (Material.WOOD, 0.16, 0.09),
@@ -30,7 +30,7 @@ def fence(rng: np.random.Generator, length: float, kind: str, height: float, sha
     x = np.arange(0, length, pitch)
     parts = [_strips(x, x + width, 0.03, height + rng.normal(0, 0.015, len(x)), skin)]
     for post in np.arange(0, length, 2.2):
-        parts.append(box((post, -0.05, FOOT), (post + 0.08, 0.05, height + 0.05), skin))
+        parts.append(box((post, -0.05, FOOT_M), (post + 0.08, 0.05, height + 0.05), skin))
     for z in (0.2, height - 0.15):
         parts.append(box((0, 0.01, z - 0.04), (length, 0.05, z + 0.04), skin))
     if kind == "mesh":
@@ -53,12 +53,12 @@ def _strips(
 
 
 def _wall(length: float, height: float, skin: Skin) -> Mesh:
-    body = box((0, -0.12, FOOT), (length, 0.12, height), skin)
+    body = box((0, -0.12, FOOT_M), (length, 0.12, height), skin)
     coping = box((0, -0.17, height), (length, 0.17, height + 0.07), skin)
     return merge([body, coping])
 
 
 def _barrier(length: float, skin: Skin) -> Mesh:
-    posts = [box((x, 0.02, FOOT), (x + 0.1, 0.14, 0.72), skin) for x in np.arange(0, length, 2.0)]
+    posts = [box((x, 0.02, FOOT_M), (x + 0.1, 0.14, 0.72), skin) for x in np.arange(0, length, 2.0)]
     beams = [box((0, -0.05, z), (length, 0.02, z + 0.12), skin) for z in (0.45, 0.63)]
     return merge([*posts, *beams, box((0, -0.01, 0.5), (length, 0.0, 0.7), skin)])

@@ -11,7 +11,7 @@ import numpy as np
 from salsanext_cli.synthesis.mesh import Mesh, Skin, box, disc, ellipsoid, merge, quads, tube
 from salsanext_cli.synthesis.surfaces import CLUTTER, POLE, SIGN, STRUCTURE, Material
 
-FOOT = -0.3
+FOOT_M = -0.3
 
 
 def _steel(rng: np.random.Generator) -> Skin:
@@ -22,7 +22,7 @@ def lamp(rng: np.random.Generator) -> Mesh:
     """Return a street lamp, its arm over the road."""
     steel = _steel(rng)
     height, foot = float(rng.uniform(3.5, 9)), float(rng.uniform(0.05, 0.1))
-    levels, radii = (FOOT, 1.1, 1.2, height), (foot * 1.35, foot * 1.35, foot, foot * 0.6)
+    levels, radii = (FOOT_M, 1.1, 1.2, height), (foot * 1.35, foot * 1.35, foot, foot * 0.6)
     parts = [tube([[0, 0, z] for z in levels], radii, steel)]
     if height > 5:
         tip = (0.0, -rng.uniform(0.8, 2.2), height + 0.3)
@@ -38,7 +38,7 @@ def post(rng: np.random.Generator) -> Mesh:
     short = rng.random() < 0.6
     height = rng.uniform(0.7, 1.2) if short else rng.uniform(2.5, 8)
     radius = rng.uniform(0.04, 0.09)
-    return tube([[0, 0, FOOT], [0, 0, height]], radius, _steel(rng), 8)
+    return tube([[0, 0, FOOT_M], [0, 0, height]], radius, _steel(rng), 8)
 
 
 def _face(rng: np.random.Generator, kind: str) -> Mesh:
@@ -61,7 +61,7 @@ def _face(rng: np.random.Generator, kind: str) -> Mesh:
 def sign(rng: np.random.Generator) -> Mesh:
     """Return one or two traffic signs on a pole, facing -y."""
     height = float(rng.uniform(2.0, 3.0) if rng.random() < 0.75 else rng.uniform(1.0, 2.0))
-    parts = [tube([[0, 0, FOOT], [0, 0, height + 0.35]], rng.uniform(0.03, 0.05), _steel(rng), 7)]
+    parts = [tube([[0, 0, FOOT_M], [0, 0, height + 0.35]], rng.uniform(0.03, 0.05), _steel(rng), 7)]
     for level in range(int(rng.integers(1, 3))):
         kind = ("round", "triangle", "panel")[rng.integers(3)]
         parts.append(_face(rng, kind).moved((0, -0.07, height - 0.75 * level)))
@@ -75,7 +75,7 @@ def board(rng: np.random.Generator) -> Mesh:
     steel = _steel(rng)
     bright = Skin.drawn(rng, SIGN, Material.RETRO, 0.6, 1.1)
     back = Skin(SIGN, Material.METAL, 0.9)
-    parts = [tube([[x, 0, FOOT], [x, 0, high]], 0.05, steel) for x in (-half * 0.8, half * 0.8)]
+    parts = [tube([[x, 0, FOOT_M], [x, 0, high]], 0.05, steel) for x in (-half * 0.8, half * 0.8)]
     plate = np.array([[[-half, 0, low], [half, 0, low], [half, 0, high], [-half, 0, high]]])
     parts.append(quads(plate + np.array([0, -0.08, 0]), bright))
     parts.append(quads(plate + np.array([0, -0.06, 0]), back))
@@ -86,7 +86,7 @@ def traffic_light(rng: np.random.Generator) -> Mesh:
     """Return a traffic light; its heads count as clutter, the pole as pole."""
     height = float(rng.uniform(3.0, 3.6))
     head = Skin(CLUTTER, Material.METAL, 0.4)
-    parts = [tube([[0, 0, FOOT], [0, 0, height]], 0.07, _steel(rng))]
+    parts = [tube([[0, 0, FOOT_M], [0, 0, height]], 0.07, _steel(rng))]
     for low in (height - 1.0, 1.9)[: int(rng.integers(1, 3))]:
         parts.append(box((-0.16, -0.36, low), (0.16, -0.08, low + 0.9), head))
     return merge(parts)
@@ -103,7 +103,7 @@ def _bin(rng: np.random.Generator) -> Mesh:
 def _cabinet(rng: np.random.Generator) -> Mesh:
     skin = Skin.drawn(rng, CLUTTER, Material.PLASTER, 0.5, 1.1)
     size = rng.uniform([0.25, 0.12, 0.8], [0.9, 0.3, 1.6])
-    return box((-size[0], -size[1], FOOT), size, skin)
+    return box((-size[0], -size[1], FOOT_M), size, skin)
 
 
 def _bench(rng: np.random.Generator) -> Mesh:
@@ -112,20 +112,20 @@ def _bench(rng: np.random.Generator) -> Mesh:
     slats = [box((-half, y, 0.42), (half, y + 0.1, 0.46), wood) for y in (-0.25, -0.12, 0.01)]
     slats += [box((-half, 0.18, z), (half, 0.22, z + 0.1), wood) for z in (0.55, 0.72)]
     ends = (-half + 0.2, half - 0.2)
-    legs = [box((x - 0.03, -0.25, FOOT), (x + 0.03, 0.2, 0.42), iron) for x in ends]
+    legs = [box((x - 0.03, -0.25, FOOT_M), (x + 0.03, 0.2, 0.42), iron) for x in ends]
     return merge(slats + legs)
 
 
 def _planter(rng: np.random.Generator) -> Mesh:
     skin = Skin.drawn(rng, CLUTTER, Material.BRICK, 0.7, 1.1)
     radius, height = float(rng.uniform(0.25, 0.7)), float(rng.uniform(0.35, 0.7))
-    path = [[0, 0, FOOT], [0, 0, height], [0, 0, height + 0.01]]
+    path = [[0, 0, FOOT_M], [0, 0, height], [0, 0, height + 0.01]]
     return tube(path, [radius, radius * 1.1, 0.02], skin, 10)
 
 
 def _column(rng: np.random.Generator) -> Mesh:
     skin = Skin.drawn(rng, CLUTTER, Material.PLASTER, 0.7, 1.1)
-    return tube([[0, 0, FOOT], [0, 0, 3.0], [0, 0, 3.3]], [0.6, 0.6, 0.75], skin, 12)
+    return tube([[0, 0, FOOT_M], [0, 0, 3.0], [0, 0, 3.3]], [0.6, 0.6, 0.75], skin, 12)
 
 
 def _crates(rng: np.random.Generator) -> Mesh:
@@ -138,12 +138,10 @@ def _crates(rng: np.random.Generator) -> Mesh:
     return merge(parts)
 
 
-CLUTTERED = (_bin, _bin, _bin, _cabinet, _cabinet, _cabinet, _bench, _planter, _column, _crates)
-
-
 def clutter(rng: np.random.Generator) -> Mesh:
     """Return a bin, cabinet, bench, planter, advertising column or a heap of crates."""
-    return CLUTTERED[rng.integers(len(CLUTTERED))](rng)
+    makers = (*[_bin] * 3, *[_cabinet] * 3, _bench, _planter, _column, _crates)
+    return makers[rng.integers(len(makers))](rng)
 
 
 def shelter(rng: np.random.Generator) -> Mesh:
@@ -151,7 +149,7 @@ def shelter(rng: np.random.Generator) -> Mesh:
     steel = Skin(STRUCTURE, Material.METAL, 0.9)
     glass = Skin(STRUCTURE, Material.GLASS)
     half = float(rng.uniform(1.2, 2.2))
-    parts = [box((x - 0.04, y - 0.04, FOOT), (x + 0.04, y + 0.04, 2.4), steel)
+    parts = [box((x - 0.04, y - 0.04, FOOT_M), (x + 0.04, y + 0.04, 2.4), steel)
              for x in (-half, 0, half) for y in (0, 1.3)]  # fmt: skip
     parts.append(box((-half - 0.1, -0.2, 2.4), (half + 0.1, 1.4, 2.5), steel))
     parts.append(box((-half, 1.29, 0.15), (half, 1.31, 2.2), glass))

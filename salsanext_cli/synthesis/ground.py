@@ -4,15 +4,14 @@
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 
 from salsanext_cli.synthesis import surfaces
-from salsanext_cli.synthesis.mesh import Array, Mesh, Skin
-from salsanext_cli.synthesis.plan import REACH, Plan
+from salsanext_cli.synthesis.mesh import Array, Mesh
+from salsanext_cli.synthesis.plan import REACH_M, Plan
 from salsanext_cli.synthesis.surfaces import Material
 
-KERB = 0.02
-"""Half the depth of a kerb's face, metres: the grid has lines this far off every edge."""
+KERB_M = 0.02
+"""Half the depth of a kerb's face; the grid has lines at this distance from every edge."""
 MATERIAL_OF = {
     surfaces.ROAD: Material.ASPHALT,
     surfaces.MARKING: Material.MARKING,
@@ -26,8 +25,8 @@ def ground(rng: np.random.Generator, plan: Plan) -> Mesh:
     """Return the ground of a street; each cell has the label of its middle."""
     s_edges, t_edges = plan.edges()
     s = _lines(np.arange(0.0, plan.length + 1, 1.0), s_edges, 0.0, plan.length)
-    across = np.concatenate([np.arange(-10, 10.1, 0.5), np.linspace(10, REACH, 26)])
-    t = _lines(np.concatenate([across, -across]), t_edges, -REACH, REACH)
+    across = np.concatenate([np.arange(-10, 10.1, 0.5), np.linspace(10, REACH_M, 26)])
+    t = _lines(np.concatenate([across, -across]), t_edges, -REACH_M, REACH_M)
     grid_s, grid_t = np.meshgrid(s, t, indexing="ij")
     vertices = plan.world(grid_s, grid_t)
     rough = (plan.label(grid_s, grid_t) == surfaces.TERRAIN) * rng.normal(0, 0.03, grid_s.shape)
@@ -36,8 +35,18 @@ def ground(rng: np.random.Generator, plan: Plan) -> Mesh:
         (grid_s[:-1, :-1] + grid_s[1:, 1:]) / 2, (grid_t[:-1, :-1] + grid_t[1:, 1:]) / 2
     )
     patches = _patches(rng, (s[:-1] + s[1:]) / 2, (t[:-1] + t[1:]) / 2, plan.length)
-    labels, brightness = np.repeat(middle.ravel(), 2), np.repeat(patches.ravel(), 2)
-    return _with_skins(rng, _grid(vertices), labels, brightness)
+    labels = np.repeat(middle.ravel(), 2)
+    materials = np.zeros(len(labels), np.uint8)
+    shades = np.ones(len(labels), np.float32)
+    for label, material in MATERIAL_OF.items():
+        materials[labels == label] = material
+        shades[labels == label] = rng.uniform(0.85, 1.15)
+    shades *= np.repeat(patches.ravel(), 2).astype(np.float32)
+    shades *= np.repeat(rng.normal(1, 0.03, middle.size), 2).astype(np.float32)
+    index = np.arange(grid_s.size).reshape(grid_s.shape)
+    a, b, c, d = index[:-1, :-1], index[1:, :-1], index[1:, 1:], index[:-1, 1:]
+    faces = np.stack([np.stack([a, b, c], -1), np.stack([a, c, d], -1)], 2)
+    return Mesh(vertices.reshape(-1, 3), faces.reshape(-1, 3), labels, materials, shades)
 
 
 def _patches(rng: np.random.Generator, s: Array, t: Array, length: float) -> Array:
@@ -52,28 +61,7 @@ def _patches(rng: np.random.Generator, s: Array, t: Array, length: float) -> Arr
 
 
 def _lines(regular: Array, edges: Array, low: float, high: float) -> Array:
-    lines: Array = np.unique(np.concatenate([regular, edges - KERB, edges + KERB]))
+    lines: Array = np.unique(np.concatenate([regular, edges - KERB_M, edges + KERB_M]))
     lines = lines[(lines >= low) & (lines <= high)]
     apart: Array = lines[np.concatenate([[True], np.diff(lines) > 0.01])]
     return apart
-
-
-def _grid(vertices: Array) -> Mesh:
-    rows, columns, _ = vertices.shape
-    index = np.arange(rows * columns).reshape(rows, columns)
-    a, b, c, d = index[:-1, :-1], index[1:, :-1], index[1:, 1:], index[:-1, 1:]
-    faces = np.stack([np.stack([a, b, c], -1), np.stack([a, c, d], -1)], 2)
-    return Mesh.of(vertices.reshape(-1, 3), faces.reshape(-1, 3), Skin(0, Material.ASPHALT))
-
-
-def _with_skins(
-    rng: np.random.Generator, mesh: Mesh, labels: npt.NDArray[np.uint32], patches: Array
-) -> Mesh:
-    materials = np.zeros(len(mesh), np.uint8)
-    shades = np.ones(len(mesh), np.float32)
-    for label, material in MATERIAL_OF.items():
-        materials[labels == label] = material
-        shades[labels == label] = rng.uniform(0.85, 1.15)
-    shades *= patches.astype(np.float32)
-    shades *= np.repeat(rng.normal(1, 0.03, len(mesh) // 2), 2).astype(np.float32)
-    return Mesh(mesh.vertices, mesh.triangles, labels, materials, shades)

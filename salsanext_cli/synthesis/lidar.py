@@ -11,22 +11,22 @@ import numpy.typing as npt
 from salsanext_cli.classes import RawIds
 from salsanext_cli.packages import import_open3d
 from salsanext_cli.synthesis.mesh import Array, Mesh
-from salsanext_cli.synthesis.surfaces import optics_table
+from salsanext_cli.synthesis.surfaces import OPTICS
 
 MAX_RANGE_M, MIN_RANGE_M = 81.0, 1.6
-"""Nothing is reported beyond or nearer."""
+"""Largest and smallest reported range."""
 RANGE_NOISE_M = 0.018
 """Standard deviation along the ray."""
-THRESHOLD = 6.0e-6
+SIGNAL_THRESHOLD = 6.0e-6
 """Signal (brightness · cos / range²) at which half of the pulses are lost."""
-GRAZING = 0.14
+GRAZING_COSINE = 0.14
 """Cosine of incidence below which surfaces look darker."""
-PATCH = 11
-"""Mirrors lose pulses in runs of about this many firings."""
-LOST = 0.004
+PATCH_FIRINGS = 11
+"""Length of the runs of firings in which mirrors lose pulses."""
+LOST_SHARE = 0.004
 """Share of pulses lost for no reason."""
 DISTANCES_M = (0.0, 4.0, 8.0, 13.0, 20.0, 28.0, 40.0, 80.0)
-RESPONSE = (0.82, 0.86, 0.92, 1.0, 1.05, 0.92, 0.66, 0.45)
+RELATIVE_RESPONSE = (0.82, 0.86, 0.92, 1.0, 1.05, 0.92, 0.66, 0.45)
 """Reported brightness of one surface by distance: optics and gain control of the sensor."""
 
 
@@ -101,15 +101,15 @@ def measure(
         distance[nearer], cosine[nearer] = found[nearer], cos[nearer]
         labels[nearer] = scene.mesh.labels[hit]
         materials[nearer], shades[nearer] = scene.mesh.materials[hit], scene.mesh.shades[hit]
-    brightness, texture, falloff, gloss, roughness = optics_table()[materials].T
+    brightness, texture, falloff, gloss, roughness = OPTICS[materials].T
     reach = np.where(np.isfinite(distance), distance, MAX_RANGE_M + 1)
     noise = rng.standard_normal((3, len(rays)))
     reflected = brightness * shades * np.exp(texture * noise[0] - texture**2 / 2)
     kept = _returns(rng, reflected, cosine, reach, gloss, power)
     measured = reach + noise[1] * np.hypot(RANGE_NOISE_M, roughness)
     kept &= (reach < MAX_RANGE_M) & (measured > MIN_RANGE_M)
-    grazing = np.clip(cosine / GRAZING, 0.01, 1) ** falloff
-    intensity = reflected * np.interp(reach, DISTANCES_M, RESPONSE) * grazing * gain
+    grazing = np.clip(cosine / GRAZING_COSINE, 0.01, 1) ** falloff
+    intensity = reflected * np.interp(reach, DISTANCES_M, RELATIVE_RESPONSE) * grazing * gain
     intensity = np.round(np.clip(intensity + 0.02 * noise[2] - 0.02, 0, 0.99), 2)
     return np.where(kept, measured, np.nan), intensity, labels
 
@@ -125,22 +125,21 @@ def _returns(
     """Decide which pulses return."""
     chance = rng.random(len(reach))
     signal = power * (reflected + 0.01) * cosine / reach**2
-    detected = 1 / (1 + (THRESHOLD / np.maximum(signal, 1e-12)) ** 2.2)
+    detected = 1 / (1 + (SIGNAL_THRESHOLD / np.maximum(signal, 1e-12)) ** 2.2)
     # A mirror sends the pulse back only when hit straight on. Strong lasers still see its dirt, so
     # that glass and dark paint come back in some rows and not in others.
     dull = np.minimum(0.9, 0.75 * reflected / 0.3)
     mirrored = gloss * (1 - 0.6 * cosine**16) * (1 - dull)
     odds = mirrored / np.maximum(1 - mirrored, 1e-6) / power**3
     away = odds / (1 + odds)
-    kept = chance < detected * (1 - LOST)
+    kept = chance < detected * (1 - LOST_SHARE)
     reflected_back: npt.NDArray[np.bool_] = _patchy(rng, len(reach)) >= away
     return kept & reflected_back
 
 
 def _patchy(rng: np.random.Generator, count: int) -> Array:
     """Return chances 0…1 that change slowly from firing to firing, (count,)."""
-    white = rng.standard_normal(count + PATCH - 1)
-    smooth = np.convolve(white, np.full(PATCH, PATCH**-0.5), "valid")
+    white = rng.standard_normal(count + PATCH_FIRINGS - 1)
+    smooth = np.convolve(white, np.full(PATCH_FIRINGS, PATCH_FIRINGS**-0.5), "valid")
     # The logistic function with this slope stands in for the normal distribution's integral.
-    chance: Array = 1 / (1 + np.exp(-1.702 * smooth))
-    return chance
+    return 1 / (1 + np.exp(-1.702 * smooth))

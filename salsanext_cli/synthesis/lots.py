@@ -11,7 +11,7 @@ import numpy as np
 from salsanext_cli.synthesis import buildings, fences, furniture, people, vegetation, vehicles
 from salsanext_cli.synthesis.builder import Builder
 from salsanext_cli.synthesis.mesh import Mesh
-from salsanext_cli.synthesis.plan import REACH, Lot, Side
+from salsanext_cli.synthesis.plan import REACH_M, Lot, Side
 
 
 def furnish(builder: Builder, side: Side, lot: Lot) -> None:
@@ -59,7 +59,8 @@ def _house(builder: Builder, side: Side, lot: Lot) -> None:
     if drive and builder.chance(0.55):
         _park(builder, side, sum(lot.drive) / 2, front - min(2.6, lot.setback / 2), np.pi / 2)
     if builder.chance(0.5):
-        _partition(builder, side, lot.end, side.depth + 0.3, front + builder.between(2, 12))
+        end = front + builder.between(2, 12)
+        builder.put_outward(_boundary(builder), side, lot.end, side.depth + 0.3, end)
     _scatter(builder, side, lot, lambda r, _: furniture.clutter(r), (0, 1), 0.8)
 
 
@@ -91,16 +92,11 @@ def _field(builder: Builder, side: Side, lot: Lot) -> None:
     _scatter(builder, side, lot, vegetation.bush, (0.4, 2.0), 0.9 * area, reach=30)
     _scatter(builder, side, lot, vegetation.tree, (4.0, 11.0), 0.5 * area, reach=40)
     _scatter(builder, side, lot, vegetation.weeds, (0.6, 2.0), 4.0 * area, reach=15)
-    if builder.chance(0.3):
-        _row_of(builder, side, lot, "barrier", 0.8)
-    elif builder.chance(0.25):
-        _row_of(builder, side, lot, "mesh", 3.0)
-
-
-def _row_of(builder: Builder, side: Side, lot: Lot, kind: str, out: float) -> None:
-    shade, height = builder.between(0.7, 1.4), builder.between(0.9, 1.3)
-    fence = partial(fences.fence, builder.rng, kind=kind, height=height, shade=shade)
-    builder.put_line(fence, side, lot.start, lot.end, side.depth + out)
+    if (is_barrier := builder.chance(0.3)) or builder.chance(0.25):
+        kind, out = ("barrier", 0.8) if is_barrier else ("mesh", 3.0)
+        shade, height = builder.between(0.7, 1.4), builder.between(0.9, 1.3)
+        fence = partial(fences.fence, builder.rng, kind=kind, height=height, shade=shade)
+        builder.put_line(fence, side, lot.start, lot.end, side.depth + out)
 
 
 def _thicket(builder: Builder, side: Side, lot: Lot) -> None:
@@ -143,10 +139,6 @@ def _close(
         builder.put_line(thicket, side, start, end, out + builder.between(0.3, 0.9))
 
 
-def _partition(builder: Builder, side: Side, s: float, start: float, end: float) -> None:
-    builder.put_outward(_boundary(builder), side, s, start, end)
-
-
 def _boundary(builder: Builder) -> Callable[[float], Mesh]:
     """Return a maker of fence or hedge pieces, alike along one garden."""
     rng = builder.rng
@@ -184,7 +176,7 @@ def _background(builder: Builder, side: Side, lot: Lot) -> None:
     rng, width = builder.rng, lot.end - lot.start
     out = side.depth + lot.setback + builder.between(20, 30)
     middle = (lot.start + lot.end) / 2
-    if builder.plan.half + out > REACH - 14:
+    if builder.plan.half + out > REACH_M - 14:
         return
     if lot.kind not in ("field", "thicket") and width > 7 and builder.chance(0.8):
         mesh = buildings.house(rng, width * builder.between(0.7, 1), 10, int(rng.integers(2, 6)))

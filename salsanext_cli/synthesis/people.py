@@ -11,10 +11,10 @@ import numpy as np
 from salsanext_cli.synthesis.mesh import Array, Mesh, Skin, box, ellipsoid, merge, tube
 from salsanext_cli.synthesis.surfaces import BICYCLE, BICYCLIST, PERSON, Material
 
-WHEEL = 0.34
-"""Radius of a bicycle's wheel, metres."""
-AXLE = 0.52
-"""Half the distance between the axles, metres."""
+WHEEL_M = 0.34
+"""Radius of a bicycle's wheel."""
+AXLE_M = 0.52
+"""Half the distance between the axles of a bicycle."""
 
 
 def _limb(start: Array, joint: Array, end: Array, radii: tuple[float, float], skin: Skin) -> Mesh:
@@ -71,8 +71,8 @@ def bicycle(rng: np.random.Generator, label: int = BICYCLE) -> Mesh:
     frame = Skin.drawn(rng, label, Material.METAL, 0.6, 1.6)
     tyre = Skin(label, Material.RUBBER, 3.0)
     saddle, crank = np.array([-0.22, 0, 0.92]), np.array([-0.05, 0, 0.3])
-    head, fork = np.array([0.33, 0, 0.85]), np.array([AXLE, 0, WHEEL])
-    rear = np.array([-AXLE, 0, WHEEL])
+    head, fork = np.array([0.33, 0, 0.85]), np.array([AXLE_M, 0, WHEEL_M])
+    rear = np.array([-AXLE_M, 0, WHEEL_M])
     bars = [
         (saddle - [0, 0, 0.1], crank), (saddle * [0.9, 1, 0.85], head - [0, 0, 0.08]),
         (crank, head - [-0.02, 0, 0.14]), (crank, rear), (saddle * [1, 1, 0.8], rear),
@@ -81,10 +81,10 @@ def bicycle(rng: np.random.Generator, label: int = BICYCLE) -> Mesh:
     ]  # fmt: skip
     parts = [tube([a, b], 0.026, frame, 6) for a, b in bars]
     for hub in (fork, rear):
-        parts.append(_ring(hub, WHEEL - 0.02, 0.028, tyre))
+        parts.append(_ring(hub, WHEEL_M - 0.02, 0.028, tyre))
         turn = rng.uniform(0, np.pi)
         for angle in turn + np.arange(5) * np.pi / 5:
-            reach = (WHEEL - 0.03) * np.array([np.cos(angle), 0, np.sin(angle)])
+            reach = (WHEEL_M - 0.03) * np.array([np.cos(angle), 0, np.sin(angle)])
             parts.append(tube([hub - reach, hub + reach], 0.009, frame, 4))
     parts.append(ellipsoid(saddle, (0.13, 0.07, 0.04), tyre))
     parts.append(ellipsoid(crank, (0.1, 0.06, 0.1), frame))

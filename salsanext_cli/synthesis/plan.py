@@ -16,11 +16,11 @@ from salsanext_cli.synthesis import surfaces
 from salsanext_cli.synthesis.mesh import Array
 from salsanext_cli.synthesis.style import Span, Style
 
-REACH = 62.0
-"""How far the world goes to either side, metres."""
+REACH_M = 62.0
+"""Extent of the world to either side of the centre line."""
 LEFT, RIGHT = 1, -1
-CORNER_LINES = np.arange(0.15, 4.1, 0.15)
-"""Rounded corners need a grid this fine, metres from the kerb."""
+CORNER_LINES_M = np.arange(0.15, 4.1, 0.15)
+"""Distances from the kerb of the grid lines that rounded corners need."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,7 +68,7 @@ class Side:
 
     @property
     def depth(self) -> float:
-        """From the kerb to the lots."""
+        """Distance from the kerb to the lots, in metres."""
         return self.parking + self.verge + self.sidewalk
 
 
@@ -146,7 +146,7 @@ class Plan:
         return height
 
     def on_side_street(self, s: Array, beyond: Array, side: Side) -> npt.NDArray[np.bool_]:
-        """Whether a place `beyond` the kerb is on a side street, its rounded corners included."""
+        """Say whether a place `beyond` the kerb is on a side street or its rounded corners."""
         found = np.zeros(np.broadcast_shapes(np.shape(s), np.shape(beyond)), bool)
         for crossing in self._crossings_of(side):
             away, radius = np.abs(s - crossing.s) - crossing.half, crossing.corner
@@ -170,7 +170,7 @@ class Plan:
         return label
 
     def _painted(self, s: Array, t: Array) -> npt.NDArray[np.bool_]:
-        """Whether the carriageway is painted: dashes, edge lines, zebra and stop lines."""
+        """Say where the carriageway is painted: dashes, edge lines, zebra and stop lines."""
         dashed = (np.abs(t) < 0.08) & (np.mod(s, 9.0) < 3.0)
         edge = (np.abs(np.abs(t) - (self.half - 0.3)) < 0.06) & (self.style.lane[1] > 4)
         painted = dashed | edge
@@ -203,7 +203,7 @@ class Plan:
         """Return the s and the t at which the ground changes."""
         s: list[float] = []
         for crossing in self.crossings:
-            corner = crossing.half + CORNER_LINES
+            corner = crossing.half + CORNER_LINES_M
             for reach in (crossing.half, crossing.half + crossing.pavement, *corner):
                 s += [crossing.s - reach, crossing.s + reach]
         t = [-0.08, 0.08]
@@ -213,5 +213,5 @@ class Plan:
             strips += [side.depth + lot.setback for lot in side.lots]
             t += [side.sign * (self.half + strip) for strip in strips]
             t += [side.sign * (self.half - 0.36), side.sign * (self.half - 0.24)]
-            t += list(side.sign * (self.half + CORNER_LINES))
+            t += list(side.sign * (self.half + CORNER_LINES_M))
         return np.unique(np.round(s, 3)), np.unique(np.round(t, 3))

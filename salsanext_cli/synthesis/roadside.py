@@ -9,7 +9,7 @@ from salsanext_cli.synthesis import furniture, people, vegetation, vehicles
 from salsanext_cli.synthesis.builder import Builder
 from salsanext_cli.synthesis.plan import Crossing, Side
 
-TOWARDS_TRAFFIC = np.pi / 2
+TOWARDS_TRAFFIC_RAD = np.pi / 2
 """A sign faces its local -y; turned by this it faces along the street."""
 SIDE_STREET_END_M = 50.0
 """Distance beyond the kerb at which trees close a side street."""
@@ -80,7 +80,7 @@ def _signs(builder: Builder, side: Side) -> None:
     for _ in builder.count(builder.plan.length / 17):
         s = builder.along()
         make = furniture.board if builder.chance(0.22) else furniture.sign
-        yaw = builder.rng.choice([1, 1, 1, -1, 0]) * TOWARDS_TRAFFIC * -1
+        yaw = builder.rng.choice([1, 1, 1, -1, 0]) * TOWARDS_TRAFFIC_RAD * -1
         out = side.parking + builder.between(0.4, 1.3)
         builder.put_if_free(make(builder.rng), side, s, out, 0.4, yaw + builder.rng.normal(0, 0.2))
     for crossing in builder.plan.crossings:
@@ -89,7 +89,7 @@ def _signs(builder: Builder, side: Side) -> None:
             if not builder.chance(0.7):
                 continue
             make = furniture.traffic_light if builder.chance(0.3) else furniture.sign
-            yaw = -TOWARDS_TRAFFIC * builder.rng.choice([1, -1])
+            yaw = -TOWARDS_TRAFFIC_RAD * builder.rng.choice([1, -1])
             out = side.parking + 0.5 + 0.2 * crossing.corner
             builder.put_if_free(make(builder.rng), side, s, out, 0.3, yaw)
 

@@ -17,7 +17,7 @@ from salsanext_cli.synthesis.plan import Plan
 from salsanext_cli.synthesis.style import Style
 
 MARGIN_M = 70.0
-"""How far the street goes on behind the first and beyond the last scan."""
+"""Length of the street behind the first scan and beyond the last one."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,12 +50,13 @@ class Mover:
         return self.mesh.moved(plan.world(s, self.t), yaw)
 
 
-@dataclass(frozen=True, slots=True)
-class Street:
-    """Everything there is to scan.
+def build_street(
+    rng: np.random.Generator, style: Style, distance: float, ego_speed: float
+) -> tuple[Plan, Mesh, tuple[Mover, ...]]:
+    """Build a street on which the recording vehicle can drive `distance` metres.
 
-    Attributes
-    ----------
+    Returns
+    -------
     plan : Plan
         The ground plan.
     standing : Mesh
@@ -63,16 +64,6 @@ class Street:
     movers : tuple of Mover
         All that moves.
     """
-
-    plan: Plan
-    standing: Mesh
-    movers: tuple[Mover, ...]
-
-
-def build_street(
-    rng: np.random.Generator, style: Style, distance: float, ego_speed: float
-) -> Street:
-    """Build a street on which the recording vehicle can drive `distance` metres."""
     plan = draw_plan(rng, style, distance + 2 * MARGIN_M)
     builder = Builder(rng, plan)
     builder.parts.append(ground(rng, plan))
@@ -86,7 +77,7 @@ def build_street(
         *_walkers(builder, duration),
         *_riders(builder, ego_speed, duration),
     )
-    return Street(plan, merge(builder.parts), movers)
+    return plan, merge(builder.parts), movers
 
 
 def _vehicles(builder: Builder, speed: float, duration: float) -> Iterator[Mover]:

@@ -84,4 +84,4 @@ COUNTRY = Style(
     crowd=2.5, traffic=1.0,
 )  # fmt: skip
 STYLES = (RESIDENTIAL, URBAN, RESIDENTIAL, COUNTRY, BOULEVARD)
-"""Order in which sequences take them, so that a small data set has all."""
+"""Styles in the order in which sequences take them; a small data set has all."""

@@ -7,10 +7,9 @@ The levels were set so that the intensity of each class spreads as it does in sc
 from __future__ import annotations
 
 from enum import IntEnum
-from typing import NamedTuple
+from typing import Self
 
 import numpy as np
-import numpy.typing as npt
 
 CAR, BICYCLE, TRUCK, PERSON, BICYCLIST = 10, 11, 18, 30, 31
 ROAD, PARKING, SIDEWALK, MARKING, TERRAIN = 40, 44, 48, 60, 72
@@ -26,72 +25,44 @@ ABSENT = ("motorcycle", "other-vehicle", "motorcyclist", "other-ground")
 
 
 class Material(IntEnum):
-    """Material of a surface."""
-
-    ASPHALT = 0
-    PAVING = 1
-    GRASS = 2
-    MARKING = 3
-    PLASTER = 4
-    BRICK = 5
-    GLASS = 6
-    LEAF = 7
-    BARK = 8
-    WOOD = 9
-    METAL = 10
-    PAINT = 11
-    RUBBER = 12
-    CLOTH = 13
-    SKIN = 14
-    RETRO = 15
-    LAMP = 16
-
-
-class Optics(NamedTuple):
-    """Reflection by a material.
+    """Material of a surface, numbered from 0, and its optics.
 
     Attributes
     ----------
-    brightness : float
-        Intensity that a surface facing the sensor at 15 m returns.
-    texture : float
-        Relative spread of the brightness from point to point.
-    falloff : float
-        Exponent of the cosine of the angle of incidence, near grazing.
-    gloss : float
-        Share of the pulses that a mirror-like surface sends elsewhere, the more the darker it is.
-    roughness : float
-        Standard deviation of the surface along the ray, metres.
+    optics : 5 floats
+        Brightness: intensity that a surface facing the sensor at 15 m returns. Texture: relative
+        spread of the brightness from point to point. Falloff: exponent of the cosine of the angle
+        of incidence, near grazing. Gloss: share of the pulses that a mirror-like surface sends
+        elsewhere, the more the darker it is. Roughness: standard deviation of the surface along
+        the ray, in metres.
     """
 
-    brightness: float
-    texture: float
-    falloff: float
-    gloss: float = 0.0
-    roughness: float = 0.0
+    optics: tuple[float, ...]
+
+    def __new__(cls, *optics: float) -> Self:
+        """Give a material its number and its optics."""
+        member = int.__new__(cls, len(cls.__members__))
+        member._value_, member.optics = int(member), optics
+        return member
+
+    ASPHALT = 0.34, 0.14, 0.9, 0.0, 0.004
+    PAVING = 0.365, 0.12, 0.6, 0.0, 0.004
+    GRASS = 0.43, 0.16, 0.4, 0.0, 0.03
+    MARKING = 0.5, 0.15, 0.7, 0.0, 0.004
+    PLASTER = 0.47, 0.08, 0.3, 0.0, 0.0
+    BRICK = 0.43, 0.14, 0.3, 0.0, 0.004
+    GLASS = 0.06, 0.8, 0.5, 1.0, 0.0
+    LEAF = 0.43, 0.28, 0.25, 0.0, 0.04
+    BARK = 0.45, 0.2, 0.3, 0.0, 0.012
+    WOOD = 0.43, 0.16, 0.3, 0.0, 0.004
+    METAL = 0.32, 0.35, 0.5, 0.1, 0.0
+    PAINT = 0.34, 0.35, 0.9, 0.3, 0.0
+    RUBBER = 0.04, 0.5, 0.4, 0.15, 0.0
+    CLOTH = 0.52, 0.2, 0.3, 0.0, 0.012
+    SKIN = 0.5, 0.12, 0.3, 0.0, 0.005
+    RETRO = 0.95, 0.1, 0.2, 0.0, 0.0
+    LAMP = 0.6, 0.5, 0.3, 0.2, 0.0
 
 
-OPTICS: dict[Material, Optics] = {
-    Material.ASPHALT: Optics(0.34, 0.14, 0.9, roughness=0.004),
-    Material.PAVING: Optics(0.365, 0.12, 0.6, roughness=0.004),
-    Material.GRASS: Optics(0.43, 0.16, 0.4, roughness=0.03),
-    Material.MARKING: Optics(0.5, 0.15, 0.7, roughness=0.004),
-    Material.PLASTER: Optics(0.47, 0.08, 0.3),
-    Material.BRICK: Optics(0.43, 0.14, 0.3, roughness=0.004),
-    Material.GLASS: Optics(0.06, 0.8, 0.5, gloss=1.0),
-    Material.LEAF: Optics(0.43, 0.28, 0.25, roughness=0.04),
-    Material.BARK: Optics(0.45, 0.2, 0.3, roughness=0.012),
-    Material.WOOD: Optics(0.43, 0.16, 0.3, roughness=0.004),
-    Material.METAL: Optics(0.32, 0.35, 0.5, gloss=0.1),
-    Material.PAINT: Optics(0.34, 0.35, 0.9, gloss=0.3),
-    Material.RUBBER: Optics(0.04, 0.5, 0.4, gloss=0.15),
-    Material.CLOTH: Optics(0.52, 0.2, 0.3, roughness=0.012),
-    Material.SKIN: Optics(0.5, 0.12, 0.3, roughness=0.005),
-    Material.RETRO: Optics(0.95, 0.1, 0.2),
-    Material.LAMP: Optics(0.6, 0.5, 0.3, gloss=0.2),
-}
-
-
-def optics_table() -> npt.NDArray[np.float64]:
-    """Return the optics of all materials, (materials, 5) in the order of `Optics`."""
-    return np.array([OPTICS[material] for material in Material])
+OPTICS = np.array([material.optics for material in Material])
+"""Optics of all materials, (materials, 5)."""

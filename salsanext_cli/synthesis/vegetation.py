@@ -12,7 +12,7 @@ from salsanext_cli.synthesis.mesh import Array, Mesh, Skin, ellipsoid, facets, m
 from salsanext_cli.synthesis.style import Span
 from salsanext_cli.synthesis.surfaces import TRUNK, VEGETATION, Material
 
-FOOT = -0.4
+FOOT_M = -0.4
 
 
 def _leaf(rng: np.random.Generator) -> Skin:
@@ -40,7 +40,7 @@ def tree(rng: np.random.Generator, height: float) -> Mesh:
     radius = float(rng.uniform(0.022, 0.05) * height**0.75)
     clear = float(rng.uniform(0.25, 0.45) * height)
     bend = rng.normal(0, 0.05 * height, (2,))
-    levels = np.array([FOOT, 0.0, 0.4, clear * 0.5, clear, clear * 1.5])
+    levels = np.array([FOOT_M, 0.0, 0.4, clear * 0.5, clear, clear * 1.5])
     share = np.clip(levels / levels[-1], 0, 1)[:, None]
     path = np.concatenate([bend * share**1.5, levels[:, None]], 1)
     swell = np.array([1.7, 1.4, 1.1, 0.95, 0.85, 0.5])
@@ -70,7 +70,7 @@ def conifer(rng: np.random.Generator, height: float) -> Mesh:
     reach = radius * (1 - level) * np.sqrt(rng.uniform(0.25, 1, count)) + rng.normal(0, 0.06, count)
     z = base + level * (height - base) - 0.25 * reach
     centres = np.stack([reach * np.cos(angle), reach * np.sin(angle), z], -1)
-    trunk = tube([[0, 0, FOOT], [0, 0, height * 0.8]], [0.025 * height, 0.05], bark)
+    trunk = tube([[0, 0, FOOT_M], [0, 0, height * 0.8]], [0.025 * height, 0.05], bark)
     return merge([trunk, facets(centres, rng.uniform(0.1, 0.26, count), _leaf(rng), rng)])
 
 
@@ -91,8 +91,8 @@ def hedge(rng: np.random.Generator, length: float, height: float, depth: float) 
     leaf = _leaf(rng)
     stations = np.linspace(0, length, max(3, int(length / 0.5)))
     outline = np.array(
-        [[-0.5, FOOT / height], [-0.52, 0.35], [-0.5, 0.7], [-0.42, 0.95], [0, 1.0]]
-        + [[0.42, 0.95], [0.5, 0.7], [0.52, 0.35], [0.5, FOOT / height]]
+        [[-0.5, FOOT_M / height], [-0.52, 0.35], [-0.5, 0.7], [-0.42, 0.95], [0, 1.0]]
+        + [[0.42, 0.95], [0.5, 0.7], [0.52, 0.35], [0.5, FOOT_M / height]]
     )
     section = outline * [depth * 0.85, height * 0.95]
     rough = rng.normal(0, 0.05, (len(stations), len(section), 2)) * min(1.5, depth)
@@ -124,7 +124,9 @@ def thicket(rng: np.random.Generator, length: float, depth: float, height: float
         x, y = rng.uniform(0, length), rng.uniform(depth * 0.2, depth)
         lean = rng.normal(0, 0.5, 2)
         top = np.array([x + lean[0], y + lean[1], height * rng.uniform(0.6, 1.1)])
-        parts.append(tube([np.array([x, y, FOOT]), top], [rng.uniform(0.08, 0.22), 0.05], bark, 6))
+        parts.append(
+            tube([np.array([x, y, FOOT_M]), top], [rng.uniform(0.08, 0.22), 0.05], bark, 6)
+        )
         parts.append(_leaves(rng, top, np.array([2.0, 2.0, height * 0.3]), 260, (0.12, 0.32), leaf))
     return merge(parts)
 

@@ -13,7 +13,7 @@ import numpy as np
 from salsanext_cli.synthesis.mesh import Array, Mesh, Skin, box, disc, merge, rings, tube
 from salsanext_cli.synthesis.surfaces import CAR, TRUCK, Material
 
-POINTS = 8
+SECTION_POINTS = 8
 """Points of a cross-section of a body."""
 
 
@@ -108,12 +108,15 @@ def _loft(body: Body, label: int, paint: float, stretch: Array) -> Mesh:
     shell = rings(sections, Skin(label, Material.PAINT, paint))
     windows = [(i, j) for i in body.cabin for j in (2, 4)]
     windows += [(i, j) for i in body.screens for j in (2, 3, 4)]
-    per_kind = (len(x) - 1) * POINTS
+    per_kind = (len(x) - 1) * SECTION_POINTS
     for station, segment in windows:
-        for face in (station * POINTS + segment, per_kind + station * POINTS + segment):
+        for face in (
+            station * SECTION_POINTS + segment,
+            per_kind + station * SECTION_POINTS + segment,
+        ):
             shell.materials[face] = Material.GLASS
             shell.shades[face] = 0.8
-    fan = np.array([[0, k, k + 1] for k in range(1, POINTS - 1)])
+    fan = np.array([[0, k, k + 1] for k in range(1, SECTION_POINTS - 1)])
     ends = [Mesh.of(sections[i], fan, Skin(label, Material.PAINT, paint)) for i in (0, -1)]
     return merge([shell, *ends]).scaled(stretch)
 
@@ -191,9 +194,19 @@ def truck(rng: np.random.Generator) -> Mesh:
         for x in np.arange(-front, front, rng.uniform(0.6, 2.5)):
             parts.append(box((x, -half - 0.02, floor), (x + 0.05, half + 0.02, top), steel))
     else:
-        parts += _open_bed(rng, front, half, floor, cargo)
-        if kind == 2:
-            parts.append(_load(rng, front, half, floor))
+        top = floor + rng.uniform(0.3, 1.0)
+        parts += [
+            box((-front, -half, floor), (front, half, floor + 0.08), cargo),
+            box((-front, -half, floor), (front, -half + 0.05, top), cargo),
+            box((-front, half - 0.05, floor), (front, half, top), cargo),
+            box((-front, -half, floor), (-front + 0.05, half, top), cargo),
+            box((front - 0.05, -half, floor), (front, half, top + 0.5), cargo),
+        ]
+    for _ in range(int(rng.integers(2, 7)) if kind == 2 else 0):
+        size = rng.uniform([0.5, 0.4, 0.3], [1.6, 1.0, 1.4])
+        x, y = rng.uniform(-front, front - size[0]), rng.uniform(-half, half - size[1])
+        skin = Skin.drawn(rng, TRUCK, Material.WOOD, 0.5, 1.1)
+        parts.append(box((x, y, floor + 0.1), (x + size[0], y + size[1], floor + size[2]), skin))
     axles = [front + cab_length * 0.55, -front * 0.62]
     if bed_length > 6:
         axles += [-front * 0.62 + 1.15, -front * 0.62 - 1.15]
@@ -207,28 +220,3 @@ def truck(rng: np.random.Generator) -> Mesh:
         x = front + cab_length
         parts.append(box((x - 0.25, low, 1.7), (x - 0.15, high, 2.3), steel))
     return merge(parts).moved((-(cab_length + 0.1) / 2, 0, 0))
-
-
-def _open_bed(
-    rng: np.random.Generator, front: float, half: float, floor: float, skin: Skin
-) -> list[Mesh]:
-    """Return a floor with boards around it."""
-    top = floor + rng.uniform(0.3, 1.0)
-    return [
-        box((-front, -half, floor), (front, half, floor + 0.08), skin),
-        box((-front, -half, floor), (front, -half + 0.05, top), skin),
-        box((-front, half - 0.05, floor), (front, half, top), skin),
-        box((-front, -half, floor), (-front + 0.05, half, top), skin),
-        box((front - 0.05, -half, floor), (front, half, top + 0.5), skin),
-    ]
-
-
-def _load(rng: np.random.Generator, front: float, half: float, floor: float) -> Mesh:
-    """Return crates on a bed."""
-    crates = []
-    for _ in range(int(rng.integers(2, 7))):
-        size = rng.uniform([0.5, 0.4, 0.3], [1.6, 1.0, 1.4])
-        x, y = rng.uniform(-front, front - size[0]), rng.uniform(-half, half - size[1])
-        skin = Skin.drawn(rng, TRUCK, Material.WOOD, 0.5, 1.1)
-        crates.append(box((x, y, floor + 0.1), (x + size[0], y + size[1], floor + size[2]), skin))
-    return merge(crates)

@@ -33,29 +33,24 @@ def raising(error):
     return body
 
 
-def test_a_users_mistake_is_one_line_and_status_one():
-    result = invoke(raising(FormatError("a.bin", "17 bytes", "a multiple of 16", "copy it again")))
-    assert result.exit_code == 1
-    assert result.stdout == ""
-    assert result.stderr == "error: a.bin · 17 bytes · expected a multiple of 16 · copy it again\n"
-
-
-def test_a_wrong_setting_is_status_two():
-    result = invoke(raising(UsageError("--limit", "0")))
-    assert result.exit_code == 2
-    assert result.stderr == "error: --limit · 0\n"
-
-
-def test_a_mistake_is_a_json_object_too():
-    result = invoke(raising(FormatError("a.bin", "17 bytes")), "--json")
-    assert result.exit_code == 1
-    assert json.loads(result.stdout) == {"error": "a.bin · 17 bytes"}
-
-
-def test_ctrl_c_is_status_130():
-    result = invoke(raising(KeyboardInterrupt()))
-    assert result.exit_code == 130
-    assert result.stderr == "interrupted: everything finished so far is intact\n"
+@pytest.mark.parametrize(
+    ("error", "flags", "status", "stdout", "stderr"),
+    [
+        (
+            *(FormatError("a.bin", "17 bytes", "a multiple of 16", "copy it again"), [], 1, ""),
+            "error: a.bin · 17 bytes · expected a multiple of 16 · copy it again\n",
+        ),
+        (
+            *(FormatError("a.bin", "17 bytes"), ["--json"], 1),
+            *('{"error": "a.bin \\u00b7 17 bytes"}\n', "error: a.bin · 17 bytes\n"),
+        ),
+        (UsageError("--limit", "0"), [], 2, "", "error: --limit · 0\n"),
+        (KeyboardInterrupt(), [], 130, "", "interrupted: everything finished so far is intact\n"),
+    ],
+)
+def test_an_error_is_one_line_and_a_status(error, flags, status, stdout, stderr):
+    result = invoke(raising(error), *flags)
+    assert (result.exit_code, result.stdout, result.stderr) == (status, stdout, stderr)
 
 
 def sigterm(_):

@@ -18,22 +18,19 @@ def world(tmp_path, monkeypatch):
     return world
 
 
-def test_a_demonstration_that_works_is_status_zero(run, world):
+@pytest.mark.parametrize(
+    ("predicted", "status", "says"),
+    [
+        ([CAR, ROAD], 0, ""),
+        ([CAR], 1, "000001.label · 1 labels"),
+        (None, 1, "error: 1 of 2 scans have no predictions"),
+    ],
+)
+def test_a_scan_that_cannot_be_evaluated_is_named_and_status_one(
+    run, world, predicted, status, says
+):
+    world.add("000001", [CAR, ROAD], predicted)
     result = run("demo")
-    assert result.exit_code == 0, result.output
-    assert "error" not in result.stderr
-
-
-def test_a_scan_that_cannot_be_evaluated_is_named_and_status_one(run, world):
-    world.add("000001", [CAR, ROAD], [CAR])
-    result = run("demo")
-    assert result.exit_code == 1
-    assert "error: " in result.stderr
-    assert "000001.label · 1 labels" in result.stderr
-
-
-def test_a_scan_without_predictions_is_status_one(run, world):
-    world.add("000001", [CAR, ROAD], None)
-    result = run("demo")
-    assert result.exit_code == 1
-    assert "error: 1 of 2 scans have no predictions" in result.stderr
+    assert result.exit_code == status, result.output
+    assert says in result.stderr
+    assert ("error: " in result.stderr) == bool(status)

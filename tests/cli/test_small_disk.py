@@ -23,7 +23,7 @@ STAGES = {
     "export-ply": ("export-ply --out {out} --colour label", ("predict",)),
     "eval": ("eval --out {out}", ("predict",)),
 }
-"""What is typed, and which stages come before."""
+"""Command lines, and the stages that come before each."""
 COUNT = 20_000
 """Points of a scan, so that one result of any stage needs more room than some records."""
 

@@ -34,9 +34,7 @@ def test_set_changes_the_recipe_that_the_run_folder_and_the_weights_record(run, 
     ("text", "found"),
     [
         ("epoch=3", "--set epoch=3 · unknown key epoch"),
-        ("epochs=x", "--set epochs=x · 'x' · expected a whole number"),
         ("epochs=0", "recipe key epochs · 0 · expected at least 1"),
-        ("epochs", "--set epochs · no key and value"),
     ],
 )
 def test_a_wrong_override_is_one_line(run, data, tmp_path, text, found):
@@ -48,7 +46,7 @@ def test_a_wrong_override_is_one_line(run, data, tmp_path, text, found):
 
 
 def test_a_batch_too_small_for_the_workers(run, data, tmp_path, monkeypatch):
-    """Before they find each other, so that it is said at once."""
+    """Refuse it at once, before the workers find each other."""
     write_sequence(data / "sequences/00", ["0", "1"], count=300)
     for name, value in {"RANK": "0", "WORLD_SIZE": "3", "TORCHELASTIC_RUN_ID": "x"}.items():
         monkeypatch.setenv(name, value)

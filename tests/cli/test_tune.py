@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""What `salsanext tune` does with what is typed."""
+"""`salsanext tune`: results, messages, settings."""
 
 from pathlib import Path
 
@@ -110,12 +110,9 @@ def test_numbers_reach_the_stage(typed):
     [
         (["--limit", "0"], 2, "--limit · 0 · expected at least 1"),
         (["--split", "tset"], 2, "split tset · no such split"),
-        (["--split", "valid", "--sequences", "08"], 2, "both given"),
         (["--split", "test"], 1, "no scans of split test"),
         (["--sequences", "77"], 1, "no scans of sequence 77"),
-        (["--device", "cuda:99"], 2, "device cuda:99"),
         (["--weights", "none.safetensors"], 1, "none.safetensors · no such file"),
-        (["--verbose", "--quiet"], 2, "both given"),
     ],
 )
 def test_wrong_settings_are_one_line(run, data, weights, tmp_path, what, arguments, status, says):

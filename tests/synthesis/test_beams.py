@@ -1,10 +1,16 @@
 # SPDX-License-Identifier: MIT
-"""The beams are those of an HDL-64E: angles, order, timing, what the vehicle hides."""
+"""Beams of an HDL-64E: angles, order, timing, and those that the vehicle hides."""
 
 import numpy as np
 import pytest
 
-from salsanext_cli.synthesis.beams import ENCODER_STEP_DEG, LOWER, UPPER, hdl64, hidden_by_vehicle
+from salsanext_cli.synthesis.beams import (
+    ENCODER_STEP_DEG,
+    LOWER_BLOCK,
+    UPPER_BLOCK,
+    hdl64,
+    hidden_by_vehicle,
+)
 
 
 @pytest.fixture(scope="module")
@@ -15,7 +21,7 @@ def beams():
 def test_elevations_are_the_sensors_own_in_two_blocks(beams):
     degrees = np.degrees(beams.elevation)
     assert (np.diff(degrees) < 0).all()
-    nominal = np.concatenate([np.linspace(*UPPER), np.linspace(*LOWER)])
+    nominal = np.concatenate([np.linspace(*UPPER_BLOCK), np.linspace(*LOWER_BLOCK)])
     assert np.abs(degrees - nominal).max() < 0.5
     assert -np.diff(degrees[:32]).mean() == pytest.approx(1 / 3, abs=0.02)
     assert -np.diff(degrees[32:]).mean() == pytest.approx(1 / 2, abs=0.02)

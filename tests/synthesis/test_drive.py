@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""A recorded drive: standing things stay where they are, the road is below, time goes on."""
+"""Recorded drive: standing things stay where they are, the road is below, time goes on."""
 
 import numpy as np
 import pytest
@@ -17,7 +17,7 @@ def frames():
 
 
 def world(frame, labels):
-    """Points of some classes, world coordinates."""
+    """Return the points of some classes, world coordinates."""
     chosen = np.isin(frame.labels, labels)
     return frame.scan.points[chosen] @ frame.pose[:3, :3].T + frame.pose[:3, 3]
 
@@ -72,7 +72,7 @@ def test_time_is_distance_by_speed(frames):
 
 @pytest.fixture(scope="module")
 def next_street():
-    """Two frames of another sequence of the same seed."""
+    """Return two frames of another sequence of the same seed."""
     return list(record(7, 1, 2, 3.0))
 
 

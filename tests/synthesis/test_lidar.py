@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Measured against closed forms: a wall, a floor, glass, nothing, two scenes."""
+"""Simulated measurement against closed forms: a wall, a floor, glass, nothing, two scenes."""
 
 import numpy as np
 import pytest
@@ -7,7 +7,7 @@ import pytest
 from salsanext_cli.synthesis.beams import hdl64
 from salsanext_cli.synthesis.lidar import RANGE_NOISE_M, Scene, measure
 from salsanext_cli.synthesis.mesh import Skin, quads
-from salsanext_cli.synthesis.surfaces import BUILDING, CAR, OPTICS, ROAD, Material
+from salsanext_cli.synthesis.surfaces import BUILDING, CAR, ROAD, Material
 
 
 def wall(distance, material=Material.PLASTER, label=BUILDING, shade=1.0):
@@ -25,7 +25,7 @@ def floor(material):
 
 
 def fan(count=20_000, spread=0.3):
-    """Rays from the origin, forward, within `spread` radians to either side."""
+    """Return rays from the origin, forward, within `spread` radians to either side."""
     azimuth = np.linspace(-spread, spread, count)
     ways = np.stack([np.cos(azimuth), np.sin(azimuth), np.zeros(count)], -1)
     return np.concatenate([np.zeros((count, 3)), ways], 1), azimuth
@@ -46,7 +46,7 @@ def test_a_wall_is_as_far_as_it_is():
     assert error.std() == pytest.approx(RANGE_NOISE_M, rel=0.05)
     assert set(labels[kept]) == {BUILDING}
     np.testing.assert_allclose(intensity * 100, np.round(intensity * 100), atol=1e-9)
-    usual = OPTICS[Material.PLASTER].brightness
+    usual = Material.PLASTER.optics[0]
     assert intensity[kept].mean() == pytest.approx(usual, abs=0.05)
 
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Shapes have the size and the place that they are asked for; meshes join and move whole."""
+"""Shapes of a requested size and place; meshes that are joined and moved."""
 
 import numpy as np
 import pytest
@@ -58,13 +58,10 @@ def test_an_ellipsoid_without_lumps_is_one():
     np.testing.assert_allclose(np.linalg.norm(unit, axis=1), 1, atol=1e-12)
 
 
-def test_a_disc_is_a_regular_polygon():
+def test_discs_and_quads_are_flat_polygons():
     mesh = disc((0, 0, 1), 2.0, STEEL, sides=12)
     assert area(mesh) == pytest.approx(0.5 * 12 * 4 * np.sin(2 * np.pi / 12))
     assert np.ptp(mesh.vertices[:, 1]) == 0
-
-
-def test_quads_are_two_triangles_each():
     square = np.array([[[0, 0, 0], [2, 0, 0], [2, 3, 0], [0, 3, 0]]], float)
     assert area(quads(np.concatenate([square, square + 5]), STEEL)) == pytest.approx(12)
 

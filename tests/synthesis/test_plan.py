@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""The plan and the ground that is made of it: strips in order, kerbs, corners, one surface."""
+"""Plan of a street and its ground: strips in order, kerbs, corners, one surface."""
 
 import numpy as np
 import pytest
@@ -7,10 +7,15 @@ import pytest
 from salsanext_cli.synthesis import surfaces
 from salsanext_cli.synthesis.draw import draw_plan
 from salsanext_cli.synthesis.ground import ground
-from salsanext_cli.synthesis.plan import REACH
+from salsanext_cli.synthesis.plan import REACH_M
 from salsanext_cli.synthesis.style import STYLES
 
 PLANS = [draw_plan(np.random.default_rng(seed), STYLES[seed], 160.0) for seed in range(len(STYLES))]
+
+
+@pytest.fixture(params=PLANS, ids=lambda plan: plan.style.name)
+def plan(request):
+    return request.param
 
 
 def away_from_crossings(plan, side, margin=6.0):
@@ -18,7 +23,6 @@ def away_from_crossings(plan, side, margin=6.0):
     return s[plan.from_side_street(s, side) > margin]
 
 
-@pytest.mark.parametrize("plan", PLANS, ids=lambda plan: plan.style.name)
 def test_strips_lie_in_order_from_the_kerb_outwards(plan):
     for side in plan.sides:
         s = away_from_crossings(plan, side)
@@ -32,7 +36,6 @@ def test_strips_lie_in_order_from_the_kerb_outwards(plan):
                 assert (plan.label(s, np.full_like(s, t)) == label).all()
 
 
-@pytest.mark.parametrize("plan", PLANS, ids=lambda plan: plan.style.name)
 def test_the_carriageway_is_road_or_paint(plan):
     s, t = np.meshgrid(np.arange(0, 160, 0.5), np.linspace(-0.99, 0.99, 41) * plan.half)
     labels = plan.label(s, t)
@@ -40,7 +43,6 @@ def test_the_carriageway_is_road_or_paint(plan):
     assert (labels == surfaces.ROAD).mean() > 0.6
 
 
-@pytest.mark.parametrize("plan", PLANS, ids=lambda plan: plan.style.name)
 def test_side_streets_are_road_and_level_with_it(plan):
     for crossing in plan.crossings:
         for side in plan.sides:
@@ -61,7 +63,6 @@ def test_a_kerb_is_a_step_of_its_height():
     np.testing.assert_allclose(high - low, plan.left.kerb, atol=1e-3)
 
 
-@pytest.mark.parametrize("plan", PLANS, ids=lambda plan: plan.style.name)
 def test_t_is_a_distance_in_the_world(plan):
     s = np.linspace(5, 155, 40)
     near, far = plan.world(s, 3.0), plan.world(s, 8.0)
@@ -70,10 +71,9 @@ def test_t_is_a_distance_in_the_world(plan):
     np.testing.assert_allclose(np.hypot(step[:, 0], step[:, 1]), 0.5, atol=5e-3)
 
 
-@pytest.mark.parametrize("plan", PLANS, ids=lambda plan: plan.style.name)
 def test_bends_do_not_fold_the_ground_over(plan):
     turn = np.abs(np.diff(plan.heading)) / np.diff(plan.knots)
-    assert turn.max() * REACH < 1
+    assert turn.max() * REACH_M < 1
 
 
 def test_the_ground_has_no_holes_and_the_plans_labels():
@@ -85,7 +85,7 @@ def test_the_ground_has_no_holes_and_the_plans_labels():
     twice = first[:, 0] * second[:, 1] - first[:, 1] * second[:, 0]
     assert (twice > 0).all()
     # On a bend the outside gains what the inside loses: the area is that of the straight street.
-    assert twice.sum() / 2 == pytest.approx(2 * REACH * plan.length, rel=0.01)
+    assert twice.sum() / 2 == pytest.approx(2 * REACH_M * plan.length, rel=0.01)
     assert set(np.unique(mesh.labels)) <= {
         surfaces.ROAD, surfaces.MARKING, surfaces.PARKING, surfaces.SIDEWALK, surfaces.TERRAIN
     }  # fmt: skip

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Things in the street have the classes and the sizes of their kind, whatever chance decides."""
+"""Objects in the street: the classes and the sizes of their kind, whatever the seed."""
 
 import numpy as np
 import pytest
