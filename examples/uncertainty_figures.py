@@ -23,8 +23,8 @@ from salsanext_cli.inference.network import Network
 from salsanext_cli.measures.correlation import spearman
 from salsanext_cli.records import RangeImage
 from salsanext_cli.uncertainty.aleatoric import aleatoric
+from salsanext_cli.uncertainty.dropout_propagation import propagate_dropout
 from salsanext_cli.uncertainty.monte_carlo import sample
-from salsanext_cli.uncertainty.one_pass import propagate_dropout
 
 Values = npt.NDArray[np.floating]
 PASSES = (2, 3, 5, 10, 20, 30, 50, 100)
@@ -47,7 +47,8 @@ def noisy_copies(image: RangeImage, network: Network, count: int) -> Iterator[Va
 
 def deviation_of_copies(image: RangeImage, network: Network, count: int) -> Values:
     """Return every pixel's standard deviation over noisy copies, √ of the mean over classes."""
-    passes = map(network.pixel_probabilities, noisy_copies(image, network, count))
+    copies = noisy_copies(image, network, count)
+    passes = (network.pixel_probabilities([copy])[0] for copy in copies)
     first = next(passes).astype(np.float64)
     # Differences from the first copy keep the digits of small variances.
     total, squares = np.zeros_like(first), np.zeros_like(first)

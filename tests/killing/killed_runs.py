@@ -23,7 +23,7 @@ from types import SimpleNamespace
 
 import numpy as np
 from sitecustomize import STEPS, at_each_step
-from whole_files import all_alike, require_whole
+from whole_files import require_alike, require_whole
 
 Run = Callable[[Path], object]
 
@@ -61,7 +61,7 @@ def kills(run: Run, every: int, folder: Path) -> int:
     while not fork(run, out := folder / f"out{killed}", (killed + 1) * every):
         require_whole(out)
         assert fork(run, out)
-        all_alike(expected, out)
+        require_alike(expected, out)
         killed += 1
     return killed
 

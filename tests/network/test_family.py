@@ -21,8 +21,8 @@ from salsanext_cli.training.learner import Learner
 from salsanext_cli.training.recipe import Recipe
 from salsanext_cli.uncertainty.adf import Gaussian, propagate
 from salsanext_cli.uncertainty.aleatoric import aleatoric
+from salsanext_cli.uncertainty.dropout_propagation import propagate_dropout
 from salsanext_cli.uncertainty.monte_carlo import sample
-from salsanext_cli.uncertainty.one_pass import propagate_dropout
 
 NAMES = list(ARCHITECTURES)
 TWINS = {"salsanet-shuffle": "salsanext", "salsanext-v1-pooling": "salsanext-v1"}

@@ -10,7 +10,7 @@ from salsanext_cli.errors import UsageError
 from salsanext_cli.geometry.projection import project
 from salsanext_cli.inference.network import load_network
 from salsanext_cli.uncertainty.aleatoric import aleatoric
-from salsanext_cli.uncertainty.one_pass import propagate_dropout
+from salsanext_cli.uncertainty.dropout_propagation import propagate_dropout
 
 
 @pytest.fixture(scope="module")
@@ -80,7 +80,7 @@ def test_it_ranks_pixels_as_noisy_copies_do(network, image):
         noisy = image.channels.copy()
         noisy[:4] += rays * random.normal(0, 0.02, occupied.shape).astype(np.float32)
         noisy[4] += random.normal(0, 0.02, occupied.shape).astype(np.float32)
-        passes.append(network.pixel_probabilities(noisy * occupied))
+        passes.append(network.pixel_probabilities([noisy * occupied])[0])
     sampled = np.var(passes, axis=0).mean(axis=0)[occupied]
     propagated = aleatoric(network, image).mean(axis=0)[occupied]
     ranks = (np.argsort(np.argsort(values)) for values in (sampled, propagated))

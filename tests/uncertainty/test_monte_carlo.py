@@ -12,16 +12,16 @@ from salsanext_cli.geometry.projection import project
 from salsanext_cli.inference.network import load_network
 from salsanext_cli.network.dropout import ChannelDropout, dropouts, sampling
 from salsanext_cli.uncertainty.aleatoric import aleatoric
+from salsanext_cli.uncertainty.dropout_propagation import propagate_dropout
 from salsanext_cli.uncertainty.estimate import entropy
 from salsanext_cli.uncertainty.monte_carlo import (
     PassStatistics,
-    in_batches,
+    on_gpu,
     on_threads,
     pass_seed,
     sample,
     scan_seed,
 )
-from salsanext_cli.uncertainty.one_pass import propagate_dropout
 
 SAMPLES = 4
 
@@ -139,12 +139,12 @@ def test_fewer_passes_at_once_when_memory_is_short(network, image, monkeypatch):
         return rest(module, *features)
 
     monkeypatch.setattr(type(network.engine), "rest", short_of_memory)
-    found = in_batches(network.engine, features, seeds)
+    found = on_gpu(network.engine, features, seeds)
     torch.testing.assert_close(found, expected)
     assert sizes == [4, 2, 1, 1, 1, 1]
     most[0] = 0
     with pytest.raises(torch.OutOfMemoryError):
-        in_batches(network.engine, features, seeds)
+        on_gpu(network.engine, features, seeds)
 
 
 def test_the_temperature_is_left_out(network, image, sampled):

@@ -9,9 +9,11 @@ from scans import SMALL, make_scan, write_weights
 from salsanext_cli.errors import WeightsError
 from salsanext_cli.geometry.projection import project
 from salsanext_cli.inference.network import load_network, with_dropout
-from salsanext_cli.uncertainty.dropout_propagation import ChannelCorrelatedGaussian
+from salsanext_cli.uncertainty.dropout_propagation import (
+    ChannelCorrelatedGaussian,
+    propagate_dropout,
+)
 from salsanext_cli.uncertainty.monte_carlo import sample
-from salsanext_cli.uncertainty.one_pass import propagate_dropout
 
 COUNT = 100_000
 
