@@ -14,8 +14,8 @@ from collections.abc import Callable
 
 import salsanext_cli as sn
 from salsanext_cli.uncertainty.aleatoric import aleatoric
+from salsanext_cli.uncertainty.dropout_propagation import propagate_dropout
 from salsanext_cli.uncertainty.monte_carlo import sample
-from salsanext_cli.uncertainty.one_pass import propagate_dropout
 
 
 def seconds(work: Callable[[], object]) -> float:

@@ -23,8 +23,8 @@ from salsanext_cli.inference.network import Network
 from salsanext_cli.measures.correlation import spearman
 from salsanext_cli.records import RangeImage
 from salsanext_cli.uncertainty.aleatoric import aleatoric
+from salsanext_cli.uncertainty.dropout_propagation import propagate_dropout
 from salsanext_cli.uncertainty.monte_carlo import sample
-from salsanext_cli.uncertainty.one_pass import propagate_dropout
 
 Values = npt.NDArray[np.floating]
 PASSES = (2, 3, 5, 10, 20, 30, 50, 100)

@@ -222,7 +222,7 @@ def test_nobody_waits_for_hands_that_are_busy_elsewhere(monkeypatch):
     busy = ThreadPoolExecutor(1)
     free = threading.Event()
     busy.submit(free.wait, 10)
-    monkeypatch.setattr("salsanext_cli.thread_pool._crew", lambda _: busy)
+    monkeypatch.setattr("salsanext_cli.thread_pool._pool", lambda _: busy)
     calls = []
     run_on_threads(lambda: calls.append(1), 3)
     assert calls == [1]

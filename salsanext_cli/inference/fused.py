@@ -34,7 +34,7 @@ def fuse(module: SegmentationNetwork) -> SegmentationNetwork:
     shared = {id(tensor): tensor for tensor in module.state_dict(keep_vars=True).values()}
     fused = copy.deepcopy(module, shared)
     _fuse_children(fused)
-    fused.parallel_for = True
+    fused.manages_threads = True
     return fused.eval()
 
 

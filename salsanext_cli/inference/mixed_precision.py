@@ -20,7 +20,7 @@ LOGITS = "logits"
 
 
 class Float32Accumulation(nn.Module):
-    """A convolution that sums up in float32; its output is of the shorter type."""
+    """Convolution that sums up in float32, of features and into features of any type."""
 
     def __init__(self, layer: nn.Module, dtype: torch.dtype) -> None:
         super().__init__()
@@ -28,23 +28,12 @@ class Float32Accumulation(nn.Module):
         self.dtype = dtype
 
     def forward(self, x: Tensor) -> Tensor:
-        """Map any type to the shorter one; what is beyond its range becomes its border."""
-        border = torch.finfo(self.dtype)
+        """Map any type to `dtype`; what is beyond the range of a shorter one becomes its border."""
         features: Tensor = self.layer(x.float())
+        if self.dtype == torch.float32:
+            return features
+        border = torch.finfo(self.dtype)
         return features.clamp(border.min, border.max).to(self.dtype)
-
-
-class Float32Logits(nn.Module):
-    """A float32 convolution of features of the shorter type."""
-
-    def __init__(self, layer: nn.Module) -> None:
-        super().__init__()
-        self.layer = layer
-
-    def forward(self, x: Tensor) -> Tensor:
-        """Map the shorter type to float32."""
-        logits: Tensor = self.layer(x.float())
-        return logits
 
 
 def in_precision(module: SegmentationNetwork, dtype: torch.dtype) -> SegmentationNetwork:
@@ -58,10 +47,9 @@ def in_precision(module: SegmentationNetwork, dtype: torch.dtype) -> Segmentatio
     for name, layer in module.named_modules():
         if not isinstance(layer, nn.Conv2d | nn.ConvTranspose2d):
             continue
-        if name == LOGITS:
-            found.set_submodule(name, Float32Logits(copy.deepcopy(layer)))
-        elif layer.in_channels == len(CHANNELS):
-            found.set_submodule(name, Float32Accumulation(copy.deepcopy(layer), dtype))
+        if name == LOGITS or layer.in_channels == len(CHANNELS):
+            output = torch.float32 if name == LOGITS else dtype
+            found.set_submodule(name, Float32Accumulation(copy.deepcopy(layer), output))
         elif not native:
             found.set_submodule(name, Float32Accumulation(found.get_submodule(name), dtype))
     return found.to(memory_format=torch.channels_last)  # type: ignore[call-overload, no-any-return]

@@ -4,11 +4,12 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Sequence
-from contextlib import AbstractContextManager
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
+from typing import TypeVar
 
 import numpy as np
 import torch
@@ -17,8 +18,8 @@ from torch import Tensor
 from salsanext_cli.errors import UsageError, WeightsError
 from salsanext_cli.geometry.normalise import normalise
 from salsanext_cli.inference.engine import engine_for
+from salsanext_cli.inference.parallel_for import single_threaded_torch
 from salsanext_cli.inference.precision import choose_precision
-from salsanext_cli.inference.torch_settings import computing
 from salsanext_cli.network.registry import build
 from salsanext_cli.network.segmentation import SegmentationNetwork
 from salsanext_cli.network.weights import WeightsCard, default_weights, read_weights
@@ -26,6 +27,8 @@ from salsanext_cli.records import Float, RangeImage
 from salsanext_cli.sensors import Sensor
 
 log = logging.getLogger(__name__)
+Item = TypeVar("Item")
+Result = TypeVar("Result")
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,13 +71,27 @@ class Network:
         normalised = torch.from_numpy(normalise(channels, self.sensor))[None]
         return normalised.to(self.device, memory_format=torch.channels_last)
 
-    def computing(self) -> AbstractContextManager[None]:
-        """Return the settings of torch under which the engine is to be called."""
-        return computing(self.engine, self.device)
+    @contextmanager
+    def inference_mode(self) -> Iterator[None]:
+        """Set torch up for the engine while the body runs: no gradients, its threads or its GPU.
+
+        On a GPU float32 is float32, without the ten bits that convolutions may have by default,
+        and algorithms are those that give the same bits each time.
+        """
+        cudnn = {"enabled": True, "benchmark": False, "deterministic": True, "allow_tf32": False}
+        with torch.inference_mode():
+            if self.device.type == "cuda":
+                with torch.cuda.device(self.device), torch.backends.cudnn.flags(**cudnn):
+                    yield
+            elif self.engine.manages_threads:
+                with single_threaded_torch():
+                    yield
+            else:
+                yield
 
     def logits(self, image: RangeImage) -> Float:
         """Return the logits of every pixel, (C, H, W) float32."""
-        with self.computing():
+        with self.inference_mode():
             logits: Float = self.engine(self.input(image.channels))[0].cpu().numpy()
         return logits
 
@@ -114,24 +131,13 @@ class Network:
         torch.OutOfMemoryError
             If there is no room for a single one.
         """
-        found: list[Float] = []
-        size = len(channels)
-        while len(found) < len(channels):
-            try:
-                found += list(self._softmax(channels[len(found) : len(found) + size]))
-            except torch.OutOfMemoryError:
-                if size == 1:
-                    raise
-                log.warning("not enough memory for %d scans at once: %d now", size, size // 2)
-                size //= 2
-        return found
 
-    def _softmax(self, channels: Sequence[Float]) -> Float:
-        with self.computing():
-            logits = self.engine(torch.cat([self.input(image) for image in channels]))
-            softmax = torch.softmax(logits / self.card.temperature, dim=1)
-            probabilities: Float = softmax.cpu().numpy()
-        return probabilities
+        def softmax(batch: Sequence[Float]) -> Iterable[Float]:
+            with self.inference_mode():
+                logits = self.engine(torch.cat([self.input(image) for image in batch]))
+                return torch.softmax(logits / self.card.temperature, dim=1).cpu().numpy()
+
+        return in_batches(softmax, channels, len(channels), "scans")
 
     def require_finite(self, probabilities: Float, source: object) -> None:
         """Raise `WeightsError`, naming weights and scan, if a softmax is not finite."""
@@ -186,6 +192,31 @@ def with_dropout(network: Network, rate: float) -> Network:
     module.load_state_dict(network.module.state_dict(), assign=True)
     card = replace(network.card, architecture=architecture)
     return replace(network, module=module.eval(), card=card)
+
+
+def in_batches(
+    function: Callable[[Sequence[Item]], Iterable[Result]],
+    items: Sequence[Item],
+    size: int,
+    name: str,
+) -> list[Result]:
+    """Return the results of a function of batches, halved where memory runs out.
+
+    Raises
+    ------
+    torch.OutOfMemoryError
+        If there is no room for a single item.
+    """
+    found: list[Result] = []
+    while len(found) < len(items):
+        try:
+            found.extend(function(items[len(found) : len(found) + size]))
+        except torch.OutOfMemoryError:
+            if size == 1:
+                raise
+            log.warning("not enough memory for %d %s at once: %d now", size, name, size // 2)
+            size //= 2
+    return found
 
 
 def choose_device(name: str) -> torch.device:

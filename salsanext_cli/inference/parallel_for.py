@@ -24,12 +24,12 @@ _threads: ContextVar[int] = ContextVar("_threads", default=0)
 
 @contextmanager
 def single_threaded_torch() -> Iterator[None]:
-    """Give the threads that torch has to the crew while the body runs.
+    """Give the threads that torch has to `parallel_for` while the body runs.
 
-    Torch itself has one then: its own threads wait for work by spinning, and would keep the crew
-    from the cores.
+    Torch itself has one then: its own threads wait for work by spinning, and would keep those of
+    `parallel_for` from the cores.
     """
-    if has_threads():
+    if _threads.get():
         yield
         return
     threads = torch.get_num_threads()
@@ -40,11 +40,6 @@ def single_threaded_torch() -> Iterator[None]:
     finally:
         torch.set_num_threads(threads)
         _threads.reset(token)
-
-
-def has_threads() -> bool:
-    """Say whether the crew has the threads, so that what can be shared should be."""
-    return _threads.get() > 0
 
 
 def parallel_for(work: Callable[[int], object], count: int) -> None:

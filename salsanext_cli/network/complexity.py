@@ -6,7 +6,8 @@ from __future__ import annotations
 import copy
 
 import torch
-from torch import Tensor, nn
+from torch import nn
+from torch.utils.flop_counter import FlopCounterMode
 
 from salsanext_cli.network.segmentation import SegmentationNetwork
 from salsanext_cli.records import CHANNELS
@@ -37,16 +38,8 @@ def parameter_count(module: nn.Module) -> int:
 
 def multiply_accumulates(module: SegmentationNetwork, height: int = 64, width: int = 2048) -> int:
     """Count the multiply-accumulates of one range image, convolutions only; nothing is computed."""
-    counts: list[int] = []
-
-    def count(layer: nn.Module, inputs: tuple[Tensor], output: Tensor) -> None:
-        # Every weight meets every pixel once: of the output, or of what is spread out.
-        pixels = (inputs[0] if isinstance(layer, nn.ConvTranspose2d) else output).shape[-2:]
-        counts.append(layer.get_parameter("weight").numel() * pixels.numel())
-
     copied = copy.deepcopy(module).to("meta").eval()
-    for layer in copied.modules():
-        if isinstance(layer, nn.Conv2d | nn.ConvTranspose2d):
-            layer.register_forward_hook(count)
-    copied(torch.empty(1, len(CHANNELS), height, width, device="meta"))
-    return sum(counts)
+    with FlopCounterMode(display=False) as counter, torch.no_grad():
+        copied(torch.empty(1, len(CHANNELS), height, width, device="meta"))
+    operations: int = counter.get_total_flops()
+    return operations // 2

@@ -24,12 +24,12 @@ class SegmentationNetwork(nn.Module):
     ----------
     stride : (int, int)
         Divisors of height and width at the coarsest level.
-    parallel_for : bool
+    manages_threads : bool
         Whether it shares its work among threads itself; see `inference.parallel_for`.
     """
 
     stride: tuple[int, int]
-    parallel_for = False
+    manages_threads = False
 
     @abstractmethod
     def trunk(self, image: Tensor) -> tuple[Tensor, ...]:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Cut scans into pieces for workers: large enough to be worth a message, small enough to share."""
+"""Chunks of scans for workers: large enough to be worth a message, small enough to share."""
 
 from __future__ import annotations
 
@@ -8,10 +8,10 @@ from itertools import groupby, pairwise
 
 from salsanext_cli.storage.layout import ScanFile
 
-LARGEST = 16
-"""Scans of a chunk at most: what is lost with a worker, and how often progress is heard of."""
-PER_WORKER = 4
-"""Chunks for each worker at least, so that the last ones end at about the same time."""
+MAX_CHUNK_SCANS = 16
+"""Bound of the work that is lost with a worker, and of the scans between signs of progress."""
+MIN_CHUNKS_PER_WORKER = 4
+"""Lower bound, so that the last chunks end at about the same time."""
 
 Chunk = tuple[ScanFile, ...]
 
@@ -29,10 +29,10 @@ def chunks(scans: Sequence[ScanFile], workers: int) -> list[Chunk]:
     Returns
     -------
     list of tuple of ScanFile
-        Of at most `LARGEST` scans, and at least `PER_WORKER` for each worker if there are so many
-        scans. Those of a sequence differ by one scan at most.
+        Of at most `MAX_CHUNK_SCANS` scans, and at least `MIN_CHUNKS_PER_WORKER` for each worker if
+        there are so many scans. Those of a sequence differ by one scan at most.
     """
-    size = max(1, min(LARGEST, len(scans) // (PER_WORKER * workers)))
+    size = max(1, min(MAX_CHUNK_SCANS, len(scans) // (MIN_CHUNKS_PER_WORKER * workers)))
     cut: list[Chunk] = []
     for _, group in groupby(scans, key=lambda scan: scan.sequence):
         run = tuple(group)

@@ -8,7 +8,6 @@ import hashlib
 import logging
 import os
 import tempfile
-from itertools import count
 from pathlib import Path
 
 from salsanext_cli.parallel.worker import WORKER
@@ -47,14 +46,15 @@ def take_slot(folder: Path) -> tuple[int, object]:
     from filelock import FileLock, Timeout
 
     folder.mkdir(mode=0o700, parents=True, exist_ok=True)
-    for number in count():
+    number = 0
+    while True:
         lock = FileLock(folder / str(number))
         try:
             lock.acquire(timeout=0)
         except Timeout:
-            continue
-        return number, lock
-    raise AssertionError("numbers do not end")
+            number += 1
+        else:
+            return number, lock
 
 
 def _folder_of_slots() -> Path:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Work on scans that needs a network, which each worker loads once."""
+"""Task that needs a network, which each worker loads once."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ Result = TypeVar("Result")
 
 @dataclass(frozen=True, slots=True)
 class NetworkTask(Generic[Result]):
-    """A function of a scan and a network.
+    """Function of a scan and a network.
 
     Attributes
     ----------
@@ -49,16 +49,20 @@ class NetworkTask(Generic[Result]):
 
     def open(self) -> Callable[[Iterable[ScanFile]], Iterator[Attempt]]:
         """Load the network, unless it is there, and decide between one by one and batches."""
-        network = self.network or self._load()
+        network = self.network
+        if network is None:
+            device = own_device(self.settings.device, torch.cuda.device_count())
+            network = replace(self.settings, device=device).load()
         size, several = self.batch or default_batch(network), self.batch_function
         if several is None or (size == 1 and network.device.type == "cpu"):
             return lambda files: one_by_one(lambda file: self.function(file, network), files)
-        return lambda files: _in_batches(lambda batch: several(batch, network), size, files)
 
-    def _load(self) -> Network:
-        return replace(
-            self.settings, device=own_device(self.settings.device, torch.cuda.device_count())
-        ).load()
+        def in_batches(files: Iterable[ScanFile]) -> Iterator[Attempt]:
+            waiting = iter(files)
+            while batch := tuple(islice(waiting, size)):
+                yield from several(batch, network)
+
+        return in_batches
 
     def __reduce__(self) -> tuple[Any, ...]:
         parts = (self.function, self.settings, None, self.batch_function, self.batch)
@@ -71,13 +75,3 @@ def default_batch(network: Network) -> int:
         return 1
     pixels = network.sensor.height * network.sensor.width
     return max(1, min(MAX_BATCH_SCANS, MAX_BATCH_PIXELS // pixels))
-
-
-def _in_batches(
-    function: Callable[[Sequence[ScanFile]], Iterator[Attempt]],
-    size: int,
-    files: Iterable[ScanFile],
-) -> Iterator[Attempt]:
-    waiting = iter(files)
-    while batch := tuple(islice(waiting, size)):
-        yield from function(batch)

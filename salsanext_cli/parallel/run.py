@@ -29,7 +29,7 @@ log = logging.getLogger(__name__)
 
 @dataclass(frozen=True, slots=True)
 class Failure:
-    """A scan that could not be worked on, and why."""
+    """Scan that could not be worked on, and the reason."""
 
     scan: ScanFile
     reason: str
@@ -37,30 +37,24 @@ class Failure:
 
 @dataclass(frozen=True, slots=True)
 class Outcome(Generic[Result]):
-    """What became of the scans of a run.
+    """Numbers and results of a run.
 
     Attributes
     ----------
     results : tuple
-        What the task returned for each scan that was done, in no particular order; empty if they
-        were passed on.
+        Results of the task in no particular order; empty if they were passed on.
     skipped : int
         Scans that were done already.
     failures : tuple of Failure
         Scans that failed, in order.
-    results_passed_on : int
-        Results that were passed on as they came.
+    done : int
+        Scans that were worked on with success.
     """
 
     results: tuple[Result, ...]
     skipped: int
     failures: tuple[Failure, ...]
-    results_passed_on: int = 0
-
-    @property
-    def done(self) -> int:
-        """How many scans were worked on with success."""
-        return len(self.results) + self.results_passed_on
+    done: int
 
 
 def run_over_scans(
@@ -83,7 +77,7 @@ def run_over_scans(
     options : RunOptions
         Workers, shard, errors, overwriting and progress.
     is_done : callable, optional
-        Whether a scan has its results; then it is skipped, unless overwriting.
+        Tells of a scan if it has its results; then it is skipped, unless overwriting.
     on_result : callable, optional
         Is given each result as it comes, in no particular order, so that they need not be kept
         until the last; called in this process. Without it they are in the outcome.
@@ -118,35 +112,25 @@ def run_over_scans(
         for failure in failures:
             log.error("%s", failure.reason)
         left = [scan for scan in todo if scan not in tried and not is_done(scan)]
-        raise _missing(lost, left, len(todo)) from lost
+        names = ", ".join(f"{scan.sequence}/{scan.stem}" for scan in left[:MAX_SCANS_SHOWN])
+        more = f" and {len(left) - MAX_SCANS_SHOWN} more" if len(left) > MAX_SCANS_SHOWN else ""
+        found = f"{lost.found}; {len(left)} of {len(todo)} scans are missing: {names}{more}"
+        remedy = f"{lost.remedy}; run again for the rest"
+        raise WorkersLost(lost.subject, found, lost.expected, remedy) from lost
     failures.sort(key=lambda failure: (failure.scan.sequence, failure.scan.stem))
     skipped, done = len(mine) - len(todo), len(todo) - len(failures)
-    return Outcome(tuple(results), skipped, tuple(failures), done - len(results))
-
-
-def _missing(lost: WorkersLost, left: list[ScanFile], count: int) -> WorkersLost:
-    """Say which scans went with their workers."""
-    names = ", ".join(f"{scan.sequence}/{scan.stem}" for scan in left[:MAX_SCANS_SHOWN])
-    more = f" and {len(left) - MAX_SCANS_SHOWN} more" if len(left) > MAX_SCANS_SHOWN else ""
-    return WorkersLost(
-        lost.subject,
-        f"{lost.found}; {len(left)} of {count} scans are missing: {names}{more}",
-        lost.expected,
-        f"{lost.remedy}; run again for the rest",
-    )
+    return Outcome(tuple(results), skipped, tuple(failures), done)
 
 
 def _attempts(
     task: Callable[[ScanFile], Result] | OpenedTask, scans: list[ScanFile], options: RunOptions
 ) -> Generator[Attempt, None, None]:
-    here = options.backend not in CLUSTERS
     if not scans:
         return
-    if here and min(len(scans), options.workers_here()) == 1:
+    if options.backend not in CLUSTERS and min(len(scans), options.workers_here()) == 1:
         yield from opened(task)(scans)
         return
     from salsanext_cli.parallel.attempts import attempts_of_workers
 
-    stop = options.on_error == "stop"
-    context = WorkerContext(uuid4().hex, PROCESS_MARK, stop, Path.cwd())
+    context = WorkerContext(uuid4().hex, PROCESS_MARK, options.on_error == "stop", Path.cwd())
     yield from attempts_of_workers(task, scans, options, context)

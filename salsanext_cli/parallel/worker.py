@@ -23,7 +23,7 @@ THREAD_TIMEOUT_S = 10.0
 
 @dataclass(frozen=True, slots=True)
 class WorkerContext:
-    """What a worker needs to know besides the task.
+    """Context that a worker needs besides the task.
 
     Attributes
     ----------
@@ -32,7 +32,7 @@ class WorkerContext:
     mark : str
         Start of the names of temporary files.
     stop : bool
-        Whether the first failure ends the chunk.
+        The first failure ends the chunk.
     folder : Path
         Working folder, from which relative names start.
     threads : int
@@ -89,7 +89,15 @@ class Worker:
             return lambda _: iter(())
         if self._attempts is None or self.run != context.run:
             self._attempts = None
-            _go_to(context.folder)
+            try:
+                os.chdir(context.folder)
+            except OSError as error:
+                raise OutputError(
+                    context.folder,
+                    f"no such folder on {socket.gethostname()}",
+                    "folders that all machines share",
+                    "start the run in one of them",
+                ) from error
             self.run = context.run
             self._attempts = opened(task)
         return self._attempts
@@ -125,15 +133,3 @@ def attempt_chunk(context: WorkerContext, task: Task, scans: Chunk) -> list[Atte
             if WORKER.ended == context.run or (context.stop and attempt[2]):
                 break
     return found
-
-
-def _go_to(folder: Path) -> None:
-    try:
-        os.chdir(folder)
-    except OSError as error:
-        raise OutputError(
-            folder,
-            f"no such folder on {socket.gethostname()}",
-            "folders that all machines share",
-            "start the run in one of them",
-        ) from error

@@ -145,7 +145,7 @@ def export_ply(
         task = partial(export_scan, colours=colours, intensity_scale=intensity_scale, output=output)
         outcome = run_over_scans(task, scans, options, is_done=output.is_done)
     failures = tuple(unestimated.get(failure.scan, failure) for failure in outcome.failures)
-    return Exported(outcome.results, outcome.skipped, failures, missing=missing)
+    return Exported(outcome.results, outcome.skipped, failures, outcome.done, missing)
 
 
 def _require_same_weights(out: Path) -> None:

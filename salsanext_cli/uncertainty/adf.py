@@ -15,7 +15,7 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
-from salsanext_cli.inference.parallel_for import has_threads, parallel_for
+from salsanext_cli.inference.parallel_for import parallel_for
 from salsanext_cli.uncertainty.moments import leaky_relu_moments, softmax_moments
 
 
@@ -106,18 +106,14 @@ def _linear(function: Callable[..., Tensor]) -> Callable[..., Gaussian]:
         x: Gaussian, weight: Tensor, bias: Tensor | None = None, *geometry: Any, **more: Any
     ) -> Gaussian:
         both = (x.mean, weight, bias), (x.variance, weight.square(), None)
-        if has_threads():
-            found = [x.mean, x.variance]
+        found = [x.mean, x.variance]
 
-            def compute(number: int) -> None:
-                found[number] = function(*both[number], *geometry, **more)
+        def compute(number: int) -> None:
+            found[number] = function(*both[number], *geometry, **more)
 
-            parallel_for(compute, len(both))
-            mean, variance = found
-        else:
-            mean, variance = (function(*one, *geometry, **more) for one in both)
+        parallel_for(compute, len(both))
         # Convolving by way of a transform can round a certain 0 to less.
-        return x.like(mean, variance.clamp_(min=0))
+        return x.like(found[0], found[1].clamp(min=0))
 
     return rule
 

@@ -35,7 +35,7 @@ def aleatoric(network: Network, image: RangeImage) -> Float:
     UsageError
         If the sensor does not know its noise.
     """
-    with network.computing(), single_threaded_torch():
+    with network.inference_mode(), single_threaded_torch():
         mean = network.input(image.channels)
         variance = torch.from_numpy(input_variance(image.channels, network.sensor))[None].to(mean)
         variance = variance.contiguous(memory_format=torch.channels_last)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Propagation of the noise of channel dropout in one pass, instead of sampling it.
+"""Epistemic uncertainty in one pass: the noise of dropout is propagated instead of sampled.
 
 A dropped channel is dropped at all of its pixels, so what it does to neighbouring pixels does not
 average out, as independent noise would.
@@ -15,7 +15,14 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
-from salsanext_cli.uncertainty.adf import Gaussian
+from salsanext_cli.inference.network import Network
+from salsanext_cli.inference.parallel_for import single_threaded_torch
+from salsanext_cli.records import RangeImage
+from salsanext_cli.uncertainty.adf import Gaussian, propagate
+from salsanext_cli.uncertainty.estimate import Estimate, entropy, require_dropout
+
+SMALLEST_MEAN = 1e-12
+"""Least divisor, of a probability."""
 
 
 class ChannelCorrelatedGaussian(Gaussian):
@@ -116,3 +123,35 @@ ChannelCorrelatedGaussian.RULES = {
     F.avg_pool2d: _avg_pool2d,
     F.dropout2d: _dropout2d,
 }
+
+
+def propagate_dropout(network: Network, image: RangeImage) -> Estimate:
+    """Estimate what `sample` would tend to with ever more passes.
+
+    The mutual information is that of a small spread of the softmax around its mean, ½ Σ v / p, and
+    at most the entropy.
+
+    Parameters
+    ----------
+    network : Network
+        With at least one dropout of a rate above 0; its temperature is left out, as in `sample`.
+    image : RangeImage
+        One scan.
+
+    Raises
+    ------
+    WeightsError
+        If the network drops nothing.
+    """
+    require_dropout(network)
+    with network.inference_mode(), single_threaded_torch():
+        certain = network.engine.trunk(network.engine.pad(network.input(image.channels)))
+        features = (
+            ChannelCorrelatedGaussian(f, torch.zeros_like(f))
+            for f in map(torch.Tensor.float, certain)
+        )
+        logits = propagate(network.module.rest, *features)[..., : image.height, : image.width]
+        softmax = logits.softmax(dim=1)
+        mean, variance = softmax.mean[0].double(), softmax.variance[0].double()
+        information = (variance / (2 * mean).clamp(min=SMALLEST_MEAN)).sum(dim=0)
+        return Estimate.of(mean, variance, information.minimum(entropy(mean)))

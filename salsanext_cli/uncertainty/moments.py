@@ -5,12 +5,14 @@ from __future__ import annotations
 
 import math
 
+import numpy as np
 import torch
 from torch import Tensor
 
-from salsanext_cli.inference.parallel_for import has_threads, parallel_for
-from salsanext_cli.uncertainty.logistic import logistic_moments
+from salsanext_cli.inference.parallel_for import parallel_for
 
+NODES = 12
+"""Nodes of the Gauss-Hermite quadrature of the logistic function."""
 CHUNK = 1 << 17
 """Numbers per step on a CPU, so that what lies between stays in its cache."""
 FARTHEST = 12.0
@@ -52,11 +54,7 @@ def leaky_relu_moments(mean: Tensor, variance: Tensor, slope: float) -> tuple[Te
         new_mean.copy_(found[0])
         new_variance.copy_(found[1])
 
-    if has_threads():
-        parallel_for(compute, len(chunks))
-    else:
-        for number in range(len(chunks)):
-            compute(number)
+    parallel_for(compute, len(chunks))
     return results
 
 
@@ -130,6 +128,33 @@ def _softmax(m: Tensor, v: Tensor) -> tuple[Tensor, Tensor]:
     share = variance / complement.clamp(min=SMALLEST)
     mean, rest = probability / total, others / total
     return mean, _consistent(mean, share * rest / total).minimum(mean * rest)
+
+
+def logistic_moments(d: Tensor, variance: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+    """Return mean, 1 − mean and variance of the logistic function of N(d, variance).
+
+    Everything is a rise or fall from the smaller of logistic(d) and 1 − logistic(d), so that a
+    confident class keeps its digits.
+    """
+    near, deviation = -d.abs(), variance.sqrt()
+    small, large = torch.sigmoid(near), torch.sigmoid(-near)
+    slope = small * large
+    first, second = torch.zeros_like(d), torch.zeros_like(d)
+    nodes, weights = np.polynomial.hermite_e.hermegauss(NODES)
+    # The nodes lie in pairs around 0: one half gives steps up and down.
+    half = slice(NODES // 2, None)
+    pairs = zip(nodes[half].tolist(), (weights / weights.sum())[half].tolist(), strict=True)
+    for node, weight in pairs:
+        step = deviation * node
+        part = torch.expm1(-step).neg_()
+        fall = slope * part / (1 - small * part)
+        near_rise = slope * part / (1 - large * part)
+        rise = torch.where(step < 1, near_rise, torch.sigmoid(near + step) - small)
+        first.add_(rise - fall, alpha=weight)
+        second.add_(rise.square_() + fall.square_(), alpha=weight)
+    small, large = (small + first).clamp_(0, 1), (large - first).clamp_(0, 1)
+    spread = (second - first.square()).clamp_(min=0)
+    return torch.where(d > 0, large, small), torch.where(d > 0, small, large), spread
 
 
 def _margins(m: Tensor, v: Tensor, is_best: Tensor) -> tuple[Tensor, Tensor]:

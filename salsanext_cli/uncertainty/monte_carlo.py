@@ -4,23 +4,21 @@
 from __future__ import annotations
 
 import hashlib
-import logging
 from collections.abc import Sequence
+from functools import partial
 
 import torch
 from torch import Tensor
 
 from salsanext_cli.errors import UsageError
-from salsanext_cli.inference.network import Network
+from salsanext_cli.inference.network import Network, in_batches
 from salsanext_cli.inference.parallel_for import parallel_for, single_threaded_torch
 from salsanext_cli.network.dropout import sampling
 from salsanext_cli.network.segmentation import SegmentationNetwork
 from salsanext_cli.records import RangeImage
 from salsanext_cli.uncertainty.estimate import Estimate, entropy, require_dropout
 
-log = logging.getLogger(__name__)
-
-AT_ONCE = 16 * 64 * 2048
+MAX_BATCH_PIXELS = 16 * 64 * 2048
 """Pixels of the passes that a GPU computes side by side."""
 MAX_KEPT_PASSES = 32
 """Passes of which the softmax is kept until it is added up."""
@@ -92,9 +90,9 @@ def sample(network: Network, image: RangeImage, *, samples: int, seed: int) -> E
     require_sampling(network, samples)
     statistics, engine = PassStatistics(), network.engine
     seeds = [pass_seed(seed, number) for number in range(samples)]
-    passes = on_threads if network.device.type == "cpu" else in_batches
+    passes = on_threads if network.device.type == "cpu" else on_gpu
     # In a pass torch has one thread, whether the engine shares its work or not.
-    with network.computing(), single_threaded_torch():
+    with network.inference_mode(), single_threaded_torch():
         features = engine.trunk(engine.pad(network.input(image.channels)))
         for start in range(0, samples, MAX_KEPT_PASSES):
             kept = passes(engine, features, seeds[start : start + MAX_KEPT_PASSES])
@@ -115,21 +113,12 @@ def on_threads(
     return found
 
 
-def in_batches(
+def on_gpu(
     module: SegmentationNetwork, features: tuple[Tensor, ...], seeds: Sequence[int]
 ) -> list[Tensor]:
     """Return the softmax (C, H, W) of every pass, as many together as there is room for."""
-    size = max(1, min(len(seeds), AT_ONCE // features[0].shape[-2:].numel()))
-    found: list[Tensor] = []
-    while len(found) < len(seeds):
-        try:
-            found += one_batch(module, features, seeds[len(found) : len(found) + size])
-        except torch.OutOfMemoryError:
-            if size == 1:
-                raise
-            size //= 2
-            log.info("not enough memory for %d passes at once, trying %d", 2 * size, size)
-    return found
+    size = max(1, min(len(seeds), MAX_BATCH_PIXELS // features[0].shape[-2:].numel()))
+    return in_batches(partial(one_batch, module, features), seeds, size, "passes")
 
 
 def one_batch(

@@ -16,13 +16,13 @@ from salsanext_cli.sensors import Sensor
 from salsanext_cli.storage.layout import ScanFile
 from salsanext_cli.storage.recorded_settings import RecordedSettings
 from salsanext_cli.uncertainty.aleatoric import aleatoric
+from salsanext_cli.uncertainty.dropout_propagation import propagate_dropout
 from salsanext_cli.uncertainty.estimate import Estimate, require_dropout
 from salsanext_cli.uncertainty.monte_carlo import (
     require_samples,
     sample,
     scan_seed,
 )
-from salsanext_cli.uncertainty.one_pass import propagate_dropout
 
 KINDS = ("epistemic", "entropy", "mutual_information")
 NOISY_KINDS = ("aleatoric", "total")

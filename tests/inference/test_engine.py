@@ -105,7 +105,7 @@ def test_every_part_is_computed_once_by_one_torch_thread(threads, count):
     assert sorted(seen) == [(part, 1) for part in range(count)]
 
 
-def test_torch_keeps_its_threads_also_where_the_crew_has_none():
+def test_torch_keeps_its_threads_where_none_are_lent():
     torch.set_num_threads(3)
     parallel_for(lambda part: None, 2)
     assert torch.get_num_threads() == 3

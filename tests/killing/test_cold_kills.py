@@ -15,7 +15,7 @@ import pytest
 from scans import SMALL, write_sequence, write_weights
 from sitecustomize import at_each_step
 from typer.testing import CliRunner
-from whole_files import all_alike, require_tidy, require_whole
+from whole_files import require_alike, require_tidy, require_whole
 
 import salsanext_cli
 from salsanext_cli.cli.app import app
@@ -92,7 +92,7 @@ class Trial:
         require_whole(folder / OUT)
         with chdir(folder):
             call(self.command)
-        all_alike(self.expected, folder / OUT)
+        require_alike(self.expected, folder / OUT)
         require_tidy(folder / OUT)
 
 
@@ -175,7 +175,7 @@ def test_two_runs_at_once(tmp_path: Path, trials: dict[str, Trial]) -> None:
     for process in [trials["predict"].begun(folder) for _ in range(2)]:
         said, _ = process.communicate(timeout=120)
         assert process.returncode == 0, said
-    all_alike(trials["predict"].expected, folder / OUT)
+    require_alike(trials["predict"].expected, folder / OUT)
     require_tidy(folder / OUT)
 
 

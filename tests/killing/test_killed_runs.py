@@ -1,41 +1,145 @@
 # SPDX-License-Identifier: MIT
-"""Runs that are killed at their steps, and begun again, lose nothing; see `killed_runs`."""
+"""Runs that are killed with SIGKILL at their steps, begun again, and compared with a whole one.
+
+This file, run as a program, imports torch and forks each run, so that a kill costs tenths of a
+second and not the seconds of a cold start. It prints how many kills there were, or fails.
+"""
 
 import json
 import os
+import signal
 import subprocess
 import sys
+import traceback
+from collections.abc import Callable
+from importlib import import_module
 from pathlib import Path
+from types import SimpleNamespace
 
+import numpy as np
 import pytest
+from sitecustomize import STEPS, at_each_step
+from whole_files import require_alike, require_whole
 
 import salsanext_cli
 
-HERE = Path(__file__).parent
-ROOT = Path(salsanext_cli.__file__).parents[1]
-
 pytestmark = pytest.mark.skipif(not hasattr(os, "fork"), reason="needs fork")
 
+Run = Callable[[Path], object]
 
-def kills(folder: Path, *jobs: str) -> list[int]:
-    """Return how many kills the jobs of `killed_runs` survived."""
-    places = os.pathsep.join(map(str, (ROOT, HERE.parent, HERE)))
+
+def fork(run: Run, folder: Path, step: int = 0) -> bool:
+    """Run in a process of its own that is killed at a step, 0 for never.
+
+    Returns whether it ended by itself.
+    """
+    process = os.fork()
+    if not process:
+        if step:
+            at_each_step(
+                str(folder),
+                lambda number: number == step and os.kill(os.getpid(), signal.SIGKILL),
+                (*STEPS, "os.remove"),
+            )
+        try:
+            run(folder)
+        except BaseException:
+            traceback.print_exc()
+            os._exit(1)
+        os._exit(0)
+    _, status = os.waitpid(process, 0)
+    if os.WIFEXITED(status) and os.WEXITSTATUS(status):
+        raise SystemExit("a run failed")
+    return os.WIFEXITED(status)
+
+
+def kills(run: Run, every: int, folder: Path) -> int:
+    """Kill runs at steps until one is done before; let each end, and compare. Return how many."""
+    expected = folder / "expected"
+    assert fork(run, expected)
+    killed = 0
+    while not fork(run, out := folder / f"out{killed}", (killed + 1) * every):
+        require_whole(out)
+        assert fork(run, out)
+        require_alike(expected, out)
+        killed += 1
+    return killed
+
+
+def overwriting(folder: Path) -> Run:
+    """Return runs of `predict` that write three files per scan over those of other settings."""
+    from scans import write_sequence, write_weights
+
+    from salsanext_cli.geometry.knn import KnnParameters
+    from salsanext_cli.inference.settings import NetworkSettings
+    from salsanext_cli.parallel.run import RunOptions
+    from salsanext_cli.stages.predict import predict_scans
+
+    data = write_sequence(folder / "data/08", ["a", "b", "c"], count=3000)
+    network = NetworkSettings(write_weights(folder / "w.safetensors"), "cpu")
+    extras = ("pixel_labels", "probabilities")
+
+    def run(out: Path) -> None:
+        if not (out / "predict.json").exists():
+            predict_scans(data, out, network=network, knn=KnnParameters(k=1))
+        predict_scans(data, out, network=network, extras=extras, options=RunOptions(overwrite=True))
+
+    # What is loaded here need not be in every run; one thread, so that forks find no others.
+    run(folder / "warm")
+    return run
+
+
+def training(folder: Path) -> Run:
+    """Return a training with a checkpoint after every step, on a clock that stands still."""
+    from scans import SMALL, make_scan, write_sequence
+    from tiny_network import TinyNetwork
+
+    from salsanext_cli.geometry.knn import knn_refine
+    from salsanext_cli.geometry.projection import project
+    from salsanext_cli.network.registry import ARCHITECTURES
+    from salsanext_cli.stages.train import train
+    from salsanext_cli.training import fit
+    from salsanext_cli.training.log import draw_curve
+    from salsanext_cli.training.recipe import Recipe
+
+    ARCHITECTURES["salsanext"] = TinyNetwork
+    fit.SAVE_INTERVAL_S = -1.0
+    fit.time = SimpleNamespace(monotonic=lambda: 0.0)  # type: ignore[assignment]
+    write_sequence(folder / "data/sequences/00", ["0", "1"], count=600)
+    write_sequence(folder / "data/sequences/08", ["0"], count=600)
+    # Loaded here, so as not to be in every run; but a step would start threads.
+    draw_curve(folder / "warm.png", [{"epoch": 1, "loss": 1.0, "miou": 0.5}])
+    import_module("torch._dynamo")
+    knn_refine(project(make_scan(), SMALL), np.zeros((SMALL.height, SMALL.width), np.uint8))
+    recipe = Recipe(epochs=2, batch=1, crop_width=32, samples_per_epoch=4, average=0.5)
+    data = folder / "data"
+    return lambda run: train(data, run, recipe=recipe, sensor=SMALL, device="cpu")
+
+
+JOBS: dict[str, Callable[[Path], Run]] = {"overwriting": overwriting, "training": training}
+
+
+def kills_of(folder: Path, *jobs: str) -> list[int]:
+    """Return how many kills jobs survived, in a process of their own; ``job:2`` is every second."""
+    here = Path(__file__)
+    places = os.pathsep.join(
+        map(str, (Path(salsanext_cli.__file__).parents[1], here.parents[1], here.parent))
+    )
     done = subprocess.run(
-        [sys.executable, str(HERE / "killed_runs.py"), str(folder), *jobs],
+        [sys.executable, str(here), str(folder), *jobs],
         capture_output=True,
         text=True,
         check=False,
         env={**os.environ, "PYTHONPATH": places, "OMP_NUM_THREADS": "1", "NUMBA_NUM_THREADS": "1"},
     )
     assert done.returncode == 0, done.stderr[-5000:]
-    found = json.loads(done.stdout.splitlines()[-1])
-    assert isinstance(found, list)
+    found: list[int] = json.loads(done.stdout.splitlines()[-1])
     return found
 
 
 def test_a_few_kills(tmp_path: Path) -> None:
     """In one process, since importing torch takes most of the time."""
-    overwriting, training = kills(tmp_path, "overwriting:20", "training:40")
+    overwriting, training = kills_of(tmp_path, "overwriting:20", "training:40")
     assert overwriting >= 2
     assert training >= 1
 
@@ -43,5 +147,14 @@ def test_a_few_kills(tmp_path: Path) -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("job", ["overwriting", "training"])
 def test_kills_at_every_step(tmp_path: Path, job: str) -> None:
-    (found,) = kills(tmp_path, f"{job}:1")
+    (found,) = kills_of(tmp_path, f"{job}:1")
     assert found > 30
+
+
+if __name__ == "__main__":
+    survived = []
+    for job in sys.argv[2:]:
+        name, every = job.split(":")
+        (place := Path(sys.argv[1]) / name).mkdir()
+        survived.append(kills(JOBS[name](place), int(every), place))
+    sys.stdout.write(json.dumps(survived) + "\n")

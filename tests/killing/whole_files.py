@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Whether the files of a folder are complete, and the same as those of another."""
+"""Files of a folder: complete, and the same as those of another."""
 
 import json
 import tomllib
@@ -8,10 +8,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import torch
 
-JOURNALS = (".files", ".files.tsv")
-"""Ends of hidden names that may stay: lists of the files that a stage has written."""
+from salsanext_cli.storage.written_files import RECORDS
 
 
 def _is_png(path: Path) -> None:
@@ -60,19 +58,22 @@ WHOLE: dict[str, Callable[[Path], Any]] = {
     ".csv": _is_csv,
     ".safetensors": _is_weights,
 }
-"""What raises, by suffix, if a file is not whole."""
+"""Functions that raise, by suffix, if a file is not whole."""
 
 
-def files(folder: Path, *, hidden: bool) -> dict[str, Path]:
-    """Return the files below a folder by name, either the hidden ones or the others."""
+def files(folder: Path, *, hidden: bool = False) -> dict[str, Path]:
+    """Return the hidden files below a folder or the others, by name, but no records of writing."""
     found = (path for path in sorted(folder.rglob("*")) if path.is_file())
-    named = {str(path.relative_to(folder)): path for path in found}
-    return {name: path for name, path in named.items() if ("/." in f"/{name}") == hidden}
+    return {
+        str(path.relative_to(folder)): path
+        for path in found
+        if path.name.startswith(".") == hidden and RECORDS not in path.parts
+    }
 
 
 def require_whole(folder: Path) -> None:
     """Fail if a file that can be seen is half written; those of one scan must be of one length."""
-    for path in files(folder, hidden=False).values():
+    for path in files(folder).values():
         WHOLE[path.suffix](path)
     for labels in folder.glob("sequences/*/predictions/*.label"):
         values = labels.parents[1] / "probabilities" / f"{labels.stem}.npy"
@@ -81,34 +82,13 @@ def require_whole(folder: Path) -> None:
 
 
 def require_tidy(folder: Path) -> None:
-    """Fail if a hidden file is left, lists of written files excepted."""
-    hidden = files(folder, hidden=True)
-    left = [name for name in hidden if not any(p.endswith(JOURNALS) for p in Path(name).parts)]
-    assert not left, left
+    """Fail if a hidden file is left."""
+    assert not files(folder, hidden=True)
 
 
-def all_alike(expected: Path, found: Path) -> None:
+def require_alike(expected: Path, found: Path) -> None:
     """Fail if two folders do not show the same files with the same content."""
-    mine, theirs = files(expected, hidden=False), files(found, hidden=False)
+    mine, theirs = files(expected), files(found)
     assert mine.keys() == theirs.keys(), sorted(mine.keys() ^ theirs.keys())
     for name, path in mine.items():
-        if path.suffix == ".pt":
-            # Pickles of equal values may differ.
-            _same(*(torch.load(each, weights_only=True) for each in (path, theirs[name])))
-        else:
-            assert path.read_bytes() == theirs[name].read_bytes(), name
-
-
-def _same(one: object, other: object) -> None:
-    assert type(one) is type(other)
-    if isinstance(one, torch.Tensor) and isinstance(other, torch.Tensor):
-        assert torch.equal(one, other)
-    elif isinstance(one, dict) and isinstance(other, dict):
-        assert one.keys() == other.keys()
-        for key, value in one.items():
-            _same(value, other[key])
-    elif isinstance(one, list | tuple) and isinstance(other, list | tuple):
-        for mine, its in zip(one, other, strict=True):
-            _same(mine, its)
-    else:
-        assert repr(one) == repr(other)
+        assert path.read_bytes() == theirs[name].read_bytes(), name

@@ -19,26 +19,10 @@ LOCAL = pytest.mark.parametrize(
 )
 
 
-@LOCAL
-def test_every_scan_is_worked_on_once(tmp_path, options):
-    outcome = run(Write(tmp_path), scans_of(*"abcdefg"), **options)
-    assert sorted(outcome.results) == list("abcdefg")
-    assert (outcome.done, outcome.skipped, outcome.failures) == (7, 0, ())
-    assert sorted(path.name for path in (tmp_path / "s").iterdir()) == list("abcdefg")
-
-
 def test_ctrl_c_does_not_reach_workers(tmp_path):
     """They would print a traceback each; who runs them is interrupted too, and ends them."""
     outcome = run(Write(tmp_path), scans_of("a", "ctrl-c", "ctrl-c 2", "b"), jobs=2)
     assert (outcome.done, outcome.failures) == (4, ())
-
-
-@LOCAL
-def test_failures_are_gathered_in_order_and_the_rest_is_done(tmp_path, options):
-    outcome = run(Write(tmp_path), scans_of("bad2", "a", "bad1", "b"), **options)
-    assert outcome.done == 2
-    assert [failure.scan.stem for failure in outcome.failures] == ["bad1", "bad2"]
-    assert outcome.failures[0].reason == "/scans/bad1.bin · cut off"
 
 
 @LOCAL
@@ -50,12 +34,6 @@ def test_on_error_stop_raises_what_went_wrong(tmp_path, options):
     assert "a" in written or options
     assert len(written) < 50
     assert not any(name.startswith(".") for name in written)
-
-
-@LOCAL
-def test_bugs_are_not_taken_for_failures(tmp_path, options):
-    with pytest.raises(ZeroDivisionError, match="a bug of ours"):
-        run(Write(tmp_path), scans_of("a", "bug", "b"), **options)
 
 
 class Opens(Write):

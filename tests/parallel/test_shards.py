@@ -1,14 +1,12 @@
 # SPDX-License-Identifier: MIT
 import random
-import tempfile
 from collections import Counter
 from pathlib import Path
 
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from scans import files_below
-from works import Write, run
 
 from salsanext_cli.errors import UsageError
 from salsanext_cli.parallel.run import RunOptions
@@ -42,23 +40,6 @@ def test_all_shards_have_every_scan_once_whatever_the_order(names, count, draw):
     assert max(sizes) - min(sizes) <= 1
 
 
-@settings(deadline=None)
-@given(NAMES, COUNTS, st.data())
-def test_all_shards_do_every_scan_once_whatever_is_done_already(names, count, data):
-    scans = scans_of(names)
-    done = data.draw(st.sets(st.sampled_from(scans))) if scans else set()
-    shards = data.draw(st.permutations(every(count)))
-    with tempfile.TemporaryDirectory() as folder:
-        work = Write(Path(folder))
-        for scan in done:
-            work(scan)
-        outcomes = [run(work, scans, shard=shard) for shard in shards]
-        assert sum(outcome.done for outcome in outcomes) == len(scans) - len(done)
-        assert sum(outcome.skipped for outcome in outcomes) == len(done)
-        written = {(p.parent.name, p.name) for p in Path(folder).glob("*/*")}
-    assert written == {(scan.sequence, scan.stem) for scan in scans}
-
-
 def test_one_shard_is_all_in_the_order_given():
     scans = scans_of({("00", n) for n in range(5)})[::-1]
     assert Shard().of(scans) == scans
@@ -76,19 +57,6 @@ def test_shards_leave_what_one_run_leaves(world):
     some = every(3)
     random.Random(1).shuffle(some)
     assert files(world.out.with_name("shards"), some) == whole
-
-
-def test_what_is_remembered_is_the_same_for_every_shard(world):
-    """The first shard already says what all of them were asked for."""
-    out = world.out.with_name("shard")
-    options = RunOptions(shard=Shard(1, 3))
-    outcome = predict_scans(world.data, out, network=world.network, options=options)
-    assert (outcome.done, outcome.skipped) == (1, 0)
-    predict_scans(world.data, world.out, network=world.network)
-    remembered = [name for name in files_below(world.out) if name.endswith(".json")]
-    assert len(remembered) == 3
-    for name in remembered:
-        assert (out / name).read_bytes() == (world.out / name).read_bytes()
 
 
 @pytest.mark.parametrize(

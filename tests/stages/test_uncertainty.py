@@ -20,8 +20,8 @@ from salsanext_cli.storage.output_run import OutputRun
 from salsanext_cli.storage.point_files import write_bin
 from salsanext_cli.storage.selection import ScanSelection
 from salsanext_cli.uncertainty.aleatoric import aleatoric
+from salsanext_cli.uncertainty.dropout_propagation import propagate_dropout
 from salsanext_cli.uncertainty.monte_carlo import sample, scan_seed
-from salsanext_cli.uncertainty.one_pass import propagate_dropout
 from salsanext_cli.uncertainty.settings import Estimator
 
 KINDS = Estimator().kinds

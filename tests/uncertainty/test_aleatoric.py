@@ -4,23 +4,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
-from scans import SMALL, make_scan
 
 from salsanext_cli.errors import UsageError
-from salsanext_cli.geometry.projection import project
-from salsanext_cli.inference.network import load_network
 from salsanext_cli.uncertainty.aleatoric import aleatoric
-from salsanext_cli.uncertainty.one_pass import propagate_dropout
-
-
-@pytest.fixture(scope="module")
-def network(weights):
-    return load_network(weights, "cpu")
-
-
-@pytest.fixture(scope="module")
-def image():
-    return project(make_scan(), SMALL)
+from salsanext_cli.uncertainty.dropout_propagation import propagate_dropout
 
 
 def with_noise(network, metres, intensity):
@@ -50,12 +37,6 @@ def test_small_noises_act_as_their_squares(network, image, noise):
     assert np.median(twice / once) == pytest.approx(4, rel=0.02)
 
 
-def test_either_noise_alone_is_less_than_both(network, image):
-    both = aleatoric(with_noise(network, 0.02, 0.02), image).mean()
-    assert 0 < aleatoric(with_noise(network, 0.02, 0.0), image).mean() < both
-    assert 0 < aleatoric(with_noise(network, 0.0, 0.02), image).mean() < both
-
-
 def test_dropout_is_off_and_the_network_stays_as_it_is(network, image):
     before = torch.random.get_rng_state()
     first = aleatoric(network, image)
@@ -80,7 +61,7 @@ def test_it_ranks_pixels_as_noisy_copies_do(network, image):
         noisy = image.channels.copy()
         noisy[:4] += rays * random.normal(0, 0.02, occupied.shape).astype(np.float32)
         noisy[4] += random.normal(0, 0.02, occupied.shape).astype(np.float32)
-        passes.append(network.pixel_probabilities(noisy * occupied))
+        passes.append(network.pixel_probabilities([noisy * occupied])[0])
     sampled = np.var(passes, axis=0).mean(axis=0)[occupied]
     propagated = aleatoric(network, image).mean(axis=0)[occupied]
     ranks = (np.argsort(np.argsort(values)) for values in (sampled, propagated))

@@ -4,26 +4,17 @@ import numpy as np
 import pytest
 import torch
 import torch.nn.functional as F
-from scans import SMALL, make_scan, write_weights
+from scans import write_weights
 
 from salsanext_cli.errors import WeightsError
-from salsanext_cli.geometry.projection import project
 from salsanext_cli.inference.network import load_network, with_dropout
-from salsanext_cli.uncertainty.dropout_propagation import ChannelCorrelatedGaussian
+from salsanext_cli.uncertainty.dropout_propagation import (
+    ChannelCorrelatedGaussian,
+    propagate_dropout,
+)
 from salsanext_cli.uncertainty.monte_carlo import sample
-from salsanext_cli.uncertainty.one_pass import propagate_dropout
 
 COUNT = 100_000
-
-
-@pytest.fixture(scope="module")
-def network(weights):
-    return load_network(weights, "cpu")
-
-
-@pytest.fixture(scope="module")
-def image():
-    return project(make_scan(), SMALL)
 
 
 def together(shape, seed=0):
