@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: MIT
-"""What uncertainty costs, as a multiple of the deterministic pass measured in the same run.
+"""Cost of each way to estimate uncertainty, as a multiple of a deterministic pass in the same run.
 
-Every round times each of them once, one after the other, so that what else the machine does falls
-on all; printed are medians and the range of the rounds.
+Every round times each way once, so that other work on the machine slows all of them; printed are
+medians and the range of the rounds.
 
 Run: python benchmarks/uncertainty_cost.py 000000.bin [hdl64 30 5 weights.safetensors]
 """

@@ -22,8 +22,6 @@ def test_a_few_parts(run, data, weights, tmp_path):
     found = only_json(result)
     assert json.loads(file.read_text()) == found
     assert found["machine"]["threads"] == 1
-    assert found["machine"]["precision"] == "float32"
-    assert found["ceiling"].keys() == {"operations", "bytes"}
     knn, help_ = found["parts"]
     assert knn["ratio"]["median"] == knn["baseline"]["median"] / knn["product"]["median"]
     assert 0 < knn["share_of_ceiling"] < 1
