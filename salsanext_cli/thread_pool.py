@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""The threads of this process that help with what can be shared."""
+"""Thread pool of the process, for work on shared arrays."""
 
 from __future__ import annotations
 
@@ -8,29 +8,28 @@ from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor, wait
 from functools import lru_cache
 
-MOST = 256
-"""Threads; only as many are started as were ever busy together."""
+MAX_THREADS = 256
+"""Size of the pool, which starts only as many threads as are busy together."""
 
 
-def run_on_threads(work: Callable[[], object], hands: int) -> None:
-    """Call ``work()`` on up to so many threads at once, this one among them.
+def run_on_threads(work: Callable[[], object], threads: int) -> None:
+    """Call ``work()`` on up to `threads` threads at once, this one among them.
 
-    Returns when all calls are done. `work` should take what is left to do, if anything is: when
-    this thread is done with its call, others that have not begun by then are not made. They must
-    not wait for each other.
+    Returns when all calls are done. Each call should do what remains of the work: calls that have
+    not begun when this thread is done are cancelled. They must not wait for each other.
     """
-    crew = _crew(os.getpid()) if hands > 1 else None
-    helpers = [crew.submit(work) for _ in range(hands - 1)] if crew else []
+    pool = _pool(os.getpid()) if threads > 1 else None
+    calls = [pool.submit(work) for _ in range(threads - 1)] if pool else []
     try:
         work()
     finally:
-        begun = [helper for helper in helpers if not helper.cancel()]
+        begun = [call for call in calls if not call.cancel()]
         wait(begun)
-    for helper in begun:
-        helper.result()
+    for call in begun:
+        call.result()
 
 
 @lru_cache(maxsize=1)
-def _crew(_process: int) -> ThreadPoolExecutor:
-    """Return the threads; after a fork there are others."""
-    return ThreadPoolExecutor(MOST, "salsanext")
+def _pool(_process: int) -> ThreadPoolExecutor:
+    """Return the pool of a process; after a fork it is a new one."""
+    return ThreadPoolExecutor(MAX_THREADS, "salsanext")

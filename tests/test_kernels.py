@@ -39,15 +39,6 @@ def test_slices_cover_everything_once(count):
     assert (visits == 1).all()
 
 
-def test_an_error_in_any_slice_is_raised():
-    def fail(part):
-        if part.stop == 10 * SMALLEST_SLICE:
-            raise ValueError("last slice")
-
-    with pytest.raises(ValueError, match="last slice"):
-        parallel_for_slices(fail, 10 * SMALLEST_SLICE)
-
-
 def test_arguments_are_copied_only_if_they_must_be():
     good = np.zeros((4, 3), np.float32)
     assert argument(good, np.float32) is good
@@ -59,7 +50,7 @@ def test_arguments_are_copied_only_if_they_must_be():
         assert flags.c_contiguous
 
 
-def test_works_where_nothing_can_be_cached(tmp_path):
+def test_kernels_work_without_a_cache(tmp_path):
     """A file stands where the cache folder would be, beside the source and in the home."""
     package = tmp_path / "salsanext_cli"
     shutil.copytree(
@@ -70,8 +61,8 @@ def test_works_where_nothing_can_be_cached(tmp_path):
     (package / "geometry" / "__pycache__").touch()
     home = tmp_path / "home"
     home.touch()
-    places = dict.fromkeys(("HOME", "XDG_CACHE_HOME", "NUMBA_CACHE_DIR"), str(home))
-    environment = {**os.environ, **places, "PYTHONPATH": str(tmp_path)}
+    variables = dict.fromkeys(("HOME", "XDG_CACHE_HOME", "NUMBA_CACHE_DIR"), str(home))
+    environment = {**os.environ, **variables, "PYTHONPATH": str(tmp_path)}
     command = [sys.executable, "-B", "-c", PROJECT_ONE_POINT]
     subprocess.run(command, env=environment, cwd=tmp_path, check=True, timeout=120)
 
@@ -87,25 +78,14 @@ def test_kernels_are_kept_in_the_users_cache_folder(tmp_path, monkeypatch):
     assert {path: path.stat().st_mtime_ns for path in tmp_path.rglob("*.nbc")} == compiled
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
     assert all(path.is_relative_to(cache_folder()) for path in compiled)
-
-
-def test_without_a_home_there_is_no_cache_folder(monkeypatch):
     monkeypatch.delenv("XDG_CACHE_HOME", raising=False)
     monkeypatch.setattr(Path, "home", lambda: (_ for _ in ()).throw(RuntimeError("no home")))
     assert cache_folder() == ""
-
-
-def test_other_programs_keep_their_cache_folder():
+    # What other programs compile is kept elsewhere.
     assert "salsanext" not in numba.config.CACHE_DIR
 
 
-@pytest.mark.parametrize("hands", [1, 2, 5])
-def test_all_hands_work_at_once(hands):
-    together = threading.Barrier(hands, timeout=10)
-    run_on_threads(together.wait, hands)
-
-
-def test_an_error_of_any_hand_is_raised_after_all_are_done():
+def test_an_error_of_any_thread_is_raised_after_all_are_done():
     together, arrived, done = threading.Barrier(3, timeout=10), iter(range(3)), []
 
     def work():
@@ -120,11 +100,11 @@ def test_an_error_of_any_hand_is_raised_after_all_are_done():
     assert len(done) == 2
 
 
-def test_nobody_waits_for_hands_that_are_busy_elsewhere(monkeypatch):
+def test_calls_on_busy_threads_are_cancelled(monkeypatch):
     busy = ThreadPoolExecutor(1)
     free = threading.Event()
     busy.submit(free.wait, 10)
-    monkeypatch.setattr("salsanext_cli.thread_pool._crew", lambda _: busy)
+    monkeypatch.setattr("salsanext_cli.thread_pool._pool", lambda _: busy)
     calls = []
     run_on_threads(lambda: calls.append(1), 3)
     assert calls == [1]
