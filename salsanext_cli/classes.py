@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: MIT
 """Label spaces: classes, their names, and the mapping of raw ids to train ids.
 
-Raw ids are what label files hold (uint32, the low 16 bits are the class, the high 16 the
-instance). Train ids are what the network predicts: 0…C-1, 0 being "unlabelled".
+Label files hold raw ids (uint32, the low 16 bits are the class, the high 16 the instance). The
+network predicts train ids: 0…C-1, 0 being "unlabelled".
 """
 
 from __future__ import annotations
@@ -76,11 +76,11 @@ class LabelSpace:
 
     @property
     def scored(self) -> npt.NDArray[np.bool_]:
-        """Which train ids count, (C,) bool."""
+        """Mask of the train ids that count, (C,) bool."""
         return ~np.array(self.ignored)
 
     def unknown_ids(self, raw: RawIds) -> dict[int, int]:
-        """Return how often each raw id (without instance) occurs that this space does not know."""
+        """Return the number of points of each raw id (without instance) that is unknown here."""
         classes = (raw & 0xFFFF)[self._train_of_raw[raw & 0xFFFF] == UNKNOWN]
         ids, counts = np.unique(classes, return_counts=True)
         return {int(i): int(n) for i, n in zip(ids, counts, strict=True)}
@@ -93,10 +93,10 @@ class LabelSpace:
         raw : uint32, any shape
             Raw ids as label files hold them.
         strict : bool
-            Raise on an unknown id; otherwise it becomes 0, unlabelled, as the official evaluator
-            has it, and the caller reports `unknown_ids`.
+            Raise on an unknown id; otherwise it becomes 0, unlabelled, as in the official
+            evaluator, and the caller reports `unknown_ids`.
         source : object
-            What to name in the error.
+            Subject of the error.
 
         Returns
         -------
@@ -136,13 +136,13 @@ class LabelSpace:
         return self.splits[name]
 
     def split_of(self, sequence: str) -> str | None:
-        """Return the split that names a sequence, None if none does."""
+        """Return the split of a sequence, None without one."""
         return next((name for name, members in self.splits.items() if sequence in members), None)
 
     def fits(self, other: LabelSpace) -> bool:
-        """Whether both give the same names and raw ids to the same train ids.
+        """Return whether both have the same names and raw ids of the same train ids.
 
-        Then weights for one serve the other, whatever their splits and ignored classes.
+        Then weights for one serve the other; splits and ignored classes may differ.
         """
         same_ids = self.learning_map_inv == other.learning_map_inv
         return same_ids and self.names == other.names
@@ -176,12 +176,8 @@ class LabelSpace:
 
 @cache
 def _built_in(name: str) -> LabelSpace:
-    text = (
-        resources.files("salsanext_cli")
-        .joinpath(f"presets/label_spaces/{name}.yaml")
-        .read_text("utf-8")
-    )
-    return LabelSpace.from_dict(yaml.safe_load(text), name)
+    file = resources.files("salsanext_cli").joinpath(f"presets/label_spaces/{name}.yaml")
+    return LabelSpace.from_dict(yaml.safe_load(file.read_text("utf-8")), name)
 
 
 def label_space(name_or_file: str | Path = "semantic-kitti") -> LabelSpace:

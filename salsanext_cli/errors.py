@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Errors that the user can mend, and the text of messages.
+"""Errors that the user can correct, and the text of messages.
 
 ::
 
@@ -21,12 +21,12 @@ Anything else that escapes is a bug and keeps its traceback.
 from __future__ import annotations
 
 NOTICE = 25
-"""Level of what the library logs for every user to see, though nothing is wrong."""
+"""Log level of messages for every user that are not warnings."""
 ESCAPES = {code: f"\\x{code:02x}" for code in (*range(32), *range(127, 160))}
 
 
 def printable(text: str) -> str:
-    """Return a text on one line without control characters, which a file's name may hold."""
+    """Return a text with control characters escaped, which the name of a file may hold."""
     return text.translate(ESCAPES)
 
 
@@ -36,21 +36,21 @@ class SalsanextError(Exception):
     Parameters
     ----------
     subject : object
-        The file, folder, option or setting that is wrong.
+        File, folder, option or setting that is wrong.
     found : str, optional
-        What was found there.
+        Content or state that was found.
     expected : str, optional
-        What should have been there.
+        Content or state that is required.
     remedy : str, optional
-        What the user can do about it.
+        Advice to the user.
 
     Attributes
     ----------
-    said_elsewhere : bool
+    reported_elsewhere : bool
         Whether another process of the run reports the error, so that it is reported once.
     """
 
-    said_elsewhere: bool = False
+    reported_elsewhere: bool = False
 
     def __init__(
         self, subject: object, found: str = "", expected: str = "", remedy: str = ""

@@ -15,7 +15,7 @@ from salsanext_cli.settings_files import shortened
 RAW_ID_COUNT = 1 << 16
 UNKNOWN = 255
 SHOWN_IDS = 20
-"""Ids that an error names, and digits of each."""
+"""Number of ids in an error, and of digits of each."""
 KEYS = ("labels", "learning_map", "learning_map_inv", "learning_ignore", "color_map", "split")
 
 
@@ -60,7 +60,7 @@ def read_fields(data: Mapping[str, Any], source: object) -> dict[str, Any]:
 def _contradiction(
     labels: dict[int, str], learning_map: dict[int, int], inverse: dict[int, int]
 ) -> str:
-    """Say what is inconsistent, or return an empty string."""
+    """Return a description of an inconsistency, empty without one."""
     if not inverse or sorted(inverse) != list(range(len(inverse))) or len(inverse) > UNKNOWN:
         return f"train ids {_some(inverse)} are not 0…C-1 with C ≤ {UNKNOWN}"
     if bad := [i for i in (*learning_map, *labels) if not 0 <= i < RAW_ID_COUNT]:
@@ -73,7 +73,7 @@ def _contradiction(
 
 
 def _some(ids: Iterable[int]) -> str:
-    """Name the first ids, however many and large they are."""
+    """Return a short list of the first ids, for any number and size of them."""
     listed = sorted(ids)
     shown = [shortened(i, SHOWN_IDS) for i in listed[:SHOWN_IDS]]
     return f"[{', '.join([*shown, '…'] if len(listed) > SHOWN_IDS else shown)}]"
@@ -86,7 +86,7 @@ def _listed(members: object) -> list[object]:
 
 
 def _sequence_name(sequence: object) -> str:
-    """Name a sequence as its folder is named: numbers get two digits."""
+    """Return the name of a sequence's folder: numbers get two digits."""
     return f"{sequence:02d}" if isinstance(sequence, int) else str(sequence)
 
 

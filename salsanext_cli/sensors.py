@@ -18,9 +18,9 @@ from salsanext_cli.settings_files import read_toml, shortened, words_of
 SEMANTIC_KITTI_MEANS = (12.12, 10.88, 0.23, -1.04, 0.21)
 SEMANTIC_KITTI_STDS = (12.32, 11.47, 6.91, 0.86, 0.16)
 MAX_PIXELS = 1 << 21
-"""Pixels of a range image: 64×32768, eight times what the finest sensor has."""
+"""Largest range image, in pixels: 64×32768, eight times that of the finest sensor."""
 BYTES_PER_PIXEL = 1000
-"""Memory that a network takes for a pixel, roughly."""
+"""Approximate memory of a network per pixel."""
 MAX_NUMBER = 1e6
 """Bound of means, deviations and scales, in metres and units of intensity, and of their inverse."""
 SCALES = f"numbers from {1 / MAX_NUMBER:g} to {MAX_NUMBER:g}"
@@ -34,7 +34,7 @@ class Sensor:
     Attributes
     ----------
     name : str
-        What to call it.
+        Name in messages and records.
     fov_up, fov_down : float
         Upper and lower edge of the field of view in degrees, signed, above the horizon positive.
     height, width : int
@@ -42,7 +42,7 @@ class Sensor:
     means, stds : 5 floats
         Normalisation of range, x, y, z (metres) and intensity.
     out_of_view : {"clamp", "drop"}
-        What happens to points above or below the field of view: to the edge row, or no pixel.
+        Treatment of points above or below the field of view: edge row, or no pixel.
     intensity_scale : float
         Divides the intensity of the files; 255 where a sensor writes bytes as numbers.
     range_noise : float, optional
@@ -70,18 +70,17 @@ class Sensor:
             self.fov_up > self.fov_down,
             f"fov_up {shortened(self.fov_up)} ≤ fov_down {shortened(self.fov_down)}",
         )
-        self._require(
-            all(type(size) is int and size >= 1 for size in (self.height, self.width)),
-            f"size {self._size}",
-        )
+        size = f"size {shortened(self.height)}×{shortened(self.width)}"
+        whole = all(type(length) is int and length >= 1 for length in (self.height, self.width))
+        self._require(whole, size)
+        memory = f"{shortened(self.height * self.width * BYTES_PER_PIXEL // 10**9, 12)} GB"
         self._require(
             self.height * self.width <= MAX_PIXELS,
-            f"size {self._size}, of which an image takes {self._memory} in a network",
+            f"{size}, of which an image takes {memory} in a network",
             f"at most {MAX_PIXELS} pixels, such as 64×{MAX_PIXELS // 64}",
         )
-        self._require(
-            len(self.means) == len(self.stds) == 5, "means and stds are not 5 numbers each"
-        )
+        five = len(self.means) == len(self.stds) == 5
+        self._require(five, "means and stds are not 5 numbers each")
         self._require(
             all(abs(mean) <= MAX_NUMBER for mean in self.means),
             f"means {shortened(self.means)}",
@@ -106,15 +105,6 @@ class Sensor:
     def _require(self, holds: bool, found: str, expected: str = "a possible sensor") -> None:
         if not holds:
             raise UsageError(f"sensor {shortened(self.name)}", found, expected)
-
-    @property
-    def _size(self) -> str:
-        return f"{shortened(self.height)}×{shortened(self.width)}"
-
-    @property
-    def _memory(self) -> str:
-        gigabytes = self.height * self.width * BYTES_PER_PIXEL // 10**9
-        return f"{shortened(gigabytes, 12)} GB"
 
     @property
     def knows_noise(self) -> bool:
@@ -146,7 +136,7 @@ class Sensor:
             ) from error
 
     def view(self) -> dict[str, Any]:
-        """Return, as plain data, what a network sees with: all but the name and the noise."""
+        """Return plain data of the view of a network: all but the name and the noise."""
         return {key: value for key, value in asdict(self).items() if key not in ("name", *NOISE)}
 
     def resized(self, height: int | None = None, width: int | None = None) -> Sensor:

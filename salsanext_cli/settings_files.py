@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""YAML and TOML files that people write, read in bounded time and memory."""
+"""Readers of YAML and TOML files in bounded time and memory."""
 
 from __future__ import annotations
 
@@ -13,24 +13,22 @@ import yaml
 from salsanext_cli.errors import UsageError
 
 MAX_YAML_BYTES, MAX_TOML_BYTES = 1 << 18, 1 << 14
-"""Many times what any file has that a person wrote; reading some texts takes time by the square
-of their length.
-"""
+"""Largest files; the time to read some texts grows with the square of their length."""
 MAX_LINE_CHARACTERS = 1000
-"""A key of thousands of parts on a line of TOML takes hundreds of megabytes."""
+"""Longest line of TOML; a key of thousands of parts takes hundreds of megabytes."""
 MAX_NESTED_BRACKETS = 20
-""" each more makes every character after it slower to read."""
+"""Deepest nesting of brackets in YAML; each makes later characters slower to read."""
 SHOWN_CHARACTERS = 100
-"""Of a wrong value in an error."""
+"""Longest text of a wrong value in an error."""
 YAML_ERRORS = (
     *(yaml.YAMLError, ArithmeticError, AttributeError, LookupError, TypeError, ValueError),
     RecursionError,
 )
-"""What PyYAML raises over text; beside its own errors, those of dates and numbers that are none."""
+"""Errors of PyYAML, its own and those of invalid dates and numbers."""
 
 
 class _PlainLoader(yaml.SafeLoader):
-    """Builds plain values only, without references.
+    """Loader of plain values without references.
 
     A few lines of references to references would stand for billions of values.
     """
@@ -57,7 +55,7 @@ def read_yaml(path: Path, expected: str) -> Any:
     FileNotFoundError
         If there is no such file.
     UsageError
-        If it cannot be read; what was `expected` is said.
+        If it cannot be read; the message contains `expected`.
     """
     text = _text(path, MAX_YAML_BYTES, expected)
     try:
@@ -74,7 +72,7 @@ def read_toml(path: Path, expected: str) -> dict[str, Any]:
     FileNotFoundError
         If there is no such file.
     UsageError
-        If it cannot be read; what was `expected` is said.
+        If it cannot be read; the message contains `expected`.
     """
     text = _text(path, MAX_TOML_BYTES, expected)
     if any(len(line) > MAX_LINE_CHARACTERS for line in text.splitlines()):
@@ -110,7 +108,7 @@ def words_of(error: BaseException) -> str:
 
 
 def shortened(value: object, length: int = SHOWN_CHARACTERS) -> str:
-    """Show a value, however large it is."""
+    """Return the text of a value, shortened to a length."""
     if isinstance(value, int) and value.bit_length() > 4 * length:
         # Python refuses to write out numbers of thousands of digits.
         return f"a number of {value.bit_length()} bits"

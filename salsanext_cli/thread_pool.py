@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Pool of threads of this process, for work that can be shared."""
+"""Thread pool of the process, for work on shared arrays."""
 
 from __future__ import annotations
 
@@ -9,21 +9,21 @@ from concurrent.futures import ThreadPoolExecutor, wait
 from functools import lru_cache
 
 MAX_THREADS = 256
-"""Only as many are started as were ever busy together."""
+"""Size of the pool, which starts only as many threads as are busy together."""
 
 
-def run_on_threads(work: Callable[[], object], count: int) -> None:
-    """Call ``work()`` on up to `count` threads at once, this one among them.
+def run_on_threads(work: Callable[[], object], threads: int) -> None:
+    """Call ``work()`` on up to `threads` threads at once, this one among them.
 
-    Returns when all calls are done. `work` should take what is left to do, if anything is: when
-    this thread is done with its call, others that have not begun by then are not made. They must
-    not wait for each other.
+    Returns when all calls are done. Each call should do what remains of the work: calls that have
+    not begun when this thread is done are cancelled. They must not wait for each other.
     """
-    others = [_pool(os.getpid()).submit(work) for _ in range(count - 1)]
+    pool = _pool(os.getpid()) if threads > 1 else None
+    calls = [pool.submit(work) for _ in range(threads - 1)] if pool else []
     try:
         work()
     finally:
-        begun = [call for call in others if not call.cancel()]
+        begun = [call for call in calls if not call.cancel()]
         wait(begun)
     for call in begun:
         call.result()
@@ -31,5 +31,5 @@ def run_on_threads(work: Callable[[], object], count: int) -> None:
 
 @lru_cache(maxsize=1)
 def _pool(_process: int) -> ThreadPoolExecutor:
-    """Return the threads; after a fork there are others."""
+    """Return the pool of a process; after a fork it is a new one."""
     return ThreadPoolExecutor(MAX_THREADS, "salsanext")

@@ -38,15 +38,6 @@ def test_slices_cover_everything_once(count):
     assert (visits == 1).all()
 
 
-def test_an_error_in_any_slice_is_raised():
-    def fail(part):
-        if part.stop == 10 * SMALLEST_SLICE:
-            raise ValueError("last slice")
-
-    with pytest.raises(ValueError, match="last slice"):
-        parallel_for_slices(fail, 10 * SMALLEST_SLICE)
-
-
 def test_arguments_are_copied_only_if_they_must_be():
     good = np.zeros((4, 3), np.float32)
     assert argument(good, np.float32) is good
@@ -191,19 +182,11 @@ def test_without_a_home_there_is_no_cache_folder(monkeypatch):
     monkeypatch.delenv("XDG_CACHE_HOME", raising=False)
     monkeypatch.setattr(Path, "home", lambda: (_ for _ in ()).throw(RuntimeError("no home")))
     assert cache_folder() == ""
-
-
-def test_other_programs_keep_their_cache_folder():
+    # What other programs compile is kept elsewhere.
     assert "salsanext" not in numba.config.CACHE_DIR
 
 
-@pytest.mark.parametrize("hands", [1, 2, 5])
-def test_all_hands_work_at_once(hands):
-    together = threading.Barrier(hands, timeout=10)
-    run_on_threads(together.wait, hands)
-
-
-def test_an_error_of_any_hand_is_raised_after_all_are_done():
+def test_an_error_of_any_thread_is_raised_after_all_are_done():
     together, arrived, done = threading.Barrier(3, timeout=10), iter(range(3)), []
 
     def work():
@@ -218,7 +201,7 @@ def test_an_error_of_any_hand_is_raised_after_all_are_done():
     assert len(done) == 2
 
 
-def test_nobody_waits_for_hands_that_are_busy_elsewhere(monkeypatch):
+def test_calls_on_busy_threads_are_cancelled(monkeypatch):
     busy = ThreadPoolExecutor(1)
     free = threading.Event()
     busy.submit(free.wait, 10)

@@ -94,7 +94,7 @@ def guarded(command: Callable[Parameters, None]) -> Callable[Parameters, None]:
             with _sigterm_raised():
                 command(*args, **kwargs)
         except SalsanextError as error:
-            if not error.said_elsewhere:
+            if not error.reported_elsewhere:
                 tell(f"error: {error}")
                 if kwargs.get("json"):
                     typer.echo(json.dumps({"error": str(error)}))

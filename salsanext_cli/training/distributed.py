@@ -88,7 +88,7 @@ class ProcessGroup:
                 answer = [error]
         dist.broadcast_object_list(answer)
         if isinstance(answer[0], SalsanextError):
-            answer[0].said_elsewhere = not self.is_main
+            answer[0].reported_elsewhere = not self.is_main
             raise answer[0]
         result: T = answer[0]
         return result

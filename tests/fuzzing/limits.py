@@ -9,22 +9,22 @@ import tracemalloc
 from collections.abc import Iterator
 from contextlib import contextmanager
 
-SECONDS = 2.0
-"""Of the processor, for one file of some kilobytes."""
-HUNG = 0.5
-"""Seconds for each file, on the clock, after which a reader that never returns is ended."""
-FREE, PER_BYTE = 16 << 20, 100
-"""Bytes that any reader may take, and so many for each byte of the file."""
+MAX_CPU_S = 2.0
+"""Processor time for one file of some kilobytes."""
+HUNG_S = 0.5
+"""Wall time for each file, after which a reader that does not return is ended."""
+MAX_BYTES, MAX_BYTES_PER_BYTE = 16 << 20, 100
+"""Memory for any file, and in addition for each byte of it."""
 
 
 class TooMuchError(AssertionError):
-    """A reader took more time or memory than the file is worth."""
+    """A reader exceeded the time or the memory for a file of that size."""
 
 
 @contextmanager
 def ending(files: int) -> Iterator[None]:
-    """Show where the body hangs, and end the process, if it never returns."""
-    faulthandler.dump_traceback_later(60 + HUNG * files, exit=True)
+    """End the process with a traceback if the body hangs."""
+    faulthandler.dump_traceback_later(60 + HUNG_S * files, exit=True)
     try:
         yield
     finally:
@@ -33,9 +33,9 @@ def ending(files: int) -> Iterator[None]:
 
 @contextmanager
 def bounded(size: int) -> Iterator[None]:
-    """Raise `TooMuchError` if the body takes more than a file of `size` bytes is worth.
+    """Raise `TooMuchError` if the body exceeds the time or the memory for a file of `size` bytes.
 
-    Memory is that of Python and NumPy, touched or only promised.
+    Memory is that which Python and NumPy allocate, touched or not.
     """
     tracemalloc.start(1)
     start = time.process_time()
@@ -45,7 +45,7 @@ def bounded(size: int) -> Iterator[None]:
         peak = tracemalloc.get_traced_memory()[1]
     finally:
         tracemalloc.stop()
-    if seconds > SECONDS:
+    if seconds > MAX_CPU_S:
         raise TooMuchError(f"{seconds:.1f} s")
-    if peak > FREE + PER_BYTE * size:
+    if peak > MAX_BYTES + MAX_BYTES_PER_BYTE * size:
         raise TooMuchError(f"{peak / 1e6:.0f} MB for a file of {size} bytes")

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Files that are almost right: what damage, carelessness or malice makes of valid ones."""
+"""Mutations of valid files: damaged, edited by hand, or hostile."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ HUGE = (
     *(b"1e400", b"1e-400", b"nan", b"inf", b"-inf", b"NaN", b"Infinity", b"0x" + b"f" * 64),
     *(b"9" * 5000, b"1_000", b"1.5", b"''", b"null", b"true", b"[]", b"{}"),
 )
-"""What is written in the place of a number."""
+"""Replacements of a number."""
 WORDS = (
     *(b"\0", b"\n", b"\r\n", b"\xff\xfe", b"\xed\xa0\x80", b"..", b"../../x", b"/etc/passwd"),
     *(b"[" * 40, b"{" * 40, b'{"a":' * 40, b"- " * 40, b"(", b")", b":", b"=", b",", b"'", b'"'),
@@ -23,21 +23,18 @@ WORDS = (
     *(b"POINTSX 20000000\n", b"DATAX binary\n", b"SIZES 4\n", b"WIDTH_ 9\n", b"\\d", b"\\400"),
     *(b"_ F 4 0", b"'<f8'", b"'|O'", b"ctorch\n_utils\n", b"cos\nsystem\n", b"\x80\x02", b"PK\x03"),
 )
-"""What is written anywhere: the words of the formats, and of those who attack them."""
+"""Insertions at any place: keywords of the formats and of attacks on their readers."""
 EDGES = (0, 1, 2, 127, 128, 255, 2**15, 2**16 - 1, 2**31 - 1, 2**31, 2**32 - 1, 10**12, 2**62)
 EDGES += (2**63 - 1, 2**63, 2**64 - 1)
-"""Lengths and offsets at the border of what fields hold."""
+"""Lengths and offsets at the limits of integer types."""
 NUMBER = re.compile(rb"-?\d+(?:\.\d*)?")
 HEADER_BYTES = 4096
-"""Of a file; the numbers there promise something."""
+"""Size of the start of a file in which numbers are replaced."""
 
 
 def _flip(data: bytes, at: int, random: Random) -> bytes:
-    return (
-        data[:at]
-        + bytes(byte ^ random.randint(1, 255) for byte in data[at : at + 1])
-        + (data[at + 1 :])
-    )
+    flipped = bytes(byte ^ random.randint(1, 255) for byte in data[at : at + 1])
+    return data[:at] + flipped + data[at + 1 :]
 
 
 def _put(data: bytes, at: int, random: Random) -> bytes:

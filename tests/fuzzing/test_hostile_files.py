@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Files that somebody made to do harm: one test for each way that once worked."""
+"""Hostile files: one case for each attack that once succeeded."""
 
 import json
 import struct
@@ -13,7 +13,7 @@ from salsanext_cli.errors import FormatError, OutputError, UsageError, WeightsEr
 from salsanext_cli.formats import read_scan
 from salsanext_cli.formats.npy import read_array
 from salsanext_cli.network.weights import WeightsCard, read_weights
-from salsanext_cli.sensors import Sensor, sensor
+from salsanext_cli.sensors import sensor
 from salsanext_cli.storage.json_files import read_json
 from salsanext_cli.training.recipe import recipe
 
@@ -21,7 +21,7 @@ SPACE = "labels: {0: a, 1: b}\nlearning_map: {0: 0, 1: 1}\nlearning_map_inv: {0:
 
 
 def refused(path, content, read, error):
-    """Return what a reader says of a file that it refuses, in bounded time and memory."""
+    """Return the error of a reader, raised in bounded time and memory."""
     data = content if isinstance(content, bytes) else content.encode()
     path.write_bytes(data)
     with bounded(len(data)), pytest.raises(error) as caught:
@@ -40,9 +40,10 @@ MERGES = "a: &a {x: 1}\n" + "".join(
 )
 
 
-@pytest.mark.parametrize(
-    "text",
-    [
+TOML = "fov_up = 3.0\nfov_down = -25.0\nheight = 64\nwidth = 2048\n"
+
+SETTINGS = {
+    "labels.yaml": (
         *(LAUGHS, MERGES, "&a [*a]", "a: &a b\nc: *a"),
         *("[" * 20_000, "{a: " * 20_000, "- " * 20_000, "a: !!python/object/apply:os.system [id]"),
         *("2001-99-99", "!!timestamp x", "!!int ''", "!!bool x", "!!float x", "!!int -"),
@@ -54,56 +55,39 @@ MERGES = "a: &a {x: 1}\n" + "".join(
         SPACE + "color_map: {0: 'long'}",
         SPACE + f"color_map: {{0: {[*range(50_000)]}}}",
         SPACE + f"split: {{train: {{{'x' * 9000}: 1}}}}",
-    ],
-)
-def test_yaml(tmp_path, text):
-    refused(tmp_path / "labels.yaml", text, label_space, UsageError)
-
-
-TOML = "fov_up = 3.0\nfov_down = -25.0\nheight = 64\nwidth = 2048\n"
-
-
-@pytest.mark.parametrize(
-    "text",
-    [
+    ),
+    "sensor.toml": (
         *("a = " + "[" * 9000, "a" + ".a" * 8000 + " = 1", "a = " + "{a = " * 3000, "\0"),
         *(f"a = {'9' * 5000}", "a = 1979-99-99", "a = 1\n" * 3, "a = 1 # " + "x" * (1 << 18)),
         TOML.replace("64", "0x" + "f" * 6000),
         TOML.replace("3.0", "9" * 400),
-        TOML.replace("3.0", "nan"),
-        TOML.replace("64", "true"),
-        TOML + "name = 3",
+        *(TOML.replace("3.0", "nan"), TOML.replace("64", "true"), TOML + "name = 3"),
         TOML + "intensity_scale = inf",
         TOML + f"out_of_view = {'[' * 50 + ']' * 50}",
         TOML + f"means = [1, 2, 3, 4, {'9' * 400}]",
-    ],
-)
-def test_toml_of_a_sensor(tmp_path, text):
-    refused(tmp_path / "s.toml", text, sensor, UsageError)
-
-
-@pytest.mark.parametrize(
-    "text",
-    ["a = " + "[" * 20_000, f"epochs = {'9' * 5000}", f"lovasz = {'9' * 400}", "seed = 1e400"],
-)
-def test_toml_of_a_recipe(tmp_path, text):
-    refused(tmp_path / "r.toml", text, recipe, UsageError)
-
-
-def test_a_sensor_of_pieces_of_text():
-    with pytest.raises(UsageError):
-        Sensor.from_dict({**SMALL.to_dict(), "means": "12345"})
-
-
-@pytest.mark.parametrize(
-    "text",
-    [
+        TOML + 'means = "12345"',
+    ),
+    "recipe.toml": (
+        *("a = " + "[" * 20_000, f"epochs = {'9' * 5000}", f"lovasz = {'9' * 400}", "seed = 1e400"),
+    ),
+    "predict.json": (
         *("[" * 100_000, '{"a":' * 100_000, '{"a": NaN}', '{"a": -Infinity}'),
         *(f'{{"a": {"9" * 5000}}}', '{"a": ' + "[" * 500 + "]" * 500 + "}"),
-    ],
+    ),
+}
+READERS = {
+    "labels.yaml": (label_space, UsageError),
+    "sensor.toml": (sensor, UsageError),
+    "recipe.toml": (recipe, UsageError),
+    "predict.json": (read_json, OutputError),
+}
+
+
+@pytest.mark.parametrize(
+    ("name", "text"), [(name, text) for name, texts in SETTINGS.items() for text in texts]
 )
-def test_json(tmp_path, text):
-    assert "damaged" in refused(tmp_path / "predict.json", text, read_json, OutputError)
+def test_settings_and_records(tmp_path, name, text):
+    refused(tmp_path / name, text, *READERS[name])
 
 
 PLY = (
@@ -174,6 +158,10 @@ def test_pcd_that_unpacks_to_more_than_it_can(tmp_path):
     assert "100 bytes of compressed data that cannot unpack to 1200000000" in said
 
 
+NO_HEADERS = (
+    *("(" * 9000, "[" * 900 + "]" * 900, "-" * 900 + "1", "{{}: 1}"),
+    *("9**9**9", "'\\d'", "1L", "{'shape': 5L}", "{1: 2, 'a': 3}", ""),
+)
 NPY = "{'descr': '<f4', 'fortran_order': False, 'shape': (%s,), }"
 
 
@@ -181,21 +169,11 @@ NPY = "{'descr': '<f4', 'fortran_order': False, 'shape': (%s,), }"
     ("header", "shape"),
     [
         *((NPY % shape, (None,)) for shape in ("1000000000000", "-5", "9" * 30, "9" * 5000)),
-        *(
-            (NPY % f"{shape}, {shape}", (None, None))
-            for shape in ("4294967296", "-2", "0.5", "[1]")
-        ),
-        # Of nothing, the other lengths may be any.
+        *((NPY % f"{n}, {n}", (None, None)) for n in ("4294967296", "-2", "0.5", "[1]")),
+        # If one length is 0, the others may be any number.
         (NPY % "5, 0, 999999999999999999", (5, None, None)),
         (NPY % ("0, " * 1000 + "0"), (None,)),
-        *(
-            (text, (None,))
-            for text in ("(" * 9000, "[" * 900 + "]" * 900, "-" * 900 + "1", "{{}: 1}")
-        ),
-        *(
-            (text, (None,))
-            for text in ("9**9**9", "'\\d'", "1L", "{'shape': 5L}", "{1: 2, 'a': 3}", "")
-        ),
+        *((text, (None,)) for text in NO_HEADERS),
         (NPY.replace("'<f4'", "[()]") % "10", (None,)),
         (NPY.replace("'<f4'", "('<f4', (1000000000, 1000000000))") % "10", (None,)),
     ],
