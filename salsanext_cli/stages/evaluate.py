@@ -73,7 +73,7 @@ class Evaluation:
     settings : dict
         Settings of the evaluation and of the predictions.
     uncertainty : UncertaintyEvaluation
-        Of the probabilities and uncertainties, if there are any.
+        Results for the probabilities and uncertainties, if there are any.
     """
 
     space: LabelSpace

@@ -46,9 +46,9 @@ class Inspection:
     Attributes
     ----------
     sequences : dict of str to Survey
-        By sequence.
+        Surveys by sequence.
     total : Survey
-        Of all.
+        Survey of all scans.
     sensor : Sensor
         Sensor of the range images.
     space : LabelSpace
