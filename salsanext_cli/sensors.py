@@ -108,7 +108,7 @@ class Sensor:
 
     @property
     def knows_noise(self) -> bool:
-        """Whether both noises are known."""
+        """True if both noises are known."""
         return self.range_noise is not None and self.intensity_noise is not None
 
     def to_dict(self) -> dict[str, Any]:

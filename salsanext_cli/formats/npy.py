@@ -43,19 +43,19 @@ def read_array(path: Path, dtype: npt.DTypeLike, shape: tuple[int | None, ...]) 
     FormatError
         If the file cannot be read, is no `.npy` file, holds something else, or is cut off.
     """
-    wanted = np.dtype(dtype)
-    expected = f"a .npy file of {wanted} {_words(shape)}"
+    required = np.dtype(dtype)
+    expected = f"a .npy file of {required} {_words(shape)}"
     with reading(path) as file:
         found_shape, in_columns, found = _read_header(file, path, expected)
         lengths = zip(found_shape, shape, strict=False)
         fits = all(want in (None, length) for length, want in lengths)
-        if found != wanted or len(found_shape) != len(shape) or not fits:
+        if found != required or len(found_shape) != len(shape) or not fits:
             raise FormatError(path, f"{found.str} {_words(found_shape)}", expected)
         # Compare before allocating: a header can promise any amount of memory.
-        promised = math.prod(found_shape) * wanted.itemsize
+        promised = math.prod(found_shape) * required.itemsize
         if (held := size_of(file) - file.tell()) != promised:
             raise FormatError(path, f"{held} bytes of data", f"{promised} bytes", "it is cut off")
-        values = read_values(file, path, wanted, math.prod(found_shape))
+        values = read_values(file, path, required, math.prod(found_shape))
     try:
         return values.reshape(found_shape, order="F" if in_columns else "C")
     except ValueError as error:

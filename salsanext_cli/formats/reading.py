@@ -43,7 +43,7 @@ def read_values(file: BinaryIO, path: Path, dtype: npt.DTypeLike, count: int) ->
     """
     values = np.fromfile(file, dtype, count)
     if len(values) != count:
-        raise FormatError(path, "changed while it was read", "a file that nobody writes to")
+        raise FormatError(path, "changed while it was read", "a file that no program is writing")
     return values
 
 

@@ -93,7 +93,7 @@ class ConfidenceHistogram(GroupedHistogram):
         Parameters
         ----------
         errors : SoftmaxErrors
-            Of N points.
+            Errors of N points.
         group : (N,) integer
             The group of each point, 0…G-1.
 

@@ -150,8 +150,8 @@ def threshold_at(right: Counts, wrong: Counts, coverage: npt.NDArray[np.float64]
     if not reached[-1]:
         return np.full(coverage.shape, np.nan)
     # A share such as 0.07 of 100 points is 7.000000000000001 of them.
-    wanted = np.ceil(coverage * reached[-1] - 1e-6)
-    thresholds: Ratios = highest_of_bins()[np.searchsorted(reached, wanted)]
+    kept = np.ceil(coverage * reached[-1] - 1e-6)
+    thresholds: Ratios = highest_of_bins()[np.searchsorted(reached, kept)]
     return thresholds
 
 

@@ -64,11 +64,11 @@ class ScanCounts:
     files : Counter of str
         Number of scans that have probabilities or a kind of uncertainty, by folder.
     confidence : dict of str to ConfidenceHistogram
-        By grouping: `CLASS`, the most probable one, or `RING`.
+        Histograms by grouping: `CLASS`, the most probable one, or `RING`.
     calibration_errors : list of float
         Expected calibration error of each scan that has a softmax.
     uncertainty : dict of (str, str) to UncertaintyHistogram
-        By kind of uncertainty and by grouping: `CLASS`, the true one, or `RING`.
+        Histograms by kind of uncertainty and grouping: `CLASS`, the true one, or `RING`.
     """
 
     confusion: Confusion

@@ -63,7 +63,7 @@ class ClassScore:
 
     @property
     def present(self) -> bool:
-        """Whether the truth holds this class."""
+        """True if the truth holds this class."""
         return self.points > 0
 
 
@@ -118,7 +118,7 @@ def scores(confusion: Confusion, space: LabelSpace) -> Scores:
     confusion : Confusion
         Counts over the train ids of `space`.
     space : LabelSpace
-        Which classes there are, and which of them are ignored.
+        Names of the classes, and which of them are ignored.
 
     Raises
     ------

@@ -47,9 +47,9 @@ class GroupedScores(Generic[Scores]):
     scans, left_out : int
         Number of scans with points, and of points without a value.
     classes : dict of int to scores
-        By train id.
+        Scores by train id.
     rings : dict of str to scores
-        By name of the ring of distance; empty if not requested.
+        Scores by name of the ring of distance; empty if not requested.
     """
 
     scores: Scores
@@ -129,9 +129,9 @@ class UncertaintyEvaluation:
     Attributes
     ----------
     calibration : CalibrationResult or None
-        Of the probabilities; None without any.
+        Result for the probabilities; None without any.
     kinds : dict of str to RankingResult
-        By kind of uncertainty; empty without any.
+        Results by kind of uncertainty; empty without any.
     """
 
     calibration: CalibrationResult | None

@@ -39,7 +39,7 @@ class PointColours:
 
     @property
     def is_class(self) -> bool:
-        """Whether points are coloured by class, so that there is no scale."""
+        """True if points are coloured by class, without a scale."""
         return self.colour in CLASS_COLOURS
 
     @property

@@ -36,7 +36,7 @@ def error_colours(
     truth, predicted : integer, same shape
         Train ids.
     space : LabelSpace
-        Says which classes are ignored.
+        Label space with the ignored classes.
 
     Returns
     -------
@@ -98,7 +98,7 @@ def map_colours(name: str) -> Colours:
 
 
 def legend_of(space: LabelSpace, *labels: npt.NDArray[Any], errors: bool = False) -> Legend:
-    """Return names and colours of the classes that occur, and of the errors' if wanted."""
+    """Return names and colours of the classes that occur, and of errors on request."""
     present = np.unique(np.concatenate([train.ravel() for train in labels]))
     classes = [(space.names[i], space.colours[i]) for i in present]
     legend = [(name, (int(red), int(green), int(blue))) for name, (red, green, blue) in classes]

@@ -155,7 +155,7 @@ def class_uncertainty(result: RankingResult, space: LabelSpace) -> bytes:
     Parameters
     ----------
     result : RankingResult
-        Of epistemic uncertainty; a class that is absent has no dot.
+        Result for epistemic uncertainty; a class that is absent has no dot.
     space : LabelSpace
         Names and colours of the classes.
     """

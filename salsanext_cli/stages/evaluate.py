@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Comparison of predictions with labels: scores, a report and plots."""
+"""Evaluation of predictions against labels: scores, a report and plots."""
 
 from __future__ import annotations
 
@@ -54,16 +54,16 @@ class Evaluation:
     Attributes
     ----------
     space : LabelSpace
-        Whose classes were compared.
+        Classes of the comparison.
     confusion : Confusion
-        The counts that the scores come from.
+        Counts of all points.
     scores : Scores
-        Over all points.
+        Scores over all points.
     by_distance : dict of str to Scores
-        By name of the ring; empty if not wanted.
+        Scores by name of the ring; empty if not requested.
     unknown_ids : dict of str to dict of int to int
-        How often raw ids occur in ``truth`` and ``predictions`` that the label space does not know;
-        they are taken as unlabelled.
+        Number of points by raw id in ``truth`` and ``predictions`` that the label space does not
+        know; they count as unlabelled.
     scans : int
         Number of scans compared.
     missing : MissingResults
@@ -71,9 +71,9 @@ class Evaluation:
     failures : tuple of Failure
         Scans that could not be compared, left out.
     settings : dict
-        What was chosen and who made the predictions.
+        Settings of the evaluation and of the predictions.
     uncertainty : UncertaintyEvaluation
-        Of the probabilities and uncertainties, if there are any.
+        Results for the probabilities and uncertainties, if there are any.
     """
 
     space: LabelSpace
@@ -124,17 +124,17 @@ def evaluate(
     Parameters
     ----------
     scans : sequence of ScanFile
-        What to compare; their labels lie where `ScanFile.label_path` says.
+        Scans with labels at `ScanFile.label_path`.
     out : Path
         Output folder of `predict` or `knn-refine`.
     space : LabelSpace
-        What the raw ids in both mean.
+        Meaning of the raw ids in both.
     options : RunOptions
         Jobs, errors and progress, and whether a result of other settings is replaced.
     by_distance : bool
         Score rings of distance too, for which the scans are read.
     settings : mapping, optional
-        What was chosen and who made the predictions, for the record.
+        Settings of the selection and of the predictions, for the record.
 
     Raises
     ------
@@ -153,7 +153,8 @@ def evaluate(
     counts = ScanCounts.none(space, by_distance)
     count = partial(count_scan, out=out, space=space, by_distance=by_distance)
     outcome = run_over_scans(count, scans, options, on_result=counts.add)
-    _require_counts(counts, out, outcome.failures)
+    if not counts.scans:
+        raise _no_input(counts, out, outcome.failures)
     rings = zip(RING_NAMES, counts.rings, strict=by_distance)
     evaluation = Evaluation(
         space=space,
@@ -180,7 +181,7 @@ def evaluate(
 
 
 def _require_replaceable(out: Path, settings: Mapping[str, Any], overwrite: bool) -> None:
-    """Refuse to replace what `eval` did not write, and the result of other settings."""
+    """Refuse to replace files of other programs and results of other settings."""
     if others := WrittenFiles(out).others(out / name for name in FILES):
         found = "exists, and was not recorded by salsanext or was changed since"
         raise OutputError(others[0], found, remedy="move it, or use another folder")
@@ -190,7 +191,7 @@ def _require_replaceable(out: Path, settings: Mapping[str, Any], overwrite: bool
 
 
 def _require_labels(scans: Iterable[ScanFile]) -> None:
-    """Refuse a sequence without any labels: it is a mistake, not a scan that failed."""
+    """Refuse a sequence without any labels, which is no failure of single scans."""
     label_paths = defaultdict(list)
     for scan in scans:
         label_paths[scan.sequence].append(scan.label_path)
@@ -204,12 +205,10 @@ def _require_labels(scans: Iterable[ScanFile]) -> None:
             )
 
 
-def _require_counts(counts: ScanCounts, out: Path, failures: Sequence[Failure]) -> None:
-    if counts.scans:
-        return
+def _no_input(counts: ScanCounts, out: Path, failures: Sequence[Failure]) -> NoInputError:
     if failures:
-        raise NoInputError(out, f"no scan could be compared, as {failures[0].reason}")
-    raise NoInputError(
+        return NoInputError(out, f"no scan could be compared, as {failures[0].reason}")
+    return NoInputError(
         out,
         f"no predictions for any of {len(counts.missing)} scans",
         "files like sequences/08/predictions/000000.label",

@@ -29,12 +29,12 @@ from salsanext_cli.storage.layout import ScanFile
 from salsanext_cli.storage.selection import ScanSelection, select_scans, space_of
 from salsanext_cli.storage.targets import require_absent
 
-USUAL_INTENSITY = 1.5
-"""Intensities above this have another scale than 0…1."""
+MAX_USUAL_INTENSITY = 1.5
+"""Largest intensity of the scale 0…1."""
 MIN_POINTS_OF_FIT = 1000
-"""A fit leaves out one point in a thousand at either edge."""
+"""Least number of points of a fit, which leaves out one in a thousand at either edge."""
 MIN_FIELD_OF_VIEW_DEG = 1.0
-"""A scanner of one plane sees less, a LiDAR for range images at least some degrees."""
+"""Least field of view of a fit; that of a scanner of one plane is smaller."""
 
 log = logging.getLogger(__name__)
 
@@ -46,13 +46,13 @@ class Inspection:
     Attributes
     ----------
     sequences : dict of str to Survey
-        By sequence.
+        Surveys by sequence.
     total : Survey
-        Of all.
+        Survey of all scans.
     sensor : Sensor
-        The sensor that the range images were counted with.
+        Sensor of the range images.
     space : LabelSpace
-        What the classes are called.
+        Names of the classes.
     failures : tuple of Failure
         Scans that could not be read.
     """
@@ -79,7 +79,7 @@ class Inspection:
         Raises
         ------
         NoInputError
-            If their points are too few, or do not span what a LiDAR sees.
+            If their points are too few, or do not span the field of view of a LiDAR.
         """
         _require_fit(name, self.total)
         return replace(
@@ -106,25 +106,25 @@ def inspect(
     source : Path
         A scan, a folder of scans, a sequence or a data set.
     sensor : Sensor
-        Size of the range images, over whose pixels means and deviations are taken.
+        Size of the range images, over whose pixels means and deviations are computed.
     space : LabelSpace, optional
-        What the classes are called; otherwise the data set's own, else SemanticKITTI's.
+        Names of the classes; otherwise the data set's own, else SemanticKITTI's.
     selection, options
-        Which scans, and how to go through them.
+        Selection of the scans, and options of the run.
     fit : bool
-        Go through them twice: first for the field of view, then for the range images seen in it.
+        Read the scans twice: first for the field of view, then for range images of that view.
 
     Raises
     ------
     SalsanextError
-        If nothing can be done at all; failures of single scans are in the result.
+        If there is no scan to read; failures of single scans are in the result.
     """
     scans = select_scans(source, selection, space)
     found = _inspect(scans, sensor, space, options, warn=not fit)
     if fit and found.total.pixels:
         sensor = _with_field_of_view(sensor, found.total)
         found = _inspect(scans, sensor, space, options, warn=False)
-    if found.total.brightest > USUAL_INTENSITY:
+    if found.total.brightest > MAX_USUAL_INTENSITY:
         bright = f"intensities up to {found.total.brightest:g}, where 0 to 1 is usual"
         log.warning("%s: set intensity_scale in the sensor", bright)
     return found
@@ -137,7 +137,7 @@ def _inspect(
     options: RunOptions,
     warn: bool,
 ) -> Inspection:
-    """Go through the scans once; warn if their points lie outside the sensor's field of view."""
+    """Read the scans once; warn if their points lie outside the sensor's field of view."""
     sequences: dict[str, Survey] = {}
     check = CoverageCheck(sensor)
 
@@ -155,7 +155,7 @@ def _inspect(
 
 
 def inspect_scan(file: ScanFile, sensor: Sensor) -> tuple[str, Survey, FieldOfViewCoverage]:
-    """Read, project and count one scan; return its sequence and what was found."""
+    """Read, project and count one scan; return its sequence, survey and coverage."""
     scan = read_scan(file.path, intensity_scale=sensor.intensity_scale)
     raw = read_labels(file.label_path, len(scan)) if present(file.label_path) else None
     found = survey(scan, project(scan, sensor), raw)

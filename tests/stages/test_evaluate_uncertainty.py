@@ -80,11 +80,11 @@ def report_of(world: World) -> dict:
     return json.loads((world.out / "eval.json").read_text())
 
 
-def test_without_such_files_there_is_no_word_of_them(world):
+def test_without_such_files_they_are_not_mentioned(world):
     world.add("000000", [CAR], [CAR])
     evaluation = world.evaluate(by_distance=True)
     assert files_of(world) == ALWAYS
-    assert evaluation.uncertainty.to_dict() == {}
+    assert evaluation.uncertainty.to_dict(SPACE) == {}
     assert not {"calibration", "uncertainty"} & report_of(world).keys()
 
 
@@ -102,8 +102,8 @@ def test_whatever_is_there_is_evaluated(world, folder):
     assert list(report["uncertainty"]) == kinds
 
 
-def test_scores_are_scikit_learns(world):
-    """Two scans, pooled; points whose truth is ignored do not count, whatever is said of them."""
+def test_scores_are_those_of_scikit_learn(world):
+    """Two scans are pooled; points whose truth is ignored do not count."""
     world.add("000000", [CAR, CAR, ROAD, 0], [CAR, CAR, CAR, CAR])
     world.add("000001", [ROAD, ROAD, ROAD], [ROAD, CAR, ROAD])
     first, second = softmax(0.875, 0.75, 0.625, 0.5), softmax(0.25, 0.5625, 0.125)
@@ -130,17 +130,8 @@ def test_scores_are_scikit_learns(world):
     assert scores.auroc == pytest.approx(roc_auc_score(wrong, unsure), abs=1e-12)
 
 
-def test_a_label_that_neighbours_outvoted_counts_as_it_stands(world):
-    """Calibration is the softmax's; what uncertainty has to find is a wrong label."""
-    world.add("000000", [CAR, CAR], [CAR, CAR])
-    world.put("probabilities", "000000", softmax(0.25, 0.75))
-    found = uncertainty_of(world)
-    assert found.calibration.scores.accuracy == 0.5
-    assert found.kinds["confidence"].scores.wrong == 0
-
-
 def test_the_error_per_scan_is_the_mean_over_the_scans_that_have_points(world):
-    """Too sure in one scan, too unsure in the other; pooled, they make up for each other."""
+    """Errors of a confident and of an unconfident scan cancel out when they are pooled."""
     for stem, truth in (("000000", [ROAD] * 10), ("000001", [0]), ("000002", [CAR] * 10)):
         world.add(stem, truth, truth)
         world.put("probabilities", stem, softmax(*[0.5] * len(truth)))
@@ -184,22 +175,13 @@ def test_points_without_a_pixel_are_left_out_and_counted(world):
     rows[1] = np.eye(1, C)
     world.put("probabilities", "000000", rows)
     world.put("uncertainty/total", "000000", [0.1, np.nan, 0.2])
+    world.put("uncertainty/epistemic", "000000", [np.nan] * 3)
+    report = world.evaluate().uncertainty.to_dict(SPACE)["uncertainty"]["epistemic"]
+    assert (report["auroc"], report["left_out"]) == (None, 3)
     found = uncertainty_of(world)
     for result in (found.calibration, found.kinds["total"], found.kinds["confidence"]):
         assert (result.scores.points, result.left_out) == (2, 1)
     assert found.calibration.scores.accuracy == 1
-
-
-def test_no_point_with_a_value(world):
-    world.add("000000", [CAR, ROAD], [CAR, CAR])
-    world.put("probabilities", "000000", np.repeat(np.eye(1, C), 2, axis=0))
-    world.put("uncertainty/epistemic", "000000", [np.nan, np.nan])
-    world.evaluate(by_distance=True)
-    report = report_of(world)
-    assert report["calibration"]["nll"] is None
-    assert report["calibration"]["reliability"]["accuracy"] == [None] * 15
-    assert report["uncertainty"]["epistemic"]["auroc"] is None
-    assert report["uncertainty"]["epistemic"]["left_out"] == 2
 
 
 def test_files_of_some_scans_are_used_with_a_warning(world, caplog):
@@ -239,7 +221,7 @@ def test_a_bad_file_is_named_and_the_other_scans_are_scored(world, folder):
 
 
 def test_the_report_does_not_depend_on_jobs_or_order(world):
-    """Float64 sums that were added in the order of the results would differ in the last digit."""
+    """Float64 sums in the order of the results would differ in the last digit."""
     for i in range(5):
         random_scan(world, f"{i:06d}", 400 + i, distance=5 + 10 * i)
     scans = find_scans(world.dataset)

@@ -28,9 +28,11 @@ def run(stage, world, view, **options):
         predict_scans(world.data, world.out, network=network, options=how)
 
 
-@pytest.mark.parametrize("stage", ["project", "inspect", "predict"])
-def test_another_sensors_scans_are_noticed_once(world, caplog, stage):
-    run(stage, world, UPWARDS)
+@pytest.mark.parametrize(
+    ("stage", "jobs"), [("project", 1), ("project", 2), ("inspect", 1), ("predict", 1)]
+)
+def test_scans_of_another_sensor_cause_one_warning(world, caplog, stage, jobs):
+    run(stage, world, UPWARDS, jobs=jobs)
     (record,) = [record for record in caplog.records if record.levelno != NOTICE]
     assert record.levelno == logging.WARNING
     said = record.getMessage()
@@ -39,18 +41,13 @@ def test_another_sensors_scans_are_noticed_once(world, caplog, stage):
     assert "inspect SCANS --fit" in said
 
 
-def test_coverage_is_counted_in_workers_too(world, caplog):
-    run("project", world, UPWARDS, jobs=2)
-    assert "of the points of 3 scans" in caplog.text
-
-
 @pytest.mark.parametrize("stage", ["project", "inspect", "predict"])
-def test_the_right_sensor_is_taken_as_it_is(world, caplog, stage):
+def test_scans_of_the_sensor_cause_no_warning(world, caplog, stage):
     run(stage, world, SMALL)
     assert {record.levelno for record in caplog.records} <= {NOTICE}
 
 
-def test_a_fit_is_to_find_the_sensor(world, caplog):
+def test_a_fit_causes_no_warning(world, caplog):
     inspect(world.data, sensor=UPWARDS, fit=True)
     assert not caplog.records
 
