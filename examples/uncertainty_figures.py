@@ -47,7 +47,8 @@ def noisy_copies(image: RangeImage, network: Network, count: int) -> Iterator[Va
 
 def deviation_of_copies(image: RangeImage, network: Network, count: int) -> Values:
     """Return every pixel's standard deviation over noisy copies, √ of the mean over classes."""
-    passes = map(network.pixel_probabilities, noisy_copies(image, network, count))
+    copies = noisy_copies(image, network, count)
+    passes = (network.pixel_probabilities([copy])[0] for copy in copies)
     first = next(passes).astype(np.float64)
     # Differences from the first copy keep the digits of small variances.
     total, squares = np.zeros_like(first), np.zeros_like(first)

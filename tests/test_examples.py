@@ -102,7 +102,7 @@ def test_uncertainty_figures(scan, weights, tmp_path, capsys):
 
 
 def test_ablation(tmp_path, capsys, monkeypatch):
-    narrow = replace(SALSANET, widths=5 * (4,), raised=4 * (4,))
+    narrow = replace(SALSANET, widths=5 * (4,), decoder_widths=4 * (4,))
     for name in ("salsanet", "salsanext"):
         monkeypatch.setitem(ARCHITECTURES, name, partial(SalsaNext, design=narrow))
     for name in ("00", "08"):

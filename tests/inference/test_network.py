@@ -65,7 +65,7 @@ def test_an_extreme_logit_does_not_overflow(network, monkeypatch):
         "forward",
         lambda self, x: torch.tensor([1e4, -1e4, 0.0]).view(1, 3, 1, 1).expand(1, 3, 2, 2),
     )
-    probabilities = network.pixel_probabilities(np.zeros((5, 2, 2), np.float32))
+    (probabilities,) = network.pixel_probabilities([np.zeros((5, 2, 2), np.float32)])
     np.testing.assert_array_equal(probabilities[:, 0, 0], [1, 0, 0])
 
 
