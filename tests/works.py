@@ -9,7 +9,7 @@ from pathlib import Path
 
 from salsanext_cli.errors import FormatError
 from salsanext_cli.parallel.run import Outcome, RunOptions, run_over_scans
-from salsanext_cli.storage.atomic import PROCESS_MARK, sweep, writing
+from salsanext_cli.storage.atomic import MARK, sweep, writing
 from salsanext_cli.storage.layout import ScanFile
 
 
@@ -79,4 +79,4 @@ def run(work: Write, scans: Sequence[ScanFile], **options: object) -> Outcome[st
         return run_over_scans(work, scans, chosen, is_done=lambda scan: work.path(scan).exists())
     finally:
         for folder in {work.path(scan).parent for scan in scans}:
-            sweep(folder, PROCESS_MARK)
+            sweep(folder, MARK.get())

@@ -15,7 +15,7 @@ from salsanext_cli.errors import WorkersLost
 from salsanext_cli.parallel.options import CLUSTERS, Progress, RunOptions
 from salsanext_cli.parallel.tasks import Attempt, OpenedTask, opened
 from salsanext_cli.parallel.worker import WorkerContext
-from salsanext_cli.storage.atomic import PROCESS_MARK
+from salsanext_cli.storage.atomic import MARK
 from salsanext_cli.storage.layout import ScanFile
 
 __all__ = ["Failure", "Outcome", "Progress", "RunOptions", "run_over_scans"]
@@ -132,5 +132,6 @@ def _attempts(
         return
     from salsanext_cli.parallel.attempts import attempts_of_workers
 
-    context = WorkerContext(uuid4().hex, PROCESS_MARK, options.on_error == "stop", Path.cwd())
+    stop = options.on_error == "stop"
+    context = WorkerContext(uuid4().hex, MARK.get(), stop, Path.cwd())
     yield from attempts_of_workers(task, scans, options, context)

@@ -16,9 +16,7 @@ from typing import BinaryIO
 from salsanext_cli.errors import OutputError
 from salsanext_cli.formats.reading import reason
 
-PROCESS_MARK = uuid.uuid4().hex
-"""Mark of this process and of the workers that it starts."""
-MARK: ContextVar[str] = ContextVar("MARK", default=PROCESS_MARK)
+MARK: ContextVar[str] = ContextVar("MARK", default=uuid.uuid4().hex)
 """Prefix of the temporary names of a run, so that `sweep` finds those of its killed workers."""
 FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 TEMPORARY = re.compile(r"\.(?:[0-9a-f]{32}){1,2}\.part")

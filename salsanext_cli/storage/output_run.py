@@ -17,16 +17,12 @@ from salsanext_cli.errors import OutputError
 from salsanext_cli.formats.kitti import encode_labels
 from salsanext_cli.formats.npy import encode_array
 from salsanext_cli.formats.reading import filled
-from salsanext_cli.storage.atomic import PROCESS_MARK, sweep, sweep_stale
+from salsanext_cli.storage.atomic import MARK, sweep, sweep_stale
 from salsanext_cli.storage.layout import ScanFile, output_path
 from salsanext_cli.storage.locks import locked
 from salsanext_cli.storage.run_registration import records_lock, register_run
 from salsanext_cli.storage.sources import scan_sources
-from salsanext_cli.storage.stage_records import (
-    StageRecord,
-    as_json,
-    read_record,
-)
+from salsanext_cli.storage.stage_records import StageRecord, as_json, read_record
 from salsanext_cli.storage.written_files import WrittenFiles
 
 
@@ -131,16 +127,18 @@ def output_run(
     # A contradiction of the scans themselves is an error before a folder is made.
     sources = scan_sources(out, scans) if record_scans else {}
     wanted = StageRecord(stage, as_json(settings), tuple(sorted(folders)), sources)
-    run = OutputRun(out, stage, tuple(folders), overwrite)
+    run, mark = OutputRun(out, stage, tuple(folders), overwrite), uuid4().hex
     with ExitStack() as held:
+        # Runs of other threads of this process keep their temporary files.
+        held.callback(MARK.reset, MARK.set(mark))
         with records_lock(out):
             register_run(wanted, out, overwrite)
-            held.enter_context(locked(out / f".{stage}.{uuid4().hex}.lock"))
+            held.enter_context(locked(out / f".{stage}.{mark}.lock"))
         places = _places(out, wanted.folders, scans)
         for place in places:
             sweep_stale(place)
         for place in places:
-            held.callback(sweep, place, PROCESS_MARK)
+            held.callback(sweep, place, mark)
         todo = [path for file in scans if not run.is_done(file) for path in run.paths(file)]
         yield replace(run, kept=frozenset(WrittenFiles(out).others(todo)))
         _require_kept(out, wanted)

@@ -1,7 +1,5 @@
 # SPDX-License-Identifier: MIT
 import errno
-import subprocess
-import sys
 from pathlib import Path
 
 import pytest
@@ -15,17 +13,12 @@ def test_file_appears_whole_and_parents_are_made(tmp_path: Path) -> None:
     path = tmp_path / "a b" / "Größe.bin"
     with writing(path) as file:
         file.write(b"half")
-        assert not path.exists()
+        (half,) = path.parent.iterdir()
+        assert half.name.startswith(".")
+        assert half.suffix == ".part"
         file.write(b" whole")
     assert path.read_bytes() == b"half whole"
     assert list(path.parent.iterdir()) == [path]
-
-
-def test_half_written_file_is_hidden_and_in_the_same_folder(tmp_path: Path) -> None:
-    with writing(tmp_path / "x.label"):
-        (half,) = tmp_path.iterdir()
-        assert half.name.startswith(".")
-        assert half.suffix != ".label"
 
 
 def test_permissions_are_the_usual_ones(tmp_path: Path) -> None:
@@ -52,15 +45,10 @@ def test_interruption_leaves_the_old_file_and_nothing_else(
     assert list(tmp_path.iterdir()) == [path]
 
 
-def test_long_names_have_room(tmp_path: Path) -> None:
+def test_long_names_have_room_and_text_keeps_its_line_ends(tmp_path: Path) -> None:
     path = tmp_path / ("n" * 249 + ".label")
-    write_text(path, "x")
-    assert path.read_bytes() == b"x"
-
-
-def test_text_is_utf8_with_line_ends_as_given(tmp_path: Path) -> None:
-    write_text(tmp_path / "t", "Straße\nσ\n")
-    assert (tmp_path / "t").read_bytes() == "Straße\nσ\n".encode()
+    write_text(path, "Straße\nσ\n")
+    assert path.read_bytes() == "Straße\nσ\n".encode()
 
 
 def test_file_in_place_of_a_folder(tmp_path: Path) -> None:
@@ -83,29 +71,8 @@ def test_read_only_file_system() -> None:
     # /proc refuses even the superuser.
     if not Path("/proc/self").is_dir():
         pytest.skip("needs /proc")
-    with pytest.raises(OutputError, match="cannot be written"):
+    with pytest.raises(OutputError, match=r"cannot be written: .* change its permissions"):
         write_text(Path("/proc/self/salsanext/x"), "x")
-
-
-def test_read_only_folder(tmp_path: Path) -> None:
-    folder = tmp_path / "locked"
-    folder.mkdir()
-    folder.chmod(0o500)
-    code = (
-        "import os, sys, pathlib\n"
-        "from salsanext_cli.errors import OutputError\n"
-        "from salsanext_cli.storage.atomic import write_text\n"
-        "os.chdir(sys.argv[1])\n"
-        "if os.getuid() == 0: os.setuid(65534)\n"
-        "try: write_text(pathlib.Path('x'), 'x')\n"
-        "except OutputError as error: print(error)\n"
-    )
-    done = subprocess.run(
-        [sys.executable, "-c", code, str(folder)], capture_output=True, text=True, check=True
-    )
-    folder.chmod(0o700)
-    assert "permission denied" in done.stdout
-    assert "change its permissions" in done.stdout
 
 
 def test_full_disk(tmp_path: Path) -> None:

@@ -6,12 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from salsanext_cli.errors import NoInputError, OutputError
-from salsanext_cli.storage.layout import (
-    SUFFIX_OF_FOLDER,
-    find_outputs,
-    find_scans,
-    output_path,
-)
+from salsanext_cli.storage.layout import SUFFIX_OF_FOLDER, find_outputs, find_scans, output_path
 
 
 def make(folder: Path, *names: str) -> None:
@@ -50,9 +45,7 @@ BOTH = [("00", "000000"), ("00", "000001"), ("08", "000000"), ("08", "000001")]
         ("sequences/../sequences/08", BOTH[2:]),
     ],
 )
-def test_every_way_to_name_scans(
-    dataset: Path, place: str, expected: list[tuple[str, str]]
-) -> None:
+def test_every_way_to_name_scans(dataset, place, expected) -> None:
     scans = find_scans(dataset / place)
     assert [(scan.sequence, scan.stem) for scan in scans] == expected
     for scan in scans:
@@ -62,9 +55,7 @@ def test_every_way_to_name_scans(
 
 
 @pytest.mark.parametrize("place", [".", "..", "../velodyne", "./000000.bin", "../../08/velodyne"])
-def test_relative_places_get_their_true_names(
-    dataset: Path, place: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_relative_places_get_their_true_names(dataset, place, monkeypatch) -> None:
     monkeypatch.chdir(dataset / "sequences" / "08" / "velodyne")
     scan = find_scans(Path(place))[0]
     assert (scan.sequence, scan.stem) == ("08", "000000")
@@ -74,8 +65,7 @@ def test_relative_places_get_their_true_names(
 def test_links_keep_the_name_as_typed(dataset: Path, tmp_path: Path) -> None:
     link = tmp_path / "drive"
     link.symlink_to(dataset / "sequences" / "08" / "velodyne")
-    assert {scan.sequence for scan in find_scans(link)} == {"drive"}
-    assert {scan.path.parent for scan in find_scans(link)} == {link}
+    assert {(scan.sequence, scan.path.parent) for scan in find_scans(link)} == {("drive", link)}
 
 
 def test_link_to_a_scan_that_is_gone_is_not_passed_over(tmp_path: Path) -> None:
@@ -98,17 +88,9 @@ def test_plain_folder_and_its_labels(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(
     ("names", "expected"),
-    [
-        (["8"], ["08"]),
-        (["08"], ["08"]),
-        (["008"], ["08"]),
-        (["0", "8", "08"], ["00", "08"]),
-        ([], []),
-    ],
+    [(["8"], ["08"]), (["008"], ["08"]), (["0", "8", "08"], ["00", "08"]), ([], [])],
 )
-def test_sequences_are_chosen_by_name_or_number(
-    dataset: Path, names: list[str], expected: list[str]
-) -> None:
+def test_sequences_are_chosen_by_name_or_number(dataset, names, expected) -> None:
     assert sorted({scan.sequence for scan in find_scans(dataset, names)}) == expected
 
 
@@ -156,41 +138,20 @@ def test_outputs_are_found_where_they_are_put(tmp_path: Path, folder: str) -> No
         assert output.path.is_file()
 
 
-def test_output_path_as_promised(tmp_path: Path) -> None:
-    path = output_path(tmp_path, "08", "uncertainty/epistemic", "000000")
-    assert path == tmp_path / "sequences/08/uncertainty/epistemic/000000.npy"
-    assert output_path(tmp_path, "08", "predictions", "1.5") == (
-        tmp_path / "sequences/08/predictions/1.5.label"
-    )
-
-
 def test_no_outputs(tmp_path: Path) -> None:
     assert find_outputs(tmp_path / "missing", "predictions") == []
     make(tmp_path / "sequences" / "08")
     assert find_outputs(tmp_path, "predictions") == []
 
 
-@pytest.mark.parametrize("name", ["", ".", "..", "../x", "/etc", "a/b", "a/"])
-def test_names_cannot_lead_out_of_the_output_folder(tmp_path: Path, name: str) -> None:
-    for sequence, stem in ((name, "a"), ("a", name)):
-        with pytest.raises(OutputError):
-            output_path(tmp_path, sequence, "predictions", stem)
+NAMES = st.text() | st.sampled_from(["", ".", "..", "../x", "/etc", "a/b", "a/", "\0"])
 
 
-@given(st.text(st.characters(exclude_characters="\0")), st.text())
-def test_whatever_is_accepted_lies_in_its_folder(sequence: str, stem: str) -> None:
-    out = Path("/out")
+@given(NAMES, NAMES)
+def test_no_name_leads_out_of_the_output_folder(sequence: str, stem: str) -> None:
     try:
-        path = output_path(out, sequence, "range", stem)
+        path = output_path(Path("/out"), sequence, "range", stem)
     except OutputError:
         return
-    assert len(path.parts) == len(out.parts) + 4
+    assert path.parts == ("/", "out", "sequences", sequence, "range", f"{stem}.npy")
     assert ".." not in path.parts
-
-
-@pytest.mark.real
-def test_real_folders(real_data: Path) -> None:
-    scans = find_scans(real_data / "data" / "semantickitti")
-    assert len(scans) == 12
-    assert all(scan.label_path.is_file() for scan in scans)
-    assert len(find_scans(real_data / "data" / "sensors" / "pcd")) == 7

@@ -95,10 +95,14 @@ def test_the_same_settings_may_go_on_and_write_more(tmp_path: Path) -> None:
 def test_other_settings_are_refused_and_named(tmp_path: Path, other, named: str) -> None:
     predict(tmp_path)
     before = files_below(tmp_path)
-    with pytest.raises(OutputError, match=named) as caught:
+    with pytest.raises(OutputError, match=f"{named}.*--overwrite"):
         predict(tmp_path, other)
-    assert "--overwrite" in caught.value.remedy
     assert files_below(tmp_path) == before
+    first = origins(tmp_path, ["predict", "uncertainty"])
+    predict(tmp_path, other, overwrite=True)
+    assert first.keys() == {"predict"}
+    assert origins(tmp_path, ["predict"]) != first
+    assert list(files_below(tmp_path)) == ["predict.json"]
 
 
 def test_overwriting_removes_what_was_written_with_other_settings(tmp_path: Path) -> None:
@@ -205,14 +209,6 @@ def test_an_output_folder_that_cannot_be_made(tmp_path: Path) -> None:
             predict(out)
 
 
-def test_origins_tell_settings_apart(tmp_path: Path) -> None:
-    predict(tmp_path)
-    first = origins(tmp_path, ["predict", "uncertainty"])
-    assert list(first) == ["predict"]
-    predict(tmp_path, {"weights": "new"}, overwrite=True)
-    assert origins(tmp_path, ["predict"]) != first
-
-
 def test_label_space_and_sensor_are_those_of_the_stage_that_wrote(tmp_path: Path) -> None:
     assert recorded_label_space(tmp_path) is None
     assert recorded_sensor(tmp_path) == sensor("hdl64")
@@ -242,19 +238,35 @@ def test_two_folders_of_one_name_in_one_run_are_refused(tmp_path: Path) -> None:
     assert not (tmp_path / "out").exists()
 
 
-# Runs that want the same output folder at the same time
+HOLD = """
+import sys
+from pathlib import Path
+from salsanext_cli.errors import OutputError
+from salsanext_cli.storage.output_run import output_run
+
+out, weights, overwrite = sys.argv[1:]
+print("ready", flush=True)
+sys.stdin.readline()
+run = (Path(out), "predict", {"weights": weights}, ("predictions",), ())
+try:
+    with output_run(*run, overwrite=bool(overwrite)):
+        print("begun", flush=True)
+        sys.stdin.readline()
+except OutputError as error:
+    print("refused:", error, flush=True)
+"""
+"""A process that begins a run when it is told to, and holds it until told."""
 
 
 @pytest.fixture
 def start() -> Iterator[Start]:
-    """Return what starts `holding_run`; those left are killed."""
+    """Return what starts a process of `HOLD`; those left are killed."""
     started: list[subprocess.Popen[str]] = []
     root = str(Path(salsanext_cli.__file__).parents[1])
 
     def begin(out: Path, weights: str, overwrite: str = "") -> subprocess.Popen[str]:
-        script = Path(__file__).with_name("holding_run.py")
         process = subprocess.Popen(
-            [sys.executable, str(script), str(out), weights, overwrite],
+            [sys.executable, "-c", HOLD, str(out), weights, overwrite],
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             text=True,
@@ -282,9 +294,7 @@ def heard(process: subprocess.Popen[str]) -> str:
 
 
 def recorded_weights(out: Path) -> object:
-    settings = stage_settings(out, "predict")
-    assert settings is not None
-    return settings["weights"]
+    return (stage_settings(out, "predict") or {})["weights"]
 
 
 @pytest.mark.parametrize("overwrite", ["", "overwrite"])
@@ -360,39 +370,24 @@ def test_who_never_ends_recording_is_named(tmp_path: Path, monkeypatch: pytest.M
         predict(tmp_path)
 
 
-def test_a_refused_run_leaves_the_folder_to_others(tmp_path: Path) -> None:
-    predict(tmp_path)
-    with pytest.raises(OutputError, match="weights was"):
-        predict(tmp_path, {"weights": "b"})
-    predict(tmp_path, {"weights": "b"}, overwrite=True)
-    assert list(files_below(tmp_path)) == ["predict.json"]
-
-
-def age(path: Path, seconds: float) -> Path:
-    path.parent.mkdir(parents=True, exist_ok=True)
-    path.write_bytes(b"half")
-    then = path.stat().st_mtime - seconds
-    os.utime(path, (then, then))
-    return path
-
-
 def test_what_was_left_half_written_long_ago_is_removed(tmp_path: Path) -> None:
     """Nothing else is: others may be writing, and not all hidden files are ours."""
-    out, hexadecimal = tmp_path / "out", "0123456789abcdef" * 2
-    folder, old = out / "sequences/08/predictions", STALE_AFTER_S + 60
-    gone = [
-        age(folder / f".{hexadecimal}.part", old),
-        age(folder / f".{hexadecimal}{hexadecimal}.part", old),
-        age(out / f".{hexadecimal}.part", old),
-        age(folder.parent / f".{hexadecimal}.part", old),
-    ]
-    kept = [
-        age(folder / f".{hexadecimal[::-1]}.part", STALE_AFTER_S - 60),
-        age(folder / f".{'f' * 32}.part", -old),
-        age(folder / ".mine.part", old),
-        age(folder / f"{hexadecimal}.part", old),
-        age(out / "sequences/09/predictions" / f".{hexadecimal}.part", old),
-    ]
+    out, mark, old = tmp_path / "out", "0123456789abcdef" * 2, STALE_AFTER_S + 60
+    folder, other = out / "sequences/08/predictions", out / "sequences/09/predictions"
+    gone = [place / f".{mark}.part" for place in (folder, folder.parent, out)]
+    gone.append(folder / f".{mark}{mark}.part")
+    kept = {
+        folder / f".{mark[::-1]}.part": STALE_AFTER_S - 60,
+        folder / f".{'f' * 32}.part": -old,
+        folder / ".mine.part": old,
+        folder / f"{mark}.part": old,
+        other / f".{mark}.part": old,
+    }
+    for path, age in (dict.fromkeys(gone, old) | kept).items():
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_bytes(b"half")
+        then = path.stat().st_mtime - age
+        os.utime(path, (then, then))
     predict(out, scans=scans_of(tmp_path, "a"))
     assert [path for path in gone if path.exists()] == []
     assert [path for path in kept if not path.exists()] == []

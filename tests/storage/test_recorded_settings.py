@@ -1,18 +1,15 @@
 # SPDX-License-Identifier: MIT
 import json
-from functools import reduce
+from functools import partial, reduce
 from pathlib import Path
 
 import pytest
 
 from salsanext_cli.errors import OutputError
-from salsanext_cli.stages.evaluate import evaluate
 from salsanext_cli.stages.export_ply import export_ply
-from salsanext_cli.stages.knn_refine import knn_refine_scans
 from salsanext_cli.stages.predict import predict_range_images, predict_scans
 from salsanext_cli.stages.project import project_scans
 from salsanext_cli.stages.uncertainty import uncertainty
-from salsanext_cli.storage.predictions import predicted_scans
 from salsanext_cli.storage.recorded_settings import RecordedSettings
 from salsanext_cli.storage.selection import ScanSelection
 from salsanext_cli.uncertainty.settings import Estimator
@@ -68,50 +65,36 @@ def test_what_was_put_in_is_named(read, key):
 
 
 @pytest.fixture
-def exported(world):
-    predict_scans(world.data, world.out, network=world.network, selection=ScanSelection(limit=2))
+def filled(world):
+    """Return a world in whose output folder most stages have left a record."""
+    first = {"network": world.network, "selection": ScanSelection(limit=1)}
+    sensor = world.network.load().sensor
+    project_scans(world.data, world.out, sensor=sensor, selection=first["selection"])
+    predict_scans(world.data, world.out, **first)
+    uncertainty(world.data, world.out, estimator=Estimator(samples=2), **first)
+    world.result("uncertainty/epistemic", "00").unlink()
     export_ply(world.out, colour="range")
     return world
 
 
-@pytest.mark.parametrize("scale", [None, 3, [1], ["a", "b"]])
-def test_a_record_of_export_without_its_scale(exported, scale):
-    change(exported.out / "export-ply.json", "scale", to=scale)
-    with pytest.raises(OutputError, match=r"export-ply\.json · settings (lack|have) scale"):
-        export_ply(exported.out, colour="range")
-
-
-@pytest.mark.parametrize("key", ["label_space", "sensor", "weights"])
-def test_a_record_of_predict_without_a_part(exported, key):
-    change(exported.out / "predict.json", key)
-    with pytest.raises(OutputError, match=rf"predict\.json · settings lack {key}"):
-        export_ply(exported.out, colour="epistemic", network=exported.network)
-
-
-def test_a_record_of_predict_stops_eval(exported):
-    change(exported.out / "predict.json", "label_space", to=7)
-    with pytest.raises(OutputError, match=r"predict\.json · settings have label_space 7"):
-        evaluate(*predicted_scans(exported.out, ScanSelection()), exported.out)
-
-
-def test_a_record_of_project_without_its_sensor(world):
-    project_scans(world.data, world.out, sensor=world.network.load().sensor)
-    change(world.out / "project.json", "sensor")
-    for stage in (
-        lambda: predict_range_images(world.out, world.out, network=world.network),
-        lambda: knn_refine_scans(world.out, labels=world.data / "sequences/08/labels"),
-    ):
-        with pytest.raises(OutputError, match=r"project\.json · settings lack sensor"):
-            stage()
-
-
 @pytest.mark.parametrize(
-    "keys", [("method",), ("samples",), ("seed",), ("aleatoric",), ("knn",), ("knn", "cutoff")]
+    ("stage", "keys", "value"),
+    [
+        *(("export-ply", ["scale"], scale) for scale in (None, 3, [1], ["a", "b"])),
+        *(("predict", [key], None) for key in ("label_space", "sensor", "weights")),
+        ("predict", ["label_space"], 7),
+        ("project", ["sensor"], None),
+        *(("uncertainty", [key], None) for key in ("method", "samples", "seed", "aleatoric")),
+        *(("uncertainty", ["knn", *more], None) for more in ([], ["cutoff"])),
+    ],
 )
-def test_a_record_of_uncertainty_without_a_part(world, keys):
-    first = {"selection": ScanSelection(limit=1), "estimator": Estimator(samples=2)}
-    predict_scans(world.data, world.out, network=world.network)
-    uncertainty(world.data, world.out, network=world.network, **first)
-    change(world.out / "uncertainty.json", *keys)
-    with pytest.raises(OutputError, match=rf"uncertainty\.json · settings lack {keys[-1]}"):
-        export_ply(world.out, colour="epistemic", network=world.network)
+def test_a_stage_names_the_record_and_what_it_lacks(filled, stage, keys, value):
+    change(filled.out / f"{stage}.json", *keys, to=value)
+    network = {"network": filled.network}
+    run = partial(export_ply, filled.out, colour="epistemic", **network)
+    if stage == "project":
+        run = partial(predict_range_images, filled.out, filled.out, **network)
+    elif stage == "export-ply":
+        run = partial(export_ply, filled.out, colour="range")
+    with pytest.raises(OutputError, match=rf"{stage}\.json · settings (lack|have) {keys[-1]}"):
+        run()

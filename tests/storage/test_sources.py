@@ -16,26 +16,20 @@ from salsanext_cli.storage.selection import ScanSelection
 from salsanext_cli.storage.sources import missing_predictions, missing_results, recorded_scans
 
 
-def ask(world, scans, settings=None, overwrite=False):
+def ask(world, scans):
     """Leave in the output folder what `predict` leaves there before its first scan."""
-    options = {"overwrite": overwrite}
-    begin_and_end(world.out, "predict", settings or {}, ["predictions"], scans, **options)
+    begin_and_end(world.out, "predict", {}, ["predictions"], scans)
 
 
 def names(results):
     return [f"{scan.sequence}/{scan.stem}" for scan in results.scans], results.not_asked_for
 
 
-def test_where_scans_came_from_is_recorded(world):
+def test_scans_are_found_where_they_came_from_or_where_one_says(world):
     scans = find_scans(world.data)
     ask(world, scans)
     world.predict_by_hand()
     assert recorded_scans(world.out) == scans
-
-
-def test_scans_that_have_moved_are_found_where_one_says(world):
-    ask(world, find_scans(world.data))
-    world.predict_by_hand()
     moved = world.data.rename(world.data.with_name("moved"))
     with pytest.raises(NoInputError, match=r"not in .*Daten für 1.*--dataset"):
         recorded_scans(world.out)
@@ -57,12 +51,14 @@ def test_scans_of_one_sequence_may_move_under_another_name(world, tmp_path, plac
     assert scan.label_path == moved / "labels/000000.label"
 
 
-def test_results_of_unknown_origin_are_looked_for_here(world, monkeypatch):
+def test_results_of_unknown_origin_are_looked_for_here_and_all_missing(world, monkeypatch):
     world.predict_by_hand()
     with pytest.raises(NoInputError, match="--dataset"):
         recorded_scans(world.out)
     monkeypatch.chdir(world.data)
     assert recorded_scans(world.out) == find_scans(world.data)
+    missing = missing_predictions(world.out, find_scans(world.data))
+    assert names(missing) == (["00/000000", "08/000000", "08/000001"], 0)
 
 
 def test_an_output_folder_without_results(tmp_path):
@@ -79,12 +75,6 @@ def test_names_that_are_no_text_are_recorded(tmp_path):
     assert recorded_scans(out) == scans
 
 
-def test_where_nothing_is_recorded_all_results_are_missing(world):
-    world.predict_by_hand()
-    missing = missing_predictions(world.out, find_scans(world.data))
-    assert names(missing) == (["00/000000", "08/000000", "08/000001"], 0)
-
-
 def test_results_of_scans_that_were_not_asked_for_are_not_missing(world):
     scans = find_scans(world.data)
     ask(world, scans[1:2])
@@ -92,13 +82,6 @@ def test_results_of_scans_that_were_not_asked_for_are_not_missing(world):
     assert names(missing_results(world.out, scans[1:])) == (["08/000000"], 1)
     ask(world, scans[2:])
     assert names(missing_predictions(world.out, scans[1:])) == (["08/000000", "08/000001"], 0)
-
-
-def test_what_was_asked_for_before_results_were_replaced_is_forgotten(world):
-    scans = find_scans(world.data, ["08"])
-    ask(world, scans)
-    ask(world, scans[:1], {"weights": "new"}, overwrite=True)
-    assert names(missing_predictions(world.out, scans)) == (["08/000000"], 1)
 
 
 def test_only_the_stage_that_predicts_can_lack_predictions(world):
