@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Training loop: learn, validate, write down, keep the best; epoch after epoch."""
+"""Training loop: steps, validation, log, weights and checkpoint of every epoch."""
 
 from __future__ import annotations
 
@@ -64,7 +64,7 @@ class Report:
 
 @dataclass(slots=True, eq=False)
 class Training:
-    """Everything that a training needs.
+    """Training in a run folder: its learner, samples, validation scans and outputs.
 
     Attributes
     ----------
