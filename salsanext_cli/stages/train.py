@@ -87,7 +87,7 @@ def train(
     overwrite: bool = False,
     progress: Callable[[Report], object] = lambda report: None,
 ) -> TrainResult:
-    """Train a network, or go on with a training that was interrupted in the same folder.
+    """Train a network, or resume a training that was interrupted in the same folder.
 
     Started by torchrun, each worker learns from its share of every batch, and the first writes.
 

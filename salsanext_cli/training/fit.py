@@ -111,7 +111,7 @@ class Training:
             found = f"the first worker goes on after step {of_main}, this one after step {first}"
             raise TrainingError(self.run, found, "one folder that all workers see")
         if first:
-            log.info("going on after step %d", first)
+            log.info("resuming after step %d", first)
         pinned = self.learner.device.type == "cuda"
         stream = batches(self.samples, first, self.workers, pinned=pinned, group=group)
         while state.epoch < self.learner.recipe.epochs:
