@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""A training loop as one would write it first, and as published ones are written.
+"""Plain training loop, written as published ones are.
 
 Everything happens in the loop, one thing after the other: reading, augmenting, projecting with
 NumPy, a network in float32, a loss that goes from class to class, and the step's confusion matrix.
@@ -74,7 +74,7 @@ def lovasz_softmax(probabilities: Tensor, truth: Tensor) -> Tensor:
 
 
 class PlainTraining:
-    """The loop.
+    """Training loop of a network, step by step.
 
     Parameters
     ----------
@@ -83,7 +83,7 @@ class PlainTraining:
     files : sequence of ScanFile
         To learn from, in float32 of four columns.
     space, sensor, recipe
-        What the labels mean, how to project, how to augment and step.
+        Label space, projection, and settings of augmentation and optimiser.
     weights : (C,) float32
         Of the classes.
     lap : callable

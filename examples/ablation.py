@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Train every rung of the paper's ladder (Table II) alike, and print what each is worth.
+"""Train every rung of the paper's ladder (Table II) alike, and print the scores of each.
 
 All rungs see the same samples in the same order for the same number of steps. The weights of the
 last step are scored, so that nothing is chosen on the scans that score. A rung that is finished is
@@ -39,10 +39,11 @@ LADDER = {
 }
 """Rung by rung: the network, and whether the loss has the Lovász term."""
 SENSOR = "hdl64-512"
+"""Sensor of all trainings."""
 BATCH = 2
-"""Few samples per step: in a short training the number of steps counts."""
+"""Samples per step, few because in a short training the number of steps counts."""
 VOTES = {"w/o kNN": KnnParameters(k=1, window=1), "with kNN": KnnParameters()}
-"""In a window of one pixel nobody but the point's own pixel votes."""
+"""Parameters of kNN; in a window of one pixel only the point's own pixel votes."""
 
 
 def learn(dataset: Path, run: Path, rung: str, steps: int, plan: str) -> Path:

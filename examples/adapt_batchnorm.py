@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: MIT
-"""Find out on labelled scans what `salsanext tune batchnorm` is worth on scans like them.
+"""Measure on labelled scans the gain of `salsanext tune batchnorm` on scans like them.
 
-Adapts to every second scan without a look at its labels, scores the others, and the reverse.
+Adapts to every second scan without using its labels, scores the others, and the reverse.
 
 Run: python examples/adapt_batchnorm.py dataset/ [hdl64 weights.safetensors [0.1 0.3 1.0]]
 """

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Draw the validation mIoU of trainings over the time that they took, and say when each was where.
+"""Draw the validation mIoU of trainings over their training time, and print it at equal time.
 
 The time is that of the training steps, without validation, so that recipes which validate more
 often are not at a disadvantage. Compare runs that had the same machine to themselves, or shared it.

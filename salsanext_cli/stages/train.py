@@ -87,7 +87,7 @@ def train(
     overwrite: bool = False,
     progress: Callable[[Report], object] = lambda report: None,
 ) -> TrainResult:
-    """Train a network, or go on with a training that was interrupted in the same folder.
+    """Train a network, or resume a training that was interrupted in the same folder.
 
     Started by torchrun, each worker learns from its share of every batch, and the first writes.
 
@@ -128,7 +128,10 @@ def train(
         If `weights` do not fit the label space.
     """
     workers = worker_count(jobs)
-    _require_sample_for_each(recipe, group_of_environment())
+    if recipe.batch < (size := group_of_environment().size):
+        expected = f"at least one sample for each of {size} workers"
+        remedy = "start fewer workers or set batch higher"
+        raise UsageError("recipe key batch", f"{recipe.batch}", expected, remedy)
     with process_group(device) as (group, place), ExitStack() as held:
         classes, training, validation = group.on_main(lambda: _splits(dataset, space))
         validated = evenly_spaced(validation, recipe.validation_scans)
@@ -163,13 +166,6 @@ def train(
             report=progress,
         ).fit()
     return TrainResult(run / BEST, run / LAST, state.best, state.rows)
-
-
-def _require_sample_for_each(recipe: Recipe, group: ProcessGroup) -> None:
-    if recipe.batch < group.size:
-        remedy = "start fewer workers or set batch higher"
-        expected = f"at least one sample for each of {group.size} workers"
-        raise UsageError("recipe key batch", f"{recipe.batch}", expected, remedy)
 
 
 def _require_pixels(

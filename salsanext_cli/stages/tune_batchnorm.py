@@ -19,13 +19,13 @@ from salsanext_cli.geometry.coverage import CoverageCheck, field_of_view_coverag
 from salsanext_cli.geometry.projection import project
 from salsanext_cli.inference.network import Network
 from salsanext_cli.inference.settings import NetworkSettings
-from salsanext_cli.network.weights import default_weights, save_with_card
+from salsanext_cli.network.weights import save_with_card
 from salsanext_cli.parallel.run import Progress
 from salsanext_cli.storage.layout import ScanFile
-from salsanext_cli.storage.selection import ScanSelection, select_scans
+from salsanext_cli.storage.selection import ScanSelection
 from salsanext_cli.storage.targets import require_target
 from salsanext_cli.training.tuning.batch_norm import Statistics, norms, statistics_of_scan
-from salsanext_cli.training.validation import evenly_spaced
+from salsanext_cli.training.validation import select_evenly
 
 SHARE = 0.5
 """Share of the new statistics: within 0.3 points of the best on three sensors (docs/tune.md)."""
@@ -119,12 +119,11 @@ def tune_batchnorm(
     """
     if not 0 < share <= 1:
         raise UsageError("--share", f"{share:g}", "above 0, at most 1")
-    loaded, weights = network.load(), network.weights or default_weights()
+    loaded = network.load()
     layers = norms(loaded.module)
     if not layers:
-        raise WeightsError(weights, "its network has no batch norm", "one with batch norm")
-    scans = select_scans(source, replace(selection, limit=None), loaded.card.space)
-    scans = evenly_spaced(scans, selection.limit or 0)
+        raise WeightsError(network.path, "its network has no batch norm", "one with batch norm")
+    scans = select_evenly(source, selection, loaded.card.space)
     require_target(target, overwrite)
     old = {name: Statistics.kept_by(layer) for name, layer in layers.items()}
     pooled: dict[str, Statistics] = {}
@@ -141,7 +140,7 @@ def tune_batchnorm(
     done = f"Batch norm re-estimated on {len(scans)} scans of {sensor.name}, share {share:g}."
     description = f"{loaded.card.description} {done}".lstrip()
     card = replace(loaded.card, sensor=sensor, scores={}, description=description)
-    save_with_card(weights, target, card, _tensors(new))
+    save_with_card(network.path, target, card, _tensors(new))
     moved = tuple(_moved(name, old[name], new[name], layers[name].eps) for name in new)
     return TunedBatchNorm(len(scans), share, sensor.name, moved)
 

@@ -15,7 +15,7 @@ from salsanext_cli.geometry.noise import noise_of
 from salsanext_cli.inference.network import with_dropout
 from salsanext_cli.inference.settings import NetworkSettings
 from salsanext_cli.network.dropout import dropouts
-from salsanext_cli.network.weights import default_weights, save_with_card
+from salsanext_cli.network.weights import save_with_card
 from salsanext_cli.parallel.run import Progress
 from salsanext_cli.report.tuning import rate_curve
 from salsanext_cli.storage.selection import ScanSelection
@@ -143,7 +143,7 @@ def tune_dropout(
     if best in (0, len(rates) - 1):
         edge = ("--lowest", "--highest")[best > 0]
         log.warning("the best rate, %g, is the last of the range: move %s", rates[best], edge)
-    save_with_card(network.weights or default_weights(), target, candidates[best].card)
+    save_with_card(network.path, target, candidates[best].card)
     before = max((layer.rate for layer in dropouts(loaded.module)), default=0.0)
     return TunedDropout(before, rates[best], tuple(rates), objectives, len(scans), points)
 

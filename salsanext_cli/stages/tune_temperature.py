@@ -22,7 +22,7 @@ from salsanext_cli.measures.calibration import (
     calibration_scores,
     softmax_errors,
 )
-from salsanext_cli.network.weights import TEMPERATURES, default_weights, save_with_card
+from salsanext_cli.network.weights import TEMPERATURES, save_with_card
 from salsanext_cli.parallel.run import Progress
 from salsanext_cli.records import Float
 from salsanext_cli.storage.layout import ScanFile
@@ -136,7 +136,7 @@ def tune_temperature(
     temperature = best_temperature(logits, truth)
     _require_possible(dataset, temperature, len(truth))
     card = replace(loaded.card, temperature=temperature)
-    save_with_card(network.weights or default_weights(), target, card)
+    save_with_card(network.path, target, card)
     before = _tempered(logits, truth, loaded.card.temperature)
     after = _tempered(logits, truth, temperature)
     return TunedTemperature(before, after, len(scans), len(truth))

@@ -26,9 +26,9 @@ MAX_DROPPED_SHARE = 0.5
 def augment(labelled: LabelledScan, recipe: Recipe, random: np.random.Generator) -> LabelledScan:
     """Return a changed copy of a labelled scan.
 
-    Turned about z by a uniform angle of the whole circle; moved by up to ±5 m forward, ±3 m
-    sideways and 1 m down; mirrored left and right; without a uniform share, at most half, of the
-    points. The recipe holds the probability of each.
+    The points are turned about z by any angle; moved by up to ±5 m forward, ±3 m sideways and 1 m
+    down; mirrored left and right; and a uniform share of them, at most half, is dropped. The recipe
+    holds the probability of each.
     """
     scan, labels = labelled
     chances = (recipe.rotate, recipe.shift, recipe.flip, recipe.drop)
@@ -41,7 +41,8 @@ def augment(labelled: LabelledScan, recipe: Recipe, random: np.random.Generator)
     if flipped:
         points = points * np.array([1, -1, 1], np.float32)
     if dropped:
-        kept = draw_kept(len(scan), random)
+        count = int(len(scan) * random.uniform(0, MAX_DROPPED_SHARE))
+        kept = np.sort(random.permutation(len(scan))[count:])
         points, intensity, labels = points.take(kept, 0), intensity[kept], labels[kept]
     return Scan(points, intensity), labels
 
@@ -60,11 +61,3 @@ def shift(points: Float, offset: npt.NDArray[np.float64]) -> Float:
     x, y, z = points.T != 0
     moved: Float = points + (x | y | z)[:, None] * offset.astype(np.float32)
     return moved
-
-
-def draw_kept(count: int, random: np.random.Generator) -> npt.NDArray[np.intp]:
-    """Draw which of `count` points stay: at least half, ascending, none twice."""
-    dropped = int(count * random.uniform(0, MAX_DROPPED_SHARE))
-    kept = np.ones(count, np.bool_)
-    kept[random.permutation(count)[:dropped]] = False
-    return np.flatnonzero(kept)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Training loop: learn, validate, write down, keep the best; epoch after epoch."""
+"""Training loop: steps, validation, log, weights and checkpoint of every epoch."""
 
 from __future__ import annotations
 
@@ -64,7 +64,7 @@ class Report:
 
 @dataclass(slots=True, eq=False)
 class Training:
-    """Everything that a training needs.
+    """Training in a run folder: its learner, samples, validation scans and outputs.
 
     Attributes
     ----------
@@ -111,7 +111,7 @@ class Training:
             found = f"the first worker goes on after step {of_main}, this one after step {first}"
             raise TrainingError(self.run, found, "one folder that all workers see")
         if first:
-            log.info("going on after step %d", first)
+            log.info("resuming after step %d", first)
         pinned = self.learner.device.type == "cuda"
         stream = batches(self.samples, first, self.workers, pinned=pinned, group=group)
         while state.epoch < self.learner.recipe.epochs:

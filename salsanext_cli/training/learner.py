@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Learner: the network in training and one step of it — forward, loss, backward, update."""
+"""Learner: a network in training, and its steps: forward, loss, backward, update."""
 
 from __future__ import annotations
 
@@ -16,7 +16,6 @@ from salsanext_cli.network.segmentation import SegmentationNetwork
 from salsanext_cli.training.distributed import SINGLE_PROCESS, ProcessGroup, data_parallel
 from salsanext_cli.training.losses import SegmentationLoss
 from salsanext_cli.training.optimiser import (
-    autocast,
     build_optimiser,
     dtype_of,
     learning_rate,
@@ -70,8 +69,9 @@ class Learner:
         self.loss = SegmentationLoss(weights, recipe.lovasz, recipe.label_smoothing).to(device)
         self.forward = data_parallel(module, device, group)
         self.optimiser = build_optimiser(module, recipe)
-        self.dtype = dtype_of(recipe.precision, device)
-        self.scaler = torch.amp.GradScaler(device.type, enabled=self.dtype is torch.float16)
+        dtype = dtype_of(recipe.precision, device)
+        self.autocast = torch.autocast(device.type, dtype, enabled=dtype is not torch.float32)
+        self.scaler = torch.amp.GradScaler(device.type, enabled=dtype is torch.float16)
 
     def step(self, images: Tensor, truth: Tensor, step: int, steps_per_epoch: int) -> float:
         """Learn from one batch and return its loss; NaN if it or its gradient is not finite.
@@ -114,7 +114,7 @@ class Learner:
                 if part < parts and isinstance(self.forward, DistributedDataParallel):
                     exchange = self.forward.no_sync()
                 with exchange:
-                    with autocast(self.dtype, self.device):
+                    with self.autocast:
                         loss = self.loss(self.forward(some), labels, total, parts, self.group)
                     # The workers' gradients are averaged, and their sum is wanted.
                     self.scaler.scale(loss * self.group.size).backward()
@@ -157,7 +157,7 @@ class Learner:
 
     @torch.no_grad()
     def non_finite_samples(self, images: Tensor, truth: Tensor) -> list[int]:
-        """Return the places in a batch of the images whose loss, each alone, is not finite.
+        """Return the indices in a batch of images whose loss, each alone, is not finite.
 
         Each is normalised by its own statistics: the running ones may be non-finite by now. The
         module does not change.
@@ -170,7 +170,7 @@ class Learner:
         for place, (image, labels) in enumerate(zip(images, truth, strict=True)):
             # Twice: of one pixel at the coarsest level there would be no statistics.
             pair = torch.stack(2 * [image]).to(self.device)
-            with autocast(self.dtype, self.device):
+            with self.autocast:
                 loss = self.loss(probe(pair), torch.stack(2 * [labels]).to(self.device))
             if not loss.isfinite():
                 found.append(place)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Optimiser, learning rate, running average and precision of a recipe."""
+"""Optimiser, learning rate, running average and number type of a recipe."""
 
 from __future__ import annotations
 
@@ -73,8 +73,3 @@ def dtype_of(precision: str, device: torch.device) -> torch.dtype:
         return torch.float32
     major, _ = torch.cuda.get_device_capability(device)
     return torch.bfloat16 if major >= BFLOAT16_CAPABILITY else torch.float16
-
-
-def autocast(dtype: torch.dtype, device: torch.device) -> torch.autocast:
-    """Return the context in which convolutions compute in a type; of float32 it does nothing."""
-    return torch.autocast(device.type, dtype, enabled=dtype is not torch.float32)

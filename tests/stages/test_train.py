@@ -115,7 +115,7 @@ def require_same(whole: TrainResult, parts: TrainResult) -> None:
     assert parts.best_miou == whole.best_miou
 
 
-@pytest.mark.parametrize(("stop", "jobs"), [(1, 1), (2, 1), (3, 2), (5, 1)])
+@pytest.mark.parametrize(("stop", "jobs"), [(2, 1), (3, 2)])
 def test_an_interrupted_training_ends_with_the_weights_of_an_uninterrupted_one(
     dataset: Path, tmp_path: Path, stop: int, jobs: int
 ) -> None:
@@ -136,7 +136,7 @@ def test_an_interrupted_training_ends_with_the_weights_of_an_uninterrupted_one(
         {"precision": "bfloat16", "samples_per_epoch": 8, "mix": 0.5, "paste": 0.5},
     ],
 )
-@pytest.mark.parametrize("stop", [1, 3, 4])
+@pytest.mark.parametrize("stop", [1, 4])
 def test_from_a_checkpoint_within_an_epoch_it_goes_on_at_the_next_step(
     dataset: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, stop: int, changes: dict
 ) -> None:

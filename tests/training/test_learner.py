@@ -132,14 +132,6 @@ def test_lovasz_is_the_mean_of_the_parts() -> None:
     assert learning.step(images, truth, 0, 10) == pytest.approx(expected, rel=1e-6)
 
 
-def test_a_batch_in_parts_where_nothing_counts() -> None:
-    learning = without_norm(accumulate=2)
-    images, truth = five()
-    assert learning.step(images, truth * 0, 0, 10) == 0
-    for parameter in learning.module.parameters():
-        assert not parameter.grad.any()
-
-
 def test_parts_are_one_step_for_average_and_optimiser() -> None:
     learning = learner(accumulate=2, average=0.9, optimiser="adamw")
     learning.step(*batch(), 0, 10)

@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -16,10 +16,10 @@ from salsanext_cli.inference.network import Network
 from salsanext_cli.network.weights import WeightsCard
 from salsanext_cli.records import Float, RangeImage
 from salsanext_cli.storage.layout import ScanFile
-from salsanext_cli.storage.selection import ScanSelection, select_scans, space_of
+from salsanext_cli.storage.selection import ScanSelection, space_of
 from salsanext_cli.training.class_counts import require_labels
 from salsanext_cli.training.dataset import read_labelled
-from salsanext_cli.training.validation import evenly_spaced
+from salsanext_cli.training.validation import select_evenly
 
 VALIDATION = ScanSelection(split="valid")
 """Selection of scans to tune on, unless another is given."""
@@ -65,7 +65,7 @@ def labelled_scans(
     LabelError
         If one has no labels, or the labels are of other classes.
     """
-    scans = select_scans(dataset, replace(selection, limit=None), card.space)
+    scans = select_evenly(dataset, selection, card.space)
     space = space_of(scans, card.space)
     if not space.fits(card.space):
         raise LabelError(
@@ -74,9 +74,8 @@ def labelled_scans(
             f"those of {card.space.name}, as the weights",
             "use weights for these classes",
         )
-    chosen = evenly_spaced(scans, selection.limit or 0)
-    require_labels(chosen)
-    return chosen, space
+    require_labels(scans)
+    return scans, space
 
 
 def read_labelled_image(file: ScanFile, network: Network, space: LabelSpace) -> LabelledImage:

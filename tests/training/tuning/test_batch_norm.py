@@ -194,14 +194,6 @@ def test_pooling_is_the_same_as_having_all_at_once_in_any_order(sizes, offset, s
         np.testing.assert_allclose(found.variance[0], together.var(), rtol=1e-6, atol=1e-12)
 
 
-def test_blending_goes_from_old_to_new():
-    old = Statistics(0.0, torch.tensor([1.0]), torch.tensor([4.0]))
-    new = Statistics(7.0, torch.tensor([3.0]), torch.tensor([2.0]))
-    for share, mean, variance in ((0.0, 1.0, 4.0), (0.25, 1.5, 3.5), (1.0, 3.0, 2.0)):
-        found = old.blended(new, share)
-        assert (found.mean.item(), found.variance.item()) == (mean, variance)
-
-
 def test_layers_that_keep_no_statistics_are_none():
     plain = nn.Sequential(nn.BatchNorm2d(2, track_running_stats=False), nn.BatchNorm2d(2))
     assert list(norms(plain)) == ["1"]
