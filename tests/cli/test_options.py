@@ -40,13 +40,6 @@ def test_a_group_is_expanded_filled_and_handed_over():
     assert seen["knn"] == options.Knn(knn_k=3)
 
 
-def test_two_groups_cannot_have_the_same_option():
-    def command(*, first: options.Selection, second: options.ResultSelection) -> None: ...
-
-    with pytest.raises(ValueError, match="duplicate parameter"):
-        expanded(command)
-
-
 @pytest.mark.parametrize(
     ("text", "names"), [(None, ()), ("08", ("08",)), (" 00, 8 ,my drive", ("00", "8", "my drive"))]
 )
