@@ -45,8 +45,12 @@ def test_a_group_is_expanded_filled_and_handed_over():
 )
 def test_sequences(text, names):
     assert options.Selection(sequences=text).scans().sequences == names
+
+
+@pytest.mark.parametrize("text", ["", " ,"])
+def test_sequences_without_a_name(text):
     with pytest.raises(UsageError, match="--sequences"):
-        options.Selection(sequences=" ,").scans()
+        options.Selection(sequences=text).scans()
 
 
 def test_where_scans_are_looked_for(monkeypatch):
