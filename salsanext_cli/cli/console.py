@@ -157,8 +157,12 @@ def finish(
     failed = f", {len(outcome.failures)} failed" if outcome.failures else ""
     others = left_out(missing, "results") if missing else ""
     output.say(f"{stage}: {outcome.done} scans{already}{failed}{others} → {out}")
-    incomplete = outcome.failures or (missing and missing.scans)
-    raise typer.Exit(FAILED if incomplete else DONE)
+    leave(outcome.failures, missing)
+
+
+def leave(failures: tuple[Failure, ...], missing: MissingResults | None = None) -> NoReturn:
+    """Leave with the exit status for scans that failed or lack results."""
+    raise typer.Exit(FAILED if failures or (missing and missing.scans) else DONE)
 
 
 def left_out(missing: MissingResults, what: str) -> str:

@@ -48,5 +48,4 @@ def demo(
         output.say(f"  {path}")
     output.say(f"  {made.out}/sequences/00/ply/*.ply   in CloudCompare, MeshLab or open3d")
     output.say(f"scans: {made.data}; results of every stage: {made.out}/sequences/00")
-    incomplete = failures or made.evaluation.missing.scans
-    raise typer.Exit(console.FAILED if incomplete else console.DONE)
+    console.leave(failures, made.evaluation.missing)

@@ -44,5 +44,4 @@ def evaluate(
     left_out = console.left_out(evaluation.missing, "predictions")
     written = "scores.txt, eval.json, eval_*.png"
     output.say(f"eval: {evaluation.scans} scans{left_out} → {out}/{written}")
-    incomplete = evaluation.failures or evaluation.missing.scans
-    raise typer.Exit(console.FAILED if incomplete else console.DONE)
+    console.leave(evaluation.failures, evaluation.missing)

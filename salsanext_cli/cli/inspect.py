@@ -49,4 +49,4 @@ def inspect(
     tables = survey_tables(found.sequences, found.total, found.space, found.sensor)
     output.result(found.to_dict(), tables)
     console.name_failures(found.failures)
-    raise typer.Exit(console.FAILED if found.failures else console.DONE)
+    console.leave(found.failures)

@@ -49,20 +49,24 @@ def option(panel: str, text: str, *names: str, default: Any = None, **settings: 
 def expanded(command: Callable[..., None]) -> Callable[..., None]:
     """Return a command with the signature that typer reads: options in the place of groups."""
     parameters: list[inspect.Parameter] = []
-    groups: dict[str, Callable[[dict[str, Any]], object]] = {}
+    groups: dict[str, tuple[type, dict[str, Any], list[str]]] = {}
     hints = get_type_hints(command, include_extras=True)
     for name, parameter in inspect.signature(command).parameters.items():
         hint = hints[name]
         kind, *marks = get_args(hint) if get_origin(hint) is Annotated else (hint,)
         if dataclasses.is_dataclass(kind) and isinstance(kind, type):
-            options, groups[name] = _fields(kind, marks)
+            options, defaults = _fields(kind, marks)
             parameters += options
+            groups[name] = kind, defaults, [option.name for option in options]
         else:
             parameters.append(parameter.replace(annotation=hint, kind=parameter.KEYWORD_ONLY))
 
     @functools.wraps(command)
     def run(**given: Any) -> None:
-        filled = {name: fill(given) for name, fill in groups.items()}
+        filled = {
+            name: kind(**defaults | {field: given.pop(field) for field in offered})
+            for name, (kind, defaults, offered) in groups.items()
+        }
         command(**filled, **given)
 
     run.__annotations__ = {parameter.name: parameter.annotation for parameter in parameters}
@@ -70,30 +74,25 @@ def expanded(command: Callable[..., None]) -> Callable[..., None]:
     return run
 
 
-def _fields(
-    kind: type, marks: list[Any]
-) -> tuple[list[inspect.Parameter], Callable[[dict[str, Any]], object]]:
-    """Return the options of a group, and what takes their values out of all values given."""
+def _fields(kind: type, marks: list[Any]) -> tuple[list[inspect.Parameter], dict[str, Any]]:
+    """Return the options of a group that a command offers, and the defaults of all fields."""
     hints = get_type_hints(kind)
     fields = {field.name: field for field in dataclasses.fields(kind)}
     defaults = {name: field.default for name, field in fields.items()}
-    offered = list(fields)
+    left_out: set[str] = set()
     for mark in marks:
         if isinstance(mark, Default):
             defaults |= mark
         elif isinstance(mark, Without):
-            offered = [name for name in offered if name not in mark]
+            left_out |= mark
     options = [
         inspect.Parameter(
             name,
             inspect.Parameter.KEYWORD_ONLY,
             default=defaults[name],
-            annotation=Annotated[hints[name], fields[name].metadata["option"]],
+            annotation=Annotated[hints[name], field.metadata["option"]],
         )
-        for name in offered
+        for name, field in fields.items()
+        if name not in left_out
     ]
-
-    def fill(given: dict[str, Any]) -> object:
-        return kind(**defaults | {name: given.pop(name) for name in offered})
-
-    return options, fill
+    return options, defaults

@@ -15,7 +15,6 @@ from salsanext_cli.cli.progress import progress
 
 if TYPE_CHECKING:
     from salsanext_cli.parallel.run import RunOptions
-    from salsanext_cli.parallel.shards import Shard
 
 OVERWRITE_HELP = "Replace existing results."
 
@@ -66,29 +65,18 @@ class Running:
     def over_scans(self, label: str, output: Output) -> Iterator[RunOptions]:
         """Build the options of a run that stages take; show its progress while the body runs."""
         from salsanext_cli.parallel.run import RunOptions
-
-        shard = self._shard(output)
-        with progress(label, output.quiet) as bar:
-            yield RunOptions(
-                self.jobs,
-                self.on_error,
-                self.overwrite,
-                bar,
-                self.backend,
-                self.scheduler,
-                shard=shard,
-            )
-
-    def _shard(self, output: Output) -> Shard:
         from salsanext_cli.parallel.shards import Shard
 
         if self.shard is not None:
-            return Shard.parse(self.shard)
-        of_array = Shard.of_slurm(os.environ)
-        if of_array is None:
-            return Shard()
-        output.say(f"shard {of_array} of the scans, as this is a task of a Slurm array")
-        return of_array
+            shard = Shard.parse(self.shard)
+        elif (of_array := Shard.of_slurm(os.environ)) is not None:
+            shard = of_array
+            output.say(f"shard {shard} of the scans, as this is a task of a Slurm array")
+        else:
+            shard = Shard()
+        with progress(label, output.quiet) as bar:
+            given = (self.jobs, self.on_error, self.overwrite, bar, self.backend, self.scheduler)
+            yield RunOptions(*given, shard)
 
 
 RunningUnsharded = Annotated[Running, Without({"shard"}), Default(shard="1/1")]

@@ -10,7 +10,6 @@ from salsanext_cli import __version__
 from salsanext_cli.cli.app import COMMANDS
 
 NAMES = list(every_command())
-PIPELINE = ["project", "train", "predict", "knn-refine", "uncertainty", "eval", "export-ply"]
 HEAVY = ("torch", "open3d", "numba", "matplotlib", "numpy", "scipy", "pandas", "joblib", "plyfile")
 
 
@@ -98,14 +97,3 @@ def test_a_wrong_command_line_is_status_two(run, arguments):
 def test_every_command_prints_json_and_can_be_silent(name):
     assert flags_of(name) >= {"--json", "-v", "--verbose", "-q", "--quiet"}
     assert not any(flag.startswith("--no-") for flag in flags_of(name))
-
-
-def test_the_stages_of_the_pipeline_take_the_common_options():
-    common = {"--split", "--sequences", "--limit", "--jobs", "--on-error", "--json", "-v", "-q"}
-    for name in set(PIPELINE) - {"train"}:
-        assert flags_of(name) >= common, name
-        if name != "eval":
-            assert flags_of(name) >= {"--overwrite", "--sensor"}, name
-    for name in ("predict", "uncertainty", "export-ply"):
-        assert flags_of(name) >= {"--weights", "--device"}, name
-    assert flags_of("export-ply") >= {"--colour", "--color"}

@@ -40,20 +40,17 @@ def test_a_group_is_expanded_filled_and_handed_over():
     assert seen["knn"] == options.Knn(knn_k=3)
 
 
-def test_two_groups_cannot_have_the_same_option():
-    def command(*, first: options.Selection, second: options.ResultSelection) -> None: ...
-
-    with pytest.raises(ValueError, match="duplicate parameter"):
-        expanded(command)
-
-
 @pytest.mark.parametrize(
     ("text", "names"), [(None, ()), ("08", ("08",)), (" 00, 8 ,my drive", ("00", "8", "my drive"))]
 )
 def test_sequences(text, names):
     assert options.Selection(sequences=text).scans().sequences == names
+
+
+@pytest.mark.parametrize("text", ["", " ,"])
+def test_sequences_without_a_name(text):
     with pytest.raises(UsageError, match="--sequences"):
-        options.Selection(sequences=" ,").scans()
+        options.Selection(sequences=text).scans()
 
 
 def test_where_scans_are_looked_for(monkeypatch):

@@ -6,7 +6,7 @@ import sys
 import numpy as np
 import pytest
 import yaml
-from scans import write_sequence
+from scans import files_below, write_sequence
 
 from salsanext_cli.classes import label_space
 from salsanext_cli.errors import MissingDependency, OutputError, UsageError
@@ -15,7 +15,6 @@ from salsanext_cli.records import Scan
 from salsanext_cli.stages import synth
 from salsanext_cli.stages.synth import synthesise
 from salsanext_cli.storage.layout import find_scans
-from salsanext_cli.storage.written_files import RECORDS
 from salsanext_cli.synthesis.drive import Frame
 from salsanext_cli.synthesis.surfaces import ABSENT
 
@@ -33,14 +32,8 @@ def streets(tmp_path_factory):
     return out, made, calls
 
 
-def content(folder):
-    return {p.relative_to(folder): p.read_bytes() for p in folder.rglob("*") if p.is_file()}
-
-
 def test_every_file_of_the_layout_is_there(streets):
     out, made, calls = streets
-    names = {str(path) for path in content(out)}
-    names = {name for name in names if not name.startswith(RECORDS)}
     expected = {"labels.yaml", "synth.json"}
     for sequence in ("00", "01", "02"):
         files = ("poses.txt", "times.txt", "calib.txt")
@@ -48,7 +41,7 @@ def test_every_file_of_the_layout_is_there(streets):
         for stem in ("000000", "000001"):
             expected.add(f"sequences/{sequence}/velodyne/{stem}.bin")
             expected.add(f"sequences/{sequence}/labels/{stem}.label")
-    assert names == expected
+    assert files_below(out).keys() == expected
     assert made.scans == len(find_scans(out)) == 6
     assert made.splits == {"train": ("00",), "valid": ("01",), "test": ("02",)}
     assert calls == [(n, 6) for n in range(1, 7)]
@@ -100,8 +93,8 @@ def test_the_seed_decides_every_byte_whatever_else_is_made_in_how_many_jobs(stre
     out, _, _ = streets
     synthesise(tmp_path / "again", train=2, valid=0, **TINY, jobs=2)
     for sequence in ("00", "01"):
-        again = content(tmp_path / "again" / "sequences" / sequence)
-        assert again == content(out / "sequences" / sequence)
+        again = files_below(tmp_path / "again" / "sequences" / sequence)
+        assert again == files_below(out / "sequences" / sequence)
 
 
 @pytest.fixture
@@ -125,7 +118,7 @@ def test_a_full_folder_is_not_touched(tmp_path):
         for folder in (out, scan):
             with pytest.raises(OutputError, match="something else"):
                 synthesise(folder, train=1, valid=0, scans=1, overwrite=overwrite)
-    assert list(content(out).values()) == [b"precious"]
+    assert list(files_below(out).values()) == [b"precious"]
 
 
 @pytest.fixture
@@ -173,13 +166,13 @@ def test_a_linked_sequence_keeps_its_scans(again, tmp_path, sequence):
     else:
         write_sequence(elsewhere, ["000000"])
     folder.symlink_to(elsewhere)
-    before = content(elsewhere)
+    before = files_below(elsewhere)
     if sequence == "00":
         with pytest.raises(OutputError, match="sequences/00 · is a link"):
             replace()
     else:
         replace()
-    assert content(elsewhere) == before
+    assert files_below(elsewhere) == before
 
 
 @pytest.mark.parametrize(
@@ -195,11 +188,11 @@ def test_a_linked_sequence_keeps_its_scans(again, tmp_path, sequence):
 def test_an_edited_file_is_kept_and_named(again, caplog, name, in_the_way):
     out, replace = again
     (out / name).write_bytes(b"corrected")
-    before = content(out)
+    before = files_below(out)
     if in_the_way:
         with pytest.raises(OutputError, match=f"{name} · .*was changed"):
             replace()
-        assert content(out) == before
+        assert files_below(out) == before
     else:
         replace()
         assert str(out / name) in caplog.text
