@@ -44,9 +44,9 @@ class Network:
     sensor : Sensor
         Geometry and normalisation of the range images: the card's unless another was asked for.
     device : torch.device
-        Where the module is.
+        Place of the module.
     precision : {"float32", "bfloat16", "float16"}
-        What the engine computes in.
+        Number type of the engine.
     weights : str
         Name of the weights file, for errors.
     """
@@ -161,7 +161,7 @@ def load_network(
     device : str
         ``"cpu"``, ``"cuda"``, ``"cuda:1"`` … or ``"auto"``: the first GPU if there is one.
     sensor : Sensor, optional
-        What the range images come from, if not from the sensor that the weights name.
+        Origin of the range images, if not the sensor that the weights name.
     precision : str
         As `precision.choose_precision` takes it; ``"auto"`` is what the device is fast at.
 

@@ -19,7 +19,7 @@ def choose_precision(name: str, device: torch.device) -> str:
         ``"auto"`` is float16 on a GPU with tensor cores, bfloat16 on a CPU with tiles for it (AMX),
         and float32 elsewhere: other CPUs gain less from short numbers than from `winograd`.
     device : torch.device
-        Where the network is.
+        Place of the network.
 
     Raises
     ------

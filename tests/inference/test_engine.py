@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""What computes in place of a network computes the same as it."""
+"""Engines, which compute the same as the networks that they stand for."""
 
 import os
 import threading
