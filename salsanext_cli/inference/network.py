@@ -17,9 +17,8 @@ from torch import Tensor
 
 from salsanext_cli.errors import UsageError, WeightsError
 from salsanext_cli.geometry.normalise import normalise
-from salsanext_cli.inference.engine import engine_for
+from salsanext_cli.inference.engine import choose_precision, engine_for
 from salsanext_cli.inference.parallel_for import single_threaded_torch
-from salsanext_cli.inference.precision import choose_precision
 from salsanext_cli.network.registry import build
 from salsanext_cli.network.segmentation import SegmentationNetwork
 from salsanext_cli.network.weights import WeightsCard, default_weights, read_weights
@@ -163,7 +162,7 @@ def load_network(
     sensor : Sensor, optional
         Origin of the range images, if not the sensor that the weights name.
     precision : str
-        As `precision.choose_precision` takes it; ``"auto"`` is what the device is fast at.
+        As `engine.choose_precision` takes it; ``"auto"`` is what the device is fast at.
 
     Raises
     ------
