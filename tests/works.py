@@ -41,22 +41,6 @@ class Write:
         return scan.stem
 
 
-class DieOnce(Write):
-    """Kill the worker in the middle of one scan, unless one was killed before."""
-
-    def __call__(self, scan: ScanFile) -> str:
-        """Die or write."""
-        if scan.stem == "deadly":
-            with writing(self.path(scan)):
-                try:
-                    (self.out / "grave").mkdir(parents=True)
-                except FileExistsError:
-                    pass
-                else:
-                    os.kill(os.getpid(), signal.SIGKILL)
-        return super().__call__(scan)
-
-
 class Peaceful(Write):
     """Write whatever the stem."""
 

@@ -17,9 +17,8 @@ from torch import Tensor
 
 from salsanext_cli.errors import UsageError, WeightsError
 from salsanext_cli.geometry.normalise import normalise
-from salsanext_cli.inference.engine import engine_for
+from salsanext_cli.inference.engine import choose_precision, engine_for
 from salsanext_cli.inference.parallel_for import single_threaded_torch
-from salsanext_cli.inference.precision import choose_precision
 from salsanext_cli.network.registry import build
 from salsanext_cli.network.segmentation import SegmentationNetwork
 from salsanext_cli.network.weights import WeightsCard, default_weights, read_weights
@@ -44,9 +43,9 @@ class Network:
     sensor : Sensor
         Geometry and normalisation of the range images: the card's unless another was asked for.
     device : torch.device
-        Where the module is.
+        Place of the module.
     precision : {"float32", "bfloat16", "float16"}
-        What the engine computes in.
+        Number type of the engine.
     weights : str
         Name of the weights file, for errors.
     """
@@ -161,9 +160,9 @@ def load_network(
     device : str
         ``"cpu"``, ``"cuda"``, ``"cuda:1"`` … or ``"auto"``: the first GPU if there is one.
     sensor : Sensor, optional
-        What the range images come from, if not from the sensor that the weights name.
+        Origin of the range images, if not the sensor that the weights name.
     precision : str
-        As `precision.choose_precision` takes it; ``"auto"`` is what the device is fast at.
+        As `engine.choose_precision` takes it; ``"auto"`` is what the device is fast at.
 
     Raises
     ------

@@ -28,7 +28,7 @@ class NetworkSettings:
     device : str
         As `load_network` takes it.
     sensor : Sensor, optional
-        What the scans come from, if not from the sensor that the weights name.
+        Origin of the scans, if not the sensor that the weights name.
     precision : str
         As `load_network` takes it.
     sha256 : str, optional

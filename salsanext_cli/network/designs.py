@@ -21,40 +21,16 @@ from salsanext_cli.network.blocks import (
     StridedDown,
     UnitChain,
 )
-from salsanext_cli.network.up_blocks import AddingUpBlock, TransposedUnit, UpBlock
+from salsanext_cli.network.up_blocks import (
+    UpBlock,
+    adding_3x3,
+    concatenating_2x2,
+    pixel_shuffle,
+    replicating_3x3,
+)
 
 CONTEXT_WIDTH = 32
 """Channels of the context module."""
-
-
-@dataclass(frozen=True, slots=True)
-class Upsampling:
-    """Step of a decoder from one level to the next.
-
-    Attributes
-    ----------
-    module : callable
-        Makes the layer that doubles height and width, from the channels of its input and of the
-        skip connection.
-    joined : callable
-        Channels after the skip connection is joined, from the same two numbers.
-    block : type
-        Up block, which joins.
-    """
-
-    module: Callable[[int, int], nn.Module]
-    joined: Callable[[int, int], int]
-    block: type[UpBlock]
-
-
-PIXEL_SHUFFLE = Upsampling(
-    lambda i, skip: nn.PixelShuffle(2), lambda i, skip: i // 4 + skip, UpBlock
-)
-TRANSPOSED = Upsampling(TransposedUnit.of_3x3, lambda i, skip: skip, AddingUpBlock)
-TRANSPOSED_V1 = replace(TRANSPOSED, module=TransposedUnit.replicating)
-TRANSPOSED_WIDE = Upsampling(
-    lambda i, skip: TransposedUnit.of_2x2(i, i), lambda i, skip: i + skip, UpBlock
-)
 
 
 @dataclass(frozen=True, slots=True)
@@ -71,21 +47,22 @@ class Design:
         Factory of the path beside the shortcut of the encoder's blocks.
     pooling : callable
         Factory of dropout and pooling, from channels and dropout rate.
-    upsampling : Upsampling
-        Step of the decoder.
+    up_block : callable
+        Factory of the decoder's blocks: from channels of the input, of the skip connection and of
+        the output, `fusing`, and dropout rate.
     decoder_widths : tuple of int
         Channels of the decoder's blocks, from above the bottom to the finest level.
     fusing : callable
         Factory of the layers that fuse the joined channels in the decoder's blocks.
     central : bool
-        Whether the first block and the last are without dropout.
+        Leaves the first block and the last without dropout.
     """
 
     context: tuple[Stack, ...]
     widths: tuple[int, ...]
     stack: Stack
     pooling: Callable[[int, float], nn.Module]
-    upsampling: Upsampling
+    up_block: Callable[[int, int, int, Stack, float], UpBlock]
     decoder_widths: tuple[int, ...]
     fusing: Stack
     central: bool
@@ -96,7 +73,7 @@ SALSANET = Design(
     widths=(32, 64, 128, 256, 256),
     stack=partial(UnitChain, length=2),
     pooling=StridedDown,
-    upsampling=TRANSPOSED,
+    up_block=adding_3x3,
     decoder_widths=(256, 128, 64, 32),
     fusing=partial(UnitChain, length=3),
     central=False,
@@ -108,18 +85,18 @@ SALSANET_DILATED = replace(
     SALSANET_POOLING,
     widths=(64, 128, 256, 256, 256),
     stack=DilatedStack,
-    upsampling=TRANSPOSED_WIDE,
+    up_block=concatenating_2x2,
     fusing=DilatedStack,
 )
 """The paper does not say how its decoder is widened. Of the readings that keep its channels, this
 is the nearest in parameters: transposed convolutions of 2×2 that keep the number of channels, the
 skip connection concatenated, as with the pixel shuffle."""
-SALSANEXT = replace(SALSANET_DILATED, upsampling=PIXEL_SHUFFLE, decoder_widths=(128, 128, 64, 32))
+SALSANEXT = replace(SALSANET_DILATED, up_block=pixel_shuffle, decoder_widths=(128, 128, 64, 32))
 
 V1_LAYERS = replace(
     SALSANET,
     widths=(32, 64, 128, 256, 512, 512),
-    upsampling=TRANSPOSED_V1,
+    up_block=replicating_3x3,
     decoder_widths=(512, 256, 128, 64, 32),
 )
 V1_CONTEXT = replace(V1_LAYERS, context=(PlainContextBlock,))

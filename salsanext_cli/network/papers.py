@@ -17,7 +17,7 @@ class PaperFigures:
     Attributes
     ----------
     row : str
-        Which row, and of what.
+        Table and row.
     parameters : str
         In millions.
     flops : str or None
@@ -28,7 +28,7 @@ class PaperFigures:
     miou_test : str or None
         On the benchmark's test sequences, in %.
     determined : bool
-        Whether the text says all that the network is made of.
+        The text says all that the network is made of.
     """
 
     row: str
@@ -61,8 +61,8 @@ PAPERS = {
     "salsanext-v1-dropout": PaperFigures(f"{V1}: + new dropout", "26.40"),
     "salsanext-v1-pooling": PaperFigures(f"{V1}: + average pooling", "23.26"),
 }
-"""By the name of the architecture. The test figures are of Table I; SalsaNet's there is not that of
-its row in the table of ablations."""
+"""Rows by the name of the architecture. The test figures are of Table I; SalsaNet's there is not
+that of its row in the table of ablations."""
 
 
 def agrees(count: int, printed: str) -> bool:

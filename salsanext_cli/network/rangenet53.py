@@ -10,7 +10,7 @@ from salsanext_cli.network.segmentation import SegmentationNetwork, require_clas
 from salsanext_cli.records import CHANNELS
 
 SLOPE, MOMENTUM = 0.1, 0.01
-"""Of LeakyReLU below 0, and of the running statistics of batch norm, as its authors have them."""
+"""Slope of LeakyReLU below 0, and momentum of batch norm, as its authors have them."""
 DEPTHS = (1, 2, 8, 8, 4)
 """Residual blocks of the encoder's stages."""
 

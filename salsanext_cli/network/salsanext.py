@@ -59,12 +59,11 @@ class SalsaNext(SegmentationNetwork):
         return widths[-1]
 
     def _add_decoder(self, design: Design, width: int, dropout: float) -> int:
-        upsampling, skips = design.upsampling, reversed(design.widths[:-1])
+        skips = reversed(design.widths[:-1])
         for number, (skip, outputs) in enumerate(zip(skips, design.decoder_widths, strict=True), 1):
             rate = 0.0 if design.central and number == self.levels else dropout
-            module, joined = upsampling.module(width, skip), upsampling.joined(width, skip)
-            up = upsampling.block(module, joined, outputs, design.fusing, rate)
-            self.add_module(f"up{number}", up)
+            block = design.up_block(width, skip, outputs, design.fusing, rate)
+            self.add_module(f"up{number}", block)
             width = outputs
         return width
 

@@ -25,7 +25,7 @@ class SegmentationNetwork(nn.Module):
     stride : (int, int)
         Divisors of height and width at the coarsest level.
     manages_threads : bool
-        Whether it shares its work among threads itself; see `inference.parallel_for`.
+        True of an engine that shares its work among threads itself; see `inference.parallel_for`.
     """
 
     stride: tuple[int, int]

@@ -3,8 +3,6 @@
 
 from __future__ import annotations
 
-from typing import Self
-
 import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
@@ -33,21 +31,6 @@ class TransposedUnit(nn.Sequential):
     def __init__(self, convolution: nn.ConvTranspose2d) -> None:
         norm = nn.BatchNorm2d(convolution.out_channels)
         super().__init__(convolution, nn.LeakyReLU(SLOPE), norm)
-
-    @classmethod
-    def of_3x3(cls, inputs: int, outputs: int) -> Self:
-        """Return one of kernel 3×3, the last row and column computed like all others."""
-        return cls(nn.ConvTranspose2d(inputs, outputs, 3, 2, padding=1, output_padding=1))
-
-    @classmethod
-    def of_2x2(cls, inputs: int, outputs: int) -> Self:
-        """Return one of kernel 2×2."""
-        return cls(nn.ConvTranspose2d(inputs, outputs, 2, 2))
-
-    @classmethod
-    def replicating(cls, inputs: int, outputs: int) -> Self:
-        """Return one of kernel 3×3, the last row and column repeated."""
-        return cls(ReplicatingConvTranspose2d(inputs, outputs))
 
 
 class UpBlock(nn.Module):
@@ -93,3 +76,28 @@ class AddingUpBlock(UpBlock):
     def join(self, upsampled: Tensor, skip: Tensor) -> Tensor:
         """Add."""
         return upsampled + skip
+
+
+def pixel_shuffle(inputs: int, skip: int, outputs: int, stack: Stack, dropout: float) -> UpBlock:
+    """Return an up block of a pixel shuffle and a concatenation."""
+    return UpBlock(nn.PixelShuffle(2), inputs // 4 + skip, outputs, stack, dropout)
+
+
+def concatenating_2x2(
+    inputs: int, skip: int, outputs: int, stack: Stack, dropout: float
+) -> UpBlock:
+    """Return an up block of a transposed convolution of kernel 2×2 and a concatenation."""
+    unit = TransposedUnit(nn.ConvTranspose2d(inputs, inputs, 2, 2))
+    return UpBlock(unit, inputs + skip, outputs, stack, dropout)
+
+
+def adding_3x3(inputs: int, skip: int, outputs: int, stack: Stack, dropout: float) -> UpBlock:
+    """Return an up block of a transposed convolution of kernel 3×3 and an addition."""
+    unit = TransposedUnit(nn.ConvTranspose2d(inputs, skip, 3, 2, padding=1, output_padding=1))
+    return AddingUpBlock(unit, skip, outputs, stack, dropout)
+
+
+def replicating_3x3(inputs: int, skip: int, outputs: int, stack: Stack, dropout: float) -> UpBlock:
+    """Return an up block as `adding_3x3` does, the last row and column repeated."""
+    unit = TransposedUnit(ReplicatingConvTranspose2d(inputs, skip))
+    return AddingUpBlock(unit, skip, outputs, stack, dropout)

@@ -24,7 +24,7 @@ def chunks(scans: Sequence[ScanFile], workers: int) -> list[Chunk]:
     scans : sequence of ScanFile
         In the order in which they are to be begun.
     workers : int
-        How many chunks will be worked on side by side.
+        Number of chunks that are worked on side by side.
 
     Returns
     -------

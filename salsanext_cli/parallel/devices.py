@@ -25,7 +25,7 @@ def own_device(device: str, gpus: int) -> str:
     device : str
         As `load_network` takes it.
     gpus : int
-        How many are visible.
+        Number of visible ones.
     """
     if not WORKER.run or device not in ("auto", "cuda") or gpus < 2:
         return device

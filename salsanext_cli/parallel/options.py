@@ -28,9 +28,9 @@ class RunOptions:
         Workers side by side; -1 is one per core, or all of a cluster. None is one here, and all of
         a cluster.
     on_error : {"skip", "stop"}
-        Whether a scan that fails is named at the end or ends the run.
+        A scan that fails is named at the end, or ends the run.
     overwrite : bool
-        Whether results that exist are made again.
+        Results that exist are made again.
     progress : callable, optional
         Called after each scan, or for several together when a worker is done with them.
     backend : {"loky", "threading", "dask", "ray"}

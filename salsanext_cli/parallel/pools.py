@@ -24,15 +24,15 @@ class WorkerPool:
     Attributes
     ----------
     backend : dict
-        What `joblib.parallel_config` takes.
+        Arguments of `joblib.parallel_config`.
     workers : int
-        How many chunks are worked on side by side.
+        Number of chunks that are worked on side by side.
     in_flight : int
-        How many chunks are sent before the first comes back.
+        Number of chunks that are sent before the first comes back.
     threads : int
         Threads that each worker may use.
     died : tuple of exception types
-        What the backend raises when a worker died.
+        Raised by the backend when a worker died.
     """
 
     backend: dict[str, Any]

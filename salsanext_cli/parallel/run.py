@@ -73,7 +73,7 @@ def run_over_scans(
         Works on a scan, writes its results, returns something small. With several jobs it is
         pickled.
     scans : sequence of ScanFile
-        What to work on; the same for every shard.
+        Scans to work on; the same for every shard.
     options : RunOptions
         Workers, shard, errors, overwriting and progress.
     is_done : callable, optional

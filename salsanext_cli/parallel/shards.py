@@ -15,14 +15,14 @@ PREFIX = "SLURM_ARRAY_TASK_"
 
 @dataclass(frozen=True, slots=True)
 class Shard:
-    """Which share of the scans a run works on.
+    """Share of the scans that a run works on.
 
     Attributes
     ----------
     number : int
         From 1 to `count`.
     count : int
-        How many shards there are.
+        Number of shards.
     """
 
     number: int = 1

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""How many threads a worker may use, so that all together use the cores once."""
+"""Numbers of workers and of their threads, so that all together use the cores once."""
 
 from __future__ import annotations
 

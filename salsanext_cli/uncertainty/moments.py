@@ -21,7 +21,8 @@ farther out are numbers so small that computing with them takes many times as lo
 SMALLEST = 1e-30
 """Least divisor: what it divides is 0 where it acts."""
 DAMPING = 0.15
-"""Of a shift of second order, so that for large v it grows like √v, as a largest of Gaussians."""
+"""Damping of a shift of second order, so that for large v it grows like √v, as the largest of
+several Gaussians does."""
 
 
 def leaky_relu_moments(mean: Tensor, variance: Tensor, slope: float) -> tuple[Tensor, Tensor]:

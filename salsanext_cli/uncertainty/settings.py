@@ -34,7 +34,7 @@ log = logging.getLogger(__name__)
 
 @dataclass(frozen=True, slots=True)
 class Estimator:
-    """How uncertainty is estimated.
+    """Method of estimating uncertainty, and its numbers.
 
     Attributes
     ----------
@@ -45,7 +45,7 @@ class Estimator:
     seed : int
         If sampling, a scan's masks depend on this, its sequence and its name only.
     aleatoric : bool
-        Whether the sensor's noise is carried through the network too.
+        The sensor's noise is carried through the network too.
     """
 
     method: str = "sampling"

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""What computes in place of a network computes the same as it."""
+"""Engines, which compute the same as the networks that they stand for."""
 
 import os
 import threading
@@ -8,10 +8,9 @@ import pytest
 import torch
 
 from salsanext_cli.errors import UsageError
-from salsanext_cli.inference.engine import engine_for
+from salsanext_cli.inference.engine import choose_precision, engine_for
 from salsanext_cli.inference.mixed_precision import Float32Accumulation
 from salsanext_cli.inference.parallel_for import parallel_for, single_threaded_torch
-from salsanext_cli.inference.precision import choose_precision
 from salsanext_cli.network.registry import ARCHITECTURES, build
 
 CPU = torch.device("cpu")

@@ -11,7 +11,7 @@ import sys
 from collections.abc import Callable
 
 STEPS = ("open", "os.rename", "os.mkdir")
-"""What a process does to files, as Python's audit names it."""
+"""Operations on files, as Python's audit names them."""
 
 
 def at_each_step(

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""What every network must do, by name."""
+"""Behaviour that every network of the registry must have."""
 
 from dataclasses import replace
 from functools import cache

@@ -14,7 +14,6 @@ from salsanext_cli.network import published
 from salsanext_cli.network.published import our_name, read_published
 from salsanext_cli.network.salsanext import SalsaNext
 from salsanext_cli.network.weights import load_tensors, read_card, read_weights, save_with_card
-from salsanext_cli.sensors import sensor
 from salsanext_cli.stages.import_weights import import_weights
 
 
@@ -108,18 +107,6 @@ def test_names():
     for unknown in ("upBlock1.bn9.bias", "resBlock.conv1.weight", "logits.running_mean", ""):
         with pytest.raises(WeightsError, match="unknown tensor"):
             our_name(unknown, "file")
-
-
-@pytest.mark.real
-def test_the_published_file_is_imported(golden, tmp_path):
-    target = tmp_path / "w.safetensors"
-    import_weights(golden / "SalsaNext", target, half=True, dropout=0.1)
-    module, card = read_weights(target)
-    assert target.stat().st_size < 15e6
-    assert card.sensor == sensor("hdl64")
-    assert card.architecture == {"name": "salsanext", "class_count": 20, "dropout": 0.1}
-    assert "SalsaNext" in card.description
-    assert module.bottom.rate == 0.1
 
 
 @pytest.fixture

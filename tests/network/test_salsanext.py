@@ -46,7 +46,7 @@ def test_the_output_depends_on_every_channel(network):
 @pytest.mark.parametrize("training", [False, True])
 def test_the_first_version_repeats_the_last_row_and_column(training):
     """The published up block: convolution, repetition, LeakyReLU, batch norm, in this order."""
-    unit = lively(TransposedUnit.replicating(6, 4)).train(training)
+    unit = lively(TransposedUnit(ReplicatingConvTranspose2d(6, 4))).train(training)
     x = noise(2, 6, 5, 7)
     convolution, _, norm = unit
     short = F.conv_transpose2d(x, convolution.weight, convolution.bias, stride=2, padding=1)

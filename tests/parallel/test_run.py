@@ -71,23 +71,19 @@ def test_what_is_there_is_skipped_unless_overwriting(tmp_path):
 
 @LOCAL
 def test_results_can_be_handed_on_as_they_come(tmp_path, options):
-    work, taken, seen = Write(tmp_path), [], []
-    chosen = RunOptions(**options, progress=lambda *_: seen.append(len(taken)))
-    scans = scans_of("a", "bad", "b", "c")
+    work, taken, seen, progress = Write(tmp_path), [], [], []
+
+    def note(*numbers):
+        seen.append(len(taken))
+        progress.append(numbers)
+
+    chosen, scans = RunOptions(**options, progress=note), scans_of("a", "bad", "b", "c")
     outcome = run_over_scans(work, scans, chosen, on_result=taken.append)
     assert sorted(taken) == list("abc")
+    assert progress == [(1, 4), (2, 4), (3, 4), (4, 4)]
     assert sorted(seen) == seen
     assert seen[0] <= 1
     assert (outcome.results, outcome.done, len(outcome.failures)) == ((), 3, 1)
-
-
-@LOCAL
-def test_progress_counts_what_is_to_do(tmp_path, options):
-    seen = []
-    run(Write(tmp_path), scans_of("a"))
-    work = Write(tmp_path)
-    run(work, scans_of("a", "bad", "b", "c"), **options, progress=lambda *n: seen.append(n))
-    assert seen == [(1, 3), (2, 3), (3, 3)]
 
 
 def test_no_scans_at_all(tmp_path):

@@ -7,7 +7,6 @@ import torch
 
 from salsanext_cli.parallel.threads import (
     cores,
-    threads_each,
     threads_of_workers,
     use_threads,
     worker_count,
@@ -20,11 +19,6 @@ def as_before():
     yield
     torch.set_num_threads(before[0])
     numba.config.NUMBA_NUM_THREADS = before[1]
-
-
-@pytest.mark.parametrize(("cores", "workers", "threads"), [(8, 2, 4), (8, 3, 2), (2, 5, 1)])
-def test_threads_are_divided(cores, workers, threads):
-    assert threads_each(cores, workers) == threads
 
 
 def test_jobs():

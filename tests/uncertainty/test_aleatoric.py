@@ -7,7 +7,6 @@ import torch
 
 from salsanext_cli.errors import UsageError
 from salsanext_cli.uncertainty.aleatoric import aleatoric
-from salsanext_cli.uncertainty.dropout_propagation import propagate_dropout
 
 
 def with_noise(network, metres, intensity):
@@ -66,15 +65,3 @@ def test_it_ranks_pixels_as_noisy_copies_do(network, image):
     propagated = aleatoric(network, image).mean(axis=0)[occupied]
     ranks = (np.argsort(np.argsort(values)) for values in (sampled, propagated))
     assert np.corrcoef(*ranks)[0, 1] > 0.6
-
-
-@pytest.mark.parametrize("method", [aleatoric, lambda *given: propagate_dropout(*given).variance])
-def test_no_bit_depends_on_the_number_of_threads(network, image, method):
-    before = torch.get_num_threads()
-    found = []
-    for threads in (1, 2, 3):
-        torch.set_num_threads(threads)
-        found.append(method(network, image))
-    torch.set_num_threads(before)
-    np.testing.assert_array_equal(found[1], found[0])
-    np.testing.assert_array_equal(found[2], found[0])

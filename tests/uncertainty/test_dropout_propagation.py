@@ -4,10 +4,8 @@ import numpy as np
 import pytest
 import torch
 import torch.nn.functional as F
-from scans import write_weights
 
-from salsanext_cli.errors import WeightsError
-from salsanext_cli.inference.network import load_network, with_dropout
+from salsanext_cli.inference.network import with_dropout
 from salsanext_cli.uncertainty.dropout_propagation import (
     ChannelCorrelatedGaussian,
     propagate_dropout,
@@ -87,21 +85,6 @@ def test_dropout():
     torch.testing.assert_close(nothing.variance, x.variance)
 
 
-def test_shapes_types_and_bounds(network, image):
-    found = propagate_dropout(network, image)
-    assert found.probabilities.shape == found.variance.shape == (20, 16, 128)
-    np.testing.assert_allclose(found.probabilities.sum(axis=0), 1, atol=1e-5)
-    np.testing.assert_allclose(found.variance.mean(axis=0), found.uncertainty.epistemic, rtol=1e-5)
-    for kind, most in (("epistemic", 0.25), ("entropy", np.log(20)), ("mutual_information", 3)):
-        values = getattr(found.uncertainty, kind)
-        assert values.dtype == np.float32
-        assert np.isfinite(values).all()
-        assert values.min() >= 0
-        assert values.max() <= most + 1e-6
-    information, entropy = found.uncertainty.mutual_information, found.uncertainty.entropy
-    assert (information <= entropy).all()
-
-
 def test_it_ranks_pixels_as_sampling_does(network, image):
     occupied = image.channels[0] > 0
     mild = with_dropout(network, 0.05)
@@ -111,15 +94,3 @@ def test_it_ranks_pixels_as_sampling_does(network, image):
         values = (getattr(u, kind)[occupied] for u in (passes, once))
         ranks = (np.argsort(np.argsort(v)) for v in values)
         assert np.corrcoef(*ranks)[0, 1] > 0.6
-
-
-def test_hardly_any_dropout_leaves_hardly_any_doubt(network, image):
-    found = propagate_dropout(with_dropout(network, 1e-9), image)
-    assert found.uncertainty.epistemic.max() < 1e-6
-    np.testing.assert_allclose(found.probabilities, network.probabilities(image), atol=1e-5)
-
-
-def test_a_network_without_dropout(image, tmp_path):
-    certain = load_network(write_weights(tmp_path / "w.safetensors", dropout=0.0), "cpu")
-    with pytest.raises(WeightsError, match="without dropout"):
-        propagate_dropout(certain, image)

@@ -7,7 +7,6 @@ from itertools import pairwise
 import numpy as np
 import pytest
 import torch
-import torch.nn.functional as F
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.special import expit
@@ -73,14 +72,6 @@ def test_leaky_relu_against_quadrature(slope, variance):
         assert found[1] == pytest.approx(expected[1], rel=1e-12, abs=1e-14 * variance)
 
 
-def test_nothing_cancels_where_squares_would():
-    """E[y²] − E[y]² is 0 in float32 for m = 10, v = 10⁻⁶."""
-    assert leaky(10, 1e-6, dtype=torch.float32)[1] == pytest.approx(1e-6, rel=1e-6)
-    assert leaky(-10, 1e-6, dtype=torch.float32)[1] == pytest.approx(1e-10, rel=1e-6)
-    assert leaky(100, 1e-12, dtype=torch.float32)[1] == pytest.approx(1e-12, rel=1e-6)
-    assert leaky(-100, 1e-12, dtype=torch.float32)[1] == pytest.approx(1e-16, rel=1e-6)
-
-
 def test_float32_is_as_good_as_float64():
     mean, variance = draw(20_000) * 3, draw(20_000, seed=1).square()
     mean, variance = mean.float(), variance.float()
@@ -90,16 +81,6 @@ def test_float32_is_as_good_as_float64():
     assert error.max() < 1e-6
     # Where the slope's 10⁻⁴ and a tail of 10⁻³ are all that passes, four digits are left.
     torch.testing.assert_close(narrow[1].double(), wide[1], rtol=5e-5, atol=0)
-
-
-@pytest.mark.parametrize("dtype", FLOATS)
-def test_a_certain_number_is_rectified_bit_for_bit(dtype):
-    x = torch.cat([draw(1000) * 10**k for k in range(-6, 3)] + [torch.tensor([0.0, -0.0])]).to(
-        dtype
-    )
-    mean, variance = leaky_relu_moments(x, torch.zeros_like(x), 0.01)
-    assert torch.equal(mean, F.leaky_relu(x, 0.01))
-    assert torch.equal(variance, torch.zeros_like(x))
 
 
 SHAPES = st.lists(st.integers(1, 4), min_size=4, max_size=4)

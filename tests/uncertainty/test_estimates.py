@@ -1,0 +1,64 @@
+# SPDX-License-Identifier: MIT
+"""Properties that all estimates of uncertainty share."""
+
+from functools import partial
+
+import numpy as np
+import pytest
+import torch
+from scans import write_weights
+
+from salsanext_cli.errors import WeightsError
+from salsanext_cli.inference.network import load_network
+from salsanext_cli.uncertainty.aleatoric import aleatoric
+from salsanext_cli.uncertainty.dropout_propagation import propagate_dropout
+from salsanext_cli.uncertainty.monte_carlo import sample
+
+EPISTEMIC = pytest.mark.parametrize(
+    "estimate",
+    [partial(sample, samples=4, seed=5), propagate_dropout],
+    ids=["sampling", "analytic"],
+)
+
+
+@EPISTEMIC
+def test_shapes_types_and_bounds(network, image, estimate):
+    found = estimate(network, image)
+    assert found.probabilities.shape == found.variance.shape == (20, 16, 128)
+    np.testing.assert_allclose(found.probabilities.sum(axis=0), 1, atol=1e-5)
+    np.testing.assert_allclose(found.variance.mean(axis=0), found.uncertainty.epistemic, rtol=1e-5)
+    assert found.uncertainty.total is None
+    for kind, most in (("epistemic", 0.25), ("entropy", np.log(20)), ("mutual_information", 3)):
+        values = getattr(found.uncertainty, kind)
+        assert values.shape == (16, 128)
+        assert values.dtype == np.float32
+        assert np.isfinite(values).all()
+        assert 0 <= values.min() <= values.max() <= most + 1e-6
+    assert (found.uncertainty.mutual_information <= found.uncertainty.entropy).all()
+
+
+@EPISTEMIC
+def test_a_network_without_dropout_is_refused(image, tmp_path, estimate):
+    certain = load_network(write_weights(tmp_path / "w.safetensors", dropout=0.0), "cpu")
+    with pytest.raises(WeightsError, match="without dropout"):
+        estimate(certain, image)
+
+
+@pytest.mark.parametrize(
+    "variance",
+    [
+        aleatoric,
+        lambda *given: propagate_dropout(*given).variance,
+        lambda *given: sample(*given, samples=4, seed=5).variance,
+    ],
+    ids=["aleatoric", "analytic", "sampling"],
+)
+def test_no_bit_depends_on_the_number_of_threads(network, image, variance):
+    before = torch.get_num_threads()
+    found = []
+    for threads in (1, 2, 3):
+        torch.set_num_threads(threads)
+        found.append(variance(network, image))
+    torch.set_num_threads(before)
+    np.testing.assert_array_equal(found[1], found[0])
+    np.testing.assert_array_equal(found[2], found[0])
