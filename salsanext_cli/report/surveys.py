@@ -7,6 +7,7 @@ from collections.abc import Mapping
 from typing import TYPE_CHECKING
 
 from salsanext_cli.classes import LabelSpace
+from salsanext_cli.errors import printable
 from salsanext_cli.measures.survey import Survey
 from salsanext_cli.records import CHANNELS
 from salsanext_cli.report.tables import number_table
@@ -38,7 +39,7 @@ def _sequences(sequences: Mapping[str, Survey], total: Survey) -> Table:
     for name, found in rows.items():
         up, down = found.field_of_view()
         table.add_row(
-            escape(name),
+            escape(printable(name)),
             f"{found.scans:,}",
             f"{found.labelled:,}",
             f"{min(found.smallest, found.largest):,} – {found.largest:,}",
