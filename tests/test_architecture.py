@@ -250,6 +250,21 @@ def test_everything_public_is_documented():
     assert where(bare) == {}
 
 
+def test_docstrings_open_with_a_verb_or_a_noun():
+    """They do not open with a question word: "Ids by name", not "Which name has which id"."""
+    questions = {"What", "Which", "How", "Where", "When", "Who", "Whose", "Whether", "Why"}
+
+    def asking(module):
+        texts = (
+            node.value.value
+            for node in ast.walk(tree_of(module))
+            if isinstance(node, ast.Expr) and isinstance(node.value, ast.Constant)
+        )
+        return [text for text in texts if isinstance(text, str) and text.split()[0] in questions]
+
+    assert where(asking) == {}
+
+
 def test_only_formats_opens_point_files():
     """Any other reader of points would read them differently one day."""
     readers = {"np.fromfile", "np.load", "np.save", "np.savez", "np.savetxt", "np.loadtxt"}

@@ -33,7 +33,7 @@ lanes = Lanes()
 
 @extending.register_model(Lanes)
 class LanesModel(extending.models.PrimitiveModel):
-    """How compiled code holds them: as a vector of LLVM's."""
+    """Their form in compiled code: a vector of LLVM's."""
 
     def __init__(self, manager: Any, fe_type: Any) -> None:
         super().__init__(manager, fe_type, VECTOR)

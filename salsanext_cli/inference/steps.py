@@ -30,7 +30,7 @@ PARTS = 8
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Epilogue:
-    """What comes after a convolution: ``scale · leaky(y + bias) + shift``, a value per channel.
+    """Arithmetic after a convolution: ``scale · leaky(y + bias) + shift``, a value per channel.
 
     Attributes
     ----------

@@ -44,7 +44,7 @@ def transformed(kernels: Tensor) -> Tensor:
 
 @dataclass(frozen=True, slots=True)
 class Tiling:
-    """How an image is cut into tiles: of each part of every d-th row and column, row by row."""
+    """Cut of an image into tiles: of each part of every d-th row and column, row by row."""
 
     height: int
     width: int

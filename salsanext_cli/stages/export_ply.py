@@ -94,7 +94,7 @@ def export_ply(
     dataset : Path, optional
         Where the scans and labels are, if not where the scans came from.
     usual_dataset : Path
-        Where to look for scans of which nobody recorded where they came from.
+        Folder of the scans whose source is not recorded.
     space : LabelSpace, optional
         Otherwise the one that `predict` recorded in `out`, else that of the scans' data set.
     network : NetworkChoice

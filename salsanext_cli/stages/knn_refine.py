@@ -99,7 +99,7 @@ def knn_refine_scans(
     dataset : Path, optional
         Where the scans are, a folder of scans or a data set, if not where those of `out` came from.
     usual_dataset : Path
-        Where to look for scans of which nobody recorded where they came from.
+        Folder of the scans whose source is not recorded.
     sensor : Sensor, optional
         Otherwise the one that earlier stages recorded in `out`; else the HDL-64.
     space : LabelSpace, optional

@@ -48,7 +48,7 @@ def predicted_scans(
     space : LabelSpace, optional
         Otherwise that of the scans' data set, else the one recorded in `out`.
     usual_dataset : Path
-        Where to look for scans of which nobody recorded where they came from.
+        Folder of the scans whose source is not recorded.
 
     Raises
     ------

@@ -66,7 +66,7 @@ class WrittenFiles:
         """Return those of some files that are there and not as salsanext wrote them.
 
         They were changed since, are not recorded, or are reached through a link below the folder.
-        An empty file is what a power cut leaves of one, and nobody's loss.
+        An empty file, as a power cut leaves it, counts as one of ours.
         """
         there = {path: path.lstat() for path in paths if os.path.lexists(path)}
         states = self._states() if there else {}
