@@ -6,6 +6,8 @@ from collections import Counter
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
+from command_line import every_command
+
 import salsanext_cli
 
 ROOT = Path(__file__).parents[1]
@@ -151,15 +153,21 @@ ROOMS_OF_MANY = {"cli", "synthesis"}
 MOST_FILES = 18
 
 
+VAGUE = {"utils", "util", "helpers", "helper", "misc", "common", "tools"}
+
+
 def test_rooms_are_small():
     rooms = Counter(module.parent.name for module in MODULES if module.parent != PACKAGE)
     assert {room: n for room, n in rooms.items() if n > MOST_FILES}.keys() <= ROOMS_OF_MANY
+    assert not [module for module in MODULES if module.stem in VAGUE]
 
 
 def test_stages_are_commands():
     """Exactly one file each."""
-    commands = {path.stem for path in (PACKAGE / "cli").glob("*.py")}
-    stages = {path.stem for path in (PACKAGE / "stages").glob("*.py")} - {"__init__"}
+    stages = {path.stem.replace("_", "-") for path in (PACKAGE / "stages").glob("[!_]*.py")}
+    named = {"eval": "evaluate"}
+    commands = {named.get(name, name.replace(" ", "-")) for name in every_command()}
+    assert commands - stages == {"benchmark"}
     assert stages <= commands
 
 
@@ -182,9 +190,10 @@ FORBIDDEN = {
 
 
 def test_nothing_prints_exits_evaluates_or_unpickles():
-    """But for the compiled kernels in the user's own cache, which numba pickles."""
+    """But for children that a signal or the end of their parent ends at once."""
     found = where(lambda module: FORBIDDEN & set(called(tree_of(module))))
-    assert found == {"kernels.py": {"pickle.loads"}}
+    ending = {"os._exit"}
+    assert found == {"cli/console.py": ending, "parallel/processes.py": ending}
 
 
 def test_torch_loads_weights_only():
@@ -194,7 +203,6 @@ def test_torch_loads_weights_only():
         return [c.lineno for c in loads if "weights_only=True" not in ast.unparse(c)]
 
     assert where(freely) == {}
-    assert "torch.load" in set(called(tree_of(PACKAGE / "network" / "published.py")))
 
 
 def test_the_global_generator_is_left_as_it_was():
@@ -213,19 +221,14 @@ def test_the_global_generator_is_left_as_it_was():
 def test_no_exception_is_swallowed_whole():
     def swallowed(module):
         handlers = [n for n in ast.walk(tree_of(module)) if isinstance(n, ast.ExceptHandler)]
-        broad = [
-            h
-            for h in handlers
-            if h.type is None or ast.unparse(h.type) in ("Exception", "BaseException")
-        ]
         return [
-            h.lineno
-            for h in broad
-            if not any(isinstance(n, ast.Raise) and n.exc is None for n in ast.walk(h))
+            handler.lineno
+            for handler in handlers
+            if (handler.type is None or ast.unparse(handler.type) in ("Exception", "BaseException"))
+            and not any(isinstance(n, ast.Raise) and n.exc is None for n in ast.walk(handler))
         ]
 
-    # A cache may fail in any way; numpy evaluates a header, and may raise anything.
-    assert where(swallowed).keys() == {"kernels.py", "formats/npy.py"}
+    assert where(swallowed) == {}
 
 
 def documented(tree: ast.Module) -> Iterator[ast.AST]:
@@ -285,8 +288,3 @@ def test_commands_are_short():
             ):
                 body = node.body[-1].end_lineno - node.body[0].lineno
                 assert body <= 60, node.name
-
-
-def test_no_name_says_nothing():
-    vague = {"utils", "util", "helpers", "helper", "misc", "common", "tools"}
-    assert not [m for m in MODULES if m.stem in vague]

@@ -161,6 +161,7 @@ def predict_job(folder: Path, jobs: int = 1) -> Run:
 
     from salsanext_cli.inference.settings import NetworkSettings
     from salsanext_cli.parallel.run import RunOptions
+    from salsanext_cli.stages.predict import predict_scans
 
     data = write_sequence(folder / "data/08", ["a", "b", "c"], count=3000)
     network = NetworkSettings(write_weights(folder / "w.safetensors"), "cpu")
