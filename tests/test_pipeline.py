@@ -9,13 +9,11 @@ import signal
 import subprocess
 import sys
 import time
-from pathlib import Path
+from dataclasses import replace
 
 import numpy as np
 import plyfile
 import pytest
-import torch
-from full_disk import full_disk
 from scans import SMALL, files_below, labels_below, write_sequence, write_weights
 from typer.testing import CliRunner
 
@@ -24,6 +22,7 @@ from salsanext_cli.cli.app import app
 from salsanext_cli.formats.kitti import read_labels
 from salsanext_cli.inference.settings import NetworkSettings
 from salsanext_cli.parallel.run import RunOptions
+from salsanext_cli.sensors import sensor
 from salsanext_cli.stages.export_ply import export_ply
 from salsanext_cli.stages.import_weights import import_weights
 from salsanext_cli.stages.knn_refine import knn_refine_scans
@@ -39,6 +38,7 @@ THREE_LINES = (
     "salsanext export-ply --colour uncertainty",
 )
 SCANS, POINTS = 300, 200
+"""Of a drive that takes longer to label than a test waits."""
 
 
 @pytest.fixture
@@ -107,28 +107,10 @@ def test_the_same_lines_when_the_scans_lie_elsewhere(weights, tmp_path, monkeypa
     assert_scored_and_exported(tmp_path / "here", "Fahrt ü")
 
 
-@pytest.mark.slow
-def test_the_three_lines_with_the_default_weights(tmp_path):
-    write_sequence(tmp_path / "sequences/08", ["000000"], count=100_000)
-    (tmp_path / "seq").symlink_to("sequences/08")
-    for line in THREE_LINES:
-        _, *arguments = shlex.split(line)
-        salsanext = Path(sys.executable).with_name("salsanext")
-        done = subprocess.run([salsanext, *arguments], cwd=tmp_path, check=False)
-        assert done.returncode == 0
-    assert_scored_and_exported(tmp_path, "seq")
-
-
-@pytest.fixture
-def many(tmp_path):
-    """Return a folder of more scans than are labelled in the time that a test takes."""
-    return write_sequence(
-        tmp_path / "many", [f"{n:06d}" for n in range(SCANS)], count=POINTS, labels=False
-    )
-
-
 @pytest.mark.parametrize("jobs", [1, 2])
-def test_ctrl_c_in_the_middle(many, weights, tmp_path, jobs):
+def test_ctrl_c_in_the_middle(weights, tmp_path, jobs):
+    stems = [f"{number:06d}" for number in range(SCANS)]
+    many = write_sequence(tmp_path / "many", stems, count=POINTS, labels=False)
     out = tmp_path / "out"
     line = ["predict", many, out, "--weights", weights, "--device", "cpu", "--jobs", jobs]
     process = subprocess.Popen(
@@ -167,17 +149,7 @@ def test_ctrl_c_in_the_middle(many, weights, tmp_path, jobs):
     assert labels_below(out).items() >= whole.items()
 
 
-@pytest.fixture
-def threads_of_two_jobs():
-    """Compute with as many threads as each of two workers has: sums depend on their order."""
-    before = torch.get_num_threads()
-    torch.set_num_threads(max(1, (os.cpu_count() or 1) // 2))
-    yield
-    torch.set_num_threads(before)
-
-
 @pytest.mark.slow
-@pytest.mark.usefixtures("threads_of_two_jobs")
 def test_two_jobs_give_the_bytes_of_one(tmp_path, weights):
     """Through every stage that runs a network."""
     data = write_sequence(tmp_path / "one", ["a", "b", "c"])
@@ -193,26 +165,12 @@ def test_two_jobs_give_the_bytes_of_one(tmp_path, weights):
     assert one == two
 
 
-def test_a_full_disk(tmp_path, weights):
-    large = write_sequence(tmp_path / "drive", ["large"], count=50_000, labels=False)
-    write_sequence(large, ["small"], count=100, labels=False)
-    with full_disk(100_000):
-        outcome = predict_scans(large, tmp_path / "out", network=NetworkSettings(weights, "cpu"))
-    assert outcome.done == 1
-    (failure,) = outcome.failures
-    assert failure.scan.stem == "large"
-    assert "free some space" in failure.reason
-    assert [name for name in files_below(tmp_path / "out") if ".part" in name] == []
-
-
 def test_the_steps_meet_whatever_the_sensor(tmp_path):
     """Fused and in steps alike when the width is not divisible by 16 and points may be dropped."""
-    from dataclasses import replace
-
-    sensor = replace(SMALL, height=13, width=90, fov_up=-2.0, fov_down=-20.0, out_of_view="drop")
-    network = NetworkSettings(write_weights(tmp_path / "w.safetensors", sensor=sensor), "cpu")
+    odd = replace(SMALL, height=13, width=90, fov_up=-2.0, fov_down=-20.0, out_of_view="drop")
+    network = NetworkSettings(write_weights(tmp_path / "w.safetensors", sensor=odd), "cpu")
     data = write_sequence(tmp_path / "odd", ["a", "b"])
-    project_scans(data, tmp_path / "steps", sensor=sensor)
+    project_scans(data, tmp_path / "steps", sensor=odd)
     predict_range_images(tmp_path / "steps", tmp_path / "steps", network=network)
     knn_refine_scans(tmp_path / "steps")
     predict_scans(data, tmp_path / "fused", network=network)
@@ -225,8 +183,6 @@ def test_the_steps_meet_whatever_the_sensor(tmp_path):
 def test_real_scans_in_steps_or_in_one(golden, real_data, tmp_path):
     """Published weights on real scans, a quarter of the width to save time."""
     import_weights(golden / "SalsaNext", tmp_path / "w.safetensors", half=True)
-    from salsanext_cli.sensors import sensor
-
     view = sensor("hdl64-512")
     network = NetworkSettings(tmp_path / "w.safetensors", "cpu", view)
     data, selection = real_data / "data/semantickitti", ScanSelection(split="valid", limit=2)

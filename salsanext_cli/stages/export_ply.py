@@ -97,7 +97,7 @@ def export_ply(
         Folder of the scans whose source is not recorded.
     space : LabelSpace, optional
         Otherwise the one that `predict` recorded in `out`, else that of the scans' data set.
-    network : NetworkChoice
+    network : NetworkSettings
         What to sample scans with whose uncertainty is asked for but was not computed yet.
     selection, options
         Which scans, and how to go through them.

@@ -6,7 +6,6 @@ from __future__ import annotations
 from dataclasses import asdict
 from functools import partial
 from pathlib import Path
-from typing import Any
 
 from salsanext_cli.classes import LabelSpace, TrainIds
 from salsanext_cli.errors import LabelError, NoInputError, UsageError
@@ -19,7 +18,7 @@ from salsanext_cli.geometry.knn import KnnParameters, knn_refine
 from salsanext_cli.geometry.projection import project
 from salsanext_cli.parallel.run import Outcome, RunOptions, run_over_scans
 from salsanext_cli.sensors import Sensor
-from salsanext_cli.storage.layout import ScanFile, find_outputs, find_scans, output_path
+from salsanext_cli.storage.layout import ScanFile, find_scans, output_path, with_outputs
 from salsanext_cli.storage.output_run import OutputRun, output_run
 from salsanext_cli.storage.selection import ScanSelection, choose, space_of
 from salsanext_cli.storage.sources import recorded_scans
@@ -117,8 +116,7 @@ def knn_refine_scans(
     scans = find_scans(dataset) if dataset else recorded_scans(out, None, usual_dataset)
     space = space or recorded_label_space(out) or space_of(scans)
     if labels is None:
-        ready = {(file.sequence, file.stem) for file in find_outputs(out, "pixel_labels")}
-        scans = [scan for scan in scans if (scan.sequence, scan.stem) in ready]
+        scans = with_outputs(scans, out, "pixel_labels")
         if not scans:
             remedy = (
                 "run `salsanext predict` on the output of `salsanext project`, or give --labels"
@@ -142,6 +140,7 @@ def knn_refine_scans(
         overwrite=options.overwrite,
         record_scans=dataset is not None,
     ) as output:
-        choices: dict[str, Any] = {"labels": labels, "space": space, "sensor": sensor, "knn": knn}
-        task = partial(refine_scan, **choices, output=output)
+        task = partial(
+            refine_scan, labels=labels, space=space, sensor=sensor, knn=knn, output=output
+        )
         return run_over_scans(task, scans, options, is_done=output.is_done)

@@ -31,7 +31,7 @@ from salsanext_cli.parallel.run import Outcome, RunOptions, run_over_scans
 from salsanext_cli.parallel.tasks import Attempt
 from salsanext_cli.records import CHANNELS, Float, RangeImage
 from salsanext_cli.sensors import Sensor
-from salsanext_cli.storage.layout import ScanFile, find_outputs, output_path
+from salsanext_cli.storage.layout import ScanFile, output_path, with_outputs
 from salsanext_cli.storage.output_run import OutputRun, output_run
 from salsanext_cli.storage.selection import ScanSelection, choose, select_scans, space_of
 from salsanext_cli.storage.sources import recorded_scans
@@ -211,8 +211,7 @@ def predict_range_images(
     """
     loaded = network.load()
     _require_same_view(folder, projected_sensor(folder), loaded.sensor)
-    ready = {(file.sequence, file.stem) for file in find_outputs(folder, "range")}
-    scans = [scan for scan in recorded_scans(folder) if (scan.sequence, scan.stem) in ready]
+    scans = with_outputs(recorded_scans(folder), folder, "range")
     scans = choose(scans, selection, space_of(scans, loaded.card.space), folder)
     settings, folders = network.record(loaded), ("pixel_labels",)
     with output_run(

@@ -131,22 +131,13 @@ def sweep_stale(folder: Path) -> None:
     Others may be writing here at this moment, so an unfinished file is left alone until nobody
     has touched it for a day. Both times are of the disk, whose clock may not be ours.
     """
-    found = [path for path in _entries(folder) if TEMPORARY.fullmatch(path.name)]
-    if not found:
-        return
     with suppress(OSError):
-        now = _time_of_disk(folder)
+        found = [path for path in folder.iterdir() if TEMPORARY.fullmatch(path.name)]
+        now = _time_of_disk(folder) if found else 0.0
         for temporary in found:
             with suppress(OSError):
                 if now - temporary.stat().st_mtime > STALE_AFTER_S:
                     temporary.unlink()
-
-
-def _entries(folder: Path) -> list[Path]:
-    try:
-        return list(folder.iterdir())
-    except OSError:
-        return []
 
 
 def _time_of_disk(folder: Path) -> float:

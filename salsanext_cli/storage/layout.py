@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Collection, Iterator
+from collections.abc import Collection, Iterable, Iterator
 from dataclasses import dataclass
 from itertools import groupby
 from pathlib import Path
@@ -225,11 +225,13 @@ def find_outputs(out: Path, folder: str) -> list[OutputFile]:
     suffix = SUFFIX_OF_FOLDER[folder]
     files = [
         OutputFile(sequence.name, path.name.removesuffix(suffix), path)
-        for sequence in _folders(out / "sequences")
+        for sequence in (out / "sequences").glob("*")
         for path in (sequence / folder).glob(f"[!.]*{suffix}")
     ]
     return sorted(files, key=lambda file: (file.sequence, file.stem))
 
 
-def _folders(path: Path) -> list[Path]:
-    return [entry for entry in path.iterdir() if entry.is_dir()] if path.is_dir() else []
+def with_outputs(scans: Iterable[ScanFile], out: Path, *folders: str) -> list[ScanFile]:
+    """Return those scans that have a result in one of some folders of an output folder."""
+    found = {(file.sequence, file.stem) for name in folders for file in find_outputs(out, name)}
+    return [scan for scan in scans if (scan.sequence, scan.stem) in found]

@@ -41,7 +41,7 @@ def predicted_scans(
     ----------
     out : Path
         Output folder of `predict` or `knn-refine`.
-    selection : Choice
+    selection : ScanSelection
         Which of them.
     dataset : Path, optional
         Where the scans and labels are, if not where the scans came from.

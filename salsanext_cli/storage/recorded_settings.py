@@ -5,9 +5,11 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 from salsanext_cli.errors import OutputError
+
+Kind = TypeVar("Kind")
 
 
 class RecordedSettings(dict[str, Any]):
@@ -30,24 +32,15 @@ class RecordedSettings(dict[str, Any]):
 
     def table(self, key: str) -> RecordedSettings:
         """Return a setting that is itself a mapping."""
-        value = self[key]
-        if not isinstance(value, dict):
-            raise self._wrong(f"settings have {key} {value!r}", "a JSON object")
-        return RecordedSettings(value, self.path)
+        return RecordedSettings(self._as(dict, key, "a JSON object"), self.path)
 
     def flag(self, key: str) -> bool:
         """Return a setting that is true or false."""
-        value = self[key]
-        if type(value) is not bool:
-            raise self._wrong(f"settings have {key} {value!r}", "true or false")
-        return value
+        return self._as(bool, key, "true or false")
 
     def integer(self, key: str) -> int:
         """Return a setting that is a whole number."""
-        value = self[key]
-        if type(value) is not int:
-            raise self._wrong(f"settings have {key} {value!r}", "a whole number")
-        return value
+        return self._as(int, key, "a whole number")
 
     def number(self, key: str) -> float:
         """Return a setting that is a number; an infinite one is text in JSON."""
@@ -58,10 +51,16 @@ class RecordedSettings(dict[str, Any]):
 
     def pair(self, key: str) -> tuple[float, float]:
         """Return a setting that is two numbers."""
-        value = self[key]
-        if not isinstance(value, list) or [type(v) in (int, float) for v in value] != [True, True]:
+        value = self._as(list, key, "two numbers")
+        if [type(v) in (int, float) for v in value] != [True, True]:
             raise self._wrong(f"settings have {key} {value!r}", "two numbers")
         return float(value[0]), float(value[1])
+
+    def _as(self, kind: type[Kind], key: str, expected: str) -> Kind:
+        value = self[key]
+        if type(value) is not kind:
+            raise self._wrong(f"settings have {key} {value!r}", expected)
+        return value
 
     def _wrong(self, found: str, expected: str) -> OutputError:
         return OutputError(self.path, found, expected, "delete it or use another folder")

@@ -78,29 +78,26 @@ def register_run(wanted: StageRecord, out: Path, overwrite: bool) -> None:
     """
     stage = wanted.stage
     recorded = read_record(out, stage)
-    if recorded is not None and recorded.settings != wanted.settings:
+    merged = wanted
+    if recorded is not None and recorded.settings == wanted.settings:
+        merged = _merged(recorded, wanted)
+    elif recorded is not None:
         if not overwrite:
             require_same_settings(out / f"{stage}.json", recorded.settings, wanted.settings)
         _remove_results(out, recorded, recorded.folders)
-        before = None
-    else:
-        before = recorded
     for folder in wanted.folders:
         other = owner(out, folder)
         if other not in (None, stage):
             _take_over(out, folder, other or "", overwrite)
         elif recorded is None:
             _require_none(out, folder, overwrite)
-    merged = _merged(before, wanted)
     # The record comes last: without it, a run that was killed before begins anew.
     if merged != recorded:
         merged.write(out)
 
 
-def _merged(recorded: StageRecord | None, wanted: StageRecord) -> StageRecord:
+def _merged(recorded: StageRecord, wanted: StageRecord) -> StageRecord:
     """Return a record of what was done before with the same settings, and of what is wanted."""
-    if recorded is None:
-        return wanted
     scans = dict(recorded.scans)
     for sequence, source in wanted.scans.items():
         before = scans[sequence].stems if sequence in scans else frozenset()

@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -18,7 +17,7 @@ from salsanext_cli.formats.kitti import read_labels
 from salsanext_cli.formats.npy import read_array
 from salsanext_cli.formats.reading import present
 from salsanext_cli.records import Float, Scan
-from salsanext_cli.storage.layout import SUFFIX_OF_FOLDER, ScanFile, find_outputs, output_path
+from salsanext_cli.storage.layout import SUFFIX_OF_FOLDER, ScanFile, output_path, with_outputs
 
 UNCERTAINTY = tuple(
     folder.removeprefix("uncertainty/")
@@ -26,6 +25,7 @@ UNCERTAINTY = tuple(
     if folder.startswith("uncertainty/")
 )
 """The kinds of uncertainty that stages may have written."""
+FOLDERS = ("predictions", *(f"uncertainty/{kind}" for kind in UNCERTAINTY))
 
 
 @dataclass(frozen=True, slots=True)
@@ -77,13 +77,15 @@ def read_results(file: ScanFile, out: Path, intensity_scale: float = 1.0) -> Sca
     """
     scan = read_scan(file.path, intensity_scale=intensity_scale)
     count = len(scan)
+    label, *kinds = (output_path(out, file.sequence, folder, file.stem) for folder in FOLDERS)
     return ScanResults(
         scan=scan,
-        label=_labels(output_path(out, file.sequence, "predictions", file.stem), count),
+        label=_labels(label, count),
         truth=_labels(file.label_path, count),
         uncertainty={
             kind: read_array(path, "float32", (count,))
-            for kind, path in uncertainty_files(file, out)
+            for kind, path in zip(UNCERTAINTY, kinds, strict=True)
+            if present(path)
         },
     )
 
@@ -117,21 +119,11 @@ def missing_column(column: str, file: ScanFile, out: Path) -> NoInputError:
 
 def with_results(out: Path, scans: list[ScanFile]) -> list[ScanFile]:
     """Leave out the scans for which no stage has left a result."""
-    folders = ("predictions", *(f"uncertainty/{kind}" for kind in UNCERTAINTY))
-    known = {(f.sequence, f.stem) for folder in folders for f in find_outputs(out, folder)}
-    chosen = [scan for scan in scans if (scan.sequence, scan.stem) in known]
+    chosen = with_outputs(scans, out, *FOLDERS)
     if not chosen:
         remedy = f"run `salsanext predict SCANS {out}` first"
         raise NoInputError(out, "no results of these scans", remedy=remedy)
     return chosen
-
-
-def uncertainty_files(file: ScanFile, out: Path) -> Iterator[tuple[str, Path]]:
-    """Yield the kinds of uncertainty that a stage wrote for a scan, and where."""
-    for kind in UNCERTAINTY:
-        path = output_path(out, file.sequence, f"uncertainty/{kind}", file.stem)
-        if present(path):
-            yield kind, path
 
 
 def _labels(path: Path, count: int) -> RawIds | None:

@@ -51,8 +51,8 @@ def select_scans(
     Parameters
     ----------
     source : Path
-        What `formats.layout.find_scans` takes.
-    selection : Choice
+        What `layout.find_scans` takes.
+    selection : ScanSelection
         Split, sequences and limit.
     space : LabelSpace, optional
         Whose splits count if the source does not bring its own label space.

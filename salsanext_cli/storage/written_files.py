@@ -58,10 +58,6 @@ class WrittenFiles:
         """Record a file below the folder as it is now."""
         self._append(path, path.lstat())
 
-    def owns(self, path: Path) -> bool:
-        """Say whether a file is as salsanext wrote it, and is reached through no link."""
-        return not self.others([path])
-
     def others(self, paths: Iterable[Path]) -> list[Path]:
         """Return those of some files that are there and not as salsanext wrote them.
 

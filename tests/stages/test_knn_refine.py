@@ -45,11 +45,11 @@ def refine(world, labels, **options):
     return knn_refine_scans(world.out, labels=labels, dataset=world.data, sensor=SMALL, **options)
 
 
-def expected(world, sequence, stem, knn=None):
+def expected(world, sequence, stem):
     image = project(read_scan(world.scan(sequence, stem)), SMALL)
     raw = read_labels(world.data / f"sequences/{sequence}/labels/{stem}.label")
     pixels = pixels_from_points(SPACE.to_train(raw), image.point_of_pixel)
-    return SPACE.to_raw(knn_refine(image, pixels, 20, knn or KnnParameters()))
+    return SPACE.to_raw(knn_refine(image, pixels))
 
 
 def test_labels_of_anybody_are_refined(world, truth):
@@ -68,33 +68,19 @@ def test_a_plain_folder_of_labels_will_do(world, truth):
     np.testing.assert_array_equal(world.labels(), expected(world, "08", "000000"))
 
 
-def test_the_label_of_a_pixel_is_its_nearest_points():
-    from salsanext_cli.records import Scan
-
-    points = np.array([[9, 0, 0], [5, 0, 0], [0, 7, 0], [0, 0, 0]], np.float32)
-    image = project(Scan(points, np.zeros(4, np.float32)), SMALL)
-    pixels = pixels_from_points(np.array([1, 2, 3, 4], np.uint8), image.point_of_pixel)
-    assert sorted(pixels[pixels > 0]) == [2, 3]
-    assert pixels.ravel()[image.pixel_of_point[1]] == 2
-
-
-def test_labels_that_do_not_fit_fail_that_scan_and_are_named(world, truth):
+def test_labels_that_do_not_fit_or_are_missing_fail_that_scan(world, truth):
     path = truth / "sequences/08/predictions/000000.label"
     write_labels(path, read_labels(path)[:-1])
-    unknown = truth / "sequences/08/predictions/000001.label"
-    write_labels(unknown, np.full(1500, 77, np.uint32))
+    other = truth / "sequences/08/predictions/000001.label"
+    write_labels(other, np.full(1500, 77, np.uint32))
     outcome = refine(world, truth)
     assert outcome.done == 1
     assert f"{path} · 1499 labels · expected 1500" in outcome.failures[0].reason
-    assert f"{unknown} · unknown label ids 77 (1500×)" in outcome.failures[1].reason
-
-
-def test_labels_that_are_missing_fail_that_scan(world, truth):
-    (truth / "sequences/08/predictions/000001.label").unlink()
-    outcome = refine(world, truth)
-    assert [failure.scan.stem for failure in outcome.failures] == ["000001"]
-    assert "no such file" in outcome.failures[0].reason
-    assert knn_refine_scans(world.out, labels=truth, sensor=SMALL).skipped == 2
+    assert f"{other} · unknown label ids 77 (1500×)" in outcome.failures[1].reason
+    other.unlink()
+    again = refine(world, truth)
+    assert again.skipped == 1
+    assert "no such file" in again.failures[1].reason
 
 
 def test_labels_are_not_refined_onto_themselves(world, truth):
@@ -140,14 +126,10 @@ def test_pixel_labels_of_other_weights_are_not_passed_over(pixels, tmp_path):
     assert labels_below(pixels.out) != before
 
 
-def test_choices(pixels):
-    assert knn_refine_scans(pixels.out, selection=ScanSelection(split="valid", limit=1)).done == 1
-    assert list(labels_below(pixels.out)) == ["sequences/08/predictions/000000.label"]
-
-
-def test_only_scans_with_pixel_labels_are_refined(pixels):
-    pixels.result("pixel_labels", "08", "000001").unlink()
-    assert knn_refine_scans(pixels.out).done == 2
+def test_only_chosen_scans_with_pixel_labels_are_refined(pixels):
+    pixels.result("pixel_labels", "08", "000000").unlink()
+    assert knn_refine_scans(pixels.out, selection=ScanSelection(split="valid")).done == 1
+    assert list(labels_below(pixels.out)) == ["sequences/08/predictions/000001.label"]
 
 
 def test_no_pixel_labels_at_all(world):
@@ -183,7 +165,7 @@ def test_ones_own_network_between_project_and_knn_refine(world):
     assert set(world.labels()) == {40}
 
 
-def test_a_folder_without_labels_is_named_once(world, truth, tmp_path):
+def test_a_folder_without_labels_is_named_once(world, tmp_path):
     (tmp_path / "empty").mkdir()
     (tmp_path / "file").touch()
     for name, found in (
@@ -194,5 +176,3 @@ def test_a_folder_without_labels_is_named_once(world, truth, tmp_path):
         with pytest.raises(NoInputError, match=rf"{name} · {found}"):
             refine(world, tmp_path / name)
     assert not world.out.exists()
-    (truth / "sequences/08/predictions/000001.label").unlink()
-    assert [f.scan.stem for f in refine(world, truth).failures] == ["000001"]

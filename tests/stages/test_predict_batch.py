@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
-from scans import write_sequence
+from scans import files_below, write_sequence
 
 from salsanext_cli.errors import UsageError
 from salsanext_cli.inference.network import Network
@@ -20,8 +20,8 @@ EXTRAS = ("pixel_labels", "probabilities")
 
 
 def bytes_below(folder):
-    files = (path for path in folder.rglob("*") if path.suffix in (".label", ".npy"))
-    return {str(path.relative_to(folder)): path.read_bytes() for path in files}
+    found = files_below(folder).items()
+    return {name: data for name, data in found if name.endswith((".label", ".npy"))}
 
 
 @pytest.fixture

@@ -47,11 +47,3 @@ def test_another_sensor_is_refused(world):
     options = RunOptions(overwrite=True)
     project_scans(world.data, world.out, sensor=SMALL.resized(width=64), options=options)
     assert np.load(world.result("range")).shape == (5, 16, 64)
-
-
-def test_files_that_are_no_scans_are_named_and_the_rest_is_done(world):
-    world.scan("08", "000001").write_bytes(b"\0" * 17)
-    outcome = project_scans(world.data, world.out, sensor=SMALL)
-    assert outcome.done == 2
-    (failure,) = outcome.failures
-    assert "000001.bin · 17 bytes" in failure.reason

@@ -1,9 +1,12 @@
 # SPDX-License-Identifier: MIT
 import errno
+import resource
+import signal
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
-from full_disk import full_disk
 
 from salsanext_cli.errors import OutputError
 from salsanext_cli.storage.atomic import write_text, writing
@@ -75,10 +78,25 @@ def test_read_only_file_system() -> None:
         write_text(Path("/proc/self/salsanext/x"), "x")
 
 
+@contextmanager
+def full_disk(largest: int) -> Iterator[None]:
+    """Refuse files above so many bytes, as a full disk would.
+
+    Not a fixture: pytest writes its own progress, maybe into a larger file, while one is active.
+    """
+    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
+    old = signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (largest, hard))
+    try:
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
+        signal.signal(signal.SIGXFSZ, old)
+
+
 def test_full_disk(tmp_path: Path) -> None:
-    path = tmp_path / "x"
     with pytest.raises(OutputError, match="free some space") as caught, full_disk(1000):
-        write_text(path, "x" * 5000)
+        write_text(tmp_path / "x", "x" * 5000)
     assert isinstance(caught.value.__cause__, OSError)
     assert caught.value.__cause__.errno == errno.EFBIG
     assert list(tmp_path.iterdir()) == []

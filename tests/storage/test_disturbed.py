@@ -22,11 +22,11 @@ from salsanext_cli.storage.layout import find_scans
 from salsanext_cli.storage.output_run import OutputRun
 
 
-def run(world, meddle: Callable[[], object] = lambda: None, after: int = 1, **options):
-    """Predict, and meddle after some scans."""
+def run(world, meddle: Callable[[], object] = lambda: None, **options):
+    """Predict, and meddle after the first scan."""
 
     def progress(done: int, _: int) -> None:
-        if done == after:
+        if done == 1:
             meddle()
 
     given = RunOptions(progress=progress, **options)

@@ -210,32 +210,25 @@ def test_an_output_folder_that_cannot_be_made(tmp_path: Path) -> None:
 
 
 def test_label_space_and_sensor_are_those_of_the_stage_that_wrote(tmp_path: Path) -> None:
-    assert recorded_label_space(tmp_path) is None
-    assert recorded_sensor(tmp_path) == sensor("hdl64")
-    space = label_space().to_dict()
-    predict(tmp_path, {"label_space": space, "sensor": sensor("hdl32").to_dict()})
+    assert (recorded_label_space(tmp_path), recorded_sensor(tmp_path)) == (None, sensor("hdl64"))
+    space, hdl32 = label_space(), sensor("hdl32")
+    predict(tmp_path, {"label_space": space.to_dict(), "sensor": hdl32.to_dict()})
     found = recorded_label_space(tmp_path)
     assert found is not None
-    assert found.to_dict() == space
-    assert recorded_sensor(tmp_path) == sensor("hdl32")
+    assert found.to_dict() == space.to_dict()
+    assert recorded_sensor(tmp_path) == hdl32
 
 
-def test_another_source_of_the_same_name_is_refused_before_anything_is_removed(
-    tmp_path: Path,
-) -> None:
+def test_another_source_of_the_same_name_is_refused_before_anything_is_removed(tmp_path) -> None:
     predicted(tmp_path / "out", scans_of(tmp_path, "a"))
     before = files_below(tmp_path / "out")
     other = find_scans(write_sequence(tmp_path / "other/08", ["a"]))
     with pytest.raises(OutputError, match=r"sequence 08 came from .*data.* not from .*other"):
         predict(tmp_path / "out", {"weights": "new"}, scans=other, overwrite=True)
     assert files_below(tmp_path / "out") == before
-
-
-def test_two_folders_of_one_name_in_one_run_are_refused(tmp_path: Path) -> None:
-    scans = [ScanFile("08", stem, tmp_path / stem / "scan.bin") for stem in "ab"]
     with pytest.raises(OutputError, match="sequence 08 came from"):
-        predict(tmp_path / "out", scans=scans)
-    assert not (tmp_path / "out").exists()
+        predict(tmp_path / "new", scans=[*scans_of(tmp_path, "a"), *other])
+    assert not (tmp_path / "new").exists()
 
 
 HOLD = """
@@ -361,12 +354,10 @@ def test_no_run_forgets_what_others_were_asked_for(tmp_path: Path) -> None:
     assert record.scans["08"].stems == {*stems}
 
 
-def test_who_never_ends_recording_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_who_never_ends_recording_is_named(tmp_path: Path, monkeypatch) -> None:
     monkeypatch.setattr(run_registration, "RECORDS_LOCK_TIMEOUT_S", 0.1)
-    with (
-        records_lock(tmp_path),
-        pytest.raises(OutputError, match=r"records\.lock · held by another process · wait"),
-    ):
+    held = r"records\.lock · held by another process · wait"
+    with records_lock(tmp_path), pytest.raises(OutputError, match=held):
         predict(tmp_path)
 
 
