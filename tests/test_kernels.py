@@ -17,7 +17,7 @@ import pytest
 
 import salsanext_cli
 from salsanext_cli.kernels import (
-    SMALLEST_SLICE,
+    MIN_SLICE_ITEMS,
     KernelCache,
     argument,
     cache_folder,
@@ -27,7 +27,7 @@ from salsanext_cli.kernels import (
 from salsanext_cli.thread_pool import run_on_threads
 
 
-@pytest.mark.parametrize("count", [0, 1, SMALLEST_SLICE, 10 * SMALLEST_SLICE + 3])
+@pytest.mark.parametrize("count", [0, 1, MIN_SLICE_ITEMS, 10 * MIN_SLICE_ITEMS + 3])
 def test_slices_cover_everything_once(count):
     visits = np.zeros(count, int)
 
@@ -40,11 +40,11 @@ def test_slices_cover_everything_once(count):
 
 def test_an_error_in_any_slice_is_raised():
     def fail(part):
-        if part.stop == 10 * SMALLEST_SLICE:
+        if part.stop == 10 * MIN_SLICE_ITEMS:
             raise ValueError("last slice")
 
     with pytest.raises(ValueError, match="last slice"):
-        parallel_for_slices(fail, 10 * SMALLEST_SLICE)
+        parallel_for_slices(fail, 10 * MIN_SLICE_ITEMS)
 
 
 def test_arguments_are_copied_only_if_they_must_be():
