@@ -37,8 +37,8 @@ CACHE_ERRORS = (
 )
 """Raised by files that cannot be read or written, and by code of another version of numba."""
 CHECKSUM_BYTES = 32
-SMALLEST_SLICE = 16384
-"""Items below which a second thread costs more than it saves."""
+MIN_SLICE_ITEMS = 16384
+"""Number below which a second thread costs more than it saves."""
 
 
 def compiled(function: Function) -> Function:
@@ -149,7 +149,7 @@ def parallel_for_slices(work: Callable[[slice], object], count: int) -> None:
     depend on their number.
     """
     cores: int = vars(numba.config)["NUMBA_NUM_THREADS"]
-    threads = max(1, min(cores, count // SMALLEST_SLICE))
+    threads = max(1, min(cores, count // MIN_SLICE_ITEMS))
     borders = [count * part // threads for part in range(threads + 1)]
     slices = iter([slice(start, stop) for start, stop in pairwise(borders)])
 

@@ -17,7 +17,7 @@ import pytest
 
 import salsanext_cli
 from salsanext_cli.kernels import (
-    SMALLEST_SLICE,
+    MIN_SLICE_ITEMS,
     KernelCache,
     argument,
     cache_folder,
@@ -27,7 +27,7 @@ from salsanext_cli.kernels import (
 from salsanext_cli.thread_pool import run_on_threads
 
 
-@pytest.mark.parametrize("count", [0, 1, SMALLEST_SLICE, 10 * SMALLEST_SLICE + 3])
+@pytest.mark.parametrize("count", [0, 1, MIN_SLICE_ITEMS, 10 * MIN_SLICE_ITEMS + 3])
 def test_slices_cover_everything_once(count):
     visits = np.zeros(count, int)
 

@@ -32,7 +32,7 @@ POOLS: dict[str, PoolMaker] = {
     "dask": dask_pool,
     "ray": ray_pool,
 }
-HARMLESS = (
+HARMLESS_WARNINGS = (
     # Who stops a run knows that it has been stopped.
     ".*tasks which were still being processed",
     # A worker that grows, as it does when it loads a network, is replaced by a fresh one.
@@ -52,7 +52,7 @@ def attempts_of_workers(
         If a worker died; that ends the run.
     """
     with warnings.catch_warnings():
-        for message in HARMLESS:
+        for message in HARMLESS_WARNINGS:
             warnings.filterwarnings("ignore", message)
         with POOLS[options.backend](options, len(scans)) as pool:
             context = replace(context, threads=pool.threads)

@@ -12,7 +12,7 @@ from typing import Any
 
 from salsanext_cli.errors import MissingDependency, UsageError
 from salsanext_cli.parallel.options import RunOptions
-from salsanext_cli.parallel.pools import AHEAD, WorkerPool
+from salsanext_cli.parallel.pools import CHUNKS_IN_FLIGHT, WorkerPool
 from salsanext_cli.parallel.processes import signals_blocked
 from salsanext_cli.parallel.threads import cores, threads_each
 
@@ -38,7 +38,7 @@ def dask_pool(options: RunOptions, most: int) -> Iterator[WorkerPool]:
         yield WorkerPool(
             {"backend": _backend(client)},
             workers,
-            workers if limited else AHEAD * workers,
+            workers if limited else CHUNKS_IN_FLIGHT * workers,
             threads_each(cores() if here else slots, workers),
             (KilledWorker, CancelledError),
         )

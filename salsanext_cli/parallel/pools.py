@@ -13,7 +13,7 @@ from salsanext_cli.parallel.options import RunOptions
 from salsanext_cli.parallel.processes import end_with_parent
 from salsanext_cli.parallel.threads import cores, threads_each, threads_of_workers
 
-AHEAD = 2
+CHUNKS_IN_FLIGHT = 2
 """Chunks sent for each worker, so that the next one is there when one is done."""
 
 
@@ -56,7 +56,9 @@ def process_pool(options: RunOptions, most: int) -> Iterator[WorkerPool]:
         "initializer": end_with_parent,
         "initargs": (os.getpid(),),
     }
-    yield WorkerPool(backend, workers, AHEAD * workers, threads, (TerminatedWorkerError,))
+    yield WorkerPool(
+        backend, workers, CHUNKS_IN_FLIGHT * workers, threads, (TerminatedWorkerError,)
+    )
 
 
 @contextmanager
@@ -66,4 +68,4 @@ def thread_pool(options: RunOptions, most: int) -> Iterator[WorkerPool]:
     threads = threads_each(cores(), workers)
     backend = {"backend": "threading", "n_jobs": workers}
     with threads_of_workers(threads):
-        yield WorkerPool(backend, workers, AHEAD * workers, threads)
+        yield WorkerPool(backend, workers, CHUNKS_IN_FLIGHT * workers, threads)

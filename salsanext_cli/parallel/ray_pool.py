@@ -15,7 +15,7 @@ from typing import Any
 
 from salsanext_cli.errors import MissingDependency, UsageError
 from salsanext_cli.parallel.options import RunOptions
-from salsanext_cli.parallel.pools import AHEAD, WorkerPool
+from salsanext_cli.parallel.pools import CHUNKS_IN_FLIGHT, WorkerPool
 from salsanext_cli.parallel.processes import signals_blocked
 from salsanext_cli.parallel.threads import cores, threads_each
 
@@ -45,7 +45,7 @@ def ray_pool(options: RunOptions, most: int) -> Iterator[WorkerPool]:
         yield WorkerPool(
             {"backend": _backend(workers, sum(gpus)), "n_jobs": max(2, workers)},
             workers,
-            1 if workers == 1 else AHEAD * workers,
+            1 if workers == 1 else CHUNKS_IN_FLIGHT * workers,
             threads_each(cores(), workers)
             if here
             else min(max(cpus), threads_each(slots, workers)),

@@ -13,12 +13,12 @@ from salsanext_cli.inference.parallel_for import parallel_for
 
 NODES = 12
 """Nodes of the Gauss-Hermite quadrature of the logistic function."""
-CHUNK = 1 << 17
+CHUNK_SIZE = 1 << 17
 """Numbers per step on a CPU, so that what lies between stays in its cache."""
-FARTHEST = 12.0
+MAX_DEVIATIONS = 12.0
 """Standard deviations from the kink beyond which what is on the other side changes no float64;
 farther out are numbers so small that computing with them takes many times as long."""
-SMALLEST = 1e-30
+SMALLEST_DIVISOR = 1e-30
 """Least divisor: what it divides is 0 where it acts."""
 DAMPING = 0.15
 """Damping of a shift of second order, so that for large v it grows like √v, as the largest of
@@ -46,7 +46,7 @@ def leaky_relu_moments(mean: Tensor, variance: Tensor, slope: float) -> tuple[Te
     layout = _layout(mean)
     given = [t.contiguous(memory_format=layout) for t in (mean, variance)]
     results = torch.empty_like(given[0]), torch.empty_like(given[0])
-    step = CHUNK if mean.device.type == "cpu" else max(1, mean.numel())
+    step = CHUNK_SIZE if mean.device.type == "cpu" else max(1, mean.numel())
     chunks = [*zip(*(torch.split(_flat(t, layout), step) for t in (*given, *results)), strict=True)]
 
     def compute(number: int) -> None:
@@ -71,7 +71,7 @@ def _flat(x: Tensor, layout: torch.memory_format) -> Tensor:
 
 def _leaky_relu(m: Tensor, v: Tensor, slope: float) -> tuple[Tensor, Tensor]:
     deviation = v.sqrt()
-    far = m.abs().div_(deviation.clamp(min=SMALLEST)).clamp_(max=FARTHEST)
+    far = m.abs().div_(deviation.clamp(min=SMALLEST_DIVISOR)).clamp_(max=MAX_DEVIATIONS)
     beyond = torch.special.erfc(far * math.sqrt(0.5)).mul_(0.5)
     density = far.square().mul_(-0.5).exp_().mul_(1 / math.sqrt(2 * math.pi))
     excess = density.addcmul_(far, beyond, value=-1).clamp_(min=0)
@@ -112,7 +112,7 @@ def softmax_moments(mean: Tensor, variance: Tensor, dim: int) -> tuple[Tensor, T
     if len(m) == 1:
         return torch.ones_like(mean), torch.zeros_like(variance)
     columns = [t.reshape(len(m), -1) for t in (m, v)]
-    step = max(1, CHUNK // len(m)) if m.device.type == "cpu" else max(1, columns[0].shape[1])
+    step = max(1, CHUNK_SIZE // len(m)) if m.device.type == "cpu" else max(1, columns[0].shape[1])
     chunks = zip(*(torch.split(c, step, dim=1) for c in columns), strict=True)
     parts = [_softmax(*chunk) for chunk in chunks]
     results = (torch.cat(part, dim=1).view(m.shape) for part in zip(*parts, strict=True))
@@ -126,7 +126,7 @@ def _softmax(m: Tensor, v: Tensor) -> tuple[Tensor, Tensor]:
     probability, complement, variance = logistic_moments(margin, margin_variance)
     total = probability.sum(dim=0)
     others = _sum_of_others(probability, probability.masked_fill(is_best, 0), is_best)
-    share = variance / complement.clamp(min=SMALLEST)
+    share = variance / complement.clamp(min=SMALLEST_DIVISOR)
     mean, rest = probability / total, others / total
     return mean, _consistent(mean, share * rest / total).minimum(mean * rest)
 

@@ -87,13 +87,13 @@ class Trial:
             start_new_session=True,
         )
 
-    def require_made_good(self, folder: Path) -> None:
+    def require_made_good(self, folder: Path, number: signal.Signals) -> None:
         """Fail if files are half written, or if another run does not make the results whole."""
         require_whole(folder / OUT)
         with chdir(folder):
             call(self.command)
         require_alike(self.expected, folder / OUT)
-        require_tidy(folder / OUT)
+        require_tidy(folder / OUT, killed=number == signal.SIGKILL)
 
 
 @pytest.fixture(scope="module")
@@ -135,7 +135,7 @@ def disturb(trial: Trial, folder: Path, number: signal.Signals, step: int) -> No
     require_ended(process, number)
     if number == signal.SIGTERM:
         require_tidy(folder / OUT)
-    trial.require_made_good(folder)
+    trial.require_made_good(folder, number)
 
 
 SIGNALS = pytest.mark.parametrize(
@@ -201,7 +201,7 @@ def test_workers_end_with_their_run(tmp_path: Path, long: Trial, number: signal.
     process.send_signal(number)
     require_ended(process, number)
     assert process.returncode
-    long.require_made_good(tmp_path / "trial")
+    long.require_made_good(tmp_path / "trial", number)
 
 
 @pytest.mark.slow
@@ -224,4 +224,4 @@ def test_signals_at_random_moments(
         else:
             os.killpg(process.pid, number)
         require_ended(process, number)
-        long.require_made_good(folder)
+        long.require_made_good(folder, number)

@@ -50,7 +50,8 @@ def rewritten(source, target, change):
 
 def bias(count, dtype=torch.float32):
     """Return a bias of the logits that is beyond what float32 holds, if the type holds more."""
-    return {"logits.bias": torch.full((count,), 1e300 if dtype == torch.float64 else 1).to(dtype)}
+    value = torch.tensor(1e300 if dtype == torch.float64 else 1, dtype=torch.float64)
+    return {"logits.bias": value.to(dtype).repeat(count)}
 
 
 def test_round_trip_keeps_every_bit(module, tmp_path):

@@ -9,7 +9,6 @@ import torch
 from scans import files_below, write_sequence
 
 from salsanext_cli.errors import UsageError
-from salsanext_cli.inference.network import Network
 from salsanext_cli.parallel.network_task import default_batch
 from salsanext_cli.parallel.run import RunOptions
 from salsanext_cli.records import Scan
@@ -61,21 +60,21 @@ def test_scans_that_fail_do_not_keep_the_others(nine, tmp_path):
 
 def test_batches_shrink_when_memory_is_short(nine, tmp_path, monkeypatch, caplog):
     predict(nine, tmp_path / "expected")
-    softmax = Network._softmax
+    softmax = torch.softmax
 
-    def short_of_memory(self, channels):
-        if len(channels) > 2:
+    def short_of_memory(logits, dim):
+        if len(logits) > 2:
             raise torch.OutOfMemoryError("no room")
-        return softmax(self, channels)
+        return softmax(logits, dim)
 
-    monkeypatch.setattr(Network, "_softmax", short_of_memory)
+    monkeypatch.setattr(torch, "softmax", short_of_memory)
     outcome = predict(nine, tmp_path / "out", batch=4)
     assert (outcome.done, outcome.failures) == (9, ())
     assert "not enough memory for 4 scans at once: 2 now" in caplog.text
     assert bytes_below(tmp_path / "out") == bytes_below(tmp_path / "expected")
 
 
-@pytest.mark.parametrize("step", ["project", "knn_refine", "Network._softmax"])
+@pytest.mark.parametrize("step", ["project", "knn_refine", "Network.input"])
 def test_scans_that_do_not_fit_into_memory_are_named(nine, tmp_path, monkeypatch, step):
     def no_room(*_args, **_options):
         raise torch.OutOfMemoryError("no room")

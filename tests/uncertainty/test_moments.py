@@ -13,7 +13,7 @@ from scipy.special import expit
 from scipy.stats import norm
 
 from salsanext_cli.uncertainty import moments
-from salsanext_cli.uncertainty.moments import FARTHEST, leaky_relu_moments, softmax_moments
+from salsanext_cli.uncertainty.moments import MAX_DEVIATIONS, leaky_relu_moments, softmax_moments
 
 SAMPLES = 100_000
 FLOATS = [torch.float64, torch.float32, torch.bfloat16, torch.float16]
@@ -39,7 +39,7 @@ def softmax(mean, variance, dtype=torch.float64):
 
 def normal_quadrature(*cuts):
     """Return nodes and weights for N(0, 1), in pieces: exact to the last digits if smooth there."""
-    edges = sorted({-FARTHEST, FARTHEST, *(c for c in cuts if abs(c) < FARTHEST)})
+    edges = sorted({-MAX_DEVIATIONS, MAX_DEVIATIONS, *(c for c in cuts if abs(c) < MAX_DEVIATIONS)})
     nodes, weights = LEGENDRE
     pieces = [(a, (b - a) / 2) for a, b in pairwise(edges)]
     z = np.concatenate([a + half * (nodes + 1) for a, half in pieces])
@@ -109,7 +109,7 @@ def test_leaky_relu_of_any_layout(shape, last, last_variance, cut):
 def test_the_size_of_a_step_changes_nothing(monkeypatch):
     mean, variance = draw(2, 5, 8, 7), draw(2, 5, 8, 7, seed=1).square()
     whole = *leaky_relu_moments(mean, variance, 0.01), *softmax_moments(mean, variance, 1)
-    monkeypatch.setattr(moments, "CHUNK", 33)
+    monkeypatch.setattr(moments, "CHUNK_SIZE", 33)
     parts = *leaky_relu_moments(mean, variance, 0.01), *softmax_moments(mean, variance, 1)
     for one, other in zip(whole, parts, strict=True):
         torch.testing.assert_close(one, other, rtol=1e-14, atol=0)
