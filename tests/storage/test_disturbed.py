@@ -62,26 +62,18 @@ def test_weights_that_are_deleted_once_they_are_loaded(world, whole, tmp_path):
     assert fingerprint(world.network.weights) in (world.out / "predict.json").read_text()
 
 
-@pytest.mark.parametrize("jobs", [1, 2])
-def test_weights_that_are_replaced_label_no_scan(world, whole, tmp_path, jobs):
+def test_workers_that_find_other_weights_label_no_scan(world, tmp_path):
     """As those of a training that goes on: who has not loaded the first ones stops."""
     weights = tmp_path / "w.safetensors"
     shutil.copy(world.network.weights, weights)
-    settings = NetworkSettings(weights, "cpu")
-    network = settings.load()
-    settings = settings.resolved(network)
+    network = NetworkSettings(weights, "cpu").load()
+    settings = NetworkSettings(weights, "cpu").resolved(network)
     write_weights(weights, seed=1)
     output = OutputRun(world.out, "predict", ("predictions",))
-    function = partial(predict_scan, knn=KnnParameters(), output=output)
-    work = NetworkTask(function, settings, network)
-    scans, options = find_scans(world.data), RunOptions(jobs=jobs)
-    if jobs == 1:
-        assert run_over_scans(work, scans, options).done == 3
-        assert labels_below(world.out) == whole
-    else:
-        with pytest.raises(WeightsError, match="was replaced since the run began"):
-            run_over_scans(work, scans, options)
-        assert labels_below(world.out) == {}
+    task = NetworkTask(partial(predict_scan, knn=KnnParameters(), output=output), settings, network)
+    with pytest.raises(WeightsError, match="was replaced since the run began"):
+        run_over_scans(task, find_scans(world.data), RunOptions(jobs=2))
+    assert labels_below(world.out) == {}
 
 
 def test_a_result_folder_that_becomes_read_only(world, whole):
@@ -127,14 +119,13 @@ def test_a_clock_that_goes_backwards(world, whole, monkeypatch):
 
 def test_a_file_replaced_by_one_of_the_same_size_and_time(tmp_path):
     """As a clock that was set back, or a copy that keeps times, can leave it."""
-    first, second = tmp_path / "a", tmp_path / "b"
-    first.write_bytes(b"one")
-    second.write_bytes(b"two")
-    for path in (first, second):
-        os.utime(path, (1, 1))
-    before = fingerprint(first)
-    second.replace(first)
-    assert fingerprint(first) != before
+    digests = []
+    for content in (b"one", b"two"):
+        (tmp_path / "new").write_bytes(content)
+        os.utime(tmp_path / "new", (1, 1))
+        (tmp_path / "new").replace(tmp_path / "file")
+        digests.append(fingerprint(tmp_path / "file"))
+    assert digests[0] != digests[1]
 
 
 def test_scans_that_are_added_while_others_are_labelled(world, whole):
