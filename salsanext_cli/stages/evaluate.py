@@ -25,6 +25,7 @@ from salsanext_cli.measures.uncertainty_evaluation import (
 )
 from salsanext_cli.parallel.run import Failure, RunOptions, run_over_scans
 from salsanext_cli.report import plots, uncertainty_plots
+from salsanext_cli.storage.atomic import sweep_stale
 from salsanext_cli.storage.json_files import encode_json, read_json
 from salsanext_cli.storage.layout import ScanFile
 from salsanext_cli.storage.run_registration import records_lock
@@ -174,6 +175,7 @@ def evaluate(
     _warn(evaluation)
     files = _files(evaluation)
     with records_lock(out):
+        sweep_stale(out)
         _require_replaceable(out, settings, options.overwrite)
         for name, content in files.items():
             WrittenFiles(out).write(out / name, content, durable=True)

@@ -4,8 +4,11 @@
 from __future__ import annotations
 
 import logging
+import os
+import signal
 from collections import Counter
 from collections.abc import Callable, Iterator
+from contextlib import closing
 from dataclasses import dataclass, replace
 from functools import partial
 from itertools import islice
@@ -18,6 +21,7 @@ from salsanext_cli.classes import label_space
 from salsanext_cli.errors import OutputError, UsageError
 from salsanext_cli.formats.kitti import encode_bin, encode_labels
 from salsanext_cli.packages import import_open3d
+from salsanext_cli.parallel.processes import end_with_parent, signals_blocked
 from salsanext_cli.parallel.run import Progress
 from salsanext_cli.parallel.threads import worker_count
 from salsanext_cli.storage.json_files import encode_json, read_json
@@ -184,9 +188,15 @@ def _write(write: SequenceWriter, names: list[str], jobs: int) -> Iterator[dict[
         return
     import joblib
 
-    parallel = joblib.Parallel(n_jobs=workers, backend="loky", return_as="generator_unordered")
-    for counts in parallel(joblib.delayed(_write_whole)(write, name) for name in names):
-        yield from counts
+    with joblib.parallel_config(
+        backend="loky", n_jobs=workers, initializer=end_with_parent, initargs=(os.getpid(),)
+    ):
+        parallel = joblib.Parallel(return_as="generator_unordered")
+    with signals_blocked(signal.SIGINT, signal.SIGTERM):
+        found = parallel(joblib.delayed(_write_whole)(write, name) for name in names)
+    with closing(found):
+        for counts in found:
+            yield from counts
 
 
 def _write_whole(write: SequenceWriter, name: str) -> list[dict[int, int]]:

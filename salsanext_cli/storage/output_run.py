@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -19,7 +19,7 @@ from salsanext_cli.formats.npy import encode_array
 from salsanext_cli.formats.reading import filled
 from salsanext_cli.storage.atomic import MARK, sweep, sweep_stale
 from salsanext_cli.storage.layout import ScanFile, output_path
-from salsanext_cli.storage.locks import locked
+from salsanext_cli.storage.locks import LockHeldError, locked
 from salsanext_cli.storage.run_registration import records_lock, register_run
 from salsanext_cli.storage.sources import scan_sources
 from salsanext_cli.storage.stage_records import StageRecord, as_json, read_record
@@ -133,6 +133,10 @@ def output_run(
         held.callback(MARK.reset, MARK.set(mark))
         with records_lock(out):
             register_run(wanted, out, overwrite)
+            for lock in out.glob(f".{stage}.*.lock"):
+                # That of a killed run can be taken, and goes when it is released.
+                with suppress(LockHeldError), locked(lock):
+                    pass
             held.enter_context(locked(out / f".{stage}.{mark}.lock"))
         places = _places(out, wanted.folders, scans)
         for place in places:

@@ -83,13 +83,13 @@ def require_whole(folder: Path) -> None:
 
 
 def require_tidy(folder: Path, *, killed: bool = False) -> None:
-    """Fail if a hidden file is left, but for locks and unfinished files of a killed process.
+    """Fail if a hidden file is left, but for unfinished ones of a killed process.
 
-    The locks mean nothing, and the unfinished files are removed when they are a day old.
+    These are removed when they are a day old.
     """
     left = [path.name for path in files(folder, hidden=True).values()]
     if killed:
-        left = [name for name in left if not (TEMPORARY.fullmatch(name) or name.endswith(".lock"))]
+        left = [name for name in left if not TEMPORARY.fullmatch(name)]
     assert not left, left
 
 
