@@ -9,6 +9,7 @@ import re
 import signal
 import socket
 import sys
+import threading
 from collections.abc import Iterator
 from contextlib import contextmanager, redirect_stdout
 from typing import Any
@@ -81,6 +82,7 @@ def _connected(ray: Any, address: str | None, here: int | None) -> Iterator[None
         return
     # It would tell its makers that it was used.
     os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")
+    sigterm = signal.getsignal(signal.SIGTERM)
     quiet = {"log_to_driver": False, "logging_level": logging.ERROR}
     if here:
         with signals_blocked(signal.SIGINT):
@@ -96,6 +98,9 @@ def _connected(ray: Any, address: str | None, here: int | None) -> Iterator[None
             found_there = str(error).partition("\n")[0]
             raise UsageError(f"--scheduler {address}", found_there, expected) from error
     try:
+        if threading.current_thread() is threading.main_thread():
+            # Ray's own handler ends the process with another status.
+            signal.signal(signal.SIGTERM, sigterm)
         yield
     finally:
         ray.shutdown()

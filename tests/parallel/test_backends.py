@@ -2,6 +2,7 @@
 """Every backend with real workers: the bytes do not depend on it, and deaths are survived."""
 
 import os
+import signal
 import socket
 from contextlib import ExitStack
 from pathlib import Path
@@ -121,8 +122,9 @@ def test_a_bug_in_a_worker_keeps_its_type(tmp_path, workers):
 
 
 def test_failures_are_named_and_the_rest_is_done(tmp_path, workers, monkeypatch):
-    """Relative names start where the run was started."""
+    """Relative names start where the run was started; who handled SIGTERM still does."""
     monkeypatch.chdir(tmp_path)
+    handler = signal.getsignal(signal.SIGTERM)
     outcome = run(Write(Path("out")), scans_of("bad2", "a", "bad1", "b"), **workers)
     assert sorted(outcome.results) == ["a", "b"]
     assert [failure.reason for failure in outcome.failures] == [
@@ -130,6 +132,7 @@ def test_failures_are_named_and_the_rest_is_done(tmp_path, workers, monkeypatch)
         "/scans/bad2.bin · cut off",
     ]
     assert sorted(path.name for path in Path("out/s").iterdir()) == ["a", "b"]
+    assert signal.getsignal(signal.SIGTERM) is handler
 
 
 def test_a_scan_that_kills_its_workers_is_one_error_and_the_next_run_goes_on(tmp_path, workers):

@@ -26,7 +26,7 @@ def test_scores_count_points_after_knn(tmp_path: Path, weights: Path) -> None:
         np.add.at(expected, (truth, predicted), 1)
     confusion = validate(network, files)
     np.testing.assert_array_equal(confusion.matrix, expected)
-    assert confusion.total == 4500
+    assert confusion.matrix.sum() == 4500
 
 
 def test_evenly_spaced_takes_first_and_last_and_none_twice(tmp_path: Path) -> None:
