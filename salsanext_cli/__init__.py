@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""A class and an honest uncertainty for every point of a LiDAR scan.
+"""A class and an uncertainty for every point of a LiDAR scan.
 
 The names below are the public ones. Each is imported when it is first used, so that importing the
 package, and asking the command line for help, takes no time.

@@ -47,7 +47,7 @@ COMMANDS: dict[str, dict[str, Callable[..., None] | typer.Typer]] = {
         "tune": tune,
         "benchmark": benchmark,
     },
-    "Look": {
+    "Demonstration": {
         "demo": demo,
     },
 }

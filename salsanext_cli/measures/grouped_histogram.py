@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Histograms of right and of wrong points by group, of one size for any number of scans."""
+"""Histograms of right and of wrong points by group, and sums per scan."""
 
 from __future__ import annotations
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Attempts at the scans of a run, by workers that joblib starts or connects to."""
+"""AttemptFunction at the scans of a run, by workers that joblib starts or connects to."""
 
 from __future__ import annotations
 

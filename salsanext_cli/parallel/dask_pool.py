@@ -21,7 +21,7 @@ CONNECT_TIMEOUT_S = 15
 
 
 @contextmanager
-def dask_pool(options: RunOptions, most: int) -> Iterator[WorkerPool]:
+def dask_pool(options: RunOptions, max_workers: int) -> Iterator[WorkerPool]:
     """Connect to a scheduler, or start at most so many workers here that end with the run."""
     try:
         import distributed
@@ -30,8 +30,12 @@ def dask_pool(options: RunOptions, most: int) -> Iterator[WorkerPool]:
         raise MissingDependency(
             "--backend dask", "Dask is not installed", remedy="pip install 'salsanext[dask]'"
         ) from error
-    here = min(most, options.workers_here()) if options.scheduler is None else None
-    with _started(distributed, here) if here else _found(distributed, options.scheduler) as client:
+    here = min(max_workers, options.workers_here()) if options.scheduler is None else None
+    with (
+        _local_cluster(distributed, here)
+        if here
+        else _connected(distributed, options.scheduler) as client
+    ):
         slots = sum(client.nthreads().values())
         workers = here or options.workers_of_cluster() or slots
         limited = not here and options.workers_of_cluster()
@@ -67,7 +71,7 @@ def _backend(client: Any) -> Any:
 
 
 @contextmanager
-def _started(distributed: Any, workers: int) -> Iterator[Any]:
+def _local_cluster(distributed: Any, workers: int) -> Iterator[Any]:
     with signals_blocked(signal.SIGINT):
         cluster = distributed.LocalCluster(
             n_workers=workers,
@@ -83,7 +87,7 @@ def _started(distributed: Any, workers: int) -> Iterator[Any]:
 
 
 @contextmanager
-def _found(distributed: Any, address: str | None) -> Iterator[Any]:
+def _connected(distributed: Any, address: str | None) -> Iterator[Any]:
     def refused(error: Exception) -> UsageError:
         found = str(error).partition("\n")[0]
         expected = "a Dask scheduler with workers, such as tcp://host:8786"

@@ -57,12 +57,12 @@ class NetworkTask(Generic[Result]):
         if several is None or (size == 1 and network.device.type == "cpu"):
             return lambda files: one_by_one(lambda file: self.function(file, network), files)
 
-        def in_batches(files: Iterable[ScanFile]) -> Iterator[Attempt]:
+        def batched_attempts(files: Iterable[ScanFile]) -> Iterator[Attempt]:
             waiting = iter(files)
             while batch := tuple(islice(waiting, size)):
                 yield from several(batch, network)
 
-        return in_batches
+        return batched_attempts
 
     def __reduce__(self) -> tuple[Any, ...]:
         parts = (self.function, self.settings, None, self.batch_function, self.batch)

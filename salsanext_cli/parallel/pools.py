@@ -43,11 +43,11 @@ class WorkerPool:
 
 
 @contextmanager
-def process_pool(options: RunOptions, most: int) -> Iterator[WorkerPool]:
+def process_pool(options: RunOptions, max_workers: int) -> Iterator[WorkerPool]:
     """Give a pool of processes, at most so many; joblib starts them with the first chunks."""
     from joblib.externals.loky.process_executor import TerminatedWorkerError
 
-    workers = min(most, options.workers_here())
+    workers = min(max_workers, options.workers_here())
     threads = threads_each(cores(), workers)
     backend = {
         "backend": "loky",
@@ -62,9 +62,9 @@ def process_pool(options: RunOptions, most: int) -> Iterator[WorkerPool]:
 
 
 @contextmanager
-def thread_pool(options: RunOptions, most: int) -> Iterator[WorkerPool]:
+def thread_pool(options: RunOptions, max_workers: int) -> Iterator[WorkerPool]:
     """Give a pool of threads, at most so many."""
-    workers = min(most, options.workers_here())
+    workers = min(max_workers, options.workers_here())
     threads = threads_each(cores(), workers)
     backend = {"backend": "threading", "n_jobs": workers}
     with threads_of_workers(threads):

@@ -25,7 +25,7 @@ CONNECT_TIMEOUT_S = 15
 
 
 @contextmanager
-def ray_pool(options: RunOptions, most: int) -> Iterator[WorkerPool]:
+def ray_pool(options: RunOptions, max_workers: int) -> Iterator[WorkerPool]:
     """Connect to a cluster, or start at most so many workers here that end with the run."""
     try:
         import ray
@@ -34,7 +34,7 @@ def ray_pool(options: RunOptions, most: int) -> Iterator[WorkerPool]:
             "--backend ray", "Ray is not installed", remedy="pip install 'salsanext[ray]'"
         ) from error
     started = options.scheduler is None and not ray.is_initialized()
-    here = min(most, options.workers_here()) if started else None
+    here = min(max_workers, options.workers_here()) if started else None
     # Ray tells on stdout that a worker died.
     with redirect_stdout(sys.stderr), _connected(ray, options.scheduler, here):
         cpus, gpus = _resources(ray, "CPU"), _resources(ray, "GPU")
@@ -63,7 +63,7 @@ def _backend(workers: int, gpus: int) -> Any:
     """Return joblib's backend; it waits until all workers have what they reserve."""
     from ray.util.joblib.ray_backend import RayBackend
 
-    class AsTheyCome(RayBackend):
+    class UnorderedRayBackend(RayBackend):
         """Backend that does not say that it can give results as they come."""
 
         supports_return_generator = True
@@ -71,7 +71,7 @@ def _backend(workers: int, gpus: int) -> Any:
     reserved = (
         {"num_cpus": 0, "num_gpus": 1 / -(-max(2, workers) // gpus)} if gpus else {"num_cpus": 1}
     )
-    return AsTheyCome(ray_remote_args={**reserved, "scheduling_strategy": "SPREAD"})
+    return UnorderedRayBackend(ray_remote_args={**reserved, "scheduling_strategy": "SPREAD"})
 
 
 @contextmanager

@@ -13,7 +13,7 @@ from uuid import uuid4
 
 from salsanext_cli.errors import WorkersLost
 from salsanext_cli.parallel.options import CLUSTERS, Progress, RunOptions
-from salsanext_cli.parallel.tasks import Attempt, OpenedTask, opened
+from salsanext_cli.parallel.tasks import Attempt, OpenableTask, opened
 from salsanext_cli.parallel.worker import WorkerContext
 from salsanext_cli.storage.atomic import MARK
 from salsanext_cli.storage.layout import ScanFile
@@ -58,7 +58,7 @@ class Outcome(Generic[Result]):
 
 
 def run_over_scans(
-    task: Callable[[ScanFile], Result] | OpenedTask,
+    task: Callable[[ScanFile], Result] | OpenableTask,
     scans: Sequence[ScanFile],
     options: RunOptions,
     *,
@@ -69,7 +69,7 @@ def run_over_scans(
 
     Parameters
     ----------
-    task : callable or OpenedTask
+    task : callable or OpenableTask
         Works on a scan, writes its results, returns something small. With several jobs it is
         pickled.
     scans : sequence of ScanFile
@@ -123,7 +123,7 @@ def run_over_scans(
 
 
 def _attempts(
-    task: Callable[[ScanFile], Result] | OpenedTask, scans: list[ScanFile], options: RunOptions
+    task: Callable[[ScanFile], Result] | OpenableTask, scans: list[ScanFile], options: RunOptions
 ) -> Generator[Attempt, None, None]:
     if not scans:
         return

@@ -13,7 +13,7 @@ from pathlib import Path
 
 from salsanext_cli.errors import OutputError
 from salsanext_cli.parallel.chunks import Chunk
-from salsanext_cli.parallel.tasks import Attempt, Attempts, Task, opened
+from salsanext_cli.parallel.tasks import Attempt, AttemptFunction, Task, opened
 from salsanext_cli.parallel.threads import use_threads
 from salsanext_cli.storage.atomic import MARK
 
@@ -60,13 +60,13 @@ class Worker:
     def __init__(self) -> None:
         self.run = self.ended = ""
         self.slot: tuple[int, object] | None = None
-        self._attempts: Attempts | None = None
+        self._attempts: AttemptFunction | None = None
         self._busy = 0
         self._threads: set[threading.Thread] = set()
         self._changed = threading.Condition()
 
     @contextmanager
-    def serving(self, context: WorkerContext, task: Task) -> Iterator[Attempts]:
+    def serving(self, context: WorkerContext, task: Task) -> Iterator[AttemptFunction]:
         """Give the opened task of a run, in its folder.
 
         The threads of a process share the folder and what is opened, so they serve one run at a
@@ -84,7 +84,7 @@ class Worker:
                 self._busy -= 1
                 self._changed.notify_all()
 
-    def _opened(self, context: WorkerContext, task: Task) -> Attempts:
+    def _opened(self, context: WorkerContext, task: Task) -> AttemptFunction:
         if context.run == self.ended:
             return lambda _: iter(())
         if self._attempts is None or self.run != context.run:

@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: MIT
-"""Folder to folder: one file and one public function per stage."""
+"""Folder to folder: one file per command."""

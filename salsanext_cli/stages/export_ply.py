@@ -33,7 +33,12 @@ from salsanext_cli.storage.scan_results import (
     with_results,
 )
 from salsanext_cli.storage.selection import ScanSelection, choose
-from salsanext_cli.storage.sources import MissingResults, missing_results, recorded_scans
+from salsanext_cli.storage.sources import (
+    LABELLING_STAGES,
+    MissingResults,
+    missing_results,
+    recorded_scans,
+)
 from salsanext_cli.storage.stage_records import (
     origins,
     recorded_sensor,
@@ -41,7 +46,6 @@ from salsanext_cli.storage.stage_records import (
     stage_settings,
 )
 
-STAGES_READ = ("predict", "knn-refine", "uncertainty")
 SCANS_FOR_SCALE = 20
 
 
@@ -134,7 +138,7 @@ def export_ply(
         "colour": colour,
         "scale": list(scale),
         "label_space": space.to_dict(),
-        "origins": origins(out, STAGES_READ),
+        "origins": origins(out, LABELLING_STAGES),
     }
     colours = PointColours(colour, scale, space)
     with output_run(

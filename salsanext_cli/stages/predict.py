@@ -141,7 +141,7 @@ def predict_scans(
     network : NetworkSettings
         Weights, device, sensor and precision.
     knn : KnnParameters
-        Neighbours of the clean-up.
+        Neighbours in the kNN refinement.
     extras : tuple of {"pixel_labels", "probabilities"}
         Intermediate results to keep.
     batch : int, optional

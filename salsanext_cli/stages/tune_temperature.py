@@ -50,7 +50,7 @@ log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True, slots=True)
-class Tempered:
+class TemperatureFit:
     """Fit of a softmax with a temperature to the truth.
 
     Attributes
@@ -74,14 +74,14 @@ class TunedTemperature:
 
     Attributes
     ----------
-    before, after : Tempered
+    before, after : TemperatureFit
         With the temperature that the weights had, and with the one that was fitted.
     scans, points : int
         Number of those fitted to.
     """
 
-    before: Tempered
-    after: Tempered
+    before: TemperatureFit
+    after: TemperatureFit
     scans: int
     points: int
 
@@ -178,11 +178,11 @@ def _require_possible(dataset: Path, temperature: float, points: int) -> None:
         raise TrainingError(dataset, found, expected, "use more scans, or other weights")
 
 
-def _tempered(logits: Tensor, truth: Tensor, temperature: float) -> Tempered:
+def _tempered(logits: Tensor, truth: Tensor, temperature: float) -> TemperatureFit:
     histogram = ConfidenceHistogram(1)
     for part, classes in chunks(logits, truth):
         probabilities = torch.softmax(part / temperature, dim=1).numpy()
         errors = softmax_errors(probabilities, classes.numpy())
         histogram.update(errors, np.zeros(len(classes), np.intp))
     nll = negative_log_likelihood(logits, truth, temperature)
-    return Tempered(temperature, nll, calibration_scores(histogram).ece)
+    return TemperatureFit(temperature, nll, calibration_scores(histogram).ece)

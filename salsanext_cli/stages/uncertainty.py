@@ -118,7 +118,7 @@ def uncertainty(
     network : NetworkSettings
         Weights, device and sensor.
     knn : KnnParameters
-        Neighbours of the clean-up of the labels.
+        Neighbours in the kNN refinement of the labels.
     estimator : Estimator
         How; by default 30 passes of Monte-Carlo dropout and one of assumed density filtering.
     selection, options

@@ -145,10 +145,10 @@ def output_run(
             held.callback(sweep, place, mark)
         todo = [path for file in scans if not run.is_done(file) for path in run.paths(file)]
         yield replace(run, kept=frozenset(WrittenFiles(out).others(todo)))
-        _require_kept(out, wanted)
+        _require_still_recorded(out, wanted)
 
 
-def _require_kept(out: Path, wanted: StageRecord) -> None:
+def _require_still_recorded(out: Path, wanted: StageRecord) -> None:
     """Raise `OutputError` if the folder, and results with it, was removed while it was filled."""
     record = read_record(out, wanted.stage)
     if record is None or record.settings != wanted.settings:

@@ -16,6 +16,7 @@ from salsanext_cli.formats import read_scan
 from salsanext_cli.formats.kitti import read_labels
 from salsanext_cli.formats.npy import read_array
 from salsanext_cli.formats.reading import present
+from salsanext_cli.geometry.ranges import measured_ranges
 from salsanext_cli.records import Float, Scan
 from salsanext_cli.storage.layout import SUFFIX_OF_FOLDER, ScanFile, output_path, with_outputs
 
@@ -50,13 +51,8 @@ class ScanResults:
     @property
     def range(self) -> Float:
         """Distance of every point from the sensor, (N,) float32, metres."""
-        # Squares of far points exceed float32; those too far for it become infinite. And a NaN may
-        # signal.
-        with np.errstate(over="ignore", invalid="ignore"):
-            distance: Float = np.linalg.norm(self.scan.points.astype(np.float64), axis=1).astype(
-                np.float32
-            )
-        return distance
+        with np.errstate(over="ignore"):  # Those too far for float32 become infinite.
+            return measured_ranges(self.scan.points)[0].astype(np.float32)
 
     def error(self, space: LabelSpace) -> Float:
         """Return 1 where the label is wrong, 0 where right, NaN where truth does not count."""

@@ -14,11 +14,13 @@ from salsanext_cli import __version__
 from salsanext_cli.classes import LabelSpace
 from salsanext_cli.errors import OutputError
 from salsanext_cli.sensors import Sensor, sensor
+from salsanext_cli.settings_files import shortened
 from salsanext_cli.storage.json_files import read_json, write_json
 from salsanext_cli.storage.layout import SUFFIX_OF_FOLDER
 from salsanext_cli.storage.recorded_settings import RecordedSettings
 
 MAX_DIFFERENCES_SHOWN = 3
+SHOWN_CHARACTERS_OF_VALUE = 40
 RESULT_STAGES = ("project", "predict", "knn-refine", "uncertainty", "export-ply")
 
 
@@ -190,7 +192,7 @@ def _differences(recorded: Mapping[str, Any], settings: Mapping[str, Any]) -> st
     shown = [
         f"what `{key.removeprefix('origins.')}` made was made anew"
         if key.startswith("origins.")
-        else f"{key} was {_short(before.get(key))} and is {_short(after.get(key))}"
+        else f"{key} was {_as_shown(before.get(key))} and is {_as_shown(after.get(key))}"
         for key in changed[:MAX_DIFFERENCES_SHOWN]
     ]
     more = len(changed) - len(shown)
@@ -207,6 +209,5 @@ def _flat(settings: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
     return flat
 
 
-def _short(value: object, length: int = 40) -> str:
-    text = json.dumps(value, ensure_ascii=False)
-    return text if len(text) <= length else text[: length - 1] + "…"
+def _as_shown(value: object) -> str:
+    return shortened(json.dumps(value, ensure_ascii=False), SHOWN_CHARACTERS_OF_VALUE)

@@ -53,13 +53,11 @@ class Builder:
         """Draw a position along the street."""
         return self.between(0, self.plan.length)
 
-    def put(
-        self, mesh: Mesh, side: Side, s: float, out: float, yaw: float = 0.0, lift: float = 0.0
-    ) -> None:
+    def put(self, mesh: Mesh, side: Side, s: float, out: float, yaw: float = 0.0) -> None:
         """Set a thing down ``out`` metres beyond the kerb; its y points off the road."""
         t = side.sign * (self.plan.half + out)
         turned = float(self.plan.yaw(s)) + (0.0 if side.sign > 0 else np.pi) + yaw
-        self.parts.append(mesh.moved(self.plan.world(s, t) + np.array([0, 0, lift]), turned))
+        self.parts.append(mesh.moved(self.plan.world(s, t), turned))
 
     def put_if_free(
         self, mesh: Mesh, side: Side, s: float, out: float, radius: float, yaw: float = 0.0

@@ -137,13 +137,12 @@ def quads(corners: Array, skin: Skin) -> Mesh:
     return Mesh.of(corners.reshape(-1, 3), faces.reshape(-1, 3), skin)
 
 
-def rings(sections: Array, skin: Skin, *, closed: bool = True) -> Mesh:
-    """Join consecutive (S, P, 3) sections by quadrangles; `closed` joins last point to first."""
+def rings(sections: Array, skin: Skin) -> Mesh:
+    """Join consecutive (S, P, 3) sections, each a closed ring, by quadrangles."""
     count, size, _ = sections.shape
     index = np.arange(count * size).reshape(count, size)
-    following = index[:, [*range(1, size), 0]] if closed else index[:, 1:]
-    first = index if closed else index[:, :-1]
-    a, b, c, d = first[:-1], following[:-1], following[1:], first[1:]
+    following = index[:, [*range(1, size), 0]]
+    a, b, c, d = index[:-1], following[:-1], following[1:], index[1:]
     faces = np.concatenate([np.stack(f, -1).reshape(-1, 3) for f in ((a, b, c), (a, c, d))])
     return Mesh.of(sections.reshape(-1, 3), faces, skin)
 

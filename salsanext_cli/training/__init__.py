@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: MIT
-"""Only what `train` needs."""
+"""What only `train` and `tune` need."""
