@@ -208,13 +208,14 @@ def in_batches(
     """
     found: list[Result] = []
     while len(found) < len(items):
+        batch = items[len(found) : len(found) + size]
         try:
-            found.extend(function(items[len(found) : len(found) + size]))
+            found.extend(function(batch))
         except torch.OutOfMemoryError:
-            if size == 1:
+            if len(batch) == 1:
                 raise
-            log.warning("not enough memory for %d %s at once: %d now", size, name, size // 2)
-            size //= 2
+            size = len(batch) // 2
+            log.warning("not enough memory for %d %s at once: %d now", len(batch), name, size)
     return found
 
 

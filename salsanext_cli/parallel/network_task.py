@@ -4,12 +4,15 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
+from functools import partial
 from itertools import islice
 from typing import Any, Generic, TypeVar
 
 import torch
 
+from salsanext_cli.errors import FormatError
 from salsanext_cli.inference.network import Network
 from salsanext_cli.inference.settings import NetworkSettings
 from salsanext_cli.parallel.devices import own_device
@@ -55,7 +58,12 @@ class NetworkTask(Generic[Result]):
             network = replace(self.settings, device=device).load()
         size, several = self.batch or default_batch(network), self.batch_function
         if several is None or (size == 1 and network.device.type == "cpu"):
-            return lambda files: one_by_one(lambda file: self.function(file, network), files)
+
+            def function(file: ScanFile) -> Result:
+                with named_if_too_large(file, network):
+                    return self.function(file, network)
+
+            return partial(one_by_one, function)
 
         def batched_attempts(files: Iterable[ScanFile]) -> Iterator[Attempt]:
             waiting = iter(files)
@@ -67,6 +75,16 @@ class NetworkTask(Generic[Result]):
     def __reduce__(self) -> tuple[Any, ...]:
         parts = (self.function, self.settings, None, self.batch_function, self.batch)
         return NetworkTask, parts
+
+
+@contextmanager
+def named_if_too_large(file: ScanFile, network: Network) -> Iterator[None]:
+    """Turn memory that runs out into an error of one scan."""
+    try:
+        yield
+    except torch.OutOfMemoryError as error:
+        found = f"is too large for the memory of {network.device}"
+        raise FormatError(file.path, found, remedy="use --device cpu") from error
 
 
 def default_batch(network: Network) -> int:

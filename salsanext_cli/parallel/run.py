@@ -108,6 +108,8 @@ def run_over_scans(
                 tried.add(scan)
                 if options.progress:
                     options.progress(len(tried), len(todo))
+        if len(tried) < len(todo):
+            raise WorkersLost(f"--backend {options.backend}", "not every scan was worked on")
     except WorkersLost as lost:
         for failure in failures:
             log.error("%s", failure.reason)

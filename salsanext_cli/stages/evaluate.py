@@ -177,6 +177,7 @@ def evaluate(
     with records_lock(out):
         sweep_stale(out)
         _require_replaceable(out, settings, options.overwrite)
+        WrittenFiles(out).remove(out / name for name in FILES if name not in files)
         for name, content in files.items():
             WrittenFiles(out).write(out / name, content, durable=True)
     return evaluation

@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import suppress
 from dataclasses import asdict, replace
 from functools import partial
 from pathlib import Path
@@ -13,7 +13,7 @@ import numpy as np
 import torch
 
 from salsanext_cli.classes import TrainIds
-from salsanext_cli.errors import FormatError, SalsanextError, UsageError
+from salsanext_cli.errors import SalsanextError, UsageError
 from salsanext_cli.formats import read_scan
 from salsanext_cli.formats.npy import read_array
 from salsanext_cli.geometry.coverage import (
@@ -26,7 +26,7 @@ from salsanext_cli.geometry.knn import KnnParameters, knn_refine
 from salsanext_cli.geometry.projection import project
 from salsanext_cli.inference.network import Network
 from salsanext_cli.inference.settings import NetworkSettings
-from salsanext_cli.parallel.network_task import NetworkTask
+from salsanext_cli.parallel.network_task import NetworkTask, named_if_too_large
 from salsanext_cli.parallel.run import Outcome, RunOptions, run_over_scans
 from salsanext_cli.parallel.tasks import Attempt
 from salsanext_cli.records import CHANNELS, Float, RangeImage
@@ -55,7 +55,7 @@ def predict_batch(
     coverages: dict[ScanFile, FieldOfViewCoverage] = {}
     for file in files:
         try:
-            with _named_if_too_large(file, network):
+            with named_if_too_large(file, network):
                 images[file], coverages[file] = _projected(file, network, output)
         except SalsanextError as error:
             yield file, None, error
@@ -64,24 +64,14 @@ def predict_batch(
         softmax = network.pixel_probabilities([image.channels for image in images.values()])
     for (file, image), probabilities in zip(images.items(), softmax, strict=True):
         try:
-            with _named_if_too_large(file, network):
+            with named_if_too_large(file, network):
                 if probabilities is None:
-                    raise torch.OutOfMemoryError
+                    probabilities = network.probabilities(image, file.path)
                 network.require_finite(probabilities, file.path)
                 _write(file, image, probabilities, network, knn, output)
             yield file, coverages[file], None
         except SalsanextError as error:
             yield file, None, error
-
-
-@contextmanager
-def _named_if_too_large(file: ScanFile, network: Network) -> Iterator[None]:
-    """Turn memory that runs out into an error of one scan."""
-    try:
-        yield
-    except torch.OutOfMemoryError as error:
-        found = f"is too large for the memory of {network.device}"
-        raise FormatError(file.path, found, remedy="label it with --device cpu") from error
 
 
 def _projected(

@@ -25,7 +25,7 @@ from salsanext_cli.parallel.processes import end_with_parent, signals_blocked
 from salsanext_cli.parallel.run import Progress
 from salsanext_cli.parallel.threads import worker_count
 from salsanext_cli.storage.json_files import encode_json, read_json
-from salsanext_cli.storage.written_files import WrittenFiles
+from salsanext_cli.storage.written_files import RECORDS, WrittenFiles
 from salsanext_cli.synthesis.drive import record
 from salsanext_cli.synthesis.surfaces import ABSENT
 
@@ -150,7 +150,7 @@ def _check(sequences: dict[str, int], scans: int, seed: int, spacing: float, job
 
 def _require_room(out: Path, names: list[str], scans: int, overwrite: bool) -> None:
     """Remove an earlier synthetic data set, as far as it is unchanged; refuse to replace more."""
-    if not out.exists() or (out.is_dir() and not any(out.iterdir())):
+    if not out.exists() or (out.is_dir() and all(path.name == RECORDS for path in out.iterdir())):
         return
     earlier = read_json(out / MANIFEST) if out.is_dir() else None
     if earlier is None:
@@ -169,8 +169,20 @@ def _require_room(out: Path, names: list[str], scans: int, overwrite: bool) -> N
     for path in (*links, *written.others(files)):
         found = "is a link, was changed, or was not written by `synth`"
         raise OutputError(path, found, remedy="move it, or choose another folder")
-    for path in written.remove(written.recorded()):
+    for path in written.remove(path for path in written.recorded() if _is_generated(path, out)):
         log.warning("%s was changed since it was written: it is kept", path)
+
+
+def _is_generated(path: Path, out: Path) -> bool:
+    """Say whether a file has a place that `synth` fills; other stages may have results beside."""
+    match path.relative_to(out).parts:
+        case (name,):
+            return name in (MANIFEST, LABEL_SPACE)
+        case ("sequences", _, name):
+            return name in SEQUENCE_FILES
+        case ("sequences", _, folder, _):
+            return folder in ("velodyne", "labels")
+    return False
 
 
 def _scan_files(sequence: Path, index: int) -> tuple[Path, Path]:

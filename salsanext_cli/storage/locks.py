@@ -47,7 +47,7 @@ def locked(path: Path, timeout_s: float = 0.0) -> Iterator[None]:
     OutputError
         If the file cannot be made.
     """
-    lock = FileLock(path, timeout=timeout_s)
+    lock = FileLock(path, timeout=timeout_s, fallback_to_soft=False)
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         lock.acquire()

@@ -19,7 +19,7 @@ from salsanext_cli.formats.npy import encode_array
 from salsanext_cli.formats.reading import filled
 from salsanext_cli.storage.atomic import MARK, sweep, sweep_stale
 from salsanext_cli.storage.layout import ScanFile, output_path
-from salsanext_cli.storage.locks import LockHeldError, locked
+from salsanext_cli.storage.locks import locked
 from salsanext_cli.storage.run_registration import records_lock, register_run
 from salsanext_cli.storage.sources import scan_sources
 from salsanext_cli.storage.stage_records import StageRecord, as_json, read_record
@@ -42,6 +42,8 @@ class OutputRun:
         Whether results that are there are made again.
     kept : frozenset of Path
         Results that are there, but not as salsanext wrote them: they are never replaced.
+    other : frozenset of Path
+        Those of them that are not of the run's settings.
     """
 
     out: Path
@@ -49,6 +51,7 @@ class OutputRun:
     folders: tuple[str, ...]
     overwrite: bool = False
     kept: frozenset[Path] = frozenset()
+    other: frozenset[Path] = frozenset()
 
     def path(self, file: ScanFile, folder: str) -> Path:
         """Return where a result of a scan lies."""
@@ -60,7 +63,9 @@ class OutputRun:
 
     def is_done(self, file: ScanFile) -> bool:
         """Say whether a scan has all its results, and they are not to be made again."""
-        return not self.overwrite and all(filled(path) for path in self.paths(file))
+        return not self.overwrite and all(
+            filled(path) and path not in self.other for path in self.paths(file)
+        )
 
     def require_replaceable(self, file: ScanFile) -> None:
         """Raise `OutputError` if a result of a scan is there that salsanext did not write so."""
@@ -127,15 +132,15 @@ def output_run(
     # A contradiction of the scans themselves is an error before a folder is made.
     sources = scan_sources(out, scans) if record_scans else {}
     wanted = StageRecord(stage, as_json(settings), tuple(sorted(folders)), sources)
-    run, mark = OutputRun(out, stage, tuple(folders), overwrite), uuid4().hex
+    mark = uuid4().hex
     with ExitStack() as held:
         # Runs of other threads of this process keep their temporary files.
         held.callback(MARK.reset, MARK.set(mark))
         with records_lock(out):
-            register_run(wanted, out, overwrite)
+            recorded = register_run(wanted, out, overwrite)
             for lock in out.glob(f".{stage}.*.lock"):
                 # That of a killed run can be taken, and goes when it is released.
-                with suppress(LockHeldError), locked(lock):
+                with suppress(OutputError), locked(lock):
                     pass
             held.enter_context(locked(out / f".{stage}.{mark}.lock"))
         places = _places(out, wanted.folders, scans)
@@ -143,8 +148,11 @@ def output_run(
             sweep_stale(place)
         for place in places:
             held.callback(sweep, place, mark)
+        others = WrittenFiles(out).others
+        other = frozenset(others(out / name for name in recorded.kept))
+        run = OutputRun(out, stage, tuple(folders), overwrite, other=other)
         todo = [path for file in scans if not run.is_done(file) for path in run.paths(file)]
-        yield replace(run, kept=frozenset(WrittenFiles(out).others(todo)))
+        yield replace(run, kept=frozenset(others(todo)))
         _require_still_recorded(out, wanted)
 
 

@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator
 from contextlib import ExitStack, contextmanager
 from dataclasses import replace
 from pathlib import Path
@@ -59,7 +59,7 @@ def exclusive_run(out: Path, stage: str) -> Iterator[None]:
         yield
 
 
-def register_run(wanted: StageRecord, out: Path, overwrite: bool) -> None:
+def register_run(wanted: StageRecord, out: Path, overwrite: bool) -> StageRecord:
     """Bring the records of a folder, and its results, to what a run wants, under `records_lock`.
 
     Parameters
@@ -76,24 +76,41 @@ def register_run(wanted: StageRecord, out: Path, overwrite: bool) -> None:
     OutputError
         If there are such results and they may not be removed, or another run is making them now.
     """
-    stage = wanted.stage
-    recorded = read_record(out, stage)
-    merged = wanted
-    if recorded is not None and recorded.settings == wanted.settings:
-        merged = _merged(recorded, wanted)
-    elif recorded is not None:
-        if not overwrite:
-            require_same_settings(out / f"{stage}.json", recorded.settings, wanted.settings)
-        _remove_results(out, recorded, recorded.folders)
-    for folder in wanted.folders:
-        other = owner(out, folder)
-        if other not in (None, stage):
-            _take_over(out, folder, other or "", overwrite)
-        elif recorded is None:
-            _require_none(out, folder, overwrite)
+    stage, recorded = wanted.stage, read_record(out, wanted.stage)
+    same = recorded is not None and recorded.settings == wanted.settings
+    owners = {folder: owner(out, folder) for folder in wanted.folders}
+    others = {folder: other for folder, other in owners.items() if other and other != stage}
+    kept: list[Path] = []
+    with ExitStack() as held:
+        if recorded is not None and not same:
+            if not overwrite:
+                require_same_settings(out / f"{stage}.json", recorded.settings, wanted.settings)
+            held.enter_context(exclusive_run(out, stage))
+        for folder, other in others.items():
+            if not overwrite:
+                raise OutputError(
+                    out / f"{other}.json",
+                    f"{folder}/ holds the results of `{other}`",
+                    remedy="use another output folder, or --overwrite to replace them",
+                )
+        for other in sorted({*others.values()}):
+            held.enter_context(exclusive_run(out, other))
+        # Nothing is removed before it is certain that the run may begin.
+        if recorded is not None and not same:
+            kept += _remove_results(out, recorded.folders)
+        for folder in wanted.folders:
+            if folder in others:
+                kept += _take_over(out, folder, others[folder])
+            elif recorded is None or folder not in recorded.folders:
+                kept += _remove_unrecorded(out, folder, overwrite)
+    names = frozenset(path.relative_to(out).as_posix() for path in kept)
+    merged = replace(wanted, kept=names)
+    if recorded is not None and same:
+        merged = _merged(recorded, merged)
     # The record comes last: without it, a run that was killed before begins anew.
     if merged != recorded:
         merged.write(out)
+    return merged
 
 
 def _merged(recorded: StageRecord, wanted: StageRecord) -> StageRecord:
@@ -103,45 +120,36 @@ def _merged(recorded: StageRecord, wanted: StageRecord) -> StageRecord:
         before = scans[sequence].stems if sequence in scans else frozenset()
         scans[sequence] = ScanSource(source.folder, source.stems | before)
     folders = tuple(sorted({*recorded.folders, *wanted.folders}))
-    return replace(wanted, folders=folders, scans=scans)
+    return replace(wanted, folders=folders, scans=scans, kept=wanted.kept | recorded.kept)
 
 
-def _take_over(out: Path, folder: str, other: str, overwrite: bool) -> None:
+def _take_over(out: Path, folder: str, other: str) -> list[Path]:
     """Remove the results of another stage from a folder, which is this stage's from now on."""
-    if not overwrite:
-        raise OutputError(
-            out / f"{other}.json",
-            f"{folder}/ holds the results of `{other}`",
-            remedy="use another output folder, or --overwrite to replace them",
-        )
-    record = read_record(out, other)
-    if record is not None:
-        _remove_results(out, record, [folder])
+    kept = _remove_results(out, [folder])
+    if record := read_record(out, other):
         left = tuple(name for name in record.folders if name != folder)
         replace(record, folders=left).write(out)
+    return kept
 
 
-def _require_none(out: Path, folder: str, overwrite: bool) -> None:
-    """Refuse results that no stage recorded: it is not known how they were made."""
-    found = [result.path for result in find_outputs(out, folder)]
+def _remove_unrecorded(out: Path, folder: str, overwrite: bool) -> list[Path]:
+    """Refuse results that no stage recorded, or remove them: it is not known how they were made."""
+    found = find_outputs(out, folder)
     if found and not overwrite:
         raise OutputError(
-            found[0],
+            found[0].path,
             "is a result that no stage recorded",
             remedy="use another output folder, or --overwrite to work beside it",
         )
-    _warn_kept(WrittenFiles(out).remove(found))
+    return _remove_results(out, [folder])
 
 
-def _remove_results(out: Path, record: StageRecord, folders: Iterable[str]) -> None:
-    """Remove what a stage made with settings that no longer hold, and nothing else."""
-    with exclusive_run(out, record.stage):
-        found = [result.path for folder in folders for result in find_outputs(out, folder)]
-        _warn_kept(WrittenFiles(out).remove(found))
-
-
-def _warn_kept(kept: Sequence[Path]) -> None:
+def _remove_results(out: Path, folders: Iterable[str]) -> list[Path]:
+    """Remove results that salsanext wrote and that are unchanged; name and return the others."""
+    found = [result.path for folder in folders for result in find_outputs(out, folder)]
+    kept = WrittenFiles(out).remove(found)
     if kept:
         names = ", ".join(map(str, kept[:MAX_KEPT_SHOWN]))
         more = f" and {len(kept) - MAX_KEPT_SHOWN} more" if len(kept) > MAX_KEPT_SHOWN else ""
         log.warning("kept, since changed or not written by salsanext: %s%s", names, more)
+    return kept

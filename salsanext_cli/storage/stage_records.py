@@ -54,12 +54,15 @@ class StageRecord:
         Folders of results that the stage fills, keys of `SUFFIX_OF_FOLDER`.
     scans : dict of str to ScanSource
         By sequence; empty for a stage that works on what earlier ones recorded.
+    kept : frozenset of str
+        Results of other settings or origin that were not removed, as paths below the folder.
     """
 
     stage: str
     settings: dict[str, Any]
     folders: tuple[str, ...] = ()
     scans: dict[str, ScanSource] = field(default_factory=dict)
+    kept: frozenset[str] = frozenset()
 
     def write(self, out: Path) -> None:
         """Write the record into an output folder, durably."""
@@ -69,6 +72,8 @@ class StageRecord:
         }
         written = {"stage": self.stage, "version": __version__, "settings": self.settings}
         record = written | {"writes": list(self.folders), "scans": scans}
+        if self.kept:
+            record["kept"] = sorted(self.kept)
         write_json(out / f"{self.stage}.json", record)
 
 
@@ -89,7 +94,10 @@ def read_record(out: Path, stage: str) -> StageRecord | None:
         if not isinstance(settings, dict) or not all(f in SUFFIX_OF_FOLDER for f in folders):
             raise TypeError
         scans = {name: _scan_source(entry) for name, entry in found.get("scans", {}).items()}
-        return StageRecord(stage, settings, folders, scans)
+        kept = frozenset(
+            out.joinpath(name).relative_to(out).as_posix() for name in found.get("kept", ())
+        )
+        return StageRecord(stage, settings, folders, scans, kept)
     except (TypeError, KeyError, AttributeError) as error:
         remedy = "delete it or use another folder"
         raise OutputError(path, f"not what `{stage}` writes", remedy=remedy) from error

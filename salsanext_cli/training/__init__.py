@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: MIT
-"""What only `train` and `tune` need."""
+"""Training and tuning of networks."""

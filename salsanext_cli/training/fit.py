@@ -29,7 +29,7 @@ from salsanext_cli.training.dataset import Batch, Samples, batches
 from salsanext_cli.training.learner import Learner
 from salsanext_cli.training.log import EpochWriter, Row, draw_curve, write_log
 from salsanext_cli.training.optimiser import learning_rate
-from salsanext_cli.training.run_folder import BEST, CHECKPOINT, CURVE, LAST, LOG, SAMPLES
+from salsanext_cli.training.run_folder import BEST, CHECKPOINT, CURVE, LAST, LOG, sample_path
 from salsanext_cli.training.validation import validate
 
 SAVE_INTERVAL_S = 600.0
@@ -190,7 +190,7 @@ class Training:
             written.write(self.run / BEST, weights, durable=True)
         write_log(self.run / LOG, state.rows)
         draw_curve(self.run / CURVE, state.rows)
-        with written.writing(self.run / SAMPLES / f"epoch-{state.epoch:03d}.png") as file:
+        with written.writing(sample_path(self.run, state.epoch)) as file:
             picture = self.draw(file, network)
         self.write_epoch(row, picture)
         save_checkpoint(self.run / CHECKPOINT, self.learner, state)

@@ -33,6 +33,11 @@ RESULTS = (CHECKPOINT, BEST, LAST, LOG, CURVE)
 log = logging.getLogger(__name__)
 
 
+def sample_path(run: Path, epoch: int) -> Path:
+    """Return where the picture of a validated scan after an epoch lies."""
+    return run / SAMPLES / f"epoch-{epoch:03d}.png"
+
+
 @contextmanager
 def trained_alone(run: Path) -> Iterator[None]:
     """Keep other trainings out of a folder while the body runs.
@@ -68,7 +73,10 @@ def require_free(run: Path, settings: Mapping[str, Any], *, overwrite: bool) -> 
     """
     require_writable(run)
     recorded = stage_settings(run, STAGE)
-    for path in WrittenFiles(run).others(run / name for name in (*RESULTS, RECIPE, CLASS_COUNTS)):
+    epochs = as_json(settings)["recipe"]["epochs"]
+    replaced = [run / name for name in (*RESULTS, RECIPE, CLASS_COUNTS)]
+    replaced += [sample_path(run, epoch) for epoch in range(1, epochs + 1)]
+    for path in WrittenFiles(run).others(replaced):
         if path.name != RECIPE or _content(path) != _recipe_file(settings):
             found = "not written by salsanext, or changed since"
             raise OutputError(path, found, remedy="move it, or use another folder")

@@ -51,7 +51,7 @@ def test_where_no_file_can_be_made(tmp_path: Path) -> None:
         pass
 
 
-@pytest.mark.parametrize("number", [errno.ENOLCK, errno.EOPNOTSUPP])
+@pytest.mark.parametrize("number", [errno.ENOLCK, errno.EOPNOTSUPP, errno.ENOSYS])
 def test_without_locks_it_goes_on_and_says_so_once(
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
