@@ -24,6 +24,7 @@ from salsanext_cli.packages import import_open3d
 from salsanext_cli.parallel.processes import end_with_parent, signals_blocked
 from salsanext_cli.parallel.run import Progress
 from salsanext_cli.parallel.threads import worker_count
+from salsanext_cli.storage.atomic import MARK, sweep
 from salsanext_cli.storage.json_files import encode_json, read_json
 from salsanext_cli.storage.written_files import RECORDS, WrittenFiles
 from salsanext_cli.synthesis.drive import record
@@ -119,10 +120,16 @@ def synthesise(
     total = len(names) * scans
     points: Counter[int] = Counter()
     write = partial(_write_sequence, out, scans, seed, spacing)
-    for done, of_scan in enumerate(_write(write, names, jobs), start=1):
-        points.update(of_scan)
-        if progress:
-            progress(done, total)
+    try:
+        for done, of_scan in enumerate(_write(write, names, jobs), start=1):
+            points.update(of_scan)
+            if progress:
+                progress(done, total)
+    finally:
+        # Joblib kills workers, if it must, while they write.
+        for name in names:
+            for folder in ("velodyne", "labels"):
+                sweep(out / "sequences" / name / folder, MARK.get())
     real = label_space("semantic-kitti")
     ignored = [flag or name in ABSENT for flag, name in zip(real.ignored, real.names, strict=True)]
     space = replace(real, name="synthetic-street", ignored=tuple(ignored), splits=splits)
@@ -205,13 +212,14 @@ def _write(write: SequenceWriter, names: list[str], jobs: int) -> Iterator[dict[
     ):
         parallel = joblib.Parallel(return_as="generator_unordered")
     with signals_blocked(signal.SIGINT, signal.SIGTERM):
-        found = parallel(joblib.delayed(_write_whole)(write, name) for name in names)
+        found = parallel(joblib.delayed(_write_whole)(MARK.get(), write, name) for name in names)
     with closing(found):
         for counts in found:
             yield from counts
 
 
-def _write_whole(write: SequenceWriter, name: str) -> list[dict[int, int]]:
+def _write_whole(mark: str, write: SequenceWriter, name: str) -> list[dict[int, int]]:
+    MARK.set(mark)
     return list(write(name))
 
 

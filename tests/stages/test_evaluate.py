@@ -17,6 +17,7 @@ from salsanext_cli.storage.json_files import write_json
 from salsanext_cli.storage.layout import find_scans
 from salsanext_cli.storage.predictions import predicted_scans
 from salsanext_cli.storage.selection import ScanSelection
+from salsanext_cli.storage.written_files import WrittenFiles
 
 
 @pytest.fixture
@@ -151,6 +152,8 @@ def test_rings_of_distance(world):
 def test_files_are_complete_and_replace_earlier_ones(world):
     world.add("000000", [CAR], [CAR])
     world.evaluate(by_distance=True)
+    # Of an evaluation with probabilities, say.
+    WrittenFiles(world.out).write(world.out / "eval_reliability.png", b"PNG")
     world.add("000001", [CAR], [ROAD])
     world.evaluate(by_distance=True)
     names = {path.name for path in world.out.iterdir() if path.is_file()}

@@ -15,6 +15,7 @@ from salsanext_cli.records import Scan
 from salsanext_cli.stages import synth
 from salsanext_cli.stages.synth import synthesise
 from salsanext_cli.storage.layout import find_scans
+from salsanext_cli.storage.written_files import WrittenFiles
 from salsanext_cli.synthesis.drive import Frame
 from salsanext_cli.synthesis.surfaces import ABSENT
 
@@ -154,6 +155,14 @@ def test_real_scans_beside_the_generated_ones_stay(again, scan):
     real.write_bytes(b"precious")
     replace()
     assert real.read_bytes() == b"precious"
+
+
+def test_results_of_other_stages_stay(again):
+    out, replace = again
+    predicted = out / "sequences/00/predictions/000000.label"
+    WrittenFiles(out).write(predicted, b"predicted")
+    replace()
+    assert predicted.read_bytes() == b"predicted"
 
 
 @pytest.mark.parametrize("sequence", ["00", "01", "07"])

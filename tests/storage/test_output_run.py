@@ -142,6 +142,16 @@ def test_overwriting_keeps_what_salsanext_did_not_write_so(
         output.require_replaceable(scans[0])
         with pytest.raises(OutputError, match=r"b\.label · was changed, or not written by"):
             output.require_replaceable(scans[1])
+    assert json.loads((out / "predict.json").read_text())["kept"] == [
+        str(path.relative_to(out)) for path in (linked, corrected, foreign)
+    ]
+    # It is no result of the new settings, in the next run either, until it is moved.
+    again = predict(out, {"weights": "new"}, scans=scans)
+    assert (again.is_done(scans[1]), again.kept) == (False, {corrected})
+    corrected.unlink()
+    again.write_labels(scans[1], np.uint32([40]))
+    assert predict(out, {"weights": "new"}, scans=scans).is_done(scans[1])
+    corrected.write_bytes(b"corrected by hand...")
     assert not ours.exists()
     assert corrected.read_bytes() == b"corrected by hand..."
     assert (sequence / "predictions/c.label").exists()
@@ -160,6 +170,33 @@ def test_results_of_another_stage_are_refused(tmp_path: Path) -> None:
     begin_and_end(*refine, overwrite=True)
     assert owner(tmp_path, "predictions") == "knn-refine"
     assert not path.exists()
+
+
+def test_results_in_a_folder_that_the_stage_had_not_filled_are_not_taken_for_its_own(
+    tmp_path: Path,
+) -> None:
+    scans = scans_of(tmp_path, "a")
+    predicted(tmp_path / "out", scans)
+    foreign = tmp_path / "out/sequences/08/probabilities/a.npy"
+    foreign.parent.mkdir()
+    foreign.write_bytes(b"mine")
+    with pytest.raises(OutputError, match=r"a\.npy · is a result that no stage recorded"):
+        predict(tmp_path / "out", folders=("predictions", "probabilities"), scans=scans)
+    assert foreign.read_bytes() == b"mine"
+
+
+def test_a_refused_run_has_removed_nothing(tmp_path: Path) -> None:
+    """Its own results of other settings neither, if another stage is at work on what it wants."""
+    out, scans = tmp_path / "out", scans_of(tmp_path, "a")
+    predicted(out, scans)
+    begin_and_end(out, "knn-refine", {}, ["pixel_labels"], scans)
+    before = files_below(out)
+    with (
+        output_run(out, "predict", SETTINGS, ("predictions",), scans, overwrite=False),
+        pytest.raises(OutputError, match="another run of `predict` is at work"),
+    ):
+        begin_and_end(out, "knn-refine", {"k": 3}, ["predictions"], scans, overwrite=True)
+    assert files_below(out) == before
 
 
 def test_results_that_no_stage_recorded(tmp_path: Path) -> None:
