@@ -12,8 +12,8 @@ from contextlib import chdir
 from pathlib import Path
 
 import pytest
+from file_steps import at_each_step
 from scans import SMALL, write_sequence, write_weights
-from sitecustomize import at_each_step
 from typer.testing import CliRunner
 from whole_files import require_alike, require_tidy, require_whole
 

@@ -18,7 +18,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from sitecustomize import STEPS, at_each_step
+from file_steps import STEPS, at_each_step
 from whole_files import require_alike, require_whole
 
 import salsanext_cli
