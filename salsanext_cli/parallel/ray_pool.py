@@ -84,23 +84,29 @@ def _connected(ray: Any, address: str | None, here: int | None) -> Iterator[None
     os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")
     sigterm = signal.getsignal(signal.SIGTERM)
     quiet = {"log_to_driver": False, "logging_level": logging.ERROR}
-    if here:
-        with signals_blocked(signal.SIGINT):
-            ray.init(address="local", num_cpus=max(2, here), include_dashboard=False, **quiet)
-    else:
-        try:
-            if found := re.fullmatch(r"(?:ray://)?\[?([^/]+?)]?:(\d+)", address or ""):
-                peer = found[1], int(found[2])
-                socket.create_connection(peer, CONNECT_TIMEOUT_S).close()
-            ray.init(address=address, **quiet)
-        except (OSError, ValueError, RuntimeError, OverflowError) as error:
-            expected = "a Ray cluster, such as host:6379, ray://host:10001 or auto"
-            found_there = str(error).partition("\n")[0]
-            raise UsageError(f"--scheduler {address}", found_there, expected) from error
     try:
+        if here:
+            with signals_blocked(signal.SIGINT):
+                ray.init(address="local", num_cpus=max(2, here), include_dashboard=False, **quiet)
+        else:
+            _connect(ray, address or "", quiet)
+    finally:
         if threading.current_thread() is threading.main_thread():
             # Ray's own handler ends the process with another status.
             signal.signal(signal.SIGTERM, sigterm)
+    try:
         yield
     finally:
         ray.shutdown()
+
+
+def _connect(ray: Any, address: str, quiet: dict[str, Any]) -> None:
+    try:
+        if found := re.fullmatch(r"(?:ray://)?\[?([^/]+?)]?:(\d+)", address):
+            peer = found[1], int(found[2])
+            socket.create_connection(peer, CONNECT_TIMEOUT_S).close()
+        ray.init(address=address, **quiet)
+    except (OSError, ValueError, RuntimeError, OverflowError) as error:
+        expected = "a Ray cluster, such as host:6379, ray://host:10001 or auto"
+        found_there = str(error).partition("\n")[0]
+        raise UsageError(f"--scheduler {address}", found_there, expected) from error

@@ -60,6 +60,8 @@ def sigterm(_):
 
 def test_sigterm_is_status_143_and_unwinds(tmp_path):
     lock = tmp_path / "lock"
+    # Not that of a library which another test has used.
+    signal.signal(signal.SIGTERM, signal.SIG_DFL)
 
     def body(output):
         lock.touch()
