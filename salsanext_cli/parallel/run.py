@@ -109,7 +109,11 @@ def run_over_scans(
                 if options.progress:
                     options.progress(len(tried), len(todo))
         if len(tried) < len(todo):
-            raise WorkersLost(f"--backend {options.backend}", "not every scan was worked on")
+            raise WorkersLost(
+                f"--backend {options.backend}",
+                "not every scan was worked on",
+                remedy="use fewer jobs",
+            )
     except WorkersLost as lost:
         for failure in failures:
             log.error("%s", failure.reason)

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from works import Write, run, scans_of
 
-from salsanext_cli.errors import FormatError, UsageError
+from salsanext_cli.errors import FormatError, UsageError, WorkersLost
 from salsanext_cli.parallel.run import RunOptions, run_over_scans
 from salsanext_cli.parallel.tasks import one_by_one
 from salsanext_cli.parallel.worker import WORKER
@@ -156,3 +156,15 @@ def test_workers_that_grow_are_replaced_without_a_word(tmp_path):
     run(Write(tmp_path / "small"), scans_of("a", "b"), jobs=2)
     scans = scans_of(*(f"{n:02d}" for n in range(12)))
     assert run(Grow(tmp_path / "large", pause=0.4), scans, jobs=2).done == 12
+
+
+class Forgetful:
+    """Task that leaves out its last scan."""
+
+    def open(self):
+        return lambda files: ((file, None, None) for file in list(files)[:-1])
+
+
+def test_scans_that_no_worker_attempted_are_an_error():
+    with pytest.raises(WorkersLost, match=r"not every scan .*; 1 of 3 scans are missing: s/c"):
+        run_over_scans(Forgetful(), scans_of("a", "b", "c"), RunOptions())

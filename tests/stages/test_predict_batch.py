@@ -74,13 +74,14 @@ def test_batches_shrink_when_memory_is_short(nine, tmp_path, monkeypatch, caplog
     assert bytes_below(tmp_path / "out") == bytes_below(tmp_path / "expected")
 
 
+@pytest.mark.parametrize("batch", [1, 4])
 @pytest.mark.parametrize("step", ["project", "knn_refine", "Network.input"])
-def test_scans_that_do_not_fit_into_memory_are_named(nine, tmp_path, monkeypatch, step):
+def test_scans_that_do_not_fit_into_memory_are_named(nine, tmp_path, monkeypatch, step, batch):
     def no_room(*_args, **_options):
         raise torch.OutOfMemoryError("no room")
 
     monkeypatch.setattr(f"salsanext_cli.stages.predict.{step}", no_room)
-    outcome = predict(nine, tmp_path / "out", batch=4)
+    outcome = predict(nine, tmp_path / "out", batch=batch)
     assert len(outcome.failures) == 9
     assert "000000.bin · is too large for the memory of cpu" in outcome.failures[0].reason
 
