@@ -6,6 +6,8 @@ from __future__ import annotations
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
+from importlib import import_module
+from typing import Any
 
 from salsanext_cli.errors import UsageError
 
@@ -34,10 +36,18 @@ def use_threads(count: int) -> None:
 
     What is not loaded yet will not be used: work brings what it needs when it is unpickled.
     """
-    if torch := sys.modules.get("torch"):
+    if torch := _if_loaded("torch"):
         torch.set_num_threads(count)
-    if numba := sys.modules.get("numba"):
+    if numba := _if_loaded("numba"):
         numba.config.NUMBA_NUM_THREADS = count
+
+
+def _if_loaded(name: str) -> Any:
+    """Return a module that was imported before, complete; None for another.
+
+    Importing it waits for another thread that is just importing it.
+    """
+    return import_module(name) if name in sys.modules else None
 
 
 @contextmanager
@@ -47,7 +57,7 @@ def threads_of_workers(count: int) -> Iterator[None]:
     Torch keeps the number for each thread by itself; a new one begins with what was set last,
     wherever that was.
     """
-    torch, numba = sys.modules.get("torch"), sys.modules.get("numba")
+    torch, numba = _if_loaded("torch"), _if_loaded("numba")
     of_torch = torch.get_num_threads() if torch else 0
     of_kernels = numba.config.NUMBA_NUM_THREADS if numba else 0
     use_threads(count)

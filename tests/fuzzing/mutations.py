@@ -30,6 +30,8 @@ EDGES += (2**63 - 1, 2**63, 2**64 - 1)
 NUMBER = re.compile(rb"-?\d+(?:\.\d*)?")
 HEADER_BYTES = 4096
 """Size of the start of a file in which numbers are replaced."""
+MAX_FILE_BYTES = 1 << 22
+"""Size at which a damaged file is cut: lines of binary files, repeated, are hundreds of megabytes."""
 
 
 def _flip(data: bytes, at: int, random: Random) -> bytes:
@@ -88,5 +90,5 @@ def damage(random: Random, seeds: Sequence[bytes]) -> bytes:
             other = random.choice(seeds)
             data = data[:at] + other[random.randint(0, len(other)) :]
         else:
-            data = random.choice(EDITS)(data, at, random)
+            data = random.choice(EDITS)(data, at, random)[:MAX_FILE_BYTES]
     return data
