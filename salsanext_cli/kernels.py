@@ -122,7 +122,7 @@ def warn_once(error: Exception) -> None:
 
 
 def cache_folder() -> str:
-    """Return where compiled kernels are kept: ``$XDG_CACHE_HOME/salsanext`` or the like.
+    """Return where files are kept that can be made again: ``$XDG_CACHE_HOME/salsanext`` or the like.
 
     It is empty, for nowhere, if the user has no home.
     """
@@ -130,7 +130,12 @@ def cache_folder() -> str:
         home = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
     except RuntimeError:
         return ""
-    return str(Path(home) / "salsanext" / "kernels")
+    return str(Path(home) / "salsanext")
+
+
+def kernel_folder() -> str:
+    """Return the folder of compiled kernels in the cache; empty for nowhere."""
+    return cache_folder() and str(Path(cache_folder(), "kernels"))
 
 
 def argument(array: npt.NDArray[Any], dtype: npt.DTypeLike) -> npt.NDArray[Any]:
