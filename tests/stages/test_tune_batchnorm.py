@@ -84,7 +84,7 @@ def test_the_statistics_of_all_scans_are_stored_and_how_far_they_moved(folder, t
     tuned = tune_batchnorm(folder, target, network=network, share=1.0)
     slow = slow_statistics(network, sorted(folder.iterdir()))
     old, new = load_file(network.weights), load_file(target)
-    for moved, (name, (mean, variance)) in zip(tuned.layers, slow.items(), strict=True):
+    for moved, (name, (mean, variance)) in zip(tuned["layers"], slow.items(), strict=True):
         was = old[f"{name}.running_mean"].numpy(), old[f"{name}.running_var"].numpy()
         deviation = np.sqrt(variance) + 1e-3
         now = new[f"{name}.running_mean"].numpy(), new[f"{name}.running_var"].numpy()
@@ -92,10 +92,10 @@ def test_the_statistics_of_all_scans_are_stored_and_how_far_they_moved(folder, t
         np.testing.assert_allclose(now[1], variance, rtol=1e-3, atol=1e-6)
         shift = (np.abs(mean - was[0]) / np.sqrt(was[1] + 1e-5)).mean()
         ratio = np.exp(np.log((variance + 1e-5) / (was[1] + 1e-5)).mean())
-        assert moved.layer == name
-        assert moved.shift == pytest.approx(shift, rel=1e-3)
-        assert moved.variance_ratio == pytest.approx(ratio, rel=1e-3)
-    assert (tuned.scans, tuned.share, tuned.sensor) == (3, 1.0, "small")
+        assert moved["layer"] == name
+        assert moved["shift"] == pytest.approx(shift, rel=1e-3)
+        assert moved["variance_ratio"] == pytest.approx(ratio, rel=1e-3)
+    assert (tuned["scans"], tuned["share"], tuned["sensor"]) == (3, 1.0, "small")
 
 
 def test_a_share_of_one_scan_leaves_the_rest_to_the_old(folder, target, network):

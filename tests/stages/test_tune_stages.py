@@ -77,7 +77,7 @@ def test_progress_and_selection(tune, what, world, caplog):
     write_sequence(world.data / "sequences/08", [f"{i:06d}" for i in range(2, 5)], seed=2)
     seen, selection = [], ScanSelection(split="valid", limit=3)
     with caplog.at_level(logging.INFO, f"salsanext_cli.stages.tune_{what}"):
-        assert tune(selection=selection, progress=lambda *n: seen.append(n)).scans == 3
+        assert tune(selection=selection, progress=lambda *n: seen.append(n))["scans"] == 3
     count = 6 if what == "dropout" else 3
     assert seen == [(number, count) for number in range(1, count + 1)]
     named = [message[:9] for message in caplog.messages if message.startswith("08/")]
