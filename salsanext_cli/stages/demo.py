@@ -36,8 +36,6 @@ class Demonstration:
 
     Attributes
     ----------
-    data, out : Path
-        Folders of the synthetic data set and of the results.
     evaluation : Evaluation
         Scores of the predictions.
     pictures : tuple of Path
@@ -46,8 +44,6 @@ class Demonstration:
         Scans that a stage could not process.
     """
 
-    data: Path
-    out: Path
     evaluation: Evaluation
     pictures: tuple[Path, ...]
     failures: tuple[Failure, ...]
@@ -125,4 +121,4 @@ def demo(
         )
     sensor = network.load().sensor
     pictures = draw_scan(files[len(files) // 2], out, space, sensor, out / "pictures")
-    return Demonstration(data, out, evaluation, pictures, failures)
+    return Demonstration(evaluation, pictures, failures)
