@@ -9,11 +9,8 @@ import torch
 from safetensors.torch import load_file
 from scans import SMALL, lively, make_scan
 
-from salsanext_cli.classes import label_space
+from salsanext_cli import Scan, label_space, load_network, project, read_scan
 from salsanext_cli.errors import FormatError, WeightsError
-from salsanext_cli.formats import read_scan
-from salsanext_cli.geometry.projection import project
-from salsanext_cli.inference.network import load_network
 from salsanext_cli.inference.settings import NetworkSettings
 from salsanext_cli.network.rangenet53 import RangeNet53
 from salsanext_cli.network.registry import ARCHITECTURES
@@ -24,7 +21,6 @@ from salsanext_cli.network.weights import (
     read_weights,
     save_weights,
 )
-from salsanext_cli.records import Scan
 from salsanext_cli.stages.tune_batchnorm import tune_batchnorm
 from salsanext_cli.storage.point_files import write_bin
 from salsanext_cli.training.tuning.batch_norm import norms

@@ -6,19 +6,15 @@ import numpy as np
 import pytest
 from scans import SMALL, write_weights
 
-from salsanext_cli.classes import label_space
+from salsanext_cli import label_space, load_network, project, read_labels, read_scan, sample
 from salsanext_cli.errors import OutputError, UsageError
-from salsanext_cli.formats import read_scan
-from salsanext_cli.formats.kitti import read_labels
-from salsanext_cli.geometry.projection import project
-from salsanext_cli.inference.network import load_network
 from salsanext_cli.inference.settings import NetworkSettings
 from salsanext_cli.network.dropout import dropouts
 from salsanext_cli.network.weights import read_card, read_weights
 from salsanext_cli.stages.tune_dropout import curve_of, tune_dropout
 from salsanext_cli.training.tuning.dropout_rate import SMALLEST_VARIANCE
 from salsanext_cli.uncertainty.aleatoric import aleatoric
-from salsanext_cli.uncertainty.monte_carlo import sample, scan_seed
+from salsanext_cli.uncertainty.monte_carlo import scan_seed
 
 SPACE = label_space()
 FEW = {"samples": 3, "steps": 3, "lowest": 0.05, "highest": 0.3}

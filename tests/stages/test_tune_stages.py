@@ -10,7 +10,7 @@ import torch
 from safetensors.torch import load_file
 from scans import write_sequence
 
-from salsanext_cli.errors import LabelError, NoInputError, OutputError
+from salsanext_cli.errors import LabelError, OutputError
 from salsanext_cli.inference.settings import NetworkSettings
 from salsanext_cli.network.weights import NORM_SUFFIXES, read_card, read_weights, save_weights
 from salsanext_cli.stages.tune_batchnorm import tune_batchnorm
@@ -128,8 +128,3 @@ def test_labels_of_other_classes(tune, world):
     )
     with pytest.raises(LabelError, match="labels in the classes of"):
         tune()
-
-
-def test_no_scans(tune):
-    with pytest.raises(NoInputError, match="no scans of split test"):
-        tune(selection=ScanSelection(split="test"))

@@ -4,17 +4,12 @@ import numpy as np
 import pytest
 import torch
 
-from salsanext_cli.classes import label_space
+from salsanext_cli import label_space, load_network, project, read_labels, read_scan, write_labels
 from salsanext_cli.errors import TrainingError, WeightsError
-from salsanext_cli.formats import read_scan
-from salsanext_cli.formats.kitti import read_labels
-from salsanext_cli.geometry.projection import project
-from salsanext_cli.inference.network import load_network
 from salsanext_cli.inference.settings import NetworkSettings
 from salsanext_cli.network.weights import read_card, read_weights, save_weights
 from salsanext_cli.stages.predict import predict_scans
 from salsanext_cli.stages.tune_temperature import tune_temperature
-from salsanext_cli.storage.point_files import write_labels
 from salsanext_cli.training.tuning.temperature import negative_log_likelihood
 
 SPACE = label_space()
