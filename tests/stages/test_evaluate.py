@@ -13,10 +13,7 @@ from salsanext_cli.errors import LabelError, NoInputError, OutputError
 from salsanext_cli.parallel.run import RunOptions
 from salsanext_cli.report import plots
 from salsanext_cli.stages.evaluate import evaluate
-from salsanext_cli.storage.json_files import write_json
 from salsanext_cli.storage.layout import find_scans
-from salsanext_cli.storage.predictions import predicted_scans
-from salsanext_cli.storage.selection import ScanSelection
 from salsanext_cli.storage.written_files import WrittenFiles
 
 
@@ -199,18 +196,3 @@ def test_files_of_eval_that_were_changed_stay(world, tmp_path, linked):
     with pytest.raises(OutputError, match=r"scores\.txt · exists, and .* was changed since"):
         world.evaluate(overwrite=True)
     assert files_below(world.out) == before
-
-
-def test_predictions_in_other_classes_are_refused(world, tmp_path):
-    world.add("000000", [CAR, ROAD], [CAR, ROAD])
-    other = SPACE.to_dict()
-    other["labels"] = SPACE.labels | {CAR: "tram"}
-    manifest = {"settings": {"label_space": other}, "writes": ["predictions"]}
-    write_json(world.out / "predict.json", manifest)
-    with pytest.raises(LabelError, match=r"predictions in the classes of semantic-kitti"):
-        predicted_scans(world.out, ScanSelection(), world.dataset, SPACE)
-    manifest = {"settings": {"label_space": SPACE.to_dict()}, "writes": ["predictions"]}
-    write_json(world.out / "predict.json", manifest)
-    scans, space = predicted_scans(world.out, ScanSelection(), world.dataset, SPACE)
-    assert [scan.stem for scan in scans] == ["000000"]
-    assert space.fits(SPACE)

@@ -16,6 +16,7 @@ from salsanext_cli.stages.export_ply import export_ply
 from salsanext_cli.stages.predict import predict_scans
 from salsanext_cli.stages.uncertainty import uncertainty
 from salsanext_cli.storage.point_files import write_bin
+from salsanext_cli.storage.predictions import predicted_scans
 from salsanext_cli.storage.selection import ScanSelection
 from salsanext_cli.uncertainty.settings import Estimator
 
@@ -221,8 +222,11 @@ def test_labels_made_anew_by_other_weights_are_not_shown_with_older_uncertainty(
 def test_other_classes_than_those_predicted_are_refused(predicted):
     small = {"labels": {0: "no", 1: "yes"}, "learning_map": {0: 0, 1: 1}}
     small |= {"learning_map_inv": {0: 0, 1: 1}, "name": "two"}
+    two = LabelSpace.from_dict(small)
     with pytest.raises(LabelError, match="predictions in the classes of"):
-        export(predicted, space=LabelSpace.from_dict(small))
+        export(predicted, space=two)
+    with pytest.raises(LabelError, match="predictions in the classes of"):
+        predicted_scans(predicted.out, ScanSelection(), space=two)
 
 
 @pytest.mark.parametrize("colour", ["truth", "error"])

@@ -37,11 +37,6 @@ def folder(tmp_path):
 
 
 @pytest.fixture
-def target(tmp_path):
-    return tmp_path / "adapted.safetensors"
-
-
-@pytest.fixture
 def weights(tmp_path, monkeypatch):
     """Return weights of a network with many batch norms and few channels."""
     monkeypatch.setitem(ARCHITECTURES, "narrow", partial(RangeNet53, width=2))

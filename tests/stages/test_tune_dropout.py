@@ -24,11 +24,6 @@ def go(world, target, **changes):
     return tune_dropout(world.data, target, **{"network": world.network, **FEW, **changes})
 
 
-@pytest.fixture
-def target(tmp_path):
-    return tmp_path / "tuned.safetensors"
-
-
 def slow_mean(world, path, rate, stems, seed=0):
     """Return the objective of one rate by a loop over points, from weights of that rate."""
     network = load_network(write_weights(path, dropout=rate), "cpu")

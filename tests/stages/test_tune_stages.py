@@ -35,11 +35,6 @@ def what(request):
 
 
 @pytest.fixture
-def target(tmp_path):
-    return tmp_path / "tuned.safetensors"
-
-
-@pytest.fixture
 def tune(world, target, what):
     """Return a function that tunes to a data set quickly, and gives the result."""
     few = {"samples": 2, "steps": 2} if what == "dropout" else {}

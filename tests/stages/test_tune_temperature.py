@@ -32,11 +32,6 @@ def go(world, target, **changes):
     return tune_temperature(world.data, target, **given)
 
 
-@pytest.fixture
-def target(tmp_path):
-    return tmp_path / "tuned.safetensors"
-
-
 def points_of(world, sequence, stems):
     """Logits and truth of every point that counts, one after another."""
     network = load_network(world.network.weights, "cpu")

@@ -29,11 +29,9 @@ NAN, INF = float("nan"), float("inf")
 FOLDERS = [f"uncertainty/{kind}" for kind in KINDS]
 
 
-def run(world, source=None, out=None, **how):
-    options = {name: how.pop(name) for name in ("options",) if name in how}
-    estimator = Estimator(**{"samples": 3} | how)
-    given = {"network": world.network, "estimator": estimator, **options}
-    return uncertainty(source or world.data, out or world.out, **given)
+def run(world, source=None, out=None, *, options=RunOptions(), **how):
+    given = {"network": world.network, "estimator": Estimator(**{"samples": 3} | how)}
+    return uncertainty(source or world.data, out or world.out, options=options, **given)
 
 
 def test_the_files_hold_what_sampling_gives(world):
