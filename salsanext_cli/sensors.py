@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import json
 import math
 import tomllib
 from collections.abc import Mapping
@@ -134,6 +135,13 @@ class Sensor:
             raise UsageError(
                 source, words_of(error), "a sensor with fov_up, fov_down, height, width"
             ) from error
+
+    def to_toml(self) -> str:
+        """Return the text of a TOML file that `sensor` reads; the file's name is the sensor's."""
+        values = {key: value for key, value in asdict(self).items() if key != "name"}
+        # What JSON writes for texts, numbers and lists of numbers is TOML as well.
+        known = {key: value for key, value in values.items() if value is not None}
+        return "".join(f"{key} = {json.dumps(value)}\n" for key, value in known.items())
 
     def view(self) -> dict[str, Any]:
         """Return plain data of the view of a network: all but the name and the noise."""

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 
-from salsanext_cli.classes import label_space
+from salsanext_cli import Scan, label_space, write_labels
 from salsanext_cli.measures.calibration import ConfidenceHistogram, softmax_errors
 from salsanext_cli.measures.reliability import SCAN_BINS, reliability
 from salsanext_cli.measures.scan_counts import CLASS, ScanCounts
@@ -16,10 +16,9 @@ from salsanext_cli.measures.uncertainty_evaluation import (
 )
 from salsanext_cli.measures.uncertainty_histogram import UncertaintyHistogram
 from salsanext_cli.parallel.run import RunOptions
-from salsanext_cli.records import Scan
 from salsanext_cli.stages.evaluate import evaluate
 from salsanext_cli.storage.layout import find_scans, output_path
-from salsanext_cli.storage.point_files import write_array, write_bin, write_labels
+from salsanext_cli.storage.point_files import write_array, write_bin
 
 SPACE = label_space()
 CAR, ROAD, MOVING_CAR, UNKNOWN = 10, 40, 252, 77

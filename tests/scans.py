@@ -8,12 +8,10 @@ import numpy as np
 import torch
 from torch import nn
 
-from salsanext_cli.classes import LabelSpace, label_space
+from salsanext_cli import LabelSpace, Scan, Sensor, label_space, write_labels
 from salsanext_cli.network.salsanext import SalsaNext
 from salsanext_cli.network.weights import WeightsCard, save_weights
-from salsanext_cli.records import Scan
-from salsanext_cli.sensors import Sensor
-from salsanext_cli.storage.point_files import write_bin, write_labels
+from salsanext_cli.storage.point_files import write_bin
 from salsanext_cli.storage.written_files import RECORDS
 
 SMALL = Sensor(

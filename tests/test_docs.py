@@ -186,15 +186,15 @@ def test_the_networks_shown_are_those_counted():
     shown = {name: [cell.strip() for cell in cells.split("|")] for name, cells in rows}
     counted = {}
     for model in models():
-        paper = model.paper
-        of_table = (paper.miou_pixels, paper.miou)
-        mious = of_table if any(of_table) else (f"test {paper.miou_test}",)
-        counted[model.name] = [
-            f"{model.parameters:,}".replace(",", " ") + f" ({paper.parameters} M)",
-            f"{model.multiply_accumulates / 1e9:.2f}"
-            + brackets(paper.flops and f"{paper.flops} GFLOPs"),
-            "×".join(map(str, model.receptive_field)),
-            brackets(*mious).strip() if paper.flops else "",
+        paper = model["paper"]
+        of_table = (paper["miou_pixels"], paper["miou"])
+        mious = of_table if any(of_table) else (f"test {paper['miou_test']}",)
+        counted[model["name"]] = [
+            f"{model['parameters']:,}".replace(",", " ") + f" ({paper['parameters']} M)",
+            f"{model['multiply_accumulates'] / 1e9:.2f}"
+            + brackets(paper["flops"] and f"{paper['flops']} GFLOPs"),
+            "×".join(map(str, model["receptive_field"])),
+            brackets(*mious).strip() if paper["flops"] else "",
         ]
     assert shown == counted
 

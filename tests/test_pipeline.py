@@ -9,20 +9,17 @@ import signal
 import subprocess
 import sys
 import time
-from dataclasses import replace
 
 import numpy as np
 import plyfile
 import pytest
-from scans import SMALL, files_below, labels_below, write_sequence, write_weights
+from scans import files_below, labels_below, write_sequence
 from typer.testing import CliRunner
 
-from salsanext_cli.classes import label_space
+from salsanext_cli import label_space, read_labels, sensor
 from salsanext_cli.cli.app import app
-from salsanext_cli.formats.kitti import read_labels
 from salsanext_cli.inference.settings import NetworkSettings
 from salsanext_cli.parallel.run import RunOptions
-from salsanext_cli.sensors import sensor
 from salsanext_cli.stages.export_ply import export_ply
 from salsanext_cli.stages.import_weights import import_weights
 from salsanext_cli.stages.knn_refine import knn_refine_scans
@@ -163,20 +160,6 @@ def test_two_jobs_give_the_bytes_of_one(tmp_path, weights):
     one, two = (files_below(tmp_path / f"jobs{jobs}") for jobs in (1, 2))
     assert len(one) == 3 * 9 + 4
     assert one == two
-
-
-def test_the_steps_meet_whatever_the_sensor(tmp_path):
-    """Fused and in steps alike when the width is not divisible by 16 and points may be dropped."""
-    odd = replace(SMALL, height=13, width=90, fov_up=-2.0, fov_down=-20.0, out_of_view="drop")
-    network = NetworkSettings(write_weights(tmp_path / "w.safetensors", sensor=odd), "cpu")
-    data = write_sequence(tmp_path / "odd", ["a", "b"])
-    project_scans(data, tmp_path / "steps", sensor=odd)
-    predict_range_images(tmp_path / "steps", tmp_path / "steps", network=network)
-    knn_refine_scans(tmp_path / "steps")
-    predict_scans(data, tmp_path / "fused", network=network)
-    assert labels_below(tmp_path / "steps") == labels_below(tmp_path / "fused")
-    labels = read_labels(tmp_path / "fused/sequences/odd/predictions/a.label")
-    assert (labels == 0).any()
 
 
 @pytest.mark.real

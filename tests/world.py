@@ -6,9 +6,8 @@ from pathlib import Path
 
 import numpy as np
 
-from salsanext_cli.formats.kitti import read_labels
+from salsanext_cli import read_labels, write_labels
 from salsanext_cli.inference.settings import NetworkSettings
-from salsanext_cli.storage.point_files import write_labels
 
 
 @dataclass

@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import json
 import os
 import tempfile
 from collections.abc import Callable, Mapping, Sequence
@@ -74,20 +73,20 @@ def benchmark(
         read_scan(file.path, intensity_scale=sensor.intensity_scale)
         for file in select_scans(source, selection, card.space)[:rounds]
     ]
+    # Their intensities are divided already.
+    sensor_of_scans = replace(sensor, intensity_scale=1.0)
     task: dict[str, Any] = {
         "weights": str(weights.resolve()),
         "device": str(choose_device(network.device)),
         "precision": network.precision,
-        "sensor": replace(sensor, intensity_scale=1.0).to_dict(),
+        "sensor": sensor_of_scans.to_dict(),
         "samples": SAMPLES,
         **counts,
     }
     turns: dict[str, Any] = {part: {side: [] for side in SIDES} for part in parts}
     hardware = []
     with tempfile.TemporaryDirectory(prefix="salsanext-") as folder:
-        known = {k: v for k, v in task["sensor"].items() if k != "name" and v is not None}
-        toml = "".join(f"{key} = {json.dumps(value)}\n" for key, value in known.items())
-        Path(folder, "sensor.toml").write_text(toml, "utf-8")
+        Path(folder, "sensor.toml").write_text(sensor_of_scans.to_toml(), "utf-8")
         for number in range(rounds):
             scan = Path(folder, f"{number:06}.bin")
             write_bin(scan, scans[number % len(scans)])

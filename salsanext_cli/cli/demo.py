@@ -38,14 +38,14 @@ def demo(
         options=RunOptions(jobs=local.jobs, overwrite=local.overwrite),
         bars=lambda step: progress(step, output.quiet),
     )
-    pictures = [str(path) for path in made.pictures]
+    pictures, out = [str(path) for path in made.pictures], folder / "out"
     result = made.evaluation.to_dict() | {"stage": "demo", "pictures": pictures}
     output.result(result, score_table(made.evaluation.scores))
     failures = (*made.failures, *made.evaluation.failures)
     console.name_failures(failures)
     output.say("look at:")
-    for path in (*pictures, f"{made.out}/eval_iou.png", f"{made.out}/eval_confusion.png"):
+    for path in (*pictures, f"{out}/eval_iou.png", f"{out}/eval_confusion.png"):
         output.say(f"  {path}")
-    output.say(f"  {made.out}/sequences/00/ply/*.ply   in CloudCompare, MeshLab or open3d")
-    output.say(f"scans: {made.data}; results of every stage: {made.out}/sequences/00")
+    output.say(f"  {out}/sequences/00/ply/*.ply   in CloudCompare, MeshLab or open3d")
+    output.say(f"scans: {folder / 'data'}; results of every stage: {out}/sequences/00")
     console.leave(failures, made.evaluation.missing)

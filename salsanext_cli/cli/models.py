@@ -1,7 +1,6 @@
 # SPDX-License-Identifier: MIT
 """`salsanext models`."""
 
-from dataclasses import asdict
 from pathlib import Path
 from typing import Annotated
 
@@ -29,7 +28,7 @@ def models(
     from salsanext_cli.stages.models import describe_weights
     from salsanext_cli.stages.models import models as stage
 
-    listed = [asdict(model) for model in stage()]
+    listed = stage()
     described = [describe_weights(path) for path in weights or [default_weights()]]
     tables = Group(network_table(listed), *map(card_table, described))
     output.result({"models": listed, "weights": described}, tables)

@@ -43,6 +43,5 @@ def synth(
             overwrite=local.overwrite,
             progress=on_progress,
         )
-    points = {str(raw): count for raw, count in made.points.items()}
-    output.result({"stage": "synth", "scans": made.scans, "splits": made.splits, "points": points})
-    output.say(f"synth: {made.scans} scans, {sum(made.points.values()):,} points → {out}")
+    output.result(made)
+    output.say(f"synth: {made['scans']} scans, {sum(made['points'].values()):,} points → {out}")

@@ -24,8 +24,6 @@ def tune_temperature(
 
     Example: salsanext tune temperature streets/ tuned.safetensors --limit 50
     """
-    from dataclasses import asdict
-
     from salsanext_cli.report.tuning import temperature_table
     from salsanext_cli.stages.tune_temperature import tune_temperature as stage
 
@@ -38,9 +36,10 @@ def tune_temperature(
             overwrite=running.overwrite,
             progress=on_progress,
         )
-    table = temperature_table(asdict(tuned.before), asdict(tuned.after))
-    output.result(tuned.to_dict() | {"weights": str(target)}, table)
-    output.say(f"tune temperature: {tuned.points:,} points of {tuned.scans} scans → {target}")
+    table = temperature_table(tuned["before"], tuned["after"])
+    output.result(tuned | {"weights": str(target)}, table)
+    counted = f"{tuned['points']:,} points of {tuned['scans']} scans"
+    output.say(f"tune temperature: {counted} → {target}")
 
 
 def tune_dropout(
@@ -81,11 +80,10 @@ def tune_dropout(
             overwrite=running.overwrite,
             progress=on_progress,
         )
-    paths = {"weights": str(target), "curve": str(curve_of(target))}
-    output.result(tuned.to_dict() | paths, rate_table(tuned.rates, tuned.objectives, tuned.best))
-    output.say(
-        f"tune dropout: {tuned.best:.4g}, was {tuned.before:g} → {target}, {curve_of(target)}"
-    )
+    best, curve = tuned["best"], curve_of(target)
+    table = rate_table(tuned["rates"], tuned["objectives"], best)
+    output.result(tuned | {"weights": str(target), "curve": str(curve)}, table)
+    output.say(f"tune dropout: {best:.4g}, was {tuned['before']:g} → {target}, {curve}")
 
 
 def tune_batchnorm(
@@ -120,9 +118,8 @@ def tune_batchnorm(
             overwrite=running.overwrite,
             progress=on_progress,
         )
-    found = tuned.to_dict()
-    output.result(found | {"weights": str(target)}, moved_table(found["layers"]))
-    output.say(f"tune batchnorm: {tuned.scans} scans of {tuned.sensor} → {target}")
+    output.result(tuned | {"weights": str(target)}, moved_table(tuned["layers"]))
+    output.say(f"tune batchnorm: {tuned['scans']} scans of {tuned['sensor']} → {target}")
 
 
 tune = typer.Typer(

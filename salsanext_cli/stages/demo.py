@@ -3,14 +3,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from contextlib import AbstractContextManager
+from collections.abc import Callable, Iterator
+from contextlib import AbstractContextManager, contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 from salsanext_cli.inference.settings import NetworkSettings
-from salsanext_cli.parallel.run import Failure, Outcome, Progress, RunOptions
+from salsanext_cli.parallel.run import Failure, Progress, RunOptions
 from salsanext_cli.report.scan_pictures import draw_scan
 from salsanext_cli.stages.evaluate import Evaluation, evaluate
 from salsanext_cli.stages.export_ply import export_ply
@@ -36,8 +36,6 @@ class Demonstration:
 
     Attributes
     ----------
-    data, out : Path
-        Folders of the synthetic data set and of the results.
     evaluation : Evaluation
         Scores of the predictions.
     pictures : tuple of Path
@@ -46,8 +44,6 @@ class Demonstration:
         Scans that a stage could not process.
     """
 
-    data: Path
-    out: Path
     evaluation: Evaluation
     pictures: tuple[Path, ...]
     failures: tuple[Failure, ...]
@@ -85,44 +81,30 @@ def demo(
         If a stage cannot be run.
     """
     data, out = folder / "data", folder / "out"
-    estimator = Estimator(samples=samples)
+    estimator, valid = Estimator(samples=samples), ScanSelection(split="valid")
+
+    @contextmanager
+    def step(name: str) -> Iterator[RunOptions]:
+        with bars(name) as progress:
+            yield replace(options, progress=progress)
+
     # `labels.yaml` is written last.
     complete = (data / "labels.yaml").exists()
     if options.overwrite or not complete or len(find_scans(data)) != scans:
+        drive: dict[str, Any] = {"scans": scans, "seed": SEED, "spacing": SPACING_M}
+        anew = options.overwrite or not complete
         with bars("synth") as progress:
-            synthesise(
-                data,
-                train=0,
-                valid=1,
-                scans=scans,
-                seed=SEED,
-                spacing=SPACING_M,
-                overwrite=options.overwrite or not complete,
-                progress=progress,
-            )
-
-    def run(step: str, stage: Callable[[RunOptions], Outcome[Any]]) -> tuple[Failure, ...]:
-        with bars(step) as progress:
-            return stage(replace(options, progress=progress)).failures
-
-    failures = (
-        *run("predict", lambda o: predict_scans(data, out, network=network, options=o)),
-        *run(
-            "uncertainty",
-            lambda o: uncertainty(data, out, network=network, estimator=estimator, options=o),
-        ),
-        *run("export-ply", lambda o: export_ply(out, colour="label", options=o)),
-    )
-    selection = ScanSelection(split="valid")
-    files, space = predicted_scans(out, selection)
-    with bars("eval") as progress:
-        evaluation = evaluate(
-            files,
-            out,
-            space,
-            replace(options, progress=progress),
-            settings=provenance(out, selection),
-        )
+            synthesise(data, train=0, valid=1, **drive, overwrite=anew, progress=progress)
+    with step("predict") as run:
+        predicted = predict_scans(data, out, network=network, options=run)
+    with step("uncertainty") as run:
+        sampled = uncertainty(data, out, network=network, estimator=estimator, options=run)
+    with step("export-ply") as run:
+        exported = export_ply(out, colour="label", options=run)
+    failures = (*predicted.failures, *sampled.failures, *exported.failures)
+    files, space = predicted_scans(out, valid)
+    with step("eval") as run:
+        evaluation = evaluate(files, out, space, run, settings=provenance(out, valid))
     sensor = network.load().sensor
     pictures = draw_scan(files[len(files) // 2], out, space, sensor, out / "pictures")
-    return Demonstration(data, out, evaluation, pictures, failures)
+    return Demonstration(evaluation, pictures, failures)

@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import json
 import logging
 from dataclasses import dataclass, replace
 from functools import partial
@@ -197,12 +196,4 @@ def write_sensor(path: Path, sensor: Sensor, *, overwrite: bool = False) -> None
         If the file exists and may not be overwritten, or cannot be written.
     """
     require_absent(path, overwrite)
-    values = {k: v for k, v in sensor.to_dict().items() if k != "name" and v is not None}
-    lines = [f"{key} = {_toml(value)}\n" for key, value in values.items()]
-    write_text(path, "".join(lines))
-
-
-def _toml(value: object) -> str:
-    if isinstance(value, tuple | list):
-        return f"[{', '.join(_toml(item) for item in value)}]"
-    return json.dumps(value, ensure_ascii=False) if isinstance(value, str) else str(value)
+    write_text(path, sensor.to_toml())

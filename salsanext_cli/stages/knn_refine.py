@@ -104,7 +104,7 @@ def knn_refine_scans(
     space : LabelSpace, optional
         Otherwise the one that `predict` recorded in `out`, else that of the scans' data set.
     knn, selection, options
-        Neighbours; which scans, and how to go through them.
+        As for `predict_scans`.
 
     Raises
     ------

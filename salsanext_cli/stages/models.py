@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +15,7 @@ from salsanext_cli.network.complexity import (
     multiply_accumulates,
     parameter_count,
 )
-from salsanext_cli.network.papers import PAPERS, PaperFigures, agrees
+from salsanext_cli.network.papers import PAPERS, agrees
 from salsanext_cli.network.registry import ARCHITECTURES, build
 from salsanext_cli.network.weights import WeightsCard, read_card
 from salsanext_cli.storage.identity import fingerprint
@@ -23,51 +23,34 @@ from salsanext_cli.storage.identity import fingerprint
 HEIGHT, WIDTH = 64, 2048
 
 
-@dataclass(frozen=True, slots=True)
-class Model:
-    """A network, what it costs on one range image of 64×2048, and what the papers print of it.
+def models() -> list[dict[str, Any]]:
+    """Build every network, without its numbers, and return what it costs and what papers print.
 
-    Attributes
-    ----------
-    name : str
-        As weights files and recipes name it.
-    parameters : int
-        Trainable numbers, with 20 classes.
-    multiply_accumulates : int
-        Of the convolutions; the papers print twice as many FLOPs, and those of the rest.
-    receptive_field : (int, int)
-        Height and width of what a pixel's logits depend on; more than the image is beyond it.
-    paper : PaperFigures
-        The papers' figures.
-    agrees : bool
-        Whether the parameters are those that the paper prints, to the digit.
+    Returns
+    -------
+    list of dict
+        JSON-able: the `name` in weights files and recipes; the number of `parameters`, with 20
+        classes; the `multiply_accumulates` of the convolutions on an image of 64×2048, of which
+        the papers print twice as many, with those of the rest, as FLOPs; the `receptive_field`,
+        height and width of what a pixel's logits depend on; the figures of the `paper`; whether its
+        number of parameters `agrees` to the digit.
     """
-
-    name: str
-    parameters: int
-    multiply_accumulates: int
-    receptive_field: tuple[int, int]
-    paper: PaperFigures
-    agrees: bool
-
-
-def models() -> list[Model]:
-    """Build every network, without its numbers, and count."""
-    return [_model(name) for name in ARCHITECTURES]
-
-
-def _model(name: str) -> Model:
-    with torch.device("meta"):
-        module = build({"name": name}).eval()
-    parameters, paper = parameter_count(module), PAPERS[name]
-    return Model(
-        name=name,
-        parameters=parameters,
-        multiply_accumulates=multiply_accumulates(module, HEIGHT, WIDTH),
-        receptive_field=RECEPTIVE_FIELDS[name],
-        paper=paper,
-        agrees=agrees(parameters, paper.parameters),
-    )
+    found = []
+    for name in ARCHITECTURES:
+        with torch.device("meta"):
+            module = build({"name": name}).eval()
+        parameters, paper = parameter_count(module), PAPERS[name]
+        found.append(
+            {
+                "name": name,
+                "parameters": parameters,
+                "multiply_accumulates": multiply_accumulates(module, HEIGHT, WIDTH),
+                "receptive_field": RECEPTIVE_FIELDS[name],
+                "paper": asdict(paper),
+                "agrees": agrees(parameters, paper.parameters),
+            }
+        )
+    return found
 
 
 def describe_weights(path: Path) -> Mapping[str, Any]:

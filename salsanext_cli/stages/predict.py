@@ -192,7 +192,7 @@ def predict_range_images(
     out : Path
         The output folder, which may be the same.
     network, selection, options
-        As `predict_scans` takes them.
+        As for `predict_scans`.
 
     Raises
     ------

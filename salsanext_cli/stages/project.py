@@ -44,14 +44,10 @@ def project_scans(
 
     Parameters
     ----------
-    source : Path
-        A scan, a folder of scans, a sequence or a data set.
-    out : Path
-        The output folder.
     sensor : Sensor
         Field of view and size of the range images.
-    selection, options
-        Which scans, and how to go through them.
+    source, out, selection, options
+        As for `predict_scans`.
 
     Raises
     ------

@@ -9,10 +9,11 @@ import signal
 from collections import Counter
 from collections.abc import Callable, Iterator
 from contextlib import closing
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import partial
 from itertools import islice
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import yaml
@@ -42,25 +43,6 @@ SequenceWriter = Callable[[str], Iterator[dict[int, int]]]
 log = logging.getLogger(__name__)
 
 
-@dataclass(frozen=True, slots=True)
-class Synthesised:
-    """Data set that was written.
-
-    Attributes
-    ----------
-    splits : dict of str to tuple of str
-        Sequence names by split.
-    scans : int
-        Number of scans of all sequences.
-    points : dict of int to int
-        Number of points by raw id.
-    """
-
-    splits: dict[str, tuple[str, ...]]
-    scans: int
-    points: dict[int, int]
-
-
 def synthesise(
     out: Path,
     *,
@@ -73,7 +55,7 @@ def synthesise(
     jobs: int = 1,
     overwrite: bool = False,
     progress: Progress | None = None,
-) -> Synthesised:
+) -> dict[str, Any]:
     """Write a data set of synthetic streets: scans, labels, poses, times, `labels.yaml`.
 
     Parameters
@@ -95,6 +77,12 @@ def synthesise(
         written by it, are unchanged since and are not behind a link are removed.
     progress : callable, optional
         Called with the number of scans done and in total.
+
+    Returns
+    -------
+    dict
+        JSON-able: the number of all `scans`, the names of the sequences by split, `splits`, and the
+        number of points by raw id, `points`.
 
     Raises
     ------
@@ -135,7 +123,8 @@ def synthesise(
     space = replace(real, name="synthetic-street", ignored=tuple(ignored), splits=splits)
     text = yaml.safe_dump(space.to_dict(), sort_keys=False, allow_unicode=True)
     written.write(out / LABEL_SPACE, text.encode())
-    return Synthesised(splits, total, dict(sorted(points.items())))
+    counted = {"scans": total, "splits": splits, "points": dict(sorted(points.items()))}
+    return {"stage": "synth", **counted}
 
 
 def _check(sequences: dict[str, int], scans: int, seed: int, spacing: float, jobs: int) -> None:

@@ -6,7 +6,7 @@ from __future__ import annotations
 import logging
 import math
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -33,51 +33,6 @@ SHARE = 0.5
 log = logging.getLogger(__name__)
 
 
-@dataclass(frozen=True, slots=True)
-class MovedStatistics:
-    """Distance that the statistics of a batch norm moved, mean over its channels.
-
-    Attributes
-    ----------
-    layer : str
-        Its name in the network.
-    shift : float
-        Distance of the new mean from the old one, in old standard deviations.
-    variance_ratio : float
-        New variance over old, the geometric mean; the layer's ε is added to both.
-    """
-
-    layer: str
-    shift: float
-    variance_ratio: float
-
-
-@dataclass(frozen=True, slots=True)
-class TunedBatchNorm:
-    """Result of re-estimating batch-norm statistics.
-
-    Attributes
-    ----------
-    scans : int
-        Number of scans that the statistics are of.
-    share : float
-        Of the new statistics in the weights written.
-    sensor : str
-        Sensor of the weights written.
-    layers : tuple of MovedStatistics
-        Every batch norm, in order of computation.
-    """
-
-    scans: int
-    share: float
-    sensor: str
-    layers: tuple[MovedStatistics, ...]
-
-    def to_dict(self) -> dict[str, Any]:
-        """Return plain data for JSON."""
-        return {"stage": "tune batchnorm", **asdict(self)}
-
-
 def tune_batchnorm(
     source: Path,
     target: Path,
@@ -87,7 +42,7 @@ def tune_batchnorm(
     share: float = SHARE,
     overwrite: bool = False,
     progress: Progress | None = None,
-) -> TunedBatchNorm:
+) -> dict[str, Any]:
     """Write a weights file with batch-norm statistics moved towards those of scans of one's own.
 
     Every scan passes once, as `statistics_of_scan` says; no label is read. The statistics of all
@@ -101,16 +56,18 @@ def tune_batchnorm(
     target : Path
         The `.safetensors` file to write: all other tensors bit for bit. Its sensor is that of
         `network`; `scores`, measured with the old statistics, are left out.
-    network : NetworkSettings
-        Weights, device and sensor.
-    selection : ScanSelection
-        Which scans; a limit takes scans that are evenly spaced.
     share : float
         Of the new statistics, above 0 and at most 1; the rest are the old ones.
-    overwrite : bool
-        Whether the target may exist.
-    progress : callable, optional
-        Called after each scan.
+    network, selection, overwrite, progress
+        As for `tune_temperature`.
+
+    Returns
+    -------
+    dict
+        JSON-able: the number of `scans`, the `share`, the name of the `sensor` of the weights
+        written, and `layers`, every batch norm in order of computation: its name, `layer`; the
+        distance of the new mean from the old one in old standard deviations, `shift`, mean over the
+        channels; the new variance over the old, ε added to both, `variance_ratio`, geometric mean.
 
     Raises
     ------
@@ -141,8 +98,14 @@ def tune_batchnorm(
     description = f"{loaded.card.description} {done}".lstrip()
     card = replace(loaded.card, sensor=sensor, scores={}, description=description)
     save_with_card(network.path, target, card, _tensors(new))
-    moved = tuple(_moved(name, old[name], new[name], layers[name].eps) for name in new)
-    return TunedBatchNorm(len(scans), share, sensor.name, moved)
+    moved = [_moved(name, old[name], new[name], layers[name].eps) for name in new]
+    return {
+        "stage": "tune batchnorm",
+        "scans": len(scans),
+        "share": share,
+        "sensor": sensor.name,
+        "layers": moved,
+    }
 
 
 def _statistics(
@@ -171,8 +134,8 @@ def _tensors(statistics: Mapping[str, Statistics]) -> dict[str, Tensor]:
     }
 
 
-def _moved(layer: str, old: Statistics, new: Statistics, eps: float) -> MovedStatistics:
+def _moved(layer: str, old: Statistics, new: Statistics, eps: float) -> dict[str, Any]:
     variance = old.variance + eps
     shift = ((new.mean - old.mean).abs() / variance.sqrt()).mean()
     ratio = ((new.variance + eps) / variance).log().mean()
-    return MovedStatistics(layer, float(shift), math.exp(ratio))
+    return {"layer": layer, "shift": float(shift), "variance_ratio": math.exp(ratio)}

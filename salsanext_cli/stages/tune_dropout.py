@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 import logging
-from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
@@ -40,32 +39,6 @@ SCANS = 20
 log = logging.getLogger(__name__)
 
 
-@dataclass(frozen=True, slots=True)
-class TunedDropout:
-    """Result of the search for a dropout rate.
-
-    Attributes
-    ----------
-    before, best : float
-        Rate that the weights had, and the one found.
-    rates, objectives : tuple of float
-        Rates that were tried, and the objective of each, mean over the points.
-    scans, points : int
-        Number of those sampled at every rate.
-    """
-
-    before: float
-    best: float
-    rates: tuple[float, ...]
-    objectives: tuple[float, ...]
-    scans: int
-    points: int
-
-    def to_dict(self) -> dict[str, Any]:
-        """Return plain data for JSON."""
-        return {"stage": "tune dropout", **asdict(self)}
-
-
 def tune_dropout(
     dataset: Path,
     target: Path,
@@ -79,7 +52,7 @@ def tune_dropout(
     steps: int = STEPS,
     overwrite: bool = False,
     progress: Progress | None = None,
-) -> TunedDropout:
+) -> dict[str, Any]:
     """Write a weights file with the dropout rate of the least objective, and draw the curve.
 
     The objective is Σ ½ log s + (y − p)² / 2s over points and classes, with the mean p of the
@@ -87,24 +60,22 @@ def tune_dropout(
 
     Parameters
     ----------
-    dataset : Path
-        Labelled scans that the network was not trained on.
-    target : Path
-        The `.safetensors` file to write: the same tensors, bit for bit. The curve is `curve_of` it.
-    network : NetworkSettings
-        Weights, device and sensor.
-    selection : ScanSelection
-        Which scans; a limit takes scans that are evenly spaced.
+    dataset, target, network, selection, overwrite, progress
+        As for `tune_temperature`. The curve is `curve_of` the target; progress is called after each
+        scan at each rate.
     samples, seed : int
         Passes per scan and rate, and the seed of their masks, as for `uncertainty`.
     lowest, highest : float
         Ends of the range.
     steps : int
         Number of rates to try, at equal steps of the logarithm.
-    overwrite : bool
-        Whether the target may exist.
-    progress : callable, optional
-        Called after each scan at each rate.
+
+    Returns
+    -------
+    dict
+        JSON-able: the rate that the weights had, `before`, and the `best`; the `rates` that were
+        tried and the `objectives` of each, mean over the points; the number of `scans` and of
+        `points` sampled at every rate.
 
     Raises
     ------
@@ -134,7 +105,7 @@ def tune_dropout(
                 progress(number * len(rates) + index + 1, len(scans) * len(rates))
         log.info("%s/%s: %d points", file.sequence, file.stem, len(labelled.truth))
     require_points(points, dataset, space)
-    objectives = tuple((sums / points).tolist())
+    objectives: list[float] = (sums / points).tolist()
     if not np.isfinite(objectives).all():
         found = "the network's uncertainties are not finite"
         raise TrainingError(dataset, found, "finite ones", "use other weights")
@@ -145,7 +116,15 @@ def tune_dropout(
         log.warning("the best rate, %g, is the last of the range: move %s", rates[best], edge)
     save_with_card(network.path, target, candidates[best].card)
     before = max((layer.rate for layer in dropouts(loaded.module)), default=0.0)
-    return TunedDropout(before, rates[best], tuple(rates), objectives, len(scans), points)
+    return {
+        "stage": "tune dropout",
+        "before": before,
+        "best": rates[best],
+        "rates": list(rates),
+        "objectives": objectives,
+        "scans": len(scans),
+        "points": points,
+    }
 
 
 def curve_of(target: Path) -> Path:

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Iterator, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -49,47 +49,6 @@ SEED = 0
 log = logging.getLogger(__name__)
 
 
-@dataclass(frozen=True, slots=True)
-class TemperatureFit:
-    """Fit of a softmax with a temperature to the truth.
-
-    Attributes
-    ----------
-    temperature : float
-        Divides the logits.
-    nll : float
-        Mean negative log-likelihood of the true class, in nats.
-    ece : float
-        Expected calibration error over 15 bins, 0…1.
-    """
-
-    temperature: float
-    nll: float
-    ece: float
-
-
-@dataclass(frozen=True, slots=True)
-class TunedTemperature:
-    """Result of fitting a temperature.
-
-    Attributes
-    ----------
-    before, after : TemperatureFit
-        With the temperature that the weights had, and with the one that was fitted.
-    scans, points : int
-        Number of those fitted to.
-    """
-
-    before: TemperatureFit
-    after: TemperatureFit
-    scans: int
-    points: int
-
-    def to_dict(self) -> dict[str, Any]:
-        """Return plain data for JSON."""
-        return {"stage": "tune temperature", **asdict(self)}
-
-
 def tune_temperature(
     dataset: Path,
     target: Path,
@@ -98,7 +57,7 @@ def tune_temperature(
     selection: ScanSelection = VALIDATION,
     overwrite: bool = False,
     progress: Progress | None = None,
-) -> TunedTemperature:
+) -> dict[str, Any]:
     """Write a weights file with the temperature of the least negative log-likelihood.
 
     Each point has the logits of its pixel, as for `predict --probabilities`; points of ignored
@@ -120,6 +79,14 @@ def tune_temperature(
     progress : callable, optional
         Called after each scan.
 
+    Returns
+    -------
+    dict
+        JSON-able: with the temperature that the weights had, `before`, and with the one that was
+        fitted, `after`, the `temperature`, the mean negative log-likelihood of the true class in
+        nats, `nll`, and the expected calibration error over 15 bins, `ece`, 0…1; the number of
+        `scans` and of `points` fitted to.
+
     Raises
     ------
     SalsanextError
@@ -137,9 +104,13 @@ def tune_temperature(
     _require_possible(dataset, temperature, len(truth))
     card = replace(loaded.card, temperature=temperature)
     save_with_card(network.path, target, card)
-    before = _tempered(logits, truth, loaded.card.temperature)
-    after = _tempered(logits, truth, temperature)
-    return TunedTemperature(before, after, len(scans), len(truth))
+    return {
+        "stage": "tune temperature",
+        "before": _tempered(logits, truth, loaded.card.temperature),
+        "after": _tempered(logits, truth, temperature),
+        "scans": len(scans),
+        "points": len(truth),
+    }
 
 
 def _samples(
@@ -178,11 +149,11 @@ def _require_possible(dataset: Path, temperature: float, points: int) -> None:
         raise TrainingError(dataset, found, expected, "use more scans, or other weights")
 
 
-def _tempered(logits: Tensor, truth: Tensor, temperature: float) -> TemperatureFit:
+def _tempered(logits: Tensor, truth: Tensor, temperature: float) -> dict[str, float]:
     histogram = ConfidenceHistogram(1)
     for part, classes in chunks(logits, truth):
         probabilities = torch.softmax(part / temperature, dim=1).numpy()
         errors = softmax_errors(probabilities, classes.numpy())
         histogram.update(errors, np.zeros(len(classes), np.intp))
     nll = negative_log_likelihood(logits, truth, temperature)
-    return TemperatureFit(temperature, nll, calibration_scores(histogram).ece)
+    return {"temperature": temperature, "nll": nll, "ece": calibration_scores(histogram).ece}

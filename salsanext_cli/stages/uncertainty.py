@@ -111,18 +111,10 @@ def uncertainty(
 
     Parameters
     ----------
-    source : Path
-        A scan, a folder of scans, a sequence or a data set.
-    out : Path
-        The output folder.
-    network : NetworkSettings
-        Weights, device and sensor.
-    knn : KnnParameters
-        Neighbours in the kNN refinement of the labels.
     estimator : Estimator
         How; by default 30 passes of Monte-Carlo dropout and one of assumed density filtering.
-    selection, options
-        Which scans, and how to go through them.
+    source, out, network, knn, selection, options
+        As for `predict_scans`.
 
     Raises
     ------

@@ -74,6 +74,7 @@ def test_python_runs_the_package_as_the_command():
         ["predict", "a", "b", "c"],
         ["predict", "--limit", "many"],
         ["predict", "--on-error", "panic"],
+        ["predict", "--backend", "spark"],
         ["eval", "--json=yes"],
         ["export-ply", "--scale", "1"],
         ["import-weights", "only-one"],

@@ -12,7 +12,7 @@ def world(tmp_path, monkeypatch):
     world.add("000000", [CAR, ROAD], [CAR, CAR])
 
     def demo(*_, **__):
-        return Demonstration(world.dataset, world.out, world.evaluate(), (), ())
+        return Demonstration(world.evaluate(), (), ())
 
     monkeypatch.setattr("salsanext_cli.stages.demo.demo", demo)
     return world

@@ -13,7 +13,6 @@ from scans import labels_below
 from salsanext_cli.cli import options, run_options
 from salsanext_cli.cli.console import Output
 from salsanext_cli.cli.option_groups import Default, Without, expanded
-from salsanext_cli.errors import UsageError
 from salsanext_cli.parallel.options import BACKENDS, RunOptions
 from salsanext_cli.parallel.shards import Shard
 
@@ -47,30 +46,12 @@ def test_sequences(text, names):
     assert options.Selection(sequences=text).scans().sequences == names
 
 
-@pytest.mark.parametrize("text", ["", " ,"])
-def test_sequences_without_a_name(text):
-    with pytest.raises(UsageError, match="--sequences"):
-        options.Selection(sequences=text).scans()
-
-
 def test_where_scans_are_looked_for(monkeypatch):
     assert options.Selection(dataset=Path("b")).source(Path("a")) == Path("a")
     assert options.Selection(dataset=Path("b")).source(None) == Path("b")
     assert options.Selection().source(None) == Path()
     monkeypatch.setenv("SALSANEXT_DATASET", "/data")
     assert options.ResultSelection().usual_dataset() == Path("/data")
-
-
-def test_looking_up():
-    assert options.sensor("hdl64").name == "hdl64"
-    assert options.Classes().space() is None
-    assert options.Classes("semantic-kitti").space().class_count == 20
-    named = options.NetworkOptions(Path("w"), "cpu", "auto", "hdl32")
-    assert named.settings().sensor == named.sensor_to_project() == options.sensor("hdl32")
-    assert options.NetworkOptions(precision="float32").settings().sensor is None
-    assert options.Knn(3, 7, 2.0, 0.5).parameters().window == 7
-    with pytest.raises(UsageError, match="no preset and no file"):
-        options.sensor("hdl65")
 
 
 def test_the_options_of_a_run():
@@ -91,22 +72,6 @@ def test_results_over_all_scans_cannot_be_sharded():
     assert {name for name in flags if "--shard" in flags[name]} == SHARDED
     backends = {name for name in flags if "--backend" in flags[name]}
     assert backends == SHARDED | {"eval", "inspect"}
-
-
-@pytest.mark.parametrize(
-    ("arguments", "found"),
-    [
-        (["--shard", "3/2"], "--shard · 3/2"),
-        (["--shard", "0"], "i/n"),
-        (["--backend", "spark"], "spark"),
-        (["--scheduler", "tcp://here:8786"], "--scheduler tcp://here:8786 · --backend loky"),
-    ],
-)
-def test_a_command_line_that_is_wrong(run, data, tmp_path, weights, arguments, found):
-    result = run("predict", data, tmp_path / "out", "--weights", weights, *arguments)
-    assert result.exit_code == 2
-    assert found in result.stderr
-    assert not (tmp_path / "out").exists()
 
 
 @pytest.fixture

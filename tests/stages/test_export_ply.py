@@ -7,18 +7,16 @@ import plyfile
 import pytest
 from scans import SMALL, files_below, write_weights
 
-from salsanext_cli.classes import label_space
-from salsanext_cli.errors import NoInputError, OutputError, UsageError
-from salsanext_cli.formats import read_scan
-from salsanext_cli.formats.kitti import read_labels
+from salsanext_cli import LabelSpace, Scan, label_space, read_labels, read_scan, write_labels
+from salsanext_cli.errors import LabelError, NoInputError, OutputError, UsageError
 from salsanext_cli.inference.settings import NetworkSettings
 from salsanext_cli.parallel.run import RunOptions
-from salsanext_cli.records import Scan
 from salsanext_cli.report.colours import EMPTY, RIGHT, WRONG, map_colours
 from salsanext_cli.stages.export_ply import export_ply
 from salsanext_cli.stages.predict import predict_scans
 from salsanext_cli.stages.uncertainty import uncertainty
-from salsanext_cli.storage.point_files import write_bin, write_labels
+from salsanext_cli.storage.point_files import write_bin
+from salsanext_cli.storage.predictions import predicted_scans
 from salsanext_cli.storage.selection import ScanSelection
 from salsanext_cli.uncertainty.settings import Estimator
 
@@ -210,6 +208,25 @@ def test_sampling_uses_the_weights_and_sensor_that_predicted(world, tmp_path):
     export(world, colour="epistemic", selection=ScanSelection(limit=1))
     name = "sequences/00/uncertainty/epistemic/000000.npy"
     assert files_below(world.out)[name] == files_below(tmp_path / "expected")[name]
+
+
+def test_labels_made_anew_by_other_weights_are_not_shown_with_older_uncertainty(sampled, tmp_path):
+    other = NetworkSettings(write_weights(tmp_path / "other.safetensors", seed=1), "cpu")
+    predict_scans(sampled.data, sampled.out, network=other, options=OVERWRITE)
+    with pytest.raises(OutputError, match=r"labels by the weights .* uncertainty --overwrite"):
+        export(sampled, colour="epistemic", network=other)
+    uncertainty(sampled.data, sampled.out, network=other, estimator=FEW, options=OVERWRITE)
+    assert export(sampled, colour="epistemic", network=other).done == 3
+
+
+def test_other_classes_than_those_predicted_are_refused(predicted):
+    small = {"labels": {0: "no", 1: "yes"}, "learning_map": {0: 0, 1: 1}}
+    small |= {"learning_map_inv": {0: 0, 1: 1}, "name": "two"}
+    two = LabelSpace.from_dict(small)
+    with pytest.raises(LabelError, match="predictions in the classes of"):
+        export(predicted, space=two)
+    with pytest.raises(LabelError, match="predictions in the classes of"):
+        predicted_scans(predicted.out, ScanSelection(), space=two)
 
 
 @pytest.mark.parametrize("colour", ["truth", "error"])

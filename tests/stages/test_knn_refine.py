@@ -6,13 +6,9 @@ import numpy as np
 import pytest
 from scans import SMALL, files_below, labels_below, write_weights
 
-from salsanext_cli.classes import label_space
+from salsanext_cli import KnnParameters, knn_refine, label_space, project, read_labels, read_scan
 from salsanext_cli.errors import NoInputError, OutputError, UsageError
-from salsanext_cli.formats import read_scan
-from salsanext_cli.formats.kitti import read_labels
 from salsanext_cli.geometry.gather import pixels_from_points
-from salsanext_cli.geometry.knn import KnnParameters, knn_refine
-from salsanext_cli.geometry.projection import project
 from salsanext_cli.parallel.run import RunOptions
 from salsanext_cli.stages.knn_refine import knn_refine_scans
 from salsanext_cli.stages.predict import predict_range_images, predict_scans

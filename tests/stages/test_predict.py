@@ -1,5 +1,4 @@
 # SPDX-License-Identifier: MIT
-import json
 import shutil
 from dataclasses import replace
 
@@ -8,19 +7,15 @@ import pytest
 import torch
 from scans import SMALL, files_below, labels_below, make_scan, write_sequence, write_weights
 
-from salsanext_cli.classes import LabelSpace, label_space
+from salsanext_cli import KnnParameters, LabelSpace, Scan, knn_refine, label_space, project
 from salsanext_cli.errors import NoInputError, OutputError, UsageError, WeightsError
 from salsanext_cli.formats import read_scan
-from salsanext_cli.geometry.knn import KnnParameters, knn_refine
-from salsanext_cli.geometry.projection import project
 from salsanext_cli.inference.settings import NetworkSettings
 from salsanext_cli.network.weights import read_weights, save_weights
 from salsanext_cli.parallel.run import RunOptions
-from salsanext_cli.records import Scan
 from salsanext_cli.stages.knn_refine import knn_refine_scans
 from salsanext_cli.stages.predict import predict_range_images, predict_scans
 from salsanext_cli.stages.project import project_scans
-from salsanext_cli.storage.identity import fingerprint
 from salsanext_cli.storage.point_files import write_bin, write_ply
 
 
@@ -40,15 +35,6 @@ def test_the_labels_are_those_of_the_three_steps(world):
     assert not (labels >> 16).any()
     # Two sequences have a scan of that name.
     assert (world.labels("00") != world.labels("08")).any()
-
-
-def test_what_is_remembered(world):
-    run(world, knn=KnnParameters(k=3))
-    settings = json.loads((world.out / "predict.json").read_text())["settings"]
-    assert settings["weights"] == fingerprint(world.network.weights)
-    assert settings["knn"] == {"k": 3, "window": 5, "sigma": 1.0, "cutoff": 1.0}
-    assert settings["sensor"]["name"] == "small"
-    assert settings["label_space"]["name"] == "semantic-kitti"
 
 
 def test_extras_agree_with_the_labels(world):
@@ -96,14 +82,11 @@ def test_other_settings_stop_and_say_what_differs(world):
 
 
 def test_weights_replaced_under_the_same_name_are_noticed(world, tmp_path):
-    path = write_weights(tmp_path / "w.safetensors", seed=1)
-    selection = replace(world.network, weights=path)
-    predict_scans(world.data, tmp_path / "a", network=selection)
-    write_weights(path, seed=2)
-    predict_scans(world.data, tmp_path / "b", network=selection)
-    assert labels_below(tmp_path / "a") != labels_below(tmp_path / "b")
+    network = replace(world.network, weights=write_weights(tmp_path / "w.safetensors", seed=1))
+    predict_scans(world.data, world.out, network=network)
+    write_weights(network.weights, seed=2)
     with pytest.raises(OutputError, match="weights was"):
-        predict_scans(world.data, tmp_path / "a", network=selection)
+        predict_scans(world.data, world.out, network=network)
 
 
 def test_a_plain_folder_and_several_formats(world, tmp_path):
@@ -209,16 +192,20 @@ def test_weights_of_another_label_space_write_its_raw_ids(world, tmp_path):
     assert set(np.unique(world.labels())) <= {7, 500}
 
 
-@pytest.mark.parametrize("out_of_project", ["same", "other"])
-def test_in_three_steps_or_in_one_gives_the_same_bytes(world, tmp_path, out_of_project):
+NOT_BY_16 = replace(SMALL, height=13, width=90, fov_up=-2.0, fov_down=-20.0, out_of_view="drop")
+
+
+@pytest.mark.parametrize(("projected", "sensor"), [("same", SMALL), ("other", NOT_BY_16)])
+def test_in_three_steps_or_in_one_gives_the_same_bytes(world, tmp_path, projected, sensor):
     write_points(world.scan("00"), [*ODD_POINTS, (5, 0, 0)])
-    projected = world.out if out_of_project == "same" else tmp_path / "projected"
-    project_scans(world.data, projected, sensor=SMALL)
-    assert predict_range_images(projected, world.out, network=world.network).done == 3
+    network = replace(world.network, sensor=sensor)
+    images = world.out if projected == "same" else tmp_path / "projected"
+    project_scans(world.data, images, sensor=sensor)
+    assert predict_range_images(images, world.out, network=network).done == 3
     assert np.load(world.result("pixel_labels")).dtype == np.uint8
     assert not labels_below(world.out)
     assert knn_refine_scans(world.out).done == 3
-    predict_scans(world.data, tmp_path / "fused", network=world.network)
+    predict_scans(world.data, tmp_path / "fused", network=network)
     assert labels_below(world.out) == labels_below(tmp_path / "fused")
     assert len(labels_below(world.out)) == 3
 

@@ -3,11 +3,10 @@ import json
 
 import numpy as np
 import pytest
-from scans import SMALL, files_below
+from scans import SMALL
 
+from salsanext_cli import project, read_scan
 from salsanext_cli.errors import OutputError
-from salsanext_cli.formats import read_scan
-from salsanext_cli.geometry.projection import project
 from salsanext_cli.parallel.run import RunOptions
 from salsanext_cli.stages.predict import projected_sensor
 from salsanext_cli.stages.project import project_scans
@@ -29,15 +28,6 @@ def test_the_files_hold_the_projection(world):
     }
     assert projected_sensor(world.out) == SMALL
     assert projected_sensor(world.data) is None
-
-
-def test_half_a_result_is_made_again(world):
-    project_scans(world.data, world.out, sensor=SMALL)
-    before = files_below(world.out)
-    world.result("pixels").unlink()
-    outcome = project_scans(world.data, world.out, sensor=SMALL)
-    assert (outcome.done, outcome.skipped) == (1, 2)
-    assert files_below(world.out) == before
 
 
 def test_another_sensor_is_refused(world):

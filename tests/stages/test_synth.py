@@ -8,12 +8,12 @@ import pytest
 import yaml
 from scans import files_below, write_sequence
 
-from salsanext_cli.classes import label_space
+from salsanext_cli import Scan, label_space, read_labels
 from salsanext_cli.errors import MissingDependency, OutputError, UsageError
-from salsanext_cli.formats.kitti import read_bin, read_labels
-from salsanext_cli.records import Scan
+from salsanext_cli.formats.kitti import read_bin
 from salsanext_cli.stages import synth
 from salsanext_cli.stages.synth import synthesise
+from salsanext_cli.storage.atomic import write_text
 from salsanext_cli.storage.layout import find_scans
 from salsanext_cli.storage.written_files import WrittenFiles
 from salsanext_cli.synthesis.drive import Frame
@@ -43,8 +43,8 @@ def test_every_file_of_the_layout_is_there(streets):
             expected.add(f"sequences/{sequence}/velodyne/{stem}.bin")
             expected.add(f"sequences/{sequence}/labels/{stem}.label")
     assert files_below(out).keys() == expected
-    assert made.scans == len(find_scans(out)) == 6
-    assert made.splits == {"train": ("00",), "valid": ("01",), "test": ("02",)}
+    assert made["scans"] == len(find_scans(out)) == 6
+    assert made["splits"] == {"train": ("00",), "valid": ("01",), "test": ("02",)}
     assert calls == [(n, 6) for n in range(1, 7)]
 
 
@@ -60,7 +60,7 @@ def test_scans_and_labels_belong_together(streets):
         assert not label_space().unknown_ids(labels)
         for raw, count in zip(*np.unique(labels, return_counts=True), strict=True):
             totals[int(raw)] = totals.get(int(raw), 0) + int(count)
-    assert totals == made.points
+    assert totals == made["points"]
 
 
 def test_labels_yaml_is_semantickittis_with_its_own_split_and_absent_classes(streets):
@@ -70,10 +70,10 @@ def test_labels_yaml_is_semantickittis_with_its_own_split_and_absent_classes(str
     assert space.labels == real.labels
     assert space.learning_map == real.learning_map
     np.testing.assert_array_equal(space.colours, real.colours)
-    assert space.splits == made.splits
+    assert space.splits == made["splits"]
     ignored = {name for name, flag in zip(space.names, space.ignored, strict=True) if flag}
     assert ignored == {"unlabeled", *ABSENT}
-    present = {space.names[space.learning_map[raw]] for raw in made.points}
+    present = {space.names[space.learning_map[raw]] for raw in made["points"]}
     assert present == set(space.names) - set(ABSENT)
     assert set(yaml.safe_load((out / "labels.yaml").read_text())) >= {"labels", "color_map"}
 
@@ -147,22 +147,22 @@ def test_only_a_synthetic_data_set_is_replaced_and_only_when_told(again):
     replace()
 
 
-@pytest.mark.parametrize("scan", ["00/velodyne/999999.bin", "07/velodyne/000000.bin"])
-def test_real_scans_beside_the_generated_ones_stay(again, scan):
+@pytest.mark.parametrize(
+    ("name", "recorded"),
+    [
+        ("00/velodyne/999999.bin", False),
+        ("07/velodyne/000000.bin", False),
+        ("00/predictions/000000.label", True),
+    ],
+)
+def test_real_scans_and_results_of_other_stages_stay(again, name, recorded):
     out, replace = again
-    real = out / "sequences" / scan
-    real.parent.mkdir(parents=True, exist_ok=True)
-    real.write_bytes(b"precious")
+    path = out / "sequences" / name
+    write_text(path, "precious")
+    if recorded:
+        WrittenFiles(out).write(path, path.read_bytes())
     replace()
-    assert real.read_bytes() == b"precious"
-
-
-def test_results_of_other_stages_stay(again):
-    out, replace = again
-    predicted = out / "sequences/00/predictions/000000.label"
-    WrittenFiles(out).write(predicted, b"predicted")
-    replace()
-    assert predicted.read_bytes() == b"predicted"
+    assert path.read_bytes() == b"precious"
 
 
 @pytest.mark.parametrize("sequence", ["00", "01", "07"])

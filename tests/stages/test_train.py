@@ -3,7 +3,6 @@ import json
 import math
 from dataclasses import replace
 from importlib.util import find_spec
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -12,7 +11,7 @@ from safetensors.torch import load_file
 from scans import SMALL, write_sequence
 from tiny_network import TinyNetwork
 
-from salsanext_cli.classes import LabelSpace, label_space
+from salsanext_cli import LabelSpace, label_space, load_network, write_labels
 from salsanext_cli.errors import (
     LabelError,
     NoInputError,
@@ -21,16 +20,13 @@ from salsanext_cli.errors import (
     UsageError,
     WeightsError,
 )
-from salsanext_cli.inference.network import load_network
 from salsanext_cli.network.registry import ARCHITECTURES
 from salsanext_cli.network.weights import WeightsCard, read_card, save_weights
-from salsanext_cli.stages.train import TrainResult, train
-from salsanext_cli.storage.point_files import write_labels
+from salsanext_cli.stages.train import train
 from salsanext_cli.training import dataset as dataset_module
 from salsanext_cli.training import fit
-from salsanext_cli.training.checkpoint import TrainingState
 from salsanext_cli.training.class_counts import class_weights
-from salsanext_cli.training.fit import Report, Training
+from salsanext_cli.training.fit import Training
 from salsanext_cli.training.learner import Learner
 from salsanext_cli.training.recipe import Recipe, recipe
 
@@ -46,12 +42,12 @@ TINY = Recipe(
 
 
 @pytest.fixture(autouse=True)
-def _tiny(monkeypatch: pytest.MonkeyPatch) -> None:
+def _tiny(monkeypatch):
     monkeypatch.setitem(ARCHITECTURES, "salsanext", TinyNetwork)
 
 
 @pytest.fixture
-def dataset(tmp_path: Path) -> Path:
+def dataset(tmp_path):
     """Three scans to train on and two to score on, by SemanticKITTI's split."""
     root = tmp_path / "data"
     write_sequence(root / "sequences" / "00", ["0", "1", "2"], count=600)
@@ -59,18 +55,22 @@ def dataset(tmp_path: Path) -> Path:
     return root
 
 
-def go(dataset: Path, run: Path, **changes: object) -> TrainResult:
+def go(dataset, run, **changes):
     given = {"recipe": TINY, "sensor": SMALL, "device": "cpu"}
-    return train(dataset, run, **{**given, **changes})  # type: ignore[arg-type]
+    return train(dataset, run, **{**given, **changes})
 
 
-def same(one: Path, other: Path) -> bool:
+def no_step(report):
+    raise AssertionError("a step was taken")
+
+
+def same(one, other):
     a, b = load_file(one), load_file(other)
     return a.keys() == b.keys() and all(torch.equal(a[name], b[name]) for name in a)
 
 
-def test_a_run_folder_holds_weights_log_curve_and_recipe(dataset: Path, tmp_path: Path) -> None:
-    reports: list[Report] = []
+def test_a_run_folder_holds_weights_log_curve_and_recipe(dataset, tmp_path):
+    reports = []
     run = tmp_path / "run"
     result = go(dataset, run, progress=reports.append)
     shown = {path.name for path in run.iterdir() if not path.name.startswith(".")}
@@ -91,16 +91,18 @@ def test_a_run_folder_holds_weights_log_curve_and_recipe(dataset: Path, tmp_path
     assert card.recipe == TINY.to_dict()
     assert card.sensor == SMALL
     assert card.scores["miou"] == result.best_miou
+    # A finished training has nothing left to do.
+    assert go(dataset, run, progress=no_step) == result
 
 
 class Stopped(BaseException):
     """Ctrl-C at a chosen step."""
 
 
-def stop_at(dataset: Path, run: Path, step: int, **changes: object) -> None:
+def stop_at(dataset, run, step, **changes):
     """Begin a training and interrupt it after a step."""
 
-    def interrupt(report: Report) -> None:
+    def interrupt(report):
         if report.step == step:
             raise Stopped
 
@@ -108,7 +110,7 @@ def stop_at(dataset: Path, run: Path, step: int, **changes: object) -> None:
         go(dataset, run, progress=interrupt, **changes)
 
 
-def require_same(whole: TrainResult, parts: TrainResult) -> None:
+def require_same(whole, parts):
     assert same(whole.last, parts.last)
     assert same(whole.best, parts.best)
     assert [row["loss"] for row in whole.rows] == [row["loss"] for row in parts.rows]
@@ -117,10 +119,10 @@ def require_same(whole: TrainResult, parts: TrainResult) -> None:
 
 @pytest.mark.parametrize(("stop", "jobs"), [(2, 1), (3, 2)])
 def test_an_interrupted_training_ends_with_the_weights_of_an_uninterrupted_one(
-    dataset: Path, tmp_path: Path, stop: int, jobs: int
-) -> None:
+    dataset, tmp_path, stop, jobs
+):
     stop_at(dataset, tmp_path / "parts", stop)
-    steps: list[int] = []
+    steps = []
     parts = go(dataset, tmp_path / "parts", jobs=jobs, progress=lambda r: steps.append(r.step))
     # Progress is reported after an epoch is on disk, so that stopping at 2 loses nothing.
     assert steps[0] == stop // 2 * 2 + 1
@@ -138,18 +140,18 @@ def test_an_interrupted_training_ends_with_the_weights_of_an_uninterrupted_one(
 )
 @pytest.mark.parametrize("stop", [1, 4])
 def test_from_a_checkpoint_within_an_epoch_it_goes_on_at_the_next_step(
-    dataset: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, stop: int, changes: dict
-) -> None:
+    dataset, tmp_path, monkeypatch, stop, changes
+):
     monkeypatch.setattr(fit, "SAVE_INTERVAL_S", -1.0)
     wanted = {"recipe": TINY.with_changes(epochs=2, samples_per_epoch=6).with_changes(**changes)}
     stop_at(dataset, tmp_path / "parts", stop, **wanted)
-    steps: list[int] = []
+    steps = []
     parts = go(dataset, tmp_path / "parts", progress=lambda r: steps.append(r.step), **wanted)
     assert steps[0] == stop + 1
     require_same(go(dataset, tmp_path / "whole", **wanted), parts)
 
 
-def test_another_network_by_its_name(dataset: Path, tmp_path: Path) -> None:
+def test_another_network_by_its_name(dataset, tmp_path):
     rung = {"recipe": TINY.with_changes(epochs=1, architecture="salsanet")}
     first = go(dataset, tmp_path / "first", **rung)
     network = load_network(first.best, "cpu")
@@ -163,15 +165,7 @@ def test_another_network_by_its_name(dataset: Path, tmp_path: Path) -> None:
     assert not (tmp_path / "second").exists()
 
 
-def test_a_finished_training_has_nothing_left_to_do(dataset: Path, tmp_path: Path) -> None:
-    first = go(dataset, tmp_path / "run")
-    steps: list[Report] = []
-    again = go(dataset, tmp_path / "run", progress=steps.append)
-    assert not steps
-    assert again == first
-
-
-def test_another_recipe_is_refused_and_overwrite_starts_anew(dataset: Path, tmp_path: Path) -> None:
+def test_another_recipe_is_refused_and_overwrite_starts_anew(dataset, tmp_path):
     run, fewer = tmp_path / "run", TINY.with_changes(epochs=1)
     go(dataset, run)
     with pytest.raises(OutputError, match=r"train\.json .* recipe\.epochs was 3 and is 1"):
@@ -183,7 +177,7 @@ def test_another_recipe_is_refused_and_overwrite_starts_anew(dataset: Path, tmp_
     assert same(again.last, go(dataset, tmp_path / "other", recipe=fewer).last)
 
 
-def test_a_training_of_before_a_key_goes_on(dataset: Path, tmp_path: Path) -> None:
+def test_a_training_of_before_a_key_goes_on(dataset, tmp_path):
     """A key that is not recorded was the default; another value is another recipe."""
     first = go(dataset, tmp_path / "run", recipe=TINY.with_changes(epochs=1))
     path = tmp_path / "run/train.json"
@@ -197,33 +191,17 @@ def test_a_training_of_before_a_key_goes_on(dataset: Path, tmp_path: Path) -> No
     assert go(dataset, tmp_path / "run", recipe=TINY.with_changes(epochs=1)) == first
 
 
-def test_the_parts_of_a_batch_may_change_on_the_way(dataset: Path, tmp_path: Path) -> None:
+def test_the_parts_of_a_batch_may_change_on_the_way(dataset, tmp_path):
     """As they must when a training has run out of memory."""
     stop_at(dataset, tmp_path / "run", 3)
-    steps: list[int] = []
+    steps = []
     halves = TINY.with_changes(accumulate=2)
     go(dataset, tmp_path / "run", recipe=halves, progress=lambda r: steps.append(r.step))
     assert steps[0] == 3
     assert recipe(tmp_path / "run/recipe.toml") == halves
 
 
-# Files that are not the training's
-
-
-def test_a_recipe_that_somebody_wrote_is_not_replaced(dataset: Path, tmp_path: Path) -> None:
-    """Though it is the one that is trained by, and lies where the resolved one would."""
-    run = tmp_path / "run"
-    run.mkdir()
-    text = "# my best idea so far\n" + "\n".join(TINY.to_toml().splitlines()[::-1])
-    (run / "recipe.toml").write_text(text, "utf-8")
-    for overwrite in (False, True):
-        with pytest.raises(OutputError, match=r"run/recipe\.toml · not written by salsanext"):
-            go(dataset, run, recipe=recipe(run / "recipe.toml"), overwrite=overwrite)
-    assert (run / "recipe.toml").read_text("utf-8") == text
-    assert not (run / "train.json").exists()
-
-
-def test_the_recipe_of_a_run_resumes_it_unless_it_was_edited(dataset: Path, tmp_path: Path) -> None:
+def test_the_recipe_of_a_run_resumes_it_unless_it_was_edited(dataset, tmp_path):
     run = tmp_path / "run"
     stop_at(dataset, run, 3)
     before = (run / "recipe.toml").stat()
@@ -239,11 +217,11 @@ def test_the_recipe_of_a_run_resumes_it_unless_it_was_edited(dataset: Path, tmp_
     assert (run / "recipe.toml").read_text("utf-8") == text
 
 
-@pytest.mark.parametrize("name", ["best.safetensors", "checkpoint.safetensors", "log.csv"])
+@pytest.mark.parametrize(
+    "name", ["best.safetensors", "checkpoint.safetensors", "log.csv", "recipe.toml"]
+)
 @pytest.mark.parametrize("overwrite", [False, True])
-def test_files_that_no_training_wrote_are_not_replaced(
-    name: str, overwrite: bool, dataset: Path, tmp_path: Path
-) -> None:
+def test_files_that_no_training_wrote_are_not_replaced(name, overwrite, dataset, tmp_path):
     new, run = tmp_path / "new", tmp_path / "run"
     stop_at(dataset, run, 3)
     for theirs in (new / name, run / name):
@@ -254,9 +232,7 @@ def test_files_that_no_training_wrote_are_not_replaced(
         assert theirs.read_text() == "mine"
 
 
-def test_overwrite_follows_no_link_and_keeps_pictures_of_others(
-    dataset: Path, tmp_path: Path, caplog: pytest.LogCaptureFixture
-) -> None:
+def test_overwrite_follows_no_link_and_keeps_pictures_of_others(dataset, tmp_path, caplog):
     run, elsewhere = tmp_path / "run", tmp_path / "elsewhere"
     go(dataset, run, recipe=TINY.with_changes(epochs=1))
     (run / "samples/epoch-001.png").unlink()
@@ -270,18 +246,16 @@ def test_overwrite_follows_no_link_and_keeps_pictures_of_others(
     assert "epoch-008.png is kept" in caplog.text
 
 
-def test_rare_classes_and_weights_come_from_the_training_split(
-    dataset: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_rare_classes_and_weights_come_from_the_training_split(dataset, tmp_path, monkeypatch):
     labels = np.full(1800, 40, np.uint32)
     labels[:10] = 30  # person: 10 of 1800 points
     labels[10:100] = 10
     for stem, own in zip("012", np.split(labels, 3), strict=True):
         write_labels(dataset / "sequences" / "00" / "labels" / f"{stem}.label", own)
-    prepared: list[Training] = []
+    prepared = []
     fit = Training.fit
 
-    def spy(self: Training) -> TrainingState:
+    def spy(self):
         prepared.append(self)
         return fit(self)
 
@@ -296,9 +270,7 @@ def test_rare_classes_and_weights_come_from_the_training_split(
     assert torch.equal(training.learner.loss.weights, expected)
 
 
-def test_labels_edited_since_they_were_counted_are_counted_again(
-    dataset: Path, tmp_path: Path
-) -> None:
+def test_labels_edited_since_they_were_counted_are_counted_again(dataset, tmp_path):
     recipe = TINY.with_changes(epochs=1)
     go(dataset, tmp_path / "run", recipe=recipe)
     counted = tmp_path / "run" / "class_counts.json"
@@ -317,7 +289,7 @@ def test_labels_edited_since_they_were_counted_are_counted_again(
         go(dataset, tmp_path / "run", recipe=recipe)
 
 
-def test_training_goes_on_from_given_weights(dataset: Path, tmp_path: Path) -> None:
+def test_training_goes_on_from_given_weights(dataset, tmp_path):
     space, weights = label_space(), tmp_path / "start.safetensors"
     card = WeightsCard({"name": "salsanext", "class_count": 20}, space, SMALL)
     save_weights(weights, TinyNetwork(), card)
@@ -334,13 +306,11 @@ def test_training_goes_on_from_given_weights(dataset: Path, tmp_path: Path) -> N
         go(dataset, tmp_path / "other", weights=weights)
 
 
-def test_a_loss_that_is_not_finite_names_the_scans(
-    dataset: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_loss_that_is_not_finite_names_the_scans(dataset, tmp_path, monkeypatch):
     original = dataset_module.Samples.__getitem__
 
-    def spoilt(self: object, draw: tuple[int, int]) -> tuple[np.ndarray, np.ndarray, int]:
-        image, truth, index = original(self, draw)  # type: ignore[arg-type]
+    def spoilt(self, draw):
+        image, truth, index = original(self, draw)
         return image * (np.float32(3e38) if index == 1 else 1), truth, index
 
     monkeypatch.setattr(dataset_module.Samples, "__getitem__", spoilt)
@@ -354,10 +324,8 @@ def test_a_loss_that_is_not_finite_names_the_scans(
         go(dataset, tmp_path / "other")
 
 
-def test_no_memory_left_is_one_line_with_a_remedy(
-    dataset: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    def full(*_: object) -> float:
+def test_no_memory_left_is_one_line_with_a_remedy(dataset, tmp_path, monkeypatch):
+    def full(*_):
         raise torch.OutOfMemoryError
 
     monkeypatch.setattr(Learner, "step", full)
@@ -366,22 +334,14 @@ def test_no_memory_left_is_one_line_with_a_remedy(
         go(dataset, tmp_path / "run")
 
 
-def no_step(report: Report) -> None:
-    raise AssertionError("a step was taken")
-
-
-def test_images_of_one_pixel_stop_it_before_the_first_step(
-    dataset: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_images_of_one_pixel_stop_it_before_the_first_step(dataset, tmp_path, monkeypatch):
     monkeypatch.setattr(TinyNetwork, "stride", (16, 32))
     with pytest.raises(UsageError, match="crop_width · one pixel is left of one image of 16×32"):
         go(dataset, tmp_path / "run", recipe=TINY.with_changes(batch=1), progress=no_step)
     assert not (tmp_path / "run").exists()
 
 
-def test_what_fails_before_the_first_step_costs_no_earlier_training(
-    dataset: Path, tmp_path: Path
-) -> None:
+def test_what_fails_before_the_first_step_costs_no_earlier_training(dataset, tmp_path):
     first = go(dataset, tmp_path / "run", recipe=TINY.with_changes(epochs=1))
     (dataset / "sequences/00/labels/1.label").unlink()
     with pytest.raises(LabelError):
@@ -403,15 +363,8 @@ def test_what_fails_before_the_first_step_costs_no_earlier_training(
     ],
 )
 def test_labels_that_cannot_be_trained_on_stop_it_before_the_first_step(
-    sequence: str,
-    stems: str,
-    count: int | None,
-    label: int,
-    error: type[Exception],
-    says: str,
-    dataset: Path,
-    tmp_path: Path,
-) -> None:
+    sequence, stems, count, label, error, says, dataset, tmp_path
+):
     for stem in stems:
         path = dataset / "sequences" / sequence / "labels" / f"{stem}.label"
         if count is None:
@@ -423,7 +376,7 @@ def test_labels_that_cannot_be_trained_on_stop_it_before_the_first_step(
         go(dataset, tmp_path / "run", recipe=one, progress=no_step)
 
 
-def test_folders_that_cannot_be_used(dataset: Path, tmp_path: Path) -> None:
+def test_folders_that_cannot_be_used(dataset, tmp_path):
     (tmp_path / "file").touch()
     with pytest.raises(OutputError, match="cannot be written"):
         go(dataset, tmp_path / "file" / "run", progress=no_step)

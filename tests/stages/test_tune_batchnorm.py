@@ -9,11 +9,8 @@ import torch
 from safetensors.torch import load_file
 from scans import SMALL, lively, make_scan
 
-from salsanext_cli.classes import label_space
+from salsanext_cli import Scan, label_space, load_network, project, read_scan
 from salsanext_cli.errors import FormatError, WeightsError
-from salsanext_cli.formats import read_scan
-from salsanext_cli.geometry.projection import project
-from salsanext_cli.inference.network import load_network
 from salsanext_cli.inference.settings import NetworkSettings
 from salsanext_cli.network.rangenet53 import RangeNet53
 from salsanext_cli.network.registry import ARCHITECTURES
@@ -24,7 +21,6 @@ from salsanext_cli.network.weights import (
     read_weights,
     save_weights,
 )
-from salsanext_cli.records import Scan
 from salsanext_cli.stages.tune_batchnorm import tune_batchnorm
 from salsanext_cli.storage.point_files import write_bin
 from salsanext_cli.training.tuning.batch_norm import norms
@@ -38,11 +34,6 @@ def folder(tmp_path):
     for number in range(3):
         write_bin(tmp_path / "my scans" / f"{number:06d}.bin", make_scan(1500, number))
     return tmp_path / "my scans"
-
-
-@pytest.fixture
-def target(tmp_path):
-    return tmp_path / "adapted.safetensors"
 
 
 @pytest.fixture
@@ -84,7 +75,7 @@ def test_the_statistics_of_all_scans_are_stored_and_how_far_they_moved(folder, t
     tuned = tune_batchnorm(folder, target, network=network, share=1.0)
     slow = slow_statistics(network, sorted(folder.iterdir()))
     old, new = load_file(network.weights), load_file(target)
-    for moved, (name, (mean, variance)) in zip(tuned.layers, slow.items(), strict=True):
+    for moved, (name, (mean, variance)) in zip(tuned["layers"], slow.items(), strict=True):
         was = old[f"{name}.running_mean"].numpy(), old[f"{name}.running_var"].numpy()
         deviation = np.sqrt(variance) + 1e-3
         now = new[f"{name}.running_mean"].numpy(), new[f"{name}.running_var"].numpy()
@@ -92,10 +83,10 @@ def test_the_statistics_of_all_scans_are_stored_and_how_far_they_moved(folder, t
         np.testing.assert_allclose(now[1], variance, rtol=1e-3, atol=1e-6)
         shift = (np.abs(mean - was[0]) / np.sqrt(was[1] + 1e-5)).mean()
         ratio = np.exp(np.log((variance + 1e-5) / (was[1] + 1e-5)).mean())
-        assert moved.layer == name
-        assert moved.shift == pytest.approx(shift, rel=1e-3)
-        assert moved.variance_ratio == pytest.approx(ratio, rel=1e-3)
-    assert (tuned.scans, tuned.share, tuned.sensor) == (3, 1.0, "small")
+        assert moved["layer"] == name
+        assert moved["shift"] == pytest.approx(shift, rel=1e-3)
+        assert moved["variance_ratio"] == pytest.approx(ratio, rel=1e-3)
+    assert (tuned["scans"], tuned["share"], tuned["sensor"]) == (3, 1.0, "small")
 
 
 def test_a_share_of_one_scan_leaves_the_rest_to_the_old(folder, target, network):

@@ -6,19 +6,15 @@ import numpy as np
 import pytest
 from scans import SMALL, write_weights
 
-from salsanext_cli.classes import label_space
+from salsanext_cli import label_space, load_network, project, read_labels, read_scan, sample
 from salsanext_cli.errors import OutputError, UsageError
-from salsanext_cli.formats import read_scan
-from salsanext_cli.formats.kitti import read_labels
-from salsanext_cli.geometry.projection import project
-from salsanext_cli.inference.network import load_network
 from salsanext_cli.inference.settings import NetworkSettings
 from salsanext_cli.network.dropout import dropouts
 from salsanext_cli.network.weights import read_card, read_weights
 from salsanext_cli.stages.tune_dropout import curve_of, tune_dropout
 from salsanext_cli.training.tuning.dropout_rate import SMALLEST_VARIANCE
 from salsanext_cli.uncertainty.aleatoric import aleatoric
-from salsanext_cli.uncertainty.monte_carlo import sample, scan_seed
+from salsanext_cli.uncertainty.monte_carlo import scan_seed
 
 SPACE = label_space()
 FEW = {"samples": 3, "steps": 3, "lowest": 0.05, "highest": 0.3}
@@ -26,11 +22,6 @@ FEW = {"samples": 3, "steps": 3, "lowest": 0.05, "highest": 0.3}
 
 def go(world, target, **changes):
     return tune_dropout(world.data, target, **{"network": world.network, **FEW, **changes})
-
-
-@pytest.fixture
-def target(tmp_path):
-    return tmp_path / "tuned.safetensors"
 
 
 def slow_mean(world, path, rate, stems, seed=0):
@@ -59,21 +50,23 @@ def test_every_rate_against_a_slow_loop_and_the_least_is_stored(world, target, t
     tuned = go(world, target)
     slow = [
         slow_mean(world, tmp_path / "w.safetensors", rate, ["000000", "000001"])
-        for rate in tuned.rates
+        for rate in tuned["rates"]
     ]
-    np.testing.assert_allclose(tuned.objectives, slow, rtol=1e-5)
-    np.testing.assert_allclose(tuned.rates, [0.05, math.sqrt(0.05 * 0.3), 0.3])
-    assert tuned.best == tuned.rates[int(np.argmin(slow))]
-    assert tuned.before == 0.2
-    assert tuned.scans == 2
-    assert read_card(target).architecture["dropout"] == tuned.best
-    assert {layer.rate for layer in dropouts(read_weights(target)[0])} == {tuned.best}
+    np.testing.assert_allclose(tuned["objectives"], slow, rtol=1e-5)
+    np.testing.assert_allclose(tuned["rates"], [0.05, math.sqrt(0.05 * 0.3), 0.3])
+    assert tuned["best"] == tuned["rates"][int(np.argmin(slow))]
+    assert tuned["before"] == 0.2
+    assert tuned["scans"] == 2
+    assert read_card(target).architecture["dropout"] == tuned["best"]
+    assert {layer.rate for layer in dropouts(read_weights(target)[0])} == {tuned["best"]}
     assert curve_of(target).read_bytes().startswith(b"\x89PNG")
     assert curve_of(target).name == "tuned_dropout.png"
 
 
 def test_it_changes_with_the_seed(world, target):
-    assert go(world, target).objectives != go(world, target, overwrite=True, seed=1).objectives
+    assert (
+        go(world, target)["objectives"] != go(world, target, overwrite=True, seed=1)["objectives"]
+    )
 
 
 def test_a_network_that_was_trained_without_dropout_gets_it_where_the_paper_has_it(
@@ -81,9 +74,9 @@ def test_a_network_that_was_trained_without_dropout_gets_it_where_the_paper_has_
 ):
     certain = write_weights(tmp_path / "certain.safetensors", dropout=0.0)
     tuned = go(world, target, network=NetworkSettings(certain, "cpu"))
-    assert tuned.before == 0
+    assert tuned["before"] == 0
     assert len(dropouts(read_weights(target)[0])) == 3 + 1 + 3 * 3
-    assert tuned.objectives == go(world, target, overwrite=True).objectives
+    assert tuned["objectives"] == go(world, target, overwrite=True)["objectives"]
 
 
 @pytest.mark.parametrize(
@@ -99,7 +92,7 @@ def test_the_end_of_the_range_is_named(world, target, caplog, monkeypatch, objec
     module = "salsanext_cli.stages.tune_dropout"
     monkeypatch.setattr(f"{module}.objective", lambda *_: next(values))
     with caplog.at_level(logging.WARNING):
-        assert go(world, target).best == pytest.approx(best)
+        assert go(world, target)["best"] == pytest.approx(best)
     assert says in caplog.text
     assert bool(caplog.text) == bool(says)
 

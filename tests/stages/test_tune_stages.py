@@ -10,7 +10,7 @@ import torch
 from safetensors.torch import load_file
 from scans import write_sequence
 
-from salsanext_cli.errors import LabelError, NoInputError, OutputError
+from salsanext_cli.errors import LabelError, OutputError
 from salsanext_cli.inference.settings import NetworkSettings
 from salsanext_cli.network.weights import NORM_SUFFIXES, read_card, read_weights, save_weights
 from salsanext_cli.stages.tune_batchnorm import tune_batchnorm
@@ -32,11 +32,6 @@ labelled = pytest.mark.parametrize("what", ["temperature", "dropout"])
 @pytest.fixture(params=TUNE)
 def what(request):
     return request.param
-
-
-@pytest.fixture
-def target(tmp_path):
-    return tmp_path / "tuned.safetensors"
 
 
 @pytest.fixture
@@ -77,7 +72,7 @@ def test_progress_and_selection(tune, what, world, caplog):
     write_sequence(world.data / "sequences/08", [f"{i:06d}" for i in range(2, 5)], seed=2)
     seen, selection = [], ScanSelection(split="valid", limit=3)
     with caplog.at_level(logging.INFO, f"salsanext_cli.stages.tune_{what}"):
-        assert tune(selection=selection, progress=lambda *n: seen.append(n)).scans == 3
+        assert tune(selection=selection, progress=lambda *n: seen.append(n))["scans"] == 3
     count = 6 if what == "dropout" else 3
     assert seen == [(number, count) for number in range(1, count + 1)]
     named = [message[:9] for message in caplog.messages if message.startswith("08/")]
@@ -128,8 +123,3 @@ def test_labels_of_other_classes(tune, world):
     )
     with pytest.raises(LabelError, match="labels in the classes of"):
         tune()
-
-
-def test_no_scans(tune):
-    with pytest.raises(NoInputError, match="no scans of split test"):
-        tune(selection=ScanSelection(split="test"))

@@ -4,17 +4,12 @@ import numpy as np
 import pytest
 import torch
 
-from salsanext_cli.classes import label_space
+from salsanext_cli import label_space, load_network, project, read_labels, read_scan, write_labels
 from salsanext_cli.errors import TrainingError, WeightsError
-from salsanext_cli.formats import read_scan
-from salsanext_cli.formats.kitti import read_labels
-from salsanext_cli.geometry.projection import project
-from salsanext_cli.inference.network import load_network
 from salsanext_cli.inference.settings import NetworkSettings
 from salsanext_cli.network.weights import read_card, read_weights, save_weights
 from salsanext_cli.stages.predict import predict_scans
 from salsanext_cli.stages.tune_temperature import tune_temperature
-from salsanext_cli.storage.point_files import write_labels
 from salsanext_cli.training.tuning.temperature import negative_log_likelihood
 
 SPACE = label_space()
@@ -35,11 +30,6 @@ def drawn(world):
 def go(world, target, **changes):
     given = {"network": world.network, **changes}
     return tune_temperature(world.data, target, **given)
-
-
-@pytest.fixture
-def target(tmp_path):
-    return tmp_path / "tuned.safetensors"
 
 
 def points_of(world, sequence, stems):
@@ -63,18 +53,18 @@ def test_the_temperature_of_the_labels_is_found_and_stored(drawn, target):
     before = {path.name for path in target.parent.iterdir()}
     tuned = go(drawn, target)
     assert {path.name for path in target.parent.iterdir()} == before | {target.name}
-    assert tuned.after.temperature == pytest.approx(2, rel=0.1)
-    assert read_card(target).temperature == tuned.after.temperature
-    assert tuned.before.temperature == 1
-    assert tuned.after.nll < tuned.before.nll
-    assert tuned.after.ece < tuned.before.ece
+    assert tuned["after"]["temperature"] == pytest.approx(2, rel=0.1)
+    assert read_card(target).temperature == tuned["after"]["temperature"]
+    assert tuned["before"]["temperature"] == 1
+    assert tuned["after"]["nll"] < tuned["before"]["nll"]
+    assert tuned["after"]["ece"] < tuned["before"]["ece"]
     logits, truth = points_of(drawn, "08", ["000000", "000001"])
-    assert (tuned.scans, tuned.points) == (2, len(truth))
-    for found in (tuned.before, tuned.after):
-        expected = negative_log_likelihood(logits, truth, found.temperature)
-        assert found.nll == pytest.approx(expected, rel=1e-9)
-    around = [tuned.after.temperature * factor for factor in (0.99, 1.01)]
-    assert all(negative_log_likelihood(logits, truth, t) > tuned.after.nll for t in around)
+    assert (tuned["scans"], tuned["points"]) == (2, len(truth))
+    for found in (tuned["before"], tuned["after"]):
+        expected = negative_log_likelihood(logits, truth, found["temperature"])
+        assert found["nll"] == pytest.approx(expected, rel=1e-9)
+    around = [tuned["after"]["temperature"] * factor for factor in (0.99, 1.01)]
+    assert all(negative_log_likelihood(logits, truth, t) > tuned["after"]["nll"] for t in around)
 
 
 def test_a_sample_of_the_points_is_enough_and_always_the_same(drawn, target, monkeypatch):
@@ -82,21 +72,21 @@ def test_a_sample_of_the_points_is_enough_and_always_the_same(drawn, target, mon
     monkeypatch.setattr("salsanext_cli.stages.tune_temperature.MAX_LOGITS", 2 * 700 * 20)
     some = go(drawn, target, overwrite=True)
     assert some == go(drawn, target, overwrite=True)
-    assert some.points == 1400 < whole.points
-    assert some.after.temperature == pytest.approx(whole.after.temperature, rel=0.1)
-    assert some.after.temperature != whole.after.temperature
+    assert some["points"] == 1400 < whole["points"]
+    assert some["after"]["temperature"] == pytest.approx(whole["after"]["temperature"], rel=0.1)
+    assert some["after"]["temperature"] != whole["after"]["temperature"]
 
 
 def test_what_was_tuned_can_be_tuned_again_in_place(drawn, target):
     first = go(drawn, target)
     network = NetworkSettings(target, "cpu")
     again = go(drawn, target, network=network, overwrite=True)
-    assert again.before == first.after
-    assert again.after.temperature == pytest.approx(first.after.temperature, rel=1e-9)
+    assert again["before"] == first["after"]
+    assert again["after"]["temperature"] == pytest.approx(first["after"]["temperature"], rel=1e-9)
 
 
 def test_predict_uses_it_and_keeps_the_labels(drawn, target, tmp_path):
-    temperature = go(drawn, target).after.temperature
+    temperature = go(drawn, target)["after"]["temperature"]
     before, after = tmp_path / "before", tmp_path / "after"
     predict_scans(drawn.data, before, network=drawn.network, extras=("probabilities",))
     network = NetworkSettings(target, "cpu")

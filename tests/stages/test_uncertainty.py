@@ -6,32 +6,32 @@ import numpy as np
 import pytest
 from scans import SMALL, files_below, labels_below, write_weights
 
-from salsanext_cli.classes import label_space
+from salsanext_cli import Scan, knn_refine, label_space, project, read_scan, sample
 from salsanext_cli.errors import OutputError, UsageError, WeightsError
-from salsanext_cli.formats import read_scan
-from salsanext_cli.geometry.knn import knn_refine
-from salsanext_cli.geometry.projection import project
 from salsanext_cli.inference.settings import NetworkSettings
 from salsanext_cli.parallel.run import RunOptions
-from salsanext_cli.records import Scan
-from salsanext_cli.stages.predict import predict_scans
+from salsanext_cli.stages.knn_refine import knn_refine_scans
+from salsanext_cli.stages.predict import predict_range_images, predict_scans
+from salsanext_cli.stages.project import project_scans
 from salsanext_cli.stages.uncertainty import uncertainty
+from salsanext_cli.storage.identity import fingerprint
 from salsanext_cli.storage.output_run import OutputRun
 from salsanext_cli.storage.point_files import write_bin
+from salsanext_cli.storage.predictions import provenance
+from salsanext_cli.storage.selection import ScanSelection
 from salsanext_cli.uncertainty.aleatoric import aleatoric
 from salsanext_cli.uncertainty.dropout_propagation import propagate_dropout
-from salsanext_cli.uncertainty.monte_carlo import sample, scan_seed
+from salsanext_cli.uncertainty.monte_carlo import scan_seed
 from salsanext_cli.uncertainty.settings import Estimator
 
 KINDS = Estimator().kinds
+NAN, INF = float("nan"), float("inf")
 FOLDERS = [f"uncertainty/{kind}" for kind in KINDS]
 
 
-def run(world, source=None, out=None, **how):
-    options = {name: how.pop(name) for name in ("options",) if name in how}
-    estimator = Estimator(**{"samples": 3} | how)
-    given = {"network": world.network, "estimator": estimator, **options}
-    return uncertainty(source or world.data, out or world.out, **given)
+def run(world, source=None, out=None, *, options=RunOptions(), **how):
+    given = {"network": world.network, "estimator": Estimator(**{"samples": 3} | how)}
+    return uncertainty(source or world.data, out or world.out, options=options, **given)
 
 
 def test_the_files_hold_what_sampling_gives(world):
@@ -92,22 +92,17 @@ def test_predict_does_not_replace_labels_of_the_mean_unasked(world):
     assert "predictions" not in json.loads((world.out / "uncertainty.json").read_text())["writes"]
 
 
-def test_points_without_a_measurement_are_unlabelled_and_have_no_uncertainty(world):
-    nan, inf = np.nan, np.inf
-    points = np.array([[0, 0, 0], [nan, 1, 1], [5, 0, 0], [inf, 0, 0]], np.float32)
-    write_bin(world.scan(), Scan(points, np.zeros(4, np.float32)))
-    run(world, world.scan())
-    for folder in FOLDERS:
-        values = np.load(world.result(folder))
-        np.testing.assert_array_equal(np.isnan(values), [True, True, False, True])
-    assert world.labels()[[0, 1, 3]].tolist() == [0, 0, 0]
-
-
-@pytest.mark.parametrize("count", [0, 1])
-def test_tiny_scans(world, count):
-    write_bin(world.scan(), Scan(np.full((count, 3), 4, np.float32), np.zeros(count, np.float32)))
+@pytest.mark.parametrize(
+    "points", [[], [(4, 4, 4)], [(0, 0, 0), (NAN, 1, 1), (5, 0, 0), (INF, 0, 0)]]
+)
+def test_points_without_a_measurement_are_unlabelled_and_have_no_uncertainty(world, points):
+    table = np.array(points, np.float32).reshape(-1, 3)
+    write_bin(world.scan(), Scan(table, np.zeros(len(table), np.float32)))
     assert run(world, world.scan()).done == 1
-    assert [np.load(world.result(folder)).shape for folder in FOLDERS] == [(count,)] * len(KINDS)
+    nowhere = ~np.isfinite(table).all(axis=1) | ~table.any(axis=1)
+    for folder in FOLDERS:
+        np.testing.assert_array_equal(np.isnan(np.load(world.result(folder))), nowhere)
+    assert not world.labels()[nowhere].any()
 
 
 @pytest.mark.parametrize(
@@ -160,6 +155,16 @@ def test_a_sensor_of_unknown_noise_is_refused_unless_it_does_not_matter(world, m
         run(silent)
     assert not world.out.exists()
     assert run(silent, aleatoric=False).done == 3
+
+
+def test_labels_made_step_by_step_remember_their_weights(world, tmp_path):
+    other = NetworkSettings(write_weights(tmp_path / "other.safetensors", seed=1), "cpu")
+    project_scans(world.data, world.out, sensor=SMALL)
+    predict_range_images(world.out, world.out, network=other)
+    knn_refine_scans(world.out)
+    assert provenance(world.out, ScanSelection())["weights"] == fingerprint(other.weights)
+    with pytest.raises(OutputError, match="labels made with other weights"):
+        run(world)
 
 
 def test_labels_do_not_depend_on_the_noise_of_the_sensor(world):
