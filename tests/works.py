@@ -56,7 +56,7 @@ def scans_of(*stems: str, sequence: str = "s") -> list[ScanFile]:
     return [ScanFile(sequence, stem, Path("/scans") / f"{stem}.bin") for stem in stems]
 
 
-def run(work: Write, scans: Sequence[ScanFile], **options: object) -> Outcome[str]:
+def run(work: Write, scans: Sequence[ScanFile], **options: object) -> Outcome:
     """Run such work on the scans that have no file yet, and sweep up after killed workers."""
     chosen = RunOptions(**options)  # type: ignore[arg-type]
     try:

@@ -139,7 +139,7 @@ def name_failures(failures: tuple[Failure, ...]) -> None:
 
 def finish(
     stage: str,
-    outcome: Outcome[Any],
+    outcome: Outcome,
     out: object,
     output: Output,
     missing: MissingResults | None = None,

@@ -7,7 +7,6 @@ from collections.abc import Callable
 from contextlib import AbstractContextManager
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
 
 from salsanext_cli.inference.settings import NetworkSettings
 from salsanext_cli.parallel.run import Failure, Outcome, Progress, RunOptions
@@ -101,7 +100,7 @@ def demo(
                 progress=progress,
             )
 
-    def run(step: str, stage: Callable[[RunOptions], Outcome[Any]]) -> tuple[Failure, ...]:
+    def run(step: str, stage: Callable[[RunOptions], Outcome]) -> tuple[Failure, ...]:
         with bars(step) as progress:
             return stage(replace(options, progress=progress)).failures
 

@@ -65,7 +65,7 @@ def export_scan(
 
 
 @dataclass(frozen=True, slots=True)
-class Exported(Outcome[None]):
+class Exported(Outcome):
     """Outcome of an export, with the scans that have no results to show."""
 
     missing: MissingResults = field(default_factory=MissingResults)
@@ -149,7 +149,7 @@ def export_ply(
         task = partial(export_scan, colours=colours, intensity_scale=intensity_scale, output=output)
         outcome = run_over_scans(task, scans, options, is_done=output.is_done)
     failures = tuple(unestimated.get(failure.scan, failure) for failure in outcome.failures)
-    return Exported(outcome.results, outcome.skipped, failures, outcome.done, missing)
+    return Exported(outcome.skipped, failures, outcome.done, missing)
 
 
 def _require_same_weights(out: Path) -> None:

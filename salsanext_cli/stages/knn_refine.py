@@ -85,7 +85,7 @@ def knn_refine_scans(
     knn: KnnParameters = KnnParameters(),
     selection: ScanSelection = ScanSelection(),
     options: RunOptions = RunOptions(),
-) -> Outcome[None]:
+) -> Outcome:
     """Refine labels into `OUT/sequences/<seq>/predictions`.
 
     Parameters
