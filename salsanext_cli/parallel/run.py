@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any
 from uuid import uuid4
 
-from salsanext_cli.errors import WorkersLost
+from salsanext_cli.errors import WorkersLost, first_few
 from salsanext_cli.parallel.clusters import dask_pool, ray_pool
 from salsanext_cli.parallel.options import CLUSTERS, Progress, RunOptions
 from salsanext_cli.parallel.pools import WorkerPool, local_pool, signals_blocked
@@ -26,8 +26,6 @@ from salsanext_cli.storage.layout import ScanFile
 
 __all__ = ["Failure", "Outcome", "Progress", "RunOptions", "run_over_scans"]
 
-MAX_SCANS_SHOWN = 3
-"""Missing scans that an error names."""
 POOLS: dict[str, Callable[[RunOptions, int], AbstractContextManager[WorkerPool]]] = {
     "loky": local_pool,
     "threading": local_pool,
@@ -130,9 +128,8 @@ def run_over_scans(
         for failure in failures:
             log.error("%s", failure.reason)
         left = [scan for scan in todo if scan not in tried and not is_done(scan)]
-        names = ", ".join(f"{scan.sequence}/{scan.stem}" for scan in left[:MAX_SCANS_SHOWN])
-        more = f" and {len(left) - MAX_SCANS_SHOWN} more" if len(left) > MAX_SCANS_SHOWN else ""
-        found = f"{lost.found}; {len(left)} of {len(todo)} scans are missing: {names}{more}"
+        names = first_few([f"{scan.sequence}/{scan.stem}" for scan in left])
+        found = f"{lost.found}; {len(left)} of {len(todo)} scans are missing: {names}"
         remedy = f"{lost.remedy}; run again for the rest"
         raise WorkersLost(lost.subject, found, lost.expected, remedy) from lost
     failures.sort(key=lambda failure: (failure.scan.sequence, failure.scan.stem))

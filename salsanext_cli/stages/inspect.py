@@ -24,10 +24,9 @@ from salsanext_cli.geometry.projection import project
 from salsanext_cli.measures.survey import Survey, survey
 from salsanext_cli.parallel.run import Failure, RunOptions, run_over_scans
 from salsanext_cli.sensors import Sensor
-from salsanext_cli.storage.atomic import write_text
+from salsanext_cli.storage.atomic import require_absent, write_text
 from salsanext_cli.storage.layout import ScanFile
 from salsanext_cli.storage.selection import ScanSelection, select_scans, space_of
-from salsanext_cli.storage.targets import require_absent
 
 MAX_USUAL_INTENSITY = 1.5
 """Largest intensity of the scale 0…1."""

@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import BinaryIO
 
 from salsanext_cli.errors import OutputError
-from salsanext_cli.formats.reading import reason
+from salsanext_cli.formats.reading import present, reason
 
 MARK: ContextVar[str] = ContextVar("MARK", default=uuid.uuid4().hex)
 """Prefix of the temporary names of a run, so that `sweep` finds those of its killed workers."""
@@ -23,6 +23,7 @@ TEMPORARY = re.compile(r"\.(?:[0-9a-f]{32}){1,2}\.part")
 """The names, mark and all, that unfinished files have here."""
 STALE_AFTER_S = 24 * 3600.0
 """Seconds that an unfinished file has not been touched when its writer must be dead."""
+WEIGHTS_SUFFIX = ".safetensors"
 
 
 @contextmanager
@@ -100,6 +101,30 @@ def require_writable(folder: Path) -> None:
     finally:
         with suppress(OSError):
             probe.unlink()
+
+
+def require_target(target: Path, overwrite: bool) -> None:
+    """Refuse a name for a weights file before work is done that would be lost.
+
+    Raises
+    ------
+    OutputError
+        If it has another suffix, exists and may not be overwritten, or its folder cannot be
+        written to.
+    """
+    if target.suffix != WEIGHTS_SUFFIX:
+        raise OutputError(target, f"suffix {target.suffix or 'missing'}", WEIGHTS_SUFFIX)
+    require_absent(target, overwrite)
+    require_writable(target.parent)
+    sweep_stale(target.parent)
+
+
+def require_absent(path: Path, overwrite: bool) -> None:
+    """Raise `OutputError` if a file exists and may not be overwritten, or is a folder."""
+    if present(path) and not overwrite:
+        raise OutputError(path, "exists", remedy="use another name, or --overwrite")
+    if path.is_dir():
+        raise OutputError(path, "is a folder", "the name of a file")
 
 
 def refusal(path: Path, error: OSError) -> OutputError:

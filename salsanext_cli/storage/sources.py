@@ -95,7 +95,7 @@ def recorded_scans(
         If there is no such folder, it holds no results, or a sequence's scans are not to be found.
     """
     sequences = sorted(
-        {file.sequence for folder in SUFFIX_OF_FOLDER for file in find_outputs(out, folder)}
+        {name for folder in SUFFIX_OF_FOLDER for name, _ in find_outputs(out, folder)}
     )
     if not sequences:
         found = "holds no results" if out.is_dir() else "no such folder"
