@@ -68,36 +68,33 @@ def register_run(wanted: StageRecord, out: Path, overwrite: bool) -> StageRecord
         If there are such results and they may not be removed, or another run is making them now.
     """
     stage, recorded = wanted.stage, read_record(out, wanted.stage)
-    same = recorded is not None and recorded.settings == wanted.settings
+    before = recorded or StageRecord(stage, wanted.settings)
+    same = before.settings == wanted.settings
     owners = {folder: owner(out, folder) for folder in wanted.folders}
     others = {folder: other for folder, other in owners.items() if other and other != stage}
+    if not overwrite:
+        require_same_settings(out / f"{stage}.json", before.settings, wanted.settings)
+        for folder, other in others.items():
+            raise OutputError(
+                out / f"{other}.json",
+                f"{folder}/ holds the results of `{other}`",
+                remedy="use another output folder, or --overwrite to replace them",
+            )
     kept: list[Path] = []
     with ExitStack() as held:
-        if recorded is not None and not same:
-            if not overwrite:
-                require_same_settings(out / f"{stage}.json", recorded.settings, wanted.settings)
-            held.enter_context(exclusive_run(out, stage))
-        for folder, other in others.items():
-            if not overwrite:
-                raise OutputError(
-                    out / f"{other}.json",
-                    f"{folder}/ holds the results of `{other}`",
-                    remedy="use another output folder, or --overwrite to replace them",
-                )
-        for other in sorted({*others.values()}):
-            held.enter_context(exclusive_run(out, other))
+        for filler in [*([] if same else [stage]), *sorted({*others.values()})]:
+            held.enter_context(exclusive_run(out, filler))
         # Nothing is removed before it is certain that the run may begin.
-        if recorded is not None and not same:
-            kept += _remove_results(out, recorded.folders)
+        if not same:
+            kept += _remove_results(out, before.folders)
         for folder in wanted.folders:
             if folder in others:
                 kept += _take_over(out, folder, others[folder])
-            elif recorded is None or folder not in recorded.folders:
+            elif folder not in before.folders:
                 kept += _remove_unrecorded(out, folder, overwrite)
-    names = frozenset(path.relative_to(out).as_posix() for path in kept)
-    merged = replace(wanted, kept=names)
-    if recorded is not None and same:
-        merged = _merged(recorded, merged)
+    merged = replace(wanted, kept=frozenset(path.relative_to(out).as_posix() for path in kept))
+    if same:
+        merged = _merged(before, merged)
     # The record comes last: without it, a run that was killed before begins anew.
     if merged != recorded:
         merged.write(out)
