@@ -46,7 +46,6 @@ def export_ply(
             colour=colour,
             scale=scale,
             dataset=selection.dataset,
-            usual_dataset=selection.usual_dataset(),
             space=classes.space(),
             network=network.settings(),
             selection=selection.scans(),

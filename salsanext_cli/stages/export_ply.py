@@ -77,7 +77,6 @@ def export_ply(
     colour: str = "label",
     scale: tuple[float, float] | None = None,
     dataset: Path | None = None,
-    usual_dataset: Path = Path(),
     space: LabelSpace | None = None,
     network: NetworkSettings = NetworkSettings(),
     selection: ScanSelection = ScanSelection(),
@@ -97,8 +96,6 @@ def export_ply(
         every file.
     dataset : Path, optional
         Where the scans and labels are, if not where the scans came from.
-    usual_dataset : Path
-        Folder of the scans whose source is not recorded.
     space : LabelSpace, optional
         Otherwise the one that `predict` recorded in `out`, else that of the scans' data set.
     network : NetworkSettings
@@ -115,7 +112,7 @@ def export_ply(
         raise UsageError("--colour", colour, f"one of {', '.join(COLOURS)}")
     if scale and not (scale[0] < scale[1] and all(map(math.isfinite, scale))):
         raise UsageError("--scale", f"{scale[0]} {scale[1]}", "a lower and a higher number")
-    scans = recorded_scans(out, dataset, usual_dataset)
+    scans = recorded_scans(out, dataset)
     space = space_of_results(out, scans, space)
     _require_same_weights(out)
     chosen = choose(scans, ScanSelection(selection.split, selection.sequences), space, out)

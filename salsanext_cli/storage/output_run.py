@@ -143,28 +143,18 @@ def output_run(
                 with suppress(OutputError), locked(lock):
                     pass
             held.enter_context(locked(out / f".{stage}.{mark}.lock"))
-        places = _places(out, wanted.folders, scans)
-        for place in places:
+        for place in _places(out, wanted.folders, scans):
             sweep_stale(place)
-        for place in places:
             held.callback(sweep, place, mark)
         others = WrittenFiles(out).others
         other = frozenset(others(out / name for name in recorded.kept))
         run = OutputRun(out, stage, tuple(folders), overwrite, other=other)
         todo = [path for file in scans if not run.is_done(file) for path in run.paths(file)]
         yield replace(run, kept=frozenset(others(todo)))
-        _require_still_recorded(out, wanted)
-
-
-def _require_still_recorded(out: Path, wanted: StageRecord) -> None:
-    """Raise `OutputError` if the folder, and results with it, was removed while it was filled."""
-    record = read_record(out, wanted.stage)
-    if record is None or record.settings != wanted.settings:
-        raise OutputError(
-            out,
-            "was removed or replaced while results were written into it",
-            remedy="run again with --overwrite",
-        )
+        record = read_record(out, stage)
+        if record is None or record.settings != wanted.settings:
+            found = "was removed or replaced while results were written into it"
+            raise OutputError(out, found, remedy="run again with --overwrite")
 
 
 def _places(out: Path, folders: Iterable[str], scans: Iterable[ScanFile]) -> list[Path]:

@@ -53,12 +53,10 @@ def test_sequences_without_a_name(text):
         options.Selection(sequences=text).scans()
 
 
-def test_where_scans_are_looked_for(monkeypatch):
+def test_where_scans_are_looked_for():
     assert options.Selection(dataset=Path("b")).source(Path("a")) == Path("a")
     assert options.Selection(dataset=Path("b")).source(None) == Path("b")
     assert options.Selection().source(None) == Path()
-    monkeypatch.setenv("SALSANEXT_DATASET", "/data")
-    assert options.ResultSelection().usual_dataset() == Path("/data")
 
 
 def test_looking_up():

@@ -54,6 +54,9 @@ def test_results_of_unknown_origin_are_looked_for_here_and_all_missing(world, mo
     world.predict_by_hand()
     with pytest.raises(NoInputError, match="--dataset"):
         recorded_scans(world.out)
+    monkeypatch.setenv("SALSANEXT_DATASET", str(world.data))
+    assert recorded_scans(world.out) == find_scans(world.data)
+    monkeypatch.delenv("SALSANEXT_DATASET")
     monkeypatch.chdir(world.data)
     assert recorded_scans(world.out) == find_scans(world.data)
     missing = missing_predictions(world.out, find_scans(world.data))
