@@ -14,6 +14,7 @@ from salsanext_cli.formats.kitti import read_bin, read_labels
 from salsanext_cli.records import Scan
 from salsanext_cli.stages import synth
 from salsanext_cli.stages.synth import synthesise
+from salsanext_cli.storage.atomic import MARK
 from salsanext_cli.storage.layout import find_scans
 from salsanext_cli.storage.written_files import WrittenFiles
 from salsanext_cli.synthesis.drive import Frame
@@ -155,6 +156,21 @@ def test_real_scans_beside_the_generated_ones_stay(again, scan):
     real.write_bytes(b"precious")
     replace()
     assert real.read_bytes() == b"precious"
+
+
+def test_unfinished_files_of_killed_workers_are_removed(quick, tmp_path):
+    """Joblib kills workers, if it must, while they write; those of other runs stay."""
+    folder = tmp_path / "out/sequences/00/labels"
+    other = folder / f".{'0' * 32}.part"
+
+    def stop(*_):
+        for path in (other, folder / f".{MARK.get()}{'1' * 32}.part"):
+            path.touch()
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        synthesise(tmp_path / "out", train=1, valid=0, scans=2, progress=stop)
+    assert sorted(folder.iterdir()) == [other, folder / "000000.label"]
 
 
 def test_results_of_other_stages_stay(again):
