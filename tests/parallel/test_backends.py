@@ -70,11 +70,6 @@ def workers(request):
     return request.getfixturevalue(request.param)
 
 
-@pytest.fixture(params=["dask", "ray"])
-def cluster(request):
-    return request.getfixturevalue(request.param)
-
-
 @pytest.fixture
 def two_cores(monkeypatch):
     """Divide two cores among two workers: one thread each, whatever the machine."""
