@@ -24,7 +24,7 @@ from salsanext_cli.geometry.projection import project
 from salsanext_cli.measures.survey import Survey, survey
 from salsanext_cli.parallel.run import Failure, RunOptions, run_over_scans
 from salsanext_cli.sensors import Sensor
-from salsanext_cli.storage.atomic import require_absent, write_text
+from salsanext_cli.storage.atomic import require_absent, write_bytes
 from salsanext_cli.storage.layout import ScanFile
 from salsanext_cli.storage.selection import ScanSelection, select_scans, space_of
 
@@ -198,7 +198,7 @@ def write_sensor(path: Path, sensor: Sensor, *, overwrite: bool = False) -> None
     require_absent(path, overwrite)
     values = {k: v for k, v in sensor.to_dict().items() if k != "name" and v is not None}
     lines = [f"{key} = {_toml(value)}\n" for key, value in values.items()]
-    write_text(path, "".join(lines))
+    write_bytes(path, "".join(lines).encode())
 
 
 def _toml(value: object) -> str:

@@ -179,8 +179,3 @@ def write_bytes(path: Path, content: bytes, *, durable: bool = False) -> None:
     """Write a file whole or not at all."""
     with writing(path, durable=durable) as file:
         file.write(content)
-
-
-def write_text(path: Path, text: str, *, durable: bool = False) -> None:
-    """Write a text file, UTF-8, whole or not at all."""
-    write_bytes(path, text.encode("utf-8"), durable=durable)
