@@ -51,4 +51,4 @@ def export_ply(
             selection=selection.scans(),
             options=run,
         )
-    console.finish("export-ply", outcome, out, output, outcome.missing)
+    console.finish("export-ply", outcome, out, output)

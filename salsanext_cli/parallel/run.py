@@ -23,6 +23,7 @@ from salsanext_cli.parallel.tasks import Attempt, Task, opened
 from salsanext_cli.parallel.worker import WORKER, WorkerContext, attempt_chunk
 from salsanext_cli.storage.atomic import MARK
 from salsanext_cli.storage.layout import ScanFile
+from salsanext_cli.storage.sources import MissingResults
 
 __all__ = ["Failure", "Outcome", "Progress", "RunOptions", "run_over_scans"]
 
@@ -64,11 +65,14 @@ class Outcome:
         Scans that failed, in order.
     done : int
         Scans that were worked on with success.
+    missing : MissingResults, optional
+        Scans left out for want of results to work on, by a stage that looks for them.
     """
 
     skipped: int
     failures: tuple[Failure, ...]
     done: int
+    missing: MissingResults | None = None
 
 
 def run_over_scans(

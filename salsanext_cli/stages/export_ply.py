@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import math
 from contextlib import suppress
-from dataclasses import dataclass, field
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -35,7 +35,6 @@ from salsanext_cli.storage.scan_results import (
 from salsanext_cli.storage.selection import ScanSelection, choose
 from salsanext_cli.storage.sources import (
     LABELLING_STAGES,
-    MissingResults,
     missing_results,
     recorded_scans,
 )
@@ -64,13 +63,6 @@ def export_scan(
     output.write(file, "ply", encode_ply(positions | rgb | columns, comments))
 
 
-@dataclass(frozen=True, slots=True)
-class Exported(Outcome):
-    """Outcome of an export, with the scans that have no results to show."""
-
-    missing: MissingResults = field(default_factory=MissingResults)
-
-
 def export_ply(
     out: Path,
     *,
@@ -81,7 +73,7 @@ def export_ply(
     network: NetworkSettings = NetworkSettings(),
     selection: ScanSelection = ScanSelection(),
     options: RunOptions = RunOptions(),
-) -> Exported:
+) -> Outcome:
     """Write `OUT/sequences/<seq>/ply/*.ply`: positions, colours and every known scalar.
 
     Parameters
@@ -146,7 +138,7 @@ def export_ply(
         task = partial(export_scan, colours=colours, intensity_scale=intensity_scale, output=output)
         outcome = run_over_scans(task, scans, options, is_done=output.is_done)
     failures = tuple(unestimated.get(failure.scan, failure) for failure in outcome.failures)
-    return Exported(outcome.skipped, failures, outcome.done, missing)
+    return replace(outcome, failures=failures, missing=missing)
 
 
 def _require_same_weights(out: Path) -> None:
