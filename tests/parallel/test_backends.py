@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 from scans import files_below, write_sequence
-from works import Peaceful, Write, run, scans_of
+from works import Write, run, scans_of
 
 from salsanext_cli.errors import MissingDependency, UsageError, WorkersLost
 from salsanext_cli.inference.settings import NetworkSettings
@@ -140,7 +140,7 @@ def test_a_scan_that_kills_its_workers_is_one_error_and_the_next_run_goes_on(tmp
     named = ", ".join(f"s/{scan.stem}" for scan in missing[:3])
     assert f"; {len(missing)} of 16 scans are missing: {named}" in str(caught.value)
     assert str(caught.value).endswith("run again for the rest")
-    again = run(Peaceful(tmp_path), scans, **workers)
+    again = run(Write(tmp_path, peaceful=True), scans, **workers)
     assert (again.done, again.skipped) == (len(missing), 16 - len(missing))
     assert {path.name for path in (tmp_path / "s").iterdir()} == {scan.stem for scan in scans}
 
