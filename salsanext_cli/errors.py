@@ -20,14 +20,25 @@ Anything else that escapes is a bug and keeps its traceback.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 NOTICE = 25
 """Log level of messages for every user that are not warnings."""
+MAX_NAMES_SHOWN = 3
+"""Files or scans that a message names."""
 ESCAPES = {code: f"\\x{code:02x}" for code in (*range(32), *range(127, 160))}
 
 
 def printable(text: str) -> str:
     """Return a text with control characters escaped, which the name of a file may hold."""
     return text.translate(ESCAPES)
+
+
+def first_few(names: Sequence[object]) -> str:
+    """Return the first `MAX_NAMES_SHOWN` names, and how many more there are."""
+    more = len(names) - MAX_NAMES_SHOWN
+    shown = ", ".join(map(str, names[:MAX_NAMES_SHOWN]))
+    return f"{shown} and {more} more" if more > 0 else shown
 
 
 class SalsanextError(Exception):

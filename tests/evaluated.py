@@ -4,6 +4,7 @@
 from pathlib import Path
 
 import numpy as np
+from scans import write_array
 
 from salsanext_cli import Scan, label_space, write_labels
 from salsanext_cli.measures.calibration import ConfidenceHistogram, softmax_errors
@@ -18,7 +19,7 @@ from salsanext_cli.measures.uncertainty_histogram import UncertaintyHistogram
 from salsanext_cli.parallel.run import RunOptions
 from salsanext_cli.stages.evaluate import evaluate
 from salsanext_cli.storage.layout import find_scans, output_path
-from salsanext_cli.storage.point_files import write_array, write_bin
+from salsanext_cli.storage.point_files import write_bin
 
 SPACE = label_space()
 CAR, ROAD, MOVING_CAR, UNKNOWN = 10, 40, 252, 77

@@ -5,6 +5,7 @@ from collections.abc import Iterable
 from pathlib import Path
 
 import numpy as np
+import numpy.typing as npt
 import torch
 from torch import nn
 
@@ -39,6 +40,12 @@ def make_scan(count: int = 1500, seed: int = 0) -> Scan:
     return Scan(
         np.stack(points, axis=1).astype(np.float32), random.random(count).astype(np.float32)
     )
+
+
+def write_array(path: Path, array: npt.ArrayLike) -> None:
+    """Write an array as a `.npy` file; folders are made."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    np.save(path, array)
 
 
 def write_sequence(

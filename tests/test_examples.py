@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from scans import make_scan, write_sequence
+from scans import make_scan, write_array, write_sequence
 
 from salsanext_cli.classes import label_space
 from salsanext_cli.formats.kitti import read_labels
@@ -22,7 +22,7 @@ from salsanext_cli.network.registry import ARCHITECTURES
 from salsanext_cli.network.salsanext import SalsaNext
 from salsanext_cli.network.weights import read_card
 from salsanext_cli.storage.layout import find_scans, output_path
-from salsanext_cli.storage.point_files import write_array, write_bin
+from salsanext_cli.storage.point_files import write_bin
 from salsanext_cli.training.log import write_log
 from salsanext_cli.training.validation import validate
 

@@ -137,14 +137,9 @@ def name_failures(failures: tuple[Failure, ...]) -> None:
         tell(f"error: {failure.reason}")
 
 
-def finish(
-    stage: str,
-    outcome: Outcome[Any],
-    out: object,
-    output: Output,
-    missing: MissingResults | None = None,
-) -> NoReturn:
+def finish(stage: str, outcome: Outcome, out: object, output: Output) -> NoReturn:
     """Say what became of a run over scans and leave with the exit status for it."""
+    missing = outcome.missing
     name_failures(outcome.failures)
     counts = {"done": outcome.done, "skipped": outcome.skipped, "failed": len(outcome.failures)}
     failures = [{"scan": str(f.scan.path), "reason": f.reason} for f in outcome.failures]

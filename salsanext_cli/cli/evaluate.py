@@ -31,7 +31,7 @@ def evaluate(
     from salsanext_cli.storage.predictions import predicted_scans, provenance
 
     chosen, dataset = selection.scans(), selection.dataset
-    files, space = predicted_scans(out, chosen, dataset, classes.space(), selection.usual_dataset())
+    files, space = predicted_scans(out, chosen, dataset, classes.space())
     with running.over_scans("eval", output) as run:
         settings = provenance(out, chosen, dataset)
         evaluation = stage(files, out, space, run, by_distance=by_distance, settings=settings)

@@ -46,10 +46,9 @@ def export_ply(
             colour=colour,
             scale=scale,
             dataset=selection.dataset,
-            usual_dataset=selection.usual_dataset(),
             space=classes.space(),
             network=network.settings(),
             selection=selection.scans(),
             options=run,
         )
-    console.finish("export-ply", outcome, out, output, outcome.missing)
+    console.finish("export-ply", outcome, out, output)

@@ -41,7 +41,6 @@ def knn_refine(
             out,
             labels=labels,
             dataset=selection.dataset,
-            usual_dataset=selection.usual_dataset(),
             sensor=options.sensor(sensor),
             space=classes.space(),
             knn=knn.parameters(),

@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import os
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -125,10 +124,6 @@ class ResultSelection(Selection):
         "Data set with the scans and labels; SALSANEXT_DATASET for results that do not record it.",
         show_default="the one that the results record, else .",
     )
-
-    def usual_dataset(self) -> Path:
-        """Return the data set of results that do not record theirs."""
-        return Path(os.environ.get("SALSANEXT_DATASET", ""))
 
 
 @option_group

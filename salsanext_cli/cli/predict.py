@@ -49,7 +49,7 @@ def predict(
     wanted = {"pixel_labels": pixel_labels, "probabilities": probabilities}
     extras = tuple(name for name in wanted if wanted[name])
     chosen: dict[str, Any] = {"network": network.settings(), "selection": selection.scans()}
-    outcome: Outcome[Any]
+    outcome: Outcome
     with running.over_scans("predict", output) as run:
         if stage.projected_sensor(source) is None:
             outcome = stage.predict_scans(

@@ -8,26 +8,24 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from functools import partial
 from itertools import islice
-from typing import Any, Generic, TypeVar
+from typing import Any
 
 import torch
 
 from salsanext_cli.errors import FormatError
 from salsanext_cli.inference.network import Network
 from salsanext_cli.inference.settings import NetworkSettings
-from salsanext_cli.parallel.devices import own_device
 from salsanext_cli.parallel.tasks import Attempt, one_by_one
+from salsanext_cli.parallel.worker import own_device
 from salsanext_cli.storage.layout import ScanFile
 
 MAX_BATCH_SCANS = 16
 """Scans computed together on a GPU; as many as a worker is sent together."""
 MAX_BATCH_PIXELS = 16 * 64 * 2048
 
-Result = TypeVar("Result")
-
 
 @dataclass(frozen=True, slots=True)
-class NetworkTask(Generic[Result]):
+class NetworkTask:
     """Function of a scan and a network.
 
     Attributes
@@ -44,7 +42,7 @@ class NetworkTask(Generic[Result]):
         Scans computed together; by default one on a CPU, as many as keep it busy on a GPU.
     """
 
-    function: Callable[[ScanFile, Network], Result]
+    function: Callable[[ScanFile, Network], Any]
     settings: NetworkSettings
     network: Network | None = field(default=None, compare=False)
     batch_function: Callable[[Sequence[ScanFile], Network], Iterator[Attempt]] | None = None
@@ -59,7 +57,7 @@ class NetworkTask(Generic[Result]):
         size, several = self.batch or default_batch(network), self.batch_function
         if several is None or (size == 1 and network.device.type == "cpu"):
 
-            def function(file: ScanFile) -> Result:
+            def function(file: ScanFile) -> Any:
                 with named_if_too_large(file, network):
                     return self.function(file, network)
 

@@ -1,20 +1,24 @@
 # SPDX-License-Identifier: MIT
-"""Worker pools of a run; those of this machine: processes, or threads of this process."""
+"""Worker pools of this machine: threads, and processes that never live longer than their parent."""
 
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator
+import signal
+import threading
+import time
+from collections.abc import Generator, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
+from multiprocessing import resource_tracker
 from typing import Any
 
 from salsanext_cli.parallel.options import RunOptions
-from salsanext_cli.parallel.processes import end_with_parent
-from salsanext_cli.parallel.threads import cores, threads_each, threads_of_workers
+from salsanext_cli.parallel.threads import cores, threads_of_workers
 
 CHUNKS_IN_FLIGHT = 2
 """Chunks sent for each worker, so that the next one is there when one is done."""
+POLL_INTERVAL_S = 1.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,29 +47,59 @@ class WorkerPool:
 
 
 @contextmanager
-def process_pool(options: RunOptions, max_workers: int) -> Iterator[WorkerPool]:
-    """Give a pool of processes, at most so many; joblib starts them with the first chunks."""
+def local_pool(options: RunOptions, max_workers: int) -> Iterator[WorkerPool]:
+    """Give a pool of threads or processes, at most so many; joblib starts them when needed."""
     from joblib.externals.loky.process_executor import TerminatedWorkerError
 
     workers = min(max_workers, options.workers_here())
-    threads = threads_each(cores(), workers)
-    backend = {
-        "backend": "loky",
-        "n_jobs": workers,
-        "inner_max_num_threads": threads,
-        "initializer": end_with_parent,
-        "initargs": (os.getpid(),),
-    }
-    yield WorkerPool(
-        backend, workers, CHUNKS_IN_FLIGHT * workers, threads, (TerminatedWorkerError,)
-    )
+    threads = max(1, cores() // workers)
+    backend = {"backend": options.backend, "n_jobs": workers}
+    if options.backend == "threading":
+        with threads_of_workers(threads):
+            yield WorkerPool(backend, workers, CHUNKS_IN_FLIGHT * workers, threads)
+        return
+    watched = {"initializer": end_with_parent, "initargs": (os.getpid(),)}
+    backend |= {"inner_max_num_threads": threads, **watched}
+    died = (TerminatedWorkerError,)
+    yield WorkerPool(backend, workers, CHUNKS_IN_FLIGHT * workers, threads, died)
 
 
 @contextmanager
-def thread_pool(options: RunOptions, max_workers: int) -> Iterator[WorkerPool]:
-    """Give a pool of threads, at most so many."""
-    workers = min(max_workers, options.workers_here())
-    threads = threads_each(cores(), workers)
-    backend = {"backend": "threading", "n_jobs": workers}
-    with threads_of_workers(threads):
-        yield WorkerPool(backend, workers, CHUNKS_IN_FLIGHT * workers, threads)
+def signals_blocked(*signals: signal.Signals) -> Generator[None, None, None]:
+    """Start threads and processes that signals do not reach, since this thread ends them.
+
+    A process inherits the signals that the thread which starts it has blocked, so that holds too
+    for workers that joblib starts later, from a thread of its own.
+    """
+    if not hasattr(signal, "pthread_sigmask"):
+        yield
+        return
+    from joblib.externals.loky.backend import resource_tracker as tracker_of_loky
+
+    # Starting these lets the signals through again, so they are started before.
+    tracker_of_loky.ensure_running()
+    resource_tracker.ensure_running()
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, signals)
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+
+
+def end_with_parent(parent: int) -> None:
+    """Let this process end within seconds of the process that started it, even while it is idle.
+
+    A parent that is killed cannot end its workers.
+
+    Parameters
+    ----------
+    parent : int
+        Process id.
+    """
+
+    def watch() -> None:
+        while os.getppid() == parent:
+            time.sleep(POLL_INTERVAL_S)
+        os._exit(1)
+
+    threading.Thread(target=watch, name="end-with-parent", daemon=True).start()

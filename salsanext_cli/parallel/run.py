@@ -4,26 +4,44 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable, Generator, Sequence
-from contextlib import closing
+import signal
+import warnings
+from collections.abc import Callable, Generator, Iterable, Sequence
+from contextlib import AbstractContextManager, closing, nullcontext
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
-from typing import Generic, TypeVar
+from typing import Any
 from uuid import uuid4
 
-from salsanext_cli.errors import WorkersLost
+from salsanext_cli.errors import WorkersLost, first_few
+from salsanext_cli.parallel.clusters import dask_pool, ray_pool
 from salsanext_cli.parallel.options import CLUSTERS, Progress, RunOptions
-from salsanext_cli.parallel.tasks import Attempt, OpenableTask, opened
-from salsanext_cli.parallel.worker import WorkerContext
+from salsanext_cli.parallel.pools import WorkerPool, local_pool, signals_blocked
+from salsanext_cli.parallel.shards import Chunk, chunks
+from salsanext_cli.parallel.tasks import Attempt, Task, opened
+from salsanext_cli.parallel.worker import WORKER, WorkerContext, attempt_chunk
 from salsanext_cli.storage.atomic import MARK
 from salsanext_cli.storage.layout import ScanFile
+from salsanext_cli.storage.sources import MissingResults
 
 __all__ = ["Failure", "Outcome", "Progress", "RunOptions", "run_over_scans"]
 
-MAX_SCANS_SHOWN = 3
-"""Missing scans that an error names."""
+POOLS: dict[str, Callable[[RunOptions, int], AbstractContextManager[WorkerPool]]] = {
+    "loky": local_pool,
+    "threading": local_pool,
+    "dask": dask_pool,
+    "ray": ray_pool,
+}
+"""Start workers, or connect to them, and end that afterwards; the number is of scans."""
+HARMLESS_WARNINGS = (
+    # Who stops a run knows that it has been stopped.
+    ".*tasks which were still being processed",
+    # A worker that grows, as it does when it loads a network, is replaced by a fresh one.
+    "A worker stopped while some jobs were given",
+)
+"""Warnings of joblib that say nothing to a user; raised as errors, they would stop its threads."""
 
-Result = TypeVar("Result")
 log = logging.getLogger(__name__)
 
 
@@ -36,42 +54,41 @@ class Failure:
 
 
 @dataclass(frozen=True, slots=True)
-class Outcome(Generic[Result]):
-    """Numbers and results of a run.
+class Outcome:
+    """Numbers of a run.
 
     Attributes
     ----------
-    results : tuple
-        Results of the task in no particular order; empty if they were passed on.
     skipped : int
         Scans that were done already.
     failures : tuple of Failure
         Scans that failed, in order.
     done : int
         Scans that were worked on with success.
+    missing : MissingResults, optional
+        Scans left out for want of results to work on, by a stage that looks for them.
     """
 
-    results: tuple[Result, ...]
     skipped: int
     failures: tuple[Failure, ...]
     done: int
+    missing: MissingResults | None = None
 
 
 def run_over_scans(
-    task: Callable[[ScanFile], Result] | OpenableTask,
+    task: Task,
     scans: Sequence[ScanFile],
     options: RunOptions,
     *,
     is_done: Callable[[ScanFile], bool] = lambda scan: False,
-    on_result: Callable[[Result], object] | None = None,
-) -> Outcome[Result]:
+    on_result: Callable[[Any], object] = lambda result: None,
+) -> Outcome:
     """Run a task over scans.
 
     Parameters
     ----------
-    task : callable or OpenableTask
-        Works on a scan, writes its results, returns something small. With several jobs it is
-        pickled.
+    task : Task
+        Works on a scan, writes its results, returns something small.
     scans : sequence of ScanFile
         Scans to work on; the same for every shard.
     options : RunOptions
@@ -79,8 +96,7 @@ def run_over_scans(
     is_done : callable, optional
         Tells of a scan if it has its results; then it is skipped, unless overwriting.
     on_result : callable, optional
-        Is given each result as it comes, in no particular order, so that they need not be kept
-        until the last; called in this process. Without it they are in the outcome.
+        Is given each result as it comes, in no particular order, in this process.
 
     Raises
     ------
@@ -91,16 +107,14 @@ def run_over_scans(
     """
     mine = options.shard.of(scans)
     todo = [scan for scan in mine if options.overwrite or not is_done(scan)]
-    results: list[Result] = []
     failures: list[Failure] = []
     tried: set[ScanFile] = set()
-    take = on_result or results.append
     try:
         with closing(_attempts(task, todo, options)) as attempts:
             for scan, result, error in attempts:
                 log.info("%s/%s: %s", scan.sequence, scan.stem, error or "done")
                 if error is None:
-                    take(result)
+                    on_result(result)
                 elif options.on_error == "stop":
                     raise error
                 else:
@@ -118,26 +132,60 @@ def run_over_scans(
         for failure in failures:
             log.error("%s", failure.reason)
         left = [scan for scan in todo if scan not in tried and not is_done(scan)]
-        names = ", ".join(f"{scan.sequence}/{scan.stem}" for scan in left[:MAX_SCANS_SHOWN])
-        more = f" and {len(left) - MAX_SCANS_SHOWN} more" if len(left) > MAX_SCANS_SHOWN else ""
-        found = f"{lost.found}; {len(left)} of {len(todo)} scans are missing: {names}{more}"
+        names = first_few([f"{scan.sequence}/{scan.stem}" for scan in left])
+        found = f"{lost.found}; {len(left)} of {len(todo)} scans are missing: {names}"
         remedy = f"{lost.remedy}; run again for the rest"
         raise WorkersLost(lost.subject, found, lost.expected, remedy) from lost
     failures.sort(key=lambda failure: (failure.scan.sequence, failure.scan.stem))
     skipped, done = len(mine) - len(todo), len(todo) - len(failures)
-    return Outcome(tuple(results), skipped, tuple(failures), done)
+    return Outcome(skipped, tuple(failures), done)
 
 
 def _attempts(
-    task: Callable[[ScanFile], Result] | OpenableTask, scans: list[ScanFile], options: RunOptions
+    task: Task, scans: list[ScanFile], options: RunOptions
 ) -> Generator[Attempt, None, None]:
+    """Yield the attempts of all scans, in no particular order where workers make them."""
     if not scans:
         return
     if options.backend not in CLUSTERS and min(len(scans), options.workers_here()) == 1:
         yield from opened(task)(scans)
         return
-    from salsanext_cli.parallel.attempts import attempts_of_workers
-
     stop = options.on_error == "stop"
-    context = WorkerContext(uuid4().hex, MARK.get(), stop, Path.cwd())
-    yield from attempts_of_workers(task, scans, options, context)
+    with warnings.catch_warnings():
+        for message in HARMLESS_WARNINGS:
+            warnings.filterwarnings("ignore", message)
+        with POOLS[options.backend](options, len(scans)) as pool:
+            context = WorkerContext(uuid4().hex, MARK.get(), stop, Path.cwd(), pool.threads)
+            attempt = partial(attempt_chunk, context, task)
+            try:
+                yield from _of_chunks(attempt, chunks(scans, pool.workers), pool, options.backend)
+            finally:
+                # Joblib kills processes, but cannot kill threads and does not wait for them.
+                WORKER.end(context.run)
+
+
+def _of_chunks(
+    attempt: Callable[[Chunk], list[Attempt]],
+    cut: Iterable[Chunk],
+    pool: WorkerPool,
+    backend: str,
+) -> Generator[Attempt, None, None]:
+    import joblib
+
+    with joblib.parallel_config(**pool.backend):
+        parallel = joblib.Parallel(
+            return_as="generator_unordered", batch_size=1, pre_dispatch=pool.in_flight
+        )
+    try:
+        with signals_blocked(signal.SIGINT, signal.SIGTERM) if backend == "loky" else nullcontext():
+            found = parallel(joblib.delayed(attempt)(chunk) for chunk in cut)
+        with closing(found):
+            for of_chunk in found:
+                yield from of_chunk
+    except pool.died as error:
+        raise WorkersLost(
+            f"--backend {backend} --jobs {pool.workers}",
+            "the system ended a worker",
+            "memory for all of them",
+            "use fewer jobs",
+        ) from error

@@ -1,16 +1,23 @@
 # SPDX-License-Identifier: MIT
-"""One run as several: each takes its share of the scans and needs to know nothing of the others."""
+"""Division of scans: into shards for runs that know nothing of each other, chunks for workers."""
 
 from __future__ import annotations
 
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from itertools import groupby, pairwise
 
 from salsanext_cli.errors import UsageError
 from salsanext_cli.storage.layout import ScanFile
 
 PREFIX = "SLURM_ARRAY_TASK_"
+MAX_CHUNK_SCANS = 16
+"""Bound of the work that is lost with a worker, and of the scans between signs of progress."""
+MIN_CHUNKS_PER_WORKER = 4
+"""Lower bound, so that the last chunks end at about the same time."""
+
+Chunk = tuple[ScanFile, ...]
 
 
 @dataclass(frozen=True, slots=True)
@@ -87,3 +94,29 @@ def _number(name: str, environment: Mapping[str, str], default: str = "") -> int
     if not re.fullmatch(r"\d{1,9}", text, re.ASCII):
         raise UsageError(name, repr(text), "a whole number", "say which share with --shard i/n")
     return int(text)
+
+
+def chunks(scans: Sequence[ScanFile], workers: int) -> list[Chunk]:
+    """Cut scans into chunks, in order; each holds neighbours of one sequence.
+
+    Parameters
+    ----------
+    scans : sequence of ScanFile
+        In the order in which they are to be begun.
+    workers : int
+        Number of chunks that are worked on side by side.
+
+    Returns
+    -------
+    list of tuple of ScanFile
+        Of at most `MAX_CHUNK_SCANS` scans, and at least `MIN_CHUNKS_PER_WORKER` for each worker if
+        there are so many scans. Those of a sequence differ by one scan at most.
+    """
+    size = max(1, min(MAX_CHUNK_SCANS, len(scans) // (MIN_CHUNKS_PER_WORKER * workers)))
+    cut: list[Chunk] = []
+    for _, group in groupby(scans, key=lambda scan: scan.sequence):
+        run = tuple(group)
+        parts = -(-len(run) // size)
+        borders = [len(run) * part // parts for part in range(parts + 1)]
+        cut += [run[start:stop] for start, stop in pairwise(borders)]
+    return cut

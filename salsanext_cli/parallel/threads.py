@@ -26,11 +26,6 @@ def worker_count(jobs: int) -> int:
     return cores() if jobs == -1 else jobs
 
 
-def threads_each(cores: int, workers: int) -> int:
-    """Return how many threads each of some workers may use."""
-    return max(1, cores // workers)
-
-
 def use_threads(count: int) -> None:
     """Let torch and our kernels use so many threads, in this thread and those started later.
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import math
 from contextlib import suppress
-from dataclasses import dataclass, field
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -35,7 +35,6 @@ from salsanext_cli.storage.scan_results import (
 from salsanext_cli.storage.selection import ScanSelection, choose
 from salsanext_cli.storage.sources import (
     LABELLING_STAGES,
-    MissingResults,
     missing_results,
     recorded_scans,
 )
@@ -64,25 +63,17 @@ def export_scan(
     output.write(file, "ply", encode_ply(positions | rgb | columns, comments))
 
 
-@dataclass(frozen=True, slots=True)
-class Exported(Outcome[None]):
-    """Outcome of an export, with the scans that have no results to show."""
-
-    missing: MissingResults = field(default_factory=MissingResults)
-
-
 def export_ply(
     out: Path,
     *,
     colour: str = "label",
     scale: tuple[float, float] | None = None,
     dataset: Path | None = None,
-    usual_dataset: Path = Path(),
     space: LabelSpace | None = None,
     network: NetworkSettings = NetworkSettings(),
     selection: ScanSelection = ScanSelection(),
     options: RunOptions = RunOptions(),
-) -> Exported:
+) -> Outcome:
     """Write `OUT/sequences/<seq>/ply/*.ply`: positions, colours and every known scalar.
 
     Parameters
@@ -97,8 +88,6 @@ def export_ply(
         every file.
     dataset : Path, optional
         Where the scans and labels are, if not where the scans came from.
-    usual_dataset : Path
-        Folder of the scans whose source is not recorded.
     space : LabelSpace, optional
         Otherwise the one that `predict` recorded in `out`, else that of the scans' data set.
     network : NetworkSettings
@@ -115,7 +104,7 @@ def export_ply(
         raise UsageError("--colour", colour, f"one of {', '.join(COLOURS)}")
     if scale and not (scale[0] < scale[1] and all(map(math.isfinite, scale))):
         raise UsageError("--scale", f"{scale[0]} {scale[1]}", "a lower and a higher number")
-    scans = recorded_scans(out, dataset, usual_dataset)
+    scans = recorded_scans(out, dataset)
     space = space_of_results(out, scans, space)
     _require_same_weights(out)
     chosen = choose(scans, ScanSelection(selection.split, selection.sequences), space, out)
@@ -149,7 +138,7 @@ def export_ply(
         task = partial(export_scan, colours=colours, intensity_scale=intensity_scale, output=output)
         outcome = run_over_scans(task, scans, options, is_done=output.is_done)
     failures = tuple(unestimated.get(failure.scan, failure) for failure in outcome.failures)
-    return Exported(outcome.results, outcome.skipped, failures, outcome.done, missing)
+    return replace(outcome, failures=failures, missing=missing)
 
 
 def _require_same_weights(out: Path) -> None:

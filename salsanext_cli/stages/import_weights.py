@@ -14,7 +14,7 @@ from salsanext_cli.network.registry import build
 from salsanext_cli.network.segmentation import SegmentationNetwork
 from salsanext_cli.network.weights import WeightsCard, load_tensors, read_weights, save_weights
 from salsanext_cli.sensors import Sensor, sensor
-from salsanext_cli.storage.targets import SUFFIX, require_target
+from salsanext_cli.storage.atomic import WEIGHTS_SUFFIX, require_target
 
 DROPOUT = 0.2
 """The rate of the published training."""
@@ -64,7 +64,7 @@ def import_weights(
         If the target exists or cannot be written.
     """
     require_target(target, overwrite)
-    if source.suffix == SUFFIX:
+    if source.suffix == WEIGHTS_SUFFIX:
         _require_nothing_known(source, {"--label-space": space, "--dropout": dropout})
         module, card = read_weights(source)
         described = description or card.description

@@ -23,10 +23,9 @@ from salsanext_cli.geometry.projection import project
 from salsanext_cli.measures.survey import Survey, survey
 from salsanext_cli.parallel.run import Failure, RunOptions, run_over_scans
 from salsanext_cli.sensors import Sensor
-from salsanext_cli.storage.atomic import write_text
+from salsanext_cli.storage.atomic import require_absent, write_bytes
 from salsanext_cli.storage.layout import ScanFile
 from salsanext_cli.storage.selection import ScanSelection, select_scans, space_of
-from salsanext_cli.storage.targets import require_absent
 
 MAX_USUAL_INTENSITY = 1.5
 """Largest intensity of the scale 0…1."""
@@ -196,4 +195,4 @@ def write_sensor(path: Path, sensor: Sensor, *, overwrite: bool = False) -> None
         If the file exists and may not be overwritten, or cannot be written.
     """
     require_absent(path, overwrite)
-    write_text(path, sensor.to_toml())
+    write_bytes(path, sensor.to_toml().encode())

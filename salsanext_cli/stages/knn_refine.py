@@ -79,13 +79,12 @@ def knn_refine_scans(
     *,
     labels: Path | None = None,
     dataset: Path | None = None,
-    usual_dataset: Path = Path(),
     sensor: Sensor | None = None,
     space: LabelSpace | None = None,
     knn: KnnParameters = KnnParameters(),
     selection: ScanSelection = ScanSelection(),
     options: RunOptions = RunOptions(),
-) -> Outcome[None]:
+) -> Outcome:
     """Refine labels into `OUT/sequences/<seq>/predictions`.
 
     Parameters
@@ -97,8 +96,6 @@ def knn_refine_scans(
         the benchmark's predictions, or directly.
     dataset : Path, optional
         Where the scans are, a folder of scans or a data set, if not where those of `out` came from.
-    usual_dataset : Path
-        Folder of the scans whose source is not recorded.
     sensor : Sensor, optional
         Otherwise the one that earlier stages recorded in `out`; else the HDL-64.
     space : LabelSpace, optional
@@ -113,7 +110,7 @@ def knn_refine_scans(
     """
     if labels and labels.resolve().is_relative_to(out.resolve()):
         raise UsageError("--labels", f"{labels} inside {out}", "a folder that is only read")
-    scans = find_scans(dataset) if dataset else recorded_scans(out, None, usual_dataset)
+    scans = find_scans(dataset) if dataset else recorded_scans(out)
     space = space or recorded_label_space(out) or space_of(scans)
     if labels is None:
         scans = with_outputs(scans, out, "pixel_labels")

@@ -119,7 +119,7 @@ def predict_scans(
     batch: int | None = None,
     selection: ScanSelection = ScanSelection(),
     options: RunOptions = RunOptions(),
-) -> Outcome[FieldOfViewCoverage]:
+) -> Outcome:
     """Label scans into `OUT/sequences/<seq>/predictions`.
 
     Parameters
@@ -180,7 +180,7 @@ def predict_range_images(
     network: NetworkSettings = NetworkSettings(),
     selection: ScanSelection = ScanSelection(),
     options: RunOptions = RunOptions(),
-) -> Outcome[None]:
+) -> Outcome:
     """Label range images that `project` wrote into `OUT/sequences/<seq>/pixel_labels`.
 
     `knn_refine` makes point labels of them, the same as `predict_scans` does.

@@ -39,7 +39,7 @@ def project_scans(
     sensor: Sensor,
     selection: ScanSelection = ScanSelection(),
     options: RunOptions = RunOptions(),
-) -> Outcome[FieldOfViewCoverage]:
+) -> Outcome:
     """Project scans to `OUT/sequences/<seq>/range` and `pixels`.
 
     Parameters

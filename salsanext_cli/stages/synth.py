@@ -22,7 +22,7 @@ from salsanext_cli.classes import label_space
 from salsanext_cli.errors import OutputError, UsageError
 from salsanext_cli.formats.kitti import encode_bin, encode_labels
 from salsanext_cli.packages import import_open3d
-from salsanext_cli.parallel.processes import end_with_parent, signals_blocked
+from salsanext_cli.parallel.pools import end_with_parent, signals_blocked
 from salsanext_cli.parallel.run import Progress
 from salsanext_cli.parallel.threads import worker_count
 from salsanext_cli.storage.atomic import MARK, sweep

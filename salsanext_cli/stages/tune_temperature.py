@@ -25,9 +25,9 @@ from salsanext_cli.measures.calibration import (
 from salsanext_cli.network.weights import TEMPERATURES, save_with_card
 from salsanext_cli.parallel.run import Progress
 from salsanext_cli.records import Float
+from salsanext_cli.storage.atomic import require_target
 from salsanext_cli.storage.layout import ScanFile
 from salsanext_cli.storage.selection import ScanSelection
-from salsanext_cli.storage.targets import require_target
 from salsanext_cli.training.tuning.labelled_images import (
     VALIDATION,
     labelled_scans,

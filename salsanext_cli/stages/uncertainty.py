@@ -103,7 +103,7 @@ def uncertainty(
     estimator: Estimator = Estimator(),
     selection: ScanSelection = ScanSelection(),
     options: RunOptions = RunOptions(),
-) -> Outcome[FieldOfViewCoverage]:
+) -> Outcome:
     """Estimate uncertainty into `OUT/sequences/<seq>/uncertainty/<kind>`.
 
     The labels of the mean softmax go to `predictions`, unless another stage keeps its
@@ -136,7 +136,7 @@ def uncertainty_of(
     knn: KnnParameters = KnnParameters(),
     estimator: Estimator = Estimator(),
     record_scans: bool = True,
-) -> Outcome[FieldOfViewCoverage]:
+) -> Outcome:
     """Do what `uncertainty` does to scans already chosen, with a network already loaded.
 
     `record_scans` is as `output_run` takes it.

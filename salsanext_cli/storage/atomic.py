@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import BinaryIO
 
 from salsanext_cli.errors import OutputError
-from salsanext_cli.formats.reading import reason
+from salsanext_cli.formats.reading import present, reason
 
 MARK: ContextVar[str] = ContextVar("MARK", default=uuid.uuid4().hex)
 """Prefix of the temporary names of a run, so that `sweep` finds those of its killed workers."""
@@ -23,6 +23,7 @@ TEMPORARY = re.compile(r"\.(?:[0-9a-f]{32}){1,2}\.part")
 """The names, mark and all, that unfinished files have here."""
 STALE_AFTER_S = 24 * 3600.0
 """Seconds that an unfinished file has not been touched when its writer must be dead."""
+WEIGHTS_SUFFIX = ".safetensors"
 
 
 @contextmanager
@@ -102,6 +103,30 @@ def require_writable(folder: Path) -> None:
             probe.unlink()
 
 
+def require_target(target: Path, overwrite: bool) -> None:
+    """Refuse a name for a weights file before work is done that would be lost.
+
+    Raises
+    ------
+    OutputError
+        If it has another suffix, exists and may not be overwritten, or its folder cannot be
+        written to.
+    """
+    if target.suffix != WEIGHTS_SUFFIX:
+        raise OutputError(target, f"suffix {target.suffix or 'missing'}", WEIGHTS_SUFFIX)
+    require_absent(target, overwrite)
+    require_writable(target.parent)
+    sweep_stale(target.parent)
+
+
+def require_absent(path: Path, overwrite: bool) -> None:
+    """Raise `OutputError` if a file exists and may not be overwritten, or is a folder."""
+    if present(path) and not overwrite:
+        raise OutputError(path, "exists", remedy="use another name, or --overwrite")
+    if path.is_dir():
+        raise OutputError(path, "is a folder", "the name of a file")
+
+
 def refusal(path: Path, error: OSError) -> OutputError:
     """Return the error that says why the system refuses to write a file, and what to do."""
     found, expected = reason(error), "a folder that can be written to"
@@ -154,8 +179,3 @@ def write_bytes(path: Path, content: bytes, *, durable: bool = False) -> None:
     """Write a file whole or not at all."""
     with writing(path, durable=durable) as file:
         file.write(content)
-
-
-def write_text(path: Path, text: str, *, durable: bool = False) -> None:
-    """Write a text file, UTF-8, whole or not at all."""
-    write_bytes(path, text.encode("utf-8"), durable=durable)

@@ -60,15 +60,6 @@ class ScanFile:
         return nested if present(nested) else folder / name
 
 
-@dataclass(frozen=True, slots=True)
-class OutputFile:
-    """One result on disk: of which sequence, of which scan, and where."""
-
-    sequence: str
-    stem: str
-    path: Path
-
-
 def find_scans(source: Path, sequences: Collection[str] | None = None) -> list[ScanFile]:
     """Find scans, sorted by sequence and stem.
 
@@ -212,8 +203,8 @@ def output_path(out: Path, sequence: str, folder: str, stem: str) -> Path:
     return out / "sequences" / sequence / folder / f"{stem}{SUFFIX_OF_FOLDER[folder]}"
 
 
-def find_outputs(out: Path, folder: str) -> list[OutputFile]:
-    """List the results that a stage wrote into one folder of every sequence, sorted.
+def find_outputs(out: Path, folder: str) -> dict[tuple[str, str], Path]:
+    """Return the results in one folder of every sequence by sequence and stem, sorted.
 
     Parameters
     ----------
@@ -223,15 +214,15 @@ def find_outputs(out: Path, folder: str) -> list[OutputFile]:
         A key of `SUFFIX_OF_FOLDER`.
     """
     suffix = SUFFIX_OF_FOLDER[folder]
-    files = [
-        OutputFile(sequence.name, path.name.removesuffix(suffix), path)
+    found = {
+        (sequence.name, path.name.removesuffix(suffix)): path
         for sequence in (out / "sequences").glob("*")
         for path in (sequence / folder).glob(f"[!.]*{suffix}")
-    ]
-    return sorted(files, key=lambda file: (file.sequence, file.stem))
+    }
+    return dict(sorted(found.items()))
 
 
 def with_outputs(scans: Iterable[ScanFile], out: Path, *folders: str) -> list[ScanFile]:
     """Return those scans that have a result in one of some folders of an output folder."""
-    found = {(file.sequence, file.stem) for name in folders for file in find_outputs(out, name)}
+    found = {key for name in folders for key in find_outputs(out, name)}
     return [scan for scan in scans if (scan.sequence, scan.stem) in found]

@@ -22,12 +22,8 @@ UNSUPPORTED = (errno.ENOLCK, errno.EOPNOTSUPP, errno.ENOSYS, errno.EINVAL)
 log = logging.getLogger(__name__)
 
 
-class LockHeldError(OutputError):
-    """Another process holds the lock."""
-
-
 @contextmanager
-def locked(path: Path, timeout_s: float = 0.0) -> Iterator[None]:
+def locked(path: Path, timeout_s: float = 0.0, *, stage: str = "") -> Iterator[None]:
     """Hold a lock while the body runs; where the file system has none, run it all the same.
 
     The lock is the system's, on an empty file that is made and removed here. It is released when
@@ -39,22 +35,25 @@ def locked(path: Path, timeout_s: float = 0.0) -> Iterator[None]:
         The file; its folder is made.
     timeout_s : float
         Seconds to wait for others.
+    stage : str, optional
+        Stage whose run holds it while it fills the folder of the file, for the error.
 
     Raises
     ------
-    LockHeldError
-        If another process still holds it then.
     OutputError
-        If the file cannot be made.
+        If another process still holds it then, or if the file cannot be made.
     """
     lock = FileLock(path, timeout=timeout_s, fallback_to_soft=False)
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         lock.acquire()
     except Timeout as error:
-        raise LockHeldError(
-            path, "held by another process", remedy="wait until it has ended"
-        ) from error
+        if not stage:
+            found, remedy = "held by another process", "wait until it has ended"
+            raise OutputError(path, found, remedy=remedy) from error
+        found = f"another run of `{stage}` is at work in it"
+        remedy = "wait until it has ended, or use another folder"
+        raise OutputError(path.parent, found, remedy=remedy) from error
     except OSError as error:
         if error.errno not in UNSUPPORTED:
             raise refusal(path, error) from error

@@ -41,9 +41,8 @@ class OutputRun:
     overwrite : bool
         Whether results that are there are made again.
     kept : frozenset of Path
-        Results that are there, but not as salsanext wrote them: they are never replaced.
-    other : frozenset of Path
-        Those of them that are not of the run's settings.
+        Results that are there, but not as salsanext wrote them, of scans that lack a result or
+        have one of other settings: they are never replaced.
     """
 
     out: Path
@@ -51,7 +50,6 @@ class OutputRun:
     folders: tuple[str, ...]
     overwrite: bool = False
     kept: frozenset[Path] = frozenset()
-    other: frozenset[Path] = frozenset()
 
     def path(self, file: ScanFile, folder: str) -> Path:
         """Return where a result of a scan lies."""
@@ -64,7 +62,7 @@ class OutputRun:
     def is_done(self, file: ScanFile) -> bool:
         """Say whether a scan has all its results, and they are not to be made again."""
         return not self.overwrite and all(
-            filled(path) and path not in self.other for path in self.paths(file)
+            filled(path) and path not in self.kept for path in self.paths(file)
         )
 
     def require_replaceable(self, file: ScanFile) -> None:
@@ -143,28 +141,19 @@ def output_run(
                 with suppress(OutputError), locked(lock):
                     pass
             held.enter_context(locked(out / f".{stage}.{mark}.lock"))
-        places = _places(out, wanted.folders, scans)
-        for place in places:
+        for place in _places(out, wanted.folders, scans):
             sweep_stale(place)
-        for place in places:
             held.callback(sweep, place, mark)
         others = WrittenFiles(out).others
-        other = frozenset(others(out / name for name in recorded.kept))
-        run = OutputRun(out, stage, tuple(folders), overwrite, other=other)
+        # First those of other settings: they are no results of this run.
+        kept = frozenset(others(out / name for name in recorded.kept))
+        run = OutputRun(out, stage, tuple(folders), overwrite, kept)
         todo = [path for file in scans if not run.is_done(file) for path in run.paths(file)]
         yield replace(run, kept=frozenset(others(todo)))
-        _require_still_recorded(out, wanted)
-
-
-def _require_still_recorded(out: Path, wanted: StageRecord) -> None:
-    """Raise `OutputError` if the folder, and results with it, was removed while it was filled."""
-    record = read_record(out, wanted.stage)
-    if record is None or record.settings != wanted.settings:
-        raise OutputError(
-            out,
-            "was removed or replaced while results were written into it",
-            remedy="run again with --overwrite",
-        )
+        record = read_record(out, stage)
+        if record is None or record.settings != wanted.settings:
+            found = "was removed or replaced while results were written into it"
+            raise OutputError(out, found, remedy="run again with --overwrite")
 
 
 def _places(out: Path, folders: Iterable[str], scans: Iterable[ScanFile]) -> list[Path]:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Scans, labels, arrays and clouds written to disk, each file whole or not at all."""
+"""Scans, labels and clouds written to disk, each file whole or not at all."""
 
 from __future__ import annotations
 
@@ -11,7 +11,6 @@ import numpy.typing as npt
 
 from salsanext_cli.classes import RawIds
 from salsanext_cli.formats.kitti import encode_bin, encode_labels
-from salsanext_cli.formats.npy import encode_array
 from salsanext_cli.formats.ply import encode_ply
 from salsanext_cli.records import Scan
 from salsanext_cli.storage.atomic import write_bytes
@@ -25,11 +24,6 @@ def write_bin(path: Path, scan: Scan) -> None:
 def write_labels(path: Path, raw: RawIds) -> None:
     """Write the raw ids of a scan's points, (N,) integer, as uint32."""
     write_bytes(path, encode_labels(raw))
-
-
-def write_array(path: Path, array: npt.NDArray[Any]) -> None:
-    """Write an array as a `.npy` file."""
-    write_bytes(path, encode_array(array))
 
 
 def write_ply(

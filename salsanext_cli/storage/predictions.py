@@ -33,7 +33,6 @@ def predicted_scans(
     selection: ScanSelection,
     dataset: Path | None = None,
     space: LabelSpace | None = None,
-    usual_dataset: Path = Path(),
 ) -> tuple[list[ScanFile], LabelSpace]:
     """Find the scans whose predictions an output folder holds, and the label space of both.
 
@@ -47,8 +46,6 @@ def predicted_scans(
         Where the scans and labels are, if not where the scans came from.
     space : LabelSpace, optional
         Otherwise that of the scans' data set, else the one recorded in `out`.
-    usual_dataset : Path
-        Folder of the scans whose source is not recorded.
 
     Raises
     ------
@@ -57,7 +54,7 @@ def predicted_scans(
     LabelError
         If predictions and labels speak of different classes.
     """
-    scans = recorded_scans(out, dataset, usual_dataset)
+    scans = recorded_scans(out, dataset)
     space = space_of_results(out, scans, space)
     chosen = choose(scans, selection, space, out)
     if selection.split:

@@ -9,9 +9,9 @@ from contextlib import ExitStack, contextmanager
 from dataclasses import replace
 from pathlib import Path
 
-from salsanext_cli.errors import OutputError
+from salsanext_cli.errors import OutputError, first_few
 from salsanext_cli.storage.layout import find_outputs
-from salsanext_cli.storage.locks import LockHeldError, locked
+from salsanext_cli.storage.locks import locked
 from salsanext_cli.storage.stage_records import (
     ScanSource,
     StageRecord,
@@ -24,8 +24,6 @@ from salsanext_cli.storage.written_files import WrittenFiles
 RECORDS_LOCK_TIMEOUT_S = 1800.0
 """Others hold the lock for a moment each, seconds if it is a million scans, and there may be a
 hundred of them."""
-MAX_KEPT_SHOWN = 3
-"""Files in the way that a warning names."""
 
 log = logging.getLogger(__name__)
 
@@ -48,14 +46,7 @@ def exclusive_run(out: Path, stage: str) -> Iterator[None]:
     """
     with ExitStack() as held:
         for lock in sorted(out.glob(f".{stage}.*.lock")):
-            try:
-                held.enter_context(locked(lock))
-            except LockHeldError as error:
-                raise OutputError(
-                    out,
-                    f"another run of `{stage}` is at work in it",
-                    remedy="wait until it has ended, or use another folder",
-                ) from error
+            held.enter_context(locked(lock, stage=stage))
         yield
 
 
@@ -77,36 +68,33 @@ def register_run(wanted: StageRecord, out: Path, overwrite: bool) -> StageRecord
         If there are such results and they may not be removed, or another run is making them now.
     """
     stage, recorded = wanted.stage, read_record(out, wanted.stage)
-    same = recorded is not None and recorded.settings == wanted.settings
+    before = recorded or StageRecord(stage, wanted.settings)
+    same = before.settings == wanted.settings
     owners = {folder: owner(out, folder) for folder in wanted.folders}
     others = {folder: other for folder, other in owners.items() if other and other != stage}
+    if not overwrite:
+        require_same_settings(out / f"{stage}.json", before.settings, wanted.settings)
+        for folder, other in others.items():
+            raise OutputError(
+                out / f"{other}.json",
+                f"{folder}/ holds the results of `{other}`",
+                remedy="use another output folder, or --overwrite to replace them",
+            )
     kept: list[Path] = []
     with ExitStack() as held:
-        if recorded is not None and not same:
-            if not overwrite:
-                require_same_settings(out / f"{stage}.json", recorded.settings, wanted.settings)
-            held.enter_context(exclusive_run(out, stage))
-        for folder, other in others.items():
-            if not overwrite:
-                raise OutputError(
-                    out / f"{other}.json",
-                    f"{folder}/ holds the results of `{other}`",
-                    remedy="use another output folder, or --overwrite to replace them",
-                )
-        for other in sorted({*others.values()}):
-            held.enter_context(exclusive_run(out, other))
+        for filler in [*([] if same else [stage]), *sorted({*others.values()})]:
+            held.enter_context(exclusive_run(out, filler))
         # Nothing is removed before it is certain that the run may begin.
-        if recorded is not None and not same:
-            kept += _remove_results(out, recorded.folders)
+        if not same:
+            kept += _remove_results(out, before.folders)
         for folder in wanted.folders:
             if folder in others:
                 kept += _take_over(out, folder, others[folder])
-            elif recorded is None or folder not in recorded.folders:
+            elif folder not in before.folders:
                 kept += _remove_unrecorded(out, folder, overwrite)
-    names = frozenset(path.relative_to(out).as_posix() for path in kept)
-    merged = replace(wanted, kept=names)
-    if recorded is not None and same:
-        merged = _merged(recorded, merged)
+    merged = replace(wanted, kept=frozenset(path.relative_to(out).as_posix() for path in kept))
+    if same:
+        merged = _merged(before, merged)
     # The record comes last: without it, a run that was killed before begins anew.
     if merged != recorded:
         merged.write(out)
@@ -134,10 +122,9 @@ def _take_over(out: Path, folder: str, other: str) -> list[Path]:
 
 def _remove_unrecorded(out: Path, folder: str, overwrite: bool) -> list[Path]:
     """Refuse results that no stage recorded, or remove them: it is not known how they were made."""
-    found = find_outputs(out, folder)
-    if found and not overwrite:
+    if (found := find_outputs(out, folder)) and not overwrite:
         raise OutputError(
-            found[0].path,
+            next(iter(found.values())),
             "is a result that no stage recorded",
             remedy="use another output folder, or --overwrite to work beside it",
         )
@@ -146,10 +133,8 @@ def _remove_unrecorded(out: Path, folder: str, overwrite: bool) -> list[Path]:
 
 def _remove_results(out: Path, folders: Iterable[str]) -> list[Path]:
     """Remove results that salsanext wrote and that are unchanged; name and return the others."""
-    found = [result.path for folder in folders for result in find_outputs(out, folder)]
+    found = [path for folder in folders for path in find_outputs(out, folder).values()]
     kept = WrittenFiles(out).remove(found)
     if kept:
-        names = ", ".join(map(str, kept[:MAX_KEPT_SHOWN]))
-        more = f" and {len(kept) - MAX_KEPT_SHOWN} more" if len(kept) > MAX_KEPT_SHOWN else ""
-        log.warning("kept, since changed or not written by salsanext: %s%s", names, more)
+        log.warning("kept, since changed or not written by salsanext: %s", first_few(kept))
     return kept

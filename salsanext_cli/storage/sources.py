@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import logging
+import os
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -16,6 +17,7 @@ from salsanext_cli.storage.stage_records import ScanSource, owner, read_records
 
 LABELLING_STAGES = ("predict", "knn-refine", "uncertainty")
 """The stages whose results later ones read."""
+DATASET_VARIABLE = "SALSANEXT_DATASET"
 MAX_PATH_SHOWN = 500
 """Characters of a folder's name that an error shows."""
 
@@ -75,10 +77,11 @@ def scan_sources(out: Path, scans: Iterable[ScanFile]) -> dict[str, ScanSource]:
     return {name: ScanSource(known[name], frozenset(names)) for name, names in stems.items()}
 
 
-def recorded_scans(
-    out: Path, dataset: Path | None = None, usual_dataset: Path = Path()
-) -> list[ScanFile]:
+def recorded_scans(out: Path, dataset: Path | None = None) -> list[ScanFile]:
     """Find the scans whose results an output folder holds.
+
+    If it is not recorded where scans came from, or they are gone, they are looked for in the
+    folder that the environment variable `DATASET_VARIABLE` names, else in the working folder.
 
     Parameters
     ----------
@@ -86,8 +89,6 @@ def recorded_scans(
         The output folder.
     dataset : Path, optional
         Where to look instead of where the scans came from.
-    usual_dataset : Path
-        Where to look if it is not recorded where the scans came from, or they are gone.
 
     Raises
     ------
@@ -95,7 +96,7 @@ def recorded_scans(
         If there is no such folder, it holds no results, or a sequence's scans are not to be found.
     """
     sequences = sorted(
-        {file.sequence for folder in SUFFIX_OF_FOLDER for file in find_outputs(out, folder)}
+        {name for folder in SUFFIX_OF_FOLDER for name, _ in find_outputs(out, folder)}
     )
     if not sequences:
         found = "holds no results" if out.is_dir() else "no such folder"
@@ -117,16 +118,16 @@ def recorded_scans(
     return [
         scan
         for name in sequences
-        for scan in _scans_of_sequence(out, name, folders.get(name), dataset, usual_dataset)
+        for scan in _scans_of_sequence(out, name, folders.get(name), dataset)
     ]
 
 
 def _scans_of_sequence(
-    out: Path, sequence: str, folder: str | None, dataset: Path | None, usual_dataset: Path
+    out: Path, sequence: str, folder: str | None, dataset: Path | None
 ) -> list[ScanFile]:
     if dataset is None and folder and is_folder(Path(folder)):
         return find_scans(Path(folder))
-    root = dataset or usual_dataset
+    root = dataset or Path(os.environ.get(DATASET_VARIABLE, ""))
     if (root / "sequences").is_dir():
         return find_scans(root, [sequence])
     looked_in = shortened(str(dataset or folder or root.absolute()), MAX_PATH_SHOWN)

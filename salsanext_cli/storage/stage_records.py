@@ -15,9 +15,8 @@ from salsanext_cli.classes import LabelSpace
 from salsanext_cli.errors import OutputError
 from salsanext_cli.sensors import Sensor, sensor
 from salsanext_cli.settings_files import shortened
-from salsanext_cli.storage.json_files import read_json, write_json
+from salsanext_cli.storage.json_files import RecordedSettings, read_json, write_json
 from salsanext_cli.storage.layout import SUFFIX_OF_FOLDER
-from salsanext_cli.storage.recorded_settings import RecordedSettings
 
 MAX_DIFFERENCES_SHOWN = 3
 SHOWN_CHARACTERS_OF_VALUE = 40

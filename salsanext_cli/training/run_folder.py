@@ -5,13 +5,13 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Iterator, Mapping
-from contextlib import ExitStack, contextmanager, suppress
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
 from salsanext_cli.errors import OutputError
 from salsanext_cli.storage.atomic import require_writable, sweep_stale
-from salsanext_cli.storage.locks import LockHeldError, locked
+from salsanext_cli.storage.locks import locked
 from salsanext_cli.storage.stage_records import (
     StageRecord,
     as_json,
@@ -49,13 +49,7 @@ def trained_alone(run: Path) -> Iterator[None]:
     OutputError
         If another training runs in it.
     """
-    with ExitStack() as held:
-        try:
-            held.enter_context(locked(run / f".{STAGE}.lock"))
-        except LockHeldError as error:
-            found = "another run of `train` is at work in it"
-            remedy = "wait until it has ended, or use another folder"
-            raise OutputError(run, found, remedy=remedy) from error
+    with locked(run / f".{STAGE}.lock", stage=STAGE):
         for folder in (run, run / SAMPLES):
             sweep_stale(folder)
         yield

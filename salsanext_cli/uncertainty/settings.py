@@ -13,8 +13,8 @@ from salsanext_cli.geometry.noise import noise_of
 from salsanext_cli.inference.network import Network
 from salsanext_cli.records import RangeImage
 from salsanext_cli.sensors import Sensor
+from salsanext_cli.storage.json_files import RecordedSettings
 from salsanext_cli.storage.layout import ScanFile
-from salsanext_cli.storage.recorded_settings import RecordedSettings
 from salsanext_cli.uncertainty.aleatoric import aleatoric
 from salsanext_cli.uncertainty.dropout_propagation import propagate_dropout
 from salsanext_cli.uncertainty.estimate import Estimate, require_dropout

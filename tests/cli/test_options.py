@@ -50,8 +50,6 @@ def test_where_scans_are_looked_for(monkeypatch):
     assert options.Selection(dataset=Path("b")).source(Path("a")) == Path("a")
     assert options.Selection(dataset=Path("b")).source(None) == Path("b")
     assert options.Selection().source(None) == Path()
-    monkeypatch.setenv("SALSANEXT_DATASET", "/data")
-    assert options.ResultSelection().usual_dataset() == Path("/data")
 
 
 def test_the_options_of_a_run():

@@ -1,13 +1,16 @@
 # SPDX-License-Identifier: MIT
 """Every stage on a disk that is full: one line, no half file, and room lets it finish."""
 
+import os
 import shutil
+import subprocess
 from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
+from shutil import which
 
 import pytest
 from scans import SMALL, files_below, write_sequence, write_weights
-from small_disk import filled, small_disk
 from tiny_network import TinyNetwork
 
 from salsanext_cli.cli import options
@@ -26,12 +29,32 @@ STAGES = {
 """Command lines, and the stages that come before each."""
 COUNT = 20_000
 """Points of a scan, so that one result of any stage needs more room than some records."""
+DISK_BYTES = 16 << 20
 
 
 @pytest.fixture
 def disk(tmp_path: Path) -> Iterator[Path]:
-    with small_disk(tmp_path / "disk") as folder:
-        yield folder
+    """Mount a small disk in memory, or skip the test."""
+    folder = tmp_path / "disk"
+    folder.mkdir()
+    words = ["mount", "-t", "tmpfs", "-o", f"size={DISK_BYTES}", "tmpfs", str(folder)]
+    if not which("mount") or subprocess.run(words, capture_output=True, check=False).returncode:
+        pytest.skip("may not mount a disk")
+    yield folder
+    subprocess.run(["umount", "--lazy", str(folder)], capture_output=True, check=True)
+
+
+@contextmanager
+def filled(disk: Path, room: int) -> Iterator[None]:
+    """Leave only so many bytes of room on a disk."""
+    status = os.statvfs(disk)
+    filler = disk / "filler"
+    with filler.open("wb") as file:
+        os.posix_fallocate(file.fileno(), 0, status.f_bavail * status.f_frsize - room)
+    try:
+        yield
+    finally:
+        filler.unlink()
 
 
 @pytest.fixture

@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: MIT
 import numpy as np
 import pytest
+from scans import write_array
 
 from salsanext_cli.errors import FormatError
 from salsanext_cli.formats.point_values import read_probabilities, read_uncertainty
-from salsanext_cli.storage.point_files import write_array
 
 
 @pytest.fixture

@@ -30,7 +30,7 @@ from salsanext_cli.network.weights import WeightsCard, read_weights, save_weight
 from salsanext_cli.sensors import sensor
 from salsanext_cli.storage.json_files import read_json
 from salsanext_cli.storage.layout import find_scans
-from salsanext_cli.storage.point_files import write_ply
+from salsanext_cli.storage.point_files import write_labels, write_ply
 from salsanext_cli.storage.sources import missing_results, recorded_scans
 from salsanext_cli.storage.stage_records import (
     StageRecord,
@@ -184,7 +184,7 @@ def _safetensors(folder: Path) -> list[bytes]:
     return [(folder / name).read_bytes() for name in ("w.safetensors", "h.safetensors")]
 
 
-def _published(*, old: bool) -> list[bytes]:
+def _published(*, old: bool = False) -> Reader:
     tensors = {
         "module.logits.weight": torch.ones(3, 2, 1, 1),
         "module.logits.bias": torch.zeros(3),
@@ -195,18 +195,18 @@ def _published(*, old: bool) -> list[bytes]:
         stream = io.BytesIO()
         torch.save(checkpoint, stream, _use_new_zipfile_serialization=not old)
         seeds.append(stream.getvalue())
-    return [*seeds, pickle.dumps({"state_dict": {}}, protocol=2)]
+    seeds.append(pickle.dumps({"state_dict": {}}, protocol=2))
+    return Reader("p.pt", seeds, read_published)
 
 
-def _out(folder: Path) -> tuple[Path, bytes]:
-    """Make an output folder; return it with its record of `predict`."""
+def _record(folder: Path) -> Reader:
+    """Make an output folder with labels of one scan, whose record of `predict` is damaged."""
     data, out = write_sequence(folder / "08", ["a", "b"], count=COUNT), folder / "out"
     settings = {"weights": "abc", "label_space": FEW.to_dict(), "sensor": SMALL.to_dict()}
     begin_and_end(out, "predict", settings, ["predictions"], find_scans(data))
-    predictions = out / "sequences/08/predictions"
-    predictions.mkdir(parents=True)
-    (predictions / "a.label").write_bytes(bytes(4 * COUNT))
-    return out, (out / "predict.json").read_bytes()
+    write_labels(out / "sequences/08/predictions/a.label", np.zeros(COUNT, np.uint32))
+    path = out / "predict.json"
+    return Reader(str(path), [path.read_bytes()], _read_record)
 
 
 def _read_record(path: Path) -> None:
@@ -223,66 +223,65 @@ def _read_record(path: Path) -> None:
     begin_and_end(out, "export-ply", {}, ["ply"], scans[:1], overwrite=True)
 
 
-def _run_folder(folder: Path) -> tuple[Path, bytes, bytes, tuple]:
+def _run_folder(folder: Path, name: str) -> Reader:
+    """Make the folder of a training, one of whose records is damaged."""
     data, run = write_sequence(folder / "00", ["a"], count=COUNT), folder / "run"
-    scans = find_scans(data)
-    class_counts(run / "class_counts.json", (scans, scans, scans), label_space(), SMALL)
+    splits = (find_scans(data),) * 3
+    class_counts(run / "class_counts.json", splits, label_space(), SMALL)
     StageRecord("train", {"recipe": Recipe().to_dict()}).write(run)
     (run / "checkpoint.safetensors").touch()
-    records = [(run / name).read_bytes() for name in ("train.json", "class_counts.json")]
-    return run, records[0], records[1], (scans, scans, scans)
+
+    def read(path: Path) -> None:
+        if name == "class_counts.json":
+            class_counts(path, splits, label_space(), SMALL)
+        else:
+            require_free(path.parent, {"recipe": Recipe().to_dict()}, overwrite=False)
+
+    return Reader(str(run / name), [(run / name).read_bytes()], read)
 
 
-def _read_curve(path: Path) -> None:
-    require_free(path.parent, {"recipe": Recipe().to_dict()}, overwrite=False)
-
-
-def readers(folder: Path) -> dict[str, Reader]:
-    """Return every reader by name, with valid files made in a folder."""
-    softmax = encode_array(np.full((COUNT, 3), 1 / 3, np.float16))
+def _sensor() -> bytes:
     keys = {key: value for key, value in SMALL.to_dict().items() if value is not None}
-    toml = "".join(f"{key} = {json.dumps(value)}\n" for key, value in keys.items()).encode()
-    space = yaml.safe_dump(FEW.to_dict(), sort_keys=False).encode()
-    out, record = _out(folder)
-    run, train, counts, splits = _run_folder(folder)
-    image = np.zeros((5, 4, 6), np.float32)
-    images = [encode_array(image), encode_array(image[:, :1])]
-    numbers = encode_array(np.arange(COUNT, dtype=np.float32))
+    return "".join(f"{key} = {json.dumps(value)}\n" for key, value in keys.items()).encode()
 
-    def npy(path: Path) -> None:
-        read_array(path, np.float32, (5, None, None))
 
-    def recorded_counts(path: Path) -> None:
-        class_counts(path, splits, label_space(), SMALL)
-
-    published = Reader("p.pt", _published(old=False), read_published)
-    return {
-        "bin": Reader("a.bin", _bin(4), _scan),
-        "pcd.bin": Reader("a.pcd.bin", _bin(5), _scan),
-        "label": Reader(
-            "a.label", [bytes(4 * COUNT), b"\x0a\0\1\0" * 3], lambda p: read_labels(p, COUNT)
-        ),
-        "npy": Reader("a.npy", images, npy),
-        "npy of uncertainty": Reader("u.npy", [numbers], lambda p: read_uncertainty(p, COUNT)),
-        "npy of probabilities": Reader(
-            "p.npy", [softmax], lambda p: read_probabilities(p, COUNT, 3)
-        ),
-        "ply": Reader("a.ply", _ply(folder), _scan),
-        "pcd ascii": Reader("a.pcd", _pcd("ascii"), _scan),
-        "pcd binary": Reader("b.pcd", _pcd("binary"), _scan),
-        "pcd binary_compressed": Reader("c.pcd", _pcd("binary_compressed"), _scan),
-        "yaml": Reader("labels.yaml", [space, space[: len(space) // 2]], label_space),
-        "toml of a sensor": Reader("s.toml", [toml], sensor),
-        "toml of a recipe": Reader(
-            "r.toml", [Recipe().to_toml().encode(), b"epochs = 3\n"], recipe
-        ),
-        "safetensors": Reader("w.safetensors", _safetensors(folder), read_weights),
-        "checkpoint": _checkpoint(folder),
-        "published": published,
-        "pickle of a published one": _pickle_of(published),
-        "published, old": Reader("old.pt", _published(old=True), read_published),
-        "record": Reader(str(out / "predict.json"), [record], _read_record),
-        "train.json": Reader(str(run / "train.json"), [train], _read_curve),
-        "class_counts.json": Reader(str(run / "class_counts.json"), [counts], recorded_counts),
-        "json": Reader("eval.json", [b'{"settings": {"by_distance": false}}'], read_json),
-    }
+IMAGE = np.zeros((5, 4, 6), np.float32)
+NUMBERS = encode_array(np.arange(COUNT, dtype=np.float32))
+SOFTMAX = encode_array(np.full((COUNT, 3), 1 / 3, np.float16))
+LABELS = [bytes(4 * COUNT), b"\x0a\0\1\0" * 3]
+SPACE = yaml.safe_dump(FEW.to_dict(), sort_keys=False).encode()
+READERS: dict[str, Callable[[Path], Reader]] = {
+    "bin": lambda _: Reader("a.bin", _bin(4), _scan),
+    "pcd.bin": lambda _: Reader("a.pcd.bin", _bin(5), _scan),
+    "label": lambda _: Reader("a.label", LABELS, lambda p: read_labels(p, COUNT)),
+    "npy": lambda _: Reader(
+        "a.npy",
+        [encode_array(IMAGE), encode_array(IMAGE[:, :1])],
+        lambda p: read_array(p, np.float32, (5, None, None)),
+    ),
+    "npy of uncertainty": lambda _: Reader(
+        "u.npy", [NUMBERS], lambda p: read_uncertainty(p, COUNT)
+    ),
+    "npy of probabilities": lambda _: Reader(
+        "p.npy", [SOFTMAX], lambda p: read_probabilities(p, COUNT, 3)
+    ),
+    "ply": lambda folder: Reader("a.ply", _ply(folder), _scan),
+    "pcd ascii": lambda _: Reader("a.pcd", _pcd("ascii"), _scan),
+    "pcd binary": lambda _: Reader("b.pcd", _pcd("binary"), _scan),
+    "pcd binary_compressed": lambda _: Reader("c.pcd", _pcd("binary_compressed"), _scan),
+    "yaml": lambda _: Reader("labels.yaml", [SPACE, SPACE[: len(SPACE) // 2]], label_space),
+    "toml of a sensor": lambda _: Reader("s.toml", [_sensor()], sensor),
+    "toml of a recipe": lambda _: Reader(
+        "r.toml", [Recipe().to_toml().encode(), b"epochs = 3\n"], recipe
+    ),
+    "safetensors": lambda folder: Reader("w.safetensors", _safetensors(folder), read_weights),
+    "checkpoint": _checkpoint,
+    "published": lambda _: _published(),
+    "pickle of a published one": lambda _: _pickle_of(_published()),
+    "published, old": lambda _: _published(old=True),
+    "record": _record,
+    "train.json": lambda folder: _run_folder(folder, "train.json"),
+    "class_counts.json": lambda folder: _run_folder(folder, "class_counts.json"),
+    "json": lambda _: Reader("eval.json", [b'{"settings": {"by_distance": false}}'], read_json),
+}
+"""Functions that make a reader, with valid files in an empty folder, by its name."""

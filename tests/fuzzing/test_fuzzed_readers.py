@@ -12,7 +12,7 @@ from random import Random
 import pytest
 from limits import bounded, ending
 from mutations import damage
-from readers import readers
+from readers import READERS
 from tiny_network import TinyNetwork
 
 from salsanext_cli.errors import SalsanextError
@@ -22,20 +22,13 @@ FEW_CASES = 100
 MANY_CASES = int(os.environ.get("FUZZ_CASES", "5000"))
 MAX_CHARACTERS = 2000
 """Largest length of an error."""
-NAMES = (
-    *("bin", "pcd.bin", "label", "npy", "npy of uncertainty", "npy of probabilities", "ply"),
-    *("pcd ascii", "pcd binary", "pcd binary_compressed", "yaml", "toml of a sensor"),
-    *("toml of a recipe", "safetensors", "checkpoint", "published", "published, old"),
-    *("pickle of a published one", "record", "train.json", "class_counts.json", "json"),
-)
 
 
-@pytest.fixture(scope="module")
-def every(tmp_path_factory):
-    """Return all readers; the network of the weights is a tiny one."""
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setitem(ARCHITECTURES, "salsanext", TinyNetwork)
-        yield readers(tmp_path_factory.mktemp("valid"))
+@pytest.fixture
+def made(tmp_path, monkeypatch):
+    """Return what makes a reader by its name; the network of the weights is a tiny one."""
+    monkeypatch.setitem(ARCHITECTURES, "salsanext", TinyNetwork)
+    return lambda name: READERS[name](tmp_path / "valid")
 
 
 def read_damaged(reader, path, content):
@@ -74,12 +67,12 @@ def fuzz(reader, folder, name, cases):
     path.write_bytes(reader.seeds[0])
 
 
-@pytest.mark.parametrize("name", NAMES)
-def test_a_few_damaged_files(every, tmp_path, name):
-    fuzz(every[name], tmp_path, name, FEW_CASES)
+@pytest.mark.parametrize("name", READERS)
+def test_a_few_damaged_files(made, tmp_path, name):
+    fuzz(made(name), tmp_path, name, FEW_CASES)
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", NAMES)
-def test_many_damaged_files(every, tmp_path, name):
-    fuzz(every[name], tmp_path, name, MANY_CASES)
+@pytest.mark.parametrize("name", READERS)
+def test_many_damaged_files(made, tmp_path, name):
+    fuzz(made(name), tmp_path, name, MANY_CASES)

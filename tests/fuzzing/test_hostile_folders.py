@@ -11,17 +11,10 @@ from scans import SMALL, files_below, write_sequence
 from salsanext_cli.errors import OutputError
 from salsanext_cli.stages.project import project_scans
 from salsanext_cli.stages.synth import synthesise
-from salsanext_cli.storage.layout import find_scans, output_path
+from salsanext_cli.storage.layout import find_scans
 from salsanext_cli.storage.sources import recorded_scans
 
 LABELS = np.zeros(5, np.uint32)
-
-
-@pytest.mark.parametrize("name", ["..", ".", "", "../../x", "/etc", "a/b", "a/../b", "x\0y"])
-def test_names_that_lead_elsewhere(tmp_path, name):
-    for sequence, stem in ((name, "a"), ("08", name)):
-        with pytest.raises(OutputError, match="cannot name a file"):
-            output_path(tmp_path, sequence, "predictions", stem)
 
 
 @pytest.mark.parametrize("stem", ["../../../victim", "/victim", "..", 3, None, ["a"]])

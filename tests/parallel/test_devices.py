@@ -6,23 +6,23 @@ import sys
 
 import pytest
 
-from salsanext_cli.parallel import devices
+from salsanext_cli.parallel import worker
 from salsanext_cli.parallel.worker import WORKER
 
 ASK = """
 import sys
 from pathlib import Path
-from salsanext_cli.parallel import devices
+from salsanext_cli.parallel import worker
 from salsanext_cli.parallel.worker import WORKER
 WORKER.run = "a run"
-devices._folder_of_slots = lambda: Path(sys.argv[1])
-print(devices.own_device("cuda", 2), devices.own_device("auto", 2), flush=True)
+worker._folder_of_slots = lambda: Path(sys.argv[1])
+print(worker.own_device("cuda", 2), worker.own_device("auto", 2), flush=True)
 sys.stdin.read()
 """
 
 
 def test_worker_processes_take_a_gpu_each_and_a_killed_one_leaves_it(tmp_path):
-    def worker():
+    def started():
         return subprocess.Popen(
             [sys.executable, "-c", ASK, str(tmp_path / "slots")],
             stdin=subprocess.PIPE,
@@ -31,30 +31,30 @@ def test_worker_processes_take_a_gpu_each_and_a_killed_one_leaves_it(tmp_path):
         )
 
     # Each reads until it is closed, and the system lets go of its lock.
-    with worker() as first, worker() as second, worker() as third:
+    with started() as first, started() as second, started() as third:
         found = [process.stdout.readline().split() for process in (first, second, third)]
         assert sorted(found) == [["cuda:0"] * 2] * 2 + [["cuda:1"] * 2]
         odd = (first, second, third)[found.index(["cuda:1"] * 2)]
         odd.kill()
         odd.wait()
-        with worker() as fourth:
+        with started() as fourth:
             assert fourth.stdout.readline() == "cuda:1 cuda:1\n"
 
 
 @pytest.mark.parametrize(("device", "count"), [("cpu", 4), ("cuda:3", 4), ("auto", 1), ("cuda", 0)])
 def test_a_device_that_was_named_or_is_alone_stays(device, count, monkeypatch):
     monkeypatch.setattr(WORKER, "run", "a run")
-    assert devices.own_device(device, count) == device
+    assert worker.own_device(device, count) == device
 
 
 def test_a_process_that_is_no_worker_takes_the_first():
-    assert devices.own_device("auto", 4) == "auto"
+    assert worker.own_device("auto", 4) == "auto"
 
 
 def test_where_nothing_can_be_locked_chance_divides(tmp_path, monkeypatch, caplog):
     (tmp_path / "file").touch()
     monkeypatch.setattr(WORKER, "run", "a run")
     monkeypatch.setattr(WORKER, "slot", None)
-    monkeypatch.setattr(devices, "_folder_of_slots", lambda: tmp_path / "file")
-    assert devices.own_device("auto", 2) in ("cuda:0", "cuda:1")
+    monkeypatch.setattr(worker, "_folder_of_slots", lambda: tmp_path / "file")
+    assert worker.own_device("auto", 2) in ("cuda:0", "cuda:1")
     assert "GPUs are shared by chance" in caplog.text

@@ -49,7 +49,7 @@ class Opens(Write):
 def test_a_task_is_opened_once_by_each_worker_of_a_run(tmp_path, options):
     for sequence in ("first", "second"):
         outcome = run(Opens(tmp_path), scans_of(*"abcdefgh", sequence=sequence), **options)
-        assert sorted(outcome.results) == list("abcdefgh")
+        assert outcome.done == 8
         opened = (tmp_path / "opened").read_text().split()
         (tmp_path / "opened").unlink()
         assert len(opened) == len(set(opened)) <= 2
@@ -83,7 +83,7 @@ def test_results_can_be_handed_on_as_they_come(tmp_path, options):
     assert progress == [(1, 4), (2, 4), (3, 4), (4, 4)]
     assert sorted(seen) == seen
     assert seen[0] <= 1
-    assert (outcome.results, outcome.done, len(outcome.failures)) == ((), 3, 1)
+    assert (outcome.done, len(outcome.failures)) == (3, 1)
 
 
 def test_no_scans_at_all(tmp_path):

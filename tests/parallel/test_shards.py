@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: MIT
 import random
 from collections import Counter
+from itertools import pairwise
 from pathlib import Path
 
 import pytest
@@ -10,7 +11,12 @@ from scans import files_below
 
 from salsanext_cli.errors import UsageError
 from salsanext_cli.parallel.run import RunOptions
-from salsanext_cli.parallel.shards import Shard
+from salsanext_cli.parallel.shards import (
+    MAX_CHUNK_SCANS,
+    MIN_CHUNKS_PER_WORKER,
+    Shard,
+    chunks,
+)
 from salsanext_cli.stages.predict import predict_scans
 from salsanext_cli.storage.layout import ScanFile
 
@@ -102,3 +108,22 @@ def test_arrays_of_slurm(environment, shard):
 def test_arrays_that_are_no_shards(environment):
     with pytest.raises(UsageError, match=r"SLURM_ARRAY_TASK_ID.* --shard i/n"):
         Shard.of_slurm(environment)
+
+
+@given(st.lists(st.integers(0, 120), max_size=6), st.integers(1, 40))
+def test_chunks_hold_every_scan_in_order_and_are_alike_within_a_sequence(lengths, workers):
+    scans = scans_of((f"{s:02d}", n) for s, length in enumerate(lengths) for n in range(length))
+    found = chunks(scans, workers)
+    assert [scan for chunk in found for scan in chunk] == scans
+    assert len(found) >= min(len(scans), MIN_CHUNKS_PER_WORKER * workers)
+    for chunk in found:
+        assert len({scan.sequence for scan in chunk}) == 1
+        assert 1 <= len(chunk) <= MAX_CHUNK_SCANS
+    for one, other in pairwise(found):
+        assert one[0].sequence != other[0].sequence or abs(len(one) - len(other)) <= 1
+
+
+def test_many_scans_make_large_chunks():
+    assert {len(chunk) for chunk in chunks(scans_of(("00", n) for n in range(1600)), 4)} == {
+        MAX_CHUNK_SCANS
+    }

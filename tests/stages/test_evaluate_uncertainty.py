@@ -7,6 +7,7 @@ import re
 import numpy as np
 import pytest
 from evaluated import CAR, ROAD, SPACE, World
+from scans import write_array
 from sklearn.metrics import average_precision_score, log_loss, roc_auc_score
 
 from salsanext_cli.measures.scan_counts import FOLDERS, KINDS, ScanCounts, count_scan
@@ -17,7 +18,6 @@ from salsanext_cli.measures.uncertainty_evaluation import (
 from salsanext_cli.parallel.run import RunOptions
 from salsanext_cli.stages.evaluate import evaluate
 from salsanext_cli.storage.layout import find_scans, output_path
-from salsanext_cli.storage.point_files import write_array
 
 C = SPACE.class_count
 CAR_ID, ROAD_ID = SPACE.names.index("car"), SPACE.names.index("road")

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from scans import SMALL, files_below, labels_below, write_weights
+from scans import SMALL, files_below, labels_below, write_array, write_weights
 
 from salsanext_cli import KnnParameters, knn_refine, label_space, project, read_labels, read_scan
 from salsanext_cli.errors import NoInputError, OutputError, UsageError
@@ -13,7 +13,7 @@ from salsanext_cli.parallel.run import RunOptions
 from salsanext_cli.stages.knn_refine import knn_refine_scans
 from salsanext_cli.stages.predict import predict_range_images, predict_scans
 from salsanext_cli.stages.project import project_scans
-from salsanext_cli.storage.point_files import write_array, write_labels
+from salsanext_cli.storage.point_files import write_labels
 from salsanext_cli.storage.selection import ScanSelection
 
 SPACE = label_space()

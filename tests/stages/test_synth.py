@@ -13,7 +13,7 @@ from salsanext_cli.errors import MissingDependency, OutputError, UsageError
 from salsanext_cli.formats.kitti import read_bin
 from salsanext_cli.stages import synth
 from salsanext_cli.stages.synth import synthesise
-from salsanext_cli.storage.atomic import write_text
+from salsanext_cli.storage.atomic import MARK, write_bytes
 from salsanext_cli.storage.layout import find_scans
 from salsanext_cli.storage.written_files import WrittenFiles
 from salsanext_cli.synthesis.drive import Frame
@@ -158,11 +158,35 @@ def test_only_a_synthetic_data_set_is_replaced_and_only_when_told(again):
 def test_real_scans_and_results_of_other_stages_stay(again, name, recorded):
     out, replace = again
     path = out / "sequences" / name
-    write_text(path, "precious")
+    write_bytes(path, b"precious")
     if recorded:
         WrittenFiles(out).write(path, path.read_bytes())
     replace()
     assert path.read_bytes() == b"precious"
+    assert real.read_bytes() == b"precious"
+
+
+def test_unfinished_files_of_killed_workers_are_removed(quick, tmp_path):
+    """Joblib kills workers, if it must, while they write; those of other runs stay."""
+    folder = tmp_path / "out/sequences/00/labels"
+    other = folder / f".{'0' * 32}.part"
+
+    def stop(*_):
+        for path in (other, folder / f".{MARK.get()}{'1' * 32}.part"):
+            path.touch()
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        synthesise(tmp_path / "out", train=1, valid=0, scans=2, progress=stop)
+    assert sorted(folder.iterdir()) == [other, folder / "000000.label"]
+
+
+def test_results_of_other_stages_stay(again):
+    out, replace = again
+    predicted = out / "sequences/00/predictions/000000.label"
+    WrittenFiles(out).write(predicted, b"predicted")
+    replace()
+    assert predicted.read_bytes() == b"predicted"
 
 
 @pytest.mark.parametrize("sequence", ["00", "01", "07"])

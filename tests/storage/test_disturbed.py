@@ -8,8 +8,7 @@ from collections.abc import Callable
 from functools import partial
 
 import pytest
-from scans import files_below, labels_below, write_sequence, write_weights
-from small_disk import read_only
+from scans import files_below, labels_below, write_weights
 
 from salsanext_cli.errors import OutputError, WeightsError
 from salsanext_cli.geometry.knn import KnnParameters
@@ -76,19 +75,6 @@ def test_workers_that_find_other_weights_label_no_scan(world, tmp_path):
     assert labels_below(world.out) == {}
 
 
-def test_a_result_folder_that_becomes_read_only(world, whole):
-    folder = world.result("predictions", "08").parent
-    folder.mkdir(parents=True)
-    with read_only(folder):
-        outcome = run(world)
-        assert (outcome.done, len(outcome.failures)) == (1, 2)
-        for failure in outcome.failures:
-            assert "read-only file system" in failure.reason
-            assert "change its permissions or choose another output folder" in failure.reason
-    assert run(world).done == 2
-    assert labels_below(world.out) == whole
-
-
 def test_an_output_folder_that_is_deleted(world, whole):
     """The results that went with it are not taken for done."""
     with pytest.raises(OutputError, match=r"was removed or replaced .* run again with --overwrite"):
@@ -126,12 +112,3 @@ def test_a_file_replaced_by_one_of_the_same_size_and_time(tmp_path):
         (tmp_path / "new").replace(tmp_path / "file")
         digests.append(fingerprint(tmp_path / "file"))
     assert digests[0] != digests[1]
-
-
-def test_scans_that_are_added_while_others_are_labelled(world, whole):
-    """They are left to the next run."""
-    folder = world.scan("08").parent.parent
-    outcome = run(world, lambda: write_sequence(folder, ["000009"], seed=5))
-    assert outcome.done == 3
-    assert labels_below(world.out) == whole
-    assert run(world).done == 1

@@ -3,18 +3,15 @@
 
 import json
 import os
-import subprocess
-import sys
-from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
+from threading import Barrier, Event
 
 import numpy as np
 import pytest
 from empty_runs import begin_and_end
 from scans import files_below, write_sequence
 
-import salsanext_cli
 from salsanext_cli import __version__
 from salsanext_cli.classes import label_space
 from salsanext_cli.errors import OutputError
@@ -32,11 +29,9 @@ from salsanext_cli.storage.stage_records import (
     recorded_sensor,
     stage_settings,
 )
-from salsanext_cli.storage.written_files import WrittenFiles
 
 SETTINGS = {"weights": "abc", "knn": {"k": 5}}
 LABELS = np.full(5, 10, np.uint32)
-Start = Callable[..., subprocess.Popen[str]]
 
 
 def scans_of(tmp_path: Path, *stems: str, sequence: str = "08") -> list[ScanFile]:
@@ -172,43 +167,18 @@ def test_results_of_another_stage_are_refused(tmp_path: Path) -> None:
     assert not path.exists()
 
 
-def test_results_in_a_folder_that_the_stage_had_not_filled_are_not_taken_for_its_own(
-    tmp_path: Path,
-) -> None:
-    scans = scans_of(tmp_path, "a")
-    predicted(tmp_path / "out", scans)
-    foreign = tmp_path / "out/sequences/08/probabilities/a.npy"
-    foreign.parent.mkdir()
-    foreign.write_bytes(b"mine")
-    with pytest.raises(OutputError, match=r"a\.npy · is a result that no stage recorded"):
-        predict(tmp_path / "out", folders=("predictions", "probabilities"), scans=scans)
-    assert foreign.read_bytes() == b"mine"
-
-
-def test_a_refused_run_has_removed_nothing(tmp_path: Path) -> None:
-    """Its own results of other settings neither, if another stage is at work on what it wants."""
-    out, scans = tmp_path / "out", scans_of(tmp_path, "a")
-    predicted(out, scans)
-    begin_and_end(out, "knn-refine", {}, ["pixel_labels"], scans)
-    before = files_below(out)
-    with (
-        output_run(out, "predict", SETTINGS, ("predictions",), scans, overwrite=False),
-        pytest.raises(OutputError, match="another run of `predict` is at work"),
-    ):
-        begin_and_end(out, "knn-refine", {"k": 3}, ["predictions"], scans, overwrite=True)
-    assert files_below(out) == before
-
-
 def test_results_that_no_stage_recorded(tmp_path: Path) -> None:
-    path = tmp_path / "out/sequences/08/predictions/a.label"
-    path.parent.mkdir(parents=True)
-    path.write_bytes(b"mine")
-    scans = scans_of(tmp_path, "a", "b")
-    with pytest.raises(OutputError, match="is a result that no stage recorded"):
-        predict(tmp_path / "out", scans=scans)
-    output = predict(tmp_path / "out", scans=scans, overwrite=True)
-    assert path.read_bytes() == b"mine"
-    assert output.kept == {path}
+    """In a folder that the stage had not filled before they are not taken for its own either."""
+    out, scans = tmp_path / "out", scans_of(tmp_path, "a", "b")
+    for folder, name in (("predictions", "a.label"), ("probabilities", "a.npy")):
+        path = out / "sequences/08" / folder / name
+        path.parent.mkdir(parents=True)
+        path.write_bytes(b"mine")
+        with pytest.raises(OutputError, match=rf"{name} · is a result that no stage recorded"):
+            predict(out, folders=("predictions", folder), scans=scans)
+        output = predict(out, folders=("predictions", folder), scans=scans, overwrite=True)
+        assert path in output.kept
+        assert path.read_bytes() == b"mine"
 
 
 def test_an_infinite_setting_is_recorded_as_json_can(tmp_path: Path) -> None:
@@ -268,101 +238,45 @@ def test_another_source_of_the_same_name_is_refused_before_anything_is_removed(t
     assert not (tmp_path / "new").exists()
 
 
-HOLD = """
-import sys
-from pathlib import Path
-from salsanext_cli.errors import OutputError
-from salsanext_cli.storage.output_run import output_run
+@pytest.mark.parametrize("overwrite", [False, True])
+def test_of_two_with_other_settings_one_has_the_folder(tmp_path: Path, overwrite: bool) -> None:
+    together, refused = Barrier(2, timeout=30), Event()
 
-out, weights, overwrite = sys.argv[1:]
-print("ready", flush=True)
-sys.stdin.readline()
-run = (Path(out), "predict", {"weights": weights}, ("predictions",), ())
-try:
-    with output_run(*run, overwrite=bool(overwrite)):
-        print("begun", flush=True)
-        sys.stdin.readline()
-except OutputError as error:
-    print("refused:", error, flush=True)
-"""
-"""A process that begins a run when it is told to, and holds it until told."""
+    def begin(weights: str) -> str:
+        run = (tmp_path, "predict", {"weights": weights}, ("predictions",), ())
+        together.wait()
+        try:
+            with output_run(*run, overwrite=overwrite):
+                assert refused.wait(30)
+                return "begun"
+        except OutputError as error:
+            refused.set()
+            return str(error)
 
-
-@pytest.fixture
-def start() -> Iterator[Start]:
-    """Return what starts a process of `HOLD`; those left are killed."""
-    started: list[subprocess.Popen[str]] = []
-    root = str(Path(salsanext_cli.__file__).parents[1])
-
-    def begin(out: Path, weights: str, overwrite: str = "") -> subprocess.Popen[str]:
-        process = subprocess.Popen(
-            [sys.executable, "-c", HOLD, str(out), weights, overwrite],
-            stdin=subprocess.PIPE,
-            stdout=subprocess.PIPE,
-            text=True,
-            env={**os.environ, "PYTHONPATH": root},
-        )
-        started.append(process)
-        assert heard(process) == "ready"
-        return process
-
-    yield begin
-    for process in started:
-        process.kill()
-        process.communicate()
-
-
-def go(process: subprocess.Popen[str]) -> None:
-    assert process.stdin
-    process.stdin.write("\n")
-    process.stdin.flush()
-
-
-def heard(process: subprocess.Popen[str]) -> str:
-    assert process.stdout
-    return process.stdout.readline().strip()
-
-
-def recorded_weights(out: Path) -> object:
-    return (stage_settings(out, "predict") or {})["weights"]
-
-
-@pytest.mark.parametrize("overwrite", ["", "overwrite"])
-def test_of_two_with_other_settings_one_has_the_folder(
-    tmp_path: Path, start: Start, overwrite: str
-) -> None:
-    runs = {name: start(tmp_path, name, overwrite) for name in "ab"}
-    for process in runs.values():
-        go(process)
-    said = {name: heard(process) for name, process in runs.items()}
+    with ThreadPoolExecutor(2) as threads:
+        said = dict(zip("ab", threads.map(begin, "ab"), strict=True))
     (winner,) = (name for name, words in said.items() if words == "begun")
     (loser,) = {"a", "b"} - {winner}
     assert "weights was" in said[loser] or "another run of `predict` is at work" in said[loser]
-    assert recorded_weights(tmp_path) == winner
-    go(runs[winner])
-    runs[winner].wait()
+    assert stage_settings(tmp_path, "predict") == {"weights": winner}
     assert list(files_below(tmp_path)) == ["predict.json"]
 
 
-def test_results_that_are_being_made_are_not_removed(tmp_path: Path, start: Start) -> None:
-    """Until who makes them has died, however that was."""
-    process = start(tmp_path, "b")
-    go(process)
-    assert heard(process) == "begun"
-    path = tmp_path / "sequences/08/predictions/a.label"
-    WrittenFiles(tmp_path).write(path, b"whole")
-    for stage in ("predict", "knn-refine"):
-        with pytest.raises(OutputError, match="another run of `predict` is at work in it · wait"):
-            begin_and_end(tmp_path, stage, {"weights": "a"}, ["predictions"], overwrite=True)
-    assert path.exists()
-    assert recorded_weights(tmp_path) == "b"
-    assert owner(tmp_path, "predictions") == "predict"
-    process.kill()
-    process.wait()
-    predict(tmp_path, {"weights": "a"}, overwrite=True)
+def test_results_that_are_being_made_are_not_removed(tmp_path: Path) -> None:
+    """Nor others by the run that is refused; the lock of a run that was killed means nothing."""
+    out, scans = tmp_path / "out", scans_of(tmp_path, "a")
+    (path,) = predicted(out, scans)
+    begin_and_end(out, "knn-refine", {}, ["pixel_labels"], scans)
+    before = files_below(out)
+    with output_run(out, "predict", SETTINGS, ("predictions",), scans, overwrite=False):
+        for stage in ("predict", "knn-refine"):
+            with pytest.raises(OutputError, match="another run of `predict` is at work in it · w"):
+                begin_and_end(out, stage, {"k": 3}, ["predictions"], scans, overwrite=True)
+    assert files_below(out) == before
+    (out / f".predict.{'0' * 32}.lock").touch()
+    predict(out, {"weights": "new"}, overwrite=True)
     assert not path.exists()
-    assert recorded_weights(tmp_path) == "a"
-    assert list(files_below(tmp_path)) == ["predict.json"]
+    assert sorted(files_below(out)) == ["knn-refine.json", "predict.json"]
 
 
 def test_runs_side_by_side(tmp_path: Path) -> None:

@@ -1,13 +1,13 @@
 # SPDX-License-Identifier: MIT
 import numpy as np
 import pytest
-from scans import make_scan
+from scans import make_scan, write_array
 
 from salsanext_cli.classes import label_space
 from salsanext_cli.errors import FormatError, LabelError
 from salsanext_cli.records import Scan
 from salsanext_cli.storage.layout import find_scans
-from salsanext_cli.storage.point_files import write_array, write_bin, write_labels
+from salsanext_cli.storage.point_files import write_bin, write_labels
 from salsanext_cli.storage.scan_results import ScanResults, read_results, scalar_columns
 
 SPACE = label_space()

@@ -4,14 +4,13 @@
 import numpy as np
 import pytest
 from empty_runs import begin_and_end
-from scans import SMALL, write_sequence
+from scans import SMALL, write_array, write_sequence
 
 from salsanext_cli.errors import NoInputError
 from salsanext_cli.stages.knn_refine import knn_refine_scans
 from salsanext_cli.stages.predict import predict_range_images, predict_scans
 from salsanext_cli.stages.project import project_scans
 from salsanext_cli.storage.layout import find_scans
-from salsanext_cli.storage.point_files import write_array
 from salsanext_cli.storage.selection import ScanSelection
 from salsanext_cli.storage.sources import missing_predictions, missing_results, recorded_scans
 
@@ -55,6 +54,9 @@ def test_results_of_unknown_origin_are_looked_for_here_and_all_missing(world, mo
     world.predict_by_hand()
     with pytest.raises(NoInputError, match="--dataset"):
         recorded_scans(world.out)
+    monkeypatch.setenv("SALSANEXT_DATASET", str(world.data))
+    assert recorded_scans(world.out) == find_scans(world.data)
+    monkeypatch.delenv("SALSANEXT_DATASET")
     monkeypatch.chdir(world.data)
     assert recorded_scans(world.out) == find_scans(world.data)
     missing = missing_predictions(world.out, find_scans(world.data))
