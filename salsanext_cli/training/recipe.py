@@ -21,8 +21,6 @@ CHOICES = {
     "precision": ("auto", "float32", "bfloat16", "float16"),
 }
 """Words that the keys of type str may have."""
-REMOVED = {"heteroscedastic": 0.0}
-"""Keys of older versions, and the value with which they did nothing."""
 MAX_INTEGER = 2**53
 """Bound of whole numbers in place of others: floats are no longer exact beyond."""
 
@@ -170,11 +168,6 @@ class Recipe:
         UsageError
             If a key is unknown or its value is impossible.
         """
-        for key, idle in REMOVED.items():
-            if key in data and data[key] != idle:
-                found, remedy = f"{key} = {shortened(data[key])}", "use the version that wrote it"
-                raise UsageError(source, found, f"no {key}, which is no longer trained", remedy)
-        data = {key: value for key, value in data.items() if key not in REMOVED}
         refuse_unknown(data, source)
         return cls(**data)
 

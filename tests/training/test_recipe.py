@@ -35,16 +35,6 @@ def test_a_recipe_survives_its_toml(name: str, tmp_path: Path) -> None:
     assert tomllib.loads(recipe(name).to_toml()) == recipe(name).to_dict()
 
 
-def test_a_key_that_was_removed_may_have_done_nothing(tmp_path: Path) -> None:
-    path = tmp_path / "old.toml"
-    for idle in ("0.0", "0"):
-        path.write_text(f"learning_rate = 1\nheteroscedastic = {idle}\n", "utf-8")
-        assert recipe(path) == Recipe(learning_rate=1.0)
-    path.write_text("heteroscedastic = 0.01\n", "utf-8")
-    with pytest.raises(UsageError, match=r"old\.toml · heteroscedastic = 0\.01 · expected no"):
-        recipe(path)
-
-
 def test_an_unknown_key_names_the_known_ones(tmp_path: Path) -> None:
     path = tmp_path / "typo.toml"
     path.write_text("epoch = 7\n", "utf-8")
