@@ -5,6 +5,8 @@ from __future__ import annotations
 
 import stat
 import tomllib
+from collections.abc import Iterable
+from dataclasses import fields
 from pathlib import Path
 from typing import Any
 
@@ -98,6 +100,14 @@ def _text(path: Path, largest: int, expected: str) -> str:
         raise
     except (OSError, ValueError) as error:
         raise UsageError(path, words_of(error), expected) from error
+
+
+def refuse_unknown(data: Iterable[str], kind: type, source: object) -> None:
+    """Raise `UsageError` naming the fields of a dataclass if `data` has a key that is none."""
+    known = sorted(field.name for field in fields(kind))
+    if unknown := sorted(set(data) - set(known)):
+        found = f"unknown key {shortened(', '.join(unknown))}"
+        raise UsageError(source, found, f"keys {', '.join(known)}")
 
 
 def words_of(error: BaseException) -> str:

@@ -6,14 +6,14 @@ from __future__ import annotations
 import json
 import math
 import tomllib
-from collections.abc import Mapping
-from dataclasses import asdict, dataclass, fields, replace
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import asdict, dataclass, fields
 from importlib import resources
 from pathlib import Path
 from typing import Any, Self
 
 from salsanext_cli.errors import UsageError
-from salsanext_cli.settings_files import read_toml, shortened
+from salsanext_cli.settings_files import read_toml, refuse_unknown, shortened
 
 CHOICES = {
     "optimiser": ("sgd", "adamw"),
@@ -21,6 +21,12 @@ CHOICES = {
     "precision": ("auto", "float32", "bfloat16", "float16"),
 }
 """Words that the keys of type str may have."""
+READERS: dict[type, tuple[Callable[[str], Any], str]] = {
+    int: (int, "a whole number"),
+    float: (float, "a number"),
+    str: (lambda text: text.strip("\"'"), "a word"),
+}
+"""Reader of the text of each type of key, and its name; quotes are taken for those of TOML."""
 MAX_INTEGER = 2**53
 """Bound of whole numbers in place of others: floats are no longer exact beyond."""
 
@@ -148,8 +154,7 @@ class Recipe:
 
     def with_changes(self, **changes: Any) -> Self:
         """Return the recipe with some keys changed; an unknown key raises `UsageError`."""
-        refuse_unknown(changes, "recipe")
-        return replace(self, **changes)
+        return self.from_dict({**asdict(self), **changes})
 
     def to_dict(self) -> dict[str, Any]:
         """Return plain data that `from_dict` accepts."""
@@ -168,16 +173,8 @@ class Recipe:
         UsageError
             If a key is unknown or its value is impossible.
         """
-        refuse_unknown(data, source)
+        refuse_unknown(data, cls, source)
         return cls(**data)
-
-
-def refuse_unknown(data: Mapping[str, Any], source: object) -> None:
-    """Raise `UsageError` naming the known keys if `data` holds any other."""
-    known = sorted(field.name for field in fields(Recipe))
-    if unknown := sorted(set(data) - set(known)):
-        found = f"unknown key {shortened(', '.join(unknown))}"
-        raise UsageError(source, found, f"keys {', '.join(known)}")
 
 
 def presets() -> tuple[str, ...]:
@@ -206,3 +203,25 @@ def recipe(name_or_file: str | Path) -> Recipe:
             f"one of {', '.join(presets())}, or a .toml file",
         )
     return Recipe.from_dict(read_toml(path, "a TOML file with a recipe's keys"), path)
+
+
+def read_overrides(texts: Iterable[str]) -> dict[str, Any]:
+    """Return what `Recipe.with_changes` takes; of a key given twice the last value holds.
+
+    Raises
+    ------
+    UsageError
+        If a text is no ``key=value``, the key is unknown or the value not of its type.
+    """
+    changes: dict[str, Any] = {}
+    for text in texts:
+        key, equals, value = (part.strip() for part in text.partition("="))
+        if not (key and equals and value):
+            raise UsageError(f"--set {text}", "no key and value", "key=value, such as batch=4")
+        refuse_unknown({key: value}, Recipe, f"--set {text}")
+        read, expected = READERS[type(getattr(Recipe(), key))]
+        try:
+            changes[key] = read(value)
+        except ValueError as error:
+            raise UsageError(f"--set {key}={value}", f"{value!r}", expected) from error
+    return changes
