@@ -103,9 +103,6 @@ class Training:
         state = TrainingState()
         if checkpoint.exists():
             state = load_checkpoint(checkpoint, self.learner)
-        if len(state.losses) >= steps:
-            found = f"{len(state.losses)} steps of an epoch of {steps}"
-            raise TrainingError(checkpoint, found, "a checkpoint of this training")
         first, group = state.epoch * steps + len(state.losses), self.learner.group
         if (of_main := group.on_main(lambda: first)) != first:
             found = f"the first worker goes on after step {of_main}, this one after step {first}"
@@ -207,10 +204,6 @@ class Training:
         own = validate(self._network(), self.validation[group.rank :: group.size])
         counts = group.sum(torch.from_numpy(own.matrix).to(self.learner.device))
         result = scores(Confusion(space.class_count, counts.cpu().numpy()), space)
-        if not result.points:
-            found = "no point of the validation scans is of a class that counts"
-            where = self.validation[0].label_path.parent
-            raise TrainingError(where, found, f"labels of {space.name}")
         names = {f"iou_{score.name}": score.iou for score in result.classes}
         return {"miou": result.iou_mean_present} | names
 

@@ -42,7 +42,6 @@ from salsanext_cli.storage.stage_records import (
     stage_settings,
 )
 from salsanext_cli.training.checkpoint import TrainingState, load_checkpoint, save_checkpoint
-from salsanext_cli.training.class_counts import class_counts
 from salsanext_cli.training.distributed import ProcessGroup
 from salsanext_cli.training.learner import Learner
 from salsanext_cli.training.log import write_log
@@ -223,14 +222,10 @@ def _read_record(path: Path) -> None:
     begin_and_end(out, "export-ply", {}, ["ply"], scans[:1], overwrite=True)
 
 
-def _run_folder(folder: Path) -> tuple[Path, bytes, bytes, tuple]:
-    data, run = write_sequence(folder / "00", ["a"], count=COUNT), folder / "run"
-    scans = find_scans(data)
-    class_counts(run / "class_counts.json", (scans, scans, scans), label_space(), SMALL)
-    StageRecord("train", {"recipe": Recipe().to_dict()}).write(run)
-    (run / "checkpoint.safetensors").touch()
-    records = [(run / name).read_bytes() for name in ("train.json", "class_counts.json")]
-    return run, records[0], records[1], (scans, scans, scans)
+def _train_record(folder: Path) -> Path:
+    StageRecord("train", {"recipe": Recipe().to_dict()}).write(folder)
+    (folder / "checkpoint.safetensors").touch()
+    return folder / "train.json"
 
 
 def _read_curve(path: Path) -> None:
@@ -244,16 +239,13 @@ def readers(folder: Path) -> dict[str, Reader]:
     toml = "".join(f"{key} = {json.dumps(value)}\n" for key, value in keys.items()).encode()
     space = yaml.safe_dump(FEW.to_dict(), sort_keys=False).encode()
     out, record = _out(folder)
-    run, train, counts, splits = _run_folder(folder)
+    train = _train_record(folder / "run")
     image = np.zeros((5, 4, 6), np.float32)
     images = [encode_array(image), encode_array(image[:, :1])]
     numbers = encode_array(np.arange(COUNT, dtype=np.float32))
 
     def npy(path: Path) -> None:
         read_array(path, np.float32, (5, None, None))
-
-    def recorded_counts(path: Path) -> None:
-        class_counts(path, splits, label_space(), SMALL)
 
     published = Reader("p.pt", _published(old=False), read_published)
     return {
@@ -282,7 +274,6 @@ def readers(folder: Path) -> dict[str, Reader]:
         "pickle of a published one": _pickle_of(published),
         "published, old": Reader("old.pt", _published(old=True), read_published),
         "record": Reader(str(out / "predict.json"), [record], _read_record),
-        "train.json": Reader(str(run / "train.json"), [train], _read_curve),
-        "class_counts.json": Reader(str(run / "class_counts.json"), [counts], recorded_counts),
+        "train.json": Reader(str(train), [train.read_bytes()], _read_curve),
         "json": Reader("eval.json", [b'{"settings": {"by_distance": false}}'], read_json),
     }

@@ -26,7 +26,7 @@ NAMES = (
     *("bin", "pcd.bin", "label", "npy", "npy of uncertainty", "npy of probabilities", "ply"),
     *("pcd ascii", "pcd binary", "pcd binary_compressed", "yaml", "toml of a sensor"),
     *("toml of a recipe", "safetensors", "checkpoint", "published", "published, old"),
-    *("pickle of a published one", "record", "train.json", "class_counts.json", "json"),
+    *("pickle of a published one", "record", "train.json", "json"),
 )
 
 
