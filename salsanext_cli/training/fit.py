@@ -26,9 +26,8 @@ from salsanext_cli.storage.layout import ScanFile
 from salsanext_cli.storage.written_files import WrittenFiles
 from salsanext_cli.training.checkpoint import TrainingState, load_checkpoint, save_checkpoint
 from salsanext_cli.training.dataset import Batch, Samples, batches
-from salsanext_cli.training.learner import Learner
+from salsanext_cli.training.learner import Learner, learning_rate
 from salsanext_cli.training.log import EpochWriter, Row, draw_curve, write_log
-from salsanext_cli.training.optimiser import learning_rate
 from salsanext_cli.training.run_folder import BEST, CHECKPOINT, CURVE, LAST, LOG, sample_path
 from salsanext_cli.training.validation import validate
 

@@ -2,8 +2,12 @@
 import pytest
 import torch
 
-from salsanext_cli.network.complexity import multiply_accumulates, parameter_count
-from salsanext_cli.network.papers import PAPERS, agrees
+from salsanext_cli.network.complexity import (
+    PAPERS,
+    agrees,
+    multiply_accumulates,
+    parameter_count,
+)
 from salsanext_cli.network.registry import ARCHITECTURES, build
 
 OFF = {"salsanext", "salsanet-shuffle", "salsanet-pooling"}
