@@ -163,12 +163,5 @@ def sensor(name_or_file: str | Path) -> Sensor:
     if str(name_or_file) in presets():
         return presets()[str(name_or_file)]
     path = Path(name_or_file)
-    if not path.is_file():
-        known = ", ".join(presets())
-        raise UsageError(
-            f"sensor {name_or_file}",
-            "no preset and no file of that name",
-            f"one of {known}, or a .toml file",
-        )
-    data = read_toml(path, "a TOML file with a sensor's keys")
+    data = read_toml(path, "sensor", presets())
     return Sensor.from_dict({"name": path.stem, **data}, path)

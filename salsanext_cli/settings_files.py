@@ -66,16 +66,18 @@ def read_yaml(path: Path, expected: str) -> Any:
         raise UsageError(path, words_of(error), expected) from error
 
 
-def read_toml(path: Path, expected: str) -> dict[str, Any]:
-    """Read a TOML file.
+def read_toml(path: Path, kind: str, presets: Iterable[str]) -> dict[str, Any]:
+    """Read the TOML file of a setting, a "sensor" say, that is no preset.
 
     Raises
     ------
-    FileNotFoundError
-        If there is no such file.
     UsageError
-        If it cannot be read; the message contains `expected`.
+        If there is no such file or it cannot be read.
     """
+    if not path.is_file():
+        found = "no preset and no file of that name"
+        raise UsageError(f"{kind} {path}", found, f"one of {', '.join(presets)}, or a .toml file")
+    expected = f"a TOML file with a {kind}'s keys"
     text = _text(path, MAX_TOML_BYTES, expected)
     if any(len(line) > MAX_LINE_CHARACTERS for line in text.splitlines()):
         raise UsageError(path, f"a line of more than {MAX_LINE_CHARACTERS} characters", expected)

@@ -54,28 +54,17 @@ def read_torch_file(path: Path) -> Any:
         raise WeightsError(path, found, "a file of torch.save") from error
 
 
-def require_stored(archive: ZipFile, file: BinaryIO) -> None:
-    """Raise `BadZipFile` if an archive holds less than it unpacks to; torch never compresses.
-
-    Parameters
-    ----------
-    archive : ZipFile
-        Opened on `file`.
-    file : BinaryIO
-        The file itself.
-    """
-    members = archive.infolist()
-    size = file.seek(0, 2)
-    if (
-        any(m.compress_type != ZIP_STORED for m in members)
-        or sum(m.file_size for m in members) > size
-    ):
+def _require_stored(archive: ZipFile, file: BinaryIO) -> None:
+    """Raise `BadZipFile` if an archive holds less than it unpacks to; torch never compresses."""
+    members, size = archive.infolist(), file.seek(0, 2)
+    compressed = any(member.compress_type != ZIP_STORED for member in members)
+    if compressed or sum(member.file_size for member in members) > size:
         raise BadZipFile("it would unpack to more than it holds")
 
 
 def _read_archive(file: BinaryIO) -> Any:
     with ZipFile(file) as archive:
-        require_stored(archive, file)
+        _require_stored(archive, file)
         names = archive.namelist()
         (pickled,) = [name for name in names if name.endswith("/data.pkl")]
         folder = pickled.removesuffix("data.pkl")

@@ -196,13 +196,7 @@ def recipe(name_or_file: str | Path) -> Recipe:
         built_in = resources.files("salsanext_cli").joinpath(f"presets/recipes/{name}.toml")
         return Recipe.from_dict(tomllib.loads(built_in.read_text("utf-8")), name)
     path = Path(name_or_file)
-    if not path.is_file():
-        raise UsageError(
-            f"recipe {name}",
-            "no preset and no file of that name",
-            f"one of {', '.join(presets())}, or a .toml file",
-        )
-    return Recipe.from_dict(read_toml(path, "a TOML file with a recipe's keys"), path)
+    return Recipe.from_dict(read_toml(path, "recipe", presets()), path)
 
 
 def read_overrides(texts: Iterable[str]) -> dict[str, Any]:
