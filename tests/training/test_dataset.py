@@ -8,7 +8,6 @@ import torch
 from scans import SMALL, write_sequence
 
 from salsanext_cli.classes import label_space
-from salsanext_cli.errors import FormatError
 from salsanext_cli.formats.kitti import read_bin, read_labels
 from salsanext_cli.geometry.projection import project
 from salsanext_cli.storage.layout import ScanFile, find_scans
@@ -224,10 +223,3 @@ def test_counting_counts_every_point(files: list[ScanFile]) -> None:
         np.testing.assert_array_equal(counts.sum(axis=0), expected)
         own = np.bincount(SPACE.to_train(read_labels(files[1].label_path)), minlength=20)
         np.testing.assert_array_equal(counts[1], own)
-
-
-def test_a_truncated_scan_is_named(tmp_path: Path) -> None:
-    (file,) = find_scans(write_sequence(tmp_path / "00"))
-    file.path.write_bytes(file.path.read_bytes()[:-3])
-    with pytest.raises(FormatError, match=r"000000\.bin"):
-        count_classes([file], SPACE, SMALL)
