@@ -18,6 +18,8 @@ import safetensors.torch
 import torch
 
 from salsanext_cli.errors import TrainingError
+from salsanext_cli.geometry.knn import knn_refine
+from salsanext_cli.geometry.projection import project
 from salsanext_cli.inference.network import Network
 from salsanext_cli.measures.confusion import Confusion
 from salsanext_cli.measures.scores import scores
@@ -25,11 +27,10 @@ from salsanext_cli.network.weights import WeightsCard
 from salsanext_cli.storage.layout import ScanFile
 from salsanext_cli.storage.written_files import WrittenFiles
 from salsanext_cli.training.checkpoint import TrainingState, load_checkpoint, save_checkpoint
-from salsanext_cli.training.dataset import Batch, Samples, batches
+from salsanext_cli.training.dataset import Batch, Samples, batches, read_labelled
 from salsanext_cli.training.learner import Learner, learning_rate
 from salsanext_cli.training.log import EpochWriter, Row, draw_curve, write_log
 from salsanext_cli.training.run_folder import BEST, CHECKPOINT, CURVE, LAST, LOG, sample_path
-from salsanext_cli.training.validation import validate
 
 SAVE_INTERVAL_S = 600.0
 """Seconds between two checkpoints within an epoch."""
@@ -210,3 +211,15 @@ class Training:
         if self.learner.group.is_main:
             epoch, epochs = state.epoch + (row is None), self.learner.recipe.epochs
             self.report(Report(epoch, epochs, step + 1, self.samples.plan.steps, loss, row))
+
+
+def validate(network: Network, files: Sequence[ScanFile]) -> Confusion:
+    """Predict labelled scans as `predict` does and count truth against prediction."""
+    space = network.card.space
+    confusion = Confusion(space.class_count)
+    for file in files:
+        scan, truth = read_labelled(file, space, network.sensor)
+        image = project(scan, network.sensor)
+        pixel_labels = network.probabilities(image).argmax(axis=0)
+        confusion.update(truth, knn_refine(image, pixel_labels, space.class_count))
+    return confusion
