@@ -26,9 +26,16 @@ from salsanext_cli.geometry.projection import project
 from salsanext_cli.records import Float
 from salsanext_cli.sensors import Sensor
 from salsanext_cli.storage.layout import ScanFile
-from salsanext_cli.training.augment import LabelledScan, augment
+from salsanext_cli.training.augment import (
+    PASTED_COPIES,
+    Checkerboard,
+    LabelledScan,
+    augment,
+    mix,
+    paste,
+    select,
+)
 from salsanext_cli.training.distributed import SINGLE_PROCESS, ProcessGroup
-from salsanext_cli.training.mixing import PASTED_COPIES, Checkerboard, mix, paste, select
 from salsanext_cli.training.recipe import Recipe
 from salsanext_cli.training.sampling import SAMPLE, SampleKey, SamplingPlan
 

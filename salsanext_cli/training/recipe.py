@@ -79,7 +79,7 @@ class Recipe:
     rotate, shift, flip, drop : float
         Probability of each augmentation.
     mix : float
-        Probability of taking some cells of a scan from another scan; see `training.mixing`.
+        Probability of taking some cells of a scan from another scan; see `training.augment`.
     paste : float
         Probability of adding the points of rare classes of another scan.
     validate_every, validation_scans : int

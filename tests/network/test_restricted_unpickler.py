@@ -19,8 +19,8 @@ from fuzzing.limits import bounded
 from torch import nn
 
 from salsanext_cli.errors import WeightsError
+from salsanext_cli.network.published import read_torch_file
 from salsanext_cli.network.restricted_unpickler import MAX_OPERATIONS, Opaque
-from salsanext_cli.network.torch_files import read_torch_file
 
 FORMS = pytest.mark.parametrize("as_zip", [True, False], ids=["zip", "legacy"])
 PROTOCOL, STOP, NEVER_RUN = b"\x80\x02", b".", "touched"
