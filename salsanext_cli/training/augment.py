@@ -1,11 +1,11 @@
 # SPDX-License-Identifier: MIT
-"""Augmentations of the paper, and mixing of scans, on points, before projecting.
+"""Augmentations of labelled scans: those of the paper, mixing of scans, and windows of images.
 
-Because points move and not pixels, and the nearest point wins each pixel whichever scan it is from,
-range, x, y and z of the range image stay consistent. Sources of the mixing: LaserMix (Kong et al.
-2023) alternates two scans band by band of inclination, PolarMix (Xiao et al. 2022) sector by sector
-of azimuth, RangeFormer (Kong et al. 2023) box by box of the range image; the last two add points of
-rare classes of another scan.
+All but the windows move points before they are projected. So range, x, y and z of the range image
+stay consistent, and the nearest point wins each pixel whichever scan it is from. Sources of the
+mixing: LaserMix (Kong et al. 2023) alternates two scans band by band of inclination, PolarMix (Xiao
+et al. 2022) sector by sector of azimuth, RangeFormer (Kong et al. 2023) box by box of the range
+image; the last two add points of rare classes of another scan.
 """
 
 from __future__ import annotations
@@ -174,3 +174,42 @@ def concatenate(*scans: LabelledScan) -> LabelledScan:
     points = np.concatenate([scan.points for scan, _ in scans])
     intensity = np.concatenate([scan.intensity for scan, _ in scans])
     return Scan(points, intensity), np.concatenate([labels for _, labels in scans])
+
+
+def choose_columns(
+    truth: TrainIds,
+    scored: npt.NDArray[np.bool_],
+    width: int,
+    on_class: float,
+    random: np.random.Generator,
+) -> npt.NDArray[np.intp]:
+    """Choose the columns of a window that may go round the circle.
+
+    Parameters
+    ----------
+    truth : (H, W) uint8
+        Train ids.
+    scored : (C,) bool
+        Which classes count.
+    width : int
+        Columns wanted; 0 or more than W for all, in their order.
+    on_class : float
+        Probability of placing the window so that it holds a pixel of a class drawn evenly from
+        those present, instead of anywhere.
+    random : np.random.Generator
+
+    Returns
+    -------
+    (width,) intp
+    """
+    whole = truth.shape[1]
+    if width == 0 or width >= whole:
+        return np.arange(whole)
+    start = random.integers(whole)
+    if random.random() < on_class:
+        present = np.flatnonzero(np.bincount(truth.ravel(), minlength=len(scored)) * scored)
+        if len(present):
+            _, candidates = np.nonzero(truth == random.choice(present))
+            start = random.choice(candidates) - random.integers(width)
+    columns: npt.NDArray[np.intp] = (start + np.arange(width)) % whole
+    return columns

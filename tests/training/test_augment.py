@@ -8,6 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scans import SMALL, make_scan
 
+from salsanext_cli.classes import label_space
 from salsanext_cli.geometry.projection import project
 from salsanext_cli.records import Scan
 from salsanext_cli.training.augment import (
@@ -15,6 +16,7 @@ from salsanext_cli.training.augment import (
     Checkerboard,
     LabelledScan,
     augment,
+    choose_columns,
     mix,
     paste,
     rotate,
@@ -244,3 +246,37 @@ def test_nothing_is_pasted_on_the_sensor_or_without_a_measurement() -> None:
     scan, labels = paste(labelled(1), broken, np.array([1.0, 2.0]))
     assert len(labels) == 1500 + 2
     np.testing.assert_allclose(np.hypot(*scan.points[1500:].T[:2]), 1.1 * CLEAR_RADIUS_M, rtol=1e-5)
+
+
+# Windows
+
+SCORED = label_space().scored
+
+
+@pytest.mark.parametrize("width", [0, 100, 200])
+def test_no_crop_takes_every_column_in_order(width: int) -> None:
+    columns = choose_columns(
+        np.zeros((4, 100), np.uint8), SCORED, width, 1.0, np.random.default_rng(0)
+    )
+    np.testing.assert_array_equal(columns, np.arange(100))
+
+
+def test_windows_start_anywhere_and_go_round_the_circle() -> None:
+    random = np.random.default_rng(0)
+    truth = np.ones((2, 64), np.uint8)
+    starts = set()
+    for _ in range(1000):
+        columns = choose_columns(truth, SCORED, 24, 0.0, random)
+        np.testing.assert_array_equal(columns, (columns[0] + np.arange(24)) % 64)
+        starts.add(int(columns[0]))
+    assert starts == set(range(64))
+
+
+def test_windows_on_a_class_hold_rare_ones_as_often_as_common_ones() -> None:
+    truth = np.full((4, 512), 9, np.uint8)
+    truth[2, 100] = 6  # one pixel of person
+    truth[:, 300] = 0  # unlabelled, never aimed at
+    random = np.random.default_rng(0)
+    holds = [6 in truth[:, choose_columns(truth, SCORED, 32, 1.0, random)] for _ in range(1000)]
+    assert np.mean(holds) == pytest.approx(0.5 + 0.5 * 32 / 512, abs=0.05)
+    assert len(choose_columns(0 * truth, SCORED, 16, 1.0, random)) == 16
