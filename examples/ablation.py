@@ -17,8 +17,7 @@ import torch
 import salsanext_cli as sn
 from salsanext_cli.geometry.knn import KnnParameters
 from salsanext_cli.inference.settings import NetworkSettings
-from salsanext_cli.network.complexity import multiply_accumulates, parameter_count
-from salsanext_cli.network.papers import PAPERS
+from salsanext_cli.network.complexity import PAPERS, multiply_accumulates, parameter_count
 from salsanext_cli.network.registry import build
 from salsanext_cli.parallel.run import RunOptions
 from salsanext_cli.stages.evaluate import evaluate

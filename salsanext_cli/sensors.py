@@ -7,14 +7,14 @@ import json
 import math
 import tomllib
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, fields, replace
+from dataclasses import asdict, dataclass, replace
 from functools import cache
 from importlib import resources
 from pathlib import Path
 from typing import Any
 
 from salsanext_cli.errors import UsageError
-from salsanext_cli.settings_files import read_toml, shortened, words_of
+from salsanext_cli.settings_files import read_toml, refuse_unknown, shortened, words_of
 
 SEMANTIC_KITTI_MEANS = (12.12, 10.88, 0.23, -1.04, 0.21)
 SEMANTIC_KITTI_STDS = (12.32, 11.47, 6.91, 0.86, 0.16)
@@ -119,13 +119,7 @@ class Sensor:
     @classmethod
     def from_dict(cls, data: Mapping[str, Any], source: object = "sensor") -> Sensor:
         """Build a sensor from plain data; an unknown or missing key raises `UsageError`."""
-        known = {field.name for field in fields(cls)}
-        if unknown := sorted(set(data) - known):
-            raise UsageError(
-                source,
-                f"unknown key {shortened(', '.join(unknown))}",
-                f"keys {', '.join(sorted(known))}",
-            )
+        refuse_unknown(data, cls, source)
         values: dict[str, Any] = {
             key: tuple(value) if isinstance(value, list) else value for key, value in data.items()
         }
@@ -177,12 +171,5 @@ def sensor(name_or_file: str | Path) -> Sensor:
     if str(name_or_file) in presets():
         return presets()[str(name_or_file)]
     path = Path(name_or_file)
-    if not path.is_file():
-        known = ", ".join(presets())
-        raise UsageError(
-            f"sensor {name_or_file}",
-            "no preset and no file of that name",
-            f"one of {known}, or a .toml file",
-        )
-    data = read_toml(path, "a TOML file with a sensor's keys")
+    data = read_toml(path, "sensor", presets())
     return Sensor.from_dict({"name": path.stem, **data}, path)

@@ -5,6 +5,8 @@ from __future__ import annotations
 
 import stat
 import tomllib
+from collections.abc import Iterable
+from dataclasses import fields
 from pathlib import Path
 from typing import Any
 
@@ -64,16 +66,18 @@ def read_yaml(path: Path, expected: str) -> Any:
         raise UsageError(path, words_of(error), expected) from error
 
 
-def read_toml(path: Path, expected: str) -> dict[str, Any]:
-    """Read a TOML file.
+def read_toml(path: Path, kind: str, presets: Iterable[str]) -> dict[str, Any]:
+    """Read the TOML file of a setting, a "sensor" say, that is no preset.
 
     Raises
     ------
-    FileNotFoundError
-        If there is no such file.
     UsageError
-        If it cannot be read; the message contains `expected`.
+        If there is no such file or it cannot be read.
     """
+    if not path.is_file():
+        found = "no preset and no file of that name"
+        raise UsageError(f"{kind} {path}", found, f"one of {', '.join(presets)}, or a .toml file")
+    expected = f"a TOML file with a {kind}'s keys"
     text = _text(path, MAX_TOML_BYTES, expected)
     if any(len(line) > MAX_LINE_CHARACTERS for line in text.splitlines()):
         raise UsageError(path, f"a line of more than {MAX_LINE_CHARACTERS} characters", expected)
@@ -98,6 +102,14 @@ def _text(path: Path, largest: int, expected: str) -> str:
         raise
     except (OSError, ValueError) as error:
         raise UsageError(path, words_of(error), expected) from error
+
+
+def refuse_unknown(data: Iterable[str], kind: type, source: object) -> None:
+    """Raise `UsageError` naming the fields of a dataclass if `data` has a key that is none."""
+    known = sorted(field.name for field in fields(kind))
+    if unknown := sorted(set(data) - set(known)):
+        found = f"unknown key {shortened(', '.join(unknown))}"
+        raise UsageError(source, found, f"keys {', '.join(known)}")
 
 
 def words_of(error: BaseException) -> str:

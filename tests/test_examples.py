@@ -23,8 +23,8 @@ from salsanext_cli.network.salsanext import SalsaNext
 from salsanext_cli.network.weights import read_card
 from salsanext_cli.storage.layout import find_scans, output_path
 from salsanext_cli.storage.point_files import write_bin
+from salsanext_cli.training.fit import validate
 from salsanext_cli.training.log import write_log
-from salsanext_cli.training.validation import validate
 
 EXAMPLES = Path(__file__).parents[1] / "examples"
 NAMES = sorted(path.stem for path in EXAMPLES.glob("*.py"))

@@ -75,15 +75,3 @@ def test_the_sample_of_the_design_runs(tmp_path, monkeypatch, weights):
     assert labels.dtype == np.uint8
     raw = sn.label_space().to_raw(labels)
     np.testing.assert_array_equal(sn.label_space().to_train(raw), labels)
-
-
-def test_mistakes_are_of_one_family(tmp_path):
-    for mistake in (
-        lambda: sn.read_scan(tmp_path / "none.bin"),
-        lambda: sn.sensor("hdl65"),
-        lambda: sn.label_space("nothing"),
-        lambda: sn.load_network(tmp_path / "none.safetensors"),
-        lambda: sn.load_network(device="cuda:99"),
-    ):
-        with pytest.raises(sn.SalsanextError):
-            mistake()

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from functools import partial
 from typing import Any
 
 from salsanext_cli.errors import UsageError
@@ -14,24 +15,18 @@ from salsanext_cli.network.salsanext import SalsaNext
 from salsanext_cli.network.segmentation import SegmentationNetwork
 from salsanext_cli.settings_files import shortened, words_of
 
+NUMBERS = frozenset({"class_count", "dropout"})
+"""Numbers that a weights file may give of a network."""
+
 
 def _of(design: Design) -> Callable[..., SegmentationNetwork]:
-    """Return a builder of a design's networks, from the numbers that a weights file may give."""
-
-    def make(class_count: int = 20, dropout: float = 0.2) -> SegmentationNetwork:
-        return SalsaNext(class_count, dropout, design)
-
-    return make
-
-
-def _rangenet53(class_count: int = 20, dropout: float = 0.01) -> SegmentationNetwork:
-    return RangeNet53(class_count, dropout)
+    return partial(SalsaNext, design=design)
 
 
 ARCHITECTURES: dict[str, Callable[..., SegmentationNetwork]] = {
     "salsanext": _of(designs.SALSANEXT),
     "salsanext-v1": _of(designs.V1_POOLING),
-    "rangenet53": _rangenet53,
+    "rangenet53": RangeNet53,
     "salsanet": _of(designs.SALSANET),
     "salsanet-context": _of(designs.SALSANET_CONTEXT),
     "salsanet-dropout": _of(designs.SALSANET_DROPOUT),
@@ -61,6 +56,8 @@ def build(architecture: Mapping[str, Any], source: object = "architecture") -> S
             source, f"architecture {shortened(name)}", f"one of {', '.join(ARCHITECTURES)}"
         )
     try:
+        if unknown := sorted(numbers.keys() - NUMBERS):
+            raise TypeError(f"no {', '.join(unknown)}")
         return ARCHITECTURES[name](**numbers)
     except (TypeError, ValueError) as error:
         found = f"architecture {name} with {shortened(numbers)}"

@@ -88,7 +88,12 @@ class WeightsCard:
             values = json.loads(metadata.get(KEY, "{}"))
             if not isinstance(values, dict):
                 raise TypeError(f"{KEY} is no table")
-            _require_format(values.get("format"), source)
+            if (form := values.get("format")) is None:
+                expected = "weights that `train` or `import-weights` wrote"
+                raise WeightsError(source, "lacks what salsanext writes", expected)
+            if form != FORMAT:
+                remedy = "use the version that wrote it"
+                raise WeightsError(source, f"format {shortened(form)}", FORMAT, remedy)
             if bad := [key for key in TABLES if not isinstance(values[key], dict)]:
                 raise TypeError(f"{bad[0]} is no table")
             return cls(
@@ -104,17 +109,6 @@ class WeightsCard:
             raise WeightsError(source, f"damaged metadata: {error.found}") from error
         except (KeyError, TypeError, ValueError, RecursionError) as error:
             raise WeightsError(source, f"damaged metadata: {words_of(error)}") from error
-
-
-def _require_format(found: object, source: object) -> None:
-    if found is None:
-        raise WeightsError(
-            source, "lacks what salsanext writes", "weights that `train` or `import-weights` wrote"
-        )
-    if found != FORMAT:
-        raise WeightsError(
-            source, f"format {shortened(found)}", FORMAT, "use the version that wrote it"
-        )
 
 
 def _temperature(value: Any) -> float:

@@ -11,11 +11,13 @@ from typing import Any
 import torch
 
 from salsanext_cli.network.complexity import (
+    PAPERS,
     RECEPTIVE_FIELDS,
+    PaperFigures,
+    agrees,
     multiply_accumulates,
     parameter_count,
 )
-from salsanext_cli.network.papers import PAPERS, agrees
 from salsanext_cli.network.registry import ARCHITECTURES, build
 from salsanext_cli.network.weights import WeightsCard, read_card
 from salsanext_cli.storage.identity import fingerprint

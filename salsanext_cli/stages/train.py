@@ -26,7 +26,7 @@ from salsanext_cli.sensors import Sensor
 from salsanext_cli.sensors import sensor as preset_sensor
 from salsanext_cli.storage.identity import fingerprint
 from salsanext_cli.storage.layout import ScanFile, find_scans
-from salsanext_cli.storage.selection import data_set_label_space
+from salsanext_cli.storage.selection import data_set_label_space, evenly_spaced
 from salsanext_cli.training.class_counts import (
     class_counts,
     class_weights,
@@ -48,7 +48,6 @@ from salsanext_cli.training.run_folder import (
     require_free,
     trained_alone,
 )
-from salsanext_cli.training.validation import evenly_spaced
 
 DEFAULT_SENSOR = "hdl64"
 """Sensor of a training from random weights, unless another is given."""

@@ -23,9 +23,8 @@ from salsanext_cli.network.weights import save_with_card
 from salsanext_cli.parallel.run import Progress
 from salsanext_cli.storage.atomic import require_target
 from salsanext_cli.storage.layout import ScanFile
-from salsanext_cli.storage.selection import ScanSelection
+from salsanext_cli.storage.selection import ScanSelection, select_evenly
 from salsanext_cli.training.tuning.batch_norm import Statistics, norms, statistics_of_scan
-from salsanext_cli.training.validation import select_evenly
 
 SHARE = 0.5
 """Share of the new statistics: within 0.3 points of the best on three sensors (docs/tune.md)."""

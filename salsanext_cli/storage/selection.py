@@ -5,8 +5,10 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
+
+import numpy as np
 
 from salsanext_cli.classes import LabelSpace, label_space
 from salsanext_cli.errors import NoInputError, UsageError
@@ -136,3 +138,16 @@ def space_of(scans: Sequence[ScanFile], fallback: LabelSpace | None = None) -> L
         return own
     usual = label_space()
     return usual if fallback is None or fallback.fits(usual) else fallback
+
+
+def evenly_spaced(files: Sequence[ScanFile], count: int) -> list[ScanFile]:
+    """Return `count` of the files, evenly spaced; all if `count` is 0 or there are no more."""
+    if count == 0 or count >= len(files):
+        return list(files)
+    return [files[i] for i in np.linspace(0, len(files) - 1, count).round().astype(int)]
+
+
+def select_evenly(source: Path, selection: ScanSelection, space: LabelSpace) -> list[ScanFile]:
+    """Find the scans of a selection, as `select_scans`; a limit takes evenly spaced ones."""
+    scans = select_scans(source, replace(selection, limit=None), space)
+    return evenly_spaced(scans, selection.limit or 0)

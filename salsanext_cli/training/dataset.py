@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Samples of labelled scans, the same ones whatever the number of worker processes.
+"""Samples of labelled scans, and their order, the same whatever the number of worker processes.
 
 Everything drawn for a sample comes from a generator of its own, seeded by the recipe's seed and
 the sample's position in the whole training.
@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from itertools import islice
 from typing import Any
 
 import numpy as np
@@ -26,11 +27,24 @@ from salsanext_cli.geometry.projection import project
 from salsanext_cli.records import Float
 from salsanext_cli.sensors import Sensor
 from salsanext_cli.storage.layout import ScanFile
-from salsanext_cli.training.augment import LabelledScan, augment
+from salsanext_cli.training.augment import (
+    PASTED_COPIES,
+    Checkerboard,
+    LabelledScan,
+    augment,
+    choose_columns,
+    mix,
+    paste,
+    select,
+)
 from salsanext_cli.training.distributed import SINGLE_PROCESS, ProcessGroup
-from salsanext_cli.training.mixing import PASTED_COPIES, Checkerboard, mix, paste, select
 from salsanext_cli.training.recipe import Recipe
-from salsanext_cli.training.sampling import SAMPLE, SampleKey, SamplingPlan
+
+ORDER, SAMPLE = 0, 1
+"""Purposes of generators, a part of their seeds, so that no two are alike."""
+
+SampleKey = tuple[int, int]
+"""Position of a sample in the whole training, index of its scan."""
 
 Sample = tuple[Float, TrainIds, int]
 """Normalised image (5, H, W), truth (H, W), index of the scan."""
@@ -54,43 +68,58 @@ def read_labelled(file: ScanFile, space: LabelSpace, sensor: Sensor) -> Labelled
     return scan, space.to_train(raw, source=file.label_path)
 
 
-def choose_columns(
-    truth: TrainIds,
-    scored: npt.NDArray[np.bool_],
-    width: int,
-    on_class: float,
-    random: np.random.Generator,
-) -> npt.NDArray[np.intp]:
-    """Choose the columns of a window that may go round the circle.
+@dataclass(frozen=True, slots=True)
+class SamplingPlan:
+    """Batches of the whole training, each a list of sample keys.
 
-    Parameters
+    Every scan is drawn once before any is drawn again, and every batch is whole: the last one of an
+    epoch goes on with the next round of scans. A batch of one or two would upset the statistics of
+    batch norm just before they are validated.
+
+    Attributes
     ----------
-    truth : (H, W) uint8
-        Train ids.
-    scored : (C,) bool
-        Which classes count.
-    width : int
-        Columns wanted; 0 or more than W for all, in their order.
-    on_class : float
-        Probability of placing the window so that it holds a pixel of a class drawn evenly from
-        those present, instead of anywhere.
-    random : np.random.Generator
-
-    Returns
-    -------
-    (width,) intp
+    scan_count : int
+    recipe : Recipe
     """
-    whole = truth.shape[1]
-    if width == 0 or width >= whole:
-        return np.arange(whole)
-    start = random.integers(whole)
-    if random.random() < on_class:
-        present = np.flatnonzero(np.bincount(truth.ravel(), minlength=len(scored)) * scored)
-        if len(present):
-            _, candidates = np.nonzero(truth == random.choice(present))
-            start = random.choice(candidates) - random.integers(width)
-    columns: npt.NDArray[np.intp] = (start + np.arange(width)) % whole
-    return columns
+
+    scan_count: int
+    recipe: Recipe
+
+    @property
+    def steps_per_epoch(self) -> int:
+        """Number of batches of an epoch, which hold all its samples."""
+        return -(-(self.recipe.samples_per_epoch or self.scan_count) // self.recipe.batch)
+
+    @property
+    def steps(self) -> int:
+        """Number of batches of the whole training."""
+        return self.steps_per_epoch * self.recipe.epochs
+
+    def crop_width(self, position: int) -> int:
+        """Return the columns of the window of a sample, 0 for the full circle."""
+        epoch = position // (self.steps_per_epoch * self.recipe.batch)
+        last = epoch >= self.recipe.epochs - self.recipe.whole_epochs
+        return 0 if self.recipe.whole_epochs and last else self.recipe.crop_width
+
+    def batches(
+        self, first_step: int = 0, group: ProcessGroup = SINGLE_PROCESS
+    ) -> Iterator[list[SampleKey]]:
+        """Yield a worker's share of each batch, from a step of the whole training to its end.
+
+        The shares of all workers together are the batch that one alone would have.
+        """
+        keys = self._keys(first_step * self.recipe.batch)
+        for _ in range(first_step, self.steps):
+            yield list(islice(keys, self.recipe.batch))[group.rank :: group.size]
+
+    def _keys(self, position: int) -> Iterator[SampleKey]:
+        """Yield keys without end, from a position of the whole training."""
+        while True:
+            time, place = divmod(position, self.scan_count)
+            random = np.random.default_rng((self.recipe.seed, ORDER, time))
+            for index in random.permutation(self.scan_count)[place:]:
+                yield position, int(index)
+                position += 1
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -18,6 +18,8 @@ import safetensors.torch
 import torch
 
 from salsanext_cli.errors import TrainingError
+from salsanext_cli.geometry.knn import knn_refine
+from salsanext_cli.geometry.projection import project
 from salsanext_cli.inference.network import Network
 from salsanext_cli.measures.confusion import Confusion
 from salsanext_cli.measures.scores import scores
@@ -25,12 +27,10 @@ from salsanext_cli.network.weights import WeightsCard
 from salsanext_cli.storage.layout import ScanFile
 from salsanext_cli.storage.written_files import WrittenFiles
 from salsanext_cli.training.checkpoint import TrainingState, load_checkpoint, save_checkpoint
-from salsanext_cli.training.dataset import Batch, Samples, batches
-from salsanext_cli.training.learner import Learner
+from salsanext_cli.training.dataset import Batch, Samples, batches, read_labelled
+from salsanext_cli.training.learner import Learner, learning_rate
 from salsanext_cli.training.log import EpochWriter, Row, draw_curve, write_log
-from salsanext_cli.training.optimiser import learning_rate
 from salsanext_cli.training.run_folder import BEST, CHECKPOINT, CURVE, LAST, LOG, sample_path
-from salsanext_cli.training.validation import validate
 
 SAVE_INTERVAL_S = 600.0
 """Seconds between two checkpoints within an epoch."""
@@ -103,9 +103,6 @@ class Training:
         state = TrainingState()
         if checkpoint.exists():
             state = load_checkpoint(checkpoint, self.learner)
-        if len(state.losses) >= steps:
-            found = f"{len(state.losses)} steps of an epoch of {steps}"
-            raise TrainingError(checkpoint, found, "a checkpoint of this training")
         first, group = state.epoch * steps + len(state.losses), self.learner.group
         if (of_main := group.on_main(lambda: first)) != first:
             found = f"the first worker goes on after step {of_main}, this one after step {first}"
@@ -207,10 +204,6 @@ class Training:
         own = validate(self._network(), self.validation[group.rank :: group.size])
         counts = group.sum(torch.from_numpy(own.matrix).to(self.learner.device))
         result = scores(Confusion(space.class_count, counts.cpu().numpy()), space)
-        if not result.points:
-            found = "no point of the validation scans is of a class that counts"
-            where = self.validation[0].label_path.parent
-            raise TrainingError(where, found, f"labels of {space.name}")
         names = {f"iou_{score.name}": score.iou for score in result.classes}
         return {"miou": result.iou_mean_present} | names
 
@@ -218,3 +211,15 @@ class Training:
         if self.learner.group.is_main:
             epoch, epochs = state.epoch + (row is None), self.learner.recipe.epochs
             self.report(Report(epoch, epochs, step + 1, self.samples.plan.steps, loss, row))
+
+
+def validate(network: Network, files: Sequence[ScanFile]) -> Confusion:
+    """Predict labelled scans as `predict` does and count truth against prediction."""
+    space = network.card.space
+    confusion = Confusion(space.class_count)
+    for file in files:
+        scan, truth = read_labelled(file, space, network.sensor)
+        image = project(scan, network.sensor)
+        pixel_labels = network.probabilities(image).argmax(axis=0)
+        confusion.update(truth, knn_refine(image, pixel_labels, space.class_count))
+    return confusion

@@ -6,14 +6,14 @@ from __future__ import annotations
 import json
 import math
 import tomllib
-from collections.abc import Mapping
-from dataclasses import asdict, dataclass, fields, replace
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import asdict, dataclass, fields
 from importlib import resources
 from pathlib import Path
 from typing import Any, Self
 
 from salsanext_cli.errors import UsageError
-from salsanext_cli.settings_files import read_toml, shortened
+from salsanext_cli.settings_files import read_toml, refuse_unknown, shortened
 
 CHOICES = {
     "optimiser": ("sgd", "adamw"),
@@ -21,8 +21,12 @@ CHOICES = {
     "precision": ("auto", "float32", "bfloat16", "float16"),
 }
 """Words that the keys of type str may have."""
-REMOVED = {"heteroscedastic": 0.0}
-"""Keys of older versions, and the value with which they did nothing."""
+READERS: dict[type, tuple[Callable[[str], Any], str]] = {
+    int: (int, "a whole number"),
+    float: (float, "a number"),
+    str: (lambda text: text.strip("\"'"), "a word"),
+}
+"""Reader of the text of each type of key, and its name; quotes are taken for those of TOML."""
 MAX_INTEGER = 2**53
 """Bound of whole numbers in place of others: floats are no longer exact beyond."""
 
@@ -75,7 +79,7 @@ class Recipe:
     rotate, shift, flip, drop : float
         Probability of each augmentation.
     mix : float
-        Probability of taking some cells of a scan from another scan; see `training.mixing`.
+        Probability of taking some cells of a scan from another scan; see `training.augment`.
     paste : float
         Probability of adding the points of rare classes of another scan.
     validate_every, validation_scans : int
@@ -150,8 +154,7 @@ class Recipe:
 
     def with_changes(self, **changes: Any) -> Self:
         """Return the recipe with some keys changed; an unknown key raises `UsageError`."""
-        refuse_unknown(changes, "recipe")
-        return replace(self, **changes)
+        return self.from_dict({**asdict(self), **changes})
 
     def to_dict(self) -> dict[str, Any]:
         """Return plain data that `from_dict` accepts."""
@@ -170,21 +173,8 @@ class Recipe:
         UsageError
             If a key is unknown or its value is impossible.
         """
-        for key, idle in REMOVED.items():
-            if key in data and data[key] != idle:
-                found, remedy = f"{key} = {shortened(data[key])}", "use the version that wrote it"
-                raise UsageError(source, found, f"no {key}, which is no longer trained", remedy)
-        data = {key: value for key, value in data.items() if key not in REMOVED}
-        refuse_unknown(data, source)
+        refuse_unknown(data, cls, source)
         return cls(**data)
-
-
-def refuse_unknown(data: Mapping[str, Any], source: object) -> None:
-    """Raise `UsageError` naming the known keys if `data` holds any other."""
-    known = sorted(field.name for field in fields(Recipe))
-    if unknown := sorted(set(data) - set(known)):
-        found = f"unknown key {shortened(', '.join(unknown))}"
-        raise UsageError(source, found, f"keys {', '.join(known)}")
 
 
 def presets() -> tuple[str, ...]:
@@ -206,10 +196,26 @@ def recipe(name_or_file: str | Path) -> Recipe:
         built_in = resources.files("salsanext_cli").joinpath(f"presets/recipes/{name}.toml")
         return Recipe.from_dict(tomllib.loads(built_in.read_text("utf-8")), name)
     path = Path(name_or_file)
-    if not path.is_file():
-        raise UsageError(
-            f"recipe {name}",
-            "no preset and no file of that name",
-            f"one of {', '.join(presets())}, or a .toml file",
-        )
-    return Recipe.from_dict(read_toml(path, "a TOML file with a recipe's keys"), path)
+    return Recipe.from_dict(read_toml(path, "recipe", presets()), path)
+
+
+def read_overrides(texts: Iterable[str]) -> dict[str, Any]:
+    """Return what `Recipe.with_changes` takes; of a key given twice the last value holds.
+
+    Raises
+    ------
+    UsageError
+        If a text is no ``key=value``, the key is unknown or the value not of its type.
+    """
+    changes: dict[str, Any] = {}
+    for text in texts:
+        key, equals, value = (part.strip() for part in text.partition("="))
+        if not (key and equals and value):
+            raise UsageError(f"--set {text}", "no key and value", "key=value, such as batch=4")
+        refuse_unknown({key: value}, Recipe, f"--set {text}")
+        read, expected = READERS[type(getattr(Recipe(), key))]
+        try:
+            changes[key] = read(value)
+        except ValueError as error:
+            raise UsageError(f"--set {key}={value}", f"{value!r}", expected) from error
+    return changes

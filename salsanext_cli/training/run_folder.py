@@ -19,7 +19,7 @@ from salsanext_cli.storage.stage_records import (
     stage_settings,
 )
 from salsanext_cli.storage.written_files import WrittenFiles
-from salsanext_cli.training.recipe import REMOVED, Recipe
+from salsanext_cli.training.recipe import Recipe
 
 STAGE = "train"
 CHECKPOINT = "checkpoint.safetensors"
@@ -115,12 +115,10 @@ def _content(path: Path) -> bytes | None:
 def _decisive(settings: Mapping[str, Any]) -> dict[str, Any]:
     """Return the settings that may not change when a training is resumed.
 
-    Keys that recipes of older versions lack are the default, and keys that did nothing in them are
-    left out. The parts of a batch may change, since a training that has run out of memory must be
-    able to go on.
+    Keys that recipes of older versions lack are the default. The parts of a batch may change, since
+    a training that has run out of memory must be able to go on.
     """
     recipe = settings.get("recipe")
     if not isinstance(recipe, dict):
         return dict(settings)
-    recipe = {key: v for key, v in recipe.items() if key not in REMOVED or v != REMOVED[key]}
     return {**settings, "recipe": {**Recipe().to_dict(), **recipe, "accumulate": None}}

@@ -9,7 +9,7 @@ from scans import SMALL, lively
 
 from salsanext_cli import __version__
 from salsanext_cli.classes import label_space
-from salsanext_cli.errors import OutputError, WeightsError
+from salsanext_cli.errors import WeightsError
 from salsanext_cli.network.salsanext import SalsaNext
 from salsanext_cli.network.weights import (
     KEY,
@@ -210,12 +210,6 @@ def test_a_missing_file_and_a_folder_are_refused(tmp_path):
         read_weights(tmp_path / "none.safetensors")
     with pytest.raises(WeightsError, match=r"a folder · .* · name the file in it"):
         read_weights(tmp_path)
-
-
-def test_weights_that_cannot_be_written(module, tmp_path):
-    (tmp_path / "file").touch()
-    with pytest.raises(OutputError, match="cannot be written"):
-        save_weights(tmp_path / "file" / "w.safetensors", module, CARD)
 
 
 def test_loading_tensors_casts_to_float32():

@@ -184,7 +184,6 @@ def test_a_training_of_before_a_key_goes_on(dataset, tmp_path):
     manifest = json.loads(path.read_text("utf-8"))
     for key in ("mix", "paste", "label_smoothing", "whole_epochs"):
         del manifest["settings"]["recipe"][key]
-    manifest["settings"]["recipe"]["heteroscedastic"] = 0.0
     path.write_text(json.dumps(manifest), "utf-8")
     with pytest.raises(OutputError, match=r"recipe\.mix was 0\.0 and is 0\.5"):
         go(dataset, tmp_path / "run", recipe=TINY.with_changes(epochs=1, mix=0.5))

@@ -8,7 +8,13 @@ from scans import write_sequence
 from salsanext_cli.classes import label_space
 from salsanext_cli.errors import NoInputError, UsageError
 from salsanext_cli.storage.layout import find_scans
-from salsanext_cli.storage.selection import ScanSelection, data_set_of, select_scans, space_of
+from salsanext_cli.storage.selection import (
+    ScanSelection,
+    data_set_of,
+    evenly_spaced,
+    select_scans,
+    space_of,
+)
 
 
 def names(scans):
@@ -70,3 +76,11 @@ def test_the_label_space_of_scans_elsewhere_is_the_fallback(tmp_path):
     assert data_set_of(scan) is None
     assert space_of([scan], other) is other
     assert space_of([]).name == "semantic-kitti"
+
+
+def test_evenly_spaced_takes_first_and_last_and_none_twice(tmp_path):
+    files = find_scans(write_sequence(tmp_path / "08", [f"{i:02d}" for i in range(11)], count=1))
+    assert evenly_spaced(files, 0) == files
+    assert evenly_spaced(files, 20) == files
+    assert [file.stem for file in evenly_spaced(files, 3)] == ["00", "05", "10"]
+    assert len(set(evenly_spaced(files, 10))) == 10

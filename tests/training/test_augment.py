@@ -1,30 +1,52 @@
 # SPDX-License-Identifier: MIT
+import math
+from collections import Counter
+
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scans import SMALL, make_scan
 
+from salsanext_cli.classes import label_space
+from salsanext_cli.geometry.projection import project
 from salsanext_cli.records import Scan
-from salsanext_cli.training.augment import augment, rotate, shift
+from salsanext_cli.training.augment import (
+    CLEAR_RADIUS_M,
+    Checkerboard,
+    LabelledScan,
+    augment,
+    choose_columns,
+    mix,
+    paste,
+    rotate,
+    select,
+    shift,
+)
 from salsanext_cli.training.recipe import Recipe
 
+BOARDS = [(4, 1), (6, 1), (1, 2), (1, 6), (2, 2), (3, 4), (5, 6)]
+DOWN, UP = SMALL.fov_down, SMALL.fov_up
 NEVER = Recipe(rotate=0.0, shift=0.0, flip=0.0, drop=0.0)
 
 
-def cloud(count: int = 500) -> tuple[Scan, np.ndarray]:
-    random = np.random.default_rng(0)
-    points = random.normal(0, 10, (count, 3)).astype(np.float32)
-    return Scan(points, np.arange(count, dtype=np.float32)), (np.arange(count) % 20).astype(
-        np.uint8
+def labelled(seed: int, first: int = 0, count: int = 1500) -> LabelledScan:
+    """Return a scan whose intensities number its points, and random labels."""
+    numbers = np.arange(first, first + count, dtype=np.float32)
+    labels = np.random.default_rng(seed).integers(0, 20, count).astype(np.uint8)
+    return Scan(make_scan(count, seed).points, numbers), labels
+
+
+def augmented(seed: int = 0, **probabilities: float) -> LabelledScan:
+    return augment(
+        labelled(0, count=500), NEVER.with_changes(**probabilities), np.random.default_rng(seed)
     )
-
-
-def augmented(seed: int = 0, **probabilities: float) -> tuple[Scan, np.ndarray]:
-    return augment(cloud(), NEVER.with_changes(**probabilities), np.random.default_rng(seed))
 
 
 def test_nothing_happens_with_probability_zero() -> None:
     scan, labels = augmented()
-    np.testing.assert_array_equal(scan.points, cloud()[0].points)
-    np.testing.assert_array_equal(labels, cloud()[1])
+    np.testing.assert_array_equal(scan.points, labelled(0, count=500)[0].points)
+    np.testing.assert_array_equal(labels, labelled(0, count=500)[1])
 
 
 def test_rotation_is_counter_clockwise() -> None:
@@ -45,7 +67,10 @@ def test_rotation_angles_cover_the_whole_circle() -> None:
 
 
 def test_shift_moves_all_points_alike_and_within_bounds() -> None:
-    moved = [augmented(seed, shift=1.0)[0].points - cloud()[0].points for seed in range(50)]
+    moved = [
+        augmented(seed, shift=1.0)[0].points - labelled(0, count=500)[0].points
+        for seed in range(50)
+    ]
     for offsets in moved:
         np.testing.assert_allclose(offsets, np.broadcast_to(offsets[0], offsets.shape), atol=1e-5)
     first = np.array([offsets[0] for offsets in moved])
@@ -64,11 +89,11 @@ def test_points_without_a_measurement_stay_without() -> None:
 
 def test_flip_mirrors_left_and_right() -> None:
     after = augmented(flip=1.0)[0].points
-    np.testing.assert_array_equal(after, cloud()[0].points * np.float32([1, -1, 1]))
+    np.testing.assert_array_equal(after, labelled(0, count=500)[0].points * np.float32([1, -1, 1]))
 
 
 def test_dropping_is_without_replacement_and_keeps_points_with_their_labels() -> None:
-    before, labels_before = cloud()
+    before, labels_before = labelled(0, count=500)
     shares = []
     for seed in range(60):
         scan, labels = augmented(seed, drop=1.0)
@@ -91,10 +116,10 @@ def test_tiny_scans_survive_everything(count: int) -> None:
 
 def test_each_happens_on_its_own_half_of_the_time() -> None:
     """Published code nests them, so that most are rare, and never applies the rotation."""
-    before = cloud()[0]
+    before = labelled(0, count=500)[0]
     happened = []
     for seed in range(400):
-        after, _ = augment(cloud(), Recipe(), np.random.default_rng(seed))
+        after, _ = augment(labelled(0, count=500), Recipe(), np.random.default_rng(seed))
         kept = after.intensity.astype(int)
         old, new = before.points[kept], after.points
         handed = np.linalg.det(np.linalg.lstsq(old - old.mean(0), new - new.mean(0))[0])
@@ -103,3 +128,155 @@ def test_each_happens_on_its_own_half_of_the_time() -> None:
     shares = np.mean(happened, axis=0)
     assert (np.abs(shares - 0.5) < 0.08).all()
     assert (np.abs(np.corrcoef(np.transpose(happened)) - np.eye(3)) < 0.15).all()
+
+
+# Mixing
+
+
+def cell(point: np.ndarray, bands: int, sectors: int, azimuth: float) -> tuple[float, float]:
+    """Return where a point lies, in bands from below and in sectors counter-clockwise."""
+    x, y, z = map(float, point)
+    inclination = math.degrees(math.atan2(z, math.hypot(x, y)))
+    band = (inclination - DOWN) / (UP - DOWN) * bands
+    turned = (math.atan2(y, x) - azimuth) % (2 * math.pi)
+    return min(max(band, 0.5), bands - 0.5), turned / (2 * math.pi) * sectors + 1
+
+
+def by_cells(scan: Scan, bands: int, sectors: int, azimuth: float) -> list[bool | None]:
+    """Say slowly whether points lie in odd cells; None too near to a border to say."""
+    found: list[bool | None] = []
+    for point in scan.points:
+        places = cell(point, bands, sectors, azimuth)
+        unsure = any(
+            n > 1 and abs(p - round(p)) < 1e-4
+            for n, p in zip((bands, sectors), places, strict=True)
+        )
+        row, column = math.floor(places[0]), math.floor(places[1]) % sectors
+        found.append(None if unsure else (row + column) % 2 == 1)
+    return found
+
+
+@pytest.mark.parametrize(("bands", "sectors"), BOARDS)
+@pytest.mark.parametrize("azimuth", [0.0, 2.3, -3.1])
+def test_odd_points_are_those_of_odd_cells(bands: int, sectors: int, azimuth: float) -> None:
+    scan = make_scan(800, bands)
+    odd = Checkerboard(bands, sectors, azimuth, DOWN, UP).odd(scan.points)
+    expected = by_cells(scan, bands, sectors, azimuth)
+    sure = np.array([each is not None for each in expected])
+    assert sure.mean() > 0.98
+    np.testing.assert_array_equal(odd[sure], np.array(expected)[sure].astype(bool))
+    assert 0.1 < odd.mean() < 0.9
+
+
+@settings(max_examples=40)
+@given(st.integers(0, 2**32 - 1))
+def test_every_point_comes_from_the_scan_of_its_cell_and_keeps_its_label(seed: int) -> None:
+    board = Checkerboard.drawn(SMALL, np.random.default_rng(seed))
+    sources = (labelled(1, 0, 90), labelled(2, 1000, 60))
+    scan, labels = mix(*sources, board)
+    odd = [board.odd(source.points) for source, _ in sources]
+    taken = [np.flatnonzero(~odd[0]), np.flatnonzero(odd[1])]
+    np.testing.assert_array_equal(scan.intensity, [*taken[0], *(1000 + taken[1])])
+    for part, (source, truth), index in zip((0, 1), sources, taken, strict=True):
+        here = slice(0, len(taken[0])) if part == 0 else slice(len(taken[0]), None)
+        np.testing.assert_array_equal(scan.points[here], source.points[index])
+        np.testing.assert_array_equal(labels[here], truth[index])
+
+
+def test_boards_are_bands_sectors_and_boxes_as_often_as_each_other() -> None:
+    boards = [Checkerboard.drawn(SMALL, np.random.default_rng(seed)) for seed in range(900)]
+    kinds = Counter((board.bands > 1, board.sectors > 1) for board in boards)
+    assert set(kinds) == {(True, False), (False, True), (True, True)}
+    assert min(kinds.values()) > 250
+    assert {board.bands for board in boards} == {1, 2, 3, 4, 5, 6}
+    assert {board.sectors for board in boards} == {1, 2, 4, 6}
+    turned = np.histogram([board.azimuth for board in boards], 6, (-np.pi, np.pi))[0]
+    assert turned.min() > 100
+
+
+POINTLESS = np.float32(
+    [[0, 0, 0], [np.nan, 1, 1], [1, np.inf, 0], [-np.inf, 1, 1], [3e38, 3e38, 3e38]]
+)
+
+
+@pytest.mark.parametrize(("bands", "sectors"), BOARDS)
+def test_mixed_points_without_a_measurement_stay_without(bands: int, sectors: int) -> None:
+    broken = (Scan(POINTLESS, np.ones(5, np.float32)), np.ones(5, np.uint8))
+    scan, _ = mix(broken, broken, Checkerboard(bands, sectors, 0.5, DOWN, UP))
+    assert len(scan) == len(broken[0])
+    assert (project(scan, SMALL).pixel_of_point < 0).all()
+
+
+@pytest.mark.parametrize("counts", [(0, 0), (0, 50), (50, 0)])
+def test_scans_without_points_can_be_mixed_and_pasted(counts: tuple[int, int]) -> None:
+    first, second = (labelled(seed, 0, count) for seed, count in enumerate(counts))
+    scan, labels = mix(first, second, Checkerboard(3, 2, 0.0, DOWN, UP))
+    assert len(scan) == len(labels) <= sum(counts)
+    scan, labels = paste(first, second, np.array([1.0, 2.0]))
+    assert len(scan) == len(labels) >= counts[0]
+
+
+def test_pasting_adds_the_points_turned_and_nothing_else() -> None:
+    onto, other = labelled(1), labelled(2, 5000)
+    rare = select(other, (other[1] == 6) & (np.hypot(*other[0].points.T[:2]) > CLEAR_RADIUS_M))
+    angles = np.array([0.7, -2.0, 3.0])
+    scan, labels = paste(onto, rare, angles)
+    count = len(rare[0])
+    assert count > 20
+    assert len(scan) == len(labels) == len(onto[0]) + 3 * count
+    np.testing.assert_array_equal(scan.points[:1500], onto[0].points)
+    np.testing.assert_array_equal(scan.intensity[:1500], onto[0].intensity)
+    np.testing.assert_array_equal(labels[:1500], onto[1])
+    before = rare[0].points.astype(float)
+    for copy, angle in enumerate(angles):
+        here = slice(1500 + copy * count, 1500 + (copy + 1) * count)
+        after = scan.points[here].astype(float)
+        np.testing.assert_array_equal(after[:, 2], before[:, 2])
+        np.testing.assert_allclose(np.hypot(*after.T[:2]), np.hypot(*before.T[:2]), rtol=1e-6)
+        turned = np.arctan2(after[:, 1], after[:, 0]) - np.arctan2(before[:, 1], before[:, 0])
+        np.testing.assert_allclose(np.exp(1j * turned), np.exp(1j * angle), atol=1e-5)
+        np.testing.assert_array_equal(scan.intensity[here], rare[0].intensity)
+        assert set(labels[here]) == {6}
+
+
+def test_nothing_is_pasted_on_the_sensor_or_without_a_measurement() -> None:
+    near = np.float32([[0.9 * CLEAR_RADIUS_M, 0, -1], [0, 0, 5], [1.1 * CLEAR_RADIUS_M, 0, -1]])
+    points = np.concatenate([POINTLESS[:4], near])
+    broken = (Scan(points, np.ones(7, np.float32)), np.full(7, 6, np.uint8))
+    scan, labels = paste(labelled(1), broken, np.array([1.0, 2.0]))
+    assert len(labels) == 1500 + 2
+    np.testing.assert_allclose(np.hypot(*scan.points[1500:].T[:2]), 1.1 * CLEAR_RADIUS_M, rtol=1e-5)
+
+
+# Windows
+
+SCORED = label_space().scored
+
+
+@pytest.mark.parametrize("width", [0, 100, 200])
+def test_no_crop_takes_every_column_in_order(width: int) -> None:
+    columns = choose_columns(
+        np.zeros((4, 100), np.uint8), SCORED, width, 1.0, np.random.default_rng(0)
+    )
+    np.testing.assert_array_equal(columns, np.arange(100))
+
+
+def test_windows_start_anywhere_and_go_round_the_circle() -> None:
+    random = np.random.default_rng(0)
+    truth = np.ones((2, 64), np.uint8)
+    starts = set()
+    for _ in range(1000):
+        columns = choose_columns(truth, SCORED, 24, 0.0, random)
+        np.testing.assert_array_equal(columns, (columns[0] + np.arange(24)) % 64)
+        starts.add(int(columns[0]))
+    assert starts == set(range(64))
+
+
+def test_windows_on_a_class_hold_rare_ones_as_often_as_common_ones() -> None:
+    truth = np.full((4, 512), 9, np.uint8)
+    truth[2, 100] = 6  # one pixel of person
+    truth[:, 300] = 0  # unlabelled, never aimed at
+    random = np.random.default_rng(0)
+    holds = [6 in truth[:, choose_columns(truth, SCORED, 32, 1.0, random)] for _ in range(1000)]
+    assert np.mean(holds) == pytest.approx(0.5 + 0.5 * 32 / 512, abs=0.05)
+    assert len(choose_columns(0 * truth, SCORED, 16, 1.0, random)) == 16

@@ -8,7 +8,6 @@ import torch
 from scans import SMALL, write_sequence
 
 from salsanext_cli.classes import label_space
-from salsanext_cli.errors import FormatError
 from salsanext_cli.formats.kitti import read_bin, read_labels
 from salsanext_cli.geometry.projection import project
 from salsanext_cli.storage.layout import ScanFile, find_scans
@@ -17,15 +16,9 @@ from salsanext_cli.training.class_counts import (
     count_classes,
     rare_classes,
 )
-from salsanext_cli.training.dataset import (
-    Samples,
-    batches,
-    choose_columns,
-    read_labelled,
-)
+from salsanext_cli.training.dataset import Samples, SamplingPlan, batches, read_labelled
 from salsanext_cli.training.distributed import ProcessGroup
 from salsanext_cli.training.recipe import Recipe
-from salsanext_cli.training.sampling import SamplingPlan
 
 SPACE = label_space()
 RARE = np.isin(SPACE.names, ["bicycle", "person", "pole"])
@@ -72,37 +65,6 @@ def test_samples_differ_by_position_and_scan_and_repeat_by_both(files: list[Scan
     assert not np.array_equal(first, drawn[4, 1][0])
     assert not np.array_equal(first, drawn[3, 2][0])
     assert not np.array_equal(first, samples(files, all_changes.with_changes(seed=2))[3, 1][0])
-
-
-@pytest.mark.parametrize("width", [0, 100, 200])
-def test_no_crop_takes_every_column_in_order(width: int) -> None:
-    columns = choose_columns(
-        np.zeros((4, 100), np.uint8), SPACE.scored, width, 1.0, np.random.default_rng(0)
-    )
-    np.testing.assert_array_equal(columns, np.arange(100))
-
-
-def test_windows_start_anywhere_and_go_round_the_circle() -> None:
-    random = np.random.default_rng(0)
-    truth = np.ones((2, 64), np.uint8)
-    starts = set()
-    for _ in range(1000):
-        columns = choose_columns(truth, SPACE.scored, 24, 0.0, random)
-        np.testing.assert_array_equal(columns, (columns[0] + np.arange(24)) % 64)
-        starts.add(int(columns[0]))
-    assert starts == set(range(64))
-
-
-def test_windows_on_a_class_hold_rare_ones_as_often_as_common_ones() -> None:
-    truth = np.full((4, 512), 9, np.uint8)
-    truth[2, 100] = 6  # one pixel of person
-    truth[:, 300] = 0  # unlabelled, never aimed at
-    random = np.random.default_rng(0)
-    holds = [
-        6 in truth[:, choose_columns(truth, SPACE.scored, 32, 1.0, random)] for _ in range(1000)
-    ]
-    assert np.mean(holds) == pytest.approx(0.5 + 0.5 * 32 / 512, abs=0.05)
-    assert len(choose_columns(0 * truth, SPACE.scored, 16, 1.0, random)) == 16
 
 
 @pytest.mark.parametrize("size", [0, 3, 7, 25])
@@ -224,10 +186,3 @@ def test_counting_counts_every_point(files: list[ScanFile]) -> None:
         np.testing.assert_array_equal(counts.sum(axis=0), expected)
         own = np.bincount(SPACE.to_train(read_labels(files[1].label_path)), minlength=20)
         np.testing.assert_array_equal(counts[1], own)
-
-
-def test_a_truncated_scan_is_named(tmp_path: Path) -> None:
-    (file,) = find_scans(write_sequence(tmp_path / "00"))
-    file.path.write_bytes(file.path.read_bytes()[:-3])
-    with pytest.raises(FormatError, match=r"000000\.bin"):
-        count_classes([file], SPACE, SMALL)

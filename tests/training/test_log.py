@@ -2,8 +2,7 @@
 import csv
 import sys
 from pathlib import Path
-from types import SimpleNamespace
-from typing import ClassVar
+from unittest.mock import MagicMock
 
 import numpy as np
 import pytest
@@ -43,37 +42,17 @@ def test_without_tensorboard_nothing_is_written(
     assert not list(tmp_path.iterdir())
 
 
-class Recorder:
-    """Stands for TensorBoard's writer, which need not be installed, and keeps what it is given."""
-
-    given: ClassVar[list[tuple[object, ...]]] = []
-
-    def __init__(self, folder: str) -> None:
-        self.given.clear()
-
-    def __enter__(self) -> "Recorder":
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.given.append(())
-
-    def add_scalar(self, *given: object) -> None:
-        self.given.append(given)
-
-    def add_image(self, name: str, image: np.ndarray, step: int, dataformats: str) -> None:
-        self.given.append((name, image.shape, step, dataformats))
-
-    def flush(self) -> None: ...
-
-
 def test_an_epoch_is_scalars_and_an_image(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    stand_in = SimpleNamespace(SummaryWriter=Recorder)
-    monkeypatch.setitem(sys.modules, "torch.utils.tensorboard", stand_in)
+    """TensorBoard, which need not be installed, is a mock."""
+    tensorboard = MagicMock()
+    monkeypatch.setitem(sys.modules, "torch.utils.tensorboard", tensorboard)
     monkeypatch.setattr(log, "find_spec", lambda name: True)
     with tensorboard_in(tmp_path, "events") as write:
         write(ROWS[1], PICTURE)
+    writer = tensorboard.SummaryWriter.return_value.__enter__.return_value
     scalars = [("loss", 2.5, 2), ("miou", 0.25, 2), ("iou/road", 0.5, 2)]
-    assert Recorder.given == [*scalars, ("sample", (4, 6, 3), 2, "HWC"), ()]
+    assert [given.args for given in writer.add_scalar.call_args_list] == scalars
+    writer.add_image.assert_called_once_with("sample", PICTURE, 2, dataformats="HWC")
 
 
 def test_tensorboard_reads_what_was_written(tmp_path: Path) -> None:

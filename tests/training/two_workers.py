@@ -10,11 +10,10 @@ import sys
 from pathlib import Path
 
 import torch
+from tiny_network import TinyNetwork
 from torch import Tensor, nn
-from torch.nn import functional as F
 
 from salsanext_cli.errors import TrainingError
-from salsanext_cli.network.dropout import ChannelDropout
 from salsanext_cli.training.distributed import ProcessGroup, process_group
 from salsanext_cli.training.learner import Learner
 from salsanext_cli.training.recipe import Recipe
@@ -31,20 +30,12 @@ CASES: dict[str, dict[str, object]] = {
 }
 
 
-class Small(nn.Module):
-    """A network of convolutions and dropout, and of batch norm if that is wanted."""
-
-    def __init__(self, dropout: float = 0.0, norm: bool = False) -> None:
-        super().__init__()
-        self.features = nn.Conv2d(5, 6, 3, padding=1)
-        self.norm = nn.BatchNorm2d(6) if norm else nn.Identity()
-        self.dropout = ChannelDropout(dropout)
-        self.logits = nn.Conv2d(6, 4, 1)
-
-    def forward(self, image: Tensor) -> Tensor:
-        """Map (B, 5, H, W) to (B, 4, H, W)."""
-        made: Tensor = self.logits(self.dropout(self.norm(F.leaky_relu(self.features(image)))))
-        return made
+def network(dropout: float = 0.0, *, norm: bool = False) -> TinyNetwork:
+    """Return a network of convolutions and dropout, and of batch norm if that is wanted."""
+    module = TinyNetwork(4, dropout)
+    if not norm:
+        module.norm = nn.Identity()  # type: ignore[assignment]
+    return module
 
 
 def batch(labels: int = 1) -> tuple[Tensor, Tensor]:
@@ -67,7 +58,7 @@ def learner(group: ProcessGroup, *, norm: bool = False, **changes: object) -> Le
     recipe = Recipe(batch=5, dropout=0.0, learning_rate=0.1, **changes)  # type: ignore[arg-type]
     with torch.random.fork_rng():
         torch.manual_seed(0)
-        module = Small(norm=norm).double()
+        module = network(norm=norm).double()
     return Learner(module, recipe, WEIGHTS, torch.device("cpu"), group)  # type: ignore[arg-type]
 
 
@@ -97,7 +88,7 @@ def normed(group: ProcessGroup) -> dict[str, Tensor]:
 
 def apart(group: ProcessGroup) -> dict[str, Tensor]:
     """Return, of every worker, what dropout leaves, what it gathers, and what the main one says."""
-    module = Small(0.5)
+    module = network(0.5)
     module.features.bias.data.fill_(100.0)  # so that only dropout leaves nothing
     masks = []
     module.dropout.register_forward_hook(lambda layer, given, made: masks.append(made.detach()))

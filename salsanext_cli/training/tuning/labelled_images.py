@@ -16,10 +16,9 @@ from salsanext_cli.inference.network import Network
 from salsanext_cli.network.weights import WeightsCard
 from salsanext_cli.records import Float, RangeImage
 from salsanext_cli.storage.layout import ScanFile
-from salsanext_cli.storage.selection import ScanSelection, space_of
+from salsanext_cli.storage.selection import ScanSelection, select_evenly, space_of
 from salsanext_cli.training.class_counts import require_labels
 from salsanext_cli.training.dataset import read_labelled
-from salsanext_cli.training.validation import select_evenly
 
 VALIDATION = ScanSelection(split="valid")
 """Selection of scans to tune on, unless another is given."""

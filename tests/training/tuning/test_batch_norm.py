@@ -13,7 +13,6 @@ from torch import nn
 from salsanext_cli.classes import label_space
 from salsanext_cli.geometry.projection import project
 from salsanext_cli.inference.network import Network
-from salsanext_cli.network.blocks import Unit
 from salsanext_cli.network.rangenet53 import RangeNet53
 from salsanext_cli.network.registry import ARCHITECTURES, build
 from salsanext_cli.network.segmentation import SegmentationNetwork
@@ -21,6 +20,23 @@ from salsanext_cli.network.weights import WeightsCard
 from salsanext_cli.training.tuning.batch_norm import Statistics, norms, statistics_of_scan
 
 SPACE = label_space()
+
+
+class Normed(SegmentationNetwork):
+    """Batch norm of the image, and of the image at a quarter of its size."""
+
+    stride = (4, 4)
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.norm, self.pool, self.deep = nn.BatchNorm2d(5), nn.AvgPool2d(4), nn.BatchNorm2d(5)
+
+    def trunk(self, image):
+        return (self.norm(image),)
+
+    def rest(self, *features):
+        self.deep(self.pool(features[0]))
+        return features[0]
 
 
 def network_of(module, sensor=SMALL):
@@ -96,7 +112,7 @@ def test_all_that_a_weights_file_holds_of_batch_norm_is_found(name):
 
 
 def test_a_share_is_the_fixed_point_of_adapting_layer_by_layer():
-    network, image, share = network_of(Chain()), image_of(), 0.3
+    network, image, share = network_of(Normed()), image_of(), 0.3
     slow = copy.deepcopy(network.module)
     inputs = network.input(image.channels)
     found = statistics_of_scan(network, image, share)
@@ -108,39 +124,6 @@ def test_a_share_is_the_fixed_point_of_adapting_layer_by_layer():
         layer = norms(slow)[name]
         layer.running_mean.mul_(1 - share).add_(torch.from_numpy(mean), alpha=share)
         layer.running_var.mul_(1 - share).add_(torch.from_numpy(variance), alpha=share)
-
-
-class Chain(SegmentationNetwork):
-    """Three times a convolution and batch norm."""
-
-    stride = (1, 1)
-
-    def __init__(self) -> None:
-        super().__init__()
-        self.units = nn.Sequential(Unit(5, 4, 3), Unit(4, 6, 3), Unit(6, 4, 1))
-
-    def trunk(self, image):
-        return (image,)
-
-    def rest(self, *features):
-        return self.units(features[0])
-
-
-class Normed(SegmentationNetwork):
-    """Batch norm of the image, and of the image at a quarter of its size."""
-
-    stride = (4, 4)
-
-    def __init__(self) -> None:
-        super().__init__()
-        self.norm, self.pool, self.deep = nn.BatchNorm2d(5), nn.AvgPool2d(4), nn.BatchNorm2d(5)
-
-    def trunk(self, image):
-        return (self.norm(image),)
-
-    def rest(self, *features):
-        self.deep(self.pool(features[0]))
-        return features[0]
 
 
 def test_empty_pixels_count_and_padding_does_not():

@@ -9,7 +9,7 @@ from salsanext_cli.geometry.knn import knn_refine
 from salsanext_cli.geometry.projection import project
 from salsanext_cli.inference.network import load_network
 from salsanext_cli.storage.layout import find_scans
-from salsanext_cli.training.validation import evenly_spaced, validate
+from salsanext_cli.training.fit import validate
 
 
 def test_scores_count_points_after_knn(tmp_path: Path, weights: Path) -> None:
@@ -27,11 +27,3 @@ def test_scores_count_points_after_knn(tmp_path: Path, weights: Path) -> None:
     confusion = validate(network, files)
     np.testing.assert_array_equal(confusion.matrix, expected)
     assert confusion.matrix.sum() == 4500
-
-
-def test_evenly_spaced_takes_first_and_last_and_none_twice(tmp_path: Path) -> None:
-    files = find_scans(write_sequence(tmp_path / "08", [f"{i:02d}" for i in range(11)], count=1))
-    assert evenly_spaced(files, 0) == files
-    assert evenly_spaced(files, 20) == files
-    assert [file.stem for file in evenly_spaced(files, 3)] == ["00", "05", "10"]
-    assert len(set(evenly_spaced(files, 10))) == 10
