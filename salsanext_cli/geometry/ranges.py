@@ -10,6 +10,9 @@ import numpy.typing as npt
 
 from salsanext_cli.records import Float
 
+LARGEST = np.float32(1e6)
+"""Largest range in metres, and largest intensity, that counts as a measurement of a range image."""
+
 
 def measured_ranges(
     points: Float, farthest: float = sys.float_info.max

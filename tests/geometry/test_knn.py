@@ -12,7 +12,6 @@ from hypothesis import strategies as st
 from slow_geometry import published_refine, slow_refine
 
 from salsanext_cli.errors import LabelError, UsageError
-from salsanext_cli.geometry import knn_torch
 from salsanext_cli.geometry.knn import KnnParameters, knn_refine
 from salsanext_cli.geometry.projection import project
 from salsanext_cli.records import RangeImage
@@ -43,10 +42,9 @@ def slow(image, labels, parameters):
     return slow_refine(image, labels, *rules)
 
 
-def on_torch(image, labels, parameters, device="cpu"):
-    labels = np.asarray(labels, np.uint8)
-    arrays = (image.channels[0], labels, image.pixel_of_point, image.point_range)
-    return knn_torch.refine(*arrays, parameters, device)
+def on_torch(image, labels, parameters):
+    """Refine by the kernel for other devices; a name other than "cpu" chooses it."""
+    return knn_refine(image, labels, parameters=parameters, device="cpu:0")
 
 
 @st.composite

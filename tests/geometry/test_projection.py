@@ -15,12 +15,13 @@ from slow_geometry import slow_project
 from salsanext_cli.geometry import projection_torch
 from salsanext_cli.geometry.projection import project
 from salsanext_cli.geometry.projection_numba import arctan2
-from salsanext_cli.geometry.projection_parameters import ProjectionParameters
 from salsanext_cli.records import Scan
 from salsanext_cli.sensors import Sensor, sensor
 
 FIELDS = ("channels", "pixel_of_point", "point_of_pixel", "point_range")
 WIDE = Sensor("wide", 90, -90, 4, 8)
+ON_TORCH = "cpu:0"
+"""A name other than "cpu" chooses the implementation for other devices."""
 
 
 def scan_of(*points):
@@ -65,7 +66,7 @@ def sensors(draw):
 def test_equals_the_slow_loop_on_both_devices(scan, drawn):
     expected = slow_project(scan, drawn)
     assert_same(project(scan, drawn), expected)
-    assert_same(projection_torch.project(scan, ProjectionParameters.of(drawn), "cpu"), expected)
+    assert_same(project(scan, drawn, ON_TORCH), expected)
 
 
 @pytest.mark.parametrize("threads", [1, 2, 5])
@@ -130,5 +131,5 @@ def test_published_projection(real_image, golden):
 
 @pytest.mark.real
 def test_torch_on_a_real_scan(real_scan, real_image):
-    image = projection_torch.project(real_scan, ProjectionParameters.of(sensor("hdl64")), "cpu")
+    image = project(real_scan, sensor("hdl64"), ON_TORCH)
     assert_same(image, fields_of(real_image))
