@@ -9,7 +9,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from salsanext_cli.synthesis.mesh import Mesh
+from salsanext_cli.synthesis.mesh import Mesh, Rng
 from salsanext_cli.synthesis.plan import Plan, Side
 
 PIECE_M = 5.0
@@ -29,7 +29,7 @@ class Builder:
         Objects placed so far, world coordinates.
     """
 
-    def __init__(self, rng: np.random.Generator, plan: Plan) -> None:
+    def __init__(self, rng: Rng, plan: Plan) -> None:
         self.rng = rng
         self.plan = plan
         self.parts: list[Mesh] = []

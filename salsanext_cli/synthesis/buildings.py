@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from salsanext_cli.synthesis.mesh import Array, Mesh, Skin, box, merge, quads
+from salsanext_cli.synthesis.mesh import Array, Mesh, Rng, Skin, box, merge, quads
 from salsanext_cli.synthesis.surfaces import BUILDING, Material
 
 FOOT_M = -1.5
@@ -19,7 +19,7 @@ Opening = tuple[float, float, float, float]
 """Left, right, bottom and top."""
 
 
-def house(rng: np.random.Generator, width: float, depth: float, floors: int) -> Mesh:
+def house(rng: Rng, width: float, depth: float, floors: int) -> Mesh:
     """Return a house whose front is `width` metres long and centred on x = 0."""
     material = Material.PLASTER if rng.random() < 0.7 else Material.BRICK
     wall = Skin(BUILDING, material, float(rng.uniform(0.5, 1.15)))
@@ -37,7 +37,7 @@ def house(rng: np.random.Generator, width: float, depth: float, floors: int) -> 
 
 
 def _facade(
-    rng: np.random.Generator,
+    rng: Rng,
     start: Array,
     end: Array,
     height: float,
@@ -80,7 +80,7 @@ def _facade(
 
 
 def _hole(
-    rng: np.random.Generator,
+    rng: Rng,
     x0: float,
     x1: float,
     row: int,
@@ -125,7 +125,7 @@ def _pierced(
     return walls, _panel(a, b, c, d, depth)
 
 
-def _roof(rng: np.random.Generator, width: float, depth: float, height: float, wall: Skin) -> Mesh:
+def _roof(rng: Rng, width: float, depth: float, height: float, wall: Skin) -> Mesh:
     """Return a flat or a gabled roof with eaves."""
     skin = Skin.drawn(rng, BUILDING, Material.BRICK, 0.5, 0.9)
     eaves = rng.uniform(0.1, 0.6)
@@ -145,9 +145,7 @@ def _roof(rng: np.random.Generator, width: float, depth: float, height: float, w
     return merge([quads(np.array(slopes), skin), quads(np.array(gables), wall)])
 
 
-def _details(
-    rng: np.random.Generator, width: float, storey: float, floors: int, wall: Skin
-) -> list[Mesh]:
+def _details(rng: Rng, width: float, storey: float, floors: int, wall: Skin) -> list[Mesh]:
     """Return steps, downpipes, plinths, balconies, canopies and bays of the front."""
     half = width / 2
     metal = Skin(BUILDING, Material.METAL, 1.1)
@@ -178,7 +176,7 @@ def _details(
     return parts
 
 
-def garage(rng: np.random.Generator) -> Mesh:
+def garage(rng: Rng) -> Mesh:
     """Return a garage or shed, its door at y = 0."""
     wall = Skin.drawn(rng, BUILDING, Material.PLASTER, 0.6, 1.1)
     width, depth, height = rng.uniform([2.6, 4, 2.2], [6, 6.5, 2.9])

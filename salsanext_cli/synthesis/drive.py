@@ -12,10 +12,10 @@ from salsanext_cli.classes import RawIds
 from salsanext_cli.records import Scan
 from salsanext_cli.synthesis.beams import hdl64, hidden_by_vehicle
 from salsanext_cli.synthesis.lidar import Scene, measure
-from salsanext_cli.synthesis.mesh import Array, merge, turn_x, turn_y, turn_z
+from salsanext_cli.synthesis.mesh import Array, Rng, merge, turn_x, turn_y, turn_z
 from salsanext_cli.synthesis.plan import Plan
+from salsanext_cli.synthesis.presets import STYLES
 from salsanext_cli.synthesis.street import MARGIN_M, Mover, build_street
-from salsanext_cli.synthesis.style import STYLES
 
 MOUNT_M = 1.73
 """Height of the sensor above the road."""
@@ -95,7 +95,7 @@ def _moving(plan: Plan, movers: tuple[Mover, ...], time: float, pose: Array) -> 
 class _Track:
     """The path of the sensor: in its lane, swaying a little, pitching and rolling."""
 
-    def __init__(self, rng: np.random.Generator, plan: Plan, speed: float) -> None:
+    def __init__(self, rng: Rng, plan: Plan, speed: float) -> None:
         self._speed = speed
         self._plan = plan
         self._lane = min(0.0, 2.4 - plan.half, -0.3 * plan.half) + rng.normal(0, 0.1)

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from salsanext_cli.synthesis.mesh import Mesh, Skin, box, merge, quads
+from salsanext_cli.synthesis.mesh import Mesh, Rng, Skin, box, merge, quads
 from salsanext_cli.synthesis.surfaces import FENCE, Material
 
 FOOT_M = -0.4
@@ -19,7 +19,7 @@ PALES = {
 """Material, distance and width of the upright pieces, metres."""
 
 
-def fence(rng: np.random.Generator, length: float, kind: str, height: float, shade: float) -> Mesh:
+def fence(rng: Rng, length: float, kind: str, height: float, shade: float) -> Mesh:
     """Return a stretch of fence of one of `KINDS`, or ``"barrier"``."""
     if kind == "wall":
         return _wall(length, height, Skin(FENCE, Material.BRICK, shade))

@@ -8,17 +8,17 @@ from __future__ import annotations
 
 import numpy as np
 
-from salsanext_cli.synthesis.mesh import Mesh, Skin, box, disc, ellipsoid, merge, quads, tube
+from salsanext_cli.synthesis.mesh import Mesh, Rng, Skin, box, disc, ellipsoid, merge, quads, tube
 from salsanext_cli.synthesis.surfaces import CLUTTER, POLE, SIGN, STRUCTURE, Material
 
 FOOT_M = -0.3
 
 
-def _steel(rng: np.random.Generator) -> Skin:
+def _steel(rng: Rng) -> Skin:
     return Skin.drawn(rng, POLE, Material.METAL, 0.08, 1.6)
 
 
-def lamp(rng: np.random.Generator) -> Mesh:
+def lamp(rng: Rng) -> Mesh:
     """Return a street lamp, its arm over the road."""
     steel = _steel(rng)
     height, foot = float(rng.uniform(3.5, 9)), float(rng.uniform(0.05, 0.1))
@@ -33,7 +33,7 @@ def lamp(rng: np.random.Generator) -> Mesh:
     return merge(parts)
 
 
-def post(rng: np.random.Generator) -> Mesh:
+def post(rng: Rng) -> Mesh:
     """Return a bollard or a bare pole."""
     short = rng.random() < 0.6
     height = rng.uniform(0.7, 1.2) if short else rng.uniform(2.5, 8)
@@ -41,7 +41,7 @@ def post(rng: np.random.Generator) -> Mesh:
     return tube([[0, 0, FOOT_M], [0, 0, height]], radius, _steel(rng), 8)
 
 
-def _face(rng: np.random.Generator, kind: str) -> Mesh:
+def _face(rng: Rng, kind: str) -> Mesh:
     """Return a sign's plate in the x-z plane around the origin, its bright side towards -y."""
     bright = Skin.drawn(rng, SIGN, Material.RETRO, 0.75, 1.1)
     dull = Skin(SIGN, Material.METAL, 0.9)
@@ -58,7 +58,7 @@ def _face(rng: np.random.Generator, kind: str) -> Mesh:
     return merge([front, back])
 
 
-def sign(rng: np.random.Generator) -> Mesh:
+def sign(rng: Rng) -> Mesh:
     """Return one or two traffic signs on a pole, facing -y."""
     height = float(rng.uniform(2.0, 3.0) if rng.random() < 0.75 else rng.uniform(1.0, 2.0))
     parts = [tube([[0, 0, FOOT_M], [0, 0, height + 0.35]], rng.uniform(0.03, 0.05), _steel(rng), 7)]
@@ -68,7 +68,7 @@ def sign(rng: np.random.Generator) -> Mesh:
     return merge(parts)
 
 
-def board(rng: np.random.Generator) -> Mesh:
+def board(rng: Rng) -> Mesh:
     """Return a direction board on two posts, facing -y."""
     half, low = float(rng.uniform(0.4, 1.4)), float(rng.uniform(0.8, 1.8))
     high = low + float(rng.uniform(0.5, 1.2))
@@ -82,7 +82,7 @@ def board(rng: np.random.Generator) -> Mesh:
     return merge(parts)
 
 
-def traffic_light(rng: np.random.Generator) -> Mesh:
+def traffic_light(rng: Rng) -> Mesh:
     """Return a traffic light; its heads count as clutter, the pole as pole."""
     height = float(rng.uniform(3.0, 3.6))
     head = Skin(CLUTTER, Material.METAL, 0.4)
@@ -92,7 +92,7 @@ def traffic_light(rng: np.random.Generator) -> Mesh:
     return merge(parts)
 
 
-def _bin(rng: np.random.Generator) -> Mesh:
+def _bin(rng: Rng) -> Mesh:
     skin = Skin.drawn(rng, CLUTTER, Material.WOOD, 0.2, 1.1)
     size = rng.uniform([0.2, 0.2, 0.8], [0.35, 0.4, 1.15])
     x, y, z = size
@@ -100,13 +100,13 @@ def _bin(rng: np.random.Generator) -> Mesh:
     return merge([box((-x, -y, 0.05), size, skin), lid])
 
 
-def _cabinet(rng: np.random.Generator) -> Mesh:
+def _cabinet(rng: Rng) -> Mesh:
     skin = Skin.drawn(rng, CLUTTER, Material.PLASTER, 0.5, 1.1)
     size = rng.uniform([0.25, 0.12, 0.8], [0.9, 0.3, 1.6])
     return box((-size[0], -size[1], FOOT_M), size, skin)
 
 
-def _bench(rng: np.random.Generator) -> Mesh:
+def _bench(rng: Rng) -> Mesh:
     wood, iron = Skin(CLUTTER, Material.WOOD, 0.9), Skin(CLUTTER, Material.METAL, 0.7)
     half = float(rng.uniform(0.7, 1.1))
     slats = [box((-half, y, 0.42), (half, y + 0.1, 0.46), wood) for y in (-0.25, -0.12, 0.01)]
@@ -116,19 +116,19 @@ def _bench(rng: np.random.Generator) -> Mesh:
     return merge(slats + legs)
 
 
-def _planter(rng: np.random.Generator) -> Mesh:
+def _planter(rng: Rng) -> Mesh:
     skin = Skin.drawn(rng, CLUTTER, Material.BRICK, 0.7, 1.1)
     radius, height = float(rng.uniform(0.25, 0.7)), float(rng.uniform(0.35, 0.7))
     path = [[0, 0, FOOT_M], [0, 0, height], [0, 0, height + 0.01]]
     return tube(path, [radius, radius * 1.1, 0.02], skin, 10)
 
 
-def _column(rng: np.random.Generator) -> Mesh:
+def _column(rng: Rng) -> Mesh:
     skin = Skin.drawn(rng, CLUTTER, Material.PLASTER, 0.7, 1.1)
     return tube([[0, 0, FOOT_M], [0, 0, 3.0], [0, 0, 3.3]], [0.6, 0.6, 0.75], skin, 12)
 
 
-def _crates(rng: np.random.Generator) -> Mesh:
+def _crates(rng: Rng) -> Mesh:
     parts = []
     for _ in range(int(rng.integers(2, 6))):
         low = np.array([*rng.normal(0, 0.6, 2), 0.0])
@@ -138,13 +138,13 @@ def _crates(rng: np.random.Generator) -> Mesh:
     return merge(parts)
 
 
-def clutter(rng: np.random.Generator) -> Mesh:
+def clutter(rng: Rng) -> Mesh:
     """Return a bin, cabinet, bench, planter, advertising column or a heap of crates."""
     makers = (*[_bin] * 3, *[_cabinet] * 3, _bench, _planter, _column, _crates)
     return makers[rng.integers(len(makers))](rng)
 
 
-def shelter(rng: np.random.Generator) -> Mesh:
+def shelter(rng: Rng) -> Mesh:
     """Return a bus shelter of glass, open towards -y."""
     steel = Skin(STRUCTURE, Material.METAL, 0.9)
     glass = Skin(STRUCTURE, Material.GLASS)

@@ -6,7 +6,7 @@ from __future__ import annotations
 import numpy as np
 
 from salsanext_cli.synthesis import surfaces
-from salsanext_cli.synthesis.mesh import Array, Mesh
+from salsanext_cli.synthesis.mesh import Array, Mesh, Rng
 from salsanext_cli.synthesis.plan import REACH_M, Plan
 from salsanext_cli.synthesis.surfaces import Material
 
@@ -21,7 +21,7 @@ MATERIAL_OF = {
 }
 
 
-def ground(rng: np.random.Generator, plan: Plan) -> Mesh:
+def ground(rng: Rng, plan: Plan) -> Mesh:
     """Return the ground of a street; each cell has the label of its middle."""
     s_edges, t_edges = plan.edges()
     s = _lines(np.arange(0.0, plan.length + 1, 1.0), s_edges, 0.0, plan.length)
@@ -49,7 +49,7 @@ def ground(rng: np.random.Generator, plan: Plan) -> Mesh:
     return Mesh(vertices.reshape(-1, 3), faces.reshape(-1, 3), labels, materials, shades)
 
 
-def _patches(rng: np.random.Generator, s: Array, t: Array, length: float) -> Array:
+def _patches(rng: Rng, s: Array, t: Array, length: float) -> Array:
     """Return the brightness of cells (s, t): mended asphalt, worn and wet places."""
     shade = np.ones((len(s), len(t)))
     for _ in range(int(length / 6)):

@@ -10,7 +10,7 @@ import numpy as np
 
 from salsanext_cli.synthesis import buildings, fences, furniture, people, vegetation, vehicles
 from salsanext_cli.synthesis.builder import Builder
-from salsanext_cli.synthesis.mesh import Mesh
+from salsanext_cli.synthesis.mesh import Mesh, Rng
 from salsanext_cli.synthesis.plan import REACH_M, Lot, Side
 
 
@@ -155,7 +155,7 @@ def _scatter(
     builder: Builder,
     side: Side,
     lot: Lot,
-    make: Callable[[np.random.Generator, float], Mesh],
+    make: Callable[[Rng, float], Mesh],
     size: tuple[float, float],
     count: float,
     reach: float | None = None,

@@ -13,6 +13,7 @@ import numpy.typing as npt
 from salsanext_cli.synthesis.surfaces import Material
 
 Array = npt.NDArray[np.float64]
+Rng = np.random.Generator
 BOX_FACES = np.array(
     [[0, 2, 1], [1, 2, 3], [4, 5, 6], [5, 7, 6], [0, 1, 4], [1, 5, 4]]
     + [[2, 6, 3], [3, 6, 7], [0, 4, 2], [2, 4, 6], [1, 3, 5], [3, 7, 5]]
@@ -27,9 +28,7 @@ class Skin(NamedTuple):
     shade: float = 1.0
 
     @classmethod
-    def drawn(
-        cls, rng: np.random.Generator, label: int, material: Material, low: float, high: float
-    ) -> Skin:
+    def drawn(cls, rng: Rng, label: int, material: Material, low: float, high: float) -> Skin:
         """Draw the brightness between two bounds."""
         return cls(label, material, float(rng.uniform(low, high)))
 
@@ -193,7 +192,7 @@ def disc(centre: npt.ArrayLike, radius: float, skin: Skin, sides: int = 12) -> M
     return Mesh.of(vertices, faces, skin)
 
 
-def facets(centres: Array, sizes: Array, skin: Skin, rng: np.random.Generator) -> Mesh:
+def facets(centres: Array, sizes: Array, skin: Skin, rng: Rng) -> Mesh:
     """Return one randomly turned triangle around each of (F, 3) centres, like leaves.
 
     `sizes` (F,) in metres; their brightness varies by a fifth.

@@ -14,7 +14,7 @@ import numpy.typing as npt
 
 from salsanext_cli.synthesis import surfaces
 from salsanext_cli.synthesis.mesh import Array
-from salsanext_cli.synthesis.style import Span, Style
+from salsanext_cli.synthesis.presets import Span, Style
 
 REACH_M = 62.0
 """Extent of the world to either side of the centre line."""

@@ -12,9 +12,9 @@ from salsanext_cli.synthesis import lots, people, roadside, surfaces, vehicles
 from salsanext_cli.synthesis.builder import Builder
 from salsanext_cli.synthesis.draw import draw_plan
 from salsanext_cli.synthesis.ground import ground
-from salsanext_cli.synthesis.mesh import Mesh, merge
+from salsanext_cli.synthesis.mesh import Mesh, Rng, merge
 from salsanext_cli.synthesis.plan import Plan
-from salsanext_cli.synthesis.style import Style
+from salsanext_cli.synthesis.presets import Style
 
 MARGIN_M = 70.0
 """Length of the street behind the first scan and beyond the last one."""
@@ -51,7 +51,7 @@ class Mover:
 
 
 def build_street(
-    rng: np.random.Generator, style: Style, distance: float, ego_speed: float
+    rng: Rng, style: Style, distance: float, ego_speed: float
 ) -> tuple[Plan, Mesh, tuple[Mover, ...]]:
     """Build a street on which the recording vehicle can drive `distance` metres.
 

@@ -17,7 +17,7 @@ from salsanext_cli.synthesis import (
 from salsanext_cli.synthesis.builder import Builder
 from salsanext_cli.synthesis.draw import draw_plan
 from salsanext_cli.synthesis.plan import Lot
-from salsanext_cli.synthesis.style import STYLES
+from salsanext_cli.synthesis.presets import STYLES
 
 THINGS = {
     "car": (vehicles.car, {surfaces.CAR}, (3.4, 1.6, 1.3), (5.5, 2.4, 2.5)),
