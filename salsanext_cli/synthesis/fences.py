@@ -22,40 +22,30 @@ PALES = {
 def fence(rng: Rng, length: float, kind: str, height: float, shade: float) -> Mesh:
     """Return a stretch of fence of one of `KINDS`, or ``"barrier"``."""
     if kind == "wall":
-        return _wall(length, height, Skin(FENCE, Material.BRICK, shade))
+        skin = Skin(FENCE, Material.BRICK, shade)
+        body = box((0, -0.12, FOOT_M), (length, 0.12, height), skin)
+        return merge([body, box((0, -0.17, height), (length, 0.17, height + 0.07), skin)])
     if kind == "barrier":
         return _barrier(length, Skin(FENCE, Material.METAL, shade))
     material, pitch, width = PALES[kind]
     skin = Skin(FENCE, material, shade)
     x = np.arange(0, length, pitch)
-    parts = [_strips(x, x + width, 0.03, height + rng.normal(0, 0.015, len(x)), skin)]
+    parts = [_strips(x, x + width, 0.03, height + rng.normal(0, 0.015, len(x)), skin=skin)]
     for post in np.arange(0, length, 2.2):
         parts.append(box((post, -0.05, FOOT_M), (post + 0.08, 0.05, height + 0.05), skin))
     for z in (0.2, height - 0.15):
         parts.append(box((0, 0.01, z - 0.04), (length, 0.05, z + 0.04), skin))
     if kind == "mesh":
         rows = np.arange(0.1, height, 0.12)
-        parts.append(_strips(0.0, length, rows, rows + 0.018, skin))
+        parts.append(_strips(0.0, length, rows, rows + 0.018, skin=skin))
     return merge(parts)
 
 
-def _strips(
-    x0: np.ndarray | float,
-    x1: np.ndarray | float,
-    z0: np.ndarray | float,
-    z1: np.ndarray,
-    skin: Skin,
-) -> Mesh:
-    """Return upright rectangles in the plane y = 0."""
-    x0, x1, y, z0, z1 = np.broadcast_arrays(x0, x1, 0.0, z0, z1)
+def _strips(*edges: np.ndarray | float, skin: Skin) -> Mesh:
+    """Return upright rectangles in the plane y = 0: left, right, lower and upper edges."""
+    x0, x1, z0, z1, y = np.broadcast_arrays(*edges, 0.0)
     corners = [np.stack(c, -1) for c in ((x0, y, z0), (x1, y, z0), (x1, y, z1), (x0, y, z1))]
     return quads(np.stack(corners, 1), skin)
-
-
-def _wall(length: float, height: float, skin: Skin) -> Mesh:
-    body = box((0, -0.12, FOOT_M), (length, 0.12, height), skin)
-    coping = box((0, -0.17, height), (length, 0.17, height + 0.07), skin)
-    return merge([body, coping])
 
 
 def _barrier(length: float, skin: Skin) -> Mesh:

@@ -115,12 +115,7 @@ def measure(
 
 
 def _returns(
-    rng: Rng,
-    reflected: Array,
-    cosine: Array,
-    reach: Array,
-    gloss: Array,
-    power: Array,
+    rng: Rng, reflected: Array, cosine: Array, reach: Array, gloss: Array, power: Array
 ) -> npt.NDArray[np.bool_]:
     """Decide which pulses return."""
     chance = rng.random(len(reach))

@@ -122,9 +122,9 @@ def merge(meshes: Iterable[Mesh]) -> Mesh:
     )
 
 
-def box(low: npt.ArrayLike, high: npt.ArrayLike, skin: Skin) -> Mesh:
-    """Return an axis-parallel box between two corners."""
-    (x0, y0, z0), (x1, y1, z1) = np.asarray(low, float), np.asarray(high, float)
+def box(corner: npt.ArrayLike, opposite: npt.ArrayLike, skin: Skin) -> Mesh:
+    """Return an axis-parallel box between two opposite corners."""
+    (x0, y0, z0), (x1, y1, z1) = np.sort(np.array([corner, opposite], float), 0)
     corners = np.array([[x, y, z] for z in (z0, z1) for y in (y0, y1) for x in (x0, x1)])
     return Mesh.of(corners, BOX_FACES, skin)
 

@@ -59,6 +59,7 @@ def _wheels(label: int, axles: list[float], track: float, radius: float, wide: f
 def _fittings(body: Body, label: int, stretch: Array) -> list[Mesh]:
     """Return lamps, reflectors, number plates and mirrors."""
     lamp, retro = Skin(label, Material.LAMP), Skin(label, Material.RETRO)
+    mirror = Skin(label, Material.PAINT, 0.4)
     front, rear = body.length / 2 * stretch[0], -body.length / 2 * stretch[0]
     half, height = body.width / 2 * stretch[1], body.profile[1, 1] * stretch[2]
     parts = [
@@ -66,14 +67,13 @@ def _fittings(body: Body, label: int, stretch: Array) -> list[Mesh]:
         box((rear - 0.015, -0.26, 0.62), (rear + 0.02, 0.26, 0.73), retro),
     ]
     for side in (-1, 1):
-        low, high = sorted((side * (half - 0.36), side * (half - 0.1)))
-        parts.append(box((front - 0.3, low, height - 0.16), (front - 0.02, high, height), lamp))
-        parts.append(box((rear - 0.01, low, height + 0.05), (rear + 0.2, high, height + 0.2), lamp))
-        parts.append(box((rear - 0.02, low, 0.45), (rear + 0.02, high, 0.5), retro))
-        x = body.length * 0.16
-        low, high = sorted((side * half, side * (half + 0.16)))
-        mirror = Skin(label, Material.PAINT, 0.4)
-        parts.append(box((x, low, height + 0.2), (x + 0.12, high, height + 0.36), mirror))
+        x, a, b, c = body.length * 0.16, side * (half - 0.36), side * (half - 0.1), side * half
+        parts += [
+            box((front - 0.3, a, height - 0.16), (front - 0.02, b, height), lamp),
+            box((rear - 0.01, a, height + 0.05), (rear + 0.2, b, height + 0.2), lamp),
+            box((rear - 0.02, a, 0.45), (rear + 0.02, b, 0.5), retro),
+            box((x, c, height + 0.2), (x + 0.12, side * (half + 0.16), height + 0.36), mirror),
+        ]
     return parts
 
 
@@ -138,7 +138,6 @@ def truck(rng: Rng) -> Mesh:
         parts.append(box((-front - 0.03, y, 0.6), (-front + 0.01, y + 0.3, 0.75), retro))
     parts.append(box((-front - 0.02, -half, 0.42), (-front + 0.05, half, 0.52), steel))
     for side in (-1, 1):
-        low, high = sorted((side * (half + 0.02), side * (half + 0.28)))
-        x = front + cab_length
-        parts.append(box((x - 0.25, low, 1.7), (x - 0.15, high, 2.3), steel))
+        x, y = front + cab_length, side * (half + 0.02)
+        parts.append(box((x - 0.25, y, 1.7), (x - 0.15, side * (half + 0.28), 2.3), steel))
     return merge(parts).moved((-(cab_length + 0.1) / 2, 0, 0))
