@@ -4,8 +4,6 @@
 Probabilities and uncertainties of points are checked for possible values too.
 """
 
-from __future__ import annotations
-
 import io
 import math
 import warnings

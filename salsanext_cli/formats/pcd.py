@@ -6,8 +6,6 @@ memory where HEIGHT comes after POINTS and on padding fields (`_` with COUNT ≠
 with uninitialised values where ascii files are short or DATA is in upper case.
 """
 
-from __future__ import annotations
-
 import io
 import math
 from dataclasses import dataclass

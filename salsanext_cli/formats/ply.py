@@ -4,8 +4,6 @@
 plyfile allocates whatever a header promises, so the header is compared with the file's size first.
 """
 
-from __future__ import annotations
-
 import io
 import re
 import warnings

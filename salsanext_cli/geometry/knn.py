@@ -10,8 +10,6 @@ The window goes on around the image in azimuth. Pixels that are empty or above o
 are no candidates, and a point without a vote keeps its pixel's label.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from typing import TypeVar

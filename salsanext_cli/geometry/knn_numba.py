@@ -6,8 +6,6 @@ each step runs over a whole block before the next begins: the compiler can vecto
 branch.
 """
 
-from __future__ import annotations
-
 import numpy as np
 import numpy.typing as npt
 

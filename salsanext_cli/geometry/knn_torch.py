@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: MIT
 """kNN refinement on a torch device: the same candidates, keys and votes as the compiled one."""
 
-from __future__ import annotations
-
 import numpy as np
 import torch
 

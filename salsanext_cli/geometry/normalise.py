@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: MIT
 """The network's input from a range image, and its variance by the sensor's noise."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from salsanext_cli.errors import UsageError

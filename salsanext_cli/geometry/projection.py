@@ -11,8 +11,6 @@ ones the first in the scan. All arithmetic after the arctangents is float32, as 
 code, so that points on a pixel border fall to the same side.
 """
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -5,8 +5,6 @@ The first step works on flat arrays without branches and library calls, because 
 compiler vectorise it.
 """
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -5,8 +5,6 @@ Divisors are tensors, because CUDA multiplies by the reciprocal of a number; and
 sum it goes into are two operations, which no device fuses.
 """
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

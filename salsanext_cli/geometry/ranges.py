@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: MIT
 """Ranges of points, and which points hold a measurement."""
 
-from __future__ import annotations
-
 import sys
 
 import numpy as np

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: MIT
 """Beams of an HDL-64E: 64 lasers in two blocks, about 2160 firings of each per revolution."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: MIT
 """Street under construction: placement of objects on a ground plan."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from itertools import pairwise
@@ -17,17 +15,7 @@ PIECE_M = 5.0
 
 
 class Builder:
-    """Street under construction.
-
-    Attributes
-    ----------
-    rng : numpy.random.Generator
-        Source of all randomness.
-    plan : Plan
-        The ground plan.
-    parts : list of Mesh
-        Objects placed so far, world coordinates.
-    """
+    """Street under construction; ``parts`` are the objects placed so far, world coordinates."""
 
     def __init__(self, rng: Rng, plan: Plan) -> None:
         self.rng = rng

@@ -4,8 +4,6 @@
 Local frame: x along the street, y away from it, the front wall at y = 0, the ground at z = 0.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from salsanext_cli.synthesis.mesh import Array, Mesh, Rng, Skin, box, merge, quads

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: MIT
 """Random ground plans of a given style."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 
 import numpy as np

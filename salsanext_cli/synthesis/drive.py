@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: MIT
 """Recorded drive through a street: a scan every few metres."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import dataclass
 

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: MIT
 """The ground as a mesh: a grid that is fine where the plan changes."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from salsanext_cli.synthesis import surfaces

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: MIT
 """Simulated measurement of one revolution: range and intensity of the pulses that return."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

@@ -4,8 +4,6 @@
 Local frame: x forward, y left, the ground at z = 0.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from salsanext_cli.synthesis.mesh import Array, Mesh, Rng, Skin, box, ellipsoid, merge, tube

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: MIT
 """Numbers of streets, vehicles and the recording vehicle, read from presets/streets.toml."""
 
-from __future__ import annotations
-
 import tomllib
 from dataclasses import dataclass
 from importlib import resources

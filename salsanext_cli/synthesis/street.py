@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: MIT
 """A whole street: the ground, all that stands on it, all that moves."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import dataclass
 
@@ -24,16 +22,8 @@ MARGIN_M = 70.0
 class Mover:
     """A thing that keeps its speed and its distance from the centre line.
 
-    Attributes
-    ----------
-    mesh : Mesh
-        In its own frame, x forward.
-    start : float
-        Position along the street at time 0, metres.
-    t : float
-        Distance to the left of the centre line, metres.
-    speed : float
-        Along the street, metres per second; negative comes towards the start.
+    Its mesh is in its own frame, x forward. At time 0 it is ``start`` metres along the street and
+    ``t`` metres to the left; a negative ``speed``, in metres per second, leads towards the start.
     """
 
     mesh: Mesh
@@ -83,20 +73,22 @@ def build_street(
 def _vehicles(builder: Builder, speed: float, duration: float) -> Iterator[Mover]:
     """Yield vehicles ahead of and behind the recording one, and those that come towards it."""
     plan = builder.plan
-    t, gap = 0.5 * plan.half, 100 / plan.style.traffic
-    s = MARGIN_M + builder.between(9, 40)
-    while s < plan.length + speed * duration:
+    t, way = 0.5 * plan.half, speed * duration
+    for s in _in_a_row(builder, MARGIN_M + builder.between(9, 40), plan.length + way, 8):
         yield Mover(_vehicle(builder), s, -t, speed)
-        s += builder.between(0.3, 1.7) * gap + 8
-    s = MARGIN_M - builder.between(9, 50)
-    while s > -speed * duration:
+    for s in _in_a_row(builder, MARGIN_M - builder.between(9, 50), -way, 8):
         yield Mover(_vehicle(builder), s, -t, speed)
-        s -= builder.between(0.3, 1.7) * gap + 8
     pace = speed * builder.between(0.5, 1.2)
-    s = builder.between(0, 40)
-    while s < plan.length + pace * duration:
+    for s in _in_a_row(builder, builder.between(0, 40), plan.length + pace * duration, 9):
         yield Mover(_vehicle(builder), s, t, -pace)
-        s += builder.between(0.3, 1.7) * gap + 9
+
+
+def _in_a_row(builder: Builder, start: float, end: float, room: float) -> Iterator[float]:
+    """Yield places of vehicles from start to end, with gaps and the room that each takes."""
+    sign, gap = 1 if end > start else -1, 100 / builder.plan.style.traffic
+    while (end - start) * sign > 0:
+        yield start
+        start += sign * (builder.between(0.3, 1.7) * gap + room)
 
 
 def _vehicle(builder: Builder) -> Mesh:

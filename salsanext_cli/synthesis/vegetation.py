@@ -4,8 +4,6 @@
 Local frame: the ground at z = 0, a tree's foot at the origin, a hedge along x.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from salsanext_cli.synthesis.mesh import (
