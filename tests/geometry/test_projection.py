@@ -10,7 +10,7 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays
-from slow_geometry import slow_project
+from slow_geometry import DEVICES, ON_TORCH, slow_project
 
 from salsanext_cli.geometry import projection_torch
 from salsanext_cli.geometry.projection import project
@@ -20,8 +20,6 @@ from salsanext_cli.sensors import Sensor, sensor
 
 FIELDS = ("channels", "pixel_of_point", "point_of_pixel", "point_range")
 WIDE = Sensor("wide", 90, -90, 4, 8)
-ON_TORCH = "cpu:0"
-"""A name other than "cpu" chooses the implementation for other devices."""
 
 
 def scan_of(*points):
@@ -74,6 +72,13 @@ def test_many_points_on_any_number_of_threads(rings, threads, monkeypatch):
     monkeypatch.setattr("salsanext_cli.kernels.MIN_SLICE_ITEMS", 100)
     monkeypatch.setitem(vars(numba.config), "NUMBA_NUM_THREADS", threads)
     assert_same(project(rings, sensor("hdl64")), slow_project(rings, sensor("hdl64")))
+
+
+@pytest.mark.parametrize("device", DEVICES)
+@pytest.mark.parametrize("width", [2048, 333, 3])
+def test_other_devices_give_the_same_bits(rings, width, device):
+    narrow = sensor("hdl64").resized(width=width)
+    assert_same(project(rings, narrow, device), fields_of(project(rings, narrow)))
 
 
 def test_compass():
