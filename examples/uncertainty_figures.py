@@ -18,7 +18,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 import salsanext_cli as sn
-from salsanext_cli.geometry.noise import noise_of
+from salsanext_cli.geometry.normalise import noise_of
 from salsanext_cli.inference.network import Network
 from salsanext_cli.measures.correlation import spearman
 from salsanext_cli.records import RangeImage

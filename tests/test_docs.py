@@ -25,6 +25,7 @@ from salsanext_cli.classes import LabelSpace
 from salsanext_cli.cli.app import COMMANDS, app
 from salsanext_cli.formats import SCAN_SUFFIXES
 from salsanext_cli.sensors import Sensor
+from salsanext_cli.stages import predict as stage
 from salsanext_cli.stages.models import models
 from salsanext_cli.storage.layout import SUFFIX_OF_FOLDER
 from salsanext_cli.storage.point_files import write_bin
@@ -247,6 +248,35 @@ def test_every_name_in_the_tables_exists(page):
         assert find(name), name
     if page == "python.md":
         assert len(names) == len(NAMES)
+
+
+def test_the_documented_way_of_one_scan_visits_these_files_in_order(world, monkeypatch):
+    package = ROOT / "salsanext_cli"
+    visited: list[str] = []
+
+    def note(frame, event: str, _: object) -> None:
+        path = Path(frame.f_code.co_filename)
+        if event == "call" and path.is_relative_to(package):
+            name = path.relative_to(package).as_posix()
+            if name not in visited:
+                visited.append(name)
+
+    original = stage.predict_scan
+
+    def followed(*arguments, **options):
+        sys.setprofile(note)
+        try:
+            return original(*arguments, **options)
+        finally:
+            sys.setprofile(None)
+
+    monkeypatch.setattr(stage, "predict_scan", followed)
+    stage.predict_scans(world.scan(), world.out, network=world.network)
+    listed = text_of("docs/development.md").partition("Once per scan")[2]
+    listed = listed.partition("\n\n`uncertainty`")[0]
+    files = re.findall(r"^\d+\. `(\S+\.py)`", listed, re.MULTILINE)
+    assert len(files) == len(set(files)) > 8
+    assert [name for name in visited if name in files] == files
 
 
 def test_every_link_leads_somewhere():

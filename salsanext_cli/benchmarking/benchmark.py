@@ -15,7 +15,7 @@ from salsanext_cli.benchmarking.hardware import least_seconds
 from salsanext_cli.benchmarking.turn import take_turn
 from salsanext_cli.errors import UsageError, WeightsError
 from salsanext_cli.formats import read_scan
-from salsanext_cli.geometry.noise import noise_of
+from salsanext_cli.geometry.normalise import noise_of
 from salsanext_cli.inference.network import choose_device
 from salsanext_cli.inference.settings import NetworkSettings
 from salsanext_cli.network.weights import WeightsCard, default_weights, read_card

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: MIT
 """Readers and encoders of point files."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 from salsanext_cli.errors import FormatError

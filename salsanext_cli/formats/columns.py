@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: MIT
 """Scans from named columns, with the names and types of several programs."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any

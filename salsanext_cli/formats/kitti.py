@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: MIT
 """KITTI's raw files: `.bin` scans and `.label` labels, little endian, no header."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

@@ -6,26 +6,99 @@ memory where HEIGHT comes after POINTS and on padding fields (`_` with COUNT ≠
 with uninitialised values where ascii files are short or DATA is in upper case.
 """
 
-from __future__ import annotations
-
 import io
+import math
+from dataclasses import dataclass
 from pathlib import Path
 from tempfile import NamedTemporaryFile
-from typing import BinaryIO
+from typing import Any, BinaryIO
 
 import numpy as np
 import numpy.typing as npt
 
 from salsanext_cli.errors import FormatError
 from salsanext_cli.formats.columns import Columns, scan_of
-from salsanext_cli.formats.pcd_header import Header, read_header
 from salsanext_cli.formats.reading import read_values, reading, size_of
 from salsanext_cli.packages import import_open3d
 from salsanext_cli.records import Scan
 from salsanext_cli.settings_files import shortened
 
+KINDS = ("ascii", "binary", "binary_compressed")
+TYPES = {
+    **{f"F{size}": f"<f{size}" for size in (4, 8)},
+    **{f"I{size}": f"<i{size}" for size in (1, 2, 4, 8)},
+    **{f"U{size}": f"<u{size}" for size in (1, 2, 4, 8)},
+}
+"""numpy's type of each TYPE and SIZE."""
+CODES = {kind: code for code, kind in TYPES.items()}
+PADDING = "_"
+MAX_HEADER_BYTES = 1 << 16
+"""Size of the largest header and of the largest row."""
 LARGEST_RATIO = 264 / 3
 """Largest compression ratio of LZF: three bytes stand for up to 264."""
+
+
+@dataclass(frozen=True, slots=True)
+class Header:
+    """Fields, points and encoding of a PCD file.
+
+    Attributes
+    ----------
+    names, types, counts : tuples of equal length
+        Fields in order of storage: name, numpy type, values per point.
+    points : int
+        N.
+    kind : str
+        One of `KINDS`.
+    """
+
+    names: tuple[str, ...]
+    types: tuple[str, ...]
+    counts: tuple[int, ...]
+    points: int
+    kind: str
+
+    def __post_init__(self) -> None:
+        if not len(self.names) == len(self.types) == len(self.counts):
+            raise ValueError("a PCD header whose FIELDS, TYPE, SIZE and COUNT differ in length")
+        named = [name for name in self.names if name != PADDING]
+        if len(set(named)) < len(named):
+            raise ValueError("a PCD header with a field twice")
+        if self.points < 0 or min(self.counts, default=0) < 0:
+            raise ValueError("a PCD header with a negative number")
+        if self.row_size > MAX_HEADER_BYTES:
+            raise ValueError(f"a PCD header with {self.row_size} bytes per point")
+        if self.kind not in KINDS:
+            raise ValueError(f"PCD data of kind {self.kind}, not {', '.join(KINDS)}")
+
+    @property
+    def scalars(self) -> dict[str, int]:
+        """Names and indices of the fields with one named value per point."""
+        return {n: i for i, n in enumerate(self.names) if n != PADDING and self.counts[i] == 1}
+
+    @property
+    def row_size(self) -> int:
+        """Size of one point in bytes, padding included."""
+        sizes = (np.dtype(kind).itemsize for kind in self.types)
+        return sum(size * count for size, count in zip(sizes, self.counts, strict=True))
+
+    @property
+    def row(self) -> np.dtype[Any]:
+        """Type of a point in plain binary data."""
+        scalars = self.scalars
+        # A name in a header never has a space.
+        names = (n if n in scalars else f"field {i}" for i, n in enumerate(self.names))
+        shapes = (() if count == 1 else (count,) for count in self.counts)
+        return np.dtype(list(zip(names, self.types, shapes, strict=True)))
+
+    def encode(self) -> bytes:
+        """Return the header in its usual form and order, of a cloud in one row."""
+        types = [CODES[kind] for kind in self.types]
+        return (
+            f"VERSION 0.7\nFIELDS {' '.join(self.names)}\nSIZE {' '.join(t[1:] for t in types)}\n"
+            f"TYPE {' '.join(t[0] for t in types)}\nCOUNT {' '.join(map(str, self.counts))}\n"
+            f"WIDTH {self.points}\nHEIGHT 1\nPOINTS {self.points}\nDATA {self.kind}\n"
+        ).encode()
 
 
 def read_pcd(path: Path, *, intensity_scale: float = 1.0) -> Scan:
@@ -40,7 +113,7 @@ def read_pcd(path: Path, *, intensity_scale: float = 1.0) -> Scan:
     """
     with reading(path) as file:
         try:
-            header = read_header(file)
+            header = _read_header(file)
             match header.kind:
                 case "ascii":
                     columns = _read_ascii(file, header)
@@ -69,7 +142,7 @@ def _read_ascii(file: BinaryIO, header: Header) -> Columns:
     # A NaN in an integer field that is not used is no reason to fail.
     with np.errstate(invalid="ignore", over="ignore"):
         return {
-            header.names[i]: values[:, first[i]].astype(header.types[i]) for i in header.scalars
+            name: values[:, first[i]].astype(header.types[i]) for name, i in header.scalars.items()
         }
 
 
@@ -78,7 +151,7 @@ def _read_binary(file: BinaryIO, path: Path, header: Header) -> Columns:
     if (held := size_of(file) - file.tell()) < promised:
         raise ValueError(f"{held} bytes of data, not {promised}")
     table = read_values(file, path, header.row, header.points)
-    return {name: table[name] for name in table.dtype.names or ()}
+    return {name: table[name] for name in header.scalars}
 
 
 def _read_compressed(file: BinaryIO, header: Header) -> Columns:
@@ -108,3 +181,45 @@ def _read_compressed(file: BinaryIO, header: Header) -> Columns:
         raise ValueError("compressed PCD data that does not unpack")
     columns = {name: cloud.point[name].numpy()[:, 0] for name in cloud.point}
     return columns | dict(zip("xyz", cloud.point.positions.numpy().T, strict=True))
+
+
+def _read_header(file: BinaryIO) -> Header:
+    """Read up to the line DATA; an unusable header raises `ValueError`."""
+    entries = _entries(file)
+    try:
+        names = tuple(entries["FIELDS"])
+        kinds, sizes = entries["TYPE"], entries["SIZE"]
+        counts = entries.get("COUNT", ["1"] * len(names))
+        points = entries.get("POINTS") or entries["WIDTH"] + entries["HEIGHT"]
+        return Header(
+            names,
+            tuple(TYPES[kind + size] for kind, size in zip(kinds, sizes, strict=False)),
+            tuple(_number(count) for count in counts),
+            math.prod(map(_number, points)),
+            entries["DATA"][0].lower(),
+        )
+    except (KeyError, IndexError) as error:
+        raise ValueError(f"a PCD header without a usable {error}") from error
+
+
+def _entries(file: BinaryIO) -> dict[str, list[str]]:
+    """Return the words after each keyword."""
+    entries: dict[str, list[str]] = {}
+    while "DATA" not in entries:
+        line = file.readline(MAX_HEADER_BYTES)
+        if not line or file.tell() > MAX_HEADER_BYTES:
+            raise ValueError("no PCD header")
+        words = line.decode("ascii", "replace").split()
+        if words and not words[0].startswith("#"):
+            entries[words[0]] = words[1:]
+    return entries
+
+
+def _number(word: str) -> int:
+    """Return a number of fields or points, of a size that can be calculated with."""
+    if len(word) > 15:
+        raise ValueError("a PCD header with an impossible number")
+    try:
+        return int(word)
+    except ValueError as error:
+        raise ValueError(f"a PCD header with {word} in place of a number") from error

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: MIT
 """Opening of files and tests for their presence, where names may be anything."""
 
-from __future__ import annotations
-
 import errno
 import os
 import stat

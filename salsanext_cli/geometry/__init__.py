@@ -5,14 +5,11 @@
 
     projection              a scan seen from the sensor (paper eq. 1)
     ├── projection_numba        … compiled for the CPU
-    ├── projection_torch        … on a torch device, the same bits
-    └── projection_parameters   the sensor's numbers for both
-    normalise               the network's input from a range image
-    noise                   the variance of that input by the sensor's noise
+    └── projection_torch        … on a torch device, the same bits
+    normalise               the network's input, and its variance by the sensor's noise
     knn                     labels of pixels to labels of points
     ├── knn_numba               … compiled for the CPU
-    ├── knn_torch               … on a torch device, the same labels
-    └── knn_parameters          the neighbourhood and the vote
+    └── knn_torch               … on a torch device, the same labels
     gather                  values of pixels onto points and back
     ranges                  distances of points, and which of them hold a measurement
     coverage                share of points outside the field of view

@@ -9,8 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from salsanext_cli.geometry.projection_parameters import LARGEST
-from salsanext_cli.geometry.ranges import measured_ranges
+from salsanext_cli.geometry.ranges import LARGEST, measured_ranges
 from salsanext_cli.records import Scan
 from salsanext_cli.sensors import Sensor
 

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: MIT
 """Values of pixels gathered onto points, and values of points onto pixels."""
 
-from __future__ import annotations
-
 from typing import TypeVar
 
 import numpy as np

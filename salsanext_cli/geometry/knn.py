@@ -10,26 +10,92 @@ The window goes on around the image in azimuth. Pixels that are empty or above o
 are no candidates, and a point without a vote keeps its pixel's label.
 """
 
-from __future__ import annotations
+import math
+from dataclasses import dataclass
+from typing import TypeVar
 
 import numpy as np
 import numpy.typing as npt
 
 from salsanext_cli.classes import TrainIds
 from salsanext_cli.errors import LabelError, UsageError
-from salsanext_cli.geometry.knn_parameters import KnnParameters
-from salsanext_cli.records import RangeImage
+from salsanext_cli.records import Float, Int, RangeImage
 
-__all__ = ["KnnParameters", "knn_refine"]
+Scalar = TypeVar("Scalar", bound=np.generic)
 
-PUBLISHED = KnnParameters()
+LARGEST_WINDOW_PX = 63
+"""Largest side of the window in pixels."""
+
+
+@dataclass(frozen=True, slots=True)
+class KnnParameters:
+    """Settings of the neighbourhood and of the vote; the defaults are the published ones.
+
+    Attributes
+    ----------
+    k : int
+        Number of nearest neighbours that may vote, the point's own pixel included.
+    window : int
+        Odd side of the window in pixels.
+    sigma : float
+        Standard deviation of the Gaussian in pixels.
+    cutoff : float
+        Maximum range difference of a neighbour, in metres.
+    """
+
+    k: int = 5
+    window: int = 5
+    sigma: float = 1.0
+    cutoff: float = 1.0
+
+    def __post_init__(self) -> None:
+        window, k = self.window, self.k
+        possible = {
+            "window": 1 <= window <= LARGEST_WINDOW_PX and window % 2 == 1,
+            "k": 1 <= k <= window**2,
+            "sigma": 0 < self.sigma < math.inf,
+            "cutoff": self.cutoff >= 0,
+        }
+        expected = {
+            "window": f"an odd window from 1 to {LARGEST_WINDOW_PX}",
+            "k": f"1 ≤ k ≤ {window**2} neighbours in a window of {window}",
+            "sigma": "a finite sigma above 0 pixels",
+            "cutoff": "a cutoff ≥ 0 metres",
+        }
+        for name, holds in possible.items():
+            if not holds:
+                raise UsageError("knn", f"{name} {getattr(self, name)}", expected[name])
+
+    def candidates(self, width: int) -> tuple[Int, Float]:
+        """Return the offsets of a point's candidates and the factors of their distances.
+
+        Parameters
+        ----------
+        width : int
+            W of the range image. If it is narrower than the window, no pixel comes round twice.
+
+        Returns
+        -------
+        offsets : (M,) int32
+            Flat offsets from the point's pixel, itself left out, in an image that is framed by
+            ``window // 2`` pixels on each side.
+        weights : (M,) float32
+            Their factors, 1 − Gaussian.
+        """
+        half = self.window // 2
+        dy, dx = np.mgrid[-half : half + 1, -half : half + 1]
+        kept = (dx >= -((width - 1) // 2)) & (dx <= width // 2) & ((dx != 0) | (dy != 0))
+        offsets = dy * (width + 2 * half) + dx
+        gaussian = np.exp(-(dy**2 + dx**2) / (2 * self.sigma**2))
+        weights = 1 - gaussian / gaussian.sum()
+        return offsets[kept].astype(np.int32), weights[kept].astype(np.float32)
 
 
 def knn_refine(
     image: RangeImage,
     pixel_labels: npt.ArrayLike,
     class_count: int = 20,
-    parameters: KnnParameters = PUBLISHED,
+    parameters: KnnParameters = KnnParameters(),
     device: str = "cpu",
 ) -> TrainIds:
     """Give every point a label by a vote of its nearest neighbours in the range image.
@@ -58,19 +124,32 @@ def knn_refine(
         If the labels have another shape than the image or are no train ids.
     """
     labels = _checked_labels(image, np.asarray(pixel_labels), class_count)
-    ranges = np.ascontiguousarray(image.channels[0])
-    arguments = (ranges, labels, image.pixel_of_point, image.point_range, parameters)
+    half, width = parameters.window // 2, image.width
+    empty = image.channels[0] <= 0
+    ranges = _framed(np.where(empty, np.float32(np.inf), image.channels[0]), half, np.inf)
+    framed_labels = _framed(np.where(empty, np.uint8(0), labels), half, 0)
+    points = (image.pixel_of_point, image.point_range)
+    candidates = parameters.candidates(width)
+    votes = (parameters.k, parameters.cutoff)
     if device == "cpu":
         from salsanext_cli.geometry import knn_numba
 
-        return knn_numba.refine(*arguments)
+        return knn_numba.refine(*points, ranges, framed_labels, width, half, *candidates, *votes)
     from salsanext_cli.geometry import knn_torch
 
-    return knn_torch.refine(*arguments, device)
+    return knn_torch.refine(
+        *points, ranges, framed_labels, width, half, *candidates, *votes, device=device
+    )
+
+
+def _framed(image: npt.NDArray[Scalar], half: int, beyond: float) -> npt.NDArray[Scalar]:
+    """Return the flattened image with a frame of `half` pixels, periodic in azimuth."""
+    wide = np.pad(image, ((0, 0), (half, half)), mode="wrap")
+    return np.pad(wide, ((half, half), (0, 0)), constant_values=beyond).reshape(-1)
 
 
 def _checked_labels(image: RangeImage, labels: npt.NDArray[np.generic], count: int) -> TrainIds:
-    """Return contiguous uint8 labels that fit the image; neither kernel checks bounds."""
+    """Return uint8 labels that fit the image; neither kernel checks bounds."""
     if not 1 <= count <= 256:
         raise UsageError("knn", f"{count} classes", "1 to 256 classes")
     if labels.shape != (image.height, image.width):
@@ -86,4 +165,4 @@ def _checked_labels(image: RangeImage, labels: npt.NDArray[np.generic], count: i
         raise LabelError(
             "pixels of points", f"{pixels.min()} … {pixels.max()}", f"-1 … {labels.size - 1}"
         )
-    return np.ascontiguousarray(labels, np.uint8)
+    return labels.astype(np.uint8, copy=False)

@@ -1,26 +1,19 @@
 # SPDX-License-Identifier: MIT
 """kNN refinement compiled for the CPU.
 
-The image is framed first, so that no step has to test for its border: at left and right with
-columns from the other side, above and below with empty pixels. Where a window holds one label only,
-no vote is needed. The other points are refined in blocks, and each step runs over a whole block
-before the next begins: the compiler can vectorise loops without a branch.
+Where a window holds one label only, no vote is needed. The other points are refined in blocks, and
+each step runs over a whole block before the next begins: the compiler can vectorise loops without a
+branch.
 """
-
-from __future__ import annotations
-
-from typing import TypeVar
 
 import numpy as np
 import numpy.typing as npt
 
 from salsanext_cli.classes import TrainIds
-from salsanext_cli.geometry.knn_parameters import KnnParameters
 from salsanext_cli.kernels import argument, compiled, parallel_for_slices
 from salsanext_cli.records import Float, Int
 
 Candidates = npt.NDArray[np.int64]
-Scalar = TypeVar("Scalar", bound=np.generic)
 
 BLOCK = 256
 """Number of points per block, which fits the fastest cache."""
@@ -29,52 +22,39 @@ LAST = np.int64(2**63 - 256)
 
 
 def refine(
-    ranges: Float,
-    labels: TrainIds,
     pixel_of_point: Int,
     point_range: Float,
-    parameters: KnnParameters,
+    ranges: Float,
+    labels: TrainIds,
+    width: int,
+    half: int,
+    offsets: Int,
+    weights: Float,
+    k: int,
+    cutoff: float,
 ) -> TrainIds:
-    """Return the label of every point; see `geometry.knn.knn_refine`."""
+    """Return the label of every point.
+
+    Ranges and labels are those of an image of this width, flattened after a frame of `half` pixels
+    was added, so that no step has to test for its border; see `KnnParameters.candidates`.
+    """
     pixel_of_point = argument(pixel_of_point, np.int32)
     point_range = argument(point_range, np.float32)
-    half, width = parameters.window // 2, ranges.shape[1]
-    empty = ranges <= 0
-    framed_ranges = framed(np.where(empty, np.float32(np.inf), ranges), half, np.inf)
-    framed_labels = framed(np.where(empty, np.uint8(0), labels), half, 0)
-    offsets, weights = parameters.candidates(width)
     frame = half * (width + 2 * half) + half
-    mixed = np.empty(framed_labels.size - 2 * frame, np.bool_)
+    mixed = np.empty(labels.size - 2 * frame, np.bool_)
     refined = np.empty(len(pixel_of_point), np.uint8)
+    image = (ranges, labels, mixed, width, half)
+    votes = (offsets, weights, k, np.float32(cutoff))
 
     def mark(part: slice) -> None:
-        mark_mixed(framed_labels, frame + part.start, offsets, mixed[part])
+        mark_mixed(labels, frame + part.start, offsets, mixed[part])
 
     def vote(part: slice) -> None:
-        refine_points(
-            pixel_of_point[part],
-            point_range[part],
-            framed_ranges,
-            framed_labels,
-            mixed,
-            width,
-            half,
-            offsets,
-            weights,
-            parameters.k,
-            np.float32(parameters.cutoff),
-            refined[part],
-        )
+        refine_points(pixel_of_point[part], point_range[part], *image, *votes, refined[part])
 
     parallel_for_slices(mark, mixed.size)
     parallel_for_slices(vote, len(refined))
     return refined
-
-
-def framed(image: npt.NDArray[Scalar], half: int, beyond: float) -> npt.NDArray[Scalar]:
-    """Return the flattened image with a frame of `half` pixels, periodic in azimuth."""
-    wide = np.pad(image, ((0, 0), (half, half)), mode="wrap")
-    return np.pad(wide, ((half, half), (0, 0)), constant_values=beyond).reshape(-1)
 
 
 @compiled

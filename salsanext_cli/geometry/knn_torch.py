@@ -1,14 +1,10 @@
 # SPDX-License-Identifier: MIT
 """kNN refinement on a torch device: the same candidates, keys and votes as the compiled one."""
 
-from __future__ import annotations
-
 import numpy as np
 import torch
-import torch.nn.functional as F
 
 from salsanext_cli.classes import TrainIds
-from salsanext_cli.geometry.knn_parameters import KnnParameters
 from salsanext_cli.records import Float, Int
 
 CHUNK_POINTS = 1 << 17
@@ -16,20 +12,21 @@ CHUNK_POINTS = 1 << 17
 
 
 def refine(
-    ranges: Float,
-    labels: TrainIds,
     pixel_of_point: Int,
     point_range: Float,
-    parameters: KnnParameters,
+    ranges: Float,
+    labels: TrainIds,
+    width: int,
+    half: int,
+    offsets: Int,
+    weights: Float,
+    k: int,
+    cutoff: float,
     device: str,
 ) -> TrainIds:
-    """Return the label of every point; see `geometry.knn.knn_refine`."""
-    half, width = parameters.window // 2, ranges.shape[1]
-    range_of_pixel = torch.tensor(ranges, device=device)
-    empty = range_of_pixel <= 0
-    framed_ranges = framed(torch.where(empty, torch.inf, range_of_pixel), half, torch.inf)
-    framed_labels = framed(torch.where(empty, 0, torch.tensor(labels, device=device)), half, 0)
-    offsets, weights = parameters.candidates(width)
+    """Return the label of every point; see `knn_numba.refine`."""
+    framed_ranges = torch.tensor(ranges, device=device)
+    framed_labels = torch.tensor(labels, device=device)
     neighbours = torch.tensor(offsets.astype(np.int64), device=device)
     factors = torch.tensor(weights, device=device)
     pixels = torch.tensor(pixel_of_point, device=device)
@@ -41,19 +38,12 @@ def refine(
         centre = pixel + (pixel // width + half) * 2 * half + half * width + half
         windows = centre[:, None] + neighbours
         distance = (framed_ranges[windows] - own_range[part, None]).abs() * factors
-        candidates = torch.where(distance <= parameters.cutoff, framed_labels[windows], 0)
+        candidates = torch.where(distance <= cutoff, framed_labels[windows], 0)
         own = framed_labels[centre]
-        voted = majority(nearest_labels(own, distance, candidates, parameters.k))
+        voted = majority(nearest_labels(own, distance, candidates, k))
         refined[part] = torch.where(pixels[part] >= 0, voted, 0)
     result: TrainIds = refined.cpu().numpy()
     return result
-
-
-def framed(image: torch.Tensor, half: int, beyond: float) -> torch.Tensor:
-    """Return the flattened image with a frame of `half` pixels, periodic in azimuth."""
-    width = image.shape[1]
-    columns = torch.arange(-half, width + half, device=image.device) % width
-    return F.pad(image[:, columns], (0, 0, half, half), value=beyond).reshape(-1)
 
 
 def nearest_labels(

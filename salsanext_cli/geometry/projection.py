@@ -11,9 +11,10 @@ ones the first in the scan. All arithmetic after the arctangents is float32, as 
 code, so that points on a pixel border fall to the same side.
 """
 
-from __future__ import annotations
+import math
 
-from salsanext_cli.geometry.projection_parameters import ProjectionParameters
+import numpy as np
+
 from salsanext_cli.records import RangeImage, Scan
 from salsanext_cli.sensors import Sensor
 
@@ -39,10 +40,13 @@ def project(scan: Scan, sensor: Sensor, device: str = "cpu") -> RangeImage:
     RangeImage
         NumPy arrays, whatever the device.
     """
+    up, down = math.radians(sensor.fov_up), math.radians(sensor.fov_down)
+    view = (np.float32(down), np.float32(up - down), sensor.height, sensor.width)
+    drop = sensor.out_of_view == "drop"
     if device == "cpu":
         from salsanext_cli.geometry import projection_numba
 
-        return projection_numba.project(scan, ProjectionParameters.of(sensor))
+        return projection_numba.project(scan, *view, drop)
     from salsanext_cli.geometry import projection_torch
 
-    return projection_torch.project(scan, ProjectionParameters.of(sensor), device)
+    return projection_torch.project(scan, *view, drop, device)

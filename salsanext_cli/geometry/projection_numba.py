@@ -5,13 +5,11 @@ The first step works on flat arrays without branches and library calls, because 
 compiler vectorise it.
 """
 
-from __future__ import annotations
-
 import math
 
 import numpy as np
 
-from salsanext_cli.geometry.projection_parameters import LARGEST, ProjectionParameters
+from salsanext_cli.geometry.ranges import LARGEST
 from salsanext_cli.kernels import argument, compiled, parallel_for_slices
 from salsanext_cli.records import CHANNELS, Float, Int, RangeImage, Scan
 
@@ -20,9 +18,14 @@ PI = np.float32(math.pi)
 TAN_22_5 = math.sqrt(2) - 1
 
 
-def project(scan: Scan, view: ProjectionParameters) -> RangeImage:
-    """Project a scan; see `geometry.projection.project`."""
-    height, width, count = int(view.height), int(view.width), len(scan)
+def project(
+    scan: Scan, fov_down: np.float32, fov: np.float32, height: int, width: int, drop: bool
+) -> RangeImage:
+    """Project a scan; see `geometry.projection.project`.
+
+    `fov_down` and `fov` are lower edge and extent of the field of view in radians.
+    """
+    view, count = (fov_down, fov, np.float32(height), np.float32(width), drop), len(scan)
     points = argument(scan.points, np.float32).reshape(-1)
     intensity = argument(scan.intensity, np.float32)
     pixel_of_point = np.empty(count, np.int32)

@@ -5,26 +5,31 @@ Divisors are tensors, because CUDA multiplies by the reciprocal of a number; and
 sum it goes into are two operations, which no device fuses.
 """
 
-from __future__ import annotations
-
 import math
 
 import numpy as np
 import torch
 
-from salsanext_cli.geometry.projection_parameters import LARGEST, ProjectionParameters
+from salsanext_cli.geometry.ranges import LARGEST
 from salsanext_cli.records import RangeImage, Scan
 
 PI = float(np.float32(math.pi))
 NO_POINT = 2**63 - 1
 
 
-def project(scan: Scan, view: ProjectionParameters, device: str) -> RangeImage:
-    """Project a scan on a device and copy the result back; see `geometry.projection.project`."""
+def project(
+    scan: Scan,
+    fov_down: np.float32,
+    fov: np.float32,
+    height: int,
+    width: int,
+    drop: bool,
+    device: str,
+) -> RangeImage:
+    """Project a scan on a device and copy the result back; see `projection_numba.project`."""
     points = torch.tensor(scan.points, device=device)
     intensity = torch.tensor(scan.intensity, device=device)
-    height, width = int(view.height), int(view.width)
-    pixel_of_point, point_range = find_pixels(points, view)
+    pixel_of_point, point_range = find_pixels(points, fov_down, fov, height, width, drop)
     point_of_pixel = find_nearest(pixel_of_point, point_range, height * width)
     usable = torch.where(intensity.abs() <= float(LARGEST), intensity, 0.0)
     columns = torch.cat([point_range[:, None], points, usable[:, None]], dim=1)
@@ -60,7 +65,12 @@ def arctan2(y: torch.Tensor, x: torch.Tensor) -> torch.Tensor:
 
 
 def find_pixels(
-    points: torch.Tensor, view: ProjectionParameters
+    points: torch.Tensor,
+    fov_down: np.float32,
+    fov: np.float32,
+    height: int,
+    width: int,
+    drop: bool,
 ) -> tuple[torch.Tensor, torch.Tensor]:
     """Return flat pixel index (N,) int32 and range (N,) float32 of each point (paper eq. 1)."""
     a, b, c = points.double().unbind(1)
@@ -68,16 +78,14 @@ def find_pixels(
     slope = (points[:, 2] / distance).double()
     yaw = arctan2(b, a).float()
     pitch = arctan2(slope, ((1 - slope) * (1 + slope)).sqrt()).float()
-    pi, fov = yaw.new_tensor(PI), yaw.new_tensor(float(view.fov))
-    height, width = float(view.height), float(view.width)
-    u = 0.5 * (1 - yaw / pi) * width
-    v = (1 - (pitch - float(view.fov_down)) / fov) * height
+    u = 0.5 * (1 - yaw / yaw.new_tensor(PI)) * width
+    v = (1 - (pitch - float(fov_down)) / yaw.new_tensor(float(fov))) * height
     seen = (distance > 0) & (distance <= float(LARGEST))
-    if view.drop:
+    if drop:
         seen &= (v >= 0) & (v <= height)
     u = torch.where(seen & (u > 0), u, 0.0).clamp(max=width - 1).int()
     v = torch.where(seen & (v > 0), v, 0.0).clamp(max=height - 1).int()
-    return torch.where(seen, v * int(width) + u, -1), torch.where(seen, distance, 0.0)
+    return torch.where(seen, v * width + u, -1), torch.where(seen, distance, 0.0)
 
 
 def find_nearest(

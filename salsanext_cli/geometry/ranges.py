@@ -1,14 +1,15 @@
 # SPDX-License-Identifier: MIT
 """Ranges of points, and which points hold a measurement."""
 
-from __future__ import annotations
-
 import sys
 
 import numpy as np
 import numpy.typing as npt
 
 from salsanext_cli.records import Float
+
+LARGEST = np.float32(1e6)
+"""Largest range in metres, and largest intensity, that counts as a measurement of a range image."""
 
 
 def measured_ranges(

@@ -15,7 +15,7 @@ import numpy.typing as npt
 from salsanext_cli.classes import LabelSpace
 from salsanext_cli.formats import read_scan
 from salsanext_cli.formats.kitti import read_labels
-from salsanext_cli.formats.point_values import read_probabilities, read_uncertainty
+from salsanext_cli.formats.npy import read_probabilities, read_uncertainty
 from salsanext_cli.formats.reading import present
 from salsanext_cli.measures.calibration import ConfidenceHistogram, SoftmaxErrors, softmax_errors
 from salsanext_cli.measures.confusion import Confusion

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from salsanext_cli.errors import TrainingError
-from salsanext_cli.geometry.noise import noise_of
+from salsanext_cli.geometry.normalise import noise_of
 from salsanext_cli.inference.network import with_dropout
 from salsanext_cli.inference.settings import NetworkSettings
 from salsanext_cli.network.dropout import dropouts

@@ -1,14 +1,13 @@
 # SPDX-License-Identifier: MIT
 """Beams of an HDL-64E: 64 lasers in two blocks, about 2160 firings of each per revolution."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
 
-from salsanext_cli.synthesis.mesh import Array
+from salsanext_cli.synthesis.mesh import Array, Rng
+from salsanext_cli.synthesis.presets import VEHICLE_OUTLINES_DEG
 
 UPPER_BLOCK, LOWER_BLOCK = (2.4, -8.0, 32), (-8.6, -23.9, 32)
 """Elevation of the first and the last beam of a block in degrees, and their number."""
@@ -72,7 +71,7 @@ class Beams:
         return origins.reshape(-1, 3), directions.reshape(-1, 3), times.reshape(-1)
 
 
-def hdl64(rng: np.random.Generator) -> Beams:
+def hdl64(rng: Rng) -> Beams:
     """Return the beams of one HDL-64E with its own small deviations."""
     elevation = np.concatenate([np.linspace(*UPPER_BLOCK), np.linspace(*LOWER_BLOCK)])
     elevation = elevation + rng.normal(0, 0.045, 64) + rng.normal(0, 0.06)
@@ -91,38 +90,17 @@ def hdl64(rng: np.random.Generator) -> Beams:
     )
 
 
-VEHICLE_OUTLINES_DEG: tuple[tuple[tuple[float, float, float], ...], ...] = (
-    ((-25, -23.9, -90), (-18, -23, -90), (-12, -20.9, -90), (8, -20.9, -90), (13, -21.5, -90),
-     (17, -22.5, -90), (21, -24, -90)),
-    ((26, -24, -90), (31, -23, -90), (37, -22.6, -90), (40, -24, -90)),
-    ((125, -24, -90), (127, -20.8, -90), (130, -19.7, -90), (133, -20.3, -90),
-     (139, -22.5, -90), (150, -24, -90)),
-    ((156, -15, -20), (158, -13.4, -21.5), (163, -13.2, -21.7), (167, -15, -20)),
-    ((152, -24, -90), (158, -21, -90), (164, -19, -90), (172, -18.4, -90), (195, -18.2, -90),
-     (203, -20, -90), (209, -22.5, -90), (214, -24, -90)),
-    ((194, -16, -20), (197, -13.3, -22), (202, -13.2, -21.5), (206, -14, -19)),
-    ((218, -24, -90), (226, -22, -90), (229, -20.5, -90), (233, -20.2, -90), (238, -21.5, -90),
-     (241, -24, -90)),
-    ((278, -18.5, -24), (282, -16.7, -24), (288, -15.6, -23.5), (297, -15.3, -22.3),
-     (301, -16.5, -21), (304, -19, -20)),
-    ((319, -24, -90), (324, -22.2, -90), (330, -22.8, -90), (336, -24, -90)),
-)  # fmt: skip
-"""Outlines of the recording vehicle: azimuth, upper edge and lower edge of each corner.
-
-Azimuth is anticlockwise from straight ahead. Where the lower edge is above the lowest beam, the
-ground shows again below.
-"""
 PARALLAX_DEG = 1.2
 """Shift of the vehicle as seen by lasers to the left and right of the axis."""
 
 
-def hidden_by_vehicle(beams: Beams, rng: np.random.Generator) -> npt.NDArray[np.bool_]:
+def hidden_by_vehicle(beams: Beams, rng: Rng) -> npt.NDArray[np.bool_]:
     """Return the rays that the recording vehicle blocks, (L * columns,); mounting varies a bit."""
     azimuth = np.degrees(beams.azimuths()) + PARALLAX_DEG * np.sign(beams.aside)[:, None]
     elevation = np.degrees(beams.elevation)[:, None]
     hidden = np.zeros(azimuth.shape, bool)
     for outline in VEHICLE_OUTLINES_DEG:
-        corner, upper, lower = np.array(outline).T
+        corner, upper, lower = outline.T
         beyond = np.mod(azimuth - corner[0] - rng.normal(0, 0.3), 360)
         shift = rng.normal(0, 0.3)
         below = elevation < np.interp(beyond, corner - corner[0], upper, right=-90) + shift

@@ -1,15 +1,13 @@
 # SPDX-License-Identifier: MIT
 """Street under construction: placement of objects on a ground plan."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
 
-from salsanext_cli.synthesis.mesh import Mesh
+from salsanext_cli.synthesis.mesh import Mesh, Rng
 from salsanext_cli.synthesis.plan import Plan, Side
 
 PIECE_M = 5.0
@@ -17,19 +15,9 @@ PIECE_M = 5.0
 
 
 class Builder:
-    """Street under construction.
+    """Street under construction; ``parts`` are the objects placed so far, world coordinates."""
 
-    Attributes
-    ----------
-    rng : numpy.random.Generator
-        Source of all randomness.
-    plan : Plan
-        The ground plan.
-    parts : list of Mesh
-        Objects placed so far, world coordinates.
-    """
-
-    def __init__(self, rng: np.random.Generator, plan: Plan) -> None:
+    def __init__(self, rng: Rng, plan: Plan) -> None:
         self.rng = rng
         self.plan = plan
         self.parts: list[Mesh] = []

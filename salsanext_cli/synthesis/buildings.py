@@ -4,11 +4,9 @@
 Local frame: x along the street, y away from it, the front wall at y = 0, the ground at z = 0.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
-from salsanext_cli.synthesis.mesh import Array, Mesh, Skin, box, merge, quads
+from salsanext_cli.synthesis.mesh import Array, Mesh, Rng, Skin, box, merge, quads
 from salsanext_cli.synthesis.surfaces import BUILDING, Material
 
 FOOT_M = -1.5
@@ -19,36 +17,27 @@ Opening = tuple[float, float, float, float]
 """Left, right, bottom and top."""
 
 
-def house(rng: np.random.Generator, width: float, depth: float, floors: int) -> Mesh:
+def house(rng: Rng, width: float, depth: float, floors: int) -> Mesh:
     """Return a house whose front is `width` metres long and centred on x = 0."""
     material = Material.PLASTER if rng.random() < 0.7 else Material.BRICK
     wall = Skin(BUILDING, material, float(rng.uniform(0.5, 1.15)))
     storey = float(rng.uniform(2.6, 3.6))
     height = storey * floors + rng.uniform(0.2, 0.9)
     bay = float(rng.uniform(2.2, 4.2))
-    corners = np.array([[-1, 0], [1, 0], [1, 1], [-1, 1]]) * [width / 2, depth]
-    parts = [
-        _facade(rng, corners[i], corners[(i + 1) % 4], height, storey, bay, wall, front=i == 0)
-        for i in range(4)
-    ]
+    corners = np.array([[-1, 0], [1, 0], [1, 1], [-1, 1], [-1, 0]]) * [width / 2, depth]
+    ends = (corners[i : i + 2] for i in range(4))
+    parts = [_facade(rng, e, height, storey, bay, wall, front=i == 0) for i, e in enumerate(ends)]
     parts.append(_roof(rng, width, depth, height, wall))
     parts += _details(rng, width, storey, floors, wall)
     return merge(parts)
 
 
 def _facade(
-    rng: np.random.Generator,
-    start: Array,
-    end: Array,
-    height: float,
-    storey: float,
-    bay: float,
-    wall: Skin,
-    *,
-    front: bool,
+    rng: Rng, ends: Array, height: float, storey: float, bay: float, wall: Skin, *, front: bool
 ) -> Mesh:
     """Return one wall: a grid of bays and storeys, most of them with a window."""
-    length = float(np.hypot(*(end - start)))
+    along = ends[1] - ends[0]
+    length = float(np.hypot(*along))
     columns = max(1, round(length / bay))
     rows = max(1, int(height / storey))
     lows = np.linspace(0, length, columns + 1)
@@ -56,15 +45,14 @@ def _facade(
     door = int(rng.integers(columns)) if front else -1
     shop = front and bool(rng.random() < 0.25)
     size = rng.uniform([0.45, 1.1, 0.7], [0.75, 1.7, 1.0])
-    flat: list[Corners] = []
-    glass: list[Corners] = []
-    closed: list[Corners] = []
+    flat, glass, closed = panels = list[Corners](), list[Corners](), list[Corners]()
     for row in range(rows):
         bottom = row * storey + (FOOT_M if row == 0 else 0)
         top = (row + 1) * storey if row < rows - 1 else height
         for column in range(columns):
             x0, x1 = lows[column], lows[column + 1]
-            hole = _hole(rng, x0, x1, row, storey, size, is_door=column == door, shop=shop)
+            kind = "window" if row else "door" if column == door else "shop" if shop else "window"
+            hole = _hole(rng, x0, x1, row, storey, size, kind)
             if hole is None or rng.random() > open_chance + 0.15 * (row == 0):
                 flat.append(_panel(x0, x1, bottom, top, 0))
                 continue
@@ -73,28 +61,19 @@ def _facade(
             (glass if rng.random() < 0.6 else closed).append(pane)
     shutters = Skin.drawn(rng, BUILDING, Material.WOOD, 0.4, 1.1)
     skins = (wall, Skin(BUILDING, Material.GLASS), shutters)
-    panels = zip((flat, glass, closed), skins, strict=True)
-    meshes = [quads(np.array(corners), skin) for corners, skin in panels if corners]
-    yaw = float(np.arctan2(*(end - start)[::-1]))
-    return merge(meshes).moved((start[0], start[1], 0), yaw)
+    skinned = zip(panels, skins, strict=True)
+    mesh = merge(quads(np.array(corners), skin) for corners, skin in skinned if corners)
+    return mesh.moved((*ends[0], 0), float(np.arctan2(*along[::-1])))
 
 
 def _hole(
-    rng: np.random.Generator,
-    x0: float,
-    x1: float,
-    row: int,
-    storey: float,
-    size: Array,
-    *,
-    is_door: bool,
-    shop: bool,
+    rng: Rng, x0: float, x1: float, row: int, storey: float, size: Array, kind: str
 ) -> Opening | None:
     """Return the opening in a bay, None where it is too narrow."""
     middle, width = (x0 + x1) / 2, (x1 - x0) * size[0]
-    if row == 0 and is_door:
+    if kind == "door":
         return middle - 0.55, middle + 0.55, 0.15, 2.2
-    if row == 0 and shop:
+    if kind == "shop":
         return x0 + 0.25, x1 - 0.25, 0.4, 2.6
     if width < 0.4:
         return None
@@ -125,7 +104,7 @@ def _pierced(
     return walls, _panel(a, b, c, d, depth)
 
 
-def _roof(rng: np.random.Generator, width: float, depth: float, height: float, wall: Skin) -> Mesh:
+def _roof(rng: Rng, width: float, depth: float, height: float, wall: Skin) -> Mesh:
     """Return a flat or a gabled roof with eaves."""
     skin = Skin.drawn(rng, BUILDING, Material.BRICK, 0.5, 0.9)
     eaves = rng.uniform(0.1, 0.6)
@@ -145,9 +124,7 @@ def _roof(rng: np.random.Generator, width: float, depth: float, height: float, w
     return merge([quads(np.array(slopes), skin), quads(np.array(gables), wall)])
 
 
-def _details(
-    rng: np.random.Generator, width: float, storey: float, floors: int, wall: Skin
-) -> list[Mesh]:
+def _details(rng: Rng, width: float, storey: float, floors: int, wall: Skin) -> list[Mesh]:
     """Return steps, downpipes, plinths, balconies, canopies and bays of the front."""
     half = width / 2
     metal = Skin(BUILDING, Material.METAL, 1.1)
@@ -178,7 +155,7 @@ def _details(
     return parts
 
 
-def garage(rng: np.random.Generator) -> Mesh:
+def garage(rng: Rng) -> Mesh:
     """Return a garage or shed, its door at y = 0."""
     wall = Skin.drawn(rng, BUILDING, Material.PLASTER, 0.6, 1.1)
     width, depth, height = rng.uniform([2.6, 4, 2.2], [6, 6.5, 2.9])

@@ -1,19 +1,17 @@
 # SPDX-License-Identifier: MIT
 """Random ground plans of a given style."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 
 import numpy as np
 
 from salsanext_cli.synthesis import surfaces
-from salsanext_cli.synthesis.mesh import Array
+from salsanext_cli.synthesis.mesh import Array, Rng
 from salsanext_cli.synthesis.plan import LEFT, RIGHT, Crossing, Lot, Plan, Side
-from salsanext_cli.synthesis.style import Style
+from salsanext_cli.synthesis.presets import Style
 
 
-def draw_plan(rng: np.random.Generator, style: Style, length: float) -> Plan:
+def draw_plan(rng: Rng, style: Style, length: float) -> Plan:
     """Draw a street of that style and length."""
     knots = np.arange(-1.0, length + 1.5, 0.5)
     heading = _heading(rng, knots)
@@ -35,7 +33,7 @@ def draw_plan(rng: np.random.Generator, style: Style, length: float) -> Plan:
     return Plan(style, length, half, knots, x, y, heading, waves, bank, crossings, *sides)
 
 
-def _heading(rng: np.random.Generator, knots: Array) -> Array:
+def _heading(rng: Rng, knots: Array) -> Array:
     """Draw straights and bends no tighter than 85 m, so that the sides do not fold over."""
     curvature = np.zeros(len(knots))
     position = 0
@@ -49,7 +47,7 @@ def _heading(rng: np.random.Generator, knots: Array) -> Array:
     return rng.uniform(-np.pi, np.pi) + np.cumsum(curvature) * 0.5
 
 
-def _crossings(rng: np.random.Generator, style: Style, length: float) -> tuple[Crossing, ...]:
+def _crossings(rng: Rng, style: Style, length: float) -> tuple[Crossing, ...]:
     found = []
     s = rng.uniform(0.3, 1.0) * style.crossing_gap[0]
     while s < length:
@@ -61,9 +59,7 @@ def _crossings(rng: np.random.Generator, style: Style, length: float) -> tuple[C
     return tuple(found)
 
 
-def _side(
-    rng: np.random.Generator, style: Style, sign: int, length: float, crossings: Iterable[Crossing]
-) -> Side:
+def _side(rng: Rng, style: Style, sign: int, length: float, crossings: Iterable[Crossing]) -> Side:
     parking = rng.uniform(1.9, 2.4) if rng.random() < style.parking else 0.0
     verge = rng.uniform(0.8, 3.0) if rng.random() < style.verge else 0.0
     sidewalk = rng.uniform(*style.sidewalk_width) if rng.random() < style.sidewalk else 0.0
@@ -78,7 +74,7 @@ def _side(
     return Side(sign, parking, verge, sidewalk, kerb, bool(rng.random() < 0.5), tuple(lots))
 
 
-def _lots(rng: np.random.Generator, style: Style, start: float, end: float) -> list[Lot]:
+def _lots(rng: Rng, style: Style, start: float, end: float) -> list[Lot]:
     """Fill the stretch between two side streets with lots."""
     lots: list[Lot] = []
     kinds, weights = list(style.lots), np.array(list(style.lots.values()), float)
@@ -92,7 +88,7 @@ def _lots(rng: np.random.Generator, style: Style, start: float, end: float) -> l
     return lots
 
 
-def _lot(rng: np.random.Generator, kind: str, start: float, end: float, setback: float) -> Lot:
+def _lot(rng: Rng, kind: str, start: float, end: float, setback: float) -> Lot:
     paved = surfaces.SIDEWALK if rng.random() < 0.4 else surfaces.TERRAIN
     front, back = surfaces.TERRAIN, surfaces.TERRAIN
     drive = (start, start)

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: MIT
 """Recorded drive through a street: a scan every few metres."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import dataclass
 
@@ -12,10 +10,10 @@ from salsanext_cli.classes import RawIds
 from salsanext_cli.records import Scan
 from salsanext_cli.synthesis.beams import hdl64, hidden_by_vehicle
 from salsanext_cli.synthesis.lidar import Scene, measure
-from salsanext_cli.synthesis.mesh import Array, merge, turn_x, turn_y, turn_z
+from salsanext_cli.synthesis.mesh import Array, Rng, merge, turn_x, turn_y, turn_z
 from salsanext_cli.synthesis.plan import Plan
+from salsanext_cli.synthesis.presets import STYLES
 from salsanext_cli.synthesis.street import MARGIN_M, Mover, build_street
-from salsanext_cli.synthesis.style import STYLES
 
 MOUNT_M = 1.73
 """Height of the sensor above the road."""
@@ -95,7 +93,7 @@ def _moving(plan: Plan, movers: tuple[Mover, ...], time: float, pose: Array) -> 
 class _Track:
     """The path of the sensor: in its lane, swaying a little, pitching and rolling."""
 
-    def __init__(self, rng: np.random.Generator, plan: Plan, speed: float) -> None:
+    def __init__(self, rng: Rng, plan: Plan, speed: float) -> None:
         self._speed = speed
         self._plan = plan
         self._lane = min(0.0, 2.4 - plan.half, -0.3 * plan.half) + rng.normal(0, 0.1)

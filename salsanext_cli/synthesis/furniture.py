@@ -1,24 +1,31 @@
 # SPDX-License-Identifier: MIT
-"""Objects at the roadside: poles, lamps, signs, bins, benches, cabinets, shelters.
+"""Objects at the roadside: poles, lamps, signs, bins, benches, cabinets, shelters, fences.
 
 Local frame: x along the street, y away from it, the ground at z = 0.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
-from salsanext_cli.synthesis.mesh import Mesh, Skin, box, disc, ellipsoid, merge, quads, tube
-from salsanext_cli.synthesis.surfaces import CLUTTER, POLE, SIGN, STRUCTURE, Material
+from salsanext_cli.synthesis.mesh import Mesh, Rng, Skin, box, disc, ellipsoid, merge, quads, tube
+from salsanext_cli.synthesis.surfaces import CLUTTER, FENCE, POLE, SIGN, STRUCTURE, Material
 
 FOOT_M = -0.3
+FENCE_FOOT_M = -0.4
+FENCES = ("pickets", "boards", "wall", "railing", "mesh")
+PALES = {
+    "pickets": (Material.WOOD, 0.16, 0.09),
+    "boards": (Material.WOOD, 0.21, 0.2),
+    "railing": (Material.METAL, 0.13, 0.035),
+    "mesh": (Material.METAL, 0.1, 0.018),
+}
+"""Material, distance and width of the upright pieces, metres."""
 
 
-def _steel(rng: np.random.Generator) -> Skin:
+def _steel(rng: Rng) -> Skin:
     return Skin.drawn(rng, POLE, Material.METAL, 0.08, 1.6)
 
 
-def lamp(rng: np.random.Generator) -> Mesh:
+def lamp(rng: Rng) -> Mesh:
     """Return a street lamp, its arm over the road."""
     steel = _steel(rng)
     height, foot = float(rng.uniform(3.5, 9)), float(rng.uniform(0.05, 0.1))
@@ -33,7 +40,7 @@ def lamp(rng: np.random.Generator) -> Mesh:
     return merge(parts)
 
 
-def post(rng: np.random.Generator) -> Mesh:
+def post(rng: Rng) -> Mesh:
     """Return a bollard or a bare pole."""
     short = rng.random() < 0.6
     height = rng.uniform(0.7, 1.2) if short else rng.uniform(2.5, 8)
@@ -41,7 +48,7 @@ def post(rng: np.random.Generator) -> Mesh:
     return tube([[0, 0, FOOT_M], [0, 0, height]], radius, _steel(rng), 8)
 
 
-def _face(rng: np.random.Generator, kind: str) -> Mesh:
+def _face(rng: Rng, kind: str) -> Mesh:
     """Return a sign's plate in the x-z plane around the origin, its bright side towards -y."""
     bright = Skin.drawn(rng, SIGN, Material.RETRO, 0.75, 1.1)
     dull = Skin(SIGN, Material.METAL, 0.9)
@@ -58,7 +65,7 @@ def _face(rng: np.random.Generator, kind: str) -> Mesh:
     return merge([front, back])
 
 
-def sign(rng: np.random.Generator) -> Mesh:
+def sign(rng: Rng) -> Mesh:
     """Return one or two traffic signs on a pole, facing -y."""
     height = float(rng.uniform(2.0, 3.0) if rng.random() < 0.75 else rng.uniform(1.0, 2.0))
     parts = [tube([[0, 0, FOOT_M], [0, 0, height + 0.35]], rng.uniform(0.03, 0.05), _steel(rng), 7)]
@@ -68,7 +75,7 @@ def sign(rng: np.random.Generator) -> Mesh:
     return merge(parts)
 
 
-def board(rng: np.random.Generator) -> Mesh:
+def board(rng: Rng) -> Mesh:
     """Return a direction board on two posts, facing -y."""
     half, low = float(rng.uniform(0.4, 1.4)), float(rng.uniform(0.8, 1.8))
     high = low + float(rng.uniform(0.5, 1.2))
@@ -82,7 +89,7 @@ def board(rng: np.random.Generator) -> Mesh:
     return merge(parts)
 
 
-def traffic_light(rng: np.random.Generator) -> Mesh:
+def traffic_light(rng: Rng) -> Mesh:
     """Return a traffic light; its heads count as clutter, the pole as pole."""
     height = float(rng.uniform(3.0, 3.6))
     head = Skin(CLUTTER, Material.METAL, 0.4)
@@ -92,7 +99,7 @@ def traffic_light(rng: np.random.Generator) -> Mesh:
     return merge(parts)
 
 
-def _bin(rng: np.random.Generator) -> Mesh:
+def _bin(rng: Rng) -> Mesh:
     skin = Skin.drawn(rng, CLUTTER, Material.WOOD, 0.2, 1.1)
     size = rng.uniform([0.2, 0.2, 0.8], [0.35, 0.4, 1.15])
     x, y, z = size
@@ -100,13 +107,13 @@ def _bin(rng: np.random.Generator) -> Mesh:
     return merge([box((-x, -y, 0.05), size, skin), lid])
 
 
-def _cabinet(rng: np.random.Generator) -> Mesh:
+def _cabinet(rng: Rng) -> Mesh:
     skin = Skin.drawn(rng, CLUTTER, Material.PLASTER, 0.5, 1.1)
     size = rng.uniform([0.25, 0.12, 0.8], [0.9, 0.3, 1.6])
     return box((-size[0], -size[1], FOOT_M), size, skin)
 
 
-def _bench(rng: np.random.Generator) -> Mesh:
+def _bench(rng: Rng) -> Mesh:
     wood, iron = Skin(CLUTTER, Material.WOOD, 0.9), Skin(CLUTTER, Material.METAL, 0.7)
     half = float(rng.uniform(0.7, 1.1))
     slats = [box((-half, y, 0.42), (half, y + 0.1, 0.46), wood) for y in (-0.25, -0.12, 0.01)]
@@ -116,19 +123,19 @@ def _bench(rng: np.random.Generator) -> Mesh:
     return merge(slats + legs)
 
 
-def _planter(rng: np.random.Generator) -> Mesh:
+def _planter(rng: Rng) -> Mesh:
     skin = Skin.drawn(rng, CLUTTER, Material.BRICK, 0.7, 1.1)
     radius, height = float(rng.uniform(0.25, 0.7)), float(rng.uniform(0.35, 0.7))
     path = [[0, 0, FOOT_M], [0, 0, height], [0, 0, height + 0.01]]
     return tube(path, [radius, radius * 1.1, 0.02], skin, 10)
 
 
-def _column(rng: np.random.Generator) -> Mesh:
+def _column(rng: Rng) -> Mesh:
     skin = Skin.drawn(rng, CLUTTER, Material.PLASTER, 0.7, 1.1)
     return tube([[0, 0, FOOT_M], [0, 0, 3.0], [0, 0, 3.3]], [0.6, 0.6, 0.75], skin, 12)
 
 
-def _crates(rng: np.random.Generator) -> Mesh:
+def _crates(rng: Rng) -> Mesh:
     parts = []
     for _ in range(int(rng.integers(2, 6))):
         low = np.array([*rng.normal(0, 0.6, 2), 0.0])
@@ -138,13 +145,13 @@ def _crates(rng: np.random.Generator) -> Mesh:
     return merge(parts)
 
 
-def clutter(rng: np.random.Generator) -> Mesh:
+def clutter(rng: Rng) -> Mesh:
     """Return a bin, cabinet, bench, planter, advertising column or a heap of crates."""
     makers = (*[_bin] * 3, *[_cabinet] * 3, _bench, _planter, _column, _crates)
     return makers[rng.integers(len(makers))](rng)
 
 
-def shelter(rng: np.random.Generator) -> Mesh:
+def shelter(rng: Rng) -> Mesh:
     """Return a bus shelter of glass, open towards -y."""
     steel = Skin(STRUCTURE, Material.METAL, 0.9)
     glass = Skin(STRUCTURE, Material.GLASS)
@@ -155,3 +162,40 @@ def shelter(rng: np.random.Generator) -> Mesh:
     parts.append(box((-half, 1.29, 0.15), (half, 1.31, 2.2), glass))
     parts.append(box((-half, 0, 0.15), (-half + 0.02, 1.3, 2.2), glass))
     return merge(parts)
+
+
+def fence(rng: Rng, length: float, kind: str, height: float, shade: float) -> Mesh:
+    """Return a fence from x = 0 to x = length, one of `FENCES` or a crash ``"barrier"``."""
+    if kind == "wall":
+        skin = Skin(FENCE, Material.BRICK, shade)
+        body = box((0, -0.12, FENCE_FOOT_M), (length, 0.12, height), skin)
+        return merge([body, box((0, -0.17, height), (length, 0.17, height + 0.07), skin)])
+    if kind == "barrier":
+        return _barrier(length, Skin(FENCE, Material.METAL, shade))
+    material, pitch, width = PALES[kind]
+    skin = Skin(FENCE, material, shade)
+    x = np.arange(0, length, pitch)
+    parts = [_strips(x, x + width, 0.03, height + rng.normal(0, 0.015, len(x)), skin=skin)]
+    for post in np.arange(0, length, 2.2):
+        parts.append(box((post, -0.05, FENCE_FOOT_M), (post + 0.08, 0.05, height + 0.05), skin))
+    for z in (0.2, height - 0.15):
+        parts.append(box((0, 0.01, z - 0.04), (length, 0.05, z + 0.04), skin))
+    if kind == "mesh":
+        rows = np.arange(0.1, height, 0.12)
+        parts.append(_strips(0.0, length, rows, rows + 0.018, skin=skin))
+    return merge(parts)
+
+
+def _strips(*edges: np.ndarray | float, skin: Skin) -> Mesh:
+    """Return upright rectangles in the plane y = 0: left, right, lower and upper edges."""
+    x0, x1, z0, z1, y = np.broadcast_arrays(*edges, 0.0)
+    corners = [np.stack(c, -1) for c in ((x0, y, z0), (x1, y, z0), (x1, y, z1), (x0, y, z1))]
+    return quads(np.stack(corners, 1), skin)
+
+
+def _barrier(length: float, skin: Skin) -> Mesh:
+    posts = [
+        box((x, 0.02, FENCE_FOOT_M), (x + 0.1, 0.14, 0.72), skin) for x in np.arange(0, length, 2.0)
+    ]
+    beams = [box((0, -0.05, z), (length, 0.02, z + 0.12), skin) for z in (0.45, 0.63)]
+    return merge([*posts, *beams, box((0, -0.01, 0.5), (length, 0.0, 0.7), skin)])

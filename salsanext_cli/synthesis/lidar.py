@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: MIT
 """Simulated measurement of one revolution: range and intensity of the pulses that return."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np
@@ -10,7 +8,7 @@ import numpy.typing as npt
 
 from salsanext_cli.classes import RawIds
 from salsanext_cli.packages import import_open3d
-from salsanext_cli.synthesis.mesh import Array, Mesh
+from salsanext_cli.synthesis.mesh import Array, Mesh, Rng
 from salsanext_cli.synthesis.surfaces import OPTICS
 
 MAX_RANGE_M, MIN_RANGE_M = 81.0, 1.6
@@ -67,7 +65,7 @@ class Scene:
 
 
 def measure(
-    rng: np.random.Generator, scenes: list[Scene], rays: Array, gain: Array, power: Array
+    rng: Rng, scenes: list[Scene], rays: Array, gain: Array, power: Array
 ) -> tuple[Array, Array, RawIds]:
     """Measure along rays.
 
@@ -115,12 +113,7 @@ def measure(
 
 
 def _returns(
-    rng: np.random.Generator,
-    reflected: Array,
-    cosine: Array,
-    reach: Array,
-    gloss: Array,
-    power: Array,
+    rng: Rng, reflected: Array, cosine: Array, reach: Array, gloss: Array, power: Array
 ) -> npt.NDArray[np.bool_]:
     """Decide which pulses return."""
     chance = rng.random(len(reach))
@@ -137,7 +130,7 @@ def _returns(
     return kept & reflected_back
 
 
-def _patchy(rng: np.random.Generator, count: int) -> Array:
+def _patchy(rng: Rng, count: int) -> Array:
     """Return chances 0…1 that change slowly from firing to firing, (count,)."""
     white = rng.standard_normal(count + PATCH_FIRINGS - 1)
     smooth = np.convolve(white, np.full(PATCH_FIRINGS, PATCH_FIRINGS**-0.5), "valid")

@@ -1,16 +1,14 @@
 # SPDX-License-Identifier: MIT
 """Objects on the lots beside the street: houses, gardens, yards, car parks, woods."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from functools import partial
 
 import numpy as np
 
-from salsanext_cli.synthesis import buildings, fences, furniture, people, vegetation, vehicles
+from salsanext_cli.synthesis import buildings, furniture, people, vegetation, vehicles
 from salsanext_cli.synthesis.builder import Builder
-from salsanext_cli.synthesis.mesh import Mesh
+from salsanext_cli.synthesis.mesh import Mesh, Rng
 from salsanext_cli.synthesis.plan import REACH_M, Lot, Side
 
 
@@ -95,7 +93,7 @@ def _field(builder: Builder, side: Side, lot: Lot) -> None:
     if (is_barrier := builder.chance(0.3)) or builder.chance(0.25):
         kind, out = ("barrier", 0.8) if is_barrier else ("mesh", 3.0)
         shade, height = builder.between(0.7, 1.4), builder.between(0.9, 1.3)
-        fence = partial(fences.fence, builder.rng, kind=kind, height=height, shade=shade)
+        fence = partial(furniture.fence, builder.rng, kind=kind, height=height, shade=shade)
         builder.put_line(fence, side, lot.start, lot.end, side.depth + out)
 
 
@@ -145,17 +143,17 @@ def _boundary(builder: Builder) -> Callable[[float], Mesh]:
     if builder.chance(0.4):
         height, depth = builder.between(0.7, 2.7), builder.between(0.5, 1.5)
         return partial(vegetation.hedge, rng, height=height, depth=depth)
-    kind = str(rng.choice(fences.KINDS))
+    kind = str(rng.choice(furniture.FENCES))
     height = builder.between(0.4, 1.2) if kind == "wall" else builder.between(0.8, 1.9)
     shade = builder.between(0.7, 1.15)
-    return partial(fences.fence, rng, kind=kind, height=height, shade=shade)
+    return partial(furniture.fence, rng, kind=kind, height=height, shade=shade)
 
 
 def _scatter(
     builder: Builder,
     side: Side,
     lot: Lot,
-    make: Callable[[np.random.Generator, float], Mesh],
+    make: Callable[[Rng, float], Mesh],
     size: tuple[float, float],
     count: float,
     reach: float | None = None,

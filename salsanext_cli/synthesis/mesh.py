@@ -13,6 +13,7 @@ import numpy.typing as npt
 from salsanext_cli.synthesis.surfaces import Material
 
 Array = npt.NDArray[np.float64]
+Rng = np.random.Generator
 BOX_FACES = np.array(
     [[0, 2, 1], [1, 2, 3], [4, 5, 6], [5, 7, 6], [0, 1, 4], [1, 5, 4]]
     + [[2, 6, 3], [3, 6, 7], [0, 4, 2], [2, 4, 6], [1, 3, 5], [3, 7, 5]]
@@ -27,9 +28,7 @@ class Skin(NamedTuple):
     shade: float = 1.0
 
     @classmethod
-    def drawn(
-        cls, rng: np.random.Generator, label: int, material: Material, low: float, high: float
-    ) -> Skin:
+    def drawn(cls, rng: Rng, label: int, material: Material, low: float, high: float) -> Skin:
         """Draw the brightness between two bounds."""
         return cls(label, material, float(rng.uniform(low, high)))
 
@@ -123,9 +122,9 @@ def merge(meshes: Iterable[Mesh]) -> Mesh:
     )
 
 
-def box(low: npt.ArrayLike, high: npt.ArrayLike, skin: Skin) -> Mesh:
-    """Return an axis-parallel box between two corners."""
-    (x0, y0, z0), (x1, y1, z1) = np.asarray(low, float), np.asarray(high, float)
+def box(corner: npt.ArrayLike, opposite: npt.ArrayLike, skin: Skin) -> Mesh:
+    """Return an axis-parallel box between two opposite corners."""
+    (x0, y0, z0), (x1, y1, z1) = np.sort(np.array([corner, opposite], float), 0)
     corners = np.array([[x, y, z] for z in (z0, z1) for y in (y0, y1) for x in (x0, x1)])
     return Mesh.of(corners, BOX_FACES, skin)
 
@@ -193,7 +192,7 @@ def disc(centre: npt.ArrayLike, radius: float, skin: Skin, sides: int = 12) -> M
     return Mesh.of(vertices, faces, skin)
 
 
-def facets(centres: Array, sizes: Array, skin: Skin, rng: np.random.Generator) -> Mesh:
+def facets(centres: Array, sizes: Array, skin: Skin, rng: Rng) -> Mesh:
     """Return one randomly turned triangle around each of (F, 3) centres, like leaves.
 
     `sizes` (F,) in metres; their brightness varies by a fifth.

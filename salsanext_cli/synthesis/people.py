@@ -4,11 +4,9 @@
 Local frame: x forward, y left, the ground at z = 0.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
-from salsanext_cli.synthesis.mesh import Array, Mesh, Skin, box, ellipsoid, merge, tube
+from salsanext_cli.synthesis.mesh import Array, Mesh, Rng, Skin, box, ellipsoid, merge, tube
 from salsanext_cli.synthesis.surfaces import BICYCLE, BICYCLIST, PERSON, Material
 
 WHEEL_M = 0.34
@@ -21,7 +19,7 @@ def _limb(start: Array, joint: Array, end: Array, radii: tuple[float, float], sk
     return tube([start, joint, end], [radii[0], (radii[0] + radii[1]) / 2, radii[1]], skin, 7)
 
 
-def person(rng: np.random.Generator) -> Mesh:
+def person(rng: Rng) -> Mesh:
     """Return a person who stands or walks, 1.1 to 1.95 m tall, perhaps with a bag or a coat."""
     height = float(rng.uniform(1.1, 1.5) if rng.random() < 0.12 else rng.uniform(1.55, 1.95))
     top = Skin.drawn(rng, PERSON, Material.CLOTH, 0.55, 1.2)
@@ -66,7 +64,7 @@ def _ring(centre: Array, radius: float, thickness: float, skin: Skin) -> Mesh:
     return tube(path, thickness, skin, 5)
 
 
-def bicycle(rng: np.random.Generator, label: int = BICYCLE) -> Mesh:
+def bicycle(rng: Rng, label: int = BICYCLE) -> Mesh:
     """Return a bicycle: wheels with spokes and mudguards, frame, handlebar, saddle, baskets."""
     frame = Skin.drawn(rng, label, Material.METAL, 0.6, 1.6)
     tyre = Skin(label, Material.RUBBER, 3.0)
@@ -102,7 +100,7 @@ def bicycle(rng: np.random.Generator, label: int = BICYCLE) -> Mesh:
     return merge(parts).scaled(rng.uniform([0.92, 0.95, 0.95], [1.06, 1.05, 1.06]))
 
 
-def rider(rng: np.random.Generator) -> Mesh:
+def rider(rng: Rng) -> Mesh:
     """Return a bicycle with its rider, all of it labelled as rider."""
     cloth = Skin.drawn(rng, BICYCLIST, Material.CLOTH, 0.6, 1.2)
     trousers = Skin.drawn(rng, BICYCLIST, Material.CLOTH, 0.5, 1.1)

@@ -5,8 +5,6 @@ Positions are given along the street and across it: ``s`` metres along the centr
 metres to its left. Everything here is vectorised over s and t.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np
@@ -14,7 +12,7 @@ import numpy.typing as npt
 
 from salsanext_cli.synthesis import surfaces
 from salsanext_cli.synthesis.mesh import Array
-from salsanext_cli.synthesis.style import Span, Style
+from salsanext_cli.synthesis.presets import Span, Style
 
 REACH_M = 62.0
 """Extent of the world to either side of the centre line."""
@@ -195,9 +193,8 @@ class Plan:
         for crossing in self._crossings_of(side):
             paved = np.abs(s - crossing.s) - crossing.half < crossing.pavement
             label = np.where(paved & (beyond > side.parking), surfaces.SIDEWALK, label)
-        return np.where(self.on_side_street(s, beyond, side), surfaces.ROAD, label).astype(
-            np.uint32
-        )
+        label[self.on_side_street(s, beyond, side)] = surfaces.ROAD
+        return label.astype(np.uint32)
 
     def edges(self) -> tuple[Array, Array]:
         """Return the s and the t at which the ground changes."""

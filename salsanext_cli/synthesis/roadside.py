@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: MIT
 """Objects between the kerb and the lots, and in the side streets."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from salsanext_cli.synthesis import furniture, people, vegetation, vehicles

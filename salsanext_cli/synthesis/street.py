@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: MIT
 """A whole street: the ground, all that stands on it, all that moves."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import dataclass
 
@@ -11,29 +9,30 @@ import numpy as np
 from salsanext_cli.synthesis import lots, people, roadside, surfaces, vehicles
 from salsanext_cli.synthesis.builder import Builder
 from salsanext_cli.synthesis.draw import draw_plan
-from salsanext_cli.synthesis.ground import ground
-from salsanext_cli.synthesis.mesh import Mesh, merge
-from salsanext_cli.synthesis.plan import Plan
-from salsanext_cli.synthesis.style import Style
+from salsanext_cli.synthesis.mesh import Array, Mesh, Rng, merge
+from salsanext_cli.synthesis.plan import REACH_M, Plan
+from salsanext_cli.synthesis.presets import Style
+from salsanext_cli.synthesis.surfaces import Material
 
 MARGIN_M = 70.0
 """Length of the street behind the first scan and beyond the last one."""
+KERB_M = 0.02
+"""Half the depth of a kerb's face; the grid has lines at this distance from every edge."""
+MATERIAL_OF = {
+    surfaces.ROAD: Material.ASPHALT,
+    surfaces.MARKING: Material.MARKING,
+    surfaces.PARKING: Material.PAVING,
+    surfaces.SIDEWALK: Material.PAVING,
+    surfaces.TERRAIN: Material.GRASS,
+}
 
 
 @dataclass(frozen=True, slots=True)
 class Mover:
     """A thing that keeps its speed and its distance from the centre line.
 
-    Attributes
-    ----------
-    mesh : Mesh
-        In its own frame, x forward.
-    start : float
-        Position along the street at time 0, metres.
-    t : float
-        Distance to the left of the centre line, metres.
-    speed : float
-        Along the street, metres per second; negative comes towards the start.
+    Its mesh is in its own frame, x forward. At time 0 it is ``start`` metres along the street and
+    ``t`` metres to the left; a negative ``speed``, in metres per second, leads towards the start.
     """
 
     mesh: Mesh
@@ -51,7 +50,7 @@ class Mover:
 
 
 def build_street(
-    rng: np.random.Generator, style: Style, distance: float, ego_speed: float
+    rng: Rng, style: Style, distance: float, ego_speed: float
 ) -> tuple[Plan, Mesh, tuple[Mover, ...]]:
     """Build a street on which the recording vehicle can drive `distance` metres.
 
@@ -80,23 +79,71 @@ def build_street(
     return plan, merge(builder.parts), movers
 
 
+def ground(rng: Rng, plan: Plan) -> Mesh:
+    """Return the ground of a street; each cell has the label of its middle."""
+    s_edges, t_edges = plan.edges()
+    s = _lines(np.arange(0.0, plan.length + 1, 1.0), s_edges, 0.0, plan.length)
+    across = np.concatenate([np.arange(-10, 10.1, 0.5), np.linspace(10, REACH_M, 26)])
+    t = _lines(np.concatenate([across, -across]), t_edges, -REACH_M, REACH_M)
+    grid_s, grid_t = np.meshgrid(s, t, indexing="ij")
+    vertices = plan.world(grid_s, grid_t)
+    rough = (plan.label(grid_s, grid_t) == surfaces.TERRAIN) * rng.normal(0, 0.03, grid_s.shape)
+    vertices[..., 2] += rough
+    middle = plan.label(
+        (grid_s[:-1, :-1] + grid_s[1:, 1:]) / 2, (grid_t[:-1, :-1] + grid_t[1:, 1:]) / 2
+    )
+    patches = _patches(rng, (s[:-1] + s[1:]) / 2, (t[:-1] + t[1:]) / 2, plan.length)
+    labels = np.repeat(middle.ravel(), 2)
+    materials = np.zeros(len(labels), np.uint8)
+    shades = np.ones(len(labels), np.float32)
+    for label, material in MATERIAL_OF.items():
+        materials[labels == label] = material
+        shades[labels == label] = rng.uniform(0.85, 1.15)
+    shades *= np.repeat(patches.ravel(), 2).astype(np.float32)
+    shades *= np.repeat(rng.normal(1, 0.03, middle.size), 2).astype(np.float32)
+    index = np.arange(grid_s.size).reshape(grid_s.shape)
+    a, b, c, d = index[:-1, :-1], index[1:, :-1], index[1:, 1:], index[:-1, 1:]
+    faces = np.stack([np.stack([a, b, c], -1), np.stack([a, c, d], -1)], 2)
+    return Mesh(vertices.reshape(-1, 3), faces.reshape(-1, 3), labels, materials, shades)
+
+
+def _patches(rng: Rng, s: Array, t: Array, length: float) -> Array:
+    """Return the brightness of cells (s, t): mended asphalt, worn and wet places."""
+    shade = np.ones((len(s), len(t)))
+    for _ in range(int(length / 6)):
+        centre = rng.uniform([0, -12], [length, 12])
+        half = rng.uniform([0.4, 0.2], [9, 1.6])
+        inside = (np.abs(s - centre[0]) < half[0])[:, None] & (np.abs(t - centre[1]) < half[1])
+        shade[inside] *= rng.uniform(0.6, 1.2)
+    return shade
+
+
+def _lines(regular: Array, edges: Array, low: float, high: float) -> Array:
+    lines: Array = np.unique(np.concatenate([regular, edges - KERB_M, edges + KERB_M]))
+    lines = lines[(lines >= low) & (lines <= high)]
+    apart: Array = lines[np.concatenate([[True], np.diff(lines) > 0.01])]
+    return apart
+
+
 def _vehicles(builder: Builder, speed: float, duration: float) -> Iterator[Mover]:
     """Yield vehicles ahead of and behind the recording one, and those that come towards it."""
     plan = builder.plan
-    t, gap = 0.5 * plan.half, 100 / plan.style.traffic
-    s = MARGIN_M + builder.between(9, 40)
-    while s < plan.length + speed * duration:
+    t, way = 0.5 * plan.half, speed * duration
+    for s in _in_a_row(builder, MARGIN_M + builder.between(9, 40), plan.length + way, 8):
         yield Mover(_vehicle(builder), s, -t, speed)
-        s += builder.between(0.3, 1.7) * gap + 8
-    s = MARGIN_M - builder.between(9, 50)
-    while s > -speed * duration:
+    for s in _in_a_row(builder, MARGIN_M - builder.between(9, 50), -way, 8):
         yield Mover(_vehicle(builder), s, -t, speed)
-        s -= builder.between(0.3, 1.7) * gap + 8
     pace = speed * builder.between(0.5, 1.2)
-    s = builder.between(0, 40)
-    while s < plan.length + pace * duration:
+    for s in _in_a_row(builder, builder.between(0, 40), plan.length + pace * duration, 9):
         yield Mover(_vehicle(builder), s, t, -pace)
-        s += builder.between(0.3, 1.7) * gap + 9
+
+
+def _in_a_row(builder: Builder, start: float, end: float, room: float) -> Iterator[float]:
+    """Yield places of vehicles from start to end, with gaps and the room that each takes."""
+    sign, gap = 1 if end > start else -1, 100 / builder.plan.style.traffic
+    while (end - start) * sign > 0:
+        yield start
+        start += sign * (builder.between(0.3, 1.7) * gap + room)
 
 
 def _vehicle(builder: Builder) -> Mesh:

@@ -4,8 +4,6 @@
 The levels were set so that the intensity of each class spreads as it does in scans of an HDL-64E.
 """
 
-from __future__ import annotations
-
 from enum import IntEnum
 from typing import Self
 

@@ -4,24 +4,30 @@
 Local frame: the ground at z = 0, a tree's foot at the origin, a hedge along x.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
-from salsanext_cli.synthesis.mesh import Array, Mesh, Skin, ellipsoid, facets, merge, rings, tube
-from salsanext_cli.synthesis.style import Span
+from salsanext_cli.synthesis.mesh import (
+    Array,
+    Mesh,
+    Rng,
+    Skin,
+    ellipsoid,
+    facets,
+    merge,
+    rings,
+    tube,
+)
+from salsanext_cli.synthesis.presets import Span
 from salsanext_cli.synthesis.surfaces import TRUNK, VEGETATION, Material
 
 FOOT_M = -0.4
 
 
-def _leaf(rng: np.random.Generator) -> Skin:
+def _leaf(rng: Rng) -> Skin:
     return Skin.drawn(rng, VEGETATION, Material.LEAF, 0.75, 1.2)
 
 
-def _leaves(
-    rng: np.random.Generator, centre: Array, radii: Array, count: int, sizes: Span, leaf: Skin
-) -> Mesh:
+def _leaves(rng: Rng, centre: Array, radii: Array, count: int, sizes: Span, leaf: Skin) -> Mesh:
     """Return leaves that thicken towards the rim of an ellipsoid."""
     direction = rng.standard_normal((count, 3))
     direction /= np.linalg.norm(direction, axis=1, keepdims=True)
@@ -29,12 +35,12 @@ def _leaves(
     return facets(centre + direction * reach * radii, rng.uniform(*sizes, count), leaf, rng)
 
 
-def _lumps(rng: np.random.Generator, spread: float) -> Array:
+def _lumps(rng: Rng, spread: float) -> Array:
     """Return the unevenness of an ellipsoid."""
     return spread * rng.standard_normal((6, 8, 1)).clip(-2, 2)
 
 
-def tree(rng: np.random.Generator, height: float) -> Mesh:
+def tree(rng: Rng, height: float) -> Mesh:
     """Return a broad-leaved tree: bent trunk, branches, a crown of clusters."""
     bark = Skin.drawn(rng, TRUNK, Material.BARK, 0.5, 1.15)
     radius = float(rng.uniform(0.022, 0.05) * height**0.75)
@@ -59,7 +65,7 @@ def tree(rng: np.random.Generator, height: float) -> Mesh:
     return merge(parts)
 
 
-def conifer(rng: np.random.Generator, height: float) -> Mesh:
+def conifer(rng: Rng, height: float) -> Mesh:
     """Return a conifer, its branches reaching down."""
     bark = Skin(TRUNK, Material.BARK, 0.8)
     base = float(rng.uniform(0.1, 0.9))
@@ -74,7 +80,7 @@ def conifer(rng: np.random.Generator, height: float) -> Mesh:
     return merge([trunk, facets(centres, rng.uniform(0.1, 0.26, count), _leaf(rng), rng)])
 
 
-def bush(rng: np.random.Generator, radius: float) -> Mesh:
+def bush(rng: Rng, radius: float) -> Mesh:
     """Return a bush of one to four lumps."""
     leaf = _leaf(rng)
     parts = []
@@ -86,7 +92,7 @@ def bush(rng: np.random.Generator, radius: float) -> Mesh:
     return merge(parts)
 
 
-def hedge(rng: np.random.Generator, length: float, height: float, depth: float) -> Mesh:
+def hedge(rng: Rng, length: float, height: float, depth: float) -> Mesh:
     """Return a clipped hedge from x = 0 to x = length: a rough wall under a coat of leaves."""
     leaf = _leaf(rng)
     stations = np.linspace(0, length, max(3, int(length / 0.5)))
@@ -108,7 +114,7 @@ def hedge(rng: np.random.Generator, length: float, height: float, depth: float) 
     return merge([core, facets(place, rng.uniform(0.04, 0.13, count), leaf, rng)])
 
 
-def thicket(rng: np.random.Generator, length: float, depth: float, height: float) -> Mesh:
+def thicket(rng: Rng, length: float, depth: float, height: float) -> Mesh:
     """Return undergrowth from x = 0 to x = length, y = 0 to y = depth: bushes, stems, crowns."""
     leaf = _leaf(rng)
     bark = Skin(TRUNK, Material.BARK, 0.85)
@@ -131,7 +137,7 @@ def thicket(rng: np.random.Generator, length: float, depth: float, height: float
     return merge(parts)
 
 
-def weeds(rng: np.random.Generator, radius: float) -> Mesh:
+def weeds(rng: Rng, radius: float) -> Mesh:
     """Return a patch of tall grass and weeds."""
     count = int(70 * radius)
     centres = rng.normal(0, radius * 0.5, (count, 3))

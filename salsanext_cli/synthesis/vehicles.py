@@ -4,91 +4,17 @@
 Local frame: x forward, y left, the middle of the footprint at the origin, the ground at z = 0.
 """
 
-from __future__ import annotations
-
-from typing import NamedTuple
-
 import numpy as np
 
-from salsanext_cli.synthesis.mesh import Array, Mesh, Skin, box, disc, merge, rings, tube
+from salsanext_cli.synthesis.mesh import Array, Mesh, Rng, Skin, box, disc, merge, rings, tube
+from salsanext_cli.synthesis.presets import CARS, LORRY_CAB, Body
 from salsanext_cli.synthesis.surfaces import CAR, TRUCK, Material
 
 SECTION_POINTS = 8
 """Points of a cross-section of a body."""
 
 
-class Body(NamedTuple):
-    """Shape of a car.
-
-    ``profile`` has a row per station from front to rear: position (0…1 of the length), height of
-    the belt line and of the roof (metres), width of the roof (share of the width).
-    ``cabin`` are the stations whose sides are windows, ``screens`` those whose top is glass too.
-    """
-
-    length: float
-    width: float
-    bottom: float
-    wheel: float
-    profile: Array
-    cabin: tuple[int, ...]
-    screens: tuple[int, ...]
-
-
-SEDAN = Body(
-    4.55, 1.78, 0.22, 0.31,
-    np.array([
-        [0.00, 0.52, 0.58, 0.80], [0.02, 0.64, 0.70, 0.86], [0.25, 0.84, 0.96, 0.86],
-        [0.41, 0.92, 1.40, 0.68], [0.55, 0.93, 1.45, 0.68], [0.58, 0.93, 1.45, 0.68],
-        [0.70, 0.95, 1.40, 0.68], [0.85, 0.97, 1.08, 0.80], [0.98, 0.90, 1.02, 0.82],
-        [1.00, 0.58, 0.66, 0.80],
-    ]), (3, 5), (2, 6),
-)  # fmt: skip
-HATCH = Body(
-    3.95, 1.70, 0.22, 0.29,
-    np.array([
-        [0.00, 0.52, 0.60, 0.80], [0.03, 0.66, 0.74, 0.84], [0.24, 0.88, 1.00, 0.86],
-        [0.42, 0.95, 1.45, 0.70], [0.58, 0.96, 1.49, 0.70], [0.61, 0.96, 1.49, 0.70],
-        [0.86, 0.98, 1.44, 0.68], [0.97, 0.95, 1.02, 0.78], [1.00, 0.60, 0.70, 0.82],
-    ]), (3, 5), (2, 6),
-)  # fmt: skip
-WAGON = Body(
-    4.65, 1.80, 0.22, 0.31,
-    np.array([
-        [0.00, 0.52, 0.58, 0.80], [0.02, 0.66, 0.72, 0.86], [0.25, 0.86, 0.98, 0.86],
-        [0.40, 0.93, 1.44, 0.70], [0.55, 0.94, 1.50, 0.70], [0.57, 0.94, 1.50, 0.70],
-        [0.76, 0.96, 1.50, 0.70], [0.78, 0.96, 1.50, 0.70], [0.91, 0.98, 1.46, 0.68],
-        [0.98, 0.96, 1.04, 0.78], [1.00, 0.60, 0.68, 0.82],
-    ]), (3, 5, 7), (2, 8),
-)  # fmt: skip
-SUV = Body(
-    4.50, 1.86, 0.30, 0.36,
-    np.array([
-        [0.00, 0.62, 0.70, 0.82], [0.03, 0.82, 0.90, 0.86], [0.24, 1.02, 1.12, 0.88],
-        [0.38, 1.08, 1.62, 0.74], [0.55, 1.09, 1.70, 0.74], [0.58, 1.09, 1.70, 0.74],
-        [0.78, 1.10, 1.70, 0.74], [0.80, 1.10, 1.69, 0.74], [0.93, 1.12, 1.62, 0.72],
-        [0.98, 1.08, 1.16, 0.80], [1.00, 0.66, 0.74, 0.84],
-    ]), (3, 5, 7), (2, 8),
-)  # fmt: skip
-VAN = Body(
-    4.95, 1.92, 0.26, 0.33,
-    np.array([
-        [0.00, 0.62, 0.70, 0.84], [0.02, 0.86, 0.94, 0.88], [0.13, 1.08, 1.18, 0.90],
-        [0.28, 1.16, 1.88, 0.80], [0.42, 1.16, 1.95, 0.82], [0.45, 1.16, 1.95, 0.82],
-        [0.66, 1.16, 1.95, 0.82], [0.69, 1.16, 1.95, 0.82], [0.95, 1.16, 1.93, 0.80],
-        [0.99, 1.12, 1.30, 0.84], [1.00, 0.70, 0.80, 0.84],
-    ]), (3, 5, 7), (2, 8),
-)  # fmt: skip
-LORRY_CAB = Body(
-    2.2, 2.3, 0.45, 0.45,
-    np.array([
-        [0.00, 0.80, 0.90, 0.92], [0.03, 1.25, 1.35, 0.94], [0.14, 1.40, 2.40, 0.90],
-        [0.45, 1.40, 2.60, 0.90], [0.70, 1.40, 2.62, 0.90], [1.00, 1.40, 2.60, 0.90],
-    ]), (3,), (1,),
-)  # fmt: skip
-CARS = (SEDAN, HATCH, WAGON, HATCH, SUV, WAGON, VAN)
-
-
-def _paint(rng: np.random.Generator) -> float:
+def _paint(rng: Rng) -> float:
     """Return the brightness of a car's paint: most are dark in the infrared."""
     kinds = ((0.0, 0.09), (0.1, 0.5), (0.5, 1.0), (1.0, 1.6))
     return float(rng.uniform(*kinds[rng.choice(4, p=(0.6, 0.14, 0.16, 0.1))]))
@@ -106,16 +32,10 @@ def _loft(body: Body, label: int, paint: float, stretch: Array) -> Mesh:
     z = np.stack([sill, middle, belt, roof, roof, belt, middle, sill], -1)
     sections = np.stack([np.broadcast_to(x[:, None], y.shape), y, z], -1)
     shell = rings(sections, Skin(label, Material.PAINT, paint))
-    windows = [(i, j) for i in body.cabin for j in (2, 4)]
-    windows += [(i, j) for i in body.screens for j in (2, 3, 4)]
-    per_kind = (len(x) - 1) * SECTION_POINTS
-    for station, segment in windows:
-        for face in (
-            station * SECTION_POINTS + segment,
-            per_kind + station * SECTION_POINTS + segment,
-        ):
-            shell.materials[face] = Material.GLASS
-            shell.shades[face] = 0.8
+    windows = np.zeros((len(x) - 1, SECTION_POINTS), bool)
+    windows[np.ix_(body.cabin, (2, 4))] = windows[np.ix_(body.screens, (2, 3, 4))] = True
+    glass = np.tile(windows.ravel(), 2)
+    shell.materials[glass], shell.shades[glass] = Material.GLASS, 0.8
     fan = np.array([[0, k, k + 1] for k in range(1, SECTION_POINTS - 1)])
     ends = [Mesh.of(sections[i], fan, Skin(label, Material.PAINT, paint)) for i in (0, -1)]
     return merge([shell, *ends]).scaled(stretch)
@@ -137,6 +57,7 @@ def _wheels(label: int, axles: list[float], track: float, radius: float, wide: f
 def _fittings(body: Body, label: int, stretch: Array) -> list[Mesh]:
     """Return lamps, reflectors, number plates and mirrors."""
     lamp, retro = Skin(label, Material.LAMP), Skin(label, Material.RETRO)
+    mirror = Skin(label, Material.PAINT, 0.4)
     front, rear = body.length / 2 * stretch[0], -body.length / 2 * stretch[0]
     half, height = body.width / 2 * stretch[1], body.profile[1, 1] * stretch[2]
     parts = [
@@ -144,18 +65,17 @@ def _fittings(body: Body, label: int, stretch: Array) -> list[Mesh]:
         box((rear - 0.015, -0.26, 0.62), (rear + 0.02, 0.26, 0.73), retro),
     ]
     for side in (-1, 1):
-        low, high = sorted((side * (half - 0.36), side * (half - 0.1)))
-        parts.append(box((front - 0.3, low, height - 0.16), (front - 0.02, high, height), lamp))
-        parts.append(box((rear - 0.01, low, height + 0.05), (rear + 0.2, high, height + 0.2), lamp))
-        parts.append(box((rear - 0.02, low, 0.45), (rear + 0.02, high, 0.5), retro))
-        x = body.length * 0.16
-        low, high = sorted((side * half, side * (half + 0.16)))
-        mirror = Skin(label, Material.PAINT, 0.4)
-        parts.append(box((x, low, height + 0.2), (x + 0.12, high, height + 0.36), mirror))
+        x, a, b, c = body.length * 0.16, side * (half - 0.36), side * (half - 0.1), side * half
+        parts += [
+            box((front - 0.3, a, height - 0.16), (front - 0.02, b, height), lamp),
+            box((rear - 0.01, a, height + 0.05), (rear + 0.2, b, height + 0.2), lamp),
+            box((rear - 0.02, a, 0.45), (rear + 0.02, b, 0.5), retro),
+            box((x, c, height + 0.2), (x + 0.12, side * (half + 0.16), height + 0.36), mirror),
+        ]
     return parts
 
 
-def car(rng: np.random.Generator) -> Mesh:
+def car(rng: Rng) -> Mesh:
     """Return a car of one of several shapes, sizes and paints."""
     body = CARS[rng.integers(len(CARS))]
     stretch = rng.uniform([0.93, 0.96, 0.96], [1.07, 1.03, 1.05])
@@ -175,7 +95,7 @@ def car(rng: np.random.Generator) -> Mesh:
     return merge(parts)
 
 
-def truck(rng: np.random.Generator) -> Mesh:
+def truck(rng: Rng) -> Mesh:
     """Return a lorry: box, flatbed with a load, tipper, or semi-trailer."""
     paint, cargo_paint = float(rng.uniform(0.2, 1.5)), float(rng.uniform(0.7, 1.5))
     cab_scale = rng.uniform([0.85, 0.85, 0.85], [1.1, 1.08, 1.15])
@@ -216,7 +136,6 @@ def truck(rng: np.random.Generator) -> Mesh:
         parts.append(box((-front - 0.03, y, 0.6), (-front + 0.01, y + 0.3, 0.75), retro))
     parts.append(box((-front - 0.02, -half, 0.42), (-front + 0.05, half, 0.52), steel))
     for side in (-1, 1):
-        low, high = sorted((side * (half + 0.02), side * (half + 0.28)))
-        x = front + cab_length
-        parts.append(box((x - 0.25, low, 1.7), (x - 0.15, high, 2.3), steel))
+        x, y = front + cab_length, side * (half + 0.02)
+        parts.append(box((x - 0.25, y, 1.7), (x - 0.15, side * (half + 0.28), 2.3), steel))
     return merge(parts).moved((-(cab_length + 0.1) / 2, 0, 0))

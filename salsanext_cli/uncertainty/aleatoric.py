@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import torch
 
-from salsanext_cli.geometry.noise import input_variance
+from salsanext_cli.geometry.normalise import input_variance
 from salsanext_cli.inference.network import Network
 from salsanext_cli.inference.parallel_for import single_threaded_torch
 from salsanext_cli.records import Float, RangeImage

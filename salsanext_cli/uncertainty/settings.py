@@ -9,7 +9,7 @@ from typing import Any
 
 from salsanext_cli.errors import UsageError
 from salsanext_cli.geometry.knn import KnnParameters
-from salsanext_cli.geometry.noise import noise_of
+from salsanext_cli.geometry.normalise import noise_of
 from salsanext_cli.inference.network import Network
 from salsanext_cli.records import RangeImage
 from salsanext_cli.sensors import Sensor

@@ -21,8 +21,12 @@ from tiny_network import TinyNetwork
 from salsanext_cli.classes import LabelSpace, label_space
 from salsanext_cli.formats import read_scan
 from salsanext_cli.formats.kitti import read_labels
-from salsanext_cli.formats.npy import encode_array, read_array
-from salsanext_cli.formats.point_values import read_probabilities, read_uncertainty
+from salsanext_cli.formats.npy import (
+    encode_array,
+    read_array,
+    read_probabilities,
+    read_uncertainty,
+)
 from salsanext_cli.geometry.coverage import field_of_view_coverage
 from salsanext_cli.geometry.projection import project
 from salsanext_cli.network.published import read_published

@@ -9,10 +9,9 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from slow_geometry import published_refine, slow_refine
+from slow_geometry import DEVICES, ON_TORCH, published_refine, slow_refine
 
 from salsanext_cli.errors import LabelError, UsageError
-from salsanext_cli.geometry import knn_torch
 from salsanext_cli.geometry.knn import KnnParameters, knn_refine
 from salsanext_cli.geometry.projection import project
 from salsanext_cli.records import RangeImage
@@ -43,10 +42,8 @@ def slow(image, labels, parameters):
     return slow_refine(image, labels, *rules)
 
 
-def on_torch(image, labels, parameters, device="cpu"):
-    labels = np.asarray(labels, np.uint8)
-    arrays = (image.channels[0], labels, image.pixel_of_point, image.point_range)
-    return knn_torch.refine(*arrays, parameters, device)
+def on_torch(image, labels, parameters, device=ON_TORCH):
+    return knn_refine(image, labels, parameters=parameters, device=device)
 
 
 @st.composite
@@ -92,6 +89,16 @@ def test_many_points_on_any_number_of_threads(rings, cell, threads, monkeypatch)
     refined = knn_refine(image, labels, parameters=parameters)
     np.testing.assert_array_equal(refined, on_torch(image, labels, parameters))
     np.testing.assert_array_equal(refined[::97], slow(some_points(image, 97), labels, parameters))
+
+
+@pytest.mark.parametrize("device", DEVICES)
+@pytest.mark.parametrize("width", [2048, 333, 3])
+def test_other_devices_give_the_same_labels(rings, width, device):
+    image = project(rings, sensor("hdl64").resized(width=width))
+    labels = np.random.default_rng(2).integers(0, 20, (64, width))
+    for parameters in (KnnParameters(), KnnParameters(7, 7, 2.0, 5.0)):
+        expected = knn_refine(image, labels, parameters=parameters)
+        np.testing.assert_array_equal(on_torch(image, labels, parameters, device), expected)
 
 
 ROW = [5.0] * 8

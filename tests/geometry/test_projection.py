@@ -10,12 +10,11 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays
-from slow_geometry import slow_project
+from slow_geometry import DEVICES, ON_TORCH, slow_project
 
 from salsanext_cli.geometry import projection_torch
 from salsanext_cli.geometry.projection import project
 from salsanext_cli.geometry.projection_numba import arctan2
-from salsanext_cli.geometry.projection_parameters import ProjectionParameters
 from salsanext_cli.records import Scan
 from salsanext_cli.sensors import Sensor, sensor
 
@@ -65,7 +64,7 @@ def sensors(draw):
 def test_equals_the_slow_loop_on_both_devices(scan, drawn):
     expected = slow_project(scan, drawn)
     assert_same(project(scan, drawn), expected)
-    assert_same(projection_torch.project(scan, ProjectionParameters.of(drawn), "cpu"), expected)
+    assert_same(project(scan, drawn, ON_TORCH), expected)
 
 
 @pytest.mark.parametrize("threads", [1, 2, 5])
@@ -73,6 +72,13 @@ def test_many_points_on_any_number_of_threads(rings, threads, monkeypatch):
     monkeypatch.setattr("salsanext_cli.kernels.MIN_SLICE_ITEMS", 100)
     monkeypatch.setitem(vars(numba.config), "NUMBA_NUM_THREADS", threads)
     assert_same(project(rings, sensor("hdl64")), slow_project(rings, sensor("hdl64")))
+
+
+@pytest.mark.parametrize("device", DEVICES)
+@pytest.mark.parametrize("width", [2048, 333, 3])
+def test_other_devices_give_the_same_bits(rings, width, device):
+    narrow = sensor("hdl64").resized(width=width)
+    assert_same(project(rings, narrow, device), fields_of(project(rings, narrow)))
 
 
 def test_compass():
@@ -130,5 +136,5 @@ def test_published_projection(real_image, golden):
 
 @pytest.mark.real
 def test_torch_on_a_real_scan(real_scan, real_image):
-    image = projection_torch.project(real_scan, ProjectionParameters.of(sensor("hdl64")), "cpu")
+    image = project(real_scan, sensor("hdl64"), ON_TORCH)
     assert_same(image, fields_of(real_image))

@@ -70,15 +70,9 @@ def test_time_is_distance_by_speed(frames):
     assert SPEED_M_PER_S[0] <= speeds[0] <= SPEED_M_PER_S[1]
 
 
-@pytest.fixture(scope="module")
-def next_street():
-    """Return two frames of another sequence of the same seed."""
-    return list(record(7, 1, 2, 3.0))
-
-
-def test_moving_things_are_not_where_they_were(next_street):
+def test_moving_things_are_not_where_they_were():
     moving = tuple(surfaces.MOVING.values())
-    before, after = (world(frame, moving) for frame in next_street)
+    before, after = (world(frame, moving) for frame in record(7, 1, 2, 3.0))
     assert len(before)
     assert len(after)
     distance, _ = NearestNeighbors(n_neighbors=1).fit(after).kneighbors(before)

@@ -6,7 +6,6 @@ import pytest
 
 from salsanext_cli.synthesis import (
     buildings,
-    fences,
     furniture,
     lots,
     people,
@@ -17,7 +16,7 @@ from salsanext_cli.synthesis import (
 from salsanext_cli.synthesis.builder import Builder
 from salsanext_cli.synthesis.draw import draw_plan
 from salsanext_cli.synthesis.plan import Lot
-from salsanext_cli.synthesis.style import STYLES
+from salsanext_cli.synthesis.presets import STYLES
 
 THINGS = {
     "car": (vehicles.car, {surfaces.CAR}, (3.4, 1.6, 1.3), (5.5, 2.4, 2.5)),
@@ -80,9 +79,9 @@ def test_plants_are_vegetation_on_trunks_and_ragged(name):
     assert np.median(edge) < 0.4
 
 
-@pytest.mark.parametrize("kind", [*fences.KINDS, "barrier"])
+@pytest.mark.parametrize("kind", [*furniture.FENCES, "barrier"])
 def test_fences_have_their_length(kind):
-    mesh = fences.fence(np.random.default_rng(0), 4.0, kind, 1.2, 1.0)
+    mesh = furniture.fence(np.random.default_rng(0), 4.0, kind, 1.2, 1.0)
     assert set(mesh.labels) == {surfaces.FENCE}
     assert mesh.vertices[:, 0].min() >= 0
     assert 4.0 <= mesh.vertices[:, 0].max() <= 4.25

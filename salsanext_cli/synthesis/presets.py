@@ -1,0 +1,64 @@
+# SPDX-License-Identifier: MIT
+"""Numbers of streets, vehicles and the recording vehicle, read from presets/streets.toml."""
+
+import tomllib
+from dataclasses import dataclass
+from importlib import resources
+
+import numpy as np
+
+from salsanext_cli.synthesis.mesh import Array
+
+Span = tuple[float, float]
+
+_FILE = resources.files("salsanext_cli").joinpath("presets/streets.toml")
+_TABLES = tomllib.loads(_FILE.read_text("utf-8"))
+
+
+@dataclass(frozen=True, slots=True)
+class Style:
+    """Ranges and chances that a street is drawn from; the file says what each is."""
+
+    name: str
+    lane: Span
+    parking: float
+    verge: float
+    sidewalk: float
+    sidewalk_width: Span
+    lots: dict[str, float]
+    setback: Span
+    lot_width: Span
+    tree_gap: Span
+    parked: float
+    crossing_gap: Span
+    crowd: float
+    traffic: float
+
+
+@dataclass(frozen=True, slots=True)
+class Body:
+    """Shape of a vehicle; the file says what each number is.
+
+    ``profile`` is (S, 4): a row per station from front to rear.
+    """
+
+    length: float
+    width: float
+    bottom: float
+    wheel: float
+    profile: Array
+    cabin: list[int]
+    screens: list[int]
+
+
+def _body(name: str) -> Body:
+    table = _TABLES["body"][name]
+    return Body(**table | {"profile": np.array(table["profile"])})
+
+
+STYLES = tuple(Style(name, **_TABLES["style"][name]) for name in _TABLES["styles"])
+"""Styles in the order in which sequences take them; a small data set has all."""
+CARS = tuple(map(_body, _TABLES["cars"]))
+LORRY_CAB = _body("lorry_cab")
+VEHICLE_OUTLINES_DEG = tuple(np.array(outline) for outline in _TABLES["outlines"])
+"""Outlines of the recording vehicle, each (corners, 3): azimuth, upper edge and lower edge."""
