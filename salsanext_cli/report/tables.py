@@ -88,7 +88,7 @@ def _calibration_table(result: CalibrationResult) -> Table:
     scores = result.scores
     table.add_row(
         *("softmax", _number(scores.nll), _number(scores.brier)),
-        *(percent(error, 2) for error in (scores.ece, result.scan_error, scores.ace)),
+        *(percent(error, 2) for error in (scores.ece, result.ece_per_scan, scores.ace)),
         *(f"{result.scans:,}", f"{scores.points:,}"),
     )
     return table
