@@ -15,12 +15,12 @@ from salsanext_cli.measures.risk_coverage import COVERAGE
 from salsanext_cli.measures.uncertainty_evaluation import CalibrationResult, RankingResult
 from salsanext_cli.report import canvas
 from salsanext_cli.report.canvas import DARK
-from salsanext_cli.report.dot_names import name_dots
 from salsanext_cli.report.tables import percent
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
+    from matplotlib.transforms import Bbox
 
 BLUE, SKY, ORANGE, RED, GREEN = "#0072b2", "#56b4e9", "#e69f00", "#d55e00", "#009e73"
 """Colours that colour-blind people can tell apart."""
@@ -45,6 +45,12 @@ LEFT, TOP, WIDTH, HEIGHT, TITLE_TOP = 80, 60, 600, 420, 30
 """Place of the main axes and of the title, in pixels."""
 BELOW_PX = 90
 """Height in pixels of the axes below them, which show the distribution of the points."""
+DISTANCES_PX = (9, 16, 26, 40, 56, 76, 100)
+"""Distances from a dot to its name in pixels, in the order of the attempts."""
+DIRECTIONS_DEG = (0, 180, 90, 270, 30, 330, 150, 210, 60, 300, 120, 240)
+"""Directions from a dot to its name in degrees, in the order of the attempts."""
+DOT_PX = 6
+"""Half the width in pixels of the square around a dot that no name may cover."""
 
 
 def reliability_diagram(result: CalibrationResult) -> bytes:
@@ -186,3 +192,48 @@ def class_uncertainty(result: RankingResult, space: LabelSpace) -> bytes:
     canvas.plain_frame(axes)
     name_dots(axes, points, means, [space.names[i] for i in present], DARK)
     return canvas.png_of(figure)
+
+
+def name_dots(axes: Axes, x: Ratios, y: Ratios, names: Sequence[str], colour: str) -> None:
+    """Write a name beside each dot, or farther away with a line to it if the place is occupied.
+
+    The axes have their final limits and scales; `x` and `y`, (N,), are in their data coordinates. A
+    dollar sign in a name does not start mathematics.
+    """
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.lines import Line2D
+    from matplotlib.transforms import Bbox, IdentityTransform
+
+    dots = axes.transData.transform(np.stack([x, y], axis=1))
+    occupied = [Bbox([dot - DOT_PX, dot + DOT_PX]) for dot in dots]
+    pixels = IdentityTransform()
+    style: dict[str, Any] = {"size": 9, "color": colour, "va": "center", "parse_math": False}
+    renderer = FigureCanvasAgg(axes.get_figure(root=True)).get_renderer()  # type: ignore[no-untyped-call]
+    for dot, name in zip(dots, names, strict=True):
+        text = axes.text(0, 0, name, transform=pixels, **style)
+        size = np.array(text.get_window_extent(renderer).size)
+        box = _free_place(dot, size, occupied, axes.bbox)
+        text.set_position((box.x0, (box.y0 + box.y1) / 2))
+        occupied.append(box)
+        nearest = np.clip(dot, box.min, box.max)
+        if np.linalg.norm(nearest - dot) > DISTANCES_PX[1]:
+            ends = np.stack([dot, nearest], axis=1)
+            axes.add_line(Line2D(*ends, transform=pixels, color=canvas.FAINT, linewidth=0.7))
+
+
+def _free_place(dot: Ratios, size: Ratios, occupied: Sequence[Bbox], inside: Bbox) -> Bbox:
+    """Return the nearest box of a size that overlaps none and lies inside; all in pixels."""
+    from matplotlib.transforms import Bbox
+
+    boxes = []
+    for distance in DISTANCES_PX:
+        for direction in np.radians(DIRECTIONS_DEG).tolist():
+            across, up = distance * math.cos(direction), distance * math.sin(direction)
+            side = round(math.cos(direction))
+            left, bottom = dot + (across - size[0] * (1 - side) / 2, up - size[1] / 2)
+            box = Bbox.from_bounds(left, bottom, *size)
+            within = all(inside.contains(*corner) for corner in (box.min, box.max))
+            if within and not box.count_overlaps(occupied):
+                return box
+            boxes.append(box)
+    return boxes[0]

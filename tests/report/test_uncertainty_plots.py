@@ -9,7 +9,6 @@ from matplotlib.image import imread
 
 from salsanext_cli.measures.scan_counts import EVALUATED_KINDS
 from salsanext_cli.report import canvas
-from salsanext_cli.report.dot_names import name_dots
 from salsanext_cli.report.uncertainty_plots import (
     BLUE,
     HEIGHT,
@@ -19,6 +18,7 @@ from salsanext_cli.report.uncertainty_plots import (
     TOP,
     WIDTH,
     class_uncertainty,
+    name_dots,
     reliability_diagram,
     risk_coverage,
     sparsification,

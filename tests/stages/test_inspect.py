@@ -10,7 +10,7 @@ from salsanext_cli.classes import label_space
 from salsanext_cli.errors import NoInputError
 from salsanext_cli.geometry.projection import project
 from salsanext_cli.records import Scan
-from salsanext_cli.report.surveys import survey_tables
+from salsanext_cli.report.descriptions import survey_tables
 from salsanext_cli.sensors import sensor
 from salsanext_cli.stages.inspect import inspect, write_sensor
 from salsanext_cli.storage.point_files import write_bin
