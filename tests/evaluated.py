@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 
-from salsanext_cli.classes import label_space
+from salsanext_cli.classes import LabelSpace, label_space
 from salsanext_cli.measures.calibration import SCAN_BINS, reliability
 from salsanext_cli.measures.histograms import confidence_histogram, uncertainty_histogram
 from salsanext_cli.measures.scan_counts import CLASS, SOFTMAX, ScanCounts
@@ -23,6 +23,13 @@ from salsanext_cli.storage.point_files import write_array, write_bin, write_labe
 
 SPACE = label_space()
 CAR, ROAD, MOVING_CAR, UNKNOWN = 10, 40, 252, 77
+
+
+def small_space(*names: str) -> LabelSpace:
+    """Return a label space of classes whose raw ids are train ids; the first one is ignored."""
+    same = {i: i for i in range(len(names))}
+    maps = {"learning_map": same, "learning_map_inv": same}
+    return LabelSpace.from_dict({"name": "small", "labels": dict(enumerate(names)), **maps})
 
 
 class World:

@@ -21,7 +21,7 @@ import numpy as np
 import numpy.typing as npt
 
 from salsanext_cli.measures.confusion import Counts, Mask, Ratios
-from salsanext_cli.measures.softmax import SoftmaxErrors, require_points
+from salsanext_cli.measures.softmax import SoftmaxErrors
 
 CONFIDENCES = np.arange(int(np.float16(1).view(np.uint16)) + 1).astype(np.uint16).view(np.float16)
 """Every float16 from 0 to 1, ascending: the bit patterns of numbers above 0 are in their order."""
@@ -110,7 +110,7 @@ def confidence_histogram(
     Raises
     ------
     ValueError
-        If the arrays do not fit.
+        If a group is not one of them.
     """
     bins = errors.confidence.view(np.uint16).astype(np.intp)
     known, shape = ~np.isnan(errors.confidence), (2, group_count, len(CONFIDENCES))
@@ -129,12 +129,7 @@ def uncertainty_histogram(
     wrong : (N,) bool
         Whether the label of each point is not the true one.
     group, group_count
-        As `confidence_histogram` takes them.
-
-    Raises
-    ------
-    ValueError
-        If the arrays do not fit.
+        As `confidence_histogram` takes them, with the same error.
     """
     values, shape = uncertainty.astype(np.float64), (2, group_count, UNCERTAINTY_BINS)
     bins = bin_of(uncertainty)
@@ -150,16 +145,12 @@ def _histogram(
     **values: Ratios,
 ) -> Histogram:
     """Count the known points of a scan, all arrays (N,)."""
-    require_points(len(known), wrong=wrong, group=group)
-    wrong, group, bins = wrong[known], group[known], bins[known]
-    _, groups, size = shape
-    if group.size and not 0 <= int(group.min()) <= int(group.max()) < groups:
-        raise ValueError(f"group: {group.min()}…{group.max()}, not 0…{groups - 1}")
-    cell = (wrong.astype(np.intp) * groups + group) * size + bins
+    group = group[known]
+    cell = np.ravel_multi_index((wrong[known].astype(np.intp), group, bins[known]), shape)
     counts = np.bincount(cell, minlength=math.prod(shape)).reshape(shape)
-    sums = {name: np.bincount(group, each[known], groups) for name, each in values.items()}
+    sums = {name: np.bincount(group, each[known], shape[1]) for name, each in values.items()}
     scan_sums = {name: array("d", each.tolist()) for name, each in sums.items()}
-    return Histogram(counts, scan_sums, int(len(bins) > 0), len(known) - len(bins))
+    return Histogram(counts, scan_sums, int(len(cell) > 0), len(known) - len(cell))
 
 
 def bin_of(uncertainty: npt.NDArray[Any]) -> npt.NDArray[np.intp]:

@@ -54,13 +54,7 @@ def softmax_errors(probabilities: npt.NDArray[Any], truth: npt.NDArray[Any]) -> 
         Softmax; rows of NaN for points that have none.
     truth : (N,) integer
         Train ids, 0…C-1.
-
-    Raises
-    ------
-    ValueError
-        If the arrays do not fit.
     """
-    require_points(len(probabilities), truth=truth)
     exact = probabilities.astype(np.float64)
     every = np.arange(len(exact))
     of_truth, predicted = exact[every, truth], exact.argmax(axis=1)
@@ -91,10 +85,3 @@ def softmax_entropy(probabilities: npt.NDArray[Any]) -> Float:
     logarithm = np.log(np.clip(some, SMALLEST_PROBABILITY, 1))
     entropy: Float = -np.einsum("nc,nc->n", some, logarithm)
     return np.maximum(entropy, 0)
-
-
-def require_points(points: int, **arrays: npt.NDArray[Any]) -> None:
-    """Raise `ValueError` unless each array has one integer per point."""
-    for name, values in arrays.items():
-        if values.shape != (points,) or values.dtype.kind not in "iub":
-            raise ValueError(f"{name}: {values.shape} {values.dtype}, not ({points},) integers")

@@ -185,25 +185,6 @@ def test_means_lose_nothing_where_float64_would_round():
     assert added(scans).means("uncertainty") == (2.0**30 + 1000 * 2.0**-40) / 1001
 
 
-def test_groups_are_separate_and_points_without_a_value_left_out():
-    rng = np.random.default_rng(0)
-    uncertainty, wrong = rng.random(90), rng.random(90) < 0.3
-    group = np.arange(90) % 3
-    gaps = np.where(np.arange(120) < 90, np.resize(uncertainty, 120), np.nan)
-    histogram = of(gaps, np.resize(wrong, 120), np.resize(group, 120), 4)
-    assert histogram.left_out == 30
-    assert histogram.points.tolist() == [30, 30, 30, 0]
-    histogram = of(uncertainty, wrong, group, 4)
-    whole, pooled = of(uncertainty, wrong), histogram.total()
-    np.testing.assert_array_equal(pooled.counts, whole.counts)
-    assert ranking_scores(histogram).mean == pytest.approx(ranking_scores(whole).mean, rel=1e-14)
-    for i in range(3):
-        alone = of(uncertainty[group == i], wrong[group == i])
-        assert ranking_scores(histogram.group(i)) == ranking_scores(alone)
-    assert histogram.points.tolist() == [30, 30, 30, 0]
-    assert math.isnan(histogram.means("uncertainty")[3])
-
-
 def test_thresholds_keep_at_least_their_share():
     random = np.random.default_rng(3)
     values = random.lognormal(-4, 1.5, 5000).astype(np.float32)
