@@ -20,7 +20,7 @@ from matplotlib.figure import Figure
 import salsanext_cli as sn
 from salsanext_cli.geometry.normalise import noise_of
 from salsanext_cli.inference.network import Network
-from salsanext_cli.measures.correlation import spearman
+from salsanext_cli.measures.risk_coverage import spearman
 from salsanext_cli.records import RangeImage
 from salsanext_cli.uncertainty.aleatoric import aleatoric
 from salsanext_cli.uncertainty.dropout_propagation import propagate_dropout

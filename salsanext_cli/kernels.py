@@ -122,7 +122,7 @@ def warn_once(error: Exception) -> None:
 
 
 def cache_folder() -> str:
-    """Return where files are kept that can be made again: ``$XDG_CACHE_HOME/salsanext`` or the like.
+    """Return the user's cache folder: ``$XDG_CACHE_HOME/salsanext`` or the like.
 
     It is empty, for nowhere, if the user has no home.
     """

@@ -6,16 +6,16 @@ from pathlib import Path
 import numpy as np
 from scans import write_array
 
-from salsanext_cli import Scan, label_space, write_labels
-from salsanext_cli.measures.calibration import ConfidenceHistogram, softmax_errors
-from salsanext_cli.measures.reliability import SCAN_BINS, reliability
-from salsanext_cli.measures.scan_counts import CLASS, ScanCounts
+from salsanext_cli import LabelSpace, Scan, label_space, write_labels
+from salsanext_cli.measures.calibration import SCAN_BINS, reliability
+from salsanext_cli.measures.histograms import confidence_histogram, uncertainty_histogram
+from salsanext_cli.measures.scan_counts import CLASS, SOFTMAX, ScanCounts
+from salsanext_cli.measures.softmax import softmax_errors
 from salsanext_cli.measures.uncertainty_evaluation import (
     CalibrationResult,
     RankingResult,
     evaluate_uncertainty,
 )
-from salsanext_cli.measures.uncertainty_histogram import UncertaintyHistogram
 from salsanext_cli.parallel.run import RunOptions
 from salsanext_cli.stages.evaluate import evaluate
 from salsanext_cli.storage.layout import find_scans, output_path
@@ -23,6 +23,13 @@ from salsanext_cli.storage.point_files import write_bin
 
 SPACE = label_space()
 CAR, ROAD, MOVING_CAR, UNKNOWN = 10, 40, 252, 77
+
+
+def small_space(*names: str) -> LabelSpace:
+    """Return a label space of classes whose raw ids are train ids; the first one is ignored."""
+    same = {i: i for i in range(len(names))}
+    maps = {"learning_map": same, "learning_map_inv": same}
+    return LabelSpace.from_dict({"name": "small", "labels": dict(enumerate(names)), **maps})
 
 
 class World:
@@ -61,9 +68,9 @@ def calibration_result(truth) -> CalibrationResult:
     rows = np.zeros((len(truth), SPACE.class_count), np.float16)
     rows[:, 1], rows[:, 2] = 0.75, 0.25
     errors = softmax_errors(rows, np.array(truth, int))
-    histogram = ConfidenceHistogram(SPACE.class_count).update(errors, errors.predicted)
+    histogram = confidence_histogram(errors, errors.predicted, SPACE.class_count)
     counts = ScanCounts.none(SPACE, by_distance=False)
-    counts.confidence[CLASS] = histogram
+    counts.histograms[SOFTMAX, CLASS] = histogram
     if len(truth):
         error = reliability(histogram.total().counts[:, 0], SCAN_BINS).error
         counts.calibration_errors.append(error)
@@ -73,8 +80,8 @@ def calibration_result(truth) -> CalibrationResult:
 def ranking_result(uncertainty, wrong, truth=None) -> RankingResult:
     """Return how well an uncertainty finds wrong points, all of class 1 unless it is said."""
     truth = np.ones(len(uncertainty), int) if truth is None else truth
-    histogram = UncertaintyHistogram(SPACE.class_count)
     counts = ScanCounts.none(SPACE, by_distance=False)
-    histogram.update(np.array(uncertainty, np.float32), wrong, truth)
-    counts.uncertainty["epistemic", CLASS] = histogram
+    values = np.array(uncertainty, np.float32)
+    histogram = uncertainty_histogram(values, wrong, truth, SPACE.class_count)
+    counts.histograms["epistemic", CLASS] = histogram
     return evaluate_uncertainty(counts, SPACE).kinds["epistemic"]

@@ -24,7 +24,7 @@ def tune_temperature(
 
     Example: salsanext tune temperature streets/ tuned.safetensors --limit 50
     """
-    from salsanext_cli.report.tuning import temperature_table
+    from salsanext_cli.report.tables import temperature_table
     from salsanext_cli.stages.tune_temperature import tune_temperature as stage
 
     with progress("tune temperature", output.quiet) as on_progress:
@@ -62,7 +62,7 @@ def tune_dropout(
 
     Example: salsanext tune dropout streets/ tuned.safetensors --steps 10
     """
-    from salsanext_cli.report.tuning import rate_table
+    from salsanext_cli.report.tables import rate_table
     from salsanext_cli.stages.tune_dropout import curve_of
     from salsanext_cli.stages.tune_dropout import tune_dropout as stage
 
@@ -105,7 +105,7 @@ def tune_batchnorm(
 
     Example: salsanext tune batchnorm my/scans adapted.safetensors --sensor hdl32
     """
-    from salsanext_cli.report.tuning import moved_table
+    from salsanext_cli.report.tables import moved_table
     from salsanext_cli.stages.tune_batchnorm import tune_batchnorm as stage
 
     with progress("tune batchnorm", output.quiet) as on_progress:

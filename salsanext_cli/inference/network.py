@@ -65,6 +65,11 @@ class Network:
         """
         return engine_for(self.module, self.device, self.precision)
 
+    @cached_property
+    def batch_sizes(self) -> dict[str, int]:
+        """Number of items by name that there was room for at once; empty until memory runs out."""
+        return {}
+
     def input(self, channels: Float) -> Tensor:
         """Return (5, H, W) channels normalised as the network takes them, (1, 5, H, W)."""
         normalised = torch.from_numpy(normalise(channels, self.sensor))[None]
@@ -136,7 +141,36 @@ class Network:
                 logits = self.engine(torch.cat([self.input(image) for image in batch]))
                 return torch.softmax(logits / self.card.temperature, dim=1).cpu().numpy()
 
-        return in_batches(softmax, channels, len(channels), "scans")
+        return self.in_batches(softmax, channels, len(channels), "scans")
+
+    def in_batches(
+        self,
+        function: Callable[[Sequence[Item]], Iterable[Result]],
+        items: Sequence[Item],
+        most: int,
+        name: str,
+    ) -> list[Result]:
+        """Return the results of a function of batches, halved where memory runs out.
+
+        The network remembers for how many items of a name there was room.
+
+        Raises
+        ------
+        torch.OutOfMemoryError
+            If there is no room for a single item.
+        """
+        found: list[Result] = []
+        while len(found) < len(items):
+            size = min(most, self.batch_sizes.get(name, most))
+            batch = items[len(found) : len(found) + size]
+            try:
+                found.extend(function(batch))
+            except torch.OutOfMemoryError:
+                if len(batch) == 1:
+                    raise
+                size = self.batch_sizes[name] = len(batch) // 2
+                log.warning("not enough memory for %d %s at once: %d now", len(batch), name, size)
+        return found
 
     def require_finite(self, probabilities: Float, source: object) -> None:
         """Raise `WeightsError`, naming weights and scan, if a softmax is not finite."""
@@ -191,32 +225,6 @@ def with_dropout(network: Network, rate: float) -> Network:
     module.load_state_dict(network.module.state_dict(), assign=True)
     card = replace(network.card, architecture=architecture)
     return replace(network, module=module.eval(), card=card)
-
-
-def in_batches(
-    function: Callable[[Sequence[Item]], Iterable[Result]],
-    items: Sequence[Item],
-    size: int,
-    name: str,
-) -> list[Result]:
-    """Return the results of a function of batches, halved where memory runs out.
-
-    Raises
-    ------
-    torch.OutOfMemoryError
-        If there is no room for a single item.
-    """
-    found: list[Result] = []
-    while len(found) < len(items):
-        batch = items[len(found) : len(found) + size]
-        try:
-            found.extend(function(batch))
-        except torch.OutOfMemoryError:
-            if len(batch) == 1:
-                raise
-            size = len(batch) // 2
-            log.warning("not enough memory for %d %s at once: %d now", len(batch), name, size)
-    return found
 
 
 def choose_device(name: str) -> torch.device:

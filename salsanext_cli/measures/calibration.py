@@ -4,112 +4,25 @@
 The confidence of a point is its largest probability, and the point is right if the class of that
 probability is the true one. So the softmax itself is evaluated, before the vote of the neighbours;
 the label in ``predictions/`` may be another.
+
+Functions of counts take the right points, then the wrong ones, by index into `CONFIDENCES`:
+(2, 15361) int64; and the number of bins.
 """
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Any, Self
 
 import numpy as np
-import numpy.typing as npt
 
-from salsanext_cli.measures.confusion import Mask, Ratios
-from salsanext_cli.measures.grouped_histogram import GroupedHistogram, require_points
-from salsanext_cli.measures.reliability import CONFIDENCES, adaptive_error, reliability
+from salsanext_cli.measures.confusion import Counts, Ratios, ratio
+from salsanext_cli.measures.histograms import CONFIDENCES, Histogram
 
-SMALLEST_PROBABILITY = 2.0**-24
-"""Least probability of the true class: the smallest float16 above 0.
-
-A probability below half of it is 0 on disk, and one such point would make the mean infinite. So a
-point costs at most 24 ln 2 = 16.6 nats.
-"""
-
-
-@dataclass(frozen=True, slots=True)
-class SoftmaxErrors:
-    """Errors of the softmax of points, each (N,); NaN for points that have none.
-
-    Attributes
-    ----------
-    predicted : intp
-        The most probable class.
-    wrong : bool
-        Whether the true class is another.
-    confidence : float16
-        The largest probability.
-    nll : float64
-        Negative log-likelihood of the true class in nats, 0…16.6.
-    brier : float64
-        Squared distance Σ_c (p_c − [c is true])², 0…2.
-    """
-
-    predicted: npt.NDArray[np.intp]
-    wrong: Mask
-    confidence: npt.NDArray[np.float16]
-    nll: Ratios
-    brier: Ratios
-
-
-def softmax_errors(probabilities: npt.NDArray[Any], truth: npt.NDArray[Any]) -> SoftmaxErrors:
-    """Compare probabilities with the truth.
-
-    Parameters
-    ----------
-    probabilities : (N, C) float
-        Softmax; rows of NaN for points that have none.
-    truth : (N,) integer
-        Train ids, 0…C-1.
-
-    Raises
-    ------
-    ValueError
-        If the arrays do not fit.
-    """
-    require_points(len(probabilities), truth=truth)
-    exact = probabilities.astype(np.float64)
-    every = np.arange(len(exact))
-    of_truth, predicted = exact[every, truth], exact.argmax(axis=1)
-    return SoftmaxErrors(
-        predicted=predicted,
-        wrong=predicted != truth,
-        confidence=exact[every, predicted].astype(np.float16),
-        nll=-np.log(np.maximum(of_truth, SMALLEST_PROBABILITY)),
-        brier=np.einsum("nc,nc->n", exact, exact) - 2 * of_truth + 1,
-    )
-
-
-class ConfidenceHistogram(GroupedHistogram):
-    """Histograms of confidence by group, a bin for each of `CONFIDENCES`, and sums of errors."""
-
-    BIN_COUNT = len(CONFIDENCES)
-    SUMMED = ("nll", "brier")
-    __slots__ = ()
-
-    def update(self, errors: SoftmaxErrors, group: npt.NDArray[Any]) -> Self:
-        """Count the points of a scan.
-
-        Parameters
-        ----------
-        errors : SoftmaxErrors
-            Errors of N points.
-        group : (N,) integer
-            The group of each point, 0…G-1.
-
-        Returns
-        -------
-        ConfidenceHistogram
-            This one.
-
-        Raises
-        ------
-        ValueError
-            If the arrays do not fit.
-        """
-        bins = errors.confidence.view(np.uint16).astype(np.intp)
-        known = ~np.isnan(errors.confidence)
-        return self.count(known, errors.wrong, group, bins, nll=errors.nll, brier=errors.brier)
+POOLED_BINS = 15
+"""Number of bins of the pooled errors and of the diagram."""
+SCAN_BINS = 10
+"""Number of bins of the error of a single scan, as in Calib3D."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -143,8 +56,8 @@ class CalibrationScores:
     ace: float
 
 
-def calibration_scores(histogram: ConfidenceHistogram) -> CalibrationScores:
-    """Divide the counts of all groups together."""
+def calibration_scores(histogram: Histogram) -> CalibrationScores:
+    """Divide the counts of all groups of a `confidence_histogram` together."""
     pooled = histogram.total()
     counts, total = pooled.counts[:, 0], int(pooled.points[0])
     confidence = counts.sum(axis=0) @ CONFIDENCES.astype(np.float64)
@@ -157,3 +70,58 @@ def calibration_scores(histogram: ConfidenceHistogram) -> CalibrationScores:
         ece=reliability(counts).error,
         ace=adaptive_error(counts),
     )
+
+
+@dataclass(frozen=True, slots=True)
+class Reliability:
+    """A reliability diagram: bin b of B holds the confidences above b/B up to (b + 1)/B.
+
+    Attributes
+    ----------
+    points : (B,) int64
+        Number of points in each bin.
+    confidence : (B,) float64
+        Their mean confidence; NaN for a bin without points.
+    accuracy : (B,) float64
+        Share of them that is right; NaN for a bin without points.
+    """
+
+    points: Counts
+    confidence: Ratios
+    accuracy: Ratios
+
+    @property
+    def error(self) -> float:
+        """Expected calibration error, Σ_b n_b/n · |accuracy_b − confidence_b|; NaN if empty."""
+        held = self.points > 0
+        gaps = np.abs(self.accuracy - self.confidence)[held]
+        return float(self.points[held] @ gaps / self.points.sum()) if held.any() else math.nan
+
+
+def reliability(counts: Counts, bin_count: int = POOLED_BINS) -> Reliability:
+    """Sum up counts by confidence in bins of equal width."""
+    values = CONFIDENCES.astype(np.float64)
+    # The product is exact: a float16 has 11 binary digits.
+    place = np.maximum(np.ceil(values * bin_count).astype(np.intp) - 1, 0)
+    starts = np.searchsorted(place, np.arange(bin_count))
+    points = np.add.reduceat(counts.sum(axis=0), starts)
+    hits = np.add.reduceat(counts[0], starts)
+    confidence = np.add.reduceat(counts.sum(axis=0) * values, starts)
+    return Reliability(points, ratio(confidence, points), ratio(hits, points))
+
+
+def adaptive_error(counts: Counts, bin_count: int = POOLED_BINS) -> float:
+    """Return Σ_b |accuracy_b − confidence_b| / B over bins that hold equally many points each.
+
+    Points of one confidence that a border falls among are divided in proportion, right and wrong
+    alike. NaN without points.
+    """
+    points = counts.sum(axis=0)
+    held = points > 0
+    if not held.any():
+        return math.nan
+    gaps = counts[0, held] - points[held] * CONFIDENCES[held].astype(np.float64)
+    reached = np.concatenate([[0], points[held].cumsum()])
+    borders = np.linspace(0, reached[-1], bin_count + 1)
+    gap = np.diff(np.interp(borders, reached, np.concatenate([[0], gaps.cumsum()])))
+    return float(np.abs(gap).sum() / reached[-1])

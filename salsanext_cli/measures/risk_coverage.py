@@ -1,20 +1,24 @@
 # SPDX-License-Identifier: MIT
-"""Scores of uncertainty as a detector of wrong points, from histograms of uncertainty.
+"""Scores of uncertainty as a detector of wrong points, and rank correlation.
 
-All functions take the number of right and of wrong points in bins of ascending uncertainty, (B,)
-int64 each. Points in one bin are tied: scores are the mean over every order among them.
+Functions of counts take the number of right and of wrong points in bins of ascending uncertainty,
+(B,) int64 each. Points in one bin are tied: scores are the mean over every order among them.
 """
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 from salsanext_cli.measures.confusion import Counts, Ratios
-from salsanext_cli.measures.uncertainty_histogram import UncertaintyHistogram, highest_of_bins
+from salsanext_cli.measures.histograms import Histogram, highest_of_bins
+
+COVERAGE = np.arange(1, 101) / 100
+"""Shares of the points, the least uncertain ones first, at which the risk is given."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,8 +56,8 @@ class RankingScores:
     ause: float
 
 
-def ranking_scores(histogram: UncertaintyHistogram) -> RankingScores:
-    """Divide the counts of all groups together."""
+def ranking_scores(histogram: Histogram) -> RankingScores:
+    """Divide the counts of all groups of an `uncertainty_histogram` together."""
     pooled = histogram.total()
     right, wrong = pooled.counts[:, 0]
     points, errors = int(pooled.counts.sum()), int(wrong.sum())
@@ -108,54 +112,34 @@ def aurc(right: Counts, wrong: Counts) -> float:
     return float((errors + (errors_before - before * rate) * inverse).sum() / reached[-1])
 
 
-def risk_at(right: Counts, wrong: Counts, coverage: npt.NDArray[np.float64]) -> Ratios:
-    """Return the risk of keeping only the least uncertain points.
+def risk_coverage(
+    right: Counts, wrong: Counts, coverage: Ratios = COVERAGE
+) -> tuple[Ratios, Ratios]:
+    """Return the risk of keeping only the least uncertain points, and the threshold for it.
 
     Parameters
     ----------
     right, wrong : (B,) int64
-        Points in bins of ascending uncertainty.
+        The counts.
     coverage : (K,) float64
         Shares of the points that are kept, above 0.
 
     Returns
     -------
-    (K,) float64
-        Share of the kept points that is wrong; NaN without points.
-    """
-    reached = np.concatenate([[0], (right + wrong).cumsum()])
-    if not reached[-1]:
-        return np.full(coverage.shape, np.nan)
-    errors = np.interp(coverage * reached[-1], reached, np.concatenate([[0], wrong.cumsum()]))
-    risk: Ratios = errors / (coverage * reached[-1])
-    return risk
-
-
-def threshold_at(right: Counts, wrong: Counts, coverage: npt.NDArray[np.float64]) -> Ratios:
-    """Return the least uncertainty up to which at least a share of the points is kept.
-
-    Parameters
-    ----------
-    right, wrong : (B,) int64
-        Points in bins of ascending uncertainty.
-    coverage : (K,) float64
-        Shares of the points, above 0.
-
-    Returns
-    -------
-    (K,) float64
-        Upper end of the bin in which the share is reached; NaN without points.
+    risk, threshold : (K,) float64
+        Share of the kept points that is wrong, and upper end of the bin in which the coverage is
+        reached; NaN without points.
     """
     reached = (right + wrong).cumsum()
+    kept = coverage * reached[-1]
     if not reached[-1]:
-        return np.full(coverage.shape, np.nan)
+        return np.full(kept.shape, np.nan), np.full(kept.shape, np.nan)
+    errors = np.interp(kept, np.append(0, reached), np.append(0, wrong.cumsum()))
     # A share such as 0.07 of 100 points is 7.000000000000001 of them.
-    kept = np.ceil(coverage * reached[-1] - 1e-6)
-    thresholds: Ratios = highest_of_bins()[np.searchsorted(reached, kept)]
-    return thresholds
+    bins = np.searchsorted(reached, np.ceil(kept - 1e-6))
+    return errors / kept, highest_of_bins()[bins]
 
 
-EULER = 0.5772156649015329
 SERIES_FROM = 16
 """Number from which the asymptotic series of the harmonic numbers is exact to the last digit."""
 
@@ -165,5 +149,30 @@ def _harmonic(numbers: Counts) -> Ratios:
     small = np.concatenate([[0.0], (1 / np.arange(1, SERIES_FROM)).cumsum()])
     n = np.maximum(numbers, SERIES_FROM).astype(np.float64)
     tail = 1 / (2 * n) - 1 / (12 * n**2) + 1 / (120 * n**4) - 1 / (252 * n**6) + 1 / (240 * n**8)
-    series = np.log(n) + EULER + tail
+    series = np.log(n) + np.euler_gamma + tail
     return np.where(numbers < SERIES_FROM, small[np.minimum(numbers, SERIES_FROM - 1)], series)
+
+
+def spearman(one: npt.NDArray[Any], other: npt.NDArray[Any]) -> float:
+    """Return Spearman's rank correlation, the linear correlation of the ranks.
+
+    Parameters
+    ----------
+    one, other : (N,)
+        Finite numbers; equal ones share the mean of their ranks.
+
+    Returns
+    -------
+    float
+        -1…1; NaN where one of the two does not vary.
+    """
+    ranks = [_centred_ranks(values) for values in (one, other)]
+    norm = math.prod(math.sqrt(r @ r) for r in ranks)
+    return float(ranks[0] @ ranks[1] / norm) if norm else math.nan
+
+
+def _centred_ranks(values: npt.NDArray[Any]) -> Ratios:
+    """Return ranks whose mean is 0, so that those of equal values are exactly 0."""
+    _, place, count = np.unique(values, return_inverse=True, return_counts=True)
+    ranks: Ratios = (count.cumsum() - (count + len(values)) / 2)[place]
+    return ranks

@@ -1,13 +1,12 @@
 # SPDX-License-Identifier: MIT
-"""Counts of the points of scans by label, prediction, probability and uncertainty."""
+"""Counts of the points of scans by label, prediction, probability, uncertainty and distance."""
 
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -17,32 +16,30 @@ from salsanext_cli.formats import read_scan
 from salsanext_cli.formats.kitti import read_labels
 from salsanext_cli.formats.npy import read_probabilities, read_uncertainty
 from salsanext_cli.formats.reading import present
-from salsanext_cli.measures.calibration import ConfidenceHistogram, SoftmaxErrors, softmax_errors
+from salsanext_cli.geometry.ranges import measured_ranges
+from salsanext_cli.measures.calibration import SCAN_BINS, reliability
 from salsanext_cli.measures.confusion import Confusion
-from salsanext_cli.measures.distance import RING_NAMES, ring_of_point
-from salsanext_cli.measures.grouped_histogram import GroupedHistogram
-from salsanext_cli.measures.reliability import SCAN_BINS, reliability
-from salsanext_cli.measures.softmax import lack_of_confidence, softmax_entropy
-from salsanext_cli.measures.uncertainty_histogram import UncertaintyHistogram
+from salsanext_cli.measures.histograms import (
+    Histogram,
+    confidence_histogram,
+    uncertainty_histogram,
+)
+from salsanext_cli.measures.softmax import lack_of_confidence, softmax_entropy, softmax_errors
 from salsanext_cli.records import Float
-from salsanext_cli.storage.layout import SUFFIX_OF_FOLDER, ScanFile, output_path
+from salsanext_cli.storage.layout import ScanFile, output_path
+from salsanext_cli.storage.scan_results import UNCERTAINTY
 
-UNCERTAINTY = "uncertainty/"
-FOLDERS = ("probabilities", *(f for f in SUFFIX_OF_FOLDER if f.startswith(UNCERTAINTY)))
-"""Folders of the output folder that are read beside the predictions."""
+SOFTMAX = "probabilities"
+"""Folder of the softmax, and key of the histograms of its confidence."""
 OF_SOFTMAX = {"confidence": lack_of_confidence, "softmax_entropy": softmax_entropy}
 """Uncertainties that come from the probabilities."""
-KINDS = (*OF_SOFTMAX, *(folder.removeprefix(UNCERTAINTY) for folder in FOLDERS[1:]))
+EVALUATED_KINDS = (*OF_SOFTMAX, *UNCERTAINTY)
 """Every kind of uncertainty, in the order in which they are reported."""
 CLASS, RING = "class", "ring"
 """Names of the groupings of points."""
-NO_RING = len(RING_NAMES)
-"""The group of points without a measurement."""
-
-Key = TypeVar("Key")
-Histogram = TypeVar("Histogram", bound=GroupedHistogram)
-Groups = dict[str, tuple[npt.NDArray[Any], int]]
-"""The group of every point and the number of groups, by grouping."""
+RING_STARTS_M = (0.0, 10.0, 20.0, 30.0, 40.0, 50.0)
+"""Inner radius of each ring of distance, in metres; the last ring has no end."""
+RING_NAMES = ("0–10 m", "10–20 m", "20–30 m", "30–40 m", "40–50 m", "over 50 m")
 
 
 @dataclass(slots=True)
@@ -63,12 +60,11 @@ class ScanCounts:
         Scans without predictions.
     files : Counter of str
         Number of scans that have probabilities or a kind of uncertainty, by folder.
-    confidence : dict of str to ConfidenceHistogram
-        Histograms by grouping: `CLASS`, the most probable one, or `RING`.
     calibration_errors : list of float
         Expected calibration error of each scan that has a softmax.
-    uncertainty : dict of (str, str) to UncertaintyHistogram
-        Histograms by kind of uncertainty and grouping: `CLASS`, the true one, or `RING`.
+    histograms : dict of (str, str) to Histogram
+        Of confidence, under `SOFTMAX`, and of each kind of uncertainty; by grouping: `RING`, or
+        `CLASS`, which is the most probable class for the confidence, else the true one.
     """
 
     confusion: Confusion
@@ -78,9 +74,8 @@ class ScanCounts:
     scans: int = 0
     missing: list[ScanFile] = field(default_factory=list)
     files: Counter[str] = field(default_factory=Counter)
-    confidence: dict[str, ConfidenceHistogram] = field(default_factory=dict)
     calibration_errors: list[float] = field(default_factory=list)
-    uncertainty: dict[tuple[str, str], UncertaintyHistogram] = field(default_factory=dict)
+    histograms: dict[tuple[str, str], Histogram] = field(default_factory=dict)
 
     @classmethod
     def none(cls, space: LabelSpace, by_distance: bool) -> ScanCounts:
@@ -98,14 +93,9 @@ class ScanCounts:
         self.missing += other.missing
         self.files += other.files
         self.calibration_errors += other.calibration_errors
-        _add_histograms(self.confidence, other.confidence)
-        _add_histograms(self.uncertainty, other.uncertainty)
-
-
-def _add_histograms(total: dict[Key, Histogram], other: Mapping[Key, Histogram]) -> None:
-    for key, histogram in other.items():
-        if total.setdefault(key, histogram) is not histogram:
-            total[key].add(histogram)
+        for key, histogram in other.histograms.items():
+            if self.histograms.setdefault(key, histogram) is not histogram:
+                self.histograms[key] += histogram
 
 
 def count_scan(
@@ -147,42 +137,53 @@ def count_scan(
     counts.unknown_predictions.update(space.unknown_ids(raw_predicted))
     counts.confusion.update(truth, predicted)
     scored = space.scored[truth]
-    rings: Groups = {}
+    true_class, wrong = truth[scored], (predicted != truth)[scored]
+    groups: dict[str, tuple[npt.NDArray[Any], int]] = {CLASS: (true_class, space.class_count)}
     if points is not None:
         ring = ring_of_point(points)
-        counts.rings = tuple(
-            Confusion(space.class_count).update(truth[ring == i], predicted[ring == i])
-            for i in range(len(RING_NAMES))
-        )
-        rings = {RING: (np.where(ring < 0, NO_RING, ring)[scored], NO_RING + 1)}
-    paths = {f: output_path(out, scan.sequence, f, scan.stem) for f in FOLDERS}
-    paths = {folder: path for folder, path in paths.items() if present(path)}
-    counts.files.update(paths.keys())
+        for i, of_ring in enumerate(counts.rings):
+            of_ring.update(truth[ring == i], predicted[ring == i])
+        # Points without a measurement are a group of their own.
+        groups[RING] = ring[scored] % (len(RING_NAMES) + 1), len(RING_NAMES) + 1
     values: dict[str, Float] = {}
-    if path := paths.pop("probabilities", None):
+    if present(path := output_path(out, scan.sequence, SOFTMAX, scan.stem)):
+        counts.files[SOFTMAX] = 1
         softmax = read_probabilities(path, len(scored), space.class_count)[scored]
         if not space.scored[0]:
             # `predict` marks points without a pixel as certainly unlabelled; no softmax is that.
             softmax[softmax[:, 0] == 1] = np.nan
-        _count_confidence(counts, softmax_errors(softmax, truth[scored]), rings, space)
+        errors = softmax_errors(softmax, true_class)
+        by_prediction = groups | {CLASS: (errors.predicted, space.class_count)}
+        for name, group in by_prediction.items():
+            counts.histograms[SOFTMAX, name] = confidence_histogram(errors, *group)
+        of_scan = counts.histograms[SOFTMAX, CLASS].total()
+        if of_scan.points[0]:
+            error = reliability(of_scan.counts[:, 0], SCAN_BINS).error
+            counts.calibration_errors.append(error)
         values = {kind: derive(softmax) for kind, derive in OF_SOFTMAX.items()}
-    for folder, path in paths.items():
-        values[folder.removeprefix(UNCERTAINTY)] = read_uncertainty(path, len(scored))[scored]
-    groups = {CLASS: (truth[scored], space.class_count), **rings}
-    wrong = (predicted != truth)[scored]
+    for kind in UNCERTAINTY:
+        folder = f"uncertainty/{kind}"
+        if present(path := output_path(out, scan.sequence, folder, scan.stem)):
+            counts.files[folder] = 1
+            values[kind] = read_uncertainty(path, len(scored))[scored]
     for kind, of_points in values.items():
-        for name, (group, group_count) in groups.items():
-            histogram = UncertaintyHistogram(group_count).update(of_points, wrong, group)
-            counts.uncertainty[kind, name] = histogram
+        for name, group in groups.items():
+            counts.histograms[kind, name] = uncertainty_histogram(of_points, wrong, *group)
     return counts
 
 
-def _count_confidence(
-    counts: ScanCounts, errors: SoftmaxErrors, rings: Groups, space: LabelSpace
-) -> None:
-    groups = {CLASS: (errors.predicted, space.class_count), **rings}
-    for name, (group, group_count) in groups.items():
-        counts.confidence[name] = ConfidenceHistogram(group_count).update(errors, group)
-    of_scan = counts.confidence[CLASS].total()
-    if of_scan.points[0]:
-        counts.calibration_errors.append(reliability(of_scan.counts[:, 0], SCAN_BINS).error)
+def ring_of_point(points: Float) -> npt.NDArray[np.intp]:
+    """Return the ring that each point lies in.
+
+    Parameters
+    ----------
+    points : (N, 3) float32
+        Cartesian coordinates in metres, sensor frame.
+
+    Returns
+    -------
+    (N,) int
+        Index into `RING_NAMES`; -1 for points without a measurement (origin, NaN, infinity).
+    """
+    ranges, measured = measured_ranges(points)
+    return np.where(measured, np.digitize(np.nan_to_num(ranges), RING_STARTS_M) - 1, -1)

@@ -119,16 +119,7 @@ def scores(confusion: Confusion, space: LabelSpace) -> Scores:
         Counts over the train ids of `space`.
     space : LabelSpace
         Names of the classes, and which of them are ignored.
-
-    Raises
-    ------
-    ValueError
-        If the number of classes differs.
     """
-    if confusion.class_count != space.class_count:
-        raise ValueError(
-            f"{confusion.class_count} classes, but {space.class_count} in {space.name}"
-        )
     scored = space.scored
     matrix = confusion.counted(scored)
     hits, truths, predictions = np.diagonal(matrix), matrix.sum(axis=1), matrix.sum(axis=0)

@@ -1,14 +1,70 @@
 # SPDX-License-Identifier: MIT
-"""Uncertainties that follow from a single softmax, to compare others with."""
+"""Errors of the softmax of points, and uncertainties that follow from a single softmax."""
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
+from salsanext_cli.measures.confusion import Mask, Ratios
 from salsanext_cli.records import Float
+
+SMALLEST_PROBABILITY = 2.0**-24
+"""Least probability of the true class: the smallest float16 above 0.
+
+A probability below half of it is 0 on disk, and one such point would make the mean infinite. So a
+point costs at most 24 ln 2 = 16.6 nats.
+"""
+
+
+@dataclass(frozen=True, slots=True)
+class SoftmaxErrors:
+    """Errors of the softmax of points, each (N,); NaN for points that have none.
+
+    Attributes
+    ----------
+    predicted : intp
+        The most probable class.
+    wrong : bool
+        Whether the true class is another.
+    confidence : float16
+        The largest probability.
+    nll : float64
+        Negative log-likelihood of the true class in nats, 0…16.6.
+    brier : float64
+        Squared distance Σ_c (p_c − [c is true])², 0…2.
+    """
+
+    predicted: npt.NDArray[np.intp]
+    wrong: Mask
+    confidence: npt.NDArray[np.float16]
+    nll: Ratios
+    brier: Ratios
+
+
+def softmax_errors(probabilities: npt.NDArray[Any], truth: npt.NDArray[Any]) -> SoftmaxErrors:
+    """Compare probabilities with the truth.
+
+    Parameters
+    ----------
+    probabilities : (N, C) float
+        Softmax; rows of NaN for points that have none.
+    truth : (N,) integer
+        Train ids, 0…C-1.
+    """
+    exact = probabilities.astype(np.float64)
+    every = np.arange(len(exact))
+    of_truth, predicted = exact[every, truth], exact.argmax(axis=1)
+    return SoftmaxErrors(
+        predicted=predicted,
+        wrong=predicted != truth,
+        confidence=exact[every, predicted].astype(np.float16),
+        nll=-np.log(np.maximum(of_truth, SMALLEST_PROBABILITY)),
+        brier=np.einsum("nc,nc->n", exact, exact) - 2 * of_truth + 1,
+    )
 
 
 def lack_of_confidence(probabilities: npt.NDArray[Any]) -> Float:
@@ -25,7 +81,7 @@ def lack_of_confidence(probabilities: npt.NDArray[Any]) -> Float:
 def softmax_entropy(probabilities: npt.NDArray[Any]) -> Float:
     """Return the entropy −Σ_c p_c ln p_c in nats: (N, C) to (N,) float32, 0 … ln C."""
     some = probabilities.astype(np.float32)
-    # 0 ln 0 is 0, and no float16 above 0 is smaller than 2⁻²⁴.
-    logarithm = np.log(np.clip(some, 2.0**-24, 1))
+    # 0 ln 0 is 0, and no float16 above 0 is smaller.
+    logarithm = np.log(np.clip(some, SMALLEST_PROBABILITY, 1))
     entropy: Float = -np.einsum("nc,nc->n", some, logarithm)
     return np.maximum(entropy, 0)

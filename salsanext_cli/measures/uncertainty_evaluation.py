@@ -5,34 +5,40 @@ from __future__ import annotations
 
 import logging
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from typing import Any, Generic, TypeVar
 
 import numpy as np
 
 from salsanext_cli.classes import LabelSpace
-from salsanext_cli.measures.calibration import CalibrationScores, calibration_scores
+from salsanext_cli.measures.calibration import (
+    CalibrationScores,
+    Reliability,
+    calibration_scores,
+    reliability,
+)
 from salsanext_cli.measures.confusion import Ratios
-from salsanext_cli.measures.correlation import spearman
-from salsanext_cli.measures.distance import RING_NAMES
-from salsanext_cli.measures.grouped_histogram import GroupedHistogram
-from salsanext_cli.measures.reliability import Reliability, reliability
+from salsanext_cli.measures.histograms import Histogram
 from salsanext_cli.measures.risk_coverage import (
     RankingScores,
     ranking_scores,
-    risk_at,
-    threshold_at,
+    risk_coverage,
+    spearman,
 )
-from salsanext_cli.measures.scan_counts import CLASS, FOLDERS, KINDS, RING, ScanCounts
+from salsanext_cli.measures.scan_counts import (
+    CLASS,
+    EVALUATED_KINDS,
+    RING,
+    RING_NAMES,
+    SOFTMAX,
+    ScanCounts,
+)
 from salsanext_cli.measures.scores import plain
-
-COVERAGE = np.arange(1, 101) / 100
-"""Shares of the points, the least uncertain ones first, at which the risk is given."""
+from salsanext_cli.storage.scan_results import UNCERTAINTY
 
 log = logging.getLogger(__name__)
 
-Histogram = TypeVar("Histogram", bound=GroupedHistogram)
 Scores = TypeVar("Scores", CalibrationScores, RankingScores)
 
 
@@ -48,7 +54,7 @@ class GroupedScores(Generic[Scores]):
         Number of scans with points, and of points without a value.
     classes : dict of int to scores
         Scores by train id.
-    rings : dict of str to scores
+    by_distance : dict of str to scores
         Scores by name of the ring of distance; empty if not requested.
     """
 
@@ -56,21 +62,18 @@ class GroupedScores(Generic[Scores]):
     scans: int
     left_out: int
     classes: dict[int, Scores]
-    rings: dict[str, Scores]
+    by_distance: dict[str, Scores]
 
-    def plain(self, space: LabelSpace, more: Mapping[str, Any]) -> dict[str, Any]:
-        """Return plain data for JSON, with more in the middle; null stands for NaN."""
-        data: dict[str, Any] = plain(
-            {"scans": self.scans, "left_out": self.left_out, **asdict(self.scores), **more}
-            | {
-                "classes": [
-                    {"name": space.names[i], "train_id": i, **asdict(of_class)}
-                    for i, of_class in self.classes.items()
-                ],
-                "by_distance": {name: asdict(ring) for name, ring in self.rings.items()},
-            }
+    def to_dict(self, space: LabelSpace) -> dict[str, Any]:
+        """Return plain data for JSON, the scores first; null stands for NaN."""
+        data = asdict(self)
+        scores, classes, rings = (data.pop(k) for k in ("scores", "classes", "by_distance"))
+        counts = {key: data.pop(key) for key in ("scans", "left_out")}
+        named = [{"name": space.names[i], "train_id": i, **each} for i, each in classes.items()]
+        found: dict[str, Any] = plain(
+            {**counts, **scores, **data, "classes": named, "by_distance": rings}
         )
-        return data
+        return found
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -82,19 +85,14 @@ class CalibrationResult(GroupedScores[CalibrationScores]):
 
     Attributes
     ----------
-    scan_error : float
+    ece_per_scan : float
         Expected calibration error of a scan over 10 bins, mean over the scans, 0…1.
     reliability : Reliability
         The diagram over 15 bins.
     """
 
-    scan_error: float
+    ece_per_scan: float
     reliability: Reliability
-
-    def to_dict(self, space: LabelSpace) -> dict[str, Any]:
-        """Return plain data for JSON; null stands for NaN."""
-        diagram = asdict(self.reliability)
-        return self.plain(space, {"ece_per_scan": self.scan_error, "reliability": diagram})
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -103,23 +101,18 @@ class RankingResult(GroupedScores[RankingScores]):
 
     Attributes
     ----------
-    risk : (100,) float64
+    class_size_correlation : float
+        Spearman's rank correlation, over the classes present, of the mean uncertainty of a class
+        and its number of points, -1…1.
+    risk_coverage : (100,) float64
         Share of wrong points among the least uncertain 1 %, 2 %, … 100 %.
     thresholds : (100,) float64
         Largest uncertainty of these points, at most 1 % too large.
-    correlation : float
-        Spearman's rank correlation, over the classes present, of the mean uncertainty of a class
-        and its number of points, -1…1.
     """
 
-    risk: Ratios
+    class_size_correlation: float
+    risk_coverage: Ratios
     thresholds: Ratios
-    correlation: float
-
-    def to_dict(self, space: LabelSpace) -> dict[str, Any]:
-        """Return plain data for JSON; null stands for NaN."""
-        curves = {"risk_coverage": self.risk, "thresholds": self.thresholds}
-        return self.plain(space, {"class_size_correlation": self.correlation} | curves)
 
 
 @dataclass(frozen=True, slots=True)
@@ -149,50 +142,49 @@ class UncertaintyEvaluation:
 
 def evaluate_uncertainty(counts: ScanCounts, space: LabelSpace) -> UncertaintyEvaluation:
     """Divide the counts of all scans; warn of files that only some of the scans have."""
-    for folder in FOLDERS:
+    for folder in (SOFTMAX, *(f"uncertainty/{kind}" for kind in UNCERTAINTY)):
         if 0 < counts.files[folder] < counts.scans:
             log.warning("%s of %d of %d scans only", folder, counts.files[folder], counts.scans)
-    kinds = [kind for kind in KINDS if (kind, CLASS) in counts.uncertainty]
+    has_softmax = (SOFTMAX, CLASS) in counts.histograms
+    kinds = [kind for kind in EVALUATED_KINDS if (kind, CLASS) in counts.histograms]
     return UncertaintyEvaluation(
-        calibration=_calibration_result(counts, space) if counts.confidence else None,
+        calibration=_calibration_result(counts, space) if has_softmax else None,
         kinds={kind: _ranking_result(counts, kind, space) for kind in kinds},
     )
 
 
 def _calibration_result(counts: ScanCounts, space: LabelSpace) -> CalibrationResult:
-    by_class, errors = counts.confidence[CLASS], counts.calibration_errors
+    errors = counts.calibration_errors
     return CalibrationResult(
-        **_grouped(calibration_scores, by_class, counts.confidence.get(RING), space),
-        scan_error=math.fsum(errors) / len(errors) if errors else math.nan,
-        reliability=reliability(by_class.total().counts[:, 0]),
+        **_grouped(calibration_scores, counts, SOFTMAX, space),
+        ece_per_scan=math.fsum(errors) / len(errors) if errors else math.nan,
+        reliability=reliability(counts.histograms[SOFTMAX, CLASS].total().counts[:, 0]),
     )
 
 
 def _ranking_result(counts: ScanCounts, kind: str, space: LabelSpace) -> RankingResult:
-    by_class = counts.uncertainty[kind, CLASS]
-    present = by_class.points > 0
-    right, wrong = by_class.total().counts[:, 0]
+    by_class = counts.histograms[kind, CLASS]
+    present, means = by_class.points > 0, by_class.means("uncertainty")
+    risk, thresholds = risk_coverage(*by_class.total().counts[:, 0])
     return RankingResult(
-        **_grouped(ranking_scores, by_class, counts.uncertainty.get((kind, RING)), space),
-        risk=risk_at(right, wrong, COVERAGE),
-        thresholds=threshold_at(right, wrong, COVERAGE),
-        correlation=spearman(by_class.means("uncertainty")[present], by_class.points[present]),
+        **_grouped(ranking_scores, counts, kind, space),
+        class_size_correlation=spearman(means[present], by_class.points[present]),
+        risk_coverage=risk,
+        thresholds=thresholds,
     )
 
 
 def _grouped(
-    divide: Callable[[Histogram], Scores],
-    by_class: Histogram,
-    by_ring: Histogram | None,
-    space: LabelSpace,
+    divide: Callable[[Histogram], Scores], counts: ScanCounts, key: str, space: LabelSpace
 ) -> dict[str, Any]:
     """Return the fields of `GroupedScores`."""
+    by_class, by_ring = counts.histograms[key, CLASS], counts.histograms.get((key, RING))
     return {
         "scores": divide(by_class),
         "scans": by_class.scans,
         "left_out": by_class.left_out,
         "classes": {i: divide(by_class.group(i)) for i in np.flatnonzero(space.scored).tolist()},
-        "rings": {name: divide(by_ring.group(i)) for i, name in enumerate(RING_NAMES)}
+        "by_distance": {name: divide(by_ring.group(i)) for i, name in enumerate(RING_NAMES)}
         if by_ring
         else {},
     }

@@ -11,6 +11,7 @@ import numpy as np
 
 from salsanext_cli.records import Float
 from salsanext_cli.report import canvas
+from salsanext_cli.report.canvas import MARGIN_PX
 from salsanext_cli.report.colours import EMPTY, Colours, Legend
 
 if TYPE_CHECKING:
@@ -19,7 +20,6 @@ if TYPE_CHECKING:
 VIEW_PX = 900
 """Height and width of a view in pixels."""
 OVERSAMPLING = 2
-MARGIN_PX = 28
 TITLE_PX = 40
 REACH_M = 45.0
 """Distance from the sensor to the edge of a view by default."""
@@ -79,16 +79,13 @@ def birds_eye(path: Path, points: Float, views: Mapping[str, Colours], legend: L
         Entries of the legend below them.
     """
     width = len(views) * (VIEW_PX + MARGIN_PX) - MARGIN_PX
-    key = canvas.legend_height(legend, width)
-    figure = canvas.new_figure(
-        width + 2 * MARGIN_PX, TITLE_PX + VIEW_PX + MARGIN_PX + (key + MARGIN_PX) * bool(legend)
-    )
+    size = (width + 2 * MARGIN_PX, TITLE_PX + VIEW_PX + MARGIN_PX)
+    figure = canvas.new_picture(*size, legend, width)
     for i, (title, colours) in enumerate(views.items()):
         left = MARGIN_PX + i * (VIEW_PX + MARGIN_PX)
         canvas.text_at(figure, left, TITLE_PX // 2, title, 18)
         axes = canvas.axes_at(figure, left, TITLE_PX, VIEW_PX, VIEW_PX)
         _draw(axes, _smooth(points, colours))
-    canvas.draw_legend(figure, legend, MARGIN_PX, TITLE_PX + VIEW_PX + MARGIN_PX, width)
     canvas.save_png(figure, path)
 
 

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
-from salsanext_cli.report.colours import EMPTY, Legend
+from salsanext_cli.report.colours import EMPTY, Colours, Legend
 from salsanext_cli.storage.atomic import write_bytes
 
 if TYPE_CHECKING:
@@ -30,6 +30,10 @@ FAINT = "#8a8f98"
 DARK = "#22262c"
 PALE = "#c9ced6"
 """The same on `PAPER`."""
+MARGIN_PX = 28
+LEGEND_STEP_PX = 165
+LEGEND_ROW_PX = 26
+"""Size of an entry of a legend."""
 
 
 def new_figure(width: int, height: int, background: str = NIGHT) -> Figure:
@@ -37,6 +41,31 @@ def new_figure(width: int, height: int, background: str = NIGHT) -> Figure:
     from matplotlib.figure import Figure
 
     return Figure(figsize=(width / DPI, height / DPI), dpi=DPI, facecolor=background)
+
+
+def new_picture(width: int, height: int, legend: Legend, legend_width: int) -> Figure:
+    """Return an empty figure of a size in pixels, and a legend below it if that has entries.
+
+    The legend is a swatch and a name for each entry, in rows of a width in pixels.
+    """
+    columns = max(1, legend_width // LEGEND_STEP_PX)
+    rows = -(-len(legend) // columns)
+    figure = new_figure(width, height + (rows * LEGEND_ROW_PX + MARGIN_PX) * bool(legend))
+    for i, (name, colour) in enumerate(legend):
+        left = MARGIN_PX + i % columns * LEGEND_STEP_PX
+        top = height + i // columns * LEGEND_ROW_PX
+        show_pixels(figure, np.array([[colour]], np.uint8), left, top + 3, 22, 14)
+        text_at(figure, left + 30, top + 10, name, 15)
+    return figure
+
+
+def show_pixels(
+    figure: Figure, picture: Colours, left: int, top: int, width: int, height: int
+) -> None:
+    """Show a picture (H, W, 3) at a place of the figure, stretched to a size in pixels."""
+    axes = axes_at(figure, left, top, width, height)
+    axes.set_axis_off()
+    axes.imshow(picture, aspect="auto", interpolation="nearest")
 
 
 def axes_at(figure: Figure, left: int, top: int, width: int, height: int) -> Axes:
@@ -82,27 +111,6 @@ def plain_frame(axes: Axes, grid: Literal["both", "x"] | None = "both") -> None:
     axes.tick_params(which="both", length=0, colors=DARK, labelsize=10)
     for side in axes.spines.values():
         side.set_visible(False)
-
-
-def draw_legend(figure: Figure, legend: Legend, left: int, top: int, width: int) -> None:
-    """Draw a swatch and a name for each entry, `LEGEND_STEP_PX` pixels apart, in rows."""
-    columns = max(1, width // LEGEND_STEP_PX)
-    for i, (name, colour) in enumerate(legend):
-        x, y = left + i % columns * LEGEND_STEP_PX, top + i // columns * LEGEND_ROW_PX
-        swatch = axes_at(figure, x, y + 3, 22, 14)
-        swatch.set_axis_off()
-        swatch.imshow(np.array([[colour]], np.uint8), aspect="auto")
-        text_at(figure, x + 30, y + 10, name, 15)
-
-
-LEGEND_STEP_PX = 165
-LEGEND_ROW_PX = 26
-
-
-def legend_height(legend: Legend, width: int) -> int:
-    """Return the pixels that `draw_legend` needs."""
-    columns = max(1, width // LEGEND_STEP_PX)
-    return -(-len(legend) // columns) * LEGEND_ROW_PX
 
 
 def png_of(figure: Figure) -> bytes:

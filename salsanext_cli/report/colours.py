@@ -3,13 +3,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 from salsanext_cli.classes import LabelSpace
+from salsanext_cli.storage.scan_results import UNCERTAINTY, ScanResults
 
 Colours = npt.NDArray[np.uint8]
 Legend = Sequence[tuple[str, tuple[int, int, int]]]
@@ -24,6 +26,9 @@ WRONG = (255, 72, 48)
 """Colours of points with a right and with a wrong label."""
 SCALE_PERCENTILES = (1.0, 99.0)
 """Ends of a colour scale by default, which leave out a few outliers."""
+CLASS_COLOURS = ("label", "truth", "error")
+COLOURS = (*CLASS_COLOURS, "intensity", "range", "uncertainty", *UNCERTAINTY)
+"""Colourings of points; "uncertainty" is the total, else the epistemic."""
 
 
 def error_colours(
@@ -103,3 +108,47 @@ def legend_of(space: LabelSpace, *labels: npt.NDArray[Any], errors: bool = False
     classes = [(space.names[i], space.colours[i]) for i in present]
     legend = [(name, (int(red), int(green), int(blue))) for name, (red, green, blue) in classes]
     return [*legend, ("right", RIGHT), ("wrong", WRONG)] if errors else legend
+
+
+@dataclass(frozen=True, slots=True)
+class PointColours:
+    """Colouring of points, the same for all scans of a run.
+
+    Attributes
+    ----------
+    colour : str
+        One of `COLOURS`, "uncertainty" aside.
+    scale : pair of float
+        Values at the ends of the colour map, for colours that are values.
+    space : LabelSpace
+        Colours of the classes.
+    """
+
+    colour: str
+    scale: tuple[float, float]
+    space: LabelSpace
+
+    @property
+    def is_class(self) -> bool:
+        """True if points are coloured by class, without a scale."""
+        return self.colour in CLASS_COLOURS
+
+    @property
+    def legend(self) -> str:
+        """One line with the meaning of the colours."""
+        low, high = self.scale
+        return self.colour if self.is_class else f"{self.colour} {COLOUR_MAP} {low:.6g} {high:.6g}"
+
+    def of_points(self, results: ScanResults, columns: Mapping[str, npt.NDArray[Any]]) -> Colours:
+        """Return red, green and blue of every point, (N, 3), from its `scalar_columns`."""
+        if not self.is_class:
+            return value_colours(columns[self.colour], *self.scale)
+        ids = {
+            name: self.space.to_train(raw, strict=False)
+            for name, raw in (("label", results.label), ("truth", results.truth))
+            if raw is not None
+        }
+        if self.colour == "error":
+            return error_colours(ids["truth"], ids["label"], self.space)
+        colours: Colours = self.space.colours[ids[self.colour]]
+        return colours

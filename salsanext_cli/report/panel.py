@@ -15,6 +15,7 @@ import numpy.typing as npt
 from salsanext_cli.geometry.gather import pixels_from_points
 from salsanext_cli.records import RangeImage
 from salsanext_cli.report import canvas
+from salsanext_cli.report.canvas import MARGIN_PX
 from salsanext_cli.report.colours import (
     COLOUR_MAP,
     EMPTY,
@@ -28,23 +29,13 @@ from salsanext_cli.report.colours import (
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-MARGIN_PX = 28
 TITLE_PX = 34
-"""Pixels around strips, and between them for the title."""
+"""Pixels above each strip for its title."""
 BAR_PX = 130
 """Pixels beside the strips for colour bars and their numbers."""
 STRIP_WIDTH_PX = 2048
 STRIP_HEIGHT_PX = 192
 """Least size of a strip in pixels: 64 rows are drawn three times as high as they are."""
-
-
-@dataclass(frozen=True, slots=True)
-class Bar:
-    """Scale of the colours of a strip."""
-
-    low: float
-    high: float
-    unit: str = ""
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,13 +48,16 @@ class Strip:
         Text above the picture.
     picture : (H, W, 3) uint8
         Red, green, blue of every pixel; row 0 is the highest beam.
-    bar : Bar, optional
-        The scale of its colours.
+    scale : pair of float, optional
+        Values at the ends of its colour bar.
+    unit : str
+        Unit of these values.
     """
 
     title: str
     picture: Colours
-    bar: Bar | None = None
+    scale: tuple[float, float] | None = None
+    unit: str = ""
 
 
 def coloured_strip(image: RangeImage, title: str, colours: Colours) -> Strip:
@@ -73,29 +67,24 @@ def coloured_strip(image: RangeImage, title: str, colours: Colours) -> Strip:
 
 def range_strip(image: RangeImage) -> Strip:
     """Return a strip of the distance of every pixel, from 0 m."""
-    return _value_strip(image, "range", image.channels[0], "m", 0.0)
+    return scalar_strip(image, "range", image.channels[0], "m", 0.0)
 
 
-def scalar_strip(image: RangeImage, title: str, values: npt.NDArray[Any]) -> Strip:
-    """Return a strip of values of pixels (H, W) or points (N,); the scale spans most of them."""
-    pixels = values if values.ndim == 2 else pixels_from_points(values, image.point_of_pixel)
-    return _value_strip(image, title, pixels)
-
-
-def _value_strip(
+def scalar_strip(
     image: RangeImage,
     title: str,
     values: npt.NDArray[Any],
     unit: str = "",
     lowest: float | None = None,
 ) -> Strip:
+    """Return a strip of values of pixels (H, W) or points (N,); the scale spans most of them."""
     filled = image.point_of_pixel >= 0
-    low, high = value_range(values[filled])
+    pixels = values if values.ndim == 2 else pixels_from_points(values, image.point_of_pixel)
+    low, high = value_range(pixels[filled])
     low = low if lowest is None else lowest
-    colours = np.where(
-        filled[..., None], value_colours(values, low, high), np.array(EMPTY, np.uint8)
-    )
-    return Strip(title, colours, Bar(low, high, unit))
+    empty = np.array(EMPTY, np.uint8)
+    colours = np.where(filled[..., None], value_colours(pixels, low, high), empty)
+    return Strip(title, colours, (low, high), unit)
 
 
 def panel(path: Path, strips: Sequence[Strip], legend: Legend = ()) -> None:
@@ -110,22 +99,20 @@ def panel(path: Path, strips: Sequence[Strip], legend: Legend = ()) -> None:
     legend : list of (name, colour)
         Entries of the legend below them.
     """
-    sizes = [_enlarged(strip.picture) for strip in strips]
-    width = max(picture.shape[1] for picture in sizes)
-    body = sum(picture.shape[0] + TITLE_PX for picture in sizes)
-    key = canvas.legend_height(legend, width)
-    figure = canvas.new_figure(
-        MARGIN_PX + width + BAR_PX, body + MARGIN_PX + (key + MARGIN_PX) * bool(legend)
-    )
+    pictures = [_enlarged(strip.picture) for strip in strips]
+    width = max(picture.shape[1] for picture in pictures)
+    body = sum(picture.shape[0] + TITLE_PX for picture in pictures)
+    size = (MARGIN_PX + width + BAR_PX, body + MARGIN_PX)
+    figure = canvas.new_picture(*size, legend, width)
     top = 0
-    for strip, picture in zip(strips, sizes, strict=True):
+    for strip, picture in zip(strips, pictures, strict=True):
         canvas.text_at(figure, MARGIN_PX, top + TITLE_PX // 2 + 2, strip.title, 18)
         top += TITLE_PX
-        _draw(figure, picture, MARGIN_PX, top)
-        if strip.bar:
-            _draw_bar(figure, strip.bar, MARGIN_PX + width + 16, top, picture.shape[0])
-        top += picture.shape[0]
-    canvas.draw_legend(figure, legend, MARGIN_PX, top + MARGIN_PX, width)
+        height = picture.shape[0]
+        canvas.show_pixels(figure, picture, MARGIN_PX, top, picture.shape[1], height)
+        if strip.scale:
+            _draw_bar(figure, strip.scale, strip.unit, MARGIN_PX + width + 16, top, height)
+        top += height
     canvas.save_png(figure, path)
 
 
@@ -136,19 +123,14 @@ def _enlarged(picture: Colours) -> Colours:
     return picture.repeat(rows, axis=0).repeat(columns, axis=1)
 
 
-def _draw(figure: Figure, picture: Colours, left: int, top: int) -> None:
-    axes = canvas.axes_at(figure, left, top, picture.shape[1], picture.shape[0])
-    axes.set_axis_off()
-    axes.imshow(picture, aspect="auto", interpolation="nearest")
-
-
-def _draw_bar(figure: Figure, bar: Bar, left: int, top: int, height: int) -> None:
+def _draw_bar(
+    figure: Figure, scale: tuple[float, float], unit: str, left: int, top: int, height: int
+) -> None:
+    low, high = scale
     rows = np.linspace(255, 0, height).round().astype(np.intp)
-    _draw(figure, np.repeat(map_colours(COLOUR_MAP)[rows][:, None], 16, axis=1), left, top)
-    middle = (bar.low + bar.high) / 2
-    places = ((bar.high, 9), (middle, height // 2), (bar.low, height - 9))
+    canvas.show_pixels(figure, map_colours(COLOUR_MAP)[rows][:, None], left, top, 16, height)
     # Digits by the span of the scale: its lower end is "0" rather than "0.00035".
-    digits = 2 - math.floor(math.log10(max(bar.high - bar.low, 1e-9)))
-    for value, place in places:
-        text = f"{round(value, digits):.4g} {bar.unit}".strip()
+    digits = 2 - math.floor(math.log10(max(high - low, 1e-9)))
+    for value, place in ((high, 9), ((low + high) / 2, height // 2), (low, height - 9)):
+        text = f"{round(value, digits):.4g} {unit}".strip()
         canvas.text_at(figure, left + 24, top + place, text, 15)

@@ -1,9 +1,11 @@
 # SPDX-License-Identifier: MIT
-"""Plots of scores: a bar per class, and the confusion matrix."""
+"""Plots of scores, the confusion matrix and the search for a dropout rate."""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -23,6 +25,7 @@ NAMES_PX = 150
 """Space for the names of classes."""
 SMALLEST_SHARE = 0.005
 """Shares below this round to 0 % and are not written into their cell."""
+BEST_COLOUR = "#b3472f"
 
 
 def iou_bars(result: Scores, space: LabelSpace) -> bytes:
@@ -105,3 +108,20 @@ def confusion_picture(confusion: Confusion, space: LabelSpace) -> bytes:
     axes.set_xlabel("prediction, % of the true class's points")
     canvas.plain_frame(axes, None)
     return canvas.png_of(figure)
+
+
+def rate_curve(
+    path: Path, rates: Sequence[float], objectives: Sequence[float], best: float
+) -> None:
+    """Draw the objective over the dropout rate, logarithmic, the best rate marked, as a PNG."""
+    title = f"least at a dropout rate of {best:.3g}"
+    figure, axes = canvas.new_plot(760, 460, (90, 50, 640, 340), title)
+    axes.plot(rates, objectives, color=DARK, marker="o", markersize=5, linewidth=1.2)
+    axes.axvline(best, color=BEST_COLOUR, linewidth=1, linestyle=(0, (4, 3)))
+    axes.set_xscale("log")
+    axes.set_xticks(rates, [f"{rate:.2g}" for rate in rates])
+    axes.minorticks_off()
+    axes.set_xlabel("dropout rate")
+    axes.set_ylabel("objective per point")
+    canvas.plain_frame(axes)
+    canvas.save_png(figure, path)

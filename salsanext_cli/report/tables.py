@@ -1,11 +1,16 @@
 # SPDX-License-Identifier: MIT
-"""Tables for a terminal: columns of numbers, and the scores of an evaluation."""
+"""Tables for a terminal: scores of an evaluation, and results of tuning and of a benchmark."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
-from typing import TYPE_CHECKING
+from collections.abc import Mapping, Sequence
+from itertools import groupby
+from statistics import fmean, geometric_mean
+from typing import Any
+
+from rich.markup import escape
+from rich.table import Table
 
 from salsanext_cli.measures.scores import Scores
 from salsanext_cli.measures.uncertainty_evaluation import (
@@ -13,9 +18,6 @@ from salsanext_cli.measures.uncertainty_evaluation import (
     RankingResult,
     UncertaintyEvaluation,
 )
-
-if TYPE_CHECKING:
-    from rich.table import Table
 
 ABSENT = "–"
 
@@ -27,31 +29,21 @@ def percent(share: float, digits: int = 1, unit: str = "") -> str:
 
 def number_table(first: str, *numbers: str, title: str = "", no_wrap: bool = False) -> Table:
     """Return an empty table: a column of names, which may be kept on one line, then numbers."""
-    from rich.markup import escape
-    from rich.table import Table
-
-    table = Table(title=escape(title) or None, title_justify="left")
+    table = Table(title=escape(title) or None, title_justify="left", caption_justify="left")
     table.add_column(first, no_wrap=no_wrap)
     for heading in numbers:
         table.add_column(heading, justify="right")
     return table
 
 
+# Scores
+
+
 def score_table(result: Scores) -> Table:
-    """Return a table of every class, then the accuracy and the means.
+    """Return a table of IoU, precision, recall and points by class, then accuracies and means.
 
-    Parameters
-    ----------
-    result : Scores
-        Scores to show.
-
-    Returns
-    -------
-    rich.table.Table
-        Class, IoU %, precision %, recall %, points; "–" where a class is absent.
+    "–" stands where a class is absent.
     """
-    from rich.markup import escape
-
     table = number_table("class", "IoU %", "precision %", "recall %", "points", no_wrap=True)
     for c in result.classes:
         shares = (percent(share) for share in (c.iou, c.precision, c.recall))
@@ -88,7 +80,7 @@ def _calibration_table(result: CalibrationResult) -> Table:
     scores = result.scores
     table.add_row(
         *("softmax", _number(scores.nll), _number(scores.brier)),
-        *(percent(error, 2) for error in (scores.ece, result.scan_error, scores.ace)),
+        *(percent(error, 2) for error in (scores.ece, result.ece_per_scan, scores.ace)),
         *(f"{result.scans:,}", f"{scores.points:,}"),
     )
     return table
@@ -110,3 +102,91 @@ def _ranking_table(kinds: Mapping[str, RankingResult]) -> Table:
 
 def _number(value: float) -> str:
     return ABSENT if math.isnan(value) else f"{value:.3f}"
+
+
+# Tuning
+
+
+def temperature_table(before: Mapping[str, float], after: Mapping[str, float]) -> Table:
+    """Return a table of `temperature`, `nll` in nats and `ece` as a share, before and after."""
+    table = number_table("", "temperature", "NLL in nats", "ECE in %", title="Temperature")
+    for name, found in (("before", before), ("after", after)):
+        cells = (f"{found['temperature']:.4f}", f"{found['nll']:.4f}", f"{100 * found['ece']:.2f}")
+        table.add_row(name, *cells)
+    return table
+
+
+def rate_table(rates: Sequence[float], objectives: Sequence[float], best: float) -> Table:
+    """Return a table of dropout rates and their objectives, the best one marked."""
+    table = number_table("rate", "objective per point", title="Dropout rate")
+    table.columns[0].justify = "right"
+    table.add_column("")
+    for rate, objective in zip(rates, objectives, strict=True):
+        table.add_row(f"{rate:.4f}", f"{objective:.4f}", "best" if rate == best else "")
+    return table
+
+
+def moved_table(layers: Sequence[Mapping[str, Any]]) -> Table:
+    """Return a table of how far batch norms moved, by the part of the network that they are in.
+
+    Parameters
+    ----------
+    layers : sequence of mapping
+        `layer`, its name, `shift` in old standard deviations, and `variance_ratio`.
+    """
+    numbers = ("layers", "mean moved by, σ", "variance, new / old")
+    table = number_table("part", *numbers, title="Batch norm")
+    for part, members in groupby(layers, lambda layer: layer["layer"].partition(".")[0]):
+        _add_moved(table, part, list(members))
+    table.add_section()
+    _add_moved(table, "all", layers)
+    return table
+
+
+def _add_moved(table: Table, part: str, layers: Sequence[Mapping[str, Any]]) -> None:
+    shift = fmean(layer["shift"] for layer in layers)
+    ratio = geometric_mean(layer["variance_ratio"] for layer in layers)
+    table.add_row(part, str(len(layers)), f"{shift:.3f}", f"{ratio:.3f}")
+
+
+# Benchmark
+
+
+def benchmark_table(found: Mapping[str, Any]) -> Table:
+    """Return a table with a row per part of what `benchmark.benchmark` returns."""
+    machine, ceiling, settings = found["machine"], found["ceiling"], found["settings"]
+    sensor, precision = settings["sensor"], machine["precision"]
+    title = (
+        f"{machine['processor']} ({machine['instructions']}), {machine['threads']} threads, "
+        f"torch {machine['torch_version']}, {machine['device']}\n"
+        f"{sensor['name']}, {sensor['height']}×{sensor['width']}, {precision}; "
+        f"{settings['scans']} scans of {settings['points']:,} points on average"
+    )
+    notes = (
+        f"Medians of {settings['rounds']} rounds, in brackets the lowest and the highest ratio of "
+        "a round; of help, CPU time.\n"
+        f"Ceiling: {ceiling['operations'] / 1e9:,.0f} GFLOP/s of a matrix product in {precision}, "
+        f"{ceiling['bytes'] / 1e9:,.1f} GB/s of a memory copy.\n"
+        f"Of the baseline's {settings['samples']} passes, all alike, {settings['passes']} timed."
+    )
+    numbers = ("baseline", "product", "times as fast", "of ceiling", "peak memory, GB")
+    table = number_table("part", *numbers, title=title)
+    table.caption = escape(notes)
+    for column in table.columns:
+        column.no_wrap = True
+    for part in found["parts"]:
+        ratio, share = part["ratio"], part["share_of_ceiling"]
+        sides = [part[side] for side in ("baseline", "product")]
+        peaks = [side["peak_bytes"] for side in sides if side]
+        table.add_row(
+            part["part"],
+            *(_time(side["median"]) if side else ABSENT for side in sides),
+            "{median:.3g} × ({lowest:.3g} to {highest:.3g})".format_map(ratio) if ratio else ABSENT,
+            f"{share:.1%}" if share else ABSENT,
+            " / ".join(f"{peak / 1e9:.2f}" if peak else ABSENT for peak in peaks),
+        )
+    return table
+
+
+def _time(seconds: float) -> str:
+    return f"{seconds:.2f} s " if seconds >= 1 else f"{seconds * 1e3:.3g} ms"

@@ -4,26 +4,23 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from salsanext_cli.classes import LabelSpace
 from salsanext_cli.measures.confusion import Ratios
-from salsanext_cli.measures.uncertainty_evaluation import (
-    COVERAGE,
-    CalibrationResult,
-    RankingResult,
-)
+from salsanext_cli.measures.risk_coverage import COVERAGE
+from salsanext_cli.measures.uncertainty_evaluation import CalibrationResult, RankingResult
 from salsanext_cli.report import canvas
 from salsanext_cli.report.canvas import DARK
-from salsanext_cli.report.dot_names import name_dots
 from salsanext_cli.report.tables import percent
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
+    from matplotlib.transforms import Bbox
 
 BLUE, SKY, ORANGE, RED, GREEN = "#0072b2", "#56b4e9", "#e69f00", "#d55e00", "#009e73"
 """Colours that colour-blind people can tell apart."""
@@ -48,6 +45,12 @@ LEFT, TOP, WIDTH, HEIGHT, TITLE_TOP = 80, 60, 600, 420, 30
 """Place of the main axes and of the title, in pixels."""
 BELOW_PX = 90
 """Height in pixels of the axes below them, which show the distribution of the points."""
+DISTANCES_PX = (9, 16, 26, 40, 56, 76, 100)
+"""Distances from a dot to its name in pixels, in the order of the attempts."""
+DIRECTIONS_DEG = (0, 180, 90, 270, 30, 330, 150, 210, 60, 300, 120, 240)
+"""Directions from a dot to its name in degrees, in the order of the attempts."""
+DOT_PX = 6
+"""Half the width in pixels of the square around a dot that no name may cover."""
 
 
 def reliability_diagram(result: CalibrationResult) -> bytes:
@@ -88,17 +91,16 @@ def reliability_diagram(result: CalibrationResult) -> bytes:
 
 def risk_coverage(kinds: Mapping[str, RankingResult]) -> bytes:
     """Draw the share of wrong points among the least uncertain, a curve per kind, as a PNG."""
-    figure, axes = _main_plot(330, 70, "Wrong points among those that are kept")
-    for kind, result in kinds.items():
-        colour, dashes = LINES[kind]
-        label = f"{kind} · AURC {percent(result.scores.aurc, 2, ' %')}"
-        axes.plot(100 * COVERAGE, 100 * result.risk, color=colour, linestyle=dashes, label=label)
-    for i, rate in enumerate(_error_rates(kinds)):
-        best = 100 * _risk_of_best_order(rate)
-        axes.plot(100 * COVERAGE, best, **BEST_ORDER_STYLE, label="" if i else "best order")
-    axes.set_xlabel("coverage: least uncertain points that are kept, in %")
-    axes.set_ylabel("risk: wrong points among them, in %")
-    return _png_of_curves(figure, axes)
+    curves = {
+        kind: (f"AURC {percent(result.scores.aurc, 2, ' %')}", 100 * result.risk_coverage)
+        for kind, result in kinds.items()
+    }
+    return _curves(
+        *("Wrong points among those that are kept", 100 * COVERAGE, curves),
+        best_orders=[100 * _risk_of_best_order(rate) for rate in _error_rates(kinds)],
+        xlabel="coverage: least uncertain points that are kept, in %",
+        ylabel="risk: wrong points among them, in %",
+    )
 
 
 def sparsification(kinds: Mapping[str, RankingResult]) -> bytes:
@@ -106,21 +108,42 @@ def sparsification(kinds: Mapping[str, RankingResult]) -> bytes:
 
     A kind without wrong points has no curve.
     """
+    curves = {
+        kind: (f"AUSE {result.scores.ause:.3f}", result.risk_coverage / result.risk_coverage[-1])
+        for kind, result in kinds.items()
+        if result.scores.wrong
+    }
     title = "Wrong points that are left as the most uncertain are removed"
+    return _curves(
+        *(title, 100 * (1 - COVERAGE), curves),
+        best_orders=[_risk_of_best_order(rate) / rate for rate in _error_rates(kinds)],
+        xlabel="most uncertain points that are removed, in %",
+        ylabel="share of wrong points, of that among all",
+    )
+
+
+def _curves(
+    title: str,
+    x: Ratios,
+    curves: Mapping[str, tuple[str, Ratios]],
+    best_orders: Sequence[Ratios],
+    **axis_labels: str,
+) -> bytes:
+    """Draw a score and a curve per kind, and the curves of the best orders, as a PNG."""
     figure, axes = _main_plot(330, 70, title)
-    removed = 100 * (1 - COVERAGE)
-    for kind, result in kinds.items():
-        if result.scores.wrong:
-            colour, dashes = LINES[kind]
-            left = result.risk / result.risk[-1]
-            label = f"{kind} · AUSE {result.scores.ause:.3f}"
-            axes.plot(removed, left, color=colour, linestyle=dashes, label=label)
-    for i, rate in enumerate(_error_rates(kinds)):
-        best = _risk_of_best_order(rate) / rate
-        axes.plot(removed, best, **BEST_ORDER_STYLE, label="" if i else "best order")
-    axes.set_xlabel("most uncertain points that are removed, in %")
-    axes.set_ylabel("share of wrong points, of that among all")
-    return _png_of_curves(figure, axes)
+    for kind, (score, y) in curves.items():
+        colour, dashes = LINES[kind]
+        axes.plot(x, y, color=colour, linestyle=dashes, label=f"{kind} · {score}")
+    for i, y in enumerate(best_orders):
+        axes.plot(x, y, **BEST_ORDER_STYLE, label="" if i else "best order")
+    axes.set(**axis_labels)
+    axes.set_xlim(0, 100)
+    axes.set_ylim(bottom=0)
+    if axes.lines:
+        outside: dict[str, Any] = {"loc": "upper left", "bbox_to_anchor": (1.02, 1.02)}
+        axes.legend(frameon=False, fontsize=10, handlelength=2.6, **outside)
+    canvas.plain_frame(axes)
+    return canvas.png_of(figure)
 
 
 def _error_rates(kinds: Mapping[str, RankingResult]) -> list[float]:
@@ -139,16 +162,6 @@ def _main_plot(right: int, below: int, title: str) -> tuple[Figure, Axes]:
     return canvas.new_plot(LEFT + WIDTH + right, TOP + HEIGHT + below, place, title, TITLE_TOP)
 
 
-def _png_of_curves(figure: Figure, axes: Axes) -> bytes:
-    axes.set_xlim(0, 100)
-    axes.set_ylim(bottom=0)
-    if axes.lines:
-        outside: dict[str, Any] = {"loc": "upper left", "bbox_to_anchor": (1.02, 1.02)}
-        axes.legend(frameon=False, fontsize=10, handlelength=2.6, **outside)
-    canvas.plain_frame(axes)
-    return canvas.png_of(figure)
-
-
 def class_uncertainty(result: RankingResult, space: LabelSpace) -> bytes:
     """Draw the mean uncertainty of each class against its number of points, as a PNG.
 
@@ -163,8 +176,8 @@ def class_uncertainty(result: RankingResult, space: LabelSpace) -> bytes:
     points = np.array([scores.points for scores in present.values()], np.float64)
     means = np.array([scores.mean for scores in present.values()])
     title = "Epistemic uncertainty of the classes"
-    if not math.isnan(result.correlation):
-        title += f" · rank correlation {result.correlation:+.2f}"
+    if not math.isnan(result.class_size_correlation):
+        title += f" · rank correlation {result.class_size_correlation:+.2f}"
     place = (LEFT, TOP, 740, HEIGHT + 80)
     figure, axes = canvas.new_plot(LEFT + 780, TOP + HEIGHT + 150, place, title, TITLE_TOP)
     colours = [space.colours[i] / 255 for i in present]
@@ -179,3 +192,48 @@ def class_uncertainty(result: RankingResult, space: LabelSpace) -> bytes:
     canvas.plain_frame(axes)
     name_dots(axes, points, means, [space.names[i] for i in present], DARK)
     return canvas.png_of(figure)
+
+
+def name_dots(axes: Axes, x: Ratios, y: Ratios, names: Sequence[str], colour: str) -> None:
+    """Write a name beside each dot, or farther away with a line to it if the place is occupied.
+
+    The axes have their final limits and scales; `x` and `y`, (N,), are in their data coordinates. A
+    dollar sign in a name does not start mathematics.
+    """
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.lines import Line2D
+    from matplotlib.transforms import Bbox, IdentityTransform
+
+    dots = axes.transData.transform(np.stack([x, y], axis=1))
+    occupied = [Bbox([dot - DOT_PX, dot + DOT_PX]) for dot in dots]
+    pixels = IdentityTransform()
+    style: dict[str, Any] = {"size": 9, "color": colour, "va": "center", "parse_math": False}
+    renderer = FigureCanvasAgg(axes.get_figure(root=True)).get_renderer()  # type: ignore[no-untyped-call]
+    for dot, name in zip(dots, names, strict=True):
+        text = axes.text(0, 0, name, transform=pixels, **style)
+        size = np.array(text.get_window_extent(renderer).size)
+        box = _free_place(dot, size, occupied, axes.bbox)
+        text.set_position((box.x0, (box.y0 + box.y1) / 2))
+        occupied.append(box)
+        nearest = np.clip(dot, box.min, box.max)
+        if np.linalg.norm(nearest - dot) > DISTANCES_PX[1]:
+            ends = np.stack([dot, nearest], axis=1)
+            axes.add_line(Line2D(*ends, transform=pixels, color=canvas.FAINT, linewidth=0.7))
+
+
+def _free_place(dot: Ratios, size: Ratios, occupied: Sequence[Bbox], inside: Bbox) -> Bbox:
+    """Return the nearest box of a size that overlaps none and lies inside; all in pixels."""
+    from matplotlib.transforms import Bbox
+
+    boxes = []
+    for distance in DISTANCES_PX:
+        for direction in np.radians(DIRECTIONS_DEG).tolist():
+            across, up = distance * math.cos(direction), distance * math.sin(direction)
+            side = round(math.cos(direction))
+            left, bottom = dot + (across - size[0] * (1 - side) / 2, up - size[1] / 2)
+            box = Bbox.from_bounds(left, bottom, *size)
+            within = all(inside.contains(*corner) for corner in (box.min, box.max))
+            if within and not box.count_overlaps(occupied):
+                return box
+            boxes.append(box)
+    return boxes[0]

@@ -16,8 +16,7 @@ from salsanext_cli.classes import LabelSpace
 from salsanext_cli.errors import LabelError, NoInputError, OutputError
 from salsanext_cli.formats.reading import present
 from salsanext_cli.measures.confusion import Confusion
-from salsanext_cli.measures.distance import RING_NAMES
-from salsanext_cli.measures.scan_counts import ScanCounts, count_scan
+from salsanext_cli.measures.scan_counts import RING_NAMES, ScanCounts, count_scan
 from salsanext_cli.measures.scores import Scores, scores
 from salsanext_cli.measures.uncertainty_evaluation import (
     UncertaintyEvaluation,

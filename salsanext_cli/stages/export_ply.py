@@ -19,8 +19,7 @@ from salsanext_cli.formats.ply import encode_ply
 from salsanext_cli.formats.reading import present
 from salsanext_cli.inference.settings import NetworkSettings
 from salsanext_cli.parallel.run import Failure, Outcome, RunOptions, run_over_scans
-from salsanext_cli.report.coloured_cloud import CLASS_COLOURS, COLOURS, PointColours
-from salsanext_cli.report.colours import value_range
+from salsanext_cli.report.colours import CLASS_COLOURS, COLOURS, PointColours, value_range
 from salsanext_cli.stages.uncertainty import estimate_missing
 from salsanext_cli.storage.layout import ScanFile, find_outputs
 from salsanext_cli.storage.output_run import OutputRun, output_run

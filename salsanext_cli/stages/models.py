@@ -13,7 +13,6 @@ import torch
 from salsanext_cli.network.complexity import (
     PAPERS,
     RECEPTIVE_FIELDS,
-    PaperFigures,
     agrees,
     multiply_accumulates,
     parameter_count,

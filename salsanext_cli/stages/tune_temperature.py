@@ -6,6 +6,8 @@ from __future__ import annotations
 import logging
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
+from functools import reduce
+from operator import iadd
 from pathlib import Path
 from typing import Any
 
@@ -17,11 +19,9 @@ from salsanext_cli.classes import LabelSpace
 from salsanext_cli.errors import TrainingError, WeightsError
 from salsanext_cli.inference.network import Network
 from salsanext_cli.inference.settings import NetworkSettings
-from salsanext_cli.measures.calibration import (
-    ConfidenceHistogram,
-    calibration_scores,
-    softmax_errors,
-)
+from salsanext_cli.measures.calibration import calibration_scores
+from salsanext_cli.measures.histograms import confidence_histogram
+from salsanext_cli.measures.softmax import softmax_errors
 from salsanext_cli.network.weights import TEMPERATURES, save_with_card
 from salsanext_cli.parallel.run import Progress
 from salsanext_cli.records import Float
@@ -150,10 +150,11 @@ def _require_possible(dataset: Path, temperature: float, points: int) -> None:
 
 
 def _tempered(logits: Tensor, truth: Tensor, temperature: float) -> dict[str, float]:
-    histogram = ConfidenceHistogram(1)
-    for part, classes in chunks(logits, truth):
-        probabilities = torch.softmax(part / temperature, dim=1).numpy()
-        errors = softmax_errors(probabilities, classes.numpy())
-        histogram.update(errors, np.zeros(len(classes), np.intp))
+    errors = (
+        softmax_errors(torch.softmax(part / temperature, dim=1).numpy(), classes.numpy())
+        for part, classes in chunks(logits, truth)
+    )
+    one_group = (confidence_histogram(e, np.zeros(len(e.wrong), np.intp), 1) for e in errors)
+    histogram = reduce(iadd, one_group)
     nll = negative_log_likelihood(logits, truth, temperature)
     return {"temperature": temperature, "nll": nll, "ece": calibration_scores(histogram).ece}

@@ -11,7 +11,7 @@ import torch
 from torch import Tensor
 
 from salsanext_cli.errors import UsageError
-from salsanext_cli.inference.network import Network, in_batches
+from salsanext_cli.inference.network import Network
 from salsanext_cli.inference.parallel_for import parallel_for, single_threaded_torch
 from salsanext_cli.network.dropout import sampling
 from salsanext_cli.network.segmentation import SegmentationNetwork
@@ -95,30 +95,28 @@ def sample(network: Network, image: RangeImage, *, samples: int, seed: int) -> E
     with network.inference_mode(), single_threaded_torch():
         features = engine.trunk(engine.pad(network.input(image.channels)))
         for start in range(0, samples, MAX_KEPT_PASSES):
-            kept = passes(engine, features, seeds[start : start + MAX_KEPT_PASSES])
+            kept = passes(network, features, seeds[start : start + MAX_KEPT_PASSES])
             statistics.add([softmax[:, : image.height, : image.width] for softmax in kept])
         return statistics.summary()
 
 
 def on_threads(
-    module: SegmentationNetwork, features: tuple[Tensor, ...], seeds: Sequence[int]
+    network: Network, features: tuple[Tensor, ...], seeds: Sequence[int]
 ) -> list[Tensor]:
     """Return the softmax (C, H, W) of every pass, each computed by one thread."""
     found = [features[0]] * len(seeds)
 
     def run(number: int) -> None:
-        (found[number],) = one_batch(module, features, seeds[number : number + 1])
+        (found[number],) = one_batch(network.engine, features, seeds[number : number + 1])
 
     parallel_for(run, len(seeds))
     return found
 
 
-def on_gpu(
-    module: SegmentationNetwork, features: tuple[Tensor, ...], seeds: Sequence[int]
-) -> list[Tensor]:
+def on_gpu(network: Network, features: tuple[Tensor, ...], seeds: Sequence[int]) -> list[Tensor]:
     """Return the softmax (C, H, W) of every pass, as many together as there is room for."""
-    size = max(1, min(len(seeds), MAX_BATCH_PIXELS // features[0].shape[-2:].numel()))
-    return in_batches(partial(one_batch, module, features), seeds, size, "passes")
+    most = max(1, MAX_BATCH_PIXELS // features[0].shape[-2:].numel())
+    return network.in_batches(partial(one_batch, network.engine, features), seeds, most, "passes")
 
 
 def one_batch(

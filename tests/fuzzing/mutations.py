@@ -31,7 +31,7 @@ NUMBER = re.compile(rb"-?\d+(?:\.\d*)?")
 HEADER_BYTES = 4096
 """Size of the start of a file in which numbers are replaced."""
 MAX_FILE_BYTES = 1 << 22
-"""Size at which a damaged file is cut: lines of binary files, repeated, are hundreds of megabytes."""
+"""Size at which a damaged file is cut: repeated lines of binary files would be hundreds of MB."""
 
 
 def _flip(data: bytes, at: int, random: Random) -> bytes:

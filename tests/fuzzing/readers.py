@@ -46,6 +46,7 @@ from salsanext_cli.storage.stage_records import (
     stage_settings,
 )
 from salsanext_cli.training.checkpoint import TrainingState, load_checkpoint, save_checkpoint
+from salsanext_cli.training.class_counts import class_counts
 from salsanext_cli.training.distributed import ProcessGroup
 from salsanext_cli.training.learner import Learner
 from salsanext_cli.training.log import write_log

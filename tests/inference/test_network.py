@@ -59,14 +59,23 @@ def test_probabilities_are_finite_whatever_the_scan(network, points):
     np.testing.assert_allclose(probabilities.sum(axis=0), 1, atol=1e-5)
 
 
-def test_an_extreme_logit_does_not_overflow(network, monkeypatch):
-    monkeypatch.setattr(
-        type(network.module),
-        "forward",
-        lambda self, x: torch.tensor([1e4, -1e4, 0.0]).view(1, 3, 1, 1).expand(1, 3, 2, 2),
-    )
-    (probabilities,) = network.pixel_probabilities([np.zeros((5, 2, 2), np.float32)])
-    np.testing.assert_array_equal(probabilities[:, 0, 0], [1, 0, 0])
+def test_batches_stay_as_small_as_memory_had_room_for(network, monkeypatch):
+    """The next scans begin with the number that the first ones ended with."""
+    channels = [project(make_scan(seed=seed), SMALL).channels for seed in range(5)]
+    expected = network.pixel_probabilities(channels)
+    small, sizes = replace(network), []
+    forward = type(small.engine).forward
+
+    def short_of_memory(module, x):
+        sizes.append(len(x))
+        if len(x) > 2:
+            raise torch.OutOfMemoryError("no room")
+        return forward(module, x)
+
+    monkeypatch.setattr(type(small.engine), "forward", short_of_memory)
+    for _ in range(2):
+        np.testing.assert_array_equal(small.pixel_probabilities(channels), expected)
+    assert sizes == [5, 2, 2, 1, 2, 2, 1]
 
 
 def test_another_size_than_the_one_trained_with(weights):

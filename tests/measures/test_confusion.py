@@ -63,13 +63,3 @@ def test_invalid_train_ids_are_refused_and_nothing_is_counted(truth, predicted, 
 def test_counts_of_different_classes_do_not_add():
     with pytest.raises(ValueError, match="3 and 4"):
         Confusion(3) + Confusion(4)
-    with pytest.raises(TypeError):
-        Confusion(3) + 1
-
-
-@pytest.mark.parametrize(
-    "matrix", [np.zeros((2, 3), int), np.zeros((3, 3)), np.full((3, 3), -1)], ids=str
-)
-def test_only_counts_make_a_matrix(matrix):
-    with pytest.raises(ValueError, match="matrix"):
-        Confusion(3, matrix)

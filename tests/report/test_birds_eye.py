@@ -3,7 +3,8 @@ import numpy as np
 import pytest
 from matplotlib.image import imread
 
-from salsanext_cli.report.birds_eye import MARGIN_PX, TITLE_PX, VIEW_PX, birds_eye, raster
+from salsanext_cli.report.birds_eye import TITLE_PX, VIEW_PX, birds_eye, raster
+from salsanext_cli.report.canvas import MARGIN_PX
 from salsanext_cli.report.colours import EMPTY
 
 RED, GREEN = (255, 0, 0), (0, 255, 0)

@@ -13,7 +13,6 @@ from salsanext_cli.report.colours import (
     WRONG,
     error_colours,
     legend_of,
-    map_colours,
     value_colours,
     value_range,
 )
@@ -41,11 +40,6 @@ def test_any_value_has_a_colour(values):
     colours = value_colours(values, low, high)
     assert colours.shape == (3, 4, 3)
     assert (np.isnan(values) == (colours == EMPTY).all(axis=-1)).all()
-
-
-def test_lightness_grows_with_the_value():
-    lightness = map_colours("viridis").astype(float) @ [0.2126, 0.7152, 0.0722]
-    assert (np.diff(lightness[::4]) > 0).all()
 
 
 def test_a_scale_leaves_outliers_out():

@@ -2,7 +2,7 @@
 from rich.console import Console
 from scans import write_weights
 
-from salsanext_cli.report.models import card_table
+from salsanext_cli.report.descriptions import card_table
 from salsanext_cli.stages.models import describe_weights
 
 

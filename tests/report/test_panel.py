@@ -6,14 +6,13 @@ import pytest
 from matplotlib.image import imread
 
 from salsanext_cli.records import RangeImage
+from salsanext_cli.report.canvas import MARGIN_PX
 from salsanext_cli.report.colours import EMPTY, map_colours
 from salsanext_cli.report.panel import (
     BAR_PX,
-    MARGIN_PX,
     STRIP_HEIGHT_PX,
     STRIP_WIDTH_PX,
     TITLE_PX,
-    Bar,
     Strip,
     panel,
     range_strip,
@@ -47,7 +46,7 @@ def test_every_pixel_is_drawn_as_it_is_upright_and_large(tmp_path, height, width
 
 
 def test_strips_are_below_each_other_with_bar_and_legend(tmp_path, strip):
-    dark = Strip("dark", np.zeros((64, 2048, 3), np.uint8), Bar(0, 80, "m"))
+    dark = Strip("dark", np.zeros((64, 2048, 3), np.uint8), (0, 80), "m")
     legend = [(f"class {i}", (250, i, 0)) for i in range(15)]
     panel(tmp_path / "panel.png", [strip, dark], legend)
     drawn = picture_of(tmp_path / "panel.png")
@@ -78,9 +77,9 @@ def test_strips_of_values_say_their_scale():
         channels, np.arange(200, dtype=np.int32), point_of_pixel, channels[0].ravel()
     )
     distance = range_strip(image)
-    assert distance.bar == Bar(0, pytest.approx(39.6, abs=0.3), "m")
+    assert (distance.scale, distance.unit) == ((0, pytest.approx(39.6, abs=0.3)), "m")
     np.testing.assert_array_equal(distance.picture[1, 99], map_colours("viridis")[255])
     entropy = scalar_strip(image, "entropy", np.linspace(0, 1, 200))
-    assert entropy.bar == Bar(pytest.approx(0.01, abs=0.01), pytest.approx(0.99, abs=0.01))
+    assert entropy.scale == pytest.approx((0.01, 0.99), abs=0.01)
     np.testing.assert_array_equal(entropy.picture[1, 99], map_colours("viridis")[255])
     np.testing.assert_array_equal(entropy.picture[0, 0], EMPTY)

@@ -3,9 +3,10 @@ from io import BytesIO
 
 import numpy as np
 import pytest
+from evaluated import small_space
 from matplotlib.image import imread
 
-from salsanext_cli.classes import LabelSpace, label_space
+from salsanext_cli.classes import label_space
 from salsanext_cli.measures.confusion import Confusion
 from salsanext_cli.measures.scores import scores
 from salsanext_cli.report.plots import CELL_PX, NAMES_PX, ROW_PX, confusion_picture, iou_bars
@@ -53,13 +54,7 @@ def test_cells_are_as_dark_as_the_share_of_the_row():
 
 
 def test_without_points_and_with_any_names_there_is_a_picture():
-    space = LabelSpace.from_dict(
-        {
-            "labels": {0: "none", 1: "$\\frac{$ [b]", 2: "Straße"},
-            "learning_map": {0: 0, 1: 1, 2: 2},
-            "learning_map_inv": {0: 0, 1: 1, 2: 2},
-        }
-    )
+    space = small_space("none", "$\\frac{$ [b]", "Straße")
     for confusion in (Confusion(3), Confusion(3).update(np.array([1, 2]), np.array([1, 1]))):
         assert pixels(iou_bars(scores(confusion, space), space)).size
         assert pixels(confusion_picture(confusion, space)).size

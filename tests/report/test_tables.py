@@ -1,25 +1,16 @@
 # SPDX-License-Identifier: MIT
 import io
-import math
 
 import numpy as np
-import pytest
-from evaluated import calibration_result, ranking_result
+from evaluated import calibration_result, ranking_result, small_space
 from rich.console import Console, Group
 
-from salsanext_cli.classes import LabelSpace
 from salsanext_cli.measures.confusion import Confusion
 from salsanext_cli.measures.scores import scores
 from salsanext_cli.measures.uncertainty_evaluation import UncertaintyEvaluation
-from salsanext_cli.report.tables import percent, ring_table, score_table, uncertainty_tables
+from salsanext_cli.report.tables import ring_table, score_table, uncertainty_tables
 
-SPACE = LabelSpace.from_dict(
-    {
-        "labels": {0: "none", 1: "car [red]", 2: "road", 3: "tree"},
-        "learning_map": {0: 0, 1: 1, 2: 2, 3: 3},
-        "learning_map_inv": {0: 0, 1: 1, 2: 2, 3: 3},
-    }
-)
+SPACE = small_space("none", "car [red]", "road", "tree")
 
 
 def text_of(*tables) -> str:
@@ -87,16 +78,3 @@ def test_undefined_scores_are_dashes_and_absent_results_have_no_table():
     assert tables_of() == []
     assert [len(tables_of(calibration_result([1]))), len(tables_of(total=ranked(0.1)))] == [1, 1]
     assert max(map(len, text_of(*tables).splitlines())) <= 100
-
-
-@pytest.mark.parametrize(
-    ("share", "digits", "unit", "words"),
-    [
-        (0.12345, 1, "", "12.3"),
-        (0.12345, 2, " %", "12.35 %"),
-        (0, 1, " %", "0.0 %"),
-        (math.nan, 2, " %", "–"),
-    ],
-)
-def test_shares_read_as_percent(share, digits, unit, words):
-    assert percent(share, digits, unit) == words

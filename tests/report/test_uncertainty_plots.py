@@ -7,9 +7,8 @@ import pytest
 from evaluated import SPACE, calibration_result, ranking_result
 from matplotlib.image import imread
 
-from salsanext_cli.measures.scan_counts import KINDS
+from salsanext_cli.measures.scan_counts import EVALUATED_KINDS
 from salsanext_cli.report import canvas
-from salsanext_cli.report.dot_names import name_dots
 from salsanext_cli.report.uncertainty_plots import (
     BLUE,
     HEIGHT,
@@ -19,6 +18,7 @@ from salsanext_cli.report.uncertainty_plots import (
     TOP,
     WIDTH,
     class_uncertainty,
+    name_dots,
     reliability_diagram,
     risk_coverage,
     sparsification,
@@ -88,8 +88,8 @@ def test_without_wrong_points_there_is_a_picture(count):
 
 
 def test_every_kind_has_a_line_of_its_own():
-    assert set(LINES) == set(KINDS)
-    assert len(set(LINES.values())) == len(KINDS)
+    assert set(LINES) == set(EVALUATED_KINDS)
+    assert len(set(LINES.values())) == len(EVALUATED_KINDS)
 
 
 def drawn_names(x, y, names):

@@ -10,7 +10,7 @@ from evaluated import CAR, ROAD, SPACE, World
 from scans import write_array
 from sklearn.metrics import average_precision_score, log_loss, roc_auc_score
 
-from salsanext_cli.measures.scan_counts import FOLDERS, KINDS, ScanCounts, count_scan
+from salsanext_cli.measures.scan_counts import EVALUATED_KINDS, ScanCounts, count_scan
 from salsanext_cli.measures.uncertainty_evaluation import (
     UncertaintyEvaluation,
     evaluate_uncertainty,
@@ -18,6 +18,7 @@ from salsanext_cli.measures.uncertainty_evaluation import (
 from salsanext_cli.parallel.run import RunOptions
 from salsanext_cli.stages.evaluate import evaluate
 from salsanext_cli.storage.layout import find_scans, output_path
+from salsanext_cli.storage.scan_results import UNCERTAINTY
 
 C = SPACE.class_count
 CAR_ID, ROAD_ID = SPACE.names.index("car"), SPACE.names.index("road")
@@ -58,10 +59,10 @@ def random_scan(world: World, stem: str, count: int, distance: float = 5) -> Non
         predicted == CAR, 1 - np.clip(uncertainty, 0, 0.5), np.clip(uncertainty, 0, 0.5)
     )
     world.put("probabilities", stem, softmax(*cars))
-    for i, folder in enumerate(FOLDERS[1:]):
+    for i, kind in enumerate(UNCERTAINTY):
         values = uncertainty ** (i + 1)
         values[::7] = np.nan
-        world.put(folder, stem, values)
+        world.put(f"uncertainty/{kind}", stem, values)
 
 
 def uncertainty_of(world: World, by_distance: bool = False) -> UncertaintyEvaluation:
@@ -136,7 +137,7 @@ def test_the_error_per_scan_is_the_mean_over_the_scans_that_have_points(world):
         world.add(stem, truth, truth)
         world.put("probabilities", stem, softmax(*[0.5] * len(truth)))
     calibration = uncertainty_of(world).calibration
-    assert (calibration.scan_error, calibration.scans) == (0.5, 2)
+    assert (calibration.ece_per_scan, calibration.scans) == (0.5, 2)
     assert calibration.scores.ece == 0
 
 
@@ -147,21 +148,21 @@ def test_classes_and_rings(world):
     world.add("000001", [CAR], [ROAD], distance=25)
     world.put("probabilities", "000001", softmax(0.125))
     world.put("uncertainty/epistemic", "000001", [0.375])
-    assert uncertainty_of(world).kinds["epistemic"].rings == {}
+    assert uncertainty_of(world).kinds["epistemic"].by_distance == {}
     found = world.evaluate(by_distance=True).uncertainty
     epistemic = found.kinds["epistemic"]
     cars = epistemic.classes[CAR_ID]
     assert (cars.points, cars.wrong, cars.auroc) == (3, 2, 1)
     assert cars.mean == pytest.approx(0.225)
-    assert epistemic.correlation == pytest.approx(-1)
-    assert epistemic.rings["0–10 m"].points == 3
-    assert epistemic.rings["20–30 m"].mean == 0.375
-    assert math.isnan(epistemic.rings["over 50 m"].mean)
+    assert epistemic.class_size_correlation == pytest.approx(-1)
+    assert epistemic.by_distance["0–10 m"].points == 3
+    assert epistemic.by_distance["20–30 m"].mean == 0.375
+    assert math.isnan(epistemic.by_distance["over 50 m"].mean)
     # By what the softmax says: one car, and it is one; three roads, of which one is.
     calibration = found.calibration
     assert calibration.classes[CAR_ID].accuracy == 1
     assert calibration.classes[ROAD_ID].accuracy == pytest.approx(1 / 3)
-    assert calibration.rings["20–30 m"].nll == pytest.approx(math.log(8))
+    assert calibration.by_distance["20–30 m"].nll == pytest.approx(math.log(8))
     report = report_of(world)["uncertainty"]["epistemic"]
     assert [c["points"] for c in report["classes"] if c["name"] in ("car", "road")] == [3, 1]
     assert report["by_distance"]["20–30 m"]["auroc"] is None
@@ -229,4 +230,4 @@ def test_the_report_does_not_depend_on_jobs_or_order(world):
     once = (world.out / "eval.json").read_bytes()
     evaluate(scans[::-1], world.out, SPACE, RunOptions(jobs=2), by_distance=True)
     assert (world.out / "eval.json").read_bytes() == once
-    assert list(report_of(world)["uncertainty"]) == list(KINDS)
+    assert list(report_of(world)["uncertainty"]) == list(EVALUATED_KINDS)

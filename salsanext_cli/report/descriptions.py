@@ -1,15 +1,21 @@
 # SPDX-License-Identifier: MIT
-"""Tables of networks and of weights files."""
+"""Tables that describe networks, weights files and sets of scans."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
+from rich.console import Group
+from rich.markup import escape
+from rich.table import Table
+
+from salsanext_cli.classes import LabelSpace
+from salsanext_cli.errors import printable
+from salsanext_cli.measures.survey import Survey
+from salsanext_cli.records import CHANNELS
 from salsanext_cli.report.tables import number_table
-
-if TYPE_CHECKING:
-    from rich.table import Table
+from salsanext_cli.sensors import Sensor
 
 NOTES = {
     "agrees": "* not the paper's number of parameters to the digit",
@@ -24,7 +30,7 @@ def network_table(networks: Sequence[Mapping[str, Any]]) -> Table:
     headings = ("name", *costs, "mIoU without kNN, with, on test")
     title = "Networks, with the papers' figures in brackets"
     table = number_table(*headings, title=title, no_wrap=True)
-    table.caption, table.caption_justify = "\n".join(NOTES.values()), "left"
+    table.caption = "\n".join(NOTES.values())
     for network in networks:
         table.add_row(*_cells(network))
     return table
@@ -46,9 +52,6 @@ def _cells(network: Mapping[str, Any]) -> tuple[str, ...]:
 
 def card_table(card: Mapping[str, Any]) -> Table:
     """Return a table of the card of a weights file."""
-    from rich.markup import escape
-    from rich.table import Table
-
     sensor = card["sensor"]
     table = Table(title=escape(card["path"]), title_justify="left", show_header=False)
     table.add_row("what", escape(card["description"]) or "–")
@@ -67,7 +70,57 @@ def card_table(card: Mapping[str, Any]) -> Table:
 
 def _scores(scores: Mapping[str, Any]) -> str:
     """Return names and rounded numbers; further digits depend on a few scans."""
-    from rich.markup import escape
-
     numbers = {name: f"{v:.3f}" if isinstance(v, float) else v for name, v in scores.items()}
     return escape(", ".join(f"{name} {number}" for name, number in numbers.items()))
+
+
+def survey_tables(
+    sequences: Mapping[str, Survey], total: Survey, space: LabelSpace, sensor: Sensor
+) -> Group:
+    """Return tables of the sequences, of the channels and, if there are labels, of the classes."""
+    tables = [_sequences(sequences, total), _channels(total, sensor)]
+    if total.classes:
+        tables.append(_classes(total, space))
+    return Group(*tables)
+
+
+def _sequences(sequences: Mapping[str, Survey], total: Survey) -> Table:
+    numbers = ("scans", "labelled", "points per scan", "invalid points", "farthest, m", "brightest")
+    table = number_table("sequence", *numbers, "field of view", title="Scans")
+    rows = dict(sequences) | ({"all": total} if len(sequences) > 1 else {})
+    for name, found in rows.items():
+        up, down = found.field_of_view()
+        table.add_row(
+            escape(printable(name)),
+            f"{found.scans:,}",
+            f"{found.labelled:,}",
+            f"{min(found.smallest, found.largest):,} – {found.largest:,}",
+            f"{found.invalid:,}",
+            f"{found.farthest:.1f}",
+            f"{found.brightest:.3g}",
+            f"{up:+.2f}° to {down:+.2f}°",
+        )
+    return table
+
+
+def _channels(total: Survey, sensor: Sensor) -> Table:
+    title = f"Range images of {sensor.name}, {sensor.height}×{sensor.width}"
+    table = number_table("channel", "mean", "standard deviation", title=title)
+    for name, mean, std in zip(CHANNELS, total.means, total.stds, strict=True):
+        table.add_row(name, f"{mean:.3f}", f"{std:.3f}")
+    return table
+
+
+def _classes(total: Survey, space: LabelSpace) -> Table:
+    numbers = ("train id and class", "points", "share %")
+    table = number_table("raw id and name", *numbers, title="Classes")
+    points = sum(total.classes.values())
+    for raw, count in sorted(total.classes.items()):
+        train = space.learning_map.get(raw)
+        table.add_row(
+            escape(f"{raw} {space.labels.get(raw, 'unknown')}"),
+            "unknown" if train is None else escape(f"{train} {space.names[train]}"),
+            f"{count:,}",
+            f"{100 * count / points:.3f}",
+        )
+    return table

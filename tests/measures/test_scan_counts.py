@@ -2,7 +2,7 @@
 import numpy as np
 import pytest
 
-from salsanext_cli.measures.distance import ring_of_point
+from salsanext_cli.measures.scan_counts import ring_of_point
 
 
 @pytest.mark.parametrize(

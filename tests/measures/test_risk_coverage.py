@@ -1,21 +1,25 @@
 # SPDX-License-Identifier: MIT
 import math
 from fractions import Fraction
+from functools import reduce
 from itertools import chain
+from operator import iadd
 
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from scipy.stats import spearmanr
 from sklearn.metrics import average_precision_score, roc_auc_score
 
-from salsanext_cli.measures.risk_coverage import ranking_scores, risk_at, threshold_at
-from salsanext_cli.measures.uncertainty_histogram import (
+from salsanext_cli.measures.histograms import (
     HIGHEST,
     LOWEST,
-    UncertaintyHistogram,
+    Histogram,
     bin_of,
+    uncertainty_histogram,
 )
+from salsanext_cli.measures.risk_coverage import COVERAGE, ranking_scores, risk_coverage, spearman
 
 LEVELS = (0.0, 2.0**-48, 1e-9, 2.0**-10, 0.3, 1.0, 1.0078125, 7.0, 255.0)
 """Uncertainties of different bins."""
@@ -23,17 +27,14 @@ FEW = settings(max_examples=40, deadline=None)
 POINTS = st.lists(st.tuples(st.sampled_from(LEVELS), st.booleans()), min_size=1, max_size=60)
 
 
-def of(uncertainty, wrong, group=None, groups=1) -> UncertaintyHistogram:
+def of(uncertainty, wrong, group=None, groups=1) -> Histogram:
     values = np.asarray(uncertainty, np.float32)
     group = np.zeros(len(values), int) if group is None else np.asarray(group, int)
-    return UncertaintyHistogram(groups).update(values, np.asarray(wrong, bool), group)
+    return uncertainty_histogram(values, np.asarray(wrong, bool), group, groups)
 
 
-def added(histograms) -> UncertaintyHistogram:
-    total = UncertaintyHistogram(1)
-    for histogram in histograms:
-        total.add(histogram)
-    return total
+def added(histograms) -> Histogram:
+    return reduce(iadd, histograms, of([], []))
 
 
 def scores(points):
@@ -81,7 +82,9 @@ def test_risk_and_sparsification_are_those_of_a_slow_loop(points):
     assert result.excess_aurc == pytest.approx(mean(risks) - mean(best), abs=1e-12)
     counts = of(*zip(*points, strict=True)).counts[:, 0]
     coverage = np.arange(1, len(points) + 1) / len(points)
-    np.testing.assert_allclose(risk_at(*counts, coverage), np.array(risks, float), atol=1e-12)
+    np.testing.assert_allclose(
+        risk_coverage(*counts, coverage)[0], np.array(risks, float), atol=1e-12
+    )
     if not result.wrong:
         assert math.isnan(result.ause)
         return
@@ -141,7 +144,7 @@ def test_without_values_there_are_no_scores(count):
     assert (result.points, nothing.left_out, nothing.scans) == (0, count, 0)
     for name in ("mean", "auroc", "aupr", "aurc", "excess_aurc", "ause"):
         assert math.isnan(getattr(result, name)), name
-    assert np.isnan(risk_at(*nothing.counts[:, 0], np.array([0.5, 1]))).all()
+    assert np.isnan(risk_coverage(*nothing.counts[:, 0])).all()
 
 
 @FEW
@@ -182,36 +185,30 @@ def test_means_lose_nothing_where_float64_would_round():
     assert added(scans).means("uncertainty") == (2.0**30 + 1000 * 2.0**-40) / 1001
 
 
-def test_groups_are_separate_and_points_without_a_value_left_out():
-    rng = np.random.default_rng(0)
-    uncertainty, wrong = rng.random(90), rng.random(90) < 0.3
-    group = np.arange(90) % 3
-    gaps = np.where(np.arange(120) < 90, np.resize(uncertainty, 120), np.nan)
-    histogram = of(gaps, np.resize(wrong, 120), np.resize(group, 120), 4)
-    assert histogram.left_out == 30
-    assert histogram.points.tolist() == [30, 30, 30, 0]
-    histogram = of(uncertainty, wrong, group, 4)
-    whole, pooled = of(uncertainty, wrong), histogram.total()
-    np.testing.assert_array_equal(pooled.counts, whole.counts)
-    assert ranking_scores(histogram).mean == pytest.approx(ranking_scores(whole).mean, rel=1e-14)
-    for i in range(3):
-        alone = of(uncertainty[group == i], wrong[group == i])
-        assert ranking_scores(histogram.group(i)) == ranking_scores(alone)
-    assert histogram.points.tolist() == [30, 30, 30, 0]
-    assert math.isnan(histogram.means("uncertainty")[3])
-
-
 def test_thresholds_keep_at_least_their_share():
     random = np.random.default_rng(3)
     values = random.lognormal(-4, 1.5, 5000).astype(np.float32)
     wrong = random.random(5000) < 0.2
     counts = of(values, wrong).counts[:, 0]
-    coverage = np.arange(1, 101) / 100
-    thresholds = threshold_at(*counts, coverage)
+    _, thresholds = risk_coverage(*counts)
     kept = (values[:, None] <= thresholds).mean(axis=0)
-    assert (kept >= coverage - 1e-9).all()
-    exact = np.sort(values)[np.ceil(coverage * 5000 - 1e-6).astype(int) - 1]
+    assert (kept >= COVERAGE - 1e-9).all()
+    exact = np.sort(values)[np.ceil(COVERAGE * 5000 - 1e-6).astype(int) - 1]
     np.testing.assert_array_less(exact, thresholds + 1e-12)
     assert (thresholds <= exact * 1.01).all()
-    nothing = np.zeros_like(counts)
-    assert np.isnan(threshold_at(*nothing, coverage)).all()
+
+
+PAIRS = st.lists(st.tuples(st.integers(0, 6), st.floats(-1e9, 1e9)), min_size=2, max_size=30)
+
+
+@FEW
+@given(PAIRS.filter(lambda pairs: all(len(set(column)) > 1 for column in zip(*pairs, strict=True))))
+def test_correlation_is_scipys(pairs):
+    one, other = (np.array(column) for column in zip(*pairs, strict=True))
+    expected = spearmanr(one, other).statistic
+    assert spearman(one, other) == pytest.approx(expected, abs=1e-13)
+
+
+@pytest.mark.parametrize("values", [[], [1.0], [2.0, 2.0, 2.0]], ids=str)
+def test_what_does_not_vary_has_no_correlation(values):
+    assert math.isnan(spearman(np.array(values), np.arange(len(values))))

@@ -1,0 +1,171 @@
+# SPDX-License-Identifier: MIT
+"""Histograms of confidence and of uncertainty, of right and of wrong points by group.
+
+Probabilities are float16 on disk, and there are 15 361 such numbers from 0 to 1. Points are counted
+in a bin for each of these, so that errors are exact for any number of scans.
+
+A bin of uncertainty is a bfloat16 number, to which uncertainties are truncated: 128 bins per
+octave, which separate 1 from 1.008. Points in one bin are tied. Ranking depends on the order alone,
+so that results from these counts differ from those of the raw values only by pairs of points within
+a bin.
+"""
+
+from __future__ import annotations
+
+import math
+from array import array
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from salsanext_cli.measures.confusion import Counts, Mask, Ratios
+from salsanext_cli.measures.softmax import SoftmaxErrors
+
+CONFIDENCES = np.arange(int(np.float16(1).view(np.uint16)) + 1).astype(np.uint16).view(np.float16)
+"""Every float16 from 0 to 1, ascending: the bit patterns of numbers above 0 are in their order."""
+BINS_PER_OCTAVE = 128
+LOWEST, HIGHEST = -48, 8
+"""Exponents of two of the first and the last bin; uncertainties below are as good as 0."""
+UNCERTAINTY_BINS = 1 + (HIGHEST - LOWEST) * BINS_PER_OCTAVE
+"""Number of bins: one for everything below the lowest, then 128 per octave; the last is open."""
+BFLOAT16_SHIFT = 16
+"""Bits of a float32 that a bfloat16 does not have."""
+FIRST_KEY = int(np.float32(2.0**LOWEST).view(np.int32)) >> BFLOAT16_SHIFT
+
+
+@dataclass(slots=True)
+class Histogram:
+    """Histograms by group, and sums of values over the points of each group.
+
+    Attributes
+    ----------
+    counts : (2, G, B) int64
+        Number of points by group and bin; those that are right first, then those that are wrong.
+        Groups are classes, rings of distance, or just one.
+    scan_sums : dict of str to array
+        By name, G float64 sums for each scan. `math.fsum` adds them for a mean, which is then the
+        same to the last digit in any order of the scans.
+    scans : int
+        Number of scans with a point that was counted.
+    left_out : int
+        Number of points without a value.
+    """
+
+    counts: Counts
+    scan_sums: dict[str, array[float]]
+    scans: int
+    left_out: int
+
+    @property
+    def points(self) -> Counts:
+        """Number of points of each group, (G,)."""
+        points: Counts = self.counts.sum(axis=(0, 2))
+        return points
+
+    def means(self, name: str) -> Ratios:
+        """Divide a sum by the number of points of each group, (G,); NaN for one without points."""
+        sums, points = self.scan_sums[name], self.points.tolist()
+        pairs = enumerate(points)
+        return np.array([math.fsum(sums[i :: len(points)]) / n if n else np.nan for i, n in pairs])
+
+    def __iadd__(self, other: Histogram) -> Histogram:
+        """Add the counts of other scans."""
+        groups, others = self.counts.shape[1], other.counts.shape[1]
+        if groups != others:
+            raise ValueError(f"{groups} and {others} groups do not add")
+        self.counts += other.counts
+        for name, sums in self.scan_sums.items():
+            sums.extend(other.scan_sums[name])
+        self.scans += other.scans
+        self.left_out += other.left_out
+        return self
+
+    def group(self, index: int) -> Histogram:
+        """Return the histogram of one group."""
+        sums = {name: s[index :: self.counts.shape[1]] for name, s in self.scan_sums.items()}
+        return Histogram(self.counts[:, index : index + 1], sums, self.scans, self.left_out)
+
+    def total(self) -> Histogram:
+        """Return the histogram of all groups together, as one group."""
+        counts: Counts = self.counts.sum(axis=1, keepdims=True)
+        return Histogram(counts, self.scan_sums, self.scans, self.left_out)
+
+
+def confidence_histogram(
+    errors: SoftmaxErrors, group: npt.NDArray[Any], group_count: int
+) -> Histogram:
+    """Count the points of a scan by confidence, in a bin for each of `CONFIDENCES`.
+
+    Parameters
+    ----------
+    errors : SoftmaxErrors
+        Errors of N points.
+    group : (N,) integer
+        The group of each point, 0…G-1.
+    group_count : int
+        G, the number of groups.
+
+    Raises
+    ------
+    ValueError
+        If a group is not one of them.
+    """
+    bins = errors.confidence.view(np.uint16).astype(np.intp)
+    known, shape = ~np.isnan(errors.confidence), (2, group_count, len(CONFIDENCES))
+    return _histogram(shape, known, errors.wrong, group, bins, nll=errors.nll, brier=errors.brier)
+
+
+def uncertainty_histogram(
+    uncertainty: npt.NDArray[Any], wrong: Mask, group: npt.NDArray[Any], group_count: int
+) -> Histogram:
+    """Count the points of a scan by uncertainty.
+
+    Parameters
+    ----------
+    uncertainty : (N,) float
+        Not negative; NaN for points without one, which are left out.
+    wrong : (N,) bool
+        Whether the label of each point is not the true one.
+    group, group_count
+        As `confidence_histogram` takes them, with the same error.
+    """
+    values, shape = uncertainty.astype(np.float64), (2, group_count, UNCERTAINTY_BINS)
+    bins = bin_of(uncertainty)
+    return _histogram(shape, ~np.isnan(values), wrong, group, bins, uncertainty=values)
+
+
+def _histogram(
+    shape: tuple[int, int, int],
+    known: Mask,
+    wrong: Mask,
+    group: npt.NDArray[Any],
+    bins: npt.NDArray[np.intp],
+    **values: Ratios,
+) -> Histogram:
+    """Count the known points of a scan, all arrays (N,)."""
+    group = group[known]
+    cell = np.ravel_multi_index((wrong[known].astype(np.intp), group, bins[known]), shape)
+    counts = np.bincount(cell, minlength=math.prod(shape)).reshape(shape)
+    sums = {name: np.bincount(group, each[known], shape[1]) for name, each in values.items()}
+    scan_sums = {name: array("d", each.tolist()) for name, each in sums.items()}
+    return Histogram(counts, scan_sums, int(len(cell) > 0), len(known) - len(cell))
+
+
+def bin_of(uncertainty: npt.NDArray[Any]) -> npt.NDArray[np.intp]:
+    """Return the bin of each uncertainty, from float32, same shape; NaN has none."""
+    # The bit patterns of positive floats are in the order of the floats.
+    key = uncertainty.astype(np.float32).view(np.int32) >> BFLOAT16_SHIFT
+    bins: npt.NDArray[np.intp] = np.clip(key - FIRST_KEY + 1, 0, UNCERTAINTY_BINS - 1).astype(
+        np.intp
+    )
+    return bins
+
+
+def highest_of_bins() -> Ratios:
+    """Return the largest float32 that each bin holds, float64; that of the last is infinite."""
+    next_key = (np.arange(UNCERTAINTY_BINS, dtype=np.int32) + FIRST_KEY) << BFLOAT16_SHIFT
+    highest: Ratios = (next_key - 1).view(np.float32).astype(np.float64)
+    highest[-1] = np.inf
+    return highest
