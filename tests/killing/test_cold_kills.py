@@ -213,7 +213,7 @@ def test_signals_at_random_moments(
 ) -> None:
     """As Docker sends them, to the first process, or as systemd does, to all."""
     draw = random.Random(f"{number} {whom} {options}")
-    for turn in range(5):
+    for turn in range(3):
         folder = tmp_path / f"{turn}"
         process = long.begun(folder, options)
         if turn % 2:
