@@ -122,7 +122,7 @@ def warn_once(error: Exception) -> None:
 
 
 def cache_folder() -> str:
-    """Return the user's cache folder: ``$XDG_CACHE_HOME/salsanext`` or the like.
+    """Return where compiled kernels are kept: ``$XDG_CACHE_HOME/salsanext`` or the like.
 
     It is empty, for nowhere, if the user has no home.
     """
@@ -130,12 +130,7 @@ def cache_folder() -> str:
         home = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
     except RuntimeError:
         return ""
-    return str(Path(home) / "salsanext")
-
-
-def kernel_folder() -> str:
-    """Return the folder of compiled kernels in the cache; empty for nowhere."""
-    return cache_folder() and str(Path(cache_folder(), "kernels"))
+    return str(Path(home) / "salsanext" / "kernels")
 
 
 def argument(array: npt.NDArray[Any], dtype: npt.DTypeLike) -> npt.NDArray[Any]:
