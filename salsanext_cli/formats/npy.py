@@ -114,13 +114,9 @@ def read_probabilities(path: Path, count: int, class_count: int) -> npt.NDArray[
     sums = np.einsum("nc->n", softmax, dtype=np.float32)
     # NaN fails both comparisons.
     sound = (np.abs(sums - 1) < ROUNDING) & (softmax >= 0).all(axis=1)
-    if not sound.all():
-        raise FormatError(
-            path,
-            f"NaN or no probabilities at {_points(~sound)}",
-            "numbers from 0 to 1 that add up to 1",
-            "predict again with --probabilities",
-        )
+    expected = "numbers from 0 to 1 that add up to 1"
+    remedy = "predict again with --probabilities"
+    _require_none(~sound, path, "NaN or no probabilities", expected, remedy)
     return softmax
 
 
@@ -140,16 +136,16 @@ def read_uncertainty(path: Path, count: int) -> Float:
         If the file cannot be read, is of another length, or holds no uncertainties.
     """
     values: Float = read_array(path, np.float32, (count,))
+    expected = "numbers from 0, or NaN for a point without a pixel"
+    remedy = "run `salsanext uncertainty` again"
     unsound = (values < 0) | np.isinf(values)
-    if unsound.any():
-        raise FormatError(
-            path,
-            f"negative or infinite at {_points(unsound)}",
-            "numbers from 0, or NaN for a point without a pixel",
-            "run `salsanext uncertainty` again",
-        )
+    _require_none(unsound, path, "negative or infinite", expected, remedy)
     return values
 
 
-def _points(chosen: npt.NDArray[np.bool_]) -> str:
-    return f"{int(chosen.sum())} of {len(chosen)} points"
+def _require_none(
+    unsound: npt.NDArray[np.bool_], path: Path, found: str, expected: str, remedy: str
+) -> None:
+    if count := int(unsound.sum()):
+        found = f"{found} at {count} of {len(unsound)} points"
+        raise FormatError(path, found, expected, remedy)

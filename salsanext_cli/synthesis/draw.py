@@ -29,8 +29,8 @@ def draw_plan(rng: Rng, style: Style, length: float) -> Plan:
     steep = 0.25 if style.name == "country" else 0.04
     bank = (rng.uniform(-0.6, 1) * steep, rng.uniform(-0.6, 1) * steep)
     x, y = np.cumsum(np.cos(heading)) * 0.5, np.cumsum(np.sin(heading)) * 0.5
-    sides = (_side(rng, style, sign, length, crossings) for sign in (LEFT, RIGHT))
-    return Plan(style, length, half, knots, x, y, heading, waves, bank, crossings, *sides)
+    left, right = (_side(rng, style, sign, length, crossings) for sign in (LEFT, RIGHT))
+    return Plan(style, length, half, knots, x, y, heading, waves, bank, crossings, (left, right))
 
 
 def _heading(rng: Rng, knots: Array) -> Array:

@@ -29,12 +29,7 @@ RELATIVE_RESPONSE = (0.82, 0.86, 0.92, 1.0, 1.05, 0.92, 0.66, 0.45)
 
 
 class Scene:
-    """Triangles that rays can hit.
-
-    Parameters
-    ----------
-    mesh : Mesh
-        World coordinates.
+    """Triangles that rays can hit: a mesh in world coordinates.
 
     Raises
     ------

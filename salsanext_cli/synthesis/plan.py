@@ -86,8 +86,8 @@ class Plan:
         The centre line at every half metre of s.
     waves : (M, 4)
         Amplitude, x and y wave number and phase of the rolling ground.
-    bank : 2 floats
-        Slope of the ground beyond the verge, left and right.
+    bank, sides : pairs
+        Slope of the ground beyond the verge, and the sides themselves, left and right.
     """
 
     style: Style
@@ -100,13 +100,7 @@ class Plan:
     waves: Array
     bank: Span
     crossings: tuple[Crossing, ...]
-    left: Side
-    right: Side
-
-    @property
-    def sides(self) -> tuple[Side, Side]:
-        """Left and right."""
-        return self.left, self.right
+    sides: tuple[Side, Side]
 
     def _crossings_of(self, side: Side) -> list[Crossing]:
         return [crossing for crossing in self.crossings if side.sign in crossing.sides]

@@ -105,6 +105,6 @@ def test_a_narrow_lot_can_be_furnished(kind, width):
     lot = Lot(kind, 30.0, 30.0 + width, 4.0, 0, 0, (30.0, 30.0))
     for seed in range(8):
         builder = Builder(np.random.default_rng(seed), plan)
-        lots.furnish(builder, plan.left, lot)
+        lots.furnish(builder, plan.sides[0], lot)
         ends = [part.vertices[:, 0] for part in builder.parts]
         assert all(np.isfinite(end).all() for end in ends)
