@@ -61,11 +61,6 @@ class ClassScore:
     points: int
     predicted: int
 
-    @property
-    def present(self) -> bool:
-        """True if the truth holds this class."""
-        return self.points > 0
-
 
 @dataclass(frozen=True, slots=True)
 class Scores:
@@ -95,14 +90,11 @@ class Scores:
     points: int
     classes: tuple[ClassScore, ...]
 
-    def official(self) -> dict[str, float]:
-        """Return the numbers of the official ``scores.txt``, by its names."""
-        numbers = {"accuracy_mean": self.accuracy_official, "iou_mean": self.iou_mean_official}
-        return numbers | {f"iou_{c.name}": c.iou_official for c in self.classes}
-
     def official_yaml(self) -> str:
         """Return the text of the official ``scores.txt``: sorted yaml, every digit."""
-        return yaml.safe_dump(self.official(), default_flow_style=False, allow_unicode=True)
+        numbers = {"accuracy_mean": self.accuracy_official, "iou_mean": self.iou_mean_official}
+        numbers |= {f"iou_{c.name}": c.iou_official for c in self.classes}
+        return yaml.safe_dump(numbers, default_flow_style=False, allow_unicode=True)
 
     def to_dict(self) -> dict[str, Any]:
         """Return plain data for JSON; null stands for NaN."""

@@ -52,7 +52,7 @@ def score_table(result: Scores) -> Table:
     table.add_row("accuracy", percent(result.accuracy), "", "", f"{result.points:,}")
     table.add_row("accuracy, official", percent(result.accuracy_official))
     table.add_row("mean IoU, official", percent(result.iou_mean_official))
-    present = sum(c.present for c in result.classes)
+    present = sum(c.points > 0 for c in result.classes)
     table.add_row(f"mean IoU, {present} classes present", percent(result.iou_mean_present))
     return table
 

@@ -18,15 +18,11 @@ from salsanext_cli.storage.layout import ScanFile
 from salsanext_cli.uncertainty.aleatoric import aleatoric
 from salsanext_cli.uncertainty.dropout_propagation import propagate_dropout
 from salsanext_cli.uncertainty.estimate import Estimate, require_dropout
-from salsanext_cli.uncertainty.monte_carlo import (
-    require_samples,
-    sample,
-    scan_seed,
-)
+from salsanext_cli.uncertainty.monte_carlo import require_samples, sample, scan_seed
 
-KINDS = ("epistemic", "entropy", "mutual_information")
-NOISY_KINDS = ("aleatoric", "total")
-"""Kinds that need the sensor's noise."""
+EPISTEMIC_KINDS = ("epistemic", "entropy", "mutual_information")
+ALEATORIC_KINDS = ("aleatoric", "total")
+"""Kinds of uncertainty; the second ones need the sensor's noise."""
 METHODS = ("sampling", "analytic")
 
 log = logging.getLogger(__name__)
@@ -61,7 +57,7 @@ class Estimator:
     @property
     def kinds(self) -> tuple[str, ...]:
         """Kinds of uncertainty that are estimated."""
-        return (*KINDS, *NOISY_KINDS) if self.aleatoric else KINDS
+        return (*EPISTEMIC_KINDS, *ALEATORIC_KINDS) if self.aleatoric else EPISTEMIC_KINDS
 
     def settings(self, sensor: Sensor) -> dict[str, Any]:
         """Return what the results depend on besides the network and what it sees."""
@@ -98,7 +94,7 @@ def recorded_estimator(settings: RecordedSettings) -> Estimator:
 
 def possible_estimator(colour: str, seen: Sensor) -> Estimator:
     """Leave out what needs a noise that the sensor does not know, unless it is asked for."""
-    aleatoric = colour in NOISY_KINDS or seen.knows_noise
+    aleatoric = colour in ALEATORIC_KINDS or seen.knows_noise
     if not aleatoric:
         log.warning("sensor %s does not know its noise: epistemic uncertainty only", seen.name)
     return Estimator(aleatoric=aleatoric)

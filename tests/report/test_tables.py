@@ -8,7 +8,9 @@ from rich.console import Console, Group
 from salsanext_cli.measures.confusion import Confusion
 from salsanext_cli.measures.scores import scores
 from salsanext_cli.measures.uncertainty_evaluation import UncertaintyEvaluation
+from salsanext_cli.report.descriptions import card_table
 from salsanext_cli.report.tables import ring_table, score_table, uncertainty_tables
+from salsanext_cli.stages.models import describe_weights
 
 SPACE = small_space("none", "car [red]", "road", "tree")
 
@@ -78,3 +80,11 @@ def test_undefined_scores_are_dashes_and_absent_results_have_no_table():
     assert tables_of() == []
     assert [len(tables_of(calibration_result([1]))), len(tables_of(total=ranked(0.1)))] == [1, 1]
     assert max(map(len, text_of(*tables).splitlines())) <= 100
+
+
+def test_scores_of_weights_are_rounded_and_a_dash_without_any(weights):
+    card = describe_weights(weights)
+    scores = {"miou": 0.6926549546490874, "iou_[red]": 0.5, "epoch": 20}
+    for found, shown in ((scores, "miou 0.693, iou_[red] 0.500, epoch 20"), (card["scores"], "–")):
+        cells = dict(printed(card_table({**card, "path": "w", "scores": found})))
+        assert cells["scores of the scans that chose the weights"] == shown

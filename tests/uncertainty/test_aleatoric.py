@@ -3,7 +3,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-import torch
 
 from salsanext_cli.errors import UsageError
 from salsanext_cli.uncertainty.aleatoric import aleatoric
@@ -34,13 +33,6 @@ def test_small_noises_act_as_their_squares(network, image, noise):
     once = aleatoric(with_noise(network, *noise), image).mean(axis=0)
     twice = aleatoric(with_noise(network, *(2 * n for n in noise)), image).mean(axis=0)
     assert np.median(twice / once) == pytest.approx(4, rel=0.02)
-
-
-def test_dropout_is_off_and_the_network_stays_as_it_is(network, image):
-    before = torch.random.get_rng_state()
-    first = aleatoric(network, image)
-    assert torch.equal(torch.random.get_rng_state(), before)
-    np.testing.assert_array_equal(aleatoric(network, image), first)
 
 
 def test_a_sensor_of_unknown_noise(network, image):

@@ -157,12 +157,6 @@ def test_softmax_stays_within_what_a_probability_can_do(classes, seed, scale, po
     assert (variance - mean * (1 - mean)).max() <= digits
 
 
-def test_one_class_is_certain():
-    mean, variance = softmax([3.0], [5.0])
-    assert mean.tolist() == [1]
-    assert variance.tolist() == [0]
-
-
 @pytest.mark.parametrize("classes", [2, 3, 20])
 def test_logits_of_huge_variance_choose_one_class_at_random(classes):
     mean, variance = softmax(np.zeros(classes), np.full(classes, HUGE), torch.float32)
