@@ -62,7 +62,7 @@ def send(scans: list[ScanFile], backend: str) -> None:
         jobs=2, backend=backend, progress=lambda done, _: marks.append((done, time.perf_counter()))
     )
     # A function that every worker has and that takes a scan.
-    run_over_scans(hash, scans, options, on_result=lambda _: None)
+    run_over_scans(hash, scans, options)
     (first, start), (last, end) = marks[0], marks[-1]
     print(f"{f'chunks, {backend}':24} {(last - first) / (end - start):7.0f} scans per second")
 
@@ -75,7 +75,7 @@ def main(folder: str, count: str = "20000", *backends: str) -> None:
         for step in ("record the run", "record another run"):
             timed(step, lambda: record(out, scans), number)
         timed("divide into shards", lambda: Shard(1, 8).of(scans), number)
-        done = OutputRun(out, "predict", ("predictions",)).is_done
+        done = OutputRun(out, ("predictions",)).is_done
         skip = partial(run_over_scans, hash, scans, RunOptions(), is_done=done)
         timed("skip what is done", skip, number)
         for backend in backends:

@@ -16,9 +16,9 @@ from salsanext_cli.storage.layout import find_outputs
 
 def main(out: str, count: int = 10) -> None:
     files = find_outputs(Path(out), "uncertainty/epistemic")
-    means = {file: float(np.nanmean(np.load(file.path))) for file in files}
-    for file in sorted(means, key=means.__getitem__, reverse=True)[:count]:
-        print(f"{means[file]:.6f}  {file.sequence}/{file.stem}")
+    means = {scan: float(np.nanmean(np.load(path))) for scan, path in files.items()}
+    for sequence, stem in sorted(means, key=means.__getitem__, reverse=True)[:count]:
+        print(f"{means[sequence, stem]:.6f}  {sequence}/{stem}")
 
 
 if __name__ == "__main__":

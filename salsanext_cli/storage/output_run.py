@@ -34,8 +34,6 @@ class OutputRun:
     ----------
     out : Path
         The output folder.
-    stage : str
-        The stage's name on the command line.
     folders : tuple of str
         Folders of results that a scan is given, keys of `SUFFIX_OF_FOLDER`.
     overwrite : bool
@@ -46,7 +44,6 @@ class OutputRun:
     """
 
     out: Path
-    stage: str
     folders: tuple[str, ...]
     overwrite: bool = False
     kept: frozenset[Path] = frozenset()
@@ -147,7 +144,7 @@ def output_run(
         others = WrittenFiles(out).others
         # First those of other settings: they are no results of this run.
         kept = frozenset(others(out / name for name in recorded.kept))
-        run = OutputRun(out, stage, tuple(folders), overwrite, kept)
+        run = OutputRun(out, tuple(folders), overwrite, kept)
         todo = [path for file in scans if not run.is_done(file) for path in run.paths(file)]
         yield replace(run, kept=frozenset(others(todo)))
         record = read_record(out, stage)

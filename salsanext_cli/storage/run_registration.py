@@ -35,21 +35,6 @@ def records_lock(out: Path) -> Iterator[None]:
         yield
 
 
-@contextmanager
-def exclusive_run(out: Path, stage: str) -> Iterator[None]:
-    """Refuse while a run of a stage fills an output folder; hold `records_lock` meanwhile.
-
-    Raises
-    ------
-    OutputError
-        If there is such a run.
-    """
-    with ExitStack() as held:
-        for lock in sorted(out.glob(f".{stage}.*.lock")):
-            held.enter_context(locked(lock, stage=stage))
-        yield
-
-
 def register_run(wanted: StageRecord, out: Path, overwrite: bool) -> StageRecord:
     """Bring the records of a folder, and its results, to what a run wants, under `records_lock`.
 
@@ -83,7 +68,8 @@ def register_run(wanted: StageRecord, out: Path, overwrite: bool) -> StageRecord
     kept: list[Path] = []
     with ExitStack() as held:
         for filler in [*([] if same else [stage]), *sorted({*others.values()})]:
-            held.enter_context(exclusive_run(out, filler))
+            for lock in sorted(out.glob(f".{filler}.*.lock")):
+                held.enter_context(locked(lock, stage=filler))
         # Nothing is removed before it is certain that the run may begin.
         if not same:
             kept += _remove_results(out, before.folders)

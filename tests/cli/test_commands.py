@@ -242,7 +242,7 @@ def test_settings_reach_the_stage(run, weights, monkeypatch):
 
     def stage(source, out, **settings):
         seen.update(settings, source=source, out=out)
-        return Outcome((None,), 0, (), 1)
+        return Outcome(0, (), 1)
 
     monkeypatch.setattr("salsanext_cli.stages.predict.predict_scans", stage)
     result = run(
