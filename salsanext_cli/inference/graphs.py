@@ -1,0 +1,198 @@
+# SPDX-License-Identifier: MIT
+"""Parts of a network as OpenVINO graphs: traced once, compiled for this CPU, kept in the cache.
+
+A graph is made from the torch module by OpenVINO's own front end, in this process and without its
+command-line converter, which reports its use. What was compiled before is loaded without torch.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import tempfile
+import warnings
+from collections.abc import Callable, Sequence
+from io import BytesIO
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+from xml.etree import ElementTree
+
+import numpy as np
+
+from salsanext_cli.inference.processor import processor
+from salsanext_cli.records import CHANNELS, Float
+from salsanext_cli.storage.user_cache import cached
+
+if TYPE_CHECKING:
+    import openvino
+    from torch import nn
+
+HINTS = {"float32": "f32", "bfloat16": "bf16"}
+LOGITS = "logits"
+"""Name of the last convolution, in every architecture."""
+ERFC = (
+    *(0.17087277, -0.82215223, 1.48851587, -1.13520398, 0.27886807),
+    *(-0.18628806, 0.09678418, 0.37409196, 1.00002368, -1.26551223),
+)
+"""Coefficients of ln(erfc(x)/t) + x² in t = 1/(1 + x/2), highest power first; relative error below
+1.2e-7 (Press et al., Numerical Recipes, 1992, section 6.2)."""
+Shapes = Sequence[tuple[int, ...]]
+
+
+class Graph:
+    """Compiled part of a network: float32 arrays in, float32 arrays out, the same bits always.
+
+    Parameters
+    ----------
+    compiled : openvino.CompiledModel
+        With one stream or several, each for calls side by side.
+    """
+
+    def __init__(self, compiled: openvino.CompiledModel) -> None:
+        self.compiled = compiled
+        self.request = compiled.create_infer_request()
+
+    @property
+    def shapes(self) -> list[tuple[int, ...]]:
+        """Shapes of the inputs."""
+        return [tuple(port.shape) for port in self.compiled.inputs]
+
+    def __call__(self, *inputs: Float) -> list[Float]:
+        """Compute once."""
+        found = self.request.infer(dict(enumerate(inputs)), share_inputs=True)
+        return list(found.values())
+
+    def each(
+        self, calls: Sequence[Sequence[Float]], take: Callable[[int, list[Float]], object]
+    ) -> None:
+        """Compute several times side by side; `take` gets number and outputs, in any order."""
+        from openvino import AsyncInferQueue
+
+        failures: list[BaseException] = []
+
+        def finished(request: openvino.InferRequest, number: int) -> None:
+            try:
+                take(number, [tensor.data for tensor in request.output_tensors])
+            except BaseException as error:
+                failures.append(error)
+
+        queue = AsyncInferQueue(self.compiled)
+        queue.set_callback(finished)
+        for number, inputs in enumerate(calls):
+            queue.start_async(dict(enumerate(inputs)), number, share_inputs=True)
+        queue.wait_all()
+        if failures:
+            raise failures[0]
+
+
+def graph(
+    name: str,
+    make: Callable[[], nn.Module],
+    shapes: Shapes,
+    *,
+    key: str | None,
+    precision: str = "float32",
+    threads: int = 1,
+    streams: int = 1,
+) -> Graph:
+    """Return a part of a network, ready to compute; from the cache if it was compiled before.
+
+    Parameters
+    ----------
+    name : str
+        Of the part.
+    make : callable
+        Returns the part as a torch module; called only if the cache does not hold it.
+    shapes : sequence of tuple of int
+        Of the part's inputs.
+    key : str, optional
+        What the part depends on besides: SHA-256 of the weights and the like. None: not cached.
+    precision : {"float32", "bfloat16"}
+        Of all layers but those that see the range image or make the logits.
+    threads, streams : int
+        Threads in all, and calls that they compute side by side.
+    """
+    import openvino
+
+    hints = {
+        "INFERENCE_PRECISION_HINT": HINTS[precision],
+        "INFERENCE_NUM_THREADS": threads,
+        "NUM_STREAMS": streams,
+    }
+    core = openvino.Core()
+
+    def compile_anew() -> bytes:
+        model = kept_precise(core, converted(make(), shapes))
+        blob: BytesIO = core.compile_model(model, "CPU", hints).export_model()
+        return blob.getvalue()
+
+    if key is None:
+        content = compile_anew()
+    else:
+        depends = repr((key, name, shapes, precision, openvino.__version__, processor()))
+        digest = hashlib.sha256(depends.encode()).hexdigest()
+        content = cached(f"graphs/{digest[:32]}.blob", compile_anew)
+    return Graph(core.import_model(content, "CPU", hints))
+
+
+def converted(part: nn.Module, shapes: Shapes) -> openvino.Model:
+    """Return a torch module as a graph with inputs of some shapes."""
+    import torch
+    from openvino.frontend import FrontEndManager
+    from openvino.frontend.pytorch import ConversionExtension
+    from openvino.frontend.pytorch.ts_decoder import TorchScriptPythonDecoder
+
+    examples = tuple(torch.zeros(shape) for shape in shapes)
+    with torch.inference_mode(), warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # sizes become constants, as they should
+        traced = torch.jit.trace(part.eval(), examples, check_trace=False)
+        front_end = FrontEndManager().load_by_framework("pytorch")
+        front_end.add_extension(ConversionExtension("aten::special_erfc", _erfc))
+        decoder = TorchScriptPythonDecoder(traced, example_input=examples)
+        model: openvino.Model = front_end.convert(front_end.load(decoder))
+    model.reshape(dict(zip(model.inputs, map(list, shapes), strict=True)))
+    return model
+
+
+def _erfc(node: Any) -> Any:
+    """Translate erfc of numbers from 0 on, for which OpenVINO has no operation."""
+    from openvino import opset13 as ops
+
+    def number(value: float) -> Any:
+        return ops.constant(np.float32(value))
+
+    x = node.get_input(0)
+    t = ops.divide(number(1), ops.add(ops.multiply(x, number(0.5)), number(1)))
+    power = number(ERFC[0])
+    for coefficient in ERFC[1:]:
+        power = ops.add(ops.multiply(power, t), number(coefficient))
+    return ops.multiply(t, ops.exp(ops.subtract(power, ops.multiply(x, x)))).outputs()
+
+
+def kept_precise(core: openvino.Core, model: openvino.Model) -> openvino.Model:
+    """Mark what stays float32 in bfloat16: layers of the range image, logits, what follows them.
+
+    Python's interface cannot set the mark; OpenVINO's file format has it.
+    """
+    import openvino
+
+    with tempfile.TemporaryDirectory() as folder:
+        file = Path(folder, "model.xml")
+        openvino.save_model(model, file, compress_to_fp16=False)
+        tree, weights = ElementTree.parse(file), file.with_suffix(".bin").read_bytes()
+    after_logits = False
+    for layer in tree.getroot().iter("layer"):
+        if layer.get("type") in ("Convolution", "GroupConvolution"):
+            is_logits = f".{LOGITS}/" in str(layer.get("name"))
+            channels = int(layer.findall("input/port")[0].findall("dim")[1].text or 0)
+            after_logits |= is_logits
+            precise = is_logits or channels == len(CHANNELS)
+        else:
+            precise = after_logits and layer.get("type") not in ("Const", "Parameter", "Result")
+        if precise:
+            mark = ElementTree.Element("attribute", name="precise", version="0")
+            found = layer.find("rt_info")
+            if found is None:
+                found = ElementTree.Element("rt_info")
+                layer.insert(1 if layer.find("data") is not None else 0, found)
+            found.append(mark)
+    return core.read_model(ElementTree.tostring(tree.getroot()), weights)

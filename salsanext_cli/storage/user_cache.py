@@ -1,0 +1,76 @@
+# SPDX-License-Identifier: MIT
+"""Files in the user's cache folder: what can be made again, written whole and read checked."""
+
+from __future__ import annotations
+
+import hashlib
+import logging
+from collections.abc import Callable
+from contextlib import suppress
+from functools import cache
+from pathlib import Path
+
+from salsanext_cli.errors import OutputError
+from salsanext_cli.kernels import cache_folder
+from salsanext_cli.settings_files import words_of
+from salsanext_cli.storage.atomic import writing
+
+CHECKSUM_BYTES = 32
+MAX_FOLDER_BYTES = 2 << 30
+"""Size of a folder of the cache above which the files unused for longest are removed."""
+
+log = logging.getLogger(__name__)
+
+
+def cached(name: str, make: Callable[[], bytes]) -> bytes:
+    """Return the content of a file of the cache; it is made if it is missing or damaged.
+
+    Several processes may make it at once. Without a cache folder that can be written, it is made
+    each time, which is said once.
+    """
+    folder = cache_folder()
+    path = Path(folder, name)
+    if folder and (content := _read(path)) is not None:
+        return content
+    content = make()
+    if folder:
+        try:
+            with writing(path) as file:
+                file.write(content + hashlib.sha256(content).digest())
+            _remove_oldest(path)
+        except (OutputError, OSError) as error:
+            _say_once(words_of(error))
+    return content
+
+
+def _read(path: Path) -> bytes | None:
+    try:
+        content = path.read_bytes()
+        path.touch()
+    except FileNotFoundError:
+        return None
+    except OSError as error:
+        _say_once(words_of(error))
+        return None
+    data, checksum = content[:-CHECKSUM_BYTES], content[-CHECKSUM_BYTES:]
+    if hashlib.sha256(data).digest() == checksum:
+        return data
+    _say_once(f"{path} is damaged")
+    return None
+
+
+def _remove_oldest(newest: Path) -> None:
+    """Keep a folder of the cache below its size."""
+    with suppress(OSError):
+        files = [(file.stat(), file) for file in newest.parent.glob(f"*{newest.suffix}")]
+        total = sum(status.st_size for status, _ in files)
+        for status, file in sorted(files, key=lambda pair: pair[0].st_mtime):
+            if total <= MAX_FOLDER_BYTES or file == newest:
+                break
+            file.unlink(missing_ok=True)
+            total -= status.st_size
+
+
+@cache
+def _say_once(found: str) -> None:
+    log.warning("going on without the cache: %s", found)
