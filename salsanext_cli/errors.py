@@ -18,8 +18,6 @@ The library raises these; only the command line prints them and chooses the exit
 Anything else that escapes is a bug and keeps its traceback.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 NOTICE = 25

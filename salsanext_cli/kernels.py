@@ -7,8 +7,6 @@ several threads (its default) or not survive a fork (OpenMP), and both happen in
 data loaders.
 """
 
-from __future__ import annotations
-
 import hashlib
 import logging
 import os

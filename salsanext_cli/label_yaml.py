@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: MIT
 """Fields of a label space from data in the form of SemanticKITTI's yaml."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Mapping
 from itertools import islice
 from typing import Any

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: MIT
 """Import of open3d when it is first used, with the remedy where that fails."""
 
-from __future__ import annotations
-
 from typing import Any
 
 from salsanext_cli.errors import MissingDependency

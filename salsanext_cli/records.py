@@ -6,8 +6,6 @@ name says degrees. N is the number of points of a scan, H × W the size of its r
 number of classes including the unlabelled class 0.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

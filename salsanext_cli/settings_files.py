@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: MIT
 """Readers of YAML and TOML files in bounded time and memory."""
 
-from __future__ import annotations
-
 import stat
 import tomllib
 from collections.abc import Iterable

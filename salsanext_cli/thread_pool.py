@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: MIT
 """Thread pool of the process, for work on shared arrays."""
 
-from __future__ import annotations
-
 import os
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor, wait

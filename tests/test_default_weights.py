@@ -4,11 +4,7 @@
 import safetensors
 import torch
 
-from salsanext_cli.formats import read_scan
-from salsanext_cli.formats.kitti import read_labels
-from salsanext_cli.geometry.knn import knn_refine
-from salsanext_cli.geometry.projection import project
-from salsanext_cli.inference.network import load_network
+from salsanext_cli import knn_refine, load_network, project, read_labels, read_scan
 from salsanext_cli.network.weights import default_weights
 from salsanext_cli.stages.synth import synthesise
 from salsanext_cli.storage.layout import find_scans

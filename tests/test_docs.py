@@ -20,11 +20,9 @@ from command_line import every_command, parsed
 from scans import SMALL, make_scan, write_sequence
 
 import salsanext_cli
-from salsanext_cli import sensors
-from salsanext_cli.classes import LabelSpace
+from salsanext_cli import LabelSpace, Sensor, sensors
 from salsanext_cli.cli.app import COMMANDS, app
 from salsanext_cli.formats import SCAN_SUFFIXES
-from salsanext_cli.sensors import Sensor
 from salsanext_cli.stages import predict as stage
 from salsanext_cli.stages.models import models
 from salsanext_cli.storage.layout import SUFFIX_OF_FOLDER

@@ -13,9 +13,7 @@ import numpy as np
 import pytest
 from scans import make_scan, write_array, write_sequence
 
-from salsanext_cli.classes import label_space
-from salsanext_cli.formats.kitti import read_labels
-from salsanext_cli.inference.network import load_network
+from salsanext_cli import label_space, load_network, read_labels
 from salsanext_cli.measures.scores import scores
 from salsanext_cli.network.designs import SALSANET
 from salsanext_cli.network.registry import ARCHITECTURES

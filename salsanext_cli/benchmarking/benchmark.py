@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: MIT
 """Time and memory of each part of the method, beside the same method written plainly."""
 
-from __future__ import annotations
-
 import os
 import tempfile
 from collections.abc import Callable, Mapping, Sequence

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: MIT
 """Machine of a benchmark, its ceiling, and the least time of each part at it."""
 
-from __future__ import annotations
-
 import platform
 import time
 from collections.abc import Callable, Mapping

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: MIT
 """The toolkit's side of a benchmark: each part by public functions of the package."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any

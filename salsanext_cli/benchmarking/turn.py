@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: MIT
 """One turn of one side of a benchmark: its process, and the program that runs there."""
 
-from __future__ import annotations
-
 import importlib
 import json
 import os

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: MIT
 """Command line: all commands, in the order in which the help lists them."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from typing import Annotated, Any
 

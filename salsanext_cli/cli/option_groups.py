@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: MIT
 """Groups of options: dataclasses whose fields are expanded into the parameters of a command."""
 
-from __future__ import annotations
-
 import dataclasses
 import functools
 import inspect

@@ -5,8 +5,6 @@ In a shorter number type, layers that see the range image itself stay float32: e
 are metres. So do the logits.
 """
 
-from __future__ import annotations
-
 import copy
 
 import torch

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: MIT
 """A network ready to use: range image in, probabilities out."""
 
-from __future__ import annotations
-
 import logging
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager

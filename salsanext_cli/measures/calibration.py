@@ -9,8 +9,6 @@ Functions of counts take the right points, then the wrong ones, by index into `C
 (2, 15361) int64; and the number of bins.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 

@@ -5,8 +5,6 @@ Functions of counts take the number of right and of wrong points in bins of asce
 (B,) int64 each. Points in one bin are tied: scores are the mean over every order among them.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from typing import Any

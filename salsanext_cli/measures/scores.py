@@ -12,8 +12,6 @@ So a labelled point predicted "unlabelled" lowers the IoU of its class, but the 
 does not see it. `Scores.accuracy` is the plain share of labelled points that are right.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import asdict, dataclass
 from typing import Any

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: MIT
 """Errors of the softmax of points, and uncertainties that follow from a single softmax."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Any
 

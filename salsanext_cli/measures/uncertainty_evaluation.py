@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: MIT
 """Evaluation of probabilities and uncertainties: of all points, by class and by distance."""
 
-from __future__ import annotations
-
 import logging
 import math
 from collections.abc import Callable

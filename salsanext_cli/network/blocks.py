@@ -5,8 +5,6 @@ Every block is a plain composition of elementary modules, so that another view o
 network, such as one that propagates variances, can be derived from it instead of written again.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from itertools import pairwise
 

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: MIT
 """Costs of the networks and receptive fields, and the figures that the papers print."""
 
-from __future__ import annotations
-
 import copy
 from dataclasses import dataclass
 from decimal import ROUND_DOWN, ROUND_HALF_UP, Decimal

@@ -4,8 +4,6 @@
 Each rung of the papers' ladders (Table II) says only what differs from the one below it.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import partial

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: MIT
 """Channel dropout that can be sampled reproducibly at inference."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from contextvars import ContextVar

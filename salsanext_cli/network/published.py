@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: MIT
 """Checkpoints of the published implementation, read without running anything they contain."""
 
-from __future__ import annotations
-
 import io
 import re
 import struct

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: MIT
 """RangeNet53 (Milioto et al., IROS 2019), which the SalsaNext paper compares with."""
 
-from __future__ import annotations
-
 from torch import Tensor, nn
 
 from salsanext_cli.network.dropout import ChannelDropout

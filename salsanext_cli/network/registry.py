@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: MIT
 """Registry of the networks by name, as weights files and recipes give it."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping
 from functools import partial
 from typing import Any

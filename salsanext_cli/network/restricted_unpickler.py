@@ -6,8 +6,6 @@ tuples, dictionaries and dense tensors need; no function that it names is ever l
 called. Time and memory grow with the length of the pickle, whatever it says.
 """
 
-from __future__ import annotations
-
 import math
 import pickletools
 from collections.abc import Callable, Iterable

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: MIT
 """SalsaNext (arXiv 2003.03653, Figure 2) and its family: range image in, logits out."""
 
-from __future__ import annotations
-
 from itertools import pairwise
 
 from torch import Tensor, nn

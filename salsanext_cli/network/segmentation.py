@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: MIT
 """Interface of the networks, as training, prediction, sampling and the moments use it."""
 
-from __future__ import annotations
-
 from abc import abstractmethod
 from typing import Any
 

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: MIT
 """Building blocks of the decoders: upsample, join the skip connection, fuse (paper III-B)."""
 
-from __future__ import annotations
-
 import torch
 import torch.nn.functional as F
 from torch import Tensor, nn

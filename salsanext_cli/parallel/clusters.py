@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: MIT
 """Workers of a Dask or Ray cluster, or of one that is started on this machine."""
 
-from __future__ import annotations
-
 import logging
 import os
 import re

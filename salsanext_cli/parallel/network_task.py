@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: MIT
 """Task that needs a network, which each worker loads once."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace

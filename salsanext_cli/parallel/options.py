@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: MIT
 """Options of a run over scans: workers, backend, shard, errors, progress."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 

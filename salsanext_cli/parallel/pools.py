@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: MIT
 """Worker pools of this machine: threads, and processes that never live longer than their parent."""
 
-from __future__ import annotations
-
 import os
 import signal
 import threading

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: MIT
 """Run of one task over many scans: some done already, some in parallel, some failing."""
 
-from __future__ import annotations
-
 import logging
 import signal
 import warnings

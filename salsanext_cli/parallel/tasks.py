@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: MIT
 """Tasks: what a run does to each scan, and what comes of it."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterable, Iterator
 from functools import partial
 from typing import Any, Protocol, runtime_checkable

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: MIT
 """Numbers of workers and of their threads, so that all together use the cores once."""
 
-from __future__ import annotations
-
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: MIT
 """Workers of a run: attempts at the scans of a chunk, and a GPU for each worker."""
 
-from __future__ import annotations
-
 import getpass
 import hashlib
 import logging

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: MIT
 """Colours of labels and values, for pictures and point clouds."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any

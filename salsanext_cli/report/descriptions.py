@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: MIT
 """Tables that describe networks, weights files and sets of scans."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from typing import Any
 

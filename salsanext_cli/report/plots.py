@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: MIT
 """Plots of scores, the confusion matrix and the search for a dropout rate."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from pathlib import Path

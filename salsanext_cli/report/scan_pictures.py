@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: MIT
 """Pictures of a scan with its labels and results, and of a prediction during training."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import BinaryIO
 

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: MIT
 """Tables for a terminal: scores of an evaluation, and results of tuning and of a benchmark."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping, Sequence
 from itertools import groupby

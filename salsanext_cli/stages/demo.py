@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: MIT
 """Whole pipeline on a synthetic drive: generate, predict, sample, evaluate, export, draw."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, contextmanager
 from dataclasses import dataclass, replace

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: MIT
 """Evaluation of predictions against labels: scores, a report and plots."""
 
-from __future__ import annotations
-
 import logging
 from collections import defaultdict
 from collections.abc import Iterable, Mapping, Sequence

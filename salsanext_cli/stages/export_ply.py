@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: MIT
 """Stage `export-ply`: scans and results to coloured point clouds."""
 
-from __future__ import annotations
-
 import math
 from contextlib import suppress
 from dataclasses import replace

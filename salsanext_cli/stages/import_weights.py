@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: MIT
 """Import of a published checkpoint, or of weights of ours, as a weights file."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: MIT
 """Inspection of a set of scans: size, field of view, classes; a sensor fitted to them."""
 
-from __future__ import annotations
-
 import logging
 from dataclasses import dataclass, replace
 from functools import partial

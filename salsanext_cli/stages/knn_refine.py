@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: MIT
 """Stage `knn-refine`: pixel labels, or any point labels, to point labels by neighbours."""
 
-from __future__ import annotations
-
 from dataclasses import asdict
 from functools import partial
 from pathlib import Path

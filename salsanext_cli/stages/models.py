@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: MIT
 """Networks, their costs, and the metadata of weights files."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import asdict
 from pathlib import Path

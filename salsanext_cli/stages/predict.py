@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: MIT
 """Stage `predict`: scans to labels in memory, or range images on disk to pixel labels."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from dataclasses import asdict, replace

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: MIT
 """Stage `project`: scans to range images on disk."""
 
-from __future__ import annotations
-
 from functools import partial
 from pathlib import Path
 

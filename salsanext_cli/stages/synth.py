@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: MIT
 """Data set of synthetic streets, in SemanticKITTI's layout."""
 
-from __future__ import annotations
-
 import logging
 import os
 import signal

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: MIT
 """Stage `train`: a labelled data set to a run folder with weights, log and curve."""
 
-from __future__ import annotations
-
 import hashlib
 import math
 from collections.abc import Callable, Sequence

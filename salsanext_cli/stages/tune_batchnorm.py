@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: MIT
 """Stage `tune batchnorm`: batch-norm statistics re-estimated on scans without labels."""
 
-from __future__ import annotations
-
 import logging
 import math
 from collections.abc import Mapping

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: MIT
 """Stage `tune dropout`: the paper's grid search of the dropout rate to sample with."""
 
-from __future__ import annotations
-
 import logging
 from pathlib import Path
 from typing import Any

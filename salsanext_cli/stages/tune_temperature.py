@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: MIT
 """Stage `tune temperature`: the temperature of a network, fitted on labelled scans."""
 
-from __future__ import annotations
-
 import logging
 from collections.abc import Iterator, Sequence
 from dataclasses import replace

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: MIT
 """Stage `uncertainty`: scans to labels and uncertainties of their points."""
 
-from __future__ import annotations
-
 import logging
 from dataclasses import asdict, replace
 from functools import partial

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: MIT
 """Write a file whole or not at all: temporary name in the same folder, then rename."""
 
-from __future__ import annotations
-
 import errno
 import os
 import re

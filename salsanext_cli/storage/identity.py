@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: MIT
 """Identity of a file: its digest, and what tells it from a later file of its name."""
 
-from __future__ import annotations
-
 import hashlib
 from functools import cache
 from pathlib import Path

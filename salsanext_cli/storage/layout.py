@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: MIT
 """Layout of scans, labels and results: the folders of SemanticKITTI, and plain ones."""
 
-from __future__ import annotations
-
 import os
 from collections.abc import Collection, Iterable, Iterator
 from dataclasses import dataclass

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: MIT
 """Locks between processes, also of several machines, that end with the process that holds them."""
 
-from __future__ import annotations
-
 import errno
 import logging
 from collections.abc import Iterator

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: MIT
 """The run of a stage that fills an output folder: settings, lock, results there and missing."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass, replace

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: MIT
 """Scans, labels and clouds written to disk, each file whole or not at all."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: MIT
 """Predictions in an output folder: their scans, their label space and their provenance."""
 
-from __future__ import annotations
-
 import logging
 from collections.abc import Mapping
 from dataclasses import asdict

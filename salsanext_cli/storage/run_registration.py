@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: MIT
 """Registration of a run in an output folder: its settings recorded, or the run refused."""
 
-from __future__ import annotations
-
 import logging
 from collections.abc import Iterable, Iterator
 from contextlib import ExitStack, contextmanager

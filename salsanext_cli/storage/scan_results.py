@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: MIT
 """Everything known about the points of a scan: its own values, labels, truth, uncertainty."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: MIT
 """Selection of the scans that a stage works on, and their label space."""
 
-from __future__ import annotations
-
 import logging
 from collections.abc import Sequence
 from dataclasses import dataclass, replace

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: MIT
 """Scans behind the results of an output folder: where they lie, and which were asked for."""
 
-from __future__ import annotations
-
 import logging
 import os
 from collections.abc import Iterable, Sequence

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: MIT
 """Record of a stage in an output folder, ``OUT/<stage>.json``: settings, results and scans."""
 
-from __future__ import annotations
-
 import hashlib
 import json
 from collections.abc import Iterable, Mapping

@@ -7,8 +7,6 @@ ever appended, each before its file gets its name. Every machine of a cluster ha
 own, since appending to one file over a network loses lines.
 """
 
-from __future__ import annotations
-
 import os
 import re
 import socket

@@ -8,8 +8,6 @@ et al. 2022) sector by sector of azimuth, RangeFormer (Kong et al. 2023) box by 
 image; the last two add points of rare classes of another scan.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from typing import Self

@@ -6,8 +6,6 @@ name of parameter, and the ``losses`` of the epoch. Progress, scaler and a check
 header. Nothing in it is ever unpickled.
 """
 
-from __future__ import annotations
-
 import hashlib
 import json
 from collections import defaultdict

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: MIT
 """Class counts: points of every class in labelled scans, and the class weights from them."""
 
-from __future__ import annotations
-
 import hashlib
 import json
 from collections.abc import Iterable, Sequence

@@ -5,8 +5,6 @@ Everything drawn for a sample comes from a generator of its own, seeded by the r
 the sample's position in the whole training.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from itertools import islice

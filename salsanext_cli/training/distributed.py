@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: MIT
 """Process group of a training: the workers that torchrun started to train one network."""
 
-from __future__ import annotations
-
 import logging
 import os
 from collections.abc import Callable, Iterable, Iterator

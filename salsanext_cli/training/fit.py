@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: MIT
 """Training loop: steps, validation, log, weights and checkpoint of every epoch."""
 
-from __future__ import annotations
-
 import logging
 import math
 import time

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: MIT
 """Learner: a network in training, its optimiser, and its steps: forward, loss, backward, update."""
 
-from __future__ import annotations
-
 import copy
 import math
 from contextlib import AbstractContextManager, nullcontext

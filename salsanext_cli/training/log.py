@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: MIT
 """Log of a training: a table, a curve, and events for TensorBoard."""
 
-from __future__ import annotations
-
 import csv
 import io
 import logging

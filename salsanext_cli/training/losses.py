@@ -5,8 +5,6 @@ Both look only at pixels whose truth is a class that counts; a batch without any
 loss 0 and gradient 0.
 """
 
-from __future__ import annotations
-
 import torch
 from torch import Tensor, nn
 from torch.nn import functional as F

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: MIT
 """Recipe of a training: typed settings with defaults that work, read from small TOML files."""
 
-from __future__ import annotations
-
 import json
 import math
 import tomllib

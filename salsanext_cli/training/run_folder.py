@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: MIT
 """Run folder of a training: its files, its settings, its lock, and whose files lie in it."""
 
-from __future__ import annotations
-
 import logging
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, suppress

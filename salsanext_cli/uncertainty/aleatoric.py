@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: MIT
 """Aleatoric uncertainty: the sensor's noise carried through the network (paper III-C.1)."""
 
-from __future__ import annotations
-
 import torch
 
 from salsanext_cli.geometry.normalise import input_variance

@@ -5,8 +5,6 @@ A dropped channel is dropped at all of its pixels, so what it does to neighbouri
 average out, as independent noise would.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from itertools import product
 from typing import Any, ClassVar

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: MIT
 """Moments of the functions that are not linear: LeakyReLU and softmax of Gaussians."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: MIT
 """Epistemic uncertainty by Monte-Carlo dropout (paper III-C.2)."""
 
-from __future__ import annotations
-
 import hashlib
 from collections.abc import Sequence
 from functools import partial

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: MIT
 """Settings of uncertainty: which method estimates it, with which numbers."""
 
-from __future__ import annotations
-
 import logging
 from dataclasses import dataclass, replace
 from typing import Any

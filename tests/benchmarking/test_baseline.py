@@ -12,14 +12,10 @@ import pytest
 import torch
 from scans import SMALL, make_scan, write_weights
 
+from salsanext_cli import RangeImage, Scan, knn_refine, load_network, project, read_labels
 from salsanext_cli.benchmarking import product
-from salsanext_cli.formats.kitti import read_labels
-from salsanext_cli.geometry.knn import knn_refine
-from salsanext_cli.geometry.projection import project
-from salsanext_cli.inference.network import load_network
 from salsanext_cli.inference.settings import NetworkSettings
 from salsanext_cli.measures.confusion import Confusion
-from salsanext_cli.records import RangeImage, Scan
 from salsanext_cli.stages.predict import predict_scans
 from salsanext_cli.storage.point_files import write_bin
 from salsanext_cli.uncertainty.aleatoric import aleatoric

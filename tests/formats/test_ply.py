@@ -8,10 +8,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
+from salsanext_cli import read_scan, write_ply
 from salsanext_cli.errors import FormatError, MissingDependency
-from salsanext_cli.formats import read_scan
 from salsanext_cli.formats.ply import read_ply
-from salsanext_cli.storage.point_files import write_ply
 
 SCALARS = ["?", "u1", "i1", "u2", "i2", "u4", "i4", "i8", "f2", "f4", "f8"]
 

@@ -18,9 +18,7 @@ from empty_runs import begin_and_end
 from scans import SMALL, make_scan, write_sequence
 from tiny_network import TinyNetwork
 
-from salsanext_cli.classes import LabelSpace, label_space
-from salsanext_cli.formats import read_scan
-from salsanext_cli.formats.kitti import read_labels
+from salsanext_cli import LabelSpace, label_space, project, read_labels, read_scan, sensor
 from salsanext_cli.formats.npy import (
     encode_array,
     read_array,
@@ -28,10 +26,8 @@ from salsanext_cli.formats.npy import (
     read_uncertainty,
 )
 from salsanext_cli.geometry.coverage import field_of_view_coverage
-from salsanext_cli.geometry.projection import project
 from salsanext_cli.network.published import read_published
 from salsanext_cli.network.weights import WeightsCard, read_weights, save_weights
-from salsanext_cli.sensors import sensor
 from salsanext_cli.storage.json_files import read_json
 from salsanext_cli.storage.layout import find_scans
 from salsanext_cli.storage.point_files import write_labels, write_ply

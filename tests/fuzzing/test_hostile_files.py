@@ -8,12 +8,10 @@ import pytest
 from limits import bounded
 from scans import SMALL
 
-from salsanext_cli.classes import label_space
+from salsanext_cli import label_space, read_scan, sensor
 from salsanext_cli.errors import FormatError, OutputError, UsageError, WeightsError
-from salsanext_cli.formats import read_scan
 from salsanext_cli.formats.npy import read_array
 from salsanext_cli.network.weights import WeightsCard, read_weights
-from salsanext_cli.sensors import sensor
 from salsanext_cli.storage.json_files import read_json
 from salsanext_cli.training.recipe import recipe
 

@@ -4,10 +4,7 @@
 import numpy as np
 import pytest
 
-from salsanext_cli.formats import read_scan
-from salsanext_cli.geometry.projection import project
-from salsanext_cli.records import Scan
-from salsanext_cli.sensors import sensor
+from salsanext_cli import Scan, project, read_scan, sensor
 
 
 @pytest.fixture(scope="session")

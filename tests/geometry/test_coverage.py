@@ -8,15 +8,14 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scans import SMALL, make_scan
 
+from salsanext_cli import Scan, project
 from salsanext_cli.geometry.coverage import (
     EARLY_SCANS,
     CoverageCheck,
     FieldOfViewCoverage,
     field_of_view_coverage,
 )
-from salsanext_cli.geometry.projection import project
 from salsanext_cli.geometry.ranges import measured_ranges
-from salsanext_cli.records import Scan
 
 DROPPING = replace(SMALL, out_of_view="drop")
 

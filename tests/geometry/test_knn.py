@@ -11,11 +11,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from slow_geometry import DEVICES, ON_TORCH, published_refine, slow_refine
 
+from salsanext_cli import KnnParameters, RangeImage, knn_refine, project, sensor
 from salsanext_cli.errors import LabelError, UsageError
-from salsanext_cli.geometry.knn import KnnParameters, knn_refine
-from salsanext_cli.geometry.projection import project
-from salsanext_cli.records import RangeImage
-from salsanext_cli.sensors import sensor
 
 
 def image_of(ranges, pixels=None, point_range=None):

@@ -12,11 +12,9 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays
 from slow_geometry import DEVICES, ON_TORCH, slow_project
 
+from salsanext_cli import Scan, Sensor, project, sensor
 from salsanext_cli.geometry import projection_torch
-from salsanext_cli.geometry.projection import project
 from salsanext_cli.geometry.projection_numba import arctan2
-from salsanext_cli.records import Scan
-from salsanext_cli.sensors import Sensor, sensor
 
 FIELDS = ("channels", "pixel_of_point", "point_of_pixel", "point_range")
 WIDE = Sensor("wide", 90, -90, 4, 8)

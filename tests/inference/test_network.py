@@ -6,13 +6,11 @@ import pytest
 import torch
 from scans import SMALL, make_scan, write_weights
 
+from salsanext_cli import Scan, Sensor, project
 from salsanext_cli.errors import UsageError, WeightsError
 from salsanext_cli.geometry.normalise import normalise
-from salsanext_cli.geometry.projection import project
 from salsanext_cli.inference.network import choose_device, load_network, with_dropout
 from salsanext_cli.network.dropout import dropouts
-from salsanext_cli.records import Scan
-from salsanext_cli.sensors import Sensor
 
 
 @pytest.fixture(scope="module")

@@ -6,9 +6,7 @@ import logging
 import numpy as np
 import pytest
 
-from salsanext_cli.geometry.knn import knn_refine
-from salsanext_cli.geometry.projection import project
-from salsanext_cli.inference.network import load_network
+from salsanext_cli import knn_refine, load_network, project
 from salsanext_cli.measures.confusion import Confusion
 from salsanext_cli.measures.scores import scores
 from salsanext_cli.storage.layout import find_scans

@@ -9,8 +9,7 @@ from evaluated import small_space
 from hypothesis import given
 from hypothesis import strategies as st
 
-from salsanext_cli.classes import LabelSpace, label_space
-from salsanext_cli.formats.kitti import read_labels
+from salsanext_cli import LabelSpace, label_space, read_labels
 from salsanext_cli.measures.confusion import Confusion
 from salsanext_cli.measures.scores import scores
 

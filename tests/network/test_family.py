@@ -10,8 +10,7 @@ import torch
 from scans import SMALL, lively, make_scan
 from torch import nn
 
-from salsanext_cli.classes import label_space
-from salsanext_cli.geometry.projection import project
+from salsanext_cli import label_space, project, sample
 from salsanext_cli.inference.network import Network, with_dropout
 from salsanext_cli.network.dropout import dropouts, sampling
 from salsanext_cli.network.registry import ARCHITECTURES, build
@@ -21,7 +20,6 @@ from salsanext_cli.training.recipe import Recipe
 from salsanext_cli.uncertainty.adf import Gaussian, propagate
 from salsanext_cli.uncertainty.aleatoric import aleatoric
 from salsanext_cli.uncertainty.dropout_propagation import propagate_dropout
-from salsanext_cli.uncertainty.monte_carlo import sample
 
 NAMES = list(ARCHITECTURES)
 TWINS = {"salsanet-shuffle": "salsanext", "salsanext-v1-pooling": "salsanext-v1"}

@@ -7,8 +7,7 @@ from matplotlib.image import imread
 from scans import SMALL, write_sequence
 from tiny_network import TinyNetwork
 
-from salsanext_cli.classes import label_space
-from salsanext_cli.inference.network import Network
+from salsanext_cli import Network, label_space
 from salsanext_cli.network.weights import WeightsCard
 from salsanext_cli.report.colours import EMPTY
 from salsanext_cli.report.scan_pictures import GAP_PX, ROW_HEIGHT_PX, draw_sample

@@ -12,10 +12,8 @@ import pytest
 from empty_runs import begin_and_end
 from scans import files_below, write_sequence
 
-from salsanext_cli import __version__
-from salsanext_cli.classes import label_space
+from salsanext_cli import __version__, label_space, sensor
 from salsanext_cli.errors import OutputError
-from salsanext_cli.sensors import sensor
 from salsanext_cli.storage import run_registration
 from salsanext_cli.storage.atomic import STALE_AFTER_S
 from salsanext_cli.storage.layout import ScanFile, find_scans

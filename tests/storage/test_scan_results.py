@@ -3,9 +3,8 @@ import numpy as np
 import pytest
 from scans import make_scan, write_array
 
-from salsanext_cli.classes import label_space
+from salsanext_cli import Scan, label_space
 from salsanext_cli.errors import FormatError, LabelError
-from salsanext_cli.records import Scan
 from salsanext_cli.storage.layout import find_scans
 from salsanext_cli.storage.point_files import write_bin, write_labels
 from salsanext_cli.storage.scan_results import ScanResults, read_results, scalar_columns

@@ -8,9 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scans import SMALL, make_scan
 
-from salsanext_cli.classes import label_space
-from salsanext_cli.geometry.projection import project
-from salsanext_cli.records import Scan
+from salsanext_cli import Scan, label_space, project
 from salsanext_cli.training.augment import (
     CLEAR_RADIUS_M,
     Checkerboard,

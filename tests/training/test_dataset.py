@@ -7,9 +7,8 @@ import pytest
 import torch
 from scans import SMALL, write_sequence
 
-from salsanext_cli.classes import label_space
+from salsanext_cli import label_space, project
 from salsanext_cli.formats.kitti import read_bin, read_labels
-from salsanext_cli.geometry.projection import project
 from salsanext_cli.storage.layout import ScanFile, find_scans
 from salsanext_cli.training.class_counts import (
     class_shares,

@@ -4,10 +4,8 @@ from pathlib import Path
 import numpy as np
 from scans import SMALL, write_sequence
 
+from salsanext_cli import knn_refine, load_network, project
 from salsanext_cli.formats.kitti import read_bin, read_labels
-from salsanext_cli.geometry.knn import knn_refine
-from salsanext_cli.geometry.projection import project
-from salsanext_cli.inference.network import load_network
 from salsanext_cli.storage.layout import find_scans
 from salsanext_cli.training.fit import validate
 

@@ -4,8 +4,7 @@
 import pytest
 from scans import SMALL, make_scan
 
-from salsanext_cli.geometry.projection import project
-from salsanext_cli.inference.network import load_network
+from salsanext_cli import load_network, project
 
 
 @pytest.fixture(scope="module")

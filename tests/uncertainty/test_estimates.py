@@ -8,11 +8,10 @@ import pytest
 import torch
 from scans import write_weights
 
+from salsanext_cli import load_network, sample
 from salsanext_cli.errors import WeightsError
-from salsanext_cli.inference.network import load_network
 from salsanext_cli.uncertainty.aleatoric import aleatoric
 from salsanext_cli.uncertainty.dropout_propagation import propagate_dropout
-from salsanext_cli.uncertainty.monte_carlo import sample
 
 EPISTEMIC = pytest.mark.parametrize(
     "estimate",

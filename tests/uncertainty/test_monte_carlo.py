@@ -6,9 +6,9 @@ import pytest
 import torch
 from scans import SMALL, make_scan
 
+from salsanext_cli import project, sample
 from salsanext_cli.errors import UsageError
 from salsanext_cli.geometry.normalise import normalise
-from salsanext_cli.geometry.projection import project
 from salsanext_cli.network.dropout import ChannelDropout, sampling
 from salsanext_cli.uncertainty.aleatoric import aleatoric
 from salsanext_cli.uncertainty.dropout_propagation import propagate_dropout
@@ -18,7 +18,6 @@ from salsanext_cli.uncertainty.monte_carlo import (
     on_gpu,
     on_threads,
     pass_seed,
-    sample,
     scan_seed,
 )
 

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: MIT
 """Objective of a dropout rate: how well total variances explain errors (arXiv 1907.06890)."""
 
-from __future__ import annotations
-
 import math
 from typing import Any
 

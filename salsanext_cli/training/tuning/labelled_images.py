@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: MIT
 """Labelled scans in the classes of a network, point by point, to tune on."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from pathlib import Path
 

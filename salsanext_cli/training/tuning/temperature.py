@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: MIT
 """Temperature scaling (arXiv 1706.04599): one number that calibrates a softmax."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator
 

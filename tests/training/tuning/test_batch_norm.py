@@ -10,9 +10,7 @@ from hypothesis import strategies as st
 from scans import SMALL, lively, make_scan
 from torch import nn
 
-from salsanext_cli.classes import label_space
-from salsanext_cli.geometry.projection import project
-from salsanext_cli.inference.network import Network
+from salsanext_cli import Network, label_space, project
 from salsanext_cli.network.rangenet53 import RangeNet53
 from salsanext_cli.network.registry import ARCHITECTURES, build
 from salsanext_cli.network.segmentation import SegmentationNetwork
