@@ -15,7 +15,7 @@ from salsanext_cli.inference.settings import NetworkSettings
 from salsanext_cli.measures.confusion import Confusion
 from salsanext_cli.measures.scan_counts import ScanCounts, count_scan
 from salsanext_cli.measures.scores import scores
-from salsanext_cli.network.weights import default_weights, read_card
+from salsanext_cli.network.card import default_weights, read_card
 from salsanext_cli.sensors import sensor
 from salsanext_cli.stages.predict import predict_scans
 from salsanext_cli.stages.tune_batchnorm import tune_batchnorm

@@ -110,3 +110,8 @@ class WorkersLost(SalsanextError):  # noqa: N818 - the name says what is wrong
 
 class MissingDependency(SalsanextError):  # noqa: N818 - the name says what is wrong
     """An optional package or a system library is absent."""
+
+
+def out_of_memory(error: BaseException) -> bool:
+    """Say whether memory ran out: Python's, or a GPU's, whose error torch defines."""
+    return isinstance(error, MemoryError) or type(error).__name__ == "OutOfMemoryError"

@@ -48,7 +48,7 @@ def compiled(function: Function) -> Function:
     kernel: Any = numba.njit(nogil=True, error_model="numpy")(function)
     settings = vars(numba.config)
     before = settings["CACHE_DIR"]
-    settings["CACHE_DIR"] = before or cache_folder()
+    settings["CACHE_DIR"] = before or kernel_folder()
     try:
         kernel._cache = KernelCache(function)
     except CACHE_ERRORS as error:
@@ -120,7 +120,7 @@ def warn_once(error: Exception) -> None:
 
 
 def cache_folder() -> str:
-    """Return where compiled kernels are kept: ``$XDG_CACHE_HOME/salsanext`` or the like.
+    """Return the user's cache folder: ``$XDG_CACHE_HOME/salsanext`` or the like.
 
     It is empty, for nowhere, if the user has no home.
     """
@@ -128,7 +128,17 @@ def cache_folder() -> str:
         home = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
     except RuntimeError:
         return ""
-    return str(Path(home) / "salsanext" / "kernels")
+    return str(Path(home) / "salsanext")
+
+
+def kernel_folder() -> str:
+    """Return the folder of compiled kernels in the cache; empty for nowhere."""
+    return cache_folder() and str(Path(cache_folder(), "kernels"))
+
+
+def thread_count() -> int:
+    """Return how many threads this process may use: all cores unless NUMBA_NUM_THREADS is set."""
+    return int(vars(numba.config)["NUMBA_NUM_THREADS"])
 
 
 def argument(array: npt.NDArray[Any], dtype: npt.DTypeLike) -> npt.NDArray[Any]:
@@ -146,8 +156,7 @@ def parallel_for_slices(work: Callable[[slice], object], count: int) -> None:
     does for its workers. Each call must write to its own part only, so that the result does not
     depend on their number.
     """
-    cores: int = vars(numba.config)["NUMBA_NUM_THREADS"]
-    threads = max(1, min(cores, count // MIN_SLICE_ITEMS))
+    threads = max(1, min(thread_count(), count // MIN_SLICE_ITEMS))
     borders = [count * part // threads for part in range(threads + 1)]
     slices = iter([slice(start, stop) for start, stop in pairwise(borders)])
 

@@ -10,8 +10,9 @@ import torch
 from torch import nn
 
 from salsanext_cli import LabelSpace, Scan, Sensor, label_space, write_labels
+from salsanext_cli.network.card import WeightsCard
 from salsanext_cli.network.salsanext import SalsaNext
-from salsanext_cli.network.weights import WeightsCard, save_weights
+from salsanext_cli.network.weights import save_weights
 from salsanext_cli.storage.point_files import write_bin
 from salsanext_cli.storage.written_files import RECORDS
 

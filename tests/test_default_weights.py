@@ -5,7 +5,7 @@ import safetensors
 import torch
 
 from salsanext_cli import knn_refine, load_network, project, read_labels, read_scan
-from salsanext_cli.network.weights import default_weights
+from salsanext_cli.network.card import default_weights
 from salsanext_cli.stages.synth import synthesise
 from salsanext_cli.storage.layout import find_scans
 from salsanext_cli.training.recipe import Recipe, recipe

@@ -14,9 +14,9 @@ from salsanext_cli.benchmarking.turn import take_turn
 from salsanext_cli.errors import UsageError, WeightsError
 from salsanext_cli.formats import read_scan
 from salsanext_cli.geometry.normalise import noise_of
-from salsanext_cli.inference.network import choose_device
+from salsanext_cli.inference.device import choose_device, choose_precision
 from salsanext_cli.inference.settings import NetworkSettings
-from salsanext_cli.network.weights import WeightsCard, default_weights, read_card
+from salsanext_cli.network.card import WeightsCard, default_weights, read_card
 from salsanext_cli.sensors import Sensor
 from salsanext_cli.storage.point_files import write_bin
 from salsanext_cli.storage.selection import ScanSelection, select_scans
@@ -45,7 +45,7 @@ def benchmark(
     source, selection : Path, ScanSelection
         The scans; every round takes the next one.
     network : NetworkSettings
-        Weights of SalsaNext, device, sensor and precision.
+        Weights of SalsaNext, device, sensor, precision and engine.
     parts : sequence of str
         Some of `PARTS`.
     rounds, passes : int
@@ -75,8 +75,9 @@ def benchmark(
     sensor_of_scans = replace(sensor, intensity_scale=1.0)
     task: dict[str, Any] = {
         "weights": str(weights.resolve()),
-        "device": str(choose_device(network.device)),
-        "precision": network.precision,
+        "device": choose_device(network.device),
+        "precision": choose_precision(network.precision, choose_device(network.device)),
+        "engine": network.engine,
         "sensor": sensor_of_scans.to_dict(),
         "samples": SAMPLES,
         **counts,

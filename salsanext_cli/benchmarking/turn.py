@@ -76,7 +76,7 @@ def _command(side: str, part: str, task: Mapping[str, Any], scan: Path) -> tuple
     options += ["--sensor", scan.with_name("sensor.toml")]
     if side == "baseline":
         return (PYTHON, baseline_path(), scan, scan.with_suffix(".label"), *options)
-    options += ["--precision", task["precision"], "--quiet"]
+    options += ["--precision", task["precision"], "--engine", task["engine"], "--quiet"]
     return (PYTHON, "-m", "salsanext_cli", "predict", scan, scan.with_suffix(".out"), *options)
 
 

@@ -141,17 +141,23 @@ class NetworkOptions:
         default="auto",
         envvar="SALSANEXT_PRECISION",
     )
+    engine: str = network_option(
+        "openvino (CPUs) or torch; auto takes OpenVINO on a CPU where it runs.",
+        default="auto",
+        envvar="SALSANEXT_ENGINE",
+    )
     sensor: str | None = network_option(SENSOR_HELP, show_default="the sensor of the weights")
 
     def settings(self) -> NetworkSettings:
         """Build the settings that stages take."""
         from salsanext_cli.inference.settings import NetworkSettings
 
-        return NetworkSettings(self.weights, self.device, sensor(self.sensor), self.precision)
+        named = sensor(self.sensor)
+        return NetworkSettings(self.weights, self.device, named, self.precision, self.engine)
 
     def sensor_to_project(self) -> Sensor:
         """Return the sensor that was named, else the one that the weights were trained with."""
-        from salsanext_cli.network.weights import default_weights, read_card
+        from salsanext_cli.network.card import default_weights, read_card
 
         return sensor(self.sensor) or read_card(self.weights or default_weights()).sensor
 

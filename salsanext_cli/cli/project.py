@@ -13,7 +13,7 @@ def project(
     out: options.Out = Path("out"),
     *,
     selection: options.Selection,
-    network: Annotated[options.NetworkOptions, Without({"device", "precision"})],
+    network: Annotated[options.NetworkOptions, Without({"device", "precision", "engine"})],
     running: run_options.Running,
     output: console.Output,
 ) -> None:

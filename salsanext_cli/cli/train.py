@@ -50,7 +50,9 @@ def train(
     *,
     start: Start,
     classes: options.Classes,
-    network: Annotated[options.NetworkOptions, Without({"weights", "precision", "sensor"})],
+    network: Annotated[
+        options.NetworkOptions, Without({"weights", "precision", "engine", "sensor"})
+    ],
     local: run_options.Local,
     output: console.Output,
 ) -> None:

@@ -5,8 +5,6 @@ A graph is made from the torch module by OpenVINO's own front end, in this proce
 command-line converter, which reports its use. What was compiled before is loaded without torch.
 """
 
-from __future__ import annotations
-
 import hashlib
 import tempfile
 import warnings
@@ -18,13 +16,13 @@ from xml.etree import ElementTree
 
 import numpy as np
 
-from salsanext_cli.inference.processor import processor
+from salsanext_cli.inference.device import processor
 from salsanext_cli.records import CHANNELS, Float
 from salsanext_cli.storage.user_cache import cached
 
 if TYPE_CHECKING:
     import openvino
-    from torch import nn
+    from torch import Tensor, nn
 
 HINTS = {"float32": "f32", "bfloat16": "bf16"}
 LOGITS = "logits"
@@ -35,7 +33,7 @@ ERFC = (
 )
 """Coefficients of ln(erfc(x)/t) + x² in t = 1/(1 + x/2), highest power first; relative error below
 1.2e-7 (Press et al., Numerical Recipes, 1992, section 6.2)."""
-Shapes = Sequence[tuple[int, ...]]
+Traceable = tuple["nn.Module", Callable[..., Any], "Sequence[Tensor]"]
 
 
 class Graph:
@@ -47,7 +45,7 @@ class Graph:
         With one stream or several, each for calls side by side.
     """
 
-    def __init__(self, compiled: openvino.CompiledModel) -> None:
+    def __init__(self, compiled: "openvino.CompiledModel") -> None:
         self.compiled = compiled
         self.request = compiled.create_infer_request()
 
@@ -61,55 +59,44 @@ class Graph:
         found = self.request.infer(dict(enumerate(inputs)), share_inputs=True)
         return list(found.values())
 
-    def each(
-        self, calls: Sequence[Sequence[Float]], take: Callable[[int, list[Float]], object]
-    ) -> None:
-        """Compute several times side by side; `take` gets number and outputs, in any order."""
+    def each(self, calls: Sequence[Sequence[Float]]) -> list[list[Float]]:
+        """Compute several times side by side; return the outputs in the order of the calls."""
         from openvino import AsyncInferQueue
 
-        failures: list[BaseException] = []
+        found: list[list[Float]] = [[]] * len(calls)
 
-        def finished(request: openvino.InferRequest, number: int) -> None:
-            try:
-                take(number, [tensor.data for tensor in request.output_tensors])
-            except BaseException as error:
-                failures.append(error)
+        def keep(request: "openvino.InferRequest", number: int) -> None:
+            found[number] = [tensor.data.copy() for tensor in request.output_tensors]
 
         queue = AsyncInferQueue(self.compiled)
-        queue.set_callback(finished)
+        queue.set_callback(keep)
         for number, inputs in enumerate(calls):
             queue.start_async(dict(enumerate(inputs)), number, share_inputs=True)
         queue.wait_all()
-        if failures:
-            raise failures[0]
+        return found
 
 
 def graph(
-    name: str,
-    make: Callable[[], nn.Module],
-    shapes: Shapes,
+    make: Callable[[], Traceable],
     *,
-    key: str | None,
+    key: object,
     precision: str = "float32",
     threads: int = 1,
     streams: int = 1,
 ) -> Graph:
-    """Return a part of a network, ready to compute; from the cache if it was compiled before.
+    """Return a function of a network, ready to compute; from the cache if it was compiled before.
 
     Parameters
     ----------
-    name : str
-        Of the part.
     make : callable
-        Returns the part as a torch module; called only if the cache does not hold it.
-    shapes : sequence of tuple of int
-        Of the part's inputs.
-    key : str, optional
-        What the part depends on besides: SHA-256 of the weights and the like. None: not cached.
+        Returns module, function and inputs as `converted` takes them; called only if the cache does
+        not hold the graph.
+    key : object
+        What the function depends on, with a `repr` of its own.
     precision : {"float32", "bfloat16"}
         Of all layers but those that see the range image or make the logits.
     threads, streams : int
-        Threads in all, and calls that they compute side by side.
+        Threads in all, and calls that they compute side by side. No bit depends on them.
     """
     import openvino
 
@@ -121,35 +108,43 @@ def graph(
     core = openvino.Core()
 
     def compile_anew() -> bytes:
-        model = kept_precise(core, converted(make(), shapes))
+        model = converted(*make())
+        if precision != "float32":
+            model = partly_float32(core, model)
         blob: BytesIO = core.compile_model(model, "CPU", hints).export_model()
         return blob.getvalue()
 
-    if key is None:
-        content = compile_anew()
-    else:
-        depends = repr((key, name, shapes, precision, openvino.__version__, processor()))
-        digest = hashlib.sha256(depends.encode()).hexdigest()
-        content = cached(f"graphs/{digest[:32]}.blob", compile_anew)
-    return Graph(core.import_model(content, "CPU", hints))
+    depends = repr((key, precision, openvino.__version__, processor()))
+    name = f"graphs/{hashlib.sha256(depends.encode()).hexdigest()[:32]}.blob"
+    return Graph(core.import_model(cached(name, compile_anew), "CPU", hints))
 
 
-def converted(part: nn.Module, shapes: Shapes) -> openvino.Model:
-    """Return a torch module as a graph with inputs of some shapes."""
+def converted(
+    module: "nn.Module", function: Callable[..., Any], inputs: "Sequence[Tensor]"
+) -> "openvino.Model":
+    """Return ``function(module, *inputs)`` as a graph for inputs of these shapes."""
     import torch
     from openvino.frontend import FrontEndManager
     from openvino.frontend.pytorch import ConversionExtension
     from openvino.frontend.pytorch.ts_decoder import TorchScriptPythonDecoder
 
-    examples = tuple(torch.zeros(shape) for shape in shapes)
+    class Function(torch.nn.Module):
+        def __init__(self) -> None:
+            super().__init__()
+            self.module = module
+
+        def forward(self, *given: torch.Tensor) -> Any:
+            return function(self.module, *given)
+
     with torch.inference_mode(), warnings.catch_warnings():
         warnings.simplefilter("ignore")  # sizes become constants, as they should
-        traced = torch.jit.trace(part.eval(), examples, check_trace=False)
+        traced = torch.jit.trace(Function().eval(), tuple(inputs), check_trace=False)  # type: ignore[no-untyped-call]
         front_end = FrontEndManager().load_by_framework("pytorch")
         front_end.add_extension(ConversionExtension("aten::special_erfc", _erfc))
-        decoder = TorchScriptPythonDecoder(traced, example_input=examples)
+        decoder = TorchScriptPythonDecoder(traced, example_input=tuple(inputs))
         model: openvino.Model = front_end.convert(front_end.load(decoder))
-    model.reshape(dict(zip(model.inputs, map(list, shapes), strict=True)))
+    shapes = (list(tensor.shape) for tensor in inputs)
+    model.reshape(dict(zip(model.inputs, shapes, strict=True)))
     return model
 
 
@@ -168,7 +163,7 @@ def _erfc(node: Any) -> Any:
     return ops.multiply(t, ops.exp(ops.subtract(power, ops.multiply(x, x)))).outputs()
 
 
-def kept_precise(core: openvino.Core, model: openvino.Model) -> openvino.Model:
+def partly_float32(core: "openvino.Core", model: "openvino.Model") -> "openvino.Model":
     """Mark what stays float32 in bfloat16: layers of the range image, logits, what follows them.
 
     Python's interface cannot set the mark; OpenVINO's file format has it.

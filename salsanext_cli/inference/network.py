@@ -2,26 +2,29 @@
 """A network ready to use: range image in, probabilities out."""
 
 import logging
-from collections.abc import Callable, Iterable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
-from typing import TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
-import torch
-from torch import Tensor
 
-from salsanext_cli.errors import UsageError, WeightsError
+from salsanext_cli.errors import WeightsError, out_of_memory
 from salsanext_cli.geometry.normalise import normalise
-from salsanext_cli.inference.engine import choose_precision, engine_for
-from salsanext_cli.inference.parallel_for import single_threaded_torch
-from salsanext_cli.network.registry import build
-from salsanext_cli.network.segmentation import SegmentationNetwork
-from salsanext_cli.network.weights import WeightsCard, default_weights, read_weights
+from salsanext_cli.inference.device import choose_device, choose_engine, choose_precision
+from salsanext_cli.inference.graphs import Graph, graph
+from salsanext_cli.kernels import thread_count
+from salsanext_cli.network.card import WeightsCard, default_weights, read_card
 from salsanext_cli.records import Float, RangeImage
 from salsanext_cli.sensors import Sensor
+from salsanext_cli.storage.identity import fingerprint
+from salsanext_cli.storage.user_cache import cached
+
+if TYPE_CHECKING:
+    from torch import Tensor
+
+    from salsanext_cli.network.segmentation import SegmentationNetwork
 
 log = logging.getLogger(__name__)
 Item = TypeVar("Item")
@@ -34,67 +37,113 @@ class Network:
 
     Attributes
     ----------
-    module : SegmentationNetwork
-        (B, 5, H, W) normalised range images to (B, C, H, W) logits.
+    load_module : callable
+        Returns the network in torch, float32, on the device; called when it is first needed.
     card : WeightsCard
         Architecture, label space, sensor and origin of the weights.
     sensor : Sensor
         Geometry and normalisation of the range images: the card's unless another was asked for.
-    device : torch.device
-        Place of the module.
+    device : str
+        ``"cpu"``, ``"cuda"``, ``"cuda:1"`` …
     precision : {"float32", "bfloat16", "float16"}
-        Number type of the engine.
+        Number type that the engine computes in.
+    engine : {"openvino", "torch"}
+        Library that computes; OpenVINO needs `sha256`.
     weights : str
         Name of the weights file, for errors.
+    sha256 : str, optional
+        Of the weights file; None for weights that no file holds as they are.
     """
 
-    module: SegmentationNetwork
+    load_module: Callable[[], "SegmentationNetwork"]
     card: WeightsCard
     sensor: Sensor
-    device: torch.device
+    device: str = "cpu"
     precision: str = "float32"
+    engine: str = "torch"
     weights: str = "the weights"
+    sha256: str | None = None
 
     @cached_property
-    def engine(self) -> SegmentationNetwork:
-        """Engine that computes as the module does, faster; float32 in and out.
+    def module(self) -> "SegmentationNetwork":
+        """Network in torch: (B, 5, H, W) normalised range images to (B, C, H, W) logits."""
+        return self.load_module()
 
-        It is made on first use and does not follow later changes of the module.
-        """
-        return engine_for(self.module, self.device, self.precision)
+    @cached_property
+    def torch_module(self) -> "SegmentationNetwork":
+        """Network in torch that computes in the precision; float32 in and out."""
+        import torch
+
+        from salsanext_cli.inference.torch_engine import in_precision
+
+        if self.precision == "float32":
+            return self.module
+        return in_precision(self.module, getattr(torch, self.precision))
+
+    @cached_property
+    def _graphs(self) -> dict[tuple[str, int], Graph]:
+        return {}
 
     @cached_property
     def batch_sizes(self) -> dict[str, int]:
         """Number of items by name that there was room for at once; empty until memory runs out."""
         return {}
 
-    def input(self, channels: Float) -> Tensor:
+    def graph(
+        self,
+        name: str,
+        function: Callable[..., Any],
+        inputs: Callable[[], "Sequence[Tensor]"],
+        *,
+        precision: str | None = None,
+        streams: int = 1,
+    ) -> Graph:
+        """Return a function of the network as an OpenVINO graph for the sensor's images.
+
+        Parameters
+        ----------
+        name : str
+            Of the function.
+        function : callable
+            Takes the module and tensors, returns tensors.
+        inputs : callable
+            Returns tensors of the shapes that the function takes.
+        precision : str, optional
+            Number type, if not the network's.
+        streams : int
+            Calls that are computed side by side.
+        """
+        if (name, streams) not in self._graphs:
+            sensor = self.sensor
+            self._graphs[name, streams] = graph(
+                lambda: (self.module, function, inputs()),
+                key=(name, self.sha256, sensor.height, sensor.width),
+                precision=precision or self.precision,
+                threads=thread_count(),
+                streams=streams,
+            )
+        return self._graphs[name, streams]
+
+    def input_array(self, channels: Float) -> Float:
         """Return (5, H, W) channels normalised as the network takes them, (1, 5, H, W)."""
-        normalised = torch.from_numpy(normalise(channels, self.sensor))[None]
+        return normalise(channels, self.sensor)[None]
+
+    def input(self, channels: Float) -> "Tensor":
+        """Return what `input_array` does as a tensor on the device."""
+        import torch
+
+        normalised = torch.from_numpy(self.input_array(channels))
         return normalised.to(self.device, memory_format=torch.channels_last)
 
-    @contextmanager
-    def inference_mode(self) -> Iterator[None]:
-        """Set torch up for the engine while the body runs: no gradients, its threads or its GPU.
+    def example_input(self) -> "Tensor":
+        """Return an empty range image, (1, 5, H, W)."""
+        import torch
 
-        On a GPU float32 is float32, without the ten bits that convolutions may have by default,
-        and algorithms are those that give the same bits each time.
-        """
-        cudnn = {"enabled": True, "benchmark": False, "deterministic": True, "allow_tf32": False}
-        with torch.inference_mode():
-            if self.device.type == "cuda":
-                with torch.cuda.device(self.device), torch.backends.cudnn.flags(**cudnn):
-                    yield
-            elif self.engine.manages_threads:
-                with single_threaded_torch():
-                    yield
-            else:
-                yield
+        return torch.zeros(1, 5, self.sensor.height, self.sensor.width)
 
     def logits(self, image: RangeImage) -> Float:
         """Return the logits of every pixel, (C, H, W) float32."""
-        with self.inference_mode():
-            logits: Float = self.engine(self.input(image.channels))[0].cpu().numpy()
+        (logits,) = self._computed([image.channels], "logits", lambda logits: logits)
         return logits
 
     def probabilities(self, image: RangeImage, source: object = "a scan") -> Float:
@@ -130,16 +179,33 @@ class Network:
 
         Raises
         ------
-        torch.OutOfMemoryError
+        MemoryError
             If there is no room for a single one.
         """
+        temperature = self.card.temperature
+        return self._computed(
+            channels,
+            f"softmax at {temperature}",
+            lambda logits: (logits / temperature).softmax(dim=1),
+        )
 
-        def softmax(batch: Sequence[Float]) -> Iterable[Float]:
-            with self.inference_mode():
-                logits = self.engine(torch.cat([self.input(image) for image in batch]))
-                return torch.softmax(logits / self.card.temperature, dim=1).cpu().numpy()
+    def _computed(
+        self, channels: Sequence[Float], name: str, last: Callable[["Tensor"], "Tensor"]
+    ) -> list[Float]:
+        """Return (C, H, W) of each range image: a function of the logits (B, C, H, W)."""
+        if self.engine == "openvino":
+            compiled = self.graph(name, lambda m, x: last(m(x)), lambda: [self.example_input()])
+            return [compiled(self.input_array(image))[0][0] for image in channels]
+        import torch
 
-        return self.in_batches(softmax, channels, len(channels), "scans")
+        from salsanext_cli.inference.torch_engine import inference_mode
+
+        def batch(images: Sequence[Float]) -> Iterable[Float]:
+            with inference_mode(self.device):
+                logits = self.torch_module(torch.cat([self.input(image) for image in images]))
+                return last(logits).cpu().numpy()
+
+        return self.in_batches(batch, channels, len(channels), "scans")
 
     def in_batches(
         self,
@@ -154,7 +220,7 @@ class Network:
 
         Raises
         ------
-        torch.OutOfMemoryError
+        MemoryError
             If there is no room for a single item.
         """
         found: list[Result] = []
@@ -163,9 +229,11 @@ class Network:
             batch = items[len(found) : len(found) + size]
             try:
                 found.extend(function(batch))
-            except torch.OutOfMemoryError:
-                if len(batch) == 1:
+            except (MemoryError, RuntimeError) as error:
+                if not out_of_memory(error):
                     raise
+                if len(batch) == 1:
+                    raise MemoryError(f"no room for one of the {name}") from error
                 size = self.batch_sizes[name] = len(batch) // 2
                 log.warning("not enough memory for %d %s at once: %d now", len(batch), name, size)
         return found
@@ -182,6 +250,7 @@ def load_network(
     device: str = "auto",
     sensor: Sensor | None = None,
     precision: str = "float32",
+    engine: str = "auto",
 ) -> Network:
     """Load weights onto a device.
 
@@ -194,21 +263,46 @@ def load_network(
     sensor : Sensor, optional
         Origin of the range images, if not the sensor that the weights name.
     precision : str
-        As `engine.choose_precision` takes it; ``"auto"`` is what the device is fast at.
+        As `device.choose_precision` takes it; ``"auto"`` is what the device is fast at.
+    engine : str
+        As `device.choose_engine` takes it.
 
     Raises
     ------
     WeightsError
         If the file cannot be used.
     UsageError
-        If the device does not exist, or does not compute in that precision.
+        If the device does not exist, or does not compute in that precision or with that engine.
+    MissingDependency
+        If OpenVINO was asked for and does not start.
     """
-    module, card = read_weights(default_weights() if path is None else Path(path))
-    place = choose_device(device)
-    module = module.to(place).to(memory_format=torch.channels_last)  # type: ignore[call-overload]
-    chosen = choose_precision(precision, place)
-    name = "default weights" if path is None else str(path)
-    return Network(module, card, sensor or card.sensor, place, chosen, name)
+    file = default_weights() if path is None else Path(path)
+    card, place = read_card(file), choose_device(device)
+    network = Network(
+        lambda: _read_module(file, place),
+        card,
+        sensor or card.sensor,
+        place,
+        choose_precision(precision, place),
+        choose_engine(engine, place),
+        "default weights" if path is None else str(path),
+        fingerprint(file),
+    )
+    if network.engine == "torch":
+        _ = network.module
+    else:
+        # Reading checks them; what was read once by this version needs no torch.
+        cached(f"weights/{network.sha256}.checked", lambda: bool(network.module) * b"checked")
+    return network
+
+
+def _read_module(file: Path, device: str) -> "SegmentationNetwork":
+    import torch
+
+    from salsanext_cli.network.weights import read_weights
+
+    module, _ = read_weights(file)
+    return module.to(device).to(memory_format=torch.channels_last)  # type: ignore[call-overload, no-any-return]
 
 
 def with_dropout(network: Network, rate: float) -> Network:
@@ -216,29 +310,14 @@ def with_dropout(network: Network, rate: float) -> Network:
 
     One that was trained without dropout gets it where the paper has it.
     """
+    import torch
+
+    from salsanext_cli.network.registry import build
+
     architecture = {**network.card.architecture, "dropout": rate}
     # On "meta" nothing is drawn: torch's global generator stays as it is.
     with torch.device("meta"):
         module = build(architecture)
     module.load_state_dict(network.module.state_dict(), assign=True)
     card = replace(network.card, architecture=architecture)
-    return replace(network, module=module.eval(), card=card)
-
-
-def choose_device(name: str) -> torch.device:
-    """Return the device of a name; ``"auto"`` is the first GPU, else the CPU."""
-    if name == "auto":
-        return torch.device("cuda" if torch.cuda.is_available() else "cpu")
-    try:
-        device = torch.device(name)
-    except RuntimeError as error:
-        raise UsageError(f"device {name}", "no such device", "cpu, cuda, cuda:0 …") from error
-    if device.type == "cuda":
-        count = torch.cuda.device_count()
-        if (device.index or 0) >= count:
-            raise UsageError(
-                f"device {name}", f"{count} GPUs visible to torch", "one of them, or cpu"
-            )
-    elif device.type != "cpu":
-        raise UsageError(f"device {name}", "not supported", "cpu or cuda")
-    return device
+    return replace(network, load_module=module.eval, card=card)

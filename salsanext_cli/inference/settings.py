@@ -10,7 +10,7 @@ from typing import Any
 
 from salsanext_cli.errors import NOTICE, WeightsError
 from salsanext_cli.inference.network import Network, load_network
-from salsanext_cli.network.weights import default_weights
+from salsanext_cli.network.card import default_weights
 from salsanext_cli.sensors import Sensor
 from salsanext_cli.storage.identity import fingerprint
 
@@ -29,8 +29,8 @@ class NetworkSettings:
         As `load_network` takes it.
     sensor : Sensor, optional
         Origin of the scans, if not the sensor that the weights name.
-    precision : str
-        As `load_network` takes it.
+    precision, engine : str
+        As `load_network` takes them.
     sha256 : str, optional
         Of the weights that a run began with; others are refused.
     """
@@ -39,6 +39,7 @@ class NetworkSettings:
     device: str = "auto"
     sensor: Sensor | None = None
     precision: str = "float32"
+    engine: str = "auto"
     sha256: str | None = None
 
     @property
@@ -54,22 +55,28 @@ class NetworkSettings:
         WeightsError
             If the file cannot be used, or was replaced since the run began.
         UsageError
-            If the device does not exist, or does not compute in the precision.
+            If the device does not exist, or does not compute in the precision or with the engine.
         """
         if self.sha256 and self.sha256 != fingerprint(self.path):
             found = "was replaced since the run began"
             raise WeightsError(self.path, found, "the same file", "run again with --overwrite")
-        return load_network(self.weights, self.device, self.sensor, self.precision)
+        return load_network(self.weights, self.device, self.sensor, self.precision, self.engine)
 
     def resolved(self, network: Network) -> NetworkSettings:
-        """Log what computes, and return the settings for workers: same precision, same weights.
+        """Log what computes, and return the settings for workers: all the same, same weights.
 
-        What is "auto" here might be another number type on their machines, and a training that
-        goes on may replace its best weights.
+        What is "auto" here might be something else on their machines, and a training that goes on
+        may replace its best weights.
         """
         name = self.weights or "default weights"
-        log.log(NOTICE, "%s on %s in %s", name, network.device, network.precision)
-        return replace(self, precision=network.precision, sha256=fingerprint(self.path))
+        how = (network.device, network.engine, network.precision)
+        log.log(NOTICE, "%s on %s by %s in %s", name, *how)
+        return replace(
+            self,
+            precision=network.precision,
+            engine=network.engine,
+            sha256=fingerprint(self.path),
+        )
 
     def record(self, network: Network) -> dict[str, Any]:
         """Return what the results of a stage depend on, as plain data for its record."""
@@ -78,4 +85,5 @@ class NetworkSettings:
             "label_space": network.card.space.to_dict(),
             "sensor": {"name": network.sensor.name, **network.sensor.view()},
             "precision": network.precision,
+            "engine": network.engine,
         }

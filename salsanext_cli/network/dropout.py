@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: MIT
 """Channel dropout that can be sampled reproducibly at inference."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from contextvars import ContextVar
 
@@ -9,15 +9,16 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
 
-_GENERATORS: ContextVar[Sequence[torch.Generator] | None] = ContextVar("_GENERATORS", default=None)
+Draw = Callable[[int, float], Tensor]
+"""Function of a number of channels and a rate: factors of the channels, (B, C) float32."""
+_DRAW: ContextVar[Draw | None] = ContextVar("_DRAW", default=None)
 
 
 class ChannelDropout(nn.Module):
     """Drop whole channels with probability `rate`, scaling the rest by 1/(1 - rate).
 
-    In training mode the masks come from torch's global generator; inside `sampling` each element
-    of the batch is one Monte-Carlo pass and draws its masks from its own generator, on the CPU,
-    so that a pass does not depend on the device or on what else is in its batch.
+    In training mode the masks come from torch's global generator, inside `sampling` from what it
+    is given.
     """
 
     def __init__(self, rate: float) -> None:
@@ -28,12 +29,11 @@ class ChannelDropout(nn.Module):
 
     def forward(self, x: Tensor) -> Tensor:
         """Map (B, C, H, W) to the same shape."""
-        generators = _GENERATORS.get()
-        if generators is None or self.rate == 0:
+        draw = _DRAW.get()
+        if draw is None or self.rate == 0:
             return F.dropout2d(x, self.rate, self.training)
-        draws = torch.stack([torch.rand(x.shape[1], generator=g) for g in generators])
-        kept = (draws >= self.rate).to(x.dtype) / (1 - self.rate)
-        return x * kept.to(x.device)[:, :, None, None]
+        factors = draw(x.shape[1], self.rate)
+        return x * factors.to(x.device, x.dtype)[:, :, None, None]
 
     def extra_repr(self) -> str:
         """Describe the layer in the network's printout."""
@@ -45,14 +45,27 @@ def dropouts(module: nn.Module) -> list[ChannelDropout]:
     return [m for m in module.modules() if isinstance(m, ChannelDropout) and m.rate > 0]
 
 
+def drawn(generators: Sequence[torch.Generator]) -> Draw:
+    """Return a function that draws masks: of each Monte-Carlo pass from its own generator.
+
+    They are drawn on the CPU, so that a pass depends neither on the device nor on the others.
+    """
+
+    def draw(channels: int, rate: float) -> Tensor:
+        draws = torch.stack([torch.rand(channels, generator=g) for g in generators])
+        return (draws >= rate).float() / (1 - rate)
+
+    return draw
+
+
 @contextmanager
-def sampling(generators: Sequence[torch.Generator]) -> Iterator[None]:
-    """Make every dropout in this thread draw from one generator per batch element.
+def sampling(draw: Draw) -> Iterator[None]:
+    """Make every dropout in this thread multiply by what a function gives.
 
     Batch norm is untouched: it stays frozen as long as the module is in evaluation mode.
     """
-    token = _GENERATORS.set(generators)
+    token = _DRAW.set(draw)
     try:
         yield
     finally:
-        _GENERATORS.reset(token)
+        _DRAW.reset(token)

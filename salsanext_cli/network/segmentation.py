@@ -22,12 +22,9 @@ class SegmentationNetwork(nn.Module):
     ----------
     stride : (int, int)
         Divisors of height and width at the coarsest level.
-    manages_threads : bool
-        True of an engine that shares its work among threads itself; see `inference.parallel_for`.
     """
 
     stride: tuple[int, int]
-    manages_threads = False
 
     @abstractmethod
     def trunk(self, image: Tensor) -> tuple[Tensor, ...]:

@@ -8,9 +8,8 @@ from functools import partial
 from itertools import islice
 from typing import Any
 
-import torch
-
-from salsanext_cli.errors import FormatError
+from salsanext_cli.errors import FormatError, out_of_memory
+from salsanext_cli.inference.device import choose_device
 from salsanext_cli.inference.network import Network
 from salsanext_cli.inference.settings import NetworkSettings
 from salsanext_cli.parallel.tasks import Attempt, one_by_one
@@ -50,10 +49,9 @@ class NetworkTask:
         """Load the network, unless it is there, and decide between one by one and batches."""
         network = self.network
         if network is None:
-            device = own_device(self.settings.device, torch.cuda.device_count())
-            network = replace(self.settings, device=device).load()
+            network = replace(self.settings, device=_device(self.settings.device)).load()
         size, several = self.batch or default_batch(network), self.batch_function
-        if several is None or (size == 1 and network.device.type == "cpu"):
+        if several is None or (size == 1 and network.device == "cpu"):
 
             def function(file: ScanFile) -> Any:
                 with named_if_too_large(file, network):
@@ -73,19 +71,30 @@ class NetworkTask:
         return NetworkTask, parts
 
 
+def _device(name: str) -> str:
+    """Return the device of this process; a GPU of its own if it is a worker."""
+    if choose_device(name) == "cpu":
+        return "cpu"
+    import torch
+
+    return own_device(name, torch.cuda.device_count())
+
+
 @contextmanager
 def named_if_too_large(file: ScanFile, network: Network) -> Iterator[None]:
     """Turn memory that runs out into an error of one scan."""
     try:
         yield
-    except torch.OutOfMemoryError as error:
+    except (MemoryError, RuntimeError) as error:
+        if not out_of_memory(error):
+            raise
         found = f"is too large for the memory of {network.device}"
         raise FormatError(file.path, found, remedy="use --device cpu") from error
 
 
 def default_batch(network: Network) -> int:
     """Return how many scans are computed together unless a number is given: one on a CPU."""
-    if network.device.type == "cpu":
+    if network.device == "cpu":
         return 1
     pixels = network.sensor.height * network.sensor.width
     return max(1, min(MAX_BATCH_SCANS, MAX_BATCH_PIXELS // pixels))

@@ -8,7 +8,6 @@ from functools import partial
 from pathlib import Path
 
 import numpy as np
-import torch
 
 from salsanext_cli.classes import TrainIds
 from salsanext_cli.errors import SalsanextError, UsageError
@@ -58,7 +57,7 @@ def predict_batch(
         except SalsanextError as error:
             yield file, None, error
     softmax: Sequence[Float | None] = [None] * len(images)
-    with suppress(torch.OutOfMemoryError):
+    with suppress(MemoryError):
         softmax = network.pixel_probabilities([image.channels for image in images.values()])
     for (file, image), probabilities in zip(images.items(), softmax, strict=True):
         try:
@@ -78,7 +77,7 @@ def _projected(
     output.require_replaceable(file)
     sensor = network.sensor
     scan = read_scan(file.path, intensity_scale=sensor.intensity_scale)
-    return project(scan, sensor, str(network.device)), field_of_view_coverage(scan, sensor)
+    return project(scan, sensor, network.device), field_of_view_coverage(scan, sensor)
 
 
 def _write(
@@ -91,7 +90,7 @@ def _write(
 ) -> None:
     """Write what is made of the softmax (C, H, W) of a scan; the labels of its points last."""
     space, pixel_labels = network.card.space, most_probable(probabilities)
-    labels = knn_refine(image, pixel_labels, space.class_count, knn, str(network.device))
+    labels = knn_refine(image, pixel_labels, space.class_count, knn, network.device)
     if "pixel_labels" in output.folders:
         output.write_array(file, "pixel_labels", pixel_labels)
     if "probabilities" in output.folders:

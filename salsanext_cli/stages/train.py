@@ -15,9 +15,10 @@ import torch
 
 from salsanext_cli.classes import LabelSpace, label_space
 from salsanext_cli.errors import NoInputError, UsageError, WeightsError
+from salsanext_cli.network.card import WeightsCard
 from salsanext_cli.network.registry import build
 from salsanext_cli.network.segmentation import SegmentationNetwork
-from salsanext_cli.network.weights import WeightsCard, read_weights
+from salsanext_cli.network.weights import read_weights
 from salsanext_cli.parallel.threads import worker_count
 from salsanext_cli.report.scan_pictures import draw_sample
 from salsanext_cli.sensors import Sensor

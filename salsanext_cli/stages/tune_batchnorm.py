@@ -110,7 +110,7 @@ def _statistics(
 ) -> Mapping[str, Statistics]:
     """Read and project a scan; return its statistics, by layer."""
     scan = read_scan(file.path, intensity_scale=network.sensor.intensity_scale)
-    image = project(scan, network.sensor, str(network.device))
+    image = project(scan, network.sensor, network.device)
     if not (image.pixel_of_point >= 0).any():
         none = f"none of its {len(image.pixel_of_point)} points has a pixel"
         raise FormatError(file.path, none, "points that were measured, in view of the sensor")

@@ -20,7 +20,8 @@ from salsanext_cli.inference.settings import NetworkSettings
 from salsanext_cli.measures.calibration import calibration_scores
 from salsanext_cli.measures.histograms import confidence_histogram
 from salsanext_cli.measures.softmax import softmax_errors
-from salsanext_cli.network.weights import TEMPERATURES, save_with_card
+from salsanext_cli.network.card import TEMPERATURES
+from salsanext_cli.network.weights import save_with_card
 from salsanext_cli.parallel.run import Progress
 from salsanext_cli.records import Float
 from salsanext_cli.storage.atomic import require_target

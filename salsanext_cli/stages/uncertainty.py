@@ -22,7 +22,7 @@ from salsanext_cli.geometry.knn import KnnParameters, knn_refine
 from salsanext_cli.geometry.projection import project
 from salsanext_cli.inference.network import Network
 from salsanext_cli.inference.settings import NetworkSettings
-from salsanext_cli.network.weights import read_card
+from salsanext_cli.network.card import read_card
 from salsanext_cli.parallel.network_task import NetworkTask
 from salsanext_cli.parallel.run import Failure, Outcome, RunOptions, run_over_scans
 from salsanext_cli.sensors import Sensor, presets
@@ -55,7 +55,7 @@ def uncertainty_scan(
 ) -> FieldOfViewCoverage:
     """Estimate the uncertainty of the points of one scan; return how much of it is in view."""
     output.require_replaceable(file)
-    sensor, space, device = network.sensor, network.card.space, str(network.device)
+    sensor, space, device = network.sensor, network.card.space, network.device
     scan = read_scan(file.path, intensity_scale=sensor.intensity_scale)
     image = project(scan, sensor, device)
     estimate = estimator.estimate(network, image, file)

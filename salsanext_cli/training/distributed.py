@@ -16,7 +16,7 @@ from torch import Tensor, nn
 from torch.nn.parallel import DistributedDataParallel
 
 from salsanext_cli.errors import SalsanextError, UsageError
-from salsanext_cli.inference.network import choose_device
+from salsanext_cli.inference.device import choose_device
 
 PROCESS_GROUP_TIMEOUT = timedelta(hours=12)
 """Time that workers wait for the main one, which counts labels, writes and draws."""
@@ -117,7 +117,7 @@ def process_group(device: str) -> Iterator[tuple[ProcessGroup, torch.device]]:
     UsageError
         If the device does not exist or is one GPU for several workers.
     """
-    group, place = group_of_environment(), choose_device(device)
+    group, place = group_of_environment(), torch.device(choose_device(device))
     if group.size == 1:
         yield group, place
         return
@@ -125,7 +125,7 @@ def process_group(device: str) -> Iterator[tuple[ProcessGroup, torch.device]]:
         if place.index is not None:
             found = f"one GPU for {group.size} workers"
             raise UsageError(f"device {device}", found, "cuda, cpu or auto")
-        place = choose_device(f"cuda:{os.environ['LOCAL_RANK']}")
+        place = torch.device(choose_device(f"cuda:{os.environ['LOCAL_RANK']}"))
         torch.cuda.set_device(place)
     backend = "nccl" if place.type == "cuda" else "gloo"
     dist.init_process_group(backend, timeout=PROCESS_GROUP_TIMEOUT)

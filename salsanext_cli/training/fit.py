@@ -21,7 +21,7 @@ from salsanext_cli.geometry.projection import project
 from salsanext_cli.inference.network import Network
 from salsanext_cli.measures.confusion import Confusion
 from salsanext_cli.measures.scores import scores
-from salsanext_cli.network.weights import WeightsCard
+from salsanext_cli.network.card import WeightsCard
 from salsanext_cli.storage.layout import ScanFile
 from salsanext_cli.storage.written_files import WrittenFiles
 from salsanext_cli.training.checkpoint import TrainingState, load_checkpoint, save_checkpoint
@@ -192,7 +192,7 @@ class Training:
 
     def _network(self) -> Network:
         module = self.learner.average.eval()
-        return Network(module, self.card, self.card.sensor, self.learner.device)
+        return Network(lambda: module, self.card, self.card.sensor, str(self.learner.device))
 
     def _scores(self) -> Row:
         """Score the validation scans, each by one worker."""

@@ -15,7 +15,6 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
-from salsanext_cli.inference.parallel_for import parallel_for
 from salsanext_cli.uncertainty.moments import leaky_relu_moments, softmax_moments
 
 
@@ -105,15 +104,10 @@ def _linear(function: Callable[..., Tensor]) -> Callable[..., Gaussian]:
     def rule(
         x: Gaussian, weight: Tensor, bias: Tensor | None = None, *geometry: Any, **more: Any
     ) -> Gaussian:
-        both = (x.mean, weight, bias), (x.variance, weight.square(), None)
-        found = [x.mean, x.variance]
-
-        def compute(number: int) -> None:
-            found[number] = function(*both[number], *geometry, **more)
-
-        parallel_for(compute, len(both))
+        mean = function(x.mean, weight, bias, *geometry, **more)
+        variance = function(x.variance, weight.square(), None, *geometry, **more)
         # Convolving by way of a transform can round a certain 0 to less.
-        return x.like(found[0], found[1].clamp(min=0))
+        return x.like(mean, variance.clamp(min=0))
 
     return rule
 

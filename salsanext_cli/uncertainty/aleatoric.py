@@ -2,10 +2,12 @@
 """Aleatoric uncertainty: the sensor's noise carried through the network (paper III-C.1)."""
 
 import torch
+from torch import Tensor
 
 from salsanext_cli.geometry.normalise import input_variance
 from salsanext_cli.inference.network import Network
-from salsanext_cli.inference.parallel_for import single_threaded_torch
+from salsanext_cli.inference.torch_engine import inference_mode
+from salsanext_cli.network.segmentation import SegmentationNetwork
 from salsanext_cli.records import Float, RangeImage
 from salsanext_cli.uncertainty.adf import Gaussian, propagate
 from salsanext_cli.uncertainty.estimate import as_array
@@ -33,9 +35,20 @@ def aleatoric(network: Network, image: RangeImage) -> Float:
     UsageError
         If the sensor does not know its noise.
     """
-    with network.inference_mode(), single_threaded_torch():
-        mean = network.input(image.channels)
-        variance = torch.from_numpy(input_variance(image.channels, network.sensor))[None].to(mean)
-        variance = variance.contiguous(memory_format=torch.channels_last)
-        logits = propagate(network.module, Gaussian(mean, variance))
-        return as_array(logits.softmax(dim=1).variance[0])
+    mean = network.input_array(image.channels)
+    variance = input_variance(image.channels, network.sensor)[None]
+    with inference_mode(network.device):
+        if network.engine == "openvino":
+            inputs = [network.example_input()] * 2
+            graph = network.graph("moments", _moments, lambda: inputs, precision="float32")
+            moments = tuple(map(torch.from_numpy, graph(mean, variance)))
+        else:
+            given = (torch.from_numpy(values).to(network.device) for values in (mean, variance))
+            moments = _moments(network.module, *given)
+        return as_array(Gaussian(*moments).softmax(dim=1).variance[0])
+
+
+def _moments(module: SegmentationNetwork, mean: Tensor, variance: Tensor) -> tuple[Tensor, Tensor]:
+    """Return mean and variance of the logits from those of the input, (B, 5, H, W)."""
+    logits = propagate(module, Gaussian(mean, variance))
+    return logits.mean, logits.variance

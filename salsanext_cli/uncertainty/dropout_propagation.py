@@ -14,7 +14,7 @@ import torch.nn.functional as F
 from torch import Tensor
 
 from salsanext_cli.inference.network import Network
-from salsanext_cli.inference.parallel_for import single_threaded_torch
+from salsanext_cli.inference.torch_engine import inference_mode
 from salsanext_cli.records import RangeImage
 from salsanext_cli.uncertainty.adf import Gaussian, propagate
 from salsanext_cli.uncertainty.estimate import Estimate, entropy, require_dropout
@@ -142,12 +142,9 @@ def propagate_dropout(network: Network, image: RangeImage) -> Estimate:
         If the network drops nothing.
     """
     require_dropout(network)
-    with network.inference_mode(), single_threaded_torch():
-        certain = network.engine.trunk(network.engine.pad(network.input(image.channels)))
-        features = (
-            ChannelCorrelatedGaussian(f, torch.zeros_like(f))
-            for f in map(torch.Tensor.float, certain)
-        )
+    with inference_mode(network.device):
+        certain = network.module.trunk(network.module.pad(network.input(image.channels)))
+        features = (ChannelCorrelatedGaussian(f, torch.zeros_like(f)) for f in certain)
         logits = propagate(network.module.rest, *features)[..., : image.height, : image.width]
         softmax = logits.softmax(dim=1)
         mean, variance = softmax.mean[0].double(), softmax.variance[0].double()

@@ -7,8 +7,6 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from salsanext_cli.inference.parallel_for import parallel_for
-
 NODES = 12
 """Nodes of the Gauss-Hermite quadrature of the logistic function."""
 CHUNK_SIZE = 1 << 17
@@ -41,30 +39,8 @@ def leaky_relu_moments(mean: Tensor, variance: Tensor, slope: float) -> tuple[Te
         a, 0 ≤ a ≤ 1.
     """
     wide = torch.promote_types(mean.dtype, torch.float32)
-    layout = _layout(mean)
-    given = [t.contiguous(memory_format=layout) for t in (mean, variance)]
-    results = torch.empty_like(given[0]), torch.empty_like(given[0])
-    step = CHUNK_SIZE if mean.device.type == "cpu" else max(1, mean.numel())
-    chunks = [*zip(*(torch.split(_flat(t, layout), step) for t in (*given, *results)), strict=True)]
-
-    def compute(number: int) -> None:
-        m, v, new_mean, new_variance = chunks[number]
-        found = _leaky_relu(m.to(wide), v.to(wide), slope)
-        new_mean.copy_(found[0])
-        new_variance.copy_(found[1])
-
-    parallel_for(compute, len(chunks))
-    return results
-
-
-def _layout(x: Tensor) -> torch.memory_format:
-    last = torch.channels_last
-    return last if x.dim() == 4 and x.is_contiguous(memory_format=last) else torch.contiguous_format
-
-
-def _flat(x: Tensor, layout: torch.memory_format) -> Tensor:
-    """Return a one-dimensional view."""
-    return (x.permute(0, 2, 3, 1) if layout is torch.channels_last else x).flatten()
+    found = _leaky_relu(mean.to(wide), variance.to(wide), slope)
+    return found[0].to(mean.dtype), found[1].to(mean.dtype)
 
 
 def _leaky_relu(m: Tensor, v: Tensor, slope: float) -> tuple[Tensor, Tensor]:

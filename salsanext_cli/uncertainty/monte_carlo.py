@@ -2,7 +2,7 @@
 """Epistemic uncertainty by Monte-Carlo dropout (paper III-C.2)."""
 
 import hashlib
-from collections.abc import Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from functools import partial
 
 import torch
@@ -10,18 +10,17 @@ from torch import Tensor
 
 from salsanext_cli.errors import UsageError
 from salsanext_cli.inference.network import Network
-from salsanext_cli.inference.parallel_for import parallel_for, single_threaded_torch
-from salsanext_cli.network.dropout import sampling
+from salsanext_cli.inference.torch_engine import inference_mode
+from salsanext_cli.kernels import thread_count
+from salsanext_cli.network.dropout import drawn, dropouts, sampling
 from salsanext_cli.network.segmentation import SegmentationNetwork
-from salsanext_cli.records import RangeImage
+from salsanext_cli.records import Float, RangeImage
 from salsanext_cli.uncertainty.estimate import Estimate, entropy, require_dropout
 
 MAX_BATCH_PIXELS = 16 * 64 * 2048
 """Pixels of the passes that a GPU computes side by side."""
-MAX_KEPT_PASSES = 32
-"""Passes of which the softmax is kept until it is added up."""
-BANDS = 8
-"""Parts of an image that are added up side by side."""
+PASSES_PER_THREAD = 4
+"""Passes that a thread computes before they are added up, in the order of their numbers."""
 
 
 class PassStatistics:
@@ -29,28 +28,19 @@ class PassStatistics:
 
     def __init__(self) -> None:
         self.count = 0
-        self.sum = torch.zeros(())
-        self.sum_of_squares = torch.zeros(())
-        self.sum_of_entropies = torch.zeros(())
+        self.sum = self.sum_of_squares = self.sum_of_entropies = torch.zeros(())
 
-    def add(self, passes: Sequence[Tensor]) -> None:
-        """Count passes, each the softmax (C, H, W)."""
+    def add(self, softmax: Tensor, nats: Tensor) -> None:
+        """Count one pass: its softmax (C, H, W) and the entropy of each pixel (H, W)."""
         if self.count == 0:
-            self.sum = torch.zeros_like(passes[0], dtype=torch.float64)
+            self.sum = torch.zeros_like(softmax, dtype=torch.float64)
             self.sum_of_squares = torch.zeros_like(self.sum)
             self.sum_of_entropies = torch.zeros_like(self.sum[0])
-        self.count += len(passes)
-        width, bands = self.sum.shape[-1], BANDS if self.sum.device.type == "cpu" else 1
-
-        def add_up(part: int) -> None:
-            band = slice(width * part // bands, width * (part + 1) // bands)
-            for probabilities in passes:
-                double = probabilities[..., band].double()
-                self.sum[..., band] += double
-                self.sum_of_squares[..., band].addcmul_(double, double)
-                self.sum_of_entropies[..., band] += entropy(double)
-
-        parallel_for(add_up, bands)
+        self.count += 1
+        double = softmax.double()
+        self.sum += double
+        self.sum_of_squares.addcmul_(double, double)
+        self.sum_of_entropies += nats
 
     def summary(self) -> Estimate:
         """Divide once: mean, variance (of the population, paper III-C.2) and information."""
@@ -63,8 +53,8 @@ class PassStatistics:
 def sample(network: Network, image: RangeImage, *, samples: int, seed: int) -> Estimate:
     """Run the network with dropout on and batch norm frozen, and sum up the passes.
 
-    What lies before the first dropout is computed once. Several passes run side by side: on a CPU
-    one on each thread, so that no bit depends on how many, on a GPU in batches.
+    What lies before the first dropout is computed once. Several passes run side by side, and no bit
+    depends on how many.
 
     Parameters
     ----------
@@ -86,44 +76,90 @@ def sample(network: Network, image: RangeImage, *, samples: int, seed: int) -> E
         If the network has no dropout to sample.
     """
     require_sampling(network, samples)
-    statistics, engine = PassStatistics(), network.engine
+    statistics = PassStatistics()
     seeds = [pass_seed(seed, number) for number in range(samples)]
-    passes = on_threads if network.device.type == "cpu" else on_gpu
-    # In a pass torch has one thread, whether the engine shares its work or not.
-    with network.inference_mode(), single_threaded_torch():
-        features = engine.trunk(engine.pad(network.input(image.channels)))
-        for start in range(0, samples, MAX_KEPT_PASSES):
-            kept = passes(network, features, seeds[start : start + MAX_KEPT_PASSES])
-            statistics.add([softmax[:, : image.height, : image.width] for softmax in kept])
+    passes = openvino_passes if network.engine == "openvino" else torch_passes
+    with inference_mode(network.device):
+        for softmax, nats in passes(network, image.channels, seeds):
+            inside = (..., slice(image.height), slice(image.width))
+            statistics.add(softmax[inside], nats[inside])
         return statistics.summary()
 
 
-def on_threads(
-    network: Network, features: tuple[Tensor, ...], seeds: Sequence[int]
-) -> list[Tensor]:
-    """Return the softmax (C, H, W) of every pass, each computed by one thread."""
-    found = [features[0]] * len(seeds)
+def openvino_passes(
+    network: Network, channels: Float, seeds: Sequence[int]
+) -> Iterator[tuple[Tensor, Tensor]]:
+    """Yield softmax (C, H, W) and entropy (H, W) of every pass, with the padding."""
+    threads = thread_count()
+    trunk = network.graph("trunk", _trunk, lambda: [network.example_input()])
+    features = trunk(network.input_array(channels))
+    rest = network.graph(
+        "rest",
+        _rest,
+        lambda: _inputs_of_rest(network.module, map(torch.from_numpy, features)),
+        streams=threads,
+    )
+    rate = dropouts(network.module)[0].rate
+    size = PASSES_PER_THREAD * threads
+    for start in range(0, len(seeds), size):
+        calls = []
+        for seed in seeds[start : start + size]:
+            draw = drawn([torch.Generator().manual_seed(seed)])
+            factors = [draw(shape[1], rate).numpy() for shape in rest.shapes[len(features) :]]
+            calls.append([*features, *factors])
+        for softmax, nats in rest.each(calls):
+            yield torch.from_numpy(softmax[0]), torch.from_numpy(nats[0])
 
-    def run(number: int) -> None:
-        (found[number],) = one_batch(network.engine, features, seeds[number : number + 1])
 
-    parallel_for(run, len(seeds))
-    return found
+def _trunk(module: SegmentationNetwork, image: Tensor) -> tuple[Tensor, ...]:
+    return module.trunk(module.pad(image))
 
 
-def on_gpu(network: Network, features: tuple[Tensor, ...], seeds: Sequence[int]) -> list[Tensor]:
-    """Return the softmax (C, H, W) of every pass, as many together as there is room for."""
-    most = max(1, MAX_BATCH_PIXELS // features[0].shape[-2:].numel())
-    return network.in_batches(partial(one_batch, network.engine, features), seeds, most, "passes")
+def _rest(module: SegmentationNetwork, *inputs: Tensor) -> tuple[Tensor, Tensor]:
+    """Return softmax and entropy from features (B, C, H, W) and factors of channels (B, C)."""
+    factors = (given for given in inputs if given.dim() == 2)
+    with sampling(lambda *_: next(factors)):
+        return _softmax_and_entropy(module.rest(*(f for f in inputs if f.dim() == 4)))
 
 
-def one_batch(
-    module: SegmentationNetwork, features: tuple[Tensor, ...], seeds: Sequence[int]
-) -> Tensor:
-    """Return the softmax (B, C, H, W) of passes computed together."""
-    with sampling([torch.Generator().manual_seed(seed) for seed in seeds]):
+def _softmax_and_entropy(logits: Tensor) -> tuple[Tensor, Tensor]:
+    softmax, logarithm = logits.softmax(dim=1), logits.log_softmax(dim=1)
+    return softmax, -(softmax * logarithm).sum(dim=1)
+
+
+def _inputs_of_rest(module: SegmentationNetwork, features: Iterable[Tensor]) -> list[Tensor]:
+    """Return the features, and factors for each dropout in the order of computation."""
+    factors: list[Tensor] = []
+
+    def draw(channels: int, _: float) -> Tensor:
+        factors.append(torch.ones(1, channels))
+        return factors[-1]
+
+    given = list(features)
+    with inference_mode("cpu"), sampling(draw):
+        module.rest(*given)
+    return [*given, *factors]
+
+
+def torch_passes(
+    network: Network, channels: Float, seeds: Sequence[int]
+) -> Iterator[tuple[Tensor, Tensor]]:
+    """Yield softmax (C, H, W) and entropy (H, W) of every pass, on a GPU several at once."""
+    features = _trunk(network.torch_module, network.input(channels))
+    most = 1 if network.device == "cpu" else MAX_BATCH_PIXELS // features[0].shape[-2:].numel()
+    size = max(1, most)
+    for start in range(0, len(seeds), size):
+        batch = seeds[start : start + size]
+        function = partial(_torch_batch, network.torch_module, features)
+        yield from network.in_batches(function, batch, size, "passes")
+
+
+def _torch_batch(
+    module: SegmentationNetwork, features: Sequence[Tensor], seeds: Sequence[int]
+) -> Iterator[tuple[Tensor, Tensor]]:
+    with sampling(drawn([torch.Generator().manual_seed(seed) for seed in seeds])):
         logits = module.rest(*(f.expand(len(seeds), -1, -1, -1) for f in features))
-    return torch.softmax(logits.float(), dim=1)
+    return zip(*_softmax_and_entropy(logits.float()), strict=True)
 
 
 def require_sampling(network: Network, samples: int) -> None:

@@ -7,8 +7,8 @@ from scans import SMALL, write_sequence
 from tiny_network import TinyNetwork
 
 from salsanext_cli.cli import options
+from salsanext_cli.network.card import read_card
 from salsanext_cli.network.registry import ARCHITECTURES
-from salsanext_cli.network.weights import read_card
 from salsanext_cli.training.recipe import presets, recipe
 
 

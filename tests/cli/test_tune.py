@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from command_line import only_json
 
-from salsanext_cli.network.weights import read_card
+from salsanext_cli.network.card import read_card
 from salsanext_cli.stages.tune_batchnorm import SHARE
 from salsanext_cli.storage.selection import ScanSelection
 

@@ -11,7 +11,8 @@ from scans import SMALL
 from salsanext_cli import label_space, read_scan, sensor
 from salsanext_cli.errors import FormatError, OutputError, UsageError, WeightsError
 from salsanext_cli.formats.npy import read_array
-from salsanext_cli.network.weights import WeightsCard, read_weights
+from salsanext_cli.network.card import WeightsCard
+from salsanext_cli.network.weights import read_weights
 from salsanext_cli.storage.json_files import read_json
 from salsanext_cli.training.recipe import recipe
 

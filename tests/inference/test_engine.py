@@ -6,10 +6,10 @@ import threading
 
 import pytest
 import torch
-
-from salsanext_cli.errors import UsageError
 from salsanext_cli.inference.engine import Float32Accumulation, choose_precision, engine_for
 from salsanext_cli.inference.parallel_for import parallel_for, single_threaded_torch
+
+from salsanext_cli.errors import UsageError
 from salsanext_cli.network.registry import ARCHITECTURES, build
 
 CPU = torch.device("cpu")

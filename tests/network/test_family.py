@@ -12,9 +12,9 @@ from torch import nn
 
 from salsanext_cli import label_space, project, sample
 from salsanext_cli.inference.network import Network, with_dropout
+from salsanext_cli.network.card import WeightsCard
 from salsanext_cli.network.dropout import dropouts, sampling
 from salsanext_cli.network.registry import ARCHITECTURES, build
-from salsanext_cli.network.weights import WeightsCard
 from salsanext_cli.training.learner import Learner
 from salsanext_cli.training.recipe import Recipe
 from salsanext_cli.uncertainty.adf import Gaussian, propagate
@@ -32,7 +32,7 @@ def network(name):
     """Return a network of random weights that has seen training."""
     card = WeightsCard(architecture(name), SPACE, SMALL)
     # What the engine has in memory goes with the network; the largest has a gigabyte.
-    return Network(trained(name), card, SMALL, torch.device("cpu"))
+    return Network(lambda: trained(name), card, SMALL)
 
 
 def architecture(name):

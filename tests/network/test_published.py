@@ -13,9 +13,10 @@ from scans import lively
 from salsanext_cli import load_network, sensor
 from salsanext_cli.errors import OutputError, UsageError, WeightsError
 from salsanext_cli.network import published
+from salsanext_cli.network.card import read_card
 from salsanext_cli.network.published import our_name, read_published
 from salsanext_cli.network.salsanext import SalsaNext
-from salsanext_cli.network.weights import load_tensors, read_card, read_weights, save_with_card
+from salsanext_cli.network.weights import load_tensors, read_weights, save_with_card
 from salsanext_cli.stages.import_weights import import_weights
 
 

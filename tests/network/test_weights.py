@@ -10,16 +10,9 @@ from scans import SMALL, lively
 from salsanext_cli import __version__
 from salsanext_cli.classes import label_space
 from salsanext_cli.errors import WeightsError
+from salsanext_cli.network.card import KEY, WeightsCard, read_card
 from salsanext_cli.network.salsanext import SalsaNext
-from salsanext_cli.network.weights import (
-    KEY,
-    WeightsCard,
-    load_tensors,
-    read_card,
-    read_weights,
-    save_weights,
-    save_with_card,
-)
+from salsanext_cli.network.weights import load_tensors, read_weights, save_weights, save_with_card
 
 SPACE = label_space()
 CARD = WeightsCard(

@@ -2,13 +2,12 @@
 from pathlib import Path
 
 import numpy as np
-import torch
 from matplotlib.image import imread
 from scans import SMALL, write_sequence
 from tiny_network import TinyNetwork
 
 from salsanext_cli import Network, label_space
-from salsanext_cli.network.weights import WeightsCard
+from salsanext_cli.network.card import WeightsCard
 from salsanext_cli.report.colours import EMPTY
 from salsanext_cli.report.scan_pictures import GAP_PX, ROW_HEIGHT_PX, draw_sample
 from salsanext_cli.storage.layout import find_scans
@@ -23,7 +22,7 @@ def test_strips_are_range_truth_prediction_and_errors(tmp_path: Path) -> None:
     module.logits.weight.data.zero_()
     module.logits.bias.data.zero_()[SPACE.names.index("road")] = 9.0
     card = WeightsCard({"name": "tiny"}, SPACE, SMALL)
-    network = Network(module, card, SMALL, torch.device("cpu"))
+    network = Network(lambda: module, card, SMALL)
     with (tmp_path / "sample.png").open("wb") as out:
         picture = draw_sample(out, file, network)
     height = ROW_HEIGHT_PX * SMALL.height

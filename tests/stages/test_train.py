@@ -20,8 +20,9 @@ from salsanext_cli.errors import (
     UsageError,
     WeightsError,
 )
+from salsanext_cli.network.card import WeightsCard, read_card
 from salsanext_cli.network.registry import ARCHITECTURES
-from salsanext_cli.network.weights import WeightsCard, read_card, save_weights
+from salsanext_cli.network.weights import save_weights
 from salsanext_cli.stages.train import train
 from salsanext_cli.training import dataset as dataset_module
 from salsanext_cli.training import fit

@@ -12,15 +12,10 @@ from scans import SMALL, lively, make_scan
 from salsanext_cli import Scan, label_space, load_network, project, read_scan
 from salsanext_cli.errors import FormatError, WeightsError
 from salsanext_cli.inference.settings import NetworkSettings
+from salsanext_cli.network.card import WeightsCard, read_card
 from salsanext_cli.network.rangenet53 import RangeNet53
 from salsanext_cli.network.registry import ARCHITECTURES
-from salsanext_cli.network.weights import (
-    NORM_SUFFIXES,
-    WeightsCard,
-    read_card,
-    read_weights,
-    save_weights,
-)
+from salsanext_cli.network.weights import NORM_SUFFIXES, read_weights, save_weights
 from salsanext_cli.stages.tune_batchnorm import tune_batchnorm
 from salsanext_cli.storage.point_files import write_bin
 from salsanext_cli.training.tuning.batch_norm import norms

@@ -12,7 +12,8 @@ from scans import write_sequence
 
 from salsanext_cli.errors import LabelError, OutputError
 from salsanext_cli.inference.settings import NetworkSettings
-from salsanext_cli.network.weights import NORM_SUFFIXES, read_card, read_weights, save_weights
+from salsanext_cli.network.card import read_card
+from salsanext_cli.network.weights import NORM_SUFFIXES, read_weights, save_weights
 from salsanext_cli.stages.tune_batchnorm import tune_batchnorm
 from salsanext_cli.stages.tune_dropout import tune_dropout
 from salsanext_cli.stages.tune_temperature import tune_temperature

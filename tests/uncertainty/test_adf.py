@@ -10,10 +10,10 @@ import torch
 import torch.nn.functional as F
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from salsanext_cli.inference.parallel_for import single_threaded_torch
 from scans import lively
 from torch import nn
 
-from salsanext_cli.inference.parallel_for import single_threaded_torch
 from salsanext_cli.network.blocks import Down, Unit
 from salsanext_cli.network.dropout import ChannelDropout
 from salsanext_cli.network.salsanext import SalsaNext

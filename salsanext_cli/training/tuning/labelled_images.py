@@ -11,7 +11,7 @@ from salsanext_cli.classes import LabelSpace, TrainIds
 from salsanext_cli.errors import LabelError
 from salsanext_cli.geometry.projection import project
 from salsanext_cli.inference.network import Network
-from salsanext_cli.network.weights import WeightsCard
+from salsanext_cli.network.card import WeightsCard
 from salsanext_cli.records import Float, RangeImage
 from salsanext_cli.storage.layout import ScanFile
 from salsanext_cli.storage.selection import ScanSelection, select_evenly, space_of
@@ -84,7 +84,7 @@ def read_labelled_image(file: ScanFile, network: Network, space: LabelSpace) -> 
         If a file cannot be read, the numbers of points differ or a label id is unknown.
     """
     scan, truth = read_labelled(file, space, network.sensor)
-    image = project(scan, network.sensor, str(network.device))
+    image = project(scan, network.sensor, network.device)
     counts = space.scored[truth] & (image.pixel_of_point >= 0)
     return LabelledImage(image, image.pixel_of_point[counts], truth[counts])
 

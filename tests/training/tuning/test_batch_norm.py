@@ -11,10 +11,10 @@ from scans import SMALL, lively, make_scan
 from torch import nn
 
 from salsanext_cli import Network, label_space, project
+from salsanext_cli.network.card import WeightsCard
 from salsanext_cli.network.rangenet53 import RangeNet53
 from salsanext_cli.network.registry import ARCHITECTURES, build
 from salsanext_cli.network.segmentation import SegmentationNetwork
-from salsanext_cli.network.weights import WeightsCard
 from salsanext_cli.training.tuning.batch_norm import Statistics, norms, statistics_of_scan
 
 SPACE = label_space()
@@ -42,7 +42,7 @@ def network_of(module, sensor=SMALL):
     card = WeightsCard({"name": "any"}, SPACE, sensor)
     module = lively(module).double()
     module.register_forward_pre_hook(lambda _, inputs: inputs[0].double())
-    return Network(module, card, sensor, torch.device("cpu"))
+    return Network(lambda: module, card, sensor)
 
 
 def image_of(seed=0, sensor=SMALL):

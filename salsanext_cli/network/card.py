@@ -1,0 +1,137 @@
+# SPDX-License-Identifier: MIT
+"""Card of a weights file: the metadata that says what its tensors are and how to use them."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from importlib import resources
+from pathlib import Path
+from typing import Any
+
+import safetensors
+
+from salsanext_cli import __version__
+from salsanext_cli.classes import LabelSpace
+from salsanext_cli.errors import UsageError, WeightsError
+from salsanext_cli.sensors import Sensor
+from salsanext_cli.settings_files import shortened, words_of
+
+KEY = "salsanext"
+"""The one key of the header: safetensors writes several in an order drawn anew each time."""
+FORMAT = "salsanext-2"
+TABLES = ("architecture", "label_space", "sensor", "recipe", "scores")
+"""Parts of a card that are mappings."""
+TEMPERATURES = (1e-3, 1e3)
+"""Lowest and highest; beyond, the logits of float32 overflow or all classes become equal."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class WeightsCard:
+    """Metadata of a weights file.
+
+    Attributes
+    ----------
+    architecture : dict
+        Name and numbers of the network, as `registry.build` takes them.
+    space : LabelSpace
+        The classes that the logits stand for.
+    sensor : Sensor
+        The geometry and normalisation that the network was trained with.
+    recipe : dict
+        The resolved training recipe; empty if unknown.
+    scores : dict
+        Measurements with these weights, and the data; empty if there are none.
+    description : str
+        A sentence or two on these weights.
+    temperature : float
+        Divides the logits before the softmax, so that its values are probabilities;
+        1 if none was fitted.
+    """
+
+    architecture: Mapping[str, Any]
+    space: LabelSpace
+    sensor: Sensor
+    recipe: Mapping[str, Any] = field(default_factory=dict)
+    scores: Mapping[str, Any] = field(default_factory=dict)
+    description: str = ""
+    temperature: float = 1.0
+
+    def to_metadata(self) -> dict[str, str]:
+        """Return what a safetensors header holds; equal cards give equal text."""
+        values = {
+            "format": FORMAT,
+            "version": __version__,
+            "description": self.description,
+            "architecture": dict(self.architecture),
+            "temperature": self.temperature,
+            "sensor": self.sensor.to_dict(),
+            "label_space": self.space.to_dict(),
+            "recipe": dict(self.recipe),
+            "scores": dict(self.scores),
+        }
+        return {KEY: json.dumps(values)}
+
+    @classmethod
+    def from_metadata(cls, metadata: Mapping[str, str], source: object) -> WeightsCard:
+        """Read what a safetensors header holds; anything amiss raises `WeightsError`."""
+        try:
+            values = json.loads(metadata.get(KEY, "{}"))
+            if not isinstance(values, dict):
+                raise TypeError(f"{KEY} is no table")
+            if (form := values.get("format")) is None:
+                expected = "weights that `train` or `import-weights` wrote"
+                raise WeightsError(source, "lacks what salsanext writes", expected)
+            if form != FORMAT:
+                remedy = "use the version that wrote it"
+                raise WeightsError(source, f"format {shortened(form)}", FORMAT, remedy)
+            if bad := [key for key in TABLES if not isinstance(values[key], dict)]:
+                raise TypeError(f"{bad[0]} is no table")
+            return cls(
+                architecture=values["architecture"],
+                space=LabelSpace.from_dict(values["label_space"], source),
+                sensor=Sensor.from_dict(values["sensor"], source),
+                recipe=values["recipe"],
+                scores=values["scores"],
+                description=str(values["description"]),
+                temperature=_temperature(values["temperature"]),
+            )
+        except UsageError as error:
+            raise WeightsError(source, f"damaged metadata: {error.found}") from error
+        except (KeyError, TypeError, ValueError, RecursionError) as error:
+            raise WeightsError(source, f"damaged metadata: {words_of(error)}") from error
+
+
+def _temperature(value: Any) -> float:
+    lowest, highest = TEMPERATURES
+    if type(value) not in (int, float) or not lowest <= value <= highest:
+        raise ValueError(
+            f"temperature {shortened(value)} is not between {lowest:g} and {highest:g}"
+        )
+    return float(value)
+
+
+def read_card(path: Path) -> WeightsCard:
+    """Read only the metadata of a weights file.
+
+    Raises
+    ------
+    WeightsError
+        If the file cannot be read or is not one of ours.
+    """
+    try:
+        with safetensors.safe_open(path, framework="np") as file:
+            metadata = file.metadata() or {}
+    except (OSError, safetensors.SafetensorError) as error:
+        found = f"cannot be read: {words_of(error)}" if path.exists() else "no such file"
+        remedy = "convert a published checkpoint with `salsanext import-weights`"
+        if path.is_dir():
+            found, remedy = "a folder", "name the file in it"
+        raise WeightsError(path, found, "a .safetensors file", remedy) from error
+    return WeightsCard.from_metadata(metadata, path)
+
+
+def default_weights() -> Path:
+    """Return the place of the weights that come with the package."""
+    return Path(str(resources.files("salsanext_cli") / "presets/weights/default.safetensors"))
