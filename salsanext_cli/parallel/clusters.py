@@ -20,6 +20,8 @@ from salsanext_cli.parallel.threads import cores
 
 CONNECT_TIMEOUT_S = 15
 """Time for a scheduler to answer, and for a first worker to come; Ray itself waits for minutes."""
+END_TIMEOUT_S = 5.0
+"""Time for a thread of Ray's pool to end."""
 
 
 @contextmanager
@@ -172,7 +174,17 @@ def _connected_to_ray(ray: Any, address: str | None, here: int | None) -> Iterat
     try:
         yield
     finally:
+        _join_result_threads()
         ray.shutdown()
+
+
+def _join_result_threads() -> None:
+    """Let the threads of Ray's pool end: one that still asks for a result would connect again."""
+    from ray.util.multiprocessing.pool import ResultThread
+
+    for thread in threading.enumerate():
+        if isinstance(thread, ResultThread):
+            thread.join(END_TIMEOUT_S)
 
 
 def _connect_to_ray(ray: Any, address: str, quiet: dict[str, Any]) -> None:

@@ -7,10 +7,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
+from scans import write_array
 
 from salsanext_cli.errors import FormatError
 from salsanext_cli.formats.npy import encode_array, read_array, read_probabilities, read_uncertainty
-from salsanext_cli.storage.point_files import write_array
 
 DTYPES = st.sampled_from([np.float32, np.float16, np.int32, np.uint8])
 
