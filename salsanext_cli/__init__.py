@@ -18,7 +18,8 @@ if TYPE_CHECKING:
     from salsanext_cli.formats.kitti import read_labels
     from salsanext_cli.geometry.knn import KnnParameters, knn_refine
     from salsanext_cli.geometry.projection import project
-    from salsanext_cli.inference.network import Network, load_network
+    from salsanext_cli.inference.loading import load_network
+    from salsanext_cli.inference.network import Network
     from salsanext_cli.records import RangeImage, Scan
     from salsanext_cli.sensors import Sensor, sensor
     from salsanext_cli.storage.point_files import write_labels, write_ply
@@ -56,7 +57,8 @@ _HOMES = {
     "formats.kitti": ("read_labels",),
     "geometry.knn": ("KnnParameters", "knn_refine"),
     "geometry.projection": ("project",),
-    "inference.network": ("Network", "load_network"),
+    "inference.loading": ("load_network",),
+    "inference.network": ("Network",),
     "records": ("RangeImage", "Scan"),
     "sensors": ("Sensor", "sensor"),
     "storage.point_files": ("write_labels", "write_ply"),

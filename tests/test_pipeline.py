@@ -130,7 +130,7 @@ def test_ctrl_c_in_the_middle(weights, tmp_path, jobs):
     assert process.returncode == 130
     assert stdout == ""
     first, *before, last = stderr.splitlines()
-    assert first.endswith("on cpu in float32")
+    assert first.endswith("on cpu by openvino in float32")
     assert last == "interrupted: everything finished so far is intact"
     # A slow machine has time to say how far it is.
     assert all(re.match(r"predict: \d+/300 scans", line) for line in before), stderr

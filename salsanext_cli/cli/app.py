@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: MIT
 """Command line: all commands, in the order in which the help lists them."""
 
+import sys
 from collections.abc import Callable
 from typing import Annotated, Any
 
@@ -51,6 +52,11 @@ COMMANDS: dict[str, dict[str, Callable[..., None] | typer.Typer]] = {
 }
 
 
+UNUSED = ("scipy.linalg", "openvino.tools.ovc")
+"""Modules that numba and OpenVINO import if they can and that no command needs: together a third of
+a second. The second is OpenVINO's converter, which reports its use over the network."""
+
+
 class InOrder(TyperGroup):
     """Group that lists commands in the order above; typer would list groups last."""
 
@@ -97,4 +103,5 @@ for panel, commands in COMMANDS.items():
 
 def main() -> None:
     """Run the command line."""
+    sys.modules.update(dict.fromkeys(UNUSED))  # type: ignore[arg-type]
     app()

@@ -78,7 +78,6 @@ class Graph:
 
 def graph(
     make: Callable[[], Traceable],
-    *,
     key: object,
     precision: str = "float32",
     threads: int = 1,
@@ -116,7 +115,11 @@ def graph(
 
     depends = repr((key, precision, openvino.__version__, processor()))
     name = f"graphs/{hashlib.sha256(depends.encode()).hexdigest()[:32]}.blob"
-    return Graph(core.import_model(cached(name, compile_anew), "CPU", hints))
+    content = cached(name, compile_anew)
+    try:
+        return Graph(core.import_model(content, "CPU", hints))
+    except RuntimeError:  # made by a build of the same version that compiles otherwise
+        return Graph(core.import_model(compile_anew(), "CPU", hints))
 
 
 def converted(

@@ -3,23 +3,19 @@
 
 import logging
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
-from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 
 from salsanext_cli.errors import WeightsError, out_of_memory
 from salsanext_cli.geometry.normalise import normalise
-from salsanext_cli.inference.device import choose_device, choose_engine, choose_precision
 from salsanext_cli.inference.graphs import Graph, graph
 from salsanext_cli.kernels import thread_count
-from salsanext_cli.network.card import WeightsCard, default_weights, read_card
+from salsanext_cli.network.card import WeightsCard
 from salsanext_cli.records import Float, RangeImage
 from salsanext_cli.sensors import Sensor
-from salsanext_cli.storage.identity import fingerprint
-from salsanext_cli.storage.user_cache import cached
 
 if TYPE_CHECKING:
     from torch import Tensor
@@ -81,7 +77,7 @@ class Network:
         return in_precision(self.module, getattr(torch, self.precision))
 
     @cached_property
-    def _graphs(self) -> dict[tuple[str, int], Graph]:
+    def _graphs(self) -> dict[Any, Graph]:
         return {}
 
     @cached_property
@@ -113,16 +109,12 @@ class Network:
         streams : int
             Calls that are computed side by side.
         """
-        if (name, streams) not in self._graphs:
-            sensor = self.sensor
-            self._graphs[name, streams] = graph(
-                lambda: (self.module, function, inputs()),
-                key=(name, self.sha256, sensor.height, sensor.width),
-                precision=precision or self.precision,
-                threads=thread_count(),
-                streams=streams,
-            )
-        return self._graphs[name, streams]
+        key = (name, self.sha256, self.sensor.height, self.sensor.width)
+        settings = (precision or self.precision, thread_count(), streams)
+        if (name, settings) not in self._graphs:
+            made = graph(lambda: (self.module, function, inputs()), key, *settings)
+            self._graphs[name, settings] = made
+        return self._graphs[name, settings]
 
     def input_array(self, channels: Float) -> Float:
         """Return (5, H, W) channels normalised as the network takes them, (1, 5, H, W)."""
@@ -243,81 +235,3 @@ class Network:
         if not np.isfinite(probabilities).all():
             found = f"their logits for {source} are not finite"
             raise WeightsError(self.weights, found, "finite logits", "use other weights")
-
-
-def load_network(
-    path: Path | str | None = None,
-    device: str = "auto",
-    sensor: Sensor | None = None,
-    precision: str = "float32",
-    engine: str = "auto",
-) -> Network:
-    """Load weights onto a device.
-
-    Parameters
-    ----------
-    path : Path or str, optional
-        A weights file; None for the default weights.
-    device : str
-        ``"cpu"``, ``"cuda"``, ``"cuda:1"`` … or ``"auto"``: the first GPU if there is one.
-    sensor : Sensor, optional
-        Origin of the range images, if not the sensor that the weights name.
-    precision : str
-        As `device.choose_precision` takes it; ``"auto"`` is what the device is fast at.
-    engine : str
-        As `device.choose_engine` takes it.
-
-    Raises
-    ------
-    WeightsError
-        If the file cannot be used.
-    UsageError
-        If the device does not exist, or does not compute in that precision or with that engine.
-    MissingDependency
-        If OpenVINO was asked for and does not start.
-    """
-    file = default_weights() if path is None else Path(path)
-    card, place = read_card(file), choose_device(device)
-    network = Network(
-        lambda: _read_module(file, place),
-        card,
-        sensor or card.sensor,
-        place,
-        choose_precision(precision, place),
-        choose_engine(engine, place),
-        "default weights" if path is None else str(path),
-        fingerprint(file),
-    )
-    if network.engine == "torch":
-        _ = network.module
-    else:
-        # Reading checks them; what was read once by this version needs no torch.
-        cached(f"weights/{network.sha256}.checked", lambda: bool(network.module) * b"checked")
-    return network
-
-
-def _read_module(file: Path, device: str) -> "SegmentationNetwork":
-    import torch
-
-    from salsanext_cli.network.weights import read_weights
-
-    module, _ = read_weights(file)
-    return module.to(device).to(memory_format=torch.channels_last)  # type: ignore[call-overload, no-any-return]
-
-
-def with_dropout(network: Network, rate: float) -> Network:
-    """Return the network with another dropout rate, from 0 to below 1; both share their weights.
-
-    One that was trained without dropout gets it where the paper has it.
-    """
-    import torch
-
-    from salsanext_cli.network.registry import build
-
-    architecture = {**network.card.architecture, "dropout": rate}
-    # On "meta" nothing is drawn: torch's global generator stays as it is.
-    with torch.device("meta"):
-        module = build(architecture)
-    module.load_state_dict(network.module.state_dict(), assign=True)
-    card = replace(network.card, architecture=architecture)
-    return replace(network, load_module=module.eval, card=card)

@@ -9,7 +9,8 @@ from pathlib import Path
 from typing import Any
 
 from salsanext_cli.errors import NOTICE, WeightsError
-from salsanext_cli.inference.network import Network, load_network
+from salsanext_cli.inference.loading import load_network
+from salsanext_cli.inference.network import Network
 from salsanext_cli.network.card import default_weights
 from salsanext_cli.sensors import Sensor
 from salsanext_cli.storage.identity import fingerprint

@@ -71,8 +71,9 @@ def read_weights(path: Path) -> tuple[SegmentationNetwork, WeightsCard]:
     card = read_card(path)
     count = card.space.class_count
     try:
-        # Never of a size that somebody wrote into the file.
-        module = build({**card.architecture, "class_count": count}, path)
+        # Never of a size that somebody wrote into the file. On "meta" nothing is drawn.
+        with torch.device("meta"):
+            module = build({**card.architecture, "class_count": count}, path)
     except UsageError as error:
         raise WeightsError(path, error.found, error.expected) from error
     if (classes := card.architecture.get("class_count")) != count:
@@ -102,7 +103,7 @@ def load_tensors(module: nn.Module, tensors: Mapping[str, Tensor], source: objec
             source, f"holds {len(surplus)} unknown tensors, such as {shortened(surplus[0])}"
         )
     fitting = {name: _checked(name, t, wanted[name], source) for name, t in tensors.items()}
-    module.load_state_dict(fitting)
+    module.load_state_dict(fitting, assign=True)
 
 
 def _checked(name: str, tensor: Tensor, wanted: Tensor, source: object) -> Tensor:

@@ -9,7 +9,7 @@ import numpy as np
 
 from salsanext_cli.errors import TrainingError
 from salsanext_cli.geometry.normalise import noise_of
-from salsanext_cli.inference.network import with_dropout
+from salsanext_cli.inference.loading import with_dropout
 from salsanext_cli.inference.settings import NetworkSettings
 from salsanext_cli.network.dropout import dropouts
 from salsanext_cli.network.weights import save_with_card

@@ -7,7 +7,6 @@ import hashlib
 import logging
 from collections.abc import Callable
 from contextlib import suppress
-from functools import cache
 from pathlib import Path
 
 from salsanext_cli.errors import OutputError
@@ -18,6 +17,9 @@ from salsanext_cli.storage.atomic import writing
 CHECKSUM_BYTES = 32
 MAX_FOLDER_BYTES = 2 << 30
 """Size of a folder of the cache above which the files unused for longest are removed."""
+
+_said: list[str] = []
+"""What was said in this process."""
 
 log = logging.getLogger(__name__)
 
@@ -39,7 +41,7 @@ def cached(name: str, make: Callable[[], bytes]) -> bytes:
                 file.write(content + hashlib.sha256(content).digest())
             _remove_oldest(path)
         except (OutputError, OSError) as error:
-            _say_once(words_of(error))
+            _say_once(f"{words_of(error)}: going on without it")
     return content
 
 
@@ -50,12 +52,12 @@ def _read(path: Path) -> bytes | None:
     except FileNotFoundError:
         return None
     except OSError as error:
-        _say_once(words_of(error))
+        _say_once(f"{words_of(error)}: going on without it")
         return None
     data, checksum = content[:-CHECKSUM_BYTES], content[-CHECKSUM_BYTES:]
     if hashlib.sha256(data).digest() == checksum:
         return data
-    _say_once(f"{path} is damaged")
+    _say_once(f"{path} is damaged: made again")
     return None
 
 
@@ -71,6 +73,7 @@ def _remove_oldest(newest: Path) -> None:
             total -= status.st_size
 
 
-@cache
 def _say_once(found: str) -> None:
-    log.warning("going on without the cache: %s", found)
+    if not _said:
+        _said.append(found)
+        log.warning("cache: %s", found)

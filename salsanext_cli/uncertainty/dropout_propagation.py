@@ -15,9 +15,10 @@ from torch import Tensor
 
 from salsanext_cli.inference.network import Network
 from salsanext_cli.inference.torch_engine import inference_mode
+from salsanext_cli.network.segmentation import SegmentationNetwork
 from salsanext_cli.records import RangeImage
 from salsanext_cli.uncertainty.adf import Gaussian, propagate
-from salsanext_cli.uncertainty.estimate import Estimate, entropy, require_dropout
+from salsanext_cli.uncertainty.estimate import Estimate, entropy, require_dropout, trunk_of
 
 SMALLEST_MEAN = 1e-12
 """Least divisor, of a probability."""
@@ -141,12 +142,33 @@ def propagate_dropout(network: Network, image: RangeImage) -> Estimate:
     WeightsError
         If the network drops nothing.
     """
-    require_dropout(network)
+    rate = require_dropout(network)
     with inference_mode(network.device):
-        certain = network.module.trunk(network.module.pad(network.input(image.channels)))
-        features = (ChannelCorrelatedGaussian(f, torch.zeros_like(f)) for f in certain)
-        logits = propagate(network.module.rest, *features)[..., : image.height, : image.width]
+        if network.engine == "openvino":
+            trunk = network.graph(
+                "trunk", trunk_of, lambda: [network.example_input()], precision="float32"
+            )
+            features = trunk(network.input_array(image.channels))
+            rest = network.graph(
+                f"dropout moments at {rate}",
+                _moments_of_rest,
+                lambda: [*map(torch.from_numpy, features)],
+                precision="float32",
+            )
+            moments = tuple(map(torch.from_numpy, rest(*features)))
+        else:
+            features = trunk_of(network.module, network.input(image.channels))
+            moments = _moments_of_rest(network.module, *features)
+        logits = ChannelCorrelatedGaussian(*moments)[..., : image.height, : image.width]
         softmax = logits.softmax(dim=1)
         mean, variance = softmax.mean[0].double(), softmax.variance[0].double()
         information = (variance / (2 * mean).clamp(min=SMALLEST_MEAN)).sum(dim=0)
         return Estimate.of(mean, variance, information.minimum(entropy(mean)))
+
+
+def _moments(module: SegmentationNetwork, image: Tensor) -> tuple[Tensor, Tensor]:
+    """Return mean and variance of the logits of an image (B, 5, H, W), with the padding."""
+    features = trunk_of(module, image)
+    certain = (ChannelCorrelatedGaussian(f, torch.zeros_like(f)) for f in features)
+    logits = propagate(module.rest, *certain)
+    return logits.mean, logits.variance

@@ -11,6 +11,7 @@ from torch import Tensor
 from salsanext_cli.errors import WeightsError
 from salsanext_cli.inference.network import Network
 from salsanext_cli.network.dropout import dropouts
+from salsanext_cli.network.segmentation import SegmentationNetwork
 from salsanext_cli.records import Float, Uncertainty
 
 
@@ -59,9 +60,15 @@ def as_array(values: Tensor) -> Float:
     return array
 
 
-def require_dropout(network: Network) -> None:
-    """Raise `WeightsError` if a network drops nothing, and so knows no epistemic uncertainty."""
-    if not dropouts(network.module):
+def require_dropout(network: Network) -> float:
+    """Return the dropout rate; `WeightsError` for a network that drops nothing."""
+    if not (layers := dropouts(network.module)):
         found = "a network without dropout"
         remedy = "`salsanext tune dropout` finds one"
         raise WeightsError("weights", found, "a dropout rate above 0", remedy)
+    return layers[0].rate
+
+
+def trunk_of(module: SegmentationNetwork, image: Tensor) -> tuple[Tensor, ...]:
+    """Return what lies before the first dropout: features of an image (B, 5, H, W), padded."""
+    return module.trunk(module.pad(image))

@@ -12,10 +12,10 @@ from salsanext_cli.errors import UsageError
 from salsanext_cli.inference.network import Network
 from salsanext_cli.inference.torch_engine import inference_mode
 from salsanext_cli.kernels import thread_count
-from salsanext_cli.network.dropout import drawn, dropouts, sampling
+from salsanext_cli.network.dropout import drawn, sampling
 from salsanext_cli.network.segmentation import SegmentationNetwork
 from salsanext_cli.records import Float, RangeImage
-from salsanext_cli.uncertainty.estimate import Estimate, entropy, require_dropout
+from salsanext_cli.uncertainty.estimate import Estimate, entropy, require_dropout, trunk_of
 
 MAX_BATCH_PIXELS = 16 * 64 * 2048
 """Pixels of the passes that a GPU computes side by side."""
@@ -91,7 +91,7 @@ def openvino_passes(
 ) -> Iterator[tuple[Tensor, Tensor]]:
     """Yield softmax (C, H, W) and entropy (H, W) of every pass, with the padding."""
     threads = thread_count()
-    trunk = network.graph("trunk", _trunk, lambda: [network.example_input()])
+    trunk = network.graph("trunk", trunk_of, lambda: [network.example_input()])
     features = trunk(network.input_array(channels))
     rest = network.graph(
         "rest",
@@ -99,7 +99,7 @@ def openvino_passes(
         lambda: _inputs_of_rest(network.module, map(torch.from_numpy, features)),
         streams=threads,
     )
-    rate = dropouts(network.module)[0].rate
+    rate = require_dropout(network)
     size = PASSES_PER_THREAD * threads
     for start in range(0, len(seeds), size):
         calls = []
@@ -109,10 +109,6 @@ def openvino_passes(
             calls.append([*features, *factors])
         for softmax, nats in rest.each(calls):
             yield torch.from_numpy(softmax[0]), torch.from_numpy(nats[0])
-
-
-def _trunk(module: SegmentationNetwork, image: Tensor) -> tuple[Tensor, ...]:
-    return module.trunk(module.pad(image))
 
 
 def _rest(module: SegmentationNetwork, *inputs: Tensor) -> tuple[Tensor, Tensor]:
@@ -145,18 +141,19 @@ def torch_passes(
     network: Network, channels: Float, seeds: Sequence[int]
 ) -> Iterator[tuple[Tensor, Tensor]]:
     """Yield softmax (C, H, W) and entropy (H, W) of every pass, on a GPU several at once."""
-    features = _trunk(network.torch_module, network.input(channels))
+    features = trunk_of(network.torch_module, network.input(channels))
     most = 1 if network.device == "cpu" else MAX_BATCH_PIXELS // features[0].shape[-2:].numel()
     size = max(1, most)
     for start in range(0, len(seeds), size):
         batch = seeds[start : start + size]
-        function = partial(_torch_batch, network.torch_module, features)
+        function = partial(torch_batch, network.torch_module, features)
         yield from network.in_batches(function, batch, size, "passes")
 
 
-def _torch_batch(
+def torch_batch(
     module: SegmentationNetwork, features: Sequence[Tensor], seeds: Sequence[int]
 ) -> Iterator[tuple[Tensor, Tensor]]:
+    """Yield softmax (C, H, W) and entropy (H, W) of passes computed together."""
     with sampling(drawn([torch.Generator().manual_seed(seed) for seed in seeds])):
         logits = module.rest(*(f.expand(len(seeds), -1, -1, -1) for f in features))
     return zip(*_softmax_and_entropy(logits.float()), strict=True)

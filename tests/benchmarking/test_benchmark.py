@@ -132,7 +132,7 @@ def test_ceilings_are_those_of_the_clock(monkeypatch):
     monkeypatch.setattr(hardware, "COPY_BYTES", {"cpu": 1 << 16})
     clock = iter(range(100))
     monkeypatch.setattr("time.perf_counter", lambda: next(clock))
-    found = hardware.describe(torch.device("cpu"), "float32")
+    found = hardware.describe("cpu", "float32")
     assert (found["operations"], found["bytes"]) == (2 * 64**3, 2 << 16)
     assert found["machine"]["processor"]
     assert list(found["machine"]) == list(MACHINE)

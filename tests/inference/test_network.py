@@ -7,9 +7,9 @@ import torch
 from scans import SMALL, make_scan, write_weights
 
 from salsanext_cli import Scan, Sensor, project
-from salsanext_cli.errors import UsageError, WeightsError
+from salsanext_cli.errors import WeightsError
 from salsanext_cli.geometry.normalise import normalise
-from salsanext_cli.inference.network import choose_device, load_network, with_dropout
+from salsanext_cli.inference.loading import load_network, with_dropout
 from salsanext_cli.network.dropout import dropouts
 
 
@@ -57,12 +57,12 @@ def test_probabilities_are_finite_whatever_the_scan(network, points):
     np.testing.assert_allclose(probabilities.sum(axis=0), 1, atol=1e-5)
 
 
-def test_batches_stay_as_small_as_memory_had_room_for(network, monkeypatch):
+def test_batches_stay_as_small_as_memory_had_room_for(weights, monkeypatch):
     """The next scans begin with the number that the first ones ended with."""
     channels = [project(make_scan(seed=seed), SMALL).channels for seed in range(5)]
-    expected = network.pixel_probabilities(channels)
-    small, sizes = replace(network), []
-    forward = type(small.engine).forward
+    small, sizes = load_network(weights, "cpu", engine="torch"), []
+    expected = [small.pixel_probabilities([image])[0] for image in channels]
+    forward = type(small.module).forward
 
     def short_of_memory(module, x):
         sizes.append(len(x))
@@ -70,7 +70,7 @@ def test_batches_stay_as_small_as_memory_had_room_for(network, monkeypatch):
             raise torch.OutOfMemoryError("no room")
         return forward(module, x)
 
-    monkeypatch.setattr(type(small.engine), "forward", short_of_memory)
+    monkeypatch.setattr(type(small.module), "forward", short_of_memory)
     for _ in range(2):
         np.testing.assert_array_equal(small.pixel_probabilities(channels), expected)
     assert sizes == [5, 2, 2, 1, 2, 2, 1]
@@ -80,18 +80,6 @@ def test_another_size_than_the_one_trained_with(weights):
     wide = Sensor("wide", 3, -25, 10, 45)
     network = load_network(weights, "cpu", wide)
     assert network.probabilities(project(make_scan(), wide)).shape == (20, 10, 45)
-
-
-@pytest.mark.parametrize("name", ["gpu", "cuda:99", "cuda:x", "mps", "meta", "", "cpu:banana"])
-def test_devices_that_are_not_there(name):
-    with pytest.raises(UsageError, match="device"):
-        choose_device(name)
-
-
-def test_devices():
-    assert choose_device("cpu") == torch.device("cpu")
-    expected = "cuda" if torch.cuda.is_available() else "cpu"
-    assert choose_device("auto").type == expected
 
 
 def test_weights_may_be_named_by_text_and_must_exist(weights, tmp_path):

@@ -7,9 +7,10 @@ from scans import SMALL, make_scan
 from salsanext_cli import load_network, project
 
 
-@pytest.fixture(scope="module")
-def network(weights):
-    return load_network(weights, "cpu")
+@pytest.fixture(scope="module", params=["openvino", "torch"])
+def network(weights, request):
+    """Return the network on each engine."""
+    return load_network(weights, "cpu", engine=request.param)
 
 
 @pytest.fixture(scope="module")

@@ -10,7 +10,6 @@ import torch
 import torch.nn.functional as F
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from salsanext_cli.inference.parallel_for import single_threaded_torch
 from scans import lively
 from torch import nn
 
@@ -28,7 +27,7 @@ FLOATS = [torch.float64, torch.float32, torch.bfloat16]
 
 @pytest.fixture(autouse=True)
 def no_gradients():
-    with torch.inference_mode(), single_threaded_torch():
+    with torch.inference_mode():
         yield
 
 

@@ -5,11 +5,11 @@ from functools import partial
 
 import numpy as np
 import pytest
-import torch
 from scans import write_weights
 
 from salsanext_cli import load_network, sample
 from salsanext_cli.errors import WeightsError
+from salsanext_cli.parallel.threads import threads_of_workers
 from salsanext_cli.uncertainty.aleatoric import aleatoric
 from salsanext_cli.uncertainty.dropout_propagation import propagate_dropout
 
@@ -52,12 +52,10 @@ def test_a_network_without_dropout_is_refused(image, tmp_path, estimate):
     ],
     ids=["aleatoric", "analytic", "sampling"],
 )
-def test_no_bit_depends_on_the_number_of_threads(network, image, variance):
-    before = torch.get_num_threads()
+def test_no_bit_depends_on_the_number_of_threads(weights, image, variance):
     found = []
     for threads in (1, 2, 3):
-        torch.set_num_threads(threads)
-        found.append(variance(network, image))
-    torch.set_num_threads(before)
+        with threads_of_workers(threads):
+            found.append(variance(load_network(weights, "cpu", engine="openvino"), image))
     np.testing.assert_array_equal(found[1], found[0])
     np.testing.assert_array_equal(found[2], found[0])

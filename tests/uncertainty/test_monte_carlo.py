@@ -1,5 +1,6 @@
 # SPDX-License-Identifier: MIT
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import pytest
@@ -9,16 +10,15 @@ from scans import SMALL, make_scan
 from salsanext_cli import project, sample
 from salsanext_cli.errors import UsageError
 from salsanext_cli.geometry.normalise import normalise
-from salsanext_cli.network.dropout import ChannelDropout, sampling
+from salsanext_cli.network.dropout import ChannelDropout, drawn, sampling
 from salsanext_cli.uncertainty.aleatoric import aleatoric
 from salsanext_cli.uncertainty.dropout_propagation import propagate_dropout
 from salsanext_cli.uncertainty.estimate import entropy
 from salsanext_cli.uncertainty.monte_carlo import (
     PassStatistics,
-    on_gpu,
-    on_threads,
     pass_seed,
     scan_seed,
+    torch_batch,
 )
 
 SAMPLES = 4
@@ -88,12 +88,10 @@ def test_the_seed_matters_and_neither_order_nor_global_generator(network, image,
 @torch.inference_mode()
 def test_fewer_passes_at_once_when_memory_is_short(network, image, monkeypatch):
     """As on a GPU, where passes are computed in batches."""
-    network = replace(network)
-    features = network.engine.trunk(network.input(image.channels))
-    seeds = [pass_seed(5, number) for number in range(4)]
-    expected = on_threads(network, features, seeds)
-    sizes, most = [], [1]
-    rest = type(network.engine).rest
+    seeds, module = [pass_seed(5, number) for number in range(4)], network.torch_module
+    features = module.trunk(network.input(image.channels))
+    expected = [softmax for softmax, _ in torch_batch(module, features, seeds)]
+    sizes, most, rest = [], [1], type(module).rest
 
     def short_of_memory(module, *features):
         sizes.append(len(features[0]))
@@ -101,13 +99,15 @@ def test_fewer_passes_at_once_when_memory_is_short(network, image, monkeypatch):
             raise torch.OutOfMemoryError("no room")
         return rest(module, *features)
 
-    monkeypatch.setattr(type(network.engine), "rest", short_of_memory)
-    found = on_gpu(network, features, seeds)
+    monkeypatch.setattr(type(module), "rest", short_of_memory)
+    network = replace(network, load_module=lambda: module)
+    function = partial(torch_batch, module, features)
+    found = [softmax for softmax, _ in network.in_batches(function, seeds, 4, "passes")]
     torch.testing.assert_close(found, expected)
     assert sizes == [4, 2, 1, 1, 1, 1]
     most[0] = 0
-    with pytest.raises(torch.OutOfMemoryError):
-        on_gpu(network, features, seeds)
+    with pytest.raises(MemoryError):
+        network.in_batches(function, seeds, 4, "passes")
 
 
 def test_the_temperature_is_left_out(network, image, sampled):
@@ -126,7 +126,7 @@ def test_sampling_changes_nothing_in_the_network(network, image):
     sample(network, image, samples=2, seed=0)
     for name, tensor in network.module.state_dict().items():
         assert torch.equal(tensor, before[name]), name
-    layers = [*network.module.modules(), *network.engine.modules()]
+    layers = [*network.module.modules(), *network.torch_module.modules()]
     assert not any(layer.training for layer in layers)
     np.testing.assert_array_equal(network.probabilities(image), expected)
 
@@ -140,8 +140,8 @@ def test_one_pass_has_no_variance(network, image, samples):
 def test_moments_in_closed_form():
     """Two certain passes in full disagreement share ln 2 of information; variance is ¼ each."""
     statistics = PassStatistics()
-    statistics.add([torch.tensor([1.0, 0.0]).view(2, 1, 1)])
-    statistics.add([torch.tensor([0.0, 1.0]).view(2, 1, 1)])
+    statistics.add(torch.tensor([1.0, 0.0]).view(2, 1, 1), torch.zeros(1, 1))
+    statistics.add(torch.tensor([0.0, 1.0]).view(2, 1, 1), torch.zeros(1, 1))
     sampled = statistics.summary()
     assert sampled.probabilities.ravel().tolist() == [0.5, 0.5]
     assert sampled.uncertainty.epistemic.item() == 0.25
@@ -152,9 +152,8 @@ def test_moments_in_closed_form():
 def test_a_tiny_variance_does_not_cancel():
     statistics = PassStatistics()
     for offset in (-1e-6, 1e-6):
-        statistics.add(
-            [torch.tensor([0.9 + offset, 0.1 - offset], dtype=torch.float64).view(2, 1, 1)]
-        )
+        softmax = torch.tensor([0.9 + offset, 0.1 - offset], dtype=torch.float64).view(2, 1, 1)
+        statistics.add(softmax, torch.zeros(1, 1))
     assert statistics.summary().uncertainty.epistemic.item() == pytest.approx(1e-12, rel=1e-3)
 
 
@@ -175,7 +174,7 @@ def test_seeds_of_passes_and_scans_do_not_meet():
 def test_dropout_takes_whole_channels_and_keeps_the_expectation():
     layer = ChannelDropout(0.3)
     generators = [torch.Generator().manual_seed(seed) for seed in range(4000)]
-    with sampling(generators):
+    with sampling(drawn(generators)):
         dropped = layer(torch.ones(4000, 3, 2, 2))
     assert torch.equal(dropped, dropped[:, :, :1, :1].expand_as(dropped))
     assert dropped.mean().item() == pytest.approx(1, abs=0.02)
@@ -187,7 +186,7 @@ def test_dropout_is_off_outside_of_sampling_and_training():
     layer = ChannelDropout(0.5).eval()
     x = torch.ones(1, 8, 2, 2)
     assert torch.equal(layer(x), x)
-    with pytest.raises(ZeroDivisionError), sampling([torch.Generator()]):
+    with pytest.raises(ZeroDivisionError), sampling(drawn([torch.Generator()])):
         raise ZeroDivisionError
     assert torch.equal(layer(x), x)
     layer.train()

@@ -1,0 +1,94 @@
+# SPDX-License-Identifier: MIT
+"""Networks from weights files: on which device, by which engine, in which number type."""
+
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from salsanext_cli.inference.device import choose_device, choose_engine, choose_precision
+from salsanext_cli.inference.network import Network
+from salsanext_cli.network.card import default_weights, read_card
+from salsanext_cli.sensors import Sensor
+from salsanext_cli.storage.identity import fingerprint
+from salsanext_cli.storage.user_cache import cached
+
+if TYPE_CHECKING:
+    from salsanext_cli.network.segmentation import SegmentationNetwork
+
+
+def load_network(
+    path: Path | str | None = None,
+    device: str = "auto",
+    sensor: Sensor | None = None,
+    precision: str = "float32",
+    engine: str = "auto",
+) -> Network:
+    """Load weights onto a device.
+
+    Parameters
+    ----------
+    path : Path or str, optional
+        A weights file; None for the default weights.
+    device : str
+        ``"cpu"``, ``"cuda"``, ``"cuda:1"`` … or ``"auto"``: the first GPU if there is one.
+    sensor : Sensor, optional
+        Origin of the range images, if not the sensor that the weights name.
+    precision : str
+        As `device.choose_precision` takes it; ``"auto"`` is what the device is fast at.
+    engine : str
+        As `device.choose_engine` takes it.
+
+    Raises
+    ------
+    WeightsError
+        If the file cannot be used.
+    UsageError
+        If the device does not exist, or does not compute in that precision or with that engine.
+    MissingDependency
+        If OpenVINO was asked for and does not start.
+    """
+    file = default_weights() if path is None else Path(path)
+    card, place = read_card(file), choose_device(device)
+    network = Network(
+        lambda: _read_module(file, place),
+        card,
+        sensor or card.sensor,
+        place,
+        choose_precision(precision, place),
+        choose_engine(engine, place),
+        "default weights" if path is None else str(path),
+        fingerprint(file),
+    )
+    if network.engine == "torch":
+        _ = network.module
+    else:
+        # Reading checks them; what was read once by this version needs no torch.
+        cached(f"weights/{network.sha256}.checked", lambda: bool(network.module) * b"checked")
+    return network
+
+
+def _read_module(file: Path, device: str) -> "SegmentationNetwork":
+    import torch
+
+    from salsanext_cli.network.weights import read_weights
+
+    module, _ = read_weights(file)
+    return module.to(device).to(memory_format=torch.channels_last)  # type: ignore[call-overload, no-any-return]
+
+
+def with_dropout(network: Network, rate: float) -> Network:
+    """Return the network with another dropout rate, from 0 to below 1; both share their weights.
+
+    One that was trained without dropout gets it where the paper has it.
+    """
+    import torch
+
+    from salsanext_cli.network.registry import build
+
+    architecture = {**network.card.architecture, "dropout": rate}
+    # On "meta" nothing is drawn: torch's global generator stays as it is.
+    with torch.device("meta"):
+        module = build(architecture)
+    module.load_state_dict(network.module.state_dict(), assign=True)
+    card = replace(network.card, architecture=architecture)
+    return replace(network, load_module=module.eval, card=card)
