@@ -145,20 +145,11 @@ def propagate_dropout(network: Network, image: RangeImage) -> Estimate:
     rate = require_dropout(network)
     with inference_mode(network.device):
         if network.engine == "openvino":
-            trunk = network.graph(
-                "trunk", trunk_of, lambda: [network.example_input()], precision="float32"
-            )
-            features = trunk(network.input_array(image.channels))
-            rest = network.graph(
-                f"dropout moments at {rate}",
-                _moments_of_rest,
-                lambda: [*map(torch.from_numpy, features)],
-                precision="float32",
-            )
-            moments = tuple(map(torch.from_numpy, rest(*features)))
+            name, inputs = f"dropout moments at {rate}", lambda: [network.example_input()]
+            graph = network.graph(name, _moments, inputs, precision="float32")
+            moments = tuple(map(torch.from_numpy, graph(network.input_array(image.channels))))
         else:
-            features = trunk_of(network.module, network.input(image.channels))
-            moments = _moments_of_rest(network.module, *features)
+            moments = _moments(network.module, network.input(image.channels))
         logits = ChannelCorrelatedGaussian(*moments)[..., : image.height, : image.width]
         softmax = logits.softmax(dim=1)
         mean, variance = softmax.mean[0].double(), softmax.variance[0].double()
