@@ -10,7 +10,7 @@ data loaders.
 import hashlib
 import logging
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from itertools import pairwise
 from pathlib import Path
 from pickle import PickleError
@@ -26,6 +26,7 @@ from salsanext_cli.settings_files import words_of
 from salsanext_cli.thread_pool import run_on_threads
 
 Function = TypeVar("Function", bound=Callable[..., Any])
+Item = TypeVar("Item")
 
 log = logging.getLogger(__name__)
 
@@ -149,20 +150,27 @@ def argument(array: npt.NDArray[Any], dtype: npt.DTypeLike) -> npt.NDArray[Any]:
     return np.require(array, dtype, ["C_CONTIGUOUS", "ALIGNED", "WRITEABLE"])
 
 
-def parallel_for_slices(work: Callable[[slice], object], count: int) -> None:
-    """Call ``work(part)`` for slices that cover ``0 … count``, on several threads.
+def parallel_for(work: Callable[[Item], object], items: Sequence[Item]) -> None:
+    """Call a function of each item, on several threads; no two calls may write to the same place.
 
     There are up to ``NUMBA_NUM_THREADS`` of them: all cores, unless that variable is set, as joblib
-    does for its workers. Each call must write to its own part only, so that the result does not
-    depend on their number.
+    does for its workers.
+    """
+    waiting = iter(items)
+
+    # `next` of an iterator over a sequence is one step of the interpreter: no lock is needed.
+    def pull() -> None:
+        for item in waiting:
+            work(item)
+
+    run_on_threads(pull, max(1, min(thread_count(), len(items))))
+
+
+def parallel_for_slices(work: Callable[[slice], object], count: int) -> None:
+    """Call `work` for slices that cover ``0 … count``, one for each thread of `parallel_for`.
+
+    The result must not depend on their number.
     """
     threads = max(1, min(thread_count(), count // MIN_SLICE_ITEMS))
     borders = [count * part // threads for part in range(threads + 1)]
-    slices = iter([slice(start, stop) for start, stop in pairwise(borders)])
-
-    # `next` of an iterator over a list is one step of the interpreter: no lock is needed.
-    def pull() -> None:
-        for part in slices:
-            work(part)
-
-    run_on_threads(pull, threads)
+    parallel_for(work, [slice(start, stop) for start, stop in pairwise(borders)])

@@ -162,7 +162,8 @@ class Network:
     def pixel_probabilities(self, channels: Sequence[Float]) -> list[Float]:
         """Return the softmax of every pixel of some range images, as `probabilities` does.
 
-        They are computed together, half as many where memory runs out; no bit depends on it.
+        OpenVINO computes one after the other, so that no bit depends on the others; torch computes
+        all together, half as many where memory runs out.
 
         Parameters
         ----------

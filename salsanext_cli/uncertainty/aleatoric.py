@@ -10,7 +10,6 @@ from salsanext_cli.inference.torch_engine import inference_mode
 from salsanext_cli.network.segmentation import SegmentationNetwork
 from salsanext_cli.records import Float, RangeImage
 from salsanext_cli.uncertainty.adf import Gaussian, propagate
-from salsanext_cli.uncertainty.estimate import as_array
 
 
 def aleatoric(network: Network, image: RangeImage) -> Float:
@@ -45,7 +44,8 @@ def aleatoric(network: Network, image: RangeImage) -> Float:
         else:
             given = (torch.from_numpy(values).to(network.device) for values in (mean, variance))
             moments = _moments(network.module, *given)
-        return as_array(Gaussian(*moments).softmax(dim=1).variance[0])
+        variances: Float = Gaussian(*moments).softmax(dim=1).variance[0].cpu().numpy()
+        return variances
 
 
 def _moments(module: SegmentationNetwork, mean: Tensor, variance: Tensor) -> tuple[Tensor, Tensor]:

@@ -9,6 +9,7 @@ from collections.abc import Sequence
 from itertools import product
 from typing import Any, ClassVar
 
+import numpy as np
 import torch
 import torch.nn.functional as F
 from torch import Tensor
@@ -152,9 +153,9 @@ def propagate_dropout(network: Network, image: RangeImage) -> Estimate:
             moments = _moments(network.module, network.input(image.channels))
         logits = ChannelCorrelatedGaussian(*moments)[..., : image.height, : image.width]
         softmax = logits.softmax(dim=1)
-        mean, variance = softmax.mean[0].double(), softmax.variance[0].double()
-        information = (variance / (2 * mean).clamp(min=SMALLEST_MEAN)).sum(dim=0)
-        return Estimate.of(mean, variance, information.minimum(entropy(mean)))
+    mean, variance = (t[0].double().cpu().numpy() for t in (softmax.mean, softmax.variance))
+    information = (variance / np.maximum(2 * mean, SMALLEST_MEAN)).sum(axis=0)
+    return Estimate.of(mean, variance, np.minimum(information, entropy(mean)))
 
 
 def _moments(module: SegmentationNetwork, image: Tensor) -> tuple[Tensor, Tensor]:

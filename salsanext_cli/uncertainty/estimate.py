@@ -5,7 +5,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-import torch
+import numpy as np
+import numpy.typing as npt
 from torch import Tensor
 
 from salsanext_cli.errors import WeightsError
@@ -13,6 +14,10 @@ from salsanext_cli.inference.network import Network
 from salsanext_cli.network.dropout import dropouts
 from salsanext_cli.network.segmentation import SegmentationNetwork
 from salsanext_cli.records import Float, Uncertainty
+
+Double = npt.NDArray[np.float64]
+SMALLEST_PROBABILITY = 1e-300
+"""Probability whose logarithm stands for that of 0, which counts 0 times."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -34,30 +39,25 @@ class Estimate:
     uncertainty: Uncertainty
 
     @classmethod
-    def of(cls, mean: Tensor, variance: Tensor, information: Tensor) -> Estimate:
-        """Gather mean and variance (C, H, W) and mutual information (H, W), on any device."""
+    def of(cls, mean: Double, variance: Double, information: Double) -> Estimate:
+        """Gather mean and variance (C, H, W) and mutual information (H, W), float64."""
         return cls(
-            probabilities=as_array(mean),
-            variance=as_array(variance),
+            probabilities=mean.astype(np.float32),
+            variance=variance.astype(np.float32),
             uncertainty=Uncertainty(
-                epistemic=as_array(variance.mean(dim=0)),
-                entropy=as_array(entropy(mean)),
-                mutual_information=as_array(information),
+                epistemic=variance.mean(axis=0).astype(np.float32),
+                entropy=entropy(mean).astype(np.float32),
+                mutual_information=information.astype(np.float32),
             ),
         )
 
 
-def entropy(probabilities: Tensor) -> Tensor:
-    """Return the entropy over the first dimension in nats, (C, …) to (…)."""
-    nats: Tensor = torch.special.entr(probabilities).sum(dim=0)
+def entropy(probabilities: Double) -> Double:
+    """Return the entropy over the first dimension in nats, (C, …) to (…) float64."""
+    logarithms = np.log(np.maximum(probabilities, SMALLEST_PROBABILITY))
     # A softmax rounded up to above 1 would have a negative one.
-    return nats.clamp(min=0)
-
-
-def as_array(values: Tensor) -> Float:
-    """Return a tensor of any device and number type as a float32 array."""
-    array: Float = values.float().cpu().numpy()
-    return array
+    nats: Double = np.maximum(-(probabilities * logarithms).sum(axis=0), 0)
+    return nats
 
 
 def require_dropout(network: Network) -> float:

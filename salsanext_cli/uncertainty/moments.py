@@ -7,10 +7,13 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from salsanext_cli.kernels import parallel_for
+
 NODES = 12
 """Nodes of the Gauss-Hermite quadrature of the logistic function."""
-CHUNK_SIZE = 1 << 17
-"""Numbers per step on a CPU, so that what lies between stays in its cache."""
+CHUNK_SIZE = 1 << 15
+"""Numbers per step on a CPU: so few that torch does not divide them among threads, which would
+round some of them otherwise, and that what lies between stays in the cache."""
 MAX_DEVIATIONS = 12.0
 """Standard deviations from the kink beyond which what is on the other side changes no float64;
 farther out are numbers so small that computing with them takes many times as long."""
@@ -86,9 +89,15 @@ def softmax_moments(mean: Tensor, variance: Tensor, dim: int) -> tuple[Tensor, T
     if len(m) == 1:
         return torch.ones_like(mean), torch.zeros_like(variance)
     columns = [t.reshape(len(m), -1) for t in (m, v)]
-    step = max(1, CHUNK_SIZE // len(m)) if m.device.type == "cpu" else max(1, columns[0].shape[1])
-    chunks = zip(*(torch.split(c, step, dim=1) for c in columns), strict=True)
-    parts = [_softmax(*chunk) for chunk in chunks]
+    on_cpu = m.device.type == "cpu"
+    step = max(1, (CHUNK_SIZE if on_cpu else m.numel()) // len(m))
+    chunks = [*zip(*(torch.split(c, step, dim=1) for c in columns), strict=True)]
+    parts = [chunks[0]] * len(chunks)
+
+    def compute(number: int) -> None:
+        parts[number] = _softmax(*chunks[number])
+
+    parallel_for(compute, range(len(chunks)))
     results = (torch.cat(part, dim=1).view(m.shape) for part in zip(*parts, strict=True))
     return tuple(t.movedim(0, dim).to(mean.dtype) for t in results)  # type: ignore[return-value]
 

@@ -5,17 +5,18 @@ import hashlib
 from collections.abc import Iterable, Iterator, Sequence
 from functools import partial
 
+import numpy as np
 import torch
 from torch import Tensor
 
 from salsanext_cli.errors import UsageError
 from salsanext_cli.inference.network import Network
 from salsanext_cli.inference.torch_engine import inference_mode
-from salsanext_cli.kernels import thread_count
+from salsanext_cli.kernels import argument, compiled, parallel_for_slices, thread_count
 from salsanext_cli.network.dropout import drawn, sampling
 from salsanext_cli.network.segmentation import SegmentationNetwork
 from salsanext_cli.records import Float, RangeImage
-from salsanext_cli.uncertainty.estimate import Estimate, entropy, require_dropout, trunk_of
+from salsanext_cli.uncertainty.estimate import Double, Estimate, entropy, require_dropout, trunk_of
 
 MAX_BATCH_PIXELS = 16 * 64 * 2048
 """Pixels of the passes that a GPU computes side by side."""
@@ -24,30 +25,38 @@ PASSES_PER_THREAD = 4
 
 
 class PassStatistics:
-    """Running sums over passes, in float64 so that the variance does not cancel."""
+    """Running sums over passes, in float64 so that the variance does not cancel.
 
-    def __init__(self) -> None:
+    Added up element by element, so that no bit depends on the number of threads.
+    """
+
+    def __init__(self, shape: tuple[int, int, int]) -> None:
         self.count = 0
-        self.sum = self.sum_of_squares = self.sum_of_entropies = torch.zeros(())
+        self.sum, self.sum_of_squares = np.zeros(shape), np.zeros(shape)
+        self.sum_of_entropies = np.zeros(shape[1:])
 
-    def add(self, softmax: Tensor, nats: Tensor) -> None:
+    def add(self, softmax: Float, nats: Float) -> None:
         """Count one pass: its softmax (C, H, W) and the entropy of each pixel (H, W)."""
-        if self.count == 0:
-            self.sum = torch.zeros_like(softmax, dtype=torch.float64)
-            self.sum_of_squares = torch.zeros_like(self.sum)
-            self.sum_of_entropies = torch.zeros_like(self.sum[0])
         self.count += 1
-        double = softmax.double()
-        self.sum += double
-        self.sum_of_squares.addcmul_(double, double)
+        values: Float = argument(softmax, np.float32).reshape(-1)
+        total, squares = self.sum.reshape(-1), self.sum_of_squares.reshape(-1)
+        parallel_for_slices(lambda s: _add_up(values[s], total[s], squares[s]), len(values))
         self.sum_of_entropies += nats
 
     def summary(self) -> Estimate:
         """Divide once: mean, variance (of the population, paper III-C.2) and information."""
         mean = self.sum / self.count
-        variance = (self.sum_of_squares / self.count - mean.square()).clamp(min=0)
+        variance = np.maximum(self.sum_of_squares / self.count - mean * mean, 0)
         information = entropy(mean) - self.sum_of_entropies / self.count
-        return Estimate.of(mean, variance, information.clamp(min=0))
+        return Estimate.of(mean, variance, np.maximum(information, 0))
+
+
+@compiled
+def _add_up(values: Float, total: Double, squares: Double) -> None:
+    for i in range(len(values)):
+        value = np.float64(values[i])
+        total[i] += value
+        squares[i] += value * value
 
 
 def sample(network: Network, image: RangeImage, *, samples: int, seed: int) -> Estimate:
@@ -76,7 +85,8 @@ def sample(network: Network, image: RangeImage, *, samples: int, seed: int) -> E
         If the network has no dropout to sample.
     """
     require_sampling(network, samples)
-    statistics = PassStatistics()
+    shape = (network.card.space.class_count, image.height, image.width)
+    statistics = PassStatistics(shape)
     seeds = [pass_seed(seed, number) for number in range(samples)]
     passes = openvino_passes if network.engine == "openvino" else torch_passes
     with inference_mode(network.device):
@@ -88,7 +98,7 @@ def sample(network: Network, image: RangeImage, *, samples: int, seed: int) -> E
 
 def openvino_passes(
     network: Network, channels: Float, seeds: Sequence[int]
-) -> Iterator[tuple[Tensor, Tensor]]:
+) -> Iterator[tuple[Float, Float]]:
     """Yield softmax (C, H, W) and entropy (H, W) of every pass, with the padding."""
     threads = thread_count()
     trunk = network.graph("trunk", trunk_of, lambda: [network.example_input()])
@@ -108,7 +118,7 @@ def openvino_passes(
             factors = [draw(shape[1], rate).numpy() for shape in rest.shapes[len(features) :]]
             calls.append([*features, *factors])
         for softmax, nats in rest.each(calls):
-            yield torch.from_numpy(softmax[0]), torch.from_numpy(nats[0])
+            yield softmax[0], nats[0]
 
 
 def _rest(module: SegmentationNetwork, *inputs: Tensor) -> tuple[Tensor, Tensor]:
@@ -139,7 +149,7 @@ def _inputs_of_rest(module: SegmentationNetwork, features: Iterable[Tensor]) -> 
 
 def torch_passes(
     network: Network, channels: Float, seeds: Sequence[int]
-) -> Iterator[tuple[Tensor, Tensor]]:
+) -> Iterator[tuple[Float, Float]]:
     """Yield softmax (C, H, W) and entropy (H, W) of every pass, on a GPU several at once."""
     features = trunk_of(network.torch_module, network.input(channels))
     most = 1 if network.device == "cpu" else MAX_BATCH_PIXELS // features[0].shape[-2:].numel()
@@ -152,11 +162,12 @@ def torch_passes(
 
 def torch_batch(
     module: SegmentationNetwork, features: Sequence[Tensor], seeds: Sequence[int]
-) -> Iterator[tuple[Tensor, Tensor]]:
+) -> Iterator[tuple[Float, Float]]:
     """Yield softmax (C, H, W) and entropy (H, W) of passes computed together."""
     with sampling(drawn([torch.Generator().manual_seed(seed) for seed in seeds])):
         logits = module.rest(*(f.expand(len(seeds), -1, -1, -1) for f in features))
-    return zip(*_softmax_and_entropy(logits.float()), strict=True)
+    softmax, nats = _softmax_and_entropy(logits.float())
+    return zip(softmax.cpu().numpy(), nats.cpu().numpy(), strict=True)
 
 
 def require_sampling(network: Network, samples: int) -> None:
