@@ -46,7 +46,7 @@ def shell(tmp_path, weights):
     script.write_text(
         f"#!{sys.executable}\n"
         "from pathlib import Path\n"
-        "import salsanext_cli.network.weights as weights\n"
+        "import salsanext_cli.network.card as weights\n"
         f"weights.default_weights = lambda: Path({str(weights)!r})\n"
         "from salsanext_cli.cli.app import main\n"
         "main()\n"
@@ -93,7 +93,7 @@ def test_the_three_lines_as_typed(shell, tmp_path):
 
 
 def test_the_same_lines_when_the_scans_lie_elsewhere(weights, tmp_path, monkeypatch):
-    for module in ("inference.settings", "inference.network"):
+    for module in ("inference.settings", "inference.loading"):
         monkeypatch.setattr(f"salsanext_cli.{module}.default_weights", lambda: weights)
     elsewhere = write_sequence(tmp_path / "disk 2/Fahrt ü", ["000000"])
     (tmp_path / "here").mkdir()

@@ -7,9 +7,13 @@ import platform
 import sys
 from functools import cache
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from salsanext_cli.errors import MissingDependency, UsageError
 from salsanext_cli.settings_files import words_of
+
+if TYPE_CHECKING:
+    import openvino
 
 PRECISIONS = ("auto", "float32", "bfloat16", "float16")
 ENGINES = ("auto", "openvino", "torch")
@@ -81,12 +85,23 @@ def choose_engine(name: str, device: str) -> str:
 
 
 @cache
+def openvino_core() -> "openvino.Core":
+    """Return OpenVINO for this process.
+
+    It stays until the process ends: the CPU plugin gives the thread that loads it a stack for
+    signal handlers, and takes the memory back when it is unloaded, whichever thread does that. The
+    next signal would end the process.
+    """
+    import openvino
+
+    return openvino.Core()
+
+
+@cache
 def _openvino_fails() -> str:
     """Return why OpenVINO cannot compute on this CPU, empty if it can."""
     try:
-        import openvino
-
-        openvino.Core().get_property("CPU", "FULL_DEVICE_NAME")
+        openvino_core().get_property("CPU", "FULL_DEVICE_NAME")
     except (ImportError, OSError, RuntimeError) as error:
         return f"does not start: {words_of(error)}"
     return ""

@@ -16,7 +16,7 @@ from xml.etree import ElementTree
 
 import numpy as np
 
-from salsanext_cli.inference.device import processor
+from salsanext_cli.inference.device import openvino_core, processor
 from salsanext_cli.records import CHANNELS, Float
 from salsanext_cli.storage.user_cache import cached
 
@@ -104,7 +104,7 @@ def graph(
         "INFERENCE_NUM_THREADS": threads,
         "NUM_STREAMS": streams,
     }
-    core = openvino.Core()
+    core = openvino_core()
 
     def compile_anew() -> bytes:
         model = converted(*make())

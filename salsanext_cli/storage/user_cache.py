@@ -19,7 +19,7 @@ MAX_FOLDER_BYTES = 2 << 30
 """Size of a folder of the cache above which the files unused for longest are removed."""
 
 _said: list[str] = []
-"""What was said in this process."""
+"""The one warning of this process, once it was given."""
 
 log = logging.getLogger(__name__)
 

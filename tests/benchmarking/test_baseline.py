@@ -130,8 +130,8 @@ def test_script_and_benchmark_label_a_scan_as_predict_does(tmp_path, weights):
 def test_both_sides_of_a_benchmark_do_the_same(plain, tmp_path, weights):
     scan, sensor = tmp_path / "0.bin", ODD.to_dict()
     write_bin(scan, make_scan())
-    task = {"weights": weights, "device": "cpu", "precision": "float32", "sensor": sensor}
-    task |= {"passes": 3, "samples": 3}
+    task = {"weights": weights, "device": "cpu", "precision": "float32", "engine": "auto"}
+    task |= {"sensor": sensor, "passes": 3, "samples": 3}
     for part in ("network", "knn", "confusion", "uncertainty"):
         theirs, ours = (side.prepare(part, scan, task)() for side in (plain, product))
         if part == "network":
