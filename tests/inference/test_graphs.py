@@ -1,6 +1,9 @@
 # SPDX-License-Identifier: MIT
 """Graphs for OpenVINO compute what the torch modules do that they were made from."""
 
+import subprocess
+import sys
+
 import numpy as np
 import pytest
 import torch
@@ -117,3 +120,20 @@ def test_what_was_compiled_once_is_not_made_again(tmp_path, caplog):
         assert np.array_equal(compiled(module, x)(x.numpy())[0], expected)
         assert np.array_equal(graph(refuse, "test")(x.numpy())[0], expected)
     assert "is damaged: made again" in caplog.text
+
+
+def test_signals_are_handled_after_the_last_graph_is_gone():
+    """OpenVINO gives a thread a stack for its handlers, and must not take it back."""
+    program = """
+import gc, os, signal, threading, torch
+from salsanext_cli.inference.graphs import graph
+signal.signal(signal.SIGUSR1, lambda *_: print("handled"))
+part = torch.nn.Conv2d(5, 3, 1), lambda module, image: module(image), [torch.zeros(1, 5, 8, 8)]
+made = [graph(lambda: part, "test")]
+thread = threading.Thread(target=lambda: (made.clear(), gc.collect()))
+thread.start()
+thread.join()
+os.kill(os.getpid(), signal.SIGUSR1)
+"""
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True)
+    assert (done.returncode, done.stdout) == (0, "handled\n"), done.stderr
