@@ -13,7 +13,7 @@ import pytest
 if TYPE_CHECKING:
     from world import World
 
-# On a processor with tiles for bfloat16 commands would choose that, and other bits.
+# On a processor that multiplies bfloat16 commands would choose that, and other bits.
 os.environ.setdefault("SALSANEXT_PRECISION", "float32")
 
 

@@ -25,6 +25,8 @@ BFLOAT16_FLAGS = {"avx512_bf16", "amx_bf16", "bf16"}
 ISA_VARIABLE = "ONEDNN_MAX_CPU_ISA"
 BFLOAT16_ISA = ("BF16", "FP16", "AMX", "AVX10", "ALL", "DEFAULT")
 """Parts of the values of `ISA_VARIABLE` that leave bfloat16 to the libraries."""
+CONVERTER = "openvino.tools.ovc"
+"""Part of OpenVINO that reports its use over the network. OpenVINO imports it if it can."""
 
 log = logging.getLogger(__name__)
 
@@ -100,10 +102,15 @@ def openvino_core() -> "openvino.Core":
 @cache
 def _openvino_fails() -> str:
     """Return why OpenVINO cannot compute on this CPU, empty if it can."""
+    known = CONVERTER in sys.modules
+    sys.modules.setdefault(CONVERTER, None)  # type: ignore[arg-type]
     try:
         openvino_core().get_property("CPU", "FULL_DEVICE_NAME")
     except (ImportError, OSError, RuntimeError) as error:
         return f"does not start: {words_of(error)}"
+    finally:
+        if not known:
+            del sys.modules[CONVERTER]
     return ""
 
 

@@ -5,6 +5,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from salsanext_cli import __version__
 from salsanext_cli.inference.device import choose_device, choose_engine, choose_precision
 from salsanext_cli.inference.network import Network
 from salsanext_cli.network.card import default_weights, read_card
@@ -63,7 +64,8 @@ def load_network(
         _ = network.module
     else:
         # Reading checks them; what was read once by this version needs no torch.
-        cached(f"weights/{network.sha256}.checked", lambda: bool(network.module) * b"checked")
+        name = f"weights/{network.sha256}-{__version__}.checked"
+        cached(name, lambda: bool(network.module) * b"checked")
     return network
 
 

@@ -41,6 +41,31 @@ def test_uncertainty_cost(data, weights, capsys):
     assert "1.0 × (1.0 to 1.0)" in found["one deterministic pass"]
 
 
+def script_printed(script: str, *words: object, **environment: str) -> list[str]:
+    """Run a script in a process of its own; return its lines."""
+    done = subprocess.run(
+        [sys.executable, str(BENCHMARKS / script), *map(str, words)],
+        capture_output=True,
+        text=True,
+        check=True,
+        env={**os.environ, "PYTHONPATH": str(BENCHMARKS.parent), **environment},
+    )
+    return done.stdout.splitlines()
+
+
+def test_engines(data, weights):
+    scan, one_thread = data / "sequences/00/velodyne/0.bin", {"NUMBA_NUM_THREADS": "1"}
+    given = (scan, 1, weights, data / "tiny.toml")
+    title, *rows = script_printed("engines.py", *given, **one_thread)
+    assert title.startswith("16×64, 1 threads")
+    found = {row[:42].rstrip(): row[42:] for row in rows}
+    assert "1.00 × (1.00 to 1.00)  100.00%" in found["eager float32"]
+    assert found.keys() >= {"channels last float32", "OpenVINO float32"}
+    for name, row in found.items():
+        same = float(row.rpartition(" ")[2].rstrip("%"))
+        assert same > (99.9 if "float32" in name else 50), name
+
+
 @pytest.mark.skipif(not Path("/proc/self/io").exists(), reason="Linux only")
 def test_stage_cost(data, weights, capsys):
     found = printed(capsys, "stage_cost.py", data, data / "out", 2, weights)
@@ -61,16 +86,8 @@ def test_many_scans(tmp_path, capsys):
 
 def test_training_speed(data):
     """Both sides find the same loss, or it would stop."""
-    script, sensor = str(BENCHMARKS / "training_speed.py"), str(data / "tiny.toml")
-    options = ("--sensor", sensor, "--architecture", "salsanet", "--turns", "2")
-    done = subprocess.run(
-        [sys.executable, script, str(data), *options],
-        capture_output=True,
-        text=True,
-        check=True,
-        env={**os.environ, "PYTHONPATH": str(BENCHMARKS.parent)},
-    )
-    losses, ratio = done.stdout.splitlines()[1], done.stdout.splitlines()[-1]
+    options = ("--sensor", data / "tiny.toml", "--architecture", "salsanet", "--turns", 2)
+    _, losses, *_, ratio = script_printed("training_speed.py", data, *options)
     plain, ours = (float(each) for each in re.findall(r"\d+\.\d+", losses))
     assert plain == pytest.approx(ours, rel=1e-4)
     assert re.fullmatch(r"ours is \S+ × as fast \(\S+ to \S+ over 2 turns\)", ratio)

@@ -1,0 +1,129 @@
+# SPDX-License-Identifier: MIT
+"""Speed and labels of the network by every engine that is installed, on this CPU, for one scan.
+
+Compared with eager torch in float32 and NCHW: torch with channels last, ONNX Runtime (needs onnx
+and onnxruntime), OpenVINO as the toolkit uses it, and in int8 (needs nncf), quantised from this
+scan alone, as a whole or without the context module and the logits. All cores for each. The engines
+take turns in every round; a turn is the fastest of three calls after one that is not timed. Printed
+are the median time, the median, lowest and highest ratio of a round to eager, and the share of
+pixels with a point that have eager's label.
+
+Run: python benchmarks/engines.py 000000.bin [5 default hdl64-512 hdl64]
+"""
+
+import io
+import logging
+import statistics
+import sys
+import warnings
+from collections.abc import Callable
+from contextlib import redirect_stdout
+from functools import partial
+from importlib.util import find_spec
+
+import numpy as np
+import torch
+
+import salsanext_cli as sn
+from salsanext_cli.benchmarking.hardware import seconds_of
+from salsanext_cli.inference.device import has_bfloat16
+from salsanext_cli.inference.graphs import HINTS, Graph, converted
+from salsanext_cli.inference.network import Network
+from salsanext_cli.kernels import thread_count
+
+KINDS = ("float32", "bfloat16") if has_bfloat16() else ("float32",)
+KEPT = {"int8": [], "int8 but for context and logits": [".*context.*", ".*logits.*"]}
+"""Patterns of the layers that are not quantised."""
+Engine = Callable[[np.ndarray], np.ndarray]
+"""Takes a normalised range image (1, 5, H, W), returns logits (1, C, H, W)."""
+
+
+def by_torch(module: torch.nn.Module, layout: torch.memory_format) -> Engine:
+    module = module.to(memory_format=layout)
+
+    def run(image: np.ndarray) -> np.ndarray:
+        with torch.inference_mode():
+            return module(torch.from_numpy(image).to(memory_format=layout)).numpy()
+
+    return run
+
+
+def by_onnx_runtime(module: torch.nn.Module, image: np.ndarray) -> Engine:
+    import onnxruntime
+
+    file, settings = io.BytesIO(), onnxruntime.SessionOptions()
+    settings.intra_op_num_threads = thread_count()
+    inputs = (torch.from_numpy(image),)
+    with warnings.catch_warnings(action="ignore"):
+        torch.onnx.export(module, inputs, file, opset_version=17, input_names=["x"], dynamo=False)
+    session = onnxruntime.InferenceSession(file.getvalue(), settings, ["CPUExecutionProvider"])
+    return lambda image: session.run(None, {"x": image})[0]
+
+
+def by_openvino(network: Network) -> Engine:
+    graph = network.graph("logits", lambda m, x: m(x), lambda: [network.example_input()])
+    return lambda image: graph(image)[0]
+
+
+def by_openvino_in_int8(module: torch.nn.Module, image: np.ndarray, kept: list[str]) -> Engine:
+    sys.modules["openvino_telemetry"] = None  # by which nncf reports its use
+    import nncf
+    import openvino
+
+    logging.getLogger("nncf").setLevel(logging.ERROR)
+    model = converted(module, lambda m, x: m(x), [torch.from_numpy(image)])
+    scope = nncf.IgnoredScope(patterns=kept, validate=False)
+    with redirect_stdout(io.StringIO()):
+        model = nncf.quantize(model, nncf.Dataset([image]), ignored_scope=scope)
+    hints = {"INFERENCE_PRECISION_HINT": HINTS[KINDS[-1]], "INFERENCE_NUM_THREADS": thread_count()}
+    graph = Graph(openvino.Core().compile_model(model, "CPU", hints))
+    return lambda image: graph(image)[0]
+
+
+def engines(load: Callable[[str, str], Network], image: np.ndarray) -> dict[str, Engine]:
+    """Return the engines by name, the eager one first."""
+    plain = load("torch", "float32").module
+    found = {"eager float32": by_torch(plain, torch.contiguous_format)}
+    for kind in KINDS:
+        module = load("torch", kind).torch_module
+        found[f"channels last {kind}"] = by_torch(module, torch.channels_last)
+    if find_spec("onnx") and find_spec("onnxruntime"):
+        found["ONNX Runtime float32"] = by_onnx_runtime(plain, image)
+    for kind in KINDS:
+        found[f"OpenVINO {kind}"] = by_openvino(load("openvino", kind))
+    if find_spec("nncf"):
+        for name, kept in KEPT.items():
+            found[f"OpenVINO {name}"] = by_openvino_in_int8(plain, image, kept)
+    return found
+
+
+def compare(scan: sn.Scan, sensor: sn.Sensor, weights: str | None, rounds: int) -> None:
+    def load(engine: str, kind: str) -> Network:
+        return sn.load_network(weights, "cpu", sensor, kind, engine)
+
+    projected = sn.project(scan, sensor)
+    image = load("torch", "float32").input_array(projected.channels)
+    found = engines(load, image)
+    times = {name: [] for name in found}
+    for _ in range(rounds):
+        for name, run in found.items():
+            times[name].append(min(seconds_of(partial(run, image))))
+    seen, eager = projected.point_of_pixel >= 0, next(iter(found))
+    labels = {name: run(image)[0].argmax(axis=0)[seen] for name, run in found.items()}
+    print(f"{sensor.height}×{sensor.width}, {thread_count()} threads")
+    for name, measured in times.items():
+        ratios = [plain / own for plain, own in zip(times[eager], measured, strict=True)]
+        ratio = f"{statistics.median(ratios):5.2f} × ({min(ratios):.2f} to {max(ratios):.2f})"
+        same = (labels[name] == labels[eager]).mean()
+        print(f"{name:42}{statistics.median(measured):8.4f} s {ratio}  {same:.2%}")
+
+
+def main(scan: str, rounds: str = "5", weights: str = "default", *sensors: str) -> None:
+    torch.set_num_threads(thread_count())
+    for name in sensors or ("hdl64-512", "hdl64"):
+        own = None if weights == "default" else weights
+        compare(sn.read_scan(scan), sn.sensor(name), own, int(rounds))
+
+
+if __name__ == "__main__":
+    main(*sys.argv[1:])

@@ -1,0 +1,93 @@
+# SPDX-License-Identifier: MIT
+"""No command opens a socket, and none loads the telemetry that is installed with OpenVINO."""
+
+import os
+from pathlib import Path
+
+from command_line import python
+from scans import SMALL, write_sequence
+
+import salsanext_cli
+from salsanext_cli.kernels import kernel_folder
+
+LISTENER = """
+import os, socket, sys
+
+LOOK_UPS = ("socket.getaddrinfo", "socket.gethostbyname", "socket.gethostbyaddr")
+
+def note(event, arguments):
+    opened = event == "socket.__new__" and arguments[1] != socket.AF_UNIX
+    loaded = event == "import" and arguments[0] == "openvino_telemetry"
+    if opened or loaded or event in LOOK_UPS:
+        with open(os.environ["SEEN"], "a") as file:
+            print(sys.argv, event, arguments[:2], file=file)
+
+sys.addaudithook(note)
+"""
+"""What Python imports first, in every process of a run: Python reports each socket to it."""
+COMMANDS = """
+import sys
+from salsanext_cli.cli.app import main
+
+for line in {lines!r}:
+    sys.argv = ["salsanext", *line]
+    try:
+        main()
+    except SystemExit as leaving:
+        assert not leaving.code, line
+loaded = [name for name in sys.modules if name.startswith("openvino")]
+assert "openvino" in loaded and "openvino_telemetry" not in loaded, loaded
+"""
+
+
+def seen(folder: Path, code: str) -> str:
+    """Return what was noted while a program ran with a new cache folder."""
+    (folder / "sitecustomize.py").write_text(LISTENER)
+    (folder / "seen").touch()
+    paths = (folder, Path(salsanext_cli.__file__).parents[1])
+    environment = {
+        "PYTHONPATH": os.pathsep.join(map(str, paths)),
+        "SEEN": str(folder / "seen"),
+        "XDG_CACHE_HOME": str(folder / "cache"),
+        "NUMBA_CACHE_DIR": os.environ.get("NUMBA_CACHE_DIR") or kernel_folder(),
+    }
+    ended = python(code, **environment)
+    assert ended.returncode == 0, ended.stderr
+    return (folder / "seen").read_text()
+
+
+def test_sockets_and_telemetry_are_noted(tmp_path):
+    noted = seen(
+        tmp_path,
+        "import socket, openvino_telemetry\n"
+        "socket.socketpair()\n"
+        "socket.socket()\n"
+        "socket.getaddrinfo('127.0.0.1', 80)\n",
+    )
+    events = [line.split("] ")[1].split()[0] for line in noted.splitlines()]
+    assert events == ["import", "socket.__new__", "socket.getaddrinfo"]
+
+
+def test_no_command_opens_a_socket_or_loads_telemetry(tmp_path, weights):
+    data, out, steps = tmp_path / "data", tmp_path / "out", tmp_path / "steps"
+    write_sequence(data / "sequences/08", ["0", "1"])
+    sensor = tmp_path / "small.toml"
+    view = ("fov_up", "fov_down", "height", "width")
+    sensor.write_text("".join(f"{name} = {getattr(SMALL, name)}\n" for name in view))
+    network = ("--weights", weights, "--device", "cpu", "--engine", "openvino")
+    lines = [
+        ("predict", data, out, *network),
+        ("predict", data, out, *network, "--jobs", 2, "--overwrite"),
+        ("uncertainty", data, out, *network, "--samples", 2, "--no-aleatoric"),
+        ("eval", "--out", out),
+        ("export-ply", "--out", out, "--colour", "uncertainty"),
+        ("project", data, steps, "--sensor", sensor),
+        ("predict", steps, steps, *network),
+        ("knn-refine", steps),
+        ("inspect", data),
+        ("models", weights),
+        ("import-weights", weights, tmp_path / "again.safetensors"),
+    ]
+    words = [[str(word) for word in line] for line in lines]
+    assert seen(tmp_path, COMMANDS.format(lines=words)) == ""
+    assert list(tmp_path.glob("cache/salsanext/graphs/*.blob"))
