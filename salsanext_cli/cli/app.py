@@ -52,9 +52,8 @@ COMMANDS: dict[str, dict[str, Callable[..., None] | typer.Typer]] = {
 }
 
 
-UNUSED = ("scipy.linalg", "openvino.tools.ovc")
-"""Modules that numba and OpenVINO import if they can and that no command needs: together a third of
-a second. The second is OpenVINO's converter, which reports its use over the network."""
+UNUSED = "scipy.linalg"
+"""Module that numba imports if it can, which takes a quarter of a second, for what no kernel uses."""
 
 
 class InOrder(TyperGroup):
@@ -103,5 +102,5 @@ for panel, commands in COMMANDS.items():
 
 def main() -> None:
     """Run the command line."""
-    sys.modules.update(dict.fromkeys(UNUSED))  # type: ignore[arg-type]
+    sys.modules.setdefault(UNUSED, None)  # type: ignore[arg-type]
     app()
