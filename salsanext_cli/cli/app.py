@@ -53,7 +53,7 @@ COMMANDS: dict[str, dict[str, Callable[..., None] | typer.Typer]] = {
 
 
 UNUSED = "scipy.linalg"
-"""Module that numba imports if it can, which takes a quarter of a second, for what no kernel uses."""
+"""Module that numba imports if it can: a quarter of a second for what no kernel uses."""
 
 
 class InOrder(TyperGroup):
