@@ -76,7 +76,8 @@ def overwriting(folder: Path) -> Run:
     from salsanext_cli.stages.predict import predict_scans
 
     data = write_sequence(folder / "data/08", ["a", "b", "c"], count=3000)
-    network = NetworkSettings(write_weights(folder / "w.safetensors"), "cpu")
+    # OpenVINO's threads do not survive a fork.
+    network = NetworkSettings(write_weights(folder / "w.safetensors"), "cpu", engine="torch")
     extras = ("pixel_labels", "probabilities")
 
     def run(out: Path) -> None:
