@@ -33,13 +33,14 @@ def import_extra(name: str, extra: str) -> Any:
     Raises
     ------
     MissingDependency
-        If it is not installed.
+        If it is not installed, or cannot be imported.
     """
     try:
         return import_module(name)
     except ImportError as error:
+        found = "not installed" if error.name == name else f"cannot be imported: {error}"
         remedy = f"pip install 'salsanext[{extra}]'"
-        raise MissingDependency(name, "not installed", remedy=remedy) from error
+        raise MissingDependency(name, found, remedy=remedy) from error
 
 
 def import_nncf() -> Any:
@@ -51,4 +52,6 @@ def import_nncf() -> Any:
         If it is not installed.
     """
     sys.modules["openvino_telemetry"] = None  # type: ignore[assignment]
+    if "scipy.linalg" in sys.modules and sys.modules["scipy.linalg"] is None:
+        del sys.modules["scipy.linalg"]  # the command line hides it, for a faster start
     return import_extra("nncf", "quantise")

@@ -12,6 +12,7 @@ from torch import Tensor, nn
 
 from salsanext_cli.errors import WeightsError
 from salsanext_cli.network.card import WeightsCard
+from salsanext_cli.network.onnx_metadata import OPSET
 from salsanext_cli.network.segmentation import SegmentationNetwork
 from salsanext_cli.packages import import_extra
 from salsanext_cli.records import CHANNELS, Float
@@ -19,27 +20,34 @@ from salsanext_cli.records import CHANNELS, Float
 if TYPE_CHECKING:
     import onnx
 
-OPSET = 17
-"""The latest that TensorRT 8.6 reads; OpenVINO and ONNX Runtime read later ones too."""
 INPUT, OUTPUT = "image", "logits"
 TOLERANCE = 1e-3
 """Largest difference from torch, relative to the largest logit."""
 SEED = 0
 
 
-class _AnyWidth(nn.Module):
-    """A network that takes every width that its stride divides; the height stays as traced."""
+class _Traced(nn.Module):
+    """A network for images of one height, with what is padded and cropped as constants.
 
-    def __init__(self, module: SegmentationNetwork) -> None:
+    Where there is nothing to pad, it takes every width that the network's stride divides.
+    """
+
+    def __init__(self, module: SegmentationNetwork, height: int, width: int) -> None:
         super().__init__()
         self.module = module
+        self.height, self.width = height, width
+        self.columns = torch.arange(width + -width % module.stride[1]) % width
+        self.rows = -height % module.stride[0]
 
     def forward(self, image: Tensor) -> Tensor:
-        height, rows = image.shape[-2], self.module.stride[0]
-        if height % rows:
-            image = nn.functional.pad(image, (0, 0, 0, -height % rows))
+        if len(self.columns) != self.width:
+            image = image[..., self.columns]
+        if self.rows:
+            image = nn.functional.pad(image, (0, 0, 0, self.rows))
         logits: Tensor = self.module.rest(*self.module.trunk(image))
-        return logits[..., :height, :] if height % rows else logits
+        if self.rows:
+            logits = logits[..., : self.height, :]
+        return logits[..., : self.width] if len(self.columns) != self.width else logits
 
 
 def exported(
@@ -63,11 +71,9 @@ def exported(
     """
     package = import_extra("onnx", "onnx")
     height, width = card.sensor.height, card.sensor.width
-    stride = module.stride[1]
     if dynamic_width:
-        width = -(-width // stride) * stride
-    # Without padding where there is nothing to pad: runtimes need not find out.
-    traced = module if width % stride else _AnyWidth(module)
+        width += -width % module.stride[1]
+    traced = _Traced(module, height, width)
     example = torch.zeros(1, len(CHANNELS), height, width)
     axes = {name: {3: "width"} for name in (INPUT, OUTPUT)} if dynamic_width else None
     with warnings.catch_warnings(), torch.inference_mode(), TemporaryDirectory() as folder:

@@ -11,11 +11,11 @@ from salsanext_cli.formats import read_scan
 from salsanext_cli.geometry.normalise import normalise
 from salsanext_cli.geometry.projection import project
 from salsanext_cli.inference.graphs import Graph
-from salsanext_cli.inference.onnx_export import OPSET, difference, exported
+from salsanext_cli.inference.onnx_export import difference, exported
 from salsanext_cli.inference.onnx_model import read_model
 from salsanext_cli.inference.quantised import quantised
 from salsanext_cli.network.card import WeightsCard
-from salsanext_cli.network.onnx_metadata import ONNX_SUFFIX
+from salsanext_cli.network.onnx_metadata import ONNX_SUFFIX, OPSET
 from salsanext_cli.network.weights import read_weights
 from salsanext_cli.packages import import_extra, import_nncf
 from salsanext_cli.records import Float, RangeImage
