@@ -64,6 +64,7 @@ def benchmark(
         if value is not None and value < 1:
             raise UsageError(f"--{name}", str(value), "at least 1")
     weights = network.weights or default_weights()
+    require_tensors(weights)
     card = read_card(weights)
     sensor = network.sensor or card.sensor
     _require(weights, card, sensor, parts)
