@@ -6,9 +6,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from scans import SMALL, lively, make_scan
+from scans import SMALL, labels_below, lively, make_scan
 
 from salsanext_cli import LabelSpace, load_network, project
+from salsanext_cli.benchmarking.benchmark import benchmark
 from salsanext_cli.errors import MissingDependency, OutputError, UsageError, WeightsError
 from salsanext_cli.inference import onnx_export
 from salsanext_cli.inference.onnx_export import difference, exported, run
@@ -16,6 +17,7 @@ from salsanext_cli.inference.settings import NetworkSettings
 from salsanext_cli.network.card import read_card
 from salsanext_cli.network.registry import ARCHITECTURES, build
 from salsanext_cli.network.weights import read_weights
+from salsanext_cli.parallel.run import RunOptions
 from salsanext_cli.stages.export_onnx import export_onnx
 from salsanext_cli.stages.predict import predict_scans
 from salsanext_cli.stages.tune_temperature import tune_temperature
@@ -125,6 +127,16 @@ def test_predicts_as_the_weights_do(world, model, weights):
     assert record["settings"]["weights"] == network.sha256
 
 
+def test_workers_predict_the_same(world, model):
+    """Where this process found a CPU, they do not look for a GPU."""
+    settings = NetworkSettings(model)
+    predict_scans(world.data, world.out / "1", network=settings)
+    options = RunOptions(jobs=2)
+    assert predict_scans(world.data, world.out / "2", network=settings, options=options).done == 3
+    assert labels_below(world.out / "1") == labels_below(world.out / "2")
+    assert settings.resolved(load_network(model)).device == "cpu"
+
+
 def test_the_temperature_counts(tmp_path, weights):
     module, card = read_weights(weights)
     hot = replace(card, temperature=4.0)
@@ -155,6 +167,8 @@ def test_labels_and_probabilities_only(world, model, tmp_path):
         uncertainty(world.data, world.out, network=settings)
     with pytest.raises(WeightsError, match="labels and probabilities only"):
         tune_temperature(world.data, tmp_path / "t.safetensors", network=settings)
+    with pytest.raises(WeightsError, match="labels and probabilities only"):
+        benchmark(world.data, network=settings)
     with pytest.raises(WeightsError, match="labels and probabilities only"):
         read_weights(model)
     for options in ({"device": "cuda"}, {"engine": "torch"}):
