@@ -27,8 +27,8 @@ def quantised(
     """Return a model whose convolutions multiply bytes.
 
     Float32 stay the first part of the network, which sees ranges of 0 to 80 metres to the
-    centimetre, and the logits. The ranges of feature maps are means over the scans of the quantiles
-    0.001 and 0.999 or so, not extremes.
+    centimetre, and the logits. The ranges of feature maps are means over the scans of high and low
+    quantiles, not extremes.
 
     Parameters
     ----------
@@ -78,7 +78,7 @@ def left_in_float32(model: "onnx.ModelProto") -> list[str]:
 
 def _part(name: str) -> str:
     """Return the part of the network in the name of a node, such as ``/context/…/Conv``."""
-    return name.removeprefix("/module").split("/")[1] if "/" in name else ""
+    return name.split("/")[1] if "/" in name else ""
 
 
 def _make_unsigned(model: "onnx.ModelProto") -> None:

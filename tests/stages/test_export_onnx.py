@@ -8,13 +8,13 @@ import numpy as np
 import pytest
 from scans import SMALL, labels_below, lively, make_scan
 
-from salsanext_cli import LabelSpace, load_network, project
+from salsanext_cli import LabelSpace, label_space, load_network, project
 from salsanext_cli.benchmarking.benchmark import benchmark
 from salsanext_cli.errors import MissingDependency, OutputError, UsageError, WeightsError
 from salsanext_cli.inference import onnx_export
 from salsanext_cli.inference.onnx_export import difference, exported, run
 from salsanext_cli.inference.settings import NetworkSettings
-from salsanext_cli.network.card import read_card
+from salsanext_cli.network.card import WeightsCard, read_card
 from salsanext_cli.network.registry import ARCHITECTURES, build
 from salsanext_cli.network.weights import read_weights
 from salsanext_cli.parallel.run import RunOptions
@@ -55,14 +55,8 @@ def model(tmp_path_factory, weights):
     return path
 
 
-def card_of(sensor, name="salsanext"):
-    return replace(CARD, sensor=sensor, architecture={"name": name, "class_count": 20})
-
-
-@pytest.fixture(autouse=True, scope="module")
-def _card(weights):
-    global CARD
-    CARD = read_card(weights)
+def card_of(sensor, name):
+    return WeightsCard({"name": name, "class_count": 20}, label_space(), sensor)
 
 
 def image(sensor=SMALL):
@@ -185,7 +179,7 @@ def changed(model, path, change):
 
 def test_models_that_are_not_ours(tmp_path, model):
     def other_classes(found):
-        onnx.helper.set_model_props(found, replace(CARD, space=FEW).to_metadata())
+        onnx.helper.set_model_props(found, replace(read_card(model), space=FEW).to_metadata())
 
     def two_outputs(found):
         found.graph.output.append(found.graph.input[0])
