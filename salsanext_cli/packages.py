@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: MIT
-"""Import of open3d when it is first used, with the remedy where that fails."""
+"""Import of packages when they are first used, with the remedy where that fails."""
 
+import sys
+from importlib import import_module
 from typing import Any
 
 from salsanext_cli.errors import MissingDependency
@@ -23,3 +25,33 @@ def import_open3d() -> Any:
             "open3d", str(error), "the system library libusb-1.0", "apt-get install libusb-1.0-0"
         ) from error
     return open3d
+
+
+def import_extra(name: str, extra: str) -> Any:
+    """Import a package that comes with an extra of this one.
+
+    Raises
+    ------
+    MissingDependency
+        If it is not installed, or cannot be imported.
+    """
+    try:
+        return import_module(name)
+    except ImportError as error:
+        found = "not installed" if error.name == name else f"cannot be imported: {error}"
+        remedy = f"pip install 'salsanext[{extra}]'"
+        raise MissingDependency(name, found, remedy=remedy) from error
+
+
+def import_nncf() -> Any:
+    """Import NNCF without `openvino_telemetry`, by which it would report its use.
+
+    Raises
+    ------
+    MissingDependency
+        If it is not installed.
+    """
+    sys.modules["openvino_telemetry"] = None  # type: ignore[assignment]
+    if "scipy.linalg" in sys.modules and sys.modules["scipy.linalg"] is None:
+        del sys.modules["scipy.linalg"]  # the command line hides it, for a faster start
+    return import_extra("nncf", "quantise")

@@ -13,17 +13,19 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 import typer
 import yaml
 from command_line import every_command, parsed
-from scans import SMALL, make_scan, write_sequence
+from scans import SMALL, make_scan, write_array, write_sequence
 
 import salsanext_cli
-from salsanext_cli import LabelSpace, Sensor, sensors
+from salsanext_cli import LabelSpace, Sensor, load_network, read_scan, sensors
 from salsanext_cli.cli.app import COMMANDS, app
 from salsanext_cli.formats import SCAN_SUFFIXES
 from salsanext_cli.stages import predict as stage
+from salsanext_cli.stages.export_onnx import export_onnx
 from salsanext_cli.stages.models import models
 from salsanext_cli.storage.layout import SUFFIX_OF_FOLDER
 from salsanext_cli.storage.point_files import write_bin
@@ -126,6 +128,23 @@ def a_scan_and_weights(tmp_path, weights, monkeypatch) -> Path:
     monkeypatch.setattr(sensors, "presets", lambda: {"hdl64": SMALL})
     monkeypatch.chdir(tmp_path)
     return tmp_path
+
+
+def test_what_is_deployed_computes_what_predict_does(a_scan_and_weights):
+    pytest.importorskip("onnx")
+    pytest.importorskip("onnxruntime")
+    export_onnx(Path("weights.safetensors"), Path("model.onnx"))
+    scan = read_scan("000000.bin")
+    image = salsanext_cli.project(scan, SMALL)
+    write_array(Path("out/sequences/00/range/000000.npy"), image.channels)
+    network = load_network("weights.safetensors", "cpu")
+    expected = network.logits(image)
+    names: dict[str, Any] = {}
+    for body in blocks(DOCS / "deploy.md", "python"):
+        names.pop("logits", None)
+        exec(compile(body, "deploy.md", "exec"), names)
+        assert np.abs(names["logits"][0] - expected).max() < 1e-3
+    assert np.array_equal(names["labels"], expected.argmax(0))
 
 
 @pytest.mark.parametrize("page", [ROOT / "README.md", DOCS / "python.md"], ids=lambda p: p.name)

@@ -16,7 +16,7 @@ from salsanext_cli.formats import read_scan
 from salsanext_cli.geometry.normalise import noise_of
 from salsanext_cli.inference.device import choose_device, choose_precision
 from salsanext_cli.inference.settings import NetworkSettings
-from salsanext_cli.network.card import WeightsCard, default_weights, read_card
+from salsanext_cli.network.card import WeightsCard, default_weights, read_card, require_tensors
 from salsanext_cli.sensors import Sensor
 from salsanext_cli.storage.point_files import write_bin
 from salsanext_cli.storage.selection import ScanSelection, select_scans
@@ -64,6 +64,7 @@ def benchmark(
         if value is not None and value < 1:
             raise UsageError(f"--{name}", str(value), "at least 1")
     weights = network.weights or default_weights()
+    require_tensors(weights)
     card = read_card(weights)
     sensor = network.sensor or card.sensor
     _require(weights, card, sensor, parts)

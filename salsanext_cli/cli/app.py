@@ -13,6 +13,7 @@ from salsanext_cli.cli.benchmark import benchmark
 from salsanext_cli.cli.console import guarded
 from salsanext_cli.cli.demo import demo
 from salsanext_cli.cli.evaluate import evaluate
+from salsanext_cli.cli.export_onnx import export_onnx
 from salsanext_cli.cli.export_ply import export_ply
 from salsanext_cli.cli.import_weights import import_weights
 from salsanext_cli.cli.inspect import inspect
@@ -43,6 +44,7 @@ COMMANDS: dict[str, dict[str, Callable[..., None] | typer.Typer]] = {
     "Models": {
         "models": models,
         "import-weights": import_weights,
+        "export-onnx": export_onnx,
         "tune": tune,
         "benchmark": benchmark,
     },

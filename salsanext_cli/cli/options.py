@@ -131,7 +131,7 @@ class NetworkOptions:
     """Network, its sensor and its device."""
 
     weights: Path | None = network_option(
-        "Weights file (.safetensors).", show_default="the default weights"
+        "Weights file (.safetensors), or .onnx of export-onnx.", show_default="the default weights"
     )
     device: str = network_option(
         "cpu, cuda, cuda:1 …; auto uses a GPU if there is one.", default="auto"

@@ -6,6 +6,7 @@ command-line converter, which reports its use. What was compiled before is loade
 """
 
 import hashlib
+import re
 import tempfile
 import warnings
 from collections.abc import Callable, Sequence
@@ -27,6 +28,8 @@ if TYPE_CHECKING:
 HINTS = {"float32": "f32", "bfloat16": "bf16"}
 LOGITS = "logits"
 """Name of the last convolution, in every architecture."""
+OF_LOGITS = re.compile(rf"[./]{LOGITS}/")
+"""Part of the names of its layers, traced from torch or read from ONNX."""
 ERFC = (
     *(0.17087277, -0.82215223, 1.48851587, -1.13520398, 0.27886807),
     *(-0.18628806, 0.09678418, 0.37409196, 1.00002368, -1.26551223),
@@ -83,15 +86,33 @@ def graph(
     threads: int = 1,
     streams: int = 1,
 ) -> Graph:
-    """Return a function of a network, ready to compute; from the cache if it was compiled before.
+    """Return a function of a module, ready to compute, as `compiled_graph` does.
 
     Parameters
     ----------
     make : callable
-        Returns module, function and inputs as `converted` takes them; called only if the cache does
-        not hold the graph.
+        Returns module, function and inputs as `converted` takes them.
+    key, precision, threads, streams
+        As for `compiled_graph`.
+    """
+    return compiled_graph(lambda: converted(*make()), key, precision, threads, streams)
+
+
+def compiled_graph(
+    make: "Callable[[], openvino.Model]",
+    key: object,
+    precision: str = "float32",
+    threads: int = 1,
+    streams: int = 1,
+) -> Graph:
+    """Return a model, ready to compute; from the cache if it was compiled before.
+
+    Parameters
+    ----------
+    make : callable
+        Returns the model; called only if the cache does not hold it.
     key : object
-        What the function depends on, with a `repr` of its own.
+        What the model depends on, with a `repr` of its own.
     precision : {"float32", "bfloat16"}
         Of all layers but those that see the range image or make the logits.
     threads, streams : int
@@ -107,7 +128,7 @@ def graph(
     core = openvino_core()
 
     def compile_anew() -> bytes:
-        model = converted(*make())
+        model = make()
         if precision != "float32":
             model = partly_float32(core, model)
         blob: BytesIO = core.compile_model(model, "CPU", hints).export_model()
@@ -180,7 +201,7 @@ def partly_float32(core: "openvino.Core", model: "openvino.Model") -> "openvino.
     after_logits = False
     for layer in tree.getroot().iter("layer"):
         if layer.get("type") in ("Convolution", "GroupConvolution"):
-            is_logits = f".{LOGITS}/" in str(layer.get("name"))
+            is_logits = bool(OF_LOGITS.search(str(layer.get("name"))))
             channels = int(layer.findall("input/port")[0].findall("dim")[1].text or 0)
             after_logits |= is_logits
             precise = is_logits or channels == len(CHANNELS)

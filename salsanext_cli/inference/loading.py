@@ -8,7 +8,9 @@ from typing import TYPE_CHECKING
 from salsanext_cli import __version__
 from salsanext_cli.inference.device import choose_device, choose_engine, choose_precision
 from salsanext_cli.inference.network import Network
+from salsanext_cli.inference.onnx_model import load_onnx
 from salsanext_cli.network.card import default_weights, read_card
+from salsanext_cli.network.onnx_metadata import ONNX_SUFFIX
 from salsanext_cli.sensors import Sensor
 from salsanext_cli.storage.identity import fingerprint
 from salsanext_cli.storage.user_cache import cached
@@ -29,7 +31,8 @@ def load_network(
     Parameters
     ----------
     path : Path or str, optional
-        A weights file; None for the default weights.
+        A weights file, or an ONNX file of `export-onnx`, which gives labels and probabilities only
+        and is computed by OpenVINO; None for the default weights.
     device : str
         ``"cpu"``, ``"cuda"``, ``"cuda:1"`` … or ``"auto"``: the first GPU if there is one.
     sensor : Sensor, optional
@@ -49,7 +52,10 @@ def load_network(
         If OpenVINO was asked for and does not start.
     """
     file = default_weights() if path is None else Path(path)
-    card, place = read_card(file), choose_device(device)
+    card = read_card(file)
+    if file.suffix == ONNX_SUFFIX:
+        return load_onnx(file, card, device, sensor or card.sensor, precision, engine)
+    place = choose_device(device)
     network = Network(
         lambda: _read_module(file, place),
         card,

@@ -74,6 +74,7 @@ class NetworkSettings:
         log.log(NOTICE, "%s on %s by %s in %s", name, *how)
         return replace(
             self,
+            device="cpu" if network.device == "cpu" else self.device,
             precision=network.precision,
             engine=network.engine,
             sha256=fingerprint(self.path),

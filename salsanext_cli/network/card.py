@@ -15,6 +15,7 @@ import safetensors
 from salsanext_cli import __version__
 from salsanext_cli.classes import LabelSpace
 from salsanext_cli.errors import UsageError, WeightsError
+from salsanext_cli.network.onnx_metadata import ONNX_SUFFIX, onnx_metadata
 from salsanext_cli.sensors import Sensor
 from salsanext_cli.settings_files import shortened, words_of
 
@@ -81,7 +82,7 @@ class WeightsCard:
             if not isinstance(values, dict):
                 raise TypeError(f"{KEY} is no table")
             if (form := values.get("format")) is None:
-                expected = "weights that `train` or `import-weights` wrote"
+                expected = "a file that `train`, `import-weights` or `export-onnx` wrote"
                 raise WeightsError(source, "lacks what salsanext writes", expected)
             if form != FORMAT:
                 remedy = "use the version that wrote it"
@@ -113,13 +114,15 @@ def _temperature(value: Any) -> float:
 
 
 def read_card(path: Path) -> WeightsCard:
-    """Read only the metadata of a weights file.
+    """Read only the metadata of a weights file, or of an ONNX file of `export-onnx`.
 
     Raises
     ------
     WeightsError
         If the file cannot be read or is not one of ours.
     """
+    if path.suffix == ONNX_SUFFIX:
+        return WeightsCard.from_metadata(onnx_metadata(path), path)
     try:
         with safetensors.safe_open(path, framework="np") as file:
             metadata = file.metadata() or {}
@@ -130,6 +133,13 @@ def read_card(path: Path) -> WeightsCard:
             found, remedy = "a folder", "name the file in it"
         raise WeightsError(path, found, "a .safetensors file", remedy) from error
     return WeightsCard.from_metadata(metadata, path)
+
+
+def require_tensors(path: Path) -> None:
+    """Raise `WeightsError` for an ONNX file, whose weights cannot be changed or taken apart."""
+    if path.suffix == ONNX_SUFFIX:
+        found = "an ONNX model: labels and probabilities only"
+        raise WeightsError(path, found, "a .safetensors file", "give the weights it was made from")
 
 
 def default_weights() -> Path:

@@ -10,7 +10,7 @@ import torch
 from torch import Tensor, nn
 
 from salsanext_cli.errors import UsageError, WeightsError
-from salsanext_cli.network.card import WeightsCard, read_card
+from salsanext_cli.network.card import WeightsCard, read_card, require_tensors
 from salsanext_cli.network.registry import build
 from salsanext_cli.network.restricted_unpickler import DTYPES
 from salsanext_cli.network.segmentation import SegmentationNetwork
@@ -68,6 +68,7 @@ def read_weights(path: Path) -> tuple[SegmentationNetwork, WeightsCard]:
         If the file cannot be read, its tensors do not fit its architecture, its architecture
         does not fit its label space, or a value is impossible.
     """
+    require_tensors(path)
     card = read_card(path)
     count = card.space.class_count
     try:

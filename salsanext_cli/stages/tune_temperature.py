@@ -20,7 +20,7 @@ from salsanext_cli.inference.settings import NetworkSettings
 from salsanext_cli.measures.calibration import calibration_scores
 from salsanext_cli.measures.histograms import confidence_histogram
 from salsanext_cli.measures.softmax import softmax_errors
-from salsanext_cli.network.card import TEMPERATURES
+from salsanext_cli.network.card import TEMPERATURES, require_tensors
 from salsanext_cli.network.weights import save_with_card
 from salsanext_cli.parallel.run import Progress
 from salsanext_cli.records import Float
@@ -91,6 +91,7 @@ def tune_temperature(
     SalsanextError
         If the scans cannot be learnt from, or the file cannot be written.
     """
+    require_tensors(network.path)
     loaded = network.load()
     scans, space = labelled_scans(dataset, selection, loaded.card)
     require_target(target, overwrite)

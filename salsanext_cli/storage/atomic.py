@@ -101,8 +101,8 @@ def require_writable(folder: Path) -> None:
             probe.unlink()
 
 
-def require_target(target: Path, overwrite: bool) -> None:
-    """Refuse a name for a weights file before work is done that would be lost.
+def require_target(target: Path, overwrite: bool, suffix: str = WEIGHTS_SUFFIX) -> None:
+    """Refuse a name for a file of weights before work is done that would be lost.
 
     Raises
     ------
@@ -110,8 +110,8 @@ def require_target(target: Path, overwrite: bool) -> None:
         If it has another suffix, exists and may not be overwritten, or its folder cannot be
         written to.
     """
-    if target.suffix != WEIGHTS_SUFFIX:
-        raise OutputError(target, f"suffix {target.suffix or 'missing'}", WEIGHTS_SUFFIX)
+    if target.suffix != suffix:
+        raise OutputError(target, f"suffix {target.suffix or 'missing'}", suffix)
     require_absent(target, overwrite)
     require_writable(target.parent)
     sweep_stale(target.parent)

@@ -26,7 +26,7 @@ from salsanext_cli.formats.npy import (
     read_uncertainty,
 )
 from salsanext_cli.geometry.coverage import field_of_view_coverage
-from salsanext_cli.network.card import WeightsCard
+from salsanext_cli.network.card import WeightsCard, read_card
 from salsanext_cli.network.published import read_published
 from salsanext_cli.network.weights import read_weights, save_weights
 from salsanext_cli.storage.json_files import read_json
@@ -185,6 +185,19 @@ def _safetensors(folder: Path) -> list[bytes]:
     return [(folder / name).read_bytes() for name in ("w.safetensors", "h.safetensors")]
 
 
+def _onnx() -> list[bytes]:
+    """Make an ONNX file of opset 17 with an empty graph and a card."""
+    card = WeightsCard({"name": "salsanext", "class_count": FEW.class_count}, FEW, SMALL)
+    ((key, value),) = card.to_metadata().items()
+
+    def field(number: int, content: bytes) -> bytes:
+        length = bytes([len(content) % 128 + 128, len(content) // 128])
+        return bytes([8 * number + 2]) + length + content
+
+    entry = field(1, key.encode()) + field(2, value.encode())
+    return [b"\x08\x08" + field(7, b"\0" * 99) + b"\x42\x02\x10\x11" + field(14, entry)]
+
+
 def _published(*, old: bool = False) -> Reader:
     tensors = {
         "module.logits.weight": torch.ones(3, 2, 1, 1),
@@ -276,6 +289,7 @@ READERS: dict[str, Callable[[Path], Reader]] = {
         "r.toml", [Recipe().to_toml().encode(), b"epochs = 3\n"], recipe
     ),
     "safetensors": lambda folder: Reader("w.safetensors", _safetensors(folder), read_weights),
+    "onnx": lambda _: Reader("m.onnx", _onnx(), read_card),
     "checkpoint": _checkpoint,
     "published": lambda _: _published(),
     "pickle of a published one": lambda _: _pickle_of(_published()),

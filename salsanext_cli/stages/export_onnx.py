@@ -1,0 +1,139 @@
+# SPDX-License-Identifier: MIT
+"""Stage `export-onnx`: weights as an ONNX model with their card, in float32 or int8."""
+
+import logging
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+from salsanext_cli.errors import UsageError
+from salsanext_cli.formats import read_scan
+from salsanext_cli.geometry.normalise import normalise
+from salsanext_cli.geometry.projection import project
+from salsanext_cli.inference.graphs import Graph
+from salsanext_cli.inference.onnx_export import difference, exported
+from salsanext_cli.inference.onnx_model import read_model
+from salsanext_cli.inference.quantised import quantised
+from salsanext_cli.network.card import WeightsCard
+from salsanext_cli.network.onnx_metadata import ONNX_SUFFIX, OPSET
+from salsanext_cli.network.weights import read_weights
+from salsanext_cli.packages import import_extra, import_nncf
+from salsanext_cli.records import Float, RangeImage
+from salsanext_cli.sensors import Sensor
+from salsanext_cli.storage.atomic import require_target, write_bytes
+from salsanext_cli.storage.layout import ScanFile
+from salsanext_cli.storage.selection import ScanSelection, select_evenly
+
+MIN_SCANS = 2
+"""Fewest for calibration: the ranges of a single scan are those of a single place."""
+
+log = logging.getLogger(__name__)
+
+
+def export_onnx(
+    weights: Path,
+    target: Path,
+    *,
+    view: Sensor | None = None,
+    dynamic_width: bool = False,
+    calibrate: Path | None = None,
+    selection: ScanSelection = ScanSelection(),
+    overwrite: bool = False,
+) -> dict[str, Any]:
+    """Write weights as an ONNX model that takes normalised range images and returns logits.
+
+    It is computed by ONNX Runtime and compared with torch before it is written.
+
+    Parameters
+    ----------
+    weights : Path
+        A weights file.
+    target : Path
+        The `.onnx` file to write.
+    view : Sensor, optional
+        Origin of the range images, if not the sensor that the weights name.
+    dynamic_width : bool
+        The model takes every width that the network's stride divides.
+    calibrate : Path, optional
+        Scans, a sequence or a data set for quantisation to int8; no label is read.
+    selection : ScanSelection
+        Which of these; a limit takes evenly spaced ones.
+    overwrite : bool
+        Whether the target may exist.
+
+    Returns
+    -------
+    dict
+        JSON-able: `opset`, `bytes`, shapes of `input` and `output`, the largest `difference` from
+        torch relative to the largest logit; for int8 the number of `scans` and the share of pixels
+        with a point on which the label is that of float32, `equal_labels`.
+
+    Raises
+    ------
+    SalsanextError
+        If the weights or a scan cannot be used, a package is missing, or the file cannot be
+        written.
+    """
+    for package in ("onnx", "onnxruntime"):
+        import_extra(package, "onnx")
+    module, card = read_weights(weights)
+    card = replace(card, sensor=view or card.sensor)
+    scans: list[ScanFile] = []
+    if calibrate is not None:
+        import_nncf()
+        scans = select_evenly(calibrate, selection, card.space)
+        if len(scans) < MIN_SCANS:
+            raise UsageError("--calibrate", "a single scan", "some tens, of different places")
+    require_target(target, overwrite, ONNX_SUFFIX)
+    model = exported(module, card, dynamic_width=dynamic_width)
+    content = model.SerializeToString()
+    width = "any" if dynamic_width else card.sensor.width
+    found = {
+        "stage": "export-onnx",
+        "opset": OPSET,
+        "input": [1, 5, card.sensor.height, width],
+        "output": [1, card.space.class_count, card.sensor.height, width],
+        "difference": difference(content, module, card),
+    }
+    if scans:
+        content, share = _int8(model, card, scans)
+        found |= {"scans": len(scans), "equal_labels": share}
+    write_bytes(target, content, durable=True)
+    return found | {"bytes": len(content)}
+
+
+def _int8(model: Any, card: WeightsCard, scans: list[ScanFile]) -> tuple[bytes, float]:
+    """Quantise a model; return it, and the share of labels that are those of float32."""
+    from onnx import helper
+
+    small = quantised(model, scans, lambda file: _input(_image(file, card.sensor), card.sensor))
+    done = f"Quantised to int8 on {len(scans)} scans."
+    described = replace(card, scores={}, description=f"{card.description} {done}".lstrip())
+    helper.set_model_props(small, described.to_metadata())
+    content = small.SerializeToString()
+    graphs = [_graph(each, card) for each in (model.SerializeToString(), content)]
+    equal = points = 0
+    for file in scans:
+        image = _image(file, card.sensor)
+        occupied = image.channels[0] > 0
+        full, short = (compute(_input(image, card.sensor))[0][0].argmax(0) for compute in graphs)
+        equal += int((full == short)[occupied].sum())
+        points += int(occupied.sum())
+        log.info("%s/%s: done", file.sequence, file.stem)
+    return content, equal / max(points, 1)
+
+
+def _image(file: ScanFile, sensor: Sensor) -> RangeImage:
+    return project(read_scan(file.path, intensity_scale=sensor.intensity_scale), sensor, "cpu")
+
+
+def _input(image: RangeImage, sensor: Sensor) -> Float:
+    return normalise(image.channels, sensor)[None]
+
+
+def _graph(content: bytes, card: WeightsCard) -> Graph:
+    import openvino
+
+    model = read_model(content, "the ONNX model", card, card.sensor)
+    hints = {"INFERENCE_PRECISION_HINT": "f32"}
+    return Graph(openvino.Core().compile_model(model, "CPU", hints))

@@ -1,0 +1,228 @@
+# SPDX-License-Identifier: MIT
+"""Weights as ONNX models, and what predicts with them."""
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scans import SMALL, labels_below, lively, make_scan
+
+from salsanext_cli import LabelSpace, label_space, load_network, project
+from salsanext_cli.benchmarking.benchmark import benchmark
+from salsanext_cli.errors import MissingDependency, OutputError, UsageError, WeightsError
+from salsanext_cli.inference import onnx_export
+from salsanext_cli.inference.onnx_export import difference, exported, run
+from salsanext_cli.inference.settings import NetworkSettings
+from salsanext_cli.network.card import WeightsCard, read_card
+from salsanext_cli.network.registry import ARCHITECTURES, build
+from salsanext_cli.network.weights import read_weights
+from salsanext_cli.parallel.run import RunOptions
+from salsanext_cli.stages.export_onnx import export_onnx
+from salsanext_cli.stages.predict import predict_scans
+from salsanext_cli.stages.tune_temperature import tune_temperature
+from salsanext_cli.stages.uncertainty import uncertainty
+from salsanext_cli.storage import user_cache
+
+onnx = pytest.importorskip("onnx")
+pytest.importorskip("onnxruntime")
+
+ODD = replace(SMALL, name="odd", height=19, width=70)
+"""Neither divided by 16."""
+FEW = LabelSpace.from_dict(
+    {
+        "name": "few",
+        "labels": {0: "nothing", 10: "car"},
+        "color_map": {10: [255, 0, 0]},
+        "learning_map": {0: 0, 10: 1},
+        "learning_map_inv": {0: 0, 1: 10},
+        "split": {"train": [0], "valid": ["08"]},
+    }
+)
+
+
+@pytest.fixture(autouse=True)
+def own_cache(tmp_path, monkeypatch):
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+    monkeypatch.setattr(user_cache, "_said", [])
+
+
+@pytest.fixture(scope="module")
+def model(tmp_path_factory, weights):
+    """Return the ONNX model of the random network."""
+    path = tmp_path_factory.mktemp("onnx") / "model.onnx"
+    export_onnx(weights, path)
+    return path
+
+
+def card_of(sensor, name):
+    return WeightsCard({"name": name, "class_count": 20}, label_space(), sensor)
+
+
+def image(sensor=SMALL):
+    return project(make_scan(), sensor)
+
+
+@pytest.mark.parametrize("name", sorted(ARCHITECTURES))
+def test_every_architecture_computes_what_torch_does(name):
+    module = lively(build({"name": name, "class_count": 20, "dropout": 0.2}))
+    for sensor in (SMALL, ODD):
+        card = card_of(sensor, name)
+        found = exported(module, card)
+        onnx.checker.check_model(found, full_check=True)
+        assert difference(found.SerializeToString(), module, card) < 1e-4
+
+
+@pytest.mark.parametrize("height", [16, 19])
+def test_a_dynamic_width(weights, height):
+    module, card = read_weights(weights)
+    card = replace(card, sensor=replace(SMALL, height=height))
+    content = exported(module, card, dynamic_width=True).SerializeToString()
+    for width in (16, 128, 304):
+        other = replace(card, sensor=replace(card.sensor, width=width))
+        assert difference(content, module, other) < 1e-4
+
+
+def test_opset_names_shapes_and_the_whole_card(model, weights):
+    found = onnx.load(model)
+    assert [entry.version for entry in found.opset_import] == [17]
+    (taken,), (given,) = found.graph.input, found.graph.output
+    assert (taken.name, given.name) == ("image", "logits")
+    assert [d.dim_value for d in taken.type.tensor_type.shape.dim] == [1, 5, 16, 128]
+    assert {p.key: p.value for p in found.metadata_props} == read_card(weights).to_metadata()
+    # Nothing for a runtime to find out, nothing of this machine.
+    assert not {node.op_type for node in found.graph.node} & {"Shape", "Pad", "Loop", "If"}
+    assert not [node for node in found.graph.node if node.doc_string]
+
+
+def test_a_wrong_model_is_refused(tmp_path, weights, monkeypatch):
+    def wrong(content, images):
+        return [logits * 1.002 for logits in run(content, images)]
+
+    monkeypatch.setattr(onnx_export, "run", wrong)
+    with pytest.raises(WeightsError, match="differ from torch"):
+        export_onnx(weights, tmp_path / "m.onnx")
+    assert not (tmp_path / "m.onnx").exists()
+
+
+def test_predicts_as_the_weights_do(world, model, weights):
+    network, reference = (
+        load_network(path, "cpu", precision="float32") for path in (model, weights)
+    )
+    assert np.abs(network.logits(image()) - reference.logits(image())).max() < 1e-3
+    expected, found = reference.probabilities(image()), network.probabilities(image())
+    assert found.dtype == np.float32
+    assert np.abs(found - expected).max() < 1e-4
+    # From the cache, by a process that has read nothing else.
+    assert np.array_equal(load_network(model).probabilities(image()), found)
+    settings = NetworkSettings(model)
+    assert predict_scans(world.data, world.out, network=settings).done == 3
+    record = json.loads((world.out / "predict.json").read_text("utf-8"))
+    assert record["settings"]["weights"] == network.sha256
+
+
+def test_workers_predict_the_same(world, model):
+    """Where this process found a CPU, they do not look for a GPU."""
+    settings = NetworkSettings(model)
+    predict_scans(world.data, world.out / "1", network=settings)
+    options = RunOptions(jobs=2)
+    assert predict_scans(world.data, world.out / "2", network=settings, options=options).done == 3
+    assert labels_below(world.out / "1") == labels_below(world.out / "2")
+    assert settings.resolved(load_network(model)).device == "cpu"
+
+
+def test_the_temperature_counts(tmp_path, weights):
+    module, card = read_weights(weights)
+    hot = replace(card, temperature=4.0)
+    path = tmp_path / "hot.onnx"
+    path.write_bytes(exported(module, hot).SerializeToString())
+    network = load_network(path)
+    logits = network.logits(image()) / 4
+    expected = np.exp(logits - logits.max(0))
+    assert np.allclose(network.probabilities(image()), expected / expected.sum(0), atol=1e-5)
+
+
+def test_another_sensor_needs_a_dynamic_width(tmp_path, model, weights):
+    wide = replace(SMALL, width=256)
+    with pytest.raises(WeightsError, match="--dynamic-width"):
+        load_network(model, sensor=wide)
+    path = tmp_path / "dynamic.onnx"
+    assert export_onnx(weights, path, dynamic_width=True)["input"] == [1, 5, 16, "any"]
+    expected = load_network(weights, "cpu", wide, engine="torch").probabilities(image(wide))
+    found = load_network(path, sensor=wide, precision="float32").probabilities(image(wide))
+    assert np.abs(found - expected).max() < 1e-4
+    with pytest.raises(WeightsError, match=r"dynamic\.onnx"):
+        load_network(path, sensor=replace(SMALL, width=70))
+
+
+def test_labels_and_probabilities_only(world, model, tmp_path):
+    settings = NetworkSettings(model)
+    with pytest.raises(WeightsError, match="labels and probabilities only"):
+        uncertainty(world.data, world.out, network=settings)
+    with pytest.raises(WeightsError, match="labels and probabilities only"):
+        tune_temperature(world.data, tmp_path / "t.safetensors", network=settings)
+    with pytest.raises(WeightsError, match="labels and probabilities only"):
+        benchmark(world.data, network=settings)
+    with pytest.raises(WeightsError, match="labels and probabilities only"):
+        read_weights(model)
+    for options in ({"device": "cuda"}, {"engine": "torch"}):
+        with pytest.raises(UsageError, match="for an ONNX model"):
+            load_network(model, **options)
+
+
+def changed(model, path, change):
+    found = onnx.load(model)
+    change(found)
+    onnx.save(found, path)
+    return path
+
+
+def test_models_that_are_not_ours(tmp_path, model):
+    def other_classes(found):
+        onnx.helper.set_model_props(found, replace(read_card(model), space=FEW).to_metadata())
+
+    def two_outputs(found):
+        found.graph.output.append(found.graph.input[0])
+
+    def other_operation(found):
+        found.graph.node[0].op_type = "Convolute"
+
+    def huge(found):
+        found.graph.initializer[0].dims[:] = [1 << 40, 1 << 40]
+
+    def elsewhere(found):
+        tensor = found.graph.initializer[0]
+        tensor.ClearField("raw_data")
+        tensor.data_location = onnx.TensorProto.EXTERNAL
+        tensor.external_data.add(key="location", value="../../etc/passwd")
+
+    for change in (other_classes, two_outputs, other_operation, huge, elsewhere):
+        path = changed(model, tmp_path / f"{change.__name__}.onnx", change)
+        with pytest.raises(WeightsError, match=path.name) as caught:
+            load_network(path)
+        assert "\n" not in str(caught.value)
+    content = model.read_bytes()
+    for length in (len(content) // 2, len(content) - 1):
+        (tmp_path / "cut.onnx").write_bytes(content[:length])
+        with pytest.raises(WeightsError):
+            load_network(tmp_path / "cut.onnx")
+
+
+def test_targets(tmp_path, weights):
+    with pytest.raises(OutputError, match=r"expected \.onnx"):
+        export_onnx(weights, tmp_path / "m.safetensors")
+    (tmp_path / "m.onnx").write_text("mine")
+    with pytest.raises(OutputError, match="exists"):
+        export_onnx(weights, tmp_path / "m.onnx")
+    export_onnx(weights, tmp_path / "m.onnx", overwrite=True)
+    assert sorted(p.name for p in tmp_path.glob("*m.onnx*")) == ["m.onnx"]
+    with pytest.raises(WeightsError, match="only"):
+        export_onnx(tmp_path / "m.onnx", tmp_path / "again.onnx")
+
+
+@pytest.mark.parametrize("package", ["onnx", "onnxruntime", "nncf"])
+def test_missing_packages(tmp_path, world, weights, monkeypatch, package):
+    monkeypatch.setitem(__import__("sys").modules, package, None)
+    with pytest.raises(MissingDependency, match="pip install") as caught:
+        export_onnx(weights, tmp_path / "m.onnx", calibrate=world.data)
+    assert caught.value.subject == package
