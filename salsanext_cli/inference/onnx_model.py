@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from salsanext_cli.errors import UsageError, WeightsError
-from salsanext_cli.inference.device import choose_engine, choose_precision
+from salsanext_cli.inference.device import choose_engine, choose_precision, openvino_core
 from salsanext_cli.inference.graphs import Graph, compiled_graph
 from salsanext_cli.inference.network import Network
 from salsanext_cli.kernels import thread_count
@@ -127,7 +127,7 @@ def read_model(
     size = (sensor.height, sensor.width)
     wanted = [1, len(CHANNELS), *size]
     try:
-        model = openvino.Core().read_model(content)
+        model = openvino_core().read_model(content)
         shapes = [port.get_partial_shape() for port in (*model.inputs, *model.outputs)]
         if len(model.inputs) != 1 or len(model.outputs) != 1:
             count = f"{len(model.inputs)} inputs and {len(model.outputs)} outputs"
