@@ -26,7 +26,7 @@ import torch
 
 import salsanext_cli as sn
 from salsanext_cli.benchmarking.hardware import seconds_of
-from salsanext_cli.inference.device import has_bfloat16
+from salsanext_cli.inference.device import has_bfloat16, openvino_core
 from salsanext_cli.inference.graphs import HINTS, Graph, converted
 from salsanext_cli.inference.network import Network
 from salsanext_cli.kernels import thread_count
@@ -68,7 +68,6 @@ def by_openvino(network: Network) -> Engine:
 def by_openvino_in_int8(module: torch.nn.Module, image: np.ndarray, kept: list[str]) -> Engine:
     sys.modules["openvino_telemetry"] = None  # by which nncf reports its use
     import nncf
-    import openvino
 
     logging.getLogger("nncf").setLevel(logging.ERROR)
     model = converted(module, lambda m, x: m(x), [torch.from_numpy(image)])
@@ -76,7 +75,7 @@ def by_openvino_in_int8(module: torch.nn.Module, image: np.ndarray, kept: list[s
     with redirect_stdout(io.StringIO()):
         model = nncf.quantize(model, nncf.Dataset([image]), ignored_scope=scope)
     hints = {"INFERENCE_PRECISION_HINT": HINTS[KINDS[-1]], "INFERENCE_NUM_THREADS": thread_count()}
-    graph = Graph(openvino.Core().compile_model(model, "CPU", hints))
+    graph = Graph(openvino_core().compile_model(model, "CPU", hints))
     return lambda image: graph(image)[0]
 
 

@@ -10,6 +10,7 @@ from salsanext_cli.errors import UsageError
 from salsanext_cli.formats import read_scan
 from salsanext_cli.geometry.normalise import normalise
 from salsanext_cli.geometry.projection import project
+from salsanext_cli.inference.device import openvino_core
 from salsanext_cli.inference.graphs import Graph
 from salsanext_cli.inference.onnx_export import difference, exported
 from salsanext_cli.inference.onnx_model import read_model
@@ -132,8 +133,6 @@ def _input(image: RangeImage, sensor: Sensor) -> Float:
 
 
 def _graph(content: bytes, card: WeightsCard) -> Graph:
-    import openvino
-
     model = read_model(content, "the ONNX model", card, card.sensor)
     hints = {"INFERENCE_PRECISION_HINT": "f32"}
-    return Graph(openvino.Core().compile_model(model, "CPU", hints))
+    return Graph(openvino_core().compile_model(model, "CPU", hints))
