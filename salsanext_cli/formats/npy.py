@@ -112,8 +112,8 @@ def read_probabilities(path: Path, count: int, class_count: int) -> npt.NDArray[
     """
     softmax = read_array(path, np.float16, (count, class_count))
     sums = np.einsum("nc->n", softmax, dtype=np.float32)
-    # NaN fails both comparisons.
-    sound = (np.abs(sums - 1) < ROUNDING) & (softmax >= 0).all(axis=1)
+    # NaN fails all comparisons.
+    sound = (np.abs(sums - 1) < ROUNDING) & ((softmax >= 0) & (softmax <= 1)).all(axis=1)
     expected = "numbers from 0 to 1 that add up to 1"
     remedy = "predict again with --probabilities"
     _require_none(~sound, path, "NaN or no probabilities", expected, remedy)

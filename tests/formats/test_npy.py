@@ -85,7 +85,9 @@ def test_every_softmax_rounded_to_float16_is_read(path, count, scale):
     np.testing.assert_array_equal(read_probabilities(path, count, 20), rounded)
 
 
-@pytest.mark.parametrize("row", [(0.5, 0.4), (np.nan, 1), (1.5, -0.5), (np.inf, 0)], ids=str)
+@pytest.mark.parametrize(
+    "row", [(0.5, 0.4), (np.nan, 1), (1.5, -0.5), (np.inf, 0), (1.002, 0)], ids=str
+)
 def test_invalid_probabilities_are_refused(path, row):
     write_array(path, np.array([(1, 0), row, (0, 1)], np.float16))
     with pytest.raises(FormatError, match=r"000000\.npy · NaN or no probabilities at 1 of 3 point"):
