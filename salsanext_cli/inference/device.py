@@ -22,9 +22,9 @@ GPU_FILES = ("/dev/nvidiactl", "/dev/nvidia0", "/dev/nvhost-ctrl", "/dev/kfd", "
 CPUINFO = Path("/proc/cpuinfo")
 BFLOAT16_FLAGS = {"avx512_bf16", "amx_bf16", "bf16"}
 """Flags of processors that multiply bfloat16: of x86 and of ARM."""
-ISA_VARIABLE = "ONEDNN_MAX_CPU_ISA"
+ISA_VARIABLES = ("ONEDNN_MAX_CPU_ISA", "DNNL_MAX_CPU_ISA")
 BFLOAT16_ISA = ("BF16", "FP16", "AMX", "AVX10", "ALL", "DEFAULT")
-"""Parts of the values of `ISA_VARIABLE` that leave bfloat16 to the libraries."""
+"""Parts of the values of `ISA_VARIABLES` that leave bfloat16 to the libraries."""
 CONVERTER = "openvino.tools.ovc"
 """Part of OpenVINO that reports its use over the network. OpenVINO imports it if it can."""
 
@@ -51,7 +51,7 @@ def choose_device(name: str) -> str:
             raise UsageError(f"device {name}", found, "one of them, or cpu")
     elif device.type != "cpu":
         raise UsageError(f"device {name}", "not supported", "cpu or cuda")
-    return str(device)
+    return "cpu" if device.type == "cpu" else str(device)
 
 
 def choose_engine(name: str, device: str) -> str:
@@ -96,6 +96,8 @@ def openvino_core() -> "openvino.Core":
     """
     import openvino
 
+    # Two threads that ask for this first would wait for each other for ever.
+    openvino.Type.f32.to_dtype()
     return openvino.Core()
 
 
@@ -106,7 +108,7 @@ def _openvino_fails() -> str:
     sys.modules.setdefault(CONVERTER, None)  # type: ignore[arg-type]
     try:
         openvino_core().get_property("CPU", "FULL_DEVICE_NAME")
-    except (ImportError, OSError, RuntimeError) as error:
+    except Exception as error:  # whatever is wrong with an installation
         return f"does not start: {words_of(error)}"
     finally:
         if not known:
@@ -159,10 +161,15 @@ def flags() -> frozenset[str]:
 
 def has_bfloat16() -> bool:
     """Say whether the CPU multiplies bfloat16 by itself, and the environment allows it."""
-    limit = os.environ.get(ISA_VARIABLE, "ALL").upper()
-    return bool(flags() & BFLOAT16_FLAGS) and any(part in limit for part in BFLOAT16_ISA)
+    return bool(flags() & BFLOAT16_FLAGS) and any(part in isa_limit() for part in BFLOAT16_ISA)
+
+
+def isa_limit() -> str:
+    """Return the instructions that the environment holds the libraries to, "ALL" for any."""
+    named = (os.environ.get(variable) for variable in ISA_VARIABLES)
+    return next(filter(None, named), "ALL").upper()
 
 
 def processor() -> str:
     """Return what code that is compiled for this processor depends on."""
-    return f"{platform.machine()} {sorted(flags())} {os.environ.get(ISA_VARIABLE, '')}"
+    return f"{platform.machine()} {sorted(flags())} {isa_limit()}"

@@ -8,8 +8,10 @@ command-line converter, which reports its use. What was compiled before is loade
 import hashlib
 import re
 import tempfile
+import threading
 import warnings
 from collections.abc import Callable, Sequence
+from functools import cache
 from io import BytesIO
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -17,9 +19,11 @@ from xml.etree import ElementTree
 
 import numpy as np
 
+from salsanext_cli.errors import OutputError
 from salsanext_cli.inference.device import openvino_core, processor
 from salsanext_cli.records import CHANNELS, Float
-from salsanext_cli.storage.user_cache import cached
+from salsanext_cli.settings_files import words_of
+from salsanext_cli.storage.user_cache import cached, store
 
 if TYPE_CHECKING:
     import openvino
@@ -36,6 +40,8 @@ ERFC = (
 )
 """Coefficients of ln(erfc(x)/t) + x² in t = 1/(1 + x/2), highest power first; relative error below
 1.2e-7 (Press et al., Numerical Recipes, 1992, section 6.2)."""
+_COMPILING = threading.Lock()
+"""Held while one thread traces and compiles: tracing has state of its own in torch."""
 Traceable = tuple["nn.Module", Callable[..., Any], "Sequence[Tensor]"]
 
 
@@ -134,13 +140,24 @@ def compiled_graph(
         blob: BytesIO = core.compile_model(model, "CPU", hints).export_model()
         return blob.getvalue()
 
-    depends = repr((key, precision, openvino.__version__, processor()))
+    depends = repr((key, precision, openvino.__version__, processor(), _sources()))
     name = f"graphs/{hashlib.sha256(depends.encode()).hexdigest()[:32]}.blob"
-    content = cached(name, compile_anew)
-    try:
-        return Graph(core.import_model(content, "CPU", hints))
-    except RuntimeError:  # made by a build of the same version that compiles otherwise
-        return Graph(core.import_model(compile_anew(), "CPU", hints))
+    with _COMPILING:
+        content = cached(name, compile_anew)
+        try:
+            return Graph(core.import_model(content, "CPU", hints))
+        except RuntimeError:  # made by a build of the same version that compiles otherwise
+            return Graph(core.import_model(store(name, compile_anew()), "CPU", hints))
+
+
+@cache
+def _sources() -> str:
+    """Return a digest of the code that graphs are made of."""
+    package, digest = Path(__file__).parents[1], hashlib.sha256()
+    for room in ("inference", "network", "uncertainty"):
+        for path in sorted((package / room).glob("*.py")):
+            digest.update(path.read_bytes())
+    return digest.hexdigest()
 
 
 def converted(
@@ -194,10 +211,14 @@ def partly_float32(core: "openvino.Core", model: "openvino.Model") -> "openvino.
     """
     import openvino
 
-    with tempfile.TemporaryDirectory() as folder:
-        file = Path(folder, "model.xml")
-        openvino.save_model(model, file, compress_to_fp16=False)
-        tree, weights = ElementTree.parse(file), file.with_suffix(".bin").read_bytes()
+    try:
+        with tempfile.TemporaryDirectory() as folder:
+            file = Path(folder, "model.xml")
+            openvino.save_model(model, file, compress_to_fp16=False)
+            tree, weights = ElementTree.parse(file), file.with_suffix(".bin").read_bytes()
+    except (OSError, RuntimeError) as error:
+        full = f"cannot hold the network for a moment: {words_of(error)}"
+        raise OutputError("folder for temporary files", full, "room for weights") from error
     after_logits = False
     for layer in tree.getroot().iter("layer"):
         if layer.get("type") in ("Convolution", "GroupConvolution"):

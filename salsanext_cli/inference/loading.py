@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from salsanext_cli import __version__
+from salsanext_cli.errors import WeightsError
 from salsanext_cli.inference.device import choose_device, choose_engine, choose_precision
 from salsanext_cli.inference.network import Network
 from salsanext_cli.inference.onnx_model import load_onnx
@@ -55,39 +56,43 @@ def load_network(
     card = read_card(file)
     if file.suffix == ONNX_SUFFIX:
         return load_onnx(file, card, device, sensor or card.sensor, precision, engine)
-    place = choose_device(device)
+    sha256, place = fingerprint(file), choose_device(device)
     network = Network(
-        lambda: _read_module(file, place),
+        lambda: _read_module(file, place, sha256),
         card,
         sensor or card.sensor,
         place,
         choose_precision(precision, place),
         choose_engine(engine, place),
         "default weights" if path is None else str(path),
-        fingerprint(file),
+        sha256,
     )
     if network.engine == "torch":
         _ = network.module
     else:
         # Reading checks them; what was read once by this version needs no torch.
-        name = f"weights/{network.sha256}-{__version__}.checked"
+        name = f"weights/{sha256}-{__version__}.checked"
         cached(name, lambda: bool(network.module) * b"checked")
     return network
 
 
-def _read_module(file: Path, device: str) -> "SegmentationNetwork":
+def _read_module(file: Path, device: str, sha256: str) -> "SegmentationNetwork":
     import torch
 
     from salsanext_cli.network.weights import read_weights
 
     module, _ = read_weights(file)
+    if fingerprint(file) != sha256:
+        found = "was replaced since the run began"
+        raise WeightsError(file, found, "the same file", "run again with --overwrite")
     return module.to(device).to(memory_format=torch.channels_last)  # type: ignore[call-overload, no-any-return]
 
 
 def with_dropout(network: Network, rate: float) -> Network:
-    """Return the network with another dropout rate, from 0 to below 1; both share their weights.
+    """Return the network with another dropout rate, from 0 to below 1.
 
-    One that was trained without dropout gets it where the paper has it.
+    Both share their weights, and graphs, which take the factors of dropout as inputs. One that was
+    trained without dropout gets it where the paper has it.
     """
     import torch
 
@@ -99,4 +104,6 @@ def with_dropout(network: Network, rate: float) -> Network:
         module = build(architecture)
     module.load_state_dict(network.module.state_dict(), assign=True)
     card = replace(network.card, architecture=architecture)
-    return replace(network, load_module=module.eval, card=card)
+    found = replace(network, load_module=module.eval, card=card)
+    vars(found)["_graphs"] = network._graphs
+    return found

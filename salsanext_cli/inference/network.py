@@ -2,6 +2,7 @@
 """A network ready to use: range image in, probabilities out."""
 
 import logging
+import threading
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -111,10 +112,12 @@ class Network:
         """
         key = (name, self.sha256, self.sensor.height, self.sensor.width)
         settings = (precision or self.precision, thread_count(), streams)
-        if (name, settings) not in self._graphs:
+        # Each thread has its own: a graph computes one thing at a time.
+        place = (name, settings, threading.get_ident())
+        if place not in self._graphs:
             made = graph(lambda: (self.module, function, inputs()), key, *settings)
-            self._graphs[name, settings] = made
-        return self._graphs[name, settings]
+            self._graphs[place] = made
+        return self._graphs[place]
 
     def input_array(self, channels: Float) -> Float:
         """Return (5, H, W) channels normalised as the network takes them, (1, 5, H, W)."""

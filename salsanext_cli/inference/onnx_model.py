@@ -2,6 +2,7 @@
 """Network that OpenVINO reads from an ONNX file: labels and probabilities, without torch."""
 
 import hashlib
+import threading
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -64,11 +65,12 @@ class OnnxNetwork(Network):
 
     def _compiled(self, temperature: float | None) -> Graph:
         threads = thread_count()
-        if (temperature, threads) not in self._graphs:
+        place = (temperature, threads, threading.get_ident())
+        if place not in self._graphs:
             key = ("ONNX", temperature, self.sha256, self.sensor.height, self.sensor.width)
             made = compiled_graph(lambda: self.model(temperature), key, self.precision, threads)
-            self._graphs[temperature, threads] = made
-        return self._graphs[temperature, threads]
+            self._graphs[place] = made
+        return self._graphs[place]
 
 
 def load_onnx(

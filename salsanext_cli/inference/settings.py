@@ -77,13 +77,13 @@ class NetworkSettings:
             device="cpu" if network.device == "cpu" else self.device,
             precision=network.precision,
             engine=network.engine,
-            sha256=fingerprint(self.path),
+            sha256=network.sha256,
         )
 
     def record(self, network: Network) -> dict[str, Any]:
         """Return what the results of a stage depend on, as plain data for its record."""
         return {
-            "weights": fingerprint(self.path),
+            "weights": network.sha256,
             "label_space": network.card.space.to_dict(),
             "sensor": {"name": network.sensor.name, **network.sensor.view()},
             "precision": network.precision,

@@ -12,7 +12,7 @@ from pathlib import Path
 from salsanext_cli.errors import OutputError
 from salsanext_cli.kernels import cache_folder
 from salsanext_cli.settings_files import words_of
-from salsanext_cli.storage.atomic import writing
+from salsanext_cli.storage.atomic import sweep_stale, writing
 
 CHECKSUM_BYTES = 32
 MAX_FOLDER_BYTES = 2 << 30
@@ -34,11 +34,17 @@ def cached(name: str, make: Callable[[], bytes]) -> bytes:
     path = Path(folder, name)
     if folder and (content := _read(path)) is not None:
         return content
-    content = make()
-    if folder:
+    return store(name, make())
+
+
+def store(name: str, content: bytes) -> bytes:
+    """Write a file of the cache, in the place of an older one, and return its content."""
+    if folder := cache_folder():
+        path = Path(folder, name)
         try:
             with writing(path) as file:
                 file.write(content + hashlib.sha256(content).digest())
+            sweep_stale(path.parent)
             _remove_oldest(path)
         except (OutputError, OSError) as error:
             _say_once(f"{words_of(error)}: going on without it")
@@ -48,7 +54,6 @@ def cached(name: str, make: Callable[[], bytes]) -> bytes:
 def _read(path: Path) -> bytes | None:
     try:
         content = path.read_bytes()
-        path.touch()
     except FileNotFoundError:
         return None
     except OSError as error:
@@ -56,6 +61,8 @@ def _read(path: Path) -> bytes | None:
         return None
     data, checksum = content[:-CHECKSUM_BYTES], content[-CHECKSUM_BYTES:]
     if hashlib.sha256(data).digest() == checksum:
+        with suppress(OSError):  # a folder that can only be read
+            path.touch()
         return data
     _say_once(f"{path} is damaged: made again")
     return None

@@ -25,7 +25,7 @@ def test_devices_that_are_not_there(name):
 
 
 def test_devices_that_are():
-    assert choose_device("cpu") == "cpu"
+    assert choose_device("cpu") == choose_device("cpu:0") == "cpu"
     assert choose_device("auto") == ("cuda" if torch.cuda.is_available() else "cpu")
 
 
@@ -39,6 +39,8 @@ def test_devices_that_are():
         ("fpu avx2 avx512_bf16", "AVX2", False),
         ("fpu avx2 avx512_bf16", "avx512_core_vnni", False),
         ("fpu avx2 avx512_bf16", "avx512_core_bf16", True),
+        ("fpu avx2 avx512_bf16", "DNNL_MAX_CPU_ISA=AVX2", False),
+        ("fpu avx2 avx512_bf16", "ONEDNN_MAX_CPU_ISA=", True),
         ("", None, False),
     ],
 )
@@ -46,9 +48,11 @@ def test_bfloat16_where_the_cpu_multiplies_it(fresh, tmp_path, monkeypatch, flag
     cpuinfo = tmp_path / "cpuinfo"
     cpuinfo.write_text(f"processor : 0\nflags\t\t: {flags}\n" if flags else "Hardware : none\n")
     monkeypatch.setattr(device, "CPUINFO", cpuinfo)
-    monkeypatch.delenv(device.ISA_VARIABLE, raising=False)
+    for variable in device.ISA_VARIABLES:
+        monkeypatch.delenv(variable, raising=False)
     if limit:
-        monkeypatch.setenv(device.ISA_VARIABLE, limit)
+        name, value = limit.split("=") if "=" in limit else (device.ISA_VARIABLES[0], limit)
+        monkeypatch.setenv(name, value)
     assert choose_precision("auto", "cpu") == ("bfloat16" if expected else "float32")
     assert choose_precision("float32", "cpu") == "float32"
     if expected:
@@ -79,11 +83,14 @@ def test_engines():
             choose_engine(name, place)
 
 
+@pytest.mark.parametrize(
+    "error", [ImportError("No module named 'openvino'"), AttributeError("no attribute 'Core'")]
+)
 def test_where_openvino_does_not_start_torch_computes_and_it_is_said_once(
-    fresh, monkeypatch, caplog
+    fresh, monkeypatch, caplog, error
 ):
     def fail():
-        raise ImportError("No module named 'openvino'")
+        raise error
 
     monkeypatch.setattr(device, "openvino_core", fail)
     assert choose_engine("auto", "cpu") == choose_engine("auto", "cpu") == "torch"

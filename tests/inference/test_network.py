@@ -1,4 +1,6 @@
 # SPDX-License-Identifier: MIT
+import threading
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 
 import numpy as np
@@ -6,7 +8,7 @@ import pytest
 import torch
 from scans import SMALL, make_scan, write_weights
 
-from salsanext_cli import Scan, Sensor, project
+from salsanext_cli import Scan, Sensor, project, sample
 from salsanext_cli.errors import WeightsError
 from salsanext_cli.geometry.normalise import normalise
 from salsanext_cli.inference.loading import load_network, with_dropout
@@ -101,3 +103,37 @@ def test_another_dropout_rate_shares_the_weights(tmp_path, trained):
     assert all(one.data_ptr() == same.data_ptr() for one, same in pairs)
     image = project(make_scan(), SMALL)
     np.testing.assert_array_equal(other.probabilities(image), network.probabilities(image))
+
+
+def test_threads_may_share_a_network(weights):
+    network = load_network(weights, "cpu", engine="openvino")
+    images = [project(make_scan(seed=seed), SMALL) for seed in range(4)]
+    expected = [network.probabilities(image) for image in images]
+    start = threading.Barrier(4)
+
+    def repeat(number):
+        start.wait()
+        return [network.probabilities(images[number]) for _ in range(5)]
+
+    with ThreadPoolExecutor(4) as pool:
+        for number, found in enumerate(pool.map(repeat, range(4))):
+            assert all(np.array_equal(one, expected[number]) for one in found)
+
+
+def test_weights_that_are_replaced_before_they_are_needed_are_refused(tmp_path):
+    """Their graph would be kept under the name of the others for ever."""
+    path = write_weights(tmp_path / "w.safetensors", seed=11)
+    network = load_network(path, "cpu", engine="openvino")
+    vars(network).pop("module", None)
+    write_weights(path, seed=12)
+    with pytest.raises(WeightsError, match="replaced since the run began"):
+        _ = network.module
+
+
+def test_rates_of_dropout_share_their_graphs(weights):
+    network = load_network(weights, "cpu", engine="openvino")
+    image, graphs = project(make_scan(), SMALL), []
+    for rate in (0.1, 0.2, 0.3):
+        sample(with_dropout(network, rate), image, samples=2, seed=0)
+        graphs.append(len(network._graphs))
+    assert len(set(graphs)) == 1
