@@ -8,8 +8,7 @@ header. Nothing in it is ever unpickled.
 
 import hashlib
 import json
-from collections import defaultdict
-from collections.abc import Mapping, Set
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
@@ -21,22 +20,24 @@ from torch import Tensor
 
 from salsanext_cli.errors import FormatError, TrainingError
 from salsanext_cli.formats.reading import reading
-from salsanext_cli.settings_files import words_of
+from salsanext_cli.settings_files import shortened, words_of
 from salsanext_cli.storage.written_files import WrittenFiles
 from salsanext_cli.training.learner import Learner
 from salsanext_cli.training.log import Row
 
 KEY = "salsanext-checkpoint"
 """The one key of the header: safetensors writes several in an order drawn anew each time."""
+MAX_HEADER_BYTES = 16 << 20
+"""Bound of the header: many times the size of thousands of epochs, a twentieth of their memory."""
 OPTIMISER_STATE = {"sgd": ("momentum_buffer",), "adamw": ("step", "exp_avg", "exp_avg_sq")}
 """Names of the tensors that torch's optimisers keep for each parameter."""
+DTYPES = {torch.float32: "F32", torch.float64: "F64", torch.int64: "I64"}
+"""Types of a checkpoint's tensors, as safetensors names them."""
 DAMAGE = (
     *(FormatError, safetensors.SafetensorError, OSError, ArithmeticError, LookupError, TypeError),
     *(ValueError, RecursionError, RuntimeError),
 )
 """Errors that reading a damaged checkpoint may end in."""
-OptimiserState = dict[Tensor, dict[str, Tensor]]
-"""Tensors that an optimiser keeps, by parameter and name."""
 
 
 @dataclass(slots=True)
@@ -67,8 +68,11 @@ class TrainingState:
 def save_checkpoint(path: Path, learner: Learner, state: TrainingState) -> None:
     """Write the state after a step, atomically."""
     progress = asdict(state)
-    tensors = _named(learner, learner.optimiser.state)
+    tensors = _networks(learner)
     tensors["losses"] = torch.tensor(progress.pop("losses"), dtype=torch.float64)
+    for name, parameter in learner.module.named_parameters():
+        for key, value in learner.optimiser.state.get(parameter, {}).items():
+            tensors[f"optimiser.{name}.{key}"] = value
     tensors = {name: tensor.detach().cpu().contiguous() for name, tensor in tensors.items()}
     values: dict[str, Any] = {"progress": progress, "scaler": learner.scaler.state_dict()}
     values["sha256"] = _checksum(values, tensors)
@@ -85,24 +89,18 @@ def load_checkpoint(path: Path, learner: Learner) -> TrainingState:
         If the file is damaged or of another network or optimiser.
     """
     try:
-        with reading(path), safetensors.safe_open(path, framework="pt") as file:
-            names = {*file.keys()}
-            optimised = _optimiser_state(learner, names)
-            slots = _named(learner, optimised)
-            if unlike := names ^ {*slots, "losses"}:
-                raise ValueError(f"{min(unlike)} is of another network or optimiser, or is missing")
-            for name, tensor in slots.items():
-                if file.get_slice(name).get_shape() != [*tensor.shape]:
-                    raise ValueError(f"{name} is of another shape")
-            values = json.loads((file.metadata() or {})[KEY])
-            tensors = {name: file.get_tensor(name) for name in names}
+        tensors, values = _read(path, learner)
         if values.pop("sha256") != _checksum(values, tensors):
             raise ValueError("the checksum is wrong")
         state = TrainingState(**values["progress"], losses=tensors.pop("losses").tolist())
-        if state.epoch > learner.recipe.epochs:
-            raise ValueError(f"epoch {state.epoch} of {learner.recipe.epochs}")
-        if values["scaler"].keys() != learner.scaler.state_dict().keys():
-            raise ValueError("a scaler of another precision")
+        _require_numbers(state, learner.recipe.epochs)
+        scaler = values["scaler"]
+        if {k: type(v) for k, v in scaler.items()} != {
+            k: type(v) for k, v in learner.scaler.state_dict().items()
+        }:
+            raise TypeError("a scaler of another precision")
+        learner.scaler.load_state_dict(scaler)
+        _restore(learner, tensors)
     except DAMAGE as error:
         raise TrainingError(
             path,
@@ -110,35 +108,42 @@ def load_checkpoint(path: Path, learner: Learner) -> TrainingState:
             "a checkpoint of this training",
             "start anew with --overwrite or in another folder",
         ) from error
-    for name, tensor in tensors.items():
-        slots[name].copy_(tensor)
-    learner.optimiser.state.clear()
-    learner.optimiser.state.update(optimised)
-    learner.scaler.load_state_dict(values["scaler"])
     return state
 
 
-def _named(learner: Learner, optimised: OptimiserState) -> dict[str, Tensor]:
-    """Return the tensors of the networks, the average if it is another, and of the optimiser."""
+def _networks(learner: Learner) -> dict[str, Tensor]:
+    """Return the tensors of the module, and of the average if it is another, by name."""
     named = {f"module.{name}": t for name, t in learner.module.state_dict().items()}
     if learner.average is not learner.module:
         named |= {f"average.{name}": t for name, t in learner.average.state_dict().items()}
-    for name, parameter in learner.module.named_parameters():
-        for key, tensor in optimised.get(parameter, {}).items():
-            named[f"optimiser.{name}.{key}"] = tensor
     return named
 
 
-def _optimiser_state(learner: Learner, names: Set[str]) -> OptimiserState:
-    """Return tensors to put into what a checkpoint of these names holds of the optimiser."""
-    state: OptimiserState = defaultdict(dict)
-    for name, parameter in learner.module.named_parameters():
-        for key in OPTIMISER_STATE[learner.recipe.optimiser]:
-            if f"optimiser.{name}.{key}" in names:
-                # The count of steps stays on the CPU: on a GPU every parameter would wait for it.
-                like = torch.zeros(()) if key == "step" else torch.empty_like(parameter)
-                state[parameter][key] = like.detach()
-    return state
+def _read(path: Path, learner: Learner) -> tuple[dict[str, Tensor], dict[str, Any]]:
+    """Return tensors and values of a file that holds what the learner needs, and no more."""
+    with reading(path) as file:
+        length = int.from_bytes(file.read(8), "little")
+    if length > MAX_HEADER_BYTES:
+        raise ValueError(f"a header of {length} bytes")
+    with safetensors.safe_open(path, framework="pt") as file:
+        names = set(file.keys())
+        wanted = _networks(learner)
+        for name, parameter in learner.module.named_parameters():
+            state = {f"optimiser.{name}.{k}": k for k in OPTIMISER_STATE[learner.recipe.optimiser]}
+            if names & state.keys():
+                step = torch.zeros(())
+                wanted |= {key: step if k == "step" else parameter for key, k in state.items()}
+        if unlike := names ^ {*wanted, "losses"}:
+            raise ValueError(f"{min(unlike)} is of another network or optimiser, or is missing")
+        for name, tensor in wanted.items():
+            slot = file.get_slice(name)
+            if slot.get_dtype() != DTYPES[tensor.dtype] or slot.get_shape() != [*tensor.shape]:
+                raise ValueError(f"{name} is of another type or shape")
+        losses = file.get_slice("losses")
+        if losses.get_dtype() != "F64" or len(losses.get_shape()) != 1:
+            raise ValueError("losses is of another type or shape")
+        values = json.loads((file.metadata() or {})[KEY])
+        return {name: file.get_tensor(name) for name in names}, values
 
 
 def _checksum(values: Mapping[str, Any], tensors: Mapping[str, Tensor]) -> str:
@@ -148,3 +153,30 @@ def _checksum(values: Mapping[str, Any], tensors: Mapping[str, Tensor]) -> str:
         digest.update(name.encode())
         digest.update(tensor.reshape(-1).view(torch.uint8).numpy().data)
     return digest.hexdigest()
+
+
+def _require_numbers(state: TrainingState, epochs: int) -> None:
+    """Raise `TypeError` unless a state is of plain numbers."""
+    if type(state.epoch) is not int or not 0 <= state.epoch <= epochs:
+        raise TypeError(f"epoch {shortened(state.epoch)} of {epochs}")
+    numbers = [state.best, state.seconds]
+    for row in state.rows:
+        numbers += [row["epoch"], row["loss"], *row.values()]
+    if any(type(number) not in (int, float) for number in numbers):
+        raise TypeError("a log that is not of numbers")
+    # An integer may be too large for a float.
+    sum(map(float, numbers))
+
+
+@torch.no_grad()
+def _restore(learner: Learner, tensors: Mapping[str, Tensor]) -> None:
+    for name, tensor in _networks(learner).items():
+        tensor.copy_(tensors[name])
+    learner.optimiser.state.clear()
+    for name, parameter in learner.module.named_parameters():
+        for key in OPTIMISER_STATE[learner.recipe.optimiser]:
+            kept = tensors.get(f"optimiser.{name}.{key}")
+            if kept is not None:
+                # The count of steps stays on the CPU: on a GPU every parameter would wait for it.
+                like = torch.zeros(()) if key == "step" else torch.empty_like(parameter)
+                learner.optimiser.state[parameter][key] = like.copy_(kept)

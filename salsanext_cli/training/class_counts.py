@@ -4,7 +4,6 @@
 import hashlib
 import json
 from collections.abc import Iterable, Sequence
-from contextlib import suppress
 from pathlib import Path
 
 import joblib
@@ -115,9 +114,14 @@ def class_counts(
     training, validation, validated = splits
     digest = _digest([*training, *validation, *validated], space)
     known = read_json(path) or {}
-    if known.get("files") == digest:
-        with suppress(LookupError, TypeError, ValueError, OverflowError):  # an edited file
-            return np.array([known["points"][name] for name in space.names], np.int64)
+    points = known.get("points")
+    if (
+        known.get("files") == digest
+        and isinstance(points, dict)
+        and points.keys() == {*space.names}
+        and all(type(n) is int and 0 <= n < 2**63 for n in points.values())
+    ):
+        return np.array([points[name] for name in space.names], np.int64)
     of_validation = count_classes(validation, space, sensor, jobs)
     scored = {*validated}
     of_validated = of_validation[[file in scored for file in validation]].sum(axis=0)

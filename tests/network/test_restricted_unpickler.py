@@ -80,6 +80,15 @@ def test_plain_values_and_tensors_are_those_that_torch_reads(tmp_path, as_zip):
             assert torch.equal(one, other)
 
 
+@pytest.mark.real
+def test_the_published_file_is_read_as_torch_reads_it(golden):
+    found = read_torch_file(golden / "SalsaNext")
+    expected = torch.load(golden / "SalsaNext", weights_only=True, map_location="cpu")
+    assert list(found["state_dict"]) == list(expected["state_dict"])
+    for key, tensor in expected["state_dict"].items():
+        assert torch.equal(found["state_dict"][key], tensor), key
+
+
 @FORMS
 def test_other_objects_become_their_names(tmp_path, as_zip):
     """Python 2's names too, by which pickles call built-in classes."""

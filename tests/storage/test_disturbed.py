@@ -3,9 +3,13 @@
 
 import os
 import shutil
+import subprocess
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from functools import partial
+from pathlib import Path
+from shutil import which
 
 import pytest
 from scans import files_below, labels_below, write_weights
@@ -73,6 +77,37 @@ def test_workers_that_find_other_weights_label_no_scan(world, tmp_path):
     with pytest.raises(WeightsError, match="was replaced since the run began"):
         run_over_scans(task, find_scans(world.data), RunOptions(jobs=2))
     assert labels_below(world.out) == {}
+
+
+def mount(*arguments: str | Path) -> None:
+    """Mount as told, or skip the test."""
+    words = ["mount", *map(str, arguments)]
+    if not which("mount") or subprocess.run(words, capture_output=True, check=False).returncode:
+        pytest.skip("may not mount a folder")
+
+
+@contextmanager
+def read_only(folder: Path) -> Iterator[None]:
+    """Let nobody write into a folder, not even root, or skip the test."""
+    mount("--bind", folder, folder)
+    try:
+        mount("-o", "remount,ro,bind", folder)
+        yield
+    finally:
+        subprocess.run(["umount", "--lazy", str(folder)], capture_output=True, check=True)
+
+
+def test_a_result_folder_that_becomes_read_only(world, whole):
+    folder = world.result("predictions", "08").parent
+    folder.mkdir(parents=True)
+    with read_only(folder):
+        outcome = run(world)
+        assert (outcome.done, len(outcome.failures)) == (1, 2)
+        for failure in outcome.failures:
+            assert "read-only file system" in failure.reason
+            assert "change its permissions or choose another output folder" in failure.reason
+    assert run(world).done == 2
+    assert labels_below(world.out) == whole
 
 
 def test_an_output_folder_that_is_deleted(world, whole):

@@ -1,10 +1,13 @@
 # SPDX-License-Identifier: MIT
 import json
 import struct
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import pytest
+import safetensors
+import safetensors.torch
 import torch
 from fuzzing.limits import bounded
 from tiny_network import TinyNetwork
@@ -13,6 +16,7 @@ from salsanext_cli.errors import TrainingError
 from salsanext_cli.training.checkpoint import (
     KEY,
     TrainingState,
+    _checksum,
     load_checkpoint,
     save_checkpoint,
 )
@@ -105,29 +109,88 @@ def test_a_flipped_bit_is_noticed(share: float, tmp_path: Path) -> None:
     refused(tmp_path / NAME, learner(), "the checksum is wrong")
 
 
-def framed(header: bytes, length: int | None = None) -> bytes:
-    return struct.pack("<Q", length or len(header)) + header
+def rewritten(path: Path, change: Callable[[dict[str, Any], dict[str, Any]], object]) -> None:
+    """Change the values and tensors of a checkpoint, and mend its checksum."""
+    with safetensors.safe_open(path, "pt") as file:
+        values = json.loads(file.metadata()[KEY])
+        tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
+    del values["sha256"]
+    change(values, tensors)
+    values["sha256"] = _checksum(values, tensors)
+    safetensors.torch.save_file(tensors, path, {KEY: json.dumps(values)})
+
+
+@pytest.mark.parametrize(
+    "progress",
+    [
+        *({"epoch": "1"}, {"epoch": -1}, {"epoch": True}, {"epoch": 10}, {"best": None}),
+        *({"rows": [{"loss": 1.0}]}, {"rows": [{"epoch": 1, "loss": "x"}]}, {"rows": 3}),
+        *({"rows": [{"epoch": 10**400, "loss": 1.0}]}, {"seconds": [1]}, {"other": 1}),
+    ],
+)
+def test_progress_that_is_none(tmp_path: Path, progress: dict[str, object]) -> None:
+    save_checkpoint(tmp_path / NAME, trained(), TrainingState())
+    rewritten(tmp_path / NAME, lambda values, _: values["progress"].update(progress))
+    refused(tmp_path / NAME, learner())
+
+
+@pytest.mark.parametrize(
+    ("name", "tensor"),
+    [
+        ("losses", torch.zeros(2)),
+        ("losses", torch.zeros(2, 2, dtype=torch.float64)),
+        ("module.norm.running_mean", torch.zeros(8, dtype=torch.float64)),
+        ("module.norm.running_mean", torch.zeros(9)),
+        ("module.norm.running_mean", torch.zeros(8).to(torch.float8_e4m3fn)),
+        ("module.norm.running_mean", None),
+        ("optimiser.norm.bias.step", torch.zeros(1)),
+        ("optimiser.norm.bias.exp_avg", None),
+        ("optimiser.norm.bias.other", torch.zeros(8)),
+        ("other", torch.zeros(8)),
+    ],
+)
+def test_tensors_that_are_others(tmp_path: Path, name: str, tensor: torch.Tensor | None) -> None:
+    save_checkpoint(tmp_path / NAME, trained(), TrainingState())
+    rewritten(
+        tmp_path / NAME,
+        lambda _, tensors: tensors.pop(name) if tensor is None else tensors.update({name: tensor}),
+    )
+    refused(tmp_path / NAME, learner())
 
 
 @pytest.mark.parametrize(
     "content",
     [
         b"cos\nmkdir\n(S'executed'\ntR.",
-        framed(b"{}", 1 << 62),
-        framed(b"[" * (1 << 20)),
-        framed(b'{"losses":{"dtype":"F64","shape":[750000000],"data_offsets":[0,6000000000]}}'),
-        framed(json.dumps({"__metadata__": {KEY: "[" * 100_000}}).encode()),
-        framed(b'{"__metadata__": {}}'),
+        b"cbuiltins\nbytearray\n(I6000000000\ntR.",
+        # A dictionary whose key takes 2⁶⁰ steps to hash.
+        b"\x80\x02)" + 60 * b"2\x86" + b"}\x94R.",
     ],
 )
-def test_what_is_no_checkpoint(
+def test_pickles_are_not_read(
     content: bytes, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """A pickle, and headers that promise more than there is."""
     monkeypatch.chdir(tmp_path)
     (tmp_path / NAME).write_bytes(content)
     refused(tmp_path / NAME, learner())
     assert [path.name for path in tmp_path.iterdir()] == [NAME]
+
+
+@pytest.mark.parametrize(
+    "header",
+    [
+        b"[" * (1 << 20),
+        b'{"losses": {"dtype": "F64", "shape": [750000000], "data_offsets": [0, 6000000000]}}',
+        json.dumps({"__metadata__": {KEY: "[" * 100_000}}).encode(),
+        b'{"__metadata__": {}}',
+    ],
+)
+@pytest.mark.parametrize("length", [None, 1 << 62, 50 << 20])
+def test_headers_that_promise_more_than_there_is(
+    header: bytes, length: int | None, tmp_path: Path
+) -> None:
+    (tmp_path / NAME).write_bytes(struct.pack("<Q", length or len(header)) + header)
+    refused(tmp_path / NAME, learner(), f"a header of {length} bytes" if length else "")
 
 
 def test_a_file_of_gigabytes_is_not_read(tmp_path: Path) -> None:
@@ -136,6 +199,6 @@ def test_a_file_of_gigabytes_is_not_read(tmp_path: Path) -> None:
     entry = {"dtype": "F32", "shape": [size // 4], "data_offsets": [0, size]}
     header = json.dumps({"module.norm.running_mean": entry}).encode()
     with (tmp_path / NAME).open("wb") as file:
-        file.write(framed(header))
+        file.write(struct.pack("<Q", len(header)) + header)
         file.truncate(8 + len(header) + size)
     refused(tmp_path / NAME, learner())

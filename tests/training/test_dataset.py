@@ -1,4 +1,5 @@
 # SPDX-License-Identifier: MIT
+import json
 from collections import Counter
 from pathlib import Path
 
@@ -11,6 +12,7 @@ from salsanext_cli import label_space, project
 from salsanext_cli.formats.kitti import read_bin, read_labels
 from salsanext_cli.storage.layout import ScanFile, find_scans
 from salsanext_cli.training.class_counts import (
+    class_counts,
     class_shares,
     count_classes,
     rare_classes,
@@ -185,3 +187,34 @@ def test_counting_counts_every_point(files: list[ScanFile]) -> None:
         np.testing.assert_array_equal(counts.sum(axis=0), expected)
         own = np.bincount(SPACE.to_train(read_labels(files[1].label_path)), minlength=20)
         np.testing.assert_array_equal(counts[1], own)
+
+
+@pytest.mark.parametrize(
+    "edited",
+    [
+        *({"car": "1"}, {"car": 1.5}, {"car": True}, {"car": None}, {"car": [1]}),
+        *({"car": -1}, {"car": 2**63}, {"tram": 1}),
+    ],
+)
+def test_kept_counts_that_are_none_are_counted_again(
+    files: list[ScanFile], tmp_path: Path, edited: dict[str, object]
+) -> None:
+    path, splits = tmp_path / "class_counts.json", (files, files, files)
+    expected = class_counts(path, splits, SPACE, SMALL)
+    content = path.read_bytes()
+    kept = json.loads(content)
+    fewer = dict(list(kept["points"].items())[1:])
+    for points in ({**kept["points"], **edited}, {**fewer, **edited}, list(edited), None):
+        path.write_text(json.dumps({**kept, "points": points}))
+        np.testing.assert_array_equal(class_counts(path, splits, SPACE, SMALL), expected)
+        assert path.read_bytes() == content
+
+
+def test_kept_counts_are_used(files: list[ScanFile], tmp_path: Path) -> None:
+    path, splits = tmp_path / "class_counts.json", (files, files, files)
+    expected = class_counts(path, splits, SPACE, SMALL)
+    kept = json.loads(path.read_bytes())
+    kept["points"]["car"] += 7
+    path.write_text(json.dumps(kept))
+    more = class_counts(path, splits, SPACE, SMALL) - expected
+    assert more.tolist() == [7 * (name == "car") for name in SPACE.names]
