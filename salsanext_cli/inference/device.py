@@ -28,6 +28,9 @@ BFLOAT16_ISA = ("BF16", "FP16", "AMX", "AVX10", "ALL", "DEFAULT")
 CONVERTER = "openvino.tools.ovc"
 """Part of OpenVINO that reports its use over the network. OpenVINO imports it if it can."""
 
+OPENVINO_ERRORS = (AttributeError, ImportError, OSError, RuntimeError, TypeError, ValueError)
+"""Raised by installations that are damaged or of another platform."""
+
 log = logging.getLogger(__name__)
 
 
@@ -108,7 +111,7 @@ def _openvino_fails() -> str:
     sys.modules.setdefault(CONVERTER, None)  # type: ignore[arg-type]
     try:
         openvino_core().get_property("CPU", "FULL_DEVICE_NAME")
-    except Exception as error:  # whatever is wrong with an installation
+    except OPENVINO_ERRORS as error:
         return f"does not start: {words_of(error)}"
     finally:
         if not known:
