@@ -27,7 +27,6 @@ BFLOAT16_ISA = ("BF16", "FP16", "AMX", "AVX10", "ALL", "DEFAULT")
 """Parts of the values of `ISA_VARIABLES` that leave bfloat16 to the libraries."""
 CONVERTER = "openvino.tools.ovc"
 """Part of OpenVINO that reports its use over the network. OpenVINO imports it if it can."""
-
 OPENVINO_ERRORS = (AttributeError, ImportError, OSError, RuntimeError, TypeError, ValueError)
 """Raised by installations that are damaged or of another platform."""
 
@@ -80,13 +79,14 @@ def choose_engine(name: str, device: str) -> str:
         if name == "openvino":
             raise UsageError("--engine", f"openvino on {device}", "torch, or --device cpu")
         return "torch"
-    if name == "torch" or (name == "auto" and (found := _openvino_fails())):
-        if name == "auto":
-            _say_once(found)
-        return "torch"
-    if found := _openvino_fails():
-        raise MissingDependency("openvino", found, remedy="install it again, or --engine torch")
-    return "openvino"
+    if name == "torch":
+        return name
+    if not (found := _openvino_fails()):
+        return "openvino"
+    if name == "openvino":
+        raise MissingDependency(name, found, remedy="install it again, or --engine torch")
+    _say_once(found)
+    return "torch"
 
 
 @cache
