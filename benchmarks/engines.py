@@ -8,9 +8,10 @@ take turns in every round; a turn is the fastest of three calls after one that i
 are the median time, the median, lowest and highest ratio of a round to eager, and the share of
 pixels with a point that have eager's label.
 
-Run: python benchmarks/engines.py 000000.bin [5 default hdl64-512 hdl64]
+Run: python benchmarks/engines.py 000000.bin [--rounds 5 --sensors hdl64-512 hdl64]
 """
 
+import argparse
 import io
 import logging
 import statistics
@@ -117,12 +118,17 @@ def compare(scan: sn.Scan, sensor: sn.Sensor, weights: str | None, rounds: int) 
         print(f"{name:42}{statistics.median(measured):8.4f} s {ratio}  {same:.2%}")
 
 
-def main(scan: str, rounds: str = "5", weights: str = "default", *sensors: str) -> None:
+def main() -> None:
+    parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
+    parser.add_argument("scan")
+    parser.add_argument("--rounds", type=int, default=5)
+    parser.add_argument("--weights", help="the default ones if not given")
+    parser.add_argument("--sensors", nargs="+", default=["hdl64-512", "hdl64"])
+    options = parser.parse_args()
     torch.set_num_threads(thread_count())
-    for name in sensors or ("hdl64-512", "hdl64"):
-        own = None if weights == "default" else weights
-        compare(sn.read_scan(scan), sn.sensor(name), own, int(rounds))
+    for name in options.sensors:
+        compare(sn.read_scan(options.scan), sn.sensor(name), options.weights, options.rounds)
 
 
 if __name__ == "__main__":
-    main(*sys.argv[1:])
+    main()

@@ -59,7 +59,7 @@ UNUSED = "scipy.linalg"
 
 
 class Sections(TyperGroup):
-    """Group that lists the commands above in plain text: importing rich takes as long as all else."""
+    """Group that lists the commands above as plain text: importing rich doubles the time."""
 
     def format_help(self, ctx: Any, formatter: Any) -> None:
         """Write usage, description, options and commands."""
