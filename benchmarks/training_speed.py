@@ -64,7 +64,8 @@ class Comparison:
     def __init__(self, options: argparse.Namespace) -> None:
         self.space, self.sensor = label_space(), sensor(options.sensor)
         files = [file for file in find_scans(options.dataset) if file.label_path.is_file()]
-        self.recipe = Recipe(batch=options.batch, crop_width=options.width, epochs=1_000_000)
+        shape = {"batch": options.batch, "crop_width": options.width}
+        self.recipe = Recipe(**shape, epochs=1_000_000, precision=options.precision)
         counts = count_classes(files, self.space, self.sensor).sum(axis=0)
         rare = rare_classes(counts, self.space.scored)
         self.samples = Samples(files, self.space, self.sensor, self.recipe, rare)
@@ -195,6 +196,7 @@ def main(*words: str) -> None:
     parser.add_argument("--architecture", default="salsanext")
     parser.add_argument("--batch", type=int, default=2)
     parser.add_argument("--width", type=int, default=0, help="of windows; 0 is the full circle")
+    parser.add_argument("--precision", default="auto", help="of ours; the plain loop has float32")
     parser.add_argument("--steps", type=int, default=1, help="of a turn")
     parser.add_argument("--turns", type=int, default=5, help="of each side")
     parser.add_argument(

@@ -79,4 +79,4 @@ def world(tmp_path: Path, weights: Path) -> "World":
     data = tmp_path / "Daten für 1"
     write_sequence(data / "sequences/00", ["000000"], seed=7)
     write_sequence(data / "sequences/08", ["000000", "000001"])
-    return World(data, tmp_path / "öut put", NetworkSettings(weights, "cpu"))
+    return World(data, tmp_path / "öut put", NetworkSettings(weights, "cpu", engine="torch"))

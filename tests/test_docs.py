@@ -10,6 +10,7 @@ import subprocess
 import sys
 import tomllib
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -268,6 +269,7 @@ def test_every_name_in_the_tables_exists(page):
 
 
 def test_the_documented_way_of_one_scan_visits_these_files_in_order(world, monkeypatch):
+    network = replace(world.network, engine="openvino")
     package = ROOT / "salsanext_cli"
     visited: list[str] = []
 
@@ -288,7 +290,7 @@ def test_the_documented_way_of_one_scan_visits_these_files_in_order(world, monke
             sys.setprofile(None)
 
     monkeypatch.setattr(stage, "predict_scan", followed)
-    stage.predict_scans(world.scan(), world.out, network=world.network)
+    stage.predict_scans(world.scan(), world.out, network=network)
     listed = text_of("docs/development.md").partition("Once per scan")[2]
     listed = listed.partition("\n\n`uncertainty`")[0]
     files = re.findall(r"^\d+\. `(\S+\.py)`", listed, re.MULTILINE)

@@ -10,7 +10,7 @@ from typer.core import TyperGroup
 
 from salsanext_cli import __version__
 from salsanext_cli.cli.benchmark import benchmark
-from salsanext_cli.cli.console import guarded
+from salsanext_cli.cli.console import WRONG_USE, guarded
 from salsanext_cli.cli.demo import demo
 from salsanext_cli.cli.evaluate import evaluate
 from salsanext_cli.cli.export_onnx import export_onnx
@@ -61,6 +61,13 @@ UNUSED = "scipy.linalg"
 class Sections(TyperGroup):
     """Group that lists the commands above as plain text: importing rich doubles the time."""
 
+    def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
+        """Write the help, as for wrong usage, if no command is given."""
+        if not args and not ctx.resilient_parsing:
+            typer.echo(ctx.get_help(), err=True)
+            ctx.exit(WRONG_USE)
+        return super().parse_args(ctx, args)
+
     def format_help(self, ctx: Any, formatter: Any) -> None:
         """Write usage, description, options and commands."""
         self.format_usage(ctx, formatter)
@@ -79,7 +86,6 @@ class Sections(TyperGroup):
 app = typer.Typer(
     name="salsanext",
     cls=Sections,
-    no_args_is_help=True,
     pretty_exceptions_enable=False,
     rich_markup_mode="rich",
     context_settings={"help_option_names": ["-h", "--help"]},

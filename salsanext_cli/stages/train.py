@@ -5,7 +5,7 @@ import hashlib
 import math
 from collections.abc import Callable, Sequence
 from contextlib import ExitStack
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -35,7 +35,7 @@ from salsanext_cli.training.class_counts import (
 from salsanext_cli.training.dataset import Samples
 from salsanext_cli.training.distributed import ProcessGroup, group_of_environment, process_group
 from salsanext_cli.training.fit import Report, Training
-from salsanext_cli.training.learner import Learner
+from salsanext_cli.training.learner import Learner, choose_precision
 from salsanext_cli.training.log import Row, tensorboard_in
 from salsanext_cli.training.recipe import Recipe
 from salsanext_cli.training.run_folder import (
@@ -133,6 +133,9 @@ def train(
     with process_group(device) as (group, place), ExitStack() as held:
         classes, training, validation = group.on_main(lambda: _splits(dataset, space))
         validated = evenly_spaced(validation, recipe.validation_scans)
+        # "auto" may be another on the machine that resumes the training, and on another worker's.
+        precision = group.on_main(lambda: choose_precision(recipe.precision, place))
+        recipe = replace(recipe, precision=precision)
         module, architecture, own_sensor = _initial_network(weights, classes, recipe)
         sensor = sensor or own_sensor
         _require_pixels(recipe, sensor, module, group)

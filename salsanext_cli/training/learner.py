@@ -10,6 +10,7 @@ import torch
 from torch import Tensor, nn
 from torch.nn.parallel import DistributedDataParallel
 
+from salsanext_cli.inference.device import has_bfloat16
 from salsanext_cli.network.segmentation import SegmentationNetwork
 from salsanext_cli.training.distributed import SINGLE_PROCESS, ProcessGroup, data_parallel
 from salsanext_cli.training.losses import SegmentationLoss
@@ -65,7 +66,7 @@ class Learner:
         self.loss = SegmentationLoss(weights, recipe.lovasz, recipe.label_smoothing).to(device)
         self.forward = data_parallel(module, device, group)
         self.optimiser = build_optimiser(module, recipe)
-        dtype = dtype_of(recipe.precision, device)
+        dtype: torch.dtype = getattr(torch, choose_precision(recipe.precision, device))
         self.autocast = torch.autocast(device.type, dtype, enabled=dtype is not torch.float32)
         self.scaler = torch.amp.GradScaler(device.type, enabled=dtype is torch.float16)
 
@@ -217,16 +218,15 @@ def update_average(average: nn.Module, module: nn.Module, decay: float, step: in
             kept.copy_(new)
 
 
-def dtype_of(precision: str, device: torch.device) -> torch.dtype:
-    """Return the type behind a recipe's `precision` on a device.
+def choose_precision(name: str, device: torch.device) -> str:
+    """Return the number type behind a recipe's `precision` on a device.
 
-    "auto" is float32 on every CPU, so that a training does not depend on which one it is; on GPUs
-    it is bfloat16, or float16 on those too old for it.
+    "auto" is bfloat16 on a CPU that multiplies it and on a GPU, float16 on a GPU too old for that,
+    and float32 on other CPUs.
     """
-    if precision != "auto":
-        dtype: torch.dtype = getattr(torch, precision)
-        return dtype
+    if name != "auto":
+        return name
     if device.type != "cuda":
-        return torch.float32
+        return "bfloat16" if has_bfloat16() else "float32"
     major, _ = torch.cuda.get_device_capability(device)
-    return torch.bfloat16 if major >= BFLOAT16_CAPABILITY else torch.float16
+    return "bfloat16" if major >= BFLOAT16_CAPABILITY else "float16"

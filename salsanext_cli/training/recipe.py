@@ -39,7 +39,7 @@ class Recipe:
         Name of the network in `network.registry`.
     precision : {"auto", "float32", "bfloat16", "float16"}
         Type that the network computes in; weights and loss are float32 always. "auto" is the
-        shortest type that a GPU computes fast, and float32 on CPUs.
+        shortest that the device computes fast.
     epochs, batch : int
         Number of passes through the data, and samples per step.
     accumulate : int

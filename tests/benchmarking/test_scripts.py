@@ -55,7 +55,7 @@ def script_printed(script: str, *words: object, **environment: str) -> list[str]
 
 def test_engines(data, weights):
     scan, one_thread = data / "sequences/00/velodyne/0.bin", {"NUMBA_NUM_THREADS": "1"}
-    given = (scan, 1, weights, data / "tiny.toml")
+    given = (scan, "--rounds", 1, "--weights", weights, "--sensors", data / "tiny.toml")
     title, *rows = script_printed("engines.py", *given, **one_thread)
     assert title.startswith("16×64, 1 threads")
     found = {row[:42].rstrip(): row[42:] for row in rows}
@@ -84,6 +84,7 @@ def test_many_scans(tmp_path, capsys):
     assert not list(tmp_path.iterdir())
 
 
+@pytest.mark.slow
 def test_training_speed(data):
     """Both sides find the same loss, or it would stop."""
     options = ("--sensor", data / "tiny.toml", "--architecture", "salsanet", "--turns", 2)

@@ -19,6 +19,7 @@ def run(monkeypatch: pytest.MonkeyPatch) -> Run:
     """Run a command; results and talk are kept apart."""
     for name in ALONE:
         monkeypatch.delenv(name, raising=False)
+    monkeypatch.setenv("SALSANEXT_ENGINE", "torch")  # starts sooner than graphs are compiled
 
     def call(*arguments: object) -> Result:
         return CliRunner().invoke(app, [str(argument) for argument in arguments])

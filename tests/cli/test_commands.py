@@ -62,7 +62,7 @@ def test_messages_go_to_stderr(predict, weights, tmp_path):
     out = tmp_path / "out"
     first = predict(out)
     assert first.stdout == ""
-    assert first.stderr == f"{weights} on cpu by openvino in float32\npredict: 2 scans → {out}\n"
+    assert first.stderr == f"{weights} on cpu by torch in float32\npredict: 2 scans → {out}\n"
     again = predict(out, "-v")
     assert again.exit_code == 0
     assert again.stderr.endswith(f"\npredict: 0 scans, 2 done already → {out}\n")

@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from architectures import EACH
 from scans import SMALL, labels_below, lively, make_scan
 
 from salsanext_cli import LabelSpace, label_space, load_network, project
@@ -15,7 +16,7 @@ from salsanext_cli.inference import onnx_export
 from salsanext_cli.inference.onnx_export import difference, exported, run
 from salsanext_cli.inference.settings import NetworkSettings
 from salsanext_cli.network.card import WeightsCard, read_card
-from salsanext_cli.network.registry import ARCHITECTURES, build
+from salsanext_cli.network.registry import build
 from salsanext_cli.network.weights import read_weights
 from salsanext_cli.parallel.run import RunOptions
 from salsanext_cli.stages.export_onnx import export_onnx
@@ -63,7 +64,7 @@ def image(sensor=SMALL):
     return project(make_scan(), sensor)
 
 
-@pytest.mark.parametrize("name", sorted(ARCHITECTURES))
+@pytest.mark.parametrize("name", EACH)
 def test_every_architecture_computes_what_torch_does(name):
     module = lively(build({"name": name, "class_count": 20, "dropout": 0.2}))
     for sensor in (SMALL, ODD):

@@ -19,6 +19,11 @@ from salsanext_cli.stages.project import project_scans
 from salsanext_cli.storage.point_files import write_bin, write_ply
 
 
+@pytest.fixture
+def world(on_openvino):
+    return on_openvino
+
+
 def run(world, source=None, **options):
     return predict_scans(source or world.data, world.out, network=world.network, **options)
 

@@ -32,8 +32,9 @@ def share_alike(found, expected):
 
 
 @pytest.fixture
-def nine(world):
+def nine(on_openvino):
     """Return a world with a sequence of nine scans, of no points, of one and of many."""
+    world = on_openvino
     folder = world.data / "sequences" / "05"
     write_sequence(folder, [f"{n:06d}" for n in range(7)], labels=False)
     nothing = Scan(np.empty((0, 3), np.float32), np.empty(0, np.float32))

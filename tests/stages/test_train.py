@@ -191,6 +191,17 @@ def test_another_recipe_is_refused_and_overwrite_starts_anew(dataset, tmp_path):
     assert same(again.last, go(dataset, tmp_path / "other", recipe=fewer).last)
 
 
+def test_another_cpu_does_not_resume_in_another_precision(dataset, tmp_path, monkeypatch):
+    wanted = TINY.with_changes(epochs=1, precision="auto")
+    for multiplies, found in ((False, "float32"), (True, "bfloat16")):
+        monkeypatch.setattr("salsanext_cli.training.learner.has_bfloat16", lambda it=multiplies: it)
+        run = tmp_path / found
+        go(dataset, run, recipe=wanted)
+        assert recipe(run / "recipe.toml") == wanted.with_changes(precision=found)
+    with pytest.raises(OutputError, match='precision was "float32" and is "bfloat16"'):
+        go(dataset, tmp_path / "float32", recipe=wanted)
+
+
 def test_a_training_of_before_a_key_goes_on(dataset, tmp_path):
     """A key that is not recorded was the default; another value is another recipe."""
     first = go(dataset, tmp_path / "run", recipe=TINY.with_changes(epochs=1))

@@ -27,7 +27,7 @@ def go(world, target, **changes):
 
 def slow_mean(world, path, rate, stems, seed=0):
     """Return the objective of one rate by a loop over points, from weights of that rate."""
-    network = load_network(write_weights(path, dropout=rate), "cpu")
+    network = load_network(write_weights(path, dropout=rate), "cpu", engine="torch")
     total, count = 0.0, 0
     for stem in stems:
         scan = world.scan("08", stem)
@@ -74,7 +74,7 @@ def test_a_network_that_was_trained_without_dropout_gets_it_where_the_paper_has_
     world, target, tmp_path
 ):
     certain = write_weights(tmp_path / "certain.safetensors", dropout=0.0)
-    tuned = go(world, target, network=NetworkSettings(certain, "cpu"))
+    tuned = go(world, target, network=NetworkSettings(certain, "cpu", engine="torch"))
     assert tuned["before"] == 0
     assert len(dropouts(read_weights(target)[0])) == 3 + 1 + 3 * 3
     assert tuned["objectives"] == go(world, target, overwrite=True)["objectives"]

@@ -1,10 +1,12 @@
 # SPDX-License-Identifier: MIT
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import torch
 
-from salsanext_cli import label_space, load_network, project, read_labels, read_scan, write_labels
+from salsanext_cli import label_space, project, read_labels, read_scan, write_labels
 from salsanext_cli.errors import TrainingError, WeightsError
 from salsanext_cli.inference.settings import NetworkSettings
 from salsanext_cli.network.card import read_card
@@ -19,7 +21,7 @@ SPACE = label_space()
 @pytest.fixture
 def drawn(world):
     """Draw the labels of every scan from the network's own softmax at the temperature 2."""
-    network, random = load_network(world.network.weights, "cpu"), np.random.default_rng(0)
+    network, random = world.network.load(), np.random.default_rng(0)
     for path in sorted(world.data.rglob("*.bin")):
         image = project(read_scan(path), network.sensor)
         logits = network.logits(image).reshape(20, -1)[:, image.pixel_of_point] / 2
@@ -35,7 +37,7 @@ def go(world, target, **changes):
 
 def points_of(world, sequence, stems):
     """Logits and truth of every point that counts, one after another."""
-    network = load_network(world.network.weights, "cpu")
+    network = world.network.load()
     logits, truth = [], []
     for stem in stems:
         path = world.scan(sequence, stem)
@@ -80,7 +82,7 @@ def test_a_sample_of_the_points_is_enough_and_always_the_same(drawn, target, mon
 
 def test_what_was_tuned_can_be_tuned_again_in_place(drawn, target):
     first = go(drawn, target)
-    network = NetworkSettings(target, "cpu")
+    network = replace(drawn.network, weights=target)
     again = go(drawn, target, network=network, overwrite=True)
     assert again["before"] == first["after"]
     assert again["after"]["temperature"] == pytest.approx(first["after"]["temperature"], rel=1e-9)

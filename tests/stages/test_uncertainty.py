@@ -34,7 +34,8 @@ def run(world, source=None, out=None, *, options=RunOptions(), **how):
     return uncertainty(source or world.data, out or world.out, options=options, **given)
 
 
-def test_the_files_hold_what_sampling_gives(world):
+def test_the_files_hold_what_sampling_gives(on_openvino):
+    world = on_openvino
     assert run(world, seed=4).done == 3
     image = project(read_scan(world.scan("08", "000001")), SMALL)
     seed = scan_seed(4, "08", "000001")
@@ -176,7 +177,8 @@ def test_labels_do_not_depend_on_the_noise_of_the_sensor(world):
         run(replace(world, network=other), options=RunOptions(overwrite=True))
 
 
-def test_interrupted_and_resumed_gives_the_same_bytes(world, tmp_path, monkeypatch):
+def test_interrupted_and_resumed_gives_the_same_bytes(on_openvino, tmp_path, monkeypatch):
+    world = on_openvino
     run(world, out=tmp_path / "whole")
     writes, write_array = [], OutputRun.write_array
 

@@ -10,7 +10,7 @@ from torch import Tensor, nn
 from salsanext_cli.training.learner import (
     Learner,
     build_optimiser,
-    dtype_of,
+    choose_precision,
     learning_rate,
     update_average,
 )
@@ -263,20 +263,21 @@ def test_the_average_takes_batch_norm_along_and_forgets_the_random_weights_soon(
 
 
 @pytest.mark.parametrize(
-    ("precision", "capability", "dtypes"),
+    ("multiplies", "capability", "chosen"),
     [
-        ("auto", (9, 0), (torch.float32, torch.bfloat16)),
-        ("auto", (8, 0), (torch.float32, torch.bfloat16)),
-        ("auto", (7, 5), (torch.float32, torch.float16)),
-        ("bfloat16", (7, 5), (torch.bfloat16, torch.bfloat16)),
+        (True, (9, 0), ("bfloat16", "bfloat16")),
+        (False, (8, 0), ("float32", "bfloat16")),
+        (False, (7, 5), ("float32", "float16")),
     ],
 )
-def test_auto_is_float32_on_cpus_and_what_gpus_compute_fast(
-    precision: str,
+def test_auto_is_what_the_device_computes_fast(
+    multiplies: bool,
     capability: tuple[int, int],
-    dtypes: tuple[torch.dtype, torch.dtype],
+    chosen: tuple[str, str],
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
+    monkeypatch.setattr("salsanext_cli.training.learner.has_bfloat16", lambda: multiplies)
     monkeypatch.setattr(torch.cuda, "get_device_capability", lambda device: capability)
     devices = (torch.device("cpu"), torch.device("cuda", 0))
-    assert tuple(dtype_of(precision, device) for device in devices) == dtypes
+    assert tuple(choose_precision("auto", device) for device in devices) == chosen
+    assert {choose_precision("float32", device) for device in devices} == {"float32"}
