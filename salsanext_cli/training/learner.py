@@ -58,15 +58,16 @@ class Learner:
         device: torch.device,
         group: ProcessGroup = SINGLE_PROCESS,
     ) -> None:
-        module = module.to(device)
-        if device.type == "cuda":
-            module = module.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
+        dtype: torch.dtype = getattr(torch, choose_precision(recipe.precision, device))
+        # On CPUs the gradient of float32 weights is a third slower with channels last.
+        plain = device.type == "cpu" and dtype is torch.float32
+        self.layout = torch.contiguous_format if plain else torch.channels_last
+        module = module.to(device).to(memory_format=self.layout)  # type: ignore[call-overload]
         self.recipe, self.module, self.device, self.group = recipe, module, device, group
         self.average = copy.deepcopy(module).eval() if recipe.average else module
         self.loss = SegmentationLoss(weights, recipe.lovasz, recipe.label_smoothing).to(device)
         self.forward = data_parallel(module, device, group)
         self.optimiser = build_optimiser(module, recipe)
-        dtype: torch.dtype = getattr(torch, choose_precision(recipe.precision, device))
         self.autocast = torch.autocast(device.type, dtype, enabled=dtype is not torch.float32)
         self.scaler = torch.amp.GradScaler(device.type, enabled=dtype is torch.float16)
 
@@ -91,8 +92,6 @@ class Learner:
 
     def _gradient(self, images: Tensor, truth: Tensor, step: int) -> Tensor:
         """Add up the gradient of a batch, part by part, and return its loss."""
-        # On CPUs the gradient of the weights is a third slower with channels last.
-        layout = torch.channels_last if self.device.type == "cuda" else torch.contiguous_format
         truth = truth.to(self.device, non_blocking=True)
         parts = self._parts(images.shape[3])
         total = None
@@ -105,7 +104,7 @@ class Learner:
             torch.manual_seed(self._seed(step))
             pairs = zip(images.tensor_split(parts), truth.tensor_split(parts), strict=True)
             for part, (some, labels) in enumerate(pairs, 1):
-                some = some.to(self.device, memory_format=layout, non_blocking=True)
+                some = some.to(self.device, memory_format=self.layout, non_blocking=True)
                 # With the other workers gradients are exchanged after the last part only.
                 exchange: AbstractContextManager[None] = nullcontext()
                 if part < parts and isinstance(self.forward, DistributedDataParallel):
