@@ -2,6 +2,7 @@
 """Small scans, data sets and networks that many tests need."""
 
 from collections.abc import Iterable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -26,6 +27,8 @@ SMALL = Sensor(
     intensity_noise=0.02,
 )
 """Sees what an HDL-64 sees, in so few pixels that a network takes milliseconds."""
+IN_BYTES = replace(SMALL, intensity_scale=255.0)
+"""Writes intensities from 0 to 255."""
 
 
 def make_scan(count: int = 1500, seed: int = 0) -> Scan:

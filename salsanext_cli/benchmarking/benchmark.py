@@ -69,7 +69,7 @@ def benchmark(
     sensor = network.sensor or card.sensor
     _require(weights, card, sensor, parts)
     scans = [
-        read_scan(file.path, intensity_scale=sensor.intensity_scale)
+        read_scan(file.path, sensor)
         for file in select_scans(source, selection, card.space)[:rounds]
     ]
     # Their intensities are divided already.

@@ -6,6 +6,7 @@ from pathlib import Path
 from salsanext_cli.errors import FormatError
 from salsanext_cli.formats import kitti, pcd, ply
 from salsanext_cli.records import Scan
+from salsanext_cli.sensors import Sensor
 
 SCAN_SUFFIXES = (".pcd.bin", ".bin", ".pcd", ".ply")
 """Suffixes of scans, upper or lower case; longer ones first, because they decide the stem."""
@@ -17,15 +18,16 @@ def scan_suffix(path: Path) -> str:
     return next((suffix for suffix in SCAN_SUFFIXES if name.endswith(suffix)), "")
 
 
-def read_scan(path: Path | str, *, intensity_scale: float = 1.0) -> Scan:
+def read_scan(path: Path | str, sensor: Sensor | None = None) -> Scan:
     """Read a scan in the format that its suffix names, upper or lower case.
 
     Parameters
     ----------
     path : Path or str
         A file with one of the `SCAN_SUFFIXES`.
-    intensity_scale : float
-        Divides the intensity, except where the file holds bytes: they are divided by 255.
+    sensor : Sensor, optional
+        Its `intensity_scale` divides the intensity, except where the file holds bytes: they are
+        divided by 255.
 
     Raises
     ------
@@ -33,6 +35,7 @@ def read_scan(path: Path | str, *, intensity_scale: float = 1.0) -> Scan:
         If the suffix is unknown or the file is not of that format.
     """
     path = Path(path)
+    intensity_scale = 1.0 if sensor is None else sensor.intensity_scale
     match scan_suffix(path):
         case ".bin" | ".pcd.bin":
             return kitti.read_bin(path, intensity_scale=intensity_scale)

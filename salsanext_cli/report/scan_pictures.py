@@ -48,7 +48,7 @@ def draw_scan(
     tuple of Path
         The strips and the view from above, both PNG.
     """
-    found = read_results(file, out, sensor.intensity_scale)
+    found = read_results(file, out, sensor)
     known = {"truth": found.truth, "prediction": found.label}
     labels = {k: space.to_train(raw, strict=False) for k, raw in known.items() if raw is not None}
     legend = legend_of(space, *labels.values(), errors=len(labels) == 2)
@@ -87,7 +87,7 @@ def draw_sample(out: BinaryIO, file: ScanFile, network: Network) -> Colours:
     from matplotlib.image import imsave  # a second to import, and only this needs it
 
     space, sensor = network.card.space, network.sensor
-    scan = read_scan(file.path, intensity_scale=sensor.intensity_scale)
+    scan = read_scan(file.path, sensor)
     truth = space.to_train(read_labels(file.label_path, len(scan)), source=file.label_path)
     image = project(scan, sensor)
     pixel_labels = network.probabilities(image).argmax(axis=0)

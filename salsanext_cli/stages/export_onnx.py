@@ -125,7 +125,7 @@ def _int8(model: Any, card: WeightsCard, scans: list[ScanFile]) -> tuple[bytes, 
 
 
 def _image(file: ScanFile, sensor: Sensor) -> RangeImage:
-    return project(read_scan(file.path, intensity_scale=sensor.intensity_scale), sensor, "cpu")
+    return project(read_scan(file.path, sensor), sensor, "cpu")
 
 
 def _input(image: RangeImage, sensor: Sensor) -> Float:

@@ -18,6 +18,7 @@ from salsanext_cli.formats.reading import present
 from salsanext_cli.inference.settings import NetworkSettings
 from salsanext_cli.parallel.run import Failure, Outcome, RunOptions, run_over_scans
 from salsanext_cli.report.colours import CLASS_COLOURS, COLOURS, PointColours, value_range
+from salsanext_cli.sensors import Sensor
 from salsanext_cli.stages.uncertainty import estimate_missing
 from salsanext_cli.storage.layout import ScanFile, find_outputs
 from salsanext_cli.storage.output_run import OutputRun, output_run
@@ -45,12 +46,10 @@ from salsanext_cli.storage.stage_records import (
 SCANS_FOR_SCALE = 20
 
 
-def export_scan(
-    file: ScanFile, colours: PointColours, intensity_scale: float, output: OutputRun
-) -> None:
+def export_scan(file: ScanFile, colours: PointColours, sensor: Sensor, output: OutputRun) -> None:
     """Write one scan as a coloured cloud with every known scalar."""
     output.require_replaceable(file)
-    results = read_results(file, output.out, intensity_scale)
+    results = read_results(file, output.out, sensor)
     columns = scalar_columns(results, colours.space)
     if colours.colour not in columns:
         raise missing_column(colours.colour, file, output.out)
@@ -115,11 +114,9 @@ def export_ply(
     if colour in ("uncertainty", *UNCERTAINTY):
         colour, unestimated = estimate_missing(out, scans, colour, network, options)
     _require_some(out, scans, colour)
-    intensity_scale = recorded_sensor(out).intensity_scale
+    sensor = recorded_sensor(out)
     if scale is None:
-        scale = _recorded_scale(out, colour, options) or _scale(
-            out, scans, colour, space, intensity_scale
-        )
+        scale = _recorded_scale(out, colour, options) or _scale(out, scans, colour, space, sensor)
     settings = {
         "colour": colour,
         "scale": list(scale),
@@ -132,7 +129,7 @@ def export_ply(
         overwrite=options.overwrite,
         record_scans=False,
     ) as output:
-        task = partial(export_scan, colours=colours, intensity_scale=intensity_scale, output=output)
+        task = partial(export_scan, colours=colours, sensor=sensor, output=output)
         outcome = run_over_scans(task, scans, options, is_done=output.is_done)
     failures = tuple(unestimated.get(failure.scan, failure) for failure in outcome.failures)
     return replace(outcome, failures=failures, missing=missing)
@@ -171,7 +168,7 @@ def _recorded_scale(out: Path, colour: str, options: RunOptions) -> tuple[float,
 
 
 def _scale(
-    out: Path, scans: list[ScanFile], colour: str, space: LabelSpace, intensity_scale: float
+    out: Path, scans: list[ScanFile], colour: str, space: LabelSpace, sensor: Sensor
 ) -> tuple[float, float]:
     """Find what most points of some evenly spaced scans span."""
     if colour in CLASS_COLOURS:
@@ -181,6 +178,6 @@ def _scale(
     for file in scans[::step]:
         # A scan that cannot be read is named when it is exported.
         with suppress(SalsanextError):
-            columns = scalar_columns(read_results(file, out, intensity_scale), space)
+            columns = scalar_columns(read_results(file, out, sensor), space)
             values.append(columns.get(colour, values[0]))
     return value_range(np.concatenate(values))

@@ -152,7 +152,7 @@ def _inspect(
 
 def inspect_scan(file: ScanFile, sensor: Sensor) -> tuple[str, Survey, FieldOfViewCoverage]:
     """Read, project and count one scan; return its sequence, survey and coverage."""
-    scan = read_scan(file.path, intensity_scale=sensor.intensity_scale)
+    scan = read_scan(file.path, sensor)
     raw = read_labels(file.label_path, len(scan)) if present(file.label_path) else None
     found = survey(scan, project(scan, sensor), raw)
     return file.sequence, found, field_of_view_coverage(scan, sensor)

@@ -33,7 +33,7 @@ def refine_scan(
 ) -> None:
     """Refine the labels of one scan: its pixel labels, or those of a folder of point labels."""
     output.require_replaceable(file)
-    image = project(read_scan(file.path, intensity_scale=sensor.intensity_scale), sensor)
+    image = project(read_scan(file.path, sensor), sensor)
     if labels is None:
         path = output.path(file, "pixel_labels")
         pixel_labels = _read_pixel_labels(path, space, sensor)

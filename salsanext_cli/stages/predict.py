@@ -76,7 +76,7 @@ def _projected(
 ) -> tuple[RangeImage, FieldOfViewCoverage]:
     output.require_replaceable(file)
     sensor = network.sensor
-    scan = read_scan(file.path, intensity_scale=sensor.intensity_scale)
+    scan = read_scan(file.path, sensor)
     return project(scan, sensor, network.device), field_of_view_coverage(scan, sensor)
 
 

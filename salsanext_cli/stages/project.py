@@ -23,7 +23,7 @@ FOLDERS = ("range", "pixels")
 def project_scan(file: ScanFile, sensor: Sensor, output: OutputRun) -> FieldOfViewCoverage:
     """Project one scan; write its range image and the pixels of its points."""
     output.require_replaceable(file)
-    scan = read_scan(file.path, intensity_scale=sensor.intensity_scale)
+    scan = read_scan(file.path, sensor)
     image = project(scan, sensor)
     output.write_array(file, "range", image.channels)
     output.write_array(file, "pixels", image.pixel_of_point)

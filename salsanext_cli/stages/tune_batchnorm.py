@@ -109,7 +109,7 @@ def _statistics(
     file: ScanFile, network: Network, share: float, check: CoverageCheck
 ) -> Mapping[str, Statistics]:
     """Read and project a scan; return its statistics, by layer."""
-    scan = read_scan(file.path, intensity_scale=network.sensor.intensity_scale)
+    scan = read_scan(file.path, network.sensor)
     image = project(scan, network.sensor, network.device)
     if not (image.pixel_of_point >= 0).any():
         none = f"none of its {len(image.pixel_of_point)} points has a pixel"

@@ -56,7 +56,7 @@ def uncertainty_scan(
     """Estimate the uncertainty of the points of one scan; return how much of it is in view."""
     output.require_replaceable(file)
     sensor, space, device = network.sensor, network.card.space, network.device
-    scan = read_scan(file.path, intensity_scale=sensor.intensity_scale)
+    scan = read_scan(file.path, sensor)
     image = project(scan, sensor, device)
     estimate = estimator.estimate(network, image, file)
     network.require_finite(estimate.probabilities, file.path)

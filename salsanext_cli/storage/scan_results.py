@@ -16,6 +16,7 @@ from salsanext_cli.formats.npy import read_array
 from salsanext_cli.formats.reading import present
 from salsanext_cli.geometry.ranges import measured_ranges
 from salsanext_cli.records import Float, Scan
+from salsanext_cli.sensors import Sensor
 from salsanext_cli.storage.layout import SUFFIX_OF_FOLDER, ScanFile, output_path, with_outputs
 
 UNCERTAINTY = tuple(
@@ -61,7 +62,7 @@ class ScanResults:
         return np.where(space.scored[truth], wrong, np.float32(np.nan))
 
 
-def read_results(file: ScanFile, out: Path, intensity_scale: float = 1.0) -> ScanResults:
+def read_results(file: ScanFile, out: Path, sensor: Sensor | None = None) -> ScanResults:
     """Read a scan and all that `out` and its data set hold about it.
 
     Raises
@@ -69,7 +70,7 @@ def read_results(file: ScanFile, out: Path, intensity_scale: float = 1.0) -> Sca
     FormatError, LabelError
         If a file is damaged or belongs to another scan.
     """
-    scan = read_scan(file.path, intensity_scale=intensity_scale)
+    scan = read_scan(file.path, sensor)
     count = len(scan)
     label, *kinds = (output_path(out, file.sequence, folder, file.stem) for folder in FOLDERS)
     return ScanResults(

@@ -61,7 +61,7 @@ def read_labelled(file: ScanFile, space: LabelSpace, sensor: Sensor) -> Labelled
     LabelError
         If the numbers differ or a label id is unknown.
     """
-    scan = read_scan(file.path, intensity_scale=sensor.intensity_scale)
+    scan = read_scan(file.path, sensor)
     raw = read_labels(file.label_path, len(scan))
     return scan, space.to_train(raw, source=file.label_path)
 

@@ -2,9 +2,11 @@
 import struct
 import subprocess
 import sys
+from dataclasses import replace
 
 import numpy as np
 import pytest
+from scans import IN_BYTES
 
 from salsanext_cli.errors import FormatError, MissingDependency
 from salsanext_cli.formats import read_scan
@@ -120,7 +122,7 @@ def test_padding_and_fields_of_several_values(tmp_path):
     fields = "x:F4 y:F4 _:U1:4 z:F4 intensity:U1 _:U1:3 ring:F4 normal:F4:2 _:U1:0 t:F8"
     rows = row.pack(1, 2, 3, 255, 9, 0.5) + row.pack(-1, np.nan, 0, 51, 9, 0.5)
     path.write_bytes(header(fields) + rows + b"page filling")
-    scan = read_scan(path, intensity_scale=7)
+    scan = read_scan(path, replace(IN_BYTES, intensity_scale=7.0))
     np.testing.assert_array_equal(scan.points, np.float32([[1, 2, 3], [-1, np.nan, 0]]))
     np.testing.assert_array_equal(scan.intensity, np.float32([1, 0.2]))
 

@@ -1,12 +1,14 @@
 # SPDX-License-Identifier: MIT
 import struct
 import sys
+from dataclasses import replace
 
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
+from scans import IN_BYTES
 
 from salsanext_cli import read_scan, write_ply
 from salsanext_cli.errors import FormatError, MissingDependency
@@ -80,7 +82,7 @@ def test_names_of_the_intensity(tmp_path, name):
     path = tmp_path / "s.PLY"
     body = struct.pack("<8f", 1, 2, 3, 51, 4, 5, 6, 255)
     path.write_bytes(header(f"float x,float y,float z,float {name}") + body)
-    scan = read_scan(path, intensity_scale=255)
+    scan = read_scan(path, IN_BYTES)
     assert scan.points.tolist() == [[1, 2, 3], [4, 5, 6]]
     np.testing.assert_array_equal(scan.intensity, np.float32([0.2, 1]))
 
@@ -98,7 +100,7 @@ def test_float64_and_bytes_in_every_encoding(tmp_path, data, row):
     for count in (0, 2):
         properties = "double x,double y,double z,uchar intensity"
         path.write_bytes(header(properties, count, data) + row * count)
-        scan = read_scan(path, intensity_scale=100)
+        scan = read_scan(path, replace(IN_BYTES, intensity_scale=100.0))
         assert scan.points.tolist() == [[1, 2, 3]] * count
         np.testing.assert_array_equal(scan.intensity, np.float32([0.2] * count))
 
@@ -139,7 +141,7 @@ def test_real_files(real_data):
     assert len(float64) == 125_773
     assert 60 < np.linalg.norm(float64.points, axis=1).max() < 130
     assert not float64.intensity.any()
-    scalar = read_scan(folder / "hdl32_scalar_intensity.ply", intensity_scale=255)
+    scalar = read_scan(folder / "hdl32_scalar_intensity.ply", IN_BYTES)
     assert len(scalar) == 69_792
     assert 0.5 < scalar.intensity.max() <= 1
 

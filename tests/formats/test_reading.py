@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from scans import make_scan
+from scans import IN_BYTES, make_scan
 
 from salsanext_cli.errors import FormatError
 from salsanext_cli.formats import SCAN_SUFFIXES, read_scan
@@ -44,7 +44,7 @@ def test_the_same_scan_in_every_format(tmp_path, suffix):
     lower = tmp_path / f"ein scan{suffix}"
     write(lower)
     upper = lower.rename(tmp_path / f"Übung{suffix.upper()}")
-    scan = read_scan(upper, intensity_scale=255)
+    scan = read_scan(upper, IN_BYTES)
     np.testing.assert_array_equal(scan.points, SCAN.points)
     np.testing.assert_array_equal(scan.intensity, np.float32([0, 0.5, 1]))
     assert scan.points.flags.c_contiguous

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: MIT
 import numpy as np
 import pytest
-from scans import make_scan, write_array
+from scans import IN_BYTES, make_scan, write_array
 
 from salsanext_cli import Scan, label_space
 from salsanext_cli.errors import FormatError, LabelError
@@ -72,5 +72,5 @@ def test_intensities_are_scaled(world, file):
     scan = make_scan(7)
     write_bin(file.path, Scan(scan.points, scan.intensity * 255))
     file.label_path.unlink()
-    cloud = read_results(file, world.out, intensity_scale=255.0)
+    cloud = read_results(file, world.out, IN_BYTES)
     np.testing.assert_allclose(cloud.scan.intensity, scan.intensity, rtol=1e-6)
