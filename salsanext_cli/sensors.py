@@ -26,6 +26,9 @@ MAX_NUMBER = 1e6
 """Bound of means, deviations and scales, in metres and units of intensity, and of their inverse."""
 SCALES = f"numbers from {1 / MAX_NUMBER:g} to {MAX_NUMBER:g}"
 NOISE = ("range_noise", "intensity_noise")
+NO_VIEW = ("name", *NOISE, "intensity_quantiles")
+INTENSITY_LEVELS = 65
+"""Quantiles of intensity, evenly spaced from the smallest to the largest value."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -49,7 +52,10 @@ class Sensor:
     range_noise : float, optional
         Standard deviation of a range in metres, along the ray.
     intensity_noise : float, optional
-        Standard deviation of an intensity, after the division.
+        Standard deviation of an intensity, as the network is given it.
+    intensity_quantiles : tuple of float
+        Quantiles of the intensity in its range images, after the division, at `INTENSITY_LEVELS`
+        evenly spaced levels; empty if unknown. A network maps them to those of its training.
     """
 
     name: str
@@ -63,6 +69,7 @@ class Sensor:
     intensity_scale: float = 1.0
     range_noise: float | None = None
     intensity_noise: float | None = None
+    intensity_quantiles: tuple[float, ...] = ()
 
     def __post_init__(self) -> None:
         self._require(isinstance(self.name, str), "a name that is no text")
@@ -99,6 +106,14 @@ class Sensor:
         self._require(
             1 / MAX_NUMBER <= scale <= MAX_NUMBER, f"intensity_scale {shortened(scale)}", SCALES
         )
+        quantiles = self.intensity_quantiles
+        self._require(
+            len(quantiles) in (0, INTENSITY_LEVELS)
+            and list(quantiles) == sorted(quantiles)
+            and all(abs(value) <= MAX_NUMBER for value in quantiles),
+            f"intensity_quantiles {shortened(quantiles)}",
+            f"{INTENSITY_LEVELS} numbers that rise, up to {MAX_NUMBER:g}",
+        )
         for name in NOISE:
             noise = getattr(self, name)
             self._require(noise is None or 0 <= noise < math.inf, f"{name} {shortened(noise)}")
@@ -134,12 +149,12 @@ class Sensor:
         """Return the text of a TOML file that `sensor` reads; the file's name is the sensor's."""
         values = {key: value for key, value in asdict(self).items() if key != "name"}
         # What JSON writes for texts, numbers and lists of numbers is TOML as well.
-        known = {key: value for key, value in values.items() if value is not None}
+        known = {key: value for key, value in values.items() if value not in (None, ())}
         return "".join(f"{key} = {json.dumps(value)}\n" for key, value in known.items())
 
     def view(self) -> dict[str, Any]:
-        """Return plain data of the view of a network: all but the name and the noise."""
-        return {key: value for key, value in asdict(self).items() if key not in ("name", *NOISE)}
+        """Return plain data of the view of a network: all but name, noise and quantiles."""
+        return {key: value for key, value in asdict(self).items() if key not in NO_VIEW}
 
     def resized(self, height: int | None = None, width: int | None = None) -> Sensor:
         """Return the same sensor with another image size."""

@@ -7,7 +7,7 @@ from typing import Annotated
 import typer
 
 from salsanext_cli.cli import console, options, run_options
-from salsanext_cli.cli.option_groups import Default
+from salsanext_cli.cli.option_groups import Default, Without
 from salsanext_cli.cli.progress import progress
 
 LISTED = "projection, network, knn, predict, uncertainty, confusion, cold, help"
@@ -28,7 +28,7 @@ def benchmark(
     ] = None,
     write: Annotated[Path | None, typer.Option(help="File for every measurement (.json).")] = None,
     selection: Annotated[options.Selection, Default(limit=4)],
-    network: options.NetworkOptions,
+    network: Annotated[options.NetworkOptions, Without({"intensity"}), Default(intensity="raw")],
     running: run_options.Overwriting,
     output: console.Output,
 ) -> None:

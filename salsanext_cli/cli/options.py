@@ -5,7 +5,7 @@ from __future__ import annotations
 
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
@@ -49,6 +49,8 @@ WeightsOut = Annotated[
 SensorWithoutWeights = Annotated[
     str | None, typer.Option(help=SENSOR_HELP, show_default="hdl64", rich_help_panel="Network")
 ]
+
+Intensity = Literal["auto", "match", "raw", "none"]
 
 selection_option = partial(option, "Selection")
 network_option = partial(option, "Network")
@@ -147,13 +149,19 @@ class NetworkOptions:
         envvar="SALSANEXT_ENGINE",
     )
     sensor: str | None = network_option(SENSOR_HELP, show_default="the sensor of the weights")
+    intensity: Intensity = network_option(
+        "Match the intensity of the scans to that of training, take it raw, or take none; auto "
+        "matches it if the weights know that of their training.",
+        default="auto",
+    )
 
     def settings(self) -> NetworkSettings:
         """Build the settings that stages take."""
         from salsanext_cli.inference.settings import NetworkSettings
 
         named = sensor(self.sensor)
-        return NetworkSettings(self.weights, self.device, named, self.precision, self.engine)
+        how = (self.precision, self.engine, self.intensity)
+        return NetworkSettings(self.weights, self.device, named, *how)
 
     def sensor_to_project(self) -> Sensor:
         """Return the sensor that was named, else the one that the weights were trained with."""

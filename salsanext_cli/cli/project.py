@@ -13,7 +13,9 @@ def project(
     out: options.Out = Path("out"),
     *,
     selection: options.Selection,
-    network: Annotated[options.NetworkOptions, Without({"device", "precision", "engine"})],
+    network: Annotated[
+        options.NetworkOptions, Without({"device", "precision", "engine", "intensity"})
+    ],
     running: run_options.Running,
     output: console.Output,
 ) -> None:

@@ -51,7 +51,7 @@ def train(
     start: Start,
     classes: options.Classes,
     network: Annotated[
-        options.NetworkOptions, Without({"weights", "precision", "engine", "sensor"})
+        options.NetworkOptions, Without({"weights", "precision", "engine", "sensor", "intensity"})
     ],
     local: run_options.Local,
     output: console.Output,

@@ -4,13 +4,14 @@
 import logging
 import threading
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 
 from salsanext_cli.errors import WeightsError, out_of_memory
+from salsanext_cli.geometry.intensity import match_intensity
 from salsanext_cli.geometry.normalise import normalise
 from salsanext_cli.inference.graphs import Graph, graph
 from salsanext_cli.kernels import thread_count
@@ -24,6 +25,8 @@ if TYPE_CHECKING:
     from salsanext_cli.network.segmentation import SegmentationNetwork
 
 log = logging.getLogger(__name__)
+SHARED = ("module", "torch_module", "_graphs", "batch_sizes")
+"""Cached properties that do not depend on the sensor, but for the size of its images."""
 Item = TypeVar("Item")
 Result = TypeVar("Result")
 
@@ -86,6 +89,12 @@ class Network:
         """Number of items by name that there was room for at once; empty until memory runs out."""
         return {}
 
+    def seeing(self, sensor: Sensor) -> "Network":
+        """Return the same network for another sensor whose images have the same size."""
+        found = replace(self, sensor=sensor)
+        vars(found).update({name: vars(self)[name] for name in SHARED if name in vars(self)})
+        return found
+
     def graph(
         self,
         name: str,
@@ -120,7 +129,13 @@ class Network:
         return self._graphs[place]
 
     def input_array(self, channels: Float) -> Float:
-        """Return (5, H, W) channels normalised as the network takes them, (1, 5, H, W)."""
+        """Return (5, H, W) channels as the network takes them, (1, 5, H, W).
+
+        The intensity is matched to that of training where both sensors know their quantiles.
+        """
+        own, trained = (s.intensity_quantiles for s in (self.sensor, self.card.sensor))
+        if own and trained and own != trained:
+            channels = match_intensity(channels, own, trained)
         return normalise(channels, self.sensor)[None]
 
     def input(self, channels: Float) -> "Tensor":

@@ -32,6 +32,8 @@ class NetworkSettings:
         Origin of the scans, if not the sensor that the weights name.
     precision, engine : str
         As `load_network` takes them.
+    intensity : {"auto", "match", "raw", "none"}
+        As `scan_fit.fitted` takes it; "auto" matches where the weights know their quantiles.
     sha256 : str, optional
         Of the weights that a run began with; others are refused.
     """
@@ -41,6 +43,7 @@ class NetworkSettings:
     sensor: Sensor | None = None
     precision: str = "float32"
     engine: str = "auto"
+    intensity: str = "raw"
     sha256: str | None = None
 
     @property
@@ -75,6 +78,7 @@ class NetworkSettings:
         return replace(
             self,
             device="cpu" if network.device == "cpu" else self.device,
+            sensor=network.sensor,
             precision=network.precision,
             engine=network.engine,
             sha256=network.sha256,
@@ -85,7 +89,14 @@ class NetworkSettings:
         return {
             "weights": network.sha256,
             "label_space": network.card.space.to_dict(),
-            "sensor": {"name": network.sensor.name, **network.sensor.view()},
+            "sensor": recorded_view(network.sensor),
             "precision": network.precision,
             "engine": network.engine,
         }
+
+
+def recorded_view(sensor: Sensor) -> dict[str, Any]:
+    """Return what labels depend on of a sensor, and its name, as plain data."""
+    quantiles = sensor.intensity_quantiles
+    known = {"intensity_quantiles": quantiles} if quantiles else {}
+    return {"name": sensor.name, **sensor.view(), **known}

@@ -22,6 +22,7 @@ from salsanext_cli.geometry.gather import points_from_pixels
 from salsanext_cli.geometry.knn import KnnParameters, knn_refine
 from salsanext_cli.geometry.projection import project
 from salsanext_cli.inference.network import Network
+from salsanext_cli.inference.scan_fit import fitted
 from salsanext_cli.inference.settings import NetworkSettings
 from salsanext_cli.parallel.network_task import NetworkTask, named_if_too_large
 from salsanext_cli.parallel.run import Outcome, RunOptions, run_over_scans
@@ -32,7 +33,7 @@ from salsanext_cli.storage.layout import ScanFile, output_path, with_outputs
 from salsanext_cli.storage.output_run import OutputRun, output_run
 from salsanext_cli.storage.selection import ScanSelection, choose, select_scans, space_of
 from salsanext_cli.storage.sources import recorded_scans
-from salsanext_cli.storage.stage_records import stage_settings
+from salsanext_cli.storage.stage_records import earlier_sensor, stage_settings
 
 
 def predict_scan(
@@ -146,6 +147,8 @@ def predict_scans(
         raise UsageError("--batch", str(batch), "at least 1, or auto")
     loaded = network.load()
     scans = select_scans(source, selection, loaded.card.space)
+    earlier = earlier_sensor(out, loaded.sha256, options.overwrite)
+    loaded = fitted(network, loaded, scans, earlier)
     temperature = loaded.card.temperature
     settings = network.record(loaded) | {"temperature": temperature, "knn": asdict(knn)}
     check, folders = CoverageCheck(loaded.sensor), (*extras, "predictions")
@@ -163,11 +166,16 @@ def predict_scans(
 def predict_image(file: ScanFile, network: Network, folder: Path, output: OutputRun) -> None:
     """Label the pixels of one range image that `project` wrote into a folder."""
     output.require_replaceable(file)
-    path = output_path(folder, file.sequence, "range", file.stem)
-    shape = (len(CHANNELS), network.sensor.height, network.sensor.width)
-    (probabilities,) = network.pixel_probabilities([read_array(path, "float32", shape)])
+    path, image = range_image(file, folder, network.sensor)
+    (probabilities,) = network.pixel_probabilities([image])
     network.require_finite(probabilities, path)
     output.write_array(file, "pixel_labels", most_probable(probabilities))
+
+
+def range_image(file: ScanFile, folder: Path, sensor: Sensor) -> tuple[Path, Float]:
+    """Read what `project` wrote of a scan; return the file and its content, (5, H, W) float32."""
+    path = output_path(folder, file.sequence, "range", file.stem)
+    return path, read_array(path, "float32", (len(CHANNELS), sensor.height, sensor.width))
 
 
 def predict_range_images(
@@ -200,6 +208,10 @@ def predict_range_images(
     _require_same_view(folder, projected_sensor(folder), loaded.sensor)
     scans = with_outputs(recorded_scans(folder), folder, "range")
     scans = choose(scans, selection, space_of(scans, loaded.card.space), folder)
+    loaded = fitted(
+        *(network, loaded, scans, earlier_sensor(out, loaded.sha256, options.overwrite)),
+        lambda file: range_image(file, folder, loaded.sensor)[1],
+    )
     settings, folders = network.record(loaded), ("pixel_labels",)
     with output_run(
         out, "predict", settings, folders, scans, overwrite=options.overwrite

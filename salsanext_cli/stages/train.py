@@ -15,6 +15,8 @@ import torch
 
 from salsanext_cli.classes import LabelSpace, label_space
 from salsanext_cli.errors import NoInputError, UsageError, WeightsError
+from salsanext_cli.geometry.intensity import intensity_quantiles
+from salsanext_cli.inference.scan_fit import sampled_images
 from salsanext_cli.network.card import WeightsCard
 from salsanext_cli.network.registry import build
 from salsanext_cli.network.segmentation import SegmentationNetwork
@@ -140,7 +142,9 @@ def train(
         sensor = sensor or own_sensor
         _require_pixels(recipe, sensor, module, group)
         description = f"Trained with `salsanext train` on {dataset.resolve().name}."
-        card = WeightsCard(architecture, classes, sensor, recipe.to_dict(), {}, description)
+        quantiles = group.on_main(lambda: intensity_quantiles(sampled_images(training, sensor)))
+        seen = replace(sensor, intensity_quantiles=quantiles)
+        card = WeightsCard(architecture, classes, seen, recipe.to_dict(), {}, description)
 
         def prepare() -> npt.NDArray[np.int64]:
             scans = [*training, *validation]
@@ -235,7 +239,7 @@ def _settings(card: WeightsCard, scans: list[ScanFile], weights: Path | None) ->
     names = "\n".join(f"{scan.sequence}/{scan.stem}" for scan in scans)
     return {
         "recipe": dict(card.recipe),
-        "sensor": card.sensor.to_dict(),
+        "sensor": replace(card.sensor, intensity_quantiles=()).to_dict(),
         "label_space": card.space.to_dict(),
         "scans": f"{len(scans)}, {hashlib.sha256(names.encode()).hexdigest()[:16]}",
         "weights": fingerprint(weights) if weights else None,

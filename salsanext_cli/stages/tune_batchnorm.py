@@ -16,6 +16,7 @@ from salsanext_cli.formats import read_scan
 from salsanext_cli.geometry.coverage import CoverageCheck, field_of_view_coverage
 from salsanext_cli.geometry.projection import project
 from salsanext_cli.inference.network import Network
+from salsanext_cli.inference.scan_fit import fitted
 from salsanext_cli.inference.settings import NetworkSettings
 from salsanext_cli.network.weights import save_with_card
 from salsanext_cli.parallel.run import Progress
@@ -79,6 +80,7 @@ def tune_batchnorm(
         raise WeightsError(network.path, "its network has no batch norm", "one with batch norm")
     scans = select_evenly(source, selection, loaded.card.space)
     require_target(target, overwrite)
+    loaded = fitted(network, loaded, scans)
     old = {name: Statistics.kept_by(layer) for name, layer in layers.items()}
     pooled: dict[str, Statistics] = {}
     check = CoverageCheck(loaded.sensor)
@@ -93,6 +95,9 @@ def tune_batchnorm(
     sensor = loaded.sensor
     done = f"Batch norm re-estimated on {len(scans)} scans of {sensor.name}, share {share:g}."
     description = f"{loaded.card.description} {done}".lstrip()
+    # On the scale that the intensity of later scans is matched to.
+    known = loaded.card.sensor.intensity_quantiles if sensor.intensity_quantiles else ()
+    sensor = replace(sensor, intensity_quantiles=known)
     card = replace(loaded.card, sensor=sensor, scores={}, description=description)
     save_with_card(network.path, target, card, _tensors(new))
     moved = [_moved(name, old[name], new[name], layers[name].eps) for name in new]

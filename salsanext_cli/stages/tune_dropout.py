@@ -10,6 +10,7 @@ import numpy as np
 from salsanext_cli.errors import TrainingError
 from salsanext_cli.geometry.normalise import noise_of
 from salsanext_cli.inference.loading import with_dropout
+from salsanext_cli.inference.scan_fit import fitted
 from salsanext_cli.inference.settings import NetworkSettings
 from salsanext_cli.network.dropout import dropouts
 from salsanext_cli.network.weights import save_with_card
@@ -82,12 +83,13 @@ def tune_dropout(
     """
     rates = rates_between(lowest, highest, steps)
     loaded = network.load()
-    candidates = [with_dropout(loaded, rate) for rate in rates]
-    require_sampling(candidates[0], samples)
+    require_sampling(with_dropout(loaded, rates[0]), samples)
     noise_of(loaded.sensor)
     scans, space = labelled_scans(dataset, selection, loaded.card)
     require_target(target, overwrite)
     require_absent(curve_of(target), overwrite)
+    loaded = fitted(network, loaded, scans)
+    candidates = [with_dropout(loaded, rate) for rate in rates]
     sums, points = np.zeros(len(rates)), 0
     for number, file in enumerate(scans):
         labelled = read_labelled_image(file, loaded, space)

@@ -16,6 +16,7 @@ from torch import Tensor
 from salsanext_cli.classes import LabelSpace
 from salsanext_cli.errors import TrainingError, WeightsError
 from salsanext_cli.inference.network import Network
+from salsanext_cli.inference.scan_fit import fitted
 from salsanext_cli.inference.settings import NetworkSettings
 from salsanext_cli.measures.calibration import calibration_scores
 from salsanext_cli.measures.histograms import confidence_histogram
@@ -95,6 +96,7 @@ def tune_temperature(
     loaded = network.load()
     scans, space = labelled_scans(dataset, selection, loaded.card)
     require_target(target, overwrite)
+    loaded = fitted(network, loaded, scans)
     most = max(1, MAX_LOGITS // loaded.card.space.class_count // len(scans))
     kept = list(_samples(scans, loaded, space, most, progress))
     logits = torch.from_numpy(np.concatenate([values for values, _ in kept]))

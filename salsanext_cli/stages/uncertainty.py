@@ -21,7 +21,8 @@ from salsanext_cli.geometry.gather import points_from_pixels
 from salsanext_cli.geometry.knn import KnnParameters, knn_refine
 from salsanext_cli.geometry.projection import project
 from salsanext_cli.inference.network import Network
-from salsanext_cli.inference.settings import NetworkSettings
+from salsanext_cli.inference.scan_fit import fitted
+from salsanext_cli.inference.settings import NetworkSettings, recorded_view
 from salsanext_cli.network.card import read_card
 from salsanext_cli.parallel.network_task import NetworkTask
 from salsanext_cli.parallel.run import Failure, Outcome, RunOptions, run_over_scans
@@ -32,6 +33,7 @@ from salsanext_cli.storage.output_run import OutputRun, output_run
 from salsanext_cli.storage.selection import ScanSelection, select_scans
 from salsanext_cli.storage.stage_records import (
     as_json,
+    earlier_sensor,
     owner,
     recorded_weights,
     stage_settings,
@@ -89,7 +91,7 @@ def _require_same_network(out: Path, settings: dict[str, Any]) -> None:
 
 def _view(sensor: dict[str, Any]) -> dict[str, Any]:
     """Leave out what labels do not depend on."""
-    return Sensor.from_dict(sensor).view()
+    return {**recorded_view(Sensor.from_dict(sensor)), "name": None}
 
 
 def uncertainty(
@@ -121,6 +123,8 @@ def uncertainty(
     """
     loaded = network.load()
     scans = select_scans(source, selection, loaded.card.space)
+    earlier = earlier_sensor(out, loaded.sha256, options.overwrite)
+    loaded = fitted(network, loaded, scans, earlier)
     return uncertainty_of(scans, out, network, options, loaded, knn=knn, estimator=estimator)
 
 
@@ -182,7 +186,7 @@ def estimate_missing(
         remedy = "run `salsanext uncertainty` first, with shards too"
         raise UsageError(f"--shard {options.shard}", found, "that of all scans", remedy)
     network = _as_predicted(out, network)
-    loaded = network.load()
+    loaded = fitted(network, network.load(), scans, earlier_sensor(out, None, False))
     estimator = (
         recorded_estimator(earlier) if earlier else possible_estimator(colour, loaded.sensor)
     )
@@ -235,4 +239,5 @@ def _as_predicted(out: Path, network: NetworkSettings) -> NetworkSettings:
 def _with_noise(seen: Sensor, network: NetworkSettings) -> Sensor:
     """Return the sensor, of which `predict` recorded only the view, with its noise if known."""
     known = (read_card(network.path).sensor, presets().get(seen.name))
-    return next((sensor for sensor in known if sensor and sensor.view() == seen.view()), seen)
+    same = next((sensor for sensor in known if sensor and sensor.view() == seen.view()), seen)
+    return replace(same, intensity_quantiles=seen.intensity_quantiles)

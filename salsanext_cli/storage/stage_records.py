@@ -172,6 +172,15 @@ def recorded_sensor(out: Path) -> Sensor:
     return sensor("hdl64")
 
 
+def earlier_sensor(out: Path, weights: str | None, overwrite: bool) -> Sensor | None:
+    """Return the sensor of labels or uncertainties that were made with these weights, if any."""
+    for stage in () if overwrite else ("predict", "uncertainty"):
+        settings = stage_settings(out, stage)
+        if settings is not None and settings.get("weights") == weights:
+            return Sensor.from_dict(settings.table("sensor"), settings.path)
+    return None
+
+
 def as_json(settings: Any) -> Any:
     """Return settings as they are read back: lists for tuples, strings for keys."""
     # JSON has no number for an infinite cutoff.
