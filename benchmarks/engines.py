@@ -2,8 +2,8 @@
 """Speed and labels of the network by every engine that is installed, on this CPU, for one scan.
 
 Compared with eager torch in float32 and NCHW: torch with channels last, ONNX Runtime (needs onnx
-and onnxruntime), OpenVINO as the toolkit uses it, and in int8 (needs nncf), quantised from this
-scan alone, as a whole or without the context module and the logits. All cores for each. The engines
+and onnxruntime), OpenVINO as the toolkit uses it, and in int8 as `export-onnx --int8` makes it
+(needs nncf), quantised from this scan alone. All cores for each. The engines
 take turns in every round; a turn is the fastest of three calls after one that is not timed. Printed
 are the median time, the median, lowest and highest ratio of a round to eager, and the share of
 pixels with a point that have eager's label.
@@ -13,12 +13,10 @@ Run: python benchmarks/engines.py 000000.bin [--rounds 5 --sensors hdl64-512 hdl
 
 import argparse
 import io
-import logging
 import statistics
-import sys
 import warnings
 from collections.abc import Callable
-from contextlib import redirect_stdout
+from dataclasses import replace
 from functools import partial
 from importlib.util import find_spec
 
@@ -28,13 +26,11 @@ import torch
 import salsanext_cli as sn
 from salsanext_cli.benchmarking.hardware import seconds_of
 from salsanext_cli.inference.device import has_bfloat16, openvino_core
-from salsanext_cli.inference.graphs import HINTS, Graph, converted
+from salsanext_cli.inference.graphs import HINTS, Graph
 from salsanext_cli.inference.network import Network
 from salsanext_cli.kernels import thread_count
 
 KINDS = ("float32", "bfloat16") if has_bfloat16() else ("float32",)
-KEPT = {"int8": [], "int8 but for context and logits": [".*context.*", ".*logits.*"]}
-"""Patterns of the layers that are not quantised."""
 Engine = Callable[[np.ndarray], np.ndarray]
 """Takes a normalised range image (1, 5, H, W), returns logits (1, C, H, W)."""
 
@@ -66,15 +62,14 @@ def by_openvino(network: Network) -> Engine:
     return lambda image: graph(image)[0]
 
 
-def by_openvino_in_int8(module: torch.nn.Module, image: np.ndarray, kept: list[str]) -> Engine:
-    sys.modules["openvino_telemetry"] = None  # by which nncf reports its use
-    import nncf
+def by_openvino_in_int8(network: Network, image: np.ndarray) -> Engine:
+    from salsanext_cli.inference.onnx_export import exported
+    from salsanext_cli.inference.onnx_model import read_model
+    from salsanext_cli.inference.quantised import quantised
 
-    logging.getLogger("nncf").setLevel(logging.ERROR)
-    model = converted(module, lambda m, x: m(x), [torch.from_numpy(image)])
-    scope = nncf.IgnoredScope(patterns=kept, validate=False)
-    with redirect_stdout(io.StringIO()):
-        model = nncf.quantize(model, nncf.Dataset([image]), ignored_scope=scope)
+    card = replace(network.card, sensor=network.sensor)
+    content = quantised(exported(network.module, card), [image], lambda given: given)
+    model = read_model(content.SerializeToString(), "int8", card, network.sensor)
     hints = {"INFERENCE_PRECISION_HINT": HINTS[KINDS[-1]], "INFERENCE_NUM_THREADS": thread_count()}
     graph = Graph(openvino_core().compile_model(model, "CPU", hints))
     return lambda image: graph(image)[0]
@@ -92,8 +87,7 @@ def engines(load: Callable[[str, str], Network], image: np.ndarray) -> dict[str,
     for kind in KINDS:
         found[f"OpenVINO {kind}"] = by_openvino(load("openvino", kind))
     if find_spec("nncf"):
-        for name, kept in KEPT.items():
-            found[f"OpenVINO {name}"] = by_openvino_in_int8(plain, image, kept)
+        found["OpenVINO int8"] = by_openvino_in_int8(load("openvino", "float32"), image)
     return found
 
 
@@ -126,8 +120,8 @@ def main() -> None:
     parser.add_argument("--sensors", nargs="+", default=["hdl64-512", "hdl64"])
     options = parser.parse_args()
     torch.set_num_threads(thread_count())
-    for name in options.sensors:
-        compare(sn.read_scan(options.scan), sn.sensor(name), options.weights, options.rounds)
+    for sensor in map(sn.sensor, options.sensors):
+        compare(sn.read_scan(options.scan, sensor), sensor, options.weights, options.rounds)
 
 
 if __name__ == "__main__":

@@ -110,12 +110,12 @@ def salsanext(
     """Predict a class and an uncertainty for every point of a LiDAR scan."""
 
 
-for panel, commands in COMMANDS.items():
+for commands in COMMANDS.values():
     for name, command in commands.items():
         if isinstance(command, typer.Typer):
-            app.add_typer(command, name=name, rich_help_panel=panel)
+            app.add_typer(command, name=name)
         else:
-            app.command(name, rich_help_panel=panel)(guarded(expanded(command)))
+            app.command(name)(guarded(expanded(command)))
 
 
 def main() -> None:

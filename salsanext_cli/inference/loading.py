@@ -5,7 +5,6 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from salsanext_cli import __version__
 from salsanext_cli.errors import WeightsError
 from salsanext_cli.inference.device import choose_device, choose_engine, choose_precision
 from salsanext_cli.inference.network import Network
@@ -14,7 +13,7 @@ from salsanext_cli.network.card import default_weights, read_card
 from salsanext_cli.network.onnx_metadata import ONNX_SUFFIX
 from salsanext_cli.sensors import Sensor
 from salsanext_cli.storage.identity import fingerprint
-from salsanext_cli.storage.user_cache import cached
+from salsanext_cli.storage.user_cache import check_once
 
 if TYPE_CHECKING:
     from salsanext_cli.network.segmentation import SegmentationNetwork
@@ -70,9 +69,7 @@ def load_network(
     if network.engine == "torch":
         _ = network.module
     else:
-        # Reading checks them; what was read once by this version needs no torch.
-        name = f"weights/{sha256}-{__version__}.checked"
-        cached(name, lambda: bool(network.module) * b"checked")
+        check_once(sha256, lambda: network.module)  # what was read once needs no torch
     return network
 
 

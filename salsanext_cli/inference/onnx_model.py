@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from salsanext_cli.errors import UsageError, WeightsError
+from salsanext_cli.errors import MissingDependency, UsageError, WeightsError
 from salsanext_cli.inference.device import choose_engine, choose_precision, openvino_core
 from salsanext_cli.inference.graphs import Graph, compiled_graph
 from salsanext_cli.inference.network import Network
@@ -20,7 +20,7 @@ from salsanext_cli.records import CHANNELS, Float, RangeImage
 from salsanext_cli.sensors import Sensor
 from salsanext_cli.settings_files import words_of
 from salsanext_cli.storage.identity import fingerprint
-from salsanext_cli.storage.user_cache import cached
+from salsanext_cli.storage.user_cache import check_once
 
 if TYPE_CHECKING:
     import openvino
@@ -93,14 +93,24 @@ def load_onnx(
         sensor,
         "cpu",
         choose_precision(precision, "cpu"),
-        choose_engine("openvino", "cpu"),
+        _openvino(),
         str(path),
         fingerprint(path),
         path,
     )
-    name = f"weights/{network.sha256}.{sensor.height}x{sensor.width}.checked"
-    cached(name, lambda: bool(network.model()) * b"checked")
+    import openvino
+
+    size = f"{sensor.height}x{sensor.width}"
+    check_once(f"{network.sha256}.{size}-{openvino.__version__}", network.model)
     return network
+
+
+def _openvino() -> str:
+    try:
+        return choose_engine("openvino", "cpu")
+    except MissingDependency as error:
+        remedy = "install it again, or give the .safetensors weights"
+        raise MissingDependency(error.subject, error.found, remedy=remedy) from error
 
 
 def read_model(

@@ -37,7 +37,7 @@ from salsanext_cli.training.class_counts import (
 from salsanext_cli.training.dataset import Samples
 from salsanext_cli.training.distributed import ProcessGroup, group_of_environment, process_group
 from salsanext_cli.training.fit import Report, Training
-from salsanext_cli.training.learner import Learner, choose_precision
+from salsanext_cli.training.learner import Learner, common_precision
 from salsanext_cli.training.log import Row, tensorboard_in
 from salsanext_cli.training.recipe import Recipe
 from salsanext_cli.training.run_folder import (
@@ -46,6 +46,7 @@ from salsanext_cli.training.run_folder import (
     EVENTS,
     LAST,
     begin,
+    recorded_precision,
     require_free,
     trained_alone,
 )
@@ -135,9 +136,9 @@ def train(
     with process_group(device) as (group, place), ExitStack() as held:
         classes, training, validation = group.on_main(lambda: _splits(dataset, space))
         validated = evenly_spaced(validation, recipe.validation_scans)
-        # "auto" may be another on the machine that resumes the training, and on another worker's.
-        precision = group.on_main(lambda: choose_precision(recipe.precision, place))
-        recipe = replace(recipe, precision=precision)
+        if recipe.precision == "auto":
+            begun = None if overwrite else group.on_main(lambda: recorded_precision(run))
+            recipe = replace(recipe, precision=begun or common_precision(place, group))
         module, architecture, own_sensor = _initial_network(weights, classes, recipe)
         sensor = sensor or own_sensor
         _require_pixels(recipe, sensor, module, group)

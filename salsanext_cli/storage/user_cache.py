@@ -9,6 +9,7 @@ from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
 
+from salsanext_cli import __version__
 from salsanext_cli.errors import OutputError
 from salsanext_cli.kernels import cache_folder
 from salsanext_cli.settings_files import words_of
@@ -35,6 +36,16 @@ def cached(name: str, make: Callable[[], bytes]) -> bytes:
     if folder and (content := _read(path)) is not None:
         return content
     return store(name, make())
+
+
+def check_once(name: str, check: Callable[[], object]) -> None:
+    """Call a check that raises what is wrong, unless this version passed it under that name."""
+
+    def passed() -> bytes:
+        check()
+        return b"checked"
+
+    cached(f"weights/{name}-{__version__}.checked", passed)
 
 
 def store(name: str, content: bytes) -> bytes:

@@ -10,7 +10,7 @@ import torch
 from torch import Tensor, nn
 from torch.nn.parallel import DistributedDataParallel
 
-from salsanext_cli.inference.device import has_bfloat16
+from salsanext_cli.inference.device import PRECISIONS, has_bfloat16
 from salsanext_cli.network.segmentation import SegmentationNetwork
 from salsanext_cli.training.distributed import SINGLE_PROCESS, ProcessGroup, data_parallel
 from salsanext_cli.training.losses import SegmentationLoss
@@ -59,7 +59,7 @@ class Learner:
         group: ProcessGroup = SINGLE_PROCESS,
     ) -> None:
         dtype: torch.dtype = getattr(torch, choose_precision(recipe.precision, device))
-        # On CPUs the gradient of float32 weights is a third slower with channels last.
+        # In float32 on CPUs channels last gains nothing, or is slower.
         plain = device.type == "cpu" and dtype is torch.float32
         self.layout = torch.contiguous_format if plain else torch.channels_last
         module = module.to(device).to(memory_format=self.layout)  # type: ignore[call-overload]
@@ -229,3 +229,10 @@ def choose_precision(name: str, device: torch.device) -> str:
         return "bfloat16" if has_bfloat16() else "float32"
     major, _ = torch.cuda.get_device_capability(device)
     return "bfloat16" if major >= BFLOAT16_CAPABILITY else "float16"
+
+
+def common_precision(device: torch.device, group: ProcessGroup) -> str:
+    """Return the number type that suits the devices of all workers; float32 if they differ."""
+    own = choose_precision("auto", device)
+    chosen = group.gather(torch.tensor([PRECISIONS.index(own)], device=device))
+    return own if len({int(number) for number in chosen}) == 1 else "float32"

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from salsanext_cli.errors import OutputError
+from salsanext_cli.inference.device import PRECISIONS
 from salsanext_cli.storage.atomic import require_writable, sweep_stale
 from salsanext_cli.storage.locks import locked
 from salsanext_cli.storage.stage_records import (
@@ -75,6 +76,13 @@ def require_free(run: Path, settings: Mapping[str, Any], *, overwrite: bool) -> 
     if recorded is not None and not overwrite and any((run / name).exists() for name in RESULTS):
         path = run / f"{STAGE}.json"
         require_same_settings(path, _decisive(recorded), _decisive(as_json(settings)))
+
+
+def recorded_precision(run: Path) -> str | None:
+    """Return the number type of the training that a folder holds, None if it tells none."""
+    settings = stage_settings(run, STAGE)
+    found = settings.table("recipe").get("precision") if settings else None
+    return found if found in PRECISIONS and found != "auto" else None
 
 
 def begin(run: Path, settings: Mapping[str, Any], *, overwrite: bool) -> None:

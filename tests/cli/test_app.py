@@ -10,7 +10,17 @@ from salsanext_cli import __version__
 from salsanext_cli.cli.app import COMMANDS
 
 NAMES = list(every_command())
-HEAVY = ("torch", "open3d", "numba", "matplotlib", "numpy", "scipy", "pandas", "joblib", "plyfile")
+HEAVY = (
+    "torch",
+    "open3d",
+    "numba",
+    "matplotlib",
+    "numpy",
+    "scipy",
+    "pandas",
+    "joblib",
+    "plyfile",
+)
 
 
 def flags_of(name):
@@ -54,6 +64,12 @@ def test_help_imports_nothing_heavy(arguments):
     )
     assert done.returncode == 0, done.stderr
     assert done.stdout.splitlines()[-1] == "HEAVY []"
+
+
+def test_the_list_of_commands_needs_no_rich():
+    hidden = "import sys; sys.modules['rich'] = None"
+    done = python(f"{hidden}; from salsanext_cli.cli.app import app; app(['--help'])")
+    assert "Pipeline:" in done.stdout, done.stderr
 
 
 def test_python_runs_the_package_as_the_command():

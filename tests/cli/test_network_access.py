@@ -70,15 +70,18 @@ def test_sockets_and_telemetry_are_noted(tmp_path):
 
 def test_no_command_opens_a_socket_or_loads_telemetry(tmp_path, weights):
     data, out, steps = tmp_path / "data", tmp_path / "out", tmp_path / "steps"
+    write_sequence(data / "sequences/00", ["0", "1"])
     write_sequence(data / "sequences/08", ["0", "1"])
     sensor = tmp_path / "small.toml"
     view = ("fov_up", "fov_down", "height", "width")
     sensor.write_text("".join(f"{name} = {getattr(SMALL, name)}\n" for name in view))
+    few = ("--epochs", 1, "--set", "samples_per_epoch=2", "--set", "crop_width=64")
     network = ("--weights", weights, "--device", "cpu", "--engine", "openvino")
     lines = [
         ("predict", data, out, *network),
         ("predict", data, out, *network, "--jobs", 2, "--overwrite"),
-        ("uncertainty", data, out, *network, "--samples", 2, "--no-aleatoric"),
+        ("uncertainty", data, out, *network, "--samples", 2),
+        ("uncertainty", data, tmp_path / "analytic", *network, "--method", "analytic"),
         ("eval", "--out", out),
         ("export-ply", "--out", out, "--colour", "uncertainty"),
         ("project", data, steps, "--sensor", sensor),
@@ -87,6 +90,10 @@ def test_no_command_opens_a_socket_or_loads_telemetry(tmp_path, weights):
         ("inspect", data),
         ("models", weights),
         ("import-weights", weights, tmp_path / "again.safetensors"),
+        ("export-onnx", weights, tmp_path / "weights.onnx"),
+        ("tune", "temperature", data, tmp_path / "t.safetensors", *network),
+        # Not synth: open3d imports urllib3, which binds a socket to see whether there is IPv6.
+        ("train", data, tmp_path / "run", "--recipe", "quick", "--sensor", sensor, *few),
     ]
     words = [[str(word) for word in line] for line in lines]
     assert seen(tmp_path, COMMANDS.format(lines=words)) == ""

@@ -191,15 +191,18 @@ def test_another_recipe_is_refused_and_overwrite_starts_anew(dataset, tmp_path):
     assert same(again.last, go(dataset, tmp_path / "other", recipe=fewer).last)
 
 
-def test_another_cpu_does_not_resume_in_another_precision(dataset, tmp_path, monkeypatch):
-    wanted = TINY.with_changes(epochs=1, precision="auto")
-    for multiplies, found in ((False, "float32"), (True, "bfloat16")):
-        monkeypatch.setattr("salsanext_cli.training.learner.has_bfloat16", lambda it=multiplies: it)
-        run = tmp_path / found
-        go(dataset, run, recipe=wanted)
-        assert recipe(run / "recipe.toml") == wanted.with_changes(precision=found)
-    with pytest.raises(OutputError, match='precision was "float32" and is "bfloat16"'):
-        go(dataset, tmp_path / "float32", recipe=wanted)
+@pytest.mark.parametrize(("multiplies", "found"), [(False, "float32"), (True, "bfloat16")])
+def test_another_cpu_resumes_in_the_precision_of_the_first(
+    dataset, tmp_path, monkeypatch, multiplies, found
+):
+    wanted, has = TINY.with_changes(epochs=1, precision="auto"), "training.learner.has_bfloat16"
+    monkeypatch.setattr(f"salsanext_cli.{has}", lambda: multiplies)
+    first = go(dataset, tmp_path / "run", recipe=wanted)
+    assert recipe(tmp_path / "run/recipe.toml") == wanted.with_changes(precision=found)
+    monkeypatch.setattr(f"salsanext_cli.{has}", lambda: not multiplies)
+    assert go(dataset, tmp_path / "run", recipe=wanted) == first
+    with pytest.raises(OutputError, match=f'precision was "{found}" and is "float16"'):
+        go(dataset, tmp_path / "run", recipe=wanted.with_changes(precision="float16"))
 
 
 def test_a_training_of_before_a_key_goes_on(dataset, tmp_path):

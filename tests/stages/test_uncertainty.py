@@ -124,7 +124,8 @@ def test_a_network_without_dropout_is_refused(world, tmp_path):
     assert not world.out.exists()
 
 
-def test_the_analytic_way_needs_neither_passes_nor_seed(world):
+def test_the_analytic_way_needs_neither_passes_nor_seed(on_openvino):
+    world = on_openvino
     assert run(world, method="analytic").done == 3
     network = world.network.load()
     image = project(read_scan(world.scan("08", "000001")), SMALL)

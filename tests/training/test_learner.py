@@ -175,6 +175,9 @@ def test_shorter_types_compute_shorter_and_learn_the_same(precision: str) -> Non
     assert dtypes == {torch.float32}
     shorter, shorter_loss, dtypes = stepped(precision)
     assert dtypes == {getattr(torch, precision)}
+    filters = shorter.module.features.weight
+    assert filters.is_contiguous(memory_format=torch.channels_last)
+    assert exact.module.features.weight.is_contiguous()
     assert shorter_loss == pytest.approx(loss, rel=0.02)
     assert shorter_loss != loss
     assert shorter.scaler.is_enabled() == (precision == "float16")

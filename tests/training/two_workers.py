@@ -28,6 +28,8 @@ CASES: dict[str, dict[str, object]] = {
     "nothing labelled": {"labels": 0},
     "bfloat16": {"precision": "bfloat16"},
 }
+FLOAT = {"float32": torch.float64, "bfloat16": torch.float32}
+"""Type of weights and images: only float32 is computed in bfloat16, float64 stays as it is."""
 
 
 def network(dropout: float = 0.0, *, norm: bool = False) -> TinyNetwork:
@@ -58,7 +60,7 @@ def learner(group: ProcessGroup, *, norm: bool = False, **changes: object) -> Le
     recipe = Recipe(batch=5, dropout=0.0, learning_rate=0.1, **changes)  # type: ignore[arg-type]
     with torch.random.fork_rng():
         torch.manual_seed(0)
-        module = network(norm=norm).double()
+        module = network(norm=norm).to(FLOAT[recipe.precision])
     return Learner(module, recipe, WEIGHTS, torch.device("cpu"), group)  # type: ignore[arg-type]
 
 
@@ -67,6 +69,7 @@ def stepped(group: ProcessGroup, case: str) -> dict[str, Tensor]:
     changes = dict(CASES[case])
     images, truth = batch(changes.pop("labels", 1))  # type: ignore[arg-type]
     learning = learner(group, **changes)
+    images = images.to(FLOAT[learning.recipe.precision])
     found = {"loss": torch.tensor(learning.step(share(images, group), share(truth, group), 5, 1))}
     for name, parameter in learning.module.named_parameters():
         assert parameter.grad is not None
