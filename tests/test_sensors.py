@@ -119,8 +119,15 @@ def test_every_preset_knows_its_noise():
     assert not Sensor("s", 3, -25, 64, 512, range_noise=0.02).knows_noise
 
 
-def test_the_view_is_all_but_name_and_noise():
+def test_the_view_is_all_but_name_noise_and_quantiles():
     one = sensor("hdl64")
     assert one.view() == replace(one, name="x", range_noise=None, intensity_noise=1.0).view()
     assert one.view() != replace(one, out_of_view="drop").view()
-    assert set(one.to_dict()) - set(one.view()) == {"name", "range_noise", "intensity_noise"}
+    left_out = {"name", "range_noise", "intensity_noise", "intensity_quantiles"}
+    assert set(one.to_dict()) - set(one.view()) == left_out
+
+
+@pytest.mark.parametrize("quantiles", [(0.0, 1.0), (1.0,) + (0.0,) * 64, (math.nan,) * 65])
+def test_quantiles_that_are_none(quantiles):
+    with pytest.raises(UsageError, match=r"intensity_quantiles .* expected 65 numbers that rise"):
+        replace(sensor("hdl64"), intensity_quantiles=quantiles)

@@ -4,7 +4,7 @@
 import logging
 import threading
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING, Any, TypeVar
 
@@ -25,8 +25,6 @@ if TYPE_CHECKING:
     from salsanext_cli.network.segmentation import SegmentationNetwork
 
 log = logging.getLogger(__name__)
-SHARED = ("module", "torch_module", "_graphs", "batch_sizes")
-"""Cached properties that do not depend on the sensor, but for the size of its images."""
 Item = TypeVar("Item")
 Result = TypeVar("Result")
 
@@ -88,12 +86,6 @@ class Network:
     def batch_sizes(self) -> dict[str, int]:
         """Number of items by name that there was room for at once; empty until memory runs out."""
         return {}
-
-    def seeing(self, sensor: Sensor) -> "Network":
-        """Return the same network for another sensor whose images have the same size."""
-        found = replace(self, sensor=sensor)
-        vars(found).update({name: vars(self)[name] for name in SHARED if name in vars(self)})
-        return found
 
     def graph(
         self,

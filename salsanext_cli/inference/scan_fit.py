@@ -19,6 +19,8 @@ from salsanext_cli.storage.selection import evenly_spaced
 MAX_SCANS = 16
 """Scans that a fit reads, evenly spaced among all of a run."""
 INTENSITIES = ("auto", "match", "raw", "none")
+SHARED = ("module", "torch_module", "_graphs", "batch_sizes")
+"""Cached properties of a network that depend on the size of its images only."""
 NO_INTENSITY = (0.0,) * INTENSITY_LEVELS
 
 
@@ -49,14 +51,20 @@ def fitted(
         If there is no such way, or the weights do not know the intensity of their training.
     """
     if not (how := _method(settings, network)):
-        return network.seeing(replace(network.sensor, intensity_quantiles=()))
+        return _with_quantiles(network, ())
     known = [sensor.intensity_quantiles for sensor in (earlier, settings.sensor) if sensor]
     if how == "none":
         quantiles = NO_INTENSITY
     else:
         images = sampled_images(files, network.sensor, image_of)
         quantiles = next(filter(None, known), ()) or intensity_quantiles(images)
-    return network.seeing(replace(network.sensor, intensity_quantiles=quantiles))
+    return _with_quantiles(network, quantiles)
+
+
+def _with_quantiles(network: Network, quantiles: tuple[float, ...]) -> Network:
+    found = replace(network, sensor=replace(network.sensor, intensity_quantiles=quantiles))
+    vars(found).update({name: vars(network)[name] for name in SHARED if name in vars(network)})
+    return found
 
 
 def _method(settings: NetworkSettings, network: Network) -> str:

@@ -1,0 +1,134 @@
+# SPDX-License-Identifier: MIT
+"""Stages with the intensity of the scans at hand matched to that of training."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scans import SMALL, labels_below, make_scan, write_sequence, write_weights
+
+from salsanext_cli import Scan, project, read_scan
+from salsanext_cli.errors import OutputError, UsageError
+from salsanext_cli.geometry.intensity import intensity_quantiles
+from salsanext_cli.parallel.run import RunOptions
+from salsanext_cli.sensors import INTENSITY_LEVELS
+from salsanext_cli.stages.knn_refine import knn_refine_scans
+from salsanext_cli.stages.predict import predict_range_images, predict_scans
+from salsanext_cli.stages.project import project_scans
+from salsanext_cli.stages.uncertainty import uncertainty
+from salsanext_cli.storage.point_files import write_bin
+from salsanext_cli.storage.stage_records import earlier_sensor, stage_settings
+from salsanext_cli.uncertainty.settings import Estimator
+
+TRAINED = tuple(np.linspace(0, 1, INTENSITY_LEVELS) ** 2)
+
+
+@pytest.fixture
+def knowing(world, tmp_path):
+    """Return the world with weights that know the intensity of their training."""
+    sensor = replace(SMALL, intensity_quantiles=TRAINED)
+    weights = write_weights(tmp_path / "knowing.safetensors", sensor=sensor)
+    return replace(world, network=replace(world.network, weights=weights, intensity="auto"))
+
+
+def run(world, out=None, source=None, **options):
+    return predict_scans(source or world.data, out or world.out, network=world.network, **options)
+
+
+def scaled(world, folder, scale):
+    """Write the scans of the world with another scale of intensity; return the data set."""
+    for file in sorted(world.data.rglob("*.bin")):
+        scan, copy = read_scan(file), folder / file.relative_to(world.data)
+        copy.parent.mkdir(parents=True, exist_ok=True)
+        write_bin(copy, Scan(scan.points, scan.intensity * np.float32(scale)))
+    return folder
+
+
+def share_alike(one, other):
+    pairs = [(np.frombuffer(one[n], "<u4"), np.frombuffer(other[n], "<u4")) for n in one]
+    return np.mean([(a == b).mean() for a, b in pairs])
+
+
+def test_labels_do_not_depend_on_the_scale_of_the_files(knowing, tmp_path):
+    run(knowing)
+    plain = labels_below(knowing.out)
+    large = scaled(knowing, tmp_path / "large", 65535)
+    run(knowing, tmp_path / "matched", large)
+    raw = replace(knowing, network=replace(knowing.network, intensity="raw"))
+    run(raw, tmp_path / "raw", large)
+    assert share_alike(plain, labels_below(tmp_path / "matched")) > 0.999
+    assert share_alike(plain, labels_below(tmp_path / "raw")) < 0.95
+
+
+def test_the_sensor_of_the_run_has_the_quantiles_of_its_scans(knowing):
+    run(knowing)
+    images = [project(read_scan(p), SMALL).channels for p in sorted(knowing.data.rglob("*.bin"))]
+    recorded = earlier_sensor(knowing.out, knowing.network.load().sha256, False)
+    assert recorded.intensity_quantiles == intensity_quantiles(images)
+    assert run(knowing).skipped == 3
+
+
+def test_step_by_step_in_shards_and_by_workers_the_bytes_are_the_same(knowing, tmp_path):
+    from salsanext_cli.parallel.shards import Shard
+
+    run(knowing)
+    steps = tmp_path / "steps"
+    project_scans(knowing.data, steps, sensor=SMALL)
+    predict_range_images(steps, steps, network=knowing.network)
+    knn_refine_scans(steps)
+    for number in (1, 2):
+        run(knowing, tmp_path / "shards", options=RunOptions(shard=Shard(number, 2)))
+    run(knowing, tmp_path / "workers", options=RunOptions(jobs=2, backend="threading"))
+    expected = labels_below(knowing.out)
+    assert len(expected) == 3
+    for other in (steps, tmp_path / "shards", tmp_path / "workers"):
+        assert labels_below(other) == expected
+
+
+def test_scans_that_come_later_are_matched_as_the_first_ones(knowing):
+    run(knowing)
+    before = stage_settings(knowing.out, "predict")["sensor"]
+    write_sequence(knowing.data / "sequences/09", ["000000"], seed=99)
+    assert run(knowing).done == 1
+    assert stage_settings(knowing.out, "predict")["sensor"] == before
+    few = Estimator(samples=2, aleatoric=False)
+    uncertainty(knowing.data, knowing.out, network=knowing.network, estimator=few)
+    assert stage_settings(knowing.out, "uncertainty")["sensor"] == before
+
+
+def test_without_intensity_it_makes_no_difference(knowing, tmp_path):
+    blind = replace(knowing, network=replace(knowing.network, intensity="none"))
+    run(blind)
+    run(blind, tmp_path / "other", scaled(knowing, tmp_path / "data", 0.0))
+    assert labels_below(tmp_path / "other") == labels_below(blind.out)
+    run(knowing, tmp_path / "seen")
+    assert labels_below(tmp_path / "seen") != labels_below(blind.out)
+
+
+def test_results_of_another_way_are_refused(knowing):
+    run(knowing)
+    raw = replace(knowing.network, intensity="raw")
+    with pytest.raises(OutputError, match=r"sensor\.intensity_quantiles was"):
+        predict_scans(knowing.data, knowing.out, network=raw)
+
+
+@pytest.mark.parametrize("how", ["match", "none"])
+def test_weights_that_do_not_know_it(world, how):
+    network = replace(world.network, intensity=how)
+    with pytest.raises(UsageError, match=f"--intensity · {how}, but these weights do not know"):
+        predict_scans(world.data, world.out, network=network)
+    predict_scans(world.data, world.out, network=replace(network, intensity="auto"))
+    recorded = stage_settings(world.out, "predict")["sensor"]
+    assert "intensity_quantiles" not in recorded
+
+
+def test_a_scan_that_cannot_be_read_does_not_end_the_run(knowing):
+    knowing.scan("00").write_bytes(b"cut")
+    outcome = run(knowing)
+    assert (outcome.done, len(outcome.failures)) == (2, 1)
+
+
+def test_scans_without_a_point(knowing, tmp_path):
+    nothing = make_scan(0)
+    write_bin(tmp_path / "empty/0.bin", nothing)
+    assert run(knowing, source=tmp_path / "empty").done == 1
