@@ -27,6 +27,12 @@ MAX_NUMBER = 1e6
 SCALES = f"numbers from {1 / MAX_NUMBER:g} to {MAX_NUMBER:g}"
 NOISE = ("range_noise", "intensity_noise")
 NO_VIEW = ("name", *NOISE, "intensity_quantiles")
+OF_IMAGES = ("height", "width", "means", "stds")
+"""Fields that a network depends on, not a sensor: size and normalisation of its images."""
+UP = (0.0, 0.0, 1.0)
+"""Direction of the z axis, away from the ground."""
+MIN_LENGTH = 1e-3
+"""Least length of a vector that tells a direction."""
 INTENSITY_LEVELS = 65
 """Quantiles of intensity, evenly spaced from the smallest to the largest value."""
 
@@ -53,6 +59,9 @@ class Sensor:
         Standard deviation of a range in metres, along the ray.
     intensity_noise : float, optional
         Standard deviation of an intensity, as the network is given it.
+    up : 3 floats
+        Direction away from the ground in the frame of the files; others than z are turned to it
+        before the projection.
     intensity_quantiles : tuple of float
         Quantiles of the intensity in its range images, after the division, at `INTENSITY_LEVELS`
         evenly spaced levels; empty if unknown. A network maps them to those of its training.
@@ -69,6 +78,7 @@ class Sensor:
     intensity_scale: float = 1.0
     range_noise: float | None = None
     intensity_noise: float | None = None
+    up: tuple[float, ...] = UP
     intensity_quantiles: tuple[float, ...] = ()
 
     def __post_init__(self) -> None:
@@ -105,6 +115,11 @@ class Sensor:
         scale = self.intensity_scale
         self._require(
             1 / MAX_NUMBER <= scale <= MAX_NUMBER, f"intensity_scale {shortened(scale)}", SCALES
+        )
+        self._require(
+            len(self.up) == 3 and MIN_LENGTH < math.hypot(*self.up) < math.inf,
+            f"up {shortened(self.up)}",
+            "a direction, three numbers",
         )
         quantiles = self.intensity_quantiles
         self._require(
@@ -175,8 +190,10 @@ def presets() -> dict[str, Sensor]:
     }
 
 
-def sensor(name_or_file: str | Path) -> Sensor:
+def sensor(name_or_file: str | Path, base: Sensor | None = None) -> Sensor:
     """Return the sensor of a preset's name or of a TOML file with one sensor's keys.
+
+    Size and normalisation that the file does not tell are those of `base`, else of the HDL-64.
 
     Raises
     ------
@@ -187,4 +204,6 @@ def sensor(name_or_file: str | Path) -> Sensor:
         return presets()[str(name_or_file)]
     path = Path(name_or_file)
     data = read_toml(path, "sensor", presets())
-    return Sensor.from_dict({"name": path.stem, **data}, path)
+    known = (base or presets()["hdl64"]).to_dict()
+    images = {key: known[key] for key in OF_IMAGES}
+    return Sensor.from_dict({"name": path.stem, **images, **data}, path)

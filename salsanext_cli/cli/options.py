@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
@@ -51,6 +52,8 @@ SensorWithoutWeights = Annotated[
 ]
 
 Intensity = Literal["auto", "match", "raw", "none"]
+
+AUTO = "auto"
 
 selection_option = partial(option, "Selection")
 network_option = partial(option, "Network")
@@ -148,7 +151,11 @@ class NetworkOptions:
         default="auto",
         envvar="SALSANEXT_ENGINE",
     )
-    sensor: str | None = network_option(SENSOR_HELP, show_default="the sensor of the weights")
+    sensor: str = network_option(
+        "Name of a built-in sensor, or a .toml file; auto is that of the weights, with view and "
+        "direction up of the scans where they differ much.",
+        default=AUTO,
+    )
     intensity: Intensity = network_option(
         "Match the intensity of the scans to that of training, take it raw, or take none; auto "
         "matches it if the weights know that of their training.",
@@ -159,15 +166,19 @@ class NetworkOptions:
         """Build the settings that stages take."""
         from salsanext_cli.inference.settings import NetworkSettings
 
-        named = sensor(self.sensor)
-        how = (self.precision, self.engine, self.intensity)
+        named = self.named_sensor()
+        how = (self.precision, self.engine, named is None, self.intensity)
         return NetworkSettings(self.weights, self.device, named, *how)
 
-    def sensor_to_project(self) -> Sensor:
-        """Return the sensor that was named, else the one that the weights were trained with."""
+    def named_sensor(self) -> Sensor | None:
+        """Look up the sensor that was named; what it does not tell is that of the weights."""
+        return None if self.sensor == AUTO else sensor(self.sensor, self.trained_sensor)
+
+    def trained_sensor(self) -> Sensor:
+        """Return the sensor that the weights were trained with."""
         from salsanext_cli.network.card import default_weights, read_card
 
-        return sensor(self.sensor) or read_card(self.weights or default_weights()).sensor
+        return read_card(self.weights or default_weights()).sensor
 
 
 @option_group
@@ -190,11 +201,14 @@ class Knn:
         return KnnParameters(self.knn_k, self.knn_window, self.knn_sigma, self.knn_cutoff)
 
 
-def sensor(name: str | None) -> Sensor | None:
-    """Look up a sensor, None where none was named."""
+def sensor(name: str | None, base: Callable[[], Sensor] | None = None) -> Sensor | None:
+    """Look up a sensor, None where none was named; `base` has what its file does not tell."""
+    from salsanext_cli.sensors import presets
     from salsanext_cli.sensors import sensor as find
 
-    return None if name is None else find(name)
+    if name is None:
+        return None
+    return find(name) if base is None or name in presets() else find(name, base())
 
 
 def label_space(name: str | None) -> LabelSpace | None:

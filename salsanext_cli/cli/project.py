@@ -29,7 +29,8 @@ def project(
         outcome = project_scans(
             selection.source(scans),
             out,
-            sensor=network.sensor_to_project(),
+            sensor=network.named_sensor() or network.trained_sensor(),
+            fit=network.sensor == options.AUTO,
             selection=selection.scans(),
             options=run,
         )

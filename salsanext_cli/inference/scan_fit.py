@@ -1,23 +1,29 @@
 # SPDX-License-Identifier: MIT
 """Fit of a network to the scans at hand: what their sensor does otherwise than that of training."""
 
+import logging
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import replace
 
-from salsanext_cli.errors import SalsanextError, UsageError
+from salsanext_cli.errors import NOTICE, SalsanextError, UsageError
 from salsanext_cli.formats import read_scan
 from salsanext_cli.geometry.intensity import intensity_quantiles
 from salsanext_cli.geometry.projection import project
+from salsanext_cli.geometry.view_fit import as_found, fit_view
 from salsanext_cli.inference.network import Network
 from salsanext_cli.inference.settings import NetworkSettings
-from salsanext_cli.records import Float
+from salsanext_cli.records import Float, Scan
 from salsanext_cli.sensors import INTENSITY_LEVELS, Sensor
 from salsanext_cli.storage.layout import ScanFile
 from salsanext_cli.storage.selection import evenly_spaced
 
+log = logging.getLogger(__name__)
+
 MAX_SCANS = 16
 """Scans that a fit reads, evenly spaced among all of a run."""
+FITTED = ("name", "fov_up", "fov_down", "up")
+"""Fields of a sensor that a fit of the view changes."""
 INTENSITIES = ("auto", "match", "raw", "none")
 SHARED = ("module", "torch_module", "_graphs", "batch_sizes")
 """Cached properties of a network that depend on the size of its images only."""
@@ -31,7 +37,7 @@ def fitted(
     earlier: Sensor | None = None,
     image_of: Callable[[ScanFile], Float] | None = None,
 ) -> Network:
-    """Return the network with the intensity of its sensor as `settings.intensity` says.
+    """Return the network with view and intensity of its sensor as the settings say.
 
     Parameters
     ----------
@@ -50,19 +56,37 @@ def fitted(
     UsageError
         If there is no such way, or the weights do not know the intensity of their training.
     """
-    if not (how := _method(settings, network)):
-        return _with_quantiles(network, ())
+    how = _method(settings, network)
+    if settings.fit and image_of is None:
+        network = with_sensor(network, fitted_view(files, network.sensor, earlier))
+    if not how:
+        return with_sensor(network, replace(network.sensor, intensity_quantiles=()))
     known = [sensor.intensity_quantiles for sensor in (earlier, settings.sensor) if sensor]
     if how == "none":
         quantiles = NO_INTENSITY
     else:
         images = sampled_images(files, network.sensor, image_of)
         quantiles = next(filter(None, known), ()) or intensity_quantiles(images)
-    return _with_quantiles(network, quantiles)
+    return with_sensor(network, replace(network.sensor, intensity_quantiles=quantiles))
 
 
-def _with_quantiles(network: Network, quantiles: tuple[float, ...]) -> Network:
-    found = replace(network, sensor=replace(network.sensor, intensity_quantiles=quantiles))
+def fitted_view(files: Sequence[ScanFile], sensor: Sensor, earlier: Sensor | None = None) -> Sensor:
+    """Return the sensor as `fit_view` fits it to scans, evenly spaced, and say so.
+
+    That of earlier results in the same folder stays.
+    """
+    if earlier is not None:
+        return replace(sensor, **{name: getattr(earlier, name) for name in FITTED})
+    scans = list(sampled(files, sensor))
+    found = fit_view(scans, sensor)
+    if found != sensor:
+        log.log(NOTICE, "sensor fitted to %d scans: %s", len(scans), as_found(found))
+    return found
+
+
+def with_sensor(network: Network, sensor: Sensor) -> Network:
+    """Return the network for another sensor, whose images have the same size."""
+    found = replace(network, sensor=sensor)
     vars(found).update({name: vars(network)[name] for name in SHARED if name in vars(network)})
     return found
 
@@ -86,10 +110,16 @@ def sampled_images(
     image_of: Callable[[ScanFile], Float] | None = None,
 ) -> Iterator[Float]:
     """Yield the range images of scans, evenly spaced; parameters as of `fitted`."""
-
-    def projected(file: ScanFile) -> Float:
-        return project(read_scan(file.path, sensor), sensor).channels
-
+    if image_of is None:
+        yield from (project(scan, sensor).channels for scan in sampled(files, sensor))
+        return
     for file in evenly_spaced(files, MAX_SCANS):
         with suppress(SalsanextError):
-            yield (image_of or projected)(file)
+            yield image_of(file)
+
+
+def sampled(files: Sequence[ScanFile], sensor: Sensor) -> Iterator[Scan]:
+    """Yield scans, evenly spaced, but for those that cannot be read."""
+    for file in evenly_spaced(files, MAX_SCANS):
+        with suppress(SalsanextError):
+            yield read_scan(file.path, sensor)

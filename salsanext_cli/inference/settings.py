@@ -12,7 +12,7 @@ from salsanext_cli.errors import NOTICE, WeightsError
 from salsanext_cli.inference.loading import load_network
 from salsanext_cli.inference.network import Network
 from salsanext_cli.network.card import default_weights
-from salsanext_cli.sensors import Sensor
+from salsanext_cli.sensors import UP, Sensor
 from salsanext_cli.storage.identity import fingerprint
 
 log = logging.getLogger(__name__)
@@ -32,6 +32,8 @@ class NetworkSettings:
         Origin of the scans, if not the sensor that the weights name.
     precision, engine : str
         As `load_network` takes them.
+    fit : bool
+        Whether a view and a direction up that differ much from the sensor's are those of the scans.
     intensity : {"auto", "match", "raw", "none"}
         As `scan_fit.fitted` takes it; "auto" matches where the weights know their quantiles.
     sha256 : str, optional
@@ -43,6 +45,7 @@ class NetworkSettings:
     sensor: Sensor | None = None
     precision: str = "float32"
     engine: str = "auto"
+    fit: bool = False
     intensity: str = "raw"
     sha256: str | None = None
 
@@ -97,6 +100,7 @@ class NetworkSettings:
 
 def recorded_view(sensor: Sensor) -> dict[str, Any]:
     """Return what labels depend on of a sensor, and its name, as plain data."""
-    quantiles = sensor.intensity_quantiles
-    known = {"intensity_quantiles": quantiles} if quantiles else {}
-    return {"name": sensor.name, **sensor.view(), **known}
+    usual = {"up": UP, "intensity_quantiles": ()}
+    special = {key: getattr(sensor, key) for key in usual if getattr(sensor, key) != usual[key]}
+    view = {key: value for key, value in sensor.view().items() if key not in usual}
+    return {"name": sensor.name, **view, **special}

@@ -22,7 +22,7 @@ from salsanext_cli.geometry.gather import points_from_pixels
 from salsanext_cli.geometry.knn import KnnParameters, knn_refine
 from salsanext_cli.geometry.projection import project
 from salsanext_cli.inference.network import Network
-from salsanext_cli.inference.scan_fit import fitted
+from salsanext_cli.inference.scan_fit import fitted, fitted_view, with_sensor
 from salsanext_cli.inference.settings import NetworkSettings
 from salsanext_cli.parallel.network_task import NetworkTask, named_if_too_large
 from salsanext_cli.parallel.run import Outcome, RunOptions, run_over_scans
@@ -205,7 +205,10 @@ def predict_range_images(
         If nothing can be done at all; failures of single images are in the outcome.
     """
     loaded = network.load()
-    _require_same_view(folder, projected_sensor(folder), loaded.sensor)
+    projected = projected_sensor(folder)
+    if network.fit and projected is not None:
+        loaded = with_sensor(loaded, fitted_view([], loaded.sensor, projected))
+    _require_same_view(folder, projected, loaded.sensor)
     scans = with_outputs(recorded_scans(folder), folder, "range")
     scans = choose(scans, selection, space_of(scans, loaded.card.space), folder)
     loaded = fitted(

@@ -11,11 +11,13 @@ from salsanext_cli.geometry.coverage import (
     field_of_view_coverage,
 )
 from salsanext_cli.geometry.projection import project
+from salsanext_cli.inference.scan_fit import fitted_view
 from salsanext_cli.parallel.run import Outcome, RunOptions, run_over_scans
 from salsanext_cli.sensors import Sensor
 from salsanext_cli.storage.layout import ScanFile
 from salsanext_cli.storage.output_run import OutputRun, output_run
 from salsanext_cli.storage.selection import ScanSelection, select_scans
+from salsanext_cli.storage.stage_records import stage_settings
 
 FOLDERS = ("range", "pixels")
 
@@ -35,6 +37,7 @@ def project_scans(
     out: Path,
     *,
     sensor: Sensor,
+    fit: bool = False,
     selection: ScanSelection = ScanSelection(),
     options: RunOptions = RunOptions(),
 ) -> Outcome:
@@ -44,6 +47,8 @@ def project_scans(
     ----------
     sensor : Sensor
         Field of view and size of the range images.
+    fit : bool
+        Whether its view and direction up are those of the scans where they differ much.
     source, out, selection, options
         As for `predict_scans`.
 
@@ -53,6 +58,10 @@ def project_scans(
         If nothing can be done at all; failures of single scans are in the outcome.
     """
     scans = select_scans(source, selection)
+    if fit:
+        recorded = None if options.overwrite else stage_settings(out, "project")
+        earlier = Sensor.from_dict(recorded.table("sensor"), recorded.path) if recorded else None
+        sensor = fitted_view(scans, sensor, earlier)
     settings, check = {"sensor": sensor.to_dict()}, CoverageCheck(sensor)
     overwrite = options.overwrite
     with output_run(out, "project", settings, FOLDERS, scans, overwrite=overwrite) as output:
