@@ -22,7 +22,7 @@ def rotation_to_z(up: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
     Upside down, where many are least, it is the half turn about x.
     """
     x, y, z = up / np.linalg.norm(up)
-    if z < -1 + 1e-9:
+    if z < -1 + 1e-12:
         return np.diag([1.0, -1.0, -1.0])
     # Rodrigues' formula for the axis up × z, of length sin, and the angle of cosine z.
     cross = np.array([[0, 0, -x], [0, 0, -y], [x, y, 0]])

@@ -1,0 +1,58 @@
+# SPDX-License-Identifier: MIT
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scans import SMALL, make_scan
+
+from salsanext_cli import Scan, project
+from salsanext_cli.geometry.coverage import field_of_view_coverage
+from salsanext_cli.geometry.mounting import rotation_to_z
+from salsanext_cli.geometry.view_fit import as_found, fit_view
+
+SCANS = [make_scan(3000, seed) for seed in range(3)]
+
+
+def turned(scan, up):
+    points = scan.points @ rotation_to_z(np.asarray(up, float))
+    return Scan(points.astype(np.float32), scan.intensity)
+
+
+def test_a_view_that_fits_is_left_alone():
+    assert fit_view(SCANS, SMALL) == SMALL
+    nearly = replace(SMALL, fov_up=1.0)
+    assert fit_view(SCANS, nearly) == nearly
+
+
+def test_another_view_is_found_and_the_image_stays():
+    narrow = replace(SMALL, fov_up=-2.0, fov_down=-12.0)
+    found = fit_view(SCANS, narrow)
+    assert (found.fov_up, found.fov_down) == pytest.approx((3, -25), abs=0.3)
+    shares = [field_of_view_coverage(scan, found).share for scan in SCANS]
+    assert max(shares) < 0.01
+    assert replace(found, name="small", fov_up=-2.0, fov_down=-12.0) == narrow
+
+
+@pytest.mark.parametrize("up", [(0, 0, -1), (0, 1, 0), (-1, 0, 0), (0, 0.6, 0.8)])
+def test_images_of_sensors_that_lie_or_hang(up):
+    """The same but for the direction that is ahead, which nothing tells."""
+    scans = [turned(scan, up) for scan in SCANS]
+    found = fit_view(scans, SMALL)
+    assert np.dot(found.up, up) > 0.995
+    assert (found.fov_up, found.fov_down) == (SMALL.fov_up, SMALL.fov_down)
+    for scan, upright in zip(scans, SCANS, strict=True):
+        image, expected = project(scan, found), project(upright, SMALL)
+        assert (image.channels[0] > 0).mean() > 0.9 * (expected.channels[0] > 0).mean()
+        z = [each.channels[3][each.channels[0] > 0] for each in (image, expected)]
+        assert np.quantile(z[0], 0.1) == pytest.approx(np.quantile(z[1], 0.1), abs=0.1)
+
+
+@pytest.mark.parametrize("count", [0, 10])
+def test_too_few_points_tell_nothing(count):
+    other = replace(SMALL, fov_up=50.0, fov_down=40.0)
+    assert fit_view([make_scan(count)], other) == other
+
+
+def test_what_was_found_is_said():
+    assert as_found(SMALL) == "view +3° to -25°"
+    assert as_found(replace(SMALL, up=(0.0, 1.0, 0.0))) == "view +3° to -25°, up (0.0, 1.0, 0.0)"
