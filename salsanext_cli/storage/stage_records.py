@@ -179,14 +179,12 @@ def as_json(settings: Any) -> Any:
 
 
 def require_same_settings(
-    path: Path,
-    recorded: Mapping[str, Any],
-    settings: Mapping[str, Any],
-    remedy: str = "use another output folder, or --overwrite to replace all its results",
+    path: Path, recorded: Mapping[str, Any], settings: Mapping[str, Any]
 ) -> None:
     """Refuse to mix or to replace what was made with other settings, and say which."""
     if recorded != settings:
         found = f"made with other settings: {_differences(recorded, settings)}"
+        remedy = "use another output folder, or --overwrite to replace all its results"
         raise OutputError(path, found, remedy=remedy)
 
 

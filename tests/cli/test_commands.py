@@ -2,6 +2,7 @@
 """Commands of the pipeline: results, messages, exit status."""
 
 import json
+from itertools import pairwise
 from pathlib import Path
 
 import pytest
@@ -92,20 +93,33 @@ def test_failures_are_in_the_json(predict, tmp_path):
     assert result.exit_code == 1
 
 
-def test_eval_with_other_settings_needs_overwrite(run, predict, predicted, data):
-    assert run("eval", "--out", predicted, "--limit", 1).exit_code == 0
-    before = (predicted / "eval.json").read_bytes()
-    for other in (("--limit", 2), ("--limit", 1, "--by-distance"), ("--dataset", data)):
+def test_eval_replaces_its_result_of_other_settings_and_inputs(run, predict, predicted, data):
+    reports = []
+    for other in ((), ("--limit", 1), ("--limit", 1, "--by-distance"), ("--dataset", data)):
         result = run("eval", "--out", predicted, *other)
-        assert result.exit_code == 1
-        assert "eval.json · made with other settings" in result.stderr
-        assert result.stderr.count("\n") == 1
-    assert (predicted / "eval.json").read_bytes() == before
-    assert run("eval", "--out", predicted, "--overwrite").exit_code == 0
+        assert result.exit_code == 0, result.output
+        reports.append(json.loads((predicted / "eval.json").read_text())["settings"])
     assert predict(predicted, "--knn-k", 3, "--overwrite").exit_code == 0
-    result = run("eval", "--out", predicted)
+    assert run("eval", "--out", predicted).exit_code == 0
+    reports.append(json.loads((predicted / "eval.json").read_text())["settings"])
+    assert all(a != b for a, b in pairwise(reports))
+    assert reports[0]["origins"] != reports[-1]["origins"]
+
+
+def test_the_three_lines_may_be_typed_again(run, predict, weights, tmp_path):
+    out = tmp_path / "out"
+    assert predict(out).exit_code == 0
+    for line in (
+        ("eval", "--split", "valid"),
+        ("export-ply", "--colour", "uncertainty", "--weights", weights, "--device", "cpu"),
+        ("eval", "--split", "valid"),
+        ("eval",),
+    ):
+        assert run(*line, "--out", out).exit_code == 0
+    (out / "scores.txt").write_text("mine")
+    result = run("eval", "--out", out)
     assert result.exit_code == 1
-    assert "what `predict` made was made anew" in result.stderr
+    assert "scores.txt · exists, and was not recorded by salsanext or was changed" in result.stderr
 
 
 def test_eval_prints_how_good_the_uncertainty_is_and_notices_when_it_changes(
@@ -126,10 +140,9 @@ def test_eval_prints_how_good_the_uncertainty_is_and_notices_when_it_changes(
     found = only_json(run("eval", "--out", out, "--json"))
     assert found["calibration"]["scans"] == found["uncertainty"]["epistemic"]["scans"] == 2
     assert run(*sampled, "--method", "analytic", "--overwrite").exit_code == 0
-    again = run("eval", "--out", out)
-    assert again.exit_code == 1
-    assert "uncertainty" in again.output
-    assert run("eval", "--out", out, "--overwrite").exit_code == 0
+    assert run("eval", "--out", out).exit_code == 0
+    report = json.loads((out / "eval.json").read_text("utf-8"))
+    assert report["settings"]["uncertainty"]["method"] == "analytic"
 
 
 def test_eval_of_a_scan_that_cannot_be_compared_is_status_one(run, predicted, data):
