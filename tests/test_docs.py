@@ -237,7 +237,8 @@ def test_every_kind_of_file_is_described():
     for suffix in SCAN_SUFFIXES:
         assert f"| `{suffix}` |" in page
     for folder in SUFFIX_OF_FOLDER:
-        name = "uncertainty/<kind>" if folder.startswith("uncertainty/") else folder
+        kind, slash, _ = folder.partition("/")
+        name = f"{kind}/<{'colour' if kind == 'ply' else 'kind'}>" if slash else folder
         assert f"| `{name}/` | `{SUFFIX_OF_FOLDER[folder]}`" in page
 
 

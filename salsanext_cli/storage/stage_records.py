@@ -14,11 +14,14 @@ from salsanext_cli.errors import OutputError
 from salsanext_cli.sensors import Sensor, sensor
 from salsanext_cli.settings_files import shortened
 from salsanext_cli.storage.json_files import RecordedSettings, read_json, write_json
-from salsanext_cli.storage.layout import SUFFIX_OF_FOLDER
+from salsanext_cli.storage.layout import COLOURINGS, SUFFIX_OF_FOLDER
 
 MAX_DIFFERENCES_SHOWN = 3
 SHOWN_CHARACTERS_OF_VALUE = 40
-RESULT_STAGES = ("project", "predict", "knn-refine", "uncertainty", "export-ply")
+RESULT_STAGES = (
+    *("project", "predict", "knn-refine", "uncertainty", "export-ply"),
+    *(f"export-ply-{colour}" for colour in COLOURINGS),
+)
 
 
 @dataclass(frozen=True, slots=True)
