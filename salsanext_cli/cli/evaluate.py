@@ -1,7 +1,6 @@
 # SPDX-License-Identifier: MIT
 """`salsanext eval`."""
 
-from pathlib import Path
 from typing import Annotated
 
 import typer
@@ -11,10 +10,10 @@ from salsanext_cli.cli import console, options, run_options
 
 def evaluate(
     *,
+    results: options.Results,
     by_distance: Annotated[
         bool, typer.Option("--by-distance", help="Also evaluate by distance from the sensor.")
     ] = False,
-    out: options.OutOption = Path("out"),
     selection: options.ResultSelection,
     classes: options.Classes,
     running: run_options.RunningUnsharded,
@@ -30,6 +29,7 @@ def evaluate(
     from salsanext_cli.stages.evaluate import evaluate as stage
     from salsanext_cli.storage.predictions import predicted_scans, provenance
 
+    out = results.folder()
     chosen, dataset = selection.scans(), selection.dataset
     files, space = predicted_scans(out, chosen, dataset, classes.space())
     with running.over_scans("eval", output) as run:

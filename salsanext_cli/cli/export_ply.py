@@ -1,7 +1,6 @@
 # SPDX-License-Identifier: MIT
 """`salsanext export-ply`."""
 
-from pathlib import Path
 from typing import Annotated
 
 import typer
@@ -11,6 +10,7 @@ from salsanext_cli.cli import console, options, run_options
 
 def export_ply(
     *,
+    results: options.Results,
     colour: Annotated[
         str,
         typer.Option(
@@ -27,7 +27,6 @@ def export_ply(
             show_default="range of most of the values",
         ),
     ] = None,
-    out: options.OutOption = Path("out"),
     selection: options.ResultSelection,
     classes: options.Classes,
     network: options.NetworkOptions,
@@ -40,6 +39,7 @@ def export_ply(
     """
     from salsanext_cli.stages.export_ply import export_ply as stage
 
+    out = results.folder()
     with running.over_scans("export-ply", output) as run:
         outcome = stage(
             out,

@@ -3,13 +3,14 @@
 
 from __future__ import annotations
 
+import os
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from salsanext_cli.cli.option_groups import option, option_group
+from salsanext_cli.cli.option_groups import argument, option, option_group
 from salsanext_cli.errors import UsageError
 
 if TYPE_CHECKING:
@@ -19,6 +20,7 @@ if TYPE_CHECKING:
     from salsanext_cli.sensors import Sensor
     from salsanext_cli.storage.selection import ScanSelection
 
+OUT_VARIABLE = "SALSANEXT_OUT"
 SCANS_HELP = "Scan file, folder of scans, sequence folder or data set."
 SENSOR_HELP = "Name of a built-in sensor, or a .toml file."
 
@@ -35,13 +37,7 @@ LabelledDataSet = Annotated[
     ),
 ]
 Out = Annotated[
-    Path, typer.Argument(metavar="OUT", envvar="SALSANEXT_OUT", help="Folder for the results.")
-]
-OutOption = Annotated[
-    Path,
-    typer.Option(
-        "--out", envvar="SALSANEXT_OUT", help="Folder with the results of earlier stages."
-    ),
+    Path, typer.Argument(metavar="OUT", envvar=OUT_VARIABLE, help="Folder for the results.")
 ]
 WeightsOut = Annotated[
     Path, typer.Argument(metavar="WEIGHTS_OUT", help="Weights file to write (.safetensors).")
@@ -78,6 +74,24 @@ class Selection:
             expected = "names of sequences, such as 00,08"
             raise UsageError("--sequences", repr(self.sequences), expected)
         return ScanSelection(self.split, names, self.limit)
+
+
+@option_group
+class Results:
+    """Output folder of earlier stages, given as OUT or as --out."""
+
+    out: Path | None = argument(
+        "Folder with the results of earlier stages.",
+        metavar="OUT",
+        show_default=f"{OUT_VARIABLE}, else out",
+    )
+    out_option: Path | None = option("Options", "The same as OUT.", "--out")
+
+    def folder(self) -> Path:
+        """Return the output folder, which may be given once."""
+        if self.out and self.out_option:
+            raise UsageError("OUT and --out", "both given", "one of them")
+        return self.out or self.out_option or Path(os.environ.get(OUT_VARIABLE) or "out")
 
 
 @option_group

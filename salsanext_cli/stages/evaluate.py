@@ -209,7 +209,7 @@ def _no_input(counts: ScanCounts, out: Path, failures: Sequence[Failure]) -> NoI
         out,
         f"no predictions for any of {len(counts.missing)} scans",
         "files like sequences/08/predictions/000000.label",
-        "run `salsanext predict` first, or say with --out where they are",
+        "run `salsanext predict` first, or say where they are: salsanext eval OUT",
     )
 
 

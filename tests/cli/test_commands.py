@@ -49,8 +49,8 @@ def test_every_stage_in_turn_each_with_one_object_of_json(run, data, weights, tm
         ("knn-refine", steps),
         ("predict", data, out, *network),
         ("uncertainty", data, out, "--samples", 2, *network),
-        ("eval", "--out", out),
-        ("export-ply", "--out", out, "--color", "error"),
+        ("eval", out),
+        ("export-ply", out, "--color", "error"),
     ):
         result = run(*arguments, "--json")
         assert result.exit_code == 0, result.output
