@@ -167,7 +167,7 @@ READERS: dict[tuple[str, str], Callable[[str], object]] = {
     ("train.md", "toml"): lambda body: Recipe.from_dict(tomllib.loads(body)),
     ("models.md", "toml"): lambda body: Recipe.from_dict(tomllib.loads(body)),
     ("label-spaces.md", "yaml"): lambda body: LabelSpace.from_dict(yaml.safe_load(body)),
-    ("data.md", "json"): json.loads,
+    ("json.md", "json"): json.loads,
 }
 
 

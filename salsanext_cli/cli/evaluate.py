@@ -5,7 +5,8 @@ from typing import Annotated
 
 import typer
 
-from salsanext_cli.cli import console, options, run_options
+from salsanext_cli.cli import console, options, run_end, run_options
+from salsanext_cli.errors import counted
 
 
 def evaluate(
@@ -40,8 +41,8 @@ def evaluate(
         tables.append(ring_table(evaluation.by_distance))
     tables += uncertainty_tables(evaluation.uncertainty)
     output.result(evaluation.to_dict(), Group(*tables))
-    console.name_failures(evaluation.failures)
-    left_out = console.left_out(evaluation.missing, "predictions")
+    run_end.name_failures(evaluation.failures)
+    left_out = run_end.left_out(evaluation.missing)
     written = "scores.txt, eval.json, eval_*.png"
-    output.say(f"eval: {evaluation.scans} scans{left_out} → {out}/{written}")
-    console.leave(evaluation.failures, evaluation.missing)
+    output.say(f"eval: {counted(evaluation.scans, 'scan')}{left_out} → {out}/{written}")
+    run_end.leave(evaluation.failures, evaluation.missing)

@@ -5,7 +5,7 @@ from typing import Annotated
 
 import typer
 
-from salsanext_cli.cli import console, options, run_options
+from salsanext_cli.cli import console, options, run_end, run_options
 
 
 def export_ply(
@@ -51,4 +51,4 @@ def export_ply(
             selection=selection.scans(),
             options=run,
         )
-    console.finish("export-ply", outcome, out, output)
+    run_end.finish("export-ply", outcome, out, output)

@@ -31,4 +31,4 @@ def models(
     listed = stage()
     described = [describe_weights(path) for path in weights or [default_weights()]]
     tables = Group(network_table(listed), *map(card_table, described))
-    output.result({"models": listed, "weights": described}, tables)
+    output.result({"stage": "models", "models": listed, "weights": described}, tables)

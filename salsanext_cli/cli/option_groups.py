@@ -81,7 +81,7 @@ def expanded(command: Callable[..., None]) -> Callable[..., None]:
 def _fields(kind: type, marks: list[Any]) -> tuple[list[inspect.Parameter], dict[str, Any]]:
     """Return the options of a group that a command offers, and the defaults of all fields."""
     hints = get_type_hints(kind)
-    fields = {field.name: field for field in dataclasses.fields(kind)}
+    fields = {field.name: field for field in dataclasses.fields(kind) if field.init}
     defaults = {name: field.default for name, field in fields.items()}
     left_out: set[str] = set()
     for mark in marks:

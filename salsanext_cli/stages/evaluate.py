@@ -95,7 +95,7 @@ class Evaluation:
             "scans": self.scans,
             "missing": [str(scan.path) for scan in self.missing.scans],
             "not_asked_for": self.missing.not_asked_for,
-            "failures": [{"scan": str(f.scan.path), "reason": f.reason} for f in self.failures],
+            "failures": [failure.to_dict() for failure in self.failures],
             "unknown_ids": self.unknown_ids,
             "scores": self.scores.to_dict(),
             "by_distance": {name: ring.to_dict() for name, ring in self.by_distance.items()},
