@@ -21,6 +21,8 @@ if TYPE_CHECKING:
     from salsanext_cli.storage.selection import ScanSelection
 
 OUT_VARIABLE = "SALSANEXT_OUT"
+DEFAULT_WEIGHTS = Path("default")
+"""Name of the weights of the package; a file of that name needs an absolute path."""
 SCANS_HELP = "Scan file, folder of scans, sequence folder or data set."
 SENSOR_HELP = "Name of a built-in sensor, or a .toml file."
 
@@ -145,7 +147,8 @@ class NetworkOptions:
     """Network, its sensor and its device."""
 
     weights: Path | None = network_option(
-        "Weights file (.safetensors), or .onnx of export-onnx.", show_default="the default weights"
+        "Weights file (.safetensors), or .onnx of export-onnx; default: those of the package.",
+        show_default="default",
     )
     device: str = network_option(
         "cpu, cuda, cuda:1 …; auto uses a GPU if there is one.", default="auto"
@@ -167,13 +170,14 @@ class NetworkOptions:
         from salsanext_cli.inference.settings import NetworkSettings
 
         named = sensor(self.sensor)
-        return NetworkSettings(self.weights, self.device, named, self.precision, self.engine)
+        weights = None if self.weights == DEFAULT_WEIGHTS else self.weights
+        return NetworkSettings(weights, self.device, named, self.precision, self.engine)
 
     def sensor_to_project(self) -> Sensor:
         """Return the sensor that was named, else the one that the weights were trained with."""
-        from salsanext_cli.network.card import default_weights, read_card
+        from salsanext_cli.network.card import read_card
 
-        return sensor(self.sensor) or read_card(self.weights or default_weights()).sensor
+        return sensor(self.sensor) or read_card(weights_file(self.weights)).sensor
 
 
 @option_group
@@ -194,6 +198,13 @@ class Knn:
         from salsanext_cli.geometry.knn import KnnParameters
 
         return KnnParameters(self.knn_k, self.knn_window, self.knn_sigma, self.knn_cutoff)
+
+
+def weights_file(path: Path | None) -> Path:
+    """Return a weights file, that of the package for none or for the name `DEFAULT_WEIGHTS`."""
+    from salsanext_cli.network.card import default_weights
+
+    return default_weights() if path in (None, DEFAULT_WEIGHTS) else path
 
 
 def sensor(name: str | None) -> Sensor | None:

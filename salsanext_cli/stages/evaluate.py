@@ -11,7 +11,7 @@ from typing import Any
 
 from salsanext_cli import __version__
 from salsanext_cli.classes import LabelSpace
-from salsanext_cli.errors import LabelError, NoInputError, OutputError
+from salsanext_cli.errors import LabelError, NoInputError, OutputError, counted
 from salsanext_cli.formats.reading import present
 from salsanext_cli.measures.confusion import Confusion
 from salsanext_cli.measures.scan_counts import RING_NAMES, ScanCounts, count_scan
@@ -207,7 +207,7 @@ def _no_input(counts: ScanCounts, out: Path, failures: Sequence[Failure]) -> NoI
         return NoInputError(out, f"no scan could be compared, as {failures[0].reason}")
     return NoInputError(
         out,
-        f"no predictions for any of {len(counts.missing)} scans",
+        f"no predictions for any of {counted(len(counts.missing), 'scan')}",
         "files like sequences/08/predictions/000000.label",
         "run `salsanext predict` first, or say where they are: salsanext eval OUT",
     )

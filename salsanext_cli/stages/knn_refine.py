@@ -6,7 +6,7 @@ from functools import partial
 from pathlib import Path
 
 from salsanext_cli.classes import LabelSpace, TrainIds
-from salsanext_cli.errors import LabelError, NoInputError, UsageError
+from salsanext_cli.errors import LabelError, NoInputError, UsageError, counted
 from salsanext_cli.formats import read_scan
 from salsanext_cli.formats.kitti import read_labels
 from salsanext_cli.formats.npy import read_array
@@ -70,7 +70,7 @@ def _require_some(folder: Path, scans: list[ScanFile]) -> None:
         nested = output_path(Path(), scans[0].sequence, "predictions", scans[0].stem)
         raise NoInputError(
             folder,
-            f"no labels of any of {len(scans)} scans",
+            f"no labels of any of {counted(len(scans), 'scan')}",
             f"files like {nested} or {nested.name}",
         )
 

@@ -11,7 +11,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from salsanext_cli.errors import FormatError, UsageError, WeightsError
+from salsanext_cli.errors import FormatError, UsageError, WeightsError, counted
 from salsanext_cli.formats import read_scan
 from salsanext_cli.geometry.coverage import CoverageCheck, field_of_view_coverage
 from salsanext_cli.geometry.projection import project
@@ -79,6 +79,7 @@ def tune_batchnorm(
         raise WeightsError(network.path, "its network has no batch norm", "one with batch norm")
     scans = select_evenly(source, selection, loaded.card.space)
     require_target(target, overwrite)
+    network.announce(loaded)
     old = {name: Statistics.kept_by(layer) for name, layer in layers.items()}
     pooled: dict[str, Statistics] = {}
     check = CoverageCheck(loaded.sensor)
@@ -91,7 +92,8 @@ def tune_batchnorm(
     check.finish()
     new = {name: old[name].blended(statistics, share) for name, statistics in pooled.items()}
     sensor = loaded.sensor
-    done = f"Batch norm re-estimated on {len(scans)} scans of {sensor.name}, share {share:g}."
+    scanned = counted(len(scans), "scan")
+    done = f"Batch norm re-estimated on {scanned} of {sensor.name}, share {share:g}."
     description = f"{loaded.card.description} {done}".lstrip()
     card = replace(loaded.card, sensor=sensor, scores={}, description=description)
     save_with_card(network.path, target, card, _tensors(new))

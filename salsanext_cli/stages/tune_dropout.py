@@ -88,6 +88,7 @@ def tune_dropout(
     scans, space = labelled_scans(dataset, selection, loaded.card)
     require_target(target, overwrite)
     require_absent(curve_of(target), overwrite)
+    network.announce(loaded)
     sums, points = np.zeros(len(rates)), 0
     for number, file in enumerate(scans):
         labelled = read_labelled_image(file, loaded, space)

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from salsanext_cli.errors import OutputError, UsageError
+from salsanext_cli.errors import OutputError, UsageError, counted
 from salsanext_cli.formats import read_scan
 from salsanext_cli.formats.reading import present
 from salsanext_cli.geometry.coverage import field_of_view_coverage
@@ -191,7 +191,7 @@ def estimate_missing(
         remedy = "run `salsanext uncertainty --overwrite`"
         raise UsageError(out, "uncertainty estimated without aleatoric", kind, remedy)
     missing = _without(out, scans, kind)
-    log.warning("no uncertainty of %d scans yet: estimating it", len(missing))
+    log.warning("no uncertainty of %s yet: estimating it", counted(len(missing), "scan"))
     outcome = uncertainty_of(
         missing,
         out,

@@ -35,8 +35,9 @@ def test_no_command_gives_help(run):
     assert result.exit_code == 2
 
 
-def test_version(run):
-    result = run("--version")
+@pytest.mark.parametrize("option", ["--version", "-V"])
+def test_version(run, option):
+    result = run(option)
     assert result.stdout == f"salsanext {__version__}\n"
     assert result.exit_code == 0
 

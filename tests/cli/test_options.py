@@ -14,6 +14,7 @@ from salsanext_cli.cli import options, run_options
 from salsanext_cli.cli.console import Output
 from salsanext_cli.cli.option_groups import Default, Without, expanded
 from salsanext_cli.errors import UsageError
+from salsanext_cli.network.card import default_weights
 from salsanext_cli.parallel.options import BACKENDS, RunOptions
 from salsanext_cli.parallel.shards import Shard
 
@@ -51,6 +52,14 @@ def test_where_scans_are_looked_for(monkeypatch):
     assert options.Selection(dataset=Path("b")).source(Path("a")) == Path("a")
     assert options.Selection(dataset=Path("b")).source(None) == Path("b")
     assert options.Selection().source(None) == Path()
+
+
+def test_the_default_weights_have_a_name():
+    assert options.NetworkOptions(weights=Path("default")).settings().weights is None
+    assert options.weights_file(Path("default")) == options.weights_file(None) == default_weights()
+    other = Path("a/default")
+    assert options.NetworkOptions(weights=other).settings().weights == other
+    assert options.weights_file(other) == other
 
 
 @pytest.mark.parametrize(

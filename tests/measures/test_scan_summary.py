@@ -39,4 +39,4 @@ def test_coverage_is_checked(caplog):
     summary.add(ScanSummary(FieldOfViewCoverage(10, 5)))
     assert not caplog.text
     summary.finish()
-    assert "50 % of the points of 1 scans lie outside" in caplog.text
+    assert "50 % of the points of 1 scan lie outside" in caplog.text

@@ -117,7 +117,7 @@ def test_a_sequence_without_labels_is_an_error(world):
 
 def test_no_predictions_at_all_is_an_error_with_advice(world):
     world.add("000000", [CAR], None)
-    with pytest.raises(NoInputError, match=r"no predictions for any of 1 scans.*salsanext predict"):
+    with pytest.raises(NoInputError, match=r"no predictions for any of 1 scan .*salsanext predict"):
         world.evaluate()
     assert not world.out.exists()
 
