@@ -11,6 +11,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cache
 from importlib import resources
+from itertools import zip_longest
 from pathlib import Path
 from typing import Any
 
@@ -147,6 +148,28 @@ class LabelSpace:
         same_ids = self.learning_map_inv == other.learning_map_inv
         return same_ids and self.names == other.names
 
+    def differences(self, other: LabelSpace) -> list[str]:
+        """Name what another label space has otherwise, the classes first."""
+        pairs = zip_longest(self._described(), other._described(), fillvalue="none")
+        found = [f"train id {i}: {a} ≠ {b}" for i, (a, b) in enumerate(pairs) if a != b]
+        for key in ("learning_map", "splits", "labels"):
+            mine, theirs = getattr(self, key), getattr(other, key)
+            changed = [k for k in mine.keys() | theirs if mine.get(k) != theirs.get(k)]
+            words = {"learning_map": "train id of raw id", "splits": "split", "labels": "raw id"}
+            found += [
+                f"{words[key]} {k}: {_words(mine.get(k))} ≠ {_words(theirs.get(k))}"
+                for k in sorted(changed)
+            ]
+        if self.colours.tolist() != other.colours.tolist():
+            found.append("colours")
+        if self.name != other.name:
+            found.append(f"name: {self.name} ≠ {other.name}")
+        return found
+
+    def _described(self) -> list[str]:
+        named = zip(self.names, self.learning_map_inv.values(), self.ignored, strict=True)
+        return [f"{name} ({raw}{', ignored' * ignored})" for name, raw, ignored in named]
+
     def to_dict(self) -> dict[str, Any]:
         """Return plain data in the form of SemanticKITTI's yaml, which `from_dict` accepts."""
         return {
@@ -172,6 +195,11 @@ class LabelSpace:
             If the data is not of that form or contradicts itself; `source` is named.
         """
         return cls(**read_fields(data, source))
+
+
+def _words(value: object) -> str:
+    listed = value if isinstance(value, tuple) else (value,)
+    return "none" if value is None else " ".join(map(str, listed))
 
 
 @cache

@@ -19,6 +19,7 @@ Anything else that escapes is a bug and keeps its traceback.
 """
 
 from collections.abc import Sequence
+from typing import ClassVar
 
 NOTICE = 25
 """Log level of messages for every user that are not warnings."""
@@ -30,6 +31,11 @@ ESCAPES = {code: f"\\x{code:02x}" for code in (*range(32), *range(127, 160))}
 def printable(text: str) -> str:
     """Return a text with control characters escaped, which the name of a file may hold."""
     return text.translate(ESCAPES)
+
+
+def counted(count: int, noun: str) -> str:
+    """Return a number and a noun, in the plural unless it is one: "1 scan", "2,000 scans"."""
+    return f"{count:,} {noun}{'' if count == 1 else 's'}"
 
 
 def first_few(names: Sequence[object]) -> str:
@@ -55,10 +61,13 @@ class SalsanextError(Exception):
 
     Attributes
     ----------
+    code : str
+        Kind of the mistake, for programs; it stays when messages change.
     reported_elsewhere : bool
         Whether another process of the run reports the error, so that it is reported once.
     """
 
+    code: ClassVar[str] = "error"
     reported_elsewhere: bool = False
 
     def __init__(
@@ -79,37 +88,55 @@ class SalsanextError(Exception):
 class UsageError(SalsanextError):
     """The command line or a setting is wrong."""
 
+    code = "usage"
+
 
 class NoInputError(SalsanextError):
     """There is nothing to work on."""
+
+    code = "no-input"
 
 
 class FormatError(SalsanextError):
     """A file does not hold what its format promises."""
 
+    code = "format"
+
 
 class LabelError(SalsanextError):
     """Labels and scans, or labels and label space, do not fit."""
+
+    code = "label"
 
 
 class WeightsError(SalsanextError):
     """A weights file cannot be used."""
 
+    code = "weights"
+
 
 class OutputError(SalsanextError):
     """A result cannot be written, or would overwrite another."""
+
+    code = "output"
 
 
 class TrainingError(SalsanextError):
     """Training cannot start or cannot go on."""
 
+    code = "training"
+
 
 class WorkersLost(SalsanextError):  # noqa: N818 - the name says what is wrong
     """Worker processes died."""
 
+    code = "workers-lost"
+
 
 class MissingDependency(SalsanextError):  # noqa: N818 - the name says what is wrong
     """An optional package or a system library is absent."""
+
+    code = "missing-dependency"
 
 
 def out_of_memory(error: BaseException) -> bool:

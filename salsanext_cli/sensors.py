@@ -7,7 +7,7 @@ import json
 import math
 import tomllib
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, replace
+from dataclasses import MISSING, asdict, dataclass, fields, replace
 from functools import cache
 from importlib import resources
 from pathlib import Path
@@ -35,6 +35,8 @@ MIN_LENGTH = 1e-3
 """Least length of a vector that tells a direction."""
 INTENSITY_LEVELS = 65
 """Quantiles of intensity, evenly spaced from the smallest to the largest value."""
+NUMBERS = ("fov_up", "fov_down", "height", "width", "intensity_scale")
+LISTS = ("means", "stds")
 
 
 @dataclass(frozen=True, slots=True)
@@ -150,15 +152,23 @@ class Sensor:
     def from_dict(cls, data: Mapping[str, Any], source: object = "sensor") -> Sensor:
         """Build a sensor from plain data; an unknown or missing key raises `UsageError`."""
         refuse_unknown(data, cls, source)
+        expected = "a sensor with fov_up, fov_down, height, width"
+        if missing := [f.name for f in fields(cls) if f.default is MISSING and f.name not in data]:
+            remedy = "`salsanext inspect SCANS --fit FILE.toml` finds the view of scans"
+            raise UsageError(source, f"lacks {', '.join(missing)}", expected, remedy)
+        for key in (*NUMBERS, *(noise for noise in NOISE if data.get(noise) is not None)):
+            if key in data and not _are_numbers([data[key]]):
+                raise UsageError(source, f"{key} is {_shown(data[key])}", "a number")
+        for key in LISTS:
+            if key in data and not _are_numbers(data[key]):
+                raise UsageError(source, f"{key} is {_shown(data[key])}", "5 numbers")
         values: dict[str, Any] = {
             key: tuple(value) if isinstance(value, list) else value for key, value in data.items()
         }
         try:
             return cls(**values)
         except (TypeError, OverflowError) as error:
-            raise UsageError(
-                source, words_of(error), "a sensor with fov_up, fov_down, height, width"
-            ) from error
+            raise UsageError(source, words_of(error), expected) from error
 
     def to_toml(self) -> str:
         """Return the text of a TOML file that `sensor` reads; the file's name is the sensor's."""
@@ -178,6 +188,16 @@ class Sensor:
             height=self.height if height is None else height,
             width=self.width if width is None else width,
         )
+
+
+def _shown(value: object) -> str:
+    return shortened(repr(value) if isinstance(value, str) else value)
+
+
+def _are_numbers(values: object) -> bool:
+    if not isinstance(values, list | tuple):
+        return False
+    return all(isinstance(value, int | float) for value in values)
 
 
 @cache

@@ -164,3 +164,26 @@ def test_missing_file_and_folder(tmp_path):
     (tmp_path / "zero.yaml").symlink_to("/dev/zero")
     with pytest.raises(UsageError, match="not a file"):
         label_space(tmp_path / "zero.yaml")
+
+
+def test_differences_are_named_the_classes_first():
+    space = label_space()
+    assert space.differences(space) == []
+    data = space.to_dict()
+    data["labels"] = {**data["labels"], 15: "motorbike"}
+    data["learning_map"] = {**data["learning_map"], 13: 0}
+    data["learning_ignore"] = {**data["learning_ignore"], 1: True}
+    data["split"] = {**data["split"], "valid": [7, 8]}
+    other = LabelSpace.from_dict(data | {"name": "mine"})
+    assert space.differences(other) == [
+        "train id 1: car (10) ≠ car (10, ignored)",
+        "train id 3: motorcycle (15) ≠ motorbike (15)",
+        "train id of raw id 13: 5 ≠ 0",
+        "split valid: 08 ≠ 07 08",
+        "raw id 15: motorcycle ≠ motorbike",
+        "name: semantic-kitti ≠ mine",
+    ]
+    assert space.differences(LabelSpace.from_dict(yaml.safe_load(SMALL)))[:4:3] == [
+        "train id 0: unlabeled (0, ignored) ≠ nothing (0, ignored)",
+        "train id 3: motorcycle (15) ≠ none",
+    ]

@@ -167,7 +167,7 @@ READERS: dict[tuple[str, str], Callable[[str], object]] = {
     ("train.md", "toml"): lambda body: Recipe.from_dict(tomllib.loads(body)),
     ("models.md", "toml"): lambda body: Recipe.from_dict(tomllib.loads(body)),
     ("label-spaces.md", "yaml"): lambda body: LabelSpace.from_dict(yaml.safe_load(body)),
-    ("data.md", "json"): json.loads,
+    ("json.md", "json"): json.loads,
 }
 
 
@@ -237,7 +237,8 @@ def test_every_kind_of_file_is_described():
     for suffix in SCAN_SUFFIXES:
         assert f"| `{suffix}` |" in page
     for folder in SUFFIX_OF_FOLDER:
-        name = "uncertainty/<kind>" if folder.startswith("uncertainty/") else folder
+        kind, slash, _ = folder.partition("/")
+        name = f"{kind}/<{'colour' if kind == 'ply' else 'kind'}>" if slash else folder
         assert f"| `{name}/` | `{SUFFIX_OF_FOLDER[folder]}`" in page
 
 

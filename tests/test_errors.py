@@ -3,12 +3,13 @@ import inspect
 import logging
 import pickle
 import re
+from pathlib import Path
 
 import pytest
 
 from salsanext_cli import errors
 from salsanext_cli.cli.console import Output
-from salsanext_cli.errors import FormatError, OutputError, SalsanextError, printable
+from salsanext_cli.errors import FormatError, OutputError, SalsanextError, counted, printable
 
 
 @pytest.mark.parametrize(
@@ -30,6 +31,22 @@ def test_errors_survive_the_way_from_a_worker_process():
     copy = pickle.loads(pickle.dumps(error))
     assert type(copy) is OutputError
     assert vars(copy) == vars(error)
+
+
+def test_every_kind_has_its_own_documented_code():
+    kinds = [SalsanextError, *SalsanextError.__subclasses__()]
+    page = (Path(__file__).parents[1] / "docs/json.md").read_text("utf-8")
+    table = page.partition("| code | meaning |")[2].partition("\n\n")[0]
+    codes = set(re.findall(r"`([a-z-]+)`", table)) - {"interrupted", "terminated"}
+    assert codes == {kind.code for kind in kinds}
+    assert len(codes) == len(kinds)
+
+
+@pytest.mark.parametrize(
+    ("count", "said"), [(0, "0 scans"), (1, "1 scan"), (2, "2 scans"), (20_351, "20,351 scans")]
+)
+def test_counts_agree_with_their_noun(count, said):
+    assert counted(count, "scan") == said
 
 
 def test_the_drawn_tree_is_the_tree():

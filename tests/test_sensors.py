@@ -83,8 +83,27 @@ def test_an_excessive_size_is_refused_with_its_memory() -> None:
 def test_unknown_and_missing_keys() -> None:
     with pytest.raises(UsageError, match="unknown key fov_upp"):
         Sensor.from_dict(VALID.to_dict() | {"fov_upp": 3})
-    with pytest.raises(UsageError, match="height"):
-        Sensor.from_dict({"name": "s", "fov_up": 1, "fov_down": 0, "width": 1})
+    with pytest.raises(
+        UsageError, match="sensor · lacks fov_down, height · expected a sensor with"
+    ):
+        Sensor.from_dict({"name": "s", "fov_up": 1, "width": 1})
+
+
+@pytest.mark.parametrize(
+    ("key", "value", "says"),
+    [
+        ("fov_up", "3", "fov_up is '3' · expected a number"),
+        ("height", None, "height is None · expected a number"),
+        ("intensity_scale", [1], r"intensity_scale is \[1\] · expected a number"),
+        ("means", 3, "means is 3 · expected 5 numbers"),
+        ("means", "12345", "means is '12345' · expected 5 numbers"),
+        ("stds", [1, 1, 1, 1, "a"], r"stds is \[1, 1, 1, 1, 'a'\] · expected 5 numbers"),
+        ("range_noise", "much", "range_noise is 'much' · expected a number"),
+    ],
+)
+def test_a_value_of_another_type_is_named(key, value, says) -> None:
+    with pytest.raises(UsageError, match=says):
+        Sensor.from_dict(VALID.to_dict() | {key: value})
 
 
 def test_file(tmp_path: Path) -> None:

@@ -10,7 +10,7 @@ from typer.core import TyperGroup
 
 from salsanext_cli import __version__
 from salsanext_cli.cli.benchmark import benchmark
-from salsanext_cli.cli.console import WRONG_USE, guarded
+from salsanext_cli.cli.console import WRONG_USE, guarded, usage_errors
 from salsanext_cli.cli.demo import demo
 from salsanext_cli.cli.evaluate import evaluate
 from salsanext_cli.cli.export_onnx import export_onnx
@@ -66,7 +66,13 @@ class Sections(TyperGroup):
         if not args and not ctx.resilient_parsing:
             typer.echo(ctx.get_help(), err=True)
             ctx.exit(WRONG_USE)
-        return super().parse_args(ctx, args)
+        with usage_errors(list(args)):
+            return super().parse_args(ctx, args)
+
+    def invoke(self, ctx: Any) -> Any:
+        """Run the command."""
+        with usage_errors(list(ctx.args)):
+            return super().invoke(ctx)
 
     def format_help(self, ctx: Any, formatter: Any) -> None:
         """Write usage, description, options and commands."""
@@ -103,7 +109,7 @@ def salsanext(
     version: Annotated[
         bool,
         typer.Option(
-            "--version", callback=_print_version, is_eager=True, help="Print the version."
+            "--version", "-V", callback=_print_version, is_eager=True, help="Print the version."
         ),
     ] = False,
 ) -> None:

@@ -58,4 +58,4 @@ def benchmark(
     if write is not None:
         write_json(write, found)
         output.say(f"benchmark: every measurement → {write}")
-    output.result(found, benchmark_table(found))
+    output.result({"stage": "benchmark", **found}, benchmark_table(found))

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import functools
 import json
 import logging
@@ -10,10 +11,11 @@ import os
 import signal
 import sys
 import threading
-from collections.abc import Callable, Iterator, Mapping
+import time
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from functools import partial
-from typing import TYPE_CHECKING, Any, NoReturn, ParamSpec
+from typing import TYPE_CHECKING, Any, NoReturn, ParamSpec, cast
 
 import typer
 
@@ -24,12 +26,14 @@ from salsanext_cli.errors import NOTICE, SalsanextError, UsageError, printable
 if TYPE_CHECKING:
     from rich.console import RenderableType
 
-    from salsanext_cli.parallel.run import Failure, Outcome
-    from salsanext_cli.storage.sources import MissingResults
 
 DONE, FAILED, WRONG_USE, INTERRUPTED, TERMINATED = 0, 1, 2, 130, 143
 """Exit status: all done, something failed, the command line was wrong, Ctrl-C, SIGTERM."""
 
+SCHEMA = 1
+"""Version of what `--json` prints; it grows when a key changes its meaning or goes."""
+USAGE_ERROR = cast("type[Exception]", typer.BadParameter.__base__)
+"""Errors of the command line, of which typer names only one kind."""
 FILE_WIDTH_COLUMNS = 120
 """Width of a table that does not go to a terminal."""
 
@@ -46,6 +50,7 @@ class Output:
         "Print more messages on stderr.", "--verbose", "-v", default=False
     )
     quiet: bool = output_option("Print errors only.", "--quiet", "-q", default=False)
+    start: float = dataclasses.field(init=False, default_factory=time.monotonic, compare=False)
 
     def __post_init__(self) -> None:
         if self.verbose and self.quiet:
@@ -60,11 +65,15 @@ class Output:
         if not self.quiet:
             tell(printable(text))
 
+    @property
+    def seconds(self) -> float:
+        """Time since the command began."""
+        return time.monotonic() - self.start
+
     def result(self, data: Mapping[str, Any], shown: RenderableType | None = None) -> None:
         """Give the result: JSON if asked for, else what is to be shown, on stdout."""
         if self.json:
-            # ASCII, since names of files may be no text, and stdout no UTF-8.
-            typer.echo(json.dumps(data, allow_nan=False))
+            _print_json(dict(data) | {"seconds": round(self.seconds, 3)})
         elif shown is not None:
             from rich.console import Console
 
@@ -97,16 +106,39 @@ def guarded(command: Callable[Parameters, None]) -> Callable[Parameters, None]:
             if not error.reported_elsewhere:
                 tell(f"error: {error}")
                 if kwargs.get("json"):
-                    typer.echo(json.dumps({"error": str(error)}))
+                    _print_json({"error": str(error), "code": error.code})
             raise typer.Exit(WRONG_USE if isinstance(error, UsageError) else FAILED) from None
         except Terminated:
-            tell("terminated: everything finished so far is intact")
+            _tell_end("terminated", kwargs)
             raise typer.Exit(TERMINATED) from None
         except KeyboardInterrupt:
-            tell("interrupted: everything finished so far is intact")
+            _tell_end("interrupted", kwargs)
             raise typer.Exit(INTERRUPTED) from None
 
     return run
+
+
+@contextmanager
+def usage_errors(arguments: Sequence[str]) -> Iterator[None]:
+    """Print an error of the command line, which typer explains on stderr, as JSON if asked for."""
+    try:
+        yield
+    except USAGE_ERROR as error:
+        if "--json" in arguments:
+            message: Any = error
+            _print_json({"error": message.format_message(), "code": UsageError.code})
+        raise
+
+
+def _print_json(data: Mapping[str, Any]) -> None:
+    # ASCII, since names of files may be no text, and stdout no UTF-8.
+    typer.echo(json.dumps({"schema": SCHEMA} | dict(data), allow_nan=False))
+
+
+def _tell_end(how: str, given: Mapping[str, object]) -> None:
+    tell(f"{how}: everything finished so far is intact")
+    if given.get("json"):
+        _print_json({"error": how, "code": how})
 
 
 @contextmanager
@@ -129,38 +161,3 @@ def _sigterm_raised() -> Iterator[None]:
         yield
     finally:
         signal.signal(signal.SIGTERM, signal.SIG_DFL)
-
-
-def name_failures(failures: tuple[Failure, ...]) -> None:
-    """Name every scan that failed, on stderr."""
-    for failure in failures:
-        tell(f"error: {failure.reason}")
-
-
-def finish(stage: str, outcome: Outcome, out: object, output: Output) -> NoReturn:
-    """Say what became of a run over scans and leave with the exit status for it."""
-    missing = outcome.missing
-    name_failures(outcome.failures)
-    counts = {"done": outcome.done, "skipped": outcome.skipped, "failed": len(outcome.failures)}
-    failures = [{"scan": str(f.scan.path), "reason": f.reason} for f in outcome.failures]
-    found: dict[str, Any] = {"stage": stage, **counts, "out": str(out), "failures": failures}
-    if missing:
-        found["missing"] = [str(scan.path) for scan in missing.scans]
-        found["not_asked_for"] = missing.not_asked_for
-    output.result(found)
-    already = f", {outcome.skipped} done already" if outcome.skipped else ""
-    failed = f", {len(outcome.failures)} failed" if outcome.failures else ""
-    others = left_out(missing, "results") if missing else ""
-    output.say(f"{stage}: {outcome.done} scans{already}{failed}{others} → {out}")
-    leave(outcome.failures, missing)
-
-
-def leave(failures: tuple[Failure, ...], missing: MissingResults | None = None) -> NoReturn:
-    """Leave with the exit status for scans that failed or lack results."""
-    raise typer.Exit(FAILED if failures or (missing and missing.scans) else DONE)
-
-
-def left_out(missing: MissingResults, what: str) -> str:
-    """Return the part of a sentence that says how many scans were left out on purpose."""
-    count = missing.not_asked_for
-    return f", {count} not asked for have no {what}" if count else ""

@@ -6,7 +6,7 @@ from typing import Annotated
 
 import typer
 
-from salsanext_cli.cli import console, options, run_options
+from salsanext_cli.cli import console, options, run_end, run_options
 from salsanext_cli.cli.option_groups import Without
 from salsanext_cli.cli.progress import progress
 
@@ -42,10 +42,10 @@ def demo(
     result = made.evaluation.to_dict() | {"stage": "demo", "pictures": pictures}
     output.result(result, score_table(made.evaluation.scores))
     failures = (*made.failures, *made.evaluation.failures)
-    console.name_failures(failures)
+    run_end.name_failures(failures)
     output.say("look at:")
     for path in (*pictures, f"{out}/eval_iou.png", f"{out}/eval_confusion.png"):
         output.say(f"  {path}")
     output.say(f"  {out}/sequences/00/ply/*.ply   in CloudCompare, MeshLab or open3d")
     output.say(f"scans: {folder / 'data'}; results of every stage: {out}/sequences/00")
-    console.leave(failures, made.evaluation.missing)
+    run_end.leave(failures, made.evaluation.missing)

@@ -1,20 +1,20 @@
 # SPDX-License-Identifier: MIT
 """`salsanext eval`."""
 
-from pathlib import Path
 from typing import Annotated
 
 import typer
 
-from salsanext_cli.cli import console, options, run_options
+from salsanext_cli.cli import console, options, run_end, run_options
+from salsanext_cli.errors import counted
 
 
 def evaluate(
     *,
+    results: options.Results,
     by_distance: Annotated[
         bool, typer.Option("--by-distance", help="Also evaluate by distance from the sensor.")
     ] = False,
-    out: options.OutOption = Path("out"),
     selection: options.ResultSelection,
     classes: options.Classes,
     running: run_options.RunningUnsharded,
@@ -30,6 +30,7 @@ def evaluate(
     from salsanext_cli.stages.evaluate import evaluate as stage
     from salsanext_cli.storage.predictions import predicted_scans, provenance
 
+    out = results.folder()
     chosen, dataset = selection.scans(), selection.dataset
     files, space = predicted_scans(out, chosen, dataset, classes.space())
     with running.over_scans("eval", output) as run:
@@ -40,8 +41,8 @@ def evaluate(
         tables.append(ring_table(evaluation.by_distance))
     tables += uncertainty_tables(evaluation.uncertainty)
     output.result(evaluation.to_dict(), Group(*tables))
-    console.name_failures(evaluation.failures)
-    left_out = console.left_out(evaluation.missing, "predictions")
+    run_end.name_failures(evaluation.failures)
+    left_out = run_end.left_out(evaluation.missing)
     written = "scores.txt, eval.json, eval_*.png"
-    output.say(f"eval: {evaluation.scans} scans{left_out} → {out}/{written}")
-    console.leave(evaluation.failures, evaluation.missing)
+    output.say(f"eval: {counted(evaluation.scans, 'scan')}{left_out} → {out}/{written}")
+    run_end.leave(evaluation.failures, evaluation.missing)

@@ -7,11 +7,13 @@ from typing import Annotated
 import typer
 
 from salsanext_cli.cli import console, options, run_options
-from salsanext_cli.errors import UsageError
+from salsanext_cli.errors import UsageError, counted
+
+WEIGHTS_HELP = "Weights file (.safetensors); default: those of the package."
 
 
 def export_onnx(
-    weights: Annotated[Path, typer.Argument(help="Weights file (.safetensors).")],
+    weights: Annotated[Path, typer.Argument(help=WEIGHTS_HELP)],
     target: Annotated[Path, typer.Argument(metavar="OUT", help="ONNX model to write (.onnx).")],
     *,
     sensor: Annotated[
@@ -46,7 +48,7 @@ def export_onnx(
         given, lacking = ("--int8", "--calibrate") if int8 else ("--calibrate", "--int8")
         raise UsageError(given, f"without {lacking}", "both or neither")
     done = stage(
-        weights,
+        options.weights_file(weights),
         target,
         view=options.sensor(sensor),
         dynamic_width=dynamic_width,
@@ -57,5 +59,6 @@ def export_onnx(
     output.result(done)
     output.say(f"largest difference from torch: {done['difference']:.1e} of the largest logit")
     if int8:
-        output.say(f"int8: {done['equal_labels']:.2%} of the labels of {done['scans']} scans equal")
+        scanned = counted(done["scans"], "scan")
+        output.say(f"int8: {done['equal_labels']:.2%} of the labels of {scanned} equal")
     output.say(f"export-onnx: {weights} → {target}")

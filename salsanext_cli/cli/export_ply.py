@@ -1,16 +1,16 @@
 # SPDX-License-Identifier: MIT
 """`salsanext export-ply`."""
 
-from pathlib import Path
 from typing import Annotated
 
 import typer
 
-from salsanext_cli.cli import console, options, run_options
+from salsanext_cli.cli import console, options, run_end, run_options
 
 
 def export_ply(
     *,
+    results: options.Results,
     colour: Annotated[
         str,
         typer.Option(
@@ -27,7 +27,6 @@ def export_ply(
             show_default="range of most of the values",
         ),
     ] = None,
-    out: options.OutOption = Path("out"),
     selection: options.ResultSelection,
     classes: options.Classes,
     network: options.NetworkOptions,
@@ -40,6 +39,7 @@ def export_ply(
     """
     from salsanext_cli.stages.export_ply import export_ply as stage
 
+    out = results.folder()
     with running.over_scans("export-ply", output) as run:
         outcome = stage(
             out,
@@ -51,4 +51,4 @@ def export_ply(
             selection=selection.scans(),
             options=run,
         )
-    console.finish("export-ply", outcome, out, output)
+    run_end.finish("export-ply", outcome, out, output)

@@ -55,5 +55,5 @@ def import_weights(
         half=half,
         overwrite=running.overwrite,
     )
-    output.result(describe_weights(target))
+    output.result({"stage": "import-weights", **describe_weights(target)})
     output.say(f"import-weights: {source} → {target}")

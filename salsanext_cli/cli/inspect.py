@@ -6,7 +6,7 @@ from typing import Annotated
 
 import typer
 
-from salsanext_cli.cli import console, options, run_options
+from salsanext_cli.cli import console, options, run_end, run_options
 
 
 def inspect(
@@ -48,5 +48,5 @@ def inspect(
         output.say(f"inspect: sensor → {fit}")
     tables = survey_tables(found.sequences, found.total, found.space, found.sensor)
     output.result(found.to_dict(), tables)
-    console.name_failures(found.failures)
-    console.leave(found.failures)
+    run_end.name_failures(found.failures)
+    run_end.leave(found.failures)

@@ -6,7 +6,7 @@ from typing import Annotated
 
 import typer
 
-from salsanext_cli.cli import console, options, run_options
+from salsanext_cli.cli import console, options, run_end, run_options
 
 
 def knn_refine(
@@ -47,4 +47,4 @@ def knn_refine(
             selection=selection.scans(),
             options=run,
         )
-    console.finish("knn-refine", outcome, out, output)
+    run_end.finish("knn-refine", outcome, out, output)

@@ -6,13 +6,13 @@ from typing import Annotated
 
 import typer
 
-from salsanext_cli.cli import console
+from salsanext_cli.cli import console, options
 
 
 def models(
     weights: Annotated[
         list[Path] | None,
-        typer.Argument(help="Weights files to describe.", show_default="the default weights"),
+        typer.Argument(help="Weights files to describe.", show_default="default"),
     ] = None,
     *,
     output: console.Output,
@@ -23,12 +23,14 @@ def models(
     """
     from rich.console import Group
 
-    from salsanext_cli.network.card import default_weights
     from salsanext_cli.report.descriptions import card_table, network_table
     from salsanext_cli.stages.models import describe_weights
     from salsanext_cli.stages.models import models as stage
 
     listed = stage()
-    described = [describe_weights(path) for path in weights or [default_weights()]]
+    described = [
+        describe_weights(options.weights_file(path))
+        for path in weights or [options.DEFAULT_WEIGHTS]
+    ]
     tables = Group(network_table(listed), *map(card_table, described))
-    output.result({"models": listed, "weights": described}, tables)
+    output.result({"stage": "models", "models": listed, "weights": described}, tables)

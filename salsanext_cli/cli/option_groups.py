@@ -30,7 +30,7 @@ class Default(dict[str, Any]):
 
 @dataclass_transform(frozen_default=True)
 def option_group(kind: type[Group]) -> type[Group]:
-    """Turn a class into a dataclass whose fields, made by `option`, are options of commands.
+    """Turn a class into a dataclass whose fields, made by `option` or `argument`, commands offer.
 
     A command that has a parameter of such a type offers the fields as options and receives the
     filled group: ``def command(*, knn: Knn)``.
@@ -42,6 +42,12 @@ def option(panel: str, text: str, *names: str, default: Any = None, **settings: 
     """Return a field of a group: panel and text of the help, names if not that of the field."""
     declared = typer.Option(*names, help=text, rich_help_panel=panel, **settings)
     return dataclasses.field(default=default, metadata={"option": declared})
+
+
+def argument(text: str, **settings: Any) -> Any:
+    """Return a field of a group that is an argument of commands: text of the help."""
+    declared = typer.Argument(help=text, **settings)
+    return dataclasses.field(default=None, metadata={"option": declared})
 
 
 def expanded(command: Callable[..., None]) -> Callable[..., None]:
@@ -75,7 +81,7 @@ def expanded(command: Callable[..., None]) -> Callable[..., None]:
 def _fields(kind: type, marks: list[Any]) -> tuple[list[inspect.Parameter], dict[str, Any]]:
     """Return the options of a group that a command offers, and the defaults of all fields."""
     hints = get_type_hints(kind)
-    fields = {field.name: field for field in dataclasses.fields(kind)}
+    fields = {field.name: field for field in dataclasses.fields(kind) if field.init}
     defaults = {name: field.default for name, field in fields.items()}
     left_out: set[str] = set()
     for mark in marks:

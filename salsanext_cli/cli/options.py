@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
@@ -10,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
-from salsanext_cli.cli.option_groups import option, option_group
+from salsanext_cli.cli.option_groups import argument, option, option_group
 from salsanext_cli.errors import UsageError
 
 if TYPE_CHECKING:
@@ -20,6 +21,9 @@ if TYPE_CHECKING:
     from salsanext_cli.sensors import Sensor
     from salsanext_cli.storage.selection import ScanSelection
 
+OUT_VARIABLE = "SALSANEXT_OUT"
+DEFAULT_WEIGHTS = Path("default")
+"""Name of the weights of the package; a file of that name needs an absolute path."""
 SCANS_HELP = "Scan file, folder of scans, sequence folder or data set."
 SENSOR_HELP = "Name of a built-in sensor, or a .toml file."
 
@@ -36,13 +40,7 @@ LabelledDataSet = Annotated[
     ),
 ]
 Out = Annotated[
-    Path, typer.Argument(metavar="OUT", envvar="SALSANEXT_OUT", help="Folder for the results.")
-]
-OutOption = Annotated[
-    Path,
-    typer.Option(
-        "--out", envvar="SALSANEXT_OUT", help="Folder with the results of earlier stages."
-    ),
+    Path, typer.Argument(metavar="OUT", envvar=OUT_VARIABLE, help="Folder for the results.")
 ]
 WeightsOut = Annotated[
     Path, typer.Argument(metavar="WEIGHTS_OUT", help="Weights file to write (.safetensors).")
@@ -83,6 +81,24 @@ class Selection:
             expected = "names of sequences, such as 00,08"
             raise UsageError("--sequences", repr(self.sequences), expected)
         return ScanSelection(self.split, names, self.limit)
+
+
+@option_group
+class Results:
+    """Output folder of earlier stages, given as OUT or as --out."""
+
+    out: Path | None = argument(
+        "Folder with the results of earlier stages.",
+        metavar="OUT",
+        show_default=f"{OUT_VARIABLE}, else out",
+    )
+    out_option: Path | None = option("Options", "The same as OUT.", "--out")
+
+    def folder(self) -> Path:
+        """Return the output folder, which may be given once."""
+        if self.out and self.out_option:
+            raise UsageError("OUT and --out", "both given", "one of them")
+        return self.out or self.out_option or Path(os.environ.get(OUT_VARIABLE) or "out")
 
 
 @option_group
@@ -136,7 +152,8 @@ class NetworkOptions:
     """Network, its sensor and its device."""
 
     weights: Path | None = network_option(
-        "Weights file (.safetensors), or .onnx of export-onnx.", show_default="the default weights"
+        "Weights file (.safetensors), or .onnx of export-onnx; default: those of the package.",
+        show_default="default",
     )
     device: str = network_option(
         "cpu, cuda, cuda:1 …; auto uses a GPU if there is one.", default="auto"
@@ -167,8 +184,9 @@ class NetworkOptions:
         from salsanext_cli.inference.settings import NetworkSettings
 
         named = self.named_sensor()
+        weights = None if self.weights == DEFAULT_WEIGHTS else self.weights
         how = (self.precision, self.engine, named is None, self.intensity)
-        return NetworkSettings(self.weights, self.device, named, *how)
+        return NetworkSettings(weights, self.device, named, *how)
 
     def named_sensor(self) -> Sensor | None:
         """Look up the sensor that was named; what it does not tell is that of the weights."""
@@ -176,9 +194,9 @@ class NetworkOptions:
 
     def trained_sensor(self) -> Sensor:
         """Return the sensor that the weights were trained with."""
-        from salsanext_cli.network.card import default_weights, read_card
+        from salsanext_cli.network.card import read_card
 
-        return read_card(self.weights or default_weights()).sensor
+        return read_card(weights_file(self.weights)).sensor
 
 
 @option_group
@@ -199,6 +217,13 @@ class Knn:
         from salsanext_cli.geometry.knn import KnnParameters
 
         return KnnParameters(self.knn_k, self.knn_window, self.knn_sigma, self.knn_cutoff)
+
+
+def weights_file(path: Path | None) -> Path:
+    """Return a weights file, that of the package for none or for the name `DEFAULT_WEIGHTS`."""
+    from salsanext_cli.network.card import default_weights
+
+    return default_weights() if path in (None, DEFAULT_WEIGHTS) else path
 
 
 def sensor(name: str | None, base: Callable[[], Sensor] | None = None) -> Sensor | None:

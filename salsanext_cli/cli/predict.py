@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from salsanext_cli.cli import console, options, run_options
+from salsanext_cli.cli import console, options, run_end, run_options
 from salsanext_cli.errors import UsageError
 
 if TYPE_CHECKING:
@@ -64,7 +64,7 @@ def predict(
         else:
             _require_no_scans(knn, probabilities, batch)
             outcome = stage.predict_range_images(source, out, options=run, **chosen)
-    console.finish("predict", outcome, out, output)
+    run_end.finish("predict", outcome, out, output)
 
 
 def _require_no_scans(knn: options.Knn, probabilities: bool, batch: str) -> None:

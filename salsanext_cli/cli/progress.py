@@ -68,6 +68,18 @@ def words_of_rate(rate: float, unit: str) -> str:
     return f"{rate:.1f} {unit}/s" if rate >= 1 else f"{1 / rate:.1f} s/{unit[:-1]}"
 
 
+def words_of_seconds(seconds: float) -> str:
+    """Give a duration in the units that read best: "53 ms", "12.3 s", "12 min 5 s"."""
+    if seconds < 1:
+        return f"{1000 * seconds:.0f} ms"
+    if seconds < 100:
+        return f"{seconds:.1f} s"
+    minutes, rest = divmod(round(seconds), 60)
+    if minutes < 100:
+        return f"{minutes} min {rest} s"
+    return f"{minutes // 60} h {minutes % 60} min"
+
+
 def _bar(unit: str) -> Bar:
     from rich import console, progress, text
 

@@ -4,7 +4,7 @@
 from pathlib import Path
 from typing import Annotated
 
-from salsanext_cli.cli import console, options, run_options
+from salsanext_cli.cli import console, options, run_end, run_options
 from salsanext_cli.cli.option_groups import Without
 
 
@@ -34,4 +34,6 @@ def project(
             selection=selection.scans(),
             options=run,
         )
-    console.finish("project", outcome, out, output)
+    named = {"--weights": network.weights, "--sensor": network.sensor}
+    more = [word for name, value in named.items() if value for word in (name, str(value))]
+    run_end.finish("project", outcome, out, output, *more)

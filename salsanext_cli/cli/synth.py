@@ -8,6 +8,7 @@ import typer
 
 from salsanext_cli.cli import console, run_options
 from salsanext_cli.cli.progress import progress
+from salsanext_cli.errors import counted
 
 
 def synth(
@@ -44,4 +45,6 @@ def synth(
             progress=on_progress,
         )
     output.result(made)
-    output.say(f"synth: {made['scans']} scans, {sum(made['points'].values()):,} points → {out}")
+    output.say(
+        f"synth: {counted(made['scans'], 'scan')}, {sum(made['points'].values()):,} points → {out}"
+    )

@@ -28,7 +28,7 @@ class Start:
     )
     epochs: int | None = options.network_option("Number of epochs instead of the recipe's.")
     weights: Path | None = options.network_option(
-        "Weights to start from.", show_default="random weights"
+        "Weights to start from; default: those of the package.", show_default="random weights"
     )
     sensor: str | None = options.network_option(
         options.SENSOR_HELP, show_default="the sensor of --weights, else hdl64"
@@ -74,7 +74,7 @@ def train(
             space=classes.space(),
             device=network.device,
             jobs=local.jobs,
-            weights=start.weights,
+            weights=start.weights and options.weights_file(start.weights),
             overwrite=local.overwrite,
             progress=lambda report: _show(report, bar, output),
         )

@@ -9,6 +9,7 @@ from salsanext_cli.cli import console, options, run_options
 from salsanext_cli.cli.console import guarded
 from salsanext_cli.cli.option_groups import Default, Without, expanded
 from salsanext_cli.cli.progress import progress
+from salsanext_cli.errors import counted
 
 
 def tune_temperature(
@@ -38,8 +39,8 @@ def tune_temperature(
         )
     table = temperature_table(tuned["before"], tuned["after"])
     output.result(tuned | {"weights": str(target)}, table)
-    counted = f"{tuned['points']:,} points of {tuned['scans']} scans"
-    output.say(f"tune temperature: {counted} → {target}")
+    points = f"{tuned['points']:,} points of {counted(tuned['scans'], 'scan')}"
+    output.say(f"tune temperature: {points} → {target}")
 
 
 def tune_dropout(
@@ -119,7 +120,8 @@ def tune_batchnorm(
             progress=on_progress,
         )
     output.result(tuned | {"weights": str(target)}, moved_table(tuned["layers"]))
-    output.say(f"tune batchnorm: {tuned['scans']} scans of {tuned['sensor']} → {target}")
+    scanned = counted(tuned["scans"], "scan")
+    output.say(f"tune batchnorm: {scanned} of {tuned['sensor']} → {target}")
 
 
 tune = typer.Typer(

@@ -6,7 +6,7 @@ from typing import Annotated, Literal
 
 import typer
 
-from salsanext_cli.cli import console, options, run_options
+from salsanext_cli.cli import console, options, run_end, run_options
 
 
 def uncertainty(
@@ -49,4 +49,4 @@ def uncertainty(
             selection=selection.scans(),
             options=run,
         )
-    console.finish("uncertainty", outcome, out, output)
+    run_end.finish("uncertainty", outcome, out, output)

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from salsanext_cli.errors import counted
 from salsanext_cli.geometry.mounting import upright
 from salsanext_cli.geometry.ranges import LARGEST, measured_ranges
 from salsanext_cli.records import Scan
@@ -79,7 +80,8 @@ class CoverageCheck:
         self.warned = True
         sensor = self.sensor
         log.warning(
-            "%.0f %% of the points of %d scans lie outside the view of %s, %+g° to %+g°: "
+            "%.0f %% of the points of %s lie outside the view of %s, %+g° to %+g°: "
             "give their sensor with --sensor; `salsanext inspect SCANS --fit FILE.toml` finds it",
-            *(100 * self.coverage.share, self.scans, sensor.name, sensor.fov_up, sensor.fov_down),
+            *(100 * self.coverage.share, counted(self.scans, "scan")),
+            *(sensor.name, sensor.fov_up, sensor.fov_down),
         )

@@ -69,15 +69,19 @@ class NetworkSettings:
             raise WeightsError(self.path, found, "the same file", "run again with --overwrite")
         return load_network(self.weights, self.device, self.sensor, self.precision, self.engine)
 
+    def announce(self, network: Network) -> None:
+        """Log what computes, and on what the default weights were trained."""
+        name = self.weights or f"default weights ({network.card.summary()})"
+        how = (network.device, network.engine, network.precision)
+        log.log(NOTICE, "%s on %s by %s in %s", name, *how)
+
     def resolved(self, network: Network) -> NetworkSettings:
         """Log what computes, and return the settings for workers: all the same, same weights.
 
         What is "auto" here might be something else on their machines, and a training that goes on
         may replace its best weights.
         """
-        name = self.weights or "default weights"
-        how = (network.device, network.engine, network.precision)
-        log.log(NOTICE, "%s on %s by %s in %s", name, *how)
+        self.announce(network)
         return replace(
             self,
             device="cpu" if network.device == "cpu" else self.device,

@@ -26,8 +26,7 @@ from salsanext_cli.measures.histograms import (
 )
 from salsanext_cli.measures.softmax import lack_of_confidence, softmax_entropy, softmax_errors
 from salsanext_cli.records import Float
-from salsanext_cli.storage.layout import ScanFile, output_path
-from salsanext_cli.storage.scan_results import UNCERTAINTY
+from salsanext_cli.storage.layout import UNCERTAINTY, ScanFile, output_path
 
 SOFTMAX = "probabilities"
 """Folder of the softmax, and key of the histograms of its confidence."""

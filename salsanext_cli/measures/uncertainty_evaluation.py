@@ -33,7 +33,7 @@ from salsanext_cli.measures.scan_counts import (
     ScanCounts,
 )
 from salsanext_cli.measures.scores import plain
-from salsanext_cli.storage.scan_results import UNCERTAINTY
+from salsanext_cli.storage.layout import UNCERTAINTY
 
 log = logging.getLogger(__name__)
 

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import json
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from importlib import resources
@@ -58,6 +59,11 @@ class WeightsCard:
     scores: Mapping[str, Any] = field(default_factory=dict)
     description: str = ""
     temperature: float = 1.0
+
+    def summary(self) -> str:
+        """Return the start of the description, up to the first colon or full stop."""
+        start = re.split(r"[:.](?:\s|$)", self.description, maxsplit=1)[0]
+        return shortened(start[:1].lower() + start[1:])
 
     def to_metadata(self) -> dict[str, str]:
         """Return what a safetensors header holds; equal cards give equal text."""

@@ -3,6 +3,7 @@
 
 import logging
 import signal
+import time
 import warnings
 from collections.abc import Callable, Generator, Iterable, Sequence
 from contextlib import AbstractContextManager, closing, nullcontext
@@ -13,6 +14,7 @@ from typing import Any
 from uuid import uuid4
 
 from salsanext_cli.errors import WorkersLost, first_few
+from salsanext_cli.measures.scan_summary import RunSummary
 from salsanext_cli.parallel.clusters import dask_pool, ray_pool
 from salsanext_cli.parallel.options import CLUSTERS, Progress, RunOptions
 from salsanext_cli.parallel.pools import WorkerPool, local_pool, signals_blocked
@@ -45,10 +47,15 @@ log = logging.getLogger(__name__)
 
 @dataclass(frozen=True, slots=True)
 class Failure:
-    """Scan that could not be worked on, and the reason."""
+    """Scan that could not be worked on, the reason, and the code of the error."""
 
     scan: ScanFile
     reason: str
+    code: str
+
+    def to_dict(self) -> dict[str, str]:
+        """Return plain data for JSON."""
+        return {"scan": str(self.scan.path), "reason": self.reason, "code": self.code}
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,12 +72,18 @@ class Outcome:
         Scans that were worked on with success.
     missing : MissingResults, optional
         Scans left out for want of results to work on, by a stage that looks for them.
+    seconds : float
+        Time of the work on scans, without the start of the command.
+    summary : RunSummary, optional
+        Of the scans that were worked on.
     """
 
     skipped: int
     failures: tuple[Failure, ...]
     done: int
     missing: MissingResults | None = None
+    seconds: float = 0.0
+    summary: RunSummary | None = None
 
 
 def run_over_scans(
@@ -103,6 +116,7 @@ def run_over_scans(
     WorkersLost
         If a worker died; it says which scans are missing for that.
     """
+    start = time.monotonic()
     mine = options.shard.of(scans)
     todo = [scan for scan in mine if options.overwrite or not is_done(scan)]
     failures: list[Failure] = []
@@ -116,7 +130,7 @@ def run_over_scans(
                 elif options.on_error == "stop":
                     raise error
                 else:
-                    failures.append(Failure(scan, str(error)))
+                    failures.append(Failure(scan, str(error), error.code))
                 tried.add(scan)
                 if options.progress:
                     options.progress(len(tried), len(todo))
@@ -136,7 +150,7 @@ def run_over_scans(
         raise WorkersLost(lost.subject, found, lost.expected, remedy) from lost
     failures.sort(key=lambda failure: (failure.scan.sequence, failure.scan.stem))
     skipped, done = len(mine) - len(todo), len(todo) - len(failures)
-    return Outcome(skipped, tuple(failures), done)
+    return Outcome(skipped, tuple(failures), done, seconds=time.monotonic() - start)
 
 
 def _attempts(

@@ -9,7 +9,8 @@ import numpy as np
 import numpy.typing as npt
 
 from salsanext_cli.classes import LabelSpace
-from salsanext_cli.storage.scan_results import UNCERTAINTY, ScanResults
+from salsanext_cli.storage.layout import COLOURINGS
+from salsanext_cli.storage.scan_results import ScanResults
 
 Colours = npt.NDArray[np.uint8]
 Legend = Sequence[tuple[str, tuple[int, int, int]]]
@@ -25,7 +26,7 @@ WRONG = (255, 72, 48)
 SCALE_PERCENTILES = (1.0, 99.0)
 """Ends of a colour scale by default, which leave out a few outliers."""
 CLASS_COLOURS = ("label", "truth", "error")
-COLOURS = (*CLASS_COLOURS, "intensity", "range", "uncertainty", *UNCERTAINTY)
+COLOURS = (*COLOURINGS, "uncertainty")
 """Colourings of points; "uncertainty" is the total, else the epistemic."""
 
 

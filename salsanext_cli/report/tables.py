@@ -10,6 +10,7 @@ from typing import Any
 from rich.markup import escape
 from rich.table import Table
 
+from salsanext_cli.errors import counted
 from salsanext_cli.measures.scores import Scores
 from salsanext_cli.measures.uncertainty_evaluation import (
     CalibrationResult,
@@ -158,7 +159,7 @@ def benchmark_table(found: Mapping[str, Any]) -> Table:
         f"{machine['processor']} ({machine['instructions']}), {machine['threads']} threads, "
         f"torch {machine['torch_version']}, {machine['device']}\n"
         f"{sensor['name']}, {sensor['height']}×{sensor['width']}, {precision}; "
-        f"{settings['scans']} scans of {settings['points']:,} points on average"
+        f"{counted(settings['scans'], 'scan')} of {settings['points']:,} points on average"
     )
     notes = (
         f"Medians of {settings['rounds']} rounds, in brackets the lowest and the highest ratio of "

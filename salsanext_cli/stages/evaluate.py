@@ -11,7 +11,7 @@ from typing import Any
 
 from salsanext_cli import __version__
 from salsanext_cli.classes import LabelSpace
-from salsanext_cli.errors import LabelError, NoInputError, OutputError
+from salsanext_cli.errors import LabelError, NoInputError, OutputError, counted
 from salsanext_cli.formats.reading import present
 from salsanext_cli.measures.confusion import Confusion
 from salsanext_cli.measures.scan_counts import RING_NAMES, ScanCounts, count_scan
@@ -23,11 +23,11 @@ from salsanext_cli.measures.uncertainty_evaluation import (
 from salsanext_cli.parallel.run import Failure, RunOptions, run_over_scans
 from salsanext_cli.report import plots, uncertainty_plots
 from salsanext_cli.storage.atomic import sweep_stale
-from salsanext_cli.storage.json_files import encode_json, read_json
+from salsanext_cli.storage.json_files import encode_json
 from salsanext_cli.storage.layout import ScanFile
 from salsanext_cli.storage.run_registration import records_lock
 from salsanext_cli.storage.sources import MissingResults, missing_predictions
-from salsanext_cli.storage.stage_records import as_json, require_same_settings
+from salsanext_cli.storage.stage_records import as_json
 from salsanext_cli.storage.written_files import WrittenFiles
 
 FILES = (
@@ -95,7 +95,7 @@ class Evaluation:
             "scans": self.scans,
             "missing": [str(scan.path) for scan in self.missing.scans],
             "not_asked_for": self.missing.not_asked_for,
-            "failures": [{"scan": str(f.scan.path), "reason": f.reason} for f in self.failures],
+            "failures": [failure.to_dict() for failure in self.failures],
             "unknown_ids": self.unknown_ids,
             "scores": self.scores.to_dict(),
             "by_distance": {name: ring.to_dict() for name, ring in self.by_distance.items()},
@@ -117,7 +117,8 @@ def evaluate(
     """Compare the predictions in an output folder with the labels of the scans.
 
     Writes ``scores.txt``, ``eval.json`` and ``eval_*.png`` into the output folder. Probabilities
-    and uncertainties that lie there are evaluated too. An earlier result is replaced.
+    and uncertainties that lie there are evaluated too. An earlier result is replaced, whatever its
+    settings were.
 
     Parameters
     ----------
@@ -128,7 +129,7 @@ def evaluate(
     space : LabelSpace
         Meaning of the raw ids in both.
     options : RunOptions
-        Jobs, errors and progress, and whether a result of other settings is replaced.
+        Jobs, errors and progress.
     by_distance : bool
         Score rings of distance too, for which the scans are read.
     settings : mapping, optional
@@ -141,12 +142,11 @@ def evaluate(
     NoInputError
         If there is nothing to compare.
     OutputError
-        If the folder holds the result of other settings and may not be overwritten, or files of
-        these names that salsanext did not write.
+        If the folder holds files of these names that salsanext did not write, or that were changed.
     """
     own = {"by_distance": by_distance, "label_space": space.to_dict()}
     settings = dict(as_json({**(settings or {}), **own}))
-    _require_replaceable(out, settings, options.overwrite)
+    _require_replaceable(out)
     _require_labels(scans)
     counts = ScanCounts.none(space, by_distance)
     count = partial(count_scan, out=out, space=space, by_distance=by_distance)
@@ -173,21 +173,18 @@ def evaluate(
     files = _files(evaluation)
     with records_lock(out):
         sweep_stale(out)
-        _require_replaceable(out, settings, options.overwrite)
+        _require_replaceable(out)
         WrittenFiles(out).remove(out / name for name in FILES if name not in files)
         for name, content in files.items():
             WrittenFiles(out).write(out / name, content, durable=True)
     return evaluation
 
 
-def _require_replaceable(out: Path, settings: Mapping[str, Any], overwrite: bool) -> None:
-    """Refuse to replace files of other programs and results of other settings."""
+def _require_replaceable(out: Path) -> None:
+    """Refuse to replace files of other programs; those of an earlier evaluation are made anew."""
     if others := WrittenFiles(out).others(out / name for name in FILES):
         found = "exists, and was not recorded by salsanext or was changed since"
         raise OutputError(others[0], found, remedy="move it, or use another folder")
-    if not overwrite and (earlier := read_json(out / "eval.json")):
-        remedy = "move it, or use --overwrite to replace it"
-        require_same_settings(out / "eval.json", earlier["settings"], settings, remedy)
 
 
 def _require_labels(scans: Iterable[ScanFile]) -> None:
@@ -210,9 +207,9 @@ def _no_input(counts: ScanCounts, out: Path, failures: Sequence[Failure]) -> NoI
         return NoInputError(out, f"no scan could be compared, as {failures[0].reason}")
     return NoInputError(
         out,
-        f"no predictions for any of {len(counts.missing)} scans",
+        f"no predictions for any of {counted(len(counts.missing), 'scan')}",
         "files like sequences/08/predictions/000000.label",
-        "run `salsanext predict` first, or say with --out where they are",
+        "run `salsanext predict` first, or say where they are: salsanext eval OUT",
     )
 
 

@@ -6,7 +6,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from salsanext_cli.errors import UsageError
+from salsanext_cli.errors import UsageError, counted
 from salsanext_cli.formats import read_scan
 from salsanext_cli.geometry.normalise import normalise
 from salsanext_cli.geometry.projection import project
@@ -108,7 +108,7 @@ def _int8(model: Any, card: WeightsCard, scans: list[ScanFile]) -> tuple[bytes, 
     from onnx import helper
 
     small = quantised(model, scans, lambda file: _input(_image(file, card.sensor), card.sensor))
-    done = f"Quantised to int8 on {len(scans)} scans."
+    done = f"Quantised to int8 on {counted(len(scans), 'scan')}."
     described = replace(card, scores={}, description=f"{card.description} {done}".lstrip())
     helper.set_model_props(small, described.to_metadata())
     content = small.SerializeToString()

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: MIT
 """Stage `export-ply`: scans and results to coloured point clouds."""
 
+import logging
 import math
 from contextlib import suppress
 from dataclasses import replace
@@ -12,7 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from salsanext_cli.classes import LabelSpace
-from salsanext_cli.errors import OutputError, SalsanextError, UsageError
+from salsanext_cli.errors import NOTICE, OutputError, SalsanextError, UsageError
 from salsanext_cli.formats.ply import encode_ply
 from salsanext_cli.formats.reading import present
 from salsanext_cli.inference.settings import NetworkSettings
@@ -20,11 +21,10 @@ from salsanext_cli.parallel.run import Failure, Outcome, RunOptions, run_over_sc
 from salsanext_cli.report.colours import CLASS_COLOURS, COLOURS, PointColours, value_range
 from salsanext_cli.sensors import Sensor
 from salsanext_cli.stages.uncertainty import estimate_missing
-from salsanext_cli.storage.layout import ScanFile, find_outputs
+from salsanext_cli.storage.layout import UNCERTAINTY, ScanFile, find_outputs
 from salsanext_cli.storage.output_run import OutputRun, output_run
 from salsanext_cli.storage.predictions import space_of_results
 from salsanext_cli.storage.scan_results import (
-    UNCERTAINTY,
     missing_column,
     read_results,
     scalar_columns,
@@ -45,6 +45,8 @@ from salsanext_cli.storage.stage_records import (
 
 SCANS_FOR_SCALE = 20
 
+log = logging.getLogger(__name__)
+
 
 def export_scan(file: ScanFile, colours: PointColours, sensor: Sensor, output: OutputRun) -> None:
     """Write one scan as a coloured cloud with every known scalar."""
@@ -56,7 +58,8 @@ def export_scan(file: ScanFile, colours: PointColours, sensor: Sensor, output: O
     rgb = dict(zip(("red", "green", "blue"), colours.of_points(results, columns).T, strict=True))
     positions = dict(zip("xyz", results.scan.points.T, strict=True))
     comments = [f"colour {colours.legend}", f"label space {colours.space.name}"]
-    output.write(file, "ply", encode_ply(positions | rgb | columns, comments))
+    (folder,) = output.folders
+    output.write(file, folder, encode_ply(positions | rgb | columns, comments))
 
 
 def export_ply(
@@ -71,6 +74,9 @@ def export_ply(
     options: RunOptions = RunOptions(),
 ) -> Outcome:
     """Write `OUT/sequences/<seq>/ply/*.ply`: positions, colours and every known scalar.
+
+    The first colouring of a folder goes there, each further one to `ply/<colour>/*.ply`. Clouds of
+    results that have been made anew since are replaced.
 
     Parameters
     ----------
@@ -115,22 +121,28 @@ def export_ply(
         colour, unestimated = estimate_missing(out, scans, colour, network, options)
     _require_some(out, scans, colour)
     sensor = recorded_sensor(out)
-    if scale is None:
-        scale = _recorded_scale(out, colour, options) or _scale(out, scans, colour, space, sensor)
+    stage, folder = _place(out, colour)
+    made_of, earlier = origins(out, LABELLING_STAGES), stage_settings(out, stage)
+    overwrite = options.overwrite or (earlier is not None and earlier["origins"] != made_of)
+    if scale is None and earlier is not None and not overwrite:
+        # A run that goes on colours alike.
+        scale = earlier.pair("scale")
+    scale = scale or _scale(out, scans, colour, space, sensor)
     settings = {
         "colour": colour,
         "scale": list(scale),
         "label_space": space.to_dict(),
-        "origins": origins(out, LABELLING_STAGES),
+        "origins": made_of,
     }
     colours = PointColours(colour, scale, space)
     with output_run(
-        *(out, "export-ply", settings, ("ply",), scans),
-        overwrite=options.overwrite,
+        *(out, stage, settings, (folder,), scans),
+        overwrite=overwrite,
         record_scans=False,
     ) as output:
         task = partial(export_scan, colours=colours, sensor=sensor, output=output)
         outcome = run_over_scans(task, scans, options, is_done=output.is_done)
+    log.log(NOTICE, "coloured by %s: %s", colour, out / "sequences/*" / folder)
     failures = tuple(unestimated.get(failure.scan, failure) for failure in outcome.failures)
     return replace(outcome, failures=failures, missing=missing)
 
@@ -159,12 +171,12 @@ def _require_some(out: Path, scans: list[ScanFile], colour: str) -> None:
         raise missing_column(colour, scans[0], out)
 
 
-def _recorded_scale(out: Path, colour: str, options: RunOptions) -> tuple[float, float] | None:
-    """Keep the scale of an earlier run, so that a run that goes on colours alike."""
-    settings = stage_settings(out, "export-ply")
-    if options.overwrite or settings is None or settings["colour"] != colour:
-        return None
-    return settings.pair("scale")
+def _place(out: Path, colour: str) -> tuple[str, str]:
+    """Return the name of the record of a colouring, and the folder for its clouds."""
+    first = stage_settings(out, "export-ply")
+    if first is None or first["colour"] == colour:
+        return "export-ply", "ply"
+    return f"export-ply-{colour}", f"ply/{colour}"
 
 
 def _scale(

@@ -66,7 +66,7 @@ class Inspection:
             "sensor": self.sensor.to_dict(),
             "total": self.total.to_dict(),
             "sequences": {name: found.to_dict() for name, found in self.sequences.items()},
-            "failures": [{"scan": str(f.scan.path), "reason": f.reason} for f in self.failures],
+            "failures": [failure.to_dict() for failure in self.failures],
         }
 
     def fitted_sensor(self, name: str) -> Sensor:

@@ -1,12 +1,12 @@
 # SPDX-License-Identifier: MIT
 """Stage `knn-refine`: pixel labels, or any point labels, to point labels by neighbours."""
 
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from functools import partial
 from pathlib import Path
 
 from salsanext_cli.classes import LabelSpace, TrainIds
-from salsanext_cli.errors import LabelError, NoInputError, UsageError
+from salsanext_cli.errors import LabelError, NoInputError, UsageError, counted
 from salsanext_cli.formats import read_scan
 from salsanext_cli.formats.kitti import read_labels
 from salsanext_cli.formats.npy import read_array
@@ -14,6 +14,7 @@ from salsanext_cli.formats.reading import present
 from salsanext_cli.geometry.gather import pixels_from_points
 from salsanext_cli.geometry.knn import KnnParameters, knn_refine
 from salsanext_cli.geometry.projection import project
+from salsanext_cli.measures.scan_summary import RunSummary, ScanSummary
 from salsanext_cli.parallel.run import Outcome, RunOptions, run_over_scans
 from salsanext_cli.sensors import Sensor
 from salsanext_cli.storage.layout import ScanFile, find_scans, output_path, with_outputs
@@ -30,7 +31,7 @@ def refine_scan(
     sensor: Sensor,
     knn: KnnParameters,
     output: OutputRun,
-) -> None:
+) -> ScanSummary:
     """Refine the labels of one scan: its pixel labels, or those of a folder of point labels."""
     output.require_replaceable(file)
     image = project(read_scan(file.path, sensor), sensor)
@@ -41,7 +42,9 @@ def refine_scan(
         path = given_labels(labels, file)
         raw = read_labels(path, len(image.pixel_of_point))
         pixel_labels = pixels_from_points(space.to_train(raw, source=path), image.point_of_pixel)
-    output.write_labels(file, space.to_raw(knn_refine(image, pixel_labels, space.class_count, knn)))
+    refined = knn_refine(image, pixel_labels, space.class_count, knn)
+    output.write_labels(file, space.to_raw(refined))
+    return ScanSummary.of_labels(refined, space.class_count)
 
 
 def _read_pixel_labels(path: Path, space: LabelSpace, sensor: Sensor) -> TrainIds:
@@ -67,7 +70,7 @@ def _require_some(folder: Path, scans: list[ScanFile]) -> None:
         nested = output_path(Path(), scans[0].sequence, "predictions", scans[0].stem)
         raise NoInputError(
             folder,
-            f"no labels of any of {len(scans)} scans",
+            f"no labels of any of {counted(len(scans), 'scan')}",
             f"files like {nested} or {nested.name}",
         )
 
@@ -138,4 +141,8 @@ def knn_refine_scans(
         task = partial(
             refine_scan, labels=labels, space=space, sensor=sensor, knn=knn, output=output
         )
-        return run_over_scans(task, scans, options, is_done=output.is_done)
+        summary = RunSummary.of_scans(scans, sensor, space)
+        outcome = run_over_scans(
+            task, scans, options, is_done=output.is_done, on_result=summary.add
+        )
+    return replace(outcome, summary=summary.finish())

@@ -13,17 +13,14 @@ from salsanext_cli.classes import TrainIds
 from salsanext_cli.errors import SalsanextError, UsageError
 from salsanext_cli.formats import read_scan
 from salsanext_cli.formats.npy import read_array
-from salsanext_cli.geometry.coverage import (
-    CoverageCheck,
-    FieldOfViewCoverage,
-    field_of_view_coverage,
-)
+from salsanext_cli.geometry.coverage import FieldOfViewCoverage, field_of_view_coverage
 from salsanext_cli.geometry.gather import points_from_pixels
 from salsanext_cli.geometry.knn import KnnParameters, knn_refine
 from salsanext_cli.geometry.projection import project
 from salsanext_cli.inference.network import Network
 from salsanext_cli.inference.scan_fit import fitted, fitted_view, with_sensor
 from salsanext_cli.inference.settings import NetworkSettings
+from salsanext_cli.measures.scan_summary import RunSummary, ScanSummary
 from salsanext_cli.parallel.network_task import NetworkTask, named_if_too_large
 from salsanext_cli.parallel.run import Outcome, RunOptions, run_over_scans
 from salsanext_cli.parallel.tasks import Attempt
@@ -38,11 +35,11 @@ from salsanext_cli.storage.stage_records import earlier_sensor, stage_settings
 
 def predict_scan(
     file: ScanFile, network: Network, knn: KnnParameters, output: OutputRun
-) -> FieldOfViewCoverage:
-    """Label the points of one scan; return how much of it is in view."""
+) -> ScanSummary:
+    """Label the points of one scan; return numbers about it."""
     image, coverage = _projected(file, network, output)
-    _write(file, image, network.probabilities(image, file.path), network, knn, output)
-    return coverage
+    labels = _write(file, image, network.probabilities(image, file.path), network, knn, output)
+    return ScanSummary.of_labels(labels, network.card.space.class_count, coverage)
 
 
 def predict_batch(
@@ -66,8 +63,9 @@ def predict_batch(
                 if probabilities is None:
                     probabilities = network.probabilities(image, file.path)
                 network.require_finite(probabilities, file.path)
-                _write(file, image, probabilities, network, knn, output)
-            yield file, coverages[file], None
+                labels = _write(file, image, probabilities, network, knn, output)
+            class_count = network.card.space.class_count
+            yield file, ScanSummary.of_labels(labels, class_count, coverages[file]), None
         except SalsanextError as error:
             yield file, None, error
 
@@ -88,8 +86,8 @@ def _write(
     network: Network,
     knn: KnnParameters,
     output: OutputRun,
-) -> None:
-    """Write what is made of the softmax (C, H, W) of a scan; the labels of its points last."""
+) -> TrainIds:
+    """Write what is made of the softmax (C, H, W) of a scan, the labels last; return these."""
     space, pixel_labels = network.card.space, most_probable(probabilities)
     labels = knn_refine(image, pixel_labels, space.class_count, knn, network.device)
     if "pixel_labels" in output.folders:
@@ -99,6 +97,7 @@ def _write(
         of_points = points_from_pixels(probabilities, image.pixel_of_point, certainly_unlabelled)
         output.write_array(file, "probabilities", of_points.astype(np.float16))
     output.write_labels(file, space.to_raw(labels))
+    return labels
 
 
 def most_probable(probabilities: Float) -> TrainIds:
@@ -151,16 +150,18 @@ def predict_scans(
     loaded = fitted(network, loaded, scans, earlier)
     temperature = loaded.card.temperature
     settings = network.record(loaded) | {"temperature": temperature, "knn": asdict(knn)}
-    check, folders = CoverageCheck(loaded.sensor), (*extras, "predictions")
+    summary = RunSummary.of_scans(scans, loaded.sensor, loaded.card.space)
+    folders = (*extras, "predictions")
     with output_run(
         out, "predict", settings, folders, scans, overwrite=options.overwrite
     ) as output:
         one = partial(predict_scan, knn=knn, output=output)
         several = partial(predict_batch, knn=knn, output=output)
         task = NetworkTask(one, network.resolved(loaded), loaded, several, batch)
-        outcome = run_over_scans(task, scans, options, is_done=output.is_done, on_result=check.add)
-    check.finish()
-    return outcome
+        outcome = run_over_scans(
+            task, scans, options, is_done=output.is_done, on_result=summary.add
+        )
+    return replace(outcome, summary=summary.finish())
 
 
 def predict_image(file: ScanFile, network: Network, folder: Path, output: OutputRun) -> None:
@@ -221,7 +222,8 @@ def predict_range_images(
     ) as output:
         label = partial(predict_image, folder=folder, output=output)
         task = NetworkTask(label, network.resolved(loaded), loaded)
-        return run_over_scans(task, scans, options, is_done=output.is_done)
+        outcome = run_over_scans(task, scans, options, is_done=output.is_done)
+    return replace(outcome, summary=RunSummary(loaded.sensor))
 
 
 def projected_sensor(folder: Path) -> Sensor | None:

@@ -1,17 +1,15 @@
 # SPDX-License-Identifier: MIT
 """Stage `project`: scans to range images on disk."""
 
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
 from salsanext_cli.formats import read_scan
-from salsanext_cli.geometry.coverage import (
-    CoverageCheck,
-    FieldOfViewCoverage,
-    field_of_view_coverage,
-)
+from salsanext_cli.geometry.coverage import field_of_view_coverage
 from salsanext_cli.geometry.projection import project
 from salsanext_cli.inference.scan_fit import fitted_view
+from salsanext_cli.measures.scan_summary import RunSummary, ScanSummary
 from salsanext_cli.parallel.run import Outcome, RunOptions, run_over_scans
 from salsanext_cli.sensors import Sensor
 from salsanext_cli.storage.layout import ScanFile
@@ -22,14 +20,14 @@ from salsanext_cli.storage.stage_records import stage_settings
 FOLDERS = ("range", "pixels")
 
 
-def project_scan(file: ScanFile, sensor: Sensor, output: OutputRun) -> FieldOfViewCoverage:
+def project_scan(file: ScanFile, sensor: Sensor, output: OutputRun) -> ScanSummary:
     """Project one scan; write its range image and the pixels of its points."""
     output.require_replaceable(file)
     scan = read_scan(file.path, sensor)
     image = project(scan, sensor)
     output.write_array(file, "range", image.channels)
     output.write_array(file, "pixels", image.pixel_of_point)
-    return field_of_view_coverage(scan, sensor)
+    return ScanSummary(field_of_view_coverage(scan, sensor))
 
 
 def project_scans(
@@ -62,10 +60,11 @@ def project_scans(
         recorded = None if options.overwrite else stage_settings(out, "project")
         earlier = Sensor.from_dict(recorded.table("sensor"), recorded.path) if recorded else None
         sensor = fitted_view(scans, sensor, earlier)
-    settings, check = {"sensor": sensor.to_dict()}, CoverageCheck(sensor)
+    settings, summary = {"sensor": sensor.to_dict()}, RunSummary.of_scans(scans, sensor)
     overwrite = options.overwrite
     with output_run(out, "project", settings, FOLDERS, scans, overwrite=overwrite) as output:
         task = partial(project_scan, sensor=sensor, output=output)
-        outcome = run_over_scans(task, scans, options, is_done=output.is_done, on_result=check.add)
-    check.finish()
-    return outcome
+        outcome = run_over_scans(
+            task, scans, options, is_done=output.is_done, on_result=summary.add
+        )
+    return replace(outcome, summary=summary.finish())

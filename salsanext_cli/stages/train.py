@@ -14,7 +14,7 @@ import numpy.typing as npt
 import torch
 
 from salsanext_cli.classes import LabelSpace, label_space
-from salsanext_cli.errors import NoInputError, UsageError, WeightsError
+from salsanext_cli.errors import NoInputError, UsageError, WeightsError, first_few
 from salsanext_cli.geometry.intensity import intensity_quantiles
 from salsanext_cli.inference.scan_fit import sampled_images
 from salsanext_cli.network.card import WeightsCard
@@ -221,7 +221,8 @@ def _initial_network(
         return module, architecture, preset_sensor(DEFAULT_SENSOR)
     trained, card = read_weights(weights)
     if not card.space.fits(space):
-        found = f"trained for the classes of {card.space.name}"
+        differences = first_few(card.space.differences(space))
+        found = f"trained for the classes of {card.space.name} ({differences})"
         raise WeightsError(weights, found, f"those of {space.name}")
     if _shapes(trained) != _shapes(module):
         name = card.architecture["name"]

@@ -11,7 +11,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from salsanext_cli.errors import FormatError, UsageError, WeightsError
+from salsanext_cli.errors import FormatError, UsageError, WeightsError, counted
 from salsanext_cli.formats import read_scan
 from salsanext_cli.geometry.coverage import CoverageCheck, field_of_view_coverage
 from salsanext_cli.geometry.projection import project
@@ -81,6 +81,7 @@ def tune_batchnorm(
     scans = select_evenly(source, selection, loaded.card.space)
     require_target(target, overwrite)
     loaded = fitted(network, loaded, scans)
+    network.announce(loaded)
     old = {name: Statistics.kept_by(layer) for name, layer in layers.items()}
     pooled: dict[str, Statistics] = {}
     check = CoverageCheck(loaded.sensor)
@@ -93,7 +94,8 @@ def tune_batchnorm(
     check.finish()
     new = {name: old[name].blended(statistics, share) for name, statistics in pooled.items()}
     sensor = loaded.sensor
-    done = f"Batch norm re-estimated on {len(scans)} scans of {sensor.name}, share {share:g}."
+    scanned = counted(len(scans), "scan")
+    done = f"Batch norm re-estimated on {scanned} of {sensor.name}, share {share:g}."
     description = f"{loaded.card.description} {done}".lstrip()
     # On the scale that the intensity of later scans is matched to.
     known = loaded.card.sensor.intensity_quantiles if sensor.intensity_quantiles else ()

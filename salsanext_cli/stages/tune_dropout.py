@@ -90,6 +90,7 @@ def tune_dropout(
     require_absent(curve_of(target), overwrite)
     loaded = fitted(network, loaded, scans)
     candidates = [with_dropout(loaded, rate) for rate in rates]
+    network.announce(loaded)
     sums, points = np.zeros(len(rates)), 0
     for number, file in enumerate(scans):
         labelled = read_labelled_image(file, loaded, space)

@@ -97,6 +97,7 @@ def tune_temperature(
     scans, space = labelled_scans(dataset, selection, loaded.card)
     require_target(target, overwrite)
     loaded = fitted(network, loaded, scans)
+    network.announce(loaded)
     most = max(1, MAX_LOGITS // loaded.card.space.class_count // len(scans))
     kept = list(_samples(scans, loaded, space, most, progress))
     logits = torch.from_numpy(np.concatenate([values for values, _ in kept]))

@@ -9,20 +9,17 @@ from typing import Any
 
 import numpy as np
 
-from salsanext_cli.errors import OutputError, UsageError
+from salsanext_cli.errors import OutputError, UsageError, counted
 from salsanext_cli.formats import read_scan
 from salsanext_cli.formats.reading import present
-from salsanext_cli.geometry.coverage import (
-    CoverageCheck,
-    FieldOfViewCoverage,
-    field_of_view_coverage,
-)
+from salsanext_cli.geometry.coverage import field_of_view_coverage
 from salsanext_cli.geometry.gather import points_from_pixels
 from salsanext_cli.geometry.knn import KnnParameters, knn_refine
 from salsanext_cli.geometry.projection import project
 from salsanext_cli.inference.network import Network
 from salsanext_cli.inference.scan_fit import fitted
 from salsanext_cli.inference.settings import NetworkSettings, recorded_view
+from salsanext_cli.measures.scan_summary import RunSummary, ScanSummary
 from salsanext_cli.network.card import read_card
 from salsanext_cli.parallel.network_task import NetworkTask
 from salsanext_cli.parallel.run import Failure, Outcome, RunOptions, run_over_scans
@@ -54,8 +51,8 @@ def uncertainty_scan(
     knn: KnnParameters,
     estimator: Estimator,
     output: OutputRun,
-) -> FieldOfViewCoverage:
-    """Estimate the uncertainty of the points of one scan; return how much of it is in view."""
+) -> ScanSummary:
+    """Estimate the uncertainty of the points of one scan; return numbers about it."""
     output.require_replaceable(file)
     sensor, space, device = network.sensor, network.card.space, network.device
     scan = read_scan(file.path, sensor)
@@ -66,11 +63,13 @@ def uncertainty_scan(
         of_pixels = getattr(estimate.uncertainty, kind)
         of_points = points_from_pixels(of_pixels, image.pixel_of_point, np.nan)
         output.write_array(file, f"uncertainty/{kind}", of_points)
-    if "predictions" in output.folders:
-        pixel_labels = estimate.probabilities.argmax(axis=0)
-        labels = knn_refine(image, pixel_labels, space.class_count, knn, device)
-        output.write_labels(file, space.to_raw(labels))
-    return field_of_view_coverage(scan, sensor)
+    coverage = field_of_view_coverage(scan, sensor)
+    if "predictions" not in output.folders:
+        return ScanSummary(coverage)
+    pixel_labels = estimate.probabilities.argmax(axis=0)
+    labels = knn_refine(image, pixel_labels, space.class_count, knn, device)
+    output.write_labels(file, space.to_raw(labels))
+    return ScanSummary.of_labels(labels, space.class_count, coverage)
 
 
 def _require_same_network(out: Path, settings: dict[str, Any]) -> None:
@@ -149,7 +148,7 @@ def uncertainty_of(
     labels_too = owner(out, "predictions") in (None, "uncertainty")
     folders = (*kinds, "predictions") if labels_too else kinds
     _require_same_network(out, settings)
-    check = CoverageCheck(loaded.sensor)
+    summary = RunSummary.of_scans(scans, loaded.sensor, loaded.card.space)
     with output_run(
         *(out, "uncertainty", settings, folders, scans),
         overwrite=options.overwrite,
@@ -157,9 +156,10 @@ def uncertainty_of(
     ) as output:
         function = partial(uncertainty_scan, knn=knn, estimator=estimator, output=output)
         task = NetworkTask(function, network.resolved(loaded), loaded)
-        outcome = run_over_scans(task, scans, options, is_done=output.is_done, on_result=check.add)
-    check.finish()
-    return outcome
+        outcome = run_over_scans(
+            task, scans, options, is_done=output.is_done, on_result=summary.add
+        )
+    return replace(outcome, summary=summary.finish())
 
 
 def estimate_missing(
@@ -195,7 +195,7 @@ def estimate_missing(
         remedy = "run `salsanext uncertainty --overwrite`"
         raise UsageError(out, "uncertainty estimated without aleatoric", kind, remedy)
     missing = _without(out, scans, kind)
-    log.warning("no uncertainty of %d scans yet: estimating it", len(missing))
+    log.warning("no uncertainty of %s yet: estimating it", counted(len(missing), "scan"))
     outcome = uncertainty_of(
         missing,
         out,

@@ -11,18 +11,19 @@ from salsanext_cli.errors import NoInputError, OutputError
 from salsanext_cli.formats import SCAN_SUFFIXES, scan_suffix
 from salsanext_cli.formats.reading import is_folder, present, reason
 
+UNCERTAINTY = ("epistemic", "aleatoric", "total", "entropy", "mutual_information")
+"""The kinds of uncertainty that stages may have written."""
+COLOURINGS = ("label", "truth", "error", "intensity", "range", *UNCERTAINTY)
+"""Values that point clouds may be coloured by."""
 SUFFIX_OF_FOLDER = {
     "range": ".npy",
     "pixels": ".npy",
     "pixel_labels": ".npy",
     "predictions": ".label",
     "probabilities": ".npy",
-    "uncertainty/epistemic": ".npy",
-    "uncertainty/aleatoric": ".npy",
-    "uncertainty/total": ".npy",
-    "uncertainty/entropy": ".npy",
-    "uncertainty/mutual_information": ".npy",
+    **{f"uncertainty/{kind}": ".npy" for kind in UNCERTAINTY},
     "ply": ".ply",
+    **{f"ply/{colour}": ".ply" for colour in COLOURINGS},
 }
 """Folders of a sequence in an output folder, and the suffix of the files in each."""
 

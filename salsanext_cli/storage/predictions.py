@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from salsanext_cli.classes import LabelSpace
-from salsanext_cli.errors import LabelError
+from salsanext_cli.errors import LabelError, first_few
 from salsanext_cli.storage.layout import ScanFile
 from salsanext_cli.storage.selection import ScanSelection, choose, space_of
 from salsanext_cli.storage.sources import recorded_scans
@@ -78,7 +78,8 @@ def space_of_results(
     if recorded is not None and not recorded.fits(space):
         raise LabelError(
             out,
-            f"predictions in the classes of {recorded.name}",
+            f"predictions in the classes of {recorded.name} "
+            f"({first_few(recorded.differences(space))})",
             f"those of {space.name}, as the labels",
             "predict with weights for these classes",
         )

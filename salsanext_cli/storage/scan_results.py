@@ -17,14 +17,8 @@ from salsanext_cli.formats.reading import present
 from salsanext_cli.geometry.ranges import measured_ranges
 from salsanext_cli.records import Float, Scan
 from salsanext_cli.sensors import Sensor
-from salsanext_cli.storage.layout import SUFFIX_OF_FOLDER, ScanFile, output_path, with_outputs
+from salsanext_cli.storage.layout import UNCERTAINTY, ScanFile, output_path, with_outputs
 
-UNCERTAINTY = tuple(
-    folder.removeprefix("uncertainty/")
-    for folder in SUFFIX_OF_FOLDER
-    if folder.startswith("uncertainty/")
-)
-"""The kinds of uncertainty that stages may have written."""
 FOLDERS = ("predictions", *(f"uncertainty/{kind}" for kind in UNCERTAINTY))
 
 

@@ -10,15 +10,17 @@ from typing import Any
 
 from salsanext_cli import __version__
 from salsanext_cli.classes import LabelSpace
-from salsanext_cli.errors import OutputError
+from salsanext_cli.errors import OutputError, first_few
 from salsanext_cli.sensors import Sensor, sensor
 from salsanext_cli.settings_files import shortened
 from salsanext_cli.storage.json_files import RecordedSettings, read_json, write_json
-from salsanext_cli.storage.layout import SUFFIX_OF_FOLDER
+from salsanext_cli.storage.layout import COLOURINGS, SUFFIX_OF_FOLDER
 
-MAX_DIFFERENCES_SHOWN = 3
 SHOWN_CHARACTERS_OF_VALUE = 40
-RESULT_STAGES = ("project", "predict", "knn-refine", "uncertainty", "export-ply")
+RESULT_STAGES = (
+    *("project", "predict", "knn-refine", "uncertainty", "export-ply"),
+    *(f"export-ply-{colour}" for colour in COLOURINGS),
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -188,38 +190,39 @@ def as_json(settings: Any) -> Any:
 
 
 def require_same_settings(
-    path: Path,
-    recorded: Mapping[str, Any],
-    settings: Mapping[str, Any],
-    remedy: str = "use another output folder, or --overwrite to replace all its results",
+    path: Path, recorded: Mapping[str, Any], settings: Mapping[str, Any]
 ) -> None:
     """Refuse to mix or to replace what was made with other settings, and say which."""
     if recorded != settings:
         found = f"made with other settings: {_differences(recorded, settings)}"
+        remedy = "use another output folder, or --overwrite to replace all its results"
         raise OutputError(path, found, remedy=remedy)
 
 
 def _differences(recorded: Mapping[str, Any], settings: Mapping[str, Any]) -> str:
-    """Name what differs, key by key, and how; origins are named without their digests."""
+    """Name what differs, key by key, and how."""
     before, after = _flat(recorded), _flat(settings)
     changed = sorted(k for k in before.keys() | after if before.get(k) != after.get(k))
-    shown = [
-        f"what `{key.removeprefix('origins.')}` made was made anew"
-        if key.startswith("origins.")
-        else f"{key} was {_as_shown(before.get(key))} and is {_as_shown(after.get(key))}"
-        for key in changed[:MAX_DIFFERENCES_SHOWN]
-    ]
-    more = len(changed) - len(shown)
-    return ", ".join(shown) + (f", and {more} more" if more else "")
+    shown = [_difference(key, before.get(key), after.get(key)) for key in changed]
+    return first_few(shown)
+
+
+def _difference(key: str, before: Any, after: Any) -> str:
+    """Say how a setting differs: origins without their digests, label spaces by their classes."""
+    if key.startswith("origins."):
+        return f"what `{key.removeprefix('origins.')}` made was made anew"
+    if isinstance(before, dict) and isinstance(after, dict):
+        old, new = (LabelSpace.from_dict(space, key) for space in (before, after))
+        return f"{key} ({first_few(old.differences(new))})"
+    return f"{key} was {_as_shown(before)} and is {_as_shown(after)}"
 
 
 def _flat(settings: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
-    """Return nested settings by dotted key."""
+    """Return nested settings by dotted key; a label space stays whole."""
     flat: dict[str, Any] = {}
     for key, value in settings.items():
-        flat |= (
-            _flat(value, f"{prefix}{key}.") if isinstance(value, dict) else {prefix + key: value}
-        )
+        nested = isinstance(value, dict) and key != "label_space"
+        flat |= _flat(value, f"{prefix}{key}.") if nested else {prefix + key: value}
     return flat
 
 

@@ -13,7 +13,7 @@ import torch
 from torch import Tensor
 
 from salsanext_cli.classes import LabelSpace
-from salsanext_cli.errors import LabelError, TrainingError
+from salsanext_cli.errors import LabelError, TrainingError, counted
 from salsanext_cli.sensors import Sensor
 from salsanext_cli.storage.identity import identity
 from salsanext_cli.storage.json_files import read_json
@@ -128,11 +128,11 @@ def class_counts(
     counts: Counts = count_classes(training, space, sensor, jobs).sum(axis=0)
     for files, of_files in ((validated, of_validated), (training, counts)):
         if not of_files[space.scored].any():
-            total = f"{of_files.sum()} points in {len(files)} scans"
+            total = f"{counted(of_files.sum(), 'point')} in {counted(len(files), 'scan')}"
             found = f"none of {total} is of a class that counts"
             raise TrainingError(files[0].label_path.parent, found, f"labels of {space.name}")
-    counted = {"files": digest, "points": dict(zip(space.names, counts.tolist(), strict=True))}
-    WrittenFiles(path.parent).write(path, (json.dumps(counted, indent=2) + "\n").encode())
+    content = {"files": digest, "points": dict(zip(space.names, counts.tolist(), strict=True))}
+    WrittenFiles(path.parent).write(path, (json.dumps(content, indent=2) + "\n").encode())
     return counts
 
 

@@ -4,7 +4,7 @@
 import re
 
 import pytest
-from command_line import every_command, parsed, python
+from command_line import every_command, only_json, parsed, python
 
 from salsanext_cli import __version__
 from salsanext_cli.cli.app import COMMANDS
@@ -45,8 +45,9 @@ def test_no_command_gives_help(run):
     assert result.exit_code == 2
 
 
-def test_version(run):
-    result = run("--version")
+@pytest.mark.parametrize("option", ["--version", "-V"])
+def test_version(run, option):
+    result = run(option)
     assert result.stdout == f"salsanext {__version__}\n"
     assert result.exit_code == 0
 
@@ -107,6 +108,25 @@ def test_a_wrong_command_line_is_status_two(run, arguments):
     if "--overwrit" in arguments:
         assert "No such option" in result.stderr
         assert "--overwrite" in result.stderr
+
+
+@pytest.mark.parametrize(
+    ("arguments", "says"),
+    [
+        (["predict", "--overwrit"], "No such option: --overwrit"),
+        (["predict", "--limit", "many"], "Invalid value for '--limit'"),
+        (["predikt"], "No such command 'predikt'"),
+        (["tune", "temprature"], "No such command 'temprature'"),
+        (["import-weights"], "Missing argument"),
+        (["--verbos"], "No such option: --verbos"),
+    ],
+)
+def test_a_wrong_command_line_is_one_object_of_json(run, arguments, says):
+    result = run(*arguments, "--json")
+    found = only_json(result)
+    assert (result.exit_code, found["schema"], found["code"]) == (2, 1, "usage")
+    assert found["error"].startswith(says)
+    assert says in result.stderr
 
 
 @pytest.mark.parametrize("name", NAMES)

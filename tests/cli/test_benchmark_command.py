@@ -20,7 +20,7 @@ def test_a_few_parts(run, data, weights, tmp_path):
     result = run("benchmark", data, *options, *parts, "--json", "--quiet")
     assert (result.exit_code, result.stderr) == (0, "")
     found = only_json(result)
-    assert json.loads(file.read_text()) == found
+    assert json.loads(file.read_text()).items() <= found.items()
     assert found["machine"]["threads"] == 1
     knn, help_ = found["parts"]
     assert knn["ratio"]["median"] == knn["baseline"]["median"] / knn["product"]["median"]

@@ -13,6 +13,8 @@ from scans import labels_below
 from salsanext_cli.cli import options, run_options
 from salsanext_cli.cli.console import Output
 from salsanext_cli.cli.option_groups import Default, Without, expanded
+from salsanext_cli.errors import UsageError
+from salsanext_cli.network.card import default_weights
 from salsanext_cli.parallel.options import BACKENDS, RunOptions
 from salsanext_cli.parallel.shards import Shard
 
@@ -50,6 +52,33 @@ def test_where_scans_are_looked_for(monkeypatch):
     assert options.Selection(dataset=Path("b")).source(Path("a")) == Path("a")
     assert options.Selection(dataset=Path("b")).source(None) == Path("b")
     assert options.Selection().source(None) == Path()
+
+
+def test_the_default_weights_have_a_name():
+    assert options.NetworkOptions(weights=Path("default")).settings().weights is None
+    assert options.weights_file(Path("default")) == options.weights_file(None) == default_weights()
+    other = Path("a/default")
+    assert options.NetworkOptions(weights=other).settings().weights == other
+    assert options.weights_file(other) == other
+
+
+@pytest.mark.parametrize(
+    ("given", "variable", "expected"),
+    [
+        ({}, None, "out"),
+        ({}, "", "out"),
+        ({}, "v", "v"),
+        ({"out": Path("a")}, "v", "a"),
+        ({"out_option": Path("b")}, "v", "b"),
+    ],
+)
+def test_where_results_are_looked_for(monkeypatch, given, variable, expected):
+    monkeypatch.delenv(options.OUT_VARIABLE, raising=False)
+    if variable is not None:
+        monkeypatch.setenv(options.OUT_VARIABLE, variable)
+    assert options.Results(**given).folder() == Path(expected)
+    with pytest.raises(UsageError, match="OUT and --out · both given"):
+        options.Results(Path("a"), Path("a")).folder()
 
 
 def test_the_options_of_a_run():

@@ -9,7 +9,7 @@ from contextlib import suppress
 import pytest
 
 from salsanext_cli.cli import progress as module
-from salsanext_cli.cli.progress import Lines, progress, words_of_rate
+from salsanext_cli.cli.progress import Lines, progress, words_of_rate, words_of_seconds
 
 
 @pytest.mark.parametrize(
@@ -94,3 +94,17 @@ def test_short_runs_say_nothing_in_a_log_file(capsys):
     with progress("predict", quiet=False) as advance:
         advance(1, 2)
     assert capsys.readouterr() == ("", "")
+
+
+@pytest.mark.parametrize(
+    ("seconds", "said"),
+    [
+        (0.0532, "53 ms"),
+        (1, "1.0 s"),
+        (99.94, "99.9 s"),
+        (725, "12 min 5 s"),
+        (11_520, "3 h 12 min"),
+    ],
+)
+def test_durations(seconds, said):
+    assert words_of_seconds(seconds) == said

@@ -46,7 +46,9 @@ def test_batch_norm_is_adapted_to_scans_without_labels(run, data, weights, tmp_p
     assert result.exit_code == 0, result.output
     parts = {name: [float(cell) for cell in cells] for name, *cells in rows_of(result)}
     assert list(parts) == ["context", *(f"block{i}" for i in range(1, 6)), *UPS, "all"]
-    assert result.stderr == f"tune batchnorm: 1 scans of small → {target}\n"
+    weights_said, done = result.stderr.splitlines()
+    assert weights_said.endswith(" on cpu by torch in float32")
+    assert done == f"tune batchnorm: 1 scan of small → {target}"
     assert "exists" in run(*arguments).stderr
     found = only_json(run(*arguments, "--overwrite", "--json", "--limit", 1, "--share", 0.5))
     expected = {"stage": "tune batchnorm", "scans": 1, "sensor": "small", "share": 0.5}

@@ -117,7 +117,7 @@ def test_a_sequence_without_labels_is_an_error(world):
 
 def test_no_predictions_at_all_is_an_error_with_advice(world):
     world.add("000000", [CAR], None)
-    with pytest.raises(NoInputError, match=r"no predictions for any of 1 scans.*salsanext predict"):
+    with pytest.raises(NoInputError, match=r"no predictions for any of 1 scan .*salsanext predict"):
         world.evaluate()
     assert not world.out.exists()
 
@@ -158,15 +158,11 @@ def test_files_are_complete_and_replace_earlier_ones(world):
     assert report["classes"] == list(SPACE.names)
 
 
-def test_the_result_of_other_settings_stays(world):
+def test_the_result_of_other_settings_is_replaced(world):
     world.add("000000", [CAR], [CAR])
+    world.evaluate(by_distance=True)
     world.evaluate()
-    before = files_below(world.out)
-    with pytest.raises(OutputError, match=r"eval\.json.*by_distance was false and is true"):
-        world.evaluate(by_distance=True)
-    assert files_below(world.out) == before
-    world.evaluate(by_distance=True, overwrite=True)
-    assert json.loads((world.out / "eval.json").read_text())["by_distance"]
+    assert not json.loads((world.out / "eval.json").read_text())["by_distance"]
 
 
 @pytest.mark.parametrize(
@@ -178,7 +174,7 @@ def test_foreign_files_stay(world, name, overwrite):
     (world.out / name).write_text("mine")
     before = files_below(world.out)
     with pytest.raises(OutputError, match=rf"{name} · exists, and was not recorded by salsanext"):
-        world.evaluate(overwrite=overwrite)
+        world.evaluate(by_distance=True, overwrite=overwrite)
     assert files_below(world.out) == before
 
 

@@ -43,8 +43,10 @@ def export(world, **options):
     return export_ply(world.out, **options)
 
 
-def ply(world, sequence="08", stem="000000"):
-    return plyfile.PlyData.read(world.result("ply", sequence, stem))
+def ply(world, sequence="08", stem="000000", folder="ply"):
+    return plyfile.PlyData.read(
+        world.result("ply", sequence, stem).parents[1] / folder / f"{stem}.ply"
+    )
 
 
 def column(world, name, *where):
@@ -93,9 +95,10 @@ def test_labels_and_truth_take_the_colours_of_the_label_space(predicted):
     ids = SPACE.to_train(predicted.labels())
     np.testing.assert_array_equal(colours(predicted), SPACE.colours[ids])
     assert "colour label" in ply(predicted).comments
-    export(predicted, colour="truth", options=OVERWRITE)
+    export(predicted, colour="truth")
     truth = SPACE.to_train(read_labels(predicted.data / "sequences/08/labels/000000.label"))
-    np.testing.assert_array_equal(colours(predicted), SPACE.colours[truth])
+    found = colours(predicted, "08", "000000", "ply/truth")
+    np.testing.assert_array_equal(found, SPACE.colours[truth])
 
 
 def test_errors_are_right_wrong_or_not_counted(predicted):
@@ -134,8 +137,9 @@ def test_a_scale_may_be_given(predicted):
     assert "colour range viridis 0 10" in ply(predicted).comments
     far = column(predicted, "range") >= 10
     assert (colours(predicted)[far] == map_colours("viridis")[-1]).all()
-    with pytest.raises(OutputError, match="scale was"):
+    with pytest.raises(OutputError, match=r"scale was \[0, 10\] and is \[0, 20\]"):
         export(predicted, colour="range", scale=(0, 20))
+    assert export(predicted, colour="range", scale=(0, 20), options=OVERWRITE).done == 3
 
 
 def test_a_run_that_goes_on_colours_alike_and_most_points_are_in_the_range(predicted):
@@ -168,8 +172,9 @@ def test_uncertainty_is_the_total_unless_there_is_none(sampled):
     uncertainty(
         sampled.data, sampled.out, network=sampled.network, estimator=without, options=OVERWRITE
     )
-    export(sampled, colour="uncertainty", options=OVERWRITE)
-    assert any(c.startswith("colour epistemic viridis") for c in ply(sampled).comments)
+    export(sampled, colour="uncertainty")
+    comments = ply(sampled, folder="ply/epistemic").comments
+    assert any(c.startswith("colour epistemic viridis") for c in comments)
     with pytest.raises(UsageError, match="without aleatoric · expected total"):
         export(sampled, colour="total", options=OVERWRITE)
 
@@ -256,21 +261,41 @@ def test_wrong_options(predicted, scale):
         export(predicted, colour="rainbow")
 
 
-def test_another_colour_is_refused_unless_overwriting(predicted):
+def test_several_colourings_lie_side_by_side(predicted):
+    first = {"colour": "range", "scale": (0, 10)}
+    assert export(predicted, **first).done == 3
+    before = files_below(predicted.out)
+    for colour in ("label", "intensity", "error"):
+        assert export(predicted, colour=colour).done == 3
+        assert export(predicted, colour=colour, selection=ScanSelection(limit=1)).skipped == 1
+    assert export(predicted, **first).skipped == 3
+    after = files_below(predicted.out)
+    assert before.items() <= after.items()
+    assert export(predicted, colour="label", options=OVERWRITE).done == 3
+    assert files_below(predicted.out) == after
+    comments = [ply(predicted, folder=f"ply/{c}").comments[0] for c in ("label", "error")]
+    assert comments == ["colour label", "colour error"]
+    assert ply(predicted).comments[0] == "colour range viridis 0 10"
+
+
+def test_a_cloud_that_was_changed_is_kept(predicted):
+    export(predicted, colour="range")
     export(predicted)
-    assert export(predicted, selection=ScanSelection(split="valid", limit=1)).skipped == 1
-    with pytest.raises(OutputError, match='colour was "label" and is "range"'):
-        export(predicted, colour="range")
-    assert export(predicted, colour="range", options=OVERWRITE).done == 3
+    mine = predicted.result("ply").parent / "label/000000.ply"
+    mine.write_bytes(mine.read_bytes() + b"mine")
+    kept = mine.read_bytes()
+    uncertainty(predicted.data, predicted.out, network=predicted.network, estimator=FEW)
+    outcome = export(predicted)
+    assert (outcome.done, len(outcome.failures)) == (2, 1)
+    assert "was changed, or not written by salsanext" in outcome.failures[0].reason
+    assert mine.read_bytes() == kept
 
 
-def test_clouds_of_older_results_are_not_passed_over(predicted):
+def test_clouds_of_older_results_are_made_anew(predicted):
     """As labels or uncertainties have become others."""
     export(predicted)
     uncertainty(predicted.data, predicted.out, network=predicted.network, estimator=FEW)
-    with pytest.raises(OutputError, match="what `uncertainty` made was made anew"):
-        export(predicted)
-    assert export(predicted, options=OVERWRITE).done == 3
+    assert export(predicted).done == 3
     assert "epistemic" in [p.name for p in ply(predicted)["vertex"].properties]
 
 

@@ -391,7 +391,7 @@ def test_what_fails_before_the_first_step_costs_no_earlier_training(dataset, tmp
         ("00", "1", 600, 77, LabelError, r"1\.label · unknown label ids 77 \(600×\)"),
         ("00", "012", 600, 0, TrainingError, "none of 1800 points in 3 scans"),
         # Of the two, only the first is scored, and only the second is labelled.
-        ("08", "0", 600, 0, TrainingError, "none of 600 points in 1 scans"),
+        ("08", "0", 600, 0, TrainingError, "none of 600 points in 1 scan "),
     ],
 )
 def test_labels_that_cannot_be_trained_on_stop_it_before_the_first_step(

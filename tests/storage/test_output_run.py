@@ -4,6 +4,7 @@
 import json
 import os
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
 from pathlib import Path
 from threading import Barrier, Event
 
@@ -82,6 +83,7 @@ def test_the_same_settings_may_go_on_and_write_more(tmp_path: Path) -> None:
     ("other", "named"),
     [
         ({"weights": "abc", "knn": {"k": 7}}, r"settings: knn\.k was 5 and is 7 · "),
+        ({"weights": "abc", "knn": {"k": 5}, "label_space": 7}, "label_space was null and is 7 · "),
         ({"weights": "abc", "seed": 3}, r"knn\.k was 5 and is null, seed was null and is 3"),
     ],
 )
@@ -331,3 +333,12 @@ def test_what_was_left_half_written_long_ago_is_removed(tmp_path: Path) -> None:
     predict(out, scans=scans_of(tmp_path, "a"))
     assert [path for path in gone if path.exists()] == []
     assert [path for path in kept if not path.exists()] == []
+
+
+def test_label_spaces_differ_by_their_classes(tmp_path):
+    space = label_space()
+    others = replace(space, name="mine", splits={"valid": ("07",), "train": (), "test": ()})
+    predict(tmp_path, {"label_space": space.to_dict()})
+    says = r"label_space \(split test: 11 .* ≠ , split train: .* ≠ 07 and 1 more\) · use another"
+    with pytest.raises(OutputError, match=says):
+        predict(tmp_path, {"label_space": others.to_dict()})

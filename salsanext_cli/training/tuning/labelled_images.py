@@ -8,7 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from salsanext_cli.classes import LabelSpace, TrainIds
-from salsanext_cli.errors import LabelError
+from salsanext_cli.errors import LabelError, first_few
 from salsanext_cli.geometry.projection import project
 from salsanext_cli.inference.network import Network
 from salsanext_cli.network.card import WeightsCard
@@ -67,7 +67,7 @@ def labelled_scans(
     if not space.fits(card.space):
         raise LabelError(
             dataset,
-            f"labels in the classes of {space.name}",
+            f"labels in the classes of {space.name} ({first_few(space.differences(card.space))})",
             f"those of {card.space.name}, as the weights",
             "use weights for these classes",
         )

@@ -1,0 +1,119 @@
+# SPDX-License-Identifier: MIT
+"""End of a run over scans: a summary on stderr, the same as JSON, and the exit status."""
+
+from __future__ import annotations
+
+import shlex
+from typing import TYPE_CHECKING, Any, NoReturn
+
+import typer
+
+from salsanext_cli.cli.console import DONE, FAILED, Output
+from salsanext_cli.cli.progress import tell, words_of_seconds
+from salsanext_cli.errors import counted
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable
+
+    from salsanext_cli.measures.scan_summary import RunSummary
+    from salsanext_cli.parallel.run import Failure, Outcome
+    from salsanext_cli.storage.sources import MissingResults
+
+
+def finish(stage: str, outcome: Outcome, out: object, output: Output, *more: str) -> NoReturn:
+    """Say what became of a run over scans and leave with the exit status for it.
+
+    Parameters
+    ----------
+    stage : str
+        The command.
+    outcome : Outcome
+        What its stage returned.
+    out : object
+        The output folder, as it was typed.
+    output : Output
+        Amount and form of what is printed.
+    more : str
+        Options that the command to type next needs as well.
+    """
+    name_failures(outcome.failures)
+    following = next_command(stage, outcome, str(out), more)
+    found = {"stage": stage, "out": str(out), **_as_data(outcome), "next": following}
+    output.result(found)
+    each, missing = found["seconds_per_scan"], outcome.missing
+    already = f", {outcome.skipped} done already" if outcome.skipped else ""
+    failed = f", {len(outcome.failures)} failed" if outcome.failures else ""
+    others = left_out(missing) if missing else ""
+    took = f" in {words_of_seconds(output.seconds)}"
+    took += "" if each is None else f", {words_of_seconds(each)} per scan"
+    output.say(f"{stage}: {counted(outcome.done, 'scan')}{already}{failed}{took}{others} → {out}")
+    for line in _lines(outcome.summary, following):
+        output.say(line)
+    leave(outcome.failures, missing)
+
+
+def _as_data(outcome: Outcome) -> dict[str, Any]:
+    """Return plain data for JSON; docs/json.md lists the keys."""
+    each = outcome.seconds / outcome.done if outcome.done else None
+    found: dict[str, Any] = {
+        "done": outcome.done,
+        "skipped": outcome.skipped,
+        "failed": len(outcome.failures),
+        "failures": [failure.to_dict() for failure in outcome.failures],
+        "seconds_per_scan": None if each is None else round(each, 4),
+    }
+    if missing := outcome.missing:
+        found["missing"] = [str(scan.path) for scan in missing.scans]
+        found["not_asked_for"] = missing.not_asked_for
+    if summary := outcome.summary:
+        found["sensor"] = {"name": summary.sensor.name, **summary.sensor.view()}
+        found["largest_classes"] = summary.largest_classes()
+    return found
+
+
+def _lines(summary: RunSummary | None, following: str | None) -> Iterable[str]:
+    """Yield what else is worth knowing: the sensor, the classes, the command to type next."""
+    if summary is not None:
+        sensor = summary.sensor
+        view = f"{sensor.fov_up:+g}° to {sensor.fov_down:+g}°"
+        yield f"sensor: {sensor.name}, {sensor.height}×{sensor.width}, {view}"
+        if largest := summary.largest_classes():
+            shares = ", ".join(f"{name} {100 * share:.1f} %" for name, share in largest.items())
+            yield f"largest classes: {shares}"
+    if following is not None:
+        yield f"next: {following}"
+
+
+def next_command(stage: str, outcome: Outcome, out: str, more: Iterable[str]) -> str | None:
+    """Return the command line that most users type after a stage, None if nothing is there."""
+    summary = outcome.summary
+    if summary is None or not outcome.done + outcome.skipped:
+        return None
+    if stage == "project":
+        words = ["predict", out, out]
+    elif stage == "uncertainty":
+        words = ["export-ply", out, "--colour", "uncertainty"]
+    elif summary.space is None:
+        # The labels are those of pixels.
+        words = ["knn-refine", out]
+    else:
+        words = ["eval" if summary.labelled else "export-ply", out]
+    return shlex.join(["salsanext", *words, *more])
+
+
+def name_failures(failures: tuple[Failure, ...]) -> None:
+    """Name every scan that failed, on stderr."""
+    for failure in failures:
+        tell(f"error: {failure.reason}")
+
+
+def leave(failures: tuple[Failure, ...], missing: MissingResults | None = None) -> NoReturn:
+    """Leave with the exit status for scans that failed or lack results."""
+    raise typer.Exit(FAILED if failures or (missing and missing.scans) else DONE)
+
+
+def left_out(missing: MissingResults) -> str:
+    """Return the part of a sentence that says how many scans were left out on purpose."""
+    count = missing.not_asked_for
+    others = "the other scan is" if count == 1 else f"the other {count:,} scans are"
+    return f" ({others} left out: no earlier stage was asked for them)" if count else ""
