@@ -10,7 +10,7 @@ import typer
 
 from salsanext_cli.cli.console import DONE, FAILED, Output
 from salsanext_cli.cli.progress import tell, words_of_seconds
-from salsanext_cli.errors import counted
+from salsanext_cli.errors import counted, first_few
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
@@ -66,8 +66,11 @@ def _as_data(outcome: Outcome) -> dict[str, Any]:
         found["missing"] = [str(scan.path) for scan in missing.scans]
         found["not_asked_for"] = missing.not_asked_for
     if summary := outcome.summary:
-        found["sensor"] = {"name": summary.sensor.name, **summary.sensor.view()}
+        from salsanext_cli.inference.settings import recorded_view
+
+        found["sensor"] = recorded_view(summary.sensor)
         found["largest_classes"] = summary.largest_classes()
+        found["warnings"] = summary.warnings()
     return found
 
 
@@ -77,6 +80,9 @@ def _lines(summary: RunSummary | None, following: str | None) -> Iterable[str]:
         sensor = summary.sensor
         view = f"{sensor.fov_up:+g}° to {sensor.fov_down:+g}°"
         yield f"sensor: {sensor.name}, {sensor.height}×{sensor.width}, {view}"
+        for warning in summary.warnings():
+            scans = first_few(warning["scans"])
+            yield f"warning: {warning['code']} in {counted(len(warning['scans']), 'scan')}: {scans}"
         if largest := summary.largest_classes():
             shares = ", ".join(f"{name} {100 * share:.1f} %" for name, share in largest.items())
             yield f"largest classes: {shares}"

@@ -3,20 +3,25 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import logging
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 
 from salsanext_cli.classes import LabelSpace, TrainIds
 from salsanext_cli.formats.reading import present
-from salsanext_cli.geometry.coverage import CoverageCheck, FieldOfViewCoverage
+from salsanext_cli.geometry.scan_checks import MIN_POINTS, Finding
 from salsanext_cli.sensors import Sensor
 from salsanext_cli.storage.layout import ScanFile
 
 LARGEST_CLASSES = 5
 """Classes that a summary names."""
-NOT_COUNTED = FieldOfViewCoverage()
+LARGEST_SHARE = 0.6
+"""Largest share of a class in a scan that is believed; that of right settings was 0.44 or less."""
+log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True, slots=True)
@@ -25,22 +30,33 @@ class ScanSummary:
 
     Attributes
     ----------
-    coverage : FieldOfViewCoverage
-        Numbers of points in and out of the sensor's view, where they were counted.
+    file : ScanFile
+    findings : tuple of Finding
+        Reasons to doubt the scan.
     class_points : tuple of int
         Number of points by predicted train id; empty if none were predicted.
     """
 
-    coverage: FieldOfViewCoverage = NOT_COUNTED
+    file: ScanFile
+    findings: tuple[Finding, ...] = ()
     class_points: tuple[int, ...] = ()
 
     @classmethod
     def of_labels(
-        cls, labels: TrainIds, class_count: int, coverage: FieldOfViewCoverage = NOT_COUNTED
+        cls, file: ScanFile, labels: TrainIds, space: LabelSpace, findings: tuple[Finding, ...] = ()
     ) -> ScanSummary:
-        """Count the predicted train ids (N,) of a scan."""
-        points = np.bincount(labels, minlength=class_count)
-        return cls(coverage, tuple(points.tolist()))
+        """Count the predicted train ids (N,) of a scan, and look at them."""
+        points = np.bincount(labels, minlength=space.class_count)
+        found = (*findings, *_of_classes(points, space))
+        return cls(file, found, tuple(points.tolist()))
+
+
+def _of_classes(points: npt.NDArray[np.int64], space: LabelSpace) -> Iterator[Finding]:
+    """Look at the number of points by class; class 0 is unlabelled."""
+    total, largest = int(points[1:].sum()), int(points[1:].argmax()) + 1 if len(points) > 1 else 0
+    if total >= MIN_POINTS and points[largest] > LARGEST_SHARE * total:
+        found = f"{points[largest] / total:.0%} of the points are {space.names[largest]}"
+        yield Finding("one-class", found, "look at them: `salsanext export-ply`")
 
 
 @dataclass(slots=True)
@@ -57,18 +73,15 @@ class RunSummary:
         Whether the scans, or at least the first of them, have labels.
     class_points : list of int
         Number of points by predicted train id.
-    check : CoverageCheck
-        Warns of scans from another sensor.
+    findings : dict
+        Names of the scans by what was found, in the order in which it was found first.
     """
 
     sensor: Sensor
     space: LabelSpace | None = None
     labelled: bool = False
     class_points: list[int] = field(default_factory=list)
-    check: CoverageCheck = field(init=False)
-
-    def __post_init__(self) -> None:
-        self.check = CoverageCheck(self.sensor)
+    findings: dict[str, list[tuple[str, Finding]]] = field(default_factory=dict)
 
     @classmethod
     def of_scans(
@@ -78,16 +91,28 @@ class RunSummary:
         return cls(sensor, space, bool(scans) and present(scans[0].label_path))
 
     def add(self, scan: ScanSummary) -> None:
-        """Add a scan."""
-        self.check.add(scan.coverage)
+        """Add a scan; say at once what is found for the first time."""
+        name = f"{scan.file.sequence}/{scan.file.stem}"
+        for finding in scan.findings:
+            if finding.code not in self.findings:
+                warning = f"{finding.found}; {finding.remedy}"
+                log.warning("%s: %s (%s)", name, warning, finding.code)
+            self.findings.setdefault(finding.code, []).append((name, finding))
         if scan.class_points:
             before = self.class_points or [0] * len(scan.class_points)
             self.class_points = [a + b for a, b in zip(before, scan.class_points, strict=True)]
 
-    def finish(self) -> RunSummary:
-        """Warn of what the scans show as a whole, and return the summary."""
-        self.check.finish()
-        return self
+    def warnings(self) -> list[dict[str, Any]]:
+        """Return what was found, by code, with the scans, as plain data."""
+        return [
+            {
+                "code": code,
+                "message": found[0][1].found,
+                "remedy": found[0][1].remedy,
+                "scans": sorted(name for name, _ in found),
+            }
+            for code, found in self.findings.items()
+        ]
 
     def largest_classes(self) -> dict[str, float]:
         """Return the share of the points, 0…1, of the largest predicted classes, by name."""

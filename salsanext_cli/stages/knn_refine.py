@@ -44,7 +44,7 @@ def refine_scan(
         pixel_labels = pixels_from_points(space.to_train(raw, source=path), image.point_of_pixel)
     refined = knn_refine(image, pixel_labels, space.class_count, knn)
     output.write_labels(file, space.to_raw(refined))
-    return ScanSummary.of_labels(refined, space.class_count)
+    return ScanSummary.of_labels(file, refined, space)
 
 
 def _read_pixel_labels(path: Path, space: LabelSpace, sensor: Sensor) -> TrainIds:
@@ -145,4 +145,4 @@ def knn_refine_scans(
         outcome = run_over_scans(
             task, scans, options, is_done=output.is_done, on_result=summary.add
         )
-    return replace(outcome, summary=summary.finish())
+    return replace(outcome, summary=summary)

@@ -11,12 +11,10 @@ import numpy as np
 
 from salsanext_cli.classes import TrainIds
 from salsanext_cli.errors import SalsanextError, UsageError
-from salsanext_cli.formats import read_scan
 from salsanext_cli.formats.npy import read_array
-from salsanext_cli.geometry.coverage import FieldOfViewCoverage, field_of_view_coverage
 from salsanext_cli.geometry.gather import points_from_pixels
 from salsanext_cli.geometry.knn import KnnParameters, knn_refine
-from salsanext_cli.geometry.projection import project
+from salsanext_cli.geometry.scan_checks import Finding
 from salsanext_cli.inference.network import Network
 from salsanext_cli.inference.scan_fit import fitted, fitted_view, with_sensor
 from salsanext_cli.inference.settings import NetworkSettings
@@ -26,6 +24,7 @@ from salsanext_cli.parallel.run import Outcome, RunOptions, run_over_scans
 from salsanext_cli.parallel.tasks import Attempt
 from salsanext_cli.records import CHANNELS, Float, RangeImage
 from salsanext_cli.sensors import Sensor
+from salsanext_cli.storage.checked_scans import project_checked
 from salsanext_cli.storage.layout import ScanFile, output_path, with_outputs
 from salsanext_cli.storage.output_run import OutputRun, output_run
 from salsanext_cli.storage.selection import ScanSelection, choose, select_scans, space_of
@@ -37,9 +36,9 @@ def predict_scan(
     file: ScanFile, network: Network, knn: KnnParameters, output: OutputRun
 ) -> ScanSummary:
     """Label the points of one scan; return numbers about it."""
-    image, coverage = _projected(file, network, output)
+    image, findings = _projected(file, network, output)
     labels = _write(file, image, network.probabilities(image, file.path), network, knn, output)
-    return ScanSummary.of_labels(labels, network.card.space.class_count, coverage)
+    return ScanSummary.of_labels(file, labels, network.card.space, findings)
 
 
 def predict_batch(
@@ -47,11 +46,11 @@ def predict_batch(
 ) -> Iterator[Attempt]:
     """Label the points of several scans, computed together; yield an attempt of each."""
     images: dict[ScanFile, RangeImage] = {}
-    coverages: dict[ScanFile, FieldOfViewCoverage] = {}
+    findings: dict[ScanFile, tuple[Finding, ...]] = {}
     for file in files:
         try:
             with named_if_too_large(file, network):
-                images[file], coverages[file] = _projected(file, network, output)
+                images[file], findings[file] = _projected(file, network, output)
         except SalsanextError as error:
             yield file, None, error
     softmax: Sequence[Float | None] = [None] * len(images)
@@ -64,19 +63,17 @@ def predict_batch(
                     probabilities = network.probabilities(image, file.path)
                 network.require_finite(probabilities, file.path)
                 labels = _write(file, image, probabilities, network, knn, output)
-            class_count = network.card.space.class_count
-            yield file, ScanSummary.of_labels(labels, class_count, coverages[file]), None
+            space = network.card.space
+            yield file, ScanSummary.of_labels(file, labels, space, findings[file]), None
         except SalsanextError as error:
             yield file, None, error
 
 
 def _projected(
     file: ScanFile, network: Network, output: OutputRun
-) -> tuple[RangeImage, FieldOfViewCoverage]:
+) -> tuple[RangeImage, tuple[Finding, ...]]:
     output.require_replaceable(file)
-    sensor = network.sensor
-    scan = read_scan(file.path, sensor)
-    return project(scan, sensor, network.device), field_of_view_coverage(scan, sensor)
+    return project_checked(file, network.sensor, network.device, network.card.sensor)
 
 
 def _write(
@@ -161,7 +158,7 @@ def predict_scans(
         outcome = run_over_scans(
             task, scans, options, is_done=output.is_done, on_result=summary.add
         )
-    return replace(outcome, summary=summary.finish())
+    return replace(outcome, summary=summary)
 
 
 def predict_image(file: ScanFile, network: Network, folder: Path, output: OutputRun) -> None:

@@ -5,13 +5,11 @@ from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
-from salsanext_cli.formats import read_scan
-from salsanext_cli.geometry.coverage import field_of_view_coverage
-from salsanext_cli.geometry.projection import project
 from salsanext_cli.inference.scan_fit import fitted_view
 from salsanext_cli.measures.scan_summary import RunSummary, ScanSummary
 from salsanext_cli.parallel.run import Outcome, RunOptions, run_over_scans
 from salsanext_cli.sensors import Sensor
+from salsanext_cli.storage.checked_scans import project_checked
 from salsanext_cli.storage.layout import ScanFile
 from salsanext_cli.storage.output_run import OutputRun, output_run
 from salsanext_cli.storage.selection import ScanSelection, select_scans
@@ -23,11 +21,10 @@ FOLDERS = ("range", "pixels")
 def project_scan(file: ScanFile, sensor: Sensor, output: OutputRun) -> ScanSummary:
     """Project one scan; write its range image and the pixels of its points."""
     output.require_replaceable(file)
-    scan = read_scan(file.path, sensor)
-    image = project(scan, sensor)
+    image, findings = project_checked(file, sensor)
     output.write_array(file, "range", image.channels)
     output.write_array(file, "pixels", image.pixel_of_point)
-    return ScanSummary(field_of_view_coverage(scan, sensor))
+    return ScanSummary(file, findings)
 
 
 def project_scans(
@@ -67,4 +64,4 @@ def project_scans(
         outcome = run_over_scans(
             task, scans, options, is_done=output.is_done, on_result=summary.add
         )
-    return replace(outcome, summary=summary.finish())
+    return replace(outcome, summary=summary)

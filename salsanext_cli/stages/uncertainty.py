@@ -10,12 +10,9 @@ from typing import Any
 import numpy as np
 
 from salsanext_cli.errors import OutputError, UsageError, counted
-from salsanext_cli.formats import read_scan
 from salsanext_cli.formats.reading import present
-from salsanext_cli.geometry.coverage import field_of_view_coverage
 from salsanext_cli.geometry.gather import points_from_pixels
 from salsanext_cli.geometry.knn import KnnParameters, knn_refine
-from salsanext_cli.geometry.projection import project
 from salsanext_cli.inference.network import Network
 from salsanext_cli.inference.scan_fit import fitted
 from salsanext_cli.inference.settings import NetworkSettings, recorded_view
@@ -24,6 +21,7 @@ from salsanext_cli.network.card import read_card
 from salsanext_cli.parallel.network_task import NetworkTask
 from salsanext_cli.parallel.run import Failure, Outcome, RunOptions, run_over_scans
 from salsanext_cli.sensors import Sensor, presets
+from salsanext_cli.storage.checked_scans import project_checked
 from salsanext_cli.storage.identity import fingerprint
 from salsanext_cli.storage.layout import ScanFile, find_outputs, output_path
 from salsanext_cli.storage.output_run import OutputRun, output_run
@@ -55,21 +53,19 @@ def uncertainty_scan(
     """Estimate the uncertainty of the points of one scan; return numbers about it."""
     output.require_replaceable(file)
     sensor, space, device = network.sensor, network.card.space, network.device
-    scan = read_scan(file.path, sensor)
-    image = project(scan, sensor, device)
+    image, findings = project_checked(file, sensor, device, network.card.sensor)
     estimate = estimator.estimate(network, image, file)
     network.require_finite(estimate.probabilities, file.path)
     for kind in estimator.kinds:
         of_pixels = getattr(estimate.uncertainty, kind)
         of_points = points_from_pixels(of_pixels, image.pixel_of_point, np.nan)
         output.write_array(file, f"uncertainty/{kind}", of_points)
-    coverage = field_of_view_coverage(scan, sensor)
     if "predictions" not in output.folders:
-        return ScanSummary(coverage)
+        return ScanSummary(file, findings)
     pixel_labels = estimate.probabilities.argmax(axis=0)
     labels = knn_refine(image, pixel_labels, space.class_count, knn, device)
     output.write_labels(file, space.to_raw(labels))
-    return ScanSummary.of_labels(labels, space.class_count, coverage)
+    return ScanSummary.of_labels(file, labels, space, findings)
 
 
 def _require_same_network(out: Path, settings: dict[str, Any]) -> None:
@@ -159,7 +155,7 @@ def uncertainty_of(
         outcome = run_over_scans(
             task, scans, options, is_done=output.is_done, on_result=summary.add
         )
-    return replace(outcome, summary=summary.finish())
+    return replace(outcome, summary=summary)
 
 
 def estimate_missing(

@@ -1,0 +1,153 @@
+# SPDX-License-Identifier: MIT
+"""Checks of a scan before the network sees it: units, mounting, view, intensity.
+
+A check that fails for certain is an error of the scan; one that only makes its labels doubtful is a
+finding, which becomes a warning of the run. docs/checks.md says where the thresholds come from.
+"""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from salsanext_cli.errors import FormatError
+from salsanext_cli.geometry.coverage import LARGEST_SHARE_OUTSIDE, FieldOfViewCoverage
+from salsanext_cli.geometry.mounting import upright
+from salsanext_cli.geometry.view_fit import MAX_POINTS, MAX_TILT_DEG, ground_of
+from salsanext_cli.records import RangeImage, Scan
+from salsanext_cli.sensors import Sensor
+
+MEDIAN_RANGES_M = (0.3, 250.0)
+"""Least and largest median range of a scan in metres; real scans had 4 to 32."""
+MIN_POINTS = 100
+"""Fewest points of which a check says something."""
+UPSIDE_DOWN_DEG = 155.0
+HEIGHTS_M = (1.0, 3.2)
+"""Least and largest height of a sensor on a vehicle; those of the real scans were 1.4 to 2.1."""
+MIN_OCCUPIED = 0.2
+"""Least share of the pixels with a point; full revolutions had 0.29 or more."""
+INTENSITY_FACTOR = 4.0
+"""Largest factor between the upper intensities of the scan and of training."""
+BRIGHT = 0.95
+"""Quantile of the upper intensities."""
+MAX_USUAL_INTENSITY = 2.0
+"""Largest upper intensity of the scale 0…1, where that of training is not known."""
+TRAINED_HEIGHT = "1.7 m"
+FIT = "--sensor auto, or `salsanext inspect SCANS --fit sensor.toml` and --sensor sensor.toml"
+
+
+@dataclass(frozen=True, slots=True)
+class Finding:
+    """Reason to doubt the labels of a scan.
+
+    Attributes
+    ----------
+    code : str
+        Name of the check, which stays; see docs/checks.md.
+    found, remedy : str
+        What is doubtful about this scan, and what to do.
+    """
+
+    code: str
+    found: str
+    remedy: str
+
+
+def check_scan(
+    path: Path,
+    scan: Scan,
+    image: RangeImage,
+    sensor: Sensor,
+    coverage: FieldOfViewCoverage,
+    trained: Sensor | None = None,
+) -> tuple[Finding, ...]:
+    """Check a scan.
+
+    Parameters
+    ----------
+    path : Path
+        Its file, for errors.
+    scan, image : Scan, RangeImage
+        The scan, and what the sensor sees of it.
+    sensor : Sensor
+        Sensor that it was projected for.
+    coverage : FieldOfViewCoverage
+        Numbers of its points in and out of that sensor's view.
+    trained : Sensor, optional
+        That of the weights, if a network is to label the scan.
+
+    Raises
+    ------
+    FormatError
+        If the scan cannot be right: no point with a measurement, or not in metres around the
+        sensor.
+    """
+    _require_metres(path, scan, image)
+    if coverage.points < MIN_POINTS:
+        return ()
+    return (
+        *_of_geometry(scan, image, sensor, coverage),
+        *(() if trained is None else _of_intensity(scan, sensor, trained)),
+    )
+
+
+def _require_metres(path: Path, scan: Scan, image: RangeImage) -> None:
+    ranges = image.point_range[:: max(1, len(scan) // MAX_POINTS)]
+    measured = ranges[ranges > 0]
+    if len(scan) and not image.point_range.any():
+        found = f"none of its {len(scan)} points is a measurement in view of the sensor"
+        raise FormatError(path, found, "finite coordinates around the sensor")
+    if len(measured) < MIN_POINTS:
+        return
+    median, (least, most) = float(np.median(measured)), MEDIAN_RANGES_M
+    if not least <= median <= most:
+        raise FormatError(
+            path,
+            f"a median range of {median:.3g} m",
+            "coordinates in metres, with the sensor at the origin",
+            "convert millimetres or centimetres; take the sensor's place off map coordinates",
+        )
+
+
+def _of_geometry(
+    scan: Scan, image: RangeImage, sensor: Sensor, coverage: FieldOfViewCoverage
+) -> Iterator[Finding]:
+    if coverage.share > LARGEST_SHARE_OUTSIDE:
+        view = f"{sensor.name}, {sensor.fov_up:+g}° to {sensor.fov_down:+g}°"
+        found = f"{coverage.share:.0%} of the points lie outside the view of {view}"
+        yield Finding("out-of-view", found, FIT)
+    if (share := float((image.channels[0] > 0).mean())) < MIN_OCCUPIED:
+        found = f"{share:.0%} of the range image has points"
+        yield Finding("few-pixels", found, "full revolutions are what the network knows")
+    if (ground := ground_of(upright(scan, sensor))) is None:
+        return
+    if ground.tilt_deg > UPSIDE_DOWN_DEG:
+        yield Finding("upside-down", "the ground lies above the sensor", FIT)
+    elif ground.tilt_deg > MAX_TILT_DEG:
+        found = f"the ground is tilted by {ground.tilt_deg:.0f}°: is z up?"
+        yield Finding("tilted", found, FIT)
+    elif not HEIGHTS_M[0] <= ground.height <= HEIGHTS_M[1]:
+        found = f"the sensor is {ground.height:.1f} m above the ground"
+        yield Finding("height", found, f"trained from {TRAINED_HEIGHT}; adapt or fine-tune")
+
+
+def _of_intensity(scan: Scan, sensor: Sensor, trained: Sensor) -> Iterator[Finding]:
+    values, quantiles = scan.intensity, trained.intensity_quantiles
+    matched = sensor.intensity_quantiles
+    if values.min() == values.max():
+        given = "the mean of training stands for it" if matched else "the network expects one"
+        yield Finding("no-intensity", f"no intensity: {given}", "labels are worse without one")
+        return
+    if matched:
+        return
+    bright = float(np.nanquantile(values[:: max(1, len(values) // MAX_POINTS)], BRIGHT))
+    usual = quantiles[round(BRIGHT * (len(quantiles) - 1))] if quantiles else None
+    if usual is None:
+        doubtful, of = bright > MAX_USUAL_INTENSITY, "where 0 to 1 is usual"
+    else:
+        doubtful = not usual / INTENSITY_FACTOR <= bright <= usual * INTENSITY_FACTOR
+        of = f"and {usual:.2g} in training"
+    if doubtful:
+        found = f"{BRIGHT:.0%} of the intensities are below {bright:.3g}, {of}"
+        yield Finding("intensity-scale", found, "--intensity auto, or the sensor's intensity_scale")
