@@ -27,7 +27,7 @@ def knn_refine(
         ),
     ] = None,
     knn: options.Knn,
-    running: run_options.Running,
+    running: run_options.Checked,
     output: console.Output,
 ) -> None:
     """Turn labels of pixels into labels of points, or correct labels of points, by neighbours.
@@ -47,4 +47,4 @@ def knn_refine(
             selection=selection.scans(),
             options=run,
         )
-    run_end.finish("knn-refine", outcome, out, output)
+    run_end.finish("knn-refine", outcome, out, output, strict=running.strict)

@@ -36,7 +36,7 @@ def predict(
             rich_help_panel="Running",
         ),
     ] = "auto",
-    running: run_options.Running,
+    running: run_options.Checked,
     output: console.Output,
 ) -> None:
     """Predict the class of every point of every scan.
@@ -64,7 +64,7 @@ def predict(
         else:
             _require_no_scans(knn, probabilities, batch)
             outcome = stage.predict_range_images(source, out, options=run, **chosen)
-    run_end.finish("predict", outcome, out, output)
+    run_end.finish("predict", outcome, out, output, strict=running.strict)
 
 
 def _require_no_scans(knn: options.Knn, probabilities: bool, batch: str) -> None:

@@ -16,7 +16,7 @@ def project(
     network: Annotated[
         options.NetworkOptions, Without({"device", "precision", "engine", "intensity"})
     ],
-    running: run_options.Running,
+    running: run_options.Checked,
     output: console.Output,
 ) -> None:
     """Project scans onto range images and write these, for `predict` or your own programs.
@@ -36,4 +36,4 @@ def project(
         )
     named = {"--weights": network.weights, "--sensor": network.sensor}
     more = [word for name, value in named.items() if value for word in (name, str(value))]
-    run_end.finish("project", outcome, out, output, *more)
+    run_end.finish("project", outcome, out, output, *more, strict=running.strict)

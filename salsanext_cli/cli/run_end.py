@@ -20,7 +20,9 @@ if TYPE_CHECKING:
     from salsanext_cli.storage.sources import MissingResults
 
 
-def finish(stage: str, outcome: Outcome, out: object, output: Output, *more: str) -> NoReturn:
+def finish(
+    stage: str, outcome: Outcome, out: object, output: Output, *more: str, strict: bool = False
+) -> NoReturn:
     """Say what became of a run over scans and leave with the exit status for it.
 
     Parameters
@@ -35,6 +37,8 @@ def finish(stage: str, outcome: Outcome, out: object, output: Output, *more: str
         Amount and form of what is printed.
     more : str
         Options that the command to type next needs as well.
+    strict : bool
+        Whether warnings about scans count as failures.
     """
     name_failures(outcome.failures)
     following = next_command(stage, outcome, str(out), more)
@@ -49,7 +53,8 @@ def finish(stage: str, outcome: Outcome, out: object, output: Output, *more: str
     output.say(f"{stage}: {counted(outcome.done, 'scan')}{already}{failed}{took}{others} → {out}")
     for line in _lines(outcome.summary, following):
         output.say(line)
-    leave(outcome.failures, missing)
+    doubted = strict and outcome.summary is not None and bool(outcome.summary.findings)
+    leave(outcome.failures, missing, failed=doubted)
 
 
 def _as_data(outcome: Outcome) -> dict[str, Any]:
@@ -113,9 +118,11 @@ def name_failures(failures: tuple[Failure, ...]) -> None:
         tell(f"error: {failure.reason}")
 
 
-def leave(failures: tuple[Failure, ...], missing: MissingResults | None = None) -> NoReturn:
+def leave(
+    failures: tuple[Failure, ...], missing: MissingResults | None = None, *, failed: bool = False
+) -> NoReturn:
     """Leave with the exit status for scans that failed or lack results."""
-    raise typer.Exit(FAILED if failures or (missing and missing.scans) else DONE)
+    raise typer.Exit(FAILED if failed or failures or (missing and missing.scans) else DONE)
 
 
 def left_out(missing: MissingResults) -> str:

@@ -79,5 +79,14 @@ class Running:
             yield RunOptions(*given, shard)
 
 
+@option_group
+class Checked(Running):
+    """Way in which a command goes through scans that are checked."""
+
+    strict: bool = running_option(
+        "End with status 1 if a scan or its labels are doubtful.", "--strict", default=False
+    )
+
+
 RunningUnsharded = Annotated[Running, Without({"shard"}), Default(shard="1/1")]
 """For results over all scans, which several runs cannot share."""

@@ -29,7 +29,7 @@ def uncertainty(
     selection: options.Selection,
     network: options.NetworkOptions,
     knn: options.Knn,
-    running: run_options.Running,
+    running: run_options.Checked,
     output: console.Output,
 ) -> None:
     """Predict the class of every point and its epistemic, aleatoric and total uncertainty.
@@ -49,4 +49,4 @@ def uncertainty(
             selection=selection.scans(),
             options=run,
         )
-    run_end.finish("uncertainty", outcome, out, output)
+    run_end.finish("uncertainty", outcome, out, output, strict=running.strict)

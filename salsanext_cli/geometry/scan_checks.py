@@ -14,6 +14,7 @@ import numpy as np
 from salsanext_cli.errors import FormatError
 from salsanext_cli.geometry.coverage import LARGEST_SHARE_OUTSIDE, FieldOfViewCoverage
 from salsanext_cli.geometry.mounting import upright
+from salsanext_cli.geometry.ranges import measured_ranges
 from salsanext_cli.geometry.view_fit import MAX_POINTS, MAX_TILT_DEG, ground_of
 from salsanext_cli.records import RangeImage, Scan
 from salsanext_cli.sensors import Sensor
@@ -25,8 +26,9 @@ MIN_POINTS = 100
 UPSIDE_DOWN_DEG = 155.0
 HEIGHTS_M = (1.0, 3.2)
 """Least and largest height of a sensor on a vehicle; those of the real scans were 1.4 to 2.1."""
-MIN_OCCUPIED = 0.2
-"""Least share of the pixels with a point; full revolutions had 0.29 or more."""
+SECTORS = 64
+MIN_SECTORS = 0.6
+"""Least share of the directions around with a point; revolutions had 0.89 or more."""
 INTENSITY_FACTOR = 4.0
 """Largest factor between the upper intensities of the scan and of training."""
 BRIGHT = 0.95
@@ -93,10 +95,10 @@ def check_scan(
 
 
 def _require_metres(path: Path, scan: Scan, image: RangeImage) -> None:
-    ranges = image.point_range[:: max(1, len(scan) // MAX_POINTS)]
-    measured = ranges[ranges > 0]
-    if len(scan) and not image.point_range.any():
-        found = f"none of its {len(scan)} points is a measurement in view of the sensor"
+    ranges, _ = measured_ranges(scan.points[:: max(1, len(scan) // MAX_POINTS)])
+    measured = ranges[np.isfinite(ranges) & (ranges > 0)]
+    if len(scan) >= MIN_POINTS and not len(measured) and not image.point_range.any():
+        found = f"none of its {len(scan)} points is a measurement"
         raise FormatError(path, found, "finite coordinates around the sensor")
     if len(measured) < MIN_POINTS:
         return
@@ -117,9 +119,9 @@ def _of_geometry(
         view = f"{sensor.name}, {sensor.fov_up:+g}° to {sensor.fov_down:+g}°"
         found = f"{coverage.share:.0%} of the points lie outside the view of {view}"
         yield Finding("out-of-view", found, FIT)
-    if (share := float((image.channels[0] > 0).mean())) < MIN_OCCUPIED:
-        found = f"{share:.0%} of the range image has points"
-        yield Finding("few-pixels", found, "full revolutions are what the network knows")
+    if (share := _share_of_sectors(image)) < MIN_SECTORS:
+        found = f"points in {share:.0%} of the directions around"
+        yield Finding("part-of-circle", found, "the network knows whole revolutions")
     if (ground := ground_of(upright(scan, sensor))) is None:
         return
     if ground.tilt_deg > UPSIDE_DOWN_DEG:
@@ -130,6 +132,12 @@ def _of_geometry(
     elif not HEIGHTS_M[0] <= ground.height <= HEIGHTS_M[1]:
         found = f"the sensor is {ground.height:.1f} m above the ground"
         yield Finding("height", found, f"trained from {TRAINED_HEIGHT}; adapt or fine-tune")
+
+
+def _share_of_sectors(image: RangeImage) -> float:
+    """Return the share of `SECTORS` equal sectors of the range image with a point."""
+    columns = np.flatnonzero((image.channels[0] > 0).any(axis=0))
+    return len(np.unique(columns * SECTORS // image.width)) / min(SECTORS, image.width)
 
 
 def _of_intensity(scan: Scan, sensor: Sensor, trained: Sensor) -> Iterator[Finding]:

@@ -1,16 +1,20 @@
 # SPDX-License-Identifier: MIT
 from collections import Counter
+from pathlib import Path
 
 import numpy as np
+import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scans import SMALL
 
 from salsanext_cli import label_space
-from salsanext_cli.geometry.coverage import FieldOfViewCoverage
-from salsanext_cli.measures.scan_summary import NOT_COUNTED, RunSummary, ScanSummary
+from salsanext_cli.geometry.scan_checks import Finding
+from salsanext_cli.measures.scan_summary import RunSummary, ScanSummary
+from salsanext_cli.storage.layout import ScanFile
 
 SPACE = label_space()
+FILE = ScanFile("08", "000000", Path("000000.bin"))
 SCANS = st.lists(st.lists(st.integers(0, SPACE.class_count - 1), max_size=30), max_size=5)
 
 
@@ -20,7 +24,7 @@ def test_the_largest_classes_are_those_counted_slowly(scans):
     summary = RunSummary(SMALL, SPACE)
     for train_ids in scans:
         labels = np.array(train_ids, np.uint8)
-        summary.add(ScanSummary.of_labels(labels, SPACE.class_count, NOT_COUNTED))
+        summary.add(ScanSummary.of_labels(FILE, labels, SPACE))
     counts = Counter(SPACE.names[i] for train_ids in scans for i in train_ids)
     found = summary.largest_classes()
     assert all(share == counts[name] / counts.total() for name, share in found.items())
@@ -30,13 +34,24 @@ def test_the_largest_classes_are_those_counted_slowly(scans):
 
 def test_scans_of_pixels_have_no_classes():
     summary = RunSummary(SMALL)
-    summary.add(ScanSummary())
-    assert summary.finish().largest_classes() == {}
+    summary.add(ScanSummary(FILE))
+    assert summary.largest_classes() == {}
 
 
-def test_coverage_is_checked(caplog):
-    summary = RunSummary(SMALL)
-    summary.add(ScanSummary(FieldOfViewCoverage(10, 5)))
-    assert not caplog.text
-    summary.finish()
-    assert "50 % of the points of 1 scan lie outside" in caplog.text
+def test_what_is_found_is_said_at_once_and_listed_with_all_its_scans(caplog):
+    summary, tilted = RunSummary(SMALL), Finding("tilted", "the ground is tilted", "turn it")
+    for number in range(3):
+        file = ScanFile("08", f"{number}", Path("scan.bin"))
+        summary.add(ScanSummary(file, (tilted,) if number else ()))
+    assert caplog.messages == ["08/1: the ground is tilted; turn it (tilted)"]
+    told = {"message": "the ground is tilted", "remedy": "turn it", "scans": ["08/1", "08/2"]}
+    assert summary.warnings() == [{"code": "tilted", **told}]
+
+
+@pytest.mark.parametrize(("share", "codes"), [(0.58, []), (0.62, ["one-class"])])
+def test_a_class_that_takes_the_scan(share, codes):
+    labels = np.where(np.arange(1000) < 1000 * share, 1, 9).astype(np.uint8)
+    found = ScanSummary.of_labels(FILE, np.append(labels, np.zeros(5000, np.uint8)), SPACE)
+    assert [finding.code for finding in found.findings] == codes
+    few = ScanSummary.of_labels(FILE, labels[:50], SPACE)
+    assert few.findings == ()
