@@ -170,9 +170,14 @@ class Sensor:
         except (TypeError, OverflowError) as error:
             raise UsageError(source, words_of(error), expected) from error
 
-    def to_toml(self) -> str:
-        """Return the text of a TOML file that `sensor` reads; the file's name is the sensor's."""
-        values = {key: value for key, value in asdict(self).items() if key != "name"}
+    def to_toml(self, *, images: bool = True) -> str:
+        """Return the text of a TOML file that `sensor` reads; the file's name is the sensor's.
+
+        Without `images`, size and normalisation are left out, so that they are those of the
+        weights that the file is used with.
+        """
+        left_out = ("name",) if images else ("name", *OF_IMAGES)
+        values = {key: value for key, value in asdict(self).items() if key not in left_out}
         # What JSON writes for texts, numbers and lists of numbers is TOML as well.
         known = {key: value for key, value in values.items() if value not in (None, ())}
         return "".join(f"{key} = {json.dumps(value)}\n" for key, value in known.items())

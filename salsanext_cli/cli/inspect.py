@@ -44,7 +44,10 @@ def inspect(
             fit=fit is not None,
         )
     if fit is not None:
-        write_sensor(fit, found.fitted_sensor(fit.stem), overwrite=running.overwrite)
+        # For weights to come; those that are there have a size and normalisation of their own.
+        images = height is not None or width is not None
+        fitted = found.fitted_sensor(fit.stem)
+        write_sensor(fit, fitted, images=images, overwrite=running.overwrite)
         output.say(f"inspect: sensor → {fit}")
     tables = survey_tables(found.sequences, found.total, found.space, found.sensor)
     output.result(found.to_dict(), tables)

@@ -17,7 +17,10 @@ from salsanext_cli.geometry.coverage import (
     FieldOfViewCoverage,
     field_of_view_coverage,
 )
+from salsanext_cli.geometry.mounting import upright
 from salsanext_cli.geometry.projection import project
+from salsanext_cli.geometry.view_fit import fit_view
+from salsanext_cli.inference.scan_fit import sampled
 from salsanext_cli.measures.survey import Survey, survey
 from salsanext_cli.parallel.run import Failure, RunOptions, run_over_scans
 from salsanext_cli.sensors import Sensor
@@ -116,6 +119,8 @@ def inspect(
         If there is no scan to read; failures of single scans are in the result.
     """
     scans = select_scans(source, selection, space)
+    if fit:
+        sensor = replace(sensor, up=fit_view(list(sampled(scans, sensor)), sensor).up)
     found = _inspect(scans, sensor, space, options, warn=not fit)
     if fit and found.total.pixels:
         sensor = _with_field_of_view(sensor, found.total)
@@ -154,7 +159,7 @@ def inspect_scan(file: ScanFile, sensor: Sensor) -> tuple[str, Survey, FieldOfVi
     """Read, project and count one scan; return its sequence, survey and coverage."""
     scan = read_scan(file.path, sensor)
     raw = read_labels(file.label_path, len(scan)) if present(file.label_path) else None
-    found = survey(scan, project(scan, sensor), raw)
+    found = survey(upright(scan, sensor), project(scan, sensor), raw)
     return file.sequence, found, field_of_view_coverage(scan, sensor)
 
 
@@ -184,8 +189,10 @@ def _with_field_of_view(sensor: Sensor, found: Survey) -> Sensor:
     return replace(sensor, fov_up=round(up, 2), fov_down=round(down, 2))
 
 
-def write_sensor(path: Path, sensor: Sensor, *, overwrite: bool = False) -> None:
-    """Write a sensor as the TOML file that `--sensor` takes.
+def write_sensor(
+    path: Path, sensor: Sensor, *, images: bool = True, overwrite: bool = False
+) -> None:
+    """Write a sensor as the TOML file that `--sensor` takes, as `Sensor.to_toml` does.
 
     Raises
     ------
@@ -193,4 +200,4 @@ def write_sensor(path: Path, sensor: Sensor, *, overwrite: bool = False) -> None
         If the file exists and may not be overwritten, or cannot be written.
     """
     require_absent(path, overwrite)
-    write_bytes(path, sensor.to_toml().encode())
+    write_bytes(path, sensor.to_toml(images=images).encode())
