@@ -22,6 +22,7 @@ from salsanext_cli.cli.models import models
 from salsanext_cli.cli.option_groups import expanded
 from salsanext_cli.cli.predict import predict
 from salsanext_cli.cli.project import project
+from salsanext_cli.cli.submit import submit
 from salsanext_cli.cli.synth import synth
 from salsanext_cli.cli.train import train
 from salsanext_cli.cli.tune import tune
@@ -38,8 +39,9 @@ COMMANDS: dict[str, dict[str, Callable[..., None] | typer.Typer]] = {
         "export-ply": export_ply,
     },
     "Data": {
-        "synth": synth,
         "inspect": inspect,
+        "synth": synth,
+        "submit": submit,
     },
     "Models": {
         "models": models,

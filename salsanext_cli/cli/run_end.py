@@ -128,5 +128,7 @@ def leave(
 def left_out(missing: MissingResults) -> str:
     """Return the part of a sentence that says how many scans were left out on purpose."""
     count = missing.not_asked_for
-    others = "the other scan is" if count == 1 else f"the other {count:,} scans are"
-    return f" ({others} left out: no earlier stage was asked for them)" if count else ""
+    if count == 1:
+        return " (the other scan is left out: no earlier stage was asked for it)"
+    others = f" (the other {count:,} scans are left out: no earlier stage was asked for them)"
+    return others if count else ""

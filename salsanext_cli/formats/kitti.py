@@ -74,6 +74,18 @@ def _evident_columns(values: Float, columns: int) -> int | None:
     return next((n for n in others if not (values.reshape(-1, n)[:, 3:] < 0).any()), None)
 
 
+def count_points(path: Path) -> int:
+    """Return the number of points of a `.bin` file of four columns, from its size.
+
+    Raises
+    ------
+    FormatError
+        If the file cannot be read.
+    """
+    with reading(path) as file:
+        return size_of(file) // (4 * COLUMNS)
+
+
 def encode_bin(scan: Scan) -> bytes:
     """Return the content of a `.bin` file: float32 x, y, z, intensity of each point."""
     return np.column_stack([scan.points, scan.intensity]).astype("<f4", copy=False).tobytes()

@@ -75,7 +75,9 @@ def scan_sources(out: Path, scans: Iterable[ScanFile]) -> dict[str, ScanSource]:
     return {name: ScanSource(known[name], frozenset(names)) for name, names in stems.items()}
 
 
-def recorded_scans(out: Path, dataset: Path | None = None) -> list[ScanFile]:
+def recorded_scans(
+    out: Path, dataset: Path | None = None, sequence: str | None = None
+) -> list[ScanFile]:
     """Find the scans whose results an output folder holds.
 
     If it is not recorded where scans came from, or they are gone, they are looked for in the
@@ -87,15 +89,16 @@ def recorded_scans(out: Path, dataset: Path | None = None) -> list[ScanFile]:
         The output folder.
     dataset : Path, optional
         Where to look instead of where the scans came from.
+    sequence : str, optional
+        Only the scans of this one.
 
     Raises
     ------
     NoInputError
         If there is no such folder, it holds no results, or a sequence's scans are not to be found.
     """
-    sequences = sorted(
-        {name for folder in SUFFIX_OF_FOLDER for name, _ in find_outputs(out, folder)}
-    )
+    there = {name for folder in SUFFIX_OF_FOLDER for name, _ in find_outputs(out, folder)}
+    sequences = sorted(there if sequence is None else there & {sequence})
     if not sequences:
         found = "holds no results" if out.is_dir() else "no such folder"
         remedy = f"run `salsanext predict SCANS {out}` first"

@@ -389,7 +389,7 @@ def test_what_fails_before_the_first_step_costs_no_earlier_training(dataset, tmp
         ("08", "1", None, 0, LabelError, r"08/labels/1\.label · no such file"),
         ("08", "1", 9, 40, LabelError, r"1\.label · 9 labels · expected 600"),
         ("00", "1", 600, 77, LabelError, r"1\.label · unknown label ids 77 \(600×\)"),
-        ("00", "012", 600, 0, TrainingError, "none of 1800 points in 3 scans"),
+        ("00", "012", 600, 0, TrainingError, "none of 1,800 points in 3 scans"),
         # Of the two, only the first is scored, and only the second is labelled.
         ("08", "0", 600, 0, TrainingError, "none of 600 points in 1 scan "),
     ],

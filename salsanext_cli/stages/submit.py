@@ -1,0 +1,164 @@
+# SPDX-License-Identifier: MIT
+"""Submission to SemanticKITTI's benchmark: predictions of the test split, checked and packed."""
+
+import logging
+from collections.abc import Mapping, Sequence
+from contextlib import suppress
+from dataclasses import asdict, dataclass
+from itertools import count
+from pathlib import Path
+from typing import Any
+
+from salsanext_cli.classes import LabelSpace, label_space
+from salsanext_cli.errors import NoInputError, UsageError, first_few
+from salsanext_cli.measures.submission_check import Problem, problems
+from salsanext_cli.parallel.options import Progress
+from salsanext_cli.storage.atomic import require_target
+from salsanext_cli.storage.layout import ScanFile, find_outputs
+from salsanext_cli.storage.predictions import space_of_results
+from salsanext_cli.storage.sources import recorded_scans
+from salsanext_cli.storage.zip_files import write_zip
+
+SPLIT = "test"
+SCANS_OF_TEST = {
+    **{"11": 921, "12": 1061, "13": 3281, "14": 631, "15": 1901, "16": 1731},
+    **{"17": 491, "18": 1801, "19": 4981, "20": 831, "21": 2721},
+}
+"""Number of scans of each test sequence of SemanticKITTI, named 000000, 000001, …"""
+
+log = logging.getLogger(__name__)
+
+Predictions = dict[tuple[str, str], Path]
+"""Label files by sequence and stem."""
+
+
+@dataclass(frozen=True, slots=True)
+class Submission:
+    """Result of packing: a ZIP file, or what is wrong with the predictions.
+
+    Attributes
+    ----------
+    scans : int
+        Number of scans that a submission has.
+    lengths_checked : bool
+        Whether all numbers of labels were compared with those of points.
+    problems : tuple of Problem
+        By sequence; without any, the file is written.
+    """
+
+    scans: int
+    lengths_checked: bool
+    problems: tuple[Problem, ...]
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return plain data for JSON."""
+        return {"stage": "submit", **asdict(self)}
+
+
+def submit(
+    out: Path,
+    target: Path,
+    *,
+    dataset: Path | None = None,
+    space: LabelSpace | None = None,
+    description: Path | None = None,
+    overwrite: bool = False,
+    progress: Progress | None = None,
+) -> Submission:
+    """Check the predictions of the test split and pack them as the benchmark wants them.
+
+    Parameters
+    ----------
+    out : Path
+        Output folder with `predictions`.
+    target : Path
+        The `.zip` file; it is written only if nothing is wrong.
+    dataset : Path, optional
+        Where the scans are, if not where they came from. Without them, the numbers of labels are
+        not compared with those of points.
+    space : LabelSpace, optional
+        Otherwise that of the scans' data set or of the predictions.
+    description : Path, optional
+        Text about the method, for `description.txt`.
+    overwrite : bool
+        Whether the file may be replaced.
+    progress : callable, optional
+        Called with the number of files read, twice for each scan, and that of all.
+
+    Raises
+    ------
+    NoInputError
+        If there are no predictions at all.
+    OutputError
+        If the file exists or cannot be written.
+    UsageError
+        If the label space has no test split.
+    """
+    require_target(target, overwrite, ".zip")
+    files = find_outputs(out, "predictions")
+    if not files:
+        remedy = f"run `salsanext predict DATASET {out} --split {SPLIT}` first"
+        raise NoInputError(out, "holds no predictions", remedy=remedy)
+    texts = {} if description is None else {"description.txt": description}
+    if description is not None and not description.is_file():
+        raise UsageError(f"--description {description}", "no such file", "a text file")
+    scans = _scans_at_hand(out, dataset, files)
+    space = space_of_results(out, scans, space)
+    expected = _expected(space, scans, files)
+    if unseen := sorted(expected.keys() - {scan.sequence for scan in scans}):
+        log.warning(
+            "no scans at hand of sequence %s: numbers of labels not compared; --dataset names them",
+            first_few(unseen),
+        )
+    total = sum(map(len, expected.values()))
+    steps = count(1)
+
+    def advance() -> None:
+        if progress:
+            progress(next(steps), 2 * total)
+
+    found: list[Problem] = []
+    for sequence, stems in expected.items():
+        labels = {stem: path for (s, stem), path in files.items() if s == sequence}
+        points = {scan.stem: scan.path for scan in scans if scan.sequence == sequence}
+        found += problems(sequence, stems, labels, points, space, advance)
+    if not found:
+        write_zip(target, {**texts, **_members(expected, files)}, advance)
+    return Submission(total, not unseen, tuple(found))
+
+
+def _scans_at_hand(out: Path, dataset: Path | None, files: Predictions) -> list[ScanFile]:
+    """Find the scans of the predictions, where somebody says where they are now."""
+    found: list[ScanFile] = []
+    for sequence in sorted({sequence for sequence, _ in files}):
+        with suppress(NoInputError):
+            found += recorded_scans(out, dataset, sequence)
+    if dataset is not None and not found:
+        raise NoInputError(dataset, "no scans of the predictions", "a folder with sequences/")
+    return found
+
+
+def _expected(
+    space: LabelSpace, scans: Sequence[ScanFile], files: Predictions
+) -> dict[str, list[str]]:
+    """Return the stems that each sequence of the test split must have, from all that is known."""
+    sequences = space.split(SPLIT)
+    if not sequences:
+        raise UsageError(f"label space {space.name}", f"split {SPLIT} is empty", "its sequences")
+    official = {*sequences} == {*SCANS_OF_TEST} and space.fits(label_space())
+    known = SCANS_OF_TEST if official else {}
+    stems = {s: {f"{n:06d}" for n in range(known.get(s, 0))} for s in sequences}
+    there = [(scan.sequence, scan.stem) for scan in scans] or ([] if official else [*files])
+    for sequence, stem in there:
+        if sequence in stems:
+            stems[sequence].add(stem)
+    return {sequence: sorted(named) for sequence, named in stems.items()}
+
+
+def _members(expected: Mapping[str, list[str]], files: Predictions) -> dict[str, Path]:
+    """Return the label files by their names in the ZIP file, in its order."""
+    return {
+        f"sequences/{sequence}/predictions/{stem}.label": files[sequence, stem]
+        for sequence, stems in sorted(expected.items())
+        for stem in stems
+    }

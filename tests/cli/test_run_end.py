@@ -1,0 +1,63 @@
+# SPDX-License-Identifier: MIT
+"""End of a run: what comes next, and what is said of scans left out."""
+
+import shlex
+import shutil
+
+import pytest
+from command_line import only_json
+from scans import SMALL
+
+from salsanext_cli import label_space
+from salsanext_cli.cli.run_end import left_out, next_command
+from salsanext_cli.measures.scan_summary import RunSummary
+from salsanext_cli.parallel.run import Outcome
+from salsanext_cli.storage.sources import MissingResults
+
+
+def test_the_commands_to_type_next_lead_from_scans_to_scores(run, data, weights, tmp_path):
+    out = tmp_path / "my out"
+    found = only_json(run("project", data, out, "--weights", weights, "--json"))
+    typed = []
+    while following := found.get("next"):
+        words = shlex.split(following)
+        assert words[0] == "salsanext"
+        typed.append(words[1])
+        result = run(*words[1:], "--json")
+        assert result.exit_code == 0, result.output
+        found = only_json(result)
+    assert typed == ["predict", "knn-refine", "eval"]
+
+
+def test_what_comes_next_without_labels(run, data, weights, tmp_path):
+    shutil.rmtree(data / "sequences/08/labels")
+    found = only_json(run("predict", data, tmp_path / "out", "--weights", weights, "--json"))
+    assert found["next"] == f"salsanext export-ply {tmp_path / 'out'}"
+    assert run(*shlex.split(found["next"])[1:]).exit_code == 0
+
+
+@pytest.mark.parametrize(
+    ("stage", "done", "expected"),
+    [
+        ("uncertainty", 1, "salsanext export-ply 'a b' --colour uncertainty"),
+        ("predict", 1, "salsanext export-ply 'a b'"),
+        ("predict", 0, None),
+        ("knn-refine", 1, "salsanext export-ply 'a b'"),
+    ],
+)
+def test_next_commands(stage, done, expected):
+    summary = RunSummary(SMALL, label_space())
+    assert next_command(stage, Outcome(0, (), done, summary=summary), "a b", ()) == expected
+    assert next_command("export-ply", Outcome(0, (), done), "a b", ()) is None
+
+
+@pytest.mark.parametrize(
+    ("count", "said"),
+    [
+        (0, ""),
+        (1, " (the other scan is left out: no earlier stage was asked for it)"),
+        (6, " (the other 6 scans are left out: no earlier stage was asked for them)"),
+    ],
+)
+def test_what_is_said_of_scans_left_out_on_purpose(count, said):
+    assert left_out(MissingResults((), count)) == said
