@@ -26,6 +26,9 @@ MAX_NUMBER = 1e6
 """Bound of means, deviations and scales, in metres and units of intensity, and of their inverse."""
 SCALES = f"numbers from {1 / MAX_NUMBER:g} to {MAX_NUMBER:g}"
 NOISE = ("range_noise", "intensity_noise")
+MAX_COLUMNS = 64
+UNUSED_COLUMN = "_"
+"""Name of a column that means nothing; the only one that may occur more than once."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,6 +53,9 @@ class Sensor:
         Standard deviation of a range in metres, along the ray.
     intensity_noise : float, optional
         Standard deviation of an intensity, after the division.
+    columns : tuple of str
+        Names of the columns of files that do not name them, in lower case, such as x, y, z,
+        intensity, ring; empty for the usual ones of each format.
     """
 
     name: str
@@ -63,6 +69,7 @@ class Sensor:
     intensity_scale: float = 1.0
     range_noise: float | None = None
     intensity_noise: float | None = None
+    columns: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         self._require(isinstance(self.name, str), "a name that is no text")
@@ -102,6 +109,12 @@ class Sensor:
         for name in NOISE:
             noise = getattr(self, name)
             self._require(noise is None or 0 <= noise < math.inf, f"{name} {shortened(noise)}")
+        self._require(
+            _are_columns(self.columns),
+            f"columns {shortened(self.columns)}",
+            f"up to {MAX_COLUMNS} different names in lower case, of which x, y and z, "
+            "such as x,y,z,intensity,ring",
+        )
 
     def _require(self, holds: bool, found: str, expected: str = "a possible sensor") -> None:
         if not holds:
@@ -134,12 +147,16 @@ class Sensor:
         """Return the text of a TOML file that `sensor` reads; the file's name is the sensor's."""
         values = {key: value for key, value in asdict(self).items() if key != "name"}
         # What JSON writes for texts, numbers and lists of numbers is TOML as well.
-        known = {key: value for key, value in values.items() if value is not None}
+        known = {key: value for key, value in values.items() if value not in (None, ())}
         return "".join(f"{key} = {json.dumps(value)}\n" for key, value in known.items())
 
     def view(self) -> dict[str, Any]:
-        """Return plain data of the view of a network: all but the name and the noise."""
-        return {key: value for key, value in asdict(self).items() if key not in ("name", *NOISE)}
+        """Return plain data of the view of a network: all but the name and the noise.
+
+        Columns are left out where none are named.
+        """
+        left_out = ("name", *NOISE, *([] if self.columns else ["columns"]))
+        return {key: value for key, value in asdict(self).items() if key not in left_out}
 
     def resized(self, height: int | None = None, width: int | None = None) -> Sensor:
         """Return the same sensor with another image size."""
@@ -148,6 +165,16 @@ class Sensor:
             height=self.height if height is None else height,
             width=self.width if width is None else width,
         )
+
+
+def _are_columns(names: tuple[str, ...]) -> bool:
+    """Say whether names can be those of the columns of a table of points."""
+    if not isinstance(names, tuple) or not all(isinstance(name, str) for name in names):
+        return False
+    used = [name for name in names if name != UNUSED_COLUMN]
+    complete = not names or {"x", "y", "z"} <= set(used)
+    plain = all(name == name.lower().strip() and name for name in names)
+    return complete and plain and len(set(used)) == len(used) and len(names) <= MAX_COLUMNS
 
 
 @cache
