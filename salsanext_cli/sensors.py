@@ -126,8 +126,9 @@ class Sensor:
         return self.range_noise is not None and self.intensity_noise is not None
 
     def to_dict(self) -> dict[str, Any]:
-        """Return plain data that `from_dict` accepts."""
-        return asdict(self)
+        """Return plain data that `from_dict` accepts; columns only where they are named."""
+        values = asdict(self)
+        return values if self.columns else {k: v for k, v in values.items() if k != "columns"}
 
     @classmethod
     def from_dict(cls, data: Mapping[str, Any], source: object = "sensor") -> Sensor:
@@ -145,18 +146,14 @@ class Sensor:
 
     def to_toml(self) -> str:
         """Return the text of a TOML file that `sensor` reads; the file's name is the sensor's."""
-        values = {key: value for key, value in asdict(self).items() if key != "name"}
+        values = {key: value for key, value in self.to_dict().items() if key != "name"}
         # What JSON writes for texts, numbers and lists of numbers is TOML as well.
-        known = {key: value for key, value in values.items() if value not in (None, ())}
+        known = {key: value for key, value in values.items() if value is not None}
         return "".join(f"{key} = {json.dumps(value)}\n" for key, value in known.items())
 
     def view(self) -> dict[str, Any]:
-        """Return plain data of the view of a network: all but the name and the noise.
-
-        Columns are left out where none are named.
-        """
-        left_out = ("name", *NOISE, *([] if self.columns else ["columns"]))
-        return {key: value for key, value in asdict(self).items() if key not in left_out}
+        """Return plain data of the view of a network: all but the name and the noise."""
+        return {key: value for key, value in self.to_dict().items() if key not in ("name", *NOISE)}
 
     def resized(self, height: int | None = None, width: int | None = None) -> Sensor:
         """Return the same sensor with another image size."""

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -21,6 +22,8 @@ if TYPE_CHECKING:
 
 SCANS_HELP = "Scan file, folder of scans, sequence folder or data set."
 SENSOR_HELP = "Name of a built-in sensor, or a .toml file."
+COLUMNS_HELP = "Columns of files that do not name them, such as x,y,z,intensity,ring; _ for others."
+COLUMNS_DEFAULT = "those of the sensor, else x,y,z,intensity"
 
 Scans = Annotated[
     Path | None, typer.Argument(metavar="SCANS", help=SCANS_HELP, show_default="the data set")
@@ -48,6 +51,10 @@ WeightsOut = Annotated[
 ]
 SensorWithoutWeights = Annotated[
     str | None, typer.Option(help=SENSOR_HELP, show_default="hdl64", rich_help_panel="Network")
+]
+Columns = Annotated[
+    str | None,
+    typer.Option(help=COLUMNS_HELP, show_default=COLUMNS_DEFAULT, rich_help_panel="Network"),
 ]
 
 selection_option = partial(option, "Selection")
@@ -147,19 +154,21 @@ class NetworkOptions:
         envvar="SALSANEXT_ENGINE",
     )
     sensor: str | None = network_option(SENSOR_HELP, show_default="the sensor of the weights")
+    columns: str | None = network_option(COLUMNS_HELP, show_default=COLUMNS_DEFAULT)
 
     def settings(self) -> NetworkSettings:
         """Build the settings that stages take."""
         from salsanext_cli.inference.settings import NetworkSettings
 
-        named = sensor(self.sensor)
+        named = sensor(self.sensor) if self.columns is None else self.sensor_to_project()
         return NetworkSettings(self.weights, self.device, named, self.precision, self.engine)
 
     def sensor_to_project(self) -> Sensor:
         """Return the sensor that was named, else the one that the weights were trained with."""
         from salsanext_cli.network.card import default_weights, read_card
 
-        return sensor(self.sensor) or read_card(self.weights or default_weights()).sensor
+        named = sensor(self.sensor) or read_card(self.weights or default_weights()).sensor
+        return with_columns(named, self.columns)
 
 
 @option_group
@@ -187,6 +196,14 @@ def sensor(name: str | None) -> Sensor | None:
     from salsanext_cli.sensors import sensor as find
 
     return None if name is None else find(name)
+
+
+def with_columns(sensor: Sensor, columns: str | None) -> Sensor:
+    """Return a sensor whose files have other columns, if some were named."""
+    if columns is None:
+        return sensor
+    names = tuple(name.strip().lower() for name in columns.split(","))
+    return replace(sensor, columns=names)
 
 
 def label_space(name: str | None) -> LabelSpace | None:

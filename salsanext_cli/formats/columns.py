@@ -21,7 +21,7 @@ USUAL_COLUMNS = ("x", "y", "z", "intensity")
 MAX_UNNAMED_COLUMNS = 5
 """Most columns that are taken for the usual ones and another one: six may end in colours."""
 MAX_DISTANCE_M = 10_000.0
-"""Distance along an axis that no LiDAR measures; also that up to which float32 holds millimetres."""
+"""Distance along an axis that no LiDAR measures; up to it float32 holds millimetres."""
 
 
 def scan_of(columns: Columns, path: Path, intensity_scale: float) -> Scan:

@@ -33,9 +33,7 @@ LABEL_TYPES = ("<u4", "<u2", "<u1")
 """Types of labels, the usual one first; the others hold no instances."""
 
 
-def read_bin(
-    path: Path, *, columns: tuple[str, ...] = (), intensity_scale: float = 1.0
-) -> Scan:
+def read_bin(path: Path, *, columns: tuple[str, ...] = (), intensity_scale: float = 1.0) -> Scan:
     """Read a scan of float32 x, y, z, intensity and, in `.pcd.bin` files, ring.
 
     Parameters
@@ -134,7 +132,9 @@ def read_labels(path: Path, count: int | None = None) -> RawIds:
     """
     with reading(path) as file:
         size = size_of(file)
-        fitting = (kind for kind in LABEL_TYPES if count and size == count * np.dtype(kind).itemsize)
+        fitting = (
+            kind for kind in LABEL_TYPES if count and size == count * np.dtype(kind).itemsize
+        )
         kind = np.dtype(next(fitting, LABEL_TYPES[0]))
         if size % kind.itemsize:
             raise FormatError(

@@ -29,8 +29,9 @@ COUNT = struct.Struct("<247xQ")
 RECORD_BYTES = 54
 """Least size of a record of variable length."""
 COMPRESSED_BIT = 0x80
+COMPRESSED_SUFFIX = ".laz"
 MAX_POINTS_PER_BYTE = 16
-"""Number of points that a byte of compressed data can stand for; of a LiDAR's a point takes some."""
+"""Largest number of points for a byte of compressed data; of a LiDAR's each takes some bytes."""
 POINTS_PER_PART = 1 << 16
 INTENSITY_RANGE = 65535
 EXACT_INTENSITY = "scalar_intensity"
@@ -91,7 +92,7 @@ def _read_columns(file: BinaryIO, path: Path, laspy: Any) -> Columns:
     with laspy.open(file, closefd=False, read_evlrs=False, laz_backend=backend) as reader:
         header = reader.header
         if header.are_points_compressed and not backend.is_available():
-            raise _missing(path, "LAZ needs lazrs")
+            raise _missing(path, "lazrs")
         if header.are_points_compressed and header.point_count:
             row = reader.point_source.vlr.item_size()
             if row != header.point_format.size:
@@ -112,16 +113,17 @@ def _columns(points: Any) -> Columns:
 
 
 def encode_las(
+    path: Path,
     columns: Mapping[str, npt.NDArray[Any]],
     classification: npt.NDArray[np.uint8],
     comments: Iterable[str] = (),
-    *,
-    compressed: bool = False,
 ) -> bytes:
-    """Return a cloud as a LAS 1.4 file, or as LAZ.
+    """Return a cloud as a LAS 1.4 file.
 
     Parameters
     ----------
+    path : Path
+        Name of the file to be; `.laz` is compressed.
     columns : mapping of str to (N,) array
         x, y, z in metres; red, green, blue uint8; intensity, nominally 0…1; the others become
         extra dimensions of their name and type. Points that are not finite are written at the
@@ -130,8 +132,6 @@ def encode_las(
         Classes of the ASPRS.
     comments : iterable of str
         Lines of the text record.
-    compressed : bool
-        Write LAZ.
 
     Raises
     ------
@@ -140,7 +140,8 @@ def encode_las(
     MissingDependency
         If laspy, or lazrs for LAZ, cannot be imported.
     """
-    laspy = import_laspy("--format laz" if compressed else "--format las", compressed)
+    compressed = path.suffix == COMPRESSED_SUFFIX
+    laspy = import_laspy(path)
     points = np.column_stack([columns[axis] for axis in "xyz"]).astype(np.float64)
     finite = np.isfinite(points).all(axis=1)
     points[~finite] = 0
@@ -148,7 +149,7 @@ def encode_las(
     if farthest > MAX_DISTANCE_M:
         found = f"a point at {farthest:g} m"
         expected = f"points up to {MAX_DISTANCE_M:g} m, so that the others are not rounded"
-        raise OutputError("LAS", found, expected, "export with --format ply")
+        raise OutputError(path, found, expected, "export with --format ply")
     extra = {n: values for n, values in columns.items() if n not in ("x", "y", "z", *COLOURS)}
     extra[EXACT_INTENSITY] = extra.pop("intensity")
     header = laspy.LasHeader(version=VERSION, point_format=FORMAT)
@@ -177,23 +178,23 @@ def encode_las(
     return bytes(content)
 
 
-def import_laspy(subject: object, compressed: bool = False) -> Any:
-    """Import laspy, which then does not print.
+def import_laspy(path: Path) -> Any:
+    """Import what a file needs, and keep it from printing.
 
     Raises
     ------
     MissingDependency
-        If it, or lazrs for compressed points, is not installed; `subject` is named.
+        If laspy, or lazrs for a `.laz` file, is not installed.
     """
     try:
         laspy = import_extra("laspy", "las")
     except MissingDependency as error:
-        raise _missing(subject, "LAS needs laspy") from error
-    if compressed and not laspy.LazBackend.Lazrs.is_available():
-        raise _missing(subject, "LAZ needs lazrs")
+        raise _missing(path, "laspy") from error
+    if path.suffix.lower() == COMPRESSED_SUFFIX and not laspy.LazBackend.Lazrs.is_available():
+        raise _missing(path, "lazrs")
     logging.getLogger("laspy").addHandler(logging.NullHandler())
     return laspy
 
 
-def _missing(subject: object, found: str) -> MissingDependency:
-    return MissingDependency(subject, found, remedy="pip install 'salsanext[las]'")
+def _missing(path: Path, package: str) -> MissingDependency:
+    return MissingDependency(path, f"LAS needs {package}", remedy="pip install 'salsanext[las]'")

@@ -31,9 +31,7 @@ ARCHIVE_ERRORS = (
 """Errors of zipfile for a damaged or encrypted archive, or an unusual compression."""
 
 
-def read_npy(
-    path: Path, *, columns: tuple[str, ...] = (), intensity_scale: float = 1.0
-) -> Scan:
+def read_npy(path: Path, *, columns: tuple[str, ...] = (), intensity_scale: float = 1.0) -> Scan:
     """Read a scan from a `.npy` file: (N, C) numbers, or (N,) records with named fields.
 
     Parameters
@@ -55,9 +53,7 @@ def read_npy(
     return scan_of(_columns(array, columns, path), path, intensity_scale)
 
 
-def read_npz(
-    path: Path, *, columns: tuple[str, ...] = (), intensity_scale: float = 1.0
-) -> Scan:
+def read_npz(path: Path, *, columns: tuple[str, ...] = (), intensity_scale: float = 1.0) -> Scan:
     """Read a scan from a `.npz` file: columns x, y, z …, or a table and further columns.
 
     Parameters and errors are those of `read_npy`.
@@ -68,9 +64,7 @@ def read_npz(
         with zipfile.ZipFile(io.BytesIO(content)) as archive:
             if sum(member.file_size for member in archive.infolist()) > MAX_RATIO * len(content):
                 raise ValueError("an archive that promises more than it can hold")
-            members = {
-                name.removesuffix(".npy"): archive.read(name) for name in archive.namelist()
-            }
+            members = {name.removesuffix(".npy"): archive.read(name) for name in archive.namelist()}
     except ARCHIVE_ERRORS as error:
         raise FormatError(path, "not a whole .npz file", EXPECTED) from error
     arrays = {name: _array(member, path) for name, member in members.items()}

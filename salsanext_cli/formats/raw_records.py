@@ -82,7 +82,7 @@ def are_coordinates(values: Float) -> bool:
     """Say whether coordinates (N, 3) float32 can be metres, for all that are a measurement."""
     rows = _sample(values)
     measured = rows[np.isfinite(rows) & (rows != 0)]
-    return np.count_nonzero(_possible(measured)) >= LEAST_POSSIBLE_SHARE * len(measured)
+    return int(_possible(measured).sum()) >= LEAST_POSSIBLE_SHARE * len(measured)
 
 
 def _sample(rows: Float) -> Float:

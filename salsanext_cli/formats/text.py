@@ -47,9 +47,7 @@ class Layout:
     names: tuple[str, ...]
 
 
-def read_text(
-    path: Path, *, columns: tuple[str, ...] = (), intensity_scale: float = 1.0
-) -> Scan:
+def read_text(path: Path, *, columns: tuple[str, ...] = (), intensity_scale: float = 1.0) -> Scan:
     """Read a scan from text, with the names of its columns in a header, a comment or nowhere.
 
     Parameters
@@ -119,9 +117,7 @@ def _is_number(word: str) -> bool:
     return True
 
 
-def _numbers(
-    content: bytes, layout: Layout, used: tuple[int, ...]
-) -> npt.NDArray[np.float64]:
+def _numbers(content: bytes, layout: Layout, used: tuple[int, ...]) -> npt.NDArray[np.float64]:
     """Return some columns of the table, (N, len(used)) float64."""
     body = content[layout.start :]
     if not body.strip():

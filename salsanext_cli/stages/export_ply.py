@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Stage `export-ply`: scans and results to coloured point clouds."""
+"""Stage `export-ply`: scans and results to coloured point clouds, PLY or LAS."""
 
 import math
 from contextlib import suppress
@@ -13,6 +13,8 @@ import numpy.typing as npt
 
 from salsanext_cli.classes import LabelSpace
 from salsanext_cli.errors import OutputError, SalsanextError, UsageError
+from salsanext_cli.formats.asprs import asprs_class, classification
+from salsanext_cli.formats.las import encode_las, import_laspy
 from salsanext_cli.formats.ply import encode_ply
 from salsanext_cli.formats.reading import present
 from salsanext_cli.inference.settings import NetworkSettings
@@ -44,9 +46,12 @@ from salsanext_cli.storage.stage_records import (
 )
 
 SCANS_FOR_SCALE = 20
+FORMATS = ("ply", "las", "laz")
 
 
-def export_scan(file: ScanFile, colours: PointColours, sensor: Sensor, output: OutputRun) -> None:
+def export_scan(
+    file: ScanFile, colours: PointColours, sensor: Sensor, form: str, output: OutputRun
+) -> None:
     """Write one scan as a coloured cloud with every known scalar."""
     output.require_replaceable(file)
     results = read_results(file, output.out, sensor)
@@ -55,8 +60,15 @@ def export_scan(file: ScanFile, colours: PointColours, sensor: Sensor, output: O
         raise missing_column(colours.colour, file, output.out)
     rgb = dict(zip(("red", "green", "blue"), colours.of_points(results, columns).T, strict=True))
     positions = dict(zip("xyz", results.scan.points.T, strict=True))
+    known = positions | rgb | columns
     comments = [f"colour {colours.legend}", f"label space {colours.space.name}"]
-    output.write(file, "ply", encode_ply(positions | rgb | columns, comments))
+    if form == "ply":
+        output.write(file, form, encode_ply(known, comments))
+        return
+    space, path = colours.space, output.path(file, form)
+    comments += [f"class {asprs_class(i, space)} {name}" for i, name in space.labels.items()]
+    classes = classification(columns.get("label", np.zeros(len(results.scan))), space)
+    output.write(file, form, encode_las(path, known, classes, comments))
 
 
 def export_ply(
@@ -64,13 +76,14 @@ def export_ply(
     *,
     colour: str = "label",
     scale: tuple[float, float] | None = None,
+    form: str = "ply",
     dataset: Path | None = None,
     space: LabelSpace | None = None,
     network: NetworkSettings = NetworkSettings(),
     selection: ScanSelection = ScanSelection(),
     options: RunOptions = RunOptions(),
 ) -> Outcome:
-    """Write `OUT/sequences/<seq>/ply/*.ply`: positions, colours and every known scalar.
+    """Write `OUT/sequences/<seq>/ply/*.ply` or the like: positions, colours and every known scalar.
 
     Parameters
     ----------
@@ -82,6 +95,8 @@ def export_ply(
         The values at the ends of the colour map, for colours that are values. Otherwise what
         most points of the first scans span; it is the same for all scans and written down in
         every file.
+    form : {"ply", "las", "laz"}
+        Format of the files, and folder.
     dataset : Path, optional
         Where the scans and labels are, if not where the scans came from.
     space : LabelSpace, optional
@@ -100,6 +115,10 @@ def export_ply(
         raise UsageError("--colour", colour, f"one of {', '.join(COLOURS)}")
     if scale and not (scale[0] < scale[1] and all(map(math.isfinite, scale))):
         raise UsageError("--scale", f"{scale[0]} {scale[1]}", "a lower and a higher number")
+    if form not in FORMATS:
+        raise UsageError("--format", form, f"one of {', '.join(FORMATS)}")
+    if form != "ply":
+        import_laspy(Path(f"--format.{form}"))
     scans = recorded_scans(out, dataset)
     space = space_of_results(out, scans, space)
     _require_same_weights(out)
@@ -125,11 +144,11 @@ def export_ply(
     }
     colours = PointColours(colour, scale, space)
     with output_run(
-        *(out, "export-ply", settings, ("ply",), scans),
+        *(out, "export-ply", settings, (form,), scans),
         overwrite=options.overwrite,
         record_scans=False,
     ) as output:
-        task = partial(export_scan, colours=colours, sensor=sensor, output=output)
+        task = partial(export_scan, colours=colours, sensor=sensor, form=form, output=output)
         outcome = run_over_scans(task, scans, options, is_done=output.is_done)
     failures = tuple(unestimated.get(failure.scan, failure) for failure in outcome.failures)
     return replace(outcome, failures=failures, missing=missing)

@@ -197,10 +197,11 @@ def predict_range_images(
         If nothing can be done at all; failures of single images are in the outcome.
     """
     loaded = network.load()
-    _require_same_view(folder, projected_sensor(folder), loaded.sensor)
+    seen = _sensor_of_images(folder, projected_sensor(folder), loaded.sensor)
     scans = with_outputs(recorded_scans(folder), folder, "range")
     scans = choose(scans, selection, space_of(scans, loaded.card.space), folder)
-    settings, folders = network.record(loaded), ("pixel_labels",)
+    sensor = {"sensor": {"name": seen.name, **seen.view()}}
+    settings, folders = network.record(loaded) | sensor, ("pixel_labels",)
     with output_run(
         out, "predict", settings, folders, scans, overwrite=options.overwrite
     ) as output:
@@ -217,10 +218,14 @@ def projected_sensor(folder: Path) -> Sensor | None:
     return Sensor.from_dict(settings.table("sensor"), settings.path)
 
 
-def _require_same_view(folder: Path, projected: Sensor | None, wanted: Sensor) -> None:
-    """Refuse images of another geometry; their normalisation is the network's own."""
+def _sensor_of_images(folder: Path, projected: Sensor | None, wanted: Sensor) -> Sensor:
+    """Return the network's sensor with the columns of the scans; refuse another geometry.
+
+    Normalisation is the network's own.
+    """
     if projected is None:
         raise UsageError(folder, "holds no range images", "the output folder of `project`")
+    wanted = replace(wanted, columns=projected.columns)
     if replace(projected, means=wanted.means, stds=wanted.stds).view() != wanted.view():
         raise UsageError(
             folder,
@@ -228,3 +233,4 @@ def _require_same_view(folder: Path, projected: Sensor | None, wanted: Sensor) -
             f"{wanted.name}, {wanted.height}×{wanted.width}, as the weights or --sensor say",
             "project again, or give the sensor that was projected with",
         )
+    return wanted
