@@ -123,19 +123,18 @@ def _numbers(content: bytes, layout: Layout, used: tuple[int, ...]) -> npt.NDArr
     if not body.strip():
         return np.empty((0, len(used)))
     # Of delimited columns others may hold text; blanks may be in it, so then all are numbers.
-    chosen = used if layout.delimiter else range(layout.width)
     table = np.loadtxt(
         *(io.BytesIO(body), np.float64),
         comments=None,
         delimiter=layout.delimiter,
         quotechar='"',
-        usecols=chosen,
+        usecols=used if layout.delimiter else None,
         ndmin=2,
     )
-    if layout.delimiter:
-        if body.count(layout.delimiter.encode()) != len(table) * (layout.width - 1):
-            raise ValueError(f"lines of more or fewer than {layout.width} columns")
-        return table
-    if len(body.split()) != table.size:
+    if layout.delimiter is None:
+        marks, table = table.shape[1] - 1, table[:, used]
+    else:
+        marks = body.count(layout.delimiter.encode()) / len(table)
+    if marks != layout.width - 1:
         raise ValueError(f"lines of more or fewer than {layout.width} columns")
-    return table[:, used]
+    return table

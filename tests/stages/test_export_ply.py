@@ -15,7 +15,7 @@ from salsanext_cli.report.colours import EMPTY, RIGHT, WRONG, map_colours
 from salsanext_cli.stages.export_ply import export_ply
 from salsanext_cli.stages.predict import predict_scans
 from salsanext_cli.stages.uncertainty import uncertainty
-from salsanext_cli.storage.point_files import write_bin
+from salsanext_cli.storage.point_files import write_bin, write_ply
 from salsanext_cli.storage.predictions import predicted_scans
 from salsanext_cli.storage.selection import ScanSelection
 from salsanext_cli.uncertainty.settings import Estimator
@@ -293,9 +293,11 @@ def test_odd_points_are_exported(world):
 
 
 def test_an_empty_scan_is_exported(world):
-    world.scan().write_bytes(b"")
+    nothing = np.empty(0, np.float32)
+    write_ply(world.scan().with_suffix(".ply"), dict.fromkeys(("x", "y", "z", "i"), nothing))
+    world.scan().unlink()
     (world.data / "sequences/08/labels/000000.label").write_bytes(b"")
-    predict_scans(world.scan(), world.out, network=world.network)
+    predict_scans(world.scan().with_suffix(".ply"), world.out, network=world.network)
     for colour in ("label", "error", "range"):
         assert export(world, colour=colour, options=OVERWRITE).done == 1
         assert len(ply(world)["vertex"].data) == 0
