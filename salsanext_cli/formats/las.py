@@ -28,6 +28,10 @@ COUNT = struct.Struct("<247xQ")
 """Number of points in headers from version 1.4 on."""
 RECORD_BYTES = 54
 """Least size of a record of variable length."""
+CHUNK_TABLE, CHUNK_COUNT = struct.Struct("<q"), struct.Struct("<4xI")
+"""Offset of the table of chunks, before the first chunk, and the start of the table."""
+TABLE_AT_END = -1
+"""Offset where the last bytes of the file hold it."""
 COMPRESSED_BIT = 0x80
 COMPRESSED_SUFFIX = ".laz"
 MAX_POINTS_PER_BYTE = 16
@@ -84,6 +88,29 @@ def _require_room(file: BinaryIO) -> None:
     room = held * MAX_POINTS_PER_BYTE if kind & COMPRESSED_BIT else held // max(row, 1)
     if header > offset or records * RECORD_BYTES > offset or held < 0 or count > room:
         raise ValueError("the header promises more than the file holds")
+    if kind & COMPRESSED_BIT and count:
+        _require_chunks(file, offset, size)
+    file.seek(0)
+
+
+def _require_chunks(file: BinaryIO, offset: int, size: int) -> None:
+    """Raise `ValueError` if the table of chunks is not in the file, or promises too many.
+
+    lazrs would end the process where memory for so many cannot be had.
+    """
+    (table,) = CHUNK_TABLE.unpack(_bytes_at(file, offset, CHUNK_TABLE.size))
+    if table == TABLE_AT_END:
+        (table,) = CHUNK_TABLE.unpack(_bytes_at(file, size - CHUNK_TABLE.size, CHUNK_TABLE.size))
+    (chunks,) = CHUNK_COUNT.unpack(_bytes_at(file, table, CHUNK_COUNT.size))
+    if chunks > size:
+        raise ValueError(f"{chunks} chunks of compressed points in {size} bytes")
+
+
+def _bytes_at(file: BinaryIO, offset: int, count: int) -> bytes:
+    if not 0 <= offset <= size_of(file) - count:
+        raise ValueError(f"no table of chunks at byte {offset}")
+    file.seek(offset)
+    return file.read(count)
 
 
 def _read_columns(file: BinaryIO, path: Path, laspy: Any) -> Columns:
