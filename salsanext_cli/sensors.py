@@ -27,6 +27,10 @@ MAX_NUMBER = 1e6
 SCALES = f"numbers from {1 / MAX_NUMBER:g} to {MAX_NUMBER:g}"
 NOISE = ("range_noise", "intensity_noise")
 MAX_COLUMNS = 64
+COLUMNS_EXPECTED = (
+    f"up to {MAX_COLUMNS} different names in lower case, with x, y and z, "
+    "such as x,y,z,intensity,ring"
+)
 UNUSED_COLUMN = "_"
 """Name of a column that means nothing; the only one that may occur more than once."""
 
@@ -110,10 +114,7 @@ class Sensor:
             noise = getattr(self, name)
             self._require(noise is None or 0 <= noise < math.inf, f"{name} {shortened(noise)}")
         self._require(
-            _are_columns(self.columns),
-            f"columns {shortened(self.columns)}",
-            f"up to {MAX_COLUMNS} different names in lower case, of which x, y and z, "
-            "such as x,y,z,intensity,ring",
+            are_columns(self.columns), f"columns {shortened(self.columns)}", COLUMNS_EXPECTED
         )
 
     def _require(self, holds: bool, found: str, expected: str = "a possible sensor") -> None:
@@ -164,7 +165,7 @@ class Sensor:
         )
 
 
-def _are_columns(names: tuple[str, ...]) -> bool:
+def are_columns(names: tuple[str, ...]) -> bool:
     """Say whether names can be those of the columns of a table of points."""
     if not isinstance(names, tuple) or not all(isinstance(name, str) for name in names):
         return False

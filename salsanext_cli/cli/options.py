@@ -202,7 +202,11 @@ def with_columns(sensor: Sensor, columns: str | None) -> Sensor:
     """Return a sensor whose files have other columns, if some were named."""
     if columns is None:
         return sensor
+    from salsanext_cli.sensors import COLUMNS_EXPECTED, are_columns
+
     names = tuple(name.strip().lower() for name in columns.split(","))
+    if not are_columns(names):
+        raise UsageError("--columns", columns, COLUMNS_EXPECTED)
     return replace(sensor, columns=names)
 
 

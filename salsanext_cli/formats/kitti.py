@@ -4,15 +4,18 @@
 from pathlib import Path
 
 import numpy as np
+import numpy.typing as npt
 
 from salsanext_cli.classes import RawIds
 from salsanext_cli.errors import FormatError, LabelError
 from salsanext_cli.formats.columns import normalised_intensity, scan_of, unnamed_columns
 from salsanext_cli.formats.raw_records import (
+    MIN_TEXT_BYTES,
     TEXT_BYTES,
+    TEXT_SUFFIX,
     are_coordinates,
     are_float64,
-    kind_of_other,
+    other_suffix,
 )
 from salsanext_cli.formats.reading import read_values, reading, size_of
 from salsanext_cli.records import Float, Scan
@@ -23,14 +26,14 @@ COLUMNS_WITH_RING = 5
 """x, y, z, intensity, ring: the `.pcd.bin` files of nuScenes."""
 REMEDIES = {
     COLUMNS: "give a file of 4 columns the suffix .bin",
-    COLUMNS_WITH_RING: "give a file of 5 columns the suffix .pcd.bin",
+    COLUMNS_WITH_RING: "give a file of 5 columns the suffix .pcd.bin, or "
+    "name them, with --columns x,y,z,intensity,ring",
     6: "name its columns, with --columns x,y,z,intensity,_,_ for example",
 }
 """Advice for a file with that number of columns where another is expected."""
 ANEW = "write it anew as float32 x, y, z, intensity"
-TEXT_SUFFIXES = ".csv, .xyz"
-LABEL_TYPES = ("<u4", "<u2", "<u1")
-"""Types of labels, the usual one first; the others hold no instances."""
+MAX_CLASS = 0xFFFF
+"""Largest label of four bytes without an instance."""
 
 
 def read_bin(path: Path, *, columns: tuple[str, ...] = (), intensity_scale: float = 1.0) -> Scan:
@@ -78,8 +81,10 @@ def _read_floats(path: Path, width: int) -> Float:
         expected = f"a multiple of {4 * width} ({width} float32 per point)"
         if size == 0:
             raise FormatError(path, "is empty", expected, "copy it again, or remove it")
-        if kind := kind_of_other(file.read(TEXT_BYTES + 1)):
-            remedy = f"give it the suffix of its format, one of {TEXT_SUFFIXES} if it is a table"
+        start = file.read(TEXT_BYTES + 1)
+        if size >= MIN_TEXT_BYTES and (suffix := other_suffix(start)):
+            kind = "text" if suffix == TEXT_SUFFIX else f"a {suffix} file"
+            remedy = f"rename it to {suffix} if it is a table of points"
             raise FormatError(path, f"is {kind}", f"{width} float32 per point", remedy)
         file.seek(0)
         values = read_values(file, path, "<f4", size // 4)
@@ -132,16 +137,11 @@ def read_labels(path: Path, count: int | None = None) -> RawIds:
     """
     with reading(path) as file:
         size = size_of(file)
-        fitting = (
-            kind for kind in LABEL_TYPES if count and size == count * np.dtype(kind).itemsize
-        )
-        kind = np.dtype(next(fitting, LABEL_TYPES[0]))
-        if size % kind.itemsize:
+        if size % 4 and (count is None or size not in (count, 2 * count)):
             raise FormatError(
                 path, f"{size} bytes", "a multiple of 4 (one uint32 per point)", "it is cut off"
             )
-        values = read_values(file, path, kind, size // kind.itemsize)
-    raw: RawIds = values.astype(np.uint32, copy=False)
+        raw = _labels(read_values(file, path, np.uint8, size), count or 0)
     if count is not None and len(raw) != count:
         raise LabelError(
             path,
@@ -150,6 +150,17 @@ def read_labels(path: Path, count: int | None = None) -> RawIds:
             "use the labels that belong to this scan",
         )
     return raw
+
+
+def _labels(content: npt.NDArray[np.uint8], count: int) -> RawIds:
+    """Return labels of two bytes or one where so many are so long, else of four."""
+    narrow = {2 * count: "<u2", count: "<u1"}.get(content.size)
+    wide = content[: content.size // 4 * 4].view("<u4").astype(np.uint32, copy=False)
+    # Classes of four bytes, without instances, of half or a quarter of the points.
+    of_fewer = content.size % 4 == 0 and wide.any() and wide.max() <= MAX_CLASS
+    if narrow is None or of_fewer:
+        return wide
+    return content.view(narrow).astype(np.uint32)
 
 
 def encode_labels(raw: RawIds) -> bytes:

@@ -61,7 +61,7 @@ def read_las(path: Path) -> Scan:
     MissingDependency
         If laspy or, for compressed points, lazrs cannot be imported.
     """
-    laspy = import_laspy(path)
+    laspy = import_laspy(path, compressed=path.suffix.lower() == COMPRESSED_SUFFIX)
     with reading(path) as file:
         try:
             _require_room(file)
@@ -168,7 +168,7 @@ def encode_las(
         If laspy, or lazrs for LAZ, cannot be imported.
     """
     compressed = path.suffix == COMPRESSED_SUFFIX
-    laspy = import_laspy(path)
+    laspy = import_laspy(path, compressed=compressed)
     points = np.column_stack([columns[axis] for axis in "xyz"]).astype(np.float64)
     finite = np.isfinite(points).all(axis=1)
     points[~finite] = 0
@@ -205,23 +205,23 @@ def encode_las(
     return bytes(content)
 
 
-def import_laspy(path: Path) -> Any:
-    """Import what a file needs, and keep it from printing.
+def import_laspy(subject: object, *, compressed: bool) -> Any:
+    """Import laspy, and keep it from printing.
 
     Raises
     ------
     MissingDependency
-        If laspy, or lazrs for a `.laz` file, is not installed.
+        If it, or lazrs for compressed points, is not installed; `subject` is named.
     """
     try:
         laspy = import_extra("laspy", "las")
     except MissingDependency as error:
-        raise _missing(path, "laspy") from error
-    if path.suffix.lower() == COMPRESSED_SUFFIX and not laspy.LazBackend.Lazrs.is_available():
-        raise _missing(path, "lazrs")
+        raise _missing(subject, "laspy") from error
+    if compressed and not laspy.LazBackend.Lazrs.is_available():
+        raise _missing(subject, "lazrs")
     logging.getLogger("laspy").addHandler(logging.NullHandler())
     return laspy
 
 
-def _missing(path: Path, package: str) -> MissingDependency:
-    return MissingDependency(path, f"LAS needs {package}", remedy="pip install 'salsanext[las]'")
+def _missing(subject: object, package: str) -> MissingDependency:
+    return MissingDependency(subject, f"LAS needs {package}", remedy="pip install 'salsanext[las]'")

@@ -18,8 +18,11 @@ MAGIC = {
     b"\x1f\x8b": ".gz",
 }
 """Suffixes of other formats by the bytes that their files begin with."""
+TEXT_SUFFIX = ".csv"
 TEXT_BYTES = 4096
 """Size of the start of a file that shows whether it is text."""
+MIN_TEXT_BYTES = 16
+"""Size of a file that is called text."""
 CONTROL = re.compile(rb"[\x00-\x08\x0e-\x1a\x1c-\x1f\x7f]")
 """Bytes that do not occur in text; blanks, line ends and escapes do."""
 LEAST, MOST = 1e-12, 1e7
@@ -33,11 +36,11 @@ SAMPLE = 4096
 """Rows that are looked at, evenly spaced."""
 
 
-def kind_of_other(content: bytes) -> str | None:
-    """Name the kind of a file that begins with text or as another format does, else None."""
+def other_suffix(content: bytes) -> str | None:
+    """Return the suffix for content that begins as another format or as text does, else None."""
     for magic, suffix in MAGIC.items():
         if content.startswith(magic):
-            return f"a {suffix} file"
+            return suffix
     start = content[:TEXT_BYTES]
     if CONTROL.search(start):
         return None
@@ -47,7 +50,7 @@ def kind_of_other(content: bytes) -> str | None:
         # A character may be cut at the end.
         if error.start < len(start) - 3 or len(content) <= TEXT_BYTES:
             return None
-    return "text"
+    return TEXT_SUFFIX
 
 
 def are_float64(values: Float) -> bool:

@@ -118,7 +118,7 @@ def export_ply(
     if form not in FORMATS:
         raise UsageError("--format", form, f"one of {', '.join(FORMATS)}")
     if form != "ply":
-        import_laspy(Path(f"--format.{form}"))
+        import_laspy(f"--format {form}", compressed=form == "laz")
     scans = recorded_scans(out, dataset)
     space = space_of_results(out, scans, space)
     _require_same_weights(out)

@@ -25,7 +25,7 @@ def npy(table):
 LINES = "".join(f"{x:.3f} {y:.3f} {z:.3f} {i:.2f}\n" for x, y, z, i in TABLE).encode()
 OTHERS = {
     "empty": (b"", "is empty"),
-    "text": (LINES[: len(LINES) // 16 * 16], r"is text .* suffix of its format, .* \.csv"),
+    "text": (LINES[: len(LINES) // 16 * 16], r"is text .* rename it to \.csv"),
     "text that cannot be cut": (LINES, "is text"),
     "a short text": ("Grüße aus Köln!\n".encode() * 16, "is text"),
     "html": (b"<!DOCTYPE html><html>Not found</html>\n" * 16, "is text"),
