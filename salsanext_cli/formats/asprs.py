@@ -6,7 +6,7 @@ import numpy.typing as npt
 
 from salsanext_cli.classes import LabelSpace, RawIds
 
-NEVER_CLASSIFIED, UNASSIGNED = 0, 1
+UNASSIGNED = 1
 CLASS_OF_NAME = {
     "unlabeled": UNASSIGNED,
     "unlabelled": UNASSIGNED,

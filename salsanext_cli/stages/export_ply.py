@@ -67,7 +67,7 @@ def export_scan(
         return
     space, path = colours.space, output.path(file, form)
     comments += [f"class {asprs_class(i, space)} {name}" for i, name in space.labels.items()]
-    classes = classification(columns.get("label", np.zeros(len(results.scan))), space)
+    classes = classification(columns.get("label", np.zeros(len(results.scan), np.uint32)), space)
     output.write(file, form, encode_las(path, known, classes, comments))
 
 
