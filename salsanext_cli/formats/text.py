@@ -14,6 +14,7 @@ import numpy.typing as npt
 
 from salsanext_cli.errors import FormatError
 from salsanext_cli.formats.columns import INTENSITY_NAMES, columns_of_width, scan_of
+from salsanext_cli.formats.raw_records import CONTROL, TEXT_BYTES
 from salsanext_cli.formats.reading import reading
 from salsanext_cli.records import Scan
 from salsanext_cli.settings_files import shortened
@@ -66,6 +67,8 @@ def read_text(path: Path, *, columns: tuple[str, ...] = (), intensity_scale: flo
     """
     with reading(path) as file:
         content = file.read().removeprefix(BYTE_ORDER_MARK)
+    if CONTROL.search(content[:TEXT_BYTES]):
+        raise FormatError(path, "not text", "a point in each line, in ASCII or UTF-8")
     try:
         layout = _layout(content, has_names=bool(columns))
         names = layout.names or columns_of_width(layout.width, columns, path)

@@ -10,7 +10,12 @@ from pathlib import Path
 from salsanext_cli.errors import NoInputError, OutputError
 from salsanext_cli.formats import CLOUD_SUFFIXES, SCAN_SUFFIXES, scan_suffix
 from salsanext_cli.formats.reading import present, reason
-from salsanext_cli.storage.scan_folders import files_in, require_known, suffixes_of
+from salsanext_cli.storage.scan_folders import (
+    counted_by_suffix,
+    files_in,
+    require_known,
+    suffixes_of,
+)
 
 SUFFIX_OF_FOLDER = {
     "range": ".npy",
@@ -85,11 +90,14 @@ def find_scans(source: Path, sequences: Collection[str] | None = None) -> list[S
             require_known(source)
         found = _scans_of(_absolute(source))
         scans = sorted(found, key=lambda scan: (scan.sequence, scan.stem, scan.path.name))
+        others = [] if scans else files_in(source)
     except OSError as error:
         raise NoInputError(source, reason(error), "a scan or a folder of scans") from error
     if not scans:
         raise NoInputError(
-            source, "holds no scans", f"{', '.join(SCAN_SUFFIXES)} files, or sequences/*/velodyne"
+            source,
+            f"holds no scans{f', but {counted_by_suffix(others)}' if others else ''}",
+            f"{', '.join(SCAN_SUFFIXES)} files, or sequences/*/velodyne",
         )
     if sequences is not None:
         scans = of_sequences(scans, sequences, source)

@@ -55,13 +55,18 @@ def log_passed_over(source: Path, taken: Collection[Path]) -> None:
         for path in files_in(folder)
         if path not in scans and path.suffix.lower() not in COMPANIONS
     ]
-    left.sort(key=lambda path: (path.suffix.lower(), path))
-    groups = {
-        suffix or "without a suffix": list(paths)
-        for suffix, paths in groupby(left, lambda path: path.suffix.lower())
-    }
-    if groups:
-        counts = ", ".join(f"{len(paths)} {suffix}" for suffix, paths in groups.items())
-        log.log(NOTICE, "%s: passed over %s", source, counts)
-    for suffix, paths in groups.items():
+    if left:
+        log.log(NOTICE, "%s: passed over %s", source, counted_by_suffix(left))
+    for suffix, paths in _by_suffix(left).items():
         log.info("passed over, %s: %s", suffix, first_few(paths))
+
+
+def counted_by_suffix(paths: Iterable[Path]) -> str:
+    """Return the numbers of files by suffix, in words."""
+    return ", ".join(f"{len(group)} {suffix}" for suffix, group in _by_suffix(paths).items())
+
+
+def _by_suffix(paths: Iterable[Path]) -> dict[str, list[Path]]:
+    ordered = sorted(paths, key=lambda path: (path.suffix.lower(), path))
+    groups = groupby(ordered, lambda path: path.suffix.lower())
+    return {suffix or "without a suffix": list(group) for suffix, group in groups}

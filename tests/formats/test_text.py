@@ -82,6 +82,7 @@ def test_columns_are_named_where_the_file_does_not(tmp_path):
         ("x,y,z,x\n1,2,3,4\n", "a column twice"),
         ("x,Y,z,a,X\n1,2,3,4,5\n", "a column twice"),
         ("Dear Sir or Madam,\nplease find enclosed\n", "Dear Sir"),
+        ("x y z\n1 2 3\n\0\0", "not text"),
         ("12:00:01 1 2 3\n", "could not convert string"),
         ("500000 5600000 100\n500001 5600001 101\n", "x from 500000 to 500001, as of a map"),
     ],

@@ -110,7 +110,7 @@ def test_exact_name_wins_over_number(tmp_path: Path) -> None:
 
 def test_nothing_to_find(tmp_path: Path) -> None:
     make(tmp_path / "folder", "notes.md", ".hidden.bin")
-    with pytest.raises(NoInputError, match="holds no scans"):
+    with pytest.raises(NoInputError, match=r"holds no scans, but 1 \.md"):
         find_scans(tmp_path / "folder")
     with pytest.raises(NoInputError, match=r"a \.md file, which is not read .* to \.ply or \.las"):
         find_scans(tmp_path / "folder/notes.md")
