@@ -6,12 +6,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
-from scans import SMALL, write_sequence
+from scans import SMALL, replace_points, write_sequence
 
 from salsanext_cli import label_space, project
 from salsanext_cli.formats.kitti import read_bin, read_labels
 from salsanext_cli.storage.layout import ScanFile, find_scans
-from salsanext_cli.storage.point_files import write_ply
 from salsanext_cli.training.class_counts import (
     class_counts,
     class_shares,
@@ -39,9 +38,7 @@ def samples(files: list[ScanFile], recipe: Recipe) -> Samples:
 
 def test_truth_of_an_empty_scan_is_unlabelled(tmp_path: Path) -> None:
     folder = write_sequence(tmp_path / "00", count=0)
-    (folder / "velodyne/000000.bin").unlink()
-    nothing = np.empty(0, np.float32)
-    write_ply(folder / "velodyne/000000.ply", dict.fromkeys("xyz", nothing))
+    replace_points(folder / "velodyne/000000.bin", [])
     (file,) = find_scans(folder)
     image, truth, _ = samples([file], Recipe())[0, 0]
     assert not truth.any()
