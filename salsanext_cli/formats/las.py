@@ -61,8 +61,8 @@ def read_las(path: Path) -> Scan:
     MissingDependency
         If laspy or, for compressed points, lazrs cannot be imported.
     """
-    laspy = import_laspy(path, compressed=path.suffix.lower() == COMPRESSED_SUFFIX)
     with reading(path) as file:
+        laspy = import_laspy(path, compressed=path.suffix.lower() == COMPRESSED_SUFFIX)
         try:
             _require_room(file)
             columns = _read_columns(file, path, laspy)

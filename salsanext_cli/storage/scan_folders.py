@@ -46,15 +46,25 @@ def require_known(path: Path) -> None:
         )
 
 
-def log_passed_over(source: Path, taken: Collection[Path]) -> None:
-    """Log how many files beside scans are passed over, by suffix; in detail their names."""
-    scans = set(taken)
-    left = [
-        path
-        for folder in {path.parent for path in scans}
-        for path in files_in(folder)
-        if path not in scans and path.suffix.lower() not in COMPANIONS
-    ]
+def log_passed_over(source: Path, folders: Iterable[Path], scans: Collection[str]) -> None:
+    """Log how many files of folders are passed over, by suffix; in detail their names.
+
+    Parameters
+    ----------
+    source : Path
+        Subject of the message.
+    folders : iterable of Path
+        Folders of scans.
+    scans : collection of str
+        File names of the scans.
+    """
+    left = []
+    for folder in folders:
+        with os.scandir(folder) as entries:
+            # Of a million names nearly all are those of scans.
+            others = [e for e in entries if e.name not in scans and not e.name.startswith(".")]
+            left += [folder / e.name for e in others if not is_folder(e)]
+    left = [path for path in left if path.suffix.lower() not in COMPANIONS]
     if left:
         log.log(NOTICE, "%s: passed over %s", source, counted_by_suffix(left))
     for suffix, paths in _by_suffix(left).items():

@@ -67,7 +67,8 @@ def select_scans(
     """
     scans = find_scans(source)
     if source.is_dir():
-        log_passed_over(source, [scan.path for scan in scans])
+        folders = {path.parent for path in {scan.sequence: scan.path for scan in scans}.values()}
+        log_passed_over(source, sorted(folders), {scan.path.name for scan in scans})
     return choose(scans, selection, space_of(scans, space), source)
 
 

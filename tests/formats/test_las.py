@@ -100,6 +100,21 @@ def test_maps_and_damaged_files_are_refused(tmp_path, suffix):
         assert "\n" not in str(caught.value)
 
 
+def test_laz_of_billions_of_chunks_or_points_is_refused(tmp_path):
+    """Memory for so many chunks cannot be had, at which lazrs would end the process."""
+    path = tmp_path / "s.laz"
+    cloud = laspy.create(point_format=6)
+    cloud.x = cloud.y = cloud.z = np.random.default_rng(0).normal(0, 9, 100)
+    cloud.write(path)
+    content = path.read_bytes()
+    first = int.from_bytes(content[96:100], "little")
+    table = int.from_bytes(content[first : first + 8], "little")
+    for at, size in ((table + 4, 4), (247, 8), (first, 8)):
+        path.write_bytes(content[:at] + b"\xfe" * size + content[at + size :])
+        with pytest.raises(FormatError, match="not a whole LAS file"):
+            read_scan(path)
+
+
 @pytest.mark.parametrize("name", ["laspy", "lazrs"])
 def test_a_missing_package_is_named_with_the_file(tmp_path, monkeypatch, name):
     path = tmp_path / "drive.laz"
