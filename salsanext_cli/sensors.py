@@ -31,12 +31,21 @@ OF_IMAGES = ("height", "width", "means", "stds")
 """Fields that a network depends on, not a sensor: size and normalisation of its images."""
 UP = (0.0, 0.0, 1.0)
 """Direction of the z axis, away from the ground."""
+SELDOM = {"columns": (), "up": UP, "intensity_quantiles": ()}
+"""Defaults of fields that few sensors tell."""
 MIN_LENGTH = 1e-3
 """Least length of a vector that tells a direction."""
 INTENSITY_LEVELS = 65
 """Quantiles of intensity, evenly spaced from the smallest to the largest value."""
 NUMBERS = ("fov_up", "fov_down", "height", "width", "intensity_scale")
 LISTS = ("means", "stds")
+MAX_COLUMNS = 64
+COLUMNS_EXPECTED = (
+    f"up to {MAX_COLUMNS} different names in lower case, with x, y and z, "
+    "such as x,y,z,intensity,ring"
+)
+UNUSED_COLUMN = "_"
+"""Name of a column that means nothing; the only one that may occur more than once."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -61,6 +70,9 @@ class Sensor:
         Standard deviation of a range in metres, along the ray.
     intensity_noise : float, optional
         Standard deviation of an intensity, as the network is given it.
+    columns : tuple of str
+        Names of the columns of files that do not name them, in lower case, such as x, y, z,
+        intensity, ring; empty for the usual ones of each format.
     up : 3 floats
         Direction away from the ground in the frame of the files; others than z are turned to it
         before the projection.
@@ -80,6 +92,7 @@ class Sensor:
     intensity_scale: float = 1.0
     range_noise: float | None = None
     intensity_noise: float | None = None
+    columns: tuple[str, ...] = ()
     up: tuple[float, ...] = UP
     intensity_quantiles: tuple[float, ...] = ()
 
@@ -134,6 +147,9 @@ class Sensor:
         for name in NOISE:
             noise = getattr(self, name)
             self._require(noise is None or 0 <= noise < math.inf, f"{name} {shortened(noise)}")
+        self._require(
+            are_columns(self.columns), f"columns {shortened(self.columns)}", COLUMNS_EXPECTED
+        )
 
     def _require(self, holds: bool, found: str, expected: str = "a possible sensor") -> None:
         if not holds:
@@ -145,8 +161,8 @@ class Sensor:
         return self.range_noise is not None and self.intensity_noise is not None
 
     def to_dict(self) -> dict[str, Any]:
-        """Return plain data that `from_dict` accepts."""
-        return asdict(self)
+        """Return plain data that `from_dict` accepts; what is seldom told only where it is."""
+        return {key: v for key, v in asdict(self).items() if key not in SELDOM or v != SELDOM[key]}
 
     @classmethod
     def from_dict(cls, data: Mapping[str, Any], source: object = "sensor") -> Sensor:
@@ -177,14 +193,14 @@ class Sensor:
         weights that the file is used with.
         """
         left_out = ("name",) if images else ("name", *OF_IMAGES)
-        values = {key: value for key, value in asdict(self).items() if key not in left_out}
+        values = {key: value for key, value in self.to_dict().items() if key not in left_out}
         # What JSON writes for texts, numbers and lists of numbers is TOML as well.
         known = {key: value for key, value in values.items() if value not in (None, ())}
         return "".join(f"{key} = {json.dumps(value)}\n" for key, value in known.items())
 
     def view(self) -> dict[str, Any]:
         """Return plain data of the view of a network: all but name, noise and quantiles."""
-        return {key: value for key, value in asdict(self).items() if key not in NO_VIEW}
+        return {key: value for key, value in self.to_dict().items() if key not in NO_VIEW}
 
     def resized(self, height: int | None = None, width: int | None = None) -> Sensor:
         """Return the same sensor with another image size."""
@@ -203,6 +219,16 @@ def _are_numbers(values: object) -> bool:
     if not isinstance(values, list | tuple):
         return False
     return all(isinstance(value, int | float) for value in values)
+
+
+def are_columns(names: tuple[str, ...]) -> bool:
+    """Say whether names can be those of the columns of a table of points."""
+    if not isinstance(names, tuple) or not all(isinstance(name, str) for name in names):
+        return False
+    used = [name for name in names if name != UNUSED_COLUMN]
+    complete = not names or {"x", "y", "z"} <= set(used)
+    plain = all(name == name.lower().strip() and name for name in names)
+    return complete and plain and len(set(used)) == len(used) and len(names) <= MAX_COLUMNS
 
 
 @cache

@@ -14,7 +14,7 @@ from salsanext_cli import LabelSpace, Scan, Sensor, label_space, write_labels
 from salsanext_cli.network.card import WeightsCard
 from salsanext_cli.network.salsanext import SalsaNext
 from salsanext_cli.network.weights import save_weights
-from salsanext_cli.storage.point_files import write_bin
+from salsanext_cli.storage.point_files import write_bin, write_ply
 from salsanext_cli.storage.written_files import RECORDS
 
 SMALL = Sensor(
@@ -50,6 +50,14 @@ def write_array(path: Path, array: npt.ArrayLike) -> None:
     """Write an array as a `.npy` file; folders are made."""
     path.parent.mkdir(parents=True, exist_ok=True)
     np.save(path, array)
+
+
+def replace_points(path: Path, points: npt.ArrayLike) -> Path:
+    """Put a PLY of these points, of which there may be none, in the place of a `.bin` scan."""
+    table = np.array(points, np.float32).reshape(-1, 3)
+    path.unlink()
+    write_ply(path.with_suffix(".ply"), dict(zip("xyz", table.T, strict=True)))
+    return path.with_suffix(".ply")
 
 
 def write_sequence(

@@ -22,9 +22,10 @@ from command_line import every_command, parsed
 from scans import SMALL, make_scan, write_array, write_sequence
 
 import salsanext_cli
-from salsanext_cli import LabelSpace, Sensor, load_network, read_scan, sensors
+from salsanext_cli import LabelSpace, Sensor, label_space, load_network, read_scan, sensors
 from salsanext_cli.cli.app import COMMANDS, app
 from salsanext_cli.formats import SCAN_SUFFIXES
+from salsanext_cli.formats.asprs import asprs_class
 from salsanext_cli.stages import predict as stage
 from salsanext_cli.stages.export_onnx import export_onnx
 from salsanext_cli.stages.models import models
@@ -193,6 +194,21 @@ def test_the_sensors_shown_are_the_presets():
     assert shown == {
         name: (s.fov_up, s.fov_down, s.height, s.width, s.intensity_scale, s.range_noise)
         for name, s in sensors.presets().items()
+    }
+
+
+def test_the_classes_of_las_shown_are_those_written():
+    section = text_of("docs/export-ply.md").partition("| class of the ASPRS |")[2]
+    shown = {
+        (int(raw), name): int(number)
+        for ids, number in re.findall(r"^\| (\d.+?) \| (\d+)[^|]*\|$", section, re.MULTILINE)
+        for raw, name in (label.split() for label in ids.split(", "))
+    }
+    space = label_space()
+    assert shown == {
+        (raw, name): asprs_class(raw, space)
+        for raw, name in space.labels.items()
+        if not name.startswith("moving-")
     }
 
 

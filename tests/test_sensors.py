@@ -59,6 +59,13 @@ def test_any_possible_sensor_survives_json(
         {"means": 1.0},
         {"means": ["a", "b", "c", "d", "e"]},
         {"intensity_scale": "255"},
+        {"columns": "xyz"},
+        {"columns": ["x", "y"]},
+        {"columns": ["x", "y", "z", "x"]},
+        {"columns": ["x", "y", "z", "Ring"]},
+        {"columns": ["x", "y", "z", ""]},
+        {"columns": ["x", "y", "z", 3]},
+        {"columns": ["x", "y", "z", *"_" * 62]},
     ],
 )
 def test_impossible_sensors(change: dict[str, object]) -> None:
@@ -104,6 +111,16 @@ def test_unknown_and_missing_keys() -> None:
 def test_a_value_of_another_type_is_named(key, value, says) -> None:
     with pytest.raises(UsageError, match=says):
         Sensor.from_dict(VALID.to_dict() | {key: value})
+
+
+def test_columns_belong_to_the_view_where_they_are_named(tmp_path: Path) -> None:
+    named = replace(VALID, columns=("x", "y", "z", "_", "ring", "_"))
+    assert named.view() != VALID.view()
+    assert "columns" not in VALID.to_dict()
+    assert "columns" not in VALID.to_toml()
+    (tmp_path / "valid.toml").write_text(named.to_toml())
+    assert sensor(tmp_path / "valid.toml") == named
+    assert Sensor.from_dict(json.loads(json.dumps(named.to_dict()))) == named
 
 
 def test_file(tmp_path: Path) -> None:

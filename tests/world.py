@@ -8,6 +8,7 @@ import numpy as np
 
 from salsanext_cli import read_labels, write_labels
 from salsanext_cli.inference.settings import NetworkSettings
+from salsanext_cli.storage.layout import SUFFIX_OF_FOLDER
 
 
 @dataclass
@@ -22,7 +23,7 @@ class World:
         return self.data / "sequences" / sequence / "velodyne" / f"{stem}.bin"
 
     def result(self, folder: str, sequence: str = "08", stem: str = "000000") -> Path:
-        suffix = {"predictions": ".label", "ply": ".ply"}.get(folder, ".npy")
+        suffix = SUFFIX_OF_FOLDER[folder]
         return self.out / "sequences" / sequence / folder / f"{stem}{suffix}"
 
     def labels(self, sequence: str = "08", stem: str = "000000") -> np.ndarray:

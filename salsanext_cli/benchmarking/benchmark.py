@@ -72,8 +72,8 @@ def benchmark(
         read_scan(file.path, sensor)
         for file in select_scans(source, selection, card.space)[:rounds]
     ]
-    # Their intensities are divided already.
-    sensor_of_scans = replace(sensor, intensity_scale=1.0)
+    # They are written with the usual columns, and their intensities are divided already.
+    sensor_of_scans = replace(sensor, intensity_scale=1.0, columns=())
     task: dict[str, Any] = {
         "weights": str(weights.resolve()),
         "device": choose_device(network.device),

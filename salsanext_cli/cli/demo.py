@@ -18,7 +18,7 @@ def demo(
     *,
     scans: Annotated[int, typer.Option(help="Number of scans of the synthetic drive.")] = 4,
     samples: Annotated[int, typer.Option(help="Monte-Carlo passes per scan.")] = 8,
-    network: Annotated[options.NetworkOptions, Without({"sensor"})],
+    network: Annotated[options.NetworkOptions, Without({"sensor", "columns"})],
     local: run_options.Local,
     output: console.Output,
 ) -> None:

@@ -6,6 +6,7 @@ from typing import Annotated
 import typer
 
 from salsanext_cli.cli import console, options, run_end, run_options
+from salsanext_cli.cli.option_groups import Without
 
 
 def export_ply(
@@ -27,9 +28,12 @@ def export_ply(
             show_default="range of most of the values",
         ),
     ] = None,
+    form: Annotated[
+        str, typer.Option("--format", help="ply, or las or laz with the classes of the ASPRS.")
+    ] = "ply",
     selection: options.ResultSelection,
     classes: options.Classes,
-    network: options.NetworkOptions,
+    network: Annotated[options.NetworkOptions, Without({"columns"})],
     running: run_options.Running,
     output: console.Output,
 ) -> None:
@@ -45,6 +49,7 @@ def export_ply(
             out,
             colour=colour,
             scale=scale,
+            form=form,
             dataset=selection.dataset,
             space=classes.space(),
             network=network.settings(),

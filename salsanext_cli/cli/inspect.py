@@ -21,6 +21,7 @@ def inspect(
     selection: options.Selection,
     classes: options.Classes,
     sensor: options.SensorWithoutWeights = None,
+    columns: options.Columns = None,
     running: run_options.RunningUnsharded,
     output: console.Output,
 ) -> None:
@@ -33,7 +34,7 @@ def inspect(
     from salsanext_cli.stages.inspect import inspect as stage
     from salsanext_cli.stages.inspect import write_sensor
 
-    view = find_sensor(sensor or "hdl64").resized(height, width)
+    view = options.with_columns(find_sensor(sensor or "hdl64"), columns).resized(height, width)
     with running.over_scans("inspect", output) as run:
         found = stage(
             selection.source(scans),

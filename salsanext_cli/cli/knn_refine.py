@@ -26,6 +26,14 @@ def knn_refine(
             rich_help_panel="Network",
         ),
     ] = None,
+    columns: Annotated[
+        str | None,
+        typer.Option(
+            help=options.COLUMNS_HELP,
+            show_default="those of the earlier stages, else x,y,z,intensity",
+            rich_help_panel="Network",
+        ),
+    ] = None,
     knn: options.Knn,
     running: run_options.Checked,
     output: console.Output,
@@ -35,13 +43,17 @@ def knn_refine(
     Example: salsanext knn-refine out/
     """
     from salsanext_cli.stages.knn_refine import knn_refine_scans
+    from salsanext_cli.storage.stage_records import recorded_sensor
 
+    seen = options.sensor(sensor)
+    if columns is not None:
+        seen = options.with_columns(seen or recorded_sensor(out), columns)
     with running.over_scans("knn-refine", output) as run:
         outcome = knn_refine_scans(
             out,
             labels=labels,
             dataset=selection.dataset,
-            sensor=options.sensor(sensor),
+            sensor=seen,
             space=classes.space(),
             knn=knn.parameters(),
             selection=selection.scans(),

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
@@ -26,6 +27,8 @@ DEFAULT_WEIGHTS = Path("default")
 """Name of the weights of the package; a file of that name needs an absolute path."""
 SCANS_HELP = "Scan file, folder of scans, sequence folder or data set."
 SENSOR_HELP = "Name of a built-in sensor, or a .toml file."
+COLUMNS_HELP = "Columns of files that do not name them, such as x,y,z,intensity,ring; _ for others."
+COLUMNS_DEFAULT = "those of the sensor, else x,y,z,intensity"
 
 Scans = Annotated[
     Path | None, typer.Argument(metavar="SCANS", help=SCANS_HELP, show_default="the data set")
@@ -47,6 +50,10 @@ WeightsOut = Annotated[
 ]
 SensorWithoutWeights = Annotated[
     str | None, typer.Option(help=SENSOR_HELP, show_default="hdl64", rich_help_panel="Network")
+]
+Columns = Annotated[
+    str | None,
+    typer.Option(help=COLUMNS_HELP, show_default=COLUMNS_DEFAULT, rich_help_panel="Network"),
 ]
 
 Intensity = Literal["auto", "match", "raw", "none"]
@@ -173,6 +180,7 @@ class NetworkOptions:
         "direction up of the scans where they differ much.",
         default=AUTO,
     )
+    columns: str | None = network_option(COLUMNS_HELP, show_default=COLUMNS_DEFAULT)
     intensity: Intensity = network_option(
         "Match the intensity of the scans to that of training, take it raw, or take none; auto "
         "matches it if the weights know that of their training.",
@@ -183,14 +191,16 @@ class NetworkOptions:
         """Build the settings that stages take."""
         from salsanext_cli.inference.settings import NetworkSettings
 
-        named = self.named_sensor()
         weights = None if self.weights == DEFAULT_WEIGHTS else self.weights
-        how = (self.precision, self.engine, named is None, self.intensity)
-        return NetworkSettings(weights, self.device, named, *how)
+        how = (self.precision, self.engine, self.sensor == AUTO, self.intensity)
+        return NetworkSettings(weights, self.device, self.named_sensor(), *how)
 
     def named_sensor(self) -> Sensor | None:
         """Look up the sensor that was named; what it does not tell is that of the weights."""
-        return None if self.sensor == AUTO else sensor(self.sensor, self.trained_sensor)
+        named = None if self.sensor == AUTO else sensor(self.sensor, self.trained_sensor)
+        if self.columns is None:
+            return named
+        return with_columns(named or self.trained_sensor(), self.columns)
 
     def trained_sensor(self) -> Sensor:
         """Return the sensor that the weights were trained with."""
@@ -234,6 +244,18 @@ def sensor(name: str | None, base: Callable[[], Sensor] | None = None) -> Sensor
     if name is None:
         return None
     return find(name) if base is None or name in presets() else find(name, base())
+
+
+def with_columns(sensor: Sensor, columns: str | None) -> Sensor:
+    """Return a sensor whose files have other columns, if some were named."""
+    if columns is None:
+        return sensor
+    from salsanext_cli.sensors import COLUMNS_EXPECTED, are_columns
+
+    names = tuple(name.strip().lower() for name in columns.split(","))
+    if not are_columns(names):
+        raise UsageError("--columns", columns, COLUMNS_EXPECTED)
+    return replace(sensor, columns=names)
 
 
 def label_space(name: str | None) -> LabelSpace | None:

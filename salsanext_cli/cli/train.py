@@ -12,6 +12,7 @@ from salsanext_cli.cli.progress import progress
 
 if TYPE_CHECKING:
     from salsanext_cli.parallel.run import Progress
+    from salsanext_cli.sensors import Sensor
     from salsanext_cli.training.fit import Report
     from salsanext_cli.training.recipe import Recipe
 
@@ -33,6 +34,20 @@ class Start:
     sensor: str | None = options.network_option(
         options.SENSOR_HELP, show_default="the sensor of --weights, else hdl64"
     )
+    columns: str | None = options.network_option(
+        options.COLUMNS_HELP, show_default=options.COLUMNS_DEFAULT
+    )
+
+    def seen(self) -> "Sensor | None":
+        """Return the sensor to train for, None for that of the weights, else the HDL-64."""
+        from salsanext_cli.network.card import read_card
+        from salsanext_cli.sensors import sensor as find_sensor
+
+        named = options.sensor(self.sensor)
+        if self.columns is None:
+            return named
+        usual = find_sensor("hdl64") if self.weights is None else read_card(self.weights).sensor
+        return options.with_columns(named or usual, self.columns)
 
     def plan(self) -> "Recipe":
         """Return the recipe with its changes."""
@@ -51,7 +66,8 @@ def train(
     start: Start,
     classes: options.Classes,
     network: Annotated[
-        options.NetworkOptions, Without({"weights", "precision", "engine", "sensor", "intensity"})
+        options.NetworkOptions,
+        Without({"weights", "precision", "engine", "sensor", "columns", "intensity"}),
     ],
     local: run_options.Local,
     output: console.Output,
@@ -70,7 +86,7 @@ def train(
             dataset,
             run,
             recipe=start.plan(),
-            sensor=options.sensor(start.sensor),
+            sensor=start.seen(),
             space=classes.space(),
             device=network.device,
             jobs=local.jobs,

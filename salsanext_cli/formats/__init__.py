@@ -4,12 +4,16 @@
 from pathlib import Path
 
 from salsanext_cli.errors import FormatError
-from salsanext_cli.formats import kitti, pcd, ply
+from salsanext_cli.formats import kitti, las, numpy_scans, pcd, ply, text
 from salsanext_cli.records import Scan
 from salsanext_cli.sensors import Sensor
 
-SCAN_SUFFIXES = (".pcd.bin", ".bin", ".pcd", ".ply")
-"""Suffixes of scans, upper or lower case; longer ones first, because they decide the stem."""
+CLOUD_SUFFIXES = (".pcd.bin", ".bin", ".pcd", ".ply", ".las", ".laz", ".xyz")
+"""Suffixes of files that are scans wherever they lie; longer ones first: they decide the stem."""
+TABLE_SUFFIXES = (".npy", ".npz", ".csv", ".txt")
+"""Suffixes of files that often are something else, in the order in which a folder is searched."""
+SCAN_SUFFIXES = (*CLOUD_SUFFIXES, *TABLE_SUFFIXES)
+"""Suffixes of scans, upper or lower case."""
 
 
 def scan_suffix(path: Path) -> str:
@@ -26,21 +30,33 @@ def read_scan(path: Path | str, sensor: Sensor | None = None) -> Scan:
     path : Path or str
         A file with one of the `SCAN_SUFFIXES`.
     sensor : Sensor, optional
-        Its `intensity_scale` divides the intensity, except where the file holds bytes: they are
-        divided by 255.
+        Its `intensity_scale` divides the intensity, except where the type of the values tells
+        their range: bytes are divided by 255, those of LAS by 65535. Its `columns` name the
+        columns of files that do not.
 
     Raises
     ------
     FormatError
         If the suffix is unknown or the file is not of that format.
+    MissingDependency
+        If the format needs a package that cannot be imported.
     """
     path = Path(path)
-    intensity_scale = 1.0 if sensor is None else sensor.intensity_scale
+    scale = 1.0 if sensor is None else sensor.intensity_scale
+    columns = () if sensor is None else sensor.columns
     match scan_suffix(path):
         case ".bin" | ".pcd.bin":
-            return kitti.read_bin(path, intensity_scale=intensity_scale)
+            return kitti.read_bin(path, columns=columns, intensity_scale=scale)
         case ".pcd":
-            return pcd.read_pcd(path, intensity_scale=intensity_scale)
+            return pcd.read_pcd(path, intensity_scale=scale)
         case ".ply":
-            return ply.read_ply(path, intensity_scale=intensity_scale)
+            return ply.read_ply(path, intensity_scale=scale)
+        case ".las" | ".laz":
+            return las.read_las(path)
+        case ".npy":
+            return numpy_scans.read_npy(path, columns=columns, intensity_scale=scale)
+        case ".npz":
+            return numpy_scans.read_npz(path, columns=columns, intensity_scale=scale)
+        case ".xyz" | ".csv" | ".txt":
+            return text.read_text(path, columns=columns, intensity_scale=scale)
     raise FormatError(path, "not a known scan format", f"a {', '.join(SCAN_SUFFIXES)} file")

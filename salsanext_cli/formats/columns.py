@@ -10,12 +10,18 @@ import numpy.typing as npt
 
 from salsanext_cli.errors import FormatError
 from salsanext_cli.records import Float, Scan
+from salsanext_cli.sensors import UNUSED_COLUMN
 
 Columns = Mapping[str, npt.NDArray[Any]]
 """Values by name, each (N,)."""
 
 INTENSITY_NAMES = ("intensity", "scalar_intensity", "reflectivity", "reflectance", "remission", "i")
 """Names of the intensity, in lower case; the first one found counts."""
+USUAL_COLUMNS = ("x", "y", "z", "intensity")
+MAX_UNNAMED_COLUMNS = 5
+"""Most columns that are taken for the usual ones and another one: six may end in colours."""
+MAX_DISTANCE_M = 10_000.0
+"""Distance along an axis that no LiDAR measures; up to it float32 holds millimetres."""
 
 
 def scan_of(columns: Columns, path: Path, intensity_scale: float) -> Scan:
@@ -24,12 +30,14 @@ def scan_of(columns: Columns, path: Path, intensity_scale: float) -> Scan:
     Raises
     ------
     FormatError
-        If a coordinate is missing; `path` is named.
+        If a coordinate is missing, or no point is near the origin; `path` is named.
     """
     known = {name.lower(): values for name, values in columns.items() if values.dtype.kind in "iuf"}
     if missing := [axis for axis in "xyz" if axis not in known]:
         found = ", ".join(columns) or "nothing"
         raise FormatError(path, f"points of {found}", f"also {', '.join(missing)}")
+    for axis in "xy":
+        _require_near_origin(known[axis], path, axis)
     # float64 beyond float32 becomes infinity, and a NaN may signal; neither is a measurement.
     with np.errstate(over="ignore", invalid="ignore"):
         points = np.column_stack([known[axis].astype(np.float32) for axis in "xyz"])
@@ -37,6 +45,59 @@ def scan_of(columns: Columns, path: Path, intensity_scale: float) -> Scan:
     if values is None:
         values = np.zeros(len(points), np.float32)
     return Scan(points, normalised_intensity(values, intensity_scale))
+
+
+def unnamed_columns(table: npt.NDArray[Any], names: tuple[str, ...], path: Path) -> Columns:
+    """Name the columns of a table.
+
+    Parameters
+    ----------
+    table : (N, C)
+        Values of the file.
+    names : tuple of str
+        Those of the sensor, or none for `USUAL_COLUMNS` and at most one more.
+    path : Path
+        The file, for the error.
+
+    Raises
+    ------
+    FormatError
+        If there are more or fewer columns than names, or it is open what they hold.
+    """
+    names = columns_of_width(table.shape[1], names, path)
+    return {name: table[:, i] for i, name in enumerate(names) if name != UNUSED_COLUMN}
+
+
+def columns_of_width(count: int, names: tuple[str, ...], path: Path) -> tuple[str, ...]:
+    """Return the names of so many columns; see `unnamed_columns`."""
+    if names and count != len(names):
+        expected = f"{len(names)}: {', '.join(names)}"
+        raise FormatError(path, f"{count} columns", expected, "name all with --columns")
+    if names:
+        return names
+    if not 3 <= count <= MAX_UNNAMED_COLUMNS:
+        raise FormatError(
+            path,
+            f"{count} columns without names",
+            f"3 to {MAX_UNNAMED_COLUMNS}: x, y, z, intensity and another one",
+            "name them, with --columns x,y,z,intensity,_,ring for example",
+        )
+    return (*USUAL_COLUMNS, UNUSED_COLUMN)[:count]
+
+
+def _require_near_origin(values: npt.NDArray[Any], path: Path, axis: str) -> None:
+    """Refuse coordinates that do not surround a sensor at the origin."""
+    if (np.abs(values) <= MAX_DISTANCE_M).any():
+        return
+    # Values beyond float32 stand for something else.
+    finite = values[np.abs(values) <= np.finfo(np.float32).max]
+    if len(finite):
+        raise FormatError(
+            path,
+            f"{axis} from {finite.min():.0f} to {finite.max():.0f}, as of a map",
+            "metres from a sensor at the origin",
+            "subtract the position of the sensor from the coordinates",
+        )
 
 
 def normalised_intensity(values: npt.NDArray[Any], scale: float) -> Float:

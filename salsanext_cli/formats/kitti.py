@@ -4,10 +4,19 @@
 from pathlib import Path
 
 import numpy as np
+import numpy.typing as npt
 
 from salsanext_cli.classes import RawIds
 from salsanext_cli.errors import FormatError, LabelError
-from salsanext_cli.formats.columns import normalised_intensity
+from salsanext_cli.formats.columns import normalised_intensity, scan_of, unnamed_columns
+from salsanext_cli.formats.raw_records import (
+    MIN_TEXT_BYTES,
+    TEXT_BYTES,
+    TEXT_SUFFIX,
+    are_coordinates,
+    are_float64,
+    other_suffix,
+)
 from salsanext_cli.formats.reading import read_values, reading, size_of
 from salsanext_cli.records import Float, Scan
 
@@ -17,49 +26,79 @@ COLUMNS_WITH_RING = 5
 """x, y, z, intensity, ring: the `.pcd.bin` files of nuScenes."""
 REMEDIES = {
     COLUMNS: "give a file of 4 columns the suffix .bin",
-    COLUMNS_WITH_RING: "give a file of 5 columns the suffix .pcd.bin",
-    6: "write it anew with the columns x, y, z, intensity",
+    COLUMNS_WITH_RING: "give a file of 5 columns the suffix .pcd.bin, or "
+    "name them, with --columns x,y,z,intensity,ring",
+    6: "name its columns, with --columns x,y,z,intensity,_,_ for example",
 }
 """Advice for a file with that number of columns where another is expected."""
+ANEW = "write it anew as float32 x, y, z, intensity"
+MAX_CLASS = 0xFFFF
+"""Largest label of four bytes without an instance."""
 
 
-def read_bin(path: Path, *, intensity_scale: float = 1.0) -> Scan:
+def read_bin(path: Path, *, columns: tuple[str, ...] = (), intensity_scale: float = 1.0) -> Scan:
     """Read a scan of float32 x, y, z, intensity and, in `.pcd.bin` files, ring.
 
     Parameters
     ----------
     path : Path
-        The file; 0 bytes are a scan of 0 points.
+        The file.
+    columns : tuple of str
+        Names of other columns; empty for those above.
     intensity_scale : float
         Divides the intensity.
 
     Raises
     ------
     FormatError
-        If the file cannot be read, is truncated, or evidently has another number of columns.
+        If the file cannot be read, is empty or truncated, or evidently holds something else.
     """
     has_ring = path.name.lower().endswith(".pcd.bin")
-    columns = COLUMNS_WITH_RING if has_ring else COLUMNS
+    width = len(columns) or (COLUMNS_WITH_RING if has_ring else COLUMNS)
+    values = _read_floats(path, width)
+    if not columns and (fitting := _evident_columns(values, width)):
+        raise FormatError(
+            path, f"holds {fitting} columns", f"{width} float32 per point", REMEDIES[fitting]
+        )
+    table = values.reshape(-1, width)
+    if columns:
+        scan = scan_of(unnamed_columns(table, columns, path), path, intensity_scale)
+    else:
+        scan = Scan(
+            np.ascontiguousarray(table[:, :3], np.float32),
+            normalised_intensity(table[:, 3], intensity_scale),
+        )
+    if not are_coordinates(scan.points):
+        found = "numbers that are no coordinates in metres, or no float32"
+        raise FormatError(path, found, f"{width} float32 per point", ANEW)
+    return scan
+
+
+def _read_floats(path: Path, width: int) -> Float:
+    """Read all float32 of a file of rows of so many, if it may be one."""
     with reading(path) as file:
         size = size_of(file)
-        if size % (4 * columns):
-            fitting = next((n for n in REMEDIES if size % (4 * n) == 0), None)
-            raise FormatError(
-                path,
-                f"{size} bytes",
-                f"a multiple of {4 * columns} ({columns} float32 per point)",
-                "it is cut off or of another kind" + (f"; {REMEDIES[fitting]}" if fitting else ""),
-            )
+        expected = f"a multiple of {4 * width} ({width} float32 per point)"
+        if size == 0:
+            raise FormatError(path, "is empty", expected, "copy it again, or remove it")
+        start = file.read(TEXT_BYTES + 1)
+        if size >= MIN_TEXT_BYTES and (suffix := other_suffix(start)):
+            kind = "text" if suffix == TEXT_SUFFIX else f"a {suffix} file"
+            remedy = f"rename it to {suffix} if it is a table of points"
+            raise FormatError(path, f"is {kind}", f"{width} float32 per point", remedy)
+        file.seek(0)
         values = read_values(file, path, "<f4", size // 4)
-    if fitting := _evident_columns(values, columns):
+    if are_float64(values):
+        raise FormatError(path, "holds float64", f"{width} float32 per point", ANEW)
+    if size % (4 * width):
+        fitting = next((n for n in REMEDIES if size % (4 * n) == 0), None)
         raise FormatError(
-            path, f"holds {fitting} columns", f"{columns} float32 per point", REMEDIES[fitting]
+            path,
+            f"{size} bytes",
+            expected,
+            "it is cut off or of another kind" + (f"; {REMEDIES[fitting]}" if fitting else ""),
         )
-    table = values.reshape(-1, columns)
-    return Scan(
-        np.ascontiguousarray(table[:, :3], np.float32),
-        normalised_intensity(table[:, 3], intensity_scale),
-    )
+    return values
 
 
 def _evident_columns(values: Float, columns: int) -> int | None:
@@ -99,7 +138,7 @@ def read_labels(path: Path, count: int | None = None) -> RawIds:
     path : Path
         The `.label` file.
     count : int, optional
-        Number of points of the scan.
+        Number of points of the scan; then two bytes or one per label are recognised too.
 
     Raises
     ------
@@ -110,11 +149,11 @@ def read_labels(path: Path, count: int | None = None) -> RawIds:
     """
     with reading(path) as file:
         size = size_of(file)
-        if size % 4:
+        if size % 4 and (count is None or size not in (count, 2 * count)):
             raise FormatError(
                 path, f"{size} bytes", "a multiple of 4 (one uint32 per point)", "it is cut off"
             )
-        raw: RawIds = read_values(file, path, "<u4", size // 4).astype(np.uint32, copy=False)
+        raw = _labels(read_values(file, path, np.uint8, size), count or 0)
     if count is not None and len(raw) != count:
         raise LabelError(
             path,
@@ -123,6 +162,17 @@ def read_labels(path: Path, count: int | None = None) -> RawIds:
             "use the labels that belong to this scan",
         )
     return raw
+
+
+def _labels(content: npt.NDArray[np.uint8], count: int) -> RawIds:
+    """Return labels of two bytes or one where so many are so long, else of four."""
+    narrow = {2 * count: "<u2", count: "<u1"}.get(content.size)
+    wide = content[: content.size // 4 * 4].view("<u4").astype(np.uint32, copy=False)
+    # Classes of four bytes, without instances, of half or a quarter of the points.
+    of_fewer = content.size % 4 == 0 and wide.any() and wide.max() <= MAX_CLASS
+    if narrow is None or of_fewer:
+        return wide
+    return content.view(narrow).astype(np.uint32)
 
 
 def encode_labels(raw: RawIds) -> bytes:

@@ -50,7 +50,7 @@ def read_array(path: Path, dtype: npt.DTypeLike, shape: tuple[int | None, ...]) 
     required = np.dtype(dtype)
     expected = f"a .npy file of {required} {_words(shape)}"
     with reading(path) as file:
-        found_shape, in_columns, found = _read_header(file, path, expected)
+        found_shape, in_columns, found = read_header(file, path, expected)
         lengths = zip(found_shape, shape, strict=False)
         fits = all(want in (None, length) for length, want in lengths)
         if found != required or len(found_shape) != len(shape) or not fits:
@@ -67,10 +67,28 @@ def read_array(path: Path, dtype: npt.DTypeLike, shape: tuple[int | None, ...]) 
         raise FormatError(path, "a .npy file of an impossible shape", expected) from error
 
 
-def _read_header(
+def read_header(
     file: BinaryIO, path: Path, expected: str
 ) -> tuple[tuple[int, ...], bool, np.dtype[Any]]:
-    """Return the shape, whether the first index varies fastest, and the dtype."""
+    """Read the header of a `.npy` file.
+
+    Parameters
+    ----------
+    file : binary file
+        Positioned at the start; at the end, at the first value.
+    path, expected : Path and str
+        Subject and expectation of the error.
+
+    Returns
+    -------
+    tuple
+        The shape, whether the first index varies fastest, and the dtype.
+
+    Raises
+    ------
+    FormatError
+        If it is no header of version 1.
+    """
     try:
         # A header of version 1 has 64 kB at most; those of later versions may promise gigabytes.
         if (version := npy.read_magic(file)) != (1, 0):

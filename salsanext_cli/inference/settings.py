@@ -12,7 +12,7 @@ from salsanext_cli.errors import NOTICE, WeightsError
 from salsanext_cli.inference.loading import load_network
 from salsanext_cli.inference.network import Network
 from salsanext_cli.network.card import default_weights
-from salsanext_cli.sensors import UP, Sensor
+from salsanext_cli.sensors import NOISE, Sensor
 from salsanext_cli.storage.identity import fingerprint
 
 log = logging.getLogger(__name__)
@@ -104,7 +104,4 @@ class NetworkSettings:
 
 def recorded_view(sensor: Sensor) -> dict[str, Any]:
     """Return what labels depend on of a sensor, and its name, as plain data."""
-    usual = {"up": UP, "intensity_quantiles": ()}
-    special = {key: getattr(sensor, key) for key in usual if getattr(sensor, key) != usual[key]}
-    view = {key: value for key, value in sensor.view().items() if key not in usual}
-    return {"name": sensor.name, **view, **special}
+    return {key: value for key, value in sensor.to_dict().items() if key not in NOISE}

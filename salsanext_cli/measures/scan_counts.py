@@ -11,7 +11,8 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from salsanext_cli.classes import LabelSpace
+from salsanext_cli.classes import LabelSpace, RawIds
+from salsanext_cli.errors import LabelError
 from salsanext_cli.formats import read_scan
 from salsanext_cli.formats.kitti import read_labels
 from salsanext_cli.formats.npy import read_probabilities, read_uncertainty
@@ -26,6 +27,7 @@ from salsanext_cli.measures.histograms import (
 )
 from salsanext_cli.measures.softmax import lack_of_confidence, softmax_entropy, softmax_errors
 from salsanext_cli.records import Float
+from salsanext_cli.sensors import Sensor
 from salsanext_cli.storage.layout import UNCERTAINTY, ScanFile, output_path
 
 SOFTMAX = "probabilities"
@@ -98,7 +100,11 @@ class ScanCounts:
 
 
 def count_scan(
-    scan: ScanFile, out: Path, space: LabelSpace, by_distance: bool = False
+    scan: ScanFile,
+    out: Path,
+    space: LabelSpace,
+    by_distance: bool = False,
+    sensor: Sensor | None = None,
 ) -> ScanCounts:
     """Count one scan; one without predictions counts as missing.
 
@@ -115,6 +121,8 @@ def count_scan(
         Meaning of the raw ids in both.
     by_distance : bool
         Count rings of distance too, for which the scan is read.
+    sensor : Sensor, optional
+        Origin of the scan, which says how its file is read.
 
     Raises
     ------
@@ -126,9 +134,8 @@ def count_scan(
     if not present(predictions):
         counts.missing.append(scan)
         return counts
-    points = read_scan(scan.path).points if by_distance else None
-    raw_truth = read_labels(scan.label_path, None if points is None else len(points))
-    raw_predicted = read_labels(predictions, len(raw_truth))
+    points = read_scan(scan.path, sensor).points if by_distance else None
+    raw_truth, raw_predicted = _labels(scan, predictions, sensor, points)
     truth = space.to_train(raw_truth, strict=False)
     predicted = space.to_train(raw_predicted, strict=False)
     counts.scans = 1
@@ -169,6 +176,19 @@ def count_scan(
         for name, group in groups.items():
             counts.histograms[kind, name] = uncertainty_histogram(of_points, wrong, *group)
     return counts
+
+
+def _labels(
+    scan: ScanFile, predictions: Path, sensor: Sensor | None, points: Float | None
+) -> tuple[RawIds, RawIds]:
+    """Read truth and predictions; where their lengths differ, the scan tells which is wrong."""
+    if points is None:
+        raw_predicted = read_labels(predictions)
+        try:
+            return read_labels(scan.label_path, len(raw_predicted)), raw_predicted
+        except LabelError:
+            points = read_scan(scan.path, sensor).points
+    return read_labels(scan.label_path, len(points)), read_labels(predictions, len(points))
 
 
 def ring_of_point(points: Float) -> npt.NDArray[np.intp]:

@@ -27,7 +27,7 @@ from salsanext_cli.storage.json_files import encode_json
 from salsanext_cli.storage.layout import ScanFile
 from salsanext_cli.storage.run_registration import records_lock
 from salsanext_cli.storage.sources import MissingResults, missing_predictions
-from salsanext_cli.storage.stage_records import as_json
+from salsanext_cli.storage.stage_records import as_json, recorded_sensor
 from salsanext_cli.storage.written_files import WrittenFiles
 
 FILES = (
@@ -149,7 +149,9 @@ def evaluate(
     _require_replaceable(out)
     _require_labels(scans)
     counts = ScanCounts.none(space, by_distance)
-    count = partial(count_scan, out=out, space=space, by_distance=by_distance)
+    count = partial(
+        count_scan, out=out, space=space, by_distance=by_distance, sensor=recorded_sensor(out)
+    )
     outcome = run_over_scans(count, scans, options, on_result=counts.add)
     if not counts.scans:
         raise _no_input(counts, out, outcome.failures)

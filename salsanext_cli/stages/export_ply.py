@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Stage `export-ply`: scans and results to coloured point clouds."""
+"""Stage `export-ply`: scans and results to coloured point clouds, PLY or LAS."""
 
 import logging
 import math
@@ -14,6 +14,8 @@ import numpy.typing as npt
 
 from salsanext_cli.classes import LabelSpace
 from salsanext_cli.errors import NOTICE, OutputError, SalsanextError, UsageError
+from salsanext_cli.formats.asprs import asprs_class, classification
+from salsanext_cli.formats.las import encode_las, import_laspy
 from salsanext_cli.formats.ply import encode_ply
 from salsanext_cli.formats.reading import present
 from salsanext_cli.inference.settings import NetworkSettings
@@ -44,11 +46,14 @@ from salsanext_cli.storage.stage_records import (
 )
 
 SCANS_FOR_SCALE = 20
+FORMATS = ("ply", "las", "laz")
 
 log = logging.getLogger(__name__)
 
 
-def export_scan(file: ScanFile, colours: PointColours, sensor: Sensor, output: OutputRun) -> None:
+def export_scan(
+    file: ScanFile, colours: PointColours, sensor: Sensor, form: str, output: OutputRun
+) -> None:
     """Write one scan as a coloured cloud with every known scalar."""
     output.require_replaceable(file)
     results = read_results(file, output.out, sensor)
@@ -57,9 +62,16 @@ def export_scan(file: ScanFile, colours: PointColours, sensor: Sensor, output: O
         raise missing_column(colours.colour, file, output.out)
     rgb = dict(zip(("red", "green", "blue"), colours.of_points(results, columns).T, strict=True))
     positions = dict(zip("xyz", results.scan.points.T, strict=True))
+    known = positions | rgb | columns
     comments = [f"colour {colours.legend}", f"label space {colours.space.name}"]
     (folder,) = output.folders
-    output.write(file, folder, encode_ply(positions | rgb | columns, comments))
+    if form == "ply":
+        output.write(file, folder, encode_ply(known, comments))
+        return
+    space, path = colours.space, output.path(file, folder)
+    comments += [f"class {asprs_class(i, space)} {name}" for i, name in space.labels.items()]
+    classes = classification(columns.get("label", np.zeros(len(results.scan), np.uint32)), space)
+    output.write(file, folder, encode_las(path, known, classes, comments))
 
 
 def export_ply(
@@ -67,13 +79,14 @@ def export_ply(
     *,
     colour: str = "label",
     scale: tuple[float, float] | None = None,
+    form: str = "ply",
     dataset: Path | None = None,
     space: LabelSpace | None = None,
     network: NetworkSettings = NetworkSettings(),
     selection: ScanSelection = ScanSelection(),
     options: RunOptions = RunOptions(),
 ) -> Outcome:
-    """Write `OUT/sequences/<seq>/ply/*.ply`: positions, colours and every known scalar.
+    """Write `OUT/sequences/<seq>/ply/*.ply` or the like: positions, colours and every known scalar.
 
     The first colouring of a folder goes there, each further one to `ply/<colour>/*.ply`. Clouds of
     results that have been made anew since are replaced.
@@ -88,6 +101,8 @@ def export_ply(
         The values at the ends of the colour map, for colours that are values. Otherwise what
         most points of the first scans span; it is the same for all scans and written down in
         every file.
+    form : {"ply", "las", "laz"}
+        Format of the files, and folder.
     dataset : Path, optional
         Where the scans and labels are, if not where the scans came from.
     space : LabelSpace, optional
@@ -106,6 +121,10 @@ def export_ply(
         raise UsageError("--colour", colour, f"one of {', '.join(COLOURS)}")
     if scale and not (scale[0] < scale[1] and all(map(math.isfinite, scale))):
         raise UsageError("--scale", f"{scale[0]} {scale[1]}", "a lower and a higher number")
+    if form not in FORMATS:
+        raise UsageError("--format", form, f"one of {', '.join(FORMATS)}")
+    if form != "ply":
+        import_laspy(f"--format {form}", compressed=form == "laz")
     scans = recorded_scans(out, dataset)
     space = space_of_results(out, scans, space)
     _require_same_weights(out)
@@ -121,7 +140,7 @@ def export_ply(
         colour, unestimated = estimate_missing(out, scans, colour, network, options)
     _require_some(out, scans, colour)
     sensor = recorded_sensor(out)
-    stage, folder = _place(out, colour)
+    stage, folder = _place(out, colour, form)
     made_of, earlier = origins(out, LABELLING_STAGES), stage_settings(out, stage)
     overwrite = options.overwrite or (earlier is not None and earlier["origins"] != made_of)
     if scale is None and earlier is not None and not overwrite:
@@ -140,7 +159,7 @@ def export_ply(
         overwrite=overwrite,
         record_scans=False,
     ) as output:
-        task = partial(export_scan, colours=colours, sensor=sensor, output=output)
+        task = partial(export_scan, colours=colours, sensor=sensor, form=form, output=output)
         outcome = run_over_scans(task, scans, options, is_done=output.is_done)
     log.log(NOTICE, "coloured by %s: %s", colour, out / "sequences/*" / folder)
     failures = tuple(unestimated.get(failure.scan, failure) for failure in outcome.failures)
@@ -171,12 +190,12 @@ def _require_some(out: Path, scans: list[ScanFile], colour: str) -> None:
         raise missing_column(colour, scans[0], out)
 
 
-def _place(out: Path, colour: str) -> tuple[str, str]:
+def _place(out: Path, colour: str, form: str) -> tuple[str, str]:
     """Return the name of the record of a colouring, and the folder for its clouds."""
     first = stage_settings(out, "export-ply")
     if first is None or first["colour"] == colour:
-        return "export-ply", "ply"
-    return f"export-ply-{colour}", f"ply/{colour}"
+        return "export-ply", form
+    return f"export-ply-{colour}", f"{form}/{colour}"
 
 
 def _scale(

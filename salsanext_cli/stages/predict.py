@@ -206,7 +206,7 @@ def predict_range_images(
     projected = projected_sensor(folder)
     if network.fit and projected is not None:
         loaded = with_sensor(loaded, fitted_view([], loaded.sensor, projected))
-    _require_same_view(folder, projected, loaded.sensor)
+    loaded = with_sensor(loaded, _sensor_of_images(folder, projected, loaded.sensor))
     scans = with_outputs(recorded_scans(folder), folder, "range")
     scans = choose(scans, selection, space_of(scans, loaded.card.space), folder)
     loaded = fitted(
@@ -231,10 +231,14 @@ def projected_sensor(folder: Path) -> Sensor | None:
     return Sensor.from_dict(settings.table("sensor"), settings.path)
 
 
-def _require_same_view(folder: Path, projected: Sensor | None, wanted: Sensor) -> None:
-    """Refuse images of another geometry; their normalisation is the network's own."""
+def _sensor_of_images(folder: Path, projected: Sensor | None, wanted: Sensor) -> Sensor:
+    """Return the network's sensor with the columns of the scans; refuse another geometry.
+
+    Normalisation is the network's own.
+    """
     if projected is None:
         raise UsageError(folder, "holds no range images", "the output folder of `project`")
+    wanted = replace(wanted, columns=projected.columns)
     if replace(projected, means=wanted.means, stds=wanted.stds).view() != wanted.view():
         raise UsageError(
             folder,
@@ -242,3 +246,4 @@ def _require_same_view(folder: Path, projected: Sensor | None, wanted: Sensor) -
             f"{wanted.name}, {wanted.height}×{wanted.width}, as the weights or --sensor say",
             "project again, or give the sensor that was projected with",
         )
+    return wanted

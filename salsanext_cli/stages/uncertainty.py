@@ -234,6 +234,7 @@ def _as_predicted(out: Path, network: NetworkSettings) -> NetworkSettings:
 
 def _with_noise(seen: Sensor, network: NetworkSettings) -> Sensor:
     """Return the sensor, of which `predict` recorded only the view, with its noise if known."""
-    known = (read_card(network.path).sensor, presets().get(seen.name))
-    same = next((sensor for sensor in known if sensor and sensor.view() == seen.view()), seen)
+    named = (read_card(network.path).sensor, presets().get(seen.name))
+    known = (replace(sensor, columns=seen.columns) for sensor in named if sensor)
+    same = next((sensor for sensor in known if sensor.view() == seen.view()), seen)
     return replace(same, intensity_quantiles=seen.intensity_quantiles)

@@ -8,8 +8,14 @@ from itertools import groupby
 from pathlib import Path
 
 from salsanext_cli.errors import NoInputError, OutputError
-from salsanext_cli.formats import SCAN_SUFFIXES, scan_suffix
-from salsanext_cli.formats.reading import is_folder, present, reason
+from salsanext_cli.formats import CLOUD_SUFFIXES, SCAN_SUFFIXES, scan_suffix
+from salsanext_cli.formats.reading import present, reason
+from salsanext_cli.storage.scan_folders import (
+    counted_by_suffix,
+    files_in,
+    require_known,
+    suffixes_of,
+)
 
 UNCERTAINTY = ("epistemic", "aleatoric", "total", "entropy", "mutual_information")
 """The kinds of uncertainty that stages may have written."""
@@ -23,7 +29,9 @@ SUFFIX_OF_FOLDER = {
     "probabilities": ".npy",
     **{f"uncertainty/{kind}": ".npy" for kind in UNCERTAINTY},
     "ply": ".ply",
-    **{f"ply/{colour}": ".ply" for colour in COLOURINGS},
+    "las": ".las",
+    "laz": ".laz",
+    **{f"{form}/{name}": f".{form}" for form in ("ply", "las", "laz") for name in COLOURINGS},
 }
 """Folders of a sequence in an output folder, and the suffix of the files in each."""
 
@@ -67,6 +75,7 @@ def find_scans(source: Path, sequences: Collection[str] | None = None) -> list[S
     source : Path
         A scan, a folder of scans, a sequence folder (holding ``velodyne/``), a data set root
         (holding ``sequences/``), or that ``sequences`` folder itself. Hidden files are left out.
+        Files of `TABLE_SUFFIXES` are scans only in a folder without others.
     sequences : collection of str, optional
         Names of the sequences wanted; "8" also means "08".
 
@@ -78,13 +87,18 @@ def find_scans(source: Path, sequences: Collection[str] | None = None) -> list[S
         If two scans of a sequence have one stem, so that their results would overwrite each other.
     """
     try:
+        if not source.is_dir():
+            require_known(source)
         found = _scans_of(_absolute(source))
         scans = sorted(found, key=lambda scan: (scan.sequence, scan.stem, scan.path.name))
+        others = [] if scans else files_in(source)
     except OSError as error:
         raise NoInputError(source, reason(error), "a scan or a folder of scans") from error
     if not scans:
         raise NoInputError(
-            source, "holds no scans", f"{', '.join(SCAN_SUFFIXES)} files, or sequences/*/velodyne"
+            source,
+            f"holds no scans{f', but {counted_by_suffix(others)}' if others else ''}",
+            f"{', '.join(SCAN_SUFFIXES)} files, or sequences/*/velodyne",
         )
     if sequences is not None:
         scans = of_sequences(scans, sequences, source)
@@ -101,14 +115,14 @@ def _absolute(path: Path) -> Path:
 def _scans_of(path: Path) -> Iterator[ScanFile]:
     if not path.is_dir():
         path.stat()
-        yield from _as_scan(path)
+        yield from _as_scan(path, SCAN_SUFFIXES)
     elif (path / "sequences").is_dir():
         yield from _scans_of_sequences(path / "sequences")
     elif (path / SCAN_FOLDER).is_dir():
         yield from _scans_in(path / SCAN_FOLDER)
     else:
-        scans = list(_scans_in(path))
-        yield from scans or _scans_of_sequences(path)
+        scans = list(_scans_in(path, CLOUD_SUFFIXES)) or list(_scans_of_sequences(path))
+        yield from scans or _scans_in(path)
 
 
 def _scans_of_sequences(folder: Path) -> Iterator[ScanFile]:
@@ -117,17 +131,15 @@ def _scans_of_sequences(folder: Path) -> Iterator[ScanFile]:
             yield from _scans_in(sequence / SCAN_FOLDER)
 
 
-def _scans_in(folder: Path) -> Iterator[ScanFile]:
-    # Not is_file(): a link to a scan that is gone must fail when read, not be passed over.
-    with os.scandir(folder) as entries:
-        names = [e.name for e in entries if not e.name.startswith(".") and not is_folder(e)]
-    for name in names:
-        yield from _as_scan(folder / name)
+def _scans_in(folder: Path, suffixes: Collection[str] = ()) -> Iterator[ScanFile]:
+    paths = files_in(folder)
+    for path in paths:
+        yield from _as_scan(path, suffixes or suffixes_of(paths))
 
 
-def _as_scan(path: Path) -> Iterator[ScanFile]:
+def _as_scan(path: Path, suffixes: Collection[str]) -> Iterator[ScanFile]:
     suffix = scan_suffix(path)
-    if suffix:
+    if suffix in suffixes:
         yield ScanFile(_sequence_of(path.parent), path.name[: -len(suffix)], path)
 
 

@@ -11,6 +11,7 @@ import numpy as np
 from salsanext_cli.classes import LabelSpace, label_space
 from salsanext_cli.errors import NoInputError, UsageError
 from salsanext_cli.storage.layout import SCAN_FOLDER, ScanFile, find_scans, of_sequences
+from salsanext_cli.storage.scan_folders import log_passed_over
 
 LABEL_SPACE_FILES = ("labels.yaml", "semantic-kitti.yaml")
 """Names, in the root of a data set, of the file that describes its label space."""
@@ -65,6 +66,9 @@ def select_scans(
         If the split does not exist.
     """
     scans = find_scans(source)
+    if source.is_dir():
+        folders = {path.parent for path in {scan.sequence: scan.path for scan in scans}.values()}
+        log_passed_over(source, sorted(folders), {scan.path.name for scan in scans})
     return choose(scans, selection, space_of(scans, space), source)
 
 

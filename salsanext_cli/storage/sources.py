@@ -3,14 +3,16 @@
 
 import logging
 import os
-from collections.abc import Iterable, Sequence
+from collections.abc import Container, Iterable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 from salsanext_cli.errors import NoInputError, OutputError
+from salsanext_cli.formats import scan_suffix
 from salsanext_cli.formats.reading import is_folder
 from salsanext_cli.settings_files import shortened
 from salsanext_cli.storage.layout import SUFFIX_OF_FOLDER, ScanFile, find_outputs, find_scans
+from salsanext_cli.storage.scan_folders import files_in
 from salsanext_cli.storage.stage_records import ScanSource, owner, read_records
 
 LABELLING_STAGES = ("predict", "knn-refine", "uncertainty")
@@ -111,23 +113,25 @@ def recorded_scans(
     ):
         # The folder of the scans themselves, which may have another name by now.
         return [replace(scan, sequence=sequences[0]) for scan in find_scans(dataset)]
-    folders = {
-        sequence: source.folder
+    known = {
+        sequence: source
         for record in read_records(out).values()
         for sequence, source in record.scans.items()
     }
     return [
         scan
         for name in sequences
-        for scan in _scans_of_sequence(out, name, folders.get(name), dataset)
+        for scan in _scans_of_sequence(out, name, known.get(name), dataset)
     ]
 
 
 def _scans_of_sequence(
-    out: Path, sequence: str, folder: str | None, dataset: Path | None
+    out: Path, sequence: str, source: ScanSource | None, dataset: Path | None
 ) -> list[ScanFile]:
-    if dataset is None and folder and is_folder(Path(folder)):
-        return find_scans(Path(folder))
+    folder = source.folder if source else None
+    if dataset is None and source and is_folder(Path(source.folder)):
+        scans = find_scans(Path(source.folder))
+        return scans + _scans_named_themselves(source, {scan.stem for scan in scans})
     root = dataset or Path(os.environ.get(DATASET_VARIABLE, ""))
     if (root / "sequences").is_dir():
         return find_scans(root, [sequence])
@@ -138,6 +142,14 @@ def _scans_of_sequence(
         "the folder that they came from",
         "give with --dataset the folder that holds sequences/",
     )
+
+
+def _scans_named_themselves(source: ScanSource, found: Container[str]) -> list[ScanFile]:
+    """Return the files of a folder that were asked for by name and are no scans otherwise."""
+    wanted = {stem for stem in source.stems if stem not in found}
+    tables = files_in(Path(source.folder)) if wanted else []
+    scans = [scan for path in tables if scan_suffix(path) for scan in find_scans(path)]
+    return [scan for scan in scans if scan.stem in wanted]
 
 
 def missing_predictions(out: Path, scans: Iterable[ScanFile]) -> MissingResults:

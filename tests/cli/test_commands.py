@@ -4,12 +4,14 @@
 import json
 import re
 import shlex
+from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
 
+import numpy as np
 import pytest
 from command_line import only_json
-from scans import labels_below, write_sequence
+from scans import SMALL, labels_below, write_sequence
 
 from salsanext_cli.parallel.run import Outcome
 
@@ -78,6 +80,39 @@ def test_every_stage_in_turn_each_with_one_object_of_json(run, data, weights, tm
             )
     assert len(labels_below(out)) == 2
     assert labels_below(out) == labels_below(steps)
+
+
+def test_columns_are_those_of_the_scans_in_every_stage(run, data, weights, tmp_path):
+    out, steps, plain = tmp_path / "out", tmp_path / "steps", tmp_path / "plain"
+    network = ("--weights", weights, "--device", "cpu")
+    assert run("predict", data, plain, *network).exit_code == 0
+    for path in data.rglob("*.bin"):
+        table = np.fromfile(path, "<f4").reshape(-1, 4)
+        rows = np.column_stack([table[:, 3] * 255, np.full(len(table), -1), table[:, :3]])
+        path.write_bytes(rows.astype("<f4").tobytes())
+    sensor = tmp_path / "small.toml"
+    sensor.write_text(replace(SMALL, intensity_scale=255.0).to_toml())
+    seen = ("--sensor", sensor, "--columns", "Intensity, _, x, y, z")
+    fitted = tmp_path / "fitted.toml"
+    for arguments in (
+        ("inspect", data, *seen, "--fit", fitted),
+        ("predict", data, out, *network, *seen),
+        ("uncertainty", data, out, "--samples", 2, *network, *seen),
+        ("eval", "--out", out, "--by-distance"),
+        ("export-ply", "--out", out, "--color", "range"),
+        ("project", data, steps, *seen),
+        ("predict", steps, steps, *network, "--sensor", sensor),
+        ("knn-refine", steps),
+        ("knn-refine", tmp_path / "again", "--labels", out, "--dataset", data, *seen),
+    ):
+        result = run(*arguments)
+        assert result.exit_code == 0, result.output
+    for refined in (out, steps):
+        assert labels_below(refined) == labels_below(plain)
+    assert 'columns = ["intensity", "_", "x", "y", "z"]' in fitted.read_text()
+    wrong = run("predict", data, out, *network, "--columns", "x,y")
+    assert wrong.exit_code == 2
+    assert "--columns · x,y · expected up to 64 different names" in wrong.stderr
 
 
 def test_messages_go_to_stderr(predict, weights, tmp_path):

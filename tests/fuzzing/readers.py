@@ -7,13 +7,14 @@ import io
 import json
 import pickle
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from zipfile import ZipFile
 
 import numpy as np
 import torch
 import yaml
+from cloud_seeds import las, lines, npz, structured
 from empty_runs import begin_and_end
 from scans import SMALL, make_scan, write_sequence
 from tiny_network import TinyNetwork
@@ -80,6 +81,11 @@ def _scan(path: Path) -> None:
     field_of_view_coverage(scan, SMALL)
 
 
+def _scan_of_five_columns(path: Path) -> None:
+    five = replace(SMALL, columns=("x", "y", "z", "intensity", "ring"))
+    project(read_scan(path, five), SMALL)
+
+
 def _table() -> dict[str, np.ndarray]:
     scan = make_scan(COUNT)
     columns = dict(zip("xyz", scan.points.T, strict=True))
@@ -88,7 +94,7 @@ def _table() -> dict[str, np.ndarray]:
 
 def _bin(columns: int) -> list[bytes]:
     table = np.column_stack([*_table().values()])[:, :columns].astype("<f4")
-    return [table.tobytes(), table[:3].tobytes(), b""]
+    return [table.tobytes(), table[:3].tobytes()]
 
 
 def _ply(folder: Path) -> list[bytes]:
@@ -283,6 +289,13 @@ READERS: dict[str, Callable[[Path], Reader]] = {
     "pcd ascii": lambda _: Reader("a.pcd", _pcd("ascii"), _scan),
     "pcd binary": lambda _: Reader("b.pcd", _pcd("binary"), _scan),
     "pcd binary_compressed": lambda _: Reader("c.pcd", _pcd("binary_compressed"), _scan),
+    "las": lambda _: Reader("a.las", las(_table(), compressed=False), _scan),
+    "laz": lambda _: Reader("a.laz", las(_table(), compressed=True), _scan),
+    "npy of points": lambda _: Reader("s.npy", structured(_table()), _scan),
+    "npz": lambda _: Reader("s.npz", npz(_table()), _scan),
+    "csv": lambda _: Reader("s.csv", lines(_table(), ","), _scan),
+    "xyz": lambda _: Reader("s.xyz", lines(_table(), " "), _scan),
+    "columns": lambda _: Reader("s.bin", _bin(5), _scan_of_five_columns),
     "yaml": lambda _: Reader("labels.yaml", [SPACE, SPACE[: len(SPACE) // 2]], label_space),
     "toml of a sensor": lambda _: Reader("s.toml", [_sensor()], sensor),
     "toml of a recipe": lambda _: Reader(

@@ -122,6 +122,30 @@ def test_no_predictions_at_all_is_an_error_with_advice(world):
     assert not world.out.exists()
 
 
+@pytest.mark.parametrize("kind", ["u1", "<u2", "<u4"])
+@pytest.mark.parametrize("by_distance", [False, True])
+def test_labels_of_one_two_or_four_bytes(world, kind, by_distance):
+    """Those of nuScenes have one byte per point."""
+    truth = [CAR, CAR, ROAD, 0, CAR, ROAD, ROAD, CAR]
+    world.add("000000", truth, [CAR] * 8)
+    labels = world.dataset / "sequences/08/labels/000000.label"
+    labels.write_bytes(np.array(truth, kind).tobytes())
+    evaluation = world.evaluate(by_distance=by_distance)
+    assert not evaluation.failures
+    assert iou(evaluation, "car") == pytest.approx(4 / 7)
+
+
+@pytest.mark.parametrize("wrong", ["labels", "predictions"])
+def test_the_file_that_does_not_fit_the_scan_is_blamed(world, wrong):
+    world.add("000000", [CAR] * 8, [CAR] * 8)
+    world.add("000001", [CAR], [CAR])
+    folder = {"labels": world.dataset, "predictions": world.out}[wrong]
+    path = folder / f"sequences/08/{wrong}/000000.label"
+    path.write_bytes(path.read_bytes()[:-8])
+    (failure,) = world.evaluate().failures
+    assert failure.reason.startswith(f"{path} · 6 labels · expected 8")
+
+
 def test_rings_of_distance(world):
     world.add("000000", [CAR, CAR], [CAR, CAR], distance=5)
     world.add("000001", [CAR, CAR], [CAR, ROAD], distance=35)
@@ -131,7 +155,8 @@ def test_rings_of_distance(world):
     folder = world.dataset / "sequences/08/velodyne"
     shutil.copy(folder / "000000.bin", folder / "000004.bin")
     found = world.evaluate(by_distance=True)
-    assert [failure.scan.stem for failure in found.failures] == ["000004"]
+    assert [failure.scan.stem for failure in found.failures] == ["000003", "000004"]
+    assert "000003.bin · is empty" in found.failures[0].reason
     rings = found.by_distance
     assert rings["0–10 m"].accuracy == 1
     assert rings["30–40 m"].accuracy == 0.5

@@ -1,14 +1,22 @@
 # SPDX-License-Identifier: MIT
 import json
+import sys
 from dataclasses import replace
 
 import numpy as np
 import plyfile
 import pytest
-from scans import SMALL, files_below, write_weights
+from scans import SMALL, files_below, replace_points, write_weights
 
 from salsanext_cli import LabelSpace, Scan, label_space, read_labels, read_scan, write_labels
-from salsanext_cli.errors import LabelError, NoInputError, OutputError, UsageError
+from salsanext_cli.errors import (
+    LabelError,
+    MissingDependency,
+    NoInputError,
+    OutputError,
+    UsageError,
+)
+from salsanext_cli.formats.asprs import classification
 from salsanext_cli.inference.settings import NetworkSettings
 from salsanext_cli.parallel.run import RunOptions
 from salsanext_cli.report.colours import EMPTY, RIGHT, WRONG, map_colours
@@ -75,6 +83,44 @@ def test_every_scalar_is_a_property(sampled):
     for kind in KINDS:
         stored = np.load(sampled.result(f"uncertainty/{kind}"))
         np.testing.assert_array_equal(column(sampled, kind), stored)
+
+
+@pytest.mark.parametrize("form", ["las", "laz"])
+def test_las_holds_what_ply_does(sampled, form):
+    laspy = pytest.importorskip("laspy")
+    assert export(sampled, colour="error").done == 3
+    assert export(sampled, colour="error", form=form).done == 3
+    cloud = laspy.read(sampled.result(form))
+    for name in ("range", "label", "truth", "error", *KINDS):
+        np.testing.assert_array_equal(cloud[name], column(sampled, name), err_msg=name)
+    np.testing.assert_array_equal(cloud["scalar_intensity"], column(sampled, "intensity"))
+    np.testing.assert_array_equal(cloud.classification, classification(sampled.labels(), SPACE))
+    rgb = np.stack([cloud.red, cloud.green, cloud.blue], axis=1)
+    np.testing.assert_array_equal(rgb // 257, colours(sampled))
+    again = read_scan(sampled.result(form))
+    np.testing.assert_allclose(again.points, read_scan(sampled.scan()).points, rtol=0, atol=1e-7)
+    assert b"class 74 car" in cloud.vlrs[0].record_data
+    assert sampled.result("ply").exists()
+    assert export(sampled, colour="error", form=form).skipped == 3
+
+
+def test_las_without_laspy_is_refused_before_anything_is_done(predicted, monkeypatch):
+    monkeypatch.setitem(sys.modules, "laspy", None)
+    with pytest.raises(MissingDependency, match=r"--format laz · LAS needs laspy · pip install"):
+        export(predicted, form="laz")
+    with pytest.raises(UsageError, match=r"--format · obj · expected one of ply, las, laz"):
+        export(predicted, form="obj")
+
+
+def test_a_scan_too_wide_for_las_fails_alone(world):
+    points = np.array([[5, 0, 0], [0, 2e4, 0]], np.float32)
+    write_bin(world.scan(), Scan(points, np.zeros(2, np.float32)))
+    write_labels(world.data / "sequences/08/labels/000000.label", np.zeros(2, np.uint32))
+    predict_scans(world.data, world.out, network=world.network)
+    pytest.importorskip("laspy")
+    outcome = export(world, form="las")
+    assert (outcome.done, len(outcome.failures)) == (2, 1)
+    assert "000000.las · a point at 20000 m" in outcome.failures[0].reason
 
 
 def test_opens_in_open3d_with_every_scalar(sampled):
@@ -318,9 +364,9 @@ def test_odd_points_are_exported(world):
 
 
 def test_an_empty_scan_is_exported(world):
-    world.scan().write_bytes(b"")
+    empty = replace_points(world.scan(), [])
     (world.data / "sequences/08/labels/000000.label").write_bytes(b"")
-    predict_scans(world.scan(), world.out, network=world.network)
+    predict_scans(empty, world.out, network=world.network)
     for colour in ("label", "error", "range"):
         assert export(world, colour=colour, options=OVERWRITE).done == 1
         assert len(ply(world)["vertex"].data) == 0

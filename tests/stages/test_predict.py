@@ -5,7 +5,15 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
-from scans import SMALL, files_below, labels_below, make_scan, write_sequence, write_weights
+from scans import (
+    SMALL,
+    files_below,
+    labels_below,
+    make_scan,
+    replace_points,
+    write_sequence,
+    write_weights,
+)
 
 from salsanext_cli import KnnParameters, LabelSpace, Scan, knn_refine, label_space, project
 from salsanext_cli.errors import NoInputError, OutputError, UsageError, WeightsError
@@ -113,15 +121,10 @@ NAN, INF = float("nan"), float("inf")
 ODD_POINTS = [(0, 0, 0), (NAN, 1, 1), (1, INF, 1), (-INF, 0, 0), (NAN, NAN, NAN)]
 
 
-def write_points(path, points):
-    table = np.array(points, np.float32).reshape(-1, 3)
-    write_bin(path, Scan(table, np.zeros(len(table), np.float32)))
-
-
 @pytest.mark.parametrize("points", [[], [(5, 1, 0)], [(0, 0, 0)], [*ODD_POINTS, (5, 0, 0)]])
 def test_odd_scans(world, points):
-    write_points(world.scan(), points)
-    outcome = run(world, world.scan(), extras=("probabilities",))
+    scan = replace_points(world.scan(), points)
+    outcome = run(world, scan, extras=("probabilities",))
     assert outcome.done == 1
     labels = world.labels()
     assert len(labels) == len(points)
@@ -202,7 +205,7 @@ NOT_BY_16 = replace(SMALL, height=13, width=90, fov_up=-2.0, fov_down=-20.0, out
 
 @pytest.mark.parametrize(("projected", "sensor"), [("same", SMALL), ("other", NOT_BY_16)])
 def test_in_three_steps_or_in_one_gives_the_same_bytes(world, tmp_path, projected, sensor):
-    write_points(world.scan("00"), [*ODD_POINTS, (5, 0, 0)])
+    replace_points(world.scan("00"), [*ODD_POINTS, (5, 0, 0)])
     network = replace(world.network, sensor=sensor)
     images = world.out if projected == "same" else tmp_path / "projected"
     project_scans(world.data, images, sensor=sensor)

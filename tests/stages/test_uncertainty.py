@@ -4,9 +4,9 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from scans import SMALL, files_below, labels_below, write_weights
+from scans import SMALL, files_below, labels_below, replace_points, write_weights
 
-from salsanext_cli import Scan, knn_refine, label_space, project, read_scan, sample
+from salsanext_cli import knn_refine, label_space, project, read_scan, sample
 from salsanext_cli.errors import OutputError, UsageError, WeightsError
 from salsanext_cli.inference.settings import NetworkSettings
 from salsanext_cli.parallel.run import RunOptions
@@ -16,7 +16,6 @@ from salsanext_cli.stages.project import project_scans
 from salsanext_cli.stages.uncertainty import uncertainty
 from salsanext_cli.storage.identity import fingerprint
 from salsanext_cli.storage.output_run import OutputRun
-from salsanext_cli.storage.point_files import write_bin
 from salsanext_cli.storage.predictions import provenance
 from salsanext_cli.storage.selection import ScanSelection
 from salsanext_cli.uncertainty.aleatoric import aleatoric
@@ -98,8 +97,7 @@ def test_predict_does_not_replace_labels_of_the_mean_unasked(world):
 )
 def test_points_without_a_measurement_are_unlabelled_and_have_no_uncertainty(world, points):
     table = np.array(points, np.float32).reshape(-1, 3)
-    write_bin(world.scan(), Scan(table, np.zeros(len(table), np.float32)))
-    assert run(world, world.scan()).done == 1
+    assert run(world, replace_points(world.scan(), table)).done == 1
     nowhere = ~np.isfinite(table).all(axis=1) | ~table.any(axis=1)
     for folder in FOLDERS:
         np.testing.assert_array_equal(np.isnan(np.load(world.result(folder))), nowhere)

@@ -5,8 +5,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from salsanext_cli.errors import NoInputError, OutputError
+from salsanext_cli.errors import NOTICE, NoInputError, OutputError
 from salsanext_cli.storage.layout import SUFFIX_OF_FOLDER, find_outputs, find_scans, output_path
+from salsanext_cli.storage.selection import ScanSelection, select_scans
 
 
 def make(folder: Path, *names: str) -> None:
@@ -108,13 +109,55 @@ def test_exact_name_wins_over_number(tmp_path: Path) -> None:
 
 
 def test_nothing_to_find(tmp_path: Path) -> None:
-    make(tmp_path / "folder", "notes.txt", ".hidden.bin")
-    for source in ("folder", "folder/notes.txt"):
-        with pytest.raises(NoInputError, match="holds no scans"):
-            find_scans(tmp_path / source)
-    for source in ("missing", "folder/notes.txt/deeper"):
+    make(tmp_path / "folder", "notes.md", ".hidden.bin")
+    with pytest.raises(NoInputError, match=r"holds no scans, but 1 \.md"):
+        find_scans(tmp_path / "folder")
+    with pytest.raises(NoInputError, match=r"a \.md file, which is not read .* to \.ply or \.las"):
+        find_scans(tmp_path / "folder/notes.md")
+    for source in ("missing", "folder/notes.md/deeper"):
         with pytest.raises(NoInputError, match="directory"):
             find_scans(tmp_path / source)
+
+
+@pytest.mark.parametrize(
+    ("names", "scans"),
+    [
+        (["a.bin", "b.las", "c.npy", "d.csv", "notes.txt"], ["a", "b"]),
+        (["c.npy", "d.csv", "notes.txt"], ["c"]),
+        (["d.npz", "d.csv", "notes.txt"], ["d"]),
+        (["d.csv", "notes.txt"], ["d"]),
+        (["e.TXT", "f.txt", "g.jpg"], ["e", "f"]),
+    ],
+)
+def test_tables_are_scans_where_there_are_no_clouds(tmp_path: Path, names, scans) -> None:
+    make(tmp_path, *names)
+    assert [scan.stem for scan in find_scans(tmp_path)] == scans
+    for name in names[:1]:
+        assert [scan.path.name for scan in find_scans(tmp_path / name)] == [name]
+
+
+def test_text_beside_sequences_is_no_scan(tmp_path: Path) -> None:
+    make(tmp_path / "08" / "velodyne", "0.bin")
+    make(tmp_path, "readme.txt")
+    assert [scan.sequence for scan in find_scans(tmp_path)] == ["08"]
+
+
+def test_what_is_passed_over_is_said_once(tmp_path: Path, caplog) -> None:
+    make(tmp_path, "a.bin", "b.bin", "a.label", "notes.txt", "x.JPG", "y.jpg", "README", ".z.jpg")
+    make(tmp_path / "labels", "a.label")
+    with caplog.at_level("INFO"):
+        assert len(select_scans(tmp_path, ScanSelection())) == 2
+    notice, *details = caplog.records
+    assert notice.levelno == NOTICE
+    assert notice.getMessage() == f"{tmp_path}: passed over 1 without a suffix, 2 .jpg, 1 .txt"
+    assert [record.getMessage() for record in details] == [
+        f"passed over, without a suffix: {tmp_path / 'README'}",
+        f"passed over, .jpg: {tmp_path / 'x.JPG'}, {tmp_path / 'y.jpg'}",
+        f"passed over, .txt: {tmp_path / 'notes.txt'}",
+    ]
+    caplog.clear()
+    select_scans(tmp_path / "a.bin", ScanSelection())
+    assert not caplog.records
 
 
 def test_two_scans_of_one_stem_are_both_named(tmp_path: Path) -> None:

@@ -11,6 +11,7 @@ from salsanext_cli.stages.knn_refine import knn_refine_scans
 from salsanext_cli.stages.predict import predict_range_images, predict_scans
 from salsanext_cli.stages.project import project_scans
 from salsanext_cli.storage.layout import find_scans
+from salsanext_cli.storage.point_files import write_labels
 from salsanext_cli.storage.selection import ScanSelection
 from salsanext_cli.storage.sources import missing_predictions, missing_results, recorded_scans
 
@@ -108,3 +109,12 @@ def test_the_results_of_a_scan_that_failed_are_missing(world):
     predict_scans(world.data, world.out, network=world.network)
     scans = find_scans(world.data, ["08"])
     assert names(missing_predictions(world.out, scans[1:])) == (["08/000001"], 0)
+
+
+def test_a_table_that_was_named_itself_is_found_again_beside_clouds(world, tmp_path):
+    folder = write_sequence(tmp_path / "drive", labels=False) / "velodyne"
+    write_array(folder / "table.npy", np.ones((5, 4)))
+    write_array(folder / "other.npy", np.ones((5, 4)))
+    ask(world, find_scans(folder / "table.npy"))
+    write_labels(world.out / "sequences/drive/predictions/table.label", np.zeros(5, np.uint32))
+    assert [scan.path.name for scan in recorded_scans(world.out)] == ["000000.bin", "table.npy"]

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
-from scans import SMALL, write_sequence
+from scans import SMALL, replace_points, write_sequence
 
 from salsanext_cli import label_space, project
 from salsanext_cli.formats.kitti import read_bin, read_labels
@@ -37,7 +37,9 @@ def samples(files: list[ScanFile], recipe: Recipe) -> Samples:
 
 
 def test_truth_of_an_empty_scan_is_unlabelled(tmp_path: Path) -> None:
-    (file,) = find_scans(write_sequence(tmp_path / "00", count=0))
+    folder = write_sequence(tmp_path / "00", count=0)
+    replace_points(folder / "velodyne/000000.bin", [])
+    (file,) = find_scans(folder)
     image, truth, _ = samples([file], Recipe())[0, 0]
     assert not truth.any()
     assert not image.any()

@@ -1,0 +1,227 @@
+# SPDX-License-Identifier: MIT
+"""LAS and LAZ clouds through laspy and lazrs, which are imported when they are used.
+
+Both believe a header, so it is compared with the file's size first, and points are read in parts.
+"""
+
+import io
+import logging
+import struct
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+from typing import Any, BinaryIO
+
+import numpy as np
+import numpy.typing as npt
+
+from salsanext_cli.errors import FormatError, MissingDependency, OutputError
+from salsanext_cli.formats.columns import MAX_DISTANCE_M, Columns, scan_of
+from salsanext_cli.formats.reading import reading, size_of
+from salsanext_cli.packages import import_extra
+from salsanext_cli.records import Scan
+from salsanext_cli.settings_files import shortened
+
+HEADER = struct.Struct("<4s20x2B68xHIIBHI")
+"""Start of a header: signature, version, its size, offset of the points, number of records of
+variable length, format, size and number of points."""
+COUNT = struct.Struct("<247xQ")
+"""Number of points in headers from version 1.4 on."""
+RECORD_BYTES = 54
+"""Least size of a record of variable length."""
+CHUNK_TABLE, CHUNK_COUNT = struct.Struct("<q"), struct.Struct("<4xI")
+"""Offset of the table of chunks, before the first chunk, and the start of the table."""
+TABLE_AT_END = -1
+"""Offset where the last bytes of the file hold it."""
+COMPRESSED_BIT = 0x80
+COMPRESSED_SUFFIX = ".laz"
+MAX_POINTS_PER_BYTE = 16
+"""Largest number of points for a byte of compressed data; of a LiDAR's each takes some bytes."""
+POINTS_PER_PART = 1 << 16
+INTENSITY_RANGE = 65535
+EXACT_INTENSITY = "scalar_intensity"
+"""Extra dimension with the intensity as a float, which the standard one rounds to 16 bits."""
+ORIGIN_OF_DATE, DATE_BYTES = 90, 4
+FORMAT, VERSION = 7, "1.4"
+"""Point format with colours and 256 classes."""
+COLOURS = ("red", "green", "blue")
+BAD_FILE = (
+    *(ArithmeticError, AssertionError, AttributeError, LookupError, MemoryError, RuntimeError),
+    *(TypeError, ValueError, struct.error),
+)
+"""Errors of laspy and lazrs, besides laspy's own, for a damaged file."""
+
+
+def read_las(path: Path) -> Scan:
+    """Read the points of a LAS or LAZ file; 16-bit intensities are divided by 65535.
+
+    Raises
+    ------
+    FormatError
+        If the file cannot be read, is cut off, or has no point near the origin.
+    MissingDependency
+        If laspy or, for compressed points, lazrs cannot be imported.
+    """
+    with reading(path) as file:
+        laspy = import_laspy(path, compressed=path.suffix.lower() == COMPRESSED_SUFFIX)
+        try:
+            _require_room(file)
+            columns = _read_columns(file, path, laspy)
+        except (laspy.errors.LaspyException, *BAD_FILE) as error:
+            found = f"not a whole LAS file: {shortened(str(error))}"
+            raise FormatError(path, found, "a .las or .laz file") from error
+    return scan_of(columns, path, 1.0)
+
+
+def _require_room(file: BinaryIO) -> None:
+    """Raise `ValueError` if what a header promises cannot all be in the file."""
+    size = size_of(file)
+    start = file.read(COUNT.size)
+    file.seek(0)
+    signature, major, minor, header, offset, records, kind, row, count = HEADER.unpack(
+        start[: HEADER.size].ljust(HEADER.size, b"\0")
+    )
+    if signature != b"LASF" or len(start) < HEADER.size:
+        raise ValueError("no LAS header")
+    if (major, minor) >= (1, 4) and len(start) == COUNT.size:
+        count = COUNT.unpack(start)[0]
+    held = size - offset
+    room = held * MAX_POINTS_PER_BYTE if kind & COMPRESSED_BIT else held // max(row, 1)
+    if header > offset or records * RECORD_BYTES > offset or held < 0 or count > room:
+        raise ValueError("the header promises more than the file holds")
+    if kind & COMPRESSED_BIT and count:
+        _require_chunks(file, offset, size)
+    file.seek(0)
+
+
+def _require_chunks(file: BinaryIO, offset: int, size: int) -> None:
+    """Raise `ValueError` if the table of chunks is not in the file, or promises too many.
+
+    lazrs would end the process where memory for so many cannot be had.
+    """
+    (table,) = CHUNK_TABLE.unpack(_bytes_at(file, offset, CHUNK_TABLE.size))
+    if table == TABLE_AT_END:
+        (table,) = CHUNK_TABLE.unpack(_bytes_at(file, size - CHUNK_TABLE.size, CHUNK_TABLE.size))
+    (chunks,) = CHUNK_COUNT.unpack(_bytes_at(file, table, CHUNK_COUNT.size))
+    if chunks > size:
+        raise ValueError(f"{chunks} chunks of compressed points in {size} bytes")
+
+
+def _bytes_at(file: BinaryIO, offset: int, count: int) -> bytes:
+    if not 0 <= offset <= size_of(file) - count:
+        raise ValueError(f"no table of chunks at byte {offset}")
+    file.seek(offset)
+    return file.read(count)
+
+
+def _read_columns(file: BinaryIO, path: Path, laspy: Any) -> Columns:
+    """Read coordinates and intensity part by part."""
+    backend = laspy.LazBackend.Lazrs
+    with laspy.open(file, closefd=False, read_evlrs=False, laz_backend=backend) as reader:
+        header = reader.header
+        if header.are_points_compressed and not backend.is_available():
+            raise _missing(path, "lazrs")
+        if header.are_points_compressed and header.point_count:
+            row = reader.point_source.vlr.item_size()
+            if row != header.point_format.size:
+                raise ValueError(f"compressed points of {row} bytes")
+        parts = [_columns(points) for points in reader.chunk_iterator(POINTS_PER_PART)]
+        if sum(len(part["x"]) for part in parts) != header.point_count:
+            raise ValueError("it is cut off")
+    empty = {name: np.empty(0) for name in "xyz"}
+    return {n: np.concatenate([part[n] for part in parts]) for n in parts[0]} if parts else empty
+
+
+def _columns(points: Any) -> Columns:
+    """Return the used columns of some points."""
+    columns = {axis: np.asarray(points[axis], np.float64) for axis in "xyz"}
+    if EXACT_INTENSITY in points.point_format.extra_dimension_names:
+        return columns | {"intensity": np.asarray(points[EXACT_INTENSITY], np.float32)}
+    return columns | {"intensity": np.asarray(points["intensity"]) / np.float32(INTENSITY_RANGE)}
+
+
+def encode_las(
+    path: Path,
+    columns: Mapping[str, npt.NDArray[Any]],
+    classification: npt.NDArray[np.uint8],
+    comments: Iterable[str] = (),
+) -> bytes:
+    """Return a cloud as a LAS 1.4 file.
+
+    Parameters
+    ----------
+    path : Path
+        Name of the file to be; `.laz` is compressed.
+    columns : mapping of str to (N,) array
+        x, y, z in metres; red, green, blue uint8; intensity, nominally 0…1; the others become
+        extra dimensions of their name and type. Points that are not finite are written at the
+        origin and marked as withheld.
+    classification : (N,) uint8
+        Classes of the ASPRS.
+    comments : iterable of str
+        Lines of the text record.
+
+    Raises
+    ------
+    OutputError
+        If a point is farther than 10 km, which would round the others.
+    MissingDependency
+        If laspy, or lazrs for LAZ, cannot be imported.
+    """
+    compressed = path.suffix == COMPRESSED_SUFFIX
+    laspy = import_laspy(path, compressed=compressed)
+    points = np.column_stack([columns[axis] for axis in "xyz"]).astype(np.float64)
+    finite = np.isfinite(points).all(axis=1)
+    points[~finite] = 0
+    farthest = float(np.abs(points).max(initial=0))
+    if farthest > MAX_DISTANCE_M:
+        found = f"a point at {farthest:g} m"
+        expected = f"points up to {MAX_DISTANCE_M:g} m, so that the others are not rounded"
+        raise OutputError(path, found, expected, "export with --format ply")
+    extra = {n: values for n, values in columns.items() if n not in ("x", "y", "z", *COLOURS)}
+    extra[EXACT_INTENSITY] = extra.pop("intensity")
+    header = laspy.LasHeader(version=VERSION, point_format=FORMAT)
+    header.generating_software = "salsanext"
+    # The finest power of two at which the farthest point fits into 32 bits.
+    header.scales = np.full(3, 2.0 ** (np.frexp(farthest)[1] - 31))
+    header.vlrs.append(laspy.VLR("LASF_Spec", 3, "salsanext", "\n".join(comments).encode()))
+    header.add_extra_dims([laspy.ExtraBytesParams(n, v.dtype) for n, v in extra.items()])
+    cloud = laspy.LasData(header, laspy.ScaleAwarePointRecord.zeros(len(points), header=header))
+    for name, values in zip("XYZ", np.rint(points / header.scales).T, strict=True):
+        cloud[name] = values.astype(np.int32)
+    cloud.classification, cloud.withheld = classification, ~finite
+    cloud.return_number, cloud.number_of_returns = np.ones((2, len(points)), np.uint8)
+    share = np.clip(np.nan_to_num(extra[EXACT_INTENSITY], posinf=1, neginf=0), 0, 1)
+    cloud.intensity = np.rint(share * INTENSITY_RANGE).astype(np.uint16)
+    for name in COLOURS:
+        cloud[name] = columns[name].astype(np.uint16) * 257
+    for name, values in extra.items():
+        cloud[name] = values
+    with io.BytesIO() as buffer:
+        backend = laspy.LazBackend.Lazrs if compressed else None
+        cloud.write(buffer, do_compress=compressed, laz_backend=backend)
+        content = bytearray(buffer.getvalue())
+    # Without the day of its creation a file depends on its points only.
+    content[ORIGIN_OF_DATE : ORIGIN_OF_DATE + DATE_BYTES] = bytes(DATE_BYTES)
+    return bytes(content)
+
+
+def import_laspy(subject: object, *, compressed: bool) -> Any:
+    """Import laspy, and keep it from printing.
+
+    Raises
+    ------
+    MissingDependency
+        If it, or lazrs for compressed points, is not installed; `subject` is named.
+    """
+    try:
+        laspy = import_extra("laspy", "las")
+    except MissingDependency as error:
+        raise _missing(subject, "laspy") from error
+    if compressed and not laspy.LazBackend.Lazrs.is_available():
+        raise _missing(subject, "lazrs")
+    logging.getLogger("laspy").addHandler(logging.NullHandler())
+    return laspy
+
+
+def _missing(subject: object, package: str) -> MissingDependency:
+    return MissingDependency(subject, f"LAS needs {package}", remedy="pip install 'salsanext[las]'")

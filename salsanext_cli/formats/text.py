@@ -1,0 +1,143 @@
+# SPDX-License-Identifier: MIT
+"""Scans as text: a point in each line, its values separated by commas, semicolons or blanks.
+
+numpy's loadtxt takes 0.03 s for 120 000 points of five columns, genfromtxt and the csv module
+eight and five times as long.
+"""
+
+import io
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+
+from salsanext_cli.errors import FormatError
+from salsanext_cli.formats.columns import INTENSITY_NAMES, columns_of_width, scan_of
+from salsanext_cli.formats.raw_records import CONTROL, TEXT_BYTES
+from salsanext_cli.formats.reading import reading
+from salsanext_cli.records import Scan
+from salsanext_cli.settings_files import shortened
+
+BYTE_ORDER_MARK = b"\xef\xbb\xbf"
+COMMENT_MARKS = ("#", "//")
+MAX_HEADER_BYTES = 1 << 16
+USED = {"x", "y", "z", *INTENSITY_NAMES}
+EXPECTED = "a point in each line, with the same number of columns"
+
+
+@dataclass(frozen=True, slots=True)
+class Layout:
+    """Layout of a table of text.
+
+    Attributes
+    ----------
+    start : int
+        Offset of the first point in bytes.
+    delimiter : str, optional
+        Character between values; None for blanks.
+    width : int
+        Number of columns.
+    names : tuple of str
+        Names of the columns in lower case; empty if the file has none.
+    """
+
+    start: int
+    delimiter: str | None
+    width: int
+    names: tuple[str, ...]
+
+
+def read_text(path: Path, *, columns: tuple[str, ...] = (), intensity_scale: float = 1.0) -> Scan:
+    """Read a scan from text, with the names of its columns in a header, a comment or nowhere.
+
+    Parameters
+    ----------
+    path : Path
+        The file.
+    columns : tuple of str
+        Names of the columns where the file has none for x, y and z; empty for the usual ones.
+    intensity_scale : float
+        Divides the intensity.
+
+    Raises
+    ------
+    FormatError
+        If the file cannot be read, is no table of numbers, or it is open what its columns hold.
+    """
+    with reading(path) as file:
+        content = file.read().removeprefix(BYTE_ORDER_MARK)
+    if CONTROL.search(content[:TEXT_BYTES]):
+        raise FormatError(path, "not text", "a point in each line, in ASCII or UTF-8")
+    try:
+        layout = _layout(content, has_names=bool(columns))
+        names = layout.names or columns_of_width(layout.width, columns, path)
+        used = {name: i for i, name in enumerate(names) if name in USED}
+        if len(used) < sum(name in USED for name in names):
+            raise ValueError(f"a column twice among {shortened(', '.join(names))}")
+        if not {"x", "y", "z"} & set(used):
+            raise ValueError(f"points of {shortened(', '.join(names))}")
+        table = _numbers(content, layout, tuple(used.values()))
+    except ValueError as error:
+        raise FormatError(path, shortened(str(error)), EXPECTED) from error
+    return scan_of(dict(zip(used, table.T, strict=True)), path, intensity_scale)
+
+
+def _layout(content: bytes, has_names: bool) -> Layout:
+    """Find the first point; the line before it without any number is a header."""
+    at, names = 0, tuple[str, ...]()
+    while at < min(len(content), MAX_HEADER_BYTES):
+        end = content.find(b"\n", at) + 1 or len(content)
+        line = content[at:end].decode("latin-1").strip()
+        delimiter = next((mark for mark in ";," if mark in line), None)
+        words = _words(line, delimiter)
+        if line.startswith(COMMENT_MARKS):
+            named = _words(line.lstrip("#/"), delimiter)
+            names = named if {"x", "y", "z"} <= set(named) else names
+        elif any(map(_is_number, words)):
+            # A comment is a header only if it fits.
+            fitting = names if len(names) == len(words) else ()
+            return Layout(at, delimiter, len(words), fitting)
+        elif line:
+            if not ({"x", "y", "z"} <= set(words) or has_names):
+                raise ValueError(f"{shortened(line)} in place of numbers, or of names with x, y, z")
+            named = words if {"x", "y", "z"} <= set(words) else ()
+            return Layout(end, delimiter, len(words), named)
+        at = end
+    raise ValueError("no points")
+
+
+def _words(line: str, delimiter: str | None) -> tuple[str, ...]:
+    """Return the fields of a line, in lower case, without blanks and quotes around them."""
+    return tuple(word.strip(' "\t').lower() for word in line.split(delimiter))
+
+
+def _is_number(word: str) -> bool:
+    try:
+        float(word)
+    except ValueError:
+        return False
+    return True
+
+
+def _numbers(content: bytes, layout: Layout, used: tuple[int, ...]) -> npt.NDArray[np.float64]:
+    """Return some columns of the table, (N, len(used)) float64."""
+    body = content[layout.start :]
+    if not body.strip():
+        return np.empty((0, len(used)))
+    # Of delimited columns others may hold text; blanks may be in it, so then all are numbers.
+    table = np.loadtxt(
+        *(io.BytesIO(body), np.float64),
+        comments=None,
+        delimiter=layout.delimiter,
+        quotechar='"',
+        usecols=used if layout.delimiter else None,
+        ndmin=2,
+    )
+    if layout.delimiter is None:
+        marks, table = table.shape[1] - 1, table[:, used]
+    else:
+        marks = body.count(layout.delimiter.encode()) / len(table)
+    if marks != layout.width - 1:
+        raise ValueError(f"lines of more or fewer than {layout.width} columns")
+    return table

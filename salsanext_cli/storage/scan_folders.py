@@ -1,0 +1,82 @@
+# SPDX-License-Identifier: MIT
+"""Files of a folder: those that are scans there, and those that are passed over."""
+
+import logging
+import os
+from collections.abc import Collection, Iterable
+from itertools import groupby
+from pathlib import Path
+
+from salsanext_cli.errors import NOTICE, NoInputError, first_few
+from salsanext_cli.formats import CLOUD_SUFFIXES, SCAN_SUFFIXES, TABLE_SUFFIXES, scan_suffix
+from salsanext_cli.formats.reading import is_folder, present
+
+COMPANIONS = (".label", ".toml", ".yaml", ".md")
+"""Suffixes of files that are known to lie beside scans."""
+
+log = logging.getLogger(__name__)
+
+
+def files_in(folder: Path) -> list[Path]:
+    """Return everything in a folder but folders and what is hidden."""
+    # Not is_file(): a link to a scan that is gone must fail when read, not be passed over.
+    with os.scandir(folder) as entries:
+        return [folder / e.name for e in entries if not e.name.startswith(".") and not is_folder(e)]
+
+
+def suffixes_of(paths: Iterable[Path]) -> tuple[str, ...]:
+    """Return the suffixes that make files scans in the folder that holds these.
+
+    Tables are often something else: they count where there are no clouds, and of one kind only.
+    """
+    found = {scan_suffix(path) for path in paths}
+    if not found.isdisjoint(CLOUD_SUFFIXES):
+        return CLOUD_SUFFIXES
+    return next(((suffix,) for suffix in TABLE_SUFFIXES if suffix in found), ())
+
+
+def require_known(path: Path) -> None:
+    """Raise `NoInputError` for a file that is there and of no format of scans."""
+    if present(path) and not scan_suffix(path):
+        raise NoInputError(
+            path,
+            f"a {path.suffix} file, which is not read" if path.suffix else "has no suffix",
+            f"one of {', '.join(SCAN_SUFFIXES)}",
+            "convert it to .ply or .las, with CloudCompare or PDAL for example",
+        )
+
+
+def log_passed_over(source: Path, folders: Iterable[Path], scans: Collection[str]) -> None:
+    """Log how many files of folders are passed over, by suffix; in detail their names.
+
+    Parameters
+    ----------
+    source : Path
+        Subject of the message.
+    folders : iterable of Path
+        Folders of scans.
+    scans : collection of str
+        File names of the scans.
+    """
+    left = []
+    for folder in folders:
+        with os.scandir(folder) as entries:
+            # Of a million names nearly all are those of scans.
+            others = [e for e in entries if e.name not in scans and not e.name.startswith(".")]
+            left += [folder / e.name for e in others if not is_folder(e)]
+    left = [path for path in left if path.suffix.lower() not in COMPANIONS]
+    if left:
+        log.log(NOTICE, "%s: passed over %s", source, counted_by_suffix(left))
+    for suffix, paths in _by_suffix(left).items():
+        log.info("passed over, %s: %s", suffix, first_few(paths))
+
+
+def counted_by_suffix(paths: Iterable[Path]) -> str:
+    """Return the numbers of files by suffix, in words."""
+    return ", ".join(f"{len(group)} {suffix}" for suffix, group in _by_suffix(paths).items())
+
+
+def _by_suffix(paths: Iterable[Path]) -> dict[str, list[Path]]:
+    ordered = sorted(paths, key=lambda path: (path.suffix.lower(), path))
+    groups = groupby(ordered, lambda path: path.suffix.lower())
+    return {suffix or "without a suffix": list(group) for suffix, group in groups}

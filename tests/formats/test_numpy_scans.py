@@ -1,0 +1,131 @@
+# SPDX-License-Identifier: MIT
+import io
+import zipfile
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from hypothesis.extra import numpy as hnp
+
+from salsanext_cli.errors import FormatError
+from salsanext_cli.formats.numpy_scans import read_npy, read_npz
+
+TABLE = np.array([[1, -2, 3, 51], [4, 5, -6, 255]], np.float32)
+
+
+@given(
+    hnp.array_shapes(min_dims=2, max_dims=2, min_side=3, max_side=5),
+    st.sampled_from(["<f4", ">f4", "<f8", "<f2", "<i2", ">i4", "u1"]),
+    st.sampled_from("CF"),
+)
+@settings(max_examples=30, deadline=None)
+def test_tables_of_any_type_and_order(tmp_path_factory, shape, kind, order):
+    path = tmp_path_factory.mktemp("npy") / "s.npy"
+    table = np.arange(shape[0] * shape[1]).reshape(shape).astype(kind, order)
+    np.save(path, table)
+    scan = read_npy(path)
+    np.testing.assert_array_equal(scan.points, np.float32(table[:, :3]))
+    divisor = np.float32(255 if kind == "u1" else 1)
+    expected = np.float32(table[:, 3]) / divisor if shape[1] > 3 else np.zeros(shape[0])
+    np.testing.assert_array_equal(scan.intensity, expected)
+    assert scan.points.flags.writeable
+
+
+def test_fields_have_names(tmp_path):
+    kind = [
+        ("t", "u8"),
+        ("rgb", "u1", 3),
+        ("Z", "f8"),
+        ("y", "i4"),
+        ("x", "f4"),
+        ("intensity", "u1"),
+    ]
+    table = np.zeros(2, kind)
+    for name, values in zip(("x", "y", "Z", "intensity"), TABLE.T, strict=True):
+        table[name] = values
+    np.save(tmp_path / "s.npy", table)
+    scan = read_npy(tmp_path / "s.npy", columns=("x", "y", "z"))
+    np.testing.assert_array_equal(scan.points, TABLE[:, :3])
+    np.testing.assert_array_equal(scan.intensity, np.float32([0.2, 1]))
+
+
+def test_columns_may_be_named(tmp_path):
+    np.save(tmp_path / "s.npy", np.column_stack([TABLE[:, ::-1], TABLE, TABLE]))
+    names = ("remission", "z", "y", "x", *"________")
+    scan = read_npy(tmp_path / "s.npy", columns=names, intensity_scale=255)
+    np.testing.assert_array_equal(scan.points, TABLE[:, :3])
+    np.testing.assert_array_equal(scan.intensity, np.float32([0.2, 1]))
+
+
+X, Y, Z, INTENSITY = TABLE.T
+ARCHIVES = {
+    "columns": {"x": X, "y": Y, "Z": Z, "intensity": INTENSITY, "transform": np.eye(4)},
+    "one table": {"arr_0": TABLE},
+    "table and column": {"points": TABLE[:, :3], "intensity": INTENSITY},
+    "table and (N, 1)": {"cloud": TABLE[:, :3], "Intensity": INTENSITY[:, None]},
+    "several tables": {"rgb": np.ones((2, 3)), "points": TABLE},
+}
+
+
+@pytest.mark.parametrize("save", [np.savez, np.savez_compressed])
+@pytest.mark.parametrize("name", ARCHIVES)
+def test_archives(tmp_path, name, save):
+    save(tmp_path / "s.npz", **ARCHIVES[name])
+    scan = read_npz(tmp_path / "s.npz", intensity_scale=255)
+    np.testing.assert_array_equal(scan.points, TABLE[:, :3])
+    np.testing.assert_array_equal(scan.intensity, np.float32([0.2, 1]))
+
+
+@pytest.mark.parametrize(
+    ("array", "message"),
+    [
+        (np.zeros(9), r"f\(9,\)"),
+        (np.zeros((5, 4, 6), np.float32), r"f\(5, 4, 6\)"),
+        (np.zeros((4, 100)), "100 columns without names"),
+        (np.zeros((9, 4), np.complex64), "c"),
+        (np.array([["a", "b", "c"]]), "U"),
+        (np.array([[{}, 1, 2]], object), "of object"),
+        (np.zeros(3, [("a", "f4"), ("y", "f4")]), "points of a, y · expected also x, z"),
+        (np.full((9, 3), 5e5), "as of a map"),
+        (np.zeros((9, 3), "V0"), "of .V0"),
+    ],
+)
+def test_other_arrays_are_refused(tmp_path, array, message):
+    np.save(tmp_path / "s.npy", array, allow_pickle=True)
+    with pytest.raises(FormatError, match=message):
+        read_npy(tmp_path / "s.npy")
+
+
+@pytest.mark.parametrize(
+    ("arrays", "message"),
+    [
+        ({}, "arrays nothing"),
+        ({"a": TABLE, "b": TABLE}, "arrays a, b · expected columns x, y, z, or one table"),
+        ({"points": TABLE[:, :3], "intensity": INTENSITY[:1]}, "columns of 1 and of 2 points"),
+        ({"x": X, "y": Y}, "arrays x, y"),
+    ],
+)
+def test_archives_without_one_scan(tmp_path, arrays, message):
+    np.savez(tmp_path / "s.npz", **arrays)
+    with pytest.raises(FormatError, match=message):
+        read_npz(tmp_path / "s.npz")
+
+
+def test_archives_that_are_cut_or_promise_too_much(tmp_path):
+    path = tmp_path / "s.npz"
+    np.savez(path, points=TABLE)
+    content = path.read_bytes()
+    path.write_bytes(content[:-5])
+    with pytest.raises(FormatError, match=r"not a whole \.npz file"):
+        read_npz(path)
+    zeros = io.BytesIO()
+    np.save(zeros, np.zeros((1 << 22, 4), np.float32))
+    with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as archive:
+        archive.writestr("points.npy", zeros.getvalue())
+    with pytest.raises(FormatError, match=r"not a whole \.npz file"):
+        read_npz(path)
+    np.save(tmp_path / "s.npy", TABLE)
+    (tmp_path / "s.npy").write_bytes((tmp_path / "s.npy").read_bytes()[:-1])
+    with pytest.raises(FormatError, match="31 bytes of data · expected 32"):
+        read_npy(tmp_path / "s.npy")

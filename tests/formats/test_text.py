@@ -1,0 +1,103 @@
+# SPDX-License-Identifier: MIT
+"""Tables of text as many programs write them, compared with a slow clear reader."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from salsanext_cli.errors import FormatError
+from salsanext_cli.formats.text import read_text
+
+ROWS = [[1.5, -2.0, 3e-3, 0.25], [4.0, 5.0, -6.0, 1.0]]
+TABLES = {
+    "plain": "1.5 -2 3e-3 .25\n4 5 -6 1\n",
+    "without a last line end": "1.5 -2 3e-3 .25\n4 5 -6 1",
+    "tabs": "1.5\t-2\t3e-3\t.25\r\n4\t5\t-6\t1\r\n",
+    "commas": "1.5,-2,3e-3,.25\n4,5,-6,1\n",
+    "commas and blanks": "1.5, -2, 3e-3, .25\n4, 5, -6, 1\n\n",
+    "semicolons": "1.5;-2;3e-3;.25\n4;5;-6;1\n",
+    "a fifth column": "1.5 -2 3e-3 .25 7\n4 5 -6 1 8\n",
+    "header": "X,Y,Z,Intensity\n1.5,-2,3e-3,.25\n4,5,-6,1\n",
+    "other order": "ring;intensity;z;y;x\n9;.25;3e-3;-2;1.5\n9;1;-6;5;4\n",
+    "quotes and text": '"Name","X","Y","Z","remission"\n"a b",1.5,-2,3e-3,.25\n"c",4,5,-6,1\n',
+    "comment": "//X Y Z Scalar_Intensity R G B\n1.5 -2 3e-3 .25 1 2 3\n4 5 -6 1 4 5 6\n",
+    "comments": "# x y z in metres, of a test\n#\n\n1.5 -2 3e-3 .25\n4 5 -6 1\n",
+    "mark of the order of bytes": "\ufeffx y z i\n1.5 -2 3e-3 .25\n4 5 -6 1\n",
+}
+
+
+@pytest.mark.parametrize("name", TABLES)
+def test_tables_of_several_programs(tmp_path, name):
+    path = tmp_path / "s.csv"
+    path.write_text(TABLES[name], "utf-8")
+    scan = read_text(path)
+    np.testing.assert_array_equal(scan.points, np.float32(ROWS)[:, :3])
+    np.testing.assert_array_equal(scan.intensity, np.float32(ROWS)[:, 3])
+
+
+NUMBERS = st.floats(-500, 500, width=32) | st.sampled_from([0.0, -0.0, float("nan"), 1e-30])
+
+
+@given(st.lists(st.tuples(*[NUMBERS] * 4), min_size=1, max_size=20), st.sampled_from(" ,;\t"))
+@settings(max_examples=40, deadline=None)
+def test_what_python_writes_is_read_exactly(tmp_path_factory, rows, mark):
+    path = tmp_path_factory.mktemp("text") / "s.xyz"
+    path.write_text("".join(mark.join(map(repr, row)) + "\n" for row in rows))
+    scan = read_text(path, intensity_scale=2)
+    np.testing.assert_array_equal(scan.points, np.float32(rows)[:, :3])
+    np.testing.assert_array_equal(scan.intensity, np.float32(rows)[:, 3] / np.float32(2))
+
+
+def test_columns_are_named_where_the_file_does_not(tmp_path):
+    path = tmp_path / "s.txt"
+    columns = ("_", "z", "y", "x", "ring", "reflectivity", "_")
+    for header in ("", "a,b,c,d,e,f,g\n"):
+        path.write_text(f"{header}0,3,2,1,9,.5,0\n0,6,5,4,9,1,0\n")
+        scan = read_text(path, columns=columns)
+        assert scan.points.tolist() == [[1, 2, 3], [4, 5, 6]]
+        assert scan.intensity.tolist() == [0.5, 1]
+    path.write_text("i,x,y,z\n.5,1,2,3\n")
+    assert read_text(path, columns=columns).points.tolist() == [[1, 2, 3]]
+    path.write_text("1 2 3\n")
+    assert read_text(path).intensity.tolist() == [0]
+    path.write_text("x,y,z\n")
+    assert len(read_text(path)) == 0
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("", "no points"),
+        ("\n# nothing\n", "no points"),
+        ("1 2\n", "2 columns without names · expected 3 to 5"),
+        ("1 2 3 255 0 0\n", "6 columns without names .* name them, with --columns"),
+        ("1 2 3 4\n5 6 7\n", "number of columns changed from 4 to 3"),
+        ("1 2 3 4\n5 6 7 8 9\n", "number of columns changed from 4 to 5"),
+        ("x,y,z,i\n1,2,3,4\n5,6,7,8,9\n", "more or fewer than 4 columns"),
+        ("x,y,z\n1,2,3,4\n", "more or fewer than 3 columns"),
+        ("1;2;3;4\n5;6;;8\n", "could not convert string ''"),
+        ("1,5;2,5;3,5\n", "1,5"),
+        ("a,b,c\n1,2,3\n", "a,b,c in place of numbers, or of names with x, y, z"),
+        ("x,y,z,x\n1,2,3,4\n", "a column twice"),
+        ("x,Y,z,a,X\n1,2,3,4,5\n", "a column twice"),
+        ("Dear Sir or Madam,\nplease find enclosed\n", "Dear Sir"),
+        ("x y z\n1 2 3\n\0\0", "not text"),
+        ("12:00:01 1 2 3\n", "could not convert string"),
+        ("500000 5600000 100\n500001 5600001 101\n", "x from 500000 to 500001, as of a map"),
+    ],
+)
+def test_other_text_is_refused_in_one_line(tmp_path, text, message):
+    path = tmp_path / "s.txt"
+    path.write_text(text)
+    with pytest.raises(FormatError, match=message) as caught:
+        read_text(path)
+    assert caught.value.subject == str(path)
+    assert "\n" not in str(caught.value)
+
+
+def test_a_number_of_columns_other_than_named(tmp_path):
+    path = tmp_path / "s.txt"
+    path.write_text("1 2 3 4\n")
+    with pytest.raises(FormatError, match="4 columns · expected 3: x, y, z"):
+        read_text(path, columns=("x", "y", "z"))

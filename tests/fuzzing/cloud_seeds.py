@@ -1,0 +1,65 @@
+# SPDX-License-Identifier: MIT
+"""Valid files of points in the formats of other programs, made of named columns."""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Callable, Mapping
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from salsanext_cli.formats.las import encode_las
+
+Table = Mapping[str, np.ndarray]
+
+
+def las(table: Table, *, compressed: bool) -> list[bytes]:
+    """Return clouds of the package, and of laspy in an old and a new point format."""
+    laspy = pytest.importorskip("laspy")
+    count = len(table["x"])
+    colours = dict.fromkeys(("red", "green", "blue"), np.zeros(count, np.uint8))
+    path = Path("s.laz" if compressed else "s.las")
+    seeds = [encode_las(path, {**table, **colours}, np.zeros(count, np.uint8), ["a", "b"])]
+    for kind in (1, 6):
+        cloud = laspy.create(point_format=kind)
+        cloud.x, cloud.y, cloud.z, cloud.intensity = (table[n] for n in ("x", "y", "z", "ring"))
+        stream = io.BytesIO()
+        cloud.write(stream, do_compress=compressed)
+        seeds.append(stream.getvalue())
+    return seeds
+
+
+def structured(table: Table) -> list[bytes]:
+    """Return a table with named fields, and plain ones in both orders."""
+    fields = np.zeros(len(table["x"]), [(name, values.dtype) for name, values in table.items()])
+    for name, values in table.items():
+        fields[name] = values
+    plain = np.column_stack([*table.values()])
+    return [_saved(np.save, array) for array in (fields, plain, np.asfortranarray(plain[:, :4]))]
+
+
+def npz(table: Table) -> list[bytes]:
+    """Return archives of columns, and of a table and a column, compressed and not."""
+    points = np.column_stack([table[axis] for axis in "xyz"])
+    of_table = {"points": points, "intensity": table["intensity"]}
+    return [
+        _saved(save, **arrays)
+        for save in (np.savez, np.savez_compressed)
+        for arrays in (table, of_table)
+    ]
+
+
+def _saved(save: Callable[..., None], *array: np.ndarray, **arrays: np.ndarray) -> bytes:
+    stream = io.BytesIO()
+    save(stream, *array, **arrays)
+    return stream.getvalue()
+
+
+def lines(table: Table, mark: str) -> list[bytes]:
+    """Return lines of values with a header, with a comment in its place, and without."""
+    rows = zip(*(values.tolist() for values in table.values()), strict=True)
+    body = "".join(mark.join(map(str, row)) + "\n" for row in rows)
+    names = mark.join(table)
+    return [head.encode() + body.encode() for head in (f"{names}\n", f"//{names}\n", "")]
