@@ -5,6 +5,8 @@ from pathlib import Path
 
 from salsanext_cli.errors import FormatError
 from salsanext_cli.formats import kitti, pcd, ply
+from salsanext_cli.formats.recordings.address import recording_of
+from salsanext_cli.formats.recordings.recorded_scans import read_recorded
 from salsanext_cli.records import Scan
 from salsanext_cli.sensors import Sensor
 
@@ -24,7 +26,7 @@ def read_scan(path: Path | str, sensor: Sensor | None = None) -> Scan:
     Parameters
     ----------
     path : Path or str
-        A file with one of the `SCAN_SUFFIXES`.
+        A file with one of the `SCAN_SUFFIXES`, or a scan of a recording as `find_scans` names it.
     sensor : Sensor, optional
         Its `intensity_scale` divides the intensity, except where the file holds bytes: they are
         divided by 255.
@@ -43,4 +45,6 @@ def read_scan(path: Path | str, sensor: Sensor | None = None) -> Scan:
             return pcd.read_pcd(path, intensity_scale=intensity_scale)
         case ".ply":
             return ply.read_ply(path, intensity_scale=intensity_scale)
+    if recording_of(path) not in (None, path):
+        return read_recorded(path, intensity_scale)
     raise FormatError(path, "not a known scan format", f"a {', '.join(SCAN_SUFFIXES)} file")

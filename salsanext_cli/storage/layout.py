@@ -10,6 +10,12 @@ from pathlib import Path
 from salsanext_cli.errors import NoInputError, OutputError
 from salsanext_cli.formats import SCAN_SUFFIXES, scan_suffix
 from salsanext_cli.formats.reading import is_folder, present, reason
+from salsanext_cli.formats.recordings.address import (
+    is_recording,
+    recording_of,
+    sequence_of,
+)
+from salsanext_cli.formats.recordings.recorded_scans import recorded_paths
 
 SUFFIX_OF_FOLDER = {
     "range": ".npy",
@@ -40,7 +46,7 @@ class ScanFile:
     stem : str
         File name without suffix; unique within the sequence.
     path : Path
-        The file, absolute.
+        The file, absolute; of a scan in a recording, the recording with topic and time.
     """
 
     sequence: str
@@ -66,6 +72,7 @@ def find_scans(source: Path, sequences: Collection[str] | None = None) -> list[S
     source : Path
         A scan, a folder of scans, a sequence folder (holding ``velodyne/``), a data set root
         (holding ``sequences/``), or that ``sequences`` folder itself. Hidden files are left out.
+        A recording, or a topic in it.
     sequences : collection of str, optional
         Names of the sequences wanted; "8" also means "08".
 
@@ -82,13 +89,20 @@ def find_scans(source: Path, sequences: Collection[str] | None = None) -> list[S
     except OSError as error:
         raise NoInputError(source, reason(error), "a scan or a folder of scans") from error
     if not scans:
-        raise NoInputError(
-            source, "holds no scans", f"{', '.join(SCAN_SUFFIXES)} files, or sequences/*/velodyne"
-        )
+        raise _nothing_in(source)
     if sequences is not None:
         scans = of_sequences(scans, sequences, source)
     _require_unique_stems(scans)
     return scans
+
+
+def _nothing_in(source: Path) -> NoInputError:
+    expected = f"{', '.join(SCAN_SUFFIXES)} files, or sequences/*/velodyne"
+    inside = sorted(filter(is_recording, source.iterdir())) if source.is_dir() else []
+    if inside:
+        found = f"holds no scans, but {len(inside)} recordings"
+        return NoInputError(source, found, expected, f"name one: {inside[0]}")
+    return NoInputError(source, "holds no scans", f"{expected}, or a recording")
 
 
 def _absolute(path: Path) -> Path:
@@ -98,7 +112,10 @@ def _absolute(path: Path) -> Path:
 
 
 def _scans_of(path: Path) -> Iterator[ScanFile]:
-    if not path.is_dir():
+    if recording := recording_of(path):
+        for scan in recorded_paths(path):
+            yield ScanFile(sequence_of(recording), scan.name, scan)
+    elif not path.is_dir():
         path.stat()
         yield from _as_scan(path)
     elif (path / "sequences").is_dir():
