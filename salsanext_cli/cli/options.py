@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from salsanext_cli.sensors import Sensor
     from salsanext_cli.storage.selection import ScanSelection
 
-SCANS_HELP = "Scan file, folder of scans, sequence folder or data set."
+SCANS_HELP = "Scan file, folder of scans, sequence folder, data set or recording."
 SENSOR_HELP = "Name of a built-in sensor, or a .toml file."
 
 Scans = Annotated[
@@ -49,6 +49,8 @@ WeightsOut = Annotated[
 SensorWithoutWeights = Annotated[
     str | None, typer.Option(help=SENSOR_HELP, show_default="hdl64", rich_help_panel="Network")
 ]
+TOPIC_HELP = "Topic of the point clouds of a recording."
+Topic = Annotated[str | None, typer.Option(help=TOPIC_HELP, show_default="the only one")]
 
 selection_option = partial(option, "Selection")
 network_option = partial(option, "Network")
@@ -78,6 +80,28 @@ class Selection:
             expected = "names of sequences, such as 00,08"
             raise UsageError("--sequences", repr(self.sequences), expected)
         return ScanSelection(self.split, names, self.limit)
+
+
+@option_group
+class SourceSelection(Selection):
+    """Selection among the scans of a source that may be a recording."""
+
+    topic: str | None = selection_option(TOPIC_HELP, show_default="the only one")
+
+    def source(self, scans: Path | None) -> Path:
+        """Return where to look for scans, in a recording the topic that was named."""
+        return in_topic(Selection.source(self, scans), self.topic)
+
+
+def in_topic(source: Path, topic: str | None) -> Path:
+    """Return the path of a topic in a recording, of the recording where none is named."""
+    if topic is None:
+        return source
+    from salsanext_cli.formats.recordings.address import is_recording
+
+    if not is_recording(source):
+        raise UsageError("--topic", f"{source} is no recording", "SCANS that are one")
+    return source / topic.strip("/")
 
 
 @option_group

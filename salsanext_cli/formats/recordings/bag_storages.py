@@ -96,16 +96,18 @@ class UnindexedBag(Reader):
                 else:
                     break
             self.whole = bio.tell() == size
-        self._read_connections(indexes)
+        self.connections: list[Any] = self._found_connections(indexes)
         self.indexes = {found.id: sorted(indexes[found.id]) for found in self.connections}
         self.connections = [
             each._replace(msgcount=len(self.indexes[each.id])) for each in self.connections
         ]
 
-    def _read_connections(self, indexes: dict[int, list[Any]]) -> None:
+    def _found_connections(self, indexes: dict[int, list[Any]]) -> list[Any]:
         """Read the record of each connection from the chunk of its first message."""
-        bio: Any = self.bio
-        for start in sorted({min(entry.chunk_pos for entry in index) for index in indexes.values()}):
+        bio, connections = self.bio, dict[int, Any]()
+        for start in sorted(
+            {min(entry.chunk_pos for entry in index) for index in indexes.values()}
+        ):
             chunk = self.chunks[start]
             bio.seek(chunk.datapos)
             self.bio = records = BytesIO(chunk.decompressor(bio.read(chunk.datasize)))
@@ -113,11 +115,11 @@ class UnindexedBag(Reader):
                 if Header.read(records).get_uint8("op") == RecordType.CONNECTION:
                     records.seek(place)
                     found = self.read_connection()
-                    if found.id not in {each.id for each in self.connections}:
-                        self.connections.append(found)
+                    connections.setdefault(found.id, found)
                 else:
                     self._skip(records)
         self.bio = bio
+        return [*connections.values()]
 
     @staticmethod
     def _skip(records: Any) -> None:
@@ -139,7 +141,7 @@ class CutMcap(McapReader):
                 if op in (MCAP_DATA_END, MCAP_FOOTER_RECORD) or place + 9 + size > file.size:
                     break
                 place = file.seek(place + 9 + size)
-        super().__init__(BoundedPath(path, place, MCAP_FOOTER))  # type: ignore[arg-type]
+        super().__init__(BoundedPath(path, place, MCAP_FOOTER))
 
 
 class CutDatabase(Sqlite3Reader):
@@ -200,9 +202,9 @@ def _pages(path: Path) -> tuple[int, int]:
 def cut_storage(path: Path) -> Any:
     """Open what is whole of a storage file that was cut off or never closed."""
     makers: dict[str, Callable[[], Any]] = {
-        ".bag": lambda: UnindexedBag(BoundedPath(path)),  # type: ignore[arg-type]
+        ".bag": lambda: UnindexedBag(BoundedPath(path)),
         ".mcap": lambda: CutMcap(path),
-        ".db3": lambda: CutDatabase(path),  # type: ignore[arg-type]
+        ".db3": lambda: CutDatabase(path),
     }
     storage = makers[path.suffix.lower()]()
     storage.open()

@@ -107,7 +107,11 @@ class Bag:
     def topics(self) -> dict[str, str]:
         """Return the type of the messages of every topic that has some, sorted."""
         found = chain.from_iterable(storage.connections for storage in self._storages)
-        return {each.topic: each.msgtype for each in sorted(found, key=lambda each: each.topic) if each.msgcount}
+        return {
+            each.topic: each.msgtype
+            for each in sorted(found, key=lambda each: each.topic)
+            if each.msgcount
+        }
 
     def clouds(self) -> list[str]:
         """Return the topics of point clouds."""
