@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
@@ -82,9 +82,11 @@ def write_bag(
     written: Iterable[Message],
     *,
     compression: str = "",
-    before: Callable[[Any], object] = lambda writer: None,
 ) -> Path:
-    """Write a bag `drive` of a kind; return the file, which for ROS 2 lies in a folder `drive`."""
+    """Write a bag `drive` of a kind, in chunks of a few messages.
+
+    Returns the file, which for ROS 2 lies in a folder `drive`.
+    """
     from rosbags import rosbag1, rosbag2
     from rosbags.typesys import Stores, get_typestore
 
@@ -105,8 +107,7 @@ def write_bag(
             writer.set_compression(mode, rosbag2.CompressionFormat.ZSTD)
     connections: dict[str, Any] = {}
     with writer:
-        before(writer)
-        for topic, time, make in written:
+        for number, (topic, time, make) in enumerate(written, start=1):
             message = make(store.types)
             if topic not in connections:
                 connections[topic] = writer.add_connection(
@@ -114,6 +115,8 @@ def write_bag(
                 )
             pack = store.serialize_ros1 if is_ros1 else store.serialize_cdr
             writer.write(connections[topic], time, pack(message, message.__msgtype__))
+            if kind == ".mcap" and number % 3 == 0:
+                writer.storage.close_chunk()
     return folder / "drive.bag" if is_ros1 else folder / "drive" / f"drive{kind}"
 
 

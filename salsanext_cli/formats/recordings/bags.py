@@ -78,19 +78,24 @@ class Bag:
             with _refusing(self.path):
                 return [whole_storage(self.path)]
         except FormatError as error:
-            found = self._opened_one_by_one()
-            if not any(each.msgcount for part in found for each in part.connections):
-                for part in found:
-                    part.close()
-                raise error
-            return found
+            files = storages(self.path) if self.path.is_dir() else [self.path]
+            found, cut = self._opened_one_by_one(files)
+            if cut and any(each.msgcount for part in found for each in part.connections):
+                return found
+            for part in found:
+                part.close()
+            if not cut:
+                remedy = f"give {files[0]} itself"
+                expected = "the metadata of a ROS 2 bag"
+                raise FormatError(self.path / METADATA, error.found, expected, remedy) from error
+            raise error
 
-    def _opened_one_by_one(self) -> list[Any]:
-        """Open what is whole of each file; nothing if all are, which are not the reason then."""
+    def _opened_one_by_one(self, files: list[Path]) -> tuple[list[Any], bool]:
+        """Open what is whole of each file; say whether any is not as its recorder leaves it."""
         from salsanext_cli.formats.recordings.bag_storages import cut_storage, whole_storage
 
         found, cut, lost = [], False, []
-        for file in storages(self.path) if self.path.is_dir() else [self.path]:
+        for file in files:
             try:
                 with _refusing(file):
                     found.append(whole_storage(file))
@@ -102,7 +107,7 @@ class Bag:
                     if found[-1].whole:
                         lost.pop()
         self.lost = f"{first_few(lost)}: cut off or damaged" if lost else ""
-        return found if cut else []
+        return found, cut
 
     def topics(self) -> dict[str, str]:
         """Return the type of the messages of every topic that has some, sorted."""
