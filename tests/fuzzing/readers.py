@@ -11,7 +11,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from zipfile import ZipFile
 
+import bags
 import numpy as np
+import pytest
 import torch
 import yaml
 from empty_runs import begin_and_end
@@ -25,6 +27,7 @@ from salsanext_cli.formats.npy import (
     read_probabilities,
     read_uncertainty,
 )
+from salsanext_cli.formats.recordings import recorded_scans as recordings
 from salsanext_cli.geometry.coverage import field_of_view_coverage
 from salsanext_cli.network.card import WeightsCard, read_card
 from salsanext_cli.network.published import read_published
@@ -213,6 +216,27 @@ def _published(*, old: bool = False) -> Reader:
     return Reader("p.pt", seeds, read_published)
 
 
+def _bag(folder: Path, kind: str, *compressions: str, damaged: str = "") -> Reader:
+    """Make a ROS bag; `damaged` names a file beside it that is to be damaged instead of it."""
+    pytest.importorskip("rosbags")
+    clouds = bags.messages([bags.structured(COUNT, seed) for seed in range(4)])
+    written = [*clouds, ("/chat", bags.START, bags.text)]
+    paths = [
+        bags.write_bag(folder / f"bag{n}", kind, written, compression=compression)
+        for n, compression in enumerate(compressions)
+    ]
+    place = str(paths[0].with_name(damaged)) if damaged else f"a{kind}"
+    seeds = [path.with_name(damaged or path.name).read_bytes() for path in paths]
+    return Reader(place, seeds, lambda path: _recorded(path.parent if damaged else path))
+
+
+def _recorded(path: Path) -> None:
+    """Read every scan of a recording, or fail at the first; the same file may hold another one."""
+    recordings._kept.cache_clear()
+    for scan in find_scans(path):
+        read_scan(scan.path)
+
+
 def _record(folder: Path) -> Reader:
     """Make an output folder with labels of one scan, whose record of `predict` is damaged."""
     data, out = write_sequence(folder / "08", ["a", "b"], count=COUNT), folder / "out"
@@ -283,6 +307,10 @@ READERS: dict[str, Callable[[Path], Reader]] = {
     "pcd ascii": lambda _: Reader("a.pcd", _pcd("ascii"), _scan),
     "pcd binary": lambda _: Reader("b.pcd", _pcd("binary"), _scan),
     "pcd binary_compressed": lambda _: Reader("c.pcd", _pcd("binary_compressed"), _scan),
+    "bag": lambda folder: _bag(folder, ".bag", "", "LZ4", "BZ2"),
+    "mcap": lambda folder: _bag(folder, ".mcap", "", "STORAGE"),
+    "db3": lambda folder: _bag(folder, ".db3", ""),
+    "metadata of a bag": lambda folder: _bag(folder, ".mcap", "", damaged="metadata.yaml"),
     "yaml": lambda _: Reader("labels.yaml", [SPACE, SPACE[: len(SPACE) // 2]], label_space),
     "toml of a sensor": lambda _: Reader("s.toml", [_sensor()], sensor),
     "toml of a recipe": lambda _: Reader(

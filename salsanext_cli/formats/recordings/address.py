@@ -28,6 +28,11 @@ def storages(folder: Path) -> list[Path]:
     return sorted(path for path in names if {".mcap", ".db3"} & {*path.suffixes})
 
 
+def files_of(recording: Path) -> list[Path]:
+    """Return the files of a recording."""
+    return [recording / METADATA, *storages(recording)] if is_folder(recording) else [recording]
+
+
 def recording_of(path: Path) -> Path | None:
     """Return the recording that a path is of or leads into, None for any other path."""
     existing = next((each for each in (path, *path.parents) if present(each)), None)

@@ -13,7 +13,7 @@ from typing import Any
 from salsanext_cli.errors import FormatError, first_few
 from salsanext_cli.formats.columns import Columns
 from salsanext_cli.formats.reading import reading
-from salsanext_cli.formats.recordings.address import METADATA, storages
+from salsanext_cli.formats.recordings.address import METADATA, files_of, storages
 from salsanext_cli.formats.recordings.point_cloud2 import POINT_CLOUD2, columns_of
 from salsanext_cli.packages import import_extra
 from salsanext_cli.settings_files import shortened
@@ -57,12 +57,13 @@ class Bag:
         self._is_ros1 = path.suffix.lower() == ".bag"
         self._types = get_typestore(Stores.ROS1_NOETIC if self._is_ros1 else Stores.ROS2_JAZZY)
         self._known: set[Any] = set()
-        for file in [path / METADATA, *storages(path)] if path.is_dir() else [path]:
+        for file in files_of(path):
             # The library would wait at a pipe, and does not say what the system refuses.
             with reading(file) as opened:
-                size = opened.seek(0, 2)
-            if file.name == METADATA and size > MAX_METADATA_BYTES:
-                raise FormatError(file, f"{size} bytes", "the metadata of a bag")
+                text = opened.read(MAX_METADATA_BYTES + 1) if file.name == METADATA else b""
+            # A few lines with merges of merges would keep the library busy for days.
+            if len(text) > MAX_METADATA_BYTES or b"<<" in text:
+                raise FormatError(file, "not as ROS writes it", "the metadata of a ROS 2 bag")
         self._storages = self._opened()
         for storage in self._storages:
             # Before the garbage collector would do it, with a warning.
@@ -92,7 +93,8 @@ class Bag:
 
     def _opened_one_by_one(self, files: list[Path]) -> tuple[list[Any], bool]:
         """Open what is whole of each file; say whether any is not as its recorder leaves it."""
-        from salsanext_cli.formats.recordings.bag_storages import cut_storage, whole_storage
+        from salsanext_cli.formats.recordings.bag_storages import whole_storage
+        from salsanext_cli.formats.recordings.cut_storages import cut_storage
 
         found, cut, lost = [], False, []
         for file in files:
@@ -189,13 +191,14 @@ def _refusing(path: Path) -> Iterator[None]:
     """Turn the errors of the library into a `FormatError`."""
     import apsw
     from rosbags import rosbag1, rosbag2
+    from rosbags.rosbag2.reader import zstd
     from rosbags.serde import SerdeError
     from rosbags.typesys import TypesysError
 
-    own = (rosbag1.ReaderError, rosbag2.ReaderError, SerdeError, TypesysError, apsw.Error)
+    own = (rosbag1.ReaderError, rosbag2.ReaderError, SerdeError, TypesysError)
     try:
         yield
-    except (*own, *DAMAGED) as error:
+    except (*own, zstd.ZstdError, apsw.Error, *DAMAGED) as error:
         found = shortened(" ".join(str(error).split()) or type(error).__name__, MAX_SHOWN)
         remedy = "record it anew, or try `rosbag reindex` or `ros2 bag reindex`"
         raise FormatError(path, f"damaged: {found}", "a ROS bag", remedy) from error

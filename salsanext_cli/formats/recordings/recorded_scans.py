@@ -8,7 +8,7 @@ from pathlib import Path
 
 from salsanext_cli.errors import FormatError, NoInputError, UsageError
 from salsanext_cli.formats.columns import scan_of
-from salsanext_cli.formats.recordings.address import recording_of
+from salsanext_cli.formats.recordings.address import files_of, recording_of
 from salsanext_cli.formats.recordings.bags import Bag
 from salsanext_cli.records import Scan
 from salsanext_cli.settings_files import shortened
@@ -115,11 +115,14 @@ def _of(path: Path) -> Path:
 
 def _opened(recording: Path) -> Bag:
     """Return a recording, kept open until another one is asked for."""
-    status = recording.stat()
-    return _kept(recording, (status.st_ino, status.st_size, status.st_mtime_ns, os.getpid()))
+    # A file that is open in a forked process has one position in both.
+    version = [os.getpid()]
+    for file in files_of(recording):
+        status = file.stat()
+        version += [status.st_ino, status.st_size, status.st_mtime_ns]
+    return _kept(recording, tuple(version))
 
 
 @lru_cache(maxsize=1)
 def _kept(recording: Path, version: tuple[int, ...]) -> Bag:
-    # A file that is open in a forked process has one position in both.
     return Bag(recording)

@@ -105,7 +105,9 @@ def test_one_of_several_topics_is_named(tmp_path):
 
 def test_a_bag_without_clouds_says_what_it_holds(tmp_path):
     path = write_bag(tmp_path, ".bag", [("/chatter", START, text)])
-    with pytest.raises(NoInputError, match=r"no point clouds, but /chatter \(std_msgs/msg/String\)"):
+    with pytest.raises(
+        NoInputError, match=r"no point clouds, but /chatter \(std_msgs/msg/String\)"
+    ):
         find_scans(path)
     with pytest.raises(NoInputError, match="no messages"):
         find_scans(write_bag(tmp_path / "empty", ".db3", []))
@@ -181,7 +183,9 @@ def test_the_package_that_is_missing_is_named(tmp_path, monkeypatch):
         raise ModuleNotFoundError(f"No module named {name!r}", name=name)
 
     monkeypatch.setattr("salsanext_cli.packages.import_module", missing)
-    with pytest.raises(MissingDependency, match=r"rosbags · not installed · pip install 'salsanext\[ros\]'"):
+    with pytest.raises(
+        MissingDependency, match=r"rosbags · not installed · pip install 'salsanext\[ros\]'"
+    ):
         find_scans(path)
 
 

@@ -72,7 +72,8 @@ def test_any_layout_is_read_as_value_by_value(message):
 
 def message(**changed):
     fields = [
-        SimpleNamespace(name=name, offset=4 * n, datatype=7, count=1) for n, name in enumerate("xyz")
+        SimpleNamespace(name=name, offset=4 * n, datatype=7, count=1)
+        for n, name in enumerate("xyz")
     ]
     values = {"fields": fields, "height": 1, "width": 2, "point_step": 12, "row_step": 24}
     values |= {"is_bigendian": False, "data": np.zeros(24, np.uint8)}
