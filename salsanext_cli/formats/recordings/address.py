@@ -9,7 +9,8 @@ from pathlib import Path
 
 from salsanext_cli.formats.reading import is_folder, present
 
-RECORDING_SUFFIXES = (".bag", ".mcap", ".db3")
+BAG_SUFFIXES = (".bag", ".mcap", ".db3")
+RECORDING_SUFFIXES = (*BAG_SUFFIXES, ".pcap", ".osf")
 """Suffixes of recordings that are files, upper or lower case."""
 METADATA = "metadata.yaml"
 """File that makes a folder with `.db3` or `.mcap` files a ROS 2 bag."""
