@@ -38,7 +38,8 @@ def import_extra(name: str, extra: str) -> Any:
     try:
         return import_module(name)
     except ImportError as error:
-        found = "not installed" if error.name == name else f"cannot be imported: {error}"
+        missing = error.name in (name, name.partition(".")[0])
+        found = "not installed" if missing else f"cannot be imported: {error}"
         remedy = f"pip install 'salsanext[{extra}]'"
         raise MissingDependency(name, found, remedy=remedy) from error
 

@@ -11,7 +11,11 @@ from salsanext_cli.cli import console, options, run_options
 
 def convert(
     recording: Annotated[
-        Path, typer.Argument(metavar="RECORDING", help="ROS bag: .bag, .mcap, .db3 or a folder.")
+        Path,
+        typer.Argument(
+            metavar="RECORDING",
+            help="ROS bag (.bag, .mcap, .db3, a folder) or Ouster recording (.pcap, .osf).",
+        ),
     ],
     folder: Annotated[
         Path, typer.Argument(metavar="FOLDER", help="Root of the data set to write.")

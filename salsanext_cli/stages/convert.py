@@ -61,7 +61,7 @@ def convert(
             raise UsageError(name, str(value), "at least 1")
     if recording_of(recording.absolute()) is None:
         found = "no recording" if recording.exists() else "no such recording"
-        raise UsageError(recording, found, "a ROS bag")
+        raise UsageError(recording, found, "a ROS bag or an Ouster recording")
     listed = find_scans(recording)
     whole = [scan for scan in listed if scan.stem != LOST]
     # With a limit nobody asked for what comes last.

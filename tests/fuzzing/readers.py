@@ -17,6 +17,7 @@ import pytest
 import torch
 import yaml
 from empty_runs import begin_and_end
+from ouster_recordings import write_recording
 from scans import SMALL, make_scan, write_sequence
 from tiny_network import TinyNetwork
 
@@ -230,6 +231,13 @@ def _bag(folder: Path, kind: str, *compressions: str, damaged: str = "") -> Read
     return Reader(place, seeds, lambda path: _recorded(path.parent if damaged else path))
 
 
+def _pcap(folder: Path) -> Reader:
+    """Make packets of an Ouster sensor; OSF files, opened by a process each, take too long."""
+    pytest.importorskip("ouster.sdk")
+    path = write_recording(folder / "a.pcap", 1)
+    return Reader(str(path), [path.read_bytes()], _recorded)
+
+
 def _recorded(path: Path) -> None:
     """Read every scan of a recording, or fail at the first; the same file may hold another one."""
     recordings._kept.cache_clear()
@@ -311,6 +319,7 @@ READERS: dict[str, Callable[[Path], Reader]] = {
     "mcap": lambda folder: _bag(folder, ".mcap", "", "STORAGE"),
     "db3": lambda folder: _bag(folder, ".db3", ""),
     "metadata of a bag": lambda folder: _bag(folder, ".mcap", "", damaged="metadata.yaml"),
+    "pcap": _pcap,
     "yaml": lambda _: Reader("labels.yaml", [SPACE, SPACE[: len(SPACE) // 2]], label_space),
     "toml of a sensor": lambda _: Reader("s.toml", [_sensor()], sensor),
     "toml of a recipe": lambda _: Reader(

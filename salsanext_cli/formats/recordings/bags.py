@@ -5,6 +5,7 @@ import struct
 import weakref
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
+from functools import cache
 from itertools import chain, islice
 from pathlib import Path
 from threading import Lock
@@ -51,11 +52,9 @@ class Bag:
 
     def __init__(self, path: Path) -> None:
         import_extra("rosbags", "ros")
-        from rosbags.typesys import Stores, get_typestore
-
         self.path, self.lost, self._lock = path, "", Lock()
         self._is_ros1 = path.suffix.lower() == ".bag"
-        self._types = get_typestore(Stores.ROS1_NOETIC if self._is_ros1 else Stores.ROS2_JAZZY)
+        self._types = _types_of_ros(1 if self._is_ros1 else 2)
         self._known: set[Any] = set()
         for file in files_of(path):
             # The library would wait at a pipe, and does not say what the system refuses.
@@ -184,6 +183,14 @@ class Bag:
                 found = f"defines {name} otherwise than ROS"
                 raise FormatError(path, found, "its own definition", "record the bag anew")
         self._known.add(definition)
+
+
+@cache
+def _types_of_ros(version: int) -> Any:
+    """Return ROS' own definitions of its messages; those of clouds are the same in all releases."""
+    from rosbags.typesys import Stores, get_typestore
+
+    return get_typestore(Stores.ROS1_NOETIC if version == 1 else Stores.ROS2_JAZZY)
 
 
 @contextmanager

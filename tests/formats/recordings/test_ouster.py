@@ -6,52 +6,19 @@ import pytest
 
 pytest.importorskip("ouster.sdk")
 
+from ouster_recordings import START, STEP, write_recording
+
 from salsanext_cli import read_scan
 from salsanext_cli.errors import FormatError, SalsanextError
 from salsanext_cli.formats.recordings.recorded_scans import LOST
 from salsanext_cli.storage.layout import find_scans
 
-START, STEP, COUNT = 1_600_000_000_000_000_000, 100_000_000, 4
-TIMES = [f"{START + n * STEP}" for n in range(COUNT)]
-
-
-def frames(info):
-    """Make frames of which every second column measured, from 5 to 8 m."""
-    from ouster.sdk.core import LidarFrame
-
-    for number in range(COUNT):
-        frame = LidarFrame(info)
-        frame.timestamp[:] = START + number * STEP + np.arange(frame.w) * 1000
-        frame.status[:], frame.frame_id = 1, number
-        frame.measurement_id[:] = np.arange(frame.w)
-        frame.field("RANGE")[:, ::2] = 5000 + number * 1000
-        frame.field("REFLECTIVITY")[:] = np.arange(frame.w) % 256
-        yield frame
+TIMES = [f"{START + n * STEP}" for n in range(4)]
 
 
 @pytest.fixture(params=[".osf", ".pcap"])
 def recording(request, tmp_path):
-    from ouster.sdk import osf, pcap
-    from ouster.sdk.core import LidarMode, SensorInfo
-    from ouster.sdk.util import frame_to_packets
-
-    path = tmp_path / f"drive{request.param}"
-    info = SensorInfo.from_default(LidarMode._512x10)
-    info.config.udp_port_lidar, info.config.udp_port_imu = 7502, 7503
-    if request.param == ".osf":
-        writer = osf.Writer(str(path), info)
-        for frame in frames(info):
-            writer.save(0, frame, int(frame.timestamp[0]))
-        writer.close()
-        return path
-    packets = []
-    for frame in frames(info):
-        for number, packet in enumerate(frame_to_packets(frame, info)):
-            packet.host_timestamp = int(frame.timestamp[0]) + number * 1_000_000
-            packets.append(packet)
-    pcap.record(packets, str(path))
-    path.with_suffix(".json").write_text(info.to_json_string())
-    return path
+    return write_recording(tmp_path / f"drive{request.param}", len(TIMES))
 
 
 def test_the_scans_are_the_frames_named_by_their_times(recording):
