@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from itertools import groupby
 from pathlib import Path
 
-from salsanext_cli.errors import NoInputError, OutputError
+from salsanext_cli.errors import NoInputError, OutputError, first_few
 from salsanext_cli.formats import SCAN_SUFFIXES, scan_suffix
 from salsanext_cli.formats.reading import is_folder, present, reason
 from salsanext_cli.formats.recordings.address import (
@@ -100,8 +100,8 @@ def _nothing_in(source: Path) -> NoInputError:
     expected = f"{', '.join(SCAN_SUFFIXES)} files, or sequences/*/velodyne"
     inside = sorted(filter(is_recording, source.iterdir())) if source.is_dir() else []
     if inside:
-        found = f"holds no scans, but {len(inside)} recordings"
-        return NoInputError(source, found, expected, f"name one: {inside[0]}")
+        found = f"holds no scans, but recordings: {first_few([each.name for each in inside])}"
+        return NoInputError(source, found, expected, f"give one of these: {inside[0]}")
     return NoInputError(source, "holds no scans", f"{expected}, or a recording")
 
 

@@ -13,7 +13,7 @@ from typing import Any
 
 from salsanext_cli.errors import FormatError, first_few
 from salsanext_cli.formats.columns import Columns
-from salsanext_cli.formats.reading import reading
+from salsanext_cli.formats.reading import filled, reading
 from salsanext_cli.formats.recordings.address import METADATA, files_of, storages
 from salsanext_cli.formats.recordings.point_cloud2 import POINT_CLOUD2, columns_of
 from salsanext_cli.packages import import_extra
@@ -53,7 +53,7 @@ class Bag:
     def __init__(self, path: Path) -> None:
         import_extra("rosbags", "ros")
         self.path, self.lost, self._lock = path, "", Lock()
-        self._is_ros1 = path.suffix.lower() == ".bag"
+        self._is_ros1 = path.suffix.lower() == ".bag" and not path.is_dir()
         self._types = _types_of_ros(1 if self._is_ros1 else 2)
         self._known: set[Any] = set()
         for file in files_of(path):
@@ -67,9 +67,10 @@ class Bag:
         for storage in self._storages:
             # Before the garbage collector would do it, with a warning.
             weakref.finalize(self, storage.close)
-        log = path.with_name(f"{path.name}-wal")
-        if not self._is_ros1 and log.is_file() and log.stat().st_size:
-            self.lost = f"lacks what its recorder left in {log.name}"
+        logs = [file.with_name(f"{file.name}-wal") for file in files_of(path)]
+        if left := [log.name for log in logs if filled(log)]:
+            # SQLite moves them into the database when it is opened for writing.
+            self.lost = f"lacks what its recorder left in {first_few(left)}, until sqlite3 opens it"
 
     def _opened(self) -> list[Any]:
         from salsanext_cli.formats.recordings.bag_storages import whole_storage

@@ -78,6 +78,9 @@ class BoundedPath:
     end: int | None = None
     tail: bytes = b""
 
+    def __str__(self) -> str:
+        return str(self.path)
+
     def exists(self) -> bool:
         """Say whether the file exists."""
         return self.path.exists()

@@ -115,7 +115,7 @@ def read_recorded(path: Path, intensity_scale: float) -> Scan:
     recording = _of(path)
     opened = _opened(recording)
     if path.name == LOST:
-        remedy = "copy the recording anew; the scans before are not affected"
+        remedy = "record or copy it anew; the scans before are not affected"
         raise FormatError(recording, opened.lost or "is whole", "all its scans", remedy)
     topic = "/".join(path.parent.relative_to(recording).parts)
     given = next((each for each in opened.clouds() if each.strip("/") == topic), None)

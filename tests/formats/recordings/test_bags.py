@@ -115,7 +115,7 @@ def test_a_bag_without_clouds_says_what_it_holds(tmp_path):
 
 def test_a_folder_of_bags_asks_for_one(tmp_path):
     path = write_bag(tmp_path, ".bag", messages(POINTS[:1]))
-    with pytest.raises(NoInputError, match=rf"1 recordings .* name one: {path}"):
+    with pytest.raises(NoInputError, match=rf"recordings: drive\.bag .* give one of these: {path}"):
         find_scans(tmp_path)
     write_bag(tmp_path, ".db3", messages(POINTS[:1]))
     exported = tmp_path / "drive" / "scans"
