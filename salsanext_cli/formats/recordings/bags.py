@@ -16,7 +16,7 @@ from salsanext_cli.formats.columns import Columns
 from salsanext_cli.formats.reading import filled, reading
 from salsanext_cli.formats.recordings.address import METADATA, files_of, storages
 from salsanext_cli.formats.recordings.point_cloud2 import POINT_CLOUD2, columns_of
-from salsanext_cli.packages import import_extra
+from salsanext_cli.packages import require_rosbags
 from salsanext_cli.settings_files import shortened
 
 MAX_SHOWN = 200
@@ -47,11 +47,11 @@ class Bag:
     FormatError
         If it is not a bag, or nothing of it can be read.
     MissingDependency
-        If `rosbags` is not installed.
+        If `rosbags` is not installed, or too old.
     """
 
     def __init__(self, path: Path) -> None:
-        import_extra("rosbags", "ros")
+        require_rosbags()
         self.path, self.lost, self._lock = path, "", Lock()
         self._is_ros1 = path.suffix.lower() == ".bag" and not path.is_dir()
         self._types = _types_of_ros(1 if self._is_ros1 else 2)

@@ -189,6 +189,13 @@ def test_the_package_that_is_missing_is_named(tmp_path, monkeypatch):
         find_scans(path)
 
 
+def test_a_version_that_is_too_old_is_named(tmp_path, monkeypatch):
+    path = write_bag(tmp_path, ".bag", messages(POINTS[:1]))
+    monkeypatch.setattr("salsanext_cli.packages.version", lambda name: "0.9.23")
+    with pytest.raises(MissingDependency, match=r"version 0\.9\.23 · expected 0\.11 or newer"):
+        find_scans(path)
+
+
 def test_the_intensity_is_scaled_as_that_of_files(tmp_path):
     points = structured()
     points["intensity"] *= 255
