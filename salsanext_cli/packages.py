@@ -1,11 +1,16 @@
 # SPDX-License-Identifier: MIT
 """Import of packages when they are first used, with the remedy where that fails."""
 
+import re
 import sys
 from importlib import import_module
+from importlib.metadata import version
 from typing import Any
 
 from salsanext_cli.errors import MissingDependency
+
+ROSBAGS = (0, 11)
+"""Oldest version of rosbags."""
 
 
 def import_open3d() -> Any:
@@ -38,9 +43,26 @@ def import_extra(name: str, extra: str) -> Any:
     try:
         return import_module(name)
     except ImportError as error:
-        found = "not installed" if error.name == name else f"cannot be imported: {error}"
+        missing = error.name in (name, name.partition(".")[0])
+        found = "not installed" if missing else f"cannot be imported: {error}"
         remedy = f"pip install 'salsanext[{extra}]'"
         raise MissingDependency(name, found, remedy=remedy) from error
+
+
+def require_rosbags() -> None:
+    """Require `rosbags` in a version that reads single files of a ROS 2 bag.
+
+    Raises
+    ------
+    MissingDependency
+        If it is not installed or older, as `ouster-sdk` wants it.
+    """
+    import_extra("rosbags", "ros")
+    found = version("rosbags")
+    if tuple(map(int, re.findall(r"\d+", found)[:2])) < ROSBAGS:
+        expected = f"{'.'.join(map(str, ROSBAGS))} or newer"
+        remedy = "pip install 'salsanext[ros]', in another environment than ouster-sdk"
+        raise MissingDependency("rosbags", f"version {found}", expected, remedy)
 
 
 def import_nncf() -> Any:

@@ -11,6 +11,7 @@ from typer.core import TyperGroup
 from salsanext_cli import __version__
 from salsanext_cli.cli.benchmark import benchmark
 from salsanext_cli.cli.console import WRONG_USE, guarded, usage_errors
+from salsanext_cli.cli.convert import convert
 from salsanext_cli.cli.demo import demo
 from salsanext_cli.cli.evaluate import evaluate
 from salsanext_cli.cli.export_onnx import export_onnx
@@ -40,6 +41,7 @@ COMMANDS: dict[str, dict[str, Callable[..., None] | typer.Typer]] = {
     },
     "Data": {
         "inspect": inspect,
+        "convert": convert,
         "synth": synth,
         "submit": submit,
     },

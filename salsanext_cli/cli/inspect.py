@@ -18,7 +18,7 @@ def inspect(
     ] = None,
     height: Annotated[int | None, typer.Option(help="Rows of its range image.")] = None,
     width: Annotated[int | None, typer.Option(help="Columns of its range image.")] = None,
-    selection: options.Selection,
+    selection: options.SourceSelection,
     classes: options.Classes,
     sensor: options.SensorWithoutWeights = None,
     columns: options.Columns = None,

@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 OUT_VARIABLE = "SALSANEXT_OUT"
 DEFAULT_WEIGHTS = Path("default")
 """Name of the weights of the package; a file of that name needs an absolute path."""
-SCANS_HELP = "Scan file, folder of scans, sequence folder or data set."
+SCANS_HELP = "Scan file, folder of scans, sequence folder, data set or recording."
 SENSOR_HELP = "Name of a built-in sensor, or a .toml file."
 COLUMNS_HELP = "Columns of files that do not name them, such as x,y,z,intensity,ring; _ for others."
 COLUMNS_DEFAULT = "those of the sensor, else x,y,z,intensity"
@@ -59,6 +59,9 @@ Columns = Annotated[
 Intensity = Literal["auto", "match", "raw", "none"]
 
 AUTO = "auto"
+
+TOPIC_HELP = "Topic of the point clouds of a recording."
+Topic = Annotated[str | None, typer.Option(help=TOPIC_HELP, show_default="the only one")]
 
 selection_option = partial(option, "Selection")
 network_option = partial(option, "Network")
@@ -106,6 +109,28 @@ class Results:
         if self.out and self.out_option:
             raise UsageError("OUT and --out", "both given", "one of them")
         return self.out or self.out_option or Path(os.environ.get(OUT_VARIABLE) or "out")
+
+
+@option_group
+class SourceSelection(Selection):
+    """Selection among the scans of a source that may be a recording."""
+
+    topic: str | None = selection_option(TOPIC_HELP, show_default="the only one")
+
+    def source(self, scans: Path | None) -> Path:
+        """Return where to look for scans, in a recording the topic that was named."""
+        return in_topic(Selection.source(self, scans), self.topic)
+
+
+def in_topic(source: Path, topic: str | None) -> Path:
+    """Return the path of a topic in a recording, of the recording where none is named."""
+    if topic is None:
+        return source
+    from salsanext_cli.formats.recordings.address import is_recording
+
+    if not is_recording(source):
+        raise UsageError("--topic", f"{source} is no recording", "SCANS that are one")
+    return source / topic.strip("/")
 
 
 @option_group

@@ -25,7 +25,7 @@ def predict(
         bool,
         typer.Option("--probabilities", help="Also write the class probabilities of every point."),
     ] = False,
-    selection: options.Selection,
+    selection: options.SourceSelection,
     network: options.NetworkOptions,
     knn: options.Knn,
     batch: Annotated[

@@ -12,7 +12,7 @@ def project(
     scans: options.Scans = None,
     out: options.Out = Path("out"),
     *,
-    selection: options.Selection,
+    selection: options.SourceSelection,
     network: Annotated[
         options.NetworkOptions, Without({"device", "precision", "engine", "intensity"})
     ],

@@ -26,7 +26,7 @@ def uncertainty(
             help="Also aleatoric and total uncertainty, from the sensor's noise.",
         ),
     ] = True,
-    selection: options.Selection,
+    selection: options.SourceSelection,
     network: options.NetworkOptions,
     knn: options.Knn,
     running: run_options.Checked,

@@ -5,6 +5,8 @@ from pathlib import Path
 
 from salsanext_cli.errors import FormatError
 from salsanext_cli.formats import kitti, las, numpy_scans, pcd, ply, text
+from salsanext_cli.formats.recordings.address import recording_of
+from salsanext_cli.formats.recordings.recorded_scans import read_recorded
 from salsanext_cli.records import Scan
 from salsanext_cli.sensors import Sensor
 
@@ -28,7 +30,7 @@ def read_scan(path: Path | str, sensor: Sensor | None = None) -> Scan:
     Parameters
     ----------
     path : Path or str
-        A file with one of the `SCAN_SUFFIXES`.
+        A file with one of the `SCAN_SUFFIXES`, or a scan of a recording as `find_scans` names it.
     sensor : Sensor, optional
         Its `intensity_scale` divides the intensity, except where the type of the values tells
         their range: bytes are divided by 255, those of LAS by 65535. Its `columns` name the
@@ -59,4 +61,6 @@ def read_scan(path: Path | str, sensor: Sensor | None = None) -> Scan:
             return numpy_scans.read_npz(path, columns=columns, intensity_scale=scale)
         case ".xyz" | ".csv" | ".txt":
             return text.read_text(path, columns=columns, intensity_scale=scale)
+    if recording_of(path) not in (None, path):
+        return read_recorded(path, scale)
     raise FormatError(path, "not a known scan format", f"a {', '.join(SCAN_SUFFIXES)} file")

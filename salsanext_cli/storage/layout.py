@@ -7,9 +7,15 @@ from dataclasses import dataclass
 from itertools import groupby
 from pathlib import Path
 
-from salsanext_cli.errors import NoInputError, OutputError
+from salsanext_cli.errors import NoInputError, OutputError, first_few
 from salsanext_cli.formats import CLOUD_SUFFIXES, SCAN_SUFFIXES, scan_suffix
 from salsanext_cli.formats.reading import present, reason
+from salsanext_cli.formats.recordings.address import (
+    is_recording,
+    recording_of,
+    sequence_of,
+)
+from salsanext_cli.formats.recordings.recorded_scans import recorded_paths
 from salsanext_cli.storage.scan_folders import (
     counted_by_suffix,
     files_in,
@@ -49,7 +55,7 @@ class ScanFile:
     stem : str
         File name without suffix; unique within the sequence.
     path : Path
-        The file, absolute.
+        The file, absolute; of a scan in a recording, the recording with topic and time.
     """
 
     sequence: str
@@ -75,7 +81,8 @@ def find_scans(source: Path, sequences: Collection[str] | None = None) -> list[S
     source : Path
         A scan, a folder of scans, a sequence folder (holding ``velodyne/``), a data set root
         (holding ``sequences/``), or that ``sequences`` folder itself. Hidden files are left out.
-        Files of `TABLE_SUFFIXES` are scans only in a folder without others.
+        Files of `TABLE_SUFFIXES` are scans only in a folder without others. A recording, or a topic
+        in it.
     sequences : collection of str, optional
         Names of the sequences wanted; "8" also means "08".
 
@@ -87,23 +94,29 @@ def find_scans(source: Path, sequences: Collection[str] | None = None) -> list[S
         If two scans of a sequence have one stem, so that their results would overwrite each other.
     """
     try:
-        if not source.is_dir():
+        if not source.is_dir() and recording_of(_absolute(source)) is None:
             require_known(source)
         found = _scans_of(_absolute(source))
         scans = sorted(found, key=lambda scan: (scan.sequence, scan.stem, scan.path.name))
-        others = [] if scans else files_in(source)
+        others = files_in(source) if not scans and source.is_dir() else []
     except OSError as error:
         raise NoInputError(source, reason(error), "a scan or a folder of scans") from error
     if not scans:
-        raise NoInputError(
-            source,
-            f"holds no scans{f', but {counted_by_suffix(others)}' if others else ''}",
-            f"{', '.join(SCAN_SUFFIXES)} files, or sequences/*/velodyne",
-        )
+        raise _nothing_in(source, others)
     if sequences is not None:
         scans = of_sequences(scans, sequences, source)
     _require_unique_stems(scans)
     return scans
+
+
+def _nothing_in(source: Path, others: list[Path]) -> NoInputError:
+    expected = f"{', '.join(SCAN_SUFFIXES)} files, or sequences/*/velodyne"
+    inside = sorted(filter(is_recording, source.iterdir())) if source.is_dir() else []
+    if inside:
+        found = f"holds no scans, but recordings: {first_few([each.name for each in inside])}"
+        return NoInputError(source, found, expected, f"give one of these: {inside[0]}")
+    found = f"holds no scans{f', but {counted_by_suffix(others)}' if others else ''}"
+    return NoInputError(source, found, f"{expected}, or a recording")
 
 
 def _absolute(path: Path) -> Path:
@@ -113,7 +126,10 @@ def _absolute(path: Path) -> Path:
 
 
 def _scans_of(path: Path) -> Iterator[ScanFile]:
-    if not path.is_dir():
+    if recording := recording_of(path):
+        for scan in recorded_paths(path):
+            yield ScanFile(sequence_of(recording), scan.name, scan)
+    elif not path.is_dir():
         path.stat()
         yield from _as_scan(path, SCAN_SUFFIXES)
     elif (path / "sequences").is_dir():

@@ -10,6 +10,7 @@ from pathlib import Path
 from salsanext_cli.errors import NoInputError, OutputError
 from salsanext_cli.formats import scan_suffix
 from salsanext_cli.formats.reading import is_folder
+from salsanext_cli.formats.recordings.address import recording_of
 from salsanext_cli.settings_files import shortened
 from salsanext_cli.storage.layout import SUFFIX_OF_FOLDER, ScanFile, find_outputs, find_scans
 from salsanext_cli.storage.scan_folders import files_in
@@ -105,13 +106,8 @@ def recorded_scans(
         found = "holds no results" if out.is_dir() else "no such folder"
         remedy = f"run `salsanext predict SCANS {out}` first"
         raise NoInputError(out, found, "the output folder of an earlier stage", remedy)
-    if (
-        dataset
-        and len(sequences) == 1
-        and dataset.is_dir()
-        and not (dataset / "sequences").is_dir()
-    ):
-        # The folder of the scans themselves, which may have another name by now.
+    if dataset and len(sequences) == 1 and _holds_scans(dataset):
+        # The folder of the scans themselves, or the recording, which may have another name by now.
         return [replace(scan, sequence=sequences[0]) for scan in find_scans(dataset)]
     known = {
         sequence: source
@@ -125,12 +121,19 @@ def recorded_scans(
     ]
 
 
+def _holds_scans(dataset: Path) -> bool:
+    """Say whether it is a folder of scans or a recording, not a data set."""
+    if recording_of(dataset.absolute()):
+        return True
+    return dataset.is_dir() and not (dataset / "sequences").is_dir()
+
+
 def _scans_of_sequence(
     out: Path, sequence: str, source: ScanSource | None, dataset: Path | None
 ) -> list[ScanFile]:
-    folder = source.folder if source else None
-    if dataset is None and source and is_folder(Path(source.folder)):
-        scans = find_scans(Path(source.folder))
+    folder = Path(source.folder) if source else None
+    if dataset is None and source and folder and (is_folder(folder) or recording_of(folder)):
+        scans = find_scans(folder)
         return scans + _scans_named_themselves(source, {scan.stem for scan in scans})
     root = dataset or Path(os.environ.get(DATASET_VARIABLE, ""))
     if (root / "sequences").is_dir():

@@ -11,11 +11,14 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from zipfile import ZipFile
 
+import bags
 import numpy as np
+import pytest
 import torch
 import yaml
 from cloud_seeds import las, lines, npz, structured
 from empty_runs import begin_and_end
+from ouster_recordings import write_recording
 from scans import SMALL, make_scan, write_sequence
 from tiny_network import TinyNetwork
 
@@ -26,6 +29,7 @@ from salsanext_cli.formats.npy import (
     read_probabilities,
     read_uncertainty,
 )
+from salsanext_cli.formats.recordings import recorded_scans as recordings
 from salsanext_cli.geometry.coverage import field_of_view_coverage
 from salsanext_cli.network.card import WeightsCard, read_card
 from salsanext_cli.network.published import read_published
@@ -219,6 +223,34 @@ def _published(*, old: bool = False) -> Reader:
     return Reader("p.pt", seeds, read_published)
 
 
+def _bag(folder: Path, kind: str, *compressions: str, damaged: str = "") -> Reader:
+    """Make a ROS bag; `damaged` names a file beside it that is to be damaged instead of it."""
+    pytest.importorskip("rosbags")
+    clouds = bags.messages([bags.structured(COUNT, seed) for seed in range(4)])
+    written = [*clouds, ("/chat", bags.START, bags.text)]
+    paths = [
+        bags.write_bag(folder / f"bag{n}", kind, written, compression=compression)
+        for n, compression in enumerate(compressions)
+    ]
+    place = str(paths[0].with_name(damaged)) if damaged else f"a{kind}"
+    seeds = [path.with_name(damaged or path.name).read_bytes() for path in paths]
+    return Reader(place, seeds, lambda path: _recorded(path.parent if damaged else path))
+
+
+def _pcap(folder: Path) -> Reader:
+    """Make packets of an Ouster sensor; OSF files, opened by a process each, take too long."""
+    pytest.importorskip("ouster.sdk")
+    path = write_recording(folder / "a.pcap", 1)
+    return Reader(str(path), [path.read_bytes()], _recorded)
+
+
+def _recorded(path: Path) -> None:
+    """Read every scan of a recording, or fail at the first; the same file may hold another one."""
+    recordings._kept.cache_clear()
+    for scan in find_scans(path):
+        read_scan(scan.path)
+
+
 def _record(folder: Path) -> Reader:
     """Make an output folder with labels of one scan, whose record of `predict` is damaged."""
     data, out = write_sequence(folder / "08", ["a", "b"], count=COUNT), folder / "out"
@@ -296,6 +328,11 @@ READERS: dict[str, Callable[[Path], Reader]] = {
     "csv": lambda _: Reader("s.csv", lines(_table(), ","), _scan),
     "xyz": lambda _: Reader("s.xyz", lines(_table(), " "), _scan),
     "columns": lambda _: Reader("s.bin", _bin(5), _scan_of_five_columns),
+    "bag": lambda folder: _bag(folder, ".bag", "", "LZ4", "BZ2"),
+    "mcap": lambda folder: _bag(folder, ".mcap", "", "STORAGE"),
+    "db3": lambda folder: _bag(folder, ".db3", ""),
+    "metadata of a bag": lambda folder: _bag(folder, ".mcap", "", damaged="metadata.yaml"),
+    "pcap": _pcap,
     "yaml": lambda _: Reader("labels.yaml", [SPACE, SPACE[: len(SPACE) // 2]], label_space),
     "toml of a sensor": lambda _: Reader("s.toml", [_sensor()], sensor),
     "toml of a recipe": lambda _: Reader(

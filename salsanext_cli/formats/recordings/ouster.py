@@ -1,0 +1,147 @@
+# SPDX-License-Identifier: MIT
+"""Recordings of Ouster sensors: `.pcap` with its metadata `.json` beside it, and `.osf`."""
+
+import struct
+import subprocess
+import sys
+import weakref
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from threading import Lock
+from typing import BinaryIO
+
+from salsanext_cli.errors import FormatError
+from salsanext_cli.formats.columns import Columns
+from salsanext_cli.formats.reading import reading, size_of
+from salsanext_cli.packages import import_extra
+from salsanext_cli.settings_files import shortened
+
+MAX_SHOWN = 200
+"""Characters of an error of the library that are shown."""
+PROBE_TIMEOUT_S = 600
+PROBE = "import sys; from ouster.sdk import open_source; open_source(sys.argv[1], collate=False)"
+PCAP_BYTE_ORDER = {
+    **dict.fromkeys((b"\xd4\xc3\xb2\xa1", b"\x4d\x3c\xb2\xa1"), "<"),
+    **dict.fromkeys((b"\xa1\xb2\xc3\xd4", b"\xa1\xb2\x3c\x4d"), ">"),
+}
+"""Byte order of a packet's header by the first bytes of the file."""
+NS_PER_PCAP_TIME = 1000
+KIND = "Ouster"
+
+
+class OusterRecording:
+    """Recording of one or more Ouster sensors, open for reading by any number of threads.
+
+    Parameters
+    ----------
+    path : Path
+        The recording.
+
+    Attributes
+    ----------
+    lost : str
+        Description of what it lacks because it was cut off; empty if it is whole.
+
+    Raises
+    ------
+    FormatError
+        If it cannot be read.
+    MissingDependency
+        If `ouster-sdk` is not installed.
+    """
+
+    def __init__(self, path: Path) -> None:
+        import_extra("ouster.sdk", "ouster")
+        from ouster.sdk import open_source
+
+        self.path, self.lost, self._lock = path, "", Lock()
+        is_pcap = path.suffix.lower() == ".pcap"
+        with reading(path) as file:
+            self.lost = _cut_pcap(file) if is_pcap else ""
+        if not is_pcap:
+            _probe(path)
+        with _refusing(path):
+            self._source = open_source(str(path), collate=False, index=True)
+            unit = NS_PER_PCAP_TIME if is_pcap else 1
+            self._times = {
+                f"sensor{number}": [int(time) * unit for time in index[:, 0]]
+                for number, index in enumerate(self._source.individual_index)
+            }
+        weakref.finalize(self, self._source.close)
+
+    def topics(self) -> dict[str, str]:
+        """Return the sensors that have frames, as topics of a kind."""
+        return {name: KIND for name, times in self._times.items() if times}
+
+    def clouds(self) -> list[str]:
+        """Return the sensors that have frames."""
+        return [*self.topics()]
+
+    def times(self, topic: str) -> list[int]:
+        """Return the times of the frames of a sensor in nanoseconds, sorted."""
+        return sorted(self._times[topic])
+
+    def columns(self, topic: str, time: int, number: int, path: Path) -> Columns:
+        """Read the frame of a sensor and a time; of several of one time that of a number.
+
+        Every column of the sensor counts, measured or not: pixels without a return are points at
+        the origin. Only first returns are read.
+
+        Raises
+        ------
+        FormatError
+            If it is not there or damaged; `path` is named.
+        """
+        from ouster.sdk.core import XYZLut
+
+        places = [place for place, each in enumerate(self._times[topic]) if each == time]
+        if number >= len(places):
+            raise FormatError(path, "not there", "a scan that the recording lists")
+        with _refusing(path), self._lock:
+            of_sensor = self._source.single([*self._times].index(topic))
+            frame = of_sensor[places[number]][0]
+            distances = frame.field("RANGE")
+            points = XYZLut(frame.sensor_info)(distances) * (distances > 0)[..., None]
+            columns = {axis: points[..., n].ravel() for n, axis in enumerate("xyz")}
+            return columns | {"reflectivity": frame.field("REFLECTIVITY").ravel()}
+
+
+def _cut_pcap(file: BinaryIO) -> str:
+    """Return in words that a file of packets ends within one; empty if it does not."""
+    size, order = size_of(file), PCAP_BYTE_ORDER.get(file.read(4))
+    place = file.seek(24)
+    while order and place < size:
+        head = file.read(16)
+        if len(head) == 16:
+            place += 16 + struct.unpack(f"{order}8xI4x", head)[0]
+            file.seek(place)
+        if len(head) < 16 or place > size:
+            return "cut off within a packet, so that its last scan is not whole"
+    return ""
+
+
+def _probe(path: Path) -> None:
+    """Open a recording in a process of its own first, which the library ends if it is damaged."""
+    command = [sys.executable, "-c", PROBE, str(path)]
+    try:
+        done = subprocess.run(command, capture_output=True, timeout=PROBE_TIMEOUT_S, check=False)
+    except subprocess.TimeoutExpired as error:
+        raise FormatError(path, f"not opened in {PROBE_TIMEOUT_S} s", "an OSF file") from error
+    if done.returncode < 0:
+        raise FormatError(path, "damaged: ouster-sdk crashes at it", "an OSF file", "copy it anew")
+
+
+@contextmanager
+def _refusing(path: Path) -> Iterator[None]:
+    """Turn the errors of the library into a `FormatError`."""
+    from ouster.sdk.open_source import SourceURLException
+
+    errors = (SourceURLException, RuntimeError, ValueError, LookupError, TypeError, OSError)
+    try:
+        yield
+    except (*errors, MemoryError) as error:
+        said = str(error).rpartition("more details:")[2] or type(error).__name__
+        found = shortened(" ".join(said.split()), MAX_SHOWN)
+        remedy = "put the metadata of the sensor beside a .pcap, as a .json of the same name"
+        raise FormatError(path, found, "a recording of Ouster sensors", remedy) from error

@@ -1,0 +1,150 @@
+# SPDX-License-Identifier: MIT
+"""Scans of recordings: their list, and one of them."""
+
+import os
+import re
+from functools import lru_cache
+from pathlib import Path
+from typing import Protocol
+
+from salsanext_cli.errors import FormatError, NoInputError, UsageError
+from salsanext_cli.formats.columns import Columns, scan_of
+from salsanext_cli.formats.recordings.address import BAG_SUFFIXES, files_of, recording_of
+from salsanext_cli.formats.recordings.bags import Bag
+from salsanext_cli.formats.recordings.ouster import OusterRecording
+from salsanext_cli.records import Scan
+from salsanext_cli.settings_files import shortened
+
+NAME = re.compile(r"(-?\d{1,20})(?:_(\d{1,9}))?", re.ASCII)
+LOST = "cut-off"
+"""Name of the scan that stands for those that a recording lost; reading it fails."""
+MAX_SHOWN = 500
+"""Characters of a list of topics in an error."""
+
+
+class Recording(Protocol):
+    """Open recording of any kind."""
+
+    lost: str
+
+    def topics(self) -> dict[str, str]:
+        """Return the type of the messages of every topic that has some."""
+
+    def clouds(self) -> list[str]:
+        """Return the topics of point clouds."""
+
+    def times(self, topic: str) -> list[int]:
+        """Return the times of the clouds of a topic in nanoseconds, sorted."""
+
+    def columns(self, topic: str, time: int, number: int, path: Path) -> Columns:
+        """Read the cloud of a topic and a time; of several of one time that of a number."""
+
+
+def recorded_paths(path: Path) -> list[Path]:
+    """Return the paths of the scans of a recording, sorted by time; no scan is read.
+
+    Parameters
+    ----------
+    path : Path
+        A recording with one topic of point clouds; a topic in it; one of its scans.
+
+    Raises
+    ------
+    NoInputError, UsageError
+        If it holds no clouds, or not those asked for; if it has several topics and none is named.
+    FormatError
+        If it is damaged; of one that was cut off, the last path stands for the scans lost.
+    MissingDependency
+        If the package that reads it is not installed.
+    """
+    recording = _of(path)
+    opened = _opened(recording)
+    inside = "/".join(path.relative_to(recording).parts)
+    clouds = {topic.strip("/"): topic for topic in opened.clouds()}
+    if not inside:
+        inside = _only(clouds, recording, opened)
+    topic, name = (inside, "") if inside in clouds else inside.rpartition("/")[::2]
+    if topic not in clouds:
+        listed = shortened(", ".join(opened.clouds()), MAX_SHOWN)
+        raise NoInputError(recording, f"no clouds of topic {inside}", f"one of {listed}")
+    names = [*_names(opened.times(clouds[topic])), *([LOST] if opened.lost else [])]
+    if name and name not in names:
+        raise NoInputError(path, "no such scan", f"one of the {len(names)} of the recording")
+    return [recording / topic / each for each in names if name in ("", each)]
+
+
+def _only(clouds: dict[str, str], recording: Path, opened: Recording) -> str:
+    """Return the topic of a recording that has one."""
+    if len(clouds) == 1:
+        return next(iter(clouds))
+    if clouds:
+        listed = shortened(", ".join(clouds.values()), MAX_SHOWN)
+        first = next(iter(clouds.values()))
+        found = f"{len(clouds)} topics of point clouds: {listed}"
+        raise UsageError(recording, found, "one of them", f"--topic {first}")
+    others = ", ".join(f"{topic} ({kind})" for topic, kind in opened.topics().items())
+    found = f"no point clouds, but {shortened(others, MAX_SHOWN)}" if others else "no messages"
+    raise NoInputError(recording, found, "clouds, such as sensor_msgs/PointCloud2")
+
+
+def _names(times: list[int]) -> list[str]:
+    """Return the names of scans by their times in nanoseconds; an equal one gets a suffix."""
+    names: list[str] = []
+    seen: dict[int, int] = {}
+    for time in times:
+        number = seen[time] = seen.get(time, -1) + 1
+        names.append(f"{time:019d}" + (f"_{number}" if number else ""))
+    return names
+
+
+def read_recorded(path: Path, intensity_scale: float) -> Scan:
+    """Read a scan of a recording.
+
+    Parameters
+    ----------
+    path : Path
+        One of `recorded_paths`.
+    intensity_scale : float
+        Divides the intensity, except that of bytes.
+
+    Raises
+    ------
+    FormatError
+        If it is damaged, not there, or has no coordinates.
+    """
+    recording = _of(path)
+    opened = _opened(recording)
+    if path.name == LOST:
+        remedy = "record or copy it anew; the scans before are not affected"
+        raise FormatError(recording, opened.lost or "is whole", "all its scans", remedy)
+    topic = "/".join(path.parent.relative_to(recording).parts)
+    given = next((each for each in opened.clouds() if each.strip("/") == topic), None)
+    match = NAME.fullmatch(path.name)
+    if given is None or match is None:
+        raise FormatError(path, "not there", "a scan that the recording lists")
+    columns = opened.columns(given, int(match[1]), int(match[2] or 0), path)
+    return scan_of(columns, path, intensity_scale)
+
+
+def _of(path: Path) -> Path:
+    recording = recording_of(path)
+    if recording is None:
+        raise FormatError(path, "no such recording", "a recording or a scan in one")
+    return recording
+
+
+def _opened(recording: Path) -> Recording:
+    """Return a recording, kept open until another one is asked for."""
+    # A file that is open in a forked process has one position in both.
+    version = [os.getpid()]
+    for file in files_of(recording):
+        status = file.stat()
+        version += [status.st_ino, status.st_size, status.st_mtime_ns]
+    return _kept(recording, tuple(version))
+
+
+@lru_cache(maxsize=1)
+def _kept(recording: Path, version: tuple[int, ...]) -> Recording:
+    if recording.is_dir() or recording.suffix.lower() in BAG_SUFFIXES:
+        return Bag(recording)
+    return OusterRecording(recording)

@@ -1,0 +1,130 @@
+# SPDX-License-Identifier: MIT
+"""Recording to a folder of scans, in SemanticKITTI's layout."""
+
+from functools import partial
+from pathlib import Path
+
+from salsanext_cli.errors import OutputError, UsageError
+from salsanext_cli.formats import read_scan
+from salsanext_cli.formats.kitti import encode_bin
+from salsanext_cli.formats.reading import filled
+from salsanext_cli.formats.recordings.address import recording_of
+from salsanext_cli.formats.recordings.recorded_scans import LOST
+from salsanext_cli.parallel.run import Outcome, RunOptions, run_over_scans
+from salsanext_cli.settings_files import shortened
+from salsanext_cli.storage.atomic import MARK, sweep, sweep_stale
+from salsanext_cli.storage.json_files import encode_json, read_json
+from salsanext_cli.storage.layout import SCAN_FOLDER, ScanFile, find_scans
+from salsanext_cli.storage.locks import locked
+from salsanext_cli.storage.written_files import WrittenFiles
+
+TIMES = "times.txt"
+MANIFEST = "convert.json"
+"""Record of the recording, topic and first scan of a sequence."""
+LOCK = ".convert.lock"
+
+
+def convert(
+    recording: Path,
+    folder: Path,
+    *,
+    every: int = 1,
+    limit: int | None = None,
+    options: RunOptions = RunOptions(),
+) -> Outcome:
+    """Write `FOLDER/sequences/NAME/velodyne/<time>.bin` and `times.txt`.
+
+    The times of `times.txt` are seconds since the first scan, a line for each scan that is there.
+    Intensities are those that stages read: bytes divided by 255, others as they are.
+
+    Parameters
+    ----------
+    recording : Path
+        A recording, or a topic in it.
+    folder : Path
+        Root of the data set.
+    every, limit : int
+        Take every so many scans only, the first one included, and then at most `limit`.
+    options : RunOptions
+        Workers, errors, overwriting and progress.
+
+    Raises
+    ------
+    SalsanextError
+        If nothing can be done at all; failures of single scans are in the outcome.
+    OutputError
+        If the folder of the sequence holds scans of something else, or a file that would be
+        replaced was changed or not written here.
+    """
+    for name, value in {"--every": every, "--limit": 1 if limit is None else limit}.items():
+        if value < 1:
+            raise UsageError(name, str(value), "at least 1")
+    if recording_of(recording.absolute()) is None:
+        found = "no recording" if recording.exists() else "no such recording"
+        raise UsageError(recording, found, "a ROS bag or an Ouster recording")
+    listed = find_scans(recording)
+    whole = [scan for scan in listed if scan.stem != LOST]
+    # With a limit nobody asked for what comes last.
+    chosen = whole[::every][:limit] + (listed[len(whole) :] if limit is None else [])
+    sequence = folder / "sequences" / listed[0].sequence
+    place, written = sequence / SCAN_FOLDER, WrittenFiles(folder)
+    with locked(sequence / LOCK, stage="convert"):
+        _require_own(place, written, listed)
+        _require_same_source(sequence / MANIFEST, written, listed[0])
+        sweep_stale(place)
+        try:
+            task = partial(_convert_scan, folder=folder, place=place)
+            done = {_target(place, scan) for scan in chosen if filled(_target(place, scan))}
+            outcome = run_over_scans(
+                task, chosen, options, is_done=lambda scan: _target(place, scan) in done
+            )
+        finally:
+            sweep(place, MARK.get())
+        times = [_time(scan) for scan in listed if filled(_target(place, scan))]
+        lines = [f"{(time - times[0]) / 1e9:.9f}\n" for time in times]
+        written.write(sequence / TIMES, "".join(lines).encode())
+    return outcome
+
+
+def _target(place: Path, scan: ScanFile) -> Path:
+    return place / f"{scan.stem}.bin"
+
+
+def _time(scan: ScanFile) -> int:
+    """Return the time of a scan, which its name says, in nanoseconds."""
+    return int(scan.stem.partition("_")[0])
+
+
+def _convert_scan(scan: ScanFile, folder: Path, place: Path) -> None:
+    content = encode_bin(read_scan(scan.path))
+    WrittenFiles(folder).write(_target(place, scan), content)
+
+
+def _require_same_source(path: Path, written: WrittenFiles, first: ScanFile) -> None:
+    """Record where the scans come from; refuse a folder with those of another topic."""
+    recording = recording_of(first.path) or first.path
+    topic = str(first.path.parent.relative_to(recording))
+    wanted = {"recording": recording.name, "topic": topic, "first": first.stem}
+    recorded = read_json(path)
+    if recorded is None:
+        written.write(path, encode_json({"stage": "convert", **wanted}), durable=True)
+    elif any(recorded.get(key) != value for key, value in wanted.items()):
+        found = (
+            f"scans of {shortened(recorded.get('recording'))}, {shortened(recorded.get('topic'))}"
+        )
+        expected = f"those of {recording.name}, {topic}"
+        raise OutputError(path.parent, found, expected, "choose another folder")
+
+
+def _require_own(place: Path, written: WrittenFiles, listed: list[ScanFile]) -> None:
+    """Refuse a folder with scans of something else, or files that are not as they were written."""
+    names = {_target(place, scan).name for scan in listed}
+    there = sorted(place.iterdir()) if place.is_dir() else []
+    scans = [path for path in there if not path.name.startswith(".")]
+    for path in scans:
+        if path.name not in names:
+            found = "is not of this recording"
+            raise OutputError(path, found, "scans of it only", "choose another folder")
+    for path in written.others([*scans, place.parent / TIMES]):
+        found = "was changed, or not written by `convert`"
+        raise OutputError(path, found, remedy="move it, or choose another folder")

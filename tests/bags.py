@@ -1,0 +1,139 @@
+# SPDX-License-Identifier: MIT
+"""ROS bags for tests, written by rosbags' own writers."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from salsanext_cli.formats.recordings.point_cloud2 import POINT_CLOUD2, TYPES
+
+START = 1_600_000_000_123_456_789
+"""Time of the first message in nanoseconds."""
+STEP = 100_000_000
+TOPIC = "/velodyne_points"
+CODES = {np.dtype(kind): code for code, kind in TYPES.items()}
+KINDS = (".bag", ".db3", ".mcap")
+Message = tuple[str, int, Any]
+"""Topic, time, and what makes the message of the types of a version of ROS."""
+
+
+def cloud(points: np.ndarray, *, height: int = 1, row_padding: int = 0, **changed: Any) -> Any:
+    """Return what makes a PointCloud2 of a structured array, (N,), of one byte order.
+
+    Parameters
+    ----------
+    points : (N,) structured array
+        With offsets and padding as they are to be in the message.
+    height : int
+        Rows of an organised cloud.
+    row_padding : int
+        Bytes at the end of each row.
+    **changed : object
+        Fields of the message that are to be wrong.
+    """
+
+    def make(types: Any) -> Any:
+        step, width = points.dtype.itemsize, len(points) // height
+        rows = np.zeros((height, width * step + row_padding), np.uint8)
+        rows[:, : width * step] = points.view(np.uint8).reshape(height, -1)
+        layout: dict[str, Any] = dict(points.dtype.fields or {})
+        fields = [
+            types["sensor_msgs/msg/PointField"](name, offset, CODES[kind.newbyteorder("=")], 1)
+            for name, (kind, offset, *_) in layout.items()
+        ]
+        big = any(kind.byteorder == ">" for kind, *_ in layout.values())
+        header = types["std_msgs/msg/Header"]
+        of_header = {"seq": 0, "stamp": types["builtin_interfaces/msg/Time"](1, 2)}
+        names = header.__dataclass_fields__
+        known = {name: value for name, value in of_header.items() if name in names}
+        values = {
+            "header": header(**known, frame_id="lidar"),
+            "height": height,
+            "width": width,
+            "fields": fields,
+            "is_bigendian": big,
+            "point_step": step,
+            "row_step": rows.shape[1],
+            "data": rows.ravel(),
+            "is_dense": False,
+        }
+        return types[POINT_CLOUD2](**{**values, **changed})
+
+    return make
+
+
+def text(types: Any) -> Any:
+    """Make a message that is no cloud."""
+    return types["std_msgs/msg/String"]("drive")
+
+
+def messages(points: Iterable[np.ndarray], topic: str = TOPIC) -> list[Message]:
+    """Return messages of clouds, a tenth of a second apart."""
+    return [(topic, START + n * STEP, cloud(each)) for n, each in enumerate(points)]
+
+
+def write_bag(
+    folder: Path,
+    kind: str,
+    written: Iterable[Message],
+    *,
+    compression: str = "",
+) -> Path:
+    """Write a bag `drive` of a kind, in chunks of a few messages.
+
+    Returns the file, which for ROS 2 lies in a folder `drive`.
+    """
+    from rosbags import rosbag1, rosbag2
+    from rosbags.typesys import Stores, get_typestore
+
+    is_ros1 = kind == ".bag"
+    store = get_typestore(Stores.ROS1_NOETIC if is_ros1 else Stores.ROS2_JAZZY)
+    writer: Any
+    if is_ros1:
+        folder.mkdir(parents=True, exist_ok=True)
+        writer = rosbag1.Writer(folder / "drive.bag")
+        writer.chunk_threshold = 4096
+        if compression:
+            writer.set_compression(rosbag1.Writer.CompressionFormat[compression])
+    else:
+        plugin = rosbag2.StoragePlugin.MCAP if kind == ".mcap" else rosbag2.StoragePlugin.SQLITE3
+        writer = rosbag2.Writer(folder / "drive", version=9, storage_plugin=plugin)
+        if compression:
+            mode = rosbag2.CompressionMode[compression]
+            writer.set_compression(mode, rosbag2.CompressionFormat.ZSTD)
+    connections: dict[str, Any] = {}
+    with writer:
+        for number, (topic, time, make) in enumerate(written, start=1):
+            message = make(store.types)
+            if topic not in connections:
+                connections[topic] = writer.add_connection(
+                    topic, message.__msgtype__, typestore=store
+                )
+            pack = store.serialize_ros1 if is_ros1 else store.serialize_cdr
+            writer.write(connections[topic], time, pack(message, message.__msgtype__))
+            if kind == ".mcap" and number % 3 == 0:
+                writer.storage.close_chunk()
+    return folder / "drive.bag" if is_ros1 else folder / "drive" / f"drive{kind}"
+
+
+def structured(count: int = 200, seed: int = 0) -> np.ndarray:
+    """Return points in the fields of a Velodyne driver, with gaps between them."""
+    from scans import make_scan
+
+    scan = make_scan(count, seed)
+    names = ["x", "y", "z", "intensity", "ring", "time"]
+    layout = {
+        "names": names,
+        "formats": ["<f4", "<f4", "<f4", "<f4", "<u2", "<f4"],
+        "offsets": [0, 4, 8, 16, 20, 24],
+        "itemsize": 32,
+    }
+    points = np.zeros(count, layout)
+    for name, values in zip("xyz", scan.points.T, strict=True):
+        points[name] = values
+    points["intensity"] = scan.intensity
+    return points

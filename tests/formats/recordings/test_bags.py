@@ -1,0 +1,206 @@
+# SPDX-License-Identifier: MIT
+"""Scans of ROS bags that rosbags' own writers wrote."""
+
+import sqlite3
+from concurrent.futures import ThreadPoolExecutor
+
+import numpy as np
+import pytest
+
+pytest.importorskip("rosbags")
+
+from bags import KINDS, START, STEP, TOPIC, cloud, messages, structured, text, write_bag
+
+from salsanext_cli import Sensor, read_scan
+from salsanext_cli.errors import FormatError, MissingDependency, NoInputError, UsageError
+from salsanext_cli.formats.recordings import bags
+from salsanext_cli.storage.layout import find_scans
+
+POINTS = [structured(seed=seed) for seed in range(5)]
+TIMES = [f"{START + n * STEP}" for n in range(5)]
+COMPRESSED = [
+    *((".bag", "BZ2"), (".bag", "LZ4"), (".db3", "FILE"), (".db3", "MESSAGE")),
+    *((".mcap", "FILE"), (".mcap", "STORAGE")),
+]
+
+
+def require_equal(scan, points):
+    for axis, name in enumerate("xyz"):
+        np.testing.assert_array_equal(scan.points[:, axis], points[name])
+    np.testing.assert_array_equal(scan.intensity, points["intensity"])
+
+
+@pytest.mark.parametrize(("kind", "compression"), [*((kind, "") for kind in KINDS), *COMPRESSED])
+def test_the_scans_are_the_clouds_named_by_their_times(tmp_path, kind, compression):
+    others = [("/chatter", START + 1, text), ("/chatter", START + 3 * STEP, text)]
+    path = write_bag(tmp_path, kind, [*messages(POINTS), *others], compression=compression)
+    sources = [path] if kind == ".bag" else [path.parent] if compression else [path, path.parent]
+    for source in sources:
+        scans = find_scans(source)
+        assert [(scan.sequence, scan.stem) for scan in scans] == [("drive", t) for t in TIMES]
+        assert scans[2].path == source / "velodyne_points" / TIMES[2]
+        for n in (3, 0, 4, 1, 2):
+            require_equal(read_scan(scans[n].path), POINTS[n])
+        assert find_scans(scans[3].path) == [scans[3]]
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_clouds_of_one_time_are_numbered_in_their_order(tmp_path, kind):
+    same = [(TOPIC, START + n // 2, cloud(points)) for n, points in enumerate(POINTS)]
+    scans = find_scans(write_bag(tmp_path, kind, same))
+    first, second = f"{START}", f"{START + 1}"
+    stems = [first, f"{first}_1", second, f"{second}_1", f"{START + 2}"]
+    assert [scan.stem for scan in scans] == stems
+    for scan, points in zip(scans, POINTS, strict=True):
+        require_equal(read_scan(scan.path), points)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_threads_read_from_one_bag(tmp_path, kind):
+    scans = find_scans(write_bag(tmp_path, kind, messages(POINTS)))
+    with ThreadPoolExecutor(4) as pool:
+        read = list(pool.map(read_scan, [scan.path for scan in scans * 10]))
+    for n, scan in enumerate(read):
+        require_equal(scan, POINTS[n % 5])
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_listing_reads_no_cloud(tmp_path, kind, monkeypatch):
+    path = write_bag(tmp_path, kind, messages(POINTS))
+
+    def read(*_):
+        pytest.fail("a message was read")
+
+    monkeypatch.setattr(bags.Bag, "_messages", read)
+    from rosbags.rosbag1.reader import Reader
+    from rosbags.rosbag2.storage_mcap import McapReader
+    from rosbags.rosbag2.storage_sqlite3 import Sqlite3Reader
+
+    for reader in (Reader, McapReader, Sqlite3Reader):
+        monkeypatch.setattr(reader, "messages", read)
+    monkeypatch.setattr(McapReader, "messages_scan", read)
+    assert len(find_scans(path)) == 5
+
+
+def test_a_bag_that_is_replaced_is_opened_anew(tmp_path):
+    path = write_bag(tmp_path / "a", ".bag", messages(POINTS[:2]))
+    (scan, _) = find_scans(path)
+    require_equal(read_scan(scan.path), POINTS[0])
+    write_bag(tmp_path / "b", ".bag", messages(POINTS[3:])).replace(path)
+    require_equal(read_scan(scan.path), POINTS[3])
+
+
+def test_one_of_several_topics_is_named(tmp_path):
+    written = [*messages(POINTS[:2], "/front"), *messages(POINTS[2:], "/rear/points")]
+    path = write_bag(tmp_path, ".mcap", written)
+    with pytest.raises(UsageError, match=r"2 topics of point clouds: /front, /rear/points"):
+        find_scans(path)
+    scans = find_scans(path / "rear/points")
+    assert [scan.stem for scan in scans] == TIMES[:3]
+    require_equal(read_scan(scans[0].path), POINTS[2])
+    for wrong in ("rear", "rear/point", "front/1"):
+        with pytest.raises(NoInputError, match=r"drive\.mcap"):
+            find_scans(path / wrong)
+
+
+def test_a_bag_without_clouds_says_what_it_holds(tmp_path):
+    path = write_bag(tmp_path, ".bag", [("/chatter", START, text)])
+    with pytest.raises(
+        NoInputError, match=r"no point clouds, but /chatter \(std_msgs/msg/String\)"
+    ):
+        find_scans(path)
+    with pytest.raises(NoInputError, match="no messages"):
+        find_scans(write_bag(tmp_path / "empty", ".db3", []))
+
+
+def test_a_folder_of_bags_asks_for_one(tmp_path):
+    path = write_bag(tmp_path, ".bag", messages(POINTS[:1]))
+    with pytest.raises(NoInputError, match=rf"recordings: drive\.bag .* give one of these: {path}"):
+        find_scans(tmp_path)
+    write_bag(tmp_path, ".db3", messages(POINTS[:1]))
+    exported = tmp_path / "drive" / "scans"
+    exported.mkdir()
+    with pytest.raises(NoInputError, match="holds no scans"):
+        find_scans(exported)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_the_definition_of_the_messages_must_be_that_of_ros(tmp_path, kind):
+    from rosbags.interfaces import MessageDefinition, MessageDefinitionFormat
+
+    path = write_bag(tmp_path, kind, messages(POINTS[:1]))
+    (scan,) = find_scans(path)
+    bag = bags.Bag(path)
+    storage = bag._storages[0]
+    known = storage.connections[0].msgdef
+    for data, said in (
+        (known.data.replace("uint32 height", "uint32 depth"), "defines sensor_msgs"),
+        (known.data.replace("uint8 datatype", "uint16 datatype"), "defines sensor_msgs"),
+        (known.data.replace("uint32 height", "uint32 = ("), "damaged"),
+        ("uint32 height", "defines sensor_msgs"),
+    ):
+        wrong = MessageDefinition(known.format, data)
+        storage.connections[0] = storage.connections[0]._replace(msgdef=wrong)
+        with pytest.raises(FormatError, match=said):
+            bag.columns(TOPIC, START, 0, scan.path)
+    none = MessageDefinition(MessageDefinitionFormat.NONE, "")
+    storage.connections[0] = storage.connections[0]._replace(msgdef=none)
+    np.testing.assert_array_equal(bag.columns(TOPIC, START, 0, scan.path)["x"], POINTS[0]["x"])
+
+
+def test_damaged_metadata_name_the_file_and_the_storage_itself_is_read(tmp_path):
+    path = write_bag(tmp_path, ".db3", messages(POINTS))
+    for damaged in ("a: [", "rosbag2_bagfile_information: 3", "", "\0", "{"):
+        (path.parent / "metadata.yaml").write_text(damaged)
+        with pytest.raises(FormatError, match=rf"metadata\.yaml · .* give {path} itself"):
+            find_scans(path.parent)
+    assert len(find_scans(path)) == 5
+
+
+def test_what_the_recorder_left_in_its_log_is_missed(tmp_path):
+    path = write_bag(tmp_path, ".db3", messages(POINTS))
+    path.with_name("drive.db3-wal").write_bytes(b"pages")
+    scans = find_scans(path)
+    assert len(scans) == 6
+    with pytest.raises(FormatError, match=r"drive\.db3-wal"):
+        read_scan(scans[-1].path)
+
+
+def test_a_database_without_definitions_is_read(tmp_path):
+    """As ROS 2 wrote them until 2023."""
+    path = write_bag(tmp_path, ".db3", messages(POINTS))
+    with sqlite3.connect(path) as connection:
+        connection.execute("DROP TABLE schema")
+        connection.execute("DROP TABLE message_definitions")
+    connection.close()
+    require_equal(read_scan(find_scans(path)[1].path), POINTS[1])
+
+
+def test_the_package_that_is_missing_is_named(tmp_path, monkeypatch):
+    path = write_bag(tmp_path, ".bag", messages(POINTS[:1]))
+
+    def missing(name):
+        raise ModuleNotFoundError(f"No module named {name!r}", name=name)
+
+    monkeypatch.setattr("salsanext_cli.packages.import_module", missing)
+    with pytest.raises(
+        MissingDependency, match=r"rosbags · not installed · pip install 'salsanext\[ros\]'"
+    ):
+        find_scans(path)
+
+
+def test_a_version_that_is_too_old_is_named(tmp_path, monkeypatch):
+    path = write_bag(tmp_path, ".bag", messages(POINTS[:1]))
+    monkeypatch.setattr("salsanext_cli.packages.version", lambda name: "0.9.23")
+    with pytest.raises(MissingDependency, match=r"version 0\.9\.23 · expected 0\.11 or newer"):
+        find_scans(path)
+
+
+def test_the_intensity_is_scaled_as_that_of_files(tmp_path):
+    points = structured()
+    points["intensity"] *= 255
+    (scan,) = find_scans(write_bag(tmp_path, ".bag", messages([points])))
+    scaled = Sensor("bytes", 3.0, -25.0, 16, 128, intensity_scale=255.0)
+    expected = points["intensity"] / np.float32(255)
+    np.testing.assert_array_equal(read_scan(scan.path, scaled).intensity, expected)
+    np.testing.assert_array_equal(read_scan(scan.path).intensity, points["intensity"])

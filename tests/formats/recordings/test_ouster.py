@@ -1,0 +1,73 @@
+# SPDX-License-Identifier: MIT
+"""Recordings of an Ouster sensor, which ouster-sdk itself wrote; skipped where it is missing."""
+
+import numpy as np
+import pytest
+
+pytest.importorskip("ouster.sdk")
+
+from ouster_recordings import START, STEP, write_recording
+
+from salsanext_cli import read_scan
+from salsanext_cli.errors import FormatError, SalsanextError
+from salsanext_cli.formats.recordings.recorded_scans import LOST
+from salsanext_cli.storage.layout import find_scans
+
+TIMES = [f"{START + n * STEP}" for n in range(4)]
+
+
+@pytest.fixture(params=[".osf", ".pcap"])
+def recording(request, tmp_path):
+    return write_recording(tmp_path / f"drive{request.param}", len(TIMES))
+
+
+def test_the_scans_are_the_frames_named_by_their_times(recording):
+    scans = find_scans(recording)
+    assert [(scan.sequence, scan.stem) for scan in scans] == [("drive", time) for time in TIMES]
+    assert scans[0].path == recording / "sensor0" / TIMES[0]
+    for number in (2, 0, 3, 1):
+        scan = read_scan(scans[number].path)
+        points, intensity = scan.points.reshape(64, 512, 3), scan.intensity.reshape(64, 512)
+        distances = np.linalg.norm(points - [0, 0, 0.03618], axis=2)
+        # The origin of a beam lies up to 28 mm beside the axis.
+        np.testing.assert_allclose(distances[:, ::2], 5 + number, atol=0.03)
+        assert not points[:, 1::2].any()
+        np.testing.assert_allclose(intensity[0], np.arange(512) % 256 / 255, atol=1e-6)
+
+
+def test_a_recording_that_was_cut_is_one_error(recording):
+    data = recording.read_bytes()
+    recording.write_bytes(data[: len(data) * 2 // 3])
+    if recording.suffix == ".osf":
+        with pytest.raises(SalsanextError, match=r"drive\.osf"):
+            find_scans(recording)
+        return
+    scans = find_scans(recording)
+    assert scans[-1].stem == LOST
+    assert [scan.stem for scan in scans[:-1]] == TIMES[: len(scans) - 1]
+    with pytest.raises(FormatError, match="cut off within a packet"):
+        read_scan(scans[-1].path)
+
+
+def test_damaged_recordings_are_refused(recording):
+    for content in (b"", b"x" * 5000):
+        recording.write_bytes(content)
+        with pytest.raises(SalsanextError, match=recording.name):
+            find_scans(recording)
+
+
+def test_packets_without_metadata_are_refused(recording):
+    if recording.suffix == ".pcap":
+        recording.with_suffix(".json").unlink()
+        with pytest.raises(FormatError, match=r"metadata .* a \.json of the same name"):
+            find_scans(recording)
+
+
+def test_a_file_at_which_the_library_crashes_is_one_error(tmp_path, monkeypatch):
+    monkeypatch.setattr(
+        "salsanext_cli.formats.recordings.ouster.PROBE", "import os; os.kill(os.getpid(), 11)"
+    )
+    path = tmp_path / "drive.osf"
+    path.write_bytes(b"x")
+    with pytest.raises(FormatError, match="crashes at it"):
+        find_scans(path)

@@ -1,0 +1,156 @@
+# SPDX-License-Identifier: MIT
+"""Recordings as input of the stages, and as folders of scans."""
+
+import numpy as np
+import pytest
+
+pytest.importorskip("rosbags")
+
+from bags import START, STEP, cloud, messages, structured, write_bag
+from scans import SMALL, files_below, labels_below
+
+from salsanext_cli import read_scan
+from salsanext_cli.errors import NoInputError, OutputError, UsageError
+from salsanext_cli.parallel.run import RunOptions
+from salsanext_cli.stages.convert import convert
+from salsanext_cli.stages.export_ply import export_ply
+from salsanext_cli.stages.predict import predict_scans
+from salsanext_cli.stages.project import project_scans
+from salsanext_cli.storage.layout import find_scans
+from salsanext_cli.storage.selection import ScanSelection
+from salsanext_cli.storage.sources import recorded_scans
+
+POINTS = [structured(seed=seed) for seed in range(5)]
+TIMES = [f"{START + n * STEP}" for n in range(5)]
+SECONDS = [f"{n / 10:.9f}" for n in range(5)]
+
+
+@pytest.fixture
+def bag(tmp_path):
+    return write_bag(tmp_path, ".bag", messages(POINTS))
+
+
+def sequence(folder):
+    """Return the names of the scans of a converted recording, and the times listed."""
+    place = folder / "sequences/drive"
+    times = (place / "times.txt").read_text().split()
+    return sorted(path.name for path in (place / "velodyne").iterdir()), times
+
+
+def test_a_recording_becomes_a_sequence_of_the_same_scans(bag, tmp_path):
+    folder = tmp_path / "data"
+    assert convert(bag, folder).done == 5
+    assert sequence(folder) == ([f"{time}.bin" for time in TIMES], SECONDS)
+    for inside, outside in zip(find_scans(bag), find_scans(folder), strict=True):
+        assert (inside.sequence, inside.stem) == (outside.sequence, outside.stem)
+        expected, found = read_scan(inside.path), read_scan(outside.path)
+        np.testing.assert_array_equal(found.points, expected.points)
+        np.testing.assert_array_equal(found.intensity, expected.intensity)
+
+
+def test_some_of_the_scans_and_later_the_rest(bag, tmp_path):
+    folder = tmp_path / "data"
+    assert convert(bag, folder, every=3).done == 2
+    assert sequence(folder) == ([f"{TIMES[0]}.bin", f"{TIMES[3]}.bin"], ["0.000000000", SECONDS[3]])
+    assert convert(bag, folder, every=2, limit=2).done == 1
+    before = files_below(folder)
+    outcome = convert(bag, folder, options=RunOptions(jobs=2))
+    assert (outcome.done, outcome.skipped) == (2, 3)
+    assert sequence(folder) == ([f"{time}.bin" for time in TIMES], SECONDS)
+    after = files_below(folder)
+    del before["sequences/drive/times.txt"]
+    assert before.items() <= after.items()
+
+
+def test_times_are_those_of_the_scans_that_are_there(bag, tmp_path):
+    folder = tmp_path / "data"
+    convert(bag, folder, every=2)
+    (folder / f"sequences/drive/velodyne/{TIMES[0]}.bin").unlink()
+    convert(bag, folder, every=4, limit=1)
+    assert sequence(folder)[1] == ["0.000000000", SECONDS[2], SECONDS[4]]
+
+
+def test_nothing_else_is_replaced(bag, tmp_path):
+    folder = tmp_path / "data"
+    place = folder / "sequences/drive"
+    convert(bag, folder, limit=2)
+    for path, content in (
+        (place / "velodyne" / f"{TIMES[0]}.bin", b"mine"),
+        (place / "velodyne/000000.bin", b"mine"),
+        (place / "times.txt", b"mine"),
+    ):
+        before = path.read_bytes() if path.exists() else None
+        path.write_bytes(content)
+        for options in (RunOptions(), RunOptions(overwrite=True)):
+            with pytest.raises(OutputError, match=path.name):
+                convert(bag, folder, options=options)
+            assert path.read_bytes() == content
+        path.unlink()
+        if before is not None:
+            convert(bag, folder, limit=2)
+
+
+def test_another_topic_or_recording_of_that_name_needs_another_folder(bag, tmp_path):
+    folder = tmp_path / "data"
+    written = [*messages(POINTS, "/front"), *messages(POINTS[::-1], "/rear")]
+    other = write_bag(tmp_path / "other", ".bag", written)
+    convert(other / "front", folder)
+    before = files_below(folder)
+    for source in (other / "rear", bag):
+        with pytest.raises(OutputError, match="choose another folder"):
+            convert(source, folder, options=RunOptions(overwrite=True))
+    assert files_below(folder) == before
+    moved = bag.with_name("moved")
+    other.parent.rename(moved)
+    assert convert(moved / "drive.bag/front", folder).skipped == 5
+
+
+def test_a_cloud_that_is_damaged_and_a_bag_that_was_cut(bag, tmp_path):
+    damaged = [
+        ("/points", START, cloud(POINTS[0])),
+        ("/points", START + 1, cloud(POINTS[1], width=9**9)),
+    ]
+    path = write_bag(tmp_path / "damaged", ".db3", damaged)
+    outcome = convert(path, tmp_path / "data")
+    assert outcome.done == 1
+    assert "damaged" in outcome.failures[0].reason
+    data = bag.read_bytes()
+    bag.write_bytes(data[: len(data) // 2])
+    for every in (1, 3):
+        outcome = convert(bag, tmp_path / f"cut{every}", every=every)
+        assert "cut off" in outcome.failures[0].reason
+    assert convert(bag, tmp_path / "one", limit=1).failures == ()
+
+
+@pytest.mark.parametrize("given", [{"every": 0}, {"limit": 0}])
+def test_numbers_below_one_are_refused(bag, tmp_path, given):
+    with pytest.raises(UsageError, match="at least 1"):
+        convert(bag, tmp_path / "data", **given)
+
+
+def test_only_recordings_are_converted(tmp_path):
+    for path in (tmp_path, tmp_path / "no.bag"):
+        with pytest.raises(UsageError, match="recording"):
+            convert(path, tmp_path / "data")
+
+
+def test_stages_take_a_recording_and_find_it_again(world, bag, tmp_path):
+    out, folder = tmp_path / "out", tmp_path / "data"
+    assert predict_scans(bag, out, network=world.network).done == 5
+    convert(bag, folder)
+    predict_scans(folder, tmp_path / "ref", network=world.network)
+    assert labels_below(out) == labels_below(tmp_path / "ref")
+    assert recorded_scans(out) == find_scans(bag)
+    assert export_ply(out).done == 5
+    moved = bag.rename(tmp_path / "moved.bag")
+    with pytest.raises(NoInputError, match=r"drive\.bag"):
+        recorded_scans(out)
+    found = recorded_scans(out, moved)
+    assert {(scan.sequence, scan.path.parents[1]) for scan in found} == {("drive", moved)}
+
+
+def test_one_output_folder_is_for_one_topic(tmp_path):
+    path = write_bag(tmp_path, ".mcap", [*messages(POINTS[:1], "/a"), *messages(POINTS[1:2], "/b")])
+    project_scans(path / "a", tmp_path / "out", sensor=SMALL, selection=ScanSelection(limit=1))
+    with pytest.raises(OutputError, match="use another output folder"):
+        project_scans(path / "b", tmp_path / "out", sensor=SMALL)
