@@ -6,7 +6,7 @@ from typing import Annotated
 
 import typer
 
-from salsanext_cli.cli import console, options, run_options
+from salsanext_cli.cli import console, options, run_end, run_options
 
 
 def convert(
@@ -36,4 +36,4 @@ def convert(
     source = options.in_topic(recording, topic)
     with running.over_scans("convert", output) as run:
         outcome = stage(source, folder, every=every, limit=limit, options=run)
-    console.finish("convert", outcome, folder, output)
+    run_end.finish("convert", outcome, folder, output)
