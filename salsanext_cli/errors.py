@@ -25,11 +25,14 @@ NOTICE = 25
 """Log level of messages for every user that are not warnings."""
 MAX_NAMES_SHOWN = 3
 """Files or scans that a message names."""
-ESCAPES = {code: f"\\x{code:02x}" for code in (*range(32), *range(127, 160))}
+ESCAPES = {code: f"\\x{code:02x}" for code in (*range(32), *range(127, 160))} | {
+    code: f"\\x{code & 0xFF:02x}" for code in range(0xDC80, 0xDD00)
+}
+"""Control characters, and bytes of names that are no text, as Python decodes them."""
 
 
 def printable(text: str) -> str:
-    """Return a text with control characters escaped, which the name of a file may hold."""
+    """Return a text with what is no text escaped, which the name of a file may hold."""
     return text.translate(ESCAPES)
 
 

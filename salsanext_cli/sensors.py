@@ -13,6 +13,7 @@ from importlib import resources
 from pathlib import Path
 from typing import Any
 
+from salsanext_cli.column_names import COLUMNS_EXPECTED, are_columns
 from salsanext_cli.errors import UsageError
 from salsanext_cli.settings_files import read_toml, refuse_unknown, shortened, words_of
 
@@ -39,13 +40,6 @@ INTENSITY_LEVELS = 65
 """Quantiles of intensity, evenly spaced from the smallest to the largest value."""
 NUMBERS = ("fov_up", "fov_down", "height", "width", "intensity_scale")
 LISTS = ("means", "stds")
-MAX_COLUMNS = 64
-COLUMNS_EXPECTED = (
-    f"up to {MAX_COLUMNS} different names in lower case, with x, y and z, "
-    "such as x,y,z,intensity,ring"
-)
-UNUSED_COLUMN = "_"
-"""Name of a column that means nothing; the only one that may occur more than once."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -219,16 +213,6 @@ def _are_numbers(values: object) -> bool:
     if not isinstance(values, list | tuple):
         return False
     return all(isinstance(value, int | float) for value in values)
-
-
-def are_columns(names: tuple[str, ...]) -> bool:
-    """Say whether names can be those of the columns of a table of points."""
-    if not isinstance(names, tuple) or not all(isinstance(name, str) for name in names):
-        return False
-    used = [name for name in names if name != UNUSED_COLUMN]
-    complete = not names or {"x", "y", "z"} <= set(used)
-    plain = all(name == name.lower().strip() and name for name in names)
-    return complete and plain and len(set(used)) == len(used) and len(names) <= MAX_COLUMNS
 
 
 @cache

@@ -254,7 +254,7 @@ def test_every_kind_of_file_is_described():
         assert f"| `{suffix}` |" in page
     for folder in SUFFIX_OF_FOLDER:
         kind, slash, _ = folder.partition("/")
-        name = f"{kind}/<{'colour' if kind == 'ply' else 'kind'}>" if slash else folder
+        name = f"{kind}/<{'kind' if kind == 'uncertainty' else 'colour'}>" if slash else folder
         assert f"| `{name}/` | `{SUFFIX_OF_FOLDER[folder]}`" in page
 
 

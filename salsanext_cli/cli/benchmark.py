@@ -6,7 +6,7 @@ from typing import Annotated
 
 import typer
 
-from salsanext_cli.cli import console, options, run_options
+from salsanext_cli.cli import console, options, run_options, selection_options
 from salsanext_cli.cli.option_groups import Default, Without
 from salsanext_cli.cli.progress import progress
 
@@ -27,7 +27,7 @@ def benchmark(
         int | None, typer.Option(help="Threads of each side.", show_default="as usual")
     ] = None,
     write: Annotated[Path | None, typer.Option(help="File for every measurement (.json).")] = None,
-    selection: Annotated[options.Selection, Default(limit=4)],
+    selection: Annotated[selection_options.Selection, Default(limit=4)],
     network: Annotated[options.NetworkOptions, Without({"intensity"}), Default(intensity="raw")],
     running: run_options.Overwriting,
     output: console.Output,

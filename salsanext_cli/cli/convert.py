@@ -6,7 +6,7 @@ from typing import Annotated
 
 import typer
 
-from salsanext_cli.cli import console, options, run_end, run_options
+from salsanext_cli.cli import console, run_end, run_options, selection_options
 
 
 def convert(
@@ -21,7 +21,7 @@ def convert(
         Path, typer.Argument(metavar="FOLDER", help="Root of the data set to write.")
     ],
     *,
-    topic: options.Topic = None,
+    topic: selection_options.Topic = None,
     every: Annotated[int, typer.Option(help="Take every so many scans only.")] = 1,
     limit: Annotated[int | None, typer.Option(help="At most this number of scans.")] = None,
     running: run_options.RunningUnsharded,
@@ -33,7 +33,7 @@ def convert(
     """
     from salsanext_cli.stages.convert import convert as stage
 
-    source = options.in_topic(recording, topic)
+    source = selection_options.in_topic(recording, topic)
     with running.over_scans("convert", output) as run:
         outcome = stage(source, folder, every=every, limit=limit, options=run)
     run_end.finish("convert", outcome, folder, output)

@@ -5,18 +5,18 @@ from typing import Annotated
 
 import typer
 
-from salsanext_cli.cli import console, options, run_end, run_options
+from salsanext_cli.cli import console, run_end, run_options, selection_options
 from salsanext_cli.errors import counted
 
 
 def evaluate(
     *,
-    results: options.Results,
+    results: selection_options.Results,
     by_distance: Annotated[
         bool, typer.Option("--by-distance", help="Also evaluate by distance from the sensor.")
     ] = False,
-    selection: options.ResultSelection,
-    classes: options.Classes,
+    selection: selection_options.ResultSelection,
+    classes: selection_options.Classes,
     running: run_options.RunningUnsharded,
     output: console.Output,
 ) -> None:

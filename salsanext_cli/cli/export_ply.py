@@ -5,13 +5,13 @@ from typing import Annotated
 
 import typer
 
-from salsanext_cli.cli import console, options, run_end, run_options
+from salsanext_cli.cli import console, options, run_end, run_options, selection_options
 from salsanext_cli.cli.option_groups import Without
 
 
 def export_ply(
     *,
-    results: options.Results,
+    results: selection_options.Results,
     colour: Annotated[
         str,
         typer.Option(
@@ -31,8 +31,8 @@ def export_ply(
     form: Annotated[
         str, typer.Option("--format", help="ply, or las or laz with the classes of the ASPRS.")
     ] = "ply",
-    selection: options.ResultSelection,
-    classes: options.Classes,
+    selection: selection_options.ResultSelection,
+    classes: selection_options.Classes,
     network: Annotated[options.NetworkOptions, Without({"columns"})],
     running: run_options.Running,
     output: console.Output,

@@ -6,7 +6,7 @@ from typing import Annotated
 
 import typer
 
-from salsanext_cli.cli import console, options, run_options
+from salsanext_cli.cli import console, options, run_options, selection_options
 
 
 def import_weights(
@@ -48,7 +48,7 @@ def import_weights(
     stage(
         source,
         target,
-        space=options.label_space(label_space),
+        space=selection_options.label_space(label_space),
         view=options.sensor(sensor),
         dropout=dropout,
         description=description,

@@ -6,7 +6,7 @@ from typing import Annotated
 
 import typer
 
-from salsanext_cli.cli import console, options, run_end, run_options
+from salsanext_cli.cli import console, options, run_end, run_options, selection_options
 
 
 def inspect(
@@ -18,8 +18,8 @@ def inspect(
     ] = None,
     height: Annotated[int | None, typer.Option(help="Rows of its range image.")] = None,
     width: Annotated[int | None, typer.Option(help="Columns of its range image.")] = None,
-    selection: options.SourceSelection,
-    classes: options.Classes,
+    selection: selection_options.SourceSelection,
+    classes: selection_options.Classes,
     sensor: options.SensorWithoutWeights = None,
     columns: options.Columns = None,
     running: run_options.RunningUnsharded,

@@ -6,7 +6,7 @@ from typing import Annotated
 
 import typer
 
-from salsanext_cli.cli import console, options, run_end, run_options
+from salsanext_cli.cli import console, options, run_end, run_options, selection_options
 
 
 def knn_refine(
@@ -16,8 +16,8 @@ def knn_refine(
         Path | None,
         typer.Option(help="Refine the .label files of this folder instead, of any program."),
     ] = None,
-    selection: options.ResultSelection,
-    classes: options.Classes,
+    selection: selection_options.ResultSelection,
+    classes: selection_options.Classes,
     sensor: Annotated[
         str | None,
         typer.Option(

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from salsanext_cli.cli import console, options, run_end, run_options
+from salsanext_cli.cli import console, options, run_end, run_options, selection_options
 from salsanext_cli.errors import UsageError
 
 if TYPE_CHECKING:
@@ -25,7 +25,7 @@ def predict(
         bool,
         typer.Option("--probabilities", help="Also write the class probabilities of every point."),
     ] = False,
-    selection: options.SourceSelection,
+    selection: selection_options.SourceSelection,
     network: options.NetworkOptions,
     knn: options.Knn,
     batch: Annotated[

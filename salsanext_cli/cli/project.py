@@ -4,7 +4,7 @@
 from pathlib import Path
 from typing import Annotated
 
-from salsanext_cli.cli import console, options, run_end, run_options
+from salsanext_cli.cli import console, options, run_end, run_options, selection_options
 from salsanext_cli.cli.option_groups import Without
 
 
@@ -12,7 +12,7 @@ def project(
     scans: options.Scans = None,
     out: options.Out = Path("out"),
     *,
-    selection: options.SourceSelection,
+    selection: selection_options.SourceSelection,
     network: Annotated[
         options.NetworkOptions, Without({"device", "precision", "engine", "intensity"})
     ],

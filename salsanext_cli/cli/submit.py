@@ -6,7 +6,7 @@ from typing import Annotated
 
 import typer
 
-from salsanext_cli.cli import console, options, run_options
+from salsanext_cli.cli import console, run_options, selection_options
 from salsanext_cli.cli.option_groups import Without
 from salsanext_cli.cli.progress import progress, tell
 from salsanext_cli.errors import counted, printable
@@ -21,8 +21,10 @@ def submit(
     description: Annotated[
         Path | None, typer.Option(help="Text file about the method, packed as description.txt.")
     ] = None,
-    selection: Annotated[options.ResultSelection, Without({"split", "sequences", "limit"})],
-    classes: options.Classes,
+    selection: Annotated[
+        selection_options.ResultSelection, Without({"split", "sequences", "limit"})
+    ],
+    classes: selection_options.Classes,
     running: run_options.Overwriting,
     output: console.Output,
 ) -> None:

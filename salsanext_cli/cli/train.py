@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from salsanext_cli.cli import console, options, run_options
+from salsanext_cli.cli import console, options, run_options, selection_options
 from salsanext_cli.cli.option_groups import Without, option_group
 from salsanext_cli.cli.progress import progress
 
@@ -64,7 +64,7 @@ def train(
     ] = Path("run"),
     *,
     start: Start,
-    classes: options.Classes,
+    classes: selection_options.Classes,
     network: Annotated[
         options.NetworkOptions,
         Without({"weights", "precision", "engine", "sensor", "columns", "intensity"}),

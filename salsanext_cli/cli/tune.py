@@ -5,7 +5,7 @@ from typing import Annotated
 
 import typer
 
-from salsanext_cli.cli import console, options, run_options
+from salsanext_cli.cli import console, options, run_options, selection_options
 from salsanext_cli.cli.console import guarded
 from salsanext_cli.cli.option_groups import Default, Without, expanded
 from salsanext_cli.cli.progress import progress
@@ -16,7 +16,7 @@ def tune_temperature(
     dataset: options.LabelledDataSet,
     target: options.WeightsOut,
     *,
-    selection: Annotated[options.LabelledSelection, Without({"dataset"})],
+    selection: Annotated[selection_options.LabelledSelection, Without({"dataset"})],
     network: options.NetworkOptions,
     running: run_options.Overwriting,
     output: console.Output,
@@ -54,7 +54,9 @@ def tune_dropout(
         int, typer.Option(help="Number of rates to try, evenly spaced on a log scale.")
     ] = 10,
     seed: Annotated[int, typer.Option(help="Seed of the dropout masks.")] = 0,
-    selection: Annotated[options.LabelledSelection, Without({"dataset"}), Default(limit=20)],
+    selection: Annotated[
+        selection_options.LabelledSelection, Without({"dataset"}), Default(limit=20)
+    ],
     network: options.NetworkOptions,
     running: run_options.Overwriting,
     output: console.Output,
@@ -97,7 +99,7 @@ def tune_batchnorm(
             help="Weight of the new statistics, above 0 and at most 1; the old ones have the rest."
         ),
     ] = 0.5,
-    selection: Annotated[options.SpacedSelection, Without({"dataset"})],
+    selection: Annotated[selection_options.SpacedSelection, Without({"dataset"})],
     network: options.NetworkOptions,
     running: run_options.Overwriting,
     output: console.Output,

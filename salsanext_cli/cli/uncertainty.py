@@ -6,7 +6,7 @@ from typing import Annotated, Literal
 
 import typer
 
-from salsanext_cli.cli import console, options, run_end, run_options
+from salsanext_cli.cli import console, options, run_end, run_options, selection_options
 
 
 def uncertainty(
@@ -26,7 +26,7 @@ def uncertainty(
             help="Also aleatoric and total uncertainty, from the sensor's noise.",
         ),
     ] = True,
-    selection: options.SourceSelection,
+    selection: selection_options.SourceSelection,
     network: options.NetworkOptions,
     knn: options.Knn,
     running: run_options.Checked,

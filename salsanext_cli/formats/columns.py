@@ -8,9 +8,9 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from salsanext_cli.column_names import UNUSED_COLUMN
 from salsanext_cli.errors import FormatError
 from salsanext_cli.records import Float, Scan
-from salsanext_cli.sensors import UNUSED_COLUMN
 
 Columns = Mapping[str, npt.NDArray[Any]]
 """Values by name, each (N,)."""

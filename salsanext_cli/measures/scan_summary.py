@@ -12,6 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from salsanext_cli.classes import LabelSpace, TrainIds
+from salsanext_cli.errors import printable
 from salsanext_cli.formats.reading import present
 from salsanext_cli.geometry.scan_checks import MIN_POINTS, Finding
 from salsanext_cli.sensors import Sensor
@@ -96,7 +97,7 @@ class RunSummary:
         for finding in scan.findings:
             if finding.code not in self.findings:
                 warning = f"{finding.found}; {finding.remedy}"
-                log.warning("%s: %s (%s)", name, warning, finding.code)
+                log.warning("%s: %s (%s)", printable(name), warning, finding.code)
             self.findings.setdefault(finding.code, []).append((name, finding))
         if scan.class_points:
             before = self.class_points or [0] * len(scan.class_points)

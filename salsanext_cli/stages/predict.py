@@ -15,6 +15,7 @@ from salsanext_cli.formats.npy import read_array
 from salsanext_cli.geometry.gather import points_from_pixels
 from salsanext_cli.geometry.knn import KnnParameters, knn_refine
 from salsanext_cli.geometry.scan_checks import Finding
+from salsanext_cli.inference.checked_scans import project_checked
 from salsanext_cli.inference.network import Network
 from salsanext_cli.inference.scan_fit import fitted, fitted_view, with_sensor
 from salsanext_cli.inference.settings import NetworkSettings
@@ -24,7 +25,6 @@ from salsanext_cli.parallel.run import Outcome, RunOptions, run_over_scans
 from salsanext_cli.parallel.tasks import Attempt
 from salsanext_cli.records import CHANNELS, Float, RangeImage
 from salsanext_cli.sensors import Sensor
-from salsanext_cli.storage.checked_scans import project_checked
 from salsanext_cli.storage.layout import ScanFile, output_path, with_outputs
 from salsanext_cli.storage.output_run import OutputRun, output_run
 from salsanext_cli.storage.selection import ScanSelection, choose, select_scans, space_of

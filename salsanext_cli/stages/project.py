@@ -5,11 +5,11 @@ from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
+from salsanext_cli.inference.checked_scans import project_checked
 from salsanext_cli.inference.scan_fit import fitted_view
 from salsanext_cli.measures.scan_summary import RunSummary, ScanSummary
 from salsanext_cli.parallel.run import Outcome, RunOptions, run_over_scans
 from salsanext_cli.sensors import Sensor
-from salsanext_cli.storage.checked_scans import project_checked
 from salsanext_cli.storage.layout import ScanFile
 from salsanext_cli.storage.output_run import OutputRun, output_run
 from salsanext_cli.storage.selection import ScanSelection, select_scans

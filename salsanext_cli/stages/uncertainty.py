@@ -13,6 +13,7 @@ from salsanext_cli.errors import OutputError, UsageError, counted
 from salsanext_cli.formats.reading import present
 from salsanext_cli.geometry.gather import points_from_pixels
 from salsanext_cli.geometry.knn import KnnParameters, knn_refine
+from salsanext_cli.inference.checked_scans import project_checked
 from salsanext_cli.inference.network import Network
 from salsanext_cli.inference.scan_fit import fitted
 from salsanext_cli.inference.settings import NetworkSettings, recorded_view
@@ -21,7 +22,6 @@ from salsanext_cli.network.card import read_card
 from salsanext_cli.parallel.network_task import NetworkTask
 from salsanext_cli.parallel.run import Failure, Outcome, RunOptions, run_over_scans
 from salsanext_cli.sensors import Sensor, presets
-from salsanext_cli.storage.checked_scans import project_checked
 from salsanext_cli.storage.identity import fingerprint
 from salsanext_cli.storage.layout import ScanFile, find_outputs, output_path
 from salsanext_cli.storage.output_run import OutputRun, output_run

@@ -7,18 +7,17 @@ from dataclasses import dataclass
 from itertools import groupby
 from pathlib import Path
 
-from salsanext_cli.errors import NoInputError, OutputError, first_few
+from salsanext_cli.errors import NoInputError, OutputError
 from salsanext_cli.formats import CLOUD_SUFFIXES, SCAN_SUFFIXES, scan_suffix
 from salsanext_cli.formats.reading import present, reason
 from salsanext_cli.formats.recordings.address import (
-    is_recording,
     recording_of,
     sequence_of,
 )
 from salsanext_cli.formats.recordings.recorded_scans import recorded_paths
 from salsanext_cli.storage.scan_folders import (
-    counted_by_suffix,
     files_in,
+    nothing_in,
     require_known,
     suffixes_of,
 )
@@ -102,21 +101,11 @@ def find_scans(source: Path, sequences: Collection[str] | None = None) -> list[S
     except OSError as error:
         raise NoInputError(source, reason(error), "a scan or a folder of scans") from error
     if not scans:
-        raise _nothing_in(source, others)
+        raise nothing_in(source, others)
     if sequences is not None:
         scans = of_sequences(scans, sequences, source)
     _require_unique_stems(scans)
     return scans
-
-
-def _nothing_in(source: Path, others: list[Path]) -> NoInputError:
-    expected = f"{', '.join(SCAN_SUFFIXES)} files, or sequences/*/velodyne"
-    inside = sorted(filter(is_recording, source.iterdir())) if source.is_dir() else []
-    if inside:
-        found = f"holds no scans, but recordings: {first_few([each.name for each in inside])}"
-        return NoInputError(source, found, expected, f"give one of these: {inside[0]}")
-    found = f"holds no scans{f', but {counted_by_suffix(others)}' if others else ''}"
-    return NoInputError(source, found, f"{expected}, or a recording")
 
 
 def _absolute(path: Path) -> Path:

@@ -10,6 +10,7 @@ from pathlib import Path
 from salsanext_cli.errors import NOTICE, NoInputError, first_few
 from salsanext_cli.formats import CLOUD_SUFFIXES, SCAN_SUFFIXES, TABLE_SUFFIXES, scan_suffix
 from salsanext_cli.formats.reading import is_folder, present
+from salsanext_cli.formats.recordings.address import is_recording
 
 COMPANIONS = (".label", ".toml", ".yaml", ".md")
 """Suffixes of files that are known to lie beside scans."""
@@ -80,3 +81,14 @@ def _by_suffix(paths: Iterable[Path]) -> dict[str, list[Path]]:
     ordered = sorted(paths, key=lambda path: (path.suffix.lower(), path))
     groups = groupby(ordered, lambda path: path.suffix.lower())
     return {suffix or "without a suffix": list(group) for suffix, group in groups}
+
+
+def nothing_in(source: Path, others: list[Path]) -> NoInputError:
+    """Return the error of a source without scans, which says what else it holds."""
+    expected = f"{', '.join(SCAN_SUFFIXES)} files, or sequences/*/velodyne"
+    inside = sorted(filter(is_recording, source.iterdir())) if source.is_dir() else []
+    if inside:
+        found = f"holds no scans, but recordings: {first_few([each.name for each in inside])}"
+        return NoInputError(source, found, expected, f"give one of these: {inside[0]}")
+    found = f"holds no scans{f', but {counted_by_suffix(others)}' if others else ''}"
+    return NoInputError(source, found, f"{expected}, or a recording")

@@ -10,7 +10,7 @@ import pytest
 from command_line import every_command, only_json, parsed
 from scans import labels_below
 
-from salsanext_cli.cli import options, run_options
+from salsanext_cli.cli import options, run_options, selection_options
 from salsanext_cli.cli.console import Output
 from salsanext_cli.cli.option_groups import Default, Without, expanded
 from salsanext_cli.errors import UsageError
@@ -27,7 +27,9 @@ def test_a_group_is_expanded_filled_and_handed_over():
     def command(
         name: str = "x",
         *,
-        selection: Annotated[options.Selection, Without({"split", "dataset"}), Default(limit=4)],
+        selection: Annotated[
+            selection_options.Selection, Without({"split", "dataset"}), Default(limit=4)
+        ],
         knn: Annotated[options.Knn, Without({"knn_window", "knn_sigma", "knn_cutoff"})],
     ) -> None:
         seen.update(name=name, selection=selection, knn=knn)
@@ -37,7 +39,7 @@ def test_a_group_is_expanded_filled_and_handed_over():
     defaults = {name: parameter.default for name, parameter in parameters.items()}
     assert defaults == {"name": "x", "sequences": None, "limit": 4, "knn_k": 5}
     typed(**defaults | {"sequences": "00", "knn_k": 3})
-    assert seen["selection"] == options.Selection(sequences="00", limit=4)
+    assert seen["selection"] == selection_options.Selection(sequences="00", limit=4)
     assert seen["knn"] == options.Knn(knn_k=3)
 
 
@@ -45,13 +47,13 @@ def test_a_group_is_expanded_filled_and_handed_over():
     ("text", "names"), [(None, ()), ("08", ("08",)), (" 00, 8 ,my drive", ("00", "8", "my drive"))]
 )
 def test_sequences(text, names):
-    assert options.Selection(sequences=text).scans().sequences == names
+    assert selection_options.Selection(sequences=text).scans().sequences == names
 
 
 def test_where_scans_are_looked_for(monkeypatch):
-    assert options.Selection(dataset=Path("b")).source(Path("a")) == Path("a")
-    assert options.Selection(dataset=Path("b")).source(None) == Path("b")
-    assert options.Selection().source(None) == Path()
+    assert selection_options.Selection(dataset=Path("b")).source(Path("a")) == Path("a")
+    assert selection_options.Selection(dataset=Path("b")).source(None) == Path("b")
+    assert selection_options.Selection().source(None) == Path()
 
 
 def test_the_default_weights_have_a_name():
@@ -73,12 +75,12 @@ def test_the_default_weights_have_a_name():
     ],
 )
 def test_where_results_are_looked_for(monkeypatch, given, variable, expected):
-    monkeypatch.delenv(options.OUT_VARIABLE, raising=False)
+    monkeypatch.delenv(selection_options.OUT_VARIABLE, raising=False)
     if variable is not None:
-        monkeypatch.setenv(options.OUT_VARIABLE, variable)
-    assert options.Results(**given).folder() == Path(expected)
+        monkeypatch.setenv(selection_options.OUT_VARIABLE, variable)
+    assert selection_options.Results(**given).folder() == Path(expected)
     with pytest.raises(UsageError, match="OUT and --out · both given"):
-        options.Results(Path("a"), Path("a")).folder()
+        selection_options.Results(Path("a"), Path("a")).folder()
 
 
 def test_the_options_of_a_run():

@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from scans import SMALL, labels_below, make_scan, write_sequence, write_weights
+from scans import SMALL, labels_below, replace_points, write_sequence, write_weights
 
 from salsanext_cli import Scan, project, read_scan
 from salsanext_cli.errors import OutputError, UsageError
@@ -128,7 +128,5 @@ def test_a_scan_that_cannot_be_read_does_not_end_the_run(knowing):
     assert (outcome.done, len(outcome.failures)) == (2, 1)
 
 
-def test_scans_without_a_point(knowing, tmp_path):
-    nothing = make_scan(0)
-    write_bin(tmp_path / "empty/0.bin", nothing)
-    assert run(knowing, source=tmp_path / "empty").done == 1
+def test_scans_without_a_point(knowing):
+    assert run(knowing, source=replace_points(knowing.scan(), [])).done == 1

@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
-from scans import files_below, write_sequence
+from scans import files_below, replace_points, write_sequence
 
 from salsanext_cli.errors import UsageError
 from salsanext_cli.parallel.network_task import default_batch
@@ -36,9 +36,8 @@ def nine(on_openvino):
     """Return a world with a sequence of nine scans, of no points, of one and of many."""
     world = on_openvino
     folder = world.data / "sequences" / "05"
-    write_sequence(folder, [f"{n:06d}" for n in range(7)], labels=False)
-    nothing = Scan(np.empty((0, 3), np.float32), np.empty(0, np.float32))
-    write_bin(folder / "velodyne" / "000007.bin", nothing)
+    write_sequence(folder, [f"{n:06d}" for n in range(8)], labels=False)
+    replace_points(folder / "velodyne" / "000007.bin", [])
     write_bin(folder / "velodyne" / "000008.bin", Scan(np.float32([[5, 1, 0]]), np.float32([0.5])))
     return world
 
@@ -90,7 +89,7 @@ def test_scans_that_do_not_fit_into_memory_are_named(nine, tmp_path, monkeypatch
     def no_room(*_args, **_options):
         raise torch.OutOfMemoryError("no room")
 
-    home = "storage.checked_scans" if step == "project" else "stages.predict"
+    home = "inference.checked_scans" if step == "project" else "stages.predict"
     monkeypatch.setattr(f"salsanext_cli.{home}.{step}", no_room)
     by_torch = replace(nine.network, engine="torch")
     outcome = predict(nine, tmp_path / "out", batch=batch, network=by_torch)
