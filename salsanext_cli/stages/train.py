@@ -37,8 +37,9 @@ from salsanext_cli.training.class_counts import (
 from salsanext_cli.training.dataset import Samples
 from salsanext_cli.training.distributed import ProcessGroup, group_of_environment, process_group
 from salsanext_cli.training.fit import Report, Training
-from salsanext_cli.training.learner import Learner, common_precision
+from salsanext_cli.training.learner import Learner
 from salsanext_cli.training.log import Row, tensorboard_in
+from salsanext_cli.training.precision import common_precision
 from salsanext_cli.training.recipe import Recipe
 from salsanext_cli.training.run_folder import (
     BEST,

@@ -10,18 +10,16 @@ import torch
 from torch import Tensor, nn
 from torch.nn.parallel import DistributedDataParallel
 
-from salsanext_cli.inference.device import PRECISIONS, has_bfloat16
 from salsanext_cli.network.segmentation import SegmentationNetwork
 from salsanext_cli.training.distributed import SINGLE_PROCESS, ProcessGroup, data_parallel
 from salsanext_cli.training.losses import SegmentationLoss
+from salsanext_cli.training.precision import choose_precision, keep_ends_in_float32
 from salsanext_cli.training.recipe import Recipe
 
 DROPOUT = 2
 """Purpose of the generator of dropout, a part of its seed beside those of `dataset`."""
 ONE_CYCLE_START, ONE_CYCLE_END = 1 / 25, 1 / 250_000
 """Learning rate at both ends of a one-cycle schedule, as shares of its peak."""
-BFLOAT16_CAPABILITY = 8
-"""Lowest compute capability (major) of GPUs that compute in bfloat16: Ampere."""
 
 
 class Learner:
@@ -63,6 +61,8 @@ class Learner:
         plain = device.type == "cpu" and dtype is torch.float32
         self.layout = torch.contiguous_format if plain else torch.channels_last
         module = module.to(device).to(memory_format=self.layout)  # type: ignore[call-overload]
+        if dtype is not torch.float32:
+            keep_ends_in_float32(module)
         self.recipe, self.module, self.device, self.group = recipe, module, device, group
         self.average = copy.deepcopy(module).eval() if recipe.average else module
         self.loss = SegmentationLoss(weights, recipe.lovasz, recipe.label_smoothing).to(device)
@@ -215,24 +215,3 @@ def update_average(average: nn.Module, module: nn.Module, decay: float, step: in
             kept.lerp_(new, 1 - decay)
         else:
             kept.copy_(new)
-
-
-def choose_precision(name: str, device: torch.device) -> str:
-    """Return the number type behind a recipe's `precision` on a device.
-
-    "auto" is bfloat16 on a CPU that multiplies it and on a GPU, float16 on a GPU too old for that,
-    and float32 on other CPUs.
-    """
-    if name != "auto":
-        return name
-    if device.type != "cuda":
-        return "bfloat16" if has_bfloat16() else "float32"
-    major, _ = torch.cuda.get_device_capability(device)
-    return "bfloat16" if major >= BFLOAT16_CAPABILITY else "float16"
-
-
-def common_precision(device: torch.device, group: ProcessGroup) -> str:
-    """Return the number type that suits the devices of all workers; float32 if they differ."""
-    own = choose_precision("auto", device)
-    chosen = group.gather(torch.tensor([PRECISIONS.index(own)], device=device))
-    return own if len({int(number) for number in chosen}) == 1 else "float32"

@@ -76,7 +76,7 @@ def test_the_cases_say_something(two: dict[str, Any]) -> None:
         images, truth = (share(each, ProcessGroup(rank, 2)) for each in batch())
         losses.append(learner(SINGLE_PROCESS).step(images, truth, 5, 1))
     assert abs(sum(losses) / 2 - float(two["both losses"]["loss"])) > 1e-4
-    assert two["both losses"]["gradient of features.weight"].abs().max() > 1e-3
+    assert two["both losses"]["gradient of features.0.weight"].abs().max() > 1e-3
 
 
 @gloo

@@ -10,11 +10,11 @@ from torch import Tensor, nn
 from salsanext_cli.training.learner import (
     Learner,
     build_optimiser,
-    choose_precision,
     learning_rate,
     update_average,
 )
 from salsanext_cli.training.losses import SegmentationLoss
+from salsanext_cli.training.precision import choose_precision
 from salsanext_cli.training.recipe import Recipe
 
 CPU = torch.device("cpu")
@@ -161,10 +161,23 @@ def test_a_part_of_whole_circles_holds_no_more_columns_than_one_of_windows(
 # Shorter types
 
 
-def stepped(precision: str) -> tuple[Learner, float, set[torch.dtype]]:
-    """Return a learner after a step, the loss, and the types that its last layer computed in."""
-    learning, seen = learner(precision=precision, dropout=0.0, clip_gradient=1.0), set()
-    learning.module.register_forward_hook(lambda module, given, made: seen.add(made.dtype))
+class ThreeLayers(TinyNetwork):
+    """One more layer, between that of the range image and that of the logits."""
+
+    def __init__(self) -> None:
+        super().__init__(3, dropout=0.0)
+        self.norm = nn.Sequential(nn.Conv2d(8, 8, 1), self.norm)
+
+
+def stepped(precision: str) -> tuple[Learner, float, list[torch.dtype]]:
+    """Return a learner after a step, the loss, and the type that each layer gave."""
+    recipe = Recipe(batch=2, warm_up=0.0, precision=precision, dropout=0.0, clip_gradient=1.0)
+    with torch.random.fork_rng():
+        torch.manual_seed(0)
+        module = ThreeLayers()
+    learning, seen = Learner(module, recipe, WEIGHTS, CPU), []
+    for layer in (module.features, module.norm[0], module.logits):
+        layer.register_forward_hook(lambda layer, given, made: seen.append(made.dtype))
     return learning, learning.step(*batch(), 0, 1), seen
 
 
@@ -172,9 +185,9 @@ def stepped(precision: str) -> tuple[Learner, float, set[torch.dtype]]:
 def test_shorter_types_compute_shorter_and_learn_the_same(precision: str) -> None:
     """Their rounding, 2⁻⁹ and 2⁻¹², is all that may tell the losses apart."""
     exact, loss, dtypes = stepped("float32")
-    assert dtypes == {torch.float32}
+    assert dtypes == [torch.float32] * 3
     shorter, shorter_loss, dtypes = stepped(precision)
-    assert dtypes == {getattr(torch, precision)}
+    assert dtypes == [torch.float32, getattr(torch, precision), torch.float32]
     filters = shorter.module.features.weight
     assert filters.is_contiguous(memory_format=torch.channels_last)
     assert exact.module.features.weight.is_contiguous()
@@ -279,7 +292,7 @@ def test_auto_is_what_the_device_computes_fast(
     chosen: tuple[str, str],
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr("salsanext_cli.training.learner.has_bfloat16", lambda: multiplies)
+    monkeypatch.setattr("salsanext_cli.training.precision.has_bfloat16", lambda: multiplies)
     monkeypatch.setattr(torch.cuda, "get_device_capability", lambda device: capability)
     devices = (torch.device("cpu"), torch.device("cuda", 0))
     assert tuple(choose_precision("auto", device) for device in devices) == chosen

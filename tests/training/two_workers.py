@@ -35,6 +35,7 @@ FLOAT = {"float32": torch.float64, "bfloat16": torch.float32}
 def network(dropout: float = 0.0, *, norm: bool = False) -> TinyNetwork:
     """Return a network of convolutions and dropout, and of batch norm if that is wanted."""
     module = TinyNetwork(4, dropout)
+    module.features = nn.Sequential(module.features, nn.Conv2d(8, 8, 1))  # type: ignore[assignment]
     if not norm:
         module.norm = nn.Identity()  # type: ignore[assignment]
     return module
@@ -85,14 +86,14 @@ def normed(group: ProcessGroup) -> dict[str, Tensor]:
     own = torch.stack(group.gather(learning.average.norm.running_mean))  # type: ignore[union-attr]
     group.broadcast(learning.average.buffers())
     after = torch.stack(group.gather(learning.average.norm.running_mean))  # type: ignore[union-attr]
-    weight = torch.stack(group.gather(learning.average.features.weight[0, 0, 0]))  # type: ignore
+    weight = torch.stack(group.gather(learning.average.features[0].weight[0, 0, 0]))  # type: ignore
     return {"own": own, "after": after, "weight": weight.detach()}
 
 
 def apart(group: ProcessGroup) -> dict[str, Tensor]:
     """Return, of every worker, what dropout leaves, what it gathers, and what the main one says."""
     module = network(0.5)
-    module.features.bias.data.fill_(100.0)  # so that only dropout leaves nothing
+    module.features[1].bias.data.fill_(100.0)  # so that only dropout leaves nothing
     masks = []
     module.dropout.register_forward_hook(lambda layer, given, made: masks.append(made.detach()))
     recipe = Recipe(batch=2, dropout=0.5)
