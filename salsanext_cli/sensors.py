@@ -32,8 +32,8 @@ OF_IMAGES = ("height", "width", "means", "stds")
 """Fields that a network depends on, not a sensor: size and normalisation of its images."""
 UP = (0.0, 0.0, 1.0)
 """Direction of the z axis, away from the ground."""
-SELDOM = {"columns": (), "up": UP, "intensity_quantiles": ()}
-"""Defaults of fields that few sensors tell."""
+OPTIONAL = {"columns": (), "up": UP, "intensity_quantiles": ()}
+"""Defaults of fields that are written only where a sensor has another value."""
 MIN_LENGTH = 1e-3
 """Least length of a vector that tells a direction."""
 INTENSITY_LEVELS = 65
@@ -155,8 +155,10 @@ class Sensor:
         return self.range_noise is not None and self.intensity_noise is not None
 
     def to_dict(self) -> dict[str, Any]:
-        """Return plain data that `from_dict` accepts; what is seldom told only where it is."""
-        return {key: v for key, v in asdict(self).items() if key not in SELDOM or v != SELDOM[key]}
+        """Return plain data that `from_dict` accepts, without the defaults of `OPTIONAL`."""
+        values = asdict(self)
+        usual = [key for key, default in OPTIONAL.items() if values[key] == default]
+        return {key: value for key, value in values.items() if key not in usual}
 
     @classmethod
     def from_dict(cls, data: Mapping[str, Any], source: object = "sensor") -> Sensor:

@@ -35,7 +35,6 @@ BRIGHT = 0.95
 """Quantile of the upper intensities."""
 MAX_USUAL_INTENSITY = 2.0
 """Largest upper intensity of the scale 0…1, where that of training is not known."""
-TRAINED_HEIGHT = "1.7 m"
 FIT = "--sensor auto, or `salsanext inspect SCANS --fit sensor.toml` and --sensor sensor.toml"
 
 
@@ -131,7 +130,7 @@ def _of_geometry(
         yield Finding("tilted", found, FIT)
     elif not HEIGHTS_M[0] <= ground.height <= HEIGHTS_M[1]:
         found = f"the sensor is {ground.height:.1f} m above the ground"
-        yield Finding("height", found, f"trained from {TRAINED_HEIGHT}; adapt or fine-tune")
+        yield Finding("height", found, "take weights of sensors at that height, or train some")
 
 
 def _share_of_sectors(image: RangeImage) -> float:

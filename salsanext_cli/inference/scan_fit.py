@@ -66,7 +66,9 @@ def fitted(
         quantiles = NO_INTENSITY
     else:
         images = sampled_images(files, network.sensor, image_of)
-        quantiles = next(filter(None, known), ()) or intensity_quantiles(images)
+        # Earlier results without intensity tell nothing about that of the scans.
+        measured = (found for found in known if found not in ((), NO_INTENSITY))
+        quantiles = next(measured, ()) or intensity_quantiles(images)
     return with_sensor(network, replace(network.sensor, intensity_quantiles=quantiles))
 
 

@@ -112,6 +112,13 @@ def test_results_of_another_way_are_refused(knowing):
         predict_scans(knowing.data, knowing.out, network=raw)
 
 
+def test_results_without_intensity_are_not_taken_for_matched_ones(knowing):
+    blind = replace(knowing.network, intensity="none")
+    predict_scans(knowing.data, knowing.out, network=blind)
+    with pytest.raises(OutputError, match=r"sensor\.intensity_quantiles was"):
+        run(knowing)
+
+
 @pytest.mark.parametrize("how", ["match", "none"])
 def test_weights_that_do_not_know_it(world, how):
     network = replace(world.network, intensity=how)
