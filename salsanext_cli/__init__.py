@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from salsanext_cli.classes import LabelSpace, label_space
     from salsanext_cli.errors import SalsanextError
     from salsanext_cli.formats import read_scan
-    from salsanext_cli.formats.kitti import read_labels
+    from salsanext_cli.formats.labels import read_labels
     from salsanext_cli.geometry.knn import KnnParameters, knn_refine
     from salsanext_cli.geometry.projection import project
     from salsanext_cli.inference.loading import load_network
@@ -54,7 +54,7 @@ _HOMES = {
     "classes": ("LabelSpace", "label_space"),
     "errors": ("SalsanextError",),
     "formats": ("read_scan",),
-    "formats.kitti": ("read_labels",),
+    "formats.labels": ("read_labels",),
     "geometry.knn": ("KnnParameters", "knn_refine"),
     "geometry.projection": ("project",),
     "inference.loading": ("load_network",),

@@ -25,7 +25,7 @@ import salsanext_cli
 from salsanext_cli import LabelSpace, Sensor, label_space, load_network, read_scan, sensors
 from salsanext_cli.cli.app import COMMANDS, app
 from salsanext_cli.formats import SCAN_SUFFIXES
-from salsanext_cli.formats.asprs import asprs_class
+from salsanext_cli.formats.clouds.asprs import asprs_class
 from salsanext_cli.stages import predict as stage
 from salsanext_cli.stages.export_onnx import export_onnx
 from salsanext_cli.stages.models import models

@@ -14,7 +14,7 @@ import numpy.typing as npt
 from salsanext_cli.classes import LabelSpace, RawIds
 from salsanext_cli.errors import LabelError
 from salsanext_cli.formats import read_scan
-from salsanext_cli.formats.kitti import read_labels
+from salsanext_cli.formats.labels import read_labels
 from salsanext_cli.formats.npy import read_probabilities, read_uncertainty
 from salsanext_cli.formats.reading import present
 from salsanext_cli.geometry.ranges import measured_ranges

@@ -8,7 +8,7 @@ import numpy as np
 
 from salsanext_cli.classes import LabelSpace, TrainIds
 from salsanext_cli.formats import read_scan
-from salsanext_cli.formats.kitti import read_labels
+from salsanext_cli.formats.labels import read_labels
 from salsanext_cli.geometry.knn import knn_refine
 from salsanext_cli.geometry.projection import project
 from salsanext_cli.inference.network import Network

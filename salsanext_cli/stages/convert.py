@@ -6,7 +6,7 @@ from pathlib import Path
 
 from salsanext_cli.errors import OutputError, UsageError
 from salsanext_cli.formats import read_scan
-from salsanext_cli.formats.kitti import encode_bin
+from salsanext_cli.formats.clouds.kitti import encode_bin
 from salsanext_cli.formats.reading import filled
 from salsanext_cli.formats.recordings.address import recording_of
 from salsanext_cli.formats.recordings.recorded_scans import LOST

@@ -14,9 +14,9 @@ import numpy.typing as npt
 
 from salsanext_cli.classes import LabelSpace
 from salsanext_cli.errors import NOTICE, OutputError, SalsanextError, UsageError
-from salsanext_cli.formats.asprs import asprs_class, classification
-from salsanext_cli.formats.las import encode_las, import_laspy
-from salsanext_cli.formats.ply import encode_ply
+from salsanext_cli.formats.clouds.asprs import asprs_class, classification
+from salsanext_cli.formats.clouds.las import encode_las, import_laspy
+from salsanext_cli.formats.clouds.ply import encode_ply
 from salsanext_cli.formats.reading import present
 from salsanext_cli.inference.settings import NetworkSettings
 from salsanext_cli.parallel.run import Failure, Outcome, RunOptions, run_over_scans

@@ -10,7 +10,7 @@ from typing import Any
 from salsanext_cli.classes import LabelSpace
 from salsanext_cli.errors import NoInputError
 from salsanext_cli.formats import read_scan
-from salsanext_cli.formats.kitti import read_labels
+from salsanext_cli.formats.labels import read_labels
 from salsanext_cli.formats.reading import present
 from salsanext_cli.geometry.coverage import (
     CoverageCheck,

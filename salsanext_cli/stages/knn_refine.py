@@ -8,7 +8,7 @@ from pathlib import Path
 from salsanext_cli.classes import LabelSpace, TrainIds
 from salsanext_cli.errors import LabelError, NoInputError, UsageError, counted
 from salsanext_cli.formats import read_scan
-from salsanext_cli.formats.kitti import read_labels
+from salsanext_cli.formats.labels import read_labels
 from salsanext_cli.formats.npy import read_array
 from salsanext_cli.formats.reading import present
 from salsanext_cli.geometry.gather import pixels_from_points

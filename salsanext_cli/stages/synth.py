@@ -18,7 +18,8 @@ import yaml
 
 from salsanext_cli.classes import label_space
 from salsanext_cli.errors import OutputError, UsageError
-from salsanext_cli.formats.kitti import encode_bin, encode_labels
+from salsanext_cli.formats.clouds.kitti import encode_bin
+from salsanext_cli.formats.labels import encode_labels
 from salsanext_cli.packages import import_open3d
 from salsanext_cli.parallel.pools import end_with_parent, signals_blocked
 from salsanext_cli.parallel.run import Progress

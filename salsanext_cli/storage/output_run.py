@@ -12,7 +12,7 @@ import numpy.typing as npt
 
 from salsanext_cli.classes import RawIds
 from salsanext_cli.errors import OutputError
-from salsanext_cli.formats.kitti import encode_labels
+from salsanext_cli.formats.labels import encode_labels
 from salsanext_cli.formats.npy import encode_array
 from salsanext_cli.formats.reading import filled
 from salsanext_cli.storage.atomic import MARK, sweep, sweep_stale

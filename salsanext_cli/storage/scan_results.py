@@ -11,7 +11,7 @@ import numpy.typing as npt
 from salsanext_cli.classes import LabelSpace, RawIds
 from salsanext_cli.errors import NoInputError
 from salsanext_cli.formats import read_scan
-from salsanext_cli.formats.kitti import read_labels
+from salsanext_cli.formats.labels import read_labels
 from salsanext_cli.formats.npy import read_array
 from salsanext_cli.formats.reading import present
 from salsanext_cli.geometry.ranges import measured_ranges

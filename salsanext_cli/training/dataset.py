@@ -18,7 +18,7 @@ from torch.utils.data import DataLoader, Dataset, default_collate
 from salsanext_cli.classes import LabelSpace, TrainIds
 from salsanext_cli.errors import SalsanextError
 from salsanext_cli.formats import read_scan
-from salsanext_cli.formats.kitti import read_labels
+from salsanext_cli.formats.labels import read_labels
 from salsanext_cli.geometry.gather import pixels_from_points
 from salsanext_cli.geometry.normalise import normalise
 from salsanext_cli.geometry.projection import project

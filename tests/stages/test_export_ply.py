@@ -16,7 +16,7 @@ from salsanext_cli.errors import (
     OutputError,
     UsageError,
 )
-from salsanext_cli.formats.asprs import classification
+from salsanext_cli.formats.clouds.asprs import classification
 from salsanext_cli.inference.settings import NetworkSettings
 from salsanext_cli.parallel.run import RunOptions
 from salsanext_cli.report.colours import EMPTY, RIGHT, WRONG, map_colours

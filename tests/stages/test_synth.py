@@ -10,7 +10,7 @@ from scans import files_below, write_sequence
 
 from salsanext_cli import Scan, label_space, read_labels
 from salsanext_cli.errors import MissingDependency, OutputError, UsageError
-from salsanext_cli.formats.kitti import read_bin
+from salsanext_cli.formats.clouds.kitti import read_bin
 from salsanext_cli.stages import synth
 from salsanext_cli.stages.synth import synthesise
 from salsanext_cli.storage.atomic import MARK, write_bytes

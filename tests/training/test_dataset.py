@@ -9,7 +9,8 @@ import torch
 from scans import SMALL, replace_points, write_sequence
 
 from salsanext_cli import label_space, project
-from salsanext_cli.formats.kitti import read_bin, read_labels
+from salsanext_cli.formats.clouds.kitti import read_bin
+from salsanext_cli.formats.labels import read_labels
 from salsanext_cli.storage.layout import ScanFile, find_scans
 from salsanext_cli.training.class_counts import (
     class_counts,

@@ -13,8 +13,8 @@ import numpy as np
 import numpy.typing as npt
 
 from salsanext_cli.errors import FormatError
+from salsanext_cli.formats.clouds.raw_records import CONTROL, TEXT_BYTES
 from salsanext_cli.formats.columns import INTENSITY_NAMES, columns_of_width, scan_of
-from salsanext_cli.formats.raw_records import CONTROL, TEXT_BYTES
 from salsanext_cli.formats.reading import reading
 from salsanext_cli.records import Scan
 from salsanext_cli.settings_files import shortened

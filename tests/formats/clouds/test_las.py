@@ -12,8 +12,8 @@ from scans import make_scan
 from salsanext_cli import label_space, read_scan
 from salsanext_cli.classes import LabelSpace
 from salsanext_cli.errors import FormatError, MissingDependency, OutputError
-from salsanext_cli.formats.asprs import asprs_class, classification
-from salsanext_cli.formats.las import encode_las
+from salsanext_cli.formats.clouds.asprs import asprs_class, classification
+from salsanext_cli.formats.clouds.las import encode_las
 
 laspy = pytest.importorskip("laspy")
 SUFFIXES = (".las", ".laz")

@@ -3,13 +3,10 @@ import struct
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
-from hypothesis.extra import numpy as hnp
 
-from salsanext_cli.errors import FormatError, LabelError
-from salsanext_cli.formats import kitti
-from salsanext_cli.storage.point_files import write_labels
+from salsanext_cli.errors import FormatError
+from salsanext_cli.formats.clouds import kitti
+from salsanext_cli.formats.labels import read_labels
 
 
 def five_columns(count, seed=0):
@@ -54,41 +51,6 @@ def test_negative_intensities_and_signalling_nans_are_read(tmp_path):
     assert np.flatnonzero(np.isnan(scan.intensity)).tolist() == [59]
 
 
-@given(hnp.arrays(np.uint32, st.integers(0, 50)))
-@settings(max_examples=30, deadline=None)
-def test_labels_survive_the_round_trip(tmp_path_factory, raw):
-    path = tmp_path_factory.mktemp("label") / "s.label"
-    write_labels(path, raw)
-    assert path.read_bytes() == b"".join(struct.pack("<I", value) for value in raw.tolist())
-    np.testing.assert_array_equal(kitti.read_labels(path, len(raw)), raw)
-    with pytest.raises(LabelError, match=f"{len(raw)} labels · expected {len(raw) + 53}"):
-        kitti.read_labels(path, len(raw) + 53)
-    path.write_bytes(path.read_bytes() + b"cut")
-    with pytest.raises(FormatError, match=f"{4 * len(raw) + 3} bytes"):
-        kitti.read_labels(path)
-
-
-@pytest.mark.parametrize("kind", ["<u4", "<u2", "u1"])
-def test_labels_of_one_two_or_four_bytes(tmp_path, kind):
-    path = tmp_path / "s.label"
-    raw = np.arange(100, dtype=kind)
-    path.write_bytes(raw.tobytes())
-    read = kitti.read_labels(path, 100)
-    assert read.dtype == np.uint32
-    np.testing.assert_array_equal(read, raw)
-    with pytest.raises(LabelError, match=r"\d+ labels · expected 99"):
-        kitti.read_labels(path, 99)
-    if raw.itemsize < 4:
-        path.write_bytes(np.arange(25 * raw.itemsize, dtype="<u4").tobytes())
-        with pytest.raises(LabelError, match=r"\d+ labels · expected 100"):
-            kitti.read_labels(path, 100)
-        path.write_bytes(bytes(100 * raw.itemsize))
-        assert not kitti.read_labels(path, 100).any()
-    path.write_bytes(raw.tobytes())
-    # Without the number of points they are four.
-    assert len(kitti.read_labels(path)) == raw.nbytes // 4
-
-
 @pytest.mark.real
 def test_no_real_scan_is_refused(real_data, tmp_path):
     for path in sorted((real_data / "data").rglob("*.bin")):
@@ -99,7 +61,7 @@ def test_no_real_scan_is_refused(real_data, tmp_path):
         assert len(scan) == path.stat().st_size // (4 * columns)
         labels = path.parent.parent / "labels" / f"{path.stem}.label"
         if labels.exists():
-            raw = kitti.read_labels(labels, len(scan))
+            raw = read_labels(labels, len(scan))
             assert raw.any()
             assert raw.max() < 33 or "nuscenes" not in str(path)
 

@@ -1,0 +1,64 @@
+# SPDX-License-Identifier: MIT
+"""Labels of scans, `.label`: little endian, no header."""
+
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+
+from salsanext_cli.classes import RawIds
+from salsanext_cli.errors import FormatError, LabelError
+from salsanext_cli.formats.reading import read_values, reading, size_of
+
+MAX_CLASS = 0xFFFF
+"""Largest label of four bytes without an instance."""
+
+
+def read_labels(path: Path, count: int | None = None) -> RawIds:
+    """Read the raw ids of a scan's points, (N,) uint32.
+
+    Parameters
+    ----------
+    path : Path
+        The `.label` file.
+    count : int, optional
+        Number of points of the scan; then two bytes or one per label are recognised too.
+
+    Raises
+    ------
+    FormatError
+        If the file cannot be read or is cut off.
+    LabelError
+        If there are not `count` labels.
+    """
+    with reading(path) as file:
+        size = size_of(file)
+        if size % 4 and (count is None or size not in (count, 2 * count)):
+            raise FormatError(
+                path, f"{size} bytes", "a multiple of 4 (one uint32 per point)", "it is cut off"
+            )
+        raw = _labels(read_values(file, path, np.uint8, size), count or 0)
+    if count is not None and len(raw) != count:
+        raise LabelError(
+            path,
+            f"{len(raw)} labels",
+            f"{count}, one per point of the scan",
+            "use the labels that belong to this scan",
+        )
+    return raw
+
+
+def _labels(content: npt.NDArray[np.uint8], count: int) -> RawIds:
+    """Return labels of two bytes or one where so many are so long, else of four."""
+    narrow = {2 * count: "<u2", count: "<u1"}.get(content.size)
+    wide = content[: content.size // 4 * 4].view("<u4").astype(np.uint32, copy=False)
+    # Classes of four bytes, without instances, of half or a quarter of the points.
+    of_fewer = content.size % 4 == 0 and wide.any() and wide.max() <= MAX_CLASS
+    if narrow is None or of_fewer:
+        return wide
+    return content.view(narrow).astype(np.uint32)
+
+
+def encode_labels(raw: RawIds) -> bytes:
+    """Return the content of a `.label` file: the raw id of each point as uint32."""
+    return raw.astype("<u4", copy=False).tobytes()
