@@ -42,7 +42,6 @@ ERFC = (
 1.2e-7 (Press et al., Numerical Recipes, 1992, section 6.2)."""
 _COMPILING = threading.Lock()
 """Held while one thread traces and compiles: tracing has state of its own in torch."""
-Traceable = tuple["nn.Module", Callable[..., Any], "Sequence[Tensor]"]
 
 
 class Graph:
@@ -83,25 +82,6 @@ class Graph:
             queue.start_async(dict(enumerate(inputs)), number, share_inputs=True)
         queue.wait_all()
         return found
-
-
-def graph(
-    make: Callable[[], Traceable],
-    key: object,
-    precision: str = "float32",
-    threads: int = 1,
-    streams: int = 1,
-) -> Graph:
-    """Return a function of a module, ready to compute, as `compiled_graph` does.
-
-    Parameters
-    ----------
-    make : callable
-        Returns module, function and inputs as `converted` takes them.
-    key, precision, threads, streams
-        As for `compiled_graph`.
-    """
-    return compiled_graph(lambda: converted(*make()), key, precision, threads, streams)
 
 
 def compiled_graph(

@@ -13,7 +13,7 @@ import numpy as np
 from salsanext_cli.errors import WeightsError, out_of_memory
 from salsanext_cli.geometry.intensity import match_intensity
 from salsanext_cli.geometry.normalise import normalise
-from salsanext_cli.inference.graphs import Graph, graph
+from salsanext_cli.inference.graphs import Graph, compiled_graph, converted
 from salsanext_cli.kernels import thread_count
 from salsanext_cli.network.card import WeightsCard
 from salsanext_cli.records import Float, RangeImage
@@ -116,8 +116,9 @@ class Network:
         # Each thread has its own: a graph computes one thing at a time.
         place = (name, settings, threading.get_ident())
         if place not in self._graphs:
-            made = graph(lambda: (self.module, function, inputs()), key, *settings)
-            self._graphs[place] = made
+            self._graphs[place] = compiled_graph(
+                lambda: converted(self.module, function, inputs()), key, *settings
+            )
         return self._graphs[place]
 
     def input_array(self, channels: Float) -> Float:

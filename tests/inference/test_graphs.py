@@ -11,7 +11,7 @@ from architectures import EACH
 from torch import nn
 
 from salsanext_cli.inference.device import has_bfloat16
-from salsanext_cli.inference.graphs import graph
+from salsanext_cli.inference.graphs import compiled_graph, converted
 from salsanext_cli.inference.torch_engine import in_precision
 from salsanext_cli.network.registry import build
 from salsanext_cli.storage import user_cache
@@ -42,7 +42,9 @@ def own_cache(tmp_path, monkeypatch):
 
 
 def compiled(module, x, **options):
-    return graph(lambda: (module, lambda m, image: m(image), [x]), "test", **options)
+    return compiled_graph(
+        lambda: converted(module, lambda m, image: m(image), [x]), "test", **options
+    )
 
 
 @pytest.mark.parametrize("name", EACH)
@@ -112,15 +114,15 @@ def test_what_was_compiled_once_is_not_made_again(tmp_path, caplog):
     def refuse():
         raise AssertionError("made again")
 
-    assert np.array_equal(graph(refuse, "test")(x.numpy())[0], expected)
+    assert np.array_equal(compiled_graph(refuse, "test")(x.numpy())[0], expected)
     with pytest.raises(AssertionError, match="made again"):
-        graph(refuse, "other")
+        compiled_graph(refuse, "other")
     # Cut, changed, or of another program: made again, and said.
     content = blob.read_bytes()
     for damaged in (b"", content[:100], content[:-40], content[:5000] + b"\0" + content[5001:]):
         blob.write_bytes(damaged)
         assert np.array_equal(compiled(module, x)(x.numpy())[0], expected)
-        assert np.array_equal(graph(refuse, "test")(x.numpy())[0], expected)
+        assert np.array_equal(compiled_graph(refuse, "test")(x.numpy())[0], expected)
     assert "is damaged: made again" in caplog.text
 
 
@@ -128,10 +130,10 @@ def test_signals_are_handled_after_the_last_graph_is_gone():
     """OpenVINO gives a thread a stack for its handlers, and must not take it back."""
     program = """
 import gc, os, signal, threading, torch
-from salsanext_cli.inference.graphs import graph
+from salsanext_cli.inference.graphs import compiled_graph, converted
 signal.signal(signal.SIGUSR1, lambda *_: print("handled"))
 part = torch.nn.Conv2d(5, 3, 1), lambda module, image: module(image), [torch.zeros(1, 5, 8, 8)]
-made = [graph(lambda: part, "test")]
+made = [compiled_graph(lambda: converted(*part), "test")]
 thread = threading.Thread(target=lambda: (made.clear(), gc.collect()))
 thread.start()
 thread.join()

@@ -17,10 +17,8 @@ from salsanext_cli.formats.reading import filled, reading
 from salsanext_cli.formats.recordings.address import METADATA, files_of, storages
 from salsanext_cli.formats.recordings.point_cloud2 import POINT_CLOUD2, columns_of
 from salsanext_cli.packages import require_rosbags
-from salsanext_cli.settings_files import shortened
+from salsanext_cli.settings_files import words_of
 
-MAX_SHOWN = 200
-"""Characters of an error of the library that are shown."""
 MAX_METADATA_BYTES = 4 << 20
 DAMAGED = (
     *(struct.error, ValueError, LookupError, TypeError, AttributeError, AssertionError),
@@ -30,25 +28,7 @@ DAMAGED = (
 
 
 class Bag:
-    """ROS bag, open for reading by any number of threads.
-
-    Parameters
-    ----------
-    path : Path
-        The bag.
-
-    Attributes
-    ----------
-    lost : str
-        Description of what it lacks because it was cut off; empty if it is whole.
-
-    Raises
-    ------
-    FormatError
-        If it is not a bag, or nothing of it can be read.
-    MissingDependency
-        If `rosbags` is not installed, or too old.
-    """
+    """ROS bag, a `Recording` whose topics are those of ROS."""
 
     def __init__(self, path: Path) -> None:
         require_rosbags()
@@ -207,6 +187,5 @@ def _refusing(path: Path) -> Iterator[None]:
     try:
         yield
     except (*own, zstd.ZstdError, apsw.Error, *DAMAGED) as error:
-        found = shortened(" ".join(str(error).split()) or type(error).__name__, MAX_SHOWN)
         remedy = "record it anew, or try `rosbag reindex` or `ros2 bag reindex`"
-        raise FormatError(path, f"damaged: {found}", "a ROS bag", remedy) from error
+        raise FormatError(path, f"damaged: {words_of(error)}", "a ROS bag", remedy) from error

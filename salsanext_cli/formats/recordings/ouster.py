@@ -31,25 +31,7 @@ KIND = "Ouster"
 
 
 class OusterRecording:
-    """Recording of one or more Ouster sensors, open for reading by any number of threads.
-
-    Parameters
-    ----------
-    path : Path
-        The recording.
-
-    Attributes
-    ----------
-    lost : str
-        Description of what it lacks because it was cut off; empty if it is whole.
-
-    Raises
-    ------
-    FormatError
-        If it cannot be read.
-    MissingDependency
-        If `ouster-sdk` is not installed.
-    """
+    """`Recording` of one or more Ouster sensors, which are its topics."""
 
     def __init__(self, path: Path) -> None:
         import_extra("ouster.sdk", "ouster")

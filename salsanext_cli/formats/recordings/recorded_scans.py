@@ -23,7 +23,16 @@ MAX_SHOWN = 500
 
 
 class Recording(Protocol):
-    """Open recording of any kind."""
+    """Recording of any kind, open for reading by any number of threads.
+
+    Opening one raises `FormatError` if nothing of it can be read, and `MissingDependency` if the
+    package that reads it is missing or too old.
+
+    Attributes
+    ----------
+    lost : str
+        Description of what it lacks because it was cut off; empty if it is whole.
+    """
 
     lost: str
 
