@@ -32,7 +32,8 @@ OF_IMAGES = ("height", "width", "means", "stds")
 """Fields that a network depends on, not a sensor: size and normalisation of its images."""
 UP = (0.0, 0.0, 1.0)
 """Direction of the z axis, away from the ground."""
-OPTIONAL = {"columns": (), "up": UP, "intensity_quantiles": ()}
+ORIGIN = (0.0, 0.0, 0.0)
+OPTIONAL = {"columns": (), "up": UP, "origin": ORIGIN, "intensity_quantiles": ()}
 """Defaults of fields that are written only where a sensor has another value."""
 MIN_LENGTH = 1e-3
 """Least length of a vector that tells a direction."""
@@ -70,6 +71,9 @@ class Sensor:
     up : 3 floats
         Direction away from the ground in the frame of the files; others than z are turned to it
         before the projection.
+    origin : 3 floats
+        Place of the sensor in the frame of the files, in metres; elsewhere than at their origin if
+        that is the vehicle's.
     intensity_quantiles : tuple of float
         Quantiles of the intensity in its range images, after the division, at `INTENSITY_LEVELS`
         evenly spaced levels; empty if unknown. A network maps them to those of its training.
@@ -88,6 +92,7 @@ class Sensor:
     intensity_noise: float | None = None
     columns: tuple[str, ...] = ()
     up: tuple[float, ...] = UP
+    origin: tuple[float, ...] = ORIGIN
     intensity_quantiles: tuple[float, ...] = ()
 
     def __post_init__(self) -> None:
@@ -129,6 +134,11 @@ class Sensor:
             len(self.up) == 3 and MIN_LENGTH < math.hypot(*self.up) < math.inf,
             f"up {shortened(self.up)}",
             "a direction, three numbers",
+        )
+        self._require(
+            len(self.origin) == 3 and math.hypot(*self.origin) < MAX_NUMBER,
+            f"origin {shortened(self.origin)}",
+            "a place, three numbers in metres",
         )
         quantiles = self.intensity_quantiles
         self._require(

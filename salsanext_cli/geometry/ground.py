@@ -12,14 +12,18 @@ MAX_POINTS = 512
 """Points that a plane is sought among, evenly taken from those near the sensor."""
 RANGES_M = (2.0, 25.0)
 """Nearest and farthest of them: nearer is the vehicle itself, farther the ground bends."""
-PLANES = 128
-"""Planes that are tried, each through three points."""
+TRIPLES = 2048
+"""Triples of points that planes are put through."""
+PLANES = 256
+"""Planes that are tried, of those that may be the ground of a sensor that turns as this does."""
+MIN_AREA_M2 = np.float32(1e-3)
+"""Twice the least area of the triangle of these."""
 TOLERANCE_M = 0.15
 MIN_SHARE = 0.1
 """Least share of the points on a plane that is called the ground."""
 MIN_POINTS = 100
-MIN_HEIGHT_M = 0.3
-"""Least height of a sensor; lower, the plane is some part of what carries it."""
+MIN_HEIGHT_M = 0.4
+"""Least height of a sensor; lower, the origin of the points is not the sensor's place."""
 MAX_LEAN = 0.8
 """Least cosine of the angle between the ground's normal and the axis of the sensor's rotation."""
 FLAT = 0.75
@@ -34,9 +38,10 @@ class Ground:
     Attributes
     ----------
     up : (3,) float64
-        Unit normal, from the ground to the sensor.
+        Unit normal, from the ground to the sensor; where the origin is on it, along the nearest
+        axis.
     height : float
-        Distance of the sensor from it, in metres.
+        Distance of the origin from it, in metres; just below 0 if it is on it.
     share : float
         Of the near points that lie on it, 0…1.
     """
@@ -61,7 +66,7 @@ def find_ground(points: Float) -> Ground | None:
     Parameters
     ----------
     points : (N, 3) float32
-        In metres, with the sensor at the origin, in any orientation; some of a scan are enough.
+        In metres, around the sensor or its vehicle, in any orientation; some of a scan are enough.
     """
     ranges = np.sqrt(np.einsum("nk,nk->n", points, points))
     near = np.flatnonzero((ranges > RANGES_M[0]) & (ranges < RANGES_M[1]))
@@ -69,18 +74,26 @@ def find_ground(points: Float) -> Ground | None:
         return None
     chosen = near[:: -(-len(near) // MAX_POINTS)]
     points, weights = points[chosen], ranges[chosen]
-    triples = np.random.default_rng(0).integers(0, len(points), (3, PLANES))
+    triples = np.random.default_rng(0).integers(0, len(points), (3, TRIPLES))
     first, second, third = points[triples]
     normals = np.cross(second - first, third - first)
-    normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), np.float32(1e-6))
-    offsets = np.einsum("pk,pk->p", normals, first)
-    # The sensor is above.
-    normals *= -np.sign(offsets)[:, None]
-    heights = points @ normals.T + np.abs(offsets)
-    score = weights @ (np.abs(heights) < TOLERANCE_M) - weights @ (heights < -TOLERANCE_M)
-    axis = _axis_of_rotation(points / weights[:, None])
-    if axis is not None:
-        score[np.abs(normals[:, axis]) < MAX_LEAN] = -np.inf
+    lengths = np.linalg.norm(normals, axis=1)
+    possible = lengths > MIN_AREA_M2
+    if (axis := _axis_of_rotation(points / weights[:, None])) is not None:
+        possible &= np.abs(normals[:, axis]) > MAX_LEAN * lengths
+    tried = np.flatnonzero(possible)[:PLANES]
+    if not len(tried):
+        return None
+    normals = normals[tried] / lengths[tried, None]
+    offsets = np.einsum("pk,pk->p", normals, first[tried])
+    # The sensor is above; where it is on the plane, the largest coordinate of the normal rises.
+    low = np.abs(offsets) < MIN_HEIGHT_M
+    largest = normals[np.arange(len(normals)), np.abs(normals).argmax(axis=1)]
+    turn = np.where(low, np.sign(largest), -np.sign(offsets))
+    heights = points @ (turn[:, None] * normals).T - turn * offsets
+    on, below = weights @ (np.abs(heights) < TOLERANCE_M), weights @ (heights < -TOLERANCE_M)
+    score = on - below
+    score[low & (below > on / 2)] = -np.inf
     best = int(score.argmax())
     on_plane = np.abs(heights[:, best]) < TOLERANCE_M
     share = float(weights[on_plane].sum() / weights.sum())
@@ -88,10 +101,9 @@ def find_ground(points: Float) -> Ground | None:
         return None
     centre = np.average(points[on_plane], axis=0, weights=weights[on_plane]).astype(np.float64)
     normal = np.linalg.svd(points[on_plane] - centre, full_matrices=False)[2][2]
-    offset = float(normal @ centre)
-    if abs(offset) < MIN_HEIGHT_M:
-        return None
-    return Ground(-np.sign(offset) * normal, abs(offset), share)
+    normal *= np.sign(normal @ normals[best]) * turn[best]
+    height = -float(normal @ centre)
+    return Ground(normal, height, share) if low[best] or height > MIN_HEIGHT_M else None
 
 
 def _axis_of_rotation(directions: Float) -> int | None:

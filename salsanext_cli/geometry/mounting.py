@@ -1,19 +1,24 @@
 # SPDX-License-Identifier: MIT
-"""Scans of sensors that are not mounted upright."""
+"""Scans in the frame of their sensor: at its origin, with z up."""
 
 import numpy as np
 import numpy.typing as npt
 
 from salsanext_cli.records import Scan
-from salsanext_cli.sensors import UP, Sensor
+from salsanext_cli.sensors import ORIGIN, UP, Sensor
 
 
-def upright(scan: Scan, sensor: Sensor) -> Scan:
-    """Return the scan turned so that the sensor's `up` is the z axis; itself if it is already."""
-    if sensor.up == UP:
-        return scan
-    points = (scan.points @ rotation_to_z(np.asarray(sensor.up)).T).astype(np.float32)
-    return Scan(points, scan.intensity)
+def in_sensor_frame(scan: Scan, sensor: Sensor) -> Scan:
+    """Return the scan moved from the sensor's `origin`, and turned so that its `up` is the z axis.
+
+    Itself if it is so already.
+    """
+    points = scan.points
+    if sensor.origin != ORIGIN:
+        points = points - np.array(sensor.origin, np.float32)
+    if sensor.up != UP:
+        points = (points @ rotation_to_z(np.asarray(sensor.up)).T).astype(np.float32)
+    return scan if points is scan.points else Scan(points, scan.intensity)
 
 
 def rotation_to_z(up: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:

@@ -15,7 +15,7 @@ import math
 
 import numpy as np
 
-from salsanext_cli.geometry.mounting import upright
+from salsanext_cli.geometry.mounting import in_sensor_frame
 from salsanext_cli.records import RangeImage, Scan
 from salsanext_cli.sensors import Sensor
 
@@ -41,7 +41,7 @@ def project(scan: Scan, sensor: Sensor, device: str = "cpu") -> RangeImage:
     RangeImage
         NumPy arrays, whatever the device.
     """
-    scan = upright(scan, sensor)
+    scan = in_sensor_frame(scan, sensor)
     up, down = math.radians(sensor.fov_up), math.radians(sensor.fov_down)
     view = (np.float32(down), np.float32(up - down), sensor.height, sensor.width)
     drop = sensor.out_of_view == "drop"

@@ -13,9 +13,9 @@ import numpy as np
 
 from salsanext_cli.errors import FormatError
 from salsanext_cli.geometry.coverage import LARGEST_SHARE_OUTSIDE, FieldOfViewCoverage
-from salsanext_cli.geometry.mounting import upright
+from salsanext_cli.geometry.mounting import in_sensor_frame
+from salsanext_cli.geometry.mounting_fit import HEIGHTS_M, MAX_POINTS, MAX_TILT_DEG, ground_of
 from salsanext_cli.geometry.ranges import measured_ranges
-from salsanext_cli.geometry.view_fit import MAX_POINTS, MAX_TILT_DEG, ground_of
 from salsanext_cli.records import RangeImage, Scan
 from salsanext_cli.sensors import Sensor
 
@@ -24,8 +24,6 @@ MEDIAN_RANGES_M = (0.3, 250.0)
 MIN_POINTS = 100
 """Fewest points of which a check says something."""
 UPSIDE_DOWN_DEG = 155.0
-HEIGHTS_M = (1.0, 3.2)
-"""Least and largest height of a sensor on a vehicle; those of the real scans were 1.4 to 2.1."""
 SECTORS = 64
 MIN_SECTORS = 0.6
 """Least share of the directions around with a point; revolutions had 0.89 or more."""
@@ -36,6 +34,9 @@ BRIGHT = 0.95
 MAX_USUAL_INTENSITY = 2.0
 """Largest upper intensity of the scale 0…1, where that of training is not known."""
 FIT = "--sensor auto, or `salsanext inspect SCANS --fit sensor.toml` and --sensor sensor.toml"
+ORIGIN = (
+    "if it is not the sensor's, --sensor auto, or `origin` in a sensor file; else train weights"
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -121,7 +122,7 @@ def _of_geometry(
     if (share := _share_of_sectors(image)) < MIN_SECTORS:
         found = f"points in {share:.0%} of the directions around"
         yield Finding("part-of-circle", found, "the network knows whole revolutions")
-    if (ground := ground_of(upright(scan, sensor))) is None:
+    if (ground := ground_of(in_sensor_frame(scan, sensor))) is None:
         return
     if ground.tilt_deg > UPSIDE_DOWN_DEG:
         yield Finding("upside-down", "the ground lies above the sensor", FIT)
@@ -129,8 +130,8 @@ def _of_geometry(
         found = f"the ground is tilted by {ground.tilt_deg:.0f}°: is z up?"
         yield Finding("tilted", found, FIT)
     elif not HEIGHTS_M[0] <= ground.height <= HEIGHTS_M[1]:
-        found = f"the sensor is {ground.height:.1f} m above the ground"
-        yield Finding("height", found, "take weights of sensors at that height, or train some")
+        found = f"the origin of the points is {ground.height:.1f} m above the ground"
+        yield Finding("height", found, ORIGIN)
 
 
 def _share_of_sectors(image: RangeImage) -> float:

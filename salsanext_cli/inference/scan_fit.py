@@ -22,7 +22,7 @@ log = logging.getLogger(__name__)
 
 MAX_SCANS = 16
 """Scans that a fit reads, evenly spaced among all of a run."""
-FITTED = ("name", "fov_up", "fov_down", "up")
+FITTED = ("name", "fov_up", "fov_down", "up", "origin")
 """Fields of a sensor that a fit of the view changes."""
 INTENSITIES = ("auto", "match", "raw", "none")
 SHARED = ("module", "torch_module", "_graphs", "batch_sizes")

@@ -17,9 +17,9 @@ from salsanext_cli.geometry.coverage import (
     FieldOfViewCoverage,
     field_of_view_coverage,
 )
-from salsanext_cli.geometry.mounting import upright
+from salsanext_cli.geometry.mounting import in_sensor_frame
+from salsanext_cli.geometry.mounting_fit import fit_mounting
 from salsanext_cli.geometry.projection import project
-from salsanext_cli.geometry.view_fit import fit_view
 from salsanext_cli.inference.scan_fit import sampled
 from salsanext_cli.measures.survey import Survey, survey
 from salsanext_cli.parallel.run import Failure, RunOptions, run_over_scans
@@ -120,7 +120,7 @@ def inspect(
     """
     scans = select_scans(source, selection, space)
     if fit:
-        sensor = replace(sensor, up=fit_view(list(sampled(scans, sensor)), sensor).up)
+        sensor = fit_mounting(list(sampled(scans, sensor)), sensor)
     found = _inspect(scans, sensor, space, options, warn=not fit)
     if fit and found.total.pixels:
         sensor = _with_field_of_view(sensor, found.total)
@@ -159,7 +159,7 @@ def inspect_scan(file: ScanFile, sensor: Sensor) -> tuple[str, Survey, FieldOfVi
     """Read, project and count one scan; return its sequence, survey and coverage."""
     scan = read_scan(file.path, sensor)
     raw = read_labels(file.label_path, len(scan)) if present(file.label_path) else None
-    found = survey(upright(scan, sensor), project(scan, sensor), raw)
+    found = survey(in_sensor_frame(scan, sensor), project(scan, sensor), raw)
     return file.sequence, found, field_of_view_coverage(scan, sensor)
 
 

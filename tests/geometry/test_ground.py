@@ -6,7 +6,7 @@ from hypothesis import strategies as st
 from scans import make_scan
 
 from salsanext_cli.geometry.ground import find_ground
-from salsanext_cli.geometry.mounting import rotation_to_z, upright
+from salsanext_cli.geometry.mounting import in_sensor_frame, rotation_to_z
 from salsanext_cli.records import Scan
 from salsanext_cli.sensors import sensor as preset
 
@@ -81,5 +81,5 @@ def test_the_least_turn():
 
 def test_an_upright_scan_is_left_alone():
     scan = make_scan()
-    assert upright(scan, preset("hdl64")) is scan
-    assert isinstance(upright(scan, preset("hdl64")), Scan)
+    assert in_sensor_frame(scan, preset("hdl64")) is scan
+    assert isinstance(in_sensor_frame(scan, preset("hdl64")), Scan)

@@ -1,0 +1,91 @@
+# SPDX-License-Identifier: MIT
+"""Direction up and place of a sensor in the frame of its files, from a few of its scans."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from salsanext_cli.geometry.ground import MIN_HEIGHT_M, Ground, find_ground
+from salsanext_cli.geometry.mounting import in_sensor_frame, rotation_to_z
+from salsanext_cli.geometry.origin_fit import find_origin
+from salsanext_cli.records import Float, Scan
+from salsanext_cli.sensors import Sensor
+
+MAX_TILT_DEG = 25.0
+"""Largest angle between the ground's normal and z of a sensor that stands upright; streets rise by
+up to 20°."""
+HEIGHTS_M = (1.0, 3.2)
+"""Least and largest height of a sensor on a vehicle; those of the real scans were 1.4 to 2.1."""
+USUAL_HEIGHT_M = 1.75
+"""Height that is assumed where the origin is on the ground and the scans do not tell it."""
+MIN_THICKNESS_M = 1.0
+"""Least extent upwards of points above the ground; less, a scanner of one plane sees that plane."""
+MIN_OFFSET_M = 0.3
+"""Least distance of a sensor from the origin that counts; optical centres lie 0.2 m off it."""
+MAX_POINTS = 4096
+"""Points of a scan that the ground is sought among."""
+SCANS_OF_ORIGIN, POINTS_OF_ORIGIN = 4, 8192
+"""Scans that the place of the sensor is sought with, and points of each."""
+DIGITS = 3
+
+
+def fit_mounting(scans: Sequence[Scan], sensor: Sensor) -> Sensor:
+    """Return the sensor with the direction up and the origin of scans where they differ much.
+
+    The direction up changes where the ground of most scans is tilted by more than `MAX_TILT_DEG`.
+    The origin changes where most scans show no ground at a height of `HEIGHTS_M`, as in the frame
+    of a vehicle: to the place that the beams come from, if that is seen; else to the usual height
+    if the ground passes through the origin, where no sensor can be.
+
+    Parameters
+    ----------
+    scans : sequence of Scan
+        Of one sensor.
+    sensor : Sensor
+        That of the weights.
+    """
+    grounds = [ground for scan in scans if (ground := ground_of(scan))]
+    tilted = [ground.up for ground in grounds if ground.tilt_deg > MAX_TILT_DEG]
+    if len(tilted) > len(grounds) / 2:
+        mean = np.mean(tilted, axis=0)
+        up = tuple((mean / np.linalg.norm(mean)).round(DIGITS).tolist())
+        sensor = replace(sensor, name="fitted", up=up)
+    heights = [ground.height for ground in grounds]
+    usual = sum(HEIGHTS_M[0] <= height <= HEIGHTS_M[1] for height in heights)
+    if not scans or usual >= len(scans) / 2:
+        return sensor
+    place = _place(scans, sensor, float(np.median(heights)) if heights else None)
+    if place is None or np.linalg.norm(place) < MIN_OFFSET_M:
+        return sensor
+    in_files = rotation_to_z(np.asarray(sensor.up)).T @ place
+    return replace(sensor, name="fitted", origin=tuple(in_files.round(DIGITS).tolist()))
+
+
+def _place(
+    scans: Sequence[Scan], sensor: Sensor, height: float | None
+) -> tuple[float, float, float] | None:
+    """Return the place of the sensor in upright scans whose origin is at a height, if known."""
+    upright = [in_sensor_frame(scan, sensor) for scan in scans[:SCANS_OF_ORIGIN]]
+    points = np.concatenate([_some(scan, POINTS_OF_ORIGIN) for scan in upright])
+    if height is not None:
+        points = points[points[:, 2] > MIN_HEIGHT_M - height]
+    if (place := find_origin(points)) is not None:
+        return place
+    flat = np.ptp(points[:, 2]) < MIN_THICKNESS_M if len(points) else True
+    if flat or height is None or abs(height) > MIN_HEIGHT_M:
+        return None
+    return 0.0, 0.0, USUAL_HEIGHT_M - height
+
+
+def ground_of(scan: Scan) -> Ground | None:
+    """Find the ground in a scan, from some of its points."""
+    return find_ground(_some(scan, MAX_POINTS))
+
+
+def _some(scan: Scan, count: int) -> Float:
+    """Return about as many points of a scan, finite ones."""
+    some = scan.points[:: max(1, len(scan) // count)]
+    return some[np.isfinite(some).all(axis=1)]
