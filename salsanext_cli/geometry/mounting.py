@@ -11,11 +11,12 @@ from salsanext_cli.sensors import ORIGIN, UP, Sensor
 def in_sensor_frame(scan: Scan, sensor: Sensor) -> Scan:
     """Return the scan moved from the sensor's `origin`, and turned so that its `up` is the z axis.
 
-    Itself if it is so already.
+    Itself if it is so already. Points at the origin of the files are no measurements and stay none.
     """
     points = scan.points
     if sensor.origin != ORIGIN:
         points = points - np.array(sensor.origin, np.float32)
+        points[~scan.points.any(axis=1)] = 0
     if sensor.up != UP:
         points = (points @ rotation_to_z(np.asarray(sensor.up)).T).astype(np.float32)
     return scan if points is scan.points else Scan(points, scan.intensity)

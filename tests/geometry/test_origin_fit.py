@@ -14,15 +14,15 @@ from salsanext_cli.geometry.origin_fit import find_origin, sharpness
 from salsanext_cli.geometry.view_fit import as_found, fit_view
 
 HEIGHT = 1.7
-PLACES = [(0, 0, 0), (1.3, 0, 1.9), (-1.1, 0.4, 0.9)]
+PLACES = [(1.3, 0, 1.9), (-1.1, 0.4, 0.9)]
 
 
 def street(beams: int, height: float = HEIGHT, seed: int = 0) -> Scan:
     """Points of a rotating sensor on a street between walls and posts; beams 0: no two alike."""
     random = np.random.default_rng(seed)
-    teeth = np.linspace(-24, 2, beams) if beams else random.uniform(-24, 2, 40_000)
-    elevation = np.radians(random.choice(teeth, 40_000))
-    azimuth = random.uniform(-np.pi, np.pi, 40_000)
+    teeth = np.linspace(-24, 2, beams) if beams else random.uniform(-24, 2, 20_000)
+    elevation = np.radians(random.choice(teeth, 20_000))
+    azimuth = random.uniform(-np.pi, np.pi, 20_000)
     rays = np.stack(
         [
             np.cos(elevation) * np.cos(azimuth),
@@ -35,9 +35,9 @@ def street(beams: int, height: float = HEIGHT, seed: int = 0) -> Scan:
         ground = np.where(rays[:, 2] < 0, -height / rays[:, 2], np.inf)
         wall = np.where(rays[:, 1] > 0, 6, -9) / rays[:, 1]
     posts = np.where(azimuth * 6 % 1 < 0.1, random.uniform(5, 30), 60)
-    ranges = np.minimum(np.minimum(ground, wall), posts) + random.normal(0, 0.01, 40_000)
+    ranges = np.minimum(np.minimum(ground, wall), posts) + random.normal(0, 0.01, 20_000)
     points = (rays * ranges[:, None]).astype(np.float32)
-    return Scan(points, random.random(40_000, np.float32))
+    return Scan(points, random.random(20_000, np.float32))
 
 
 def objects(beams: int) -> Scan:
@@ -52,7 +52,7 @@ def moved(scan, place):
     return Scan((scan.points + np.array(place)).astype(np.float32), scan.intensity)
 
 
-@pytest.mark.parametrize("beams", [16, 32, 64])
+@pytest.mark.parametrize("beams", [16, 64])
 @pytest.mark.parametrize("place", PLACES)
 def test_the_place_that_beams_come_from(beams, place):
     scan = moved(objects(beams), place)
@@ -102,6 +102,13 @@ def test_a_sensor_on_the_ground_is_at_the_usual_height():
 @pytest.mark.parametrize("beams", [0, 32])
 def test_scans_of_robots_cars_and_masts_stay_where_they_are(beams, height):
     assert fit_mounting([street(beams, height)], SMALL) is SMALL
+
+
+def test_points_without_a_measurement_get_none_in_another_frame():
+    points = np.array([[0, 0, 0], [5, 1, 0], [np.nan, 0, 0]], np.float32)
+    sensor = replace(SMALL, origin=(0.5, 0.0, 1.7), out_of_view="clamp")
+    image = project(Scan(points, np.ones(3, np.float32)), sensor)
+    assert (image.pixel_of_point >= 0).tolist() == [False, True, False]
 
 
 def test_no_scans_tell_nothing():

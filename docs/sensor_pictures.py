@@ -1,0 +1,75 @@
+# SPDX-License-Identifier: MIT
+"""Draw scans of several sensors from above, labelled with and without the default repairs.
+
+    python docs/sensor_pictures.py FOLDER NAME=SCAN...
+
+writes FOLDER/NAME.webp for each scan, and prints what was found of its sensor. The pictures of
+docs/sensors.md were made so.
+"""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+import salsanext_cli as sn
+from salsanext_cli.geometry.mounting import in_sensor_frame
+from salsanext_cli.geometry.view_fit import as_found
+from salsanext_cli.inference.network import Network
+from salsanext_cli.inference.scan_fit import fitted
+from salsanext_cli.inference.settings import NetworkSettings
+from salsanext_cli.report.birds_eye import birds_eye
+from salsanext_cli.report.colours import Colours, legend_of
+from salsanext_cli.storage.layout import find_scans
+
+WIDTH_PX, QUALITY = 1000, 80
+"""Size of a picture, so that twenty of them stay small."""
+WAYS = {
+    "as it is: --intensity raw, the view of the weights": NetworkSettings(),
+    "default: --intensity auto --sensor auto": NetworkSettings(fit=True, intensity="auto"),
+}
+
+
+def main(folder: Path, named_scans: list[str]) -> None:
+    """Draw a picture of each scan."""
+    network = NetworkSettings().load()
+    folder.mkdir(parents=True, exist_ok=True)
+    for named in named_scans:
+        name, _, path = named.partition("=")
+        draw(folder / f"{name}.png", Path(path), network)
+
+
+def draw(picture: Path, path: Path, network: Network) -> None:
+    """Label a scan in both ways, and draw these beside each other."""
+    space = network.card.space
+    scan = sn.read_scan(path, network.sensor)
+    labels = {}
+    for title, settings in WAYS.items():
+        used = fitted(settings, network, find_scans(path))
+        image = sn.project(scan, used.sensor)
+        pixel_labels = used.probabilities(image).argmax(axis=0)
+        labels[title] = sn.knn_refine(image, pixel_labels, space.class_count)
+    views: dict[str, Colours] = {title: space.colours[ids] for title, ids in labels.items()}
+    birds_eye(
+        picture,
+        in_sensor_frame(scan, used.sensor).points,
+        views,
+        legend_of(space, *labels.values()),
+    )
+    shrink(picture)
+    print(f"{picture.stem}: {len(scan)} points; {as_found(used.sensor)}")
+
+
+def shrink(png: Path) -> None:
+    """Replace a PNG by a smaller picture: fewer pixels, and WebP."""
+    from PIL import Image
+
+    with Image.open(png) as large:
+        size = (WIDTH_PX, round(large.height * WIDTH_PX / large.width))
+        small = large.convert("RGB").resize(size, Image.Resampling.LANCZOS)
+    small.save(png.with_suffix(".webp"), quality=QUALITY, method=6)
+    png.unlink()
+
+
+if __name__ == "__main__":
+    main(Path(sys.argv[1]), sys.argv[2:])
