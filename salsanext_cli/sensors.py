@@ -33,6 +33,8 @@ OF_IMAGES = ("height", "width", "means", "stds")
 UP = (0.0, 0.0, 1.0)
 """Direction of the z axis, away from the ground."""
 ORIGIN = (0.0, 0.0, 0.0)
+FITTED_NAME = "fitted"
+"""Name of a sensor whose view or mounting was found from scans."""
 OPTIONAL = {"columns": (), "up": UP, "origin": ORIGIN, "intensity_quantiles": ()}
 """Defaults of fields that are written only where a sensor has another value."""
 MIN_LENGTH = 1e-3

@@ -15,20 +15,22 @@ RANGES_M = (2.0, 25.0)
 TRIPLES = 2048
 """Triples of points that planes are put through."""
 PLANES = 256
-"""Planes that are tried, of those that may be the ground of a sensor that turns as this does."""
+"""Planes that are tried, of those that may be the ground."""
 MIN_AREA_M2 = np.float32(1e-3)
-"""Twice the least area of the triangle of these."""
+"""Twice the least area of the triangle of a triple."""
 TOLERANCE_M = 0.15
 MIN_SHARE = 0.1
 """Least share of the points on a plane that is called the ground."""
 MIN_POINTS = 100
 MIN_HEIGHT_M = 0.4
 """Least height of a sensor; lower, the origin of the points is not the sensor's place."""
-MAX_LEAN = 0.8
+MIN_COSINE = 0.8
 """Least cosine of the angle between the ground's normal and the axis of the sensor's rotation."""
 FLAT = 0.75
 """Share of the next larger one that the mean of a coordinate of directions may have, if the sensor
 turns about that axis."""
+UPWARDS = 2
+"""Index of z."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,10 +55,10 @@ class Ground:
     @property
     def tilt_deg(self) -> float:
         """Angle between its normal and the z axis, 0° if z is up, 180° upside down."""
-        return float(np.degrees(np.arccos(np.clip(self.up[2], -1, 1))))
+        return float(np.degrees(np.arccos(np.clip(self.up[UPWARDS], -1, 1))))
 
 
-def find_ground(points: Float) -> Ground | None:
+def find_ground(points: Float, max_tilt_deg: float | None = None) -> Ground | None:
     """Return the plane that most points near the sensor lie on and few below, None without one.
 
     Planes through random triples of points, the same for every scan; the best is fitted to its
@@ -66,7 +68,11 @@ def find_ground(points: Float) -> Ground | None:
     Parameters
     ----------
     points : (N, 3) float32
-        In metres, around the sensor or its vehicle, in any orientation; some of a scan are enough.
+        In metres, around the sensor or its vehicle; some of a scan are enough.
+    max_tilt_deg : float, optional
+        Largest angle between normal and z. Without it the orientation is any, if the sensor turns
+        about an axis of the frame; one that looks one way cannot tell ground from walls, so that
+        the ground leans no more than that of a sensor that turns about z.
     """
     ranges = np.sqrt(np.einsum("nk,nk->n", points, points))
     near = np.flatnonzero((ranges > RANGES_M[0]) & (ranges < RANGES_M[1]))
@@ -78,19 +84,24 @@ def find_ground(points: Float) -> Ground | None:
     first, second, third = points[triples]
     normals = np.cross(second - first, third - first)
     lengths = np.linalg.norm(normals, axis=1)
-    possible = lengths > MIN_AREA_M2
-    if (axis := _axis_of_rotation(points / weights[:, None])) is not None:
-        possible &= np.abs(normals[:, axis]) > MAX_LEAN * lengths
-    tried = np.flatnonzero(possible)[:PLANES]
-    if not len(tried):
-        return None
-    normals = normals[tried] / lengths[tried, None]
-    offsets = np.einsum("pk,pk->p", normals, first[tried])
+    normals /= np.maximum(lengths, MIN_AREA_M2)[:, None]
+    offsets = np.einsum("pk,pk->p", normals, first)
     # The sensor is above; where it is on the plane, the largest coordinate of the normal rises.
     low = np.abs(offsets) < MIN_HEIGHT_M
-    largest = normals[np.arange(len(normals)), np.abs(normals).argmax(axis=1)]
+    largest = normals[np.arange(TRIPLES), np.abs(normals).argmax(axis=1)]
     turn = np.where(low, np.sign(largest), -np.sign(offsets))
-    heights = points @ (turn[:, None] * normals).T - turn * offsets
+    normals, offsets = turn[:, None] * normals, turn * offsets
+    axis = _axis_of_rotation(points / weights[:, None])
+    if max_tilt_deg is None and axis is not None:
+        possible = np.abs(normals[:, axis]) > MIN_COSINE
+    else:
+        least = MIN_COSINE if max_tilt_deg is None else np.cos(np.radians(max_tilt_deg))
+        possible = normals[:, UPWARDS] > least
+    tried = np.flatnonzero(possible & (lengths > MIN_AREA_M2))[:PLANES]
+    if not len(tried):
+        return None
+    normals, offsets, low = normals[tried], offsets[tried], low[tried]
+    heights = points @ normals.T - offsets
     on, below = weights @ (np.abs(heights) < TOLERANCE_M), weights @ (heights < -TOLERANCE_M)
     score = on - below
     score[low & (below > on / 2)] = -np.inf
@@ -101,7 +112,7 @@ def find_ground(points: Float) -> Ground | None:
         return None
     centre = np.average(points[on_plane], axis=0, weights=weights[on_plane]).astype(np.float64)
     normal = np.linalg.svd(points[on_plane] - centre, full_matrices=False)[2][2]
-    normal *= np.sign(normal @ normals[best]) * turn[best]
+    normal *= np.sign(normal @ normals[best])
     height = -float(normal @ centre)
     return Ground(normal, height, share) if low[best] or height > MIN_HEIGHT_M else None
 

@@ -18,19 +18,19 @@ def in_sensor_frame(scan: Scan, sensor: Sensor) -> Scan:
         points = points - np.array(sensor.origin, np.float32)
         points[~scan.points.any(axis=1)] = 0
     if sensor.up != UP:
-        points = (points @ rotation_to_z(np.asarray(sensor.up)).T).astype(np.float32)
+        points = (points @ upright_rotation(np.asarray(sensor.up)).T).astype(np.float32)
     return scan if points is scan.points else Scan(points, scan.intensity)
 
 
-def rotation_to_z(up: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
-    """Return the rotation by the least angle that turns a direction (3,) to z, (3, 3).
+def upright_rotation(up: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+    """Return the rotation that turns a direction (3,) to z and the direction ahead to x, (3, 3).
 
-    Upside down, where many are least, it is the half turn about x.
+    Ahead is x, or what of it is level; in frames of cameras, with y down, and in those with x up or
+    down, it is z.
     """
-    x, y, z = up / np.linalg.norm(up)
-    if z < -1 + 1e-12:
-        return np.diag([1.0, -1.0, -1.0])
-    # Rodrigues' formula for the axis up × z, of length sin, and the angle of cosine z.
-    cross = np.array([[0, 0, -x], [0, 0, -y], [x, y, 0]])
-    rotation: npt.NDArray[np.float64] = np.eye(3) + cross + cross @ cross / (1 + z)
-    return rotation
+    up = up / np.linalg.norm(up)
+    largest = int(np.abs(up).argmax())
+    ahead = np.eye(3)[2 if largest == 0 or (largest == 1 and up[1] < 0) else 0]
+    level = ahead - (ahead @ up) * up
+    level /= np.linalg.norm(level)
+    return np.stack([level, np.cross(up, level), up])

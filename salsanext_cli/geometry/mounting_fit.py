@@ -7,17 +7,20 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
+import numpy.typing as npt
 
 from salsanext_cli.geometry.ground import MIN_HEIGHT_M, Ground, find_ground
-from salsanext_cli.geometry.mounting import in_sensor_frame, rotation_to_z
+from salsanext_cli.geometry.mounting import in_sensor_frame, upright_rotation
 from salsanext_cli.geometry.origin_fit import find_origin
 from salsanext_cli.records import Float, Scan
-from salsanext_cli.sensors import Sensor
+from salsanext_cli.sensors import FITTED_NAME, Sensor
 
-MAX_TILT_DEG = 25.0
-"""Largest angle between the ground's normal and z of a sensor that stands upright; streets rise by
-up to 20°."""
-HEIGHTS_M = (1.0, 3.2)
+MAX_TILT_DEG = 8.0
+"""Largest angle between the ground's normal and z of a sensor that stands upright; real ones had up
+to 5°. A vehicle stands on its street, however steep that is."""
+SUPPORT = 1.5
+"""Factor by which a tilted ground must have more points than the best one that is not."""
+HEIGHTS_M = (1.0, 2.6)
 """Least and largest height of a sensor on a vehicle; those of the real scans were 1.4 to 2.1."""
 USUAL_HEIGHT_M = 1.75
 """Height that is assumed where the origin is on the ground and the scans do not tell it."""
@@ -35,7 +38,8 @@ DIGITS = 3
 def fit_mounting(scans: Sequence[Scan], sensor: Sensor) -> Sensor:
     """Return the sensor with the direction up and the origin of scans where they differ much.
 
-    The direction up changes where the ground of most scans is tilted by more than `MAX_TILT_DEG`.
+    The direction up changes where the ground of most scans is tilted by more than `MAX_TILT_DEG`,
+    the heading as little as that allows.
     The origin changes where most scans show no ground at a height of `HEIGHTS_M`, as in the frame
     of a vehicle: to the place that the beams come from, if that is seen; else to the usual height
     if the ground passes through the origin, where no sensor can be.
@@ -49,10 +53,9 @@ def fit_mounting(scans: Sequence[Scan], sensor: Sensor) -> Sensor:
     """
     grounds = [ground for scan in scans if (ground := ground_of(scan))]
     tilted = [ground.up for ground in grounds if ground.tilt_deg > MAX_TILT_DEG]
-    if len(tilted) > len(grounds) / 2:
-        mean = np.mean(tilted, axis=0)
-        up = tuple((mean / np.linalg.norm(mean)).round(DIGITS).tolist())
-        sensor = replace(sensor, name="fitted", up=up)
+    if len(tilted) > len(scans) / 2:
+        up = np.median(tilted, axis=0)
+        sensor = replace(sensor, name=FITTED_NAME, up=_direction(up))
     heights = [ground.height for ground in grounds]
     usual = sum(HEIGHTS_M[0] <= height <= HEIGHTS_M[1] for height in heights)
     if not scans or usual >= len(scans) / 2:
@@ -60,8 +63,8 @@ def fit_mounting(scans: Sequence[Scan], sensor: Sensor) -> Sensor:
     place = _place(scans, sensor, float(np.median(heights)) if heights else None)
     if place is None or np.linalg.norm(place) < MIN_OFFSET_M:
         return sensor
-    in_files = rotation_to_z(np.asarray(sensor.up)).T @ place
-    return replace(sensor, name="fitted", origin=tuple(in_files.round(DIGITS).tolist()))
+    in_files = upright_rotation(np.asarray(sensor.up)).T @ place
+    return replace(sensor, name=FITTED_NAME, origin=tuple(in_files.round(DIGITS).tolist()))
 
 
 def _place(
@@ -81,8 +84,17 @@ def _place(
 
 
 def ground_of(scan: Scan) -> Ground | None:
-    """Find the ground in a scan, from some of its points."""
-    return find_ground(_some(scan, MAX_POINTS))
+    """Find the ground in a scan, from some of its points; a level one if it is nearly as likely."""
+    points = _some(scan, MAX_POINTS)
+    ground = find_ground(points)
+    if ground is None or ground.tilt_deg <= MAX_TILT_DEG:
+        return ground
+    level = find_ground(points, MAX_TILT_DEG)
+    return ground if level is None or ground.share > SUPPORT * level.share else level
+
+
+def _direction(vector: npt.NDArray[np.float64]) -> tuple[float, ...]:
+    return tuple((vector / np.linalg.norm(vector)).round(DIGITS).tolist())
 
 
 def _some(scan: Scan, count: int) -> Float:

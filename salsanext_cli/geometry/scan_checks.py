@@ -10,20 +10,32 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+import numpy.typing as npt
 
-from salsanext_cli.errors import FormatError
+from salsanext_cli.errors import FormatError, counted
 from salsanext_cli.geometry.coverage import LARGEST_SHARE_OUTSIDE, FieldOfViewCoverage
+from salsanext_cli.geometry.ground import TOLERANCE_M
 from salsanext_cli.geometry.mounting import in_sensor_frame
 from salsanext_cli.geometry.mounting_fit import HEIGHTS_M, MAX_POINTS, MAX_TILT_DEG, ground_of
 from salsanext_cli.geometry.ranges import measured_ranges
 from salsanext_cli.records import RangeImage, Scan
-from salsanext_cli.sensors import Sensor
+from salsanext_cli.sensors import FITTED_NAME, Sensor
 
 MEDIAN_RANGES_M = (0.3, 250.0)
 """Least and largest median range of a scan in metres; real scans had 4 to 32."""
 MIN_POINTS = 100
 """Fewest points of which a check says something."""
+USUAL_RANGES_M = (60.0, 300.0)
+"""Largest usual median range and 99 % quantile of ranges; real scans had up to 32 and 104."""
+MAX_VIEW_DEG = 120.0
+"""Largest usual field of view; that of sensors was 90° or less."""
+MAX_WITHOUT_PIXEL = 0.6
+"""Largest usual share of the points without a pixel; organised clouds had up to 0.45."""
+MIN_ROWS, MIN_COLUMNS_OF_ROW = 0.35, 0.02
+"""Least usual share of the rows with points in some of their columns; real scans had 0.47."""
 UPSIDE_DOWN_DEG = 155.0
+MIN_SHARE_OF_GROUND = 0.15
+"""Least share of the near points on a ground that gives reason to doubt."""
 SECTORS = 64
 MIN_SECTORS = 0.6
 """Least share of the directions around with a point; revolutions had 0.89 or more."""
@@ -33,10 +45,11 @@ BRIGHT = 0.95
 """Quantile of the upper intensities."""
 MAX_USUAL_INTENSITY = 2.0
 """Largest upper intensity of the scale 0…1, where that of training is not known."""
-FIT = "--sensor auto, or `salsanext inspect SCANS --fit sensor.toml` and --sensor sensor.toml"
-ORIGIN = (
-    "if it is not the sensor's, --sensor auto, or `origin` in a sensor file; else train weights"
-)
+FIT = "`salsanext inspect SCANS --fit sensor.toml`, then --sensor sensor.toml"
+AUTO = f"--sensor auto, or {FIT}"
+UNITS = "convert them to metres, or name the columns: --columns x,y,z,intensity"
+TRAIN = "expect worse labels, or `salsanext train` weights on scans of this sensor"
+ORIGIN = "say where the sensor is, by `origin` in a sensor file, or train weights for that height"
 
 
 @dataclass(frozen=True, slots=True)
@@ -85,23 +98,28 @@ def check_scan(
         If the scan cannot be right: no point with a measurement, or not in metres around the
         sensor.
     """
-    _require_metres(path, scan, image)
+    ranges = _require_metres(path, scan, image)
     if coverage.points < MIN_POINTS:
-        return ()
+        few = f"{counted(coverage.points, 'point')} with a measurement, too few to check"
+        return (Finding("few-points", few, "give whole scans"),)
+    named = trained is not None and sensor.name not in (FITTED_NAME, trained.name)
     return (
-        *_of_geometry(scan, image, sensor, coverage),
+        *_of_units(ranges, sensor),
+        *_of_image(image, sensor, coverage, AUTO if named else FIT),
+        *_of_mounting(scan, sensor, AUTO if named else FIT),
         *(() if trained is None else _of_intensity(scan, sensor, trained)),
     )
 
 
-def _require_metres(path: Path, scan: Scan, image: RangeImage) -> None:
+def _require_metres(path: Path, scan: Scan, image: RangeImage) -> npt.NDArray[np.float64]:
+    """Return the ranges of some of the points, if they can be metres."""
     ranges, _ = measured_ranges(scan.points[:: max(1, len(scan) // MAX_POINTS)])
     measured = ranges[np.isfinite(ranges) & (ranges > 0)]
     if len(scan) >= MIN_POINTS and not len(measured) and not image.point_range.any():
         found = f"none of its {len(scan)} points is a measurement"
         raise FormatError(path, found, "finite coordinates around the sensor")
     if len(measured) < MIN_POINTS:
-        return
+        return measured
     median, (least, most) = float(np.median(measured)), MEDIAN_RANGES_M
     if not least <= median <= most:
         raise FormatError(
@@ -110,28 +128,48 @@ def _require_metres(path: Path, scan: Scan, image: RangeImage) -> None:
             "coordinates in metres, with the sensor at the origin",
             "convert millimetres or centimetres; take the sensor's place off map coordinates",
         )
+    return measured
 
 
-def _of_geometry(
-    scan: Scan, image: RangeImage, sensor: Sensor, coverage: FieldOfViewCoverage
+def _of_units(ranges: npt.NDArray[np.float64], sensor: Sensor) -> Iterator[Finding]:
+    median, far = np.quantile(ranges, (0.5, 0.99)) if len(ranges) else (0, 0)
+    if median > USUAL_RANGES_M[0] or far > USUAL_RANGES_M[1]:
+        found = f"a median range of {median:.0f} m, and 1% of the points beyond {far:.0f} m"
+        yield Finding("units", found, UNITS)
+    if (view := sensor.fov_up - sensor.fov_down) > MAX_VIEW_DEG:
+        yield Finding("wide-view", f"a field of view of {view:.0f}°", UNITS)
+
+
+def _of_image(
+    image: RangeImage, sensor: Sensor, coverage: FieldOfViewCoverage, fit: str
 ) -> Iterator[Finding]:
     if coverage.share > LARGEST_SHARE_OUTSIDE:
         view = f"{sensor.name}, {sensor.fov_up:+g}° to {sensor.fov_down:+g}°"
         found = f"{coverage.share:.0%} of the points lie outside the view of {view}"
-        yield Finding("out-of-view", found, FIT)
+        yield Finding("out-of-view", found, fit)
+    elif (share := float(np.mean(image.pixel_of_point < 0))) > MAX_WITHOUT_PIXEL:
+        found = f"{share:.0%} of the points have no pixel: most are no measurements"
+        yield Finding("no-pixel", found, "leave out points without a measurement")
     if (share := _share_of_sectors(image)) < MIN_SECTORS:
         found = f"points in {share:.0%} of the directions around"
-        yield Finding("part-of-circle", found, "the network knows whole revolutions")
-    if (ground := ground_of(in_sensor_frame(scan, sensor))) is None:
+        yield Finding("part-of-circle", found, TRAIN)
+    occupied = (image.channels[0] > 0).mean(axis=1) > MIN_COLUMNS_OF_ROW * min(share, 1)
+    if (share := float(occupied.mean())) < MIN_ROWS:
+        found = f"points in {share:.0%} of the {image.height} rows of the image"
+        yield Finding("sparse", found, TRAIN)
+
+
+def _of_mounting(scan: Scan, sensor: Sensor, fit: str) -> Iterator[Finding]:
+    ground = ground_of(in_sensor_frame(scan, sensor))
+    if ground is None or ground.share < MIN_SHARE_OF_GROUND:
         return
     if ground.tilt_deg > UPSIDE_DOWN_DEG:
-        yield Finding("upside-down", "the ground lies above the sensor", FIT)
+        yield Finding("upside-down", "the ground lies above the sensor", fit)
     elif ground.tilt_deg > MAX_TILT_DEG:
-        found = f"the ground is tilted by {ground.tilt_deg:.0f}°: is z up?"
-        yield Finding("tilted", found, FIT)
+        yield Finding("tilted", f"the ground is tilted by {ground.tilt_deg:.0f}°", fit)
     elif not HEIGHTS_M[0] <= ground.height <= HEIGHTS_M[1]:
-        found = f"the origin of the points is {ground.height:.1f} m above the ground"
-        yield Finding("height", found, ORIGIN)
+        height = f"{ground.height:.1f} m above" if abs(ground.height) > TOLERANCE_M else "on"
+        yield Finding("height", f"the origin of the points is {height} the ground", ORIGIN)
 
 
 def _share_of_sectors(image: RangeImage) -> float:

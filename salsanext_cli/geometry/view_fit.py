@@ -15,7 +15,7 @@ from salsanext_cli.geometry.mounting import in_sensor_frame
 from salsanext_cli.geometry.mounting_fit import fit_mounting
 from salsanext_cli.geometry.ranges import measured_ranges
 from salsanext_cli.records import Scan
-from salsanext_cli.sensors import ORIGIN, UP, Sensor
+from salsanext_cli.sensors import FITTED_NAME, ORIGIN, UP, Sensor
 
 OUTLIERS = 0.001
 """Share of the points above, and of those below, that a fitted view leaves out."""
@@ -51,7 +51,7 @@ def fit_view(scans: Sequence[Scan], sensor: Sensor) -> Sensor:
     lower, upper = (round(float(edge), 2) for edge in edges)
     if upper - lower < MIN_VIEW_DEG:
         return sensor
-    return replace(sensor, name="fitted", fov_up=upper, fov_down=lower)
+    return replace(sensor, name=FITTED_NAME, fov_up=upper, fov_down=lower)
 
 
 def as_found(sensor: Sensor) -> str:

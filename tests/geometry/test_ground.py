@@ -6,7 +6,7 @@ from hypothesis import strategies as st
 from scans import make_scan
 
 from salsanext_cli.geometry.ground import find_ground
-from salsanext_cli.geometry.mounting import in_sensor_frame, rotation_to_z
+from salsanext_cli.geometry.mounting import in_sensor_frame, upright_rotation
 from salsanext_cli.records import Scan
 from salsanext_cli.sensors import sensor as preset
 
@@ -47,7 +47,7 @@ def test_in_any_orientation(up):
     """Of a sensor that turns about an axis of its frame, or near one."""
     axis = np.zeros(3)
     axis[np.abs(up).argmax()] = np.sign(up[int(np.abs(up).argmax())])
-    points = street() @ rotation_to_z(axis)
+    points = street() @ upright_rotation(axis)
     found = find_ground(points.astype(np.float32))
     assert found.up @ axis > 0.99
     assert found.height == pytest.approx(1.7, abs=0.05)
@@ -68,15 +68,26 @@ def test_where_there_is_none(points):
 
 @given(DIRECTION)
 def test_the_rotation_turns_up_to_z_and_nothing_else(up):
-    rotation = rotation_to_z(np.array(up))
+    rotation = upright_rotation(np.array(up))
     np.testing.assert_allclose(rotation @ (up / np.linalg.norm(up)), [0, 0, 1], atol=2e-6)
     np.testing.assert_allclose(rotation @ rotation.T, np.eye(3), atol=2e-6)
     assert np.linalg.det(rotation) == pytest.approx(1)
 
 
-def test_the_least_turn():
-    np.testing.assert_array_equal(rotation_to_z(np.array([0.0, 0.0, 2.0])), np.eye(3))
-    np.testing.assert_array_equal(rotation_to_z(np.array([0.0, 0.0, -1.0])), np.diag([1, -1, -1]))
+@pytest.mark.parametrize(
+    ("up", "ahead"),
+    [
+        ((0, 0, 2), (1, 0, 0)),
+        ((0.01, -0.02, -1), (1, 0, 0)),
+        ((0, 1, 0), (1, 0, 0)),
+        ((0, -1, 0.1), (0, 0, 1)),
+        ((1, 0, 0), (0, 0, 1)),
+        ((0.3, 0, 1), (1, 0, 0)),
+    ],
+)
+def test_what_is_ahead_stays_ahead(up, ahead):
+    """Hanging, lying, leaning sensors, and the frames of cameras, whose z is ahead and y down."""
+    assert upright_rotation(np.array(up, float))[0] @ ahead > 0.95
 
 
 def test_an_upright_scan_is_left_alone():

@@ -8,7 +8,7 @@ from scans import SMALL
 from salsanext_cli import Scan, project
 from salsanext_cli.errors import UsageError
 from salsanext_cli.geometry.ground import find_ground
-from salsanext_cli.geometry.mounting import in_sensor_frame, rotation_to_z
+from salsanext_cli.geometry.mounting import in_sensor_frame, upright_rotation
 from salsanext_cli.geometry.mounting_fit import USUAL_HEIGHT_M, fit_mounting
 from salsanext_cli.geometry.origin_fit import find_origin, sharpness
 from salsanext_cli.geometry.view_fit import as_found, fit_view
@@ -75,7 +75,7 @@ def test_points_without_beams_have_no_place(count):
 @pytest.mark.parametrize("up", [(0, 0, 1), (0, 1, 0)])
 def test_scans_in_the_frame_of_a_vehicle_make_the_images_of_their_sensor(up):
     """In frames with z or y up; only the direction that is ahead is not told."""
-    turn = rotation_to_z(np.array(up, float))
+    turn = upright_rotation(np.array(up, float))
     scans = [
         Scan((moved(scan, (0.9, 0, HEIGHT)).points @ turn).astype(np.float32), scan.intensity)
         for scan in (street(32, seed=seed) for seed in range(3))

@@ -17,6 +17,7 @@ from salsanext_cli.sensors import INTENSITY_LEVELS, sensor
 QUANTILES = tuple(np.linspace(0, 1, INTENSITY_LEVELS))
 TRAINED = replace(SMALL, intensity_quantiles=QUANTILES)
 STREET = make_scan(4000)
+LEVEL = np.abs(STREET.points[:, 2]) < 0.01 * np.linalg.norm(STREET.points, axis=1)
 AHEAD = STREET.points[:, 0] > np.abs(STREET.points[:, 1])
 
 
@@ -28,6 +29,17 @@ def codes(scan, of=SMALL, trained=TRAINED):
 def moved(scale=1.0, turn=(1, 1, 1), shift=(0, 0, 0)):
     points = STREET.points * np.float32(scale) * np.float32(turn) + np.float32(shift)
     return Scan(points, STREET.intensity)
+
+
+def leaning(degrees):
+    cosine, sine = np.cos(np.radians(degrees)), np.sin(np.radians(degrees))
+    turn = np.array([[cosine, 0, -sine], [0, 1, 0], [sine, 0, cosine]], np.float32)
+    return Scan(STREET.points @ turn, STREET.intensity)
+
+
+def mostly_missing():
+    points = np.concatenate([STREET.points, np.zeros((3 * len(STREET), 3), np.float32)])
+    return Scan(points, np.tile(STREET.intensity, 4))
 
 
 def test_a_right_scan_is_not_doubted():
@@ -59,6 +71,10 @@ def test_a_scan_without_a_measurement_is_an_error(value):
         (moved(turn=(1, -1, -1)), "upside-down"),
         (Scan(STREET.points[:, [0, 2, 1]], STREET.intensity), "tilted"),
         (moved(shift=(0, 0, 1.2)), "height"),
+        (leaning(12), "tilted"),
+        (moved(scale=30), "units"),
+        (Scan(STREET.points[LEVEL], STREET.intensity[LEVEL]), "sparse"),
+        (mostly_missing(), "no-pixel"),
         (Scan(STREET.points[AHEAD], STREET.intensity[AHEAD]), "part-of-circle"),
         (Scan(STREET.points, np.zeros_like(STREET.intensity)), "no-intensity"),
         (Scan(STREET.points, STREET.intensity * 255), "intensity-scale"),
@@ -73,6 +89,19 @@ def test_points_out_of_view_are_doubtful():
     assert codes(STREET, replace(SMALL, fov_up=-8.0)) == ["out-of-view"]
 
 
+def test_a_view_that_is_no_sensors_is_doubtful():
+    assert "wide-view" in codes(STREET, replace(SMALL, fov_up=75.0, fov_down=-75.0))
+
+
+def test_remedies_name_what_was_not_tried_yet():
+    named, image = replace(SMALL, name="mine", fov_up=-8.0), project(STREET, SMALL)
+    coverage = field_of_view_coverage(STREET, named)
+    for of, auto in ((named, True), (replace(named, name="fitted"), False)):
+        (found,) = check_scan(Path("s.bin"), STREET, image, of, coverage, TRAINED)
+        assert found.remedy.startswith("--sensor auto") == auto
+        assert "--fit" in found.remedy
+
+
 def test_what_was_matched_is_of_no_doubt():
     bright = Scan(STREET.points, STREET.intensity * 255)
     assert codes(bright, TRAINED) == []
@@ -82,8 +111,8 @@ def test_what_was_matched_is_of_no_doubt():
 
 
 @pytest.mark.parametrize("count", [0, 1, 99])
-def test_few_points_are_not_judged(count):
-    assert codes(make_scan(count)) == []
+def test_few_points_are_not_judged_but_said(count):
+    assert codes(make_scan(count)) == ["few-points"]
 
 
 KNOWN = {"livox_front": ["part-of-circle", "height"], "beams128_binary_compressed": ["height"]}

@@ -7,14 +7,14 @@ from scans import SMALL, make_scan
 
 from salsanext_cli import Scan, project
 from salsanext_cli.geometry.coverage import field_of_view_coverage
-from salsanext_cli.geometry.mounting import rotation_to_z
+from salsanext_cli.geometry.mounting import upright_rotation
 from salsanext_cli.geometry.view_fit import as_found, fit_view
 
 SCANS = [make_scan(3000, seed) for seed in range(3)]
 
 
 def turned(scan, up):
-    points = scan.points @ rotation_to_z(np.asarray(up, float))
+    points = scan.points @ upright_rotation(np.asarray(up, float))
     return Scan(points.astype(np.float32), scan.intensity)
 
 
@@ -33,7 +33,7 @@ def test_another_view_is_found_and_the_image_stays():
     assert replace(found, name="small", fov_up=-2.0, fov_down=-12.0) == narrow
 
 
-@pytest.mark.parametrize("up", [(0, 0, -1), (0, 1, 0), (-1, 0, 0), (0, 0.6, 0.8)])
+@pytest.mark.parametrize("up", [(0, 0, -1), (0, 1, 0), (-1, 0, 0), (0, 0.6, 0.8), (0.25, 0, 0.97)])
 def test_images_of_sensors_that_lie_or_hang(up):
     """The same but for the direction that is ahead, which nothing tells."""
     scans = [turned(scan, up) for scan in SCANS]

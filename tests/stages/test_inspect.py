@@ -12,7 +12,7 @@ from salsanext_cli.report.descriptions import survey_tables
 from salsanext_cli.stages.inspect import inspect, write_sensor
 from salsanext_cli.storage.point_files import write_bin
 
-TILT = np.radians(12)
+TILT = np.radians(6.5)
 
 
 @pytest.fixture
