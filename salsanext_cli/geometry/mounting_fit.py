@@ -84,13 +84,19 @@ def _place(
 
 
 def ground_of(scan: Scan) -> Ground | None:
-    """Find the ground in a scan, from some of its points; a level one if it is nearly as likely."""
+    """Find the ground in a scan, from some of its points.
+
+    A tilted one must be likelier than the best level one, and at the height of a sensor on a vehicle,
+    or pass through the origin.
+    """
     points = _some(scan, MAX_POINTS)
     ground = find_ground(points)
     if ground is None or ground.tilt_deg <= MAX_TILT_DEG:
         return ground
     level = find_ground(points, MAX_TILT_DEG)
-    return ground if level is None or ground.share > SUPPORT * level.share else level
+    usual = HEIGHTS_M[0] <= ground.height <= HEIGHTS_M[1] or ground.height < MIN_HEIGHT_M
+    likely = level is None or ground.share > SUPPORT * level.share
+    return ground if usual and likely else level
 
 
 def _direction(vector: npt.NDArray[np.float64]) -> tuple[float, ...]:
