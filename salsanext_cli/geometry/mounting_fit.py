@@ -86,8 +86,8 @@ def _place(
 def ground_of(scan: Scan) -> Ground | None:
     """Find the ground in a scan, from some of its points.
 
-    A tilted one must be likelier than the best level one, and at the height of a sensor on a vehicle,
-    or pass through the origin.
+    A tilted one must be likelier than the best level one, and at the height of a sensor on a
+    vehicle, or pass through the origin.
     """
     points = _some(scan, MAX_POINTS)
     ground = find_ground(points)
