@@ -26,7 +26,7 @@ def predict(
         typer.Option("--probabilities", help="Also write the class probabilities of every point."),
     ] = False,
     selection: selection_options.SourceSelection,
-    network: options.NetworkOptions,
+    network: options.AdaptableNetwork,
     knn: options.Knn,
     batch: Annotated[
         str,

@@ -120,8 +120,7 @@ def _int8(model: Any, network: Network, scans: list[ScanFile]) -> tuple[bytes, f
     card, images = network.card, partial(_input, network=network)
     small = quantised(model, scans, images)
     done = f"Quantised to int8 on {counted(len(scans), 'scan')}."
-    described = replace(card, scores={}, description=f"{card.description} {done}".lstrip())
-    helper.set_model_props(small, described.to_metadata())
+    helper.set_model_props(small, card.changed(done).to_metadata())
     content = small.SerializeToString()
     graphs = [_graph(each, card) for each in (model.SerializeToString(), content)]
     equal = points = 0

@@ -15,9 +15,10 @@ from salsanext_cli.formats.npy import read_array
 from salsanext_cli.geometry.gather import points_from_pixels
 from salsanext_cli.geometry.knn import KnnParameters, knn_refine
 from salsanext_cli.geometry.scan_checks import Finding
+from salsanext_cli.inference.adaptation import network_of_run
 from salsanext_cli.inference.checked_scans import project_checked
 from salsanext_cli.inference.network import Network
-from salsanext_cli.inference.scan_fit import fitted, fitted_view, with_sensor
+from salsanext_cli.inference.scan_fit import fitted_view, with_sensor
 from salsanext_cli.inference.settings import NetworkSettings
 from salsanext_cli.measures.scan_summary import RunSummary, ScanSummary
 from salsanext_cli.parallel.network_task import NetworkTask, named_if_too_large
@@ -29,7 +30,7 @@ from salsanext_cli.storage.layout import ScanFile, output_path, with_outputs
 from salsanext_cli.storage.output_run import OutputRun, output_run
 from salsanext_cli.storage.selection import ScanSelection, choose, select_scans, space_of
 from salsanext_cli.storage.sources import recorded_scans
-from salsanext_cli.storage.stage_records import earlier_sensor, stage_settings
+from salsanext_cli.storage.stage_records import stage_settings
 
 
 def predict_scan(
@@ -143,8 +144,7 @@ def predict_scans(
         raise UsageError("--batch", str(batch), "at least 1, or auto")
     loaded = network.load()
     scans = select_scans(source, selection, loaded.card.space)
-    earlier = earlier_sensor(out, loaded.sha256, options.overwrite)
-    loaded = fitted(network, loaded, scans, earlier)
+    network, loaded = network_of_run(network, loaded, scans, out, overwrite=options.overwrite)
     temperature = loaded.card.temperature
     settings = network.record(loaded) | {"temperature": temperature, "knn": asdict(knn)}
     summary = RunSummary.of_scans(scans, loaded.sensor, loaded.card.space)
@@ -209,9 +209,10 @@ def predict_range_images(
     loaded = with_sensor(loaded, _sensor_of_images(folder, projected, loaded.sensor))
     scans = with_outputs(recorded_scans(folder), folder, "range")
     scans = choose(scans, selection, space_of(scans, loaded.card.space), folder)
-    loaded = fitted(
-        *(network, loaded, scans, earlier_sensor(out, loaded.sha256, options.overwrite)),
-        lambda file: range_image(file, folder, loaded.sensor)[1],
+    network, loaded = network_of_run(
+        *(network, loaded, scans, out),
+        overwrite=options.overwrite,
+        image_of=lambda file: range_image(file, folder, loaded.sensor)[1],
     )
     settings, folders = network.record(loaded), ("pixel_labels",)
     with output_run(

@@ -11,6 +11,7 @@ from scans import SMALL, lively, make_scan
 
 from salsanext_cli import Scan, label_space, load_network, project, read_scan
 from salsanext_cli.errors import FormatError, WeightsError
+from salsanext_cli.inference.batch_norm import norms
 from salsanext_cli.inference.settings import NetworkSettings
 from salsanext_cli.network.card import WeightsCard, read_card
 from salsanext_cli.network.rangenet53 import RangeNet53
@@ -18,7 +19,6 @@ from salsanext_cli.network.registry import ARCHITECTURES
 from salsanext_cli.network.weights import NORM_SUFFIXES, read_weights, save_weights
 from salsanext_cli.stages.tune_batchnorm import tune_batchnorm
 from salsanext_cli.storage.point_files import write_bin
-from salsanext_cli.training.tuning.batch_norm import norms
 
 WIDER = replace(SMALL, name="wider", width=192, fov_up=5.0, means=(10.0, 9.0, 0.0, -1.0, 0.3))
 
@@ -133,7 +133,7 @@ def test_a_network_whose_values_overflow(folder, target, network, tmp_path):
 
 
 def test_a_network_without_batch_norm(folder, target, network, monkeypatch):
-    monkeypatch.setattr("salsanext_cli.stages.tune_batchnorm.norms", lambda _: {})
+    monkeypatch.setattr("salsanext_cli.inference.batch_norm.norms", lambda _: {})
     with pytest.raises(WeightsError, match=r"random\.safetensors · its network has no batch norm"):
         tune_batchnorm(folder, target, network=network)
 
