@@ -1,21 +1,18 @@
 # SPDX-License-Identifier: MIT
 import logging
 from dataclasses import replace
-from functools import partial
 
 import numpy as np
 import pytest
 import torch
 from safetensors.torch import load_file
-from scans import SMALL, lively, make_scan
+from scans import SMALL, make_scan
 
-from salsanext_cli import Scan, label_space, load_network, project, read_scan
+from salsanext_cli import Scan, load_network, project, read_scan
 from salsanext_cli.errors import FormatError, WeightsError
 from salsanext_cli.inference.batch_norm import norms
 from salsanext_cli.inference.settings import NetworkSettings
-from salsanext_cli.network.card import WeightsCard, read_card
-from salsanext_cli.network.rangenet53 import RangeNet53
-from salsanext_cli.network.registry import ARCHITECTURES
+from salsanext_cli.network.card import read_card
 from salsanext_cli.network.weights import NORM_SUFFIXES, read_weights, save_weights
 from salsanext_cli.stages.tune_batchnorm import tune_batchnorm
 from salsanext_cli.storage.point_files import write_bin
@@ -32,13 +29,8 @@ def folder(tmp_path):
 
 
 @pytest.fixture
-def weights(tmp_path, monkeypatch):
-    """Return weights of a network with many batch norms and few channels."""
-    monkeypatch.setitem(ARCHITECTURES, "narrow", partial(RangeNet53, width=2))
-    architecture = {"name": "narrow", "class_count": 20, "dropout": 0.1}
-    card = WeightsCard(architecture, label_space(), SMALL, description="random")
-    save_weights(tmp_path / "random.safetensors", lively(RangeNet53(width=2)), card)
-    return tmp_path / "random.safetensors"
+def weights(narrow_weights):
+    return narrow_weights
 
 
 @pytest.fixture
