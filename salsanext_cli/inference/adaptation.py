@@ -30,8 +30,8 @@ from salsanext_cli.storage.stage_records import earlier_settings
 from salsanext_cli.storage.written_files import WrittenFiles
 
 SHARE = 0.1
-"""Share of the statistics of the scans: the only one tried that lowers neither accuracy nor mean
-IoU on three sensors (docs/tune.md)."""
+"""Share of the statistics of the scans: larger ones lower the accuracy or the mean IoU on one of
+three sensors (docs/tune.md)."""
 LOCK_TIMEOUT_S = 1800.0
 """Another shard adapts in a minute or two, on a slow processor in some more."""
 NAME = f"adapted-{{}}{WEIGHTS_SUFFIX}"

@@ -79,11 +79,10 @@ class NetworkSettings:
 
     def announce(self, network: Network) -> None:
         """Log what computes, and on what the default weights were trained."""
-        name = str(self.weights or f"default weights ({network.card.summary()})")
-        if self.adapted:
-            name += f", adapted: {self.adapted},"
+        name = self.weights or f"default weights ({network.card.summary()})"
         how = (network.device, network.engine, network.precision)
-        log.log(NOTICE, "%s on %s by %s in %s", name, *how)
+        adapted = f", adapted: {self.adapted}" if self.adapted else ""
+        log.log(NOTICE, "%s on %s by %s in %s%s", name, *how, adapted)
 
     def resolved(self, network: Network) -> NetworkSettings:
         """Log what computes, and return the settings for workers: all the same, same weights.

@@ -11,6 +11,7 @@ from salsanext_cli.errors import FormatError, UsageError, counted
 from salsanext_cli.formats import read_scan
 from salsanext_cli.geometry.coverage import CoverageCheck, field_of_view_coverage
 from salsanext_cli.geometry.projection import project
+from salsanext_cli.inference.adaptation import SHARE
 from salsanext_cli.inference.batch_norm import (
     PooledStatistics,
     Statistics,
@@ -26,9 +27,6 @@ from salsanext_cli.records import Float
 from salsanext_cli.storage.atomic import require_target
 from salsanext_cli.storage.layout import ScanFile
 from salsanext_cli.storage.selection import ScanSelection, select_evenly
-
-SHARE = 0.5
-"""Share of the new statistics: within 0.3 points of the best on three sensors (docs/tune.md)."""
 
 log = logging.getLogger(__name__)
 
