@@ -114,11 +114,13 @@ def _adapted_to(
     def checked(file: ScanFile) -> Float:
         return project_checked(file, network.sensor)[0].channels
 
-    sampled = sampled_images(files, network.sensor, image_of or checked)
+    image_of = image_of or checked
+    sampled = sampled_images(files, network.sensor, image_of)
     images = [channels for channels in sampled if channels[0].any()]
     if not images:
-        found = f"none of {counted(len(files), 'scan')} to adapt to can be used"
-        raise NoInputError("--adapt", found, "scans with points in view of the sensor")
+        image_of(files[0])  # raises what is wrong with it, if anything is
+        found = f"no point of {counted(len(files), 'scan')} is in view of the sensor"
+        raise NoInputError("--adapt", found, "scans to adapt to")
     digest = hashlib.sha256(f"{network.sha256} {SHARE}".encode())
     for channels in images:
         digest.update(network.input_array(channels).tobytes())

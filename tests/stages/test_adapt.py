@@ -11,7 +11,7 @@ from safetensors.torch import load_file
 from scans import SMALL, labels_below, replace_points, write_sequence
 
 from salsanext_cli import Scan, load_network, project, read_scan
-from salsanext_cli.errors import NoInputError, OutputError, WeightsError
+from salsanext_cli.errors import FormatError, NoInputError, OutputError, WeightsError
 from salsanext_cli.inference.adaptation import SHARE, network_of_run
 from salsanext_cli.inference.batch_norm import PooledStatistics
 from salsanext_cli.network.card import read_card
@@ -195,8 +195,11 @@ def test_scans_that_get_no_labels_do_not_count(adapting, tmp_path):
 
 def test_nothing_to_adapt_to(adapting):
     nothing = replace_points(adapting.scan(), [])
-    with pytest.raises(NoInputError, match="--adapt · none of 1 scan to adapt to can be used"):
+    with pytest.raises(NoInputError, match="--adapt · no point of 1 scan is in view"):
         run(adapting, source=nothing)
+    adapting.scan("00").write_bytes(b"cut")
+    with pytest.raises(FormatError, match=r"000000\.bin · 3 bytes"):
+        run(adapting, source=adapting.scan("00"))
     assert not adapting.out.exists()
 
 
