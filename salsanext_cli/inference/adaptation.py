@@ -80,7 +80,8 @@ def network_of_run(
     elif "adapted" in earlier:
         made = _as_before(out, earlier["adapted"])
     else:
-        remedy = "use another output folder, or --overwrite to replace all its results"
+        again = f"`salsanext {earlier.path.stem} --adapt --overwrite`"
+        remedy = f"use another output folder, or {again} to replace all its results"
         raise OutputError(earlier.path, "made without --adapt", remedy=remedy)
     settings = replace(settings, adapted=made)
     return settings, with_sensor(settings.load(), network.sensor)

@@ -119,7 +119,9 @@ def uncertainty(
     """
     loaded = network.load()
     scans = select_scans(source, selection, loaded.card.space)
-    network, loaded = network_of_run(network, loaded, scans, out, overwrite=options.overwrite)
+    # Labels of another stage stay, and with them what they were made with.
+    overwrite = options.overwrite and owner(out, "predictions") in (None, "uncertainty")
+    network, loaded = network_of_run(network, loaded, scans, out, overwrite=overwrite)
     return uncertainty_of(scans, out, network, options, loaded, knn=knn, estimator=estimator)
 
 

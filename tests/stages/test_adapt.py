@@ -109,6 +109,16 @@ def test_later_runs_and_stages_take_the_same_statistics(adapting):
     assert fingerprint(adapted(adapting.out)) == before
 
 
+def test_uncertainties_that_are_made_anew_stay_those_of_the_labels(adapting):
+    run(adapting)
+    before = fingerprint(adapted(adapting.out))
+    for only in (None, 1):
+        anew, one = RunOptions(overwrite=bool(only)), ScanSelection(limit=only)
+        given = {"network": adapting.network, "estimator": FEW, "selection": one, "options": anew}
+        assert uncertainty(adapting.data, adapting.out, **given).done == (only or 3)
+        assert stage_settings(adapting.out, "uncertainty")["adapted"] == before
+
+
 def test_export_ply_estimates_the_uncertainty_of_the_adapted_network(adapting, tmp_path):
     run(adapting, selection=ScanSelection(limit=1))
     plain = replace(adapting.network, adapt=False)
