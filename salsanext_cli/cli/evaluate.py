@@ -6,6 +6,7 @@ from typing import Annotated
 import typer
 
 from salsanext_cli.cli import console, run_end, run_options, selection_options
+from salsanext_cli.cli.option_groups import Without
 from salsanext_cli.errors import counted
 
 
@@ -17,7 +18,7 @@ def evaluate(
     ] = False,
     selection: selection_options.ResultSelection,
     classes: selection_options.Classes,
-    running: run_options.RunningUnsharded,
+    running: Annotated[run_options.RunningUnsharded, Without({"overwrite"})],
     output: console.Output,
 ) -> None:
     """Compare predictions with labels, as the official benchmark does.

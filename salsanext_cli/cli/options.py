@@ -117,6 +117,21 @@ class NetworkOptions:
 
 
 @option_group
+class AdaptableNetwork(NetworkOptions):
+    """Network that can be adapted to the scans, its sensor and its device."""
+
+    adapt: bool = network_option(
+        "Adapt batch normalisation to the scans, once for the output folder.",
+        "--adapt",
+        default=False,
+    )
+
+    def settings(self) -> NetworkSettings:
+        """Build the settings that stages take."""
+        return replace(NetworkOptions.settings(self), adapt=self.adapt)
+
+
+@option_group
 class Knn:
     """Refinement of labels by nearest neighbours."""
 

@@ -26,7 +26,7 @@ def predict(
         typer.Option("--probabilities", help="Also write the class probabilities of every point."),
     ] = False,
     selection: selection_options.SourceSelection,
-    network: options.NetworkOptions,
+    network: options.AdaptableNetwork,
     knn: options.Knn,
     batch: Annotated[
         str,
@@ -43,6 +43,7 @@ def predict(
 
     Example: salsanext predict seq/velodyne out/
     """
+    from salsanext_cli.inference.range_images import projected_sensor
     from salsanext_cli.stages import predict as stage
 
     source = selection.source(scans)
@@ -51,7 +52,7 @@ def predict(
     chosen: dict[str, Any] = {"network": network.settings(), "selection": selection.scans()}
     outcome: Outcome
     with running.over_scans("predict", output) as run:
-        if stage.projected_sensor(source) is None:
+        if projected_sensor(source) is None:
             outcome = stage.predict_scans(
                 source,
                 out,

@@ -98,7 +98,7 @@ def tune_batchnorm(
         typer.Option(
             help="Weight of the new statistics, above 0 and at most 1; the old ones have the rest."
         ),
-    ] = 0.5,
+    ] = 0.1,
     selection: Annotated[selection_options.SpacedSelection, Without({"dataset"})],
     network: options.NetworkOptions,
     running: run_options.Overwriting,

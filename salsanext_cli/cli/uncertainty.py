@@ -27,7 +27,7 @@ def uncertainty(
         ),
     ] = True,
     selection: selection_options.SourceSelection,
-    network: options.NetworkOptions,
+    network: options.AdaptableNetwork,
     knn: options.Knn,
     running: run_options.Checked,
     output: console.Output,

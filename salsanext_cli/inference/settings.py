@@ -36,8 +36,12 @@ class NetworkSettings:
         Whether a view and a direction up that differ much from the sensor's are those of the scans.
     intensity : {"auto", "match", "raw", "none"}
         As `scan_fit.fitted` takes it; "auto" matches where the weights know their quantiles.
+    adapt : bool
+        Whether the batch norm is to be adapted to the scans, as `adaptation.network_of_run` does.
+    adapted : Path, optional
+        The weights file that came of it: this one is loaded.
     sha256 : str, optional
-        Of the weights that a run began with; others are refused.
+        Of the weights file that a run began with; others are refused.
     """
 
     weights: Path | None = None
@@ -47,11 +51,13 @@ class NetworkSettings:
     engine: str = "auto"
     fit: bool = False
     intensity: str = "raw"
+    adapt: bool = False
+    adapted: Path | None = None
     sha256: str | None = None
 
     @property
     def path(self) -> Path:
-        """The weights file."""
+        """The weights file that was asked for."""
         return self.weights or default_weights()
 
     def load(self) -> Network:
@@ -64,16 +70,19 @@ class NetworkSettings:
         UsageError
             If the device does not exist, or does not compute in the precision or with the engine.
         """
-        if self.sha256 and self.sha256 != fingerprint(self.path):
+        file = self.adapted or self.path
+        if self.sha256 and self.sha256 != fingerprint(file):
             found = "was replaced since the run began"
-            raise WeightsError(self.path, found, "the same file", "run again with --overwrite")
-        return load_network(self.weights, self.device, self.sensor, self.precision, self.engine)
+            raise WeightsError(file, found, "the same file", "run again with --overwrite")
+        wanted = self.adapted or self.weights
+        return load_network(wanted, self.device, self.sensor, self.precision, self.engine)
 
     def announce(self, network: Network) -> None:
         """Log what computes, and on what the default weights were trained."""
         name = self.weights or f"default weights ({network.card.summary()})"
         how = (network.device, network.engine, network.precision)
-        log.log(NOTICE, "%s on %s by %s in %s", name, *how)
+        adapted = f", adapted: {self.adapted}" if self.adapted else ""
+        log.log(NOTICE, "%s on %s by %s in %s%s", name, *how, adapted)
 
     def resolved(self, network: Network) -> NetworkSettings:
         """Log what computes, and return the settings for workers: all the same, same weights.
@@ -93,8 +102,9 @@ class NetworkSettings:
 
     def record(self, network: Network) -> dict[str, Any]:
         """Return what the results of a stage depend on, as plain data for its record."""
-        return {
-            "weights": network.sha256,
+        adapted = {"adapted": network.sha256} if self.adapted else {}
+        return adapted | {
+            "weights": fingerprint(self.path) if adapted else network.sha256,
             "label_space": network.card.space.to_dict(),
             "sensor": recorded_view(network.sensor),
             "precision": network.precision,

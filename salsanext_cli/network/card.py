@@ -6,7 +6,7 @@ from __future__ import annotations
 import json
 import re
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from importlib import resources
 from pathlib import Path
 from typing import Any
@@ -64,6 +64,10 @@ class WeightsCard:
         """Return the start of the description, up to the first colon or full stop."""
         start = re.split(r"[:.](?:\s|$)", self.description, maxsplit=1)[0]
         return shortened(start[:1].lower() + start[1:])
+
+    def changed(self, done: str) -> WeightsCard:
+        """Return the card of weights changed by what a sentence says: their scores are unknown."""
+        return replace(self, scores={}, description=f"{self.description} {done}".lstrip())
 
     def to_metadata(self) -> dict[str, str]:
         """Return what a safetensors header holds; equal cards give equal text."""

@@ -15,7 +15,7 @@ from salsanext_cli.network.registry import build
 from salsanext_cli.network.restricted_unpickler import DTYPES
 from salsanext_cli.network.segmentation import SegmentationNetwork
 from salsanext_cli.settings_files import shortened, words_of
-from salsanext_cli.storage.atomic import writing
+from salsanext_cli.storage.atomic import write_bytes
 
 NORM_SUFFIXES = (".running_mean", ".running_var")
 
@@ -36,19 +36,21 @@ def save_weights(path: Path, module: nn.Module, card: WeightsCard, *, half: bool
         value beyond float16's range.
     """
     tensors = {name: _stored(name, tensor, half) for name, tensor in module.state_dict().items()}
-    _write(path, tensors, card)
+    write_bytes(path, safetensors.torch.save(tensors, card.to_metadata()), durable=True)
 
 
 def save_with_card(
     source: Path, target: Path, card: WeightsCard, replaced: Mapping[str, Tensor] = {}
 ) -> None:
-    """Write a weights file's tensors, bit for bit but for those replaced, with another card."""
-    _write(target, {**safetensors.torch.load_file(source), **replaced}, card)
+    """Write a weights file as `with_card` says."""
+    write_bytes(target, with_card(source, card, replaced), durable=True)
 
 
-def _write(path: Path, tensors: dict[str, Tensor], card: WeightsCard) -> None:
-    with writing(path, durable=True) as file:
-        file.write(safetensors.torch.save(tensors, card.to_metadata()))
+def with_card(source: Path, card: WeightsCard, replaced: Mapping[str, Tensor] = {}) -> bytes:
+    """Return a weights file with another card, bit for bit but for the tensors replaced."""
+    tensors = {**safetensors.torch.load_file(source), **replaced}
+    content: bytes = safetensors.torch.save(tensors, card.to_metadata())
+    return content
 
 
 def _stored(name: str, tensor: Tensor, half: bool) -> Tensor:

@@ -3,23 +3,26 @@
 
 import logging
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 from salsanext_cli.errors import UsageError, counted
 from salsanext_cli.formats import read_scan
-from salsanext_cli.geometry.normalise import normalise
 from salsanext_cli.geometry.projection import project
 from salsanext_cli.inference.device import openvino_core
 from salsanext_cli.inference.graphs import Graph
+from salsanext_cli.inference.network import Network
 from salsanext_cli.inference.onnx_export import difference, exported
 from salsanext_cli.inference.onnx_model import read_model
 from salsanext_cli.inference.quantised import quantised
+from salsanext_cli.inference.scan_fit import fitted
+from salsanext_cli.inference.settings import NetworkSettings
 from salsanext_cli.network.card import WeightsCard
 from salsanext_cli.network.onnx_metadata import ONNX_SUFFIX, OPSET
 from salsanext_cli.network.weights import read_weights
 from salsanext_cli.packages import import_extra, import_nncf
-from salsanext_cli.records import Float, RangeImage
+from salsanext_cli.records import Float
 from salsanext_cli.sensors import Sensor
 from salsanext_cli.storage.atomic import require_target, write_bytes
 from salsanext_cli.storage.layout import ScanFile
@@ -52,11 +55,14 @@ def export_onnx(
     target : Path
         The `.onnx` file to write.
     view : Sensor, optional
-        Origin of the range images, if not the sensor that the weights name.
+        Origin of the range images, if not the sensor that the weights name; its intensity is
+        matched to that of their training.
     dynamic_width : bool
         The model takes every width that the network's stride divides.
     calibrate : Path, optional
-        Scans, a sequence or a data set for quantisation to int8; no label is read.
+        Scans, a sequence or a data set for quantisation to int8; no label is read. The model sees
+        them as in `predict`: without `view`, the sensor is fitted to them; their intensity is
+        matched.
     selection : ScanSelection
         Which of these; a limit takes evenly spaced ones.
     overwrite : bool
@@ -78,7 +84,9 @@ def export_onnx(
     for package in ("onnx", "onnxruntime"):
         import_extra(package, "onnx")
     module, card = read_weights(weights)
-    card = replace(card, sensor=view or card.sensor)
+    if view is not None:
+        trained = card.sensor.intensity_quantiles
+        card = replace(card, sensor=replace(view, intensity_quantiles=trained))
     scans: list[ScanFile] = []
     if calibrate is not None:
         import_nncf()
@@ -97,39 +105,40 @@ def export_onnx(
         "difference": difference(content, module, card),
     }
     if scans:
-        content, share = _int8(model, card, scans)
+        settings = NetworkSettings(weights, fit=view is None, intensity="auto")
+        network = fitted(settings, Network(lambda: module, card, card.sensor), scans)
+        content, share = _int8(model, network, scans)
         found |= {"scans": len(scans), "equal_labels": share}
     write_bytes(target, content, durable=True)
     return found | {"bytes": len(content)}
 
 
-def _int8(model: Any, card: WeightsCard, scans: list[ScanFile]) -> tuple[bytes, float]:
+def _int8(model: Any, network: Network, scans: list[ScanFile]) -> tuple[bytes, float]:
     """Quantise a model; return it, and the share of labels that are those of float32."""
     from onnx import helper
 
-    small = quantised(model, scans, lambda file: _input(_image(file, card.sensor), card.sensor))
+    card, images = network.card, partial(_input, network=network)
+    small = quantised(model, scans, images)
     done = f"Quantised to int8 on {counted(len(scans), 'scan')}."
-    described = replace(card, scores={}, description=f"{card.description} {done}".lstrip())
-    helper.set_model_props(small, described.to_metadata())
+    helper.set_model_props(small, card.changed(done).to_metadata())
     content = small.SerializeToString()
     graphs = [_graph(each, card) for each in (model.SerializeToString(), content)]
     equal = points = 0
     for file in scans:
-        image = _image(file, card.sensor)
-        occupied = image.channels[0] > 0
-        full, short = (compute(_input(image, card.sensor))[0][0].argmax(0) for compute in graphs)
+        image = images(file)
+        # A normalised pixel without a point is 0 in all channels.
+        occupied = image[0].any(axis=0)
+        full, short = (compute(image)[0][0].argmax(0) for compute in graphs)
         equal += int((full == short)[occupied].sum())
         points += int(occupied.sum())
         log.info("%s/%s: done", file.sequence, file.stem)
     return content, equal / max(points, 1)
 
 
-def _image(file: ScanFile, sensor: Sensor) -> RangeImage:
-    return project(read_scan(file.path, sensor), sensor, "cpu")
-
-
-def _input(image: RangeImage, sensor: Sensor) -> Float:
-    return normalise(image.channels, sensor)[None]
+def _input(file: ScanFile, network: Network) -> Float:
+    """Return what the network sees of a scan, (1, 5, H, W)."""
+    image = project(read_scan(file.path, network.sensor), network.sensor, "cpu")
+    return network.input_array(image.channels)
 
 
 def _graph(content: bytes, card: WeightsCard) -> Graph:

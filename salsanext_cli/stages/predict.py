@@ -11,25 +11,28 @@ import numpy as np
 
 from salsanext_cli.classes import TrainIds
 from salsanext_cli.errors import SalsanextError, UsageError
-from salsanext_cli.formats.npy import read_array
 from salsanext_cli.geometry.gather import points_from_pixels
 from salsanext_cli.geometry.knn import KnnParameters, knn_refine
 from salsanext_cli.geometry.scan_checks import Finding
+from salsanext_cli.inference.adaptation import network_of_run
 from salsanext_cli.inference.checked_scans import project_checked
 from salsanext_cli.inference.network import Network
-from salsanext_cli.inference.scan_fit import fitted, fitted_view, with_sensor
+from salsanext_cli.inference.range_images import (
+    projected_sensor,
+    range_image,
+    sensor_of_images,
+)
+from salsanext_cli.inference.scan_fit import fitted_view, with_sensor
 from salsanext_cli.inference.settings import NetworkSettings
 from salsanext_cli.measures.scan_summary import RunSummary, ScanSummary
 from salsanext_cli.parallel.network_task import NetworkTask, named_if_too_large
 from salsanext_cli.parallel.run import Outcome, RunOptions, run_over_scans
 from salsanext_cli.parallel.tasks import Attempt
-from salsanext_cli.records import CHANNELS, Float, RangeImage
-from salsanext_cli.sensors import Sensor
-from salsanext_cli.storage.layout import ScanFile, output_path, with_outputs
+from salsanext_cli.records import Float, RangeImage
+from salsanext_cli.storage.layout import ScanFile, with_outputs
 from salsanext_cli.storage.output_run import OutputRun, output_run
 from salsanext_cli.storage.selection import ScanSelection, choose, select_scans, space_of
 from salsanext_cli.storage.sources import recorded_scans
-from salsanext_cli.storage.stage_records import earlier_sensor, stage_settings
 
 
 def predict_scan(
@@ -143,8 +146,7 @@ def predict_scans(
         raise UsageError("--batch", str(batch), "at least 1, or auto")
     loaded = network.load()
     scans = select_scans(source, selection, loaded.card.space)
-    earlier = earlier_sensor(out, loaded.sha256, options.overwrite)
-    loaded = fitted(network, loaded, scans, earlier)
+    network, loaded = network_of_run(network, loaded, scans, out, overwrite=options.overwrite)
     temperature = loaded.card.temperature
     settings = network.record(loaded) | {"temperature": temperature, "knn": asdict(knn)}
     summary = RunSummary.of_scans(scans, loaded.sensor, loaded.card.space)
@@ -168,12 +170,6 @@ def predict_image(file: ScanFile, network: Network, folder: Path, output: Output
     (probabilities,) = network.pixel_probabilities([image])
     network.require_finite(probabilities, path)
     output.write_array(file, "pixel_labels", most_probable(probabilities))
-
-
-def range_image(file: ScanFile, folder: Path, sensor: Sensor) -> tuple[Path, Float]:
-    """Read what `project` wrote of a scan; return the file and its content, (5, H, W) float32."""
-    path = output_path(folder, file.sequence, "range", file.stem)
-    return path, read_array(path, "float32", (len(CHANNELS), sensor.height, sensor.width))
 
 
 def predict_range_images(
@@ -206,12 +202,13 @@ def predict_range_images(
     projected = projected_sensor(folder)
     if network.fit and projected is not None:
         loaded = with_sensor(loaded, fitted_view([], loaded.sensor, projected))
-    loaded = with_sensor(loaded, _sensor_of_images(folder, projected, loaded.sensor))
+    loaded = with_sensor(loaded, sensor_of_images(folder, projected, loaded.sensor))
     scans = with_outputs(recorded_scans(folder), folder, "range")
     scans = choose(scans, selection, space_of(scans, loaded.card.space), folder)
-    loaded = fitted(
-        *(network, loaded, scans, earlier_sensor(out, loaded.sha256, options.overwrite)),
-        lambda file: range_image(file, folder, loaded.sensor)[1],
+    network, loaded = network_of_run(
+        *(network, loaded, scans, out),
+        overwrite=options.overwrite,
+        image_of=lambda file: range_image(file, folder, loaded.sensor)[1],
     )
     settings, folders = network.record(loaded), ("pixel_labels",)
     with output_run(
@@ -221,29 +218,3 @@ def predict_range_images(
         task = NetworkTask(label, network.resolved(loaded), loaded)
         outcome = run_over_scans(task, scans, options, is_done=output.is_done)
     return replace(outcome, summary=RunSummary(loaded.sensor))
-
-
-def projected_sensor(folder: Path) -> Sensor | None:
-    """Return the sensor of the range images in an output folder, None if it holds none."""
-    settings = stage_settings(folder, "project")
-    if settings is None:
-        return None
-    return Sensor.from_dict(settings.table("sensor"), settings.path)
-
-
-def _sensor_of_images(folder: Path, projected: Sensor | None, wanted: Sensor) -> Sensor:
-    """Return the network's sensor with the columns of the scans; refuse another geometry.
-
-    Normalisation is the network's own.
-    """
-    if projected is None:
-        raise UsageError(folder, "holds no range images", "the output folder of `project`")
-    wanted = replace(wanted, columns=projected.columns)
-    if replace(projected, means=wanted.means, stds=wanted.stds).view() != wanted.view():
-        raise UsageError(
-            folder,
-            f"range images of {projected.name}, {projected.height}×{projected.width}",
-            f"{wanted.name}, {wanted.height}×{wanted.width}, as the weights or --sensor say",
-            "project again, or give the sensor that was projected with",
-        )
-    return wanted

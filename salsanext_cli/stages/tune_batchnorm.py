@@ -3,30 +3,30 @@
 
 import logging
 import math
-from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-import torch
-from torch import Tensor
-
-from salsanext_cli.errors import FormatError, UsageError, WeightsError, counted
+from salsanext_cli.errors import FormatError, UsageError, counted
 from salsanext_cli.formats import read_scan
 from salsanext_cli.geometry.coverage import CoverageCheck, field_of_view_coverage
 from salsanext_cli.geometry.projection import project
+from salsanext_cli.inference.adaptation import SHARE
+from salsanext_cli.inference.batch_norm import (
+    PooledStatistics,
+    Statistics,
+    as_tensors,
+    require_norms,
+)
 from salsanext_cli.inference.network import Network
 from salsanext_cli.inference.scan_fit import fitted
 from salsanext_cli.inference.settings import NetworkSettings
 from salsanext_cli.network.weights import save_with_card
 from salsanext_cli.parallel.run import Progress
+from salsanext_cli.records import Float
 from salsanext_cli.storage.atomic import require_target
 from salsanext_cli.storage.layout import ScanFile
 from salsanext_cli.storage.selection import ScanSelection, select_evenly
-from salsanext_cli.training.tuning.batch_norm import Statistics, norms, statistics_of_scan
-
-SHARE = 0.5
-"""Share of the new statistics: within 0.3 points of the best on three sensors (docs/tune.md)."""
 
 log = logging.getLogger(__name__)
 
@@ -44,8 +44,7 @@ def tune_batchnorm(
     """Write a weights file with batch-norm statistics moved towards those of scans of one's own.
 
     Every scan passes once, as `statistics_of_scan` says; no label is read. The statistics of all
-    scans are pooled, the variance within the scans and between them, in float64. Memory does not
-    grow with the number of scans.
+    scans are pooled in float64.
 
     Parameters
     ----------
@@ -75,33 +74,28 @@ def tune_batchnorm(
     if not 0 < share <= 1:
         raise UsageError("--share", f"{share:g}", "above 0, at most 1")
     loaded = network.load()
-    layers = norms(loaded.module)
-    if not layers:
-        raise WeightsError(network.path, "its network has no batch norm", "one with batch norm")
+    layers = require_norms(loaded)
     scans = select_evenly(source, selection, loaded.card.space)
     require_target(target, overwrite)
     loaded = fitted(network, loaded, scans)
     network.announce(loaded)
     old = {name: Statistics.kept_by(layer) for name, layer in layers.items()}
-    pooled: dict[str, Statistics] = {}
+    pooled = PooledStatistics(loaded, share)
     check = CoverageCheck(loaded.sensor)
     for number, file in enumerate(scans, start=1):
-        found = _statistics(file, loaded, share, check)
-        pooled = {name: pooled[name] + new if pooled else new for name, new in found.items()}
+        pooled.add(_channels(file, loaded, check), file.path)
         log.info("%s/%s: done", file.sequence, file.stem)
         if progress:
             progress(number, len(scans))
     check.finish()
-    new = {name: old[name].blended(statistics, share) for name, statistics in pooled.items()}
-    sensor = loaded.sensor
+    new, sensor = pooled.moved(), loaded.sensor
     scanned = counted(len(scans), "scan")
     done = f"Batch norm re-estimated on {scanned} of {sensor.name}, share {share:g}."
-    description = f"{loaded.card.description} {done}".lstrip()
     # On the scale that the intensity of later scans is matched to.
     known = loaded.card.sensor.intensity_quantiles if sensor.intensity_quantiles else ()
     sensor = replace(sensor, intensity_quantiles=known)
-    card = replace(loaded.card, sensor=sensor, scores={}, description=description)
-    save_with_card(network.path, target, card, _tensors(new))
+    card = replace(loaded.card.changed(done), sensor=sensor)
+    save_with_card(network.path, target, card, as_tensors(new))
     moved = [_moved(name, old[name], new[name], layers[name].eps) for name in new]
     return {
         "stage": "tune batchnorm",
@@ -112,30 +106,15 @@ def tune_batchnorm(
     }
 
 
-def _statistics(
-    file: ScanFile, network: Network, share: float, check: CoverageCheck
-) -> Mapping[str, Statistics]:
-    """Read and project a scan; return its statistics, by layer."""
+def _channels(file: ScanFile, network: Network, check: CoverageCheck) -> Float:
+    """Read and project a scan; return its range image, (5, H, W) float32."""
     scan = read_scan(file.path, network.sensor)
     image = project(scan, network.sensor, network.device)
     if not (image.pixel_of_point >= 0).any():
         none = f"none of its {len(image.pixel_of_point)} points has a pixel"
         raise FormatError(file.path, none, "points that were measured, in view of the sensor")
     check.add(field_of_view_coverage(scan, network.sensor))
-    found = statistics_of_scan(network, image, share)
-    for name, values in _tensors(found).items():
-        if not torch.isfinite(values).all():
-            raise WeightsError(file.path, f"the network's {name} is not finite", "finite values")
-    return found
-
-
-def _tensors(statistics: Mapping[str, Statistics]) -> dict[str, Tensor]:
-    """Return statistics as a weights file holds them, float32."""
-    return {
-        f"{layer}.{name}": values.float().cpu()
-        for layer, new in statistics.items()
-        for name, values in (("running_mean", new.mean), ("running_var", new.variance))
-    }
+    return image.channels
 
 
 def _moved(layer: str, old: Statistics, new: Statistics, eps: float) -> dict[str, Any]:

@@ -13,9 +13,9 @@ from salsanext_cli.errors import OutputError, UsageError, counted
 from salsanext_cli.formats.reading import present
 from salsanext_cli.geometry.gather import points_from_pixels
 from salsanext_cli.geometry.knn import KnnParameters, knn_refine
+from salsanext_cli.inference.adaptation import network_of_run
 from salsanext_cli.inference.checked_scans import project_checked
 from salsanext_cli.inference.network import Network
-from salsanext_cli.inference.scan_fit import fitted
 from salsanext_cli.inference.settings import NetworkSettings, recorded_view
 from salsanext_cli.measures.scan_summary import RunSummary, ScanSummary
 from salsanext_cli.network.card import read_card
@@ -28,7 +28,6 @@ from salsanext_cli.storage.output_run import OutputRun, output_run
 from salsanext_cli.storage.selection import ScanSelection, select_scans
 from salsanext_cli.storage.stage_records import (
     as_json,
-    earlier_sensor,
     owner,
     recorded_weights,
     stage_settings,
@@ -74,13 +73,15 @@ def _require_same_network(out: Path, settings: dict[str, Any]) -> None:
     recorded = stage_settings(out, stage) if stage not in (None, "uncertainty") else None
     if recorded and (weights := recorded_weights(out, "predictions")):
         recorded["weights"] = weights
+    own = settings | {"weights": settings.get("adapted", settings["weights"])}
+    same = {"weights": "weights, and --adapt for both or neither", "sensor": "sensor"}
     for key, seen in (("weights", str), ("sensor", _view)):
-        if recorded and key in recorded and seen(recorded[key]) != seen(as_json(settings[key])):
+        if recorded and key in recorded and seen(recorded[key]) != seen(as_json(own[key])):
             raise OutputError(
                 out / f"{stage}.json",
                 f"labels made with other {key}",
                 "the same for labels and uncertainty",
-                f"give the same {key}, or use another output folder",
+                f"give the same {same[key]}, or use another output folder",
             )
 
 
@@ -118,8 +119,9 @@ def uncertainty(
     """
     loaded = network.load()
     scans = select_scans(source, selection, loaded.card.space)
-    earlier = earlier_sensor(out, loaded.sha256, options.overwrite)
-    loaded = fitted(network, loaded, scans, earlier)
+    # Labels of another stage stay, and with them what they were made with.
+    overwrite = options.overwrite and owner(out, "predictions") in (None, "uncertainty")
+    network, loaded = network_of_run(network, loaded, scans, out, overwrite=overwrite)
     return uncertainty_of(scans, out, network, options, loaded, knn=knn, estimator=estimator)
 
 
@@ -182,7 +184,7 @@ def estimate_missing(
         remedy = "run `salsanext uncertainty` first, with shards too"
         raise UsageError(f"--shard {options.shard}", found, "that of all scans", remedy)
     network = _as_predicted(out, network)
-    loaded = fitted(network, network.load(), scans, earlier_sensor(out, None, False))
+    network, loaded = network_of_run(network, network.load(), scans, out)
     estimator = (
         recorded_estimator(earlier) if earlier else possible_estimator(colour, loaded.sensor)
     )
@@ -229,6 +231,7 @@ def _as_predicted(out: Path, network: NetworkSettings) -> NetworkSettings:
             "give them with --weights, or run `salsanext uncertainty`",
         )
     seen = Sensor.from_dict(settings.table("sensor"), settings.path)
+    network = replace(network, adapt="adapted" in settings)
     return network if network.sensor else replace(network, sensor=_with_noise(seen, network))
 
 

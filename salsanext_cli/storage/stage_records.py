@@ -157,11 +157,14 @@ def recorded_label_space(out: Path) -> LabelSpace | None:
 
 
 def recorded_weights(out: Path, folder: str) -> str | None:
-    """Return the SHA-256 of the weights behind a folder of results, None if none is recorded."""
+    """Return the SHA-256 of the weights behind a folder of results, None if none is recorded.
+
+    Of weights that were adapted to the scans, it is that of the adapted ones.
+    """
     settings: Mapping[str, Any] = settings_of(out, folder) or {}
     if owner(out, folder) == "knn-refine" and settings.get("labels") is None:
         return recorded_weights(out, "pixel_labels")
-    found = settings.get("weights")
+    found = settings.get("adapted", settings.get("weights"))
     return None if found is None else str(found)
 
 
@@ -174,12 +177,12 @@ def recorded_sensor(out: Path) -> Sensor:
     return sensor("hdl64")
 
 
-def earlier_sensor(out: Path, weights: str | None, overwrite: bool) -> Sensor | None:
-    """Return the sensor of labels or uncertainties that were made with these weights, if any."""
+def earlier_settings(out: Path, weights: str | None, overwrite: bool) -> RecordedSettings | None:
+    """Return the settings of labels or uncertainties that were made with these weights, if any."""
     for stage in () if overwrite else ("predict", "uncertainty"):
         settings = stage_settings(out, stage)
         if settings is not None and settings.get("weights") == weights:
-            return Sensor.from_dict(settings.table("sensor"), settings.path)
+            return settings
     return None
 
 

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 from command_line import only_json
 
+from salsanext_cli.inference.adaptation import SHARE
 from salsanext_cli.network.card import read_card
-from salsanext_cli.stages.tune_batchnorm import SHARE
 from salsanext_cli.storage.selection import ScanSelection
 
 UPS = [f"up{i}" for i in range(1, 5)]
@@ -50,8 +50,8 @@ def test_batch_norm_is_adapted_to_scans_without_labels(run, data, weights, tmp_p
     assert weights_said.endswith(" on cpu by torch in float32")
     assert done == f"tune batchnorm: 1 scan of small → {target}"
     assert "exists" in run(*arguments).stderr
-    found = only_json(run(*arguments, "--overwrite", "--json", "--limit", 1, "--share", 0.5))
-    expected = {"stage": "tune batchnorm", "scans": 1, "sensor": "small", "share": 0.5}
+    found = only_json(run(*arguments, "--overwrite", "--json", "--limit", 1, "--share", 0.1))
+    expected = {"stage": "tune batchnorm", "scans": 1, "sensor": "small", "share": 0.1}
     assert found.items() >= {**expected, "weights": str(target)}.items()
     context = [layer for layer in found["layers"] if layer["layer"].startswith("context.")]
     for name, layers in (("context", context), ("all", found["layers"])):

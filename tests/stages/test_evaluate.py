@@ -193,13 +193,12 @@ def test_the_result_of_other_settings_is_replaced(world):
 @pytest.mark.parametrize(
     "name", ["scores.txt", "eval.json", "eval_iou.png", "eval_reliability.png"]
 )
-@pytest.mark.parametrize("overwrite", [False, True])
-def test_foreign_files_stay(world, name, overwrite):
+def test_foreign_files_stay(world, name):
     world.add("000000", [CAR], [CAR])
     (world.out / name).write_text("mine")
     before = files_below(world.out)
     with pytest.raises(OutputError, match=rf"{name} · exists, and was not recorded by salsanext"):
-        world.evaluate(by_distance=True, overwrite=overwrite)
+        world.evaluate(by_distance=True)
     assert files_below(world.out) == before
 
 
@@ -215,5 +214,5 @@ def test_files_of_eval_that_were_changed_stay(world, tmp_path, linked):
         path.write_text(path.read_text() + "# seen by me\n")
     before = files_below(world.out)
     with pytest.raises(OutputError, match=r"scores\.txt · exists, and .* was changed since"):
-        world.evaluate(overwrite=True)
+        world.evaluate()
     assert files_below(world.out) == before

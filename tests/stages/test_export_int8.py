@@ -2,18 +2,25 @@
 """Models in int8: what stays float32, and the same results by two runtimes."""
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
 from command_line import python
-from scans import SMALL, make_scan, write_sequence
+from scans import SMALL, make_scan, write_sequence, write_weights
 
-from salsanext_cli import load_network, project
+from salsanext_cli import Scan, load_network, project, read_scan
 from salsanext_cli.errors import NoInputError, UsageError
 from salsanext_cli.inference.onnx_export import run
+from salsanext_cli.inference.scan_fit import fitted
+from salsanext_cli.inference.settings import NetworkSettings
 from salsanext_cli.network.card import read_card
+from salsanext_cli.sensors import INTENSITY_LEVELS
+from salsanext_cli.stages import export_onnx as stage
 from salsanext_cli.stages.export_onnx import export_onnx
 from salsanext_cli.storage import user_cache
+from salsanext_cli.storage.layout import find_scans
+from salsanext_cli.storage.point_files import write_bin
 from salsanext_cli.storage.selection import ScanSelection
 
 onnx = pytest.importorskip("onnx")
@@ -76,6 +83,37 @@ def test_the_card_says_so(made, weights):
     assert card.scores == {}
     assert card.sensor == before.sensor
     assert card.architecture == before.architecture
+
+
+def test_it_sees_what_predict_sees(tmp_path, monkeypatch):
+    """Scans of another scale of intensity, upside down."""
+    known = replace(SMALL, intensity_quantiles=tuple(np.linspace(0, 1, INTENSITY_LEVELS) ** 2))
+    weights, seen = write_weights(tmp_path / "known.safetensors", sensor=known), []
+    scans = tmp_path / "scans"
+    for name in ("0", "1"):
+        scan = make_scan(9000, int(name))
+        turned = Scan(scan.points * np.float32([1, -1, -1]), scan.intensity * 255)
+        write_bin(scans / f"{name}.bin", turned)
+
+    def calibrated(model, scans, image_of):
+        seen.extend(image_of(scan) for scan in scans)
+        return model
+
+    monkeypatch.setattr(stage, "quantised", calibrated)
+    said = export_onnx(weights, tmp_path / "m.onnx", calibrate=scans)
+    settings, files = NetworkSettings(weights, fit=True, intensity="auto"), find_scans(scans)
+    network = fitted(settings, settings.load(), files)
+    assert network.sensor.up != SMALL.up
+    for file, image in zip(files, seen, strict=True):
+        upright = project(read_scan(file.path), network.sensor).channels
+        np.testing.assert_array_equal(image, network.input_array(upright))
+    assert max(image[0, 4].max() for image in seen) == pytest.approx((1 - 0.21) / 0.16, abs=0.01)
+    assert said["equal_labels"] == 1
+    view = SMALL.resized(16, 64)
+    export_onnx(weights, tmp_path / "other.onnx", view=view, calibrate=scans)
+    assert read_card(tmp_path / "other.onnx").sensor == replace(
+        view, intensity_quantiles=known.intensity_quantiles
+    )
 
 
 def test_too_few_scans(tmp_path, weights, scans):

@@ -11,13 +11,13 @@ from salsanext_cli import Scan, project, read_scan
 from salsanext_cli.errors import OutputError, UsageError
 from salsanext_cli.geometry.intensity import intensity_quantiles
 from salsanext_cli.parallel.run import RunOptions
-from salsanext_cli.sensors import INTENSITY_LEVELS
+from salsanext_cli.sensors import INTENSITY_LEVELS, Sensor
 from salsanext_cli.stages.knn_refine import knn_refine_scans
 from salsanext_cli.stages.predict import predict_range_images, predict_scans
 from salsanext_cli.stages.project import project_scans
 from salsanext_cli.stages.uncertainty import uncertainty
 from salsanext_cli.storage.point_files import write_bin
-from salsanext_cli.storage.stage_records import earlier_sensor, stage_settings
+from salsanext_cli.storage.stage_records import earlier_settings, stage_settings
 from salsanext_cli.uncertainty.settings import Estimator
 
 TRAINED = tuple(np.linspace(0, 1, INTENSITY_LEVELS) ** 2)
@@ -63,8 +63,9 @@ def test_labels_do_not_depend_on_the_scale_of_the_files(knowing, tmp_path):
 def test_the_sensor_of_the_run_has_the_quantiles_of_its_scans(knowing):
     run(knowing)
     images = [project(read_scan(p), SMALL).channels for p in sorted(knowing.data.rglob("*.bin"))]
-    recorded = earlier_sensor(knowing.out, knowing.network.load().sha256, False)
-    assert recorded.intensity_quantiles == intensity_quantiles(images)
+    recorded = earlier_settings(knowing.out, knowing.network.load().sha256, False)
+    sensor = Sensor.from_dict(recorded["sensor"])
+    assert sensor.intensity_quantiles == intensity_quantiles(images)
     assert run(knowing).skipped == 3
 
 

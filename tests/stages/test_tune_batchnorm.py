@@ -1,24 +1,21 @@
 # SPDX-License-Identifier: MIT
 import logging
 from dataclasses import replace
-from functools import partial
 
 import numpy as np
 import pytest
 import torch
 from safetensors.torch import load_file
-from scans import SMALL, lively, make_scan
+from scans import SMALL, make_scan
 
-from salsanext_cli import Scan, label_space, load_network, project, read_scan
+from salsanext_cli import Scan, load_network, project, read_scan
 from salsanext_cli.errors import FormatError, WeightsError
+from salsanext_cli.inference.batch_norm import norms
 from salsanext_cli.inference.settings import NetworkSettings
-from salsanext_cli.network.card import WeightsCard, read_card
-from salsanext_cli.network.rangenet53 import RangeNet53
-from salsanext_cli.network.registry import ARCHITECTURES
+from salsanext_cli.network.card import read_card
 from salsanext_cli.network.weights import NORM_SUFFIXES, read_weights, save_weights
 from salsanext_cli.stages.tune_batchnorm import tune_batchnorm
 from salsanext_cli.storage.point_files import write_bin
-from salsanext_cli.training.tuning.batch_norm import norms
 
 WIDER = replace(SMALL, name="wider", width=192, fov_up=5.0, means=(10.0, 9.0, 0.0, -1.0, 0.3))
 
@@ -32,13 +29,8 @@ def folder(tmp_path):
 
 
 @pytest.fixture
-def weights(tmp_path, monkeypatch):
-    """Return weights of a network with many batch norms and few channels."""
-    monkeypatch.setitem(ARCHITECTURES, "narrow", partial(RangeNet53, width=2))
-    architecture = {"name": "narrow", "class_count": 20, "dropout": 0.1}
-    card = WeightsCard(architecture, label_space(), SMALL, description="random")
-    save_weights(tmp_path / "random.safetensors", lively(RangeNet53(width=2)), card)
-    return tmp_path / "random.safetensors"
+def weights(narrow_weights):
+    return narrow_weights
 
 
 @pytest.fixture
@@ -133,7 +125,7 @@ def test_a_network_whose_values_overflow(folder, target, network, tmp_path):
 
 
 def test_a_network_without_batch_norm(folder, target, network, monkeypatch):
-    monkeypatch.setattr("salsanext_cli.stages.tune_batchnorm.norms", lambda _: {})
+    monkeypatch.setattr("salsanext_cli.inference.batch_norm.norms", lambda _: {})
     with pytest.raises(WeightsError, match=r"random\.safetensors · its network has no batch norm"):
         tune_batchnorm(folder, target, network=network)
 

@@ -8,15 +8,17 @@ undo part of what is different there (Schneider et al., arXiv 2006.16971).
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 
 import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
 from torch.utils.hooks import RemovableHandle
 
+from salsanext_cli.errors import WeightsError
 from salsanext_cli.inference.network import Network
-from salsanext_cli.records import RangeImage
+from salsanext_cli.records import Float
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -81,9 +83,50 @@ def norms(module: nn.Module) -> dict[str, nn.BatchNorm2d]:
     }
 
 
+def require_norms(network: Network) -> dict[str, nn.BatchNorm2d]:
+    """Return what `norms` does; raise `WeightsError` if it is nothing."""
+    found = norms(network.module)
+    if not found:
+        raise WeightsError(network.weights, "its network has no batch norm", "one with batch norm")
+    return found
+
+
+@dataclass(slots=True, eq=False)
+class PooledStatistics:
+    """Statistics of several scans together: the variance within the scans and between them.
+
+    Memory does not grow with the number of scans.
+
+    Attributes
+    ----------
+    network : Network
+        Stays as it is.
+    share : float
+        As `statistics_of_scan` takes it.
+    """
+
+    network: Network
+    share: float
+    _pooled: dict[str, Statistics] = field(default_factory=dict)
+
+    def add(self, channels: Float, source: object = "a scan") -> None:
+        """Add a scan; parameters and errors as of `statistics_of_scan`."""
+        found = statistics_of_scan(self.network, channels, self.share, source)
+        before = self._pooled
+        self._pooled = {name: before[name] + new if before else new for name, new in found.items()}
+
+    def moved(self) -> dict[str, Statistics]:
+        """Return the statistics of the network, moved by the share towards those of the scans."""
+        layers = norms(self.network.module)
+        return {
+            name: Statistics.kept_by(layers[name]).blended(new, self.share)
+            for name, new in self._pooled.items()
+        }
+
+
 @torch.inference_mode()
 def statistics_of_scan(
-    network: Network, image: RangeImage, share: float = 1.0
+    network: Network, channels: Float, share: float = 1.0, source: object = "a scan"
 ) -> dict[str, Statistics]:
     """Return the statistics of each batch norm's input when a scan passes.
 
@@ -99,17 +142,24 @@ def statistics_of_scan(
     ----------
     network : Network
         Stays as it is.
-    image : RangeImage
-        One scan.
+    channels : (5, H, W) float32
+        Range image of the scan.
     share : float
         Of the scan's statistics, 0 to 1; the rest are those of the layer.
+    source : object
+        What to call the scan in an error.
 
     Returns
     -------
     dict of str to Statistics
         The scan's own, by the name of the layer, in order of computation.
+
+    Raises
+    ------
+    WeightsError
+        If one is not finite.
     """
-    inputs = network.input(image.channels)
+    inputs = network.input(channels)
     height, width = inputs.shape[-2:]
     inside = torch.zeros(network.module.pad(inputs).shape[-2:], dtype=torch.float64)
     inside[:height, :width] = 1
@@ -133,4 +183,16 @@ def statistics_of_scan(
     finally:
         for handle in handles:
             handle.remove()
+    for name, values in as_tensors(found).items():
+        if not torch.isfinite(values).all():
+            raise WeightsError(source, f"the network's {name} is not finite", "finite values")
     return found
+
+
+def as_tensors(statistics: Mapping[str, Statistics]) -> dict[str, Tensor]:
+    """Return statistics as a weights file holds them, float32, by the name of the tensor."""
+    return {
+        f"{layer}.{name}": values.float().cpu()
+        for layer, new in statistics.items()
+        for name, values in (("running_mean", new.mean), ("running_var", new.variance))
+    }

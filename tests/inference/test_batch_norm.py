@@ -11,11 +11,11 @@ from scans import SMALL, lively, make_scan
 from torch import nn
 
 from salsanext_cli import Network, label_space, project
+from salsanext_cli.inference.batch_norm import Statistics, norms, statistics_of_scan
 from salsanext_cli.network.card import WeightsCard
 from salsanext_cli.network.rangenet53 import RangeNet53
 from salsanext_cli.network.registry import ARCHITECTURES, build
 from salsanext_cli.network.segmentation import SegmentationNetwork
-from salsanext_cli.training.tuning.batch_norm import Statistics, norms, statistics_of_scan
 
 SPACE = label_space()
 
@@ -86,7 +86,7 @@ def close(found, mean, variance):
 def test_one_scan_has_the_statistics_and_logits_of_batch_norm_in_training(module):
     sensor = SMALL.resized(16, 64)
     network, image = network_of(module, sensor), image_of(0, sensor)
-    found = statistics_of_scan(network, image)
+    found = statistics_of_scan(network, image.channels)
     training = as_when_training(module)
     logits = training(network.input(image.channels)).detach().numpy()
     assert list(found) == [name for name, _ in norms(training).items()]
@@ -113,7 +113,7 @@ def test_a_share_is_the_fixed_point_of_adapting_layer_by_layer():
     network, image, share = network_of(Normed()), image_of(), 0.3
     slow = copy.deepcopy(network.module)
     inputs = network.input(image.channels)
-    found = statistics_of_scan(network, image, share)
+    found = statistics_of_scan(network, image.channels, share)
     for name in norms(slow):
         # Everything before this layer is adapted already, nothing after it matters.
         seen = inputs_of_norms(copy.deepcopy(slow), inputs)[0][name]
@@ -128,7 +128,7 @@ def test_empty_pixels_count_and_padding_does_not():
     sensor = SMALL.resized(10, 90)
     network, image = network_of(Normed(), sensor), image_of(0, sensor)
     assert (image.point_of_pixel < 0).mean() > 0.1
-    found = statistics_of_scan(network, image)
+    found = statistics_of_scan(network, image.channels)
     channels = network.input(image.channels)[0].double().numpy()
     close(found["norm"], channels.mean(axis=(1, 2)), channels.var(axis=(1, 2)))
     assert found["norm"].count == 900
