@@ -12,8 +12,10 @@ def upright(scan: Scan, sensor: Sensor) -> Scan:
     """Return the scan turned so that the sensor's `up` is the z axis; itself if it is already."""
     if sensor.up == UP:
         return scan
-    points = (scan.points @ rotation_to_z(np.asarray(sensor.up)).T).astype(np.float32)
-    return Scan(points, scan.intensity)
+    x, y, z = scan.points.T.astype(np.float64)
+    # A matrix product would leave threads behind that take the processors from the network.
+    rows = [a * x + b * y + c * z for a, b, c in rotation_to_z(np.asarray(sensor.up))]
+    return Scan(np.stack(rows, axis=1).astype(np.float32), scan.intensity)
 
 
 def rotation_to_z(up: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
@@ -22,9 +24,12 @@ def rotation_to_z(up: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
     Upside down, where many are least, it is the half turn about x.
     """
     x, y, z = up / np.linalg.norm(up)
-    if z < -1 + 1e-12:
+    across = x * x + y * y
+    if z < 0 and across < 1e-24:
         return np.diag([1.0, -1.0, -1.0])
     # Rodrigues' formula for the axis up × z, of length sin, and the angle of cosine z.
     cross = np.array([[0, 0, -x], [0, 0, -y], [x, y, 0]])
-    rotation: npt.NDArray[np.float64] = np.eye(3) + cross + cross @ cross / (1 + z)
+    # Of a direction far down 1 + z would cancel.
+    one_plus_z = across / (1 - z) if z < 0 else 1 + z
+    rotation: npt.NDArray[np.float64] = np.eye(3) + cross + cross @ cross / one_plus_z
     return rotation

@@ -17,15 +17,13 @@ from salsanext_cli.geometry.coverage import LARGEST_SHARE_OUTSIDE
 from salsanext_cli.geometry.ground import find_ground
 from salsanext_cli.geometry.mounting import upright
 from salsanext_cli.geometry.ranges import measured_ranges
-from salsanext_cli.geometry.scan_traits import BRIGHT, ScanTraits, traits_of
-from salsanext_cli.geometry.view_fit import MAX_TILT_DEG
+from salsanext_cli.geometry.scan_traits import ScanTraits, traits_of
+from salsanext_cli.geometry.view_fit import MAX_TILT_DEG, few_points
 from salsanext_cli.records import Float, Scan
 from salsanext_cli.sensors import Sensor
 
 MEDIAN_RANGES_M = (0.3, 250.0)
 """Least and largest median range of a scan in metres; real scans had 4 to 32."""
-SAMPLE = 4096
-"""Points of a scan that are looked at."""
 MIN_POINTS = 100
 """Fewest points of which a check says something."""
 UPSIDE_DOWN_DEG = 155.0
@@ -36,6 +34,8 @@ MIN_SECTORS = 0.6
 """Least share of the directions around with a point; revolutions had 0.89 or more."""
 INTENSITY_FACTOR = 4.0
 """Largest factor between the upper intensities of the scan and of training."""
+BRIGHT = 0.95
+"""Quantile of the upper intensities."""
 MAX_USUAL_INTENSITY = 2.0
 """Largest upper intensity of the scale 0…1, where that of training is not known."""
 FIT = "`salsanext inspect SCANS --fit sensor.toml` and --sensor sensor.toml"
@@ -102,7 +102,7 @@ def check_scan(
         If the scan cannot be right: no point with a measurement, or not in metres around the
         sensor.
     """
-    some = _sampled(scan)
+    some = few_points(scan)
     ranges, measured = measured_ranges(some.points)
     if len(some) < len(scan) and measured.sum() < MIN_POINTS:
         some = scan
@@ -112,24 +112,16 @@ def check_scan(
         return ScanCheck()
     some = upright(Scan(some.points[measured], some.intensity[measured]), sensor)
     sines = (some.points[:, 2] / ranges[measured]).clip(-1, 1).astype(np.float32)
-    constant = _is_constant(scan.intensity)
+    constant = _is_constant(some.intensity) and _is_constant(scan.intensity)
+    bright = 0.0 if constant else _bright(some.intensity)
     findings = [*_of_view(some, sines, sensor, fitting), *_of_ground(some, fitting)]
     if trained is not None:
         if constant:
             findings.append(_without_intensity(sensor))
         else:
-            findings += _of_intensity(some.intensity, sensor, trained, fitting)
-    per_point = len(scan) / len(measured)
-    traits = traits_of(sines, some.intensity, per_point, constant=constant)
+            findings += _of_intensity(bright, sensor, trained, fitting)
+    traits = traits_of(sines, bright, len(scan) / len(measured))
     return ScanCheck(tuple(findings), traits)
-
-
-def _sampled(scan: Scan) -> Scan:
-    """Return `SAMPLE` points of a scan, drawn so that no order of the points matters."""
-    if len(scan) <= SAMPLE:
-        return scan
-    drawn = np.random.default_rng(0).integers(0, len(scan), SAMPLE)
-    return Scan(scan.points[drawn], scan.intensity[drawn])
 
 
 def _require_metres(path: Path, count: int, ranges: npt.NDArray[np.float64]) -> None:
@@ -156,7 +148,7 @@ def _of_view(scan: Scan, sines: Float, sensor: Sensor, fitting: bool) -> Iterato
         found = f"{outside:.0%} of the points lie outside the view of {view}"
         yield Finding("out-of-view", found, _fit(fitting))
     turns = np.arctan2(scan.points[:, 1], scan.points[:, 0]) / (2 * np.pi) + 0.5
-    around = len(np.unique((turns * SECTORS).astype(int) % SECTORS)) / SECTORS
+    around = float((np.bincount((turns * SECTORS).astype(int) % SECTORS) > 0).sum()) / SECTORS
     if around < MIN_SECTORS:
         found = f"points in {around:.0%} of the directions around"
         yield Finding("part-of-circle", found, "the networks know whole revolutions")
@@ -185,6 +177,12 @@ def _is_constant(intensity: Float) -> bool:
     return not len(finite) or bool(finite.min() == finite.max())
 
 
+def _bright(intensity: Float) -> float:
+    """Return the upper intensity of those that are numbers, 0 without any."""
+    finite = intensity[np.isfinite(intensity)]
+    return float(np.quantile(finite, BRIGHT)) if len(finite) else 0.0
+
+
 def _without_intensity(sensor: Sensor) -> Finding:
     matched = sensor.intensity_quantiles
     given = "the mean of training stands for it" if matched else "the network expects one"
@@ -192,14 +190,13 @@ def _without_intensity(sensor: Sensor) -> Finding:
 
 
 def _of_intensity(
-    values: Float, sensor: Sensor, trained: Sensor, fitting: bool
+    bright: float, sensor: Sensor, trained: Sensor, fitting: bool
 ) -> Iterator[Finding]:
     """Compare with the scans that it is matched with, else with training, else with 0 to 1."""
     matched = sensor.intensity_quantiles
     quantiles = matched or trained.intensity_quantiles
     if matched and min(matched) == max(matched):
         return
-    bright = float(np.nanquantile(values, BRIGHT))
     if quantiles:
         usual = quantiles[round(BRIGHT * (len(quantiles) - 1))]
         doubtful = not usual / INTENSITY_FACTOR <= bright <= usual * INTENSITY_FACTOR

@@ -12,8 +12,6 @@ NODES_DEG = (-30.0, -20.0, -12.0, -6.0, -3.0)
 sensor is; above, it may meet the sky."""
 VIEW = (0.01, 0.99)
 """Quantiles of the elevation that describe a view."""
-BRIGHT = 0.95
-"""Quantile of the upper intensities."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -29,7 +27,7 @@ class ScanTraits:
     below : tuple of float
         Number of points around each of `NODES_DEG` but the last, which counts none.
     bright : float
-        Upper intensity; 0 if all are equal.
+        Upper intensity; 0 if unknown.
     """
 
     points: int
@@ -39,7 +37,7 @@ class ScanTraits:
     bright: float
 
 
-def traits_of(sines: Float, intensity: Float, per_point: float, *, constant: bool) -> ScanTraits:
+def traits_of(sines: Float, bright: float, per_point: float) -> ScanTraits:
     """Return the traits of a scan.
 
     Points between two nodes count for both by their distance, so that a beam that lies at one, or
@@ -47,17 +45,16 @@ def traits_of(sines: Float, intensity: Float, per_point: float, *, constant: boo
 
     Parameters
     ----------
-    sines, intensity : (M,) float32
-        Sines of elevation, and intensities, of a sample of the points with a measurement.
+    sines : (M,) float32
+        Sines of elevation of a sample of the points with a measurement.
+    bright : float
+        Upper intensity of the scan.
     per_point : float
         Points of the scan for each of the sample.
-    constant : bool
-        Whether all intensities of the scan are equal.
     """
     elevations = np.degrees(np.arcsin(sines))
     down, up = np.quantile(elevations, VIEW)
     below = [np.interp(elevations, NODES_DEG, hat).sum() for hat in np.eye(len(NODES_DEG))[:-1]]
-    bright = 0.0 if constant else float(np.nanquantile(intensity, BRIGHT))
     return ScanTraits(
         points=round(len(sines) * per_point),
         fov_up=round(float(up), 2),

@@ -25,7 +25,7 @@ OUTLIERS = 0.001
 MIN_VIEW_DEG = 1.0
 MIN_POINTS = 1000
 MAX_POINTS = 4096
-"""Points of a scan that the ground is sought among."""
+"""Points of a scan that are looked at for its ground and for its checks."""
 DIGITS = 3
 
 
@@ -68,9 +68,19 @@ def fit_view(scans: Sequence[Scan], sensor: Sensor) -> Sensor:
 
 def ground_of(scan: Scan) -> Ground | None:
     """Find the ground in a scan, from some of its points."""
-    step = max(1, len(scan) // MAX_POINTS)
-    some = scan.points[::step]
+    some = few_points(scan).points
     return find_ground(some[np.isfinite(some).all(axis=1)])
+
+
+def few_points(scan: Scan) -> Scan:
+    """Return `MAX_POINTS` points of a scan, drawn alike for each; all if there are no more.
+
+    Of points in the order of a grid, every n-th could be of few beams or in few directions.
+    """
+    if len(scan) <= MAX_POINTS:
+        return scan
+    drawn = np.random.default_rng(0).integers(0, len(scan), MAX_POINTS)
+    return Scan(scan.points[drawn], scan.intensity[drawn])
 
 
 def as_found(sensor: Sensor) -> str:
