@@ -15,6 +15,7 @@ import numpy.typing as npt
 from salsanext_cli.errors import FormatError
 from salsanext_cli.geometry.coverage import LARGEST_SHARE_OUTSIDE
 from salsanext_cli.geometry.ground import find_ground
+from salsanext_cli.geometry.intensity import BRIGHT, INTENSITY_FACTOR
 from salsanext_cli.geometry.mounting import upright
 from salsanext_cli.geometry.ranges import measured_ranges
 from salsanext_cli.geometry.scan_traits import ScanTraits, traits_of
@@ -32,10 +33,6 @@ HEIGHTS_M = (1.0, 3.2)
 SECTORS = 64
 MIN_SECTORS = 0.6
 """Least share of the directions around with a point; revolutions had 0.89 or more."""
-INTENSITY_FACTOR = 4.0
-"""Largest factor between the upper intensities of the scan and of training."""
-BRIGHT = 0.95
-"""Quantile of the upper intensities."""
 MAX_USUAL_INTENSITY = 2.0
 """Largest upper intensity of the scale 0…1, where that of training is not known."""
 FIT = "`salsanext inspect SCANS --fit sensor.toml` and --sensor sensor.toml"
@@ -199,7 +196,8 @@ def _of_intensity(
         return
     if quantiles:
         usual = quantiles[round(BRIGHT * (len(quantiles) - 1))]
-        doubtful = not usual / INTENSITY_FACTOR <= bright <= usual * INTENSITY_FACTOR
+        near = usual / INTENSITY_FACTOR <= bright <= usual * INTENSITY_FACTOR
+        doubtful = usual > 0 and not near  # Decibels have no factors.
         of = f"and {usual:.2g} in {'the scans fitted to' if matched else 'training'}"
     else:
         doubtful, of = bright > MAX_USUAL_INTENSITY, "where 0 to 1 is usual"

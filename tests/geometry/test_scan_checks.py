@@ -78,6 +78,9 @@ def test_matched_intensities_are_those_of_the_scans_matched_with():
     assert codes(bright, matched) == []
     assert codes(STREET, matched) == ["intensity-scale"]
     assert codes(STREET, replace(SMALL, intensity_quantiles=(0.0,) * INTENSITY_LEVELS)) == []
+    decibels = Scan(STREET.points, -40 * STREET.intensity - 1)
+    negative = replace(SMALL, intensity_quantiles=tuple(-41 + 40 * q for q in QUANTILES))
+    assert codes(decibels, negative) == codes(decibels, trained=SMALL) == []
     assert codes(bright, trained=None) == []
     assert codes(bright, trained=SMALL) == ["intensity-scale"]
     assert codes(STREET, trained=SMALL) == []
