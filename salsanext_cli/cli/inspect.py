@@ -22,7 +22,7 @@ def inspect(
     classes: selection_options.Classes,
     sensor: options.SensorWithoutWeights = None,
     columns: options.Columns = None,
-    running: run_options.RunningUnsharded,
+    running: run_options.CheckedUnsharded,
     output: console.Output,
 ) -> None:
     """Summarise a set of scans; fit a sensor to them.
@@ -53,4 +53,6 @@ def inspect(
     tables = survey_tables(found.sequences, found.total, found.space, found.sensor)
     output.result(found.to_dict(), tables)
     run_end.name_failures(found.failures)
-    run_end.leave(found.failures)
+    for line in run_end.warning_lines(found.warnings):
+        output.say(line)
+    run_end.leave(found.failures, failed=running.strict and bool(found.warnings))

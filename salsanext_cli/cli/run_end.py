@@ -13,7 +13,7 @@ from salsanext_cli.cli.progress import tell, words_of_seconds
 from salsanext_cli.errors import counted, first_few
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable
+    from collections.abc import Iterable, Mapping
 
     from salsanext_cli.measures.scan_summary import RunSummary
     from salsanext_cli.parallel.run import Failure, Outcome
@@ -85,14 +85,19 @@ def _lines(summary: RunSummary | None, following: str | None) -> Iterable[str]:
         sensor = summary.sensor
         view = f"{sensor.fov_up:+g}° to {sensor.fov_down:+g}°"
         yield f"sensor: {sensor.name}, {sensor.height}×{sensor.width}, {view}"
-        for warning in summary.warnings():
-            scans = first_few(warning["scans"])
-            yield f"warning: {warning['code']} in {counted(len(warning['scans']), 'scan')}: {scans}"
+        yield from warning_lines(summary.warnings())
         if largest := summary.largest_classes():
             shares = ", ".join(f"{name} {100 * share:.1f} %" for name, share in largest.items())
             yield f"largest classes: {shares}"
     if following is not None:
         yield f"next: {following}"
+
+
+def warning_lines(warnings: Iterable[Mapping[str, Any]]) -> Iterable[str]:
+    """Yield a line for each kind of warning, with its scans."""
+    for warning in warnings:
+        scans = first_few(warning["scans"])
+        yield f"warning: {warning['code']} in {counted(len(warning['scans']), 'scan')}: {scans}"
 
 
 def next_command(stage: str, outcome: Outcome, out: str, more: Iterable[str]) -> str | None:

@@ -88,5 +88,13 @@ class Checked(Running):
     )
 
 
+@option_group
+class Training(Local):
+    """Way in which a command trains on scans that are checked."""
+
+    strict: bool = running_option("Do not train if a scan is doubtful.", "--strict", default=False)
+
+
 RunningUnsharded = Annotated[Running, Without({"shard"}), Default(shard="1/1")]
+CheckedUnsharded = Annotated[Checked, Without({"shard"}), Default(shard="1/1")]
 """For results over all scans, which several runs cannot share."""

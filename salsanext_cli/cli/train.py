@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from salsanext_cli.cli import console, options, run_options, selection_options
+from salsanext_cli.cli import console, options, run_end, run_options, selection_options
 from salsanext_cli.cli.option_groups import Without, option_group
 from salsanext_cli.cli.progress import progress
 
@@ -69,7 +69,7 @@ def train(
         options.NetworkOptions,
         Without({"weights", "precision", "engine", "sensor", "columns", "intensity"}),
     ],
-    local: run_options.Local,
+    local: run_options.Training,
     output: console.Output,
 ) -> None:
     """Train a network. After an interruption, the same command continues the training.
@@ -92,11 +92,15 @@ def train(
             jobs=local.jobs,
             weights=start.weights and options.weights_file(start.weights),
             overwrite=local.overwrite,
+            strict=local.strict,
             progress=lambda report: _show(report, bar, output),
         )
     best = f"{100 * done.best_miou:.1f} %"
     paths = {"best": str(done.best), "last": str(done.last)}
-    output.result({"stage": "train", "best_miou": done.best_miou, **paths})
+    found = {"best_miou": done.best_miou, **paths, "warnings": done.warnings}
+    output.result({"stage": "train", **found})
+    for line in run_end.warning_lines(done.warnings):
+        output.say(line)
     output.say(f"train: best validation mIoU {best} → {done.best}")
 
 

@@ -101,12 +101,15 @@ def find_ground(points: Float, max_tilt_deg: float | None = None) -> Ground | No
     if not len(tried):
         return None
     normals, offsets, low = normals[tried], offsets[tried], low[tried]
-    heights = points @ normals.T - offsets
-    on, below = weights @ (np.abs(heights) < TOLERANCE_M), weights @ (heights < -TOLERANCE_M)
+    heights = _heights(points, normals, offsets)
+    on, below = (
+        np.einsum("pn,n->p", part.view(np.int8), weights)
+        for part in (np.abs(heights) < TOLERANCE_M, heights < -TOLERANCE_M)
+    )
     score = on - below
     score[low & (below > on / 2)] = -np.inf
     best = int(score.argmax())
-    on_plane = np.abs(heights[:, best]) < TOLERANCE_M
+    on_plane = np.abs(heights[best]) < TOLERANCE_M
     share = float(weights[on_plane].sum() / weights.sum())
     if share < MIN_SHARE or not np.isfinite(score[best]):
         return None
@@ -115,6 +118,21 @@ def find_ground(points: Float, max_tilt_deg: float | None = None) -> Ground | No
     normal *= np.sign(normal @ normals[best])
     height = -float(normal @ centre)
     return Ground(normal, height, share) if low[best] or height > MIN_HEIGHT_M else None
+
+
+def _heights(points: Float, normals: Float, offsets: Float) -> Float:
+    """Return the heights of points (N, 3) above planes (P, 3) and (P,), (P, N).
+
+    Without a matrix product: the threads of the library for these go on computing nothing for
+    a while afterwards, and take the processors from the network, 35 ms for each scan.
+    """
+    x, y, z = np.ascontiguousarray(points.T)
+    of_x, of_y, of_z = normals.T[:, :, None]
+    heights: Float = of_x * x
+    heights += of_y * y
+    heights += of_z * z
+    heights -= offsets[:, None]
+    return heights
 
 
 def _axis_of_rotation(directions: Float) -> int | None:

@@ -10,10 +10,16 @@ from salsanext_cli.sensors import INTENSITY_LEVELS
 
 DIGITS = 6
 """Significant digits of a quantile."""
+BRIGHT = 0.95
+"""Quantile of the upper intensities, which tell the scale."""
+INTENSITY_FACTOR = 4.0
+"""Largest factor between the upper intensities of scans of one scale."""
 
 
 def intensity_quantiles(images: Iterable[Float]) -> tuple[float, ...]:
     """Return the quantiles of intensity, the mean of those of each range image.
+
+    Images of another scale than most, and without intensity, do not count beside others.
 
     Parameters
     ----------
@@ -30,7 +36,14 @@ def intensity_quantiles(images: Iterable[Float]) -> tuple[float, ...]:
     found = [np.quantile(values, levels) for values in occupied if len(values)]
     if not found:
         return ()
-    return tuple(float(f"{value:.{DIGITS}g}") for value in np.mean(found, axis=0))
+    each = np.array(found)
+    varied = each[:, -1] > each[:, 0]
+    each = each[varied] if varied.any() else each
+    upper = each[:, round(BRIGHT * (INTENSITY_LEVELS - 1))]
+    usual = np.sort(upper)[len(upper) // 2]
+    if usual > 0:  # Decibels have no factors.
+        each = each[(upper * INTENSITY_FACTOR >= usual) & (upper <= usual * INTENSITY_FACTOR)]
+    return tuple(float(f"{value:.{DIGITS}g}") for value in each.mean(axis=0))
 
 
 def match_intensity(channels: Float, source: Sequence[float], target: Sequence[float]) -> Float:

@@ -18,7 +18,10 @@ def in_sensor_frame(scan: Scan, sensor: Sensor) -> Scan:
         points = points - np.array(sensor.origin, np.float32)
         points[~scan.points.any(axis=1)] = 0
     if sensor.up != UP:
-        points = (points @ upright_rotation(np.asarray(sensor.up)).T).astype(np.float32)
+        x, y, z = points.T.astype(np.float64)
+        # A matrix product would leave threads behind that take the processors from the network.
+        rows = [a * x + b * y + c * z for a, b, c in upright_rotation(np.asarray(sensor.up))]
+        points = np.stack(rows, axis=1).astype(np.float32)
     return scan if points is scan.points else Scan(points, scan.intensity)
 
 

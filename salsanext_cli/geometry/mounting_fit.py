@@ -9,6 +9,7 @@ from dataclasses import replace
 import numpy as np
 import numpy.typing as npt
 
+from salsanext_cli.geometry.few_points import few_points
 from salsanext_cli.geometry.ground import MIN_HEIGHT_M, Ground, find_ground
 from salsanext_cli.geometry.mounting import in_sensor_frame, upright_rotation
 from salsanext_cli.geometry.origin_fit import find_origin
@@ -28,8 +29,6 @@ MIN_THICKNESS_M = 1.0
 """Least extent upwards of points above the ground; less, a scanner of one plane sees that plane."""
 MIN_OFFSET_M = 0.3
 """Least distance of a sensor from the origin that counts; optical centres lie 0.2 m off it."""
-MAX_POINTS = 4096
-"""Points of a scan that the ground is sought among."""
 SCANS_OF_ORIGIN, POINTS_OF_ORIGIN = 4, 8192
 """Scans that the place of the sensor is sought with, and points of each."""
 DIGITS = 3
@@ -72,7 +71,7 @@ def _place(
 ) -> tuple[float, float, float] | None:
     """Return the place of the sensor in upright scans whose origin is at a height, if known."""
     upright = [in_sensor_frame(scan, sensor) for scan in scans[:SCANS_OF_ORIGIN]]
-    points = np.concatenate([_some(scan, POINTS_OF_ORIGIN) for scan in upright])
+    points = np.concatenate([_finite(few_points(scan, POINTS_OF_ORIGIN)) for scan in upright])
     if height is not None:
         points = points[points[:, 2] > MIN_HEIGHT_M - height]
     if (place := find_origin(points)) is not None:
@@ -89,7 +88,7 @@ def ground_of(scan: Scan) -> Ground | None:
     A tilted one must be likelier than the best level one, and at the height of a sensor on a
     vehicle, or pass through the origin.
     """
-    points = _some(scan, MAX_POINTS)
+    points = _finite(few_points(scan))
     ground = find_ground(points)
     if ground is None or ground.tilt_deg <= MAX_TILT_DEG:
         return ground
@@ -103,7 +102,5 @@ def _direction(vector: npt.NDArray[np.float64]) -> tuple[float, ...]:
     return tuple((vector / np.linalg.norm(vector)).round(DIGITS).tolist())
 
 
-def _some(scan: Scan, count: int) -> Float:
-    """Return about as many points of a scan, finite ones."""
-    some = scan.points[:: max(1, len(scan) // count)]
-    return some[np.isfinite(some).all(axis=1)]
+def _finite(scan: Scan) -> Float:
+    return scan.points[np.isfinite(scan.points).all(axis=1)]

@@ -32,5 +32,6 @@ def measured_ranges(
         False for the origin, NaN, infinity and ranges beyond the farthest.
     """
     with np.errstate(invalid="ignore"):  # of a signalling NaN
-        ranges = np.sqrt(np.square(points.astype(np.float64)).sum(axis=1))
+        x, y, z = np.square(points.T, dtype=np.float64)
+        ranges = np.sqrt(x + y + z)
     return ranges, (ranges > 0) & (ranges <= farthest)

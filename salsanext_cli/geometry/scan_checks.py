@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Checks of a scan before the network sees it: units, mounting, view, intensity.
+"""Checks of a scan: units, mounting, view, intensity, from some of its points.
 
 A check that fails for certain is an error of the scan; one that only makes its labels doubtful is a
 finding, which becomes a warning of the run. docs/checks.md says where the thresholds come from.
@@ -13,12 +13,15 @@ import numpy as np
 import numpy.typing as npt
 
 from salsanext_cli.errors import FormatError, counted
-from salsanext_cli.geometry.coverage import LARGEST_SHARE_OUTSIDE, FieldOfViewCoverage
+from salsanext_cli.geometry.coverage import LARGEST_SHARE_OUTSIDE
+from salsanext_cli.geometry.few_points import few_points
 from salsanext_cli.geometry.ground import TOLERANCE_M
+from salsanext_cli.geometry.intensity import BRIGHT, INTENSITY_FACTOR
 from salsanext_cli.geometry.mounting import in_sensor_frame
-from salsanext_cli.geometry.mounting_fit import HEIGHTS_M, MAX_POINTS, MAX_TILT_DEG, ground_of
+from salsanext_cli.geometry.mounting_fit import HEIGHTS_M, MAX_TILT_DEG, ground_of
 from salsanext_cli.geometry.ranges import measured_ranges
-from salsanext_cli.records import RangeImage, Scan
+from salsanext_cli.geometry.scan_traits import ScanTraits, traits_of
+from salsanext_cli.records import Float, Scan
 from salsanext_cli.sensors import FITTED_NAME, Sensor
 
 MEDIAN_RANGES_M = (0.3, 250.0)
@@ -29,24 +32,20 @@ USUAL_RANGES_M = (60.0, 300.0)
 """Largest usual median range and 99 % quantile of ranges; real scans had up to 32 and 104."""
 MAX_VIEW_DEG = 120.0
 """Largest usual field of view; that of sensors was 90° or less."""
-MAX_WITHOUT_PIXEL = 0.6
-"""Largest usual share of the points without a pixel; organised clouds had up to 0.45."""
-MIN_ROWS, MIN_COLUMNS_OF_ROW = 0.35, 0.02
-"""Least usual share of the rows with points in some of their columns; real scans had 0.47."""
+MIN_MEASURED = 0.4
+"""Least usual share of the points with a measurement; organised clouds had 0.55 or more."""
+MIN_ROWS, FEW_OF_ROW = 0.35, 0.1
+"""Least usual share of the rows with points, more than a tenth of the average; those had 0.47."""
 UPSIDE_DOWN_DEG = 155.0
 MIN_SHARE_OF_GROUND = 0.15
 """Least share of the near points on a ground that gives reason to doubt."""
 SECTORS = 64
 MIN_SECTORS = 0.6
 """Least share of the directions around with a point; revolutions had 0.89 or more."""
-INTENSITY_FACTOR = 4.0
-"""Largest factor between the upper intensities of the scan and of training."""
-BRIGHT = 0.95
-"""Quantile of the upper intensities."""
 MAX_USUAL_INTENSITY = 2.0
 """Largest upper intensity of the scale 0…1, where that of training is not known."""
 FIT = "`salsanext inspect SCANS --fit sensor.toml`, then --sensor sensor.toml"
-AUTO = f"--sensor auto, or {FIT}"
+AUTO = "--sensor auto, or "
 UNITS = "convert them to metres, or name the columns: --columns x,y,z,intensity"
 TRAIN = "expect worse labels, or `salsanext train` weights on scans of this sensor"
 ORIGIN = "say where the sensor is, by `origin` in a sensor file, or train weights for that height"
@@ -69,28 +68,42 @@ class Finding:
     remedy: str
 
 
+@dataclass(frozen=True, slots=True)
+class ScanCheck:
+    """Result of a check: reasons to doubt the scan, and traits of its sensor.
+
+    Attributes
+    ----------
+    findings : tuple of Finding
+    traits : ScanTraits, optional
+        None of a scan of fewer than `MIN_POINTS` points with a measurement.
+    """
+
+    findings: tuple[Finding, ...] = ()
+    traits: ScanTraits | None = None
+
+
+UNCHECKED = ScanCheck()
+
+
 def check_scan(
-    path: Path,
-    scan: Scan,
-    image: RangeImage,
-    sensor: Sensor,
-    coverage: FieldOfViewCoverage,
-    trained: Sensor | None = None,
-) -> tuple[Finding, ...]:
-    """Check a scan.
+    path: Path, scan: Scan, sensor: Sensor, trained: Sensor | None = None, *, fitting: bool = True
+) -> ScanCheck:
+    """Check a scan, from some of its points.
 
     Parameters
     ----------
     path : Path
         Its file, for errors.
-    scan, image : Scan, RangeImage
-        The scan, and what the sensor sees of it.
+    scan : Scan
+        N points.
     sensor : Sensor
-        Sensor that it was projected for.
-    coverage : FieldOfViewCoverage
-        Numbers of its points in and out of that sensor's view.
+        Sensor that it is projected for.
     trained : Sensor, optional
-        That of the weights, if a network is to label the scan.
+        That of the weights, if the intensity matters: if a network is to label the scan or to
+        learn from it. One without quantiles stands for intensities from 0 to 1.
+    fitting : bool
+        Whether the command can fit view and intensity to the scans by itself.
 
     Raises
     ------
@@ -98,29 +111,43 @@ def check_scan(
         If the scan cannot be right: no point with a measurement, or not in metres around the
         sensor.
     """
-    ranges = _require_metres(path, scan, image)
-    if coverage.points < MIN_POINTS:
-        few = f"{counted(coverage.points, 'point')} with a measurement, too few to check"
-        return (Finding("few-points", few, "give whole scans"),)
-    named = trained is not None and sensor.name not in (FITTED_NAME, trained.name)
-    return (
-        *_of_units(ranges, sensor),
-        *_of_image(image, sensor, coverage, AUTO if named else FIT),
-        *_of_mounting(scan, sensor, AUTO if named else FIT),
-        *(() if trained is None else _of_intensity(scan, sensor, trained)),
-    )
+    some = few_points(scan)
+    ranges, measured = measured_ranges(some.points)
+    if len(some) < len(scan) and measured.sum() < MIN_POINTS:
+        some = scan
+        ranges, measured = measured_ranges(some.points)
+    _require_metres(path, len(scan), ranges[measured])
+    if (count := int(measured.sum())) < MIN_POINTS:
+        few = f"{counted(count, 'point')} with a measurement, too few to check"
+        return ScanCheck((Finding("few-points", few, "give whole scans"),))
+    share, ranges = count / len(some), ranges[measured]
+    some = in_sensor_frame(Scan(some.points[measured], some.intensity[measured]), sensor)
+    sines = _sines(some.points)
+    constant = _is_constant(some.intensity) and _is_constant(scan.intensity)
+    bright = 0.0 if constant else _bright(some.intensity)
+    named = trained is None or sensor.name not in (FITTED_NAME, trained.name)
+    fit = AUTO + FIT if fitting and named else FIT
+    findings = [
+        *_of_units(ranges, share, sensor),
+        *_of_view(some, sines, sensor, fit),
+        *_of_ground(some, fit),
+    ]
+    if trained is not None:
+        if constant:
+            findings.append(_without_intensity(sensor))
+        else:
+            findings += _of_intensity(bright, sensor, trained, fitting)
+    traits = traits_of(sines, bright, len(scan) * share / count)
+    return ScanCheck(tuple(findings), traits)
 
 
-def _require_metres(path: Path, scan: Scan, image: RangeImage) -> npt.NDArray[np.float64]:
-    """Return the ranges of some of the points, if they can be metres."""
-    ranges, _ = measured_ranges(scan.points[:: max(1, len(scan) // MAX_POINTS)])
-    measured = ranges[np.isfinite(ranges) & (ranges > 0)]
-    if len(scan) >= MIN_POINTS and not len(measured) and not image.point_range.any():
-        found = f"none of its {len(scan)} points is a measurement"
+def _require_metres(path: Path, count: int, ranges: npt.NDArray[np.float64]) -> None:
+    if count >= MIN_POINTS and not len(ranges):
+        found = f"none of its {count} points is a measurement"
         raise FormatError(path, found, "finite coordinates around the sensor")
-    if len(measured) < MIN_POINTS:
-        return measured
-    median, (least, most) = float(np.median(measured)), MEDIAN_RANGES_M
+    if len(ranges) < MIN_POINTS:
+        return
+    median, (least, most) = float(np.median(ranges)), MEDIAN_RANGES_M
     if not least <= median <= most:
         raise FormatError(
             path,
@@ -128,39 +155,51 @@ def _require_metres(path: Path, scan: Scan, image: RangeImage) -> npt.NDArray[np
             "coordinates in metres, with the sensor at the origin",
             "convert millimetres or centimetres; take the sensor's place off map coordinates",
         )
-    return measured
 
 
-def _of_units(ranges: npt.NDArray[np.float64], sensor: Sensor) -> Iterator[Finding]:
-    median, far = np.quantile(ranges, (0.5, 0.99)) if len(ranges) else (0, 0)
+def _sines(points: Float) -> Float:
+    """Return the sines of elevation of points (N, 3), (N,)."""
+    ranges = np.sqrt(np.einsum("nk,nk->n", points, points))
+    sines: Float = (points[:, 2] / np.maximum(ranges, np.finfo(np.float32).tiny)).clip(-1, 1)
+    return sines
+
+
+def _of_units(
+    ranges: npt.NDArray[np.float64], measured: float, sensor: Sensor
+) -> Iterator[Finding]:
+    median, far = np.quantile(ranges, (0.5, 0.99))
     if median > USUAL_RANGES_M[0] or far > USUAL_RANGES_M[1]:
         found = f"a median range of {median:.0f} m, and 1% of the points beyond {far:.0f} m"
         yield Finding("units", found, UNITS)
     if (view := sensor.fov_up - sensor.fov_down) > MAX_VIEW_DEG:
         yield Finding("wide-view", f"a field of view of {view:.0f}°", UNITS)
+    if measured < MIN_MEASURED:
+        found = f"{1 - measured:.0%} of the points are no measurements"
+        yield Finding("not-measured", found, "leave them out, or name the columns: --columns")
 
 
-def _of_image(
-    image: RangeImage, sensor: Sensor, coverage: FieldOfViewCoverage, fit: str
-) -> Iterator[Finding]:
-    if coverage.share > LARGEST_SHARE_OUTSIDE:
+def _of_view(scan: Scan, sines: Float, sensor: Sensor, fit: str) -> Iterator[Finding]:
+    lowest, highest = np.sin(np.radians((sensor.fov_down, sensor.fov_up)))
+    outside = float(((sines < lowest) | (sines > highest)).mean())
+    if outside > LARGEST_SHARE_OUTSIDE:
         view = f"{sensor.name}, {sensor.fov_up:+g}° to {sensor.fov_down:+g}°"
-        found = f"{coverage.share:.0%} of the points lie outside the view of {view}"
+        found = f"{outside:.0%} of the points lie outside the view of {view}"
         yield Finding("out-of-view", found, fit)
-    elif (share := float(np.mean(image.pixel_of_point < 0))) > MAX_WITHOUT_PIXEL:
-        found = f"{share:.0%} of the points have no pixel: most are no measurements"
-        yield Finding("no-pixel", found, "leave out points without a measurement")
-    if (share := _share_of_sectors(image)) < MIN_SECTORS:
-        found = f"points in {share:.0%} of the directions around"
-        yield Finding("part-of-circle", found, TRAIN)
-    occupied = (image.channels[0] > 0).mean(axis=1) > MIN_COLUMNS_OF_ROW * min(share, 1)
-    if (share := float(occupied.mean())) < MIN_ROWS:
-        found = f"points in {share:.0%} of the {image.height} rows of the image"
+    turns = np.arctan2(scan.points[:, 1], scan.points[:, 0]) / (2 * np.pi) + 0.5
+    around = float((np.bincount((turns * SECTORS).astype(int) % SECTORS) > 0).sum()) / SECTORS
+    if around < MIN_SECTORS:
+        yield Finding("part-of-circle", f"points in {around:.0%} of the directions around", TRAIN)
+    downwards = sensor.fov_up - np.degrees(np.arcsin(sines))
+    rows = (downwards * (sensor.height / (sensor.fov_up - sensor.fov_down))).astype(int)
+    per_row = np.bincount(rows.clip(0, sensor.height - 1), minlength=sensor.height)
+    occupied = float((per_row > FEW_OF_ROW * per_row.mean()).mean())
+    if occupied < MIN_ROWS and outside <= LARGEST_SHARE_OUTSIDE:
+        found = f"points in {occupied:.0%} of the {sensor.height} rows of the image"
         yield Finding("sparse", found, TRAIN)
 
 
-def _of_mounting(scan: Scan, sensor: Sensor, fit: str) -> Iterator[Finding]:
-    ground = ground_of(in_sensor_frame(scan, sensor))
+def _of_ground(scan: Scan, fit: str) -> Iterator[Finding]:
+    ground = ground_of(scan)
     if ground is None or ground.share < MIN_SHARE_OF_GROUND:
         return
     if ground.tilt_deg > UPSIDE_DOWN_DEG:
@@ -172,28 +211,41 @@ def _of_mounting(scan: Scan, sensor: Sensor, fit: str) -> Iterator[Finding]:
         yield Finding("height", f"the origin of the points is {height} the ground", ORIGIN)
 
 
-def _share_of_sectors(image: RangeImage) -> float:
-    """Return the share of `SECTORS` equal sectors of the range image with a point."""
-    columns = np.flatnonzero((image.channels[0] > 0).any(axis=0))
-    return len(np.unique(columns * SECTORS // image.width)) / min(SECTORS, image.width)
+def _is_constant(intensity: Float) -> bool:
+    """Say whether all intensities that are numbers are equal."""
+    finite = intensity[np.isfinite(intensity)]
+    return not len(finite) or bool(finite.min() == finite.max())
 
 
-def _of_intensity(scan: Scan, sensor: Sensor, trained: Sensor) -> Iterator[Finding]:
-    values, quantiles = scan.intensity, trained.intensity_quantiles
+def _bright(intensity: Float) -> float:
+    """Return the upper intensity of those that are numbers, 0 without any."""
+    finite = intensity[np.isfinite(intensity)]
+    return float(np.quantile(finite, BRIGHT)) if len(finite) else 0.0
+
+
+def _without_intensity(sensor: Sensor) -> Finding:
     matched = sensor.intensity_quantiles
-    if values.min() == values.max():
-        given = "the mean of training stands for it" if matched else "the network expects one"
-        yield Finding("no-intensity", f"no intensity: {given}", "labels are worse without one")
+    given = "the mean of training stands for it" if matched else "the network expects one"
+    return Finding("no-intensity", f"no intensity: {given}", TRAIN)
+
+
+def _of_intensity(
+    bright: float, sensor: Sensor, trained: Sensor, fitting: bool
+) -> Iterator[Finding]:
+    """Compare with the scans that it is matched with, else with training, else with 0 to 1."""
+    matched = sensor.intensity_quantiles
+    quantiles = matched or trained.intensity_quantiles
+    if matched and min(matched) == max(matched):
         return
-    if matched:
-        return
-    bright = float(np.nanquantile(values[:: max(1, len(values) // MAX_POINTS)], BRIGHT))
-    usual = quantiles[round(BRIGHT * (len(quantiles) - 1))] if quantiles else None
-    if usual is None:
-        doubtful, of = bright > MAX_USUAL_INTENSITY, "where 0 to 1 is usual"
+    if quantiles:
+        usual = quantiles[round(BRIGHT * (len(quantiles) - 1))]
+        near = usual / INTENSITY_FACTOR <= bright <= usual * INTENSITY_FACTOR
+        doubtful = usual > 0 and not near  # Decibels have no factors.
+        of = f"and {usual:.2g} in {'the scans fitted to' if matched else 'training'}"
     else:
-        doubtful = not usual / INTENSITY_FACTOR <= bright <= usual * INTENSITY_FACTOR
-        of = f"and {usual:.2g} in training"
+        doubtful, of = bright > MAX_USUAL_INTENSITY, "where 0 to 1 is usual"
     if doubtful:
         found = f"{BRIGHT:.0%} of the intensities are below {bright:.3g}, {of}"
-        yield Finding("intensity-scale", found, "--intensity auto, or the sensor's intensity_scale")
+        scale = "set intensity_scale in a file for --sensor"
+        remedy = scale if matched or not fitting else f"--intensity auto, or {scale}"
+        yield Finding("intensity-scale", found, remedy)

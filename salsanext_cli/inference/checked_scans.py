@@ -1,10 +1,9 @@
 # SPDX-License-Identifier: MIT
-"""Scans read, projected and checked: the first steps of every stage that looks at one."""
+"""Scans read, checked and projected: the first steps of the stages that project one."""
 
 from salsanext_cli.formats import read_scan
-from salsanext_cli.geometry.coverage import field_of_view_coverage
 from salsanext_cli.geometry.projection import project
-from salsanext_cli.geometry.scan_checks import Finding, check_scan
+from salsanext_cli.geometry.scan_checks import ScanCheck, check_scan
 from salsanext_cli.records import RangeImage
 from salsanext_cli.sensors import Sensor
 from salsanext_cli.storage.layout import ScanFile
@@ -12,8 +11,8 @@ from salsanext_cli.storage.layout import ScanFile
 
 def project_checked(
     file: ScanFile, sensor: Sensor, device: str = "cpu", trained: Sensor | None = None
-) -> tuple[RangeImage, tuple[Finding, ...]]:
-    """Read and project a scan; return its range image and what is doubtful about the scan.
+) -> tuple[RangeImage, ScanCheck]:
+    """Read, check and project a scan; return its range image and what the check found.
 
     Parameters
     ----------
@@ -31,5 +30,5 @@ def project_checked(
         If the file cannot be read, or holds no scan in metres around the sensor.
     """
     scan = read_scan(file.path, sensor)
-    image, coverage = project(scan, sensor, device), field_of_view_coverage(scan, sensor)
-    return image, check_scan(file.path, scan, image, sensor, coverage, trained)
+    check = check_scan(file.path, scan, sensor, trained)
+    return project(scan, sensor, device), check

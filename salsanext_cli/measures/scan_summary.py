@@ -5,7 +5,8 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from operator import itemgetter
 from typing import Any
 
 import numpy as np
@@ -14,7 +15,9 @@ import numpy.typing as npt
 from salsanext_cli.classes import LabelSpace, TrainIds
 from salsanext_cli.errors import printable
 from salsanext_cli.formats.reading import present
-from salsanext_cli.geometry.scan_checks import MIN_POINTS, Finding
+from salsanext_cli.geometry.scan_checks import MIN_POINTS, UNCHECKED, Finding, ScanCheck
+from salsanext_cli.geometry.scan_traits import ScanTraits
+from salsanext_cli.measures.mixed_sensors import mixed_sensors
 from salsanext_cli.sensors import Sensor
 from salsanext_cli.storage.layout import ScanFile
 
@@ -32,24 +35,24 @@ class ScanSummary:
     Attributes
     ----------
     file : ScanFile
-    findings : tuple of Finding
-        Reasons to doubt the scan.
+    check : ScanCheck
+        Reasons to doubt the scan or its labels, and traits of its sensor.
     class_points : tuple of int
         Number of points by predicted train id; empty if none were predicted.
     """
 
     file: ScanFile
-    findings: tuple[Finding, ...] = ()
+    check: ScanCheck = UNCHECKED
     class_points: tuple[int, ...] = ()
 
     @classmethod
     def of_labels(
-        cls, file: ScanFile, labels: TrainIds, space: LabelSpace, findings: tuple[Finding, ...] = ()
+        cls, file: ScanFile, labels: TrainIds, space: LabelSpace, check: ScanCheck = UNCHECKED
     ) -> ScanSummary:
         """Count the predicted train ids (N,) of a scan, and look at them."""
         points = np.bincount(labels, minlength=space.class_count)
-        found = (*findings, *_of_classes(points, space))
-        return cls(file, found, tuple(points.tolist()))
+        found = (*check.findings, *_of_classes(points, space))
+        return cls(file, replace(check, findings=found), tuple(points.tolist()))
 
 
 def _of_classes(points: npt.NDArray[np.int64], space: LabelSpace) -> Iterator[Finding]:
@@ -76,6 +79,8 @@ class RunSummary:
         Number of points by predicted train id.
     findings : dict
         Names of the scans by what was found, in the order in which it was found first.
+    traits : dict
+        Traits of the sensor by scan.
     """
 
     sensor: Sensor
@@ -83,6 +88,7 @@ class RunSummary:
     labelled: bool = False
     class_points: list[int] = field(default_factory=list)
     findings: dict[str, list[tuple[str, Finding]]] = field(default_factory=dict)
+    traits: dict[ScanFile, ScanTraits] = field(default_factory=dict)
 
     @classmethod
     def of_scans(
@@ -93,27 +99,42 @@ class RunSummary:
 
     def add(self, scan: ScanSummary) -> None:
         """Add a scan; say at once what is found for the first time."""
-        name = f"{scan.file.sequence}/{scan.file.stem}"
-        for finding in scan.findings:
-            if finding.code not in self.findings:
-                warning = f"{finding.found}; {finding.remedy}"
-                log.warning("%s: %s (%s)", printable(name), warning, finding.code)
-            self.findings.setdefault(finding.code, []).append((name, finding))
+        for finding in scan.check.findings:
+            self._add(scan.file, finding)
+        if scan.check.traits is not None:
+            self.traits[scan.file] = scan.check.traits
         if scan.class_points:
             before = self.class_points or [0] * len(scan.class_points)
             self.class_points = [a + b for a, b in zip(before, scan.class_points, strict=True)]
 
+    def _add(self, file: ScanFile, finding: Finding) -> None:
+        name = f"{file.sequence}/{file.stem}"
+        if finding.code not in self.findings:
+            warning = f"{finding.found}; {finding.remedy}"
+            log.warning("%s: %s (%s)", printable(name), warning, finding.code)
+        self.findings.setdefault(finding.code, []).append((name, finding))
+
+    def finished(self, *, selectable: bool = True) -> RunSummary:
+        """Compare the scans with each other, at the end of the run; return itself.
+
+        `selectable` is as `mixed_sensors` takes it.
+        """
+        for file, finding in mixed_sensors(self.traits, selectable=selectable).items():
+            self._add(file, finding)
+        return self
+
     def warnings(self) -> list[dict[str, Any]]:
-        """Return what was found, by code, with the scans, as plain data."""
-        return [
-            {
-                "code": code,
-                "message": found[0][1].found,
-                "remedy": found[0][1].remedy,
-                "scans": sorted(name for name, _ in found),
-            }
-            for code, found in self.findings.items()
-        ]
+        """Return what was found, by code, with the scans, as plain data.
+
+        Codes and scans are sorted, and the words are those of the first scan, whatever the order in
+        which workers were done.
+        """
+        warnings = []
+        for code in sorted(self.findings):
+            names, findings = zip(*sorted(self.findings[code], key=itemgetter(0)), strict=True)
+            words = {"message": findings[0].found, "remedy": findings[0].remedy}
+            warnings.append({"code": code, **words, "scans": list(names)})
+        return warnings
 
     def largest_classes(self) -> dict[str, float]:
         """Return the share of the points, 0…1, of the largest predicted classes, by name."""

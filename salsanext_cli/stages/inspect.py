@@ -1,7 +1,6 @@
 # SPDX-License-Identifier: MIT
 """Inspection of a set of scans: size, field of view, classes; a sensor fitted to them."""
 
-import logging
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -12,15 +11,12 @@ from salsanext_cli.errors import NoInputError
 from salsanext_cli.formats import read_scan
 from salsanext_cli.formats.labels import read_labels
 from salsanext_cli.formats.reading import present
-from salsanext_cli.geometry.coverage import (
-    CoverageCheck,
-    FieldOfViewCoverage,
-    field_of_view_coverage,
-)
 from salsanext_cli.geometry.mounting import in_sensor_frame
 from salsanext_cli.geometry.mounting_fit import fit_mounting
 from salsanext_cli.geometry.projection import project
+from salsanext_cli.geometry.scan_checks import check_scan
 from salsanext_cli.inference.scan_fit import sampled
+from salsanext_cli.measures.scan_summary import RunSummary, ScanSummary
 from salsanext_cli.measures.survey import Survey, survey
 from salsanext_cli.parallel.run import Failure, RunOptions, run_over_scans
 from salsanext_cli.sensors import Sensor
@@ -28,14 +24,10 @@ from salsanext_cli.storage.atomic import require_absent, write_bytes
 from salsanext_cli.storage.layout import ScanFile
 from salsanext_cli.storage.selection import ScanSelection, select_scans, space_of
 
-MAX_USUAL_INTENSITY = 1.5
-"""Largest intensity of the scale 0…1."""
 MIN_POINTS_OF_FIT = 1000
 """Least number of points of a fit, which leaves out one in a thousand at either edge."""
 MIN_FIELD_OF_VIEW_DEG = 1.0
 """Least field of view of a fit; that of a scanner of one plane is smaller."""
-
-log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,7 +45,9 @@ class Inspection:
     space : LabelSpace
         Names of the classes.
     failures : tuple of Failure
-        Scans that could not be read.
+        Scans that could not be read, or cannot be right.
+    warnings : list of dict
+        Reasons to doubt scans, as `RunSummary.warnings` lists them.
     """
 
     sequences: dict[str, Survey]
@@ -61,6 +55,7 @@ class Inspection:
     sensor: Sensor
     space: LabelSpace
     failures: tuple[Failure, ...]
+    warnings: list[dict[str, Any]]
 
     def to_dict(self) -> dict[str, Any]:
         """Return plain data for JSON."""
@@ -70,6 +65,7 @@ class Inspection:
             "total": self.total.to_dict(),
             "sequences": {name: found.to_dict() for name, found in self.sequences.items()},
             "failures": [failure.to_dict() for failure in self.failures],
+            "warnings": self.warnings,
         }
 
     def fitted_sensor(self, name: str) -> Sensor:
@@ -98,7 +94,7 @@ def inspect(
     options: RunOptions = RunOptions(),
     fit: bool = False,
 ) -> Inspection:
-    """Survey scans.
+    """Survey scans and check them.
 
     Parameters
     ----------
@@ -121,14 +117,11 @@ def inspect(
     scans = select_scans(source, selection, space)
     if fit:
         sensor = fit_mounting(list(sampled(scans, sensor)), sensor)
-    found = _inspect(scans, sensor, space, options, warn=not fit)
-    if fit and found.total.pixels:
-        sensor = _with_field_of_view(sensor, found.total)
-        found = _inspect(scans, sensor, space, options, warn=False)
-    if found.total.brightest > MAX_USUAL_INTENSITY:
-        bright = f"intensities up to {found.total.brightest:g}, where 0 to 1 is usual"
-        log.warning("%s: set intensity_scale in the sensor", bright)
-    return found
+        # Only the view of this pass counts, so its checks would be against a wrong one.
+        first = _inspect(scans, sensor, space, options, checked=False)
+        if first.total.pixels:
+            sensor = _with_field_of_view(sensor, first.total)
+    return _inspect(scans, sensor, space, options, checked=True)
 
 
 def _inspect(
@@ -136,31 +129,37 @@ def _inspect(
     sensor: Sensor,
     space: LabelSpace | None,
     options: RunOptions,
-    warn: bool,
+    checked: bool,
 ) -> Inspection:
-    """Read the scans once; warn if their points lie outside the sensor's field of view."""
+    """Read the scans once."""
     sequences: dict[str, Survey] = {}
-    check = CoverageCheck(sensor)
+    summary = RunSummary(sensor)
 
-    def add(result: tuple[str, Survey, FieldOfViewCoverage]) -> None:
-        name, found, coverage = result
+    def add(result: tuple[Survey, ScanSummary]) -> None:
+        found, scan = result
+        name = scan.file.sequence
         sequences[name] = sequences.get(name, Survey()) + found
-        if warn:
-            check.add(coverage)
+        if checked:
+            summary.add(scan)
 
     outcome = run_over_scans(partial(inspect_scan, sensor=sensor), scans, options, on_result=add)
-    check.finish()
     sequences = dict(sorted(sequences.items()))
     total = sum(sequences.values(), start=Survey())
-    return Inspection(sequences, total, sensor, space or space_of(scans), outcome.failures)
+    warnings = summary.finished().warnings()
+    return Inspection(
+        sequences, total, sensor, space or space_of(scans), outcome.failures, warnings
+    )
 
 
-def inspect_scan(file: ScanFile, sensor: Sensor) -> tuple[str, Survey, FieldOfViewCoverage]:
-    """Read, project and count one scan; return its sequence, survey and coverage."""
+def inspect_scan(file: ScanFile, sensor: Sensor) -> tuple[Survey, ScanSummary]:
+    """Read, check, project and count one scan."""
     scan = read_scan(file.path, sensor)
+    # The scale that is usual, whatever weights the sensor may be of.
+    plain = replace(sensor, intensity_quantiles=())
+    check = check_scan(file.path, scan, plain, plain, fitting=False)
     raw = read_labels(file.label_path, len(scan)) if present(file.label_path) else None
     found = survey(in_sensor_frame(scan, sensor), project(scan, sensor), raw)
-    return file.sequence, found, field_of_view_coverage(scan, sensor)
+    return found, ScanSummary(file, check)
 
 
 def _require_fit(name: str, found: Survey) -> None:

@@ -13,7 +13,7 @@ from salsanext_cli.classes import TrainIds
 from salsanext_cli.errors import SalsanextError, UsageError
 from salsanext_cli.geometry.gather import points_from_pixels
 from salsanext_cli.geometry.knn import KnnParameters, knn_refine
-from salsanext_cli.geometry.scan_checks import Finding
+from salsanext_cli.geometry.scan_checks import ScanCheck
 from salsanext_cli.inference.adaptation import network_of_run
 from salsanext_cli.inference.checked_scans import project_checked
 from salsanext_cli.inference.network import Network
@@ -39,9 +39,9 @@ def predict_scan(
     file: ScanFile, network: Network, knn: KnnParameters, output: OutputRun
 ) -> ScanSummary:
     """Label the points of one scan; return numbers about it."""
-    image, findings = _projected(file, network, output)
+    image, check = _projected(file, network, output)
     labels = _write(file, image, network.probabilities(image, file.path), network, knn, output)
-    return ScanSummary.of_labels(file, labels, network.card.space, findings)
+    return ScanSummary.of_labels(file, labels, network.card.space, check)
 
 
 def predict_batch(
@@ -49,11 +49,11 @@ def predict_batch(
 ) -> Iterator[Attempt]:
     """Label the points of several scans, computed together; yield an attempt of each."""
     images: dict[ScanFile, RangeImage] = {}
-    findings: dict[ScanFile, tuple[Finding, ...]] = {}
+    checks: dict[ScanFile, ScanCheck] = {}
     for file in files:
         try:
             with named_if_too_large(file, network):
-                images[file], findings[file] = _projected(file, network, output)
+                images[file], checks[file] = _projected(file, network, output)
         except SalsanextError as error:
             yield file, None, error
     softmax: Sequence[Float | None] = [None] * len(images)
@@ -67,14 +67,12 @@ def predict_batch(
                 network.require_finite(probabilities, file.path)
                 labels = _write(file, image, probabilities, network, knn, output)
             space = network.card.space
-            yield file, ScanSummary.of_labels(file, labels, space, findings[file]), None
+            yield file, ScanSummary.of_labels(file, labels, space, checks[file]), None
         except SalsanextError as error:
             yield file, None, error
 
 
-def _projected(
-    file: ScanFile, network: Network, output: OutputRun
-) -> tuple[RangeImage, tuple[Finding, ...]]:
+def _projected(file: ScanFile, network: Network, output: OutputRun) -> tuple[RangeImage, ScanCheck]:
     output.require_replaceable(file)
     return project_checked(file, network.sensor, network.device, network.card.sensor)
 
@@ -160,7 +158,7 @@ def predict_scans(
         outcome = run_over_scans(
             task, scans, options, is_done=output.is_done, on_result=summary.add
         )
-    return replace(outcome, summary=summary)
+    return replace(outcome, summary=summary.finished())
 
 
 def predict_image(file: ScanFile, network: Network, folder: Path, output: OutputRun) -> None:

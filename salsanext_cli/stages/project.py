@@ -21,10 +21,10 @@ FOLDERS = ("range", "pixels")
 def project_scan(file: ScanFile, sensor: Sensor, output: OutputRun) -> ScanSummary:
     """Project one scan; write its range image and the pixels of its points."""
     output.require_replaceable(file)
-    image, findings = project_checked(file, sensor)
+    image, check = project_checked(file, sensor)
     output.write_array(file, "range", image.channels)
     output.write_array(file, "pixels", image.pixel_of_point)
-    return ScanSummary(file, findings)
+    return ScanSummary(file, check)
 
 
 def project_scans(
@@ -64,4 +64,4 @@ def project_scans(
         outcome = run_over_scans(
             task, scans, options, is_done=output.is_done, on_result=summary.add
         )
-    return replace(outcome, summary=summary)
+    return replace(outcome, summary=summary.finished())

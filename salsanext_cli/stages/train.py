@@ -9,12 +9,10 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-import numpy.typing as npt
 import torch
 
-from salsanext_cli.classes import LabelSpace, label_space
-from salsanext_cli.errors import NoInputError, UsageError, WeightsError, first_few
+from salsanext_cli.classes import LabelSpace
+from salsanext_cli.errors import UsageError, WeightsError, first_few
 from salsanext_cli.geometry.intensity import intensity_quantiles
 from salsanext_cli.inference.scan_fit import sampled_images
 from salsanext_cli.network.card import WeightsCard
@@ -26,9 +24,10 @@ from salsanext_cli.report.scan_pictures import draw_sample
 from salsanext_cli.sensors import Sensor
 from salsanext_cli.sensors import sensor as preset_sensor
 from salsanext_cli.storage.identity import fingerprint
-from salsanext_cli.storage.layout import ScanFile, find_scans
-from salsanext_cli.storage.selection import data_set_label_space, evenly_spaced
+from salsanext_cli.storage.layout import ScanFile
+from salsanext_cli.storage.selection import evenly_spaced
 from salsanext_cli.training.class_counts import (
+    ClassCounts,
     class_counts,
     class_weights,
     rare_classes,
@@ -51,6 +50,7 @@ from salsanext_cli.training.run_folder import (
     require_free,
     trained_alone,
 )
+from salsanext_cli.training.splits import labelled_splits
 
 DEFAULT_SENSOR = "hdl64"
 """Sensor of a training from random weights, unless another is given."""
@@ -68,12 +68,15 @@ class TrainResult:
         Validation mIoU on points, after kNN, of the best weights.
     rows : sequence of Row
         The log, a row per epoch.
+    warnings : list of dict
+        Reasons to doubt scans, as `RunSummary.warnings` lists them.
     """
 
     best: Path
     last: Path
     best_miou: float
     rows: Sequence[Row]
+    warnings: list[dict[str, Any]]
 
 
 def train(
@@ -87,6 +90,7 @@ def train(
     jobs: int = 1,
     weights: Path | None = None,
     overwrite: bool = False,
+    strict: bool = False,
     progress: Callable[[Report], object] = lambda report: None,
 ) -> TrainResult:
     """Train a network, or resume a training that was interrupted in the same folder.
@@ -115,6 +119,8 @@ def train(
         Weights to start from instead of random ones.
     overwrite : bool
         Whether to start anew where the folder holds a training.
+    strict : bool
+        Whether to refuse doubtful scans.
     progress : callable
         Called with a `Report` after every step.
 
@@ -135,7 +141,7 @@ def train(
         remedy = "start fewer workers or set batch higher"
         raise UsageError("recipe key batch", f"{recipe.batch}", expected, remedy)
     with process_group(device) as (group, place), ExitStack() as held:
-        classes, training, validation = group.on_main(lambda: _splits(dataset, space))
+        classes, training, validation = group.on_main(lambda: labelled_splits(dataset, space))
         validated = evenly_spaced(validation, recipe.validation_scans)
         if recipe.precision == "auto":
             begun = None if overwrite else group.on_main(lambda: recorded_precision(run))
@@ -148,7 +154,7 @@ def train(
         seen = replace(sensor, intensity_quantiles=quantiles)
         card = WeightsCard(architecture, classes, seen, recipe.to_dict(), {}, description)
 
-        def prepare() -> npt.NDArray[np.int64]:
+        def prepare() -> ClassCounts:
             scans = [*training, *validation]
             settings = _settings(card, scans, weights)
             held.enter_context(trained_alone(run))
@@ -156,15 +162,17 @@ def train(
             require_labels(scans)
             splits = (training, validation, validated)
             counts = class_counts(run / CLASS_COUNTS, splits, classes, sensor, jobs)
+            if strict:
+                counts.require_no_warnings(dataset)
             begin(run, settings, overwrite=overwrite)
             return counts
 
         counts = group.on_main(prepare)
-        rare = rare_classes(counts, classes.scored)
+        points, scored = counts.points, classes.scored
         state = Training(
             run=run,
-            learner=Learner(module, recipe, class_weights(counts, classes.scored), place, group),
-            samples=Samples(training, classes, sensor, recipe, rare),
+            learner=Learner(module, recipe, class_weights(points, scored), place, group),
+            samples=Samples(training, classes, sensor, recipe, rare_classes(points, scored)),
             validation=validated,
             card=card,
             workers=workers if jobs != 1 else 0,
@@ -172,7 +180,7 @@ def train(
             write_epoch=held.enter_context(tensorboard_in(run, EVENTS, wanted=group.is_main)),
             report=progress,
         ).fit()
-    return TrainResult(run / BEST, run / LAST, state.best, state.rows)
+    return TrainResult(run / BEST, run / LAST, state.best, state.rows, counts.warnings)
 
 
 def _require_pixels(
@@ -185,25 +193,6 @@ def _require_pixels(
     if part * math.prod(coarsest) == 1:
         found = f"one pixel is left of one image of {size[0]}×{size[1]}"
         raise UsageError("recipe key crop_width", found, "two pixels for batch norm at least")
-
-
-def _splits(
-    dataset: Path, space: LabelSpace | None
-) -> tuple[LabelSpace, list[ScanFile], list[ScanFile]]:
-    """Return the label space of a data set, and its scans for training and for validation."""
-    space = space or data_set_label_space(dataset) or label_space()
-    found: dict[str, list[ScanFile]] = {}
-    for split in ("train", "valid"):
-        members = space.split(split)
-        found[split] = [scan for scan in find_scans(dataset) if scan.sequence in members]
-        if not found[split]:
-            raise NoInputError(
-                dataset,
-                f"no scans of split {split}",
-                f"one of the sequences {', '.join(members) or '(none)'}",
-                "name your sequences in labels.yaml, under split",
-            )
-    return space, found["train"], found["valid"]
 
 
 def _initial_network(

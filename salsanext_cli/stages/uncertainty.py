@@ -52,7 +52,7 @@ def uncertainty_scan(
     """Estimate the uncertainty of the points of one scan; return numbers about it."""
     output.require_replaceable(file)
     sensor, space, device = network.sensor, network.card.space, network.device
-    image, findings = project_checked(file, sensor, device, network.card.sensor)
+    image, check = project_checked(file, sensor, device, network.card.sensor)
     estimate = estimator.estimate(network, image, file)
     network.require_finite(estimate.probabilities, file.path)
     for kind in estimator.kinds:
@@ -60,11 +60,11 @@ def uncertainty_scan(
         of_points = points_from_pixels(of_pixels, image.pixel_of_point, np.nan)
         output.write_array(file, f"uncertainty/{kind}", of_points)
     if "predictions" not in output.folders:
-        return ScanSummary(file, findings)
+        return ScanSummary(file, check)
     pixel_labels = estimate.probabilities.argmax(axis=0)
     labels = knn_refine(image, pixel_labels, space.class_count, knn, device)
     output.write_labels(file, space.to_raw(labels))
-    return ScanSummary.of_labels(file, labels, space, findings)
+    return ScanSummary.of_labels(file, labels, space, check)
 
 
 def _require_same_network(out: Path, settings: dict[str, Any]) -> None:
@@ -157,7 +157,7 @@ def uncertainty_of(
         outcome = run_over_scans(
             task, scans, options, is_done=output.is_done, on_result=summary.add
         )
-    return replace(outcome, summary=summary)
+    return replace(outcome, summary=summary.finished())
 
 
 def estimate_missing(

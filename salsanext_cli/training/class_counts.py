@@ -1,10 +1,12 @@
 # SPDX-License-Identifier: MIT
-"""Class counts: points of every class in labelled scans, and the class weights from them."""
+"""Class counts: points of every class in labelled scans, checked on the way; class weights."""
 
 import hashlib
 import json
 from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import joblib
 import numpy as np
@@ -14,9 +16,11 @@ from torch import Tensor
 
 from salsanext_cli.classes import LabelSpace
 from salsanext_cli.errors import LabelError, TrainingError, counted
+from salsanext_cli.geometry.scan_checks import check_scan
+from salsanext_cli.measures.scan_summary import RunSummary, ScanSummary
 from salsanext_cli.sensors import Sensor
 from salsanext_cli.storage.identity import identity
-from salsanext_cli.storage.json_files import read_json
+from salsanext_cli.storage.json_files import encode_json, read_json
 from salsanext_cli.storage.layout import ScanFile
 from salsanext_cli.storage.written_files import WrittenFiles
 from salsanext_cli.training.dataset import read_labelled
@@ -24,6 +28,33 @@ from salsanext_cli.training.dataset import read_labelled
 Counts = npt.NDArray[np.int64]
 RARE_SHARE = 0.01
 """Share of the scored training points below which a class is rare."""
+WARNING_TEXTS = ("code", "message", "remedy")
+"""Keys of a warning, beside its scans."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ClassCounts:
+    """Result of reading labelled scans once.
+
+    Attributes
+    ----------
+    points : (C,) int64
+        Training points of each class.
+    warnings : list of dict
+        Reasons to doubt scans of either split, as `RunSummary.warnings` lists them.
+    """
+
+    points: Counts
+    warnings: list[dict[str, Any]]
+
+    def require_no_warnings(self, dataset: Path) -> None:
+        """Raise `TrainingError` if a scan is doubtful."""
+        if self.warnings:
+            found = ", ".join(
+                f"{each['code']} in {counted(len(each['scans']), 'scan')}" for each in self.warnings
+            )
+            remedy = "mend the scans or leave them out, or train without --strict"
+            raise TrainingError(dataset, f"doubtful scans: {found}", "none", remedy)
 
 
 def require_labels(files: Sequence[ScanFile]) -> None:
@@ -37,22 +68,33 @@ def require_labels(files: Sequence[ScanFile]) -> None:
 
 def count_classes(
     files: Sequence[ScanFile], space: LabelSpace, sensor: Sensor, jobs: int = 1
-) -> Counts:
-    """Count the points of every class in every scan, (F, C) int64, reading all with their labels.
+) -> tuple[Counts, list[ScanSummary]]:
+    """Count the points of every class in every scan, reading and checking all with their labels.
+
+    Returns
+    -------
+    counts : (F, C) int64
+    summaries : list of F `ScanSummary`
+        What the checks found.
 
     Raises
     ------
     FormatError, LabelError
         If any scan cannot be trained on.
     """
+    # The network learns from intensities as they are.
+    plain = replace(sensor, intensity_quantiles=())
 
-    def count(file: ScanFile) -> Counts:
-        _, labels = read_labelled(file, space, sensor)
-        return np.bincount(labels, minlength=space.class_count).astype(np.int64)
+    def count(file: ScanFile) -> tuple[Counts, ScanSummary]:
+        scan, labels = read_labelled(file, space, sensor)
+        check = check_scan(file.path, scan, plain, plain, fitting=False)
+        counts = np.bincount(labels, minlength=space.class_count).astype(np.int64)
+        return counts, ScanSummary(file, check)
 
     # Reading and counting release the interpreter's lock, so that threads do.
     found = joblib.Parallel(jobs, backend="threading")(joblib.delayed(count)(f) for f in files)
-    return np.stack(found)
+    counts, summaries = zip(*found, strict=True)
+    return np.stack(counts), list(summaries)
 
 
 def class_shares(counts: Counts, scored: npt.NDArray[np.bool_]) -> npt.NDArray[np.float64]:
@@ -91,14 +133,14 @@ def class_counts(
     space: LabelSpace,
     sensor: Sensor,
     jobs: int = 1,
-) -> Counts:
-    """Return the points per class of the training split, (C,), reading and checking all scans.
+) -> ClassCounts:
+    """Return the points per class of the training split, reading and checking all scans.
 
     Parameters
     ----------
     path : Path
-        The JSON file that keeps the counts, which are right until a file of scans or labels
-        changes. A whole SemanticKITTI takes half a minute of computing to count, and 55 GB to read.
+        The JSON file that keeps the result, which is right until a file of scans or labels
+        changes. For that of a whole SemanticKITTI 55 GB are read.
     splits : (training, validation, validated)
         Scans to train on, all of the validation split, and those of them that are scored.
     space, sensor, jobs
@@ -112,33 +154,51 @@ def class_counts(
         If no point of the training scans, or of those that are scored, is of a class that counts.
     """
     training, validation, validated = splits
-    digest = _digest([*training, *validation, *validated], space)
+    digest = _digest([*training, *validation, *validated], space, sensor)
     known = read_json(path) or {}
-    points = known.get("points")
+    points, warnings = known.get("points"), known.get("warnings")
     if (
         known.get("files") == digest
         and isinstance(points, dict)
         and points.keys() == {*space.names}
         and all(type(n) is int and 0 <= n < 2**63 for n in points.values())
+        and isinstance(warnings, list)
+        and all(map(_is_warning, warnings))
     ):
-        return np.array([points[name] for name in space.names], np.int64)
-    of_validation = count_classes(validation, space, sensor, jobs)
+        return ClassCounts(np.array([points[name] for name in space.names], np.int64), warnings)
+    of_validation, summaries = count_classes(validation, space, sensor, jobs)
     scored = {*validated}
     of_validated = of_validation[[file in scored for file in validation]].sum(axis=0)
-    counts: Counts = count_classes(training, space, sensor, jobs).sum(axis=0)
+    of_training, others = count_classes(training, space, sensor, jobs)
+    counts: Counts = of_training.sum(axis=0)
     for files, of_files in ((validated, of_validated), (training, counts)):
         if not of_files[space.scored].any():
             total = f"{counted(of_files.sum(), 'point')} in {counted(len(files), 'scan')}"
             found = f"none of {total} is of a class that counts"
             raise TrainingError(files[0].label_path.parent, found, f"labels of {space.name}")
-    content = {"files": digest, "points": dict(zip(space.names, counts.tolist(), strict=True))}
-    WrittenFiles(path.parent).write(path, (json.dumps(content, indent=2) + "\n").encode())
-    return counts
+    summary = RunSummary(sensor)
+    for scan in (*others, *summaries):
+        summary.add(scan)
+    result = ClassCounts(counts, summary.finished(selectable=False).warnings())
+    by_name = dict(zip(space.names, counts.tolist(), strict=True))
+    content = {"files": digest, "points": by_name, "warnings": result.warnings}
+    WrittenFiles(path.parent).write(path, encode_json(content))
+    return result
 
 
-def _digest(scans: Iterable[ScanFile], space: LabelSpace) -> str:
-    """Return a digest of the label space and of size and time of every scan and its labels."""
-    digest = hashlib.sha256(json.dumps(space.to_dict(), sort_keys=True).encode())
+def _is_warning(value: object) -> bool:
+    """Say whether data is a warning, as `RunSummary.warnings` returns it."""
+    if not isinstance(value, dict) or value.keys() != {*WARNING_TEXTS, "scans"}:
+        return False
+    scans = value["scans"]
+    texts = [value[key] for key in WARNING_TEXTS] + (scans if isinstance(scans, list) else [None])
+    return all(isinstance(text, str) for text in texts)
+
+
+def _digest(scans: Iterable[ScanFile], space: LabelSpace, sensor: Sensor) -> str:
+    """Return a digest of label space, sensor, and size and time of every scan and its labels."""
+    settings = [space.to_dict(), sensor.to_dict()]
+    digest = hashlib.sha256(json.dumps(settings, sort_keys=True).encode())
     for path in (path for scan in scans for path in (scan.path, scan.label_path)):
         # Without its folder: a data set may move.
         _, _, *state = identity(path) or (None, None)

@@ -13,6 +13,7 @@ from scans import write_sequence
 
 BENCHMARKS = Path(__file__).parents[2] / "benchmarks"
 TINY = "fov_up = 3.0\nfov_down = -25.0\nheight = 16\nwidth = 64\n"
+CHECK_RATIOS = ("checks, elapsed", "checks, CPU")
 NOISE = "range_noise = 0.02\nintensity_noise = 0.02\n"
 
 
@@ -75,6 +76,15 @@ def test_stage_cost(data, weights, capsys):
     for stage, read, written in (("project", 0.024, 0.047), ("predict, scans", 0.024, 0.006)):
         numbers = [float(number) for number in re.findall(r"(\d+\.\d+) MB", found[stage])]
         assert numbers == pytest.approx([read, written], abs=0.011)
+
+
+def test_checks_cost(data, weights, capsys):
+    found = printed(capsys, "checks_cost.py", data, 2, weights)
+    assert list(found) == ["with checks", "without", *CHECK_RATIOS, "fit, once a run"]
+    for name in CHECK_RATIOS:
+        assert re.fullmatch(r"\d+\.\d{3} × \(\d+\.\d{3} to \d+\.\d{3}\)", found[name])
+    assert found["fit, once a run"].endswith("of 2 scans")
+    assert found["without"].endswith(" ms of CPU")
 
 
 def test_many_scans(tmp_path, capsys):

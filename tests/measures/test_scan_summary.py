@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from scans import SMALL
 
 from salsanext_cli import label_space
-from salsanext_cli.geometry.scan_checks import Finding
+from salsanext_cli.geometry.scan_checks import Finding, ScanCheck
 from salsanext_cli.measures.scan_summary import RunSummary, ScanSummary
 from salsanext_cli.storage.layout import ScanFile
 
@@ -42,7 +42,7 @@ def test_what_is_found_is_said_at_once_and_listed_with_all_its_scans(caplog):
     summary, tilted = RunSummary(SMALL), Finding("tilted", "the ground is tilted", "turn it")
     for number in range(3):
         file = ScanFile("08", f"{number}", Path("scan.bin"))
-        summary.add(ScanSummary(file, (tilted,) if number else ()))
+        summary.add(ScanSummary(file, ScanCheck((tilted,) if number else ())))
     assert caplog.messages == ["08/1: the ground is tilted; turn it (tilted)"]
     told = {"message": "the ground is tilted", "remedy": "turn it", "scans": ["08/1", "08/2"]}
     assert summary.warnings() == [{"code": "tilted", **told}]
@@ -52,6 +52,25 @@ def test_what_is_found_is_said_at_once_and_listed_with_all_its_scans(caplog):
 def test_a_class_that_takes_the_scan(share, codes):
     labels = np.where(np.arange(1000) < 1000 * share, 1, 9).astype(np.uint8)
     found = ScanSummary.of_labels(FILE, np.append(labels, np.zeros(5000, np.uint8)), SPACE)
-    assert [finding.code for finding in found.findings] == codes
+    assert [finding.code for finding in found.check.findings] == codes
     few = ScanSummary.of_labels(FILE, labels[:50], SPACE)
-    assert few.findings == ()
+    assert few.check.findings == ()
+
+
+@given(st.permutations(range(6)))
+@settings(max_examples=20, deadline=None)
+def test_warnings_do_not_depend_on_the_order_of_the_scans(order):
+    scans = []
+    for number in range(6):
+        codes = [
+            code for place, code in enumerate(("tilted", "height", "of-3")) if number % 3 > place
+        ]
+        found = tuple(Finding(code, f"{code} of {number}", "turn it") for code in codes)
+        file = ScanFile("08", f"{number}", Path("scan.bin"))
+        scans.append(ScanSummary(file, ScanCheck(found)))
+    summary = RunSummary(SMALL)
+    for place in order:
+        summary.add(scans[place])
+    height, tilted = summary.warnings()
+    assert (height["message"], height["scans"]) == ("height of 2", ["08/2", "08/5"])
+    assert (tilted["message"], tilted["scans"]) == ("tilted of 1", ["08/1", "08/2", "08/4", "08/5"])

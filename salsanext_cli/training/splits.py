@@ -1,0 +1,41 @@
+# SPDX-License-Identifier: MIT
+"""Splits of a labelled data set: the scans to train on and those to validate with."""
+
+from pathlib import Path
+
+from salsanext_cli.classes import LabelSpace, label_space
+from salsanext_cli.errors import NoInputError
+from salsanext_cli.storage.layout import ScanFile, find_scans
+from salsanext_cli.storage.selection import data_set_label_space
+
+
+def labelled_splits(
+    dataset: Path, space: LabelSpace | None
+) -> tuple[LabelSpace, list[ScanFile], list[ScanFile]]:
+    """Return the label space of a data set, and its scans for training and for validation.
+
+    Parameters
+    ----------
+    dataset : Path
+        Its root.
+    space : LabelSpace, optional
+        Otherwise what the data set says, else SemanticKITTI's.
+
+    Raises
+    ------
+    NoInputError
+        If a split has no scans.
+    """
+    space = space or data_set_label_space(dataset) or label_space()
+    found: dict[str, list[ScanFile]] = {}
+    for split in ("train", "valid"):
+        members = space.split(split)
+        found[split] = [scan for scan in find_scans(dataset) if scan.sequence in members]
+        if not found[split]:
+            raise NoInputError(
+                dataset,
+                f"no scans of split {split}",
+                f"one of the sequences {', '.join(members) or '(none)'}",
+                "name your sequences in labels.yaml, under split",
+            )
+    return space, found["train"], found["valid"]

@@ -1,0 +1,178 @@
+# SPDX-License-Identifier: MIT
+"""`train` and `inspect` check scans as `predict` does, without weights."""
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scans import SMALL, make_scan, write_sequence
+from tiny_network import TinyNetwork
+
+from salsanext_cli import Scan, read_scan
+from salsanext_cli.errors import FormatError, TrainingError
+from salsanext_cli.network.registry import ARCHITECTURES
+from salsanext_cli.stages import inspect as inspect_stage
+from salsanext_cli.stages.inspect import inspect
+from salsanext_cli.stages.train import train
+from salsanext_cli.storage.point_files import write_bin
+from salsanext_cli.training import class_counts as counting
+from salsanext_cli.training.recipe import Recipe
+from salsanext_cli.training.splits import labelled_splits
+
+TINY = Recipe(epochs=1, batch=2, crop_width=32)
+
+
+@pytest.fixture(autouse=True)
+def _tiny(monkeypatch):
+    monkeypatch.setitem(ARCHITECTURES, "salsanext", TinyNetwork)
+
+
+@pytest.fixture
+def dataset(tmp_path):
+    """Three scans to train on and one to score on."""
+    write_sequence(tmp_path / "data/sequences/00", ["0", "1", "2"], count=2000)
+    write_sequence(tmp_path / "data/sequences/08", ["0"], count=2000)
+    return tmp_path / "data"
+
+
+def change(dataset, points=(0, 1, 2), scale=1.0, brighter=1.0, *, sequence="00", stem="1"):
+    path = dataset / "sequences" / sequence / "velodyne" / f"{stem}.bin"
+    scan = read_scan(path)
+    changed = scan.points[:, points] * np.float32(scale)
+    write_bin(path, Scan(changed, scan.intensity * np.float32(brighter)))
+
+
+def trained(dataset, **options):
+    folder = dataset.parent / "run"
+    return train(dataset, folder, recipe=TINY, sensor=SMALL, device="cpu", **options).warnings
+
+
+def counted(dataset, path, jobs=1):
+    """Return the warnings of counting the classes, without the training."""
+    space, training, validation = labelled_splits(dataset, None)
+    splits = (training, validation, validation)
+    return counting.class_counts(path, splits, space, SMALL, jobs).warnings
+
+
+def found(warnings):
+    return {warning["code"]: warning["scans"] for warning in warnings}
+
+
+def test_right_scans_are_not_doubted(dataset, caplog):
+    assert trained(dataset) == inspect(dataset, sensor=SMALL).warnings == []
+    assert not caplog.messages
+
+
+@pytest.mark.parametrize(
+    ("changes", "codes"),
+    [
+        ({"points": (0, 2, 1)}, {"tilted", "out-of-view", "mixed-sensors"}),
+        ({"brighter": 0.0}, {"no-intensity"}),
+        ({"brighter": 255.0}, {"intensity-scale", "mixed-sensors"}),
+        ({"brighter": 0.1}, {"mixed-sensors"}),
+    ],
+)
+def test_doubtful_scans_are_named_by_both(dataset, caplog, changes, codes):
+    change(dataset, **changes)
+    warnings = trained(dataset)
+    assert {*found(warnings)} == codes
+    assert all(scans == ["00/1"] for scans in found(warnings).values())
+    inspected = inspect(dataset, sensor=SMALL)
+    assert found(inspected.warnings) == found(warnings)
+    assert inspected.to_dict()["warnings"] == inspected.warnings
+    assert caplog.text.count("(mixed-sensors)") == 2 * ("mixed-sensors" in codes)
+    assert "auto" not in "".join(warning["remedy"] for warning in warnings)
+
+
+def test_scans_in_millimetres_are_not_trained_on(dataset):
+    change(dataset, scale=1000.0, sequence="08", stem="0")
+    with pytest.raises(FormatError, match=r"08/velodyne/0\.bin · a median range of .* in metres"):
+        trained(dataset)
+    assert not (dataset.parent / "run/train.json").exists()
+    (failure,) = inspect(dataset, sensor=SMALL).failures
+    assert "0.bin · a median range of" in failure.reason
+
+
+def test_strict_refuses_before_anything_is_begun(dataset):
+    change(dataset, brighter=0.0)
+    for _ in range(2):
+        with pytest.raises(TrainingError, match=r"data · doubtful scans: no-intensity in 1 scan ·"):
+            trained(dataset, strict=True)
+    assert not (dataset.parent / "run/train.json").exists()
+    change(dataset, brighter=0.0, stem="2")
+    with pytest.raises(TrainingError, match="no-intensity in 2 scans"):
+        trained(dataset, strict=True)
+    assert found(trained(dataset)) == {"no-intensity": ["00/1", "00/2"]}
+
+
+def test_a_training_that_goes_on_knows_the_warnings(dataset, monkeypatch):
+    change(dataset, brighter=0.0)
+    warnings = trained(dataset)
+    kept = dataset.parent / "run/class_counts.json"
+    content = json.loads(kept.read_bytes())
+    assert content["warnings"] == warnings
+    check, checked = counting.check_scan, []
+    monkeypatch.setattr(
+        counting, "check_scan", lambda path, *a, **k: checked.append(path) or check(path, *a, **k)
+    )
+    assert trained(dataset) == warnings
+    assert not checked
+    # Damaged, of another kind, or of an older version: looked at again.
+    wrong = {**warnings[0], "scans": [1]}
+    older = {key: value for key, value in content.items() if key != "warnings"}
+    damaged = (None, 3, [3], [{}], [wrong], [{**warnings[0], "code": 3}])
+    for other in (older, *({**content, "warnings": each} for each in damaged)):
+        kept.write_text(json.dumps(other))
+        assert counted(dataset, kept) == warnings
+    assert len(checked) == 7 * 4
+
+
+def test_another_sensor_is_checked_anew(dataset):
+    assert trained(dataset) == []
+    upwards = replace(SMALL, fov_up=30.0, fov_down=-2.0)
+    folder = dataset.parent / "run"
+    warnings = train(
+        dataset, folder, recipe=TINY, sensor=upwards, device="cpu", overwrite=True
+    ).warnings
+    assert {*found(warnings)} == {"out-of-view"}
+    assert warnings[0]["scans"] == ["00/0", "00/1", "00/2", "08/0"]
+
+
+def test_warnings_do_not_depend_on_jobs(dataset):
+    change(dataset, points=(0, 2, 1))
+    change(dataset, brighter=255.0, stem="2")
+    one, more = (counted(dataset, dataset / f"{jobs}.json", jobs) for jobs in (1, 3))
+    assert one == more
+    assert {*found(one)} == {"out-of-view", "tilted", "intensity-scale", "mixed-sensors"}
+
+
+def test_a_fit_is_checked_with_what_it_found(dataset, monkeypatch):
+    """And each scan twice read, but its reasons counted once."""
+    upwards = replace(SMALL, fov_up=30.0, fov_down=-2.0)
+    assert {*found(inspect(dataset, sensor=upwards).warnings)} == {"out-of-view"}
+    assert inspect(dataset, sensor=upwards, fit=True).warnings == []
+    change(dataset, brighter=0.0)
+    assert found(inspect(dataset, sensor=upwards, fit=True).warnings) == {"no-intensity": ["00/1"]}
+    seen = []
+    monkeypatch.setattr(inspect_stage, "survey", lambda *a: seen.append(a) or 1 / 0)
+    with pytest.raises(ZeroDivisionError):
+        inspect(dataset, sensor=SMALL)
+    assert len(seen) == 1
+
+
+def test_sequences_of_two_sensors(dataset):
+    write_sequence(dataset / "sequences/08", ["0"], count=8000)
+    (inspected,), (warning,) = inspect(dataset, sensor=SMALL).warnings, trained(dataset)
+    assert inspected["scans"] == warning["scans"] == ["08/0"]
+    assert inspected["remedy"] == "run them apart: --sequences 08 and --sequences 00"
+    # There is no such option.
+    assert warning["remedy"] == "put the scans of each sensor into a folder of their own"
+
+
+def test_scans_of_two_sensors_in_one_folder(tmp_path):
+    for number in range(5):
+        write_bin(tmp_path / f"scans/{number}.bin", make_scan(4000 if number else 800, number))
+    (warning,) = inspect(tmp_path / "scans", sensor=SMALL).warnings
+    assert (warning["code"], warning["scans"]) == ("mixed-sensors", ["scans/0"])
+    assert "a folder of their own" in warning["remedy"]
