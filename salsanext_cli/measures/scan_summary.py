@@ -5,8 +5,10 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from operator import itemgetter
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -19,6 +21,7 @@ from salsanext_cli.geometry.scan_checks import MIN_POINTS, UNCHECKED, Finding, S
 from salsanext_cli.geometry.scan_traits import ScanTraits
 from salsanext_cli.measures.mixed_sensors import mixed_sensors
 from salsanext_cli.sensors import Sensor
+from salsanext_cli.storage.kept_findings import Texts, keep_findings
 from salsanext_cli.storage.layout import ScanFile
 
 LARGEST_CLASSES = 5
@@ -63,6 +66,10 @@ def _of_classes(points: npt.NDArray[np.int64], space: LabelSpace) -> Iterator[Fi
         yield Finding("one-class", found, "look at them: `salsanext export-ply`")
 
 
+def _name(file: ScanFile) -> str:
+    return f"{file.sequence}/{file.stem}"
+
+
 @dataclass(slots=True)
 class RunSummary:
     """Summary of the scans that a run has worked on.
@@ -81,6 +88,8 @@ class RunSummary:
         Names of the scans by what was found, in the order in which it was found first.
     traits : dict
         Traits of the sensor by scan.
+    looked_at : set of str
+        Names of the scans that were added.
     """
 
     sensor: Sensor
@@ -89,6 +98,7 @@ class RunSummary:
     class_points: list[int] = field(default_factory=list)
     findings: dict[str, list[tuple[str, Finding]]] = field(default_factory=dict)
     traits: dict[ScanFile, ScanTraits] = field(default_factory=dict)
+    looked_at: set[str] = field(default_factory=set)
 
     @classmethod
     def of_scans(
@@ -99,6 +109,7 @@ class RunSummary:
 
     def add(self, scan: ScanSummary) -> None:
         """Add a scan; say at once what is found for the first time."""
+        self.looked_at.add(_name(scan.file))
         for finding in scan.check.findings:
             self._add(scan.file, finding)
         if scan.check.traits is not None:
@@ -108,7 +119,7 @@ class RunSummary:
             self.class_points = [a + b for a, b in zip(before, scan.class_points, strict=True)]
 
     def _add(self, file: ScanFile, finding: Finding) -> None:
-        name = f"{file.sequence}/{file.stem}"
+        name = _name(file)
         if finding.code not in self.findings:
             warning = f"{finding.found}; {finding.remedy}"
             log.warning("%s: %s (%s)", printable(name), warning, finding.code)
@@ -122,6 +133,25 @@ class RunSummary:
         for file, finding in mixed_sensors(self.traits, selectable=selectable).items():
             self._add(file, finding)
         return self
+
+    @contextmanager
+    def kept_in(self, out: Path, stage: str, scans: Sequence[ScanFile]) -> Iterator[None]:
+        """Finish the summary when the run in an output folder ends, and keep what it found there.
+
+        What earlier runs of the stage found of scans that have their results is added.
+        """
+        try:
+            yield
+        finally:
+            self.finished()
+            found: dict[str, list[Texts]] = {}
+            for name, finding in (each for group in self.findings.values() for each in group):
+                texts = (finding.code, finding.found, finding.remedy)
+                found.setdefault(name, []).append(texts)
+            earlier = keep_findings(out, stage, found, self.looked_at)
+            for name in earlier.keys() & {_name(file) for file in scans}:
+                for texts in earlier[name]:
+                    self.findings.setdefault(texts[0], []).append((name, Finding(*texts)))
 
     def warnings(self) -> list[dict[str, Any]]:
         """Return what was found, by code, with the scans, as plain data.

@@ -133,15 +133,16 @@ def knn_refine_scans(
     if labels is None:
         # Labels of other weights must not be kept as those of these.
         settings |= {"origins": origins(out, ["predict"])}
-    with output_run(
+    summary = RunSummary.of_scans(scans, sensor, space)
+    run = output_run(
         *(out, "knn-refine", settings, ("predictions",), scans),
         overwrite=options.overwrite,
         record_scans=dataset is not None,
-    ) as output:
+    )
+    with run as output, summary.kept_in(out, "knn-refine", scans):
         task = partial(
             refine_scan, labels=labels, space=space, sensor=sensor, knn=knn, output=output
         )
-        summary = RunSummary.of_scans(scans, sensor, space)
         outcome = run_over_scans(
             task, scans, options, is_done=output.is_done, on_result=summary.add
         )

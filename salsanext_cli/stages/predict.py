@@ -149,16 +149,15 @@ def predict_scans(
     settings = network.record(loaded) | {"temperature": temperature, "knn": asdict(knn)}
     summary = RunSummary.of_scans(scans, loaded.sensor, loaded.card.space)
     folders = (*extras, "predictions")
-    with output_run(
-        out, "predict", settings, folders, scans, overwrite=options.overwrite
-    ) as output:
+    run = output_run(out, "predict", settings, folders, scans, overwrite=options.overwrite)
+    with run as output, summary.kept_in(out, "predict", scans):
         one = partial(predict_scan, knn=knn, output=output)
         several = partial(predict_batch, knn=knn, output=output)
         task = NetworkTask(one, network.resolved(loaded), loaded, several, batch)
         outcome = run_over_scans(
             task, scans, options, is_done=output.is_done, on_result=summary.add
         )
-    return replace(outcome, summary=summary.finished())
+    return replace(outcome, summary=summary)
 
 
 def predict_image(file: ScanFile, network: Network, folder: Path, output: OutputRun) -> None:

@@ -59,9 +59,10 @@ def project_scans(
         sensor = fitted_view(scans, sensor, earlier)
     settings, summary = {"sensor": sensor.to_dict()}, RunSummary.of_scans(scans, sensor)
     overwrite = options.overwrite
-    with output_run(out, "project", settings, FOLDERS, scans, overwrite=overwrite) as output:
+    run = output_run(out, "project", settings, FOLDERS, scans, overwrite=overwrite)
+    with run as output, summary.kept_in(out, "project", scans):
         task = partial(project_scan, sensor=sensor, output=output)
         outcome = run_over_scans(
             task, scans, options, is_done=output.is_done, on_result=summary.add
         )
-    return replace(outcome, summary=summary.finished())
+    return replace(outcome, summary=summary)

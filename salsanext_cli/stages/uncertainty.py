@@ -147,17 +147,18 @@ def uncertainty_of(
     folders = (*kinds, "predictions") if labels_too else kinds
     _require_same_network(out, settings)
     summary = RunSummary.of_scans(scans, loaded.sensor, loaded.card.space)
-    with output_run(
+    run = output_run(
         *(out, "uncertainty", settings, folders, scans),
         overwrite=options.overwrite,
         record_scans=record_scans,
-    ) as output:
+    )
+    with run as output, summary.kept_in(out, "uncertainty", scans):
         function = partial(uncertainty_scan, knn=knn, estimator=estimator, output=output)
         task = NetworkTask(function, network.resolved(loaded), loaded)
         outcome = run_over_scans(
             task, scans, options, is_done=output.is_done, on_result=summary.add
         )
-    return replace(outcome, summary=summary.finished())
+    return replace(outcome, summary=summary)
 
 
 def estimate_missing(

@@ -12,14 +12,18 @@ from tiny_network import TinyNetwork
 from salsanext_cli import Scan, read_scan
 from salsanext_cli.errors import FormatError, TrainingError
 from salsanext_cli.network.registry import ARCHITECTURES
+from salsanext_cli.parallel.run import RunOptions
 from salsanext_cli.stages import inspect as inspect_stage
 from salsanext_cli.stages.inspect import inspect
+from salsanext_cli.stages.project import project_scans
 from salsanext_cli.stages.train import train
 from salsanext_cli.storage.point_files import write_bin
+from salsanext_cli.storage.selection import ScanSelection
 from salsanext_cli.training import class_counts as counting
 from salsanext_cli.training.recipe import Recipe
 from salsanext_cli.training.splits import labelled_splits
 
+UPWARDS = replace(SMALL, name="upwards", fov_up=30.0, fov_down=-2.0)
 TINY = Recipe(epochs=1, batch=2, crop_width=32)
 
 
@@ -176,3 +180,30 @@ def test_scans_of_two_sensors_in_one_folder(tmp_path):
     (warning,) = inspect(tmp_path / "scans", sensor=SMALL).warnings
     assert (warning["code"], warning["scans"]) == ("mixed-sensors", ["scans/0"])
     assert "a folder of their own" in warning["remedy"]
+
+
+def test_what_was_found_is_told_by_later_runs_too(dataset):
+    """Of scans that have their results and are not read again; no longer once they are right."""
+    out, scan = dataset.parent / "out", dataset / "sequences/00/velodyne/1.bin"
+    whole = ScanSelection(sequences=("00",))
+
+    def projected(selection=whole, **options):
+        how = RunOptions(**options)
+        outcome = project_scans(dataset, out, sensor=UPWARDS, selection=selection, options=how)
+        return outcome.summary.warnings()
+
+    first = projected()
+    assert found(first) == {"out-of-view": ["00/0", "00/1", "00/2"]}
+    assert projected() == first
+    assert found(projected(ScanSelection(sequences=("08",)))) == {"out-of-view": ["08/0"]}
+    assert found(projected(ScanSelection())) == {"out-of-view": ["00/0", "00/1", "00/2", "08/0"]}
+    kept = out / "project.warnings.json"
+    for damaged in (
+        '{"scans": 3}',
+        '{"scans": {"00/0": [3]}}',
+        '{"scans": {"00/0": [["a", 1, "b"]]}}',
+    ):
+        kept.write_text(damaged)
+        assert projected() == []
+    scan.write_bytes(b"")
+    assert found(projected(overwrite=True)) == {"out-of-view": ["00/0", "00/2"]}

@@ -60,7 +60,7 @@ def test_the_same_whatever_the_order_and_company(world, tmp_path):
     for name, content in files_below(alone).items():
         if name.endswith((".npy", ".label")):
             assert everything[name] == content
-    assert len(files_below(alone)) == len(KINDS) + 2
+    assert len(files_below(alone)) == len(KINDS) + 3
 
 
 def test_another_seed_or_number_of_passes_is_refused(world):

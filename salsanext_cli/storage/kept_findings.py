@@ -1,0 +1,48 @@
+# SPDX-License-Identifier: MIT
+"""What a stage found doubtful, by scan, ``OUT/<stage>.warnings.json``, kept for its later runs."""
+
+from collections.abc import Collection, Mapping
+from pathlib import Path
+
+from salsanext_cli.storage.json_files import read_json, write_json
+from salsanext_cli.storage.run_registration import records_lock
+
+Texts = tuple[str, str, str]
+"""Code, message and remedy."""
+
+
+def keep_findings(
+    out: Path, stage: str, found: Mapping[str, list[Texts]], looked_at: Collection[str]
+) -> dict[str, list[Texts]]:
+    """Keep what a run found in an output folder; return what earlier runs found of other scans.
+
+    Parameters
+    ----------
+    out : Path
+        The output folder.
+    stage : str
+        The stage.
+    found : mapping of str to list of tuples
+        Code, message and remedy of each finding, by the name of the scan.
+    looked_at : collection of str
+        Names of all scans that the run has looked at; what earlier runs found of them is outdated.
+    """
+    path = out / f"{stage}.warnings.json"
+    with records_lock(out):
+        known = read_json(path)
+        scans = {} if known is None else known.get("scans")
+        earlier = {
+            name: [tuple(texts) for texts in findings]
+            for name, findings in (scans.items() if isinstance(scans, dict) else ())
+            if name not in looked_at and _are_findings(findings)
+        }
+        if known is not None or found:
+            everything = {**earlier, **{name: sorted(texts) for name, texts in found.items()}}
+            write_json(path, {"stage": stage, "scans": dict(sorted(everything.items()))})
+    return earlier
+
+
+def _are_findings(value: object) -> bool:
+    return isinstance(value, list) and all(
+        isinstance(texts, list) and [*map(type, texts)] == [str, str, str] for texts in value
+    )
