@@ -14,6 +14,7 @@ from salsanext_cli.errors import NoInputError, OutputError, UsageError
 from salsanext_cli.parallel.run import RunOptions
 from salsanext_cli.stages.convert import convert
 from salsanext_cli.stages.export_ply import export_ply
+from salsanext_cli.stages.inspect import inspect
 from salsanext_cli.stages.predict import predict_scans
 from salsanext_cli.stages.project import project_scans
 from salsanext_cli.storage.layout import find_scans
@@ -147,6 +148,14 @@ def test_stages_take_a_recording_and_find_it_again(world, bag, tmp_path):
         recorded_scans(out)
     found = recorded_scans(out, moved)
     assert {(scan.sequence, scan.path.parents[1]) for scan in found} == {("drive", moved)}
+
+
+@pytest.mark.parametrize("kind", [".db3", ".mcap"])
+def test_a_bag_that_is_a_folder(world, tmp_path, kind):
+    folder = write_bag(tmp_path, kind, messages(POINTS[:2])).parent
+    assert predict_scans(folder, tmp_path / "out", network=world.network).done == 2
+    assert project_scans(folder, tmp_path / "images", sensor=SMALL).done == 2
+    assert inspect(folder, sensor=SMALL).total.scans == 2
 
 
 def test_one_output_folder_is_for_one_topic(tmp_path):
