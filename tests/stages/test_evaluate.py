@@ -68,6 +68,12 @@ def test_unknown_ids_are_counted_as_unlabelled(world, caplog):
     assert report["unknown_ids"] == {"truth": {"77": 2}, "predictions": {"77": 1, "65535": 1}}
 
 
+def test_of_many_unknown_ids_the_first_are_named(world, caplog):
+    world.add("000000", [CAR] * 5000, [*range(1000, 6000)])
+    world.evaluate()
+    assert "predictions: unknown ids 1000 (1×), 1001 (1×), 1002 (1×) and 4997 more" in caplog.text
+
+
 def test_missing_predictions_are_listed_and_do_not_fail(world, caplog):
     world.add("000000", [CAR], [CAR])
     world.add("000001", [ROAD], None)
