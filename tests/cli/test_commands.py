@@ -367,7 +367,8 @@ def test_file_names_that_are_not_text(run, weights, tmp_path):
     (folder / "velodyne/Fahrt \udcfc.bin").write_bytes(b"1")
     result = run("predict", folder, out, "--weights", weights, "--overwrite", "--json")
     assert result.exit_code == 1
-    assert only_json(result)["failed"] == 1
+    (failure,) = only_json(result)["failures"]
+    assert failure["scan"] == f"{tmp_path}/Stra\\xdfe 1/velodyne/Fahrt \\xfc.bin"
 
 
 def test_models_lists_networks_and_describes_weights(run, weights):
