@@ -123,6 +123,19 @@ def test_a_cloud_that_is_damaged_and_a_bag_that_was_cut(bag, tmp_path):
     assert convert(bag, tmp_path / "one", limit=1).failures == ()
 
 
+def test_a_cloud_without_points_is_left_out(world, tmp_path, caplog):
+    """A `.bin` file of it has no content, as one that was cut off."""
+    points = [POINTS[0], POINTS[1][:0], POINTS[2]]
+    path, folder = write_bag(tmp_path, ".mcap", messages(points)), tmp_path / "data"
+    for done, jobs in ((2, 1), (0, 2)):
+        outcome = convert(path, folder, options=RunOptions(jobs=jobs))
+        assert (outcome.done, outcome.skipped, outcome.failures) == (done, 2 - done, ())
+        assert f"1 scan left out, without points: {TIMES[1]}" in caplog.text
+        caplog.clear()
+    assert sequence(folder) == ([f"{TIMES[0]}.bin", f"{TIMES[2]}.bin"], [SECONDS[0], SECONDS[2]])
+    assert predict_scans(folder, tmp_path / "out", network=world.network).done == 2
+
+
 @pytest.mark.parametrize("given", [{"every": 0}, {"limit": 0}])
 def test_numbers_below_one_are_refused(bag, tmp_path, given):
     with pytest.raises(UsageError, match="at least 1"):
