@@ -4,12 +4,13 @@
 from __future__ import annotations
 
 import logging
+import shlex
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from salsanext_cli.classes import LabelSpace, TrainIds
 from salsanext_cli.errors import printable
@@ -46,18 +47,18 @@ class ScanSummary:
     def of_labels(
         cls, file: ScanFile, labels: TrainIds, space: LabelSpace, findings: tuple[Finding, ...] = ()
     ) -> ScanSummary:
-        """Count the predicted train ids (N,) of a scan, and look at them."""
+        """Count the predicted train ids (N,) of a scan."""
         points = np.bincount(labels, minlength=space.class_count)
-        found = (*findings, *_of_classes(points, space))
-        return cls(file, found, tuple(points.tolist()))
+        return cls(file, findings, tuple(points.tolist()))
 
 
-def _of_classes(points: npt.NDArray[np.int64], space: LabelSpace) -> Iterator[Finding]:
-    """Look at the number of points by class; class 0 is unlabelled."""
-    total, largest = int(points[1:].sum()), int(points[1:].argmax()) + 1 if len(points) > 1 else 0
+def _of_classes(points: Sequence[int], space: LabelSpace, out: Path | None) -> Iterator[Finding]:
+    """Look at the number of points by class, of results in a folder; class 0 is unlabelled."""
+    total, largest = sum(points[1:]), max(range(1, len(points)), key=points.__getitem__, default=0)
     if total >= MIN_POINTS and points[largest] > LARGEST_SHARE * total:
         found = f"{points[largest] / total:.0%} of the points are {space.names[largest]}"
-        yield Finding("one-class", found, "look at them: `salsanext export-ply`")
+        look = shlex.join(["salsanext", "export-ply", *([str(out)] if out else [])])
+        yield Finding("one-class", found, f"look at them: `{look}`")
 
 
 @dataclass(slots=True)
@@ -70,6 +71,8 @@ class RunSummary:
         Sensor that the scans were projected for.
     space : LabelSpace, optional
         Classes of the predicted points, if any are predicted.
+    out : Path, optional
+        Folder of the results, as it was typed.
     labelled : bool
         Whether the scans, or at least the first of them, have labels.
     class_points : list of int
@@ -80,21 +83,27 @@ class RunSummary:
 
     sensor: Sensor
     space: LabelSpace | None = None
+    out: Path | None = None
     labelled: bool = False
     class_points: list[int] = field(default_factory=list)
     findings: dict[str, list[tuple[str, Finding]]] = field(default_factory=dict)
 
     @classmethod
     def of_scans(
-        cls, scans: Sequence[ScanFile], sensor: Sensor, space: LabelSpace | None = None
+        cls,
+        scans: Sequence[ScanFile],
+        sensor: Sensor,
+        space: LabelSpace | None = None,
+        out: Path | None = None,
     ) -> RunSummary:
         """Begin the summary of a run over some scans."""
-        return cls(sensor, space, bool(scans) and present(scans[0].label_path))
+        return cls(sensor, space, out, bool(scans) and present(scans[0].label_path))
 
     def add(self, scan: ScanSummary) -> None:
         """Add a scan; say at once what is found for the first time."""
         name = f"{scan.file.sequence}/{scan.file.stem}"
-        for finding in scan.findings:
+        of_classes = _of_classes(scan.class_points, self.space, self.out) if self.space else ()
+        for finding in (*scan.findings, *of_classes):
             if finding.code not in self.findings:
                 warning = f"{finding.found}; {finding.remedy}"
                 log.warning("%s: %s (%s)", printable(name), warning, finding.code)

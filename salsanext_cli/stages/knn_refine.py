@@ -141,7 +141,7 @@ def knn_refine_scans(
         task = partial(
             refine_scan, labels=labels, space=space, sensor=sensor, knn=knn, output=output
         )
-        summary = RunSummary.of_scans(scans, sensor, space)
+        summary = RunSummary.of_scans(scans, sensor, space, out)
         outcome = run_over_scans(
             task, scans, options, is_done=output.is_done, on_result=summary.add
         )

@@ -147,7 +147,7 @@ def predict_scans(
     loaded = fitted(network, loaded, scans, earlier)
     temperature = loaded.card.temperature
     settings = network.record(loaded) | {"temperature": temperature, "knn": asdict(knn)}
-    summary = RunSummary.of_scans(scans, loaded.sensor, loaded.card.space)
+    summary = RunSummary.of_scans(scans, loaded.sensor, loaded.card.space, out)
     folders = (*extras, "predictions")
     with output_run(
         out, "predict", settings, folders, scans, overwrite=options.overwrite

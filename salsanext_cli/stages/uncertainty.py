@@ -144,7 +144,7 @@ def uncertainty_of(
     labels_too = owner(out, "predictions") in (None, "uncertainty")
     folders = (*kinds, "predictions") if labels_too else kinds
     _require_same_network(out, settings)
-    summary = RunSummary.of_scans(scans, loaded.sensor, loaded.card.space)
+    summary = RunSummary.of_scans(scans, loaded.sensor, loaded.card.space, out)
     with output_run(
         *(out, "uncertainty", settings, folders, scans),
         overwrite=options.overwrite,

@@ -51,7 +51,13 @@ def test_what_is_found_is_said_at_once_and_listed_with_all_its_scans(caplog):
 @pytest.mark.parametrize(("share", "codes"), [(0.58, []), (0.62, ["one-class"])])
 def test_a_class_that_takes_the_scan(share, codes):
     labels = np.where(np.arange(1000) < 1000 * share, 1, 9).astype(np.uint8)
-    found = ScanSummary.of_labels(FILE, np.append(labels, np.zeros(5000, np.uint8)), SPACE)
-    assert [finding.code for finding in found.findings] == codes
-    few = ScanSummary.of_labels(FILE, labels[:50], SPACE)
-    assert few.findings == ()
+    summary = RunSummary(SMALL, SPACE, Path("my out"))
+    summary.add(ScanSummary.of_labels(FILE, labels[:50], SPACE))
+    assert summary.warnings() == []
+    unlabelled = np.zeros(5000, np.uint8)
+    summary.add(ScanSummary.of_labels(FILE, np.append(labels, unlabelled), SPACE))
+    warnings = summary.warnings()
+    assert [warning["code"] for warning in warnings] == codes
+    for warning in warnings:
+        assert warning["message"] == "62% of the points are car"
+        assert warning["remedy"] == "look at them: `salsanext export-ply 'my out'`"
