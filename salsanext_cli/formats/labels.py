@@ -42,7 +42,7 @@ def read_labels(path: Path, count: int | None = None) -> RawIds:
         raise LabelError(
             path,
             counted(len(raw), "label"),
-            f"{count}, one per point of the scan",
+            f"{count:,}, one per point of the scan",
             "use the labels that belong to this scan",
         )
     return raw

@@ -219,7 +219,7 @@ def test_eval_of_a_scan_that_cannot_be_compared_is_status_one(run, predicted, da
     path.write_bytes(path.read_bytes()[:-4])
     result = run("eval", "--out", predicted)
     assert result.exit_code == 1
-    assert "1499" in result.stderr
+    assert "1,499 labels · expected 1,500" in result.stderr
     assert len(json.loads((predicted / "eval.json").read_text())["failures"]) == 1
 
 
