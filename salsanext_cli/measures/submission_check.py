@@ -7,16 +7,13 @@ from pathlib import Path
 
 import numpy as np
 
-from salsanext_cli.classes import LabelSpace, RawIds
+from salsanext_cli.classes import MOVING, LabelSpace, RawIds
 from salsanext_cli.errors import LabelError, SalsanextError, counted, first_few
 from salsanext_cli.formats import read_scan, scan_suffix
 from salsanext_cli.formats.clouds.kitti import count_points
 from salsanext_cli.formats.labels import read_labels
 from salsanext_cli.formats.reading import reading, size_of
 from salsanext_cli.label_yaml import RAW_ID_COUNT
-
-MOVING = "moving-"
-"""Start of the names of the classes that only the benchmark over several scans has."""
 
 
 @dataclass(frozen=True, slots=True)
