@@ -27,6 +27,8 @@ TrainIds = npt.NDArray[np.uint8]
 RawIds = npt.NDArray[np.uint32]
 
 BUILT_IN = ("semantic-kitti",)
+MOVING = "moving-"
+"""Start of the names of moving things, which are classes of their own over several scans only."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -18,22 +18,33 @@ The library raises these; only the command line prints them and chooses the exit
 Anything else that escapes is a bug and keeps its traceback.
 """
 
-from collections.abc import Sequence
-from typing import ClassVar
+from collections.abc import Mapping, Sequence
+from typing import Any, ClassVar
 
 NOTICE = 25
 """Log level of messages for every user that are not warnings."""
 MAX_NAMES_SHOWN = 3
 """Files or scans that a message names."""
-ESCAPES = {code: f"\\x{code:02x}" for code in (*range(32), *range(127, 160))} | {
-    code: f"\\x{code & 0xFF:02x}" for code in range(0xDC80, 0xDD00)
-}
-"""Control characters, and bytes of names that are no text, as Python decodes them."""
+UNDECODED = {code: f"\\x{code & 0xFF:02x}" for code in range(0xDC80, 0xDD00)}
+"""Bytes of names that are no text, as Python decodes them."""
+CONTROL = {code: f"\\x{code:02x}" for code in (*range(32), *range(127, 160))}
+DIRECTION = {0x061C, 0x200E, 0x200F, *range(0x2028, 0x202F), *range(0x2066, 0x206A)}
+"""Characters that end lines or turn the direction of text, so that a name shows as another one."""
+ESCAPES = UNDECODED | CONTROL | {code: f"\\u{code:04x}" for code in DIRECTION}
 
 
 def printable(text: str) -> str:
     """Return a text with what is no text escaped, which the name of a file may hold."""
     return text.translate(ESCAPES)
+
+
+def as_text(data: Any) -> Any:
+    """Return plain data with the bytes of names that are no text escaped, for other programs."""
+    if isinstance(data, str):
+        return data.translate(UNDECODED)
+    if isinstance(data, Mapping):
+        return {as_text(key): as_text(value) for key, value in data.items()}
+    return [as_text(value) for value in data] if isinstance(data, list | tuple) else data
 
 
 def counted(count: int, noun: str) -> str:

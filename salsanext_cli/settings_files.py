@@ -72,11 +72,12 @@ def read_toml(path: Path, kind: str, presets: Iterable[str]) -> dict[str, Any]:
     UsageError
         If there is no such file or it cannot be read.
     """
-    if not path.is_file():
-        found = "no preset and no file of that name"
-        raise UsageError(f"{kind} {path}", found, f"one of {', '.join(presets)}, or a .toml file")
     expected = f"a TOML file with a {kind}'s keys"
-    text = _text(path, MAX_TOML_BYTES, expected)
+    try:
+        text = _text(path, MAX_TOML_BYTES, expected)
+    except FileNotFoundError as error:
+        found, names = "no preset and no file of that name", f"one of {', '.join(presets)}"
+        raise UsageError(f"{kind} {path}", found, f"{names}, or a .toml file") from error
     if any(len(line) > MAX_LINE_CHARACTERS for line in text.splitlines()):
         raise UsageError(path, f"a line of more than {MAX_LINE_CHARACTERS} characters", expected)
     try:
@@ -98,7 +99,10 @@ def _text(path: Path, largest: int, expected: str) -> str:
         return content.decode("utf-8").replace("\r\n", "\n")
     except FileNotFoundError:
         raise
-    except (OSError, ValueError) as error:
+    except OSError as error:
+        found = f"cannot be read: {(error.strerror or str(error)).lower()}"
+        raise UsageError(path, found, expected) from error
+    except ValueError as error:
         raise UsageError(path, words_of(error), expected) from error
 
 

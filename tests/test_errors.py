@@ -9,7 +9,14 @@ import pytest
 
 from salsanext_cli import errors
 from salsanext_cli.cli.console import Output
-from salsanext_cli.errors import FormatError, OutputError, SalsanextError, counted, printable
+from salsanext_cli.errors import (
+    FormatError,
+    OutputError,
+    SalsanextError,
+    as_text,
+    counted,
+    printable,
+)
 
 
 @pytest.mark.parametrize(
@@ -64,6 +71,13 @@ def test_control_characters_in_names_of_files_are_escaped():
     said = str(FormatError("a\nerror: b\x1b]0;x\x07.bin", "cut\x9b off", remedy="größer"))
     assert said == "a\\x0aerror: b\\x1b]0;x\\x07.bin · cut\\x9b off · größer"
     assert printable("ä\t\x7f") == "ä\\x09\\x7f"
+    assert printable("a\u202enib.bin\u2028\u2066") == "a\\u202enib.bin\\u2028\\u2066"
+
+
+def test_data_for_other_programs_is_text():
+    data = {"a\udcff": ["b\udc80\n", ("ü", 1)], "deep": {"c": None, 3: 0.5}}
+    expected = {"a\\xff": ["b\\x80\n", ["ü", 1]], "deep": {"c": None, 3: 0.5}}
+    assert as_text(data) == expected
 
 
 def test_commands_log_and_say_printable_text(capsys, monkeypatch):

@@ -145,8 +145,12 @@ def test_bad_files(tmp_path: Path, text: str) -> None:
 def test_neither_preset_nor_file(tmp_path: Path) -> None:
     with pytest.raises(UsageError, match="one of hdl64"):
         sensor("hdl46")
-    with pytest.raises(UsageError, match="no preset and no file"):
+    with pytest.raises(UsageError, match=r"s\.toml · no preset and no file of that name"):
+        sensor(tmp_path / "s.toml")
+    with pytest.raises(UsageError, match="cannot be read: is a directory"):
         sensor(tmp_path)
+    with pytest.raises(UsageError, match="cannot be read: file name too long"):
+        sensor("a" * 300)
 
 
 def test_every_preset_knows_its_noise():

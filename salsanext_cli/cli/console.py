@@ -21,7 +21,7 @@ import typer
 
 from salsanext_cli.cli.option_groups import option, option_group
 from salsanext_cli.cli.progress import tell
-from salsanext_cli.errors import NOTICE, SalsanextError, UsageError, printable
+from salsanext_cli.errors import NOTICE, SalsanextError, UsageError, as_text, printable
 
 if TYPE_CHECKING:
     from rich.console import RenderableType
@@ -131,8 +131,8 @@ def usage_errors(arguments: Sequence[str]) -> Iterator[None]:
 
 
 def _print_json(data: Mapping[str, Any]) -> None:
-    # ASCII, since names of files may be no text, and stdout no UTF-8.
-    typer.echo(json.dumps({"schema": SCHEMA} | dict(data), allow_nan=False))
+    # ASCII, since stdout may be no UTF-8.
+    typer.echo(json.dumps({"schema": SCHEMA} | as_text(data), allow_nan=False))
 
 
 def _tell_end(how: str, given: Mapping[str, object]) -> None:

@@ -59,4 +59,4 @@ def knn_refine(
             selection=selection.scans(),
             options=run,
         )
-    run_end.finish("knn-refine", outcome, out, output, strict=running.strict)
+    run_end.finish("knn-refine", outcome, out, output, split=selection.split, strict=running.strict)

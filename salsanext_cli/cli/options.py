@@ -83,8 +83,8 @@ class NetworkOptions:
         envvar="SALSANEXT_ENGINE",
     )
     sensor: str = network_option(
-        "Name of a built-in sensor, or a .toml file; auto is that of the weights, with view and "
-        "direction up of the scans where they differ much.",
+        "Name of a built-in sensor, or a .toml file; auto is that of the weights, with view, "
+        "direction up and place of the scans' own where they differ much.",
         default=AUTO,
     )
     columns: str | None = network_option(COLUMNS_HELP, show_default=COLUMNS_DEFAULT)
@@ -165,7 +165,7 @@ def sensor(name: str | None, base: Callable[[], Sensor] | None = None) -> Sensor
 
     if name is None:
         return None
-    return find(name) if base is None or name in presets() else find(name, base())
+    return find(name) if base is None or name in presets() else find(name, base(), (AUTO,))
 
 
 def with_columns(sensor: Sensor, columns: str | None) -> Sensor:

@@ -65,7 +65,7 @@ def predict(
         else:
             _require_no_scans(knn, probabilities, batch)
             outcome = stage.predict_range_images(source, out, options=run, **chosen)
-    run_end.finish("predict", outcome, out, output, strict=running.strict)
+    run_end.finish("predict", outcome, out, output, split=selection.split, strict=running.strict)
 
 
 def _require_no_scans(knn: options.Knn, probabilities: bool, batch: str) -> None:

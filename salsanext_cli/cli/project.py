@@ -34,6 +34,7 @@ def project(
             selection=selection.scans(),
             options=run,
         )
-    named = {"--weights": network.weights, "--sensor": network.sensor}
+    sensor = None if network.sensor == options.AUTO else network.sensor
+    named = {"--weights": network.weights, "--sensor": sensor}
     more = [word for name, value in named.items() if value for word in (name, str(value))]
     run_end.finish("project", outcome, out, output, *more, strict=running.strict)

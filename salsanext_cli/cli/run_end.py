@@ -19,9 +19,18 @@ if TYPE_CHECKING:
     from salsanext_cli.parallel.run import Failure, Outcome
     from salsanext_cli.storage.sources import MissingResults
 
+SUBMITTED_SPLIT = "test"
+SUBMISSION = "submission.zip"
+
 
 def finish(
-    stage: str, outcome: Outcome, out: object, output: Output, *more: str, strict: bool = False
+    stage: str,
+    outcome: Outcome,
+    out: object,
+    output: Output,
+    *more: str,
+    split: str | None = None,
+    strict: bool = False,
 ) -> NoReturn:
     """Say what became of a run over scans and leave with the exit status for it.
 
@@ -37,11 +46,13 @@ def finish(
         Amount and form of what is printed.
     more : str
         Options that the command to type next needs as well.
+    split : str, optional
+        The split that the scans are of, if one was named.
     strict : bool
         Whether warnings about scans count as failures.
     """
     name_failures(outcome.failures)
-    following = next_command(stage, outcome, str(out), more)
+    following = next_command(stage, outcome, str(out), more, split)
     found = {"stage": stage, "out": str(out), **_as_data(outcome), "next": following}
     output.result(found)
     each, missing = found["seconds_per_scan"], outcome.missing
@@ -100,12 +111,18 @@ def warning_lines(warnings: Iterable[Mapping[str, Any]]) -> Iterable[str]:
         yield f"warning: {warning['code']} in {counted(len(warning['scans']), 'scan')}: {scans}"
 
 
-def next_command(stage: str, outcome: Outcome, out: str, more: Iterable[str]) -> str | None:
+def next_command(
+    stage: str, outcome: Outcome, out: str, more: Iterable[str], split: str | None = None
+) -> str | None:
     """Return the command line that most users type after a stage, None if nothing is there."""
     summary = outcome.summary
-    if summary is None or not outcome.done + outcome.skipped:
+    if not outcome.done + outcome.skipped:
         return None
-    if stage == "project":
+    if stage == "convert":
+        words = ["predict", out]
+    elif summary is None:
+        return None
+    elif stage == "project":
         words = ["predict", out, out]
     elif stage == "uncertainty":
         words = ["export-ply", out, "--colour", "uncertainty"]
@@ -114,6 +131,8 @@ def next_command(stage: str, outcome: Outcome, out: str, more: Iterable[str]) ->
         words = ["knn-refine", out]
     else:
         words = ["eval" if summary.labelled else "export-ply", out]
+        if split == SUBMITTED_SPLIT and not summary.labelled:
+            words = ["submit", out, SUBMISSION]
     return shlex.join(["salsanext", *words, *more])
 
 

@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from salsanext_cli.column_names import UNUSED_COLUMN
-from salsanext_cli.errors import FormatError
+from salsanext_cli.errors import FormatError, counted
 from salsanext_cli.records import Float, Scan
 
 Columns = Mapping[str, npt.NDArray[Any]]
@@ -72,13 +72,13 @@ def columns_of_width(count: int, names: tuple[str, ...], path: Path) -> tuple[st
     """Return the names of so many columns; see `unnamed_columns`."""
     if names and count != len(names):
         expected = f"{len(names)}: {', '.join(names)}"
-        raise FormatError(path, f"{count} columns", expected, "name all with --columns")
+        raise FormatError(path, counted(count, "column"), expected, "name all with --columns")
     if names:
         return names
     if not 3 <= count <= MAX_UNNAMED_COLUMNS:
         raise FormatError(
             path,
-            f"{count} columns without names",
+            f"{counted(count, 'column')} without names",
             f"3 to {MAX_UNNAMED_COLUMNS}: x, y, z, intensity and another one",
             "name them, with --columns x,y,z,intensity,_,ring for example",
         )

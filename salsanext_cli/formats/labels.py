@@ -7,7 +7,7 @@ import numpy as np
 import numpy.typing as npt
 
 from salsanext_cli.classes import RawIds
-from salsanext_cli.errors import FormatError, LabelError
+from salsanext_cli.errors import FormatError, LabelError, counted
 from salsanext_cli.formats.reading import read_values, reading, size_of
 
 MAX_CLASS = 0xFFFF
@@ -41,8 +41,8 @@ def read_labels(path: Path, count: int | None = None) -> RawIds:
     if count is not None and len(raw) != count:
         raise LabelError(
             path,
-            f"{len(raw)} labels",
-            f"{count}, one per point of the scan",
+            counted(len(raw), "label"),
+            f"{count:,}, one per point of the scan",
             "use the labels that belong to this scan",
         )
     return raw

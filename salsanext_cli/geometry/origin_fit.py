@@ -17,7 +17,7 @@ Double = npt.NDArray[np.float64]
 BIN_DEG = 0.02
 FINE_BINS, COARSE_BINS = 3, 51
 """Widths of the two averages of the histogram: within a tooth, and over several."""
-RANGES_M = (2.0, 60.0)
+DISTANCES_M = (2.0, 60.0)
 """Nearest and farthest points: the farther, the less a place's error turns them."""
 FAR_M = 15.0
 """Least distance of points that tell the height whatever the place in the plane is."""
@@ -49,7 +49,8 @@ def find_origin(points: Float) -> tuple[float, float, float] | None:
     doubles: Double = points.astype(np.float64)
     distances = np.hypot(doubles[:, 0], doubles[:, 1])
     near, far = (
-        doubles[(distances > least) & (distances < RANGES_M[1])] for least in (RANGES_M[0], FAR_M)
+        doubles[(distances > least) & (distances < DISTANCES_M[1])]
+        for least in (DISTANCES_M[0], FAR_M)
     )
     if len(far) < MIN_POINTS:
         return None

@@ -63,7 +63,7 @@ def _of_classes(points: npt.NDArray[np.int64], space: LabelSpace) -> Iterator[Fi
     total, largest = int(points[1:].sum()), int(points[1:].argmax()) + 1 if len(points) > 1 else 0
     if total >= MIN_POINTS and points[largest] > LARGEST_SHARE * total:
         found = f"{points[largest] / total:.0%} of the points are {space.names[largest]}"
-        yield Finding("one-class", found, "look at them: `salsanext export-ply`")
+        yield Finding("one-class", found, "look at them: `salsanext export-ply OUT`")
 
 
 def _name(file: ScanFile) -> str:

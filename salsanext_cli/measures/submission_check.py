@@ -7,15 +7,13 @@ from pathlib import Path
 
 import numpy as np
 
-from salsanext_cli.classes import LabelSpace, RawIds
+from salsanext_cli.classes import MOVING, LabelSpace, RawIds
 from salsanext_cli.errors import LabelError, SalsanextError, counted, first_few
 from salsanext_cli.formats import read_scan, scan_suffix
 from salsanext_cli.formats.clouds.kitti import count_points
 from salsanext_cli.formats.labels import read_labels
+from salsanext_cli.formats.reading import reading, size_of
 from salsanext_cli.label_yaml import RAW_ID_COUNT
-
-MOVING = "moving-"
-"""Start of the names of the classes that only the benchmark over several scans has."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -70,7 +68,7 @@ def problems(
         if stem in files:
             try:
                 count = _point_count(scans[stem]) if stem in scans else None
-                raw = read_labels(files[stem], count)
+                raw = _wide_labels(files[stem], count)
                 for code, wrong in _wrong_ids(raw, space).items():
                     ids[code].append(wrong)
             except SalsanextError as error:
@@ -88,6 +86,17 @@ def problems(
 
 def _point_count(scan: Path) -> int:
     return count_points(scan) if scan_suffix(scan) == ".bin" else len(read_scan(scan))
+
+
+def _wide_labels(path: Path, count: int | None) -> RawIds:
+    """Read labels of four bytes, which the benchmark counts; others are read elsewhere."""
+    raw = read_labels(path, count)
+    with reading(path) as file:
+        size = size_of(file)
+    if size != 4 * len(raw):
+        found = f"{counted(size // len(raw), 'byte')} per label"
+        raise LabelError(path, found, "4, one uint32 per point", "write them as uint32")
+    return raw
 
 
 def _missing(

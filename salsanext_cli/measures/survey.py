@@ -13,12 +13,11 @@ import numpy.typing as npt
 
 from salsanext_cli.classes import RawIds
 from salsanext_cli.geometry.ranges import measured_ranges
+from salsanext_cli.geometry.view_fit import OUTLIERS
 from salsanext_cli.records import CHANNELS, RangeImage, Scan
 
 ELEVATION_STEP_DEG = 0.05
 ELEVATION_BINS = round(180 / ELEVATION_STEP_DEG)
-OUTLIERS = 0.001
-"""Share of the points above, and of those below, that a fitted field of view leaves out."""
 EXTREMES = {"smallest": min, "largest": max, "farthest": max, "brightest": max}
 """Fields of a survey that are not added."""
 

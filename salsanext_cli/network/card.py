@@ -16,6 +16,7 @@ import safetensors
 from salsanext_cli import __version__
 from salsanext_cli.classes import LabelSpace
 from salsanext_cli.errors import UsageError, WeightsError
+from salsanext_cli.formats.reading import is_folder, present
 from salsanext_cli.network.onnx_metadata import ONNX_SUFFIX, onnx_metadata
 from salsanext_cli.sensors import Sensor
 from salsanext_cli.settings_files import shortened, words_of
@@ -137,9 +138,9 @@ def read_card(path: Path) -> WeightsCard:
         with safetensors.safe_open(path, framework="np") as file:
             metadata = file.metadata() or {}
     except (OSError, safetensors.SafetensorError) as error:
-        found = f"cannot be read: {words_of(error)}" if path.exists() else "no such file"
+        found = f"cannot be read: {words_of(error)}" if present(path) else "no such file"
         remedy = "convert a published checkpoint with `salsanext import-weights`"
-        if path.is_dir():
+        if is_folder(path):
             found, remedy = "a folder", "name the file in it"
         raise WeightsError(path, found, "a .safetensors file", remedy) from error
     return WeightsCard.from_metadata(metadata, path)

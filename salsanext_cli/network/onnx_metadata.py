@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import BinaryIO
 
 from salsanext_cli.errors import FormatError, WeightsError
-from salsanext_cli.formats.reading import reading, size_of
+from salsanext_cli.formats.reading import present, reading, size_of
 
 ONNX_SUFFIX = ".onnx"
 OPSET = 17
@@ -41,7 +41,7 @@ def onnx_metadata(path: Path) -> dict[str, str]:
                 raise ValueError(f"{size} bytes")
             opsets, metadata = _model(file, size)
     except FormatError as error:
-        found = error.found if path.exists() else "no such file"
+        found = error.found if present(path) else "no such file"
         raise WeightsError(path, found, "an ONNX file") from error
     except ValueError as error:
         raise WeightsError(path, f"no ONNX file, or a cut one: {error}", "one", remedy) from error

@@ -9,7 +9,7 @@ from itertools import islice
 from typing import Any
 
 from salsanext_cli.errors import FormatError, out_of_memory
-from salsanext_cli.inference.device import choose_device
+from salsanext_cli.inference.device import MAX_BATCH_PIXELS, choose_device
 from salsanext_cli.inference.network import Network
 from salsanext_cli.inference.settings import NetworkSettings
 from salsanext_cli.parallel.tasks import Attempt, one_by_one
@@ -18,7 +18,6 @@ from salsanext_cli.storage.layout import ScanFile
 
 MAX_BATCH_SCANS = 16
 """Scans computed together on a GPU; as many as a worker is sent together."""
-MAX_BATCH_PIXELS = 16 * 64 * 2048
 
 
 @dataclass(frozen=True, slots=True)

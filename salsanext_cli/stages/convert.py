@@ -1,10 +1,12 @@
 # SPDX-License-Identifier: MIT
 """Recording to a folder of scans, in SemanticKITTI's layout."""
 
+import logging
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
-from salsanext_cli.errors import OutputError, UsageError
+from salsanext_cli.errors import OutputError, UsageError, counted, first_few
 from salsanext_cli.formats import read_scan
 from salsanext_cli.formats.clouds.kitti import encode_bin
 from salsanext_cli.formats.reading import filled
@@ -23,6 +25,8 @@ MANIFEST = "convert.json"
 """Record of the recording, topic and first scan of a sequence."""
 LOCK = ".convert.lock"
 
+log = logging.getLogger(__name__)
+
 
 def convert(
     recording: Path,
@@ -34,7 +38,8 @@ def convert(
 ) -> Outcome:
     """Write `FOLDER/sequences/NAME/velodyne/<time>.bin` and `times.txt`.
 
-    The times of `times.txt` are seconds since the first scan, a line for each scan that is there.
+    The times of `times.txt` are seconds since the first scan, a line for each scan that is there. A
+    scan without points is left out, since a `.bin` file of it would be one without content.
     Intensities are those that stages read: bytes divided by 255, others as they are.
 
     Parameters
@@ -72,18 +77,27 @@ def convert(
         _require_own(place, written, listed)
         _require_same_source(sequence / MANIFEST, written, listed[0])
         sweep_stale(place)
+        empty: set[str] = set()
         try:
             task = partial(_convert_scan, folder=folder, place=place)
             done = {_target(place, scan) for scan in chosen if filled(_target(place, scan))}
             outcome = run_over_scans(
-                task, chosen, options, is_done=lambda scan: _target(place, scan) in done
+                task,
+                chosen,
+                options,
+                is_done=lambda scan: _target(place, scan) in done,
+                on_result=empty.update,
             )
         finally:
             sweep(place, MARK.get())
         times = [_time(scan) for scan in listed if filled(_target(place, scan))]
         lines = [f"{(time - times[0]) / 1e9:.9f}\n" for time in times]
         written.write(sequence / TIMES, "".join(lines).encode())
-    return outcome
+    if empty:
+        log.warning(
+            "%s left out, without points: %s", counted(len(empty), "scan"), first_few(sorted(empty))
+        )
+    return replace(outcome, done=outcome.done - len(empty))
 
 
 def _target(place: Path, scan: ScanFile) -> Path:
@@ -95,9 +109,13 @@ def _time(scan: ScanFile) -> int:
     return int(scan.stem.partition("_")[0])
 
 
-def _convert_scan(scan: ScanFile, folder: Path, place: Path) -> None:
-    content = encode_bin(read_scan(scan.path))
-    WrittenFiles(folder).write(_target(place, scan), content)
+def _convert_scan(scan: ScanFile, folder: Path, place: Path) -> tuple[str, ...]:
+    """Write a scan; return its name if it has no points."""
+    points = read_scan(scan.path)
+    if not len(points):
+        return (scan.stem,)
+    WrittenFiles(folder).write(_target(place, scan), encode_bin(points))
+    return ()
 
 
 def _require_same_source(path: Path, written: WrittenFiles, first: ScanFile) -> None:

@@ -11,7 +11,7 @@ from typing import Any
 
 from salsanext_cli import __version__
 from salsanext_cli.classes import LabelSpace
-from salsanext_cli.errors import LabelError, NoInputError, OutputError, counted
+from salsanext_cli.errors import LabelError, NoInputError, OutputError, as_text, counted, first_few
 from salsanext_cli.formats.reading import present
 from salsanext_cli.measures.confusion import Confusion
 from salsanext_cli.measures.scan_counts import RING_NAMES, ScanCounts, count_scan
@@ -219,7 +219,7 @@ def _warn(evaluation: Evaluation) -> None:
     """Warn of ids that the label space does not know and of missing predictions."""
     for where, key in (("labels", "truth"), ("predictions", "predictions")):
         if ids := evaluation.unknown_ids[key]:
-            listed = ", ".join(f"{i} ({count}×)" for i, count in ids.items())
+            listed = first_few([f"{i} ({count:,}×)" for i, count in ids.items()])
             log.warning("%s: unknown ids %s are taken as unlabelled", where, listed)
     scans = evaluation.scans + len(evaluation.failures) + len(evaluation.missing.scans)
     evaluation.missing.log_error(scans + evaluation.missing.not_asked_for, "predictions")
@@ -241,4 +241,4 @@ def _files(evaluation: Evaluation) -> dict[str, bytes]:
     if epistemic := found.kinds.get("epistemic"):
         picture = uncertainty_plots.class_uncertainty(epistemic, space)
         files["eval_class_uncertainty.png"] = picture
-    return files | {"eval.json": encode_json(evaluation.to_dict())}
+    return files | {"eval.json": encode_json(as_text(evaluation.to_dict()))}

@@ -11,6 +11,7 @@ from typing import Any
 
 from salsanext_cli.classes import LabelSpace, label_space
 from salsanext_cli.errors import NoInputError, UsageError, first_few
+from salsanext_cli.formats.reading import is_folder, present
 from salsanext_cli.measures.submission_check import Problem, problems
 from salsanext_cli.parallel.options import Progress
 from salsanext_cli.storage.atomic import require_target
@@ -100,7 +101,7 @@ def submit(
         remedy = f"run `salsanext predict DATASET {out} --split {SPLIT}` first"
         raise NoInputError(out, "holds no predictions", remedy=remedy)
     texts = {} if description is None else {"description.txt": description}
-    if description is not None and not description.is_file():
+    if description is not None and (is_folder(description) or not present(description)):
         raise UsageError(f"--description {description}", "no such file", "a text file")
     scans = _scans_at_hand(out, dataset, files)
     space = space_of_results(out, scans, space)

@@ -229,6 +229,8 @@ def find_outputs(out: Path, folder: str) -> dict[tuple[str, str], Path]:
     folder : str
         A key of `SUFFIX_OF_FOLDER`.
     """
+    if not present(out / "sequences"):
+        return {}
     suffix = SUFFIX_OF_FOLDER[folder]
     found = {
         (sequence.name, path.name.removesuffix(suffix)): path

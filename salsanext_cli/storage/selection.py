@@ -10,6 +10,8 @@ import numpy as np
 
 from salsanext_cli.classes import LabelSpace, label_space
 from salsanext_cli.errors import NoInputError, UsageError
+from salsanext_cli.formats.reading import is_folder, present
+from salsanext_cli.formats.recordings.address import recording_of
 from salsanext_cli.storage.layout import SCAN_FOLDER, ScanFile, find_scans, of_sequences
 from salsanext_cli.storage.scan_folders import log_passed_over
 
@@ -66,7 +68,7 @@ def select_scans(
         If the split does not exist.
     """
     scans = find_scans(source)
-    if source.is_dir():
+    if is_folder(source) and recording_of(scans[0].path) is None:
         folders = {path.parent for path in {scan.sequence: scan.path for scan in scans}.values()}
         log_passed_over(source, sorted(folders), {scan.path.name for scan in scans})
     return choose(scans, selection, space_of(scans, space), source)
@@ -123,7 +125,7 @@ def data_set_of(scan: ScanFile) -> Path | None:
 def data_set_label_space(root: Path) -> LabelSpace | None:
     """Return the label space that a data set describes in its root, None if it does not."""
     for name in LABEL_SPACE_FILES:
-        if (root / name).is_file():
+        if present(root / name):
             return label_space(root / name)
     return None
 

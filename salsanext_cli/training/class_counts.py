@@ -61,7 +61,7 @@ def require_labels(files: Sequence[ScanFile]) -> None:
     """Raise `LabelError` naming the first scan without a label file."""
     missing = [file for file in files if not file.label_path.is_file()]
     if missing:
-        others = f", nor for {len(missing) - 1} other scans" if len(missing) > 1 else ""
+        others = f", nor for {counted(len(missing) - 1, 'other scan')}" if len(missing) > 1 else ""
         found, expected = f"no such file{others}", "a label file for every scan of the split"
         raise LabelError(missing[0].label_path, found, expected)
 

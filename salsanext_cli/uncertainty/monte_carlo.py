@@ -10,6 +10,7 @@ import torch
 from torch import Tensor
 
 from salsanext_cli.errors import UsageError
+from salsanext_cli.inference.device import MAX_BATCH_PIXELS
 from salsanext_cli.inference.network import Network
 from salsanext_cli.inference.torch_engine import inference_mode
 from salsanext_cli.kernels import argument, compiled, parallel_for_slices, thread_count
@@ -18,8 +19,6 @@ from salsanext_cli.network.segmentation import SegmentationNetwork
 from salsanext_cli.records import Float, RangeImage
 from salsanext_cli.uncertainty.estimate import Double, Estimate, entropy, require_dropout, trunk_of
 
-MAX_BATCH_PIXELS = 16 * 64 * 2048
-"""Pixels of the passes that a GPU computes side by side."""
 PASSES_PER_THREAD = 4
 """Passes that a thread computes before they are added up, in the order of their numbers."""
 

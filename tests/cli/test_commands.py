@@ -219,7 +219,7 @@ def test_eval_of_a_scan_that_cannot_be_compared_is_status_one(run, predicted, da
     path.write_bytes(path.read_bytes()[:-4])
     result = run("eval", "--out", predicted)
     assert result.exit_code == 1
-    assert "1499" in result.stderr
+    assert "1,499 labels · expected 1,500" in result.stderr
     assert len(json.loads((predicted / "eval.json").read_text())["failures"]) == 1
 
 
@@ -367,7 +367,8 @@ def test_file_names_that_are_not_text(run, weights, tmp_path):
     (folder / "velodyne/Fahrt \udcfc.bin").write_bytes(b"1")
     result = run("predict", folder, out, "--weights", weights, "--overwrite", "--json")
     assert result.exit_code == 1
-    assert only_json(result)["failed"] == 1
+    (failure,) = only_json(result)["failures"]
+    assert failure["scan"] == f"{tmp_path}/Stra\\xdfe 1/velodyne/Fahrt \\xfc.bin"
 
 
 def test_models_lists_networks_and_describes_weights(run, weights):

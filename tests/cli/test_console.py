@@ -142,7 +142,7 @@ def test_a_result_is_shown_or_json():
     assert invoke(body).stdout == "a table\n"
     found = json.loads(invoke(body, "--json").stdout)
     assert 0 <= found.pop("seconds") < 10
-    assert found == {"schema": 1, "name": "Größe \udcff", "value": 1.5}
+    assert found == {"schema": 1, "name": "Größe \\xff", "value": 1.5}
 
 
 def test_no_number_in_json_is_none_of_json():

@@ -17,7 +17,8 @@ def test_the_command_line_names_the_topic(run, tmp_path):
     assert refused.exit_code == 2
     assert "2 topics of point clouds: /a, /b · expected one of them · --topic /a" in refused.stderr
     done = run("convert", path, tmp_path / "data", "--topic", "/b", "--json")
-    assert only_json(done)["done"] == 2
+    found = only_json(done)
+    assert (found["done"], found["next"]) == (2, f"salsanext predict {tmp_path / 'data'}")
     project = run("project", path, tmp_path / "out", "--topic", "b", "--sensor", "vlp16")
     assert project.exit_code == 0, project.output
     assert run("inspect", path, "--topic", "/a", "--json").exit_code == 0

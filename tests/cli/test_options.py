@@ -64,6 +64,13 @@ def test_the_default_weights_have_a_name():
     assert options.weights_file(other) == other
 
 
+def test_the_error_of_an_unknown_sensor_lists_auto_where_that_is_one():
+    with pytest.raises(UsageError, match="expected one of auto, hdl64"):
+        options.NetworkOptions(sensor="atuo").named_sensor()
+    with pytest.raises(UsageError, match="expected one of hdl64"):
+        options.sensor("atuo")
+
+
 @pytest.mark.parametrize(
     ("given", "variable", "expected"),
     [

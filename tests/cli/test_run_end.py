@@ -3,6 +3,7 @@
 
 import shlex
 import shutil
+from dataclasses import replace
 
 import pytest
 from command_line import only_json
@@ -18,6 +19,9 @@ from salsanext_cli.storage.sources import MissingResults
 def test_the_commands_to_type_next_lead_from_scans_to_scores(run, data, weights, tmp_path):
     out = tmp_path / "my out"
     found = only_json(run("project", data, out, "--weights", weights, "--json"))
+    assert found["next"] == shlex.join(
+        ["salsanext", "predict", *[str(out)] * 2, "--weights", str(weights)]
+    )
     typed = []
     while following := found.get("next"):
         words = shlex.split(following)
@@ -37,18 +41,27 @@ def test_what_comes_next_without_labels(run, data, weights, tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("stage", "done", "expected"),
+    ("stage", "split", "done", "expected"),
     [
-        ("uncertainty", 1, "salsanext export-ply 'a b' --colour uncertainty"),
-        ("predict", 1, "salsanext export-ply 'a b'"),
-        ("predict", 0, None),
-        ("knn-refine", 1, "salsanext export-ply 'a b'"),
+        ("uncertainty", "test", 1, "salsanext export-ply 'a b' --colour uncertainty"),
+        ("predict", None, 1, "salsanext export-ply 'a b'"),
+        ("predict", "valid", 1, "salsanext export-ply 'a b'"),
+        ("predict", "test", 1, "salsanext submit 'a b' submission.zip"),
+        ("predict", "test", 0, None),
+        ("knn-refine", None, 1, "salsanext export-ply 'a b'"),
+        ("knn-refine", "test", 1, "salsanext submit 'a b' submission.zip"),
     ],
 )
-def test_next_commands(stage, done, expected):
+def test_next_commands(stage, split, done, expected):
     summary = RunSummary(SMALL, label_space())
-    assert next_command(stage, Outcome(0, (), done, summary=summary), "a b", ()) == expected
+    outcome = Outcome(0, (), done, summary=summary)
+    assert next_command(stage, outcome, "a b", (), split) == expected
+    labelled = Outcome(0, (), done, summary=replace(summary, labelled=True))
+    if done and stage != "uncertainty":
+        assert next_command(stage, labelled, "a b", (), split) == "salsanext eval 'a b'"
     assert next_command("export-ply", Outcome(0, (), done), "a b", ()) is None
+    assert next_command("convert", Outcome(1, (), 0), "a b", ()) == "salsanext predict 'a b'"
+    assert next_command("convert", Outcome(0, (), 0), "a b", ()) is None
 
 
 @pytest.mark.parametrize(

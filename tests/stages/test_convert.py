@@ -14,6 +14,7 @@ from salsanext_cli.errors import NoInputError, OutputError, UsageError
 from salsanext_cli.parallel.run import RunOptions
 from salsanext_cli.stages.convert import convert
 from salsanext_cli.stages.export_ply import export_ply
+from salsanext_cli.stages.inspect import inspect
 from salsanext_cli.stages.predict import predict_scans
 from salsanext_cli.stages.project import project_scans
 from salsanext_cli.storage.layout import find_scans
@@ -122,6 +123,19 @@ def test_a_cloud_that_is_damaged_and_a_bag_that_was_cut(bag, tmp_path):
     assert convert(bag, tmp_path / "one", limit=1).failures == ()
 
 
+def test_a_cloud_without_points_is_left_out(world, tmp_path, caplog):
+    """A `.bin` file of it has no content, as one that was cut off."""
+    points = [POINTS[0], POINTS[1][:0], POINTS[2]]
+    path, folder = write_bag(tmp_path, ".mcap", messages(points)), tmp_path / "data"
+    for done, jobs in ((2, 1), (0, 2)):
+        outcome = convert(path, folder, options=RunOptions(jobs=jobs))
+        assert (outcome.done, outcome.skipped, outcome.failures) == (done, 2 - done, ())
+        assert f"1 scan left out, without points: {TIMES[1]}" in caplog.text
+        caplog.clear()
+    assert sequence(folder) == ([f"{TIMES[0]}.bin", f"{TIMES[2]}.bin"], [SECONDS[0], SECONDS[2]])
+    assert predict_scans(folder, tmp_path / "out", network=world.network).done == 2
+
+
 @pytest.mark.parametrize("given", [{"every": 0}, {"limit": 0}])
 def test_numbers_below_one_are_refused(bag, tmp_path, given):
     with pytest.raises(UsageError, match="at least 1"):
@@ -147,6 +161,14 @@ def test_stages_take_a_recording_and_find_it_again(world, bag, tmp_path):
         recorded_scans(out)
     found = recorded_scans(out, moved)
     assert {(scan.sequence, scan.path.parents[1]) for scan in found} == {("drive", moved)}
+
+
+@pytest.mark.parametrize("kind", [".db3", ".mcap"])
+def test_a_bag_that_is_a_folder(world, tmp_path, kind):
+    folder = write_bag(tmp_path, kind, messages(POINTS[:2])).parent
+    assert predict_scans(folder, tmp_path / "out", network=world.network).done == 2
+    assert project_scans(folder, tmp_path / "images", sensor=SMALL).done == 2
+    assert inspect(folder, sensor=SMALL).total.scans == 2
 
 
 def test_one_output_folder_is_for_one_topic(tmp_path):

@@ -68,6 +68,12 @@ def test_unknown_ids_are_counted_as_unlabelled(world, caplog):
     assert report["unknown_ids"] == {"truth": {"77": 2}, "predictions": {"77": 1, "65535": 1}}
 
 
+def test_of_many_unknown_ids_the_first_are_named(world, caplog):
+    world.add("000000", [CAR] * 5000, [*range(1000, 6000)])
+    world.evaluate()
+    assert "predictions: unknown ids 1000 (1×), 1001 (1×), 1002 (1×) and 4997 more" in caplog.text
+
+
 def test_missing_predictions_are_listed_and_do_not_fail(world, caplog):
     world.add("000000", [CAR], [CAR])
     world.add("000001", [ROAD], None)
@@ -92,7 +98,7 @@ def test_bad_scans_are_named_and_the_others_are_scored(world, jobs):
     assert evaluation.scans == 2
     stems = [failure.scan.stem for failure in evaluation.failures]
     assert stems == ["000001", "000002", "000003"]
-    assert "1 labels" in evaluation.failures[-1].reason
+    assert "1 label" in evaluation.failures[-1].reason
     assert "expected 2" in evaluation.failures[-1].reason
     report = json.loads((world.out / "eval.json").read_text())
     assert report["failures"][-1]["scan"].endswith("000003.bin")
@@ -100,10 +106,10 @@ def test_bad_scans_are_named_and_the_others_are_scored(world, jobs):
 
 def test_no_scores_without_a_scan_that_can_be_compared_or_if_the_first_error_stops(world):
     world.add("000000", [CAR, ROAD], [CAR])
-    with pytest.raises(NoInputError, match=r"no scan could be compared.*1 labels"):
+    with pytest.raises(NoInputError, match=r"no scan could be compared.*1 label"):
         world.evaluate()
     world.add("000001", [CAR], [CAR])
-    with pytest.raises(LabelError, match=r"000000\.label.*1 labels"):
+    with pytest.raises(LabelError, match=r"000000\.label.*1 label"):
         world.evaluate(on_error="stop")
     assert not (world.out / "scores.txt").exists()
 

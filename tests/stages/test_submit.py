@@ -126,6 +126,18 @@ def test_everything_that_is_wrong_is_listed_and_nothing_written(folders):
     assert list(folders.zip.parent.iterdir()) == []
 
 
+@pytest.mark.parametrize(("kind", "found"), [("<u2", "2 bytes per label"), ("u1", "1 byte per")])
+def test_labels_of_less_than_four_bytes_are_refused(folders, kind, found):
+    """As `eval` reads them, and the benchmark does not."""
+    labels = np.full(POINTS + 1, 40)
+    write_bin(folders.scan("12", "000000"), make_scan(len(labels)))
+    folders.label("12", "000000").write_bytes(labels.astype(kind).tobytes())
+    (problem,) = folders.submit().problems
+    assert (problem.code, problem.sequence) == ("length", "12")
+    assert f"000000.label · {found}" in problem.message
+    assert not folders.zip.exists()
+
+
 def test_an_incomplete_data_set_is_noticed(folders):
     """As its scans alone would not show: all that are there are predicted."""
     for path in (folders.scan("21", "000001"), folders.label("21", "000001")):

@@ -4,7 +4,7 @@
 import numpy as np
 import numpy.typing as npt
 
-from salsanext_cli.classes import LabelSpace, RawIds
+from salsanext_cli.classes import MOVING, LabelSpace, RawIds
 
 UNASSIGNED = 1
 CLASS_OF_NAME = {
@@ -25,8 +25,6 @@ CLASS_OF_NAME = {
 FIRST_OWN_CLASS = 64
 """First class that the ASPRS leaves to the user: a raw id without another has this plus the id."""
 LAST_OWN_CLASS = 255
-MOVING = "moving-"
-"""Start of the names of moving things, which have the class of those that stand still."""
 
 
 def asprs_class(raw_id: int, space: LabelSpace) -> int:

@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 
 from salsanext_cli.errors import FormatError
+from salsanext_cli.formats.clouds.column_count import evident_count, likely_names
 from salsanext_cli.formats.clouds.raw_records import (
     MIN_TEXT_BYTES,
     TEXT_BYTES,
@@ -22,13 +23,6 @@ COLUMNS = 4
 """x, y, z in metres, remission."""
 COLUMNS_WITH_RING = 5
 """x, y, z, intensity, ring: the `.pcd.bin` files of nuScenes."""
-REMEDIES = {
-    COLUMNS: "give a file of 4 columns the suffix .bin",
-    COLUMNS_WITH_RING: "give a file of 5 columns the suffix .pcd.bin, or "
-    "name them, with --columns x,y,z,intensity,ring",
-    6: "name its columns, with --columns x,y,z,intensity,_,_ for example",
-}
-"""Advice for a file with that number of columns where another is expected."""
 ANEW = "write it anew as float32 x, y, z, intensity"
 
 
@@ -51,10 +45,12 @@ def read_bin(path: Path, *, columns: tuple[str, ...] = (), intensity_scale: floa
     """
     has_ring = path.name.lower().endswith(".pcd.bin")
     width = len(columns) or (COLUMNS_WITH_RING if has_ring else COLUMNS)
-    values = _read_floats(path, width)
-    if not columns and (fitting := _evident_columns(values, width)):
+    values, size = _read_floats(path, width)
+    if count := evident_count(values, width):
+        raise _other_count(path, values, count, width)
+    if size % (4 * width):
         raise FormatError(
-            path, f"holds {fitting} columns", f"{width} float32 per point", REMEDIES[fitting]
+            path, f"{size} bytes", _expected(width), "it is cut off or of another kind"
         )
     table = values.reshape(-1, width)
     if columns:
@@ -70,13 +66,12 @@ def read_bin(path: Path, *, columns: tuple[str, ...] = (), intensity_scale: floa
     return scan
 
 
-def _read_floats(path: Path, width: int) -> Float:
-    """Read all float32 of a file of rows of so many, if it may be one."""
+def _read_floats(path: Path, width: int) -> tuple[Float, int]:
+    """Read all float32 of a file of rows of so many, if it may be one; also return its size."""
     with reading(path) as file:
         size = size_of(file)
-        expected = f"a multiple of {4 * width} ({width} float32 per point)"
         if size == 0:
-            raise FormatError(path, "is empty", expected, "copy it again, or remove it")
+            raise FormatError(path, "is empty", _expected(width), "copy it again, or remove it")
         start = file.read(TEXT_BYTES + 1)
         if size >= MIN_TEXT_BYTES and (suffix := other_suffix(start)):
             kind = "text" if suffix == TEXT_SUFFIX else f"a {suffix} file"
@@ -86,27 +81,24 @@ def _read_floats(path: Path, width: int) -> Float:
         values = read_values(file, path, "<f4", size // 4)
     if are_float64(values):
         raise FormatError(path, "holds float64", f"{width} float32 per point", ANEW)
-    if size % (4 * width):
-        fitting = next((n for n in REMEDIES if size % (4 * n) == 0), None)
-        raise FormatError(
-            path,
-            f"{size} bytes",
-            expected,
-            "it is cut off or of another kind" + (f"; {REMEDIES[fitting]}" if fitting else ""),
-        )
-    return values
+    return values, size
 
 
-def _evident_columns(values: Float, columns: int) -> int | None:
-    """Return another number of columns that evidently fits better, None if there is none.
+def _expected(width: int) -> str:
+    return f"a multiple of {4 * width} ({width} float32 per point)"
 
-    Only coordinates are negative. A wrong number of columns puts coordinates into the
-    intensity, so there are negative ones; the right number has none after the third column.
-    """
-    if not (values[3::columns] < 0).any():
-        return None
-    others = (n for n in REMEDIES if n != columns and values.size % n == 0)
-    return next((n for n in others if not (values.reshape(-1, n)[:, 3:] < 0).any()), None)
+
+def _other_count(path: Path, values: Float, count: int, expected: int) -> FormatError:
+    """Return the error of a file of another number of columns, with the names to try."""
+    names = likely_names(values[: len(values) // count * count].reshape(-1, count))
+    if names is None:
+        found = f"holds records of {4 * count} bytes, not all float32"
+        return FormatError(path, found, f"{expected} float32 per point", ANEW)
+    remedy = f"name its columns, with --columns {','.join(names)} for example"
+    suffix = {COLUMNS: ".bin", COLUMNS_WITH_RING: ".pcd.bin"}.get(count)
+    if suffix and "intensity" in names[3:4]:
+        remedy = f"give it the suffix {suffix}, or {remedy}"
+    return FormatError(path, f"holds {count} columns", f"{expected} float32 per point", remedy)
 
 
 def count_points(path: Path) -> int:

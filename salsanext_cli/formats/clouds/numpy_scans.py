@@ -22,6 +22,8 @@ from salsanext_cli.settings_files import shortened
 EXPECTED = "a table (N, columns), or columns x, y, z, of numbers"
 TABLE_NAMES = ("points", "xyz")
 """Names of the table in an archive of several."""
+USUAL_WIDTHS = range(3, 17)
+"""Lengths of the last axis of an array of points."""
 MAX_RATIO = 100
 """Largest size of an archive's content, as a multiple of its own."""
 ARCHIVE_ERRORS = (
@@ -105,8 +107,19 @@ def _columns(table: npt.NDArray[Any], names: tuple[str, ...], path: Path) -> Col
     if table.dtype.names and table.ndim == 1:
         return {name: table[name] for name in table.dtype.names if table[name].ndim == 1}
     if table.ndim != 2 or table.dtype.kind not in "iuf":
-        raise FormatError(path, f"{table.dtype.kind}{table.shape}", EXPECTED)
+        raise FormatError(path, *_wrong_table(table))
     return unnamed_columns(table, names, path)
+
+
+def _wrong_table(table: npt.NDArray[Any]) -> tuple[str, str, str]:
+    """Say what an array holds that is no table, what is expected, and how it becomes one."""
+    remedy, sizes = "", "×".join(map(str, table.shape))
+    if table.dtype.names:
+        remedy = "save array.ravel()"
+    elif table.dtype.kind in "iuf" and table.ndim > 2 and table.shape[-1] in USUAL_WIDTHS:
+        remedy = f"save array.reshape(-1, {table.shape[-1]})"
+    kind = shortened(str(table.dtype))
+    return f"{sizes} values of {kind}" if sizes else f"a single {kind}", EXPECTED, remedy
 
 
 def _array(content: bytes, path: Path) -> npt.NDArray[Any]:

@@ -74,8 +74,8 @@ def are_float64(values: Float) -> bool:
     halves = halves[halves.view("<u4").any(axis=1)]
     if not len(halves):
         return False
-    possible = _possible(halves.view("<f8")).mean()
-    possible_low = _possible(halves[:, 0]).mean()
+    possible = are_possible(halves.view("<f8")).mean()
+    possible_low = are_possible(halves[:, 0]).mean()
     return bool(
         possible > LEAST_POSSIBLE_SHARE_OF_FLOAT64 and possible_low < LEAST_POSSIBLE_SHARE_OF_LOW
     )
@@ -85,7 +85,7 @@ def are_coordinates(values: Float) -> bool:
     """Say whether coordinates (N, 3) float32 can be metres, for all that are a measurement."""
     rows = _sample(values)
     measured = rows[np.isfinite(rows) & (rows != 0)]
-    return int(_possible(measured).sum()) >= LEAST_POSSIBLE_SHARE * len(measured)
+    return int(are_possible(measured).sum()) >= LEAST_POSSIBLE_SHARE * len(measured)
 
 
 def _sample(rows: Float) -> Float:
@@ -93,7 +93,7 @@ def _sample(rows: Float) -> Float:
     return rows[:: len(rows) // SAMPLE | 1]
 
 
-def _possible(values: npt.NDArray[np.floating]) -> npt.NDArray[np.bool_]:
+def are_possible(values: npt.NDArray[np.floating]) -> npt.NDArray[np.bool_]:
     """Mark the magnitudes that a measurement may have; 0 and NaN are none."""
     # A NaN may signal.
     with np.errstate(invalid="ignore"):

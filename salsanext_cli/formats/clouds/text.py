@@ -40,12 +40,15 @@ class Layout:
         Number of columns.
     names : tuple of str
         Names of the columns in lower case; empty if the file has none.
+    count : int, optional
+        Number of points, where the first line is nothing else.
     """
 
     start: int
     delimiter: str | None
     width: int
     names: tuple[str, ...]
+    count: int | None = None
 
 
 def read_text(path: Path, *, columns: tuple[str, ...] = (), intensity_scale: float = 1.0) -> Scan:
@@ -78,14 +81,19 @@ def read_text(path: Path, *, columns: tuple[str, ...] = (), intensity_scale: flo
         if not {"x", "y", "z"} & set(used):
             raise ValueError(f"points of {shortened(', '.join(names))}")
         table = _numbers(content, layout, tuple(used.values()))
+        if layout.count not in (None, len(table)):
+            raise ValueError(f"{len(table)} of the {layout.count} points that its first line says")
     except ValueError as error:
         raise FormatError(path, shortened(str(error)), EXPECTED) from error
     return scan_of(dict(zip(used, table.T, strict=True)), path, intensity_scale)
 
 
 def _layout(content: bytes, has_names: bool) -> Layout:
-    """Find the first point; the line before it without any number is a header."""
-    at, names = 0, tuple[str, ...]()
+    """Find the first point; the line before it without any number is a header.
+
+    A number alone is that of the points, and lines after it may be any text.
+    """
+    at, names, count = 0, tuple[str, ...](), None
     while at < min(len(content), MAX_HEADER_BYTES):
         end = content.find(b"\n", at) + 1 or len(content)
         line = content[at:end].decode("latin-1").strip()
@@ -94,15 +102,18 @@ def _layout(content: bytes, has_names: bool) -> Layout:
         if line.startswith(COMMENT_MARKS):
             named = _words(line.lstrip("#/"), delimiter)
             names = named if {"x", "y", "z"} <= set(named) else names
-        elif any(map(_is_number, words)):
+        elif count is None and len(words) == 1 and words[0].isdecimal():
+            count = int(words[0])
+        elif (any if count is None else all)(map(_is_number, words)):
             # A comment is a header only if it fits.
             fitting = names if len(names) == len(words) else ()
-            return Layout(at, delimiter, len(words), fitting)
-        elif line:
-            if not ({"x", "y", "z"} <= set(words) or has_names):
+            return Layout(at, delimiter, len(words), fitting, count)
+        elif {"x", "y", "z"} <= set(words):
+            return Layout(end, delimiter, len(words), words, count)
+        elif line and count is None:
+            if not has_names:
                 raise ValueError(f"{shortened(line)} in place of numbers, or of names with x, y, z")
-            named = words if {"x", "y", "z"} <= set(words) else ()
-            return Layout(end, delimiter, len(words), named)
+            return Layout(end, delimiter, len(words), (), count)
         at = end
     raise ValueError("no points")
 

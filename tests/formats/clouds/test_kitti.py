@@ -1,4 +1,5 @@
 # SPDX-License-Identifier: MIT
+import re
 import struct
 
 import numpy as np
@@ -6,6 +7,7 @@ import pytest
 
 from salsanext_cli.errors import FormatError
 from salsanext_cli.formats.clouds import kitti
+from salsanext_cli.formats.clouds.column_count import evident_count
 from salsanext_cli.formats.labels import read_labels
 
 
@@ -74,3 +76,39 @@ def test_real_five_columns_are_recognised(real_data, tmp_path, name):
     (tmp_path / "s.bin").symlink_to(real_data / "data" / "sensors" / name)
     with pytest.raises(FormatError, match="5 columns"):
         kitti.read_bin(tmp_path / "s.bin")
+
+
+@pytest.mark.real
+@pytest.mark.parametrize("name", ["semantickitti/sequences/00", "pandaset/sequences/002"])
+def test_the_names_of_the_error_read_a_real_scan_with_other_columns(real_data, tmp_path, name):
+    table = np.fromfile(next((real_data / "data" / name / "velodyne").iterdir()), "<f4")
+    table = table.reshape(-1, 4)
+    random, ones = np.random.default_rng(0), np.ones((len(table), 1), np.float32)
+    normals = random.normal(size=(len(table), 3))
+    path = tmp_path / "s.bin"
+    for columns in (
+        [table[:, :3]],
+        [table, normals],
+        [table, random.integers(0, 256, (len(table), 3)), ones],
+        [table[:, :3], ones, table[:, 3:], 0 * normals],
+        [table, 0 * ones, np.arange(len(table))[:, None] % 64, 0 * normals],
+    ):
+        path.write_bytes(np.hstack(columns).astype("<f4").tobytes())
+        with pytest.raises(FormatError, match=r"holds \d+ columns · expected 4") as caught:
+            kitti.read_bin(path)
+        (names,) = re.findall(r"--columns (\S+)", str(caught.value))
+        scan = kitti.read_bin(path, columns=tuple(names.split(",")))
+        np.testing.assert_array_equal(scan.points, table[:, :3])
+        np.testing.assert_array_equal(scan.intensity, table[:, 3] * (len(columns) > 1))
+
+
+@pytest.mark.real
+def test_no_real_scan_in_another_order_is_refused(real_data):
+    for path in sorted((real_data / "data").rglob("*.bin")):
+        count = 5 if "five" in path.name else 4
+        table = np.fromfile(path, "<f4").reshape(-1, count)
+        shuffled = np.random.default_rng(0).permutation(table)
+        for rows in (table, shuffled, table[: len(table) // 2], shuffled[:100]):
+            assert evident_count(rows.ravel(), count) is None, path
+            assert evident_count(rows.ravel(), 9 - count) in {count, None}, path
+        assert evident_count(shuffled.ravel(), 9 - count) == count, path

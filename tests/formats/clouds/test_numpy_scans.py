@@ -80,8 +80,10 @@ def test_archives(tmp_path, name, save):
 @pytest.mark.parametrize(
     ("array", "message"),
     [
-        (np.zeros(9), r"f\(9,\)"),
-        (np.zeros((5, 4, 6), np.float32), r"f\(5, 4, 6\)"),
+        (np.zeros(9), r"9 values of float64 · expected a table \(N, columns\)"),
+        (np.zeros((6, 5, 4), "<f4"), r"6×5×4 values of float32 .* array\.reshape\(-1, 4\)"),
+        (np.zeros((2, 3), [("x", "f4"), ("y", "f4")]), r"2×3 values of .* save array\.ravel\(\)"),
+        (np.float32(1), "a single float32"),
         (np.zeros((4, 100)), "100 columns without names"),
         (np.zeros((9, 4), np.complex64), "c"),
         (np.array([["a", "b", "c"]]), "U"),

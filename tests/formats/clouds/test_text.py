@@ -23,6 +23,9 @@ TABLES = {
     "quotes and text": '"Name","X","Y","Z","remission"\n"a b",1.5,-2,3e-3,.25\n"c",4,5,-6,1\n',
     "comment": "//X Y Z Scalar_Intensity R G B\n1.5 -2 3e-3 .25 1 2 3\n4 5 -6 1 4 5 6\n",
     "comments": "# x y z in metres, of a test\n#\n\n1.5 -2 3e-3 .25\n4 5 -6 1\n",
+    "number of points": "2\n1.5 -2 3e-3 .25\n4 5 -6 1\n",
+    "number of points and a comment": "2\nframe 7 of a test\n1.5 -2 3e-3 .25\n4 5 -6 1\n",
+    "number of points and names": "//X Y Z I\n2\n1.5 -2 3e-3 .25\n4 5 -6 1\n",
     "mark of the order of bytes": "\ufeffx y z i\n1.5 -2 3e-3 .25\n4 5 -6 1\n",
 }
 
@@ -71,6 +74,9 @@ def test_columns_are_named_where_the_file_does_not(tmp_path):
         ("", "no points"),
         ("\n# nothing\n", "no points"),
         ("1 2\n", "2 columns without names · expected 3 to 5"),
+        ("1\n", "no points"),
+        ("3\n1 2 3 4\n5 6 7 8\n", "2 of the 3 points that its first line says"),
+        ("9" * 5000 + "\n1 2 3 4\n", "Exceeds the limit"),
         ("1 2 3 255 0 0\n", "6 columns without names .* name them, with --columns"),
         ("1 2 3 4\n5 6 7\n", "number of columns changed from 4 to 3"),
         ("1 2 3 4\n5 6 7 8 9\n", "number of columns changed from 4 to 5"),

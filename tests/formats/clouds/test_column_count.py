@@ -1,0 +1,135 @@
+# SPDX-License-Identifier: MIT
+"""Number of columns told from values: simulated scans with what programs write beside them."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from hypothesis.extra import numpy as hnp
+
+from salsanext_cli.formats.clouds.column_count import COUNTS, evident_count, likely_names
+
+VLP16_DEG = [-15, 1, -13, 3, -11, 5, -9, 7, -7, 9, -5, 11, -3, 13, -1, 15]
+"""Elevations in the order of firing: every other beam looks up."""
+BEAMS = 16
+
+
+def scan(turns=1800, beams=VLP16_DEG, seed=0):
+    """Simulate x, y, z of a scanner above flat ground, firing all beams at an azimuth."""
+    random = np.random.default_rng(seed)
+    azimuth, elevation = np.repeat(np.linspace(-np.pi, np.pi, turns), len(beams)), np.radians(beams)
+    elevation = np.tile(elevation, turns)
+    walls = random.uniform(5, 60, len(azimuth))
+    down = np.minimum(1.8 / np.maximum(np.sin(-elevation), 1e-3), 40)
+    ranges = np.where(elevation < 0, down, walls) * random.normal(1, 0.02, len(azimuth))
+    flat = ranges * np.cos(elevation)
+    return np.stack([flat * np.cos(azimuth), flat * np.sin(azimuth), ranges * np.sin(elevation)], 1)
+
+
+def others(points, seed=1):
+    """Return columns that programs write beside the coordinates, by name."""
+    random, count = np.random.default_rng(seed), len(points)
+    normals = random.normal(size=(count, 3))
+    normals /= np.linalg.norm(normals, axis=1)[:, None]
+    return {
+        "fraction": random.random(count) ** 2,
+        "byte": random.integers(0, 256, count),
+        "decibel": -30 * random.random(count),
+        "ring": np.arange(count) % BEAMS,
+        "time": np.arange(count) * 1e-6,
+        "one": np.ones(count),
+        "zero": np.zeros(count),
+        **{f"normal{i}": normals[:, i] for i in range(3)},
+        **{f"colour{i}": random.integers(0, 256, count) for i in range(3)},
+    }
+
+
+def table(names, points):
+    found = others(points)
+    return np.column_stack([points, *(found[name] for name in names)]).astype(np.float32)
+
+
+NORMALS, COLOURS = ("normal0", "normal1", "normal2"), ("colour0", "colour1", "colour2")
+RECORDS = {
+    (): "x,y,z",
+    ("fraction",): "x,y,z,intensity",
+    ("byte",): "x,y,z,intensity",
+    ("zero",): "x,y,z,_",
+    ("decibel",): "x,y,z,_",
+    ("byte", "ring"): "x,y,z,intensity,ring",
+    ("fraction", "ring"): "x,y,z,intensity,ring",
+    ("ring", "fraction"): "x,y,z,ring,intensity",
+    ("fraction", "time"): "x,y,z,intensity,_",
+    ("byte", "time", "ring"): "x,y,z,intensity,_,_",
+    NORMALS: "x,y,z,_,_,_",
+    ("fraction", *COLOURS): "x,y,z,intensity,_,_,_",
+    ("fraction", *NORMALS): "x,y,z,intensity,_,_,_",
+    ("one", "fraction", *["zero"] * 3): "x,y,z,_,intensity,_,_,_",
+    ("byte", "time", "ring", "zero", "zero"): "x,y,z,intensity,_,_,_,_",
+    ("fraction", *["zero"] * 4): "x,y,z,intensity,_,_,_,_",
+    ("fraction", *COLOURS, "time"): "x,y,z,intensity,_,_,_,_",
+    ("one", *NORMALS, "zero", "fraction", *["zero"] * 3): "x,y,z,_,_,_,_,_,intensity,_,_,_",
+    ("fraction", *["zero"] * 12): "x,y,z,intensity" + ",_" * 12,
+}
+
+
+@pytest.mark.parametrize("shuffled", [False, True])
+@pytest.mark.parametrize("names", RECORDS, ids="-".join)
+def test_a_wrong_number_of_columns_is_noticed_and_the_right_one_never(names, shuffled):
+    rows = table(names, scan())
+    if shuffled:
+        rows = np.random.default_rng(2).permutation(rows)
+    count, values = rows.shape[1], rows.ravel()
+    assert evident_count(values, count) is None
+    # Zeros are points without a return where the coordinates lie in the right columns.
+    padded = names[1:2] == ("zero",)
+    for expected in {4, 5} if padded else COUNTS:
+        # A multiple has every second point.
+        if expected % count:
+            assert evident_count(values, expected) == count, expected
+    assert ",".join(likely_names(rows)) == RECORDS[names]
+
+
+@pytest.mark.parametrize("lost", [0.0, np.nan])
+@pytest.mark.parametrize("share", [0.3, 0.7])
+def test_points_without_a_return_change_nothing(lost, share):
+    rows = table(("byte",), scan())
+    rows[np.random.default_rng(3).random(len(rows)) < share] = lost
+    for values in (rows.ravel(), np.random.default_rng(2).permutation(rows).ravel()):
+        assert evident_count(values, 4) is None
+        assert evident_count(values, 5) == 4
+
+
+@pytest.mark.parametrize("rows", [25, 50, 200])
+def test_few_points_are_enough_or_nothing_is_said(rows):
+    points = np.random.default_rng(4).permutation(scan())[:rows]
+    for names in RECORDS:
+        values = table(names, points).ravel()
+        assert evident_count(values, 3 + len(names)) is None, names
+        assert evident_count(values, 4) in {None, 3 + len(names)}, names
+
+
+def test_two_layers_in_turn_are_not_two_halves_of_a_record():
+    """Of two beams in turn, one down and one up, every other row is of another kind."""
+    points = scan(turns=9000, beams=[-10, 10])
+    rows = table(("byte",), points)
+    assert evident_count(rows.ravel(), 4) is None
+    # A second return of each is there or not.
+    second = rows * 1.01
+    second[np.random.default_rng(5).random(len(second)) < 0.95] = 0
+    assert evident_count(np.stack([rows, second], 1).ravel(), 4) is None
+
+
+def test_integers_among_the_columns_are_no_float32():
+    rows = table(("byte", "ring"), scan())
+    whole = rows.copy()
+    whole[:, 4] = rows[:, 4].astype("<u4").view("<f4")
+    assert likely_names(whole) is None
+    assert likely_names(rows) is not None
+
+
+@given(hnp.arrays("<u4", st.integers(0, 300)), st.sampled_from([*COUNTS, 40]))
+@settings(max_examples=60, deadline=None)
+def test_any_bytes_have_some_number_of_columns_or_none(content, expected):
+    found = evident_count(content.view("<f4"), expected)
+    assert found is None or (found in COUNTS and found != expected)
