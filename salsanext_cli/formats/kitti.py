@@ -8,7 +8,7 @@ import numpy.typing as npt
 
 from salsanext_cli.classes import RawIds
 from salsanext_cli.errors import FormatError, LabelError
-from salsanext_cli.formats.columns import normalised_intensity, scan_of, unnamed_columns
+from salsanext_cli.formats.columns import normalised_intensity, ring_of, scan_of, unnamed_columns
 from salsanext_cli.formats.raw_records import (
     MIN_TEXT_BYTES,
     TEXT_BYTES,
@@ -67,6 +67,7 @@ def read_bin(path: Path, *, columns: tuple[str, ...] = (), intensity_scale: floa
         scan = Scan(
             np.ascontiguousarray(table[:, :3], np.float32),
             normalised_intensity(table[:, 3], intensity_scale),
+            ring_of(table[:, 4]) if has_ring else None,
         )
     if not are_coordinates(scan.points):
         found = "numbers that are no coordinates in metres, or no float32"

@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: MIT
 """Scans of sensors that are not mounted upright."""
 
+from dataclasses import replace
+
 import numpy as np
 import numpy.typing as npt
 
@@ -13,7 +15,7 @@ def upright(scan: Scan, sensor: Sensor) -> Scan:
     if sensor.up == UP:
         return scan
     points = (scan.points @ rotation_to_z(np.asarray(sensor.up)).T).astype(np.float32)
-    return Scan(points, scan.intensity)
+    return replace(scan, points=points)
 
 
 def rotation_to_z(up: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
