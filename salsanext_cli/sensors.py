@@ -32,6 +32,8 @@ NOISE = ("range_noise", "intensity_noise")
 NO_VIEW = ("name", *NOISE, "intensity_quantiles", "row_gaps")
 OF_IMAGES = ("height", "width", "means", "stds")
 """Fields that a network depends on, not a sensor: size and normalisation of its images."""
+OF_DEVICE = ("name", "intensity_scale", *NOISE)
+"""Fields of a built-in sensor that hold whatever the range images of a network are."""
 UP = (0.0, 0.0, 1.0)
 """Direction of the z axis, away from the ground."""
 OPTIONAL = {"columns": (), "up": UP, "intensity_quantiles": (), "beams": (), "row_gaps": None}
@@ -79,8 +81,8 @@ class Sensor:
         Elevations of its beams in degrees from top to bottom, which then are spread over the rows
         of the range image; empty for rows by elevation.
     row_gaps : float, optional
-        Share of gaps between the rows of its range images, as `geometry.row_gaps` finds it. A
-        network fills those of scans that have more than its training had.
+        Share of gaps in its range images (`geometry.row_gaps`); those of scans that have more than
+        training had are filled.
     """
 
     name: str
@@ -153,8 +155,7 @@ class Sensor:
             self._require(noise is None or 0 <= noise < math.inf, f"{name} {short(noise)}")
         self._require(are_columns(self.columns), f"columns {short(self.columns)}", COLUMNS_EXPECTED)
         self._require(are_beams(self.beams), f"beams {short(self.beams)}", BEAMS_EXPECTED)
-        gaps = self.row_gaps
-        self._require(gaps is None or 0 <= gaps <= 1, f"row_gaps {short(gaps)}", "a share")
+        self._require(0 <= (self.row_gaps or 0) <= 1, f"row_gaps {short(self.row_gaps)}", "a share")
 
     def _require(self, holds: bool, found: str, expected: str = "a possible sensor") -> None:
         if not holds:
@@ -230,7 +231,8 @@ def presets() -> dict[str, Sensor]:
 def sensor(name_or_file: str | Path, base: Sensor | None = None) -> Sensor:
     """Return the sensor of a preset's name or of a TOML file with one sensor's keys.
 
-    Size and normalisation that the file does not tell are those of `base`, else of the HDL-64.
+    Size and normalisation that the file does not tell are those of `base`, else of the HDL-64; then
+    beams count only where those of `base` do.
 
     Raises
     ------
@@ -243,4 +245,6 @@ def sensor(name_or_file: str | Path, base: Sensor | None = None) -> Sensor:
     data = read_toml(path, "sensor", presets())
     known = (base or presets()["hdl64"]).to_dict()
     images = {key: known[key] for key in OF_IMAGES}
+    if base is not None and not base.beams and not {"height", "width"} & data.keys():
+        data.pop("beams", None)
     return Sensor.from_dict({"name": path.stem, **images, **data}, path)

@@ -17,8 +17,10 @@ MIN_RANGE_M = 1.0
 """Nearest range that counts: beams start some centimetres beside the origin."""
 STEP_DEG = 0.01
 SMOOTHINGS_DEG = (0.2, 0.1)
-"""Half the widths of the Hann windows that smooth the histogram; the widest that shows beams counts,
-since narrow ones take noise for beams."""
+"""Half the widths of the Hann windows that smooth the histogram: dense beams need the
+second, which takes noise for beams elsewhere."""
+MIN_GAIN = 0.005
+"""Least gain of a narrower window, as a share of the points close to a beam."""
 MAX_VALLEY = 0.5
 """Largest share of the lower of two maxima that the histogram falls to between two beams."""
 MIN_WEIGHT = 0.15
@@ -81,19 +83,20 @@ def _of_histogram(elevation: Array, weight: Array) -> Array:
     """Return the maxima of the histogram, rising; none if the elevations lie between them too."""
     bins = round(180 / STEP_DEG)
     histogram = np.histogram(elevation, bins, (-90, 90), weights=weight)[0]
+    best, beams = MIN_SHARE - MIN_GAIN, np.empty(0)
     for half_width in SMOOTHINGS_DEG:
         window = np.hanning(2 * round(half_width / STEP_DEG) + 1)
         places = _maxima(np.convolve(histogram, window, "same"))
-        beams = _of_maxima(places, elevation, weight)
-        if len(beams):
-            return beams
-    return np.empty(0)
+        maxima = ((places + 0.5) * STEP_DEG - 90).astype(np.float64)
+        share, found = _of_maxima(maxima, elevation, weight)
+        if share >= best + MIN_GAIN:
+            best, beams = share, found
+    return beams
 
 
-def _of_maxima(places: npt.NDArray[np.intp], elevation: Array, weight: Array) -> Array:
-    """Return the elevations of maxima but for weak ones, none if too many points lie between."""
-    while len(places) >= 2:
-        beams = (places + 0.5) * STEP_DEG - 90
+def _of_maxima(beams: Array, elevation: Array, weight: Array) -> tuple[float, Array]:
+    """Return beams (B,) but for weak ones, after the share of the points that are close to one."""
+    while len(beams) >= 2:
         nearest = np.searchsorted((beams[1:] + beams[:-1]) / 2, elevation)
         weights = np.bincount(nearest, weight, len(beams))
         others = np.pad(weights, 1)
@@ -102,9 +105,9 @@ def _of_maxima(places: npt.NDArray[np.intp], elevation: Array, weight: Array) ->
             gaps = np.diff(beams, prepend=-np.inf, append=np.inf)
             gap = np.minimum(gaps[1:], gaps[:-1])[nearest]
             close = weight[np.abs(elevation - beams[nearest]) < gap / 4].sum()
-            return beams if close >= MIN_SHARE * weight.sum() else np.empty(0)
-        places = places[strong]
-    return np.empty(0)
+            return float(close / weight.sum()), beams
+        beams = beams[strong]
+    return 0.0, beams
 
 
 def _maxima(values: Array) -> npt.NDArray[np.intp]:

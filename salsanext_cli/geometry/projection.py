@@ -6,9 +6,9 @@
     u = ½ [1 − atan2(y, x)/π] W
     v = [1 − (asin(z/r) − f_down)/(f_up − f_down)] H
 
-Both are rounded down and clamped to the image; where the sensor knows its beams, v is the row of the
-point's beam instead (`beam_rows`). The nearest point wins a pixel; of equally near
-ones the first in the scan. All arithmetic after the arctangents is float32, as in the published
+Both are rounded down and clamped to the image. Where the sensor names its beams, the row is that of
+the point's beam instead (`beam_rows`). The nearest point wins a pixel; of equally near ones the
+first in the scan. All arithmetic after the arctangents is float32, as in the published
 code, so that points on a pixel border fall to the same side.
 """
 

@@ -6,6 +6,7 @@ from collections.abc import Iterable
 import numpy as np
 
 from salsanext_cli.records import Float
+from salsanext_cli.sensors import Sensor
 
 MAX_GAP = 3
 """Most rows of a gap; larger ones are sky, or beams that returned nothing."""
@@ -35,6 +36,17 @@ def row_gaps(images: Iterable[Float]) -> float | None:
         gaps += int((~full & (below - above <= MAX_GAP + 1)).sum())
         occupied += int(full.sum())
     return round(gaps / (gaps + occupied), DIGITS) if occupied else None
+
+
+def fills_rows(sensor: Sensor, trained: Sensor) -> bool:
+    """Say whether scans have so many more gaps than those of training that they are filled."""
+    own, of_training = sensor.row_gaps, trained.row_gaps
+    return own is not None and of_training is not None and own > of_training + MORE_GAPS
+
+
+def completed(channels: Float, sensor: Sensor, trained: Sensor) -> Float:
+    """Return a range image with its gaps filled where `fills_rows` says so, as `fill_rows` does."""
+    return fill_rows(channels) if fills_rows(sensor, trained) else channels
 
 
 def fill_rows(channels: Float) -> Float:

@@ -5,6 +5,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
+import numpy.typing as npt
 
 from salsanext_cli.geometry.coverage import (
     LARGEST_SHARE_OUTSIDE,
@@ -21,12 +22,21 @@ MAX_TILT_DEG = 25.0
 """Largest angle between the ground's normal and z of a sensor that stands upright; streets rise by
 up to 20°."""
 OUTLIERS = 0.001
-"""Share of the points above, and of those below, that a fitted view leaves out."""
+"""Share of the points above, and of those below, that no view needs to show."""
+SHOWN = 0.85
+"""Least share of the points that a fitted view shows; the whole view of a sensor that sees far up
+and down would make objects much lower in the image than those of training."""
+PLACES = 400
+"""Places of a view of given extent that are tried."""
+NEARLY = 0.999
+"""Share of the most points in a view at which another is as good; of these, the middle one."""
 MIN_VIEW_DEG = 1.0
 MIN_POINTS = 1000
 MAX_POINTS = 4096
 """Points of a scan that the ground is sought among."""
 DIGITS = 3
+FITTED_NAME = "fitted"
+"""Name of a sensor whose view was changed."""
 
 
 def fit_view(scans: Sequence[Scan], sensor: Sensor) -> Sensor:
@@ -49,7 +59,7 @@ def fit_view(scans: Sequence[Scan], sensor: Sensor) -> Sensor:
     if len(tilted) > len(grounds) / 2:
         mean = np.mean(tilted, axis=0)
         up = tuple((mean / np.linalg.norm(mean)).round(DIGITS).tolist())
-        sensor = replace(sensor, name="fitted", up=up)
+        sensor = replace(sensor, name=FITTED_NAME, up=up)
     coverages = (field_of_view_coverage(scan, sensor) for scan in scans)
     coverage = sum(coverages, start=FieldOfViewCoverage())
     if coverage.share <= LARGEST_SHARE_OUTSIDE or coverage.points < MIN_POINTS:
@@ -59,11 +69,29 @@ def fit_view(scans: Sequence[Scan], sensor: Sensor) -> Sensor:
         points = upright(scan, sensor).points
         ranges, measured = measured_ranges(points)
         elevations.append(np.degrees(np.arcsin(points[measured, 2] / ranges[measured])))
-    edges = np.quantile(np.concatenate(elevations), (OUTLIERS, 1 - OUTLIERS))
-    lower, upper = (round(float(edge), 2) for edge in edges)
+    lower, upper = _view(np.sort(np.concatenate(elevations)), sensor.fov_up - sensor.fov_down)
     if upper - lower < MIN_VIEW_DEG:
         return sensor
-    return replace(sensor, name="fitted", fov_up=upper, fov_down=lower)
+    return replace(sensor, name=FITTED_NAME, fov_up=round(upper, 2), fov_down=round(lower, 2))
+
+
+def _view(elevations: npt.NDArray[np.float64], extent: float) -> tuple[float, float]:
+    """Return the edges, lower first, of the view with the extent of training, or more if needed.
+
+    It shows `SHOWN` of the points or more, and ends where the points do: in degrees, of elevations
+    (N,) that rise.
+    """
+    lowest, highest = np.quantile(elevations, (OUTLIERS, 1 - OUTLIERS))
+    shown = int(SHOWN * len(elevations))
+    narrowest = (elevations[shown:] - elevations[: len(elevations) - shown]).min()
+    extent = min(max(narrowest, extent), highest - lowest)
+    lower = np.linspace(lowest, highest - extent, PLACES)
+    inside = np.searchsorted(elevations, lower + extent, "right") - np.searchsorted(
+        elevations, lower
+    )
+    best = np.flatnonzero(inside >= NEARLY * inside.max())
+    start = float(lower[best[len(best) // 2]])
+    return start, start + float(extent)
 
 
 def ground_of(scan: Scan) -> Ground | None:

@@ -12,6 +12,7 @@ from salsanext_cli.errors import NoInputError
 from salsanext_cli.formats import read_scan
 from salsanext_cli.formats.kitti import read_labels
 from salsanext_cli.formats.reading import present
+from salsanext_cli.geometry.beam_fit import fit_beams
 from salsanext_cli.geometry.coverage import (
     CoverageCheck,
     FieldOfViewCoverage,
@@ -54,6 +55,8 @@ class Inspection:
         Names of the classes.
     failures : tuple of Failure
         Scans that could not be read.
+    seen : Sensor, optional
+        Sensor with the view that `--sensor auto` takes for these scans, after a fit.
     """
 
     sequences: dict[str, Survey]
@@ -61,6 +64,7 @@ class Inspection:
     sensor: Sensor
     space: LabelSpace
     failures: tuple[Failure, ...]
+    seen: Sensor | None = None
 
     def to_dict(self) -> dict[str, Any]:
         """Return plain data for JSON."""
@@ -72,8 +76,10 @@ class Inspection:
             "failures": [failure.to_dict() for failure in self.failures],
         }
 
-    def fitted_sensor(self, name: str) -> Sensor:
+    def fitted_sensor(self, name: str, *, images: bool = True) -> Sensor:
         """Return the sensor with the field of view and normalisation of these scans.
+
+        Without `images` of its own, its view is the one for those of weights, `seen`.
 
         Raises
         ------
@@ -81,8 +87,11 @@ class Inspection:
             If their points are too few, or do not span the field of view of a LiDAR.
         """
         _require_fit(name, self.total)
+        view = _with_field_of_view(self.sensor, self.total)
+        if self.seen and not images:
+            view = replace(view, fov_up=self.seen.fov_up, fov_down=self.seen.fov_down)
         return replace(
-            _with_field_of_view(self.sensor, self.total),
+            view,
             name=name,
             means=tuple(round(mean, 4) for mean in self.total.means),
             stds=tuple(round(std, 4) for std in self.total.stds),
@@ -111,7 +120,7 @@ def inspect(
     selection, options
         Selection of the scans, and options of the run.
     fit : bool
-        Read the scans twice: first for the field of view, then for range images of that view.
+        Read the scans twice: first for field of view and beams, then for their range images.
 
     Raises
     ------
@@ -120,11 +129,14 @@ def inspect(
     """
     scans = select_scans(source, selection, space)
     if fit:
-        sensor = replace(sensor, up=fit_view(list(sampled(scans, sensor)), sensor).up)
+        some = list(sampled(scans, sensor))
+        seen = fit_view(some, sensor)
+        sensor = replace(sensor, up=seen.up)
+        sensor = replace(sensor, beams=fit_beams(some, sensor) or sensor.beams)
     found = _inspect(scans, sensor, space, options, warn=not fit)
     if fit and found.total.pixels:
         sensor = _with_field_of_view(sensor, found.total)
-        found = _inspect(scans, sensor, space, options, warn=False)
+        found = replace(_inspect(scans, sensor, space, options, warn=False), seen=seen)
     if found.total.brightest > MAX_USUAL_INTENSITY:
         bright = f"intensities up to {found.total.brightest:g}, where 0 to 1 is usual"
         log.warning("%s: set intensity_scale in the sensor", bright)

@@ -13,6 +13,7 @@ from salsanext_cli.errors import OutputError, UsageError, counted
 from salsanext_cli.formats.reading import present
 from salsanext_cli.geometry.gather import points_from_pixels
 from salsanext_cli.geometry.knn import KnnParameters, knn_refine
+from salsanext_cli.geometry.view_fit import FITTED_NAME
 from salsanext_cli.inference.checked_scans import project_checked
 from salsanext_cli.inference.network import Network
 from salsanext_cli.inference.scan_fit import fitted
@@ -234,7 +235,8 @@ def _as_predicted(out: Path, network: NetworkSettings) -> NetworkSettings:
 
 def _with_noise(seen: Sensor, network: NetworkSettings) -> Sensor:
     """Return the sensor, of which `predict` recorded only the view, with its noise if known."""
-    named = (read_card(network.path).sensor, presets().get(seen.name))
+    named = (presets().get(seen.name), read_card(network.path).sensor)
     known = (replace(sensor, columns=seen.columns) for sensor in named if sensor)
-    same = next((sensor for sensor in known if sensor.view() == seen.view()), seen)
-    return replace(same, intensity_quantiles=seen.intensity_quantiles)
+    same = (s for s in known if seen.name in (s.name, FITTED_NAME) or s.view() == seen.view())
+    noise = next(same, seen)
+    return replace(seen, range_noise=noise.range_noise, intensity_noise=noise.intensity_noise)
