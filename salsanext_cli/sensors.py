@@ -180,10 +180,10 @@ class Sensor:
         if missing := [f.name for f in fields(cls) if f.default is MISSING and f.name not in data]:
             remedy = "`salsanext inspect SCANS --fit FILE.toml` finds the view of scans"
             raise UsageError(source, f"lacks {', '.join(missing)}", expected, remedy)
-        for key in (*NUMBERS, *NOISE, *LISTS):
-            wanted = "5 numbers" if key in LISTS else "a number"
-            given = data.get(key) if key in LISTS else [data.get(key)]
-            if data.get(key) is not None and not are_numbers(given):
+        for key in (*NUMBERS, *LISTS, *(noise for noise in NOISE if data.get(noise) is not None)):
+            several = key in LISTS
+            if key in data and not are_numbers(data[key] if several else [data[key]]):
+                wanted = "5 numbers" if several else "a number"
                 raise UsageError(source, f"{key} is {quoted(data[key])}", wanted)
         values: dict[str, Any] = {
             key: tuple(value) if isinstance(value, list) else value for key, value in data.items()

@@ -105,7 +105,7 @@ class NetworkOptions:
 
     @property
     def is_fitted(self) -> bool:
-        """Whether the view is that of the weights, fitted to the scans; a file tells its own."""
+        """True if the view is that of the weights, fitted to the scans; a file tells its own."""
         from salsanext_cli.sensors import presets
 
         return self.sensor == AUTO or self.sensor in presets()

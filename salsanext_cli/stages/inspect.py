@@ -12,7 +12,6 @@ from salsanext_cli.errors import NoInputError
 from salsanext_cli.formats import read_scan
 from salsanext_cli.formats.kitti import read_labels
 from salsanext_cli.formats.reading import present
-from salsanext_cli.geometry.beam_fit import fit_beams
 from salsanext_cli.geometry.coverage import (
     CoverageCheck,
     FieldOfViewCoverage,
@@ -22,6 +21,7 @@ from salsanext_cli.geometry.mounting import upright
 from salsanext_cli.geometry.projection import project
 from salsanext_cli.geometry.view_fit import fit_view
 from salsanext_cli.inference.scan_fit import sampled
+from salsanext_cli.measures.beam_fit import fit_beams
 from salsanext_cli.measures.survey import Survey, survey
 from salsanext_cli.parallel.run import Failure, RunOptions, run_over_scans
 from salsanext_cli.sensors import Sensor

@@ -235,8 +235,7 @@ def _as_predicted(out: Path, network: NetworkSettings) -> NetworkSettings:
 
 def _with_noise(seen: Sensor, network: NetworkSettings) -> Sensor:
     """Return the sensor, of which `predict` recorded only the view, with its noise if known."""
-    named = (presets().get(seen.name), read_card(network.path).sensor)
-    known = (replace(sensor, columns=seen.columns) for sensor in named if sensor)
-    same = (s for s in known if seen.name in (s.name, FITTED_NAME) or s.view() == seen.view())
-    noise = next(same, seen)
+    own = read_card(network.path).sensor
+    same = seen.name == FITTED_NAME or replace(own, columns=seen.columns).view() == seen.view()
+    noise = presets().get(seen.name) or (own if same else seen)
     return replace(seen, range_noise=noise.range_noise, intensity_noise=noise.intensity_noise)
