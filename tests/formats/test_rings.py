@@ -12,19 +12,15 @@ from salsanext_cli.formats.columns import MAX_RING, ring_of, rows_as_rings, scan
 
 POINTS = np.arange(24, dtype=np.float32).reshape(8, 3) + 1
 RINGS = np.array([5, 3, 3, 0, 31, 1, 0, 2], np.int32)
-HEADER = (
-    "FIELDS x y z{names}\nSIZE 4 4 4{sizes}\nTYPE F F F{types}\nWIDTH {width}\nHEIGHT {height}\n"
-)
 
 
 def pcd(path, width, height, ring=False):
-    more = {"names": " ring", "sizes": " 2", "types": " U"} if ring else {}
-    given = {"names": "", "sizes": "", "types": "", **more}
-    rows = [
-        [*map(str, row), *([str(n)] if ring else [])] for row, n in zip(POINTS, RINGS, strict=True)
-    ]
-    text = HEADER.format(width=width, height=height, **given) + f"POINTS {len(rows)}\nDATA ascii\n"
-    path.write_text(text + "\n".join(" ".join(row) for row in rows))
+    """Write the points as a PCD file and read it."""
+    more = (" ring", " 2", " U") if ring else ("", "", "")
+    header = "FIELDS x y z{}\nSIZE 4 4 4{}\nTYPE F F F{}\n".format(*more)
+    size = f"WIDTH {width}\nHEIGHT {height}\nPOINTS {len(POINTS)}\nDATA ascii\n"
+    table = np.column_stack([POINTS, RINGS])[:, : 4 if ring else 3].astype(int)
+    path.write_text(header + size + "\n".join(" ".join(map(str, row)) for row in table))
     return read_scan(path)
 
 
