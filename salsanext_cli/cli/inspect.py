@@ -14,7 +14,7 @@ def inspect(
     *,
     fit: Annotated[
         Path | None,
-        typer.Option(help="Write a sensor file (.toml) with the view and statistics of the scans."),
+        typer.Option(help="Write a sensor file (.toml) with view, beams, statistics of the scans."),
     ] = None,
     height: Annotated[int | None, typer.Option(help="Rows of its range image.")] = None,
     width: Annotated[int | None, typer.Option(help="Columns of its range image.")] = None,

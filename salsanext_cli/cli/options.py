@@ -84,7 +84,8 @@ class NetworkOptions:
     )
     sensor: str = network_option(
         "Name of a built-in sensor, or a .toml file; auto is that of the weights, with view and "
-        "direction up of the scans where they differ much.",
+        "direction up of the scans where they differ much. A name tells noise and scale of "
+        "intensity only.",
         default=AUTO,
     )
     columns: str | None = network_option(COLUMNS_HELP, show_default=COLUMNS_DEFAULT)
