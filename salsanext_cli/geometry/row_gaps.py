@@ -8,7 +8,7 @@ import numpy as np
 from salsanext_cli.records import Float
 from salsanext_cli.sensors import Sensor
 
-MAX_GAP = 3
+MAX_GAP = 6
 """Most rows of a gap; larger ones are sky, or beams that returned nothing."""
 FILLED_ROWS = 2
 """Rows within which a gap is filled: one more or less is worse on most scans."""

@@ -26,6 +26,8 @@ OUTLIERS = 0.001
 SHOWN = 0.85
 """Least share of the points that a fitted view shows; the whole view of a sensor that sees far up
 and down would make objects much lower in the image than those of training."""
+MOST_ENLARGED = 1.2
+"""Largest extent of a view of all points that is taken as it is, as a multiple of training's."""
 PLACES = 400
 """Places of a view of given extent that are tried."""
 NEARLY = 0.999
@@ -76,19 +78,20 @@ def fit_view(scans: Sequence[Scan], sensor: Sensor) -> Sensor:
 
 
 def _view(elevations: npt.NDArray[np.float64], extent: float) -> tuple[float, float]:
-    """Return the edges, lower first, of the view with the extent of training, or more if needed.
+    """Return the edges, lower first, of a view of elevations (N,) that rise, in degrees.
 
-    It shows `SHOWN` of the points or more, and ends where the points do: in degrees, of elevations
-    (N,) that rise.
+    It shows all points if it then is about as large as that of training; otherwise it is as large
+    as that, or larger until it shows `SHOWN` of the points.
     """
-    lowest, highest = np.quantile(elevations, (OUTLIERS, 1 - OUTLIERS))
+    lowest, highest = map(float, np.quantile(elevations, (OUTLIERS, 1 - OUTLIERS)))
+    if highest - lowest <= MOST_ENLARGED * extent:
+        return lowest, highest
     shown = int(SHOWN * len(elevations))
     narrowest = (elevations[shown:] - elevations[: len(elevations) - shown]).min()
-    extent = min(max(narrowest, extent), highest - lowest)
+    extent = max(narrowest, extent)
     lower = np.linspace(lowest, highest - extent, PLACES)
-    inside = np.searchsorted(elevations, lower + extent, "right") - np.searchsorted(
-        elevations, lower
-    )
+    upper = np.searchsorted(elevations, lower + extent, "right")
+    inside = upper - np.searchsorted(elevations, lower)
     best = np.flatnonzero(inside >= NEARLY * inside.max())
     start = float(lower[best[len(best) // 2]])
     return start, start + float(extent)
