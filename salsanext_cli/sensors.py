@@ -245,6 +245,6 @@ def sensor(name_or_file: str | Path, base: Sensor | None = None) -> Sensor:
     data = read_toml(path, "sensor", presets())
     known = (base or presets()["hdl64"]).to_dict()
     images = {key: known[key] for key in OF_IMAGES}
-    if base is not None and not base.beams and not {"height", "width"} & data.keys():
-        data.pop("beams", None)
-    return Sensor.from_dict({"name": path.stem, **images, **data}, path)
+    found = Sensor.from_dict({"name": path.stem, **images, **data}, path)
+    by_beams = base is None or base.beams or not data.keys().isdisjoint(("height", "width"))
+    return found if by_beams else replace(found, beams=())

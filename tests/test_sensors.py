@@ -189,6 +189,9 @@ def test_beams_without_a_size_count_where_those_of_the_weights_do(tmp_path):
     assert sensor(path).beams == own.beams
     path.write_text(own.to_toml())
     assert sensor(path, VALID).beams == own.beams
+    path.write_text("fov_up = 3\nfov_down = -25\nbeams = [1, 2]\n")
+    with pytest.raises(UsageError, match=r"beams \(1, 2\)"):
+        sensor(path, VALID)
 
 
 @pytest.mark.parametrize(

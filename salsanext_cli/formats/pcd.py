@@ -126,7 +126,8 @@ def read_pcd(path: Path, *, intensity_scale: float = 1.0) -> Scan:
                     columns = _read_compressed(file, header)
         except ValueError as error:
             raise FormatError(path, shortened(str(error)), "a whole PCD file") from error
-    rings = rows_as_rings(header.points, header.height)
+    # Without columns, points take no room, however many there are.
+    rings = rows_as_rings(header.points, header.height) if columns else {}
     return scan_of({**rings, **columns}, path, intensity_scale)
 
 

@@ -7,7 +7,7 @@ from contextlib import suppress
 from dataclasses import replace
 from functools import cache
 
-from salsanext_cli.errors import NOTICE, SalsanextError, UsageError
+from salsanext_cli.errors import NOTICE, SalsanextError, UsageError, counted
 from salsanext_cli.formats import read_scan
 from salsanext_cli.geometry.intensity import intensity_quantiles
 from salsanext_cli.geometry.projection import project
@@ -92,7 +92,7 @@ def fitted_view(files: Sequence[ScanFile], sensor: Sensor, earlier: Sensor | Non
     scans = list(sampled(files, sensor))
     found = fit_view(scans, sensor)
     if found != sensor:
-        log.log(NOTICE, "sensor fitted to %d scans: %s", len(scans), as_found(found))
+        log.log(NOTICE, "sensor fitted to %s: %s", counted(len(scans), "scan"), as_found(found))
     return found
 
 

@@ -46,7 +46,9 @@ def columns_of(message: Any, path: Path) -> Columns:
     data = np.asarray(message.data, np.uint8)
     if height == 0 or width == 0:
         return {name: np.empty(0, order + kind) for name, (kind, _) in types.items()}
-    return rows_as_rings(height * width, height) | {
+    # Without fields, points take no room, however many there are.
+    rings = rows_as_rings(height * width, height) if types else {}
+    return rings | {
         name: np.ndarray((height, width), order + kind, data, offset, (row, step)).ravel()
         for name, (kind, offset) in types.items()
     }
