@@ -13,9 +13,11 @@ from importlib import resources
 from pathlib import Path
 from typing import Any
 
+from salsanext_cli.beam_elevations import BEAMS_EXPECTED, are_beams
 from salsanext_cli.column_names import COLUMNS_EXPECTED, are_columns
 from salsanext_cli.errors import UsageError
-from salsanext_cli.settings_files import read_toml, refuse_unknown, shortened, words_of
+from salsanext_cli.settings_files import are_numbers, quoted, read_toml, refuse_unknown, words_of
+from salsanext_cli.settings_files import shortened as short
 
 SEMANTIC_KITTI_MEANS = (12.12, 10.88, 0.23, -1.04, 0.21)
 SEMANTIC_KITTI_STDS = (12.32, 11.47, 6.91, 0.86, 0.16)
@@ -27,15 +29,24 @@ MAX_NUMBER = 1e6
 """Bound of means, deviations and scales, in metres and units of intensity, and of their inverse."""
 SCALES = f"numbers from {1 / MAX_NUMBER:g} to {MAX_NUMBER:g}"
 NOISE = ("range_noise", "intensity_noise")
-NO_VIEW = ("name", *NOISE, "intensity_quantiles")
+NO_VIEW = ("name", *NOISE, "intensity_quantiles", "row_gaps")
 OF_IMAGES = ("height", "width", "means", "stds")
 """Fields that a network depends on, not a sensor: size and normalisation of its images."""
+OF_DEVICE = ("name", "intensity_scale", *NOISE)
+"""Fields of a built-in sensor that hold whatever the range images of a network are."""
 UP = (0.0, 0.0, 1.0)
 """Direction of the z axis, away from the ground."""
 ORIGIN = (0.0, 0.0, 0.0)
 FITTED_NAME = "fitted"
 """Name of a sensor whose view or mounting was found from scans."""
-OPTIONAL = {"columns": (), "up": UP, "origin": ORIGIN, "intensity_quantiles": ()}
+OPTIONAL = {
+    "columns": (),
+    "up": UP,
+    "origin": ORIGIN,
+    "intensity_quantiles": (),
+    "beams": (),
+    "row_gaps": None,
+}
 """Defaults of fields that are written only where a sensor has another value."""
 MIN_LENGTH = 1e-3
 """Least length of a vector that tells a direction."""
@@ -79,6 +90,12 @@ class Sensor:
     intensity_quantiles : tuple of float
         Quantiles of the intensity in its range images, after the division, at `INTENSITY_LEVELS`
         evenly spaced levels; empty if unknown. A network maps them to those of its training.
+    beams : tuple of float
+        Elevations of its beams in degrees from top to bottom, which then are spread over the rows
+        of the range image; empty for rows by elevation.
+    row_gaps : float, optional
+        Share of gaps in its range images (`geometry.row_gaps`); those of scans that have more than
+        training had are filled.
     """
 
     name: str
@@ -96,18 +113,20 @@ class Sensor:
     up: tuple[float, ...] = UP
     origin: tuple[float, ...] = ORIGIN
     intensity_quantiles: tuple[float, ...] = ()
+    beams: tuple[float, ...] = ()
+    row_gaps: float | None = None
 
     def __post_init__(self) -> None:
         self._require(isinstance(self.name, str), "a name that is no text")
         self._require(math.isfinite(self.fov_up) and math.isfinite(self.fov_down), "fov not finite")
         self._require(
             self.fov_up > self.fov_down,
-            f"fov_up {shortened(self.fov_up)} ≤ fov_down {shortened(self.fov_down)}",
+            f"fov_up {short(self.fov_up)} ≤ fov_down {short(self.fov_down)}",
         )
-        size = f"size {shortened(self.height)}×{shortened(self.width)}"
+        size = f"size {short(self.height)}×{short(self.width)}"
         whole = all(type(length) is int and length >= 1 for length in (self.height, self.width))
         self._require(whole, size)
-        memory = f"{shortened(self.height * self.width * BYTES_PER_PIXEL // 10**9, 12)} GB"
+        memory = f"{short(self.height * self.width * BYTES_PER_PIXEL // 10**9, 12)} GB"
         self._require(
             self.height * self.width <= MAX_PIXELS,
             f"{size}, of which an image takes {memory} in a network",
@@ -117,29 +136,29 @@ class Sensor:
         self._require(five, "means and stds are not 5 numbers each")
         self._require(
             all(abs(mean) <= MAX_NUMBER for mean in self.means),
-            f"means {shortened(self.means)}",
+            f"means {short(self.means)}",
             f"numbers up to {MAX_NUMBER:g}",
         )
         self._require(
             all(1 / MAX_NUMBER <= std <= MAX_NUMBER for std in self.stds),
-            f"stds {shortened(self.stds)}",
+            f"stds {short(self.stds)}",
             SCALES,
         )
         self._require(
-            self.out_of_view in ("clamp", "drop"), f"out_of_view {shortened(self.out_of_view)}"
+            self.out_of_view in ("clamp", "drop"), f"out_of_view {short(self.out_of_view)}"
         )
         scale = self.intensity_scale
         self._require(
-            1 / MAX_NUMBER <= scale <= MAX_NUMBER, f"intensity_scale {shortened(scale)}", SCALES
+            1 / MAX_NUMBER <= scale <= MAX_NUMBER, f"intensity_scale {short(scale)}", SCALES
         )
         self._require(
             len(self.up) == 3 and MIN_LENGTH < math.hypot(*self.up) < math.inf,
-            f"up {shortened(self.up)}",
+            f"up {short(self.up)}",
             "a direction, three numbers",
         )
         self._require(
             len(self.origin) == 3 and math.hypot(*self.origin) < MAX_NUMBER,
-            f"origin {shortened(self.origin)}",
+            f"origin {short(self.origin)}",
             "a place, three numbers in metres",
         )
         quantiles = self.intensity_quantiles
@@ -147,19 +166,19 @@ class Sensor:
             len(quantiles) in (0, INTENSITY_LEVELS)
             and list(quantiles) == sorted(quantiles)
             and all(abs(value) <= MAX_NUMBER for value in quantiles),
-            f"intensity_quantiles {shortened(quantiles)}",
+            f"intensity_quantiles {short(quantiles)}",
             f"{INTENSITY_LEVELS} numbers that rise, up to {MAX_NUMBER:g}",
         )
         for name in NOISE:
             noise = getattr(self, name)
-            self._require(noise is None or 0 <= noise < math.inf, f"{name} {shortened(noise)}")
-        self._require(
-            are_columns(self.columns), f"columns {shortened(self.columns)}", COLUMNS_EXPECTED
-        )
+            self._require(noise is None or 0 <= noise < math.inf, f"{name} {short(noise)}")
+        self._require(are_columns(self.columns), f"columns {short(self.columns)}", COLUMNS_EXPECTED)
+        self._require(are_beams(self.beams), f"beams {short(self.beams)}", BEAMS_EXPECTED)
+        self._require(0 <= (self.row_gaps or 0) <= 1, f"row_gaps {short(self.row_gaps)}", "a share")
 
     def _require(self, holds: bool, found: str, expected: str = "a possible sensor") -> None:
         if not holds:
-            raise UsageError(f"sensor {shortened(self.name)}", found, expected)
+            raise UsageError(f"sensor {short(self.name)}", found, expected)
 
     @property
     def knows_noise(self) -> bool:
@@ -180,12 +199,11 @@ class Sensor:
         if missing := [f.name for f in fields(cls) if f.default is MISSING and f.name not in data]:
             remedy = "`salsanext inspect SCANS --fit FILE.toml` finds the view of scans"
             raise UsageError(source, f"lacks {', '.join(missing)}", expected, remedy)
-        for key in (*NUMBERS, *(noise for noise in NOISE if data.get(noise) is not None)):
-            if key in data and not _are_numbers([data[key]]):
-                raise UsageError(source, f"{key} is {_shown(data[key])}", "a number")
-        for key in LISTS:
-            if key in data and not _are_numbers(data[key]):
-                raise UsageError(source, f"{key} is {_shown(data[key])}", "5 numbers")
+        for key in (*NUMBERS, *LISTS, *(noise for noise in NOISE if data.get(noise) is not None)):
+            several = key in LISTS
+            if key in data and not are_numbers(data[key] if several else [data[key]]):
+                wanted = "5 numbers" if several else "a number"
+                raise UsageError(source, f"{key} is {quoted(data[key])}", wanted)
         values: dict[str, Any] = {
             key: tuple(value) if isinstance(value, list) else value for key, value in data.items()
         }
@@ -207,7 +225,7 @@ class Sensor:
         return "".join(f"{key} = {json.dumps(value)}\n" for key, value in known.items())
 
     def view(self) -> dict[str, Any]:
-        """Return plain data of the view of a network: all but name, noise and quantiles."""
+        """Return plain data of the view of a network: all but name, noise and measured shares."""
         return {key: value for key, value in self.to_dict().items() if key not in NO_VIEW}
 
     def resized(self, height: int | None = None, width: int | None = None) -> Sensor:
@@ -217,16 +235,6 @@ class Sensor:
             height=self.height if height is None else height,
             width=self.width if width is None else width,
         )
-
-
-def _shown(value: object) -> str:
-    return shortened(repr(value) if isinstance(value, str) else value)
-
-
-def _are_numbers(values: object) -> bool:
-    if not isinstance(values, list | tuple):
-        return False
-    return all(isinstance(value, int | float) for value in values)
 
 
 @cache
@@ -244,8 +252,9 @@ def sensor(
 ) -> Sensor:
     """Return the sensor of a preset's name or of a TOML file with one sensor's keys.
 
-    Size and normalisation that the file does not tell are those of `base`, else of the HDL-64. The
-    error for an unknown name lists `others` too, which the caller understands.
+    Size and normalisation that the file does not tell are those of `base`, else of the HDL-64; then
+    beams count only where those of `base` do. The error for an unknown name lists `others` too,
+    which the caller understands.
 
     Raises
     ------
@@ -258,4 +267,6 @@ def sensor(
     data = read_toml(path, "sensor", (*others, *presets()))
     known = (base or presets()["hdl64"]).to_dict()
     images = {key: known[key] for key in OF_IMAGES}
-    return Sensor.from_dict({"name": path.stem, **images, **data}, path)
+    found = Sensor.from_dict({"name": path.stem, **images, **data}, path)
+    by_beams = base is None or base.beams or not data.keys().isdisjoint(("height", "width"))
+    return found if by_beams else replace(found, beams=())

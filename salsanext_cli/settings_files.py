@@ -131,3 +131,15 @@ def shortened(value: object, length: int = SHOWN_CHARACTERS) -> str:
     except (ValueError, RecursionError):
         return f"a {type(value).__name__}"
     return text if len(text) <= length else text[: length - 1] + "…"
+
+
+def are_numbers(values: object) -> bool:
+    """Say whether a value is a list of numbers."""
+    if not isinstance(values, list | tuple):
+        return False
+    return all(isinstance(value, int | float) for value in values)
+
+
+def quoted(value: object) -> str:
+    """Return the text of a value, shortened, and of a text in quotation marks."""
+    return shortened(repr(value) if isinstance(value, str) else value)

@@ -15,7 +15,7 @@ MODULES = sorted(PACKAGE.rglob("*.py"))
 LEVELS = (
     ("errors",),
     ("settings_files", "packages", "thread_pool"),
-    ("label_yaml", "kernels", "column_names"),
+    ("label_yaml", "kernels", "column_names", "beam_elevations"),
     ("classes", "sensors"),
     ("records",),
     ("formats", "geometry"),

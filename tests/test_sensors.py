@@ -163,8 +163,8 @@ def test_the_view_is_all_but_name_noise_and_quantiles():
     one = sensor("hdl64")
     assert one.view() == replace(one, name="x", range_noise=None, intensity_noise=1.0).view()
     assert one.view() != replace(one, out_of_view="drop").view()
-    one = replace(one, intensity_quantiles=(0.0,) * 65)
-    left_out = {"name", "range_noise", "intensity_noise", "intensity_quantiles"}
+    one = replace(one, intensity_quantiles=(0.0,) * 65, row_gaps=0.2)
+    left_out = {"name", "range_noise", "intensity_noise", "intensity_quantiles", "row_gaps"}
     assert set(one.to_dict()) - set(one.view()) == left_out
 
 
@@ -172,3 +172,44 @@ def test_the_view_is_all_but_name_noise_and_quantiles():
 def test_quantiles_that_are_none(quantiles):
     with pytest.raises(UsageError, match=r"intensity_quantiles .* expected 65 numbers that rise"):
         replace(sensor("hdl64"), intensity_quantiles=quantiles)
+
+
+def test_beams_in_a_file(tmp_path):
+    own = replace(VALID, beams=(10.5, 2.0, -3.25))
+    assert "beams" not in VALID.to_toml()
+    assert "beams" not in VALID.to_dict()
+    (tmp_path / "valid.toml").write_text(own.to_toml())
+    assert sensor(tmp_path / "valid.toml") == own
+    assert Sensor.from_dict(json.loads(json.dumps(own.to_dict()))) == own
+    assert own.view() != VALID.view()
+
+
+def test_beams_without_a_size_count_where_those_of_the_weights_do(tmp_path):
+    own = replace(VALID, beams=(10.5, 2.0, -3.25))
+    path = tmp_path / "valid.toml"
+    path.write_text(own.to_toml(images=False))
+    assert sensor(path, VALID).beams == ()
+    assert sensor(path, replace(VALID, beams=(3.0, 2.0))).beams == own.beams
+    assert sensor(path).beams == own.beams
+    path.write_text(own.to_toml())
+    assert sensor(path, VALID).beams == own.beams
+    path.write_text("fov_up = 3\nfov_down = -25\nbeams = [1, 2]\n")
+    with pytest.raises(UsageError, match=r"beams \(1, 2\)"):
+        sensor(path, VALID)
+
+
+@pytest.mark.parametrize(
+    "beams",
+    [[1.0], [1, 2], [2, 2], [2, math.nan], [math.inf, 2], [2, -91], ["a", "b"], "12", 3, {}]
+    + [list(range(44, -213, -1))],
+)
+def test_beams_that_are_none(beams):
+    data = {**VALID.to_dict(), "beams": beams}
+    with pytest.raises(UsageError, match=r"sensor valid · beams .* 2 to 256 elevations"):
+        Sensor.from_dict(data)
+
+
+@pytest.mark.parametrize("share", [-0.1, 1.5, math.nan])
+def test_a_share_of_gaps_that_is_none(share):
+    with pytest.raises(UsageError, match=r"row_gaps .* expected a share"):
+        replace(VALID, row_gaps=share)

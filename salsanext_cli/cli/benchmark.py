@@ -47,7 +47,7 @@ def benchmark(
     with progress("benchmark", output.quiet, "parts") as advance:
         found = run(
             selection.source(scans),
-            network=network.settings(),
+            network=network.settings(sized=True),
             selection=selection.scans(),
             parts=PARTS if parts == "all" else [name.strip() for name in parts.split(",")],
             rounds=rounds,

@@ -14,7 +14,7 @@ def inspect(
     *,
     fit: Annotated[
         Path | None,
-        typer.Option(help="Write a sensor file (.toml) with the view and statistics of the scans."),
+        typer.Option(help="Write a sensor file (.toml) with view, beams, statistics of the scans."),
     ] = None,
     height: Annotated[int | None, typer.Option(help="Rows of its range image.")] = None,
     width: Annotated[int | None, typer.Option(help="Columns of its range image.")] = None,
@@ -29,6 +29,7 @@ def inspect(
 
     Example: salsanext inspect my/scans --fit my-sensor.toml --height 32 --width 1024
     """
+    from salsanext_cli.geometry.view_fit import as_found
     from salsanext_cli.report.descriptions import survey_tables
     from salsanext_cli.sensors import sensor as find_sensor
     from salsanext_cli.stages.inspect import inspect as stage
@@ -47,9 +48,10 @@ def inspect(
     if fit is not None:
         # For weights to come; those that are there have a size and normalisation of their own.
         images = height is not None or width is not None
-        fitted = found.fitted_sensor(fit.stem)
+        fitted = found.fitted_sensor(fit.stem, images=images)
         write_sensor(fit, fitted, images=images, overwrite=running.overwrite)
-        output.say(f"inspect: sensor → {fit}")
+        beams = f", {len(fitted.beams)} beams" if fitted.beams else ", beams not discernible"
+        output.say(f"inspect: sensor, {as_found(fitted)}{beams} → {fit}")
     tables = survey_tables(found.sequences, found.total, found.space, found.sensor)
     output.result(found.to_dict(), tables)
     run_end.name_failures(found.failures)

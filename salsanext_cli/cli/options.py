@@ -84,7 +84,8 @@ class NetworkOptions:
     )
     sensor: str = network_option(
         "Name of a built-in sensor, or a .toml file; auto is that of the weights, with view, "
-        "direction up and place of the scans' own where they differ much.",
+        "direction up and place of the scans' own where they differ much. A name tells noise and "
+        "scale of intensity only.",
         default=AUTO,
     )
     columns: str | None = network_option(COLUMNS_HELP, show_default=COLUMNS_DEFAULT)
@@ -94,20 +95,38 @@ class NetworkOptions:
         default="auto",
     )
 
-    def settings(self) -> NetworkSettings:
-        """Build the settings that stages take."""
+    def settings(self, *, sized: bool = False) -> NetworkSettings:
+        """Build the settings that stages take; `sized` as for `named_sensor`."""
         from salsanext_cli.inference.settings import NetworkSettings
 
         weights = None if self.weights == DEFAULT_WEIGHTS else self.weights
-        how = (self.precision, self.engine, self.sensor == AUTO, self.intensity)
-        return NetworkSettings(weights, self.device, self.named_sensor(), *how)
+        fit = self.is_fitted and not (sized and self.sensor != AUTO)
+        how = (self.precision, self.engine, fit, self.intensity)
+        return NetworkSettings(weights, self.device, self.named_sensor(sized=sized), *how)
 
-    def named_sensor(self) -> Sensor | None:
-        """Look up the sensor that was named; what it does not tell is that of the weights."""
+    @property
+    def is_fitted(self) -> bool:
+        """True if the view is that of the weights, fitted to the scans; a file tells its own."""
+        from salsanext_cli.sensors import presets
+
+        return self.sensor == AUTO or self.sensor in presets()
+
+    def named_sensor(self, *, sized: bool = False) -> Sensor | None:
+        """Look up the sensor that was named; what it does not tell is that of the weights.
+
+        Of a built-in sensor that is all but noise and scale of intensity; `sized` ones have their
+        own size and view.
+        """
+        from salsanext_cli.sensors import OF_DEVICE
+
         named = None if self.sensor == AUTO else sensor(self.sensor, self.trained_sensor)
-        if self.columns is None:
-            return named
-        return with_columns(named or self.trained_sensor(), self.columns)
+        if named and self.is_fitted and not sized:
+            own = {key: getattr(named, key) for key in OF_DEVICE}
+            named = replace(self.trained_sensor(), **own)
+        if self.columns is not None:
+            named = with_columns(named or self.trained_sensor(), self.columns)
+        # Those of training are not those of the scans.
+        return named and replace(named, intensity_quantiles=(), row_gaps=None)
 
     def trained_sensor(self) -> Sensor:
         """Return the sensor that the weights were trained with."""
@@ -126,9 +145,9 @@ class AdaptableNetwork(NetworkOptions):
         default=False,
     )
 
-    def settings(self) -> NetworkSettings:
-        """Build the settings that stages take."""
-        return replace(NetworkOptions.settings(self), adapt=self.adapt)
+    def settings(self, *, sized: bool = False) -> NetworkSettings:
+        """Build the settings that stages take; `sized` as for `named_sensor`."""
+        return replace(NetworkOptions.settings(self, sized=sized), adapt=self.adapt)
 
 
 @option_group

@@ -30,7 +30,7 @@ def project(
             selection.source(scans),
             out,
             sensor=network.named_sensor() or network.trained_sensor(),
-            fit=network.sensor == options.AUTO,
+            fit=network.is_fitted,
             selection=selection.scans(),
             options=run,
         )

@@ -8,15 +8,19 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from salsanext_cli.beam_elevations import MAX_BEAMS
 from salsanext_cli.column_names import UNUSED_COLUMN
 from salsanext_cli.errors import FormatError, counted
-from salsanext_cli.records import Float, Scan
+from salsanext_cli.records import Float, Int, Scan
 
 Columns = Mapping[str, npt.NDArray[Any]]
 """Values by name, each (N,)."""
 
 INTENSITY_NAMES = ("intensity", "scalar_intensity", "reflectivity", "reflectance", "remission", "i")
 """Names of the intensity, in lower case; the first one found counts."""
+RING = "ring"
+"""Name of the number of the beam."""
+MAX_RING = 4095
 USUAL_COLUMNS = ("x", "y", "z", "intensity")
 MAX_UNNAMED_COLUMNS = 5
 """Most columns that are taken for the usual ones and another one: six may end in colours."""
@@ -44,7 +48,20 @@ def scan_of(columns: Columns, path: Path, intensity_scale: float) -> Scan:
     values = next((known[name] for name in INTENSITY_NAMES if name in known), None)
     if values is None:
         values = np.zeros(len(points), np.float32)
-    return Scan(points, normalised_intensity(values, intensity_scale))
+    ring = ring_of(known[RING]) if RING in known else None
+    return Scan(points, normalised_intensity(values, intensity_scale), ring)
+
+
+def ring_of(values: npt.NDArray[Any]) -> Int:
+    """Return numbers of beams (N,) as int32, -1 for those that cannot be one."""
+    possible = (values >= 0) & (values <= MAX_RING)
+    return np.where(possible, values, -1).astype(np.int32)
+
+
+def rows_as_rings(count: int, height: int) -> dict[str, npt.NDArray[Any]]:
+    """Return the ring of each of so many points of an organised cloud: its row; none of others."""
+    organised = 1 < height <= MAX_BEAMS and count % height == 0
+    return {RING: np.repeat(np.arange(height), count // height)} if organised else {}
 
 
 def unnamed_columns(table: npt.NDArray[Any], names: tuple[str, ...], path: Path) -> Columns:

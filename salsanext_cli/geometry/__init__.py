@@ -6,6 +6,9 @@
     projection              a scan seen from the sensor (paper eq. 1)
     ├── projection_numba        … compiled for the CPU
     └── projection_torch        … on a torch device, the same bits
+    beam_rows               rows of points by their beams, where the sensor knows these
+    row_gaps                rows that sparse beams leave empty: their share, and filling them
+    view_fit                view and direction up of scans
     normalise               the network's input, and its variance by the sensor's noise
     knn                     labels of pixels to labels of points
     ├── knn_numba               … compiled for the CPU

@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: MIT
 """Scans in the frame of their sensor: at its origin, with z up."""
 
+from dataclasses import replace
+
 import numpy as np
 import numpy.typing as npt
 
@@ -22,7 +24,7 @@ def in_sensor_frame(scan: Scan, sensor: Sensor) -> Scan:
         # A matrix product would leave threads behind that take the processors from the network.
         rows = [a * x + b * y + c * z for a, b, c in upright_rotation(np.asarray(sensor.up))]
         points = np.stack(rows, axis=1).astype(np.float32)
-    return scan if points is scan.points else Scan(points, scan.intensity)
+    return scan if points is scan.points else replace(scan, points=points)
 
 
 def upright_rotation(up: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:

@@ -6,8 +6,9 @@
     u = ½ [1 − atan2(y, x)/π] W
     v = [1 − (asin(z/r) − f_down)/(f_up − f_down)] H
 
-Both are rounded down and clamped to the image. The nearest point wins a pixel; of equally near
-ones the first in the scan. All arithmetic after the arctangents is float32, as in the published
+Both are rounded down and clamped to the image. Where the sensor names its beams, the row is that of
+the point's beam instead (`beam_rows`). The nearest point wins a pixel; of equally near ones the
+first in the scan. All arithmetic after the arctangents is float32, as in the published
 code, so that points on a pixel border fall to the same side.
 """
 
@@ -15,6 +16,7 @@ import math
 
 import numpy as np
 
+from salsanext_cli.geometry.beam_rows import rows_of
 from salsanext_cli.geometry.mounting import in_sensor_frame
 from salsanext_cli.records import RangeImage, Scan
 from salsanext_cli.sensors import Sensor
@@ -44,11 +46,11 @@ def project(scan: Scan, sensor: Sensor, device: str = "cpu") -> RangeImage:
     scan = in_sensor_frame(scan, sensor)
     up, down = math.radians(sensor.fov_up), math.radians(sensor.fov_down)
     view = (np.float32(down), np.float32(up - down), sensor.height, sensor.width)
-    drop = sensor.out_of_view == "drop"
+    drop, rows = sensor.out_of_view == "drop", rows_of(scan, sensor)
     if device == "cpu":
         from salsanext_cli.geometry import projection_numba
 
-        return projection_numba.project(scan, *view, drop)
+        return projection_numba.project(scan, *view, drop, rows)
     from salsanext_cli.geometry import projection_torch
 
-    return projection_torch.project(scan, *view, drop, device)
+    return projection_torch.project(scan, *view, drop, rows, device)

@@ -19,11 +19,18 @@ TAN_22_5 = math.sqrt(2) - 1
 
 
 def project(
-    scan: Scan, fov_down: np.float32, fov: np.float32, height: int, width: int, drop: bool
+    scan: Scan,
+    fov_down: np.float32,
+    fov: np.float32,
+    height: int,
+    width: int,
+    drop: bool,
+    rows: Int | None,
 ) -> RangeImage:
     """Project a scan; see `geometry.projection.project`.
 
-    `fov_down` and `fov` are lower edge and extent of the field of view in radians.
+    `fov_down` and `fov` are lower edge and extent of the field of view in radians; `rows` (N,) are
+    those of the points, if they are known.
     """
     view, count = (fov_down, fov, np.float32(height), np.float32(width), drop), len(scan)
     points = argument(scan.points, np.float32).reshape(-1)
@@ -43,6 +50,9 @@ def project(
         )
 
     parallel_for_slices(find, count)
+    if rows is not None:
+        in_rows = rows * np.int32(width) + pixel_of_point % np.int32(width)
+        np.copyto(pixel_of_point, in_rows, where=pixel_of_point >= 0)
     keep_nearest(pixel_of_point, point_range, point_of_pixel)
     parallel_for_slices(fill, height * width)
     return RangeImage(

@@ -11,7 +11,7 @@ import numpy as np
 import torch
 
 from salsanext_cli.geometry.ranges import LARGEST
-from salsanext_cli.records import RangeImage, Scan
+from salsanext_cli.records import Int, RangeImage, Scan
 
 PI = float(np.float32(math.pi))
 NO_POINT = 2**63 - 1
@@ -24,12 +24,16 @@ def project(
     height: int,
     width: int,
     drop: bool,
+    rows: Int | None,
     device: str,
 ) -> RangeImage:
     """Project a scan on a device and copy the result back; see `projection_numba.project`."""
     points = torch.tensor(scan.points, device=device)
     intensity = torch.tensor(scan.intensity, device=device)
     pixel_of_point, point_range = find_pixels(points, fov_down, fov, height, width, drop)
+    if rows is not None:
+        in_rows = torch.tensor(rows, device=device) * width + pixel_of_point % width
+        pixel_of_point = torch.where(pixel_of_point < 0, -1, in_rows)
     point_of_pixel = find_nearest(pixel_of_point, point_range, height * width)
     usable = torch.where(intensity.abs() <= float(LARGEST), intensity, 0.0)
     columns = torch.cat([point_range[:, None], points, usable[:, None]], dim=1)

@@ -5,6 +5,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
+import numpy.typing as npt
 
 from salsanext_cli.geometry.coverage import (
     LARGEST_SHARE_OUTSIDE,
@@ -18,7 +19,16 @@ from salsanext_cli.records import Scan
 from salsanext_cli.sensors import FITTED_NAME, ORIGIN, UP, Sensor
 
 OUTLIERS = 0.001
-"""Share of the points above, and of those below, that a fitted view leaves out."""
+"""Share of the points above, and of those below, that no view needs to show."""
+SHOWN = 0.85
+"""Least share of the points that a fitted view shows; the whole view of a sensor that sees far up
+and down would make objects much lower in the image than those of training."""
+MOST_ENLARGED = 1.2
+"""Largest extent of a view of all points that is taken as it is, as a multiple of training's."""
+PLACES = 400
+"""Places of a view of given extent that are tried."""
+NEARLY = 0.999
+"""Share of the most points in a view at which another is as good; of these, the middle one."""
 MIN_VIEW_DEG = 1.0
 MIN_POINTS = 1000
 
@@ -47,11 +57,30 @@ def fit_view(scans: Sequence[Scan], sensor: Sensor) -> Sensor:
         points = in_sensor_frame(scan, sensor).points
         ranges, measured = measured_ranges(points)
         elevations.append(np.degrees(np.arcsin(points[measured, 2] / ranges[measured])))
-    edges = np.quantile(np.concatenate(elevations), (OUTLIERS, 1 - OUTLIERS))
-    lower, upper = (round(float(edge), 2) for edge in edges)
+    lower, upper = _view(np.sort(np.concatenate(elevations)), sensor.fov_up - sensor.fov_down)
     if upper - lower < MIN_VIEW_DEG:
         return sensor
-    return replace(sensor, name=FITTED_NAME, fov_up=upper, fov_down=lower)
+    return replace(sensor, name=FITTED_NAME, fov_up=round(upper, 2), fov_down=round(lower, 2))
+
+
+def _view(elevations: npt.NDArray[np.float64], extent: float) -> tuple[float, float]:
+    """Return the edges, lower first, of a view of elevations (N,) that rise, in degrees.
+
+    It shows all points if it then is about as large as that of training; otherwise it is as large
+    as that, or larger until it shows `SHOWN` of the points.
+    """
+    lowest, highest = map(float, np.quantile(elevations, (OUTLIERS, 1 - OUTLIERS)))
+    if highest - lowest <= MOST_ENLARGED * extent:
+        return lowest, highest
+    shown = int(SHOWN * len(elevations))
+    narrowest = (elevations[shown:] - elevations[: len(elevations) - shown]).min()
+    extent = max(narrowest, extent)
+    lower = np.linspace(lowest, highest - extent, PLACES)
+    upper = np.searchsorted(elevations, lower + extent, "right")
+    inside = upper - np.searchsorted(elevations, lower)
+    best = np.flatnonzero(inside >= NEARLY * inside.max())
+    start = float(lower[best[len(best) // 2]])
+    return start, start + float(extent)
 
 
 def as_found(sensor: Sensor) -> str:

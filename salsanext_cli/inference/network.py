@@ -13,6 +13,7 @@ import numpy as np
 from salsanext_cli.errors import WeightsError, out_of_memory
 from salsanext_cli.geometry.intensity import match_intensity
 from salsanext_cli.geometry.normalise import normalise
+from salsanext_cli.geometry.row_gaps import completed
 from salsanext_cli.inference.graphs import Graph, compiled_graph, converted
 from salsanext_cli.kernels import thread_count
 from salsanext_cli.network.card import WeightsCard
@@ -124,8 +125,9 @@ class Network:
     def input_array(self, channels: Float) -> Float:
         """Return (5, H, W) channels as the network takes them, (1, 5, H, W).
 
-        The intensity is matched to that of training where both sensors know their quantiles.
+        Gaps and intensity become those of training where both sensors know theirs.
         """
+        channels = completed(channels, self.sensor, self.card.sensor)
         own, trained = (s.intensity_quantiles for s in (self.sensor, self.card.sensor))
         if own and trained and own != trained:
             channels = match_intensity(channels, own, trained)

@@ -5,11 +5,13 @@ import logging
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import replace
+from functools import cache
 
 from salsanext_cli.errors import NOTICE, SalsanextError, UsageError, counted
 from salsanext_cli.formats import read_scan
 from salsanext_cli.geometry.intensity import intensity_quantiles
 from salsanext_cli.geometry.projection import project
+from salsanext_cli.geometry.row_gaps import fills_rows, row_gaps
 from salsanext_cli.geometry.view_fit import as_found, fit_view
 from salsanext_cli.inference.network import Network
 from salsanext_cli.inference.settings import NetworkSettings
@@ -37,7 +39,7 @@ def fitted(
     earlier: Sensor | None = None,
     image_of: Callable[[ScanFile], Float] | None = None,
 ) -> Network:
-    """Return the network with view and intensity of its sensor as the settings say.
+    """Return the network for the scans: view, intensity and gaps between the rows of their sensor.
 
     Parameters
     ----------
@@ -59,17 +61,25 @@ def fitted(
     how = _method(settings, network)
     if settings.fit and image_of is None:
         network = with_sensor(network, fitted_view(files, network.sensor, earlier))
-    if not how:
-        return with_sensor(network, replace(network.sensor, intensity_quantiles=()))
-    known = [sensor.intensity_quantiles for sensor in (earlier, settings.sensor) if sensor]
+    known = [sensor for sensor in (earlier, settings.sensor) if sensor]
+    images = cache(lambda: list(sampled_images(files, network.sensor, image_of)))
+    quantiles: tuple[float, ...] = ()
     if how == "none":
         quantiles = NO_INTENSITY
-    else:
-        images = sampled_images(files, network.sensor, image_of)
+    elif how:
         # Earlier results without intensity tell nothing about that of the scans.
-        measured = (found for found in known if found not in ((), NO_INTENSITY))
-        quantiles = next(measured, ()) or intensity_quantiles(images)
-    return with_sensor(network, replace(network.sensor, intensity_quantiles=quantiles))
+        measured = (sensor.intensity_quantiles for sensor in known)
+        usable = (found for found in measured if found not in ((), NO_INTENSITY))
+        quantiles = next(usable, ()) or intensity_quantiles(images())
+    gaps = None
+    if network.card.sensor.row_gaps is not None:
+        gaps = next((each.row_gaps for each in known if each.row_gaps is not None), None)
+        gaps = row_gaps(images()) if gaps is None else gaps
+    found = replace(network.sensor, intensity_quantiles=quantiles, row_gaps=gaps)
+    network = with_sensor(network, found)
+    if fills_rows(found, network.card.sensor):
+        log.log(NOTICE, "gaps between rows, %.0f %% of their pixels, are filled", 100 * (gaps or 0))
+    return network
 
 
 def fitted_view(files: Sequence[ScanFile], sensor: Sensor, earlier: Sensor | None = None) -> Sensor:
@@ -84,6 +94,12 @@ def fitted_view(files: Sequence[ScanFile], sensor: Sensor, earlier: Sensor | Non
     if found != sensor:
         log.log(NOTICE, "sensor fitted to %s: %s", counted(len(scans), "scan"), as_found(found))
     return found
+
+
+def as_seen(sensor: Sensor, images: Sequence[Float]) -> Sensor:
+    """Return the sensor with what its range images, (5, H, W) each, say of intensity and gaps."""
+    quantiles = intensity_quantiles(images)
+    return replace(sensor, intensity_quantiles=quantiles, row_gaps=row_gaps(images))
 
 
 def with_sensor(network: Network, sensor: Sensor) -> Network:

@@ -12,10 +12,11 @@ from salsanext_cli.formats import read_scan
 from salsanext_cli.formats.labels import read_labels
 from salsanext_cli.formats.reading import present
 from salsanext_cli.geometry.mounting import in_sensor_frame
-from salsanext_cli.geometry.mounting_fit import fit_mounting
 from salsanext_cli.geometry.projection import project
 from salsanext_cli.geometry.scan_checks import check_scan
+from salsanext_cli.geometry.view_fit import fit_view
 from salsanext_cli.inference.scan_fit import sampled
+from salsanext_cli.measures.beam_fit import fit_beams
 from salsanext_cli.measures.scan_summary import RunSummary, ScanSummary
 from salsanext_cli.measures.survey import Survey, survey
 from salsanext_cli.parallel.run import Failure, RunOptions, run_over_scans
@@ -48,6 +49,8 @@ class Inspection:
         Scans that could not be read, or cannot be right.
     warnings : list of dict
         Reasons to doubt scans, as `RunSummary.warnings` lists them.
+    seen : Sensor, optional
+        Sensor with the view that `--sensor auto` takes for these scans, after a fit.
     """
 
     sequences: dict[str, Survey]
@@ -56,6 +59,7 @@ class Inspection:
     space: LabelSpace
     failures: tuple[Failure, ...]
     warnings: list[dict[str, Any]]
+    seen: Sensor | None = None
 
     def to_dict(self) -> dict[str, Any]:
         """Return plain data for JSON."""
@@ -68,8 +72,10 @@ class Inspection:
             "warnings": self.warnings,
         }
 
-    def fitted_sensor(self, name: str) -> Sensor:
+    def fitted_sensor(self, name: str, *, images: bool = True) -> Sensor:
         """Return the sensor with the field of view and normalisation of these scans.
+
+        Without `images` of its own, its view is the one for those of weights, `seen`.
 
         Raises
         ------
@@ -77,8 +83,11 @@ class Inspection:
             If their points are too few, or do not span the field of view of a LiDAR.
         """
         _require_fit(name, self.total)
+        view = _with_field_of_view(self.sensor, self.total)
+        if self.seen and not images:
+            view = replace(view, fov_up=self.seen.fov_up, fov_down=self.seen.fov_down)
         return replace(
-            _with_field_of_view(self.sensor, self.total),
+            view,
             name=name,
             means=tuple(round(mean, 4) for mean in self.total.means),
             stds=tuple(round(std, 4) for std in self.total.stds),
@@ -107,7 +116,7 @@ def inspect(
     selection, options
         Selection of the scans, and options of the run.
     fit : bool
-        Read the scans twice: first for the field of view, then for range images of that view.
+        Read the scans twice: first for field of view and beams, then for their range images.
 
     Raises
     ------
@@ -116,12 +125,16 @@ def inspect(
     """
     scans = select_scans(source, selection, space)
     if fit:
-        sensor = fit_mounting(list(sampled(scans, sensor)), sensor)
+        some = list(sampled(scans, sensor))
+        seen = fit_view(some, sensor)
+        sensor = replace(sensor, up=seen.up, origin=seen.origin)
+        sensor = replace(sensor, beams=fit_beams(some, sensor) or sensor.beams)
         # Only the view of this pass counts, so its checks would be against a wrong one.
         first = _inspect(scans, sensor, space, options, checked=False)
         if first.total.pixels:
             sensor = _with_field_of_view(sensor, first.total)
-    return _inspect(scans, sensor, space, options, checked=True)
+    found = _inspect(scans, sensor, space, options, checked=True)
+    return replace(found, seen=seen if fit else None)
 
 
 def _inspect(

@@ -13,8 +13,7 @@ import torch
 
 from salsanext_cli.classes import LabelSpace
 from salsanext_cli.errors import UsageError, WeightsError, first_few
-from salsanext_cli.geometry.intensity import intensity_quantiles
-from salsanext_cli.inference.scan_fit import sampled_images
+from salsanext_cli.inference.scan_fit import as_seen, sampled_images
 from salsanext_cli.network.card import WeightsCard
 from salsanext_cli.network.registry import build
 from salsanext_cli.network.segmentation import SegmentationNetwork
@@ -150,8 +149,7 @@ def train(
         sensor = sensor or own_sensor
         _require_pixels(recipe, sensor, module, group)
         description = f"Trained with `salsanext train` on {dataset.resolve().name}."
-        quantiles = group.on_main(lambda: intensity_quantiles(sampled_images(training, sensor)))
-        seen = replace(sensor, intensity_quantiles=quantiles)
+        seen = group.on_main(lambda: as_seen(sensor, list(sampled_images(training, sensor))))
         card = WeightsCard(architecture, classes, seen, recipe.to_dict(), {}, description)
 
         def prepare() -> ClassCounts:
@@ -231,7 +229,7 @@ def _settings(card: WeightsCard, scans: list[ScanFile], weights: Path | None) ->
     names = "\n".join(f"{scan.sequence}/{scan.stem}" for scan in scans)
     return {
         "recipe": dict(card.recipe),
-        "sensor": replace(card.sensor, intensity_quantiles=()).to_dict(),
+        "sensor": replace(card.sensor, intensity_quantiles=(), row_gaps=None).to_dict(),
         "label_space": card.space.to_dict(),
         "scans": f"{len(scans)}, {hashlib.sha256(names.encode()).hexdigest()[:16]}",
         "weights": fingerprint(weights) if weights else None,

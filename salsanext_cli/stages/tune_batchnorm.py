@@ -91,9 +91,10 @@ def tune_batchnorm(
     new, sensor = pooled.moved(), loaded.sensor
     scanned = counted(len(scans), "scan")
     done = f"Batch norm re-estimated on {scanned} of {sensor.name}, share {share:g}."
-    # On the scale that the intensity of later scans is matched to.
-    known = loaded.card.sensor.intensity_quantiles if sensor.intensity_quantiles else ()
-    sensor = replace(sensor, intensity_quantiles=known)
+    # Later scans are matched and filled as these were.
+    trained = loaded.card.sensor
+    known = trained.intensity_quantiles if sensor.intensity_quantiles else ()
+    sensor = replace(sensor, intensity_quantiles=known, row_gaps=trained.row_gaps)
     card = replace(loaded.card.changed(done), sensor=sensor)
     save_with_card(network.path, target, card, as_tensors(new))
     moved = [_moved(name, old[name], new[name], layers[name].eps) for name in new]

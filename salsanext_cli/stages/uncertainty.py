@@ -21,7 +21,7 @@ from salsanext_cli.measures.scan_summary import RunSummary, ScanSummary
 from salsanext_cli.network.card import read_card
 from salsanext_cli.parallel.network_task import NetworkTask
 from salsanext_cli.parallel.run import Failure, Outcome, RunOptions, run_over_scans
-from salsanext_cli.sensors import Sensor, presets
+from salsanext_cli.sensors import FITTED_NAME, Sensor, presets
 from salsanext_cli.storage.identity import fingerprint
 from salsanext_cli.storage.layout import ScanFile, find_outputs, output_path
 from salsanext_cli.storage.output_run import OutputRun, output_run
@@ -238,7 +238,7 @@ def _as_predicted(out: Path, network: NetworkSettings) -> NetworkSettings:
 
 def _with_noise(seen: Sensor, network: NetworkSettings) -> Sensor:
     """Return the sensor, of which `predict` recorded only the view, with its noise if known."""
-    named = (read_card(network.path).sensor, presets().get(seen.name))
-    known = (replace(sensor, columns=seen.columns) for sensor in named if sensor)
-    same = next((sensor for sensor in known if sensor.view() == seen.view()), seen)
-    return replace(same, intensity_quantiles=seen.intensity_quantiles)
+    own = read_card(network.path).sensor
+    same = seen.name == FITTED_NAME or replace(own, columns=seen.columns).view() == seen.view()
+    noise = presets().get(seen.name) or (own if same else seen)
+    return replace(seen, range_noise=noise.range_noise, intensity_noise=noise.intensity_noise)

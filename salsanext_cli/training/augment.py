@@ -9,7 +9,7 @@ image; the last two add points of rare classes of another scan.
 """
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Self
 
 import numpy as np
@@ -54,7 +54,7 @@ def augment(labelled: LabelledScan, recipe: Recipe, random: np.random.Generator)
         points = shift(points, random.uniform(SHIFT_LOW_M, SHIFT_HIGH_M))
     if flipped:
         points = points * np.array([1, -1, 1], np.float32)
-    changed = Scan(points, scan.intensity), labels
+    changed = replace(scan, points=points), labels
     if not dropped:
         return changed
     count = int(len(scan) * random.uniform(0, MAX_DROPPED_SHARE))
@@ -152,7 +152,7 @@ def paste(
     with np.errstate(invalid="ignore", over="ignore"):
         clear = np.hypot(points[:, 0], points[:, 1]) > CLEAR_RADIUS_M
     scan, labels = select(pasted, clear & np.isfinite(points).all(axis=1))
-    turned = [(Scan(rotate(scan.points, angle), scan.intensity), labels) for angle in angles]
+    turned = [(replace(scan, points=rotate(scan.points, angle)), labels) for angle in angles]
     return concatenate(onto, *turned)
 
 
@@ -164,14 +164,16 @@ def select(labelled: LabelledScan, chosen: npt.NDArray[np.bool_]) -> LabelledSca
 
 def _taken(labelled: LabelledScan, index: npt.NDArray[np.intp]) -> LabelledScan:
     scan, labels = labelled
-    return Scan(scan.points.take(index, 0), scan.intensity.take(index)), labels.take(index)
+    return scan.take(index), labels.take(index)
 
 
 def concatenate(*scans: LabelledScan) -> LabelledScan:
     """Return the points of all scans, in their order."""
     points = np.concatenate([scan.points for scan, _ in scans])
     intensity = np.concatenate([scan.intensity for scan, _ in scans])
-    return Scan(points, intensity), np.concatenate([labels for _, labels in scans])
+    rings = [scan.ring for scan, _ in scans if scan.ring is not None]
+    ring = np.concatenate(rings) if len(rings) == len(scans) else None
+    return Scan(points, intensity, ring), np.concatenate([labels for _, labels in scans])
 
 
 def choose_columns(

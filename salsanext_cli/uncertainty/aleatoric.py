@@ -5,6 +5,7 @@ import torch
 from torch import Tensor
 
 from salsanext_cli.geometry.normalise import input_variance
+from salsanext_cli.geometry.row_gaps import completed
 from salsanext_cli.inference.network import Network
 from salsanext_cli.inference.torch_engine import inference_mode
 from salsanext_cli.network.segmentation import SegmentationNetwork
@@ -35,7 +36,8 @@ def aleatoric(network: Network, image: RangeImage) -> Float:
         If the sensor does not know its noise.
     """
     mean = network.input_array(image.channels)
-    variance = input_variance(image.channels, network.sensor)[None]
+    channels = completed(image.channels, network.sensor, network.card.sensor)
+    variance = input_variance(channels, network.sensor)[None]
     with inference_mode(network.device):
         if network.engine == "openvino":
             inputs = [network.example_input()] * 2

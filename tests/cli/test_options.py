@@ -3,13 +3,15 @@
 
 import inspect
 import json
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, get_args
 
 import pytest
 from command_line import every_command, only_json, parsed
-from scans import labels_below
+from scans import SMALL, labels_below, write_weights
 
+from salsanext_cli import sensors
 from salsanext_cli.cli import options, run_options, selection_options
 from salsanext_cli.cli.console import Output
 from salsanext_cli.cli.option_groups import Default, Without, expanded
@@ -151,3 +153,42 @@ def test_shards_do_not_estimate_what_others_may_be_estimating(run, data, tmp_pat
     result = run(*call, "--weights", weights)
     assert result.exit_code == 2
     assert "run `salsanext uncertainty` first" in result.stderr
+
+
+KNOWING = {"intensity_quantiles": (0.0,) * 64 + (1.0,), "row_gaps": 0.3}
+
+
+@pytest.fixture
+def network(tmp_path):
+    """Return a function that builds settings of weights that know the scans of their training."""
+    weights = write_weights(tmp_path / "knowing.safetensors", sensor=replace(SMALL, **KNOWING))
+    return lambda **changed: options.NetworkOptions(weights=weights, **changed)
+
+
+def test_a_built_in_sensor_tells_noise_and_scale_of_intensity(network):
+    settings = network(sensor="hdl32").settings()
+    own = {"name": "hdl32", "intensity_scale": 255.0}
+    assert settings.sensor == replace(SMALL, **own, range_noise=0.02, intensity_noise=0.02)
+    assert settings.fit
+
+
+def test_images_that_are_timed_have_the_size_of_a_built_in_sensor(network):
+    settings = network(sensor="hdl32").settings(sized=True)
+    assert settings.sensor == sensors.sensor("hdl32")
+    assert not settings.fit
+    assert network().settings(sized=True) == network().settings()
+
+
+def test_a_file_tells_view_and_size(network, tmp_path):
+    (tmp_path / "own.toml").write_text("fov_up = 10\nfov_down = -10\nheight = 8\nwidth = 32\n")
+    settings = network(sensor=str(tmp_path / "own.toml")).settings()
+    seen = settings.sensor
+    assert (seen.fov_up, seen.height, seen.means) == (10, 8, SMALL.means)
+    assert not settings.fit
+
+
+def test_what_training_measured_is_not_taken_for_the_scans(network):
+    """Else scans whose columns are named would not be matched to it."""
+    named = network(columns="x,y,z,i").settings().sensor
+    assert named == replace(SMALL, columns=("x", "y", "z", "i"))
+    assert network().settings().sensor is None

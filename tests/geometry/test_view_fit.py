@@ -8,7 +8,7 @@ from scans import SMALL, make_scan
 from salsanext_cli import Scan, project
 from salsanext_cli.geometry.coverage import field_of_view_coverage
 from salsanext_cli.geometry.mounting import upright_rotation
-from salsanext_cli.geometry.view_fit import as_found, fit_view
+from salsanext_cli.geometry.view_fit import SHOWN, as_found, fit_view
 
 SCANS = [make_scan(3000, seed) for seed in range(3)]
 
@@ -25,12 +25,27 @@ def test_a_view_that_fits_is_left_alone():
 
 
 def test_another_view_is_found_and_the_image_stays():
-    narrow = replace(SMALL, fov_up=-2.0, fov_down=-12.0)
-    found = fit_view(SCANS, narrow)
+    above = replace(SMALL, fov_up=25.0, fov_down=-7.0)
+    found = fit_view(SCANS, above)
     assert (found.fov_up, found.fov_down) == pytest.approx((3, -25), abs=0.3)
     shares = [field_of_view_coverage(scan, found).share for scan in SCANS]
     assert max(shares) < 0.01
-    assert replace(found, name="small", fov_up=-2.0, fov_down=-12.0) == narrow
+    assert replace(found, name="small", fov_up=25.0, fov_down=-7.0) == above
+
+
+@pytest.mark.parametrize("extent", [5.0, 15.0, 22.0])
+def test_no_more_is_shown_than_most_points_need(extent):
+    """Else objects would be lower in the image than those of training."""
+    found = fit_view(SCANS, replace(SMALL, fov_up=30.0 + extent, fov_down=30.0))
+    elevations = [
+        np.degrees(np.arcsin(s.points[:, 2] / np.linalg.norm(s.points, axis=1))) for s in SCANS
+    ]
+    elevations = np.sort(np.concatenate(elevations))
+    count = round(SHOWN * len(elevations))
+    narrowest = min(b - a for a, b in zip(elevations, elevations[count - 1 :], strict=False))
+    assert found.fov_up - found.fov_down == pytest.approx(max(narrowest, extent), abs=0.1)
+    shares = [field_of_view_coverage(scan, found).share for scan in SCANS]
+    assert np.mean(shares) < 1 - SHOWN + 0.01
 
 
 @pytest.mark.parametrize("up", [(0, 0, -1), (0, 1, 0), (-1, 0, 0), (0, 0.6, 0.8), (0.25, 0, 0.97)])

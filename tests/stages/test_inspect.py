@@ -6,8 +6,9 @@ import pytest
 from rich.console import Console
 from scans import SMALL, make_scan, write_sequence
 
-from salsanext_cli import Scan, label_space, project, sensor
+from salsanext_cli import Scan, label_space, project, read_scan, sensor
 from salsanext_cli.errors import NoInputError
+from salsanext_cli.geometry.view_fit import fit_view
 from salsanext_cli.report.descriptions import survey_tables
 from salsanext_cli.stages.inspect import inspect, write_sensor
 from salsanext_cli.storage.point_files import write_bin
@@ -68,3 +69,37 @@ def test_scans_without_a_field_of_view_are_not_fitted(tmp_path, points, found):
     inspection = inspect(tmp_path / "scans", sensor=SMALL, fit=True)
     with pytest.raises(NoInputError, match=found):
         inspection.fitted_sensor("mine")
+
+
+def write_beams(folder, beams):
+    """Write a scan of beams, each all around at one range."""
+    azimuth, elevation = np.meshgrid(np.linspace(-np.pi, np.pi, 300), np.radians(beams))
+    flat = 20 * np.cos(elevation)
+    points = (flat * np.cos(azimuth), flat * np.sin(azimuth), 20 * np.sin(elevation))
+    points = np.stack([axis.ravel() for axis in points], 1).astype(np.float32)
+    write_bin(folder / "0.bin", Scan(points, np.zeros(len(points), np.float32)))
+    return folder
+
+
+def test_a_fit_for_images_of_its_own_has_beams_and_the_whole_view(tmp_path):
+    beams = np.array([40, 20, 8, 5, 3, 2, 1, 0, -1, -2, -3, -4, -5, -6, -8, -10, -15, -25])
+    folder = write_beams(tmp_path / "scans", beams)
+    found = inspect(folder, sensor=SMALL.resized(18, 64), fit=True)
+    own = found.fitted_sensor("own")
+    np.testing.assert_allclose(own.beams, beams, atol=0.02)
+    assert (own.fov_up, own.fov_down) == pytest.approx((40, -25), abs=0.1)
+    # Statistics are those of a row per beam.
+    assert found.total.pixels == 18 * 64
+
+
+def test_a_fit_for_the_images_of_weights_has_the_view_that_auto_takes(tmp_path):
+    folder = write_beams(tmp_path / "scans", np.linspace(40, -40, 60))
+    found = inspect(folder, sensor=SMALL, fit=True)
+    mine = found.fitted_sensor("mine", images=False)
+    auto = fit_view([read_scan(folder / "0.bin")], SMALL)
+    assert (mine.fov_up, mine.fov_down) == (auto.fov_up, auto.fov_down)
+    assert mine.fov_up - mine.fov_down < 72
+    assert found.fitted_sensor("mine").fov_up == pytest.approx(40, abs=0.1)
+    write_sensor(tmp_path / "mine.toml", mine, images=False)
+    usual = {"beams": (), "means": SMALL.means, "stds": SMALL.stds}
+    assert sensor(tmp_path / "mine.toml", SMALL) == replace(mine, **usual)

@@ -21,6 +21,7 @@ from salsanext_cli.errors import (
     WeightsError,
 )
 from salsanext_cli.geometry.intensity import intensity_quantiles
+from salsanext_cli.geometry.row_gaps import row_gaps
 from salsanext_cli.network.card import WeightsCard, read_card
 from salsanext_cli.network.registry import ARCHITECTURES
 from salsanext_cli.network.weights import save_weights
@@ -96,7 +97,8 @@ def test_a_run_folder_holds_weights_log_curve_and_recipe(dataset, tmp_path):
         project(read_scan(scan), SMALL).channels
         for scan in sorted(dataset.glob("sequences/00/*/*.bin"))
     ]
-    assert card.sensor == replace(SMALL, intensity_quantiles=intensity_quantiles(images))
+    quantiles, gaps = intensity_quantiles(images), row_gaps(images)
+    assert card.sensor == replace(SMALL, intensity_quantiles=quantiles, row_gaps=gaps)
     assert card.scores["miou"] == result.best_miou
     # A finished training has nothing left to do.
     assert go(dataset, run, progress=no_step) == result

@@ -15,7 +15,7 @@ from salsanext_cli.formats.clouds.raw_records import (
     are_float64,
     other_suffix,
 )
-from salsanext_cli.formats.columns import normalised_intensity, scan_of, unnamed_columns
+from salsanext_cli.formats.columns import normalised_intensity, ring_of, scan_of, unnamed_columns
 from salsanext_cli.formats.reading import read_values, reading, size_of
 from salsanext_cli.records import Float, Scan
 
@@ -59,6 +59,7 @@ def read_bin(path: Path, *, columns: tuple[str, ...] = (), intensity_scale: floa
         scan = Scan(
             np.ascontiguousarray(table[:, :3], np.float32),
             normalised_intensity(table[:, 3], intensity_scale),
+            ring_of(table[:, 4]) if has_ring else None,
         )
     if not are_coordinates(scan.points):
         found = "numbers that are no coordinates in metres, or no float32"

@@ -17,7 +17,7 @@ import numpy as np
 import numpy.typing as npt
 
 from salsanext_cli.errors import FormatError
-from salsanext_cli.formats.columns import Columns, scan_of
+from salsanext_cli.formats.columns import Columns, rows_as_rings, scan_of
 from salsanext_cli.formats.reading import read_values, reading, size_of
 from salsanext_cli.packages import import_open3d
 from salsanext_cli.records import Scan
@@ -50,6 +50,8 @@ class Header:
         N.
     kind : str
         One of `KINDS`.
+    height : int
+        Rows of an organised cloud, else 1.
     """
 
     names: tuple[str, ...]
@@ -57,6 +59,7 @@ class Header:
     counts: tuple[int, ...]
     points: int
     kind: str
+    height: int = 1
 
     def __post_init__(self) -> None:
         if not len(self.names) == len(self.types) == len(self.counts):
@@ -123,7 +126,9 @@ def read_pcd(path: Path, *, intensity_scale: float = 1.0) -> Scan:
                     columns = _read_compressed(file, header)
         except ValueError as error:
             raise FormatError(path, shortened(str(error)), "a whole PCD file") from error
-    return scan_of(columns, path, intensity_scale)
+    # Without columns, points take no room, however many there are.
+    rings = rows_as_rings(header.points, header.height) if columns else {}
+    return scan_of({**rings, **columns}, path, intensity_scale)
 
 
 def _read_ascii(file: BinaryIO, header: Header) -> Columns:
@@ -197,6 +202,7 @@ def _read_header(file: BinaryIO) -> Header:
             tuple(_number(count) for count in counts),
             math.prod(map(_number, points)),
             entries["DATA"][0].lower(),
+            _number(entries.get("HEIGHT", ["1"])[0]),
         )
     except (KeyError, IndexError) as error:
         raise ValueError(f"a PCD header without a usable {error}") from error

@@ -12,7 +12,7 @@ from threading import Lock
 from typing import BinaryIO
 
 from salsanext_cli.errors import FormatError
-from salsanext_cli.formats.columns import Columns
+from salsanext_cli.formats.columns import Columns, rows_as_rings
 from salsanext_cli.formats.reading import reading, size_of
 from salsanext_cli.packages import import_extra
 from salsanext_cli.settings_files import shortened
@@ -86,6 +86,7 @@ class OusterRecording:
             distances = frame.field("RANGE")
             points = XYZLut(frame.sensor_info)(distances) * (distances > 0)[..., None]
             columns = {axis: points[..., n].ravel() for n, axis in enumerate("xyz")}
+            columns |= rows_as_rings(distances.size, len(distances))
             return columns | {"reflectivity": frame.field("REFLECTIVITY").ravel()}
 
 

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from salsanext_cli.errors import FormatError
-from salsanext_cli.formats.columns import Columns
+from salsanext_cli.formats.columns import Columns, rows_as_rings
 
 POINT_CLOUD2 = "sensor_msgs/msg/PointCloud2"
 TYPES = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 8: "f8"}
@@ -27,7 +27,8 @@ def columns_of(message: Any, path: Path) -> Columns:
     Returns
     -------
     dict of str to (N,) array
-        By the field's name; of two of one name, the first.
+        By the field's name; of two of one name, the first. The row of an organised cloud is its
+        ring, unless a field says otherwise.
 
     Raises
     ------
@@ -45,7 +46,9 @@ def columns_of(message: Any, path: Path) -> Columns:
     data = np.asarray(message.data, np.uint8)
     if height == 0 or width == 0:
         return {name: np.empty(0, order + kind) for name, (kind, _) in types.items()}
-    return {
+    # Without fields, points take no room, however many there are.
+    rings = rows_as_rings(height * width, height) if types else {}
+    return rings | {
         name: np.ndarray((height, width), order + kind, data, offset, (row, step)).ravel()
         for name, (kind, offset) in types.items()
     }

@@ -64,6 +64,9 @@ def clouds(draw):
 @given(clouds())
 def test_any_layout_is_read_as_value_by_value(message):
     expected = slow_columns(message)
+    if message.height > 1 and message.width > 0 and expected:
+        rows = [row for row in range(message.height) for _ in range(message.width)]
+        expected = {"ring": rows} | expected
     columns = columns_of(message, PATH)
     assert columns.keys() == expected.keys()
     for name, values in columns.items():
@@ -92,6 +95,11 @@ def test_a_single_row_may_have_any_length_and_a_field_of_several_values_is_passe
     old = SimpleNamespace(name="i", offset=0, datatype=2, count=0)
     columns = columns_of(message(row_step=0, fields=[several, old]), PATH)
     assert [*columns] == ["i"]
+
+
+def test_points_without_fields_take_no_room():
+    changed = {"height": 200, "width": 10**12, "point_step": 0, "row_step": 0, "fields": []}
+    assert columns_of(message(**changed), PATH) == {}
 
 
 @pytest.mark.parametrize(
