@@ -29,6 +29,8 @@ STEP_OF_HEIGHT_M, STEP_M, LAST_STEP_M = 0.05, 0.25, 0.01
 MIN_SHARPNESS = 1.4
 """Least sharpness of a comb: real sensors of 32 to 128 beams had 1.8 to 20 at their place, and
 clouds of no single sensor, or of a Livox, 1.1 anywhere."""
+MUCH_SHARPER = 1.2
+"""Factor by which a comb is sharper than that of the origin, if the sensor is not there."""
 MIN_POINTS = 1000
 
 
@@ -60,9 +62,12 @@ def find_origin(points: Float) -> tuple[float, float, float] | None:
     while step > LAST_STEP_M:
         place = _sharpest(near, place + step * _grid(*[(-1, 0, 1)] * 3))
         step /= 2
+    sharpest = sharpness(near, place)
+    if sharpest < MUCH_SHARPER * sharpness(near, np.zeros(3)):
+        place = np.zeros(3)
     x, y, z = place.tolist()
     inside = LENGTHS_M[0] < x < LENGTHS_M[1] and WIDTHS_M[0] < y < WIDTHS_M[1]
-    return (x, y, z) if inside and sharpness(near, place) > MIN_SHARPNESS else None
+    return (x, y, z) if inside and sharpest > MIN_SHARPNESS else None
 
 
 def _steps(edges: tuple[float, float]) -> Double:
