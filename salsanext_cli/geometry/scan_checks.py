@@ -13,6 +13,7 @@ import numpy as np
 
 from salsanext_cli.errors import FormatError
 from salsanext_cli.geometry.coverage import LARGEST_SHARE_OUTSIDE, FieldOfViewCoverage
+from salsanext_cli.geometry.intensity import NO_INTENSITY, without_intensity
 from salsanext_cli.geometry.mounting import in_sensor_frame
 from salsanext_cli.geometry.mounting_fit import HEIGHTS_M, MAX_POINTS, MAX_TILT_DEG, ground_of
 from salsanext_cli.geometry.ranges import measured_ranges
@@ -28,12 +29,13 @@ SECTORS = 64
 MIN_SECTORS = 0.6
 """Least share of the directions around with a point; revolutions had 0.89 or more."""
 INTENSITY_FACTOR = 4.0
-"""Largest factor between the upper intensities of the scan and of training."""
+"""Largest factor between the upper intensities of the scan and of those it is compared with."""
 BRIGHT = 0.95
 """Quantile of the upper intensities."""
 MAX_USUAL_INTENSITY = 2.0
 """Largest upper intensity of the scale 0…1, where that of training is not known."""
 FIT = "--sensor auto, or `salsanext inspect SCANS --fit sensor.toml` and --sensor sensor.toml"
+NAME_IT = "if the files hold one, name its column, such as --columns x,y,z,_,intensity"
 ORIGIN = (
     "if it is not the sensor's, --sensor auto, or `origin` in a sensor file; else train weights"
 )
@@ -141,21 +143,25 @@ def _share_of_sectors(image: RangeImage) -> float:
 
 
 def _of_intensity(scan: Scan, sensor: Sensor, trained: Sensor) -> Iterator[Finding]:
-    values, quantiles = scan.intensity, trained.intensity_quantiles
+    """Compare with the scans that it is matched with, else with training, else with 0 to 1."""
     matched = sensor.intensity_quantiles
-    if values.min() == values.max():
-        given = "the mean of training stands for it" if matched else "the network expects one"
-        yield Finding("no-intensity", f"no intensity: {given}", "labels are worse without one")
+    if reason := without_intensity(in_sensor_frame(scan, sensor).points, scan.intensity):
+        found = reason if matched else f"{reason}; the network takes it as it is"
+        remedy = "--intensity none" if trained.intensity_quantiles and not matched else NAME_IT
+        yield Finding("no-intensity", found, remedy)
         return
-    if matched:
+    quantiles = matched or trained.intensity_quantiles
+    if matched == NO_INTENSITY:
         return
-    bright = float(np.nanquantile(values[:: max(1, len(values) // MAX_POINTS)], BRIGHT))
-    usual = quantiles[round(BRIGHT * (len(quantiles) - 1))] if quantiles else None
-    if usual is None:
-        doubtful, of = bright > MAX_USUAL_INTENSITY, "where 0 to 1 is usual"
-    else:
+    bright = float(np.nanquantile(scan.intensity[:: max(1, len(scan) // MAX_POINTS)], BRIGHT))
+    if quantiles:
+        usual = quantiles[round(BRIGHT * (len(quantiles) - 1))]
         doubtful = not usual / INTENSITY_FACTOR <= bright <= usual * INTENSITY_FACTOR
-        of = f"and {usual:.2g} in training"
+        of = f"and {usual:.2g} in {'the scans fitted to' if matched else 'training'}"
+    else:
+        doubtful, of = bright > MAX_USUAL_INTENSITY, "where 0 to 1 is usual"
     if doubtful:
         found = f"{BRIGHT:.0%} of the intensities are below {bright:.3g}, {of}"
-        yield Finding("intensity-scale", found, "--intensity auto, or the sensor's intensity_scale")
+        scale = "set intensity_scale in a file for --sensor"
+        remedy = f"run it apart, or {scale}" if matched else f"--intensity auto, or {scale}"
+        yield Finding("intensity-scale", found, remedy)

@@ -127,7 +127,7 @@ class Network:
         The intensity is matched to that of training where both sensors know their quantiles.
         """
         own, trained = (s.intensity_quantiles for s in (self.sensor, self.card.sensor))
-        if own and trained and own != trained:
+        if own and trained:
             channels = match_intensity(channels, own, trained)
         return normalise(channels, self.sensor)[None]
 

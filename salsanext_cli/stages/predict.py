@@ -27,7 +27,7 @@ from salsanext_cli.records import CHANNELS, Float, RangeImage
 from salsanext_cli.sensors import Sensor
 from salsanext_cli.storage.layout import ScanFile, output_path, with_outputs
 from salsanext_cli.storage.output_run import OutputRun, output_run
-from salsanext_cli.storage.selection import ScanSelection, choose, select_scans, space_of
+from salsanext_cli.storage.selection import ScanSelection, choose, scans_of, space_of
 from salsanext_cli.storage.sources import recorded_scans
 from salsanext_cli.storage.stage_records import earlier_sensor, stage_settings
 
@@ -142,9 +142,10 @@ def predict_scans(
     if batch is not None and batch < 1:
         raise UsageError("--batch", str(batch), "at least 1, or auto")
     loaded = network.load()
-    scans = select_scans(source, selection, loaded.card.space)
+    found = scans_of(source)
+    scans = choose(found, selection, space_of(found, loaded.card.space), source)
     earlier = earlier_sensor(out, loaded.sha256, options.overwrite)
-    loaded = fitted(network, loaded, scans, earlier)
+    loaded = fitted(network, loaded, found, earlier)
     temperature = loaded.card.temperature
     settings = network.record(loaded) | {"temperature": temperature, "knn": asdict(knn)}
     summary = RunSummary.of_scans(scans, loaded.sensor, loaded.card.space)
@@ -204,13 +205,13 @@ def predict_range_images(
     """
     loaded = network.load()
     projected = projected_sensor(folder)
-    if network.fit and projected is not None:
+    if network.fits_view and projected is not None:
         loaded = with_sensor(loaded, fitted_view([], loaded.sensor, projected))
     loaded = with_sensor(loaded, _sensor_of_images(folder, projected, loaded.sensor))
-    scans = with_outputs(recorded_scans(folder), folder, "range")
-    scans = choose(scans, selection, space_of(scans, loaded.card.space), folder)
+    found = with_outputs(recorded_scans(folder), folder, "range")
+    scans = choose(found, selection, space_of(found, loaded.card.space), folder)
     loaded = fitted(
-        *(network, loaded, scans, earlier_sensor(out, loaded.sha256, options.overwrite)),
+        *(network, loaded, found, earlier_sensor(out, loaded.sha256, options.overwrite)),
         lambda file: range_image(file, folder, loaded.sensor)[1],
     )
     settings, folders = network.record(loaded), ("pixel_labels",)

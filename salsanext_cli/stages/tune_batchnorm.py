@@ -21,7 +21,7 @@ from salsanext_cli.inference.settings import NetworkSettings
 from salsanext_cli.network.weights import save_with_card
 from salsanext_cli.parallel.run import Progress
 from salsanext_cli.storage.atomic import require_target
-from salsanext_cli.storage.layout import ScanFile
+from salsanext_cli.storage.layout import ScanFile, find_scans
 from salsanext_cli.storage.selection import ScanSelection, select_evenly
 from salsanext_cli.training.tuning.batch_norm import Statistics, norms, statistics_of_scan
 
@@ -80,7 +80,7 @@ def tune_batchnorm(
         raise WeightsError(network.path, "its network has no batch norm", "one with batch norm")
     scans = select_evenly(source, selection, loaded.card.space)
     require_target(target, overwrite)
-    loaded = fitted(network, loaded, scans)
+    loaded = fitted(network, loaded, find_scans(source))
     network.announce(loaded)
     old = {name: Statistics.kept_by(layer) for name, layer in layers.items()}
     pooled: dict[str, Statistics] = {}

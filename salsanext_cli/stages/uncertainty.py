@@ -25,7 +25,7 @@ from salsanext_cli.sensors import Sensor, presets
 from salsanext_cli.storage.identity import fingerprint
 from salsanext_cli.storage.layout import ScanFile, find_outputs, output_path
 from salsanext_cli.storage.output_run import OutputRun, output_run
-from salsanext_cli.storage.selection import ScanSelection, select_scans
+from salsanext_cli.storage.selection import ScanSelection, choose, scans_of, space_of
 from salsanext_cli.storage.stage_records import (
     as_json,
     earlier_sensor,
@@ -117,9 +117,10 @@ def uncertainty(
         If nothing can be done at all; failures of single scans are in the outcome.
     """
     loaded = network.load()
-    scans = select_scans(source, selection, loaded.card.space)
+    found = scans_of(source)
+    scans = choose(found, selection, space_of(found, loaded.card.space), source)
     earlier = earlier_sensor(out, loaded.sha256, options.overwrite)
-    loaded = fitted(network, loaded, scans, earlier)
+    loaded = fitted(network, loaded, found, earlier)
     return uncertainty_of(scans, out, network, options, loaded, knn=knn, estimator=estimator)
 
 

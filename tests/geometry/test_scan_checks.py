@@ -10,6 +10,7 @@ from salsanext_cli import Scan, project
 from salsanext_cli.errors import FormatError
 from salsanext_cli.formats import SCAN_SUFFIXES, read_scan
 from salsanext_cli.geometry.coverage import field_of_view_coverage
+from salsanext_cli.geometry.intensity import NO_INTENSITY, intensity_quantiles
 from salsanext_cli.geometry.scan_checks import check_scan
 from salsanext_cli.geometry.view_fit import fit_view
 from salsanext_cli.sensors import INTENSITY_LEVELS, sensor
@@ -61,6 +62,8 @@ def test_a_scan_without_a_measurement_is_an_error(value):
         (moved(shift=(0, 0, 1.2)), "height"),
         (Scan(STREET.points[AHEAD], STREET.intensity[AHEAD]), "part-of-circle"),
         (Scan(STREET.points, np.zeros_like(STREET.intensity)), "no-intensity"),
+        (Scan(STREET.points, np.linalg.norm(STREET.points, axis=1)), "no-intensity"),
+        (Scan(STREET.points, np.full_like(STREET.intensity, np.nan)), "no-intensity"),
         (Scan(STREET.points, STREET.intensity * 255), "intensity-scale"),
         (Scan(STREET.points, STREET.intensity / 80), "intensity-scale"),
     ],
@@ -75,8 +78,12 @@ def test_points_out_of_view_are_doubtful():
 
 def test_what_was_matched_is_of_no_doubt():
     bright = Scan(STREET.points, STREET.intensity * 255)
-    assert codes(bright, TRAINED) == []
+    own = replace(SMALL, intensity_quantiles=tuple(255 * value for value in QUANTILES))
+    assert codes(bright, own) == []
     assert codes(bright, trained=None) == []
+    # Matched with scans of another scale, as in a folder that holds their results.
+    assert codes(bright, TRAINED) == codes(STREET, own) == ["intensity-scale"]
+    assert codes(bright, replace(SMALL, intensity_quantiles=NO_INTENSITY)) == []
     assert codes(bright, trained=SMALL) == ["intensity-scale"]
     assert codes(STREET, trained=SMALL) == []
 
@@ -99,7 +106,9 @@ def test_no_real_scan_is_doubted_without_reason(real_data):
     found = {}
     for path in scans[::3]:
         scan = read_scan(path)
-        own = replace(fit_view([scan], trained), intensity_quantiles=QUANTILES)
+        view = fit_view([scan], trained)
+        quantiles = intensity_quantiles([project(scan, view).channels])
+        own = replace(view, intensity_quantiles=quantiles)
         if set(told := codes(scan, own, trained)) - {"no-intensity"}:
             found[path.stem] = told
     assert found.items() <= KNOWN.items()
