@@ -12,6 +12,10 @@ from salsanext_cli.sensors import INTENSITY_LEVELS
 
 DIGITS = 6
 """Significant digits of a quantile."""
+BRIGHT = 0.95
+"""Quantile of the upper intensities, which tell the scale."""
+INTENSITY_FACTOR = 4.0
+"""Largest factor between the upper intensities of scans of one scale."""
 NO_INTENSITY = (0.0,) * INTENSITY_LEVELS
 """Quantiles that stand for scans without intensity: everything is mapped to the mean."""
 MIN_PIXELS = 1000
@@ -104,10 +108,10 @@ def dependence(ranks: npt.NDArray[np.int64], on: npt.NDArray[np.number]) -> floa
 
 
 def intensity_quantiles(images: Iterable[Float]) -> tuple[float, ...]:
-    """Return the quantiles of intensity, of each level the median of those of the range images.
+    """Return the quantiles of intensity, the mean of those of each range image.
 
-    Images without intensity do not count, nor do those of fewer than `MIN_PIXELS` pixels beside
-    larger ones, so that a few odd scans leave the result as it is.
+    Images of another scale than most, without intensity, and of fewer than `MIN_PIXELS` pixels
+    do not count beside others, so that a few odd scans leave the result as it is.
 
     Parameters
     ----------
@@ -128,10 +132,12 @@ def intensity_quantiles(images: Iterable[Float]) -> tuple[float, ...]:
         return NO_INTENSITY
     enough = [values for values in known if len(values) >= MIN_PIXELS] or known
     levels = np.linspace(0, 1, INTENSITY_LEVELS)
-    each = np.sort([np.quantile(values, levels) for values in enough], axis=0)
-    # Of an even number the lower of both: between two scales there is none.
-    middle = each[(len(each) - 1) // 2]
-    return tuple(float(f"{value:.{DIGITS}g}") for value in middle)
+    each = np.array([np.quantile(values, levels) for values in enough])
+    upper = each[:, round(BRIGHT * (INTENSITY_LEVELS - 1))]
+    usual = np.sort(upper)[len(upper) // 2]
+    if usual > 0:  # Decibels have no factors.
+        each = each[(upper * INTENSITY_FACTOR >= usual) & (upper <= usual * INTENSITY_FACTOR)]
+    return tuple(float(f"{value:.{DIGITS}g}") for value in each.mean(axis=0))
 
 
 def match_intensity(channels: Float, source: Sequence[float], target: Sequence[float]) -> Float:

@@ -13,7 +13,12 @@ import numpy as np
 
 from salsanext_cli.errors import FormatError
 from salsanext_cli.geometry.coverage import LARGEST_SHARE_OUTSIDE, FieldOfViewCoverage
-from salsanext_cli.geometry.intensity import NO_INTENSITY, without_intensity
+from salsanext_cli.geometry.intensity import (
+    BRIGHT,
+    INTENSITY_FACTOR,
+    NO_INTENSITY,
+    without_intensity,
+)
 from salsanext_cli.geometry.mounting import in_sensor_frame
 from salsanext_cli.geometry.mounting_fit import HEIGHTS_M, MAX_POINTS, MAX_TILT_DEG, ground_of
 from salsanext_cli.geometry.ranges import measured_ranges
@@ -28,10 +33,6 @@ UPSIDE_DOWN_DEG = 155.0
 SECTORS = 64
 MIN_SECTORS = 0.6
 """Least share of the directions around with a point; revolutions had 0.89 or more."""
-INTENSITY_FACTOR = 4.0
-"""Largest factor between the upper intensities of the scan and of those it is compared with."""
-BRIGHT = 0.95
-"""Quantile of the upper intensities."""
 MAX_USUAL_INTENSITY = 2.0
 """Largest upper intensity of the scale 0…1, where that of training is not known."""
 FIT = "--sensor auto, or `salsanext inspect SCANS --fit sensor.toml` and --sensor sensor.toml"
@@ -156,7 +157,8 @@ def _of_intensity(scan: Scan, sensor: Sensor, trained: Sensor) -> Iterator[Findi
     bright = float(np.nanquantile(scan.intensity[:: max(1, len(scan) // MAX_POINTS)], BRIGHT))
     if quantiles:
         usual = quantiles[round(BRIGHT * (len(quantiles) - 1))]
-        doubtful = not usual / INTENSITY_FACTOR <= bright <= usual * INTENSITY_FACTOR
+        near = usual / INTENSITY_FACTOR <= bright <= usual * INTENSITY_FACTOR
+        doubtful = usual > 0 and not near  # Decibels have no factors.
         of = f"and {usual:.2g} in {'the scans fitted to' if matched else 'training'}"
     else:
         doubtful, of = bright > MAX_USUAL_INTENSITY, "where 0 to 1 is usual"
