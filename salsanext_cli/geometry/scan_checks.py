@@ -37,8 +37,8 @@ MAX_USUAL_INTENSITY = 2.0
 """Largest upper intensity of the scale 0…1, where that of training is not known."""
 FIT = "--sensor auto, or `salsanext inspect SCANS --fit sensor.toml` and --sensor sensor.toml"
 NAME_IT = (
-    "if the files hold one, name its column, --columns x,y,z,_,intensity for example, or its scale, "
-    "intensity_scale in a file for --sensor"
+    "if the files hold one, name its column, --columns x,y,z,_,intensity for example, or its "
+    "scale, intensity_scale in a file for --sensor"
 )
 ORIGIN = (
     "if it is not the sensor's, --sensor auto, or `origin` in a sensor file; else train weights"
