@@ -25,8 +25,10 @@ from salsanext_cli.storage.layout import find_scans
 WIDTH_PX, QUALITY = 1000, 80
 """Size of a picture, so that twenty of them stay small."""
 WAYS = {
-    "as it is: --intensity raw, the view of the weights": NetworkSettings(),
-    "default: --intensity auto --sensor auto": NetworkSettings(fit=True, intensity="auto"),
+    "as it is: --intensity raw, the view of the weights": NetworkSettings(
+        fit=False, intensity="raw"
+    ),
+    "default: --intensity auto --sensor auto": NetworkSettings(),
 }
 
 

@@ -66,7 +66,7 @@ def mean_iou(dataset: Path, out: Path, weights: Path, knn: KnnParameters) -> flo
     predict_scans(
         dataset,
         out,
-        network=NetworkSettings(weights),
+        network=NetworkSettings(weights, fit=False, intensity="raw"),
         knn=knn,
         selection=selection,
         options=options,

@@ -1,12 +1,14 @@
 # SPDX-License-Identifier: MIT
 """Measure on labelled scans the gain of `salsanext tune batchnorm` on scans like them.
 
-Adapts to every second scan without using its labels, scores the others, and the reverse.
+Adapts to every second scan without using its labels, scores the others, and the reverse. View and
+intensity of the scans stay as they are.
 
 Run: python examples/adapt_batchnorm.py dataset/ [hdl64 weights.safetensors [0.1 0.3 1.0]]
 """
 
 import sys
+from dataclasses import replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
@@ -52,12 +54,12 @@ def main(dataset: str, sensor_name: str = "", weights: str = "", *shares: str) -
         with TemporaryDirectory() as folder:
             halves = [link(scans[i::2], Path(folder) / f"half{i}") for i in (0, 1)]
             for number, (adapting, scoring) in enumerate((halves, halves[::-1])):
-                network = NetworkSettings(before, sensor=own)
+                network = NetworkSettings(before, sensor=own, fit=False, intensity="raw")
                 if share:
                     adapted = Path(folder) / f"{number}.safetensors"
                     tune_batchnorm(adapting, adapted, network=network, share=share)
                     # The adapted weights know their sensor.
-                    network = NetworkSettings(adapted)
+                    network = replace(network, weights=adapted, sensor=None)
                 total += count(scoring, Path(folder) / f"out{number}", network, space)
         found = scores(total, space)
         print(f"{share:5.2f}  {100 * found.iou_mean_present:6.1f}  {100 * found.accuracy:10.1f}")

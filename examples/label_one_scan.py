@@ -14,7 +14,7 @@ import salsanext_cli as sn
 
 def main(scan_file: str, weights: str | None = None) -> None:
     scan = sn.read_scan(scan_file)
-    network = sn.load_network(weights)
+    network = sn.fit_network(sn.load_network(weights), [scan])
     image = sn.project(scan, network.sensor)
     probabilities = network.probabilities(image)
     labels = sn.knn_refine(image, probabilities.argmax(axis=0), len(probabilities))

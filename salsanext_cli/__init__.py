@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from salsanext_cli.geometry.projection import project
     from salsanext_cli.inference.loading import load_network
     from salsanext_cli.inference.network import Network
+    from salsanext_cli.inference.scan_fit import fit_network
     from salsanext_cli.records import RangeImage, Scan
     from salsanext_cli.sensors import Sensor, sensor
     from salsanext_cli.storage.point_files import write_labels, write_ply
@@ -38,6 +39,7 @@ __all__ = [
     "SalsanextError",
     "Scan",
     "Sensor",
+    "fit_network",
     "knn_refine",
     "label_space",
     "load_network",
@@ -59,6 +61,7 @@ _HOMES = {
     "geometry.projection": ("project",),
     "inference.loading": ("load_network",),
     "inference.network": ("Network",),
+    "inference.scan_fit": ("fit_network",),
     "records": ("RangeImage", "Scan"),
     "sensors": ("Sensor", "sensor"),
     "storage.point_files": ("write_labels", "write_ply"),

@@ -3,14 +3,20 @@
 
 import ast
 import importlib
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 from command_line import python
-from scans import SMALL, make_scan
+from scans import SMALL, labels_below, make_scan, write_weights
+from typer.testing import CliRunner
 
 import salsanext_cli as sn
+from salsanext_cli.cli.app import app
+from salsanext_cli.inference.settings import NetworkSettings
+from salsanext_cli.sensors import INTENSITY_LEVELS
+from salsanext_cli.stages.predict import predict_scans
 from salsanext_cli.storage.point_files import write_bin
 
 NAMES = [name for name in sn.__all__ if not name.startswith("__")]
@@ -75,3 +81,54 @@ def test_the_sample_of_the_design_runs(tmp_path, monkeypatch, weights):
     assert labels.dtype == np.uint8
     raw = sn.label_space().to_raw(labels)
     np.testing.assert_array_equal(sn.label_space().to_train(raw), labels)
+
+
+@pytest.fixture
+def other_sensor(tmp_path, monkeypatch):
+    """Return a folder of scans of bytes, upside down, for weights that know their intensity."""
+    monkeypatch.chdir(tmp_path)
+    known = replace(SMALL, intensity_quantiles=tuple(np.linspace(0, 1, INTENSITY_LEVELS) ** 2))
+    write_weights(Path("weights.safetensors"), sensor=known)
+    for number in range(3):
+        scan = make_scan(4000, number)
+        turned = scan.points * np.float32([1, -1, -1])
+        write_bin(Path(f"scans/{number}.bin"), sn.Scan(turned, np.floor(255 * scan.intensity)))
+    return Path("scans")
+
+
+def test_python_labels_as_the_command_line_does(other_sensor, tmp_path):
+    options = ["--weights", "weights.safetensors", "--device", "cpu", "--quiet"]
+    typed = CliRunner().invoke(app, ["predict", "scans", "out", *options])
+    assert typed.exit_code == 0, typed.output
+    expected = labels_below(tmp_path / "out")
+
+    stage = NetworkSettings(Path("weights.safetensors"), "cpu")
+    predict_scans(other_sensor, tmp_path / "stage", network=stage)
+    assert labels_below(tmp_path / "stage") == expected
+
+    scans = [sn.read_scan(path) for path in sorted(other_sensor.iterdir())]
+    plain = sn.load_network("weights.safetensors", device="cpu")
+    differing = 0
+    for source in (other_sensor, "scans", scans):
+        network = sn.fit_network(plain, source)
+        for scan, raw in zip(scans, expected.values(), strict=True):
+            image = sn.project(scan, network.sensor)
+            labels = sn.knn_refine(image, network.probabilities(image).argmax(0))
+            assert network.card.space.to_raw(labels).astype("<u4").tobytes() == raw
+            unfitted = sn.project(scan, plain.sensor)
+            others = sn.knn_refine(unfitted, plain.probabilities(unfitted).argmax(0))
+            differing += int((others != labels).sum())
+    assert differing
+
+
+def test_a_fit_may_leave_view_or_intensity(other_sensor):
+    plain = sn.load_network("weights.safetensors", device="cpu")
+    fitted = sn.fit_network(plain, other_sensor)
+    assert fitted.sensor.up == pytest.approx((0, 0, -1), abs=0.01)
+    assert fitted.sensor.intensity_quantiles[-1] == pytest.approx(254, abs=2)
+    kept = sn.fit_network(plain, other_sensor, view=False)
+    assert kept.sensor.view() == plain.sensor.view()
+    raw = sn.fit_network(plain, other_sensor, intensity="raw")
+    assert raw.sensor == replace(fitted.sensor, intensity_quantiles=())
+    with pytest.raises(sn.SalsanextError, match="nowhere · no such file"):
+        sn.fit_network(plain, "nowhere")

@@ -1,10 +1,12 @@
 # SPDX-License-Identifier: MIT
-"""Intensities on the scale of another sensor: each quantile becomes the other's."""
+"""Intensities: whether they are any, and on the scale of another sensor, quantile by quantile."""
 
 from collections.abc import Iterable, Sequence
 
 import numpy as np
+import numpy.typing as npt
 
+from salsanext_cli.geometry.ranges import LARGEST, measured_ranges
 from salsanext_cli.records import Float
 from salsanext_cli.sensors import INTENSITY_LEVELS
 
@@ -14,31 +16,123 @@ BRIGHT = 0.95
 """Quantile of the upper intensities, which tell the scale."""
 INTENSITY_FACTOR = 4.0
 """Largest factor between the upper intensities of scans of one scale."""
+NO_INTENSITY = (0.0,) * INTENSITY_LEVELS
+"""Quantiles that stand for scans without intensity: everything is mapped to the mean."""
+MIN_PIXELS = 1000
+"""Fewest pixels of a scan whose quantiles count, unless all scans have fewer."""
+SAMPLE = 1024
+"""Points of a scan that are looked at; few, so that neighbours in the sample are no neighbours."""
+MIN_POINTS = 100
+"""Fewest points with an intensity of which something is said."""
+LARGEST_UNUSABLE = 0.05
+"""Largest share of points without a usable intensity; real scans had none."""
+LARGEST_EQUAL = 0.95
+"""Largest share of points of the same intensity; real scans had 0.16 or less."""
+LARGEST_DEPENDENCE = 0.8
+"""Largest `dependence` of an intensity on range, elevation, azimuth or order of the points: real
+ones had 0.51 or less, columns of ranges, rings and times 0.95 or more."""
+
+
+def without_intensity(points: Float, intensity: Float) -> str:
+    """Say why the intensities of a scan tell nothing about its surfaces; nothing if they do.
+
+    Parameters
+    ----------
+    points : (N, 3) float32
+        Metres, in the frame of the sensor, in the order of the file.
+    intensity : (N,) float32
+        Of any scale; NaN, infinity and values beyond `LARGEST` are unusable.
+    """
+    drawn = _drawn(len(points))
+    points, intensity = points[drawn], intensity[drawn]
+    ranges, measured = measured_ranges(points)
+    usable = measured & (np.abs(intensity) <= LARGEST)
+    if not measured.any():
+        return ""
+    unusable = 1 - usable.sum() / measured.sum()
+    if unusable > LARGEST_UNUSABLE:
+        return f"{unusable:.0%} of the points have no intensity: NaN or above {LARGEST:g}"
+    values, ranges = intensity[usable], ranges[usable]
+    equal = np.unique(values, return_counts=True)[1].max() / len(values)
+    if equal == 1:
+        return "no intensity: all points have the same"
+    if equal > LARGEST_EQUAL:
+        return f"no intensity: {equal:.0%} of the points have the same"
+    if len(values) < MIN_POINTS:
+        return ""
+    x, y, z = points[usable].T
+    others = {
+        "range": ranges,
+        "elevation": z / ranges,
+        "azimuth": np.arctan2(y, x),
+        "order": np.arange(len(values)),
+    }
+    ranks = _ranks(values)
+    found = {name: dependence(ranks, other) for name, other in others.items()}
+    most = max(found, key=lambda name: found[name])
+    if found[most] > LARGEST_DEPENDENCE:
+        return f"no intensity: its values follow the {most} of the points"
+    return ""
+
+
+def _drawn(count: int) -> npt.NDArray[np.int64]:
+    """Return up to `SAMPLE` places of as many points, sorted, drawn alike for equal counts."""
+    if count <= SAMPLE:
+        return np.arange(count)
+    return np.sort(np.random.default_rng(0).integers(0, count, SAMPLE))
+
+
+def _ranks(values: Float) -> npt.NDArray[np.int64]:
+    """Return how many of the values (N,) are up to each, and how many from it on, (2, N)."""
+    ordered, count = np.sort(values), len(values)
+    below = np.searchsorted(ordered, values, "left")
+    return np.stack([np.searchsorted(ordered, values, "right"), count - below])
+
+
+def dependence(ranks: npt.NDArray[np.int64], on: npt.NDArray[np.number]) -> float:
+    """Return how far values, not all equal, are a function of others (N,), of whatever form.
+
+    Chatterjee's coefficient (arXiv 1909.10140), about 0 for independent values and 1 for a
+    function: 1 - N Σ |r(i+1) - r(i)| / (2 Σ l(i) (N - l(i))), the values ordered by the others.
+
+    Parameters
+    ----------
+    ranks : (2, N) int64
+        For each value the number of those up to it, r, and of those from it on, l.
+    on : (N,)
+        The others.
+    """
+    (up_to, from_on), count = ranks, len(on)
+    steps = np.abs(np.diff(up_to[np.argsort(on, kind="stable")])).sum()
+    return float(1 - count * steps / (2 * (from_on * (count - from_on)).sum()))
 
 
 def intensity_quantiles(images: Iterable[Float]) -> tuple[float, ...]:
     """Return the quantiles of intensity, the mean of those of each range image.
 
-    Images of another scale than most, and without intensity, do not count beside others.
+    Images of another scale than most, without intensity, and of fewer than `MIN_PIXELS` pixels
+    do not count beside others, so that a few odd scans leave the result as it is.
 
     Parameters
     ----------
     images : iterable of (5, H, W) float32
-        Channels; pixels of range 0 are empty and do not count, nor do images without any others.
+        Channels; pixels of range 0 are empty and do not count.
 
     Returns
     -------
-    tuple of `INTENSITY_LEVELS` floats, or none without a pixel
-        From the smallest to the largest value.
+    tuple of `INTENSITY_LEVELS` floats
+        From the smallest to the largest value; `NO_INTENSITY` if no image has an intensity, empty
+        if none has a pixel.
     """
-    levels = np.linspace(0, 1, INTENSITY_LEVELS)
-    occupied = [channels[4][channels[0] > 0] for channels in images]
-    found = [np.quantile(values, levels) for values in occupied if len(values)]
-    if not found:
+    seen = [_pixels(channels, np.flatnonzero(channels[0] > 0)) for channels in images]
+    if not any(len(values) for _, values in seen):
         return ()
-    each = np.array(found)
-    varied = each[:, -1] > each[:, 0]
-    each = each[varied] if varied.any() else each
+    known = [v for points, v in seen if len(v) and not without_intensity(points, v)]
+    if not known:
+        return NO_INTENSITY
+    enough = [values for values in known if len(values) >= MIN_PIXELS] or known
+    levels = np.linspace(0, 1, INTENSITY_LEVELS)
+    each = np.array([np.quantile(values, levels) for values in enough])
     upper = each[:, round(BRIGHT * (INTENSITY_LEVELS - 1))]
     usual = np.sort(upper)[len(upper) // 2]
     if usual > 0:  # Decibels have no factors.
@@ -49,8 +143,8 @@ def intensity_quantiles(images: Iterable[Float]) -> tuple[float, ...]:
 def match_intensity(channels: Float, source: Sequence[float], target: Sequence[float]) -> Float:
     """Return a range image with the quantiles of its intensity mapped to others, linearly between.
 
-    A value at which several quantiles lie becomes the mean of theirs: so a scan without intensity,
-    0 everywhere, gets the mean of the target.
+    A value at which several quantiles lie becomes the mean of theirs; `NO_INTENSITY` makes
+    everything the mean of the target. So is an image `without_intensity`, whatever the source.
 
     Parameters
     ----------
@@ -62,11 +156,22 @@ def match_intensity(channels: Float, source: Sequence[float], target: Sequence[f
     Returns
     -------
     (5, H, W) float32
-        A new array.
+        A new array, unless nothing changes.
     """
+    occupied = np.flatnonzero(channels[0] > 0)
+    if without_intensity(*_pixels(channels, occupied[_drawn(len(occupied))])):
+        source = NO_INTENSITY
+    elif source == target:
+        return channels
     values, place = np.unique(np.asarray(source), return_inverse=True)
     wanted = np.bincount(place, target) / np.bincount(place)
     matched = channels.copy()
     matched[4] = np.interp(channels[4], values, wanted)
     matched[4][channels[0] <= 0] = 0
     return matched
+
+
+def _pixels(channels: Float, chosen: npt.NDArray[np.int64]) -> tuple[Float, Float]:
+    """Return points (M, 3) and intensities (M,) of pixels, chosen by their flat index."""
+    flat = channels.reshape(len(channels), -1)
+    return flat[1:4, chosen].T, flat[4, chosen]

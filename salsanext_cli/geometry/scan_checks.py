@@ -16,7 +16,12 @@ from salsanext_cli.errors import FormatError, counted
 from salsanext_cli.geometry.coverage import LARGEST_SHARE_OUTSIDE
 from salsanext_cli.geometry.few_points import few_points
 from salsanext_cli.geometry.ground import TOLERANCE_M
-from salsanext_cli.geometry.intensity import BRIGHT, INTENSITY_FACTOR
+from salsanext_cli.geometry.intensity import (
+    BRIGHT,
+    INTENSITY_FACTOR,
+    NO_INTENSITY,
+    without_intensity,
+)
 from salsanext_cli.geometry.mounting import in_sensor_frame
 from salsanext_cli.geometry.mounting_fit import HEIGHTS_M, MAX_TILT_DEG, ground_of
 from salsanext_cli.geometry.ranges import measured_ranges
@@ -49,6 +54,10 @@ AUTO = "--sensor auto, or "
 UNITS = "convert them to metres, or name the columns: --columns x,y,z,intensity"
 TRAIN = "expect worse labels, or `salsanext train` weights on scans of this sensor"
 ORIGIN = "say where the sensor is, by `origin` in a sensor file, or train weights for that height"
+NAME_IT = (
+    "if the files hold one, name its column, --columns x,y,z,_,intensity for example, or its "
+    "scale, intensity_scale in a file for --sensor"
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -123,8 +132,7 @@ def check_scan(
     share, ranges = count / len(some), ranges[measured]
     some = in_sensor_frame(Scan(some.points[measured], some.intensity[measured]), sensor)
     sines = _sines(some.points)
-    constant = _is_constant(some.intensity) and _is_constant(scan.intensity)
-    bright = 0.0 if constant else _bright(some.intensity)
+    reason = without_intensity(some.points, some.intensity)
     named = trained is None or sensor.name not in (FITTED_NAME, trained.name)
     fit = AUTO + FIT if fitting and named else FIT
     findings = [
@@ -133,10 +141,8 @@ def check_scan(
         *_of_ground(some, fit),
     ]
     if trained is not None:
-        if constant:
-            findings.append(_without_intensity(sensor))
-        else:
-            findings += _of_intensity(bright, sensor, trained, fitting)
+        findings += _of_intensity(some, reason, sensor, trained, fitting)
+    bright = 0.0 if reason else _bright(some.intensity)
     traits = traits_of(sines, bright, len(scan) * share / count)
     return ScanCheck(tuple(findings), traits)
 
@@ -211,32 +217,33 @@ def _of_ground(scan: Scan, fit: str) -> Iterator[Finding]:
         yield Finding("height", f"the origin of the points is {height} the ground", ORIGIN)
 
 
-def _is_constant(intensity: Float) -> bool:
-    """Say whether all intensities that are numbers are equal."""
-    finite = intensity[np.isfinite(intensity)]
-    return not len(finite) or bool(finite.min() == finite.max())
-
-
 def _bright(intensity: Float) -> float:
     """Return the upper intensity of those that are numbers, 0 without any."""
     finite = intensity[np.isfinite(intensity)]
     return float(np.quantile(finite, BRIGHT)) if len(finite) else 0.0
 
 
-def _without_intensity(sensor: Sensor) -> Finding:
-    matched = sensor.intensity_quantiles
-    given = "the mean of training stands for it" if matched else "the network expects one"
-    return Finding("no-intensity", f"no intensity: {given}", TRAIN)
-
-
 def _of_intensity(
-    bright: float, sensor: Sensor, trained: Sensor, fitting: bool
+    scan: Scan, reason: str, sensor: Sensor, trained: Sensor, fitting: bool
 ) -> Iterator[Finding]:
-    """Compare with the scans that it is matched with, else with training, else with 0 to 1."""
+    """Compare with the scans that it is matched with, else with training, else with 0 to 1.
+
+    `reason` says why the values are no intensity, if they are none.
+    """
     matched = sensor.intensity_quantiles
-    quantiles = matched or trained.intensity_quantiles
-    if matched and min(matched) == max(matched):
+    if reason:
+        found = reason if matched else f"{reason}; the network takes it as it is"
+        remedy = (
+            "--intensity none"
+            if fitting and trained.intensity_quantiles and not matched
+            else NAME_IT
+        )
+        yield Finding("no-intensity", found, remedy)
         return
+    quantiles = matched or trained.intensity_quantiles
+    if matched == NO_INTENSITY:
+        return
+    bright = _bright(scan.intensity)
     if quantiles:
         usual = quantiles[round(BRIGHT * (len(quantiles) - 1))]
         near = usual / INTENSITY_FACTOR <= bright <= usual * INTENSITY_FACTOR
@@ -247,5 +254,6 @@ def _of_intensity(
     if doubtful:
         found = f"{BRIGHT:.0%} of the intensities are below {bright:.3g}, {of}"
         scale = "set intensity_scale in a file for --sensor"
-        remedy = scale if matched or not fitting else f"--intensity auto, or {scale}"
+        alone = "run it apart, or " if fitting else ""
+        remedy = f"{alone}{scale}" if matched or not fitting else f"--intensity auto, or {scale}"
         yield Finding("intensity-scale", found, remedy)

@@ -129,7 +129,7 @@ class Network:
         """
         channels = completed(channels, self.sensor, self.card.sensor)
         own, trained = (s.intensity_quantiles for s in (self.sensor, self.card.sensor))
-        if own and trained and own != trained:
+        if own and trained:
             channels = match_intensity(channels, own, trained)
         return normalise(channels, self.sensor)[None]
 

@@ -6,36 +6,69 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import replace
 from functools import cache
+from pathlib import Path
 
 from salsanext_cli.errors import NOTICE, SalsanextError, UsageError, counted
 from salsanext_cli.formats import read_scan
-from salsanext_cli.geometry.intensity import intensity_quantiles
+from salsanext_cli.geometry.intensity import NO_INTENSITY, intensity_quantiles
 from salsanext_cli.geometry.projection import project
 from salsanext_cli.geometry.row_gaps import fills_rows, row_gaps
 from salsanext_cli.geometry.view_fit import as_found, fit_view
 from salsanext_cli.inference.network import Network
 from salsanext_cli.inference.settings import NetworkSettings
 from salsanext_cli.records import Float, Scan
-from salsanext_cli.sensors import INTENSITY_LEVELS, Sensor
-from salsanext_cli.storage.layout import ScanFile
+from salsanext_cli.sensors import Sensor
+from salsanext_cli.storage.layout import ScanFile, find_scans
 from salsanext_cli.storage.selection import evenly_spaced
 
 log = logging.getLogger(__name__)
 
+Scans = Sequence[ScanFile | Scan]
+
 MAX_SCANS = 16
-"""Scans that a fit reads, evenly spaced among all of a run."""
+"""Scans that a fit reads, evenly spaced among all of a source."""
 FITTED = ("name", "fov_up", "fov_down", "up", "origin")
 """Fields of a sensor that a fit of the view changes."""
 INTENSITIES = ("auto", "match", "raw", "none")
 SHARED = ("module", "torch_module", "_graphs", "batch_sizes")
 """Cached properties of a network that depend on the size of its images only."""
-NO_INTENSITY = (0.0,) * INTENSITY_LEVELS
+
+
+def fit_network(
+    network: Network,
+    scans: Path | str | Sequence[Scan],
+    *,
+    view: bool = True,
+    intensity: str = "auto",
+) -> Network:
+    """Return the network with view and intensity of its sensor fitted to scans, as `predict` does.
+
+    Parameters
+    ----------
+    network : Network
+    scans : Path, str or sequence of Scan
+        A scan, a folder of scans, a sequence or a data set; or scans that were read. Up to 16 of
+        them count, evenly spaced.
+    view : bool
+        Whether a view and a mounting that differ much from the sensor's are those of the scans.
+    intensity : {"auto", "match", "raw", "none"}
+        Whether the intensity is to be matched to that of training; "auto": if the weights know it.
+
+    Raises
+    ------
+    NoInputError
+        If there are no scans at the path.
+    UsageError
+        If there is no such way, or the weights do not know the intensity of their training.
+    """
+    files = find_scans(Path(scans)) if isinstance(scans, Path | str) else scans
+    return fitted(NetworkSettings(fit=view, intensity=intensity), network, files)
 
 
 def fitted(
     settings: NetworkSettings,
     network: Network,
-    files: Sequence[ScanFile],
+    files: Scans,
     earlier: Sensor | None = None,
     image_of: Callable[[ScanFile], Float] | None = None,
 ) -> Network:
@@ -46,8 +79,9 @@ def fitted(
     settings : NetworkSettings
     network : Network
         What they load.
-    files : sequence of ScanFile
-        All scans of the run; unreadable ones do not count, since the run itself names them.
+    files : sequence of ScanFile or Scan
+        All scans of the source, whichever of them the run is about, so that runs over parts of it
+        agree; unreadable ones do not count, since the run itself names them.
     earlier : Sensor, optional
         Of earlier results in the same folder; what was fitted then stays.
     image_of : callable, optional
@@ -59,7 +93,7 @@ def fitted(
         If there is no such way, or the weights do not know the intensity of their training.
     """
     how = _method(settings, network)
-    if settings.fit and image_of is None:
+    if settings.fits_view and image_of is None:
         network = with_sensor(network, fitted_view(files, network.sensor, earlier))
     known = [sensor for sensor in (earlier, settings.sensor) if sensor]
     images = cache(lambda: list(sampled_images(files, network.sensor, image_of)))
@@ -67,9 +101,11 @@ def fitted(
     if how == "none":
         quantiles = NO_INTENSITY
     elif how:
-        # Earlier results without intensity tell nothing about that of the scans.
+        # Earlier results without intensity tell nothing about that of the scans; nor does the
+        # sensor of the weights, which was named for its columns, say.
+        others = ((), NO_INTENSITY, network.card.sensor.intensity_quantiles)
         measured = (sensor.intensity_quantiles for sensor in known)
-        usable = (found for found in measured if found not in ((), NO_INTENSITY))
+        usable = (found for found in measured if found not in others)
         quantiles = next(usable, ()) or intensity_quantiles(images())
     gaps = None
     if network.card.sensor.row_gaps is not None:
@@ -82,7 +118,7 @@ def fitted(
     return network
 
 
-def fitted_view(files: Sequence[ScanFile], sensor: Sensor, earlier: Sensor | None = None) -> Sensor:
+def fitted_view(files: Scans, sensor: Sensor, earlier: Sensor | None = None) -> Sensor:
     """Return the sensor as `fit_view` fits it to scans, evenly spaced, and say so.
 
     That of earlier results in the same folder stays.
@@ -123,21 +159,25 @@ def _method(settings: NetworkSettings, network: Network) -> str:
 
 
 def sampled_images(
-    files: Sequence[ScanFile],
+    files: Scans,
     sensor: Sensor,
     image_of: Callable[[ScanFile], Float] | None = None,
 ) -> Iterator[Float]:
     """Yield the range images of scans, evenly spaced; parameters as of `fitted`."""
-    if image_of is None:
-        yield from (project(scan, sensor).channels for scan in sampled(files, sensor))
-        return
     for file in evenly_spaced(files, MAX_SCANS):
         with suppress(SalsanextError):
-            yield image_of(file)
+            if image_of is None or isinstance(file, Scan):
+                yield project(_read(file, sensor), sensor).channels
+            else:
+                yield image_of(file)
 
 
-def sampled(files: Sequence[ScanFile], sensor: Sensor) -> Iterator[Scan]:
+def sampled(files: Scans, sensor: Sensor) -> Iterator[Scan]:
     """Yield scans, evenly spaced, but for those that cannot be read."""
     for file in evenly_spaced(files, MAX_SCANS):
         with suppress(SalsanextError):
-            yield read_scan(file.path, sensor)
+            yield _read(file, sensor)
+
+
+def _read(file: ScanFile | Scan, sensor: Sensor) -> Scan:
+    return file if isinstance(file, Scan) else read_scan(file.path, sensor)

@@ -32,8 +32,9 @@ class NetworkSettings:
         Origin of the scans, if not the sensor that the weights name.
     precision, engine : str
         As `load_network` takes them.
-    fit : bool
-        Whether a view and a direction up that differ much from the sensor's are those of the scans.
+    fit : bool, optional
+        Whether a view and a mounting that differ much from the sensor's are those of the scans;
+        None: if no sensor is named.
     intensity : {"auto", "match", "raw", "none"}
         As `scan_fit.fitted` takes it; "auto" matches where the weights know their quantiles.
     adapt : bool
@@ -49,8 +50,8 @@ class NetworkSettings:
     sensor: Sensor | None = None
     precision: str = "float32"
     engine: str = "auto"
-    fit: bool = False
-    intensity: str = "raw"
+    fit: bool | None = None
+    intensity: str = "auto"
     adapt: bool = False
     adapted: Path | None = None
     sha256: str | None = None
@@ -59,6 +60,11 @@ class NetworkSettings:
     def path(self) -> Path:
         """The weights file that was asked for."""
         return self.weights or default_weights()
+
+    @property
+    def fits_view(self) -> bool:
+        """True if the view is to be fitted to the scans."""
+        return self.sensor is None if self.fit is None else self.fit
 
     def load(self) -> Network:
         """Load the network.

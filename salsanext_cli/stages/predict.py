@@ -31,7 +31,7 @@ from salsanext_cli.parallel.tasks import Attempt
 from salsanext_cli.records import Float, RangeImage
 from salsanext_cli.storage.layout import ScanFile, with_outputs
 from salsanext_cli.storage.output_run import OutputRun, output_run
-from salsanext_cli.storage.selection import ScanSelection, choose, select_scans, space_of
+from salsanext_cli.storage.selection import ScanSelection, choose, scans_of, space_of
 from salsanext_cli.storage.sources import recorded_scans
 
 
@@ -143,8 +143,9 @@ def predict_scans(
     if batch is not None and batch < 1:
         raise UsageError("--batch", str(batch), "at least 1, or auto")
     loaded = network.load()
-    scans = select_scans(source, selection, loaded.card.space)
-    network, loaded = network_of_run(network, loaded, scans, out, overwrite=options.overwrite)
+    found = scans_of(source)
+    scans = choose(found, selection, space_of(found, loaded.card.space), source)
+    network, loaded = network_of_run(network, loaded, found, out, overwrite=options.overwrite)
     temperature = loaded.card.temperature
     settings = network.record(loaded) | {"temperature": temperature, "knn": asdict(knn)}
     summary = RunSummary.of_scans(scans, loaded.sensor, loaded.card.space)
@@ -197,13 +198,13 @@ def predict_range_images(
     """
     loaded = network.load()
     projected = projected_sensor(folder)
-    if network.fit and projected is not None:
+    if network.fits_view and projected is not None:
         loaded = with_sensor(loaded, fitted_view([], loaded.sensor, projected))
     loaded = with_sensor(loaded, sensor_of_images(folder, projected, loaded.sensor))
-    scans = with_outputs(recorded_scans(folder), folder, "range")
-    scans = choose(scans, selection, space_of(scans, loaded.card.space), folder)
+    found = with_outputs(recorded_scans(folder), folder, "range")
+    scans = choose(found, selection, space_of(found, loaded.card.space), folder)
     network, loaded = network_of_run(
-        *(network, loaded, scans, out),
+        *(network, loaded, found, out),
         overwrite=options.overwrite,
         image_of=lambda file: range_image(file, folder, loaded.sensor)[1],
     )

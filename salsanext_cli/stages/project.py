@@ -12,7 +12,7 @@ from salsanext_cli.parallel.run import Outcome, RunOptions, run_over_scans
 from salsanext_cli.sensors import Sensor
 from salsanext_cli.storage.layout import ScanFile
 from salsanext_cli.storage.output_run import OutputRun, output_run
-from salsanext_cli.storage.selection import ScanSelection, select_scans
+from salsanext_cli.storage.selection import ScanSelection, choose, scans_of, space_of
 from salsanext_cli.storage.stage_records import stage_settings
 
 FOLDERS = ("range", "pixels")
@@ -52,11 +52,12 @@ def project_scans(
     SalsanextError
         If nothing can be done at all; failures of single scans are in the outcome.
     """
-    scans = select_scans(source, selection)
+    found = scans_of(source)
+    scans = choose(found, selection, space_of(found), source)
     if fit:
         recorded = None if options.overwrite else stage_settings(out, "project")
         earlier = Sensor.from_dict(recorded.table("sensor"), recorded.path) if recorded else None
-        sensor = fitted_view(scans, sensor, earlier)
+        sensor = fitted_view(found, sensor, earlier)
     settings, summary = {"sensor": sensor.to_dict()}, RunSummary.of_scans(scans, sensor)
     overwrite = options.overwrite
     run = output_run(out, "project", settings, FOLDERS, scans, overwrite=overwrite)

@@ -25,7 +25,7 @@ from salsanext_cli.network.weights import save_with_card
 from salsanext_cli.parallel.run import Progress
 from salsanext_cli.records import Float
 from salsanext_cli.storage.atomic import require_target
-from salsanext_cli.storage.layout import ScanFile
+from salsanext_cli.storage.layout import ScanFile, find_scans
 from salsanext_cli.storage.selection import ScanSelection, select_evenly
 
 log = logging.getLogger(__name__)
@@ -77,7 +77,7 @@ def tune_batchnorm(
     layers = require_norms(loaded)
     scans = select_evenly(source, selection, loaded.card.space)
     require_target(target, overwrite)
-    loaded = fitted(network, loaded, scans)
+    loaded = fitted(network, loaded, find_scans(source))
     network.announce(loaded)
     old = {name: Statistics.kept_by(layer) for name, layer in layers.items()}
     pooled = PooledStatistics(loaded, share)

@@ -17,6 +17,7 @@ from salsanext_cli.network.weights import save_with_card
 from salsanext_cli.parallel.run import Progress
 from salsanext_cli.report.plots import rate_curve
 from salsanext_cli.storage.atomic import require_absent, require_target
+from salsanext_cli.storage.layout import find_scans
 from salsanext_cli.storage.selection import ScanSelection
 from salsanext_cli.training.tuning.dropout_rate import objective, rates_between
 from salsanext_cli.training.tuning.labelled_images import (
@@ -88,7 +89,7 @@ def tune_dropout(
     scans, space = labelled_scans(dataset, selection, loaded.card)
     require_target(target, overwrite)
     require_absent(curve_of(target), overwrite)
-    loaded = fitted(network, loaded, scans)
+    loaded = fitted(network, loaded, find_scans(dataset))
     candidates = [with_dropout(loaded, rate) for rate in rates]
     network.announce(loaded)
     sums, points = np.zeros(len(rates)), 0

@@ -26,7 +26,7 @@ from salsanext_cli.network.weights import save_with_card
 from salsanext_cli.parallel.run import Progress
 from salsanext_cli.records import Float
 from salsanext_cli.storage.atomic import require_target
-from salsanext_cli.storage.layout import ScanFile
+from salsanext_cli.storage.layout import ScanFile, find_scans
 from salsanext_cli.storage.selection import ScanSelection
 from salsanext_cli.training.tuning.labelled_images import (
     VALIDATION,
@@ -96,7 +96,7 @@ def tune_temperature(
     loaded = network.load()
     scans, space = labelled_scans(dataset, selection, loaded.card)
     require_target(target, overwrite)
-    loaded = fitted(network, loaded, scans)
+    loaded = fitted(network, loaded, find_scans(dataset))
     network.announce(loaded)
     most = max(1, MAX_LOGITS // loaded.card.space.class_count // len(scans))
     kept = list(_samples(scans, loaded, space, most, progress))

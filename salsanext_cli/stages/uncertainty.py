@@ -25,7 +25,7 @@ from salsanext_cli.sensors import FITTED_NAME, Sensor, presets
 from salsanext_cli.storage.identity import fingerprint
 from salsanext_cli.storage.layout import ScanFile, find_outputs, output_path
 from salsanext_cli.storage.output_run import OutputRun, output_run
-from salsanext_cli.storage.selection import ScanSelection, select_scans
+from salsanext_cli.storage.selection import ScanSelection, choose, scans_of, space_of
 from salsanext_cli.storage.stage_records import (
     as_json,
     owner,
@@ -118,10 +118,11 @@ def uncertainty(
         If nothing can be done at all; failures of single scans are in the outcome.
     """
     loaded = network.load()
-    scans = select_scans(source, selection, loaded.card.space)
+    found = scans_of(source)
+    scans = choose(found, selection, space_of(found, loaded.card.space), source)
     # Labels of another stage stay, and with them what they were made with.
     overwrite = options.overwrite and owner(out, "predictions") in (None, "uncertainty")
-    network, loaded = network_of_run(network, loaded, scans, out, overwrite=overwrite)
+    network, loaded = network_of_run(network, loaded, found, out, overwrite=overwrite)
     return uncertainty_of(scans, out, network, options, loaded, knn=knn, estimator=estimator)
 
 

@@ -5,6 +5,7 @@ import logging
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import TypeVar
 
 import numpy as np
 
@@ -19,6 +20,7 @@ LABEL_SPACE_FILES = ("labels.yaml", "semantic-kitti.yaml")
 """Names, in the root of a data set, of the file that describes its label space."""
 
 log = logging.getLogger(__name__)
+Item = TypeVar("Item")
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,6 +48,15 @@ class ScanSelection:
             raise UsageError("--limit", str(self.limit), "at least 1")
 
 
+def scans_of(source: Path) -> list[ScanFile]:
+    """Find all scans of a source, as `layout.find_scans`; log what lies beside them."""
+    scans = find_scans(source)
+    if is_folder(source) and recording_of(scans[0].path) is None:
+        folders = {path.parent for path in {scan.sequence: scan.path for scan in scans}.values()}
+        log_passed_over(source, sorted(folders), {scan.path.name for scan in scans})
+    return scans
+
+
 def select_scans(
     source: Path, selection: ScanSelection, space: LabelSpace | None = None
 ) -> list[ScanFile]:
@@ -67,10 +78,7 @@ def select_scans(
     UsageError
         If the split does not exist.
     """
-    scans = find_scans(source)
-    if is_folder(source) and recording_of(scans[0].path) is None:
-        folders = {path.parent for path in {scan.sequence: scan.path for scan in scans}.values()}
-        log_passed_over(source, sorted(folders), {scan.path.name for scan in scans})
+    scans = scans_of(source)
     return choose(scans, selection, space_of(scans, space), source)
 
 
@@ -144,7 +152,7 @@ def space_of(scans: Sequence[ScanFile], fallback: LabelSpace | None = None) -> L
     return usual if fallback is None or fallback.fits(usual) else fallback
 
 
-def evenly_spaced(files: Sequence[ScanFile], count: int) -> list[ScanFile]:
+def evenly_spaced(files: Sequence[Item], count: int) -> list[Item]:
     """Return `count` of the files, evenly spaced; all if `count` is 0 or there are no more."""
     if count == 0 or count >= len(files):
         return list(files)

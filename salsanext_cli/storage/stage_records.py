@@ -211,12 +211,21 @@ def _differences(recorded: Mapping[str, Any], settings: Mapping[str, Any]) -> st
 
 
 def _difference(key: str, before: Any, after: Any) -> str:
-    """Say how a setting differs: origins without their digests, label spaces by their classes."""
+    """Say how a setting differs.
+
+    Origins are named without their digests, label spaces by their classes, long lists by the
+    first value that differs.
+    """
     if key.startswith("origins."):
         return f"what `{key.removeprefix('origins.')}` made was made anew"
     if isinstance(before, dict) and isinstance(after, dict):
         old, new = (LabelSpace.from_dict(space, key) for space in (before, after))
         return f"{key} ({first_few(old.differences(new))})"
+    lists = isinstance(before, list) and isinstance(after, list) and len(before) == len(after)
+    if lists and len(json.dumps(before)) > SHOWN_CHARACTERS_OF_VALUE:
+        pairs = enumerate(zip(before, after, strict=True))
+        place, (before, after) = next(pair for pair in pairs if pair[1][0] != pair[1][1])
+        key = f"{key}[{place}]"
     return f"{key} was {_as_shown(before)} and is {_as_shown(after)}"
 
 

@@ -1,12 +1,23 @@
 # SPDX-License-Identifier: MIT
+import re
+from dataclasses import replace
+from itertools import pairwise
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scans import SMALL, make_scan
 
-from salsanext_cli import Scan, project
-from salsanext_cli.geometry.intensity import intensity_quantiles, match_intensity
+from salsanext_cli import Scan, project, sensor
+from salsanext_cli.formats import SCAN_SUFFIXES, read_scan
+from salsanext_cli.geometry.intensity import (
+    NO_INTENSITY,
+    dependence,
+    intensity_quantiles,
+    match_intensity,
+    without_intensity,
+)
 from salsanext_cli.sensors import INTENSITY_LEVELS
 
 TARGET = tuple(np.linspace(0.1, 0.9, INTENSITY_LEVELS) ** 2)
@@ -32,12 +43,118 @@ def slowly_mapped(value, source, target):
     return ends[0] + share * (ends[1] - ends[0])
 
 
+def bright(power=1, seed=0, scale=1.0, count=4000):
+    """Return a range image of random intensities, and their quantiles."""
+    values = scale * np.random.default_rng([seed, 7]).random(count) ** power
+    image = image_of(values, seed)
+    return image, np.quantile(image[4][image[0] > 0], np.linspace(0, 1, INTENSITY_LEVELS))
+
+
 def test_quantiles_are_the_mean_of_those_of_the_images():
-    few, many = (image_of(np.random.default_rng(n).random(1500) ** n, n) for n in (1, 3))
-    levels = np.linspace(0, 1, INTENSITY_LEVELS)
-    each = [np.quantile(image[4][image[0] > 0], levels) for image in (few, many)]
-    np.testing.assert_allclose(intensity_quantiles([few, many]), np.mean(each, axis=0), rtol=1e-5)
-    assert intensity_quantiles([]) == intensity_quantiles([np.zeros_like(few)]) == ()
+    images, each = zip(*(bright(power) for power in (1, 3)), strict=True)
+    np.testing.assert_allclose(intensity_quantiles(images), np.mean(each, axis=0), rtol=1e-5)
+    empty = np.zeros_like(images[0])
+    assert intensity_quantiles([]) == intensity_quantiles([empty]) == ()
+    assert intensity_quantiles([*images, empty]) == intensity_quantiles(images)
+
+
+def test_a_few_odd_scans_do_not_change_them():
+    same = [bright(seed=seed)[0] for seed in range(4)]
+    expected = intensity_quantiles(same)
+    no, ranges, tiny = (same[0].copy() for _ in range(3))
+    no[4] = 0
+    ranges[4] = ranges[0]
+    tiny[:, :, 3:] = 0
+    assert intensity_quantiles([no, *same, ranges, tiny]) == expected
+    assert intensity_quantiles([no, ranges]) == NO_INTENSITY
+    assert intensity_quantiles([tiny, no]) == intensity_quantiles([tiny]) != NO_INTENSITY
+    others = [bright(seed=seed, scale=255)[0] for seed in range(4)]
+    assert intensity_quantiles([*others[1:], *same]) == expected
+    assert intensity_quantiles([*others, *same]) in (expected, intensity_quantiles(others))
+
+
+@settings(max_examples=50, deadline=None)
+@given(st.lists(st.tuples(st.integers(0, 5), st.integers(0, 50)), min_size=2, max_size=30))
+def test_dependence_equals_the_slow_way(pairs):
+    values, on = zip(*pairs, strict=True)
+    if len({*values}) == 1:
+        return
+    up_to = [sum(b <= a for b in values) for a in values]
+    from_on = [sum(b >= a for b in values) for a in values]
+    ordered = [up_to[i] for i in sorted(range(len(on)), key=lambda i: on[i])]
+    steps = sum(abs(b - a) for a, b in pairwise(ordered))
+    slow = 1 - len(on) * steps / (2 * sum(n * (len(on) - n) for n in from_on))
+    assert dependence(np.array([up_to, from_on]), np.array(on)) == pytest.approx(slow)
+
+
+def test_dependence_equals_that_of_scipy():
+    stats = pytest.importorskip("scipy.stats")
+    random = np.random.default_rng(0)
+    on = random.random(500)
+    for values in (random.random(500), np.sin(9 * on), np.round(9 * on), random.random(500) + on):
+        ordered = np.sort(values)
+        ends = [np.searchsorted(ordered, values, side) for side in ("right", "left")]
+        expected = stats.chatterjeexi(on, values, y_continuous=False).statistic
+        assert dependence(np.array([ends[0], 500 - ends[1]]), on) == pytest.approx(expected)
+
+
+STREET = make_scan(4000)
+X, Y, Z = STREET.points.T
+RANGES = np.linalg.norm(STREET.points, axis=1)
+RINGS = np.round(np.degrees(np.arcsin(Z / RANGES)) + 25).astype(int)
+IDS = np.random.default_rng(1).permutation(64)
+
+
+@pytest.mark.parametrize(
+    ("intensity", "reason"),
+    [
+        (STREET.intensity, "^$"),
+        (STREET.intensity * 1e-4, "^$"),
+        (np.floor(3 * STREET.intensity), "^$"),
+        (STREET.intensity / RANGES**2, "^$"),
+        (np.zeros(4000), "all points have the same"),
+        (STREET.intensity > 0.975, "9[78]% of the points have the same"),
+        (np.arange(4000) == 7, "have the same"),
+        (np.full(4000, np.nan), "100% of the points have no intensity: NaN or above"),
+        (np.where(STREET.intensity < 0.3, np.inf, STREET.intensity), "(29|3.)% of the points"),
+        (STREET.intensity * 4e9, "100% of the points have no intensity"),
+        (RANGES, "follow the range"),
+        (np.exp(-0.004 * RANGES), "follow the range"),
+        (RINGS, "follow the elevation"),
+        (IDS[RINGS], "follow the elevation"),
+        (np.arctan2(Y, X) % 1, "follow the azimuth"),
+        (np.arange(4000) * 1e-6, "follow the order"),
+    ],
+)
+def test_what_is_no_intensity(intensity, reason):
+    assert re.search(reason, without_intensity(STREET.points, np.asarray(intensity, np.float32)))
+
+
+def test_points_without_a_measurement_do_not_count():
+    nowhere = np.concatenate([np.zeros((4000, 3)), np.full((4000, 3), np.nan)]).astype(np.float32)
+    nothing = np.full(8000, np.nan, np.float32)
+    points = np.concatenate([STREET.points, nowhere])
+    assert without_intensity(points, np.concatenate([STREET.intensity, nothing])) == ""
+    assert without_intensity(nowhere, nothing) == without_intensity(nowhere[:0], nothing[:0]) == ""
+
+
+@pytest.mark.real
+def test_every_real_intensity_is_one_and_no_other_column(real_data):
+    usual, without = sensor("hdl64-512"), set()
+    five = replace(usual, columns=("x", "y", "z", "intensity", "ring"))
+    for path in sorted((real_data / "data").rglob("*.*"))[::2]:
+        if not path.name.endswith(SCAN_SUFFIXES) or path.suffix == ".las":  # in map coordinates
+            continue
+        of = five if "five_columns_h" in path.name else usual
+        scan = read_scan(path, of)
+        image = project(scan, of).channels
+        points, intensity = image[1:4, image[0] > 0].T, image[4, image[0] > 0]
+        if without_intensity(scan.points, scan.intensity) or without_intensity(points, intensity):
+            without.add(path.name)
+        ranges = np.linalg.norm(points, axis=1)
+        for other in (ranges, np.round(np.degrees(np.arcsin(points[:, 2] / ranges)))):
+            assert "follow" in without_intensity(points, other)
+    assert without <= {"ascii_rgb_normals.ply", "float64_xyz_only.ply"}
 
 
 def test_few_images_of_another_scale_or_none_do_not_count():
@@ -52,7 +169,7 @@ def test_few_images_of_another_scale_or_none_do_not_count():
 
 
 def test_decibels_count_all():
-    images = [image_of(-40 * np.random.default_rng(n).random(1500) - n) for n in range(3)]
+    images = [image_of(-40 * np.random.default_rng(n).random(4000) - n) for n in range(3)]
     levels = np.linspace(0, 1, INTENSITY_LEVELS)
     each = [np.quantile(image[4][image[0] > 0], levels) for image in images]
     np.testing.assert_allclose(intensity_quantiles(images), np.mean(each, axis=0), rtol=1e-4)
@@ -73,7 +190,7 @@ def test_equals_the_slow_way_with_ties_and_beyond_the_ends(values):
 
 @pytest.mark.parametrize("scale", [1 / 255, 255, 65535])
 def test_the_scale_does_not_matter(scale):
-    random = np.random.default_rng(0).random(1500)
+    random = np.random.default_rng(7).random(1500)
     matched = [
         match_intensity(image, intensity_quantiles([image]), TARGET)
         for image in (image_of(random), image_of(random * scale))
@@ -84,7 +201,15 @@ def test_the_scale_does_not_matter(scale):
     np.testing.assert_allclose(found, TARGET, atol=2e-3)
 
 
-def test_no_intensity_becomes_the_mean():
-    image = image_of(np.zeros(1500))
-    matched = match_intensity(image, intensity_quantiles([image]), TARGET)
+@pytest.mark.parametrize("source", [NO_INTENSITY, TARGET, tuple(np.linspace(0, 1, 65))])
+@pytest.mark.parametrize("values", [np.zeros(4000), np.ones(4000), RANGES])
+def test_no_intensity_becomes_the_mean(source, values):
+    image = image_of(values)
+    matched = match_intensity(image, source, TARGET)
     np.testing.assert_allclose(matched[4][image[0] > 0], np.mean(TARGET), rtol=1e-6)
+    assert (matched[4][image[0] <= 0] == 0).all()
+
+
+def test_what_has_the_scale_already_stays():
+    image, _ = bright()
+    assert match_intensity(image, TARGET, TARGET) is image

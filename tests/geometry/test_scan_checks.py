@@ -9,7 +9,7 @@ from scans import SMALL, make_scan
 from salsanext_cli import Scan, project
 from salsanext_cli.errors import FormatError
 from salsanext_cli.formats import SCAN_SUFFIXES, read_scan
-from salsanext_cli.geometry.intensity import intensity_quantiles
+from salsanext_cli.geometry.intensity import NO_INTENSITY, intensity_quantiles
 from salsanext_cli.geometry.scan_checks import check_scan
 from salsanext_cli.geometry.view_fit import fit_view
 from salsanext_cli.sensors import INTENSITY_LEVELS, sensor
@@ -76,6 +76,8 @@ def test_a_scan_without_a_measurement_is_an_error(value):
         (mostly_missing(), "not-measured"),
         (Scan(STREET.points[AHEAD], STREET.intensity[AHEAD]), "part-of-circle"),
         (Scan(STREET.points, np.zeros_like(STREET.intensity)), "no-intensity"),
+        (Scan(STREET.points, np.linalg.norm(STREET.points, axis=1)), "no-intensity"),
+        (Scan(STREET.points, np.full_like(STREET.intensity, np.nan)), "no-intensity"),
         (Scan(STREET.points, STREET.intensity * 255), "intensity-scale"),
         (Scan(STREET.points, STREET.intensity / 80), "intensity-scale"),
     ],
@@ -105,11 +107,15 @@ def test_matched_intensities_are_those_of_the_scans_matched_with():
     matched = replace(SMALL, intensity_quantiles=tuple(255 * q for q in QUANTILES))
     assert codes(bright, matched) == []
     assert codes(STREET, matched) == ["intensity-scale"]
-    assert codes(STREET, replace(SMALL, intensity_quantiles=(0.0,) * INTENSITY_LEVELS)) == []
+    assert codes(STREET, replace(SMALL, intensity_quantiles=NO_INTENSITY)) == []
     decibels = Scan(STREET.points, -40 * STREET.intensity - 1)
     negative = replace(SMALL, intensity_quantiles=tuple(-41 + 40 * q for q in QUANTILES))
     assert codes(decibels, negative) == codes(decibels, trained=SMALL) == []
+    own = matched
     assert codes(bright, trained=None) == []
+    # Matched with scans of another scale, as in a folder that holds their results.
+    assert codes(bright, TRAINED) == codes(STREET, own) == ["intensity-scale"]
+    assert codes(bright, replace(SMALL, intensity_quantiles=NO_INTENSITY)) == []
     assert codes(bright, trained=SMALL) == ["intensity-scale"]
     assert codes(STREET, trained=SMALL) == []
 
@@ -120,7 +126,7 @@ def test_intensities_that_are_no_numbers_are_none():
     nothing[7] = 0.5
     assert codes(Scan(STREET.points, nothing)) == ["no-intensity"]
     half = np.where(np.arange(len(STREET)) % 2, STREET.intensity, np.float32(np.nan))
-    assert codes(Scan(STREET.points, half)) == []
+    assert codes(Scan(STREET.points, half)) == ["no-intensity"]
 
 
 def test_only_commands_that_fit_offer_it():
@@ -143,7 +149,7 @@ def test_the_order_of_the_points_does_not_matter(rows, by_column):
     flat = distance * np.cos(elevation)
     xyz = (flat * np.cos(azimuth), flat * np.sin(azimuth), distance * np.sin(elevation))
     points = np.stack(xyz, axis=-1).reshape(-1, 3).astype(np.float32)
-    scan = Scan(points, np.linspace(0, 1, len(points), dtype=np.float32))
+    scan = Scan(points, np.random.default_rng(0).random(len(points), np.float32))
     assert codes(scan) == []
     assert codes(scan, replace(SMALL, fov_up=-4.0)) == ["out-of-view"]
     assert codes(scan, replace(SMALL, fov_up=-1.5)) == []
@@ -154,7 +160,7 @@ def test_few_measurements_among_many_points_are_judged():
     scan = moved(turn=(1, -1, -1))
     points = np.zeros((1_000_000, 3), np.float32)
     points[:: len(points) // len(scan)][: len(scan)] = scan.points
-    intensity = np.linspace(0, 1, len(points), dtype=np.float32)
+    intensity = np.random.default_rng(0).random(len(points), np.float32)
     assert codes(Scan(points, intensity)) == ["not-measured", *codes(scan)]
     points[:] = np.nan
     with pytest.raises(FormatError, match="none of its 1000000 points is a measurement"):

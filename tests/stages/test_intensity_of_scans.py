@@ -17,7 +17,12 @@ from salsanext_cli.stages.predict import predict_range_images, predict_scans
 from salsanext_cli.stages.project import project_scans
 from salsanext_cli.stages.uncertainty import uncertainty
 from salsanext_cli.storage.point_files import write_bin
-from salsanext_cli.storage.stage_records import earlier_settings, stage_settings
+from salsanext_cli.storage.selection import ScanSelection
+from salsanext_cli.storage.stage_records import (
+    earlier_settings,
+    require_same_settings,
+    stage_settings,
+)
 from salsanext_cli.uncertainty.settings import Estimator
 
 TRAINED = tuple(np.linspace(0, 1, INTENSITY_LEVELS) ** 2)
@@ -97,6 +102,145 @@ def test_scans_that_come_later_are_matched_as_the_first_ones(knowing):
     assert stage_settings(knowing.out, "uncertainty")["sensor"] == before
 
 
+def changed(world, folder, scans, change):
+    """Write the scans of the world, some of them with other intensities; return the data set."""
+    for file in sorted(world.data.rglob("*.bin")):
+        scan, copy = read_scan(file), folder / file.relative_to(world.data)
+        of = change(scan) if file.relative_to(world.data).parts[1] in scans else scan
+        copy.parent.mkdir(parents=True, exist_ok=True)
+        write_bin(copy, of)
+    return folder
+
+
+def lit(intensity):
+    """Return a function that gives a scan other intensities."""
+    return lambda scan: Scan(scan.points, np.asarray(intensity(scan), np.float32))
+
+
+@pytest.mark.parametrize("scale", [255, 65535])
+def test_named_columns_do_not_switch_it_off(knowing, tmp_path, scale):
+    run(knowing)
+    # As --columns does: the sensor of the weights, with its intensity, and other columns.
+    columns = ("x", "y", "z", "intensity")
+    named = replace(knowing.network.load().card.sensor, columns=columns)
+    knowing.network = replace(knowing.network, sensor=named)
+    outcome = run(knowing, tmp_path / "named", scaled(knowing, tmp_path / "large", scale))
+    assert {warning["code"] for warning in outcome.summary.warnings()} <= {"one-class"}
+    matched = labels_below(tmp_path / "named")
+    assert share_alike(labels_below(knowing.out), matched) > 0.999
+
+
+def test_what_is_selected_makes_no_difference(knowing, tmp_path):
+    dark = changed(knowing, tmp_path / "data", ["00"], lit(lambda scan: 0.3 * scan.intensity**3))
+    run(knowing, source=dark)
+    expected = labels_below(knowing.out)
+    assert len(expected) == 3
+    selections = [
+        [ScanSelection(sequences=(name,)) for name in names]
+        for names in (("00", "08"), ("08", "00"))
+    ]
+    selections += [
+        [ScanSelection(limit=1), ScanSelection()],
+        [ScanSelection("valid"), ScanSelection()],
+    ]
+    for number, chosen in enumerate(selections):
+        out = tmp_path / f"{number}"
+        for selection in chosen:
+            assert run(knowing, out, dark, selection=selection).done
+        assert labels_below(out) == expected
+    # The same whichever begins: neither finds results of the other.
+    for name in ("00", "08"):
+        run(knowing, tmp_path / name, dark, selection=ScanSelection(sequences=(name,)))
+        assert labels_below(tmp_path / name).items() <= expected.items()
+
+
+def test_range_images_of_a_part_are_fitted_as_all(knowing, tmp_path):
+    run(knowing)
+    steps = tmp_path / "steps"
+    project_scans(knowing.data, steps, sensor=SMALL)
+    for name in ("08", "00"):
+        chosen = ScanSelection(sequences=(name,))
+        predict_range_images(steps, steps, network=knowing.network, selection=chosen)
+    knn_refine_scans(steps)
+    assert labels_below(steps) == labels_below(knowing.out)
+
+
+@pytest.mark.parametrize(
+    "odd",
+    [
+        lit(lambda scan: 0 * scan.intensity),
+        lit(lambda scan: np.linalg.norm(scan.points, axis=1)),
+        lambda scan: Scan(scan.points[:3], scan.intensity[:3]),
+    ],
+)
+def test_odd_scans_leave_the_others_as_they_are(knowing, tmp_path, odd):
+    for number in range(2):
+        seed = 50 + number
+        write_sequence(knowing.data / "sequences/08", [f"{seed}"], count=4000, seed=seed)
+    run(knowing, selection=ScanSelection(sequences=("08",)), source=without(knowing, tmp_path))
+    expected = labels_below(knowing.out)
+    run(knowing, tmp_path / "odd", changed(knowing, tmp_path / "data", ["00"], odd))
+    found = labels_below(tmp_path / "odd")
+    assert expected.items() <= found.items()
+    assert len(found) == len(expected) + 1 == 5
+
+
+def without(world, folder):
+    """Return a data set of the sequence 08 only."""
+    (folder / "one/sequences").mkdir(parents=True)
+    (folder / "one/sequences/08").symlink_to(world.data / "sequences/08")
+    return folder / "one"
+
+
+@pytest.mark.parametrize(
+    "none",
+    [
+        lambda scan: 0 * scan.intensity,
+        lambda scan: np.arange(len(scan)) == 5,
+        lambda scan: np.linalg.norm(scan.points, axis=1),
+        lambda scan: np.round(40 * scan.points[:, 2] / np.linalg.norm(scan.points, axis=1)),
+        lambda scan: scan.intensity * np.nan,
+        lambda scan: scan.intensity * 4e9,
+    ],
+)
+def test_what_is_no_intensity_is_taken_for_none(knowing, tmp_path, none):
+    blind = replace(knowing, network=replace(knowing.network, intensity="none"))
+    run(blind)
+    expected = labels_below(knowing.out)
+    outcome = run(
+        knowing, tmp_path / "all", changed(knowing, tmp_path / "a", ["00", "08"], lit(none))
+    )
+    (warning,) = (w for w in outcome.summary.warnings() if w["code"] == "no-intensity")
+    assert len(warning["scans"]) == 3
+    assert labels_below(tmp_path / "all") == expected
+    # And so is a single one among others.
+    run(knowing, tmp_path / "one", changed(knowing, tmp_path / "b", ["00"], lit(none)))
+    name = next(name for name in expected if "00/predictions" in name)
+    assert labels_below(tmp_path / "one")[name] == expected[name]
+
+
+def test_scans_of_another_scale_than_those_before_are_warned_of(knowing, tmp_path):
+    run(knowing, source=knowing.data / "sequences/00")
+    large = scaled(knowing, tmp_path / "large", 255)
+    outcome = run(knowing, source=large / "sequences/08")
+    (warning,) = (w for w in outcome.summary.warnings() if w["code"] == "intensity-scale")
+    assert warning["scans"] == ["08/000000", "08/000001"]
+    assert "in the scans fitted to" in warning["message"]
+    mixed = changed(knowing, tmp_path / "mixed", ["00"], lit(lambda scan: 255 * scan.intensity))
+    outcome = run(knowing, tmp_path / "both", mixed)
+    (warning,) = (w for w in outcome.summary.warnings() if w["code"] == "intensity-scale")
+    assert warning["scans"] == ["00/000000"]
+
+
+def test_a_difference_of_long_lists_is_shown_where_it_is(tmp_path):
+    was, now = ({"sensor": {"levels": [*range(40), last]}} for last in (0.5, 7.0))
+    with pytest.raises(OutputError, match=r"sensor\.levels\[40\] was 0\.5 and is 7\.0 ·"):
+        require_same_settings(tmp_path, was, now)
+    for other in ([1], None):
+        with pytest.raises(OutputError, match=r"sensor\.levels was \[0, 1, 2,.* and is (\[1|null)"):
+            require_same_settings(tmp_path, was, {"sensor": {"levels": other}})
+
+
 def test_without_intensity_it_makes_no_difference(knowing, tmp_path):
     blind = replace(knowing, network=replace(knowing.network, intensity="none"))
     run(blind)
@@ -116,7 +260,7 @@ def test_results_of_another_way_are_refused(knowing):
 def test_results_without_intensity_are_not_taken_for_matched_ones(knowing):
     blind = replace(knowing.network, intensity="none")
     predict_scans(knowing.data, knowing.out, network=blind)
-    with pytest.raises(OutputError, match=r"sensor\.intensity_quantiles was"):
+    with pytest.raises(OutputError, match=r"intensity_quantiles\[0\] was 0\.0 and is 0\.\d+ ·"):
         run(knowing)
 
 
