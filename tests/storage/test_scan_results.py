@@ -57,7 +57,7 @@ def test_ranges_too_large_for_their_squares():
 
 def test_files_of_another_scan_are_refused(world, file):
     world.predict_by_hand(count=9)
-    with pytest.raises(LabelError, match="9 labels · expected 1500"):
+    with pytest.raises(LabelError, match="9 labels · expected 1,500"):
         read_results(file, world.out)
     world.predict_by_hand()
     write_array(world.result("uncertainty/entropy"), np.zeros(3, np.float32))
