@@ -247,14 +247,11 @@ def presets() -> dict[str, Sensor]:
     }
 
 
-def sensor(
-    name_or_file: str | Path, base: Sensor | None = None, others: tuple[str, ...] = ()
-) -> Sensor:
+def sensor(name_or_file: str | Path, base: Sensor | None = None) -> Sensor:
     """Return the sensor of a preset's name or of a TOML file with one sensor's keys.
 
     Size and normalisation that the file does not tell are those of `base`, else of the HDL-64; then
-    beams count only where those of `base` do. The error for an unknown name lists `others` too,
-    which the caller understands.
+    beams count only where those of `base` do.
 
     Raises
     ------
@@ -264,7 +261,7 @@ def sensor(
     if str(name_or_file) in presets():
         return presets()[str(name_or_file)]
     path = Path(name_or_file)
-    data = read_toml(path, "sensor", (*others, *presets()))
+    data = read_toml(path, "sensor", presets() if base is None else ("auto", *presets()))
     known = (base or presets()["hdl64"]).to_dict()
     images = {key: known[key] for key in OF_IMAGES}
     found = Sensor.from_dict({"name": path.stem, **images, **data}, path)

@@ -184,7 +184,7 @@ def sensor(name: str | None, base: Callable[[], Sensor] | None = None) -> Sensor
 
     if name is None:
         return None
-    return find(name) if base is None or name in presets() else find(name, base(), (AUTO,))
+    return find(name) if base is None or name in presets() else find(name, base())
 
 
 def with_columns(sensor: Sensor, columns: str | None) -> Sensor:

@@ -176,7 +176,7 @@ def _require_same_weights(out: Path) -> None:
             out,
             f"labels by the weights {labels[:12]}…, uncertainty by {estimated[:12]}…",
             "the same weights for both",
-            "run `salsanext uncertainty --overwrite` with the weights of the labels",
+            f"run `salsanext uncertainty SCANS {out} --overwrite` with the weights of the labels",
         )
 
 

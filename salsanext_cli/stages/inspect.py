@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from salsanext_cli.classes import LabelSpace
-from salsanext_cli.errors import NoInputError
+from salsanext_cli.errors import NoInputError, counted
 from salsanext_cli.formats import read_scan
 from salsanext_cli.formats.labels import read_labels
 from salsanext_cli.formats.reading import present
@@ -182,7 +182,7 @@ def _require_fit(name: str, found: Survey) -> None:
     if measured < MIN_POINTS_OF_FIT:
         raise NoInputError(
             name,
-            f"{measured} points with a measurement",
+            f"{counted(measured, 'point')} with a measurement",
             f"{MIN_POINTS_OF_FIT} or more",
             "fit a sensor to whole scans",
         )

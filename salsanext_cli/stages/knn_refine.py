@@ -116,9 +116,7 @@ def knn_refine_scans(
     if labels is None:
         scans = with_outputs(scans, out, "pixel_labels")
         if not scans:
-            remedy = (
-                "run `salsanext predict` on the output of `salsanext project`, or give --labels"
-            )
+            remedy = f"run `salsanext predict SCANS {out} --pixel-labels` first, or give --labels"
             raise NoInputError(out, "holds no pixel_labels", remedy=remedy)
     scans = choose(scans, selection, space_of(scans, space), out)
     if labels is not None:

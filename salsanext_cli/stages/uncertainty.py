@@ -183,7 +183,7 @@ def estimate_missing(
         return kind, {}
     if options.shard.count > 1:
         found = f"no uncertainty in {out} yet"
-        remedy = "run `salsanext uncertainty` first, with shards too"
+        remedy = f"run `salsanext uncertainty SCANS {out}` first, with shards too"
         raise UsageError(f"--shard {options.shard}", found, "that of all scans", remedy)
     network = _as_predicted(out, network)
     network, loaded = network_of_run(network, network.load(), scans, out)
@@ -192,7 +192,7 @@ def estimate_missing(
     )
     kind = kind or ("total" if estimator.aleatoric else "epistemic")
     if kind not in estimator.kinds:
-        remedy = "run `salsanext uncertainty --overwrite`"
+        remedy = f"run `salsanext uncertainty SCANS {out} --overwrite`"
         raise UsageError(out, "uncertainty estimated without aleatoric", kind, remedy)
     missing = _without(out, scans, kind)
     log.warning("no uncertainty of %s yet: estimating it", counted(len(missing), "scan"))
@@ -230,7 +230,7 @@ def _as_predicted(out: Path, network: NetworkSettings) -> NetworkSettings:
             out,
             f"labels by the weights {str(settings['weights'])[:12]}… and no uncertainty yet",
             "the same weights",
-            "give them with --weights, or run `salsanext uncertainty`",
+            f"give them with --weights, or run `salsanext uncertainty SCANS {out}`",
         )
     seen = Sensor.from_dict(settings.table("sensor"), settings.path)
     network = replace(network, adapt="adapted" in settings)

@@ -102,7 +102,7 @@ def missing_column(column: str, file: ScanFile, out: Path) -> NoInputError:
     stage = "uncertainty" if column in UNCERTAINTY else "predict"
     path = output_path(out, file.sequence, folder, file.stem)
     return NoInputError(
-        file.path, f"no {column} known", str(path), f"run `salsanext {stage}` first"
+        file.path, f"no {column} known", str(path), f"run `salsanext {stage} SCANS {out}` first"
     )
 
 

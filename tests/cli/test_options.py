@@ -152,7 +152,7 @@ def test_shards_do_not_estimate_what_others_may_be_estimating(run, data, tmp_pat
     call = ["export-ply", "--out", out, "--colour", "uncertainty", "--shard", "1/2"]
     result = run(*call, "--weights", weights)
     assert result.exit_code == 2
-    assert "run `salsanext uncertainty` first" in result.stderr
+    assert f"run `salsanext uncertainty SCANS {out}` first" in result.stderr
 
 
 KNOWING = {"intensity_quantiles": (0.0,) * 64 + (1.0,), "row_gaps": 0.3}

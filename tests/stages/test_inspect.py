@@ -55,7 +55,7 @@ def test_names_are_shown_as_they_are(tmp_path):
     ("points", "found"),
     [
         (np.zeros((2000, 3)), r"0 points with a measurement · expected 1000 or more"),
-        (np.array([[5, 1, -1]]), r"1 points with a measurement · expected 1000 or more"),
+        (np.array([[5, 1, -1]]), r"1 point with a measurement · expected 1000 or more"),
         (make_scan(999).points, r"999 points"),
         (
             make_scan(2000).points * [1, 1, 0.01],

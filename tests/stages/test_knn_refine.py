@@ -71,7 +71,7 @@ def test_labels_that_do_not_fit_or_are_missing_fail_that_scan(world, truth):
     write_labels(other, np.full(1500, 77, np.uint32))
     outcome = refine(world, truth)
     assert outcome.done == 1
-    assert f"{path} · 1499 labels · expected 1500" in outcome.failures[0].reason
+    assert f"{path} · 1,499 labels · expected 1,500" in outcome.failures[0].reason
     assert f"{other} · unknown label ids 77 (1500×)" in outcome.failures[1].reason
     other.unlink()
     again = refine(world, truth)
