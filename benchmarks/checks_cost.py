@@ -23,7 +23,7 @@ import numpy as np
 import numpy.typing as npt
 
 from salsanext_cli.errors import counted
-from salsanext_cli.geometry.scan_checks import UNCHECKED
+from salsanext_cli.geometry.checks.findings import UNCHECKED
 from salsanext_cli.inference import checked_scans
 from salsanext_cli.inference.network import Network
 from salsanext_cli.inference.settings import NetworkSettings

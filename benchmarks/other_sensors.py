@@ -22,7 +22,7 @@ from pathlib import Path
 import numpy as np
 
 import salsanext_cli as sn
-from salsanext_cli.geometry.view_fit import fit_view
+from salsanext_cli.geometry.fitting.view_fit import fit_view
 from salsanext_cli.inference.network import Network
 from salsanext_cli.inference.scan_fit import as_seen, with_sensor
 from salsanext_cli.measures.beam_fit import fit_beams

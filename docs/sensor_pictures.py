@@ -13,8 +13,8 @@ import sys
 from pathlib import Path
 
 import salsanext_cli as sn
+from salsanext_cli.geometry.fitting.view_fit import as_found
 from salsanext_cli.geometry.mounting import in_sensor_frame
-from salsanext_cli.geometry.view_fit import as_found
 from salsanext_cli.inference.network import Network
 from salsanext_cli.inference.scan_fit import fitted
 from salsanext_cli.inference.settings import NetworkSettings

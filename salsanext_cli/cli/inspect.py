@@ -29,7 +29,7 @@ def inspect(
 
     Example: salsanext inspect my/scans --fit my-sensor.toml --height 32 --width 1024
     """
-    from salsanext_cli.geometry.view_fit import as_found
+    from salsanext_cli.geometry.fitting.view_fit import as_found
     from salsanext_cli.report.descriptions import survey_tables
     from salsanext_cli.sensors import sensor as find_sensor
     from salsanext_cli.stages.inspect import inspect as stage

@@ -2,8 +2,9 @@
 """Scans read, checked and projected: the first steps of the stages that project one."""
 
 from salsanext_cli.formats import read_scan
+from salsanext_cli.geometry.checks.findings import ScanCheck
+from salsanext_cli.geometry.checks.scan_checks import check_scan
 from salsanext_cli.geometry.projection import project
-from salsanext_cli.geometry.scan_checks import ScanCheck, check_scan
 from salsanext_cli.records import RangeImage
 from salsanext_cli.sensors import Sensor
 from salsanext_cli.storage.layout import ScanFile

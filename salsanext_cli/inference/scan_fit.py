@@ -10,10 +10,10 @@ from pathlib import Path
 
 from salsanext_cli.errors import NOTICE, SalsanextError, UsageError, counted
 from salsanext_cli.formats import read_scan
+from salsanext_cli.geometry.fitting.view_fit import as_found, fit_view
 from salsanext_cli.geometry.intensity import NO_INTENSITY, intensity_quantiles
 from salsanext_cli.geometry.projection import project
 from salsanext_cli.geometry.row_gaps import fills_rows, row_gaps
-from salsanext_cli.geometry.view_fit import as_found, fit_view
 from salsanext_cli.inference.network import Network
 from salsanext_cli.inference.settings import NetworkSettings
 from salsanext_cli.records import Float, Scan

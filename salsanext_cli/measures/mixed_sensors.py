@@ -8,9 +8,9 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from salsanext_cli.geometry.checks.findings import Finding
+from salsanext_cli.geometry.checks.scan_traits import ScanTraits
 from salsanext_cli.geometry.intensity import INTENSITY_FACTOR
-from salsanext_cli.geometry.scan_checks import Finding
-from salsanext_cli.geometry.scan_traits import ScanTraits
 from salsanext_cli.storage.layout import ScanFile
 
 DENSITY_FACTOR = 1.5

@@ -17,8 +17,8 @@ import numpy.typing as npt
 from salsanext_cli.classes import LabelSpace, TrainIds
 from salsanext_cli.errors import printable
 from salsanext_cli.formats.reading import present
-from salsanext_cli.geometry.scan_checks import MIN_POINTS, UNCHECKED, Finding, ScanCheck
-from salsanext_cli.geometry.scan_traits import ScanTraits
+from salsanext_cli.geometry.checks.findings import MIN_POINTS, UNCHECKED, Finding, ScanCheck
+from salsanext_cli.geometry.checks.scan_traits import ScanTraits
 from salsanext_cli.measures.mixed_sensors import mixed_sensors
 from salsanext_cli.sensors import Sensor
 from salsanext_cli.storage.kept_findings import Texts, keep_findings

@@ -12,8 +12,8 @@ import numpy as np
 import numpy.typing as npt
 
 from salsanext_cli.classes import RawIds
+from salsanext_cli.geometry.fitting.view_fit import OUTLIERS
 from salsanext_cli.geometry.ranges import measured_ranges
-from salsanext_cli.geometry.view_fit import OUTLIERS
 from salsanext_cli.records import CHANNELS, RangeImage, Scan
 
 ELEVATION_STEP_DEG = 0.05

@@ -11,10 +11,10 @@ from salsanext_cli.errors import NoInputError, counted
 from salsanext_cli.formats import read_scan
 from salsanext_cli.formats.labels import read_labels
 from salsanext_cli.formats.reading import present
+from salsanext_cli.geometry.checks.scan_checks import check_scan
+from salsanext_cli.geometry.fitting.view_fit import fit_view
 from salsanext_cli.geometry.mounting import in_sensor_frame
 from salsanext_cli.geometry.projection import project
-from salsanext_cli.geometry.scan_checks import check_scan
-from salsanext_cli.geometry.view_fit import fit_view
 from salsanext_cli.inference.scan_fit import sampled
 from salsanext_cli.measures.beam_fit import fit_beams
 from salsanext_cli.measures.scan_summary import RunSummary, ScanSummary

@@ -11,9 +11,9 @@ import numpy as np
 
 from salsanext_cli.classes import TrainIds
 from salsanext_cli.errors import SalsanextError, UsageError
+from salsanext_cli.geometry.checks.findings import ScanCheck
 from salsanext_cli.geometry.gather import points_from_pixels
 from salsanext_cli.geometry.knn import KnnParameters, knn_refine
-from salsanext_cli.geometry.scan_checks import ScanCheck
 from salsanext_cli.inference.adaptation import network_of_run
 from salsanext_cli.inference.checked_scans import project_checked
 from salsanext_cli.inference.network import Network

@@ -16,7 +16,7 @@ from torch import Tensor
 
 from salsanext_cli.classes import LabelSpace
 from salsanext_cli.errors import LabelError, TrainingError, counted
-from salsanext_cli.geometry.scan_checks import check_scan
+from salsanext_cli.geometry.checks.scan_checks import check_scan
 from salsanext_cli.measures.scan_summary import RunSummary, ScanSummary
 from salsanext_cli.sensors import Sensor
 from salsanext_cli.storage.identity import identity

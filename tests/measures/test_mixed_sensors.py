@@ -12,8 +12,9 @@ from hypothesis import strategies as st
 from scans import SMALL
 
 from salsanext_cli import Scan, read_scan, sensor
-from salsanext_cli.geometry.scan_checks import ScanCheck, check_scan
-from salsanext_cli.geometry.scan_traits import ScanTraits, traits_of
+from salsanext_cli.geometry.checks.findings import ScanCheck
+from salsanext_cli.geometry.checks.scan_checks import check_scan
+from salsanext_cli.geometry.checks.scan_traits import ScanTraits, traits_of
 from salsanext_cli.measures import mixed_sensors as module
 from salsanext_cli.measures.mixed_sensors import mixed_sensors
 from salsanext_cli.measures.scan_summary import RunSummary, ScanSummary

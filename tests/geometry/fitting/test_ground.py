@@ -5,7 +5,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scans import make_scan
 
-from salsanext_cli.geometry.ground import find_ground
+from salsanext_cli.geometry.fitting.ground import find_ground
 from salsanext_cli.geometry.mounting import in_sensor_frame, upright_rotation
 from salsanext_cli.records import Scan
 from salsanext_cli.sensors import sensor as preset

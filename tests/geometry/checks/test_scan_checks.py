@@ -9,9 +9,9 @@ from scans import SMALL, make_scan
 from salsanext_cli import Scan, project
 from salsanext_cli.errors import FormatError
 from salsanext_cli.formats import SCAN_SUFFIXES, read_scan
+from salsanext_cli.geometry.checks.scan_checks import check_scan
+from salsanext_cli.geometry.fitting.view_fit import fit_view
 from salsanext_cli.geometry.intensity import NO_INTENSITY, intensity_quantiles
-from salsanext_cli.geometry.scan_checks import check_scan
-from salsanext_cli.geometry.view_fit import fit_view
 from salsanext_cli.sensors import INTENSITY_LEVELS, sensor
 
 QUANTILES = tuple(np.linspace(0, 1, INTENSITY_LEVELS))

@@ -7,8 +7,8 @@ from scans import SMALL, make_scan
 
 from salsanext_cli import Scan, project
 from salsanext_cli.geometry.coverage import field_of_view_coverage
+from salsanext_cli.geometry.fitting.view_fit import SHOWN, as_found, fit_view
 from salsanext_cli.geometry.mounting import upright_rotation
-from salsanext_cli.geometry.view_fit import SHOWN, as_found, fit_view
 
 SCANS = [make_scan(3000, seed) for seed in range(3)]
 

@@ -10,9 +10,9 @@ import numpy as np
 import numpy.typing as npt
 
 from salsanext_cli.geometry.few_points import few_points
-from salsanext_cli.geometry.ground import MIN_HEIGHT_M, Ground, find_ground
+from salsanext_cli.geometry.fitting.ground import MIN_HEIGHT_M, Ground, find_ground
+from salsanext_cli.geometry.fitting.origin_fit import find_origin
 from salsanext_cli.geometry.mounting import in_sensor_frame, upright_rotation
-from salsanext_cli.geometry.origin_fit import find_origin
 from salsanext_cli.records import Float, Scan
 from salsanext_cli.sensors import FITTED_NAME, Sensor
 

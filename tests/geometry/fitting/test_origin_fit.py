@@ -7,11 +7,11 @@ from scans import SMALL
 
 from salsanext_cli import Scan, project
 from salsanext_cli.errors import UsageError
-from salsanext_cli.geometry.ground import find_ground
+from salsanext_cli.geometry.fitting.ground import find_ground
+from salsanext_cli.geometry.fitting.mounting_fit import USUAL_HEIGHT_M, fit_mounting
+from salsanext_cli.geometry.fitting.origin_fit import find_origin, sharpness
+from salsanext_cli.geometry.fitting.view_fit import as_found, fit_view
 from salsanext_cli.geometry.mounting import in_sensor_frame, upright_rotation
-from salsanext_cli.geometry.mounting_fit import USUAL_HEIGHT_M, fit_mounting
-from salsanext_cli.geometry.origin_fit import find_origin, sharpness
-from salsanext_cli.geometry.view_fit import as_found, fit_view
 
 HEIGHT = 1.7
 PLACES = [(1.3, 0, 1.9), (-1.1, 0.4, 0.9)]

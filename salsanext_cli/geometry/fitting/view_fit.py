@@ -12,8 +12,8 @@ from salsanext_cli.geometry.coverage import (
     FieldOfViewCoverage,
     field_of_view_coverage,
 )
+from salsanext_cli.geometry.fitting.mounting_fit import fit_mounting
 from salsanext_cli.geometry.mounting import in_sensor_frame
-from salsanext_cli.geometry.mounting_fit import fit_mounting
 from salsanext_cli.geometry.ranges import measured_ranges
 from salsanext_cli.records import Scan
 from salsanext_cli.sensors import FITTED_NAME, ORIGIN, UP, Sensor

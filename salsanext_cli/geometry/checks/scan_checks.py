@@ -6,33 +6,27 @@ finding, which becomes a warning of the run. docs/checks.md says where the thres
 """
 
 from collections.abc import Iterator
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
 
 from salsanext_cli.errors import FormatError, counted
+from salsanext_cli.geometry.checks.findings import MIN_POINTS, Finding, ScanCheck
+from salsanext_cli.geometry.checks.intensity_checks import intensity_findings, upper_intensity
+from salsanext_cli.geometry.checks.scan_traits import traits_of
 from salsanext_cli.geometry.coverage import LARGEST_SHARE_OUTSIDE
 from salsanext_cli.geometry.few_points import few_points
-from salsanext_cli.geometry.ground import TOLERANCE_M
-from salsanext_cli.geometry.intensity import (
-    BRIGHT,
-    INTENSITY_FACTOR,
-    NO_INTENSITY,
-    without_intensity,
-)
+from salsanext_cli.geometry.fitting.ground import TOLERANCE_M
+from salsanext_cli.geometry.fitting.mounting_fit import HEIGHTS_M, MAX_TILT_DEG, ground_of
+from salsanext_cli.geometry.intensity import without_intensity
 from salsanext_cli.geometry.mounting import in_sensor_frame
-from salsanext_cli.geometry.mounting_fit import HEIGHTS_M, MAX_TILT_DEG, ground_of
 from salsanext_cli.geometry.ranges import measured_ranges
-from salsanext_cli.geometry.scan_traits import ScanTraits, traits_of
 from salsanext_cli.records import Float, Scan
 from salsanext_cli.sensors import FITTED_NAME, Sensor
 
 MEDIAN_RANGES_M = (0.3, 250.0)
 """Least and largest median range of a scan in metres; real scans had 4 to 32."""
-MIN_POINTS = 100
-"""Fewest points of which a check says something."""
 USUAL_RANGES_M = (60.0, 300.0)
 """Largest usual median range and 99 % quantile of ranges; real scans had up to 32 and 104."""
 MAX_VIEW_DEG = 120.0
@@ -47,52 +41,11 @@ MIN_SHARE_OF_GROUND = 0.15
 SECTORS = 64
 MIN_SECTORS = 0.6
 """Least share of the directions around with a point; revolutions had 0.89 or more."""
-MAX_USUAL_INTENSITY = 2.0
-"""Largest upper intensity of the scale 0…1, where that of training is not known."""
 FIT = "`salsanext inspect SCANS --fit sensor.toml`, then --sensor sensor.toml"
 AUTO = "--sensor auto, or "
 UNITS = "convert them to metres, or name the columns: --columns x,y,z,intensity"
 TRAIN = "expect worse labels, or `salsanext train` weights on scans of this sensor"
 ORIGIN = "say where the sensor is, by `origin` in a sensor file, or train weights for that height"
-NAME_IT = (
-    "if the files hold one, name its column, --columns x,y,z,_,intensity for example, or its "
-    "scale, intensity_scale in a file for --sensor"
-)
-
-
-@dataclass(frozen=True, slots=True)
-class Finding:
-    """Reason to doubt the labels of a scan.
-
-    Attributes
-    ----------
-    code : str
-        Name of the check, which stays; see docs/checks.md.
-    found, remedy : str
-        What is doubtful about this scan, and what to do.
-    """
-
-    code: str
-    found: str
-    remedy: str
-
-
-@dataclass(frozen=True, slots=True)
-class ScanCheck:
-    """Result of a check: reasons to doubt the scan, and traits of its sensor.
-
-    Attributes
-    ----------
-    findings : tuple of Finding
-    traits : ScanTraits, optional
-        None of a scan of fewer than `MIN_POINTS` points with a measurement.
-    """
-
-    findings: tuple[Finding, ...] = ()
-    traits: ScanTraits | None = None
-
-
-UNCHECKED = ScanCheck()
 
 
 def check_scan(
@@ -141,8 +94,8 @@ def check_scan(
         *_of_ground(some, fit),
     ]
     if trained is not None:
-        findings += _of_intensity(some, reason, sensor, trained, fitting)
-    bright = 0.0 if reason else _bright(some.intensity)
+        findings += intensity_findings(some, reason, sensor, trained, fitting)
+    bright = 0.0 if reason else upper_intensity(some.intensity)
     traits = traits_of(sines, bright, len(scan) * share / count)
     return ScanCheck(tuple(findings), traits)
 
@@ -215,45 +168,3 @@ def _of_ground(scan: Scan, fit: str) -> Iterator[Finding]:
     elif not HEIGHTS_M[0] <= ground.height <= HEIGHTS_M[1]:
         height = f"{ground.height:.1f} m above" if abs(ground.height) > TOLERANCE_M else "on"
         yield Finding("height", f"the origin of the points is {height} the ground", ORIGIN)
-
-
-def _bright(intensity: Float) -> float:
-    """Return the upper intensity of those that are numbers, 0 without any."""
-    finite = intensity[np.isfinite(intensity)]
-    return float(np.quantile(finite, BRIGHT)) if len(finite) else 0.0
-
-
-def _of_intensity(
-    scan: Scan, reason: str, sensor: Sensor, trained: Sensor, fitting: bool
-) -> Iterator[Finding]:
-    """Compare with the scans that it is matched with, else with training, else with 0 to 1.
-
-    `reason` says why the values are no intensity, if they are none.
-    """
-    matched = sensor.intensity_quantiles
-    if reason:
-        found = reason if matched else f"{reason}; the network takes it as it is"
-        remedy = (
-            "--intensity none"
-            if fitting and trained.intensity_quantiles and not matched
-            else NAME_IT
-        )
-        yield Finding("no-intensity", found, remedy)
-        return
-    quantiles = matched or trained.intensity_quantiles
-    if matched == NO_INTENSITY:
-        return
-    bright = _bright(scan.intensity)
-    if quantiles:
-        usual = quantiles[round(BRIGHT * (len(quantiles) - 1))]
-        near = usual / INTENSITY_FACTOR <= bright <= usual * INTENSITY_FACTOR
-        doubtful = usual > 0 and not near  # Decibels have no factors.
-        of = f"and {usual:.2g} in {'the scans fitted to' if matched else 'training'}"
-    else:
-        doubtful, of = bright > MAX_USUAL_INTENSITY, "where 0 to 1 is usual"
-    if doubtful:
-        found = f"{BRIGHT:.0%} of the intensities are below {bright:.3g}, {of}"
-        scale = "set intensity_scale in a file for --sensor"
-        alone = "run it apart, or " if fitting else ""
-        remedy = f"{alone}{scale}" if matched or not fitting else f"--intensity auto, or {scale}"
-        yield Finding("intensity-scale", found, remedy)

@@ -1,0 +1,2 @@
+# SPDX-License-Identifier: MIT
+"""Checks of scans before a network sees them."""

@@ -1,0 +1,60 @@
+# SPDX-License-Identifier: MIT
+"""Checks of the intensity of a scan against that of others, or of training."""
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from salsanext_cli.geometry.checks.findings import Finding
+from salsanext_cli.geometry.intensity import BRIGHT, INTENSITY_FACTOR, NO_INTENSITY
+from salsanext_cli.records import Float, Scan
+from salsanext_cli.sensors import Sensor
+
+MAX_USUAL_INTENSITY = 2.0
+"""Largest upper intensity of the scale 0…1, where that of training is not known."""
+NAME_IT = (
+    "if the files hold one, name its column, --columns x,y,z,_,intensity for example, or its "
+    "scale, intensity_scale in a file for --sensor"
+)
+
+
+def upper_intensity(intensity: Float) -> float:
+    """Return the upper intensity of those that are numbers, 0 without any."""
+    finite = intensity[np.isfinite(intensity)]
+    return float(np.quantile(finite, BRIGHT)) if len(finite) else 0.0
+
+
+def intensity_findings(
+    scan: Scan, reason: str, sensor: Sensor, trained: Sensor, fitting: bool
+) -> Iterator[Finding]:
+    """Compare with the scans that it is matched with, else with training, else with 0 to 1.
+
+    `reason` says why the values are no intensity, if they are none.
+    """
+    matched = sensor.intensity_quantiles
+    if reason:
+        found = reason if matched else f"{reason}; the network takes it as it is"
+        remedy = (
+            "--intensity none"
+            if fitting and trained.intensity_quantiles and not matched
+            else NAME_IT
+        )
+        yield Finding("no-intensity", found, remedy)
+        return
+    quantiles = matched or trained.intensity_quantiles
+    if matched == NO_INTENSITY:
+        return
+    bright = upper_intensity(scan.intensity)
+    if quantiles:
+        usual = quantiles[round(BRIGHT * (len(quantiles) - 1))]
+        near = usual / INTENSITY_FACTOR <= bright <= usual * INTENSITY_FACTOR
+        doubtful = usual > 0 and not near  # Decibels have no factors.
+        of = f"and {usual:.2g} in {'the scans fitted to' if matched else 'training'}"
+    else:
+        doubtful, of = bright > MAX_USUAL_INTENSITY, "where 0 to 1 is usual"
+    if doubtful:
+        found = f"{BRIGHT:.0%} of the intensities are below {bright:.3g}, {of}"
+        scale = "set intensity_scale in a file for --sensor"
+        alone = "run it apart, or " if fitting else ""
+        remedy = f"{alone}{scale}" if matched or not fitting else f"--intensity auto, or {scale}"
+        yield Finding("intensity-scale", found, remedy)
