@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 import json
-import math
 import tomllib
 from collections.abc import Mapping
 from dataclasses import MISSING, asdict, dataclass, fields, replace
@@ -13,22 +12,19 @@ from importlib import resources
 from pathlib import Path
 from typing import Any
 
-from salsanext_cli.beam_elevations import BEAMS_EXPECTED, are_beams
-from salsanext_cli.column_names import COLUMNS_EXPECTED, are_columns
 from salsanext_cli.errors import UsageError
-from salsanext_cli.settings_files import are_numbers, quoted, read_toml, refuse_unknown, words_of
-from salsanext_cli.settings_files import shortened as short
+from salsanext_cli.sensor_limits import NOISE, faults
+from salsanext_cli.settings_files import (
+    are_numbers,
+    quoted,
+    read_toml,
+    refuse_unknown,
+    shortened,
+    words_of,
+)
 
 SEMANTIC_KITTI_MEANS = (12.12, 10.88, 0.23, -1.04, 0.21)
 SEMANTIC_KITTI_STDS = (12.32, 11.47, 6.91, 0.86, 0.16)
-MAX_PIXELS = 1 << 21
-"""Largest range image, in pixels: 64×32768, eight times that of the finest sensor."""
-BYTES_PER_PIXEL = 1000
-"""Approximate memory of a network per pixel."""
-MAX_NUMBER = 1e6
-"""Bound of means, deviations and scales, in metres and units of intensity, and of their inverse."""
-SCALES = f"numbers from {1 / MAX_NUMBER:g} to {MAX_NUMBER:g}"
-NOISE = ("range_noise", "intensity_noise")
 NO_VIEW = ("name", *NOISE, "intensity_quantiles", "row_gaps")
 OF_IMAGES = ("height", "width", "means", "stds")
 """Fields that a network depends on, not a sensor: size and normalisation of its images."""
@@ -48,10 +44,6 @@ OPTIONAL = {
     "row_gaps": None,
 }
 """Defaults of fields that are written only where a sensor has another value."""
-MIN_LENGTH = 1e-3
-"""Least length of a vector that tells a direction."""
-INTENSITY_LEVELS = 65
-"""Quantiles of intensity, evenly spaced from the smallest to the largest value."""
 NUMBERS = ("fov_up", "fov_down", "height", "width", "intensity_scale")
 LISTS = ("means", "stds")
 
@@ -117,68 +109,10 @@ class Sensor:
     row_gaps: float | None = None
 
     def __post_init__(self) -> None:
-        self._require(isinstance(self.name, str), "a name that is no text")
-        self._require(math.isfinite(self.fov_up) and math.isfinite(self.fov_down), "fov not finite")
-        self._require(
-            self.fov_up > self.fov_down,
-            f"fov_up {short(self.fov_up)} ≤ fov_down {short(self.fov_down)}",
-        )
-        size = f"size {short(self.height)}×{short(self.width)}"
-        whole = all(type(length) is int and length >= 1 for length in (self.height, self.width))
-        self._require(whole, size)
-        memory = f"{short(self.height * self.width * BYTES_PER_PIXEL // 10**9, 12)} GB"
-        self._require(
-            self.height * self.width <= MAX_PIXELS,
-            f"{size}, of which an image takes {memory} in a network",
-            f"at most {MAX_PIXELS} pixels, such as 64×{MAX_PIXELS // 64}",
-        )
-        five = len(self.means) == len(self.stds) == 5
-        self._require(five, "means and stds are not 5 numbers each")
-        self._require(
-            all(abs(mean) <= MAX_NUMBER for mean in self.means),
-            f"means {short(self.means)}",
-            f"numbers up to {MAX_NUMBER:g}",
-        )
-        self._require(
-            all(1 / MAX_NUMBER <= std <= MAX_NUMBER for std in self.stds),
-            f"stds {short(self.stds)}",
-            SCALES,
-        )
-        self._require(
-            self.out_of_view in ("clamp", "drop"), f"out_of_view {short(self.out_of_view)}"
-        )
-        scale = self.intensity_scale
-        self._require(
-            1 / MAX_NUMBER <= scale <= MAX_NUMBER, f"intensity_scale {short(scale)}", SCALES
-        )
-        self._require(
-            len(self.up) == 3 and MIN_LENGTH < math.hypot(*self.up) < math.inf,
-            f"up {short(self.up)}",
-            "a direction, three numbers",
-        )
-        self._require(
-            len(self.origin) == 3 and math.hypot(*self.origin) < MAX_NUMBER,
-            f"origin {short(self.origin)}",
-            "a place, three numbers in metres",
-        )
-        quantiles = self.intensity_quantiles
-        self._require(
-            len(quantiles) in (0, INTENSITY_LEVELS)
-            and list(quantiles) == sorted(quantiles)
-            and all(abs(value) <= MAX_NUMBER for value in quantiles),
-            f"intensity_quantiles {short(quantiles)}",
-            f"{INTENSITY_LEVELS} numbers that rise, up to {MAX_NUMBER:g}",
-        )
-        for name in NOISE:
-            noise = getattr(self, name)
-            self._require(noise is None or 0 <= noise < math.inf, f"{name} {short(noise)}")
-        self._require(are_columns(self.columns), f"columns {short(self.columns)}", COLUMNS_EXPECTED)
-        self._require(are_beams(self.beams), f"beams {short(self.beams)}", BEAMS_EXPECTED)
-        self._require(0 <= (self.row_gaps or 0) <= 1, f"row_gaps {short(self.row_gaps)}", "a share")
-
-    def _require(self, holds: bool, found: str, expected: str = "a possible sensor") -> None:
-        if not holds:
-            raise UsageError(f"sensor {short(self.name)}", found, expected)
+        for found, expected in faults(
+            {field.name: getattr(self, field.name) for field in fields(self)}
+        ):
+            raise UsageError(f"sensor {shortened(self.name)}", found, expected)
 
     @property
     def knows_noise(self) -> bool:

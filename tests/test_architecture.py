@@ -16,6 +16,7 @@ LEVELS = (
     ("errors",),
     ("settings_files", "packages", "thread_pool"),
     ("label_yaml", "kernels", "column_names", "beam_elevations"),
+    ("sensor_limits",),
     ("classes", "sensors"),
     ("records",),
     ("formats", "geometry"),

@@ -15,7 +15,7 @@ from typer.testing import CliRunner
 import salsanext_cli as sn
 from salsanext_cli.cli.app import app
 from salsanext_cli.inference.settings import NetworkSettings
-from salsanext_cli.sensors import INTENSITY_LEVELS
+from salsanext_cli.sensor_limits import INTENSITY_LEVELS
 from salsanext_cli.stages.predict import predict_scans
 from salsanext_cli.storage.point_files import write_bin
 

@@ -8,7 +8,7 @@ import numpy.typing as npt
 
 from salsanext_cli.geometry.ranges import LARGEST, measured_ranges
 from salsanext_cli.records import Float
-from salsanext_cli.sensors import INTENSITY_LEVELS
+from salsanext_cli.sensor_limits import INTENSITY_LEVELS
 
 DIGITS = 6
 """Significant digits of a quantile."""

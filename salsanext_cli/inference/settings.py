@@ -12,7 +12,8 @@ from salsanext_cli.errors import NOTICE, WeightsError
 from salsanext_cli.inference.loading import load_network
 from salsanext_cli.inference.network import Network
 from salsanext_cli.network.card import default_weights
-from salsanext_cli.sensors import NOISE, Sensor
+from salsanext_cli.sensor_limits import NOISE
+from salsanext_cli.sensors import Sensor
 from salsanext_cli.storage.identity import fingerprint
 
 log = logging.getLogger(__name__)

@@ -15,7 +15,7 @@ from salsanext_cli.inference.onnx_export import run
 from salsanext_cli.inference.scan_fit import fitted
 from salsanext_cli.inference.settings import NetworkSettings
 from salsanext_cli.network.card import read_card
-from salsanext_cli.sensors import INTENSITY_LEVELS
+from salsanext_cli.sensor_limits import INTENSITY_LEVELS
 from salsanext_cli.stages import export_onnx as stage
 from salsanext_cli.stages.export_onnx import export_onnx
 from salsanext_cli.storage import user_cache

@@ -11,7 +11,8 @@ from salsanext_cli import Scan, project, read_scan
 from salsanext_cli.errors import OutputError, UsageError
 from salsanext_cli.geometry.intensity import intensity_quantiles
 from salsanext_cli.parallel.run import RunOptions
-from salsanext_cli.sensors import INTENSITY_LEVELS, Sensor
+from salsanext_cli.sensor_limits import INTENSITY_LEVELS
+from salsanext_cli.sensors import Sensor
 from salsanext_cli.stages.knn_refine import knn_refine_scans
 from salsanext_cli.stages.predict import predict_range_images, predict_scans
 from salsanext_cli.stages.project import project_scans

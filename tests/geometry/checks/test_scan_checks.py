@@ -12,7 +12,8 @@ from salsanext_cli.formats import SCAN_SUFFIXES, read_scan
 from salsanext_cli.geometry.checks.scan_checks import check_scan
 from salsanext_cli.geometry.fitting.view_fit import fit_view
 from salsanext_cli.geometry.intensity import NO_INTENSITY, intensity_quantiles
-from salsanext_cli.sensors import INTENSITY_LEVELS, sensor
+from salsanext_cli.sensor_limits import INTENSITY_LEVELS
+from salsanext_cli.sensors import sensor
 
 QUANTILES = tuple(np.linspace(0, 1, INTENSITY_LEVELS))
 TRAINED = replace(SMALL, intensity_quantiles=QUANTILES)

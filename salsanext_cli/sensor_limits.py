@@ -1,0 +1,82 @@
+# SPDX-License-Identifier: MIT
+"""Values that a sensor may have."""
+
+import math
+from collections.abc import Iterator, Mapping
+from typing import Any
+
+from salsanext_cli.beam_elevations import BEAMS_EXPECTED, are_beams
+from salsanext_cli.column_names import COLUMNS_EXPECTED, are_columns
+from salsanext_cli.settings_files import shortened
+
+MAX_PIXELS = 1 << 21
+"""Largest range image, in pixels: 64×32768, eight times that of the finest sensor."""
+BYTES_PER_PIXEL = 1000
+"""Approximate memory of a network per pixel."""
+MAX_NUMBER = 1e6
+"""Bound of means, deviations and scales, in metres and units of intensity, and of their inverse."""
+SCALES = f"numbers from {1 / MAX_NUMBER:g} to {MAX_NUMBER:g}"
+NOISE = ("range_noise", "intensity_noise")
+MIN_LENGTH = 1e-3
+"""Least length of a vector that tells a direction."""
+INTENSITY_LEVELS = 65
+"""Quantiles of intensity, evenly spaced from the smallest to the largest value."""
+POSSIBLE = "a possible sensor"
+
+
+def faults(sensor: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
+    """Yield what was found and what was expected of each value that is impossible.
+
+    Only the first is meaningful: later ones take earlier values to be right.
+
+    Parameters
+    ----------
+    sensor : mapping
+        The fields of a `Sensor` by name.
+    """
+    shown = {key: shortened(value) for key, value in sensor.items()}
+    if not isinstance(sensor["name"], str):
+        yield "a name that is no text", POSSIBLE
+    up, down, height, width = (sensor[key] for key in ("fov_up", "fov_down", "height", "width"))
+    if not (math.isfinite(up) and math.isfinite(down)):
+        yield "fov not finite", POSSIBLE
+    if not up > down:
+        yield f"fov_up {shown['fov_up']} ≤ fov_down {shown['fov_down']}", POSSIBLE
+    size = f"size {shown['height']}×{shown['width']}"
+    if not all(type(length) is int and length >= 1 for length in (height, width)):
+        yield size, POSSIBLE
+    if height * width > MAX_PIXELS:
+        memory = f"{shortened(height * width * BYTES_PER_PIXEL // 10**9, 12)} GB"
+        found = f"{size}, of which an image takes {memory} in a network"
+        yield found, f"at most {MAX_PIXELS} pixels, such as 64×{MAX_PIXELS // 64}"
+    if not len(sensor["means"]) == len(sensor["stds"]) == 5:
+        yield "means and stds are not 5 numbers each", POSSIBLE
+    if not all(abs(mean) <= MAX_NUMBER for mean in sensor["means"]):
+        yield f"means {shown['means']}", f"numbers up to {MAX_NUMBER:g}"
+    if not all(1 / MAX_NUMBER <= std <= MAX_NUMBER for std in sensor["stds"]):
+        yield f"stds {shown['stds']}", SCALES
+    if sensor["out_of_view"] not in ("clamp", "drop"):
+        yield f"out_of_view {shown['out_of_view']}", POSSIBLE
+    if not 1 / MAX_NUMBER <= sensor["intensity_scale"] <= MAX_NUMBER:
+        yield f"intensity_scale {shown['intensity_scale']}", SCALES
+    if not (len(sensor["up"]) == 3 and MIN_LENGTH < math.hypot(*sensor["up"]) < math.inf):
+        yield f"up {shown['up']}", "a direction, three numbers"
+    if not (len(sensor["origin"]) == 3 and math.hypot(*sensor["origin"]) < MAX_NUMBER):
+        yield f"origin {shown['origin']}", "a place, three numbers in metres"
+    quantiles = sensor["intensity_quantiles"]
+    if not (
+        len(quantiles) in (0, INTENSITY_LEVELS)
+        and list(quantiles) == sorted(quantiles)
+        and all(abs(value) <= MAX_NUMBER for value in quantiles)
+    ):
+        expected = f"{INTENSITY_LEVELS} numbers that rise, up to {MAX_NUMBER:g}"
+        yield f"intensity_quantiles {shown['intensity_quantiles']}", expected
+    for name in NOISE:
+        if not (sensor[name] is None or 0 <= sensor[name] < math.inf):
+            yield f"{name} {shown[name]}", POSSIBLE
+    if not are_columns(sensor["columns"]):
+        yield f"columns {shown['columns']}", COLUMNS_EXPECTED
+    if not are_beams(sensor["beams"]):
+        yield f"beams {shown['beams']}", BEAMS_EXPECTED
+    if not 0 <= (sensor["row_gaps"] or 0) <= 1:
+        yield f"row_gaps {shown['row_gaps']}", "a share"
