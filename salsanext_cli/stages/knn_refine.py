@@ -10,7 +10,7 @@ from salsanext_cli.errors import LabelError, NoInputError, UsageError, counted
 from salsanext_cli.formats import read_scan
 from salsanext_cli.formats.labels import read_labels
 from salsanext_cli.formats.npy import read_array
-from salsanext_cli.formats.reading import present
+from salsanext_cli.formats.reading import is_folder, present
 from salsanext_cli.geometry.gather import pixels_from_points
 from salsanext_cli.geometry.knn import KnnParameters, knn_refine
 from salsanext_cli.geometry.projection import project
@@ -63,7 +63,7 @@ def given_labels(folder: Path, file: ScanFile) -> Path:
 
 def _require_some(folder: Path, scans: list[ScanFile]) -> None:
     """Refuse a folder that has labels of none of the scans."""
-    if not folder.is_dir():
+    if not is_folder(folder):
         found = "not a folder" if present(folder) else "no such folder"
         raise NoInputError(folder, found, "the folder of the labels to refine")
     if not any(present(given_labels(folder, scan)) for scan in scans):

@@ -12,6 +12,7 @@ import numpy as np
 from salsanext_cli.classes import TrainIds
 from salsanext_cli.errors import SalsanextError, UsageError
 from salsanext_cli.geometry.checks.findings import ScanCheck
+from salsanext_cli.geometry.checks.intensity_checks import check_image
 from salsanext_cli.geometry.gather import points_from_pixels
 from salsanext_cli.geometry.knn import KnnParameters, knn_refine
 from salsanext_cli.inference.adaptation import network_of_run
@@ -161,13 +162,14 @@ def predict_scans(
     return replace(outcome, summary=summary)
 
 
-def predict_image(file: ScanFile, network: Network, folder: Path, output: OutputRun) -> None:
-    """Label the pixels of one range image that `project` wrote into a folder."""
+def predict_image(file: ScanFile, network: Network, folder: Path, output: OutputRun) -> ScanSummary:
+    """Label the pixels of one range image that `project` wrote into a folder; check it."""
     output.require_replaceable(file)
     path, image = range_image(file, folder, network.sensor)
     (probabilities,) = network.pixel_probabilities([image])
     network.require_finite(probabilities, path)
     output.write_array(file, "pixel_labels", most_probable(probabilities))
+    return ScanSummary(file, check_image(image, network.sensor, network.card.sensor))
 
 
 def predict_range_images(
@@ -209,10 +211,12 @@ def predict_range_images(
         image_of=lambda file: range_image(file, folder, loaded.sensor)[1],
     )
     settings, folders = network.record(loaded), ("pixel_labels",)
-    with output_run(
-        out, "predict", settings, folders, scans, overwrite=options.overwrite
-    ) as output:
+    summary = RunSummary(loaded.sensor)
+    run = output_run(out, "predict", settings, folders, scans, overwrite=options.overwrite)
+    with run as output, summary.kept_in(out, "predict", scans):
         label = partial(predict_image, folder=folder, output=output)
         task = NetworkTask(label, network.resolved(loaded), loaded)
-        outcome = run_over_scans(task, scans, options, is_done=output.is_done)
-    return replace(outcome, summary=RunSummary(loaded.sensor))
+        outcome = run_over_scans(
+            task, scans, options, is_done=output.is_done, on_result=summary.add
+        )
+    return replace(outcome, summary=summary)

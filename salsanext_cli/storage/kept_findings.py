@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""What a stage found doubtful, by scan, ``OUT/<stage>.warnings.json``, kept for its later runs."""
+"""Findings of a stage by scan, ``OUT/<stage>.warnings.json``, kept for its later runs."""
 
 from collections.abc import Collection, Mapping
 from pathlib import Path

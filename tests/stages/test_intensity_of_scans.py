@@ -283,3 +283,13 @@ def test_a_scan_that_cannot_be_read_does_not_end_the_run(knowing):
 
 def test_scans_without_a_point(knowing):
     assert run(knowing, source=replace_points(knowing.scan(), [])).done == 1
+
+
+def test_range_images_without_intensity_are_doubted_as_their_scans_are(knowing, tmp_path):
+    dark = scaled(knowing, tmp_path / "dark", 0.0)
+    steps = tmp_path / "steps"
+    project_scans(dark, steps, sensor=SMALL)
+    for _ in range(2):  # Once found, and once kept.
+        outcome = predict_range_images(steps, steps, network=knowing.network)
+        (warning,) = outcome.summary.warnings()
+        assert (warning["code"], len(warning["scans"])) == ("no-intensity", 3)

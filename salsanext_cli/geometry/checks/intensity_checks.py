@@ -5,8 +5,13 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from salsanext_cli.geometry.checks.findings import Finding
-from salsanext_cli.geometry.intensity import BRIGHT, INTENSITY_FACTOR, NO_INTENSITY
+from salsanext_cli.geometry.checks.findings import MIN_POINTS, UNCHECKED, Finding, ScanCheck
+from salsanext_cli.geometry.intensity import (
+    BRIGHT,
+    INTENSITY_FACTOR,
+    NO_INTENSITY,
+    without_intensity,
+)
 from salsanext_cli.records import Float, Scan
 from salsanext_cli.sensors import Sensor
 
@@ -58,3 +63,21 @@ def intensity_findings(
         alone = "run it apart, or " if fitting else ""
         remedy = f"{alone}{scale}" if matched or not fitting else f"--intensity auto, or {scale}"
         yield Finding("intensity-scale", found, remedy)
+
+
+def check_image(channels: Float, sensor: Sensor, trained: Sensor) -> ScanCheck:
+    """Check the intensity of a range image, whose geometry was checked when it was projected.
+
+    Parameters
+    ----------
+    channels : (5, H, W) float32
+        A pixel of range 0 is empty.
+    sensor, trained : Sensor
+        That of the image, and that of the weights.
+    """
+    occupied = channels[:, channels[0] > 0]
+    scan = Scan(np.ascontiguousarray(occupied[1:4].T), occupied[4])
+    if len(scan) < MIN_POINTS:
+        return UNCHECKED
+    reason = without_intensity(scan.points, scan.intensity)
+    return ScanCheck(tuple(intensity_findings(scan, reason, sensor, trained, fitting=True)))
