@@ -127,10 +127,10 @@ class Network:
 
         Gaps and intensity become those of training where both sensors know theirs.
         """
-        channels = completed(channels, self.sensor, self.card.sensor)
         own, trained = (s.intensity_quantiles for s in (self.sensor, self.card.sensor))
         if own and trained:
             channels = match_intensity(channels, own, trained)
+        channels = completed(channels, self.sensor, self.card.sensor)
         return normalise(channels, self.sensor)[None]
 
     def input(self, channels: Float) -> "Tensor":

@@ -92,7 +92,7 @@ def fitted(
     UsageError
         If there is no such way, or the weights do not know the intensity of their training.
     """
-    how = _method(settings, network)
+    how, trained = _method(settings, network), network.card.sensor
     if settings.fits_view and image_of is None:
         network = with_sensor(network, fitted_view(files, network.sensor, earlier))
     known = [sensor for sensor in (earlier, settings.sensor) if sensor]
@@ -103,17 +103,18 @@ def fitted(
     elif how:
         # Earlier results without intensity tell nothing about that of the scans; nor does the
         # sensor of the weights, which was named for its columns, say.
-        others = ((), NO_INTENSITY, network.card.sensor.intensity_quantiles)
+        others = ((), NO_INTENSITY, trained.intensity_quantiles)
         measured = (sensor.intensity_quantiles for sensor in known)
         usable = (found for found in measured if found not in others)
         quantiles = next(usable, ()) or intensity_quantiles(images())
     gaps = None
-    if network.card.sensor.row_gaps is not None:
-        gaps = next((each.row_gaps for each in known if each.row_gaps is not None), None)
+    if trained.row_gaps is not None:
+        others_gaps = (each.row_gaps for each in known)
+        gaps = next((each for each in others_gaps if each not in (None, trained.row_gaps)), None)
         gaps = row_gaps(images()) if gaps is None else gaps
     found = replace(network.sensor, intensity_quantiles=quantiles, row_gaps=gaps)
     network = with_sensor(network, found)
-    if fills_rows(found, network.card.sensor):
+    if fills_rows(found, trained):
         log.log(NOTICE, "gaps between rows, %.0f %% of their pixels, are filled", 100 * (gaps or 0))
     return network
 

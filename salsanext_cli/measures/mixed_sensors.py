@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from salsanext_cli.errors import first_few
 from salsanext_cli.geometry.checks.findings import Finding
 from salsanext_cli.geometry.checks.scan_traits import ScanTraits
 from salsanext_cli.geometry.intensity import INTENSITY_FACTOR
@@ -36,7 +37,7 @@ def mixed_sensors(
     traits : mapping
         Traits of the scans of a run.
     selectable : bool
-        Whether the command takes ``--sequences``.
+        Whether the command takes any SCANS.
     """
     files = sorted(traits, key=lambda file: (file.sequence, file.stem))
     if len(files) < 2:
@@ -84,12 +85,13 @@ def _groups(values: npt.NDArray[Any], factor: float) -> npt.NDArray[np.int64]:
 
 
 def _remedy(others: Sequence[ScanFile], most: Sequence[ScanFile], selectable: bool) -> str:
-    """Return the options that divide a run, if whole sequences do, else other advice."""
+    """Return what divides a run, if whole sequences do, else other advice."""
     sequences = [sorted({file.sequence for file in files}) for files in (others, most)]
     if not selectable or {*sequences[0]} & {*sequences[1]}:
         return "put the scans of each sensor into a folder of their own"
-    apart = " and ".join(f"--sequences {','.join(names)}" for names in sequences)
-    return f"run them apart: {apart}"
+    apart = " and ".join(first_few(names) for names in sequences)
+    # A selection from the whole data set would be fitted to all of it.
+    return f"give {apart} as SCANS of their own, such as {most[0].path.parent}"
 
 
 def _description(traits: ScanTraits) -> str:

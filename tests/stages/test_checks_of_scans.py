@@ -169,7 +169,8 @@ def test_sequences_of_two_sensors(dataset):
     write_sequence(dataset / "sequences/08", ["0"], count=8000)
     (inspected,), (warning,) = inspect(dataset, sensor=SMALL).warnings, trained(dataset)
     assert inspected["scans"] == warning["scans"] == ["08/0"]
-    assert inspected["remedy"] == "run them apart: --sequences 08 and --sequences 00"
+    folder = dataset / "sequences/00/velodyne"
+    assert inspected["remedy"] == f"give 08 and 00 as SCANS of their own, such as {folder}"
     # There is no such option.
     assert warning["remedy"] == "put the scans of each sensor into a folder of their own"
 
