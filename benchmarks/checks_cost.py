@@ -24,7 +24,7 @@ import numpy.typing as npt
 
 from salsanext_cli.errors import counted
 from salsanext_cli.geometry.checks.findings import UNCHECKED
-from salsanext_cli.inference import checked_scans
+from salsanext_cli.inference import adaptation, checked_scans
 from salsanext_cli.inference.network import Network
 from salsanext_cli.inference.settings import NetworkSettings
 from salsanext_cli.parallel.run import RunOptions
@@ -39,7 +39,7 @@ def times_of(scans: Path, network: NetworkSettings, *, checked: bool) -> tuple[T
     """Predict into a new folder; return the times of each scan but the first, and of the fit."""
     fitting: list[float] = []
     marks: list[tuple[float, float]] = []
-    fitted = predict.fitted
+    fitted = adaptation.fitted
 
     def timed(*given: Any) -> Network:
         start = time.perf_counter()
@@ -50,10 +50,10 @@ def times_of(scans: Path, network: NetworkSettings, *, checked: bool) -> tuple[T
     def mark(*_: int) -> None:
         marks.append((time.perf_counter(), time.process_time()))
 
-    unchecked = patch.object(checked_scans, "check_scan", lambda *given: UNCHECKED)
+    unchecked = patch.object(checked_scans, "check_scan", lambda *_: UNCHECKED)
     with (
         tempfile.TemporaryDirectory() as out,
-        patch.object(predict, "fitted", timed),
+        patch.object(adaptation, "fitted", timed),
         nullcontext() if checked else unchecked,
     ):
         options = RunOptions(progress=mark)
@@ -63,7 +63,7 @@ def times_of(scans: Path, network: NetworkSettings, *, checked: bool) -> tuple[T
 
 def main(scans: str, rounds: str = "10", weights: str | None = None) -> None:
     own = Path(weights) if weights else None
-    network = NetworkSettings(own, precision="auto", fit=True, intensity="auto")
+    network = NetworkSettings(own, precision="auto")
     times: dict[str, list[Times]] = {WITH: [], WITHOUT: []}
     fits: list[float] = []
     for number in range(1 + int(rounds)):

@@ -9,7 +9,7 @@ from pathlib import Path
 
 from salsanext_cli.errors import FormatError
 from salsanext_cli.parallel.run import Outcome, RunOptions, run_over_scans
-from salsanext_cli.storage.atomic import MARK, sweep, writing
+from salsanext_cli.storage.files.atomic import MARK, sweep, writing
 from salsanext_cli.storage.layout import ScanFile
 
 

@@ -22,10 +22,10 @@ from salsanext_cli.inference.settings import NetworkSettings
 from salsanext_cli.network.card import require_tensors
 from salsanext_cli.records import Float
 from salsanext_cli.sensors import Sensor
-from salsanext_cli.storage.atomic import WEIGHTS_SUFFIX
-from salsanext_cli.storage.identity import fingerprint
+from salsanext_cli.storage.files.atomic import WEIGHTS_SUFFIX
+from salsanext_cli.storage.files.identity import fingerprint
+from salsanext_cli.storage.files.locks import locked
 from salsanext_cli.storage.layout import ScanFile
-from salsanext_cli.storage.locks import locked
 from salsanext_cli.storage.stage_records import earlier_settings
 from salsanext_cli.storage.written_files import WrittenFiles
 

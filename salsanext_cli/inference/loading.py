@@ -12,7 +12,7 @@ from salsanext_cli.inference.onnx_model import load_onnx
 from salsanext_cli.network.card import default_weights, read_card
 from salsanext_cli.network.onnx_metadata import ONNX_SUFFIX
 from salsanext_cli.sensors import Sensor
-from salsanext_cli.storage.identity import fingerprint
+from salsanext_cli.storage.files.identity import fingerprint
 from salsanext_cli.storage.user_cache import check_once
 
 if TYPE_CHECKING:

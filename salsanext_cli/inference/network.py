@@ -190,8 +190,7 @@ class Network:
         """
         temperature = self.card.temperature
         return self._computed(
-            channels,
-            f"softmax at {temperature}",
+            *(channels, f"softmax at {temperature}"),
             lambda logits: (logits / temperature).softmax(dim=1),
         )
 

@@ -19,7 +19,7 @@ from salsanext_cli.network.card import WeightsCard
 from salsanext_cli.records import CHANNELS, Float, RangeImage
 from salsanext_cli.sensors import Sensor
 from salsanext_cli.settings_files import words_of
-from salsanext_cli.storage.identity import fingerprint
+from salsanext_cli.storage.files.identity import fingerprint
 from salsanext_cli.storage.user_cache import check_once
 
 if TYPE_CHECKING:

@@ -14,7 +14,7 @@ from salsanext_cli.inference.network import Network
 from salsanext_cli.network.card import default_weights
 from salsanext_cli.sensor_limits import NOISE
 from salsanext_cli.sensors import Sensor
-from salsanext_cli.storage.identity import fingerprint
+from salsanext_cli.storage.files.identity import fingerprint
 
 log = logging.getLogger(__name__)
 

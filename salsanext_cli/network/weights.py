@@ -15,7 +15,7 @@ from salsanext_cli.network.registry import build
 from salsanext_cli.network.restricted_unpickler import DTYPES
 from salsanext_cli.network.segmentation import SegmentationNetwork
 from salsanext_cli.settings_files import shortened, words_of
-from salsanext_cli.storage.atomic import write_bytes
+from salsanext_cli.storage.files.atomic import write_bytes
 
 NORM_SUFFIXES = (".running_mean", ".running_var")
 

@@ -21,7 +21,7 @@ from salsanext_cli.parallel.pools import WorkerPool, local_pool, signals_blocked
 from salsanext_cli.parallel.shards import Chunk, chunks
 from salsanext_cli.parallel.tasks import Attempt, Task, opened
 from salsanext_cli.parallel.worker import WORKER, WorkerContext, attempt_chunk
-from salsanext_cli.storage.atomic import MARK
+from salsanext_cli.storage.files.atomic import MARK
 from salsanext_cli.storage.layout import ScanFile
 from salsanext_cli.storage.sources import MissingResults
 

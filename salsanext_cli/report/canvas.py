@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Literal
 import numpy as np
 
 from salsanext_cli.report.colours import EMPTY, Colours, Legend
-from salsanext_cli.storage.atomic import write_bytes
+from salsanext_cli.storage.files.atomic import write_bytes
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -14,10 +14,10 @@ from salsanext_cli.formats.recordings.address import recording_of
 from salsanext_cli.formats.recordings.recorded_scans import LOST
 from salsanext_cli.parallel.run import Outcome, RunOptions, run_over_scans
 from salsanext_cli.settings_files import shortened
-from salsanext_cli.storage.atomic import MARK, sweep, sweep_stale
-from salsanext_cli.storage.json_files import encode_json, read_json
+from salsanext_cli.storage.files.atomic import MARK, sweep, sweep_stale
+from salsanext_cli.storage.files.json_files import encode_json, read_json
+from salsanext_cli.storage.files.locks import locked
 from salsanext_cli.storage.layout import SCAN_FOLDER, ScanFile, find_scans
-from salsanext_cli.storage.locks import locked
 from salsanext_cli.storage.written_files import WrittenFiles
 
 TIMES = "times.txt"

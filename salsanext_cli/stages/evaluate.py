@@ -22,8 +22,8 @@ from salsanext_cli.measures.uncertainty_evaluation import (
 )
 from salsanext_cli.parallel.run import Failure, RunOptions, run_over_scans
 from salsanext_cli.report import plots, uncertainty_plots
-from salsanext_cli.storage.atomic import sweep_stale
-from salsanext_cli.storage.json_files import encode_json
+from salsanext_cli.storage.files.atomic import sweep_stale
+from salsanext_cli.storage.files.json_files import encode_json
 from salsanext_cli.storage.layout import ScanFile
 from salsanext_cli.storage.run_registration import records_lock
 from salsanext_cli.storage.sources import MissingResults, missing_predictions

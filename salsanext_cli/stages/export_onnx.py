@@ -24,7 +24,7 @@ from salsanext_cli.network.weights import read_weights
 from salsanext_cli.packages import import_extra, import_nncf
 from salsanext_cli.records import Float
 from salsanext_cli.sensors import Sensor
-from salsanext_cli.storage.atomic import require_target, write_bytes
+from salsanext_cli.storage.files.atomic import require_target, write_bytes
 from salsanext_cli.storage.layout import ScanFile
 from salsanext_cli.storage.selection import ScanSelection, select_evenly
 

@@ -13,7 +13,7 @@ from salsanext_cli.network.registry import build
 from salsanext_cli.network.segmentation import SegmentationNetwork
 from salsanext_cli.network.weights import load_tensors, read_weights, save_weights
 from salsanext_cli.sensors import Sensor, sensor
-from salsanext_cli.storage.atomic import WEIGHTS_SUFFIX, require_target
+from salsanext_cli.storage.files.atomic import WEIGHTS_SUFFIX, require_target
 
 DROPOUT = 0.2
 """The rate of the published training."""

@@ -21,7 +21,7 @@ from salsanext_cli.measures.scan_summary import RunSummary, ScanSummary
 from salsanext_cli.measures.survey import Survey, survey
 from salsanext_cli.parallel.run import Failure, RunOptions, run_over_scans
 from salsanext_cli.sensors import Sensor
-from salsanext_cli.storage.atomic import require_absent, write_bytes
+from salsanext_cli.storage.files.atomic import require_absent, write_bytes
 from salsanext_cli.storage.layout import ScanFile
 from salsanext_cli.storage.selection import ScanSelection, select_scans, space_of
 

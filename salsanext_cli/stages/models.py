@@ -17,7 +17,7 @@ from salsanext_cli.network.complexity import (
     parameter_count,
 )
 from salsanext_cli.network.registry import ARCHITECTURES, build
-from salsanext_cli.storage.identity import fingerprint
+from salsanext_cli.storage.files.identity import fingerprint
 
 HEIGHT, WIDTH = 64, 2048
 

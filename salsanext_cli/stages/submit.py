@@ -14,11 +14,11 @@ from salsanext_cli.errors import NoInputError, UsageError, first_few
 from salsanext_cli.formats.reading import is_folder, present
 from salsanext_cli.measures.submission_check import Problem, problems
 from salsanext_cli.parallel.options import Progress
-from salsanext_cli.storage.atomic import require_target
+from salsanext_cli.storage.files.atomic import require_target
+from salsanext_cli.storage.files.zip_files import write_zip
 from salsanext_cli.storage.layout import ScanFile, find_outputs
 from salsanext_cli.storage.predictions import space_of_results
 from salsanext_cli.storage.sources import recorded_scans
-from salsanext_cli.storage.zip_files import write_zip
 
 SPLIT = "test"
 SCANS_OF_TEST = {

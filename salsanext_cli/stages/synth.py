@@ -24,8 +24,8 @@ from salsanext_cli.packages import import_open3d
 from salsanext_cli.parallel.pools import end_with_parent, signals_blocked
 from salsanext_cli.parallel.run import Progress
 from salsanext_cli.parallel.threads import worker_count
-from salsanext_cli.storage.atomic import MARK, sweep
-from salsanext_cli.storage.json_files import encode_json, read_json
+from salsanext_cli.storage.files.atomic import MARK, sweep
+from salsanext_cli.storage.files.json_files import encode_json, read_json
 from salsanext_cli.storage.written_files import RECORDS, WrittenFiles
 from salsanext_cli.synthesis.drive import record
 from salsanext_cli.synthesis.surfaces import ABSENT

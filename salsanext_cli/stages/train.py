@@ -22,7 +22,7 @@ from salsanext_cli.parallel.threads import worker_count
 from salsanext_cli.report.scan_pictures import draw_sample
 from salsanext_cli.sensors import Sensor
 from salsanext_cli.sensors import sensor as preset_sensor
-from salsanext_cli.storage.identity import fingerprint
+from salsanext_cli.storage.files.identity import fingerprint
 from salsanext_cli.storage.layout import ScanFile
 from salsanext_cli.storage.selection import evenly_spaced
 from salsanext_cli.training.class_counts import (

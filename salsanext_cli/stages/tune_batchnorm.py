@@ -24,7 +24,7 @@ from salsanext_cli.inference.settings import NetworkSettings
 from salsanext_cli.network.weights import save_with_card
 from salsanext_cli.parallel.run import Progress
 from salsanext_cli.records import Float
-from salsanext_cli.storage.atomic import require_target
+from salsanext_cli.storage.files.atomic import require_target
 from salsanext_cli.storage.layout import ScanFile, find_scans
 from salsanext_cli.storage.selection import ScanSelection, select_evenly
 

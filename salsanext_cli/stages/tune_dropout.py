@@ -16,7 +16,7 @@ from salsanext_cli.network.dropout import dropouts
 from salsanext_cli.network.weights import save_with_card
 from salsanext_cli.parallel.run import Progress
 from salsanext_cli.report.plots import rate_curve
-from salsanext_cli.storage.atomic import require_absent, require_target
+from salsanext_cli.storage.files.atomic import require_absent, require_target
 from salsanext_cli.storage.layout import find_scans
 from salsanext_cli.storage.selection import ScanSelection
 from salsanext_cli.training.tuning.dropout_rate import objective, rates_between

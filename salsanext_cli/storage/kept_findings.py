@@ -4,7 +4,7 @@
 from collections.abc import Collection, Mapping
 from pathlib import Path
 
-from salsanext_cli.storage.json_files import read_json, write_json
+from salsanext_cli.storage.files.json_files import read_json, write_json
 from salsanext_cli.storage.run_registration import records_lock
 
 Texts = tuple[str, str, str]

@@ -15,9 +15,9 @@ from salsanext_cli.errors import OutputError
 from salsanext_cli.formats.labels import encode_labels
 from salsanext_cli.formats.npy import encode_array
 from salsanext_cli.formats.reading import filled
-from salsanext_cli.storage.atomic import MARK, sweep, sweep_stale
+from salsanext_cli.storage.files.atomic import MARK, sweep, sweep_stale
+from salsanext_cli.storage.files.locks import locked
 from salsanext_cli.storage.layout import ScanFile, output_path
-from salsanext_cli.storage.locks import locked
 from salsanext_cli.storage.run_registration import records_lock, register_run
 from salsanext_cli.storage.sources import scan_sources
 from salsanext_cli.storage.stage_records import StageRecord, as_json, read_record

@@ -12,7 +12,7 @@ from salsanext_cli.formats.clouds.kitti import encode_bin
 from salsanext_cli.formats.clouds.ply import encode_ply
 from salsanext_cli.formats.labels import encode_labels
 from salsanext_cli.records import Scan
-from salsanext_cli.storage.atomic import write_bytes
+from salsanext_cli.storage.files.atomic import write_bytes
 
 
 def write_bin(path: Path, scan: Scan) -> None:

@@ -8,8 +8,8 @@ from dataclasses import replace
 from pathlib import Path
 
 from salsanext_cli.errors import OutputError, first_few
+from salsanext_cli.storage.files.locks import locked
 from salsanext_cli.storage.layout import find_outputs
-from salsanext_cli.storage.locks import locked
 from salsanext_cli.storage.stage_records import (
     ScanSource,
     StageRecord,

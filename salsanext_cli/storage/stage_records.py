@@ -13,7 +13,7 @@ from salsanext_cli.classes import LabelSpace
 from salsanext_cli.errors import OutputError, first_few
 from salsanext_cli.sensors import Sensor, sensor
 from salsanext_cli.settings_files import shortened
-from salsanext_cli.storage.json_files import RecordedSettings, read_json, write_json
+from salsanext_cli.storage.files.json_files import RecordedSettings, read_json, write_json
 from salsanext_cli.storage.layout import COLOURINGS, SUFFIX_OF_FOLDER
 
 SHOWN_CHARACTERS_OF_VALUE = 40

@@ -13,7 +13,7 @@ from salsanext_cli import __version__
 from salsanext_cli.errors import OutputError
 from salsanext_cli.kernels import cache_folder
 from salsanext_cli.settings_files import words_of
-from salsanext_cli.storage.atomic import sweep_stale, writing
+from salsanext_cli.storage.files.atomic import sweep_stale, writing
 
 CHECKSUM_BYTES = 32
 MAX_FOLDER_BYTES = 2 << 30

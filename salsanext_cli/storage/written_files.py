@@ -19,7 +19,7 @@ from typing import BinaryIO
 from urllib.parse import quote_from_bytes, unquote_to_bytes
 
 from salsanext_cli.formats.reading import reading
-from salsanext_cli.storage.atomic import refusal, writing
+from salsanext_cli.storage.files.atomic import refusal, writing
 
 RECORDS = ".salsanext.files"
 LINE = re.compile(rb"(\S+)\t(\d{1,19})\t(\d{1,19})")

@@ -19,8 +19,8 @@ from salsanext_cli.errors import LabelError, TrainingError, counted
 from salsanext_cli.geometry.checks.scan_checks import check_scan
 from salsanext_cli.measures.scan_summary import RunSummary, ScanSummary
 from salsanext_cli.sensors import Sensor
-from salsanext_cli.storage.identity import identity
-from salsanext_cli.storage.json_files import encode_json, read_json
+from salsanext_cli.storage.files.identity import identity
+from salsanext_cli.storage.files.json_files import encode_json, read_json
 from salsanext_cli.storage.layout import ScanFile
 from salsanext_cli.storage.written_files import WrittenFiles
 from salsanext_cli.training.dataset import read_labelled

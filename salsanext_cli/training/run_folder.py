@@ -9,8 +9,8 @@ from typing import Any
 
 from salsanext_cli.errors import OutputError
 from salsanext_cli.inference.device import PRECISIONS
-from salsanext_cli.storage.atomic import require_writable, sweep_stale
-from salsanext_cli.storage.locks import locked
+from salsanext_cli.storage.files.atomic import require_writable, sweep_stale
+from salsanext_cli.storage.files.locks import locked
 from salsanext_cli.storage.stage_records import (
     StageRecord,
     as_json,

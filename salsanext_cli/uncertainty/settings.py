@@ -11,7 +11,7 @@ from salsanext_cli.geometry.normalise import noise_of
 from salsanext_cli.inference.network import Network
 from salsanext_cli.records import RangeImage
 from salsanext_cli.sensors import Sensor
-from salsanext_cli.storage.json_files import RecordedSettings
+from salsanext_cli.storage.files.json_files import RecordedSettings
 from salsanext_cli.storage.layout import ScanFile
 from salsanext_cli.uncertainty.aleatoric import aleatoric
 from salsanext_cli.uncertainty.dropout_propagation import propagate_dropout

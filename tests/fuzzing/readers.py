@@ -34,7 +34,7 @@ from salsanext_cli.geometry.coverage import field_of_view_coverage
 from salsanext_cli.network.card import WeightsCard, read_card
 from salsanext_cli.network.published import read_published
 from salsanext_cli.network.weights import read_weights, save_weights
-from salsanext_cli.storage.json_files import read_json
+from salsanext_cli.storage.files.json_files import read_json
 from salsanext_cli.storage.layout import find_scans
 from salsanext_cli.storage.point_files import write_labels, write_ply
 from salsanext_cli.storage.sources import missing_results, recorded_scans

@@ -15,7 +15,7 @@ from salsanext_cli.errors import FormatError, NoInputError, OutputError, UsageEr
 from salsanext_cli.formats.npy import read_array
 from salsanext_cli.network.card import WeightsCard
 from salsanext_cli.network.weights import read_weights
-from salsanext_cli.storage.json_files import read_json
+from salsanext_cli.storage.files.json_files import read_json
 from salsanext_cli.storage.layout import find_scans
 from salsanext_cli.training.recipe import recipe
 

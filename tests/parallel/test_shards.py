@@ -62,7 +62,7 @@ def test_shards_leave_what_one_run_leaves(world):
         return files_below(out)
 
     whole = files(world.out, [Shard()])
-    assert len(whole) == 3 + 1
+    assert len(whole) == 3 + 2
     some = every(3)
     random.Random(1).shuffle(some)
     assert files(world.out.with_name("shards"), some) == whole

@@ -24,7 +24,7 @@ from salsanext_cli.stages.predict import predict_range_images, predict_scans
 from salsanext_cli.stages.project import project_scans
 from salsanext_cli.stages.tune_batchnorm import tune_batchnorm
 from salsanext_cli.stages.uncertainty import uncertainty
-from salsanext_cli.storage.identity import fingerprint
+from salsanext_cli.storage.files.identity import fingerprint
 from salsanext_cli.storage.layout import find_scans
 from salsanext_cli.storage.point_files import write_bin
 from salsanext_cli.storage.selection import ScanSelection

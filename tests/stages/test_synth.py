@@ -13,7 +13,7 @@ from salsanext_cli.errors import MissingDependency, OutputError, UsageError
 from salsanext_cli.formats.clouds.kitti import read_bin
 from salsanext_cli.stages import synth
 from salsanext_cli.stages.synth import synthesise
-from salsanext_cli.storage.atomic import MARK, write_bytes
+from salsanext_cli.storage.files.atomic import MARK, write_bytes
 from salsanext_cli.storage.layout import find_scans
 from salsanext_cli.storage.written_files import WrittenFiles
 from salsanext_cli.synthesis.drive import Frame

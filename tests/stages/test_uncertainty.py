@@ -14,7 +14,7 @@ from salsanext_cli.stages.knn_refine import knn_refine_scans
 from salsanext_cli.stages.predict import predict_range_images, predict_scans
 from salsanext_cli.stages.project import project_scans
 from salsanext_cli.stages.uncertainty import uncertainty
-from salsanext_cli.storage.identity import fingerprint
+from salsanext_cli.storage.files.identity import fingerprint
 from salsanext_cli.storage.output_run import OutputRun
 from salsanext_cli.storage.predictions import provenance
 from salsanext_cli.storage.selection import ScanSelection

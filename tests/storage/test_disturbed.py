@@ -20,7 +20,7 @@ from salsanext_cli.inference.settings import NetworkSettings
 from salsanext_cli.parallel.network_task import NetworkTask
 from salsanext_cli.parallel.run import RunOptions, run_over_scans
 from salsanext_cli.stages.predict import predict_scan, predict_scans
-from salsanext_cli.storage.identity import fingerprint
+from salsanext_cli.storage.files.identity import fingerprint
 from salsanext_cli.storage.layout import find_scans
 from salsanext_cli.storage.output_run import OutputRun
 

@@ -16,7 +16,7 @@ from scans import files_below, write_sequence
 from salsanext_cli import __version__, label_space, sensor
 from salsanext_cli.errors import OutputError
 from salsanext_cli.storage import run_registration
-from salsanext_cli.storage.atomic import STALE_AFTER_S
+from salsanext_cli.storage.files.atomic import STALE_AFTER_S
 from salsanext_cli.storage.layout import ScanFile, find_scans
 from salsanext_cli.storage.output_run import output_run
 from salsanext_cli.storage.run_registration import records_lock

@@ -7,7 +7,7 @@ from pathlib import Path
 from zipfile import ZIP_DEFLATED, ZipFile, ZipInfo
 
 from salsanext_cli.formats.reading import reading
-from salsanext_cli.storage.atomic import writing
+from salsanext_cli.storage.files.atomic import writing
 
 OLDEST = (1980, 1, 1, 0, 0, 0)
 """First date that the format knows, given to all members."""

@@ -10,7 +10,7 @@ from typing import Any, TypeVar
 
 from salsanext_cli.errors import OutputError
 from salsanext_cli.formats.reading import present, reading
-from salsanext_cli.storage.atomic import write_bytes
+from salsanext_cli.storage.files.atomic import write_bytes
 
 MAX_NESTING = 20
 

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from salsanext_cli.errors import OutputError
-from salsanext_cli.storage.atomic import write_bytes, writing
+from salsanext_cli.storage.files.atomic import write_bytes, writing
 
 
 def test_file_appears_whole_and_parents_are_made(tmp_path: Path) -> None:

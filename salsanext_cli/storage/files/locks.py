@@ -12,7 +12,7 @@ from filelock import FileLock, Timeout
 
 from salsanext_cli.errors import OutputError
 from salsanext_cli.formats.reading import reason
-from salsanext_cli.storage.atomic import refusal
+from salsanext_cli.storage.files.atomic import refusal
 
 UNSUPPORTED = (errno.ENOLCK, errno.EOPNOTSUPP, errno.ENOSYS, errno.EINVAL)
 """Error numbers of file systems without locks."""

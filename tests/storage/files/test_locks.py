@@ -10,10 +10,12 @@ import filelock
 import pytest
 
 from salsanext_cli.errors import OutputError
-from salsanext_cli.storage import locks
-from salsanext_cli.storage.locks import locked
+from salsanext_cli.storage.files import locks
+from salsanext_cli.storage.files.locks import locked
 
-HOLD = "import sys; from pathlib import Path; from salsanext_cli.storage.locks import locked\n"
+HOLD = (
+    "import sys; from pathlib import Path; from salsanext_cli.storage.files.locks import locked\n"
+)
 HOLD += "with locked(Path(sys.argv[1])): print('held', flush=True); sys.stdin.readline()"
 
 

@@ -10,7 +10,7 @@ from salsanext_cli.stages.export_ply import export_ply
 from salsanext_cli.stages.predict import predict_range_images, predict_scans
 from salsanext_cli.stages.project import project_scans
 from salsanext_cli.stages.uncertainty import uncertainty
-from salsanext_cli.storage.json_files import RecordedSettings
+from salsanext_cli.storage.files.json_files import RecordedSettings
 from salsanext_cli.storage.selection import ScanSelection
 from salsanext_cli.uncertainty.settings import Estimator
 

@@ -1,0 +1,2 @@
+# SPDX-License-Identifier: MIT
+"""Single files: whole or not at all, locked, JSON, zip."""
