@@ -1,7 +1,10 @@
 # SPDX-License-Identifier: MIT
 """A sample of the points of a scan, enough to find its ground and to check it."""
 
+from functools import cache
+
 import numpy as np
+import numpy.typing as npt
 
 from salsanext_cli.records import Scan
 
@@ -15,5 +18,20 @@ def few_points(scan: Scan, count: int = MAX_POINTS) -> Scan:
     """
     if len(scan) <= count:
         return scan
-    drawn = np.sort(np.random.default_rng(0).integers(0, len(scan), count))
-    return Scan(scan.points[drawn], scan.intensity[drawn])
+    places = drawn(len(scan), count)
+    return Scan(scan.points[places], scan.intensity[places])
+
+
+def drawn(length: int, count: int) -> npt.NDArray[np.intp]:
+    """Return places in an array of a length, rising, drawn alike; all if there are no more.
+
+    Returns
+    -------
+    (count,) or (length,) intp
+    """
+    return np.arange(length) if length <= count else (_uniform(count) * length).astype(np.intp)
+
+
+@cache
+def _uniform(count: int) -> npt.NDArray[np.float64]:
+    return np.sort(np.random.default_rng(0).random(count))

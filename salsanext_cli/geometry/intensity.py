@@ -6,6 +6,7 @@ from collections.abc import Iterable, Sequence
 import numpy as np
 import numpy.typing as npt
 
+from salsanext_cli.geometry.few_points import drawn
 from salsanext_cli.geometry.ranges import LARGEST, measured_ranges
 from salsanext_cli.records import Float
 from salsanext_cli.sensor_limits import INTENSITY_LEVELS
@@ -43,8 +44,8 @@ def without_intensity(points: Float, intensity: Float) -> str:
     intensity : (N,) float32
         Of any scale; NaN, infinity and values beyond `LARGEST` are unusable.
     """
-    drawn = _drawn(len(points))
-    points, intensity = points[drawn], intensity[drawn]
+    places = drawn(len(points), SAMPLE)
+    points, intensity = points[places], intensity[places]
     ranges, measured = measured_ranges(points)
     usable = measured & (np.abs(intensity) <= LARGEST)
     if not measured.any():
@@ -73,13 +74,6 @@ def without_intensity(points: Float, intensity: Float) -> str:
     if found[most] > LARGEST_DEPENDENCE:
         return f"no intensity: its values follow the {most} of the points"
     return ""
-
-
-def _drawn(count: int) -> npt.NDArray[np.int64]:
-    """Return up to `SAMPLE` places of as many points, sorted, drawn alike for equal counts."""
-    if count <= SAMPLE:
-        return np.arange(count)
-    return np.sort(np.random.default_rng(0).integers(0, count, SAMPLE))
 
 
 def _ranks(values: Float) -> npt.NDArray[np.int64]:
@@ -159,7 +153,7 @@ def match_intensity(channels: Float, source: Sequence[float], target: Sequence[f
         A new array, unless nothing changes.
     """
     occupied = np.flatnonzero(channels[0] > 0)
-    if without_intensity(*_pixels(channels, occupied[_drawn(len(occupied))])):
+    if without_intensity(*_pixels(channels, occupied[drawn(len(occupied), SAMPLE)])):
         source = NO_INTENSITY
     elif source == target:
         return channels

@@ -12,7 +12,7 @@ from salsanext_cli.geometry.intensity import (
     NO_INTENSITY,
     without_intensity,
 )
-from salsanext_cli.records import Float, Scan
+from salsanext_cli.records import Float
 from salsanext_cli.sensors import Sensor
 
 MAX_USUAL_INTENSITY = 2.0
@@ -30,9 +30,9 @@ def upper_intensity(intensity: Float) -> float:
 
 
 def intensity_findings(
-    scan: Scan, reason: str, sensor: Sensor, trained: Sensor, fitting: bool
+    bright: float, reason: str, sensor: Sensor, trained: Sensor, fitting: bool
 ) -> Iterator[Finding]:
-    """Compare with the scans that it is matched with, else with training, else with 0 to 1.
+    """Compare an upper intensity with that of scans matched with, of training, or with 0 to 1.
 
     `reason` says why the values are no intensity, if they are none.
     """
@@ -49,7 +49,6 @@ def intensity_findings(
     quantiles = matched or trained.intensity_quantiles
     if matched == NO_INTENSITY:
         return
-    bright = upper_intensity(scan.intensity)
     if quantiles:
         usual = quantiles[round(BRIGHT * (len(quantiles) - 1))]
         near = usual / INTENSITY_FACTOR <= bright <= usual * INTENSITY_FACTOR
@@ -76,8 +75,7 @@ def check_image(channels: Float, sensor: Sensor, trained: Sensor) -> ScanCheck:
         That of the image, and that of the weights.
     """
     occupied = channels[:, channels[0] > 0]
-    scan = Scan(np.ascontiguousarray(occupied[1:4].T), occupied[4])
-    if len(scan) < MIN_POINTS:
+    if occupied.shape[1] < MIN_POINTS:
         return UNCHECKED
-    reason = without_intensity(scan.points, scan.intensity)
-    return ScanCheck(tuple(intensity_findings(scan, reason, sensor, trained, fitting=True)))
+    reason, bright = without_intensity(occupied[1:4].T, occupied[4]), upper_intensity(occupied[4])
+    return ScanCheck(tuple(intensity_findings(bright, reason, sensor, trained, fitting=True)))

@@ -93,9 +93,9 @@ def check_scan(
         *_of_view(some, sines, sensor, fit),
         *_of_ground(some, fit),
     ]
-    if trained is not None:
-        findings += intensity_findings(some, reason, sensor, trained, fitting)
     bright = 0.0 if reason else upper_intensity(some.intensity)
+    if trained is not None:
+        findings += intensity_findings(bright, reason, sensor, trained, fitting)
     traits = traits_of(sines, bright, len(scan) * share / count)
     return ScanCheck(tuple(findings), traits)
 

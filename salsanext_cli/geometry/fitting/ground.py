@@ -2,6 +2,7 @@
 """The ground below a sensor, as a plane found in one scan."""
 
 from dataclasses import dataclass
+from functools import cache
 
 import numpy as np
 import numpy.typing as npt
@@ -29,8 +30,8 @@ MIN_COSINE = 0.8
 FLAT = 0.75
 """Share of the next larger one that the mean of a coordinate of directions may have, if the sensor
 turns about that axis."""
-UPWARDS = 2
-"""Index of z."""
+AXES, UPWARDS = range(3), 2
+"""Indices of x, y, z, and of z."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -80,27 +81,27 @@ def find_ground(points: Float, max_tilt_deg: float | None = None) -> Ground | No
         return None
     chosen = near[:: -(-len(near) // MAX_POINTS)]
     points, weights = points[chosen], ranges[chosen]
-    triples = np.random.default_rng(0).integers(0, len(points), (3, TRIPLES))
-    first, second, third = points[triples]
-    normals = np.cross(second - first, third - first)
-    lengths = np.linalg.norm(normals, axis=1)
-    normals /= np.maximum(lengths, MIN_AREA_M2)[:, None]
-    offsets = np.einsum("pk,pk->p", normals, first)
+    first, second, third = points[(_triples() * len(points)).astype(np.intp)]
+    across, along = (second - first).T, (third - first).T
+    normals = np.stack([across[i - 2] * along[i - 1] - across[i - 1] * along[i - 2] for i in AXES])
+    offsets = np.einsum("kp,pk->p", normals, first)
+    lengths = np.maximum(np.sqrt(np.einsum("kp,kp->p", normals, normals)), MIN_AREA_M2)
+    axis = _axis_of_rotation(points / weights[:, None])
+    upright = max_tilt_deg is not None or axis is None
+    least = MIN_COSINE if max_tilt_deg is None else np.cos(np.radians(max_tilt_deg))
+    along_axis = np.abs(normals[UPWARDS if axis is None or upright else axis])
+    tried = np.flatnonzero(along_axis > least * lengths)[:PLANES]
+    normals, offsets = (normals[:, tried] / lengths[tried]).T, offsets[tried] / lengths[tried]
     # The sensor is above; where it is on the plane, the largest coordinate of the normal rises.
     low = np.abs(offsets) < MIN_HEIGHT_M
-    largest = normals[np.arange(TRIPLES), np.abs(normals).argmax(axis=1)]
+    largest = normals[np.arange(len(tried)), np.abs(normals).argmax(axis=1)]
     turn = np.where(low, np.sign(largest), -np.sign(offsets))
     normals, offsets = turn[:, None] * normals, turn * offsets
-    axis = _axis_of_rotation(points / weights[:, None])
-    if max_tilt_deg is None and axis is not None:
-        possible = np.abs(normals[:, axis]) > MIN_COSINE
-    else:
-        least = MIN_COSINE if max_tilt_deg is None else np.cos(np.radians(max_tilt_deg))
-        possible = normals[:, UPWARDS] > least
-    tried = np.flatnonzero(possible & (lengths > MIN_AREA_M2))[:PLANES]
-    if not len(tried):
+    if upright:
+        rising = normals[:, UPWARDS] > 0
+        normals, offsets, low = normals[rising], offsets[rising], low[rising]
+    if not len(normals):
         return None
-    normals, offsets, low = normals[tried], offsets[tried], low[tried]
     heights = _heights(points, normals, offsets)
     on, below = (
         np.einsum("pn,n->p", part.view(np.int8), weights)
@@ -118,6 +119,12 @@ def find_ground(points: Float, max_tilt_deg: float | None = None) -> Ground | No
     normal *= np.sign(normal @ normals[best])
     height = -float(normal @ centre)
     return Ground(normal, height, share) if low[best] or height > MIN_HEIGHT_M else None
+
+
+@cache
+def _triples() -> npt.NDArray[np.float64]:
+    """Return places of the points of each triple, (3, `TRIPLES`), as shares of their number."""
+    return np.random.default_rng(0).random((3, TRIPLES))
 
 
 def _heights(points: Float, normals: Float, offsets: Float) -> Float:
