@@ -3,13 +3,11 @@
 
 from __future__ import annotations
 
-import logging
 import math
 from dataclasses import dataclass
 
 import numpy as np
 
-from salsanext_cli.errors import counted
 from salsanext_cli.geometry.mounting import in_sensor_frame
 from salsanext_cli.geometry.ranges import LARGEST, measured_ranges
 from salsanext_cli.records import Scan
@@ -17,10 +15,6 @@ from salsanext_cli.sensors import Sensor
 
 LARGEST_SHARE_OUTSIDE = 0.2
 """Largest share of points outside without a warning; a matching sensor has 0.07 or less."""
-EARLY_SCANS = 10
-"""Number of scans after which to check first, before the end of a long run."""
-
-log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,33 +49,3 @@ def field_of_view_coverage(scan: Scan, sensor: Sensor) -> FieldOfViewCoverage:
     lowest, highest = (math.sin(math.radians(f)) for f in (sensor.fov_down, sensor.fov_up))
     outside = (z < lowest * ranges) | (z > highest * ranges)
     return FieldOfViewCoverage(len(z), int(outside.sum()))
-
-
-class CoverageCheck:
-    """Check that scans come from a sensor, with one warning if they do not."""
-
-    def __init__(self, sensor: Sensor) -> None:
-        self.sensor = sensor
-        self.coverage = FieldOfViewCoverage()
-        self.scans = 0
-        self.warned = False
-
-    def add(self, of_scan: FieldOfViewCoverage) -> None:
-        """Add the coverage of a scan."""
-        self.coverage += of_scan
-        self.scans += 1
-        if self.scans == EARLY_SCANS:
-            self.finish()
-
-    def finish(self) -> None:
-        """Warn if too many points lie outside, at most once."""
-        if self.warned or self.coverage.share <= LARGEST_SHARE_OUTSIDE:
-            return
-        self.warned = True
-        sensor = self.sensor
-        log.warning(
-            "%.0f %% of the points of %s lie outside the view of %s, %+g° to %+g°: "
-            "give their sensor with --sensor; `salsanext inspect SCANS --fit FILE.toml` finds it",
-            *(100 * self.coverage.share, counted(self.scans, "scan")),
-            *(sensor.name, sensor.fov_up, sensor.fov_down),
-        )

@@ -8,9 +8,6 @@ from pathlib import Path
 from typing import Any
 
 from salsanext_cli.errors import FormatError, UsageError, counted
-from salsanext_cli.formats import read_scan
-from salsanext_cli.geometry.coverage import CoverageCheck, field_of_view_coverage
-from salsanext_cli.geometry.projection import project
 from salsanext_cli.inference.adaptation import SHARE
 from salsanext_cli.inference.batch_norm import (
     PooledStatistics,
@@ -18,14 +15,14 @@ from salsanext_cli.inference.batch_norm import (
     as_tensors,
     require_norms,
 )
-from salsanext_cli.inference.network import Network
+from salsanext_cli.inference.checked_scans import project_checked
 from salsanext_cli.inference.scan_fit import fitted
 from salsanext_cli.inference.settings import NetworkSettings
+from salsanext_cli.measures.scan_summary import RunSummary, ScanSummary
 from salsanext_cli.network.weights import save_with_card
 from salsanext_cli.parallel.run import Progress
-from salsanext_cli.records import Float
 from salsanext_cli.storage.files.atomic import require_target
-from salsanext_cli.storage.layout import ScanFile, find_scans
+from salsanext_cli.storage.layout import find_scans
 from salsanext_cli.storage.selection import ScanSelection, select_evenly
 
 log = logging.getLogger(__name__)
@@ -64,7 +61,8 @@ def tune_batchnorm(
         JSON-able: the number of `scans`, the `share`, the name of the `sensor` of the weights
         written, and `layers`, every batch norm in order of computation: its name, `layer`; the
         distance of the new mean from the old one in old standard deviations, `shift`, mean over the
-        channels; the new variance over the old, ε added to both, `variance_ratio`, geometric mean.
+        channels; the new variance over the old, ε added to both, `variance_ratio`, geometric mean;
+        and `warnings`, reasons to doubt the scans.
 
     Raises
     ------
@@ -81,13 +79,17 @@ def tune_batchnorm(
     network.announce(loaded)
     old = {name: Statistics.kept_by(layer) for name, layer in layers.items()}
     pooled = PooledStatistics(loaded, share)
-    check = CoverageCheck(loaded.sensor)
+    summary = RunSummary(loaded.sensor)
     for number, file in enumerate(scans, start=1):
-        pooled.add(_channels(file, loaded, check), file.path)
+        image, check = project_checked(file, loaded.sensor, loaded.device, loaded.card.sensor)
+        summary.add(ScanSummary(file, check))
+        if not (image.pixel_of_point >= 0).any():
+            none = f"none of its {len(image.pixel_of_point)} points has a pixel"
+            raise FormatError(file.path, none, "points that were measured, in view of the sensor")
+        pooled.add(image.channels, file.path)
         log.info("%s/%s: done", file.sequence, file.stem)
         if progress:
             progress(number, len(scans))
-    check.finish()
     new, sensor = pooled.moved(), loaded.sensor
     scanned = counted(len(scans), "scan")
     done = f"Batch norm re-estimated on {scanned} of {sensor.name}, share {share:g}."
@@ -104,18 +106,8 @@ def tune_batchnorm(
         "share": share,
         "sensor": sensor.name,
         "layers": moved,
+        "warnings": summary.finished().warnings(),
     }
-
-
-def _channels(file: ScanFile, network: Network, check: CoverageCheck) -> Float:
-    """Read and project a scan; return its range image, (5, H, W) float32."""
-    scan = read_scan(file.path, network.sensor)
-    image = project(scan, network.sensor, network.device)
-    if not (image.pixel_of_point >= 0).any():
-        none = f"none of its {len(image.pixel_of_point)} points has a pixel"
-        raise FormatError(file.path, none, "points that were measured, in view of the sensor")
-    check.add(field_of_view_coverage(scan, network.sensor))
-    return image.channels
 
 
 def _moved(layer: str, old: Statistics, new: Statistics, eps: float) -> dict[str, Any]:

@@ -9,12 +9,7 @@ from hypothesis import strategies as st
 from scans import SMALL, make_scan
 
 from salsanext_cli import Scan, project
-from salsanext_cli.geometry.coverage import (
-    EARLY_SCANS,
-    CoverageCheck,
-    FieldOfViewCoverage,
-    field_of_view_coverage,
-)
+from salsanext_cli.geometry.coverage import FieldOfViewCoverage, field_of_view_coverage
 from salsanext_cli.geometry.ranges import measured_ranges
 
 DROPPING = replace(SMALL, out_of_view="drop")
@@ -63,16 +58,3 @@ def test_points_without_a_measurement_do_not_count():
     assert field_of_view_coverage(scan, level) == FieldOfViewCoverage(1, 1)
     assert field_of_view_coverage(at([]), SMALL).share == 0
     assert (FieldOfViewCoverage(6, 1) + FieldOfViewCoverage(4, 2)).share == pytest.approx(0.3)
-
-
-def test_a_long_run_warns_early_and_once(caplog):
-    usual, check = CoverageCheck(SMALL), CoverageCheck(SMALL)
-    usual.add(FieldOfViewCoverage(100, 20))
-    usual.finish()
-    for _ in range(EARLY_SCANS):
-        assert not caplog.records
-        check.add(FieldOfViewCoverage(10, 9))
-    assert "90 % of the points of 10 scans" in caplog.text
-    check.add(FieldOfViewCoverage(10, 9))
-    check.finish()
-    assert len(caplog.records) == 1

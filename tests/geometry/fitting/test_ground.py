@@ -4,6 +4,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scans import make_scan
+from streets import street_points
 
 from salsanext_cli.geometry.fitting.ground import find_ground
 from salsanext_cli.geometry.mounting import in_sensor_frame, upright_rotation
@@ -14,23 +15,10 @@ DIRECTION = st.tuples(*[st.floats(-1, 1)] * 3).filter(lambda v: np.linalg.norm(v
 
 
 def street(height=1.7, seed=0):
-    """Points of a rotating sensor between two walls, the nearer of which has most of them."""
     random = np.random.default_rng(seed)
     azimuth = random.uniform(-np.pi, np.pi, 6000)
     elevation = np.radians(random.uniform(-25, 3, 6000))
-    rays = np.stack(
-        [
-            np.cos(elevation) * np.cos(azimuth),
-            np.cos(elevation) * np.sin(azimuth),
-            np.sin(elevation),
-        ],
-        axis=1,
-    )
-    with np.errstate(divide="ignore"):
-        ground = np.where(rays[:, 2] < 0, -height / rays[:, 2], np.inf)
-        wall = np.where(rays[:, 1] > 0, 6, -9) / rays[:, 1]
-    ranges = np.minimum(np.minimum(ground, wall), 60) + random.normal(0, 0.02, 6000)
-    return (rays * ranges[:, None]).astype(np.float32)
+    return street_points(azimuth, elevation, height, 60, random.normal(0, 0.02, 6000))
 
 
 @pytest.mark.parametrize("height", [0.8, 1.7, 3.0])

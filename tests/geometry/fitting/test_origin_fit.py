@@ -4,6 +4,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from scans import SMALL
+from streets import street_points
 
 from salsanext_cli import Scan, project
 from salsanext_cli.errors import UsageError
@@ -23,20 +24,8 @@ def street(beams: int, height: float = HEIGHT, seed: int = 0) -> Scan:
     teeth = np.linspace(-24, 2, beams) if beams else random.uniform(-24, 2, 20_000)
     elevation = np.radians(random.choice(teeth, 20_000))
     azimuth = random.uniform(-np.pi, np.pi, 20_000)
-    rays = np.stack(
-        [
-            np.cos(elevation) * np.cos(azimuth),
-            np.cos(elevation) * np.sin(azimuth),
-            np.sin(elevation),
-        ],
-        axis=1,
-    )
-    with np.errstate(divide="ignore"):
-        ground = np.where(rays[:, 2] < 0, -height / rays[:, 2], np.inf)
-        wall = np.where(rays[:, 1] > 0, 6, -9) / rays[:, 1]
     posts = np.where(azimuth * 6 % 1 < 0.1, random.uniform(5, 30), 60)
-    ranges = np.minimum(np.minimum(ground, wall), posts) + random.normal(0, 0.01, 20_000)
-    points = (rays * ranges[:, None]).astype(np.float32)
+    points = street_points(azimuth, elevation, height, posts, random.normal(0, 0.01, 20_000))
     return Scan(points, random.random(20_000, np.float32))
 
 
