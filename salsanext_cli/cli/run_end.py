@@ -94,8 +94,9 @@ def _lines(summary: RunSummary | None, following: str | None) -> Iterable[str]:
     """Yield what else is worth knowing: the sensor, the classes, the command to type next."""
     if summary is not None:
         sensor = summary.sensor
-        view = f"{sensor.fov_up:+g}° to {sensor.fov_down:+g}°"
-        yield f"sensor: {sensor.name}, {sensor.height}×{sensor.width}, {view}"
+        from salsanext_cli.geometry.fitting.view_fit import as_found
+
+        yield f"sensor: {sensor.name}, {sensor.height}×{sensor.width}, {as_found(sensor)}"
         yield from warning_lines(summary.warnings())
         if largest := summary.largest_classes():
             shares = ", ".join(f"{name} {100 * share:.1f} %" for name, share in largest.items())

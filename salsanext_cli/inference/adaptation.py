@@ -56,7 +56,7 @@ def network_of_run(
     network : Network
         What they load.
     files : sequence of ScanFile
-        All scans of the run.
+        All scans of the source, whichever of them the run is about.
     out : Path
         Its output folder: what earlier results there were made with stays.
     overwrite : bool
@@ -80,8 +80,7 @@ def network_of_run(
     elif "adapted" in earlier:
         made = _as_before(out, earlier["adapted"])
     else:
-        again = f"`salsanext {earlier.path.stem} --adapt --overwrite`"
-        remedy = f"use another output folder, or {again} to replace all its results"
+        remedy = "use another output folder, or --overwrite to replace all its results"
         raise OutputError(earlier.path, "made without --adapt", remedy=remedy)
     settings = replace(settings, adapted=made)
     return settings, with_sensor(settings.load(), network.sensor)

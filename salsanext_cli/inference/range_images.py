@@ -8,6 +8,7 @@ from salsanext_cli.errors import UsageError
 from salsanext_cli.formats.npy import read_array
 from salsanext_cli.records import CHANNELS, Float
 from salsanext_cli.sensors import Sensor
+from salsanext_cli.settings_files import shortened
 from salsanext_cli.storage.layout import ScanFile, output_path
 from salsanext_cli.storage.stage_records import stage_settings
 
@@ -34,11 +35,17 @@ def sensor_of_images(folder: Path, projected: Sensor | None, wanted: Sensor) -> 
     if projected is None:
         raise UsageError(folder, "holds no range images", "the output folder of `project`")
     wanted = replace(wanted, columns=projected.columns)
-    if replace(projected, means=wanted.means, stds=wanted.stds).view() != wanted.view():
+    normalised = replace(projected, means=wanted.means, stds=wanted.stds)
+    theirs, ours = normalised.view(), wanted.view()
+    if other := sorted(key for key in theirs.keys() | ours if theirs.get(key) != ours.get(key)):
+        found, expected = (
+            ", ".join(f"{key} {shortened(view.get(key))}" for key in other)
+            for view in (theirs, ours)
+        )
         raise UsageError(
             folder,
-            f"range images of {projected.name}, {projected.height}×{projected.width}",
-            f"{wanted.name}, {wanted.height}×{wanted.width}, as the weights or --sensor say",
+            f"range images of {projected.name}, {projected.height}×{projected.width}: {found}",
+            f"{expected}, as the weights or --sensor say",
             "project again, or give the sensor that was projected with",
         )
     return wanted

@@ -17,6 +17,7 @@ from salsanext_cli.formats import read_scan
 from salsanext_cli.formats.labels import read_labels
 from salsanext_cli.formats.npy import read_probabilities, read_uncertainty
 from salsanext_cli.formats.reading import present
+from salsanext_cli.geometry.mounting import in_sensor_frame
 from salsanext_cli.geometry.ranges import measured_ranges
 from salsanext_cli.measures.calibration import SCAN_BINS, reliability
 from salsanext_cli.measures.confusion import Confusion
@@ -134,7 +135,7 @@ def count_scan(
     if not present(predictions):
         counts.missing.append(scan)
         return counts
-    points = read_scan(scan.path, sensor).points if by_distance else None
+    points = _points(scan, sensor) if by_distance else None
     raw_truth, raw_predicted = _labels(scan, predictions, sensor, points)
     truth = space.to_train(raw_truth, strict=False)
     predicted = space.to_train(raw_predicted, strict=False)
@@ -187,8 +188,14 @@ def _labels(
         try:
             return read_labels(scan.label_path, len(raw_predicted)), raw_predicted
         except LabelError:
-            points = read_scan(scan.path, sensor).points
+            points = _points(scan, sensor)
     return read_labels(scan.label_path, len(points)), read_labels(predictions, len(points))
+
+
+def _points(file: ScanFile, sensor: Sensor | None) -> Float:
+    """Read the points of a scan, (N, 3), in the frame of its sensor if that is known."""
+    scan = read_scan(file.path, sensor)
+    return (in_sensor_frame(scan, sensor) if sensor else scan).points
 
 
 def ring_of_point(points: Float) -> npt.NDArray[np.intp]:

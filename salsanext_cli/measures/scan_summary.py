@@ -8,7 +8,6 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from operator import itemgetter
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -23,6 +22,7 @@ from salsanext_cli.measures.mixed_sensors import mixed_sensors
 from salsanext_cli.sensors import Sensor
 from salsanext_cli.storage.kept_findings import Texts, keep_findings
 from salsanext_cli.storage.layout import ScanFile
+from salsanext_cli.storage.output_run import OutputRun
 
 LARGEST_CLASSES = 5
 """Classes that a summary names."""
@@ -135,7 +135,7 @@ class RunSummary:
         return self
 
     @contextmanager
-    def kept_in(self, out: Path, stage: str, scans: Sequence[ScanFile]) -> Iterator[None]:
+    def kept_in(self, run: OutputRun, stage: str, scans: Sequence[ScanFile]) -> Iterator[None]:
         """Finish the summary when the run in an output folder ends, and keep what it found there.
 
         What earlier runs of the stage found of scans that have their results is added.
@@ -148,8 +148,8 @@ class RunSummary:
             for name, finding in (each for group in self.findings.values() for each in group):
                 texts = (finding.code, finding.found, finding.remedy)
                 found.setdefault(name, []).append(texts)
-            earlier = keep_findings(out, stage, found, self.looked_at)
-            for name in earlier.keys() & {_name(file) for file in scans}:
+            earlier = keep_findings(run.out, stage, found, self.looked_at)
+            for name in earlier.keys() & {_name(file) for file in scans if run.is_there(file)}:
                 for texts in earlier[name]:
                     self.findings.setdefault(texts[0], []).append((name, Finding(*texts)))
 

@@ -19,10 +19,11 @@ from salsanext_cli.inference.scan_fit import sampled
 from salsanext_cli.measures.beam_fit import fit_beams
 from salsanext_cli.measures.scan_summary import RunSummary, ScanSummary
 from salsanext_cli.measures.survey import Survey, survey
+from salsanext_cli.network.card import default_weights, read_card
 from salsanext_cli.parallel.run import Failure, RunOptions, run_over_scans
 from salsanext_cli.sensors import Sensor
 from salsanext_cli.storage.files.atomic import require_absent, write_bytes
-from salsanext_cli.storage.layout import ScanFile
+from salsanext_cli.storage.layout import ScanFile, find_scans
 from salsanext_cli.storage.selection import ScanSelection, select_scans, space_of
 
 MIN_POINTS_OF_FIT = 1000
@@ -125,8 +126,10 @@ def inspect(
     """
     scans = select_scans(source, selection, space)
     if fit:
-        some = list(sampled(scans, sensor))
-        seen = fit_view(some, sensor)
+        some = list(sampled(find_scans(source), sensor))
+        weights = read_card(default_weights()).sensor
+        seen = replace(sensor, fov_up=weights.fov_up, fov_down=weights.fov_down)
+        seen = fit_view(some, seen)
         sensor = replace(sensor, up=seen.up, origin=seen.origin)
         sensor = replace(sensor, beams=fit_beams(some, sensor) or sensor.beams)
         # Only the view of this pass counts, so its checks would be against a wrong one.

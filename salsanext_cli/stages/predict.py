@@ -152,7 +152,7 @@ def predict_scans(
     summary = RunSummary.of_scans(scans, loaded.sensor, loaded.card.space)
     folders = (*extras, "predictions")
     run = output_run(out, "predict", settings, folders, scans, overwrite=options.overwrite)
-    with run as output, summary.kept_in(out, "predict", scans):
+    with run as output, summary.kept_in(output, "predict", scans):
         one = partial(predict_scan, knn=knn, output=output)
         several = partial(predict_batch, knn=knn, output=output)
         task = NetworkTask(one, network.resolved(loaded), loaded, several, batch)
@@ -213,7 +213,7 @@ def predict_range_images(
     settings, folders = network.record(loaded), ("pixel_labels",)
     summary = RunSummary(loaded.sensor)
     run = output_run(out, "predict", settings, folders, scans, overwrite=options.overwrite)
-    with run as output, summary.kept_in(out, "predict", scans):
+    with run as output, summary.kept_in(output, "predict", scans):
         label = partial(predict_image, folder=folder, output=output)
         task = NetworkTask(label, network.resolved(loaded), loaded)
         outcome = run_over_scans(

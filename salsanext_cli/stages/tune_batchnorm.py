@@ -97,6 +97,8 @@ def tune_batchnorm(
     trained = loaded.card.sensor
     known = trained.intensity_quantiles if sensor.intensity_quantiles else ()
     sensor = replace(sensor, intensity_quantiles=known, row_gaps=trained.row_gaps)
+    # The mounting is that of these scans, not of those that the weights will be used for.
+    sensor = replace(sensor, up=trained.up, origin=trained.origin)
     card = replace(loaded.card.changed(done), sensor=sensor)
     save_with_card(network.path, target, card, as_tensors(new))
     moved = [_moved(name, old[name], new[name], layers[name].eps) for name in new]

@@ -12,6 +12,7 @@ import numpy as np
 from salsanext_cli.errors import OutputError, UsageError, counted
 from salsanext_cli.formats.reading import present
 from salsanext_cli.geometry.gather import points_from_pixels
+from salsanext_cli.geometry.intensity import NO_INTENSITY
 from salsanext_cli.geometry.knn import KnnParameters, knn_refine
 from salsanext_cli.inference.adaptation import network_of_run
 from salsanext_cli.inference.checked_scans import project_checked
@@ -153,7 +154,7 @@ def uncertainty_of(
         overwrite=options.overwrite,
         record_scans=record_scans,
     )
-    with run as output, summary.kept_in(out, "uncertainty", scans):
+    with run as output, summary.kept_in(output, "uncertainty", scans):
         function = partial(uncertainty_scan, knn=knn, estimator=estimator, output=output)
         task = NetworkTask(function, network.resolved(loaded), loaded)
         outcome = run_over_scans(
@@ -233,7 +234,9 @@ def _as_predicted(out: Path, network: NetworkSettings) -> NetworkSettings:
             f"give them with --weights, or run `salsanext uncertainty SCANS {out}`",
         )
     seen = Sensor.from_dict(settings.table("sensor"), settings.path)
-    network = replace(network, adapt="adapted" in settings)
+    ways = {(): "raw", NO_INTENSITY: "none"}
+    how = ways.get(seen.intensity_quantiles, network.intensity)
+    network = replace(network, adapt="adapted" in settings, intensity=how)
     return network if network.sensor else replace(network, sensor=_with_noise(seen, network))
 
 

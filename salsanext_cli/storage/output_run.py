@@ -54,11 +54,13 @@ class OutputRun:
         """Return where all results of a scan lie."""
         return [self.path(file, folder) for folder in self.folders]
 
+    def is_there(self, file: ScanFile) -> bool:
+        """Say whether a scan has all its results."""
+        return all(filled(path) and path not in self.kept for path in self.paths(file))
+
     def is_done(self, file: ScanFile) -> bool:
         """Say whether a scan has all its results, and they are not to be made again."""
-        return not self.overwrite and all(
-            filled(path) and path not in self.kept for path in self.paths(file)
-        )
+        return not self.overwrite and self.is_there(file)
 
     def require_replaceable(self, file: ScanFile) -> None:
         """Raise `OutputError` if a result of a scan is there that salsanext did not write so."""

@@ -14,6 +14,7 @@ from salsanext_cli.formats import read_scan
 from salsanext_cli.formats.labels import read_labels
 from salsanext_cli.formats.npy import read_array
 from salsanext_cli.formats.reading import present
+from salsanext_cli.geometry.mounting import in_sensor_frame
 from salsanext_cli.geometry.ranges import measured_ranges
 from salsanext_cli.records import Float, Scan
 from salsanext_cli.sensors import Sensor
@@ -34,18 +35,22 @@ class ScanResults:
         Raw ids, predicted and given, without instances.
     uncertainty : dict of str to (N,) float32
         By kind; only kinds that were computed.
+    sensor : Sensor, optional
+        That the distances are measured from; otherwise it is the origin of the points.
     """
 
     scan: Scan
     label: RawIds | None = None
     truth: RawIds | None = None
     uncertainty: dict[str, Float] = field(default_factory=dict)
+    sensor: Sensor | None = None
 
     @property
     def range(self) -> Float:
         """Distance of every point from the sensor, (N,) float32, metres."""
         with np.errstate(over="ignore"):  # Those too far for float32 become infinite.
-            return measured_ranges(self.scan.points)[0].astype(np.float32)
+            scan = in_sensor_frame(self.scan, self.sensor) if self.sensor else self.scan
+            return measured_ranges(scan.points)[0].astype(np.float32)
 
     def error(self, space: LabelSpace) -> Float:
         """Return 1 where the label is wrong, 0 where right, NaN where truth does not count."""
@@ -69,6 +74,7 @@ def read_results(file: ScanFile, out: Path, sensor: Sensor | None = None) -> Sca
     label, *kinds = (output_path(out, file.sequence, folder, file.stem) for folder in FOLDERS)
     return ScanResults(
         scan=scan,
+        sensor=sensor,
         label=_labels(label, count),
         truth=_labels(file.label_path, count),
         uncertainty={

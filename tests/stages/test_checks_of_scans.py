@@ -206,5 +206,7 @@ def test_what_was_found_is_told_by_later_runs_too(dataset):
     ):
         kept.write_text(damaged)
         assert projected() == []
+    projected(overwrite=True)
     scan.write_bytes(b"")
     assert found(projected(overwrite=True)) == {"out-of-view": ["00/0", "00/2"]}
+    assert found(projected()) == {"out-of-view": ["00/0", "00/2"]}

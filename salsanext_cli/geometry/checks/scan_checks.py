@@ -45,7 +45,7 @@ FIT = "`salsanext inspect SCANS --fit sensor.toml`, then --sensor sensor.toml"
 AUTO = "--sensor auto, or "
 UNITS = "convert them to metres, or name the columns: --columns x,y,z,intensity"
 TRAIN = "expect worse labels, or `salsanext train` weights on scans of this sensor"
-ORIGIN = "say where the sensor is, by `origin` in a sensor file, or train weights for that height"
+ORIGIN = "say by `origin` in a sensor file where the sensor is, or train weights for that height"
 
 
 def check_scan(
@@ -73,17 +73,17 @@ def check_scan(
         If the scan cannot be right: no point with a measurement, or not in metres around the
         sensor.
     """
-    some = few_points(scan)
+    some = in_sensor_frame(few_points(scan), sensor)
     ranges, measured = measured_ranges(some.points)
     if len(some) < len(scan) and measured.sum() < MIN_POINTS:
-        some = scan
+        some = in_sensor_frame(scan, sensor)
         ranges, measured = measured_ranges(some.points)
     _require_metres(path, len(scan), ranges[measured])
     if (count := int(measured.sum())) < MIN_POINTS:
         few = f"{counted(count, 'point')} with a measurement, too few to check"
         return ScanCheck((Finding("few-points", few, "give whole scans"),))
     share, ranges = count / len(some), ranges[measured]
-    some = in_sensor_frame(Scan(some.points[measured], some.intensity[measured]), sensor)
+    some = Scan(some.points[measured], some.intensity[measured])
     sines = _sines(some.points)
     reason = without_intensity(some.points, some.intensity)
     named = trained is None or sensor.name not in (FITTED_NAME, trained.name)
@@ -167,4 +167,5 @@ def _of_ground(scan: Scan, fit: str) -> Iterator[Finding]:
         yield Finding("tilted", f"the ground is tilted by {ground.tilt_deg:.0f}°", fit)
     elif not HEIGHTS_M[0] <= ground.height <= HEIGHTS_M[1]:
         height = f"{ground.height:.1f} m above" if abs(ground.height) > TOLERANCE_M else "on"
-        yield Finding("height", f"the origin of the points is {height} the ground", ORIGIN)
+        found = f"the origin of the points is {height} the ground"
+        yield Finding("height", found, f"{fit}; or {ORIGIN}")

@@ -14,7 +14,7 @@ from salsanext_cli.geometry.fitting.ground import MIN_HEIGHT_M, Ground, find_gro
 from salsanext_cli.geometry.fitting.origin_fit import find_origin
 from salsanext_cli.geometry.mounting import in_sensor_frame, upright_rotation
 from salsanext_cli.records import Float, Scan
-from salsanext_cli.sensors import FITTED_NAME, Sensor
+from salsanext_cli.sensors import FITTED_NAME, ORIGIN, UP, Sensor
 
 MAX_TILT_DEG = 8.0
 """Largest angle between the ground's normal and z of a sensor that stands upright; real ones had up
@@ -48,8 +48,9 @@ def fit_mounting(scans: Sequence[Scan], sensor: Sensor) -> Sensor:
     scans : sequence of Scan
         Of one sensor.
     sensor : Sensor
-        That of the weights.
+        That of the weights; its own mounting, of other scans, is forgotten.
     """
+    sensor = replace(sensor, up=UP, origin=ORIGIN)
     grounds = [ground for scan in scans if (ground := ground_of(scan))]
     tilted = [ground.up for ground in grounds if ground.tilt_deg > MAX_TILT_DEG]
     if len(tilted) > len(scans) / 2:

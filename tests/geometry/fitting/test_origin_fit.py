@@ -90,7 +90,7 @@ def test_a_sensor_on_the_ground_is_at_the_usual_height():
 @pytest.mark.parametrize("height", [0.5, HEIGHT, 4.0])
 @pytest.mark.parametrize("beams", [0, 32])
 def test_scans_of_robots_cars_and_masts_stay_where_they_are(beams, height):
-    assert fit_mounting([street(beams, height)], SMALL) is SMALL
+    assert fit_mounting([street(beams, height)], SMALL) == SMALL
 
 
 def test_points_without_a_measurement_get_none_in_another_frame():
@@ -100,8 +100,17 @@ def test_points_without_a_measurement_get_none_in_another_frame():
     assert (image.pixel_of_point >= 0).tolist() == [False, True, False]
 
 
+@pytest.mark.parametrize("other", [{"origin": (2.0, 0.0, 1.0)}, {"up": (0.0, 1.0, 0.0)}])
+def test_the_mounting_of_other_scans_is_forgotten(other):
+    """As that of weights whose batch norm was tuned on them."""
+    for scans in ([street(32)], [moved(street(32), (0.9, 0, HEIGHT))]):
+        assert (
+            fit_mounting(scans, replace(SMALL, **other)).origin == fit_mounting(scans, SMALL).origin
+        )
+
+
 def test_no_scans_tell_nothing():
-    assert fit_mounting([], SMALL) is SMALL
+    assert fit_mounting([], SMALL) == SMALL
 
 
 @pytest.mark.parametrize("origin", [(0, 0), (0, 0, np.nan), (0, 1e9, 0)])
