@@ -166,6 +166,8 @@ def _of_ground(scan: Scan, fit: str) -> Iterator[Finding]:
     elif ground.tilt_deg > MAX_TILT_DEG:
         yield Finding("tilted", f"the ground is tilted by {ground.tilt_deg:.0f}°", fit)
     elif not HEIGHTS_M[0] <= ground.height <= HEIGHTS_M[1]:
-        height = f"{ground.height:.1f} m above" if abs(ground.height) > TOLERANCE_M else "on"
+        where = "above" if ground.height > 0 else "below"
+        on_it = abs(ground.height) < TOLERANCE_M
+        height = "on" if on_it else f"{abs(ground.height):.1f} m {where}"
         found = f"the origin of the points is {height} the ground"
         yield Finding("height", found, f"{fit}; or {ORIGIN}")

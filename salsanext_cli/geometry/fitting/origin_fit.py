@@ -21,14 +21,15 @@ DISTANCES_M = (2.0, 60.0)
 """Nearest and farthest points: the farther, the less a place's error turns them."""
 FAR_M = 15.0
 """Least distance of points that tell the height whatever the place in the plane is."""
-HEIGHTS_M = (-1.0, 5.0)
-LENGTHS_M = (-3.0, 3.0)
-WIDTHS_M = (-1.5, 1.5)
+ABOVE_M = (-1.0, 5.0)
+AHEAD_M = (-3.0, 3.0)
+ASIDE_M = (-1.5, 1.5)
 """Box in which the sensor is sought, above the origin of the files, ahead of it and to its left."""
 STEP_OF_HEIGHT_M, STEP_M, LAST_STEP_M = 0.05, 0.25, 0.01
 MIN_SHARPNESS = 1.4
-"""Least sharpness of a comb: real sensors of 32 to 128 beams had 1.8 to 20 at their place, and
-clouds of no single sensor, or of a Livox, 1.1 anywhere."""
+"""Least sharpness of a comb: real sensors of 32 to 128 beams had 1.8 to 20 at their place, clouds of
+no single sensor 1.1 anywhere. A Livox, whose points are no cones, had 1.1 at its place, and more
+only at an edge of the box."""
 MUCH_SHARPER = 1.2
 """Factor by which a comb is sharper than that of the origin, if the sensor is not there."""
 MIN_POINTS = 1000
@@ -56,8 +57,8 @@ def find_origin(points: Float) -> tuple[float, float, float] | None:
     )
     if len(far) < MIN_POINTS:
         return None
-    place = _sharpest(far, _grid((0,), (0,), np.arange(*HEIGHTS_M, STEP_OF_HEIGHT_M)))
-    place = _sharpest(near, place + _grid(_steps(LENGTHS_M), _steps(WIDTHS_M), (0,)))
+    place = _sharpest(far, _grid((0,), (0,), np.arange(*ABOVE_M, STEP_OF_HEIGHT_M)))
+    place = _sharpest(near, place + _grid(_steps(AHEAD_M), _steps(ASIDE_M), (0,)))
     step = STEP_M / 2
     while step > LAST_STEP_M:
         place = _sharpest(near, place + step * _grid(*[(-1, 0, 1)] * 3))
@@ -66,7 +67,7 @@ def find_origin(points: Float) -> tuple[float, float, float] | None:
     if sharpest < MUCH_SHARPER * sharpness(near, np.zeros(3)):
         place = np.zeros(3)
     x, y, z = place.tolist()
-    inside = LENGTHS_M[0] < x < LENGTHS_M[1] and WIDTHS_M[0] < y < WIDTHS_M[1]
+    inside = AHEAD_M[0] < x < AHEAD_M[1] and ASIDE_M[0] < y < ASIDE_M[1]
     return (x, y, z) if inside and sharpest > MIN_SHARPNESS else None
 
 
