@@ -27,7 +27,7 @@ ASIDE_M = (-1.5, 1.5)
 """Box in which the sensor is sought, above the origin of the files, ahead of it and to its left."""
 STEP_OF_HEIGHT_M, STEP_M, LAST_STEP_M = 0.05, 0.25, 0.01
 MIN_SHARPNESS = 1.4
-"""Least sharpness of a comb: real sensors of 32 to 128 beams had 1.8 to 20 at their place, clouds of
+"""Least sharpness of a comb: sensors of 32 to 128 beams had 1.8 to 20 at their place, clouds of
 no single sensor 1.1 anywhere. A Livox, whose points are no cones, had 1.1 at its place, and more
 only at an edge of the box."""
 MUCH_SHARPER = 1.2
