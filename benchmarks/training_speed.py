@@ -31,6 +31,7 @@ from salsanext_cli.training.class_counts import class_weights, count_classes, ra
 from salsanext_cli.training.dataset import Samples, batches
 from salsanext_cli.training.learner import Learner
 from salsanext_cli.training.recipe import Recipe
+from salsanext_cli.training.sources import Source
 
 SIDES = ("plain", "ours")
 PARTS = ("data", "forward", "loss", "backward", "update", "book-keeping")
@@ -68,7 +69,8 @@ class Comparison:
         self.recipe = Recipe(**shape, epochs=1_000_000, precision=options.precision)
         counts = count_classes(files, self.space, self.sensor).sum(axis=0)
         rare = rare_classes(counts, self.space.scored)
-        self.samples = Samples(files, self.space, self.sensor, self.recipe, rare)
+        source = Source(files, self.space, self.sensor)
+        self.samples = Samples([source], self.sensor, self.recipe, rare)
         self.weights = class_weights(counts, self.space.scored)
         torch.manual_seed(0)
         numbers = {"class_count": self.space.class_count, "dropout": self.recipe.dropout}
@@ -82,7 +84,7 @@ class Comparison:
     def plain(self) -> tuple[float, Callable[[], object]]:
         """Return the plain loop's loss of the first batch, and what takes a step."""
         loop = PlainTraining(
-            *(self.module, self.samples.files, self.space, self.sensor),
+            *(self.module, self.samples.sources[0].files, self.space, self.sensor),
             *(self.recipe, self.weights, self.laps),
         )
         images, truth, _ = next(self.stream())

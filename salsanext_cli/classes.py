@@ -20,7 +20,7 @@ import numpy.typing as npt
 import yaml
 
 from salsanext_cli.errors import LabelError, UsageError
-from salsanext_cli.label_yaml import KEYS, RAW_ID_COUNT, UNKNOWN, read_fields
+from salsanext_cli.label_yaml import ALTERNATIVES, KEYS, RAW_ID_COUNT, UNKNOWN, read_fields
 from salsanext_cli.settings_files import read_yaml
 
 TrainIds = npt.NDArray[np.uint8]
@@ -51,6 +51,9 @@ class LabelSpace:
         Red, green, blue of every train id.
     splits : dict of str to tuple of str
         Sequence names of every split.
+    alternatives : dict of int to tuple of int
+        Raw ids that do not tell some classes apart: all train ids that a point of each may have.
+        Only training takes them into account.
     """
 
     name: str
@@ -60,6 +63,7 @@ class LabelSpace:
     ignored: tuple[bool, ...]
     colours: npt.NDArray[np.uint8]
     splits: dict[str, tuple[str, ...]]
+    alternatives: dict[int, tuple[int, ...]] = field(default_factory=dict)
     _train_of_raw: TrainIds = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
@@ -154,10 +158,15 @@ class LabelSpace:
         """Name what another label space has otherwise, the classes first."""
         pairs = zip_longest(self._described(), other._described(), fillvalue="none")
         found = [f"train id {i}: {a} ≠ {b}" for i, (a, b) in enumerate(pairs) if a != b]
-        for key in ("learning_map", "splits", "labels"):
+        for key in ("learning_map", "splits", "labels", "alternatives"):
             mine, theirs = getattr(self, key), getattr(other, key)
             changed = [k for k in mine.keys() | theirs if mine.get(k) != theirs.get(k)]
-            words = {"learning_map": "train id of raw id", "splits": "split", "labels": "raw id"}
+            words = {
+                "learning_map": "train id of raw id",
+                "splits": "split",
+                "labels": "raw id",
+                "alternatives": "alternatives of raw id",
+            }
             found += [
                 f"{words[key]} {k}: {_words(mine.get(k))} ≠ {_words(theirs.get(k))}"
                 for k in sorted(changed)
@@ -185,7 +194,11 @@ class LabelSpace:
             "learning_map_inv": self.learning_map_inv,
             "learning_ignore": dict(enumerate(self.ignored)),
             "split": {name: list(members) for name, members in self.splits.items()},
-        }
+        } | (
+            {ALTERNATIVES: {i: list(several) for i, several in self.alternatives.items()}}
+            if self.alternatives
+            else {}
+        )
 
     @classmethod
     def from_dict(cls, data: Mapping[str, Any], source: object = "label space") -> LabelSpace:

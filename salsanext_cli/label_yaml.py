@@ -2,7 +2,7 @@
 """Fields of a label space from data in the form of SemanticKITTI's yaml."""
 
 from collections.abc import Iterable, Mapping
-from itertools import islice
+from itertools import chain, islice
 from typing import Any
 
 import numpy as np
@@ -14,7 +14,11 @@ RAW_ID_COUNT = 1 << 16
 UNKNOWN = 255
 SHOWN_IDS = 20
 """Number of ids in an error, and of digits of each."""
-KEYS = ("labels", "learning_map", "learning_map_inv", "learning_ignore", "color_map", "split")
+ALTERNATIVES = "learning_alternatives"
+KEYS = (
+    *("labels", "learning_map", "learning_map_inv", "learning_ignore", "color_map", "split"),
+    ALTERNATIVES,
+)
 
 
 def read_fields(data: Mapping[str, Any], source: object) -> dict[str, Any]:
@@ -32,15 +36,19 @@ def read_fields(data: Mapping[str, Any], source: object) -> dict[str, Any]:
         ignore = {
             int(train): bool(flag) for train, flag in data.get("learning_ignore", {0: True}).items()
         }
+        alternatives = {
+            int(i): tuple(sorted({int(train) for train in _list(several)}))
+            for i, several in data.get(ALTERNATIVES, {}).items()
+        }
         colours = {int(i): _colour(bgr) for i, bgr in data.get("color_map", {}).items()}
         splits = {
-            str(name): tuple(_sequence_name(s) for s in _listed(members))
+            str(name): tuple(_sequence_name(s) for s in _list(members))
             for name, members in data.get("split", {}).items()
         }
     except (KeyError, TypeError, ValueError, AttributeError, OverflowError) as error:
         found = f"not a label space: {shortened(error)}"
         raise UsageError(source, found, f"keys {', '.join(KEYS)}") from error
-    if problem := _contradiction(labels, learning_map, inverse):
+    if problem := _contradiction(labels, learning_map, inverse, alternatives):
         raise UsageError(source, problem, "a consistent label space")
     ids = range(len(inverse))
     bgr = [colours.get(inverse[i], _spare_colour(i)) for i in ids]
@@ -52,11 +60,15 @@ def read_fields(data: Mapping[str, Any], source: object) -> dict[str, Any]:
         "ignored": tuple(ignore.get(i, i == 0) for i in ids),
         "colours": np.array([colour[::-1] for colour in bgr], np.uint8),
         "splits": splits,
+        "alternatives": alternatives,
     }
 
 
 def _contradiction(
-    labels: dict[int, str], learning_map: dict[int, int], inverse: dict[int, int]
+    labels: dict[int, str],
+    learning_map: dict[int, int],
+    inverse: dict[int, int],
+    alternatives: dict[int, tuple[int, ...]],
 ) -> str:
     """Return a description of an inconsistency, empty without one."""
     if not inverse or sorted(inverse) != list(range(len(inverse))) or len(inverse) > UNKNOWN:
@@ -67,6 +79,10 @@ def _contradiction(
         return f"learning_map leads to train ids {_some(bad)} that learning_map_inv lacks"
     if bad := sorted(set(inverse.values()) - set(labels)):
         return f"raw ids {_some(bad)} have no name in labels"
+    if bad := sorted({*chain(*alternatives.values())} - set(inverse)):
+        return f"{ALTERNATIVES} lead to train ids {_some(bad)} that learning_map_inv lacks"
+    if bad := [i for i, several in alternatives.items() if learning_map.get(i) not in several]:
+        return f"{ALTERNATIVES} of raw ids {_some(bad)} lack the train id of their learning_map"
     return ""
 
 
@@ -77,9 +93,9 @@ def _some(ids: Iterable[int]) -> str:
     return f"[{', '.join([*shown, '…'] if len(listed) > SHOWN_IDS else shown)}]"
 
 
-def _listed(members: object) -> list[object]:
+def _list(members: object) -> list[Any]:
     if not isinstance(members, list | tuple):
-        raise TypeError(f"a split is {shortened(members)}, not a list of sequences")
+        raise TypeError(f"{shortened(members)} is not a list")
     return list(members)
 
 

@@ -34,6 +34,9 @@ class Start:
     sensor: str | None = options.network_option(
         options.SENSOR_HELP, show_default="the sensor of --weights, else hdl64"
     )
+    also: list[Path] | None = options.network_option(
+        "Further data set of the same classes; may be given several times.", metavar="DATASET"
+    )
     columns: str | None = options.network_option(
         options.COLUMNS_HELP, show_default=options.COLUMNS_DEFAULT
     )
@@ -93,6 +96,7 @@ def train(
             weights=start.weights and options.weights_file(start.weights),
             overwrite=local.overwrite,
             strict=local.strict,
+            also=start.also or (),
             progress=lambda report: _show(report, bar, output),
         )
     best = f"{100 * done.best_miou:.1f} %"

@@ -157,12 +157,17 @@ def match_intensity(channels: Float, source: Sequence[float], target: Sequence[f
         source = NO_INTENSITY
     elif source == target:
         return channels
-    values, place = np.unique(np.asarray(source), return_inverse=True)
-    wanted = np.bincount(place, target) / np.bincount(place)
     matched = channels.copy()
-    matched[4] = np.interp(channels[4], values, wanted)
+    matched[4] = on_other_scale(channels[4], source, target)
     matched[4][channels[0] <= 0] = 0
     return matched
+
+
+def on_other_scale(intensity: Float, source: Sequence[float], target: Sequence[float]) -> Float:
+    """Return intensities of any shape with their quantiles mapped as `match_intensity` does."""
+    values, place = np.unique(np.asarray(source), return_inverse=True)
+    wanted = np.bincount(place, target) / np.bincount(place)
+    return np.interp(intensity, values, wanted).astype(np.float32)
 
 
 def _pixels(channels: Float, chosen: npt.NDArray[np.int64]) -> tuple[Float, Float]:

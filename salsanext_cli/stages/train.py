@@ -9,19 +9,14 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-import torch
-
 from salsanext_cli.classes import LabelSpace
-from salsanext_cli.errors import UsageError, WeightsError, first_few
+from salsanext_cli.errors import UsageError
 from salsanext_cli.inference.scan_fit import as_seen, sampled_images
 from salsanext_cli.network.card import WeightsCard
-from salsanext_cli.network.registry import build
 from salsanext_cli.network.segmentation import SegmentationNetwork
-from salsanext_cli.network.weights import read_weights
 from salsanext_cli.parallel.threads import worker_count
 from salsanext_cli.report.scan_pictures import draw_sample
 from salsanext_cli.sensors import Sensor
-from salsanext_cli.sensors import sensor as preset_sensor
 from salsanext_cli.storage.files.identity import fingerprint
 from salsanext_cli.storage.layout import ScanFile
 from salsanext_cli.storage.selection import evenly_spaced
@@ -35,6 +30,7 @@ from salsanext_cli.training.class_counts import (
 from salsanext_cli.training.dataset import Samples
 from salsanext_cli.training.distributed import ProcessGroup, group_of_environment, process_group
 from salsanext_cli.training.fit import Report, Training
+from salsanext_cli.training.initial_network import initial_network
 from salsanext_cli.training.learner import Learner
 from salsanext_cli.training.log import Row, tensorboard_in
 from salsanext_cli.training.precision import common_precision
@@ -49,10 +45,13 @@ from salsanext_cli.training.run_folder import (
     require_free,
     trained_alone,
 )
-from salsanext_cli.training.splits import labelled_splits
-
-DEFAULT_SENSOR = "hdl64"
-"""Sensor of a training from random weights, unless another is given."""
+from salsanext_cli.training.sources import (
+    Source,
+    fitted_source,
+    further_source,
+    labelled_split,
+)
+from salsanext_cli.training.targets import class_sets
 
 
 @dataclass(frozen=True, slots=True)
@@ -90,6 +89,7 @@ def train(
     weights: Path | None = None,
     overwrite: bool = False,
     strict: bool = False,
+    also: Sequence[Path] = (),
     progress: Callable[[Report], object] = lambda report: None,
 ) -> TrainResult:
     """Train a network, or resume a training that was interrupted in the same folder.
@@ -120,6 +120,9 @@ def train(
         Whether to start anew where the folder holds a training.
     strict : bool
         Whether to refuse doubtful scans.
+    also : sequence of Path
+        Roots of further data sets of the same classes, whose training splits the recipe's share
+        `also` of the samples is drawn from.
     progress : callable
         Called with a `Report` after every step.
 
@@ -140,26 +143,31 @@ def train(
         remedy = "start fewer workers or set batch higher"
         raise UsageError("recipe key batch", f"{recipe.batch}", expected, remedy)
     with process_group(device) as (group, place), ExitStack() as held:
-        classes, training, validation = group.on_main(lambda: labelled_splits(dataset, space))
+        classes, training = group.on_main(lambda: labelled_split(dataset, space, "train"))
+        _, validation = group.on_main(lambda: labelled_split(dataset, classes, "valid"))
         validated = evenly_spaced(validation, recipe.validation_scans)
         if recipe.precision == "auto":
             begun = None if overwrite else group.on_main(lambda: recorded_precision(run))
             recipe = replace(recipe, precision=begun or common_precision(place, group))
-        module, architecture, own_sensor = _initial_network(weights, classes, recipe)
+        module, architecture, own_sensor = initial_network(weights, classes, recipe)
         sensor = sensor or own_sensor
         _require_pixels(recipe, sensor, module, group)
         description = f"Trained with `salsanext train` on {dataset.resolve().name}."
         seen = group.on_main(lambda: as_seen(sensor, list(sampled_images(training, sensor))))
         card = WeightsCard(architecture, classes, seen, recipe.to_dict(), {}, description)
+        further = group.on_main(lambda: [further_source(path, classes, seen) for path in also])
+        sources = [Source(training, classes, seen), *further]
+        sets = class_sets(source.space for source in sources)
 
         def prepare() -> ClassCounts:
             scans = [*training, *validation]
-            settings = _settings(card, scans, weights)
+            settings = _settings(card, scans, weights, further)
             held.enter_context(trained_alone(run))
             require_free(run, settings, overwrite=overwrite)
-            require_labels(scans)
+            require_labels([*scans, *(file for source in further for file in source.files)])
             splits = (training, validation, validated)
-            counts = class_counts(run / CLASS_COUNTS, splits, classes, sensor, jobs)
+            kept = run / CLASS_COUNTS
+            counts = class_counts(kept, splits, classes, sensor, jobs, further, recipe.also)
             if strict:
                 counts.require_no_warnings(dataset)
             begin(run, settings, overwrite=overwrite)
@@ -167,10 +175,13 @@ def train(
 
         counts = group.on_main(prepare)
         points, scored = counts.points, classes.scored
+        if recipe.sensors == "fitted":
+            sources = group.on_main(lambda: [fitted_source(source, jobs) for source in sources])
+        class_weight = class_weights(points, scored, recipe.class_weight)
         state = Training(
             run=run,
-            learner=Learner(module, recipe, class_weights(points, scored), place, group),
-            samples=Samples(training, classes, sensor, recipe, rare_classes(points, scored)),
+            learner=Learner(module, recipe, class_weight, place, group, sets),
+            samples=Samples(sources, seen, recipe, rare_classes(points, scored), sets),
             validation=validated,
             card=card,
             workers=workers if jobs != 1 else 0,
@@ -193,44 +204,23 @@ def _require_pixels(
         raise UsageError("recipe key crop_width", found, "two pixels for batch norm at least")
 
 
-def _initial_network(
-    weights: Path | None, space: LabelSpace, recipe: Recipe
-) -> tuple[SegmentationNetwork, dict[str, Any], Sensor]:
-    """Return the network before training, its architecture and its sensor."""
-    architecture = {
-        "name": recipe.architecture,
-        "class_count": space.class_count,
-        "dropout": recipe.dropout,
-    }
-    with torch.random.fork_rng([]):
-        torch.manual_seed(recipe.seed)
-        module = build(architecture, "recipe key architecture")
-    if weights is None:
-        return module, architecture, preset_sensor(DEFAULT_SENSOR)
-    trained, card = read_weights(weights)
-    if not card.space.fits(space):
-        differences = first_few(card.space.differences(space))
-        found = f"trained for the classes of {card.space.name} ({differences})"
-        raise WeightsError(weights, found, f"those of {space.name}")
-    if _shapes(trained) != _shapes(module):
-        name = card.architecture["name"]
-        remedy = f'set architecture = "{name}" in the recipe'
-        raise WeightsError(weights, f"of a {name}", f"of a {recipe.architecture}", remedy)
-    module.load_state_dict(trained.state_dict())
-    return module, architecture, card.sensor
-
-
-def _shapes(module: SegmentationNetwork) -> dict[str, torch.Size]:
-    return {name: tensor.shape for name, tensor in module.state_dict().items()}
-
-
-def _settings(card: WeightsCard, scans: list[ScanFile], weights: Path | None) -> dict[str, Any]:
+def _settings(
+    card: WeightsCard, scans: list[ScanFile], weights: Path | None, further: Sequence[Source]
+) -> dict[str, Any]:
     """Return all that decides the result of a training."""
-    names = "\n".join(f"{scan.sequence}/{scan.stem}" for scan in scans)
+    others = [
+        {"label_space": each.space.to_dict(), "scans": _named(each.files)} for each in further
+    ]
     return {
         "recipe": dict(card.recipe),
         "sensor": replace(card.sensor, intensity_quantiles=(), row_gaps=None).to_dict(),
         "label_space": card.space.to_dict(),
-        "scans": f"{len(scans)}, {hashlib.sha256(names.encode()).hexdigest()[:16]}",
+        "scans": _named(scans),
         "weights": fingerprint(weights) if weights else None,
-    }
+    } | ({"also": others} if others else {})
+
+
+def _named(scans: Sequence[ScanFile]) -> str:
+    """Return the number of scans and a digest of their names."""
+    names = "\n".join(f"{scan.sequence}/{scan.stem}" for scan in scans)
+    return f"{len(scans)}, {hashlib.sha256(names.encode()).hexdigest()[:16]}"

@@ -24,6 +24,7 @@ from salsanext_cli.storage.files.json_files import encode_json, read_json
 from salsanext_cli.storage.layout import ScanFile
 from salsanext_cli.storage.written_files import WrittenFiles
 from salsanext_cli.training.dataset import read_labelled
+from salsanext_cli.training.sources import Source
 
 Counts = npt.NDArray[np.int64]
 RARE_SHARE = 0.01
@@ -112,13 +113,14 @@ def class_shares(counts: Counts, scored: npt.NDArray[np.bool_]) -> npt.NDArray[n
     return shares
 
 
-def class_weights(counts: Counts, scored: npt.NDArray[np.bool_]) -> Tensor:
+def class_weights(counts: Counts, scored: npt.NDArray[np.bool_], exponent: float = 0.5) -> Tensor:
     """Return the weight of every class, (C,) float32; parameters as `class_shares`.
 
-    It is the inverse square root of the share; 0 for classes that are ignored or never seen.
+    It is the inverse of a power of the share, by default of its square root; 0 for classes that are
+    ignored or never seen.
     """
     share = class_shares(counts, scored)
-    weights = np.divide(1, np.sqrt(share), out=np.zeros_like(share), where=share > 0)
+    weights = np.divide(1, share**exponent, out=np.zeros_like(share), where=share > 0)
     return torch.from_numpy(weights.astype(np.float32))
 
 
@@ -133,6 +135,8 @@ def class_counts(
     space: LabelSpace,
     sensor: Sensor,
     jobs: int = 1,
+    further: Sequence[Source] = (),
+    also: float = 0.0,
 ) -> ClassCounts:
     """Return the points per class of the training split, reading and checking all scans.
 
@@ -145,6 +149,10 @@ def class_counts(
         Scans to train on, all of the validation split, and those of them that are scored.
     space, sensor, jobs
         As `count_classes` takes them.
+    further : sequence of Source
+        Further data sets to train on.
+    also : float
+        Share of the samples that is drawn from them, which their points count by.
 
     Raises
     ------
@@ -154,7 +162,9 @@ def class_counts(
         If no point of the training scans, or of those that are scored, is of a class that counts.
     """
     training, validation, validated = splits
-    digest = _digest([*training, *validation, *validated], space, sensor)
+    from_others = [file for source in further for file in source.files]
+    spaces = [space, *(source.space for source in further)]
+    digest = _digest([*training, *validation, *validated, *from_others], spaces, sensor)
     known = read_json(path) or {}
     points, warnings = known.get("points"), known.get("warnings")
     if (
@@ -176,14 +186,26 @@ def class_counts(
             total = f"{counted(of_files.sum(), 'point')} in {counted(len(files), 'scan')}"
             found = f"none of {total} is of a class that counts"
             raise TrainingError(files[0].label_path.parent, found, f"labels of {space.name}")
-    summary = RunSummary(sensor)
-    for scan in (*others, *summaries):
-        summary.add(scan)
-    result = ClassCounts(counts, summary.finished(selectable=False).warnings())
+    warnings = _warnings([*others, *summaries], sensor)
+    if further:
+        per_draw = (1 - also) * of_training.mean(axis=0)
+        for source in further:
+            of_source, others = count_classes(source.files, source.space, source.sensor, jobs)
+            per_draw += also / len(further) * of_source.mean(axis=0)
+            warnings += _warnings(others, sensor)
+        counts = np.rint(len(training) * per_draw).astype(np.int64)
+    result = ClassCounts(counts, warnings)
     by_name = dict(zip(space.names, counts.tolist(), strict=True))
     content = {"files": digest, "points": by_name, "warnings": result.warnings}
     WrittenFiles(path.parent).write(path, encode_json(content))
     return result
+
+
+def _warnings(summaries: Sequence[ScanSummary], sensor: Sensor) -> list[dict[str, Any]]:
+    summary = RunSummary(sensor)
+    for scan in summaries:
+        summary.add(scan)
+    return summary.finished(selectable=False).warnings()
 
 
 def _is_warning(value: object) -> bool:
@@ -195,9 +217,9 @@ def _is_warning(value: object) -> bool:
     return all(isinstance(text, str) for text in texts)
 
 
-def _digest(scans: Iterable[ScanFile], space: LabelSpace, sensor: Sensor) -> str:
-    """Return a digest of label space, sensor, and size and time of every scan and its labels."""
-    settings = [space.to_dict(), sensor.to_dict()]
+def _digest(scans: Iterable[ScanFile], spaces: Iterable[LabelSpace], sensor: Sensor) -> str:
+    """Return a digest of label spaces, sensor, and size and time of every scan and its labels."""
+    settings = [*(space.to_dict() for space in spaces), sensor.to_dict()]
     digest = hashlib.sha256(json.dumps(settings, sort_keys=True).encode())
     for path in (path for scan in scans for path in (scan.path, scan.label_path)):
         # Without its folder: a data set may move.

@@ -6,8 +6,7 @@ the sample's position in the whole training.
 """
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
-from itertools import islice
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -20,10 +19,12 @@ from salsanext_cli.errors import SalsanextError
 from salsanext_cli.formats import read_scan
 from salsanext_cli.formats.labels import read_labels
 from salsanext_cli.geometry.gather import pixels_from_points
+from salsanext_cli.geometry.intensity import NO_INTENSITY, match_intensity
 from salsanext_cli.geometry.normalise import normalise
 from salsanext_cli.geometry.projection import project
+from salsanext_cli.geometry.row_gaps import completed, row_gaps
 from salsanext_cli.records import Float
-from salsanext_cli.sensors import Sensor
+from salsanext_cli.sensors import ORIGIN, UP, Sensor
 from salsanext_cli.storage.layout import ScanFile
 from salsanext_cli.training.augment import (
     PASTED_COPIES,
@@ -36,19 +37,25 @@ from salsanext_cli.training.augment import (
     select,
 )
 from salsanext_cli.training.distributed import SINGLE_PROCESS, ProcessGroup
+from salsanext_cli.training.other_sensors import (
+    change_intensity,
+    fewer_beams,
+    mount_otherwise,
+    other_view,
+)
 from salsanext_cli.training.recipe import Recipe
+from salsanext_cli.training.sampling import SampleKey, SamplingPlan
+from salsanext_cli.training.sources import Source
+from salsanext_cli.training.targets import ClassSets, of_targets
 
-ORDER, SAMPLE = 0, 1
-"""Purposes of generators, a part of their seeds, so that no two are alike."""
-
-SampleKey = tuple[int, int]
-"""Position of a sample in the whole training, index of its scan."""
+SAMPLE = 1
+"""Purpose of the generators of samples, a part of their seeds beside those of other modules."""
 
 Sample = tuple[Float, TrainIds, int]
-"""Normalised image (5, H, W), truth (H, W), index of the scan."""
+"""Normalised image (5, H, W), targets (H, W), index of the scan."""
 
 Batch = tuple[Tensor, Tensor, Tensor]
-"""Normalised images (B, 5, H, W), truth (B, H, W) uint8, indices of the scans (B,) int64."""
+"""Normalised images (B, 5, H, W), targets (B, H, W) uint8, indices of the scans (B,) int64."""
 
 
 def read_labelled(file: ScanFile, space: LabelSpace, sensor: Sensor) -> LabelledScan:
@@ -66,122 +73,111 @@ def read_labelled(file: ScanFile, space: LabelSpace, sensor: Sensor) -> Labelled
     return scan, space.to_train(raw, source=file.label_path)
 
 
-@dataclass(frozen=True, slots=True)
-class SamplingPlan:
-    """Batches of the whole training, each a list of sample keys.
-
-    Every scan is drawn once before any is drawn again, and every batch is whole: the last one of an
-    epoch goes on with the next round of scans. A batch of one or two would upset the statistics of
-    batch norm just before they are validated.
-
-    Attributes
-    ----------
-    scan_count : int
-    recipe : Recipe
-    """
-
-    scan_count: int
-    recipe: Recipe
-
-    @property
-    def steps_per_epoch(self) -> int:
-        """Number of batches of an epoch, which hold all its samples."""
-        return -(-(self.recipe.samples_per_epoch or self.scan_count) // self.recipe.batch)
-
-    @property
-    def steps(self) -> int:
-        """Number of batches of the whole training."""
-        return self.steps_per_epoch * self.recipe.epochs
-
-    def crop_width(self, position: int) -> int:
-        """Return the columns of the window of a sample, 0 for the full circle."""
-        epoch = position // (self.steps_per_epoch * self.recipe.batch)
-        last = epoch >= self.recipe.epochs - self.recipe.whole_epochs
-        return 0 if self.recipe.whole_epochs and last else self.recipe.crop_width
-
-    def batches(
-        self, first_step: int = 0, group: ProcessGroup = SINGLE_PROCESS
-    ) -> Iterator[list[SampleKey]]:
-        """Yield a worker's share of each batch, from a step of the whole training to its end.
-
-        The shares of all workers together are the batch that one alone would have.
-        """
-        keys = self._keys(first_step * self.recipe.batch)
-        for _ in range(first_step, self.steps):
-            yield list(islice(keys, self.recipe.batch))[group.rank :: group.size]
-
-    def _keys(self, position: int) -> Iterator[SampleKey]:
-        """Yield keys without end, from a position of the whole training."""
-        while True:
-            time, place = divmod(position, self.scan_count)
-            random = np.random.default_rng((self.recipe.seed, ORDER, time))
-            for index in random.permutation(self.scan_count)[place:]:
-                yield position, int(index)
-                position += 1
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class Samples(Dataset[Sample]):
     """Augmented, mixed, projected, normalised and cropped scans, by sample key.
 
     Attributes
     ----------
-    files : sequence of ScanFile
-        Labelled scans.
-    space : LabelSpace
-        Of their labels.
+    sources : sequence of Source
+        Data sets; indices of scans go on from one to the next.
     sensor : Sensor
-        Projection and normalisation of the images.
+        Normalisation of the images; its intensity and gaps are those of training.
     recipe : Recipe
         Settings of augmentation, mixing and cropping.
     rare : (C,) bool
         Classes that are pasted.
+    sets : ClassSets
+        Sets of classes that labels stand for.
     """
 
-    files: Sequence[ScanFile]
-    space: LabelSpace
+    sources: Sequence[Source]
     sensor: Sensor
     recipe: Recipe
     rare: npt.NDArray[np.bool_]
+    sets: ClassSets = ()
 
     @property
     def plan(self) -> SamplingPlan:
         """Order of the samples in the whole training."""
-        return SamplingPlan(len(self.files), self.recipe)
+        return SamplingPlan([len(source.files) for source in self.sources], self.recipe)
+
+    def place(self, index: int) -> tuple[Source, ScanFile]:
+        """Return a scan and its data set."""
+        for source in self.sources:
+            if index < len(source.files):
+                return source, source.files[index]
+            index -= len(source.files)
+        raise IndexError(index)
 
     def __getitem__(self, key: SampleKey) -> Sample:
         """Return the sample at a position of the training, of the scan with an index."""
         position, index = key
-        width = self.plan.crop_width(position)
-        random = np.random.default_rng((self.recipe.seed, SAMPLE, position))
+        recipe, width = self.recipe, self.plan.crop_width(position)
+        random = np.random.default_rng((recipe.seed, SAMPLE, position))
         scan, labels = self._mixed(index, random)
-        image = project(scan, self.sensor)
-        truth = pixels_from_points(labels, image.point_of_pixel)
-        on_class = self.recipe.crop_on_class
-        columns = choose_columns(truth, self.space.scored, width, on_class, random)
-        return normalise(image.channels[:, :, columns], self.sensor), truth[:, columns], index
+        view = self._view(index, random)
+        image = project(scan, view)
+        channels, truth = image.channels, pixels_from_points(labels, image.point_of_pixel)
+        if _drawn(recipe.fewer_beams, random):
+            channels = fewer_beams(channels, random)
+            truth = np.where(channels[0] > 0, truth, 0)
+            view = replace(view, row_gaps=row_gaps([channels]))
+        channels = completed(channels, view, self.sensor)
+        if _drawn(recipe.no_intensity, random):
+            channels = match_intensity(channels, NO_INTENSITY, self.sensor.intensity_quantiles)
+        scored = of_targets(self.sources[0].space.scored, self.sets, np.any)
+        columns = choose_columns(truth, scored, width, recipe.crop_on_class, random)
+        return normalise(channels[:, :, columns], self.sensor), truth[:, columns], index
+
+    def _view(self, index: int, random: np.random.Generator) -> Sensor:
+        """Return the sensor that a sample of a scan is projected with, in the sensor's frame."""
+        source, file = self.place(index)
+        view = replace(source.sensor_of(file), up=UP, origin=ORIGIN)
+        return other_view(view, random) if _drawn(self.recipe.view, random) else view
 
     def _mixed(self, index: int, random: np.random.Generator) -> LabelledScan:
         """Return an augmented scan, mixed with others as often as the recipe says."""
         recipe = self.recipe
-        labelled = augment(self._read(index), recipe, random)
-        # Without mixing nothing more is drawn, so that the samples are those of older versions.
-        if recipe.mix and random.random() < recipe.mix:
-            partner = augment(self._partner(index, random), recipe, random)
+        labelled = self._augmented(self._read(index, random), random)
+        if _drawn(recipe.mix, random):
+            partner = self._augmented(self._partner(index, random), random)
             labelled = mix(labelled, partner, Checkerboard.drawn(self.sensor, random))
-        if recipe.paste and random.random() < recipe.paste:
+        if _drawn(recipe.paste, random):
             partner = self._partner(index, random)
-            rare = augment(select(partner, self.rare[partner[1]]), recipe, random)
+            chosen = of_targets(self.rare, self.sets, np.all)[partner[1]]
+            rare = self._augmented(select(partner, chosen), random)
             labelled = paste(labelled, rare, random.uniform(-np.pi, np.pi, PASTED_COPIES))
         return labelled
 
+    def _augmented(self, labelled: LabelledScan, random: np.random.Generator) -> LabelledScan:
+        scan, labels = augment(labelled, self.recipe, random)
+        if _drawn(self.recipe.mount, random):
+            scan = replace(scan, points=mount_otherwise(scan.points, random))
+        return scan, labels
+
     def _partner(self, index: int, random: np.random.Generator) -> LabelledScan:
         """Return another scan than the one of an index; the same if there is no other."""
-        away = 1 + random.integers(max(1, len(self.files) - 1))
-        return self._read(int((index + away) % len(self.files)))
+        counts = self.plan.scan_counts
+        if len(counts) > 1:
+            further = random.random() < self.recipe.also
+            chosen = int(random.integers(1, len(counts))) if further else 0
+            start = sum(counts[:chosen])
+            return self._read(start + int(random.integers(counts[chosen])), random)
+        away = 1 + random.integers(max(1, counts[0] - 1))
+        return self._read(int((index + away) % counts[0]), random)
 
-    def _read(self, index: int) -> LabelledScan:
-        return read_labelled(self.files[index], self.space, self.sensor)
+    def _read(self, index: int, random: np.random.Generator) -> LabelledScan:
+        source, file = self.place(index)
+        scan, labels = source.read(file, self.sets)
+        if _drawn(self.recipe.intensity, random):
+            scan = change_intensity(scan, random)
+        return scan, labels
+
+
+def _drawn(chance: float, random: np.random.Generator) -> bool:
+    """Decide by chance; nothing is drawn for none, so that samples stay those of older versions."""
+    return chance > 0 and random.random() < chance
 
 
 def batches(

@@ -15,6 +15,7 @@ from salsanext_cli.training.distributed import SINGLE_PROCESS, ProcessGroup, dat
 from salsanext_cli.training.losses import SegmentationLoss
 from salsanext_cli.training.precision import choose_precision, keep_ends_in_float32
 from salsanext_cli.training.recipe import Recipe
+from salsanext_cli.training.targets import ClassSets
 
 DROPOUT = 2
 """Purpose of the generator of dropout, a part of its seed beside those of `dataset`."""
@@ -46,6 +47,8 @@ class Learner:
     device : torch.device
     group : ProcessGroup
         The workers that train the module together.
+    sets : ClassSets
+        Sets of classes that targets stand for.
     """
 
     def __init__(
@@ -55,6 +58,7 @@ class Learner:
         weights: Tensor,
         device: torch.device,
         group: ProcessGroup = SINGLE_PROCESS,
+        sets: ClassSets = (),
     ) -> None:
         dtype: torch.dtype = getattr(torch, choose_precision(recipe.precision, device))
         # In float32 on CPUs channels last gains nothing, or is slower.
@@ -65,7 +69,9 @@ class Learner:
             keep_ends_in_float32(module)
         self.recipe, self.module, self.device, self.group = recipe, module, device, group
         self.average = copy.deepcopy(module).eval() if recipe.average else module
-        self.loss = SegmentationLoss(weights, recipe.lovasz, recipe.label_smoothing).to(device)
+        self.loss = SegmentationLoss(weights, recipe.lovasz, recipe.label_smoothing, sets).to(
+            device
+        )
         self.forward = data_parallel(module, device, group)
         self.optimiser = build_optimiser(module, recipe)
         self.autocast = torch.autocast(device.type, dtype, enabled=dtype is not torch.float32)

@@ -10,6 +10,7 @@ from torch import Tensor, nn
 from torch.nn import functional as F
 
 from salsanext_cli.training.distributed import SINGLE_PROCESS, ProcessGroup
+from salsanext_cli.training.targets import ClassSets
 
 
 def weighted_cross_entropy(
@@ -18,6 +19,7 @@ def weighted_cross_entropy(
     weights: Tensor,
     total_weight: Tensor | None = None,
     smoothing: float = 0.0,
+    class_count: int | None = None,
 ) -> Tensor:
     """Return the mean of -log p(truth), each pixel weighing what its true class does.
 
@@ -30,13 +32,16 @@ def weighted_cross_entropy(
 
     Parameters
     ----------
-    log_probabilities : (P, C) float
+    log_probabilities : (P, T) float
+        Of C classes, and of sets of them behind.
     truth : (P,) int64
-    weights : (C,) float
+    weights : (T,) float
     total_weight : 0-d float, optional
         Weight of all pixels that the mean is over, if these are only some of them.
     smoothing : float
         The share ε.
+    class_count : int, optional
+        C, if there are sets.
 
     Returns
     -------
@@ -44,8 +49,9 @@ def weighted_cross_entropy(
     """
     loss = F.nll_loss(log_probabilities, truth, weights, reduction="sum")
     if smoothing:
-        counts = (weights > 0).to(weights.dtype)
-        of_all = (log_probabilities * (counts / counts.sum().clamp_min(1))).sum(1)
+        counts = (weights[:class_count] > 0).to(weights.dtype)
+        shares = counts / counts.sum().clamp_min(1)
+        of_all = (log_probabilities[:, :class_count] * shares).sum(1)
         loss = (1 - smoothing) * loss - smoothing * (weights[truth] * of_all).sum()
     total = weights[truth].sum() if total_weight is None else total_weight
     return loss / total.clamp_min(torch.finfo(total.dtype).tiny)
@@ -122,18 +128,30 @@ class SegmentationLoss(nn.Module):
         Weight of the Lovász term.
     smoothing : float
         Share of the truth that cross-entropy spreads over all classes with a weight.
+    sets : ClassSets
+        Target C + k says that a pixel is of any class of the k-th set. Its probability is the sum
+        of theirs, its weight the least of theirs above 0; Lovász-Softmax leaves it out.
     """
 
     weights: Tensor
 
-    def __init__(self, weights: Tensor, lovasz: float = 1.0, smoothing: float = 0.0) -> None:
+    def __init__(
+        self,
+        weights: Tensor,
+        lovasz: float = 1.0,
+        smoothing: float = 0.0,
+        sets: ClassSets = (),
+    ) -> None:
         super().__init__()
-        self.register_buffer("weights", weights)
+        of_sets = [_least_positive(weights[list(several)]) for several in sets]
+        self.register_buffer("weights", torch.cat([weights, *(w[None] for w in of_sets)]))
+        self.class_count = len(weights)
         self.lovasz = lovasz
         self.smoothing = smoothing
+        self.sets = sets
 
     def weight_of(self, truth: Tensor) -> Tensor:
-        """Return the weight of all pixels of integer truth (B, H, W), 0-d."""
+        """Return the weight of all pixels of targets (B, H, W), 0-d."""
         return self.weights[truth.long()].sum()
 
     def forward(
@@ -144,7 +162,7 @@ class SegmentationLoss(nn.Module):
         parts: int = 1,
         group: ProcessGroup = SINGLE_PROCESS,
     ) -> Tensor:
-        """Return the loss of logits (B, C, H, W) for integer truth (B, H, W), 0-d.
+        """Return the loss of logits (B, C, H, W) for integer targets (B, H, W), 0-d.
 
         Of a part of a batch it is the part's share: cross-entropy is the mean over all pixels of
         all parts. Lovász-Softmax is no mean over pixels: all workers' pixels of a part have one,
@@ -167,10 +185,21 @@ class SegmentationLoss(nn.Module):
         classes = logits.movedim(1, -1).reshape(-1, logits.shape[1])
         precise = torch.promote_types(logits.dtype, torch.float32)
         log_probabilities = F.log_softmax(classes[counts], 1, dtype=precise)
+        of_sets = [log_probabilities[:, s].logsumexp(1, keepdim=True) for s in self.sets]
         loss = weighted_cross_entropy(
-            log_probabilities, truth, self.weights.to(precise), total_weight, self.smoothing
+            torch.cat([log_probabilities, *of_sets], 1) if of_sets else log_probabilities,
+            *(truth, self.weights.to(precise), total_weight, self.smoothing, self.class_count),
         )
         if self.lovasz:
+            if of_sets:
+                single = truth < self.class_count
+                log_probabilities, truth = log_probabilities[single], truth[single]
             lovasz = lovasz_softmax(log_probabilities.exp(), truth, group)
             loss = loss + self.lovasz / parts * lovasz
         return loss
+
+
+def _least_positive(weights: Tensor) -> Tensor:
+    """Return the least weight above 0, or 0."""
+    positive = weights[weights > 0]
+    return positive.min() if len(positive) else weights.new_zeros(())

@@ -17,6 +17,7 @@ CHOICES = {
     "optimiser": ("sgd", "adamw"),
     "schedule": ("decay", "one-cycle"),
     "precision": ("auto", "float32", "bfloat16", "float16"),
+    "sensors": ("given", "fitted"),
 }
 """Words that the keys of type str may have."""
 READERS: dict[type, tuple[Callable[[str], Any], str]] = {
@@ -70,6 +71,8 @@ class Recipe:
         kept; 0 for none.
     dropout : float
         Rate of dropout in the network.
+    class_weight : float
+        Exponent of 1/share in the weights of the classes; 0 weighs all points alike.
     lovasz : float
         Weight of Lovász-Softmax beside cross-entropy.
     label_smoothing : float
@@ -80,6 +83,13 @@ class Recipe:
         Probability of taking some cells of a scan from another scan; see `training.augment`.
     paste : float
         Probability of adding the points of rare classes of another scan.
+    sensors : {"given", "fitted"}
+        Projection: of all scans as one sensor says, or with view, mounting, intensity and gaps of
+        each sequence fitted as `predict` does.
+    also : float
+        Share of the samples from further data sets, where there are any.
+    intensity, no_intensity, mount, view, fewer_beams : float
+        Probability of each change to what another sensor sees; see `training.other_sensors`.
     validate_every, validation_scans : int
         Epochs between validations, and how many scans of the split, evenly spaced; 0 for all.
     seed : int
@@ -105,6 +115,7 @@ class Recipe:
     clip_gradient: float = 0.0
     average: float = 0.0
     dropout: float = 0.2
+    class_weight: float = 0.5
     lovasz: float = 1.0
     label_smoothing: float = 0.0
     rotate: float = 0.5
@@ -113,6 +124,13 @@ class Recipe:
     drop: float = 0.5
     mix: float = 0.0
     paste: float = 0.0
+    sensors: str = "given"
+    also: float = 0.5
+    intensity: float = 0.0
+    no_intensity: float = 0.0
+    mount: float = 0.0
+    view: float = 0.0
+    fewer_beams: float = 0.0
     validate_every: int = 1
     validation_scans: int = 0
     seed: int = 1
@@ -133,10 +151,11 @@ class Recipe:
             self._require(key, getattr(self, key) >= 1, "at least 1")
         for key in ("samples_per_epoch", "crop_width", "whole_epochs", "validation_scans", "seed"):
             self._require(key, getattr(self, key) >= 0, "at least 0")
-        for key in ("weight_decay", "clip_gradient", "lovasz", "warm_up"):
+        for key in ("weight_decay", "clip_gradient", "class_weight", "lovasz", "warm_up"):
             self._require(key, getattr(self, key) >= 0, "at least 0")
-        augmentations = ("rotate", "shift", "flip", "drop", "mix", "paste")
-        for key in (*augmentations, "crop_on_class"):
+        of_scans = ("rotate", "shift", "flip", "drop", "mix", "paste")
+        of_sensors = ("intensity", "no_intensity", "mount", "view", "fewer_beams")
+        for key in (*of_scans, *of_sensors, "also", "crop_on_class"):
             self._require(key, 0 <= getattr(self, key) <= 1, "between 0 and 1")
         for key in ("average", "dropout", "momentum", "label_smoothing"):
             self._require(key, 0 <= getattr(self, key) < 1, "from 0 to below 1")

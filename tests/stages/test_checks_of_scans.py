@@ -21,7 +21,7 @@ from salsanext_cli.storage.point_files import write_bin
 from salsanext_cli.storage.selection import ScanSelection
 from salsanext_cli.training import class_counts as counting
 from salsanext_cli.training.recipe import Recipe
-from salsanext_cli.training.splits import labelled_splits
+from salsanext_cli.training.sources import labelled_split
 
 UPWARDS = replace(SMALL, name="upwards", fov_up=30.0, fov_down=-2.0)
 TINY = Recipe(epochs=1, batch=2, crop_width=32)
@@ -54,7 +54,8 @@ def trained(dataset, **options):
 
 def counted(dataset, path, jobs=1):
     """Return the warnings of counting the classes, without the training."""
-    space, training, validation = labelled_splits(dataset, None)
+    space, training = labelled_split(dataset, None, "train")
+    _, validation = labelled_split(dataset, None, "valid")
     splits = (training, validation, validation)
     return counting.class_counts(path, splits, space, SMALL, jobs).warnings
 

@@ -417,3 +417,53 @@ def test_folders_that_cannot_be_used(dataset, tmp_path):
     (dataset / "sequences" / "08").rename(dataset / "sequences" / "99")
     with pytest.raises(NoInputError, match="no scans of split valid"):
         go(dataset, tmp_path / "run")
+
+
+@pytest.fixture
+def further(tmp_path):
+    """Write a data set that does not tell vegetation from trunks."""
+    write_sequence(tmp_path / "further" / "sequences" / "00", ["0", "1"], count=600, seed=7)
+    space = replace(label_space(), alternatives={70: (15, 16)})
+    (tmp_path / "further" / "labels.yaml").write_text(json.dumps(space.to_dict()))
+    return tmp_path / "further"
+
+
+OTHERWISE = TINY.with_changes(
+    **dict.fromkeys(("mix", "paste", "intensity", "mount", "view", "fewer_beams"), 0.5),
+    sensors="fitted",
+    no_intensity=0.3,
+)
+
+
+def test_a_training_on_two_data_sets_can_be_interrupted(dataset, further, tmp_path):
+    given = {"recipe": OTHERWISE, "also": [further]}
+    whole = go(dataset, tmp_path / "whole", **given)
+    assert all(math.isfinite(row["loss"]) for row in whole.rows)
+    stop_at(dataset, tmp_path / "parts", 5, **given)
+    parts = go(dataset, tmp_path / "parts", **given, jobs=2)
+    require_same(whole, parts)
+    assert not same(whole.last, go(dataset, tmp_path / "alone", recipe=OTHERWISE).last)
+
+
+def test_another_further_data_set_is_another_training(dataset, further, tmp_path):
+    go(dataset, tmp_path / "run")
+    with pytest.raises(OutputError, match="also"):
+        go(dataset, tmp_path / "run", also=[further])
+
+
+def test_points_of_further_data_sets_count_as_often_as_they_are_drawn(dataset, further, tmp_path):
+    counts = {}
+    for also in (0.0, 0.25, 1.0):
+        run = tmp_path / f"run-{also}"
+        go(dataset, run, recipe=TINY.with_changes(also=also, epochs=1), also=[further])
+        counts[also] = json.loads((run / "class_counts.json").read_text())["points"]
+    for name, found in counts[0.25].items():
+        expected = 0.75 * counts[0.0][name] + 0.25 * counts[1.0][name]
+        assert found == pytest.approx(expected, abs=1.5)
+
+
+def test_a_further_data_set_without_labels_is_named(dataset, further, tmp_path):
+    label = next(further.glob("sequences/00/labels/*.label"))
+    label.unlink()
+    with pytest.raises(LabelError, match=f"{label.name} · no such file"):
+        go(dataset, tmp_path / "run", also=[further], progress=no_step)

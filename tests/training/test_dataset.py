@@ -18,9 +18,11 @@ from salsanext_cli.training.class_counts import (
     count_classes,
     rare_classes,
 )
-from salsanext_cli.training.dataset import Samples, SamplingPlan, batches, read_labelled
+from salsanext_cli.training.dataset import Samples, batches, read_labelled
 from salsanext_cli.training.distributed import ProcessGroup
 from salsanext_cli.training.recipe import Recipe
+from salsanext_cli.training.sampling import SamplingPlan
+from salsanext_cli.training.sources import Source
 
 SPACE = label_space()
 RARE = np.isin(SPACE.names, ["bicycle", "person", "pole"])
@@ -34,7 +36,7 @@ def files(tmp_path_factory: pytest.TempPathFactory) -> list[ScanFile]:
 
 
 def samples(files: list[ScanFile], recipe: Recipe) -> Samples:
-    return Samples(files, SPACE, SMALL, recipe, RARE)
+    return Samples([Source(files, SPACE, SMALL)], SMALL, recipe, RARE)
 
 
 def test_truth_of_an_empty_scan_is_unlabelled(tmp_path: Path) -> None:
@@ -74,7 +76,7 @@ def test_samples_differ_by_position_and_scan_and_repeat_by_both(files: list[Scan
 @pytest.mark.parametrize("size", [0, 3, 7, 25])
 def test_every_scan_is_drawn_once_before_any_is_drawn_again(size: int) -> None:
     """In epochs of any size, whose batches are all whole."""
-    plan = SamplingPlan(10, Recipe(epochs=4, batch=4, samples_per_epoch=size))
+    plan = SamplingPlan([10], Recipe(epochs=4, batch=4, samples_per_epoch=size))
     assert [len(batch) for batch in plan.batches()] == plan.steps * [4]
     draws = [draw for batch in plan.batches() for draw in batch]
     assert [position for position, _ in draws] == list(range(4 * plan.steps))
@@ -89,20 +91,20 @@ def test_the_last_epochs_are_whole_and_a_batch_is_never_mixed() -> None:
     """More whole epochs than there are epochs are all of them."""
     for whole, expected in ((0, 4 * [32]), (2, [32, 32, 0, 0]), (9, 4 * [0])):
         recipe = Recipe(epochs=4, batch=3, samples_per_epoch=4, crop_width=32, whole_epochs=whole)
-        plan = SamplingPlan(5, recipe)
+        plan = SamplingPlan([5], recipe)
         batches = [{plan.crop_width(position) for position, _ in batch} for batch in plan.batches()]
         assert batches == [{width} for width in expected for _ in range(plan.steps_per_epoch)]
 
 
 @pytest.mark.parametrize("first", range(7))
 def test_what_is_drawn_from_a_step_on_does_not_depend_on_where_one_begins(first: int) -> None:
-    plan = SamplingPlan(5, Recipe(epochs=3, batch=3, samples_per_epoch=7))
+    plan = SamplingPlan([5], Recipe(epochs=3, batch=3, samples_per_epoch=7))
     assert list(plan.batches(first)) == list(plan.batches())[first:]
 
 
 @pytest.mark.parametrize("size", [1, 2, 3, 4])
 def test_workers_together_draw_what_one_alone_draws(size: int) -> None:
-    plan = SamplingPlan(8, Recipe(epochs=2, batch=5))
+    plan = SamplingPlan([8], Recipe(epochs=2, batch=5))
     shares = [list(plan.batches(1, ProcessGroup(rank, size))) for rank in range(size)]
     whole = list(plan.batches(1))
     assert len(whole) == 3
@@ -164,7 +166,7 @@ def test_pixels_of_a_pasted_sample_are_its_own_or_turned_ones_of_rare_classes(
 
 def test_pasting_where_no_point_is_rare(files: list[ScanFile]) -> None:
     recipe = PLAIN.with_changes(paste=1.0)
-    none = Samples(files, SPACE, SMALL, recipe, np.zeros(20, bool))[3, 1]
+    none = Samples([Source(files, SPACE, SMALL)], SMALL, recipe, np.zeros(20, bool))[3, 1]
     np.testing.assert_array_equal(none[0], samples(files, PLAIN)[3, 1][0])
     np.testing.assert_array_equal(none[1], samples(files, PLAIN)[3, 1][1])
 

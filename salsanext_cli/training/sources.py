@@ -1,0 +1,131 @@
+# SPDX-License-Identifier: MIT
+"""Data sets to train on: labelled scans, their label space and the sensors that recorded them."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from itertools import groupby
+from pathlib import Path
+
+import joblib
+
+from salsanext_cli.classes import LabelSpace, label_space
+from salsanext_cli.errors import LabelError, NoInputError, first_few
+from salsanext_cli.formats import read_scan
+from salsanext_cli.formats.labels import read_labels
+from salsanext_cli.geometry.fitting.view_fit import fit_view
+from salsanext_cli.geometry.intensity import on_other_scale
+from salsanext_cli.geometry.mounting import in_sensor_frame
+from salsanext_cli.geometry.projection import project
+from salsanext_cli.inference.scan_fit import as_seen, sampled
+from salsanext_cli.sensors import Sensor
+from salsanext_cli.storage.layout import ScanFile, find_scans
+from salsanext_cli.storage.selection import data_set_label_space
+from salsanext_cli.training.augment import LabelledScan
+from salsanext_cli.training.targets import ClassSets, to_targets
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Source:
+    """Labelled scans of one data set.
+
+    Attributes
+    ----------
+    files : sequence of ScanFile
+    space : LabelSpace
+        Of their labels.
+    sensor : Sensor
+        That the network is trained for.
+    fitted : dict of str to Sensor
+        Those of sequences as `predict` fits them; empty if all are taken as `sensor` says.
+    """
+
+    files: Sequence[ScanFile]
+    space: LabelSpace
+    sensor: Sensor
+    fitted: Mapping[str, Sensor] = field(default_factory=dict)
+
+    def sensor_of(self, file: ScanFile) -> Sensor:
+        """Return the sensor that a scan is projected with."""
+        return self.fitted.get(file.sequence, self.sensor)
+
+    def read(self, file: ScanFile, sets: ClassSets) -> LabelledScan:
+        """Read a scan, in its sensor's frame, its intensity on training's scale, and its targets.
+
+        Raises
+        ------
+        FormatError
+            If a file cannot be read.
+        LabelError
+            If the numbers differ or a label id is unknown.
+        """
+        own = self.sensor_of(file)
+        scan = in_sensor_frame(read_scan(file.path, own), own)
+        raw = read_labels(file.label_path, len(scan))
+        targets = to_targets(raw, self.space, sets, file.label_path)
+        quantiles, wanted = own.intensity_quantiles, self.sensor.intensity_quantiles
+        if quantiles and wanted and quantiles != wanted:
+            scan = replace(scan, intensity=on_other_scale(scan.intensity, quantiles, wanted))
+        return scan, targets
+
+
+def fitted_source(source: Source, jobs: int = 1) -> Source:
+    """Return a source with the sensor of each sequence fitted to its scans, as `predict` does."""
+    sequences = {name: list(files) for name, files in groupby(source.files, lambda f: f.sequence)}
+
+    def fit(files: Sequence[ScanFile]) -> Sensor:
+        scans = list(sampled(files, source.sensor))
+        found = fit_view(scans, source.sensor)
+        return as_seen(found, [project(scan, found).channels for scan in scans])
+
+    run = joblib.Parallel(jobs, backend="threading")
+    found = run(joblib.delayed(fit)(files) for files in sequences.values())
+    return replace(source, fitted=dict(zip(sequences, found, strict=True)))
+
+
+def further_source(dataset: Path, space: LabelSpace, sensor: Sensor) -> Source:
+    """Return the training split of a further data set.
+
+    Raises
+    ------
+    NoInputError
+        If the split has no scans.
+    LabelError
+        If its classes are not those of the label space; ids and alternatives may be others.
+    """
+    own, files = labelled_split(dataset, None, "train")
+    if not own.fits(space):
+        found = f"other classes ({first_few(own.differences(space))})"
+        raise LabelError(dataset, found, f"those of {space.name}")
+    return Source(files, own, sensor)
+
+
+def labelled_split(
+    dataset: Path, space: LabelSpace | None, split: str
+) -> tuple[LabelSpace, list[ScanFile]]:
+    """Return the label space of a data set, and the scans of a split.
+
+    Parameters
+    ----------
+    dataset : Path
+        Its root.
+    space : LabelSpace, optional
+        Otherwise what the data set says, else SemanticKITTI's.
+    split : str
+        Name of the split.
+
+    Raises
+    ------
+    NoInputError
+        If the split has no scans.
+    """
+    space = space or data_set_label_space(dataset) or label_space()
+    members = space.split(split)
+    found = [scan for scan in find_scans(dataset) if scan.sequence in members]
+    if not found:
+        raise NoInputError(
+            dataset,
+            f"no scans of split {split}",
+            f"one of the sequences {', '.join(members) or '(none)'}",
+            "name your sequences in labels.yaml, under split",
+        )
+    return space, found

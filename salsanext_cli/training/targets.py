@@ -1,0 +1,78 @@
+# SPDX-License-Identifier: MIT
+"""Targets of a training: train ids, and sets of them where a label may be any of several classes.
+
+A data set that does not tell some classes apart says so by `LabelSpace.alternatives`. With C
+classes, target C + k is the k-th set.
+"""
+
+from collections.abc import Callable, Iterable
+
+import numpy as np
+import numpy.typing as npt
+
+from salsanext_cli.classes import LabelSpace, RawIds, TrainIds
+from salsanext_cli.errors import UsageError
+from salsanext_cli.label_yaml import RAW_ID_COUNT, UNKNOWN
+
+ClassSets = tuple[tuple[int, ...], ...]
+"""Sets of train ids, each in rising order."""
+
+
+def class_sets(spaces: Iterable[LabelSpace]) -> ClassSets:
+    """Return the sets of several classes that labels of these spaces stand for.
+
+    Raises
+    ------
+    UsageError
+        If there are more than targets, of a byte each.
+    """
+    spaces = list(spaces)
+    sets = {several for space in spaces for several in space.alternatives.values()}
+    found = tuple(sorted(several for several in sets if len(several) > 1))
+    most = UNKNOWN - spaces[0].class_count
+    if len(found) > most:
+        raise UsageError("alternatives", f"{len(found)} different ones", f"at most {most}")
+    return found
+
+
+def to_targets(raw: RawIds, space: LabelSpace, sets: ClassSets, source: object) -> TrainIds:
+    """Map raw ids to targets.
+
+    Parameters
+    ----------
+    raw : (N,) uint32
+        Raw ids as label files hold them.
+    space : LabelSpace
+        Of the ids.
+    sets : ClassSets
+        At least those of the space.
+    source : object
+        Subject of the error.
+
+    Returns
+    -------
+    (N,) uint8
+
+    Raises
+    ------
+    LabelError
+        If an id is unknown.
+    """
+    targets = space.to_train(raw, source=source)
+    several = {i: each for i, each in space.alternatives.items() if each in sets}
+    if not several:
+        return targets
+    table = np.zeros(RAW_ID_COUNT, np.uint8)
+    table[list(several)] = [space.class_count + sets.index(each) for each in several.values()]
+    of_sets: TrainIds = table[raw & 0xFFFF]
+    return np.where(of_sets > 0, of_sets, targets)
+
+
+def of_targets(
+    of_classes: npt.NDArray[np.bool_],
+    sets: ClassSets,
+    rule: Callable[[npt.NDArray[np.bool_]], np.bool_],
+) -> npt.NDArray[np.bool_]:
+    """Return (C,) bool of classes, and behind it what a rule makes of each set's, (C + K,)."""
+    of_sets = [bool(rule(of_classes[list(several)])) for several in sets]
+    return np.append(of_classes, np.array(of_sets, np.bool_))

@@ -1,0 +1,136 @@
+# SPDX-License-Identifier: MIT
+from collections import Counter
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+from scans import SMALL, make_scan, write_sequence
+
+from salsanext_cli import Scan, label_space, project
+from salsanext_cli.errors import LabelError, NoInputError
+from salsanext_cli.geometry.intensity import match_intensity
+from salsanext_cli.geometry.row_gaps import completed
+from salsanext_cli.inference.scan_fit import as_seen
+from salsanext_cli.storage.point_files import write_bin
+from salsanext_cli.training.dataset import Samples
+from salsanext_cli.training.recipe import Recipe
+from salsanext_cli.training.sampling import SamplingPlan
+from salsanext_cli.training.sources import Source, fitted_source, further_source, labelled_split
+from salsanext_cli.training.targets import class_sets
+
+SPACE = label_space()
+NOTHING = Recipe(rotate=0.0, shift=0.0, flip=0.0, drop=0.0)
+NEVER = np.zeros(SPACE.class_count, bool)
+
+
+@pytest.mark.parametrize(("also", "counts"), [(0.4, [7, 3, 5]), (1.0, [3, 4]), (0.0, [3, 4])])
+def test_further_data_sets_have_their_share_and_each_scan_its_turn(
+    also: float, counts: list[int]
+) -> None:
+    plan = SamplingPlan(counts, Recipe(epochs=10, batch=4, samples_per_epoch=60, also=also))
+    drawn = [index for batch in plan.batches() for _, index in batch]
+    ends = np.cumsum(counts)
+    sources = np.searchsorted(ends, drawn, side="right")
+    share = Counter(sources.tolist())
+    for source in range(1, len(counts)):
+        assert share[source] == pytest.approx(600 * also / (len(counts) - 1), abs=1)
+    for source in range(len(counts)):
+        own = [i for i, s in zip(drawn, sources, strict=True) if s == source]
+        rounds = [own[i : i + counts[source]] for i in range(0, len(own), counts[source])]
+        assert all(len(set(each)) == counts[source] for each in rounds[:-1])
+    for first in (1, 17, 100):
+        assert list(plan.batches(first)) == list(plan.batches())[first:]
+
+
+@pytest.fixture
+def roots(tmp_path: Path) -> list[Path]:
+    """Two data sets; the second has another sensor, another intensity and fewer classes."""
+    for name in ("one", "two"):
+        for sequence in ("00", "01"):
+            write_sequence(tmp_path / name / "sequences" / sequence, ["0", "1"], count=3000)
+    for number, path in enumerate(sorted((tmp_path / "two").glob("sequences/*/velodyne/*.bin"))):
+        scan = make_scan(3000, number)
+        up = np.radians(40)
+        turned = scan.points @ np.array(
+            [[1, 0, 0], [0, np.cos(up), np.sin(up)], [0, -np.sin(up), np.cos(up)]], np.float32
+        )
+        write_bin(path, Scan(turned, 100 * scan.intensity))
+    space = replace(SPACE, alternatives={70: (15, 16)})
+    (tmp_path / "two" / "labels.yaml").write_text(yaml.safe_dump(space.to_dict()))
+    return [tmp_path / "one", tmp_path / "two"]
+
+
+def seen(roots: list[Path]) -> tuple[Source, Source]:
+    _, files = labelled_split(roots[0], None, "train")
+    plain = Source(files, SPACE, SMALL)
+    images = [project(plain.read(file, ())[0], SMALL).channels for file in files]
+    sensor = as_seen(SMALL, images)
+    return Source(files, SPACE, sensor), further_source(roots[1], SPACE, sensor)
+
+
+def test_samples_come_from_all_data_sets_with_their_own_labels(roots: list[Path]) -> None:
+    first, second = seen(roots)
+    sets = class_sets([first.space, second.space])
+    recipe = NOTHING.with_changes(also=0.5)
+    samples = Samples([first, second], first.sensor, recipe, NEVER, sets)
+    kinds = {index // 4: samples[0, index][1].max() for index in (0, 4)}
+    assert kinds == {0: 19, 1: 20}
+    mixed = Samples([first, second], first.sensor, recipe.with_changes(mix=1.0), NEVER, sets)
+    drawn = [mixed[position, 0][1] for position in range(12)]
+    assert any((truth == 20).any() for truth in drawn)
+    assert not all((truth == 20).any() for truth in drawn)
+    with pytest.raises(IndexError):
+        samples.place(8)
+
+
+def test_a_fitted_sequence_is_seen_as_predict_sees_it(roots: list[Path]) -> None:
+    """Mounting, intensity and gaps; one sequence at a time, whatever the number of threads."""
+    first, second = seen(roots)
+    fitted = fitted_source(second)
+    assert fitted.fitted == fitted_source(second, jobs=2).fitted
+    assert fitted.fitted.keys() == {"00", "01"}
+    file = second.files[0]
+    own = fitted.sensor_of(file)
+    assert own.up != SMALL.up
+    image = project(Scan(*make_scan_of(file)), own)
+    channels = match_intensity(
+        image.channels, own.intensity_quantiles, first.sensor.intensity_quantiles
+    )
+    expected = completed(channels, own, first.sensor)
+    recipe = NOTHING.with_changes(also=1.0)
+    found = Samples([first, fitted], first.sensor, recipe, NEVER, class_sets([second.space]))[0, 4]
+    means, stds = (np.array(v)[:, None, None] for v in (SMALL.means, SMALL.stds))
+    occupied = expected[0] > 0
+    shown = np.where(occupied, found[0] * stds + means, 0)
+    np.testing.assert_allclose(shown, expected, atol=2e-4)
+
+
+def make_scan_of(file):
+    from salsanext_cli import read_scan
+
+    scan = read_scan(file.path)
+    return scan.points, scan.intensity
+
+
+def test_changes_to_other_sensors_keep_truth_and_image_together(roots: list[Path]) -> None:
+    first, _ = seen(roots)
+    always = dict.fromkeys(("intensity", "no_intensity", "mount", "view", "fewer_beams"), 1.0)
+    image, truth, _ = Samples([first], first.sensor, NOTHING.with_changes(**always), NEVER)[5, 1]
+    empty = ~image.any(axis=0)
+    assert not truth[empty].any()
+    assert truth.any()
+    assert len(np.unique(image[4][~empty])) == 1
+    plain = Samples([first], first.sensor, NOTHING, NEVER)[5, 1][0]
+    assert (plain.any(axis=0)).sum() > (truth > 0).sum()
+
+
+def test_further_data_sets_are_checked(roots: list[Path], tmp_path: Path) -> None:
+    with pytest.raises(NoInputError, match="no scans of split train"):
+        further_source(write_sequence(tmp_path / "other" / "sequences" / "08"), SPACE, SMALL)
+    other = SPACE.to_dict()
+    other["learning_map_inv"] = {**SPACE.learning_map_inv, 1: 252}
+    (roots[1] / "labels.yaml").write_text(yaml.safe_dump(other))
+    with pytest.raises(LabelError, match=r"other classes .*train id 1: moving-car"):
+        further_source(roots[1], SPACE, SMALL)

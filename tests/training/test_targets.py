@@ -1,0 +1,108 @@
+# SPDX-License-Identifier: MIT
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+import yaml
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from salsanext_cli import LabelSpace, label_space
+from salsanext_cli.errors import LabelError, UsageError
+from salsanext_cli.training.losses import SegmentationLoss, lovasz_softmax
+from salsanext_cli.training.targets import class_sets, of_targets, to_targets
+
+PLAIN = label_space()
+OTHER = replace(PLAIN, alternatives={40: (9, 10), 60: (9, 10), 70: (15, 16, 17), 50: (13,)})
+
+
+def test_an_id_of_several_classes_is_the_target_of_their_set() -> None:
+    sets = class_sets([PLAIN, OTHER])
+    assert sets == ((9, 10), (15, 16, 17))
+    raw = np.uint32([10, 40, 60 + (5 << 16), 70, 50, 44, 0])
+    found = to_targets(raw, OTHER, sets, "a.label")
+    assert found.tolist() == [1, 20, 20, 21, 13, 10, 0]
+    assert found.dtype == np.uint8
+    assert to_targets(raw, PLAIN, sets, "a.label").tolist() == PLAIN.to_train(raw).tolist()
+    assert class_sets([PLAIN]) == ()
+
+
+def test_an_unknown_id_is_refused() -> None:
+    with pytest.raises(LabelError, match=r"a\.label · unknown label ids 7"):
+        to_targets(np.uint32([40, 7]), OTHER, class_sets([OTHER]), "a.label")
+
+
+def test_more_sets_than_a_byte_has_targets_are_refused() -> None:
+    pairs = [(i, j) for i in range(1, 20) for j in range(i + 1, 20)] + [
+        (0, i) for i in range(1, 70)
+    ]
+    many = replace(PLAIN, alternatives=dict(enumerate(pairs[:236])))
+    with pytest.raises(UsageError, match="236 different ones · expected at most 235"):
+        class_sets([many])
+
+
+def test_what_holds_for_any_or_for_all_classes_of_a_set() -> None:
+    classes = np.array([False, True, True, False])
+    assert of_targets(classes, ((1, 2), (2, 3)), np.all).tolist()[4:] == [True, False]
+    assert of_targets(classes, ((1, 2), (0, 3)), np.any).tolist()[4:] == [True, False]
+
+
+def slow_loss(
+    logits: np.ndarray, truth: np.ndarray, weights: np.ndarray, sets: tuple[tuple[int, ...], ...]
+) -> float:
+    """Return the cross-entropy, a pixel at a time."""
+    total = weight = 0.0
+    for z, target in zip(logits, truth, strict=True):
+        members = (target,) if target < len(weights) else sets[target - len(weights)]
+        own = [weights[c] for c in members if weights[c] > 0]
+        if own:
+            p = np.exp(z) / np.exp(z).sum()
+            total -= min(own) * np.log(sum(p[c] for c in members))
+            weight += min(own)
+    return total / weight if weight else 0.0
+
+
+@settings(max_examples=60, deadline=None)
+@given(st.lists(st.integers(0, 7), min_size=1, max_size=12), st.integers(0, 99))
+def test_the_probability_of_a_set_is_the_sum_of_its_classes(truth: list[int], seed: int) -> None:
+    """Class 0 is ignored, and so is the set of 0 and a class without a weight."""
+    sets, weights = ((1, 2), (0, 4), (1, 2, 3)), np.array([0, 1, 0.5, 3, 0])
+    logits = np.random.default_rng(seed).normal(0, 2, (len(truth), 5))
+    given_logits = torch.from_numpy(logits.T.reshape(1, 5, 1, -1))
+    targets = torch.tensor(truth).reshape(1, 1, -1)
+    loss = SegmentationLoss(torch.from_numpy(weights), 0.0, 0.0, sets)
+    expected = slow_loss(logits, np.array(truth), weights, sets)
+    assert float(loss(given_logits, targets)) == pytest.approx(expected, abs=1e-9)
+    single = [i for i, target in enumerate(truth) if 0 < target < 4]
+    both = SegmentationLoss(torch.from_numpy(weights), 1.0, 0.0, sets)
+    flat = torch.from_numpy(logits[single]).softmax(1)
+    lovasz = lovasz_softmax(flat, torch.tensor([truth[i] for i in single], dtype=torch.long))
+    expected += float(lovasz) if single else 0
+    assert float(both(given_logits, targets)) == pytest.approx(expected, abs=1e-9)
+
+
+def test_the_gradient_of_a_set_is_right() -> None:
+    random = torch.Generator().manual_seed(4)
+    logits = torch.randn(1, 3, 1, 4, dtype=torch.float64, generator=random, requires_grad=True)
+    loss = SegmentationLoss(torch.tensor([0.0, 1.0, 2.0]), 1.0, 0.1, ((1, 2),))
+    truth = torch.tensor([[[3, 1, 3, 2]]])
+    assert torch.autograd.gradcheck(lambda x: loss(x, truth), (logits,))
+
+
+def test_label_spaces_with_alternatives_survive_a_round_trip_and_are_checked() -> None:
+    text = yaml.safe_dump(OTHER.to_dict())
+    back = LabelSpace.from_dict(yaml.safe_load(text))
+    assert back.alternatives == OTHER.alternatives
+    assert back.fits(PLAIN)
+    assert "alternatives of raw id 40: 9 10 ≠ none" in OTHER.differences(PLAIN)
+    assert "learning_alternatives" not in PLAIN.to_dict()
+    for wrong, found in (
+        ({40: [9, 77]}, r"train ids \[77\]"),
+        ({40: [10, 11]}, r"\[40\] lack the train id"),
+        ({7: [1, 2]}, r"\[7\] lack the train id"),
+        ({40: 9}, "9 is not a list"),
+        ([40], "not a label space"),
+    ):
+        with pytest.raises(UsageError, match=found):
+            LabelSpace.from_dict(PLAIN.to_dict() | {"learning_alternatives": wrong})
