@@ -166,6 +166,9 @@ def test_the_python_blocks_run(page, a_scan_and_weights):
 READERS: dict[tuple[str, str], Callable[[str], object]] = {
     ("sensors.md", "toml"): lambda body: Sensor.from_dict({"name": "x", **tomllib.loads(body)}),
     ("train.md", "toml"): lambda body: Recipe.from_dict(tomllib.loads(body)),
+    ("train.md", "yaml"): lambda body: LabelSpace.from_dict(
+        label_space().to_dict() | yaml.safe_load(body)
+    ),
     ("models.md", "toml"): lambda body: Recipe.from_dict(tomllib.loads(body)),
     ("label-spaces.md", "yaml"): lambda body: LabelSpace.from_dict(yaml.safe_load(body)),
     ("json.md", "json"): json.loads,
