@@ -15,7 +15,7 @@ from pathlib import Path
 
 HELD_OUT = 10
 """Scans of PandaSet that the temperature is fitted on and that are scored."""
-STREETS = ("--train", "120", "--valid", "5", "--scans", "12", "--spacing", "6", "--jobs", "2")
+STREETS = ("--train", "120", "--valid", "5", "--scans", "8", "--spacing", "10", "--jobs", "2")
 
 
 def salsanext(*words: str | Path) -> None:
