@@ -29,7 +29,7 @@ from salsanext_cli.measures.beam_fit import fit_beams
 from salsanext_cli.measures.survey import Survey, survey
 from salsanext_cli.sensors import Sensor
 from salsanext_cli.synthesis import drive
-from salsanext_cli.synthesis.beams import Beams, hdl64
+from salsanext_cli.synthesis.sensor.beams import Beams, hdl64
 from salsanext_cli.training.augment import LabelledScan
 
 SEED, SEQUENCES, SCANS, SPACING_M = 777, 5, 2, 25.0

@@ -8,12 +8,12 @@ import numpy as np
 
 from salsanext_cli.classes import RawIds
 from salsanext_cli.records import Scan
-from salsanext_cli.synthesis.beams import hdl64, hidden_by_vehicle
-from salsanext_cli.synthesis.lidar import Scene, measure
 from salsanext_cli.synthesis.mesh import Array, Rng, merge, turn_x, turn_y, turn_z
-from salsanext_cli.synthesis.plan import Plan
 from salsanext_cli.synthesis.presets import STYLES
-from salsanext_cli.synthesis.street import MARGIN_M, Mover, build_street
+from salsanext_cli.synthesis.sensor.beams import hdl64, hidden_by_vehicle
+from salsanext_cli.synthesis.sensor.lidar import Scene, measure
+from salsanext_cli.synthesis.street.plan import Plan
+from salsanext_cli.synthesis.street.street import MARGIN_M, Mover, build_street
 
 MOUNT_M = 1.73
 """Height of the sensor above the road."""

@@ -4,7 +4,7 @@
 import numpy as np
 import pytest
 
-from salsanext_cli.synthesis.beams import (
+from salsanext_cli.synthesis.sensor.beams import (
     ENCODER_STEP_DEG,
     LOWER_BLOCK,
     UPPER_BLOCK,

@@ -4,9 +4,9 @@
 import numpy as np
 import pytest
 
-from salsanext_cli.synthesis.beams import hdl64
-from salsanext_cli.synthesis.lidar import RANGE_NOISE_M, Scene, measure
 from salsanext_cli.synthesis.mesh import Skin, quads
+from salsanext_cli.synthesis.sensor.beams import hdl64
+from salsanext_cli.synthesis.sensor.lidar import RANGE_NOISE_M, Scene, measure
 from salsanext_cli.synthesis.surfaces import BUILDING, CAR, ROAD, Material
 
 

@@ -4,19 +4,13 @@
 import numpy as np
 import pytest
 
-from salsanext_cli.synthesis import (
-    buildings,
-    furniture,
-    lots,
-    people,
-    surfaces,
-    vegetation,
-    vehicles,
-)
-from salsanext_cli.synthesis.builder import Builder
-from salsanext_cli.synthesis.draw import draw_plan
-from salsanext_cli.synthesis.plan import Lot
+from salsanext_cli.synthesis import surfaces
 from salsanext_cli.synthesis.presets import STYLES
+from salsanext_cli.synthesis.street import lots
+from salsanext_cli.synthesis.street.builder import Builder
+from salsanext_cli.synthesis.street.draw import draw_plan
+from salsanext_cli.synthesis.street.plan import Lot
+from salsanext_cli.synthesis.things import buildings, furniture, people, vegetation, vehicles
 
 THINGS = {
     "car": (vehicles.car, {surfaces.CAR}, (3.4, 1.6, 1.3), (5.5, 2.4, 2.5)),

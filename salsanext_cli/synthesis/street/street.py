@@ -6,13 +6,15 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from salsanext_cli.synthesis import lots, people, roadside, surfaces, vehicles
-from salsanext_cli.synthesis.builder import Builder
-from salsanext_cli.synthesis.draw import draw_plan
+from salsanext_cli.synthesis import surfaces
 from salsanext_cli.synthesis.mesh import Array, Mesh, Rng, merge
-from salsanext_cli.synthesis.plan import REACH_M, Plan
 from salsanext_cli.synthesis.presets import Style
+from salsanext_cli.synthesis.street import lots, roadside
+from salsanext_cli.synthesis.street.builder import Builder
+from salsanext_cli.synthesis.street.draw import draw_plan
+from salsanext_cli.synthesis.street.plan import REACH_M, Plan
 from salsanext_cli.synthesis.surfaces import Material
+from salsanext_cli.synthesis.things import people, vehicles
 
 MARGIN_M = 70.0
 """Length of the street behind the first scan and beyond the last one."""

@@ -7,8 +7,8 @@ import numpy as np
 
 from salsanext_cli.synthesis import surfaces
 from salsanext_cli.synthesis.mesh import Array, Rng
-from salsanext_cli.synthesis.plan import LEFT, RIGHT, Crossing, Lot, Plan, Side
 from salsanext_cli.synthesis.presets import Style
+from salsanext_cli.synthesis.street.plan import LEFT, RIGHT, Crossing, Lot, Plan, Side
 
 
 def draw_plan(rng: Rng, style: Style, length: float) -> Plan:

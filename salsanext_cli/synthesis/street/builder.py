@@ -8,7 +8,7 @@ from itertools import pairwise
 import numpy as np
 
 from salsanext_cli.synthesis.mesh import Mesh, Rng
-from salsanext_cli.synthesis.plan import Plan, Side
+from salsanext_cli.synthesis.street.plan import Plan, Side
 
 PIECE_M = 5.0
 """Largest length of the pieces in which long things follow a bend."""

@@ -6,10 +6,10 @@ from functools import partial
 
 import numpy as np
 
-from salsanext_cli.synthesis import buildings, furniture, people, vegetation, vehicles
-from salsanext_cli.synthesis.builder import Builder
 from salsanext_cli.synthesis.mesh import Mesh, Rng
-from salsanext_cli.synthesis.plan import REACH_M, Lot, Side
+from salsanext_cli.synthesis.street.builder import Builder
+from salsanext_cli.synthesis.street.plan import REACH_M, Lot, Side
+from salsanext_cli.synthesis.things import buildings, furniture, people, vegetation, vehicles
 
 
 def furnish(builder: Builder, side: Side, lot: Lot) -> None:

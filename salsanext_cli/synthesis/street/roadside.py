@@ -3,9 +3,9 @@
 
 import numpy as np
 
-from salsanext_cli.synthesis import furniture, people, vegetation, vehicles
-from salsanext_cli.synthesis.builder import Builder
-from salsanext_cli.synthesis.plan import Crossing, Side
+from salsanext_cli.synthesis.street.builder import Builder
+from salsanext_cli.synthesis.street.plan import Crossing, Side
+from salsanext_cli.synthesis.things import furniture, people, vegetation, vehicles
 
 TOWARDS_TRAFFIC_RAD = np.pi / 2
 """A sign faces its local -y; turned by this it faces along the street."""
