@@ -28,7 +28,6 @@ from salsanext_cli.storage.files.atomic import MARK, sweep
 from salsanext_cli.storage.files.json_files import encode_json, read_json
 from salsanext_cli.storage.written_files import RECORDS, WrittenFiles
 from salsanext_cli.synthesis.drive import record
-from salsanext_cli.synthesis.surfaces import ABSENT
 
 MANIFEST = "synth.json"
 LABEL_SPACE = "labels.yaml"
@@ -117,9 +116,7 @@ def synthesise(
         for name in names:
             for folder in ("velodyne", "labels"):
                 sweep(out / "sequences" / name / folder, MARK.get())
-    real = label_space("semantic-kitti")
-    ignored = [flag or name in ABSENT for flag, name in zip(real.ignored, real.names, strict=True)]
-    space = replace(real, name="synthetic-street", ignored=tuple(ignored), splits=splits)
+    space = replace(label_space("semantic-kitti"), name="synthetic-street", splits=splits)
     text = yaml.safe_dump(space.to_dict(), sort_keys=False, allow_unicode=True)
     written.write(out / LABEL_SPACE, text.encode())
     counted = {"scans": total, "splits": splits, "points": dict(sorted(points.items()))}

@@ -13,7 +13,8 @@ from salsanext_cli.synthesis.presets import STYLES
 from salsanext_cli.synthesis.sensor.beams import hdl64, hidden_by_vehicle
 from salsanext_cli.synthesis.sensor.lidar import Scene, measure
 from salsanext_cli.synthesis.street.plan import Plan
-from salsanext_cli.synthesis.street.street import MARGIN_M, Mover, build_street
+from salsanext_cli.synthesis.street.street import build_street
+from salsanext_cli.synthesis.street.traffic import START_M, Mover
 
 MOUNT_M = 1.73
 """Height of the sensor above the road."""
@@ -69,7 +70,7 @@ def record(seed: int, sequence: int, scans: int, spacing: float) -> Iterator[Fra
     scene = Scene(standing)
     for index in range(scans):
         noise = np.random.default_rng([seed, sequence, index, 1])
-        s, time = MARGIN_M + index * spacing, index * spacing / speed
+        s, time = START_M + index * spacing, index * spacing / speed
         pose = track.pose(s)
         scenes = [scene, *_moving(plan, movers, time, pose)]
         origins, directions = track.in_motion(s, *rays)

@@ -13,7 +13,7 @@ from salsanext_cli.synthesis.surfaces import OPTICS
 
 MAX_RANGE_M, MIN_RANGE_M = 81.0, 1.6
 """Largest and smallest reported range."""
-RANGE_NOISE_M = 0.018
+RANGE_NOISE_M = 0.009
 """Standard deviation along the ray."""
 SIGNAL_THRESHOLD = 6.0e-6
 """Signal (brightness · cos / range²) at which half of the pulses are lost."""

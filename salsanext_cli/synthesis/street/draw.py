@@ -96,6 +96,8 @@ def _lot(rng: Rng, kind: str, start: float, end: float, setback: float) -> Lot:
         front, back = paved if setback > 2 else surfaces.SIDEWALK, surfaces.TERRAIN
     elif kind == "carpark":
         front, back, setback = surfaces.PARKING, paved, rng.uniform(5.5, 12)
+    elif kind == "forecourt":
+        front, setback = surfaces.OTHER_GROUND, rng.uniform(5, 12)
     elif kind == "house":
         if rng.random() < 0.6 and end - start > 8:
             drive = (start + 0.4, start + 0.4 + rng.uniform(2.6, 3.6))
