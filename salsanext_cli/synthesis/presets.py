@@ -65,5 +65,7 @@ TRUCKS: dict[str, dict[str, Any]] = _TABLES["truck"]
 TRAFFIC: dict[str, float] = _TABLES["traffic"]
 """Share of each kind of vehicle, parked or driving."""
 BRIGHTNESS: dict[str, Any] = _TABLES["brightness"]
+RANDOM_SENSOR: dict[str, Any] = _TABLES["random_sensor"]
+"""Bounds of random sensors."""
 VEHICLE_OUTLINES_DEG = tuple(np.array(outline) for outline in _TABLES["outlines"])
 """Outlines of the recording vehicle, each (corners, 3): azimuth, upper edge and lower edge."""

@@ -98,7 +98,7 @@ def test_the_seed_decides_every_byte_whatever_else_is_made_in_how_many_jobs(stre
 def quick(monkeypatch):
     """Record three points instead of a street."""
 
-    def record(seed, sequence, scans, spacing):
+    def record(seed, sequence, scans, spacing, sensor):
         scan = Scan(np.full((3, 3), seed, np.float32), np.zeros(3, np.float32))
         for index in range(scans):
             yield Frame(scan, np.array([40, 40, 10], np.uint32), np.eye(4), index * spacing)

@@ -5,8 +5,8 @@ import numpy as np
 import pytest
 
 from salsanext_cli.synthesis.mesh import Skin, quads
-from salsanext_cli.synthesis.sensor.beams import hdl64
-from salsanext_cli.synthesis.sensor.lidar import RANGE_NOISE_M, Scene, measure
+from salsanext_cli.synthesis.sensor.hdl64 import hdl64
+from salsanext_cli.synthesis.sensor.lidar import HDL64, Firings, Scene, measure
 from salsanext_cli.synthesis.surfaces import BUILDING, CAR, ROAD, Material
 
 
@@ -31,9 +31,10 @@ def fan(count=20_000, spread=0.3):
     return np.concatenate([np.zeros((count, 3)), ways], 1), azimuth
 
 
-def look(scenes, rays, seed=0, power=1.0):
+def look(scenes, rays, seed=0, power=1.0, response=HDL64):
     ones = np.ones(len(rays))
-    return measure(np.random.default_rng(seed), scenes, rays, ones, power * ones)
+    firings = Firings(ones, 0 * ones, power * ones)
+    return measure(np.random.default_rng(seed), scenes, rays, firings, response)
 
 
 def test_a_wall_is_as_far_as_it_is():
@@ -43,7 +44,7 @@ def test_a_wall_is_as_far_as_it_is():
     error = distance[kept] - 10 / np.cos(azimuth[kept])
     assert kept.mean() > 0.98
     assert abs(error.mean()) < 1e-3
-    assert error.std() == pytest.approx(RANGE_NOISE_M, rel=0.05)
+    assert error.std() == pytest.approx(HDL64.noise, rel=0.05)
     assert set(labels[kept]) == {BUILDING}
     np.testing.assert_allclose(intensity * 100, np.round(intensity * 100), atol=1e-9)
     usual = Material.PLASTER.optics[0]
