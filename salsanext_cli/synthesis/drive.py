@@ -97,7 +97,7 @@ class _Track:
     def __init__(self, rng: Rng, plan: Plan, speed: float, rig: Rig) -> None:
         self._speed = speed
         self._plan = plan
-        self._lane = min(0.0, 2.4 - plan.half, -0.3 * plan.half) + rng.normal(0, 0.1)
+        self._lane = min(0.0, 2.4 - plan.half) + rng.normal(0, 0.1)
         self._sway = rng.normal(0, 0.12)
         self._waves = rng.uniform(0.3, 1, (3, 2)) * [2 * np.pi / 25, 2 * np.pi]
         self._tilt, self._mount = rig.tilt, rig.mount

@@ -22,10 +22,14 @@ class Style:
 
     name: str
     lane: Span
+    wide: float
     parking: float
     verge: float
+    gravel: float
     sidewalk: float
     sidewalk_width: Span
+    flush: float
+    bank: float
     lots: dict[str, float]
     setback: Span
     lot_width: Span
@@ -34,6 +38,7 @@ class Style:
     crossing_gap: Span
     crowd: float
     traffic: float
+    barrier: bool = False
 
 
 @dataclass(frozen=True, slots=True)

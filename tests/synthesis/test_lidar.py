@@ -129,3 +129,30 @@ def test_the_nearer_of_two_scenes_counts():
         kept = np.isfinite(distance)
         assert set(labels[kept]) == {CAR}
         assert distance[kept].max() < 7
+
+
+def test_an_edge_gives_returns_between_near_surfaces_only():
+    """Half of a fan hits a wall at 8 m, the other half one farther away."""
+    azimuth = np.tile([-0.01, 0.01], 4000)
+    ways = np.stack([np.cos(azimuth), np.sin(azimuth), np.zeros(len(azimuth))], -1)
+    rays = np.concatenate([np.zeros((len(ways), 3)), ways], 1)
+
+    def between(gap):
+        corners = np.array([[[8, 0, -9], [8, 9, -9], [8, 9, 9], [8, 0, 9]]], float)
+        scenes = [wall(8 + gap), Scene(quads(corners, Skin(BUILDING, Material.PLASTER)))]
+        distance, _, _ = look(scenes, rays)
+        return ((distance > 8.2) & (distance < 7.8 + gap)).mean(), np.isnan(distance).mean()
+
+    near, far = between(0.8), between(4.0)
+    assert 0.2 < near[0] < 0.5
+    assert far[0] == 0
+    assert far[1] > near[1] + 0.1
+
+
+def test_gain_and_gamma_change_the_reported_brightness_alone():
+    rays, _ = fan(4000)
+    usual = look([wall(10)], rays)
+    other = look([wall(10)], rays, response=HDL64._replace(gain=0.5, gamma=1.0))
+    np.testing.assert_array_equal(usual[0], other[0])
+    kept = np.isfinite(usual[0])
+    assert other[1][kept].mean() == pytest.approx(usual[1][kept].mean() / 2, abs=0.02)

@@ -14,7 +14,7 @@ Maker = Callable[[float], Mesh]
 
 def boundary(builder: Builder) -> Maker:
     """Return a maker of pieces of a fence or a hedge."""
-    return hedge(builder) if builder.chance(0.38) else fence(builder)
+    return hedge(builder) if builder.chance(0.48) else fence(builder)
 
 
 def hedge(builder: Builder) -> Maker:
@@ -57,3 +57,10 @@ def wall(builder: Builder, side: Side, start: float, end: float, out: float) -> 
         ivy = partial(hedges.ivy, builder.rng, height=height * builder.between(0.5, 1.1))
         low = builder.between(start, (start + end) / 2)
         builder.put_line(ivy, side, low, builder.between(low, end), out - 0.15)
+
+
+def median(builder: Builder) -> None:
+    """Separate the directions of traffic by a crash barrier."""
+    plan, shade = builder.plan, builder.between(0.6, 1.3)
+    piece = partial(fences.fence, builder.rng, kind="barrier", height=0.8, shade=shade)
+    builder.put_line(piece, plan.sides[0], 0.0, plan.length, -plan.half)

@@ -5,7 +5,7 @@ from dataclasses import replace
 
 from salsanext_cli.synthesis.mesh import Mesh, Rng, merge
 from salsanext_cli.synthesis.presets import Style
-from salsanext_cli.synthesis.street import lots, roadside
+from salsanext_cli.synthesis.street import boundaries, lots, roadside
 from salsanext_cli.synthesis.street.builder import Builder
 from salsanext_cli.synthesis.street.draw import draw_plan
 from salsanext_cli.synthesis.street.ground import ground
@@ -36,6 +36,8 @@ def build_street(
         for lot in side.lots:
             lots.furnish(builder, side, lot)
     duration = distance / ego_speed
+    if style.barrier:
+        boundaries.median(builder)
     movers = moving(builder, ego_speed, duration)
     tones = draw_tones(rng)
     painted = (replace(mover, mesh=toned(mover.mesh, tones)) for mover in movers)

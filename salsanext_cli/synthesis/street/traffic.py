@@ -14,6 +14,8 @@ from salsanext_cli.synthesis.street.tones import varied
 from salsanext_cli.synthesis.things import people, riders
 from salsanext_cli.synthesis.things.vehicles import vehicle
 
+LANE_M = 5.5
+"""Half the width of a carriageway from which on it has more than a lane per direction."""
 START_M = 70.0
 """Length of the street behind the first scan and beyond the last one."""
 
@@ -50,16 +52,28 @@ def moving(builder: Builder, ego_speed: float, duration: float) -> tuple[Mover, 
 
 
 def _vehicles(builder: Builder, speed: float, duration: float) -> Iterator[Mover]:
-    """Yield vehicles ahead of and behind the recording one, and those that come towards it."""
+    """Yield vehicles around the recording one, which keeps to the outer lane, and oncoming ones."""
     plan = builder.plan
-    t, way = 0.5 * plan.half, speed * duration
-    for s in _in_a_row(builder, START_M + builder.between(9, 40), plan.length + way, 10):
-        yield Mover(_vehicle(builder), s, -t, speed)
-    for s in _in_a_row(builder, START_M - builder.between(9, 50), -way, 10):
-        yield Mover(_vehicle(builder), s, -t, speed)
-    pace = speed * builder.between(0.5, 1.2)
-    for s in _in_a_row(builder, builder.between(0, 40), plan.length + pace * duration, 11):
-        yield Mover(_vehicle(builder), s, t, -pace)
+    *others, own = lanes(plan.half)
+    way, ahead, behind = speed * duration, builder.between(9, 40), builder.between(9, 50)
+    for s in _in_a_row(builder, START_M + ahead, plan.length + way, 10):
+        yield Mover(_vehicle(builder), s, -own, speed)
+    for s in _in_a_row(builder, START_M - behind, -way, 10):
+        yield Mover(_vehicle(builder), s, -own, speed)
+    for t in others:
+        pace = speed * builder.between(0.9, 1.3)
+        for s in _in_a_row(builder, -pace * duration, plan.length, 10):
+            yield Mover(_vehicle(builder), s, -t, pace)
+    for t in (*others, own):
+        pace = speed * builder.between(0.5, 1.2)
+        for s in _in_a_row(builder, builder.between(0, 40), plan.length + pace * duration, 11):
+            yield Mover(_vehicle(builder), s, t, -pace)
+
+
+def lanes(half: float) -> list[float]:
+    """Return the middles of the lanes of half a carriageway, metres from the centre line."""
+    count = 1 if half < LANE_M else int(half / LANE_M) + 1
+    return [(index + 0.5) / count * half for index in range(count)]
 
 
 def _in_a_row(builder: Builder, start: float, end: float, room: float) -> Iterator[float]:
@@ -93,12 +107,12 @@ def _walkers(builder: Builder, duration: float) -> Iterator[Mover]:
 def _riders(builder: Builder, speed: float, duration: float) -> Iterator[Mover]:
     """Yield riders, each of whom meets the recording vehicle some time during the drive."""
     plan = builder.plan
-    for _ in range(1 + len(builder.count(0.08 * plan.style.crowd * plan.length / 100))):
+    for _ in builder.count(0.5 + 0.06 * plan.style.crowd * plan.length / 100):
         sign = builder.rng.choice([-1, 1])
         pace = -sign * builder.between(0.5, 1.05) * speed
         meeting = builder.between(0, duration)
         s = START_M + speed * meeting - pace * meeting + builder.rng.normal(0, 22)
-        t = sign * (plan.half + builder.between(-0.9, 0.9))
+        t = sign * max(2.3, plan.half + builder.between(-0.9, 0.9))
         make = riders.bicyclist if builder.chance(0.5) else riders.motorcyclist
         rider = make(builder.rng)
         rider = rider.relabelled(surfaces.MOVING[int(rider.labels[0])])

@@ -43,6 +43,7 @@ def _facade(
     lows = np.linspace(0, length, columns + 1)
     open_chance = 0.85 if front else 0.5
     door = int(rng.integers(columns)) if front else -1
+    bare = rng.uniform(0.1, 0.6)
     shop = front and bool(rng.random() < 0.25)
     size = rng.uniform([0.45, 1.1, 0.7], [0.75, 1.7, 1.0])
     flat, glass, closed = panels = list[Corners](), list[Corners](), list[Corners]()
@@ -58,7 +59,7 @@ def _facade(
                 continue
             walls, pane = _pierced(x0, x1, bottom, top, hole, rng.uniform(0.08, 0.3))
             flat += walls
-            (glass if rng.random() < 0.6 else closed).append(pane)
+            (glass if rng.random() < bare else closed).append(pane)
     shutters = Skin.drawn(rng, BUILDING, Material.WOOD, 0.4, 1.1)
     skins = (wall, Skin(BUILDING, Material.GLASS), shutters)
     skinned = zip(panels, skins, strict=True)

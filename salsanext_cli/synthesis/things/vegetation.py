@@ -43,7 +43,7 @@ def _lumps(rng: Rng, spread: float) -> Array:
 def tree(rng: Rng, height: float) -> Mesh:
     """Return a broad-leaved tree: bent trunk, branches, a crown of clusters."""
     bark = Skin.drawn(rng, TRUNK, Material.BARK, 0.5, 1.15)
-    radius = float(rng.uniform(0.015, 0.038) * height**0.75)
+    radius = float(rng.uniform(0.012, 0.03) * height**0.75)
     clear = float(rng.uniform(0.12, 0.42) * height)
     dense = rng.random() < 0.5
     bend = rng.normal(0, 0.05 * height, (2,))
@@ -112,7 +112,7 @@ def thicket(rng: Rng, length: float, depth: float, height: float) -> Mesh:
         lean = rng.normal(0, 0.5, 2)
         top = np.array([x + lean[0], y + lean[1], height * rng.uniform(0.6, 1.1)])
         parts.append(
-            tube([np.array([x, y, FOOT_M]), top], [rng.uniform(0.08, 0.22), 0.05], bark, 6)
+            tube([np.array([x, y, FOOT_M]), top], [rng.uniform(0.03, 0.13), 0.03], bark, 6)
         )
         parts.append(_leaves(rng, top, np.array([2.0, 2.0, height * 0.3]), 260, (0.12, 0.32), leaf))
     return merge(parts)
