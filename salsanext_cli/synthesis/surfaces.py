@@ -44,8 +44,8 @@ class Material(IntEnum):
         member._value_, member.optics = int(member), optics
         return member
 
-    ASPHALT = 0.36, 0.14, 1.2, 0.0, 0.004
-    PAVING = 0.385, 0.12, 0.8, 0.0, 0.004
+    ASPHALT = 0.39, 0.14, 1.2, 0.0, 0.004
+    PAVING = 0.43, 0.12, 0.8, 0.0, 0.004
     GRASS = 0.43, 0.16, 0.4, 0.0, 0.012
     MARKING = 0.5, 0.15, 0.7, 0.0, 0.004
     PLASTER = 0.47, 0.08, 0.3, 0.0, 0.0

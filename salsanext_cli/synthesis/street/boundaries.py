@@ -14,7 +14,7 @@ Maker = Callable[[float], Mesh]
 
 def boundary(builder: Builder) -> Maker:
     """Return a maker of pieces of a fence or a hedge."""
-    return hedge(builder) if builder.chance(0.48) else fence(builder)
+    return hedge(builder) if builder.chance(0.52) else fence(builder)
 
 
 def hedge(builder: Builder) -> Maker:
@@ -30,7 +30,7 @@ def fence(builder: Builder) -> Maker:
     solid = kind in ("wall", "boards")
     high = builder.chance(0.35)
     height = builder.between(1.2, 2.4) if high else builder.between(0.4 if solid else 0.8, 1.3)
-    shade = builder.between(0.6, 1.2)
+    shade = builder.between(0.7, 1.5)
     return partial(fences.fence, builder.rng, kind=kind, height=height, shade=shade)
 
 
@@ -41,7 +41,7 @@ def close(
     if builder.chance(open_chance) or end - start < 0.5:
         return
     builder.put_line(boundary(builder), side, start, end, out)
-    if builder.chance(0.45):
+    if builder.chance(0.6):
         height, deep = builder.between(1.2, 4.0), builder.between(0.8, 1.6)
         thicket = partial(vegetation.thicket, builder.rng, depth=deep, height=height)
         builder.put_line(thicket, side, start, end, out + builder.between(0.3, 0.9))
@@ -50,7 +50,7 @@ def close(
 def wall(builder: Builder, side: Side, start: float, end: float, out: float) -> None:
     """Set up a high wall or a noise barrier, perhaps overgrown."""
     kind = "wall" if builder.chance(0.6) else "boards"
-    height, shade = builder.between(1.8, 4.5), builder.between(0.5, 1.2)
+    height, shade = builder.between(1.8, 4.5), builder.between(0.6, 1.4)
     piece = partial(fences.fence, builder.rng, kind=kind, height=height, shade=shade)
     builder.put_line(piece, side, start, end, out)
     if builder.chance(0.4):

@@ -20,7 +20,7 @@ def gather(builder: Builder, side: Side) -> None:
         _bench(builder, side, builder.along(), _somewhere(builder, side))
     for _ in builder.count(0.17 * crowd):
         _bicycles(builder, side, builder.along())
-    for _ in builder.count(0.075 * crowd):
+    for _ in builder.count(0.13 * crowd):
         _motorcycles(builder, side, builder.along())
 
 

@@ -90,7 +90,7 @@ def _lots(rng: Rng, style: Style, start: float, end: float) -> list[Lot]:
 
 
 def _lot(rng: Rng, kind: str, start: float, end: float, setback: float) -> Lot:
-    paved = surfaces.SIDEWALK if rng.random() < 0.4 else surfaces.TERRAIN
+    paved = surfaces.SIDEWALK if rng.random() < 0.55 else surfaces.TERRAIN
     front, back = surfaces.TERRAIN, surfaces.TERRAIN
     drive = (start, start)
     if kind == "terrace":
@@ -102,7 +102,7 @@ def _lot(rng: Rng, kind: str, start: float, end: float, setback: float) -> Lot:
     elif kind == "house":
         if rng.random() < 0.6 and end - start > 8:
             drive = (start + 0.4, start + 0.4 + rng.uniform(2.6, 3.6))
-        front = surfaces.SIDEWALK if rng.random() < 0.2 else surfaces.TERRAIN
+        front = surfaces.SIDEWALK if rng.random() < 0.35 else surfaces.TERRAIN
     elif kind == "yard" and rng.random() < 0.3:
         front = surfaces.PARKING
     return Lot(kind, start, end, setback, front, back, drive)

@@ -71,7 +71,7 @@ def _house(builder: Builder, side: Side, lot: Lot) -> None:
     for start, end in ((lot.start, gate), (gate_end, lot.end)):
         close(builder, side, start, end, side.depth + builder.between(0.1, 0.4))
     _scatter(builder, side, lot, vegetation.bush, (0.3, 1.1), lot.setback * width / 18)
-    if builder.chance(0.6) and lot.setback > 3:
+    if builder.chance(0.75) and lot.setback > 2:
         kind = vegetation.tree if builder.chance(0.7) else vegetation.conifer
         _scatter(builder, side, lot, kind, (3.0, 8.0), 1.2)
     if drive and builder.chance(0.55):
@@ -209,7 +209,7 @@ def _background(builder: Builder, side: Side, lot: Lot) -> None:
     middle = (lot.start + lot.end) / 2
     if builder.plan.half + out > REACH_M - 14:
         return
-    if lot.kind not in ("field", "thicket") and width > 7 and builder.chance(0.8):
+    if lot.kind not in ("field", "thicket") and width > 7 and builder.chance(0.55):
         mesh = buildings.house(rng, width * builder.between(0.7, 1), 10, int(rng.integers(2, 6)))
         builder.put(mesh, side, middle, out)
     elif builder.chance(0.9):

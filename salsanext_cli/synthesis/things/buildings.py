@@ -20,7 +20,7 @@ Opening = tuple[float, float, float, float]
 def house(rng: Rng, width: float, depth: float, floors: int) -> Mesh:
     """Return a house whose front is `width` metres long and centred on x = 0."""
     material = Material.PLASTER if rng.random() < 0.7 else Material.BRICK
-    wall = Skin(BUILDING, material, float(rng.uniform(0.5, 1.15)))
+    wall = Skin(BUILDING, material, float(rng.uniform(0.6, 1.35)))
     storey = float(rng.uniform(2.6, 3.6))
     height = storey * floors + rng.uniform(0.2, 0.9)
     bay = float(rng.uniform(2.2, 4.2))

@@ -24,7 +24,7 @@ def _ring(centre: Array, radius: float, thickness: float, skin: Skin) -> Mesh:
 
 def bicycle(rng: Rng, label: int = BICYCLE) -> Mesh:
     """Return a bicycle: wheels with spokes and mudguards, frame, handlebar, saddle, baskets."""
-    frame = Skin.drawn(rng, label, Material.METAL, 0.6, 1.6)
+    frame = Skin.drawn(rng, label, Material.METAL, 0.6, 2.2)
     tyre = Skin(label, Material.RUBBER, 3.0)
     saddle, crank = np.array([-0.22, 0, 0.92]), np.array([-0.05, 0, 0.3])
     head, fork = np.array([0.33, 0, 0.85]), np.array([AXLE_M, 0, WHEEL_M])

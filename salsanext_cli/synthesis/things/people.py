@@ -21,8 +21,8 @@ def limb(start: Array, joint: Array, end: Array, radii: tuple[float, float], ski
 def person(rng: Rng, *, sitting: bool = False) -> Mesh:
     """Return a person 1.1 to 1.95 m tall, perhaps with a bag, a coat or a box; seated at 0.5 m."""
     height = float(rng.uniform(1.1, 1.5) if rng.random() < 0.12 else rng.uniform(1.55, 1.95))
-    top = Skin.drawn(rng, PERSON, Material.CLOTH, 0.2, 1.3)
-    bottom = Skin.drawn(rng, PERSON, Material.CLOTH, 0.2, 1.25)
+    top = Skin.drawn(rng, PERSON, Material.CLOTH, 0.3, 1.4)
+    bottom = Skin.drawn(rng, PERSON, Material.CLOTH, 0.3, 1.35)
     stride = float(rng.uniform(0.03, 0.2)) * (1 if rng.random() < 0.75 else 0.1)
     girth = float(rng.uniform(0.85, 1.3))
     upper = merge([*_torso(rng, stride, girth, top), *_luggage(rng)])
