@@ -94,6 +94,19 @@ def test_the_seed_decides_every_byte_whatever_else_is_made_in_how_many_jobs(stre
         assert again == files_below(out / "sequences" / sequence)
 
 
+def test_random_sensors_are_the_same_in_how_many_jobs(tmp_path):
+    for jobs in (1, 2):
+        out = tmp_path / str(jobs)
+        synthesise(out, train=2, valid=0, scans=1, seed=5, sensor="random", jobs=jobs)
+    assert files_below(tmp_path / "1" / "sequences") == files_below(tmp_path / "2" / "sequences")
+
+
+def test_an_unknown_sensor_is_refused(tmp_path):
+    with pytest.raises(UsageError, match="hdl64, random"):
+        synthesise(tmp_path / "streets", sensor="hdl32")
+    assert not (tmp_path / "streets").exists()
+
+
 @pytest.fixture
 def quick(monkeypatch):
     """Record three points instead of a street."""

@@ -5,12 +5,10 @@ import numpy as np
 
 from salsanext_cli.synthesis import surfaces
 from salsanext_cli.synthesis.mesh import Array, Mesh, Rng
-from salsanext_cli.synthesis.street.plan import REACH_M, Plan
+from salsanext_cli.synthesis.street.plan import KERB_M, REACH_M, Plan
 from salsanext_cli.synthesis.street.tones import patches
 from salsanext_cli.synthesis.surfaces import Material
 
-KERB_M = 0.02
-"""Half the depth of a kerb's face; the grid has lines at this distance from every edge."""
 PAVED = (Material.PAVING, Material.PAVING, Material.PAVING, Material.ASPHALT)
 
 

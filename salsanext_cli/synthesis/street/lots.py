@@ -29,6 +29,9 @@ def _terrace(builder: Builder, side: Side, lot: Lot) -> None:
         mesh = buildings.house(rng, width - passage - 0.05, builder.between(8, 14), floors)
         builder.put(mesh, side, (lot.start + lot.end - passage) / 2, front)
         _overgrow(builder, side, lot, front)
+        if passage:
+            arch = buildings.arch(rng, passage + 0.1, 3.0 * floors)
+            builder.put(arch, side, lot.end - passage / 2, front)
     if lot.setback > 0.8:
         close(builder, side, lot.start, lot.end, side.depth + 0.2, open_chance=0.3)
     _scatter(builder, side, lot, vegetation.bush, (0.3, 0.7), lot.setback / 3)

@@ -17,6 +17,8 @@ from salsanext_cli.synthesis.presets import Span, Style
 REACH_M = 62.0
 """Extent of the world to either side of the centre line."""
 LEFT, RIGHT = 1, -1
+KERB_M = 0.02
+"""Half the depth of a kerb's face, which belongs to the pavement."""
 DROP_M = 0.6
 """Length over which a kerb goes down beside a driveway."""
 CORNER_LINES_M = np.arange(0.15, 4.1, 0.15)
@@ -172,7 +174,7 @@ class Plan:
         label = np.where(self._painted(s, t), surfaces.MARKING, surfaces.ROAD).astype(np.uint32)
         for side in self.sides:
             beyond = side.sign * t - self.half
-            label = np.where(beyond > 0, self._beside(s, beyond, side), label)
+            label = np.where(beyond > -KERB_M / 2, self._beside(s, beyond, side), label)
         return label
 
     def _painted(self, s: Array, t: Array) -> npt.NDArray[np.bool_]:
@@ -193,7 +195,7 @@ class Plan:
             inside = (s >= lot.start) & (s < lot.end)
             front = beyond < side.depth + lot.setback
             drive = (s > lot.drive[0]) & (s < lot.drive[1]) & front
-            ground = np.where(drive, surfaces.PARKING, np.where(front, lot.front, lot.back))
+            ground = np.where(drive, surfaces.SIDEWALK, np.where(front, lot.front, lot.back))
             label = np.where(inside, ground, label)
         label = np.where(beyond < side.depth, surfaces.SIDEWALK, label)
         label = np.where(beyond < side.parking + side.verge, side.strip, label)

@@ -163,3 +163,10 @@ def garage(rng: Rng) -> Mesh:
     walls = box((-width / 2, 0, FOOT_M), (width / 2, depth, height), wall)
     metal = Skin(BUILDING, Material.METAL, 1.3)
     return merge([walls, box((-width / 2 + 0.3, -0.03, 0), (width / 2 - 0.3, 0.02, 2), metal)])
+
+
+def arch(rng: Rng, width: float, height: float) -> Mesh:
+    """Return the storeys above a passage between two houses."""
+    wall = Skin.drawn(rng, BUILDING, Material.PLASTER, 0.6, 1.3)
+    low = float(rng.uniform(2.4, 3.4))
+    return box((-width / 2, 0, low), (width / 2, 8, max(height, low + 1)), wall)

@@ -43,6 +43,7 @@ def _lumps(rng: Rng, spread: float) -> Array:
 def tree(rng: Rng, height: float) -> Mesh:
     """Return a broad-leaved tree: bent trunk, branches, a crown of clusters."""
     bark = Skin.drawn(rng, TRUNK, Material.BARK, 0.5, 1.15)
+    branch = bark._replace(label=VEGETATION)
     radius = float(rng.uniform(0.012, 0.03) * height**0.75)
     clear = float(rng.uniform(0.12, 0.42) * height)
     dense = rng.random() < 0.5
@@ -60,7 +61,7 @@ def tree(rng: Rng, height: float) -> Mesh:
         root = path[4] * [1, 1, rng.uniform(0.75, 1.0)]
         tip = np.array([*(bend + out), rng.uniform(clear * 1.1, height * 0.85)])
         knee = (root + tip) / 2 + [0, 0, rng.uniform(-0.2, 0.4)]
-        parts.append(tube([root, knee, tip], radius * np.array([0.5, 0.35, 0.12]), bark, 6))
+        parts.append(tube([root, knee, tip], radius * np.array([0.5, 0.35, 0.12]), branch, 6))
         size = spread * rng.uniform(0.4, 0.75, 3)
         parts.append(_leaves(rng, tip, size, int(rng.uniform(260, 500)), (0.08, 0.22), leaf))
         if dense:
