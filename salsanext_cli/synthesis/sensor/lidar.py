@@ -15,6 +15,8 @@ GRAZING_COSINE = 0.14
 """Cosine of incidence below which surfaces look darker."""
 PATCH_FIRINGS = 11
 """Length of the runs of firings in which mirrors lose pulses."""
+USUAL_ECHO = 0.35
+"""Brightness that `gamma` leaves as it is."""
 EDGE_SHARE = 0.45
 """Share of the pulses at an edge that hit both surfaces."""
 PULSE_M = 1.2
@@ -144,7 +146,10 @@ def measure(
     kept &= (reach < response.farthest) & (measured > response.nearest) & ~torn
     grazing = np.clip(cosine / GRAZING_COSINE, 0.01, 1) ** falloff
     echo = reflected * np.interp(reach, DISTANCES_M, RELATIVE_RESPONSE) * grazing
-    echo = response.gain * echo**response.gamma * firings.gain - firings.offset
+    echo = (
+        response.gain * USUAL_ECHO * (echo / USUAL_ECHO) ** response.gamma * firings.gain
+        - firings.offset
+    )
     intensity = np.clip(echo + 0.02 * noise[2] - 0.02, 0, 0.99)
     intensity = np.round(intensity * response.levels) / response.levels
     return np.where(kept, measured, np.nan), intensity, labels
