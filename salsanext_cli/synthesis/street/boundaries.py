@@ -50,7 +50,7 @@ def close(
 def wall(builder: Builder, side: Side, start: float, end: float, out: float) -> None:
     """Set up a high wall or a noise barrier, perhaps overgrown."""
     kind = "wall" if builder.chance(0.6) else "boards"
-    height, shade = builder.between(1.8, 4.5), builder.between(0.6, 1.4)
+    height, shade = builder.between(1.5, 3.5), builder.between(0.6, 1.4)
     piece = partial(fences.fence, builder.rng, kind=kind, height=height, shade=shade)
     builder.put_line(piece, side, start, end, out)
     if builder.chance(0.4):

@@ -143,16 +143,17 @@ def _scrub(builder: Builder, side: Side, lot: Lot) -> None:
 
 def _house_behind(builder: Builder, side: Side, lot: Lot, out: float) -> None:
     width = lot.end - lot.start
-    if width > 7 and builder.chance(0.6):
+    if width > 7 and builder.chance(0.8):
         floors = int(builder.rng.integers(1, 4))
         mesh = buildings.house(builder.rng, width * builder.between(0.6, 0.95), 10, floors)
         builder.put(mesh, side, (lot.start + lot.end) / 2, out)
 
 
 def _rampart(builder: Builder, side: Side, lot: Lot) -> None:
-    """Set up a high wall beside the street, trees behind it."""
+    """Set up a high wall beside the street, trees and houses behind it."""
     wall(builder, side, lot.start, lot.end, side.depth + 0.3)
     _scatter(builder, side, lot, vegetation.tree, (5.0, 11.0), 3.0, reach=10)
+    _house_behind(builder, side, lot, side.depth + builder.between(3, 10))
 
 
 def _forecourt(builder: Builder, side: Side, lot: Lot) -> None:
