@@ -29,7 +29,8 @@ from salsanext_cli.measures.beam_fit import fit_beams
 from salsanext_cli.measures.survey import Survey, survey
 from salsanext_cli.sensors import Sensor
 from salsanext_cli.synthesis import drive
-from salsanext_cli.synthesis.beams import Beams, hdl64
+from salsanext_cli.synthesis.sensor.beams import Beams
+from salsanext_cli.synthesis.sensor.rig import RIGS, Rig
 from salsanext_cli.training.augment import LabelledScan
 
 SEED, SEQUENCES, SCANS, SPACING_M = 777, 5, 2, 25.0
@@ -50,16 +51,17 @@ def simulated(name: str, space: sn.LabelSpace) -> Iterator[LabelledScan]:
     elevations, columns = SENSORS[name]
     count = len(elevations)
 
-    def beams(rng: np.random.Generator) -> Beams:
-        own = hdl64(rng)
-        gain, power = (np.resize(values, count) for values in (own.gain, own.power))
+    def rig(rng: np.random.Generator) -> Rig:
+        usual = hdl64(rng)
+        own = usual.beams
+        lasers = (np.resize(values, count) for values in (own.gain, own.offset, own.power))
         start, zero = rng.uniform(0, 2 * np.pi / columns, count), np.zeros(count)
-        return Beams(np.radians(elevations), start, zero, zero, gain, power, columns)
+        beams = Beams(np.radians(elevations), start, zero, zero, *lasers, columns)
+        return replace(usual, beams=beams, seen=np.ones(count * columns, bool))
 
-    drive.hdl64 = beams
-    drive.hidden_by_vehicle = lambda beams, _: np.zeros(count * columns, bool)
+    hdl64, RIGS[name] = RIGS["hdl64"], rig
     for sequence in range(SEQUENCES):
-        for frame in drive.record(SEED, sequence, SCANS, SPACING_M):
+        for frame in drive.record(SEED, sequence, SCANS, SPACING_M, name):
             yield frame.scan, space.to_train(frame.labels)
 
 

@@ -2,7 +2,7 @@
 """`salsanext synth`."""
 
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 import typer
 
@@ -21,6 +21,10 @@ def synth(
     spacing: Annotated[
         float, typer.Option(help="Distance driven between two scans, in metres.")
     ] = 3.0,
+    sensor: Annotated[
+        Literal["hdl64", "random"],
+        typer.Option(help="An HDL-64E, or a random sensor for each sequence."),
+    ] = "hdl64",
     seed: Annotated[int, typer.Option(help="The same seed gives the same bytes.")] = 0,
     local: run_options.Local,
     output: console.Output,
@@ -40,6 +44,7 @@ def synth(
             scans=scans,
             seed=seed,
             spacing=spacing,
+            sensor=sensor,
             jobs=local.jobs,
             overwrite=local.overwrite,
             progress=on_progress,

@@ -28,7 +28,7 @@ from salsanext_cli.storage.files.atomic import MARK, sweep
 from salsanext_cli.storage.files.json_files import encode_json, read_json
 from salsanext_cli.storage.written_files import RECORDS, WrittenFiles
 from salsanext_cli.synthesis.drive import record
-from salsanext_cli.synthesis.surfaces import ABSENT
+from salsanext_cli.synthesis.sensor.rig import RIGS
 
 MANIFEST = "synth.json"
 LABEL_SPACE = "labels.yaml"
@@ -51,6 +51,7 @@ def synthesise(
     scans: int = 20,
     seed: int = 0,
     spacing: float = 3.0,
+    sensor: str = "hdl64",
     jobs: int = 1,
     overwrite: bool = False,
     progress: Progress | None = None,
@@ -69,6 +70,8 @@ def synthesise(
         The same seed gives the same bytes, whatever `jobs` is.
     spacing : float
         Distance driven between two scans, metres.
+    sensor : str
+        ``"hdl64"``, or ``"random"``: another sensor in each sequence.
     jobs : int
         Number of processes, each for a sequence at a time; -1 is one per core.
     overwrite : bool
@@ -86,7 +89,7 @@ def synthesise(
     Raises
     ------
     UsageError
-        If a number is out of range.
+        If a number is out of range or the sensor unknown.
     OutputError
         If the folder holds something else or cannot be written, or if a file that would be
         replaced was changed or not written here.
@@ -95,18 +98,26 @@ def synthesise(
     """
     counts = {"train": train, "valid": valid, "test": test}
     _check({f"--{split}": count for split, count in counts.items()}, scans, seed, spacing, jobs)
+    if sensor not in RIGS:
+        raise UsageError("--sensor", sensor, f"one of {', '.join(RIGS)}")
     names = [f"{number:02d}" for number in range(sum(counts.values()))]
     unused = iter(names)
     splits = {split: tuple(islice(unused, count)) for split, count in counts.items()}
     import_open3d()
     _require_room(out, names, scans, overwrite)
-    settings = {"splits": splits, "scans": scans, "seed": seed, "spacing": spacing}
+    settings = {
+        "splits": splits,
+        "scans": scans,
+        "seed": seed,
+        "spacing": spacing,
+        "sensor": sensor,
+    }
     written = WrittenFiles(out)
     manifest = encode_json({"stage": "synth", "settings": settings})
     written.write(out / MANIFEST, manifest, durable=True)
     total = len(names) * scans
     points: Counter[int] = Counter()
-    write = partial(_write_sequence, out, scans, seed, spacing)
+    write = partial(_write_sequence, out, scans, seed, spacing, sensor)
     try:
         for done, of_scan in enumerate(_write(write, names, jobs), start=1):
             points.update(of_scan)
@@ -117,9 +128,7 @@ def synthesise(
         for name in names:
             for folder in ("velodyne", "labels"):
                 sweep(out / "sequences" / name / folder, MARK.get())
-    real = label_space("semantic-kitti")
-    ignored = [flag or name in ABSENT for flag, name in zip(real.ignored, real.names, strict=True)]
-    space = replace(real, name="synthetic-street", ignored=tuple(ignored), splits=splits)
+    space = replace(label_space("semantic-kitti"), name="synthetic-street", splits=splits)
     text = yaml.safe_dump(space.to_dict(), sort_keys=False, allow_unicode=True)
     written.write(out / LABEL_SPACE, text.encode())
     counted = {"scans": total, "splits": splits, "points": dict(sorted(points.items()))}
@@ -212,13 +221,13 @@ def _write_whole(mark: str, write: SequenceWriter, name: str) -> list[dict[int, 
 
 
 def _write_sequence(
-    out: Path, scans: int, seed: int, spacing: float, name: str
+    out: Path, scans: int, seed: int, spacing: float, sensor: str, name: str
 ) -> Iterator[dict[int, int]]:
     """Write one sequence; poses are relative to the first scan, so that the first is identity."""
     written, folder = WrittenFiles(out), out / "sequences" / name
     poses, times = [], []
     first = np.eye(4)
-    for index, frame in enumerate(record(seed, int(name), scans, spacing)):
+    for index, frame in enumerate(record(seed, int(name), scans, spacing, sensor)):
         scan, labels = _scan_files(folder, index)
         written.write(scan, encode_bin(frame.scan))
         written.write(labels, encode_labels(frame.labels))

@@ -8,15 +8,14 @@ import numpy as np
 
 from salsanext_cli.classes import RawIds
 from salsanext_cli.records import Scan
-from salsanext_cli.synthesis.beams import hdl64, hidden_by_vehicle
-from salsanext_cli.synthesis.lidar import Scene, measure
 from salsanext_cli.synthesis.mesh import Array, Rng, merge, turn_x, turn_y, turn_z
-from salsanext_cli.synthesis.plan import Plan
 from salsanext_cli.synthesis.presets import STYLES
-from salsanext_cli.synthesis.street import MARGIN_M, Mover, build_street
+from salsanext_cli.synthesis.sensor.lidar import Scene, measure
+from salsanext_cli.synthesis.sensor.rig import RIGS, Rig
+from salsanext_cli.synthesis.street.plan import Plan
+from salsanext_cli.synthesis.street.street import build_street
+from salsanext_cli.synthesis.street.traffic import START_M, Mover
 
-MOUNT_M = 1.73
-"""Height of the sensor above the road."""
 SPEED_M_PER_S = (4.0, 12.0)
 """Slowest and fastest drive."""
 VIEW_M = 90.0
@@ -45,7 +44,9 @@ class Frame:
     time: float
 
 
-def record(seed: int, sequence: int, scans: int, spacing: float) -> Iterator[Frame]:
+def record(
+    seed: int, sequence: int, scans: int, spacing: float, sensor: str = "hdl64"
+) -> Iterator[Frame]:
     """Yield the frames of one sequence; all randomness comes from (seed, sequence, frame).
 
     Parameters
@@ -56,25 +57,25 @@ def record(seed: int, sequence: int, scans: int, spacing: float) -> Iterator[Fra
         How many frames.
     spacing : float
         Metres that the vehicle drives between two frames.
+    sensor : str
+        A name in `RIGS`; the street is the same through any.
     """
     rng = np.random.default_rng([seed, sequence])
     speed = float(rng.uniform(*SPEED_M_PER_S))
     style = STYLES[sequence % len(STYLES)]
     plan, standing, movers = build_street(rng, style, spacing * (scans - 1), speed)
-    beams = hdl64(rng)
-    track = _Track(rng, plan, speed)
-    seen = ~hidden_by_vehicle(beams, rng)
-    rays = [values[seen] for values in beams.rays()]
-    gain, power = (np.repeat(values, beams.columns)[seen] for values in (beams.gain, beams.power))
+    rig = RIGS[sensor](rng)
+    track = _Track(rng, plan, speed, rig)
+    rays, firings = rig.rays(), rig.firings()
     scene = Scene(standing)
     for index in range(scans):
         noise = np.random.default_rng([seed, sequence, index, 1])
-        s, time = MARGIN_M + index * spacing, index * spacing / speed
+        s, time = START_M + index * spacing, index * spacing / speed
         pose = track.pose(s)
         scenes = [scene, *_moving(plan, movers, time, pose)]
         origins, directions = track.in_motion(s, *rays)
         cast = np.concatenate([origins, directions], 1)
-        distance, intensity, labels = measure(noise, scenes, cast, gain, power)
+        distance, intensity, labels = measure(noise, scenes, cast, firings, rig.response)
         kept = np.isfinite(distance)
         world = origins[kept] + directions[kept] * distance[kept, None]
         points = (world - pose[:3, 3]) @ pose[:3, :3]
@@ -93,13 +94,13 @@ def _moving(plan: Plan, movers: tuple[Mover, ...], time: float, pose: Array) -> 
 class _Track:
     """The path of the sensor: in its lane, swaying a little, pitching and rolling."""
 
-    def __init__(self, rng: Rng, plan: Plan, speed: float) -> None:
+    def __init__(self, rng: Rng, plan: Plan, speed: float, rig: Rig) -> None:
         self._speed = speed
         self._plan = plan
-        self._lane = min(0.0, 2.4 - plan.half, -0.3 * plan.half) + rng.normal(0, 0.1)
+        self._lane = min(0.0, 2.4 - plan.half) + rng.normal(0, 0.1)
         self._sway = rng.normal(0, 0.12)
         self._waves = rng.uniform(0.3, 1, (3, 2)) * [2 * np.pi / 25, 2 * np.pi]
-        self._tilt = rng.normal(0, np.radians(0.35), 2)
+        self._tilt, self._mount = rig.tilt, rig.mount
 
     def pose(self, s: float) -> Array:
         """Return sensor frame to world, (4, 4), at s."""
@@ -113,7 +114,7 @@ class _Track:
         roll = self._tilt[1] + np.radians(0.3) * wave[2]
         pose = np.eye(4)
         pose[:3, :3] = turn_z(yaw) @ turn_y(pitch) @ turn_x(roll)
-        pose[:3, 3] = foot[1] + [0, 0, MOUNT_M]
+        pose[:3, 3] = foot[1] + [0, 0, self._mount]
         return pose
 
     def in_motion(

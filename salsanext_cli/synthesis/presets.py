@@ -4,6 +4,7 @@
 import tomllib
 from dataclasses import dataclass
 from importlib import resources
+from typing import Any
 
 import numpy as np
 
@@ -21,10 +22,14 @@ class Style:
 
     name: str
     lane: Span
+    wide: float
     parking: float
     verge: float
+    gravel: float
     sidewalk: float
     sidewalk_width: Span
+    flush: float
+    bank: float
     lots: dict[str, float]
     setback: Span
     lot_width: Span
@@ -33,6 +38,7 @@ class Style:
     crossing_gap: Span
     crowd: float
     traffic: float
+    barrier: bool = False
 
 
 @dataclass(frozen=True, slots=True)
@@ -59,6 +65,12 @@ def _body(name: str) -> Body:
 STYLES = tuple(Style(name, **_TABLES["style"][name]) for name in _TABLES["styles"])
 """Styles in the order in which sequences take them; a small data set has all."""
 CARS = tuple(map(_body, _TABLES["cars"]))
-LORRY_CAB = _body("lorry_cab")
+LORRY_CAB, VAN_CAB, BUS, CARAVAN = map(_body, ("lorry_cab", "van_cab", "bus", "caravan"))
+TRUCKS: dict[str, dict[str, Any]] = _TABLES["truck"]
+TRAFFIC: dict[str, float] = _TABLES["traffic"]
+"""Share of each kind of vehicle, parked or driving."""
+BRIGHTNESS: dict[str, Any] = _TABLES["brightness"]
+RANDOM_SENSOR: dict[str, Any] = _TABLES["random_sensor"]
+"""Bounds of random sensors."""
 VEHICLE_OUTLINES_DEG = tuple(np.array(outline) for outline in _TABLES["outlines"])
 """Outlines of the recording vehicle, each (corners, 3): azimuth, upper edge and lower edge."""

@@ -9,17 +9,18 @@ from typing import Self
 
 import numpy as np
 
-CAR, BICYCLE, TRUCK, PERSON, BICYCLIST = 10, 11, 18, 30, 31
-ROAD, PARKING, SIDEWALK, MARKING, TERRAIN = 40, 44, 48, 60, 72
+CAR, BICYCLE, BUS, MOTORCYCLE, TRUCK, OTHER_VEHICLE = 10, 11, 13, 15, 18, 20
+PERSON, BICYCLIST, MOTORCYCLIST = 30, 31, 32
+ROAD, PARKING, SIDEWALK, OTHER_GROUND, MARKING, TERRAIN = 40, 44, 48, 49, 60, 72
 BUILDING, FENCE, STRUCTURE = 50, 51, 52
 VEGETATION, TRUNK = 70, 71
 POLE, SIGN, CLUTTER = 80, 81, 99
 
-MOVING = {CAR: 252, BICYCLIST: 253, PERSON: 254, TRUCK: 258}
+MOVING = {
+    CAR: 252, BICYCLIST: 253, PERSON: 254, MOTORCYCLIST: 255, BUS: 257, TRUCK: 258,
+    OTHER_VEHICLE: 259,
+}  # fmt: skip
 """The raw id of a class while it moves."""
-
-ABSENT = ("motorcycle", "other-vehicle", "motorcyclist", "other-ground")
-"""Classes that the street never holds."""
 
 
 class Material(IntEnum):
@@ -43,18 +44,18 @@ class Material(IntEnum):
         member._value_, member.optics = int(member), optics
         return member
 
-    ASPHALT = 0.34, 0.14, 0.9, 0.0, 0.004
-    PAVING = 0.365, 0.12, 0.6, 0.0, 0.004
-    GRASS = 0.43, 0.16, 0.4, 0.0, 0.03
+    ASPHALT = 0.39, 0.14, 1.2, 0.0, 0.004
+    PAVING = 0.43, 0.12, 0.8, 0.0, 0.004
+    GRASS = 0.43, 0.16, 0.4, 0.0, 0.012
     MARKING = 0.5, 0.15, 0.7, 0.0, 0.004
     PLASTER = 0.47, 0.08, 0.3, 0.0, 0.0
     BRICK = 0.43, 0.14, 0.3, 0.0, 0.004
     GLASS = 0.06, 0.8, 0.5, 1.0, 0.0
-    LEAF = 0.43, 0.28, 0.25, 0.0, 0.04
-    BARK = 0.45, 0.2, 0.3, 0.0, 0.012
+    LEAF = 0.43, 0.28, 0.25, 0.0, 0.025
+    BARK = 0.45, 0.2, 0.3, 0.0, 0.006
     WOOD = 0.43, 0.16, 0.3, 0.0, 0.004
     METAL = 0.32, 0.35, 0.5, 0.1, 0.0
-    PAINT = 0.34, 0.35, 0.9, 0.3, 0.0
+    PAINT = 0.34, 0.35, 0.9, 0.12, 0.0
     RUBBER = 0.04, 0.5, 0.4, 0.15, 0.0
     CLOTH = 0.52, 0.2, 0.3, 0.0, 0.012
     SKIN = 0.5, 0.12, 0.3, 0.0, 0.005

@@ -17,7 +17,6 @@ from salsanext_cli.storage.files.atomic import MARK, write_bytes
 from salsanext_cli.storage.layout import find_scans
 from salsanext_cli.storage.written_files import WrittenFiles
 from salsanext_cli.synthesis.drive import Frame
-from salsanext_cli.synthesis.surfaces import ABSENT
 
 TINY = {"scans": 2, "spacing": 12.0, "seed": 3}
 
@@ -63,7 +62,7 @@ def test_scans_and_labels_belong_together(streets):
     assert totals == made["points"]
 
 
-def test_labels_yaml_is_semantickittis_with_its_own_split_and_absent_classes(streets):
+def test_labels_yaml_is_semantickittis_with_its_own_split(streets):
     out, made, _ = streets
     space, real = label_space(out / "labels.yaml"), label_space()
     assert space.names == real.names
@@ -71,10 +70,7 @@ def test_labels_yaml_is_semantickittis_with_its_own_split_and_absent_classes(str
     assert space.learning_map == real.learning_map
     np.testing.assert_array_equal(space.colours, real.colours)
     assert space.splits == made["splits"]
-    ignored = {name for name, flag in zip(space.names, space.ignored, strict=True) if flag}
-    assert ignored == {"unlabeled", *ABSENT}
-    present = {space.names[space.learning_map[raw]] for raw in made["points"]}
-    assert present == set(space.names) - set(ABSENT)
+    assert space.ignored == real.ignored
     assert set(yaml.safe_load((out / "labels.yaml").read_text())) >= {"labels", "color_map"}
 
 
@@ -98,11 +94,24 @@ def test_the_seed_decides_every_byte_whatever_else_is_made_in_how_many_jobs(stre
         assert again == files_below(out / "sequences" / sequence)
 
 
+def test_random_sensors_are_the_same_in_how_many_jobs(tmp_path):
+    for jobs in (1, 2):
+        out = tmp_path / str(jobs)
+        synthesise(out, train=2, valid=0, scans=1, seed=5, sensor="random", jobs=jobs)
+    assert files_below(tmp_path / "1" / "sequences") == files_below(tmp_path / "2" / "sequences")
+
+
+def test_an_unknown_sensor_is_refused(tmp_path):
+    with pytest.raises(UsageError, match="hdl64, random"):
+        synthesise(tmp_path / "streets", sensor="hdl32")
+    assert not (tmp_path / "streets").exists()
+
+
 @pytest.fixture
 def quick(monkeypatch):
     """Record three points instead of a street."""
 
-    def record(seed, sequence, scans, spacing):
+    def record(seed, sequence, scans, spacing, sensor):
         scan = Scan(np.full((3, 3), seed, np.float32), np.zeros(3, np.float32))
         for index in range(scans):
             yield Frame(scan, np.array([40, 40, 10], np.uint32), np.eye(4), index * spacing)

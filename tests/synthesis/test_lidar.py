@@ -4,9 +4,9 @@
 import numpy as np
 import pytest
 
-from salsanext_cli.synthesis.beams import hdl64
-from salsanext_cli.synthesis.lidar import RANGE_NOISE_M, Scene, measure
 from salsanext_cli.synthesis.mesh import Skin, quads
+from salsanext_cli.synthesis.sensor.hdl64 import hdl64
+from salsanext_cli.synthesis.sensor.lidar import HDL64, Firings, Scene, measure
 from salsanext_cli.synthesis.surfaces import BUILDING, CAR, ROAD, Material
 
 
@@ -31,9 +31,10 @@ def fan(count=20_000, spread=0.3):
     return np.concatenate([np.zeros((count, 3)), ways], 1), azimuth
 
 
-def look(scenes, rays, seed=0, power=1.0):
+def look(scenes, rays, seed=0, power=1.0, response=HDL64):
     ones = np.ones(len(rays))
-    return measure(np.random.default_rng(seed), scenes, rays, ones, power * ones)
+    firings = Firings(ones, 0 * ones, power * ones)
+    return measure(np.random.default_rng(seed), scenes, rays, firings, response)
 
 
 def test_a_wall_is_as_far_as_it_is():
@@ -43,7 +44,7 @@ def test_a_wall_is_as_far_as_it_is():
     error = distance[kept] - 10 / np.cos(azimuth[kept])
     assert kept.mean() > 0.98
     assert abs(error.mean()) < 1e-3
-    assert error.std() == pytest.approx(RANGE_NOISE_M, rel=0.05)
+    assert error.std() == pytest.approx(HDL64.noise, rel=0.05)
     assert set(labels[kept]) == {BUILDING}
     np.testing.assert_allclose(intensity * 100, np.round(intensity * 100), atol=1e-9)
     usual = Material.PLASTER.optics[0]
@@ -128,3 +129,30 @@ def test_the_nearer_of_two_scenes_counts():
         kept = np.isfinite(distance)
         assert set(labels[kept]) == {CAR}
         assert distance[kept].max() < 7
+
+
+def test_an_edge_gives_returns_between_near_surfaces_only():
+    """Half of a fan hits a wall at 8 m, the other half one farther away."""
+    azimuth = np.tile([-0.01, 0.01], 4000)
+    ways = np.stack([np.cos(azimuth), np.sin(azimuth), np.zeros(len(azimuth))], -1)
+    rays = np.concatenate([np.zeros((len(ways), 3)), ways], 1)
+
+    def between(gap):
+        corners = np.array([[[8, 0, -9], [8, 9, -9], [8, 9, 9], [8, 0, 9]]], float)
+        scenes = [wall(8 + gap), Scene(quads(corners, Skin(BUILDING, Material.PLASTER)))]
+        distance, _, _ = look(scenes, rays)
+        return ((distance > 8.2) & (distance < 7.8 + gap)).mean(), np.isnan(distance).mean()
+
+    near, far = between(0.8), between(4.0)
+    assert 0.2 < near[0] < 0.5
+    assert far[0] == 0
+    assert far[1] > near[1] + 0.1
+
+
+def test_gain_and_gamma_change_the_reported_brightness_alone():
+    rays, _ = fan(4000)
+    usual = look([wall(10)], rays)
+    other = look([wall(10)], rays, response=HDL64._replace(gain=0.5, gamma=1.0))
+    np.testing.assert_array_equal(usual[0], other[0])
+    kept = np.isfinite(usual[0])
+    assert other[1][kept].mean() == pytest.approx(usual[1][kept].mean() / 2, abs=0.02)

@@ -5,10 +5,10 @@ import numpy as np
 import pytest
 
 from salsanext_cli.synthesis import surfaces
-from salsanext_cli.synthesis.draw import draw_plan
-from salsanext_cli.synthesis.plan import REACH_M
 from salsanext_cli.synthesis.presets import STYLES
-from salsanext_cli.synthesis.street import ground
+from salsanext_cli.synthesis.street.draw import draw_plan
+from salsanext_cli.synthesis.street.plan import REACH_M
+from salsanext_cli.synthesis.street.street import ground
 
 PLANS = [draw_plan(np.random.default_rng(seed), STYLES[seed], 160.0) for seed in range(len(STYLES))]
 
@@ -29,7 +29,7 @@ def test_strips_lie_in_order_from_the_kerb_outwards(plan):
         ends = np.cumsum([side.parking, side.verge, side.sidewalk])
         starts = ends - [side.parking, side.verge, side.sidewalk]
         for start, end, label in zip(
-            starts, ends, (surfaces.PARKING, surfaces.TERRAIN, surfaces.SIDEWALK), strict=True
+            starts, ends, (surfaces.PARKING, side.strip, surfaces.SIDEWALK), strict=True
         ):
             if end > start:
                 t = side.sign * (plan.half + (start + end) / 2)
@@ -60,8 +60,26 @@ def test_a_kerb_is_a_step_of_its_height():
     sides = ((p, p.sides[0]) for p in PLANS)
     plan, left = next((p, s) for p, s in sides if s.sidewalk and s.kerb and not s.parking)
     s = away_from_crossings(plan, left)
+    for start, end in (lot.drive for lot in left.lots):
+        s = s[(s < start - 1) | (s > end + 1)]
+    assert len(s) > 20
     low, high = (plan.relief(s, np.full_like(s, plan.half + offset)) for offset in (-0.01, 0.01))
     np.testing.assert_allclose(high - low, left.kerb, atol=1e-3)
+
+
+def test_a_kerb_is_lowered_at_driveways():
+    drives = [
+        (plan, side, sum(lot.drive) / 2)
+        for plan in PLANS
+        for side in plan.sides
+        for lot in side.lots
+        if side.kerb and not side.parking and lot.drive[1] > lot.drive[0]
+    ]
+    assert drives
+    for plan, side, s in drives:
+        t = side.sign * (plan.half + np.array([-0.01, 0.01]))
+        low, high = plan.relief(np.full(2, s), t)
+        assert high == pytest.approx(low, abs=1e-3)
 
 
 def test_t_is_a_distance_in_the_world(plan):
@@ -88,5 +106,6 @@ def test_the_ground_has_no_holes_and_the_plans_labels():
     # On a bend the outside gains what the inside loses: the area is that of the straight street.
     assert twice.sum() / 2 == pytest.approx(2 * REACH_M * plan.length, rel=0.01)
     assert set(np.unique(mesh.labels)) <= {
-        surfaces.ROAD, surfaces.MARKING, surfaces.PARKING, surfaces.SIDEWALK, surfaces.TERRAIN
+        surfaces.ROAD, surfaces.MARKING, surfaces.PARKING, surfaces.SIDEWALK, surfaces.TERRAIN,
+        surfaces.OTHER_GROUND,
     }  # fmt: skip

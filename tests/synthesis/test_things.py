@@ -4,26 +4,42 @@
 import numpy as np
 import pytest
 
-from salsanext_cli.synthesis import (
-    buildings,
-    furniture,
-    lots,
-    people,
-    surfaces,
-    vegetation,
-    vehicles,
-)
-from salsanext_cli.synthesis.builder import Builder
-from salsanext_cli.synthesis.draw import draw_plan
-from salsanext_cli.synthesis.plan import Lot
+from salsanext_cli.synthesis import surfaces
 from salsanext_cli.synthesis.presets import STYLES
+from salsanext_cli.synthesis.street import lots
+from salsanext_cli.synthesis.street.builder import Builder
+from salsanext_cli.synthesis.street.draw import draw_plan
+from salsanext_cli.synthesis.street.plan import Lot
+from salsanext_cli.synthesis.things import (
+    buildings,
+    cars,
+    cycles,
+    fences,
+    furniture,
+    hedges,
+    others,
+    people,
+    riders,
+    trucks,
+    vegetation,
+)
 
 THINGS = {
-    "car": (vehicles.car, {surfaces.CAR}, (3.4, 1.6, 1.3), (5.5, 2.4, 2.5)),
-    "truck": (vehicles.truck, {surfaces.TRUCK}, (5.0, 2.0, 2.0), (16.5, 3.3, 4.2)),
+    "car": (cars.car, {surfaces.CAR}, (3.4, 1.6, 1.3), (5.5, 2.4, 2.5)),
+    "truck": (trucks.truck, {surfaces.TRUCK}, (4.6, 1.6, 2.0), (17.5, 3.3, 4.2)),
     "person": (people.person, {surfaces.PERSON}, (0.2, 0.2, 1.0), (1.4, 1.1, 2.0)),
-    "bicycle": (people.bicycle, {surfaces.BICYCLE}, (1.5, 0.4, 0.8), (2.0, 0.8, 1.3)),
-    "rider": (people.rider, {surfaces.BICYCLIST}, (1.5, 0.4, 1.6), (2.1, 0.9, 2.1)),
+    "bicycle": (cycles.bicycle, {surfaces.BICYCLE}, (1.5, 0.4, 0.8), (2.0, 0.8, 1.3)),
+    "bicyclist": (riders.bicyclist, {surfaces.BICYCLIST}, (1.5, 0.4, 1.6), (2.1, 0.9, 2.1)),
+    "motorcycle": (cycles.motorcycle, {surfaces.MOTORCYCLE}, (1.5, 0.5, 0.9), (2.3, 1.0, 1.7)),
+    "motorcyclist": (
+        riders.motorcyclist, {surfaces.MOTORCYCLIST}, (1.5, 0.5, 1.5), (2.4, 1.0, 2.2),
+    ),
+    "sitter": (
+        lambda rng: people.person(rng, sitting=True), {surfaces.PERSON},
+        (0.4, 0.2, 0.7), (1.2, 1.1, 1.6),
+    ),
+    "bus": (others.bus, {surfaces.BUS}, (6.0, 2.1, 2.4), (13.0, 3.1, 3.7)),
+    "other": (others.other_vehicle, {surfaces.OTHER_VEHICLE}, (2.0, 1.1, 0.5), (8.5, 3.4, 5.0)),
     "lamp": (furniture.lamp, {surfaces.POLE}, (0.1, 0.1, 3.5), (0.6, 3.5, 9.8)),
     "post": (furniture.post, {surfaces.POLE}, (0.07, 0.07, 0.9), (0.25, 0.25, 8.5)),
     "sign": (furniture.sign, {surfaces.POLE, surfaces.SIGN}, (0.05, 0.05, 1.3), (1.6, 0.3, 4.2)),
@@ -53,7 +69,7 @@ def test_things_have_their_classes_and_sizes(name):
 
 def test_vehicles_stand_on_their_wheels_and_let_light_through_below():
     for seed in range(10):
-        mesh = vehicles.car(np.random.default_rng(seed))
+        mesh = cars.car(np.random.default_rng(seed))
         assert mesh.vertices[:, 2].min() == pytest.approx(0, abs=0.02)
         low = mesh.vertices[mesh.vertices[:, 2] < 0.15]
         assert np.abs(low[:, 0]).min() > 0.4
@@ -63,7 +79,8 @@ PLANTS = {
     "tree": lambda rng: vegetation.tree(rng, 8.0),
     "conifer": lambda rng: vegetation.conifer(rng, 6.0),
     "bush": lambda rng: vegetation.bush(rng, 1.0),
-    "hedge": lambda rng: vegetation.hedge(rng, 5.0, 1.5, 0.8),
+    "hedge": lambda rng: hedges.hedge(rng, 5.0, 1.5, 0.8),
+    "ivy": lambda rng: hedges.ivy(rng, 4.0, 3.0),
     "thicket": lambda rng: vegetation.thicket(rng, 5.0, 3.0, 4.0),
 }
 
@@ -79,9 +96,9 @@ def test_plants_are_vegetation_on_trunks_and_ragged(name):
     assert np.median(edge) < 0.4
 
 
-@pytest.mark.parametrize("kind", [*furniture.FENCES, "barrier"])
+@pytest.mark.parametrize("kind", [*sorted(set(fences.FENCES)), "barrier"])
 def test_fences_have_their_length(kind):
-    mesh = furniture.fence(np.random.default_rng(0), 4.0, kind, 1.2, 1.0)
+    mesh = fences.fence(np.random.default_rng(0), 4.0, kind, 1.2, 1.0)
     assert set(mesh.labels) == {surfaces.FENCE}
     assert mesh.vertices[:, 0].min() >= 0
     assert 4.0 <= mesh.vertices[:, 0].max() <= 4.25

@@ -17,6 +17,10 @@ from salsanext_cli.synthesis.presets import Span, Style
 REACH_M = 62.0
 """Extent of the world to either side of the centre line."""
 LEFT, RIGHT = 1, -1
+KERB_M = 0.02
+"""Half the depth of a kerb's face, which belongs to the pavement."""
+DROP_M = 0.6
+"""Length over which a kerb goes down beside a driveway."""
 CORNER_LINES_M = np.arange(0.15, 4.1, 0.15)
 """Distances from the kerb of the grid lines that rounded corners need."""
 
@@ -54,11 +58,15 @@ class Crossing:
 
 @dataclass(frozen=True, slots=True)
 class Side:
-    """One side of the street: widths of its strips from the kerb outwards, then the lots."""
+    """One side of the street: widths of its strips from the kerb outwards, then the lots.
+
+    ``strip`` is the ground of the verge; ``kerb`` is a height and goes down to 0 at driveways.
+    """
 
     sign: int
     parking: float
     verge: float
+    strip: int
     sidewalk: float
     kerb: float
     raised_parking: bool
@@ -131,10 +139,18 @@ class Plan:
             beyond = side.sign * t - self.half
             inside = (beyond > 0) & ~self.on_side_street(s, beyond, side)
             flat = side.parking if not side.raised_parking else 0.0
-            height = height + side.kerb * (inside & (beyond > flat))
+            height = height + self._kerb(s, side) * (inside & (beyond > flat))
             rise = slope * np.clip(beyond - side.depth - 0.5, 0, 14)
             distance = self.from_side_street(s, side)
             height = height + rise * np.clip(distance / 6, 0, 1) * (beyond > 0)
+        return height
+
+    def _kerb(self, s: Array, side: Side) -> Array:
+        """Height of the kerb, which is lowered at driveways."""
+        height = np.full(np.shape(s), side.kerb)
+        for low, high in (lot.drive for lot in side.lots if lot.drive[1] > lot.drive[0]):
+            away = np.maximum(low - s, s - high)
+            height = np.minimum(height, side.kerb * np.clip(away / DROP_M, 0, 1))
         return height
 
     def on_side_street(self, s: Array, beyond: Array, side: Side) -> npt.NDArray[np.bool_]:
@@ -158,7 +174,7 @@ class Plan:
         label = np.where(self._painted(s, t), surfaces.MARKING, surfaces.ROAD).astype(np.uint32)
         for side in self.sides:
             beyond = side.sign * t - self.half
-            label = np.where(beyond > 0, self._beside(s, beyond, side), label)
+            label = np.where(beyond > -KERB_M / 2, self._beside(s, beyond, side), label)
         return label
 
     def _painted(self, s: Array, t: Array) -> npt.NDArray[np.bool_]:
@@ -179,10 +195,10 @@ class Plan:
             inside = (s >= lot.start) & (s < lot.end)
             front = beyond < side.depth + lot.setback
             drive = (s > lot.drive[0]) & (s < lot.drive[1]) & front
-            ground = np.where(drive, surfaces.PARKING, np.where(front, lot.front, lot.back))
+            ground = np.where(drive, surfaces.SIDEWALK, np.where(front, lot.front, lot.back))
             label = np.where(inside, ground, label)
         label = np.where(beyond < side.depth, surfaces.SIDEWALK, label)
-        label = np.where(beyond < side.parking + side.verge, surfaces.TERRAIN, label)
+        label = np.where(beyond < side.parking + side.verge, side.strip, label)
         label = np.where(beyond < side.parking, surfaces.PARKING, label)
         for crossing in self._crossings_of(side):
             paved = np.abs(s - crossing.s) - crossing.half < crossing.pavement

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: MIT
 """Simulated measurement of one revolution: range and intensity of the pulses that return."""
 
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -11,21 +11,61 @@ from salsanext_cli.packages import import_open3d
 from salsanext_cli.synthesis.mesh import Array, Mesh, Rng
 from salsanext_cli.synthesis.surfaces import OPTICS
 
-MAX_RANGE_M, MIN_RANGE_M = 81.0, 1.6
-"""Largest and smallest reported range."""
-RANGE_NOISE_M = 0.018
-"""Standard deviation along the ray."""
-SIGNAL_THRESHOLD = 6.0e-6
-"""Signal (brightness · cos / range²) at which half of the pulses are lost."""
 GRAZING_COSINE = 0.14
 """Cosine of incidence below which surfaces look darker."""
 PATCH_FIRINGS = 11
 """Length of the runs of firings in which mirrors lose pulses."""
-LOST_SHARE = 0.004
-"""Share of pulses lost for no reason."""
+USUAL_ECHO = 0.35
+"""Brightness that `gamma` leaves as it is."""
+EDGE_SHARE = 0.45
+"""Share of the pulses at an edge that hit both surfaces."""
+PULSE_M = 1.2
+"""Distance between two surfaces up to which their echoes are one."""
+TORN_SHARE = 0.3
+"""Share of the pulses on two surfaces farther apart that are lost."""
 DISTANCES_M = (0.0, 4.0, 8.0, 13.0, 20.0, 28.0, 40.0, 80.0)
 RELATIVE_RESPONSE = (0.82, 0.86, 0.92, 1.0, 1.05, 0.92, 0.66, 0.45)
 """Reported brightness of one surface by distance: optics and gain control of the sensor."""
+
+
+class Response(NamedTuple):
+    """Limits, noise and brightness of the pulses that a sensor reports.
+
+    Attributes
+    ----------
+    noise : float
+        Standard deviation of the range, metres.
+    nearest, farthest : float
+        Smallest and largest reported range, metres.
+    lost : float
+        Share of pulses lost for no reason.
+    threshold : float
+        Signal (brightness · cos / range²) at which half of the pulses are lost.
+    gain, gamma : float
+        Factor and exponent of the reported brightness.
+    levels : int
+        Number of steps of the reported brightness from 0 to 1.
+    """
+
+    noise: float
+    nearest: float
+    farthest: float
+    lost: float
+    threshold: float
+    gain: float
+    gamma: float
+    levels: int
+
+
+HDL64 = Response(0.009, 1.6, 81.0, 0.004, 6.0e-6, 1.0, 1.0, 100)
+
+
+class Firings(NamedTuple):
+    """Gain, offset and power of the laser that fires each ray, (R,) each; see `Beams`."""
+
+    gain: Array
+    offset: Array
+    power: Array
 
 
 class Scene:
@@ -60,7 +100,7 @@ class Scene:
 
 
 def measure(
-    rng: Rng, scenes: list[Scene], rays: Array, gain: Array, power: Array
+    rng: Rng, scenes: list[Scene], rays: Array, firings: Firings, response: Response
 ) -> tuple[Array, Array, RawIds]:
     """Measure along rays.
 
@@ -71,9 +111,11 @@ def measure(
     scenes : list of Scene
         The nearest hit over all of them counts.
     rays : (R, 6)
-        Origins and unit directions, world coordinates.
-    gain, power : (R,)
-        Reported brightness and strength of the laser that fires each ray, 1 = usual.
+        Origins and unit directions, world coordinates; neighbours in azimuth follow each other.
+    firings : Firings
+        Of the rays' lasers.
+    response : Response
+        Of the sensor.
 
     Returns
     -------
@@ -95,32 +137,56 @@ def measure(
         labels[nearer] = scene.mesh.labels[hit]
         materials[nearer], shades[nearer] = scene.mesh.materials[hit], scene.mesh.shades[hit]
     brightness, texture, falloff, gloss, roughness = OPTICS[materials].T
-    reach = np.where(np.isfinite(distance), distance, MAX_RANGE_M + 1)
+    reach = np.where(np.isfinite(distance), distance, response.farthest + 1)
     noise = rng.standard_normal((3, len(rays)))
     reflected = brightness * shades * np.exp(texture * noise[0] - texture**2 / 2)
-    kept = _returns(rng, reflected, cosine, reach, gloss, power)
-    measured = reach + noise[1] * np.hypot(RANGE_NOISE_M, roughness)
-    kept &= (reach < MAX_RANGE_M) & (measured > MIN_RANGE_M)
+    kept = _returns(rng, reflected, cosine, reach, gloss, firings.power, response)
+    blended, torn = _edges(rng, reach)
+    measured = blended + noise[1] * np.hypot(response.noise, roughness)
+    kept &= (reach < response.farthest) & (measured > response.nearest) & ~torn
     grazing = np.clip(cosine / GRAZING_COSINE, 0.01, 1) ** falloff
-    intensity = reflected * np.interp(reach, DISTANCES_M, RELATIVE_RESPONSE) * grazing * gain
-    intensity = np.round(np.clip(intensity + 0.02 * noise[2] - 0.02, 0, 0.99), 2)
+    echo = reflected * np.interp(reach, DISTANCES_M, RELATIVE_RESPONSE) * grazing
+    echo = (
+        response.gain * USUAL_ECHO * (echo / USUAL_ECHO) ** response.gamma * firings.gain
+        - firings.offset
+    )
+    intensity = np.clip(echo + 0.02 * noise[2] - 0.02, 0, 0.99)
+    intensity = np.round(intensity * response.levels) / response.levels
     return np.where(kept, measured, np.nan), intensity, labels
 
 
+def _edges(rng: Rng, reach: Array) -> tuple[Array, npt.NDArray[np.bool_]]:
+    """Return the distances (R,) of pulses, some of which hit two surfaces, and which are lost.
+
+    A pulse is as wide as the step to the next one: near surfaces give one echo between them.
+    """
+    step = np.diff(reach, append=reach[-1:])
+    chance, share = rng.random((2, len(reach)))
+    both = chance < EDGE_SHARE
+    blended: Array = reach + share / 2 * step * (both & (np.abs(step) < PULSE_M))
+    return blended, (np.abs(step) >= PULSE_M) & (chance < TORN_SHARE)
+
+
 def _returns(
-    rng: Rng, reflected: Array, cosine: Array, reach: Array, gloss: Array, power: Array
+    rng: Rng,
+    reflected: Array,
+    cosine: Array,
+    reach: Array,
+    gloss: Array,
+    power: Array,
+    response: Response,
 ) -> npt.NDArray[np.bool_]:
     """Decide which pulses return."""
     chance = rng.random(len(reach))
     signal = power * (reflected + 0.01) * cosine / reach**2
-    detected = 1 / (1 + (SIGNAL_THRESHOLD / np.maximum(signal, 1e-12)) ** 2.2)
+    detected = 1 / (1 + (response.threshold / np.maximum(signal, 1e-12)) ** 2.2)
     # A mirror sends the pulse back only when hit straight on. Strong lasers still see its dirt, so
     # that glass and dark paint come back in some rows and not in others.
     dull = np.minimum(0.9, 0.75 * reflected / 0.3)
     mirrored = gloss * (1 - 0.6 * cosine**16) * (1 - dull)
     odds = mirrored / np.maximum(1 - mirrored, 1e-6) / power**3
     away = odds / (1 + odds)
-    kept = chance < detected * (1 - LOST_SHARE)
+    kept = chance < detected * (1 - response.lost)
     reflected_back: npt.NDArray[np.bool_] = _patchy(rng, len(reach)) >= away
     return kept & reflected_back
 

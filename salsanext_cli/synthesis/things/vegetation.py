@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: MIT
-"""Trees, bushes, hedges and thickets: many small facets, which let some rays through.
+"""Trees, bushes and thickets: many small facets, which let some rays through.
 
-Local frame: the ground at z = 0, a tree's foot at the origin, a hedge along x.
+Local frame: the ground at z = 0, a tree's foot at the origin, a thicket along x.
 """
 
 import numpy as np
@@ -14,7 +14,6 @@ from salsanext_cli.synthesis.mesh import (
     ellipsoid,
     facets,
     merge,
-    rings,
     tube,
 )
 from salsanext_cli.synthesis.presets import Span
@@ -23,8 +22,9 @@ from salsanext_cli.synthesis.surfaces import TRUNK, VEGETATION, Material
 FOOT_M = -0.4
 
 
-def _leaf(rng: Rng) -> Skin:
-    return Skin.drawn(rng, VEGETATION, Material.LEAF, 0.75, 1.2)
+def leaf_skin(rng: Rng) -> Skin:
+    """Draw the brightness of leaves."""
+    return Skin.drawn(rng, VEGETATION, Material.LEAF, 0.7, 1.25)
 
 
 def _leaves(rng: Rng, centre: Array, radii: Array, count: int, sizes: Span, leaf: Skin) -> Mesh:
@@ -43,8 +43,10 @@ def _lumps(rng: Rng, spread: float) -> Array:
 def tree(rng: Rng, height: float) -> Mesh:
     """Return a broad-leaved tree: bent trunk, branches, a crown of clusters."""
     bark = Skin.drawn(rng, TRUNK, Material.BARK, 0.5, 1.15)
-    radius = float(rng.uniform(0.022, 0.05) * height**0.75)
-    clear = float(rng.uniform(0.25, 0.45) * height)
+    branch = bark._replace(label=VEGETATION)
+    radius = float(rng.uniform(0.012, 0.03) * height**0.75)
+    clear = float(rng.uniform(0.12, 0.42) * height)
+    dense = rng.random() < 0.5
     bend = rng.normal(0, 0.05 * height, (2,))
     levels = np.array([FOOT_M, 0.0, 0.4, clear * 0.5, clear, clear * 1.5])
     share = np.clip(levels / levels[-1], 0, 1)[:, None]
@@ -52,16 +54,18 @@ def tree(rng: Rng, height: float) -> Mesh:
     swell = np.array([1.7, 1.4, 1.1, 0.95, 0.85, 0.5])
     parts = [tube(path, radius * swell, bark, 9)]
     spread = height * rng.uniform(0.2, 0.34)
-    leaf = _leaf(rng)
+    leaf = leaf_skin(rng)
     for _ in range(int(rng.integers(5, 9))):
         angle = rng.uniform(0, 2 * np.pi)
         out = np.array([np.cos(angle), np.sin(angle)]) * spread * rng.uniform(0.3, 1)
         root = path[4] * [1, 1, rng.uniform(0.75, 1.0)]
         tip = np.array([*(bend + out), rng.uniform(clear * 1.1, height * 0.85)])
         knee = (root + tip) / 2 + [0, 0, rng.uniform(-0.2, 0.4)]
-        parts.append(tube([root, knee, tip], radius * np.array([0.5, 0.35, 0.12]), bark, 6))
+        parts.append(tube([root, knee, tip], radius * np.array([0.5, 0.35, 0.12]), branch, 6))
         size = spread * rng.uniform(0.4, 0.75, 3)
         parts.append(_leaves(rng, tip, size, int(rng.uniform(260, 500)), (0.08, 0.22), leaf))
+        if dense:
+            parts.append(ellipsoid(tip, size * 0.85, leaf, _lumps(rng, 0.12)))
     return merge(parts)
 
 
@@ -77,12 +81,12 @@ def conifer(rng: Rng, height: float) -> Mesh:
     z = base + level * (height - base) - 0.25 * reach
     centres = np.stack([reach * np.cos(angle), reach * np.sin(angle), z], -1)
     trunk = tube([[0, 0, FOOT_M], [0, 0, height * 0.8]], [0.025 * height, 0.05], bark)
-    return merge([trunk, facets(centres, rng.uniform(0.1, 0.26, count), _leaf(rng), rng)])
+    return merge([trunk, facets(centres, rng.uniform(0.1, 0.26, count), leaf_skin(rng), rng)])
 
 
 def bush(rng: Rng, radius: float) -> Mesh:
     """Return a bush of one to four lumps."""
-    leaf = _leaf(rng)
+    leaf = leaf_skin(rng)
     parts = []
     for _ in range(int(rng.integers(1, 5))):
         size = radius * rng.uniform([0.5, 0.5, 0.5], [1, 1, 1.3])
@@ -92,31 +96,9 @@ def bush(rng: Rng, radius: float) -> Mesh:
     return merge(parts)
 
 
-def hedge(rng: Rng, length: float, height: float, depth: float) -> Mesh:
-    """Return a clipped hedge from x = 0 to x = length: a rough wall under a coat of leaves."""
-    leaf = _leaf(rng)
-    stations = np.linspace(0, length, max(3, int(length / 0.5)))
-    outline = np.array(
-        [[-0.5, FOOT_M / height], [-0.52, 0.35], [-0.5, 0.7], [-0.42, 0.95], [0, 1.0]]
-        + [[0.42, 0.95], [0.5, 0.7], [0.52, 0.35], [0.5, FOOT_M / height]]
-    )
-    section = outline * [depth * 0.85, height * 0.95]
-    rough = rng.normal(0, 0.05, (len(stations), len(section), 2)) * min(1.5, depth)
-    sides = section + rough
-    x = np.broadcast_to(stations[:, None, None], (*sides.shape[:2], 1))
-    core = rings(np.concatenate([x, sides], -1), leaf)
-    count = int(length * (height + depth) * 55)
-    place = rng.uniform([0, -0.5, 0], [1, 0.5, 1], (count, 3)) * [length, depth, height]
-    outer = rng.random(count)
-    place[:, 1] = np.where(outer < 0.75, np.sign(place[:, 1]) * depth * 0.5, place[:, 1])
-    place[:, 2] = np.where(outer >= 0.75, height, place[:, 2])
-    place += rng.normal(0, 0.05, place.shape)
-    return merge([core, facets(place, rng.uniform(0.04, 0.13, count), leaf, rng)])
-
-
 def thicket(rng: Rng, length: float, depth: float, height: float) -> Mesh:
     """Return undergrowth from x = 0 to x = length, y = 0 to y = depth: bushes, stems, crowns."""
-    leaf = _leaf(rng)
+    leaf = leaf_skin(rng)
     bark = Skin(TRUNK, Material.BARK, 0.85)
     parts = []
     for _ in range(max(2, int(length * depth / 5))):
@@ -131,7 +113,7 @@ def thicket(rng: Rng, length: float, depth: float, height: float) -> Mesh:
         lean = rng.normal(0, 0.5, 2)
         top = np.array([x + lean[0], y + lean[1], height * rng.uniform(0.6, 1.1)])
         parts.append(
-            tube([np.array([x, y, FOOT_M]), top], [rng.uniform(0.08, 0.22), 0.05], bark, 6)
+            tube([np.array([x, y, FOOT_M]), top], [rng.uniform(0.03, 0.13), 0.03], bark, 6)
         )
         parts.append(_leaves(rng, top, np.array([2.0, 2.0, height * 0.3]), 260, (0.12, 0.32), leaf))
     return merge(parts)

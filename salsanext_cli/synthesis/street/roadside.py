@@ -3,9 +3,11 @@
 
 import numpy as np
 
-from salsanext_cli.synthesis import furniture, people, vegetation, vehicles
-from salsanext_cli.synthesis.builder import Builder
-from salsanext_cli.synthesis.plan import Crossing, Side
+from salsanext_cli.synthesis.street import crowd
+from salsanext_cli.synthesis.street.builder import Builder
+from salsanext_cli.synthesis.street.plan import Crossing, Side
+from salsanext_cli.synthesis.things import cars, cycles, furniture, people, vegetation
+from salsanext_cli.synthesis.things.vehicles import length_of, vehicle
 
 TOWARDS_TRAFFIC_RAD = np.pi / 2
 """A sign faces its local -y; turned by this it faces along the street."""
@@ -15,7 +17,7 @@ SIDE_STREET_END_M = 50.0
 
 def furnish(builder: Builder, side: Side) -> None:
     """Fill the strips of one side: parked cars, trees, lamps, signs, people, clutter."""
-    for fill in (_parked, _trees, _lamps, _signs, _bicycles, _people, _clutter):
+    for fill in (_parked, _trees, _lamps, _signs, crowd.gather, _clutter):
         fill(builder, side)
     for crossing in builder.plan.crossings:
         if side.sign in crossing.sides:
@@ -33,11 +35,11 @@ def _parked(builder: Builder, side: Side) -> None:
             occupied = builder.chance(share)
         length = 5.2
         if occupied:
-            lorry = builder.chance(0.03)
-            mesh = (vehicles.truck if lorry else vehicles.car)(builder.rng)
-            length = 9.5 if lorry else builder.between(5.0, 6.2)
+            mesh = vehicle(builder.rng)
+            length = length_of(mesh) + builder.between(0.6, 1.6)
             yaw = np.pi * (builder.chance(0.15) ^ (side.sign > 0)) + builder.rng.normal(0, 0.02)
-            beyond = out + (0.2 if lorry else 0.0) + builder.rng.normal(0, 0.08)
+            wide = 0.2 if length > 7 else 0.0
+            beyond = out + wide + builder.rng.normal(0, 0.08)
             facing = yaw + (0 if side.sign > 0 else np.pi)
             builder.put_if_free(mesh, side, s + length / 2, beyond, length / 2 - 0.35, facing)
         s += length
@@ -67,15 +69,15 @@ def _lamps(builder: Builder, side: Side) -> None:
     kind = furniture.lamp(builder.rng)
     while s < builder.plan.length:
         builder.put_if_free(kind, side, s, side.parking + builder.between(0.35, 0.5), 0.3)
-        s += builder.between(20, 34)
-    for _ in builder.count(builder.plan.length / 50):
+        s += builder.between(26, 50)
+    for _ in builder.count(builder.plan.length / 80):
         s, out = builder.along(), side.parking + builder.between(0.3, 0.5)
         for step in range(int(builder.rng.choice([1, 1, 1, 3, 5]))):
             builder.put_if_free(furniture.post(builder.rng), side, s + 1.5 * step, out, 0.3)
 
 
 def _signs(builder: Builder, side: Side) -> None:
-    for _ in builder.count(builder.plan.length / 17):
+    for _ in builder.count(builder.plan.length / 40):
         s = builder.along()
         make = furniture.board if builder.chance(0.22) else furniture.sign
         yaw = builder.rng.choice([1, 1, 1, -1, 0]) * TOWARDS_TRAFFIC_RAD * -1
@@ -84,37 +86,12 @@ def _signs(builder: Builder, side: Side) -> None:
     for crossing in builder.plan.crossings:
         reach = crossing.half + 0.5 * crossing.corner + builder.between(0.4, 2.0)
         for s in (crossing.s - reach, crossing.s + reach):
-            if not builder.chance(0.7):
+            if not builder.chance(0.45):
                 continue
             make = furniture.traffic_light if builder.chance(0.3) else furniture.sign
             yaw = -TOWARDS_TRAFFIC_RAD * builder.rng.choice([1, -1])
             out = side.parking + 0.5 + 0.2 * crossing.corner
             builder.put_if_free(make(builder.rng), side, s, out, 0.3, yaw)
-
-
-def _bicycles(builder: Builder, side: Side) -> None:
-    """Lean bicycles on the pavement, alone and in racks."""
-    crowd = builder.plan.style.crowd * builder.plan.length / 100
-    for _ in builder.count(0.35 * crowd):
-        s = builder.along()
-        out = side.parking + builder.between(0.5, max(0.8, side.verge + side.sidewalk))
-        yaw = builder.between(-0.4, 0.4) + (np.pi / 2) * builder.chance(0.6)
-        for step in range(int(builder.rng.choice([1, 1, 2, 5]))):
-            mesh = people.bicycle(builder.rng).leaned(builder.rng.normal(0, 0.12))
-            turned = yaw + builder.rng.normal(0, 0.1)
-            builder.put_if_free(mesh, side, s + 0.62 * step, out, 0.3, turned)
-
-
-def _people(builder: Builder, side: Side) -> None:
-    """Stand people about in ones, twos and threes."""
-    crowd = builder.plan.style.crowd * builder.plan.length / 100
-    for _ in builder.count(0.35 * crowd):
-        s = builder.along()
-        out = side.parking + builder.between(0.3, max(0.6, side.verge + side.sidewalk - 0.3))
-        for _ in range(int(builder.rng.integers(1, 4))):
-            place = s + builder.rng.normal(0, 0.7), out + builder.rng.normal(0, 0.3)
-            mesh = people.person(builder.rng)
-            builder.put_if_free(mesh, side, *place, 0.3, builder.between(0, 6.28))
 
 
 def _clutter(builder: Builder, side: Side) -> None:
@@ -132,16 +109,15 @@ def _side_street(builder: Builder, side: Side, crossing: Crossing) -> None:
     edge = crossing.half - 0.9
     for out in np.arange(builder.between(7, 14), 48, builder.between(5.5, 9)):
         if builder.chance(0.4):
-            make = vehicles.truck if builder.chance(0.08) else vehicles.car
             s = crossing.s + edge * builder.rng.choice([-1, 1])
-            builder.put(make(builder.rng), side, s, float(out), yaw=np.pi / 2)
+            builder.put(vehicle(builder.rng), side, s, float(out), yaw=np.pi / 2)
     if builder.chance(0.5):
         yaw = -np.pi / 2
         s = crossing.s - side.sign * crossing.half * 0.45
-        builder.put(vehicles.car(builder.rng), side, s, builder.between(2.6, 5), yaw)
+        builder.put(cars.car(builder.rng), side, s, builder.between(2.6, 5), yaw)
     for _ in builder.count(2 if crossing.pavement else 0.5):
         away = (crossing.half + builder.between(0.4, 1.4)) * builder.rng.choice([-1, 1])
-        make_thing = (people.person, people.person, furniture.post, people.bicycle, furniture.sign)
+        make_thing = (people.person, people.person, furniture.post, cycles.bicycle, furniture.sign)
         mesh = make_thing[builder.rng.integers(5)](builder.rng)
         out = side.depth + builder.between(0, 25)
         builder.put(mesh, side, crossing.s + away, out, builder.between(0, 6.28))

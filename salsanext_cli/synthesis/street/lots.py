@@ -6,10 +6,12 @@ from functools import partial
 
 import numpy as np
 
-from salsanext_cli.synthesis import buildings, furniture, people, vegetation, vehicles
-from salsanext_cli.synthesis.builder import Builder
 from salsanext_cli.synthesis.mesh import Mesh, Rng
-from salsanext_cli.synthesis.plan import REACH_M, Lot, Side
+from salsanext_cli.synthesis.street.boundaries import boundary, close, hedge, wall
+from salsanext_cli.synthesis.street.builder import Builder
+from salsanext_cli.synthesis.street.plan import REACH_M, Lot, Side
+from salsanext_cli.synthesis.things import buildings, fences, furniture, hedges, people, vegetation
+from salsanext_cli.synthesis.things.vehicles import vehicle
 
 
 def furnish(builder: Builder, side: Side, lot: Lot) -> None:
@@ -26,9 +28,29 @@ def _terrace(builder: Builder, side: Side, lot: Lot) -> None:
         passage = builder.between(1.5, 4) if builder.chance(0.15) and width > 10 else 0.0
         mesh = buildings.house(rng, width - passage - 0.05, builder.between(8, 14), floors)
         builder.put(mesh, side, (lot.start + lot.end - passage) / 2, front)
-    if lot.setback > 1.2:
-        _close(builder, side, lot.start, lot.end, side.depth + 0.2)
+        _overgrow(builder, side, lot, front)
+        if passage:
+            arch = buildings.arch(rng, passage + 0.1, 3.0 * floors)
+            builder.put(arch, side, lot.end - passage / 2, front)
+    if lot.setback > 0.8:
+        close(builder, side, lot.start, lot.end, side.depth + 0.2, open_chance=0.3)
     _scatter(builder, side, lot, vegetation.bush, (0.3, 0.7), lot.setback / 3)
+
+
+def _overgrow(builder: Builder, side: Side, lot: Lot, front: float) -> None:
+    """Grow ivy up a house, bushes along it, or a tree that touches it."""
+    start = builder.between(lot.start, (lot.start + lot.end) / 2)
+    end = builder.between(start + 1, lot.end)
+    if builder.chance(0.15):
+        ivy = partial(hedges.ivy, builder.rng, height=builder.between(2, 8))
+        builder.put_line(ivy, side, start, end, front)
+    if builder.chance(0.2) and lot.setback > 0.7:
+        for s in np.arange(start, end, builder.between(0.8, 1.5)):
+            bush = vegetation.bush(builder.rng, builder.between(0.4, 0.9))
+            builder.put(bush, side, float(s), front - 0.5)
+    if builder.chance(0.2) and lot.setback > 1:
+        tree = vegetation.tree(builder.rng, builder.between(3, 9))
+        builder.put_if_free(tree, side, end, front - builder.between(0.6, 1.5), 0.5)
 
 
 def _house(builder: Builder, side: Side, lot: Lot) -> None:
@@ -41,29 +63,30 @@ def _house(builder: Builder, side: Side, lot: Lot) -> None:
         middle = lot.end - 0.7 - (width - gap) / 2
         mesh = buildings.house(rng, width - gap, depth, int(rng.integers(1, 4)))
         builder.put(mesh, side, middle, front)
+        _overgrow(builder, side, lot, front)
         if drive and builder.chance(0.5):
             garage = buildings.garage(rng)
             builder.put(garage, side, sum(lot.drive) / 2, front + builder.between(0, 5))
         elif builder.chance(0.7):
-            _close(builder, side, lot.start, lot.start + gap, front + 1)
+            close(builder, side, lot.start, lot.start + gap, front + 1)
     gate = lot.start if drive else builder.between(lot.start + 1, lot.end - 2)
     gate_end = lot.drive[1] if drive else gate + 1.2
     for start, end in ((lot.start, gate), (gate_end, lot.end)):
-        _close(builder, side, start, end, side.depth + builder.between(0.1, 0.4))
+        close(builder, side, start, end, side.depth + builder.between(0.1, 0.4))
     _scatter(builder, side, lot, vegetation.bush, (0.3, 1.1), lot.setback * width / 18)
-    if builder.chance(0.6) and lot.setback > 3:
+    if builder.chance(0.75) and lot.setback > 2:
         kind = vegetation.tree if builder.chance(0.7) else vegetation.conifer
         _scatter(builder, side, lot, kind, (3.0, 8.0), 1.2)
     if drive and builder.chance(0.55):
         _park(builder, side, sum(lot.drive) / 2, front - min(2.6, lot.setback / 2), np.pi / 2)
     if builder.chance(0.5):
         end = front + builder.between(2, 12)
-        builder.put_outward(_boundary(builder), side, lot.end, side.depth + 0.3, end)
+        builder.put_outward(boundary(builder), side, lot.end, side.depth + 0.3, end)
     _scatter(builder, side, lot, lambda r, _: furniture.clutter(r), (0, 1), 0.8)
 
 
 def _yard(builder: Builder, side: Side, lot: Lot) -> None:
-    _close(builder, side, lot.start, lot.end, side.depth + 0.25, open_chance=0.0)
+    close(builder, side, lot.start, lot.end, side.depth + 0.25, open_chance=0.0)
     _scatter(builder, side, lot, vegetation.tree, (4.0, 9.0), 1.5, reach=15)
     _scatter(builder, side, lot, vegetation.bush, (0.5, 1.5), 3, reach=12)
     _scatter(builder, side, lot, lambda r, _: furniture.clutter(r), (0, 1), 1.5, reach=8)
@@ -93,16 +116,55 @@ def _field(builder: Builder, side: Side, lot: Lot) -> None:
     if (is_barrier := builder.chance(0.3)) or builder.chance(0.25):
         kind, out = ("barrier", 0.8) if is_barrier else ("mesh", 3.0)
         shade, height = builder.between(0.7, 1.4), builder.between(0.9, 1.3)
-        fence = partial(furniture.fence, builder.rng, kind=kind, height=height, shade=shade)
+        fence = partial(fences.fence, builder.rng, kind=kind, height=height, shade=shade)
         builder.put_line(fence, side, lot.start, lot.end, side.depth + out)
 
 
 def _thicket(builder: Builder, side: Side, lot: Lot) -> None:
     height, deep = builder.between(2.5, 7), builder.between(3, 8)
     if builder.chance(0.5):
-        _close(builder, side, lot.start, lot.end, side.depth + 0.2, open_chance=0.3)
+        close(builder, side, lot.start, lot.end, side.depth + 0.2, open_chance=0.3)
     thicket = partial(vegetation.thicket, builder.rng, depth=deep, height=height)
     builder.put_line(thicket, side, lot.start, lot.end, side.depth + builder.between(0.8, 4))
+
+
+def _scrub(builder: Builder, side: Side, lot: Lot) -> None:
+    """Grow a long hedge or tall scrub close to the street."""
+    out = side.depth + builder.between(0.3, 1.5)
+    if builder.chance(0.55):
+        builder.put_line(hedge(builder), side, lot.start, lot.end, out + 0.4)
+    else:
+        height, deep = builder.between(1.5, 5), builder.between(1.5, 4)
+        thicket = partial(vegetation.thicket, builder.rng, depth=deep, height=height)
+        builder.put_line(thicket, side, lot.start, lot.end, out + 0.4)
+    _scatter(builder, side, lot, vegetation.tree, (4.0, 10.0), 2.0, reach=12)
+    _house_behind(builder, side, lot, out + builder.between(4, 9))
+
+
+def _house_behind(builder: Builder, side: Side, lot: Lot, out: float) -> None:
+    width = lot.end - lot.start
+    if width > 7 and builder.chance(0.8):
+        floors = int(builder.rng.integers(1, 4))
+        mesh = buildings.house(builder.rng, width * builder.between(0.6, 0.95), 10, floors)
+        builder.put(mesh, side, (lot.start + lot.end) / 2, out)
+
+
+def _rampart(builder: Builder, side: Side, lot: Lot) -> None:
+    """Set up a high wall beside the street, trees and houses behind it."""
+    wall(builder, side, lot.start, lot.end, side.depth + 0.3)
+    _scatter(builder, side, lot, vegetation.tree, (5.0, 11.0), 3.0, reach=10)
+    _house_behind(builder, side, lot, side.depth + builder.between(3, 10))
+
+
+def _forecourt(builder: Builder, side: Side, lot: Lot) -> None:
+    """Build a low house behind open ground on which vehicles stand."""
+    for s in np.arange(lot.start + 3, lot.end - 3, builder.between(4, 9)):
+        yaw = builder.between(0, 6.28)
+        out = side.depth + builder.between(2.5, max(2.6, lot.setback - 2.5))
+        builder.put_if_free(vehicle(builder.rng), side, float(s), out, 2.4, yaw)
+    _house_behind(builder, side, lot, side.depth + lot.setback)
+    _scatter(builder, side, lot, lambda r, _: people.person(r), (0, 1), 0.7)
+    _scatter(builder, side, lot, lambda r, _: furniture.clutter(r), (0, 1), 1.0)
 
 
 def _carpark(builder: Builder, side: Side, lot: Lot) -> None:
@@ -112,7 +174,7 @@ def _carpark(builder: Builder, side: Side, lot: Lot) -> None:
         if builder.chance(0.7):
             _park(builder, side, s, side.depth + builder.between(2.6, 3.2), yaw, radius=1.1)
         s += builder.between(2.5, 2.8)
-    _close(builder, side, lot.start, lot.end, side.depth + lot.setback + 0.5)
+    close(builder, side, lot.start, lot.end, side.depth + lot.setback + 0.5)
     _scatter(builder, side, lot, vegetation.tree, (4.0, 8.0), 1, reach=20)
 
 
@@ -121,32 +183,7 @@ def _park(
 ) -> None:
     """Set down a parked car, sometimes the other way round."""
     turned = yaw + np.pi * builder.chance(0.5) + builder.rng.normal(0, 0.03)
-    builder.put_if_free(vehicles.car(builder.rng), side, s, out, radius, turned)
-
-
-def _close(
-    builder: Builder, side: Side, start: float, end: float, out: float, open_chance: float = 0.12
-) -> None:
-    """Close a garden off towards the street by a fence or a hedge, or leave it open."""
-    if builder.chance(open_chance) or end - start < 0.5:
-        return
-    builder.put_line(_boundary(builder), side, start, end, out)
-    if builder.chance(0.4):
-        height, deep = builder.between(1.2, 3.5), builder.between(0.8, 1.6)
-        thicket = partial(vegetation.thicket, builder.rng, depth=deep, height=height)
-        builder.put_line(thicket, side, start, end, out + builder.between(0.3, 0.9))
-
-
-def _boundary(builder: Builder) -> Callable[[float], Mesh]:
-    """Return a maker of fence or hedge pieces, alike along one garden."""
-    rng = builder.rng
-    if builder.chance(0.4):
-        height, depth = builder.between(0.7, 2.7), builder.between(0.5, 1.5)
-        return partial(vegetation.hedge, rng, height=height, depth=depth)
-    kind = str(rng.choice(furniture.FENCES))
-    height = builder.between(0.4, 1.2) if kind == "wall" else builder.between(0.8, 1.9)
-    shade = builder.between(0.7, 1.15)
-    return partial(furniture.fence, rng, kind=kind, height=height, shade=shade)
+    builder.put_if_free(vehicle(builder.rng), side, s, out, radius, turned)
 
 
 def _scatter(
@@ -176,7 +213,7 @@ def _background(builder: Builder, side: Side, lot: Lot) -> None:
     middle = (lot.start + lot.end) / 2
     if builder.plan.half + out > REACH_M - 14:
         return
-    if lot.kind not in ("field", "thicket") and width > 7 and builder.chance(0.8):
+    if lot.kind not in ("field", "thicket") and width > 7 and builder.chance(0.55):
         mesh = buildings.house(rng, width * builder.between(0.7, 1), 10, int(rng.integers(2, 6)))
         builder.put(mesh, side, middle, out)
     elif builder.chance(0.9):
@@ -187,5 +224,6 @@ def _background(builder: Builder, side: Side, lot: Lot) -> None:
 
 KINDS: dict[str, Callable[[Builder, Side, Lot], None]] = {
     "terrace": _terrace, "house": _house, "yard": _yard, "green": _green, "field": _field,
-    "thicket": _thicket, "carpark": _carpark,
+    "thicket": _thicket, "carpark": _carpark, "scrub": _scrub, "rampart": _rampart,
+    "forecourt": _forecourt,
 }  # fmt: skip

@@ -8,7 +8,8 @@ from itertools import pairwise
 import numpy as np
 
 from salsanext_cli.synthesis.mesh import Mesh, Rng
-from salsanext_cli.synthesis.plan import Plan, Side
+from salsanext_cli.synthesis.street.plan import Plan, Side
+from salsanext_cli.synthesis.street.tones import varied
 
 PIECE_M = 5.0
 """Largest length of the pieces in which long things follow a bend."""
@@ -45,7 +46,7 @@ class Builder:
         """Set a thing down ``out`` metres beyond the kerb; its y points off the road."""
         t = side.sign * (self.plan.half + out)
         turned = float(self.plan.yaw(s)) + (0.0 if side.sign > 0 else np.pi) + yaw
-        self.parts.append(mesh.moved(self.plan.world(s, t), turned))
+        self.parts.append(varied(mesh, self.rng).moved(self.plan.world(s, t), turned))
 
     def put_if_free(
         self, mesh: Mesh, side: Side, s: float, out: float, radius: float, yaw: float = 0.0

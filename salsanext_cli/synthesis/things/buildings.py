@@ -20,7 +20,7 @@ Opening = tuple[float, float, float, float]
 def house(rng: Rng, width: float, depth: float, floors: int) -> Mesh:
     """Return a house whose front is `width` metres long and centred on x = 0."""
     material = Material.PLASTER if rng.random() < 0.7 else Material.BRICK
-    wall = Skin(BUILDING, material, float(rng.uniform(0.5, 1.15)))
+    wall = Skin(BUILDING, material, float(rng.uniform(0.6, 1.35)))
     storey = float(rng.uniform(2.6, 3.6))
     height = storey * floors + rng.uniform(0.2, 0.9)
     bay = float(rng.uniform(2.2, 4.2))
@@ -43,6 +43,7 @@ def _facade(
     lows = np.linspace(0, length, columns + 1)
     open_chance = 0.85 if front else 0.5
     door = int(rng.integers(columns)) if front else -1
+    bare = rng.uniform(0.1, 0.6)
     shop = front and bool(rng.random() < 0.25)
     size = rng.uniform([0.45, 1.1, 0.7], [0.75, 1.7, 1.0])
     flat, glass, closed = panels = list[Corners](), list[Corners](), list[Corners]()
@@ -58,7 +59,7 @@ def _facade(
                 continue
             walls, pane = _pierced(x0, x1, bottom, top, hole, rng.uniform(0.08, 0.3))
             flat += walls
-            (glass if rng.random() < 0.6 else closed).append(pane)
+            (glass if rng.random() < bare else closed).append(pane)
     shutters = Skin.drawn(rng, BUILDING, Material.WOOD, 0.4, 1.1)
     skins = (wall, Skin(BUILDING, Material.GLASS), shutters)
     skinned = zip(panels, skins, strict=True)
@@ -162,3 +163,10 @@ def garage(rng: Rng) -> Mesh:
     walls = box((-width / 2, 0, FOOT_M), (width / 2, depth, height), wall)
     metal = Skin(BUILDING, Material.METAL, 1.3)
     return merge([walls, box((-width / 2 + 0.3, -0.03, 0), (width / 2 - 0.3, 0.02, 2), metal)])
+
+
+def arch(rng: Rng, width: float, height: float) -> Mesh:
+    """Return the storeys above a passage between two houses."""
+    wall = Skin.drawn(rng, BUILDING, Material.PLASTER, 0.6, 1.3)
+    low = float(rng.uniform(2.4, 3.4))
+    return box((-width / 2, 0, low), (width / 2, 8, max(height, low + 1)), wall)

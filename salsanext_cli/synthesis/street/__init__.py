@@ -1,0 +1,2 @@
+# SPDX-License-Identifier: MIT
+"""Ground plan of a street, and what is placed on it."""

@@ -1,0 +1,59 @@
+# SPDX-License-Identifier: MIT
+"""Ground of a street: a grid of cells, each with the label of its middle."""
+
+import numpy as np
+
+from salsanext_cli.synthesis import surfaces
+from salsanext_cli.synthesis.mesh import Array, Mesh, Rng
+from salsanext_cli.synthesis.street.plan import KERB_M, REACH_M, Plan
+from salsanext_cli.synthesis.street.tones import patches
+from salsanext_cli.synthesis.surfaces import Material
+
+PAVED = (Material.PAVING, Material.PAVING, Material.PAVING, Material.ASPHALT)
+
+
+def _materials(rng: Rng) -> dict[int, Material]:
+    """Draw what each kind of ground is made of."""
+    return {
+        surfaces.ROAD: Material.PAVING if rng.random() < 0.12 else Material.ASPHALT,
+        surfaces.MARKING: Material.MARKING,
+        surfaces.PARKING: PAVED[rng.integers(4)],
+        surfaces.SIDEWALK: PAVED[rng.integers(4)],
+        surfaces.OTHER_GROUND: (*PAVED, Material.GRASS)[rng.integers(5)],
+        surfaces.TERRAIN: Material.GRASS,
+    }
+
+
+def ground(rng: Rng, plan: Plan) -> Mesh:
+    """Return the ground of a street; each cell has the label of its middle."""
+    s_edges, t_edges = plan.edges()
+    s = _lines(np.arange(0.0, plan.length + 1, 1.0), s_edges, 0.0, plan.length)
+    across = np.concatenate([np.arange(-10, 10.1, 0.5), np.linspace(10, REACH_M, 26)])
+    t = _lines(np.concatenate([across, -across]), t_edges, -REACH_M, REACH_M)
+    grid_s, grid_t = np.meshgrid(s, t, indexing="ij")
+    vertices = plan.world(grid_s, grid_t)
+    rough = (plan.label(grid_s, grid_t) == surfaces.TERRAIN) * rng.normal(0, 0.03, grid_s.shape)
+    vertices[..., 2] += rough
+    middle = plan.label(
+        (grid_s[:-1, :-1] + grid_s[1:, 1:]) / 2, (grid_t[:-1, :-1] + grid_t[1:, 1:]) / 2
+    )
+    patchwork = patches(rng, (s[:-1] + s[1:]) / 2, (t[:-1] + t[1:]) / 2, plan.length)
+    labels = np.repeat(middle.ravel(), 2)
+    materials = np.zeros(len(labels), np.uint8)
+    shades = np.ones(len(labels), np.float32)
+    for label, material in _materials(rng).items():
+        materials[labels == label] = material
+        shades[labels == label] = rng.uniform(0.75, 1.25)
+    shades *= np.repeat(patchwork.ravel(), 2).astype(np.float32)
+    shades *= np.repeat(rng.normal(1, 0.03, middle.size), 2).astype(np.float32)
+    index = np.arange(grid_s.size).reshape(grid_s.shape)
+    a, b, c, d = index[:-1, :-1], index[1:, :-1], index[1:, 1:], index[:-1, 1:]
+    faces = np.stack([np.stack([a, b, c], -1), np.stack([a, c, d], -1)], 2)
+    return Mesh(vertices.reshape(-1, 3), faces.reshape(-1, 3), labels, materials, shades)
+
+
+def _lines(regular: Array, edges: Array, low: float, high: float) -> Array:
+    lines: Array = np.unique(np.concatenate([regular, edges - KERB_M, edges + KERB_M]))
+    lines = lines[(lines >= low) & (lines <= high)]
+    apart: Array = lines[np.concatenate([[True], np.diff(lines) > 0.01])]
+    return apart

@@ -1,0 +1,44 @@
+# SPDX-License-Identifier: MIT
+"""A whole street: the ground, all that stands on it, all that moves."""
+
+from dataclasses import replace
+
+from salsanext_cli.synthesis.mesh import Mesh, Rng, merge
+from salsanext_cli.synthesis.presets import Style
+from salsanext_cli.synthesis.street import boundaries, lots, roadside
+from salsanext_cli.synthesis.street.builder import Builder
+from salsanext_cli.synthesis.street.draw import draw_plan
+from salsanext_cli.synthesis.street.ground import ground
+from salsanext_cli.synthesis.street.plan import Plan
+from salsanext_cli.synthesis.street.tones import draw_tones, toned
+from salsanext_cli.synthesis.street.traffic import START_M, Mover, moving
+
+
+def build_street(
+    rng: Rng, style: Style, distance: float, ego_speed: float
+) -> tuple[Plan, Mesh, tuple[Mover, ...]]:
+    """Build a street on which the recording vehicle can drive `distance` metres.
+
+    Returns
+    -------
+    plan : Plan
+        The ground plan.
+    standing : Mesh
+        All that keeps still, world coordinates.
+    movers : tuple of Mover
+        All that moves.
+    """
+    plan = draw_plan(rng, style, distance + 2 * START_M)
+    builder = Builder(rng, plan)
+    builder.parts.append(ground(rng, plan))
+    for side in plan.sides:
+        roadside.furnish(builder, side)
+        for lot in side.lots:
+            lots.furnish(builder, side, lot)
+    duration = distance / ego_speed
+    if style.barrier:
+        boundaries.median(builder)
+    movers = moving(builder, ego_speed, duration)
+    tones = draw_tones(rng)
+    painted = (replace(mover, mesh=toned(mover.mesh, tones)) for mover in movers)
+    return plan, toned(merge(builder.parts), tones), tuple(painted)

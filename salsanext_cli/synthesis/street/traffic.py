@@ -1,0 +1,119 @@
+# SPDX-License-Identifier: MIT
+"""All that moves in a street: vehicles, pedestrians, riders."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from salsanext_cli.synthesis import surfaces
+from salsanext_cli.synthesis.mesh import Mesh
+from salsanext_cli.synthesis.street.builder import Builder
+from salsanext_cli.synthesis.street.plan import Plan
+from salsanext_cli.synthesis.street.tones import varied
+from salsanext_cli.synthesis.things import people, riders
+from salsanext_cli.synthesis.things.vehicles import vehicle
+
+LANE_M = 5.5
+"""Half the width of a carriageway from which on it has more than a lane per direction."""
+START_M = 70.0
+"""Length of the street behind the first scan and beyond the last one."""
+
+
+@dataclass(frozen=True, slots=True)
+class Mover:
+    """A thing that keeps its speed and its distance from the centre line.
+
+    Its mesh is in its own frame, x forward. At time 0 it is ``start`` metres along the street and
+    ``t`` metres to the left; a negative ``speed``, in metres per second, leads towards the start.
+    """
+
+    mesh: Mesh
+    start: float
+    t: float
+    speed: float
+
+    def at(self, plan: Plan, time: float) -> Mesh | None:
+        """Return it in world coordinates at a time, None while it is off the street."""
+        s = self.start + self.speed * time
+        if not 3 < s < plan.length - 3:
+            return None
+        yaw = float(plan.yaw(s)) + (np.pi if self.speed < 0 else 0.0)
+        return self.mesh.moved(plan.world(s, self.t), yaw)
+
+
+def moving(builder: Builder, ego_speed: float, duration: float) -> tuple[Mover, ...]:
+    """Return the things that move during a drive of `duration` seconds, metres per second."""
+    return (
+        *_vehicles(builder, ego_speed, duration),
+        *_walkers(builder, duration),
+        *_riders(builder, ego_speed, duration),
+    )
+
+
+def _vehicles(builder: Builder, speed: float, duration: float) -> Iterator[Mover]:
+    """Yield vehicles around the recording one, which keeps to the outer lane, and oncoming ones."""
+    plan = builder.plan
+    *others, own = lanes(plan.half)
+    way, ahead, behind = speed * duration, builder.between(9, 40), builder.between(9, 50)
+    for s in _in_a_row(builder, START_M + ahead, plan.length + way, 10):
+        yield Mover(_vehicle(builder), s, -own, speed)
+    for s in _in_a_row(builder, START_M - behind, -way, 10):
+        yield Mover(_vehicle(builder), s, -own, speed)
+    for t in others:
+        pace = speed * builder.between(0.9, 1.3)
+        for s in _in_a_row(builder, -pace * duration, plan.length, 10):
+            yield Mover(_vehicle(builder), s, -t, pace)
+    for t in (*others, own):
+        pace = speed * builder.between(0.5, 1.2)
+        for s in _in_a_row(builder, builder.between(0, 40), plan.length + pace * duration, 11):
+            yield Mover(_vehicle(builder), s, t, -pace)
+
+
+def lanes(half: float) -> list[float]:
+    """Return the middles of the lanes of half a carriageway, metres from the centre line."""
+    count = 1 if half < LANE_M else int(half / LANE_M) + 1
+    return [(index + 0.5) / count * half for index in range(count)]
+
+
+def _in_a_row(builder: Builder, start: float, end: float, room: float) -> Iterator[float]:
+    """Yield places of vehicles from start to end, with gaps and the room that each takes."""
+    sign, gap = 1 if end > start else -1, 100 / builder.plan.style.traffic
+    while (end - start) * sign > 0:
+        yield start
+        start += sign * (builder.between(0.3, 1.7) * gap + room)
+
+
+def _vehicle(builder: Builder) -> Mesh:
+    mesh = varied(vehicle(builder.rng), builder.rng)
+    return mesh.relabelled(surfaces.MOVING[int(mesh.labels[0])])
+
+
+def _walkers(builder: Builder, duration: float) -> Iterator[Mover]:
+    """Yield pedestrians, alone or in twos."""
+    plan = builder.plan
+    for side in plan.sides:
+        for _ in builder.count(0.16 * plan.style.crowd * plan.length / 100):
+            pace = builder.between(0.7, 1.6) * builder.rng.choice([-1, 1])
+            s = builder.along() - pace * duration / 2
+            out = side.parking + builder.between(0.3, max(0.6, side.verge + side.sidewalk - 0.3))
+            for _ in range(int(builder.rng.choice([1, 1, 2, 2, 3, 4]))):
+                t = side.sign * (plan.half + out + builder.rng.normal(0, 0.35))
+                place = s + builder.rng.normal(0, 0.6)
+                person = people.person(builder.rng).relabelled(surfaces.MOVING[surfaces.PERSON])
+                yield Mover(person, place, t, pace)
+
+
+def _riders(builder: Builder, speed: float, duration: float) -> Iterator[Mover]:
+    """Yield riders, each of whom meets the recording vehicle some time during the drive."""
+    plan = builder.plan
+    for _ in builder.count(0.5 + 0.06 * plan.style.crowd * plan.length / 100):
+        sign = builder.rng.choice([-1, 1])
+        pace = -sign * builder.between(0.5, 1.05) * speed
+        meeting = builder.between(0, duration)
+        s = START_M + speed * meeting - pace * meeting + builder.rng.normal(0, 22)
+        t = sign * max(2.3, plan.half + builder.between(-0.9, 0.9))
+        make = riders.bicyclist if builder.chance(0.5) else riders.motorcyclist
+        rider = make(builder.rng)
+        rider = rider.relabelled(surfaces.MOVING[int(rider.labels[0])])
+        yield Mover(rider, float(s), t, pace)

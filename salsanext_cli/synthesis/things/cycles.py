@@ -1,0 +1,100 @@
+# SPDX-License-Identifier: MIT
+"""Bicycles and motorcycles, without riders.
+
+Local frame: x forward, y left, the ground at z = 0.
+"""
+
+import numpy as np
+
+from salsanext_cli.synthesis.mesh import Array, Mesh, Rng, Skin, box, disc, ellipsoid, merge, tube
+from salsanext_cli.synthesis.surfaces import BICYCLE, MOTORCYCLE, Material
+from salsanext_cli.synthesis.things.bodies import dark_paint
+
+WHEEL_M = 0.34
+"""Radius of a bicycle's wheel."""
+AXLE_M = 0.52
+"""Half the distance between the axles of a bicycle."""
+
+
+def _ring(centre: Array, radius: float, thickness: float, skin: Skin) -> Mesh:
+    angle = np.linspace(0, 2 * np.pi, 15)
+    path = centre + np.stack([radius * np.cos(angle), np.zeros(15), radius * np.sin(angle)], -1)
+    return tube(path, thickness, skin, 5)
+
+
+def bicycle(rng: Rng, label: int = BICYCLE) -> Mesh:
+    """Return a bicycle: wheels with spokes and mudguards, frame, handlebar, saddle, baskets."""
+    frame = Skin.drawn(rng, label, Material.METAL, 0.6, 2.2)
+    tyre = Skin(label, Material.RUBBER, 3.0)
+    saddle, crank = np.array([-0.22, 0, 0.92]), np.array([-0.05, 0, 0.3])
+    head, fork = np.array([0.33, 0, 0.85]), np.array([AXLE_M, 0, WHEEL_M])
+    rear = np.array([-AXLE_M, 0, WHEEL_M])
+    bars = [
+        (saddle - [0, 0, 0.1], crank), (saddle * [0.9, 1, 0.85], head - [0, 0, 0.08]),
+        (crank, head - [-0.02, 0, 0.14]), (crank, rear), (saddle * [1, 1, 0.8], rear),
+        (head + np.array([-0.03, 0, 0.16]), fork), (saddle - [0, 0, 0.25], saddle),
+        (head + np.array([-0.05, -0.28, 0.17]), head + np.array([-0.05, 0.28, 0.17])),
+    ]  # fmt: skip
+    parts = [tube([a, b], 0.026, frame, 6) for a, b in bars]
+    for hub in (fork, rear):
+        parts.append(_ring(hub, WHEEL_M - 0.02, 0.028, tyre))
+        turn = rng.uniform(0, np.pi)
+        for angle in turn + np.arange(5) * np.pi / 5:
+            reach = (WHEEL_M - 0.03) * np.array([np.cos(angle), 0, np.sin(angle)])
+            parts.append(tube([hub - reach, hub + reach], 0.009, frame, 4))
+    parts.append(ellipsoid(saddle, (0.13, 0.07, 0.04), tyre))
+    parts.append(ellipsoid(crank, (0.1, 0.06, 0.1), frame))
+    pedals = box((-0.02, -0.1, -0.02), (0.02, 0.1, 0.02), tyre)
+    parts.append(pedals.moved(crank + np.array([0, 0, -0.14])))
+    reflector = Skin(label, Material.RETRO)
+    parts.append(box((-0.62, -0.03, 0.6), (-0.59, 0.03, 0.66), reflector))
+    if rng.random() < 0.6:
+        parts.append(box((-0.7, -0.07, 0.71), (-0.28, 0.07, 0.73), frame))
+    if rng.random() < 0.35:
+        basket = Skin(label, Material.WOOD, 0.9)
+        parts.append(box((0.36, -0.17, 0.8), (0.64, 0.17, 1.02), basket))
+    if rng.random() < 0.2:
+        parts.append(box((-0.72, 0.08, 0.42), (-0.36, 0.2, 0.7), Skin(label, Material.CLOTH, 0.8)))
+    return merge(parts).scaled(rng.uniform([0.92, 0.95, 0.95], [1.06, 1.05, 1.06]))
+
+
+def motorcycle(rng: Rng, label: int = MOTORCYCLE) -> Mesh:
+    """Return a motorcycle or a scooter."""
+    paint, iron = Skin(label, Material.PAINT, dark_paint(rng)), Skin(label, Material.METAL, 0.6)
+    tyre = Skin(label, Material.RUBBER, float(rng.uniform(0.5, 3)))
+    scooter = rng.random() < 0.4
+    radius = 0.23 if scooter else 0.31
+    front, rear = np.array([0.68, 0, radius]), np.array([-0.62, 0, radius])
+    head, bar = np.array([0.4, 0, 0.95]), np.array([0.33, 0, 1.04])
+    parts = [tube([head, front], 0.05, iron), tube([head, bar], 0.03, iron)]
+    for hub in (front, rear):
+        parts.append(_ring(hub, radius - 0.05, 0.065, tyre))
+        parts.append(disc(hub, radius * 0.6, iron))
+    parts.append(tube([bar - [0.05, 0.36, 0], bar, bar - [0.05, -0.36, 0]], 0.025, iron, 5))
+    parts.append(ellipsoid(head + [0.1, 0, -0.06], (0.09, 0.1, 0.1), Skin(label, Material.LAMP)))
+    parts.append(box((-0.86, -0.1, 0.5), (-0.83, 0.1, 0.64), Skin(label, Material.RETRO)))
+    parts += (_scooter if scooter else _engine)(paint, iron, tyre)
+    if rng.random() < 0.4:
+        parts.append(box((0.42, -0.2, 0.95), (0.45, 0.2, 1.35), Skin(label, Material.GLASS)))
+    if rng.random() < 0.4:
+        parts.append(box((-0.9, -0.2, 0.85), (-0.55, 0.2, 1.15), paint))
+    return merge(parts).scaled(rng.uniform([0.9, 0.9, 0.92], [1.12, 1.1, 1.08]))
+
+
+def _engine(paint: Skin, iron: Skin, seat: Skin) -> list[Mesh]:
+    return [
+        ellipsoid((0.15, 0, 0.82), (0.3, 0.15, 0.14), paint),
+        ellipsoid((-0.35, 0, 0.8), (0.42, 0.14, 0.08), seat),
+        box((-0.2, -0.17, 0.28), (0.3, 0.17, 0.66), iron),
+        tube([[0.2, -0.2, 0.35], [-0.7, -0.22, 0.4]], 0.06, iron),
+        box((-0.75, -0.06, 0.62), (-0.3, 0.06, 0.74), paint),
+    ]
+
+
+def _scooter(paint: Skin, iron: Skin, seat: Skin) -> list[Mesh]:
+    return [
+        box((0.36, -0.2, 0.35), (0.42, 0.2, 0.95), paint),
+        box((-0.15, -0.17, 0.26), (0.4, 0.17, 0.34), iron),
+        ellipsoid((-0.42, 0, 0.55), (0.42, 0.2, 0.25), paint),
+        ellipsoid((-0.38, 0, 0.8), (0.36, 0.15, 0.07), seat),
+    ]
