@@ -108,7 +108,8 @@ def export_ply(
     space : LabelSpace, optional
         Otherwise the one that `predict` recorded in `out`, else that of the scans' data set.
     network : NetworkSettings
-        What to sample scans with whose uncertainty is asked for but was not computed yet.
+        What to sample scans with whose uncertainty is asked for but was not computed yet; and the
+        classes into which those of labels and predictions are merged.
     selection, options
         Which scans, and how to go through them.
 
@@ -126,7 +127,7 @@ def export_ply(
     if form != "ply":
         import_laspy(f"--format {form}", compressed=form == "laz")
     scans = recorded_scans(out, dataset)
-    space = space_of_results(out, scans, space)
+    space = space_of_results(out, scans, space, network.classes)
     _require_same_weights(out)
     chosen = choose(scans, ScanSelection(selection.split, selection.sequences), space, out)
     scans = with_results(out, chosen)[: selection.limit]

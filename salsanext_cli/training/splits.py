@@ -1,8 +1,10 @@
 # SPDX-License-Identifier: MIT
 """Splits of a labelled data set: the scans to train on and those to validate with."""
 
+from dataclasses import replace
 from pathlib import Path
 
+from salsanext_cli.class_merging import contradiction
 from salsanext_cli.classes import LabelSpace, label_space
 from salsanext_cli.errors import NoInputError
 from salsanext_cli.storage.layout import ScanFile, find_scans
@@ -19,14 +21,18 @@ def labelled_splits(
     dataset : Path
         Its root.
     space : LabelSpace, optional
-        Otherwise what the data set says, else SemanticKITTI's.
+        Otherwise what the data set says, else SemanticKITTI's. One that merges the data set's
+        classes has its splits.
 
     Raises
     ------
     NoInputError
         If a split has no scans.
     """
-    space = space or data_set_label_space(dataset) or label_space()
+    own = data_set_label_space(dataset)
+    space = space or own or label_space()
+    if own is not None and not own.fits(space) and not contradiction(own, space):
+        space = replace(space, splits=own.splits)
     found: dict[str, list[ScanFile]] = {}
     for split in ("train", "valid"):
         members = space.split(split)
