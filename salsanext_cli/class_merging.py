@@ -54,6 +54,14 @@ class ClassMerging:
         targets = tuple(_targets(own, merged, i)[0] for i in range(own.class_count))
         return cls(replace(merged, splits=merged.splits or own.splits), targets)
 
+    @classmethod
+    def needed(cls, own: LabelSpace, merged: LabelSpace | None) -> ClassMerging | None:
+        """Merge classes as `between`; None if no others are given or they are the same."""
+        if merged is None:
+            return None
+        found = cls.between(own, merged)
+        return None if own.fits(merged) else found
+
     @property
     def groups(self) -> tuple[tuple[int, ...], ...]:
         """Train ids that become each of the K; of some classes there may be none."""
@@ -72,9 +80,9 @@ class ClassMerging:
 def contradiction(own: LabelSpace, merged: LabelSpace) -> str:
     """Return why the classes of a label space cannot be merged into another's, empty if they can.
 
-    Names of raw ids are compared too, but for those that stand for a class, which its name has.
+    Names of raw ids are compared too, but for those that have the name of a class of several.
     """
-    known, standing = merged.learning_map, {*merged.learning_map_inv.values()}
+    known, standing = merged.learning_map, _standing_for_several(own, merged)
     if missing := sorted({*own.learning_map, *own.learning_map_inv.values()} - known.keys()):
         return f"no raw id {first_few([_named(own, i) for i in missing])}"
     both = sorted((own.labels.keys() & merged.labels.keys()) - standing)
@@ -90,6 +98,16 @@ def contradiction(own: LabelSpace, merged: LabelSpace) -> str:
     if len({k for k in left if not merged.ignored[k]}) < FEWEST:
         return f"all {len(every)} classes become {first_few([merged.names[k] for k in left])}"
     return ""
+
+
+def _standing_for_several(*spaces: LabelSpace) -> set[int]:
+    """Return the raw ids that stand for a class of several in one of the label spaces."""
+    return {
+        raw
+        for space in spaces
+        for train_id, raw in space.learning_map_inv.items()
+        if list(space.learning_map.values()).count(train_id) > 1
+    }
 
 
 def _targets(own: LabelSpace, merged: LabelSpace, train_id: int) -> list[int]:

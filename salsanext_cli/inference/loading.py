@@ -59,8 +59,7 @@ def load_network(
     """
     file = default_weights() if path is None else Path(path)
     card = read_card(file)
-    merges = classes is not None and not card.space.fits(classes)
-    merging = ClassMerging.between(card.space, classes) if classes and merges else None
+    merging = ClassMerging.needed(card.space, classes)
     if file.suffix == ONNX_SUFFIX:
         model = load_onnx(file, card, device, sensor or card.sensor, precision, engine)
         return replace(model, merging=merging)

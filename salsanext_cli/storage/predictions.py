@@ -101,13 +101,12 @@ def space_of_results(
     recorded = recorded_label_space(out)
     space = space or space_of(scans, recorded)
     target = classes or recorded or space
-    if target.fits(space) and (recorded is None or recorded.fits(space)):
-        return space
     named_alike = own_ids and space.names == target.names
     if classes is not None:
         for own in (recorded or space, *(() if named_alike else (space,))):
-            if not own.fits(classes):
-                ClassMerging.between(own, classes)
+            ClassMerging.between(own, classes)
+    elif target.fits(space):
+        return space
     elif not named_alike and contradiction(space, target):
         raise LabelError(
             out,
@@ -136,9 +135,9 @@ def merging_into(out: Path, space: LabelSpace) -> ClassMerging | None:
     Probabilities of unknown origin are those of the other classes.
     """
     recorded = recorded_label_space(out, "probabilities")
-    if recorded is None or recorded.fits(space):
-        return None
-    return ClassMerging.between(recorded, space)
+    return (
+        None if recorded is None or recorded.fits(space) else ClassMerging.between(recorded, space)
+    )
 
 
 def provenance(out: Path, selection: ScanSelection, dataset: Path | None = None) -> dict[str, Any]:

@@ -112,7 +112,7 @@ def softmax_moments(
     return tuple(t.movedim(0, dim).to(mean.dtype) for t in results)  # type: ignore[return-value]
 
 
-def _softmax_of_groups(m: Tensor, v: Tensor, groups: Groups | None) -> tuple[Tensor, Tensor]:
+def _softmax_of_groups(m: Tensor, v: Tensor, *, groups: Groups | None) -> tuple[Tensor, Tensor]:
     """Return the moments (K, N) from those of the logits, (C, N)."""
     if groups is None:
         return _softmax(m, v)
