@@ -80,13 +80,15 @@ class ClassMerging:
 def contradiction(own: LabelSpace, merged: LabelSpace) -> str:
     """Return why the classes of a label space cannot be merged into another's, empty if they can.
 
-    Names of raw ids are compared too, but for those that have the name of a class of several.
+    Where most of the raw ids of both have other names, they are of two systems of ids; those that
+    have the name of a class of several raw ids do not count.
     """
     known, standing = merged.learning_map, _standing_for_several(own, merged)
     if missing := sorted({*own.learning_map, *own.learning_map_inv.values()} - known.keys()):
         return f"no raw id {first_few([_named(own, i) for i in missing])}"
     both = sorted((own.labels.keys() & merged.labels.keys()) - standing)
-    if other := [i for i in both if own.labels[i] != merged.labels[i]]:
+    other = [i for i in both if own.labels[i] != merged.labels[i]]
+    if 2 * len(other) > len(both):
         shown = [f"{merged.labels[i]} for raw id {_named(own, i)}" for i in other]
         return first_few(shown)
     every = range(own.class_count)

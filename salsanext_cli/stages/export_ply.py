@@ -40,6 +40,7 @@ from salsanext_cli.storage.sources import (
 )
 from salsanext_cli.storage.stage_records import (
     origins,
+    recorded_label_space,
     recorded_sensor,
     recorded_weights,
     stage_settings,
@@ -168,7 +169,7 @@ def export_ply(
 
 
 def _require_same_weights(out: Path) -> None:
-    """Refuse to show the uncertainty of one network beside the labels of another."""
+    """Refuse to show the uncertainty of one network, or in other classes, beside the labels."""
     labels, estimated = (
         recorded_weights(out, folder) for folder in ("predictions", "uncertainty/epistemic")
     )
@@ -178,6 +179,15 @@ def _require_same_weights(out: Path) -> None:
             f"labels by the weights {labels[:12]}…, uncertainty by {estimated[:12]}…",
             "the same weights for both",
             f"run `salsanext uncertainty SCANS {out} --overwrite` with the weights of the labels",
+        )
+    space = recorded_label_space(out, "predictions")
+    other = recorded_label_space(out, "uncertainty/epistemic")
+    if labels and space and other and not space.fits(other):
+        raise OutputError(
+            out,
+            f"labels in the classes of {space.name}, uncertainty in those of {other.name}",
+            "the same for both",
+            f"run `salsanext uncertainty SCANS {out} --overwrite` with the --classes of the labels",
         )
 
 

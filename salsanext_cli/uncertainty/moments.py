@@ -77,9 +77,9 @@ def softmax_moments(
     The means p are divided by their sum; each variance keeps its share of p (1 − p), which no
     variable between 0 and 1 exceeds.
 
-    The logit of merged classes is the logarithm of the sum of their exponentials, taken as
-    log-normal like that of the others, so that its softmax is the sum of theirs. Those of groups
-    without a common class are independent.
+    Of merged classes, the mean is the sum of theirs. For the variance they have one logit, the
+    logarithm of the sum of their exponentials, taken as log-normal like that of the others; logits
+    of groups without a common class are independent.
 
     Parameters
     ----------
@@ -114,14 +114,24 @@ def softmax_moments(
 
 def _softmax_of_groups(m: Tensor, v: Tensor, *, groups: Groups | None) -> tuple[Tensor, Tensor]:
     """Return the moments (K, N) from those of the logits, (C, N)."""
+    mean, variance = _softmax(m, v)
     if groups is None:
-        return _softmax(m, v)
+        return mean, variance
     filled = [number for number, group in enumerate(groups) if group]
-    sums = [_log_sum(m[list(groups[number])], v[list(groups[number])]) for number in filled]
-    mean, variance = _softmax(*(torch.stack(part) for part in zip(*sums, strict=True)))
-    place = torch.tensor(filled, device=m.device)
-    empty = mean.new_zeros(len(groups), mean.shape[1])
-    return empty.index_copy(0, place, mean), empty.index_copy(0, place, variance)
+    logits = [_log_sum(m[list(groups[number])], v[list(groups[number])]) for number in filled]
+    _, of_filled = _softmax(*(torch.stack(part) for part in zip(*logits, strict=True)))
+    mean = torch.stack([mean[list(group)].sum(dim=0) for group in groups])
+    variance = torch.zeros_like(mean)
+    variance[filled] = of_filled
+    is_best = _is_best(mean)
+    others = _sum_of_others(mean, mean.masked_fill(is_best, 0), is_best)
+    return mean, variance.minimum(mean * others)
+
+
+def _is_best(values: Tensor) -> Tensor:
+    """Return a mask of the largest of each column, (C, N) bool."""
+    none = torch.zeros_like(values, dtype=torch.bool)
+    return none.scatter_(0, values.argmax(0, keepdim=True), True)
 
 
 def _log_sum(m: Tensor, v: Tensor) -> tuple[Tensor, Tensor]:
@@ -136,7 +146,7 @@ def _softmax(m: Tensor, v: Tensor) -> tuple[Tensor, Tensor]:
     """Return the moments of (C, N)."""
     if len(m) == 1:
         return torch.ones_like(m), torch.zeros_like(v)
-    is_best = torch.zeros_like(m, dtype=torch.bool).scatter_(0, m.argmax(0, keepdim=True), True)
+    is_best = _is_best(m)
     margin, margin_variance = _margins(m, v, is_best)
     probability, complement, variance = logistic_moments(margin, margin_variance)
     total = probability.sum(dim=0)
