@@ -77,6 +77,11 @@ class ClassMerging:
         return merged
 
 
+def is_merged(merged: LabelSpace, own: LabelSpace) -> bool:
+    """Say whether the classes of a label space are merged ones of another's."""
+    return not own.fits(merged) and not contradiction(own, merged)
+
+
 def contradiction(own: LabelSpace, merged: LabelSpace) -> str:
     """Return why the classes of a label space cannot be merged into another's, empty if they can.
 

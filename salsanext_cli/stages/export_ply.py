@@ -53,11 +53,16 @@ log = logging.getLogger(__name__)
 
 
 def export_scan(
-    file: ScanFile, colours: PointColours, sensor: Sensor, form: str, output: OutputRun
+    file: ScanFile,
+    colours: PointColours,
+    sensor: Sensor,
+    form: str,
+    output: OutputRun,
+    classes: LabelSpace | None = None,
 ) -> None:
     """Write one scan as a coloured cloud with every known scalar."""
     output.require_replaceable(file)
-    results = read_results(file, output.out, sensor)
+    results = read_results(file, output.out, sensor, classes)
     columns = scalar_columns(results, colours.space)
     if colours.colour not in columns:
         raise missing_column(colours.colour, file, output.out)
@@ -162,6 +167,7 @@ def export_ply(
         record_scans=False,
     ) as output:
         task = partial(export_scan, colours=colours, sensor=sensor, form=form, output=output)
+        task = partial(task, classes=network.classes)
         outcome = run_over_scans(task, scans, options, is_done=output.is_done)
     log.log(NOTICE, "coloured by %s: %s", colour, out / "sequences/*" / folder)
     failures = tuple(unestimated.get(failure.scan, failure) for failure in outcome.failures)

@@ -9,7 +9,7 @@ from itertools import count
 from pathlib import Path
 from typing import Any
 
-from salsanext_cli.class_merging import contradiction
+from salsanext_cli.class_merging import is_merged
 from salsanext_cli.classes import LabelSpace, label_space
 from salsanext_cli.errors import LabelError, NoInputError, UsageError, first_few
 from salsanext_cli.formats.reading import is_folder, present
@@ -136,7 +136,7 @@ def submit(
 def _require_full_classes(out: Path, space: LabelSpace, scans: Sequence[ScanFile]) -> None:
     """Refuse classes that are merged ones of the data set's or of the benchmark's."""
     for full in (space_of(scans), label_space()):
-        if not full.fits(space) and not contradiction(full, space):
+        if is_merged(space, full):
             found = f"predictions in the merged classes of {space.name}"
             raise LabelError(out, found, f"those of {full.name}", "predict without --classes")
 

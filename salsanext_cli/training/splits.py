@@ -4,7 +4,7 @@
 from dataclasses import replace
 from pathlib import Path
 
-from salsanext_cli.class_merging import contradiction
+from salsanext_cli.class_merging import is_merged
 from salsanext_cli.classes import LabelSpace, label_space
 from salsanext_cli.errors import NoInputError
 from salsanext_cli.storage.layout import ScanFile, find_scans
@@ -31,7 +31,7 @@ def labelled_splits(
     """
     own = data_set_label_space(dataset)
     space = space or own or label_space()
-    if own is not None and not own.fits(space) and not contradiction(own, space):
+    if own is not None and is_merged(space, own):
         space = replace(space, splits=own.splits)
     found: dict[str, list[ScanFile]] = {}
     for split in ("train", "valid"):
