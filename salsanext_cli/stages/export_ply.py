@@ -76,8 +76,8 @@ def export_scan(
         return
     space, path = colours.space, output.path(file, folder)
     comments += [f"class {asprs_class(i, space)} {name}" for i, name in space.labels.items()]
-    classes = classification(columns.get("label", np.zeros(len(results.scan), np.uint32)), space)
-    output.write(file, folder, encode_las(path, known, classes, comments))
+    of_points = classification(columns.get("label", np.zeros(len(results.scan), np.uint32)), space)
+    output.write(file, folder, encode_las(path, known, of_points, comments))
 
 
 def export_ply(
