@@ -103,7 +103,8 @@ def contradiction(own: LabelSpace, merged: LabelSpace) -> str:
         return f"{own.names[split[0]]} is split into {' and '.join(names)}"
     left = {_targets(own, merged, i)[0] for i in every if not own.ignored[i]}
     if len({k for k in left if not merged.ignored[k]}) < FEWEST:
-        return f"all {len(every)} classes become {first_few([merged.names[k] for k in left])}"
+        few = first_few([merged.names[k] for k in sorted(left)])
+        return f"all {len(every)} classes become {few}"
     return ""
 
 
