@@ -26,7 +26,7 @@ from salsanext_cli.settings_files import read_yaml
 TrainIds = npt.NDArray[np.uint8]
 RawIds = npt.NDArray[np.uint32]
 
-BUILT_IN = ("semantic-kitti",)
+BUILT_IN = ("semantic-kitti", "coarse")
 MOVING = "moving-"
 """Start of the names of moving things, which are classes of their own over several scans only."""
 

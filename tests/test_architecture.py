@@ -18,6 +18,7 @@ LEVELS = (
     ("label_yaml", "kernels", "column_names", "beam_elevations"),
     ("sensor_limits",),
     ("classes", "sensors"),
+    ("class_merging",),
     ("records",),
     ("formats", "geometry"),
     ("storage",),

@@ -17,7 +17,7 @@ from salsanext_cli.uncertainty.settings import Estimator
 
 def predict(path: Path, out: Path, network: sn.Network) -> None:
     """Label the points of one scan, file to file, by the steps of `salsanext predict`."""
-    place, space = network.device, network.card.space
+    place, space = network.device, network.space
     image = sn.project(sn.read_scan(path), network.sensor, place)
     pixel_labels = network.probabilities(image).argmax(axis=0).astype(np.uint8)
     labels = sn.knn_refine(image, pixel_labels, space.class_count, device=place)
@@ -29,7 +29,7 @@ def prepare(part: str, path: Path, task: Mapping[str, Any]) -> Callable[[], Any]
     place, sensor = task["device"], sn.Sensor.from_dict(task["sensor"])
     settings = (task["weights"], place, sensor, task["precision"], task["engine"])
     network = sn.load_network(*settings)
-    scan, count = sn.read_scan(path), network.card.space.class_count
+    scan, count = sn.read_scan(path), network.space.class_count
     image, file = sn.project(scan, sensor, place), ScanFile("", path.stem, path)
     work: dict[str, Callable[[], Any]] = {
         "hardware": lambda: describe(network.device, network.precision),

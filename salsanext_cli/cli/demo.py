@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: MIT
 """`salsanext demo`."""
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated
 
@@ -18,6 +19,7 @@ def demo(
     *,
     scans: Annotated[int, typer.Option(help="Number of scans of the synthetic drive.")] = 4,
     samples: Annotated[int, typer.Option(help="Monte-Carlo passes per scan.")] = 8,
+    merged: options.MergedClasses,
     network: Annotated[options.NetworkOptions, Without({"sensor", "columns"})],
     local: run_options.Local,
     output: console.Output,
@@ -34,7 +36,7 @@ def demo(
         folder,
         scans=scans,
         samples=samples,
-        network=network.settings(),
+        network=replace(network.settings(), classes=merged.space()),
         options=RunOptions(jobs=local.jobs, overwrite=local.overwrite),
         bars=lambda step: progress(step, output.quiet),
     )

@@ -5,7 +5,7 @@ from typing import Annotated
 
 import typer
 
-from salsanext_cli.cli import console, run_end, run_options, selection_options
+from salsanext_cli.cli import console, options, run_end, run_options, selection_options
 from salsanext_cli.cli.option_groups import Without
 from salsanext_cli.errors import counted
 
@@ -18,6 +18,7 @@ def evaluate(
     ] = False,
     selection: selection_options.ResultSelection,
     classes: selection_options.Classes,
+    merged: options.MergedClasses,
     running: Annotated[run_options.RunningUnsharded, Without({"overwrite"})],
     output: console.Output,
 ) -> None:
@@ -33,10 +34,13 @@ def evaluate(
 
     out = results.folder()
     chosen, dataset = selection.scans(), selection.dataset
-    files, space = predicted_scans(out, chosen, dataset, classes.space())
+    labels = classes.space()
+    files, space = predicted_scans(out, chosen, dataset, labels, merged.space())
     with running.over_scans("eval", output) as run:
         settings = provenance(out, chosen, dataset)
-        evaluation = stage(files, out, space, run, by_distance=by_distance, settings=settings)
+        evaluation = stage(
+            *(files, out, space, run), by_distance=by_distance, settings=settings, labels=labels
+        )
     tables = [score_table(evaluation.scores)]
     if by_distance:
         tables.append(ring_table(evaluation.by_distance))

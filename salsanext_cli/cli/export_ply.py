@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: MIT
 """`salsanext export-ply`."""
 
+from dataclasses import replace
 from typing import Annotated
 
 import typer
@@ -33,6 +34,7 @@ def export_ply(
     ] = "ply",
     selection: selection_options.ResultSelection,
     classes: selection_options.Classes,
+    merged: options.MergedClasses,
     network: Annotated[options.NetworkOptions, Without({"columns"})],
     running: run_options.Running,
     output: console.Output,
@@ -52,7 +54,7 @@ def export_ply(
             form=form,
             dataset=selection.dataset,
             space=classes.space(),
-            network=network.settings(),
+            network=replace(network.settings(), classes=merged.space()),
             selection=selection.scans(),
             options=run,
         )

@@ -12,10 +12,11 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import typer
 
 from salsanext_cli.cli.option_groups import option, option_group
-from salsanext_cli.cli.selection_options import OUT_VARIABLE
+from salsanext_cli.cli.selection_options import OUT_VARIABLE, label_space
 from salsanext_cli.errors import UsageError
 
 if TYPE_CHECKING:
+    from salsanext_cli.classes import LabelSpace
     from salsanext_cli.geometry.knn import KnnParameters
     from salsanext_cli.inference.settings import NetworkSettings
     from salsanext_cli.sensors import Sensor
@@ -148,6 +149,22 @@ class AdaptableNetwork(NetworkOptions):
     def settings(self, *, sized: bool = False) -> NetworkSettings:
         """Build the settings that stages take; `sized` as for `named_sensor`."""
         return replace(NetworkOptions.settings(self, sized=sized), adapt=self.adapt)
+
+
+@option_group
+class MergedClasses:
+    """Classes into which others are merged."""
+
+    classes: str | None = option(
+        "Selection",
+        "Merge the classes into those of a label space: coarse, or a .yaml file. Probabilities of "
+        "merged classes are added.",
+        show_default="not merged",
+    )
+
+    def space(self) -> LabelSpace | None:
+        """Look up the label space, None where none was named."""
+        return label_space(self.classes)
 
 
 @option_group

@@ -2,6 +2,7 @@
 """`salsanext predict`."""
 
 import re
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -26,6 +27,7 @@ def predict(
         typer.Option("--probabilities", help="Also write the class probabilities of every point."),
     ] = False,
     selection: selection_options.SourceSelection,
+    merged: options.MergedClasses,
     network: options.AdaptableNetwork,
     knn: options.Knn,
     batch: Annotated[
@@ -49,7 +51,8 @@ def predict(
     source = selection.source(scans)
     wanted = {"pixel_labels": pixel_labels, "probabilities": probabilities}
     extras = tuple(name for name in wanted if wanted[name])
-    chosen: dict[str, Any] = {"network": network.settings(), "selection": selection.scans()}
+    loaded = replace(network.settings(), classes=merged.space())
+    chosen: dict[str, Any] = {"network": loaded, "selection": selection.scans()}
     outcome: Outcome
     with running.over_scans("predict", output) as run:
         if projected_sensor(source) is None:

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: MIT
 """`salsanext uncertainty`."""
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -27,6 +28,7 @@ def uncertainty(
         ),
     ] = True,
     selection: selection_options.SourceSelection,
+    merged: options.MergedClasses,
     network: options.AdaptableNetwork,
     knn: options.Knn,
     running: run_options.Checked,
@@ -43,7 +45,7 @@ def uncertainty(
         outcome = stage(
             selection.source(scans),
             out,
-            network=network.settings(),
+            network=replace(network.settings(), classes=merged.space()),
             knn=knn.parameters(),
             estimator=Estimator(method, samples, seed, aleatoric),
             selection=selection.scans(),

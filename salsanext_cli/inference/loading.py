@@ -5,6 +5,8 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from salsanext_cli.class_merging import ClassMerging
+from salsanext_cli.classes import LabelSpace
 from salsanext_cli.errors import WeightsError
 from salsanext_cli.inference.device import choose_device, choose_engine, choose_precision
 from salsanext_cli.inference.network import Network
@@ -25,6 +27,7 @@ def load_network(
     sensor: Sensor | None = None,
     precision: str = "float32",
     engine: str = "auto",
+    classes: LabelSpace | None = None,
 ) -> Network:
     """Load weights onto a device.
 
@@ -41,20 +44,25 @@ def load_network(
         As `device.choose_precision` takes it; ``"auto"`` is what the device is fast at.
     engine : str
         As `device.choose_engine` takes it.
+    classes : LabelSpace, optional
+        Into whose classes those of the weights are merged.
 
     Raises
     ------
     WeightsError
         If the file cannot be used.
     UsageError
-        If the device does not exist, or does not compute in that precision or with that engine.
+        If the device does not exist, or does not compute in that precision or with that engine; or
+        if the classes are not merged ones of the weights'.
     MissingDependency
         If OpenVINO was asked for and does not start.
     """
     file = default_weights() if path is None else Path(path)
     card = read_card(file)
+    merging = ClassMerging.needed(card.space, classes)
     if file.suffix == ONNX_SUFFIX:
-        return load_onnx(file, card, device, sensor or card.sensor, precision, engine)
+        model = load_onnx(file, card, device, sensor or card.sensor, precision, engine)
+        return replace(model, merging=merging)
     sha256, place = fingerprint(file), choose_device(device)
     network = Network(
         lambda: _read_module(file, place, sha256),
@@ -65,6 +73,7 @@ def load_network(
         choose_engine(engine, place),
         "default weights" if path is None else str(path),
         sha256,
+        merging,
     )
     if network.engine == "torch":
         _ = network.module

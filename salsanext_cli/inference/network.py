@@ -1,19 +1,21 @@
 # SPDX-License-Identifier: MIT
 """A network ready to use: range image in, probabilities out."""
 
-import logging
 import threading
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from salsanext_cli.errors import WeightsError, out_of_memory
+from salsanext_cli.class_merging import ClassMerging
+from salsanext_cli.classes import LabelSpace
+from salsanext_cli.errors import WeightsError
 from salsanext_cli.geometry.intensity import match_intensity
 from salsanext_cli.geometry.normalise import normalise
 from salsanext_cli.geometry.row_gaps import completed
+from salsanext_cli.inference.batches import Item, Result, halved_batches
 from salsanext_cli.inference.graphs import Graph, compiled_graph, converted
 from salsanext_cli.kernels import thread_count
 from salsanext_cli.network.card import WeightsCard
@@ -24,10 +26,6 @@ if TYPE_CHECKING:
     from torch import Tensor
 
     from salsanext_cli.network.segmentation import SegmentationNetwork
-
-log = logging.getLogger(__name__)
-Item = TypeVar("Item")
-Result = TypeVar("Result")
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,6 +50,8 @@ class Network:
         Name of the weights file, for errors.
     sha256 : str, optional
         Of the weights file; None for weights that no file holds as they are.
+    merging : ClassMerging, optional
+        Merges the classes of the card into those of all results but the logits.
     """
 
     load_module: Callable[[], "SegmentationNetwork"]
@@ -62,6 +62,17 @@ class Network:
     engine: str = "torch"
     weights: str = "the weights"
     sha256: str | None = None
+    merging: ClassMerging | None = None
+
+    @property
+    def space(self) -> LabelSpace:
+        """Classes of the results: those of the card, merged if that was asked for."""
+        return self.card.space if self.merging is None else self.merging.space
+
+    @property
+    def groups(self) -> tuple[tuple[int, ...], ...] | None:
+        """Train ids of the card that are merged into each class, None if none are."""
+        return None if self.merging is None else self.merging.groups
 
     @cached_property
     def module(self) -> "SegmentationNetwork":
@@ -147,14 +158,15 @@ class Network:
         return torch.zeros(1, 5, self.sensor.height, self.sensor.width)
 
     def logits(self, image: RangeImage) -> Float:
-        """Return the logits of every pixel, (C, H, W) float32."""
+        """Return the logits of every pixel, (C, H, W) float32, of the classes of the card."""
         (logits,) = self._computed([image.channels], "logits", lambda logits: logits)
         return logits
 
     def probabilities(self, image: RangeImage, source: object = "a scan") -> Float:
         """Return the softmax of every pixel, (C, H, W) float32, sum over C = 1.
 
-        The logits are divided by the card's temperature, which leaves their order as it is.
+        The logits are divided by the card's temperature, which leaves their order as it is; the
+        probabilities of merged classes are added.
 
         Parameters
         ----------
@@ -188,6 +200,14 @@ class Network:
         MemoryError
             If there is no room for a single one.
         """
+        return [self.merged(softmax) for softmax in self.card_probabilities(channels)]
+
+    def merged(self, probabilities: Float) -> Float:
+        """Add the probabilities of classes that are merged, if any are: (C, …) to (K, …)."""
+        return probabilities if self.merging is None else self.merging.add(probabilities)
+
+    def card_probabilities(self, channels: Sequence[Float]) -> list[Float]:
+        """Return the softmax of every pixel of some range images, of the classes of the card."""
         temperature = self.card.temperature
         return self._computed(
             *(channels, f"softmax at {temperature}"),
@@ -219,29 +239,8 @@ class Network:
         most: int,
         name: str,
     ) -> list[Result]:
-        """Return the results of a function of batches, halved where memory runs out.
-
-        The network remembers for how many items of a name there was room.
-
-        Raises
-        ------
-        MemoryError
-            If there is no room for a single item.
-        """
-        found: list[Result] = []
-        while len(found) < len(items):
-            size = min(most, self.batch_sizes.get(name, most))
-            batch = items[len(found) : len(found) + size]
-            try:
-                found.extend(function(batch))
-            except (MemoryError, RuntimeError) as error:
-                if not out_of_memory(error):
-                    raise
-                if len(batch) == 1:
-                    raise MemoryError(f"no room for one of the {name}") from error
-                size = self.batch_sizes[name] = len(batch) // 2
-                log.warning("not enough memory for %d %s at once: %d now", len(batch), name, size)
-        return found
+        """Return the results of a function of batches; `halved_batches` takes the same."""
+        return halved_batches(function, items, most, name, self.batch_sizes)
 
     def require_finite(self, probabilities: Float, source: object) -> None:
         """Raise `WeightsError`, naming weights and scan, if a softmax is not finite."""

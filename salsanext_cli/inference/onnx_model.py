@@ -46,7 +46,7 @@ class OnnxNetwork(Network):
         of_one: Float = logits[0]
         return of_one
 
-    def pixel_probabilities(self, channels: Sequence[Float]) -> list[Float]:
+    def card_probabilities(self, channels: Sequence[Float]) -> list[Float]:
         """Return the softmax of every pixel of some range images, (C, H, W) float32 each."""
         compiled = self._compiled(self.card.temperature)
         return [compiled(self.input_array(image))[0][0] for image in channels]
@@ -96,7 +96,7 @@ def load_onnx(
         _openvino(),
         str(path),
         fingerprint(path),
-        path,
+        path=path,
     )
     import openvino
 

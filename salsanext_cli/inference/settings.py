@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+from salsanext_cli.classes import LabelSpace
 from salsanext_cli.errors import NOTICE, WeightsError
 from salsanext_cli.inference.loading import load_network
 from salsanext_cli.inference.network import Network
@@ -44,6 +45,8 @@ class NetworkSettings:
         The weights file that came of it: this one is loaded.
     sha256 : str, optional
         Of the weights file that a run began with; others are refused.
+    classes : LabelSpace, optional
+        As `load_network` takes them.
     """
 
     weights: Path | None = None
@@ -56,6 +59,7 @@ class NetworkSettings:
     adapt: bool = False
     adapted: Path | None = None
     sha256: str | None = None
+    classes: LabelSpace | None = None
 
     @property
     def path(self) -> Path:
@@ -75,21 +79,24 @@ class NetworkSettings:
         WeightsError
             If the file cannot be used, or was replaced since the run began.
         UsageError
-            If the device does not exist, or does not compute in the precision or with the engine.
+            If the device does not exist, or does not compute in the precision or with the engine;
+            or if the classes are not merged ones of the weights'.
         """
         file = self.adapted or self.path
         if self.sha256 and self.sha256 != fingerprint(file):
             found = "was replaced since the run began"
             raise WeightsError(file, found, "the same file", "run again with --overwrite")
         wanted = self.adapted or self.weights
-        return load_network(wanted, self.device, self.sensor, self.precision, self.engine)
+        how = (self.device, self.sensor, self.precision, self.engine, self.classes)
+        return load_network(wanted, *how)
 
     def announce(self, network: Network) -> None:
         """Log what computes, and on what the default weights were trained."""
         name = self.weights or f"default weights ({network.card.summary()})"
         how = (network.device, network.engine, network.precision)
         adapted = f", adapted: {self.adapted}" if self.adapted else ""
-        log.log(NOTICE, "%s on %s by %s in %s%s", name, *how, adapted)
+        merged = f", merged into the classes of {network.space.name}" if network.merging else ""
+        log.log(NOTICE, "%s on %s by %s in %s%s%s", name, *how, adapted, merged)
 
     def resolved(self, network: Network) -> NetworkSettings:
         """Log what computes, and return the settings for workers: all the same, same weights.
@@ -112,7 +119,7 @@ class NetworkSettings:
         adapted = {"adapted": network.sha256} if self.adapted else {}
         return adapted | {
             "weights": fingerprint(self.path) if adapted else network.sha256,
-            "label_space": network.card.space.to_dict(),
+            "label_space": network.space.to_dict(),
             "sensor": recorded_view(network.sensor),
             "precision": network.precision,
             "engine": network.engine,

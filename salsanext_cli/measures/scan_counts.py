@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from salsanext_cli.class_merging import ClassMerging
 from salsanext_cli.classes import LabelSpace, RawIds
 from salsanext_cli.errors import LabelError
 from salsanext_cli.formats import read_scan
@@ -20,7 +21,7 @@ from salsanext_cli.formats.reading import present
 from salsanext_cli.geometry.mounting import in_sensor_frame
 from salsanext_cli.geometry.ranges import measured_ranges
 from salsanext_cli.measures.calibration import SCAN_BINS, reliability
-from salsanext_cli.measures.confusion import Confusion
+from salsanext_cli.measures.confusion import Confusion, Mask
 from salsanext_cli.measures.histograms import (
     Histogram,
     confidence_histogram,
@@ -106,6 +107,8 @@ def count_scan(
     space: LabelSpace,
     by_distance: bool = False,
     sensor: Sensor | None = None,
+    labels: LabelSpace | None = None,
+    merging: ClassMerging | None = None,
 ) -> ScanCounts:
     """Count one scan; one without predictions counts as missing.
 
@@ -119,11 +122,15 @@ def count_scan(
     out : Path
         Output folder with the predictions.
     space : LabelSpace
-        Meaning of the raw ids in both.
+        Classes that are compared, and meaning of the raw ids.
     by_distance : bool
         Count rings of distance too, for which the scan is read.
     sensor : Sensor, optional
         Origin of the scan, which says how its file is read.
+    labels : LabelSpace, optional
+        Meaning of the raw ids of the labels, if they have their own for these classes.
+    merging : ClassMerging, optional
+        Of the classes of the probabilities into those compared.
 
     Raises
     ------
@@ -137,10 +144,11 @@ def count_scan(
         return counts
     points = _points(scan, sensor) if by_distance else None
     raw_truth, raw_predicted = _labels(scan, predictions, sensor, points)
-    truth = space.to_train(raw_truth, strict=False)
+    of_truth = labels or space
+    truth = of_truth.to_train(raw_truth, strict=False)
     predicted = space.to_train(raw_predicted, strict=False)
     counts.scans = 1
-    counts.unknown_truth.update(space.unknown_ids(raw_truth))
+    counts.unknown_truth.update(of_truth.unknown_ids(raw_truth))
     counts.unknown_predictions.update(space.unknown_ids(raw_predicted))
     counts.confusion.update(truth, predicted)
     scored = space.scored[truth]
@@ -155,10 +163,7 @@ def count_scan(
     values: dict[str, Float] = {}
     if present(path := output_path(out, scan.sequence, SOFTMAX, scan.stem)):
         counts.files[SOFTMAX] = 1
-        softmax = read_probabilities(path, len(scored), space.class_count)[scored]
-        if not space.scored[0]:
-            # `predict` marks points without a pixel as certainly unlabelled; no softmax is that.
-            softmax[softmax[:, 0] == 1] = np.nan
+        softmax = _softmax(path, scored, space, merging)
         errors = softmax_errors(softmax, true_class)
         by_prediction = groups | {CLASS: (errors.predicted, space.class_count)}
         for name, group in by_prediction.items():
@@ -177,6 +182,18 @@ def count_scan(
         for name, group in groups.items():
             counts.histograms[kind, name] = uncertainty_histogram(of_points, wrong, *group)
     return counts
+
+
+def _softmax(
+    path: Path, scored: Mask, space: LabelSpace, merging: ClassMerging | None
+) -> npt.NDArray[Any]:
+    """Read the probabilities of the points that count, of merged classes added; NaN for none."""
+    count = space.class_count if merging is None else len(merging.targets)
+    softmax = read_probabilities(path, len(scored), count)[scored]
+    if not space.scored[0]:
+        # `predict` marks points without a pixel as certainly unlabelled; no softmax is that.
+        softmax[softmax[:, 0] == 1] = np.nan
+    return softmax if merging is None else merging.add(softmax.T.astype(np.float32)).T
 
 
 def _labels(

@@ -28,6 +28,11 @@ LARGEST_CLASSES = 5
 """Classes that a summary names."""
 LARGEST_SHARE = 0.6
 """Largest share of a class in a scan that is believed; that of right settings was 0.44 or less."""
+FEW_CLASSES = 10
+LARGEST_SHARE_OF_FEW = 0.85
+"""The same of so many classes or fewer, as `coarse` has; 0.67 or less with right settings."""
+FEWEST_CLASSES = 5
+"""Of fewer, one may take nearly all of a scan."""
 log = logging.getLogger(__name__)
 
 
@@ -60,8 +65,11 @@ class ScanSummary:
 
 def _of_classes(points: npt.NDArray[np.int64], space: LabelSpace) -> Iterator[Finding]:
     """Look at the number of points by class; class 0 is unlabelled."""
-    total, largest = int(points[1:].sum()), int(points[1:].argmax()) + 1 if len(points) > 1 else 0
-    if total >= MIN_POINTS and points[largest] > LARGEST_SHARE * total:
+    if len(points) < FEWEST_CLASSES:
+        return
+    total, largest = int(points[1:].sum()), int(points[1:].argmax()) + 1
+    most = LARGEST_SHARE if len(points) > FEW_CLASSES else LARGEST_SHARE_OF_FEW
+    if total >= MIN_POINTS and points[largest] > most * total:
         found = f"{points[largest] / total:.0%} of the points are {space.names[largest]}"
         yield Finding("one-class", found, "look at them: `salsanext export-ply OUT`")
 

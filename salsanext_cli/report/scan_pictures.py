@@ -86,7 +86,7 @@ def draw_sample(out: BinaryIO, file: ScanFile, network: Network) -> Colours:
     """
     from matplotlib.image import imsave  # a second to import, and only this needs it
 
-    space, sensor = network.card.space, network.sensor
+    space, sensor = network.space, network.sensor
     scan = read_scan(file.path, sensor)
     truth = space.to_train(read_labels(file.label_path, len(scan)), source=file.label_path)
     image = project(scan, sensor)

@@ -25,6 +25,7 @@ from salsanext_cli.report import plots, uncertainty_plots
 from salsanext_cli.storage.files.atomic import sweep_stale
 from salsanext_cli.storage.files.json_files import encode_json
 from salsanext_cli.storage.layout import ScanFile
+from salsanext_cli.storage.predictions import merging_into, space_of_labels
 from salsanext_cli.storage.run_registration import records_lock
 from salsanext_cli.storage.sources import MissingResults, missing_predictions
 from salsanext_cli.storage.stage_records import as_json, recorded_sensor
@@ -113,6 +114,7 @@ def evaluate(
     *,
     by_distance: bool = False,
     settings: Mapping[str, Any] | None = None,
+    labels: LabelSpace | None = None,
 ) -> Evaluation:
     """Compare the predictions in an output folder with the labels of the scans.
 
@@ -127,13 +129,15 @@ def evaluate(
     out : Path
         Output folder of `predict` or `knn-refine`.
     space : LabelSpace
-        Meaning of the raw ids in both.
+        Classes to compare, as `predicted_scans` returns them.
     options : RunOptions
         Jobs, errors and progress.
     by_distance : bool
         Score rings of distance too, for which the scans are read.
     settings : mapping, optional
         Settings of the selection and of the predictions, for the record.
+    labels : LabelSpace, optional
+        As `space_of_labels` takes it.
 
     Raises
     ------
@@ -149,9 +153,9 @@ def evaluate(
     _require_replaceable(out)
     _require_labels(scans)
     counts = ScanCounts.none(space, by_distance)
-    count = partial(
-        count_scan, out=out, space=space, by_distance=by_distance, sensor=recorded_sensor(out)
-    )
+    labels, merging = space_of_labels(scans, space, labels), merging_into(out, space)
+    count = partial(count_scan, out=out, space=space, labels=labels, merging=merging)
+    count = partial(count, by_distance=by_distance, sensor=recorded_sensor(out))
     outcome = run_over_scans(count, scans, options, on_result=counts.add)
     if not counts.scans:
         raise _no_input(counts, out, outcome.failures)

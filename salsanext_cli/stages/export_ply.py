@@ -40,6 +40,7 @@ from salsanext_cli.storage.sources import (
 )
 from salsanext_cli.storage.stage_records import (
     origins,
+    recorded_label_space,
     recorded_sensor,
     recorded_weights,
     stage_settings,
@@ -52,11 +53,16 @@ log = logging.getLogger(__name__)
 
 
 def export_scan(
-    file: ScanFile, colours: PointColours, sensor: Sensor, form: str, output: OutputRun
+    file: ScanFile,
+    colours: PointColours,
+    sensor: Sensor,
+    form: str,
+    output: OutputRun,
+    classes: LabelSpace | None = None,
 ) -> None:
     """Write one scan as a coloured cloud with every known scalar."""
     output.require_replaceable(file)
-    results = read_results(file, output.out, sensor)
+    results = read_results(file, output.out, sensor, classes)
     columns = scalar_columns(results, colours.space)
     if colours.colour not in columns:
         raise missing_column(colours.colour, file, output.out)
@@ -70,8 +76,8 @@ def export_scan(
         return
     space, path = colours.space, output.path(file, folder)
     comments += [f"class {asprs_class(i, space)} {name}" for i, name in space.labels.items()]
-    classes = classification(columns.get("label", np.zeros(len(results.scan), np.uint32)), space)
-    output.write(file, folder, encode_las(path, known, classes, comments))
+    of_points = classification(columns.get("label", np.zeros(len(results.scan), np.uint32)), space)
+    output.write(file, folder, encode_las(path, known, of_points, comments))
 
 
 def export_ply(
@@ -108,7 +114,8 @@ def export_ply(
     space : LabelSpace, optional
         Otherwise the one that `predict` recorded in `out`, else that of the scans' data set.
     network : NetworkSettings
-        What to sample scans with whose uncertainty is asked for but was not computed yet.
+        What to sample scans with whose uncertainty is asked for but was not computed yet; and the
+        classes into which those of labels and predictions are merged.
     selection, options
         Which scans, and how to go through them.
 
@@ -126,7 +133,7 @@ def export_ply(
     if form != "ply":
         import_laspy(f"--format {form}", compressed=form == "laz")
     scans = recorded_scans(out, dataset)
-    space = space_of_results(out, scans, space)
+    space = space_of_results(out, scans, space, network.classes)
     _require_same_weights(out)
     chosen = choose(scans, ScanSelection(selection.split, selection.sequences), space, out)
     scans = with_results(out, chosen)[: selection.limit]
@@ -160,6 +167,7 @@ def export_ply(
         record_scans=False,
     ) as output:
         task = partial(export_scan, colours=colours, sensor=sensor, form=form, output=output)
+        task = partial(task, classes=network.classes)
         outcome = run_over_scans(task, scans, options, is_done=output.is_done)
     log.log(NOTICE, "coloured by %s: %s", colour, out / "sequences/*" / folder)
     failures = tuple(unestimated.get(failure.scan, failure) for failure in outcome.failures)
@@ -167,7 +175,7 @@ def export_ply(
 
 
 def _require_same_weights(out: Path) -> None:
-    """Refuse to show the uncertainty of one network beside the labels of another."""
+    """Refuse to show the uncertainty of one network, or in other classes, beside the labels."""
     labels, estimated = (
         recorded_weights(out, folder) for folder in ("predictions", "uncertainty/epistemic")
     )
@@ -177,6 +185,15 @@ def _require_same_weights(out: Path) -> None:
             f"labels by the weights {labels[:12]}…, uncertainty by {estimated[:12]}…",
             "the same weights for both",
             f"run `salsanext uncertainty SCANS {out} --overwrite` with the weights of the labels",
+        )
+    space = recorded_label_space(out, "predictions")
+    other = recorded_label_space(out, "uncertainty/epistemic")
+    if labels and space and other and not space.fits(other):
+        raise OutputError(
+            out,
+            f"labels in the classes of {space.name}, uncertainty in those of {other.name}",
+            "the same for both",
+            f"run `salsanext uncertainty SCANS {out} --overwrite` with the --classes of the labels",
         )
 
 

@@ -112,7 +112,11 @@ def knn_refine_scans(
     if labels and labels.resolve().is_relative_to(out.resolve()):
         raise UsageError("--labels", f"{labels} inside {out}", "a folder that is only read")
     scans = find_scans(dataset) if dataset else recorded_scans(out)
-    space = space or recorded_label_space(out) or space_of(scans)
+    recorded = recorded_label_space(out, "pixel_labels") if labels is None else None
+    if recorded and space and not recorded.fits(space):
+        found = f"{space.name}, for pixel labels in the classes of {recorded.name}"
+        raise UsageError("--label-space", found, remedy="predict with --classes, or leave it out")
+    space = space or recorded or recorded_label_space(out) or space_of(scans)
     if labels is None:
         scans = with_outputs(scans, out, "pixel_labels")
         if not scans:

@@ -42,7 +42,7 @@ def predict_scan(
     """Label the points of one scan; return numbers about it."""
     image, check = _projected(file, network, output)
     labels = _write(file, image, network.probabilities(image, file.path), network, knn, output)
-    return ScanSummary.of_labels(file, labels, network.card.space, check)
+    return ScanSummary.of_labels(file, labels, network.space, check)
 
 
 def predict_batch(
@@ -67,7 +67,7 @@ def predict_batch(
                     probabilities = network.probabilities(image, file.path)
                 network.require_finite(probabilities, file.path)
                 labels = _write(file, image, probabilities, network, knn, output)
-            space = network.card.space
+            space = network.space
             yield file, ScanSummary.of_labels(file, labels, space, checks[file]), None
         except SalsanextError as error:
             yield file, None, error
@@ -87,7 +87,7 @@ def _write(
     output: OutputRun,
 ) -> TrainIds:
     """Write what is made of the softmax (C, H, W) of a scan, the labels last; return these."""
-    space, pixel_labels = network.card.space, most_probable(probabilities)
+    space, pixel_labels = network.space, most_probable(probabilities)
     labels = knn_refine(image, pixel_labels, space.class_count, knn, network.device)
     if "pixel_labels" in output.folders:
         output.write_array(file, "pixel_labels", pixel_labels)
@@ -149,7 +149,7 @@ def predict_scans(
     network, loaded = network_of_run(network, loaded, found, out, overwrite=options.overwrite)
     temperature = loaded.card.temperature
     settings = network.record(loaded) | {"temperature": temperature, "knn": asdict(knn)}
-    summary = RunSummary.of_scans(scans, loaded.sensor, loaded.card.space)
+    summary = RunSummary.of_scans(scans, loaded.sensor, loaded.space)
     folders = (*extras, "predictions")
     run = output_run(out, "predict", settings, folders, scans, overwrite=options.overwrite)
     with run as output, summary.kept_in(output, "predict", scans):

@@ -9,8 +9,9 @@ from itertools import count
 from pathlib import Path
 from typing import Any
 
+from salsanext_cli.class_merging import is_merged
 from salsanext_cli.classes import LabelSpace, label_space
-from salsanext_cli.errors import NoInputError, UsageError, first_few
+from salsanext_cli.errors import LabelError, NoInputError, UsageError, first_few
 from salsanext_cli.formats.reading import is_folder, present
 from salsanext_cli.measures.submission_check import Problem, problems
 from salsanext_cli.parallel.options import Progress
@@ -18,6 +19,7 @@ from salsanext_cli.storage.files.atomic import require_target
 from salsanext_cli.storage.files.zip_files import write_zip
 from salsanext_cli.storage.layout import ScanFile, find_outputs
 from salsanext_cli.storage.predictions import space_of_results
+from salsanext_cli.storage.selection import space_of
 from salsanext_cli.storage.sources import recorded_scans
 
 SPLIT = "test"
@@ -92,6 +94,8 @@ def submit(
         If there are no predictions at all.
     OutputError
         If the file exists or cannot be written.
+    LabelError
+        If the predictions are in merged classes.
     UsageError
         If the label space has no test split.
     """
@@ -105,6 +109,7 @@ def submit(
         raise UsageError(f"--description {description}", "no such file", "a text file")
     scans = _scans_at_hand(out, dataset, files)
     space = space_of_results(out, scans, space)
+    _require_full_classes(out, space, scans)
     expected = _expected(space, scans, files)
     if unseen := sorted(expected.keys() - {scan.sequence for scan in scans}):
         log.warning(
@@ -126,6 +131,14 @@ def submit(
     if not found:
         write_zip(target, {**texts, **_members(expected, files)}, advance)
     return Submission(total, not unseen, tuple(found))
+
+
+def _require_full_classes(out: Path, space: LabelSpace, scans: Sequence[ScanFile]) -> None:
+    """Refuse classes that are merged ones of the data set's or of the benchmark's."""
+    for full in (space_of(scans), label_space()):
+        if is_merged(space, full):
+            found = f"predictions in the merged classes of {space.name}"
+            raise LabelError(out, found, f"those of {full.name}", "predict without --classes")
 
 
 def _scans_at_hand(out: Path, dataset: Path | None, files: Predictions) -> list[ScanFile]:

@@ -5,32 +5,29 @@ import logging
 from dataclasses import asdict, replace
 from functools import partial
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
-from salsanext_cli.errors import OutputError, UsageError, counted
+from salsanext_cli.errors import UsageError, counted
 from salsanext_cli.formats.reading import present
 from salsanext_cli.geometry.gather import points_from_pixels
-from salsanext_cli.geometry.intensity import NO_INTENSITY
 from salsanext_cli.geometry.knn import KnnParameters, knn_refine
 from salsanext_cli.inference.adaptation import network_of_run
 from salsanext_cli.inference.checked_scans import project_checked
 from salsanext_cli.inference.network import Network
-from salsanext_cli.inference.settings import NetworkSettings, recorded_view
+from salsanext_cli.inference.recorded_network import (
+    network_of_labels,
+    require_network_of_labels,
+)
+from salsanext_cli.inference.settings import NetworkSettings
 from salsanext_cli.measures.scan_summary import RunSummary, ScanSummary
-from salsanext_cli.network.card import read_card
 from salsanext_cli.parallel.network_task import NetworkTask
 from salsanext_cli.parallel.run import Failure, Outcome, RunOptions, run_over_scans
-from salsanext_cli.sensors import FITTED_NAME, Sensor, presets
-from salsanext_cli.storage.files.identity import fingerprint
 from salsanext_cli.storage.layout import ScanFile, find_outputs, output_path
 from salsanext_cli.storage.output_run import OutputRun, output_run
 from salsanext_cli.storage.selection import ScanSelection, choose, scans_of, space_of
 from salsanext_cli.storage.stage_records import (
-    as_json,
     owner,
-    recorded_weights,
     stage_settings,
 )
 from salsanext_cli.uncertainty.settings import (
@@ -52,7 +49,7 @@ def uncertainty_scan(
 ) -> ScanSummary:
     """Estimate the uncertainty of the points of one scan; return numbers about it."""
     output.require_replaceable(file)
-    sensor, space, device = network.sensor, network.card.space, network.device
+    sensor, space, device = network.sensor, network.space, network.device
     image, check = project_checked(file, sensor, device, network.card.sensor)
     estimate = estimator.estimate(network, image, file)
     network.require_finite(estimate.probabilities, file.path)
@@ -66,29 +63,6 @@ def uncertainty_scan(
     labels = knn_refine(image, pixel_labels, space.class_count, knn, device)
     output.write_labels(file, space.to_raw(labels))
     return ScanSummary.of_labels(file, labels, space, check)
-
-
-def _require_same_network(out: Path, settings: dict[str, Any]) -> None:
-    """Refuse to put the uncertainty of one network beside the labels of another."""
-    stage = owner(out, "predictions")
-    recorded = stage_settings(out, stage) if stage not in (None, "uncertainty") else None
-    if recorded and (weights := recorded_weights(out, "predictions")):
-        recorded["weights"] = weights
-    own = settings | {"weights": settings.get("adapted", settings["weights"])}
-    same = {"weights": "weights, and --adapt for both or neither", "sensor": "sensor"}
-    for key, seen in (("weights", str), ("sensor", _view)):
-        if recorded and key in recorded and seen(recorded[key]) != seen(as_json(own[key])):
-            raise OutputError(
-                out / f"{stage}.json",
-                f"labels made with other {key}",
-                "the same for labels and uncertainty",
-                f"give the same {same[key]}, or use another output folder",
-            )
-
-
-def _view(sensor: dict[str, Any]) -> dict[str, Any]:
-    """Leave out what labels do not depend on."""
-    return {**recorded_view(Sensor.from_dict(sensor)), "name": None}
 
 
 def uncertainty(
@@ -147,8 +121,8 @@ def uncertainty_of(
     kinds = tuple(f"uncertainty/{kind}" for kind in estimator.kinds)
     labels_too = owner(out, "predictions") in (None, "uncertainty")
     folders = (*kinds, "predictions") if labels_too else kinds
-    _require_same_network(out, settings)
-    summary = RunSummary.of_scans(scans, loaded.sensor, loaded.card.space)
+    require_network_of_labels(out, settings)
+    summary = RunSummary.of_scans(scans, loaded.sensor, loaded.space)
     run = output_run(
         *(out, "uncertainty", settings, folders, scans),
         overwrite=options.overwrite,
@@ -186,7 +160,7 @@ def estimate_missing(
         found = f"no uncertainty in {out} yet"
         remedy = f"run `salsanext uncertainty SCANS {out}` first, with shards too"
         raise UsageError(f"--shard {options.shard}", found, "that of all scans", remedy)
-    network = _as_predicted(out, network)
+    network = network_of_labels(out, network)
     network, loaded = network_of_run(network, network.load(), scans, out)
     estimator = (
         recorded_estimator(earlier) if earlier else possible_estimator(colour, loaded.sensor)
@@ -219,30 +193,3 @@ def _kind_there(out: Path) -> str | None:
 def _without(out: Path, scans: list[ScanFile], kind: str) -> list[ScanFile]:
     folder = f"uncertainty/{kind}"
     return [s for s in scans if not present(output_path(out, s.sequence, folder, s.stem))]
-
-
-def _as_predicted(out: Path, network: NetworkSettings) -> NetworkSettings:
-    """Return the network, looking through the sensor that `predict` used; refuse other weights."""
-    settings = stage_settings(out, "predict")
-    if settings is None:
-        return network
-    if settings["weights"] != fingerprint(network.path):
-        raise UsageError(
-            out,
-            f"labels by the weights {str(settings['weights'])[:12]}… and no uncertainty yet",
-            "the same weights",
-            f"give them with --weights, or run `salsanext uncertainty SCANS {out}`",
-        )
-    seen = Sensor.from_dict(settings.table("sensor"), settings.path)
-    ways = {(): "raw", NO_INTENSITY: "none"}
-    how = ways.get(seen.intensity_quantiles, network.intensity)
-    network = replace(network, adapt="adapted" in settings, intensity=how)
-    return network if network.sensor else replace(network, sensor=_with_noise(seen, network))
-
-
-def _with_noise(seen: Sensor, network: NetworkSettings) -> Sensor:
-    """Return the sensor, of which `predict` recorded only the view, with its noise if known."""
-    own = read_card(network.path).sensor
-    same = seen.name == FITTED_NAME or replace(own, columns=seen.columns).view() == seen.view()
-    noise = presets().get(seen.name) or (own if same else seen)
-    return replace(seen, range_noise=noise.range_noise, intensity_noise=noise.intensity_noise)

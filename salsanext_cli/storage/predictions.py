@@ -2,11 +2,12 @@
 """Predictions in an output folder: their scans, their label space and their provenance."""
 
 import logging
-from collections.abc import Mapping
-from dataclasses import asdict
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
+from salsanext_cli.class_merging import ClassMerging, contradiction
 from salsanext_cli.classes import LabelSpace
 from salsanext_cli.errors import LabelError, first_few
 from salsanext_cli.storage.layout import ScanFile
@@ -31,8 +32,9 @@ def predicted_scans(
     selection: ScanSelection,
     dataset: Path | None = None,
     space: LabelSpace | None = None,
+    classes: LabelSpace | None = None,
 ) -> tuple[list[ScanFile], LabelSpace]:
-    """Find the scans whose predictions an output folder holds, and the label space of both.
+    """Find the scans whose predictions an output folder holds, and the classes to compare.
 
     Parameters
     ----------
@@ -43,7 +45,9 @@ def predicted_scans(
     dataset : Path, optional
         Where the scans and labels are, if not where the scans came from.
     space : LabelSpace, optional
-        Otherwise that of the scans' data set, else the one recorded in `out`.
+        Of the labels; otherwise that of the scans' data set, else the one recorded in `out`.
+    classes : LabelSpace, optional
+        Into whose classes those of labels and predictions are merged.
 
     Raises
     ------
@@ -51,9 +55,11 @@ def predicted_scans(
         If there are none.
     LabelError
         If predictions and labels speak of different classes.
+    UsageError
+        If the classes are not merged ones of both.
     """
     scans = recorded_scans(out, dataset)
-    space = space_of_results(out, scans, space)
+    space = space_of_results(out, scans, space, classes, own_ids=True)
     chosen = choose(scans, selection, space, out)
     if selection.split:
         members = set(space.split(selection.split))
@@ -64,26 +70,74 @@ def predicted_scans(
 
 
 def space_of_results(
-    out: Path, scans: list[ScanFile], space: LabelSpace | None = None
+    out: Path,
+    scans: list[ScanFile],
+    space: LabelSpace | None = None,
+    classes: LabelSpace | None = None,
+    *,
+    own_ids: bool = False,
 ) -> LabelSpace:
-    """Return the classes of scans and of the predictions for them, if they are the same ones.
+    """Return the classes in which predictions and labels are compared.
+
+    They are those of both, or those of the predictions where these are merged ones of the labels',
+    or those that both are to be merged into. The splits are those of the labels.
+
+    Parameters
+    ----------
+    out, space, classes
+        As for `predicted_scans`.
+    scans : list of ScanFile
+        All scans of the predictions.
+    own_ids : bool
+        Whether labels may have raw ids of their own for classes of the same names.
 
     Raises
     ------
     LabelError
         If predictions and labels speak of different classes.
+    UsageError
+        If the classes are not merged ones of both.
     """
     recorded = recorded_label_space(out)
     space = space or space_of(scans, recorded)
-    if recorded is not None and not recorded.fits(space):
+    target = classes or recorded or space
+    named_alike = own_ids and space.names == target.names
+    if classes is not None:
+        for own in (recorded or space, *(() if named_alike else (space,))):
+            ClassMerging.between(own, classes)
+    elif target.fits(space):
+        return space
+    elif not named_alike and contradiction(space, target):
         raise LabelError(
             out,
-            f"predictions in the classes of {recorded.name} "
-            f"({first_few(recorded.differences(space))})",
+            f"predictions in the classes of {target.name} ({first_few(target.differences(space))})",
             f"those of {space.name}, as the labels",
-            "predict with weights for these classes",
+            "predict with weights for these classes, or merge both with --classes",
         )
-    return space
+    return replace(target, splits=space.splits or target.splits)
+
+
+def space_of_labels(
+    scans: Sequence[ScanFile], space: LabelSpace, labels: LabelSpace | None = None
+) -> LabelSpace:
+    """Return the meaning of the raw ids of labels that are compared in the classes of a space.
+
+    Labels may have their own for classes of the same names; `labels` is their label space, if it is
+    not that of the scans' data set.
+    """
+    own = labels or space_of(scans, space)
+    return own if own.names == space.names else space
+
+
+def merging_into(out: Path, space: LabelSpace) -> ClassMerging | None:
+    """Return the merging of the classes of the probabilities in a folder into others, if needed.
+
+    Probabilities of unknown origin are those of the other classes.
+    """
+    recorded = recorded_label_space(out, "probabilities")
+    return (
+        None if recorded is None or recorded.fits(space) else ClassMerging.between(recorded, space)
+    )
 
 
 def provenance(out: Path, selection: ScanSelection, dataset: Path | None = None) -> dict[str, Any]:

@@ -61,8 +61,15 @@ class ScanResults:
         return np.where(space.scored[truth], wrong, np.float32(np.nan))
 
 
-def read_results(file: ScanFile, out: Path, sensor: Sensor | None = None) -> ScanResults:
+def read_results(
+    file: ScanFile,
+    out: Path,
+    sensor: Sensor | None = None,
+    classes: LabelSpace | None = None,
+) -> ScanResults:
     """Read a scan and all that `out` and its data set hold about it.
+
+    Predicted classes that are merged into `classes` get their raw ids.
 
     Raises
     ------
@@ -71,11 +78,14 @@ def read_results(file: ScanFile, out: Path, sensor: Sensor | None = None) -> Sca
     """
     scan = read_scan(file.path, sensor)
     count = len(scan)
-    label, *kinds = (output_path(out, file.sequence, folder, file.stem) for folder in FOLDERS)
+    path, *kinds = (output_path(out, file.sequence, folder, file.stem) for folder in FOLDERS)
+    label = _labels(path, count)
+    if label is not None and classes is not None:
+        label = classes.to_raw(classes.to_train(label, strict=False))
     return ScanResults(
         scan=scan,
         sensor=sensor,
-        label=_labels(label, count),
+        label=label,
         truth=_labels(file.label_path, count),
         uncertainty={
             kind: read_array(path, "float32", (count,))

@@ -148,9 +148,13 @@ def origins(out: Path, stages: Iterable[str]) -> dict[str, str]:
     }
 
 
-def recorded_label_space(out: Path) -> LabelSpace | None:
-    """Return the label space of the predictions in an output folder, if a stage recorded one."""
-    settings = settings_of(out, "predictions") or settings_of(out, "pixel_labels")
+def recorded_label_space(out: Path, *folders: str) -> LabelSpace | None:
+    """Return the label space of results in an output folder, if a stage recorded one.
+
+    It is that of the first of the folders that a stage fills; of the predictions by default.
+    """
+    found = (settings_of(out, folder) for folder in folders or ("predictions", "pixel_labels"))
+    settings = next((each for each in found if each), None)
     if settings is None:
         return None
     return LabelSpace.from_dict(settings.table("label_space"), settings.path)

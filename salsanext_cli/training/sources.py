@@ -8,6 +8,7 @@ from pathlib import Path
 
 import joblib
 
+from salsanext_cli.class_merging import is_merged
 from salsanext_cli.classes import LabelSpace, label_space
 from salsanext_cli.errors import LabelError, NoInputError, first_few
 from salsanext_cli.formats import read_scan
@@ -109,7 +110,8 @@ def labelled_split(
     dataset : Path
         Its root.
     space : LabelSpace, optional
-        Otherwise what the data set says, else SemanticKITTI's.
+        Otherwise what the data set says, else SemanticKITTI's. One that merges the data set's
+        classes has its splits.
     split : str
         Name of the split.
 
@@ -118,7 +120,10 @@ def labelled_split(
     NoInputError
         If the split has no scans.
     """
-    space = space or data_set_label_space(dataset) or label_space()
+    own = data_set_label_space(dataset)
+    space = space or own or label_space()
+    if own is not None and is_merged(space, own):
+        space = replace(space, splits=own.splits)
     members = space.split(split)
     found = [scan for scan in find_scans(dataset) if scan.sequence in members]
     if not found:

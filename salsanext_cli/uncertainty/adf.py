@@ -15,7 +15,7 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
-from salsanext_cli.uncertainty.moments import leaky_relu_moments, softmax_moments
+from salsanext_cli.uncertainty.moments import Groups, leaky_relu_moments, softmax_moments
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -84,9 +84,9 @@ class Gaussian:
             return NotImplemented
         return self.like(self.mean + other.mean, self.variance + other.variance)
 
-    def softmax(self, dim: int) -> Self:
-        """Return the moments of the softmax over a dimension."""
-        return self.like(*softmax_moments(self.mean, self.variance, dim))
+    def softmax(self, dim: int, groups: Groups | None = None) -> Self:
+        """Return the moments of the softmax over a dimension, of classes merged into groups."""
+        return self.like(*softmax_moments(self.mean, self.variance, dim, groups))
 
 
 Kind = TypeVar("Kind", bound=Gaussian)

@@ -46,7 +46,8 @@ def aleatoric(network: Network, image: RangeImage) -> Float:
         else:
             given = (torch.from_numpy(values).to(network.device) for values in (mean, variance))
             moments = _moments(network.module, *given)
-        variances: Float = Gaussian(*moments).softmax(dim=1).variance[0].cpu().numpy()
+        softmax = Gaussian(*moments).softmax(dim=1, groups=network.groups)
+        variances: Float = softmax.variance[0].cpu().numpy()
         return variances
 
 

@@ -152,7 +152,7 @@ def propagate_dropout(network: Network, image: RangeImage) -> Estimate:
         else:
             moments = _moments(network.module, network.input(image.channels))
         logits = ChannelCorrelatedGaussian(*moments)[..., : image.height, : image.width]
-        softmax = logits.softmax(dim=1)
+        softmax = logits.softmax(dim=1, groups=network.groups)
     mean, variance = (t[0].double().cpu().numpy() for t in (softmax.mean, softmax.variance))
     information = (variance / np.maximum(2 * mean, SMALLEST_MEAN)).sum(axis=0)
     return Estimate.of(mean, variance, np.minimum(information, entropy(mean)))

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TypeVar
 
 import numpy as np
 import numpy.typing as npt
@@ -16,8 +17,7 @@ from salsanext_cli.network.segmentation import SegmentationNetwork
 from salsanext_cli.records import Float, Uncertainty
 
 Double = npt.NDArray[np.float64]
-SMALLEST_PROBABILITY = 1e-300
-"""Probability whose logarithm stands for that of 0, which counts 0 times."""
+Values = TypeVar("Values", Float, Double)
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,11 +52,12 @@ class Estimate:
         )
 
 
-def entropy(probabilities: Double) -> Double:
-    """Return the entropy over the first dimension in nats, (C, …) to (…) float64."""
-    logarithms = np.log(np.maximum(probabilities, SMALLEST_PROBABILITY))
+def entropy(probabilities: Values) -> Values:
+    """Return the entropy over the first dimension in nats, (C, …) to (…) of the same type."""
+    # The logarithm of the smallest stands for that of 0, which counts 0 times.
+    logarithms = np.log(np.maximum(probabilities, np.finfo(probabilities.dtype).tiny))
     # A softmax rounded up to above 1 would have a negative one.
-    nats: Double = np.maximum(-(probabilities * logarithms).sum(axis=0), 0)
+    nats: Values = np.maximum(-(probabilities * logarithms).sum(axis=0), 0)
     return nats
 
 

@@ -2,6 +2,7 @@
 """Moments of the functions that are not linear: LeakyReLU and softmax of Gaussians."""
 
 import math
+from collections.abc import Sequence
 
 import numpy as np
 import torch
@@ -17,6 +18,8 @@ round some of them otherwise, and that what lies between stays in the cache."""
 MAX_DEVIATIONS = 12.0
 """Standard deviations from the kink beyond which what is on the other side changes no float64;
 farther out are numbers so small that computing with them takes many times as long."""
+Groups = Sequence[Sequence[int]]
+"""Classes that are merged into each of fewer; none into some of them."""
 SMALLEST_DIVISOR = 1e-30
 """Least divisor: what it divides is 0 where it acts."""
 DAMPING = 0.15
@@ -59,7 +62,9 @@ def _leaky_relu(m: Tensor, v: Tensor, slope: float) -> tuple[Tensor, Tensor]:
     return mean, share.clamp_(min=0).mul_(v)
 
 
-def softmax_moments(mean: Tensor, variance: Tensor, dim: int) -> tuple[Tensor, Tensor]:
+def softmax_moments(
+    mean: Tensor, variance: Tensor, dim: int, groups: Groups | None = None
+) -> tuple[Tensor, Tensor]:
     """Return mean and variance of the softmax of independent Gaussian logits.
 
     The softmax of class c is the logistic function of its logit minus the logarithm of the sum of
@@ -72,22 +77,26 @@ def softmax_moments(mean: Tensor, variance: Tensor, dim: int) -> tuple[Tensor, T
     The means p are divided by their sum; each variance keeps its share of p (1 − p), which no
     variable between 0 and 1 exceeds.
 
+    Of merged classes, the mean is the sum of theirs. For the variance they have one logit, the
+    logarithm of the sum of their exponentials, taken as log-normal like that of the others; logits
+    of groups without a common class are independent.
+
     Parameters
     ----------
     mean, variance : Tensor, same shape
         Of the logits; float32 or float64, a half precision is widened in between.
     dim : int
         The classes.
+    groups : sequence of sequences of int, optional
+        The classes that are merged into each; every class is in one group.
 
     Returns
     -------
     mean, variance : Tensor
-        The means sum to 1; of variance 0, they are the plain softmax.
+        The means sum to 1; of variance 0, they are the plain softmax, or its sums over groups.
     """
     wide = torch.promote_types(mean.dtype, torch.float32)
     m, v = (t.to(wide).movedim(dim, 0) for t in (mean, variance))
-    if len(m) == 1:
-        return torch.ones_like(mean), torch.zeros_like(variance)
     columns = [t.reshape(len(m), -1) for t in (m, v)]
     on_cpu = m.device.type == "cpu"
     step = max(1, (CHUNK_SIZE if on_cpu else m.numel()) // len(m))
@@ -95,16 +104,49 @@ def softmax_moments(mean: Tensor, variance: Tensor, dim: int) -> tuple[Tensor, T
     parts = [chunks[0]] * len(chunks)
 
     def compute(number: int) -> None:
-        parts[number] = _softmax(*chunks[number])
+        parts[number] = _softmax_of_groups(*chunks[number], groups=groups)
 
     parallel_for(compute, range(len(chunks)))
-    results = (torch.cat(part, dim=1).view(m.shape) for part in zip(*parts, strict=True))
+    shape = (len(m) if groups is None else len(groups), *m.shape[1:])
+    results = (torch.cat(part, dim=1).view(shape) for part in zip(*parts, strict=True))
     return tuple(t.movedim(0, dim).to(mean.dtype) for t in results)  # type: ignore[return-value]
+
+
+def _softmax_of_groups(m: Tensor, v: Tensor, *, groups: Groups | None) -> tuple[Tensor, Tensor]:
+    """Return the moments (K, N) from those of the logits, (C, N)."""
+    mean, variance = _softmax(m, v)
+    if groups is None:
+        return mean, variance
+    filled = [number for number, group in enumerate(groups) if group]
+    logits = [_log_sum(m[list(groups[number])], v[list(groups[number])]) for number in filled]
+    _, of_filled = _softmax(*(torch.stack(part) for part in zip(*logits, strict=True)))
+    mean = torch.stack([mean[list(group)].sum(dim=0) for group in groups])
+    variance = torch.zeros_like(mean)
+    variance[filled] = of_filled
+    is_best = _is_best(mean)
+    others = _sum_of_others(mean, mean.masked_fill(is_best, 0), is_best)
+    return mean, variance.minimum(mean * others)
+
+
+def _is_best(values: Tensor) -> Tensor:
+    """Return a mask of the largest of each column, (C, N) bool."""
+    none = torch.zeros_like(values, dtype=torch.bool)
+    return none.scatter_(0, values.argmax(0, keepdim=True), True)
+
+
+def _log_sum(m: Tensor, v: Tensor) -> tuple[Tensor, Tensor]:
+    """Return the moments (N,) of the logarithm of the sum of the exponentials of (C, N)."""
+    weights = m.softmax(dim=0)
+    variance = (weights.square() * v).sum(dim=0)
+    shift = 0.5 * ((weights * v).sum(dim=0) - variance).clamp(min=0)
+    return m.logsumexp(dim=0) + shift / (1 + DAMPING * shift).sqrt(), variance
 
 
 def _softmax(m: Tensor, v: Tensor) -> tuple[Tensor, Tensor]:
     """Return the moments of (C, N)."""
-    is_best = torch.zeros_like(m, dtype=torch.bool).scatter_(0, m.argmax(0, keepdim=True), True)
+    if len(m) == 1:
+        return torch.ones_like(m), torch.zeros_like(v)
+    is_best = _is_best(m)
     margin, margin_variance = _margins(m, v, is_best)
     probability, complement, variance = logistic_moments(margin, margin_variance)
     total = probability.sum(dim=0)

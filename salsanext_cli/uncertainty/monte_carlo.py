@@ -62,7 +62,8 @@ def sample(network: Network, image: RangeImage, *, samples: int, seed: int) -> E
     """Run the network with dropout on and batch norm frozen, and sum up the passes.
 
     What lies before the first dropout is computed once. Several passes run side by side, and no bit
-    depends on how many.
+    depends on how many. The probabilities of merged classes are added in each pass, before variance
+    and entropy are computed.
 
     Parameters
     ----------
@@ -84,14 +85,18 @@ def sample(network: Network, image: RangeImage, *, samples: int, seed: int) -> E
         If the network has no dropout to sample.
     """
     require_sampling(network, samples)
-    shape = (network.card.space.class_count, image.height, image.width)
+    shape = (network.space.class_count, image.height, image.width)
     statistics = PassStatistics(shape)
     seeds = [pass_seed(seed, number) for number in range(samples)]
     passes = openvino_passes if network.engine == "openvino" else torch_passes
     with inference_mode(network.device):
         for softmax, nats in passes(network, image.channels, seeds):
             inside = (..., slice(image.height), slice(image.width))
-            statistics.add(softmax[inside], nats[inside])
+            softmax, nats = softmax[inside], nats[inside]
+            if network.merging is not None:
+                softmax = network.merged(softmax)
+                nats = entropy(softmax)
+            statistics.add(softmax, nats)
         return statistics.summary()
 
 

@@ -56,6 +56,10 @@ def test_next_commands(stage, split, done, expected):
     summary = RunSummary(SMALL, label_space())
     outcome = Outcome(0, (), done, summary=summary)
     assert next_command(stage, outcome, "a b", (), split) == expected
+    if expected and "submit" in expected:
+        merged = Outcome(0, (), done, summary=RunSummary(SMALL, label_space("coarse")))
+        found = next_command(stage, merged, "a b", (), split)
+        assert found == "salsanext export-ply 'a b'"
     labelled = Outcome(0, (), done, summary=replace(summary, labelled=True))
     if done and stage != "uncertainty":
         assert next_command(stage, labelled, "a b", (), split) == "salsanext eval 'a b'"

@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scans import SMALL
 
-from salsanext_cli import label_space
+from salsanext_cli import LabelSpace, label_space
 from salsanext_cli.geometry.checks.findings import Finding, ScanCheck
 from salsanext_cli.measures.scan_summary import RunSummary, ScanSummary
 from salsanext_cli.storage.layout import ScanFile
@@ -55,6 +55,22 @@ def test_a_class_that_takes_the_scan(share, codes):
     assert [finding.code for finding in found.check.findings] == codes
     few = ScanSummary.of_labels(FILE, labels[:50], SPACE)
     assert few.check.findings == ()
+
+
+@pytest.mark.parametrize(
+    ("count", "share", "codes"), [(8, 0.83, []), (8, 0.87, ["one-class"]), (3, 1.0, [])]
+)
+def test_one_of_few_classes_may_take_more_of_the_scan(count, share, codes):
+    space = LabelSpace.from_dict(
+        {
+            "labels": {i: str(i) for i in range(count)},
+            "learning_map": {i: i for i in range(count)},
+            "learning_map_inv": {i: i for i in range(count)},
+        }
+    )
+    labels = np.where(np.arange(1000) < 1000 * share, 1, 2).astype(np.uint8)
+    found = ScanSummary.of_labels(FILE, labels, space)
+    assert [finding.code for finding in found.check.findings] == codes
 
 
 @given(st.permutations(range(6)))

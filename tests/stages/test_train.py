@@ -340,6 +340,17 @@ def test_training_goes_on_from_given_weights(dataset, tmp_path):
         go(dataset, tmp_path / "other", weights=weights)
 
 
+def test_labels_are_learnt_in_merged_classes_by_the_splits_of_the_data_set(dataset, tmp_path):
+    own = label_space().to_dict() | {"split": {"train": [8], "valid": [0]}}
+    (dataset / "labels.yaml").write_text(json.dumps(own))
+    once = TINY.with_changes(epochs=1)
+    result = go(dataset, tmp_path / "run", recipe=once, space=label_space("coarse"))
+    card = read_card(result.best)
+    assert card.space.fits(label_space("coarse"))
+    assert card.space.splits == {"train": ("08",), "valid": ("00",)}
+    assert load_file(result.best)["logits.weight"].shape[0] == 8
+
+
 def test_a_loss_that_is_not_finite_names_the_scans(dataset, tmp_path, monkeypatch):
     original = dataset_module.Samples.__getitem__
 

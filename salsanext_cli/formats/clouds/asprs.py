@@ -11,7 +11,8 @@ CLASS_OF_NAME = {
     "unlabeled": UNASSIGNED,
     "unlabelled": UNASSIGNED,
     "outlier": 7,  # noise
-    "sidewalk": 2,  # ground
+    "ground": 2,
+    "sidewalk": 2,
     "other-ground": 2,
     "terrain": 2,
     "vegetation": 5,  # high vegetation

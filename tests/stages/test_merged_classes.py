@@ -1,0 +1,212 @@
+# SPDX-License-Identifier: MIT
+"""Stages in merged classes: files, what is compared with what, and what does not fit."""
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import plyfile
+import pytest
+import yaml
+from scans import SMALL, labels_below
+
+from salsanext_cli import LabelSpace, knn_refine, label_space, project, read_labels, read_scan
+from salsanext_cli.class_merging import ClassMerging
+from salsanext_cli.errors import LabelError, OutputError, UsageError
+from salsanext_cli.measures.confusion import Confusion
+from salsanext_cli.measures.softmax import softmax_errors
+from salsanext_cli.network.card import read_card
+from salsanext_cli.parallel.run import RunOptions
+from salsanext_cli.stages.evaluate import evaluate
+from salsanext_cli.stages.export_ply import export_ply
+from salsanext_cli.stages.knn_refine import knn_refine_scans
+from salsanext_cli.stages.predict import predict_range_images, predict_scans
+from salsanext_cli.stages.project import project_scans
+from salsanext_cli.stages.submit import submit
+from salsanext_cli.stages.uncertainty import uncertainty
+from salsanext_cli.storage.point_files import write_labels
+from salsanext_cli.storage.predictions import predicted_scans
+from salsanext_cli.storage.selection import ScanSelection
+from salsanext_cli.uncertainty.settings import Estimator
+
+FULL, COARSE = label_space(), label_space("coarse")
+MERGING = ClassMerging.between(FULL, COARSE)
+FEW = Estimator(samples=2)
+ONE = ScanSelection(sequences=("00",))
+
+
+@pytest.fixture
+def coarse(world):
+    """Return the world with a network of merged classes."""
+    return replace(world, network=replace(world.network, classes=COARSE))
+
+
+def predict(world, **options):
+    return predict_scans(world.data, world.out, network=world.network, **options)
+
+
+def compare(world, **options):
+    scans, space = predicted_scans(world.out, ScanSelection(), **options)
+    return evaluate(scans, world.out, space, labels=options.get("space"))
+
+
+def truth_of(world, sequence="08", stem="000000"):
+    return read_labels(world.data / f"sequences/{sequence}/labels/{stem}.label")
+
+
+def test_labels_are_of_the_largest_sum_after_the_vote_in_merged_classes(coarse, world):
+    assert predict(coarse, extras=("pixel_labels", "probabilities")).done == 3
+    image = project(read_scan(coarse.scan()), SMALL)
+    softmax = world.network.load().probabilities(image)
+    sums = np.stack([sum(softmax[i] for i in group) for group in MERGING.groups])
+    pixels = np.load(coarse.result("pixel_labels"))
+    assert (pixels == sums.argmax(axis=0)).mean() > 0.999
+    assert (pixels.dtype, pixels.max()) == (np.uint8, 7)
+    expected = COARSE.to_raw(knn_refine(image, pixels, 8))
+    np.testing.assert_array_equal(coarse.labels(), expected)
+    of_points = np.load(coarse.result("probabilities"))
+    assert of_points.shape == (1500, 8)
+    np.testing.assert_allclose(of_points, sums.reshape(8, -1)[:, image.pixel_of_point].T, atol=2e-3)
+    recorded = json.loads((coarse.out / "predict.json").read_text())["settings"]
+    assert recorded["label_space"]["name"] == "coarse"
+
+
+def test_the_pixel_way_gives_the_same_bytes(coarse, tmp_path):
+    predict(coarse)
+    parts = tmp_path / "parts"
+    project_scans(coarse.data, parts, sensor=SMALL)
+    predict_range_images(parts, parts, network=coarse.network)
+    knn_refine_scans(parts)
+    assert labels_below(parts) == labels_below(coarse.out)
+    assert len(labels_below(parts)) == 3
+    with pytest.raises(UsageError, match="semantic-kitti, for pixel labels in the classes of coa"):
+        knn_refine_scans(parts, space=FULL, options=RunOptions(overwrite=True))
+
+
+def test_the_same_classes_are_no_other_settings(world):
+    predict(world)
+    same = replace(world, network=replace(world.network, classes=FULL))
+    assert predict(same).skipped == 3
+    coarse = replace(world, network=replace(world.network, classes=COARSE))
+    with pytest.raises(OutputError, match=r"other settings: label_space \(train id 1: car"):
+        predict(coarse)
+
+
+@pytest.mark.parametrize("own", [False, True])
+def test_labels_are_compared_in_the_classes_of_the_predictions(coarse, own):
+    """Also where the data set says that its labels are finer; its splits are what counts."""
+    if own:
+        data = FULL.to_dict() | {"split": {"valid": ["00", "08"], "train": []}}
+        (coarse.data / "labels.yaml").write_text(yaml.safe_dump(data))
+    predict(coarse)
+    found = compare(coarse)
+    expected = Confusion(8)
+    for sequence, stem in (("00", "000000"), ("08", "000000"), ("08", "000001")):
+        raw = coarse.labels(sequence, stem)
+        truth = COARSE.to_train(truth_of(coarse, sequence, stem))
+        expected.update(truth, COARSE.to_train(raw))
+    np.testing.assert_array_equal(found.confusion.matrix, expected.matrix)
+    assert found.space.fits(COARSE)
+    valid, _ = predicted_scans(coarse.out, ScanSelection(split="valid"))
+    assert len(valid) == (3 if own else 2)
+    with pytest.raises(UsageError, match="vehicle is split into car"):
+        compare(coarse, classes=FULL)
+
+
+def test_full_predictions_and_their_probabilities_are_merged_by_eval(world):
+    predict(world, extras=("probabilities",))
+    full, found = compare(world), compare(world, classes=COARSE)
+    assert (full.space.class_count, found.space.name) == (20, "coarse")
+    expected, points, brier = Confusion(8), 0, 0.0
+    for sequence, stem in (("00", "000000"), ("08", "000000"), ("08", "000001")):
+        truth = COARSE.to_train(truth_of(world, sequence, stem))
+        expected.update(truth, COARSE.to_train(world.labels(sequence, stem)))
+        softmax = np.load(world.result("probabilities", sequence, stem)).astype(np.float64)
+        counts = (truth > 0) & (softmax[:, 0] < 1)
+        sums = np.stack([softmax[:, list(group)].sum(axis=1) for group in MERGING.groups], axis=1)
+        brier += softmax_errors(sums[counts], truth[counts]).brier.sum()
+        points += counts.sum()
+    np.testing.assert_array_equal(found.confusion.matrix, expected.matrix)
+    scores = found.uncertainty.calibration.scores
+    assert scores.brier == pytest.approx(brier / points, rel=1e-4)
+    assert scores.points == points
+
+
+def test_labels_of_other_raw_ids_count_where_the_names_of_the_classes_are_the_same(coarse):
+    """As those of nuScenes, whose ids mean other things than SemanticKITTI's."""
+    ids = {0: 0} | {k: 20 + k for k in range(1, 8)}
+    labels = {ids[k]: name for k, name in enumerate(COARSE.names)}
+    other = LabelSpace.from_dict(
+        {
+            "name": "others",
+            "labels": labels,
+            "learning_map": {raw: k for k, raw in ids.items()} | {10: 7, 5: 0},
+            "learning_map_inv": ids,
+        }
+    )
+    predict(coarse)
+    expected = compare(coarse).confusion.matrix
+    for path in coarse.data.rglob("labels/*.label"):
+        write_labels(path, other.to_raw(COARSE.to_train(read_labels(path))))
+    np.testing.assert_array_equal(compare(coarse, space=other).confusion.matrix, expected)
+    np.testing.assert_array_equal(
+        compare(coarse, space=other, classes=COARSE).confusion.matrix, expected
+    )
+    (coarse.data / "labels.yaml").write_text(yaml.safe_dump(other.to_dict()))
+    np.testing.assert_array_equal(compare(coarse).confusion.matrix, expected)
+    # A cloud would show the raw ids of both.
+    with pytest.raises(LabelError, match="predictions in the classes of coarse"):
+        export_ply(coarse.out)
+
+
+@pytest.mark.parametrize("method", ["sampling", "analytic"])
+def test_uncertainty_is_that_of_the_merged_classes(coarse, method):
+    estimator = Estimator(method, samples=2)
+    assert uncertainty(coarse.data, coarse.out, network=coarse.network, estimator=estimator).done
+    values = np.load(coarse.result("uncertainty/entropy"))
+    assert 0 <= np.nanmin(values) <= np.nanmax(values) <= np.log(8) + 1e-5
+    assert {*np.unique(coarse.labels())} <= {0, *COARSE.learning_map_inv.values()}
+
+
+def test_uncertainty_beside_labels_has_their_classes(coarse, world):
+    predict(coarse, selection=ONE)
+    more = {"estimator": FEW, "selection": ONE}
+    with pytest.raises(OutputError, match=r"other label_space .* give the same --classes"):
+        uncertainty(world.data, world.out, network=world.network, **more)
+    done = export_ply(coarse.out, colour="entropy", network=world.network)
+    assert done.done == 1
+    assert np.nanmax(np.load(coarse.result("uncertainty/entropy", "00"))) <= np.log(8) + 1e-5
+    predict(world, selection=ONE, options=RunOptions(overwrite=True))
+    with pytest.raises(OutputError, match="uncertainty in those of coarse"):
+        export_ply(coarse.out, colour="entropy", network=world.network)
+
+
+def test_clouds_have_the_colours_of_merged_classes(world):
+    predict(world, selection=ONE)
+    assert export_ply(world.out, network=replace(world.network, classes=COARSE)).done == 1
+    cloud = plyfile.PlyData.read(world.result("ply", "00"))
+    assert "label space coarse" in cloud.comments
+    vertex = cloud["vertex"]
+    rgb = np.stack([vertex[name] for name in ("red", "green", "blue")], axis=1)
+    merged = COARSE.to_train(world.labels("00"))
+    np.testing.assert_array_equal(rgb, COARSE.colours[merged])
+    np.testing.assert_array_equal(vertex["label"], COARSE.to_raw(merged))
+    wrong = merged != COARSE.to_train(truth_of(world, "00"))
+    counts = COARSE.scored[COARSE.to_train(truth_of(world, "00"))]
+    np.testing.assert_array_equal(vertex["error"][counts], wrong[counts])
+
+
+def test_merged_classes_are_no_submission(coarse, tmp_path):
+    predict(coarse)
+    for space in (None, FULL):
+        with pytest.raises(LabelError, match=r"merged classes of coarse .* without --classes"):
+            submit(coarse.out, tmp_path / "a.zip", space=space)
+    assert not (tmp_path / "a.zip").exists()
+
+
+def test_adapted_weights_keep_their_own_classes(coarse):
+    adapting = replace(coarse.network, adapt=True)
+    predict_scans(coarse.data, coarse.out, network=adapting, selection=ONE)
+    (made,) = coarse.out.glob("adapted-*.safetensors")
+    assert read_card(made).space.fits(FULL)
+    assert {*np.unique(coarse.labels("00"))} <= {0, *COARSE.learning_map_inv.values()}
