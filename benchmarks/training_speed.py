@@ -67,9 +67,9 @@ class Comparison:
         files = [file for file in find_scans(options.dataset) if file.label_path.is_file()]
         shape = {"batch": options.batch, "crop_width": options.width}
         self.recipe = Recipe(**shape, epochs=1_000_000, precision=options.precision)
-        counts = count_classes(files, self.space, self.sensor).sum(axis=0)
-        rare = rare_classes(counts, self.space.scored)
         source = Source(files, self.space, self.sensor)
+        counts = count_classes(source)[0].sum(axis=0)
+        rare = rare_classes(counts, self.space.scored)
         self.samples = Samples([source], self.sensor, self.recipe, rare)
         self.weights = class_weights(counts, self.space.scored)
         torch.manual_seed(0)

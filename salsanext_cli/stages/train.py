@@ -156,8 +156,12 @@ def train(
         seen = group.on_main(lambda: as_seen(sensor, list(sampled_images(training, sensor))))
         card = WeightsCard(architecture, classes, seen, recipe.to_dict(), {}, description)
         further = group.on_main(lambda: [further_source(path, classes, seen) for path in also])
-        sources = [Source(training, classes, seen), *further]
-        sets = class_sets(source.space for source in sources)
+        splits = [Source(training, classes, seen), Source(validation, classes, seen), *further]
+        sets = class_sets(source.space for source in splits)
+        if recipe.sensors == "fitted":
+            splits = group.on_main(lambda: [fitted_source(split, jobs) for split in splits])
+        first, scoring, *further = splits
+        sources = [first, *further]
 
         def prepare() -> ClassCounts:
             scans = [*training, *validation]
@@ -165,9 +169,8 @@ def train(
             held.enter_context(trained_alone(run))
             require_free(run, settings, overwrite=overwrite)
             require_labels([*scans, *(file for source in further for file in source.files)])
-            splits = (training, validation, validated)
             kept = run / CLASS_COUNTS
-            counts = class_counts(kept, splits, classes, sensor, jobs, further, recipe.also)
+            counts = class_counts(kept, sources, scoring, validated, jobs, recipe.also)
             if strict:
                 counts.require_no_warnings(dataset)
             begin(run, settings, overwrite=overwrite)
@@ -175,14 +178,12 @@ def train(
 
         counts = group.on_main(prepare)
         points, scored = counts.points, classes.scored
-        if recipe.sensors == "fitted":
-            sources = group.on_main(lambda: [fitted_source(source, jobs) for source in sources])
         class_weight = class_weights(points, scored, recipe.class_weight)
         state = Training(
             run=run,
             learner=Learner(module, recipe, class_weight, place, group, sets),
             samples=Samples(sources, seen, recipe, rare_classes(points, scored), sets),
-            validation=validated,
+            validation=replace(scoring, files=validated),
             card=card,
             workers=workers if jobs != 1 else 0,
             draw=lambda file, network: draw_sample(file, validated[0], network),

@@ -3,8 +3,9 @@
 
 import hashlib
 import json
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from itertools import groupby
 from pathlib import Path
 from typing import Any
 
@@ -14,11 +15,9 @@ import numpy.typing as npt
 import torch
 from torch import Tensor
 
-from salsanext_cli.classes import LabelSpace
 from salsanext_cli.errors import LabelError, TrainingError, counted
 from salsanext_cli.geometry.checks.scan_checks import check_scan
 from salsanext_cli.measures.scan_summary import RunSummary, ScanSummary
-from salsanext_cli.sensors import Sensor
 from salsanext_cli.storage.files.identity import identity
 from salsanext_cli.storage.files.json_files import encode_json, read_json
 from salsanext_cli.storage.layout import ScanFile
@@ -67,9 +66,7 @@ def require_labels(files: Sequence[ScanFile]) -> None:
         raise LabelError(missing[0].label_path, found, expected)
 
 
-def count_classes(
-    files: Sequence[ScanFile], space: LabelSpace, sensor: Sensor, jobs: int = 1
-) -> tuple[Counts, list[ScanSummary]]:
+def count_classes(source: Source, jobs: int = 1) -> tuple[Counts, list[ScanSummary]]:
     """Count the points of every class in every scan, reading and checking all with their labels.
 
     Returns
@@ -83,18 +80,21 @@ def count_classes(
     FormatError, LabelError
         If any scan cannot be trained on.
     """
-    # The network learns from intensities as they are.
-    plain = replace(sensor, intensity_quantiles=())
+    # Unless it is fitted, the network learns from the intensity as it is.
+    plain = replace(source.sensor, intensity_quantiles=())
 
     def count(file: ScanFile) -> tuple[Counts, ScanSummary]:
-        scan, labels = read_labelled(file, space, sensor)
-        check = check_scan(file.path, scan, plain, plain, fitting=False)
-        counts = np.bincount(labels, minlength=space.class_count).astype(np.int64)
+        own, trained = plain, plain
+        if source.fitted:
+            own, trained = source.sensor_of(file), source.sensor
+        scan, labels = read_labelled(file, source.space, own)
+        check = check_scan(file.path, scan, own, trained, fitting=False)
+        counts = np.bincount(labels, minlength=source.space.class_count).astype(np.int64)
         return counts, ScanSummary(file, check)
 
     # Reading and counting release the interpreter's lock, so that threads do.
-    found = joblib.Parallel(jobs, backend="threading")(joblib.delayed(count)(f) for f in files)
-    counts, summaries = zip(*found, strict=True)
+    run = joblib.Parallel(jobs, backend="threading")
+    counts, summaries = zip(*run(joblib.delayed(count)(f) for f in source.files), strict=True)
     return np.stack(counts), list(summaries)
 
 
@@ -131,28 +131,28 @@ def rare_classes(counts: Counts, scored: npt.NDArray[np.bool_]) -> npt.NDArray[n
 
 def class_counts(
     path: Path,
-    splits: tuple[Sequence[ScanFile], Sequence[ScanFile], Sequence[ScanFile]],
-    space: LabelSpace,
-    sensor: Sensor,
+    sources: Sequence[Source],
+    validation: Source,
+    validated: Sequence[ScanFile],
     jobs: int = 1,
-    further: Sequence[Source] = (),
     also: float = 0.0,
 ) -> ClassCounts:
-    """Return the points per class of the training split, reading and checking all scans.
+    """Return the points per class of all training data, reading and checking all scans.
 
     Parameters
     ----------
     path : Path
         The JSON file that keeps the result, which is right until a file of scans or labels
         changes. For that of a whole SemanticKITTI 55 GB are read.
-    splits : (training, validation, validated)
-        Scans to train on, all of the validation split, and those of them that are scored.
-    space, sensor, jobs
-        As `count_classes` takes them.
-    further : sequence of Source
-        Further data sets to train on.
+    sources : sequence of Source
+        Training splits: of the data set, and of further ones.
+    validation, validated
+        The validation split, and those of its scans that are scored.
+    jobs : int
+        Threads.
     also : float
-        Share of the samples that is drawn from them, which their points count by.
+        Share of the samples that is drawn from further data sets; points count as often as they
+        are drawn.
 
     Raises
     ------
@@ -161,10 +161,9 @@ def class_counts(
     TrainingError
         If no point of the training scans, or of those that are scored, is of a class that counts.
     """
-    training, validation, validated = splits
-    from_others = [file for source in further for file in source.files]
-    spaces = [space, *(source.space for source in further)]
-    digest = _digest([*training, *validation, *validated, *from_others], spaces, sensor)
+    first, *further = sources
+    space, training = first.space, first.files
+    digest = _digest([*sources, validation], validated, also if further else 0.0)
     known = read_json(path) or {}
     points, warnings = known.get("points"), known.get("warnings")
     if (
@@ -176,23 +175,23 @@ def class_counts(
         and all(map(_is_warning, warnings))
     ):
         return ClassCounts(np.array([points[name] for name in space.names], np.int64), warnings)
-    of_validation, summaries = count_classes(validation, space, sensor, jobs)
+    of_validation, summaries = count_classes(validation, jobs)
     scored = {*validated}
-    of_validated = of_validation[[file in scored for file in validation]].sum(axis=0)
-    of_training, others = count_classes(training, space, sensor, jobs)
+    of_validated = of_validation[[file in scored for file in validation.files]].sum(axis=0)
+    of_training, others = count_classes(first, jobs)
     counts: Counts = of_training.sum(axis=0)
     for files, of_files in ((validated, of_validated), (training, counts)):
         if not of_files[space.scored].any():
             total = f"{counted(of_files.sum(), 'point')} in {counted(len(files), 'scan')}"
             found = f"none of {total} is of a class that counts"
             raise TrainingError(files[0].label_path.parent, found, f"labels of {space.name}")
-    warnings = _warnings([*others, *summaries], sensor)
+    warnings = _warnings(first, [*others, *summaries])
     if further:
         per_draw = (1 - also) * of_training.mean(axis=0)
         for source in further:
-            of_source, others = count_classes(source.files, source.space, source.sensor, jobs)
+            of_source, others = count_classes(source, jobs)
             per_draw += also / len(further) * of_source.mean(axis=0)
-            warnings += _warnings(others, sensor)
+            warnings += _warnings(source, others)
         counts = np.rint(len(training) * per_draw).astype(np.int64)
     result = ClassCounts(counts, warnings)
     by_name = dict(zip(space.names, counts.tolist(), strict=True))
@@ -201,11 +200,15 @@ def class_counts(
     return result
 
 
-def _warnings(summaries: Sequence[ScanSummary], sensor: Sensor) -> list[dict[str, Any]]:
-    summary = RunSummary(sensor)
-    for scan in summaries:
-        summary.add(scan)
-    return summary.finished(selectable=False).warnings()
+def _warnings(source: Source, summaries: Sequence[ScanSummary]) -> list[dict[str, Any]]:
+    """Return the reasons to doubt scans; each fitted sequence has a sensor of its own."""
+    found = []
+    for _, members in groupby(summaries, lambda each: source.fitted and each.file.sequence):
+        summary = RunSummary(source.sensor)
+        for scan in members:
+            summary.add(scan)
+        found += summary.finished(selectable=False).warnings()
+    return found
 
 
 def _is_warning(value: object) -> bool:
@@ -217,11 +220,15 @@ def _is_warning(value: object) -> bool:
     return all(isinstance(text, str) for text in texts)
 
 
-def _digest(scans: Iterable[ScanFile], spaces: Iterable[LabelSpace], sensor: Sensor) -> str:
-    """Return a digest of label spaces, sensor, and size and time of every scan and its labels."""
-    settings = [*(space.to_dict() for space in spaces), sensor.to_dict()]
+def _digest(sources: Sequence[Source], validated: Sequence[ScanFile], also: float) -> str:
+    """Return a digest of all that class counts depend on: of files, their sizes and times."""
+    settings: list[Any] = [also]
+    for source in sources:
+        sensors = [source.sensor, *source.fitted.values()]
+        settings += [source.space.to_dict(), *(sensor.to_dict() for sensor in sensors)]
     digest = hashlib.sha256(json.dumps(settings, sort_keys=True).encode())
-    for path in (path for scan in scans for path in (scan.path, scan.label_path)):
+    files = [*(file for source in sources for file in source.files), *validated]
+    for path in (path for file in files for path in (file.path, file.label_path)):
         # Without its folder: a data set may move.
         _, _, *state = identity(path) or (None, None)
         digest.update(f"{state}\n".encode())

@@ -4,7 +4,7 @@
 import logging
 import math
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from itertools import islice
 from pathlib import Path
@@ -19,16 +19,18 @@ from salsanext_cli.errors import TrainingError
 from salsanext_cli.geometry.knn import knn_refine
 from salsanext_cli.geometry.projection import project
 from salsanext_cli.inference.network import Network
+from salsanext_cli.inference.scan_fit import with_sensor
 from salsanext_cli.measures.confusion import Confusion
 from salsanext_cli.measures.scores import scores
 from salsanext_cli.network.card import WeightsCard
-from salsanext_cli.storage.layout import ScanFile
 from salsanext_cli.storage.written_files import WrittenFiles
 from salsanext_cli.training.checkpoint import TrainingState, load_checkpoint, save_checkpoint
 from salsanext_cli.training.dataset import Batch, Samples, batches, read_labelled
+from salsanext_cli.training.distributed import SINGLE_PROCESS, ProcessGroup
 from salsanext_cli.training.learner import Learner, learning_rate
 from salsanext_cli.training.log import EpochWriter, Row, draw_curve, write_log
 from salsanext_cli.training.run_folder import BEST, CHECKPOINT, CURVE, LAST, LOG, sample_path
+from salsanext_cli.training.sources import Source
 
 SAVE_INTERVAL_S = 600.0
 """Seconds between two checkpoints within an epoch."""
@@ -71,7 +73,7 @@ class Training:
     learner : Learner
     samples : Samples
         Samples to learn from.
-    validation : sequence of ScanFile
+    validation : Source
         Scans that every validation scores.
     card : WeightsCard
         Card of the weights files, without scores.
@@ -88,7 +90,7 @@ class Training:
     run: Path
     learner: Learner
     samples: Samples
-    validation: Sequence[ScanFile]
+    validation: Source
     card: WeightsCard
     workers: int
     draw: Callable[[BinaryIO, Network], npt.NDArray[np.uint8]]
@@ -202,7 +204,7 @@ class Training:
         group, space = self.learner.group, self.card.space
         # On CPUs the workers' statistics of batch norm differ; kept are those of the main one.
         group.broadcast(self.learner.average.buffers())
-        own = validate(self._network(), self.validation[group.rank :: group.size])
+        own = validate(self._network(), self.validation, group)
         counts = group.sum(torch.from_numpy(own.matrix).to(self.learner.device))
         result = scores(Confusion(space.class_count, counts.cpu().numpy()), space)
         names = {f"iou_{score.name}": score.iou for score in result.classes}
@@ -214,13 +216,14 @@ class Training:
             self.report(Report(epoch, epochs, step + 1, self.samples.plan.steps, loss, row))
 
 
-def validate(network: Network, files: Sequence[ScanFile]) -> Confusion:
-    """Predict labelled scans as `predict` does and count truth against prediction."""
+def validate(network: Network, source: Source, group: ProcessGroup = SINGLE_PROCESS) -> Confusion:
+    """Predict a worker's share of labelled scans as `predict` does, and count truth by label."""
     space = network.card.space
     confusion = Confusion(space.class_count)
-    for file in files:
-        scan, truth = read_labelled(file, space, network.sensor)
-        image = project(scan, network.sensor)
-        pixel_labels = network.probabilities(image).argmax(axis=0)
+    for file in source.files[group.rank :: group.size]:
+        own = with_sensor(network, source.sensor_of(file))
+        scan, truth = read_labelled(file, source.space, own.sensor)
+        image = project(scan, own.sensor)
+        pixel_labels = own.probabilities(image).argmax(axis=0)
         confusion.update(truth, knn_refine(image, pixel_labels, space.class_count))
     return confusion

@@ -54,6 +54,7 @@ from salsanext_cli.training.learner import Learner
 from salsanext_cli.training.log import write_log
 from salsanext_cli.training.recipe import Recipe, recipe
 from salsanext_cli.training.run_folder import require_free
+from salsanext_cli.training.sources import Source
 
 FEW = LabelSpace.from_dict(
     {
@@ -278,14 +279,14 @@ def _read_record(path: Path) -> None:
 def _run_folder(folder: Path, name: str) -> Reader:
     """Make the folder of a training, one of whose records is damaged."""
     data, run = write_sequence(folder / "00", ["a"], count=COUNT), folder / "run"
-    splits = (find_scans(data),) * 3
-    class_counts(run / "class_counts.json", splits, label_space(), SMALL)
+    source = Source(find_scans(data), label_space(), SMALL)
+    class_counts(run / "class_counts.json", [source], source, source.files)
     StageRecord("train", {"recipe": Recipe().to_dict()}).write(run)
     (run / "checkpoint.safetensors").touch()
 
     def read(path: Path) -> None:
         if name == "class_counts.json":
-            class_counts(path, splits, label_space(), SMALL)
+            class_counts(path, [source], source, source.files)
         else:
             require_free(path.parent, {"recipe": Recipe().to_dict()}, overwrite=False)
 

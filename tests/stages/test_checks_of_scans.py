@@ -21,7 +21,7 @@ from salsanext_cli.storage.point_files import write_bin
 from salsanext_cli.storage.selection import ScanSelection
 from salsanext_cli.training import class_counts as counting
 from salsanext_cli.training.recipe import Recipe
-from salsanext_cli.training.sources import labelled_split
+from salsanext_cli.training.sources import Source, labelled_split
 
 UPWARDS = replace(SMALL, name="upwards", fov_up=30.0, fov_down=-2.0)
 TINY = Recipe(epochs=1, batch=2, crop_width=32)
@@ -47,17 +47,17 @@ def change(dataset, points=(0, 1, 2), scale=1.0, brighter=1.0, *, sequence="00",
     write_bin(path, Scan(changed, scan.intensity * np.float32(brighter)))
 
 
-def trained(dataset, **options):
+def trained(dataset, recipe=TINY, **options):
     folder = dataset.parent / "run"
-    return train(dataset, folder, recipe=TINY, sensor=SMALL, device="cpu", **options).warnings
+    return train(dataset, folder, recipe=recipe, sensor=SMALL, device="cpu", **options).warnings
 
 
 def counted(dataset, path, jobs=1):
     """Return the warnings of counting the classes, without the training."""
     space, training = labelled_split(dataset, None, "train")
     _, validation = labelled_split(dataset, None, "valid")
-    splits = (training, validation, validation)
-    return counting.class_counts(path, splits, space, SMALL, jobs).warnings
+    sources = [Source(files, space, SMALL) for files in (training, validation)]
+    return counting.class_counts(path, sources[:1], sources[1], validation, jobs).warnings
 
 
 def found(warnings):
@@ -214,3 +214,16 @@ def test_what_was_found_is_told_by_later_runs_too(dataset):
     for path in out.rglob("1.npy"):
         path.unlink()
     assert found(projected()) == {"out-of-view": ["00/0", "00/2"]}
+
+
+def test_sequences_that_are_fitted_are_checked_as_they_are_seen(dataset):
+    """One of them hangs upside down and writes bytes."""
+    for stem in "012":
+        change(dataset, brighter=100.0, stem=stem)
+        path = dataset / f"sequences/00/velodyne/{stem}.bin"
+        scan = read_scan(path)
+        write_bin(path, Scan(scan.points * np.float32([1, -1, -1]), scan.intensity))
+    doubted = {scan for warning in trained(dataset) for scan in warning["scans"]}
+    assert {"00/0", "00/1", "00/2"} <= doubted
+    fitted = TINY.with_changes(sensors="fitted")
+    assert trained(dataset, fitted, overwrite=True) == []

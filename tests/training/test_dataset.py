@@ -188,7 +188,7 @@ def test_counting_counts_every_point(files: list[ScanFile]) -> None:
         for raw in read_labels(file.label_path):
             expected[SPACE.learning_map[int(raw)]] += 1
     for jobs in (1, 2):
-        counts, summaries = count_classes(files, SPACE, SMALL, jobs)
+        counts, summaries = count_classes(Source(files, SPACE, SMALL), jobs)
         assert [summary.file for summary in summaries] == list(files)
         np.testing.assert_array_equal(counts.sum(axis=0), expected)
         own = np.bincount(SPACE.to_train(read_labels(files[1].label_path)), minlength=20)
@@ -205,22 +205,22 @@ def test_counting_counts_every_point(files: list[ScanFile]) -> None:
 def test_kept_counts_that_are_none_are_counted_again(
     files: list[ScanFile], tmp_path: Path, edited: dict[str, object]
 ) -> None:
-    path, splits = tmp_path / "class_counts.json", (files, files, files)
-    expected = class_counts(path, splits, SPACE, SMALL).points
+    path, source = tmp_path / "class_counts.json", Source(files, SPACE, SMALL)
+    expected = class_counts(path, [source], source, files).points
     content = path.read_bytes()
     kept = json.loads(content)
     fewer = dict(list(kept["points"].items())[1:])
     for points in ({**kept["points"], **edited}, {**fewer, **edited}, list(edited), None):
         path.write_text(json.dumps({**kept, "points": points}))
-        np.testing.assert_array_equal(class_counts(path, splits, SPACE, SMALL).points, expected)
+        np.testing.assert_array_equal(class_counts(path, [source], source, files).points, expected)
         assert path.read_bytes() == content
 
 
 def test_kept_counts_are_used(files: list[ScanFile], tmp_path: Path) -> None:
-    path, splits = tmp_path / "class_counts.json", (files, files, files)
-    expected = class_counts(path, splits, SPACE, SMALL).points
+    path, source = tmp_path / "class_counts.json", Source(files, SPACE, SMALL)
+    expected = class_counts(path, [source], source, files).points
     kept = json.loads(path.read_bytes())
     kept["points"]["car"] += 7
     path.write_text(json.dumps(kept))
-    more = class_counts(path, splits, SPACE, SMALL).points - expected
+    more = class_counts(path, [source], source, files).points - expected
     assert more.tolist() == [7 * (name == "car") for name in SPACE.names]

@@ -8,13 +8,15 @@ import pytest
 import yaml
 from scans import SMALL, make_scan, write_sequence
 
-from salsanext_cli import Scan, label_space, project
+from salsanext_cli import Scan, label_space, load_network, project, read_scan
 from salsanext_cli.errors import LabelError, NoInputError
 from salsanext_cli.geometry.intensity import match_intensity
 from salsanext_cli.geometry.row_gaps import completed
 from salsanext_cli.inference.scan_fit import as_seen
+from salsanext_cli.storage.layout import find_scans
 from salsanext_cli.storage.point_files import write_bin
 from salsanext_cli.training.dataset import Samples
+from salsanext_cli.training.fit import validate
 from salsanext_cli.training.recipe import Recipe
 from salsanext_cli.training.sampling import SamplingPlan
 from salsanext_cli.training.sources import Source, fitted_source, further_source, labelled_split
@@ -94,7 +96,7 @@ def test_a_fitted_sequence_is_seen_as_predict_sees_it(roots: list[Path]) -> None
     file = second.files[0]
     own = fitted.sensor_of(file)
     assert own.up != SMALL.up
-    image = project(Scan(*make_scan_of(file)), own)
+    image = project(read_scan(file.path), own)
     channels = match_intensity(
         image.channels, own.intensity_quantiles, first.sensor.intensity_quantiles
     )
@@ -134,3 +136,20 @@ def test_further_data_sets_are_checked(roots: list[Path], tmp_path: Path) -> Non
     (roots[1] / "labels.yaml").write_text(yaml.safe_dump(other))
     with pytest.raises(LabelError, match=r"other classes .*train id 1: moving-car"):
         further_source(roots[1], SPACE, SMALL)
+
+
+def test_validation_sees_each_sequence_by_its_own_sensor(tmp_path: Path, weights: Path) -> None:
+    """Scans upside down, with the sensor that is so, have the labels of upright ones."""
+    network = load_network(weights, "cpu")
+    confusions = []
+    for name, sign, up in (("upright", 1, 1), ("hanging", -1, -1)):
+        folder = write_sequence(tmp_path / name / "00", ["0", "1"], count=800)
+        files = find_scans(folder)
+        for file in files:
+            scan = read_scan(file.path)
+            write_bin(file.path, Scan(scan.points * np.float32([1, sign, sign]), scan.intensity))
+        fitted = {"00": replace(network.sensor, up=(0.0, 0.0, float(up)))}
+        source = Source(files, network.card.space, network.sensor, fitted)
+        confusions.append(validate(network, source).matrix)
+    np.testing.assert_array_equal(*confusions)
+    assert confusions[0].sum() == 1600
