@@ -17,6 +17,13 @@ HELD_OUT = 10
 """Scans of PandaSet that the temperature is fitted on and that are scored."""
 STREETS = ("--train", "120", "--valid", "5", "--scans", "8", "--spacing", "10", "--jobs", "2")
 
+DESCRIPTION = (
+    "--description",
+    "Trained on simulated streets and sensors and on one drive of PandaSet: 960 scans each of "
+    "`salsanext synth` with an HDL-64 and with random sensors, 28 of PandaSet (Hesai and Scale AI, "
+    "CC BY 4.0). See docs/model-card.md; not for use on real roads.",
+)
+
 
 def salsanext(*words: str | Path) -> None:
     """Run a command of salsanext and stop where it fails."""
@@ -43,21 +50,17 @@ def main() -> None:
     pandaset, out = map(Path, sys.argv[1:3])
     streets, sensors, real, run = (out / name for name in ("streets", "sensors", "pandaset", "run"))
     if not (streets / "labels.yaml").exists():
-        salsanext("synth", streets, *STREETS, "--seed", "0")
+        salsanext("synth", streets, *STREETS, "--seed", "0", "--overwrite")
     if not (sensors / "labels.yaml").exists():
-        salsanext("synth", sensors, *STREETS, "--seed", "1", "--sensor", "random")
+        salsanext("synth", sensors, *STREETS, "--seed", "1", "--sensor", "random", "--overwrite")
     link_pandaset(pandaset, real)
     datasets = (streets, run, "--also", sensors, "--also", real)
     salsanext("train", *datasets, "--recipe", "street", "--sensor", "hdl64-512")
     half, weights = out / "half.safetensors", out / "default.safetensors"
-    description = (
-        "Trained on simulated streets and sensors (salsanext synth) and on 28 scans of PandaSet "
-        "(Hesai and Scale AI, CC BY 4.0)."
-    )
-    salsanext(
-        "import-weights", run / "last.safetensors", half, "--half", "--description", description
-    )
-    salsanext("tune", "temperature", real, weights, "--weights", half)
+    if not half.exists():
+        salsanext("import-weights", run / "last.safetensors", half, "--half", *DESCRIPTION)
+    if not weights.exists():
+        salsanext("tune", "temperature", real, weights, "--weights", half)
 
 
 if __name__ == "__main__":

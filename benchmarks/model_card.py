@@ -4,7 +4,11 @@
 Prints the IoU per class; then accuracy, mean IoU over the classes present and expected calibration
 error in %, as the scans are, with batch norm adapted, without intensity, and in coarse classes.
 
-Run: python benchmarks/model_card.py folder/ NAME=DATASET… [--weights FILE]
+A data set whose labels have other classes needs two label spaces of the same classes: those that
+the predictions are merged into, and those of its labels (docs/label-spaces.md has both for
+nuScenes).
+
+Run: python benchmarks/model_card.py folder/ NAME=DATASET[,CLASSES.yaml,LABELS.yaml]…
 """
 
 import argparse
@@ -24,14 +28,23 @@ VARIANTS: dict[str, tuple[str, ...]] = {
 def salsanext(*words: str | Path) -> dict[str, Any]:
     """Run a command and return its JSON object."""
     command = ["salsanext", *map(str, words), "--json", "--quiet"]
-    found: dict[str, Any] = json.loads(subprocess.run(command, check=True, stdout=-1).stdout)
+    found: dict[str, Any] = json.loads(
+        subprocess.run(command, check=True, stdout=subprocess.PIPE).stdout
+    )
     return found
 
 
-def evaluated(dataset: Path, out: Path, *words: str) -> dict[str, Any]:
-    """Predict a data set, unless that is done, and evaluate it."""
-    salsanext("predict", dataset, out, "--probabilities", *words)
-    return salsanext("eval", out, "--dataset", dataset)
+def evaluated(dataset: str, out: Path, variant: str, weights: str) -> dict[str, Any] | None:
+    """Predict a data set, unless that is done, and evaluate it; None for other classes twice."""
+    path, *spaces = dataset.split(",")
+    if spaces and "--classes" in VARIANTS[variant]:
+        return None
+    merged, labels = (
+        (["--classes", spaces[0]], ["--label-space", spaces[1]]) if spaces else ([], [])
+    )
+    words = ("--weights", weights, *merged, *VARIANTS[variant])
+    salsanext("predict", path, out, "--probabilities", *words)
+    return salsanext("eval", out, *labels)
 
 
 def row(title: str, cells: list[str]) -> None:
@@ -48,31 +61,41 @@ def main() -> None:
     parser.add_argument("datasets", nargs="+", metavar="NAME=DATASET")
     parser.add_argument("--weights", default="default")
     given = parser.parse_args()
-    paths = {name: Path(path) for name, _, path in (each.partition("=") for each in given.datasets)}
+    datasets = dict(each.split("=", 1) for each in given.datasets)
     found = {
-        (variant, name): evaluated(
-            path, given.folder / f"{name}-{number}", "--weights", given.weights, *words
-        )
-        for number, (variant, words) in enumerate(VARIANTS.items())
-        for name, path in paths.items()
+        variant: {
+            name: evaluated(dataset, given.folder / f"{name}-{number}", variant, given.weights)
+            for name, dataset in datasets.items()
+        }
+        for number, variant in enumerate(VARIANTS)
     }
-    usual = [found[next(iter(VARIANTS)), name]["scores"]["classes"] for name in paths]
-    row("class", [*paths])
-    row("---", ["---"] * len(paths))
-    for classes in zip(*usual, strict=True):
-        ious = [score["iou"] if score["points"] else None for score in classes]
-        row(classes[0]["name"], [percent(iou) for iou in ious])
-    print()
-    row("accuracy / mean IoU / ECE", [*paths])
-    row("---", ["---"] * len(paths))
-    for variant in VARIANTS:
-        results = [found[variant, name] for name in paths]
-        overall = [
-            (each["scores"]["accuracy"], each["scores"]["iou_mean_present"]) for each in results
-        ]
-        errors = [each["calibration"]["ece"] for each in results]
-        cells = [[*both, error] for both, error in zip(overall, errors, strict=True)]
-        row(variant, [" / ".join(map(percent, each)) for each in cells])
+    for variant in ("as they are", "--classes coarse"):
+        print(f"IoU per class, {variant}\n")
+        ious = [ious_of(result) for result in found[variant].values()]
+        row("class", [*datasets])
+        row("---", ["---"] * len(datasets))
+        for name in dict.fromkeys(name for each in ious for name in each):
+            row(name, [percent(each.get(name)) for each in ious])
+        print()
+    row("accuracy / mean IoU / ECE", [*datasets])
+    row("---", ["---"] * len(datasets))
+    for variant, results in found.items():
+        row(variant, [overall(result) for result in results.values()])
+
+
+def ious_of(result: dict[str, Any] | None) -> dict[str, float | None]:
+    """Return the IoU of the classes that the labels have."""
+    classes = result["scores"]["classes"] if result else []
+    return {each["name"]: each["iou"] if each["points"] else None for each in classes}
+
+
+def overall(result: dict[str, Any] | None) -> str:
+    """Return accuracy, mean IoU and expected calibration error."""
+    if result is None:
+        return "–"
+    scores = result["scores"]
+    ece = result["calibration"]["ece"]
+    return " / ".join(map(percent, (scores["accuracy"], scores["iou_mean_present"], ece)))
 
 
 if __name__ == "__main__":

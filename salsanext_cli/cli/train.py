@@ -35,7 +35,9 @@ class Start:
         options.SENSOR_HELP, show_default="the sensor of --weights, else hdl64"
     )
     also: list[Path] | None = options.network_option(
-        "Further data set of the same classes; may be given several times.", metavar="DATASET"
+        "Further data set of the same classes, for a share of the samples (--set also=0.5); may be "
+        "given several times.",
+        metavar="DATASET",
     )
     columns: str | None = options.network_option(
         options.COLUMNS_HELP, show_default=options.COLUMNS_DEFAULT

@@ -10,6 +10,7 @@ from salsanext_cli.geometry.few_points import drawn
 from salsanext_cli.geometry.ranges import LARGEST, measured_ranges
 from salsanext_cli.records import Float
 from salsanext_cli.sensor_limits import INTENSITY_LEVELS
+from salsanext_cli.sensors import Sensor
 
 DIGITS = 6
 """Significant digits of a quantile."""
@@ -132,6 +133,13 @@ def intensity_quantiles(images: Iterable[Float]) -> tuple[float, ...]:
     if usual > 0:  # Decibels have no factors.
         each = each[(upper * INTENSITY_FACTOR >= usual) & (upper <= usual * INTENSITY_FACTOR)]
     return tuple(float(f"{value:.{DIGITS}g}") for value in each.mean(axis=0))
+
+
+def bright_intensity(sensor: Sensor) -> float:
+    """Return the intensity of bright surfaces, 1 where a sensor's quantiles do not tell it."""
+    quantiles = sensor.intensity_quantiles
+    bright = quantiles[round(BRIGHT * (INTENSITY_LEVELS - 1))] if quantiles else 1.0
+    return bright if bright > 0 else 1.0
 
 
 def match_intensity(channels: Float, source: Sequence[float], target: Sequence[float]) -> Float:

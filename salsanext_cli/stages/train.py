@@ -11,7 +11,7 @@ from typing import Any
 
 from salsanext_cli.classes import LabelSpace
 from salsanext_cli.errors import UsageError
-from salsanext_cli.inference.scan_fit import as_seen, sampled_images
+from salsanext_cli.inference.scan_fit import with_sensor
 from salsanext_cli.network.card import WeightsCard
 from salsanext_cli.network.segmentation import SegmentationNetwork
 from salsanext_cli.parallel.threads import worker_count
@@ -47,7 +47,7 @@ from salsanext_cli.training.run_folder import (
 )
 from salsanext_cli.training.sources import (
     Source,
-    fitted_source,
+    as_trained,
     further_source,
     labelled_split,
 )
@@ -152,41 +152,39 @@ def train(
         module, architecture, own_sensor = initial_network(weights, classes, recipe)
         sensor = sensor or own_sensor
         _require_pixels(recipe, sensor, module, group)
-        description = f"Trained with `salsanext train` on {dataset.resolve().name}."
-        seen = group.on_main(lambda: as_seen(sensor, list(sampled_images(training, sensor))))
-        card = WeightsCard(architecture, classes, seen, recipe.to_dict(), {}, description)
-        further = group.on_main(lambda: [further_source(path, classes, seen) for path in also])
-        splits = [Source(training, classes, seen), Source(validation, classes, seen), *further]
-        sets = class_sets(source.space for source in splits)
-        if recipe.sensors == "fitted":
-            splits = group.on_main(lambda: [fitted_source(split, jobs) for split in splits])
-        first, scoring, *further = splits
-        sources = [first, *further]
+        roots = ", ".join(path.resolve().name for path in (dataset, *also))
+        description = f"Trained with `salsanext train` on {roots}."
+        further = group.on_main(lambda: [further_source(path, classes, sensor) for path in also])
+        given = [Source(files, classes, sensor) for files in (training, validation)] + further
+        sets = class_sets(source.space for source in given)
 
-        def prepare() -> ClassCounts:
-            scans = [*training, *validation]
-            settings = _settings(card, scans, weights, further)
+        def prepare() -> tuple[list[Source], ClassCounts]:
+            settings = _settings(recipe, given, weights)
             held.enter_context(trained_alone(run))
             require_free(run, settings, overwrite=overwrite)
-            require_labels([*scans, *(file for source in further for file in source.files)])
-            kept = run / CLASS_COUNTS
-            counts = class_counts(kept, sources, scoring, validated, jobs, recipe.also)
+            require_labels([file for source in given for file in source.files])
+            first, scored, *others = as_trained(given, fit=recipe.sensors == "fitted", jobs=jobs)
+            kept, sources = run / CLASS_COUNTS, [first, *others]
+            counts = class_counts(kept, sources, scored, validated, jobs, recipe.also)
             if strict:
                 counts.require_no_warnings(dataset)
             begin(run, settings, overwrite=overwrite)
-            return counts
+            return [scored, *sources], counts
 
-        counts = group.on_main(prepare)
-        points, scored = counts.points, classes.scored
-        class_weight = class_weights(points, scored, recipe.class_weight)
+        (scored, *sources), counts = group.on_main(prepare)
+        seen, of_class = sources[0].sensor, (counts.points, classes.scored)
+        class_weight = class_weights(*of_class, recipe.class_weight)
+        drawn = validated[0]
         state = Training(
             run=run,
             learner=Learner(module, recipe, class_weight, place, group, sets),
-            samples=Samples(sources, seen, recipe, rare_classes(points, scored), sets),
-            validation=replace(scoring, files=validated),
-            card=card,
+            samples=Samples(sources, seen, recipe, rare_classes(*of_class), sets),
+            validation=replace(scored, files=validated),
+            card=WeightsCard(architecture, classes, seen, recipe.to_dict(), {}, description),
             workers=workers if jobs != 1 else 0,
-            draw=lambda file, network: draw_sample(file, validated[0], network),
+            draw=lambda file, network: draw_sample(
+                file, drawn, with_sensor(network, scored.sensor_of(drawn))
+            ),
             write_epoch=held.enter_context(tensorboard_in(run, EVENTS, wanted=group.is_main)),
             report=progress,
         ).fit()
@@ -205,23 +203,24 @@ def _require_pixels(
         raise UsageError("recipe key crop_width", found, "two pixels for batch norm at least")
 
 
-def _settings(
-    card: WeightsCard, scans: list[ScanFile], weights: Path | None, further: Sequence[Source]
-) -> dict[str, Any]:
-    """Return all that decides the result of a training."""
-    others = [
-        {"label_space": each.space.to_dict(), "scans": _named(each.files)} for each in further
-    ]
-    return {
-        "recipe": dict(card.recipe),
-        "sensor": replace(card.sensor, intensity_quantiles=(), row_gaps=None).to_dict(),
-        "label_space": card.space.to_dict(),
-        "scans": _named(scans),
+def _settings(recipe: Recipe, sources: Sequence[Source], weights: Path | None) -> dict[str, Any]:
+    """Return all that decides the result of a training; see `train` for the order of sources."""
+    first, validation, *further = sources
+    settings: dict[str, Any] = {
+        "recipe": recipe.to_dict(),
+        "sensor": replace(first.sensor, intensity_quantiles=(), row_gaps=None).to_dict(),
+        "label_space": first.space.to_dict(),
+        "scans": _digest([*first.files, *validation.files]),
         "weights": fingerprint(weights) if weights else None,
-    } | ({"also": others} if others else {})
+    }
+    if further:
+        settings["also"] = [
+            {"label_space": each.space.to_dict(), "scans": _digest(each.files)} for each in further
+        ]
+    return settings
 
 
-def _named(scans: Sequence[ScanFile]) -> str:
+def _digest(scans: Sequence[ScanFile]) -> str:
     """Return the number of scans and a digest of their names."""
     names = "\n".join(f"{scan.sequence}/{scan.stem}" for scan in scans)
     return f"{len(scans)}, {hashlib.sha256(names.encode()).hexdigest()[:16]}"

@@ -201,14 +201,14 @@ def class_counts(
 
 
 def _warnings(source: Source, summaries: Sequence[ScanSummary]) -> list[dict[str, Any]]:
-    """Return the reasons to doubt scans; each fitted sequence has a sensor of its own."""
-    found = []
+    """Return the reasons to doubt scans; each fitted sequence may have a sensor of its own."""
+    summary = RunSummary(source.sensor)
     for _, members in groupby(summaries, lambda each: source.fitted and each.file.sequence):
-        summary = RunSummary(source.sensor)
+        summary.traits.clear()
         for scan in members:
             summary.add(scan)
-        found += summary.finished(selectable=False).warnings()
-    return found
+        summary.finished(selectable=False)
+    return summary.warnings()
 
 
 def _is_warning(value: object) -> bool:

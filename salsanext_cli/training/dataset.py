@@ -19,7 +19,7 @@ from salsanext_cli.errors import SalsanextError
 from salsanext_cli.formats import read_scan
 from salsanext_cli.formats.labels import read_labels
 from salsanext_cli.geometry.gather import pixels_from_points
-from salsanext_cli.geometry.intensity import NO_INTENSITY, match_intensity
+from salsanext_cli.geometry.intensity import NO_INTENSITY, bright_intensity, match_intensity
 from salsanext_cli.geometry.normalise import normalise
 from salsanext_cli.geometry.projection import project
 from salsanext_cli.geometry.row_gaps import completed, row_gaps
@@ -102,7 +102,7 @@ class Samples(Dataset[Sample]):
         """Order of the samples in the whole training."""
         return SamplingPlan([len(source.files) for source in self.sources], self.recipe)
 
-    def place(self, index: int) -> tuple[Source, ScanFile]:
+    def scan_at(self, index: int) -> tuple[Source, ScanFile]:
         """Return a scan and its data set."""
         for source in self.sources:
             if index < len(source.files):
@@ -118,12 +118,14 @@ class Samples(Dataset[Sample]):
         scan, labels = self._mixed(index, random)
         view = self._view(index, random)
         image = project(scan, view)
-        channels, truth = image.channels, pixels_from_points(labels, image.point_of_pixel)
+        truth = pixels_from_points(labels, image.point_of_pixel)
+        # Rows are left out, and gaps filled, of both alike.
+        both = np.concatenate([image.channels, truth[None].astype(np.float32)])
         if _drawn(recipe.fewer_beams, random):
-            channels = fewer_beams(channels, random)
-            truth = np.where(channels[0] > 0, truth, 0)
-            view = replace(view, row_gaps=row_gaps([channels]))
-        channels = completed(channels, view, self.sensor)
+            both = fewer_beams(both, random)
+            view = replace(view, row_gaps=row_gaps([both]))
+        both = completed(both, view, self.sensor)
+        channels, truth = both[:-1], both[-1].astype(np.uint8)
         if _drawn(recipe.no_intensity, random):
             channels = match_intensity(channels, NO_INTENSITY, self.sensor.intensity_quantiles)
         scored = of_targets(self.sources[0].space.scored, self.sets, np.any)
@@ -132,7 +134,7 @@ class Samples(Dataset[Sample]):
 
     def _view(self, index: int, random: np.random.Generator) -> Sensor:
         """Return the sensor that a sample of a scan is projected with, in the sensor's frame."""
-        source, file = self.place(index)
+        source, file = self.scan_at(index)
         view = replace(source.sensor_of(file), up=UP, origin=ORIGIN)
         return other_view(view, random) if _drawn(self.recipe.view, random) else view
 
@@ -157,21 +159,25 @@ class Samples(Dataset[Sample]):
         return scan, labels
 
     def _partner(self, index: int, random: np.random.Generator) -> LabelledScan:
-        """Return another scan than the one of an index; the same if there is no other."""
+        """Return another scan than the one of an index; the same if there is no other.
+
+        It comes from a further data set as often as samples do.
+        """
         counts = self.plan.scan_counts
-        if len(counts) > 1:
-            further = random.random() < self.recipe.also
-            chosen = int(random.integers(1, len(counts))) if further else 0
-            start = sum(counts[:chosen])
-            return self._read(start + int(random.integers(counts[chosen])), random)
-        away = 1 + random.integers(max(1, counts[0] - 1))
-        return self._read(int((index + away) % counts[0]), random)
+        chosen = 0
+        if len(counts) > 1 and random.random() < self.recipe.also:
+            chosen = int(random.integers(1, len(counts)))
+        start, count = sum(counts[:chosen]), counts[chosen]
+        if start <= index < start + count:
+            away = 1 + random.integers(max(1, count - 1))
+            return self._read(int(start + (index - start + away) % count), random)
+        return self._read(start + int(random.integers(count)), random)
 
     def _read(self, index: int, random: np.random.Generator) -> LabelledScan:
-        source, file = self.place(index)
+        source, file = self.scan_at(index)
         scan, labels = source.read(file, self.sets)
         if _drawn(self.recipe.intensity, random):
-            scan = change_intensity(scan, random)
+            scan = change_intensity(scan, bright_intensity(self.sensor), random)
         return scan, labels
 
 

@@ -168,7 +168,9 @@ class Training:
         alone = indices[self.learner.non_finite_samples(images, truth)]
         group, device = self.learner.group, self.learner.device
         found, every = (torch.cat(group.gather(i.to(device))) for i in (alone, indices))
-        paths = (str(self.samples.place(int(i))[1].path) for i in (found if len(found) else every))
+        paths = (
+            str(self.samples.scan_at(int(i))[1].path) for i in (found if len(found) else every)
+        )
         raise TrainingError(
             f"step {step + 1}",
             f"the loss or its gradient is not finite with {', '.join(paths)}",

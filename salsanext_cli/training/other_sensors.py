@@ -26,20 +26,24 @@ LOWERED_M, RAISED_M = 0.55, 0.9
 """Largest distances that a sensor is moved down and up."""
 TILT_DEG = 1.0
 """Standard deviation of the angle that a sensor is tilted by."""
-EDGE_SHIFT_DEG = 6.0
-"""Largest shift of an edge of the view."""
+EDGE_SHIFT_DEG, EDGE_SHIFT = 6.0, 0.25
+"""Largest shift of an edge of the view, in degrees and as a share of the view, so that the edges
+never meet."""
 LEAST_ROWS, MOST_ROWS = 0.25, 0.75
 """Bounds of the share of rows that are kept."""
 
 
-def change_intensity(scan: Scan, random: Rng) -> Scan:
-    """Return a scan whose intensities i are gain · i^gamma · (range / 10 m)^power + offset."""
+def change_intensity(scan: Scan, bright: float, random: Rng) -> Scan:
+    """Return a scan whose intensities i become gain · i^gamma · (range / 10 m)^power + offset.
+
+    They are in units of `bright`, that of bright surfaces, before and after.
+    """
     gain, gamma = np.exp(random.normal(0, (LOG_GAIN, LOG_GAMMA)))
     power, offset = random.normal(0, (RANGE_POWER, OFFSET))
     ranges, measured = measured_ranges(scan.points)
     response = np.where(measured, ranges / RESPONSE_RANGE_M, 1.0) ** power
-    positive = np.clip(scan.intensity, 0, None).astype(np.float64)
-    changed = gain * positive**gamma * response + offset
+    positive = np.clip(scan.intensity, 0, None).astype(np.float64) / bright
+    changed = bright * (gain * positive**gamma * response + offset)
     return replace(scan, intensity=changed.astype(np.float32))
 
 
@@ -57,12 +61,13 @@ def mount_otherwise(points: Float, random: Rng) -> Float:
 
 def other_view(sensor: Sensor, random: Rng) -> Sensor:
     """Return a sensor both of whose edges of the view are moved."""
-    up, down = random.uniform(-EDGE_SHIFT_DEG, EDGE_SHIFT_DEG, 2)
+    most = min(EDGE_SHIFT_DEG, EDGE_SHIFT * (sensor.fov_up - sensor.fov_down))
+    up, down = map(float, random.uniform(-most, most, 2))
     return replace(sensor, fov_up=sensor.fov_up + up, fov_down=sensor.fov_down + down)
 
 
 def fewer_beams(channels: Float, random: Rng) -> Float:
-    """Return a range image (5, H, W) of which some rows are kept, evenly spaced or any."""
+    """Return channels (C, H, W) of which some rows are kept, evenly spaced or any."""
     height = channels.shape[1]
     count = max(1, round(height * random.uniform(LEAST_ROWS, MOST_ROWS)))
     if random.random() < 0.5:

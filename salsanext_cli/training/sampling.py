@@ -67,14 +67,14 @@ class SamplingPlan:
         """Yield keys without end, from a position of the whole training."""
         orders: dict[int, tuple[int, list[int]]] = {}
         while True:
-            source, draw = self._place(position)
-            time, place = divmod(draw, self.scan_counts[source])
-            if orders.get(source, (-1, []))[0] != time:
-                orders[source] = time, self._order(source, time)
+            source, draw = self._draw(position)
+            number, place = divmod(draw, self.scan_counts[source])
+            if orders.get(source, (-1, []))[0] != number:
+                orders[source] = number, self._order(source, number)
             yield position, orders[source][1][place]
             position += 1
 
-    def _place(self, position: int) -> tuple[int, int]:
+    def _draw(self, position: int) -> tuple[int, int]:
         """Return the data set of a position, and how often it was drawn from before."""
         others = len(self.scan_counts) - 1
         share = self.recipe.also if others else 0.0
@@ -83,8 +83,8 @@ class SamplingPlan:
             return 0, position - further
         return 1 + further % others, further // others
 
-    def _order(self, source: int, time: int) -> list[int]:
-        """Return the indices of a data set's scans in the order of a round."""
-        seed = (self.recipe.seed, ORDER, time, *((source,) if source else ()))
+    def _order(self, source: int, number: int) -> list[int]:
+        """Return the indices of a data set's scans in the order of a round, counted from 0."""
+        seed = (self.recipe.seed, ORDER, number, *((source,) if source else ()))
         order = np.random.default_rng(seed).permutation(self.scan_counts[source])
         return [sum(self.scan_counts[:source]) + int(i) for i in order]

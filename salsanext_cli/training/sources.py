@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: MIT
 """Data sets to train on: labelled scans, their label space and the sensors that recorded them."""
 
+import logging
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import groupby
@@ -10,19 +11,22 @@ import joblib
 
 from salsanext_cli.class_merging import is_merged
 from salsanext_cli.classes import LabelSpace, label_space
-from salsanext_cli.errors import LabelError, NoInputError, first_few
+from salsanext_cli.errors import NOTICE, LabelError, NoInputError, counted, first_few
 from salsanext_cli.formats import read_scan
 from salsanext_cli.formats.labels import read_labels
 from salsanext_cli.geometry.fitting.view_fit import fit_view
 from salsanext_cli.geometry.intensity import on_other_scale
 from salsanext_cli.geometry.mounting import in_sensor_frame
 from salsanext_cli.geometry.projection import project
-from salsanext_cli.inference.scan_fit import as_seen, sampled
-from salsanext_cli.sensors import Sensor
+from salsanext_cli.inference.scan_fit import as_seen, sampled, sampled_images
+from salsanext_cli.records import Float
+from salsanext_cli.sensors import FITTED_NAME, Sensor
 from salsanext_cli.storage.layout import ScanFile, find_scans
 from salsanext_cli.storage.selection import data_set_label_space
 from salsanext_cli.training.augment import LabelledScan
 from salsanext_cli.training.targets import ClassSets, to_targets
+
+log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -69,6 +73,23 @@ class Source:
         return scan, targets
 
 
+def as_trained(sources: Sequence[Source], *, fit: bool, jobs: int = 1) -> list[Source]:
+    """Return sources as training sees them: fitted or not, and with what it sees in their sensor.
+
+    Intensity and gaps of the sensor that the network is trained for are those of the first source.
+    """
+    if fit:
+        sources = [fitted_source(source, jobs) for source in sources]
+    first = sources[0]
+
+    def image_of(file: ScanFile) -> Float:
+        own = first.sensor_of(file)
+        return project(read_scan(file.path, own), own).channels
+
+    sensor = as_seen(first.sensor, list(sampled_images(first.files, first.sensor, image_of)))
+    return [replace(source, sensor=sensor) for source in sources]
+
+
 def fitted_source(source: Source, jobs: int = 1) -> Source:
     """Return a source with the sensor of each sequence fitted to its scans, as `predict` does."""
     sequences = {name: list(files) for name, files in groupby(source.files, lambda f: f.sequence)}
@@ -80,6 +101,9 @@ def fitted_source(source: Source, jobs: int = 1) -> Source:
 
     run = joblib.Parallel(jobs, backend="threading")
     found = run(joblib.delayed(fit)(files) for files in sequences.values())
+    others = sum(sensor.name == FITTED_NAME for sensor in found)
+    counts = counted(len(found), "sequence")
+    log.log(NOTICE, "%s fitted, %d of them with another view or mounting", counts, others)
     return replace(source, fitted=dict(zip(sequences, found, strict=True)))
 
 

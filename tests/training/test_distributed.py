@@ -112,6 +112,7 @@ def test_the_command_line_under_torchrun(tmp_path: Path) -> None:
     lines = (f"{key} = {json.dumps(value)}\n" for key, value in SMALL.to_dict().items())
     sensor.write_text("".join(lines), "utf-8")
     given = ("train", tmp_path / "data", run, "--recipe", "quick", "--sensor", sensor, "--json")
+    given = (*given, "--also", tmp_path / "data", "--set=sensors=fitted")
     short = ("samples_per_epoch=3", "crop_width=32", "architecture=salsanet")
     ended = torchrun("-m", "salsanext_cli", *given, *(f"--set={change}" for change in short))
     assert ended.returncode == 0, ended.stderr

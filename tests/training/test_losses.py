@@ -181,3 +181,10 @@ def test_class_weights_are_inverse_square_roots_of_shares() -> None:
     np.testing.assert_allclose(weights.numpy(), expected, rtol=1e-6)
     # 1/(f + 0.001), as published code has it, would stretch this far beyond √99.
     assert float(weights[1] / weights[2]) == pytest.approx(np.sqrt(99), rel=1e-6)
+
+
+@pytest.mark.parametrize("exponent", [0.0, 0.25, 1.0])
+def test_class_weights_are_inverse_powers_of_shares(exponent: float) -> None:
+    counts, scored = np.array([5, 300, 100, 0]), np.array([False, True, True, True])
+    weights = class_weights(counts, scored, exponent).numpy()
+    np.testing.assert_allclose(weights, [0, 0.75**-exponent, 0.25**-exponent, 0], rtol=1e-6)

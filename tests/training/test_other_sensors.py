@@ -1,4 +1,6 @@
 # SPDX-License-Identifier: MIT
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -25,26 +27,29 @@ def rng(seed: int) -> np.random.Generator:
 
 
 @settings(max_examples=30, deadline=None)
-@given(SEEDS)
-def test_intensities_follow_one_law_of_intensity_and_range(seed: int) -> None:
+@given(SEEDS, st.sampled_from([1.0, 0.6, 255.0]))
+def test_intensities_follow_one_law_of_intensity_and_range(seed: int, bright: float) -> None:
+    """On whatever scale they are."""
     scan = make_scan(400, seed)
+    scan = replace(scan, intensity=scan.intensity * np.float32(bright))
     drawn = rng(seed)
     gain, gamma = np.exp(drawn.normal(0, [0.3, 0.3]))
     power, offset = drawn.normal(0, [0.15, 0.05])
     expected = [
-        gain * i**gamma * (np.linalg.norm(p.astype(float)) / 10) ** power + offset
+        bright
+        * (gain * (i / bright) ** gamma * (np.linalg.norm(p.astype(float)) / 10) ** power + offset)
         for p, i in zip(scan.points, scan.intensity.astype(float), strict=True)
     ]
-    found = change_intensity(scan, rng(seed))
-    np.testing.assert_allclose(found.intensity, expected, rtol=1e-4, atol=1e-5)
+    found = change_intensity(scan, bright, rng(seed))
+    np.testing.assert_allclose(found.intensity, expected, rtol=1e-4, atol=1e-5 * bright)
     np.testing.assert_array_equal(found.points, scan.points)
 
 
 def test_points_without_a_measurement_change_no_other() -> None:
     points = np.array([[0, 0, 0], [np.nan, 1, 1], [3, 4, 0]], np.float32)
     scan = Scan(points, np.array([0.5, -1, 0.5], np.float32))
-    found = change_intensity(scan, rng(0)).intensity
-    alone = change_intensity(Scan(points[2:], scan.intensity[2:]), rng(0)).intensity
+    found = change_intensity(scan, 1.0, rng(0)).intensity
+    alone = change_intensity(Scan(points[2:], scan.intensity[2:]), 1.0, rng(0)).intensity
     assert np.isfinite(found).all()
     assert found[2] == alone[0]
     moved = mount_otherwise(points, rng(0))
@@ -76,6 +81,14 @@ def test_edges_of_the_view_move_on_their_own() -> None:
         assert np.abs(found - usual).max() <= EDGE_SHIFT_DEG
         assert np.ptp(found) > 1.8 * EDGE_SHIFT_DEG
     assert abs(np.corrcoef(up, down)[0, 1]) < 0.3
+
+
+@pytest.mark.parametrize("extent", [0.5, 4.0, 12.0])
+def test_edges_of_a_narrow_view_never_meet(extent: float) -> None:
+    narrow = replace(SMALL, fov_up=2.0, fov_down=2.0 - extent)
+    views = [other_view(narrow, rng(seed)) for seed in range(100)]
+    assert min(view.fov_up - view.fov_down for view in views) >= extent / 2 - 1e-9
+    assert all(type(view.fov_up) is float for view in views)
 
 
 @pytest.mark.parametrize("seed", range(8))

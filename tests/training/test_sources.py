@@ -10,13 +10,16 @@ from scans import SMALL, make_scan, write_sequence
 
 from salsanext_cli import Scan, label_space, load_network, project, read_scan
 from salsanext_cli.errors import LabelError, NoInputError
-from salsanext_cli.geometry.intensity import match_intensity
+from salsanext_cli.geometry.gather import pixels_from_points
+from salsanext_cli.geometry.intensity import bright_intensity, match_intensity
+from salsanext_cli.geometry.normalise import normalise
 from salsanext_cli.geometry.row_gaps import completed
 from salsanext_cli.inference.scan_fit import as_seen
 from salsanext_cli.storage.layout import find_scans
 from salsanext_cli.storage.point_files import write_bin
-from salsanext_cli.training.dataset import Samples
+from salsanext_cli.training.dataset import SAMPLE, Samples
 from salsanext_cli.training.fit import validate
+from salsanext_cli.training.other_sensors import change_intensity, mount_otherwise, other_view
 from salsanext_cli.training.recipe import Recipe
 from salsanext_cli.training.sampling import SamplingPlan
 from salsanext_cli.training.sources import Source, fitted_source, further_source, labelled_split
@@ -84,7 +87,7 @@ def test_samples_come_from_all_data_sets_with_their_own_labels(roots: list[Path]
     assert any((truth == 20).any() for truth in drawn)
     assert not all((truth == 20).any() for truth in drawn)
     with pytest.raises(IndexError):
-        samples.place(8)
+        samples.scan_at(8)
 
 
 def test_a_fitted_sequence_is_seen_as_predict_sees_it(roots: list[Path]) -> None:
@@ -116,16 +119,58 @@ def make_scan_of(file):
     return scan.points, scan.intensity
 
 
-def test_changes_to_other_sensors_keep_truth_and_image_together(roots: list[Path]) -> None:
+def changed(roots: list[Path], **chances: float) -> tuple[np.ndarray, np.ndarray, Source]:
+    """Return a sample of the first data set with some changes, and the data set."""
     first, _ = seen(roots)
-    always = dict.fromkeys(("intensity", "no_intensity", "mount", "view", "fewer_beams"), 1.0)
-    image, truth, _ = Samples([first], first.sensor, NOTHING.with_changes(**always), NEVER)[5, 1]
-    empty = ~image.any(axis=0)
-    assert not truth[empty].any()
-    assert truth.any()
-    assert len(np.unique(image[4][~empty])) == 1
-    plain = Samples([first], first.sensor, NOTHING, NEVER)[5, 1][0]
-    assert (plain.any(axis=0)).sum() > (truth > 0).sum()
+    samples = Samples([first], first.sensor, NOTHING.with_changes(**chances), NEVER)
+    image, truth, _ = samples[5, 1]
+    return image, truth, first
+
+
+@pytest.mark.parametrize("key", ["intensity", "mount", "view"])
+def test_each_change_to_another_sensor_is_made(roots: list[Path], key: str) -> None:
+    found, truth, source = changed(roots, **{key: 1.0})
+    file, sensor = source.files[1], source.sensor
+    scan, labels = source.read(file, ())
+    random = np.random.default_rng((NOTHING.seed, SAMPLE, 5))
+    if key == "intensity":
+        random.random()
+        scan = change_intensity(scan, bright_intensity(sensor), random)
+    random.random(4)
+    if key == "mount":
+        random.random()
+        scan = replace(scan, points=mount_otherwise(scan.points, random))
+    if key == "view":
+        random.random()
+        sensor = other_view(sensor, random)
+    image = project(scan, sensor)
+    np.testing.assert_array_equal(found, normalise(image.channels, SMALL))
+    np.testing.assert_array_equal(truth, pixels_from_points(labels, image.point_of_pixel))
+    assert not np.array_equal(found, changed(roots)[0])
+
+
+def test_without_intensity_all_pixels_have_the_mean(roots: list[Path]) -> None:
+    image, truth, source = changed(roots, no_intensity=1.0)
+    full = image.any(axis=0)
+    mean = np.mean(source.sensor.intensity_quantiles)
+    expected = (mean - SMALL.means[4]) / SMALL.stds[4]
+    np.testing.assert_allclose(image[4][full], expected, rtol=1e-5)
+    np.testing.assert_array_equal(truth, changed(roots)[1])
+
+
+def test_filled_pixels_have_the_label_of_the_point_below(roots: list[Path]) -> None:
+    """Rows are left out of image and truth alike; what is filled is a copy of another pixel."""
+    image, truth, _ = changed(roots, fewer_beams=1.0)
+    plain, labels, _ = changed(roots)
+    full = image.any(axis=0)
+    assert not truth[~full].any()
+    copies = 0
+    for v, u in np.argwhere(full):
+        sources = [w for w in range(v, v + 3) if w < len(plain[0])]
+        (source, *_) = [w for w in sources if np.array_equal(plain[:, w, u], image[:, v, u])]
+        assert truth[v, u] == labels[source, u]
+        copies += source > v
+    assert copies > 20
 
 
 def test_further_data_sets_are_checked(roots: list[Path], tmp_path: Path) -> None:

@@ -17,6 +17,7 @@ from salsanext_cli.errors import TrainingError
 from salsanext_cli.training.distributed import ProcessGroup, process_group
 from salsanext_cli.training.learner import Learner
 from salsanext_cli.training.recipe import Recipe
+from salsanext_cli.training.targets import ClassSets
 
 WEIGHTS = torch.tensor([0.0, 1.0, 2.0, 0.5])
 CASES: dict[str, dict[str, object]] = {
@@ -27,6 +28,7 @@ CASES: dict[str, dict[str, object]] = {
     "in parts": {"lovasz": 0.0, "accumulate": 2},
     "nothing labelled": {"labels": 0},
     "bfloat16": {"precision": "bfloat16"},
+    "sets of classes": {"sets": ((1, 2),)},
 }
 FLOAT = {"float32": torch.float64, "bfloat16": torch.float32}
 """Type of weights and images: only float32 is computed in bfloat16, float64 stays as it is."""
@@ -56,20 +58,24 @@ def share(whole: Tensor, group: ProcessGroup) -> Tensor:
     return whole[group.rank :: group.size]
 
 
-def learner(group: ProcessGroup, *, norm: bool = False, **changes: object) -> Learner:
+def learner(
+    group: ProcessGroup, *, norm: bool = False, sets: ClassSets = (), **changes: object
+) -> Learner:
     """Return the same network in every process."""
     recipe = Recipe(batch=5, dropout=0.0, learning_rate=0.1, **changes)  # type: ignore[arg-type]
     with torch.random.fork_rng():
         torch.manual_seed(0)
         module = network(norm=norm).to(FLOAT[recipe.precision])
-    return Learner(module, recipe, WEIGHTS, torch.device("cpu"), group)  # type: ignore[arg-type]
+    return Learner(module, recipe, WEIGHTS, torch.device("cpu"), group, sets)  # type: ignore[arg-type]
 
 
 def stepped(group: ProcessGroup, case: str) -> dict[str, Tensor]:
     """Return loss, gradients and weights after a step of a case."""
     changes = dict(CASES[case])
     images, truth = batch(changes.pop("labels", 1))  # type: ignore[arg-type]
-    learning = learner(group, **changes)
+    if "sets" in changes:
+        truth[1:4, 2] = len(WEIGHTS)
+    learning = learner(group, **changes)  # type: ignore[arg-type]
     images = images.to(FLOAT[learning.recipe.precision])
     found = {"loss": torch.tensor(learning.step(share(images, group), share(truth, group), 5, 1))}
     for name, parameter in learning.module.named_parameters():

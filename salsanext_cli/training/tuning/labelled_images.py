@@ -9,6 +9,8 @@ import numpy.typing as npt
 
 from salsanext_cli.classes import LabelSpace, TrainIds
 from salsanext_cli.errors import LabelError, first_few
+from salsanext_cli.formats import read_scan
+from salsanext_cli.formats.labels import read_labels
 from salsanext_cli.geometry.projection import project
 from salsanext_cli.inference.network import Network
 from salsanext_cli.network.card import WeightsCard
@@ -16,7 +18,7 @@ from salsanext_cli.records import Float, RangeImage
 from salsanext_cli.storage.layout import ScanFile
 from salsanext_cli.storage.selection import ScanSelection, select_evenly, space_of
 from salsanext_cli.training.class_counts import require_labels
-from salsanext_cli.training.dataset import read_labelled
+from salsanext_cli.training.targets import class_sets, to_targets
 
 VALIDATION = ScanSelection(split="valid")
 """Selection of scans to tune on, unless another is given."""
@@ -31,7 +33,8 @@ class LabelledImage:
     image : RangeImage
         Of the whole scan.
     pixels : (M,) int
-        Pixel, v * W + u, of every point that has one and whose true class is not ignored.
+        Pixel, v * W + u, of every point that has one and whose label stands for one class, not
+        ignored.
     truth : (M,) uint8
         Train ids of these points.
     """
@@ -83,10 +86,13 @@ def read_labelled_image(file: ScanFile, network: Network, space: LabelSpace) -> 
     FormatError, LabelError
         If a file cannot be read, the numbers of points differ or a label id is unknown.
     """
-    scan, truth = read_labelled(file, space, network.sensor)
+    scan = read_scan(file.path, network.sensor)
+    raw = read_labels(file.label_path, len(scan))
+    targets = to_targets(raw, space, class_sets([space]), file.label_path)
     image = project(scan, network.sensor, network.device)
-    counts = space.scored[truth] & (image.pixel_of_point >= 0)
-    return LabelledImage(image, image.pixel_of_point[counts], truth[counts])
+    scored = np.flatnonzero(space.scored)
+    counts = np.isin(targets, scored) & (image.pixel_of_point >= 0)
+    return LabelledImage(image, image.pixel_of_point[counts], targets[counts])
 
 
 def require_points(points: int, dataset: Path, space: LabelSpace) -> None:
