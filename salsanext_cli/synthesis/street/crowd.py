@@ -65,8 +65,10 @@ def _bicycles(builder: Builder, side: Side, s: float) -> None:
 
 def _motorcycles(builder: Builder, side: Side, s: float) -> None:
     """Park motorcycles at the kerb or on the pavement, along it or across."""
-    out = builder.between(-0.7, -0.4) if builder.chance(0.4) else _somewhere(builder, side)
+    at_kerb = builder.chance(0.4)
+    out = builder.between(-0.7, -0.4) if at_kerb else _somewhere(builder, side)
     yaw = builder.rng.choice([0.0, np.pi / 2, 1.0]) + np.pi * builder.chance(0.5)
+    out += 0.9 * abs(np.sin(yaw)) * at_kerb
     for step in range(int(builder.rng.choice([1, 1, 1, 2, 4]))):
         mesh = cycles.motorcycle(builder.rng).leaned(builder.rng.normal(0, 0.1))
         turned = yaw + builder.rng.normal(0, 0.1)

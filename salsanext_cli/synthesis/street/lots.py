@@ -10,8 +10,19 @@ from salsanext_cli.synthesis.mesh import Mesh, Rng
 from salsanext_cli.synthesis.street.boundaries import boundary, close, hedge, wall
 from salsanext_cli.synthesis.street.builder import Builder
 from salsanext_cli.synthesis.street.plan import REACH_M, Lot, Side
-from salsanext_cli.synthesis.things import buildings, fences, furniture, hedges, people, vegetation
-from salsanext_cli.synthesis.things.vehicles import vehicle
+from salsanext_cli.synthesis.things import (
+    buildings,
+    cars,
+    fences,
+    furniture,
+    hedges,
+    people,
+    vegetation,
+)
+from salsanext_cli.synthesis.things.vehicles import length_of, vehicle
+
+CAR_ROOM_M = 5.2
+"""Distance from the kerb to the house that a car in the driveway needs."""
 
 
 def furnish(builder: Builder, side: Side, lot: Lot) -> None:
@@ -77,7 +88,7 @@ def _house(builder: Builder, side: Side, lot: Lot) -> None:
     if builder.chance(0.75) and lot.setback > 2:
         kind = vegetation.tree if builder.chance(0.7) else vegetation.conifer
         _scatter(builder, side, lot, kind, (3.0, 8.0), 1.2)
-    if drive and builder.chance(0.55):
+    if drive and builder.chance(0.55) and front > CAR_ROOM_M:
         _park(builder, side, sum(lot.drive) / 2, front - min(2.6, lot.setback / 2), np.pi / 2)
     if builder.chance(0.5):
         end = front + builder.between(2, 12)
@@ -159,9 +170,10 @@ def _rampart(builder: Builder, side: Side, lot: Lot) -> None:
 def _forecourt(builder: Builder, side: Side, lot: Lot) -> None:
     """Build a low house behind open ground on which vehicles stand."""
     for s in np.arange(lot.start + 3, lot.end - 3, builder.between(4, 9)):
-        yaw = builder.between(0, 6.28)
-        out = side.depth + builder.between(2.5, max(2.6, lot.setback - 2.5))
-        builder.put_if_free(vehicle(builder.rng), side, float(s), out, 2.4, yaw)
+        mesh, yaw = vehicle(builder.rng), builder.between(0, 6.28)
+        half = max(2.4, length_of(mesh) / 2)
+        out = side.depth + builder.between(half, max(half + 0.1, lot.setback - half))
+        builder.put_if_free(mesh, side, float(s), out, half, yaw)
     _house_behind(builder, side, lot, side.depth + lot.setback)
     _scatter(builder, side, lot, lambda r, _: people.person(r), (0, 1), 0.7)
     _scatter(builder, side, lot, lambda r, _: furniture.clutter(r), (0, 1), 1.0)
@@ -183,7 +195,7 @@ def _park(
 ) -> None:
     """Set down a parked car, sometimes the other way round."""
     turned = yaw + np.pi * builder.chance(0.5) + builder.rng.normal(0, 0.03)
-    builder.put_if_free(vehicle(builder.rng), side, s, out, radius, turned)
+    builder.put_if_free(cars.car(builder.rng), side, s, out, radius, turned)
 
 
 def _scatter(

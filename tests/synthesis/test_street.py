@@ -1,0 +1,57 @@
+# SPDX-License-Identifier: MIT
+"""Street as built: what stands where."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.spatial import Delaunay
+
+from salsanext_cli.synthesis import surfaces
+from salsanext_cli.synthesis.presets import STYLES
+from salsanext_cli.synthesis.street import lots, roadside
+from salsanext_cli.synthesis.street.builder import Builder
+from salsanext_cli.synthesis.street.draw import draw_plan
+from salsanext_cli.synthesis.street.plan import Lot
+
+VEHICLES = {
+    *(surfaces.CAR, surfaces.TRUCK, surfaces.BUS, surfaces.OTHER_VEHICLE, surfaces.MOTORCYCLE),
+}
+STREET = draw_plan(np.random.default_rng(0), replace(STYLES[4], crossing_gap=(300, 900)), 120.0)
+"""A narrow street without side streets; its houses may stand at the kerb."""
+
+
+def parts_of(builder, labels):
+    return [part for part in builder.parts if int(part.labels[0]) in labels]
+
+
+def in_the_way(builder):
+    """Return how many vehicles stand within a metre of the path of the sensor."""
+    plan = builder.plan
+    lane = min(0.0, 2.4 - plan.half)
+    s, t = np.meshgrid(np.arange(0, plan.length, 0.4), lane + np.linspace(-1, 1, 6))
+    path = plan.world(s, t)[..., :2].reshape(-1, 2)
+    footprints = (Delaunay(part.vertices[:, :2]) for part in parts_of(builder, VEHICLES))
+    return sum((footprint.find_simplex(path) >= 0).any() for footprint in footprints)
+
+
+@pytest.mark.parametrize("kind", ["house", "yard", "forecourt", "carpark"])
+def test_no_vehicle_on_a_lot_at_the_kerb_stands_in_the_sensors_path(kind):
+    side = replace(STREET.sides[0], parking=0.0, verge=0.0, sidewalk=0.0)
+    parked = 0
+    for seed in range(60):
+        lot = Lot(kind, 50.0, 65.0, (0.5, 3.0, 7.0)[seed % 3], 0, 0, (50.4, 53.4))
+        builder = Builder(np.random.default_rng(seed), STREET)
+        lots.furnish(builder, side, lot)
+        assert in_the_way(builder) == 0
+        parked += len(parts_of(builder, VEHICLES))
+    assert parked
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_no_vehicle_at_the_roadside_stands_in_the_sensors_path(seed):
+    rng = np.random.default_rng(seed)
+    builder = Builder(rng, draw_plan(rng, replace(STYLES[seed], crowd=30.0), 120.0))
+    for side in builder.plan.sides:
+        roadside.furnish(builder, side)
+    assert in_the_way(builder) == 0
