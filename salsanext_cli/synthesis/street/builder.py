@@ -50,17 +50,24 @@ class Builder:
 
     def put_if_free(
         self, mesh: Mesh, side: Side, s: float, out: float, radius: float, yaw: float = 0.0
-    ) -> None:
-        """Set a thing down unless a thing, a side street or the street's end is within `radius`."""
+    ) -> bool:
+        """Set a thing down unless a thing, a side street or the street's end is within `radius`.
+
+        Returns
+        -------
+        bool
+            Whether it was set down.
+        """
         t = side.sign * (self.plan.half + out)
         if not radius <= s <= self.plan.length - radius:
-            return
+            return False
         if float(self.plan.from_side_street(np.array(s), side)) < radius:
-            return
+            return False
         if any(np.hypot(s - a, t - b) < radius + r for a, b, r in self._taken):
-            return
+            return False
         self._taken.append((s, t, radius))
         self.put(mesh, side, s, out, yaw)
+        return True
 
     def put_line(
         self, make: Callable[[float], Mesh], side: Side, start: float, end: float, out: float

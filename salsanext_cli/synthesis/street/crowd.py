@@ -43,8 +43,9 @@ def _group(builder: Builder, side: Side, s: float, out: float) -> None:
 
 
 def _bench(builder: Builder, side: Side, s: float, out: float) -> None:
-    """Seat people side by side."""
-    builder.put_if_free(furniture.bench(builder.rng), side, s, out, 0.3)
+    """Seat people side by side on a bench."""
+    if not builder.put_if_free(furniture.bench(builder.rng), side, s, out, 0.3):
+        return
     for x in np.arange(-0.6, 0.9, builder.between(0.5, 0.8)):
         person = people.person(builder.rng, sitting=True)
         builder.put(person, side, s + float(x), out, TOWARDS_ROAD_RAD)
