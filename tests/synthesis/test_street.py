@@ -13,6 +13,7 @@ from salsanext_cli.synthesis.street import lots, roadside
 from salsanext_cli.synthesis.street.builder import Builder
 from salsanext_cli.synthesis.street.draw import draw_plan
 from salsanext_cli.synthesis.street.plan import Lot
+from salsanext_cli.synthesis.surfaces import Material
 
 VEHICLES = {
     *(surfaces.CAR, surfaces.TRUCK, surfaces.BUS, surfaces.OTHER_VEHICLE, surfaces.MOTORCYCLE),
@@ -39,7 +40,7 @@ def in_the_way(builder):
 def test_no_vehicle_on_a_lot_at_the_kerb_stands_in_the_sensors_path(kind):
     side = replace(STREET.sides[0], parking=0.0, verge=0.0, sidewalk=0.0)
     parked = 0
-    for seed in range(60):
+    for seed in range(36):
         lot = Lot(kind, 50.0, 65.0, (0.5, 3.0, 7.0)[seed % 3], 0, 0, (50.4, 53.4))
         builder = Builder(np.random.default_rng(seed), STREET)
         lots.furnish(builder, side, lot)
@@ -55,3 +56,25 @@ def test_no_vehicle_at_the_roadside_stands_in_the_sensors_path(seed):
     for side in builder.plan.sides:
         roadside.furnish(builder, side)
     assert in_the_way(builder) == 0
+
+
+def test_most_signs_face_the_traffic_on_their_side():
+    ahead = STREET.world([59, 61], 0.0)[:, :2]
+    along = np.diff(ahead, axis=0)[0]
+    for side in STREET.sides:
+        towards_traffic = along * side.sign
+        facing = []
+        for seed in range(16):
+            builder = Builder(np.random.default_rng(seed), replace(STREET, sides=(side,) * 2))
+            roadside.furnish(builder, side)
+            for part in builder.parts:
+                sign = part.labels == surfaces.SIGN
+                if sign.any():
+                    bright, back = (
+                        part.vertices[part.triangles[sign & (part.materials == material)]]
+                        for material in (Material.RETRO, Material.METAL)
+                    )
+                    facing.append((bright.mean((0, 1)) - back.mean((0, 1)))[:2] @ towards_traffic)
+        assert len(facing) > 15
+        assert np.mean(np.array(facing) > 0.005) > 0.45
+        assert np.mean(np.array(facing) < -0.005) < 0.4

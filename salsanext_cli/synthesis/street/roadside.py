@@ -10,7 +10,7 @@ from salsanext_cli.synthesis.things import cars, cycles, furniture, people, vege
 from salsanext_cli.synthesis.things.vehicles import length_of, vehicle
 
 TOWARDS_TRAFFIC_RAD = np.pi / 2
-"""A sign faces its local -y; turned by this it faces along the street."""
+"""Turns a sign, which faces its local -y, towards the traffic on its side of the street."""
 SIDE_STREET_END_M = 50.0
 """Distance beyond the kerb at which trees close a side street."""
 
@@ -77,10 +77,14 @@ def _lamps(builder: Builder, side: Side) -> None:
 
 
 def _signs(builder: Builder, side: Side) -> None:
+    """Set up signs: most face the traffic on their side, some what comes from behind, or the road.
+
+    Signs and traffic lights at side streets face either way along the street.
+    """
     for _ in builder.count(builder.plan.length / 40):
         s = builder.along()
         make = furniture.board if builder.chance(0.22) else furniture.sign
-        yaw = builder.rng.choice([1, 1, 1, -1, 0]) * TOWARDS_TRAFFIC_RAD * -1
+        yaw = builder.rng.choice([1, 1, 1, -1, 0]) * TOWARDS_TRAFFIC_RAD
         out = side.parking + builder.between(0.4, 1.3)
         builder.put_if_free(make(builder.rng), side, s, out, 0.4, yaw + builder.rng.normal(0, 0.2))
     for crossing in builder.plan.crossings:
