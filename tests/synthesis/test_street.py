@@ -12,7 +12,7 @@ from salsanext_cli.synthesis.presets import STYLES
 from salsanext_cli.synthesis.street import lots, roadside
 from salsanext_cli.synthesis.street.builder import Builder
 from salsanext_cli.synthesis.street.draw import draw_plan
-from salsanext_cli.synthesis.street.plan import Lot
+from salsanext_cli.synthesis.street.plan import LEFT, Crossing, Lot
 from salsanext_cli.synthesis.surfaces import Material
 
 VEHICLES = {
@@ -78,3 +78,22 @@ def test_most_signs_face_the_traffic_on_their_side():
         assert len(facing) > 15
         assert np.mean(np.array(facing) > 0.005) > 0.45
         assert np.mean(np.array(facing) < -0.005) < 0.4
+
+
+def test_vehicles_in_a_side_street_stand_one_behind_the_other():
+    crossing = Crossing(60.0, 3.0, 0.0, (LEFT,), False, 1.0)
+    plan = replace(STREET, crossings=(crossing,))
+    side, found = plan.sides[0], 0
+    origin, ahead = plan.world(60.0, plan.half), plan.world(60.0, plan.half + 1)
+    for seed in range(8):
+        builder = Builder(np.random.default_rng(seed), plan)
+        roadside.furnish(builder, side)
+        extents = []
+        for part in parts_of(builder, VEHICLES - {surfaces.MOTORCYCLE}):
+            out = (part.vertices - origin)[:, :2] @ (ahead - origin)[:2]
+            if out.mean() > 2.5:
+                extents.append((out.min(), out.max()))
+        extents = np.reshape(sorted(extents), (-1, 2))
+        assert (extents[1:, 0] > extents[:-1, 1]).all()
+        found += len(extents)
+    assert found > 10
