@@ -9,7 +9,7 @@ from scipy.spatial import Delaunay
 
 from salsanext_cli.synthesis import surfaces
 from salsanext_cli.synthesis.presets import STYLES
-from salsanext_cli.synthesis.street import lots, roadside
+from salsanext_cli.synthesis.street import crowd, lots, roadside
 from salsanext_cli.synthesis.street.builder import Builder
 from salsanext_cli.synthesis.street.draw import draw_plan
 from salsanext_cli.synthesis.street.plan import LEFT, Crossing, Lot
@@ -97,3 +97,22 @@ def test_vehicles_in_a_side_street_stand_one_behind_the_other():
         assert (extents[1:, 0] > extents[:-1, 1]).all()
         found += len(extents)
     assert found > 10
+
+
+def test_bicycles_in_a_row_lean_off_the_road():
+    """Bicycles in a rack stand across the street, those of groups upright."""
+    plan = replace(STREET, style=replace(STREET.style, crowd=20.0))
+    side, found = plan.sides[0], 0
+    ahead, off = (plan.world(*place) - plan.world(60.0, 8.0) for place in ((61, 8), (60, 9)))
+    for seed in range(14):
+        builder = Builder(np.random.default_rng(seed), plan)
+        crowd.gather(builder, side)
+        for part in parts_of(builder, {surfaces.BICYCLE}):
+            along, across = (part.vertices[:, :2] @ axis[:2] for axis in (ahead, off))
+            if np.ptp(along) < 1.5 * np.ptp(across):
+                continue
+            low, high = np.percentile(part.vertices[:, 2], [15, 85])
+            wheels, saddle = part.vertices[:, 2] < low, part.vertices[:, 2] > high
+            assert across[saddle].mean() > across[wheels].mean() - 0.12
+            found += 1
+    assert found > 8

@@ -9,6 +9,8 @@ from salsanext_cli.synthesis.things import cycles, furniture, people
 
 TOWARDS_ROAD_RAD = -np.pi / 2
 """Turns what faces along the street towards the road."""
+IN_A_ROW_M = 1.95
+"""Distance between bicycles that stand one behind the other."""
 
 
 def gather(builder: Builder, side: Side) -> None:
@@ -52,15 +54,16 @@ def _bench(builder: Builder, side: Side, s: float, out: float) -> None:
 
 
 def _bicycles(builder: Builder, side: Side, s: float) -> None:
-    """Lean bicycles at a wall, one behind the other, or side by side in a rack."""
+    """Lean bicycles off the road, one behind the other, or stand them side by side in a rack."""
     rack = builder.chance(0.4)
     out = max(0.5, side.depth - 0.3) if builder.chance(0.5) else _somewhere(builder, side)
     yaw = builder.between(-0.2, 0.2) + (np.pi / 2) * rack
     for step in range(int(builder.rng.choice([1, 1, 2, 5]))):
-        lean = builder.rng.normal(0, 0.1) if rack else -abs(builder.rng.normal(0.1, 0.1))
-        mesh = cycles.bicycle(builder.rng).leaned(lean)
-        place = s + step * (builder.between(0.45, 0.7) if rack else 1.3)
-        turned = yaw + builder.rng.normal(0, 0.08) + np.pi * builder.chance(0.4)
+        reversed_ = builder.chance(0.4)
+        turned = yaw + builder.rng.normal(0, 0.08) + np.pi * reversed_
+        lean = builder.rng.normal(0, 0.1) if rack else abs(builder.rng.normal(0.1, 0.1))
+        mesh = cycles.bicycle(builder.rng).leaned(lean if reversed_ else -lean)
+        place = s + step * (builder.between(0.45, 0.7) if rack else IN_A_ROW_M)
         builder.put_if_free(mesh, side, place, out, 0.22, turned)
 
 
