@@ -248,6 +248,7 @@ def test_nothing_is_begun_without_open3d(tmp_path, monkeypatch):
         {"seed": -1},
         {"spacing": 0.0},
         {"spacing": float("nan")},
+        {"spacing": float("inf"), "scans": 1},
         {"scans": 5000},
         {"jobs": 0},
     ],
