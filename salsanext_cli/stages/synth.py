@@ -68,7 +68,8 @@ def synthesise(
     scans : int
         Scans per sequence.
     seed : int
-        The same seed gives the same bytes, whatever `jobs` is.
+        The same seed gives the same bytes, whatever `jobs` is; another number of scans or another
+        spacing gives other streets.
     spacing : float
         Distance driven between two scans, metres.
     sensor : str
@@ -228,7 +229,7 @@ def _write_sequence(
     written, folder = WrittenFiles(out), out / "sequences" / name
     poses, times = [], []
     first = np.eye(4)
-    for index, frame in enumerate(record(seed, int(name), scans, spacing, sensor)):
+    for index, frame in enumerate(record(seed, int(name), scans, spacing, RIGS[sensor])):
         scan, labels = _scan_files(folder, index)
         written.write(scan, encode_bin(frame.scan))
         written.write(labels, encode_labels(frame.labels))

@@ -111,7 +111,7 @@ def test_an_unknown_sensor_is_refused(tmp_path):
 def quick(monkeypatch):
     """Record three points instead of a street."""
 
-    def record(seed, sequence, scans, spacing, sensor):
+    def record(seed, sequence, scans, spacing, make_rig):
         scan = Scan(np.full((3, 3), seed, np.float32), np.zeros(3, np.float32))
         for index in range(scans):
             yield Frame(scan, np.array([40, 40, 10], np.uint32), np.eye(4), index * spacing)

@@ -8,8 +8,8 @@ from itertools import pairwise
 import numpy as np
 
 from salsanext_cli.synthesis.mesh import Mesh, Rng
+from salsanext_cli.synthesis.street.brightness import varied
 from salsanext_cli.synthesis.street.plan import Plan, Side
-from salsanext_cli.synthesis.street.tones import varied
 
 PIECE_M = 5.0
 """Largest length of the pieces in which long things follow a bend."""

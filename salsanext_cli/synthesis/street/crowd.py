@@ -17,16 +17,16 @@ def gather(builder: Builder, side: Side) -> None:
     """Fill the pavement with groups of people and with bicycles and motorcycles."""
     crowd = builder.plan.style.crowd * builder.plan.length / 100
     for _ in builder.count(0.13 * crowd):
-        _group(builder, side, builder.along(), _somewhere(builder, side))
+        _group(builder, side, builder.along(), _distance_from_kerb(builder, side))
     for _ in builder.count(0.02 * crowd):
-        _bench(builder, side, builder.along(), _somewhere(builder, side))
+        _bench(builder, side, builder.along(), _distance_from_kerb(builder, side))
     for _ in builder.count(0.17 * crowd):
         _bicycles(builder, side, builder.along())
     for _ in builder.count(0.13 * crowd):
         _motorcycles(builder, side, builder.along())
 
 
-def _somewhere(builder: Builder, side: Side) -> float:
+def _distance_from_kerb(builder: Builder, side: Side) -> float:
     """Return a distance from the kerb, on the pavement: at the kerb, at the houses or between."""
     low, high = side.parking + 0.3, max(side.parking + 0.6, side.depth - 0.3)
     return (low, high, builder.between(low, high))[builder.rng.integers(3)]
@@ -56,7 +56,7 @@ def _bench(builder: Builder, side: Side, s: float, out: float) -> None:
 def _bicycles(builder: Builder, side: Side, s: float) -> None:
     """Lean bicycles off the road, one behind the other, or stand them side by side in a rack."""
     rack = builder.chance(0.4)
-    out = max(0.5, side.depth - 0.3) if builder.chance(0.5) else _somewhere(builder, side)
+    out = max(0.5, side.depth - 0.3) if builder.chance(0.5) else _distance_from_kerb(builder, side)
     yaw = builder.between(-0.2, 0.2) + (np.pi / 2) * rack
     for step in range(int(builder.rng.choice([1, 1, 2, 5]))):
         reversed_ = builder.chance(0.4)
@@ -70,7 +70,7 @@ def _bicycles(builder: Builder, side: Side, s: float) -> None:
 def _motorcycles(builder: Builder, side: Side, s: float) -> None:
     """Park motorcycles at the kerb or on the pavement, along it or across."""
     at_kerb = builder.chance(0.4)
-    out = builder.between(-0.7, -0.4) if at_kerb else _somewhere(builder, side)
+    out = builder.between(-0.7, -0.4) if at_kerb else _distance_from_kerb(builder, side)
     yaw = builder.rng.choice([0.0, np.pi / 2, 1.0]) + np.pi * builder.chance(0.5)
     out += 0.9 * abs(np.sin(yaw)) * at_kerb
     for step in range(int(builder.rng.choice([1, 1, 1, 2, 4]))):

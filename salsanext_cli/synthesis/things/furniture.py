@@ -10,6 +10,7 @@ from salsanext_cli.synthesis.mesh import Mesh, Rng, Skin, box, disc, ellipsoid, 
 from salsanext_cli.synthesis.surfaces import CLUTTER, POLE, SIGN, STRUCTURE, Material
 
 FOOT_M = -0.3
+"""Height of the foot of poles and boxes: below the ground, which is not level."""
 
 
 def _steel(rng: Rng) -> Skin:
@@ -20,8 +21,8 @@ def lamp(rng: Rng) -> Mesh:
     """Return a street lamp, its arm over the road."""
     steel = _steel(rng)
     height, foot = float(rng.uniform(3.5, 9)), float(rng.uniform(0.05, 0.1))
-    levels, radii = (FOOT_M, 1.1, 1.2, height), (foot * 1.35, foot * 1.35, foot, foot * 0.6)
-    parts = [tube([[0, 0, z] for z in levels], radii, steel)]
+    heights, radii = (FOOT_M, 1.1, 1.2, height), (foot * 1.35, foot * 1.35, foot, foot * 0.6)
+    parts = [tube([[0, 0, z] for z in heights], radii, steel)]
     if height > 5:
         tip = (0.0, -rng.uniform(0.8, 2.2), height + 0.3)
         parts += [tube([[0, 0, height - 0.1], tip], 0.05, steel, 5)]
@@ -42,7 +43,7 @@ def post(rng: Rng) -> Mesh:
 def _face(rng: Rng, kind: str) -> Mesh:
     """Return a sign's plate in the x-z plane around the origin, its bright side towards -y."""
     bright = Skin.drawn(rng, SIGN, Material.RETRO, 0.75, 1.1)
-    dull = Skin(SIGN, Material.METAL, 0.9)
+    metal = Skin(SIGN, Material.METAL, 0.9)
     radius = float(rng.uniform(0.28, 0.45))
     if kind == "round":
         front = disc((0, 0, 0), radius, bright, 14)
@@ -52,7 +53,7 @@ def _face(rng: Rng, kind: str) -> Mesh:
     else:
         x, z = radius * rng.uniform(0.6, 1.6), radius * rng.uniform(0.5, 1.2)
         front = quads(np.array([[[-x, 0, -z], [x, 0, -z], [x, 0, z], [-x, 0, z]]]), bright)
-    back = Mesh.of(front.vertices + np.array([0, 0.02, 0]), front.triangles, dull)
+    back = Mesh.of(front.vertices + np.array([0, 0.02, 0]), front.triangles, metal)
     return merge([front, back])
 
 
@@ -60,9 +61,9 @@ def sign(rng: Rng) -> Mesh:
     """Return one or two traffic signs on a pole, facing -y."""
     height = float(rng.uniform(2.0, 3.0) if rng.random() < 0.75 else rng.uniform(1.0, 2.0))
     parts = [tube([[0, 0, FOOT_M], [0, 0, height + 0.35]], rng.uniform(0.03, 0.05), _steel(rng), 7)]
-    for level in range(int(rng.integers(1, 3))):
+    for place in range(int(rng.integers(1, 3))):
         kind = ("round", "triangle", "panel")[rng.integers(3)]
-        parts.append(_face(rng, kind).moved((0, -0.07, height - 0.75 * level)))
+        parts.append(_face(rng, kind).moved((0, -0.07, height - 0.75 * place)))
     return merge(parts)
 
 

@@ -20,8 +20,8 @@ STEEL = Skin(TRUCK, Material.METAL, 0.5)
 class Bed(NamedTuple):
     """Half length, half width and height of the floor behind a cab, metres; skin of the load."""
 
-    front: float
-    half: float
+    half_length: float
+    half_width: float
     floor: float
     skin: Skin
 
@@ -39,13 +39,13 @@ def truck(rng: Rng) -> Mesh:
     bed = Bed(rng.uniform(*kind["bed"]) / 2, half, rng.uniform(*kind["floor"]), load)
     cab_length, gap = shape.length * stretch[0], rng.uniform(*kind["gap"])
     cab = loft(shape, TRUCK, dark_paint(rng) + 0.1, stretch)
-    parts = [cab.moved((bed.front + cab_length / 2 + gap, 0, 0))]
-    frame = bed.front + cab_length
-    parts.append(box((-bed.front, -0.4, 0.5), (frame, 0.4, bed.floor), STEEL))
+    parts = [cab.moved((bed.half_length + cab_length / 2 + gap, 0, 0))]
+    frame = bed.half_length + cab_length
+    parts.append(box((-bed.half_length, -0.4, 0.5), (frame, 0.4, bed.floor), STEEL))
     parts += LOADS[kind["load"]](rng, bed)
-    axles = [bed.front + gap + cab_length * 0.55, -bed.front * 0.62]
-    if bed.front > 3:
-        axles += [-bed.front * 0.62 + 1.15, -bed.front * 0.62 - 1.15]
+    axles = [bed.half_length + gap + cab_length * 0.55, -bed.half_length * 0.62]
+    if bed.half_length > 3:
+        axles += [-bed.half_length * 0.62 + 1.15, -bed.half_length * 0.62 - 1.15]
     parts += wheels(TRUCK, axles, half, shape.wheel, 0.35)
     parts += _rear(rng, bed)
     return merge(parts).moved((-(cab_length + gap) / 2, 0, 0))
@@ -53,14 +53,20 @@ def truck(rng: Rng) -> Mesh:
 
 def _box(rng: Rng, bed: Bed) -> list[Mesh]:
     top = bed.floor + rng.uniform(1.7, 2.6)
-    parts = [box((-bed.front, -bed.half, bed.floor), (bed.front, bed.half, top), bed.skin)]
-    for x in np.arange(-bed.front, bed.front, rng.uniform(0.6, 2.5)):
-        low, high = (x, -bed.half - 0.02, bed.floor), (x + 0.05, bed.half + 0.02, top)
+    parts = [
+        box(
+            (-bed.half_length, -bed.half_width, bed.floor),
+            (bed.half_length, bed.half_width, top),
+            bed.skin,
+        )
+    ]
+    for x in np.arange(-bed.half_length, bed.half_length, rng.uniform(0.6, 2.5)):
+        low, high = (x, -bed.half_width - 0.02, bed.floor), (x + 0.05, bed.half_width + 0.02, top)
         parts.append(box(low, high, STEEL))
     if rng.random() < 0.3:
         wind = box(
-            (bed.front, -bed.half * 0.8, top - 0.5),
-            (bed.front + 0.6, bed.half * 0.8, top),
+            (bed.half_length, -bed.half_width * 0.8, top - 0.5),
+            (bed.half_length + 0.6, bed.half_width * 0.8, top),
             bed.skin,
         )
         parts.append(wind)
@@ -102,8 +108,8 @@ def _tub(rng: Rng, bed: Bed) -> list[Mesh]:
 
 
 def _tank(rng: Rng, bed: Bed) -> list[Mesh]:
-    radius = float(min(bed.half, rng.uniform(0.8, 1.15)))
-    x, z = bed.front, bed.floor + radius
+    radius = float(min(bed.half_width, rng.uniform(0.8, 1.15)))
+    x, z = bed.half_length, bed.floor + radius
     path = [[-x, 0, z], [-x + 0.15, 0, z], [x - 0.15, 0, z], [x, 0, z]]
     parts = [tube(path, radius * np.array([0.4, 1, 1, 0.4]), bed.skin, 14)]
     parts.append(box((-x * 0.7, -0.3, z + radius), (x * 0.7, 0.3, z + radius + 0.15), STEEL))
@@ -117,7 +123,7 @@ LOADS: dict[str, Callable[[Rng, Bed], list[Mesh]]] = {
 
 def _rear(rng: Rng, bed: Bed) -> list[Mesh]:
     """Return bumper and reflectors, perhaps a ramp, up or down."""
-    front, half = bed.front, bed.half
+    front, half = bed.half_length, bed.half_width
     retro = Skin(TRUCK, Material.RETRO)
     parts = [box((-front - 0.02, -half, 0.42), (-front + 0.05, half, 0.52), STEEL)]
     for y in (-half + 0.1, half - 0.4):
