@@ -1,7 +1,9 @@
 # SPDX-License-Identifier: MIT
 """Data set that `synthesise` writes: layout, labels, poses, splits, seeds, refusals."""
 
+import inspect
 import sys
+from typing import get_args
 
 import numpy as np
 import pytest
@@ -9,6 +11,7 @@ import yaml
 from scans import files_below, write_sequence
 
 from salsanext_cli import Scan, label_space, read_labels
+from salsanext_cli.cli import synth as cli
 from salsanext_cli.errors import MissingDependency, OutputError, UsageError
 from salsanext_cli.formats.clouds.kitti import read_bin
 from salsanext_cli.stages import synth
@@ -17,6 +20,7 @@ from salsanext_cli.storage.files.atomic import MARK, write_bytes
 from salsanext_cli.storage.layout import find_scans
 from salsanext_cli.storage.written_files import WrittenFiles
 from salsanext_cli.synthesis.drive import Frame
+from salsanext_cli.synthesis.sensor.rig import RIGS
 
 TINY = {"scans": 2, "spacing": 12.0, "seed": 3}
 
@@ -105,6 +109,11 @@ def test_an_unknown_sensor_is_refused(tmp_path):
     with pytest.raises(UsageError, match="hdl64, random"):
         synthesise(tmp_path / "streets", sensor="hdl32")
     assert not (tmp_path / "streets").exists()
+
+
+def test_the_command_offers_every_sensor():
+    annotation = inspect.get_annotations(cli.synth, eval_str=True)["sensor"]
+    assert set(get_args(get_args(annotation)[0])) == {*RIGS}
 
 
 @pytest.fixture

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Street as built: what stands where."""
+"""Street as built: what stands where, which way it faces, and where it moves."""
 
 from dataclasses import replace
 
@@ -13,7 +13,9 @@ from salsanext_cli.synthesis.street import crowd, lots, roadside
 from salsanext_cli.synthesis.street.builder import Builder
 from salsanext_cli.synthesis.street.draw import draw_plan
 from salsanext_cli.synthesis.street.plan import LEFT, Crossing, Lot
+from salsanext_cli.synthesis.street.traffic import Mover, lanes
 from salsanext_cli.synthesis.surfaces import Material
+from salsanext_cli.synthesis.things import furniture
 
 VEHICLES = {
     *(surfaces.CAR, surfaces.TRUCK, surfaces.BUS, surfaces.OTHER_VEHICLE, surfaces.MOTORCYCLE),
@@ -116,3 +118,46 @@ def test_bicycles_in_a_row_lean_off_the_road():
             assert across[saddle].mean() > across[wheels].mean() - 0.12
             found += 1
     assert found > 8
+
+
+def test_things_are_set_down_only_where_there_is_room():
+    crossing = Crossing(60.0, 3.0, 0.0, (LEFT,), False, 1.0)
+    plan = replace(STREET, crossings=(crossing,))
+    left, right = plan.sides
+    builder = Builder(np.random.default_rng(0), plan)
+    post = furniture.post(builder.rng)
+
+    def put(s, side=left):
+        return builder.put_if_free(post, side, s, 2.0, radius=0.5)
+
+    assert put(20.0)
+    assert not put(20.9)
+    assert put(21.1)
+    assert put(20.9, right)
+    for s in (60.0, 56.6, 63.4, 0.4, plan.length - 0.4):
+        assert not put(s)
+    assert put(60.0, right)
+    assert put(56.4)
+    assert put(0.6)
+    assert len(builder.parts) == 6
+
+
+@pytest.mark.parametrize("half", np.linspace(2.5, 21, 75))
+def test_lanes_divide_half_the_carriageway(half):
+    middles = np.array(lanes(half))
+    width = half / len(middles)
+    assert 2.5 <= width <= 5.6
+    np.testing.assert_allclose(middles, width / 2 + width * np.arange(len(middles)))
+
+
+@pytest.mark.parametrize(("speed", "turn"), [(5.0, 0.0), (-5.0, np.pi)])
+def test_movers_keep_their_lane_and_face_where_they_go(speed, turn):
+    mesh = furniture.bench(np.random.default_rng(0))
+    mover = Mover(mesh, 40.0, -1.5, speed)
+    for time in (0.0, 2.0):
+        s = 40.0 + speed * time
+        yaw = float(STREET.yaw(s)) + turn
+        expected = mesh.moved(STREET.world(s, -1.5), yaw).vertices
+        np.testing.assert_allclose(mover.at(STREET, time).vertices, expected, atol=1e-9)
+    off_the_street = (STREET.length if speed > 0 else 0.0) - 40.0
+    assert mover.at(STREET, off_the_street / speed) is None

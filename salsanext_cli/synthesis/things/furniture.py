@@ -91,7 +91,8 @@ def traffic_light(rng: Rng) -> Mesh:
     return merge(parts)
 
 
-def _bin(rng: Rng) -> Mesh:
+def dustbin(rng: Rng) -> Mesh:
+    """Return a dustbin with a lid."""
     skin = Skin.drawn(rng, CLUTTER, Material.WOOD, 0.2, 1.1)
     size = rng.uniform([0.2, 0.2, 0.8], [0.35, 0.4, 1.15])
     x, y, z = size
@@ -99,7 +100,8 @@ def _bin(rng: Rng) -> Mesh:
     return merge([box((-x, -y, 0.05), size, skin), lid])
 
 
-def _cabinet(rng: Rng) -> Mesh:
+def cabinet(rng: Rng) -> Mesh:
+    """Return a switch cabinet."""
     skin = Skin.drawn(rng, CLUTTER, Material.PLASTER, 0.5, 1.1)
     size = rng.uniform([0.25, 0.12, 0.8], [0.9, 0.3, 1.6])
     return box((-size[0], -size[1], FOOT_M), size, skin)
@@ -116,19 +118,22 @@ def bench(rng: Rng) -> Mesh:
     return merge(slats + legs)
 
 
-def _planter(rng: Rng) -> Mesh:
+def planter(rng: Rng) -> Mesh:
+    """Return a round planter."""
     skin = Skin.drawn(rng, CLUTTER, Material.BRICK, 0.7, 1.1)
     radius, height = float(rng.uniform(0.25, 0.7)), float(rng.uniform(0.35, 0.7))
     path = [[0, 0, FOOT_M], [0, 0, height], [0, 0, height + 0.01]]
     return tube(path, [radius, radius * 1.1, 0.02], skin, 10)
 
 
-def _column(rng: Rng) -> Mesh:
+def column(rng: Rng) -> Mesh:
+    """Return an advertising column."""
     skin = Skin.drawn(rng, CLUTTER, Material.PLASTER, 0.7, 1.1)
     return tube([[0, 0, FOOT_M], [0, 0, 3.0], [0, 0, 3.3]], [0.6, 0.6, 0.75], skin, 12)
 
 
-def _crates(rng: Rng) -> Mesh:
+def crates(rng: Rng) -> Mesh:
+    """Return a heap of two to five crates."""
     parts = []
     for _ in range(int(rng.integers(2, 6))):
         low = np.array([*rng.normal(0, 0.6, 2), 0.0])
@@ -139,8 +144,8 @@ def _crates(rng: Rng) -> Mesh:
 
 
 def clutter(rng: Rng) -> Mesh:
-    """Return a bin, cabinet, bench, planter, advertising column or a heap of crates."""
-    makers = (*[_bin] * 3, *[_cabinet] * 3, bench, _planter, _column, _crates)
+    """Return a dustbin, cabinet, bench, planter, advertising column or a heap of crates."""
+    makers = (*[dustbin] * 3, *[cabinet] * 3, bench, planter, column, crates)
     return makers[rng.integers(len(makers))](rng)
 
 
