@@ -142,12 +142,12 @@ def test_things_are_set_down_only_where_there_is_room():
     assert len(builder.parts) == 6
 
 
-@pytest.mark.parametrize("half", np.linspace(2.5, 21, 75))
-def test_lanes_divide_half_the_carriageway(half):
-    middles = np.array(lanes(half))
-    width = half / len(middles)
-    assert 2.5 <= width <= 5.6
-    np.testing.assert_allclose(middles, width / 2 + width * np.arange(len(middles)))
+def test_lanes_divide_half_the_carriageway():
+    for half in np.linspace(2.5, 21, 75):
+        middles = np.array(lanes(half))
+        width = half / len(middles)
+        assert 2.5 <= width <= 5.6
+        np.testing.assert_allclose(middles, width / 2 + width * np.arange(len(middles)))
 
 
 @pytest.mark.parametrize(("speed", "turn"), [(5.0, 0.0), (-5.0, np.pi)])

@@ -26,7 +26,7 @@ def random_beams(rng: Rng) -> Beams:
 
 
 def random_elevations(rng: Rng) -> Array:
-    """Draw elevations in degrees, the highest first: evenly spaced, or denser at the horizon."""
+    """Draw elevations in degrees, the highest first: evenly spaced, or denser near the horizon."""
     count = int(rng.choice(BOUNDS.beam_counts))
     upper, lower = rng.uniform(*BOUNDS.upper_edge), rng.uniform(*BOUNDS.lower_edge)
     between = np.linspace(upper, lower, 1001)
