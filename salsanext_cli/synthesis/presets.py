@@ -102,7 +102,7 @@ CARS = tuple(map(_body, _TABLES["cars"]))
 LORRY_CAB, VAN_CAB, BUS, CARAVAN = map(_body, ("lorry_cab", "van_cab", "bus", "caravan"))
 TRUCKS: dict[str, dict[str, Any]] = _TABLES["truck"]
 TRAFFIC: dict[str, float] = _TABLES["traffic"]
-"""How usual each kind of vehicle is, parked or driving."""
+"""Frequency of each kind of vehicle, parked or driving, relative to the others."""
 BRIGHTNESS: dict[str, Any] = _TABLES["brightness"]
 RANDOM_SENSOR = RandomSensor(**_TABLES["random_sensor"])
 VEHICLE_OUTLINES_DEG = tuple(np.array(outline) for outline in _TABLES["outlines"])

@@ -59,10 +59,10 @@ def _bicycles(builder: Builder, side: Side, s: float) -> None:
     out = max(0.5, side.depth - 0.3) if builder.chance(0.5) else _distance_from_kerb(builder, side)
     yaw = builder.between(-0.2, 0.2) + (np.pi / 2) * rack
     for step in range(int(builder.rng.choice([1, 1, 2, 5]))):
-        reversed_ = builder.chance(0.4)
-        turned = yaw + builder.rng.normal(0, 0.08) + np.pi * reversed_
+        backwards = builder.chance(0.4)
+        turned = yaw + builder.rng.normal(0, 0.08) + np.pi * backwards
         lean = builder.rng.normal(0, 0.1) if rack else abs(builder.rng.normal(0.1, 0.1))
-        mesh = cycles.bicycle(builder.rng).leaned(lean if reversed_ else -lean)
+        mesh = cycles.bicycle(builder.rng).leaned(lean if backwards else -lean)
         place = s + step * (builder.between(0.45, 0.7) if rack else IN_A_ROW_M)
         builder.put_if_free(mesh, side, place, out, 0.22, turned)
 
