@@ -2,6 +2,7 @@
 """Data set of synthetic streets, in SemanticKITTI's layout."""
 
 import logging
+import math
 import os
 import signal
 from collections import Counter
@@ -17,7 +18,7 @@ import numpy as np
 import yaml
 
 from salsanext_cli.classes import label_space
-from salsanext_cli.errors import OutputError, UsageError
+from salsanext_cli.errors import OutputError, UsageError, counted
 from salsanext_cli.formats.clouds.kitti import encode_bin
 from salsanext_cli.formats.labels import encode_labels
 from salsanext_cli.packages import import_open3d
@@ -67,7 +68,8 @@ def synthesise(
     scans : int
         Scans per sequence.
     seed : int
-        The same seed gives the same bytes, whatever `jobs` is.
+        The same seed gives the same bytes, whatever `jobs` is; another number of scans or another
+        spacing gives other streets.
     spacing : float
         Distance driven between two scans, metres.
     sensor : str
@@ -131,8 +133,8 @@ def synthesise(
     space = replace(label_space("semantic-kitti"), name="synthetic-street", splits=splits)
     text = yaml.safe_dump(space.to_dict(), sort_keys=False, allow_unicode=True)
     written.write(out / LABEL_SPACE, text.encode())
-    counted = {"scans": total, "splits": splits, "points": dict(sorted(points.items()))}
-    return {"stage": "synth", **counted}
+    made = {"scans": total, "splits": splits, "points": dict(sorted(points.items()))}
+    return {"stage": "synth", **made}
 
 
 def _check(sequences: dict[str, int], scans: int, seed: int, spacing: float, jobs: int) -> None:
@@ -142,10 +144,10 @@ def _check(sequences: dict[str, int], scans: int, seed: int, spacing: float, job
             raise UsageError(name, str(count), f"a whole number of at least {least[name]}")
     if sum(sequences.values()) == 0:
         raise UsageError(", ".join(sequences), "0 sequences", "at least one")
-    if not spacing > 0 or spacing * (scans - 1) > MAX_DRIVE_M:
+    if not 0 < spacing < math.inf or spacing * (scans - 1) > MAX_DRIVE_M:
         raise UsageError(
             "--spacing",
-            f"{spacing} m, a drive of {spacing * (scans - 1):.0f} m",
+            f"{spacing} m between {counted(scans, 'scan')}",
             f"more than 0 m, and drives of up to {MAX_DRIVE_M:.0f} m",
             "ask for more sequences with fewer scans",
         )
@@ -227,7 +229,7 @@ def _write_sequence(
     written, folder = WrittenFiles(out), out / "sequences" / name
     poses, times = [], []
     first = np.eye(4)
-    for index, frame in enumerate(record(seed, int(name), scans, spacing, sensor)):
+    for index, frame in enumerate(record(seed, int(name), scans, spacing, RIGS[sensor])):
         scan, labels = _scan_files(folder, index)
         written.write(scan, encode_bin(frame.scan))
         written.write(labels, encode_labels(frame.labels))

@@ -11,10 +11,10 @@ from salsanext_cli.records import Scan
 from salsanext_cli.synthesis.mesh import Array, Rng, merge, turn_x, turn_y, turn_z
 from salsanext_cli.synthesis.presets import STYLES
 from salsanext_cli.synthesis.sensor.lidar import Scene, measure
-from salsanext_cli.synthesis.sensor.rig import RIGS, Rig
-from salsanext_cli.synthesis.street.plan import Plan
+from salsanext_cli.synthesis.sensor.rig import Rig, RigMaker, hdl64_rig
+from salsanext_cli.synthesis.street.plan import RUN_OUT_M, Plan
 from salsanext_cli.synthesis.street.street import build_street
-from salsanext_cli.synthesis.street.traffic import START_M, Mover
+from salsanext_cli.synthesis.street.traffic import Mover
 
 SPEED_M_PER_S = (4.0, 12.0)
 """Slowest and fastest drive."""
@@ -45,9 +45,12 @@ class Frame:
 
 
 def record(
-    seed: int, sequence: int, scans: int, spacing: float, sensor: str = "hdl64"
+    seed: int, sequence: int, scans: int, spacing: float, make_rig: RigMaker = hdl64_rig
 ) -> Iterator[Frame]:
-    """Yield the frames of one sequence; all randomness comes from (seed, sequence, frame).
+    """Yield the frames of one sequence.
+
+    The street comes from the seed, the sequence and the length of the drive, spacing times
+    scans - 1; the noise of a frame from (seed, sequence, frame).
 
     Parameters
     ----------
@@ -57,20 +60,20 @@ def record(
         How many frames.
     spacing : float
         Metres that the vehicle drives between two frames.
-    sensor : str
-        A name in `RIGS`; the street is the same through any.
+    make_rig : callable
+        Draws the sensor; the street is the same through any.
     """
     rng = np.random.default_rng([seed, sequence])
     speed = float(rng.uniform(*SPEED_M_PER_S))
     style = STYLES[sequence % len(STYLES)]
     plan, standing, movers = build_street(rng, style, spacing * (scans - 1), speed)
-    rig = RIGS[sensor](rng)
+    rig = make_rig(rng)
     track = _Track(rng, plan, speed, rig)
     rays, firings = rig.rays(), rig.firings()
     scene = Scene(standing)
     for index in range(scans):
         noise = np.random.default_rng([seed, sequence, index, 1])
-        s, time = START_M + index * spacing, index * spacing / speed
+        s, time = RUN_OUT_M + index * spacing, index * spacing / speed
         pose = track.pose(s)
         scenes = [scene, *_moving(plan, movers, time, pose)]
         origins, directions = track.in_motion(s, *rays)
@@ -130,11 +133,10 @@ class _Track:
         share = ((times - start) / (end - start))[:, None]
 
         def turned(vectors: Array) -> Array:
-            mixed: Array = (
-                vectors @ first[:3, :3].T * (1 - share) + vectors @ last[:3, :3].T * share
-            )
-            return mixed
+            before, after = vectors @ first[:3, :3].T, vectors @ last[:3, :3].T
+            between: Array = before * (1 - share) + after * share
+            return between
 
         starts = first[:3, 3] * (1 - share) + last[:3, 3] * share + turned(origins)
-        ways = turned(directions)
-        return starts, ways / np.linalg.norm(ways, axis=1, keepdims=True)
+        mixed = turned(directions)
+        return starts, mixed / np.linalg.norm(mixed, axis=1, keepdims=True)

@@ -174,9 +174,10 @@ def ellipsoid(
     """Return an ellipsoid of 6 rings of 8 points; `unevenness` (6, 8, 1) is relative, if any."""
     latitude = np.linspace(-np.pi / 2, np.pi / 2, 6)[:, None]
     longitude = np.linspace(0, 2 * np.pi, 8, endpoint=False)
-    level = np.cos(latitude)
+    horizontal = np.cos(latitude)
     height = np.broadcast_to(np.sin(latitude), (6, 8))
-    unit = np.stack([level * np.cos(longitude), level * np.sin(longitude), height], -1)
+    x, y = horizontal * np.cos(longitude), horizontal * np.sin(longitude)
+    unit = np.stack([x, y, height], -1)
     if unevenness is not None:
         unit = unit * (1 + unevenness)
     return rings(unit * np.asarray(radii, float) + np.asarray(centre, float), skin)

@@ -57,20 +57,53 @@ class Body:
     screens: list[int]
 
 
+@dataclass(frozen=True, slots=True)
+class RandomSensor:
+    """Bounds and chances that random sensors are drawn from; the file says what each is."""
+
+    beam_counts: list[int]
+    column_counts: list[int]
+    max_rays: int
+    upper_edge: Span
+    lower_edge: Span
+    elevation_jitter: float
+    dense_chance: float
+    dense_elevation: Span
+    dense_width: Span
+    dense_factor: Span
+    lost_beams_chance: float
+    lost_beams: Span
+    stagger: list[float]
+    laser_aside: Span
+    mount: Span
+    tilt: float
+    shadows: list[str]
+    roof_edge: Span
+    roof_ahead_and_behind: Span
+    roof_ahead: Span
+    noise: Span
+    nearest: Span
+    farthest: Span
+    lost_pulses: Span
+    threshold: Span
+    gain: Span
+    gamma: Span
+    intensity_steps: list[int]
+
+
 def _body(name: str) -> Body:
     table = _TABLES["body"][name]
     return Body(**table | {"profile": np.array(table["profile"])})
 
 
 STYLES = tuple(Style(name, **_TABLES["style"][name]) for name in _TABLES["styles"])
-"""Styles in the order in which sequences take them; a small data set has all."""
+"""Styles in the order in which sequences take them; from eight on a data set has all."""
 CARS = tuple(map(_body, _TABLES["cars"]))
 LORRY_CAB, VAN_CAB, BUS, CARAVAN = map(_body, ("lorry_cab", "van_cab", "bus", "caravan"))
 TRUCKS: dict[str, dict[str, Any]] = _TABLES["truck"]
 TRAFFIC: dict[str, float] = _TABLES["traffic"]
-"""Share of each kind of vehicle, parked or driving."""
+"""Frequency of each kind of vehicle, parked or driving, relative to the others."""
 BRIGHTNESS: dict[str, Any] = _TABLES["brightness"]
-RANDOM_SENSOR: dict[str, Any] = _TABLES["random_sensor"]
-"""Bounds of random sensors."""
+RANDOM_SENSOR = RandomSensor(**_TABLES["random_sensor"])
 VEHICLE_OUTLINES_DEG = tuple(np.array(outline) for outline in _TABLES["outlines"])
 """Outlines of the recording vehicle, each (corners, 3): azimuth, upper edge and lower edge."""

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: MIT
 """Surfaces: raw SemanticKITTI ids, materials, and how these reflect a 905 nm laser pulse.
 
-The levels were set so that the intensity of each class spreads as it does in scans of an HDL-64E.
+These were set so that the intensity of each class spreads as it does in scans of an HDL-64E.
 """
 
 from enum import IntEnum

@@ -1,7 +1,9 @@
 # SPDX-License-Identifier: MIT
 """Data set that `synthesise` writes: layout, labels, poses, splits, seeds, refusals."""
 
+import inspect
 import sys
+from typing import get_args
 
 import numpy as np
 import pytest
@@ -9,6 +11,7 @@ import yaml
 from scans import files_below, write_sequence
 
 from salsanext_cli import Scan, label_space, read_labels
+from salsanext_cli.cli import synth as cli
 from salsanext_cli.errors import MissingDependency, OutputError, UsageError
 from salsanext_cli.formats.clouds.kitti import read_bin
 from salsanext_cli.stages import synth
@@ -17,6 +20,7 @@ from salsanext_cli.storage.files.atomic import MARK, write_bytes
 from salsanext_cli.storage.layout import find_scans
 from salsanext_cli.storage.written_files import WrittenFiles
 from salsanext_cli.synthesis.drive import Frame
+from salsanext_cli.synthesis.sensor.rig import RIGS
 
 TINY = {"scans": 2, "spacing": 12.0, "seed": 3}
 
@@ -107,11 +111,16 @@ def test_an_unknown_sensor_is_refused(tmp_path):
     assert not (tmp_path / "streets").exists()
 
 
+def test_the_command_offers_every_sensor():
+    annotation = inspect.get_annotations(cli.synth, eval_str=True)["sensor"]
+    assert set(get_args(get_args(annotation)[0])) == {*RIGS}
+
+
 @pytest.fixture
 def quick(monkeypatch):
     """Record three points instead of a street."""
 
-    def record(seed, sequence, scans, spacing, sensor):
+    def record(seed, sequence, scans, spacing, make_rig):
         scan = Scan(np.full((3, 3), seed, np.float32), np.zeros(3, np.float32))
         for index in range(scans):
             yield Frame(scan, np.array([40, 40, 10], np.uint32), np.eye(4), index * spacing)
@@ -248,6 +257,7 @@ def test_nothing_is_begun_without_open3d(tmp_path, monkeypatch):
         {"seed": -1},
         {"spacing": 0.0},
         {"spacing": float("nan")},
+        {"spacing": float("inf"), "scans": 1},
         {"scans": 5000},
         {"jobs": 0},
     ],

@@ -6,7 +6,14 @@ import pytest
 
 from salsanext_cli.synthesis.mesh import Skin, quads
 from salsanext_cli.synthesis.sensor.hdl64 import hdl64
-from salsanext_cli.synthesis.sensor.lidar import HDL64, Firings, Scene, measure
+from salsanext_cli.synthesis.sensor.lidar import (
+    HDL64,
+    INTENSITY_NOISE,
+    USUAL_ECHO,
+    Firings,
+    Scene,
+    measure,
+)
 from salsanext_cli.synthesis.surfaces import BUILDING, CAR, ROAD, Material
 
 
@@ -27,8 +34,8 @@ def floor(material):
 def fan(count=20_000, spread=0.3):
     """Return rays from the origin, forward, within `spread` radians to either side."""
     azimuth = np.linspace(-spread, spread, count)
-    ways = np.stack([np.cos(azimuth), np.sin(azimuth), np.zeros(count)], -1)
-    return np.concatenate([np.zeros((count, 3)), ways], 1), azimuth
+    directions = np.stack([np.cos(azimuth), np.sin(azimuth), np.zeros(count)], -1)
+    return np.concatenate([np.zeros((count, 3)), directions], 1), azimuth
 
 
 def look(scenes, rays, seed=0, power=1.0, response=HDL64):
@@ -63,8 +70,8 @@ def test_roads_seen_at_a_grazing_angle_fade_out():
     scene = floor(Material.ASPHALT)
 
     def share(reach):
-        way = np.array([reach, 0, -1.73]) / np.hypot(reach, 1.73)
-        rays = np.tile(np.concatenate([np.zeros(3), way]), (4000, 1))
+        direction = np.array([reach, 0, -1.73]) / np.hypot(reach, 1.73)
+        rays = np.tile(np.concatenate([np.zeros(3), direction]), (4000, 1))
         distance, intensity, _ = look([scene], rays)
         return np.isfinite(distance).mean(), intensity.mean()
 
@@ -134,8 +141,8 @@ def test_the_nearer_of_two_scenes_counts():
 def test_an_edge_gives_returns_between_near_surfaces_only():
     """Half of a fan hits a wall at 8 m, the other half one farther away."""
     azimuth = np.tile([-0.01, 0.01], 4000)
-    ways = np.stack([np.cos(azimuth), np.sin(azimuth), np.zeros(len(azimuth))], -1)
-    rays = np.concatenate([np.zeros((len(ways), 3)), ways], 1)
+    directions = np.stack([np.cos(azimuth), np.sin(azimuth), np.zeros(len(azimuth))], -1)
+    rays = np.concatenate([np.zeros((len(directions), 3)), directions], 1)
 
     def between(gap):
         corners = np.array([[[8, 0, -9], [8, 9, -9], [8, 9, 9], [8, 0, 9]]], float)
@@ -149,10 +156,22 @@ def test_an_edge_gives_returns_between_near_surfaces_only():
     assert far[1] > near[1] + 0.1
 
 
-def test_gain_and_gamma_change_the_reported_brightness_alone():
+def test_gain_scales_the_reported_brightness_alone():
     rays, _ = fan(4000)
     usual = look([wall(10)], rays)
-    other = look([wall(10)], rays, response=HDL64._replace(gain=0.5, gamma=1.0))
+    other = look([wall(10)], rays, response=HDL64._replace(gain=0.5))
     np.testing.assert_array_equal(usual[0], other[0])
     kept = np.isfinite(usual[0])
     assert other[1][kept].mean() == pytest.approx(usual[1][kept].mean() / 2, abs=0.02)
+
+
+@pytest.mark.parametrize("echo", [USUAL_ECHO, 0.5 * USUAL_ECHO, 0.3 * USUAL_ECHO])
+def test_gamma_darkens_what_is_darker_than_usual_and_changes_no_range(echo):
+    rays, _ = fan(4000, spread=0.03)
+    at_13_m = wall(13, shade=echo / Material.PLASTER.optics[0])
+    usual = look([at_13_m], rays)
+    other = look([at_13_m], rays, response=HDL64._replace(gamma=1.6))
+    np.testing.assert_array_equal(usual[0], other[0])
+    before, after = (seen[1].mean() + INTENSITY_NOISE for seen in (usual, other))
+    assert before == pytest.approx(echo, rel=0.03)
+    assert after / before == pytest.approx((echo / USUAL_ECHO) ** 0.6, rel=0.05)

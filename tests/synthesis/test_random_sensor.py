@@ -9,14 +9,14 @@ import pytest
 from salsanext_cli.synthesis import surfaces
 from salsanext_cli.synthesis.drive import record
 from salsanext_cli.synthesis.presets import RANDOM_SENSOR
-from salsanext_cli.synthesis.sensor.rig import RIGS
+from salsanext_cli.synthesis.sensor.rig import RIGS, hdl64_rig, random_rig
 
 SEEDS = range(60)
 
 
 @pytest.fixture(scope="module")
 def rigs():
-    return [RIGS["random"](np.random.default_rng(seed)) for seed in SEEDS]
+    return [random_rig(np.random.default_rng(seed)) for seed in SEEDS]
 
 
 def test_a_random_sensor_is_within_its_bounds(rigs):
@@ -25,11 +25,11 @@ def test_a_random_sensor_is_within_its_bounds(rigs):
         degrees = np.degrees(beams.elevation)
         assert (np.diff(degrees) < 0).all()
         assert 12 <= len(degrees) <= 128
-        assert RANDOM_SENSOR["down"][0] - 2 < degrees.min() < RANDOM_SENSOR["down"][1] + 6
-        assert RANDOM_SENSOR["up"][0] - 6 < degrees.max() < RANDOM_SENSOR["up"][1] + 2
-        assert len(degrees) * beams.columns <= RANDOM_SENSOR["rays"]
+        assert RANDOM_SENSOR.lower_edge[0] - 2 < degrees.min() < RANDOM_SENSOR.lower_edge[1] + 6
+        assert RANDOM_SENSOR.upper_edge[0] - 6 < degrees.max() < RANDOM_SENSOR.upper_edge[1] + 2
+        assert len(degrees) * beams.columns <= RANDOM_SENSOR.max_rays
         assert len(rig.seen) == len(degrees) * beams.columns == len(beams.rays()[0])
-        assert RANDOM_SENSOR["mount"][0] <= rig.mount <= RANDOM_SENSOR["mount"][1]
+        assert RANDOM_SENSOR.mount[0] <= rig.mount <= RANDOM_SENSOR.mount[1]
         assert rig.response.nearest < rig.response.farthest
 
 
@@ -44,27 +44,47 @@ def test_random_sensors_differ(rigs):
     assert 10 < sum(uneven) < 55
 
 
+def test_the_vehicle_hides_nothing_above_the_horizon(rigs):
+    hidden_shares = set()
+    for rig in rigs:
+        hidden = ~rig.seen.reshape(len(rig.beams.elevation), -1)
+        assert not hidden[rig.beams.elevation >= 0].any()
+        hidden_shares.add(round(hidden.mean(), 3))
+    assert 0 in hidden_shares
+    assert len(hidden_shares) > 10
+
+
 def test_a_seed_has_one_sensor_per_sequence():
-    for sequence in range(2):
-        frame, again = (next(record(4, sequence, 1, 3.0, "random")) for _ in range(2))
-        np.testing.assert_array_equal(frame.scan.points, again.scan.points)
-        np.testing.assert_array_equal(frame.scan.intensity, again.scan.intensity)
+    made = []
+
+    def make_rig(rng):
+        made.append(random_rig(rng))
+        return made[-1]
+
+    frames, again = (list(record(4, 0, 2, 3.0, make_rig)) for _ in range(2))
+    assert len(made) == 2
+    for frame, same in zip(frames, again, strict=True):
+        np.testing.assert_array_equal(frame.scan.points, same.scan.points)
+        np.testing.assert_array_equal(frame.scan.intensity, same.scan.intensity)
+    next(record(4, 1, 1, 3.0, make_rig))
+    first, _, other = made
+    assert first.mount != other.mount
+    assert first.response != other.response
+    assert not np.array_equal(first.beams.elevation, other.beams.elevation)
 
 
 @pytest.mark.parametrize("mount", [1.2, 2.6])
-def test_the_road_is_as_far_below_as_the_sensor_is_mounted(mount, monkeypatch):
-    usual = RIGS["hdl64"]
-    monkeypatch.setitem(RIGS, "random", lambda rng: replace(usual(rng), mount=mount))
-    frame = next(record(4, 0, 1, 3.0, "random"))
+def test_the_road_is_as_far_below_as_the_sensor_is_mounted(mount):
+    frame = next(record(4, 0, 1, 3.0, lambda rng: replace(hdl64_rig(rng), mount=mount)))
     points = frame.scan.points[np.isin(frame.labels, (surfaces.ROAD, surfaces.MARKING))]
     near = points[np.hypot(points[:, 0], points[:, 1]) < 9]
     assert np.median(near[:, 2]) == pytest.approx(-mount, abs=0.15)
 
 
 def test_the_street_is_the_same_through_any_sensor():
-    frames = {sensor: next(record(4, 1, 1, 3.0, sensor)) for sensor in RIGS}
+    frames = [next(record(4, 1, 1, 3.0, make_rig)) for make_rig in RIGS.values()]
     places = []
-    for frame in frames.values():
+    for frame in frames:
         chosen = np.isin(frame.labels, (surfaces.BUILDING, surfaces.FENCE))
         near = np.linalg.norm(frame.scan.points, axis=1) < 25
         points = frame.scan.points[chosen & near]

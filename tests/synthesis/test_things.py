@@ -10,6 +10,7 @@ from salsanext_cli.synthesis.street import lots
 from salsanext_cli.synthesis.street.builder import Builder
 from salsanext_cli.synthesis.street.draw import draw_plan
 from salsanext_cli.synthesis.street.plan import Lot
+from salsanext_cli.synthesis.surfaces import Material
 from salsanext_cli.synthesis.things import (
     buildings,
     cars,
@@ -48,7 +49,13 @@ THINGS = {
         furniture.traffic_light, {surfaces.POLE, surfaces.CLUTTER},
         (0.1, 0.1, 3.2), (0.5, 0.6, 4.0),
     ),
-    "clutter": (furniture.clutter, {surfaces.CLUTTER}, (0.3, 0.2, 0.3), (7.0, 7.0, 3.7)),
+    "dustbin": (furniture.dustbin, {surfaces.CLUTTER}, (0.4, 0.4, 0.8), (0.8, 0.9, 1.2)),
+    "cabinet": (furniture.cabinet, {surfaces.CLUTTER}, (0.5, 0.24, 1.1), (1.8, 0.6, 1.9)),
+    "bench": (furniture.bench, {surfaces.CLUTTER}, (1.4, 0.4, 1.1), (2.2, 0.5, 1.2)),
+    "planter": (furniture.planter, {surfaces.CLUTTER}, (0.4, 0.4, 0.6), (1.6, 1.6, 1.1)),
+    "column": (furniture.column, {surfaces.CLUTTER}, (1.4, 1.4, 3.6), (1.5, 1.5, 3.6)),
+    "crates": (furniture.crates, {surfaces.CLUTTER}, (0.3, 0.3, 0.15), (4.0, 4.0, 0.9)),
+    "clutter": (furniture.clutter, {surfaces.CLUTTER}, (0.3, 0.2, 0.15), (4.0, 4.0, 3.6)),
     "shelter": (furniture.shelter, {surfaces.STRUCTURE}, (2.4, 1.3, 2.4), (4.8, 1.8, 2.9)),
 }  # fmt: skip
 
@@ -108,7 +115,7 @@ def test_fences_have_their_length(kind):
 def test_houses_have_glass_behind_the_wall():
     mesh = buildings.house(np.random.default_rng(2), 12.0, 9.0, 3)
     assert set(mesh.labels) == {surfaces.BUILDING}
-    glass = mesh.vertices[mesh.triangles[mesh.materials == 6]].reshape(-1, 3)
+    glass = mesh.vertices[mesh.triangles[mesh.materials == Material.GLASS]].reshape(-1, 3)
     front = glass[np.abs(glass[:, 1]) < 1]
     assert len(front)
     assert (front[:, 1] > 0.05).all()

@@ -57,9 +57,9 @@ class Beams:
         """
         azimuth = self.azimuths()
         elevation = np.broadcast_to(self.elevation[:, None], azimuth.shape)
-        level = np.cos(elevation)
+        horizontal = np.cos(elevation)
         x, y = np.cos(azimuth), np.sin(azimuth)
-        directions = np.stack([level * x, level * y, np.sin(elevation)], -1)
+        directions = np.stack([horizontal * x, horizontal * y, np.sin(elevation)], -1)
         aside = self.aside[:, None]
         height = np.broadcast_to(self.height[:, None], azimuth.shape)
         origins = np.stack([-y * aside, x * aside, height], -1)

@@ -21,8 +21,23 @@ EDGE_SHARE = 0.45
 """Share of the pulses at an edge that hit both surfaces."""
 PULSE_M = 1.2
 """Distance between two surfaces up to which their echoes are one."""
-TORN_SHARE = 0.3
+LOST_AT_EDGE_SHARE = 0.3
 """Share of the pulses on two surfaces farther apart that are lost."""
+LEAST_REFLECTED = 0.01
+"""Brightness that even a black surface has where it is decided whether a pulse returns."""
+DETECTION_STEEPNESS = 2.2
+"""Exponent with which the share of detected pulses rises around the threshold."""
+DIFFUSE_BRIGHTNESS, DIFFUSE_SHARE, MOST_DIFFUSE = 0.3, 0.75, 0.9
+"""A glossy surface so bright reflects that share diffusely, others in proportion up to the most."""
+STRAIGHT_ON_SHARE, STRAIGHT_ON_EXPONENT = 0.6, 16
+"""Share of what a mirror hit straight on sends back, and exponent of the cosine of incidence."""
+POWER_EXPONENT = 3
+"""Exponent with which strong lasers lose fewer pulses on glossy surfaces."""
+INTENSITY_NOISE = 0.02
+"""Standard deviation of the reported brightness, which is as much too low."""
+MOST_INTENSITY = 0.99
+LOGISTIC_SLOPE = 1.702
+"""Slope at which the logistic function stands in for the normal distribution's integral."""
 DISTANCES_M = (0.0, 4.0, 8.0, 13.0, 20.0, 28.0, 40.0, 80.0)
 RELATIVE_RESPONSE = (0.82, 0.86, 0.92, 1.0, 1.05, 0.92, 0.66, 0.45)
 """Reported brightness of one surface by distance: optics and gain control of the sensor."""
@@ -37,27 +52,36 @@ class Response(NamedTuple):
         Standard deviation of the range, metres.
     nearest, farthest : float
         Smallest and largest reported range, metres.
-    lost : float
-        Share of pulses lost for no reason.
+    lost_pulses : float
+        Share of pulses lost whatever the surface.
     threshold : float
         Signal (brightness · cos / range²) at which half of the pulses are lost.
     gain, gamma : float
         Factor and exponent of the reported brightness.
-    levels : int
+    steps : int
         Number of steps of the reported brightness from 0 to 1.
     """
 
     noise: float
     nearest: float
     farthest: float
-    lost: float
+    lost_pulses: float
     threshold: float
     gain: float
     gamma: float
-    levels: int
+    steps: int
 
 
-HDL64 = Response(0.009, 1.6, 81.0, 0.004, 6.0e-6, 1.0, 1.0, 100)
+HDL64 = Response(
+    noise=0.009,
+    nearest=1.6,
+    farthest=81.0,
+    lost_pulses=0.004,
+    threshold=6.0e-6,
+    gain=1.0,
+    gamma=1.0,
+    steps=100,
+)
 
 
 class Firings(NamedTuple):
@@ -141,17 +165,18 @@ def measure(
     noise = rng.standard_normal((3, len(rays)))
     reflected = brightness * shades * np.exp(texture * noise[0] - texture**2 / 2)
     kept = _returns(rng, reflected, cosine, reach, gloss, firings.power, response)
-    blended, torn = _edges(rng, reach)
+    blended, lost_at_edge = _edges(rng, reach)
     measured = blended + noise[1] * np.hypot(response.noise, roughness)
-    kept &= (reach < response.farthest) & (measured > response.nearest) & ~torn
+    kept &= (reach < response.farthest) & (measured > response.nearest) & ~lost_at_edge
     grazing = np.clip(cosine / GRAZING_COSINE, 0.01, 1) ** falloff
     echo = reflected * np.interp(reach, DISTANCES_M, RELATIVE_RESPONSE) * grazing
     echo = (
         response.gain * USUAL_ECHO * (echo / USUAL_ECHO) ** response.gamma * firings.gain
         - firings.offset
     )
-    intensity = np.clip(echo + 0.02 * noise[2] - 0.02, 0, 0.99)
-    intensity = np.round(intensity * response.levels) / response.levels
+    echo = echo + INTENSITY_NOISE * noise[2] - INTENSITY_NOISE
+    intensity = np.clip(echo, 0, MOST_INTENSITY)
+    intensity = np.round(intensity * response.steps) / response.steps
     return np.where(kept, measured, np.nan), intensity, labels
 
 
@@ -164,7 +189,7 @@ def _edges(rng: Rng, reach: Array) -> tuple[Array, npt.NDArray[np.bool_]]:
     chance, share = rng.random((2, len(reach)))
     both = chance < EDGE_SHARE
     blended: Array = reach + share / 2 * step * (both & (np.abs(step) < PULSE_M))
-    return blended, (np.abs(step) >= PULSE_M) & (chance < TORN_SHARE)
+    return blended, (np.abs(step) >= PULSE_M) & (chance < LOST_AT_EDGE_SHARE)
 
 
 def _returns(
@@ -178,16 +203,18 @@ def _returns(
 ) -> npt.NDArray[np.bool_]:
     """Decide which pulses return."""
     chance = rng.random(len(reach))
-    signal = power * (reflected + 0.01) * cosine / reach**2
-    detected = 1 / (1 + (response.threshold / np.maximum(signal, 1e-12)) ** 2.2)
+    signal = power * (reflected + LEAST_REFLECTED) * cosine / reach**2
+    weakness = response.threshold / np.maximum(signal, 1e-12)
+    detected = 1 / (1 + weakness**DETECTION_STEEPNESS)
     # A mirror sends the pulse back only when hit straight on. Strong lasers still see its dirt, so
     # that glass and dark paint come back in some rows and not in others.
-    dull = np.minimum(0.9, 0.75 * reflected / 0.3)
-    mirrored = gloss * (1 - 0.6 * cosine**16) * (1 - dull)
-    odds = mirrored / np.maximum(1 - mirrored, 1e-6) / power**3
-    away = odds / (1 + odds)
-    kept = chance < detected * (1 - response.lost)
-    reflected_back: npt.NDArray[np.bool_] = _patchy(rng, len(reach)) >= away
+    diffuse = np.minimum(MOST_DIFFUSE, DIFFUSE_SHARE * reflected / DIFFUSE_BRIGHTNESS)
+    straight_on = STRAIGHT_ON_SHARE * cosine**STRAIGHT_ON_EXPONENT
+    mirrored = gloss * (1 - straight_on) * (1 - diffuse)
+    odds = mirrored / np.maximum(1 - mirrored, 1e-6) / power**POWER_EXPONENT
+    lost_to_gloss = odds / (1 + odds)
+    kept = chance < detected * (1 - response.lost_pulses)
+    reflected_back: npt.NDArray[np.bool_] = _patchy(rng, len(reach)) >= lost_to_gloss
     return kept & reflected_back
 
 
@@ -195,5 +222,4 @@ def _patchy(rng: Rng, count: int) -> Array:
     """Return chances 0…1 that change slowly from firing to firing, (count,)."""
     white = rng.standard_normal(count + PATCH_FIRINGS - 1)
     smooth = np.convolve(white, np.full(PATCH_FIRINGS, PATCH_FIRINGS**-0.5), "valid")
-    # The logistic function with this slope stands in for the normal distribution's integral.
-    return 1 / (1 + np.exp(-1.702 * smooth))
+    return 1 / (1 + np.exp(-LOGISTIC_SLOPE * smooth))

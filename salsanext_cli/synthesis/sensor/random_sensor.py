@@ -5,7 +5,7 @@ import numpy as np
 import numpy.typing as npt
 
 from salsanext_cli.synthesis.mesh import Array, Rng
-from salsanext_cli.synthesis.presets import RANDOM_SENSOR
+from salsanext_cli.synthesis.presets import RANDOM_SENSOR as BOUNDS
 from salsanext_cli.synthesis.sensor.beams import Beams
 from salsanext_cli.synthesis.sensor.hdl64 import lasers
 from salsanext_cli.synthesis.sensor.lidar import Response
@@ -14,60 +14,59 @@ from salsanext_cli.synthesis.sensor.shadow import hidden_by_vehicle
 
 def random_beams(rng: Rng) -> Beams:
     """Draw the lasers of a sensor: their number, elevations, firings and deviations."""
-    lost = rng.uniform(*RANDOM_SENSOR["lost_beams"]) * (rng.random() < 0.3)
+    lost = rng.uniform(*BOUNDS.lost_beams) * (rng.random() < BOUNDS.lost_beams_chance)
     elevation = random_elevations(rng)
     elevation = elevation[rng.random(len(elevation)) >= lost]
     count = len(elevation)
-    most = int(RANDOM_SENSOR["rays"] / count)
-    columns = min(int(rng.choice(RANDOM_SENSOR["columns"])), most)
-    stagger = rng.choice([0.0, 1.0]) * rng.uniform(0, 2 * np.pi / columns, count)
-    aside = rng.uniform(*RANDOM_SENSOR["aside"]) * np.resize([1.0, -1.0], count)
-    level = np.zeros(count)
-    return Beams(np.radians(elevation), stagger, level, aside, *lasers(rng, count), columns)
+    columns = min(int(rng.choice(BOUNDS.column_counts)), int(BOUNDS.max_rays / count))
+    azimuth = rng.choice(BOUNDS.stagger) * rng.uniform(0, 2 * np.pi / columns, count)
+    height = np.zeros(count)
+    aside = rng.uniform(*BOUNDS.laser_aside) * np.resize([1.0, -1.0], count)
+    return Beams(np.radians(elevation), azimuth, height, aside, *lasers(rng, count), columns)
 
 
 def random_elevations(rng: Rng) -> Array:
-    """Draw elevations in degrees, the highest first: evenly spaced, or denser at the horizon."""
-    count = int(rng.choice(RANDOM_SENSOR["beams"]))
-    up, down = rng.uniform(*RANDOM_SENSOR["up"]), rng.uniform(*RANDOM_SENSOR["down"])
-    even = np.linspace(up, down, 1001)
-    dense = 0.0
-    if rng.random() < RANDOM_SENSOR["uneven"]:
-        middle, width = rng.uniform(*RANDOM_SENSOR["middle"]), rng.uniform(*RANDOM_SENSOR["width"])
-        dense = rng.uniform(*RANDOM_SENSOR["denser"]) * np.exp(
-            -(((even - middle) / width) ** 2) / 2
-        )
-    share = np.cumsum(1 + dense + np.zeros(len(even)))
-    share = (share - share[0]) / (share[-1] - share[0])
-    elevation = np.interp(np.linspace(0, 1, count), share, even)
-    jitter = rng.normal(0, 0.08 * (up - down) / count, count)
+    """Draw elevations in degrees, the highest first: evenly spaced, or denser near the horizon."""
+    count = int(rng.choice(BOUNDS.beam_counts))
+    upper, lower = rng.uniform(*BOUNDS.upper_edge), rng.uniform(*BOUNDS.lower_edge)
+    between = np.linspace(upper, lower, 1001)
+    density = np.ones(len(between))
+    if rng.random() < BOUNDS.dense_chance:
+        middle, width = rng.uniform(*BOUNDS.dense_elevation), rng.uniform(*BOUNDS.dense_width)
+        bell = np.exp(-(((between - middle) / width) ** 2) / 2)
+        density += rng.uniform(*BOUNDS.dense_factor) * bell
+    above = np.cumsum(density)
+    above = (above - above[0]) / (above[-1] - above[0])
+    elevation = np.interp(np.linspace(0, 1, count), above, between)
+    jitter = rng.normal(0, BOUNDS.elevation_jitter * (upper - lower) / count, count)
     return np.sort(elevation + jitter)[::-1]
 
 
 def random_mount(rng: Rng) -> tuple[float, Array]:
     """Draw height above the road in metres, pitch and roll in radians."""
-    tilt = np.radians(rng.normal(0, RANDOM_SENSOR["tilt"], 2))
-    return float(rng.uniform(*RANDOM_SENSOR["mount"])), tilt
+    tilt = np.radians(rng.normal(0, BOUNDS.tilt, 2))
+    return float(rng.uniform(*BOUNDS.mount)), tilt
 
 
 def random_response(rng: Rng) -> Response:
     """Draw noise, limits and brightness of what a sensor reports."""
-    ranges = ("noise", "nearest", "farthest", "lost", "threshold", "gain", "gamma")
-    low, high = np.array([RANDOM_SENSOR[name] for name in ranges]).T
+    names = ("noise", "nearest", "farthest", "lost_pulses", "threshold", "gain", "gamma")
+    low, high = np.array([getattr(BOUNDS, name) for name in names]).T
     values = np.exp(rng.uniform(np.log(low), np.log(high)))
-    drawn = dict(zip(ranges, values.tolist(), strict=True))
-    return Response(**drawn, levels=int(rng.choice([100, 255])))
+    drawn = dict(zip(names, values.tolist(), strict=True))
+    return Response(**drawn, steps=int(rng.choice(BOUNDS.intensity_steps)))
 
 
 def random_shadow(beams: Beams, rng: Rng) -> npt.NDArray[np.bool_]:
     """Draw which rays the vehicle blocks: none, those of a car's outline, or those of a roof."""
-    kind = rng.integers(3)
-    if kind == 0:
+    kind = rng.choice(BOUNDS.shadows)
+    if kind == "none":
         return np.zeros(len(beams.elevation) * beams.columns, bool)
-    if kind == 1:
+    if kind == "car":
         return hidden_by_vehicle(beams, rng)
-    turn = beams.azimuths()
-    wave = np.cos(2 * turn) * rng.uniform(0, 6) + np.cos(turn) * rng.uniform(-3, 3)
-    edge = -rng.uniform(*RANDOM_SENSOR["roof"]) + wave
+    azimuth = beams.azimuths()
+    wave = np.cos(2 * azimuth) * rng.uniform(*BOUNDS.roof_ahead_and_behind)
+    wave = wave + np.cos(azimuth) * rng.uniform(*BOUNDS.roof_ahead)
+    edge = -rng.uniform(*BOUNDS.roof_edge) + wave
     hidden: npt.NDArray[np.bool_] = np.degrees(beams.elevation)[:, None] < edge
     return hidden.reshape(-1)

@@ -58,16 +58,24 @@ class Rig:
         return Firings(*(np.repeat(values, beams.columns)[self.seen] for values in of_laser))
 
 
-def _hdl64(rng: Rng) -> Rig:
+RigMaker = Callable[[Rng], Rig]
+"""Draws a sensor and its mounting."""
+
+
+def hdl64_rig(rng: Rng) -> Rig:
+    """Draw an HDL-64E and its mounting."""
     beams = hdl64(rng)
     tilt = rng.normal(0, np.radians(0.35), 2)
     return Rig(beams, HDL64, ~hidden_by_vehicle(beams, rng), HDL64_MOUNT_M, tilt)
 
 
-def _random(rng: Rng) -> Rig:
-    beams = random_beams(rng)
-    return Rig(beams, random_response(rng), ~random_shadow(beams, rng), *random_mount(rng))
+def random_rig(rng: Rng) -> Rig:
+    """Draw a sensor unlike others, and its mounting."""
+    beams, response = random_beams(rng), random_response(rng)
+    seen = ~random_shadow(beams, rng)
+    mount, tilt = random_mount(rng)
+    return Rig(beams, response, seen, mount, tilt)
 
 
-RIGS: dict[str, Callable[[Rng], Rig]] = {"hdl64": _hdl64, "random": _random}
+RIGS: dict[str, RigMaker] = {"hdl64": hdl64_rig, "random": random_rig}
 """Makers of the sensor of a sequence by the name that `--sensor` takes."""

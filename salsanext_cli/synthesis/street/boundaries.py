@@ -42,9 +42,16 @@ def close(
         return
     builder.put_line(boundary(builder), side, start, end, out)
     if builder.chance(0.6):
-        height, deep = builder.between(1.2, 4.0), builder.between(0.8, 1.6)
-        thicket = partial(vegetation.thicket, builder.rng, depth=deep, height=height)
-        builder.put_line(thicket, side, start, end, out + builder.between(0.3, 0.9))
+        height, depth = builder.between(1.2, 4.0), builder.between(0.8, 1.6)
+        thicket(builder, side, start, end, out + builder.between(0.3, 0.9), height, depth)
+
+
+def thicket(
+    builder: Builder, side: Side, start: float, end: float, out: float, height: float, depth: float
+) -> None:
+    """Grow undergrowth from `start` to `end`, beginning `out` metres beyond the kerb."""
+    piece = partial(vegetation.thicket, builder.rng, depth=depth, height=height)
+    builder.put_line(piece, side, start, end, out)
 
 
 def wall(builder: Builder, side: Side, start: float, end: float, out: float) -> None:

@@ -8,8 +8,8 @@ from itertools import pairwise
 import numpy as np
 
 from salsanext_cli.synthesis.mesh import Mesh, Rng
+from salsanext_cli.synthesis.street.brightness import varied
 from salsanext_cli.synthesis.street.plan import Plan, Side
-from salsanext_cli.synthesis.street.tones import varied
 
 PIECE_M = 5.0
 """Largest length of the pieces in which long things follow a bend."""
@@ -50,17 +50,24 @@ class Builder:
 
     def put_if_free(
         self, mesh: Mesh, side: Side, s: float, out: float, radius: float, yaw: float = 0.0
-    ) -> None:
-        """Set a thing down unless a thing, a side street or the street's end is within `radius`."""
+    ) -> bool:
+        """Set a thing down unless a thing, a side street or the street's end is within `radius`.
+
+        Returns
+        -------
+        bool
+            Whether it was set down.
+        """
         t = side.sign * (self.plan.half + out)
         if not radius <= s <= self.plan.length - radius:
-            return
+            return False
         if float(self.plan.from_side_street(np.array(s), side)) < radius:
-            return
+            return False
         if any(np.hypot(s - a, t - b) < radius + r for a, b, r in self._taken):
-            return
+            return False
         self._taken.append((s, t, radius))
         self.put(mesh, side, s, out, yaw)
+        return True
 
     def put_line(
         self, make: Callable[[float], Mesh], side: Side, start: float, end: float, out: float

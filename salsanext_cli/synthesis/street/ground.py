@@ -5,8 +5,8 @@ import numpy as np
 
 from salsanext_cli.synthesis import surfaces
 from salsanext_cli.synthesis.mesh import Array, Mesh, Rng
+from salsanext_cli.synthesis.street.brightness import patches
 from salsanext_cli.synthesis.street.plan import KERB_M, REACH_M, Plan
-from salsanext_cli.synthesis.street.tones import patches
 from salsanext_cli.synthesis.surfaces import Material
 
 PAVED = (Material.PAVING, Material.PAVING, Material.PAVING, Material.ASPHALT)

@@ -7,11 +7,22 @@ from functools import partial
 import numpy as np
 
 from salsanext_cli.synthesis.mesh import Mesh, Rng
-from salsanext_cli.synthesis.street.boundaries import boundary, close, hedge, wall
+from salsanext_cli.synthesis.street.boundaries import boundary, close, hedge, thicket, wall
 from salsanext_cli.synthesis.street.builder import Builder
 from salsanext_cli.synthesis.street.plan import REACH_M, Lot, Side
-from salsanext_cli.synthesis.things import buildings, fences, furniture, hedges, people, vegetation
-from salsanext_cli.synthesis.things.vehicles import vehicle
+from salsanext_cli.synthesis.things import (
+    buildings,
+    cars,
+    fences,
+    furniture,
+    hedges,
+    people,
+    vegetation,
+)
+from salsanext_cli.synthesis.things.vehicles import length_of, vehicle
+
+CAR_ROOM_M = 5.2
+"""Distance from the kerb to the house that a car in the driveway needs."""
 
 
 def furnish(builder: Builder, side: Side, lot: Lot) -> None:
@@ -77,19 +88,19 @@ def _house(builder: Builder, side: Side, lot: Lot) -> None:
     if builder.chance(0.75) and lot.setback > 2:
         kind = vegetation.tree if builder.chance(0.7) else vegetation.conifer
         _scatter(builder, side, lot, kind, (3.0, 8.0), 1.2)
-    if drive and builder.chance(0.55):
+    if drive and builder.chance(0.55) and front > CAR_ROOM_M:
         _park(builder, side, sum(lot.drive) / 2, front - min(2.6, lot.setback / 2), np.pi / 2)
     if builder.chance(0.5):
         end = front + builder.between(2, 12)
         builder.put_outward(boundary(builder), side, lot.end, side.depth + 0.3, end)
-    _scatter(builder, side, lot, lambda r, _: furniture.clutter(r), (0, 1), 0.8)
+    _scatter(builder, side, lot, _clutter, (0, 1), 0.8)
 
 
 def _yard(builder: Builder, side: Side, lot: Lot) -> None:
     close(builder, side, lot.start, lot.end, side.depth + 0.25, open_chance=0.0)
     _scatter(builder, side, lot, vegetation.tree, (4.0, 9.0), 1.5, reach=15)
     _scatter(builder, side, lot, vegetation.bush, (0.5, 1.5), 3, reach=12)
-    _scatter(builder, side, lot, lambda r, _: furniture.clutter(r), (0, 1), 1.5, reach=8)
+    _scatter(builder, side, lot, _clutter, (0, 1), 1.5, reach=8)
     if builder.chance(0.35):
         _park(builder, side, builder.between(lot.start + 2, lot.end - 2), side.depth + 5, 0.3)
     if builder.chance(0.5) and lot.end - lot.start > 8:
@@ -104,8 +115,8 @@ def _green(builder: Builder, side: Side, lot: Lot) -> None:
     _scatter(builder, side, lot, vegetation.conifer, (3.0, 9.0), 0.5 * area, reach=25)
     _scatter(builder, side, lot, vegetation.bush, (0.4, 1.6), 2.0 * area, reach=20)
     _scatter(builder, side, lot, vegetation.weeds, (0.5, 1.6), 2.0 * area, reach=15)
-    _scatter(builder, side, lot, lambda r, _: people.person(r), (0, 1), 0.5 * area, reach=12)
-    _scatter(builder, side, lot, lambda r, _: furniture.clutter(r), (0, 1), 0.5 * area, reach=6)
+    _scatter(builder, side, lot, _person, (0, 1), 0.5 * area, reach=12)
+    _scatter(builder, side, lot, _clutter, (0, 1), 0.5 * area, reach=6)
 
 
 def _field(builder: Builder, side: Side, lot: Lot) -> None:
@@ -113,7 +124,8 @@ def _field(builder: Builder, side: Side, lot: Lot) -> None:
     _scatter(builder, side, lot, vegetation.bush, (0.4, 2.0), 0.9 * area, reach=30)
     _scatter(builder, side, lot, vegetation.tree, (4.0, 11.0), 0.5 * area, reach=40)
     _scatter(builder, side, lot, vegetation.weeds, (0.6, 2.0), 4.0 * area, reach=15)
-    if (is_barrier := builder.chance(0.3)) or builder.chance(0.25):
+    is_barrier = builder.chance(0.3)
+    if is_barrier or builder.chance(0.25):
         kind, out = ("barrier", 0.8) if is_barrier else ("mesh", 3.0)
         shade, height = builder.between(0.7, 1.4), builder.between(0.9, 1.3)
         fence = partial(fences.fence, builder.rng, kind=kind, height=height, shade=shade)
@@ -121,11 +133,11 @@ def _field(builder: Builder, side: Side, lot: Lot) -> None:
 
 
 def _thicket(builder: Builder, side: Side, lot: Lot) -> None:
-    height, deep = builder.between(2.5, 7), builder.between(3, 8)
+    height, depth = builder.between(2.5, 7), builder.between(3, 8)
     if builder.chance(0.5):
         close(builder, side, lot.start, lot.end, side.depth + 0.2, open_chance=0.3)
-    thicket = partial(vegetation.thicket, builder.rng, depth=deep, height=height)
-    builder.put_line(thicket, side, lot.start, lot.end, side.depth + builder.between(0.8, 4))
+    out = side.depth + builder.between(0.8, 4)
+    thicket(builder, side, lot.start, lot.end, out, height, depth)
 
 
 def _scrub(builder: Builder, side: Side, lot: Lot) -> None:
@@ -134,9 +146,8 @@ def _scrub(builder: Builder, side: Side, lot: Lot) -> None:
     if builder.chance(0.55):
         builder.put_line(hedge(builder), side, lot.start, lot.end, out + 0.4)
     else:
-        height, deep = builder.between(1.5, 5), builder.between(1.5, 4)
-        thicket = partial(vegetation.thicket, builder.rng, depth=deep, height=height)
-        builder.put_line(thicket, side, lot.start, lot.end, out + 0.4)
+        height, depth = builder.between(1.5, 5), builder.between(1.5, 4)
+        thicket(builder, side, lot.start, lot.end, out + 0.4, height, depth)
     _scatter(builder, side, lot, vegetation.tree, (4.0, 10.0), 2.0, reach=12)
     _house_behind(builder, side, lot, out + builder.between(4, 9))
 
@@ -149,7 +160,7 @@ def _house_behind(builder: Builder, side: Side, lot: Lot, out: float) -> None:
         builder.put(mesh, side, (lot.start + lot.end) / 2, out)
 
 
-def _rampart(builder: Builder, side: Side, lot: Lot) -> None:
+def _high_wall(builder: Builder, side: Side, lot: Lot) -> None:
     """Set up a high wall beside the street, trees and houses behind it."""
     wall(builder, side, lot.start, lot.end, side.depth + 0.3)
     _scatter(builder, side, lot, vegetation.tree, (5.0, 11.0), 3.0, reach=10)
@@ -159,12 +170,13 @@ def _rampart(builder: Builder, side: Side, lot: Lot) -> None:
 def _forecourt(builder: Builder, side: Side, lot: Lot) -> None:
     """Build a low house behind open ground on which vehicles stand."""
     for s in np.arange(lot.start + 3, lot.end - 3, builder.between(4, 9)):
-        yaw = builder.between(0, 6.28)
-        out = side.depth + builder.between(2.5, max(2.6, lot.setback - 2.5))
-        builder.put_if_free(vehicle(builder.rng), side, float(s), out, 2.4, yaw)
+        mesh, yaw = vehicle(builder.rng), builder.between(0, 6.28)
+        half = max(2.4, length_of(mesh) / 2)
+        out = side.depth + builder.between(half, max(half + 0.1, lot.setback - half))
+        builder.put_if_free(mesh, side, float(s), out, half, yaw)
     _house_behind(builder, side, lot, side.depth + lot.setback)
-    _scatter(builder, side, lot, lambda r, _: people.person(r), (0, 1), 0.7)
-    _scatter(builder, side, lot, lambda r, _: furniture.clutter(r), (0, 1), 1.0)
+    _scatter(builder, side, lot, _person, (0, 1), 0.7)
+    _scatter(builder, side, lot, _clutter, (0, 1), 1.0)
 
 
 def _carpark(builder: Builder, side: Side, lot: Lot) -> None:
@@ -183,7 +195,7 @@ def _park(
 ) -> None:
     """Set down a parked car, sometimes the other way round."""
     turned = yaw + np.pi * builder.chance(0.5) + builder.rng.normal(0, 0.03)
-    builder.put_if_free(vehicle(builder.rng), side, s, out, radius, turned)
+    builder.put_if_free(cars.car(builder.rng), side, s, out, radius, turned)
 
 
 def _scatter(
@@ -195,15 +207,23 @@ def _scatter(
     count: float,
     reach: float | None = None,
 ) -> None:
-    """Strew things over the front of a lot, or `reach` metres deep."""
-    deep = lot.setback if reach is None else reach
-    if deep < 0.8 or lot.end - lot.start < 1.5:
+    """Scatter things over the front of a lot, or `reach` metres deep."""
+    depth = lot.setback if reach is None else reach
+    if depth < 0.8 or lot.end - lot.start < 1.5:
         return
     for _ in builder.count(count):
         s = builder.between(lot.start + 0.5, lot.end - 0.5)
-        out = side.depth + builder.between(0.5, max(0.6, deep - 0.4))
+        out = side.depth + builder.between(0.5, max(0.6, depth - 0.4))
         mesh = make(builder.rng, builder.between(*size))
         builder.put_if_free(mesh, side, s, out, 0.7, builder.between(0, 6.28))
+
+
+def _clutter(rng: Rng, _size: float) -> Mesh:
+    return furniture.clutter(rng)
+
+
+def _person(rng: Rng, _size: float) -> Mesh:
+    return people.person(rng)
 
 
 def _background(builder: Builder, side: Side, lot: Lot) -> None:
@@ -217,13 +237,11 @@ def _background(builder: Builder, side: Side, lot: Lot) -> None:
         mesh = buildings.house(rng, width * builder.between(0.7, 1), 10, int(rng.integers(2, 6)))
         builder.put(mesh, side, middle, out)
     elif builder.chance(0.9):
-        height = builder.between(4, 9)
-        thicket = partial(vegetation.thicket, rng, depth=4, height=height)
-        builder.put_line(thicket, side, lot.start, lot.end, out)
+        thicket(builder, side, lot.start, lot.end, out, builder.between(4, 9), depth=4)
 
 
 KINDS: dict[str, Callable[[Builder, Side, Lot], None]] = {
     "terrace": _terrace, "house": _house, "yard": _yard, "green": _green, "field": _field,
-    "thicket": _thicket, "carpark": _carpark, "scrub": _scrub, "rampart": _rampart,
-    "forecourt": _forecourt,
+    "thicket": _thicket, "carpark": _carpark, "scrub": _scrub,
+    "high_wall": _high_wall, "forecourt": _forecourt,
 }  # fmt: skip

@@ -21,6 +21,10 @@ KERB_M = 0.02
 """Half the depth of a kerb's face, which belongs to the pavement."""
 DROP_M = 0.6
 """Length over which a kerb goes down beside a driveway."""
+RUN_OUT_M = 70.0
+"""Length of the street behind the first scan and beyond the last one."""
+MULTILANE_HALF_WIDTH_M = 5.5
+"""Half the width of a carriageway from which on it has more than a lane per direction."""
 CORNER_LINES_M = np.arange(0.15, 4.1, 0.15)
 """Distances from the kerb of the grid lines that rounded corners need."""
 

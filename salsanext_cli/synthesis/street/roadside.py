@@ -10,7 +10,7 @@ from salsanext_cli.synthesis.things import cars, cycles, furniture, people, vege
 from salsanext_cli.synthesis.things.vehicles import length_of, vehicle
 
 TOWARDS_TRAFFIC_RAD = np.pi / 2
-"""A sign faces its local -y; turned by this it faces along the street."""
+"""Turns a sign, which faces its local -y, towards the traffic on its side of the street."""
 SIDE_STREET_END_M = 50.0
 """Distance beyond the kerb at which trees close a side street."""
 
@@ -77,10 +77,14 @@ def _lamps(builder: Builder, side: Side) -> None:
 
 
 def _signs(builder: Builder, side: Side) -> None:
+    """Set up signs: most face the traffic on their side, some what comes from behind, or the road.
+
+    Signs and traffic lights at side streets face either way along the street.
+    """
     for _ in builder.count(builder.plan.length / 40):
         s = builder.along()
         make = furniture.board if builder.chance(0.22) else furniture.sign
-        yaw = builder.rng.choice([1, 1, 1, -1, 0]) * TOWARDS_TRAFFIC_RAD * -1
+        yaw = builder.rng.choice([1, 1, 1, -1, 0]) * TOWARDS_TRAFFIC_RAD
         out = side.parking + builder.between(0.4, 1.3)
         builder.put_if_free(make(builder.rng), side, s, out, 0.4, yaw + builder.rng.normal(0, 0.2))
     for crossing in builder.plan.crossings:
@@ -104,13 +108,25 @@ def _clutter(builder: Builder, side: Side) -> None:
         builder.put_if_free(furniture.shelter(builder.rng), side, s, side.depth - 1.6, 2.0)
 
 
+def _park_along(builder: Builder, side: Side, crossing: Crossing) -> None:
+    """Park vehicles one behind the other at either edge of a side street."""
+    edge, out = crossing.half - 0.9, builder.between(8, 14)
+    while out < SIDE_STREET_END_M:
+        if builder.chance(0.6):
+            out += builder.between(5.5, 9)
+            continue
+        mesh = vehicle(builder.rng)
+        end = out + length_of(mesh)
+        if end < SIDE_STREET_END_M:
+            s = crossing.s + edge * builder.rng.choice([-1, 1])
+            rear = float(mesh.vertices[:, 0].min())
+            builder.put(mesh, side, s, out - rear, yaw=np.pi / 2)
+        out = end + builder.between(0.8, 3)
+
+
 def _side_street(builder: Builder, side: Side, crossing: Crossing) -> None:
     """Set vehicles, people and poles down in and along a side street."""
-    edge = crossing.half - 0.9
-    for out in np.arange(builder.between(7, 14), 48, builder.between(5.5, 9)):
-        if builder.chance(0.4):
-            s = crossing.s + edge * builder.rng.choice([-1, 1])
-            builder.put(vehicle(builder.rng), side, s, float(out), yaw=np.pi / 2)
+    _park_along(builder, side, crossing)
     if builder.chance(0.5):
         yaw = -np.pi / 2
         s = crossing.s - side.sign * crossing.half * 0.45

@@ -6,12 +6,12 @@ from dataclasses import replace
 from salsanext_cli.synthesis.mesh import Mesh, Rng, merge
 from salsanext_cli.synthesis.presets import Style
 from salsanext_cli.synthesis.street import boundaries, lots, roadside
+from salsanext_cli.synthesis.street.brightness import draw_brightness, with_brightness
 from salsanext_cli.synthesis.street.builder import Builder
 from salsanext_cli.synthesis.street.draw import draw_plan
 from salsanext_cli.synthesis.street.ground import ground
-from salsanext_cli.synthesis.street.plan import Plan
-from salsanext_cli.synthesis.street.tones import draw_tones, toned
-from salsanext_cli.synthesis.street.traffic import START_M, Mover, moving
+from salsanext_cli.synthesis.street.plan import RUN_OUT_M, Plan
+from salsanext_cli.synthesis.street.traffic import Mover, moving
 
 
 def build_street(
@@ -28,7 +28,7 @@ def build_street(
     movers : tuple of Mover
         All that moves.
     """
-    plan = draw_plan(rng, style, distance + 2 * START_M)
+    plan = draw_plan(rng, style, distance + 2 * RUN_OUT_M)
     builder = Builder(rng, plan)
     builder.parts.append(ground(rng, plan))
     for side in plan.sides:
@@ -39,6 +39,7 @@ def build_street(
     if style.barrier:
         boundaries.median(builder)
     movers = moving(builder, ego_speed, duration)
-    tones = draw_tones(rng)
-    painted = (replace(mover, mesh=toned(mover.mesh, tones)) for mover in movers)
-    return plan, toned(merge(builder.parts), tones), tuple(painted)
+    of_material = draw_brightness(rng)
+    standing = with_brightness(merge(builder.parts), of_material)
+    movers = tuple(replace(m, mesh=with_brightness(m.mesh, of_material)) for m in movers)
+    return plan, standing, movers

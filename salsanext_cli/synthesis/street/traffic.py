@@ -8,16 +8,11 @@ import numpy as np
 
 from salsanext_cli.synthesis import surfaces
 from salsanext_cli.synthesis.mesh import Mesh
+from salsanext_cli.synthesis.street.brightness import varied
 from salsanext_cli.synthesis.street.builder import Builder
-from salsanext_cli.synthesis.street.plan import Plan
-from salsanext_cli.synthesis.street.tones import varied
+from salsanext_cli.synthesis.street.plan import MULTILANE_HALF_WIDTH_M, RUN_OUT_M, Plan
 from salsanext_cli.synthesis.things import people, riders
 from salsanext_cli.synthesis.things.vehicles import vehicle
-
-LANE_M = 5.5
-"""Half the width of a carriageway from which on it has more than a lane per direction."""
-START_M = 70.0
-"""Length of the street behind the first scan and beyond the last one."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,10 +50,11 @@ def _vehicles(builder: Builder, speed: float, duration: float) -> Iterator[Mover
     """Yield vehicles around the recording one, which keeps to the outer lane, and oncoming ones."""
     plan = builder.plan
     *others, own = lanes(plan.half)
-    way, ahead, behind = speed * duration, builder.between(9, 40), builder.between(9, 50)
-    for s in _in_a_row(builder, START_M + ahead, plan.length + way, 10):
+    ahead, behind = builder.between(9, 40), builder.between(9, 50)
+    drive = speed * duration
+    for s in _in_a_row(builder, RUN_OUT_M + ahead, plan.length + drive, 10):
         yield Mover(_vehicle(builder), s, -own, speed)
-    for s in _in_a_row(builder, START_M - behind, -way, 10):
+    for s in _in_a_row(builder, RUN_OUT_M - behind, -drive, 10):
         yield Mover(_vehicle(builder), s, -own, speed)
     for t in others:
         pace = speed * builder.between(0.9, 1.3)
@@ -72,7 +68,7 @@ def _vehicles(builder: Builder, speed: float, duration: float) -> Iterator[Mover
 
 def lanes(half: float) -> list[float]:
     """Return the middles of the lanes of half a carriageway, metres from the centre line."""
-    count = 1 if half < LANE_M else int(half / LANE_M) + 1
+    count = 1 if half < MULTILANE_HALF_WIDTH_M else int(half / MULTILANE_HALF_WIDTH_M) + 1
     return [(index + 0.5) / count * half for index in range(count)]
 
 
@@ -111,7 +107,7 @@ def _riders(builder: Builder, speed: float, duration: float) -> Iterator[Mover]:
         sign = builder.rng.choice([-1, 1])
         pace = -sign * builder.between(0.5, 1.05) * speed
         meeting = builder.between(0, duration)
-        s = START_M + speed * meeting - pace * meeting + builder.rng.normal(0, 22)
+        s = RUN_OUT_M + speed * meeting - pace * meeting + builder.rng.normal(0, 22)
         t = sign * max(2.3, plan.half + builder.between(-0.9, 0.9))
         make = riders.bicyclist if builder.chance(0.5) else riders.motorcyclist
         rider = make(builder.rng)

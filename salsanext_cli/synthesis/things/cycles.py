@@ -10,6 +10,8 @@ from salsanext_cli.synthesis.mesh import Array, Mesh, Rng, Skin, box, disc, elli
 from salsanext_cli.synthesis.surfaces import BICYCLE, MOTORCYCLE, Material
 from salsanext_cli.synthesis.things.bodies import dark_paint
 
+TYRE_SHADE = 3.0
+"""Brighter than rubber of cars; on a street no shade is more than the presets' most, 2.2."""
 WHEEL_M = 0.34
 """Radius of a bicycle's wheel."""
 AXLE_M = 0.52
@@ -23,9 +25,9 @@ def _ring(centre: Array, radius: float, thickness: float, skin: Skin) -> Mesh:
 
 
 def bicycle(rng: Rng, label: int = BICYCLE) -> Mesh:
-    """Return a bicycle: wheels with spokes and mudguards, frame, handlebar, saddle, baskets."""
+    """Return a bicycle: spoked wheels, frame, handlebar, saddle, perhaps a carrier and baskets."""
     frame = Skin.drawn(rng, label, Material.METAL, 0.6, 2.2)
-    tyre = Skin(label, Material.RUBBER, 3.0)
+    tyre = Skin(label, Material.RUBBER, TYRE_SHADE)
     saddle, crank = np.array([-0.22, 0, 0.92]), np.array([-0.05, 0, 0.3])
     head, fork = np.array([0.33, 0, 0.85]), np.array([AXLE_M, 0, WHEEL_M])
     rear = np.array([-AXLE_M, 0, WHEEL_M])
@@ -61,7 +63,7 @@ def bicycle(rng: Rng, label: int = BICYCLE) -> Mesh:
 def motorcycle(rng: Rng, label: int = MOTORCYCLE) -> Mesh:
     """Return a motorcycle or a scooter."""
     paint, iron = Skin(label, Material.PAINT, dark_paint(rng)), Skin(label, Material.METAL, 0.6)
-    tyre = Skin(label, Material.RUBBER, float(rng.uniform(0.5, 3)))
+    tyre = Skin(label, Material.RUBBER, float(rng.uniform(0.5, TYRE_SHADE)))
     scooter = rng.random() < 0.4
     radius = 0.23 if scooter else 0.31
     front, rear = np.array([0.68, 0, radius]), np.array([-0.62, 0, radius])

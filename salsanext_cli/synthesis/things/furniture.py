@@ -10,6 +10,7 @@ from salsanext_cli.synthesis.mesh import Mesh, Rng, Skin, box, disc, ellipsoid, 
 from salsanext_cli.synthesis.surfaces import CLUTTER, POLE, SIGN, STRUCTURE, Material
 
 FOOT_M = -0.3
+"""Height of the foot of poles and boxes: below the ground, which is not level."""
 
 
 def _steel(rng: Rng) -> Skin:
@@ -20,8 +21,8 @@ def lamp(rng: Rng) -> Mesh:
     """Return a street lamp, its arm over the road."""
     steel = _steel(rng)
     height, foot = float(rng.uniform(3.5, 9)), float(rng.uniform(0.05, 0.1))
-    levels, radii = (FOOT_M, 1.1, 1.2, height), (foot * 1.35, foot * 1.35, foot, foot * 0.6)
-    parts = [tube([[0, 0, z] for z in levels], radii, steel)]
+    heights, radii = (FOOT_M, 1.1, 1.2, height), (foot * 1.35, foot * 1.35, foot, foot * 0.6)
+    parts = [tube([[0, 0, z] for z in heights], radii, steel)]
     if height > 5:
         tip = (0.0, -rng.uniform(0.8, 2.2), height + 0.3)
         parts += [tube([[0, 0, height - 0.1], tip], 0.05, steel, 5)]
@@ -42,7 +43,7 @@ def post(rng: Rng) -> Mesh:
 def _face(rng: Rng, kind: str) -> Mesh:
     """Return a sign's plate in the x-z plane around the origin, its bright side towards -y."""
     bright = Skin.drawn(rng, SIGN, Material.RETRO, 0.75, 1.1)
-    dull = Skin(SIGN, Material.METAL, 0.9)
+    metal = Skin(SIGN, Material.METAL, 0.9)
     radius = float(rng.uniform(0.28, 0.45))
     if kind == "round":
         front = disc((0, 0, 0), radius, bright, 14)
@@ -52,7 +53,7 @@ def _face(rng: Rng, kind: str) -> Mesh:
     else:
         x, z = radius * rng.uniform(0.6, 1.6), radius * rng.uniform(0.5, 1.2)
         front = quads(np.array([[[-x, 0, -z], [x, 0, -z], [x, 0, z], [-x, 0, z]]]), bright)
-    back = Mesh.of(front.vertices + np.array([0, 0.02, 0]), front.triangles, dull)
+    back = Mesh.of(front.vertices + np.array([0, 0.02, 0]), front.triangles, metal)
     return merge([front, back])
 
 
@@ -60,9 +61,9 @@ def sign(rng: Rng) -> Mesh:
     """Return one or two traffic signs on a pole, facing -y."""
     height = float(rng.uniform(2.0, 3.0) if rng.random() < 0.75 else rng.uniform(1.0, 2.0))
     parts = [tube([[0, 0, FOOT_M], [0, 0, height + 0.35]], rng.uniform(0.03, 0.05), _steel(rng), 7)]
-    for level in range(int(rng.integers(1, 3))):
+    for place in range(int(rng.integers(1, 3))):
         kind = ("round", "triangle", "panel")[rng.integers(3)]
-        parts.append(_face(rng, kind).moved((0, -0.07, height - 0.75 * level)))
+        parts.append(_face(rng, kind).moved((0, -0.07, height - 0.75 * place)))
     return merge(parts)
 
 
@@ -90,7 +91,8 @@ def traffic_light(rng: Rng) -> Mesh:
     return merge(parts)
 
 
-def _bin(rng: Rng) -> Mesh:
+def dustbin(rng: Rng) -> Mesh:
+    """Return a dustbin with a lid."""
     skin = Skin.drawn(rng, CLUTTER, Material.WOOD, 0.2, 1.1)
     size = rng.uniform([0.2, 0.2, 0.8], [0.35, 0.4, 1.15])
     x, y, z = size
@@ -98,7 +100,8 @@ def _bin(rng: Rng) -> Mesh:
     return merge([box((-x, -y, 0.05), size, skin), lid])
 
 
-def _cabinet(rng: Rng) -> Mesh:
+def cabinet(rng: Rng) -> Mesh:
+    """Return a switch cabinet."""
     skin = Skin.drawn(rng, CLUTTER, Material.PLASTER, 0.5, 1.1)
     size = rng.uniform([0.25, 0.12, 0.8], [0.9, 0.3, 1.6])
     return box((-size[0], -size[1], FOOT_M), size, skin)
@@ -115,19 +118,22 @@ def bench(rng: Rng) -> Mesh:
     return merge(slats + legs)
 
 
-def _planter(rng: Rng) -> Mesh:
+def planter(rng: Rng) -> Mesh:
+    """Return a round planter."""
     skin = Skin.drawn(rng, CLUTTER, Material.BRICK, 0.7, 1.1)
     radius, height = float(rng.uniform(0.25, 0.7)), float(rng.uniform(0.35, 0.7))
     path = [[0, 0, FOOT_M], [0, 0, height], [0, 0, height + 0.01]]
     return tube(path, [radius, radius * 1.1, 0.02], skin, 10)
 
 
-def _column(rng: Rng) -> Mesh:
+def column(rng: Rng) -> Mesh:
+    """Return an advertising column."""
     skin = Skin.drawn(rng, CLUTTER, Material.PLASTER, 0.7, 1.1)
     return tube([[0, 0, FOOT_M], [0, 0, 3.0], [0, 0, 3.3]], [0.6, 0.6, 0.75], skin, 12)
 
 
-def _crates(rng: Rng) -> Mesh:
+def crates(rng: Rng) -> Mesh:
+    """Return a heap of two to five crates."""
     parts = []
     for _ in range(int(rng.integers(2, 6))):
         low = np.array([*rng.normal(0, 0.6, 2), 0.0])
@@ -138,8 +144,8 @@ def _crates(rng: Rng) -> Mesh:
 
 
 def clutter(rng: Rng) -> Mesh:
-    """Return a bin, cabinet, bench, planter, advertising column or a heap of crates."""
-    makers = (*[_bin] * 3, *[_cabinet] * 3, bench, _planter, _column, _crates)
+    """Return a dustbin, cabinet, bench, planter, advertising column or a heap of crates."""
+    makers = (*[dustbin] * 3, *[cabinet] * 3, bench, planter, column, crates)
     return makers[rng.integers(len(makers))](rng)
 
 

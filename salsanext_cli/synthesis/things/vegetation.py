@@ -20,6 +20,7 @@ from salsanext_cli.synthesis.presets import Span
 from salsanext_cli.synthesis.surfaces import TRUNK, VEGETATION, Material
 
 FOOT_M = -0.4
+"""Height of the foot of trunks, stems and hedges: below the ground, which is not level."""
 
 
 def leaf_skin(rng: Rng) -> Skin:
@@ -48,9 +49,9 @@ def tree(rng: Rng, height: float) -> Mesh:
     clear = float(rng.uniform(0.12, 0.42) * height)
     dense = rng.random() < 0.5
     bend = rng.normal(0, 0.05 * height, (2,))
-    levels = np.array([FOOT_M, 0.0, 0.4, clear * 0.5, clear, clear * 1.5])
-    share = np.clip(levels / levels[-1], 0, 1)[:, None]
-    path = np.concatenate([bend * share**1.5, levels[:, None]], 1)
+    heights = np.array([FOOT_M, 0.0, 0.4, clear * 0.5, clear, clear * 1.5])
+    share = np.clip(heights / heights[-1], 0, 1)[:, None]
+    path = np.concatenate([bend * share**1.5, heights[:, None]], 1)
     swell = np.array([1.7, 1.4, 1.1, 0.95, 0.85, 0.5])
     parts = [tube(path, radius * swell, bark, 9)]
     spread = height * rng.uniform(0.2, 0.34)
@@ -75,10 +76,10 @@ def conifer(rng: Rng, height: float) -> Mesh:
     base = float(rng.uniform(0.1, 0.9))
     radius = height * rng.uniform(0.16, 0.26)
     count = int(110 * height)
-    level = 1 - np.sqrt(rng.uniform(0, 1, count))
+    share = 1 - np.sqrt(rng.uniform(0, 1, count))
     angle = rng.uniform(0, 2 * np.pi, count)
-    reach = radius * (1 - level) * np.sqrt(rng.uniform(0.25, 1, count)) + rng.normal(0, 0.06, count)
-    z = base + level * (height - base) - 0.25 * reach
+    reach = radius * (1 - share) * np.sqrt(rng.uniform(0.25, 1, count)) + rng.normal(0, 0.06, count)
+    z = base + share * (height - base) - 0.25 * reach
     centres = np.stack([reach * np.cos(angle), reach * np.sin(angle), z], -1)
     trunk = tube([[0, 0, FOOT_M], [0, 0, height * 0.8]], [0.025 * height, 0.05], bark)
     return merge([trunk, facets(centres, rng.uniform(0.1, 0.26, count), leaf_skin(rng), rng)])

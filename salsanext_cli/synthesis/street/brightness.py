@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Brightness of materials: other in each street, so that intensity alone tells no class."""
+"""Brightness of materials: other in each street, so that intensity alone tells few classes."""
 
 from dataclasses import replace
 
@@ -10,26 +10,29 @@ from salsanext_cli.synthesis.presets import BRIGHTNESS
 from salsanext_cli.synthesis.surfaces import Material
 
 LEAST, MOST = BRIGHTNESS["least"], BRIGHTNESS["most"]
-DARK, WET = BRIGHTNESS["dark_level"], BRIGHTNESS["wet_level"]
+DARK, WET = BRIGHTNESS["dark_brightness"], BRIGHTNESS["wet_brightness"]
 
 
-def draw_tones(rng: Rng) -> Array:
-    """Return how bright each material of a street is, (materials,), relative to the usual."""
-    tones = np.exp(rng.normal(0, BRIGHTNESS["street"], len(Material)))
+def draw_brightness(rng: Rng) -> Array:
+    """Draw the brightness of each material in a street, (materials,), relative to the usual."""
+    of_material = np.exp(rng.normal(0, BRIGHTNESS["street"], len(Material)))
     dark = rng.random(len(Material)) < BRIGHTNESS["dark"]
-    tones[dark] = rng.uniform(DARK[0], DARK[1], int(dark.sum()))
-    return np.clip(tones, LEAST, MOST)
+    of_material[dark] = rng.uniform(DARK[0], DARK[1], int(dark.sum()))
+    return np.clip(of_material, LEAST, MOST)
 
 
-def toned(mesh: Mesh, tones: Array) -> Mesh:
-    """Return a mesh whose materials have the brightness of a street's."""
-    shades = np.clip(mesh.shades * tones[mesh.materials], 0, MOST).astype(np.float32)
+def with_brightness(mesh: Mesh, of_material: Array) -> Mesh:
+    """Return a mesh with its shades multiplied by the brightness of each material.
+
+    `of_material` is (materials,); no shade is more than the most in the presets.
+    """
+    shades = np.clip(mesh.shades * of_material[mesh.materials], 0, MOST).astype(np.float32)
     return replace(mesh, shades=shades)
 
 
 def varied(mesh: Mesh, rng: Rng) -> Mesh:
     """Return an object, its materials a little brighter or darker than others'."""
-    return toned(mesh, np.exp(rng.normal(0, BRIGHTNESS["object"], len(Material))))
+    return with_brightness(mesh, np.exp(rng.normal(0, BRIGHTNESS["object"], len(Material))))
 
 
 def patches(rng: Rng, s: Array, t: Array, length: float) -> Array:
@@ -40,10 +43,6 @@ def patches(rng: Rng, s: Array, t: Array, length: float) -> Array:
         half = rng.uniform([0.4, 0.2], [9, 1.6]) * rng.choice([1, 1, 1, 3])
         inside = (np.abs(s - centre[0]) < half[0])[:, None] & (np.abs(t - centre[1]) < half[1])
         wet = rng.random() < BRIGHTNESS["wet_patch"]
-        level = (
-            rng.uniform(*BRIGHTNESS["wet_level"])
-            if wet
-            else np.exp(rng.normal(0, BRIGHTNESS["patch"]))
-        )
-        shade[inside] *= level
+        factor = rng.uniform(*WET) if wet else np.exp(rng.normal(0, BRIGHTNESS["patch"]))
+        shade[inside] *= factor
     return np.clip(shade, LEAST, MOST)
