@@ -32,7 +32,7 @@ FEW_CLASSES = 10
 LARGEST_SHARE_OF_FEW = 0.85
 """The same of so many classes or fewer, as `coarse` has; 0.67 or less with right settings."""
 FEWEST_CLASSES = 5
-"""Of fewer, one may take nearly all of a scan."""
+"""Of fewer, one may take nearly all of a scan. Both numbers include the class "unlabelled"."""
 log = logging.getLogger(__name__)
 
 

@@ -60,6 +60,10 @@ def test_next_commands(stage, split, done, expected):
         merged = Outcome(0, (), done, summary=RunSummary(SMALL, label_space("coarse")))
         found = next_command(stage, merged, "a b", (), split)
         assert found == "salsanext export-ply 'a b'"
+        # They may be somebody's own for the test split of a data set of theirs.
+        own = replace(label_space("coarse"), splits={"test": ("90",)})
+        found = Outcome(0, (), done, summary=RunSummary(SMALL, own))
+        assert next_command(stage, found, "a b", (), split) == expected
     labelled = Outcome(0, (), done, summary=replace(summary, labelled=True))
     if done and stage != "uncertainty":
         assert next_command(stage, labelled, "a b", (), split) == "salsanext eval 'a b'"
