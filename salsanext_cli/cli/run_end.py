@@ -135,7 +135,7 @@ def next_command(
         if split == SUBMITTED_SPLIT and not summary.labelled:
             from salsanext_cli.stages.submit import unmerged
 
-            if not unmerged(summary.space):
+            if not unmerged(summary.space, [summary.first] if summary.first else []):
                 words = ["submit", out, SUBMISSION]
     return shlex.join(["salsanext", *words, *more])
 
