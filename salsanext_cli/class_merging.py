@@ -7,6 +7,7 @@ raw ids of which it consists.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -16,7 +17,7 @@ import numpy.typing as npt
 from salsanext_cli.classes import LabelSpace
 from salsanext_cli.errors import UsageError, first_few
 
-FEWEST = 2
+FEWEST_MERGED_CLASSES = 2
 """Classes that merging must leave, "unlabelled" and other ignored ones aside."""
 
 
@@ -27,7 +28,8 @@ class ClassMerging:
     Attributes
     ----------
     space : LabelSpace
-        The K merged classes; its splits are those of the other label space if it has none.
+        The K merged classes. Its splits are those of the other label space if it has none; its
+        alternatives are those of both, where they are still of several classes.
     targets : tuple of int, length C
         Train id, 0…K-1, that each train id becomes.
     """
@@ -52,12 +54,14 @@ class ClassMerging:
             expected = f"the classes of {own.name}, merged"
             raise UsageError(f"label space {merged.name}", problem, expected)
         targets = tuple(_targets(own, merged, i)[0] for i in range(own.class_count))
-        return cls(replace(merged, splits=merged.splits or own.splits), targets)
+        alternatives = _alternatives(own, merged, targets) | merged.alternatives
+        splits = merged.splits or own.splits
+        return cls(replace(merged, splits=splits, alternatives=alternatives), targets)
 
     @classmethod
     def needed(cls, own: LabelSpace, merged: LabelSpace | None) -> ClassMerging | None:
         """Merge classes as `between`; None if no others are given or they are the same."""
-        if merged is None:
+        if merged is None or (own.fits(merged) and own.learning_map == merged.learning_map):
             return None
         found = cls.between(own, merged)
         return None if own.fits(merged) else found
@@ -102,7 +106,8 @@ def contradiction(own: LabelSpace, merged: LabelSpace) -> str:
         names = (merged.names[k] for k in _targets(own, merged, split[0]))
         return f"{own.names[split[0]]} is split into {' and '.join(names)}"
     left = {_targets(own, merged, i)[0] for i in every if not own.ignored[i]}
-    if len({k for k in left if not merged.ignored[k]}) < FEWEST:
+    count = len({k for k in left if not merged.ignored[k]})
+    if count < FEWEST_MERGED_CLASSES and not own.fits(merged):
         few = first_few([merged.names[k] for k in sorted(left)])
         return f"all {len(every)} classes become {few}"
     return ""
@@ -125,6 +130,20 @@ def _targets(own: LabelSpace, merged: LabelSpace, train_id: int) -> list[int]:
     chosen = of_class - {standing} if not own.ignored[train_id] else set()
     first = merged.learning_map[standing]
     return [first, *sorted({merged.learning_map[raw] for raw in chosen} - {first})]
+
+
+def _alternatives(
+    own: LabelSpace, merged: LabelSpace, targets: Sequence[int]
+) -> dict[int, tuple[int, ...]]:
+    """Return what the alternatives become; several that become one class are none any more."""
+    found = {
+        raw: {
+            merged.learning_map[raw],
+            *(targets[i] for i in several if i != own.learning_map[raw]),
+        }
+        for raw, several in own.alternatives.items()
+    }
+    return {raw: tuple(sorted(several)) for raw, several in found.items() if len(several) > 1}
 
 
 def _named(space: LabelSpace, raw: int) -> str:

@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: MIT
 """Classes merged into fewer: derived from raw ids, probabilities added, nonsense refused."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given
@@ -36,7 +38,7 @@ def test_coarse_has_seven_classes_of_all_raw_ids_of_semantic_kitti():
     assert COARSE.names == tuple(MERGED)
     assert COARSE.ignored == (True, *[False] * 7)
     assert COARSE.learning_map.keys() == FULL.learning_map.keys()
-    assert COARSE.splits == FULL.splits
+    assert COARSE.splits == {}
     assert list(COARSE.learning_map_inv.values()) == [0, 10, 30, 40, 50, 70, 71, 80]
     raw = COARSE.to_raw(np.arange(8))
     assert COARSE.to_train(raw).tolist() == list(range(8))
@@ -88,6 +90,61 @@ def test_no_merging_is_needed_into_the_same_classes():
     assert ClassMerging.needed(FULL, FULL) is None
     own = LabelSpace.from_dict(FULL.to_dict() | {"name": "mine", "learning_ignore": {3: True}})
     assert ClassMerging.needed(own, FULL) is None
+    # Some more raw ids for one of few classes do not merge them.
+    more = LabelSpace.from_dict(ONE_CLASS | {"learning_map": {0: 0, 10: 1, 252: 1}})
+    assert ClassMerging.needed(LabelSpace.from_dict(ONE_CLASS), more) is None
+
+
+ONE_CLASS = {
+    "name": "one",
+    "labels": {0: "unlabeled", 10: "car", 252: "moving-car"},
+    "learning_map": {0: 0, 10: 1},
+    "learning_map_inv": {0: 0, 1: 10},
+}
+NO_MERGING = [
+    ONE_CLASS,
+    # The raw id that stands for a class is none that labels have.
+    ONE_CLASS | {"learning_map": {0: 0, 252: 1}},
+    FULL.to_dict() | {"learning_ignore": {i: i != 1 for i in range(20)}},
+]
+
+
+@pytest.mark.parametrize("data", NO_MERGING)
+def test_classes_that_cannot_be_merged_are_not_merged_into_themselves(data):
+    space = LabelSpace.from_dict(data)
+    assert ClassMerging.needed(space, LabelSpace.from_dict(space.to_dict())) is None
+
+
+@given(
+    st.lists(st.integers(0, 3), min_size=18, max_size=18),
+    st.dictionaries(
+        st.sampled_from(sorted(FULL.learning_map)),
+        st.lists(st.integers(0, 19), max_size=3),
+        max_size=5,
+    ),
+)
+def test_alternatives_are_those_of_the_merged_classes(targets, others):
+    several = {raw: sorted({FULL.learning_map[raw], *more}) for raw, more in others.items()}
+    own = LabelSpace.from_dict(FULL.to_dict() | {"learning_alternatives": several})
+    targets = [0, 1, *targets[:-1], 2]
+    merging = ClassMerging.between(own, space_of(targets, 4))
+    expected = {}
+    for raw, of_raw in several.items():
+        classes = sorted({targets[i] for i in of_raw})
+        if len(classes) > 1:
+            expected[raw] = tuple(classes)
+    assert merging.space.alternatives == expected
+    told = {70: [targets[FULL.learning_map[70]]]}
+    merged = space_of(targets, 4, learning_alternatives=told)
+    assert ClassMerging.between(own, merged).space.alternatives[70] == tuple(told[70])
+
+
+def test_alternatives_follow_a_raw_id_that_gets_a_class_of_its_own():
+    """Other structures, unlabelled in the benchmark, are a class in coarse."""
+    own = replace(FULL, alternatives={52: (0, 9), 1: (0, 9), 70: (15, 16), 40: (9, 10)})
+    space = ClassMerging.between(own, COARSE).space
+    assert space.alternatives == {52: (3, 4), 1: (0, 3), 70: (5, 6)}
+    assert LabelSpace.from_dict(space.to_dict()).alternatives == space.alternatives
 
 
 def test_an_ignored_class_goes_where_the_raw_id_that_stands_for_it_does():

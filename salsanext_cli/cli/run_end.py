@@ -116,9 +116,6 @@ def next_command(
     stage: str, outcome: Outcome, out: str, more: Iterable[str], split: str | None = None
 ) -> str | None:
     """Return the command line that most users type after a stage, None if nothing is there."""
-    from salsanext_cli.class_merging import is_merged
-    from salsanext_cli.classes import label_space
-
     summary = outcome.summary
     if not outcome.done + outcome.skipped:
         return None
@@ -135,9 +132,11 @@ def next_command(
         words = ["knn-refine", out]
     else:
         words = ["eval" if summary.labelled else "export-ply", out]
-        submitted = split == SUBMITTED_SPLIT and not summary.labelled
-        if submitted and not is_merged(summary.space, label_space()):
-            words = ["submit", out, SUBMISSION]
+        if split == SUBMITTED_SPLIT and not summary.labelled:
+            from salsanext_cli.stages.submit import unmerged
+
+            if not unmerged(summary.space, [summary.first] if summary.first else []):
+                words = ["submit", out, SUBMISSION]
     return shlex.join(["salsanext", *words, *more])
 
 

@@ -6,6 +6,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+from salsanext_cli.class_merging import ClassMerging
 from salsanext_cli.classes import LabelSpace
 from salsanext_cli.errors import OutputError, UsageError
 from salsanext_cli.geometry.intensity import NO_INTENSITY
@@ -82,7 +83,8 @@ def network_of_labels(out: Path, network: NetworkSettings) -> NetworkSettings:
     settings, weights = stage_settings(out, "predict"), fingerprint(network.path)
     if earlier := earlier_settings(out, weights, overwrite=False):
         space = LabelSpace.from_dict(earlier.table("label_space"), earlier.path)
-        network = replace(network, classes=space)
+        merging = ClassMerging.needed(read_card(network.path).space, space)
+        network = replace(network, classes=space if merging else None)
     if settings is None:
         return network
     if settings["weights"] != weights:

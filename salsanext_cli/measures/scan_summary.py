@@ -32,7 +32,7 @@ FEW_CLASSES = 10
 LARGEST_SHARE_OF_FEW = 0.85
 """The same of so many classes or fewer, as `coarse` has; 0.67 or less with right settings."""
 FEWEST_CLASSES = 5
-"""Of fewer, one may take nearly all of a scan."""
+"""Of fewer, one may take nearly all of a scan. Both numbers include the class "unlabelled"."""
 log = logging.getLogger(__name__)
 
 
@@ -98,6 +98,8 @@ class RunSummary:
         Traits of the sensor by scan.
     looked_at : set of str
         Names of the scans that were added.
+    first : ScanFile, optional
+        The first scan of the run, whose data set may describe other classes.
     """
 
     sensor: Sensor
@@ -107,13 +109,15 @@ class RunSummary:
     findings: dict[str, list[tuple[str, Finding]]] = field(default_factory=dict)
     traits: dict[ScanFile, ScanTraits] = field(default_factory=dict)
     looked_at: set[str] = field(default_factory=set)
+    first: ScanFile | None = None
 
     @classmethod
     def of_scans(
         cls, scans: Sequence[ScanFile], sensor: Sensor, space: LabelSpace | None = None
     ) -> RunSummary:
         """Begin the summary of a run over some scans."""
-        return cls(sensor, space, bool(scans) and present(scans[0].label_path))
+        first = scans[0] if scans else None
+        return cls(sensor, space, bool(first and present(first.label_path)), first=first)
 
     def add(self, scan: ScanSummary) -> None:
         """Add a scan; say at once what is found for the first time."""

@@ -148,12 +148,14 @@ def evaluate(
     OutputError
         If the folder holds files of these names that salsanext did not write, or that were changed.
     """
+    labels, merging = space_of_labels(scans, space, labels), merging_into(out, space)
     own = {"by_distance": by_distance, "label_space": space.to_dict()}
+    if labels.learning_map != space.learning_map:
+        own["label_space_of_labels"] = labels.to_dict()
     settings = dict(as_json({**(settings or {}), **own}))
     _require_replaceable(out)
     _require_labels(scans)
     counts = ScanCounts.none(space, by_distance)
-    labels, merging = space_of_labels(scans, space, labels), merging_into(out, space)
     count = partial(count_scan, out=out, space=space, labels=labels, merging=merging)
     count = partial(count, by_distance=by_distance, sensor=recorded_sensor(out))
     outcome = run_over_scans(count, scans, options, on_result=counts.add)

@@ -19,7 +19,7 @@ from salsanext_cli.storage.files.atomic import require_target
 from salsanext_cli.storage.files.zip_files import write_zip
 from salsanext_cli.storage.layout import ScanFile, find_outputs
 from salsanext_cli.storage.predictions import space_of_results
-from salsanext_cli.storage.selection import space_of
+from salsanext_cli.storage.selection import data_set_of, space_of, with_splits
 from salsanext_cli.storage.sources import recorded_scans
 
 SPLIT = "test"
@@ -108,7 +108,8 @@ def submit(
     if description is not None and (is_folder(description) or not present(description)):
         raise UsageError(f"--description {description}", "no such file", "a text file")
     scans = _scans_at_hand(out, dataset, files)
-    space = space_of_results(out, scans, space)
+    root = data_set_of(scans[0]) if scans else None
+    space = with_splits(space_of_results(out, scans, space), root)
     _require_full_classes(out, space, scans)
     expected = _expected(space, scans, files)
     if unseen := sorted(expected.keys() - {scan.sequence for scan in scans}):
@@ -134,11 +135,25 @@ def submit(
 
 
 def _require_full_classes(out: Path, space: LabelSpace, scans: Sequence[ScanFile]) -> None:
-    """Refuse classes that are merged ones of the data set's or of the benchmark's."""
-    for full in (space_of(scans), label_space()):
-        if is_merged(space, full):
-            found = f"predictions in the merged classes of {space.name}"
-            raise LabelError(out, found, f"those of {full.name}", "predict without --classes")
+    """Refuse merged classes."""
+    if full := unmerged(space, scans):
+        found = f"predictions in the merged classes of {space.name}"
+        raise LabelError(out, found, f"those of {full.name}", "predict without --classes")
+
+
+def unmerged(space: LabelSpace, scans: Sequence[ScanFile] = ()) -> LabelSpace | None:
+    """Return the classes to submit instead of merged ones, None if they are not merged.
+
+    These are the data set's, if it describes them, and for SemanticKITTI's test split the
+    benchmark's. Somebody else's may group the same raw ids.
+    """
+    full = [space_of(scans, space), *([label_space()] if _of_benchmark(space) else [])]
+    return next((each for each in full if is_merged(space, each)), None)
+
+
+def _of_benchmark(space: LabelSpace) -> bool:
+    """Say whether the test split is SemanticKITTI's."""
+    return {*with_splits(space).splits.get(SPLIT, ())} == {*SCANS_OF_TEST}
 
 
 def _scans_at_hand(out: Path, dataset: Path | None, files: Predictions) -> list[ScanFile]:
@@ -159,7 +174,7 @@ def _expected(
     sequences = space.split(SPLIT)
     if not sequences:
         raise UsageError(f"label space {space.name}", f"split {SPLIT} is empty", "its sequences")
-    official = {*sequences} == {*SCANS_OF_TEST} and space.fits(label_space())
+    official = _of_benchmark(space) and space.fits(label_space())
     known = SCANS_OF_TEST if official else {}
     stems = {s: {f"{n:06d}" for n in range(known.get(s, 0))} for s in sequences}
     there = [(scan.sequence, scan.stem) for scan in scans] or ([] if official else [*files])

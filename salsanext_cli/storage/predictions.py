@@ -11,7 +11,13 @@ from salsanext_cli.class_merging import ClassMerging, contradiction
 from salsanext_cli.classes import LabelSpace
 from salsanext_cli.errors import LabelError, first_few
 from salsanext_cli.storage.layout import ScanFile
-from salsanext_cli.storage.selection import ScanSelection, choose, space_of
+from salsanext_cli.storage.selection import (
+    ScanSelection,
+    choose,
+    data_set_of,
+    space_of,
+    with_splits,
+)
 from salsanext_cli.storage.sources import recorded_scans
 from salsanext_cli.storage.stage_records import (
     origins,
@@ -60,6 +66,8 @@ def predicted_scans(
     """
     scans = recorded_scans(out, dataset)
     space = space_of_results(out, scans, space, classes, own_ids=True)
+    if selection.split:
+        space = with_splits(space, data_set_of(scans[0]))
     chosen = choose(scans, selection, space, out)
     if selection.split:
         members = set(space.split(selection.split))
@@ -80,7 +88,8 @@ def space_of_results(
     """Return the classes in which predictions and labels are compared.
 
     They are those of both, or those of the predictions where these are merged ones of the labels',
-    or those that both are to be merged into. The splits are those of the labels.
+    or those that both are to be merged into. The splits are those of the labels; there may be
+    none, as `selection.with_splits` mends.
 
     Parameters
     ----------
@@ -104,7 +113,7 @@ def space_of_results(
     named_alike = own_ids and space.names == target.names
     if classes is not None:
         for own in (recorded or space, *(() if named_alike else (space,))):
-            ClassMerging.between(own, classes)
+            ClassMerging.needed(own, classes)
     elif target.fits(space):
         return space
     elif not named_alike and contradiction(space, target):
@@ -114,7 +123,7 @@ def space_of_results(
             f"those of {space.name}, as the labels",
             "predict with weights for these classes, or merge both with --classes",
         )
-    return replace(target, splits=space.splits or target.splits)
+    return replace(target, splits=space.splits or (classes or space).splits)
 
 
 def space_of_labels(

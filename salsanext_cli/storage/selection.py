@@ -4,11 +4,13 @@
 import logging
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cache
 from pathlib import Path
 from typing import TypeVar
 
 import numpy as np
 
+from salsanext_cli.class_merging import ClassMerging, is_merged
 from salsanext_cli.classes import LabelSpace, label_space
 from salsanext_cli.errors import NoInputError, UsageError
 from salsanext_cli.formats.reading import is_folder, present
@@ -107,6 +109,7 @@ def choose(
 def _of_split(
     scans: list[ScanFile], split: str, space: LabelSpace, source: object
 ) -> list[ScanFile]:
+    space = with_splits(space, data_set_of(scans[0]) if scans else None)
     members = space.split(split)
     chosen = [scan for scan in scans if scan.sequence in members]
     if chosen:
@@ -136,6 +139,44 @@ def data_set_label_space(root: Path) -> LabelSpace | None:
         if present(root / name):
             return label_space(root / name)
     return None
+
+
+def with_splits(space: LabelSpace, root: Path | None = None) -> LabelSpace:
+    """Return a label space that has splits: its own, else the data set's, else SemanticKITTI's.
+
+    The data set describes them in its root, which is read only if it is needed.
+    """
+    if space.splits:
+        return space
+    own = data_set_label_space(root) if root else None
+    return replace(space, splits=(own and own.splits) or label_space().splits)
+
+
+def completed(space: LabelSpace, root: Path) -> LabelSpace:
+    """Return a label space with what it leaves to the one that a data set describes in its root.
+
+    These are the splits, if it has none, and the alternatives of classes that it merges.
+
+    Raises
+    ------
+    UsageError
+        If it has no splits and those of the data set cannot be read.
+    """
+    try:
+        own = data_set_label_space(root)
+    except UsageError as error:
+        if not space.splits:
+            raise
+        _warn_once(f"{error}: label space {space.name} is taken without it")
+        return space
+    if own is not None and is_merged(space, own):
+        space = ClassMerging.between(own, space).space
+    return replace(space, splits=space.splits or (own or space).splits or label_space().splits)
+
+
+@cache
+def _warn_once(message: str) -> None:
+    log.warning("%s", message)
 
 
 def space_of(scans: Sequence[ScanFile], fallback: LabelSpace | None = None) -> LabelSpace:

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import joblib
 
-from salsanext_cli.class_merging import is_merged
+from salsanext_cli.class_merging import ClassMerging, is_merged
 from salsanext_cli.classes import LabelSpace, label_space
 from salsanext_cli.errors import NOTICE, LabelError, NoInputError, counted, first_few
 from salsanext_cli.formats import read_scan
@@ -22,7 +22,7 @@ from salsanext_cli.inference.scan_fit import as_seen, sampled, sampled_images
 from salsanext_cli.records import Float
 from salsanext_cli.sensors import FITTED_NAME, Sensor
 from salsanext_cli.storage.layout import ScanFile, find_scans
-from salsanext_cli.storage.selection import data_set_label_space
+from salsanext_cli.storage.selection import completed, data_set_label_space, with_splits
 from salsanext_cli.training.augment import LabelledScan
 from salsanext_cli.training.targets import ClassSets, to_targets
 
@@ -115,9 +115,13 @@ def further_source(dataset: Path, space: LabelSpace, sensor: Sensor) -> Source:
     NoInputError
         If the split has no scans.
     LabelError
-        If its classes are not those of the label space; ids and alternatives may be others.
+        If its classes are neither those of the label space nor merged into these; ids and
+        alternatives may be others.
     """
     own, files = labelled_split(dataset, None, "train")
+    if is_merged(space, own):
+        # The first data set may tell other classes apart than this one.
+        own = ClassMerging.between(own, replace(space, splits={}, alternatives={})).space
     if not own.fits(space):
         found = f"other classes ({first_few(own.differences(space))})"
         raise LabelError(dataset, found, f"those of {space.name}")
@@ -134,8 +138,8 @@ def labelled_split(
     dataset : Path
         Its root.
     space : LabelSpace, optional
-        Otherwise what the data set says, else SemanticKITTI's. One that merges the data set's
-        classes has its splits.
+        Otherwise what the data set says, else SemanticKITTI's. One without splits has those of
+        the data set, else SemanticKITTI's; one that merges classes has the data set's alternatives.
     split : str
         Name of the split.
 
@@ -143,11 +147,13 @@ def labelled_split(
     ------
     NoInputError
         If the split has no scans.
+    UsageError
+        If the data set's label space cannot be read where it is needed, or has no such split.
     """
-    own = data_set_label_space(dataset)
-    space = space or own or label_space()
-    if own is not None and is_merged(space, own):
-        space = replace(space, splits=own.splits)
+    if space is None:
+        space = with_splits(data_set_label_space(dataset) or label_space())
+    else:
+        space = completed(space, dataset)
     members = space.split(split)
     found = [scan for scan in find_scans(dataset) if scan.sequence in members]
     if not found:

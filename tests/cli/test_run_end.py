@@ -6,13 +6,15 @@ import shutil
 from dataclasses import replace
 
 import pytest
+import yaml
 from command_line import only_json
-from scans import SMALL
+from scans import SMALL, write_sequence
 
 from salsanext_cli import label_space
 from salsanext_cli.cli.run_end import left_out, next_command
 from salsanext_cli.measures.scan_summary import RunSummary
 from salsanext_cli.parallel.run import Outcome
+from salsanext_cli.storage.layout import find_scans
 from salsanext_cli.storage.sources import MissingResults
 
 
@@ -52,7 +54,7 @@ def test_what_comes_next_without_labels(run, data, weights, tmp_path):
         ("knn-refine", "test", 1, "salsanext submit 'a b' submission.zip"),
     ],
 )
-def test_next_commands(stage, split, done, expected):
+def test_next_commands(stage, split, done, expected, tmp_path):
     summary = RunSummary(SMALL, label_space())
     outcome = Outcome(0, (), done, summary=summary)
     assert next_command(stage, outcome, "a b", (), split) == expected
@@ -60,6 +62,14 @@ def test_next_commands(stage, split, done, expected):
         merged = Outcome(0, (), done, summary=RunSummary(SMALL, label_space("coarse")))
         found = next_command(stage, merged, "a b", (), split)
         assert found == "salsanext export-ply 'a b'"
+        # They may be somebody's own for the test split of a data set of theirs.
+        own = replace(label_space("coarse"), splits={"test": ("90",)})
+        found = Outcome(0, (), done, summary=RunSummary(SMALL, own))
+        assert next_command(stage, found, "a b", (), split) == expected
+        (file,) = find_scans(write_sequence(tmp_path / "sequences/90", labels=False).parents[1])
+        found = replace(found, summary=RunSummary.of_scans([file], SMALL, own))
+        (tmp_path / "labels.yaml").write_text(yaml.safe_dump(label_space().to_dict()))
+        assert next_command(stage, found, "a b", (), split) == "salsanext export-ply 'a b'"
     labelled = Outcome(0, (), done, summary=replace(summary, labelled=True))
     if done and stage != "uncertainty":
         assert next_command(stage, labelled, "a b", (), split) == "salsanext eval 'a b'"

@@ -8,11 +8,12 @@ import numpy as np
 import plyfile
 import pytest
 import yaml
-from scans import SMALL, labels_below
+from scans import SMALL, labels_below, write_weights
 
 from salsanext_cli import LabelSpace, knn_refine, label_space, project, read_labels, read_scan
 from salsanext_cli.class_merging import ClassMerging
 from salsanext_cli.errors import LabelError, OutputError, UsageError
+from salsanext_cli.inference.recorded_network import network_of_labels
 from salsanext_cli.measures.confusion import Confusion
 from salsanext_cli.measures.softmax import softmax_errors
 from salsanext_cli.network.card import read_card
@@ -145,10 +146,17 @@ def test_labels_of_other_raw_ids_count_where_the_names_of_the_classes_are_the_sa
         }
     )
     predict(coarse)
-    expected = compare(coarse).confusion.matrix
+    alike = compare(coarse)
+    expected = alike.confusion.matrix
+    assert "label_space_of_labels" not in alike.settings
     for path in coarse.data.rglob("labels/*.label"):
         write_labels(path, other.to_raw(COARSE.to_train(read_labels(path))))
-    np.testing.assert_array_equal(compare(coarse, space=other).confusion.matrix, expected)
+    found = compare(coarse, space=other)
+    np.testing.assert_array_equal(found.confusion.matrix, expected)
+    for result in (found.to_dict(), json.loads((coarse.out / "eval.json").read_text())):
+        recorded = result["settings"]["label_space_of_labels"]
+        assert LabelSpace.from_dict(recorded).learning_map == other.learning_map
+        assert result["settings"]["label_space"]["name"] == "coarse"
     np.testing.assert_array_equal(
         compare(coarse, space=other, classes=COARSE).confusion.matrix, expected
     )
@@ -179,6 +187,41 @@ def test_uncertainty_beside_labels_has_their_classes(coarse, world):
     predict(world, selection=ONE, options=RunOptions(overwrite=True))
     with pytest.raises(OutputError, match="uncertainty in those of coarse"):
         export_ply(coarse.out, colour="entropy", network=world.network)
+
+
+ONE_CLASS = {"learning_ignore": {i: i != 1 for i in range(20)}}
+NOT_IN_LABELS = {
+    "learning_map": {raw: i for raw, i in FULL.learning_map.items() if raw != 13},
+    "learning_map_inv": FULL.learning_map_inv | {5: 13},
+}
+
+
+@pytest.mark.parametrize("changes", [ONE_CLASS, NOT_IN_LABELS], ids=["one", "standing"])
+def test_classes_that_cannot_be_merged_serve_as_they_are(world, tmp_path, changes):
+    """One that counts, or one that a raw id stands for which labels do not have."""
+    space = LabelSpace.from_dict(FULL.to_dict() | changes | {"name": "mine"})
+    weights = write_weights(tmp_path / "mine.safetensors", space=space)
+    world = replace(world, network=replace(world.network, weights=weights))
+    (world.data / "labels.yaml").write_text(yaml.safe_dump(space.to_dict()))
+    predict(world, selection=ONE)
+    again = network_of_labels(world.out, replace(world.network, classes=COARSE))
+    assert again.classes is None
+    assert again.load().space.fits(space)
+    settings = json.loads((world.out / "predict.json").read_text())["settings"]
+    recorded = LabelSpace.from_dict(settings["label_space"])
+    scans, found = predicted_scans(world.out, ScanSelection(), classes=recorded)
+    assert (len(scans), found.fits(space)) == (1, True)
+
+
+def test_a_split_is_the_data_sets_where_the_label_space_has_none(coarse):
+    data = FULL.to_dict() | {"split": {"valid": ["00"]}}
+    (coarse.data / "labels.yaml").write_text(yaml.safe_dump(data))
+    predict(coarse)
+    valid = ScanSelection(split="valid")
+    for space in (COARSE, replace(COARSE, splits={"valid": ("08",)})):
+        scans, found = predicted_scans(coarse.out, valid, space=space)
+        assert {scan.sequence for scan in scans} == {*found.splits["valid"]}
+        assert found.splits["valid"] == (("08",) if space.splits else ("00",))
 
 
 def test_clouds_have_the_colours_of_merged_classes(world):

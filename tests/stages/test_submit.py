@@ -4,10 +4,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import yaml
 from scans import make_scan
 
 from salsanext_cli import label_space, write_labels
-from salsanext_cli.errors import NoInputError, OutputError, UsageError
+from salsanext_cli.errors import LabelError, NoInputError, OutputError, UsageError
 from salsanext_cli.stages import submit as module
 from salsanext_cli.stages.submit import SCANS_OF_TEST, submit
 from salsanext_cli.storage.layout import output_path
@@ -182,3 +183,23 @@ def test_another_label_space_needs_the_scans_of_its_own_test_split(folders):
     (problem,) = folders.submit(space=only).problems
     assert "1 of 3 predictions are missing: 000002" in problem.message
     assert folders.submit(space=only, with_data=False).scans == 2
+
+
+@pytest.mark.parametrize("described", [False, True])
+def test_classes_that_group_semantic_kittis_raw_ids_may_be_ones_own(folders, described):
+    """As nobody merged them: only SemanticKITTI's test split is scored in all its classes."""
+    mine = replace(label_space("coarse"), name="mine", splits={"test": ("11",)})
+    if described:
+        (folders.data / "labels.yaml").write_text(yaml.safe_dump(mine.to_dict()))
+    for with_data in (True, False):
+        space = None if described and with_data else mine
+        made = folders.submit(with_data=with_data, space=space, overwrite=True)
+        assert (made.scans, made.problems) == (3, ())
+    official = replace(mine, splits=SPACE.splits)
+    for space in (official, replace(mine, splits={})):
+        if not described or space.splits:
+            with pytest.raises(LabelError, match="merged classes of mine · expected those of sem"):
+                folders.submit(space=space, overwrite=True)
+    (folders.data / "labels.yaml").write_text(yaml.safe_dump(SPACE.to_dict()))
+    with pytest.raises(LabelError, match="merged classes of mine"):
+        folders.submit(space=mine, overwrite=True)

@@ -5,15 +5,18 @@ import pytest
 import yaml
 from scans import write_sequence
 
-from salsanext_cli.classes import label_space
+from salsanext_cli.classes import LabelSpace, label_space
 from salsanext_cli.errors import NoInputError, UsageError
 from salsanext_cli.storage.layout import find_scans
 from salsanext_cli.storage.selection import (
     ScanSelection,
+    choose,
+    completed,
     data_set_of,
     evenly_spaced,
     select_scans,
     space_of,
+    with_splits,
 )
 
 
@@ -67,6 +70,46 @@ def test_a_data_set_may_bring_its_own_splits(world, name):
     scans = find_scans(world.data)
     assert space_of(scans).splits == {"odd": ("00",)}
     assert names(select_scans(world.data, ScanSelection(split="odd"))) == ["00/000000"]
+
+
+OWN, SAME_IDS = {"odd": ["00"], "valid": ["00", "08"]}, label_space("coarse").to_dict()
+
+
+@pytest.mark.parametrize("file", ["none", "labels.yaml"])
+@pytest.mark.parametrize("given", [{}, {"valid": ["00"]}])
+def test_splits_are_those_given_else_of_the_data_set_else_semantic_kittis(world, file, given):
+    if file != "none":
+        (world.data / file).write_text(yaml.safe_dump(label_space().to_dict() | {"split": OWN}))
+    space = LabelSpace.from_dict(SAME_IDS | {"split": given})
+    for found in (with_splits(space, world.data), completed(space, world.data)):
+        usual = {"none": ("08",), "labels.yaml": ("00", "08")}[file]
+        assert found.splits["valid"] == (("00",) if given else usual)
+        assert found.fits(space)
+    chosen = choose(find_scans(world.data), ScanSelection(split="valid"), space, world.data)
+    assert {scan.sequence for scan in chosen} == {*found.splits["valid"]}
+
+
+def test_a_data_set_without_splits_has_semantic_kittis(world):
+    (world.data / "labels.yaml").write_text(
+        yaml.safe_dump({k: v for k, v in label_space().to_dict().items() if k != "split"})
+    )
+    assert names(select_scans(world.data, ScanSelection(split="valid"))) == [
+        *("08/000000", "08/000001")
+    ]
+
+
+def test_a_broken_label_space_is_read_only_where_it_is_needed(world, caplog):
+    (world.data / "labels.yaml").write_text("labels: 3")
+    whole = LabelSpace.from_dict(SAME_IDS | {"split": {"train": ["00"]}})
+    assert with_splits(whole, world.data) is whole
+    for _ in range(2):
+        assert completed(whole, world.data) is whole
+    (said,) = caplog.messages
+    assert "labels.yaml · not a label space" in said
+    assert said.endswith("label space coarse is taken without it")
+    for complete in (with_splits, completed):
+        with pytest.raises(UsageError, match=r"labels\.yaml · not a label space"):
+            complete(label_space("coarse"), world.data)
 
 
 def test_the_label_space_of_scans_elsewhere_is_the_fallback(tmp_path):

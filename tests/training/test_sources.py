@@ -2,14 +2,15 @@
 from collections import Counter
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 import yaml
 from scans import SMALL, make_scan, write_sequence
 
-from salsanext_cli import Scan, label_space, load_network, project, read_scan
-from salsanext_cli.errors import LabelError, NoInputError
+from salsanext_cli import LabelSpace, Scan, label_space, load_network, project, read_scan
+from salsanext_cli.errors import LabelError, NoInputError, UsageError
 from salsanext_cli.geometry.gather import pixels_from_points
 from salsanext_cli.geometry.intensity import bright_intensity, match_intensity
 from salsanext_cli.geometry.normalise import normalise
@@ -23,9 +24,9 @@ from salsanext_cli.training.other_sensors import change_intensity, mount_otherwi
 from salsanext_cli.training.recipe import Recipe
 from salsanext_cli.training.sampling import SamplingPlan
 from salsanext_cli.training.sources import Source, fitted_source, further_source, labelled_split
-from salsanext_cli.training.targets import class_sets
+from salsanext_cli.training.targets import class_sets, to_targets
 
-SPACE = label_space()
+SPACE, COARSE = label_space(), label_space("coarse")
 NOTHING = Recipe(rotate=0.0, shift=0.0, flip=0.0, drop=0.0)
 NEVER = np.zeros(SPACE.class_count, bool)
 
@@ -178,9 +179,62 @@ def test_further_data_sets_are_checked(roots: list[Path], tmp_path: Path) -> Non
         further_source(write_sequence(tmp_path / "other" / "sequences" / "08"), SPACE, SMALL)
     other = SPACE.to_dict()
     other["learning_map_inv"] = {**SPACE.learning_map_inv, 1: 252}
+    other["learning_map"] = {**SPACE.learning_map, 256: 1}
     (roots[1] / "labels.yaml").write_text(yaml.safe_dump(other))
     with pytest.raises(LabelError, match=r"other classes .*train id 1: moving-car"):
         further_source(roots[1], SPACE, SMALL)
+    describe(roots[1], COARSE)
+    with pytest.raises(LabelError, match=r"other classes .*train id 1: vehicle"):
+        further_source(roots[1], SPACE, SMALL)
+
+
+def describe(root: Path, space: LabelSpace, **changes: Any) -> None:
+    """Write the label space of a data set."""
+    (root / "labels.yaml").write_text(yaml.safe_dump(space.to_dict() | changes))
+
+
+def test_a_label_space_that_is_named_keeps_its_own_splits(roots: list[Path]) -> None:
+    describe(roots[0], SPACE, split={"train": [0, 1], "valid": ["01"]})
+    mine = replace(COARSE, splits={"train": ("01",), "valid": ("00",)})
+    for split, sequence in (("train", "01"), ("valid", "00")):
+        space, files = labelled_split(roots[0], mine, split)
+        assert {file.sequence for file in files} == {sequence}
+        assert (space.splits, space.fits(COARSE)) == (mine.splits, True)
+    space, files = labelled_split(roots[0], COARSE, "train")
+    assert {file.sequence for file in files} == {"00", "01"}
+    _, files = labelled_split(roots[0], space, "valid")
+    assert {file.sequence for file in files} == {"01"}
+    (roots[0] / "labels.yaml").write_text("labels: 3")
+    assert labelled_split(roots[0], mine, "train")[0].splits == mine.splits
+    for unknown in (None, COARSE):
+        with pytest.raises(UsageError, match=r"labels\.yaml · not a label space"):
+            labelled_split(roots[0], unknown, "train")
+    (roots[0] / "labels.yaml").unlink()
+    assert labelled_split(roots[0], COARSE, "train")[0].splits == SPACE.splits
+
+
+def test_labels_of_merged_classes_keep_their_alternatives(roots: list[Path]) -> None:
+    """Trunks may be labelled vegetation, in coarse classes too; road and parking are one there."""
+    describe(roots[1], SPACE, learning_alternatives={70: [15, 16], 40: [9, 10]})
+    space, _ = labelled_split(roots[1], COARSE, "train")
+    assert space.alternatives == {70: (5, 6)}
+    assert labelled_split(roots[1], space, "train")[0].alternatives == {70: (5, 6)}
+
+
+@pytest.mark.parametrize("described", [False, True])
+def test_further_data_sets_are_merged_as_the_first(roots: list[Path], described: bool) -> None:
+    describe(roots[0], SPACE, learning_alternatives={80: [18, 19], 40: [9, 13]})
+    if not described:
+        (roots[1] / "labels.yaml").unlink()
+    first, files = labelled_split(roots[0], COARSE, "train")
+    further = further_source(roots[1], first, SMALL)
+    assert (first.alternatives, len(files)) == ({40: (3, 4)}, 4)
+    assert further.space.fits(first)
+    assert further.space.alternatives == ({70: (5, 6)} if described else {})
+    sets = class_sets([first, further.space])
+    raw = np.uint32([10, 252, 40, 70, 71])
+    found = to_targets(raw, further.space, sets, "labels").tolist()
+    assert found == [1, 1, 3, 8 + sets.index((5, 6)) if described else 5, 6]
 
 
 def test_validation_sees_each_sequence_by_its_own_sensor(tmp_path: Path, weights: Path) -> None:
