@@ -23,6 +23,7 @@ from salsanext_cli.storage.layout import find_scans, output_path
 from salsanext_cli.storage.point_files import write_bin
 from salsanext_cli.training.fit import validate
 from salsanext_cli.training.log import write_log
+from salsanext_cli.training.sources import Source
 
 EXAMPLES = Path(__file__).parents[1] / "examples"
 NAMES = sorted(path.stem for path in EXAMPLES.glob("*.py"))
@@ -139,7 +140,9 @@ def test_adapt_batchnorm(tmp_path, weights, capsys):
     rows = [line.split() for line in capsys.readouterr().out.splitlines()]
     assert rows[0] == ["share", "mIoU", "%", "accuracy", "%"]
     assert [row[0] for row in rows[1:]] == ["0.00", "1.00"]
-    validated = validate(load_network(weights, "cpu"), find_scans(tmp_path / "data"))
+    network = load_network(weights, "cpu")
+    scans = Source(find_scans(tmp_path / "data"), label_space(), network.sensor)
+    validated = validate(network, scans)
     before = scores(validated, label_space())
     assert rows[1][1:] == [f"{100 * v:.1f}" for v in (before.iou_mean_present, before.accuracy)]
     assert rows[2][1:] != rows[1][1:]

@@ -21,11 +21,11 @@ def test_the_papers_recipe_is_the_papers() -> None:
     assert recipe("paper-v1") == Recipe(architecture="salsanext-v1")
 
 
-def test_only_the_modern_recipe_mixes_scans() -> None:
-    keys = ("mix", "paste", "label_smoothing", "whole_epochs")
-    mixing = {name for name in presets() if any(getattr(recipe(name), key) for key in keys)}
-    assert mixing == {"modern"}
-    assert all(getattr(recipe("modern"), key) for key in keys)
+def test_recipes_of_the_paper_change_scans_only_as_the_paper_does() -> None:
+    keys = ("mix", "paste", "label_smoothing", "whole_epochs", "intensity", "fewer_beams")
+    others = {name for name in presets() if any(getattr(recipe(name), key) for key in keys)}
+    assert others == {"modern", "street"}
+    assert all(getattr(recipe("modern"), key) for key in keys[:4])
 
 
 @pytest.mark.parametrize("name", presets())
