@@ -3,7 +3,7 @@
 
 PANDASET is a folder ``sequences/002`` with velodyne/ and labels/: every second scan of the
 Pandar64 of that sequence, x forward, y left, z up, intensity / 255, and labels in raw ids of
-SemanticKITTI (docs/weights.md has the map). The last ten are never trained on. An interrupted
+SemanticKITTI (docs/model-card.md has the map). The last ten are never trained on. An interrupted
 rebuild goes on where it was.
 
 Run: python benchmarks/default_weights.py pandaset/ folder/

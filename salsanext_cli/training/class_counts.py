@@ -22,8 +22,7 @@ from salsanext_cli.storage.files.identity import identity
 from salsanext_cli.storage.files.json_files import encode_json, read_json
 from salsanext_cli.storage.layout import ScanFile
 from salsanext_cli.storage.written_files import WrittenFiles
-from salsanext_cli.training.dataset import read_labelled
-from salsanext_cli.training.sources import Source
+from salsanext_cli.training.sources import Source, read_labelled
 
 Counts = npt.NDArray[np.int64]
 RARE_SHARE = 0.01

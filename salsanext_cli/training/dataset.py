@@ -14,10 +14,8 @@ import numpy.typing as npt
 from torch import Tensor
 from torch.utils.data import DataLoader, Dataset, default_collate
 
-from salsanext_cli.classes import LabelSpace, TrainIds
+from salsanext_cli.classes import TrainIds
 from salsanext_cli.errors import SalsanextError
-from salsanext_cli.formats import read_scan
-from salsanext_cli.formats.labels import read_labels
 from salsanext_cli.geometry.gather import pixels_from_points
 from salsanext_cli.geometry.intensity import NO_INTENSITY, bright_intensity, match_intensity
 from salsanext_cli.geometry.normalise import normalise
@@ -56,21 +54,6 @@ Sample = tuple[Float, TrainIds, int]
 
 Batch = tuple[Tensor, Tensor, Tensor]
 """Normalised images (B, 5, H, W), targets (B, H, W) uint8, indices of the scans (B,) int64."""
-
-
-def read_labelled(file: ScanFile, space: LabelSpace, sensor: Sensor) -> LabelledScan:
-    """Read a scan and the train ids of its points, (N,) uint8.
-
-    Raises
-    ------
-    FormatError
-        If a file cannot be read.
-    LabelError
-        If the numbers differ or a label id is unknown.
-    """
-    scan = read_scan(file.path, sensor)
-    raw = read_labels(file.label_path, len(scan))
-    return scan, space.to_train(raw, source=file.label_path)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

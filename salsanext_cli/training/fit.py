@@ -25,12 +25,12 @@ from salsanext_cli.measures.scores import scores
 from salsanext_cli.network.card import WeightsCard
 from salsanext_cli.storage.written_files import WrittenFiles
 from salsanext_cli.training.checkpoint import TrainingState, load_checkpoint, save_checkpoint
-from salsanext_cli.training.dataset import Batch, Samples, batches, read_labelled
+from salsanext_cli.training.dataset import Batch, Samples, batches
 from salsanext_cli.training.distributed import SINGLE_PROCESS, ProcessGroup
 from salsanext_cli.training.learner import Learner, learning_rate
 from salsanext_cli.training.log import EpochWriter, Row, draw_curve, write_log
 from salsanext_cli.training.run_folder import BEST, CHECKPOINT, CURVE, LAST, LOG, sample_path
-from salsanext_cli.training.sources import Source
+from salsanext_cli.training.sources import Source, read_labelled
 
 SAVE_INTERVAL_S = 600.0
 """Seconds between two checkpoints within an epoch."""

@@ -29,6 +29,23 @@ from salsanext_cli.training.targets import ClassSets, to_targets
 log = logging.getLogger(__name__)
 
 
+def read_labelled(
+    file: ScanFile, space: LabelSpace, sensor: Sensor, sets: ClassSets = ()
+) -> LabelledScan:
+    """Read a scan and the targets of its points, (N,) uint8; without sets these are train ids.
+
+    Raises
+    ------
+    FormatError
+        If a file cannot be read.
+    LabelError
+        If the numbers differ or a label id is unknown.
+    """
+    scan = read_scan(file.path, sensor)
+    raw = read_labels(file.label_path, len(scan))
+    return scan, to_targets(raw, space, sets, file.label_path)
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Source:
     """Labelled scans of one data set.
@@ -56,17 +73,11 @@ class Source:
     def read(self, file: ScanFile, sets: ClassSets) -> LabelledScan:
         """Read a scan, in its sensor's frame, its intensity on training's scale, and its targets.
 
-        Raises
-        ------
-        FormatError
-            If a file cannot be read.
-        LabelError
-            If the numbers differ or a label id is unknown.
+        It raises what `read_labelled` does.
         """
         own = self.sensor_of(file)
-        scan = in_sensor_frame(read_scan(file.path, own), own)
-        raw = read_labels(file.label_path, len(scan))
-        targets = to_targets(raw, self.space, sets, file.label_path)
+        scan, targets = read_labelled(file, self.space, own, sets)
+        scan = in_sensor_frame(scan, own)
         quantiles, wanted = own.intensity_quantiles, self.sensor.intensity_quantiles
         if quantiles and wanted and quantiles != wanted:
             scan = replace(scan, intensity=on_other_scale(scan.intensity, quantiles, wanted))

@@ -18,11 +18,11 @@ from salsanext_cli.training.class_counts import (
     count_classes,
     rare_classes,
 )
-from salsanext_cli.training.dataset import Samples, batches, read_labelled
+from salsanext_cli.training.dataset import Samples, batches
 from salsanext_cli.training.distributed import ProcessGroup
 from salsanext_cli.training.recipe import Recipe
 from salsanext_cli.training.sampling import SamplingPlan
-from salsanext_cli.training.sources import Source
+from salsanext_cli.training.sources import Source, read_labelled
 
 SPACE = label_space()
 RARE = np.isin(SPACE.names, ["bicycle", "person", "pole"])

@@ -9,8 +9,6 @@ import numpy.typing as npt
 
 from salsanext_cli.classes import LabelSpace, TrainIds
 from salsanext_cli.errors import LabelError, first_few
-from salsanext_cli.formats import read_scan
-from salsanext_cli.formats.labels import read_labels
 from salsanext_cli.geometry.projection import project
 from salsanext_cli.inference.network import Network
 from salsanext_cli.network.card import WeightsCard
@@ -18,7 +16,8 @@ from salsanext_cli.records import Float, RangeImage
 from salsanext_cli.storage.layout import ScanFile
 from salsanext_cli.storage.selection import ScanSelection, select_evenly, space_of
 from salsanext_cli.training.class_counts import require_labels
-from salsanext_cli.training.targets import class_sets, to_targets
+from salsanext_cli.training.sources import read_labelled
+from salsanext_cli.training.targets import class_sets
 
 VALIDATION = ScanSelection(split="valid")
 """Selection of scans to tune on, unless another is given."""
@@ -86,9 +85,7 @@ def read_labelled_image(file: ScanFile, network: Network, space: LabelSpace) -> 
     FormatError, LabelError
         If a file cannot be read, the numbers of points differ or a label id is unknown.
     """
-    scan = read_scan(file.path, network.sensor)
-    raw = read_labels(file.label_path, len(scan))
-    targets = to_targets(raw, space, class_sets([space]), file.label_path)
+    scan, targets = read_labelled(file, space, network.sensor, class_sets([space]))
     image = project(scan, network.sensor, network.device)
     scored = np.flatnonzero(space.scored)
     counts = np.isin(targets, scored) & (image.pixel_of_point >= 0)
