@@ -32,7 +32,7 @@ from salsanext_cli.sensors import Sensor
 from salsanext_cli.synthesis import drive
 from salsanext_cli.synthesis.sensor.beams import Beams
 from salsanext_cli.synthesis.sensor.rig import Rig, hdl64_rig
-from salsanext_cli.training.augment import LabelledScan
+from salsanext_cli.training.data.augment import LabelledScan
 
 SEED, SEQUENCES, SCANS, SPACING_M = 777, 8, 2, 25.0
 SENSORS = {

@@ -27,11 +27,11 @@ from salsanext_cli.classes import label_space
 from salsanext_cli.network.registry import build
 from salsanext_cli.sensors import sensor
 from salsanext_cli.storage.layout import find_scans
-from salsanext_cli.training.class_counts import class_weights, count_classes, rare_classes
-from salsanext_cli.training.dataset import Samples, batches
+from salsanext_cli.training.data.class_counts import class_weights, count_classes, rare_classes
+from salsanext_cli.training.data.dataset import Samples, batches
+from salsanext_cli.training.data.sources import Source
 from salsanext_cli.training.learner import Learner
 from salsanext_cli.training.recipe import Recipe
-from salsanext_cli.training.sources import Source
 
 SIDES = ("plain", "ours")
 PARTS = ("data", "forward", "loss", "backward", "update", "book-keeping")

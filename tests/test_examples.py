@@ -21,9 +21,9 @@ from salsanext_cli.network.registry import ARCHITECTURES
 from salsanext_cli.network.salsanext import SalsaNext
 from salsanext_cli.storage.layout import find_scans, output_path
 from salsanext_cli.storage.point_files import write_bin
+from salsanext_cli.training.data.sources import Source
 from salsanext_cli.training.fit import validate
 from salsanext_cli.training.log import write_log
-from salsanext_cli.training.sources import Source
 
 EXAMPLES = Path(__file__).parents[1] / "examples"
 NAMES = sorted(path.stem for path in EXAMPLES.glob("*.py"))

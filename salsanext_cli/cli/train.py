@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: MIT
 """`salsanext train`."""
 
+from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -9,10 +10,12 @@ import typer
 from salsanext_cli.cli import console, options, run_end, run_options, selection_options
 from salsanext_cli.cli.option_groups import Without, option_group
 from salsanext_cli.cli.progress import progress
+from salsanext_cli.errors import counted
 
 if TYPE_CHECKING:
     from salsanext_cli.parallel.run import Progress
     from salsanext_cli.sensors import Sensor
+    from salsanext_cli.stages.train import TrainResult
     from salsanext_cli.training.fit import Report
     from salsanext_cli.training.recipe import Recipe
 
@@ -22,14 +25,15 @@ class Start:
     """Recipe, weights and sensor that a training starts from."""
 
     recipe: str = options.network_option(
-        "paper, paper-v1, modern, street, quick, or a .toml file.", default="paper"
+        "paper, paper-v1, modern, street, finetune, quick, or a .toml file.", default="paper"
     )
     changes: list[str] | None = options.network_option(
         "Value instead of the recipe's; may be given several times.", "--set", metavar="KEY=VALUE"
     )
     epochs: int | None = options.network_option("Number of epochs instead of the recipe's.")
     weights: Path | None = options.network_option(
-        "Weights to start from; default: those of the package.", show_default="random weights"
+        "Weights to start from; default: those of the package.",
+        show_default="random; with finetune those of the package",
     )
     sensor: str | None = options.network_option(
         options.SENSOR_HELP, show_default="the sensor of --weights, else hdl64"
@@ -51,8 +55,9 @@ class Start:
         named = options.sensor(self.sensor)
         if self.columns is None:
             return named
-        usual = find_sensor("hdl64") if self.weights is None else read_card(self.weights).sensor
-        return options.with_columns(named or usual, self.columns)
+        given = self.weights is not None or self.plan().initial == "default"
+        usual = read_card(options.weights_file(self.weights)).sensor if given else None
+        return options.with_columns(named or usual or find_sensor("hdl64"), self.columns)
 
     def plan(self) -> "Recipe":
         """Return the recipe with its changes."""
@@ -101,13 +106,24 @@ def train(
             also=start.also or (),
             progress=lambda report: _show(report, bar, output),
         )
-    best = f"{100 * done.best_miou:.1f} %"
     paths = {"best": str(done.best), "last": str(done.last)}
-    found = {"best_miou": done.best_miou, **paths, "warnings": done.warnings}
+    expected = {"expected": asdict(done.expected)} if done.expected else {}
+    found = {"best_miou": done.best_miou, **expected, **paths, "warnings": done.warnings}
     output.result({"stage": "train", **found})
     for line in run_end.warning_lines(done.warnings):
         output.say(line)
-    output.say(f"train: best validation mIoU {best} → {done.best}")
+    output.say(f"train: {_found(done)} → {done.best}")
+
+
+def _found(done: "TrainResult") -> str:
+    """Return the scores in words."""
+    if done.expected is None:
+        measured = done.best_miou >= 0
+        return f"best validation mIoU {100 * done.best_miou:.1f} %" if measured else "not scored"
+    e = done.expected
+    scores = (("mIoU", e.miou, e.miou_spread), ("accuracy", e.accuracy, e.accuracy_spread))
+    texts = ", ".join(f"{name} {100 * mean:.1f} ± {100 * s:.1f} %" for name, mean, s in scores)
+    return f"on new scans expect {texts} ({e.folds} folds, {counted(e.epochs, 'epoch')})"
 
 
 def _show(report: "Report", bar: "Progress | None", output: console.Output) -> None:
@@ -115,6 +131,8 @@ def _show(report: "Report", bar: "Progress | None", output: console.Output) -> N
     if bar is not None:
         bar(report.step, report.steps)
     if report.row is not None:
-        miou = report.row.get("miou")
-        scored = "" if miou is None else f", validation mIoU {100 * miou:.1f} %"
-        output.say(f"epoch {report.epoch}/{report.epochs}: loss {report.row['loss']:.3f}{scored}")
+        scores = (("mIoU", report.row.get("miou")), ("accuracy", report.row.get("accuracy")))
+        found = [f", {name} {100 * value:.1f} %" for name, value in scores if value is not None]
+        fold = f"fold {report.fold}, " if report.fold else ""
+        epoch = f"{fold}epoch {report.epoch}/{report.epochs}"
+        output.say(f"{epoch}: loss {report.row['loss']:.3f}{''.join(found)}")

@@ -11,8 +11,7 @@ from typing import Any
 
 from salsanext_cli.classes import LabelSpace
 from salsanext_cli.errors import UsageError
-from salsanext_cli.inference.scan_fit import with_sensor
-from salsanext_cli.network.card import WeightsCard
+from salsanext_cli.network.card import default_weights
 from salsanext_cli.network.segmentation import SegmentationNetwork
 from salsanext_cli.parallel.threads import worker_count
 from salsanext_cli.report.scan_pictures import draw_sample
@@ -20,38 +19,31 @@ from salsanext_cli.sensors import Sensor
 from salsanext_cli.storage.files.identity import fingerprint
 from salsanext_cli.storage.layout import ScanFile
 from salsanext_cli.storage.selection import evenly_spaced
-from salsanext_cli.training.class_counts import (
-    ClassCounts,
-    class_counts,
-    class_weights,
-    rare_classes,
-    require_labels,
+from salsanext_cli.training.cross_validation import Expectation
+from salsanext_cli.training.data.class_counts import ClassCounts, class_counts, require_labels
+from salsanext_cli.training.data.sources import (
+    Source,
+    as_trained,
+    further_source,
+    scans_to_train_on,
 )
-from salsanext_cli.training.dataset import Samples
+from salsanext_cli.training.data.targets import class_sets
 from salsanext_cli.training.distributed import ProcessGroup, group_of_environment, process_group
-from salsanext_cli.training.fit import Report, Training
+from salsanext_cli.training.fit import Report
 from salsanext_cli.training.initial_network import initial_network
-from salsanext_cli.training.learner import Learner
-from salsanext_cli.training.log import Row, tensorboard_in
+from salsanext_cli.training.log import Row
 from salsanext_cli.training.precision import common_precision
 from salsanext_cli.training.recipe import Recipe
 from salsanext_cli.training.run_folder import (
     BEST,
     CLASS_COUNTS,
-    EVENTS,
     LAST,
     begin,
     recorded_precision,
     require_free,
     trained_alone,
 )
-from salsanext_cli.training.sources import (
-    Source,
-    as_trained,
-    further_source,
-    labelled_split,
-)
-from salsanext_cli.training.targets import class_sets
+from salsanext_cli.training.setup import Setup
 
 
 @dataclass(frozen=True, slots=True)
@@ -63,11 +55,14 @@ class TrainResult:
     best, last : Path
         Weights files: of the best validation, and of the end.
     best_miou : float
-        Validation mIoU on points, after kNN, of the best weights.
+        Validation mIoU on points, after kNN, of the best weights, or what is expected; -1 if none
+        was measured.
     rows : sequence of Row
         The log, a row per epoch.
     warnings : list of dict
         Reasons to doubt scans, as `RunSummary.warnings` lists them.
+    expected : Expectation, optional
+        What scans left out say of new ones, if there was a cross-validation.
     """
 
     best: Path
@@ -75,6 +70,7 @@ class TrainResult:
     best_miou: float
     rows: Sequence[Row]
     warnings: list[dict[str, Any]]
+    expected: Expectation | None = None
 
 
 def train(
@@ -93,6 +89,9 @@ def train(
     progress: Callable[[Report], object] = lambda report: None,
 ) -> TrainResult:
     """Train a network, or resume a training that was interrupted in the same folder.
+
+    With a recipe of some folds, scans without a validation split are cross-validated: that chooses
+    the number of epochs and the temperature of the weights, which are then trained on all scans.
 
     Started by torchrun, each worker learns from its share of every batch, and the first writes.
 
@@ -142,53 +141,60 @@ def train(
         expected = f"at least one sample for each of {size} workers"
         remedy = "start fewer workers or set batch higher"
         raise UsageError("recipe key batch", f"{recipe.batch}", expected, remedy)
+    if weights is None and recipe.initial == "default":
+        weights = default_weights()
     with process_group(device) as (group, place), ExitStack() as held:
-        classes, training = group.on_main(lambda: labelled_split(dataset, space, "train"))
-        _, validation = group.on_main(lambda: labelled_split(dataset, classes, "valid"))
-        validated = evenly_spaced(validation, recipe.validation_scans)
+        classes, training, validation = group.on_main(
+            lambda: scans_to_train_on(dataset, space, divisible=recipe.folds > 0)
+        )
         if recipe.precision == "auto":
             begun = None if overwrite else group.on_main(lambda: recorded_precision(run))
             recipe = replace(recipe, precision=begun or common_precision(place, group))
-        module, architecture, own_sensor = initial_network(weights, classes, recipe)
-        sensor = sensor or own_sensor
-        _require_pixels(recipe, sensor, module, group)
+        initial, card = initial_network(weights, classes, recipe)
+        sensor = sensor or card.sensor
+        _require_pixels(recipe, sensor, initial, group)
         roots = ", ".join(path.resolve().name for path in (dataset, *also))
-        description = f"Trained with `salsanext train` on {roots}."
         further = group.on_main(lambda: [further_source(path, classes, sensor) for path in also])
         given = [Source(files, classes, sensor) for files in (training, validation)] + further
-        sets = class_sets(source.space for source in given)
+        settings = _settings(recipe, given, weights)
 
         def prepare() -> tuple[list[Source], ClassCounts]:
-            settings = _settings(recipe, given, weights)
             held.enter_context(trained_alone(run))
             require_free(run, settings, overwrite=overwrite)
             require_labels([file for source in given for file in source.files])
             first, scored, *others = as_trained(given, fit=recipe.sensors == "fitted", jobs=jobs)
             kept, sources = run / CLASS_COUNTS, [first, *others]
+            validated = evenly_spaced(scored.files, recipe.validation_scans)
             counts = class_counts(kept, sources, scored, validated, jobs, recipe.also)
             if strict:
                 counts.require_no_warnings(dataset)
             begin(run, settings, overwrite=overwrite)
-            return [scored, *sources], counts
+            return [replace(scored, files=validated), *sources], counts
 
         (scored, *sources), counts = group.on_main(prepare)
-        seen, of_class = sources[0].sensor, (counts.points, classes.scored)
-        class_weight = class_weights(*of_class, recipe.class_weight)
-        drawn = validated[0]
-        state = Training(
+        description = f"Trained with `salsanext train` on {roots}."
+        setup = Setup(
             run=run,
-            learner=Learner(module, recipe, class_weight, place, group, sets),
-            samples=Samples(sources, seen, recipe, rare_classes(*of_class), sets),
-            validation=replace(scored, files=validated),
-            card=WeightsCard(architecture, classes, seen, recipe.to_dict(), {}, description),
+            recipe=recipe,
+            initial=initial,
+            card=replace(card, sensor=sources[0].sensor, description=description),
+            sources=sources,
+            counts=counts,
+            sets=class_sets(source.space for source in given),
+            settings=settings,
+            place=place,
+            group=group,
             workers=workers if jobs != 1 else 0,
-            draw=lambda file, network: draw_sample(
-                file, drawn, with_sensor(network, scored.sensor_of(drawn))
-            ),
-            write_epoch=held.enter_context(tensorboard_in(run, EVENTS, wanted=group.is_main)),
+            overwrite=overwrite,
+            draw=draw_sample,
             report=progress,
-        ).fit()
-    return TrainResult(run / BEST, run / LAST, state.best, state.rows, counts.warnings)
+            held=held,
+        )
+        outlook = None if validation else setup.cross_validated()
+        setup = setup.after(outlook) if outlook else setup
+        state = setup.training(training, scored).fit()
+    best = outlook.miou if outlook else state.best
+    return TrainResult(run / BEST, run / LAST, best, state.rows, counts.warnings, outlook)
 
 
 def _require_pixels(

@@ -16,21 +16,16 @@ import safetensors.torch
 import torch
 
 from salsanext_cli.errors import TrainingError
-from salsanext_cli.geometry.knn import knn_refine
-from salsanext_cli.geometry.projection import project
 from salsanext_cli.inference.network import Network
-from salsanext_cli.inference.scan_fit import with_sensor
-from salsanext_cli.measures.confusion import Confusion
-from salsanext_cli.measures.scores import scores
 from salsanext_cli.network.card import WeightsCard
 from salsanext_cli.storage.written_files import WrittenFiles
 from salsanext_cli.training.checkpoint import TrainingState, load_checkpoint, save_checkpoint
-from salsanext_cli.training.dataset import Batch, Samples, batches
-from salsanext_cli.training.distributed import SINGLE_PROCESS, ProcessGroup
+from salsanext_cli.training.data.dataset import Batch, Samples, batches
+from salsanext_cli.training.data.sources import Source
 from salsanext_cli.training.learner import Learner, learning_rate
 from salsanext_cli.training.log import EpochWriter, Row, draw_curve, write_log
 from salsanext_cli.training.run_folder import BEST, CHECKPOINT, CURVE, LAST, LOG, sample_path
-from salsanext_cli.training.sources import Source, read_labelled
+from salsanext_cli.training.validation import validate
 
 SAVE_INTERVAL_S = 600.0
 """Seconds between two checkpoints within an epoch."""
@@ -52,6 +47,8 @@ class Report:
         Of this step.
     row : Row or None
         The finished line of the log after the last step of an epoch.
+    fold : int
+        Number of the fold of a cross-validation, from 1; 0 for the training itself.
     """
 
     epoch: int
@@ -60,6 +57,7 @@ class Report:
     steps: int
     loss: float
     row: Row | None = None
+    fold: int = 0
 
 
 @dataclass(slots=True, eq=False)
@@ -74,9 +72,9 @@ class Training:
     samples : Samples
         Samples to learn from.
     validation : Source
-        Scans that every validation scores.
+        Scans that every validation scores; without any, the last weights are the best.
     card : WeightsCard
-        Card of the weights files, without scores.
+        Card of the weights files; scores and temperature of a validation take the place of its own.
     workers : int
         Processes that prepare samples.
     draw : callable
@@ -146,7 +144,8 @@ class Training:
             "loss": float(np.mean(losses)),
             "seconds": seconds,
         }
-        if state.epoch == recipe.epochs or state.epoch % recipe.validate_every == 0:
+        due = state.epoch == recipe.epochs or state.epoch % recipe.validate_every == 0
+        if due and self.validation.files:
             row |= self._scores()
         if self.learner.group.is_main:
             self._write(state, row)
@@ -181,14 +180,21 @@ class Training:
     def _write(self, state: TrainingState, row: Row) -> None:
         """Write weights, log, curve, pictures and, last, the checkpoint."""
         state.rows.append(row)
-        measured = {key: value for key, value in row.items() if "iou" in key and value == value}
+        measured = {
+            key: value
+            for key, value in row.items()
+            if ("iou" in key or key == "accuracy") and value == value
+        }
         network, written = self._network(), WrittenFiles(self.run)
-        card = replace(self.card, scores=measured | {"epoch": state.epoch})
+        scores = {**self.card.scores, **measured, "epoch": state.epoch}
+        temperature = row.get("temperature", self.card.temperature)
+        card = replace(self.card, scores=scores, temperature=temperature)
         tensors = {name: t.cpu().contiguous() for name, t in network.module.state_dict().items()}
         weights = safetensors.torch.save(tensors, card.to_metadata())
         written.write(self.run / LAST, weights, durable=True)
-        if row.get("miou", -1) > state.best:
-            state.best = row["miou"]
+        last_of_all = not self.validation.files and state.epoch == self.learner.recipe.epochs
+        if row.get("miou", -1) > state.best or last_of_all:
+            state.best = row.get("miou", state.best)
             written.write(self.run / BEST, weights, durable=True)
         write_log(self.run / LOG, state.rows)
         draw_curve(self.run / CURVE, state.rows)
@@ -203,29 +209,17 @@ class Training:
 
     def _scores(self) -> Row:
         """Score the validation scans, each by one worker."""
-        group, space = self.learner.group, self.card.space
+        group = self.learner.group
         # On CPUs the workers' statistics of batch norm differ; kept are those of the main one.
         group.broadcast(self.learner.average.buffers())
-        own = validate(self._network(), self.validation, group)
-        counts = group.sum(torch.from_numpy(own.matrix).to(self.learner.device))
-        result = scores(Confusion(space.class_count, counts.cpu().numpy()), space)
-        names = {f"iou_{score.name}": score.iou for score in result.classes}
-        return {"miou": result.iou_mean_present} | names
+        network = self._network()
+        return (
+            validate(network, self.validation, group)
+            .across(group, self.learner.device)
+            .row(network)
+        )
 
     def _report(self, state: TrainingState, step: int, loss: float, row: Row | None = None) -> None:
         if self.learner.group.is_main:
             epoch, epochs = state.epoch + (row is None), self.learner.recipe.epochs
             self.report(Report(epoch, epochs, step + 1, self.samples.plan.steps, loss, row))
-
-
-def validate(network: Network, source: Source, group: ProcessGroup = SINGLE_PROCESS) -> Confusion:
-    """Predict a worker's share of labelled scans as `predict` does, and count truth by label."""
-    space = network.card.space
-    confusion = Confusion(space.class_count)
-    for file in source.files[group.rank :: group.size]:
-        own = with_sensor(network, source.sensor_of(file))
-        scan, truth = read_labelled(file, source.space, own.sensor)
-        image = project(scan, own.sensor)
-        pixel_labels = own.probabilities(image).argmax(axis=0)
-        confusion.update(truth, knn_refine(image, pixel_labels, space.class_count))
-    return confusion

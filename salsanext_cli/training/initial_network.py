@@ -1,27 +1,50 @@
 # SPDX-License-Identifier: MIT
 """Network that a training starts from: random weights, or those of a file."""
 
+import logging
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 import torch
+from torch import Tensor
 
 from salsanext_cli.classes import LabelSpace
-from salsanext_cli.errors import WeightsError, first_few
+from salsanext_cli.errors import NOTICE, WeightsError, first_few
+from salsanext_cli.network.card import WeightsCard
 from salsanext_cli.network.registry import build
 from salsanext_cli.network.segmentation import SegmentationNetwork
 from salsanext_cli.network.weights import read_weights
-from salsanext_cli.sensors import Sensor, sensor
+from salsanext_cli.sensors import sensor
 from salsanext_cli.training.recipe import Recipe
 
 DEFAULT_SENSOR = "hdl64"
 """Sensor of a training from random weights, unless another is given."""
 
+log = logging.getLogger(__name__)
+
 
 def initial_network(
     weights: Path | None, space: LabelSpace, recipe: Recipe
-) -> tuple[SegmentationNetwork, dict[str, Any], Sensor]:
-    """Return the network before training, its architecture and its sensor."""
+) -> tuple[SegmentationNetwork, WeightsCard]:
+    """Return the network before training, and its card: architecture, classes, sensor.
+
+    Where the weights are of other classes, outputs of classes of the same name keep their weights,
+    and the others are random.
+
+    Parameters
+    ----------
+    weights : Path, optional
+        Weights to start from; otherwise what the recipe's key `initial` says.
+    space : LabelSpace
+        Classes to train for.
+    recipe : Recipe
+
+    Raises
+    ------
+    WeightsError
+        If the weights cannot be read or are of another network than the recipe's.
+    """
     architecture = {
         "name": recipe.architecture,
         "class_count": space.class_count,
@@ -31,18 +54,44 @@ def initial_network(
         torch.manual_seed(recipe.seed)
         module = build(architecture, "recipe key architecture")
     if weights is None:
-        return module, architecture, sensor(DEFAULT_SENSOR)
+        return module, WeightsCard(architecture, space, sensor(DEFAULT_SENSOR))
     trained, card = read_weights(weights)
-    if not card.space.fits(space):
-        differences = first_few(card.space.differences(space))
-        found = f"trained for the classes of {card.space.name} ({differences})"
-        raise WeightsError(weights, found, f"those of {space.name}")
-    if _shapes(trained) != _shapes(module):
+    tensors = trained.state_dict()
+    if _shapes(trained) != _shapes(_shaped(architecture, card.space.class_count)):
         name = card.architecture["name"]
         remedy = f'set architecture = "{name}" in the recipe'
         raise WeightsError(weights, f"of a {name}", f"of a {recipe.architecture}", remedy)
-    module.load_state_dict(trained.state_dict())
-    return module, architecture, card.sensor
+    if not card.space.fits(space):
+        tensors |= _outputs(module, tensors, card.space, space, architecture)
+    module.load_state_dict(tensors)
+    return module, WeightsCard(architecture, space, card.sensor)
+
+
+def _outputs(
+    module: SegmentationNetwork,
+    trained: Mapping[str, Tensor],
+    classes: LabelSpace,
+    space: LabelSpace,
+    architecture: Mapping[str, Any],
+) -> dict[str, Tensor]:
+    """Return the tensors of the outputs, (C, …), that begin with those of trained classes."""
+    more = _shapes(_shaped(architecture, space.class_count + 1))
+    own = module.state_dict().items()
+    outputs = {name: tensor.clone() for name, tensor in own if tensor.shape != more[name]}
+    places = {name: place for place, name in enumerate(classes.names)}
+    kept = [place for place, name in enumerate(space.names) if name in places]
+    for name, tensor in outputs.items():
+        tensor[kept] = trained[name][[places[space.names[place]] for place in kept]]
+    new = [name for name in space.names if name not in places]
+    text = f"; at random: {first_few(new)}" if new else ""
+    log.log(NOTICE, "weights of %d of %d classes kept%s", len(kept), space.class_count, text)
+    return outputs
+
+
+def _shaped(architecture: Mapping[str, Any], class_count: int) -> SegmentationNetwork:
+    """Return a network of shapes without values."""
+    with torch.device("meta"):
+        return build({**architecture, "class_count": class_count})
 
 
 def _shapes(module: SegmentationNetwork) -> dict[str, torch.Size]:

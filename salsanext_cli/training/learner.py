@@ -11,11 +11,11 @@ from torch import Tensor, nn
 from torch.nn.parallel import DistributedDataParallel
 
 from salsanext_cli.network.segmentation import SegmentationNetwork
+from salsanext_cli.training.data.targets import ClassSets
 from salsanext_cli.training.distributed import SINGLE_PROCESS, ProcessGroup, data_parallel
 from salsanext_cli.training.losses import SegmentationLoss
 from salsanext_cli.training.precision import choose_precision, keep_ends_in_float32
 from salsanext_cli.training.recipe import Recipe
-from salsanext_cli.training.targets import ClassSets
 
 DROPOUT = 2
 """Purpose of the generator of dropout, a part of its seed beside those of `dataset`."""

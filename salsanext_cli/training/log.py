@@ -15,7 +15,7 @@ import numpy.typing as npt
 from salsanext_cli.storage.written_files import WrittenFiles
 
 Row = dict[str, float]
-"""One epoch: epoch, learning_rate, loss, seconds and, where validated, miou and iou_<class>."""
+"""One epoch: epoch, learning_rate, loss, seconds; where validated, also what `Validation` says."""
 EpochWriter = Callable[[Row, npt.NDArray[np.uint8]], None]
 """Writes a finished epoch and its picture, (H, W, 3)."""
 

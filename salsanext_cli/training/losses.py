@@ -9,8 +9,8 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional as F
 
+from salsanext_cli.training.data.targets import ClassSets
 from salsanext_cli.training.distributed import SINGLE_PROCESS, ProcessGroup
-from salsanext_cli.training.targets import ClassSets
 
 
 def weighted_cross_entropy(

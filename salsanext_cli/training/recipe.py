@@ -18,6 +18,7 @@ CHOICES = {
     "schedule": ("decay", "one-cycle"),
     "precision": ("auto", "float32", "bfloat16", "float16"),
     "sensors": ("given", "fitted"),
+    "initial": ("random", "default"),
 }
 """Words that the keys of type str may have."""
 READERS: dict[type, tuple[Callable[[str], Any], str]] = {
@@ -38,6 +39,8 @@ class Recipe:
     ----------
     architecture : str
         Name of the network in `network.registry`.
+    initial : {"random", "default"}
+        Weights to start from, unless others are given: random ones, or those of the package.
     precision : {"auto", "float32", "bfloat16", "float16"}
         Type that the network computes in; weights and loss are float32 always. "auto" is the
         shortest that the device computes fast.
@@ -80,7 +83,7 @@ class Recipe:
     rotate, shift, flip, drop : float
         Probability of each augmentation.
     mix : float
-        Probability of taking some cells of a scan from another scan; see `training.augment`.
+        Probability of taking some cells of a scan from another scan; see `training.data.augment`.
     paste : float
         Probability of adding the points of rare classes of another scan.
     sensors : {"given", "fitted"}
@@ -89,14 +92,18 @@ class Recipe:
     also : float
         Share of the samples from further data sets, where there are any.
     intensity, no_intensity, mount, view, fewer_beams : float
-        Probability of each change to what another sensor sees; see `training.other_sensors`.
+        Probability of each change to what another sensor sees; see `training.data.other_sensors`.
     validate_every, validation_scans : int
         Epochs between validations, and how many scans of the split, evenly spaced; 0 for all.
+    folds : int
+        Folds of the cross-validation that chooses the number of epochs, at most `epochs`, where the
+        data set has no validation split; 0 for none, so that a split is needed.
     seed : int
         Of everything that is drawn.
     """
 
     architecture: str = "salsanext"
+    initial: str = "random"
     precision: str = "float32"
     epochs: int = 150
     batch: int = 24
@@ -133,6 +140,7 @@ class Recipe:
     fewer_beams: float = 0.0
     validate_every: int = 1
     validation_scans: int = 0
+    folds: int = 0
     seed: int = 1
 
     def __post_init__(self) -> None:
@@ -162,6 +170,7 @@ class Recipe:
         for key in ("learning_rate", "decay"):
             self._require(key, getattr(self, key) > 0, "above 0")
         self._require("seed", self.seed < 2**63, "below 2⁶³")
+        self._require("folds", self.folds == 0 or self.folds >= 2, "0, or at least 2")
         for key, names in CHOICES.items():
             self._require(key, getattr(self, key) in names, f"one of {', '.join(names)}")
 

@@ -25,7 +25,7 @@ CHECKPOINT = "checkpoint.safetensors"
 LAST, BEST = "last.safetensors", "best.safetensors"
 LOG, CURVE = "log.csv", "curve.png"
 RECIPE, CLASS_COUNTS = "recipe.toml", "class_counts.json"
-SAMPLES, EVENTS = "samples", "tensorboard"
+SAMPLES, EVENTS, FOLDS = "samples", "tensorboard", "folds"
 RESULTS = (CHECKPOINT, BEST, LAST, LOG, CURVE)
 """Files that a new training in the folder removes, beside pictures and events."""
 
@@ -35,6 +35,11 @@ log = logging.getLogger(__name__)
 def sample_path(run: Path, epoch: int) -> Path:
     """Return where the picture of a validated scan after an epoch lies."""
     return run / SAMPLES / f"epoch-{epoch:03d}.png"
+
+
+def fold_folder(run: Path, number: int) -> Path:
+    """Return the folder, itself one of a training, of a fold of a cross-validation, from 1."""
+    return run / FOLDS / str(number)
 
 
 @contextmanager
@@ -49,7 +54,8 @@ def trained_alone(run: Path) -> Iterator[None]:
         If another training runs in it.
     """
     with locked(run / f".{STAGE}.lock", stage=STAGE):
-        for folder in (run, run / SAMPLES):
+        folders = [run, *run.glob(f"{FOLDS}/*")]
+        for folder in [*folders, *(each / SAMPLES for each in folders)]:
             sweep_stale(folder)
         yield
 

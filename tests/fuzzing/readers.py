@@ -48,13 +48,13 @@ from salsanext_cli.storage.stage_records import (
     stage_settings,
 )
 from salsanext_cli.training.checkpoint import TrainingState, load_checkpoint, save_checkpoint
-from salsanext_cli.training.class_counts import class_counts
+from salsanext_cli.training.data.class_counts import class_counts
+from salsanext_cli.training.data.sources import Source
 from salsanext_cli.training.distributed import ProcessGroup
 from salsanext_cli.training.learner import Learner
 from salsanext_cli.training.log import write_log
 from salsanext_cli.training.recipe import Recipe, recipe
 from salsanext_cli.training.run_folder import require_free
-from salsanext_cli.training.sources import Source
 
 FEW = LabelSpace.from_dict(
     {

@@ -10,7 +10,7 @@ from salsanext_cli import knn_refine, load_network, project
 from salsanext_cli.measures.confusion import Confusion
 from salsanext_cli.measures.scores import scores
 from salsanext_cli.storage.layout import find_scans
-from salsanext_cli.training.sources import read_labelled
+from salsanext_cli.training.data.sources import read_labelled
 
 
 @pytest.mark.slow

@@ -19,9 +19,9 @@ from salsanext_cli.stages.project import project_scans
 from salsanext_cli.stages.train import train
 from salsanext_cli.storage.point_files import write_bin
 from salsanext_cli.storage.selection import ScanSelection
-from salsanext_cli.training import class_counts as counting
+from salsanext_cli.training.data import class_counts as counting
+from salsanext_cli.training.data.sources import Source, labelled_split
 from salsanext_cli.training.recipe import Recipe
-from salsanext_cli.training.sources import Source, labelled_split
 
 UPWARDS = replace(SMALL, name="upwards", fov_up=30.0, fov_down=-2.0)
 TINY = Recipe(epochs=1, batch=2, crop_width=32)

@@ -13,6 +13,7 @@ from tiny_network import TinyNetwork
 
 from salsanext_cli import LabelSpace, label_space, load_network, project, read_scan, write_labels
 from salsanext_cli.errors import (
+    NOTICE,
     LabelError,
     NoInputError,
     OutputError,
@@ -26,10 +27,10 @@ from salsanext_cli.network.card import WeightsCard, read_card
 from salsanext_cli.network.registry import ARCHITECTURES
 from salsanext_cli.network.weights import save_weights
 from salsanext_cli.stages.train import train
-from salsanext_cli.training import dataset as dataset_module
 from salsanext_cli.training import fit
 from salsanext_cli.training.checkpoint import TrainingState
-from salsanext_cli.training.class_counts import class_weights
+from salsanext_cli.training.data import dataset as dataset_module
+from salsanext_cli.training.data.class_counts import class_weights
 from salsanext_cli.training.fit import Training
 from salsanext_cli.training.learner import Learner
 from salsanext_cli.training.recipe import Recipe, recipe
@@ -323,7 +324,7 @@ def test_labels_edited_since_they_were_counted_are_counted_again(dataset, tmp_pa
         go(dataset, tmp_path / "run", recipe=recipe)
 
 
-def test_training_goes_on_from_given_weights(dataset, tmp_path):
+def test_training_goes_on_from_given_weights(dataset, tmp_path, caplog):
     space, weights = label_space(), tmp_path / "start.safetensors"
     card = WeightsCard({"name": "salsanext", "class_count": 20}, space, SMALL)
     save_weights(weights, TinyNetwork(), card)
@@ -336,8 +337,13 @@ def test_training_goes_on_from_given_weights(dataset, tmp_path):
     labels = {**space.to_dict(), "labels": {**space.to_dict()["labels"], 10: "automobile"}}
     other = replace(card, space=LabelSpace.from_dict(labels, "other"))
     save_weights(weights, TinyNetwork(), other)
-    with pytest.raises(WeightsError, match="trained for the classes of"):
-        go(dataset, tmp_path / "other", weights=weights)
+    caplog.set_level(NOTICE)
+    renewed = go(dataset, tmp_path / "other", recipe=still, weights=weights, sensor=None)
+    assert caplog.messages[0] == "weights of 19 of 20 classes kept; at random: car"
+    old, new = (load_file(each)["logits.weight"] for each in (weights, renewed.last))
+    kept = [place for place, name in enumerate(space.names) if name != "car"]
+    torch.testing.assert_close(new[kept], old[kept])
+    assert not torch.allclose(new[1], old[1])
 
 
 def test_labels_are_learnt_in_merged_classes_by_the_splits_of_the_data_set(dataset, tmp_path):

@@ -8,8 +8,8 @@ from salsanext_cli import knn_refine, load_network, project
 from salsanext_cli.formats.clouds.kitti import read_bin
 from salsanext_cli.formats.labels import read_labels
 from salsanext_cli.storage.layout import find_scans
-from salsanext_cli.training.fit import validate
-from salsanext_cli.training.sources import Source
+from salsanext_cli.training.data.sources import Source
+from salsanext_cli.training.validation import validate
 
 
 def test_scores_count_points_after_knn(tmp_path: Path, weights: Path) -> None:
@@ -24,6 +24,6 @@ def test_scores_count_points_after_knn(tmp_path: Path, weights: Path) -> None:
         predicted = knn_refine(image, network.probabilities(image).argmax(0))
         truth = space.to_train(read_labels(file.label_path))
         np.add.at(expected, (truth, predicted), 1)
-    confusion = validate(network, Source(files, network.card.space, network.sensor))
+    confusion = validate(network, Source(files, network.card.space, network.sensor)).confusion
     np.testing.assert_array_equal(confusion.matrix, expected)
     assert confusion.matrix.sum() == 4500

@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from torch.nn import functional as F
 
-from salsanext_cli.training.class_counts import class_weights
+from salsanext_cli.training.data.class_counts import class_weights
 from salsanext_cli.training.losses import (
     SegmentationLoss,
     jaccard_gradient,

@@ -24,7 +24,7 @@ def test_the_papers_recipe_is_the_papers() -> None:
 def test_recipes_of_the_paper_change_scans_only_as_the_paper_does() -> None:
     keys = ("mix", "paste", "label_smoothing", "whole_epochs", "intensity", "fewer_beams")
     others = {name for name in presets() if any(getattr(recipe(name), key) for key in keys)}
-    assert others == {"modern", "street"}
+    assert others == {"finetune", "modern", "street"}
     assert all(getattr(recipe("modern"), key) for key in keys[:4])
 
 
@@ -73,7 +73,7 @@ def test_impossible_values_name_the_key(key: str, value: object) -> None:
 
 
 def test_no_such_recipe_names_the_presets() -> None:
-    with pytest.raises(UsageError, match=r"recipe papr .* one of modern, paper, .* street"):
+    with pytest.raises(UsageError, match=r"recipe papr .* one of finetune, modern, paper, .* street"):
         recipe("papr")
 
 

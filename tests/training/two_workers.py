@@ -14,10 +14,10 @@ from tiny_network import TinyNetwork
 from torch import Tensor, nn
 
 from salsanext_cli.errors import TrainingError
+from salsanext_cli.training.data.targets import ClassSets
 from salsanext_cli.training.distributed import ProcessGroup, process_group
 from salsanext_cli.training.learner import Learner
 from salsanext_cli.training.recipe import Recipe
-from salsanext_cli.training.targets import ClassSets
 
 WEIGHTS = torch.tensor([0.0, 1.0, 2.0, 0.5])
 CASES: dict[str, dict[str, object]] = {

@@ -15,9 +15,9 @@ from salsanext_cli.network.card import WeightsCard
 from salsanext_cli.records import Float, RangeImage
 from salsanext_cli.storage.layout import ScanFile
 from salsanext_cli.storage.selection import ScanSelection, select_evenly, space_of
-from salsanext_cli.training.class_counts import require_labels
-from salsanext_cli.training.sources import read_labelled
-from salsanext_cli.training.targets import class_sets
+from salsanext_cli.training.data.class_counts import require_labels
+from salsanext_cli.training.data.sources import read_labelled
+from salsanext_cli.training.data.targets import class_sets
 
 VALIDATION = ScanSelection(split="valid")
 """Selection of scans to tune on, unless another is given."""

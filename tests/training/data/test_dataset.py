@@ -12,17 +12,17 @@ from salsanext_cli import label_space, project
 from salsanext_cli.formats.clouds.kitti import read_bin
 from salsanext_cli.formats.labels import read_labels
 from salsanext_cli.storage.layout import ScanFile, find_scans
-from salsanext_cli.training.class_counts import (
+from salsanext_cli.training.data.class_counts import (
     class_counts,
     class_shares,
     count_classes,
     rare_classes,
 )
-from salsanext_cli.training.dataset import Samples, batches
+from salsanext_cli.training.data.dataset import Samples, batches
+from salsanext_cli.training.data.sampling import SamplingPlan
+from salsanext_cli.training.data.sources import Source, read_labelled
 from salsanext_cli.training.distributed import ProcessGroup
 from salsanext_cli.training.recipe import Recipe
-from salsanext_cli.training.sampling import SamplingPlan
-from salsanext_cli.training.sources import Source, read_labelled
 
 SPACE = label_space()
 RARE = np.isin(SPACE.names, ["bicycle", "person", "pole"])

@@ -8,8 +8,8 @@ from hypothesis import strategies as st
 from scans import SMALL, make_scan
 
 from salsanext_cli import Scan, project
-from salsanext_cli.training import other_sensors
-from salsanext_cli.training.other_sensors import (
+from salsanext_cli.training.data import other_sensors
+from salsanext_cli.training.data.other_sensors import (
     EDGE_SHIFT_DEG,
     LOWERED_M,
     RAISED_M,

@@ -23,8 +23,8 @@ from salsanext_cli.records import Float
 from salsanext_cli.sensors import FITTED_NAME, Sensor
 from salsanext_cli.storage.layout import ScanFile, find_scans
 from salsanext_cli.storage.selection import completed, data_set_label_space, with_splits
-from salsanext_cli.training.augment import LabelledScan
-from salsanext_cli.training.targets import ClassSets, to_targets
+from salsanext_cli.training.data.augment import LabelledScan
+from salsanext_cli.training.data.targets import ClassSets, to_targets
 
 log = logging.getLogger(__name__)
 
@@ -87,11 +87,15 @@ class Source:
 def as_trained(sources: Sequence[Source], *, fit: bool, jobs: int = 1) -> list[Source]:
     """Return sources as training sees them: fitted or not, and with what it sees in their sensor.
 
-    Intensity and gaps of the sensor that the network is trained for are those of the first source.
+    Intensity and gaps of the sensor that the network is trained for are those of the first source,
+    unless it knows its own and the others are fitted to them.
     """
     if fit:
         sources = [fitted_source(source, jobs) for source in sources]
     first = sources[0]
+    if fit and first.sensor.intensity_quantiles:
+        # What the weights to start from were trained to see: each sequence is fitted to that.
+        return list(sources)
 
     def image_of(file: ScanFile) -> Float:
         own = first.sensor_of(file)
@@ -139,6 +143,52 @@ def further_source(dataset: Path, space: LabelSpace, sensor: Sensor) -> Source:
     return Source(files, own, sensor)
 
 
+def scans_to_train_on(
+    dataset: Path, space: LabelSpace | None, *, divisible: bool
+) -> tuple[LabelSpace, list[ScanFile], list[ScanFile]]:
+    """Return the label space of a data set, its training scans and its validation scans.
+
+    Parameters
+    ----------
+    dataset, space
+        As for `labelled_split`.
+    divisible : bool
+        Whether scans without a validation split will do: unless each labelled scan is in a split,
+        and some are in ``train`` and some in ``valid``, the training scans are then all that are
+        labelled, and the validation scans none.
+
+    Raises
+    ------
+    NoInputError
+        If there are none.
+    UsageError
+        As `labelled_split`.
+    """
+    if not divisible:
+        classes, training = labelled_split(dataset, space, "train")
+        return classes, training, labelled_split(dataset, classes, "valid")[1]
+    classes = with_splits_of(dataset, space)
+    found = find_scans(dataset)
+    labelled = [scan for scan in found if scan.label_path.is_file()]
+    if not labelled:
+        expected = f"label files such as {found[0].label_path}"
+        raise NoInputError(dataset, f"none of {counted(len(found), 'scan')} has labels", expected)
+    if unlabelled := len(found) - len(labelled):
+        log.log(NOTICE, "%s without labels left out", counted(unlabelled, "scan"))
+    of_split = {scan: classes.split_of(scan.sequence) for scan in labelled}
+    if {"train", "valid"} <= {*of_split.values()} and None not in of_split.values():
+        parts = [[s for s in labelled if of_split[s] == name] for name in ("train", "valid")]
+        return classes, parts[0], parts[1]
+    return classes, labelled, []
+
+
+def with_splits_of(dataset: Path, space: LabelSpace | None) -> LabelSpace:
+    """Return the label space of a data set with splits; parameters as of `labelled_split`."""
+    if space is None:
+        return with_splits(data_set_label_space(dataset) or label_space())
+    return completed(space, dataset)
+
+
 def labelled_split(
     dataset: Path, space: LabelSpace | None, split: str
 ) -> tuple[LabelSpace, list[ScanFile]]:
@@ -161,10 +211,7 @@ def labelled_split(
     UsageError
         If the data set's label space cannot be read where it is needed, or has no such split.
     """
-    if space is None:
-        space = with_splits(data_set_label_space(dataset) or label_space())
-    else:
-        space = completed(space, dataset)
+    space = with_splits_of(dataset, space)
     members = space.split(split)
     found = [scan for scan in find_scans(dataset) if scan.sequence in members]
     if not found:

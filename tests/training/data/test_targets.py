@@ -10,8 +10,8 @@ from hypothesis import strategies as st
 
 from salsanext_cli import LabelSpace, label_space
 from salsanext_cli.errors import LabelError, UsageError
+from salsanext_cli.training.data.targets import class_sets, of_targets, to_targets
 from salsanext_cli.training.losses import SegmentationLoss, lovasz_softmax
-from salsanext_cli.training.targets import class_sets, of_targets, to_targets
 
 PLAIN = label_space()
 OTHER = replace(PLAIN, alternatives={40: (9, 10), 60: (9, 10), 70: (15, 16, 17), 50: (13,)})

@@ -13,7 +13,7 @@ import numpy as np
 from salsanext_cli.geometry.ranges import measured_ranges
 from salsanext_cli.records import Float, Scan
 from salsanext_cli.sensors import Sensor
-from salsanext_cli.training.augment import shift
+from salsanext_cli.training.data.augment import shift
 
 Rng = np.random.Generator
 

@@ -18,13 +18,18 @@ from salsanext_cli.geometry.row_gaps import completed
 from salsanext_cli.inference.scan_fit import as_seen
 from salsanext_cli.storage.layout import find_scans
 from salsanext_cli.storage.point_files import write_bin
-from salsanext_cli.training.dataset import SAMPLE, Samples
-from salsanext_cli.training.fit import validate
-from salsanext_cli.training.other_sensors import change_intensity, mount_otherwise, other_view
+from salsanext_cli.training.data.dataset import SAMPLE, Samples
+from salsanext_cli.training.data.other_sensors import change_intensity, mount_otherwise, other_view
+from salsanext_cli.training.data.sampling import SamplingPlan
+from salsanext_cli.training.data.sources import (
+    Source,
+    fitted_source,
+    further_source,
+    labelled_split,
+)
+from salsanext_cli.training.data.targets import class_sets, to_targets
 from salsanext_cli.training.recipe import Recipe
-from salsanext_cli.training.sampling import SamplingPlan
-from salsanext_cli.training.sources import Source, fitted_source, further_source, labelled_split
-from salsanext_cli.training.targets import class_sets, to_targets
+from salsanext_cli.training.validation import validate
 
 SPACE, COARSE = label_space(), label_space("coarse")
 NOTHING = Recipe(rotate=0.0, shift=0.0, flip=0.0, drop=0.0)
@@ -249,6 +254,6 @@ def test_validation_sees_each_sequence_by_its_own_sensor(tmp_path: Path, weights
             write_bin(file.path, Scan(scan.points * np.float32([1, sign, sign]), scan.intensity))
         fitted = {"00": replace(network.sensor, up=(0.0, 0.0, float(up)))}
         source = Source(files, network.card.space, network.sensor, fitted)
-        confusions.append(validate(network, source).matrix)
+        confusions.append(validate(network, source).confusion.matrix)
     np.testing.assert_array_equal(*confusions)
     assert confusions[0].sum() == 1600

@@ -22,7 +22,7 @@ from salsanext_cli.storage.files.identity import identity
 from salsanext_cli.storage.files.json_files import encode_json, read_json
 from salsanext_cli.storage.layout import ScanFile
 from salsanext_cli.storage.written_files import WrittenFiles
-from salsanext_cli.training.sources import Source, read_labelled
+from salsanext_cli.training.data.sources import Source, read_labelled
 
 Counts = npt.NDArray[np.int64]
 RARE_SHARE = 0.01
@@ -93,8 +93,9 @@ def count_classes(source: Source, jobs: int = 1) -> tuple[Counts, list[ScanSumma
 
     # Reading and counting release the interpreter's lock, so that threads do.
     run = joblib.Parallel(jobs, backend="threading")
-    counts, summaries = zip(*run(joblib.delayed(count)(f) for f in source.files), strict=True)
-    return np.stack(counts), list(summaries)
+    found = run(joblib.delayed(count)(f) for f in source.files)
+    counts = np.reshape([counts for counts, _ in found], (-1, source.space.class_count))
+    return counts.astype(np.int64), [summary for _, summary in found]
 
 
 def class_shares(counts: Counts, scored: npt.NDArray[np.bool_]) -> npt.NDArray[np.float64]:
@@ -146,7 +147,7 @@ def class_counts(
     sources : sequence of Source
         Training splits: of the data set, and of further ones.
     validation, validated
-        The validation split, and those of its scans that are scored.
+        The validation split, and those of its scans that are scored; there may be none.
     jobs : int
         Threads.
     also : float
@@ -180,7 +181,7 @@ def class_counts(
     of_training, others = count_classes(first, jobs)
     counts: Counts = of_training.sum(axis=0)
     for files, of_files in ((validated, of_validated), (training, counts)):
-        if not of_files[space.scored].any():
+        if files and not of_files[space.scored].any():
             total = f"{counted(of_files.sum(), 'point')} in {counted(len(files), 'scan')}"
             found = f"none of {total} is of a class that counts"
             raise TrainingError(files[0].label_path.parent, found, f"labels of {space.name}")

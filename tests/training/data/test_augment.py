@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from scans import SMALL, make_scan
 
 from salsanext_cli import Scan, label_space, project
-from salsanext_cli.training.augment import (
+from salsanext_cli.training.data.augment import (
     CLEAR_RADIUS_M,
     Checkerboard,
     LabelledScan,

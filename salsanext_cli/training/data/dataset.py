@@ -24,7 +24,7 @@ from salsanext_cli.geometry.row_gaps import completed, row_gaps
 from salsanext_cli.records import Float
 from salsanext_cli.sensors import ORIGIN, UP, Sensor
 from salsanext_cli.storage.layout import ScanFile
-from salsanext_cli.training.augment import (
+from salsanext_cli.training.data.augment import (
     PASTED_COPIES,
     Checkerboard,
     LabelledScan,
@@ -34,17 +34,17 @@ from salsanext_cli.training.augment import (
     paste,
     select,
 )
-from salsanext_cli.training.distributed import SINGLE_PROCESS, ProcessGroup
-from salsanext_cli.training.other_sensors import (
+from salsanext_cli.training.data.other_sensors import (
     change_intensity,
     fewer_beams,
     mount_otherwise,
     other_view,
 )
+from salsanext_cli.training.data.sampling import SampleKey, SamplingPlan
+from salsanext_cli.training.data.sources import Source
+from salsanext_cli.training.data.targets import ClassSets, of_targets
+from salsanext_cli.training.distributed import SINGLE_PROCESS, ProcessGroup
 from salsanext_cli.training.recipe import Recipe
-from salsanext_cli.training.sampling import SampleKey, SamplingPlan
-from salsanext_cli.training.sources import Source
-from salsanext_cli.training.targets import ClassSets, of_targets
 
 SAMPLE = 1
 """Purpose of the generators of samples, a part of their seeds beside those of other modules."""

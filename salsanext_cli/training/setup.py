@@ -1,0 +1,188 @@
+# SPDX-License-Identifier: MIT
+"""Setup of a training: what trainings on parts of the same data share, cross-validation of them."""
+
+import copy
+import hashlib
+import logging
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import ExitStack
+from dataclasses import dataclass, replace
+from functools import partial
+from pathlib import Path
+from typing import Any, BinaryIO
+
+import numpy as np
+import numpy.typing as npt
+import torch
+
+from salsanext_cli.inference.network import Network
+from salsanext_cli.inference.scan_fit import with_sensor
+from salsanext_cli.network.card import WeightsCard
+from salsanext_cli.network.segmentation import SegmentationNetwork
+from salsanext_cli.storage.layout import ScanFile
+from salsanext_cli.storage.written_files import WrittenFiles
+from salsanext_cli.training.cross_validation import Expectation, expectation, folds
+from salsanext_cli.training.data.class_counts import ClassCounts, class_weights, rare_classes
+from salsanext_cli.training.data.dataset import Samples
+from salsanext_cli.training.data.sampling import SamplingPlan
+from salsanext_cli.training.data.sources import Source
+from salsanext_cli.training.data.targets import ClassSets
+from salsanext_cli.training.distributed import ProcessGroup
+from salsanext_cli.training.fit import Report, Training
+from salsanext_cli.training.learner import Learner
+from salsanext_cli.training.log import Row, tensorboard_in
+from salsanext_cli.training.recipe import Recipe
+from salsanext_cli.training.run_folder import (
+    BEST,
+    CHECKPOINT,
+    EVENTS,
+    begin,
+    fold_folder,
+    require_free,
+)
+
+log = logging.getLogger(__name__)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Setup:
+    """All that a training needs but its scans.
+
+    Attributes
+    ----------
+    run : Path
+        The run folder.
+    recipe : Recipe
+    initial : SegmentationNetwork
+        The network before training.
+    card : WeightsCard
+        Card of the weights files, without scores.
+    sources : sequence of Source
+        All labelled scans of the data set, and further data sets.
+    counts : ClassCounts
+    sets : ClassSets
+        Sets of classes that labels stand for.
+    settings : mapping
+        All that decides the result.
+    place : torch.device
+    group : ProcessGroup
+    workers : int
+        Processes that prepare samples.
+    overwrite : bool
+        Whether to begin anew.
+    draw : callable
+        Draws a network's predictions for a scan into an open file, and returns the picture.
+    report : callable
+        Called after every step.
+    held : ExitStack
+        Closed after the training.
+    """
+
+    run: Path
+    recipe: Recipe
+    initial: SegmentationNetwork
+    card: WeightsCard
+    sources: Sequence[Source]
+    counts: ClassCounts
+    sets: ClassSets
+    settings: Mapping[str, Any]
+    place: torch.device
+    group: ProcessGroup
+    workers: int
+    overwrite: bool
+    draw: Callable[[BinaryIO, ScanFile, Network], npt.NDArray[np.uint8]]
+    report: Callable[[Report], object]
+    held: ExitStack
+
+    def training(
+        self,
+        files: Sequence[ScanFile],
+        validation: Source,
+        folder: Path | None = None,
+        report: Callable[[Report], object] | None = None,
+    ) -> Training:
+        """Return a training on some scans of the data set that scores others.
+
+        Parameters
+        ----------
+        files : sequence of ScanFile
+        validation : Source
+        folder : Path, optional
+            If not the run folder.
+        report : callable, optional
+            If not that of the setup.
+        """
+        folder, recipe = folder or self.run, self.recipe
+        first, *further = self.sources
+        of_class = self.counts.points, self.card.space.scored
+        drawn = (validation.files or files)[0]
+        tensorboard = tensorboard_in(folder, EVENTS, wanted=self.group.is_main)
+        shown = validation if validation.files else first
+
+        def draw(file: BinaryIO, network: Network) -> npt.NDArray[np.uint8]:
+            return self.draw(file, drawn, with_sensor(network, shown.sensor_of(drawn)))
+
+        weights = class_weights(*of_class, recipe.class_weight)
+        module = copy.deepcopy(self.initial)
+        trained_on = [replace(first, files=files), *further]
+        return Training(
+            run=folder,
+            learner=Learner(module, recipe, weights, self.place, self.group, self.sets),
+            samples=Samples(trained_on, first.sensor, recipe, rare_classes(*of_class), self.sets),
+            validation=validation,
+            card=replace(self.card, recipe=recipe.to_dict()),
+            workers=self.workers,
+            draw=draw,
+            write_epoch=self.held.enter_context(tensorboard),
+            report=report or self.report,
+        )
+
+    def after(self, expected: Expectation) -> "Setup":
+        """Return the setup of the training on all scans, after a cross-validation."""
+        counts = [len(source.files) for source in self.sources]
+        before = expected.folds * SamplingPlan(counts, self.recipe).steps
+
+        def report(own: Report) -> None:
+            self.report(replace(own, step=before + own.step, steps=before + own.steps))
+
+        return replace(
+            self,
+            recipe=self.recipe.with_changes(epochs=expected.epochs),
+            card=replace(self.card, scores=expected.scores(), temperature=expected.temperature),
+            report=report,
+        )
+
+    def cross_validated(self) -> Expectation | None:
+        """Train once without each fold of the scans, and score it; None of a single scan.
+
+        The best weights so far are those of the run until its own training ends.
+        """
+        first, best, logs = self.sources[0], -1.0, list[list[Row]]()
+        if len(first.files) < 2:
+            log.warning("one labelled scan: what to expect on others is unknown")
+            return None
+        parts = folds(first.files, self.recipe.folds)
+        for number, part in enumerate(parts, start=1):
+            left_out, folder = replace(first, files=part), fold_folder(self.run, number)
+            names = "\n".join(f"{file.sequence}/{file.stem}" for file in part)
+            digest = hashlib.sha256(names.encode()).hexdigest()[:16]
+            self.group.on_main(partial(self._begin, folder, {**self.settings, "left_out": digest}))
+            files = [file for file in first.files if file not in part]
+            report = partial(self._report_fold, number, len(parts))
+            state = self.training(files, left_out, folder, report=report).fit()
+            logs.append(state.rows)
+            begun = self.group.on_main(lambda: (self.run / CHECKPOINT).exists())
+            if state.best > best and self.group.is_main and not begun:
+                best = state.best
+                content = (folder / BEST).read_bytes()
+                WrittenFiles(self.run).write(self.run / BEST, content, durable=True)
+        return expectation(logs)
+
+    def _begin(self, folder: Path, settings: Mapping[str, Any]) -> None:
+        require_free(folder, settings, overwrite=self.overwrite)
+        begin(folder, settings, overwrite=self.overwrite)
+
+    def _report_fold(self, number: int, count: int, report: Report) -> None:
+        """Report a step as one of the whole cross-validation and the training after it."""
+        done, steps = (number - 1) * report.steps + report.step, (count + 1) * report.steps
+        self.report(replace(report, step=done, steps=steps, fold=number))

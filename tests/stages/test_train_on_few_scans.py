@@ -1,0 +1,172 @@
+# SPDX-License-Identifier: MIT
+"""Training with the recipe of few scans: cross-validation, and a training on all of them."""
+
+import json
+import math
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from safetensors.torch import load_file
+from scans import SMALL, write_sequence
+from tiny_network import TinyNetwork
+
+from salsanext_cli import label_space, write_labels
+from salsanext_cli.errors import NOTICE, NoInputError, OutputError, TrainingError
+from salsanext_cli.network.card import WeightsCard, read_card
+from salsanext_cli.network.registry import ARCHITECTURES
+from salsanext_cli.network.weights import save_weights
+from salsanext_cli.stages import train as stage
+from salsanext_cli.stages.train import TrainResult, train
+from salsanext_cli.training.fit import Report
+from salsanext_cli.training.recipe import Recipe
+
+FEW = Recipe(
+    initial="default",
+    folds=2,
+    epochs=3,
+    batch=2,
+    samples_per_epoch=4,
+    crop_width=32,
+    optimiser="adamw",
+    learning_rate=5e-3,
+    schedule="decay",
+    decay=1.0,
+    warm_up=0.0,
+    average=0.5,
+    sensors="fitted",
+)
+
+
+@pytest.fixture(autouse=True)
+def initial(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Path:
+    """Put a tiny network in the place of the default weights."""
+    monkeypatch.setitem(ARCHITECTURES, "salsanext", TinyNetwork)
+    path = tmp_path / "initial.safetensors"
+    card = WeightsCard({"name": "salsanext", "class_count": 20}, label_space(), SMALL)
+    torch.manual_seed(1)
+    save_weights(path, TinyNetwork(), card)
+    monkeypatch.setattr(stage, "default_weights", lambda: path)
+    return path
+
+
+@pytest.fixture
+def data(tmp_path: Path) -> Path:
+    """Three scans of three places that no split names."""
+    for name in ("a", "b", "c"):
+        write_sequence(tmp_path / "data/sequences" / name, ["0"], count=600)
+    return tmp_path / "data"
+
+
+def go(data: Path, run: Path, recipe: Recipe = FEW, **changes: object) -> TrainResult:
+    return train(data, run, recipe=recipe, device="cpu", **changes)  # type: ignore[arg-type]
+
+
+def test_the_folds_choose_the_epochs_and_all_scans_are_trained_on(
+    data: Path, tmp_path: Path
+) -> None:
+    reports: list[Report] = []
+    run = tmp_path / "run"
+    result = go(data, run, progress=reports.append)
+    expected = result.expected
+    assert expected is not None
+    assert expected.folds == 2
+    assert [r.fold for r in reports if r.row] == [1] * 3 + [2] * 3 + [0] * expected.epochs
+    steps = [(r.step, r.steps) for r in reports]
+    assert [step for step, _ in steps] == list(range(1, len(steps) + 1))
+    assert steps[-1][0] == steps[-1][1] == 12 + 2 * expected.epochs
+    of_folds = [[r.row for r in reports if r.row and r.fold == fold] for fold in (1, 2)]
+    means = np.mean([[row["miou"] for row in rows] for rows in of_folds], axis=0)
+    assert expected.epochs == 1 + means.argmax()
+    assert result.best_miou == expected.miou == pytest.approx(means.max())
+    card = read_card(result.best)
+    chosen = [rows[expected.epochs - 1] for rows in of_folds]
+    logarithms = [math.log(row["temperature"]) for row in chosen]
+    assert card.temperature == pytest.approx(math.exp(sum(logarithms) / 2))
+    assert card.scores["miou"] == expected.miou
+    assert card.recipe == FEW.with_changes(epochs=expected.epochs).to_dict()
+    assert result.best.read_bytes() == result.last.read_bytes()
+    # The row of the training itself has no scores: no scan is left out.
+    assert "miou" not in result.rows[-1]
+    # Nothing is left to do.
+    again = go(data, run, progress=lambda report: pytest.fail("a step was taken"))
+    assert again == result
+
+
+class Stopped(BaseException):
+    """Ctrl-C at a chosen step."""
+
+
+@pytest.mark.parametrize("step", [1, 5, 8, 11, 13])
+def test_a_training_that_was_stopped_anywhere_ends_alike(
+    data: Path, tmp_path: Path, step: int
+) -> None:
+    whole, run = go(data, tmp_path / "whole"), tmp_path / "stopped"
+
+    def stop(report: Report) -> None:
+        if report.step == step:
+            raise Stopped
+
+    with pytest.raises(Stopped):
+        go(data, run, progress=stop)
+    # After the first fold there are weights to use.
+    assert (run / "best.safetensors").exists() == (step > 6)
+    result = go(data, run)
+    assert result.expected == whole.expected
+    one, other = load_file(result.best), load_file(whole.best)
+    assert all(torch.equal(one[name], other[name]) for name in one)
+
+
+def test_scans_without_labels_are_left_out_and_counted(
+    data: Path, tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    caplog.set_level(NOTICE)
+    (data / "sequences/c/labels/0.label").unlink()
+    result = go(data, tmp_path / "run")
+    assert "1 scan without labels left out" in caplog.messages
+    assert result.expected is not None
+    shutil.rmtree(data / "sequences/a/labels")
+    shutil.rmtree(data / "sequences/b/labels")
+    with pytest.raises(NoInputError, match="none of 3 scans has labels"):
+        go(data, tmp_path / "none")
+
+
+def test_a_single_scan_is_trained_on_with_a_warning(
+    data: Path, tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    for name in ("b", "c"):
+        shutil.rmtree(data / "sequences" / name)
+    result = go(data, tmp_path / "run")
+    assert "one labelled scan: what to expect on others is unknown" in caplog.messages
+    assert (result.expected, result.best_miou) == (None, -1)
+    assert result.best.read_bytes() == result.last.read_bytes()
+
+
+def test_a_validation_split_that_names_every_scan_is_used(data: Path, tmp_path: Path) -> None:
+    own = label_space().to_dict() | {"split": {"train": ["a", "b"], "valid": ["c"]}}
+    (data / "labels.yaml").write_text(json.dumps(own))
+    result = go(data, tmp_path / "run")
+    assert result.expected is None
+    assert result.best_miou == max(row["miou"] for row in result.rows)
+    assert not (tmp_path / "run/folds").exists()
+
+
+def test_labels_that_are_all_ignored_are_refused(data: Path, tmp_path: Path) -> None:
+    for file in data.glob("sequences/*/labels/*.label"):
+        write_labels(file, np.zeros(600, np.uint32))
+    with pytest.raises(TrainingError, match="none of 1,800 points in 3 scans"):
+        go(data, tmp_path / "run")
+
+
+def test_a_folder_of_another_recipe_is_kept(data: Path, tmp_path: Path) -> None:
+    run = tmp_path / "run"
+    go(data, run)
+    before = (run / "best.safetensors").read_bytes()
+    other = FEW.with_changes(learning_rate=1e-3)
+    with pytest.raises(OutputError, match="learning_rate"):
+        go(data, run, other)
+    assert (run / "best.safetensors").read_bytes() == before
+    go(data, run, other, overwrite=True)
+    assert (run / "best.safetensors").read_bytes() != before
