@@ -2,10 +2,10 @@
 """Evaluation of predictions against labels: scores, a report and plots."""
 
 import logging
-from collections import defaultdict
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
+from itertools import groupby
 from pathlib import Path
 from typing import Any
 
@@ -24,6 +24,7 @@ from salsanext_cli.parallel.run import Failure, RunOptions, run_over_scans
 from salsanext_cli.report import plots, uncertainty_plots
 from salsanext_cli.storage.files.atomic import sweep_stale
 from salsanext_cli.storage.files.json_files import encode_json
+from salsanext_cli.storage.first_guesses import require_truth
 from salsanext_cli.storage.layout import ScanFile
 from salsanext_cli.storage.predictions import merging_into, space_of_labels
 from salsanext_cli.storage.run_registration import records_lock
@@ -195,12 +196,11 @@ def _require_replaceable(out: Path) -> None:
         raise OutputError(others[0], found, remedy="move it, or use another folder")
 
 
-def _require_labels(scans: Iterable[ScanFile]) -> None:
+def _require_labels(scans: Sequence[ScanFile]) -> None:
     """Refuse a sequence without any labels, which is no failure of single scans."""
-    label_paths = defaultdict(list)
-    for scan in scans:
-        label_paths[scan.sequence].append(scan.label_path)
-    for sequence, paths in label_paths.items():
+    require_truth(scans)
+    for sequence, members in groupby(scans, lambda scan: scan.sequence):
+        paths = [scan.label_path for scan in members]
         if not any(present(path) for path in paths):
             raise LabelError(
                 paths[0].parent,

@@ -13,13 +13,15 @@ from safetensors.torch import load_file
 from scans import SMALL, write_sequence
 from tiny_network import TinyNetwork
 
-from salsanext_cli import label_space, write_labels
-from salsanext_cli.errors import NOTICE, NoInputError, OutputError, TrainingError
+from salsanext_cli import label_space, read_labels, write_labels
+from salsanext_cli.errors import NOTICE, LabelError, NoInputError, OutputError, TrainingError
 from salsanext_cli.network.card import WeightsCard, read_card
 from salsanext_cli.network.registry import ARCHITECTURES
 from salsanext_cli.network.weights import save_weights
 from salsanext_cli.stages import train as stage
 from salsanext_cli.stages.train import TrainResult, train
+from salsanext_cli.storage.first_guesses import accept, first_guesses, record_first_guesses
+from salsanext_cli.storage.layout import find_scans
 from salsanext_cli.training.fit import Report
 from salsanext_cli.training.recipe import Recipe
 
@@ -125,12 +127,31 @@ def test_scans_without_labels_are_left_out_and_counted(
     caplog.set_level(NOTICE)
     (data / "sequences/c/labels/0.label").unlink()
     result = go(data, tmp_path / "run")
-    assert "1 scan without labels left out" in caplog.messages
+    assert "left out without labels: 1 scan" in caplog.messages
     assert result.expected is not None
     shutil.rmtree(data / "sequences/a/labels")
     shutil.rmtree(data / "sequences/b/labels")
     with pytest.raises(NoInputError, match="none of 3 scans has labels"):
         go(data, tmp_path / "none")
+
+
+def test_first_guesses_are_no_labels(
+    data: Path, tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    caplog.set_level(NOTICE)
+    files = find_scans(data)
+    record_first_guesses(data, files)
+    accept(data, files[:1])
+    raw = read_labels(files[1].label_path)
+    write_labels(files[1].label_path, np.roll(raw, 1))
+    assert first_guesses(files) == files[2:]
+    go(data, tmp_path / "run")
+    only_guesses = "left out without labels: 1 scan, 1 of them with a network's first guess only"
+    assert only_guesses in caplog.messages
+    own = label_space().to_dict() | {"split": {"train": ["a", "b"], "valid": ["c"]}}
+    (data / "labels.yaml").write_text(json.dumps(own))
+    with pytest.raises(LabelError, match=r"c/labels/0\.label · a network's first guess"):
+        go(data, tmp_path / "split", FEW.with_changes(folds=0))
 
 
 def test_a_single_scan_is_trained_on_with_a_warning(

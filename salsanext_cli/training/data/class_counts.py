@@ -20,6 +20,7 @@ from salsanext_cli.geometry.checks.scan_checks import check_scan
 from salsanext_cli.measures.scan_summary import RunSummary, ScanSummary
 from salsanext_cli.storage.files.identity import identity
 from salsanext_cli.storage.files.json_files import encode_json, read_json
+from salsanext_cli.storage.first_guesses import require_truth
 from salsanext_cli.storage.layout import ScanFile
 from salsanext_cli.storage.written_files import WrittenFiles
 from salsanext_cli.training.data.sources import Source, read_labelled
@@ -57,12 +58,13 @@ class ClassCounts:
 
 
 def require_labels(files: Sequence[ScanFile]) -> None:
-    """Raise `LabelError` naming the first scan without a label file."""
+    """Raise `LabelError` naming the first scan without a label file, or with a first guess."""
     missing = [file for file in files if not file.label_path.is_file()]
     if missing:
         others = f", nor for {counted(len(missing) - 1, 'other scan')}" if len(missing) > 1 else ""
         found, expected = f"no such file{others}", "a label file for every scan of the split"
         raise LabelError(missing[0].label_path, found, expected)
+    require_truth(files)
 
 
 def count_classes(source: Source, jobs: int = 1) -> tuple[Counts, list[ScanSummary]]:

@@ -21,6 +21,7 @@ from salsanext_cli.geometry.projection import project
 from salsanext_cli.inference.scan_fit import as_seen, sampled, sampled_images
 from salsanext_cli.records import Float
 from salsanext_cli.sensors import FITTED_NAME, Sensor
+from salsanext_cli.storage.first_guesses import first_guesses
 from salsanext_cli.storage.layout import ScanFile, find_scans
 from salsanext_cli.storage.selection import completed, data_set_label_space, with_splits
 from salsanext_cli.training.data.augment import LabelledScan
@@ -169,12 +170,15 @@ def scans_to_train_on(
         return classes, training, labelled_split(dataset, classes, "valid")[1]
     classes = with_splits_of(dataset, space)
     found = find_scans(dataset)
-    labelled = [scan for scan in found if scan.label_path.is_file()]
+    guesses = {*first_guesses(found)}
+    labelled = [scan for scan in found if scan.label_path.is_file() and scan not in guesses]
+    text = f"{len(guesses)} of them with a network's first guess only" if guesses else ""
     if not labelled:
-        expected = f"label files such as {found[0].label_path}"
-        raise NoInputError(dataset, f"none of {counted(len(found), 'scan')} has labels", expected)
+        none = ", ".join(filter(None, (f"none of {counted(len(found), 'scan')} has labels", text)))
+        raise NoInputError(dataset, none, f"label files such as {found[0].label_path}")
     if unlabelled := len(found) - len(labelled):
-        log.log(NOTICE, "%s without labels left out", counted(unlabelled, "scan"))
+        words = ", ".join(filter(None, (counted(unlabelled, "scan"), text)))
+        log.log(NOTICE, "left out without labels: %s", words)
     of_split = {scan: classes.split_of(scan.sequence) for scan in labelled}
     if {"train", "valid"} <= {*of_split.values()} and None not in of_split.values():
         parts = [[s for s in labelled if of_split[s] == name] for name in ("train", "valid")]
