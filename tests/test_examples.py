@@ -22,8 +22,8 @@ from salsanext_cli.network.salsanext import SalsaNext
 from salsanext_cli.storage.layout import find_scans, output_path
 from salsanext_cli.storage.point_files import write_bin
 from salsanext_cli.training.data.sources import Source
-from salsanext_cli.training.fit import validate
 from salsanext_cli.training.log import write_log
+from salsanext_cli.training.validation import validate
 
 EXAMPLES = Path(__file__).parents[1] / "examples"
 NAMES = sorted(path.stem for path in EXAMPLES.glob("*.py"))
@@ -142,7 +142,7 @@ def test_adapt_batchnorm(tmp_path, weights, capsys):
     assert [row[0] for row in rows[1:]] == ["0.00", "1.00"]
     network = load_network(weights, "cpu")
     scans = Source(find_scans(tmp_path / "data"), label_space(), network.sensor)
-    validated = validate(network, scans)
+    validated = validate(network, scans).confusion
     before = scores(validated, label_space())
     assert rows[1][1:] == [f"{100 * v:.1f}" for v in (before.iou_mean_present, before.accuracy)]
     assert rows[2][1:] != rows[1][1:]

@@ -121,3 +121,34 @@ def test_training_speed(data):
     plain, ours = (float(each) for each in re.findall(r"\d+\.\d+", losses))
     assert plain == pytest.approx(ours, rel=1e-4)
     assert re.fullmatch(r"ours is \S+ × as fast \(\S+ to \S+ over 2 turns\)", ratio)
+
+
+def test_learning_curve(tmp_path, capsys, monkeypatch):
+    """Each start and number of scans has a line, of scores on sequences that took no part."""
+    for name in ("a", "b", "c"):
+        write_sequence(tmp_path / "data/sequences" / name, ["0", "1"], count=300)
+    script = runpy.run_path(str(BENCHMARKS / "learning_curve.py"))
+    commands = []
+
+    def train(command, *, check):
+        """Write what a training would: the scores of two epochs."""
+        root, run = Path(command[2]), Path(command[3])
+        sequences = {
+            name: {path.name.split("-")[0] for path in root.glob(f"sequences/{name}/velodyne/*")}
+            for name in ("train", "valid")
+        }
+        assert sequences["train"]
+        assert not sequences["train"] & sequences["valid"]
+        commands.append((len([*root.glob("sequences/train/velodyne/*.bin")]), command))
+        run.mkdir()
+        (run / "log.csv").write_text("epoch,accuracy,miou\n1,0.1,0.1\n2,0.8,0.4\n")
+
+    monkeypatch.setattr(script["subprocess"], "run", train)
+    script["main"](str(tmp_path / "data"), str(tmp_path / "out"), "--counts", "1", "3")
+    assert capsys.readouterr().out.splitlines() == [
+        f"{start}, {count} scans  80.0 ± 0.0  40.0 ± 0.0"
+        for start in ("default", "random")
+        for count in (1, 3)
+    ]
+    assert [count for count, _ in commands] == [1, 1, 1, 3, 3, 3] * 2
+    assert (tmp_path / "out/curve.png").stat().st_size > 1000
