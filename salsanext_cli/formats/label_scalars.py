@@ -10,6 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from salsanext_cli.errors import FormatError, LabelError
+from salsanext_cli.formats.clouds.asprs import LAST_STANDARD_CLASS, UNASSIGNED
 from salsanext_cli.formats.clouds.las import las_columns
 from salsanext_cli.formats.clouds.pcd import pcd_columns
 from salsanext_cli.formats.clouds.ply import ply_columns
@@ -29,6 +30,8 @@ LABEL_NAMES = (
     *("semantic", "semantics", "semantic_label", "sem_class", "sem_label", "segmentation"),
 )
 """Names of scalars that hold labels, in lower case, without the prefix."""
+OF_ASPRS = "classification"
+"""Name of the scalar that holds classes of the ASPRS in LAS files, whoever made them."""
 PREFIX = "scalar_"
 """Start of the names of scalars in what CloudCompare writes."""
 NO_VALUE = np.iinfo(np.int64).min
@@ -87,7 +90,10 @@ def read_labelled_cloud(path: Path, scalar: str | None = None) -> LabelledCloud:
     # float64 beyond float32 becomes infinity, and a NaN may signal; neither is a measurement.
     with np.errstate(over="ignore", invalid="ignore"):
         points = np.column_stack([by_axis[axis].astype(np.float32) for axis in "xyz"])
-    return LabelledCloud(points, whole_numbers(columns[name], path, name), name)
+    ids = whole_numbers(columns[name], path, name)
+    if scalar is None and _plain(name) == OF_ASPRS:
+        _require_own_classes(ids, path, name)
+    return LabelledCloud(points, ids, name)
 
 
 def _label_column(columns: Columns, scalar: str | None, path: Path) -> str:
@@ -114,6 +120,15 @@ def _label_column(columns: Columns, scalar: str | None, path: Path) -> str:
         found = f"several scalars that may be labels: {', '.join(used)}"
         raise LabelError(path, found, "one", f"choose with --scalar, as --scalar {used[0]}")
     return used[0]
+
+
+def _require_own_classes(ids: Ids, path: Path, name: str) -> None:
+    """Refuse a classification whose ids may all be classes of the ASPRS."""
+    largest = int(ids.max(initial=0))
+    if UNASSIGNED < largest <= LAST_STANDARD_CLASS:
+        found = f"{name} up to {largest}, which may be classes of the ASPRS"
+        remedy = f"for raw ids, or with --map, give --scalar {name}"
+        raise LabelError(path, found, "raw ids of the label space", remedy)
 
 
 def _plain(name: str) -> str:

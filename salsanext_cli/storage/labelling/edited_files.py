@@ -59,7 +59,7 @@ def scan_of_edited(path: Path, source: Path, scans: Sequence[ScanFile]) -> ScanF
 
     It is the only scan there is, if a single file was named; or the only one of that stem, or else
     whose stem is a whole word of the file's name, as in ``000010 - Cloud.ply``. If a folder tells
-    the sequence, only its scans count.
+    the sequence, only its scans count; so it is if the name has that of a sequence as a word.
 
     Parameters
     ----------
@@ -83,13 +83,15 @@ def scan_of_edited(path: Path, source: Path, scans: Sequence[ScanFile]) -> ScanF
     fitting = [scan for scan in within if scan.stem == path.stem] or [
         scan for scan in within if _has_word(path.stem, scan.stem)
     ]
+    if len(fitting) > 1:
+        fitting = [scan for scan in fitting if _has_word(path.stem, scan.sequence)] or fitting
     if len(fitting) == 1:
         return fitting[0]
     where = "" if sequence is None else f" in sequence {sequence}"
     names = first_few([f"{scan.sequence}/{scan.stem}" for scan in fitting])
     raise LabelError(
         path,
-        f"belongs to {names}" if fitting else f"belongs to no scan{where}",
+        f"may belong to {names}" if fitting else f"belongs to no scan{where}",
         "the name of one scan, alone or as a word, as in `000010 - Cloud.ply`",
         "put it into a folder with the name of its sequence" if fitting else "rename it",
     )

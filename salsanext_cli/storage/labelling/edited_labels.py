@@ -124,9 +124,10 @@ def read_edited_labels(
     raw = np.where(found.known, found.labels, np.uint32(meanings.unlabelled))
     labelled = int(space.scored[space.to_train(raw)].sum())
     if not labelled:
-        found_words = f"none of {counted(len(points), 'point')} has a label that counts"
-        remedy = "label some, or name the scalar that holds the labels with --scalar"
-        raise LabelError(path, found_words, f"at least one, in {cloud.scalar}", remedy)
+        text = (
+            f"{cloud.scalar}: none of the {counted(len(points), 'point')} has a class that counts"
+        )
+        raise LabelError(path, text, "at least one", "label some, or name the scalar with --scalar")
     return EditedLabels(
         raw,
         labelled,
