@@ -78,11 +78,13 @@ def transfer_labels(points: Float, cloud: Float, labels: Labels) -> LabelTransfe
     lowest, highest = _extremes(place_of_cloud, labels, int(places.max(initial=-1)) + 1)
     low, high = lowest[place], highest[place]
     alone = low > high
+    # Trees of thousands of equal points, such as the zeros of no return, are slow.
     used, first = np.unique(place_of_cloud, return_index=True)
     index = _nearby(wanted[alone], cloud[first])
     low[alone] = np.where(index < 0, NOTHING, lowest[used][index]).min(axis=1, initial=NOTHING)
     high[alone] = np.where(index < 0, -1, highest[used][index]).max(axis=1, initial=-1)
-    distances = _nearest(cloud[~np.isin(place_of_cloud, place)], wanted)
+    of_points, first = np.unique(place, return_index=True)
+    distances = _nearest(cloud[~np.isin(place_of_cloud, of_points)], wanted[first])
     found = np.zeros(len(points), np.uint32)
     known, ambiguous = np.zeros((2, len(points)), bool)
     known[finite], ambiguous[finite] = low == high, low < high
