@@ -35,7 +35,7 @@ class LabelTransfer:
         Points that have a label of the cloud.
     ambiguous : (N,) bool
         Points at which the cloud has several labels.
-    unmatched : (U,) float32
+    unmatched : (U,) float64
         Distance of each point of the cloud that is a copy of none to the nearest point, metres;
         infinite without any.
     cloud_points : int
@@ -45,7 +45,7 @@ class LabelTransfer:
     labels: Labels
     known: Bools
     ambiguous: Bools
-    unmatched: Float
+    unmatched: npt.NDArray[np.float64]
     cloud_points: int
 
     @property
@@ -89,14 +89,13 @@ def transfer_labels(points: Float, cloud: Float, labels: Labels) -> LabelTransfe
     known, ambiguous = np.zeros((2, len(points)), bool)
     known[finite], ambiguous[finite] = low == high, low < high
     found[known] = low[low == high]
-    unmatched = distances[distances > TOLERANCE_M].astype(np.float32)
-    return LabelTransfer(found, known, ambiguous, unmatched, len(cloud))
+    return LabelTransfer(found, known, ambiguous, distances[distances > TOLERANCE_M], len(cloud))
 
 
 def _places(points: Float) -> npt.NDArray[np.intp]:
     """Return a number (K,) for each point, equal for equal coordinates."""
     order = np.lexsort(points.T)
-    differs = (np.diff(points[order], axis=0) != 0).any(axis=1)
+    differs = (points[order[1:]] != points[order[:-1]]).any(axis=1)
     places = np.empty(len(points), np.intp)
     places[order] = np.concatenate([np.zeros(min(1, len(points)), np.intp), np.cumsum(differs)])
     return places

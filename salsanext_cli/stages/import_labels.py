@@ -103,7 +103,7 @@ def import_labels(
                 progress(done, len(of_scan))
     work.fail_together(found)
     if found.unedited and not found.scans and not found.failures:
-        text = "the first guess of `pick`, which nobody has corrected"
+        text = "holds the first guess of `pick`, which nobody has corrected"
         remedy = "save the corrected labels; to take the guess as it is, name its file"
         raise NoInputError(edited, text, "edited labels", remedy)
     found.kept = len(scans) - len(found.scans)

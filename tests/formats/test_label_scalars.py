@@ -2,8 +2,8 @@
 """Label scalars of clouds, in files that other programs write."""
 
 import numpy as np
-import plyfile
 import pytest
+from edited_clouds import WRITERS
 
 from salsanext_cli.errors import FormatError, LabelError, SalsanextError
 from salsanext_cli.formats.label_scalars import (
@@ -17,56 +17,17 @@ POINTS = np.random.default_rng(0).uniform(-30, 30, (40, 3))
 IDS = np.arange(40) % 3 * 40
 
 
-def write_ply(path, scalars, *, text=False, kind="f4"):
-    columns = dict(zip("xyz", POINTS.T.astype(kind), strict=True)) | scalars
-    table = np.empty(len(POINTS), [(name, values.dtype) for name, values in columns.items()])
-    for name, values in columns.items():
-        table[name] = values
-    plyfile.PlyData([plyfile.PlyElement.describe(table, "vertex")], text=text).write(path)
-    return path
+def write(name, path, scalars):
+    return WRITERS[name](path, POINTS, scalars)
 
 
-def write_pcd(path, scalars, *, form="binary"):
-    columns = dict(zip("xyz", POINTS.T.astype("<f4"), strict=True)) | scalars
-    kinds = {"f": "F", "i": "I", "u": "U"}
-    lines = [
-        "VERSION .7",
-        f"FIELDS {' '.join(columns)}",
-        f"SIZE {' '.join(str(v.itemsize) for v in columns.values())}",
-        f"TYPE {' '.join(kinds[v.dtype.kind] for v in columns.values())}",
-        f"WIDTH {len(POINTS)}\nHEIGHT 1\nPOINTS {len(POINTS)}\nDATA {form}\n",
-    ]
-    table = np.empty(len(POINTS), [(name, values.dtype) for name, values in columns.items()])
-    for name, values in columns.items():
-        table[name] = values
-    rows = "\n".join(" ".join(map(str, row)) for row in table.tolist())
-    data = table.tobytes() if form == "binary" else rows.encode()
-    path.write_bytes("\n".join(lines).encode() + data)
-    return path
+def write_ply(path, scalars):
+    return write("s.ply", path, scalars)
 
 
-def write_las(path, scalars, scale=0.001):
-    laspy = pytest.importorskip("laspy")
-    header = laspy.LasHeader(version="1.4", point_format=6)
-    header.scales = [scale] * 3
-    extra = {name: values for name, values in scalars.items() if name != "classification"}
-    header.add_extra_dims([laspy.ExtraBytesParams(n, v.dtype) for n, v in extra.items()])
-    cloud = laspy.LasData(header)
-    cloud.x, cloud.y, cloud.z = POINTS.T
-    for name, values in scalars.items():
-        cloud[name] = values
-    cloud.write(path)
-    return path
-
-
-WRITERS = {
-    "s.ply": write_ply,
-    "S.PLY": lambda path, scalars: write_ply(path, scalars, text=True, kind="f8"),
-    "s.pcd": write_pcd,
-    "t.pcd": lambda path, scalars: write_pcd(path, scalars, form="ascii"),
-    "s.las": write_las,
-    "s.laz": write_las,
-}
+def write_las(path, scalars):
+    pytest.importorskip("laspy")
+    return write("s.las", path, scalars)
 
 
 @pytest.mark.parametrize("name", WRITERS)
@@ -74,7 +35,7 @@ WRITERS = {
 @pytest.mark.parametrize("kind", ["f4", "f8", "u2", "i4"])
 def test_labels_and_coordinates_are_read(tmp_path, name, scalar, kind):
     scalars = {"other": np.ones(len(POINTS), "f4"), scalar: IDS.astype(kind)}
-    found = read_labelled_cloud(WRITERS[name](tmp_path / name, scalars))
+    found = read_labelled_cloud(write(name, tmp_path / name, scalars))
     np.testing.assert_array_equal(found.ids, IDS)
     assert found.scalar == scalar
     rounding = 0.00051 if name.endswith("z") or name.endswith("las") else 0
@@ -83,7 +44,7 @@ def test_labels_and_coordinates_are_read(tmp_path, name, scalar, kind):
 
 @pytest.mark.parametrize("name", WRITERS)
 def test_a_file_that_is_cut_off_is_an_error_of_its_format(tmp_path, name):
-    path = WRITERS[name](tmp_path / name, {"label": IDS.astype("f4")})
+    path = write(name, tmp_path / name, {"label": IDS.astype("f4")})
     content = path.read_bytes()
     for share in (0.0, 0.2, 0.7, 0.97):
         path.write_bytes(content[: int(share * len(content))])

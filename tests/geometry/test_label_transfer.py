@@ -103,3 +103,10 @@ def test_points_at_one_place_take_no_more_time_than_others():
     points = np.zeros((60_000, 3), np.float32)
     found = transfer_labels(points, points - np.float32(1e-4), np.full(60_000, 9, np.uint32))
     assert (found.labels == 9).all()
+
+
+def test_coordinates_beyond_anything_are_far_away():
+    points = np.zeros((2, 3), np.float32)
+    found = transfer_labels(points, points - np.float32([[3e38]]), np.ones(2, "u4"))
+    assert found.missing.all()
+    assert (found.unmatched > 1e38).all()

@@ -119,7 +119,7 @@ def read_edited_labels(
         _require_known(path, cloud, meanings)
         everywhere = np.ones(len(points), bool)
         raw = meanings.to_raw(cloud.ids)
-        nothing = np.empty(0, np.float32)
+        nothing = np.empty(0)
         found = LabelTransfer(raw, everywhere, ~everywhere, nothing, len(points))
     raw = np.where(found.known, found.labels, np.uint32(meanings.unlabelled))
     labelled = int(space.scored[space.to_train(raw)].sum())
