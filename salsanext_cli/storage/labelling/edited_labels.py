@@ -29,7 +29,7 @@ MAX_UNMATCHED = 0.01
 ROUNDED_M = 0.05
 """Distance up to which coordinates were probably rounded; other scans are farther away."""
 LABELS_ONLY = "labels"
-"""What is said in the place of a scalar of files that hold nothing else."""
+"""Stands for the scalar of files that hold nothing else."""
 
 
 class UnknownIds(LabelError):  # noqa: N818 - the name says what is wrong
