@@ -96,6 +96,29 @@ def test_doubled_points_of_several_labels_are_ambiguous(world):
     np.testing.assert_array_equal(world.labels(), np.r_[truth[:200], [0] * 100, truth[300:]])
 
 
+def test_a_real_scan_saved_in_whole_millimetres_keeps_every_label(real_data, tmp_path):
+    pytest.importorskip("laspy")
+    sequence = real_data / "data/semantickitti/sequences/08"
+    scan = sequence / "velodyne/000000.bin"
+    truth = read_labels(sequence / "labels/000000.label") & np.uint32(0xFFFF)
+    (tmp_path / scan.name).write_bytes(scan.read_bytes())
+    order = np.random.default_rng(0).permutation(len(truth))[::2]
+    labels = {"Classification": truth[order].astype("u2")}
+    points = read_scan(scan).points[order]
+    assert (points.astype("f8").round(3) != points.astype("f8")).any()
+    WRITERS["s.laz"](tmp_path / "edited/000000.laz", points, labels)
+    found = import_labels(tmp_path / "edited", tmp_path)
+    assert found.failures == []
+    (row,) = found.scans
+    assert row["unmatched"] == 0
+    assert row["ambiguous"] < 10
+    imported = read_labels(tmp_path / "000000.label")
+    kept = np.zeros(len(truth), bool)
+    kept[order] = True
+    assert (imported[kept] != truth[kept]).sum() <= row["ambiguous"]
+    assert np.count_nonzero(imported[~kept]) < 10
+
+
 @pytest.mark.parametrize("suffix", ["label", "npy"])
 def test_files_of_labels_keep_their_instances(world, suffix):
     raw = world.truth[1] | np.uint32(7 << 16)
