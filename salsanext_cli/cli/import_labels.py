@@ -1,20 +1,14 @@
 # SPDX-License-Identifier: MIT
 """`salsanext import-labels`."""
 
-from __future__ import annotations
-
-from collections.abc import Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 
 from salsanext_cli.cli import console, options, run_options, selection_options
 from salsanext_cli.cli.progress import progress, tell
-from salsanext_cli.errors import counted, first_few, printable
-
-if TYPE_CHECKING:
-    from salsanext_cli.storage.labelling.label_import import LabelImport
+from salsanext_cli.errors import printable
 
 
 def import_labels(
@@ -51,7 +45,7 @@ def import_labels(
 
     Example: salsanext import-labels edited/ to-label/
     """
-    from salsanext_cli.report.imported import imported_table
+    from salsanext_cli.report.imported import imported_lines, imported_table
     from salsanext_cli.sensors import sensor
     from salsanext_cli.stages.import_labels import import_labels as stage
 
@@ -68,24 +62,6 @@ def import_labels(
     output.result(made.to_dict(), imported_table(made.scans) if made.scans else None)
     for failure in made.failures:
         tell(f"error: {failure['reason']}")
-    for line in _lines(made, dataset):
+    for line in imported_lines(made, dataset):
         output.say(printable(line))
     raise typer.Exit(console.FAILED if made.failures else console.DONE)
-
-
-def _lines(made: LabelImport, dataset: Path) -> Iterator[str]:
-    """Yield a line about what was imported, and one about each group of scans that was not."""
-    failed = sum(len(failure["files"]) for failure in made.failures)
-    others = f", {counted(failed, 'file')} failed" if failed else ""
-    yield f"import-labels: {counted(len(made.scans), 'scan')}{others} → {dataset}"
-    if shares := made.largest_classes():
-        named = ", ".join(f"{name} {100 * share:.1f} %" for name, share in shares.items())
-        yield f"largest classes: {named}"
-    if made.unedited:
-        files = f"{counted(len(made.unedited), 'file')}: {first_few(made.unedited)}"
-        yield f"not imported, since they hold the first guess of `pick`, {files}"
-    if made.kept:
-        yield f"without an edited file, as they were: {counted(made.kept, 'scan')}"
-    if made.first_guesses:
-        scans = f"{counted(len(made.first_guesses), 'scan')}: {first_few(made.first_guesses)}"
-        yield f"warning: labelled by the network only, as `pick` left them, {scans}"

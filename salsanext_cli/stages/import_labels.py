@@ -176,7 +176,7 @@ class _Work:
             about = {"file": str(path), "points": len(points), **labels.numbers()}
             records.write(scan, content, about)
             found.scans.append({"scan": name_of(scan), **about})
-            train = found.space.to_train(labels.raw)
+            train = found.space.to_train(labels.raw, strict=False)
             found.class_points += np.bincount(train, minlength=found.space.class_count)
 
     def fail_together(self, found: LabelImport) -> None:

@@ -138,6 +138,19 @@ def test_a_tool_with_ids_of_its_own(world, tmp_path):
     np.testing.assert_array_equal(world.labels(), np.tile([0, 10, 40], 500))
 
 
+def test_points_without_a_label_get_the_raw_id_that_stands_for_them(world):
+    own = {
+        "labels": {255: "void", 0: "thing"},
+        "learning_map": {0: 1},
+        "learning_map_inv": {0: 255, 1: 0},
+    }
+    (world.data / "labels.yaml").write_text(json.dumps(own))
+    world.write(labels=np.zeros(1500), chosen=slice(600))
+    (row,) = world.run().scans
+    assert (row["labelled"], row["missing"]) == (600, 900)
+    np.testing.assert_array_equal(world.labels(), [0] * 600 + [255] * 900)
+
+
 def test_points_without_a_value_are_unlabelled(world):
     world.write(labels=np.where(np.arange(1500) < 1000, np.nan, 10))
     assert world.run().scans[0]["unlabelled"] == 1000

@@ -122,7 +122,7 @@ def read_edited_labels(
         nothing = np.empty(0)
         found = LabelTransfer(raw, everywhere, ~everywhere, nothing, len(points))
     raw = np.where(found.known, found.labels, np.uint32(meanings.unlabelled))
-    labelled = int(space.scored[space.to_train(raw)].sum())
+    labelled = int(space.scored[space.to_train(raw, strict=False)].sum())
     if not labelled:
         text = (
             f"{cloud.scalar}: none of the {counted(len(points), 'point')} has a class that counts"
