@@ -45,7 +45,7 @@ class LabelIds:
         UsageError
             If the file cannot be used, or no class of the label space is ignored.
         """
-        raw_of = {i: i for i in space.learning_map} if tool is None else _read_map(tool, space)
+        raw_of = {i: i for i in _raw_ids(space)} if tool is None else _read_map(tool, space)
         if not space.ignored[0]:
             found = f"class 0, {space.names[0]}, counts"
             expected = "one that is ignored, for points without a label"
@@ -77,6 +77,10 @@ def _classes(ids: Ids) -> Ids:
     return np.where(ids >= 0, ids & CLASS_BITS, ids)
 
 
+def _raw_ids(space: LabelSpace) -> list[int]:
+    return sorted({*space.learning_map, *space.learning_map_inv.values()})
+
+
 def _read_map(path: Path, space: LabelSpace) -> dict[int, int]:
     """Read the raw id of each id of a tool; names are those of the classes, then of the raw ids."""
     try:
@@ -87,16 +91,17 @@ def _read_map(path: Path, space: LabelSpace) -> dict[int, int]:
         raise UsageError(path, f"a {type(data).__name__}", EXPECTED_MAP)
     standing = {space.labels[raw]: raw for raw in space.learning_map_inv.values()}
     by_name = {name: raw for raw, name in reversed(space.labels.items())} | standing
+    known = _raw_ids(space)
     raw_of: dict[int, int] = {}
     wrong = []
     for key, value in data.items():
         raw = by_name.get(value) if isinstance(value, str) else value
-        if type(key) is not int or type(raw) is not int or raw not in space.learning_map:
+        if type(key) is not int or type(raw) is not int or raw not in known:
             wrong.append(f"{quoted(key)}: {quoted(value)}")
         else:
             raw_of[key] = raw
     if wrong:
-        known = ", ".join(f"{raw} {space.labels.get(raw, '')}" for raw in space.learning_map)
+        named = ", ".join(f"{raw} {space.labels.get(raw, '')}" for raw in known)
         found = f"unknown {shortened(', '.join(wrong))}"
-        raise UsageError(path, found, f"whole numbers for {known}")
+        raise UsageError(path, found, f"whole numbers for {named}")
     return raw_of

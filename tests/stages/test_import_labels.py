@@ -149,6 +149,8 @@ def test_points_without_a_label_get_the_raw_id_that_stands_for_them(world):
     (row,) = world.run().scans
     assert (row["labelled"], row["missing"]) == (600, 900)
     np.testing.assert_array_equal(world.labels(), [0] * 600 + [255] * 900)
+    world.run(world.scans[0].label_path)
+    np.testing.assert_array_equal(world.labels(), [0] * 600 + [255] * 900)
 
 
 def test_points_without_a_value_are_unlabelled(world):
