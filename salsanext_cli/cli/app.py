@@ -16,6 +16,7 @@ from salsanext_cli.cli.demo import demo
 from salsanext_cli.cli.evaluate import evaluate
 from salsanext_cli.cli.export_onnx import export_onnx
 from salsanext_cli.cli.export_ply import export_ply
+from salsanext_cli.cli.import_labels import import_labels
 from salsanext_cli.cli.import_weights import import_weights
 from salsanext_cli.cli.inspect import inspect
 from salsanext_cli.cli.knn_refine import knn_refine
@@ -39,9 +40,10 @@ COMMANDS: dict[str, dict[str, Callable[..., None] | typer.Typer]] = {
         "eval": evaluate,
         "export-ply": export_ply,
     },
-    "Data": {
+    "Your own data": {
         "inspect": inspect,
         "convert": convert,
+        "import-labels": import_labels,
         "synth": synth,
         "submit": submit,
     },

@@ -67,6 +67,23 @@ def read_array(path: Path, dtype: npt.DTypeLike, shape: tuple[int | None, ...]) 
         raise FormatError(path, "a .npy file of an impossible shape", expected) from error
 
 
+def read_integers(path: Path) -> npt.NDArray[np.integer[Any]]:
+    """Read an array (N,) of integers of any size.
+
+    Raises
+    ------
+    FormatError
+        As for `read_array`.
+    """
+    expected = "a .npy file of integers (N,)"
+    with reading(path) as file:
+        shape, _, dtype = read_header(file, path, expected)
+    if dtype.kind not in "iu" or len(shape) != 1:
+        remedy = "save array.ravel().astype(np.uint32)"
+        raise FormatError(path, f"{dtype.str} {_words(shape)}", expected, remedy)
+    return read_array(path, dtype, (None,))
+
+
 def read_header(
     file: BinaryIO, path: Path, expected: str
 ) -> tuple[tuple[int, ...], bool, np.dtype[Any]]:

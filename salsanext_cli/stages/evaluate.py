@@ -24,7 +24,7 @@ from salsanext_cli.parallel.run import Failure, RunOptions, run_over_scans
 from salsanext_cli.report import plots, uncertainty_plots
 from salsanext_cli.storage.files.atomic import sweep_stale
 from salsanext_cli.storage.files.json_files import encode_json
-from salsanext_cli.storage.first_guesses import require_truth
+from salsanext_cli.storage.labelling.label_records import require_truth
 from salsanext_cli.storage.layout import ScanFile
 from salsanext_cli.storage.predictions import merging_into, space_of_labels
 from salsanext_cli.storage.run_registration import records_lock

@@ -19,8 +19,9 @@ from salsanext_cli.network.card import WeightsCard, read_card
 from salsanext_cli.network.registry import ARCHITECTURES
 from salsanext_cli.network.weights import save_weights
 from salsanext_cli.stages import train as stage
+from salsanext_cli.stages.import_labels import import_labels
 from salsanext_cli.stages.train import TrainResult, train
-from salsanext_cli.storage.first_guesses import accept, first_guesses, record_first_guesses
+from salsanext_cli.storage.labelling.label_records import digest_of_file, first_guesses
 from salsanext_cli.storage.layout import find_scans
 from salsanext_cli.training.fit import Report
 from salsanext_cli.training.recipe import Recipe
@@ -140,10 +141,11 @@ def test_first_guesses_are_no_labels(
 ) -> None:
     caplog.set_level(NOTICE)
     files = find_scans(data)
-    record_first_guesses(data, files)
-    accept(data, files[:1])
-    raw = read_labels(files[1].label_path)
-    write_labels(files[1].label_path, np.roll(raw, 1))
+    # What `pick` records; then one guess is confirmed and one corrected.
+    digests = {f"{file.sequence}/{file.stem}": digest_of_file(file.label_path) for file in files}
+    (data / "pick.json").write_text(json.dumps({"guesses": digests}))
+    import_labels(files[0].label_path, data / "sequences/a")
+    write_labels(files[1].label_path, np.roll(read_labels(files[1].label_path), 1))
     assert first_guesses(files) == files[2:]
     go(data, tmp_path / "run")
     only_guesses = "left out without labels: 1 scan, 1 of them with a network's first guess only"

@@ -23,6 +23,8 @@ CLASS_OF_NAME = {
     "lane-marking": 11,
 }
 """Classes that the ASPRS has, by name of the label."""
+LAST_STANDARD_CLASS = 22
+"""Last class that the ASPRS defines."""
 FIRST_OWN_CLASS = 64
 """First class that the ASPRS leaves to the user: a raw id without another has this plus the id."""
 LAST_OWN_CLASS = 255

@@ -7,7 +7,7 @@ Both believe a header, so it is compared with the file's size first, and points 
 import io
 import logging
 import struct
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 from typing import Any, BinaryIO
 
@@ -61,15 +61,26 @@ def read_las(path: Path) -> Scan:
     MissingDependency
         If laspy or, for compressed points, lazrs cannot be imported.
     """
+    return scan_of(_read(path, _used_columns), path, 1.0)
+
+
+def las_columns(path: Path) -> Columns:
+    """Read all dimensions of a LAS or LAZ file with one value per point, x, y and z in metres.
+
+    Errors are those of `read_las`.
+    """
+    return _read(path, _all_columns)
+
+
+def _read(path: Path, columns_of: Callable[[Any], Columns]) -> Columns:
     with reading(path) as file:
         laspy = import_laspy(path, compressed=path.suffix.lower() == COMPRESSED_SUFFIX)
         try:
             _require_room(file)
-            columns = _read_columns(file, path, laspy)
+            return _read_columns(file, path, laspy, columns_of)
         except (laspy.errors.LaspyException, *BAD_FILE) as error:
             found = f"not a whole LAS file: {shortened(str(error))}"
             raise FormatError(path, found, "a .las or .laz file") from error
-    return scan_of(columns, path, 1.0)
 
 
 def _require_room(file: BinaryIO) -> None:
@@ -113,8 +124,10 @@ def _bytes_at(file: BinaryIO, offset: int, count: int) -> bytes:
     return file.read(count)
 
 
-def _read_columns(file: BinaryIO, path: Path, laspy: Any) -> Columns:
-    """Read coordinates and intensity part by part."""
+def _read_columns(
+    file: BinaryIO, path: Path, laspy: Any, columns_of: Callable[[Any], Columns]
+) -> Columns:
+    """Read columns part by part; a function takes them from some points."""
     backend = laspy.LazBackend.Lazrs
     with laspy.open(file, closefd=False, read_evlrs=False, laz_backend=backend) as reader:
         header = reader.header
@@ -124,19 +137,26 @@ def _read_columns(file: BinaryIO, path: Path, laspy: Any) -> Columns:
             row = reader.point_source.vlr.item_size()
             if row != header.point_format.size:
                 raise ValueError(f"compressed points of {row} bytes")
-        parts = [_columns(points) for points in reader.chunk_iterator(POINTS_PER_PART)]
+        parts = [columns_of(points) for points in reader.chunk_iterator(POINTS_PER_PART)]
         if sum(len(part["x"]) for part in parts) != header.point_count:
             raise ValueError("it is cut off")
     empty = {name: np.empty(0) for name in "xyz"}
     return {n: np.concatenate([part[n] for part in parts]) for n in parts[0]} if parts else empty
 
 
-def _columns(points: Any) -> Columns:
-    """Return the used columns of some points."""
+def _used_columns(points: Any) -> Columns:
+    """Return coordinates and intensity of some points."""
     columns = {axis: np.asarray(points[axis], np.float64) for axis in "xyz"}
     if EXACT_INTENSITY in points.point_format.extra_dimension_names:
         return columns | {"intensity": np.asarray(points[EXACT_INTENSITY], np.float32)}
     return columns | {"intensity": np.asarray(points["intensity"]) / np.float32(INTENSITY_RANGE)}
+
+
+def _all_columns(points: Any) -> Columns:
+    """Return everything of some points that is one value for each; X, Y, Z are in metres."""
+    names = [name for name in points.point_format.dimension_names if name not in ("X", "Y", "Z")]
+    columns = {name: np.asarray(points[name]) for name in ("x", "y", "z", *names)}
+    return {name: values for name, values in columns.items() if values.ndim == 1}
 
 
 def encode_las(

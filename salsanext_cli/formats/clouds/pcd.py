@@ -114,6 +114,18 @@ def read_pcd(path: Path, *, intensity_scale: float = 1.0) -> Scan:
     MissingDependency
         If the file is compressed and open3d cannot be imported.
     """
+    header, columns = _read(path)
+    # Without columns, points take no room, however many there are.
+    rings = rows_as_rings(header.points, header.height) if columns else {}
+    return scan_of({**rings, **columns}, path, intensity_scale)
+
+
+def pcd_columns(path: Path) -> Columns:
+    """Read the fields of a PCD file with one value per point; errors are those of `read_pcd`."""
+    return _read(path)[1]
+
+
+def _read(path: Path) -> tuple[Header, Columns]:
     with reading(path) as file:
         try:
             header = _read_header(file)
@@ -126,9 +138,7 @@ def read_pcd(path: Path, *, intensity_scale: float = 1.0) -> Scan:
                     columns = _read_compressed(file, header)
         except ValueError as error:
             raise FormatError(path, shortened(str(error)), "a whole PCD file") from error
-    # Without columns, points take no room, however many there are.
-    rings = rows_as_rings(header.points, header.height) if columns else {}
-    return scan_of({**rings, **columns}, path, intensity_scale)
+    return header, columns
 
 
 def _read_ascii(file: BinaryIO, header: Header) -> Columns:

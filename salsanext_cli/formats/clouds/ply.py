@@ -15,7 +15,7 @@ import numpy as np
 import numpy.typing as npt
 
 from salsanext_cli.errors import FormatError, MissingDependency
-from salsanext_cli.formats.columns import scan_of
+from salsanext_cli.formats.columns import Columns, scan_of
 from salsanext_cli.formats.reading import reading
 from salsanext_cli.records import Scan
 from salsanext_cli.settings_files import shortened
@@ -44,6 +44,11 @@ def read_ply(path: Path, *, intensity_scale: float = 1.0) -> Scan:
     MissingDependency
         If plyfile is not installed.
     """
+    return scan_of(ply_columns(path), path, intensity_scale)
+
+
+def ply_columns(path: Path) -> Columns:
+    """Read the properties of the vertices of a PLY file; errors are those of `read_ply`."""
     plyfile = _plyfile()
     with reading(path) as file:
         content = file.read()
@@ -60,8 +65,7 @@ def read_ply(path: Path, *, intensity_scale: float = 1.0) -> Scan:
     if "vertex" not in data:
         raise FormatError(path, "no vertices", "a PLY file with an element vertex")
     vertices = data["vertex"].data
-    columns = {name: vertices[name] for name in vertices.dtype.names or ()}
-    return scan_of(columns, path, intensity_scale)
+    return {name: vertices[name] for name in vertices.dtype.names or ()}
 
 
 def _require_room(content: bytes) -> None:

@@ -20,7 +20,7 @@ from salsanext_cli.geometry.checks.scan_checks import check_scan
 from salsanext_cli.measures.scan_summary import RunSummary, ScanSummary
 from salsanext_cli.storage.files.identity import identity
 from salsanext_cli.storage.files.json_files import encode_json, read_json
-from salsanext_cli.storage.first_guesses import require_truth
+from salsanext_cli.storage.labelling.label_records import require_truth
 from salsanext_cli.storage.layout import ScanFile
 from salsanext_cli.storage.written_files import WrittenFiles
 from salsanext_cli.training.data.sources import Source, read_labelled

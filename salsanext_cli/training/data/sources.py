@@ -21,7 +21,7 @@ from salsanext_cli.geometry.projection import project
 from salsanext_cli.inference.scan_fit import as_seen, sampled, sampled_images
 from salsanext_cli.records import Float
 from salsanext_cli.sensors import FITTED_NAME, Sensor
-from salsanext_cli.storage.first_guesses import first_guesses
+from salsanext_cli.storage.labelling.label_records import first_guesses
 from salsanext_cli.storage.layout import ScanFile, find_scans
 from salsanext_cli.storage.selection import completed, data_set_label_space, with_splits
 from salsanext_cli.training.data.augment import LabelledScan

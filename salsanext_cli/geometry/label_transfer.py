@@ -1,0 +1,140 @@
+# SPDX-License-Identifier: MIT
+"""Transfer of labels between two clouds of the same points, matched by their coordinates."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from salsanext_cli.packages import import_open3d
+from salsanext_cli.records import Float
+
+TOLERANCE_M = 1e-3
+"""Largest distance between a point and its copy; millimetres rounded per axis differ by 0.87."""
+MAX_NEIGHBOURS = 16
+"""Places that are looked at around a point, the nearest ones; no LiDAR resolves so many."""
+NOTHING = np.iinfo(np.int64).max
+"""Lowest of no labels; the highest is -1, below it, while that of several is above."""
+
+Labels = npt.NDArray[np.uint32]
+Bools = npt.NDArray[np.bool_]
+
+
+@dataclass(frozen=True, slots=True)
+class LabelTransfer:
+    """Labels of points, taken from a labelled cloud.
+
+    Attributes
+    ----------
+    labels : (N,) uint32
+        0 where `known` is not set.
+    known : (N,) bool
+        Points that have a label of the cloud.
+    ambiguous : (N,) bool
+        Points at which the cloud has several labels.
+    unmatched : (U,) float64
+        Distance of each point of the cloud that is a copy of none to the nearest point, metres;
+        infinite without any.
+    cloud_points : int
+        Number of points of the cloud with finite coordinates.
+    """
+
+    labels: Labels
+    known: Bools
+    ambiguous: Bools
+    unmatched: npt.NDArray[np.float64]
+    cloud_points: int
+
+    @property
+    def missing(self) -> Bools:
+        """Points that the cloud lacks, (N,) bool."""
+        return ~(self.known | self.ambiguous)
+
+
+def transfer_labels(points: Float, cloud: Float, labels: Labels) -> LabelTransfer:
+    """Give each point the label of its copy in a cloud.
+
+    Copies have the same coordinates; of a point without any, all places of the cloud within
+    `TOLERANCE_M` are. If copies have different labels, the point has none.
+
+    Parameters
+    ----------
+    points : (N, 3) float32
+        Metres. Points that are not finite have no copy.
+    cloud : (M, 3) float32
+        Metres, in any order.
+    labels : (M,) uint32
+        Of the cloud.
+    """
+    finite = np.isfinite(points).all(axis=1)
+    of_cloud = np.isfinite(cloud).all(axis=1)
+    cloud, labels = cloud[of_cloud], labels[of_cloud]
+    wanted = points[finite]
+    places = _places(np.concatenate([cloud, wanted]))
+    place_of_cloud, place = np.split(places, [len(cloud)])
+    lowest, highest = _extremes(place_of_cloud, labels, int(places.max(initial=-1)) + 1)
+    low, high = lowest[place], highest[place]
+    alone = low > high
+    # Trees of thousands of equal points, such as the zeros of no return, are slow.
+    used, first = np.unique(place_of_cloud, return_index=True)
+    index = _nearby(wanted[alone], cloud[first])
+    low[alone] = np.where(index < 0, NOTHING, lowest[used][index]).min(axis=1, initial=NOTHING)
+    high[alone] = np.where(index < 0, -1, highest[used][index]).max(axis=1, initial=-1)
+    of_points, first = np.unique(place, return_index=True)
+    distances = _nearest(cloud[~np.isin(place_of_cloud, of_points)], wanted[first])
+    found = np.zeros(len(points), np.uint32)
+    known, ambiguous = np.zeros((2, len(points)), bool)
+    known[finite], ambiguous[finite] = low == high, low < high
+    found[known] = low[low == high]
+    return LabelTransfer(found, known, ambiguous, distances[distances > TOLERANCE_M], len(cloud))
+
+
+def _places(points: Float) -> npt.NDArray[np.intp]:
+    """Return a number (K,) for each point, equal for equal coordinates."""
+    order = np.lexsort(points.T)
+    differs = (points[order[1:]] != points[order[:-1]]).any(axis=1)
+    places = np.empty(len(points), np.intp)
+    places[order] = np.concatenate([np.zeros(min(1, len(points)), np.intp), np.cumsum(differs)])
+    return places
+
+
+def _extremes(
+    places: npt.NDArray[np.intp], labels: Labels, count: int
+) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.int64]]:
+    """Return the lowest and the highest label at each of so many places."""
+    lowest, highest = np.full(count, NOTHING), np.full(count, -1, np.int64)
+    np.minimum.at(lowest, places, labels)
+    np.maximum.at(highest, places, labels)
+    return lowest, highest
+
+
+def _nearby(points: Float, others: Float) -> npt.NDArray[np.int64]:
+    """Return the indices of others within `TOLERANCE_M`, (K, `MAX_NEIGHBOURS`); -1 fills rows."""
+    if not (len(points) and len(others)):
+        return np.empty((len(points), 0), np.int64)
+    search = _search(others)
+    search.hybrid_index(TOLERANCE_M)
+    wanted = import_open3d().core.Tensor(points.astype(np.float64))
+    index: npt.NDArray[np.int64] = search.hybrid_search(wanted, TOLERANCE_M, MAX_NEIGHBOURS)[
+        0
+    ].numpy()
+    return index
+
+
+def _nearest(points: Float, others: Float) -> npt.NDArray[np.float64]:
+    """Return the distance (K,) of each point to the nearest of others, metres."""
+    if not (len(points) and len(others)):
+        return np.full(len(points), np.inf)
+    search = _search(others)
+    search.knn_index()
+    wanted = import_open3d().core.Tensor(points.astype(np.float64))
+    squared: npt.NDArray[np.float64] = search.knn_search(wanted, 1)[1].numpy()[:, 0]
+    return np.sqrt(squared)
+
+
+def _search(points: Float) -> Any:
+    open3d = import_open3d()
+    return open3d.core.nns.NearestNeighborSearch(open3d.core.Tensor(points.astype(np.float64)))

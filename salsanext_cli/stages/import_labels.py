@@ -1,0 +1,192 @@
+# SPDX-License-Identifier: MIT
+"""Stage `import-labels`: labels that a tool wrote, to the label files of a data set."""
+
+import hashlib
+import logging
+from collections import Counter
+from collections.abc import Sequence
+from contextlib import ExitStack
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+
+from salsanext_cli.classes import LabelSpace
+from salsanext_cli.errors import LabelError, NoInputError, OutputError, SalsanextError, first_few
+from salsanext_cli.formats import read_scan
+from salsanext_cli.formats.label_ids import LabelIds
+from salsanext_cli.formats.labels import encode_labels
+from salsanext_cli.formats.reading import is_folder
+from salsanext_cli.formats.recordings.address import recording_of
+from salsanext_cli.parallel.options import Progress
+from salsanext_cli.sensors import Sensor
+from salsanext_cli.storage.files.locks import locked
+from salsanext_cli.storage.labelling.edited_files import find_edited, scan_of_edited
+from salsanext_cli.storage.labelling.edited_labels import (
+    EditedLabels,
+    UnknownIds,
+    read_edited_labels,
+)
+from salsanext_cli.storage.labelling.label_import import LabelImport
+from salsanext_cli.storage.labelling.label_records import (
+    STAGE,
+    LabelRecords,
+    first_guesses,
+    labels_root,
+    name_of,
+)
+from salsanext_cli.storage.layout import ScanFile, find_scans
+from salsanext_cli.storage.selection import space_of
+
+LOCK = f".{STAGE}.lock"
+log = logging.getLogger(__name__)
+
+
+def import_labels(
+    edited: Path,
+    dataset: Path,
+    *,
+    scalar: str | None = None,
+    ids: Path | None = None,
+    space: LabelSpace | None = None,
+    sensor: Sensor | None = None,
+    overwrite: bool = False,
+    progress: Progress | None = None,
+) -> LabelImport:
+    """Write label files of the scans of a data set from what a labelling tool wrote.
+
+    Parameters
+    ----------
+    edited : Path
+        A cloud with a label scalar (PLY, PCD, LAS, LAZ), a `.label` or `.npy` file, or a folder of
+        such files, which are matched to scans by their names as `scan_of_edited` does.
+    dataset : Path
+        Data set or folder of scans, as `find_scans` takes it.
+    scalar : str, optional
+        Name of the scalar that holds the labels.
+    ids : Path, optional
+        YAML file that maps the tool's ids to names or raw ids of the label space.
+    space : LabelSpace, optional
+        Classes of the labels, if they are not those of the data set.
+    sensor : Sensor, optional
+        Columns of the scans, if their files do not name them.
+    overwrite : bool
+        Whether label files that were changed, or not written by salsanext, may be replaced.
+    progress : callable, optional
+        Called with the number of scans done and of those to do.
+
+    Raises
+    ------
+    SalsanextError
+        If nothing can be done at all; failures of single files are in the result.
+    """
+    scans = find_scans(dataset)
+    if recording_of(scans[0].path) is not None:
+        remedy = f"run `salsanext convert {dataset} FOLDER` first"
+        raise NoInputError(dataset, "a recording, which holds no labels", "scans", remedy)
+    space = space or space_of(scans)
+    work = _Work(scalar, LabelIds.of_space(space, ids), sensor, overwrite, not is_folder(edited))
+    found = LabelImport(space, class_points=np.zeros(space.class_count, np.int64))
+    of_scan = _matched(_elsewhere(edited, scans), edited, scans, found)
+    records = {root: LabelRecords(root) for root in sorted({*map(labels_root, of_scan)})}
+    with ExitStack() as held:
+        for root in records:
+            held.enter_context(locked(root / LOCK, stage=STAGE))
+        for done, (scan, paths) in enumerate(of_scan.items(), start=1):
+            try:
+                work.import_scan(scan, paths, records[labels_root(scan)], found)
+            except UnknownIds as error:
+                work.unknown[Path(error.subject)] = error.points
+            except SalsanextError as error:
+                found.fail(paths, error)
+            if progress:
+                progress(done, len(of_scan))
+    work.fail_together(found)
+    if found.unedited and not found.scans and not found.failures:
+        text = "holds the first guess of `pick`, which nobody has corrected"
+        remedy = "save the corrected labels; to take the guess as it is, name its file"
+        raise NoInputError(edited, text, "edited labels", remedy)
+    found.kept = len(scans) - len(found.scans)
+    found.first_guesses = [name_of(scan) for scan in first_guesses(scans)]
+    return found
+
+
+def _elsewhere(edited: Path, scans: Sequence[ScanFile]) -> list[Path]:
+    """Find edited files; of a folder leave out the scans and the label files of the data set."""
+    files = find_edited(edited)
+    if not is_folder(edited):
+        return files
+    in_place = {path for scan in scans for path in (scan.path, scan.label_path)}
+    left = [path for path in files if path not in in_place]
+    if not left:
+        text = "holds no labels but those of the data set itself, which are in use"
+        raise NoInputError(edited, text, "what a tool wrote elsewhere")
+    return left
+
+
+def _matched(
+    files: Sequence[Path], edited: Path, scans: Sequence[ScanFile], found: LabelImport
+) -> dict[ScanFile, list[Path]]:
+    """Return the files of each scan that has some; the others are failures."""
+    of_scan: dict[ScanFile, list[Path]] = {}
+    for path in files:
+        try:
+            of_scan.setdefault(scan_of_edited(path, edited, scans), []).append(path)
+        except LabelError as error:
+            found.fail([path], error)
+    return {scan: of_scan[scan] for scan in scans if scan in of_scan}
+
+
+@dataclass(frozen=True, slots=True)
+class _Work:
+    """Settings of an import, and what is wrong in the same way with several files."""
+
+    scalar: str | None
+    meanings: LabelIds
+    sensor: Sensor | None
+    overwrite: bool
+    is_named: bool
+    unknown: dict[Path, Counter[int]] = field(default_factory=dict)
+    refused: dict[Path, Path] = field(default_factory=dict)
+
+    def import_scan(
+        self, scan: ScanFile, paths: Sequence[Path], records: LabelRecords, found: LabelImport
+    ) -> None:
+        """Write the labels of a scan, from the only one of some files that was edited."""
+        points = read_scan(scan.path, self.sensor).points
+        read: dict[Path, tuple[EditedLabels, bytes]] = {}
+        for path in paths:
+            labels = read_edited_labels(path, points, found.space, self.meanings, self.scalar)
+            content = encode_labels(labels.raw)
+            is_guess = records.is_guess(scan, hashlib.sha256(content).hexdigest())
+            if is_guess and not self.is_named:
+                found.unedited.append(str(path))
+                continue
+            if is_guess:
+                log.warning("%s: holds the first guess, all of it", path)
+            read[path] = labels, content
+        if len(read) > 1:
+            several = f"{len(read)} edited files: {first_few([*read])}"
+            raise LabelError(name_of(scan), several, "one", "leave out the others")
+        for path, (labels, content) in read.items():
+            kept = path != scan.label_path and not records.is_replaceable(scan)
+            if kept and not self.overwrite:
+                self.refused[path] = scan.label_path
+                continue
+            about = {"file": str(path), "points": len(points), **labels.numbers()}
+            records.write(scan, content, about)
+            found.scans.append({"scan": name_of(scan), **about})
+            train = found.space.to_train(labels.raw, strict=False)
+            found.class_points += np.bincount(train, minlength=found.space.class_count)
+
+    def fail_together(self, found: LabelImport) -> None:
+        """Add one failure for all files with unknown ids, and one for all that were refused."""
+        if self.unknown:
+            total = sum(self.unknown.values(), Counter[int]())
+            error = UnknownIds(first_few([*self.unknown]), total, self.meanings)
+            found.fail(self.unknown, error)
+        if self.refused:
+            there = first_few([*self.refused.values()])
+            text = "changed, or not written by salsanext, and kept"
+            remedy = "move them, or replace them with --overwrite"
+            found.fail(self.refused, OutputError(there, text, remedy=remedy))

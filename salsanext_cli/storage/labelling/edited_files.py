@@ -1,0 +1,116 @@
+# SPDX-License-Identifier: MIT
+"""Files that labelling tools have written, and the scans that they belong to."""
+
+import os
+import re
+from collections.abc import Sequence
+from pathlib import Path
+
+from salsanext_cli.errors import LabelError, NoInputError, first_few
+from salsanext_cli.formats.label_scalars import READERS
+from salsanext_cli.formats.reading import is_folder, present
+from salsanext_cli.storage.layout import ScanFile
+from salsanext_cli.storage.scan_folders import counted_by_suffix
+
+EDITED_SUFFIXES = (*READERS, ".label", ".npy")
+"""Suffixes of files with labels, upper or lower case."""
+
+
+def find_edited(source: Path) -> list[Path]:
+    """Return a file with labels, or those in a folder and below it, absolute and sorted.
+
+    What is hidden is left out.
+
+    Raises
+    ------
+    NoInputError
+        If there are none.
+    """
+    expected = f"labels: {', '.join(EDITED_SUFFIXES)} files"
+    if not present(source):
+        raise NoInputError(source, "no such file or folder", expected)
+    if not is_folder(source):
+        if not _is_edited(source):
+            found = f"a {source.suffix} file" if source.suffix else "has no suffix"
+            raise NoInputError(source, found, expected, "save it as .ply, in CloudCompare too")
+        return [source.absolute()]
+    files = sorted(_files_below(source.absolute()))
+    edited = [path for path in files if _is_edited(path)]
+    if not edited:
+        others = f", but {counted_by_suffix(files)}" if files else ""
+        raise NoInputError(source, f"holds no labels{others}", expected)
+    return edited
+
+
+def _is_edited(path: Path) -> bool:
+    return path.suffix.lower() in EDITED_SUFFIXES
+
+
+def _files_below(folder: Path) -> list[Path]:
+    found = []
+    for place, folders, names in os.walk(folder):
+        folders[:] = [name for name in folders if not name.startswith(".")]
+        found += [Path(place, name) for name in names if not name.startswith(".")]
+    return found
+
+
+def scan_of_edited(path: Path, source: Path, scans: Sequence[ScanFile]) -> ScanFile:
+    """Return the scan that an edited file belongs to.
+
+    It is the only scan there is, if a single file was named; or the only one of that stem, or else
+    whose stem is a whole word of the file's name, as in ``000010 - Cloud.ply``. If a folder tells
+    the sequence, only its scans count; so it is if the name has that of a sequence as a word.
+
+    Parameters
+    ----------
+    path : Path
+        The file, absolute.
+    source : Path
+        The file or folder that was named.
+    scans : sequence of ScanFile
+        All scans of the data set.
+
+    Raises
+    ------
+    LabelError
+        If there is none, or several.
+    """
+    single = not is_folder(source)
+    if single and len(scans) == 1:
+        return scans[0]
+    sequence = _sequence_of(path, source, {scan.sequence for scan in scans})
+    within = [scan for scan in scans if sequence in (None, scan.sequence)]
+    fitting = [scan for scan in within if scan.stem == path.stem] or [
+        scan for scan in within if _has_word(path.stem, scan.stem)
+    ]
+    if len(fitting) > 1:
+        fitting = [scan for scan in fitting if _has_word(path.stem, scan.sequence)] or fitting
+    if len(fitting) == 1:
+        return fitting[0]
+    where = "" if sequence is None else f" in sequence {sequence}"
+    names = first_few([f"{scan.sequence}/{scan.stem}" for scan in fitting])
+    raise LabelError(
+        path,
+        f"may belong to {names}" if fitting else f"belongs to no scan{where}",
+        "the name of one scan, alone or as a word, as in `000010 - Cloud.ply`",
+        "put it into a folder with the name of its sequence" if fitting else "rename it",
+    )
+
+
+def _sequence_of(path: Path, source: Path, sequences: set[str]) -> str | None:
+    """Return the sequence that the folders of a file tell, None if they do not.
+
+    It is the name of a folder in ``sequences``, or of one in the folder named or that folder
+    itself, if the data set has a sequence of that name.
+    """
+    top = source.absolute()
+    for folder in path.parents:
+        if folder.parent.name == "sequences":
+            return folder.name
+        if folder.name in sequences and (folder == top or top in folder.parents):
+            return folder.name
+    return None
+
+
+def _has_word(text: str, word: str) -> bool:
+    return bool(re.search(rf"(?<![^\W_]){re.escape(word)}(?![^\W_])", text))

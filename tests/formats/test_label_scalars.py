@@ -1,0 +1,129 @@
+# SPDX-License-Identifier: MIT
+"""Label scalars of clouds, in files that other programs write."""
+
+import numpy as np
+import pytest
+from edited_clouds import WRITERS
+
+from salsanext_cli.errors import FormatError, LabelError, SalsanextError
+from salsanext_cli.formats.label_scalars import (
+    LABEL_NAMES,
+    NO_VALUE,
+    read_labelled_cloud,
+    whole_numbers,
+)
+
+POINTS = np.random.default_rng(0).uniform(-30, 30, (40, 3))
+IDS = np.arange(40) % 3 * 40
+
+
+def write(name, path, scalars):
+    return WRITERS[name](path, POINTS, scalars)
+
+
+def write_ply(path, scalars):
+    return write("s.ply", path, scalars)
+
+
+def write_las(path, scalars):
+    pytest.importorskip("laspy")
+    return write("s.las", path, scalars)
+
+
+@pytest.mark.parametrize("name", WRITERS)
+@pytest.mark.parametrize("scalar", ["label", "scalar_Label", "Sem_Class"])
+@pytest.mark.parametrize("kind", ["f4", "f8", "u2", "i4"])
+def test_labels_and_coordinates_are_read(tmp_path, name, scalar, kind):
+    scalars = {"other": np.ones(len(POINTS), "f4"), scalar: IDS.astype(kind)}
+    found = read_labelled_cloud(write(name, tmp_path / name, scalars))
+    np.testing.assert_array_equal(found.ids, IDS)
+    assert found.scalar == scalar
+    rounding = 0.00051 if name.endswith("z") or name.endswith("las") else 0
+    np.testing.assert_allclose(found.points, POINTS.astype("f4"), rtol=0, atol=rounding)
+
+
+@pytest.mark.parametrize("name", WRITERS)
+def test_a_file_that_is_cut_off_is_an_error_of_its_format(tmp_path, name):
+    path = write(name, tmp_path / name, {"label": IDS.astype("f4")})
+    content = path.read_bytes()
+    for share in (0.0, 0.2, 0.7, 0.97):
+        path.write_bytes(content[: int(share * len(content))])
+        with pytest.raises(FormatError) as caught:
+            read_labelled_cloud(path)
+        assert caught.value.subject == str(path)
+
+
+@pytest.mark.parametrize("name", LABEL_NAMES)
+def test_the_usual_names_of_labels_are_known(tmp_path, name):
+    path = write_ply(tmp_path / "s.ply", {f"scalar_{name.title()}": IDS.astype("f4")})
+    np.testing.assert_array_equal(read_labelled_cloud(path).ids, IDS)
+
+
+def test_the_scalar_is_chosen_where_none_or_several_may_be_meant(tmp_path):
+    scalars = {"mine": IDS.astype("f4"), "scalar_mine": IDS.astype("f4") + 1}
+    path = write_ply(tmp_path / "s.ply", scalars)
+    with pytest.raises(FormatError, match="no label among the scalars x, y, z, mine"):
+        read_labelled_cloud(path)
+    for name, more in (("mine", 0), ("scalar_mine", 1)):
+        np.testing.assert_array_equal(read_labelled_cloud(path, name).ids, IDS + more)
+    with pytest.raises(FormatError, match="several scalars of that name"):
+        read_labelled_cloud(path, "Mine")
+    with pytest.raises(FormatError, match=r"no scalar of that name.* · expected one called his"):
+        read_labelled_cloud(path, "his")
+    path = write_ply(tmp_path / "s.ply", {"label": IDS.astype("f4"), "CLASS": IDS.astype("f4")})
+    with pytest.raises(LabelError, match="label, CLASS · expected one · choose with --scalar"):
+        read_labelled_cloud(path)
+    np.testing.assert_array_equal(read_labelled_cloud(path, "class").ids, IDS)
+
+
+def test_the_classification_that_every_las_file_has_is_no_label_while_it_is_0(tmp_path):
+    found = read_labelled_cloud(write_las(tmp_path / "s.las", {"label": IDS.astype("u2")}))
+    assert found.scalar == "label"
+    both = {"label": IDS.astype("u2"), "classification": IDS.astype("u1")}
+    with pytest.raises(LabelError, match="several"):
+        read_labelled_cloud(write_las(tmp_path / "s.las", both))
+    path = write_las(tmp_path / "s.las", {"classification": IDS.astype("u1")})
+    np.testing.assert_array_equal(read_labelled_cloud(path).ids, IDS)
+
+
+def test_a_classification_that_may_be_the_asprs_is_taken_where_it_is_named(tmp_path):
+    path = write_las(tmp_path / "s.las", {"classification": (IDS // 8).astype("u1")})
+    with pytest.raises(LabelError, match="up to 10, which may be classes of the ASPRS"):
+        read_labelled_cloud(path)
+    np.testing.assert_array_equal(read_labelled_cloud(path, "classification").ids, IDS // 8)
+
+
+@pytest.mark.parametrize("missing", "xyz")
+def test_coordinates_are_required(tmp_path, missing):
+    content = write_ply(tmp_path / "s.ply", {"label": IDS.astype("f4")}).read_bytes()
+    (tmp_path / "s.ply").write_bytes(content.replace(b" %c\n" % ord(missing), b" w\n"))
+    with pytest.raises(FormatError, match=f"expected also {missing}"):
+        read_labelled_cloud(tmp_path / "s.ply")
+
+
+@pytest.mark.parametrize(
+    ("values", "found"),
+    [
+        (np.float32([1, 2.5, 0.5]), "label of point 1 is 2.5, and so are 1 more"),
+        (np.float64([np.nan, np.inf]), "label of point 1 is inf"),
+        (np.float32([0, 1 << 25]), "expected a number up to 16777216, since 32-bit floats"),
+        (np.float64([1 << 33]), "expected a number up to 4294967295"),
+        (np.int64([1 << 40]), "expected a number up to 4294967295"),
+        (np.uint64([1 << 63]), "expected a number up to 4294967295"),
+        (np.int64([-(1 << 63)]), "expected a number up to 4294967295"),
+    ],
+)
+def test_labels_that_are_no_whole_numbers_are_errors(tmp_path, values, found):
+    with pytest.raises(SalsanextError, match=found):
+        whole_numbers(values, tmp_path, "label")
+
+
+@pytest.mark.parametrize("kind", ["f2", "f4", "f8", "i1", "u1", "i8", "u8"])
+def test_whole_numbers_stay_what_they_are(tmp_path, kind):
+    values = np.arange(100).astype(kind)
+    np.testing.assert_array_equal(whole_numbers(values, tmp_path, "label"), np.arange(100))
+    if kind[0] == "f":
+        values[3] = np.nan
+        assert whole_numbers(values, tmp_path, "label")[3] == NO_VALUE
+        values[3] = -1
+        assert whole_numbers(values, tmp_path, "label")[3] == -1

@@ -1,0 +1,112 @@
+# SPDX-License-Identifier: MIT
+"""Transfer of labels by coordinates, compared with a loop over all pairs."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from salsanext_cli.geometry.label_transfer import TOLERANCE_M, transfer_labels
+
+
+def slow_transfer(points, cloud, labels):
+    """Return the label of each point, None if it is missing, "several"; and the other points."""
+    found = []
+    for point in points:
+        offsets = np.linalg.norm(cloud.astype(np.float64) - point.astype(np.float64), axis=1)
+        near = (cloud == point).all(axis=1)
+        if not near.any():
+            near = offsets < TOLERANCE_M
+        of_point = {int(label) for label in labels[near]}
+        found.append(None if not of_point else "several" if len(of_point) > 1 else of_point.pop())
+    finite = points[np.isfinite(points).all(axis=1)].astype(np.float64)
+    others = [
+        np.linalg.norm(finite - point, axis=1).min(initial=np.inf)
+        for point in cloud.astype(np.float64)
+        if np.isfinite(point).all()
+    ]
+    return found, [distance for distance in others if distance > TOLERANCE_M]
+
+
+def as_listed(found):
+    return [
+        "several" if ambiguous else int(label) if known else None
+        for label, known, ambiguous in zip(found.labels, found.known, found.ambiguous, strict=True)
+    ]
+
+
+def require_same(points, cloud, labels):
+    found = transfer_labels(points, cloud, labels)
+    expected, others = slow_transfer(points, cloud, labels)
+    assert as_listed(found) == expected
+    assert found.missing.tolist() == [label is None for label in expected]
+    np.testing.assert_allclose(sorted(found.unmatched), sorted(others), rtol=1e-5)
+    assert found.cloud_points == np.isfinite(cloud).all(axis=1).sum()
+
+
+@given(
+    seed=st.integers(0, 1 << 30),
+    count=st.integers(0, 60),
+    size=st.sampled_from([0.002, 0.01, 5.0]),
+    jitter=st.sampled_from([0.0, 0.0004]),
+    share=st.sampled_from([0.0, 0.5, 1.0]),
+)
+@settings(max_examples=80, deadline=None)
+def test_it_is_what_a_loop_over_all_pairs_gives(seed, count, size, jitter, share):
+    random = np.random.default_rng(seed)
+    points = random.uniform(-size, size, (count, 3)).astype(np.float32)
+    chosen = random.integers(0, max(count, 1), int(share * 2 * count))
+    cloud = points[chosen] + random.uniform(-jitter, jitter, (len(chosen), 3)) * (
+        random.random((len(chosen), 1)) < 0.5
+    )
+    cloud = np.concatenate([cloud, random.uniform(-9, 9, (3, 3))]).astype(np.float32)
+    points[random.random(count) < 0.1] = np.nan
+    cloud[random.random(len(cloud)) < 0.1, 1] = np.inf
+    labels = random.integers(0, 3, len(cloud)).astype(np.uint32) * 40
+    require_same(points, cloud, labels)
+
+
+@given(seed=st.integers(0, 1 << 30), jitter=st.floats(0, 0.0004), kept=st.floats(0, 1))
+@settings(max_examples=40, deadline=None)
+def test_a_cloud_in_another_order_cut_and_moved_a_little_gives_its_labels_back(seed, jitter, kept):
+    random = np.random.default_rng(seed)
+    # Places a centimetre apart, so that none has two points within a millimetre.
+    points = (random.permutation(8000)[:300, None] // [1, 20, 400] % 20 * 0.01).astype(np.float32)
+    truth = random.integers(1, 1 << 32, len(points), dtype=np.uint32)
+    order = random.permutation(len(points))[: int(kept * len(points))]
+    doubled = np.concatenate([order, order[::3]])
+    moved = points[doubled] + random.uniform(-jitter, jitter, (len(doubled), 3))
+    found = transfer_labels(points, moved.astype(np.float32), truth[doubled])
+    assert found.known.sum() == len(order) == len(points) - found.missing.sum()
+    np.testing.assert_array_equal(found.labels[order], truth[order])
+    assert not found.ambiguous.any()
+    assert not len(found.unmatched)
+
+
+def test_equal_coordinates_count_before_near_ones():
+    points = np.float32([[0, 0, 0], [0, 0, 0.0005], [0, 0, 0.0008]])
+    found = transfer_labels(points, points[:2], np.uint32([7, 8]))
+    assert as_listed(found) == [7, 8, "several"]
+
+
+@pytest.mark.parametrize(("count", "others"), [(0, 0), (0, 2), (2, 0)])
+def test_nothing_matches_nothing(count, others):
+    found = transfer_labels(
+        np.ones((count, 3), np.float32), np.zeros((others, 3), np.float32), np.ones(others, "u4")
+    )
+    assert found.missing.tolist() == [True] * count
+    assert found.unmatched.tolist() == [np.inf] * others
+
+
+def test_points_at_one_place_take_no_more_time_than_others():
+    """A sensor without returns gives tens of thousands of zeros, and billions of pairs."""
+    points = np.zeros((60_000, 3), np.float32)
+    found = transfer_labels(points, points - np.float32(1e-4), np.full(60_000, 9, np.uint32))
+    assert (found.labels == 9).all()
+
+
+def test_coordinates_beyond_anything_are_far_away():
+    points = np.zeros((2, 3), np.float32)
+    found = transfer_labels(points, points - np.float32([[3e38]]), np.ones(2, "u4"))
+    assert found.missing.all()
+    assert (found.unmatched > 1e38).all()
