@@ -21,6 +21,7 @@ from salsanext_cli.cli.inspect import inspect
 from salsanext_cli.cli.knn_refine import knn_refine
 from salsanext_cli.cli.models import models
 from salsanext_cli.cli.option_groups import expanded
+from salsanext_cli.cli.pick import pick
 from salsanext_cli.cli.predict import predict
 from salsanext_cli.cli.project import project
 from salsanext_cli.cli.submit import submit
@@ -42,6 +43,7 @@ COMMANDS: dict[str, dict[str, Callable[..., None] | typer.Typer]] = {
     "Data": {
         "inspect": inspect,
         "convert": convert,
+        "pick": pick,
         "synth": synth,
         "submit": submit,
     },
