@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: MIT
 """`salsanext pick`."""
 
+import shlex
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -44,7 +45,8 @@ def pick(
             selection=selection.scans(),
             options=run,
         )
-    output.result(found.to_dict() | {"out": str(out)}, picked_table(found.picked))
+    table = picked_table(found.picked) if found.picked else None
+    output.result(found.to_dict() | {"out": str(out)}, table)
     outcome, doubted = found.outcome, found.summary.warnings()
     run_end.name_failures(outcome.failures)
     already = f", {outcome.skipped} there already" if outcome.skipped else ""
@@ -53,4 +55,7 @@ def pick(
     output.say(f"pick: {chosen}{already}{failed} → {out}")
     for line in run_end.warning_lines(doubted):
         output.say(line)
+    if found.picked:
+        following = shlex.join(["salsanext", "train", str(out), "RUN", "--recipe", "finetune"])
+        output.say(f"next: correct the labels there, then `{following}`")
     run_end.leave(outcome.failures, failed=running.strict and bool(doubted))

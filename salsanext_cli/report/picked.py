@@ -89,12 +89,12 @@ def reason(choice: Choice, rank: int, strategy: str, scans: int, nearest: str | 
         return f"{first} of {counted(scans, 'scan')}"
     if choice.distance == 0:
         return f"equal to {nearest}; no other is left"
-    place = f"{choice.distance:.2f} from {nearest}, the nearest one before"
+    place = f"{choice.distance:.2f} from {nearest}"
     if strategy == "diverse":
-        return f"farthest from all before: {place}"
+        return f"farthest from those before: {place}"
     uncertain = f"number {choice.uncertainty_rank} of {scans:,} by uncertainty"
     if strategy == "both":
-        return f"{uncertain}, and {place}"
+        return f"{uncertain}, {place}"
     passed = "; nearly equal ones passed over" if choice.uncertainty_rank > rank else ""
     return f"{uncertain}{passed}"
 
@@ -120,7 +120,7 @@ def picked_table(picked: Sequence[PickedScan]) -> Table:
     table = number_table("rank")
     table.columns[0].justify = "right"
     table.add_column("scan", overflow="fold")
-    table.add_column("uncertainty", justify="right")
+    table.add_column("uncertainty, nats", justify="right")
     table.add_column("distance", justify="right")
     table.add_column("reason", overflow="fold")
     for each in picked:

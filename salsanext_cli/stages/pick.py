@@ -25,7 +25,7 @@ from salsanext_cli.parallel.network_task import NetworkTask
 from salsanext_cli.parallel.run import Failure, Outcome, RunOptions, run_over_scans
 from salsanext_cli.report.picked import Preview, picked_csv, picked_scans, picked_sheet
 from salsanext_cli.storage.layout import ScanFile
-from salsanext_cli.storage.picked_data_set import SHEET, TABLE, PickedDataSet
+from salsanext_cli.storage.picked_data_set import LABEL_SPACE, SHEET, TABLE, PickedDataSet
 from salsanext_cli.storage.picked_scans import STAGE, PickedScan, PickRecord
 from salsanext_cli.storage.selection import ScanSelection, choose, evenly_spaced, scans_of, space_of
 from salsanext_cli.storage.stage_records import as_json
@@ -98,7 +98,9 @@ def write_scan(
     columns["scalar_intensity"] = scan.intensity
     paths, guess = data_set.paths(file.sequence, file.stem), encode_labels(raw)
     data_set.write_points(file, network.sensor)
-    data_set.write_missing(paths.cloud, encode_ply(columns, [f"label space {space.name}"]))
+    data_set.write_missing(
+        paths.cloud, encode_ply(columns, [f"scalar_label: ids of {LABEL_SPACE}"])
+    )
     data_set.write_missing(paths.labels, guess)
     return Guess(file, hashlib.sha256(guess).hexdigest(), Preview.of(found))
 
@@ -228,7 +230,7 @@ def _written(
     if written:
         previews = [guesses[each.name].preview for each in written]
         data_set.write_missing(data_set.out / SHEET, picked_sheet(written, previews, space))
-    digests = {name: guess.sha256 for name, guess in guesses.items()}
+    digests = {name: guess.sha256 for name, guess in sorted(guesses.items())}
     data_set.write_record(replace(record, guesses=digests))
     return replace(outcome, failures=(*_failures(record, scans), *outcome.failures))
 

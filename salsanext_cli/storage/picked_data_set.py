@@ -103,11 +103,11 @@ class PickedDataSet:
     def _copy_poses(self, source: Path, target: Path, picked: Sequence[str]) -> None:
         poses = source.with_name(POSES)
         if present(poses):
-            stems = [scan.stem for scan in find_scans(source)]
             try:
+                stems = [scan.stem for scan in find_scans(source)]
                 self.write_missing(target, pose_lines(poses, stems, picked))
-            except FormatError as error:
-                log.warning("%s: left out", error)
+            except (FormatError, OutputError) as error:
+                log.warning("%s; poses are left out", error)
 
     def is_complete(self, record: PickRecord) -> bool:
         """Say whether all files are there, but for poses and calibration, which may be unknown."""
