@@ -47,7 +47,7 @@ def pick(
         )
     table = picked_table(found.picked) if found.picked else None
     output.result(found.to_dict() | {"out": str(out)}, table)
-    outcome, doubted = found.outcome, found.summary.warnings()
+    outcome, doubted = found.outcome, found.warnings
     run_end.name_failures(outcome.failures)
     already = f", {outcome.skipped} there already" if outcome.skipped else ""
     failed = f", {len(outcome.failures)} failed" if outcome.failures else ""

@@ -54,14 +54,14 @@ class Picking:
         Number of scans to choose from.
     outcome : Outcome
         Picked scans written and there already; all scans that failed, picked or not.
-    summary : RunSummary
-        Of the scans to choose from; empty if they were not looked at again.
+    warnings : list of dict
+        Reasons to doubt scans, picked or not, as `RunSummary.warnings` lists them.
     """
 
     picked: tuple[PickedScan, ...]
     scans: int
     outcome: Outcome
-    summary: RunSummary
+    warnings: list[dict[str, Any]]
 
     def to_dict(self) -> dict[str, Any]:
         """Return plain data for JSON."""
@@ -70,7 +70,7 @@ class Picking:
             "scans": self.scans,
             "picked": [asdict(each) for each in self.picked],
             "failures": [failure.to_dict() for failure in self.outcome.failures],
-            "warnings": self.summary.warnings(),
+            "warnings": self.warnings,
         }
 
 
@@ -156,24 +156,26 @@ def pick(
     settings = as_json(how | network.record(loaded) | estimator.settings(loaded.sensor))
     with data_set.alone():
         record = data_set.earlier(settings, overwrite=options.overwrite)
-        summary = RunSummary.of_scans(scans, loaded.sensor)
         if record and data_set.is_complete(record):
             outcome = Outcome(len(record.picked), _failures(record, scans), 0)
-            return Picking(tuple(record.picked), len(scans), outcome, summary)
+            return Picking(tuple(record.picked), len(scans), outcome, record.warnings)
         resolved = network.resolved(loaded)
         if record is None:
             task = NetworkTask(partial(describe_scan, estimator=estimator), resolved, loaded)
+            summary = RunSummary.of_scans(scans, loaded.sensor)
             described, failures = _described(task, scans, options, summary)
+            warnings = summary.warnings()
             if not described:
-                return Picking((), len(scans), Outcome(0, failures, 0), summary)
+                return Picking((), len(scans), Outcome(0, failures, 0), warnings)
             picked = _chosen(described, count, strategy, seed)
-            record = PickRecord(settings, picked, [failure.to_dict() for failure in failures])
+            failed = [failure.to_dict() for failure in failures]
+            record = PickRecord(settings, picked, failed, warnings)
             data_set.begin(record)
         write = partial(write_scan, estimator=estimator, data_set=data_set)
         task = NetworkTask(write, resolved, loaded)
         labelled = space if space.fits(loaded.space) else loaded.space
         outcome = _written(task, data_set, record, scans, options, labelled)
-    return Picking(tuple(record.picked), len(scans), outcome, summary)
+    return Picking(tuple(record.picked), len(scans), outcome, record.warnings)
 
 
 def _digest(scans: Sequence[ScanFile]) -> str:

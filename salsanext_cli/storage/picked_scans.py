@@ -61,6 +61,8 @@ class PickRecord:
         In the order of their rank.
     failures : list of dict
         `scan`, `reason` and `code` of each scan that could not be looked at.
+    warnings : list of dict
+        Reasons to doubt scans, as `RunSummary.warnings` lists them.
     guesses : dict of str to str
         SHA-256 of the labels that the network guessed, by name of the scan; empty until all are
         written.
@@ -69,6 +71,7 @@ class PickRecord:
     settings: dict[str, Any]
     picked: list[PickedScan]
     failures: list[dict[str, str]]
+    warnings: list[dict[str, Any]]
     guesses: dict[str, str] = field(default_factory=dict)
 
     def to_json(self) -> bytes:
@@ -81,7 +84,9 @@ class PickRecord:
         try:
             picked = [PickedScan(**row) for row in data["picked"]]
             failures = [{key: str(row[key]) for key in FAILURE_KEYS} for row in data["failures"]]
-            return cls(dict(data["settings"]), picked, failures, dict(data["guesses"]))
+            warnings = [{**row, "scans": [*map(str, row["scans"])]} for row in data["warnings"]]
+            settings, guesses = dict(data["settings"]), dict(data["guesses"])
+            return cls(settings, picked, failures, warnings, guesses)
         except (TypeError, KeyError, ValueError) as error:
             remedy = "delete it or use another folder"
             raise OutputError(path, f"not what `{STAGE}` writes", remedy=remedy) from error

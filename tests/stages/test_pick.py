@@ -15,7 +15,7 @@ from salsanext_cli.measures.scan_choice import choose_scans
 from salsanext_cli.parallel.run import RunOptions
 from salsanext_cli.stages.pick import pick
 from salsanext_cli.storage.layout import find_scans
-from salsanext_cli.storage.point_files import write_ply
+from salsanext_cli.storage.point_files import write_bin, write_ply
 from salsanext_cli.storage.selection import ScanSelection
 from salsanext_cli.storage.written_files import WrittenFiles
 from salsanext_cli.uncertainty.scan_description import describe_scan, label_scan
@@ -240,6 +240,15 @@ def test_unreadable_scans_are_named_each_time_and_the_others_picked(drive):
     assert found.to_dict()["failures"][0]["code"] == "format"
 
 
+def test_doubts_are_said_each_time(drive):
+    scan = read_scan(drive.scan("08", "000030"))
+    write_bin(drive.scan("08", "000030"), replace(scan, points=np.abs(scan.points)))
+    first, again = run(drive), run(drive)
+    assert "out-of-view" in {warning["code"] for warning in first.warnings}
+    assert {name for warning in first.warnings for name in warning["scans"]} == {"08/000030"}
+    assert again.warnings == first.warnings
+
+
 def test_nothing_is_written_if_no_scan_can_be_read(drive):
     for path in (drive.data / "sequences/08/velodyne").iterdir():
         path.write_bytes(b"x" * 17)
@@ -318,7 +327,13 @@ def test_a_damaged_record(drive):
     run(drive)
     path = drive.out / "pick.json"
     record = json.loads(path.read_text())
-    for damage in ({"picked": [{"rank": 1}]}, {"picked": 3}, {"settings": None}, {"guesses": [1]}):
+    for damage in (
+        {"picked": [{"rank": 1}]},
+        {"picked": 3},
+        {"settings": None},
+        {"guesses": [1]},
+        {"warnings": [1]},
+    ):
         path.write_text(json.dumps(record | damage))
         with pytest.raises(OutputError, match="not what `pick` writes"):
             run(drive)
