@@ -76,17 +76,17 @@ class Picking:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Guess:
-    """Picked scan that was written: SHA-256 of the labels that were guessed, and its picture."""
+    """Picked scan that was written, but for its labels: these, as a file has them, and pictures."""
 
     file: ScanFile
-    sha256: str
+    labels: bytes
     preview: Preview
 
 
 def write_scan(
     file: ScanFile, network: Network, estimator: Estimator, data_set: PickedDataSet
 ) -> Guess:
-    """Write a picked scan, the labels that the network guesses, and a coloured cloud of them."""
+    """Write a picked scan, and a coloured cloud with the labels that the network guesses."""
     found, space = label_scan(file, network, estimator), network.space
     scan, labels, raw = found.scan, found.labels, space.to_raw(found.labels)
     columns: dict[str, Any] = dict(zip("xyz", scan.points.T, strict=True))
@@ -96,13 +96,10 @@ def write_scan(
     pixel_of_point = found.image.pixel_of_point
     columns["scalar_uncertainty"] = points_from_pixels(found.information, pixel_of_point, np.nan)
     columns["scalar_intensity"] = scan.intensity
-    paths, guess = data_set.paths(file.sequence, file.stem), encode_labels(raw)
     data_set.write_points(file, network.sensor)
-    data_set.write_missing(
-        paths.cloud, encode_ply(columns, [f"scalar_label: ids of {LABEL_SPACE}"])
-    )
-    data_set.write_missing(paths.labels, guess)
-    return Guess(file, hashlib.sha256(guess).hexdigest(), Preview.of(found))
+    cloud = encode_ply(columns, [f"scalar_label: ids of {LABEL_SPACE}"])
+    data_set.write_missing(data_set.paths(file.sequence, file.stem).cloud, cloud)
+    return Guess(file, encode_labels(raw), Preview.of(found))
 
 
 def pick(
@@ -221,10 +218,13 @@ def _written(
 ) -> Outcome:
     """Write what is missing of a data set of picked scans."""
     files, guesses = {_name(scan): scan for scan in scans}, dict[str, Guess]()
+
+    def keep(guess: Guess) -> None:
+        guesses[_name(guess.file)] = guess
+        data_set.write_guess(guess.file, guess.labels)
+
     picked = [files[each.name] for each in record.picked]
-    outcome = run_over_scans(
-        task, picked, options, on_result=lambda guess: guesses.update({_name(guess.file): guess})
-    )
+    outcome = run_over_scans(task, picked, options, on_result=keep)
     written = [each for each in record.picked if each.name in guesses]
     data_set.write_poses(guesses[each.name].file for each in written)
     data_set.write_label_space(space, record.picked)
@@ -232,8 +232,6 @@ def _written(
     if written:
         previews = [guesses[each.name].preview for each in written]
         data_set.write_missing(data_set.out / SHEET, picked_sheet(written, previews, space))
-    digests = {name: guess.sha256 for name, guess in sorted(guesses.items())}
-    data_set.write_record(replace(record, guesses=digests))
     return replace(outcome, failures=(*_failures(record, scans), *outcome.failures))
 
 

@@ -29,6 +29,8 @@ from salsanext_cli.storage.written_files import WrittenFiles
 
 RECORD, LOCK = "pick.json", ".pick.lock"
 LABEL_SPACE, TABLE, SHEET = "labels.yaml", "picked.csv", "picked.png"
+IMPORTED = "import-labels.json"
+"""Record of labels that a person made, even where they are equal to the guess."""
 POSES, CALIBRATION = "poses.txt", "calib.txt"
 COPIED_COLUMNS = ((), ("x", "y", "z", "intensity"))
 """Columns of `.bin` files that are copied."""
@@ -79,6 +81,22 @@ class PickedDataSet:
         else:
             content = encode_bin(read_scan(file.path, replace(sensor, intensity_scale=1.0)))
         self.write_missing(self.paths(file.sequence, file.stem).points, content)
+
+    def write_guess(self, file: ScanFile, labels: bytes) -> None:
+        """Write the labels of a scan that the network guessed, and record that they are a guess.
+
+        It is recorded first: in a run that is cut off nothing passes for labels of a person.
+        """
+        path, record = self.paths(file.sequence, file.stem).labels, self._record()
+        if filled(path):
+            return
+        if record is None:
+            remedy = "run again"
+            raise OutputError(self.out / RECORD, "was removed during the run", remedy=remedy)
+        digest = hashlib.sha256(labels).hexdigest()
+        guesses = {**record.guesses, f"{file.sequence}/{file.stem}": digest}
+        self._write_record(replace(record, guesses=dict(sorted(guesses.items()))))
+        self.write_missing(path, labels)
 
     def write_label_space(self, space: LabelSpace, picked: Iterable[PickedScan]) -> None:
         """Write the classes; all sequences are those for training."""
@@ -165,10 +183,9 @@ class PickedDataSet:
         if earlier is not None:
             self._require_unchanged(earlier)
             WrittenFiles(self.out).remove(self._files(earlier))
-        self.write_record(record)
+        self._write_record(record)
 
-    def write_record(self, record: PickRecord) -> None:
-        """Write the record, durably."""
+    def _write_record(self, record: PickRecord) -> None:
         WrittenFiles(self.out).write(self.out / RECORD, record.to_json(), durable=True)
 
     def _record(self) -> PickRecord | None:
@@ -182,7 +199,10 @@ class PickedDataSet:
         return files + [folder / name for folder in folders for name in (POSES, CALIBRATION)]
 
     def _require_unchanged(self, record: PickRecord) -> None:
-        """Refuse to replace files that are not as `pick` wrote them."""
+        """Refuse to replace files that are not as `pick` wrote them, and imported labels."""
+        if present(self.out / IMPORTED):
+            found = "says that labels were imported, which are kept"
+            raise OutputError(self.out / IMPORTED, found, remedy="choose another folder")
         changed = WrittenFiles(self.out).others(self._files(record))
         for each in record.picked:
             labels, guess = (

@@ -64,8 +64,7 @@ class PickRecord:
     warnings : list of dict
         Reasons to doubt scans, as `RunSummary.warnings` lists them.
     guesses : dict of str to str
-        SHA-256 of the labels that the network guessed, by name of the scan; empty until all are
-        written.
+        SHA-256 of the guessed labels that were written, by name of the scan.
     """
 
     settings: dict[str, Any]

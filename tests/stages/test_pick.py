@@ -1,5 +1,6 @@
 # SPDX-License-Identifier: MIT
 import copy
+import hashlib
 import json
 import shutil
 from dataclasses import replace
@@ -15,6 +16,7 @@ from salsanext_cli.measures.scan_choice import choose_scans
 from salsanext_cli.parallel.run import RunOptions
 from salsanext_cli.stages.pick import pick
 from salsanext_cli.storage.layout import find_scans
+from salsanext_cli.storage.picked_data_set import PickedDataSet
 from salsanext_cli.storage.point_files import write_bin, write_ply
 from salsanext_cli.storage.selection import ScanSelection
 from salsanext_cli.storage.written_files import WrittenFiles
@@ -204,6 +206,38 @@ def test_files_that_were_changed_are_never_replaced(drive):
         assert files_below(drive.out) == before
     WrittenFiles(drive.out).write(labels, first_guess)
     assert len(run(drive, count=2, overwrite=True).picked) == 2
+
+
+def test_imported_labels_are_never_replaced(drive):
+    run(drive)
+    (drive.out / "import-labels.json").write_text("{}\n")
+    with pytest.raises(OutputError, match="labels were imported"):
+        run(drive, overwrite=True)
+
+
+def test_what_is_cut_off_leaves_no_guess_unrecorded_and_is_finished_later(drive, monkeypatch):
+    write, labels = PickedDataSet.write_missing, []
+
+    def interrupted(self, path, content):
+        if path.suffix == ".label":
+            if labels:
+                raise KeyboardInterrupt
+            labels.append(path)
+        write(self, path, content)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(PickedDataSet, "write_missing", interrupted)
+        with pytest.raises(KeyboardInterrupt):
+            run(drive)
+    record = json.loads((drive.out / "pick.json").read_text())
+    (first,) = (drive.out / "sequences/08/labels").iterdir()
+    digest = hashlib.sha256(first.read_bytes()).hexdigest()
+    assert record["guesses"][f"08/{first.stem}"] == digest
+    run(drive)
+    run(drive, out=drive.out / "whole")
+    whole = files_below(drive.out / "whole")
+    shutil.rmtree(drive.out / "whole")
+    assert files_below(drive.out) == whole
 
 
 def test_results_of_others_in_the_folder_stay(drive):
