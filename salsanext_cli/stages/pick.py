@@ -29,15 +29,15 @@ from salsanext_cli.storage.picked_data_set import LABEL_SPACE, SHEET, TABLE, Pic
 from salsanext_cli.storage.picked_scans import STAGE, PickedScan, PickRecord
 from salsanext_cli.storage.selection import ScanSelection, choose, evenly_spaced, scans_of, space_of
 from salsanext_cli.storage.stage_records import as_json
+from salsanext_cli.uncertainty.monte_carlo import require_sampling
 from salsanext_cli.uncertainty.scan_description import (
     ScanDescription,
     describe_scan,
     label_scan,
 )
-from salsanext_cli.uncertainty.settings import Estimator
 
 SAMPLES = 8
-"""Passes of Monte-Carlo dropout; the uncertainty of a scan is a mean over all its pixels too."""
+"""Passes of Monte-Carlo dropout, whose masks are the same for all scans."""
 
 log = logging.getLogger(__name__)
 
@@ -84,10 +84,10 @@ class Guess:
 
 
 def write_scan(
-    file: ScanFile, network: Network, estimator: Estimator, data_set: PickedDataSet
+    file: ScanFile, network: Network, samples: int, seed: int, data_set: PickedDataSet
 ) -> Guess:
     """Write a picked scan, and a coloured cloud with the labels that the network guesses."""
-    found, space = label_scan(file, network, estimator), network.space
+    found, space = label_scan(file, network, samples, seed), network.space
     scan, labels, raw = found.scan, found.labels, space.to_raw(found.labels)
     columns: dict[str, Any] = dict(zip("xyz", scan.points.T, strict=True))
     columns |= zip(("red", "green", "blue"), space.colours[labels].T, strict=True)
@@ -141,24 +141,24 @@ def pick(
         If nothing can be done at all; failures of single scans are in the outcome.
     """
     require_choice(count, strategy, seed)
-    loaded, found, data_set = network.load(), scans_of(source), PickedDataSet(out)
+    loaded = network.load()
+    require_sampling(loaded, SAMPLES)
+    found, data_set = scans_of(source), PickedDataSet(out)
     data_set.require_apart(found)
     space = space_of(found, loaded.space)
     chosen = choose(found, replace(selection, limit=None), space, source)
     scans = evenly_spaced(chosen, selection.limit or 0)
-    loaded = fitted(network, loaded, found)
-    estimator = Estimator(samples=SAMPLES, seed=seed, aleatoric=False)
-    estimator.require(loaded)
-    how = {"strategy": strategy, "count": count, "seed": seed, "scans": _digest(scans)}
-    settings = as_json(how | network.record(loaded) | estimator.settings(loaded.sensor))
     with data_set.alone():
+        loaded = fitted(network, loaded, found)
+        how = {"strategy": strategy, "count": count, "seed": seed, "scans": _digest(scans)}
+        settings = as_json(how | {"samples": SAMPLES} | network.record(loaded))
         record = data_set.earlier(settings, overwrite=options.overwrite)
         if record and data_set.is_complete(record):
             outcome = Outcome(len(record.picked), _failures(record, scans), 0)
             return Picking(tuple(record.picked), len(scans), outcome, record.warnings)
         resolved = network.resolved(loaded)
         if record is None:
-            task = NetworkTask(partial(describe_scan, estimator=estimator), resolved, loaded)
+            task = NetworkTask(partial(describe_scan, samples=SAMPLES, seed=seed), resolved, loaded)
             summary = RunSummary.of_scans(scans, loaded.sensor)
             described, failures = _described(task, scans, options, summary)
             warnings = summary.warnings()
@@ -168,7 +168,7 @@ def pick(
             failed = [failure.to_dict() for failure in failures]
             record = PickRecord(settings, picked, failed, warnings)
             data_set.begin(record)
-        write = partial(write_scan, estimator=estimator, data_set=data_set)
+        write = partial(write_scan, samples=SAMPLES, seed=seed, data_set=data_set)
         task = NetworkTask(write, resolved, loaded)
         labelled = space if space.fits(loaded.space) else loaded.space
         outcome = _written(task, data_set, record, scans, options, labelled)
@@ -223,7 +223,7 @@ def _written(
         guesses[_name(guess.file)] = guess
         data_set.write_guess(guess.file, guess.labels)
 
-    picked = [files[each.name] for each in record.picked]
+    picked = [files[each.name] for each in record.picked if each.name in files]
     outcome = run_over_scans(task, picked, options, on_result=keep)
     written = [each for each in record.picked if each.name in guesses]
     data_set.write_poses(guesses[each.name].file for each in written)
@@ -238,7 +238,8 @@ def _written(
 def _failures(record: PickRecord, scans: Sequence[ScanFile]) -> tuple[Failure, ...]:
     """Return the scans that could not be looked at when the choice was made."""
     files = {str(scan.path): scan for scan in scans}
-    return tuple(Failure(files[f["scan"]], f["reason"], f["code"]) for f in record.failures)
+    known = (failure for failure in record.failures if failure["scan"] in files)
+    return tuple(Failure(files[f["scan"]], f["reason"], f["code"]) for f in known)
 
 
 def _name(scan: ScanFile) -> str:

@@ -103,7 +103,8 @@ class PickedDataSet:
         sequences = tuple(sorted({each.sequence for each in picked}))
         splits: dict[str, tuple[str, ...]] = {"train": sequences, "valid": (), "test": ()}
         described = replace(space, splits=splits).to_dict()
-        text = yaml.safe_dump(described, sort_keys=False, allow_unicode=True)
+        # Names of folders may be no text, which yaml can escape.
+        text = yaml.safe_dump(described, sort_keys=False, allow_unicode=False)
         self.write_missing(self.out / LABEL_SPACE, text.encode())
 
     def write_poses(self, scans: Iterable[ScanFile]) -> None:

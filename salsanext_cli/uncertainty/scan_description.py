@@ -20,7 +20,7 @@ from salsanext_cli.network.segmentation import SegmentationNetwork
 from salsanext_cli.records import Float, RangeImage, Scan
 from salsanext_cli.storage.layout import ScanFile
 from salsanext_cli.uncertainty.estimate import Estimate
-from salsanext_cli.uncertainty.settings import Estimator
+from salsanext_cli.uncertainty.monte_carlo import sample
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -44,8 +44,18 @@ class ScanDescription:
     check: ScanCheck
 
 
-def describe_scan(file: ScanFile, network: Network, estimator: Estimator) -> ScanDescription:
+def describe_scan(file: ScanFile, network: Network, samples: int, seed: int) -> ScanDescription:
     """Read a scan, and describe it by what the network makes of it.
+
+    The masks of dropout are those of the seed, the same for every scan: between masks the mutual
+    information of a scan varies more than between scans of one drive.
+
+    Parameters
+    ----------
+    file : ScanFile
+    network : Network
+    samples, seed : int
+        As `sample` takes them.
 
     Raises
     ------
@@ -60,7 +70,7 @@ def describe_scan(file: ScanFile, network: Network, estimator: Estimator) -> Sca
         raise FormatError(file.path, "no point is in view of the sensor", "a scan with points")
     features = pixel_features(network, image)[:, filled].mean(axis=1, dtype=np.float64)
     network.require_finite(features, file.path)
-    information = _estimate(file, image, network, estimator).uncertainty.mutual_information
+    information = _estimate(file, image, network, samples, seed).uncertainty.mutual_information
     mean = float(information[filled].mean(dtype=np.float64))
     return ScanDescription(file, features, mean, check)
 
@@ -87,20 +97,20 @@ class ScanLabels:
     information: Float
 
 
-def label_scan(file: ScanFile, network: Network, estimator: Estimator) -> ScanLabels:
-    """Read a scan and label it, as `uncertainty` does; errors as of `describe_scan`."""
+def label_scan(file: ScanFile, network: Network, samples: int, seed: int) -> ScanLabels:
+    """Read a scan and label it; parameters and errors as of `describe_scan`."""
     scan = read_scan(file.path, network.sensor)
     image = project(scan, network.sensor, network.device)
-    estimate = _estimate(file, image, network, estimator)
+    estimate = _estimate(file, image, network, samples, seed)
     pixel_labels, classes = estimate.probabilities.argmax(axis=0), network.space.class_count
     labels = knn_refine(image, pixel_labels, classes, device=network.device)
     return ScanLabels(scan, image, labels, estimate.uncertainty.mutual_information)
 
 
 def _estimate(
-    file: ScanFile, image: RangeImage, network: Network, estimator: Estimator
+    file: ScanFile, image: RangeImage, network: Network, samples: int, seed: int
 ) -> Estimate:
-    estimate = estimator.estimate(network, image, file)
+    estimate = sample(network, image, samples=samples, seed=seed)
     network.require_finite(estimate.probabilities, file.path)
     return estimate
 

@@ -25,6 +25,8 @@ LONG = "a" * 300
         (("submit", LONG, "made.zip"), 1),
         (("submit", "{done}", "made.zip", "--description", LONG), 1),
         (("convert", LONG, "{out}"), 1),
+        (("pick", LONG, "{out}"), 1),
+        (("pick", "{data}", LONG), 1),
         (("inspect", LONG), 1),
     ],
     ids=lambda value: " ".join(value).replace(LONG, "…") if isinstance(value, tuple) else None,

@@ -2,6 +2,7 @@
 import copy
 import hashlib
 import json
+import os
 import shutil
 from dataclasses import replace
 
@@ -21,15 +22,14 @@ from salsanext_cli.storage.point_files import write_bin, write_ply
 from salsanext_cli.storage.selection import ScanSelection
 from salsanext_cli.storage.written_files import WrittenFiles
 from salsanext_cli.uncertainty.scan_description import describe_scan, label_scan
-from salsanext_cli.uncertainty.settings import Estimator
 
-ESTIMATOR = Estimator(samples=2, aleatoric=False)
+PASSES = {"samples": 2, "seed": 0}
 
 
 @pytest.fixture
 def drive(world, monkeypatch):
     """Return the world with a drive of six scans, no two of them equal, with poses."""
-    monkeypatch.setattr("salsanext_cli.stages.pick.SAMPLES", ESTIMATOR.samples)
+    monkeypatch.setattr("salsanext_cli.stages.pick.SAMPLES", PASSES["samples"])
     sequence = world.data / "sequences/08"
     write_sequence(sequence, [f"{10 * i:06d}" for i in range(6)], labels=False, seed=20)
     (sequence / "velodyne/000001.bin").unlink()
@@ -56,7 +56,7 @@ def of_folder(world, folder):
 def test_what_is_chosen_is_what_the_descriptions_say(drive):
     network = drive.network.load()
     scans = find_scans(drive.data)
-    described = [describe_scan(scan, network, ESTIMATOR) for scan in scans]
+    described = [describe_scan(scan, network, **PASSES) for scan in scans]
     features = [each.features for each in described]
     doubt = [each.uncertainty for each in described]
     for strategy in ("both", "diverse"):
@@ -84,7 +84,7 @@ def test_the_data_set_is_ready_to_label(drive):
         source = drive.scan("08", scan.stem)
         assert scan.path.read_bytes() == source.read_bytes()
         original = next(s for s in find_scans(drive.data) if s.stem == scan.stem)
-        expected = label_scan(original, network, ESTIMATOR)
+        expected = label_scan(original, network, **PASSES)
         raw = read_labels(scan.label_path, len(expected.scan))
         np.testing.assert_array_equal(raw, space.to_raw(expected.labels))
     written = label_space(drive.out / "labels.yaml")
@@ -355,6 +355,15 @@ def test_what_is_wrong_is_said_before_a_scan_is_read(drive, tmp_path):
         run(drive, network=replace(drive.network, weights=certain))
     assert load_network(certain, "cpu", engine="torch")
     assert not drive.out.exists()
+
+
+def test_names_that_are_no_text(drive, tmp_path):
+    name = os.fsdecode(b"dr\xe4ve")
+    shutil.copytree(drive.data / "sequences/08/velodyne", tmp_path / name)
+    found = run(drive, tmp_path / name)
+    assert {each.sequence for each in found.picked} == {name}
+    assert label_space(drive.out / "labels.yaml").splits["train"] == (name,)
+    assert run(drive, tmp_path / name).outcome.skipped == 3
 
 
 def test_a_damaged_record(drive):

@@ -10,11 +10,9 @@ from salsanext_cli import knn_refine, load_network, project, read_scan, sample
 from salsanext_cli.errors import FormatError
 from salsanext_cli.storage.layout import ScanFile
 from salsanext_cli.storage.point_files import write_bin
-from salsanext_cli.uncertainty.monte_carlo import scan_seed
 from salsanext_cli.uncertainty.scan_description import describe_scan, label_scan, pixel_features
-from salsanext_cli.uncertainty.settings import Estimator
 
-ESTIMATOR = Estimator(samples=3, seed=4, aleatoric=False)
+PASSES = {"samples": 3, "seed": 4}
 
 
 @pytest.fixture(params=["torch", "openvino"])
@@ -53,23 +51,32 @@ def test_sizes_that_the_network_does_not_divide(weights):
 
 
 def test_means_are_over_the_pixels_that_hold_a_point(network, file):
-    found = describe_scan(file, network, ESTIMATOR)
+    found = describe_scan(file, network, **PASSES)
     image = project(read_scan(file.path), SMALL)
     pixels = [*zip(*np.nonzero(image.point_of_pixel >= 0), strict=True)]
     assert len(pixels) < image.point_of_pixel.size
     features = pixel_features(network, image).astype(np.float64)
     mean = sum(features[:, v, u] for v, u in pixels) / len(pixels)
     np.testing.assert_allclose(found.features, mean, rtol=1e-9)
-    seed = scan_seed(4, "00", "000007")
-    information = sample(network, image, samples=3, seed=seed).uncertainty.mutual_information
+    information = sample(network, image, **PASSES).uncertainty.mutual_information
     assert found.uncertainty == pytest.approx(np.mean([information[p] for p in pixels]), rel=1e-6)
     assert found.uncertainty > 0
 
 
+def test_equal_scans_are_described_alike_whatever_their_names(network, file):
+    other = replace(file, sequence="01", stem="000008")
+    first, second = (describe_scan(each, network, **PASSES) for each in (file, other))
+    assert first.uncertainty == second.uncertainty
+    np.testing.assert_array_equal(first.features, second.features)
+    again = describe_scan(file, network, samples=3, seed=5)
+    assert again.uncertainty != first.uncertainty
+    np.testing.assert_array_equal(again.features, first.features)
+
+
 def test_labels_are_those_of_the_mean_softmax(network, file):
-    found = label_scan(file, network, ESTIMATOR)
+    found = label_scan(file, network, **PASSES)
     image = project(read_scan(file.path), SMALL)
-    sampled = sample(network, image, samples=3, seed=scan_seed(4, "00", "000007"))
+    sampled = sample(network, image, **PASSES)
     refined = knn_refine(image, sampled.probabilities.argmax(axis=0))
     np.testing.assert_array_equal(found.labels, refined)
     np.testing.assert_array_equal(found.information, sampled.uncertainty.mutual_information)
@@ -80,4 +87,4 @@ def test_a_scan_without_a_measurement(weights, tmp_path):
     write_bin(tmp_path / "0.bin", replace(scan, points=np.full_like(scan.points, np.nan)))
     network = load_network(weights, "cpu", engine="torch")
     with pytest.raises(FormatError):
-        describe_scan(ScanFile("s", "0", tmp_path / "0.bin"), network, ESTIMATOR)
+        describe_scan(ScanFile("s", "0", tmp_path / "0.bin"), network, **PASSES)
