@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: MIT
 """From scans of another sensor to labels of one's own: pick, label, train, predict.
 
-A synthetic drive through a sensor that the weights have not seen stands for one's own scans. Its last
-quarter is kept aside. Of the others, some are picked, and the truth takes the place of the person.
+A synthetic drive through a sensor that the weights have not seen stands for one's own scans. Its
+last quarter is kept aside. Of the others some are picked, and the truth takes the place of the
+person.
 
 Run: python examples/few_labels.py folder/ [4 24 finetune weights.safetensors]
 """
@@ -43,7 +44,9 @@ def score(scans: Path, out: Path, truth: Path, weights: Path | None) -> str:
     labels = {file.stem: file.label_path for file in find_scans(truth)}
     for file in find_scans(scans):
         predicted = output_path(out, file.sequence, "predictions", file.stem)
-        confusion.update(*(space.to_train(sn.read_labels(path)) for path in (labels[file.stem], predicted)))
+        confusion.update(
+            *(space.to_train(sn.read_labels(path)) for path in (labels[file.stem], predicted))
+        )
     found = scores(confusion, space)
     return f"accuracy {100 * found.accuracy:.1f} %, mean IoU {100 * found.iou_mean_present:.1f} %"
 

@@ -148,6 +148,20 @@ def test_adapt_batchnorm(tmp_path, weights, capsys):
     assert rows[2][1:] != rows[1][1:]
 
 
+def test_few_labels(tmp_path, weights, capsys):
+    plan = tmp_path / "plan.toml"
+    few = ("folds = 2", "epochs = 1", "batch = 2", "samples_per_epoch = 2", "crop_width = 32")
+    plan.write_text("\n".join((*few, 'sensors = "fitted"', 'optimiser = "adamw"')))
+    load("few_labels")(str(tmp_path / "out"), "2", "4", str(plan), str(weights))
+    lines = dict(line.split(" ", 1) for line in capsys.readouterr().out.splitlines())
+    assert list(lines) == ["picked", "expect", "before", "after"]
+    picked = {path.stem for path in (tmp_path / "out/to-label").glob("sequences/*/velodyne/*")}
+    assert picked == set(lines["picked"].split(", "))
+    # The last quarter of the drive takes no part.
+    assert picked <= {"000000", "000001", "000002"}
+    assert lines["before"] != lines["after"]
+
+
 @pytest.mark.parametrize("name", NAMES)
 def test_every_example_says_how_to_run_it_and_is_tested(name):
     assert f"\nRun: python examples/{name}.py " in (EXAMPLES / f"{name}.py").read_text("utf-8")

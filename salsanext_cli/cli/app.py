@@ -22,6 +22,7 @@ from salsanext_cli.cli.inspect import inspect
 from salsanext_cli.cli.knn_refine import knn_refine
 from salsanext_cli.cli.models import models
 from salsanext_cli.cli.option_groups import expanded
+from salsanext_cli.cli.pick import pick
 from salsanext_cli.cli.predict import predict
 from salsanext_cli.cli.project import project
 from salsanext_cli.cli.submit import submit
@@ -43,6 +44,7 @@ COMMANDS: dict[str, dict[str, Callable[..., None] | typer.Typer]] = {
     "Your own data": {
         "inspect": inspect,
         "convert": convert,
+        "pick": pick,
         "import-labels": import_labels,
         "synth": synth,
         "submit": submit,

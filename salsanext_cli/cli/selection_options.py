@@ -79,6 +79,13 @@ class SourceSelection(Selection):
         return in_topic(Selection.source(self, scans), self.topic)
 
 
+@option_group
+class PickedSelection(SourceSelection):
+    """Selection among the scans to pick from, whose limit takes scans evenly spaced."""
+
+    limit: int | None = selection_option("Look at this number of scans only, evenly spaced.")
+
+
 def in_topic(source: Path, topic: str | None) -> Path:
     """Return the path of a topic in a recording, of the recording where none is named."""
     if topic is None:

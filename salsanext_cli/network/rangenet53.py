@@ -93,8 +93,8 @@ class RangeNet53(SegmentationNetwork):
         stem: Tensor = self.stem(image)
         return stem, self.stages[0](stem)
 
-    def rest(self, *features: Tensor) -> Tensor:
-        """Compute the logits (B, C, H, W) from what `trunk` returns."""
+    def decoded(self, *features: Tensor) -> Tensor:
+        """Compute the features of the last stage, (B, D, H, W), from what `trunk` returns."""
         stem, first = features
         skips = [stem, self.dropout(first)]
         for stage in list(self.stages)[1:]:
@@ -102,5 +102,5 @@ class RangeNet53(SegmentationNetwork):
         upsampled = skips.pop()
         for step in self.raises:
             upsampled = step(upsampled) + skips.pop()
-        logits: Tensor = self.logits(self.dropout(upsampled))
-        return logits
+        decoded: Tensor = self.dropout(upsampled)
+        return decoded

@@ -77,16 +77,15 @@ class SalsaNext(SegmentationNetwork):
             features.append(self._block(2, self._down(1, features[0])))
         return tuple(features)
 
-    def rest(self, *features: Tensor) -> Tensor:
-        """Compute the logits (B, C, H, W) from what `trunk` returns."""
+    def decoded(self, *features: Tensor) -> Tensor:
+        """Compute the features of the last up block, (B, D, H, W), from what `trunk` returns."""
         skips = list(features)
         for level in range(self.trunk_blocks, self.levels + 1):
             skips.append(self._block(level + 1, self._down(level, skips[-1])))
-        upsampled = self.bottom(skips.pop())
+        upsampled: Tensor = self.bottom(skips.pop())
         for number in range(1, self.levels + 1):
             upsampled = self.get_submodule(f"up{number}")(upsampled, skips.pop())
-        logits: Tensor = self.logits(upsampled)
-        return logits
+        return upsampled
 
     def _block(self, number: int, x: Tensor) -> Tensor:
         features: Tensor = self.get_submodule(f"block{number}")(x)

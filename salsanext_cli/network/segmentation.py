@@ -15,24 +15,33 @@ MAX_CLASSES = 255
 class SegmentationNetwork(nn.Module):
     """Base class of networks in two parts: `trunk`, up to the first dropout, and the `rest`.
 
-    Both are written for tensors of sizes that `stride` divides, and with functions of torch only,
-    so that Gaussians can take the place of tensors.
+    The rest ends with the layer `logits`, which takes what `decoded` returns. All are written for
+    tensors of sizes that `stride` divides, and with functions of torch only, so that Gaussians can
+    take the place of tensors.
 
     Attributes
     ----------
     stride : (int, int)
         Divisors of height and width at the coarsest level.
+    logits : Conv2d
+        The last layer.
     """
 
     stride: tuple[int, int]
+    logits: nn.Conv2d
 
     @abstractmethod
     def trunk(self, image: Tensor) -> tuple[Tensor, ...]:
         """Compute everything before the first dropout: the same for every Monte-Carlo pass."""
 
     @abstractmethod
+    def decoded(self, *features: Any) -> Tensor:
+        """Compute the features (B, D, H, W) of the last layer but one from what `trunk` returns."""
+
     def rest(self, *features: Any) -> Tensor:
         """Compute the logits (B, C, H, W) from what `trunk` returns."""
+        logits: Tensor = self.logits(self.decoded(*features))
+        return logits
 
     def forward(self, image: Tensor) -> Tensor:
         """Map a normalised range image (B, 5, H, W) to logits (B, C, H, W); any H, W."""

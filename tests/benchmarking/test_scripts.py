@@ -123,6 +123,37 @@ def test_training_speed(data):
     assert re.fullmatch(r"ours is \S+ × as fast \(\S+ to \S+ over 2 turns\)", ratio)
 
 
+def test_picking(tmp_path, weights, capsys, monkeypatch):
+    """Each strategy and number of scans has a line; the labels are those of the pool."""
+    write_sequence(tmp_path / "pool/sequences/00", ["0", "1", "2"], count=600)
+    write_sequence(tmp_path / "others/sequences/00", ["9"], count=600, seed=9)
+    script = runpy.run_path(str(BENCHMARKS / "picking.py"))
+    run, trained = script["subprocess"].run, []
+
+    def command(words, **how):
+        """Run a command with weights that are there, but a training, which copies them."""
+        if words[1] == "train":
+            labels = sorted(Path(words[2]).glob("sequences/00/labels/*.label"))
+            own = [tmp_path / "pool/sequences/00/labels" / path.name for path in labels]
+            assert [p.read_bytes() for p in labels] == [p.read_bytes() for p in own]
+            trained.append((len(labels), words[4:]))
+            Path(words[3]).mkdir()
+            Path(words[3], "best.safetensors").write_bytes(weights.read_bytes())
+            return subprocess.CompletedProcess(words, 0, b"{}")
+        more = ("--weights", weights) if words[1] == "pick" else ()
+        code = ("-c", "from salsanext_cli.cli.app import main; main()")
+        return run([sys.executable, *code, *words[1:], *more], **how)
+
+    monkeypatch.setattr(script["subprocess"], "run", command)
+    monkeypatch.setenv("SALSANEXT_ENGINE", "torch")
+    options = ["--counts", "2", "--seeds", "1", "--strategies", "both"]
+    folders = [str(tmp_path / name) for name in ("pool", "others", "out")]
+    script["main"](*folders, *options, "--train", "-x")
+    (line,) = capsys.readouterr().out.splitlines()
+    assert re.fullmatch(r"both, 2 scans  \d+\.\d ± 0\.0  \d+\.\d ± 0\.0", line)
+    assert trained == [(2, ["-x", "--set", "seed=0", "--json", "--quiet"])]
+
+
 def test_learning_curve(tmp_path, capsys, monkeypatch):
     """Each start and number of scans has a line, of scores on sequences that took no part."""
     for name in ("a", "b", "c"):

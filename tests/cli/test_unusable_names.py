@@ -25,6 +25,8 @@ LONG = "a" * 300
         (("submit", LONG, "made.zip"), 1),
         (("submit", "{done}", "made.zip", "--description", LONG), 1),
         (("convert", LONG, "{out}"), 1),
+        (("pick", LONG, "{out}"), 1),
+        (("pick", "{data}", LONG), 1),
         (("import-labels", LONG, "{data}"), 1),
         (("import-labels", "{done}", LONG), 1),
         (("import-labels", "{data}", "{data}", "--map", LONG), 2),

@@ -28,11 +28,12 @@ class Normed(SegmentationNetwork):
     def __init__(self) -> None:
         super().__init__()
         self.norm, self.pool, self.deep = nn.BatchNorm2d(5), nn.AvgPool2d(4), nn.BatchNorm2d(5)
+        self.logits = nn.Identity()
 
     def trunk(self, image):
         return (self.norm(image),)
 
-    def rest(self, *features):
+    def decoded(self, *features):
         self.deep(self.pool(features[0]))
         return features[0]
 

@@ -1,0 +1,61 @@
+# SPDX-License-Identifier: MIT
+"""`salsanext pick`."""
+
+import shlex
+from pathlib import Path
+from typing import Annotated, Literal
+
+import typer
+
+from salsanext_cli.cli import console, options, run_end, run_options, selection_options
+from salsanext_cli.cli.option_groups import Without
+from salsanext_cli.errors import counted
+
+
+def pick(
+    scans: options.RequiredScans,
+    out: Annotated[Path, typer.Argument(metavar="OUT", help="Root of the data set to write.")],
+    *,
+    count: Annotated[int, typer.Option(help="Number of scans to pick.")] = 10,
+    strategy: Annotated[
+        Literal["both", "uncertainty", "diverse", "random"],
+        typer.Option(help="Pick what is uncertain, what is unlike the rest, both, or any."),
+    ] = "both",
+    seed: Annotated[int, typer.Option(help="Seed of dropout masks and of random picks.")] = 0,
+    selection: Annotated[selection_options.PickedSelection, Without({"dataset"})],
+    network: options.NetworkOptions,
+    running: run_options.CheckedUnsharded,
+    output: console.Output,
+) -> None:
+    """Pick the scans most worth labelling; write them as a data set with labels to correct.
+
+    Example: salsanext pick my/drive to-label/ --count 10
+    """
+    from salsanext_cli.report.picked import picked_table
+    from salsanext_cli.stages.pick import pick as stage
+
+    with running.over_scans("pick", output) as run:
+        found = stage(
+            selection.source(scans),
+            out,
+            count=count,
+            strategy=strategy,
+            seed=seed,
+            network=network.settings(),
+            selection=selection.scans(),
+            options=run,
+        )
+    table = picked_table(found.picked) if found.picked else None
+    output.result(found.to_dict() | {"out": str(out)}, table)
+    outcome, doubted = found.outcome, found.warnings
+    run_end.name_failures(outcome.failures)
+    already = f", {outcome.skipped} there already" if outcome.skipped else ""
+    failed = f", {len(outcome.failures)} failed" if outcome.failures else ""
+    chosen = f"{len(found.picked):,} of {counted(found.scans, 'scan')}"
+    output.say(f"pick: {chosen}{already}{failed} → {out}")
+    for line in run_end.warning_lines(doubted):
+        output.say(line)
+    if found.picked:
+        following = shlex.join(["salsanext", "train", str(out), "RUN", "--recipe", "finetune"])
+        output.say(f"next: correct the labels there, then `{following}`")
+    run_end.leave(outcome.failures, failed=running.strict and bool(doubted))

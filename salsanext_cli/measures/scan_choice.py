@@ -1,0 +1,176 @@
+# SPDX-License-Identifier: MIT
+"""Choice of the scans most worth labelling: uncertain ones, unlike those chosen before.
+
+Greedy k-centre (Sener & Savarese, ICLR 2018) on a vector of features per scan, weighted by the
+scan's uncertainty.
+"""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from salsanext_cli.errors import UsageError
+
+Double = npt.NDArray[np.float64]
+
+STRATEGIES = ("both", "uncertainty", "diverse", "random")
+SHARE_OF_SPREAD = 0.5
+"""Least distance of a chosen scan from earlier ones, as a share of what is possible for so many.
+There are always enough scans for a share of 1/2 or less: each ball of that radius holds but one of
+the scans that are a whole spread apart."""
+
+
+@dataclass(frozen=True, slots=True)
+class Choice:
+    """A chosen scan.
+
+    Attributes
+    ----------
+    scan : int
+        Its position among the scans to choose from.
+    uncertainty : float
+        Its uncertainty.
+    uncertainty_rank : int
+        Number of its uncertainty in decreasing order, from 1.
+    distance : float
+        Distance to the nearest scan that was chosen before it, in units of the root mean square
+        distance between two scans; NaN for the first.
+    nearest : int, optional
+        Position of that scan; None for the first.
+    """
+
+    scan: int
+    uncertainty: float
+    uncertainty_rank: int
+    distance: float = math.nan
+    nearest: int | None = None
+
+
+def choose_scans(
+    features: npt.ArrayLike,
+    uncertainty: npt.ArrayLike,
+    count: int,
+    strategy: str = "both",
+    seed: int = 0,
+) -> list[Choice]:
+    """Choose the scans most worth labelling, the most valuable first.
+
+    "diverse" begins with the most typical scan and then takes the one farthest from all chosen.
+    "uncertainty" takes the most uncertain, and "both" the one with the highest product of
+    uncertainty and distance; both leave out scans nearly equal to a chosen one. "random" draws.
+    A scan equal to a chosen one comes after all others. The order of the scans matters where
+    nothing else tells them apart, and in "random".
+
+    Parameters
+    ----------
+    features : (S, F)
+        Description of each scan; features are given equal weight by their standard deviation.
+    uncertainty : (S,)
+        Not negative.
+    count : int
+        Number of scans to choose, at least 1; all S if there are no more.
+    strategy : {"both", "uncertainty", "diverse", "random"}
+    seed : int
+        Of "random", not negative.
+
+    Raises
+    ------
+    UsageError
+        If count, strategy or seed are none.
+    """
+    require_choice(count, strategy, seed)
+    weights = np.asarray(uncertainty, np.float64)
+    points, count = standardised(features), min(count, len(weights))
+    if strategy == "random":
+        order = np.random.default_rng(seed).permutation(len(weights))[:count].tolist()
+    else:
+        order = _greedy(points, weights, count, strategy)
+    ranks = np.empty(len(weights), np.intp)
+    ranks[np.argsort(-weights, kind="stable")] = np.arange(1, len(weights) + 1)
+    return [
+        Choice(
+            scan, float(weights[scan]), int(ranks[scan]), *_nearest(points, scan, order[:number])
+        )
+        for number, scan in enumerate(order)
+    ]
+
+
+def require_choice(count: int, strategy: str, seed: int) -> None:
+    """Raise what `choose_scans` raises, before any scan is read."""
+    if count < 1:
+        raise UsageError("--count", str(count), "at least 1")
+    if strategy not in STRATEGIES:
+        raise UsageError("--strategy", strategy, f"one of {', '.join(STRATEGIES)}")
+    if seed < 0:
+        raise UsageError("--seed", str(seed), "a whole number of at least 0")
+
+
+def standardised(features: npt.ArrayLike) -> Double:
+    """Return features of mean 0 and equal deviations, (S, ≤ F).
+
+    The root mean square distance between two scans is 1, unless all are equal.
+    """
+    values = np.asarray(features, np.float64)
+    centred = values - values.mean(axis=0)
+    deviation = np.sqrt((centred**2).sum(axis=0) / max(1, len(values) - 1))
+    # What rounding leaves of a feature that is the same everywhere tells nothing.
+    varies = deviation > 1e-9 * np.abs(values).max(axis=0, initial=0)
+    scaled: Double = centred[:, varies] / deviation[varies]
+    return scaled / math.sqrt(2 * max(1, int(varies.sum())))
+
+
+def distances(points: Double, scan: int) -> Double:
+    """Return the distance of every scan from one, (S,)."""
+    found: Double = np.linalg.norm(points - points[scan], axis=1)
+    return found
+
+
+def spread(points: Double, count: int) -> float:
+    """Return the least distance between two scans of a diverse choice; infinite for one scan."""
+    apart = np.full(len(points), math.inf)
+    scan, least = typical(points), math.inf
+    for _ in range(count - 1):
+        apart = np.minimum(apart, distances(points, scan))
+        scan = int(apart.argmax())
+        least = float(apart[scan])
+    return least
+
+
+def typical(points: Double) -> int:
+    """Return the scan nearest to the mean of all."""
+    return int(np.linalg.norm(points, axis=1).argmin())
+
+
+def _greedy(points: Double, weights: Double, count: int, strategy: str) -> list[int]:
+    """Choose by the highest score among those far enough from all that are chosen."""
+    worth = np.zeros(len(weights)) if strategy == "diverse" else weights
+    least = SHARE_OF_SPREAD * spread(points, count)
+    order = [typical(points) if strategy == "diverse" else int(worth.argmax())]
+    apart = distances(points, order[0])
+    left = np.ones(len(weights), bool)
+    left[order[0]] = False
+    while len(order) < count:
+        others = left & (apart > 0)
+        scores = {"both": worth * apart, "uncertainty": worth, "diverse": apart}
+        # Scans equal to chosen ones come last, and differ by their uncertainty only.
+        score = scores[strategy] if others.any() else worth
+        # Rounding may hide the one that must be far enough.
+        levels = (others & (apart >= least), others, left)
+        eligible = next(level for level in levels if level.any())
+        scan = int(np.where(eligible, score, -math.inf).argmax())
+        order.append(scan)
+        left[scan] = False
+        apart = np.minimum(apart, distances(points, scan))
+    return order
+
+
+def _nearest(points: Double, scan: int, earlier: Sequence[int]) -> tuple[float, int | None]:
+    """Return the distance of a scan to the nearest of the earlier ones, and that one."""
+    if not earlier:
+        return math.nan, None
+    apart = np.linalg.norm(points[list(earlier)] - points[scan], axis=1)
+    place = int(apart.argmin())
+    return float(apart[place]), earlier[place]

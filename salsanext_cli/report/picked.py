@@ -1,0 +1,191 @@
+# SPDX-License-Identifier: MIT
+"""Picked scans as a table, as the reasons in words, and as a sheet of pictures."""
+
+import csv
+import io
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, fields
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+from rich.markup import escape
+from rich.table import Table
+
+from salsanext_cli.classes import LabelSpace, TrainIds
+from salsanext_cli.errors import counted, printable
+from salsanext_cli.geometry.gather import pixels_from_points
+from salsanext_cli.measures.scan_choice import Choice
+from salsanext_cli.records import Float
+from salsanext_cli.report import canvas
+from salsanext_cli.report.canvas import MARGIN_PX
+from salsanext_cli.report.colours import (
+    COLOUR_MAP,
+    EMPTY,
+    Colours,
+    legend_of,
+    map_colours,
+    value_colours,
+    value_range,
+)
+from salsanext_cli.report.tables import ABSENT, number_table
+from salsanext_cli.storage.labelling.picked_scans import PickedScan
+from salsanext_cli.storage.layout import ScanFile
+from salsanext_cli.uncertainty.scan_description import ScanLabels
+
+STRIP_WIDTH_PX, STRIP_HEIGHT_PX = 1024, 96
+TITLE_PX, HEAD_PX, BAR_PX = 34, 44, 200
+MAX_ON_SHEET = 200
+"""Scans of a sheet; the picture would be too high for its format with many more."""
+NO_CLASS = 255
+"""Train id of an empty pixel."""
+
+
+@dataclass(frozen=True, slots=True)
+class Preview:
+    """Classes and uncertainty of a scan, small enough to be sent and kept.
+
+    Attributes
+    ----------
+    classes : (H, W) uint8
+        Train ids, `NO_CLASS` where empty; at most `STRIP_WIDTH_PX` columns.
+    uncertainty : (H, W) float32
+        NaN where empty.
+    """
+
+    classes: TrainIds
+    uncertainty: Float
+
+    @classmethod
+    def of(cls, found: ScanLabels) -> "Preview":
+        """Take every so many columns of a scan's range image."""
+        image, step = found.image, -(-found.image.width // STRIP_WIDTH_PX)
+        classes = pixels_from_points(found.labels, image.point_of_pixel, NO_CLASS)
+        values = np.where(image.point_of_pixel < 0, np.float32(np.nan), found.information)
+        return cls(classes[:, ::step].copy(), values[:, ::step].copy())
+
+
+def reason(choice: Choice, rank: int, strategy: str, scans: int, nearest: str | None) -> str:
+    """Say in words why a scan was picked.
+
+    Parameters
+    ----------
+    choice : Choice
+    rank : int
+        From 1.
+    strategy : str
+        One of `scan_choice.STRATEGIES`.
+    scans : int
+        Number of scans to choose from.
+    nearest : str, optional
+        Name of the nearest scan picked before.
+    """
+    if scans == 1:
+        return "the only scan"
+    if strategy == "random":
+        return "drawn at random"
+    if nearest is None:
+        first = "most typical" if strategy == "diverse" else "most uncertain"
+        return f"{first} of {counted(scans, 'scan')}"
+    if choice.distance == 0:
+        return f"equal to {nearest}; no other is left"
+    place = f"{choice.distance:.2f} from {nearest}"
+    if strategy == "diverse":
+        return f"farthest from those before: {place}"
+    uncertain = f"number {choice.uncertainty_rank} of {scans:,} by uncertainty"
+    if strategy == "both":
+        return f"{uncertain}, {place}"
+    passed = "; nearly equal ones passed over" if choice.uncertainty_rank > rank else ""
+    return f"{uncertain}{passed}"
+
+
+def picked_scans(
+    choices: Sequence[Choice], files: Sequence[ScanFile], strategy: str
+) -> list[PickedScan]:
+    """Return the chosen ones of some scans, with the reasons in words."""
+    picked = []
+    for rank, choice in enumerate(choices, start=1):
+        file, nearest, distance = files[choice.scan], None, None
+        if choice.nearest is not None:
+            before, distance = files[choice.nearest], choice.distance
+            nearest = f"{before.sequence}/{before.stem}"
+        why = reason(choice, rank, strategy, len(files), nearest)
+        named = (rank, file.sequence, file.stem)
+        picked.append(PickedScan(*named, choice.uncertainty, distance, nearest, why))
+    return picked
+
+
+def picked_table(picked: Sequence[PickedScan]) -> Table:
+    """Return a table with a row per picked scan, the one most worth labelling first."""
+    table = number_table("rank")
+    table.columns[0].justify = "right"
+    table.add_column("scan", overflow="fold")
+    table.add_column("uncertainty, nats", justify="right")
+    table.add_column("distance", justify="right")
+    table.add_column("reason", overflow="fold")
+    for each in picked:
+        distance = ABSENT if each.distance is None else f"{each.distance:.2f}"
+        texts = (escape(printable(text)) for text in (each.name, each.reason))
+        name, words = texts
+        table.add_row(str(each.rank), name, f"{each.uncertainty:.4f}", distance, words)
+    return table
+
+
+def picked_csv(picked: Sequence[PickedScan]) -> bytes:
+    """Return the content of a CSV file with a row per picked scan."""
+    text = io.StringIO()
+    names = [field.name for field in fields(PickedScan)]
+    table = csv.DictWriter(text, names, lineterminator="\n")
+    table.writeheader()
+    table.writerows(asdict(each) for each in picked)
+    return text.getvalue().encode("utf-8", "backslashreplace")
+
+
+def picked_sheet(
+    picked: Sequence[PickedScan], previews: Sequence[Preview], space: LabelSpace
+) -> bytes:
+    """Return a PNG: classes and uncertainty of each picked scan, with its rank and the reason.
+
+    Parameters
+    ----------
+    picked : sequence of PickedScan
+        The first `MAX_ON_SHEET` are drawn.
+    previews : sequence of Preview
+        Of the same scans.
+    space : LabelSpace
+        Of the classes.
+    """
+    drawn = list(zip(picked, previews, strict=True))[:MAX_ON_SHEET]
+    low, high = value_range(np.concatenate([p.uncertainty.ravel() for _, p in drawn]))
+    classes = [preview.classes[preview.classes != NO_CLASS] for _, preview in drawn]
+    right = MARGIN_PX + STRIP_WIDTH_PX + MARGIN_PX
+    width, row_px = right + STRIP_WIDTH_PX + MARGIN_PX, TITLE_PX + STRIP_HEIGHT_PX
+    height = HEAD_PX + len(drawn) * row_px + MARGIN_PX
+    figure = canvas.new_picture(width, height, legend_of(space, *classes), width - MARGIN_PX)
+    canvas.text_at(figure, MARGIN_PX, HEAD_PX // 2, "labels", 18)
+    _draw_scale(figure, low, high, right, width - MARGIN_PX)
+    colours = np.full((NO_CLASS + 1, 3), EMPTY, np.uint8)
+    colours[: space.class_count] = space.colours
+    for number, (each, preview) in enumerate(drawn):
+        top = HEAD_PX + number * row_px
+        title = printable(f"{each.rank}   {each.name}   {each.reason}")
+        canvas.text_at(figure, MARGIN_PX, top + TITLE_PX // 2 + 2, title, 17)
+        strips: tuple[Colours, Colours] = (
+            colours[preview.classes],
+            value_colours(preview.uncertainty, low, high),
+        )
+        for left, strip in zip((MARGIN_PX, right), strips, strict=True):
+            place = (left, top + TITLE_PX, STRIP_WIDTH_PX, STRIP_HEIGHT_PX)
+            canvas.show_pixels(figure, strip, *place)
+    return canvas.png_of(figure)
+
+
+def _draw_scale(figure: Any, low: float, high: float, left: int, right: int) -> None:
+    """Draw the head of the uncertainties, with the meaning of their colours."""
+    middle = HEAD_PX // 2
+    canvas.text_at(figure, left, middle, "uncertainty: mutual information, nats", 18)
+    bar: npt.NDArray[np.uint8] = map_colours(COLOUR_MAP)[None]
+    start = right - BAR_PX - 70
+    canvas.text_at(figure, start - 60, middle, f"{low:.3f}", 15)
+    canvas.show_pixels(figure, bar, start, middle - 8, BAR_PX, 16)
+    canvas.text_at(figure, start + BAR_PX + 10, middle, f"{high:.3f}", 15)

@@ -1,0 +1,246 @@
+# SPDX-License-Identifier: MIT
+"""Stage `pick`: the scans most worth labelling, as a data set that is ready to label."""
+
+import hashlib
+import logging
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, replace
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from salsanext_cli.classes import LabelSpace
+from salsanext_cli.errors import NOTICE, counted
+from salsanext_cli.formats.clouds.ply import encode_ply
+from salsanext_cli.formats.labels import encode_labels
+from salsanext_cli.geometry.gather import points_from_pixels
+from salsanext_cli.inference.network import Network
+from salsanext_cli.inference.scan_fit import fitted
+from salsanext_cli.inference.settings import NetworkSettings
+from salsanext_cli.measures.scan_choice import choose_scans, require_choice
+from salsanext_cli.measures.scan_summary import RunSummary, ScanSummary
+from salsanext_cli.parallel.network_task import NetworkTask
+from salsanext_cli.parallel.run import Failure, Outcome, RunOptions, run_over_scans
+from salsanext_cli.report.picked import Preview, picked_csv, picked_scans, picked_sheet
+from salsanext_cli.storage.labelling.picked_data_set import LABEL_SPACE, SHEET, TABLE, PickedDataSet
+from salsanext_cli.storage.labelling.picked_scans import STAGE, PickedScan, PickRecord
+from salsanext_cli.storage.layout import ScanFile
+from salsanext_cli.storage.selection import ScanSelection, choose, evenly_spaced, scans_of, space_of
+from salsanext_cli.storage.stage_records import as_json
+from salsanext_cli.uncertainty.monte_carlo import require_sampling
+from salsanext_cli.uncertainty.scan_description import (
+    ScanDescription,
+    describe_scan,
+    label_scan,
+)
+
+SAMPLES = 8
+"""Passes of Monte-Carlo dropout, whose masks are the same for all scans."""
+
+log = logging.getLogger(__name__)
+
+
+@dataclass(frozen=True, slots=True)
+class Picking:
+    """Result of picking scans.
+
+    Attributes
+    ----------
+    picked : tuple of PickedScan
+        The scan most worth labelling first.
+    scans : int
+        Number of scans to choose from.
+    outcome : Outcome
+        Picked scans written and there already; all scans that failed, picked or not.
+    warnings : list of dict
+        Reasons to doubt scans, picked or not, as `RunSummary.warnings` lists them.
+    """
+
+    picked: tuple[PickedScan, ...]
+    scans: int
+    outcome: Outcome
+    warnings: list[dict[str, Any]]
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return plain data for JSON."""
+        return {
+            "stage": STAGE,
+            "scans": self.scans,
+            "picked": [asdict(each) for each in self.picked],
+            "failures": [failure.to_dict() for failure in self.outcome.failures],
+            "warnings": self.warnings,
+        }
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Guess:
+    """Picked scan that was written, but for its labels: these, as a file has them, and pictures."""
+
+    file: ScanFile
+    labels: bytes
+    preview: Preview
+
+
+def write_scan(
+    file: ScanFile, network: Network, samples: int, seed: int, data_set: PickedDataSet
+) -> Guess:
+    """Write a picked scan, and a coloured cloud with the labels that the network guesses."""
+    found, space = label_scan(file, network, samples, seed), network.space
+    scan, labels, raw = found.scan, found.labels, space.to_raw(found.labels)
+    columns: dict[str, Any] = dict(zip("xyz", scan.points.T, strict=True))
+    columns |= zip(("red", "green", "blue"), space.colours[labels].T, strict=True)
+    # CloudCompare takes properties of such names for scalars, without asking.
+    columns["scalar_label"] = raw
+    pixel_of_point = found.image.pixel_of_point
+    columns["scalar_uncertainty"] = points_from_pixels(found.information, pixel_of_point, np.nan)
+    columns["scalar_intensity"] = scan.intensity
+    data_set.write_points(file, network.sensor)
+    cloud = encode_ply(columns, [f"scalar_label: ids of {LABEL_SPACE}"])
+    data_set.write_missing(data_set.paths(file.sequence, file.stem).cloud, cloud)
+    return Guess(file, encode_labels(raw), Preview.of(found))
+
+
+def pick(
+    source: Path,
+    out: Path,
+    *,
+    count: int = 10,
+    strategy: str = "both",
+    seed: int = 0,
+    network: NetworkSettings = NetworkSettings(),
+    selection: ScanSelection = ScanSelection(),
+    options: RunOptions = RunOptions(),
+) -> Picking:
+    """Pick the scans most worth labelling; write a data set of them in SemanticKITTI's layout.
+
+    Files of it that are there already stay, since they may be edited. A pick that nobody changed is
+    replaced if `options.overwrite` says so.
+
+    Parameters
+    ----------
+    source : Path
+        A scan, a folder of scans, a sequence, a data set or a recording.
+    out : Path
+        Root of the data set to write.
+    count : int
+        Number of scans to pick; all if there are no more.
+    strategy : {"both", "uncertainty", "diverse", "random"}
+        As `choose_scans` takes it.
+    seed : int
+        Of the dropout masks, and of "random".
+    network, options
+        As for `predict_scans`.
+    selection : ScanSelection
+        Which scans to choose from; a limit takes evenly spaced ones.
+
+    Raises
+    ------
+    SalsanextError
+        If nothing can be done at all; failures of single scans are in the outcome.
+    """
+    require_choice(count, strategy, seed)
+    loaded = network.load()
+    require_sampling(loaded, SAMPLES)
+    found, data_set = scans_of(source), PickedDataSet(out)
+    data_set.require_apart(found)
+    space = space_of(found, loaded.space)
+    chosen = choose(found, replace(selection, limit=None), space, source)
+    scans = evenly_spaced(chosen, selection.limit or 0)
+    with data_set.alone():
+        loaded = fitted(network, loaded, found)
+        how = {"strategy": strategy, "count": count, "seed": seed, "scans": _digest(scans)}
+        settings = as_json(how | {"samples": SAMPLES} | network.record(loaded))
+        record = data_set.earlier(settings, overwrite=options.overwrite)
+        if record and data_set.is_complete(record):
+            outcome = Outcome(len(record.picked), _failures(record, scans), 0)
+            return Picking(tuple(record.picked), len(scans), outcome, record.warnings)
+        resolved = network.resolved(loaded)
+        if record is None:
+            task = NetworkTask(partial(describe_scan, samples=SAMPLES, seed=seed), resolved, loaded)
+            summary = RunSummary.of_scans(scans, loaded.sensor)
+            described, failures = _described(task, scans, options, summary)
+            warnings = summary.warnings()
+            if not described:
+                return Picking((), len(scans), Outcome(0, failures, 0), warnings)
+            picked = _chosen(described, count, strategy, seed)
+            failed = [failure.to_dict() for failure in failures]
+            record = PickRecord(settings, picked, failed, warnings)
+            data_set.begin(record)
+        write = partial(write_scan, samples=SAMPLES, seed=seed, data_set=data_set)
+        task = NetworkTask(write, resolved, loaded)
+        labelled = space if space.fits(loaded.space) else loaded.space
+        outcome = _written(task, data_set, record, scans, options, labelled)
+    return Picking(tuple(record.picked), len(scans), outcome, record.warnings)
+
+
+def _digest(scans: Sequence[ScanFile]) -> str:
+    """Return the number of scans and a digest of their names and places."""
+    names = "\n".join(f"{scan.sequence}/{scan.stem} {scan.path}" for scan in scans)
+    digest = hashlib.sha256(names.encode("utf-8", "surrogateescape")).hexdigest()
+    return f"{len(scans)}, {digest[:16]}"
+
+
+def _described(
+    task: NetworkTask, scans: Sequence[ScanFile], options: RunOptions, summary: RunSummary
+) -> tuple[list[ScanDescription], tuple[Failure, ...]]:
+    """Describe all scans that can be read, in their order."""
+    found: dict[ScanFile, ScanDescription] = {}
+
+    def keep(scan: ScanDescription) -> None:
+        found[scan.file] = scan
+        summary.add(ScanSummary(scan.file, scan.check))
+
+    failures = run_over_scans(task, scans, options, on_result=keep).failures
+    summary.finished()
+    return [found[scan] for scan in scans if scan in found], failures
+
+
+def _chosen(
+    described: Sequence[ScanDescription], count: int, strategy: str, seed: int
+) -> list[PickedScan]:
+    if count > len(described):
+        log.log(NOTICE, "only %s: all are picked", counted(len(described), "scan"))
+    features = np.stack([scan.features for scan in described])
+    uncertainty = [scan.uncertainty for scan in described]
+    choices = choose_scans(features, uncertainty, count, strategy, seed)
+    return picked_scans(choices, [scan.file for scan in described], strategy)
+
+
+def _written(
+    task: NetworkTask,
+    data_set: PickedDataSet,
+    record: PickRecord,
+    scans: Sequence[ScanFile],
+    options: RunOptions,
+    space: LabelSpace,
+) -> Outcome:
+    """Write what is missing of a data set of picked scans."""
+    files, guesses = {_name(scan): scan for scan in scans}, dict[str, Guess]()
+
+    def keep(guess: Guess) -> None:
+        guesses[_name(guess.file)] = guess
+        data_set.write_guess(guess.file, guess.labels)
+
+    picked = [files[each.name] for each in record.picked if each.name in files]
+    outcome = run_over_scans(task, picked, options, on_result=keep)
+    written = [each for each in record.picked if each.name in guesses]
+    data_set.write_poses(guesses[each.name].file for each in written)
+    data_set.write_label_space(space, record.picked)
+    data_set.write_missing(data_set.out / TABLE, picked_csv(record.picked))
+    if written:
+        previews = [guesses[each.name].preview for each in written]
+        data_set.write_missing(data_set.out / SHEET, picked_sheet(written, previews, space))
+    return replace(outcome, failures=(*_failures(record, scans), *outcome.failures))
+
+
+def _failures(record: PickRecord, scans: Sequence[ScanFile]) -> tuple[Failure, ...]:
+    """Return the scans that could not be looked at when the choice was made."""
+    files = {str(scan.path): scan for scan in scans}
+    known = (failure for failure in record.failures if failure["scan"] in files)
+    return tuple(Failure(files[f["scan"]], f["reason"], f["code"]) for f in known)
+
+
+def _name(scan: ScanFile) -> str:
+    return f"{scan.sequence}/{scan.stem}"

@@ -1,0 +1,133 @@
+# SPDX-License-Identifier: MIT
+"""Scan as the network sees it: described by features and uncertainty, or labelled."""
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+from torch import Tensor
+
+from salsanext_cli.classes import TrainIds
+from salsanext_cli.errors import FormatError
+from salsanext_cli.formats import read_scan
+from salsanext_cli.geometry.checks.findings import ScanCheck
+from salsanext_cli.geometry.knn import knn_refine
+from salsanext_cli.geometry.projection import project
+from salsanext_cli.inference.checked_scans import project_checked
+from salsanext_cli.inference.network import Network
+from salsanext_cli.inference.torch_engine import inference_mode
+from salsanext_cli.network.segmentation import SegmentationNetwork
+from salsanext_cli.records import Float, RangeImage, Scan
+from salsanext_cli.storage.layout import ScanFile
+from salsanext_cli.uncertainty.estimate import Estimate
+from salsanext_cli.uncertainty.monte_carlo import sample
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ScanDescription:
+    """Means over the pixels of a scan that hold a point.
+
+    Attributes
+    ----------
+    file : ScanFile
+    features : (D,) float64
+        Of the layer before the logits, without dropout; 32 in SalsaNext.
+    uncertainty : float
+        Mutual information of label and weights, nats.
+    check : ScanCheck
+        Reasons to doubt the scan.
+    """
+
+    file: ScanFile
+    features: npt.NDArray[np.float64]
+    uncertainty: float
+    check: ScanCheck
+
+
+def describe_scan(file: ScanFile, network: Network, samples: int, seed: int) -> ScanDescription:
+    """Read a scan, and describe it by what the network makes of it.
+
+    The masks of dropout are those of the seed, the same for every scan: between masks the mutual
+    information of a scan varies more than between scans of one drive.
+
+    Parameters
+    ----------
+    file : ScanFile
+    network : Network
+    samples, seed : int
+        As `sample` takes them.
+
+    Raises
+    ------
+    FormatError
+        If the file cannot be read, or no point is in view of the sensor.
+    WeightsError
+        If features or probabilities are not finite.
+    """
+    image, check = project_checked(file, network.sensor, network.device, network.card.sensor)
+    filled = image.point_of_pixel >= 0
+    if not filled.any():
+        raise FormatError(file.path, "no point is in view of the sensor", "a scan with points")
+    features = pixel_features(network, image)[:, filled].mean(axis=1, dtype=np.float64)
+    network.require_finite(features, file.path)
+    information = _estimate(file, image, network, samples, seed).uncertainty.mutual_information
+    mean = float(information[filled].mean(dtype=np.float64))
+    return ScanDescription(file, features, mean, check)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ScanLabels:
+    """A scan with the labels that the network gives it, and their uncertainty.
+
+    Attributes
+    ----------
+    scan : Scan
+        N points.
+    image : RangeImage
+        The scan, projected.
+    labels : (N,) uint8
+        Train ids of the mean softmax, refined by nearest neighbours.
+    information : (H, W) float32
+        Mutual information of label and weights of each pixel, nats; meaningless where empty.
+    """
+
+    scan: Scan
+    image: RangeImage
+    labels: TrainIds
+    information: Float
+
+
+def label_scan(file: ScanFile, network: Network, samples: int, seed: int) -> ScanLabels:
+    """Read a scan and label it; parameters and errors as of `describe_scan`."""
+    scan = read_scan(file.path, network.sensor)
+    image = project(scan, network.sensor, network.device)
+    estimate = _estimate(file, image, network, samples, seed)
+    pixel_labels, classes = estimate.probabilities.argmax(axis=0), network.space.class_count
+    labels = knn_refine(image, pixel_labels, classes, device=network.device)
+    return ScanLabels(scan, image, labels, estimate.uncertainty.mutual_information)
+
+
+def _estimate(
+    file: ScanFile, image: RangeImage, network: Network, samples: int, seed: int
+) -> Estimate:
+    estimate = sample(network, image, samples=samples, seed=seed)
+    network.require_finite(estimate.probabilities, file.path)
+    return estimate
+
+
+def pixel_features(network: Network, image: RangeImage) -> Float:
+    """Return the features of every pixel of a scan, (D, H, W) float32, without dropout."""
+    if network.engine == "openvino":
+        graph = network.graph("features", _decoded, lambda: [network.example_input()])
+        of_one: Float = graph(network.input_array(image.channels))[0][0]
+        return of_one
+    with inference_mode(network.device):
+        decoded = _decoded(network.torch_module, network.input(image.channels))
+        features: Float = decoded[0].float().cpu().numpy()
+        return features
+
+
+def _decoded(module: SegmentationNetwork, image: Tensor) -> Tensor:
+    """Map a normalised range image (1, 5, H, W) to features (1, D, H, W)."""
+    height, width = image.shape[-2:]
+    return module.decoded(*module.trunk(module.pad(image)))[..., :height, :width]

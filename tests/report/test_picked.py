@@ -1,0 +1,138 @@
+# SPDX-License-Identifier: MIT
+import csv
+import io
+from dataclasses import asdict, replace
+from pathlib import Path
+
+import matplotlib.image
+import numpy as np
+import pytest
+from rich.console import Console
+from scans import SMALL, make_scan
+
+from salsanext_cli import label_space, project
+from salsanext_cli.measures.scan_choice import Choice
+from salsanext_cli.report.canvas import MARGIN_PX
+from salsanext_cli.report.colours import EMPTY, map_colours
+from salsanext_cli.report.picked import (
+    HEAD_PX,
+    NO_CLASS,
+    STRIP_HEIGHT_PX,
+    STRIP_WIDTH_PX,
+    TITLE_PX,
+    Preview,
+    picked_csv,
+    picked_scans,
+    picked_sheet,
+    picked_table,
+    reason,
+)
+from salsanext_cli.storage.layout import ScanFile
+from salsanext_cli.uncertainty.scan_description import ScanLabels
+
+SPACE = label_space()
+FILES = [ScanFile("$0$", f"[{i}]", Path(f"/s/[{i}].bin")) for i in range(3)]
+CHOICES = [Choice(2, 0.5, 1), Choice(0, 0.25, 3, 1.25, 2), Choice(1, 0.375, 2, 0.0, 0)]
+PICKED = picked_scans(CHOICES, FILES, "both")
+
+
+@pytest.mark.parametrize(
+    ("strategy", "words"),
+    [
+        (
+            "both",
+            ["most uncertain of 9 scans", "number 4 of 9 by uncertainty, 1.25 from 00/000003"],
+        ),
+        (
+            "uncertainty",
+            [
+                "most uncertain of 9 scans",
+                "number 4 of 9 by uncertainty; nearly equal ones passed over",
+            ],
+        ),
+        (
+            "diverse",
+            ["most typical of 9 scans", "farthest from those before: 1.25 from 00/000003"],
+        ),
+        ("random", ["drawn at random"] * 2),
+    ],
+)
+def test_reasons(strategy, words):
+    first, second = Choice(3, 0.5, 1), Choice(8, 0.2, 4, 1.25, 3)
+    assert reason(first, 1, strategy, 9, None) == words[0]
+    assert reason(second, 2, strategy, 9, "00/000003") == words[1]
+    assert reason(first, 1, strategy, 1, None) == "the only scan"
+
+
+def test_reasons_of_what_nothing_speaks_for():
+    equal = Choice(8, 0.2, 2, 0.0, 3)
+    assert reason(equal, 2, "both", 9, "00/3") == "equal to 00/3; no other is left"
+    passed = Choice(8, 0.2, 2, 1.0, 3)
+    assert reason(passed, 2, "uncertainty", 9, "00/3") == "number 2 of 9 by uncertainty"
+
+
+def test_rows_are_named_and_ranked():
+    assert [each.rank for each in PICKED] == [1, 2, 3]
+    assert [each.name for each in PICKED] == ["$0$/[2]", "$0$/[0]", "$0$/[1]"]
+    assert [each.nearest for each in PICKED] == [None, "$0$/[2]", "$0$/[0]"]
+    assert [each.distance for each in PICKED] == [None, 1.25, 0.0]
+
+
+def test_the_table_shows_names_as_they_are():
+    out = io.StringIO()
+    Console(file=out, width=120).print(picked_table(PICKED))
+    rows = [line.split("│")[1:-1] for line in out.getvalue().splitlines() if "│" in line]
+    cells = [[cell.strip() for cell in row] for row in rows]
+    assert cells[0] == ["1", "$0$/[2]", "0.5000", "–", "most uncertain of 3 scans"]
+    assert cells[1][1:4] == ["$0$/[0]", "0.2500", "1.25"]
+
+
+def test_the_csv_file_holds_every_value():
+    rows = list(csv.DictReader(io.StringIO(picked_csv(PICKED).decode())))
+    empty = {key: "" if value is None else str(value) for key, value in asdict(PICKED[0]).items()}
+    assert rows[0] == empty
+    assert float(rows[1]["distance"]) == 1.25
+
+
+def preview(seed=0, sensor=SMALL):
+    scan = make_scan(800, seed)
+    image = project(scan, sensor)
+    labels = np.random.default_rng(seed).integers(0, 20, len(scan)).astype(np.uint8)
+    values = np.random.default_rng(seed).random(image.point_of_pixel.shape, np.float32)
+    return image, labels, values, Preview.of(ScanLabels(scan, image, labels, values))
+
+
+def test_a_preview_holds_every_so_many_columns():
+    image, labels, values, small = preview()
+    for v, u in zip(*np.nonzero(image.point_of_pixel >= 0), strict=True):
+        assert small.classes[v, u] == labels[image.point_of_pixel[v, u]]
+        assert small.uncertainty[v, u] == values[v, u]
+    empty = image.point_of_pixel < 0
+    assert (small.classes[empty] == NO_CLASS).all()
+    assert np.isnan(small.uncertainty[empty]).all()
+    image, *_, wide = preview(sensor=replace(SMALL, width=2050))
+    assert wide.classes.shape == wide.uncertainty.shape == (16, 684)
+    assert ((wide.classes == NO_CLASS) == (image.point_of_pixel[:, ::3] < 0)).all()
+
+
+def test_the_sheet_shows_both_pictures_of_every_scan():
+    previews = [preview(seed)[-1] for seed in range(3)]
+    png = picked_sheet(PICKED, previews, SPACE)
+    pixels = (matplotlib.image.imread(io.BytesIO(png))[..., :3] * 255).round().astype(np.uint8)
+    for number, each in enumerate(previews):
+        top = HEAD_PX + number * (TITLE_PX + STRIP_HEIGHT_PX) + TITLE_PX
+        rows = top + (np.arange(16) * 2 + 1) * STRIP_HEIGHT_PX // 32
+        columns = (np.arange(128) * 2 + 1) * STRIP_WIDTH_PX // 256
+        labels = pixels[rows[:, None], MARGIN_PX + columns]
+        filled = each.classes != NO_CLASS
+        np.testing.assert_array_equal(labels[filled], SPACE.colours[each.classes[filled]])
+        assert (labels[~filled] == EMPTY).all()
+        doubt = pixels[rows[:, None], 2 * MARGIN_PX + STRIP_WIDTH_PX + columns]
+        assert (doubt[~filled] == EMPTY).all()
+        lowest = filled & (each.uncertainty < 0.01)
+        assert (doubt[lowest] == map_colours("viridis")[0]).all()
+
+
+def test_a_sheet_without_a_measurement():
+    nothing = Preview(np.full((4, 8), NO_CLASS, np.uint8), np.full((4, 8), np.nan, np.float32))
+    assert picked_sheet(PICKED[:1], [nothing], SPACE).startswith(b"\x89PNG")

@@ -1,0 +1,386 @@
+# SPDX-License-Identifier: MIT
+import copy
+import hashlib
+import json
+import os
+import shutil
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import yaml
+from scans import SMALL, files_below, make_scan, replace_points, write_sequence, write_weights
+
+from salsanext_cli import label_space, load_network, read_labels, read_scan, write_labels
+from salsanext_cli.errors import NOTICE, NoInputError, OutputError, UsageError, WeightsError
+from salsanext_cli.measures.scan_choice import choose_scans
+from salsanext_cli.parallel.run import RunOptions
+from salsanext_cli.stages.pick import pick
+from salsanext_cli.storage.labelling.picked_data_set import PickedDataSet
+from salsanext_cli.storage.layout import find_scans
+from salsanext_cli.storage.point_files import write_bin, write_ply
+from salsanext_cli.storage.selection import ScanSelection
+from salsanext_cli.storage.written_files import WrittenFiles
+from salsanext_cli.uncertainty.scan_description import describe_scan, label_scan
+
+PASSES = {"samples": 2, "seed": 0}
+
+
+@pytest.fixture
+def drive(world, monkeypatch):
+    """Return the world with a drive of six scans, no two of them equal, with poses."""
+    monkeypatch.setattr("salsanext_cli.stages.pick.SAMPLES", PASSES["samples"])
+    sequence = world.data / "sequences/08"
+    write_sequence(sequence, [f"{10 * i:06d}" for i in range(6)], labels=False, seed=20)
+    (sequence / "velodyne/000001.bin").unlink()
+    shutil.rmtree(world.data / "sequences/00")
+    (sequence / "poses.txt").write_text("".join(f"{i} 0 0\n" for i in range(6)))
+    (sequence / "calib.txt").write_text("Tr: 1 0 0\n")
+    return world
+
+
+def run(world, source=None, out=None, *, jobs=1, overwrite=False, **how):
+    options = RunOptions(jobs=jobs, overwrite=overwrite)
+    given = {"network": world.network, "count": 3} | how
+    return pick(source or world.data, out or world.out, options=options, **given)
+
+
+def names(found):
+    return [each.name for each in found.picked]
+
+
+def of_folder(world, folder):
+    return sorted(path.name for path in (world.out / "sequences/08" / folder).iterdir())
+
+
+def test_what_is_chosen_is_what_the_descriptions_say(drive):
+    network = drive.network.load()
+    scans = find_scans(drive.data)
+    described = [describe_scan(scan, network, **PASSES) for scan in scans]
+    features = [each.features for each in described]
+    doubt = [each.uncertainty for each in described]
+    for strategy in ("both", "diverse"):
+        found = run(drive, out=drive.out / strategy, strategy=strategy)
+        expected = [scans[each.scan] for each in choose_scans(features, doubt, 3, strategy)]
+        assert names(found) == [f"{scan.sequence}/{scan.stem}" for scan in expected]
+        assert found.scans == 6
+    assert [each.uncertainty for each in found.picked] == [
+        doubt[each.scan] for each in choose_scans(features, doubt, 3, "diverse")
+    ]
+
+
+def test_the_data_set_is_ready_to_label(drive):
+    found = run(drive)
+    network, space = drive.network.load(), label_space()
+    stems = sorted(each.scan for each in found.picked)
+    for folder, suffix in (("velodyne", "bin"), ("labels", "label"), ("ply", "ply")):
+        assert of_folder(drive, folder) == [f"{stem}.{suffix}" for stem in stems]
+    poses = (drive.out / "sequences/08/poses.txt").read_text().splitlines()
+    assert poses == [f"{int(stem) // 10} 0 0" for stem in stems]
+    assert (drive.out / "sequences/08/calib.txt").read_text() == "Tr: 1 0 0\n"
+    scans = find_scans(drive.out)
+    assert [scan.stem for scan in scans] == stems
+    for scan in scans:
+        source = drive.scan("08", scan.stem)
+        assert scan.path.read_bytes() == source.read_bytes()
+        original = next(s for s in find_scans(drive.data) if s.stem == scan.stem)
+        expected = label_scan(original, network, **PASSES)
+        raw = read_labels(scan.label_path, len(expected.scan))
+        np.testing.assert_array_equal(raw, space.to_raw(expected.labels))
+    written = label_space(drive.out / "labels.yaml")
+    assert written.fits(space)
+    assert written.splits == {"train": ("08",), "valid": (), "test": ()}
+    assert (drive.out / "picked.png").read_bytes().startswith(b"\x89PNG")
+    lines = (drive.out / "picked.csv").read_text().splitlines()
+    assert [line.split(",")[2] for line in lines[1:]] == [each.scan for each in found.picked]
+
+
+def test_clouds_name_their_scalars_for_cloudcompare(drive):
+    plyfile = pytest.importorskip("plyfile")
+    run(drive, count=1)
+    (path,) = (drive.out / "sequences/08/ply").iterdir()
+    points = plyfile.PlyData.read(path)["vertex"].data
+    space = label_space()
+    raw = read_labels(path.parents[1] / "labels" / f"{path.stem}.label")
+    np.testing.assert_array_equal(points["scalar_label"], raw)
+    rgb = np.stack([points[name] for name in ("red", "green", "blue")], axis=1)
+    np.testing.assert_array_equal(rgb, space.colours[space.to_train(raw)])
+    scan, again = read_scan(drive.scan("08", path.stem)), read_scan(path)
+    np.testing.assert_array_equal(again.points, scan.points)
+    np.testing.assert_array_equal(again.intensity, scan.intensity)
+    assert (points["scalar_uncertainty"] >= 0).all()
+
+
+def test_other_formats_become_bin_files(drive):
+    for path in (drive.data / "sequences/08/velodyne").iterdir():
+        scan = read_scan(path)
+        columns = dict(zip("xyz", scan.points.T, strict=True)) | {"intensity": scan.intensity}
+        write_ply(path.with_suffix(".ply"), columns)
+    plain = run(drive, drive.data / "sequences/08/velodyne/000010.bin", count=1)
+    content = (drive.out / "sequences/08/velodyne/000010.bin").read_bytes()
+    for path in (drive.data / "sequences/08/velodyne").glob("*.bin"):
+        path.unlink()
+    clouds = run(drive, drive.data / "sequences/08/velodyne/000010.ply", drive.out / "c", count=1)
+    assert names(clouds) == names(plain)
+    assert (drive.out / "c/sequences/08/velodyne/000010.bin").read_bytes() == content
+
+
+def test_intensity_stays_on_the_scale_of_the_files(drive):
+    scan, path = make_scan(), drive.data / "five.bin"
+    table = [*scan.points.T, np.zeros(len(scan)), 200 * scan.intensity]
+    path.write_bytes(np.stack(table, axis=1).astype("<f4").tobytes())
+    columns = ("x", "y", "z", "_", "intensity")
+    sensor = replace(SMALL, columns=columns, intensity_scale=255.0)
+    run(drive, path, count=1, network=replace(drive.network, sensor=sensor))
+    (written,) = find_scans(drive.out)
+    np.testing.assert_allclose(read_scan(written.path).intensity, 200 * scan.intensity, rtol=1e-6)
+
+
+def test_workers_and_order_change_nothing(drive, tmp_path):
+    alone, many = tmp_path / "alone", tmp_path / "many"
+    run(drive, out=alone)
+    run(drive, out=many, jobs=2)
+    assert files_below(alone) == files_below(many)
+
+
+def test_a_second_run_leaves_everything_and_says_the_same(drive):
+    first = run(drive)
+    before = files_below(drive.out)
+    labels = next((drive.out / "sequences/08/labels").iterdir())
+    write_labels(labels, read_labels(labels) * 0 + 10)
+    again = run(drive)
+    assert again.picked == first.picked
+    assert (again.outcome.skipped, again.outcome.done) == (3, 0)
+    after = files_below(drive.out)
+    name = str(labels.relative_to(drive.out))
+    assert {key for key in before if before[key] != after[key]} == {name}
+
+
+def test_what_is_missing_is_written_and_what_is_there_stays(drive):
+    run(drive)
+    before = files_below(drive.out)
+    edited, lost = list((drive.out / "sequences/08/labels").iterdir())[:2]
+    write_labels(edited, read_labels(edited) * 0 + 10)
+    (drive.out / "labels.yaml").write_text("mine\n")
+    kept = files_below(drive.out)
+    lost.unlink()
+    (drive.out / "picked.png").unlink()
+    assert run(drive).outcome.done == 3
+    assert files_below(drive.out) == kept
+    assert kept.keys() == before.keys()
+
+
+def test_other_settings_need_another_folder_or_overwrite(drive):
+    run(drive)
+    before = files_below(drive.out)
+    for how, difference in (
+        ({"count": 4}, "count was 3 and is 4"),
+        ({"seed": 1}, "seed was 0 and is 1"),
+        ({"strategy": "random"}, 'strategy was "both" and is "random"'),
+        ({"selection": ScanSelection(limit=5)}, 'scans was "6, .*and is "5, '),
+    ):
+        with pytest.raises(OutputError, match=difference):
+            run(drive, **how)
+    assert files_below(drive.out) == before
+    found = run(drive, strategy="random", count=2, overwrite=True)
+    stems = sorted(each.scan for each in found.picked)
+    for folder in ("velodyne", "labels", "ply"):
+        assert [name.partition(".")[0] for name in of_folder(drive, folder)] == stems
+    assert len((drive.out / "sequences/08/poses.txt").read_text().splitlines()) == 2
+
+
+def test_files_that_were_changed_are_never_replaced(drive):
+    run(drive)
+    labels = next((drive.out / "sequences/08/labels").iterdir())
+    first_guess = labels.read_bytes()
+    for change in (
+        lambda: labels.write_bytes(first_guess[::-1]),
+        # Other commands that write labels there record them as written by salsanext.
+        lambda: WrittenFiles(drive.out).write(labels, first_guess[::-1]),
+    ):
+        change()
+        before = files_below(drive.out)
+        for how in ({}, {"count": 2}):
+            with pytest.raises(OutputError, match=r"\.label · was changed"):
+                run(drive, overwrite=True, **how)
+        assert files_below(drive.out) == before
+    WrittenFiles(drive.out).write(labels, first_guess)
+    assert len(run(drive, count=2, overwrite=True).picked) == 2
+
+
+def test_imported_labels_are_never_replaced(drive):
+    run(drive)
+    (drive.out / "import-labels.json").write_text("{}\n")
+    with pytest.raises(OutputError, match="labels were imported"):
+        run(drive, overwrite=True)
+
+
+def test_what_is_cut_off_leaves_no_guess_unrecorded_and_is_finished_later(drive, monkeypatch):
+    write, labels = PickedDataSet.write_missing, []
+
+    def interrupted(self, path, content):
+        if path.suffix == ".label":
+            if labels:
+                raise KeyboardInterrupt
+            labels.append(path)
+        write(self, path, content)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(PickedDataSet, "write_missing", interrupted)
+        with pytest.raises(KeyboardInterrupt):
+            run(drive)
+    record = json.loads((drive.out / "pick.json").read_text())
+    (first,) = (drive.out / "sequences/08/labels").iterdir()
+    digest = hashlib.sha256(first.read_bytes()).hexdigest()
+    assert record["guesses"][f"08/{first.stem}"] == digest
+    run(drive)
+    run(drive, out=drive.out / "whole")
+    whole = files_below(drive.out / "whole")
+    shutil.rmtree(drive.out / "whole")
+    assert files_below(drive.out) == whole
+
+
+def test_results_of_others_in_the_folder_stay(drive):
+    run(drive)
+    prediction = drive.out / "sequences/08/predictions/000000.label"
+    write_labels(prediction, np.zeros(3, np.uint32))
+    run(drive, count=1, overwrite=True)
+    assert prediction.exists()
+
+
+def test_a_folder_that_holds_something_else(drive):
+    drive.out.mkdir()
+    (drive.out / "mine").touch()
+    for overwrite in (False, True):
+        with pytest.raises(OutputError, match="holds something else"):
+            run(drive, overwrite=overwrite)
+
+
+def test_the_folder_of_the_scans_is_refused(drive):
+    sequence = drive.data / "sequences/08"
+    for out in (drive.data, sequence, sequence / "velodyne", drive.data / "sequences/../"):
+        with pytest.raises(UsageError, match="holds the scans to choose from"):
+            run(drive, out=out)
+    assert not (drive.data / "pick.json").exists()
+
+
+def test_unreadable_scans_are_named_each_time_and_the_others_picked(drive):
+    (drive.scan("08", "000030")).write_bytes(b"x" * 17)
+    (drive.scan("08", "000040")).write_bytes(b"")
+    for done in (3, 0):
+        found = run(drive)
+        assert [failure.scan.stem for failure in found.outcome.failures] == ["000030", "000040"]
+        assert found.outcome.done == done
+    assert found.to_dict()["failures"][0]["code"] == "format"
+
+
+def test_doubts_are_said_each_time(drive):
+    scan = read_scan(drive.scan("08", "000030"))
+    write_bin(drive.scan("08", "000030"), replace(scan, points=np.abs(scan.points)))
+    first, again = run(drive), run(drive)
+    assert "out-of-view" in {warning["code"] for warning in first.warnings}
+    assert {name for warning in first.warnings for name in warning["scans"]} == {"08/000030"}
+    assert again.warnings == first.warnings
+
+
+def test_nothing_is_written_if_no_scan_can_be_read(drive):
+    for path in (drive.data / "sequences/08/velodyne").iterdir():
+        path.write_bytes(b"x" * 17)
+    found = run(drive)
+    assert (found.picked, len(found.outcome.failures)) == ((), 6)
+    assert files_below(drive.out) == {}
+
+
+def test_no_point_in_view(drive):
+    path = replace_points(drive.scan("08", "000010"), np.full((200, 3), [0, 0, 9.0]))
+    network = replace(drive.network, sensor=replace(SMALL, out_of_view="drop"), fit=False)
+    found = run(drive, path, network=network)
+    assert found.picked == ()
+    assert "no point" in found.outcome.failures[0].reason
+
+
+def test_all_of_too_few(drive, caplog):
+    caplog.set_level(NOTICE)
+    found = run(drive, count=99)
+    assert len(found.picked) == 6
+    assert "only 6 scans: all are picked" in caplog.text
+    alone = run(drive, drive.scan("08", "000010"), drive.out / "1")
+    assert [each.reason for each in alone.picked] == ["the only scan"]
+
+
+def test_limits_are_evenly_spaced(drive):
+    found = run(drive, count=9, selection=ScanSelection(limit=3))
+    assert sorted(each.scan for each in found.picked) == ["000000", "000020", "000050"]
+
+
+def test_poses_that_cannot_be_told_are_left_out(drive, caplog):
+    (drive.data / "sequences/08/poses.txt").write_text("1 0 0\n2 0 0\n")
+    run(drive)
+    assert not (drive.out / "sequences/08/poses.txt").exists()
+    assert (drive.out / "sequences/08/calib.txt").exists()
+    assert "poses.txt · 2 lines" in caplog.text
+
+
+def test_a_plain_folder_has_no_poses(drive, tmp_path):
+    shutil.copytree(drive.data / "sequences/08/velodyne", tmp_path / "plain/cut")
+    (tmp_path / "plain/poses.txt").write_text("0\n" * 6)
+    run(drive, tmp_path / "plain/cut")
+    assert not (drive.out / "sequences/cut/poses.txt").exists()
+
+
+def test_the_classes_are_described_as_the_data_set_does_where_it_may(drive):
+    own = copy.deepcopy(label_space().to_dict()) | {
+        "name": "mine",
+        "learning_ignore": {0: True, 1: True},
+    }
+    (drive.data / "labels.yaml").write_text(yaml.safe_dump(own))
+    run(drive)
+    written = label_space(drive.out / "labels.yaml")
+    assert (written.name, written.ignored[:3]) == ("mine", (True, True, False))
+    own["learning_map_inv"][1] = 252
+    own["learning_map"][252] = 1
+    (drive.data / "labels.yaml").write_text(yaml.safe_dump(own))
+    run(drive, out=drive.out / "of the network")
+    assert label_space(drive.out / "of the network/labels.yaml").fits(label_space())
+
+
+def test_what_is_wrong_is_said_before_a_scan_is_read(drive, tmp_path):
+    for how in ({"count": 0}, {"strategy": "best"}, {"seed": -1}):
+        with pytest.raises(UsageError):
+            run(drive, **how)
+    with pytest.raises(NoInputError):
+        run(drive, tmp_path / "nowhere")
+    certain = write_weights(tmp_path / "certain.safetensors", dropout=0.0)
+    with pytest.raises(WeightsError, match="without dropout"):
+        run(drive, network=replace(drive.network, weights=certain))
+    assert load_network(certain, "cpu", engine="torch")
+    assert not drive.out.exists()
+
+
+def test_names_that_are_no_text(drive, tmp_path):
+    name = os.fsdecode(b"dr\xe4ve")
+    shutil.copytree(drive.data / "sequences/08/velodyne", tmp_path / name)
+    found = run(drive, tmp_path / name)
+    assert {each.sequence for each in found.picked} == {name}
+    assert label_space(drive.out / "labels.yaml").splits["train"] == (name,)
+    assert run(drive, tmp_path / name).outcome.skipped == 3
+
+
+def test_a_damaged_record(drive):
+    run(drive)
+    path = drive.out / "pick.json"
+    record = json.loads(path.read_text())
+    for damage in (
+        {"picked": [{"rank": 1}]},
+        {"picked": 3},
+        {"settings": None},
+        {"guesses": [1]},
+        {"warnings": [1]},
+    ):
+        path.write_text(json.dumps(record | damage))
+        with pytest.raises(OutputError, match="not what `pick` writes"):
+            run(drive)
+    del record["failures"]
+    path.write_text(json.dumps(record))
+    with pytest.raises(OutputError, match="not what `pick` writes"):
+        run(drive)
