@@ -56,6 +56,10 @@ def pick(
     for line in run_end.warning_lines(doubted):
         output.say(line)
     if found.picked:
-        following = shlex.join(["salsanext", "train", str(out), "RUN", "--recipe", "finetune"])
-        output.say(f"next: correct the labels there, then `{following}`")
+        started = ["--weights", str(network.weights)] if network.weights else []
+        following = shlex.join(
+            ["salsanext", "train", str(out), "RUN", "--recipe", "finetune", *started]
+        )
+        edited = shlex.join(["salsanext", "import-labels", "EDITED", str(out)])
+        output.say(f"next: correct the labels, take them back with `{edited}`, then `{following}`")
     run_end.leave(outcome.failures, failed=running.strict and bool(doubted))

@@ -117,13 +117,18 @@ def train(
 
 def _found(done: "TrainResult") -> str:
     """Return the scores in words."""
-    if done.expected is None:
-        measured = done.best_miou >= 0
-        return f"best validation mIoU {100 * done.best_miou:.1f} %" if measured else "not scored"
-    e = done.expected
-    scores = (("mIoU", e.miou, e.miou_spread), ("accuracy", e.accuracy, e.accuracy_spread))
-    texts = ", ".join(f"{name} {100 * mean:.1f} ± {100 * s:.1f} %" for name, mean, s in scores)
-    return f"on new scans expect {texts} ({e.folds} folds, {counted(e.epochs, 'epoch')})"
+    if (e := done.expected) is None:
+        miou = done.best_miou
+        return "not scored" if miou is None else f"best validation mIoU {100 * miou:.1f} %"
+    texts = ", ".join(
+        f"{name} {100 * mean:.1f}{'' if spread is None else f' ± {100 * spread:.1f}'} %"
+        for name, mean, spread in (
+            ("mIoU", e.miou, e.miou_spread),
+            ("accuracy", e.accuracy, e.accuracy_spread),
+        )
+    )
+    where = "new scans of this drive" if e.one_drive else "new scans"
+    return f"on {where} expect {texts} ({counted(e.folds, 'fold')}, {counted(e.epochs, 'epoch')})"
 
 
 def _show(report: "Report", bar: "Progress | None", output: console.Output) -> None:

@@ -96,7 +96,8 @@ def _read_map(path: Path, space: LabelSpace) -> dict[int, int]:
     wrong = []
     for key, value in data.items():
         raw = by_name.get(value) if isinstance(value, str) else value
-        if type(key) is not int or type(raw) is not int or raw not in known:
+        usable = type(key) is int and key <= CLASS_BITS
+        if not usable or type(raw) is not int or raw not in known:
             wrong.append(f"{quoted(key)}: {quoted(value)}")
         else:
             raw_of[key] = raw

@@ -12,7 +12,14 @@ from pathlib import Path
 import numpy as np
 
 from salsanext_cli.classes import LabelSpace
-from salsanext_cli.errors import LabelError, NoInputError, OutputError, SalsanextError, first_few
+from salsanext_cli.errors import (
+    LabelError,
+    NoInputError,
+    OutputError,
+    SalsanextError,
+    UsageError,
+    first_few,
+)
 from salsanext_cli.formats import read_scan
 from salsanext_cli.formats.label_ids import LabelIds
 from salsanext_cli.formats.labels import encode_labels
@@ -36,7 +43,7 @@ from salsanext_cli.storage.labelling.label_records import (
     name_of,
 )
 from salsanext_cli.storage.layout import ScanFile, find_scans
-from salsanext_cli.storage.selection import space_of
+from salsanext_cli.storage.selection import data_set_label_space, space_of
 
 LOCK = f".{STAGE}.lock"
 log = logging.getLogger(__name__)
@@ -84,7 +91,12 @@ def import_labels(
     if recording_of(scans[0].path) is not None:
         remedy = f"run `salsanext convert {dataset} FOLDER` first"
         raise NoInputError(dataset, "a recording, which holds no labels", "scans", remedy)
-    space = space or space_of(scans)
+    own = space_of(scans)
+    if space is not None and data_set_label_space(labels_root(scans[0])) and not space.fits(own):
+        found_space = f"{space.name}, but the data set's labels.yaml has other classes or ids"
+        remedy = "map the ids of the tool with --map, or change labels.yaml"
+        raise UsageError("--label-space", found_space, own.name, remedy)
+    space = space or own
     work = _Work(scalar, LabelIds.of_space(space, ids), sensor, overwrite, not is_folder(edited))
     found = LabelImport(space, class_points=np.zeros(space.class_count, np.int64))
     of_scan = _matched(_elsewhere(edited, scans), edited, scans, found)
@@ -106,7 +118,7 @@ def import_labels(
         text = "holds the first guess of `pick`, which nobody has corrected"
         remedy = "save the corrected labels; to take the guess as it is, name its file"
         raise NoInputError(edited, text, "edited labels", remedy)
-    found.kept = len(scans) - len(found.scans)
+    found.kept = len(scans) - len(of_scan)
     found.first_guesses = [name_of(scan) for scan in first_guesses(scans)]
     return found
 
@@ -169,7 +181,7 @@ class _Work:
             several = f"{len(read)} edited files: {first_few([*read])}"
             raise LabelError(name_of(scan), several, "one", "leave out the others")
         for path, (labels, content) in read.items():
-            kept = path != scan.label_path and not records.is_replaceable(scan)
+            kept = path != scan.label_path and not records.is_replaceable(scan, path)
             if kept and not self.overwrite:
                 self.refused[path] = scan.label_path
                 continue
@@ -187,6 +199,6 @@ class _Work:
             found.fail(self.unknown, error)
         if self.refused:
             there = first_few([*self.refused.values()])
-            text = "changed, or not written by salsanext, and kept"
+            text = "kept: changed, not written by salsanext, or imported from another file"
             remedy = "move them, or replace them with --overwrite"
             found.fail(self.refused, OutputError(there, text, remedy=remedy))

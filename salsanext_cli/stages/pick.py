@@ -226,10 +226,11 @@ def _written(
     picked = [files[each.name] for each in record.picked if each.name in files]
     outcome = run_over_scans(task, picked, options, on_result=keep)
     written = [each for each in record.picked if each.name in guesses]
-    data_set.write_poses(guesses[each.name].file for each in written)
     data_set.write_label_space(space, record.picked)
     data_set.write_missing(data_set.out / TABLE, picked_csv(record.picked))
-    if written:
+    if len(written) == len(record.picked):
+        # Poses and pictures of a part would stay: what is there is not written again.
+        data_set.write_poses(guesses[each.name].file for each in written)
         previews = [guesses[each.name].preview for each in written]
         data_set.write_missing(data_set.out / SHEET, picked_sheet(written, previews, space))
     return replace(outcome, failures=(*_failures(record, scans), *outcome.failures))

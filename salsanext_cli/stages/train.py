@@ -54,9 +54,8 @@ class TrainResult:
     ----------
     best, last : Path
         Weights files: of the best validation, and of the end.
-    best_miou : float
-        Validation mIoU on points, after kNN, of the best weights, or what is expected; -1 if none
-        was measured.
+    best_miou : float or None
+        Validation mIoU on points, after kNN, of the best weights; None without validation split.
     rows : sequence of Row
         The log, a row per epoch.
     warnings : list of dict
@@ -67,7 +66,7 @@ class TrainResult:
 
     best: Path
     last: Path
-    best_miou: float
+    best_miou: float | None
     rows: Sequence[Row]
     warnings: list[dict[str, Any]]
     expected: Expectation | None = None
@@ -151,7 +150,7 @@ def train(
             begun = None if overwrite else group.on_main(lambda: recorded_precision(run))
             recipe = replace(recipe, precision=begun or common_precision(place, group))
         initial, card = initial_network(weights, classes, recipe)
-        sensor = sensor or card.sensor
+        sensor = _as_trained(sensor, card.sensor) if sensor else card.sensor
         _require_pixels(recipe, sensor, initial, group)
         roots = ", ".join(path.resolve().name for path in (dataset, *also))
         further = group.on_main(lambda: [further_source(path, classes, sensor) for path in also])
@@ -191,10 +190,17 @@ def train(
             held=held,
         )
         outlook = None if validation else setup.cross_validated()
-        setup = setup.after(outlook) if outlook else setup
+        setup = setup if validation else setup.after(outlook)
         state = setup.training(training, scored).fit()
-    best = outlook.miou if outlook else state.best
+    best = state.best if validation else None
     return TrainResult(run / BEST, run / LAST, best, state.rows, counts.warnings, outlook)
+
+
+def _as_trained(sensor: Sensor, trained: Sensor) -> Sensor:
+    """Return a sensor that, unless it knows its own, has intensity and gaps of initial weights."""
+    quantiles = sensor.intensity_quantiles or trained.intensity_quantiles
+    gaps = trained.row_gaps if sensor.row_gaps is None else sensor.row_gaps
+    return replace(sensor, intensity_quantiles=quantiles, row_gaps=gaps)
 
 
 def _require_pixels(
@@ -219,6 +225,12 @@ def _settings(recipe: Recipe, sources: Sequence[Source], weights: Path | None) -
         "scans": _digest([*first.files, *validation.files]),
         "weights": fingerprint(weights) if weights else None,
     }
+    if first.files and recipe.folds:
+        # Labels of a few scans are corrected, and trained on again.
+        labels = hashlib.sha256()
+        for file in first.files:
+            labels.update(hashlib.sha256(file.label_path.read_bytes()).digest())
+        settings["labels"] = labels.hexdigest()[:16]
     if further:
         settings["also"] = [
             {"label_space": each.space.to_dict(), "scans": _digest(each.files)} for each in further

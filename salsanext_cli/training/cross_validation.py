@@ -15,20 +15,21 @@ def folds(files: Sequence[ScanFile], count: int) -> list[list[ScanFile]]:
     """Divide scans into folds, each to be left out once.
 
     Scans of one place are much alike, so that a fold takes whole sequences, the longest first, each
-    to the fold with the fewest scans so far. Of fewer sequences than folds it takes neighbours.
+    to the fold with the fewest scans so far. The scans of a single sequence are divided into
+    neighbours.
 
     Parameters
     ----------
     files : sequence of ScanFile
         In order of sequences.
     count : int
-        Number of folds; no more than there are scans.
+        Number of folds; no more than there are sequences, or scans of a single one.
     """
     sequences = [list(members) for _, members in groupby(files, lambda file: file.sequence)]
-    if len(sequences) < count:
+    if len(sequences) == 1:
         parts = np.array_split(np.arange(len(files)), min(count, len(files)))
         return [[files[i] for i in part] for part in parts]
-    found: list[list[ScanFile]] = [[] for _ in range(count)]
+    found: list[list[ScanFile]] = [[] for _ in range(min(count, len(sequences)))]
     for sequence in sorted(sequences, key=len, reverse=True):
         min(found, key=len).extend(sequence)
     return [sorted(fold, key=files.index) for fold in found]
@@ -43,35 +44,35 @@ class Expectation:
     epochs : int
         Number of epochs with the highest mean IoU, over the folds.
     miou, accuracy : float
-        Mean over the folds after so many epochs.
-    miou_spread, accuracy_spread : float
-        Standard deviations over the folds, with one degree of freedom less.
+        Mean over the folds, each after the number of epochs that the others would choose, so that
+        no scan chooses its own.
+    miou_spread, accuracy_spread : float or None
+        Standard deviations over the folds, with one degree of freedom less; None of a single fold.
     temperature : float
         Geometric mean of those fitted on the scans left out.
     folds : int
-        Number of folds.
+        Number of folds that could be scored.
+    one_drive : bool
+        Whether all scans are of one sequence, so that other places may be harder.
     """
 
     epochs: int
     miou: float
-    miou_spread: float
+    miou_spread: float | None
     accuracy: float
-    accuracy_spread: float
+    accuracy_spread: float | None
     temperature: float
     folds: int
+    one_drive: bool = False
 
     def scores(self) -> dict[str, float]:
         """Return what the card of weights tells."""
-        return {
-            "folds": self.folds,
-            "miou": self.miou,
-            "miou_spread": self.miou_spread,
-            "accuracy": self.accuracy,
-            "accuracy_spread": self.accuracy_spread,
-        }
+        names = ("folds", "miou", "miou_spread", "accuracy", "accuracy_spread")
+        values = {name: getattr(self, name) for name in names}
+        return {name: value for name, value in values.items() if value is not None}
 
 
-def expectation(logs: Sequence[Sequence[Row]]) -> Expectation | None:
+def expectation(logs: Sequence[Sequence[Row]], *, one_drive: bool = False) -> Expectation | None:
     """Choose the number of epochs by the logs of the folds, None if no fold could be scored.
 
     Folds whose scans have no class that counts do not count; of equal means the fewest epochs win.
@@ -84,18 +85,22 @@ def expectation(logs: Sequence[Sequence[Row]]) -> Expectation | None:
     if not scored:
         return None
     common = sorted(set.intersection(*(set(rows) for rows in scored)))
-    epochs = max(common, key=lambda epoch: np.mean([rows[epoch]["miou"] for rows in scored]))
-    miou, accuracy, temperature = (
-        np.array([rows[epochs][key] for rows in scored])
-        for key in ("miou", "accuracy", "temperature")
-    )
-    spread = 1 if len(scored) > 1 else 0
+    epochs = _best(common, scored)
+    own = [
+        rows[_best(common, [other for other in scored if other is not rows] or scored)]
+        for rows in scored
+    ]
+    values = np.array([(row["miou"], row["accuracy"]) for row in own])
+    spread = values.std(axis=0, ddof=1).tolist() if len(own) > 1 else (None, None)
+    (miou, accuracy), temperatures = values.mean(axis=0), [r[epochs]["temperature"] for r in scored]
     return Expectation(
-        epochs,
-        float(miou.mean()),
-        float(miou.std(ddof=spread)),
-        float(accuracy.mean()),
-        float(accuracy.std(ddof=spread)),
-        float(np.exp(np.log(temperature).mean())),
-        len(scored),
+        *(epochs, float(miou), spread[0], float(accuracy), spread[1]),
+        temperature=float(np.exp(np.log(temperatures).mean())),
+        folds=len(scored),
+        one_drive=one_drive,
     )
+
+
+def _best(epochs: Sequence[int], folds: Sequence[dict[int, Row]]) -> int:
+    """Return the number of epochs with the highest mean IoU."""
+    return max(epochs, key=lambda epoch: np.mean([rows[epoch]["miou"] for rows in folds]))

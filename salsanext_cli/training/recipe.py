@@ -171,6 +171,8 @@ class Recipe:
             self._require(key, getattr(self, key) > 0, "above 0")
         self._require("seed", self.seed < 2**63, "below 2⁶³")
         self._require("folds", self.folds == 0 or self.folds >= 2, "0, or at least 2")
+        steady = self.folds == 0 or self.schedule == "decay"
+        self._require("schedule", steady, "decay with folds, which choose the number of epochs")
         for key, names in CHOICES.items():
             self._require(key, getattr(self, key) in names, f"one of {', '.join(names)}")
 

@@ -105,10 +105,11 @@ def begin(run: Path, settings: Mapping[str, Any], *, overwrite: bool) -> None:
     """
     recorded, written = stage_settings(run, STAGE), WrittenFiles(run)
     if overwrite or recorded is None or _decisive(recorded) != _decisive(as_json(settings)):
-        results = [run / name for name in RESULTS]
-        results += [*run.glob(f"{SAMPLES}/epoch-*.png"), *run.glob(f"{EVENTS}/events.*")]
-        for path in written.remove(results):
-            log.warning("%s is kept: not written by salsanext, or changed since", path)
+        for folder in (run, *run.glob(f"{FOLDS}/*")):
+            results = [folder / name for name in RESULTS]
+            results += [*folder.glob(f"{SAMPLES}/epoch-*.png"), *folder.glob(f"{EVENTS}/events.*")]
+            for path in WrittenFiles(folder).remove(results):
+                log.warning("%s is kept: not written by salsanext, or changed since", path)
     StageRecord(STAGE, as_json(settings)).write(run)
     if _content(run / RECIPE) != _recipe_file(settings):
         written.write(run / RECIPE, _recipe_file(settings))

@@ -17,7 +17,7 @@ import torch
 
 from salsanext_cli.inference.network import Network
 from salsanext_cli.inference.scan_fit import with_sensor
-from salsanext_cli.network.card import WeightsCard
+from salsanext_cli.network.card import WeightsCard, read_card
 from salsanext_cli.network.segmentation import SegmentationNetwork
 from salsanext_cli.storage.layout import ScanFile
 from salsanext_cli.storage.written_files import WrittenFiles
@@ -137,14 +137,16 @@ class Setup:
             report=report or self.report,
         )
 
-    def after(self, expected: Expectation) -> "Setup":
+    def after(self, expected: Expectation | None) -> "Setup":
         """Return the setup of the training on all scans, after a cross-validation."""
         counts = [len(source.files) for source in self.sources]
-        before = expected.folds * SamplingPlan(counts, self.recipe).steps
+        before = len(self._folds()) * SamplingPlan(counts, self.recipe).steps
 
         def report(own: Report) -> None:
             self.report(replace(own, step=before + own.step, steps=before + own.steps))
 
+        if expected is None:
+            return replace(self, report=report)
         return replace(
             self,
             recipe=self.recipe.with_changes(epochs=expected.epochs),
@@ -157,11 +159,10 @@ class Setup:
 
         The best weights so far are those of the run until its own training ends.
         """
-        first, best, logs = self.sources[0], -1.0, list[list[Row]]()
-        if len(first.files) < 2:
+        first, parts, logs = self.sources[0], self._folds(), list[list[Row]]()
+        if not parts:
             log.warning("one labelled scan: what to expect on others is unknown")
             return None
-        parts = folds(first.files, self.recipe.folds)
         for number, part in enumerate(parts, start=1):
             left_out, folder = replace(first, files=part), fold_folder(self.run, number)
             names = "\n".join(f"{file.sequence}/{file.stem}" for file in part)
@@ -169,20 +170,28 @@ class Setup:
             self.group.on_main(partial(self._begin, folder, {**self.settings, "left_out": digest}))
             files = [file for file in first.files if file not in part]
             report = partial(self._report_fold, number, len(parts))
-            state = self.training(files, left_out, folder, report=report).fit()
-            logs.append(state.rows)
-            begun = self.group.on_main(lambda: (self.run / CHECKPOINT).exists())
-            if state.best > best and self.group.is_main and not begun:
-                best = state.best
-                content = (folder / BEST).read_bytes()
-                WrittenFiles(self.run).write(self.run / BEST, content, durable=True)
-        return expectation(logs)
+            logs.append(self.training(files, left_out, folder, report=report).fit().rows)
+        return expectation(logs, one_drive=len({file.sequence for file in first.files}) == 1)
+
+    def _folds(self) -> list[list[ScanFile]]:
+        files = self.sources[0].files
+        return folds(files, self.recipe.folds) if len(files) > 1 else []
 
     def _begin(self, folder: Path, settings: Mapping[str, Any]) -> None:
         require_free(folder, settings, overwrite=self.overwrite)
         begin(folder, settings, overwrite=self.overwrite)
 
     def _report_fold(self, number: int, count: int, report: Report) -> None:
-        """Report a step as one of the whole cross-validation and the training after it."""
+        """Report a step as one of the whole cross-validation and the training after it.
+
+        After an epoch, the best weights of the fold become those of the run if they are better.
+        """
+        best, own = self.run / BEST, fold_folder(self.run, number) / BEST
+        if report.row and own.exists() and not (self.run / CHECKPOINT).exists():
+            scores = [
+                read_card(path).scores.get("miou", -1.0) for path in (best, own) if path.exists()
+            ]
+            if len(scores) == 1 or scores[1] > scores[0]:
+                WrittenFiles(self.run).write(best, own.read_bytes(), durable=True)
         done, steps = (number - 1) * report.steps + report.step, (count + 1) * report.steps
         self.report(replace(report, step=done, steps=steps, fold=number))

@@ -1,13 +1,14 @@
 # SPDX-License-Identifier: MIT
 """Import of labels on the command line."""
 
+import json
 import shutil
 
 import pytest
 from command_line import only_json
 from edited_clouds import write_ply
 
-from salsanext_cli import read_labels, read_scan
+from salsanext_cli import label_space, read_labels, read_scan
 
 
 @pytest.fixture
@@ -32,7 +33,10 @@ def test_what_is_imported_and_what_is_not_is_said(run, data, edited):
     assert "unknown label ids 2 (" in done.stderr
     assert f"import-labels: 1 scan, 1 file failed → {data}" in done.stderr
     assert "largest classes: " in done.stderr
-    assert "without an edited file, as they were: 1 scan" in done.stderr
+    assert "without an edited file" not in done.stderr
+    (edited / "000001_done.ply").unlink()
+    again = run("import-labels", edited, data, "--scalar", "mine")
+    assert "without an edited file, as they were: 1 scan" in again.stderr
 
 
 def test_json_has_the_numbers(run, data, edited, tmp_path):
@@ -44,6 +48,13 @@ def test_json_has_the_numbers(run, data, edited, tmp_path):
     failed = run("import-labels", edited, data, "--json")
     assert failed.exit_code == 1
     assert only_json(failed)["failures"][0]["code"] == "format"
+
+
+def test_a_label_space_that_is_not_the_data_sets_is_wrong_use(run, data, edited):
+    (data / "labels.yaml").write_text(json.dumps(label_space().to_dict()))
+    refused = run("import-labels", edited, data, "--scalar", "mine", "--label-space", "coarse")
+    assert refused.exit_code == 2
+    assert "labels.yaml has other classes or ids" in refused.stderr
 
 
 @pytest.mark.parametrize("option", ["--map", "--label-space"])

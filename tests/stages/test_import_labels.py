@@ -253,9 +253,15 @@ def test_labels_of_others_are_kept_unless_overwriting(world):
     theirs = np.full(1500, 70, np.uint32)
     write_labels(world.scans[0].label_path, theirs)
     failure = only_failure(world.run())
-    assert "000010.label · changed, or not written by salsanext, and kept" in failure["reason"]
+    assert (
+        "000010.label · kept: changed, not written by salsanext, or imported" in failure["reason"]
+    )
     np.testing.assert_array_equal(world.labels(), theirs)
     assert len(world.run(overwrite=True).scans) == 1
+    # A file of another name may hold other points of the scan.
+    world.write("000010_rest.ply").rename(world.edited.parent / "000010_rest.ply")
+    other = only_failure(world.run(world.edited.parent / "000010_rest.ply"))
+    assert "imported from another file" in other["reason"]
     # What was imported may be imported again.
     world.write(labels=np.full(1500, 10))
     assert len(world.run().scans) == 1

@@ -41,7 +41,7 @@ class UnknownIds(LabelError):  # noqa: N818 - the name says what is wrong
             subject,
             f"unknown label ids {listed}",
             meanings.described(),
-            "map a tool's own ids with --map, or give their label space",
+            "map a tool's own ids with --map",
         )
         self.points = points
 

@@ -70,9 +70,16 @@ class LabelRecords:
         confirmed = isinstance(earlier, Mapping) and earlier.get("sha256") == digest
         return self.is_guess(scan, digest) and not confirmed
 
-    def is_replaceable(self, scan: ScanFile) -> bool:
-        """Say whether the label file of a scan, if there is one, is as salsanext wrote it."""
-        path = scan.label_path
+    def is_replaceable(self, scan: ScanFile, edited: Path) -> bool:
+        """Say whether the label file of a scan, if there is one, may give way to an edited file.
+
+        It may if it is as salsanext wrote it, and was not imported from a file of another name,
+        which may hold other points.
+        """
+        path, earlier = scan.label_path, self._imported.get(name_of(scan))
+        imported = Path(str(earlier.get("file"))).name if isinstance(earlier, Mapping) else None
+        if imported and imported != edited.name and present(path):
+            return False
         return not WrittenFiles(self.root).others([path]) or self.holds_guess(scan)
 
     def write(self, scan: ScanFile, content: bytes, about: Mapping[str, Any]) -> None:

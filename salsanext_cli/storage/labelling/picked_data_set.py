@@ -30,7 +30,6 @@ from salsanext_cli.storage.written_files import WrittenFiles
 
 LOCK = ".pick.lock"
 LABEL_SPACE, TABLE, SHEET = "labels.yaml", "picked.csv", "picked.png"
-"""Record of labels that a person made, even where they are equal to the guess."""
 POSES, CALIBRATION = "poses.txt", "calib.txt"
 COPIED_COLUMNS = ((), ("x", "y", "z", "intensity"))
 """Columns of `.bin` files that are copied."""

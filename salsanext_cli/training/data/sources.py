@@ -108,6 +108,8 @@ def as_trained(sources: Sequence[Source], *, fit: bool, jobs: int = 1) -> list[S
 
 def fitted_source(source: Source, jobs: int = 1) -> Source:
     """Return a source with the sensor of each sequence fitted to its scans, as `predict` does."""
+    if not source.files:
+        return source
     sequences = {name: list(files) for name, files in groupby(source.files, lambda f: f.sequence)}
 
     def fit(files: Sequence[ScanFile]) -> Sensor:
@@ -155,8 +157,8 @@ def scans_to_train_on(
         As for `labelled_split`.
     divisible : bool
         Whether scans without a validation split will do: unless each labelled scan is in a split,
-        and some are in ``train`` and some in ``valid``, the training scans are then all that are
-        labelled, and the validation scans none.
+        and some are in ``train`` and some in ``valid``, the training scans are then those with
+        labels in ``train`` or in no split, and the validation scans none.
 
     Raises
     ------
@@ -183,7 +185,13 @@ def scans_to_train_on(
     if {"train", "valid"} <= {*of_split.values()} and None not in of_split.values():
         parts = [[s for s in labelled if of_split[s] == name] for name in ("train", "valid")]
         return classes, parts[0], parts[1]
-    return classes, labelled, []
+    usable = [scan for scan in labelled if of_split[scan] in ("train", None)]
+    if others := sorted({scan.sequence for scan in {*labelled} - {*usable}}):
+        log.warning("left out, since they are of other splits than train: %s", first_few(others))
+    if not usable:
+        expected = "labelled scans of split train, or of none"
+        raise NoInputError(dataset, "every labelled scan is of another split", expected)
+    return classes, usable, []
 
 
 def with_splits_of(dataset: Path, space: LabelSpace | None) -> LabelSpace:
@@ -223,6 +231,6 @@ def labelled_split(
             dataset,
             f"no scans of split {split}",
             f"one of the sequences {', '.join(members) or '(none)'}",
-            "name your sequences in labels.yaml, under split",
+            "name your sequences in labels.yaml, under split, or train with --recipe finetune",
         )
     return space, found

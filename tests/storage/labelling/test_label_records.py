@@ -4,6 +4,7 @@
 import hashlib
 import json
 import shutil
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -39,6 +40,9 @@ def data(tmp_path):
     return root
 
 
+A = Path("edited/a.ply")
+
+
 def guessed(root):
     return [f"{scan.sequence}/{scan.stem}" for scan in first_guesses(find_scans(root))]
 
@@ -47,13 +51,19 @@ def test_labels_are_a_first_guess_until_they_are_changed_or_imported(data):
     assert guessed(data) == ["00/000000", "00/000001"]
     first, second, other = find_scans(data)
     records = LabelRecords(data)
-    assert [records.is_replaceable(scan) for scan in (first, second, other)] == [True, True, False]
+    assert [records.is_replaceable(scan, A) for scan in (first, second, other)] == [
+        True,
+        True,
+        False,
+    ]
     records.write(first, GUESS, {"file": "a.ply"})
     assert guessed(data) == ["00/000001"]
     second.label_path.write_bytes(GUESS[4:] + GUESS[:3] + b"\1")
     assert guessed(data) == []
-    assert LabelRecords(data).is_replaceable(first)
-    assert not LabelRecords(data).is_replaceable(second)
+    assert LabelRecords(data).is_replaceable(first, A)
+    # Another file may hold other points of the scan.
+    assert not LabelRecords(data).is_replaceable(first, Path("b.ply"))
+    assert not LabelRecords(data).is_replaceable(second, A)
     recorded = json.loads((data / IMPORTED).read_text())
     assert recorded["scans"]["00/000000"]["file"] == "a.ply"
 
@@ -62,15 +72,15 @@ def test_a_copy_of_a_data_set_has_its_first_guesses(data, tmp_path):
     # Without times of modification, by which written files are known.
     copy = shutil.copytree(data, tmp_path / "copy", copy_function=shutil.copyfile)
     assert guessed(copy) == ["00/000000", "00/000001"]
-    assert LabelRecords(copy).is_replaceable(find_scans(copy)[0])
-    assert not LabelRecords(copy).is_replaceable(find_scans(copy)[2])
+    assert LabelRecords(copy).is_replaceable(find_scans(copy)[0], A)
+    assert not LabelRecords(copy).is_replaceable(find_scans(copy)[2], A)
 
 
 def test_labels_that_are_missing_are_no_guess_and_can_be_written(data):
     scan = find_scans(data)[0]
     scan.label_path.unlink()
     assert guessed(data) == ["00/000001"]
-    assert LabelRecords(data).is_replaceable(scan)
+    assert LabelRecords(data).is_replaceable(scan, A)
 
 
 def test_an_import_that_was_cut_off_leaves_a_first_guess(data, monkeypatch):
