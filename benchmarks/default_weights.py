@@ -3,8 +3,9 @@
 
 PANDASET is a folder ``sequences/002`` with velodyne/ and labels/: every second scan of the
 Pandar64 of that sequence, x forward, y left, z up, intensity / 255, and labels in raw ids of
-SemanticKITTI (docs/model-card.md has the map). The last ten are never trained on. An interrupted
-rebuild goes on where it was.
+SemanticKITTI (docs/model-card.md has the map). The last ten are never trained on. The training
+has two rounds, the second of which begins with the weights of the first. An interrupted rebuild
+goes on where it was.
 
 Run: python benchmarks/default_weights.py pandaset/ folder/
 """
@@ -48,17 +49,19 @@ def link_pandaset(source: Path, root: Path) -> None:
 
 def main() -> None:
     pandaset, out = map(Path, sys.argv[1:3])
-    streets, sensors, real, run = (out / name for name in ("streets", "sensors", "pandaset", "run"))
+    streets, sensors, real = (out / name for name in ("streets", "sensors", "pandaset"))
+    runs = [out / "run-1", out / "run-2"]
     if not (streets / "labels.yaml").exists():
         salsanext("synth", streets, *STREETS, "--seed", "0", "--overwrite")
     if not (sensors / "labels.yaml").exists():
         salsanext("synth", sensors, *STREETS, "--seed", "1", "--sensor", "random", "--overwrite")
     link_pandaset(pandaset, real)
-    datasets = (streets, run, "--also", sensors, "--also", real)
-    salsanext("train", *datasets, "--recipe", "street", "--sensor", "hdl64-512")
+    how = ("--also", sensors, "--also", real, "--recipe", "street", "--sensor", "hdl64-512")
+    salsanext("train", streets, runs[0], *how)
+    salsanext("train", streets, runs[1], *how, "--weights", runs[0] / "last.safetensors")
     half, weights = out / "half.safetensors", out / "default.safetensors"
     if not half.exists():
-        salsanext("import-weights", run / "last.safetensors", half, "--half", *DESCRIPTION)
+        salsanext("import-weights", runs[1] / "last.safetensors", half, "--half", *DESCRIPTION)
     if not weights.exists():
         salsanext("tune", "temperature", real, weights, "--weights", half)
 
