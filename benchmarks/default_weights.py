@@ -10,19 +10,29 @@ goes on where it was.
 Run: python benchmarks/default_weights.py pandaset/ folder/
 """
 
+import json
 import subprocess
 import sys
+from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
+import torch
+
+from salsanext_cli.inference.settings import NetworkSettings
+from salsanext_cli.network.weights import read_weights, save_weights, save_with_card
+from salsanext_cli.stages.tune_temperature import tune_temperature
+from salsanext_cli.training.data.class_counts import class_shares
+
 HELD_OUT = 10
-"""Scans of PandaSet that the temperature is fitted on and that are scored."""
+"""Scans of PandaSet that the temperature is fitted on too, and that are scored."""
 STREETS = ("--train", "120", "--valid", "5", "--scans", "8", "--spacing", "10", "--jobs", "2")
 
 DESCRIPTION = (
-    "--description",
     "Trained on simulated streets and sensors and on one drive of PandaSet: 960 scans each of "
     "`salsanext synth` with an HDL-64 and with random sensors, 28 of PandaSet (Hesai and Scale AI, "
-    "CC BY 4.0). See docs/model-card.md; not for use on real roads.",
+    "CC BY 4.0). See docs/model-card.md; not for use on real roads."
 )
 
 
@@ -47,6 +57,35 @@ def link_pandaset(source: Path, root: Path) -> None:
     (root / "labels.yaml").write_bytes((Path(__file__).parent / "pandaset.yaml").read_bytes())
 
 
+def finish(run: Path, datasets: Sequence[Path], target: Path) -> None:
+    """Write the last weights of a run in float16, without class weights, with a temperature.
+
+    A loss weighted by f^-a, f being the share of a class, makes the softmax that of a world where
+    every class is f^-a times as frequent; a·log f added to the logits takes that back. The
+    temperature is the geometric mean of those fitted on the validation scans of the data sets.
+    """
+    module, card = read_weights(run / "last.safetensors")
+    points = json.loads((run / "class_counts.json").read_text())["points"]
+    counts = np.array([points[name] for name in card.space.names])
+    shares = class_shares(counts, card.space.scored)
+    exponents = np.where(shares > 0, card.recipe["class_weight"], 0)
+    added = exponents * np.log(np.where(shares > 0, shares, 1))
+    state = module.state_dict()
+    state["logits.bias"] += torch.from_numpy(added.astype(np.float32))
+    module.load_state_dict(state)
+    card = replace(card, description=DESCRIPTION, temperature=1.0)
+    half = target.with_name("half.safetensors")
+    save_weights(half, module, card, half=True)
+    fitted = []
+    for dataset in datasets:
+        tuned = half.with_name(f"{dataset.name}.safetensors")
+        network = NetworkSettings(half, device="cpu")
+        found = tune_temperature(dataset, tuned, network=network, overwrite=True)
+        fitted.append(found["after"]["temperature"])
+        print(f"temperature of {dataset.name}: {fitted[-1]:.3f}", flush=True)
+    save_with_card(half, target, replace(card, temperature=float(np.exp(np.mean(np.log(fitted))))))
+
+
 def main() -> None:
     pandaset, out = map(Path, sys.argv[1:3])
     streets, sensors, real = (out / name for name in ("streets", "sensors", "pandaset"))
@@ -59,11 +98,7 @@ def main() -> None:
     how = ("--also", sensors, "--also", real, "--recipe", "street", "--sensor", "hdl64-512")
     salsanext("train", streets, runs[0], *how)
     salsanext("train", streets, runs[1], *how, "--weights", runs[0] / "last.safetensors")
-    half, weights = out / "half.safetensors", out / "default.safetensors"
-    if not half.exists():
-        salsanext("import-weights", runs[1] / "last.safetensors", half, "--half", *DESCRIPTION)
-    if not weights.exists():
-        salsanext("tune", "temperature", real, weights, "--weights", half)
+    finish(runs[1], (streets, real), out / "default.safetensors")
 
 
 if __name__ == "__main__":
