@@ -22,6 +22,14 @@ def pick(
         typer.Option(help="Pick what is uncertain, what is unlike the rest, both, or any."),
     ] = "both",
     seed: Annotated[int, typer.Option(help="Seed of dropout masks and of random picks.")] = 0,
+    labelled: Annotated[
+        list[Path] | None,
+        typer.Option(
+            metavar="DATASET",
+            help="Data set of scans that are labelled already: others are picked, unlike them; may "
+            "be given several times.",
+        ),
+    ] = None,
     selection: Annotated[selection_options.PickedSelection, Without({"dataset"})],
     network: options.NetworkOptions,
     running: run_options.CheckedUnsharded,
@@ -44,6 +52,7 @@ def pick(
             network=network.settings(),
             selection=selection.scans(),
             options=run,
+            labelled=labelled or (),
         )
     table = picked_table(found.picked) if found.picked else None
     output.result(found.to_dict() | {"out": str(out)}, table)

@@ -55,6 +55,7 @@ def choose_scans(
     count: int,
     strategy: str = "both",
     seed: int = 0,
+    labelled: Sequence[int] = (),
 ) -> list[Choice]:
     """Choose the scans most worth labelling, the most valuable first.
 
@@ -75,6 +76,8 @@ def choose_scans(
     strategy : {"both", "uncertainty", "diverse", "random"}
     seed : int
         Of "random", not negative.
+    labelled : sequence of int
+        Positions of scans that count as chosen before all others, and are not among those returned.
 
     Raises
     ------
@@ -83,11 +86,13 @@ def choose_scans(
     """
     require_choice(count, strategy, seed)
     weights = np.asarray(uncertainty, np.float64)
-    points, count = standardised(features), min(count, len(weights))
+    points, before = standardised(features), list(labelled)
+    total = min(len(before) + count, len(weights))
     if strategy == "random":
-        order = np.random.default_rng(seed).permutation(len(weights))[:count].tolist()
+        drawn = np.random.default_rng(seed).permutation(len(weights)).tolist()
+        order = [*before, *(scan for scan in drawn if scan not in before)][:total]
     else:
-        order = _greedy(points, weights, count, strategy)
+        order = _greedy(points, weights, total, strategy, before)
     ranks = np.empty(len(weights), np.intp)
     ranks[np.argsort(-weights, kind="stable")] = np.arange(1, len(weights) + 1)
     return [
@@ -95,6 +100,7 @@ def choose_scans(
             scan, float(weights[scan]), int(ranks[scan]), *_nearest(points, scan, order[:number])
         )
         for number, scan in enumerate(order)
+        if number >= len(before)
     ]
 
 
@@ -144,14 +150,17 @@ def typical(points: Double) -> int:
     return int(np.linalg.norm(points, axis=1).argmin())
 
 
-def _greedy(points: Double, weights: Double, count: int, strategy: str) -> list[int]:
+def _greedy(
+    points: Double, weights: Double, count: int, strategy: str, before: Sequence[int]
+) -> list[int]:
     """Choose by the highest score among those far enough from all that are chosen."""
     worth = np.zeros(len(weights)) if strategy == "diverse" else weights
     least = SHARE_OF_SPREAD * spread(points, count)
-    order = [typical(points) if strategy == "diverse" else int(worth.argmax())]
-    apart = distances(points, order[0])
+    first = typical(points) if strategy == "diverse" else int(worth.argmax())
+    order = list(before) or [first]
+    apart = np.min([distances(points, scan) for scan in order], axis=0)
     left = np.ones(len(weights), bool)
-    left[order[0]] = False
+    left[order] = False
     while len(order) < count:
         others = left & (apart > 0)
         scores = {"both": worth * apart, "uncertainty": worth, "diverse": apart}

@@ -14,7 +14,8 @@ from rich.table import Table
 
 from salsanext_cli.classes import LabelSpace, TrainIds
 from salsanext_cli.errors import counted, printable
-from salsanext_cli.geometry.gather import pixels_from_points
+from salsanext_cli.formats.clouds.ply import encode_ply
+from salsanext_cli.geometry.gather import pixels_from_points, points_from_pixels
 from salsanext_cli.measures.scan_choice import Choice
 from salsanext_cli.records import Float
 from salsanext_cli.report import canvas
@@ -63,6 +64,19 @@ class Preview:
         classes = pixels_from_points(found.labels, image.point_of_pixel, NO_CLASS)
         values = np.where(image.point_of_pixel < 0, np.float32(np.nan), found.information)
         return cls(classes[:, ::step].copy(), values[:, ::step].copy())
+
+
+def picked_cloud(found: ScanLabels, space: LabelSpace) -> bytes:
+    """Return a PLY of a scan, coloured by its labels, with scalars that CloudCompare shows."""
+    scan, labels = found.scan, found.labels
+    columns: dict[str, Any] = dict(zip("xyz", scan.points.T, strict=True))
+    columns |= zip(("red", "green", "blue"), space.colours[labels].T, strict=True)
+    # CloudCompare takes properties of such names for scalars, without asking.
+    columns["scalar_label"] = space.to_raw(labels)
+    pixel_of_point = found.image.pixel_of_point
+    columns["scalar_uncertainty"] = points_from_pixels(found.information, pixel_of_point, np.nan)
+    columns["scalar_intensity"] = scan.intensity
+    return encode_ply(columns, ["scalar_label: raw ids of labels.yaml"])
 
 
 def reason(choice: Choice, rank: int, strategy: str, scans: int, nearest: str | None) -> str:

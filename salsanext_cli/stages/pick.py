@@ -12,10 +12,8 @@ from typing import Any
 import numpy as np
 
 from salsanext_cli.classes import LabelSpace
-from salsanext_cli.errors import NOTICE, counted
-from salsanext_cli.formats.clouds.ply import encode_ply
+from salsanext_cli.errors import NOTICE, NoInputError, counted
 from salsanext_cli.formats.labels import encode_labels
-from salsanext_cli.geometry.gather import points_from_pixels
 from salsanext_cli.inference.network import Network
 from salsanext_cli.inference.scan_fit import fitted
 from salsanext_cli.inference.settings import NetworkSettings
@@ -23,18 +21,21 @@ from salsanext_cli.measures.scan_choice import choose_scans, require_choice
 from salsanext_cli.measures.scan_summary import RunSummary, ScanSummary
 from salsanext_cli.parallel.network_task import NetworkTask
 from salsanext_cli.parallel.run import Failure, Outcome, RunOptions, run_over_scans
-from salsanext_cli.report.picked import Preview, picked_csv, picked_scans, picked_sheet
-from salsanext_cli.storage.labelling.picked_data_set import LABEL_SPACE, SHEET, TABLE, PickedDataSet
+from salsanext_cli.report.picked import (
+    Preview,
+    picked_cloud,
+    picked_csv,
+    picked_scans,
+    picked_sheet,
+)
+from salsanext_cli.storage.labelling.label_records import name_of
+from salsanext_cli.storage.labelling.picked_data_set import SHEET, TABLE, PickedDataSet
 from salsanext_cli.storage.labelling.picked_scans import STAGE, PickedScan, PickRecord
-from salsanext_cli.storage.layout import ScanFile
+from salsanext_cli.storage.layout import ScanFile, find_scans
 from salsanext_cli.storage.selection import ScanSelection, choose, evenly_spaced, scans_of, space_of
 from salsanext_cli.storage.stage_records import as_json
 from salsanext_cli.uncertainty.monte_carlo import require_sampling
-from salsanext_cli.uncertainty.scan_description import (
-    ScanDescription,
-    describe_scan,
-    label_scan,
-)
+from salsanext_cli.uncertainty.scan_description import ScanDescription, describe_scan, label_scan
 
 SAMPLES = 8
 """Passes of Monte-Carlo dropout, whose masks are the same for all scans."""
@@ -88,18 +89,10 @@ def write_scan(
 ) -> Guess:
     """Write a picked scan, and a coloured cloud with the labels that the network guesses."""
     found, space = label_scan(file, network, samples, seed), network.space
-    scan, labels, raw = found.scan, found.labels, space.to_raw(found.labels)
-    columns: dict[str, Any] = dict(zip("xyz", scan.points.T, strict=True))
-    columns |= zip(("red", "green", "blue"), space.colours[labels].T, strict=True)
-    # CloudCompare takes properties of such names for scalars, without asking.
-    columns["scalar_label"] = raw
-    pixel_of_point = found.image.pixel_of_point
-    columns["scalar_uncertainty"] = points_from_pixels(found.information, pixel_of_point, np.nan)
-    columns["scalar_intensity"] = scan.intensity
     data_set.write_points(file, network.sensor)
-    cloud = encode_ply(columns, [f"scalar_label: ids of {LABEL_SPACE}"])
+    cloud = picked_cloud(found, space)
     data_set.write_missing(data_set.paths(file.sequence, file.stem).cloud, cloud)
-    return Guess(file, encode_labels(raw), Preview.of(found))
+    return Guess(file, encode_labels(space.to_raw(found.labels)), Preview.of(found))
 
 
 def pick(
@@ -112,6 +105,7 @@ def pick(
     network: NetworkSettings = NetworkSettings(),
     selection: ScanSelection = ScanSelection(),
     options: RunOptions = RunOptions(),
+    labelled: Sequence[Path] = (),
 ) -> Picking:
     """Pick the scans most worth labelling; write a data set of them in SemanticKITTI's layout.
 
@@ -134,6 +128,9 @@ def pick(
         As for `predict_scans`.
     selection : ScanSelection
         Which scans to choose from; a limit takes evenly spaced ones.
+    labelled : sequence of Path
+        Data sets of scans that are labelled already, by sequence and name: other scans are picked,
+        unlike them.
 
     Raises
     ------
@@ -148,9 +145,15 @@ def pick(
     space = space_of(found, loaded.space)
     chosen = choose(found, replace(selection, limit=None), space, source)
     scans = evenly_spaced(chosen, selection.limit or 0)
+    known = {name_of(scan) for path in labelled for scan in find_scans(path)}
+    done = {scan for scan in scans if name_of(scan) in known}
+    if len(done) == len(scans):
+        raise NoInputError(source, "every scan is labelled already", "others to pick")
     with data_set.alone():
         loaded = fitted(network, loaded, found)
         how = {"strategy": strategy, "count": count, "seed": seed, "scans": _digest(scans)}
+        if labelled:
+            how["labelled"] = _digest(sorted(done, key=name_of))
         settings = as_json(how | {"samples": SAMPLES} | network.record(loaded))
         record = data_set.earlier(settings, overwrite=options.overwrite)
         if record and data_set.is_complete(record):
@@ -164,14 +167,14 @@ def pick(
             warnings = summary.warnings()
             if not described:
                 return Picking((), len(scans), Outcome(0, failures, 0), warnings)
-            picked = _chosen(described, count, strategy, seed)
+            picked = _chosen(described, count, strategy, seed, done)
             failed = [failure.to_dict() for failure in failures]
             record = PickRecord(settings, picked, failed, warnings)
             data_set.begin(record)
         write = partial(write_scan, samples=SAMPLES, seed=seed, data_set=data_set)
         task = NetworkTask(write, resolved, loaded)
-        labelled = space if space.fits(loaded.space) else loaded.space
-        outcome = _written(task, data_set, record, scans, options, labelled)
+        classes = space if space.fits(loaded.space) else loaded.space
+        outcome = _written(task, data_set, record, scans, options, classes)
     return Picking(tuple(record.picked), len(scans), outcome, record.warnings)
 
 
@@ -198,13 +201,14 @@ def _described(
 
 
 def _chosen(
-    described: Sequence[ScanDescription], count: int, strategy: str, seed: int
+    described: Sequence[ScanDescription], count: int, strategy: str, seed: int, done: set[ScanFile]
 ) -> list[PickedScan]:
-    if count > len(described):
-        log.log(NOTICE, "only %s: all are picked", counted(len(described), "scan"))
+    labelled = [place for place, scan in enumerate(described) if scan.file in done]
+    if count > (left := len(described) - len(labelled)):
+        log.log(NOTICE, "only %s: all are picked", counted(left, "scan"))
     features = np.stack([scan.features for scan in described])
     uncertainty = [scan.uncertainty for scan in described]
-    choices = choose_scans(features, uncertainty, count, strategy, seed)
+    choices = choose_scans(features, uncertainty, count, strategy, seed, labelled)
     return picked_scans(choices, [scan.file for scan in described], strategy)
 
 
@@ -217,10 +221,10 @@ def _written(
     space: LabelSpace,
 ) -> Outcome:
     """Write what is missing of a data set of picked scans."""
-    files, guesses = {_name(scan): scan for scan in scans}, dict[str, Guess]()
+    files, guesses = {name_of(scan): scan for scan in scans}, dict[str, Guess]()
 
     def keep(guess: Guess) -> None:
-        guesses[_name(guess.file)] = guess
+        guesses[name_of(guess.file)] = guess
         data_set.write_guess(guess.file, guess.labels)
 
     picked = [files[each.name] for each in record.picked if each.name in files]
@@ -241,7 +245,3 @@ def _failures(record: PickRecord, scans: Sequence[ScanFile]) -> tuple[Failure, .
     files = {str(scan.path): scan for scan in scans}
     known = (failure for failure in record.failures if failure["scan"] in files)
     return tuple(Failure(files[f["scan"]], f["reason"], f["code"]) for f in known)
-
-
-def _name(scan: ScanFile) -> str:
-    return f"{scan.sequence}/{scan.stem}"

@@ -153,6 +153,23 @@ def test_equal_weights_are_no_weights():
     assert spread > 0.1
 
 
+@pytest.mark.parametrize("strategy", STRATEGIES)
+def test_labelled_scans_count_as_chosen_and_are_not_chosen_again(strategy):
+    features = np.random.default_rng(3).normal(size=(12, 4))
+    uncertainty = np.random.default_rng(4).uniform(1, 2, 12)
+    first = [each.scan for each in choose_scans(features, uncertainty, 4, strategy)]
+    more = choose_scans(features, uncertainty, 4, strategy, labelled=first)
+    assert len({each.scan for each in more} - {*first}) == 4
+    if strategy != "random":
+        # The next of a larger choice, but for the distance that it keeps.
+        apart = np.linalg.norm(
+            standardised(features)[more[0].scan] - standardised(features), axis=1
+        )
+        assert more[0].distance == pytest.approx(apart[first].min())
+        assert more[0].nearest in first
+    assert len(choose_scans(features, uncertainty, 20, strategy, labelled=first)) == 8
+
+
 def test_random_draws_by_the_seed():
     features, weights = pool(30, seed=2)
     drawn = {tuple(order(features, weights, 5, "random", seed)) for seed in range(20)}

@@ -384,3 +384,14 @@ def test_a_damaged_record(drive):
     path.write_text(json.dumps(record))
     with pytest.raises(OutputError, match="not what `pick` writes"):
         run(drive)
+
+
+def test_scans_that_are_labelled_already_are_not_picked_again(drive, tmp_path):
+    first = run(drive)
+    more = run(drive, out=tmp_path / "more", labelled=[drive.out])
+    assert {*names(more)} == {
+        file.sequence + "/" + file.stem for file in find_scans(drive.data)
+    } - {*names(first)}
+    assert more.picked[0].nearest in names(first)
+    with pytest.raises(NoInputError, match="every scan is labelled already"):
+        run(drive, out=tmp_path / "none", labelled=[drive.out, tmp_path / "more"])

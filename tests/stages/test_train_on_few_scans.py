@@ -107,7 +107,7 @@ class Stopped(BaseException):
     """Ctrl-C at a chosen step."""
 
 
-@pytest.mark.parametrize("step", [1, 5, 8, 11, 13])
+@pytest.mark.parametrize("step", [1, 8, 13])
 def test_a_training_that_was_stopped_anywhere_ends_alike(
     data: Path, tmp_path: Path, step: int
 ) -> None:
