@@ -153,7 +153,7 @@ def test_first_guesses_are_no_labels(
     write_labels(files[1].label_path, np.roll(read_labels(files[1].label_path), 1))
     assert first_guesses(files) == files[2:]
     go(data, tmp_path / "run")
-    only_guesses = "left out without labels: 1 scan, 1 of them with a network's first guess only"
+    only_guesses = "left out without labels: 1 scan, 1 with a network's first guess only"
     assert only_guesses in caplog.messages
     own = label_space().to_dict() | {"split": {"train": ["a", "b"], "valid": ["c"]}}
     (data / "labels.yaml").write_text(json.dumps(own))

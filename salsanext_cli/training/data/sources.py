@@ -174,7 +174,7 @@ def scans_to_train_on(
     found = find_scans(dataset)
     guesses = {*first_guesses(found)}
     labelled = [scan for scan in found if scan.label_path.is_file() and scan not in guesses]
-    text = f"{len(guesses)} of them with a network's first guess only" if guesses else ""
+    text = f"{len(guesses)} with a network's first guess only" if guesses else ""
     if not labelled:
         none = ", ".join(filter(None, (f"none of {counted(len(found), 'scan')} has labels", text)))
         raise NoInputError(dataset, none, f"label files such as {found[0].label_path}")
