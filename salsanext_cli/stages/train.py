@@ -113,7 +113,7 @@ def train(
     jobs : int
         Processes that prepare samples; with 1 the training process does it itself.
     weights : Path, optional
-        Weights to start from instead of random ones.
+        Weights to start from; otherwise those that the recipe says.
     overwrite : bool
         Whether to start anew where the folder holds a training.
     strict : bool
@@ -133,7 +133,7 @@ def train(
         If the folder cannot be written, holds another training or files that salsanext did not
         write.
     WeightsError
-        If `weights` do not fit the label space.
+        If `weights` cannot be read, or are of another network than the recipe's.
     """
     workers = worker_count(jobs)
     if recipe.batch < (size := group_of_environment().size):
