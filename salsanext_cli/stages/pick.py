@@ -165,7 +165,7 @@ def pick(
             summary = RunSummary.of_scans(scans, loaded.sensor)
             described, failures = _described(task, scans, options, summary)
             warnings = summary.warnings()
-            if not described:
+            if all(scan.file in done for scan in described):
                 return Picking((), len(scans), Outcome(0, failures, 0), warnings)
             picked = _chosen(described, count, strategy, seed, done)
             failed = [failure.to_dict() for failure in failures]

@@ -17,7 +17,7 @@ from salsanext_cli.parallel.threads import worker_count
 from salsanext_cli.report.scan_pictures import draw_sample
 from salsanext_cli.sensors import Sensor
 from salsanext_cli.storage.files.identity import fingerprint
-from salsanext_cli.storage.layout import ScanFile
+from salsanext_cli.storage.labelling.label_records import digest_of_file
 from salsanext_cli.storage.selection import evenly_spaced
 from salsanext_cli.training.cross_validation import Expectation
 from salsanext_cli.training.data.class_counts import ClassCounts, class_counts, require_labels
@@ -43,7 +43,7 @@ from salsanext_cli.training.run_folder import (
     require_free,
     trained_alone,
 )
-from salsanext_cli.training.setup import Setup
+from salsanext_cli.training.setup import Setup, scans_digest
 
 
 @dataclass(frozen=True, slots=True)
@@ -222,23 +222,16 @@ def _settings(recipe: Recipe, sources: Sequence[Source], weights: Path | None) -
         "recipe": recipe.to_dict(),
         "sensor": replace(first.sensor, intensity_quantiles=(), row_gaps=None).to_dict(),
         "label_space": first.space.to_dict(),
-        "scans": _digest([*first.files, *validation.files]),
+        "scans": scans_digest([*first.files, *validation.files]),
         "weights": fingerprint(weights) if weights else None,
     }
     if first.files and recipe.folds:
         # Labels of a few scans are corrected, and trained on again.
-        labels = hashlib.sha256()
-        for file in first.files:
-            labels.update(hashlib.sha256(file.label_path.read_bytes()).digest())
-        settings["labels"] = labels.hexdigest()[:16]
+        labels = "".join(digest_of_file(file.label_path) for file in first.files)
+        settings["labels"] = hashlib.sha256(labels.encode()).hexdigest()[:16]
     if further:
         settings["also"] = [
-            {"label_space": each.space.to_dict(), "scans": _digest(each.files)} for each in further
+            {"label_space": each.space.to_dict(), "scans": scans_digest(each.files)}
+            for each in further
         ]
     return settings
-
-
-def _digest(scans: Sequence[ScanFile]) -> str:
-    """Return the number of scans and a digest of their names."""
-    names = "\n".join(f"{scan.sequence}/{scan.stem}" for scan in scans)
-    return f"{len(scans)}, {hashlib.sha256(names.encode()).hexdigest()[:16]}"

@@ -35,7 +35,7 @@ def initial_network(
     Parameters
     ----------
     weights : Path, optional
-        Weights to start from; otherwise what the recipe's key `initial` says.
+        Weights to start from; None for random ones.
     space : LabelSpace
         Classes to train for.
     recipe : Recipe

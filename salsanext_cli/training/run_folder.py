@@ -54,9 +54,9 @@ def trained_alone(run: Path) -> Iterator[None]:
         If another training runs in it.
     """
     with locked(run / f".{STAGE}.lock", stage=STAGE):
-        folders = [run, *run.glob(f"{FOLDS}/*")]
-        for folder in [*folders, *(each / SAMPLES for each in folders)]:
+        for folder in _folders(run):
             sweep_stale(folder)
+            sweep_stale(folder / SAMPLES)
         yield
 
 
@@ -79,7 +79,8 @@ def require_free(run: Path, settings: Mapping[str, Any], *, overwrite: bool) -> 
         if path.name != RECIPE or _content(path) != _recipe_file(settings):
             found = "not written by salsanext, or changed since"
             raise OutputError(path, found, remedy="move it, or use another folder")
-    if recorded is not None and not overwrite and any((run / name).exists() for name in RESULTS):
+    results = (folder / name for folder in _folders(run) for name in RESULTS)
+    if recorded is not None and not overwrite and any(path.exists() for path in results):
         path = run / f"{STAGE}.json"
         require_same_settings(path, _decisive(recorded), _decisive(as_json(settings)))
 
@@ -105,7 +106,7 @@ def begin(run: Path, settings: Mapping[str, Any], *, overwrite: bool) -> None:
     """
     recorded, written = stage_settings(run, STAGE), WrittenFiles(run)
     if overwrite or recorded is None or _decisive(recorded) != _decisive(as_json(settings)):
-        for folder in (run, *run.glob(f"{FOLDS}/*")):
+        for folder in _folders(run):
             results = [folder / name for name in RESULTS]
             results += [*folder.glob(f"{SAMPLES}/epoch-*.png"), *folder.glob(f"{EVENTS}/events.*")]
             for path in WrittenFiles(folder).remove(results):
@@ -113,6 +114,11 @@ def begin(run: Path, settings: Mapping[str, Any], *, overwrite: bool) -> None:
     StageRecord(STAGE, as_json(settings)).write(run)
     if _content(run / RECIPE) != _recipe_file(settings):
         written.write(run / RECIPE, _recipe_file(settings))
+
+
+def _folders(run: Path) -> list[Path]:
+    """Return the run folder, and those of its folds."""
+    return [run, *run.glob(f"{FOLDS}/*")]
 
 
 def _recipe_file(settings: Mapping[str, Any]) -> bytes:

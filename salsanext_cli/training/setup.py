@@ -44,6 +44,12 @@ from salsanext_cli.training.run_folder import (
 log = logging.getLogger(__name__)
 
 
+def scans_digest(scans: Sequence[ScanFile]) -> str:
+    """Return the number of scans and a digest of their names."""
+    names = "\n".join(f"{scan.sequence}/{scan.stem}" for scan in scans)
+    return f"{len(scans)}, {hashlib.sha256(names.encode()).hexdigest()[:16]}"
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Setup:
     """All that a training needs but its scans.
@@ -165,9 +171,8 @@ class Setup:
             return None
         for number, part in enumerate(parts, start=1):
             left_out, folder = replace(first, files=part), fold_folder(self.run, number)
-            names = "\n".join(f"{file.sequence}/{file.stem}" for file in part)
-            digest = hashlib.sha256(names.encode()).hexdigest()[:16]
-            self.group.on_main(partial(self._begin, folder, {**self.settings, "left_out": digest}))
+            settings = {**self.settings, "left_out": scans_digest(part)}
+            self.group.on_main(partial(self._begin, folder, settings))
             files = [file for file in first.files if file not in part]
             report = partial(self._report_fold, number, len(parts))
             logs.append(self.training(files, left_out, folder, report=report).fit().rows)
