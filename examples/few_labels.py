@@ -71,10 +71,7 @@ def main(
 
     trained = train(picked, root / "run", recipe=recipe(plan), weights=start)
     if expected := trained.expected:
-        spread = 100 * (expected.miou_spread or 0)
-        print(
-            f"expect mean IoU {100 * expected.miou:.1f} ± {spread:.1f} % ({expected.folds} folds)"
-        )
+        print(f"expect mean IoU {100 * expected.miou:.1f} %")
     print("before", score(aside, root / "before", drive, start))
     print("after", score(aside, root / "after", drive, trained.best))
 

@@ -395,3 +395,8 @@ def test_scans_that_are_labelled_already_are_not_picked_again(drive, tmp_path):
     assert more.picked[0].nearest in names(first)
     with pytest.raises(NoInputError, match="every scan is labelled already"):
         run(drive, out=tmp_path / "none", labelled=[drive.out, tmp_path / "more"])
+    # Nothing is left to pick if the others cannot be read.
+    for name in names(more):
+        (drive.data / "sequences/08/velodyne" / f"{name.split('/')[1]}.bin").write_bytes(b"short")
+    nothing = run(drive, out=tmp_path / "none", labelled=[drive.out])
+    assert (nothing.picked, len(nothing.outcome.failures)) == ((), 3)

@@ -24,6 +24,7 @@ from salsanext_cli.stages.import_labels import import_labels
 from salsanext_cli.stages.train import TrainResult, train
 from salsanext_cli.storage.labelling.label_records import digest_of_file, first_guesses
 from salsanext_cli.storage.layout import find_scans
+from salsanext_cli.training import fit
 from salsanext_cli.training.fit import Report
 from salsanext_cli.training.recipe import Recipe
 
@@ -219,6 +220,24 @@ def test_labels_that_are_all_ignored_are_refused(data: Path, tmp_path: Path) -> 
         write_labels(file, np.zeros(600, np.uint32))
     with pytest.raises(TrainingError, match="none of 1,800 points in 3 scans"):
         go(data, tmp_path / "run")
+
+
+def test_the_checkpoint_of_a_first_fold_is_kept(
+    data: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(fit, "SAVE_INTERVAL_S", 0.0)
+    run = tmp_path / "run"
+
+    def stop(report: Report) -> None:
+        raise Stopped
+
+    with pytest.raises(Stopped):
+        go(data, run, progress=stop)
+    assert not (run / "best.safetensors").exists()
+    before = (run / "folds/1/checkpoint.safetensors").read_bytes()
+    with pytest.raises(OutputError, match="learning_rate"):
+        go(data, run, FEW.with_changes(learning_rate=1e-3))
+    assert (run / "folds/1/checkpoint.safetensors").read_bytes() == before
 
 
 def test_a_folder_of_another_recipe_is_kept(data: Path, tmp_path: Path) -> None:
