@@ -1,7 +1,6 @@
 # SPDX-License-Identifier: MIT
 """Stage `train`: a labelled data set to a run folder with weights, log and curve."""
 
-import hashlib
 import math
 from collections.abc import Callable, Sequence
 from contextlib import ExitStack
@@ -16,8 +15,7 @@ from salsanext_cli.network.segmentation import SegmentationNetwork
 from salsanext_cli.parallel.threads import worker_count
 from salsanext_cli.report.scan_pictures import draw_sample
 from salsanext_cli.sensors import Sensor
-from salsanext_cli.storage.files.identity import fingerprint
-from salsanext_cli.storage.labelling.label_records import digest_of_file
+from salsanext_cli.stages.simulated_streets import simulated_streets
 from salsanext_cli.storage.selection import evenly_spaced
 from salsanext_cli.training.cross_validation import Expectation
 from salsanext_cli.training.data.class_counts import ClassCounts, class_counts, require_labels
@@ -38,12 +36,14 @@ from salsanext_cli.training.run_folder import (
     BEST,
     CLASS_COUNTS,
     LAST,
+    STREETS,
     begin,
     recorded_precision,
     require_free,
     trained_alone,
 )
-from salsanext_cli.training.setup import Setup, scans_digest
+from salsanext_cli.training.settings import training_settings
+from salsanext_cli.training.setup import Setup
 
 
 @dataclass(frozen=True, slots=True)
@@ -155,13 +155,15 @@ def train(
         roots = ", ".join(path.resolve().name for path in (dataset, *also))
         further = group.on_main(lambda: [further_source(path, classes, sensor) for path in also])
         given = [Source(files, classes, sensor) for files in (training, validation)] + further
-        settings = _settings(recipe, given, weights)
+        settings = training_settings(recipe, given, weights)
 
         def prepare() -> tuple[list[Source], ClassCounts]:
             held.enter_context(trained_alone(run))
             require_free(run, settings, overwrite=overwrite)
             require_labels([file for source in given for file in source.files])
-            first, scored, *others = as_trained(given, fit=recipe.sensors == "fitted", jobs=jobs)
+            streets = simulated_streets(run / STREETS, recipe.streets, classes, sensor, jobs)
+            fitted = as_trained([*given, *streets], fit=recipe.sensors == "fitted", jobs=jobs)
+            first, scored, *others = fitted
             kept, sources = run / CLASS_COUNTS, [first, *others]
             validated = evenly_spaced(scored.files, recipe.validation_scans)
             counts = class_counts(kept, sources, scored, validated, jobs, recipe.also)
@@ -171,7 +173,8 @@ def train(
             return [replace(scored, files=validated), *sources], counts
 
         (scored, *sources), counts = group.on_main(prepare)
-        description = f"Trained with `salsanext train` on {roots}."
+        simulated = ", simulated streets" if len(sources) > 1 + len(also) else ""
+        description = f"Trained with `salsanext train` on {roots}{simulated}."
         setup = Setup(
             run=run,
             recipe=recipe,
@@ -179,7 +182,7 @@ def train(
             card=replace(card, sensor=sources[0].sensor, description=description),
             sources=sources,
             counts=counts,
-            sets=class_sets(source.space for source in given),
+            sets=class_sets(source.space for source in sources),
             settings=settings,
             place=place,
             group=group,
@@ -213,25 +216,3 @@ def _require_pixels(
     if part * math.prod(coarsest) == 1:
         found = f"one pixel is left of one image of {size[0]}×{size[1]}"
         raise UsageError("recipe key crop_width", found, "two pixels for batch norm at least")
-
-
-def _settings(recipe: Recipe, sources: Sequence[Source], weights: Path | None) -> dict[str, Any]:
-    """Return all that decides the result of a training; see `train` for the order of sources."""
-    first, validation, *further = sources
-    settings: dict[str, Any] = {
-        "recipe": recipe.to_dict(),
-        "sensor": replace(first.sensor, intensity_quantiles=(), row_gaps=None).to_dict(),
-        "label_space": first.space.to_dict(),
-        "scans": scans_digest([*first.files, *validation.files]),
-        "weights": fingerprint(weights) if weights else None,
-    }
-    if first.files and recipe.folds:
-        # Labels of a few scans are corrected, and trained on again.
-        labels = "".join(digest_of_file(file.label_path) for file in first.files)
-        settings["labels"] = hashlib.sha256(labels.encode()).hexdigest()[:16]
-    if further:
-        settings["also"] = [
-            {"label_space": each.space.to_dict(), "scans": scans_digest(each.files)}
-            for each in further
-        ]
-    return settings

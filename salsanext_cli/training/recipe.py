@@ -4,7 +4,7 @@
 import json
 import math
 import tomllib
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass, fields
 from importlib import resources
 from pathlib import Path
@@ -21,12 +21,6 @@ CHOICES = {
     "initial": ("random", "default"),
 }
 """Words that the keys of type str may have."""
-READERS: dict[type, tuple[Callable[[str], Any], str]] = {
-    int: (int, "a whole number"),
-    float: (float, "a number"),
-    str: (lambda text: text.strip("\"'"), "a word"),
-}
-"""Reader of the text of each type of key, and its name; quotes are taken for those of TOML."""
 MAX_INTEGER = 2**53
 """Bound of whole numbers in place of others: floats are no longer exact beyond."""
 
@@ -91,6 +85,9 @@ class Recipe:
         each sequence fitted as `predict` does.
     also : float
         Share of the samples from further data sets, where there are any.
+    streets : int
+        Simulated streets, of eight scans each, seen by an HDL-64, and as many by random sensors:
+        two more data sets.
     intensity, no_intensity, mount, view, fewer_beams : float
         Probability of each change to what another sensor sees; see `training.data.other_sensors`.
     validate_every, validation_scans : int
@@ -133,6 +130,7 @@ class Recipe:
     paste: float = 0.0
     sensors: str = "given"
     also: float = 0.5
+    streets: int = 0
     intensity: float = 0.0
     no_intensity: float = 0.0
     mount: float = 0.0
@@ -157,13 +155,14 @@ class Recipe:
                 self._require(field.name, math.isfinite(getattr(self, field.name)), "finite")
         for key in ("epochs", "batch", "accumulate", "validate_every"):
             self._require(key, getattr(self, key) >= 1, "at least 1")
-        for key in ("samples_per_epoch", "crop_width", "whole_epochs", "validation_scans", "seed"):
+        of_scans = ("samples_per_epoch", "crop_width", "whole_epochs", "validation_scans")
+        for key in (*of_scans, "streets", "seed"):
             self._require(key, getattr(self, key) >= 0, "at least 0")
         for key in ("weight_decay", "clip_gradient", "class_weight", "lovasz", "warm_up"):
             self._require(key, getattr(self, key) >= 0, "at least 0")
-        of_scans = ("rotate", "shift", "flip", "drop", "mix", "paste")
+        changes = ("rotate", "shift", "flip", "drop", "mix", "paste")
         of_sensors = ("intensity", "no_intensity", "mount", "view", "fewer_beams")
-        for key in (*of_scans, *of_sensors, "also", "crop_on_class"):
+        for key in (*changes, *of_sensors, "also", "crop_on_class"):
             self._require(key, 0 <= getattr(self, key) <= 1, "between 0 and 1")
         for key in ("average", "dropout", "momentum", "label_smoothing"):
             self._require(key, 0 <= getattr(self, key) < 1, "from 0 to below 1")
@@ -225,25 +224,3 @@ def recipe(name_or_file: str | Path) -> Recipe:
         return Recipe.from_dict(tomllib.loads(built_in.read_text("utf-8")), name)
     path = Path(name_or_file)
     return Recipe.from_dict(read_toml(path, "recipe", presets()), path)
-
-
-def read_overrides(texts: Iterable[str]) -> dict[str, Any]:
-    """Return what `Recipe.with_changes` takes; of a key given twice the last value holds.
-
-    Raises
-    ------
-    UsageError
-        If a text is no ``key=value``, the key is unknown or the value not of its type.
-    """
-    changes: dict[str, Any] = {}
-    for text in texts:
-        key, equals, value = (part.strip() for part in text.partition("="))
-        if not (key and equals and value):
-            raise UsageError(f"--set {text}", "no key and value", "key=value, such as batch=4")
-        refuse_unknown({key: value}, Recipe, f"--set {text}")
-        read, expected = READERS[type(getattr(Recipe(), key))]
-        try:
-            changes[key] = read(value)
-        except ValueError as error:
-            raise UsageError(f"--set {key}={value}", f"{value!r}", expected) from error
-    return changes

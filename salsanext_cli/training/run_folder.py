@@ -25,7 +25,7 @@ CHECKPOINT = "checkpoint.safetensors"
 LAST, BEST = "last.safetensors", "best.safetensors"
 LOG, CURVE = "log.csv", "curve.png"
 RECIPE, CLASS_COUNTS = "recipe.toml", "class_counts.json"
-SAMPLES, EVENTS, FOLDS = "samples", "tensorboard", "folds"
+SAMPLES, EVENTS, FOLDS, STREETS = "samples", "tensorboard", "folds", "streets"
 RESULTS = (CHECKPOINT, BEST, LAST, LOG, CURVE)
 """Files that a new training in the folder removes, beside pictures and events."""
 

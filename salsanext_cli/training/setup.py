@@ -2,7 +2,6 @@
 """Setup of a training: what trainings on parts of the same data share, cross-validation of them."""
 
 import copy
-import hashlib
 import logging
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack
@@ -40,14 +39,9 @@ from salsanext_cli.training.run_folder import (
     fold_folder,
     require_free,
 )
+from salsanext_cli.training.settings import scans_digest
 
 log = logging.getLogger(__name__)
-
-
-def scans_digest(scans: Sequence[ScanFile]) -> str:
-    """Return the number of scans and a digest of their names."""
-    names = "\n".join(f"{scan.sequence}/{scan.stem}" for scan in scans)
-    return f"{len(scans)}, {hashlib.sha256(names.encode()).hexdigest()[:16]}"
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -19,6 +19,7 @@ from salsanext_cli.errors import NOTICE, LabelError, NoInputError, OutputError, 
 from salsanext_cli.network.card import WeightsCard, read_card
 from salsanext_cli.network.registry import ARCHITECTURES
 from salsanext_cli.network.weights import read_weights, save_weights
+from salsanext_cli.stages import simulated_streets
 from salsanext_cli.stages import train as stage
 from salsanext_cli.stages.import_labels import import_labels
 from salsanext_cli.stages.train import TrainResult, train
@@ -250,3 +251,59 @@ def test_a_folder_of_another_recipe_is_kept(data: Path, tmp_path: Path) -> None:
     assert (run / "best.safetensors").read_bytes() == before
     go(data, run, other, overwrite=True)
     assert (run / "best.safetensors").read_bytes() != before
+
+
+@pytest.fixture
+def simulated(monkeypatch: pytest.MonkeyPatch) -> list[Path]:
+    """Write tiny scans in the place of simulated streets; the list tells where."""
+    made: list[Path] = []
+
+    def write(out: Path, *, train: int, scans: int, **_: object) -> None:
+        made.append(out)
+        shutil.rmtree(out, ignore_errors=True)
+        names = [f"{number:02d}" for number in range(train)]
+        for name in names:
+            stems = [f"{index:06d}" for index in range(scans)]
+            write_sequence(out / "sequences" / name, stems, count=600)
+        space = replace(label_space(), splits={"train": tuple(names)})
+        (out / "labels.yaml").write_text(json.dumps(space.to_dict()))
+
+    monkeypatch.setattr(simulated_streets, "synthesise", write)
+    return made
+
+
+def test_simulated_streets_are_trained_on_beside_the_scans(
+    data: Path, tmp_path: Path, simulated: list[Path]
+) -> None:
+    run, recipe = tmp_path / "run", FEW.with_changes(streets=1, also=0.5)
+    with_streets = go(data, run, recipe)
+    streets = run / "streets"
+    both = [streets / "hdl64", streets / "random"]
+    assert simulated == both
+    assert "simulated streets" in read_card(with_streets.best).description
+    # They are what further data sets would be, and are made once.
+    alone = FEW.with_changes(also=0.5)
+    given = go(data, tmp_path / "given", alone, also=both)
+    assert load_file(with_streets.best).keys() == load_file(given.best).keys()
+    for name, tensor in load_file(with_streets.best).items():
+        assert torch.equal(tensor, load_file(given.best)[name])
+    assert not all(
+        torch.equal(tensor, load_file(given.best)[name])
+        for name, tensor in load_file(go(data, tmp_path / "without", alone).best).items()
+    )
+    go(data, run, recipe)
+    assert simulated == both
+    go(data, run, recipe.with_changes(streets=2), overwrite=True)
+    assert simulated == 2 * both
+
+
+def test_streets_of_other_classes_are_not_simulated(
+    data: Path, tmp_path: Path, simulated: list[Path], caplog: pytest.LogCaptureFixture
+) -> None:
+    own = label_space().to_dict()
+    own["labels"] = {raw: f"our {name}" for raw, name in own["labels"].items()}
+    (data / "labels.yaml").write_text(json.dumps(own))
+    with caplog.at_level(NOTICE):
+        go(data, tmp_path / "run", FEW.with_changes(streets=1))
+    assert "no simulated streets: they tell other classes apart than your labels" in caplog.messages
+    assert not simulated

@@ -6,7 +6,8 @@ from pathlib import Path
 import pytest
 
 from salsanext_cli.errors import UsageError
-from salsanext_cli.training.recipe import Recipe, presets, read_overrides, recipe
+from salsanext_cli.training.recipe import Recipe, presets, recipe
+from salsanext_cli.training.recipe_changes import read_overrides
 
 
 def test_the_papers_recipe_is_the_papers() -> None:

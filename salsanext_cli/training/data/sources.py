@@ -137,13 +137,19 @@ def further_source(dataset: Path, space: LabelSpace, sensor: Sensor) -> Source:
         alternatives may be others.
     """
     own, files = labelled_split(dataset, None, "train")
+    classes = merged_into(own, space)
+    if classes is None:
+        found = f"other classes ({first_few(own.differences(space))})"
+        raise LabelError(dataset, found, f"those of {space.name}")
+    return Source(files, classes, sensor)
+
+
+def merged_into(own: LabelSpace, space: LabelSpace) -> LabelSpace | None:
+    """Return a label space with the classes of another, None if they are not merged into these."""
     if is_merged(space, own):
         # The first data set may tell other classes apart than this one.
         own = ClassMerging.between(own, replace(space, splits={}, alternatives={})).space
-    if not own.fits(space):
-        found = f"other classes ({first_few(own.differences(space))})"
-        raise LabelError(dataset, found, f"those of {space.name}")
-    return Source(files, own, sensor)
+    return own if own.fits(space) else None
 
 
 def scans_to_train_on(
