@@ -1,32 +1,34 @@
 # SPDX-License-Identifier: MIT
 """Stage `train`: a labelled data set to a run folder with weights, log and curve."""
 
-import math
+import logging
 from collections.abc import Callable, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from salsanext_cli.classes import LabelSpace
-from salsanext_cli.errors import UsageError
+from salsanext_cli.classes import LabelSpace, label_space
+from salsanext_cli.errors import NOTICE, UsageError, counted
 from salsanext_cli.network.card import default_weights
-from salsanext_cli.network.segmentation import SegmentationNetwork
 from salsanext_cli.parallel.threads import worker_count
 from salsanext_cli.report.scan_pictures import draw_sample
 from salsanext_cli.sensors import Sensor
-from salsanext_cli.stages.simulated_streets import simulated_streets
+from salsanext_cli.stages.synth import LABEL_SPACE, synthesise
+from salsanext_cli.storage.layout import find_scans
 from salsanext_cli.storage.selection import evenly_spaced
+from salsanext_cli.synthesis.sensor.rig import RIGS
 from salsanext_cli.training.cross_validation import Expectation
 from salsanext_cli.training.data.class_counts import ClassCounts, class_counts, require_labels
 from salsanext_cli.training.data.sources import (
     Source,
     as_trained,
     further_source,
+    merged_into,
     scans_to_train_on,
 )
 from salsanext_cli.training.data.targets import class_sets
-from salsanext_cli.training.distributed import ProcessGroup, group_of_environment, process_group
+from salsanext_cli.training.distributed import group_of_environment, process_group
 from salsanext_cli.training.fit import Report
 from salsanext_cli.training.initial_network import initial_network
 from salsanext_cli.training.log import Row
@@ -43,7 +45,12 @@ from salsanext_cli.training.run_folder import (
     trained_alone,
 )
 from salsanext_cli.training.settings import training_settings
-from salsanext_cli.training.setup import Setup
+from salsanext_cli.training.setup import Setup, require_pixels
+
+SCANS_OF_STREET, STREET_SPACING_M = 8, 10.0
+"""Scans of a simulated street, and the distance between two."""
+
+log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True, slots=True)
@@ -151,7 +158,7 @@ def train(
             recipe = replace(recipe, precision=begun or common_precision(place, group))
         initial, card = initial_network(weights, classes, recipe)
         sensor = _as_trained(sensor, card.sensor) if sensor else card.sensor
-        _require_pixels(recipe, sensor, initial, group)
+        require_pixels(recipe, sensor, initial, group)
         roots = ", ".join(path.resolve().name for path in (dataset, *also))
         further = group.on_main(lambda: [further_source(path, classes, sensor) for path in also])
         given = [Source(files, classes, sensor) for files in (training, validation)] + further
@@ -161,7 +168,7 @@ def train(
             held.enter_context(trained_alone(run))
             require_free(run, settings, overwrite=overwrite)
             require_labels([file for source in given for file in source.files])
-            streets = simulated_streets(run / STREETS, recipe.streets, classes, sensor, jobs)
+            streets = _simulated_streets(run / STREETS, recipe.streets, classes, sensor, jobs)
             fitted = as_trained([*given, *streets], fit=recipe.sensors == "fitted", jobs=jobs)
             first, scored, *others = fitted
             kept, sources = run / CLASS_COUNTS, [first, *others]
@@ -199,20 +206,37 @@ def train(
     return TrainResult(run / BEST, run / LAST, best, state.rows, counts.warnings, outlook)
 
 
+def _simulated_streets(
+    folder: Path, count: int, classes: LabelSpace, sensor: Sensor, jobs: int
+) -> list[Source]:
+    """Return data sets of simulated streets, one per kind of sensor, made if they are not there.
+
+    There are none for classes that they do not tell apart.
+    """
+    if not count:
+        return []
+    if merged_into(label_space(), classes) is None:
+        log.log(NOTICE, "no simulated streets: they tell other classes apart than your labels")
+        return []
+    roots = {seen: folder / seen for seen in RIGS}
+    for seen, root in roots.items():
+        if not (root / LABEL_SPACE).exists() or len(find_scans(root)) != count * SCANS_OF_STREET:
+            log.log(NOTICE, "simulating %s in %s", counted(count, "street"), root)
+            synthesise(
+                root,
+                train=count,
+                valid=0,
+                scans=SCANS_OF_STREET,
+                spacing=STREET_SPACING_M,
+                sensor=seen,
+                jobs=jobs,
+                overwrite=True,
+            )
+    return [further_source(root, classes, sensor) for root in roots.values()]
+
+
 def _as_trained(sensor: Sensor, trained: Sensor) -> Sensor:
     """Return a sensor that, unless it knows its own, has intensity and gaps of initial weights."""
     quantiles = sensor.intensity_quantiles or trained.intensity_quantiles
     gaps = trained.row_gaps if sensor.row_gaps is None else sensor.row_gaps
     return replace(sensor, intensity_quantiles=quantiles, row_gaps=gaps)
-
-
-def _require_pixels(
-    recipe: Recipe, sensor: Sensor, module: SegmentationNetwork, group: ProcessGroup
-) -> None:
-    """Refuse images whose coarsest level has one pixel: batch norm needs two to differ."""
-    part = recipe.batch // group.size // min(recipe.accumulate, recipe.batch // group.size)
-    size = (sensor.height, min(recipe.crop_width or sensor.width, sensor.width))
-    coarsest = [-(-pixels // step) for pixels, step in zip(size, module.stride, strict=True)]
-    if part * math.prod(coarsest) == 1:
-        found = f"one pixel is left of one image of {size[0]}×{size[1]}"
-        raise UsageError("recipe key crop_width", found, "two pixels for batch norm at least")

@@ -3,6 +3,7 @@
 
 import copy
 import logging
+import math
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
@@ -14,10 +15,12 @@ import numpy as np
 import numpy.typing as npt
 import torch
 
+from salsanext_cli.errors import UsageError
 from salsanext_cli.inference.network import Network
 from salsanext_cli.inference.scan_fit import with_sensor
 from salsanext_cli.network.card import WeightsCard, read_card
 from salsanext_cli.network.segmentation import SegmentationNetwork
+from salsanext_cli.sensors import Sensor
 from salsanext_cli.storage.layout import ScanFile
 from salsanext_cli.storage.written_files import WrittenFiles
 from salsanext_cli.training.cross_validation import Expectation, expectation, folds
@@ -42,6 +45,18 @@ from salsanext_cli.training.run_folder import (
 from salsanext_cli.training.settings import scans_digest
 
 log = logging.getLogger(__name__)
+
+
+def require_pixels(
+    recipe: Recipe, sensor: Sensor, module: SegmentationNetwork, group: ProcessGroup
+) -> None:
+    """Refuse images whose coarsest level has one pixel: batch norm needs two to differ."""
+    part = recipe.batch // group.size // min(recipe.accumulate, recipe.batch // group.size)
+    size = (sensor.height, min(recipe.crop_width or sensor.width, sensor.width))
+    coarsest = [-(-pixels // step) for pixels, step in zip(size, module.stride, strict=True)]
+    if part * math.prod(coarsest) == 1:
+        found = f"one pixel is left of one image of {size[0]}×{size[1]}"
+        raise UsageError("recipe key crop_width", found, "two pixels for batch norm at least")
 
 
 @dataclass(frozen=True, slots=True, eq=False)

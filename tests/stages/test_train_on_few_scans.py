@@ -19,7 +19,6 @@ from salsanext_cli.errors import NOTICE, LabelError, NoInputError, OutputError, 
 from salsanext_cli.network.card import WeightsCard, read_card
 from salsanext_cli.network.registry import ARCHITECTURES
 from salsanext_cli.network.weights import read_weights, save_weights
-from salsanext_cli.stages import simulated_streets
 from salsanext_cli.stages import train as stage
 from salsanext_cli.stages.import_labels import import_labels
 from salsanext_cli.stages.train import TrainResult, train
@@ -268,7 +267,7 @@ def simulated(monkeypatch: pytest.MonkeyPatch) -> list[Path]:
         space = replace(label_space(), splits={"train": tuple(names)})
         (out / "labels.yaml").write_text(json.dumps(space.to_dict()))
 
-    monkeypatch.setattr(simulated_streets, "synthesise", write)
+    monkeypatch.setattr(stage, "synthesise", write)
     return made
 
 
