@@ -14,6 +14,7 @@ from salsanext_cli.errors import counted
 from salsanext_cli.measures.scores import Scores
 from salsanext_cli.measures.uncertainty_evaluation import (
     CalibrationResult,
+    ErrorResult,
     RankingResult,
     UncertaintyEvaluation,
 )
@@ -86,15 +87,19 @@ def _calibration_table(result: CalibrationResult) -> Table:
 
 
 def _ranking_table(kinds: Mapping[str, RankingResult]) -> Table:
-    """Return a table with a row of scores per kind of uncertainty."""
+    """Return a table with a row of scores per kind of uncertainty, and the ECE of the error."""
+    eces = {kind: r.ece for kind, r in kinds.items() if isinstance(r, ErrorResult)}
     columns = ("AUROC %", "AUPR %", "AURC %", "AUSE", "wrong %", "scans", "points")
-    table = number_table("uncertainty", *columns, no_wrap=True)
+    table = number_table("uncertainty", *columns, *(["ECE %"] if eces else []), no_wrap=True)
+    if eces:
+        table.caption = "ECE: of the error as the probability that a label is wrong"
     for kind, result in kinds.items():
         scores = result.scores
         wrong = scores.wrong / scores.points if scores.points else math.nan
         table.add_row(
             *(kind, percent(scores.auroc, 1), percent(scores.aupr, 1), percent(scores.aurc, 2)),
             *(_number(scores.ause), percent(wrong, 1), f"{result.scans:,}", f"{scores.points:,}"),
+            *([percent(eces.get(kind, math.nan), 2)] if eces else []),
         )
     return table
 
