@@ -10,6 +10,8 @@ from salsanext_cli.measures.histograms import Histogram, highest_of_bins
 
 PERCENT_KEPT = 80
 """Share of the points, in percent, that the threshold keeps as nearly as it can."""
+FEW_DIGITS = (1, 2, 3, 4)
+"""Significant digits of a threshold that is rounded, where that keeps the same points."""
 UNITS = {"entropy": " nats"}
 
 
@@ -26,7 +28,7 @@ class KeptPoints:
     risk_of_all : float
         Share of these that is wrong, 0…1.
     threshold : float
-        No point has just this value. NaN where no threshold can help: no point is wrong, or no
+        NaN where no threshold can help: no point is wrong, or no
         point is right, or all points have values of one bin of the histogram.
     coverage, risk : float
         Share of the points below the threshold, and share of those that is wrong, 0…1; NaN
@@ -50,7 +52,7 @@ class KeptPoints:
             return f"no threshold of {kind} helps: all {points} are wrong"
         if math.isnan(self.threshold):
             return f"no threshold of {kind} helps: it is the same at all {points}"
-        below = f"{kind} below {self.threshold:.3g}{UNITS.get(kind, '')}"
+        below = f"{kind} below {self.threshold:.4g}{UNITS.get(kind, '')}"
         # A little less than all is not all.
         kept = f"the {min(100 * self.coverage, 99.9):.3g} % of points with {below}"
         risk, of_all = _percent(self.risk), _percent(self.risk_of_all)
@@ -78,16 +80,25 @@ def kept_points(kind: str, histogram: Histogram) -> KeptPoints:
         return KeptPoints(kind, points, risk_of_all)
     place = np.abs(100 * reached[held[:-1]] - PERCENT_KEPT * points).argmin()
     last, following = held[place : place + 2]
-    # In the middle of the bins without points, so that a rounded threshold keeps the same points.
-    threshold = highest_of_bins()[[last, following - 1]].mean()
     return KeptPoints(
         kind=kind,
         points=points,
         risk_of_all=risk_of_all,
-        threshold=float(threshold),
+        threshold=_between(*highest_of_bins()[[last, following - 1]]),
         coverage=float(reached[last] / points),
         risk=float(errors[last] / reached[last]),
     )
+
+
+def _between(highest: float, others: float) -> float:
+    """Return a number of few digits above the highest value of a bin and not above those kept out.
+
+    `others` is the highest value of the bins without points between them, or `highest` itself.
+    """
+    lowest_out = float(np.nextafter(np.float32(others), np.float32(np.inf)))
+    middle = (highest + lowest_out) / 2
+    rounded = (float(f"{middle:.{digits}g}") for digits in FEW_DIGITS)
+    return next((each for each in rounded if highest < each <= lowest_out), lowest_out)
 
 
 def _percent(share: float) -> str:
