@@ -151,6 +151,12 @@ class UncertaintyEvaluation:
     kinds: dict[str, RankingResult]
     kept: KeptPoints | None = None
 
+    @property
+    def error(self) -> ErrorResult | None:
+        """Result for the error, which is a probability; None without any."""
+        found = self.kinds.get("error")
+        return found if isinstance(found, ErrorResult) else None
+
     def to_dict(self, space: LabelSpace) -> dict[str, Any]:
         """Return plain data for JSON, without absent parts; null stands for NaN."""
         data: dict[str, Any] = {}

@@ -68,38 +68,40 @@ def ring_table(rings: Mapping[str, Scores]) -> Table:
 
 def uncertainty_tables(evaluation: UncertaintyEvaluation) -> list[Table]:
     """Return a table of the calibration and one of the kinds of uncertainty; none without any."""
-    tables = [_calibration_table(evaluation.calibration)] if evaluation.calibration else []
+    softmax, error = evaluation.calibration, evaluation.error
+    tables = [_calibration_table(softmax, error)] if softmax or error else []
     return [*tables, _ranking_table(evaluation.kinds)] if evaluation.kinds else tables
 
 
-def _calibration_table(result: CalibrationResult) -> Table:
-    """Return a table of one row: log-likelihood, Brier score and calibration errors."""
+def _calibration_table(softmax: CalibrationResult | None, error: ErrorResult | None) -> Table:
+    """Return a table of scores of the softmax, and of the ECE of the error."""
     errors = ("ECE %", "ECE per scan %", "ACE %")
     headings = ("calibration", "NLL, nats", "Brier", *errors, "scans", "points")
     table = number_table(*headings, no_wrap=True)
-    scores = result.scores
-    table.add_row(
-        *("softmax", _number(scores.nll), _number(scores.brier)),
-        *(percent(error, 2) for error in (scores.ece, result.ece_per_scan, scores.ace)),
-        *(f"{result.scans:,}", f"{scores.points:,}"),
-    )
+    if softmax:
+        scores = softmax.scores
+        table.add_row(
+            *("softmax", _number(scores.nll), _number(scores.brier)),
+            *(percent(each, 2) for each in (scores.ece, softmax.ece_per_scan, scores.ace)),
+            *(f"{softmax.scans:,}", f"{scores.points:,}"),
+        )
+    if error:
+        points = f"{error.scores.points:,}"
+        table.add_row("error", "", "", percent(error.ece, 2), "", "", f"{error.scans:,}", points)
+        table.caption = "error: the probability that a label is wrong"
     return table
 
 
 def _ranking_table(kinds: Mapping[str, RankingResult]) -> Table:
-    """Return a table with a row of scores per kind of uncertainty, and the ECE of the error."""
-    eces = {kind: r.ece for kind, r in kinds.items() if isinstance(r, ErrorResult)}
+    """Return a table with a row of scores per kind of uncertainty."""
     columns = ("AUROC %", "AUPR %", "AURC %", "AUSE", "wrong %", "scans", "points")
-    table = number_table("uncertainty", *columns, *(["ECE %"] if eces else []), no_wrap=True)
-    if eces:
-        table.caption = "ECE: of the error as the probability that a label is wrong"
+    table = number_table("uncertainty", *columns, no_wrap=True)
     for kind, result in kinds.items():
         scores = result.scores
         wrong = scores.wrong / scores.points if scores.points else math.nan
         table.add_row(
             *(kind, percent(scores.auroc, 1), percent(scores.aupr, 1), percent(scores.aurc, 2)),
             *(_number(scores.ause), percent(wrong, 1), f"{result.scans:,}", f"{scores.points:,}"),
-            *([percent(eces.get(kind, math.nan), 2)] if eces else []),
         )
     return table
 

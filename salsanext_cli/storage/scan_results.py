@@ -157,8 +157,8 @@ def missing_column(column: str, file: ScanFile, out: Path) -> NoInputError:
     remedy = f"run `salsanext {stage} SCANS {out}` first"
     if column == "error":
         remedy = (
-            "fit it with `salsanext tune error`, then run "
-            f"`salsanext uncertainty SCANS {out}` with these weights"
+            f"run `salsanext uncertainty SCANS {out}` with weights that hold it: "
+            "`salsanext tune error` fits it"
         )
     return NoInputError(file.path, f"no {column} known", str(path), remedy)
 

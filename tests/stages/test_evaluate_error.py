@@ -58,19 +58,18 @@ def test_it_is_scored_as_the_others_are_and_as_a_probability(world):
     assert (world.out / "eval_risk_coverage.png").exists()
 
 
-def test_table_has_its_calibration_error_and_no_other_kind_has_one(world):
+def test_table_of_calibration_has_a_row_of_the_error(world):
     world.add("000000", [CAR, CAR], [CAR, ROAD])
     world.put("uncertainty/entropy", "000000", [0.25, 0.5])
     tables = uncertainty_tables(world.evaluate().uncertainty)
     assert "ECE" not in printed(*tables)
     world.put("uncertainty/error", "000000", [0.25, 0.5])
     tables = uncertainty_tables(world.evaluate().uncertainty)
-    rows = [line.split() for line in printed(*tables).splitlines()]
-    (error,) = (row for row in rows if "error" in row and "│" in row)
-    (entropy,) = (row for row in rows if "entropy" in row)
-    assert error[-2] == "37.50"
-    assert entropy[-2] == "–"
-    assert "ECE: of the error as the probability that a label is wrong" in printed(*tables)
+    assert "error: the probability that a label is wrong" in printed(tables[0])
+    rows = [line.replace("│", "").split() for line in printed(tables[0]).splitlines()]
+    assert ["error", "37.50", "1", "2"] in rows
+    rows = [line.replace("│", "").split() for line in printed(tables[1]).splitlines()]
+    assert ["error", *["100.0", "100.0", "25.00", "0.000", "50.0", "1", "2"]] in rows
 
 
 def printed(*tables) -> str:

@@ -107,7 +107,7 @@ def test_error_without_any_compares_with_the_labels_and_says_so(world, caplog):
     assert "error" not in [each.name for each in cloud(world)["vertex"].properties]
     for path in world.data.rglob("*.label"):
         path.unlink()
-    with pytest.raises(NoInputError, match=r"no error known .* `salsanext tune error`, then run"):
+    with pytest.raises(NoInputError, match=r"no error known .* `salsanext tune error` fits it"):
         export(world, colour="error", options=RunOptions(overwrite=True))
 
 
