@@ -7,7 +7,8 @@ import shutil
 import numpy as np
 import plyfile
 import pytest
-from scans import write_array
+from empty_runs import begin_and_end
+from scans import SMALL, write_array
 
 from salsanext_cli import label_space, read_labels
 from salsanext_cli.errors import NoInputError, OutputError, UsageError
@@ -194,6 +195,19 @@ def test_impossible_errors_reject_nothing_and_are_named(known, values, says):
     assert failure.code == "format"
     assert str(known.result("uncertainty/error")) in failure.reason
     assert outcome.rejected_points == 2 * (ERROR > 0.5).sum()
+
+
+def test_errors_of_other_weights_than_the_labels_are_refused(known):
+    settings = {"label_space": SPACE.to_dict(), "sensor": SMALL.to_dict()}
+    for stage, folder, weights in (
+        ("predict", "predictions", "a"),
+        ("uncertainty", "uncertainty/error", "b"),
+    ):
+        recorded = settings | {"weights": weights * 64}
+        begin_and_end(known.out, stage, recorded, [folder], overwrite=True)
+    for options in ({"colour": "error"}, {"max_error": 0.5}):
+        with pytest.raises(OutputError, match=r"labels by the weights aaaa.*uncertainty by bbbb"):
+            export(known, **options)
 
 
 def test_points_without_an_error_keep_their_label(known):
