@@ -75,7 +75,7 @@ def assert_scored_and_exported(folder, sequence):
     (cloud,) = (out / "sequences" / sequence / "ply").iterdir()
     vertex = plyfile.PlyData.read(cloud)["vertex"]
     names = [p.name for p in vertex.properties]
-    assert {"label", "truth", "error", "epistemic", "entropy", "mutual_information"} <= set(names)
+    assert {"label", "truth", "wrong", "epistemic", "entropy", "mutual_information"} <= set(names)
     assert np.isfinite(vertex["epistemic"]).all()
     assert len(np.unique(vertex["green"])) > 20
 

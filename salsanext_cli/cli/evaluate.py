@@ -27,6 +27,7 @@ def evaluate(
     Example: salsanext eval --split valid
     """
     from rich.console import Group
+    from rich.text import Text
 
     from salsanext_cli.report.tables import ring_table, score_table, uncertainty_tables
     from salsanext_cli.stages.evaluate import evaluate as stage
@@ -45,7 +46,9 @@ def evaluate(
     if by_distance:
         tables.append(ring_table(evaluation.by_distance))
     tables += uncertainty_tables(evaluation.uncertainty)
-    output.result(evaluation.to_dict(), Group(*tables))
+    kept = evaluation.uncertainty.kept
+    sentences = [Text(kept.sentence)] if kept else []
+    output.result(evaluation.to_dict(), Group(*tables, *sentences))
     run_end.name_failures(evaluation.failures)
     left_out = run_end.left_out(evaluation.missing)
     written = "scores.txt, eval.json, eval_*.png"

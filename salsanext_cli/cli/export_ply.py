@@ -18,8 +18,8 @@ def export_ply(
         typer.Option(
             "--colour",
             "--color",
-            help="label, truth, error, intensity, range, uncertainty, or one kind of it: "
-            "epistemic, aleatoric, total, entropy, mutual_information.",
+            help="label, truth, wrong, intensity, range, uncertainty, or one kind of it: "
+            "error, epistemic, aleatoric, total, entropy, mutual_information.",
         ),
     ] = "label",
     scale: Annotated[
@@ -28,6 +28,10 @@ def export_ply(
             help="Values at the two ends of the colour map.",
             show_default="range of most of the values",
         ),
+    ] = None,
+    max_error: Annotated[
+        float | None,
+        typer.Option(help="Write points as unlabelled whose error is above this, 0 to 1."),
     ] = None,
     form: Annotated[
         str, typer.Option("--format", help="ply, or las or laz with the classes of the ASPRS.")
@@ -51,6 +55,7 @@ def export_ply(
             out,
             colour=colour,
             scale=scale,
+            max_error=max_error,
             form=form,
             dataset=selection.dataset,
             space=classes.space(),

@@ -62,6 +62,8 @@ def finish(
     took = f" in {words_of_seconds(output.seconds)}"
     took += "" if each is None else f", {words_of_seconds(each)} per scan"
     output.say(f"{stage}: {counted(outcome.done, 'scan')}{already}{failed}{took}{others} → {out}")
+    if (rejected := outcome.rejected_points) is not None:
+        output.say(f"{counted(rejected, 'point')} unlabelled for a higher error than --max-error")
     for line in _lines(outcome.summary, following):
         output.say(line)
     doubted = strict and outcome.summary is not None and bool(outcome.summary.findings)
@@ -81,6 +83,8 @@ def _as_data(outcome: Outcome) -> dict[str, Any]:
     if missing := outcome.missing:
         found["missing"] = [str(scan.path) for scan in missing.scans]
         found["not_asked_for"] = missing.not_asked_for
+    if outcome.rejected_points is not None:
+        found["rejected_points"] = outcome.rejected_points
     if summary := outcome.summary:
         from salsanext_cli.inference.settings import recorded_view
 

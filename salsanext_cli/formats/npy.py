@@ -155,7 +155,7 @@ def read_probabilities(path: Path, count: int, class_count: int) -> npt.NDArray[
     return softmax
 
 
-def read_uncertainty(path: Path, count: int) -> Float:
+def read_uncertainty(path: Path, count: int, highest: float = math.inf) -> Float:
     """Read one kind of uncertainty of a scan's points, (N,) float32; NaN where there is none.
 
     Parameters
@@ -164,17 +164,22 @@ def read_uncertainty(path: Path, count: int) -> Float:
         The `.npy` file.
     count : int
         N.
+    highest : float
+        Largest possible value: 1 for a probability.
 
     Raises
     ------
     FormatError
-        If the file cannot be read, is of another length, or holds no uncertainties.
+        If the file cannot be read, is of another length, or holds impossible values.
     """
     values: Float = read_array(path, np.float32, (count,))
-    expected = "numbers from 0, or NaN for a point without a pixel"
+    bounded = math.isfinite(highest)
+    found = f"below 0 or above {highest:g}" if bounded else "negative or infinite"
+    numbers = f"numbers from 0 to {highest:g}" if bounded else "numbers from 0"
+    expected = f"{numbers}, or NaN for a point without a pixel"
     remedy = "run `salsanext uncertainty` again"
-    unsound = (values < 0) | np.isinf(values)
-    _require_none(unsound, path, "negative or infinite", expected, remedy)
+    unsound = (values < 0) | np.isinf(values) | (values > highest)
+    _require_none(unsound, path, found, expected, remedy)
     return values
 
 

@@ -136,6 +136,24 @@ def uncertainty_histogram(
     return _histogram(shape, ~np.isnan(values), wrong, group, bins, uncertainty=values)
 
 
+def error_histogram(error: npt.NDArray[Any], wrong: Mask) -> Histogram:
+    """Count the points of a scan by the probability that their label is wrong.
+
+    The bins are `CONFIDENCES`, to which probabilities are rounded, and there is one group. "Wrong"
+    is what is claimed with this probability, so a point that is wrong counts as right here.
+
+    Parameters
+    ----------
+    error : (N,) float
+        0…1; NaN for points without one, which are left out.
+    wrong : (N,) bool
+        Whether the label of each point is not the true one.
+    """
+    shape, group = (2, 1, len(CONFIDENCES)), np.zeros(len(error), np.intp)
+    bins = np.abs(error).astype(np.float16).view(np.uint16).astype(np.intp)
+    return _histogram(shape, ~np.isnan(error), ~wrong, group, bins)
+
+
 def _histogram(
     shape: tuple[int, int, int],
     known: Mask,

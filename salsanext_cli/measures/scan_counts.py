@@ -16,7 +16,7 @@ from salsanext_cli.classes import LabelSpace, RawIds
 from salsanext_cli.errors import LabelError
 from salsanext_cli.formats import read_scan
 from salsanext_cli.formats.labels import read_labels
-from salsanext_cli.formats.npy import read_probabilities, read_uncertainty
+from salsanext_cli.formats.npy import read_probabilities
 from salsanext_cli.formats.reading import present
 from salsanext_cli.geometry.mounting import in_sensor_frame
 from salsanext_cli.geometry.ranges import measured_ranges
@@ -25,12 +25,14 @@ from salsanext_cli.measures.confusion import Confusion, Mask
 from salsanext_cli.measures.histograms import (
     Histogram,
     confidence_histogram,
+    error_histogram,
     uncertainty_histogram,
 )
 from salsanext_cli.measures.softmax import lack_of_confidence, softmax_entropy, softmax_errors
 from salsanext_cli.records import Float
 from salsanext_cli.sensors import Sensor
 from salsanext_cli.storage.layout import UNCERTAINTY, ScanFile, output_path
+from salsanext_cli.storage.scan_results import read_kind
 
 SOFTMAX = "probabilities"
 """Folder of the softmax, and key of the histograms of its confidence."""
@@ -40,6 +42,8 @@ EVALUATED_KINDS = (*OF_SOFTMAX, *UNCERTAINTY)
 """Every kind of uncertainty, in the order in which they are reported."""
 CLASS, RING = "class", "ring"
 """Names of the groupings of points."""
+OF_ERROR = ("error", "calibration")
+"""Key of the histogram of the error as a probability."""
 RING_STARTS_M = (0.0, 10.0, 20.0, 30.0, 40.0, 50.0)
 """Inner radius of each ring of distance, in metres; the last ring has no end."""
 RING_NAMES = ("0–10 m", "10–20 m", "20–30 m", "30–40 m", "40–50 m", "over 50 m")
@@ -67,7 +71,8 @@ class ScanCounts:
         Expected calibration error of each scan that has a softmax.
     histograms : dict of (str, str) to Histogram
         Of confidence, under `SOFTMAX`, and of each kind of uncertainty; by grouping: `RING`, or
-        `CLASS`, which is the most probable class for the confidence, else the true one.
+        `CLASS`, which is the most probable class for the confidence, else the true one. Under
+        `OF_ERROR` that of `error_histogram`.
     """
 
     confusion: Confusion
@@ -177,10 +182,12 @@ def count_scan(
         folder = f"uncertainty/{kind}"
         if present(path := output_path(out, scan.sequence, folder, scan.stem)):
             counts.files[folder] = 1
-            values[kind] = read_uncertainty(path, len(scored))[scored]
+            values[kind] = read_kind(path, kind, len(scored))[scored]
     for kind, of_points in values.items():
         for name, group in groups.items():
             counts.histograms[kind, name] = uncertainty_histogram(of_points, wrong, *group)
+    if "error" in values:
+        counts.histograms[OF_ERROR] = error_histogram(values["error"], wrong)
     return counts
 
 

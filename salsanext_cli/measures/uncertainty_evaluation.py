@@ -18,6 +18,7 @@ from salsanext_cli.measures.calibration import (
 )
 from salsanext_cli.measures.confusion import Ratios
 from salsanext_cli.measures.histograms import Histogram
+from salsanext_cli.measures.kept_points import KeptPoints, kept_points
 from salsanext_cli.measures.risk_coverage import (
     RankingScores,
     ranking_scores,
@@ -27,6 +28,7 @@ from salsanext_cli.measures.risk_coverage import (
 from salsanext_cli.measures.scan_counts import (
     CLASS,
     EVALUATED_KINDS,
+    OF_ERROR,
     RING,
     RING_NAMES,
     SOFTMAX,
@@ -36,6 +38,9 @@ from salsanext_cli.measures.scores import plain
 from salsanext_cli.storage.layout import UNCERTAINTY
 
 log = logging.getLogger(__name__)
+
+KINDS_OF_THRESHOLD = ("error", "entropy")
+"""Kinds of uncertainty that a threshold is suggested for, the better one first."""
 
 Scores = TypeVar("Scores", CalibrationScores, RankingScores)
 
@@ -113,6 +118,20 @@ class RankingResult(GroupedScores[RankingScores]):
     thresholds: Ratios
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ErrorResult(RankingResult):
+    """Scores of the error, which is the probability that a label is wrong.
+
+    Attributes
+    ----------
+    ece : float
+        Expected calibration error over 15 bins of equal width, 0…1: mean over the points of the
+        gap between the share of wrong points and the mean error of their bin.
+    """
+
+    ece: float
+
+
 @dataclass(frozen=True, slots=True)
 class UncertaintyEvaluation:
     """Evaluation of the probabilities and uncertainties that lie beside predictions.
@@ -122,11 +141,21 @@ class UncertaintyEvaluation:
     calibration : CalibrationResult or None
         Result for the probabilities; None without any.
     kinds : dict of str to RankingResult
-        Results by kind of uncertainty; empty without any.
+        Results by kind of uncertainty, that of "error" an `ErrorResult`; empty without any.
+    kept : KeptPoints or None
+        A threshold worth using, of the error, else of the entropy; None where neither is known of
+        any point.
     """
 
     calibration: CalibrationResult | None
     kinds: dict[str, RankingResult]
+    kept: KeptPoints | None = None
+
+    @property
+    def error(self) -> ErrorResult | None:
+        """Result for the error, which is a probability; None without any."""
+        found = self.kinds.get("error")
+        return found if isinstance(found, ErrorResult) else None
 
     def to_dict(self, space: LabelSpace) -> dict[str, Any]:
         """Return plain data for JSON, without absent parts; null stands for NaN."""
@@ -135,6 +164,8 @@ class UncertaintyEvaluation:
             data["calibration"] = self.calibration.to_dict(space)
         if self.kinds:
             data["uncertainty"] = {k: found.to_dict(space) for k, found in self.kinds.items()}
+        if self.kept:
+            data["kept"] = plain(asdict(self.kept) | {"sentence": self.kept.sentence})
         return data
 
 
@@ -148,7 +179,17 @@ def evaluate_uncertainty(counts: ScanCounts, space: LabelSpace) -> UncertaintyEv
     return UncertaintyEvaluation(
         calibration=_calibration_result(counts, space) if has_softmax else None,
         kinds={kind: _ranking_result(counts, kind, space) for kind in kinds},
+        kept=_kept(counts),
     )
+
+
+def _kept(counts: ScanCounts) -> KeptPoints | None:
+    """Return a threshold of the first kind that some points have."""
+    for kind in KINDS_OF_THRESHOLD:
+        histogram = counts.histograms.get((kind, CLASS))
+        if histogram and histogram.points.any():
+            return kept_points(kind, histogram)
+    return None
 
 
 def _calibration_result(counts: ScanCounts, space: LabelSpace) -> CalibrationResult:
@@ -164,12 +205,16 @@ def _ranking_result(counts: ScanCounts, kind: str, space: LabelSpace) -> Ranking
     by_class = counts.histograms[kind, CLASS]
     present, means = by_class.points > 0, by_class.means("uncertainty")
     risk, thresholds = risk_coverage(*by_class.total().counts[:, 0])
-    return RankingResult(
+    found = {
         **_grouped(ranking_scores, counts, kind, space),
-        class_size_correlation=spearman(means[present], by_class.points[present]),
-        risk_coverage=risk,
-        thresholds=thresholds,
-    )
+        "class_size_correlation": spearman(means[present], by_class.points[present]),
+        "risk_coverage": risk,
+        "thresholds": thresholds,
+    }
+    if kind != "error":
+        return RankingResult(**found)
+    of_error = counts.histograms[OF_ERROR].counts[:, 0]
+    return ErrorResult(**found, ece=reliability(of_error).error)
 
 
 def _grouped(

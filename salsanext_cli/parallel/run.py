@@ -76,6 +76,8 @@ class Outcome:
         Time of the work on scans, without the start of the command.
     summary : RunSummary, optional
         Of the scans that were worked on.
+    rejected_points : int, optional
+        Number of their points that were written as unlabelled for their error, if that was asked.
     """
 
     skipped: int
@@ -84,6 +86,7 @@ class Outcome:
     missing: MissingResults | None = None
     seconds: float = 0.0
     summary: RunSummary | None = None
+    rejected_points: int | None = None
 
 
 def run_over_scans(

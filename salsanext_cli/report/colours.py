@@ -10,7 +10,6 @@ import numpy.typing as npt
 
 from salsanext_cli.classes import LabelSpace
 from salsanext_cli.storage.layout import COLOURINGS
-from salsanext_cli.storage.scan_results import ScanResults
 
 Colours = npt.NDArray[np.uint8]
 Legend = Sequence[tuple[str, tuple[int, int, int]]]
@@ -25,9 +24,11 @@ WRONG = (255, 72, 48)
 """Colours of points with a right and with a wrong label."""
 SCALE_PERCENTILES = (1.0, 99.0)
 """Ends of a colour scale by default, which leave out a few outliers."""
-CLASS_COLOURS = ("label", "truth", "error")
+OUTCOMES = np.array((EMPTY, RIGHT, WRONG), np.uint8)
+"""Colours of points that are not judged, right and wrong, (3, 3)."""
+CLASS_COLOURS = ("label", "truth", "wrong")
 COLOURS = (*COLOURINGS, "uncertainty")
-"""Colourings of points; "uncertainty" is the total, else the epistemic."""
+"""Colourings of points; "uncertainty" is the error, else the entropy."""
 
 
 def error_colours(
@@ -48,7 +49,8 @@ def error_colours(
         Red, green, blue.
     """
     place = np.where(space.scored[truth], 1 + (truth != predicted), 0)
-    return np.array((EMPTY, RIGHT, WRONG), np.uint8)[place]
+    colours: Colours = OUTCOMES[place]
+    return colours
 
 
 def value_range(values: npt.NDArray[Any]) -> tuple[float, float]:
@@ -138,16 +140,13 @@ class PointColours:
         low, high = self.scale
         return self.colour if self.is_class else f"{self.colour} {COLOUR_MAP} {low:.6g} {high:.6g}"
 
-    def of_points(self, results: ScanResults, columns: Mapping[str, npt.NDArray[Any]]) -> Colours:
+    def of_points(self, columns: Mapping[str, npt.NDArray[Any]]) -> Colours:
         """Return red, green and blue of every point, (N, 3), from its `scalar_columns`."""
+        colours: Colours
         if not self.is_class:
             return value_colours(columns[self.colour], *self.scale)
-        ids = {
-            name: self.space.to_train(raw, strict=False)
-            for name, raw in (("label", results.label), ("truth", results.truth))
-            if raw is not None
-        }
-        if self.colour == "error":
-            return error_colours(ids["truth"], ids["label"], self.space)
-        colours: Colours = self.space.colours[ids[self.colour]]
+        if self.colour == "wrong":
+            colours = OUTCOMES[np.nan_to_num(columns["wrong"] + 1).astype(np.intp)]
+            return colours
+        colours = self.space.colours[self.space.to_train(columns[self.colour], strict=False)]
         return colours

@@ -57,7 +57,8 @@ def draw_scan(
     strips = [range_strip(image), scalar_strip(image, "intensity", image.channels[4])]
     strips += [coloured_strip(image, *each) for each in colours.items()]
     for kind, values in found.uncertainty.items():
-        strips.append(scalar_strip(image, kind.replace("_", " "), values))
+        title = "probability of error" if kind == "error" else kind.replace("_", " ")
+        strips.append(scalar_strip(image, title, values))
     name = f"{file.sequence}_{file.stem}"
     range_path, above_path = folder / f"{name}_range.png", folder / f"{name}_above.png"
     panel(range_path, strips, legend)

@@ -14,6 +14,7 @@ from salsanext_cli.errors import counted
 from salsanext_cli.measures.scores import Scores
 from salsanext_cli.measures.uncertainty_evaluation import (
     CalibrationResult,
+    ErrorResult,
     RankingResult,
     UncertaintyEvaluation,
 )
@@ -67,21 +68,27 @@ def ring_table(rings: Mapping[str, Scores]) -> Table:
 
 def uncertainty_tables(evaluation: UncertaintyEvaluation) -> list[Table]:
     """Return a table of the calibration and one of the kinds of uncertainty; none without any."""
-    tables = [_calibration_table(evaluation.calibration)] if evaluation.calibration else []
+    softmax, error = evaluation.calibration, evaluation.error
+    tables = [_calibration_table(softmax, error)] if softmax or error else []
     return [*tables, _ranking_table(evaluation.kinds)] if evaluation.kinds else tables
 
 
-def _calibration_table(result: CalibrationResult) -> Table:
-    """Return a table of one row: log-likelihood, Brier score and calibration errors."""
+def _calibration_table(softmax: CalibrationResult | None, error: ErrorResult | None) -> Table:
+    """Return a table of scores of the softmax, and of the ECE of the error."""
     errors = ("ECE %", "ECE per scan %", "ACE %")
     headings = ("calibration", "NLL, nats", "Brier", *errors, "scans", "points")
     table = number_table(*headings, no_wrap=True)
-    scores = result.scores
-    table.add_row(
-        *("softmax", _number(scores.nll), _number(scores.brier)),
-        *(percent(error, 2) for error in (scores.ece, result.ece_per_scan, scores.ace)),
-        *(f"{result.scans:,}", f"{scores.points:,}"),
-    )
+    if softmax:
+        scores = softmax.scores
+        table.add_row(
+            *("softmax", _number(scores.nll), _number(scores.brier)),
+            *(percent(each, 2) for each in (scores.ece, softmax.ece_per_scan, scores.ace)),
+            *(f"{softmax.scans:,}", f"{scores.points:,}"),
+        )
+    if error:
+        points = f"{error.scores.points:,}"
+        table.add_row("error", "", "", percent(error.ece, 2), "", "", f"{error.scans:,}", points)
+        table.caption = "error: the probability that a label is wrong"
     return table
 
 

@@ -23,11 +23,13 @@ if TYPE_CHECKING:
     from matplotlib.transforms import Bbox
 
 BLUE, SKY, ORANGE, RED, GREEN = "#0072b2", "#56b4e9", "#e69f00", "#d55e00", "#009e73"
+PURPLE = "#cc79a7"
 """Colours that colour-blind people can tell apart."""
 DASHED = (0, (5, 2))
 LINES = {
     "confidence": (DARK, "-"),
     "softmax_entropy": (DARK, DASHED),
+    "error": (PURPLE, "-"),
     "epistemic": (BLUE, "-"),
     "mutual_information": (BLUE, DASHED),
     "aleatoric": (ORANGE, "-"),

@@ -13,7 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from salsanext_cli.classes import LabelSpace
-from salsanext_cli.errors import NOTICE, OutputError, SalsanextError, UsageError
+from salsanext_cli.errors import NOTICE, SalsanextError, UsageError
 from salsanext_cli.formats.clouds.asprs import asprs_class, classification
 from salsanext_cli.formats.clouds.las import encode_las, import_laspy
 from salsanext_cli.formats.clouds.ply import encode_ply
@@ -23,12 +23,13 @@ from salsanext_cli.parallel.run import Failure, Outcome, RunOptions, run_over_sc
 from salsanext_cli.report.colours import CLASS_COLOURS, COLOURS, PointColours, value_range
 from salsanext_cli.sensors import Sensor
 from salsanext_cli.stages.uncertainty import estimate_missing
-from salsanext_cli.storage.layout import UNCERTAINTY, ScanFile, find_outputs
+from salsanext_cli.storage.layout import UNCERTAINTY, ScanFile, with_outputs
 from salsanext_cli.storage.output_run import OutputRun, output_run
-from salsanext_cli.storage.predictions import space_of_results
+from salsanext_cli.storage.predictions import require_same_weights, space_of_results
 from salsanext_cli.storage.scan_results import (
     missing_column,
     read_results,
+    require_column,
     scalar_columns,
     with_results,
 )
@@ -40,9 +41,7 @@ from salsanext_cli.storage.sources import (
 )
 from salsanext_cli.storage.stage_records import (
     origins,
-    recorded_label_space,
     recorded_sensor,
-    recorded_weights,
     stage_settings,
 )
 
@@ -59,25 +58,33 @@ def export_scan(
     form: str,
     output: OutputRun,
     classes: LabelSpace | None = None,
-) -> None:
-    """Write one scan as a coloured cloud with every known scalar."""
+    max_error: float | None = None,
+) -> int:
+    """Write one scan as a coloured cloud with every known scalar; return how many are rejected."""
     output.require_replaceable(file)
     results = read_results(file, output.out, sensor, classes)
+    if max_error is not None:
+        if "error" not in results.uncertainty:
+            raise missing_column("error", file, output.out)
+        results = results.rejecting(max_error, colours.space)
     columns = scalar_columns(results, colours.space)
     if colours.colour not in columns:
         raise missing_column(colours.colour, file, output.out)
-    rgb = dict(zip(("red", "green", "blue"), colours.of_points(results, columns).T, strict=True))
+    rgb = dict(zip(("red", "green", "blue"), colours.of_points(columns).T, strict=True))
     positions = dict(zip("xyz", results.scan.points.T, strict=True))
     known = positions | rgb | columns
     comments = [f"colour {colours.legend}", f"label space {colours.space.name}"]
+    if max_error is not None:
+        comments.append(f"unlabelled where error is above {max_error:g}")
     (folder,) = output.folders
     if form == "ply":
         output.write(file, folder, encode_ply(known, comments))
-        return
+        return results.rejected_points
     space, path = colours.space, output.path(file, folder)
     comments += [f"class {asprs_class(i, space)} {name}" for i, name in space.labels.items()]
     of_points = classification(columns.get("label", np.zeros(len(results.scan), np.uint32)), space)
     output.write(file, folder, encode_las(path, known, of_points, comments))
+    return results.rejected_points
 
 
 def export_ply(
@@ -85,6 +92,7 @@ def export_ply(
     *,
     colour: str = "label",
     scale: tuple[float, float] | None = None,
+    max_error: float | None = None,
     form: str = "ply",
     dataset: Path | None = None,
     space: LabelSpace | None = None,
@@ -107,6 +115,8 @@ def export_ply(
         The values at the ends of the colour map, for colours that are values. Otherwise what
         most points of the first scans span; it is the same for all scans and written down in
         every file.
+    max_error : float, optional
+        Points whose error is above it, 0…1, are written as unlabelled.
     form : {"ply", "las", "laz"}
         Format of the files, and folder.
     dataset : Path, optional
@@ -128,13 +138,15 @@ def export_ply(
         raise UsageError("--colour", colour, f"one of {', '.join(COLOURS)}")
     if scale and not (scale[0] < scale[1] and all(map(math.isfinite, scale))):
         raise UsageError("--scale", f"{scale[0]} {scale[1]}", "a lower and a higher number")
+    if max_error is not None and not 0 <= max_error <= 1:
+        raise UsageError("--max-error", f"{max_error:g}", "a probability from 0 to 1")
     if form not in FORMATS:
         raise UsageError("--format", form, f"one of {', '.join(FORMATS)}")
     if form != "ply":
         import_laspy(f"--format {form}", compressed=form == "laz")
     scans = recorded_scans(out, dataset)
     space = space_of_results(out, scans, space, network.classes)
-    _require_same_weights(out)
+    require_same_weights(out)
     chosen = choose(scans, ScanSelection(selection.split, selection.sequences), space, out)
     scans = with_results(out, chosen)[: selection.limit]
     if len(scans) == selection.limit:
@@ -142,10 +154,12 @@ def export_ply(
         chosen = chosen[: chosen.index(scans[-1]) + 1]
     missing = missing_results(out, set(chosen) - set(scans))
     missing.log_error(len(chosen), "results")
-    unestimated: dict[ScanFile, Failure] = {}
+    if max_error is not None:
+        require_column("error", scans, out)
+    colour, unestimated = _meant(out, scans, colour), dict[ScanFile, Failure]()
     if colour in ("uncertainty", *UNCERTAINTY):
         colour, unestimated = estimate_missing(out, scans, colour, network, options)
-    _require_some(out, scans, colour)
+    require_column(colour, scans, out)
     sensor = recorded_sensor(out)
     stage, folder = _place(out, colour, form)
     made_of, earlier = origins(out, LABELLING_STAGES), stage_settings(out, stage)
@@ -159,7 +173,9 @@ def export_ply(
         "scale": list(scale),
         "label_space": space.to_dict(),
         "origins": made_of,
+        **({} if max_error is None else {"max_error": max_error}),
     }
+    rejected = list[int]()
     colours = PointColours(colour, scale, space)
     with output_run(
         *(out, stage, settings, (folder,), scans),
@@ -167,44 +183,24 @@ def export_ply(
         record_scans=False,
     ) as output:
         task = partial(export_scan, colours=colours, sensor=sensor, form=form, output=output)
-        task = partial(task, classes=network.classes)
-        outcome = run_over_scans(task, scans, options, is_done=output.is_done)
+        task = partial(task, classes=network.classes, max_error=max_error)
+        outcome = run_over_scans(
+            task, scans, options, is_done=output.is_done, on_result=rejected.append
+        )
     log.log(NOTICE, "coloured by %s: %s", colour, out / "sequences/*" / folder)
     failures = tuple(unestimated.get(failure.scan, failure) for failure in outcome.failures)
-    return replace(outcome, failures=failures, missing=missing)
+    total = None if max_error is None else sum(rejected)
+    return replace(outcome, failures=failures, missing=missing, rejected_points=total)
 
 
-def _require_same_weights(out: Path) -> None:
-    """Refuse to show the uncertainty of one network, or in other classes, beside the labels."""
-    labels, estimated = (
-        recorded_weights(out, folder) for folder in ("predictions", "uncertainty/epistemic")
-    )
-    if labels and estimated and labels != estimated:
-        raise OutputError(
-            out,
-            f"labels by the weights {labels[:12]}…, uncertainty by {estimated[:12]}…",
-            "the same weights for both",
-            f"run `salsanext uncertainty SCANS {out} --overwrite` with the weights of the labels",
-        )
-    space = recorded_label_space(out, "predictions")
-    other = recorded_label_space(out, "uncertainty/epistemic")
-    if labels and space and other and not space.fits(other):
-        raise OutputError(
-            out,
-            f"labels in the classes of {space.name}, uncertainty in those of {other.name}",
-            "the same for both",
-            f"run `salsanext uncertainty SCANS {out} --overwrite` with the --classes of the labels",
-        )
-
-
-def _require_some(out: Path, scans: list[ScanFile], colour: str) -> None:
-    """Refuse a colour that is known of none of the scans."""
-    if colour in ("truth", "error"):
-        known = any(present(scan.label_path) for scan in scans)
-    else:
-        known = colour not in UNCERTAINTY or bool(find_outputs(out, f"uncertainty/{colour}"))
-    if not known:
-        raise missing_column(colour, scans[0], out)
+def _meant(out: Path, scans: list[ScanFile], colour: str) -> str:
+    """Return "wrong" for "error" where no scan has an error but some have labels."""
+    if colour != "error" or with_outputs(scans, out, "uncertainty/error"):
+        return colour
+    if not any(present(scan.label_path) for scan in scans):
+        return colour
+    log.log(NOTICE, "no error known in %s: comparing with the labels, as --colour wrong", out)
+    return "wrong"
 
 
 def _place(out: Path, colour: str, form: str) -> tuple[str, str]:

@@ -23,7 +23,7 @@ from salsanext_cli.inference.settings import NetworkSettings
 from salsanext_cli.measures.scan_summary import RunSummary, ScanSummary
 from salsanext_cli.parallel.network_task import NetworkTask
 from salsanext_cli.parallel.run import Failure, Outcome, RunOptions, run_over_scans
-from salsanext_cli.storage.layout import ScanFile, find_outputs, output_path
+from salsanext_cli.storage.layout import ScanFile, output_path
 from salsanext_cli.storage.output_run import OutputRun, output_run
 from salsanext_cli.storage.selection import ScanSelection, choose, scans_of, space_of
 from salsanext_cli.storage.stage_records import (
@@ -142,8 +142,9 @@ def estimate_missing(
 ) -> tuple[str, dict[ScanFile, Failure]]:
     """Estimate the uncertainty of scans that lack it, as that of the others was estimated.
 
-    Returns the kind that the colour means, the total for "uncertainty" if it can be had, and the
-    scans whose uncertainty could not be estimated, and why. Shards take what is there.
+    Returns the kind that the colour means, and the scans whose uncertainty could not be estimated,
+    and why. "uncertainty" is the error where some of the scans have it, else the entropy. Shards
+    take what is there. An error is estimated only for scans that a run of `uncertainty` left out.
 
     Raises
     ------
@@ -152,9 +153,13 @@ def estimate_missing(
         there without the kind that is asked for; or if a shard finds none at all.
     """
     earlier = stage_settings(out, "uncertainty")
-    kind = _kind_there(out) if colour == "uncertainty" else colour
-    if kind and (options.shard.count > 1 or not _without(out, scans, kind)):
+    kind = _kind_meant(out, scans) if colour == "uncertainty" else colour
+    missing = _without(out, scans, kind)
+    some = colour != "uncertainty" or len(missing) < len(scans)
+    if not missing or (options.shard.count > 1 and some):
         # Shards begin at different times: they would not agree on which scans lack it.
+        return kind, {}
+    if kind == "error" and owner(out, "uncertainty/error") != "uncertainty":
         return kind, {}
     if options.shard.count > 1:
         found = f"no uncertainty in {out} yet"
@@ -165,11 +170,9 @@ def estimate_missing(
     estimator = (
         recorded_estimator(earlier) if earlier else possible_estimator(colour, loaded.sensor)
     )
-    kind = kind or ("total" if estimator.aleatoric else "epistemic")
-    if kind not in estimator.kinds:
+    if kind not in ("error", *estimator.kinds):
         remedy = f"run `salsanext uncertainty SCANS {out} --overwrite`"
         raise UsageError(out, "uncertainty estimated without aleatoric", kind, remedy)
-    missing = _without(out, scans, kind)
     log.warning("no uncertainty of %s yet: estimating it", counted(len(missing), "scan"))
     outcome = uncertainty_of(
         missing,
@@ -181,13 +184,13 @@ def estimate_missing(
         estimator=estimator,
         record_scans=False,
     )
+    kind = _kind_meant(out, scans) if colour == "uncertainty" else kind
     return kind, {failure.scan: failure for failure in outcome.failures}
 
 
-def _kind_there(out: Path) -> str | None:
-    """Say which kind "uncertainty" means where some is there: the total, else the epistemic."""
-    kinds = ("total", "epistemic")
-    return next((kind for kind in kinds if find_outputs(out, f"uncertainty/{kind}")), None)
+def _kind_meant(out: Path, scans: list[ScanFile]) -> str:
+    """Return the kind that "uncertainty" means: the error where some scan has it, else entropy."""
+    return "error" if len(_without(out, scans, "error")) < len(scans) else "entropy"
 
 
 def _without(out: Path, scans: list[ScanFile], kind: str) -> list[ScanFile]:

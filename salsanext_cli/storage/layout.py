@@ -22,9 +22,9 @@ from salsanext_cli.storage.scan_folders import (
     suffixes_of,
 )
 
-UNCERTAINTY = ("epistemic", "aleatoric", "total", "entropy", "mutual_information")
-"""The kinds of uncertainty that stages may have written."""
-COLOURINGS = ("label", "truth", "error", "intensity", "range", *UNCERTAINTY)
+UNCERTAINTY = ("error", "epistemic", "aleatoric", "total", "entropy", "mutual_information")
+"""The kinds of uncertainty that stages may have written; "error" is a probability."""
+COLOURINGS = ("label", "truth", "wrong", "intensity", "range", *UNCERTAINTY)
 """Values that point clouds may be coloured by."""
 SUFFIX_OF_FOLDER = {
     "range": ".npy",

@@ -9,7 +9,7 @@ from typing import Any
 
 from salsanext_cli.class_merging import ClassMerging, contradiction
 from salsanext_cli.classes import LabelSpace
-from salsanext_cli.errors import LabelError, first_few
+from salsanext_cli.errors import LabelError, OutputError, first_few
 from salsanext_cli.storage.layout import ScanFile
 from salsanext_cli.storage.selection import (
     ScanSelection,
@@ -147,6 +147,28 @@ def merging_into(out: Path, space: LabelSpace) -> ClassMerging | None:
     return (
         None if recorded is None or recorded.fits(space) else ClassMerging.between(recorded, space)
     )
+
+
+def require_same_weights(out: Path) -> None:
+    """Refuse to show the uncertainty of one network, or in other classes, beside the labels."""
+    labels, space = recorded_weights(out, "predictions"), recorded_label_space(out, "predictions")
+    remedy = f"run `salsanext uncertainty SCANS {out} --overwrite` with the"
+    for folder in ("uncertainty/epistemic", "uncertainty/error"):
+        estimated, other = recorded_weights(out, folder), recorded_label_space(out, folder)
+        if labels and estimated and labels != estimated:
+            raise OutputError(
+                out,
+                f"labels by the weights {labels[:12]}…, uncertainty by {estimated[:12]}…",
+                "the same weights for both",
+                f"{remedy} weights of the labels",
+            )
+        if labels and space and other and not space.fits(other):
+            raise OutputError(
+                out,
+                f"labels in the classes of {space.name}, uncertainty in those of {other.name}",
+                "the same for both",
+                f"{remedy} --classes of the labels",
+            )
 
 
 def provenance(out: Path, selection: ScanSelection, dataset: Path | None = None) -> dict[str, Any]:

@@ -1,7 +1,11 @@
 # SPDX-License-Identifier: MIT
 """Everything known about the points of a scan: its own values, labels, truth, uncertainty."""
 
-from dataclasses import dataclass, field
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -12,7 +16,7 @@ from salsanext_cli.classes import LabelSpace, RawIds
 from salsanext_cli.errors import NoInputError
 from salsanext_cli.formats import read_scan
 from salsanext_cli.formats.labels import read_labels
-from salsanext_cli.formats.npy import read_array
+from salsanext_cli.formats.npy import read_uncertainty
 from salsanext_cli.formats.reading import present
 from salsanext_cli.geometry.mounting import in_sensor_frame
 from salsanext_cli.geometry.ranges import measured_ranges
@@ -37,6 +41,8 @@ class ScanResults:
         By kind; only kinds that were computed.
     sensor : Sensor, optional
         That the distances are measured from; otherwise it is the origin of the points.
+    rejected : (N,) bool or None
+        Points whose label was taken away by `rejecting`.
     """
 
     scan: Scan
@@ -44,6 +50,7 @@ class ScanResults:
     truth: RawIds | None = None
     uncertainty: dict[str, Float] = field(default_factory=dict)
     sensor: Sensor | None = None
+    rejected: npt.NDArray[np.bool_] | None = None
 
     @property
     def range(self) -> Float:
@@ -52,13 +59,35 @@ class ScanResults:
             scan = in_sensor_frame(self.scan, self.sensor) if self.sensor else self.scan
             return measured_ranges(scan.points)[0].astype(np.float32)
 
-    def error(self, space: LabelSpace) -> Float:
-        """Return 1 where the label is wrong, 0 where right, NaN where truth does not count."""
+    def wrong(self, space: LabelSpace) -> Float:
+        """Return 1 where the label is wrong, 0 where right, NaN where truth does not count.
+
+        It is NaN too where the label was rejected.
+        """
         if self.label is None or self.truth is None:
-            raise ValueError("an error needs a label and a truth")
+            raise ValueError("a wrong label needs a label and a truth")
         truth = space.to_train(self.truth, strict=False)
         wrong = (truth != space.to_train(self.label, strict=False)).astype(np.float32)
-        return np.where(space.scored[truth], wrong, np.float32(np.nan))
+        counts = space.scored[truth]
+        if self.rejected is not None:
+            counts = counts & ~self.rejected
+        return np.where(counts, wrong, np.float32(np.nan))
+
+    @property
+    def rejected_points(self) -> int:
+        """Number of points whose label was taken away."""
+        return 0 if self.rejected is None else int(self.rejected.sum())
+
+    def rejecting(self, max_error: float, space: LabelSpace) -> ScanResults:
+        """Return the same with the points unlabelled whose error is above a threshold.
+
+        A point without an error keeps its label; `predict` has left it unlabelled.
+        """
+        if self.label is None:
+            return self
+        above = self.uncertainty["error"] > max_error
+        unlabelled = space.to_raw(np.zeros(1, np.uint8)).astype(self.label.dtype)
+        return replace(self, label=np.where(above, unlabelled, self.label), rejected=above)
 
 
 def read_results(
@@ -88,11 +117,19 @@ def read_results(
         label=label,
         truth=_labels(file.label_path, count),
         uncertainty={
-            kind: read_array(path, "float32", (count,))
+            kind: read_kind(path, kind, count)
             for kind, path in zip(UNCERTAINTY, kinds, strict=True)
             if present(path)
         },
     )
+
+
+def read_kind(path: Path, kind: str, count: int) -> Float:
+    """Read one kind of uncertainty of a scan's points, as `read_uncertainty` does.
+
+    "error" is a probability.
+    """
+    return read_uncertainty(path, count, 1.0 if kind == "error" else math.inf)
 
 
 def scalar_columns(cloud: ScanResults, space: LabelSpace) -> dict[str, npt.NDArray[Any]]:
@@ -106,20 +143,34 @@ def scalar_columns(cloud: ScanResults, space: LabelSpace) -> dict[str, npt.NDArr
     if cloud.truth is not None:
         columns["truth"] = cloud.truth.astype(np.uint16)
         if cloud.label is not None:
-            columns["error"] = cloud.error(space)
+            columns["wrong"] = cloud.wrong(space)
     return columns | cloud.uncertainty
 
 
 def missing_column(column: str, file: ScanFile, out: Path) -> NoInputError:
     """Return the error that says what is missing for a column, and where it would be."""
-    if column in ("truth", "error") and not present(file.label_path):
+    if column in ("truth", "wrong") and not present(file.label_path):
         return NoInputError(file.path, "has no labels", str(file.label_path))
     folder = f"uncertainty/{column}" if column in UNCERTAINTY else "predictions"
     stage = "uncertainty" if column in UNCERTAINTY else "predict"
     path = output_path(out, file.sequence, folder, file.stem)
-    return NoInputError(
-        file.path, f"no {column} known", str(path), f"run `salsanext {stage} SCANS {out}` first"
-    )
+    remedy = f"run `salsanext {stage} SCANS {out}` first"
+    if column == "error":
+        remedy = (
+            f"run `salsanext uncertainty SCANS {out}` with weights that hold it: "
+            "`salsanext tune error` fits it"
+        )
+    return NoInputError(file.path, f"no {column} known", str(path), remedy)
+
+
+def require_column(column: str, scans: Sequence[ScanFile], out: Path) -> None:
+    """Refuse a column that is known of none of the scans, with `missing_column`."""
+    if column in ("truth", "wrong"):
+        known = any(present(scan.label_path) for scan in scans)
+    else:
+        known = column not in UNCERTAINTY or bool(with_outputs(scans, out, f"uncertainty/{column}"))
+    if not known:
+        raise missing_column(column, scans[0], out)
 
 
 def with_results(out: Path, scans: list[ScanFile]) -> list[ScanFile]:

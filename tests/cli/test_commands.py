@@ -11,9 +11,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 from command_line import only_json
-from scans import SMALL, labels_below, write_sequence
+from scans import SMALL, labels_below, write_array, write_sequence
 
 from salsanext_cli.parallel.run import Outcome
+from salsanext_cli.storage.layout import output_path
 
 ROOT = Path(__file__).parents[2]
 
@@ -212,6 +213,28 @@ def test_eval_prints_how_good_the_uncertainty_is_and_notices_when_it_changes(
     assert run("eval", "--out", out).exit_code == 0
     report = json.loads((out / "eval.json").read_text("utf-8"))
     assert report["settings"]["uncertainty"]["method"] == "analytic"
+
+
+def test_errors_of_points_are_evaluated_and_reject_points(run, predicted, data):
+    for stem in ("000000", "000001"):
+        path = output_path(predicted, "08", "uncertainty/error", stem)
+        write_array(path, np.linspace(0, 1, 1500, dtype=np.float32))
+    result = run("eval", "--out", predicted)
+    assert result.exit_code == 0, result.output
+    said = " ".join(result.stdout.split())
+    assert "80 % of points with error below 0.8" in said
+    assert "error: the probability that a label is wrong" in said
+    found = only_json(run("eval", "--out", predicted, "--json"))
+    assert found["kept"]["sentence"] in said
+    result = run("export-ply", "--out", predicted, "--max-error", "0.5")
+    assert result.exit_code == 0, result.output
+    assert "1,500 points unlabelled for a higher error than --max-error" in result.stderr
+    found = only_json(run("export-ply", predicted, "--max-error", 0.5, "--overwrite", "--json"))
+    assert found["rejected_points"] == 1500
+    assert undocumented(found, "export-ply") == set()
+    result = run("export-ply", predicted, "--max-error", 1.5)
+    assert result.exit_code == 2
+    assert "--max-error · 1.5 · expected a probability from 0 to 1" in result.stderr
 
 
 def test_eval_of_a_scan_that_cannot_be_compared_is_status_one(run, predicted, data):

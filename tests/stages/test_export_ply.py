@@ -72,7 +72,7 @@ def test_every_scalar_is_a_property(sampled):
     assert data.byte_order == "<"
     names = [p.name for p in data["vertex"].properties]
     assert names[:6] == ["x", "y", "z", "red", "green", "blue"]
-    assert set(names[6:]) == {"intensity", "range", "label", "truth", "error", *KINDS}
+    assert set(names[6:]) == {"intensity", "range", "label", "truth", "wrong", *KINDS}
     scan = read_scan(sampled.scan())
     for axis, values in zip("xyz", scan.points.T, strict=True):
         np.testing.assert_array_equal(column(sampled, axis), values)
@@ -88,10 +88,10 @@ def test_every_scalar_is_a_property(sampled):
 @pytest.mark.parametrize("form", ["las", "laz"])
 def test_las_holds_what_ply_does(sampled, form):
     laspy = pytest.importorskip("laspy")
-    assert export(sampled, colour="error").done == 3
-    assert export(sampled, colour="error", form=form).done == 3
+    assert export(sampled, colour="wrong").done == 3
+    assert export(sampled, colour="wrong", form=form).done == 3
     cloud = laspy.read(sampled.result(form))
-    for name in ("range", "label", "truth", "error", *KINDS):
+    for name in ("range", "label", "truth", "wrong", *KINDS):
         np.testing.assert_array_equal(cloud[name], column(sampled, name), err_msg=name)
     np.testing.assert_array_equal(cloud["scalar_intensity"], column(sampled, "intensity"))
     np.testing.assert_array_equal(cloud.classification, classification(sampled.labels(), SPACE))
@@ -101,7 +101,7 @@ def test_las_holds_what_ply_does(sampled, form):
     np.testing.assert_allclose(again.points, read_scan(sampled.scan()).points, rtol=0, atol=1e-7)
     assert b"class 74 car" in cloud.vlrs[0].record_data
     assert sampled.result("ply").exists()
-    assert export(sampled, colour="error", form=form).skipped == 3
+    assert export(sampled, colour="wrong", form=form).skipped == 3
 
 
 def test_las_without_laspy_is_refused_before_anything_is_done(predicted, monkeypatch):
@@ -131,7 +131,7 @@ def test_opens_in_open3d_with_every_scalar(sampled):
     positions = cloud.point.positions.numpy()
     np.testing.assert_array_equal(positions, read_scan(sampled.scan()).points)
     np.testing.assert_array_equal(cloud.point.colors.numpy(), colours(sampled))
-    for name in ("intensity", "range", "label", "truth", "error", *KINDS):
+    for name in ("intensity", "range", "label", "truth", "wrong", *KINDS):
         found = cloud.point[name].numpy().ravel()
         np.testing.assert_array_equal(found, column(sampled, name), err_msg=name)
 
@@ -153,7 +153,7 @@ def test_errors_are_right_wrong_or_not_counted(predicted):
     truth[:10] = 0
     truth[10:20] = np.where(truth[10:20] == 10, 40, 10)
     write_labels(path, truth)
-    export(predicted, colour="error")
+    export(predicted, colour="wrong")
     found = colours(predicted)
     np.testing.assert_array_equal(found[:10], np.tile(EMPTY, (10, 1)))
     np.testing.assert_array_equal(found[10:20], np.tile(WRONG, (10, 1)))
@@ -207,20 +207,15 @@ def test_uncertainty_is_sampled_where_it_is_missing(predicted, caplog):
     settings = json.loads((predicted.out / "uncertainty.json").read_text())["settings"]
     assert (settings["samples"], settings["seed"]) == (2, 3)
     np.testing.assert_array_equal(predicted.labels(), labels)
-    assert any(c.startswith("colour total viridis") for c in ply(predicted).comments)
-    assert np.isfinite(column(predicted, "total")).all()
+    assert any(c.startswith("colour entropy viridis") for c in ply(predicted).comments)
+    assert np.isfinite(column(predicted, "entropy")).all()
 
 
-def test_uncertainty_is_the_total_unless_there_is_none(sampled):
-    export(sampled, colour="uncertainty")
-    assert any(c.startswith("colour total viridis") for c in ply(sampled).comments)
+def test_a_kind_that_was_not_estimated_is_refused(sampled):
     without = Estimator(samples=2, aleatoric=False)
     uncertainty(
         sampled.data, sampled.out, network=sampled.network, estimator=without, options=OVERWRITE
     )
-    export(sampled, colour="uncertainty")
-    comments = ply(sampled, folder="ply/epistemic").comments
-    assert any(c.startswith("colour epistemic viridis") for c in comments)
     with pytest.raises(UsageError, match="without aleatoric · expected total"):
         export(sampled, colour="total", options=OVERWRITE)
 
@@ -241,7 +236,7 @@ def test_a_sensor_of_unknown_noise_has_no_total(world, caplog):
     with caplog.at_level("WARNING"):
         assert export(world, colour="uncertainty", selection=ScanSelection(limit=1)).done == 1
     assert "small does not know its noise: epistemic uncertainty only" in caplog.text
-    assert any(c.startswith("colour epistemic viridis") for c in ply(world, "00").comments)
+    assert any(c.startswith("colour entropy viridis") for c in ply(world, "00").comments)
 
 
 def test_sampling_uses_the_weights_and_sensor_that_predicted(world, tmp_path):
@@ -280,8 +275,8 @@ def test_other_classes_than_those_predicted_are_refused(predicted):
         predicted_scans(predicted.out, ScanSelection(), space=two)
 
 
-@pytest.mark.parametrize("colour", ["truth", "error"])
-def test_without_labels_there_is_neither_truth_nor_error(predicted, colour):
+@pytest.mark.parametrize("colour", ["truth", "wrong"])
+def test_without_labels_there_is_neither_truth_nor_wrong(predicted, colour):
     for path in predicted.data.rglob("*.label"):
         path.unlink()
     with pytest.raises(NoInputError, match=r"has no labels .*labels.000000\.label"):
@@ -292,7 +287,7 @@ def test_without_labels_there_is_neither_truth_nor_error(predicted, colour):
 
 def test_one_scan_without_labels_or_predictions_does_not_keep_the_others(predicted):
     (predicted.data / "sequences/08/labels/000001.label").unlink()
-    outcome = export(predicted, colour="error")
+    outcome = export(predicted, colour="wrong")
     assert outcome.done == 2
     assert "000001.bin · has no labels" in outcome.failures[0].reason
     predicted.result("predictions", "08", "000001").unlink()
@@ -311,7 +306,7 @@ def test_several_colourings_lie_side_by_side(predicted):
     first = {"colour": "range", "scale": (0, 10)}
     assert export(predicted, **first).done == 3
     before = files_below(predicted.out)
-    for colour in ("label", "intensity", "error"):
+    for colour in ("label", "intensity", "wrong"):
         assert export(predicted, colour=colour).done == 3
         assert export(predicted, colour=colour, selection=ScanSelection(limit=1)).skipped == 1
     assert export(predicted, **first).skipped == 3
@@ -319,8 +314,8 @@ def test_several_colourings_lie_side_by_side(predicted):
     assert before.items() <= after.items()
     assert export(predicted, colour="label", options=OVERWRITE).done == 3
     assert files_below(predicted.out) == after
-    comments = [ply(predicted, folder=f"ply/{c}").comments[0] for c in ("label", "error")]
-    assert comments == ["colour label", "colour error"]
+    comments = [ply(predicted, folder=f"ply/{c}").comments[0] for c in ("label", "wrong")]
+    assert comments == ["colour label", "colour wrong"]
     assert ply(predicted).comments[0] == "colour range viridis 0 10"
 
 
@@ -367,7 +362,7 @@ def test_an_empty_scan_is_exported(world):
     empty = replace_points(world.scan(), [])
     (world.data / "sequences/08/labels/000000.label").write_bytes(b"")
     predict_scans(empty, world.out, network=world.network)
-    for colour in ("label", "error", "range"):
+    for colour in ("label", "wrong", "range"):
         assert export(world, colour=colour, options=OVERWRITE).done == 1
         assert len(ply(world)["vertex"].data) == 0
 

@@ -236,7 +236,7 @@ def test_clouds_have_the_colours_of_merged_classes(world):
     np.testing.assert_array_equal(vertex["label"], COARSE.to_raw(merged))
     wrong = merged != COARSE.to_train(truth_of(world, "00"))
     counts = COARSE.scored[COARSE.to_train(truth_of(world, "00"))]
-    np.testing.assert_array_equal(vertex["error"][counts], wrong[counts])
+    np.testing.assert_array_equal(vertex["wrong"][counts], wrong[counts])
 
 
 def test_merged_classes_are_no_submission(coarse, tmp_path):

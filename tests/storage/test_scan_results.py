@@ -26,7 +26,7 @@ def test_only_what_is_known(world, file):
     assert cloud.uncertainty == {}
     assert set(scalar_columns(cloud, SPACE)) == {"intensity", "range"}
     with pytest.raises(ValueError, match="needs a label and a truth"):
-        cloud.error(SPACE)
+        cloud.wrong(SPACE)
 
 
 def test_everything_that_is_known(world, file):
@@ -35,18 +35,18 @@ def test_everything_that_is_known(world, file):
         write_array(world.result(f"uncertainty/{kind}"), np.linspace(0, 1, 1500, dtype=np.float32))
     cloud = read_results(file, world.out)
     assert set(scalar_columns(cloud, SPACE)) == {
-        *("intensity", "range", "label", "truth", "error"),
+        *("intensity", "range", "label", "truth", "wrong"),
         *("entropy", "total"),
     }
     assert set(cloud.label) == {CAR}
     np.testing.assert_allclose(cloud.range, np.sqrt((cloud.scan.points**2).sum(1)), rtol=1e-6)
 
 
-def test_error_is_one_zero_or_nothing():
+def test_wrong_is_one_zero_or_nothing():
     truth = np.array([CAR, CAR, 0, MOVING_CAR, ROAD], np.uint32)
     label = np.array([CAR, ROAD, CAR, CAR, 0], np.uint32)
-    error = ScanResults(make_scan(5), label, truth).error(SPACE)
-    np.testing.assert_array_equal(error, np.float32([0, 1, np.nan, 0, 1]), strict=True)
+    wrong = ScanResults(make_scan(5), label, truth).wrong(SPACE)
+    np.testing.assert_array_equal(wrong, np.float32([0, 1, np.nan, 0, 1]), strict=True)
 
 
 def test_ranges_too_large_for_their_squares():

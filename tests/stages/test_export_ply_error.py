@@ -1,0 +1,217 @@
+# SPDX-License-Identifier: MIT
+"""Clouds of points whose probability of error is known."""
+
+import json
+import shutil
+
+import numpy as np
+import plyfile
+import pytest
+from empty_runs import begin_and_end
+from scans import SMALL, write_array
+
+from salsanext_cli import label_space, read_labels
+from salsanext_cli.errors import NoInputError, OutputError, UsageError
+from salsanext_cli.parallel.run import RunOptions
+from salsanext_cli.parallel.shards import Shard
+from salsanext_cli.report.colours import EMPTY, RIGHT, WRONG
+from salsanext_cli.stages.export_ply import export_ply
+from salsanext_cli.storage.selection import ScanSelection
+
+SPACE = label_space()
+SCANS = (("00", "000000"), ("08", "000000"), ("08", "000001"))
+CAR, COUNT = 10, 1500
+ERROR = np.linspace(0, 1, COUNT, dtype=np.float32)
+ERROR[::100] = np.nan
+
+
+@pytest.fixture
+def known(world):
+    """Return a world of labels and errors of unknown origin."""
+    world.predict_by_hand(CAR)
+    for scan in SCANS:
+        write_array(world.result("uncertainty/error", *scan), ERROR)
+    return world
+
+
+def export(world, **options):
+    return export_ply(world.out, **{"network": world.network, "dataset": world.data, **options})
+
+
+def cloud(world, folder="ply", sequence="08", stem="000000"):
+    path = world.out / "sequences" / sequence / folder / f"{stem}.ply"
+    return plyfile.PlyData.read(path)
+
+
+def column(world, name, *where):
+    return np.array(cloud(world, *where)["vertex"][name])
+
+
+def colours(world, *where):
+    return np.stack([column(world, name, *where) for name in ("red", "green", "blue")], axis=1)
+
+
+def truth_of(world):
+    return SPACE.to_train(read_labels(world.data / "sequences/08/labels/000000.label"))
+
+
+@pytest.mark.parametrize("colour", ["error", "uncertainty"])
+def test_error_is_a_colour_and_what_uncertainty_means(known, colour, caplog):
+    with caplog.at_level("INFO"):
+        assert export(known, colour=colour).done == 3
+    assert "coloured by error" in caplog.text
+    assert cloud(known).comments[0].startswith("colour error viridis ")
+    np.testing.assert_array_equal(column(known, "error"), ERROR)
+    wrong, counts = truth_of(known) != SPACE.names.index("car"), SPACE.scored[truth_of(known)]
+    np.testing.assert_array_equal(column(known, "wrong"), np.where(counts, wrong, np.nan))
+    assert export(known, colour=colour).skipped == 3
+    assert not (known.out / "uncertainty.json").exists()
+
+
+def test_uncertainty_is_the_entropy_where_there_is_no_error(world):
+    world.predict_by_hand(CAR)
+    for kind in ("epistemic", "entropy", "total"):
+        for scan in SCANS:
+            write_array(world.result(f"uncertainty/{kind}", *scan), ERROR)
+    assert export(world, colour="uncertainty").done == 3
+    assert cloud(world).comments[0].startswith("colour entropy viridis ")
+    for colour in ("epistemic", "total"):
+        assert export(world, colour=colour).done == 3
+        assert cloud(world, f"ply/{colour}").comments[0].startswith(f"colour {colour} viridis")
+
+
+def test_error_of_other_scans_is_not_what_is_meant(known):
+    known.result("uncertainty/error", "00").unlink()
+    only = ScanSelection(sequences=("00",))
+    write_array(known.result("uncertainty/entropy", "00"), ERROR)
+    assert export(known, colour="uncertainty", selection=only).done == 1
+    assert cloud(known, "ply", "00").comments[0].startswith("colour entropy ")
+
+
+def test_a_scan_without_error_is_named_beside_those_that_have_one(known):
+    known.result("uncertainty/error", "08", "000001").unlink()
+    for colour in ("uncertainty", "error"):
+        outcome = export(known, colour=colour, options=RunOptions(overwrite=True))
+        assert (outcome.done, len(outcome.failures)) == (2, 1)
+        assert "000001.bin · no error known" in outcome.failures[0].reason
+        assert "salsanext tune error" in outcome.failures[0].reason
+    outcome = export(known, colour="error", options=RunOptions(shard=Shard(1, 2)))
+    assert outcome.failures == ()
+
+
+def test_error_without_any_compares_with_the_labels_and_says_so(world, caplog):
+    world.predict_by_hand(CAR)
+    with caplog.at_level("INFO"):
+        assert export(world, colour="error").done == 3
+    assert "no error known in" in caplog.text
+    assert cloud(world).comments[0] == "colour wrong"
+    assert "error" not in [each.name for each in cloud(world)["vertex"].properties]
+    for path in world.data.rglob("*.label"):
+        path.unlink()
+    with pytest.raises(NoInputError, match=r"no error known .* `salsanext tune error` fits it"):
+        export(world, colour="error", options=RunOptions(overwrite=True))
+
+
+@pytest.mark.parametrize("max_error", [0.0, 0.1, 0.5, 1.0])
+def test_points_above_the_threshold_are_unlabelled(known, max_error):
+    outcome = export(known, max_error=max_error)
+    above = max_error < ERROR
+    assert outcome.rejected_points == 3 * above.sum()
+    expected = np.where(above, 0, CAR)
+    np.testing.assert_array_equal(column(known, "label"), expected)
+    np.testing.assert_array_equal(colours(known), SPACE.colours[SPACE.to_train(expected)])
+    np.testing.assert_array_equal(column(known, "error"), ERROR)
+    assert f"unlabelled where error is above {max_error:g}" in cloud(known).comments
+    assert set(read_labels(known.result("predictions"))) == {CAR}
+
+
+def test_rejected_points_are_neither_right_nor_wrong(known):
+    above, truth = ERROR > 0.5, truth_of(known)
+    export(known, colour="wrong", max_error=0.5)
+    wrong = column(known, "wrong")
+    assert np.isnan(wrong[above]).all()
+    kept = ~above & SPACE.scored[truth]
+    car = truth == SPACE.names.index("car")
+    np.testing.assert_array_equal(wrong[kept], ~car[kept])
+    for colour, points in ((EMPTY, above), (RIGHT, kept & car), (WRONG, kept & ~car)):
+        assert points.any()
+        assert (colours(known)[points] == colour).all()
+
+
+def test_classes_of_las_are_those_of_the_points_that_are_kept(known):
+    laspy = pytest.importorskip("laspy")
+    export(known, max_error=0.5, form="laz", colour="range")
+    found = laspy.read(known.out / "sequences/08/laz/000000.laz")
+    np.testing.assert_array_equal(found["label"], np.where(ERROR > 0.5, 0, CAR))
+    np.testing.assert_array_equal(found.classification, np.where(ERROR > 0.5, 1, 74))
+
+
+def test_another_threshold_does_not_mix_with_the_first(known):
+    export(known, max_error=0.5)
+    assert export(known, max_error=0.5).skipped == 3
+    for other in (0.4, None):
+        with pytest.raises(OutputError, match=r"max_error was 0\.5 and is"):
+            export(known, max_error=other)
+    assert export(known, max_error=0.4, options=RunOptions(overwrite=True)).done == 3
+    assert json.loads((known.out / "export-ply.json").read_text())["settings"]["max_error"] == 0.4
+
+
+def test_a_record_without_threshold_is_as_it_was(known):
+    assert export(known).rejected_points is None
+    assert "max_error" not in json.loads((known.out / "export-ply.json").read_text())["settings"]
+
+
+@pytest.mark.parametrize("max_error", [-0.1, 1.01, np.nan, np.inf])
+def test_a_threshold_is_a_probability(known, max_error):
+    with pytest.raises(UsageError, match=r"--max-error .* a probability from 0 to 1"):
+        export(known, max_error=max_error)
+
+
+def test_a_threshold_without_errors_says_how_to_get_them(known):
+    known.result("uncertainty/error", "08", "000001").unlink()
+    outcome = export(known, max_error=0.1)
+    assert (outcome.done, len(outcome.failures)) == (2, 1)
+    assert "no error known" in outcome.failures[0].reason
+    for sequence in ("00", "08"):
+        shutil.rmtree(known.out / "sequences" / sequence / "uncertainty", ignore_errors=True)
+    with pytest.raises(NoInputError, match=r"no error known .* `salsanext tune error`"):
+        export(known, max_error=0.1, options=RunOptions(overwrite=True))
+
+
+@pytest.mark.parametrize(
+    ("values", "says"),
+    [
+        (np.float32([0.5] * 3), r"float32 \(3\)"),
+        (np.full(COUNT, 1.5, np.float32), "below 0 or above 1 at 1500 of 1500 points"),
+        (np.full(COUNT, -0.5, np.float32), "below 0 or above 1"),
+        (np.full(COUNT, 0.5), "<f8"),
+    ],
+)
+def test_impossible_errors_reject_nothing_and_are_named(known, values, says):
+    write_array(known.result("uncertainty/error"), values)
+    outcome = export(known, max_error=0.5)
+    assert outcome.done == 2
+    (failure,) = outcome.failures
+    assert failure.code == "format"
+    assert str(known.result("uncertainty/error")) in failure.reason
+    assert outcome.rejected_points == 2 * (ERROR > 0.5).sum()
+
+
+def test_errors_of_other_weights_than_the_labels_are_refused(known):
+    settings = {"label_space": SPACE.to_dict(), "sensor": SMALL.to_dict()}
+    for stage, folder, weights in (
+        ("predict", "predictions", "a"),
+        ("uncertainty", "uncertainty/error", "b"),
+    ):
+        recorded = settings | {"weights": weights * 64}
+        begin_and_end(known.out, stage, recorded, [folder], overwrite=True)
+    for options in ({"colour": "error"}, {"max_error": 0.5}):
+        with pytest.raises(OutputError, match=r"labels by the weights aaaa.*uncertainty by bbbb"):
+            export(known, **options)
+
+
+def test_points_without_an_error_keep_their_label(known):
+    for scan in SCANS:
+        write_array(known.result("uncertainty/error", *scan), np.full(COUNT, np.nan, np.float32))
+    assert export(known, max_error=0).rejected_points == 0
+    assert set(column(known, "label")) == {CAR}
