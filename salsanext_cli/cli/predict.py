@@ -26,6 +26,13 @@ def predict(
         bool,
         typer.Option("--probabilities", help="Also write the class probabilities of every point."),
     ] = False,
+    error: Annotated[
+        bool,
+        typer.Option(
+            "--error",
+            help="Also write the probability that each label is wrong, if `tune error` fitted it.",
+        ),
+    ] = False,
     selection: selection_options.SourceSelection,
     merged: options.MergedClasses,
     network: options.AdaptableNetwork,
@@ -47,9 +54,10 @@ def predict(
     """
     from salsanext_cli.inference.range_images import projected_sensor
     from salsanext_cli.stages import predict as stage
+    from salsanext_cli.storage.layout import ERROR
 
     source = selection.source(scans)
-    wanted = {"pixel_labels": pixel_labels, "probabilities": probabilities}
+    wanted = {"pixel_labels": pixel_labels, "probabilities": probabilities, ERROR: error}
     extras = tuple(name for name in wanted if wanted[name])
     loaded = replace(network.settings(), classes=merged.space())
     chosen: dict[str, Any] = {"network": loaded, "selection": selection.scans()}
@@ -66,16 +74,16 @@ def predict(
                 **chosen,
             )
         else:
-            _require_no_scans(knn, probabilities, batch)
+            _require_no_scans(knn, batch, {"--probabilities": probabilities, "--error": error})
             outcome = stage.predict_range_images(source, out, options=run, **chosen)
     run_end.finish("predict", outcome, out, output, split=selection.split, strict=running.strict)
 
 
-def _require_no_scans(knn: options.Knn, probabilities: bool, batch: str) -> None:
+def _require_no_scans(knn: options.Knn, batch: str, of_points: dict[str, bool]) -> None:
     """Refuse options that need scans, where range images of `project` are given."""
-    if probabilities:
+    for option in (option for option, wanted in of_points.items() if wanted):
         found = "range images do not tell which points they are of"
-        raise UsageError("--probabilities", found, "the scans themselves")
+        raise UsageError(option, found, "the scans themselves")
     if knn != options.Knn():
         found = "range images are refined by knn-refine"
         raise UsageError("--knn-…", found, "the options given there")

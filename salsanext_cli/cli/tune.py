@@ -126,10 +126,42 @@ def tune_batchnorm(
     output.say(f"tune batchnorm: {scanned} of {tuned['sensor']} → {target}")
 
 
+def tune_error(
+    dataset: options.LabelledDataSet,
+    target: options.WeightsOut,
+    *,
+    selection: Annotated[selection_options.LabelledSelection, Without({"dataset"})],
+    network: options.NetworkOptions,
+    running: run_options.Overwriting,
+    output: console.Output,
+) -> None:
+    """Fit the probability that a label is wrong, and write new weights.
+
+    Example: salsanext tune error streets/ tuned.safetensors
+    """
+    from salsanext_cli.report.tables import error_table
+    from salsanext_cli.stages.tune_error import tune_error as stage
+
+    with progress("tune error", output.quiet) as on_progress:
+        tuned = stage(
+            dataset,
+            target,
+            network=network.settings(),
+            selection=selection.scans(),
+            overwrite=running.overwrite,
+            progress=on_progress,
+        )
+    table = error_table(tuned) if tuned["folds"] else None
+    output.result(tuned | {"weights": str(target)}, table)
+    points = f"{tuned['points']:,} points of {counted(tuned['scans'], 'scan')}"
+    output.say(f"tune error: {points}, {100 * tuned['wrong']:.1f} % wrong → {target}")
+
+
 tune = typer.Typer(
     no_args_is_help=True,
-    help="Fit weights to scans: temperature, dropout rate or batch normalisation.",
+    help="Fit weights to scans: temperature, error, dropout rate or batch normalisation.",
 )
+tune.command("error")(guarded(expanded(tune_error)))
 tune.command("temperature")(guarded(expanded(tune_temperature)))
 tune.command("dropout")(guarded(expanded(tune_dropout)))
 tune.command("batchnorm")(guarded(expanded(tune_batchnorm)))

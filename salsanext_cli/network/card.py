@@ -17,6 +17,7 @@ from salsanext_cli import __version__
 from salsanext_cli.classes import LabelSpace
 from salsanext_cli.errors import UsageError, WeightsError
 from salsanext_cli.formats.reading import is_folder, present
+from salsanext_cli.network.error_model import ErrorModel
 from salsanext_cli.network.onnx_metadata import ONNX_SUFFIX, onnx_metadata
 from salsanext_cli.sensors import Sensor
 from salsanext_cli.settings_files import shortened, words_of
@@ -51,6 +52,8 @@ class WeightsCard:
     temperature : float
         Divides the logits before the softmax, so that its values are probabilities;
         1 if none was fitted.
+    error : ErrorModel, optional
+        Model of the probability that a label is wrong; None if none was fitted.
     """
 
     architecture: Mapping[str, Any]
@@ -60,6 +63,7 @@ class WeightsCard:
     scores: Mapping[str, Any] = field(default_factory=dict)
     description: str = ""
     temperature: float = 1.0
+    error: ErrorModel | None = None
 
     def summary(self) -> str:
         """Return the start of the description, up to the first colon or full stop."""
@@ -83,6 +87,8 @@ class WeightsCard:
             "recipe": dict(self.recipe),
             "scores": dict(self.scores),
         }
+        if self.error:
+            values["error"] = self.error.to_dict()
         return {KEY: json.dumps(values)}
 
     @classmethod
@@ -98,7 +104,8 @@ class WeightsCard:
             if form != FORMAT:
                 remedy = "use the version that wrote it"
                 raise WeightsError(source, f"format {shortened(form)}", FORMAT, remedy)
-            if bad := [key for key in TABLES if not isinstance(values[key], dict)]:
+            tables = (*TABLES, "error") if "error" in values else TABLES
+            if bad := [key for key in tables if not isinstance(values[key], dict)]:
                 raise TypeError(f"{bad[0]} is no table")
             return cls(
                 architecture=values["architecture"],
@@ -108,10 +115,11 @@ class WeightsCard:
                 scores=values["scores"],
                 description=str(values["description"]),
                 temperature=_temperature(values["temperature"]),
+                error=ErrorModel.from_dict(values["error"]) if "error" in values else None,
             )
         except UsageError as error:
             raise WeightsError(source, f"damaged metadata: {error.found}") from error
-        except (KeyError, TypeError, ValueError, RecursionError) as error:
+        except (KeyError, TypeError, ValueError, ArithmeticError, RecursionError) as error:
             raise WeightsError(source, f"damaged metadata: {words_of(error)}") from error
 
 

@@ -122,6 +122,17 @@ def temperature_table(before: Mapping[str, float], after: Mapping[str, float]) -
     return table
 
 
+def error_table(found: Mapping[str, Any]) -> Table:
+    """Return a table of the scores of `error` beside those of `confidence`, on scans left out."""
+    names = ("AUROC", "AURC", "ECE in %", "wrong of the best 80 %, in %")
+    table = number_table("", *names, title=f"Scans left out, {counted(found['folds'], 'fold')}")
+    for name in ("error", "confidence"):
+        scores = found[name]
+        shares = (f"{100 * scores[key]:.1f}" for key in ("ece", "risk_80"))
+        table.add_row(name, f"{scores['auroc']:.3f}", f"{scores['aurc']:.4f}", *shares)
+    return table
+
+
 def rate_table(rates: Sequence[float], objectives: Sequence[float], best: float) -> Table:
     """Return a table of dropout rates and their objectives, the best one marked."""
     table = number_table("rate", "objective per point", title="Dropout rate")

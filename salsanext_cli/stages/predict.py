@@ -30,10 +30,11 @@ from salsanext_cli.parallel.network_task import NetworkTask, named_if_too_large
 from salsanext_cli.parallel.run import Outcome, RunOptions, run_over_scans
 from salsanext_cli.parallel.tasks import Attempt
 from salsanext_cli.records import Float, RangeImage
-from salsanext_cli.storage.layout import ScanFile, with_outputs
+from salsanext_cli.storage.layout import ERROR, ScanFile, with_outputs
 from salsanext_cli.storage.output_run import OutputRun, output_run
 from salsanext_cli.storage.selection import ScanSelection, choose, scans_of, space_of
 from salsanext_cli.storage.sources import recorded_scans
+from salsanext_cli.uncertainty.error_features import error_model, label_error
 
 
 def predict_scan(
@@ -95,6 +96,8 @@ def _write(
         certainly_unlabelled = np.eye(1, space.class_count)
         of_points = points_from_pixels(probabilities, image.pixel_of_point, certainly_unlabelled)
         output.write_array(file, "probabilities", of_points.astype(np.float16))
+    if ERROR in output.folders:
+        output.write_array(file, ERROR, label_error(network, image, probabilities, labels))
     output.write_labels(file, space.to_raw(labels))
     return labels
 
@@ -128,8 +131,8 @@ def predict_scans(
         Weights, device, sensor and precision.
     knn : KnnParameters
         Neighbours in the kNN refinement.
-    extras : tuple of {"pixel_labels", "probabilities"}
-        Intermediate results to keep.
+    extras : tuple of {"pixel_labels", "probabilities", "uncertainty/error"}
+        Further results to write.
     batch : int, optional
         Scans computed together, at least 1; by default one on a CPU, on a GPU as many as keep it
         busy. Halved where memory runs out.
@@ -147,6 +150,8 @@ def predict_scans(
     found = scans_of(source)
     scans = choose(found, selection, space_of(found, loaded.card.space), source)
     network, loaded = network_of_run(network, loaded, found, out, overwrite=options.overwrite)
+    if ERROR in extras:
+        error_model(loaded)
     temperature = loaded.card.temperature
     settings = network.record(loaded) | {"temperature": temperature, "knn": asdict(knn)}
     summary = RunSummary.of_scans(scans, loaded.sensor, loaded.space)

@@ -14,7 +14,7 @@ import torch
 from torch import Tensor
 
 from salsanext_cli.classes import LabelSpace
-from salsanext_cli.errors import TrainingError, WeightsError
+from salsanext_cli.errors import NOTICE, TrainingError, WeightsError
 from salsanext_cli.inference.network import Network
 from salsanext_cli.inference.scan_fit import fitted
 from salsanext_cli.inference.settings import NetworkSettings
@@ -105,7 +105,9 @@ def tune_temperature(
     require_points(len(truth), dataset, space)
     temperature = best_temperature(logits, truth)
     _require_possible(dataset, temperature, len(truth))
-    card = replace(loaded.card, temperature=temperature)
+    if loaded.card.error:
+        log.log(NOTICE, "the error model is left out: fit it anew with `salsanext tune error`")
+    card = replace(loaded.card, temperature=temperature, error=None)
     save_with_card(network.path, target, card)
     return {
         "stage": "tune temperature",

@@ -23,13 +23,14 @@ from salsanext_cli.inference.settings import NetworkSettings
 from salsanext_cli.measures.scan_summary import RunSummary, ScanSummary
 from salsanext_cli.parallel.network_task import NetworkTask
 from salsanext_cli.parallel.run import Failure, Outcome, RunOptions, run_over_scans
-from salsanext_cli.storage.layout import ScanFile, output_path
+from salsanext_cli.storage.layout import ERROR, ScanFile, output_path
 from salsanext_cli.storage.output_run import OutputRun, output_run
 from salsanext_cli.storage.selection import ScanSelection, choose, scans_of, space_of
 from salsanext_cli.storage.stage_records import (
     owner,
     stage_settings,
 )
+from salsanext_cli.uncertainty.error_features import knows_error, label_error
 from salsanext_cli.uncertainty.settings import (
     Estimator,
     possible_estimator,
@@ -57,10 +58,16 @@ def uncertainty_scan(
         of_pixels = getattr(estimate.uncertainty, kind)
         of_points = points_from_pixels(of_pixels, image.pixel_of_point, np.nan)
         output.write_array(file, f"uncertainty/{kind}", of_points)
-    if "predictions" not in output.folders:
-        return ScanSummary(file, check)
-    pixel_labels = estimate.probabilities.argmax(axis=0)
+    writes_labels = "predictions" in output.folders
+    probabilities = estimate.probabilities
+    # The model of errors was fitted to a single pass, and so are the labels of `predict`.
+    single = network.probabilities(image, file.path) if ERROR in output.folders else probabilities
+    pixel_labels = (probabilities if writes_labels else single).argmax(axis=0)
     labels = knn_refine(image, pixel_labels, space.class_count, knn, device)
+    if ERROR in output.folders:
+        output.write_array(file, ERROR, label_error(network, image, single, labels))
+    if not writes_labels:
+        return ScanSummary(file, check)
     output.write_labels(file, space.to_raw(labels))
     return ScanSummary.of_labels(file, labels, space, check)
 
@@ -120,6 +127,8 @@ def uncertainty_of(
     settings = network.record(loaded) | {"knn": asdict(knn)} | estimator.settings(loaded.sensor)
     kinds = tuple(f"uncertainty/{kind}" for kind in estimator.kinds)
     labels_too = owner(out, "predictions") in (None, "uncertainty")
+    if knows_error(loaded) and owner(out, ERROR) in (None, "uncertainty"):
+        kinds += (ERROR,)
     folders = (*kinds, "predictions") if labels_too else kinds
     require_network_of_labels(out, settings)
     summary = RunSummary.of_scans(scans, loaded.sensor, loaded.space)
@@ -159,7 +168,7 @@ def estimate_missing(
     if not missing or (options.shard.count > 1 and some):
         # Shards begin at different times: they would not agree on which scans lack it.
         return kind, {}
-    if kind == "error" and owner(out, "uncertainty/error") != "uncertainty":
+    if kind == "error" and owner(out, ERROR) != "uncertainty":
         return kind, {}
     if options.shard.count > 1:
         found = f"no uncertainty in {out} yet"

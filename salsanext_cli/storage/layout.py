@@ -24,6 +24,8 @@ from salsanext_cli.storage.scan_folders import (
 
 UNCERTAINTY = ("error", "epistemic", "aleatoric", "total", "entropy", "mutual_information")
 """The kinds of uncertainty that stages may have written; "error" is a probability."""
+ERROR = "uncertainty/error"
+"""Folder of the probability that a label is wrong."""
 COLOURINGS = ("label", "truth", "wrong", "intensity", "range", *UNCERTAINTY)
 """Values that point clouds may be coloured by."""
 SUFFIX_OF_FOLDER = {

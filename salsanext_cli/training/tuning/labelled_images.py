@@ -31,14 +31,16 @@ class LabelledImage:
     ----------
     image : RangeImage
         Of the whole scan.
+    points : (M,) int
+        Points that have a pixel and whose label stands for one class, not ignored.
     pixels : (M,) int
-        Pixel, v * W + u, of every point that has one and whose label stands for one class, not
-        ignored.
+        Pixel, v * W + u, of each.
     truth : (M,) uint8
         Train ids of these points.
     """
 
     image: RangeImage
+    points: npt.NDArray[np.intp]
     pixels: npt.NDArray[np.int32]
     truth: TrainIds
 
@@ -88,8 +90,8 @@ def read_labelled_image(file: ScanFile, network: Network, space: LabelSpace) -> 
     scan, targets = read_labelled(file, space, network.sensor, class_sets([space]))
     image = project(scan, network.sensor, network.device)
     scored = np.flatnonzero(space.scored)
-    counts = np.isin(targets, scored) & (image.pixel_of_point >= 0)
-    return LabelledImage(image, image.pixel_of_point[counts], targets[counts])
+    counts = np.flatnonzero(np.isin(targets, scored) & (image.pixel_of_point >= 0))
+    return LabelledImage(image, counts, image.pixel_of_point[counts], targets[counts])
 
 
 def require_points(points: int, dataset: Path, space: LabelSpace) -> None:

@@ -1,0 +1,80 @@
+# SPDX-License-Identifier: MIT
+"""Model of a label's error: a small network from features of a point to a probability.
+
+It is stored as plain numbers in the card of a weights file, and computed with numpy.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+
+from salsanext_cli.records import Float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ErrorModel:
+    """Perceptron whose last value is the logit of the probability that a label is wrong.
+
+    Attributes
+    ----------
+    features : tuple of str
+        Names of the F features, in order.
+    layers : sequence of ((I, O), (O,)) float32
+        Weights and biases; between two layers, negative values become 0. The first takes F values,
+        the last returns one.
+    scores : mapping
+        Measurements of it on labelled scans that it was not fitted on, and their number.
+    """
+
+    features: tuple[str, ...]
+    layers: Sequence[tuple[Float, Float]]
+    scores: Mapping[str, Any] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        sizes = [len(self.features), *(len(bias) for _, bias in self.layers)]
+        if not self.layers or sizes[-1] != 1:
+            raise ValueError("an error model has one output")
+        for (weight, bias), size in zip(self.layers, pairwise(sizes), strict=True):
+            if weight.shape != size or bias.ndim != 1:
+                raise ValueError(f"a layer of an error model is {weight.shape}, not {size}")
+            if not (np.isfinite(weight).all() and np.isfinite(bias).all()):
+                raise ValueError("an error model holds values that are not finite")
+
+    def probability(self, features: Float) -> Float:
+        """Return the probability of an error, (N,) float32 in 0…1, NaN for features with NaN.
+
+        Parameters
+        ----------
+        features : (N, F) float32
+        """
+        values = features
+        for weight, bias in self.layers[:-1]:
+            values = np.maximum(values @ weight + bias, 0)
+        weight, bias = self.layers[-1]
+        logits = (values @ weight + bias)[:, 0]
+        # Beyond, the exponential overflows.
+        probability: Float = 1 / (1 + np.exp(-np.clip(logits, -30, 30)))
+        return probability.astype(np.float32)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return plain data that `from_dict` accepts; numbers have seven digits."""
+        layers = [[_rounded(weight), _rounded(bias)] for weight, bias in self.layers]
+        return {"features": list(self.features), "layers": layers, "scores": dict(self.scores)}
+
+    @classmethod
+    def from_dict(cls, data: Mapping[str, Any]) -> ErrorModel:
+        """Read what `to_dict` returns; anything amiss raises a `ValueError` or the like."""
+        layers = [
+            (np.array(weight, np.float32), np.array(bias, np.float32))
+            for weight, bias in data["layers"]
+        ]
+        return cls(tuple(map(str, data["features"])), layers, dict(data["scores"]))
+
+
+def _rounded(values: Float) -> Any:
+    return np.vectorize(lambda value: float(f"{value:.7g}"), otypes=[object])(values).tolist()

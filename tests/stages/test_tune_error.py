@@ -1,0 +1,126 @@
+# SPDX-License-Identifier: MIT
+"""Stage `tune error`, and the probabilities that `predict` and `uncertainty` write with it."""
+
+import shutil
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from world import World
+
+from salsanext_cli import label_space, read_labels, write_labels
+from salsanext_cli.errors import LabelError, TrainingError, UsageError, WeightsError
+from salsanext_cli.network.card import read_card
+from salsanext_cli.network.weights import save_with_card
+from salsanext_cli.stages.evaluate import evaluate
+from salsanext_cli.stages.predict import predict_scans
+from salsanext_cli.stages.tune_error import tune_error
+from salsanext_cli.stages.tune_temperature import tune_temperature
+from salsanext_cli.stages.uncertainty import uncertainty
+from salsanext_cli.storage.layout import ERROR
+from salsanext_cli.storage.selection import ScanSelection
+from salsanext_cli.uncertainty.error_features import FEATURES
+from salsanext_cli.uncertainty.settings import Estimator
+
+ALL = ScanSelection()
+
+
+@pytest.fixture
+def far_is_wrong(world: World, tmp_path) -> World:
+    """Label all scans as the network does, but for points beyond their median range."""
+    predict_scans(world.data, tmp_path / "own", network=world.network)
+    for path in sorted(world.data.rglob("*.bin")):
+        sequence = path.parent.parent.name
+        own = tmp_path / "own/sequences" / sequence / "predictions" / f"{path.stem}.label"
+        labels = read_labels(own).copy()
+        ranges = np.linalg.norm(np.fromfile(path, "f4").reshape(-1, 4)[:, :3], axis=1)
+        far = ranges > np.median(ranges)
+        labels[far] = np.where(labels[far] == 10, 40, 10)
+        write_labels(path.parent.parent / "labels" / f"{path.stem}.label", labels)
+    return world
+
+
+def test_what_is_wrong_is_found_in_scans_left_out(far_is_wrong: World, target, tmp_path) -> None:
+    world = far_is_wrong
+    tuned = tune_error(world.data, target, network=world.network, selection=ALL)
+    assert (tuned["scans"], tuned["sequences"], tuned["folds"]) == (3, 2, 2)
+    assert tuned["error"]["auroc"] > 0.97 > tuned["confidence"]["auroc"]
+    assert tuned["error"]["aurc"] < tuned["confidence"]["aurc"]
+    stored = read_card(target).error
+    assert stored is not None
+    assert stored.features == FEATURES
+    assert stored.scores == {key: tuned[key] for key in tuned if key != "stage"}
+    again = tune_error(world.data, target, network=world.network, selection=ALL, overwrite=True)
+    assert again == tuned
+    network = replace(world.network, weights=target)
+    predict_scans(world.data, world.out, network=network, extras=(ERROR,))
+    error = np.load(world.result(ERROR))
+    path = world.scan()
+    ranges = np.linalg.norm(np.fromfile(path, "f4").reshape(-1, 4)[:, :3], axis=1)
+    known = ~np.isnan(error)
+    assert ((error >= 0) & (error <= 1))[known].all()
+    far = (ranges > np.median(ranges))[known]
+    assert error[known][far].mean() > 0.8 > 0.2 > error[known][~far].mean()
+    found = evaluate(world.out).uncertainty.error
+    assert found is not None
+    assert found.ece < 0.1
+    # Passes of dropout change the labels, not the model.
+    other = tmp_path / "uncertain"
+    uncertainty(world.data, other, network=network, estimator=Estimator(samples=2, aleatoric=False))
+    assert {p.name for p in (other / "sequences/08/uncertainty").iterdir()} >= {"error", "entropy"}
+
+
+def test_weights_without_it_are_refused(world: World, target, tmp_path) -> None:
+    with pytest.raises(WeightsError, match=r"no probability of errors .* `salsanext tune error"):
+        predict_scans(world.data, world.out, network=world.network, extras=(ERROR,))
+    assert not world.out.exists()
+    uncertainty(
+        world.data,
+        world.out,
+        network=world.network,
+        estimator=Estimator(samples=2, aleatoric=False),
+    )
+    assert not world.result(ERROR).exists()
+
+
+def test_other_features_and_merged_classes_are_refused(far_is_wrong: World, target) -> None:
+    world = far_is_wrong
+    tune_error(world.data, target, network=world.network, selection=ALL)
+    network = replace(world.network, weights=target)
+    coarse = replace(network, classes=label_space("coarse"))
+    with pytest.raises(UsageError, match=r"--classes · .*labels before merging"):
+        predict_scans(world.data, world.out, network=coarse, extras=(ERROR,))
+    card = read_card(target)
+    assert card.error is not None
+    names = ("something else", *FEATURES[1:])
+    save_with_card(target, target, replace(card, error=replace(card.error, features=names)))
+    with pytest.raises(WeightsError, match="errors by other features"):
+        predict_scans(world.data, world.out, network=network, extras=(ERROR,))
+    # Another temperature changes the features that it was fitted to.
+    tuned = target.with_name("tempered.safetensors")
+    tune_temperature(world.data, tuned, network=network)
+    assert read_card(tuned).error is None
+
+
+def test_labels_that_teach_nothing(world: World, target, tmp_path, caplog) -> None:
+    own = tmp_path / "own"
+    predict_scans(world.data, own, network=world.network)
+    for sequence in ("00", "08"):
+        labels = world.data / "sequences" / sequence / "labels"
+        shutil.copytree(own / "sequences" / sequence / "predictions", labels, dirs_exist_ok=True)
+    with pytest.raises(TrainingError, match=r"no label of \d+ points is wrong"):
+        tune_error(world.data, target, network=world.network, selection=ALL)
+    for path in (world.data / "sequences").rglob("*.label"):
+        write_labels(path, np.zeros(1500, np.uint32))
+    with pytest.raises(LabelError, match="no point is of a class that counts"):
+        tune_error(world.data, target, network=world.network, selection=ALL)
+    assert not target.exists()
+
+
+def test_a_single_scan_is_not_cross_validated(far_is_wrong: World, target, caplog) -> None:
+    world = far_is_wrong
+    selection = ScanSelection(split="valid", limit=1)
+    tuned = tune_error(world.data, target, network=world.network, selection=selection)
+    assert (tuned["folds"], tuned["error"], tuned["confidence"]) == (0, None, None)
+    assert "1 scan: not cross-validated" in caplog.messages
+    assert read_card(target).error is not None
