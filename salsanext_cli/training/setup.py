@@ -19,7 +19,9 @@ from salsanext_cli.errors import UsageError
 from salsanext_cli.inference.network import Network
 from salsanext_cli.inference.scan_fit import with_sensor
 from salsanext_cli.network.card import WeightsCard, read_card
+from salsanext_cli.network.error_model import ErrorModel
 from salsanext_cli.network.segmentation import SegmentationNetwork
+from salsanext_cli.network.weights import read_weights
 from salsanext_cli.sensors import Sensor
 from salsanext_cli.storage.layout import ScanFile
 from salsanext_cli.storage.written_files import WrittenFiles
@@ -38,11 +40,18 @@ from salsanext_cli.training.run_folder import (
     BEST,
     CHECKPOINT,
     EVENTS,
+    LAST,
     begin,
     fold_folder,
     require_free,
 )
 from salsanext_cli.training.settings import scans_digest
+from salsanext_cli.training.tuning.error import cross_validated
+from salsanext_cli.training.tuning.judged_points import (
+    JudgedPoints,
+    judged_points,
+    points_of_scan,
+)
 
 log = logging.getLogger(__name__)
 
@@ -153,7 +162,10 @@ class Setup:
         )
 
     def after(self, expected: Expectation | None) -> "Setup":
-        """Return the setup of the training on all scans, after a cross-validation."""
+        """Return the setup of the training on all scans, after a cross-validation.
+
+        Its weights have a model of errors that was fitted to the scans that each fold left out.
+        """
         counts = [len(source.files) for source in self.sources]
         before = len(self._folds()) * SamplingPlan(counts, self.recipe).steps
 
@@ -165,7 +177,12 @@ class Setup:
         return replace(
             self,
             recipe=self.recipe.with_changes(epochs=expected.epochs),
-            card=replace(self.card, scores=expected.scores(), temperature=expected.temperature),
+            card=replace(
+                self.card,
+                scores=expected.scores(),
+                temperature=expected.temperature,
+                error=self.group.on_main(self._error_of_folds),
+            ),
             report=report,
         )
 
@@ -186,6 +203,25 @@ class Setup:
             report = partial(self._report_fold, number, len(parts))
             logs.append(self.training(files, left_out, folder, report=report).fit().rows)
         return expectation(logs, one_drive=len({file.sequence for file in first.files}) == 1)
+
+    def _error_of_folds(self) -> ErrorModel | None:
+        """Fit a model of errors to scans that a fold left out, each judged by the fold's weights.
+
+        There is none where every label is right, or every one wrong.
+        """
+        first, parts, judged = self.sources[0], self._folds(), dict[ScanFile, JudgedPoints]()
+        most = points_of_scan(len(first.files))
+        for number, part in enumerate(parts, start=1):
+            module, card = read_weights(fold_folder(self.run, number) / LAST)
+            network = Network(partial(module.to, self.place), card, card.sensor, str(self.place))
+            for file in part:
+                own = with_sensor(network, first.sensor_of(file))
+                judged[file] = judged_points(file, own, first.space, most)
+        wrong = np.concatenate([points.wrong for points in judged.values()])
+        if wrong.all() or not wrong.any():
+            log.warning("no model of errors: of %d points left out all are alike", len(wrong))
+            return None
+        return cross_validated(judged, parts)
 
     def _folds(self) -> list[list[ScanFile]]:
         files = self.sources[0].files

@@ -97,6 +97,10 @@ def test_the_folds_choose_the_epochs_and_all_scans_are_trained_on(
     assert card.scores["miou"] == expected.miou
     assert card.recipe == FEW.with_changes(epochs=expected.epochs).to_dict()
     assert result.best.read_bytes() == result.last.read_bytes()
+    # Errors of the folds, on all scans, each left out once, tell those to expect.
+    assert card.error is not None
+    assert card.error.scores["scans"] == 3
+    assert card.error.scores["folds"] == 2
     # The row of the training itself has no scores: no scan is left out.
     assert "miou" not in result.rows[-1]
     # Nothing is left to do.

@@ -17,7 +17,7 @@ from salsanext_cli.stages.predict import predict_scans
 from salsanext_cli.stages.tune_error import tune_error
 from salsanext_cli.stages.tune_temperature import tune_temperature
 from salsanext_cli.stages.uncertainty import uncertainty
-from salsanext_cli.storage.layout import ERROR
+from salsanext_cli.storage.layout import ERROR, find_scans
 from salsanext_cli.storage.selection import ScanSelection
 from salsanext_cli.uncertainty.error_features import FEATURES
 from salsanext_cli.uncertainty.settings import Estimator
@@ -61,7 +61,8 @@ def test_what_is_wrong_is_found_in_scans_left_out(far_is_wrong: World, target, t
     assert ((error >= 0) & (error <= 1))[known].all()
     far = (ranges > np.median(ranges))[known]
     assert error[known][far].mean() > 0.8 > 0.2 > error[known][~far].mean()
-    found = evaluate(world.out).uncertainty.error
+    scans = find_scans(world.data)
+    found = evaluate(scans, world.out, label_space()).uncertainty.error
     assert found is not None
     assert found.ece < 0.1
     # Passes of dropout change the labels, not the model.

@@ -1,22 +1,30 @@
 # SPDX-License-Identifier: MIT
 """Fit of the probability that a label is wrong, and its scores on points of other scans."""
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+import logging
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 import torch
 import torch.nn.functional as F
 from torch import nn
 
+from salsanext_cli.errors import counted
 from salsanext_cli.measures.calibration import reliability
 from salsanext_cli.measures.histograms import error_histogram, uncertainty_histogram
 from salsanext_cli.measures.kept_points import kept_points
 from salsanext_cli.measures.risk_coverage import ranking_scores
 from salsanext_cli.network.error_model import ErrorModel
 from salsanext_cli.records import Float
+from salsanext_cli.storage.layout import ScanFile
+from salsanext_cli.training.tuning.judged_points import JudgedPoints, Mask
+from salsanext_cli.uncertainty.error_features import FEATURES
 
+FOLDS = 5
+SEED = 0
+"""Seed of the first weights and of the order of the points."""
 HIDDEN = 32
 """Values of each of the two hidden layers."""
 EPOCHS, BATCH = 12, 2048
@@ -27,48 +35,80 @@ LEARNING_RATE, WEIGHT_DECAY = 3e-3, 1e-4
 LEAST_SPREAD = 1e-3
 """Features that hardly differ are not blown up."""
 
-Mask = npt.NDArray[np.bool_]
+log = logging.getLogger(__name__)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class JudgedPoints:
-    """Points of one scan whose labels are known to be right or wrong.
+def cross_validated(
+    judged: Mapping[ScanFile, JudgedPoints], parts: Sequence[Sequence[ScanFile]]
+) -> ErrorModel:
+    """Fit a model to all scans; its scores are those of models that lack a fold of the scans.
 
-    Attributes
+    Parameters
     ----------
-    features : (M, F) float32
-    confidence : (M,) float32
-        Probability of the label by the network's softmax.
-    wrong : (M,) bool
+    judged : mapping of ScanFile to JudgedPoints
+        Of which some are wrong and some right.
+    parts : sequence of sequence of ScanFile
+        Folds of the scans; empty if there are none.
+
+    Returns
+    -------
+    ErrorModel
+        Its scores are the number of `scans`, `sequences`, `points` and `folds`, the share of wrong
+        points `wrong`, and `error_scores` of the model, `error`, and of 1 − the probability of the
+        label, `confidence`; both are None without folds.
     """
+    every = list(judged.values())
+    wrong = np.concatenate([points.wrong for points in every])
+    scores: dict[str, Any] = {
+        "scans": len(judged),
+        "sequences": len({file.sequence for file in judged}),
+        "points": len(wrong),
+        "wrong": float(wrong.mean()),
+        **_scores_left_out(judged, parts),
+    }
+    return replace(fit_error(every), scores=scores)
 
-    features: Float
-    confidence: Float
-    wrong: Mask
+
+def _scores_left_out(
+    judged: Mapping[ScanFile, JudgedPoints], parts: Sequence[Sequence[ScanFile]]
+) -> dict[str, Any]:
+    """Fit without each fold of the scans, and score all points by the models that lack them."""
+    errors, left_out = list[Float](), list[JudgedPoints]()
+    for part in parts:
+        others = [points for file, points in judged.items() if file not in part]
+        if len({*np.concatenate([points.wrong for points in others]).tolist()}) == 1:
+            log.warning("without %s every label is right, or every one wrong", part[0].sequence)
+            parts = []
+            break
+        model = fit_error(others)
+        left_out += [judged[file] for file in part]
+        errors += [model.probability(judged[file].features) for file in part]
+    if not parts:
+        log.warning("%s: not cross-validated", counted(len(judged), "scan"))
+        return {"folds": 0, "error": None, "confidence": None}
+    wrong = np.concatenate([points.wrong for points in left_out])
+    doubt = 1 - np.concatenate([points.confidence for points in left_out])
+    return {
+        "folds": len(parts),
+        "error": error_scores(np.concatenate(errors), wrong),
+        "confidence": error_scores(np.clip(doubt, 0, 1), wrong),
+    }
 
 
-def fit_error(names: Sequence[str], scans: Sequence[JudgedPoints], seed: int = 0) -> ErrorModel:
+def fit_error(scans: Sequence[JudgedPoints]) -> ErrorModel:
     """Fit a model of the least cross-entropy to points of all scans, some of each class at least.
 
     AdamW with a one-cycle learning rate, seeded; the mean and spread of the features become part of
     the first layer.
-
-    Parameters
-    ----------
-    names : sequence of str
-        Names of the features.
-    scans : sequence of JudgedPoints
-    seed : int
-        Of the first weights and of the order.
     """
     features = np.concatenate([scan.features for scan in scans])
     wrong = torch.from_numpy(np.concatenate([scan.wrong for scan in scans])).float()
     mean, spread = features.mean(axis=0), np.maximum(features.std(axis=0), LEAST_SPREAD)
     values = torch.from_numpy((features - mean) / spread)
     with torch.random.fork_rng([]):
-        torch.manual_seed(seed)
+        torch.manual_seed(SEED)
         linear = [
-            nn.Linear(len(names), HIDDEN),
+            nn.Linear(len(FEATURES), HIDDEN),
             nn.Linear(HIDDEN, HIDDEN),
             nn.Linear(HIDDEN, 1),
         ]
@@ -96,7 +136,7 @@ def fit_error(names: Sequence[str], scans: Sequence[JudgedPoints], seed: int = 0
     weight, bias = layers[0]
     weight = weight / spread[:, None]
     layers[0] = weight.astype(np.float32), (bias - mean @ weight).astype(np.float32)
-    return ErrorModel(tuple(names), layers)
+    return ErrorModel(FEATURES, layers)
 
 
 def error_scores(error: Float, wrong: Mask) -> dict[str, float]:

@@ -1,0 +1,75 @@
+# SPDX-License-Identifier: MIT
+"""Points whose labels are known to be right or wrong, with the features that may tell."""
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from salsanext_cli.classes import LabelSpace
+from salsanext_cli.geometry.knn import knn_refine
+from salsanext_cli.inference.network import Network
+from salsanext_cli.records import Float
+from salsanext_cli.storage.layout import ScanFile
+from salsanext_cli.training.tuning.labelled_images import read_labelled_image
+from salsanext_cli.uncertainty.error_features import FEATURES, error_features
+from salsanext_cli.uncertainty.monte_carlo import scan_seed
+
+SEED = 0
+"""Seed of the choice of points that are kept."""
+MAX_POINTS = 1_000_000
+"""Bound of the number of points of all scans, 48 MB."""
+MAX_POINTS_OF_SCAN = 20_000
+"""Points of one scan are much alike: more of them tell little."""
+
+Mask = npt.NDArray[np.bool_]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class JudgedPoints:
+    """Points of one scan whose labels are known to be right or wrong.
+
+    Attributes
+    ----------
+    features : (M, F) float32
+    confidence : (M,) float32
+        Probability of the label by the network's softmax.
+    wrong : (M,) bool
+    """
+
+    features: Float
+    confidence: Float
+    wrong: Mask
+
+
+def points_of_scan(scans: int) -> int:
+    """Return how many points to keep of each of so many scans."""
+    return max(1, min(MAX_POINTS_OF_SCAN, MAX_POINTS // scans))
+
+
+def judged_points(file: ScanFile, network: Network, space: LabelSpace, most: int) -> JudgedPoints:
+    """Predict a labelled scan as `predict` does, and judge a random sample of its points.
+
+    Parameters
+    ----------
+    file : ScanFile
+    network : Network
+    space : LabelSpace
+        Of the labels, with the classes of the network.
+    most : int
+        Number of points that are kept.
+    """
+    labelled = read_labelled_image(file, network, space)
+    probabilities = network.probabilities(labelled.image, file.path)
+    pixel_labels = probabilities.argmax(axis=0)
+    labels = knn_refine(labelled.image, pixel_labels, space.class_count, device=network.device)
+    features = error_features(labelled.image, probabilities, labels)
+    random = np.random.default_rng(scan_seed(SEED, file.sequence, file.stem))
+    count = len(labelled.truth)
+    chosen = random.permutation(count)[:most]
+    points = labelled.points[chosen]
+    return JudgedPoints(
+        features=features[points],
+        confidence=features[points, FEATURES.index("probability of the label")],
+        wrong=labels[points] != labelled.truth[chosen],
+    )
