@@ -187,7 +187,8 @@ def _kept(counts: ScanCounts) -> KeptPoints | None:
     """Return a threshold of the first kind that some points have."""
     for kind in KINDS_OF_THRESHOLD:
         histogram = counts.histograms.get((kind, CLASS))
-        if histogram and histogram.points.any():
+        complete = counts.files[f"uncertainty/{kind}"] == counts.scans
+        if complete and histogram and histogram.points.any():
             return kept_points(kind, histogram)
     return None
 

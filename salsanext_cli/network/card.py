@@ -71,8 +71,13 @@ class WeightsCard:
         return shortened(start[:1].lower() + start[1:])
 
     def changed(self, done: str) -> WeightsCard:
-        """Return the card of weights changed by what a sentence says: their scores are unknown."""
-        return replace(self, scores={}, description=f"{self.description} {done}".lstrip())
+        """Return the card of weights changed by what a sentence says.
+
+        Their scores are unknown, and a model of their errors was fitted to what they were.
+        """
+        return replace(
+            self, scores={}, error=None, description=f"{self.description} {done}".lstrip()
+        )
 
     def to_metadata(self) -> dict[str, str]:
         """Return what a safetensors header holds; equal cards give equal text."""

@@ -17,13 +17,12 @@ from salsanext_cli.errors import NOTICE, SalsanextError, UsageError
 from salsanext_cli.formats.clouds.asprs import asprs_class, classification
 from salsanext_cli.formats.clouds.las import encode_las, import_laspy
 from salsanext_cli.formats.clouds.ply import encode_ply
-from salsanext_cli.formats.reading import present
 from salsanext_cli.inference.settings import NetworkSettings
 from salsanext_cli.parallel.run import Failure, Outcome, RunOptions, run_over_scans
 from salsanext_cli.report.colours import CLASS_COLOURS, COLOURS, PointColours, value_range
 from salsanext_cli.sensors import Sensor
 from salsanext_cli.stages.uncertainty import estimate_missing
-from salsanext_cli.storage.layout import UNCERTAINTY, ScanFile, with_outputs
+from salsanext_cli.storage.layout import UNCERTAINTY, ScanFile
 from salsanext_cli.storage.output_run import OutputRun, output_run
 from salsanext_cli.storage.predictions import require_same_weights, space_of_results
 from salsanext_cli.storage.scan_results import (
@@ -156,7 +155,7 @@ def export_ply(
     missing.log_error(len(chosen), "results")
     if max_error is not None:
         require_column("error", scans, out)
-    colour, unestimated = _meant(out, scans, colour), dict[ScanFile, Failure]()
+    unestimated: dict[ScanFile, Failure] = {}
     if colour in ("uncertainty", *UNCERTAINTY):
         colour, unestimated = estimate_missing(out, scans, colour, network, options)
     require_column(colour, scans, out)
@@ -191,16 +190,6 @@ def export_ply(
     failures = tuple(unestimated.get(failure.scan, failure) for failure in outcome.failures)
     total = None if max_error is None else sum(rejected)
     return replace(outcome, failures=failures, missing=missing, rejected_points=total)
-
-
-def _meant(out: Path, scans: list[ScanFile], colour: str) -> str:
-    """Return "wrong" for "error" where no scan has an error but some have labels."""
-    if colour != "error" or with_outputs(scans, out, "uncertainty/error"):
-        return colour
-    if not any(present(scan.label_path) for scan in scans):
-        return colour
-    log.log(NOTICE, "no error known in %s: comparing with the labels, as --colour wrong", out)
-    return "wrong"
 
 
 def _place(out: Path, colour: str, form: str) -> tuple[str, str]:

@@ -15,7 +15,6 @@ from salsanext_cli.parallel.threads import worker_count
 from salsanext_cli.report.scan_pictures import draw_sample
 from salsanext_cli.sensors import Sensor
 from salsanext_cli.stages.synth import LABEL_SPACE, synthesise
-from salsanext_cli.storage.layout import find_scans
 from salsanext_cli.storage.selection import evenly_spaced
 from salsanext_cli.synthesis.sensor.rig import RIGS
 from salsanext_cli.training.cross_validation import Expectation
@@ -220,7 +219,9 @@ def _simulated_streets(
         return []
     roots = {seen: folder / seen for seen in RIGS}
     for seen, root in roots.items():
-        if not (root / LABEL_SPACE).exists() or len(find_scans(root)) != count * SCANS_OF_STREET:
+        if not (root / LABEL_SPACE).exists() or count * SCANS_OF_STREET != len(
+            list(root.glob("sequences/*/velodyne/*.bin"))
+        ):
             log.log(NOTICE, "simulating %s in %s", counted(count, "street"), root)
             synthesise(
                 root,

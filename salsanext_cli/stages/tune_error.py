@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: MIT
 """Stage `tune error`: the probability that a label is wrong, fitted on labelled scans."""
 
+import logging
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -17,7 +18,7 @@ from salsanext_cli.storage.files.atomic import require_target
 from salsanext_cli.storage.layout import ScanFile, find_scans
 from salsanext_cli.storage.selection import ScanSelection
 from salsanext_cli.training.cross_validation import folds
-from salsanext_cli.training.tuning.error import FOLDS, cross_validated
+from salsanext_cli.training.tuning.error import FOLDS, cross_validated, gains, of_both_kinds
 from salsanext_cli.training.tuning.judged_points import (
     JudgedPoints,
     judged_points,
@@ -28,6 +29,8 @@ from salsanext_cli.training.tuning.labelled_images import (
     labelled_scans,
     require_points,
 )
+
+log = logging.getLogger(__name__)
 
 
 def tune_error(
@@ -83,10 +86,12 @@ def tune_error(
             progress(number, len(scans))
     wrong = np.concatenate([points.wrong for points in judged.values()])
     require_points(len(wrong), dataset, space)
-    if wrong.all() or not wrong.any():
+    if not of_both_kinds(judged.values()):
         found = f"{'every' if wrong.all() else 'no'} label of {len(wrong)} points is wrong"
         expected = "right and wrong ones"
         raise TrainingError(dataset, found, expected, "use more scans, or other weights")
     model = cross_validated(judged, folds(scans, FOLDS) if len(scans) > 1 else [])
+    if model.scores["folds"] and not gains(model):
+        log.warning("the error is no better than the confidence on scans left out")
     save_with_card(network.path, target, replace(loaded.card, error=model))
     return {"stage": "tune error", **model.scores}

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from salsanext_cli.errors import UsageError, counted
+from salsanext_cli.errors import NOTICE, UsageError, counted
 from salsanext_cli.formats.reading import present
 from salsanext_cli.geometry.gather import points_from_pixels
 from salsanext_cli.geometry.knn import KnnParameters, knn_refine
@@ -58,16 +58,14 @@ def uncertainty_scan(
         of_pixels = getattr(estimate.uncertainty, kind)
         of_points = points_from_pixels(of_pixels, image.pixel_of_point, np.nan)
         output.write_array(file, f"uncertainty/{kind}", of_points)
-    writes_labels = "predictions" in output.folders
-    probabilities = estimate.probabilities
-    # The model of errors was fitted to a single pass, and so are the labels of `predict`.
-    single = network.probabilities(image, file.path) if ERROR in output.folders else probabilities
-    pixel_labels = (probabilities if writes_labels else single).argmax(axis=0)
+    if "predictions" not in output.folders:
+        return ScanSummary(file, check)
+    pixel_labels = estimate.probabilities.argmax(axis=0)
     labels = knn_refine(image, pixel_labels, space.class_count, knn, device)
     if ERROR in output.folders:
+        # The model of errors was fitted to a single pass.
+        single = network.probabilities(image, file.path)
         output.write_array(file, ERROR, label_error(network, image, single, labels))
-    if not writes_labels:
-        return ScanSummary(file, check)
     output.write_labels(file, space.to_raw(labels))
     return ScanSummary.of_labels(file, labels, space, check)
 
@@ -127,9 +125,11 @@ def uncertainty_of(
     settings = network.record(loaded) | {"knn": asdict(knn)} | estimator.settings(loaded.sensor)
     kinds = tuple(f"uncertainty/{kind}" for kind in estimator.kinds)
     labels_too = owner(out, "predictions") in (None, "uncertainty")
-    if knows_error(loaded) and owner(out, ERROR) in (None, "uncertainty"):
-        kinds += (ERROR,)
     folders = (*kinds, "predictions") if labels_too else kinds
+    if knows_error(loaded) and labels_too:
+        folders = (ERROR, *folders)
+    elif knows_error(loaded) and owner(out, ERROR) is None:
+        log.log(NOTICE, "no errors: the labels in %s are another stage's; see predict --error", out)
     require_network_of_labels(out, settings)
     summary = RunSummary.of_scans(scans, loaded.sensor, loaded.space)
     run = output_run(
@@ -198,8 +198,8 @@ def estimate_missing(
 
 
 def _kind_meant(out: Path, scans: list[ScanFile]) -> str:
-    """Return the kind that "uncertainty" means: the error where some scan has it, else entropy."""
-    return "error" if len(_without(out, scans, "error")) < len(scans) else "entropy"
+    """Return the kind that "uncertainty" means: the error where all scans have it, else entropy."""
+    return "entropy" if _without(out, scans, "error") else "error"
 
 
 def _without(out: Path, scans: list[ScanFile], kind: str) -> list[ScanFile]:

@@ -10,7 +10,7 @@ from typing import Any
 from salsanext_cli.class_merging import ClassMerging, contradiction
 from salsanext_cli.classes import LabelSpace
 from salsanext_cli.errors import LabelError, OutputError, first_few
-from salsanext_cli.storage.layout import ScanFile
+from salsanext_cli.storage.layout import ERROR, ScanFile
 from salsanext_cli.storage.selection import (
     ScanSelection,
     choose,
@@ -153,7 +153,7 @@ def require_same_weights(out: Path) -> None:
     """Refuse to show the uncertainty of one network, or in other classes, beside the labels."""
     labels, space = recorded_weights(out, "predictions"), recorded_label_space(out, "predictions")
     remedy = f"run `salsanext uncertainty SCANS {out} --overwrite` with the"
-    for folder in ("uncertainty/epistemic", "uncertainty/error"):
+    for folder in ("uncertainty/epistemic", ERROR):
         estimated, other = recorded_weights(out, folder), recorded_label_space(out, folder)
         if labels and estimated and labels != estimated:
             raise OutputError(

@@ -9,7 +9,7 @@ from pathlib import Path
 
 from salsanext_cli.errors import OutputError, first_few
 from salsanext_cli.storage.files.locks import locked
-from salsanext_cli.storage.layout import find_outputs
+from salsanext_cli.storage.layout import ERROR, find_outputs
 from salsanext_cli.storage.stage_records import (
     ScanSource,
     StageRecord,
@@ -96,10 +96,16 @@ def _merged(recorded: StageRecord, wanted: StageRecord) -> StageRecord:
 
 
 def _take_over(out: Path, folder: str, other: str) -> list[Path]:
-    """Remove the results of another stage from a folder, which is this stage's from now on."""
-    kept = _remove_results(out, [folder])
-    if record := read_record(out, other):
-        left = tuple(name for name in record.folders if name != folder)
+    """Remove the results of another stage from a folder, which is this stage's from now on.
+
+    With its labels go the probabilities that these are wrong.
+    """
+    taken = [folder, ERROR] if folder == "predictions" else [folder]
+    record = read_record(out, other)
+    taken = [name for name in taken if name == folder or (record and name in record.folders)]
+    kept = _remove_results(out, taken)
+    if record:
+        left = tuple(name for name in record.folders if name not in taken)
         replace(record, folders=left).write(out)
     return kept
 

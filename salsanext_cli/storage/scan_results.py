@@ -157,7 +157,7 @@ def missing_column(column: str, file: ScanFile, out: Path) -> NoInputError:
     remedy = f"run `salsanext {stage} SCANS {out}` first"
     if column == "error":
         remedy = (
-            f"run `salsanext uncertainty SCANS {out}` with weights that hold it: "
+            f"run `salsanext predict SCANS {out} --error` with weights that hold it: "
             "`salsanext tune error` fits it"
         )
     return NoInputError(file.path, f"no {column} known", str(path), remedy)

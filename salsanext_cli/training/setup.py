@@ -46,7 +46,7 @@ from salsanext_cli.training.run_folder import (
     require_free,
 )
 from salsanext_cli.training.settings import scans_digest
-from salsanext_cli.training.tuning.error import cross_validated
+from salsanext_cli.training.tuning.error import cross_validated, gains, of_both_kinds
 from salsanext_cli.training.tuning.judged_points import (
     JudgedPoints,
     judged_points,
@@ -181,7 +181,7 @@ class Setup:
                 self.card,
                 scores=expected.scores(),
                 temperature=expected.temperature,
-                error=self.group.on_main(self._error_of_folds),
+                error=self.group.on_main(partial(self._error_of_folds, expected.temperature)),
             ),
             report=report,
         )
@@ -204,24 +204,26 @@ class Setup:
             logs.append(self.training(files, left_out, folder, report=report).fit().rows)
         return expectation(logs, one_drive=len({file.sequence for file in first.files}) == 1)
 
-    def _error_of_folds(self) -> ErrorModel | None:
+    def _error_of_folds(self, temperature: float) -> ErrorModel | None:
         """Fit a model of errors to scans that a fold left out, each judged by the fold's weights.
 
-        There is none where every label is right, or every one wrong.
+        There is none where it would tell no more than the confidence.
         """
         first, parts, judged = self.sources[0], self._folds(), dict[ScanFile, JudgedPoints]()
         most = points_of_scan(len(first.files))
         for number, part in enumerate(parts, start=1):
             module, card = read_weights(fold_folder(self.run, number) / LAST)
+            # That of the final weights: the fold's own was fitted to these very scans.
+            card = replace(card, temperature=temperature)
             network = Network(partial(module.to, self.place), card, card.sensor, str(self.place))
             for file in part:
                 own = with_sensor(network, first.sensor_of(file))
                 judged[file] = judged_points(file, own, first.space, most)
-        wrong = np.concatenate([points.wrong for points in judged.values()])
-        if wrong.all() or not wrong.any():
-            log.warning("no model of errors: of %d points left out all are alike", len(wrong))
+        model = cross_validated(judged, parts) if of_both_kinds(judged.values()) else None
+        if model is None or not gains(model):
+            log.warning("no model of errors: it would tell no more than the confidence")
             return None
-        return cross_validated(judged, parts)
+        return model
 
     def _folds(self) -> list[list[ScanFile]]:
         files = self.sources[0].files

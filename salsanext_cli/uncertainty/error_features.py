@@ -64,8 +64,9 @@ def error_features(image: RangeImage, probabilities: Float, labels: TrainIds) ->
 
 
 def knows_error(network: Network) -> bool:
-    """Say whether weights have a model of errors for the classes of the results."""
-    return network.card.error is not None and network.merging is None
+    """Say whether weights have a model of errors by these features for the classes of results."""
+    model = network.card.error
+    return model is not None and model.features == FEATURES and network.merging is None
 
 
 def error_model(network: Network) -> ErrorModel:

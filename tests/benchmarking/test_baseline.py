@@ -64,6 +64,7 @@ def test_same_pixels_but_for_rounding(plain, out_of_view, fov_up):
     assert np.mean(~np.isclose(image, with_holes(ours), rtol=1e-6).all(0)) <= 1e-3
 
 
+@pytest.mark.slow
 def test_same_moments(plain, weights):
     image = project(make_scan(), ODD)
     _, variance = plain.Baseline(weights, sensor=ODD.to_dict()).aleatoric(with_holes(image))

@@ -36,6 +36,7 @@ def printed(capsys, script: str, *words: object) -> dict[str, str]:
     return dict(re.split(r" {2,}", line, maxsplit=1) for line in lines)
 
 
+@pytest.mark.slow
 def test_uncertainty_cost(data, weights, capsys):
     scan = data / "sequences/00/velodyne/0.bin"
     found = printed(capsys, "uncertainty_cost.py", scan, data / "tiny.toml", 2, 2, weights)
@@ -58,6 +59,7 @@ def script_printed(script: str, *words: object, **environment: str) -> list[str]
     return done.stdout.splitlines()
 
 
+@pytest.mark.slow
 def test_engines(data, weights):
     scan, one_thread = data / "sequences/00/velodyne/0.bin", {"NUMBA_NUM_THREADS": "1"}
     given = (scan, "--rounds", 1, "--weights", weights, "--sensors", data / "tiny.toml")
@@ -123,6 +125,7 @@ def test_training_speed(data):
     assert re.fullmatch(r"ours is \S+ × as fast \(\S+ to \S+ over 2 turns\)", ratio)
 
 
+@pytest.mark.slow
 def test_picking(tmp_path, weights, capsys, monkeypatch):
     """Each strategy and number of scans has a line; the labels are those of the pool."""
     write_sequence(tmp_path / "pool/sequences/00", ["0", "1", "2"], count=600)

@@ -90,26 +90,19 @@ def test_error_of_other_scans_is_not_what_is_meant(known):
 
 def test_a_scan_without_error_is_named_beside_those_that_have_one(known):
     known.result("uncertainty/error", "08", "000001").unlink()
-    for colour in ("uncertainty", "error"):
-        outcome = export(known, colour=colour, options=RunOptions(overwrite=True))
-        assert (outcome.done, len(outcome.failures)) == (2, 1)
-        assert "000001.bin · no error known" in outcome.failures[0].reason
-        assert "salsanext tune error" in outcome.failures[0].reason
+    outcome = export(known, colour="error", options=RunOptions(overwrite=True))
+    assert (outcome.done, len(outcome.failures)) == (2, 1)
+    assert "000001.bin · no error known" in outcome.failures[0].reason
+    assert "salsanext tune error" in outcome.failures[0].reason
     outcome = export(known, colour="error", options=RunOptions(shard=Shard(1, 2)))
     assert outcome.failures == ()
 
 
-def test_error_without_any_compares_with_the_labels_and_says_so(world, caplog):
+def test_error_without_any_is_refused_though_there_are_labels(world):
     world.predict_by_hand(CAR)
-    with caplog.at_level("INFO"):
-        assert export(world, colour="error").done == 3
-    assert "no error known in" in caplog.text
-    assert cloud(world).comments[0] == "colour wrong"
-    assert "error" not in [each.name for each in cloud(world)["vertex"].properties]
-    for path in world.data.rglob("*.label"):
-        path.unlink()
     with pytest.raises(NoInputError, match=r"no error known .* `salsanext tune error` fits it"):
-        export(world, colour="error", options=RunOptions(overwrite=True))
+        export(world, colour="error")
+    assert not list(world.out.rglob("*.ply"))
 
 
 @pytest.mark.parametrize("max_error", [0.0, 0.1, 0.5, 1.0])

@@ -12,8 +12,10 @@ from salsanext_cli import label_space, read_labels, write_labels
 from salsanext_cli.errors import LabelError, TrainingError, UsageError, WeightsError
 from salsanext_cli.network.card import read_card
 from salsanext_cli.network.weights import save_with_card
+from salsanext_cli.parallel.run import RunOptions
 from salsanext_cli.stages.evaluate import evaluate
 from salsanext_cli.stages.predict import predict_scans
+from salsanext_cli.stages.tune_batchnorm import tune_batchnorm
 from salsanext_cli.stages.tune_error import tune_error
 from salsanext_cli.stages.tune_temperature import tune_temperature
 from salsanext_cli.stages.uncertainty import uncertainty
@@ -43,7 +45,7 @@ def far_is_wrong(world: World, tmp_path) -> World:
 def test_what_is_wrong_is_found_in_scans_left_out(far_is_wrong: World, target, tmp_path) -> None:
     world = far_is_wrong
     tuned = tune_error(world.data, target, network=world.network, selection=ALL)
-    assert (tuned["scans"], tuned["sequences"], tuned["folds"]) == (3, 2, 2)
+    assert (tuned["scans"], tuned["sequences"], tuned["folds"]) == (3, ["00", "08"], 2)
     assert tuned["error"]["auroc"] > 0.97 > tuned["confidence"]["auroc"]
     assert tuned["error"]["aurc"] < tuned["confidence"]["aurc"]
     stored = read_card(target).error
@@ -65,10 +67,20 @@ def test_what_is_wrong_is_found_in_scans_left_out(far_is_wrong: World, target, t
     found = evaluate(scans, world.out, label_space()).uncertainty.error
     assert found is not None
     assert found.ece < 0.1
+    # Errors go with the labels that they are of.
+    some = Estimator(samples=2, aleatoric=False)
+    uncertainty(world.data, world.out, network=network, estimator=some)
+    np.testing.assert_array_equal(np.load(world.result(ERROR)), error)
     # Passes of dropout change the labels, not the model.
     other = tmp_path / "uncertain"
-    uncertainty(world.data, other, network=network, estimator=Estimator(samples=2, aleatoric=False))
+    uncertainty(world.data, other, network=network, estimator=some)
     assert {p.name for p in (other / "sequences/08/uncertainty").iterdir()} >= {"error", "entropy"}
+    # Other labels take the place of these: their errors are not known.
+    predict_scans(world.data, other, network=network, options=RunOptions(overwrite=True))
+    assert (other / "sequences/08/uncertainty/entropy/000000.npy").exists()
+    assert not list(other.rglob("error/*.npy"))
+    uncertainty(world.data, other, network=network, estimator=some)
+    assert not list(other.rglob("error/*.npy"))
 
 
 def test_weights_without_it_are_refused(world: World, target, tmp_path) -> None:
@@ -125,3 +137,22 @@ def test_a_single_scan_is_not_cross_validated(far_is_wrong: World, target, caplo
     assert (tuned["folds"], tuned["error"], tuned["confidence"]) == (0, None, None)
     assert "1 scan: not cross-validated" in caplog.messages
     assert read_card(target).error is not None
+
+
+def test_without_a_fold_there_may_be_nothing_to_learn_from(
+    far_is_wrong: World, target, caplog
+) -> None:
+    world = far_is_wrong
+    for path in (world.data / "sequences/08/labels").iterdir():
+        write_labels(path, np.zeros(1500, np.uint32))
+    tuned = tune_error(world.data, target, network=world.network, selection=ALL)
+    assert tuned["folds"] == 0
+    assert "without 00 no label is right, or none wrong" in caplog.messages
+
+
+def test_other_batch_norm_has_no_model_of_errors(far_is_wrong: World, target) -> None:
+    world = far_is_wrong
+    tune_error(world.data, target, network=world.network, selection=ALL)
+    adapted = target.with_name("adapted.safetensors")
+    tune_batchnorm(world.data, adapted, network=replace(world.network, weights=target))
+    assert read_card(adapted).error is None

@@ -2,7 +2,7 @@
 """Fit of the probability that a label is wrong, and its scores on points of other scans."""
 
 import logging
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -53,15 +53,15 @@ def cross_validated(
     Returns
     -------
     ErrorModel
-        Its scores are the number of `scans`, `sequences`, `points` and `folds`, the share of wrong
-        points `wrong`, and `error_scores` of the model, `error`, and of 1 − the probability of the
-        label, `confidence`; both are None without folds.
+        Its scores are the number of `scans`, `points` and `folds`, the names of the `sequences`,
+        the share of wrong points `wrong`, and `error_scores` of the model, `error`, and of 1 − the
+        probability of the label, `confidence`; both are None without folds.
     """
     every = list(judged.values())
     wrong = np.concatenate([points.wrong for points in every])
     scores: dict[str, Any] = {
         "scans": len(judged),
-        "sequences": len({file.sequence for file in judged}),
+        "sequences": sorted({file.sequence for file in judged}),
         "points": len(wrong),
         "wrong": float(wrong.mean()),
         **_scores_left_out(judged, parts),
@@ -76,8 +76,8 @@ def _scores_left_out(
     errors, left_out = list[Float](), list[JudgedPoints]()
     for part in parts:
         others = [points for file, points in judged.items() if file not in part]
-        if len({*np.concatenate([points.wrong for points in others]).tolist()}) == 1:
-            log.warning("without %s every label is right, or every one wrong", part[0].sequence)
+        if not of_both_kinds(others):
+            log.warning("without %s no label is right, or none wrong", part[0].sequence)
             parts = []
             break
         model = fit_error(others)
@@ -93,6 +93,17 @@ def _scores_left_out(
         "error": error_scores(np.concatenate(errors), wrong),
         "confidence": error_scores(np.clip(doubt, 0, 1), wrong),
     }
+
+
+def of_both_kinds(scans: Iterable[JudgedPoints]) -> bool:
+    """Say whether some points are right and some wrong."""
+    return len({kind for points in scans for kind in np.unique(points.wrong).tolist()}) > 1
+
+
+def gains(model: ErrorModel) -> bool:
+    """Say whether a model ranked scans left out better than the confidence did."""
+    error, confidence = model.scores["error"], model.scores["confidence"]
+    return bool(error and error["aurc"] < confidence["aurc"])
 
 
 def fit_error(scans: Sequence[JudgedPoints]) -> ErrorModel:
