@@ -61,6 +61,8 @@ def card_table(card: Mapping[str, Any]) -> Table:
         "sensor", escape(f"{sensor['name']}, {sensor['height']}×{sensor['width']}, {view}")
     )
     table.add_row("scores of the scans that chose the weights", _scores(card["scores"]) or "–")
+    if card["error"] is not None:
+        table.add_row("model of errors, on scans left out", _scores(card["error"]) or "–")
     table.add_row("size", f"{card['bytes'] / 1e6:.1f} MB")
     table.add_row("SHA-256", card["sha256"])
     return table
@@ -68,8 +70,16 @@ def card_table(card: Mapping[str, Any]) -> Table:
 
 def _scores(scores: Mapping[str, Any]) -> str:
     """Return names and rounded numbers; further digits depend on a few scans."""
-    numbers = {name: f"{v:.3f}" if isinstance(v, float) else v for name, v in scores.items()}
-    return escape(", ".join(f"{name} {number}" for name, number in numbers.items()))
+    return escape(", ".join(f"{name} {_rounded(value)}" for name, value in scores.items()))
+
+
+def _rounded(value: Any) -> str:
+    """Return a score as text; of several, each with its name or without."""
+    if isinstance(value, Mapping):
+        return f"({', '.join(f'{name} {_rounded(each)}' for name, each in value.items())})"
+    if isinstance(value, list):
+        return " ".join(map(str, value))
+    return f"{value:.3f}" if isinstance(value, float) else str(value)
 
 
 def survey_tables(

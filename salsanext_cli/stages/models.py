@@ -67,4 +67,5 @@ def describe_weights(path: Path) -> Mapping[str, Any]:
         "sensor": card.sensor.to_dict(),
         "recipe": dict(card.recipe),
         "scores": dict(card.scores),
+        "error": dict(card.error.scores) if card.error else None,
     }

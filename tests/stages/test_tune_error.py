@@ -14,6 +14,7 @@ from salsanext_cli.network.card import read_card
 from salsanext_cli.network.weights import save_with_card
 from salsanext_cli.parallel.run import RunOptions
 from salsanext_cli.stages.evaluate import evaluate
+from salsanext_cli.stages.models import describe_weights
 from salsanext_cli.stages.predict import predict_scans
 from salsanext_cli.stages.tune_batchnorm import tune_batchnorm
 from salsanext_cli.stages.tune_error import tune_error
@@ -52,6 +53,7 @@ def test_what_is_wrong_is_found_in_scans_left_out(far_is_wrong: World, target, t
     assert stored is not None
     assert stored.features == FEATURES
     assert stored.scores == {key: tuned[key] for key in tuned if key != "stage"}
+    assert describe_weights(target)["error"] == stored.scores
     again = tune_error(world.data, target, network=world.network, selection=ALL, overwrite=True)
     assert again == tuned
     network = replace(world.network, weights=target)
