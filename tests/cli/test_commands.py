@@ -66,7 +66,7 @@ def test_every_stage_in_turn_each_with_one_object_of_json(run, data, weights, tm
         ("predict", data, out, *network),
         ("uncertainty", data, out, "--samples", 2, *network),
         ("eval", out),
-        ("export-ply", out, "--color", "error"),
+        ("export-ply", out, "--color", "wrong"),
     ):
         result = run(*arguments, "--json")
         assert result.exit_code == 0, result.output
