@@ -219,9 +219,9 @@ def _simulated_streets(
         return []
     roots = {seen: folder / seen for seen in RIGS}
     for seen, root in roots.items():
-        if not (root / LABEL_SPACE).exists() or count * SCANS_OF_STREET != len(
-            list(root.glob("sequences/*/velodyne/*.bin"))
-        ):
+        made = len([*root.glob("sequences/*/velodyne/*.bin")])
+        # The label space is written last.
+        if made != count * SCANS_OF_STREET or not (root / LABEL_SPACE).exists():
             log.log(NOTICE, "simulating %s in %s", counted(count, "street"), root)
             synthesise(
                 root,

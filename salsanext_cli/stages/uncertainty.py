@@ -152,8 +152,8 @@ def estimate_missing(
     """Estimate the uncertainty of scans that lack it, as that of the others was estimated.
 
     Returns the kind that the colour means, and the scans whose uncertainty could not be estimated,
-    and why. "uncertainty" is the error where some of the scans have it, else the entropy. Shards
-    take what is there. An error is estimated only for scans that a run of `uncertainty` left out.
+    and why. "uncertainty" is the error where all scans have it, else the entropy. Shards take what
+    is there. An error is estimated only for scans that a run of `uncertainty` left out.
 
     Raises
     ------

@@ -117,7 +117,7 @@ def test_other_features_and_merged_classes_are_refused(far_is_wrong: World, targ
     assert read_card(tuned).error is None
 
 
-def test_labels_that_teach_nothing(world: World, target, tmp_path, caplog) -> None:
+def test_labels_that_teach_nothing(world: World, target, tmp_path) -> None:
     own = tmp_path / "own"
     predict_scans(world.data, own, network=world.network)
     for sequence in ("00", "08"):

@@ -32,14 +32,17 @@ class JudgedPoints:
     Attributes
     ----------
     features : (M, F) float32
-    confidence : (M,) float32
-        Probability of the label by the network's softmax.
     wrong : (M,) bool
     """
 
     features: Float
-    confidence: Float
     wrong: Mask
+
+    @property
+    def confidence(self) -> Float:
+        """Probability of the label by the network's softmax, (M,) float32."""
+        confidence: Float = self.features[:, FEATURES.index("probability of the label")]
+        return confidence
 
 
 def points_of_scan(scans: int) -> int:
@@ -68,8 +71,4 @@ def judged_points(file: ScanFile, network: Network, space: LabelSpace, most: int
     count = len(labelled.truth)
     chosen = random.permutation(count)[:most]
     points = labelled.points[chosen]
-    return JudgedPoints(
-        features=features[points],
-        confidence=features[points, FEATURES.index("probability of the label")],
-        wrong=labels[points] != labelled.truth[chosen],
-    )
+    return JudgedPoints(features[points], labels[points] != labelled.truth[chosen])
