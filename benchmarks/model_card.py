@@ -12,10 +12,10 @@ Run: python benchmarks/model_card.py folder/ NAME=DATASET[,CLASSES.yaml,LABELS.y
 """
 
 import argparse
-import json
-import subprocess
 from pathlib import Path
 from typing import Any
+
+from commands import salsanext
 
 VARIANTS: dict[str, tuple[str, ...]] = {
     "as they are": (),
@@ -23,15 +23,6 @@ VARIANTS: dict[str, tuple[str, ...]] = {
     "--intensity none": ("--intensity", "none"),
     "--classes coarse": ("--classes", "coarse"),
 }
-
-
-def salsanext(*words: str | Path) -> dict[str, Any]:
-    """Run a command and return its JSON object."""
-    command = ["salsanext", *map(str, words), "--json", "--quiet"]
-    found: dict[str, Any] = json.loads(
-        subprocess.run(command, check=True, stdout=subprocess.PIPE).stdout
-    )
-    return found
 
 
 def evaluated(dataset: str, out: Path, variant: str, weights: str) -> dict[str, Any] | None:

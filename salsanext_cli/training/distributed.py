@@ -3,6 +3,7 @@
 
 import logging
 import os
+import time
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -20,6 +21,8 @@ from salsanext_cli.inference.device import choose_device
 
 PROCESS_GROUP_TIMEOUT = timedelta(hours=12)
 """Time that workers wait for the main one, which counts labels, writes and draws."""
+GLOO_THREADS_S = 0.5
+"""Time that threads of gloo have to free their last tensors."""
 
 T = TypeVar("T")
 
@@ -135,6 +138,9 @@ def process_group(device: str) -> Iterator[tuple[ProcessGroup, torch.device]]:
         dist.barrier()
     finally:
         dist.destroy_process_group()
+        # Threads of gloo that still free tensors abort a process that ends meanwhile; for that they
+        # need the GIL, and torch's wrapper of modules keeps them from being joined.
+        time.sleep(GLOO_THREADS_S)
 
 
 def data_parallel(module: nn.Module, device: torch.device, group: ProcessGroup) -> nn.Module:

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: MIT
 """The scripts of benchmarks/ run and print what they say; no test says how fast anything is."""
 
+import json
 import os
 import re
 import runpy
@@ -130,59 +131,66 @@ def test_picking(tmp_path, weights, capsys, monkeypatch):
     """Each strategy and number of scans has a line; the labels are those of the pool."""
     write_sequence(tmp_path / "pool/sequences/00", ["0", "1", "2"], count=600)
     write_sequence(tmp_path / "others/sequences/00", ["9"], count=600, seed=9)
+    monkeypatch.syspath_prepend(BENCHMARKS)
     script = runpy.run_path(str(BENCHMARKS / "picking.py"))
-    run, trained = script["subprocess"].run, []
+    run, trained = subprocess.run, []
 
     def command(words, **how):
-        """Run a command with weights that are there, but a training, which copies them."""
+        """Run a command, but a training, which copies weights that are there."""
         if words[1] == "train":
-            labels = sorted(Path(words[2]).glob("sequences/00/labels/*.label"))
-            own = [tmp_path / "pool/sequences/00/labels" / path.name for path in labels]
-            assert [p.read_bytes() for p in labels] == [p.read_bytes() for p in own]
+            labels = sorted(Path(words[2]).glob("sequences/train/labels/*.label"))
+            own = tmp_path / "pool/sequences/00/labels"
+            assert {path.resolve().parent for path in labels} == {own}
             trained.append((len(labels), words[4:]))
             Path(words[3]).mkdir()
-            Path(words[3], "best.safetensors").write_bytes(weights.read_bytes())
+            Path(words[3], "last.safetensors").write_bytes(weights.read_bytes())
             return subprocess.CompletedProcess(words, 0, b"{}")
-        more = ("--weights", weights) if words[1] == "pick" else ()
         code = ("-c", "from salsanext_cli.cli.app import main; main()")
-        return run([sys.executable, *code, *words[1:], *more], **how)
+        return run([sys.executable, *code, *words[1:]], **how)
 
-    monkeypatch.setattr(script["subprocess"], "run", command)
+    monkeypatch.setattr(subprocess, "run", command)
     monkeypatch.setenv("SALSANEXT_ENGINE", "torch")
-    options = ["--counts", "2", "--seeds", "1", "--strategies", "both"]
+    given = ("--weights", str(weights))
+    options = ("--counts", "2", "--seeds", "1", "--strategies", "both", *given)
     folders = [str(tmp_path / name) for name in ("pool", "others", "out")]
     script["main"](*folders, *options, "--train", "-x")
     (line,) = capsys.readouterr().out.splitlines()
     assert re.fullmatch(r"both, 2 scans  \d+\.\d ± 0\.0  \d+\.\d ± 0\.0", line)
-    assert trained == [(2, ["-x", "--set", "seed=0", "--json", "--quiet"])]
+    ((count, words),) = trained
+    assert count == 2
+    assert words[2:] == [*given, "--set", "seed=0", "--set", "folds=0", "-x", "--json", "--quiet"]
 
 
 def test_learning_curve(tmp_path, capsys, monkeypatch):
     """Each start and number of scans has a line, of scores on sequences that took no part."""
     for name in ("a", "b", "c"):
         write_sequence(tmp_path / "data/sequences" / name, ["0", "1"], count=300)
+    monkeypatch.syspath_prepend(BENCHMARKS)
     script = runpy.run_path(str(BENCHMARKS / "learning_curve.py"))
     commands = []
 
-    def train(command, *, check):
-        """Write what a training would: the scores of two epochs."""
-        root, run = Path(command[2]), Path(command[3])
-        sequences = {
-            name: {path.name.split("-")[0] for path in root.glob(f"sequences/{name}/velodyne/*")}
-            for name in ("train", "valid")
-        }
-        assert sequences["train"]
-        assert not sequences["train"] & sequences["valid"]
-        commands.append((len([*root.glob("sequences/train/velodyne/*.bin")]), command))
-        run.mkdir()
-        (run / "log.csv").write_text("epoch,accuracy,miou\n1,0.1,0.1\n2,0.8,0.4\n")
+    def command(words, **_):
+        """Say what `eval` would; of a training remember the number of scans."""
+        if words[1] in ("train", "tune"):
+            root = Path(words[3 if words[1] == "tune" else 2])
+            sequences = {
+                name: {
+                    path.name.split("-")[0] for path in root.glob(f"sequences/{name}/velodyne/*")
+                }
+                for name in ("train", "valid")
+            }
+            assert sequences["train"]
+            assert not sequences["train"] & sequences["valid"]
+            commands.append(len([*root.glob("sequences/train/velodyne/*.bin")]))
+        scores = {"scores": {"accuracy": 0.8, "iou_mean_present": 0.4}}
+        return subprocess.CompletedProcess(words, 0, json.dumps(scores).encode())
 
-    monkeypatch.setattr(script["subprocess"], "run", train)
+    monkeypatch.setattr(subprocess, "run", command)
     script["main"](str(tmp_path / "data"), str(tmp_path / "out"), "--counts", "1", "3")
     assert capsys.readouterr().out.splitlines() == [
-        f"{start}, {count} scans  80.0 ± 0.0  40.0 ± 0.0"
-        for start in ("default", "random")
+        f"{way}, {count} scans  80.0 ± 0.0  40.0 ± 0.0"
+        for way in ("default", "random", "batch norm")
         for count in (1, 3)
     ]
-    assert [count for count, _ in commands] == [1, 1, 1, 3, 3, 3] * 2
+    assert commands == [1, 1, 1, 3, 3, 3] * 3
     assert (tmp_path / "out/curve.png").stat().st_size > 1000
