@@ -1,15 +1,15 @@
 # SPDX-License-Identifier: MIT
 """Check both kinds of uncertainty on a scan against the slow way, and draw it.
 
-Aleatoric: assumed density filtering against noisy copies of the scan. Epistemic: fewer passes, and
-the analytic estimate, against many passes of Monte-Carlo dropout.
+Aleatoric: eight noisy copies of the scan, and assumed density filtering, against many copies.
+Epistemic: fewer passes, and the analytic estimate, against many passes of Monte-Carlo dropout.
 
 Run: python examples/uncertainty_figures.py 000000.bin figures/ [256 200 weights.safetensors]
 """
 
 import sys
-from collections.abc import Iterator
 from dataclasses import replace
+from itertools import islice
 from pathlib import Path
 
 import numpy as np
@@ -18,36 +18,21 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 import salsanext_cli as sn
-from salsanext_cli.geometry.normalise import noise_of
 from salsanext_cli.inference.network import Network
 from salsanext_cli.measures.risk_coverage import spearman
 from salsanext_cli.records import RangeImage
 from salsanext_cli.uncertainty.aleatoric import aleatoric
 from salsanext_cli.uncertainty.dropout_propagation import propagate_dropout
 from salsanext_cli.uncertainty.monte_carlo import sample
+from salsanext_cli.uncertainty.noisy_copies import COPIES, noise_variance, noisy_copies
 
 Values = npt.NDArray[np.floating]
 PASSES = (2, 3, 5, 10, 20, 30, 50, 100)
 
 
-def noisy_copies(image: RangeImage, network: Network, count: int) -> Iterator[Values]:
-    """Yield channels (5, H, W) with errors along the rays and errors of intensity."""
-    range_noise, intensity_noise = noise_of(network.sensor)
-    random = np.random.default_rng(0)
-    occupied = image.channels[0] > 0
-    rays = np.zeros_like(image.channels)
-    rays[0] = occupied
-    np.divide(image.channels[1:4], image.channels[0], out=rays[1:4], where=occupied)
-    for _ in range(count):
-        along, bright = random.normal(0, 1, (2, *occupied.shape)).astype(np.float32)
-        copy = image.channels + rays * range_noise * along
-        copy[4] += occupied * intensity_noise * bright
-        yield copy
-
-
 def deviation_of_copies(image: RangeImage, network: Network, count: int) -> Values:
     """Return every pixel's standard deviation over noisy copies, √ of the mean over classes."""
-    copies = noisy_copies(image, network, count)
+    copies = islice(noisy_copies(image, network.sensor, 0), count)
     passes = (network.pixel_probabilities([copy])[0] for copy in copies)
     first = next(passes).astype(np.float64)
     # Differences from the first copy keep the digits of small variances.
@@ -78,9 +63,14 @@ def main(scan: str, folder: str, copies: str = "256", passes: str = "200", *weig
     seen = image.point_of_pixel >= 0
 
     slow = deviation_of_copies(image, network, int(copies))[seen]
-    fast = np.sqrt(aleatoric(network, image).mean(axis=0))[seen]
-    rank, scale = spearman(slow, fast), np.median(fast[slow > 0] / slow[slow > 0])
-    print(f"aleatoric, deviation: rank correlation {rank:.3f}, scale {scale:.3f}")
+    ways = {
+        f"{COPIES} other copies": noise_variance(network, image, 1),
+        "assumed density filtering": aleatoric(network, image),
+    }
+    fast = {name: np.sqrt(each.mean(axis=0))[seen] for name, each in ways.items()}
+    for name, each in fast.items():
+        rank, scale = spearman(slow, each), np.median(each[slow > 0] / slow[slow > 0])
+        print(f"aleatoric, {name}: rank correlation {rank:.3f}, scale of the deviation {scale:.3f}")
 
     many = sample(network, image, samples=int(passes), seed=1).uncertainty.epistemic[seen]
     counts = [count for count in PASSES if count < int(passes)]
@@ -94,10 +84,11 @@ def main(scan: str, folder: str, copies: str = "256", passes: str = "200", *weig
     one_pass, scale = spearman(many, once), np.median(np.sqrt(once / many))
     print(f"analytic: rank correlation {one_pass:.3f}, scale of the deviation {scale:.3f}")
 
-    figure = Figure(figsize=(15, 4.6), layout="constrained")
-    left, middle, right = figure.subplots(1, 3)
-    titles = (f"aleatoric, rank correlation {rank:.2f}", f"σ over {copies} noisy copies")
-    scatter(left, slow, fast, (*titles, "σ by assumed density filtering"))
+    figure = Figure(figsize=(20, 4.6), layout="constrained")
+    *left, middle, right = figure.subplots(1, 4)
+    for axes, (name, each) in zip(left, fast.items(), strict=True):
+        title = f"aleatoric, rank correlation {spearman(slow, each):.2f}"
+        scatter(axes, slow, each, (title, f"σ over {copies} noisy copies", f"σ by {name}"))
     middle.semilogx(counts, ranks, "o-", label="Monte-Carlo dropout")
     middle.axhline(one_pass, color="C1", linestyle="--", label="analytic, one pass")
     middle.set(title=f"epistemic, against {passes} passes", xlabel="passes")

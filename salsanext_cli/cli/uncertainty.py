@@ -19,14 +19,14 @@ def uncertainty(
         typer.Option(help="Monte-Carlo dropout, or an estimate of it in one pass."),
     ] = "sampling",
     samples: Annotated[int, typer.Option(help="Monte-Carlo passes per scan.")] = 30,
-    seed: Annotated[int, typer.Option(help="Seed of the dropout masks.")] = 0,
+    seed: Annotated[int, typer.Option(help="Seed of the dropout masks and the noise.")] = 0,
     aleatoric: Annotated[
-        bool,
+        Literal["copies", "paper", "none"],
         typer.Option(
-            "--aleatoric/--no-aleatoric",
-            help="Also aleatoric and total uncertainty, from the sensor's noise.",
+            help="The sensor's noise, for aleatoric and total uncertainty: by eight noisy copies "
+            "of each scan, or carried through the network as in the paper."
         ),
-    ] = True,
+    ] = "copies",
     selection: selection_options.SourceSelection,
     merged: options.MergedClasses,
     network: options.AdaptableNetwork,

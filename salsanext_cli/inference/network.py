@@ -184,7 +184,9 @@ class Network:
         self.require_finite(probabilities, source)
         return probabilities
 
-    def pixel_probabilities(self, channels: Sequence[Float]) -> list[Float]:
+    def pixel_probabilities(
+        self, channels: Sequence[Float], temperature: float | None = None
+    ) -> list[Float]:
         """Return the softmax of every pixel of some range images, as `probabilities` does.
 
         OpenVINO computes one after the other, so that no bit depends on the others; torch computes
@@ -194,21 +196,25 @@ class Network:
         ----------
         channels : sequence of (5, H, W) float32
             Of range images of the network's sensor.
+        temperature : float, optional
+            Instead of the card's.
 
         Raises
         ------
         MemoryError
             If there is no room for a single one.
         """
-        return [self.merged(softmax) for softmax in self.card_probabilities(channels)]
+        return [self.merged(softmax) for softmax in self.card_probabilities(channels, temperature)]
 
     def merged(self, probabilities: Float) -> Float:
         """Add the probabilities of classes that are merged, if any are: (C, …) to (K, …)."""
         return probabilities if self.merging is None else self.merging.add(probabilities)
 
-    def card_probabilities(self, channels: Sequence[Float]) -> list[Float]:
+    def card_probabilities(
+        self, channels: Sequence[Float], temperature: float | None = None
+    ) -> list[Float]:
         """Return the softmax of every pixel of some range images, of the classes of the card."""
-        temperature = self.card.temperature
+        temperature = temperature or self.card.temperature
         return self._computed(
             *(channels, f"softmax at {temperature}"),
             lambda logits: (logits / temperature).softmax(dim=1),

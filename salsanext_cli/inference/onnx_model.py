@@ -46,9 +46,11 @@ class OnnxNetwork(Network):
         of_one: Float = logits[0]
         return of_one
 
-    def card_probabilities(self, channels: Sequence[Float]) -> list[Float]:
+    def card_probabilities(
+        self, channels: Sequence[Float], temperature: float | None = None
+    ) -> list[Float]:
         """Return the softmax of every pixel of some range images, (C, H, W) float32 each."""
-        compiled = self._compiled(self.card.temperature)
+        compiled = self._compiled(temperature or self.card.temperature)
         return [compiled(self.input_array(image))[0][0] for image in channels]
 
     def model(self, temperature: float | None = None) -> "openvino.Model":

@@ -34,7 +34,7 @@ class PassStatistics:
         self.sum, self.sum_of_squares = np.zeros(shape), np.zeros(shape)
         self.sum_of_entropies = np.zeros(shape[1:])
 
-    def add(self, softmax: Float, nats: Float) -> None:
+    def add(self, softmax: Float, nats: Float | float = 0.0) -> None:
         """Count one pass: its softmax (C, H, W) and the entropy of each pixel (H, W)."""
         self.count += 1
         values: Float = argument(softmax, np.float32).reshape(-1)
@@ -42,12 +42,16 @@ class PassStatistics:
         parallel_for_slices(lambda s: _add_up(values[s], total[s], squares[s]), len(values))
         self.sum_of_entropies += nats
 
-    def summary(self) -> Estimate:
-        """Divide once: mean, variance (of the population, paper III-C.2) and information."""
+    def variance(self) -> Double:
+        """Return the variance (C, H, W) of the population (paper III-C.2)."""
         mean = self.sum / self.count
-        variance = np.maximum(self.sum_of_squares / self.count - mean * mean, 0)
+        return np.maximum(self.sum_of_squares / self.count - mean * mean, 0)
+
+    def summary(self) -> Estimate:
+        """Return mean, variance and mutual information."""
+        mean = self.sum / self.count
         information = entropy(mean) - self.sum_of_entropies / self.count
-        return Estimate.of(mean, variance, np.maximum(information, 0))
+        return Estimate.of(mean, self.variance(), np.maximum(information, 0))
 
 
 @compiled

@@ -17,11 +17,13 @@ from salsanext_cli.uncertainty.aleatoric import aleatoric
 from salsanext_cli.uncertainty.dropout_propagation import propagate_dropout
 from salsanext_cli.uncertainty.estimate import Estimate, require_dropout
 from salsanext_cli.uncertainty.monte_carlo import require_samples, sample, scan_seed
+from salsanext_cli.uncertainty.noisy_copies import noise_variance
 
 EPISTEMIC_KINDS = ("epistemic", "entropy", "mutual_information")
 ALEATORIC_KINDS = ("aleatoric", "total")
 """Kinds of uncertainty; the second ones need the sensor's noise."""
 METHODS = ("sampling", "analytic")
+ALEATORIC_METHODS = ("copies", "paper", "none")
 
 log = logging.getLogger(__name__)
 
@@ -37,57 +39,74 @@ class Estimator:
     samples : int
         Passes per scan, at least 2, if sampling; 30 is the paper's number.
     seed : int
-        If sampling, a scan's masks depend on this, its sequence and its name only.
-    aleatoric : bool
-        The sensor's noise is carried through the network too.
+        A scan's masks and noise depend on this, its sequence and its name only.
+    aleatoric : {"copies", "paper", "none"}
+        The sensor's noise: by passes over noisy copies of the scan, or carried through the network
+        by assumed density filtering; or no aleatoric uncertainty.
     """
 
     method: str = "sampling"
     samples: int = 30
     seed: int = 0
-    aleatoric: bool = True
+    aleatoric: str = "copies"
 
     def __post_init__(self) -> None:
         if self.method not in METHODS:
             raise UsageError("--method", self.method, " or ".join(METHODS))
+        if self.aleatoric not in ALEATORIC_METHODS:
+            raise UsageError("--aleatoric", str(self.aleatoric), ", ".join(ALEATORIC_METHODS))
         require_samples(self.samples)
 
     @property
     def kinds(self) -> tuple[str, ...]:
         """Kinds of uncertainty that are estimated."""
-        return (*EPISTEMIC_KINDS, *ALEATORIC_KINDS) if self.aleatoric else EPISTEMIC_KINDS
+        noisy = self.aleatoric != "none"
+        return (*EPISTEMIC_KINDS, *ALEATORIC_KINDS) if noisy else EPISTEMIC_KINDS
 
     def settings(self, sensor: Sensor) -> dict[str, Any]:
         """Return what the results depend on besides the network and what it sees."""
-        passes = {"samples": self.samples, "seed": self.seed} if self.method == "sampling" else {}
-        noise = {"noise": noise_of(sensor)} if self.aleatoric else {}
-        return {"method": self.method, "aleatoric": self.aleatoric, **passes, **noise}
+        numbers = _numbers(self.method, self.aleatoric)
+        noise = {"noise": noise_of(sensor)} if self.aleatoric != "none" else {}
+        return {
+            "method": self.method,
+            "aleatoric": self.aleatoric,
+            **{key: getattr(self, key) for key in numbers},
+            **noise,
+        }
 
     def require(self, network: Network) -> None:
         """Raise what `estimate` raises, before any scan is read."""
         require_dropout(network)
-        if self.aleatoric:
+        if self.aleatoric != "none":
             noise_of(network.sensor)
 
     def estimate(self, network: Network, image: RangeImage, scan: ScanFile) -> Estimate:
         """Return the prediction for a scan and the uncertainty of its pixels."""
+        seed = scan_seed(self.seed, scan.sequence, scan.stem)
         if self.method == "sampling":
-            seed = scan_seed(self.seed, scan.sequence, scan.stem)
             found = sample(network, image, samples=self.samples, seed=seed)
         else:
             found = propagate_dropout(network, image)
-        if not self.aleatoric:
+        if self.aleatoric == "none":
             return found
-        noise = aleatoric(network, image).mean(axis=0)
-        return replace(found, uncertainty=replace(found.uncertainty, aleatoric=noise))
+        of_copies = self.aleatoric == "copies"
+        noise = noise_variance(network, image, seed) if of_copies else aleatoric(network, image)
+        own = replace(found.uncertainty, aleatoric=noise.mean(axis=0))
+        return replace(found, uncertainty=own)
+
+
+def _numbers(method: str, aleatoric: str) -> tuple[str, ...]:
+    """Return the names of the numbers that matter."""
+    if method == "sampling":
+        return ("samples", "seed")
+    return ("seed",) if aleatoric == "copies" else ()
 
 
 def recorded_estimator(settings: RecordedSettings) -> Estimator:
     """Return the estimator that the record of a run of `uncertainty` names."""
-    method = settings["method"]
-    passes = ("samples", "seed") if method == "sampling" else ()
-    numbers = {key: settings.integer(key) for key in passes}
-    return Estimator(method, aleatoric=settings.flag("aleatoric"), **numbers)
+    method, aleatoric = settings["method"], settings.one_of("aleatoric", ALEATORIC_METHODS)
+    numbers = {key: settings.integer(key) for key in _numbers(method, aleatoric)}
+    return Estimator(method, aleatoric=aleatoric, **numbers)
 
 
 def possible_estimator(colour: str, seen: Sensor) -> Estimator:
@@ -95,7 +114,7 @@ def possible_estimator(colour: str, seen: Sensor) -> Estimator:
     aleatoric = colour in ALEATORIC_KINDS or seen.knows_noise
     if not aleatoric:
         log.warning("sensor %s does not know its noise: epistemic uncertainty only", seen.name)
-    return Estimator(aleatoric=aleatoric)
+    return Estimator(aleatoric="copies" if aleatoric else "none")
 
 
 def recorded_knn(knn: RecordedSettings) -> KnnParameters:

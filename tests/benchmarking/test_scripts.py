@@ -43,7 +43,7 @@ def test_uncertainty_cost(data, weights, capsys):
     found = printed(capsys, "uncertainty_cost.py", scan, data / "tiny.toml", 2, 2, weights)
     assert list(found) == [
         *("one deterministic pass", "2 passes of dropout", "assumed density filtering"),
-        *("analytic, one pass", "dropout and density filtering"),
+        *("eight noisy copies", "analytic, one pass", "dropout and noisy copies"),
     ]
     assert "1.0 × (1.0 to 1.0)" in found["one deterministic pass"]
 

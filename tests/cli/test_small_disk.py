@@ -20,7 +20,7 @@ STAGES = {
     "project": ("project {data} {out} --sensor {sensor}", ()),
     "predict": ("predict {data} {out} --weights {weights} --probabilities", ()),
     "uncertainty": (
-        "uncertainty {data} {out} --weights {weights} --samples 2 --no-aleatoric",
+        "uncertainty {data} {out} --weights {weights} --samples 2 --aleatoric none",
         (),
     ),
     "export-ply": ("export-ply --out {out} --colour label", ("predict",)),

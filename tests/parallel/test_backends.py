@@ -80,7 +80,7 @@ def two_cores(monkeypatch):
 def everything(data, out, weights, **options):
     """Run the stages that load a network, and return every file they leave."""
     network, batch = NetworkSettings(weights, "cpu"), RunOptions(**options)
-    estimator = Estimator(samples=2, aleatoric=False)
+    estimator = Estimator(samples=2, aleatoric="none")
     predict_scans(data, out, network=network, extras=("probabilities",), options=batch)
     uncertainty(data, out, network=network, estimator=estimator, options=batch)
     return files_below(out)

@@ -31,7 +31,7 @@ from salsanext_cli.storage.selection import ScanSelection
 from salsanext_cli.storage.stage_records import stage_settings
 from salsanext_cli.uncertainty.settings import Estimator
 
-FEW = Estimator(samples=2, aleatoric=False)
+FEW = Estimator(samples=2, aleatoric="none")
 
 
 @pytest.fixture

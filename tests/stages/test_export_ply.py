@@ -212,7 +212,7 @@ def test_uncertainty_is_sampled_where_it_is_missing(predicted, caplog):
 
 
 def test_a_kind_that_was_not_estimated_is_refused(sampled):
-    without = Estimator(samples=2, aleatoric=False)
+    without = Estimator(samples=2, aleatoric="none")
     uncertainty(
         sampled.data, sampled.out, network=sampled.network, estimator=without, options=OVERWRITE
     )

@@ -98,7 +98,7 @@ def test_scans_that_come_later_are_matched_as_the_first_ones(knowing):
     write_sequence(knowing.data / "sequences/09", ["000000"], seed=99)
     assert run(knowing).done == 1
     assert stage_settings(knowing.out, "predict")["sensor"] == before
-    few = Estimator(samples=2, aleatoric=False)
+    few = Estimator(samples=2, aleatoric="none")
     uncertainty(knowing.data, knowing.out, network=knowing.network, estimator=few)
     assert stage_settings(knowing.out, "uncertainty")["sensor"] == before
 

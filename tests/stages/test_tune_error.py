@@ -70,7 +70,7 @@ def test_what_is_wrong_is_found_in_scans_left_out(far_is_wrong: World, target, t
     assert found is not None
     assert found.ece < 0.1
     # Errors go with the labels that they are of.
-    some = Estimator(samples=2, aleatoric=False)
+    some = Estimator(samples=2, aleatoric="none")
     uncertainty(world.data, world.out, network=network, estimator=some)
     np.testing.assert_array_equal(np.load(world.result(ERROR)), error)
     # Passes of dropout change the labels, not the model.
@@ -93,7 +93,7 @@ def test_weights_without_it_are_refused(world: World, target, tmp_path) -> None:
         world.data,
         world.out,
         network=world.network,
-        estimator=Estimator(samples=2, aleatoric=False),
+        estimator=Estimator(samples=2, aleatoric="none"),
     )
     assert not world.result(ERROR).exists()
 

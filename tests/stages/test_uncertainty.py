@@ -21,6 +21,7 @@ from salsanext_cli.storage.selection import ScanSelection
 from salsanext_cli.uncertainty.aleatoric import aleatoric
 from salsanext_cli.uncertainty.dropout_propagation import propagate_dropout
 from salsanext_cli.uncertainty.monte_carlo import scan_seed
+from salsanext_cli.uncertainty.noisy_copies import noise_variance
 from salsanext_cli.uncertainty.settings import Estimator
 
 KINDS = Estimator().kinds
@@ -39,7 +40,7 @@ def test_the_files_hold_what_sampling_gives(on_openvino):
     image = project(read_scan(world.scan("08", "000001")), SMALL)
     seed = scan_seed(4, "08", "000001")
     sampled = sample(world.network.load(), image, samples=3, seed=seed)
-    noise = aleatoric(world.network.load(), image).mean(axis=0)
+    noise = noise_variance(world.network.load(), image, seed).mean(axis=0)
     expected = replace(sampled.uncertainty, aleatoric=noise)
     for kind in KINDS:
         values = np.load(world.result(f"uncertainty/{kind}", "08", "000001"))
@@ -132,13 +133,25 @@ def test_the_analytic_way_needs_neither_passes_nor_seed(on_openvino):
         values = np.load(world.result(f"uncertainty/{kind}", "08", "000001"))
         of_pixels = getattr(expected, kind).ravel()
         np.testing.assert_array_equal(values, of_pixels[image.pixel_of_point])
-    assert run(world, method="analytic", samples=9, seed=7).skipped == 3
+    assert run(world, method="analytic", samples=9).skipped == 3
     with pytest.raises(OutputError, match='method was "analytic" and is "sampling"'):
         run(world)
 
 
+def test_the_paper_s_aleatoric_is_assumed_density_filtering(world):
+    run(world, method="analytic", aleatoric="paper")
+    image = project(read_scan(world.scan("08", "000001")), SMALL)
+    noise = aleatoric(world.network.load(), image).mean(axis=0).ravel()
+    values = np.load(world.result("uncertainty/aleatoric", "08", "000001"))
+    np.testing.assert_array_equal(values, noise[image.pixel_of_point])
+    seedless = {"method": "analytic", "aleatoric": "paper", "seed": 7}
+    assert run(world, **seedless).skipped == 3
+    with pytest.raises(OutputError, match='aleatoric was "paper" and is "copies"'):
+        run(world, method="analytic")
+
+
 def test_without_aleatoric_there_is_no_total(world):
-    run(world, aleatoric=False)
+    run(world, aleatoric="none")
     found = {path.parent.name for path in world.out.rglob("*.npy")}
     assert found == {"epistemic", "entropy", "mutual_information"}
     run(world, options=RunOptions(overwrite=True))
@@ -154,7 +167,7 @@ def test_a_sensor_of_unknown_noise_is_refused_unless_it_does_not_matter(world, m
     with pytest.raises(UsageError, match=r"its noise is not known .*give it with --sensor"):
         run(silent)
     assert not world.out.exists()
-    assert run(silent, aleatoric=False).done == 3
+    assert run(silent, aleatoric="none").done == 3
 
 
 def test_labels_made_step_by_step_remember_their_weights(world, tmp_path):

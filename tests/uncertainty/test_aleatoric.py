@@ -1,11 +1,13 @@
 # SPDX-License-Identifier: MIT
 from dataclasses import replace
+from itertools import islice
 
 import numpy as np
 import pytest
 
 from salsanext_cli.errors import UsageError
 from salsanext_cli.uncertainty.aleatoric import aleatoric
+from salsanext_cli.uncertainty.noisy_copies import noisy_copies
 
 
 def with_noise(network, metres, intensity):
@@ -42,17 +44,9 @@ def test_a_sensor_of_unknown_noise(network, image):
 
 def test_it_ranks_pixels_as_noisy_copies_do(network, image):
     """Sixty-four copies of the scan, each with its own noise of 2 cm and 0.02."""
-    random = np.random.default_rng(0)
     occupied = image.channels[0] > 0
-    rays = np.zeros_like(image.channels[:4])
-    rays[0] = 1
-    np.divide(image.channels[1:4], image.channels[0], out=rays[1:], where=occupied)
-    passes = []
-    for _ in range(64):
-        noisy = image.channels.copy()
-        noisy[:4] += rays * random.normal(0, 0.02, occupied.shape).astype(np.float32)
-        noisy[4] += random.normal(0, 0.02, occupied.shape).astype(np.float32)
-        passes.append(network.pixel_probabilities([noisy * occupied])[0])
+    copies = islice(noisy_copies(image, network.sensor, 0), 64)
+    passes = [network.pixel_probabilities([copy])[0] for copy in copies]
     sampled = np.var(passes, axis=0).mean(axis=0)[occupied]
     propagated = aleatoric(network, image).mean(axis=0)[occupied]
     ranks = (np.argsort(np.argsort(values)) for values in (sampled, propagated))

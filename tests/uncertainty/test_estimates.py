@@ -12,6 +12,7 @@ from salsanext_cli.errors import WeightsError
 from salsanext_cli.parallel.threads import threads_of_workers
 from salsanext_cli.uncertainty.aleatoric import aleatoric
 from salsanext_cli.uncertainty.dropout_propagation import propagate_dropout
+from salsanext_cli.uncertainty.noisy_copies import noise_variance
 
 EPISTEMIC = pytest.mark.parametrize(
     "estimate",
@@ -47,10 +48,11 @@ def test_a_network_without_dropout_is_refused(image, tmp_path, estimate):
     "variance",
     [
         aleatoric,
+        lambda *given: noise_variance(*given, 5),
         lambda *given: propagate_dropout(*given).variance,
         lambda *given: sample(*given, samples=4, seed=5).variance,
     ],
-    ids=["aleatoric", "analytic", "sampling"],
+    ids=["aleatoric", "copies", "analytic", "sampling"],
 )
 def test_no_bit_depends_on_the_number_of_threads(weights, image, variance):
     found = []

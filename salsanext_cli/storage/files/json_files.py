@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -84,9 +84,12 @@ class RecordedSettings(dict[str, Any]):
         """Return a setting that is itself a mapping."""
         return RecordedSettings(self._as(dict, key, "a JSON object"), self.path)
 
-    def flag(self, key: str) -> bool:
-        """Return a setting that is true or false."""
-        return self._as(bool, key, "true or false")
+    def one_of(self, key: str, values: Sequence[str]) -> str:
+        """Return a setting that is one of some words."""
+        value: str = self[key]
+        if value not in values:
+            raise self._wrong(f"settings have {key} {value!r}", f"one of {', '.join(values)}")
+        return value
 
     def integer(self, key: str) -> int:
         """Return a setting that is a whole number."""

@@ -41,7 +41,7 @@ def test_settings_are_read_back():
     assert SETTINGS.get("none") is None
 
 
-@pytest.mark.parametrize("read", ["flag", "integer", "number", "pair", "table", "__getitem__"])
+@pytest.mark.parametrize("read", ["integer", "number", "pair", "table", "__getitem__"])
 def test_what_was_cut_out_is_named(read):
     with pytest.raises(OutputError, match=r"out/predict\.json · settings lack none · .*delete it"):
         getattr(SETTINGS, read)("none")
@@ -52,7 +52,6 @@ def test_what_was_cut_out_is_named(read):
 @pytest.mark.parametrize(
     ("read", "key"),
     [
-        *(("flag", key) for key in ("n", "pair", "in")),
         *(("integer", key) for key in ("x", "endless", "pair", "in", "yes")),
         *(("number", key) for key in ("pair", "in", "yes")),
         *(("pair", key) for key in ("n", "endless", "in")),
@@ -62,6 +61,11 @@ def test_what_was_cut_out_is_named(read):
 def test_what_was_put_in_is_named(read, key):
     with pytest.raises(OutputError, match=rf"out/predict\.json · settings have {key} "):
         getattr(SETTINGS, read)(key)
+
+
+def test_a_word_that_means_nothing_is_named():
+    with pytest.raises(OutputError, match=r"settings have yes True · expected one of copies, none"):
+        SETTINGS.one_of("yes", ("copies", "none"))
 
 
 @pytest.fixture
