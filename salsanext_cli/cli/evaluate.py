@@ -48,6 +48,11 @@ def evaluate(
     tables += uncertainty_tables(evaluation.uncertainty)
     kept = evaluation.uncertainty.kept
     sentences = [Text(kept.sentence)] if kept else []
+    if settings["reject"] is not None:
+        found = (
+            f"Points left unlabelled by predict --reject {settings['reject']:g} count as missed."
+        )
+        sentences.append(Text(found))
     output.result(evaluation.to_dict(), Group(*tables, *sentences))
     run_end.name_failures(evaluation.failures)
     left_out = run_end.left_out(evaluation.missing)

@@ -33,6 +33,13 @@ def predict(
             help="Also write the probability that each label is wrong, if `tune error` fitted it.",
         ),
     ] = False,
+    reject: Annotated[
+        float | None,
+        typer.Option(
+            metavar="ERROR",
+            help="Leave points unlabelled whose label is wrong with a higher probability.",
+        ),
+    ] = None,
     selection: selection_options.SourceSelection,
     merged: options.MergedClasses,
     network: options.AdaptableNetwork,
@@ -69,12 +76,14 @@ def predict(
                 out,
                 knn=knn.parameters(),
                 extras=extras,
+                reject=reject,
                 batch=_batch_size(batch),
                 options=run,
                 **chosen,
             )
         else:
-            _require_no_scans(knn, batch, {"--probabilities": probabilities, "--error": error})
+            of_points = {"--probabilities": probabilities, "--error": error}
+            _require_no_scans(knn, batch, {**of_points, "--reject": reject is not None})
             outcome = stage.predict_range_images(source, out, options=run, **chosen)
     run_end.finish("predict", outcome, out, output, split=selection.split, strict=running.strict)
 

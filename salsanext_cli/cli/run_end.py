@@ -64,8 +64,7 @@ def finish(
     output.say(f"{stage}: {counted(outcome.done, 'scan')}{already}{failed}{took}{others} → {out}")
     if (rejected := outcome.rejected_points) is not None:
         before = f", besides {counted(outcome.skipped, 'scan')} before" if outcome.skipped else ""
-        points = f"{counted(rejected, 'point')} unlabelled for a higher error than --max-error"
-        output.say(f"{points}{before}")
+        output.say(f"{counted(rejected, 'point')} unlabelled for their error{before}")
     for line in _lines(outcome.summary, following):
         output.say(line)
     doubted = strict and outcome.summary is not None and bool(outcome.summary.findings)

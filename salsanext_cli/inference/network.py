@@ -184,9 +184,7 @@ class Network:
         self.require_finite(probabilities, source)
         return probabilities
 
-    def pixel_probabilities(
-        self, channels: Sequence[Float], temperature: float | None = None
-    ) -> list[Float]:
+    def pixel_probabilities(self, channels: Sequence[Float]) -> list[Float]:
         """Return the softmax of every pixel of some range images, as `probabilities` does.
 
         OpenVINO computes one after the other, so that no bit depends on the others; torch computes
@@ -196,15 +194,13 @@ class Network:
         ----------
         channels : sequence of (5, H, W) float32
             Of range images of the network's sensor.
-        temperature : float, optional
-            Instead of the card's.
 
         Raises
         ------
         MemoryError
             If there is no room for a single one.
         """
-        return [self.merged(softmax) for softmax in self.card_probabilities(channels, temperature)]
+        return [self.merged(softmax) for softmax in self.card_probabilities(channels)]
 
     def merged(self, probabilities: Float) -> Float:
         """Add the probabilities of classes that are merged, if any are: (C, …) to (K, …)."""
@@ -214,11 +210,9 @@ class Network:
         self, channels: Sequence[Float], temperature: float | None = None
     ) -> list[Float]:
         """Return the softmax of every pixel of some range images, of the classes of the card."""
-        temperature = temperature or self.card.temperature
-        return self._computed(
-            *(channels, f"softmax at {temperature}"),
-            lambda logits: (logits / temperature).softmax(dim=1),
-        )
+        at = temperature or self.card.temperature
+        name = f"softmax at {at}"
+        return self._computed(channels, name, lambda logits: (logits / at).softmax(dim=1))
 
     def _computed(
         self, channels: Sequence[Float], name: str, last: Callable[["Tensor"], "Tensor"]

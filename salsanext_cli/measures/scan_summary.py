@@ -47,20 +47,29 @@ class ScanSummary:
         Reasons to doubt the scan or its labels, and traits of its sensor.
     class_points : tuple of int
         Number of points by predicted train id; empty if none were predicted.
+    rejected_points : int
+        Number of points unlabelled for their error.
     """
 
     file: ScanFile
     check: ScanCheck = UNCHECKED
     class_points: tuple[int, ...] = ()
+    rejected_points: int = 0
 
     @classmethod
     def of_labels(
-        cls, file: ScanFile, labels: TrainIds, space: LabelSpace, check: ScanCheck = UNCHECKED
+        cls,
+        file: ScanFile,
+        labels: TrainIds,
+        space: LabelSpace,
+        check: ScanCheck = UNCHECKED,
+        rejected_points: int = 0,
     ) -> ScanSummary:
         """Count the predicted train ids (N,) of a scan, and look at them."""
         points = np.bincount(labels, minlength=space.class_count)
         found = (*check.findings, *_of_classes(points, space))
-        return cls(file, replace(check, findings=found), tuple(points.tolist()))
+        check = replace(check, findings=found)
+        return cls(file, check, tuple(points.tolist()), rejected_points)
 
 
 def _of_classes(points: npt.NDArray[np.int64], space: LabelSpace) -> Iterator[Finding]:
@@ -98,6 +107,8 @@ class RunSummary:
         Traits of the sensor by scan.
     looked_at : set of str
         Names of the scans that were added.
+    rejected_points : int
+        Number of points unlabelled for their error.
     first : ScanFile, optional
         The first scan of the run, whose data set may describe other classes.
     """
@@ -109,6 +120,7 @@ class RunSummary:
     findings: dict[str, list[tuple[str, Finding]]] = field(default_factory=dict)
     traits: dict[ScanFile, ScanTraits] = field(default_factory=dict)
     looked_at: set[str] = field(default_factory=set)
+    rejected_points: int = 0
     first: ScanFile | None = None
 
     @classmethod
@@ -122,6 +134,7 @@ class RunSummary:
     def add(self, scan: ScanSummary) -> None:
         """Add a scan; say at once what is found for the first time."""
         self.looked_at.add(_name(scan.file))
+        self.rejected_points += scan.rejected_points
         for finding in scan.check.findings:
             self._add(scan.file, finding)
         if scan.check.traits is not None:

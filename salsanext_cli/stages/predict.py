@@ -7,14 +7,10 @@ from dataclasses import asdict, replace
 from functools import partial
 from pathlib import Path
 
-import numpy as np
-
-from salsanext_cli.classes import TrainIds
 from salsanext_cli.errors import SalsanextError, UsageError
 from salsanext_cli.geometry.checks.findings import ScanCheck
 from salsanext_cli.geometry.checks.intensity_checks import check_image
-from salsanext_cli.geometry.gather import points_from_pixels
-from salsanext_cli.geometry.knn import KnnParameters, knn_refine
+from salsanext_cli.geometry.knn import KnnParameters
 from salsanext_cli.inference.adaptation import network_of_run
 from salsanext_cli.inference.checked_scans import project_checked
 from salsanext_cli.inference.network import Network
@@ -34,20 +30,20 @@ from salsanext_cli.storage.layout import ERROR, ScanFile, with_outputs
 from salsanext_cli.storage.output_run import OutputRun, output_run
 from salsanext_cli.storage.selection import ScanSelection, choose, scans_of, space_of
 from salsanext_cli.storage.sources import recorded_scans
-from salsanext_cli.uncertainty.error_features import error_model, label_error
+from salsanext_cli.uncertainty.error_features import error_model
+from salsanext_cli.uncertainty.labelling import Labelling, most_probable
 
 
-def predict_scan(
-    file: ScanFile, network: Network, knn: KnnParameters, output: OutputRun
-) -> ScanSummary:
+def predict_scan(file: ScanFile, network: Network, labelling: Labelling) -> ScanSummary:
     """Label the points of one scan; return numbers about it."""
-    image, check = _projected(file, network, output)
-    labels = _write(file, image, network.probabilities(image, file.path), network, knn, output)
-    return ScanSummary.of_labels(file, labels, network.space, check)
+    image, check = _projected(file, network, labelling.output)
+    softmax = network.probabilities(image, file.path)
+    labels, rejected = labelling.write(file, image, softmax, network)
+    return ScanSummary.of_labels(file, labels, network.space, check, rejected)
 
 
 def predict_batch(
-    files: Sequence[ScanFile], network: Network, knn: KnnParameters, output: OutputRun
+    files: Sequence[ScanFile], network: Network, labelling: Labelling
 ) -> Iterator[Attempt]:
     """Label the points of several scans, computed together; yield an attempt of each."""
     images: dict[ScanFile, RangeImage] = {}
@@ -55,7 +51,7 @@ def predict_batch(
     for file in files:
         try:
             with named_if_too_large(file, network):
-                images[file], checks[file] = _projected(file, network, output)
+                images[file], checks[file] = _projected(file, network, labelling.output)
         except SalsanextError as error:
             yield file, None, error
     softmax: Sequence[Float | None] = [None] * len(images)
@@ -67,9 +63,9 @@ def predict_batch(
                 if probabilities is None:
                     probabilities = network.probabilities(image, file.path)
                 network.require_finite(probabilities, file.path)
-                labels = _write(file, image, probabilities, network, knn, output)
-            space = network.space
-            yield file, ScanSummary.of_labels(file, labels, space, checks[file]), None
+                labels, rejected = labelling.write(file, image, probabilities, network)
+            found = ScanSummary.of_labels(file, labels, network.space, checks[file], rejected)
+            yield file, found, None
         except SalsanextError as error:
             yield file, None, error
 
@@ -79,35 +75,6 @@ def _projected(file: ScanFile, network: Network, output: OutputRun) -> tuple[Ran
     return project_checked(file, network.sensor, network.device, network.card.sensor)
 
 
-def _write(
-    file: ScanFile,
-    image: RangeImage,
-    probabilities: Float,
-    network: Network,
-    knn: KnnParameters,
-    output: OutputRun,
-) -> TrainIds:
-    """Write what is made of the softmax (C, H, W) of a scan, the labels last; return these."""
-    space, pixel_labels = network.space, most_probable(probabilities)
-    labels = knn_refine(image, pixel_labels, space.class_count, knn, network.device)
-    if "pixel_labels" in output.folders:
-        output.write_array(file, "pixel_labels", pixel_labels)
-    if "probabilities" in output.folders:
-        certainly_unlabelled = np.eye(1, space.class_count)
-        of_points = points_from_pixels(probabilities, image.pixel_of_point, certainly_unlabelled)
-        output.write_array(file, "probabilities", of_points.astype(np.float16))
-    if ERROR in output.folders:
-        output.write_array(file, ERROR, label_error(network, image, probabilities, labels))
-    output.write_labels(file, space.to_raw(labels))
-    return labels
-
-
-def most_probable(probabilities: Float) -> TrainIds:
-    """Return the most probable class of every pixel: (C, H, W) to (H, W) uint8."""
-    labels: TrainIds = probabilities.argmax(axis=0).astype(np.uint8)
-    return labels
-
-
 def predict_scans(
     source: Path,
     out: Path,
@@ -115,6 +82,7 @@ def predict_scans(
     network: NetworkSettings = NetworkSettings(),
     knn: KnnParameters = KnnParameters(),
     extras: tuple[str, ...] = (),
+    reject: float | None = None,
     batch: int | None = None,
     selection: ScanSelection = ScanSelection(),
     options: RunOptions = RunOptions(),
@@ -133,6 +101,8 @@ def predict_scans(
         Neighbours in the kNN refinement.
     extras : tuple of {"pixel_labels", "probabilities", "uncertainty/error"}
         Further results to write.
+    reject : float, optional
+        Points whose error is above it, 0…1, are unlabelled; the error is written too.
     batch : int, optional
         Scans computed together, at least 1; by default one on a CPU, on a GPU as many as keep it
         busy. Halved where memory runs out.
@@ -150,21 +120,28 @@ def predict_scans(
     found = scans_of(source)
     scans = choose(found, selection, space_of(found, loaded.card.space), source)
     network, loaded = network_of_run(network, loaded, found, out, overwrite=options.overwrite)
+    if reject is not None:
+        if not 0 <= reject <= 1:
+            raise UsageError("--reject", f"{reject:g}", "a probability from 0 to 1")
+        extras = tuple({*extras, ERROR})
     if ERROR in extras:
         error_model(loaded)
     temperature = loaded.card.temperature
     settings = network.record(loaded) | {"temperature": temperature, "knn": asdict(knn)}
+    settings |= {} if reject is None else {"reject": reject}
     summary = RunSummary.of_scans(scans, loaded.sensor, loaded.space)
     folders = (*extras, "predictions")
     run = output_run(out, "predict", settings, folders, scans, overwrite=options.overwrite)
     with run as output, summary.kept_in(output, "predict", scans):
-        one = partial(predict_scan, knn=knn, output=output)
-        several = partial(predict_batch, knn=knn, output=output)
+        labelling = Labelling(knn, output, reject)
+        one = partial(predict_scan, labelling=labelling)
+        several = partial(predict_batch, labelling=labelling)
         task = NetworkTask(one, network.resolved(loaded), loaded, several, batch)
         outcome = run_over_scans(
             task, scans, options, is_done=output.is_done, on_result=summary.add
         )
-    return replace(outcome, summary=summary)
+    rejected = None if reject is None else summary.rejected_points
+    return replace(outcome, summary=summary, rejected_points=rejected)
 
 
 def predict_image(file: ScanFile, network: Network, folder: Path, output: OutputRun) -> ScanSummary:

@@ -182,6 +182,7 @@ def provenance(out: Path, selection: ScanSelection, dataset: Path | None = None)
         "predictions_of": stage,
         "weights": recorded_weights(out, "predictions"),
         "temperature": softmax.get("temperature"),
+        "reject": softmax.get("reject"),
         "uncertainty": {key: estimated[key] for key in UNCERTAINTY_SETTINGS if key in estimated}
         if estimated
         else None,

@@ -67,6 +67,7 @@ def noise_variance(network: Network, image: RangeImage, seed: int) -> Float:
     statistics = PassStatistics((network.space.class_count, image.height, image.width))
     copies = noisy_copies(image, network.sensor, seed)
     for _ in range(COPIES):
-        statistics.add(*network.pixel_probabilities([next(copies)], temperature=1.0))
+        (softmax,) = network.card_probabilities([next(copies)], temperature=1.0)
+        statistics.add(network.merged(softmax))
     variance: Float = (statistics.variance() * (COPIES / (COPIES - 1))).astype(np.float32)
     return variance

@@ -228,7 +228,7 @@ def test_errors_of_points_are_evaluated_and_reject_points(run, predicted, data):
     assert found["kept"]["sentence"] in said
     result = run("export-ply", "--out", predicted, "--max-error", "0.5")
     assert result.exit_code == 0, result.output
-    assert "1,500 points unlabelled for a higher error than --max-error" in result.stderr
+    assert "1,500 points unlabelled for their error" in result.stderr
     found = only_json(run("export-ply", predicted, "--max-error", 0.5, "--overwrite", "--json"))
     assert found["rejected_points"] == 1500
     assert undocumented(found, "export-ply") == set()

@@ -9,7 +9,7 @@ import pytest
 from world import World
 
 from salsanext_cli import label_space, read_labels, write_labels
-from salsanext_cli.errors import LabelError, TrainingError, UsageError, WeightsError
+from salsanext_cli.errors import LabelError, OutputError, TrainingError, UsageError, WeightsError
 from salsanext_cli.network.card import read_card
 from salsanext_cli.network.weights import save_with_card
 from salsanext_cli.parallel.run import RunOptions
@@ -21,6 +21,7 @@ from salsanext_cli.stages.tune_error import tune_error
 from salsanext_cli.stages.tune_temperature import tune_temperature
 from salsanext_cli.stages.uncertainty import uncertainty
 from salsanext_cli.storage.layout import ERROR, find_scans
+from salsanext_cli.storage.predictions import provenance
 from salsanext_cli.storage.selection import ScanSelection
 from salsanext_cli.uncertainty.error_features import FEATURES
 from salsanext_cli.uncertainty.settings import Estimator
@@ -65,6 +66,16 @@ def test_what_is_wrong_is_found_in_scans_left_out(far_is_wrong: World, target, t
     assert ((error >= 0) & (error <= 1))[known].all()
     far = (ranges > np.median(ranges))[known]
     assert error[known][far].mean() > 0.8 > 0.2 > error[known][~far].mean()
+    few = tmp_path / "few"
+    rejected = predict_scans(world.data, few, network=network, reject=0.5).rejected_points
+    above = [np.load(path) > 0.5 for path in world.out.rglob("error/*.npy")]
+    assert rejected == sum(each.sum() for each in above)
+    labels = read_labels(world.result("predictions"))
+    kept = read_labels(few / "sequences/08/predictions/000000.label")
+    np.testing.assert_array_equal(kept, np.where(error > 0.5, 0, labels))
+    with pytest.raises(OutputError, match=r"reject was 0\.5 and is 0\.4"):
+        predict_scans(world.data, few, network=network, reject=0.4)
+    assert provenance(few, ALL)["reject"] == 0.5
     scans = find_scans(world.data)
     found = evaluate(scans, world.out, label_space()).uncertainty.error
     assert found is not None
