@@ -176,6 +176,12 @@ def train(
             if strict:
                 counts.require_no_warnings(dataset)
             begin(run, settings, overwrite=overwrite)
+            start = (
+                weights.name
+                if weights
+                else "random weights (--weights default: those of the package)"
+            )
+            log.log(NOTICE, "training from %s", start)
             return [replace(scored, files=validated), *sources], counts
 
         (scored, *sources), counts = group.on_main(prepare)
