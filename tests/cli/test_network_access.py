@@ -4,6 +4,7 @@
 import os
 from pathlib import Path
 
+import pytest
 from command_line import python
 from scans import SMALL, write_sequence
 
@@ -68,6 +69,7 @@ def test_sockets_and_telemetry_are_noted(tmp_path):
     assert events == ["import", "socket.__new__", "socket.getaddrinfo"]
 
 
+@pytest.mark.slow
 def test_no_command_opens_a_socket_or_loads_telemetry(tmp_path, weights):
     data, out, steps = tmp_path / "data", tmp_path / "out", tmp_path / "steps"
     write_sequence(data / "sequences/00", ["0", "1"])

@@ -63,7 +63,7 @@ def ray():
         cluster.shutdown()
 
 
-@pytest.fixture(params=["loky", "threading", "dask", "ray"])
+@pytest.fixture(params=["loky", "threading", "dask", pytest.param("ray", marks=pytest.mark.slow)])
 def workers(request):
     """Return the options for two workers of each kind."""
     if request.param in ("loky", "threading"):
