@@ -22,9 +22,11 @@ from salsanext_cli.storage.scan_folders import (
     suffixes_of,
 )
 
-UNCERTAINTY = ("error", "epistemic", "aleatoric", "total", "entropy", "mutual_information")
+UNCERTAINTY = (
+    *("error", "epistemic", "aleatoric", "total", "entropy", "mutual_information", "novelty"),
+)
 """The kinds of uncertainty that stages may have written; "error" is a probability."""
-ERROR = "uncertainty/error"
+ERROR, NOVELTY = "uncertainty/error", "uncertainty/novelty"
 """Folder of the probability that a label is wrong."""
 COLOURINGS = ("label", "truth", "wrong", "intensity", "range", *UNCERTAINTY)
 """Values that point clouds may be coloured by."""
