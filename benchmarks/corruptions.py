@@ -36,7 +36,7 @@ from salsanext_cli.storage.point_files import write_bin
 from salsanext_cli.storage.selection import data_set_label_space
 
 CLEAN = "clean"
-BASELINES = ("confidence", "softmax_entropy")
+BASELINES, ERROR = ("confidence", "softmax_entropy"), "error"
 COVERAGE_PERCENT = 80
 SEVERITIES = (1, 2, 3)
 Shares = dict[str, tuple[float, ...]]
@@ -103,18 +103,19 @@ def shares(scores: dict[str, Any]) -> Shares:
         "accuracy": (plain["accuracy"],),
         "ECE": (scores["calibration"]["ece"],),
     }
-    for kind in (*BASELINES, *sorted(kinds.keys() - {*BASELINES})):
+    others = sorted(kinds.keys() - {*BASELINES}, key=lambda kind: (kind == ERROR, kind))
+    for kind in (*BASELINES, *others):
         of_kind = kinds[kind]
         found[kind] = (of_kind["auroc"], of_kind["risk_coverage"][COVERAGE_PERCENT - 1])
-        if kind == "error":
+        if kind == ERROR:
             found[kind] += (of_kind["mean"], of_kind["ece"])
     return found
 
 
 def print_line(name: str, found: Shares) -> None:
     """Print the shares of a line in %."""
-    cells = (" / ".join(f"{100 * share:4.1f}" for share in each) for each in found.values())
-    print(f"{name:17}  " + "  ".join(f"{cell:>15}" for cell in cells), flush=True)
+    cells = (" / ".join(f"{100 * share:.1f}" for share in each) for each in found.values())
+    print(f"{name:17}  " + "  ".join(f"{cell:>18}" for cell in cells), flush=True)
 
 
 def main(*words: str) -> None:
@@ -150,7 +151,7 @@ def main(*words: str) -> None:
             scores = scored(root, given.weights, uncertainty=given.uncertainty)
         found = shares(scores)
         if kind == CLEAN:
-            print(" " * 17 + "".join(f"  {key:>15}" for key in found))
+            print(" " * 17 + "".join(f"  {key:>18}" for key in found))
         print_line(name, found)
         return found
 
