@@ -115,7 +115,7 @@ def shares(scores: dict[str, Any]) -> Shares:
 def print_line(name: str, found: Shares) -> None:
     """Print the shares of a line in %."""
     cells = (" / ".join(f"{100 * share:.1f}" for share in each) for each in found.values())
-    print(f"{name:17}  " + "  ".join(f"{cell:>18}" for cell in cells), flush=True)
+    print(f"{name:20}  " + "  ".join(f"{cell:>18}" for cell in cells), flush=True)
 
 
 def main(*words: str) -> None:
@@ -151,7 +151,7 @@ def main(*words: str) -> None:
             scores = scored(root, given.weights, uncertainty=given.uncertainty)
         found = shares(scores)
         if kind == CLEAN:
-            print(" " * 17 + "".join(f"  {key:>18}" for key in found))
+            print(" " * 20 + "".join(f"  {key:>18}" for key in found))
         print_line(name, found)
         return found
 
