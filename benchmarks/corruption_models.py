@@ -175,7 +175,7 @@ def incomplete_echo(
     """Lose weak echoes, of what is dark or far: half of those at a quantile of the signal s.
 
     One is detected with probability 1 / (1 + (s₀ / s)^2.2), s₀ being the quantile. (Robo3D thins
-    out vehicles instead, whatever their paint.)
+    out vehicles instead.)
     """
     _, signal = _ranges_and_signals(scan)
     half = np.quantile(signal, share) if share else 0.0
