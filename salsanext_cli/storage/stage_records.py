@@ -18,7 +18,7 @@ from salsanext_cli.storage.layout import COLOURINGS, SUFFIX_OF_FOLDER
 
 SHOWN_CHARACTERS_OF_VALUE = 40
 RESULT_STAGES = (
-    *("project", "predict", "knn-refine", "uncertainty", "export-ply"),
+    *("project", "predict", "knn-refine", "uncertainty", "picture", "export-ply"),
     *(f"export-ply-{colour}" for colour in COLOURINGS),
 )
 
