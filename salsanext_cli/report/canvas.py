@@ -7,6 +7,8 @@ works in any thread or process and without a display.
 
 from __future__ import annotations
 
+import warnings
+from collections.abc import Container
 from io import BytesIO
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
@@ -26,7 +28,8 @@ NIGHT = "#{:02x}{:02x}{:02x}".format(*(c // 2 for c in EMPTY))
 """Background of pictures of scans: darker than `EMPTY`, so that strips have an edge."""
 INK = "#e8e8ea"
 FAINT = "#8a8f98"
-"""Colours of text and of grid lines on `NIGHT`."""
+DIM = "#4a4e56"
+"""Colours of text, of grid lines and of text that matters less, on `NIGHT`."""
 DARK = "#22262c"
 PALE = "#c9ced6"
 """The same on `PAPER`."""
@@ -43,10 +46,13 @@ def new_figure(width: int, height: int, background: str = NIGHT) -> Figure:
     return Figure(figsize=(width / DPI, height / DPI), dpi=DPI, facecolor=background)
 
 
-def new_picture(width: int, height: int, legend: Legend, legend_width: int) -> Figure:
+def new_picture(
+    width: int, height: int, legend: Legend, legend_width: int, absent: Container[str] = ()
+) -> Figure:
     """Return an empty figure of a size in pixels, and a legend below it if that has entries.
 
-    The legend is a swatch and a name for each entry, in rows of a width in pixels.
+    The legend is a swatch and a name for each entry, in rows of a width in pixels. An absent one
+    has its place and its name, faintly.
     """
     columns = max(1, legend_width // LEGEND_STEP_PX)
     rows = -(-len(legend) // columns)
@@ -54,8 +60,9 @@ def new_picture(width: int, height: int, legend: Legend, legend_width: int) -> F
     for i, (name, colour) in enumerate(legend):
         left = MARGIN_PX + i % columns * LEGEND_STEP_PX
         top = height + i // columns * LEGEND_ROW_PX
-        show_pixels(figure, np.array([[colour]], np.uint8), left, top + 3, 22, 14)
-        text_at(figure, left + 30, top + 10, name, 15)
+        if name not in absent:
+            show_pixels(figure, np.array([[colour]], np.uint8), left, top + 3, 22, 14)
+        text_at(figure, left + 30, top + 10, name, 15, DIM if name in absent else INK)
     return figure
 
 
@@ -116,7 +123,10 @@ def plain_frame(axes: Axes, grid: Literal["both", "x"] | None = "both") -> None:
 def png_of(figure: Figure) -> bytes:
     """Return a figure as the content of a PNG file."""
     png = BytesIO()
-    figure.savefig(png, format="png", dpi=DPI, metadata={"Software": None})
+    with warnings.catch_warnings():
+        # A name in a script that the font lacks is drawn as boxes.
+        warnings.filterwarnings("ignore", message="Glyph .* missing from")
+        figure.savefig(png, format="png", dpi=DPI, metadata={"Software": None})
     return png.getvalue()
 
 

@@ -1,0 +1,128 @@
+# SPDX-License-Identifier: MIT
+"""Animations of pictures of scans: GIF, and MP4 where ffmpeg is installed."""
+
+from __future__ import annotations
+
+import shutil
+import subprocess
+from collections.abc import Iterator, Sequence
+from io import BytesIO
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import TYPE_CHECKING
+
+from salsanext_cli.errors import FormatError, OutputError, UsageError
+from salsanext_cli.report.canvas import NIGHT
+
+if TYPE_CHECKING:
+    from PIL.Image import Image
+
+LARGEST_PX = (1280, 1080)
+"""Width and height that a frame is reduced to."""
+
+
+def find_ffmpeg() -> str:
+    """Return the path of ffmpeg.
+
+    Raises
+    ------
+    UsageError
+        If it is not installed.
+    """
+    found = shutil.which("ffmpeg")
+    if found is None:
+        raise UsageError("--mp4", "no ffmpeg found", "it on the PATH", "install it, or use --gif")
+    return found
+
+
+def frames(pictures: Sequence[Path]) -> Iterator[Image]:
+    """Yield pictures reduced to frames of one size, even in width and height.
+
+    Smaller ones than the largest are at the upper left of a frame.
+
+    Raises
+    ------
+    FormatError
+        If a file is no picture.
+    """
+    from PIL import Image
+
+    sizes = []
+    for path in pictures:
+        with _opened(path) as picture:
+            sizes.append(picture.size)
+    width, height = (max(side) for side in zip(*sizes, strict=True))
+    share = min(1.0, LARGEST_PX[0] / width, LARGEST_PX[1] / height)
+    size = (_even(width * share), _even(height * share))
+    for path in pictures:
+        with _opened(path) as picture:
+            whole = Image.new("RGB", (width, height), NIGHT)
+            whole.paste(picture.convert("RGB"), (0, 0))
+        yield whole.resize(size, Image.Resampling.LANCZOS, reducing_gap=3.0)
+
+
+def encode_gif(pictures: Sequence[Path], frames_per_second: float) -> bytes:
+    """Return pictures as the content of a GIF file that repeats without end."""
+    from PIL import Image
+
+    # Without dithering what does not move stays as it is.
+    reduced = (frame.quantize(dither=Image.Dither.NONE) for frame in frames(pictures))
+    content = BytesIO()
+    next(reduced).save(
+        content,
+        format="GIF",
+        save_all=True,
+        append_images=reduced,
+        duration=round(1000 / frames_per_second),
+        loop=0,
+    )
+    return content.getvalue()
+
+
+def encode_mp4(pictures: Sequence[Path], frames_per_second: float) -> bytes:
+    """Return pictures as the content of an MP4 file, H.264 as browsers show it.
+
+    Raises
+    ------
+    UsageError
+        If ffmpeg is not installed.
+    OutputError
+        If it fails.
+    """
+    command = [find_ffmpeg(), "-v", "error", "-y", "-framerate", f"{frames_per_second:g}"]
+    with TemporaryDirectory() as folder:
+        for number, frame in enumerate(frames(pictures)):
+            frame.save(Path(folder) / f"{number:06}.png", compress_level=1)
+        made = Path(folder) / "made.mp4"
+        command += ["-i", f"{folder}/%06d.png", "-c:v", "libx264", "-pix_fmt", "yuv420p"]
+        done = subprocess.run(
+            [*command, "-movflags", "+faststart", str(made)],
+            stdin=subprocess.DEVNULL,
+            capture_output=True,
+            check=False,
+        )
+        if done.returncode:
+            lines = done.stderr.decode("utf-8", "replace").strip().splitlines()
+            found = f"ffmpeg ended with status {done.returncode}: {' '.join(lines[:1])}"
+            raise OutputError(made.name, found, remedy="use --gif")
+        return made.read_bytes()
+
+
+ENCODERS = {"gif": encode_gif, "mp4": encode_mp4}
+"""Function from pictures and frames per second to the content of a file, by its suffix."""
+
+
+def _opened(path: Path) -> Image:
+    from PIL import Image
+
+    try:
+        picture = Image.open(path)
+        picture.load()
+    except (OSError, SyntaxError, ValueError) as error:
+        found = "no picture, or cut off"
+        raise FormatError(path, found, remedy="draw it again: delete it, or --overwrite") from error
+    return picture
+
+
+def _even(pixels: float) -> int:
+    return max(2, round(pixels / 2) * 2)
