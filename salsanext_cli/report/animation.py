@@ -5,20 +5,26 @@ from __future__ import annotations
 
 import shutil
 import subprocess
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from io import BytesIO
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, TypeVar
 
 from salsanext_cli.errors import FormatError, OutputError, UsageError
 from salsanext_cli.report.canvas import NIGHT
+from salsanext_cli.report.colours import Colours
 
 if TYPE_CHECKING:
     from PIL.Image import Image
 
 LARGEST_PX = (1280, 1080)
 """Width and height that a frame is reduced to."""
+PALETTE, MOST_KEPT = 256, 192
+"""Colours of a GIF, and how many of them may be chosen beforehand."""
+
+
+Taken = TypeVar("Taken")
 
 
 def find_ffmpeg() -> str:
@@ -47,26 +53,38 @@ def frames(pictures: Sequence[Path]) -> Iterator[Image]:
     """
     from PIL import Image
 
-    sizes = []
-    for path in pictures:
-        with _opened(path) as picture:
-            sizes.append(picture.size)
+    sizes = [_of(path, lambda picture: picture.size) for path in pictures]
     width, height = (max(side) for side in zip(*sizes, strict=True))
     share = min(1.0, LARGEST_PX[0] / width, LARGEST_PX[1] / height)
     size = (_even(width * share), _even(height * share))
     for path in pictures:
-        with _opened(path) as picture:
-            whole = Image.new("RGB", (width, height), NIGHT)
-            whole.paste(picture.convert("RGB"), (0, 0))
+        whole = Image.new("RGB", (width, height), NIGHT)
+        whole.paste(_of(path, lambda picture: picture.convert("RGB")), (0, 0))
         yield whole.resize(size, Image.Resampling.LANCZOS, reducing_gap=3.0)
 
 
-def encode_gif(pictures: Sequence[Path], frames_per_second: float) -> bytes:
-    """Return pictures as the content of a GIF file that repeats without end."""
+def encode_gif(pictures: Sequence[Path], frames_per_second: float, kept: Colours) -> bytes:
+    """Return pictures as the content of a GIF file that repeats without end.
+
+    Parameters
+    ----------
+    pictures : sequence of Path
+        At least one.
+    frames_per_second : float
+    kept : (N, 3) uint8
+        Colours that mean something, however rare: they stay as they are, the first 192 of them.
+        The other colours are those of the first picture, as far as a palette of 256 has them.
+    """
     from PIL import Image
 
+    exact = list(dict.fromkeys(map(tuple, kept.tolist())))[:MOST_KEPT]
+    others = next(frames(pictures)).quantize(PALETTE - len(exact)).getpalette() or []
+    palette = Image.new("P", (1, 1))
+    palette.putpalette([value for colour in exact for value in colour] + others)
     # Without dithering what does not move stays as it is.
-    reduced = (frame.quantize(dither=Image.Dither.NONE) for frame in frames(pictures))
+    reduced = (
+        frame.quantize(palette=palette, dither=Image.Dither.NONE) for frame in frames(pictures)
+    )
     content = BytesIO()
     next(reduced).save(
         content,
@@ -108,20 +126,16 @@ def encode_mp4(pictures: Sequence[Path], frames_per_second: float) -> bytes:
         return made.read_bytes()
 
 
-ENCODERS = {"gif": encode_gif, "mp4": encode_mp4}
-"""Function from pictures and frames per second to the content of a file, by its suffix."""
-
-
-def _opened(path: Path) -> Image:
+def _of(path: Path, take: Callable[[Image], Taken]) -> Taken:
+    """Return what a function takes of a picture while its file is open."""
     from PIL import Image
 
     try:
-        picture = Image.open(path)
-        picture.load()
+        with Image.open(path) as picture:
+            return take(picture)
     except (OSError, SyntaxError, ValueError) as error:
         found = "no picture, or cut off"
         raise FormatError(path, found, remedy="draw it again: delete it, or --overwrite") from error
-    return picture
 
 
 def _even(pixels: float) -> int:

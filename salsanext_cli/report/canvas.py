@@ -28,7 +28,7 @@ NIGHT = "#{:02x}{:02x}{:02x}".format(*(c // 2 for c in EMPTY))
 """Background of pictures of scans: darker than `EMPTY`, so that strips have an edge."""
 INK = "#e8e8ea"
 FAINT = "#8a8f98"
-DIM = "#4a4e56"
+DIM = "#5d626b"
 """Colours of text, of grid lines and of text that matters less, on `NIGHT`."""
 DARK = "#22262c"
 PALE = "#c9ced6"

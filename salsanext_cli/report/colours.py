@@ -20,7 +20,7 @@ EMPTY = (36, 38, 45)
 """Colour of a place without a measurement."""
 COLOUR_MAP = "viridis"
 """Name of matplotlib's colour map for values; it is perceptually uniform."""
-LEAST_CONTRAST = 2.2
+LEAST_CONTRAST = 2.5
 """Least ratio of luminances of a colour and `EMPTY` in pictures, as WCAG 2 defines it."""
 RIGHT = (92, 100, 112)
 WRONG = (255, 72, 48)

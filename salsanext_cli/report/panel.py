@@ -27,10 +27,10 @@ if TYPE_CHECKING:
 
 TITLE_PX = 34
 """Pixels above each strip for its title."""
-BAR_PX = 130
+BAR_PX = 160
 """Pixels beside the strips for colour bars and their numbers."""
-STRIP_HEIGHT_PX = 192
-"""Height of a strip: 64 rows are drawn three times as high as they are."""
+STRIP_HEIGHT_PX = 128
+"""Height of a strip: 64 rows are drawn twice as high as they are."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -64,7 +64,9 @@ def range_strip(image: RangeImage) -> Strip:
     """Return a strip of the distance of every pixel, from 0 m to that of most."""
     filled = (image.point_of_pixel >= 0)[..., None]
     _, high = value_range(image.channels[0][filled[..., 0]])
-    colours = np.where(filled, value_colours(image.channels[0], 0.0, high), np.array(EMPTY, np.uint8))
+    colours = np.where(
+        filled, value_colours(image.channels[0], 0.0, high), np.array(EMPTY, np.uint8)
+    )
     return Strip("range", colours, (0.0, high), "m")
 
 

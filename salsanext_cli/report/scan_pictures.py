@@ -28,8 +28,7 @@ from salsanext_cli.storage.scan_results import ScanResults, scalar_columns
 WIDTH_PX, NARROW_PX = 2048, 1024
 """Width of a strip, and beside a single view."""
 HEAD_PX = 56
-IN_A_ROW = {1: 1, 2: 2, 4: 2}
-"""Number of views in a row, by that of all; otherwise 3."""
+MAX_IN_A_ROW = 4
 TITLES = {
     "label": "prediction",
     "wrong": "errors of the prediction",
@@ -84,8 +83,7 @@ def picture_of_results(
         colours = ways.of_points(columns)
         title, unit = TITLES.get(colour, colour), UNITS.get(colour, "")
         if colour in views:
-            ends = f"{scale[0]:.3g} to {scale[1]:.3g} {unit}" if scale else ""
-            seen[f"{title}   {ends}"] = colours
+            seen[title] = colours
         if colour in strips:
             pixels = coloured_strip(image, title, colours).picture
             drawn.append(Strip(title, pixels, scale, unit))
@@ -138,12 +136,13 @@ def scan_picture(
         Entries that the picture does not show.
     """
     width = NARROW_PX if len(views) == 1 else WIDTH_PX
-    in_row = IN_A_ROW.get(len(views), 3)
+    in_row = max(1, min(len(views), MAX_IN_A_ROW))
     size = (width - (in_row - 1) * MARGIN_PX) // in_row
     row_px = birds_eye.TITLE_PX + size
     top = HEAD_PX + -(-len(views) // in_row) * row_px
     height = top + len(strips) * (panel.TITLE_PX + panel.STRIP_HEIGHT_PX) + MARGIN_PX
-    full_width = MARGIN_PX + width + (panel.BAR_PX if strips else MARGIN_PX)
+    bars = any(strip.scale for strip in strips)
+    full_width = MARGIN_PX + width + (panel.BAR_PX if bars else MARGIN_PX)
     figure = canvas.new_picture(full_width, height, legend, width, absent)
     canvas.text_at(figure, MARGIN_PX, HEAD_PX // 2, heading, 22)
     for i, (title, colours) in enumerate(views.items()):

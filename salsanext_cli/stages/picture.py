@@ -8,12 +8,14 @@ from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
+import numpy as np
+
 from salsanext_cli.classes import LabelSpace
 from salsanext_cli.errors import NOTICE, NoInputError, OutputError, UsageError, counted
 from salsanext_cli.inference.scan_fit import fitted_view
 from salsanext_cli.parallel.run import Outcome, RunOptions, run_over_scans
-from salsanext_cli.report.animation import ENCODERS, find_ffmpeg
-from salsanext_cli.report.colours import CLASS_COLOURS, COLOURS
+from salsanext_cli.report.animation import encode_gif, encode_mp4, find_ffmpeg
+from salsanext_cli.report.colours import CLASS_COLOURS, COLOURS, OUTCOMES, map_on_dark, on_dark
 from salsanext_cli.report.scales import Scales, common_scales
 from salsanext_cli.report.scan_pictures import known_views, picture_of_results
 from salsanext_cli.sensors import Sensor, sensor
@@ -91,7 +93,7 @@ def picture(
         The values at the ends of the colour map, for a single colour that is a value. Otherwise
         what most points of some scans span; it is the same for all scans.
     animations : collection of str
-        Of `ENCODERS`: formats of an animation of the pictures of each sequence.
+        Of "gif" and "mp4": formats of an animation of the pictures of each sequence.
     frames_per_second : float
         Speed of these.
     dataset, space, selection, options
@@ -136,7 +138,7 @@ def picture(
         outcome = run_over_scans(task, scans, options, is_done=output.is_done)
         log.log(NOTICE, "pictures: %s", out / "sequences/*" / FOLDER)
         for form in animations:
-            _animate(form, frames_per_second, scans, output)
+            _animate(form, frames_per_second, scans, space, output)
     return replace(outcome, missing=chosen.missing)
 
 
@@ -208,10 +210,16 @@ def _scales(
 
 
 def _animate(
-    form: str, frames_per_second: float, scans: Sequence[ScanFile], output: OutputRun
+    form: str,
+    frames_per_second: float,
+    scans: Sequence[ScanFile],
+    space: LabelSpace,
+    output: OutputRun,
 ) -> None:
     """Write an animation of each sequence of which there are pictures."""
     files = WrittenFiles(output.out)
+    # Every fifth colour of the map, from the high end.
+    kept = np.concatenate([OUTCOMES, map_on_dark()[::-5], on_dark(space.colours)])
     for sequence in dict.fromkeys(scan.sequence for scan in scans):
         mine = (scan for scan in scans if scan.sequence == sequence)
         pictures = [path for path in (output.path(scan, FOLDER) for scan in mine) if path.exists()]
@@ -221,5 +229,8 @@ def _animate(
         if files.others([path]):
             found = "was changed, or not written by salsanext, and is kept"
             raise OutputError(path, found, remedy="move it, or use another output folder")
-        files.write(path, ENCODERS[form](pictures, frames_per_second))
+        if form == "gif":
+            files.write(path, encode_gif(pictures, frames_per_second, kept))
+        else:
+            files.write(path, encode_mp4(pictures, frames_per_second))
         log.log(NOTICE, "animation of %s: %s", counted(len(pictures), "scan"), path)
