@@ -4,12 +4,14 @@
 from __future__ import annotations
 
 import shutil
-import subprocess
 from collections.abc import Callable, Iterator, Sequence
+from contextlib import suppress
 from io import BytesIO
+from itertools import chain
 from pathlib import Path
-from tempfile import TemporaryDirectory
-from typing import TYPE_CHECKING, TypeVar
+from subprocess import DEVNULL, PIPE, Popen
+from tempfile import TemporaryDirectory, TemporaryFile
+from typing import TYPE_CHECKING, BinaryIO, TypeVar, cast
 
 from salsanext_cli.errors import FormatError, OutputError, UsageError
 from salsanext_cli.report.canvas import NIGHT
@@ -107,21 +109,26 @@ def encode_mp4(pictures: Sequence[Path], frames_per_second: float) -> bytes:
     OutputError
         If it fails.
     """
-    command = [find_ffmpeg(), "-v", "error", "-y", "-framerate", f"{frames_per_second:g}"]
-    with TemporaryDirectory() as folder:
-        for number, frame in enumerate(frames(pictures)):
-            frame.save(Path(folder) / f"{number:06}.png", compress_level=1)
+    made_of = frames(pictures)
+    first = next(made_of)
+    size = f"{first.width}x{first.height}"
+    command = [find_ffmpeg(), "-v", "error", "-f", "rawvideo", "-pix_fmt", "rgb24", "-s", size]
+    command += ["-framerate", f"{frames_per_second:g}", "-i", "-", "-c:v", "libx264"]
+    command += ["-pix_fmt", "yuv420p", "-movflags", "+faststart"]
+    with TemporaryDirectory() as folder, TemporaryFile() as errors:
         made = Path(folder) / "made.mp4"
-        command += ["-i", f"{folder}/%06d.png", "-c:v", "libx264", "-pix_fmt", "yuv420p"]
-        done = subprocess.run(
-            [*command, "-movflags", "+faststart", str(made)],
-            stdin=subprocess.DEVNULL,
-            capture_output=True,
-            check=False,
-        )
-        if done.returncode:
-            lines = done.stderr.decode("utf-8", "replace").strip().splitlines()
-            found = f"ffmpeg ended with status {done.returncode}: {' '.join(lines[:1])}"
+        with (
+            Popen([*command, str(made)], stdin=PIPE, stdout=DEVNULL, stderr=errors) as ffmpeg,
+            # If it ends before it has read all, it says why.
+            suppress(BrokenPipeError),
+            cast("BinaryIO", ffmpeg.stdin) as pipe,
+        ):
+            for frame in chain([first], made_of):
+                pipe.write(frame.tobytes())
+        if ffmpeg.returncode:
+            errors.seek(0)
+            lines = errors.read().decode("utf-8", "replace").strip().splitlines()
+            found = f"ffmpeg ended with status {ffmpeg.returncode}: {' '.join(lines[:1])}"
             raise OutputError(made.name, found, remedy="use --gif")
         return made.read_bytes()
 

@@ -1,5 +1,6 @@
 # SPDX-License-Identifier: MIT
 import io
+import shutil
 import stat
 import sys
 
@@ -92,15 +93,23 @@ def ffmpeg(tmp_path, monkeypatch):
 def test_ffmpeg_is_given_the_frames_in_order(picture, ffmpeg):
     pictures = [picture(RED), picture(GREEN)]
     ffmpeg(
-        "given = pathlib.Path(sys.argv[sys.argv.index('-i') + 1])\n"
-        "names = ' '.join(sorted(path.name for path in given.parent.iterdir()))\n"
-        "rate = sys.argv[sys.argv.index('-framerate') + 1]\n"
-        "pathlib.Path(sys.argv[-1]).write_text(f'{given.name} {rate} {names}')"
+        "frames = sys.stdin.buffer.read()\n"
+        "given = [sys.argv[sys.argv.index(name) + 1] for name in ('-s', '-framerate')]\n"
+        "pathlib.Path(sys.argv[-1]).write_bytes(' '.join(given).encode() + b':' + frames)"
     )
-    assert encode_mp4(pictures, 2.5).decode() == "%06d.png 2.5 000000.png 000001.png"
+    given, _, pixels = encode_mp4(pictures, 2.5).partition(b":")
+    assert given == b"300x200 2.5"
+    made = np.frombuffer(pixels, np.uint8).reshape(2, 200, 300, 3)
+    assert [tuple(frame[75, 40]) for frame in made] == [RED, GREEN]
+
+
+@pytest.mark.skipif(shutil.which("ffmpeg") is None, reason="ffmpeg is not installed")
+def test_the_real_one_makes_a_film(picture):
+    film = encode_mp4([picture(RED), picture(GREEN)], 2.5)
+    assert film[4:8] == b"ftyp"
 
 
 def test_an_ffmpeg_that_fails_is_quoted(picture, ffmpeg):
     ffmpeg("sys.exit('Unknown encoder libx264')")
     with pytest.raises(OutputError, match="ffmpeg ended with status 1: Unknown encoder libx264"):
-        encode_mp4([picture(RED)], 2.5)
+        encode_mp4([picture(RED)] * 9, 2.5)

@@ -6,7 +6,7 @@ import pytest
 from matplotlib.image import imread
 from scans import SMALL, make_scan
 
-from salsanext_cli import label_space
+from salsanext_cli import Scan, label_space
 from salsanext_cli.report.birds_eye import TITLE_PX
 from salsanext_cli.report.canvas import MARGIN_PX
 from salsanext_cli.report.colours import WRONG, on_dark
@@ -110,3 +110,14 @@ def test_strange_names_are_text(results):
         png = picture_of_results(name, results, SPACE, SMALL, {}, ["label"], [])
         assert png.startswith(b"\x89PNG")
     assert draw(results, "label") == draw(results, "label")
+
+
+@pytest.mark.parametrize("points", [np.zeros((0, 3)), np.full((5, 3), np.nan), np.zeros((5, 3))])
+def test_a_scan_without_a_measurement(points):
+    count = len(points)
+    labels = np.zeros(count, np.uint32)
+    scan = Scan(points.astype(np.float32), np.zeros(count, np.float32))
+    known = ScanResults(
+        scan, labels, labels, {"entropy": np.full(count, np.nan, np.float32)}, SMALL
+    )
+    assert draw(known, "label", "wrong", "entropy", "range").startswith(b"\x89PNG")
