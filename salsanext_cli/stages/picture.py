@@ -21,8 +21,9 @@ from salsanext_cli.report.scan_pictures import known_views, picture_of_results
 from salsanext_cli.sensors import Sensor, sensor
 from salsanext_cli.storage.chosen_results import ChosenResults, choose_results
 from salsanext_cli.storage.files.json_files import RecordedSettings
-from salsanext_cli.storage.layout import COLOURINGS, ScanFile, find_outputs
+from salsanext_cli.storage.layout import COLOURINGS, SUFFIX_OF_FOLDER, ScanFile, find_outputs
 from salsanext_cli.storage.output_run import OutputRun, output_run
+from salsanext_cli.storage.predictions import space_of_results
 from salsanext_cli.storage.scan_results import (
     FOLDERS,
     missing_column,
@@ -32,9 +33,9 @@ from salsanext_cli.storage.scan_results import (
     uncertainty_meant,
     with_column,
 )
-from salsanext_cli.storage.selection import ScanSelection, choose, scans_of, space_of
+from salsanext_cli.storage.selection import ScanSelection, choose, scans_of
 from salsanext_cli.storage.sources import LABELLING_STAGES, MissingResults, recorded_scans
-from salsanext_cli.storage.stage_records import origins, recorded_sensor, stage_settings
+from salsanext_cli.storage.stage_records import known_sensor, origins, stage_settings
 from salsanext_cli.storage.written_files import WrittenFiles
 
 STAGE, FOLDER = "picture", "pictures"
@@ -111,7 +112,7 @@ def picture(
     if results:
         chosen = choose_results(out, selection, dataset, space, classes)
     else:
-        chosen = _scans_alone(out, selection, dataset, space)
+        chosen = _scans_alone(out, selection, dataset, space, classes)
     scans, space = chosen.scans, chosen.space
     meant = {"uncertainty": uncertainty_meant(scans, out)}
     colours = list(dict.fromkeys(meant.get(colour, colour) for colour in colours))
@@ -120,7 +121,7 @@ def picture(
     made_of, earlier = origins(out, LABELLING_STAGES), stage_settings(out, STAGE)
     overwrite = options.overwrite or (earlier is not None and earlier["origins"] != made_of)
     going_on = None if overwrite else earlier
-    seen = recorded_sensor(out) if results else _sensor_of(scans, going_on)
+    seen = known_sensor(out) or _sensor_of(scans, going_on)
     values = [c for c in colours or COLOURINGS if c not in CLASS_COLOURS]
     scales = _scales(out, scans, values, space, seen, scale, going_on)
     settings = {
@@ -169,22 +170,25 @@ def _require_usable(
 
 
 def _scans_alone(
-    out: Path, selection: ScanSelection, dataset: Path | None, space: LabelSpace | None
+    out: Path,
+    selection: ScanSelection,
+    dataset: Path | None,
+    space: LabelSpace | None,
+    classes: LabelSpace | None,
 ) -> ChosenResults:
-    """Choose among the scans of a data set, or of earlier pictures, without any results."""
-    if dataset is None and not find_outputs(out, FOLDER):
+    """Choose among the scans of a data set, or of what else a folder holds, without any labels."""
+    if dataset is None and not any(find_outputs(out, folder) for folder in SUFFIX_OF_FOLDER):
         found = "holds no results" if out.is_dir() else "no such folder"
         remedy = f"run `salsanext predict SCANS {out}` first, or name scans with --dataset"
         raise NoInputError(out, found, "the output folder of an earlier stage", remedy)
     found_scans = scans_of(dataset) if dataset else recorded_scans(out)
-    space = space or space_of(found_scans)
-    return ChosenResults(
-        choose(found_scans, selection, space, dataset or out), space, MissingResults()
-    )
+    space = space_of_results(out, found_scans, space, classes)
+    scans = choose(found_scans, selection, space, dataset or out)
+    return ChosenResults(scans, space, MissingResults())
 
 
 def _sensor_of(scans: Sequence[ScanFile], earlier: RecordedSettings | None) -> Sensor:
-    """Return the sensor of scans without results: that of earlier pictures, else one fitted."""
+    """Return the sensor of scans if none is recorded: that of earlier pictures, else one fitted."""
     if earlier is not None:
         return Sensor.from_dict(earlier.table("sensor"), earlier.path)
     return fitted_view(scans, sensor("hdl64"))

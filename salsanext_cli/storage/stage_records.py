@@ -174,11 +174,15 @@ def recorded_weights(out: Path, folder: str) -> str | None:
 
 def recorded_sensor(out: Path) -> Sensor:
     """Return the sensor that labels in an output folder were made through; else the HDL-64."""
+    return known_sensor(out) or sensor("hdl64")
+
+
+def known_sensor(out: Path) -> Sensor | None:
+    """Return the sensor that results in an output folder were made through, if one is recorded."""
     for folder in ("pixel_labels", "predictions", "uncertainty/epistemic", "range"):
-        settings = settings_of(out, folder)
-        if settings is not None:
+        if (settings := settings_of(out, folder)) is not None:
             return Sensor.from_dict(settings.table("sensor"), settings.path)
-    return sensor("hdl64")
+    return None
 
 
 def earlier_settings(out: Path, weights: str | None, overwrite: bool) -> RecordedSettings | None:

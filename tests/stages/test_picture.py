@@ -17,6 +17,7 @@ from salsanext_cli.report import birds_eye, scan_pictures
 from salsanext_cli.report.colours import WRONG, on_dark
 from salsanext_cli.stages.picture import picture
 from salsanext_cli.stages.predict import predict_scans
+from salsanext_cli.stages.project import project_scans
 from salsanext_cli.storage.selection import ScanSelection
 
 OVERWRITE = RunOptions(overwrite=True)
@@ -163,6 +164,16 @@ def test_scans_alone(world):
     predict_scans(world.data, world.out, network=world.network)
     assert picture(world.out).done == 3
     assert "label_space" in json.loads((world.out / "picture.json").read_text())["settings"]
+
+
+def test_range_images_alone(world):
+    seen = world.network.load().sensor
+    project_scans(world.data, world.out, sensor=seen, selection=ONE)
+    assert picture(world.out, selection=ONE, classes=label_space("coarse")).done == 1
+    settings = json.loads((world.out / "picture.json").read_text())["settings"]
+    assert settings["sensor"]["name"] == seen.name
+    colours = on_dark(label_space("coarse").colours)
+    assert has(drawn(world), colours[1])
 
 
 def test_scans_moved_away(world):
