@@ -13,8 +13,6 @@ from io import BytesIO
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
-import numpy as np
-
 from salsanext_cli.report.colours import EMPTY, Colours, Legend
 from salsanext_cli.storage.files.atomic import write_bytes
 
@@ -61,9 +59,23 @@ def new_picture(
         left = MARGIN_PX + i % columns * LEGEND_STEP_PX
         top = height + i // columns * LEGEND_ROW_PX
         if name not in absent:
-            show_pixels(figure, np.array([[colour]], np.uint8), left, top + 3, 22, 14)
+            _show_swatch(figure, colour, left, top + 3, 22, 14)
         text_at(figure, left + 30, top + 10, name, 15, DIM if name in absent else INK)
     return figure
+
+
+def _show_swatch(
+    figure: Figure, colour: tuple[int, int, int], left: int, top: int, width: int, height: int
+) -> None:
+    """Fill a rectangle; axes for each entry of a legend would take most of the time to draw."""
+    from matplotlib.patches import Rectangle
+
+    full_width, full_height = figure.get_size_inches() * DPI
+    corner = left / full_width, 1 - (top + height) / full_height
+    size = width / full_width, height / full_height
+    filled = Rectangle(corner, *size, transform=figure.transFigure, linewidth=0)
+    filled.set(facecolor=[part / 255 for part in colour], antialiased=False)
+    figure.add_artist(filled)
 
 
 def show_pixels(
