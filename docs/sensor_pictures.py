@@ -10,7 +10,10 @@ docs/sensors.md were made so.
 from __future__ import annotations
 
 import sys
+from io import BytesIO
 from pathlib import Path
+
+from shrink import shrink
 
 import salsanext_cli as sn
 from salsanext_cli.geometry.fitting.view_fit import as_found
@@ -18,12 +21,12 @@ from salsanext_cli.geometry.mounting import in_sensor_frame
 from salsanext_cli.inference.network import Network
 from salsanext_cli.inference.scan_fit import fitted
 from salsanext_cli.inference.settings import NetworkSettings
-from salsanext_cli.report.birds_eye import birds_eye
-from salsanext_cli.report.colours import Colours, legend_of
+from salsanext_cli.report.colours import Colours, legend_of, on_dark
+from salsanext_cli.report.scan_pictures import scan_picture
 from salsanext_cli.storage.layout import find_scans
 
-WIDTH_PX, QUALITY = 1000, 80
-"""Size of a picture, so that twenty of them stay small."""
+WIDTH_PX = 1000
+"""Width of a picture, so that twenty of them stay small."""
 WAYS = {
     "as it is: --intensity raw, the view of the weights": NetworkSettings(
         fit=False, intensity="raw"
@@ -38,7 +41,7 @@ def main(folder: Path, named_scans: list[str]) -> None:
     folder.mkdir(parents=True, exist_ok=True)
     for named in named_scans:
         name, _, path = named.partition("=")
-        draw(folder / f"{name}.png", Path(path), network)
+        draw(folder / f"{name}.webp", Path(path), network)
 
 
 def draw(picture: Path, path: Path, network: Network) -> None:
@@ -51,26 +54,13 @@ def draw(picture: Path, path: Path, network: Network) -> None:
         image = sn.project(scan, used.sensor)
         pixel_labels = used.probabilities(image).argmax(axis=0)
         labels[title] = sn.knn_refine(image, pixel_labels, space.class_count)
-    views: dict[str, Colours] = {title: space.colours[ids] for title, ids in labels.items()}
-    birds_eye(
-        picture,
-        in_sensor_frame(scan, used.sensor).points,
-        views,
-        legend_of(space, *labels.values()),
-    )
-    shrink(picture)
+    of_classes = on_dark(space.colours)
+    views: dict[str, Colours] = {title: of_classes[ids] for title, ids in labels.items()}
+    points = in_sensor_frame(scan, used.sensor).points
+    legend = legend_of(space, *labels.values())
+    png = scan_picture(f"{picture.stem}   {len(scan):,} points", points, views, legend=legend)
+    shrink(BytesIO(png), picture, WIDTH_PX)
     print(f"{picture.stem}: {len(scan)} points; {as_found(used.sensor)}")
-
-
-def shrink(png: Path) -> None:
-    """Replace a PNG by a smaller picture: fewer pixels, and WebP."""
-    from PIL import Image
-
-    with Image.open(png) as large:
-        size = (WIDTH_PX, round(large.height * WIDTH_PX / large.width))
-        small = large.convert("RGB").resize(size, Image.Resampling.LANCZOS)
-    small.save(png.with_suffix(".webp"), quality=QUALITY, method=6)
-    png.unlink()
 
 
 if __name__ == "__main__":

@@ -23,6 +23,7 @@ from salsanext_cli.cli.knn_refine import knn_refine
 from salsanext_cli.cli.models import models
 from salsanext_cli.cli.option_groups import expanded
 from salsanext_cli.cli.pick import pick
+from salsanext_cli.cli.picture import picture
 from salsanext_cli.cli.predict import predict
 from salsanext_cli.cli.project import project
 from salsanext_cli.cli.submit import submit
@@ -56,7 +57,8 @@ COMMANDS: dict[str, dict[str, Callable[..., None] | typer.Typer]] = {
         "tune": tune,
         "benchmark": benchmark,
     },
-    "Demonstration": {
+    "Look": {
+        "picture": picture,
         "demo": demo,
     },
 }

@@ -46,7 +46,11 @@ def demo(
     failures = (*made.failures, *made.evaluation.failures)
     run_end.name_failures(failures)
     output.say("look at:")
-    for path in (*pictures, f"{out}/eval_iou.png", f"{out}/eval_confusion.png"):
+    for path in (
+        f"{out}/sequences/00/pictures/*.png",
+        f"{out}/eval_iou.png",
+        f"{out}/eval_confusion.png",
+    ):
         output.say(f"  {path}")
     output.say(f"  {out}/sequences/00/ply/*.ply   in CloudCompare, MeshLab or open3d")
     output.say(f"scans: {folder / 'data'}; results of every stage: {out}/sequences/00")

@@ -1,35 +1,29 @@
 # SPDX-License-Identifier: MIT
-"""Scans seen from above, side by side."""
+"""Scans seen from above."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from salsanext_cli.records import Float
 from salsanext_cli.report import canvas
-from salsanext_cli.report.canvas import MARGIN_PX
-from salsanext_cli.report.colours import EMPTY, Colours, Legend
+from salsanext_cli.report.colours import EMPTY, Colours
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
 
-VIEW_PX = 900
-"""Height and width of a view in pixels."""
 OVERSAMPLING = 2
 TITLE_PX = 40
 REACH_M = 45.0
-"""Distance from the sensor to the edge of a view by default."""
+"""Distance from the sensor to the edge of a view."""
 GRID_M = 10.0
 """Metres between two circles."""
 
 
-def raster(
-    points: Float, colours: Colours, reach: float = REACH_M, size: int = VIEW_PX, spread: int = 1
-) -> Colours:
+def raster(points: Float, colours: Colours, reach: float, size: int, spread: int = 1) -> Colours:
     """Draw points as seen from above; a higher point hides a lower one.
 
     Parameters
@@ -64,35 +58,34 @@ def raster(
     return picture[spread : size + spread, spread : size + spread]
 
 
-def birds_eye(path: Path, points: Float, views: Mapping[str, Colours], legend: Legend = ()) -> None:
-    """Draw a scan from above, once per view, with circles every `GRID_M` metres, as a PNG.
+def draw_view(
+    figure: Figure, points: Float, title: str, colours: Colours, left: int, top: int, size: int
+) -> None:
+    """Draw a scan from above at a place of a figure, with circles every `GRID_M` metres.
 
     Parameters
     ----------
-    path : Path
-        The file to write.
+    figure : Figure
     points : (N, 3) float32
         Metres, sensor frame.
-    views : mapping of str to (N, 3) uint8
-        Red, green, blue of every point by title, from left to right.
-    legend : list of (name, colour)
-        Entries of the legend below them.
+    title : str
+        Text above the view, `TITLE_PX` high.
+    colours : (N, 3) uint8
+        Red, green, blue of every point.
+    left, top : int
+        Place of its upper left corner, in pixels.
+    size : int
+        Height and width of the view below the title, in pixels.
     """
-    width = len(views) * (VIEW_PX + MARGIN_PX) - MARGIN_PX
-    size = (width + 2 * MARGIN_PX, TITLE_PX + VIEW_PX + MARGIN_PX)
-    figure = canvas.new_picture(*size, legend, width)
-    for i, (title, colours) in enumerate(views.items()):
-        left = MARGIN_PX + i * (VIEW_PX + MARGIN_PX)
-        canvas.text_at(figure, left, TITLE_PX // 2, title, 18)
-        axes = canvas.axes_at(figure, left, TITLE_PX, VIEW_PX, VIEW_PX)
-        _draw(axes, _smooth(points, colours))
-    canvas.save_png(figure, path)
+    canvas.text_at(figure, left, top + TITLE_PX // 2, title, 18)
+    axes = canvas.axes_at(figure, left, top + TITLE_PX, size, size)
+    _draw(axes, _smooth(points, colours, size))
 
 
-def _smooth(points: Float, colours: Colours) -> Colours:
+def _smooth(points: Float, colours: Colours, size: int) -> Colours:
     """Draw larger and average down, so that edges of points are soft."""
-    large = raster(points, colours, REACH_M, VIEW_PX * OVERSAMPLING, spread=3)
-    blocks = large.reshape(VIEW_PX, OVERSAMPLING, VIEW_PX, OVERSAMPLING, 3)
+    large = raster(points, colours, REACH_M, size * OVERSAMPLING, spread=3)
+    blocks = large.reshape(size, OVERSAMPLING, size, OVERSAMPLING, 3)
     picture: Colours = blocks.mean(axis=(1, 3)).round().astype(np.uint8)
     return picture
 

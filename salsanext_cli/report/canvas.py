@@ -7,11 +7,11 @@ works in any thread or process and without a display.
 
 from __future__ import annotations
 
+import warnings
+from collections.abc import Container
 from io import BytesIO
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
-
-import numpy as np
 
 from salsanext_cli.report.colours import EMPTY, Colours, Legend
 from salsanext_cli.storage.files.atomic import write_bytes
@@ -26,7 +26,8 @@ NIGHT = "#{:02x}{:02x}{:02x}".format(*(c // 2 for c in EMPTY))
 """Background of pictures of scans: darker than `EMPTY`, so that strips have an edge."""
 INK = "#e8e8ea"
 FAINT = "#8a8f98"
-"""Colours of text and of grid lines on `NIGHT`."""
+DIM = "#5d626b"
+"""Colours of text, of grid lines and of text that matters less, on `NIGHT`."""
 DARK = "#22262c"
 PALE = "#c9ced6"
 """The same on `PAPER`."""
@@ -43,10 +44,13 @@ def new_figure(width: int, height: int, background: str = NIGHT) -> Figure:
     return Figure(figsize=(width / DPI, height / DPI), dpi=DPI, facecolor=background)
 
 
-def new_picture(width: int, height: int, legend: Legend, legend_width: int) -> Figure:
+def new_picture(
+    width: int, height: int, legend: Legend, legend_width: int, absent: Container[str] = ()
+) -> Figure:
     """Return an empty figure of a size in pixels, and a legend below it if that has entries.
 
-    The legend is a swatch and a name for each entry, in rows of a width in pixels.
+    The legend is a swatch and a name for each entry, in rows of a width in pixels. An absent one
+    has its place and its name, faintly.
     """
     columns = max(1, legend_width // LEGEND_STEP_PX)
     rows = -(-len(legend) // columns)
@@ -54,9 +58,24 @@ def new_picture(width: int, height: int, legend: Legend, legend_width: int) -> F
     for i, (name, colour) in enumerate(legend):
         left = MARGIN_PX + i % columns * LEGEND_STEP_PX
         top = height + i // columns * LEGEND_ROW_PX
-        show_pixels(figure, np.array([[colour]], np.uint8), left, top + 3, 22, 14)
-        text_at(figure, left + 30, top + 10, name, 15)
+        if name not in absent:
+            _show_swatch(figure, colour, left, top + 3, 22, 14)
+        text_at(figure, left + 30, top + 10, name, 15, DIM if name in absent else INK)
     return figure
+
+
+def _show_swatch(
+    figure: Figure, colour: tuple[int, int, int], left: int, top: int, width: int, height: int
+) -> None:
+    """Fill a rectangle; axes for each entry of a legend would take most of the time to draw."""
+    from matplotlib.patches import Rectangle
+
+    full_width, full_height = figure.get_size_inches() * DPI
+    corner = left / full_width, 1 - (top + height) / full_height
+    size = width / full_width, height / full_height
+    filled = Rectangle(corner, *size, transform=figure.transFigure, linewidth=0)
+    filled.set(facecolor=[part / 255 for part in colour], antialiased=False)
+    figure.add_artist(filled)
 
 
 def show_pixels(
@@ -116,7 +135,10 @@ def plain_frame(axes: Axes, grid: Literal["both", "x"] | None = "both") -> None:
 def png_of(figure: Figure) -> bytes:
     """Return a figure as the content of a PNG file."""
     png = BytesIO()
-    figure.savefig(png, format="png", dpi=DPI, metadata={"Software": None})
+    with warnings.catch_warnings():
+        # A name in a script that the font lacks is drawn as boxes.
+        warnings.filterwarnings("ignore", message="Glyph .* missing from")
+        figure.savefig(png, format="png", dpi=DPI, metadata={"Software": None})
     return png.getvalue()
 
 

@@ -6,22 +6,18 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
-import numpy.typing as npt
 
 from salsanext_cli.geometry.gather import pixels_from_points
 from salsanext_cli.records import RangeImage
 from salsanext_cli.report import canvas
 from salsanext_cli.report.canvas import MARGIN_PX
 from salsanext_cli.report.colours import (
-    COLOUR_MAP,
     EMPTY,
     Colours,
-    Legend,
-    map_colours,
+    map_on_dark,
     value_colours,
     value_range,
 )
@@ -31,11 +27,10 @@ if TYPE_CHECKING:
 
 TITLE_PX = 34
 """Pixels above each strip for its title."""
-BAR_PX = 130
+BAR_PX = 160
 """Pixels beside the strips for colour bars and their numbers."""
-STRIP_WIDTH_PX = 2048
-STRIP_HEIGHT_PX = 192
-"""Least size of a strip in pixels: 64 rows are drawn three times as high as they are."""
+STRIP_HEIGHT_PX = 128
+"""Height of a strip: 64 rows are drawn twice as high as they are."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -66,61 +61,36 @@ def coloured_strip(image: RangeImage, title: str, colours: Colours) -> Strip:
 
 
 def range_strip(image: RangeImage) -> Strip:
-    """Return a strip of the distance of every pixel, from 0 m."""
-    return scalar_strip(image, "range", image.channels[0], "m", 0.0)
+    """Return a strip of the distance of every pixel, from 0 m to that of most."""
+    filled = (image.point_of_pixel >= 0)[..., None]
+    _, high = value_range(image.channels[0][filled[..., 0]])
+    colours = np.where(
+        filled, value_colours(image.channels[0], 0.0, high), np.array(EMPTY, np.uint8)
+    )
+    return Strip("range", colours, (0.0, high), "m")
 
 
-def scalar_strip(
-    image: RangeImage,
-    title: str,
-    values: npt.NDArray[Any],
-    unit: str = "",
-    lowest: float | None = None,
-) -> Strip:
-    """Return a strip of values of pixels (H, W) or points (N,); the scale spans most of them."""
-    filled = image.point_of_pixel >= 0
-    pixels = values if values.ndim == 2 else pixels_from_points(values, image.point_of_pixel)
-    low, high = value_range(pixels[filled])
-    low = low if lowest is None else lowest
-    empty = np.array(EMPTY, np.uint8)
-    colours = np.where(filled[..., None], value_colours(pixels, low, high), empty)
-    return Strip(title, colours, (low, high), unit)
-
-
-def panel(path: Path, strips: Sequence[Strip], legend: Legend = ()) -> None:
-    """Draw strips below each other, with titles, colour bars and a legend, as a PNG.
+def draw_strips(figure: Figure, strips: Sequence[Strip], top: int, width: int) -> None:
+    """Draw strips below each other, with titles and colour bars, from `MARGIN_PX` on the left.
 
     Parameters
     ----------
-    path : Path
-        The file to write.
+    figure : Figure
     strips : sequence of Strip
-        From top to bottom.
-    legend : list of (name, colour)
-        Entries of the legend below them.
+        From top to bottom; each takes `TITLE_PX` and `STRIP_HEIGHT_PX`.
+    top : int
+        Place of the first title, in pixels.
+    width : int
+        Width of a strip in pixels; `BAR_PX` on its right are for the bar.
     """
-    pictures = [_enlarged(strip.picture) for strip in strips]
-    width = max(picture.shape[1] for picture in pictures)
-    body = sum(picture.shape[0] + TITLE_PX for picture in pictures)
-    size = (MARGIN_PX + width + BAR_PX, body + MARGIN_PX)
-    figure = canvas.new_picture(*size, legend, width)
-    top = 0
-    for strip, picture in zip(strips, pictures, strict=True):
+    for strip in strips:
         canvas.text_at(figure, MARGIN_PX, top + TITLE_PX // 2 + 2, strip.title, 18)
         top += TITLE_PX
-        height = picture.shape[0]
-        canvas.show_pixels(figure, picture, MARGIN_PX, top, picture.shape[1], height)
+        canvas.show_pixels(figure, strip.picture, MARGIN_PX, top, width, STRIP_HEIGHT_PX)
         if strip.scale:
-            _draw_bar(figure, strip.scale, strip.unit, MARGIN_PX + width + 16, top, height)
-        top += height
-    canvas.save_png(figure, path)
-
-
-def _enlarged(picture: Colours) -> Colours:
-    """Enlarge a picture to a legible size by repeating its pixels."""
-    rows = max(1, round(STRIP_HEIGHT_PX / picture.shape[0]))
-    columns = max(1, round(STRIP_WIDTH_PX / picture.shape[1]))
-    return picture.repeat(rows, axis=0).repeat(columns, axis=1)
+            left = MARGIN_PX + width + 16
+            _draw_bar(figure, strip.scale, strip.unit, left, top, STRIP_HEIGHT_PX)
+        top += STRIP_HEIGHT_PX
 
 
 def _draw_bar(
@@ -128,7 +98,7 @@ def _draw_bar(
 ) -> None:
     low, high = scale
     rows = np.linspace(255, 0, height).round().astype(np.intp)
-    canvas.show_pixels(figure, map_colours(COLOUR_MAP)[rows][:, None], left, top, 16, height)
+    canvas.show_pixels(figure, map_on_dark()[rows][:, None], left, top, 16, height)
     # Digits by the span of the scale: its lower end is "0" rather than "0.00035".
     digits = 2 - math.floor(math.log10(max(high - low, 1e-9)))
     for value, place in ((high, 9), ((low + high) / 2, height // 2), (low, height - 9)):

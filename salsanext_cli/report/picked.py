@@ -21,11 +21,11 @@ from salsanext_cli.records import Float
 from salsanext_cli.report import canvas
 from salsanext_cli.report.canvas import MARGIN_PX
 from salsanext_cli.report.colours import (
-    COLOUR_MAP,
     EMPTY,
     Colours,
     legend_of,
-    map_colours,
+    map_on_dark,
+    on_dark,
     value_colours,
     value_range,
 )
@@ -179,7 +179,7 @@ def picked_sheet(
     canvas.text_at(figure, MARGIN_PX, HEAD_PX // 2, "labels", 18)
     _draw_scale(figure, low, high, right, width - MARGIN_PX)
     colours = np.full((NO_CLASS + 1, 3), EMPTY, np.uint8)
-    colours[: space.class_count] = space.colours
+    colours[: space.class_count] = on_dark(space.colours)
     for number, (each, preview) in enumerate(drawn):
         top = HEAD_PX + number * row_px
         title = printable(f"{each.rank}   {each.name}   {each.reason}")
@@ -198,7 +198,7 @@ def _draw_scale(figure: Any, low: float, high: float, left: int, right: int) -> 
     """Draw the head of the uncertainties, with the meaning of their colours."""
     middle = HEAD_PX // 2
     canvas.text_at(figure, left, middle, "uncertainty: mutual information, nats", 18)
-    bar: npt.NDArray[np.uint8] = map_colours(COLOUR_MAP)[None]
+    bar: npt.NDArray[np.uint8] = map_on_dark()[None]
     start = right - BAR_PX - 70
     canvas.text_at(figure, start - 60, middle, f"{low:.3f}", 15)
     canvas.show_pixels(figure, bar, start, middle - 8, BAR_PX, 16)

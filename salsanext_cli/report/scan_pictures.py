@@ -1,110 +1,153 @@
 # SPDX-License-Identifier: MIT
-"""Pictures of a scan with its labels and results, and of a prediction during training."""
+"""Picture of a scan: from above and as strips of its range image, by everything known of it."""
 
-from pathlib import Path
-from typing import BinaryIO
+from collections.abc import Collection, Mapping, Sequence
 
 import numpy as np
 
-from salsanext_cli.classes import LabelSpace, TrainIds
-from salsanext_cli.formats import read_scan
-from salsanext_cli.formats.labels import read_labels
-from salsanext_cli.geometry.knn import knn_refine
+from salsanext_cli.classes import LabelSpace
+from salsanext_cli.errors import counted, printable
+from salsanext_cli.geometry.mounting import in_sensor_frame
 from salsanext_cli.geometry.projection import project
-from salsanext_cli.inference.network import Network
-from salsanext_cli.report.birds_eye import birds_eye
-from salsanext_cli.report.colours import Colours, error_colours, legend_of
-from salsanext_cli.report.panel import coloured_strip, panel, range_strip, scalar_strip
+from salsanext_cli.records import Float
+from salsanext_cli.report import birds_eye, canvas, panel
+from salsanext_cli.report.canvas import MARGIN_PX
+from salsanext_cli.report.colours import (
+    OUTCOME_LEGEND,
+    Colours,
+    Legend,
+    PointColours,
+    legend_of,
+)
+from salsanext_cli.report.panel import Strip, coloured_strip, draw_strips
+from salsanext_cli.report.scales import Scales
 from salsanext_cli.sensors import Sensor
-from salsanext_cli.storage.layout import ScanFile
-from salsanext_cli.storage.scan_results import read_results
+from salsanext_cli.storage.layout import UNCERTAINTY
+from salsanext_cli.storage.scan_results import ScanResults, scalar_columns
 
-ROW_HEIGHT_PX = 3
-"""Height of a row of `draw_sample`; beams are farther apart than columns."""
-GAP_PX = 6
-"""White rows between its strips."""
+WIDTH_PX, NARROW_PX = 2048, 1024
+"""Width of a strip, and beside a single view."""
+HEAD_PX = 56
+MAX_IN_A_ROW = 4
+TITLES = {
+    "label": "prediction",
+    "wrong": "errors of the prediction",
+    "error": "error: probability that the label is wrong",
+    "epistemic": "epistemic uncertainty",
+    "aleatoric": "aleatoric uncertainty",
+    "total": "total uncertainty",
+    "entropy": "uncertainty: entropy of the classes",
+    "mutual_information": "uncertainty: mutual information",
+}
+UNITS = {"range": "m", "entropy": "nats", "mutual_information": "nats"}
 
 
-def draw_scan(
-    file: ScanFile, out: Path, space: LabelSpace, sensor: Sensor, folder: Path
-) -> tuple[Path, Path]:
-    """Draw a scan as strips of its range image and from above.
+def picture_of_results(
+    name: str,
+    results: ScanResults,
+    space: LabelSpace,
+    sensor: Sensor,
+    scales: Scales,
+    views: Collection[str],
+    strips: Collection[str],
+) -> bytes:
+    """Draw a scan and its results.
 
     Parameters
     ----------
-    file : ScanFile
-        The scan.
-    out : Path
-        Output folder with results of earlier stages.
+    name : str
+        Name of the scan, for the heading.
+    results : ScanResults
+        The scan and what is known of it.
     space : LabelSpace
         Meaning of the labels.
     sensor : Sensor
         Sensor of the range image.
-    folder : Path
-        Folder of the two pictures.
+    scales : dict of str to pair of float
+        Values at the ends of the colour map, by colour.
+    views, strips : collection of str
+        Of `COLOURINGS`, all known: those seen from above, and those of the range image.
 
     Returns
     -------
-    tuple of Path
-        The strips and the view from above, both PNG.
+    bytes
+        A PNG.
     """
-    found = read_results(file, out, sensor)
-    known = {"truth": found.truth, "prediction": found.label}
-    labels = {k: space.to_train(raw, strict=False) for k, raw in known.items() if raw is not None}
-    legend = legend_of(space, *labels.values(), errors=len(labels) == 2)
-    image = project(found.scan, sensor)
-    colours = _colours(labels, space)
-    strips = [range_strip(image), scalar_strip(image, "intensity", image.channels[4])]
-    strips += [coloured_strip(image, *each) for each in colours.items()]
-    for kind, values in found.uncertainty.items():
-        title = "probability of error" if kind == "error" else kind.replace("_", " ")
-        strips.append(scalar_strip(image, title, values))
-    name = f"{file.sequence}_{file.stem}"
-    range_path, above_path = folder / f"{name}_range.png", folder / f"{name}_above.png"
-    panel(range_path, strips, legend)
-    birds_eye(above_path, found.scan.points, colours, legend)
-    return range_path, above_path
+    columns = scalar_columns(results, space)
+    image = project(results.scan, sensor)
+    seen: dict[str, Colours] = {}
+    drawn: list[Strip] = []
+    for colour in dict.fromkeys((*views, *strips)):
+        scale = scales.get(colour)
+        ways = PointColours(colour, scale or (0.0, 1.0), space, dark=True)
+        colours = ways.of_points(columns)
+        title, unit = TITLES.get(colour, colour), UNITS.get(colour, "")
+        if colour in views:
+            seen[title] = colours
+        if colour in strips:
+            pixels = coloured_strip(image, title, colours).picture
+            drawn.append(Strip(title, pixels, scale, unit))
+    shown = {colour for colour in (*views, *strips) if colour in ("label", "truth")}
+    labels = [space.to_train(columns[colour], strict=False) for colour in shown]
+    legend = legend_of(space, np.arange(space.class_count)) if shown else ()
+    present = {entry for entry, _ in legend_of(space, *labels)} if shown else set()
+    absent = {entry for entry, _ in legend} - present
+    if "wrong" in (*views, *strips):
+        legend = [*legend, *OUTCOME_LEGEND]
+    of_classes = f"classes of {space.name}   " if shown else ""
+    heading = f"{name}   {counted(len(results.scan), 'point')}   {of_classes}sensor {sensor.name}"
+    points = in_sensor_frame(results.scan, sensor).points
+    return scan_picture(printable(heading), points, seen, drawn, legend, absent)
 
 
-def draw_sample(out: BinaryIO, file: ScanFile, network: Network) -> Colours:
-    """Draw range, truth, prediction and errors of a labelled scan below each other, as PNG.
+def known_views(columns: Collection[str]) -> list[str]:
+    """Return what a picture shows from above, out of all columns known of a scan: 2 to 4 of them.
 
-    It is quick to draw: strips without text.
+    These are labels, errors and an uncertainty; measurements where there are too few of those.
+    """
+    views = [colour for colour in ("truth", "label", "wrong") if colour in columns]
+    views += [kind for kind in ("error", "entropy", *UNCERTAINTY) if kind in columns][:1]
+    return (views + ["intensity", "range"])[: max(2, len(views))]
+
+
+def scan_picture(
+    heading: str,
+    points: Float,
+    views: Mapping[str, Colours],
+    strips: Sequence[Strip] = (),
+    legend: Legend = (),
+    absent: Collection[str] = (),
+) -> bytes:
+    """Draw a scan from above and its strips below that, as a PNG.
 
     Parameters
     ----------
-    out : BinaryIO
-        An open file.
-    file : ScanFile
-        The scan.
-    network : Network
-        Network to predict it with, as `predict` does.
-
-    Returns
-    -------
-    (4·3·H + gaps, W, 3) uint8
-        The picture.
+    heading : str
+        First line.
+    points : (N, 3) float32
+        Metres, sensor frame.
+    views : mapping of str to (N, 3) uint8
+        Colours of the points from above, by title.
+    strips : sequence of Strip
+        From top to bottom.
+    legend : list of (name, colour)
+        Entries of the legend at the bottom.
+    absent : collection of str
+        Entries that the picture does not show.
     """
-    from matplotlib.image import imsave  # a second to import, and only this needs it
-
-    space, sensor = network.space, network.sensor
-    scan = read_scan(file.path, sensor)
-    truth = space.to_train(read_labels(file.label_path, len(scan)), source=file.label_path)
-    image = project(scan, sensor)
-    pixel_labels = network.probabilities(image).argmax(axis=0)
-    labels = knn_refine(image, pixel_labels, space.class_count)
-    colours = _colours({"truth": truth, "prediction": labels}, space)
-    strips = [range_strip(image), *(coloured_strip(image, *each) for each in colours.items())]
-    gap = np.full((GAP_PX, sensor.width, 3), 255, np.uint8)
-    rows = [part for s in strips for part in (gap, s.picture.repeat(ROW_HEIGHT_PX, axis=0))][1:]
-    picture = np.concatenate(rows)
-    imsave(out, picture, format="png")
-    return picture
-
-
-def _colours(labels: dict[str, TrainIds], space: LabelSpace) -> dict[str, Colours]:
-    """Return the colours of points by title, and of the errors of a prediction with its truth."""
-    colours: dict[str, Colours] = {title: space.colours[ids] for title, ids in labels.items()}
-    if len(labels) == 2:
-        colours["errors"] = error_colours(labels["truth"], labels["prediction"], space)
-    return colours
+    width = NARROW_PX if len(views) == 1 else WIDTH_PX
+    in_row = max(1, min(len(views), MAX_IN_A_ROW))
+    size = (width - (in_row - 1) * MARGIN_PX) // in_row
+    row_px = birds_eye.TITLE_PX + size
+    top = HEAD_PX + -(-len(views) // in_row) * row_px
+    height = top + len(strips) * (panel.TITLE_PX + panel.STRIP_HEIGHT_PX) + MARGIN_PX
+    bars = any(strip.scale for strip in strips)
+    full_width = MARGIN_PX + width + (panel.BAR_PX if bars else MARGIN_PX)
+    figure = canvas.new_picture(full_width, height, legend, width, absent)
+    canvas.text_at(figure, MARGIN_PX, HEAD_PX // 2, heading, 22)
+    for i, (title, colours) in enumerate(views.items()):
+        left = MARGIN_PX + i % in_row * (size + MARGIN_PX)
+        place = (left, HEAD_PX + i // in_row * row_px, size)
+        birds_eye.draw_view(figure, points, title, colours, *place)
+    draw_strips(figure, strips, top, width)
+    return canvas.png_of(figure)

@@ -9,13 +9,13 @@ from typing import Any
 
 from salsanext_cli.inference.settings import NetworkSettings
 from salsanext_cli.parallel.run import Failure, Progress, RunOptions
-from salsanext_cli.report.scan_pictures import draw_scan
 from salsanext_cli.stages.evaluate import Evaluation, evaluate
 from salsanext_cli.stages.export_ply import export_ply
+from salsanext_cli.stages.picture import picture
 from salsanext_cli.stages.predict import predict_scans
 from salsanext_cli.stages.synth import synthesise
 from salsanext_cli.stages.uncertainty import uncertainty
-from salsanext_cli.storage.layout import find_scans
+from salsanext_cli.storage.layout import find_outputs, find_scans
 from salsanext_cli.storage.predictions import predicted_scans, provenance
 from salsanext_cli.storage.selection import ScanSelection
 from salsanext_cli.uncertainty.settings import Estimator
@@ -99,10 +99,11 @@ def demo(
         sampled = uncertainty(data, out, network=network, estimator=estimator, options=run)
     with step("export-ply") as run:
         exported = export_ply(out, colour="label", options=run)
-    failures = (*predicted.failures, *sampled.failures, *exported.failures)
+    with step("picture") as run:
+        drawn = picture(out, options=run)
+    failures = tuple(f for each in (predicted, sampled, exported, drawn) for f in each.failures)
     files, space = predicted_scans(out, valid)
     with step("eval") as run:
         evaluation = evaluate(files, out, space, run, settings=provenance(out, valid))
-    sensor = network.load().sensor
-    pictures = draw_scan(files[len(files) // 2], out, space, sensor, out / "pictures")
+    pictures = tuple(find_outputs(out, "pictures").values())
     return Demonstration(evaluation, pictures, failures)

@@ -3,48 +3,40 @@
 
 import logging
 import math
-from contextlib import suppress
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from salsanext_cli.classes import LabelSpace
-from salsanext_cli.errors import NOTICE, SalsanextError, UsageError
+from salsanext_cli.errors import NOTICE, UsageError
 from salsanext_cli.formats.clouds.asprs import asprs_class, classification
 from salsanext_cli.formats.clouds.las import encode_las, import_laspy
 from salsanext_cli.formats.clouds.ply import encode_ply
 from salsanext_cli.inference.settings import NetworkSettings
 from salsanext_cli.parallel.run import Failure, Outcome, RunOptions, run_over_scans
-from salsanext_cli.report.colours import CLASS_COLOURS, COLOURS, PointColours, value_range
+from salsanext_cli.report.colours import COLOURS, PointColours
+from salsanext_cli.report.scales import common_scales
 from salsanext_cli.sensors import Sensor
 from salsanext_cli.stages.uncertainty import estimate_missing
+from salsanext_cli.storage.chosen_results import choose_results
 from salsanext_cli.storage.layout import UNCERTAINTY, ScanFile
 from salsanext_cli.storage.output_run import OutputRun, output_run
-from salsanext_cli.storage.predictions import require_same_weights, space_of_results
 from salsanext_cli.storage.scan_results import (
     missing_column,
     read_results,
     require_column,
     scalar_columns,
-    with_results,
 )
-from salsanext_cli.storage.selection import ScanSelection, choose
-from salsanext_cli.storage.sources import (
-    LABELLING_STAGES,
-    missing_results,
-    recorded_scans,
-)
+from salsanext_cli.storage.selection import ScanSelection
+from salsanext_cli.storage.sources import LABELLING_STAGES
 from salsanext_cli.storage.stage_records import (
     origins,
     recorded_sensor,
     stage_settings,
 )
 
-SCANS_FOR_SCALE = 20
 FORMATS = ("ply", "las", "laz")
 
 log = logging.getLogger(__name__)
@@ -143,16 +135,8 @@ def export_ply(
         raise UsageError("--format", form, f"one of {', '.join(FORMATS)}")
     if form != "ply":
         import_laspy(f"--format {form}", compressed=form == "laz")
-    scans = recorded_scans(out, dataset)
-    space = space_of_results(out, scans, space, network.classes)
-    require_same_weights(out)
-    chosen = choose(scans, ScanSelection(selection.split, selection.sequences), space, out)
-    scans = with_results(out, chosen)[: selection.limit]
-    if len(scans) == selection.limit:
-        # What comes after the last that is wanted is not looked at.
-        chosen = chosen[: chosen.index(scans[-1]) + 1]
-    missing = missing_results(out, set(chosen) - set(scans))
-    missing.log_error(len(chosen), "results")
+    chosen = choose_results(out, selection, dataset, space, network.classes)
+    scans, space = chosen.scans, chosen.space
     if max_error is not None:
         require_column("error", scans, out)
     unestimated: dict[ScanFile, Failure] = {}
@@ -166,7 +150,8 @@ def export_ply(
     if scale is None and earlier is not None and not overwrite:
         # A run that goes on colours alike.
         scale = earlier.pair("scale")
-    scale = scale or _scale(out, scans, colour, space, sensor)
+    if scale is None:
+        scale = common_scales(out, scans, [colour], space, sensor).get(colour, (0.0, 1.0))
     settings = {
         "colour": colour,
         "scale": list(scale),
@@ -189,7 +174,7 @@ def export_ply(
     log.log(NOTICE, "coloured by %s: %s", colour, out / "sequences/*" / folder)
     failures = tuple(unestimated.get(failure.scan, failure) for failure in outcome.failures)
     total = None if max_error is None else sum(rejected)
-    return replace(outcome, failures=failures, missing=missing, rejected_points=total)
+    return replace(outcome, failures=failures, missing=chosen.missing, rejected_points=total)
 
 
 def _place(out: Path, colour: str, form: str) -> tuple[str, str]:
@@ -198,19 +183,3 @@ def _place(out: Path, colour: str, form: str) -> tuple[str, str]:
     if first is None or first["colour"] == colour:
         return "export-ply", form
     return f"export-ply-{colour}", f"{form}/{colour}"
-
-
-def _scale(
-    out: Path, scans: list[ScanFile], colour: str, space: LabelSpace, sensor: Sensor
-) -> tuple[float, float]:
-    """Find what most points of some evenly spaced scans span."""
-    if colour in CLASS_COLOURS:
-        return 0.0, 1.0
-    step = -(-len(scans) // SCANS_FOR_SCALE)
-    values: list[npt.NDArray[Any]] = [np.empty(0, np.float32)]
-    for file in scans[::step]:
-        # A scan that cannot be read is named when it is exported.
-        with suppress(SalsanextError):
-            columns = scalar_columns(read_results(file, out, sensor), space)
-            values.append(columns.get(colour, values[0]))
-    return value_range(np.concatenate(values))

@@ -12,7 +12,7 @@ from salsanext_cli.classes import LabelSpace, label_space
 from salsanext_cli.errors import NOTICE, UsageError, counted
 from salsanext_cli.network.card import default_weights
 from salsanext_cli.parallel.threads import worker_count
-from salsanext_cli.report.scan_pictures import draw_sample
+from salsanext_cli.report.training_sample import draw_sample
 from salsanext_cli.sensors import Sensor
 from salsanext_cli.stages.synth import LABEL_SPACE, synthesise
 from salsanext_cli.storage.selection import evenly_spaced

@@ -9,7 +9,6 @@ from pathlib import Path
 import numpy as np
 
 from salsanext_cli.errors import NOTICE, UsageError, counted
-from salsanext_cli.formats.reading import present
 from salsanext_cli.geometry.gather import points_from_pixels
 from salsanext_cli.geometry.knn import KnnParameters, knn_refine
 from salsanext_cli.inference.adaptation import network_of_run
@@ -23,8 +22,9 @@ from salsanext_cli.inference.settings import NetworkSettings
 from salsanext_cli.measures.scan_summary import RunSummary, ScanSummary
 from salsanext_cli.parallel.network_task import NetworkTask
 from salsanext_cli.parallel.run import Failure, Outcome, RunOptions, run_over_scans
-from salsanext_cli.storage.layout import ERROR, NOVELTY, ScanFile, output_path
+from salsanext_cli.storage.layout import ERROR, NOVELTY, ScanFile
 from salsanext_cli.storage.output_run import OutputRun, output_run
+from salsanext_cli.storage.scan_results import uncertainty_meant, with_column
 from salsanext_cli.storage.selection import ScanSelection, choose, scans_of, space_of
 from salsanext_cli.storage.stage_records import (
     owner,
@@ -167,8 +167,9 @@ def estimate_missing(
         there without the kind that is asked for; or if a shard finds none at all.
     """
     earlier = stage_settings(out, "uncertainty")
-    kind = _kind_meant(out, scans) if colour == "uncertainty" else colour
-    missing = _without(out, scans, kind)
+    kind = uncertainty_meant(scans, out) if colour == "uncertainty" else colour
+    known = set(with_column(kind, scans, out))
+    missing = [scan for scan in scans if scan not in known]
     some = colour != "uncertainty" or len(missing) < len(scans)
     if not missing or (options.shard.count > 1 and some):
         # Shards begin at different times: they would not agree on which scans lack it.
@@ -201,15 +202,5 @@ def estimate_missing(
         estimator=estimator,
         record_scans=False,
     )
-    kind = _kind_meant(out, scans) if colour == "uncertainty" else kind
+    kind = uncertainty_meant(scans, out) if colour == "uncertainty" else kind
     return kind, {failure.scan: failure for failure in outcome.failures}
-
-
-def _kind_meant(out: Path, scans: list[ScanFile]) -> str:
-    """Return the kind that "uncertainty" means: the error where all scans have it, else entropy."""
-    return "entropy" if _without(out, scans, "error") else "error"
-
-
-def _without(out: Path, scans: list[ScanFile], kind: str) -> list[ScanFile]:
-    folder = f"uncertainty/{kind}"
-    return [s for s in scans if not present(output_path(out, s.sequence, folder, s.stem))]

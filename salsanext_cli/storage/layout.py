@@ -37,6 +37,7 @@ SUFFIX_OF_FOLDER = {
     "predictions": ".label",
     "probabilities": ".npy",
     **{f"uncertainty/{kind}": ".npy" for kind in UNCERTAINTY},
+    "pictures": ".png",
     "ply": ".ply",
     "las": ".las",
     "laz": ".laz",

@@ -165,12 +165,25 @@ def missing_column(column: str, file: ScanFile, out: Path) -> NoInputError:
 
 def require_column(column: str, scans: Sequence[ScanFile], out: Path) -> None:
     """Refuse a column that is known of none of the scans, with `missing_column`."""
-    if column in ("truth", "wrong"):
-        known = any(present(scan.label_path) for scan in scans)
-    else:
-        known = column not in UNCERTAINTY or bool(with_outputs(scans, out, f"uncertainty/{column}"))
-    if not known:
+    if column not in ("intensity", "range") and not with_column(column, scans, out):
         raise missing_column(column, scans[0], out)
+
+
+def with_column(column: str, scans: Sequence[ScanFile], out: Path) -> list[ScanFile]:
+    """Return those scans of which there is what a column, one of `COLOURINGS`, is made of."""
+    found = list(scans)
+    if column in ("truth", "wrong"):
+        found = [scan for scan in found if present(scan.label_path)]
+    if column in ("label", "wrong"):
+        found = with_outputs(found, out, "predictions")
+    if column in UNCERTAINTY:
+        found = with_outputs(found, out, f"uncertainty/{column}")
+    return found
+
+
+def uncertainty_meant(scans: Sequence[ScanFile], out: Path) -> str:
+    """Return the kind that "uncertainty" means: the error where all scans have it, else entropy."""
+    return "error" if len(with_column("error", scans, out)) == len(scans) else "entropy"
 
 
 def with_results(out: Path, scans: list[ScanFile]) -> list[ScanFile]:

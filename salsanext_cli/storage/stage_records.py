@@ -18,7 +18,7 @@ from salsanext_cli.storage.layout import COLOURINGS, SUFFIX_OF_FOLDER
 
 SHOWN_CHARACTERS_OF_VALUE = 40
 RESULT_STAGES = (
-    *("project", "predict", "knn-refine", "uncertainty", "export-ply"),
+    *("project", "predict", "knn-refine", "uncertainty", "picture", "export-ply"),
     *(f"export-ply-{colour}" for colour in COLOURINGS),
 )
 
@@ -174,11 +174,15 @@ def recorded_weights(out: Path, folder: str) -> str | None:
 
 def recorded_sensor(out: Path) -> Sensor:
     """Return the sensor that labels in an output folder were made through; else the HDL-64."""
+    return known_sensor(out) or sensor("hdl64")
+
+
+def known_sensor(out: Path) -> Sensor | None:
+    """Return the sensor that results in an output folder were made through, if one is recorded."""
     for folder in ("pixel_labels", "predictions", "uncertainty/epistemic", "range"):
-        settings = settings_of(out, folder)
-        if settings is not None:
+        if (settings := settings_of(out, folder)) is not None:
             return Sensor.from_dict(settings.table("sensor"), settings.path)
-    return sensor("hdl64")
+    return None
 
 
 def earlier_settings(out: Path, weights: str | None, overwrite: bool) -> RecordedSettings | None:

@@ -67,6 +67,7 @@ def test_every_stage_in_turn_each_with_one_object_of_json(run, data, weights, tm
         ("uncertainty", data, out, "--samples", 2, *network),
         ("eval", out),
         ("export-ply", out, "--color", "wrong"),
+        ("picture", out, "--color", "wrong", "--colour", "label"),
     ):
         result = run(*arguments, "--json")
         assert result.exit_code == 0, result.output
@@ -246,7 +247,7 @@ def test_eval_of_a_scan_that_cannot_be_compared_is_status_one(run, predicted, da
     assert len(json.loads((predicted / "eval.json").read_text())["failures"]) == 1
 
 
-@pytest.mark.parametrize("command", ["eval", "export-ply"])
+@pytest.mark.parametrize("command", ["eval", "export-ply", "picture"])
 def test_scans_left_out_on_purpose_are_counted_and_no_failure(run, predict, tmp_path, command):
     out = tmp_path / "out"
     assert predict(out, "--limit", 1).exit_code == 0
@@ -259,7 +260,7 @@ def test_scans_left_out_on_purpose_are_counted_and_no_failure(run, predict, tmp_
     assert (found["missing"], found["not_asked_for"]) == ([], 1)
 
 
-@pytest.mark.parametrize("command", ["eval", "export-ply"])
+@pytest.mark.parametrize("command", ["eval", "export-ply", "picture"])
 def test_scans_that_should_have_results_are_status_one(run, predicted, command):
     (predicted / "sequences/08/predictions/000001.label").unlink()
     result = run(command, "--out", predicted, "-q")
@@ -278,6 +279,8 @@ ON_DATA = "{data} other --weights {weights}"
     ("line", "says"),
     [
         ("export-ply --colour range --scale nan 1", "--scale"),
+        ("picture --colour range --scale nan 1", "--scale"),
+        ("picture --mp4", "--mp4 · no ffmpeg found"),
         (f"predict {ON_DATA} --jobs 0", "--jobs · 0"),
         (f"predict {ON_DATA} --limit 0", "--limit · 0"),
         (f"predict {ON_DATA} --batch many", "--batch · 'many'"),
@@ -306,6 +309,7 @@ def test_wrong_settings_are_status_two(
     run, predicted, data, weights, tmp_path, monkeypatch, line, says
 ):
     monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("PATH", "")
     result = run(*(word.format(data=data, weights=weights) for word in line.split()))
     assert result.exit_code == 2, result.output
     assert result.stderr.startswith("error: ")
@@ -324,6 +328,8 @@ def test_wrong_settings_are_status_two(
         ("eval --out nowhere", "nowhere · no such folder"),
         ("eval --out empty", "empty · holds no results"),
         ("export-ply --out nowhere", "nowhere · no such folder"),
+        ("picture nowhere", "nowhere · no such folder"),
+        ("picture empty", "empty · holds no results"),
         ("knn-refine nowhere", "nowhere · no such folder"),
         ("models nowhere.safetensors", "nowhere.safetensors · no such file"),
         ("import-weights nowhere w.safetensors", "nowhere · cannot be read"),

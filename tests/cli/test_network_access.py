@@ -86,6 +86,7 @@ def test_no_command_opens_a_socket_or_loads_telemetry(tmp_path, weights):
         ("uncertainty", data, tmp_path / "analytic", *network, "--method", "analytic"),
         ("eval", "--out", out),
         ("export-ply", "--out", out, "--colour", "uncertainty"),
+        ("picture", out, "--limit", 1, "--gif"),
         ("project", data, steps, "--sensor", sensor),
         ("predict", steps, steps, *network),
         ("knn-refine", steps),

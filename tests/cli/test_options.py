@@ -20,7 +20,7 @@ from salsanext_cli.network.card import default_weights
 from salsanext_cli.parallel.options import BACKENDS, RunOptions
 from salsanext_cli.parallel.shards import Shard
 
-SHARDED = {"project", "predict", "knn-refine", "uncertainty", "export-ply"}
+SHARDED = {"project", "predict", "knn-refine", "uncertainty", "picture", "export-ply"}
 
 
 def test_a_group_is_expanded_filled_and_handed_over():

@@ -24,6 +24,7 @@ STAGES = {
         (),
     ),
     "export-ply": ("export-ply --out {out} --colour label", ("predict",)),
+    "picture": ("picture {out} --colour label --limit 1", ("predict",)),
     "eval": ("eval --out {out}", ("predict",)),
 }
 """Command lines, and the stages that come before each."""

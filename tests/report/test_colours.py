@@ -9,10 +9,13 @@ from hypothesis.extra.numpy import arrays
 from salsanext_cli.classes import label_space
 from salsanext_cli.report.colours import (
     EMPTY,
+    LEAST_CONTRAST,
     RIGHT,
     WRONG,
     error_colours,
     legend_of,
+    map_colours,
+    on_dark,
     value_colours,
     value_range,
 )
@@ -27,10 +30,13 @@ def test_errors_are_right_wrong_or_of_ignored_truth():
 
 
 def test_values_have_the_colours_of_the_map():
-    colours = value_colours(np.array([-9.0, 1.0, 2.0, 3.0, np.inf, np.nan]), 1.0, 3.0)
+    values = np.array([-9.0, 1.0, 2.0, 3.0, np.inf, np.nan])
+    colours = value_colours(values, 1.0, 3.0, map_colours("viridis"))
     viridis = matplotlib.colormaps["viridis"]
     expected = [viridis(place, bytes=True)[:3] for place in (0, 0, 128, 255, 255)]
     np.testing.assert_array_equal(colours, [*expected, EMPTY])
+    in_pictures = [*on_dark(expected), EMPTY]
+    np.testing.assert_array_equal(value_colours(values, 1.0, 3.0), in_pictures)
     assert value_colours(np.array([2.0, 2.0]), 2.0, 2.0).shape == (2, 3)
 
 
@@ -55,11 +61,48 @@ def test_a_scale_of_nothing(values):
 
 
 def test_a_legend_names_what_occurs_once():
-    legend = legend_of(SPACE, np.array([ROAD, CAR]), np.array([[CAR]]), errors=True)
-    assert legend == [
-        ("car", (100, 150, 245)),
-        ("road", (255, 0, 255)),
-        ("right", RIGHT),
-        ("wrong", WRONG),
-    ]
+    legend = legend_of(SPACE, np.array([ROAD, CAR]), np.array([[CAR]]))
+    assert legend == [("car", (100, 150, 245)), ("road", (255, 0, 255))]
     assert legend_of(SPACE, np.array([CAR])) == legend[:1]
+    ((_, sidewalk),) = legend_of(SPACE, np.array([SPACE.names.index("sidewalk")]))
+    assert contrast(sidewalk) >= LEAST_CONTRAST > 2 * contrast((75, 0, 75))
+
+
+def contrast(colour):
+    """Return the contrast ratio of WCAG 2 of a colour with the background, one value at a time."""
+
+    def luminance(rgb):
+        light = 0.0
+        for value, weight in zip(rgb, (0.2126, 0.7152, 0.0722), strict=True):
+            share = value / 255
+            linear = share / 12.92 if share <= 0.04045 else ((share + 0.055) / 1.055) ** 2.4
+            light += weight * linear
+        return light + 0.05
+
+    return luminance(colour) / luminance(EMPTY)
+
+
+@given(arrays(np.uint8, (5, 3)))
+def test_dark_colours_are_mixed_with_as_little_white_as_makes_them_visible(colours):
+    for colour, seen in zip(colours.tolist(), on_dark(colours).tolist(), strict=True):
+        assert contrast(seen) >= LEAST_CONTRAST
+        if contrast(colour) >= LEAST_CONTRAST:
+            assert seen == colour
+        else:
+            assert contrast(seen) < LEAST_CONTRAST + 0.1
+            # Hues stay: what was the largest part still is.
+            assert all(seen[i] >= seen[j] for i in range(3) for j in range(3)
+                       if colour[i] >= colour[j])  # fmt: skip
+
+
+@pytest.mark.parametrize("name", ["coarse", "semantic-kitti"])
+def test_lightened_classes_differ_as_before(name):
+    colours = label_space(name).colours
+
+    def nearest(table):
+        apart = np.abs(table[:, None].astype(int) - table[None]).max(axis=-1)
+        return apart[~np.eye(len(table), dtype=bool)].min()
+
+    assert nearest(on_dark(colours)) >= min(20, nearest(colours))
+    for colour in on_dark(colours).tolist():
+        assert contrast(colour) >= LEAST_CONTRAST

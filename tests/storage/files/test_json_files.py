@@ -7,6 +7,7 @@ import pytest
 
 from salsanext_cli.errors import OutputError
 from salsanext_cli.stages.export_ply import export_ply
+from salsanext_cli.stages.picture import picture
 from salsanext_cli.stages.predict import predict_range_images, predict_scans
 from salsanext_cli.stages.project import project_scans
 from salsanext_cli.stages.uncertainty import uncertainty
@@ -78,6 +79,7 @@ def filled(world):
     uncertainty(world.data, world.out, estimator=Estimator(samples=2), **first)
     world.result("uncertainty/epistemic", "00").unlink()
     export_ply(world.out, colour="range")
+    picture(world.out, colours=["range"])
     return world
 
 
@@ -86,6 +88,8 @@ def filled(world):
     [
         *(("export-ply", ["scale"], scale) for scale in (None, 3, [1], ["a", "b"])),
         *(("predict", [key], None) for key in ("label_space", "sensor", "weights")),
+        *(("picture", ["scales"], scales) for scales in (None, 3)),
+        *(("picture", ["scales", "range"], scale) for scale in (3, [1], ["a", "b"])),
         ("predict", ["label_space"], 7),
         ("project", ["sensor"], None),
         *(("uncertainty", [key], None) for key in ("method", "samples", "seed", "aleatoric")),
@@ -98,6 +102,8 @@ def test_a_stage_names_the_record_and_what_it_lacks(filled, stage, keys, value):
     run = partial(export_ply, filled.out, colour="epistemic", **network)
     if stage == "project":
         run = partial(predict_range_images, filled.out, filled.out, **network)
+    elif stage == "picture":
+        run = partial(picture, filled.out, colours=["range"])
     elif stage == "export-ply":
         run = partial(export_ply, filled.out, colour="range")
     with pytest.raises(OutputError, match=rf"{stage}\.json · settings (lack|have) {keys[-1]}"):

@@ -1,0 +1,149 @@
+# SPDX-License-Identifier: MIT
+"""Animations of pictures of scans: GIF, and MP4 where ffmpeg is installed."""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import suppress
+from io import BytesIO
+from itertools import chain
+from pathlib import Path
+from subprocess import DEVNULL, PIPE, Popen
+from tempfile import TemporaryDirectory, TemporaryFile
+from typing import TYPE_CHECKING, BinaryIO, TypeVar, cast
+
+from salsanext_cli.errors import FormatError, OutputError, UsageError
+from salsanext_cli.report.canvas import NIGHT
+from salsanext_cli.report.colours import Colours
+
+if TYPE_CHECKING:
+    from PIL.Image import Image
+
+LARGEST_PX = (1280, 1080)
+"""Width and height that a frame is reduced to."""
+PALETTE, MOST_KEPT = 256, 192
+"""Colours of a GIF, and how many of them may be chosen beforehand."""
+
+
+Taken = TypeVar("Taken")
+
+
+def find_ffmpeg() -> str:
+    """Return the path of ffmpeg.
+
+    Raises
+    ------
+    UsageError
+        If it is not installed.
+    """
+    found = shutil.which("ffmpeg")
+    if found is None:
+        raise UsageError("--mp4", "no ffmpeg found", "it on the PATH", "install it, or use --gif")
+    return found
+
+
+def frames(pictures: Sequence[Path]) -> Iterator[Image]:
+    """Yield pictures reduced to frames of one size, even in width and height.
+
+    Smaller ones than the largest are at the upper left of a frame.
+
+    Raises
+    ------
+    FormatError
+        If a file is no picture.
+    """
+    from PIL import Image
+
+    sizes = [_of(path, lambda picture: picture.size) for path in pictures]
+    width, height = (max(side) for side in zip(*sizes, strict=True))
+    share = min(1.0, LARGEST_PX[0] / width, LARGEST_PX[1] / height)
+    size = (_even(width * share), _even(height * share))
+    for path in pictures:
+        whole = Image.new("RGB", (width, height), NIGHT)
+        whole.paste(_of(path, lambda picture: picture.convert("RGB")), (0, 0))
+        yield whole.resize(size, Image.Resampling.LANCZOS, reducing_gap=3.0)
+
+
+def encode_gif(pictures: Sequence[Path], frames_per_second: float, kept: Colours) -> bytes:
+    """Return pictures as the content of a GIF file that repeats without end.
+
+    Parameters
+    ----------
+    pictures : sequence of Path
+        At least one.
+    frames_per_second : float
+    kept : (N, 3) uint8
+        Colours that mean something, however rare: they stay as they are, the first 192 of them.
+        The other colours are those of the first picture, as far as a palette of 256 has them.
+    """
+    from PIL import Image
+
+    exact = list(dict.fromkeys(map(tuple, kept.tolist())))[:MOST_KEPT]
+    others = next(frames(pictures)).quantize(PALETTE - len(exact)).getpalette() or []
+    palette = Image.new("P", (1, 1))
+    palette.putpalette([value for colour in exact for value in colour] + others)
+    # Without dithering what does not move stays as it is.
+    reduced = (
+        frame.quantize(palette=palette, dither=Image.Dither.NONE) for frame in frames(pictures)
+    )
+    content = BytesIO()
+    next(reduced).save(
+        content,
+        format="GIF",
+        save_all=True,
+        append_images=reduced,
+        duration=round(1000 / frames_per_second),
+        loop=0,
+    )
+    return content.getvalue()
+
+
+def encode_mp4(pictures: Sequence[Path], frames_per_second: float) -> bytes:
+    """Return pictures as the content of an MP4 file, H.264 as browsers show it.
+
+    Raises
+    ------
+    UsageError
+        If ffmpeg is not installed.
+    OutputError
+        If it fails.
+    """
+    made_of = frames(pictures)
+    first = next(made_of)
+    size = f"{first.width}x{first.height}"
+    command = [find_ffmpeg(), "-v", "error", "-f", "rawvideo", "-pix_fmt", "rgb24", "-s", size]
+    command += ["-framerate", f"{frames_per_second:g}", "-i", "-", "-c:v", "libx264"]
+    command += ["-pix_fmt", "yuv420p", "-movflags", "+faststart"]
+    with TemporaryDirectory() as folder, TemporaryFile() as errors:
+        made = Path(folder) / "made.mp4"
+        with (
+            Popen([*command, str(made)], stdin=PIPE, stdout=DEVNULL, stderr=errors) as ffmpeg,
+            # If it ends before it has read all, it says why.
+            suppress(BrokenPipeError),
+            cast("BinaryIO", ffmpeg.stdin) as pipe,
+        ):
+            for frame in chain([first], made_of):
+                pipe.write(frame.tobytes())
+        if ffmpeg.returncode:
+            errors.seek(0)
+            lines = errors.read().decode("utf-8", "replace").strip().splitlines()
+            found = f"ffmpeg ended with status {ffmpeg.returncode}: {' '.join(lines[:1])}"
+            raise OutputError(made.name, found, remedy="use --gif")
+        return made.read_bytes()
+
+
+def _of(path: Path, take: Callable[[Image], Taken]) -> Taken:
+    """Return what a function takes of a picture while its file is open."""
+    from PIL import Image
+
+    try:
+        with Image.open(path) as picture:
+            return take(picture)
+    except (OSError, SyntaxError, ValueError) as error:
+        found = "no picture, or cut off"
+        raise FormatError(path, found, remedy="draw it again: delete it, or --overwrite") from error
+
+
+def _even(pixels: float) -> int:
+    return max(2, round(pixels / 2) * 2)

@@ -1,0 +1,62 @@
+# SPDX-License-Identifier: MIT
+"""Colour scales of values that are the same for all scans of a run."""
+
+from collections.abc import Iterable, Sequence
+from contextlib import suppress
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from salsanext_cli.classes import LabelSpace
+from salsanext_cli.errors import SalsanextError
+from salsanext_cli.report.colours import CLASS_COLOURS, value_range
+from salsanext_cli.sensors import Sensor
+from salsanext_cli.storage.layout import ScanFile
+from salsanext_cli.storage.scan_results import read_results, scalar_columns, with_column
+
+SCANS_FOR_SCALE = 20
+
+Scales = dict[str, tuple[float, float]]
+"""Values at the ends of the colour map, by colour."""
+
+
+def common_scales(
+    out: Path,
+    scans: Sequence[ScanFile],
+    colours: Iterable[str],
+    space: LabelSpace,
+    sensor: Sensor,
+) -> Scales:
+    """Find what most points of some evenly spaced scans span.
+
+    Parameters
+    ----------
+    out : Path
+        Output folder of earlier stages.
+    scans : sequence of ScanFile
+        Those of the run.
+    colours : iterable of str
+        Of `COLOURINGS`; classes have no scale and are left out.
+    space : LabelSpace
+        Classes of the labels.
+    sensor : Sensor
+        What distances are measured from.
+    """
+    values: dict[str, list[npt.NDArray[Any]]] = {}
+    sampled: dict[ScanFile, list[str]] = {}
+    for colour in colours:
+        if colour in CLASS_COLOURS:
+            continue
+        values[colour] = [np.empty(0, np.float32)]
+        known = with_column(colour, scans, out)
+        for file in known[:: -(-len(known) // SCANS_FOR_SCALE) or 1]:
+            sampled.setdefault(file, []).append(colour)
+    for file, wanted in sampled.items():
+        # A scan that cannot be read is named when it is worked on.
+        with suppress(SalsanextError):
+            columns = scalar_columns(read_results(file, out, sensor), space)
+            for colour in wanted:
+                values[colour].append(columns[colour])
+    return {colour: value_range(np.concatenate(found)) for colour, found in values.items()}

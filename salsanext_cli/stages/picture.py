@@ -1,0 +1,240 @@
+# SPDX-License-Identifier: MIT
+"""Stage `picture`: scans and results to pictures, and these to animations."""
+
+import logging
+import math
+from collections.abc import Collection, Sequence
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+
+from salsanext_cli.classes import LabelSpace
+from salsanext_cli.errors import NOTICE, NoInputError, OutputError, UsageError, counted
+from salsanext_cli.inference.scan_fit import fitted_view
+from salsanext_cli.parallel.run import Outcome, RunOptions, run_over_scans
+from salsanext_cli.report.animation import encode_gif, encode_mp4, find_ffmpeg
+from salsanext_cli.report.colours import CLASS_COLOURS, COLOURS, OUTCOMES, map_on_dark, on_dark
+from salsanext_cli.report.scales import Scales, common_scales
+from salsanext_cli.report.scan_pictures import known_views, picture_of_results
+from salsanext_cli.sensors import Sensor, sensor
+from salsanext_cli.storage.chosen_results import ChosenResults, choose_results
+from salsanext_cli.storage.files.json_files import RecordedSettings
+from salsanext_cli.storage.layout import COLOURINGS, SUFFIX_OF_FOLDER, ScanFile, find_outputs
+from salsanext_cli.storage.output_run import OutputRun, output_run
+from salsanext_cli.storage.predictions import space_of_results
+from salsanext_cli.storage.scan_results import (
+    FOLDERS,
+    missing_column,
+    read_results,
+    require_column,
+    scalar_columns,
+    uncertainty_meant,
+    with_column,
+)
+from salsanext_cli.storage.selection import ScanSelection, choose, scans_of
+from salsanext_cli.storage.sources import LABELLING_STAGES, MissingResults, recorded_scans
+from salsanext_cli.storage.stage_records import known_sensor, origins, stage_settings
+from salsanext_cli.storage.written_files import WrittenFiles
+
+STAGE, FOLDER = "picture", "pictures"
+
+log = logging.getLogger(__name__)
+
+
+def picture_scan(
+    file: ScanFile,
+    colours: Sequence[str],
+    scales: Scales,
+    space: LabelSpace,
+    sensor: Sensor,
+    output: OutputRun,
+    classes: LabelSpace | None = None,
+) -> None:
+    """Write the picture of one scan: of some colours, or of all that is known of it."""
+    output.require_replaceable(file)
+    results = read_results(file, output.out, sensor, classes)
+    columns = scalar_columns(results, space)
+    for colour in colours:
+        if colour not in columns:
+            raise missing_column(colour, file, output.out)
+    views = colours or known_views(columns)
+    strips = colours or [colour for colour in COLOURINGS if colour in columns]
+    name = f"{file.sequence}/{file.stem}"
+    png = picture_of_results(name, results, space, sensor, scales, views, strips)
+    output.write(file, FOLDER, png)
+
+
+def picture(
+    out: Path,
+    *,
+    colours: Collection[str] = (),
+    scale: tuple[float, float] | None = None,
+    animations: Collection[str] = (),
+    frames_per_second: float = 5.0,
+    dataset: Path | None = None,
+    space: LabelSpace | None = None,
+    classes: LabelSpace | None = None,
+    selection: ScanSelection = ScanSelection(),
+    options: RunOptions = RunOptions(),
+) -> Outcome:
+    """Write `OUT/sequences/<seq>/pictures/*.png`, and `pictures.gif` or `.mp4` beside that.
+
+    Pictures of results that have been made anew since are replaced, and animations always.
+
+    Parameters
+    ----------
+    out : Path
+        The output folder, with what earlier stages left there; without that, pictures are of the
+        scans of `dataset` alone.
+    colours : collection of str
+        Of `COLOURS`; otherwise everything known of each scan is drawn.
+    scale : pair of float, optional
+        The values at the ends of the colour map, for a single colour that is a value. Otherwise
+        what most points of some scans span; it is the same for all scans.
+    animations : collection of str
+        Of "gif" and "mp4": formats of an animation of the pictures of each sequence.
+    frames_per_second : float
+        Speed of these.
+    dataset, space, selection, options
+        As for `export_ply`.
+    classes : LabelSpace, optional
+        Into which those of labels and predictions are merged.
+
+    Raises
+    ------
+    SalsanextError
+        If nothing can be done at all; failures of single scans are in the outcome.
+    """
+    _require_usable(colours, scale, animations, frames_per_second, options)
+    results = any(find_outputs(out, folder) for folder in FOLDERS)
+    if results:
+        chosen = choose_results(out, selection, dataset, space, classes)
+    else:
+        chosen = _scans_alone(out, selection, dataset, space, classes)
+    scans, space = chosen.scans, chosen.space
+    meant = {"uncertainty": uncertainty_meant(scans, out)}
+    colours = list(dict.fromkeys(meant.get(colour, colour) for colour in colours))
+    for colour in colours:
+        require_column(colour, scans, out)
+    made_of, earlier = origins(out, LABELLING_STAGES), stage_settings(out, STAGE)
+    overwrite = options.overwrite or (earlier is not None and earlier["origins"] != made_of)
+    going_on = None if overwrite else earlier
+    seen = known_sensor(out) or _sensor_of(scans, going_on)
+    values = [c for c in colours or COLOURINGS if c not in CLASS_COLOURS]
+    scales = _scales(out, scans, values, space, seen, scale, going_on)
+    settings = {
+        "colours": colours,
+        "scales": {colour: list(ends) for colour, ends in scales.items()},
+        "sensor": seen.to_dict(),
+        "label_space": space.to_dict(),
+        "origins": made_of,
+    }
+    task = partial(picture_scan, colours=colours, scales=scales, space=space, sensor=seen)
+    with output_run(
+        *(out, STAGE, settings, (FOLDER,), scans), overwrite=overwrite, record_scans=not results
+    ) as output:
+        task = partial(task, output=output, classes=classes)
+        outcome = run_over_scans(task, scans, options, is_done=output.is_done)
+        log.log(NOTICE, "pictures: %s", out / "sequences/*" / FOLDER)
+        for form in animations:
+            _animate(form, frames_per_second, scans, space, output)
+    return replace(outcome, missing=chosen.missing)
+
+
+def _require_usable(
+    colours: Collection[str],
+    scale: tuple[float, float] | None,
+    animations: Collection[str],
+    frames_per_second: float,
+    options: RunOptions,
+) -> None:
+    """Refuse settings that mean nothing, and a format that cannot be written here."""
+    for colour in colours:
+        if colour not in COLOURS:
+            raise UsageError("--colour", colour, f"one of {', '.join(COLOURS)}")
+    if scale and not (scale[0] < scale[1] and all(map(math.isfinite, scale))):
+        raise UsageError("--scale", f"{scale[0]} {scale[1]}", "a lower and a higher number")
+    if scale and (len(colours) != 1 or {*colours} & {*CLASS_COLOURS}):
+        found = ", ".join(colours) or "none"
+        raise UsageError("--scale", f"--colour is {found}", "one that shows values")
+    if not 0.1 <= frames_per_second <= 50:
+        raise UsageError("--fps", f"{frames_per_second:g}", "a number from 0.1 to 50")
+    if animations and options.shard.count > 1:
+        found = f"--shard {options.shard} draws a part of the scans"
+        remedy = "run once more without --shard after all shards"
+        raise UsageError(f"--{next(iter(animations))}", found, remedy=remedy)
+    if "mp4" in animations:
+        find_ffmpeg()
+
+
+def _scans_alone(
+    out: Path,
+    selection: ScanSelection,
+    dataset: Path | None,
+    space: LabelSpace | None,
+    classes: LabelSpace | None,
+) -> ChosenResults:
+    """Choose among the scans of a data set, or of what else a folder holds, without any labels."""
+    if dataset is None and not any(find_outputs(out, folder) for folder in SUFFIX_OF_FOLDER):
+        found = "holds no results" if out.is_dir() else "no such folder"
+        remedy = f"run `salsanext predict SCANS {out}` first, or name scans with --dataset"
+        raise NoInputError(out, found, "the output folder of an earlier stage", remedy)
+    found_scans = scans_of(dataset) if dataset else recorded_scans(out)
+    space = space_of_results(out, found_scans, space, classes)
+    scans = choose(found_scans, selection, space, dataset or out)
+    return ChosenResults(scans, space, MissingResults())
+
+
+def _sensor_of(scans: Sequence[ScanFile], earlier: RecordedSettings | None) -> Sensor:
+    """Return the sensor of scans if none is recorded: that of earlier pictures, else one fitted."""
+    if earlier is not None:
+        return Sensor.from_dict(earlier.table("sensor"), earlier.path)
+    return fitted_view(scans, sensor("hdl64"))
+
+
+def _scales(
+    out: Path,
+    scans: Sequence[ScanFile],
+    colours: Sequence[str],
+    space: LabelSpace,
+    sensor: Sensor,
+    given: tuple[float, float] | None,
+    earlier: RecordedSettings | None,
+) -> Scales:
+    """Return the scale of every colour that is a value and known; a run that goes on keeps them."""
+    known = [colour for colour in colours if with_column(colour, scans, out)]
+    if given:
+        return dict.fromkeys(known, given)
+    recorded = earlier.table("scales") if earlier is not None else RecordedSettings({}, out)
+    kept = {colour: recorded.pair(colour) for colour in recorded}
+    unknown = [colour for colour in known if colour not in kept]
+    return kept | common_scales(out, scans, unknown, space, sensor)
+
+
+def _animate(
+    form: str,
+    frames_per_second: float,
+    scans: Sequence[ScanFile],
+    space: LabelSpace,
+    output: OutputRun,
+) -> None:
+    """Write an animation of each sequence of which there are pictures."""
+    files = WrittenFiles(output.out)
+    # Every fifth colour of the map, from the high end.
+    kept = np.concatenate([OUTCOMES, map_on_dark()[::-5], on_dark(space.colours)])
+    for sequence in dict.fromkeys(scan.sequence for scan in scans):
+        mine = (scan for scan in scans if scan.sequence == sequence)
+        pictures = [path for path in (output.path(scan, FOLDER) for scan in mine) if path.exists()]
+        path = output.out / "sequences" / sequence / f"{FOLDER}.{form}"
+        if not pictures:
+            continue
+        if files.others([path]):
+            found = "was changed, or not written by salsanext, and is kept"
+            raise OutputError(path, found, remedy="move it, or use another output folder")
+        if form == "gif":
+            files.write(path, encode_gif(pictures, frames_per_second, kept))
+        else:
+            files.write(path, encode_mp4(pictures, frames_per_second))
+        log.log(NOTICE, "animation of %s: %s", counted(len(pictures), "scan"), path)

@@ -1,0 +1,66 @@
+# SPDX-License-Identifier: MIT
+"""Selection among the scans of which an output folder holds labels or uncertainties."""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+from salsanext_cli.classes import LabelSpace
+from salsanext_cli.storage.layout import ScanFile
+from salsanext_cli.storage.predictions import require_same_weights, space_of_results
+from salsanext_cli.storage.scan_results import with_results
+from salsanext_cli.storage.selection import ScanSelection, choose
+from salsanext_cli.storage.sources import MissingResults, missing_results, recorded_scans
+
+
+@dataclass(frozen=True, slots=True)
+class ChosenResults:
+    """Scans with results, and those that lack them.
+
+    Attributes
+    ----------
+    scans : list of ScanFile
+        With labels or an uncertainty, at least one.
+    space : LabelSpace
+        Classes of their labels.
+    missing : MissingResults
+        The other scans of the selection.
+    """
+
+    scans: list[ScanFile]
+    space: LabelSpace
+    missing: MissingResults
+
+
+def choose_results(
+    out: Path,
+    selection: ScanSelection,
+    dataset: Path | None = None,
+    space: LabelSpace | None = None,
+    classes: LabelSpace | None = None,
+) -> ChosenResults:
+    """Choose among the scans of which any stage left results; log how many lack them.
+
+    A limit is of scans with results.
+
+    Parameters
+    ----------
+    out, selection, dataset, space, classes
+        As for `predictions.predicted_scans`.
+
+    Raises
+    ------
+    SalsanextError
+        As of `predictions.predicted_scans`, and if labels and uncertainties are of different
+        weights.
+    """
+    scans = recorded_scans(out, dataset)
+    space = space_of_results(out, scans, space, classes)
+    require_same_weights(out)
+    chosen = choose(scans, ScanSelection(selection.split, selection.sequences), space, out)
+    scans = with_results(out, chosen)[: selection.limit]
+    if len(scans) == selection.limit:
+        # What comes after the last that is wanted is not looked at.
+        chosen = chosen[: chosen.index(scans[-1]) + 1]
+    missing = missing_results(out, set(chosen) - set(scans))
+    missing.log_error(len(chosen), "results")
+    return ChosenResults(scans, space, missing)

@@ -1,0 +1,243 @@
+# SPDX-License-Identifier: MIT
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from matplotlib.image import imread
+from PIL import Image
+from scans import files_below, write_array
+
+from salsanext_cli import label_space, write_labels
+from salsanext_cli.errors import NoInputError, OutputError, UsageError
+from salsanext_cli.geometry.knn import KnnParameters
+from salsanext_cli.parallel.run import RunOptions
+from salsanext_cli.parallel.shards import Shard
+from salsanext_cli.report import birds_eye, scan_pictures
+from salsanext_cli.report.colours import WRONG, on_dark
+from salsanext_cli.stages.picture import picture
+from salsanext_cli.stages.predict import predict_scans
+from salsanext_cli.stages.project import project_scans
+from salsanext_cli.storage.selection import ScanSelection
+
+OVERWRITE = RunOptions(overwrite=True)
+ONE, TWO = ScanSelection(sequences=("00",)), ScanSelection(sequences=("08",))
+SPACE = label_space()
+CAR, ROAD, BUILDING = 10, 40, 50
+
+
+@pytest.fixture(autouse=True)
+def small_views(monkeypatch):
+    """Draw a quarter as large: a second for each picture otherwise."""
+    monkeypatch.setattr(scan_pictures, "WIDTH_PX", 512)
+    monkeypatch.setattr(scan_pictures, "NARROW_PX", 256)
+    monkeypatch.setattr(birds_eye, "OVERSAMPLING", 1)
+
+
+@pytest.fixture
+def labelled(world):
+    """Return a world whose labels nobody predicted, all cars."""
+    world.predict_by_hand(CAR)
+    return world
+
+
+def draw(world, **options):
+    return picture(world.out, dataset=world.data, **options)
+
+
+def pngs(world):
+    return {name: png for name, png in files_below(world.out).items() if name.endswith(".png")}
+
+
+def drawn(world, sequence="00", stem="000000"):
+    return (imread(world.result("pictures", sequence, stem))[..., :3] * 255).round().astype(int)
+
+
+def has(seen, colour):
+    return (seen == np.array(colour)).all(axis=-1).sum() > 100
+
+
+def class_colour(raw):
+    return on_dark(SPACE.colours)[SPACE.to_train(np.array([raw], np.uint32))[0]]
+
+
+def test_a_picture_of_every_scan_with_results(labelled):
+    outcome = draw(labelled)
+    assert (outcome.done, outcome.failures) == (3, ())
+    assert sorted(pngs(labelled)) == [
+        "sequences/00/pictures/000000.png",
+        "sequences/08/pictures/000000.png",
+        "sequences/08/pictures/000001.png",
+    ]
+    everything = drawn(labelled)
+    draw(labelled, colours=["label"], options=OVERWRITE, selection=ONE)
+    label = drawn(labelled)
+    assert has(label, class_colour(CAR))
+    assert not has(label, class_colour(ROAD))
+    draw(labelled, colours=["label", "wrong", "label"], options=OVERWRITE, selection=ONE)
+    assert has(drawn(labelled), WRONG)
+    assert not has(drawn(labelled), class_colour(ROAD))
+    assert everything.shape[0] > drawn(labelled).shape[0]
+    for colour in (WRONG, class_colour(CAR), class_colour(ROAD)):
+        assert has(everything, colour)
+
+
+def test_what_is_there_stays_until_results_or_settings_change(world):
+    predict_scans(world.data, world.out, network=world.network)
+    assert picture(world.out).done == 3
+    before = pngs(world)
+    assert picture(world.out).skipped == 3
+    with pytest.raises(OutputError, match=r"other settings: colours was \[\] and is \[\"range\"\]"):
+        picture(world.out, colours=["range"])
+    assert pngs(world) == before
+    # Made anew with other settings, as if by other weights.
+    other = KnnParameters(k=3)
+    predict_scans(world.data, world.out, network=world.network, knn=other, options=OVERWRITE)
+    assert picture(world.out).done == 3
+
+
+def test_a_changed_picture_is_kept_and_named(labelled):
+    draw(labelled, selection=TWO)
+    path = labelled.result("pictures", "08")
+    path.write_bytes(b"mine")
+    outcome = draw(labelled, options=OVERWRITE, selection=TWO)
+    assert (outcome.done, len(outcome.failures)) == (1, 1)
+    assert "was changed, or not written by salsanext" in outcome.failures[0].reason
+    assert path.read_bytes() == b"mine"
+
+
+def test_values_have_one_scale_for_all_scans_and_runs(labelled):
+    for number, (sequence, stem) in enumerate((("00", "000000"), ("08", "000000"))):
+        path = labelled.result("uncertainty/entropy", sequence, stem)
+        write_array(path, np.linspace(number, number + 1, 1500, dtype=np.float32))
+    outcome = draw(labelled, selection=TWO)
+    assert (outcome.done, outcome.failures) == (2, ())
+    settings = json.loads((labelled.out / "picture.json").read_text())["settings"]
+    assert settings["scales"]["entropy"] == pytest.approx([1.01, 1.99], abs=0.002)
+    assert set(settings["scales"]) == {"intensity", "range", "entropy"}
+    assert draw(labelled).done == 1
+    assert json.loads((labelled.out / "picture.json").read_text())["settings"] == settings
+    first = drawn(labelled, "08")
+    draw(labelled, colours=["uncertainty"], scale=(0, 5), options=OVERWRITE, selection=ONE)
+    settings = json.loads((labelled.out / "picture.json").read_text())["settings"]
+    assert (settings["colours"], settings["scales"]) == (["entropy"], {"entropy": [0, 5]})
+    assert first.shape[0] > drawn(labelled).shape[0]
+
+
+def test_a_scan_without_what_is_asked_for_fails_alone(labelled):
+    write_array(labelled.result("uncertainty/entropy", "00"), np.zeros(1500, np.float32))
+    labelled.result("predictions", "08", "000001").unlink()
+    outcome = draw(labelled, colours=["entropy"])
+    assert outcome.done == 1
+    assert ["no entropy known" in failure.reason for failure in outcome.failures] == [True]
+    assert [scan.stem for scan in outcome.missing.scans] == ["000001"]
+    with pytest.raises(NoInputError, match="no total known"):
+        draw(labelled, colours=["total"], options=OVERWRITE)
+
+
+def test_jobs_and_shards_draw_the_same(labelled, tmp_path):
+    draw(labelled, selection=TWO)
+    alone = pngs(labelled)
+    parallel = RunOptions(jobs=2, backend="threading", overwrite=True)
+    draw(labelled, options=parallel, selection=TWO)
+    assert pngs(labelled) == alone
+    other = replace(labelled, out=tmp_path / "shards")
+    other.predict_by_hand(CAR)
+    for index in (1, 2):
+        draw(other, options=RunOptions(shard=Shard.parse(f"{index}/2")), selection=TWO)
+    assert pngs(other) == alone
+
+
+def test_scans_alone(world):
+    for path in world.data.rglob("*.label"):
+        path.unlink()
+    with pytest.raises(NoInputError, match="or name scans with --dataset"):
+        picture(world.out)
+    assert picture(world.out, dataset=world.data, selection=ONE).done == 1
+    record = json.loads((world.out / "picture.json").read_text())
+    assert set(record["settings"]["scales"]) == {"intensity", "range"}
+    # It is known from now on where they are.
+    assert picture(world.out).skipped == 1
+    with pytest.raises(NoInputError, match="no label known"):
+        picture(world.out, colours=["label"], options=OVERWRITE)
+    # Results that come later are drawn.
+    predict_scans(world.data, world.out, network=world.network)
+    assert picture(world.out).done == 3
+    assert "label_space" in json.loads((world.out / "picture.json").read_text())["settings"]
+
+
+def test_range_images_alone(world):
+    seen = world.network.load().sensor
+    project_scans(world.data, world.out, sensor=seen, selection=ONE)
+    assert picture(world.out, selection=ONE, classes=label_space("coarse")).done == 1
+    settings = json.loads((world.out / "picture.json").read_text())["settings"]
+    assert settings["sensor"]["name"] == seen.name
+    colours = on_dark(label_space("coarse").colours)
+    assert has(drawn(world), colours[1])
+
+
+def test_scans_moved_away(world):
+    predict_scans(world.data, world.out, network=world.network)
+    moved = world.data.rename(world.data.parent / "elsewhere")
+    with pytest.raises(NoInputError, match="give with --dataset the folder"):
+        picture(world.out)
+    assert picture(world.out, dataset=moved).done == 3
+
+
+def test_an_animation_of_each_sequence(labelled):
+    draw(labelled, animations=["gif"], frames_per_second=2.0)
+    for sequence, count in (("00", 1), ("08", 2)):
+        path = labelled.out / "sequences" / sequence / "pictures.gif"
+        with Image.open(path) as gif:
+            assert gif.n_frames == count
+    draw(labelled, animations=["gif"], frames_per_second=4.0)
+    with Image.open(path) as gif:
+        assert gif.info["duration"] == 250
+    path.write_bytes(b"mine")
+    with pytest.raises(OutputError, match=r"pictures\.gif · was changed, or not written"):
+        draw(labelled, animations=["gif"])
+    assert path.read_bytes() == b"mine"
+
+
+def test_a_broken_scan_is_left_out_of_the_animation(labelled):
+    labelled.scan("08", "000001").write_bytes(b"1")
+    outcome = draw(labelled, animations=["gif"])
+    assert [failure.scan.stem for failure in outcome.failures] == ["000001"]
+    with Image.open(labelled.out / "sequences/08/pictures.gif") as gif:
+        assert gif.n_frames == 1
+
+
+def test_merged_classes(labelled):
+    write_labels(labelled.result("predictions", "00"), np.full(1500, BUILDING, np.uint32))
+    draw(labelled, classes=label_space("coarse"), colours=["label", "wrong"], selection=ONE)
+    colours = on_dark(label_space("coarse").colours)
+    structure = label_space("coarse").names.index("structure")
+    assert has(drawn(labelled), colours[structure])
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"colours": ["red"]}, "--colour · red · expected one of label"),
+        ({"colours": ["range"], "scale": (2, 1)}, "--scale · 2 1"),
+        ({"colours": ["label"], "scale": (1, 2)}, "--scale · --colour is label · expected"),
+        ({"colours": ["range", "entropy"], "scale": (1, 2)}, "--colour is range, entropy"),
+        ({"scale": (1, 2)}, "--colour is none"),
+        ({"frames_per_second": float("nan")}, "--fps · nan · expected a number from 0.1 to 50"),
+        (
+            {"animations": ["gif"], "options": RunOptions(shard=Shard.parse("1/2"))},
+            "--gif · --shard 1/2 draws a part of the scans",
+        ),
+    ],
+)
+def test_settings_that_mean_nothing(labelled, options, message):
+    with pytest.raises(UsageError, match=message):
+        draw(labelled, **options)
+    assert not (labelled.out / "picture.json").exists()
+
+
+def test_without_ffmpeg_nothing_is_drawn(labelled, monkeypatch):
+    monkeypatch.setenv("PATH", "")
+    with pytest.raises(UsageError, match="--mp4 · no ffmpeg found"):
+        draw(labelled, animations=["gif", "mp4"])
+    assert not pngs(labelled)
