@@ -25,6 +25,7 @@ from salsanext_cli.cli.option_groups import expanded
 from salsanext_cli.cli.pick import pick
 from salsanext_cli.cli.predict import predict
 from salsanext_cli.cli.project import project
+from salsanext_cli.cli.report import report
 from salsanext_cli.cli.submit import submit
 from salsanext_cli.cli.synth import synth
 from salsanext_cli.cli.train import train
@@ -56,8 +57,9 @@ COMMANDS: dict[str, dict[str, Callable[..., None] | typer.Typer]] = {
         "tune": tune,
         "benchmark": benchmark,
     },
-    "Demonstration": {
+    "Look": {
         "demo": demo,
+        "report": report,
     },
 }
 

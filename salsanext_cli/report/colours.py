@@ -26,6 +26,10 @@ SCALE_PERCENTILES = (1.0, 99.0)
 """Ends of a colour scale by default, which leave out a few outliers."""
 OUTCOMES = np.array((EMPTY, RIGHT, WRONG), np.uint8)
 """Colours of points that are not judged, right and wrong, (3, 3)."""
+LUMA = np.array((0.2126, 0.7152, 0.0722))
+"""Weights of red, green and blue in how bright a colour looks."""
+LEAST_LUMA = 80.0
+"""Of 255; the background of a view has 23."""
 CLASS_COLOURS = ("label", "truth", "wrong")
 COLOURS = (*COLOURINGS, "uncertainty")
 """Colourings of points; "uncertainty" is the error, else the entropy."""
@@ -101,6 +105,18 @@ def map_colours(name: str) -> Colours:
 
     colours: Colours = matplotlib.colormaps[name](np.arange(256), bytes=True)[:, :3]
     return colours
+
+
+def on_dark(colours: Colours) -> Colours:
+    """Mix colours (…, 3) that can hardly be seen on a dark background with white.
+
+    Their luma becomes `LEAST_LUMA` at least. Brighter ones with the same hue would be the colours
+    of other classes: the sidewalk's would be that of the road.
+    """
+    luma = colours @ LUMA
+    white = np.clip((LEAST_LUMA - luma) / (255 - luma).clip(1), 0, 1)[..., None]
+    lightened: Colours = np.rint(colours + white * (255.0 - colours)).astype(np.uint8)
+    return lightened
 
 
 def legend_of(space: LabelSpace, *labels: npt.NDArray[Any], errors: bool = False) -> Legend:
