@@ -130,7 +130,7 @@ def worth_looking_at(rows: Sequence[ScanRow], space: LabelSpace) -> dict[str, st
     if kind := leading_kind(rows):
         means = [row.uncertainty.get(kind, math.nan) for row in rows]
         _take(reasons, rows, means, f"most uncertain (mean {kind.replace('_', ' ')} {{:.3g}})")
-    _take(reasons, rows, [row.wrong for row in rows], "most wrong ({:.1%} of the points)")
+    _take(reasons, rows, [100 * row.wrong for row in rows], "most wrong ({:.1f} % of the points)")
     judged = [row.confusion for row in rows if row.confusion is not None]
     if judged:
         of_class = _worst_class(sum(judged[1:], judged[0]), space)

@@ -2,14 +2,11 @@
 """Stage `report`: one page of a run, a single HTML file that needs nothing else."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
-from salsanext_cli.class_merging import ClassMerging
 from salsanext_cli.classes import LabelSpace
 from salsanext_cli.errors import (
     NoInputError,
@@ -19,20 +16,16 @@ from salsanext_cli.errors import (
     first_few,
     printable,
 )
-from salsanext_cli.formats.reading import present
 from salsanext_cli.measures.drive import ScanRow, named, read_row, worth_looking_at
-from salsanext_cli.measures.scan_counts import SOFTMAX, ScanCounts, read_softmax
-from salsanext_cli.measures.scores import plain, scores
-from salsanext_cli.measures.softmax import lack_of_confidence
-from salsanext_cli.measures.uncertainty_evaluation import evaluate_uncertainty
+from salsanext_cli.measures.scan_counts import ScanCounts
+from salsanext_cli.measures.scores import plain
 from salsanext_cli.parallel.run import Failure, RunOptions, run_over_scans
-from salsanext_cli.report.page.clouds import ShownScan, scales_of
-from salsanext_cli.report.page.content import content_of
+from salsanext_cli.report.page.content import Comparison, content_of
 from salsanext_cli.report.page.facts import facts_of_run, warnings_of_run
 from salsanext_cli.report.page.html import html_of
-from salsanext_cli.sensors import Sensor
+from salsanext_cli.report.page.shown_scans import ShownScan, read_shown
 from salsanext_cli.storage.files.atomic import sweep_stale
-from salsanext_cli.storage.layout import ScanFile, output_path
+from salsanext_cli.storage.layout import ScanFile
 from salsanext_cli.storage.predictions import (
     merging_into,
     predicted_scans,
@@ -40,7 +33,7 @@ from salsanext_cli.storage.predictions import (
     space_of_labels,
 )
 from salsanext_cli.storage.run_registration import records_lock
-from salsanext_cli.storage.scan_results import read_results, with_results
+from salsanext_cli.storage.scan_results import with_results
 from salsanext_cli.storage.selection import ScanSelection
 from salsanext_cli.storage.sources import MissingResults, missing_results
 from salsanext_cli.storage.stage_records import recorded_sensor
@@ -149,25 +142,28 @@ def report(
     chosen = named(rows, scans) if scans else worth_looking_at(rows, results_space)
     shown, unreadable = _shown(out, rows, chosen, how)
     failures = (*failures, *unreadable)
-    uncertainty = evaluate_uncertainty(counts, results_space) if counts else None
+    compared = Comparison.of(counts, results_space) if counts else None
     content = content_of(
         *(_title(out), facts_of_run(out, sensor), _warnings(out, counts, missing, failures)),
-        *(rows, counts, uncertainty, shown, scales_of(shown), results_space, sensor),
+        rows=rows,
+        compared=compared,
+        shown=shown,
+        space=results_space,
+        sensor=sensor,
     )
     written = html_of(content).encode()
     with records_lock(out):
         sweep_stale(out)
         _require_replaceable(out, page)
         WrittenFiles(out).write(page, written, durable=True)
-    found = scores(counts.confusion, results_space) if counts else None
-    kept = uncertainty.kept if uncertainty else None
+    kept = compared.uncertainty.kept if compared else None
     return Report(
         page=page,
         bytes=len(written),
         scans=len(rows),
         shown={each.name: each.reason for each in shown},
-        accuracy=found.accuracy if found else None,
-        iou_mean_present=found.iou_mean_present if found else None,
+        accuracy=compared.scores.accuracy if compared else None,
+        iou_mean_present=compared.scores.iou_mean_present if compared else None,
         sentence=kept.sentence if kept else None,
         missing=missing,
         failures=failures,
@@ -214,34 +210,12 @@ def _shown(
     failures: list[Failure] = []
     for name, reason in chosen.items():
         try:
-            shown.append(_read(files[name], name, reason, out, **how))
+            shown.append(read_shown(files[name], reason, out, **how))
         except SalsanextError as error:
             failures.append(Failure(files[name], str(error), error.code))
     if not shown:
         raise NoInputError(out, f"no scan can be shown, as {failures[0].reason}")
     return shown, failures
-
-
-def _read(
-    file: ScanFile,
-    name: str,
-    reason: str,
-    out: Path,
-    space: LabelSpace,
-    labels: LabelSpace,
-    merging: ClassMerging | None,
-    sensor: Sensor,
-) -> ShownScan:
-    """Read a scan, its results, and the confidence of its points."""
-    found = read_results(file, out, sensor, space)
-    if found.truth is not None and labels.learning_map != space.learning_map:
-        raw = space.to_raw(labels.to_train(found.truth, strict=False))
-        found = replace(found, truth=raw)
-    doubt = None
-    if present(path := output_path(out, file.sequence, SOFTMAX, file.stem)):
-        every = np.ones(len(found.scan), bool)
-        doubt = lack_of_confidence(read_softmax(path, every, space, merging))
-    return ShownScan(name, reason, found, doubt)
 
 
 def _title(out: Path) -> str:

@@ -5,7 +5,6 @@ from __future__ import annotations
 
 from base64 import b64encode
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -15,8 +14,8 @@ from salsanext_cli.classes import LabelSpace
 from salsanext_cli.geometry.projection import project
 from salsanext_cli.records import Float
 from salsanext_cli.report.colours import value_range
+from salsanext_cli.report.page.shown_scans import DOUBT, ShownScan
 from salsanext_cli.sensors import Sensor
-from salsanext_cli.storage.layout import UNCERTAINTY
 from salsanext_cli.storage.scan_results import ScanResults
 
 MAX_POINTS = 200_000
@@ -26,43 +25,7 @@ FARTHEST_M = 1e4
 STEPS = 65535
 NO_VALUE = 255
 """Byte of a point without a value; values are 0 to 254."""
-DOUBT = "doubt"
-"""1 − the largest probability, which is shown as confidence."""
-UNCERTAIN = (*UNCERTAINTY[:1], DOUBT, *UNCERTAINTY[1:])
-"""Values by which points can be hidden, in the order in which they are offered."""
-SCALARS = (*UNCERTAIN, "range", "intensity")
-"""Values that are shown on a scale; labels are not."""
 UNITS = {"range": "m", "entropy": "nats", "mutual_information": "nats"}
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class ShownScan:
-    """Scan to show in a page.
-
-    Attributes
-    ----------
-    name : str
-        Sequence and stem.
-    reason : str
-        Why it is shown.
-    results : ScanResults
-        N points and what is known about them.
-    doubt : (N,) float32 or None
-        1 − the largest probability, NaN without one; None without probabilities.
-    """
-
-    name: str
-    reason: str
-    results: ScanResults
-    doubt: Float | None
-
-    def values(self) -> dict[str, npt.NDArray[Any]]:
-        """Return all values of `SCALARS` that are known, (N,) each."""
-        known = dict(self.results.uncertainty)
-        known |= {"range": self.results.range, "intensity": self.results.scan.intensity}
-        if self.doubt is not None:
-            known[DOUBT] = self.doubt
-        return {name: known[name] for name in SCALARS if name in known}
 
 
 def scales_of(scans: Sequence[ShownScan]) -> dict[str, tuple[float, float]]:
@@ -75,8 +38,8 @@ def scales_of(scans: Sequence[ShownScan]) -> dict[str, tuple[float, float]]:
         for name, of_points in scan.values().items():
             values.setdefault(name, []).append(of_points)
     scales = {}
-    for name in (name for name in SCALARS if name in values):
-        highest = value_range(np.concatenate(values[name]))[1]
+    for name, each in values.items():
+        highest = value_range(np.concatenate(each))[1]
         scales[name] = (0.0, 1.0 if name in ("error", DOUBT) else highest if highest > 0 else 1.0)
     return scales
 

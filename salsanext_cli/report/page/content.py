@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -13,33 +14,63 @@ from salsanext_cli.errors import as_text, counted
 from salsanext_cli.measures.drive import ScanRow, leading_kind
 from salsanext_cli.measures.scan_counts import RING_NAMES, ScanCounts
 from salsanext_cli.measures.scores import Scores, scores
-from salsanext_cli.measures.uncertainty_evaluation import UncertaintyEvaluation
-from salsanext_cli.report.colours import COLOUR_MAP, OUTCOMES, Colours, map_colours, on_dark
+from salsanext_cli.measures.uncertainty_evaluation import (
+    UncertaintyEvaluation,
+    evaluate_uncertainty,
+)
+from salsanext_cli.report.colours import COLOUR_MAP, WRONG, Colours, map_colours, on_dark
 from salsanext_cli.report.evaluation_pictures import evaluation_pictures
 from salsanext_cli.report.page.clouds import (
     NO_VALUE,
-    UNCERTAIN,
     UNITS,
-    ShownScan,
     base64_of,
     encode_cloud,
+    scales_of,
 )
-from salsanext_cli.report.page.html import PageContent
+from salsanext_cli.report.page.html import ClassShare, PageContent
+from salsanext_cli.report.page.shown_scans import UNCERTAIN, ShownScan
 from salsanext_cli.report.tables import percent
 from salsanext_cli.sensors import Sensor
 
-OUTCOME_NAMES = ("not judged", "right", "wrong")
+OUTCOME_COLOURS = {"not judged": (62, 76, 150), "right": (125, 133, 145), "wrong": WRONG}
+"""Farther apart than in other pictures, where what is not judged has the colour of nothing."""
+DARKEST_STEP = 48
+"""Step of the colour map, of 255, where its scale begins: those below are lost on a dark view."""
+
+
+@dataclass(frozen=True, slots=True)
+class Comparison:
+    """Comparison of the scans that have labels.
+
+    Attributes
+    ----------
+    counts : ScanCounts
+        Counts of their points.
+    scores : Scores
+        Scores of the labels.
+    uncertainty : UncertaintyEvaluation
+        Results for the probabilities and uncertainties, if there are any.
+    """
+
+    counts: ScanCounts
+    scores: Scores
+    uncertainty: UncertaintyEvaluation
+
+    @classmethod
+    def of(cls, counts: ScanCounts, space: LabelSpace) -> Comparison:
+        """Divide the counts."""
+        uncertainty = evaluate_uncertainty(counts, space)
+        return cls(counts, scores(counts.confusion, space), uncertainty)
 
 
 def content_of(
     title: str,
     facts: Sequence[tuple[str, str]],
     warnings: Sequence[str],
+    *,
     rows: Sequence[ScanRow],
-    counts: ScanCounts | None,
-    uncertainty: UncertaintyEvaluation | None,
+    compared: Comparison | None,
     shown: Sequence[ShownScan],
-    scales: Mapping[str, tuple[float, float]],
     space: LabelSpace,
     sensor: Sensor,
 ) -> PageContent:
@@ -53,79 +84,78 @@ def content_of(
         As `facts_of_run` and `warnings_of_run` return them.
     rows : sequence of ScanRow
         All scans, in their order.
-    counts, uncertainty : ScanCounts and UncertaintyEvaluation, or None
-        Counts of the labelled scans, and what follows from them; None without labels.
+    compared : Comparison or None
+        Of the scans with labels, if there are any.
     shown : sequence of ShownScan
-        Scans to show; scales as `scales_of` returns them.
+        Scans to show point by point.
     space, sensor
         Classes and range image of the labels.
     """
-    found = scores(counts.confusion, space) if counts else None
-    colours = on_dark(space.colours)
-    return PageContent(
+    colours, scales = on_dark(space.colours), scales_of(shown)
+    page = PageContent(
         title=title,
-        tiles=_tiles(rows, counts, found),
+        tiles=_tiles(rows, compared),
         facts=facts,
         warnings=warnings,
-        sentence=_sentence(uncertainty),
-        shares=_shares(rows, found, space, colours),
-        rings=_rings(counts, space) if counts else [],
-        pictures=evaluation_pictures(found, counts.confusion, uncertainty, space)
-        if found and counts and uncertainty
-        else {},
+        shares=_shares(rows, compared, space, colours),
         data=as_text(_data(rows, shown, scales, space, colours)),
         clouds=[as_text(encode_cloud(each, space, sensor, scales)) for each in shown],
     )
+    if compared is None:
+        return page
+    found = compared.scores, compared.counts.confusion, compared.uncertainty
+    kept = compared.uncertainty.kept
+    return replace(
+        page,
+        sentence=f"{kept.sentence[:1].upper()}{kept.sentence[1:]}." if kept else "",
+        rings=_rings(compared.counts, space),
+        pictures=evaluation_pictures(*found, space),
+    )
 
 
-def _tiles(
-    rows: Sequence[ScanRow], counts: ScanCounts | None, found: Scores | None
-) -> list[tuple[str, str]]:
+def _tiles(rows: Sequence[ScanRow], compared: Comparison | None) -> list[tuple[str, str]]:
     points = sum(row.points for row in rows)
     tiles = [("scans", f"{len(rows):,}"), ("points", f"{points:,}")]
-    if counts and found:
+    if compared:
+        found, scans = compared.scores, counted(compared.counts.scans, "scan")
         present = sum(each.points > 0 for each in found.classes)
         tiles += [
-            (
-                f"accuracy, {counted(counts.scans, 'scan')} with labels",
-                percent(found.accuracy, 1, " %"),
-            ),
+            (f"accuracy, {scans} with labels", percent(found.accuracy, 1, " %")),
             (f"mean IoU of {present} classes present", percent(found.iou_mean_present, 1, " %")),
-            (f"mean IoU of all {len(found.classes)}", percent(found.iou_mean_official, 1, " %")),
         ]
+        if present < len(found.classes):
+            official = percent(found.iou_mean_official, 1, " %")
+            tiles.append((f"mean IoU of all {len(found.classes)}, official", official))
     return tiles
 
 
-def _sentence(uncertainty: UncertaintyEvaluation | None) -> str:
-    kept = uncertainty.kept if uncertainty else None
-    return f"{kept.sentence[:1].upper()}{kept.sentence[1:]}." if kept else ""
-
-
 def _shares(
-    rows: Sequence[ScanRow], found: Scores | None, space: LabelSpace, colours: Colours
-) -> list[tuple[str, tuple[int, int, int], float, str]]:
-    """Return name, colour, share and IoU of every class that is predicted or in the truth."""
+    rows: Sequence[ScanRow], compared: Comparison | None, space: LabelSpace, colours: Colours
+) -> list[ClassShare]:
+    """Return every class that is predicted or in the truth; none without predictions."""
     points = np.zeros(space.class_count, np.int64)
     for row in rows:
         points += 0 if row.class_points is None else row.class_points
-    iou = {each.train_id: percent(each.iou, 1, " %") for each in (found.classes if found else ())}
-    in_truth = {each.train_id for each in (found.classes if found else ()) if each.points}
-    listed = [i for i in range(space.class_count) if points[i] or i in in_truth]
-    whole = max(int(points.sum()), 1)
+    if not points.any():
+        return []
+    judged = {each.train_id: each for each in (compared.scores.classes if compared else ())}
     shares = []
-    for i in listed if points.any() else []:
-        red, green, blue = colours[i].tolist()
-        shares.append((space.names[i], (red, green, blue), points[i] / whole, iou.get(i, "")))
+    for i, name in enumerate(space.names):
+        score = judged.get(i)
+        if points[i] or (score and score.points):
+            iou = percent(score.iou, 1, " %") if score else ""
+            shares.append(ClassShare(name, colours[i].tolist(), points[i] / points.sum(), iou))
     return shares
 
 
 def _rings(counts: ScanCounts, space: LabelSpace) -> list[tuple[str, ...]]:
     """Return the scores of the rings of distance as text; none if they were not counted."""
-    rows = []
+    rows: list[tuple[str, ...]] = []
     for name, ring in zip(RING_NAMES, counts.rings, strict=bool(counts.rings)):
         found = scores(ring, space)
         shares = percent(found.iou_mean_present), percent(found.accuracy)
-        rows.append((name, *shares, f"{found.points:,}"))
+        if found.points:
+            rows.append((name, *shares, f"{found.points:,}"))
     return rows
 
 
@@ -137,21 +167,19 @@ def _data(
     colours: Colours,
 ) -> dict[str, Any]:
     """Return what the scripts of the page need besides the clouds, as plain data."""
-    outcomes = on_dark(OUTCOMES).tolist()
+    steps = np.linspace(DARKEST_STEP, 255, NO_VALUE)
     return {
         "classes": [
             {"name": name, "rgb": rgb}
             for name, rgb in zip(space.names, colours.tolist(), strict=True)
         ],
-        "outcomes": [
-            {"name": name, "rgb": rgb} for name, rgb in zip(OUTCOME_NAMES, outcomes, strict=True)
-        ],
+        "outcomes": [{"name": name, "rgb": rgb} for name, rgb in OUTCOME_COLOURS.items()],
         "scales": {
             name: {"low": low, "high": high, "unit": UNITS.get(name, "")}
             for name, (low, high) in scales.items()
         },
         "uncertain": list(UNCERTAIN),
-        "map": map_colours(COLOUR_MAP)[:NO_VALUE].ravel().tolist(),
+        "map": map_colours(COLOUR_MAP)[steps.astype(np.intp)].ravel().tolist(),
         "shown": [{"name": each.name, "reason": each.reason} for each in shown],
         "drive": _drive(rows, [each.name for each in shown]),
     }

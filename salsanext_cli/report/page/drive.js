@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: MIT
 // The drive, one column per scan: mean uncertainty and share of wrong points above, classes below.
 
-const CURVE_PX = 84, GAP_PX = 22, UNCERTAIN_COLOUR = "#2f7fd0", WRONG_COLOUR = "#e0482e";
+const CURVE_PX = 100, GAP_PX = 22, UNCERTAIN_COLOUR = "#2f7fd0", WRONG_COLOUR = "#e0482e";
 
 class DriveView {
   // scans: { count, names, shown: place in the page or -1, shares: (count × classes), uncertainty, wrong }

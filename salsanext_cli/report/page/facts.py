@@ -39,14 +39,15 @@ def _weights(out: Path) -> str:
     sha256 = next((each for each in found if each), None)
     if sha256 is None:
         return "not recorded"
-    name = f"SHA-256 {sha256[:SHOWN_DIGITS]}…"
+    name = f"SHA-256 {sha256[:SHOWN_DIGITS]}"
     path = default_weights()
     try:
         if fingerprint(path) == sha256:
-            return f"the default ones, {name}. {read_card(path).description}"
+            description = read_card(path).description.replace("`", "")
+            return f"the default ones, {name}. {description}"
     except SalsanextError:
         pass  # An installation without its weights still has results to show.
-    return f"{name}, not the default ones; `salsanext models FILE` describes a file of weights"
+    return f"{name}, not the default ones; salsanext models FILE describes a file of weights"
 
 
 def _labels(out: Path) -> Iterator[str]:
@@ -55,7 +56,7 @@ def _labels(out: Path) -> Iterator[str]:
     settings: Mapping[str, Any] = stage_settings(out, stage) or {} if stage else {}
     if not stage:
         return
-    words = [f"`{stage}`"]
+    words = [stage]
     if settings.get("engine"):
         words.append(f"{settings['engine']} in {settings.get('precision')}")
     if isinstance(temperature := settings.get("temperature"), float):
@@ -73,7 +74,7 @@ def _uncertainty(out: Path) -> Iterator[str]:
     if settings:
         samples = settings.get("samples")
         passes = f", {counted(samples, 'pass')[:-1]}es" if isinstance(samples, int) else ""
-        yield f"`uncertainty`, {settings.get('method')}{passes}"
+        yield f"{settings.get('method')}{passes}"
 
 
 def warnings_of_run(out: Path) -> list[str]:

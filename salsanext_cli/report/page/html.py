@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 from html import escape
 from importlib import resources
 from string import Template
-from typing import Any
+from typing import Any, NamedTuple
 
 from salsanext_cli import __version__
 from salsanext_cli.errors import printable
@@ -18,6 +18,15 @@ from salsanext_cli.report.evaluation_pictures import PICTURES
 
 PARTS = ("page.css", "view.js", "drive.js", "page.js")
 """Files beside this one that the template takes in, as $page_css and so on."""
+
+
+class ClassShare(NamedTuple):
+    """A class, its colour, its share of the points, 0…1, and its IoU as text if it has one."""
+
+    name: str
+    colour: Sequence[int]
+    share: float
+    iou: str
 
 
 @dataclass(frozen=True, slots=True)
@@ -32,30 +41,30 @@ class PageContent:
         Numbers for the first screen, each with its name.
     facts, warnings : sequences
         What was run, by title; and doubts about the scans.
+    shares : sequence of ClassShare
+        Classes; empty without predictions.
+    data : mapping
+        What the scripts show besides: classes, scales, the drive.
+    clouds : sequence of mapping
+        As `encode_cloud` returns them.
     sentence : str
         Sentence on risk; empty without labels.
-    shares : sequence of (name, (red, green, blue), share, IoU)
-        Share of every predicted class, 0…1, and its IoU as text, empty without labels.
     rings : sequence of tuple of str
         Distance, mean IoU, accuracy and points as text; empty if not asked for.
     pictures : mapping of str to bytes
-        PNG by a name of `PICTURES`.
-    data : mapping
-        What the scripts show: classes, scales, the drive; see `page.js`.
-    clouds : sequence of mapping
-        As `encode_cloud` returns them.
+        PNG by a name of `PICTURES`; empty without labels.
     """
 
     title: str
     tiles: Sequence[tuple[str, str]]
     facts: Sequence[tuple[str, str]]
     warnings: Sequence[str]
-    sentence: str
-    shares: Sequence[tuple[str, tuple[int, int, int], float, str]]
-    rings: Sequence[tuple[str, ...]]
-    pictures: Mapping[str, bytes]
+    shares: Sequence[ClassShare]
     data: Mapping[str, Any]
-    clouds: Sequence[Mapping[str, Any]] = field(default_factory=list)
+    clouds: Sequence[Mapping[str, Any]]
+    sentence: str = ""
+    rings: Sequence[tuple[str, ...]] = ()
+    pictures: Mapping[str, bytes] = field(default_factory=dict)
 
 
 def html_of(content: PageContent) -> str:
@@ -70,8 +79,8 @@ def html_of(content: PageContent) -> str:
         facts="".join(f"<dt>{_text(n)}</dt><dd>{_text(v)}</dd>" for n, v in content.facts),
         warnings=_warnings(content.warnings),
         shares=_shares(content.shares),
-        rings=_rings(content.rings),
-        pictures=_pictures(content.pictures),
+        plots=_plots(content),
+        plots_link='<a href="#plots">Plots</a>' if content.pictures else "",
         data=script_data("data", content.data) + "".join(blocks),
         **{name.replace(".", "_"): _part(name) for name in PARTS},
     )
@@ -100,23 +109,33 @@ def _warnings(lines: Sequence[str]) -> str:
     return f'<h3>Warnings</h3><ul class="warnings">{items}</ul>'
 
 
-def _shares(shares: Sequence[tuple[str, tuple[int, int, int], float, str]]) -> str:
+def _shares(shares: Sequence[ClassShare]) -> str:
     """Return a table of the classes, the largest first, with bars."""
     if not shares:
         return "<p>No stage has predicted labels.</p>"
-    judged = any(iou for *_, iou in shares)
-    largest = max(share for *_, share, _ in shares) or 1
+    judged = any(each.iou for each in shares)
+    largest = max(each.share for each in shares)
     heading = "<th>class</th><th>share of the points</th>" + "<th>IoU</th>" * judged
     rows = []
-    for name, (red, green, blue), share, iou in sorted(shares, key=lambda each: -each[2]):
-        bar = f'<i style="width:{75 * share / largest:.1f}%;background:rgb({red},{green},{blue})">'
-        cells = f"<td>{_text(name)}</td><td>{bar}</i> {_percent(share)}</td>"
+    for name, colour, share, iou in sorted(shares, key=lambda each: -each.share):
+        rgb = ",".join(map(str, colour))
+        bar = f'<i style="width:{75 * share / largest:.1f}%;background:rgb({rgb})"></i>'
+        cells = f"<td>{_text(name)}</td><td>{bar} {_percent(share)}</td>"
         rows.append(f"<tr>{cells}{f'<td>{_text(iou)}</td>' * judged}</tr>")
     return f'<table class="shares"><tr>{heading}</tr>{"".join(rows)}</table>'
 
 
 def _percent(share: float) -> str:
     return f"{100 * share:.2f} %" if share < 0.1 else f"{100 * share:.1f} %"
+
+
+def _plots(content: PageContent) -> str:
+    """Return the section that only labelled scans have."""
+    if not content.pictures:
+        return ""
+    figures = f'<div class="plots">{_pictures(content.pictures)}</div>'
+    rings = _rings(content.rings)
+    return f'<section id="plots"><h2>Comparison with labels</h2>{figures}{rings}</section>'
 
 
 def _rings(rows: Iterable[Sequence[str]]) -> str:

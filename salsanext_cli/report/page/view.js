@@ -17,14 +17,17 @@ void main() {
   rgb = texelFetch(palette, ivec2(int(colour), 0), 0).rgb;
 }`;
 const FRAGMENT = `#version 300 es
-precision mediump float;
+precision highp float;
 in vec3 rgb;
 uniform float ring;
 out vec4 pixel;
 void main() {
-  float radius = length(gl_PointCoord - 0.5);
-  if (ring > 0.0 && (radius > 0.5 || radius < 0.32)) discard;
-  pixel = ring > 0.0 ? vec4(1.0) : vec4(rgb, 1.0);
+  pixel = vec4(rgb, 1.0);
+  if (ring > 0.0) {
+    float radius = length(gl_PointCoord - 0.5);
+    if (radius > 0.5 || radius < 0.32) discard;
+    pixel = vec4(1.0);
+  }
 }`;
 const START = { azimuth: 180, elevation: 32, distance: 42 };  // degrees, metres: looking forward
 const NEAR_M = 0.3, FAR_M = 20000, FIELD_OF_VIEW = 50;
@@ -38,7 +41,7 @@ function multiply(a, b) {  // of 4 × 4 matrices, column by column
 class PointView {
   constructor(canvas) {
     this.canvas = canvas;
-    this.gl = canvas.getContext("webgl2", { antialias: false, preserveDrawingBuffer: true });
+    this.gl = canvas.getContext("webgl2", { antialias: false });
     if (!this.gl) throw new Error("no WebGL 2");
     this.size = 2;
     this.marked = -1;
