@@ -80,6 +80,7 @@ def encode_cloud(
     nearest[image.point_of_pixel[image.point_of_pixel >= 0]] = True
     order = np.lexsort((image.point_range, ~nearest, pixel))
     of_pixel = np.bincount(pixel, minlength=image.point_of_pixel.size + 1)[:-1]
+    width = np.min_scalar_type(of_pixel.max(initial=0)).itemsize
     index = taken[order]
     position, low, step_m = _positions(points[index])
     values = {
@@ -96,7 +97,8 @@ def encode_cloud(
         "low": low,
         "step": step_m,
         "position": base64_of(position, "<u2"),
-        "of_pixel": base64_of(of_pixel, "<u4"),
+        "of_pixel": base64_of(of_pixel, f"<u{width}"),
+        "of_pixel_bytes": width,
         "values": {
             name: base64_of(each, "u1")
             for name, each in {**_classes(shown.results, space, index), **values}.items()

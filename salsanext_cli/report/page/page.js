@@ -16,7 +16,7 @@ let cloud = null, palette = null, visible = null, view = null;
 
 function decoded(index) {
   const raw = JSON.parse(byId(`cloud-${index}`).textContent);
-  const ofPixel = new Uint32Array(bytes(raw.of_pixel).buffer);
+  const ofPixel = new ({ 1: Uint8Array, 2: Uint16Array, 4: Uint32Array })[raw.of_pixel_bytes](bytes(raw.of_pixel).buffer);
   const first = new Uint32Array(ofPixel.length + 1);  // point of each pixel, and where the next one's begin
   ofPixel.forEach((count, pixel) => { first[pixel + 1] = first[pixel] + count; });
   const values = Object.fromEntries(Object.entries(raw.values).map(([name, text]) => [name, bytes(text)]));
