@@ -42,6 +42,7 @@ def demo(
     )
     pictures, out = [str(path) for path in made.pictures], folder / "out"
     result = made.evaluation.to_dict() | {"stage": "demo", "pictures": pictures}
+    result["page"] = str(made.page)
     output.result(result, score_table(made.evaluation.scores))
     failures = (*made.failures, *made.evaluation.failures)
     run_end.name_failures(failures)
@@ -49,5 +50,6 @@ def demo(
     for path in (*pictures, f"{out}/eval_iou.png", f"{out}/eval_confusion.png"):
         output.say(f"  {path}")
     output.say(f"  {out}/sequences/00/ply/*.ply   in CloudCompare, MeshLab or open3d")
+    output.say(f"  {made.page}   in a browser")
     output.say(f"scans: {folder / 'data'}; results of every stage: {out}/sequences/00")
     run_end.leave(failures, made.evaluation.missing)
