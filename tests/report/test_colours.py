@@ -9,10 +9,13 @@ from hypothesis.extra.numpy import arrays
 from salsanext_cli.classes import label_space
 from salsanext_cli.report.colours import (
     EMPTY,
+    LEAST_LUMA,
+    LUMA,
     RIGHT,
     WRONG,
     error_colours,
     legend_of,
+    on_dark,
     value_colours,
     value_range,
 )
@@ -63,3 +66,19 @@ def test_a_legend_names_what_occurs_once():
         ("wrong", WRONG),
     ]
     assert legend_of(SPACE, np.array([CAR])) == legend[:1]
+
+
+def test_on_dark_every_class_can_be_seen_and_bright_ones_stay():
+    before, after = SPACE.colours, on_dark(SPACE.colours)
+    assert (after @ LUMA >= LEAST_LUMA - 0.5).all()
+    bright = before @ LUMA >= LEAST_LUMA
+    assert np.array_equal(after[bright], before[bright])
+    road, sidewalk = (after[SPACE.names.index(name)] for name in ("road", "sidewalk"))
+    assert np.abs(road.astype(int) - sidewalk).max() > 100
+
+
+@given(arrays(np.uint8, (5, 3)))
+def test_lightening_never_darkens_and_keeps_the_order_of_channels(colours):
+    after = on_dark(colours)
+    assert (after >= colours).all()
+    assert (np.diff(after.astype(int)) * np.diff(colours.astype(int)) >= 0).all()

@@ -66,7 +66,7 @@ class DriveView {
     this.curve(pen, scans.wrong, WRONG_COLOUR, columns, per, scan);
     let left = 0;
     for (const [values, name, colour] of [[scans.uncertainty, `mean ${scans.kind}`, UNCERTAIN_COLOUR],
-      [scans.wrong, "wrong points", WRONG_COLOUR]]) {
+      [scans.wrong, "wrong", WRONG_COLOUR]]) {
       const most = this.most(values);
       if (!most) continue;
       const text = `${name}, up to ${values === scans.wrong ? `${(100 * most).toFixed(1)} %` : most.toPrecision(3)}`;
@@ -74,7 +74,7 @@ class DriveView {
       pen.fillRect(left, 5, 12, 3);
       pen.fillStyle = faint;
       pen.fillText(text, left + 17, 11);
-      left += pen.measureText(text).width + 40;
+      left += pen.measureText(text).width + 32;
     }
     const top = CURVE_PX + GAP_PX, size = this.classes.length;
     for (let column = 0; column < columns && scans.shares; column++) {

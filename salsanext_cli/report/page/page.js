@@ -30,6 +30,7 @@ function valueOf(name, byte) {  // on the scale, in its unit
 
 function shownValue(name, byte) {
   if (byte === NO_VALUE) return "none";
+  if (!byte) return `0 ${data.scales[name].unit}`.trim();
   const value = valueOf(name, byte), { unit, high } = data.scales[name];
   const beyond = byte === TOP && name !== "error" && name !== "doubt" ? "≥ " : "";
   return `${beyond}${value.toFixed(Math.max(0, 2 - Math.floor(Math.log10(high))))} ${unit}`.trim();
@@ -202,10 +203,13 @@ function remember() {
 }
 
 function recall() {  // the state that the address holds
-  const wanted = new URLSearchParams(location.hash.slice(1)), scan = data.shown.findIndex(each => each.name === wanted.get("scan"));
+  const wanted = new URLSearchParams(location.hash.slice(1));
+  const scan = data.shown.findIndex(each => each.name === wanted.get("scan"));
+  Object.values(state.hidden).forEach(each => each.clear());
+  state.above = TOP;
   state.colour = wanted.get("colour") ?? state.colour;
   state.by = wanted.get("by") ?? state.by;
-  state.size = +wanted.get("size") || state.size;
+  state.size = +wanted.get("size") || 2;
   const names = (wanted.get("hide") ?? "").split(",");
   data.classes.forEach((each, id) => names.includes(each.name) && state.hidden.label.add(id));
   const scale = data.scales[state.by];
@@ -222,7 +226,8 @@ function listen() {
   on("by", "change", value => { state.by = value; filter(); strip(); remember(); });
   on("above", "input", value => { state.above = +value; filter(); strip(); });
   on("above", "change", remember);
-  on("size", "input", value => { state.size = +value; if (view) { view.size = +value; view.redraw(); } remember(); });
+  on("size", "input", value => { state.size = +value; if (view) { view.size = +value; view.redraw(); } });
+  on("size", "change", remember);
   on("home", "click", () => view?.home());
   on("all", "click", () => {
     Object.values(state.hidden).forEach(each => each.clear());
