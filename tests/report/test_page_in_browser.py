@@ -59,7 +59,7 @@ const at = (target, name, x, y) => target.dispatchEvent(
   found.alone = shown();
   byId("all").click();
   change("by", "entropy", "change");
-  change("above", 127, "input");
+  change("above", 64, "input");
   found.below = [shown(), byId("above-value").textContent];
   byId("all").click();
   view.azimuth = 0; view.elevation = 89; view.draw();
@@ -76,6 +76,8 @@ const at = (target, name, x, y) => target.dispatchEvent(
   const before = view.azimuth;
   canvas.dispatchEvent(new KeyboardEvent("keydown", { key: "ArrowLeft" }));
   found.turned = view.azimuth - before;
+  found.pixels = Array.from({ length: cloud.shown }, (_, i) => pixelOf(i))
+    .every((pixel, i) => pixel < 0 || (cloud.first[pixel] <= i && i < cloud.first[pixel + 1]));
   const strip = byId("strip"), area = strip.getBoundingClientRect(), pixel = pixelOf(700);
   at(strip, "pointermove", area.left + (pixel % cloud.width + 0.5) * area.width / cloud.width,
     area.top + (Math.floor(pixel / cloud.width) + 0.5) * area.height / cloud.height);
@@ -125,16 +127,16 @@ def test_the_page_draws_and_its_controls_work(world, tmp_path):
     made = report(world.out, dataset=world.dataset, scans=["000001", "000000"])
     page = tmp_path / "with a probe.html"
     page.write_text(made.page.read_text("utf-8").replace("</body>", f"{PROBE}</body>"), "utf-8")
-    wanted = {"scan": "08/000000", "colour": "wrong", "by": "entropy", "above": "1", "size": "4"}
+    wanted = {"scan": "08/000000", "colour": "wrong", "by": "entropy", "above": "0.5", "size": "4"}
     said = console_of(page, urlencode(wanted), tmp_path)
     (text,) = FOUND.findall(said)
     assert said.count("CONSOLE") == 1, said
     found = json.loads(text.replace('\\"', '"').replace("\\\\", "\\"))
-    # The address said so: entropies go from 0 to 2, and 1 is half of them.
+    # The address said so: entropies go from 0 to 2, so a quarter is below 0.5.
     assert found["state"] == ["1", "wrong", "entropy", "4"]
-    assert abs(found["shown"] - COUNT / 2) < 0.02 * COUNT
+    assert abs(found["shown"] - COUNT / 4) < 0.02 * COUNT
     assert re.search(
-        r"1,500 points, 5\d\.\d % of them shown: \d+\.\d % wrong instead", found["told"]
+        r"1,500 points, 2\d\.\d % of them shown: \d+\.\d % wrong instead", found["told"]
     )
     assert [*found["colours"]] == ["label", "truth", "wrong", "entropy", "range", "intensity"]
     # The background and a colour or more, of values many.
@@ -149,13 +151,14 @@ def test_the_page_draws_and_its_controls_work(world, tmp_path):
     assert "hide=car" in address
     assert found["alone"] == shown
     assert cars + roads == pytest.approx(1)
-    assert abs(found["below"][0] - COUNT / 2) < 0.02 * COUNT
+    assert abs(found["below"][0] - COUNT / 4) < 0.02 * COUNT
     hidden, words, point = found["hover"]
     assert found["picked"] == point >= 0
     assert not hidden
     assert re.search(r"label +(car|road)\ntruth +(car|road)\n", words)
-    assert re.search(r"entropy +[\d.]+ nats\n", words)
+    assert re.search(r"entropy +(0|[\d.]+) nats\n", words)
     assert found["turned"] == 5
+    assert found["pixels"]
     assert found["strip"][0] == found["strip"][1]
     assert found["opened"][0] == "08/000001"
     assert found["opened"][1].startswith("08/000001 · mean entropy 0.5")

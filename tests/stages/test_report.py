@@ -112,18 +112,31 @@ def test_a_page_fetches_nothing(world):
 
 
 def test_names_are_no_markup(tmp_path):
-    evil = "a\"'&<script>alert(1)</script><!--"
+    evil = "a\"'&<script>alert(1)<∕script><!--"
     world = World(tmp_path)
     world.out = tmp_path / "<b>öut"
-    world.add("000000", TRUTH, PREDICTED, sequence=evil.replace("/", "∕"))
-    world.add("</scr\nipt>".replace("/", "∕"), TRUTH, [UNKNOWN] * 4, sequence="08")
-    found, page = made(world)
+    world.add("000000", TRUTH, PREDICTED, sequence=evil)
+    world.add("<∕scr\nipt>", TRUTH, [UNKNOWN] * 4, sequence="08")
+    world.add("x\udcff", TRUTH, TRUTH, sequence="08")
+    found, page = made(world, scans=[f"{evil}/000000", "x\udcff"])
     scripts = [attributes for tag, attributes in page.tags if tag == "script"]
     assert [each.get("id") for each in scripts] == ["data", "cloud-0", "cloud-1", None]
-    assert f"{evil.replace('/', '∕')}/000000" in page.data["drive"]["names"]
+    assert f"{evil}/000000" in page.data["drive"]["names"]
     assert "<b>öut" not in page.source
-    assert {each["name"] for each in page.data["shown"]} == set(found.shown)
+    assert [each["name"] for each in page.data["shown"]] == [f"{evil}/000000", "08/x\\xff"]
+    assert [*found.shown] == [f"{evil}/000000", "08/x\udcff"]
     assert "unknown ids 77 (4×)" in page.text
+
+
+def test_names_of_classes_are_no_markup(world):
+    evil = "</script><img src=x onerror=alert(1)>"
+    own = SPACE.to_dict()
+    own["labels"] = {**own["labels"], CAR: evil}
+    found, page = made(world, space=type(SPACE).from_dict(own))
+    assert evil not in page.source
+    assert page.data["classes"][1]["name"] == evil
+    assert [tag for tag, _ in page.tags].count("img") == 2
+    assert any(evil in reason for reason in found.shown.values())
 
 
 def test_scans_can_be_named(world):
