@@ -131,10 +131,10 @@ def test_names_are_no_markup(tmp_path):
 def test_names_of_classes_are_no_markup(world):
     evil = "</script><img src=x onerror=alert(1)>"
     own = SPACE.to_dict()
-    own["labels"] = {**own["labels"], CAR: evil}
+    own["labels"] = {**own["labels"], ROAD: evil}
     found, page = made(world, space=type(SPACE).from_dict(own))
     assert evil not in page.source
-    assert page.data["classes"][1]["name"] == evil
+    assert page.data["classes"][9]["name"] == evil
     assert [tag for tag, _ in page.tags].count("img") == 2
     assert any(evil in reason for reason in found.shown.values())
 
