@@ -9,6 +9,7 @@ import pytest
 from evaluated import CAR, MOVING_CAR, ROAD, SPACE, UNKNOWN, World
 from scans import SMALL, write_array
 
+from salsanext_cli import label_space
 from salsanext_cli.errors import NoInputError, OutputError, UsageError
 from salsanext_cli.parallel.run import RunOptions
 from salsanext_cli.stages import report as stage
@@ -213,10 +214,23 @@ def test_labels_with_their_own_ids_are_compared_by_class(world, monkeypatch):
     assert {int(raw) for each in results for raw in each.truth} == {CAR, ROAD}
 
 
-def shown_of(world, space, monkeypatch):
+def test_probabilities_of_merged_classes_are_added(world, monkeypatch):
+    settings = {"label_space": SPACE.to_dict(), "sensor": SMALL.to_dict()}
+    StageRecord("predict", settings, ("predictions", "probabilities")).write(world.out)
+    rows = np.zeros((4, SPACE.class_count))
+    rows[:, SPACE.names.index("road")] = 0.5
+    rows[:, SPACE.names.index("sidewalk")] = 0.3
+    rows[:, SPACE.names.index("building")] = 0.2
+    world.put("probabilities", "000000", rows)
+    for classes, doubt in ((None, 0.5), (label_space("coarse"), 0.2)):
+        (one,) = (s for s in shown_of(world, None, monkeypatch, classes) if s.doubt is not None)
+        np.testing.assert_allclose(one.doubt, doubt, atol=1e-3)
+
+
+def shown_of(world, space, monkeypatch, classes=None):
     """Return the scans that a page shows."""
     kept = []
     monkeypatch.setattr(stage, "content_of", lambda *_, shown, **__: kept.extend(shown))
     monkeypatch.setattr(stage, "html_of", lambda _: "")
-    made(world, space=space)
+    made(world, space=space, classes=classes)
     return kept
