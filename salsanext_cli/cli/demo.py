@@ -50,6 +50,6 @@ def demo(
     for path in (*pictures, f"{out}/eval_iou.png", f"{out}/eval_confusion.png"):
         output.say(f"  {path}")
     output.say(f"  {out}/sequences/00/ply/*.ply   in CloudCompare, MeshLab or open3d")
-    output.say(f"  {made.page}   in a browser")
     output.say(f"scans: {folder / 'data'}; results of every stage: {out}/sequences/00")
+    output.say(f"everything on one page, for any browser: {made.page}")
     run_end.leave(failures, made.evaluation.missing)

@@ -262,6 +262,7 @@ function start() {
       wanted = { place };
     });
   } catch (error) {
+    byId("hint").style.display = "block";
     byId("hint").textContent = `No view of points: this browser gives ${error.message}.`;
   }
   listen();
