@@ -31,6 +31,7 @@ demo: $(INSTALLED)
 	$(BIN)/salsanext demo $(DEMO)
 
 test: $(INSTALLED)
+	@tools/system-libraries chromium
 	OMP_NUM_THREADS=1 $(BIN)/python -m pytest --numprocesses $(WORKERS) --dist loadfile
 
 test-slow: $(INSTALLED)

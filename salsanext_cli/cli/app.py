@@ -26,6 +26,7 @@ from salsanext_cli.cli.pick import pick
 from salsanext_cli.cli.picture import picture
 from salsanext_cli.cli.predict import predict
 from salsanext_cli.cli.project import project
+from salsanext_cli.cli.report import report
 from salsanext_cli.cli.submit import submit
 from salsanext_cli.cli.synth import synth
 from salsanext_cli.cli.train import train
@@ -60,6 +61,7 @@ COMMANDS: dict[str, dict[str, Callable[..., None] | typer.Typer]] = {
     "Look": {
         "picture": picture,
         "demo": demo,
+        "report": report,
     },
 }
 

@@ -42,6 +42,7 @@ def demo(
     )
     pictures, out = [str(path) for path in made.pictures], folder / "out"
     result = made.evaluation.to_dict() | {"stage": "demo", "pictures": pictures}
+    result["page"] = str(made.page)
     output.result(result, score_table(made.evaluation.scores))
     failures = (*made.failures, *made.evaluation.failures)
     run_end.name_failures(failures)
@@ -54,4 +55,5 @@ def demo(
         output.say(f"  {path}")
     output.say(f"  {out}/sequences/00/ply/*.ply   in CloudCompare, MeshLab or open3d")
     output.say(f"scans: {folder / 'data'}; results of every stage: {out}/sequences/00")
+    output.say(f"everything on one page, for any browser: {made.page}")
     run_end.leave(failures, made.evaluation.missing)

@@ -155,15 +155,15 @@ def read_probabilities(path: Path, count: int, class_count: int) -> npt.NDArray[
     return softmax
 
 
-def read_uncertainty(path: Path, count: int, highest: float = math.inf) -> Float:
+def read_uncertainty(path: Path, count: int | None, highest: float = math.inf) -> Float:
     """Read one kind of uncertainty of a scan's points, (N,) float32; NaN where there is none.
 
     Parameters
     ----------
     path : Path
         The `.npy` file.
-    count : int
-        N.
+    count : int, optional
+        N; None for any number.
     highest : float
         Largest possible value: 1 for a probability.
 

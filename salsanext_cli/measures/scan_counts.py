@@ -168,7 +168,7 @@ def count_scan(
     values: dict[str, Float] = {}
     if present(path := output_path(out, scan.sequence, SOFTMAX, scan.stem)):
         counts.files[SOFTMAX] = 1
-        softmax = _softmax(path, scored, space, merging)
+        softmax = read_softmax(path, scored, space, merging)
         errors = softmax_errors(softmax, true_class)
         by_prediction = groups | {CLASS: (errors.predicted, space.class_count)}
         for name, group in by_prediction.items():
@@ -191,12 +191,15 @@ def count_scan(
     return counts
 
 
-def _softmax(
-    path: Path, scored: Mask, space: LabelSpace, merging: ClassMerging | None
+def read_softmax(
+    path: Path, wanted: Mask, space: LabelSpace, merging: ClassMerging | None
 ) -> npt.NDArray[Any]:
-    """Read the probabilities of the points that count, of merged classes added; NaN for none."""
+    """Read the probabilities of some points, of merged classes added; NaN for none.
+
+    `wanted`, (N,) bool, says of which; the other arguments are those of `count_scan`.
+    """
     count = space.class_count if merging is None else len(merging.targets)
-    softmax = read_probabilities(path, len(scored), count)[scored]
+    softmax = read_probabilities(path, len(wanted), count)[wanted]
     if not space.scored[0]:
         # `predict` marks points without a pixel as certainly unlabelled; no softmax is that.
         softmax[softmax[:, 0] == 1] = np.nan

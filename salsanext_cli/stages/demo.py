@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Whole pipeline on a synthetic drive: generate, predict, sample, evaluate, export, draw."""
+"""Whole pipeline on a synthetic drive, from the generated scans to the page of the run."""
 
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, contextmanager
@@ -13,6 +13,7 @@ from salsanext_cli.stages.evaluate import Evaluation, evaluate
 from salsanext_cli.stages.export_ply import export_ply
 from salsanext_cli.stages.picture import picture
 from salsanext_cli.stages.predict import predict_scans
+from salsanext_cli.stages.report import report
 from salsanext_cli.stages.synth import synthesise
 from salsanext_cli.stages.uncertainty import uncertainty
 from salsanext_cli.storage.layout import find_outputs, find_scans
@@ -38,12 +39,15 @@ class Demonstration:
         Scores of the predictions.
     pictures : tuple of Path
         PNG files.
+    page : Path
+        The page of the run.
     failures : tuple of Failure
         Scans that a stage could not process.
     """
 
     evaluation: Evaluation
     pictures: tuple[Path, ...]
+    page: Path
     failures: tuple[Failure, ...]
 
 
@@ -106,4 +110,6 @@ def demo(
     with step("eval") as run:
         evaluation = evaluate(files, out, space, run, settings=provenance(out, valid))
     pictures = tuple(find_outputs(out, "pictures").values())
-    return Demonstration(evaluation, pictures, failures)
+    with step("report") as run:
+        page = report(out, by_distance=True, selection=valid, options=run).page
+    return Demonstration(evaluation, pictures, page, failures)

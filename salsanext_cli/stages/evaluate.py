@@ -21,7 +21,7 @@ from salsanext_cli.measures.uncertainty_evaluation import (
     evaluate_uncertainty,
 )
 from salsanext_cli.parallel.run import Failure, RunOptions, run_over_scans
-from salsanext_cli.report import plots, uncertainty_plots
+from salsanext_cli.report.evaluation_pictures import PICTURES, evaluation_pictures
 from salsanext_cli.storage.files.atomic import sweep_stale
 from salsanext_cli.storage.files.json_files import encode_json
 from salsanext_cli.storage.labelling.label_records import require_truth
@@ -32,16 +32,7 @@ from salsanext_cli.storage.sources import MissingResults, missing_predictions
 from salsanext_cli.storage.stage_records import as_json, recorded_sensor
 from salsanext_cli.storage.written_files import WrittenFiles
 
-FILES = (
-    "scores.txt",
-    "eval_iou.png",
-    "eval_confusion.png",
-    "eval_reliability.png",
-    "eval_risk_coverage.png",
-    "eval_sparsification.png",
-    "eval_class_uncertainty.png",
-    "eval.json",
-)
+FILES = ("scores.txt", *PICTURES, "eval.json")
 """Files that an evaluation may write into the output folder."""
 
 log = logging.getLogger(__name__)
@@ -233,18 +224,9 @@ def _warn(evaluation: Evaluation) -> None:
 
 def _files(evaluation: Evaluation) -> dict[str, bytes]:
     """Return the content of every file to write, by its name; the report is the last one."""
-    space, found = evaluation.space, evaluation.uncertainty
-    files = {
+    found = evaluation.scores, evaluation.confusion, evaluation.uncertainty
+    return {
         "scores.txt": evaluation.scores.official_yaml().encode(),
-        "eval_iou.png": plots.iou_bars(evaluation.scores, space),
-        "eval_confusion.png": plots.confusion_picture(evaluation.confusion, space),
+        **evaluation_pictures(*found, evaluation.space),
+        "eval.json": encode_json(as_text(evaluation.to_dict())),
     }
-    if found.calibration:
-        files["eval_reliability.png"] = uncertainty_plots.reliability_diagram(found.calibration)
-    if found.kinds:
-        files["eval_risk_coverage.png"] = uncertainty_plots.risk_coverage(found.kinds)
-        files["eval_sparsification.png"] = uncertainty_plots.sparsification(found.kinds)
-    if epistemic := found.kinds.get("epistemic"):
-        picture = uncertainty_plots.class_uncertainty(epistemic, space)
-        files["eval_class_uncertainty.png"] = picture
-    return files | {"eval.json": encode_json(as_text(evaluation.to_dict()))}

@@ -4,6 +4,7 @@
 from collections.abc import Collection, Mapping
 from pathlib import Path
 
+from salsanext_cli.formats.reading import present
 from salsanext_cli.storage.files.json_files import read_json, write_json
 from salsanext_cli.storage.run_registration import records_lock
 
@@ -27,19 +28,29 @@ def keep_findings(
     looked_at : collection of str
         Names of all scans that the run has looked at; what earlier runs found of them is outdated.
     """
-    path = out / f"{stage}.warnings.json"
+    path = _path(out, stage)
     with records_lock(out):
-        known = read_json(path)
-        scans = {} if known is None else known.get("scans")
-        earlier = {
-            name: [tuple(texts) for texts in findings]
-            for name, findings in (scans.items() if isinstance(scans, dict) else ())
-            if name not in looked_at and _are_findings(findings)
-        }
-        if known is not None or found:
+        known = read_findings(out, stage)
+        earlier = {name: texts for name, texts in known.items() if name not in looked_at}
+        if present(path) or found:
             everything = {**earlier, **{name: sorted(texts) for name, texts in found.items()}}
             write_json(path, {"stage": stage, "scans": dict(sorted(everything.items()))})
     return earlier
+
+
+def read_findings(out: Path, stage: str) -> dict[str, list[Texts]]:
+    """Return what the runs of a stage found, by the name of the scan; empty if none is kept."""
+    known = read_json(_path(out, stage))
+    scans = {} if known is None else known.get("scans")
+    return {
+        name: [tuple(texts) for texts in findings]
+        for name, findings in (scans.items() if isinstance(scans, dict) else ())
+        if _are_findings(findings)
+    }
+
+
+def _path(out: Path, stage: str) -> Path:
+    return out / f"{stage}.warnings.json"
 
 
 def _are_findings(value: object) -> bool:

@@ -124,7 +124,7 @@ def read_results(
     )
 
 
-def read_kind(path: Path, kind: str, count: int) -> Float:
+def read_kind(path: Path, kind: str, count: int | None) -> Float:
     """Read one kind of uncertainty of a scan's points, as `read_uncertainty` does.
 
     "error" is a probability.

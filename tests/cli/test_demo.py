@@ -12,7 +12,7 @@ def world(tmp_path, monkeypatch):
     world.add("000000", [CAR, ROAD], [CAR, CAR])
 
     def demo(*_, **__):
-        return Demonstration(world.evaluate(), (), ())
+        return Demonstration(world.evaluate(), (), world.out / "report.html", ())
 
     monkeypatch.setattr("salsanext_cli.stages.demo.demo", demo)
     return world

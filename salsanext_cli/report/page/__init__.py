@@ -1,0 +1,2 @@
+# SPDX-License-Identifier: MIT
+"""Page of a run: one HTML file that fetches nothing."""

@@ -1,0 +1,142 @@
+# SPDX-License-Identifier: MIT
+"""Clouds of points in a page: positions of 16 bits per axis, one byte per value, as base64."""
+
+from __future__ import annotations
+
+from base64 import b64encode
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from salsanext_cli.classes import LabelSpace
+from salsanext_cli.geometry.projection import project
+from salsanext_cli.records import Float
+from salsanext_cli.report.colours import value_range
+from salsanext_cli.report.page.shown_scans import DOUBT, ShownScan
+from salsanext_cli.sensors import Sensor
+from salsanext_cli.storage.scan_results import ScanResults
+
+MAX_POINTS = 200_000
+"""Points of a scan in a page; of a larger scan evenly spaced ones are shown."""
+FARTHEST_M = 1e4
+"""Points farther away, on any axis, are left out: positions of 16 bits would be too coarse."""
+STEPS = 65535
+NO_VALUE = 255
+"""Byte of a point without a value; values are 0 to 254."""
+UNITS = {"range": "m", "entropy": "nats", "mutual_information": "nats"}
+
+
+def scales_of(scans: Sequence[ShownScan]) -> dict[str, tuple[float, float]]:
+    """Return by value the ends of its scale, the same for all scans of a page.
+
+    Probabilities are from 0 to 1, others from 0 to what 99 % of the points do not exceed.
+    """
+    values: dict[str, list[npt.NDArray[Any]]] = {}
+    for scan in scans:
+        for name, of_points in scan.values().items():
+            values.setdefault(name, []).append(of_points)
+    scales = {}
+    for name, each in values.items():
+        highest = value_range(np.concatenate(each))[1]
+        scales[name] = (0.0, 1.0 if name in ("error", DOUBT) else highest if highest > 0 else 1.0)
+    return scales
+
+
+def encode_cloud(
+    shown: ShownScan,
+    space: LabelSpace,
+    sensor: Sensor,
+    scales: Mapping[str, tuple[float, float]],
+    most: int = MAX_POINTS,
+) -> dict[str, Any]:
+    """Return a scan as plain data: numbers of points are base64 of little-endian integers.
+
+    Points are in the order of the pixels of the range image, row by row, the nearest of each pixel
+    first, those without a pixel last. So the number of points of every pixel says which are whose.
+
+    Parameters
+    ----------
+    shown : ShownScan
+        The scan.
+    space : LabelSpace
+        Classes of the labels.
+    sensor : Sensor
+        Sensor of the range image.
+    scales : mapping
+        As `scales_of` returns them.
+    most : int
+        Most points; of more, evenly spaced ones are taken.
+    """
+    points = shown.results.scan.points
+    measured = np.flatnonzero((np.abs(points) <= FARTHEST_M).all(axis=1))
+    step = -(-len(measured) // most)
+    taken = measured[:: max(step, 1)]
+    image = project(shown.results.scan.take(taken), sensor)
+    pixel = image.pixel_of_point
+    pixel = np.where(pixel < 0, image.point_of_pixel.size, pixel)
+    nearest = np.zeros(len(taken), bool)
+    nearest[image.point_of_pixel[image.point_of_pixel >= 0]] = True
+    order = np.lexsort((image.point_range, ~nearest, pixel))
+    of_pixel = np.bincount(pixel, minlength=image.point_of_pixel.size + 1)[:-1]
+    width = np.min_scalar_type(of_pixel.max(initial=0)).itemsize
+    index = taken[order]
+    position, low, step_m = _positions(points[index])
+    values = {
+        name: _bytes_on_scale(of_points[index], *scales[name])
+        for name, of_points in shown.values().items()
+    }
+    return {
+        "name": shown.name,
+        "reason": shown.reason,
+        "points": len(points),
+        "shown": len(index),
+        "height": image.height,
+        "width": image.width,
+        "low": low,
+        "step": step_m,
+        "position": base64_of(position, "<u2"),
+        "of_pixel": base64_of(of_pixel, f"<u{width}"),
+        "of_pixel_bytes": width,
+        "values": {
+            name: base64_of(each, "u1")
+            for name, each in {**_classes(shown.results, space, index), **values}.items()
+        },
+    }
+
+
+def base64_of(values: npt.NDArray[Any], dtype: str) -> str:
+    """Return numbers as base64 of their bytes in a dtype."""
+    return b64encode(np.ascontiguousarray(values, np.dtype(dtype)).tobytes()).decode("ascii")
+
+
+def _positions(points: Float) -> tuple[npt.NDArray[np.uint16], list[float], list[float]]:
+    """Return positions in steps above the lowest corner, (N, 3), that corner, and the steps."""
+    if not len(points):
+        return np.empty((0, 3), np.uint16), [0.0] * 3, [1.0] * 3
+    low = points.min(axis=0).astype(np.float64)
+    span = points.max(axis=0) - low
+    step = np.where(span > 0, span, 1.0) / STEPS
+    return np.rint((points - low) / step).astype(np.uint16), low.tolist(), step.tolist()
+
+
+def _bytes_on_scale(values: npt.NDArray[Any], low: float, high: float) -> npt.NDArray[np.uint8]:
+    """Return values as 0 to 254 on a scale; those beyond it are its ends."""
+    share = np.clip((values.astype(np.float64) - low) / (high - low), 0, 1)
+    steps = np.rint(np.nan_to_num(share) * (NO_VALUE - 1))
+    return np.where(np.isnan(values), NO_VALUE, steps).astype(np.uint8)
+
+
+def _classes(
+    results: ScanResults, space: LabelSpace, index: npt.NDArray[np.intp]
+) -> dict[str, npt.NDArray[np.uint8]]:
+    """Return train ids of label and truth, and wrong: 0 not judged, 1 right, 2 wrong."""
+    found: dict[str, npt.NDArray[np.uint8]] = {}
+    if results.label is not None:
+        found["label"] = space.to_train(results.label[index], strict=False)
+    if results.truth is not None:
+        found["truth"] = space.to_train(results.truth[index], strict=False)
+        if results.label is not None:
+            found["wrong"] = np.nan_to_num(results.wrong(space)[index] + 1).astype(np.uint8)
+    return found

@@ -1,0 +1,207 @@
+# SPDX-License-Identifier: MIT
+"""Content of the page of a run, from the numbers of its scans and the clouds to show."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from salsanext_cli.classes import LabelSpace
+from salsanext_cli.errors import as_text, counted
+from salsanext_cli.measures.drive import ScanRow, leading_kind
+from salsanext_cli.measures.scan_counts import RING_NAMES, ScanCounts
+from salsanext_cli.measures.scores import Scores, scores
+from salsanext_cli.measures.uncertainty_evaluation import (
+    UncertaintyEvaluation,
+    evaluate_uncertainty,
+)
+from salsanext_cli.report.colours import COLOUR_MAP, WRONG, Colours, map_colours, on_dark
+from salsanext_cli.report.evaluation_pictures import evaluation_pictures
+from salsanext_cli.report.page.clouds import (
+    NO_VALUE,
+    UNITS,
+    base64_of,
+    encode_cloud,
+    scales_of,
+)
+from salsanext_cli.report.page.html import ClassShare, PageContent
+from salsanext_cli.report.page.shown_scans import UNCERTAIN, ShownScan
+from salsanext_cli.report.tables import percent
+from salsanext_cli.sensors import Sensor
+
+OUTCOME_COLOURS = {"not judged": (62, 76, 150), "right": (125, 133, 145), "wrong": WRONG}
+"""Farther apart than in other pictures, where what is not judged has the colour of nothing."""
+DARKEST_STEP = 48
+"""Step of the colour map, of 255, where its scale begins: those below are lost on a dark view."""
+
+
+@dataclass(frozen=True, slots=True)
+class Comparison:
+    """Comparison of the scans that have labels.
+
+    Attributes
+    ----------
+    counts : ScanCounts
+        Counts of their points.
+    scores : Scores
+        Scores of the labels.
+    uncertainty : UncertaintyEvaluation
+        Results for the probabilities and uncertainties, if there are any.
+    """
+
+    counts: ScanCounts
+    scores: Scores
+    uncertainty: UncertaintyEvaluation
+
+    @classmethod
+    def of(cls, counts: ScanCounts, space: LabelSpace) -> Comparison:
+        """Divide the counts."""
+        uncertainty = evaluate_uncertainty(counts, space)
+        return cls(counts, scores(counts.confusion, space), uncertainty)
+
+
+def content_of(
+    title: str,
+    facts: Sequence[tuple[str, str]],
+    warnings: Sequence[str],
+    *,
+    rows: Sequence[ScanRow],
+    compared: Comparison | None,
+    shown: Sequence[ShownScan],
+    space: LabelSpace,
+    sensor: Sensor,
+) -> PageContent:
+    """Put a page together.
+
+    Parameters
+    ----------
+    title : str
+        Name of the run.
+    facts, warnings : sequences
+        As `facts_of_run` and `warnings_of_run` return them.
+    rows : sequence of ScanRow
+        All scans, in their order.
+    compared : Comparison or None
+        Of the scans with labels, if there are any.
+    shown : sequence of ShownScan
+        Scans to show point by point.
+    space, sensor
+        Classes and range image of the labels.
+    """
+    colours, scales = on_dark(space.colours), scales_of(shown)
+    page = PageContent(
+        title=title,
+        tiles=_tiles(rows, compared),
+        facts=facts,
+        warnings=warnings,
+        shares=_shares(rows, compared, space, colours),
+        data=as_text(_data(rows, shown, scales, space, colours)),
+        clouds=[as_text(encode_cloud(each, space, sensor, scales)) for each in shown],
+    )
+    if compared is None:
+        return page
+    found = compared.scores, compared.counts.confusion, compared.uncertainty
+    kept = compared.uncertainty.kept
+    return replace(
+        page,
+        sentence=f"{kept.sentence[:1].upper()}{kept.sentence[1:]}." if kept else "",
+        rings=_rings(compared.counts, space),
+        pictures=evaluation_pictures(*found, space),
+    )
+
+
+def _tiles(rows: Sequence[ScanRow], compared: Comparison | None) -> list[tuple[str, str]]:
+    points = sum(row.points for row in rows)
+    tiles = [("scans", f"{len(rows):,}"), ("points", f"{points:,}")]
+    if compared:
+        found, scans = compared.scores, counted(compared.counts.scans, "scan")
+        present = sum(each.points > 0 for each in found.classes)
+        tiles += [
+            (f"accuracy, {scans} with labels", percent(found.accuracy, 1, " %")),
+            (f"mean IoU of {present} classes present", percent(found.iou_mean_present, 1, " %")),
+        ]
+        if present < len(found.classes):
+            official = percent(found.iou_mean_official, 1, " %")
+            tiles.append((f"mean IoU of all {len(found.classes)}, official", official))
+    return tiles
+
+
+def _shares(
+    rows: Sequence[ScanRow], compared: Comparison | None, space: LabelSpace, colours: Colours
+) -> list[ClassShare]:
+    """Return every class that is predicted or in the truth; none without predictions."""
+    points = np.zeros(space.class_count, np.int64)
+    for row in rows:
+        points += 0 if row.class_points is None else row.class_points
+    if not points.any():
+        return []
+    judged = {each.train_id: each for each in (compared.scores.classes if compared else ())}
+    shares = []
+    for i, name in enumerate(space.names):
+        score = judged.get(i)
+        if points[i] or (score and score.points):
+            iou = percent(score.iou, 1, " %") if score else ""
+            shares.append(ClassShare(name, colours[i].tolist(), points[i] / points.sum(), iou))
+    return shares
+
+
+def _rings(counts: ScanCounts, space: LabelSpace) -> list[tuple[str, ...]]:
+    """Return the scores of the rings of distance as text; none if they were not counted."""
+    rows: list[tuple[str, ...]] = []
+    for name, ring in zip(RING_NAMES, counts.rings, strict=bool(counts.rings)):
+        found = scores(ring, space)
+        shares = percent(found.iou_mean_present), percent(found.accuracy)
+        if found.points:
+            rows.append((name, *shares, f"{found.points:,}"))
+    return rows
+
+
+def _data(
+    rows: Sequence[ScanRow],
+    shown: Sequence[ShownScan],
+    scales: Mapping[str, tuple[float, float]],
+    space: LabelSpace,
+    colours: Colours,
+) -> dict[str, Any]:
+    """Return what the scripts of the page need besides the clouds, as plain data."""
+    steps = np.linspace(DARKEST_STEP, 255, NO_VALUE)
+    return {
+        "classes": [
+            {"name": name, "rgb": rgb}
+            for name, rgb in zip(space.names, colours.tolist(), strict=True)
+        ],
+        "outcomes": [{"name": name, "rgb": rgb} for name, rgb in OUTCOME_COLOURS.items()],
+        "scales": {
+            name: {"low": low, "high": high, "unit": UNITS.get(name, "")}
+            for name, (low, high) in scales.items()
+        },
+        "uncertain": list(UNCERTAIN),
+        "map": map_colours(COLOUR_MAP)[steps.astype(np.intp)].ravel().tolist(),
+        "shown": [{"name": each.name, "reason": each.reason} for each in shown],
+        "drive": _drive(rows, [each.name for each in shown]),
+    }
+
+
+def _drive(rows: Sequence[ScanRow], shown: Sequence[str]) -> dict[str, Any]:
+    """Return the numbers of all scans; base64 of float32, empty without any."""
+    places = {name: place for place, name in enumerate(shown)}
+    kind = leading_kind(rows)
+    shares = None
+    if any(row.class_points is not None for row in rows):
+        empty = np.zeros(next(len(r.class_points) for r in rows if r.class_points is not None))
+        points = np.array([empty if r.class_points is None else r.class_points for r in rows])
+        shares = points / np.maximum(points.sum(axis=1, keepdims=True), 1)
+    means = np.array([row.uncertainty.get(kind or "", np.nan) for row in rows])
+    wrong = np.array([row.wrong for row in rows])
+    known = {"uncertainty": means, "wrong": wrong, "shares": shares}
+    return {
+        "names": [row.name for row in rows],
+        "shown": [places.get(row.name, -1) for row in rows],
+        "kind": (kind or "").replace("_", " "),
+    } | {
+        name: "" if values is None or np.isnan(values).all() else base64_of(values, "<f4")
+        for name, values in known.items()
+    }

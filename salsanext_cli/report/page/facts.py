@@ -1,0 +1,94 @@
+# SPDX-License-Identifier: MIT
+"""Facts about a run for the first screen of its page, as its stages recorded them."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Any
+
+from salsanext_cli.errors import SalsanextError, counted, first_few
+from salsanext_cli.geometry.fitting.view_fit import as_found
+from salsanext_cli.network.card import default_weights, read_card
+from salsanext_cli.sensors import Sensor
+from salsanext_cli.storage.files.identity import fingerprint
+from salsanext_cli.storage.kept_findings import read_findings
+from salsanext_cli.storage.stage_records import owner, recorded_weights, stage_settings
+
+SHOWN_DIGITS = 12
+"""Hexadecimal digits of a SHA-256 that are shown."""
+CHECKED_STAGES = ("project", "predict", "uncertainty")
+"""Stages that check scans."""
+
+
+def facts_of_run(out: Path, sensor: Sensor) -> list[tuple[str, str]]:
+    """Return what was run and how, as pairs of a title and a text."""
+    return [
+        ("Weights", _weights(out)),
+        ("Sensor", f"{sensor.name}, {sensor.height}×{sensor.width}, {as_found(sensor)}"),
+        *(("Labels", text) for text in _labels(out)),
+        *(("Uncertainty", text) for text in _uncertainty(out)),
+    ]
+
+
+def _weights(out: Path) -> str:
+    """Describe the weights behind the labels, else those behind the uncertainty."""
+    folders = ("predictions", "uncertainty/epistemic", "uncertainty/error", "pixel_labels")
+    found = (recorded_weights(out, folder) for folder in folders)
+    sha256 = next((each for each in found if each), None)
+    if sha256 is None:
+        return "not recorded"
+    name = f"SHA-256 {sha256[:SHOWN_DIGITS]}"
+    path = default_weights()
+    try:
+        if fingerprint(path) == sha256:
+            description = read_card(path).description.replace("`", "")
+            return f"the default ones, {name}. {description}"
+    except SalsanextError:
+        pass  # An installation without its weights still has results to show.
+    return f"{name}, not the default ones; salsanext models FILE describes a file of weights"
+
+
+def _labels(out: Path) -> Iterator[str]:
+    """Say how labels came about, if a stage recorded it."""
+    stage = owner(out, "predictions")
+    settings: Mapping[str, Any] = stage_settings(out, stage) or {} if stage else {}
+    if not stage:
+        return
+    words = [stage]
+    if settings.get("engine"):
+        words.append(f"{settings['engine']} in {settings.get('precision')}")
+    if isinstance(temperature := settings.get("temperature"), float):
+        words.append(f"temperature {temperature:.3g}")
+    if settings.get("adapted"):
+        words.append("batch norm adapted to the scans")
+    if settings.get("reject") is not None:
+        words.append(f"points unlabelled whose error is above {settings['reject']:g}")
+    yield ", ".join(words)
+
+
+def _uncertainty(out: Path) -> Iterator[str]:
+    """Say how the uncertainty came about, if a stage recorded it."""
+    settings: Mapping[str, Any] = stage_settings(out, "uncertainty") or {}
+    if settings:
+        samples = settings.get("samples")
+        passes = f", {counted(samples, 'pass')[:-1]}es" if isinstance(samples, int) else ""
+        yield f"{settings.get('method')}{passes}"
+
+
+def warnings_of_run(out: Path) -> list[str]:
+    """Return what the stages found doubtful about the scans, a line for each kind of doubt."""
+    scans: dict[str, list[str]] = {}
+    words: dict[str, Counter[str]] = {}
+    for stage in CHECKED_STAGES:
+        for name, findings in read_findings(out, stage).items():
+            for code, message, remedy in findings:
+                if name not in scans.setdefault(code, []):
+                    scans[code].append(name)
+                words.setdefault(code, Counter())[f"{message}; {remedy}"] += 1
+    return [
+        f"{code} in {counted(len(names), 'scan')} ({first_few(names)}): "
+        f"{words[code].most_common(1)[0][0]}"
+        for code, names in sorted(scans.items())
+    ]

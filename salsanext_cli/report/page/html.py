@@ -1,0 +1,156 @@
+# SPDX-License-Identifier: MIT
+"""Page of a run as one HTML file: text, pictures and data between the parts of a template."""
+
+from __future__ import annotations
+
+import json
+from base64 import b64encode
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+from html import escape
+from importlib import resources
+from string import Template
+from typing import Any, NamedTuple
+
+from salsanext_cli import __version__
+from salsanext_cli.errors import printable
+from salsanext_cli.report.evaluation_pictures import PICTURES
+
+PARTS = ("page.css", "view.js", "drive.js", "page.js")
+"""Files beside this one that the template takes in, as $page_css and so on."""
+
+
+class ClassShare(NamedTuple):
+    """A class, its colour, its share of the points, 0…1, and its IoU as text if it has one."""
+
+    name: str
+    colour: Sequence[int]
+    share: float
+    iou: str
+
+
+@dataclass(frozen=True, slots=True)
+class PageContent:
+    """Content of a page.
+
+    Attributes
+    ----------
+    title : str
+        Name of the output folder.
+    tiles : sequence of (str, str)
+        Numbers for the first screen, each with its name.
+    facts, warnings : sequences
+        What was run, by title; and doubts about the scans.
+    shares : sequence of ClassShare
+        Classes; empty without predictions.
+    data : mapping
+        What the scripts show besides: classes, scales, the drive.
+    clouds : sequence of mapping
+        As `encode_cloud` returns them.
+    sentence : str
+        Sentence on risk; empty without labels.
+    rings : sequence of tuple of str
+        Distance, mean IoU, accuracy and points as text; empty if not asked for.
+    pictures : mapping of str to bytes
+        PNG by a name of `PICTURES`; empty without labels.
+    """
+
+    title: str
+    tiles: Sequence[tuple[str, str]]
+    facts: Sequence[tuple[str, str]]
+    warnings: Sequence[str]
+    shares: Sequence[ClassShare]
+    data: Mapping[str, Any]
+    clouds: Sequence[Mapping[str, Any]]
+    sentence: str = ""
+    rings: Sequence[tuple[str, ...]] = ()
+    pictures: Mapping[str, bytes] = field(default_factory=dict)
+
+
+def html_of(content: PageContent) -> str:
+    """Return the page; every text that comes from files or names is escaped."""
+    blocks = [script_data(f"cloud-{i}", each) for i, each in enumerate(content.clouds)]
+    template = Template(_part("page.html"))
+    return template.substitute(
+        title=_text(content.title),
+        version=_text(__version__),
+        tiles="".join(f"<div><b>{_text(v)}</b>{_text(n)}</div>" for n, v in content.tiles),
+        sentence=f'<p class="sentence">{_text(content.sentence)}</p>' if content.sentence else "",
+        facts="".join(f"<dt>{_text(n)}</dt><dd>{_text(v)}</dd>" for n, v in content.facts),
+        warnings=_warnings(content.warnings),
+        shares=_shares(content.shares),
+        plots=_plots(content),
+        plots_link='<a href="#plots">Plots</a>' if content.pictures else "",
+        data=script_data("data", content.data) + "".join(blocks),
+        **{name.replace(".", "_"): _part(name) for name in PARTS},
+    )
+
+
+def script_data(identifier: str, data: Mapping[str, Any]) -> str:
+    """Return plain data as an element that scripts read; nothing in it can end the element."""
+    text = json.dumps(data, allow_nan=False, separators=(",", ":"))
+    for mark in "<>&":
+        text = text.replace(mark, f"\\u{ord(mark):04x}")
+    return f'<script type="application/json" id="{identifier}">{text}</script>\n'
+
+
+def _part(name: str) -> str:
+    return resources.files("salsanext_cli.report.page").joinpath(name).read_text("utf-8")
+
+
+def _text(text: object) -> str:
+    return escape(printable(str(text)))
+
+
+def _warnings(lines: Sequence[str]) -> str:
+    if not lines:
+        return ""
+    items = "".join(f"<li>{_text(line)}</li>" for line in lines)
+    return f'<h3>Warnings</h3><ul class="warnings">{items}</ul>'
+
+
+def _shares(shares: Sequence[ClassShare]) -> str:
+    """Return a table of the classes, the largest first, with bars."""
+    if not shares:
+        return "<p>No stage has predicted labels.</p>"
+    judged = any(each.iou for each in shares)
+    largest = max(each.share for each in shares)
+    heading = "<th>class</th><th>share of the points</th>" + "<th>IoU</th>" * judged
+    rows = []
+    for name, colour, share, iou in sorted(shares, key=lambda each: -each.share):
+        rgb = ",".join(map(str, colour))
+        bar = f'<i style="width:{75 * share / largest:.1f}%;background:rgb({rgb})"></i>'
+        cells = f"<td>{_text(name)}</td><td>{bar} {_percent(share)}</td>"
+        rows.append(f"<tr>{cells}{f'<td>{_text(iou)}</td>' * judged}</tr>")
+    return f'<table class="shares"><tr>{heading}</tr>{"".join(rows)}</table>'
+
+
+def _percent(share: float) -> str:
+    return f"{100 * share:.2f} %" if share < 0.1 else f"{100 * share:.1f} %"
+
+
+def _plots(content: PageContent) -> str:
+    """Return the section that only labelled scans have."""
+    if not content.pictures:
+        return ""
+    figures = f'<div class="plots">{_pictures(content.pictures)}</div>'
+    rings = _rings(content.rings)
+    return f'<section id="plots"><h2>Comparison with labels</h2>{figures}{rings}</section>'
+
+
+def _rings(rows: Iterable[Sequence[str]]) -> str:
+    cells = [f"<tr>{''.join(f'<td>{_text(cell)}</td>' for cell in row)}</tr>" for row in rows]
+    if not cells:
+        return ""
+    names = ("distance", "mean IoU %", "accuracy %", "points")
+    heading = "".join(f"<th>{name}</th>" for name in names)
+    return f"<h3>By distance</h3><table><tr>{heading}</tr>{''.join(cells)}</table>"
+
+
+def _pictures(pictures: Mapping[str, bytes]) -> str:
+    """Return the plots in their order, each with its words for those who cannot see it."""
+    return "".join(
+        f'<figure tabindex="0"><img alt="{_text(PICTURES[name])}" '
+        f'src="data:image/png;base64,{b64encode(png).decode("ascii")}"></figure>'
+        for name, png in pictures.items()
+    )

@@ -1,0 +1,273 @@
+// SPDX-License-Identifier: MIT
+// State of the page: the scan, its colours, and the points that are shown. The address keeps it,
+// #scan=08/000000&colour=error&by=error&above=0.3&size=2&hide=road,car, so that a link leads there.
+
+const byId = id => document.getElementById(id);
+const data = JSON.parse(byId("data").textContent);
+const NO_VALUE = 255, TOP = 254, WRONG = 2;
+const CATEGORIES = { label: data.classes, truth: data.classes, wrong: data.outcomes };
+const TITLES = { wrong: "right or wrong", error: "probability of error", doubt: "1 − confidence" };
+const title = name => TITLES[name] ?? name.replaceAll("_", " ");
+const bytes = text => Uint8Array.from(atob(text), c => c.charCodeAt(0));
+const floats = text => text ? new Float32Array(bytes(text).buffer) : null;
+const state = { scan: 0, colour: "", by: "", above: TOP, size: 2, hidden: { label: new Set(), truth: new Set(), wrong: new Set() } };
+const clouds = [];
+let cloud = null, palette = null, visible = null, view = null;
+
+function decoded(index) {
+  const raw = JSON.parse(byId(`cloud-${index}`).textContent);
+  const ofPixel = new ({ 1: Uint8Array, 2: Uint16Array, 4: Uint32Array })[raw.of_pixel_bytes](bytes(raw.of_pixel).buffer);
+  const first = new Uint32Array(ofPixel.length + 1);  // point of each pixel, and where the next one's begin
+  ofPixel.forEach((count, pixel) => { first[pixel + 1] = first[pixel] + count; });
+  const values = Object.fromEntries(Object.entries(raw.values).map(([name, text]) => [name, bytes(text)]));
+  return { ...raw, values, first, position: new Uint16Array(bytes(raw.position).buffer) };
+}
+
+function valueOf(name, byte) {  // on the scale, in its unit
+  const { low, high } = data.scales[name];
+  return low + (high - low) * byte / TOP;
+}
+
+function shownValue(name, byte) {
+  if (byte === NO_VALUE) return "none";
+  if (!byte) return `0 ${data.scales[name].unit}`.trim();
+  const value = valueOf(name, byte), { unit, high } = data.scales[name];
+  const beyond = byte === TOP && name !== "error" && name !== "doubt" ? "≥ " : "";
+  return `${beyond}${value.toFixed(Math.max(0, 2 - Math.floor(Math.log10(high))))} ${unit}`.trim();
+}
+
+function paletteOf(colour) {  // 256 colours of 4 bytes
+  const rgba = new Uint8Array(1024).fill(70);
+  if (CATEGORIES[colour]) CATEGORIES[colour].forEach((each, i) => rgba.set([...each.rgb, 255], 4 * i));
+  else for (let i = 0; i <= TOP; i++) rgba.set([...data.map.slice(3 * i, 3 * i + 3), 255], 4 * i);
+  return rgba;
+}
+
+function options(select, names, text) {
+  select.replaceChildren(...names.map(name => new Option(text(name), name)));
+}
+
+function open(index) {  // a scan of this page
+  state.scan = index;
+  cloud = clouds[index] ??= decoded(index);
+  const names = Object.keys(cloud.values), uncertain = names.filter(name => data.uncertain.includes(name));
+  const keep = (wanted, all, otherwise) => all.includes(wanted) ? wanted : otherwise;
+  state.colour = keep(state.colour, names, names[0]);
+  state.by = keep(state.by, uncertain, uncertain[0] ?? "");
+  options(byId("colour"), names, title);
+  options(byId("by"), uncertain, title);
+  byId("by").closest("label").hidden = !uncertain.length;
+  Object.assign(byId("scan"), { value: index });
+  byId("colour").value = state.colour;
+  byId("by").value = state.by;
+  view?.show(cloud);
+  point(-1);
+  filter();
+  paint();
+}
+
+function paint() {  // in the chosen colours
+  palette = paletteOf(state.colour);
+  view?.colour(cloud.values[state.colour], palette);
+  const scale = data.scales[state.colour];
+  byId("scale").hidden = !scale;
+  if (scale) {
+    byId("low").textContent = shownValue(state.colour, 0);
+    byId("high").textContent = shownValue(state.colour, TOP);
+    const pen = byId("gradient").getContext("2d"), image = pen.createImageData(TOP + 1, 1);
+    image.data.set(palette.subarray(0, 4 * (TOP + 1)));
+    pen.putImageData(image, 0, 0);
+  }
+  legend();
+  strip();
+  remember();
+}
+
+function filter() {  // by class and by uncertainty
+  const { values, shown } = cloud, above = values[state.by];
+  visible = new Uint8Array(shown).fill(1);
+  for (const [name, hidden] of Object.entries(state.hidden)) {
+    const ids = values[name];
+    if (hidden.size && ids) for (let i = 0; i < shown; i++) if (hidden.has(ids[i])) visible[i] = 0;
+  }
+  if (above && state.above < TOP) for (let i = 0; i < shown; i++) if (above[i] > state.above) visible[i] = 0;
+  view?.filter(visible);
+  byId("above").value = state.above;
+  byId("above-value").textContent = state.by && state.above < TOP ? shownValue(state.by, state.above) : "all shown";
+  tell();
+}
+
+function tell() {
+  const { values, shown, points } = cloud;
+  let left = 0, judged = 0, wrong = 0, judgedLeft = 0, wrongLeft = 0;
+  for (let i = 0; i < shown; i++) {
+    const outcome = values.wrong?.[i] ?? 0, is = visible[i];
+    left += is;
+    if (!outcome) continue;
+    judged++;
+    judgedLeft += is;
+    if (outcome === WRONG) { wrong++; wrongLeft += is; }
+  }
+  const percent = (part, whole) => whole ? `${(100 * part / whole).toFixed(1)} %` : "–";
+  const of = points > shown ? `${shown.toLocaleString("en")} of ${points.toLocaleString("en")} points in this page` : `${shown.toLocaleString("en")} points`;
+  let text = left === shown ? of : `${of}, ${percent(left, shown)} of them shown`;
+  if (judged) text += `: ${percent(wrongLeft, judgedLeft)} wrong` + (left === shown ? "" : ` instead of ${percent(wrong, judged)}`);
+  byId("told").textContent = text;
+  document.documentElement.dataset.shown = left;
+}
+
+function legend() {
+  const name = CATEGORIES[state.colour] ? state.colour : cloud.values.label ? "label" : "";
+  const ids = cloud.values[name] ?? [], hidden = state.hidden[name], counts = new Uint32Array(256);
+  for (const id of ids) counts[id]++;
+  const there = [...(CATEGORIES[name] ?? []).keys()].filter(id => counts[id]);
+  byId("legend").replaceChildren(...there.map(id => {
+    const button = document.createElement("button"), swatch = document.createElement("i");
+    const { rgb, name: text } = CATEGORIES[name][id];
+    swatch.style.background = `rgb(${rgb})`;
+    button.type = "button";
+    button.append(swatch, `${text} ${(100 * counts[id] / cloud.shown).toFixed(1)} %`);
+    button.setAttribute("aria-pressed", !hidden.has(id));
+    const show = change => () => {
+      change();
+      filter();
+      strip();
+      remember();
+      [...byId("legend").children].forEach((each, i) => each.setAttribute("aria-pressed", !hidden.has(there[i])));
+    };
+    button.addEventListener("click", show(() => hidden.delete(id) || hidden.add(id)));
+    button.addEventListener("dblclick", show(() => {
+      there.forEach(each => hidden.add(each));
+      hidden.delete(id);
+    }));
+    return button;
+  }));
+}
+
+function strip() {  // the range image: of each pixel the nearest point
+  const canvas = byId("strip"), { width, height, first, values } = cloud, ids = values[state.colour];
+  const tall = Math.max(1, Math.round(width / height / 10));  // rows are drawn higher than wide
+  Object.assign(canvas, { width, height });
+  canvas.style.aspectRatio = `${width} / ${height * tall}`;
+  const pen = canvas.getContext("2d"), image = pen.createImageData(width, height);
+  for (let pixel = 0; pixel < width * height; pixel++) {
+    const at = first[pixel], there = at < first[pixel + 1] && visible[at];
+    image.data.set(there ? palette.subarray(4 * ids[at], 4 * ids[at] + 3) : [24, 27, 33], 4 * pixel);
+    image.data[4 * pixel + 3] = 255;
+  }
+  pen.putImageData(image, 0, 0);
+  cloud.image = image;
+}
+
+function pixelOf(index) {  // -1 for a point without one
+  const { first } = cloud;
+  if (index < 0 || index >= first[first.length - 1]) return -1;
+  let low = 0, high = first.length - 1;
+  while (high - low > 1) {
+    const middle = (low + high) >> 1;
+    if (first[middle] <= index) low = middle;
+    else high = middle;
+  }
+  return low;
+}
+
+function point(index) {  // at one point, in three dimensions and in the range image
+  view?.mark(index);
+  const box = byId("point"), { values, width } = cloud;
+  box.hidden = index < 0;
+  document.documentElement.dataset.point = index;
+  if (cloud.image) {
+    const pen = byId("strip").getContext("2d"), pixel = pixelOf(index);
+    pen.putImageData(cloud.image, 0, 0);
+    const column = pixel % width, row = Math.floor(pixel / width);
+    pen.strokeStyle = "#fff";
+    if (pixel >= 0) pen.strokeRect(column - 3.5, row - 1.5, 8, 4);
+  }
+  if (index < 0) return;
+  const lines = Object.entries(values).map(([name, each]) => {
+    if (CATEGORIES[name]) return [TITLES[name] ?? name, CATEGORIES[name][each[index]].name];
+    if (name !== "doubt") return [title(name), shownValue(name, each[index])];
+    return ["confidence", each[index] === NO_VALUE ? "none" : (1 - valueOf(name, each[index])).toFixed(2)];
+  });
+  const metres = view ? view.place(index).map(each => each.toFixed(2)).join(" ") : "";
+  lines.push(["x y z", `${metres} m`]);
+  box.textContent = lines.map(([name, text]) => `${name.padEnd(21)}${text}`).join("\n");
+}
+
+function remember() {
+  const { hidden } = state, parts = { scan: cloud.name, colour: state.colour };
+  if (state.by && state.above < TOP) Object.assign(parts, { by: state.by, above: +valueOf(state.by, state.above).toPrecision(3) });
+  if (state.size !== 2) parts.size = state.size;
+  if (hidden.label.size) parts.hide = [...hidden.label].map(id => data.classes[id].name).join(",");
+  history.replaceState(null, "", `#${new URLSearchParams(parts)}`);
+}
+
+function recall() {  // the state that the address holds
+  const wanted = new URLSearchParams(location.hash.slice(1));
+  const scan = data.shown.findIndex(each => each.name === wanted.get("scan"));
+  Object.values(state.hidden).forEach(each => each.clear());
+  state.above = TOP;
+  state.colour = wanted.get("colour") ?? state.colour;
+  state.by = wanted.get("by") ?? state.by;
+  state.size = +wanted.get("size") || 2;
+  const names = (wanted.get("hide") ?? "").split(",");
+  data.classes.forEach((each, id) => names.includes(each.name) && state.hidden.label.add(id));
+  const scale = data.scales[state.by];
+  if (scale && wanted.has("above")) state.above = Math.min(TOP, Math.max(0, Math.round((+wanted.get("above") - scale.low) / (scale.high - scale.low) * TOP) || 0));
+  byId("size").value = state.size;
+  if (view) view.size = state.size;
+  open(Math.max(0, scan));
+}
+
+function listen() {
+  const on = (id, name, change) => byId(id).addEventListener(name, () => change(byId(id).value));
+  on("scan", "change", value => open(+value));
+  on("colour", "change", value => { state.colour = value; paint(); });
+  on("by", "change", value => { state.by = value; filter(); strip(); remember(); });
+  on("above", "input", value => { state.above = +value; filter(); strip(); });
+  on("above", "change", remember);
+  on("size", "input", value => { state.size = +value; if (view) { view.size = +value; view.redraw(); } });
+  on("size", "change", remember);
+  on("home", "click", () => view?.home());
+  on("all", "click", () => {
+    Object.values(state.hidden).forEach(each => each.clear());
+    state.above = TOP;
+    filter();
+    paint();
+  });
+  byId("strip").addEventListener("pointermove", event => {
+    const { width, height, first } = cloud, canvas = byId("strip");
+    const column = Math.floor(event.offsetX / canvas.clientWidth * width), row = Math.floor(event.offsetY / canvas.clientHeight * height);
+    const pixel = row * width + column, at = first[pixel];
+    point(at < first[pixel + 1] && visible[at] ? at : -1);
+  });
+  byId("strip").addEventListener("pointerleave", () => point(-1));
+  addEventListener("hashchange", () => location.hash.includes("scan=") && recall());
+}
+
+function start() {
+  options(byId("scan"), [...data.shown.keys()], i => `${data.shown[i].name} · ${data.shown[i].reason}`);
+  for (const each of data.classes) each.css = `rgb(${each.rgb})`;
+  const drive = { ...data.drive, count: data.drive.names.length };
+  for (const name of ["shares", "uncertainty", "wrong"]) drive[name] = floats(drive[name]);
+  new DriveView(byId("columns"), byId("column"), drive, data.classes, index => {
+    open(index);
+    byId("scans").scrollIntoView({ behavior: "smooth" });
+  });
+  try {
+    view = new PointView(byId("cloud"));
+    let wanted = null;  // one search for a point per frame
+    steer(view, place => {
+      wanted ?? requestAnimationFrame(() => { point(wanted.place ? view.pick(wanted.place.x, wanted.place.y) : -1); wanted = null; });
+      wanted = { place };
+    });
+  } catch (error) {
+    byId("hint").style.display = "block";
+    byId("hint").textContent = `No view of points: this browser gives ${error.message}.`;
+  }
+  listen();
+  recall();
+  document.documentElement.dataset.ready = "yes";
+}
+
+start();

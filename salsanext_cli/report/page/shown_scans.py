@@ -1,0 +1,87 @@
+# SPDX-License-Identifier: MIT
+"""Scans to show point by point, with all that is known about their points."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from salsanext_cli.class_merging import ClassMerging
+from salsanext_cli.classes import LabelSpace
+from salsanext_cli.formats.reading import present
+from salsanext_cli.measures.scan_counts import SOFTMAX, read_softmax
+from salsanext_cli.measures.softmax import lack_of_confidence
+from salsanext_cli.records import Float
+from salsanext_cli.sensors import Sensor
+from salsanext_cli.storage.layout import ScanFile, output_path
+from salsanext_cli.storage.scan_results import ScanResults, read_results
+
+DOUBT = "doubt"
+"""1 − the largest probability, which is shown as confidence."""
+UNCERTAIN = ("error", "entropy", DOUBT, "epistemic", "aleatoric", "total", "mutual_information")
+"""Values by which points can be hidden, in the order in which they are offered."""
+SCALARS = (*UNCERTAIN, "range", "intensity")
+"""Values that are shown on a scale; labels are not."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ShownScan:
+    """Scan to show in a page.
+
+    Attributes
+    ----------
+    name : str
+        Sequence and stem.
+    reason : str
+        Why it is shown.
+    results : ScanResults
+        N points and what is known about them.
+    doubt : (N,) float32 or None
+        1 − the largest probability, NaN without one; None without probabilities.
+    """
+
+    name: str
+    reason: str
+    results: ScanResults
+    doubt: Float | None
+
+    def values(self) -> dict[str, npt.NDArray[Any]]:
+        """Return all values of `SCALARS` that are known, (N,) each."""
+        known = dict(self.results.uncertainty)
+        known |= {"range": self.results.range, "intensity": self.results.scan.intensity}
+        if self.doubt is not None:
+            known[DOUBT] = self.doubt
+        return {name: known[name] for name in SCALARS if name in known}
+
+
+def read_shown(
+    file: ScanFile,
+    reason: str,
+    out: Path,
+    space: LabelSpace,
+    labels: LabelSpace,
+    merging: ClassMerging | None,
+    sensor: Sensor,
+) -> ShownScan:
+    """Read a scan, its results, and the confidence of its points.
+
+    Arguments are those of `count_scan`; the truth gets the raw ids of `space`.
+
+    Raises
+    ------
+    FormatError, LabelError
+        If a file is damaged or belongs to another scan.
+    """
+    found = read_results(file, out, sensor, space)
+    if found.truth is not None and labels.learning_map != space.learning_map:
+        raw = space.to_raw(labels.to_train(found.truth, strict=False))
+        found = replace(found, truth=raw)
+    doubt = None
+    if present(path := output_path(out, file.sequence, SOFTMAX, file.stem)):
+        every = np.ones(len(found.scan), bool)
+        doubt = lack_of_confidence(read_softmax(path, every, space, merging))
+    return ShownScan(f"{file.sequence}/{file.stem}", reason, found, doubt)

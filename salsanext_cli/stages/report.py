@@ -1,0 +1,241 @@
+# SPDX-License-Identifier: MIT
+"""Stage `report`: one page of a run, a single HTML file that needs nothing else."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+from salsanext_cli.classes import LabelSpace
+from salsanext_cli.errors import (
+    NoInputError,
+    OutputError,
+    SalsanextError,
+    counted,
+    first_few,
+    printable,
+)
+from salsanext_cli.measures.drive import ScanRow, named, read_row, worth_looking_at
+from salsanext_cli.measures.scan_counts import ScanCounts
+from salsanext_cli.measures.scores import plain
+from salsanext_cli.parallel.run import Failure, RunOptions, run_over_scans
+from salsanext_cli.report.page.content import Comparison, content_of
+from salsanext_cli.report.page.facts import facts_of_run, warnings_of_run
+from salsanext_cli.report.page.html import html_of
+from salsanext_cli.report.page.shown_scans import ShownScan, read_shown
+from salsanext_cli.storage.files.atomic import sweep_stale
+from salsanext_cli.storage.layout import ScanFile
+from salsanext_cli.storage.predictions import (
+    merging_into,
+    predicted_scans,
+    require_same_weights,
+    space_of_labels,
+)
+from salsanext_cli.storage.run_registration import records_lock
+from salsanext_cli.storage.scan_results import with_results
+from salsanext_cli.storage.selection import ScanSelection
+from salsanext_cli.storage.sources import MissingResults, missing_results
+from salsanext_cli.storage.stage_records import recorded_sensor
+from salsanext_cli.storage.written_files import WrittenFiles
+
+PAGE = "report.html"
+"""Name of the page in the output folder."""
+
+
+@dataclass(frozen=True, slots=True)
+class Report:
+    """Page that was written.
+
+    Attributes
+    ----------
+    page : Path
+        The file.
+    bytes : int
+        Its size.
+    scans : int
+        Number of scans of which it gives the numbers.
+    shown : dict of str to str
+        Scans that it shows point by point, and why.
+    accuracy, iou_mean_present : float or None
+        Scores of the labelled scans, 0…1; None without labels.
+    sentence : str or None
+        Sentence on risk; None without labels or uncertainty.
+    missing : MissingResults
+        Scans without results, left out.
+    failures : tuple of Failure
+        Scans that could not be read, left out.
+    """
+
+    page: Path
+    bytes: int
+    scans: int
+    shown: dict[str, str]
+    accuracy: float | None
+    iou_mean_present: float | None
+    sentence: str | None
+    missing: MissingResults
+    failures: tuple[Failure, ...]
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return plain data for JSON; null stands for NaN."""
+        return {
+            "stage": "report",
+            "page": str(self.page),
+            "bytes": self.bytes,
+            "scans": self.scans,
+            "shown": self.shown,
+            "accuracy": plain(self.accuracy),
+            "iou_mean_present": plain(self.iou_mean_present),
+            "sentence": self.sentence,
+            "missing": [str(scan.path) for scan in self.missing.scans],
+            "not_asked_for": self.missing.not_asked_for,
+            "failures": [failure.to_dict() for failure in self.failures],
+        }
+
+
+def report(
+    out: Path,
+    *,
+    scans: Sequence[str] = (),
+    dataset: Path | None = None,
+    space: LabelSpace | None = None,
+    classes: LabelSpace | None = None,
+    by_distance: bool = False,
+    selection: ScanSelection = ScanSelection(),
+    options: RunOptions = RunOptions(),
+) -> Report:
+    """Write `OUT/report.html`: what was run, the numbers of all scans, and some scans to look at.
+
+    Parameters
+    ----------
+    out : Path
+        The output folder, with what earlier stages left there.
+    scans : sequence of str
+        Names of the scans to show point by point, ``08/000000``; without any, up to four that are
+        worth looking at.
+    dataset : Path, optional
+        Where the scans and labels are, if not where the scans came from.
+    space, classes : LabelSpace, optional
+        Of the labels, and into whose classes others are merged; as for `predicted_scans`.
+    by_distance : bool
+        Score rings of distance too, for which all labelled scans are read.
+    selection, options
+        Which scans, and how to go through them.
+
+    Raises
+    ------
+    SalsanextError
+        If nothing can be done at all; failures of single scans are in the result.
+    """
+    page = out / PAGE
+    asked, results_space = predicted_scans(out, selection, dataset, space, classes)
+    require_same_weights(out)
+    files = with_results(out, asked)
+    _require_replaceable(out, page)
+    missing = missing_results(out, set(asked) - set(files))
+    missing.log_error(len(asked), "results")
+    labels, merging = space_of_labels(files, results_space, space), merging_into(out, results_space)
+    sensor = recorded_sensor(out)
+    how = {"space": results_space, "labels": labels, "merging": merging, "sensor": sensor}
+    rows, counts, failures = _rows(files, out, how, by_distance, options)
+    chosen = named(rows, scans) if scans else worth_looking_at(rows, results_space)
+    shown, unreadable = _shown(out, rows, chosen, how)
+    failures = (*failures, *unreadable)
+    compared = Comparison.of(counts, results_space) if counts else None
+    content = content_of(
+        *(_title(out), facts_of_run(out, sensor), _warnings(out, counts, missing, failures)),
+        rows=rows,
+        compared=compared,
+        shown=shown,
+        space=results_space,
+        sensor=sensor,
+    )
+    written = html_of(content).encode()
+    with records_lock(out):
+        sweep_stale(out)
+        _require_replaceable(out, page)
+        WrittenFiles(out).write(page, written, durable=True)
+    kept = compared.uncertainty.kept if compared else None
+    return Report(
+        page=page,
+        bytes=len(written),
+        scans=len(rows),
+        shown={each.name: each.reason for each in shown},
+        accuracy=compared.scores.accuracy if compared else None,
+        iou_mean_present=compared.scores.iou_mean_present if compared else None,
+        sentence=kept.sentence if kept else None,
+        missing=missing,
+        failures=failures,
+    )
+
+
+def _require_replaceable(out: Path, page: Path) -> None:
+    if WrittenFiles(out).others([page]):
+        found = "exists, and was not recorded by salsanext or was changed since"
+        raise OutputError(page, found, remedy="move it, or rename it")
+
+
+def _rows(
+    files: Sequence[ScanFile],
+    out: Path,
+    how: dict[str, Any],
+    by_distance: bool,
+    options: RunOptions,
+) -> tuple[list[ScanRow], ScanCounts | None, tuple[Failure, ...]]:
+    """Read the results of all scans; count those with labels."""
+    rows: list[ScanRow] = []
+    counts = ScanCounts.none(how["space"], by_distance)
+
+    def keep(found: tuple[ScanRow, ScanCounts | None]) -> None:
+        rows.append(found[0])
+        if found[1]:
+            counts.add(found[1])
+
+    task = partial(read_row, out=out, by_distance=by_distance, **how)
+    outcome = run_over_scans(task, files, options, on_result=keep)
+    if not rows:
+        raise NoInputError(out, f"no results can be read, as {outcome.failures[0].reason}")
+    # Workers are done in any order.
+    rows.sort(key=lambda row: (row.file.sequence, row.file.stem))
+    return rows, counts if counts.scans else None, outcome.failures
+
+
+def _shown(
+    out: Path, rows: Sequence[ScanRow], chosen: dict[str, str], how: dict[str, Any]
+) -> tuple[list[ShownScan], list[Failure]]:
+    """Read the chosen scans; if none can be read, there is nothing to show."""
+    files = {row.name: row.file for row in rows}
+    shown: list[ShownScan] = []
+    failures: list[Failure] = []
+    for name, reason in chosen.items():
+        try:
+            shown.append(read_shown(files[name], reason, out, **how))
+        except SalsanextError as error:
+            failures.append(Failure(files[name], str(error), error.code))
+    if not shown:
+        raise NoInputError(out, f"no scan can be shown, as {failures[0].reason}")
+    return shown, failures
+
+
+def _title(out: Path) -> str:
+    """Return the name of a folder with that of the folder above it, which often says more."""
+    return "/".join(out.absolute().parts[-2:])
+
+
+def _warnings(
+    out: Path, counts: ScanCounts | None, missing: MissingResults, failures: Sequence[Failure]
+) -> list[str]:
+    """Return every reason to doubt the page, a line each."""
+    lines = warnings_of_run(out)
+    for what, ids in (
+        ("labels", counts.unknown_truth if counts else {}),
+        ("predictions", counts.unknown_predictions if counts else {}),
+    ):
+        if ids:
+            listed = first_few([f"{i} ({n:,}×)" for i, n in sorted(ids.items())])
+            lines.append(f"{what}: unknown ids {listed} are taken as unlabelled")
+    if missing.scans:
+        lines.append(f"{counted(len(missing.scans), 'scan')} without results left out")
+    lines += [printable(failure.reason) for failure in failures]
+    return lines

@@ -1,0 +1,56 @@
+# SPDX-License-Identifier: MIT
+from scans import SMALL
+
+from salsanext_cli import label_space
+from salsanext_cli.network.card import default_weights, read_card
+from salsanext_cli.report.page.facts import facts_of_run, warnings_of_run
+from salsanext_cli.storage.files.identity import fingerprint
+from salsanext_cli.storage.kept_findings import keep_findings
+from salsanext_cli.storage.stage_records import StageRecord
+
+SPACE = label_space().to_dict()
+
+
+def record(out, stage, folders, **settings):
+    shared = {"label_space": SPACE, "sensor": SMALL.to_dict()}
+    StageRecord(stage, shared | settings, folders).write(out)
+
+
+def test_the_default_weights_are_described(tmp_path):
+    record(
+        *(tmp_path, "predict", ("predictions",)),
+        **{"weights": fingerprint(default_weights()), "engine": "openvino"},
+        **{"precision": "bfloat16", "temperature": 1.25, "reject": 0.3},
+    )
+    facts = dict(facts_of_run(tmp_path, SMALL))
+    assert read_card(default_weights()).description.replace("`", "") in facts["Weights"]
+    assert facts["Sensor"].startswith("small, 16×128, view +3° to -25°")
+    assert "openvino in bfloat16, temperature 1.25" in facts["Labels"]
+    assert facts["Labels"].endswith("error is above 0.3")
+    assert "Uncertainty" not in facts
+
+
+def test_other_weights_are_named_by_their_digest_and_passes_are_counted(tmp_path):
+    record(
+        *(tmp_path, "uncertainty", ("uncertainty/epistemic",)),
+        **{"weights": "ab" * 32, "method": "sampling", "samples": 30},
+    )
+    facts = dict(facts_of_run(tmp_path, SMALL))
+    assert facts["Weights"].startswith("SHA-256 abababababab, not the default ones")
+    assert facts["Uncertainty"] == "sampling, 30 passes"
+
+
+def test_nothing_is_claimed_of_results_without_a_record(tmp_path):
+    assert dict(facts_of_run(tmp_path, SMALL))["Weights"] == "not recorded"
+
+
+def test_findings_of_all_stages_are_one_line_for_each_kind(tmp_path):
+    dark, few = ("dark", "no intensity", "look"), ("few-points", "12 points", "drive on")
+    found = {f"00/{i}": [dark] for i in range(5)}
+    keep_findings(tmp_path, "predict", found, set(found))
+    keep_findings(tmp_path, "uncertainty", {"00/1": [dark, few]}, {"00/1"})
+    assert warnings_of_run(tmp_path) == [
+        "dark in 5 scans (00/0, 00/1, 00/2 and 2 more): no intensity; look",
+        "few-points in 1 scan (00/1): 12 points; drive on",
+    ]
+    assert warnings_of_run(tmp_path / "none") == []

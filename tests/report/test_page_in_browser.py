@@ -1,0 +1,165 @@
+# SPDX-License-Identifier: MIT
+"""The page of a run in headless Chromium: it draws, and its switches do what they say."""
+
+import json
+import os
+import re
+import shutil
+import subprocess
+from pathlib import Path
+from urllib.parse import urlencode
+
+import numpy as np
+import pytest
+from evaluated import CAR, ROAD, SPACE, World
+from scans import SMALL, make_scan
+
+from salsanext_cli import write_labels
+from salsanext_cli.stages.report import report
+from salsanext_cli.storage.layout import output_path
+from salsanext_cli.storage.point_files import write_bin
+from salsanext_cli.storage.stage_records import StageRecord
+
+CHROMIUM = next(filter(None, map(shutil.which, ("chromium", "chromium-browser"))), None)
+pytestmark = pytest.mark.skipif(CHROMIUM is None, reason="needs chromium: make test installs it")
+COUNT = 1500
+FOUND = re.compile(r"FOUND (\{.*\})\"")
+PROBE = """<script>
+{
+const shown = () => +document.documentElement.dataset.shown;
+const found = { shown: shown(), told: byId("told").textContent };
+const picture = () => {
+  view.draw();
+  const { gl } = view, { width, height } = gl.canvas;
+  const pixels = new Uint8Array(4 * width * height);
+  gl.readPixels(0, 0, width, height, gl.RGBA, gl.UNSIGNED_BYTE, pixels);
+  return new Set(new Uint32Array(pixels.buffer));
+};
+const change = (id, value, name) => {
+  byId(id).value = value;
+  byId(id).dispatchEvent(new Event(name));
+};
+const legend = () => [...byId("legend").children];
+const at = (target, name, x, y) => target.dispatchEvent(
+  new PointerEvent(name, { clientX: x, clientY: y, bubbles: true, pointerId: 1 }));
+(async () => {
+  found.state = [byId("scan").value, byId("colour").value, byId("by").value, byId("size").value];
+  found.colours = Object.fromEntries([...byId("colour").options].map(({ value }) => {
+    change("colour", value, "change");
+    return [value, picture().size];
+  }));
+  change("colour", "label", "change");
+  byId("all").click();
+  found.all = shown();
+  found.legend = legend().map(each => each.textContent);
+  legend()[0].click();
+  found.pressed = legend()[0].getAttribute("aria-pressed");
+  found.without = [shown(), picture().size, location.hash];
+  legend()[1].dispatchEvent(new MouseEvent("dblclick"));
+  found.alone = shown();
+  byId("all").click();
+  change("by", "entropy", "change");
+  change("above", 64, "input");
+  found.below = [shown(), byId("above-value").textContent];
+  byId("all").click();
+  view.azimuth = 0; view.elevation = 89; view.draw();
+  const m = view.matrix(), [x, y, z] = view.place(700);
+  const canvas = byId("cloud"), box = canvas.getBoundingClientRect();
+  const row = i => m[i] * x + m[4 + i] * y + m[8 + i] * z + m[12 + i];
+  const px = (row(0) / row(3) + 1) / 2 * box.width;
+  const py = (1 - row(1) / row(3)) / 2 * box.height;
+  found.picked = view.pick(px, py);
+  at(canvas, "pointermove", box.left + px, box.top + py);
+  await new Promise(done => requestAnimationFrame(() => requestAnimationFrame(done)));
+  const point = byId("point");
+  found.hover = [point.hidden, point.textContent, +document.documentElement.dataset.point];
+  const before = view.azimuth;
+  canvas.dispatchEvent(new KeyboardEvent("keydown", { key: "ArrowLeft" }));
+  found.turned = view.azimuth - before;
+  found.pixels = Array.from({ length: cloud.shown }, (_, i) => pixelOf(i))
+    .every((pixel, i) => pixel < 0 || (cloud.first[pixel] <= i && i < cloud.first[pixel + 1]));
+  const strip = byId("strip"), area = strip.getBoundingClientRect(), pixel = pixelOf(700);
+  at(strip, "pointermove", area.left + (pixel % cloud.width + 0.5) * area.width / cloud.width,
+    area.top + (Math.floor(pixel / cloud.width) + 0.5) * area.height / cloud.height);
+  found.strip = [cloud.first[pixel], +document.documentElement.dataset.point];
+  byId("columns").dispatchEvent(new KeyboardEvent("keydown", { key: "End" }));
+  byId("columns").dispatchEvent(new KeyboardEvent("keydown", { key: "Enter" }));
+  found.opened = [cloud.name, byId("column").textContent];
+  found.fetched = performance.getEntriesByType("resource").length;
+  console.log("FOUND " + JSON.stringify(found));
+})();
+}
+</script>"""
+
+
+@pytest.fixture
+def world(tmp_path):
+    world = World(tmp_path)
+    random = np.random.default_rng(0)
+    for number, stem in enumerate(("000000", "000001")):
+        truth = np.where(random.random(COUNT) < 0.5, CAR, ROAD)
+        world.add(stem, truth, truth)
+        scans = world.dataset / "sequences/08/velodyne"
+        write_bin(scans / f"{stem}.bin", make_scan(COUNT, number))
+        predicted = np.where(random.random(COUNT) < 0.2, CAR, truth).astype(np.uint32)
+        write_labels(output_path(world.out, "08", "predictions", stem), predicted)
+        world.put("uncertainty/entropy", stem, np.linspace(0, 1, COUNT) * (2 - number))
+    settings = {"label_space": SPACE.to_dict(), "sensor": SMALL.to_dict()}
+    StageRecord("predict", settings, ("predictions",)).write(world.out)
+    return world
+
+
+def console_of(page: Path, state: str, tmp_path: Path) -> str:
+    """Open a page with a state in its address; return what it writes to the console."""
+    command = [
+        *(CHROMIUM or "", "--headless", "--use-angle=swiftshader", "--enable-unsafe-swiftshader"),
+        *(["--no-sandbox"] if os.geteuid() == 0 else []),
+        *("--disable-dev-shm-usage", "--disable-background-networking", "--window-size=1280,900"),
+        *(f"--user-data-dir={tmp_path / 'profile'}", "--enable-logging=stderr"),
+        *("--virtual-time-budget=20000", "--dump-dom", f"{page.as_uri()}#{state}"),
+    ]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=120, check=False)
+    assert 'data-ready="yes"' in done.stdout, done.stderr
+    return "\n".join(line for line in done.stderr.splitlines() if ":CONSOLE" in line)
+
+
+def test_the_page_draws_and_its_controls_work(world, tmp_path):
+    made = report(world.out, dataset=world.dataset, scans=["000001", "000000"])
+    page = tmp_path / "with a probe.html"
+    page.write_text(made.page.read_text("utf-8").replace("</body>", f"{PROBE}</body>"), "utf-8")
+    wanted = {"scan": "08/000000", "colour": "wrong", "by": "entropy", "above": "0.5", "size": "4"}
+    said = console_of(page, urlencode(wanted), tmp_path)
+    (text,) = FOUND.findall(said)
+    assert said.count("CONSOLE") == 1, said
+    found = json.loads(text.replace('\\"', '"').replace("\\\\", "\\"))
+    # The address said so: entropies go from 0 to 2, so a quarter is below 0.5.
+    assert found["state"] == ["1", "wrong", "entropy", "4"]
+    assert abs(found["shown"] - COUNT / 4) < 0.02 * COUNT
+    assert re.search(
+        r"1,500 points, 2\d\.\d % of them shown: \d+\.\d % wrong instead", found["told"]
+    )
+    assert [*found["colours"]] == ["label", "truth", "wrong", "entropy", "range", "intensity"]
+    # The background and a colour or more, of values many.
+    assert all(count >= 3 for count in found["colours"].values())
+    assert min(found["colours"][name] for name in ("entropy", "range", "intensity")) > 20
+    assert found["all"] == COUNT
+    cars, roads = (float(each.split()[1]) / 100 for each in found["legend"])
+    shown, colours, address = found["without"]
+    assert found["pressed"] == "false"
+    assert shown == pytest.approx(COUNT * roads, abs=COUNT / 2000)
+    assert colours == found["colours"]["label"] - 1
+    assert "hide=car" in address
+    assert found["alone"] == shown
+    assert cars + roads == pytest.approx(1)
+    assert abs(found["below"][0] - COUNT / 4) < 0.02 * COUNT
+    hidden, words, point = found["hover"]
+    assert found["picked"] == point >= 0
+    assert not hidden
+    assert re.search(r"label +(car|road)\ntruth +(car|road)\n", words)
+    assert re.search(r"entropy +(0|[\d.]+) nats\n", words)
+    assert found["turned"] == 5
+    assert found["pixels"]
+    assert found["strip"][0] == found["strip"][1]
+    assert found["opened"][0] == "08/000001"
+    assert found["opened"][1].startswith("08/000001 · mean entropy 0.5")
+    assert found["fetched"] == 0

@@ -1,0 +1,236 @@
+# SPDX-License-Identifier: MIT
+import json
+import shutil
+from html.parser import HTMLParser
+from pathlib import Path
+
+import numpy as np
+import pytest
+from evaluated import CAR, MOVING_CAR, ROAD, SPACE, UNKNOWN, World
+from scans import SMALL, write_array
+
+from salsanext_cli import label_space
+from salsanext_cli.errors import NoInputError, OutputError, UsageError
+from salsanext_cli.parallel.run import RunOptions
+from salsanext_cli.stages import report as stage
+from salsanext_cli.stages.report import report
+from salsanext_cli.storage.layout import output_path
+from salsanext_cli.storage.stage_records import StageRecord
+
+TRUTH, PREDICTED = [CAR, ROAD, ROAD, MOVING_CAR], [CAR, CAR, ROAD, CAR]
+
+
+class Page(HTMLParser):
+    """Elements and texts of a page."""
+
+    def __init__(self, path: Path) -> None:
+        super().__init__()
+        self.tags: list[tuple[str, dict[str, str | None]]] = []
+        self.texts: dict[str, str] = {}
+        self.text = ""
+        self._open = ""
+        self.source = path.read_text("utf-8")
+        self.feed(self.source)
+
+    def handle_starttag(self, tag, attrs):
+        self.tags.append((tag, dict(attrs)))
+        self._open = dict(attrs).get("id") or "" if tag == "script" else ""
+
+    def handle_endtag(self, tag):
+        self._open = ""
+
+    def handle_data(self, data):
+        if self._open:
+            self.texts[self._open] = data
+        else:
+            self.text += data
+
+    @property
+    def data(self):
+        return json.loads(self.texts["data"])
+
+
+@pytest.fixture
+def world(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    world = World(tmp_path)
+    world.add("000000", TRUTH, PREDICTED)
+    world.add("000001", TRUTH, TRUTH)
+    return world
+
+
+def made(world, **options):
+    options.setdefault("dataset", world.dataset)
+    found = report(world.out, **options)
+    assert found.page == world.out / "report.html"
+    assert found.bytes == found.page.stat().st_size
+    return found, Page(found.page)
+
+
+def test_scores_are_those_of_eval(world):
+    world.put("uncertainty/entropy", "000000", [0.1, 2, 0.1, 0.1])
+    world.put("uncertainty/entropy", "000001", [0.1] * 4)
+    found, page = made(world, by_distance=True)
+    evaluated = world.evaluate()
+    assert found.accuracy == evaluated.scores.accuracy == 7 / 8
+    assert found.iou_mean_present == evaluated.scores.iou_mean_present
+    assert found.sentence == evaluated.uncertainty.kept.sentence
+    for text in ("87.5 %", found.sentence[1:], "not recorded", "0–10 m", "accuracy, 2 scans"):
+        assert text in page.text
+    assert "10–20 m" not in page.text
+    assert page.source.count("data:image/png;base64,") == 4
+    assert [*found.shown] == ["08/000000", "08/000001"]
+    assert page.data["drive"]["kind"] == "entropy"
+
+
+def test_without_labels_there_are_no_scores(world):
+    shutil.rmtree(world.dataset / "sequences/08/labels")
+    found, page = made(world)
+    assert (found.accuracy, found.iou_mean_present, found.sentence) == (None, None, None)
+    assert "accuracy" not in page.text
+    assert "data:image" not in page.source
+    assert [*found.shown.values()] == ["at random"]
+    assert "label" in json.loads(page.texts["cloud-0"])["values"]
+
+
+def test_uncertainty_alone_is_shown(world):
+    shutil.rmtree(world.out)
+    write_array(output_path(world.out, "08", "uncertainty/error", "000001"), np.full(4, 0.5, "f4"))
+    found, page = made(world)
+    assert found.scans == 1
+    assert "No stage has predicted labels" in page.text
+    assert found.shown == {"08/000001": "most uncertain (mean error 0.5)"}
+
+
+def test_a_page_fetches_nothing(world):
+    _, page = made(world)
+    assert "://" not in page.source
+    assert "default-src 'none'" in page.source
+    for tag, attributes in page.tags:
+        assert tag not in ("link", "iframe", "object", "base", "form")
+        links = [attributes[key] or "" for key in ("src", "href") if key in attributes]
+        assert all(link.startswith(("data:image/png;base64,", "#")) for link in links), tag
+
+
+def test_names_are_no_markup(tmp_path):
+    evil = "a\"'&<script>alert(1)<∕script><!--"
+    world = World(tmp_path)
+    world.out = tmp_path / "<b>öut"
+    world.add("000000", TRUTH, PREDICTED, sequence=evil)
+    world.add("<∕scr\nipt>", TRUTH, [UNKNOWN] * 4, sequence="08")
+    world.add("x\udcff", TRUTH, TRUTH, sequence="08")
+    found, page = made(world, scans=[f"{evil}/000000", "x\udcff"])
+    scripts = [attributes for tag, attributes in page.tags if tag == "script"]
+    assert [each.get("id") for each in scripts] == ["data", "cloud-0", "cloud-1", None]
+    assert f"{evil}/000000" in page.data["drive"]["names"]
+    assert "<b>öut" not in page.source
+    assert [each["name"] for each in page.data["shown"]] == [f"{evil}/000000", "08/x\\xff"]
+    assert [*found.shown] == [f"{evil}/000000", "08/x\udcff"]
+    assert "unknown ids 77 (4×)" in page.text
+
+
+def test_names_of_classes_are_no_markup(world):
+    evil = "</script><img src=x onerror=alert(1)>"
+    own = SPACE.to_dict()
+    own["labels"] = {**own["labels"], ROAD: evil}
+    found, page = made(world, space=type(SPACE).from_dict(own))
+    assert evil not in page.source
+    assert page.data["classes"][9]["name"] == evil
+    assert [tag for tag, _ in page.tags].count("img") == 2
+    assert any(evil in reason for reason in found.shown.values())
+
+
+def test_scans_can_be_named(world):
+    found, page = made(world, scans=["000001"])
+    assert found.shown == {"08/000001": "named"}
+    assert page.data["drive"]["shown"] == [-1, 0]
+    with pytest.raises(UsageError, match="--scans"):
+        made(world, scans=["5"])
+
+
+def test_of_a_thousand_scans_only_the_shown_ones_are_read(world):
+    for number in range(2, 1000):
+        world.add(f"{number:06}", TRUTH, PREDICTED)
+        (world.dataset / f"sequences/08/velodyne/{number:06}.bin").write_bytes(b"damaged")
+    found, page = made(world, scans=["000001"])
+    assert (found.scans, found.failures) == (1000, ())
+    assert len(page.data["drive"]["names"]) == 1000
+
+
+def test_a_page_is_the_same_whatever_the_order_of_the_scans(world):
+    for number in range(2, 30):
+        world.add(f"{number:06}", TRUTH, PREDICTED if number % 3 else TRUTH)
+        world.put("uncertainty/entropy", f"{number:06}", [0.1 * number, 0, np.nan, 1])
+    one, _ = made(world)
+    first = one.page.read_bytes()
+    made(world, options=RunOptions(jobs=2, backend="threading"))
+    assert one.page.read_bytes() == first
+
+
+def test_a_scan_that_cannot_be_read_is_named(world):
+    world.add("000002", TRUTH, PREDICTED)
+    output_path(world.out, "08", "predictions", "000002").write_bytes(b"123")
+    found, page = made(world)
+    assert [failure.scan.stem for failure in found.failures] == ["000002"]
+    assert "000002.label" in page.text
+    assert found.scans == 2
+    for stem in ("000000", "000001"):
+        (world.dataset / f"sequences/08/velodyne/{stem}.bin").write_bytes(b"123")
+    with pytest.raises(NoInputError, match="no scan can be shown"):
+        made(world)
+
+
+def test_missing_results_missing_scans_and_others_pages_are_one_line_each(world):
+    with pytest.raises(NoInputError, match="no such folder"):
+        report(world.out / "none")
+    page = made(world)[0].page
+    made(world)
+    page.write_text("mine")
+    with pytest.raises(OutputError, match="not recorded by salsanext"):
+        made(world)
+    assert page.read_text() == "mine"
+    page.unlink()
+    world.dataset.rename(world.dataset.with_name("moved"))
+    with pytest.raises(NoInputError, match="its scans are not in"):
+        report(world.out)
+
+
+def test_labels_with_their_own_ids_are_compared_by_class(world, monkeypatch):
+    """The truth in the page has the raw ids of the predictions."""
+    own = SPACE.to_dict()
+    own["labels"] = {raw + 1000: name for raw, name in own["labels"].items()}
+    own["learning_map"] = {raw + 1000: i for raw, i in own["learning_map"].items()}
+    own["learning_map_inv"] = {i: raw + 1000 for i, raw in own["learning_map_inv"].items()}
+    own["color_map"] = {raw + 1000: bgr for raw, bgr in own["color_map"].items()}
+    space = type(SPACE).from_dict(own)
+    for stem in ("000000", "000001"):
+        path = world.dataset / f"sequences/08/labels/{stem}.label"
+        (np.fromfile(path, np.uint32) + 1000).tofile(path)
+    settings = {"label_space": SPACE.to_dict(), "sensor": SMALL.to_dict()}
+    StageRecord("predict", settings, ("predictions",)).write(world.out)
+    found, _ = made(world, space=space)
+    assert found.accuracy == 7 / 8
+    results = [shown.results for shown in shown_of(world, space, monkeypatch)]
+    assert {int(raw) for each in results for raw in each.truth} == {CAR, ROAD}
+
+
+def test_probabilities_of_merged_classes_are_added(world, monkeypatch):
+    settings = {"label_space": SPACE.to_dict(), "sensor": SMALL.to_dict()}
+    StageRecord("predict", settings, ("predictions", "probabilities")).write(world.out)
+    rows = np.zeros((4, SPACE.class_count))
+    rows[:, SPACE.names.index("road")] = 0.5
+    rows[:, SPACE.names.index("sidewalk")] = 0.3
+    rows[:, SPACE.names.index("building")] = 0.2
+    world.put("probabilities", "000000", rows)
+    for classes, doubt in ((None, 0.5), (label_space("coarse"), 0.2)):
+        (one,) = (s for s in shown_of(world, None, monkeypatch, classes) if s.doubt is not None)
+        np.testing.assert_allclose(one.doubt, doubt, atol=1e-3)
+
+
+def shown_of(world, space, monkeypatch, classes=None):
+    """Return the scans that a page shows."""
+    kept = []
+    monkeypatch.setattr(stage, "content_of", lambda *_, shown, **__: kept.extend(shown))
+    monkeypatch.setattr(stage, "html_of", lambda _: "")
+    made(world, space=space, classes=classes)
+    return kept
