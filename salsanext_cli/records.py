@@ -102,7 +102,8 @@ class Uncertainty:
     mutual_information : float32
         Entropy of the mean softmax minus mean entropy of the passes in nats; 0…ln C.
     aleatoric : float32, optional
-        Variance of the softmax by the sensor's noise, mean over classes.
+        Variance of the softmax by the sensor's noise, mean over classes; 0…(1 - 1/C)/C. It ranks
+        points; its scale is far too small.
     """
 
     epistemic: Float

@@ -19,7 +19,7 @@ def export_ply(
             "--colour",
             "--color",
             help="label, truth, wrong, intensity, range, uncertainty, or one kind of it: "
-            "error, epistemic, aleatoric, total, entropy, mutual_information, novelty.",
+            "error, epistemic, aleatoric, total, entropy, mutual_information.",
         ),
     ] = "label",
     scale: Annotated[

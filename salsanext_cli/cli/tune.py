@@ -157,42 +157,11 @@ def tune_error(
     output.say(f"tune error: {points}, {100 * tuned['wrong']:.1f} % wrong → {target}")
 
 
-def tune_novelty(
-    dataset: options.LabelledDataSet,
-    target: options.WeightsOut,
-    *,
-    selection: Annotated[selection_options.LabelledSelection, Without({"dataset"})],
-    network: options.NetworkOptions,
-    running: run_options.Overwriting,
-    output: console.Output,
-) -> None:
-    """Fit how far points lie from the classes that the network knows, and write new weights.
-
-    Example: salsanext tune novelty streets/ tuned.safetensors --split train
-    """
-    from salsanext_cli.stages.tune_novelty import tune_novelty as stage
-
-    with progress("tune novelty", output.quiet) as on_progress:
-        tuned = stage(
-            dataset,
-            target,
-            network=network.settings(),
-            selection=selection.scans(),
-            overwrite=running.overwrite,
-            progress=on_progress,
-        )
-    output.result(tuned | {"weights": str(target)})
-    points = f"{tuned['points']:,} points of {counted(tuned['scans'], 'scan')}"
-    most = f"99 % of them within {tuned['of_99_percent']:.1f}"
-    output.say(f"tune novelty: {points}, {len(tuned['classes'])} classes, {most} → {target}")
-
-
 tune = typer.Typer(
     no_args_is_help=True,
-    help="Fit weights to scans: temperature, error, novelty, dropout rate or batch normalisation.",
+    help="Fit weights to scans: temperature, error, dropout rate or batch normalisation.",
 )
 tune.command("error")(guarded(expanded(tune_error)))
-tune.command("novelty")(guarded(expanded(tune_novelty)))
 tune.command("temperature")(guarded(expanded(tune_temperature)))
 tune.command("dropout")(guarded(expanded(tune_dropout)))
 tune.command("batchnorm")(guarded(expanded(tune_batchnorm)))

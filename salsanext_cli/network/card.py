@@ -18,7 +18,6 @@ from salsanext_cli.classes import LabelSpace
 from salsanext_cli.errors import UsageError, WeightsError
 from salsanext_cli.formats.reading import is_folder, present
 from salsanext_cli.network.error_model import ErrorModel
-from salsanext_cli.network.novelty_model import NoveltyModel
 from salsanext_cli.network.onnx_metadata import ONNX_SUFFIX, onnx_metadata
 from salsanext_cli.sensors import Sensor
 from salsanext_cli.settings_files import shortened, words_of
@@ -28,8 +27,6 @@ KEY = "salsanext"
 FORMAT = "salsanext-2"
 TABLES = ("architecture", "label_space", "sensor", "recipe", "scores")
 """Parts of a card that are mappings."""
-MODELS: Mapping[str, Any] = {"error": ErrorModel, "novelty": NoveltyModel}
-"""Parts of a card that may be missing."""
 TEMPERATURES = (1e-3, 1e3)
 """Lowest and highest; beyond, the logits of float32 overflow or all classes become equal."""
 
@@ -57,8 +54,6 @@ class WeightsCard:
         1 if none was fitted.
     error : ErrorModel, optional
         Model of the probability that a label is wrong; None if none was fitted.
-    novelty : NoveltyModel, optional
-        Model of the features of the known classes; None if none was fitted.
     """
 
     architecture: Mapping[str, Any]
@@ -69,7 +64,6 @@ class WeightsCard:
     description: str = ""
     temperature: float = 1.0
     error: ErrorModel | None = None
-    novelty: NoveltyModel | None = None
 
     def summary(self) -> str:
         """Return the start of the description, up to the first colon or full stop."""
@@ -79,10 +73,11 @@ class WeightsCard:
     def changed(self, done: str) -> WeightsCard:
         """Return the card of weights changed by what a sentence says.
 
-        Their scores are unknown, and models of errors and features were fitted to what they were.
+        Their scores are unknown, and a model of their errors was fitted to what they were.
         """
-        description = f"{self.description} {done}".lstrip()
-        return replace(self, scores={}, error=None, novelty=None, description=description)
+        return replace(
+            self, scores={}, error=None, description=f"{self.description} {done}".lstrip()
+        )
 
     def to_metadata(self) -> dict[str, str]:
         """Return what a safetensors header holds; equal cards give equal text."""
@@ -99,8 +94,6 @@ class WeightsCard:
         }
         if self.error:
             values["error"] = self.error.to_dict()
-        if self.novelty:
-            values["novelty"] = self.novelty.to_dict()
         return {KEY: json.dumps(values)}
 
     @classmethod
@@ -116,7 +109,7 @@ class WeightsCard:
             if form != FORMAT:
                 remedy = "use the version that wrote it"
                 raise WeightsError(source, f"format {shortened(form)}", FORMAT, remedy)
-            tables = (*TABLES, *(key for key in MODELS if key in values))
+            tables = (*TABLES, "error") if "error" in values else TABLES
             if bad := [key for key in tables if not isinstance(values[key], dict)]:
                 raise TypeError(f"{bad[0]} is no table")
             return cls(
@@ -127,7 +120,7 @@ class WeightsCard:
                 scores=values["scores"],
                 description=str(values["description"]),
                 temperature=_temperature(values["temperature"]),
-                **{key: MODELS[key].from_dict(values[key]) for key in MODELS if key in values},
+                error=ErrorModel.from_dict(values["error"]) if "error" in values else None,
             )
         except UsageError as error:
             raise WeightsError(source, f"damaged metadata: {error.found}") from error

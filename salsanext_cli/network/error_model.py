@@ -63,7 +63,7 @@ class ErrorModel:
 
     def to_dict(self) -> dict[str, Any]:
         """Return plain data that `from_dict` accepts; numbers have seven digits."""
-        layers = [[rounded(weight), rounded(bias)] for weight, bias in self.layers]
+        layers = [[_rounded(weight), _rounded(bias)] for weight, bias in self.layers]
         return {"features": list(self.features), "layers": layers, "scores": dict(self.scores)}
 
     @classmethod
@@ -76,6 +76,5 @@ class ErrorModel:
         return cls(tuple(map(str, data["features"])), layers, dict(data["scores"]))
 
 
-def rounded(values: Float) -> Any:
-    """Return numbers as nested lists, each with seven digits."""
+def _rounded(values: Float) -> Any:
     return np.vectorize(lambda value: float(f"{value:.7g}"), otypes=[object])(values).tolist()

@@ -35,7 +35,6 @@ LINES = {
     "aleatoric": (ORANGE, "-"),
     "total": (RED, "-"),
     "entropy": (GREEN, "-"),
-    "novelty": (SKY, "-"),
 }
 """Colour and dashes of each kind of uncertainty."""
 BEST_ORDER_STYLE: dict[str, Any] = {

@@ -68,5 +68,4 @@ def describe_weights(path: Path) -> Mapping[str, Any]:
         "recipe": dict(card.recipe),
         "scores": dict(card.scores),
         "error": dict(card.error.scores) if card.error else None,
-        "novelty": dict(card.novelty.scores) if card.novelty else None,
     }

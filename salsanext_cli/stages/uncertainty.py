@@ -22,7 +22,7 @@ from salsanext_cli.inference.settings import NetworkSettings
 from salsanext_cli.measures.scan_summary import RunSummary, ScanSummary
 from salsanext_cli.parallel.network_task import NetworkTask
 from salsanext_cli.parallel.run import Failure, Outcome, RunOptions, run_over_scans
-from salsanext_cli.storage.layout import ERROR, NOVELTY, ScanFile
+from salsanext_cli.storage.layout import ERROR, ScanFile
 from salsanext_cli.storage.output_run import OutputRun, output_run
 from salsanext_cli.storage.scan_results import uncertainty_meant, with_column
 from salsanext_cli.storage.selection import ScanSelection, choose, scans_of, space_of
@@ -31,7 +31,6 @@ from salsanext_cli.storage.stage_records import (
     stage_settings,
 )
 from salsanext_cli.uncertainty.error_features import knows_error, label_error
-from salsanext_cli.uncertainty.novelty import novelty
 from salsanext_cli.uncertainty.settings import (
     Estimator,
     possible_estimator,
@@ -59,9 +58,6 @@ def uncertainty_scan(
         of_pixels = getattr(estimate.uncertainty, kind)
         of_points = points_from_pixels(of_pixels, image.pixel_of_point, np.nan)
         output.write_array(file, f"uncertainty/{kind}", of_points)
-    if NOVELTY in output.folders:
-        distance = points_from_pixels(novelty(network, image), image.pixel_of_point, np.nan)
-        output.write_array(file, NOVELTY, distance)
     if "predictions" not in output.folders:
         return ScanSummary(file, check)
     pixel_labels = estimate.probabilities.argmax(axis=0)
@@ -129,7 +125,6 @@ def uncertainty_of(
     settings = network.record(loaded) | {"knn": asdict(knn)} | estimator.settings(loaded.sensor)
     kinds = tuple(f"uncertainty/{kind}" for kind in estimator.kinds)
     labels_too = owner(out, "predictions") in (None, "uncertainty")
-    kinds = (*kinds, NOVELTY) if loaded.card.novelty else kinds
     folders = (*kinds, "predictions") if labels_too else kinds
     if knows_error(loaded) and labels_too:
         folders = (ERROR, *folders)
@@ -185,10 +180,7 @@ def estimate_missing(
     estimator = (
         recorded_estimator(earlier) if earlier else possible_estimator(colour, loaded.sensor)
     )
-    if kind == "novelty" and loaded.card.novelty is None:
-        remedy = "fit one with `salsanext tune novelty`"
-        raise UsageError("--colour novelty", "the weights have no model of it", remedy=remedy)
-    if kind not in ("error", "novelty", *estimator.kinds):
+    if kind not in ("error", *estimator.kinds):
         remedy = f"run `salsanext uncertainty SCANS {out} --overwrite`"
         raise UsageError(out, "uncertainty estimated without aleatoric", kind, remedy)
     log.warning("no uncertainty of %s yet: estimating it", counted(len(missing), "scan"))

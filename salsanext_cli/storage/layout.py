@@ -22,11 +22,9 @@ from salsanext_cli.storage.scan_folders import (
     suffixes_of,
 )
 
-UNCERTAINTY = (
-    *("error", "epistemic", "aleatoric", "total", "entropy", "mutual_information", "novelty"),
-)
+UNCERTAINTY = ("error", "epistemic", "aleatoric", "total", "entropy", "mutual_information")
 """The kinds of uncertainty that stages may have written; "error" is a probability."""
-ERROR, NOVELTY = "uncertainty/error", "uncertainty/novelty"
+ERROR = "uncertainty/error"
 """Folder of the probability that a label is wrong."""
 COLOURINGS = ("label", "truth", "wrong", "intensity", "range", *UNCERTAINTY)
 """Values that point clouds may be coloured by."""

@@ -194,16 +194,3 @@ def test_learning_curve(tmp_path, capsys, monkeypatch):
     ]
     assert commands == [1, 1, 1, 3, 3, 3] * 3
     assert (tmp_path / "out/curve.png").stat().st_size > 1000
-
-
-@pytest.mark.slow
-def test_novelty(data, weights, capsys):
-    """Each class and kind has a line; the model is not fitted to points of the class."""
-    root = data / "sequences/00"
-    for path in root.glob("labels/*.label"):
-        write_labels(path, np.resize([10, 40, 70], path.stat().st_size // 4).astype(np.uint32))
-    found = printed(capsys, "novelty.py", weights, root, root, "car", "--limit", "1")
-    kinds = [name.split(", ")[-1] for name in found]
-    assert kinds == ["max-logit", "confidence", "softmax entropy", "mutual information", "novelty"]
-    for values in found.values():
-        assert all(0 <= float(each) <= 1 for each in values.split())
