@@ -49,9 +49,8 @@ def evaluate(
     kept = evaluation.uncertainty.kept
     sentences = [Text(kept.sentence)] if kept else []
     if settings["reject"] is not None:
-        found = (
-            f"Points left unlabelled by predict --reject {settings['reject']:g} count as missed."
-        )
+        above = f"predict --reject {settings['reject']:g}"
+        found = f"Points left unlabelled by {above} are missed ones, without uncertainty."
         sentences.append(Text(found))
     output.result(evaluation.to_dict(), Group(*tables, *sentences))
     run_end.name_failures(evaluation.failures)

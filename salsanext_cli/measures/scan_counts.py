@@ -32,6 +32,7 @@ from salsanext_cli.measures.softmax import lack_of_confidence, softmax_entropy, 
 from salsanext_cli.records import Float
 from salsanext_cli.sensors import Sensor
 from salsanext_cli.storage.layout import UNCERTAINTY, ScanFile, output_path
+from salsanext_cli.storage.rejection import rejected_points
 from salsanext_cli.storage.scan_results import read_kind
 
 SOFTMAX = "probabilities"
@@ -118,7 +119,8 @@ def count_scan(
     """Count one scan; one without predictions counts as missing.
 
     Points whose truth is scored are counted by probability and by uncertainty too, if the output
-    folder holds `probabilities/` and `uncertainty/` of the scan.
+    folder holds `probabilities/` and `uncertainty/` of the scan. Points that `predict --reject`
+    left unlabelled are missed ones in the confusion, and have no uncertainty.
 
     Parameters
     ----------
@@ -183,6 +185,8 @@ def count_scan(
         if present(path := output_path(out, scan.sequence, folder, scan.stem)):
             counts.files[folder] = 1
             values[kind] = read_kind(path, kind, len(scored))[scored]
+    if "error" in values and (rejected := rejected_points(out, values["error"])).any():
+        values = {kind: np.where(rejected, np.nan, each) for kind, each in values.items()}
     for kind, of_points in values.items():
         for name, group in groups.items():
             counts.histograms[kind, name] = uncertainty_histogram(of_points, wrong, *group)

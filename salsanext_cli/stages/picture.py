@@ -8,16 +8,15 @@ from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
-import numpy as np
-
 from salsanext_cli.classes import LabelSpace
-from salsanext_cli.errors import NOTICE, NoInputError, OutputError, UsageError, counted
+from salsanext_cli.errors import NOTICE, NoInputError, UsageError
 from salsanext_cli.inference.scan_fit import fitted_view
 from salsanext_cli.parallel.run import Outcome, RunOptions, run_over_scans
-from salsanext_cli.report.animation import encode_gif, encode_mp4, find_ffmpeg
-from salsanext_cli.report.colours import CLASS_COLOURS, COLOURS, OUTCOMES, map_on_dark, on_dark
+from salsanext_cli.report.animation import find_ffmpeg
+from salsanext_cli.report.colours import CLASS_COLOURS, COLOURS
 from salsanext_cli.report.scales import Scales, common_scales
 from salsanext_cli.report.scan_pictures import known_views, picture_of_results
+from salsanext_cli.report.sequence_animation import animate, require_animations_replaceable
 from salsanext_cli.sensors import Sensor, sensor
 from salsanext_cli.storage.chosen_results import ChosenResults, choose_results
 from salsanext_cli.storage.files.json_files import RecordedSettings
@@ -36,7 +35,6 @@ from salsanext_cli.storage.scan_results import (
 from salsanext_cli.storage.selection import ScanSelection, choose, scans_of
 from salsanext_cli.storage.sources import LABELLING_STAGES, MissingResults, recorded_scans
 from salsanext_cli.storage.stage_records import known_sensor, origins, stage_settings
-from salsanext_cli.storage.written_files import WrittenFiles
 
 STAGE, FOLDER = "picture", "pictures"
 
@@ -132,14 +130,17 @@ def picture(
         "origins": made_of,
     }
     task = partial(picture_scan, colours=colours, scales=scales, space=space, sensor=seen)
+    require_animations_replaceable(out, animations, scans)
     with output_run(
         *(out, STAGE, settings, (FOLDER,), scans), overwrite=overwrite, record_scans=not results
     ) as output:
         task = partial(task, output=output, classes=classes)
         outcome = run_over_scans(task, scans, options, is_done=output.is_done)
         log.log(NOTICE, "pictures: %s", out / "sequences/*" / FOLDER)
+        failed = {failure.scan for failure in outcome.failures}
+        drawn = [scan for scan in scans if scan not in failed]
         for form in animations:
-            _animate(form, frames_per_second, scans, space, output)
+            animate(form, frames_per_second, drawn, space, output)
     return replace(outcome, missing=chosen.missing)
 
 
@@ -211,30 +212,3 @@ def _scales(
     kept = {colour: recorded.pair(colour) for colour in recorded}
     unknown = [colour for colour in known if colour not in kept]
     return kept | common_scales(out, scans, unknown, space, sensor)
-
-
-def _animate(
-    form: str,
-    frames_per_second: float,
-    scans: Sequence[ScanFile],
-    space: LabelSpace,
-    output: OutputRun,
-) -> None:
-    """Write an animation of each sequence of which there are pictures."""
-    files = WrittenFiles(output.out)
-    # Every fifth colour of the map, from the high end.
-    kept = np.concatenate([OUTCOMES, map_on_dark()[::-5], on_dark(space.colours)])
-    for sequence in dict.fromkeys(scan.sequence for scan in scans):
-        mine = (scan for scan in scans if scan.sequence == sequence)
-        pictures = [path for path in (output.path(scan, FOLDER) for scan in mine) if path.exists()]
-        path = output.out / "sequences" / sequence / f"{FOLDER}.{form}"
-        if not pictures:
-            continue
-        if files.others([path]):
-            found = "was changed, or not written by salsanext, and is kept"
-            raise OutputError(path, found, remedy="move it, or use another output folder")
-        if form == "gif":
-            files.write(path, encode_gif(pictures, frames_per_second, kept))
-        else:
-            files.write(path, encode_mp4(pictures, frames_per_second))
-        log.log(NOTICE, "animation of %s: %s", counted(len(pictures), "scan"), path)

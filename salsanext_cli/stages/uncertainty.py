@@ -88,7 +88,7 @@ def uncertainty(
     Parameters
     ----------
     estimator : Estimator
-        How; by default 30 passes of Monte-Carlo dropout and one of assumed density filtering.
+        How; by default 30 passes of Monte-Carlo dropout and eight over noisy copies.
     source, out, network, knn, selection, options
         As for `predict_scans`.
 

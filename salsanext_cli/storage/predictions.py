@@ -11,6 +11,7 @@ from salsanext_cli.class_merging import ClassMerging, contradiction
 from salsanext_cli.classes import LabelSpace
 from salsanext_cli.errors import LabelError, OutputError, first_few
 from salsanext_cli.storage.layout import ERROR, ScanFile
+from salsanext_cli.storage.rejection import rejected_above
 from salsanext_cli.storage.selection import (
     ScanSelection,
     choose,
@@ -182,7 +183,7 @@ def provenance(out: Path, selection: ScanSelection, dataset: Path | None = None)
         "predictions_of": stage,
         "weights": recorded_weights(out, "predictions"),
         "temperature": softmax.get("temperature"),
-        "reject": softmax.get("reject"),
+        "reject": rejected_above(out),
         "uncertainty": {key: estimated[key] for key in UNCERTAINTY_SETTINGS if key in estimated}
         if estimated
         else None,

@@ -23,6 +23,7 @@ from salsanext_cli.geometry.ranges import measured_ranges
 from salsanext_cli.records import Float, Scan
 from salsanext_cli.sensors import Sensor
 from salsanext_cli.storage.layout import UNCERTAINTY, ScanFile, output_path, with_outputs
+from salsanext_cli.storage.rejection import rejected_points
 
 FOLDERS = ("predictions", *(f"uncertainty/{kind}" for kind in UNCERTAINTY))
 
@@ -111,17 +112,14 @@ def read_results(
     label = _labels(path, count)
     if label is not None and classes is not None:
         label = classes.to_raw(classes.to_train(label, strict=False))
-    return ScanResults(
-        scan=scan,
-        sensor=sensor,
-        label=label,
-        truth=_labels(file.label_path, count),
-        uncertainty={
-            kind: read_kind(path, kind, count)
-            for kind, path in zip(UNCERTAINTY, kinds, strict=True)
-            if present(path)
-        },
-    )
+    uncertainty = {
+        kind: read_kind(path, kind, count)
+        for kind, path in zip(UNCERTAINTY, kinds, strict=True)
+        if present(path)
+    }
+    rejected = rejected_points(out, uncertainty["error"]) if "error" in uncertainty else None
+    truth = _labels(file.label_path, count)
+    return ScanResults(scan, label, truth, uncertainty, sensor, rejected)
 
 
 def read_kind(path: Path, kind: str, count: int | None) -> Float:

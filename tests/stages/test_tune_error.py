@@ -22,6 +22,7 @@ from salsanext_cli.stages.tune_temperature import tune_temperature
 from salsanext_cli.stages.uncertainty import uncertainty
 from salsanext_cli.storage.layout import ERROR, find_scans
 from salsanext_cli.storage.predictions import provenance
+from salsanext_cli.storage.scan_results import read_results
 from salsanext_cli.storage.selection import ScanSelection
 from salsanext_cli.uncertainty.error_features import FEATURES
 from salsanext_cli.uncertainty.settings import Estimator
@@ -76,6 +77,18 @@ def test_what_is_wrong_is_found_in_scans_left_out(far_is_wrong: World, target, t
     with pytest.raises(OutputError, match=r"reject was 0\.5 and is 0\.4"):
         predict_scans(world.data, few, network=network, reject=0.4)
     assert provenance(few, ALL)["reject"] == 0.5
+    # What was rejected is missed, but says nothing of how good the error is.
+    space, scans = label_space(), find_scans(world.data)
+    judged, whole = (
+        evaluate(scans, out, space).uncertainty.kinds["error"].scores for out in (few, world.out)
+    )
+    scored = [space.scored[space.to_train(read_labels(scan.label_path))] for scan in scans]
+    errors = [np.load(world.result(ERROR, scan.sequence, scan.stem)) for scan in scans]
+    lost = sum((each[known] > 0.5).sum() for each, known in zip(errors, scored, strict=True))
+    assert judged.points == whole.points - lost < whole.points
+    assert judged.wrong < whole.wrong - 0.5 * lost
+    results = read_results(scans[0], few)
+    np.testing.assert_array_equal(np.isnan(results.wrong(space)), ~scored[0] | (errors[0] > 0.5))
     scans = find_scans(world.data)
     found = evaluate(scans, world.out, label_space()).uncertainty.error
     assert found is not None
