@@ -144,7 +144,7 @@ def report(
     failures = (*failures, *unreadable)
     compared = Comparison.of(counts, results_space) if counts else None
     content = content_of(
-        *(_title(out), facts_of_run(out, sensor), _warnings(out, counts, missing, failures)),
+        *(_title(out), facts_of_run(out, sensor), _warnings(out, rows, counts, missing, failures)),
         rows=rows,
         compared=compared,
         shown=shown,
@@ -224,10 +224,14 @@ def _title(out: Path) -> str:
 
 
 def _warnings(
-    out: Path, counts: ScanCounts | None, missing: MissingResults, failures: Sequence[Failure]
+    out: Path,
+    rows: Sequence[ScanRow],
+    counts: ScanCounts | None,
+    missing: MissingResults,
+    failures: Sequence[Failure],
 ) -> list[str]:
     """Return every reason to doubt the page, a line each."""
-    lines = warnings_of_run(out)
+    lines = warnings_of_run(out, {row.name for row in rows})
     for what, ids in (
         ("labels", counts.unknown_truth if counts else {}),
         ("predictions", counts.unknown_predictions if counts else {}),

@@ -30,14 +30,14 @@ def test_the_default_weights_are_described(tmp_path):
     assert "Uncertainty" not in facts
 
 
-def test_other_weights_are_named_by_their_digest_and_passes_are_counted(tmp_path):
+def test_other_weights_are_named_by_their_digest(tmp_path):
     record(
         *(tmp_path, "uncertainty", ("uncertainty/epistemic",)),
-        **{"weights": "ab" * 32, "method": "sampling", "samples": 30},
+        **{"weights": "ab" * 32, "method": "sampling", "samples": 30, "aleatoric": "copies"},
     )
     facts = dict(facts_of_run(tmp_path, SMALL))
     assert facts["Weights"].startswith("SHA-256 abababababab, not the default ones")
-    assert facts["Uncertainty"] == "sampling, 30 passes"
+    assert facts["Uncertainty"] == "sampling, samples 30, aleatoric copies"
 
 
 def test_nothing_is_claimed_of_results_without_a_record(tmp_path):
@@ -49,8 +49,10 @@ def test_findings_of_all_stages_are_one_line_for_each_kind(tmp_path):
     found = {f"00/{i}": [dark] for i in range(5)}
     keep_findings(tmp_path, "predict", found, set(found))
     keep_findings(tmp_path, "uncertainty", {"00/1": [dark, few]}, {"00/1"})
-    assert warnings_of_run(tmp_path) == [
+    assert warnings_of_run(tmp_path, found) == [
         "dark in 5 scans (00/0, 00/1, 00/2 and 2 more): no intensity; look",
         "few-points in 1 scan (00/1): 12 points; drive on",
     ]
-    assert warnings_of_run(tmp_path / "none") == []
+    (only,) = warnings_of_run(tmp_path, {"00/3"})
+    assert only == "dark in 1 scan (00/3): no intensity; look"
+    assert warnings_of_run(tmp_path / "none", found) == []

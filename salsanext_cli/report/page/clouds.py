@@ -25,7 +25,6 @@ FARTHEST_M = 1e4
 STEPS = 65535
 NO_VALUE = 255
 """Byte of a point without a value; values are 0 to 254."""
-UNITS = {"range": "m", "entropy": "nats", "mutual_information": "nats"}
 
 
 def scales_of(scans: Sequence[ShownScan]) -> dict[str, tuple[float, float]]:

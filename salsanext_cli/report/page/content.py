@@ -22,13 +22,13 @@ from salsanext_cli.report.colours import COLOUR_MAP, WRONG, Colours, map_colours
 from salsanext_cli.report.evaluation_pictures import evaluation_pictures
 from salsanext_cli.report.page.clouds import (
     NO_VALUE,
-    UNITS,
     base64_of,
     encode_cloud,
     scales_of,
 )
 from salsanext_cli.report.page.html import ClassShare, PageContent
 from salsanext_cli.report.page.shown_scans import UNCERTAIN, ShownScan
+from salsanext_cli.report.scan_pictures import UNITS
 from salsanext_cli.report.tables import percent
 from salsanext_cli.sensors import Sensor
 

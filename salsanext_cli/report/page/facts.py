@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +14,7 @@ from salsanext_cli.network.card import default_weights, read_card
 from salsanext_cli.sensors import Sensor
 from salsanext_cli.storage.files.identity import fingerprint
 from salsanext_cli.storage.kept_findings import read_findings
+from salsanext_cli.storage.layout import ERROR
 from salsanext_cli.storage.stage_records import owner, recorded_weights, stage_settings
 
 SHOWN_DIGITS = 12
@@ -72,17 +73,24 @@ def _uncertainty(out: Path) -> Iterator[str]:
     """Say how the uncertainty came about, if a stage recorded it."""
     settings: Mapping[str, Any] = stage_settings(out, "uncertainty") or {}
     if settings:
-        samples = settings.get("samples")
-        passes = f", {counted(samples, 'pass')[:-1]}es" if isinstance(samples, int) else ""
-        yield f"{settings.get('method')}{passes}"
+        numbers = ("samples", "seed", "aleatoric")
+        given = (f"{key} {settings[key]}" for key in numbers if key in settings)
+        yield ", ".join([str(settings.get("method")), *given])
+    if owner(out, ERROR) == "predict":
+        yield "probability of error, of predict --error"
 
 
-def warnings_of_run(out: Path) -> list[str]:
-    """Return what the stages found doubtful about the scans, a line for each kind of doubt."""
+def warnings_of_run(out: Path, wanted: Collection[str]) -> list[str]:
+    """Return what the stages found doubtful about some scans, a line for each kind of doubt.
+
+    `wanted` has their names, as sequence/scan.
+    """
     scans: dict[str, list[str]] = {}
     words: dict[str, Counter[str]] = {}
     for stage in CHECKED_STAGES:
         for name, findings in read_findings(out, stage).items():
+            if name not in wanted:
+                continue
             for code, message, remedy in findings:
                 if name not in scans.setdefault(code, []):
                     scans[code].append(name)
