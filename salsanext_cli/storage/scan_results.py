@@ -112,13 +112,13 @@ def read_results(
     label = _labels(path, count)
     if label is not None and classes is not None:
         label = classes.to_raw(classes.to_train(label, strict=False))
+    truth = _labels(file.label_path, count)
     uncertainty = {
         kind: read_kind(path, kind, count)
         for kind, path in zip(UNCERTAINTY, kinds, strict=True)
         if present(path)
     }
     rejected = rejected_points(out, uncertainty["error"]) if "error" in uncertainty else None
-    truth = _labels(file.label_path, count)
     return ScanResults(scan, label, truth, uncertainty, sensor, rejected)
 
 
