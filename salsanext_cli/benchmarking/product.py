@@ -31,14 +31,15 @@ def prepare(part: str, path: Path, task: Mapping[str, Any]) -> Callable[[], Any]
     network = sn.load_network(*settings)
     scan, count = sn.read_scan(path), network.space.class_count
     image, file = sn.project(scan, sensor, place), ScanFile("", path.stem, path)
-    # The baseline has the paper's aleatoric uncertainty.
-    estimator = Estimator(samples=task.get("samples", 2), aleatoric="paper")
     work: dict[str, Callable[[], Any]] = {
         "hardware": lambda: describe(network.device, network.precision),
         "projection": lambda: sn.project(scan, sensor, place),
         "network": lambda: network.probabilities(image),
         "predict": lambda: predict(path, path.with_suffix(".label"), network),
-        "uncertainty": lambda: estimator.estimate(network, image, file),
+        # With the paper's aleatoric uncertainty, as the baseline.
+        "uncertainty": lambda: Estimator(samples=task["samples"], aleatoric="paper").estimate(
+            network, image, file
+        ),
     }
     if part in work:
         return work[part]

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import math
 import random
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -129,19 +129,17 @@ def worth_looking_at(rows: Sequence[ScanRow], space: LabelSpace) -> dict[str, st
     reasons: dict[str, list[str]] = {}
     if kind := leading_kind(rows):
         means = [row.uncertainty.get(kind, math.nan) for row in rows]
-        _take(reasons, rows, means, f"most uncertain (mean {kind.replace('_', ' ')} {{:.3g}})")
-    _take(reasons, rows, [100 * row.wrong for row in rows], "most wrong ({:.1f} % of the points)")
+        words = f"most uncertain (mean {kind.replace('_', ' ')}"
+        _take(reasons, rows, means, lambda mean: f"{words} {mean:.3g})")
+    wrong = [row.wrong for row in rows]
+    _take(reasons, rows, wrong, lambda share: f"most wrong ({100 * share:.1f} % of the points)")
     judged = [row.confusion for row in rows if row.confusion is not None]
     if judged:
         of_class = _worst_class(sum(judged[1:], judged[0]), space)
         if of_class is not None:
             missed = [_missed(row.confusion, of_class) for row in rows]
-            _take(
-                reasons,
-                rows,
-                missed,
-                f"worst class: {{:,.0f}} points of {space.names[of_class]} wrong",
-            )
+            name = space.names[of_class]
+            _take(reasons, rows, missed, lambda n: f"worst class: {n:,.0f} points of {name} wrong")
     left = [row for row in rows if row.name not in reasons]
     if left:
         # The same for the same scans.
@@ -150,12 +148,15 @@ def worth_looking_at(rows: Sequence[ScanRow], space: LabelSpace) -> dict[str, st
 
 
 def _take(
-    reasons: dict[str, list[str]], rows: Sequence[ScanRow], values: Sequence[float], reason: str
+    reasons: dict[str, list[str]],
+    rows: Sequence[ScanRow],
+    values: Sequence[float],
+    reason: Callable[[float], str],
 ) -> None:
     """Add the scan of the largest value, if any value is above 0."""
     place = int(np.nan_to_num(values).argmax())
     if values[place] > 0:
-        reasons.setdefault(rows[place].name, []).append(reason.format(values[place]))
+        reasons.setdefault(rows[place].name, []).append(reason(values[place]))
 
 
 def _worst_class(matrix: Counts, space: LabelSpace) -> int | None:

@@ -123,7 +123,7 @@ def predict_scans(
     if reject is not None:
         if not 0 <= reject <= 1:
             raise UsageError("--reject", f"{reject:g}", "a probability from 0 to 1")
-        extras = tuple({*extras, ERROR})
+        extras = tuple(dict.fromkeys((*extras, ERROR)))
     if ERROR in extras:
         error_model(loaded)
     temperature = loaded.card.temperature

@@ -40,7 +40,7 @@ class PageContent:
     tiles : sequence of (str, str)
         Numbers for the first screen, each with its name.
     facts, warnings : sequences
-        What was run, by title; and doubts about the scans.
+        What was run, by title; and warnings about the scans.
     shares : sequence of ClassShare
         Classes; empty without predictions.
     data : mapping
