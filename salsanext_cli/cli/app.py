@@ -32,6 +32,7 @@ from salsanext_cli.cli.synth import synth
 from salsanext_cli.cli.train import train
 from salsanext_cli.cli.tune import tune
 from salsanext_cli.cli.uncertainty import uncertainty
+from salsanext_cli.cli.view import view
 
 COMMANDS: dict[str, dict[str, Callable[..., None] | typer.Typer]] = {
     "Pipeline": {
@@ -62,6 +63,7 @@ COMMANDS: dict[str, dict[str, Callable[..., None] | typer.Typer]] = {
         "picture": picture,
         "demo": demo,
         "report": report,
+        "view": view,
     },
 }
 

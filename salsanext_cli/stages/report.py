@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: MIT
 """Stage `report`: one page of a run, a single HTML file that needs nothing else."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -12,18 +12,14 @@ from salsanext_cli.errors import (
     NoInputError,
     OutputError,
     SalsanextError,
-    counted,
-    first_few,
-    printable,
 )
 from salsanext_cli.measures.drive import ScanRow, named, read_row, worth_looking_at
 from salsanext_cli.measures.scan_counts import ScanCounts
 from salsanext_cli.measures.scores import plain
 from salsanext_cli.parallel.run import Failure, RunOptions, run_over_scans
-from salsanext_cli.report.page.content import Comparison, content_of
-from salsanext_cli.report.page.facts import facts_of_run, warnings_of_run
 from salsanext_cli.report.page.html import html_of
-from salsanext_cli.report.page.shown_scans import ShownScan, read_shown
+from salsanext_cli.report.page.run_results import RunResults
+from salsanext_cli.report.page.shown_scans import ShownScan
 from salsanext_cli.storage.files.atomic import sweep_stale
 from salsanext_cli.storage.layout import ScanFile
 from salsanext_cli.storage.predictions import (
@@ -129,28 +125,21 @@ def report(
         If nothing can be done at all; failures of single scans are in the result.
     """
     page = out / PAGE
-    asked, results_space = predicted_scans(out, selection, dataset, space, classes)
-    require_same_weights(out)
-    files = with_results(out, asked)
     _require_replaceable(out, page)
-    missing = missing_results(out, set(asked) - set(files))
-    missing.log_error(len(asked), "results")
-    labels, merging = space_of_labels(files, results_space, space), merging_into(out, results_space)
-    sensor = recorded_sensor(out)
-    how = {"space": results_space, "labels": labels, "merging": merging, "sensor": sensor}
-    rows, counts, failures = _rows(files, out, how, by_distance, options)
-    chosen = named(rows, scans) if scans else worth_looking_at(rows, results_space)
-    shown, unreadable = _shown(out, rows, chosen, how)
-    failures = (*failures, *unreadable)
-    compared = Comparison.of(counts, results_space) if counts else None
-    content = content_of(
-        *(_title(out), facts_of_run(out, sensor), _warnings(out, rows, counts, missing, failures)),
-        rows=rows,
-        compared=compared,
-        shown=shown,
-        space=results_space,
-        sensor=sensor,
+    run, failures = read_run(
+        out,
+        dataset=dataset,
+        space=space,
+        classes=classes,
+        by_distance=by_distance,
+        selection=selection,
+        options=options,
     )
+    chosen = named(run.rows, scans) if scans else worth_looking_at(run.rows, run.how["space"])
+    shown, unreadable = _shown(run, chosen)
+    failures += unreadable
+    compared = run.compared()
+    content = run.content(shown, compared, [failure.reason for failure in failures])
     written = html_of(content).encode()
     with records_lock(out):
         sweep_stale(out)
@@ -160,14 +149,37 @@ def report(
     return Report(
         page=page,
         bytes=len(written),
-        scans=len(rows),
+        scans=len(run.rows),
         shown={each.name: each.reason for each in shown},
         accuracy=compared.scores.accuracy if compared else None,
         iou_mean_present=compared.scores.iou_mean_present if compared else None,
         sentence=kept.sentence if kept else None,
-        missing=missing,
+        missing=run.missing,
         failures=failures,
     )
+
+
+def read_run(
+    out: Path,
+    *,
+    dataset: Path | None = None,
+    space: LabelSpace | None = None,
+    classes: LabelSpace | None = None,
+    by_distance: bool = False,
+    selection: ScanSelection = ScanSelection(),
+    options: RunOptions = RunOptions(),
+) -> tuple[RunResults, tuple[Failure, ...]]:
+    """Read the results of all scans of a run; arguments and errors are as for `report`."""
+    asked, results_space = predicted_scans(out, selection, dataset, space, classes)
+    require_same_weights(out)
+    files = with_results(out, asked)
+    missing = missing_results(out, set(asked) - set(files))
+    missing.log_error(len(asked), "results")
+    labels, merging = space_of_labels(files, results_space, space), merging_into(out, results_space)
+    sensor = recorded_sensor(out)
+    how = {"space": results_space, "labels": labels, "merging": merging, "sensor": sensor}
+    rows, counts, failures = _rows(files, out, how, by_distance, options)
+    return RunResults(out, rows, counts, missing, how), failures
 
 
 def _require_replaceable(out: Path, page: Path) -> None:
@@ -202,44 +214,17 @@ def _rows(
 
 
 def _shown(
-    out: Path, rows: Sequence[ScanRow], chosen: dict[str, str], how: dict[str, Any]
-) -> tuple[list[ShownScan], list[Failure]]:
+    run: RunResults, chosen: Mapping[str, str]
+) -> tuple[list[ShownScan], tuple[Failure, ...]]:
     """Read the chosen scans; if none can be read, there is nothing to show."""
-    files = {row.name: row.file for row in rows}
+    rows = {row.name: row for row in run.rows}
     shown: list[ShownScan] = []
     failures: list[Failure] = []
     for name, reason in chosen.items():
         try:
-            shown.append(read_shown(files[name], reason, out, **how))
+            shown.append(run.read(rows[name], reason))
         except SalsanextError as error:
-            failures.append(Failure(files[name], str(error), error.code))
+            failures.append(Failure(rows[name].file, str(error), error.code))
     if not shown:
-        raise NoInputError(out, f"no scan can be shown, as {failures[0].reason}")
-    return shown, failures
-
-
-def _title(out: Path) -> str:
-    """Return the name of a folder with that of the folder above it, which often says more."""
-    return "/".join(out.absolute().parts[-2:])
-
-
-def _warnings(
-    out: Path,
-    rows: Sequence[ScanRow],
-    counts: ScanCounts | None,
-    missing: MissingResults,
-    failures: Sequence[Failure],
-) -> list[str]:
-    """Return every reason to doubt the page, a line each."""
-    lines = warnings_of_run(out, {row.name for row in rows})
-    for what, ids in (
-        ("labels", counts.unknown_truth if counts else {}),
-        ("predictions", counts.unknown_predictions if counts else {}),
-    ):
-        if ids:
-            listed = first_few([f"{i} ({n:,}×)" for i, n in sorted(ids.items())])
-            lines.append(f"{what}: unknown ids {listed} are taken as unlabelled")
-    if missing.scans:
-        lines.append(f"{counted(len(missing.scans), 'scan')} without results left out")
-    lines += [printable(failure.reason) for failure in failures]
-    return lines
+        raise NoInputError(run.out, f"no scan can be shown, as {failures[0].reason}")
+    return shown, tuple(failures)

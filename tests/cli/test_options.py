@@ -109,7 +109,7 @@ def test_results_over_all_scans_cannot_be_sharded():
     }
     assert {name for name in flags if "--shard" in flags[name]} == SHARDED
     backends = {name for name in flags if "--backend" in flags[name]}
-    assert backends == SHARDED | {"eval", "inspect", "convert", "pick", "report"}
+    assert backends == SHARDED | {"eval", "inspect", "convert", "pick", "report", "view"}
 
 
 @pytest.fixture

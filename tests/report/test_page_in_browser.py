@@ -6,7 +6,9 @@ import os
 import re
 import shutil
 import subprocess
+import threading
 from pathlib import Path
+from typing import Any
 from urllib.parse import urlencode
 
 import numpy as np
@@ -16,6 +18,7 @@ from scans import SMALL, make_scan
 
 from salsanext_cli import write_labels
 from salsanext_cli.stages.report import report
+from salsanext_cli.stages.view import view
 from salsanext_cli.storage.layout import output_path
 from salsanext_cli.storage.point_files import write_bin
 from salsanext_cli.storage.stage_records import StageRecord
@@ -23,6 +26,7 @@ from salsanext_cli.storage.stage_records import StageRecord
 CHROMIUM = next(filter(None, map(shutil.which, ("chromium", "chromium-browser"))), None)
 pytestmark = pytest.mark.skipif(CHROMIUM is None, reason="needs chromium: make test installs it")
 COUNT = 1500
+STEMS = ("000000", "000001")
 FOUND = re.compile(r"FOUND (\{.*\})\"")
 PROBE = """<script>
 {
@@ -96,31 +100,68 @@ const at = (target, name, x, y) => target.dispatchEvent(
 def world(tmp_path):
     world = World(tmp_path)
     random = np.random.default_rng(0)
-    for number, stem in enumerate(("000000", "000001")):
+    for number, stem in enumerate(STEMS):
         truth = np.where(random.random(COUNT) < 0.5, CAR, ROAD)
         world.add(stem, truth, truth)
         scans = world.dataset / "sequences/08/velodyne"
         write_bin(scans / f"{stem}.bin", make_scan(COUNT, number))
         predicted = np.where(random.random(COUNT) < 0.2, CAR, truth).astype(np.uint32)
         write_labels(output_path(world.out, "08", "predictions", stem), predicted)
-        world.put("uncertainty/entropy", stem, np.linspace(0, 1, COUNT) * (2 - number))
+        world.put("uncertainty/entropy", stem, np.linspace(0, 1, COUNT) * (len(STEMS) - number))
     settings = {"label_space": SPACE.to_dict(), "sensor": SMALL.to_dict()}
     StageRecord("predict", settings, ("predictions",)).write(world.out)
     return world
 
 
-def console_of(page: Path, state: str, tmp_path: Path) -> str:
-    """Open a page with a state in its address; return what it writes to the console."""
+LIVE_PROBE = """<script>
+(async () => {
+  const soon = () => new Promise(done => setTimeout(done, 20));
+  const until = async there => { while (!there()) await soon(); };
+  await until(() => cloud);
+  const found = { first: cloud.name, scales: Object.keys(data.scales), from: [] };
+  view.show = (old => cloud => { found.from.push(cloud.name); old.call(view, cloud); })(view.show);
+  byId("play").click();
+  found.playing = byId("play").textContent;
+  await until(() => byId("play").textContent === "play");
+  found.played = [cloud.name, byId("place").value, byId("column").textContent.split(" ")[0]];
+  byId("place").value = 0;
+  byId("place").dispatchEvent(new Event("input"));
+  await until(() => cloud.name === "08/000000");
+  found.told = byId("told").textContent;
+  byId("columns").dispatchEvent(new KeyboardEvent("keydown", { key: "End" }));
+  byId("columns").dispatchEvent(new KeyboardEvent("keydown", { key: "Enter" }));
+  await until(() => cloud.name === "08/000003");
+  found.colours = [...byId("colour").options].map(each => each.value);
+  byId("scan").value = 2;
+  byId("scan").dispatchEvent(new Event("change"));
+  await until(() => byId("told").textContent.startsWith("08/000002:"));
+  found.failed = [byId("told").textContent, cloud.name];
+  const fetched = performance.getEntriesByType("resource").map(each => new URL(each.name).pathname);
+  found.fetched = [...new Set(fetched)].sort();
+  console.log("FOUND " + JSON.stringify(found));
+})();
+</script>"""
+
+
+def console_of(page: str, tmp_path: Path) -> str:
+    """Open a page; return what it writes to the console."""
     command = [
         *(CHROMIUM or "", "--headless", "--use-angle=swiftshader", "--enable-unsafe-swiftshader"),
         *(["--no-sandbox"] if os.geteuid() == 0 else []),
         *("--disable-dev-shm-usage", "--disable-background-networking", "--window-size=1280,900"),
         *(f"--user-data-dir={tmp_path / 'profile'}", "--enable-logging=stderr"),
-        *("--virtual-time-budget=20000", "--dump-dom", f"{page.as_uri()}#{state}"),
+        *("--virtual-time-budget=20000", "--dump-dom", page),
     ]
     done = subprocess.run(command, capture_output=True, text=True, timeout=120, check=False)
     assert 'data-ready="yes"' in done.stdout, done.stderr
     return "\n".join(line for line in done.stderr.splitlines() if ":CONSOLE" in line)
+
+
+def found_in(said: str) -> dict[str, Any]:
+    """Return what a probe wrote to the console."""
+    (text,) = FOUND.findall(said)
+    found: dict[str, Any] = json.loads(text.replace('\\"', '"').replace("\\\\", "\\"))
+    return found
 
 
 def test_the_page_draws_and_its_controls_work(world, tmp_path):
@@ -128,10 +169,9 @@ def test_the_page_draws_and_its_controls_work(world, tmp_path):
     page = tmp_path / "with a probe.html"
     page.write_text(made.page.read_text("utf-8").replace("</body>", f"{PROBE}</body>"), "utf-8")
     wanted = {"scan": "08/000000", "colour": "wrong", "by": "entropy", "above": "0.5", "size": "4"}
-    said = console_of(page, urlencode(wanted), tmp_path)
-    (text,) = FOUND.findall(said)
+    said = console_of(f"{page.as_uri()}#{urlencode(wanted)}", tmp_path)
+    found = found_in(said)
     assert said.count("CONSOLE") == 1, said
-    found = json.loads(text.replace('\\"', '"').replace("\\\\", "\\"))
     # The address said so: entropies go from 0 to 2, so a quarter is below 0.5.
     assert found["state"] == ["1", "wrong", "entropy", "4"]
     assert abs(found["shown"] - COUNT / 4) < 0.02 * COUNT
@@ -163,3 +203,28 @@ def test_the_page_draws_and_its_controls_work(world, tmp_path):
     assert found["opened"][0] == "08/000001"
     assert found["opened"][1].startswith("08/000001 · mean entropy 0.5")
     assert found["fetched"] == 0
+
+
+def test_the_live_page_plays_the_drive_and_names_what_fails(world, tmp_path):
+    for stem in ("000002", "000003"):
+        world.add(stem, [CAR, ROAD], [CAR, CAR])
+    with view(world.out, dataset=world.dataset) as server:
+        (world.dataset / "sequences/08/velodyne/000002.bin").write_bytes(b"damaged")
+        server.page = server.page.replace(b"</body>", f"{LIVE_PROBE}</body>".encode())
+        serving = threading.Thread(target=server.serve_forever)
+        serving.start()
+        said = console_of(f"{server.url}#scan=08/000000&colour=wrong", tmp_path)
+        server.shutdown()
+        serving.join()
+    found = found_in(said)
+    assert found["first"] == "08/000000"
+    assert found["playing"] == "pause"
+    # It stops where a scan cannot be read.
+    assert found["from"][0] == "08/000001"
+    assert found["played"] == ["08/000001", "2", "08/000001"]
+    assert re.match(r"1,500 points: \d+\.\d % wrong", found["told"])
+    assert found["colours"] == ["label", "truth", "wrong", "range", "intensity"]
+    told, shown = found["failed"]
+    assert "000002.bin" in told
+    assert shown == "08/000003"
+    assert found["fetched"] == [f"/cloud/{place}" for place in range(4)]

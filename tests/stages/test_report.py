@@ -12,8 +12,7 @@ from scans import SMALL, write_array
 from salsanext_cli import label_space
 from salsanext_cli.errors import NoInputError, OutputError, UsageError
 from salsanext_cli.parallel.run import RunOptions
-from salsanext_cli.stages import report as stage
-from salsanext_cli.stages.report import report
+from salsanext_cli.stages.report import read_run, report
 from salsanext_cli.storage.layout import output_path
 from salsanext_cli.storage.stage_records import StageRecord
 
@@ -195,7 +194,7 @@ def test_missing_results_missing_scans_and_others_pages_are_one_line_each(world)
         report(world.out)
 
 
-def test_labels_with_their_own_ids_are_compared_by_class(world, monkeypatch):
+def test_labels_with_their_own_ids_are_compared_by_class(world):
     """The truth in the page has the raw ids of the predictions."""
     own = SPACE.to_dict()
     own["labels"] = {raw + 1000: name for raw, name in own["labels"].items()}
@@ -210,11 +209,11 @@ def test_labels_with_their_own_ids_are_compared_by_class(world, monkeypatch):
     StageRecord("predict", settings, ("predictions",)).write(world.out)
     found, _ = made(world, space=space)
     assert found.accuracy == 7 / 8
-    results = [shown.results for shown in shown_of(world, space, monkeypatch)]
+    results = [shown.results for shown in shown_of(world, space)]
     assert {int(raw) for each in results for raw in each.truth} == {CAR, ROAD}
 
 
-def test_probabilities_of_merged_classes_are_added(world, monkeypatch):
+def test_probabilities_of_merged_classes_are_added(world):
     settings = {"label_space": SPACE.to_dict(), "sensor": SMALL.to_dict()}
     StageRecord("predict", settings, ("predictions", "probabilities")).write(world.out)
     rows = np.zeros((4, SPACE.class_count))
@@ -223,14 +222,11 @@ def test_probabilities_of_merged_classes_are_added(world, monkeypatch):
     rows[:, SPACE.names.index("building")] = 0.2
     world.put("probabilities", "000000", rows)
     for classes, doubt in ((None, 0.5), (label_space("coarse"), 0.2)):
-        (one,) = (s for s in shown_of(world, None, monkeypatch, classes) if s.doubt is not None)
+        (one,) = (s for s in shown_of(world, classes=classes) if s.doubt is not None)
         np.testing.assert_allclose(one.doubt, doubt, atol=1e-3)
 
 
-def shown_of(world, space, monkeypatch, classes=None):
-    """Return the scans that a page shows."""
-    kept = []
-    monkeypatch.setattr(stage, "content_of", lambda *_, shown, **__: kept.extend(shown))
-    monkeypatch.setattr(stage, "html_of", lambda _: "")
-    made(world, space=space, classes=classes)
-    return kept
+def shown_of(world, space=None, classes=None):
+    """Return the scans as a page shows them."""
+    run, _ = read_run(world.out, dataset=world.dataset, space=space, classes=classes)
+    return [run.read(row) for row in run.rows]

@@ -15,6 +15,7 @@ from salsanext_cli.geometry.projection import project
 from salsanext_cli.records import Float
 from salsanext_cli.report.colours import value_range
 from salsanext_cli.report.page.shown_scans import DOUBT, ShownScan
+from salsanext_cli.report.scan_pictures import UNITS
 from salsanext_cli.sensors import Sensor
 from salsanext_cli.storage.scan_results import ScanResults
 
@@ -41,6 +42,14 @@ def scales_of(scans: Sequence[ShownScan]) -> dict[str, tuple[float, float]]:
         highest = value_range(np.concatenate(each))[1]
         scales[name] = (0.0, 1.0 if name in ("error", DOUBT) else highest if highest > 0 else 1.0)
     return scales
+
+
+def plain_scales(scales: Mapping[str, tuple[float, float]]) -> dict[str, dict[str, Any]]:
+    """Return scales with their units, as plain data."""
+    return {
+        name: {"low": low, "high": high, "unit": UNITS.get(name, "")}
+        for name, (low, high) in scales.items()
+    }
 
 
 def encode_cloud(

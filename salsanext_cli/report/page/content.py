@@ -24,11 +24,11 @@ from salsanext_cli.report.page.clouds import (
     NO_VALUE,
     base64_of,
     encode_cloud,
+    plain_scales,
     scales_of,
 )
 from salsanext_cli.report.page.html import ClassShare, PageContent
 from salsanext_cli.report.page.shown_scans import UNCERTAIN, ShownScan
-from salsanext_cli.report.scan_pictures import UNITS
 from salsanext_cli.report.tables import percent
 from salsanext_cli.sensors import Sensor
 
@@ -73,6 +73,7 @@ def content_of(
     shown: Sequence[ShownScan],
     space: LabelSpace,
     sensor: Sensor,
+    live: bool = False,
 ) -> PageContent:
     """Put a page together.
 
@@ -90,16 +91,20 @@ def content_of(
         Scans to show point by point.
     space, sensor
         Classes and range image of the labels.
+    live : bool
+        True: the page asks for the points of all scans; `shown` are for the scales only.
     """
     colours, scales = on_dark(space.colours), scales_of(shown)
+    offered = {row.name: "" for row in rows} if live else {s.name: s.reason for s in shown}
     page = PageContent(
         title=title,
         tiles=_tiles(rows, compared),
         facts=facts,
         warnings=warnings,
         shares=_shares(rows, compared, space, colours),
-        data=as_text(_data(rows, shown, scales, space, colours)),
-        clouds=[as_text(encode_cloud(each, space, sensor, scales)) for each in shown],
+        data=as_text(_data(rows, offered, scales, space, colours)),
+        clouds=[as_text(encode_cloud(each, space, sensor, scales)) for each in shown if not live],
+        live=live,
     )
     if compared is None:
         return page
@@ -161,7 +166,7 @@ def _rings(counts: ScanCounts, space: LabelSpace) -> list[tuple[str, ...]]:
 
 def _data(
     rows: Sequence[ScanRow],
-    shown: Sequence[ShownScan],
+    offered: Mapping[str, str],
     scales: Mapping[str, tuple[float, float]],
     space: LabelSpace,
     colours: Colours,
@@ -174,14 +179,11 @@ def _data(
             for name, rgb in zip(space.names, colours.tolist(), strict=True)
         ],
         "outcomes": [{"name": name, "rgb": rgb} for name, rgb in OUTCOME_COLOURS.items()],
-        "scales": {
-            name: {"low": low, "high": high, "unit": UNITS.get(name, "")}
-            for name, (low, high) in scales.items()
-        },
+        "scales": plain_scales(scales),
         "uncertain": list(UNCERTAIN),
         "map": map_colours(COLOUR_MAP)[steps.astype(np.intp)].ravel().tolist(),
-        "shown": [{"name": each.name, "reason": each.reason} for each in shown],
-        "drive": _drive(rows, [each.name for each in shown]),
+        "shown": [{"name": name, "reason": reason} for name, reason in offered.items()],
+        "drive": _drive(rows, list(offered)),
     }
 
 

@@ -4,7 +4,7 @@
 const CURVE_PX = 100, GAP_PX = 22, UNCERTAIN_COLOUR = "#2f7fd0", WRONG_COLOUR = "#e0482e";
 
 class DriveView {
-  // scans: { count, names, shown: place in the page or -1, shares: (count × classes), uncertainty, wrong }
+  // scans: { count, names, marked, shown: place in the page or -1, shares: (count × classes), uncertainty, wrong }
   constructor(canvas, told, scans, classes, open) {
     Object.assign(this, { canvas, told, scans, classes, open, at: Math.max(0, scans.shown.findIndex(i => i >= 0)) });
     new ResizeObserver(() => this.draw()).observe(canvas);
@@ -88,7 +88,7 @@ class DriveView {
     }
     pen.fillStyle = ink;
     const middle = place => (place + 0.5) * width / scans.count;
-    scans.shown.forEach((shown, place) => shown >= 0 && pen.fillText("▾", middle(place) - 5, top - 5));
+    if (scans.marked) scans.shown.forEach((shown, place) => shown >= 0 && pen.fillText("▾", middle(place) - 5, top - 5));
     pen.strokeStyle = ink;
     pen.strokeRect(middle(this.at) - Math.max(3, per / 2), top - 1, Math.max(6, per), height - top);
   }

@@ -19,6 +19,18 @@ from salsanext_cli.report.evaluation_pictures import PICTURES
 PARTS = ("page.css", "view.js", "drive.js", "page.js")
 """Files beside this one that the template takes in, as $page_css and so on."""
 
+FILE_WORDS = {
+    "openable": "▾ marks those of this page: a click opens them.",
+    "note": "This page fetches nothing; it can be kept and sent as one file.",
+    "connect": "",
+}
+LIVE_WORDS = {
+    "openable": "A click opens a scan.",
+    "note": "The scans come from salsanext view while it runs.",
+    "connect": "connect-src 'self'",
+}
+"""Parts of a page that holds its scans, and of one that asks a server for them."""
+
 
 class ClassShare(NamedTuple):
     """A class, its colour, its share of the points, 0…1, and its IoU as text if it has one."""
@@ -53,6 +65,8 @@ class PageContent:
         Distance, mean IoU, accuracy and points as text; empty if not asked for.
     pictures : mapping of str to bytes
         PNG by a name of `PICTURES`; empty without labels.
+    live : bool
+        Whether the page asks a server for its clouds, and so for those of any number of scans.
     """
 
     title: str
@@ -65,6 +79,7 @@ class PageContent:
     sentence: str = ""
     rings: Sequence[tuple[str, ...]] = ()
     pictures: Mapping[str, bytes] = field(default_factory=dict)
+    live: bool = False
 
 
 def html_of(content: PageContent) -> str:
@@ -81,7 +96,8 @@ def html_of(content: PageContent) -> str:
         shares=_shares(content.shares),
         plots=_plots(content),
         plots_link='<a href="#plots">Plots</a>' if content.pictures else "",
-        data=script_data("data", content.data) + "".join(blocks),
+        data=script_data("data", {**content.data, "live": content.live}) + "".join(blocks),
+        **(LIVE_WORDS if content.live else FILE_WORDS),
         **{name.replace(".", "_"): _part(name) for name in PARTS},
     )
 

@@ -11,11 +11,30 @@ const title = name => TITLES[name] ?? name.replaceAll("_", " ");
 const bytes = text => Uint8Array.from(atob(text), c => c.charCodeAt(0));
 const floats = text => text ? new Float32Array(bytes(text).buffer) : null;
 const state = { scan: 0, colour: "", by: "", above: TOP, size: 2, hidden: { label: new Set(), truth: new Set(), wrong: new Set() } };
-const clouds = [];
-let cloud = null, palette = null, visible = null, view = null;
+const KEPT = 20, PAUSE_MS = 100;  // scans kept of a live page; between two that are played
+const clouds = new Map();
+let cloud = null, palette = null, visible = null, view = null, drive = null, wantedScan = 0, playing = false;
 
-function decoded(index) {
-  const raw = JSON.parse(byId(`cloud-${index}`).textContent);
+async function asked(index) {  // of the server of a live page
+  const answer = await fetch(`cloud/${index}`).then(found => found.json());
+  if (answer.error) throw new Error(answer.error);
+  Object.assign(data.scales, answer.scales);
+  return decoded(answer);
+}
+
+function cloudAt(index) {  // of this page or of its server: a promise, of which the last ones are kept
+  if (!clouds.has(index)) {
+    const coming = data.live ? asked(index) : decoded(JSON.parse(byId(`cloud-${index}`).textContent));
+    clouds.set(index, coming);
+    if (data.live) {
+      coming.catch(() => clouds.delete(index));
+      if (clouds.size > KEPT) clouds.delete(clouds.keys().next().value);
+    }
+  }
+  return clouds.get(index);
+}
+
+function decoded(raw) {
   const ofPixel = new ({ 1: Uint8Array, 2: Uint16Array, 4: Uint32Array })[raw.of_pixel_bytes](bytes(raw.of_pixel).buffer);
   const first = new Uint32Array(ofPixel.length + 1);  // point of each pixel, and where the next one's begin
   ofPixel.forEach((count, pixel) => { first[pixel + 1] = first[pixel] + count; });
@@ -47,9 +66,21 @@ function options(select, names, text) {
   select.replaceChildren(...names.map(name => new Option(text(name), name)));
 }
 
-function open(index) {  // a scan of this page
+async function open(index) {
+  wantedScan = index;
+  byId("scan").value = byId("place").value = index;
+  try {
+    const found = data.live ? await cloudAt(index) : cloudAt(index);
+    if (wantedScan === index) show(index, found);
+  } catch (error) {
+    play(false);
+    byId("told").textContent = `${data.shown[index].name}: ${error.message}`;
+  }
+}
+
+function show(index, found) {
   state.scan = index;
-  cloud = clouds[index] ??= decoded(index);
+  cloud = found;
   const names = Object.keys(cloud.values), uncertain = names.filter(name => data.uncertain.includes(name));
   const keep = (wanted, all, otherwise) => all.includes(wanted) ? wanted : otherwise;
   state.colour = keep(state.colour, names, names[0]);
@@ -57,16 +88,17 @@ function open(index) {  // a scan of this page
   options(byId("colour"), names, title);
   options(byId("by"), uncertain, title);
   byId("by").closest("label").hidden = !uncertain.length;
-  Object.assign(byId("scan"), { value: index });
   byId("colour").value = state.colour;
   byId("by").value = state.by;
   view?.show(cloud);
+  drive.point(data.drive.shown.indexOf(index));
   point(-1);
   filter();
   paint();
 }
 
 function paint() {  // in the chosen colours
+  if (!cloud) return;
   palette = paletteOf(state.colour);
   view?.colour(cloud.values[state.colour], palette);
   const scale = data.scales[state.colour];
@@ -84,6 +116,7 @@ function paint() {  // in the chosen colours
 }
 
 function filter() {  // by class and by uncertainty
+  if (!cloud) return;
   const { values, shown } = cloud, above = values[state.by];
   visible = new Uint8Array(shown).fill(1);
   for (const [name, hidden] of Object.entries(state.hidden)) {
@@ -145,6 +178,7 @@ function legend() {
 }
 
 function strip() {  // the range image: of each pixel the nearest point
+  if (!cloud) return;
   const canvas = byId("strip"), { width, height, first, values } = cloud, ids = values[state.colour];
   const tall = Math.max(1, Math.round(width / height / 10));  // rows are drawn higher than wide
   Object.assign(canvas, { width, height });
@@ -172,6 +206,7 @@ function pixelOf(index) {  // -1 for a point without one
 }
 
 function point(index) {  // at one point, in three dimensions and in the range image
+  if (!cloud) return;
   view?.mark(index);
   const box = byId("point"), { values, width } = cloud;
   box.hidden = index < 0;
@@ -195,6 +230,7 @@ function point(index) {  // at one point, in three dimensions and in the range i
 }
 
 function remember() {
+  if (!cloud) return;
   const { hidden } = state, parts = { scan: cloud.name, colour: state.colour };
   if (state.by && state.above < TOP) Object.assign(parts, { by: state.by, above: +valueOf(state.by, state.above).toPrecision(3) });
   if (state.size !== 2) parts.size = state.size;
@@ -216,12 +252,29 @@ function recall() {  // the state that the address holds
   if (scale && wanted.has("above")) state.above = Math.min(TOP, Math.max(0, Math.round((+wanted.get("above") - scale.low) / (scale.high - scale.low) * TOP) || 0));
   byId("size").value = state.size;
   if (view) view.size = state.size;
-  open(Math.max(0, scan));
+  return open(Math.max(0, scan));
+}
+
+async function play(on) {  // one scan after the other, to the last
+  if (on === playing) return;
+  playing = on;
+  byId("play").textContent = on ? "pause" : "play";
+  const last = data.shown.length - 1;
+  if (on && state.scan === last) await open(0);
+  while (playing && state.scan < last) {
+    const next = state.scan + 1;
+    await Promise.all([open(next), new Promise(done => setTimeout(done, PAUSE_MS))]);
+    if (state.scan !== next) break;
+    if (next < last) cloudAt(next + 1);
+  }
+  if (on) play(false);
 }
 
 function listen() {
   const on = (id, name, change) => byId(id).addEventListener(name, () => change(byId(id).value));
   on("scan", "change", value => open(+value));
+  on("place", "input", value => open(+value));
+  byId("play").addEventListener("click", () => play(!playing));
   on("colour", "change", value => { state.colour = value; paint(); });
   on("by", "change", value => { state.by = value; filter(); strip(); remember(); });
   on("above", "input", value => { state.above = +value; filter(); strip(); });
@@ -246,11 +299,13 @@ function listen() {
 }
 
 function start() {
-  options(byId("scan"), [...data.shown.keys()], i => `${data.shown[i].name} · ${data.shown[i].reason}`);
+  options(byId("scan"), [...data.shown.keys()], i => [data.shown[i].name, data.shown[i].reason].filter(Boolean).join(" · "));
+  byId("place").max = data.shown.length - 1;
+  byId("through").hidden = data.shown.length < 2;
   for (const each of data.classes) each.css = `rgb(${each.rgb})`;
-  const drive = { ...data.drive, count: data.drive.names.length };
-  for (const name of ["shares", "uncertainty", "wrong"]) drive[name] = floats(drive[name]);
-  new DriveView(byId("columns"), byId("column"), drive, data.classes, index => {
+  const scans = { ...data.drive, count: data.drive.names.length, marked: !data.live };
+  for (const name of ["shares", "uncertainty", "wrong"]) scans[name] = floats(scans[name]);
+  drive = new DriveView(byId("columns"), byId("column"), scans, data.classes, index => {
     open(index);
     byId("scans").scrollIntoView({ behavior: "smooth" });
   });
@@ -266,8 +321,7 @@ function start() {
     byId("hint").textContent = `No view of points: this browser gives ${error.message}.`;
   }
   listen();
-  recall();
-  document.documentElement.dataset.ready = "yes";
+  recall().then(() => { document.documentElement.dataset.ready = "yes"; });
 }
 
 start();

@@ -1,0 +1,69 @@
+# SPDX-License-Identifier: MIT
+"""`salsanext view`."""
+
+import getpass
+import os
+from typing import Annotated
+
+import typer
+
+from salsanext_cli.cli import console, options, run_end, run_options, selection_options
+from salsanext_cli.cli.option_groups import Without
+from salsanext_cli.errors import counted
+
+
+def view(
+    *,
+    results: selection_options.Results,
+    port: Annotated[
+        int, typer.Option(help="Port on this machine; 0: any free one.", min=0, max=65535)
+    ] = 8765,
+    selection: selection_options.ResultSelection,
+    classes: selection_options.Classes,
+    merged: options.MergedClasses,
+    running: Annotated[run_options.RunningUnsharded, Without({"overwrite"})],
+    output: console.Output,
+) -> None:
+    """Show all scans of a run in the browser, until Ctrl-C.
+
+    Example: salsanext view out/
+    """
+    from salsanext_cli.stages.view import view as stage
+
+    with running.over_scans("view", output) as run:
+        server = stage(
+            results.folder(),
+            port=port,
+            dataset=selection.dataset,
+            space=classes.space(),
+            classes=merged.space(),
+            selection=selection.scans(),
+            options=run,
+        )
+    run_end.name_failures(server.failures)
+    scans, left_out = counted(server.scans, "scan"), run_end.left_out(server.missing)
+    output.say(f"view: {scans}{left_out} → {server.url} (Ctrl-C ends it)")
+    if forwarding := _forwarding(server.server_port, os.environ.get("SSH_CONNECTION", "")):
+        output.say(f"from the machine that you sit at, first: {forwarding}")
+    try:
+        with server:
+            output.result(server.to_dict())
+            server.serve_forever()
+    except console.Terminated:
+        raise
+    except KeyboardInterrupt:
+        output.say("view: ended")
+    run_end.leave(server.failures, server.missing)
+
+
+def _forwarding(port: int, connection: str) -> str:
+    """Return the command that brings a port of this machine to where an SSH session comes from.
+
+    `connection` is the environment variable SSH_CONNECTION: client, its port, server, its port.
+    """
+    match connection.split():
+        case [_, _, host, ssh_port]:
+            other_port = f" -p {ssh_port}" if ssh_port != "22" else ""
+            user = getpass.getuser()
+            return f"ssh -N -L {port}:127.0.0.1:{port}{other_port} {user}@{host}"
+    return ""

@@ -1,0 +1,96 @@
+# SPDX-License-Identifier: MIT
+"""Results of a run, from which its page is put together."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from salsanext_cli.errors import counted, first_few, printable
+from salsanext_cli.measures.drive import ScanRow
+from salsanext_cli.measures.scan_counts import ScanCounts
+from salsanext_cli.report.page.content import Comparison, content_of
+from salsanext_cli.report.page.facts import facts_of_run, warnings_of_run
+from salsanext_cli.report.page.html import PageContent
+from salsanext_cli.report.page.shown_scans import ShownScan, read_shown
+from salsanext_cli.storage.sources import MissingResults
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RunResults:
+    """Results of a run in numbers per scan, and what its scans are read with.
+
+    Attributes
+    ----------
+    out : Path
+        The output folder.
+    rows : sequence of ScanRow
+        Scans that could be read, in their order; at least one.
+    counts : ScanCounts or None
+        Of the scans with labels; None without any.
+    missing : MissingResults
+        Scans without results, left out.
+    how : dict
+        Arguments that `read_row` and `read_shown` take alike for all scans.
+    """
+
+    out: Path
+    rows: Sequence[ScanRow]
+    counts: ScanCounts | None
+    missing: MissingResults
+    how: dict[str, Any]
+
+    def read(self, row: ScanRow, reason: str = "") -> ShownScan:
+        """Read a scan to be shown; raises as `read_shown`."""
+        return read_shown(row.file, reason, self.out, **self.how)
+
+    def compared(self) -> Comparison | None:
+        """Compare the scans that have labels with these; None without any."""
+        return Comparison.of(self.counts, self.how["space"]) if self.counts else None
+
+    def content(
+        self,
+        shown: Sequence[ShownScan],
+        compared: Comparison | None,
+        failed: Sequence[str],
+        *,
+        live: bool = False,
+    ) -> PageContent:
+        """Put the page together.
+
+        Parameters
+        ----------
+        shown, compared, live
+            As for `content_of`.
+        failed : sequence of str
+            Reasons why scans are left out.
+        """
+        # The folder above often says more.
+        title = "/".join(self.out.absolute().parts[-2:])
+        space, sensor = self.how["space"], self.how["sensor"]
+        warnings = [*self._warnings(), *map(printable, failed)]
+        return content_of(
+            *(title, facts_of_run(self.out, sensor), warnings),
+            rows=self.rows,
+            compared=compared,
+            shown=shown,
+            space=space,
+            sensor=sensor,
+            live=live,
+        )
+
+    def _warnings(self) -> list[str]:
+        """Return every reason to doubt the page, a line each."""
+        lines = warnings_of_run(self.out, {row.name for row in self.rows})
+        for what, ids in (
+            ("labels", self.counts.unknown_truth if self.counts else {}),
+            ("predictions", self.counts.unknown_predictions if self.counts else {}),
+        ):
+            if ids:
+                listed = first_few([f"{i} ({n:,}×)" for i, n in sorted(ids.items())])
+                lines.append(f"{what}: unknown ids {listed} are taken as unlabelled")
+        if self.missing.scans:
+            lines.append(f"{counted(len(self.missing.scans), 'scan')} without results left out")
+        return lines
