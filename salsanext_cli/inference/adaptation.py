@@ -126,9 +126,7 @@ def _adapted_to(
         digest.update(network.input_array(channels).tobytes())
     path = out / NAME.format(digest.hexdigest()[:12])
     with locked(out / ".adapted.lock", LOCK_TIMEOUT_S):
-        if WrittenFiles(out).others([path]):
-            found = "is not as salsanext wrote it"
-            raise OutputError(path, found, remedy="move it, or use another output folder")
+        WrittenFiles(out).require_replaceable([path])
         if not filled(path):
             log.log(NOTICE, "adapting to %s: %s", counted(len(images), "scan"), path)
             WrittenFiles(out).write(path, _adapted(network, weights, images), durable=True)

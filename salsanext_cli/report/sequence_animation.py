@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from salsanext_cli.classes import LabelSpace
-from salsanext_cli.errors import NOTICE, OutputError, counted
+from salsanext_cli.errors import NOTICE, counted
 from salsanext_cli.report.animation import encode_gif, encode_mp4
 from salsanext_cli.report.colours import OUTCOMES, map_on_dark, on_dark
 from salsanext_cli.storage.layout import ScanFile
@@ -28,9 +28,7 @@ def require_animations_replaceable(
     """Refuse to replace animations of other programs, before anything is drawn."""
     sequences = dict.fromkeys(scan.sequence for scan in scans)
     paths = [_animation(out, sequence, form) for form in animations for sequence in sequences]
-    if others := WrittenFiles(out).others(paths):
-        found = "was changed, or not written by salsanext, and is kept"
-        raise OutputError(others[0], found, remedy="move it, or use another output folder")
+    WrittenFiles(out).require_replaceable(paths)
 
 
 def animate(

@@ -11,7 +11,7 @@ from typing import Any
 
 from salsanext_cli import __version__
 from salsanext_cli.classes import LabelSpace
-from salsanext_cli.errors import LabelError, NoInputError, OutputError, as_text, counted, first_few
+from salsanext_cli.errors import LabelError, NoInputError, as_text, counted, first_few
 from salsanext_cli.formats.reading import present
 from salsanext_cli.measures.confusion import Confusion
 from salsanext_cli.measures.scan_counts import RING_NAMES, ScanCounts, count_scan
@@ -145,7 +145,8 @@ def evaluate(
     if labels.learning_map != space.learning_map:
         own["label_space_of_labels"] = labels.to_dict()
     settings = dict(as_json({**(settings or {}), **own}))
-    _require_replaceable(out)
+    own_files = [out / name for name in FILES]
+    WrittenFiles(out).require_replaceable(own_files)
     _require_labels(scans)
     counts = ScanCounts.none(space, by_distance)
     count = partial(count_scan, out=out, space=space, labels=labels, merging=merging)
@@ -173,18 +174,11 @@ def evaluate(
     files = _files(evaluation)
     with records_lock(out):
         sweep_stale(out)
-        _require_replaceable(out)
-        WrittenFiles(out).remove(out / name for name in FILES if name not in files)
+        WrittenFiles(out).require_replaceable(own_files)
+        WrittenFiles(out).remove(path for path in own_files if path.name not in files)
         for name, content in files.items():
             WrittenFiles(out).write(out / name, content, durable=True)
     return evaluation
-
-
-def _require_replaceable(out: Path) -> None:
-    """Refuse to replace files of other programs; those of an earlier evaluation are made anew."""
-    if others := WrittenFiles(out).others(out / name for name in FILES):
-        found = "exists, and was not recorded by salsanext or was changed since"
-        raise OutputError(others[0], found, remedy="move it, or use another folder")
 
 
 def _require_labels(scans: Sequence[ScanFile]) -> None:

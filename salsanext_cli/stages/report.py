@@ -10,7 +10,6 @@ from typing import Any
 from salsanext_cli.classes import LabelSpace
 from salsanext_cli.errors import (
     NoInputError,
-    OutputError,
     SalsanextError,
 )
 from salsanext_cli.measures.drive import ScanRow, named, read_row, worth_looking_at
@@ -125,7 +124,7 @@ def report(
         If nothing can be done at all; failures of single scans are in the result.
     """
     page = out / PAGE
-    _require_replaceable(out, page)
+    WrittenFiles(out).require_replaceable([page])
     run, failures = read_run(
         out,
         dataset=dataset,
@@ -143,7 +142,7 @@ def report(
     written = html_of(content).encode()
     with records_lock(out):
         sweep_stale(out)
-        _require_replaceable(out, page)
+        WrittenFiles(out).require_replaceable([page])
         WrittenFiles(out).write(page, written, durable=True)
     kept = compared.uncertainty.kept if compared else None
     return Report(
@@ -180,12 +179,6 @@ def read_run(
     how = {"space": results_space, "labels": labels, "merging": merging, "sensor": sensor}
     rows, counts, failures = _rows(files, out, how, by_distance, options)
     return RunResults(out, rows, counts, missing, how), failures
-
-
-def _require_replaceable(out: Path, page: Path) -> None:
-    if WrittenFiles(out).others([page]):
-        found = "exists, and was not recorded by salsanext or was changed since"
-        raise OutputError(page, found, remedy="move it, or rename it")
 
 
 def _rows(

@@ -18,6 +18,7 @@ from pathlib import Path
 from typing import BinaryIO
 from urllib.parse import quote_from_bytes, unquote_to_bytes
 
+from salsanext_cli.errors import OutputError
 from salsanext_cli.formats.reading import reading
 from salsanext_cli.storage.files.atomic import refusal, writing
 
@@ -70,6 +71,18 @@ class WrittenFiles:
             if self._behind_link(path)
             or (status.st_size and (status.st_size, status.st_mtime_ns) not in states.get(path, ()))
         ]
+
+    def require_replaceable(self, paths: Iterable[Path]) -> None:
+        """Refuse to replace files that salsanext did not write, or that were changed since.
+
+        Raises
+        ------
+        OutputError
+            For the first of `others`.
+        """
+        if others := self.others(paths):
+            found = "exists, and was not recorded by salsanext or was changed since"
+            raise OutputError(others[0], found, remedy="move it, or use another folder")
 
     def remove(self, paths: Iterable[Path]) -> list[Path]:
         """Remove some files if they are as salsanext wrote them; return those that are kept.

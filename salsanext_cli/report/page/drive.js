@@ -105,7 +105,9 @@ class DriveView {
     pen.beginPath();
     let known = false;
     for (let column = 0; column < columns; column++) {
-      const value = values[scan(column)], y = CURVE_PX - value / most * (CURVE_PX - 22);
+      let value = values[scan(column)];  // the highest, where a column is several scans
+      for (let i = scan(column) + 1; i < scan(column + 1); i++) if (values[i] > value || Number.isNaN(value)) value = values[i];
+      const y = CURVE_PX - value / most * (CURVE_PX - 22);
       if (Number.isNaN(value)) known = false;
       else if (known) pen.lineTo((column + 0.5) * per, y);
       else { pen.moveTo((column + 0.5) * per - 2, y); pen.lineTo((column + 0.5) * per, y); known = true; }
