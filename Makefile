@@ -50,6 +50,8 @@ docs: $(INSTALLED)
 	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable '.[docs]'
 	$(BIN)/python docs/reference.py
 	$(BIN)/mkdocs build --strict
+	$(BIN)/salsanext demo $(DEMO)
+	install -D -m 644 $(DEMO)/out/report.html site/example/report.html
 
 clean:
 	rm -rf .venv site demo .pytest_cache .mypy_cache .ruff_cache .hypothesis
