@@ -30,7 +30,9 @@ def test_they_are_small_half_precision_and_say_what_they_are():
     assert "not for use on real roads" in card.description
     # How often a training was validated changes nothing of what it learnt.
     seldom = recipe("street").with_changes(validate_every=card.recipe["validate_every"])
-    assert Recipe.from_dict(card.recipe) == seldom.with_changes(precision="bfloat16")
+    # They may have begun from others, whose name is no recipe's.
+    plan = Recipe.from_dict({**card.recipe, "initial": "random"})
+    assert plan == seldom.with_changes(precision="bfloat16")
 
 
 def test_they_know_a_street_that_they_never_saw(tmp_path):

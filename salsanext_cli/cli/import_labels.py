@@ -8,7 +8,7 @@ import typer
 
 from salsanext_cli.cli import console, options, run_options, selection_options
 from salsanext_cli.cli.progress import progress, tell
-from salsanext_cli.errors import printable
+from salsanext_cli.errors import counted, printable
 
 
 def import_labels(
@@ -64,4 +64,6 @@ def import_labels(
         tell(f"error: {failure['reason']}")
     for line in imported_lines(made, dataset):
         output.say(printable(line))
+    if merged := sum(len(scan["files"]) > 1 for scan in made.scans):
+        output.say(f"merged from several files: {counted(merged, 'scan')}")
     raise typer.Exit(console.FAILED if made.failures else console.DONE)

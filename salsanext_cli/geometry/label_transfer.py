@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: MIT
-"""Transfer of labels between two clouds of the same points, matched by their coordinates."""
+"""Transfer of labels between clouds of the same points, matched by their coordinates."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -35,6 +36,8 @@ class LabelTransfer:
         Points that have a label of the cloud.
     ambiguous : (N,) bool
         Points at which the cloud has several labels.
+    exact : (N,) bool
+        Points of which a copy has the same coordinates.
     unmatched : (U,) float64
         Distance of each point of the cloud that is a copy of none to the nearest point, metres;
         infinite without any.
@@ -45,6 +48,7 @@ class LabelTransfer:
     labels: Labels
     known: Bools
     ambiguous: Bools
+    exact: Bools
     unmatched: npt.NDArray[np.float64]
     cloud_points: int
 
@@ -52,6 +56,10 @@ class LabelTransfer:
     def missing(self) -> Bools:
         """Points that the cloud lacks, (N,) bool."""
         return ~(self.known | self.ambiguous)
+
+    def filled(self, label: int) -> Labels:
+        """Return the labels, (N,) uint32, with one for all points that have none."""
+        return np.where(self.known, self.labels, np.uint32(label))
 
 
 def transfer_labels(points: Float, cloud: Float, labels: Labels) -> LabelTransfer:
@@ -86,10 +94,40 @@ def transfer_labels(points: Float, cloud: Float, labels: Labels) -> LabelTransfe
     of_points, first = np.unique(place, return_index=True)
     distances = _nearest(cloud[~np.isin(place_of_cloud, of_points)], wanted[first])
     found = np.zeros(len(points), np.uint32)
-    known, ambiguous = np.zeros((2, len(points)), bool)
-    known[finite], ambiguous[finite] = low == high, low < high
+    known, ambiguous, exact = np.zeros((3, len(points)), bool)
+    known[finite], ambiguous[finite], exact[finite] = low == high, low < high, ~alone
     found[known] = low[low == high]
-    return LabelTransfer(found, known, ambiguous, distances[distances > TOLERANCE_M], len(cloud))
+    unmatched = distances[distances > TOLERANCE_M]
+    return LabelTransfer(found, known, ambiguous, exact, unmatched, len(cloud))
+
+
+def merged_transfers(parts: Sequence[LabelTransfer], unlabelled: int) -> LabelTransfer:
+    """Return the labels that several clouds give to the same points.
+
+    Of a point that has copies of the same coordinates in some clouds, only these count. Different
+    labels of two clouds leave a point without any, unless one of them is `unlabelled`.
+
+    Parameters
+    ----------
+    parts : sequence of LabelTransfer
+        One at least.
+    unlabelled : int
+        Label, in the lower 16 bits, of points that a cloud leaves open.
+    """
+    exact = np.any([part.exact for part in parts], axis=0)
+    labels = np.zeros(len(exact), np.uint32)
+    known, given, ambiguous = np.zeros((3, len(exact)), bool)
+    for part in parts:
+        counts = part.exact | ~exact
+        own = part.known & counts & (part.labels & 0xFFFF != unlabelled)
+        ambiguous |= (part.ambiguous & counts) | (own & given & (labels != part.labels))
+        open_yet = part.known & counts & ~given
+        labels[open_yet] = part.labels[open_yet]
+        known, given = known | open_yet, given | own
+    labels[ambiguous] = 0
+    unmatched = np.concatenate([part.unmatched for part in parts])
+    clouds = sum(part.cloud_points for part in parts)
+    return LabelTransfer(labels, known & ~ambiguous, ambiguous, exact, unmatched, clouds)
 
 
 def _places(points: Float) -> npt.NDArray[np.intp]:

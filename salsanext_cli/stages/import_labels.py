@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
-from salsanext_cli.classes import LabelSpace
+from salsanext_cli.classes import LabelSpace, RawIds
 from salsanext_cli.errors import (
     LabelError,
     NoInputError,
@@ -30,9 +30,10 @@ from salsanext_cli.sensors import Sensor
 from salsanext_cli.storage.files.locks import locked
 from salsanext_cli.storage.labelling.edited_files import find_edited, scan_of_edited
 from salsanext_cli.storage.labelling.edited_labels import (
-    EditedLabels,
+    FileLabels,
     UnknownIds,
-    read_edited_labels,
+    edited_labels,
+    read_file_labels,
 )
 from salsanext_cli.storage.labelling.label_import import LabelImport
 from salsanext_cli.storage.labelling.label_records import (
@@ -66,7 +67,8 @@ def import_labels(
     ----------
     edited : Path
         A cloud with a label scalar (PLY, PCD, LAS, LAZ), a `.label` or `.npy` file, or a folder of
-        such files, which are matched to scans by their names as `scan_of_edited` does.
+        such files, which are matched to scans by their names as `scan_of_edited` does. Those of
+        one scan are merged.
     dataset : Path
         Data set or folder of scans, as `find_scans` takes it.
     scalar : str, optional
@@ -107,8 +109,6 @@ def import_labels(
         for done, (scan, paths) in enumerate(of_scan.items(), start=1):
             try:
                 work.import_scan(scan, paths, records[labels_root(scan)], found)
-            except UnknownIds as error:
-                work.unknown[Path(error.subject)] = error.points
             except SalsanextError as error:
                 found.fail(paths, error)
             if progress:
@@ -164,41 +164,58 @@ class _Work:
     def import_scan(
         self, scan: ScanFile, paths: Sequence[Path], records: LabelRecords, found: LabelImport
     ) -> None:
-        """Write the labels of a scan, from the only one of some files that was edited."""
+        """Write the labels of a scan, merged from those of some files that were edited."""
         points = read_scan(scan.path, self.sensor).points
-        read: dict[Path, tuple[EditedLabels, bytes]] = {}
+        read: dict[Path, FileLabels] = {}
+        unknown: dict[Path, Counter[int]] = {}
         for path in paths:
-            labels = read_edited_labels(path, points, found.space, self.meanings, self.scalar)
-            content = encode_labels(labels.raw)
-            is_guess = records.is_guess(scan, hashlib.sha256(content).hexdigest())
-            if is_guess and not self.is_named:
-                found.unedited.append(str(path))
-                continue
-            if is_guess:
-                log.warning("%s: holds the first guess, all of it", path)
-            read[path] = labels, content
-        if len(read) > 1:
-            several = f"{len(read)} edited files: {first_few([*read])}"
-            raise LabelError(name_of(scan), several, "one", "leave out the others")
-        for path, (labels, content) in read.items():
-            kept = path != scan.label_path and not records.is_replaceable(scan, path)
-            if kept and not self.overwrite:
-                self.refused[path] = scan.label_path
-                continue
-            about = {"file": str(path), "points": len(points), **labels.numbers()}
-            records.write(scan, content, about)
-            found.scans.append({"scan": name_of(scan), **about})
-            train = found.space.to_train(labels.raw, strict=False)
-            found.class_points += np.bincount(train, minlength=found.space.class_count)
+            try:
+                read[path] = read_file_labels(path, points, self.meanings, self.scalar)
+            except UnknownIds as error:
+                unknown[path] = error.points
+        if unknown:
+            # No scan is imported in part: its other files fail too.
+            self.unknown.update({path: unknown.get(path, Counter()) for path in paths})
+            return
+        none, space = self.meanings.unlabelled, found.space
+
+        def is_guess(raw: RawIds) -> bool:
+            return records.is_guess(scan, hashlib.sha256(encode_labels(raw)).hexdigest())
+
+        edited = {
+            path: part
+            for path, part in read.items()
+            if self.is_named or not is_guess(part.found.filled(none))
+        }
+        labels = edited_labels(edited, space, none) if edited else None
+        if labels and is_guess(labels.raw):
+            if self.is_named:
+                log.warning("%s: holds the first guess, all of it", paths[0])
+            else:
+                # Parts of it that nobody corrected.
+                edited = {}
+        found.unedited += [str(path) for path in paths if path not in edited]
+        if not (edited and labels):
+            return
+        kept = [*paths] != [scan.label_path] and not records.is_replaceable(scan, edited)
+        if kept and not self.overwrite:
+            self.refused.update(dict.fromkeys(edited, scan.label_path))
+            return
+        about = {"files": [*map(str, edited)], "points": len(points), **labels.numbers()}
+        records.write(scan, encode_labels(labels.raw), about)
+        found.scans.append({"scan": name_of(scan), **about})
+        train = space.to_train(labels.raw, strict=False)
+        found.class_points += np.bincount(train, minlength=space.class_count)
 
     def fail_together(self, found: LabelImport) -> None:
         """Add one failure for all files with unknown ids, and one for all that were refused."""
         if self.unknown:
             total = sum(self.unknown.values(), Counter[int]())
-            error = UnknownIds(first_few([*self.unknown]), total, self.meanings)
+            wrong = [path for path, points in self.unknown.items() if points]
+            error = UnknownIds(first_few(wrong), total, self.meanings)
             found.fail(self.unknown, error)
         if self.refused:
-            there = first_few([*self.refused.values()])
+            there = first_few([*dict.fromkeys(self.refused.values())])
             text = "kept: changed, not written by salsanext, or imported from another file"
             remedy = "move them, or replace them with --overwrite"
             found.fail(self.refused, OutputError(there, text, remedy=remedy))

@@ -173,7 +173,7 @@ def pick(
             data_set.begin(record)
         write = partial(write_scan, samples=SAMPLES, seed=seed, data_set=data_set)
         task = NetworkTask(write, resolved, loaded)
-        classes = space if space.fits(loaded.space) else loaded.space
+        classes = space if space.fits(loaded.space) else space_of([], loaded.space)
         outcome = _written(task, data_set, record, scans, options, classes)
     return Picking(tuple(record.picked), len(scans), outcome, record.warnings)
 

@@ -6,7 +6,7 @@ import math
 import os
 import signal
 from collections import Counter
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import closing
 from dataclasses import replace
 from functools import partial
@@ -17,6 +17,7 @@ from typing import Any
 import numpy as np
 import yaml
 
+from salsanext_cli import __version__
 from salsanext_cli.classes import label_space
 from salsanext_cli.errors import OutputError, UsageError, counted
 from salsanext_cli.formats.clouds.kitti import encode_bin
@@ -102,21 +103,13 @@ def synthesise(
     _check({f"--{split}": count for split, count in counts.items()}, scans, seed, spacing, jobs)
     if sensor not in RIGS:
         raise UsageError("--sensor", sensor, f"one of {', '.join(RIGS)}")
-    names = [f"{number:02d}" for number in range(sum(counts.values()))]
-    unused = iter(names)
-    splits = {split: tuple(islice(unused, count)) for split, count in counts.items()}
+    made_with = manifest(counts, scans, seed, spacing, sensor)
+    splits = made_with["settings"]["splits"]
+    names = [name for members in splits.values() for name in members]
     import_open3d()
     _require_room(out, names, scans, overwrite)
-    settings = {
-        "splits": splits,
-        "scans": scans,
-        "seed": seed,
-        "spacing": spacing,
-        "sensor": sensor,
-    }
     written = WrittenFiles(out)
-    manifest = encode_json({"stage": "synth", "settings": settings})
-    written.write(out / MANIFEST, manifest, durable=True)
+    written.write(out / MANIFEST, encode_json(made_with), durable=True)
     total = len(names) * scans
     points: Counter[int] = Counter()
     write = partial(_write_sequence, out, scans, seed, spacing, sensor)
@@ -130,11 +123,21 @@ def synthesise(
         for name in names:
             for folder in ("velodyne", "labels"):
                 sweep(out / "sequences" / name / folder, MARK.get())
-    space = replace(label_space("semantic-kitti"), name="synthetic-street", splits=splits)
+    space = replace(label_space("semantic-kitti"), splits=splits)
     text = yaml.safe_dump(space.to_dict(), sort_keys=False, allow_unicode=True)
     written.write(out / LABEL_SPACE, text.encode())
     made = {"scans": total, "splits": splits, "points": dict(sorted(points.items()))}
     return {"stage": "synth", **made}
+
+
+def manifest(
+    counts: Mapping[str, int], scans: int, seed: int, spacing: float, sensor: str
+) -> dict[str, Any]:
+    """Return the record of a data set, its sequences by split; parameters as of `synthesise`."""
+    names = map("{:02d}".format, range(sum(counts.values())))
+    splits = {split: tuple(islice(names, count)) for split, count in counts.items()}
+    how = {"scans": scans, "seed": seed, "spacing": spacing, "sensor": sensor}
+    return {"stage": "synth", "version": __version__, "settings": {"splits": splits} | how}
 
 
 def _check(sequences: dict[str, int], scans: int, seed: int, spacing: float, jobs: int) -> None:

@@ -14,8 +14,11 @@ from salsanext_cli.network.card import default_weights
 from salsanext_cli.parallel.threads import worker_count
 from salsanext_cli.report.training_sample import draw_sample
 from salsanext_cli.sensors import Sensor
-from salsanext_cli.stages.synth import LABEL_SPACE, synthesise
+from salsanext_cli.stages.synth import LABEL_SPACE, MANIFEST, manifest, synthesise
+from salsanext_cli.storage.files.identity import fingerprint
+from salsanext_cli.storage.files.json_files import read_json
 from salsanext_cli.storage.selection import evenly_spaced
+from salsanext_cli.storage.stage_records import as_json
 from salsanext_cli.synthesis.sensor.rig import RIGS
 from salsanext_cli.training.cross_validation import Expectation
 from salsanext_cli.training.data.class_counts import ClassCounts, class_counts, require_labels
@@ -146,8 +149,7 @@ def train(
         expected = f"at least one sample for each of {size} workers"
         remedy = "start fewer workers or set batch higher"
         raise UsageError("recipe key batch", f"{recipe.batch}", expected, remedy)
-    if weights is None and recipe.initial == "default":
-        weights = default_weights()
+    start = default_weights() if weights is None and recipe.initial == "default" else weights
     with process_group(device) as (group, place), ExitStack() as held:
         classes, training, validation = group.on_main(
             lambda: scans_to_train_on(dataset, space, divisible=recipe.folds > 0)
@@ -155,13 +157,13 @@ def train(
         if recipe.precision == "auto":
             begun = None if overwrite else group.on_main(lambda: recorded_precision(run))
             recipe = replace(recipe, precision=begun or common_precision(place, group))
-        initial, card = initial_network(weights, classes, recipe)
-        sensor = _as_trained(sensor, card.sensor) if sensor else card.sensor
+        initial, card = initial_network(start, classes, recipe, sensor)
+        sensor = card.sensor
         require_pixels(recipe, sensor, initial, group)
         roots = ", ".join(path.resolve().name for path in (dataset, *also))
         further = group.on_main(lambda: [further_source(path, classes, sensor) for path in also])
         given = [Source(files, classes, sensor) for files in (training, validation)] + further
-        settings = training_settings(recipe, given, weights)
+        settings = training_settings(recipe, given, start)
 
         def prepare() -> tuple[list[Source], ClassCounts]:
             held.enter_context(trained_alone(run))
@@ -176,22 +178,23 @@ def train(
             if strict:
                 counts.require_no_warnings(dataset)
             begin(run, settings, overwrite=overwrite)
-            start = (
-                weights.name
-                if weights
-                else "random weights (--weights default: those of the package)"
-            )
-            log.log(NOTICE, "training from %s", start)
+            random = "random weights (--weights default: those of the package)"
+            log.log(NOTICE, "training from %s", start.name if start else random)
             return [replace(scored, files=validated), *sources], counts
 
         (scored, *sources), counts = group.on_main(prepare)
         simulated = ", simulated streets" if len(sources) > 1 + len(also) else ""
         description = f"Trained with `salsanext train` on {roots}{simulated}."
+        # The recipe says which without --weights.
+        text = f"{weights.name} (SHA-256 {fingerprint(weights)[:16]})" if weights else ""
+        begun_from = {"initial": text} if weights else {}
         setup = Setup(
             run=run,
             recipe=recipe,
             initial=initial,
-            card=replace(card, sensor=sources[0].sensor, description=description),
+            card=replace(
+                card, sensor=sources[0].sensor, recipe=begun_from, description=description
+            ),
             sources=sources,
             counts=counts,
             sets=class_sets(source.space for source in sources),
@@ -214,9 +217,10 @@ def train(
 def _simulated_streets(
     folder: Path, count: int, classes: LabelSpace, sensor: Sensor, jobs: int
 ) -> list[Source]:
-    """Return data sets of simulated streets, one per kind of sensor, made if they are not there.
+    """Return data sets of simulated streets, one per kind of sensor, made unless they are there.
 
-    There are none for classes that they do not tell apart.
+    Those of another version or other settings are made anew. There are none for classes that they
+    do not tell apart.
     """
     if not count:
         return []
@@ -224,26 +228,17 @@ def _simulated_streets(
         log.log(NOTICE, "no simulated streets: they tell other classes apart than your labels")
         return []
     roots = {seen: folder / seen for seen in RIGS}
+    splits: dict[str, Any] = {"train": count, "valid": 0, "test": 0}
+    how: dict[str, Any] = {"scans": SCANS_OF_STREET, "seed": 0, "spacing": STREET_SPACING_M}
     for seen, root in roots.items():
+        wanted = as_json(manifest(splits, **how, sensor=seen))
+        found = read_json(root / MANIFEST)
         made = len([*root.glob("sequences/*/velodyne/*.bin")])
         # The label space is written last.
-        if made != count * SCANS_OF_STREET or not (root / LABEL_SPACE).exists():
-            log.log(NOTICE, "simulating %s in %s", counted(count, "street"), root)
-            synthesise(
-                root,
-                train=count,
-                valid=0,
-                scans=SCANS_OF_STREET,
-                spacing=STREET_SPACING_M,
-                sensor=seen,
-                jobs=jobs,
-                overwrite=True,
-            )
+        whole = made == count * SCANS_OF_STREET and (root / LABEL_SPACE).exists()
+        if not whole or found != wanted:
+            others = ": those there are of another version or settings"
+            why = "" if found in (None, wanted) else others
+            log.log(NOTICE, "simulating %s in %s%s", counted(count, "street"), root, why)
+            synthesise(root, **splits, **how, sensor=seen, jobs=jobs, overwrite=True)
     return [further_source(root, classes, sensor) for root in roots.values()]
-
-
-def _as_trained(sensor: Sensor, trained: Sensor) -> Sensor:
-    """Return a sensor that, unless it knows its own, has intensity and gaps of initial weights."""
-    quantiles = sensor.intensity_quantiles or trained.intensity_quantiles
-    gaps = trained.row_gaps if sensor.row_gaps is None else sensor.row_gaps
-    return replace(sensor, intensity_quantiles=quantiles, row_gaps=gaps)

@@ -3,6 +3,7 @@
 
 import logging
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +16,7 @@ from salsanext_cli.network.card import WeightsCard
 from salsanext_cli.network.registry import build
 from salsanext_cli.network.segmentation import SegmentationNetwork
 from salsanext_cli.network.weights import read_weights
-from salsanext_cli.sensors import sensor
+from salsanext_cli.sensors import Sensor, sensor
 from salsanext_cli.training.recipe import Recipe
 
 DEFAULT_SENSOR = "hdl64"
@@ -25,7 +26,7 @@ log = logging.getLogger(__name__)
 
 
 def initial_network(
-    weights: Path | None, space: LabelSpace, recipe: Recipe
+    weights: Path | None, space: LabelSpace, recipe: Recipe, own: Sensor | None
 ) -> tuple[SegmentationNetwork, WeightsCard]:
     """Return the network before training, and its card: architecture, classes, sensor.
 
@@ -39,6 +40,9 @@ def initial_network(
     space : LabelSpace
         Classes to train for.
     recipe : Recipe
+    own : Sensor, optional
+        Sensor to train for, by default that of the weights, else `DEFAULT_SENSOR`. Intensity and
+        gaps that it does not know are those of the weights.
 
     Raises
     ------
@@ -54,7 +58,7 @@ def initial_network(
         torch.manual_seed(recipe.seed)
         module = build(architecture, "recipe key architecture")
     if weights is None:
-        return module, WeightsCard(architecture, space, sensor(DEFAULT_SENSOR))
+        return module, WeightsCard(architecture, space, _completed(own, sensor(DEFAULT_SENSOR)))
     trained, card = read_weights(weights)
     tensors = trained.state_dict()
     if _shapes(trained) != _shapes(_shaped(architecture, card.space.class_count)):
@@ -64,7 +68,16 @@ def initial_network(
     if not card.space.fits(space):
         tensors |= _outputs(module, tensors, card.space, space, architecture)
     module.load_state_dict(tensors)
-    return module, WeightsCard(architecture, space, card.sensor)
+    return module, WeightsCard(architecture, space, _completed(own, card.sensor))
+
+
+def _completed(own: Sensor | None, trained: Sensor) -> Sensor:
+    """Return a sensor, or else that of trained weights, with what these know of it."""
+    if own is None:
+        return trained
+    quantiles = own.intensity_quantiles or trained.intensity_quantiles
+    gaps = trained.row_gaps if own.row_gaps is None else own.row_gaps
+    return replace(own, intensity_quantiles=quantiles, row_gaps=gaps)
 
 
 def _outputs(

@@ -23,10 +23,10 @@ from salsanext_cli.training.recipe import Recipe
 STAGE = "train"
 CHECKPOINT = "checkpoint.safetensors"
 LAST, BEST = "last.safetensors", "best.safetensors"
-LOG, CURVE = "log.csv", "curve.png"
+LOG, CURVE, ERROR = "log.csv", "curve.png", "error.json"
 RECIPE, CLASS_COUNTS = "recipe.toml", "class_counts.json"
 SAMPLES, EVENTS, FOLDS, STREETS = "samples", "tensorboard", "folds", "streets"
-RESULTS = (CHECKPOINT, BEST, LAST, LOG, CURVE)
+RESULTS = (CHECKPOINT, BEST, LAST, LOG, CURVE, ERROR)
 """Files that a new training in the folder removes, beside pictures and events."""
 
 log = logging.getLogger(__name__)

@@ -19,9 +19,7 @@ from salsanext_cli.errors import UsageError
 from salsanext_cli.inference.network import Network
 from salsanext_cli.inference.scan_fit import with_sensor
 from salsanext_cli.network.card import WeightsCard, read_card
-from salsanext_cli.network.error_model import ErrorModel
 from salsanext_cli.network.segmentation import SegmentationNetwork
-from salsanext_cli.network.weights import read_weights
 from salsanext_cli.sensors import Sensor
 from salsanext_cli.storage.layout import ScanFile
 from salsanext_cli.storage.written_files import WrittenFiles
@@ -33,6 +31,7 @@ from salsanext_cli.training.data.sources import Source
 from salsanext_cli.training.data.targets import ClassSets
 from salsanext_cli.training.distributed import ProcessGroup
 from salsanext_cli.training.fit import Report, Training
+from salsanext_cli.training.fold_errors import error_of_folds
 from salsanext_cli.training.learner import Learner
 from salsanext_cli.training.log import Row, tensorboard_in
 from salsanext_cli.training.recipe import Recipe
@@ -40,18 +39,11 @@ from salsanext_cli.training.run_folder import (
     BEST,
     CHECKPOINT,
     EVENTS,
-    LAST,
     begin,
     fold_folder,
     require_free,
 )
 from salsanext_cli.training.settings import scans_digest
-from salsanext_cli.training.tuning.error import cross_validated, gains, of_both_kinds
-from salsanext_cli.training.tuning.judged_points import (
-    JudgedPoints,
-    judged_points,
-    points_of_scan,
-)
 
 log = logging.getLogger(__name__)
 
@@ -80,7 +72,8 @@ class Setup:
     initial : SegmentationNetwork
         The network before training.
     card : WeightsCard
-        Card of the weights files, without scores.
+        Card of the weights files, without scores; of the recipe, keys with other values than the
+        recipe's.
     sources : sequence of Source
         All labelled scans of the data set, and further data sets.
     counts : ClassCounts
@@ -154,7 +147,7 @@ class Setup:
             learner=Learner(module, recipe, weights, self.place, self.group, self.sets),
             samples=Samples(trained_on, first.sensor, recipe, rare_classes(*of_class), self.sets),
             validation=validation,
-            card=replace(self.card, recipe=recipe.to_dict()),
+            card=replace(self.card, recipe={**recipe.to_dict(), **self.card.recipe}),
             workers=self.workers,
             draw=draw,
             write_epoch=self.held.enter_context(tensorboard),
@@ -174,6 +167,8 @@ class Setup:
 
         if expected is None:
             return replace(self, report=report)
+        scans = self.sources[0], self._folds()
+        fitted = partial(error_of_folds, self.run, *scans, expected.temperature, self.place)
         return replace(
             self,
             recipe=self.recipe.with_changes(epochs=expected.epochs),
@@ -181,7 +176,7 @@ class Setup:
                 self.card,
                 scores=expected.scores(),
                 temperature=expected.temperature,
-                error=self.group.on_main(partial(self._error_of_folds, expected.temperature)),
+                error=self.group.on_main(fitted),
             ),
             report=report,
         )
@@ -203,27 +198,6 @@ class Setup:
             report = partial(self._report_fold, number, len(parts))
             logs.append(self.training(files, left_out, folder, report=report).fit().rows)
         return expectation(logs, one_drive=len({file.sequence for file in first.files}) == 1)
-
-    def _error_of_folds(self, temperature: float) -> ErrorModel | None:
-        """Fit a model of errors to scans that a fold left out, each judged by the fold's weights.
-
-        There is none where it would tell no more than the confidence.
-        """
-        first, parts, judged = self.sources[0], self._folds(), dict[ScanFile, JudgedPoints]()
-        most = points_of_scan(len(first.files))
-        for number, part in enumerate(parts, start=1):
-            module, card = read_weights(fold_folder(self.run, number) / LAST)
-            # That of the final weights: the fold's own was fitted to these very scans.
-            card = replace(card, temperature=temperature)
-            network = Network(partial(module.to, self.place), card, card.sensor, str(self.place))
-            for file in part:
-                own = with_sensor(network, first.sensor_of(file))
-                judged[file] = judged_points(file, own, first.space, most)
-        model = cross_validated(judged, parts) if of_both_kinds(judged.values()) else None
-        if model is None or not gains(model):
-            log.warning("no model of errors: it would tell no more than the confidence")
-            return None
-        return model
 
     def _folds(self) -> list[list[ScanFile]]:
         files = self.sources[0].files

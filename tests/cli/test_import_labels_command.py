@@ -37,6 +37,11 @@ def test_what_is_imported_and_what_is_not_is_said(run, data, edited):
     (edited / "000001_done.ply").unlink()
     again = run("import-labels", edited, data, "--scalar", "mine")
     assert "without an edited file, as they were: 1 scan" in again.stderr
+    assert "merged" not in again.stderr
+    shutil.copy(edited / "000000_done.ply", edited / "000000_more.ply")
+    both = run("import-labels", edited, data, "--scalar", "mine")
+    assert both.exit_code == 0
+    assert "merged from several files: 1 scan" in both.stderr
 
 
 def test_json_has_the_numbers(run, data, edited, tmp_path):

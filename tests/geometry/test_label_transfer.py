@@ -6,7 +6,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from salsanext_cli.geometry.label_transfer import TOLERANCE_M, transfer_labels
+from salsanext_cli.geometry.label_transfer import (
+    TOLERANCE_M,
+    merged_transfers,
+    transfer_labels,
+)
 
 
 def slow_transfer(points, cloud, labels):
@@ -87,6 +91,57 @@ def test_equal_coordinates_count_before_near_ones():
     points = np.float32([[0, 0, 0], [0, 0, 0.0005], [0, 0, 0.0008]])
     found = transfer_labels(points, points[:2], np.uint32([7, 8]))
     assert as_listed(found) == [7, 8, "several"]
+
+
+def slow_merge(points, clouds, unlabelled):
+    """Return the label of each point by a loop over all places of all clouds."""
+    found = []
+    for point in points:
+        same = [(cloud == point).all(axis=1) for cloud, _ in clouds]
+        if not np.any([near.any() for near in same]):
+            offsets = [np.linalg.norm(cloud.astype("f8") - point, axis=1) for cloud, _ in clouds]
+            same = [each < TOLERANCE_M for each in offsets]
+        of_cloud = [
+            {*labels[near].tolist()} for near, (_, labels) in zip(same, clouds, strict=True)
+        ]
+        given = {label for each in of_cloud for label in each if label & 0xFFFF != unlabelled}
+        several = len(given) > 1 or any(len(each) > 1 for each in of_cloud)
+        known = {unlabelled} if any(of_cloud) else {None}
+        found.append("several" if several else (given or known).pop())
+    return found
+
+
+@given(
+    seed=st.integers(0, 1 << 30),
+    size=st.sampled_from([0.002, 0.01]),
+    count=st.integers(1, 4),
+    unlabelled=st.sampled_from([0, 255]),
+)
+@settings(max_examples=80, deadline=None)
+def test_several_clouds_are_merged_as_a_loop_over_all_pairs_does(seed, size, count, unlabelled):
+    random = np.random.default_rng(seed)
+    points = random.uniform(-size, size, (40, 3)).astype(np.float32)
+    points[random.random(40) < 0.1] = np.nan
+    clouds = []
+    for _ in range(count):
+        cloud = points[random.integers(0, 40, 25)]
+        moved = random.random((25, 1)) < 0.4
+        cloud = cloud + (moved * random.uniform(-4e-4, 4e-4, cloud.shape)).astype(np.float32)
+        labels = random.choice([unlabelled, 10, 10, 40, 10 | 1 << 16], 25).astype(np.uint32)
+        clouds.append((cloud, labels))
+    parts = [transfer_labels(points, *each) for each in clouds]
+    found = merged_transfers(parts, unlabelled)
+    assert as_listed(found) == slow_merge(points, clouds, unlabelled)
+    assert (found.labels[~found.known] == 0).all()
+    assert found.cloud_points == sum(part.cloud_points for part in parts)
+    assert len(found.unmatched) == sum(len(part.unmatched) for part in parts)
+
+
+def test_the_neighbour_of_a_point_in_another_cloud_is_not_its_copy():
+    points = np.float32([[0, 0, 0], [0, 0, 0.0005]])
+    parts = [transfer_labels(points, points[[i]], np.uint32([7 + i])) for i in range(2)]
+    assert as_listed(parts[0]) == [7, 7]
+    assert as_listed(merged_transfers(parts, 0)) == [7, 8]
 
 
 @pytest.mark.parametrize(("count", "others"), [(0, 0), (0, 2), (2, 0)])

@@ -96,6 +96,57 @@ def test_doubled_points_of_several_labels_are_ambiguous(world):
     np.testing.assert_array_equal(world.labels(), np.r_[truth[:200], [0] * 100, truth[300:]])
 
 
+def test_files_of_one_scan_are_merged(world):
+    truth = np.where(np.isin(world.truth[0], [0, 10]), 11, world.truth[0])
+    objects = truth.copy()
+    objects[:900], objects[900:1000] = 0, 10
+    world.write("000010_rest.ply", truth, chosen=slice(1000))
+    world.write("000010_objects.ply", objects, chosen=slice(500, 1400))
+    write_labels(world.edited / "000010.label", np.where(np.arange(1500) < 1450, 0, truth))
+    found = world.run()
+    (row,) = found.scans
+    # The points 900 to 999 are of two labels; 0 of the others is none.
+    expected = np.r_[truth[:900], [0] * 100, truth[1000:1400], [0] * 50, truth[1450:]]
+    np.testing.assert_array_equal(world.labels(), expected)
+    names = ["000010.label", "000010_objects.ply", "000010_rest.ply"]
+    assert row["files"] == [str(world.edited / name) for name in names]
+    assert (row["scalar"], row["ambiguous"], row["missing"]) == ("label, labels", 100, 0)
+    assert row["labelled"] == SPACE.scored[SPACE.to_train(expected)].sum()
+    assert row["labelled"] + row["unlabelled"] == 1400
+    assert found.class_points.sum() == 1500
+    # The same files, and more of them, may be imported again; a part of them is refused.
+    world.write("000010_more.ply", truth, chosen=slice(1400, 1450))
+    assert len(world.run().scans) == 1
+    np.testing.assert_array_equal(world.labels()[1400:], truth[1400:])
+    (world.edited / "000010_rest.ply").unlink()
+    assert "imported from another file" in only_failure(world.run())["reason"]
+
+
+def test_a_part_with_an_unknown_id_keeps_its_scan_as_it_was(world):
+    world.write(chosen=slice(700))
+    world.write("000010 rest.ply", np.full(1500, 2), chosen=slice(700, None))
+    world.write("000011.ply", np.full(1500, 3), index=1)
+    failure = only_failure(world.run())
+    assert len(failure["files"]) == 3
+    assert "unknown label ids 2 (800 points), 3 (1,500 points)" in failure["reason"]
+    assert "000010.ply" not in failure["reason"]
+    assert len(first_guesses(world.scans)) == 3
+
+
+def test_a_first_guess_that_was_only_cut_in_parts_is_not_imported(world):
+    guess = np.full(1500, 40)
+    world.write("000010 a.ply", guess, chosen=slice(700))
+    world.write("000010 b.ply", guess, chosen=slice(700, None))
+    with pytest.raises(NoInputError, match="holds the first guess of `pick`, which nobody"):
+        world.run()
+    # The whole guess beside a part that was corrected counts as no label either.
+    world.write("000010 b.ply", chosen=slice(700, None))
+    world.write("000010 guess.ply", guess)
+    found = world.run()
+    assert found.unedited == [str(world.edited / "000010 guess.ply")]
+    np.testing.assert_array_equal(world.labels(), np.r_[guess[:700], world.truth[0][700:]])
+
+
 def test_a_real_scan_saved_in_whole_millimetres_keeps_every_label(real_data, tmp_path):
     pytest.importorskip("laspy")
     sequence = real_data / "data/semantickitti/sequences/08"
@@ -207,9 +258,14 @@ def array_of_floats(world):
     np.save(world.edited / "000010.npy", world.truth[0].astype("f4"))
 
 
-def two_for_one(world):
+def one_part_of_another_scan(world):
     world.write()
-    world.write("000010 edited.ply")
+    write_ply(world.edited / "000010 rest.ply", world.points[1], {"label": world.truth[1]})
+
+
+def two_parts_without_labels(world):
+    world.write(labels=np.full(1500, 99), chosen=slice(700))
+    world.write("000010 rest.ply", labels=np.zeros(1500), chosen=slice(700, None))
 
 
 @pytest.mark.parametrize(
@@ -227,7 +283,8 @@ def two_for_one(world):
         (of_fewer_points, "1,499 labels · expected 1,500"),
         (array_of_fewer_points, "1,499 labels · expected 1,500"),
         (array_of_floats, r"<f4 \(1500\) · expected a .npy file of integers"),
-        (two_for_one, "08/000010 · 2 edited files: .* · expected one"),
+        (one_part_of_another_scan, "000010 rest.ply · .* it is of another scan, or"),
+        (two_parts_without_labels, r"rest.ply, .*0.ply · label: none of the 1,500 points has a c"),
     ],
 )
 def test_what_cannot_be_imported_leaves_the_labels_as_they_were(world, spoil, found):
@@ -275,7 +332,7 @@ def test_a_first_guess_that_nobody_corrected_is_not_imported(world):
     corrected = world.write("000011.ply", index=1)
     found = world.run()
     assert found.unedited == [str(world.edited / "000010.ply")]
-    assert [row["file"] for row in found.scans] == [str(corrected)]
+    assert [row["files"] for row in found.scans] == [[str(corrected)]]
     assert found.first_guesses == ["08/000010", "08/000012"]
 
 

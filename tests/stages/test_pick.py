@@ -14,6 +14,7 @@ from scans import SMALL, files_below, make_scan, replace_points, write_sequence,
 from salsanext_cli import label_space, load_network, read_labels, read_scan, write_labels
 from salsanext_cli.errors import NOTICE, NoInputError, OutputError, UsageError, WeightsError
 from salsanext_cli.measures.scan_choice import choose_scans
+from salsanext_cli.network.weights import read_weights, save_weights
 from salsanext_cli.parallel.run import RunOptions
 from salsanext_cli.stages.pick import pick
 from salsanext_cli.storage.labelling.picked_data_set import PickedDataSet
@@ -340,8 +341,14 @@ def test_the_classes_are_described_as_the_data_set_does_where_it_may(drive):
     own["learning_map_inv"][1] = 252
     own["learning_map"][252] = 1
     (drive.data / "labels.yaml").write_text(yaml.safe_dump(own))
-    run(drive, out=drive.out / "of the network")
-    assert label_space(drive.out / "of the network/labels.yaml").fits(label_space())
+    # Weights keep the name of the classes of the data set that they were first trained on.
+    weights = drive.out.parent / "renamed.safetensors"
+    module, card = read_weights(drive.network.weights)
+    save_weights(weights, module, replace(card, space=replace(card.space, name="their streets")))
+    run(drive, out=drive.out / "of the network", network=replace(drive.network, weights=weights))
+    written = label_space(drive.out / "of the network/labels.yaml")
+    assert written.fits(label_space())
+    assert written.name == "semantic-kitti"
 
 
 def test_what_is_wrong_is_said_before_a_scan_is_read(drive, tmp_path):

@@ -2,6 +2,7 @@
 """Data set that `synthesise` writes: layout, labels, poses, splits, seeds, refusals."""
 
 import inspect
+import json
 import sys
 from typing import get_args
 
@@ -10,7 +11,7 @@ import pytest
 import yaml
 from scans import files_below, write_sequence
 
-from salsanext_cli import Scan, label_space, read_labels
+from salsanext_cli import Scan, __version__, label_space, read_labels
 from salsanext_cli.cli import synth as cli
 from salsanext_cli.errors import MissingDependency, OutputError, UsageError
 from salsanext_cli.formats.clouds.kitti import read_bin
@@ -18,6 +19,7 @@ from salsanext_cli.stages import synth
 from salsanext_cli.stages.synth import synthesise
 from salsanext_cli.storage.files.atomic import MARK, write_bytes
 from salsanext_cli.storage.layout import find_scans
+from salsanext_cli.storage.stage_records import as_json
 from salsanext_cli.storage.written_files import WrittenFiles
 from salsanext_cli.synthesis.drive import Frame
 from salsanext_cli.synthesis.sensor.rig import RIGS
@@ -51,6 +53,16 @@ def test_every_file_of_the_layout_is_there(streets):
     assert calls == [(n, 6) for n in range(1, 7)]
 
 
+def test_the_record_tells_version_and_settings(streets):
+    out, _, _ = streets
+    splits = {"train": ["00"], "valid": ["01"], "test": ["02"]}
+    settings = {"splits": splits, **TINY, "sensor": "hdl64"}
+    expected = {"stage": "synth", "version": __version__, "settings": settings}
+    assert json.loads((out / "synth.json").read_text()) == expected
+    counts = dict.fromkeys(splits, 1)
+    assert as_json(synth.manifest(counts, sensor="hdl64", **TINY)) == expected
+
+
 def test_scans_and_labels_belong_together(streets):
     out, made, _ = streets
     totals = {}
@@ -69,7 +81,7 @@ def test_scans_and_labels_belong_together(streets):
 def test_labels_yaml_is_semantickittis_with_its_own_split(streets):
     out, made, _ = streets
     space, real = label_space(out / "labels.yaml"), label_space()
-    assert space.names == real.names
+    assert (space.name, space.names) == (real.name, real.names)
     assert space.labels == real.labels
     assert space.learning_map == real.learning_map
     np.testing.assert_array_equal(space.colours, real.colours)

@@ -3,9 +3,13 @@
 
 import json
 import math
+import os
 import shutil
+from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -22,11 +26,15 @@ from salsanext_cli.network.weights import read_weights, save_weights
 from salsanext_cli.stages import train as stage
 from salsanext_cli.stages.import_labels import import_labels
 from salsanext_cli.stages.train import TrainResult, train
+from salsanext_cli.storage.files.identity import fingerprint
+from salsanext_cli.storage.files.json_files import write_json
 from salsanext_cli.storage.labelling.label_records import digest_of_file, first_guesses
-from salsanext_cli.storage.layout import find_scans
-from salsanext_cli.training import fit
+from salsanext_cli.storage.layout import ScanFile, find_scans
+from salsanext_cli.storage.written_files import WrittenFiles
+from salsanext_cli.training import fit, fold_errors
 from salsanext_cli.training.fit import Report
-from salsanext_cli.training.recipe import Recipe
+from salsanext_cli.training.recipe import Recipe, recipe
+from salsanext_cli.training.tuning.judged_points import JudgedPoints, judged_points
 
 FEW = Recipe(
     initial="default",
@@ -108,6 +116,64 @@ def test_the_folds_choose_the_epochs_and_all_scans_are_trained_on(
     assert again == result
 
 
+def test_errors_are_fitted_anew_only_to_other_weights_or_scans(
+    data: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    run, judged = tmp_path / "run", list[Path]()
+
+    def count(file: ScanFile, *others: Any) -> JudgedPoints:
+        judged.append(file.path)
+        return judged_points(file, *others)
+
+    monkeypatch.setattr(fold_errors, "judged_points", count)
+
+    def judged_again(reason: Callable[[], object] = lambda: None) -> int:
+        judged.clear()
+        reason()
+        go(data, run)
+        return len(judged)
+
+    assert judged_again() == 3
+    kept = (run / "error.json").read_bytes()
+    assert judged_again() == 0
+    scan = data / "sequences/a/velodyne/0.bin"
+    assert judged_again(lambda: os.utime(scan, ns=(0, 0))) == 3
+    assert json.loads((run / "error.json").read_bytes())["error"] == json.loads(kept)["error"]
+    one, two = (run / f"folds/{number}/last.safetensors" for number in (1, 2))
+    weights = partial(WrittenFiles(two.parent).write, two, one.read_bytes())
+    assert judged_again(weights) == 3
+    for damaged in ({}, json.loads((run / "error.json").read_bytes()) | {"error": None}):
+        content = json.dumps(damaged).encode()
+        assert judged_again(partial(WrittenFiles(run).write, run / "error.json", content)) == 3
+    monkeypatch.setattr(fold_errors, "gains", lambda _: False)
+    assert judged_again((run / "error.json").unlink) == 3
+    for _ in range(2):
+        caplog.clear()
+        assert judged_again() == 0
+        assert "no model of errors: it would tell no more than the confidence" in caplog.messages
+    (run / "error.json").write_text("{}")
+    with pytest.raises(OutputError, match=r"error\.json · not written by salsanext, or changed"):
+        go(data, run)
+
+
+def test_the_card_says_what_the_training_began_from(
+    data: Path, tmp_path: Path, initial: Path
+) -> None:
+    few = FEW.with_changes(epochs=1)
+    card = read_card(go(data, tmp_path / "default", few).best)
+    assert card.recipe == few.to_dict()
+    other = initial.rename(tmp_path / "other.safetensors")
+    result = go(data, tmp_path / "run", few, weights=other)
+    origin = f"other.safetensors (SHA-256 {fingerprint(other)[:16]})"
+    for path in (result.best, result.last, tmp_path / "run/folds/1/last.safetensors"):
+        assert read_card(path).recipe == few.to_dict() | {"initial": origin}
+    # The file of the recipe is one.
+    again = go(data, tmp_path / "run", recipe(tmp_path / "run/recipe.toml"), weights=other)
+    assert again == result
+    chance = go(data, tmp_path / "random", few.with_changes(initial="random"))
+    assert read_card(chance.best).recipe["initial"] == "random"
+
+
 class Stopped(BaseException):
     """Ctrl-C at a chosen step."""
 
@@ -128,8 +194,7 @@ def test_a_training_that_was_stopped_anywhere_ends_alike(
     assert (run / "best.safetensors").exists() == (step > 2)
     result = go(data, run)
     assert result.expected == whole.expected
-    one, other = load_file(result.best), load_file(whole.best)
-    assert all(torch.equal(one[name], other[name]) for name in one)
+    assert result.best.read_bytes() == whole.best.read_bytes()
 
 
 def test_scans_without_labels_are_left_out_and_counted(
@@ -261,9 +326,14 @@ def simulated(monkeypatch: pytest.MonkeyPatch) -> list[Path]:
     """Write tiny scans in the place of simulated streets; the list tells where."""
     made: list[Path] = []
 
-    def write(out: Path, *, train: int, scans: int, **_: object) -> None:
+    def write(
+        out: Path, *, train: int, scans: int, seed: int, spacing: float, sensor: str, **_: object
+    ) -> None:
         made.append(out)
         shutil.rmtree(out, ignore_errors=True)
+        counts = {"train": train, "valid": 0, "test": 0}
+        record = stage.manifest(counts, scans, seed, spacing, sensor)
+        write_json(out / "synth.json", record)
         names = [f"{number:02d}" for number in range(train)]
         for name in names:
             stems = [f"{index:06d}" for index in range(scans)]
@@ -298,6 +368,33 @@ def test_simulated_streets_are_trained_on_beside_the_scans(
     assert simulated == both
     go(data, run, recipe.with_changes(streets=2), overwrite=True)
     assert simulated == 2 * both
+
+
+def test_streets_of_an_older_version_or_other_settings_are_simulated_anew(
+    data: Path, tmp_path: Path, simulated: list[Path], caplog: pytest.LogCaptureFixture
+) -> None:
+    caplog.set_level(NOTICE)
+    run, recipe = tmp_path / "run", FEW.with_changes(streets=1, epochs=1)
+    go(data, run, recipe)
+    streets = run / "streets/random"
+    assert f"simulating 1 street in {streets}" in caplog.messages
+    record = json.loads((streets / "synth.json").read_text())
+    older = record | {"version": "0.0.1"}
+    denser = record | {"settings": record["settings"] | {"spacing": 3.0}}
+    unversioned = {key: value for key, value in record.items() if key != "version"}
+    for other in (older, denser, unversioned):
+        simulated.clear()
+        caplog.clear()
+        write_json(streets / "synth.json", other)
+        go(data, run, recipe)
+        assert simulated == [streets]
+        anew = f"simulating 1 street in {streets}: those there are of another version or settings"
+        assert anew in caplog.messages
+    # What was cut off goes on without a word on others.
+    (streets / "labels.yaml").unlink()
+    caplog.clear()
+    go(data, run, recipe)
+    assert f"simulating 1 street in {streets}" in caplog.messages
 
 
 def test_streets_of_other_classes_are_not_simulated(

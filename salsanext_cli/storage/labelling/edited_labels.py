@@ -1,9 +1,10 @@
 # SPDX-License-Identifier: MIT
-"""Labels of the points of a scan from a file that a labelling tool wrote."""
+"""Labels of the points of a scan from the files that a labelling tool wrote."""
 
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -11,7 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from salsanext_cli.classes import LabelSpace, RawIds
-from salsanext_cli.errors import LabelError, counted
+from salsanext_cli.errors import LabelError, counted, first_few
 from salsanext_cli.formats.label_ids import LabelIds
 from salsanext_cli.formats.label_scalars import (
     READERS,
@@ -21,7 +22,12 @@ from salsanext_cli.formats.label_scalars import (
 )
 from salsanext_cli.formats.labels import read_labels
 from salsanext_cli.formats.npy import read_integers
-from salsanext_cli.geometry.label_transfer import TOLERANCE_M, LabelTransfer, transfer_labels
+from salsanext_cli.geometry.label_transfer import (
+    TOLERANCE_M,
+    LabelTransfer,
+    merged_transfers,
+    transfer_labels,
+)
 from salsanext_cli.records import Float
 
 MAX_UNMATCHED = 0.01
@@ -59,12 +65,12 @@ class EditedLabels:
     unlabelled : int
         Number of points that were left unlabelled, or given another ignored class.
     ambiguous, missing : int
-        Number of points with several labels, and of those that the file lacks; together the four
+        Number of points with several labels, and of those that the files lack; together the four
         numbers are N.
     unmatched : int
-        Number of points of the file that are none of the scan's.
+        Number of points of the files that are none of the scan's.
     scalar : str
-        Scalar that held the labels.
+        Scalar that held the labels, or several.
     """
 
     raw: RawIds
@@ -81,10 +87,18 @@ class EditedLabels:
         return {name: getattr(self, name) for name in names}
 
 
-def read_edited_labels(
-    path: Path, points: Float, space: LabelSpace, meanings: LabelIds, scalar: str | None = None
-) -> EditedLabels:
-    """Read the labels that a tool wrote for a scan.
+@dataclass(frozen=True, slots=True)
+class FileLabels:
+    """Labels of the points of a scan in one file, and the name of the scalar that holds them."""
+
+    found: LabelTransfer
+    scalar: str
+
+
+def read_file_labels(
+    path: Path, points: Float, meanings: LabelIds, scalar: str | None = None
+) -> FileLabels:
+    """Read the labels that a tool wrote for a scan, or for a part of it.
 
     Parameters
     ----------
@@ -93,8 +107,6 @@ def read_edited_labels(
         or `.npy` file with a label for each point of the scan, in its order.
     points : (N, 3) float32
         Of the scan, metres.
-    space : LabelSpace
-        Classes of the labels.
     meanings : LabelIds
         Raw ids of the tool's ids.
     scalar : str, optional
@@ -107,7 +119,7 @@ def read_edited_labels(
     UnknownIds
         If ids mean nothing.
     LabelError
-        If the file is of another scan, or none of its labels counts.
+        If the file is of another scan.
     """
     if path.suffix.lower() in READERS:
         cloud = read_labelled_cloud(path, scalar)
@@ -120,14 +132,37 @@ def read_edited_labels(
         everywhere = np.ones(len(points), bool)
         raw = meanings.to_raw(cloud.ids)
         nothing = np.empty(0)
-        found = LabelTransfer(raw, everywhere, ~everywhere, nothing, len(points))
-    raw = np.where(found.known, found.labels, np.uint32(meanings.unlabelled))
+        found = LabelTransfer(raw, everywhere, ~everywhere, everywhere, nothing, len(points))
+    return FileLabels(found, cloud.scalar)
+
+
+def edited_labels(
+    parts: Mapping[Path, FileLabels], space: LabelSpace, unlabelled: int
+) -> EditedLabels:
+    """Return the labels that some files hold of a scan, as `merged_transfers` merges them.
+
+    Parameters
+    ----------
+    parts : mapping of Path to FileLabels
+        Files, one at least.
+    space : LabelSpace
+        Classes of the labels.
+    unlabelled : int
+        Raw id of points without a label.
+
+    Raises
+    ------
+    LabelError
+        If none of the labels counts.
+    """
+    found = merged_transfers([part.found for part in parts.values()], unlabelled)
+    scalar = ", ".join(sorted({part.scalar for part in parts.values()}))
+    raw = found.filled(unlabelled)
     labelled = int(space.scored[space.to_train(raw, strict=False)].sum())
     if not labelled:
-        text = (
-            f"{cloud.scalar}: none of the {counted(len(points), 'point')} has a class that counts"
-        )
-        raise LabelError(path, text, "at least one", "label some, or name the scalar with --scalar")
+        text = f"{scalar}: none of the {counted(len(raw), 'point')} has a class that counts"
+        remedy = "label some, or name the scalar with --scalar"
+        raise LabelError(first_few([*parts]), text, "at least one", remedy)
     return EditedLabels(
         raw,
         labelled,
@@ -135,7 +170,7 @@ def read_edited_labels(
         int(found.ambiguous.sum()),
         int(found.missing.sum()),
         len(found.unmatched),
-        cloud.scalar,
+        scalar,
     )
 
 

@@ -28,7 +28,7 @@ class LabelImport:
     class_points : (C,) int64
         Number of imported points by train id.
     scans : list of dict
-        Of each imported file: `scan` as sequence/stem, `file`, `scalar`, number of `points`,
+        Of each imported scan: `scan` as sequence/stem, its `files`, `scalar`, number of `points`,
         `labelled`, `unlabelled`, `ambiguous`, `missing` and `unmatched`, as `EditedLabels` has
         them.
     failures : list of dict

@@ -7,6 +7,7 @@ guess while it is as `pick` wrote it and was not imported; copies of a data set 
 """
 
 import hashlib
+from collections import Counter
 from collections.abc import Iterable, Mapping
 from functools import cached_property
 from pathlib import Path
@@ -70,15 +71,17 @@ class LabelRecords:
         confirmed = isinstance(earlier, Mapping) and earlier.get("sha256") == digest
         return self.is_guess(scan, digest) and not confirmed
 
-    def is_replaceable(self, scan: ScanFile, edited: Path) -> bool:
-        """Say whether the label file of a scan, if there is one, may give way to an edited file.
+    def is_replaceable(self, scan: ScanFile, edited: Iterable[Path]) -> bool:
+        """Say whether the label file of a scan, if there is one, may give way to edited files.
 
-        It may if it is as salsanext wrote it, and was not imported from a file of another name,
-        which may hold other points.
+        It may if it is as salsanext wrote it, and was not imported from a file of a name that is
+        not among theirs, which may hold other points.
         """
         path, earlier = scan.label_path, self._imported.get(name_of(scan))
-        imported = Path(str(earlier.get("file"))).name if isinstance(earlier, Mapping) else None
-        if imported and imported != edited.name and present(path):
+        files = earlier.get("files") if isinstance(earlier, Mapping) else []
+        known = files if isinstance(files, list) else ["?"]
+        imported = Counter(Path(str(file)).name for file in known)
+        if not imported <= Counter(file.name for file in edited) and present(path):
             return False
         return not WrittenFiles(self.root).others([path]) or self.holds_guess(scan)
 

@@ -165,7 +165,7 @@ def class_counts(
     """
     first, *further = sources
     space, training = first.space, first.files
-    digest = _digest([*sources, validation], validated, also if further else 0.0)
+    digest = data_digest([*sources, validation], validated, also if further else 0.0)
     known = read_json(path) or {}
     points, warnings = known.get("points"), known.get("warnings")
     if (
@@ -222,7 +222,9 @@ def _is_warning(value: object) -> bool:
     return all(isinstance(text, str) for text in texts)
 
 
-def _digest(sources: Sequence[Source], validated: Sequence[ScanFile], also: float) -> str:
+def data_digest(
+    sources: Sequence[Source], validated: Sequence[ScanFile] = (), also: float = 0.0
+) -> str:
     """Return a digest of all that class counts depend on: of files, their sizes and times."""
     settings: list[Any] = [also]
     for source in sources:

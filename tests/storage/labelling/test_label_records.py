@@ -40,7 +40,8 @@ def data(tmp_path):
     return root
 
 
-A = Path("edited/a.ply")
+A = [Path("edited/a.ply")]
+B = [Path("edited/b.ply")]
 
 
 def guessed(root):
@@ -56,16 +57,21 @@ def test_labels_are_a_first_guess_until_they_are_changed_or_imported(data):
         True,
         False,
     ]
-    records.write(first, GUESS, {"file": "a.ply"})
+    records.write(first, GUESS, {"files": ["a.ply"]})
     assert guessed(data) == ["00/000001"]
     second.label_path.write_bytes(GUESS[4:] + GUESS[:3] + b"\1")
     assert guessed(data) == []
     assert LabelRecords(data).is_replaceable(first, A)
     # Another file may hold other points of the scan.
-    assert not LabelRecords(data).is_replaceable(first, Path("b.ply"))
+    assert not LabelRecords(data).is_replaceable(first, B)
+    assert LabelRecords(data).is_replaceable(first, A + B)
     assert not LabelRecords(data).is_replaceable(second, A)
     recorded = json.loads((data / IMPORTED).read_text())
-    assert recorded["scans"]["00/000000"]["file"] == "a.ply"
+    assert recorded["scans"]["00/000000"]["files"] == ["a.ply"]
+    records.write(first, GUESS, {"files": ["a.ply", "more/a.ply"]})
+    assert not LabelRecords(data).is_replaceable(first, A)
+    records.write(first, GUESS, {"files": None})
+    assert not LabelRecords(data).is_replaceable(first, A)
 
 
 def test_a_copy_of_a_data_set_has_its_first_guesses(data, tmp_path):
