@@ -83,7 +83,8 @@ def _fitted(
     temperature: float,
     place: torch.device,
 ) -> ErrorModel | None:
-    judged, most = dict[ScanFile, JudgedPoints](), points_of_scan(len(source.files))
+    judged: dict[ScanFile, JudgedPoints] = {}
+    most = points_of_scan(len(source.files))
     for path, part in zip(weights, parts, strict=True):
         module, card = read_weights(path)
         # That of the final weights: the fold's own was fitted to these very scans.
