@@ -194,7 +194,7 @@ def test_an_animation_of_each_sequence(labelled):
     with Image.open(path) as gif:
         assert gif.info["duration"] == 250
     path.write_bytes(b"mine")
-    with pytest.raises(OutputError, match=r"pictures\.gif · exists, and was not recorded by salsanext"):
+    with pytest.raises(OutputError, match=r"pictures\.gif · exists, and was not recorded"):
         draw(labelled, animations=["gif"])
     assert path.read_bytes() == b"mine"
 
