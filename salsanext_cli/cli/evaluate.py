@@ -3,8 +3,6 @@
 
 from typing import Annotated
 
-import typer
-
 from salsanext_cli.cli import console, options, run_end, run_options, selection_options
 from salsanext_cli.cli.option_groups import Without
 from salsanext_cli.errors import counted
@@ -13,9 +11,7 @@ from salsanext_cli.errors import counted
 def evaluate(
     *,
     results: selection_options.Results,
-    by_distance: Annotated[
-        bool, typer.Option("--by-distance", help="Also evaluate by distance from the sensor.")
-    ] = False,
+    by_distance: options.ByDistance = False,
     selection: selection_options.ResultSelection,
     classes: selection_options.Classes,
     merged: options.MergedClasses,

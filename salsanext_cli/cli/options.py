@@ -27,6 +27,9 @@ SCANS_HELP = "Scan file, folder of scans, sequence folder, data set or recording
 SENSOR_HELP = "Name of a built-in sensor, or a .toml file."
 COLUMNS_HELP = "Columns of files that do not name them, such as x,y,z,intensity,ring; _ for others."
 COLUMNS_DEFAULT = "those of the sensor, else x,y,z,intensity"
+ByDistance = Annotated[
+    bool, typer.Option("--by-distance", help="Also evaluate by distance from the sensor.")
+]
 
 Scans = Annotated[
     Path | None, typer.Argument(metavar="SCANS", help=SCANS_HELP, show_default="the data set")

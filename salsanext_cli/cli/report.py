@@ -21,9 +21,7 @@ def report(
             show_default="up to four that are worth looking at",
         ),
     ] = None,
-    by_distance: Annotated[
-        bool, typer.Option("--by-distance", help="Also evaluate by distance from the sensor.")
-    ] = False,
+    by_distance: options.ByDistance = False,
     selection: selection_options.ResultSelection,
     classes: selection_options.Classes,
     merged: options.MergedClasses,

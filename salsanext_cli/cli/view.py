@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: MIT
 """`salsanext view`."""
 
-import getpass
 import os
+import shlex
 from typing import Annotated
 
 import typer
@@ -18,6 +18,7 @@ def view(
     port: Annotated[
         int, typer.Option(help="Port on this machine; 0: any free one.", min=0, max=65535)
     ] = 8765,
+    by_distance: options.ByDistance = False,
     selection: selection_options.ResultSelection,
     classes: selection_options.Classes,
     merged: options.MergedClasses,
@@ -37,20 +38,19 @@ def view(
             dataset=selection.dataset,
             space=classes.space(),
             classes=merged.space(),
+            by_distance=by_distance,
             selection=selection.scans(),
             options=run,
         )
     run_end.name_failures(server.failures)
     scans, left_out = counted(server.scans, "scan"), run_end.left_out(server.missing)
-    output.say(f"view: {scans}{left_out} → {server.url} (Ctrl-C ends it)")
+    output.say(f"view: {scans}{left_out}, until Ctrl-C at")
     if forwarding := _forwarding(server.server_port, os.environ.get("SSH_CONNECTION", "")):
         output.say(f"from the machine that you sit at, first: {forwarding}")
     try:
         with server:
-            output.result(server.to_dict())
+            output.result(server.to_dict(), server.url)
             server.serve_forever()
-    except console.Terminated:
-        raise
     except KeyboardInterrupt:
         output.say("view: ended")
     run_end.leave(server.failures, server.missing)
@@ -63,7 +63,8 @@ def _forwarding(port: int, connection: str) -> str:
     """
     match connection.split():
         case [_, _, host, ssh_port]:
-            other_port = f" -p {ssh_port}" if ssh_port != "22" else ""
-            user = getpass.getuser()
-            return f"ssh -N -L {port}:127.0.0.1:{port}{other_port} {user}@{host}"
+            user = f"{name}@" if (name := os.environ.get("USER")) else ""
+            other_port = ["-p", ssh_port] if ssh_port != "22" else []
+            forwarded = f"{port}:127.0.0.1:{port}"
+            return shlex.join(["ssh", "-N", "-L", forwarded, *other_port, user + host])
     return ""

@@ -16,6 +16,7 @@ from salsanext_cli.measures.drive import ScanRow, named, read_row, worth_looking
 from salsanext_cli.measures.scan_counts import ScanCounts
 from salsanext_cli.measures.scores import plain
 from salsanext_cli.parallel.run import Failure, RunOptions, run_over_scans
+from salsanext_cli.report.page.clouds import scales_of
 from salsanext_cli.report.page.html import html_of
 from salsanext_cli.report.page.run_results import RunResults
 from salsanext_cli.report.page.shown_scans import ShownScan
@@ -138,7 +139,8 @@ def report(
     shown, unreadable = _shown(run, chosen)
     failures += unreadable
     compared = run.compared()
-    content = run.content(shown, compared, [failure.reason for failure in failures])
+    reasons = [failure.reason for failure in failures]
+    content = run.content(shown, compared, reasons, scales_of(shown))
     written = html_of(content).encode()
     with records_lock(out):
         sweep_stale(out)

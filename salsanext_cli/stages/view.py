@@ -1,13 +1,17 @@
 # SPDX-License-Identifier: MIT
-"""Stage `view`: the page of a run with all its scans, while it runs."""
+"""Stage `view`: the page of a run with all its scans, served to a browser."""
+
+from __future__ import annotations
 
 from pathlib import Path
+from threading import Lock
 from typing import Any
 
 import numpy as np
 
 from salsanext_cli.classes import LabelSpace
-from salsanext_cli.errors import NoInputError, SalsanextError, as_text
+from salsanext_cli.errors import NoInputError, OutputError, SalsanextError, as_text
+from salsanext_cli.measures.drive import worth_looking_at
 from salsanext_cli.parallel.run import Failure, RunOptions
 from salsanext_cli.report.page.clouds import encode_cloud, plain_scales, scales_of
 from salsanext_cli.report.page.html import html_of
@@ -16,13 +20,14 @@ from salsanext_cli.report.page.server import PageServer
 from salsanext_cli.report.page.shown_scans import ShownScan
 from salsanext_cli.stages.report import read_run
 from salsanext_cli.storage.selection import ScanSelection
+from salsanext_cli.storage.sources import LABELLING_STAGES, MissingResults
 
 SAMPLED = 5
-"""Scans that the scales of all are taken from."""
+"""Evenly spaced scans that the scales are taken from, besides those worth looking at."""
 
 
 class View(PageServer):
-    """Server of a run's page; a context that `serve_forever` runs in.
+    """Server of a run's page; `serve_forever` answers, and leaving the context closes the port.
 
     Attributes
     ----------
@@ -31,17 +36,31 @@ class View(PageServer):
     missing : MissingResults
         Scans without results, left out.
     failures : tuple of Failure
-        Scans that could not be read, left out.
+        Scans that could not be read.
     """
 
-    def __init__(self, port: int, run: RunResults, failures: tuple[Failure, ...]) -> None:
-        self.scans, self.missing, self.failures = len(run.rows), run.missing, failures
-        self._run = run
-        sample = _sample(run)
+    def __init__(self, port: int) -> None:
+        super().__init__(port)
+        self.scans, self.missing = 0, MissingResults()
+        self.failures: tuple[Failure, ...] = ()
+        self._lock = Lock()
+
+    def take(self, run: RunResults, failures: tuple[Failure, ...]) -> None:
+        """Take the results that are served; raises `NoInputError` if no scan can be shown."""
+        self._run, self._state = run, _state_of(run.out)
+        reasons = worth_looking_at(run.rows, run.how["space"])
+        sample, unreadable = _sample(run, set(reasons))
+        self.scans, self.missing = len(run.rows), run.missing
+        self.failures = (*failures, *unreadable)
         self._scales = scales_of(sample)
-        reasons = [failure.reason for failure in failures]
-        content = run.content(sample, run.compared(), reasons, live=True)
-        super().__init__(port, html_of(content), self._cloud)
+        content = run.content(
+            (),
+            run.compared(),
+            [failure.reason for failure in self.failures],
+            self._scales,
+            {row.name: reasons.get(row.name, "") for row in run.rows},
+        )
+        self._page = html_of(content, self.token).encode()
 
     def to_dict(self) -> dict[str, Any]:
         """Return plain data for JSON."""
@@ -54,15 +73,25 @@ class View(PageServer):
             "failures": [failure.to_dict() for failure in self.failures],
         }
 
-    def _cloud(self, place: int) -> dict[str, Any] | None:
-        """Read a scan; values that the sample does not have get a scale of their own."""
+    def page(self) -> bytes:
+        """Return the page as HTML."""
+        return self._page
+
+    def cloud(self, place: int) -> dict[str, Any] | None:
+        """Read a scan; a kind of values keeps the scale that it first got."""
         if place >= self.scans:
             return None
-        shown = self._run.read(self._run.rows[place])
-        scales = scales_of([shown]) | self._scales
-        cloud = encode_cloud(shown, self._run.how["space"], self._run.how["sensor"], scales)
-        cloud["scales"] = plain_scales(scales)
-        return {**as_text(cloud)}
+        run = self._run
+        if _state_of(run.out) != self._state:
+            raise OutputError(run.out, "results were made anew since", remedy="start view again")
+        shown = run.read(run.rows[place])
+        with self._lock:
+            if new := shown.values().keys() - self._scales:
+                self._scales |= {name: scales_of([shown])[name] for name in new}
+        cloud = encode_cloud(shown, run.how["space"], run.how["sensor"], self._scales)
+        cloud["scales"] = plain_scales(self._scales)
+        found: dict[str, Any] = as_text(cloud)
+        return found
 
 
 def view(
@@ -72,6 +101,7 @@ def view(
     dataset: Path | None = None,
     space: LabelSpace | None = None,
     classes: LabelSpace | None = None,
+    by_distance: bool = False,
     selection: ScanSelection = ScanSelection(),
     options: RunOptions = RunOptions(),
 ) -> View:
@@ -79,7 +109,7 @@ def view(
 
     Parameters
     ----------
-    out, dataset, space, classes, selection, options
+    out, dataset, space, classes, by_distance, selection, options
         As for `report`.
     port : int
         Port on the loopback interface; 0 for any free one.
@@ -89,21 +119,42 @@ def view(
     SalsanextError
         If there is nothing to look at, or the port cannot be used.
     """
-    run, failures = read_run(
-        out, dataset=dataset, space=space, classes=classes, selection=selection, options=options
-    )
-    return View(port, run, failures)
+    server = View(port)
+    try:
+        run, failures = read_run(
+            out,
+            dataset=dataset,
+            space=space,
+            classes=classes,
+            by_distance=by_distance,
+            selection=selection,
+            options=options,
+        )
+        server.take(run, failures)
+    except BaseException:
+        server.server_close()
+        raise
+    return server
 
 
-def _sample(run: RunResults) -> list[ShownScan]:
-    """Read evenly spaced scans; those that cannot be read are told when they are asked for."""
+def _state_of(out: Path) -> list[tuple[int, int] | None]:
+    """Return size and time of the records of the stages whose results are shown."""
+    paths = [out / f"{stage}.json" for stage in LABELLING_STAGES]
+    states = [path.stat() if path.exists() else None for path in paths]
+    return [state and (state.st_size, state.st_mtime_ns) for state in states]
+
+
+def _sample(run: RunResults, chosen: set[str]) -> tuple[list[ShownScan], list[Failure]]:
+    """Read chosen scans and evenly spaced ones; raise `NoInputError` if none can be read."""
     sample: list[ShownScan] = []
-    reason = ""
-    for place in np.unique(np.linspace(0, len(run.rows) - 1, SAMPLED).astype(int)):
-        try:
-            sample.append(run.read(run.rows[place]))
-        except SalsanextError as error:
-            reason = str(error)
+    failures: list[Failure] = []
+    spaced = set(np.linspace(0, len(run.rows) - 1, SAMPLED).astype(int).tolist())
+    for place, row in enumerate(run.rows):
+        if place in spaced or row.name in chosen:
+            try:
+                sample.append(run.read(row))
+            except SalsanextError as error:
+                failures.append(Failure(row.file, str(error), error.code))
     if not sample:
-        raise NoInputError(run.out, f"no scan can be shown, as {reason}")
-    return sample
+        raise NoInputError(run.out, f"no scan can be shown, as {failures[0].reason}")
+    return sample, failures

@@ -7,7 +7,7 @@ from collections.abc import Container, Iterable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from salsanext_cli.errors import NoInputError, OutputError
+from salsanext_cli.errors import NoInputError, OutputError, counted, first_few
 from salsanext_cli.formats import scan_suffix
 from salsanext_cli.formats.reading import is_folder
 from salsanext_cli.formats.recordings.address import recording_of
@@ -85,6 +85,7 @@ def recorded_scans(
 
     If it is not recorded where scans came from, or they are gone, they are looked for in the
     folder that the environment variable `DATASET_VARIABLE` names, else in the working folder.
+    Results whose scan is not there any more are told.
 
     Parameters
     ----------
@@ -100,25 +101,35 @@ def recorded_scans(
     NoInputError
         If there is no such folder, it holds no results, or a sequence's scans are not to be found.
     """
-    there = {name for folder in SUFFIX_OF_FOLDER for name, _ in find_outputs(out, folder)}
-    sequences = sorted(there if sequence is None else there & {sequence})
+    there = {key for folder in SUFFIX_OF_FOLDER for key in find_outputs(out, folder)}
+    wanted = {key for key in there if sequence in (None, key[0])}
+    sequences = sorted({name for name, _ in wanted})
     if not sequences:
-        found = "holds no results" if out.is_dir() else "no such folder"
+        reason = "holds no results" if out.is_dir() else "no such folder"
         remedy = f"run `salsanext predict SCANS {out}` first"
-        raise NoInputError(out, found, "the output folder of an earlier stage", remedy)
+        raise NoInputError(out, reason, "the output folder of an earlier stage", remedy)
     if dataset and len(sequences) == 1 and _holds_scans(dataset):
         # The folder of the scans themselves, or the recording, which may have another name by now.
-        return [replace(scan, sequence=sequences[0]) for scan in find_scans(dataset)]
-    known = {
-        sequence: source
-        for record in read_records(out).values()
-        for sequence, source in record.scans.items()
-    }
-    return [
-        scan
-        for name in sequences
-        for scan in _scans_of_sequence(out, name, known.get(name), dataset)
-    ]
+        found = [replace(scan, sequence=sequences[0]) for scan in find_scans(dataset)]
+    else:
+        known = {
+            sequence: source
+            for record in read_records(out).values()
+            for sequence, source in record.scans.items()
+        }
+        found = [
+            scan
+            for name in sequences
+            for scan in _scans_of_sequence(out, name, known.get(name), dataset)
+        ]
+    if gone := sorted(wanted - {(scan.sequence, scan.stem) for scan in found}):
+        scans = counted(len(gone), "scan")
+        log.warning(
+            "%s with results not found any more and left out: %s",
+            scans,
+            first_few(["/".join(key) for key in gone]),
+        )
+    return found
 
 
 def _holds_scans(dataset: Path) -> bool:

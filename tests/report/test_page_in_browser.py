@@ -6,7 +6,6 @@ import os
 import re
 import shutil
 import subprocess
-import threading
 from pathlib import Path
 from typing import Any
 from urllib.parse import urlencode
@@ -15,6 +14,7 @@ import numpy as np
 import pytest
 from evaluated import CAR, ROAD, SPACE, World
 from scans import SMALL, make_scan
+from served import served
 
 from salsanext_cli import write_labels
 from salsanext_cli.stages.report import report
@@ -58,6 +58,7 @@ const at = (target, name, x, y) => target.dispatchEvent(
   found.legend = legend().map(each => each.textContent);
   legend()[0].click();
   found.pressed = legend()[0].getAttribute("aria-pressed");
+  await new Promise(done => setTimeout(done, 300));
   found.without = [shown(), picture().size, location.hash];
   legend()[1].dispatchEvent(new MouseEvent("dblclick"));
   found.alone = shown();
@@ -117,27 +118,46 @@ LIVE_PROBE = """<script>
 (async () => {
   const soon = () => new Promise(done => setTimeout(done, 20));
   const until = async there => { while (!there()) await soon(); };
+  const change = (id, value, name) => {
+    byId(id).value = value;
+    byId(id).dispatchEvent(new Event(name));
+  };
+  const played = async () => {
+    found.from = [];
+    byId("play").click();
+    found.playing = byId("play").textContent;
+    await until(() => byId("play").textContent === "play");
+  };
+  const found = { early: view.pick(100, 100), from: [] };
+  byId("strip").dispatchEvent(new PointerEvent("pointermove", { clientX: 1, clientY: 1 }));
   await until(() => cloud);
-  const found = { first: cloud.name, scales: Object.keys(data.scales), from: [] };
+  Object.assign(found, { first: cloud.name, left: document.documentElement.dataset.shown });
   view.show = (old => cloud => { found.from.push(cloud.name); old.call(view, cloud); })(view.show);
-  byId("play").click();
-  found.playing = byId("play").textContent;
-  await until(() => byId("play").textContent === "play");
-  found.played = [cloud.name, byId("place").value, byId("column").textContent.split(" ")[0]];
-  byId("place").value = 0;
-  byId("place").dispatchEvent(new Event("input"));
+  await played();
+  found.unread = byId("unread").textContent;
+  found.played = [[...found.from], cloud.name, byId("place").value];
+  found.column = byId("column").textContent;
+  for (const place of [0, 1, 3, 0]) change("place", place, "input");
   await until(() => cloud.name === "08/000000");
   found.told = byId("told").textContent;
+  found.legend = byId("legend").children[0];
+  change("scan", 1, "change");
+  await until(() => cloud.name === "08/000001");
+  found.legend = found.legend === byId("legend").children[0];
+  byId("play").click();
+  change("scan", 0, "change");
+  await until(() => cloud.name === "08/000000");
+  await new Promise(done => setTimeout(done, 500));
+  found.chosen = [cloud.name, byId("play").textContent];
   byId("columns").dispatchEvent(new KeyboardEvent("keydown", { key: "End" }));
   byId("columns").dispatchEvent(new KeyboardEvent("keydown", { key: "Enter" }));
   await until(() => cloud.name === "08/000003");
   found.colours = [...byId("colour").options].map(each => each.value);
-  byId("scan").value = 2;
-  byId("scan").dispatchEvent(new Event("change"));
-  await until(() => byId("told").textContent.startsWith("08/000002:"));
+  change("scan", 2, "change");
+  await until(() => byId("scan").value === "3");
   found.failed = [byId("told").textContent, cloud.name];
   const fetched = performance.getEntriesByType("resource").map(each => new URL(each.name).pathname);
-  found.fetched = [...new Set(fetched)].sort();
+  found.fetched = fetched.map(each => each.split("/").pop());
   console.log("FOUND " + JSON.stringify(found));
 })();
 </script>"""
@@ -205,26 +225,33 @@ def test_the_page_draws_and_its_controls_work(world, tmp_path):
     assert found["fetched"] == 0
 
 
-def test_the_live_page_plays_the_drive_and_names_what_fails(world, tmp_path):
+def test_the_live_page_plays_the_drive_and_names_what_fails(world, tmp_path, monkeypatch):
     for stem in ("000002", "000003"):
         world.add(stem, [CAR, ROAD], [CAR, CAR])
-    with view(world.out, dataset=world.dataset) as server:
+    with view(world.out, dataset=world.dataset) as server, served(server):
         (world.dataset / "sequences/08/velodyne/000002.bin").write_bytes(b"damaged")
-        server.page = server.page.replace(b"</body>", f"{LIVE_PROBE}</body>".encode())
-        serving = threading.Thread(target=server.serve_forever)
-        serving.start()
-        said = console_of(f"{server.url}#scan=08/000000&colour=wrong", tmp_path)
-        server.shutdown()
-        serving.join()
+        page = server.page().replace(b"</body>", f"{LIVE_PROBE}</body>".encode())
+        monkeypatch.setattr(server, "page", lambda: page)
+        state = {"scan": "08/000000", "colour": "wrong", "by": "entropy", "above": "0.5"}
+        said = console_of(f"{server.url}#{urlencode(state)}", tmp_path)
     found = found_in(said)
+    assert found["early"] == -1
     assert found["first"] == "08/000000"
+    # The address hides entropies, which go from 0 to 2, above 0.5.
+    assert abs(int(found["left"]) - COUNT / 4) < 0.02 * COUNT
     assert found["playing"] == "pause"
-    # It stops where a scan cannot be read.
-    assert found["from"][0] == "08/000001"
-    assert found["played"] == ["08/000001", "2", "08/000001"]
-    assert re.match(r"1,500 points: \d+\.\d % wrong", found["told"])
+    # Playing passes over the scan that cannot be read.
+    assert found["played"] == [["08/000001", "08/000003"], "08/000003", "3"]
+    assert found["column"].startswith("08/000003 ")
+    assert found["unread"].startswith("could not be read: 08/000002: ")
+    assert "000002.bin" in found["unread"]
+    assert "of them shown" in found["told"]
+    assert found["legend"], "the buttons are the same ones"
+    assert found["chosen"] == ["08/000000", "play"]
     assert found["colours"] == ["label", "truth", "wrong", "range", "intensity"]
     told, shown = found["failed"]
-    assert "000002.bin" in told
+    assert told.startswith("2 points")
     assert shown == "08/000003"
-    assert found["fetched"] == [f"/cloud/{place}" for place in range(4)]
+    # What was shown before is not asked for again; what cannot be read is, when it is wanted.
+    assert sorted(set(found["fetched"])) == ["0", "1", "2", "3"]
+    assert [found["fetched"].count(each) for each in "013"] == [1, 1, 1]

@@ -2,18 +2,23 @@
 import json
 import os
 import signal
+import socket
+import struct
 import subprocess
 import sys
-import threading
+from dataclasses import replace
 from http.client import HTTPConnection
 
 import pytest
-from evaluated import CAR, ROAD, World
+from evaluated import CAR, ROAD, SPACE, World
+from scans import SMALL
+from served import served
 
 from salsanext_cli.cli.view import _forwarding
 from salsanext_cli.errors import NoInputError, UsageError
 from salsanext_cli.stages.report import report
 from salsanext_cli.stages.view import view
+from salsanext_cli.storage.stage_records import StageRecord
 
 
 @pytest.fixture
@@ -25,29 +30,30 @@ def world(tmp_path, monkeypatch):
     return world
 
 
+def asker(server):
+    """Return a function that asks a server; it returns the status and the answer."""
+
+    def ask(path, host=None, method="GET"):
+        connection = HTTPConnection("127.0.0.1", server.server_port, timeout=20)
+        path = path.replace("TOKEN", server.token)
+        connection.request(method, path, headers={"Host": host} if host else {})
+        found = connection.getresponse()
+        return found.status, found.read().decode()
+
+    return ask
+
+
 @pytest.fixture
 def ask(world):
-    """Ask the server of a view; return the status and the answer."""
-    with view(world.out, dataset=world.dataset) as server:
-        serving = threading.Thread(target=server.serve_forever)
-        serving.start()
-
-        def answer(path, host=None, method="GET"):
-            connection = HTTPConnection("127.0.0.1", server.server_port, timeout=20)
-            connection.request(method, path, headers={"Host": host} if host else {})
-            found = connection.getresponse()
-            return found.status, found.read().decode()
-
-        yield answer
-        server.shutdown()
-        serving.join()
+    with view(world.out, dataset=world.dataset) as server, served(server):
+        yield asker(server)
 
 
 def test_every_scan_is_as_a_report_holds_it(world, ask):
     names = [f"08/{number:06}" for number in range(7)]
     page = report(world.out, dataset=world.dataset, scans=names).page.read_text()
     for place, name in enumerate(names):
-        status, text = ask(f"/cloud/{place}")
+        status, text = ask(f"/cloud/TOKEN/{place}")
         cloud = json.loads(text)
         _, _, after = page.partition(f'id="cloud-{place}">')
         assert status == 200
@@ -56,36 +62,79 @@ def test_every_scan_is_as_a_report_holds_it(world, ask):
         assert cloud["name"] == name
 
 
-def test_a_kind_that_few_scans_have_gets_a_scale(world, ask):
+def test_a_kind_that_few_scans_have_keeps_its_first_scale(world, ask):
     world.put("uncertainty/entropy", "000001", [0.1, 0.5, 0.2])
-    _, text = ask("/cloud/1")
-    assert json.loads(text)["scales"]["entropy"]["high"] == pytest.approx(0.5, rel=0.02)
+    world.put("uncertainty/entropy", "000002", [0.1, 5.0, 0.2])
+    for place in (1, 2, 3):
+        _, text = ask(f"/cloud/TOKEN/{place}")
+        assert json.loads(text)["scales"]["entropy"]["high"] == pytest.approx(0.5, rel=0.02)
 
 
 def test_nothing_else_is_served(ask):
     assert ask("/")[0] == 200
     assert ask("/?from=a-link")[0] == 200
-    for path in ("/cloud/7", "/cloud/-1", "/cloud/x", "/cloud/", "/x", "/cloud/../cloud/1"):
+    for place in ("7", "-1", "x", "", "../cloud/TOKEN/1", "9" * 5000):
+        assert ask(f"/cloud/TOKEN/{place}")[0] == 404, place
+    for path in ("/x", "/cloud", "/cloud/1"):
         assert ask(path)[0] == 404, path
     assert ask("/", method="POST")[0] == 501
+    assert ask("/", host="[")[0] == 400
+
+
+def test_the_page_of_an_earlier_server_is_told_so(ask):
+    status, text = ask("/cloud/another/1")
+    assert status == 410
+    assert "reload it" in json.loads(text)["error"]
+
+
+def test_results_made_anew_are_not_shown_as_those_of_the_start(world):
+    record = StageRecord("predict", {"label_space": SPACE.to_dict(), "sensor": SMALL.to_dict()})
+    record.write(world.out)
+    with view(world.out, dataset=world.dataset) as server, served(server):
+        ask = asker(server)
+        assert ask("/cloud/TOKEN/1")[0] == 200
+        replace(record, folders=("predictions",)).write(world.out)
+        status, text = ask("/cloud/TOKEN/1")
+    assert status == 500
+    assert "start view again" in json.loads(text)["error"]
+
+
+def test_scans_worth_looking_at_are_named_and_marked(world, ask):
+    _, page = ask("/")
+    _, _, after = page.partition('id="data">')
+    data = json.loads(after.partition("</script>")[0])
+    reasons = {each["name"]: each["reason"] for each in data["shown"]}
+    assert list(reasons) == [f"08/{number:06}" for number in range(7)]
+    assert sum(reason.startswith("most wrong") for reason in reasons.values()) == 1
+    assert "at random" in reasons.values()
+
+
+def test_a_browser_that_leaves_is_no_error(ask, world, capfd):
+    with view(world.out, dataset=world.dataset) as server, served(server):
+        connection = socket.create_connection(("127.0.0.1", server.server_port))
+        connection.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))
+        connection.sendall(b"GET / HTTP/1.1\r\nHost: localhost\r\n\r\n")
+        connection.close()
+        assert asker(server)("/")[0] == 200
+    assert "Traceback" not in capfd.readouterr().err
 
 
 @pytest.mark.parametrize("host", ["localhost", "localhost:9000", "127.0.0.1"])
 def test_a_forwarded_port_may_have_another_number(ask, host):
-    assert ask("/cloud/0", host)[0] == 200
+    assert ask("/cloud/TOKEN/0", host)[0] == 200
 
 
 @pytest.mark.parametrize("host", ["evil.example", "evil.example:8765", "127.0.0.1.evil.example"])
 def test_pages_of_other_names_may_not_read_the_scans(ask, host):
-    assert ask("/cloud/0", host)[0] == 403
+    assert ask("/cloud/TOKEN/0", host)[0] == 403
 
 
 def test_a_scan_moved_away_is_an_answer_and_not_the_end(world, ask):
     (world.dataset / "sequences/08/velodyne/000003.bin").unlink()
-    status, text = ask("/cloud/3")
+    status, text = ask("/cloud/TOKEN/3")
     assert status == 500
     assert "000003" in json.loads(text)["error"]
-    assert ask("/cloud/4")[0] == 200
+    assert ask("/cloud/TOKEN/4")[0] == 200
 
 
 def test_a_taken_port_is_one_line(world):
@@ -103,28 +152,51 @@ def test_without_results_or_scans_there_is_nothing_to_view(world, tmp_path):
         view(world.out, dataset=world.dataset)
 
 
-@pytest.mark.parametrize(("ending", "status"), [(signal.SIGINT, 0), (signal.SIGTERM, 143)])
-def test_it_ends_when_it_is_told_to(world, ending, status):
+def test_scans_that_cannot_be_read_and_scans_moved_away_are_told(world, caplog):
+    scans = world.dataset / "sequences/08/velodyne"
+    (scans / "000000.bin").write_bytes(b"damaged")
+    (scans / "000004.bin").unlink()
+    (scans / "000005.bin").unlink()
+    server = view(world.out, dataset=world.dataset)
+    server.server_close()
+    assert server.scans == 5
+    assert [failure.scan.stem for failure in server.failures] == ["000000"]
+    assert "2 scans with results not found any more and left out: 08/000004, 08/000005" in (
+        caplog.text
+    )
+
+
+@pytest.mark.parametrize("ending", [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize("damaged", [False, True])
+def test_it_ends_when_it_is_told_to(world, ending, damaged):
+    if damaged:
+        (world.dataset / "sequences/08/velodyne/000000.bin").write_bytes(b"damaged")
     command = [sys.executable, "-m", "salsanext_cli", "view", str(world.out), "--port", "0"]
     given = [*command, "--dataset", str(world.dataset), "--json"]
     ssh = {"SSH_CONNECTION": "10.0.0.1 5000 10.0.0.2 22"}
     with subprocess.Popen(
         given, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=os.environ | ssh
     ) as run:
-        assert run.stdout
-        found = json.loads(run.stdout.readline())
-        assert found["scans"] == 7
-        assert found["url"].startswith("http://127.0.0.1:")
-        run.send_signal(ending)
-        _, said = run.communicate(timeout=60)
-    assert run.returncode == status
+        try:
+            assert run.stdout
+            found = json.loads(run.stdout.readline())
+            assert found["scans"] == 7
+            assert found["url"].startswith("http://127.0.0.1:")
+            run.send_signal(ending)
+            more, said = run.communicate(timeout=60)
+        finally:
+            run.kill()
+    assert run.returncode == int(damaged)
+    assert more == ""
     assert "Traceback" not in said
     assert "ssh -N -L" in said
 
 
 def test_forwarding_names_what_ssh_needs(monkeypatch):
-    monkeypatch.setattr("getpass.getuser", lambda: "ada")
-    assert _forwarding(8765, "10.0.0.1 5000 10.0.0.2 2222") == (
-        "ssh -N -L 8765:127.0.0.1:8765 -p 2222 ada@10.0.0.2"
-    )
+    connection = "10.0.0.1 5000 10.0.0.2 2222"
+    forwarded = "ssh -N -L 8765:127.0.0.1:8765 -p 2222"
+    monkeypatch.setenv("USER", "CORP\\ada")
+    assert _forwarding(8765, connection) == f"{forwarded} 'CORP\\ada@10.0.0.2'"
+    monkeypatch.delenv("USER")
+    assert _forwarding(8765, connection) == f"{forwarded} 10.0.0.2"
     assert _forwarding(8765, "") == ""

@@ -25,7 +25,6 @@ from salsanext_cli.report.page.clouds import (
     base64_of,
     encode_cloud,
     plain_scales,
-    scales_of,
 )
 from salsanext_cli.report.page.html import ClassShare, PageContent
 from salsanext_cli.report.page.shown_scans import UNCERTAIN, ShownScan
@@ -71,9 +70,10 @@ def content_of(
     rows: Sequence[ScanRow],
     compared: Comparison | None,
     shown: Sequence[ShownScan],
+    scales: Mapping[str, tuple[float, float]],
     space: LabelSpace,
     sensor: Sensor,
-    live: bool = False,
+    served: Mapping[str, str] | None = None,
 ) -> PageContent:
     """Put a page together.
 
@@ -89,13 +89,16 @@ def content_of(
         Of the scans with labels, if there are any.
     shown : sequence of ShownScan
         Scans to show point by point.
+    scales : mapping
+        As `scales_of` returns them.
     space, sensor
         Classes and range image of the labels.
-    live : bool
-        True: the page asks for the points of all scans; `shown` are for the scales only.
+    served : mapping of str to str, optional
+        Scans whose points the page asks a server for, with the reason to look at them, which may
+        be empty; otherwise it holds those of `shown`.
     """
-    colours, scales = on_dark(space.colours), scales_of(shown)
-    offered = {row.name: "" for row in rows} if live else {s.name: s.reason for s in shown}
+    colours = on_dark(space.colours)
+    offered = {scan.name: scan.reason for scan in shown} if served is None else served
     page = PageContent(
         title=title,
         tiles=_tiles(rows, compared),
@@ -103,8 +106,8 @@ def content_of(
         warnings=warnings,
         shares=_shares(rows, compared, space, colours),
         data=as_text(_data(rows, offered, scales, space, colours)),
-        clouds=[as_text(encode_cloud(each, space, sensor, scales)) for each in shown if not live],
-        live=live,
+        clouds=[as_text(encode_cloud(each, space, sensor, scales)) for each in shown],
+        live=served is not None,
     )
     if compared is None:
         return page

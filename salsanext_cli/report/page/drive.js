@@ -4,12 +4,11 @@
 const CURVE_PX = 100, GAP_PX = 22, UNCERTAIN_COLOUR = "#2f7fd0", WRONG_COLOUR = "#e0482e";
 
 class DriveView {
-  // scans: { count, names, marked, shown: place in the page or -1, shares: (count × classes), uncertainty, wrong }
+  // scans: { count, names, shown: place in the page or -1, marked: worth a look or not, shares: (count × classes), uncertainty, wrong }
   constructor(canvas, told, scans, classes, open) {
     Object.assign(this, { canvas, told, scans, classes, open, at: Math.max(0, scans.shown.findIndex(i => i >= 0)) });
     new ResizeObserver(() => this.draw()).observe(canvas);
-    const place = event => Math.min(scans.count - 1, Math.max(0,
-      Math.floor(event.offsetX / Math.max(1, canvas.clientWidth) * scans.count)));
+    const place = event => this.highest(event.offsetX);
     canvas.addEventListener("pointermove", event => this.point(place(event)));
     canvas.addEventListener("click", event => this.choose(this.nearest(place(event), event.offsetX)));
     canvas.addEventListener("focus", () => this.point(this.at));
@@ -23,9 +22,24 @@ class DriveView {
     matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => this.draw());
   }
 
+  range(column, columns) {  // scans of a column: the first, and the one after the last
+    const first = Math.floor(column * this.scans.count / columns);
+    return [first, Math.max(first + 1, Math.floor((column + 1) * this.scans.count / columns))];
+  }
+
+  highest(x) {  // scan at a place of the canvas: of several the one that the upper curve shows
+    const { count, uncertainty, wrong } = this.scans, values = uncertainty ?? wrong;
+    const width = Math.max(1, this.canvas.clientWidth), columns = Math.min(count, Math.max(1, Math.floor(width)));
+    const column = Math.min(columns - 1, Math.max(0, Math.floor(x / width * columns)));
+    const [first, end] = this.range(column, columns);
+    let best = first;
+    for (let i = first + 1; values && i < end; i++) if (values[i] > values[best] || Number.isNaN(values[best])) best = i;
+    return best;
+  }
+
   nearest(place, x) {  // a mark is wider than a column among thousands
     const per = this.canvas.clientWidth / this.scans.count;
-    const marked = this.scans.shown.flatMap((shown, i) => shown < 0 ? [] : [[Math.abs((i + 0.5) * per - x), i]]);
+    const marked = this.scans.marked.flatMap((is, i) => !is ? [] : [[Math.abs((i + 0.5) * per - x), i]]);
     const [far, best] = marked.sort((a, b) => a[0] - b[0])[0] ?? [Infinity, place];
     return far < Math.max(6, per / 2) ? best : place;
   }
@@ -61,9 +75,8 @@ class DriveView {
     pen.scale(ratio, ratio);
     pen.font = "12px system-ui, sans-serif";
     const columns = Math.min(scans.count, Math.max(1, Math.floor(width))), per = width / columns;
-    const scan = column => Math.floor(column * scans.count / columns);
-    this.curve(pen, scans.uncertainty, UNCERTAIN_COLOUR, columns, per, scan);
-    this.curve(pen, scans.wrong, WRONG_COLOUR, columns, per, scan);
+    this.curve(pen, scans.uncertainty, UNCERTAIN_COLOUR, columns, per);
+    this.curve(pen, scans.wrong, WRONG_COLOUR, columns, per);
     let left = 0;
     for (const [values, name, colour] of [[scans.uncertainty, `mean ${scans.kind}`, UNCERTAIN_COLOUR],
       [scans.wrong, "wrong", WRONG_COLOUR]]) {
@@ -80,7 +93,7 @@ class DriveView {
     for (let column = 0; column < columns && scans.shares; column++) {
       let bottom = height;
       for (const each of this.classes.keys()) {
-        const share = scans.shares[scan(column) * size + each] * (height - top);
+        const share = scans.shares[this.range(column, columns)[0] * size + each] * (height - top);
         pen.fillStyle = this.classes[each].css;
         pen.fillRect(column * per, bottom - share, Math.max(1, per - (per > 6 ? 1 : 0)), share);
         bottom -= share;
@@ -88,7 +101,7 @@ class DriveView {
     }
     pen.fillStyle = ink;
     const middle = place => (place + 0.5) * width / scans.count;
-    if (scans.marked) scans.shown.forEach((shown, place) => shown >= 0 && pen.fillText("▾", middle(place) - 5, top - 5));
+    scans.marked.forEach((is, place) => is && pen.fillText("▾", middle(place) - 5, top - 5));
     pen.strokeStyle = ink;
     pen.strokeRect(middle(this.at) - Math.max(3, per / 2), top - 1, Math.max(6, per), height - top);
   }
@@ -97,7 +110,7 @@ class DriveView {
     return values ? values.reduce((most, each) => Math.max(most, each || 0), 0) : 0;
   }
 
-  curve(pen, values, colour, columns, per, scan) {
+  curve(pen, values, colour, columns, per) {
     const most = this.most(values);
     if (!most) return;
     pen.strokeStyle = colour;
@@ -105,8 +118,9 @@ class DriveView {
     pen.beginPath();
     let known = false;
     for (let column = 0; column < columns; column++) {
-      let value = values[scan(column)];  // the highest, where a column is several scans
-      for (let i = scan(column) + 1; i < scan(column + 1); i++) if (values[i] > value || Number.isNaN(value)) value = values[i];
+      const [first, end] = this.range(column, columns);
+      let value = values[first];  // the highest, where a column is several scans
+      for (let i = first + 1; i < end; i++) if (values[i] > value || Number.isNaN(value)) value = values[i];
       const y = CURVE_PX - value / most * (CURVE_PX - 22);
       if (Number.isNaN(value)) known = false;
       else if (known) pen.lineTo((column + 0.5) * per, y);

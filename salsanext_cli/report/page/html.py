@@ -16,7 +16,7 @@ from salsanext_cli import __version__
 from salsanext_cli.errors import printable
 from salsanext_cli.report.evaluation_pictures import PICTURES
 
-PARTS = ("page.css", "view.js", "drive.js", "page.js")
+PARTS = ("page.css", "view.js", "drive.js", "scans.js", "page.js")
 """Files beside this one that the template takes in, as $page_css and so on."""
 
 FILE_WORDS = {
@@ -25,7 +25,7 @@ FILE_WORDS = {
     "connect": "",
 }
 LIVE_WORDS = {
-    "openable": "A click opens a scan.",
+    "openable": "▾ marks those worth a look; a click opens any.",
     "note": "The scans come from salsanext view while it runs.",
     "connect": "connect-src 'self'",
 }
@@ -82,9 +82,13 @@ class PageContent:
     live: bool = False
 
 
-def html_of(content: PageContent) -> str:
-    """Return the page; every text that comes from files or names is escaped."""
+def html_of(content: PageContent, token: str = "") -> str:
+    """Return the page; every text that comes from files or names is escaped.
+
+    `token` is that of the server of a live page.
+    """
     blocks = [script_data(f"cloud-{i}", each) for i, each in enumerate(content.clouds)]
+    data = {**content.data, "live": content.live, "token": token}
     template = Template(_part("page.html"))
     return template.substitute(
         title=_text(content.title),
@@ -96,7 +100,7 @@ def html_of(content: PageContent) -> str:
         shares=_shares(content.shares),
         plots=_plots(content),
         plots_link='<a href="#plots">Plots</a>' if content.pictures else "",
-        data=script_data("data", {**content.data, "live": content.live}) + "".join(blocks),
+        data=script_data("data", data) + "".join(blocks),
         **(LIVE_WORDS if content.live else FILE_WORDS),
         **{name.replace(".", "_"): _part(name) for name in PARTS},
     )

@@ -11,36 +11,7 @@ const title = name => TITLES[name] ?? name.replaceAll("_", " ");
 const bytes = text => Uint8Array.from(atob(text), c => c.charCodeAt(0));
 const floats = text => text ? new Float32Array(bytes(text).buffer) : null;
 const state = { scan: 0, colour: "", by: "", above: TOP, size: 2, hidden: { label: new Set(), truth: new Set(), wrong: new Set() } };
-const KEPT = 20, PAUSE_MS = 100;  // scans kept of a live page; between two that are played
-const clouds = new Map();
-let cloud = null, palette = null, visible = null, view = null, drive = null, wantedScan = 0, playing = false;
-
-async function asked(index) {  // of the server of a live page
-  const answer = await fetch(`cloud/${index}`).then(found => found.json());
-  if (answer.error) throw new Error(answer.error);
-  Object.assign(data.scales, answer.scales);
-  return decoded(answer);
-}
-
-function cloudAt(index) {  // of this page or of its server: a promise, of which the last ones are kept
-  if (!clouds.has(index)) {
-    const coming = data.live ? asked(index) : decoded(JSON.parse(byId(`cloud-${index}`).textContent));
-    clouds.set(index, coming);
-    if (data.live) {
-      coming.catch(() => clouds.delete(index));
-      if (clouds.size > KEPT) clouds.delete(clouds.keys().next().value);
-    }
-  }
-  return clouds.get(index);
-}
-
-function decoded(raw) {
-  const ofPixel = new ({ 1: Uint8Array, 2: Uint16Array, 4: Uint32Array })[raw.of_pixel_bytes](bytes(raw.of_pixel).buffer);
-  const first = new Uint32Array(ofPixel.length + 1);  // point of each pixel, and where the next one's begin
-  ofPixel.forEach((count, pixel) => { first[pixel + 1] = first[pixel] + count; });
-  const values = Object.fromEntries(Object.entries(raw.values).map(([name, text]) => [name, bytes(text)]));
-  return { ...raw, values, first, position: new Uint16Array(bytes(raw.position).buffer) };
-}
+let cloud = null, palette = null, visible = null, view = null, drive = null, threshold = null, remembering = 0;
 
 function valueOf(name, byte) {  // on the scale, in its unit
   const { low, high } = data.scales[name];
@@ -62,20 +33,9 @@ function paletteOf(colour) {  // 256 colours of 4 bytes
   return rgba;
 }
 
-function options(select, names, text) {
+function options(select, names, text) {  // an open list is left alone
+  if ([...select.options].map(each => each.value).join() === names.join()) return;
   select.replaceChildren(...names.map(name => new Option(text(name), name)));
-}
-
-async function open(index) {
-  wantedScan = index;
-  byId("scan").value = byId("place").value = index;
-  try {
-    const found = data.live ? await cloudAt(index) : cloudAt(index);
-    if (wantedScan === index) show(index, found);
-  } catch (error) {
-    play(false);
-    byId("told").textContent = `${data.shown[index].name}: ${error.message}`;
-  }
 }
 
 function show(index, found) {
@@ -88,6 +48,11 @@ function show(index, found) {
   options(byId("colour"), names, title);
   options(byId("by"), uncertain, title);
   byId("by").closest("label").hidden = !uncertain.length;
+  const scale = data.scales[state.by];
+  if (threshold !== null && scale) {
+    state.above = Math.min(TOP, Math.max(0, Math.round((threshold - scale.low) / (scale.high - scale.low) * TOP) || 0));
+    threshold = null;
+  }
   byId("colour").value = state.colour;
   byId("by").value = state.by;
   view?.show(cloud);
@@ -131,6 +96,7 @@ function filter() {  // by class and by uncertainty
 }
 
 function tell() {
+  if (!cloud) return;
   const { values, shown, points } = cloud;
   let left = 0, judged = 0, wrong = 0, judgedLeft = 0, wrongLeft = 0;
   for (let i = 0; i < shown; i++) {
@@ -149,32 +115,38 @@ function tell() {
   document.documentElement.dataset.shown = left;
 }
 
-function legend() {
+function legend() {  // buttons stay where the classes are the same, so that a click is not lost
   const name = CATEGORIES[state.colour] ? state.colour : cloud.values.label ? "label" : "";
   const ids = cloud.values[name] ?? [], hidden = state.hidden[name], counts = new Uint32Array(256);
   for (const id of ids) counts[id]++;
-  const there = [...(CATEGORIES[name] ?? []).keys()].filter(id => counts[id]);
-  byId("legend").replaceChildren(...there.map(id => {
-    const button = document.createElement("button"), swatch = document.createElement("i");
-    const { rgb, name: text } = CATEGORIES[name][id];
-    swatch.style.background = `rgb(${rgb})`;
-    button.type = "button";
-    button.append(swatch, `${text} ${(100 * counts[id] / cloud.shown).toFixed(1)} %`);
-    button.setAttribute("aria-pressed", !hidden.has(id));
-    const show = change => () => {
-      change();
-      filter();
-      strip();
-      remember();
-      [...byId("legend").children].forEach((each, i) => each.setAttribute("aria-pressed", !hidden.has(there[i])));
-    };
-    button.addEventListener("click", show(() => hidden.delete(id) || hidden.add(id)));
-    button.addEventListener("dblclick", show(() => {
-      there.forEach(each => hidden.add(each));
-      hidden.delete(id);
-    }));
-    return button;
+  const there = [...(CATEGORIES[name] ?? []).keys()].filter(id => counts[id]), box = byId("legend");
+  const key = [name, ...there].join();
+  if (box.dataset.key !== key) box.replaceChildren(...there.map(id => entry(name, id, there)));
+  box.dataset.key = key;
+  there.forEach((id, i) => {
+    box.children[i].lastChild.textContent = `${CATEGORIES[name][id].name} ${(100 * counts[id] / cloud.shown).toFixed(1)} %`;
+    box.children[i].setAttribute("aria-pressed", !hidden.has(id));
+  });
+}
+
+function entry(name, id, there) {  // of the legend
+  const button = document.createElement("button"), swatch = document.createElement("i"), hidden = state.hidden[name];
+  swatch.style.background = `rgb(${CATEGORIES[name][id].rgb})`;
+  button.type = "button";
+  button.append(swatch, "");
+  const show = change => () => {
+    change();
+    filter();
+    strip();
+    legend();
+    remember();
+  };
+  button.addEventListener("click", show(() => hidden.delete(id) || hidden.add(id)));
+  button.addEventListener("dblclick", show(() => {
+    there.forEach(each => hidden.add(each));
+    hidden.delete(id);
   }));
+  return button;
 }
 
 function strip() {  // the range image: of each pixel the nearest point
@@ -229,52 +201,40 @@ function point(index) {  // at one point, in three dimensions and in the range i
   box.textContent = lines.map(([name, text]) => `${name.padEnd(21)}${text}`).join("\n");
 }
 
-function remember() {
-  if (!cloud) return;
+function remember() {  // soon, as browsers refuse many changes of the address at once
+  clearTimeout(remembering);
+  if (cloud && !playing) remembering = setTimeout(() => history.replaceState(null, "", `#${address()}`), 150);
+}
+
+function address() {
   const { hidden } = state, parts = { scan: cloud.name, colour: state.colour };
   if (state.by && state.above < TOP) Object.assign(parts, { by: state.by, above: +valueOf(state.by, state.above).toPrecision(3) });
   if (state.size !== 2) parts.size = state.size;
   if (hidden.label.size) parts.hide = [...hidden.label].map(id => data.classes[id].name).join(",");
-  history.replaceState(null, "", `#${new URLSearchParams(parts)}`);
+  return new URLSearchParams(parts);
 }
 
 function recall() {  // the state that the address holds
-  const wanted = new URLSearchParams(location.hash.slice(1));
-  const scan = data.shown.findIndex(each => each.name === wanted.get("scan"));
+  const linked = new URLSearchParams(location.hash.slice(1));
+  const scan = data.shown.findIndex(each => each.name === linked.get("scan"));
   Object.values(state.hidden).forEach(each => each.clear());
   state.above = TOP;
-  state.colour = wanted.get("colour") ?? state.colour;
-  state.by = wanted.get("by") ?? state.by;
-  state.size = +wanted.get("size") || 2;
-  const names = (wanted.get("hide") ?? "").split(",");
+  state.colour = linked.get("colour") ?? state.colour;
+  state.by = linked.get("by") ?? state.by;
+  state.size = +linked.get("size") || 2;
+  const names = (linked.get("hide") ?? "").split(",");
   data.classes.forEach((each, id) => names.includes(each.name) && state.hidden.label.add(id));
-  const scale = data.scales[state.by];
-  if (scale && wanted.has("above")) state.above = Math.min(TOP, Math.max(0, Math.round((+wanted.get("above") - scale.low) / (scale.high - scale.low) * TOP) || 0));
+  threshold = linked.has("above") ? +linked.get("above") : null;
   byId("size").value = state.size;
   if (view) view.size = state.size;
-  return open(Math.max(0, scan));
-}
-
-async function play(on) {  // one scan after the other, to the last
-  if (on === playing) return;
-  playing = on;
-  byId("play").textContent = on ? "pause" : "play";
-  const last = data.shown.length - 1;
-  if (on && state.scan === last) await open(0);
-  while (playing && state.scan < last) {
-    const next = state.scan + 1;
-    await Promise.all([open(next), new Promise(done => setTimeout(done, PAUSE_MS))]);
-    if (state.scan !== next) break;
-    if (next < last) cloudAt(next + 1);
-  }
-  if (on) play(false);
+  return choose(Math.max(0, scan));
 }
 
 function listen() {
   const on = (id, name, change) => byId(id).addEventListener(name, () => change(byId(id).value));
-  on("scan", "change", value => open(+value));
-  on("place", "input", value => open(+value));
-  byId("play").addEventListener("click", () => play(!playing));
+  on("scan", "change", value => choose(+value));
+  on("place", "input", value => choose(+value));
+  byId("play").addEventListener("click", () => playing ? stop() : play());
   on("colour", "change", value => { state.colour = value; paint(); });
   on("by", "change", value => { state.by = value; filter(); strip(); remember(); });
   on("above", "input", value => { state.above = +value; filter(); strip(); });
@@ -289,6 +249,7 @@ function listen() {
     paint();
   });
   byId("strip").addEventListener("pointermove", event => {
+    if (!cloud) return;
     const { width, height, first } = cloud, canvas = byId("strip");
     const column = Math.floor(event.offsetX / canvas.clientWidth * width), row = Math.floor(event.offsetY / canvas.clientHeight * height);
     const pixel = row * width + column, at = first[pixel];
@@ -303,18 +264,18 @@ function start() {
   byId("place").max = data.shown.length - 1;
   byId("through").hidden = data.shown.length < 2;
   for (const each of data.classes) each.css = `rgb(${each.rgb})`;
-  const scans = { ...data.drive, count: data.drive.names.length, marked: !data.live };
+  const scans = { ...data.drive, count: data.drive.names.length, marked: data.drive.shown.map(i => i >= 0 && data.shown[i].reason) };
   for (const name of ["shares", "uncertainty", "wrong"]) scans[name] = floats(scans[name]);
   drive = new DriveView(byId("columns"), byId("column"), scans, data.classes, index => {
-    open(index);
+    choose(index);
     byId("scans").scrollIntoView({ behavior: "smooth" });
   });
   try {
     view = new PointView(byId("cloud"));
-    let wanted = null;  // one search for a point per frame
+    let pointed = null;  // one search for a point per frame
     steer(view, place => {
-      wanted ?? requestAnimationFrame(() => { point(wanted.place ? view.pick(wanted.place.x, wanted.place.y) : -1); wanted = null; });
-      wanted = { place };
+      pointed ?? requestAnimationFrame(() => { point(pointed.place ? view.pick(pointed.place.x, pointed.place.y) : -1); pointed = null; });
+      pointed = { place };
     });
   } catch (error) {
     byId("hint").style.display = "block";

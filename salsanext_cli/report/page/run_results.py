@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -55,14 +55,14 @@ class RunResults:
         shown: Sequence[ShownScan],
         compared: Comparison | None,
         failed: Sequence[str],
-        *,
-        live: bool = False,
+        scales: Mapping[str, tuple[float, float]],
+        served: Mapping[str, str] | None = None,
     ) -> PageContent:
         """Put the page together.
 
         Parameters
         ----------
-        shown, compared, live
+        shown, compared, scales, served
             As for `content_of`.
         failed : sequence of str
             Reasons why scans are left out.
@@ -76,9 +76,10 @@ class RunResults:
             rows=self.rows,
             compared=compared,
             shown=shown,
+            scales=scales,
             space=space,
             sensor=sensor,
-            live=live,
+            served=served,
         )
 
     def _warnings(self) -> list[str]:

@@ -5,7 +5,9 @@ from __future__ import annotations
 
 import errno
 import json
-from collections.abc import Callable, Mapping
+import secrets
+import sys
+from collections.abc import Mapping
 from http import HTTPStatus
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from typing import Any
@@ -18,19 +20,23 @@ OWN_NAMES = (LOOPBACK, "localhost")
 """Hosts that a browser may ask for: a page of another name that resolves to this machine may not
 read the scans.
 """
+MAX_DIGITS = 9
+"""Digits of the place of a scan."""
 
 
 class PageServer(ThreadingHTTPServer):
-    """Server on the loopback interface.
+    """Server on the loopback interface, of `page` and `cloud`.
 
     Parameters
     ----------
     port : int
-        Port; 0 for any free one.
-    page : str
-        HTML of the page.
-    cloud : callable
-        Returns the cloud of a scan by its place, as plain data; None if there is no such scan.
+        Port; 0 for any free one. It is taken at once; requests wait until `serve_forever`.
+
+    Attributes
+    ----------
+    token : str
+        Part of the address of the clouds, so that the page of an earlier server gets none of this
+        one's.
 
     Raises
     ------
@@ -38,13 +44,8 @@ class PageServer(ThreadingHTTPServer):
         If the port is taken or may not be used.
     """
 
-    daemon_threads = True
-
-    def __init__(
-        self, port: int, page: str, cloud: Callable[[int], Mapping[str, Any] | None]
-    ) -> None:
-        self.page = page.encode()
-        self.cloud = cloud
+    def __init__(self, port: int) -> None:
+        self.token = secrets.token_urlsafe(12)
         try:
             super().__init__((LOOPBACK, port), _Handler)
         except OSError as error:
@@ -58,31 +59,60 @@ class PageServer(ThreadingHTTPServer):
         """Address of the page."""
         return f"http://{LOOPBACK}:{self.server_port}/"
 
+    def page(self) -> bytes:
+        """Return the page as HTML."""
+        raise NotImplementedError
+
+    def cloud(self, place: int) -> Mapping[str, Any] | None:
+        """Return the cloud of a scan by its place, as plain data; None if there is no such scan.
+
+        Raises
+        ------
+        SalsanextError
+            If it cannot be read, which the page tells.
+        """
+        raise NotImplementedError
+
+    def handle_error(self, request: Any, client_address: Any) -> None:
+        """Say nothing of a browser that no longer waits for its answer."""
+        if not isinstance(sys.exception(), ConnectionError):
+            super().handle_error(request, client_address)
+
 
 class _Handler(BaseHTTPRequestHandler):
-    """Answers to GET requests for ``/`` and ``/cloud/3``."""
+    """Answers to GET requests for ``/`` and ``/cloud/TOKEN/3``."""
 
     server: PageServer
 
     def do_GET(self) -> None:
         """Answer one request."""
-        path = urlsplit(self.path).path
-        folder, _, place = path.removeprefix("/").partition("/")
-        if urlsplit(f"//{self.headers.get('Host', '')}").hostname not in OWN_NAMES:
-            self.send_error(HTTPStatus.FORBIDDEN)
-        elif path == "/":
-            self._answer(HTTPStatus.OK, "text/html; charset=utf-8", self.server.page)
-        elif folder == "cloud" and place.isdecimal() and place.isascii():
-            self._answer_cloud(int(place))
-        else:
-            self.send_error(HTTPStatus.NOT_FOUND)
-
-    def _answer_cloud(self, place: int) -> None:
-        status, data = HTTPStatus.OK, None
         try:
-            data = self.server.cloud(place)
-        except SalsanextError as error:
-            status, data = HTTPStatus.INTERNAL_SERVER_ERROR, {"error": str(error)}
+            path = urlsplit(self.path).path
+            host = urlsplit(f"//{self.headers.get('Host', '')}").hostname
+        except ValueError:
+            self.send_error(HTTPStatus.BAD_REQUEST)
+            return
+        if host not in OWN_NAMES:
+            self.send_error(HTTPStatus.FORBIDDEN)
+            return
+        match path.split("/"):
+            case ["", ""]:
+                self._answer(HTTPStatus.OK, "text/html; charset=utf-8", self.server.page())
+            case ["", "cloud", token, place] if place.isascii() and place.isdecimal():
+                self._answer_cloud(token, place)
+            case _:
+                self.send_error(HTTPStatus.NOT_FOUND)
+
+    def _answer_cloud(self, token: str, place: str) -> None:
+        data: Mapping[str, Any] | None = None
+        if token != self.server.token:
+            error = "this page is of an earlier salsanext view: reload it"
+            status, data = HTTPStatus.GONE, {"error": error}
+        elif len(place) <= MAX_DIGITS:
+            try:
+                status, data = HTTPStatus.OK, self.server.cloud(int(place))
+            except SalsanextError as error:
+                status, data = HTTPStatus.INTERNAL_SERVER_ERROR, {"error": str(error)}
         if data is None:
             self.send_error(HTTPStatus.NOT_FOUND)
         else:

@@ -156,6 +156,7 @@ class PointView {
   }
 
   pick(x, y) {  // the nearest visible point at a place of the canvas, in CSS pixels; -1 without one
+    if (!this.cloud) return -1;
     const m = this.matrix(), { low, step, position } = this.cloud, { clientWidth, clientHeight } = this.canvas;
     const [s, t] = [2 * x / clientWidth - 1, 1 - 2 * y / clientHeight];
     const [across, down] = [clientWidth / 2, clientHeight / 2];
