@@ -170,7 +170,7 @@ def console_of(page: str, tmp_path: Path) -> str:
         *(["--no-sandbox"] if os.geteuid() == 0 else []),
         *("--disable-dev-shm-usage", "--disable-background-networking", "--window-size=1280,900"),
         *(f"--user-data-dir={tmp_path / 'profile'}", "--enable-logging=stderr"),
-        *("--virtual-time-budget=20000", "--dump-dom", page),
+        *("--virtual-time-budget=200000", "--dump-dom", page),
     ]
     done = subprocess.run(command, capture_output=True, text=True, timeout=120, check=False)
     assert 'data-ready="yes"' in done.stdout, done.stderr
@@ -179,8 +179,9 @@ def console_of(page: str, tmp_path: Path) -> str:
 
 def found_in(said: str) -> dict[str, Any]:
     """Return what a probe wrote to the console."""
-    (text,) = FOUND.findall(said)
-    found: dict[str, Any] = json.loads(text.replace('\\"', '"').replace("\\\\", "\\"))
+    written = FOUND.search(said)
+    assert written, said
+    found: dict[str, Any] = json.loads(written[1].replace('\\"', '"').replace("\\\\", "\\"))
     return found
 
 
