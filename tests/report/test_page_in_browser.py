@@ -170,6 +170,7 @@ def console_of(page: str, tmp_path: Path) -> str:
         *(["--no-sandbox"] if os.geteuid() == 0 else []),
         *("--disable-dev-shm-usage", "--disable-background-networking", "--window-size=1280,900"),
         *(f"--user-data-dir={tmp_path / 'profile'}", "--enable-logging=stderr"),
+        "--run-all-compositor-stages-before-draw",
         *("--virtual-time-budget=200000", "--dump-dom", page),
     ]
     done = subprocess.run(command, capture_output=True, text=True, timeout=120, check=False)
