@@ -1,4 +1,6 @@
 # SPDX-License-Identifier: MIT
+import os
+
 from scans import SMALL
 
 from salsanext_cli import label_space
@@ -6,7 +8,9 @@ from salsanext_cli.network.card import default_weights, read_card
 from salsanext_cli.report.page.facts import facts_of_run, warnings_of_run
 from salsanext_cli.storage.files.identity import fingerprint
 from salsanext_cli.storage.kept_findings import keep_findings
+from salsanext_cli.storage.layout import output_path
 from salsanext_cli.storage.stage_records import StageRecord
+from salsanext_cli.storage.written_files import WrittenFiles
 
 SPACE = label_space().to_dict()
 
@@ -42,6 +46,20 @@ def test_other_weights_are_named_by_their_digest(tmp_path):
 
 def test_nothing_is_claimed_of_results_without_a_record(tmp_path):
     assert dict(facts_of_run(tmp_path, SMALL))["Weights"] == "not recorded"
+
+
+def test_the_time_per_scan_is_that_between_results(tmp_path):
+    record(tmp_path, "predict", ("predictions",))
+    begin = 1_700_000_000.0
+    for number, time in enumerate((0, 0.1, 0.3, 4000, 4000.1, 4000.4)):
+        path = output_path(tmp_path, "00", "predictions", f"{number:06}")
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_bytes(b"result")
+        os.utime(path, (begin + time, begin + time))
+        WrittenFiles(tmp_path).record(path)
+    assert dict(facts_of_run(tmp_path, SMALL))["Time"] == "predict: 0.18 s per scan"
+    path.write_bytes(b"another")
+    assert "Time" not in dict(facts_of_run(tmp_path, SMALL))
 
 
 def test_findings_of_all_stages_are_one_line_for_each_kind(tmp_path):

@@ -5,7 +5,9 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Collection, Iterator, Mapping
+from itertools import pairwise
 from pathlib import Path
+from statistics import mean
 from typing import Any
 
 from salsanext_cli.errors import SalsanextError, counted, first_few
@@ -14,11 +16,16 @@ from salsanext_cli.network.card import default_weights, read_card
 from salsanext_cli.sensors import Sensor
 from salsanext_cli.storage.files.identity import fingerprint
 from salsanext_cli.storage.kept_findings import read_findings
-from salsanext_cli.storage.layout import ERROR
+from salsanext_cli.storage.layout import ERROR, find_outputs
 from salsanext_cli.storage.stage_records import owner, recorded_weights, stage_settings
+from salsanext_cli.storage.written_files import WrittenFiles
 
 SHOWN_DIGITS = 12
 """Hexadecimal digits of a SHA-256 that are shown."""
+LEAST_TIMED = 4
+"""Scans that it takes to say how long one takes."""
+PAUSE_S = 60.0
+"""Time between two results from which on nothing ran in between."""
 CHECKED_STAGES = ("project", "predict", "uncertainty")
 """Stages that check scans."""
 
@@ -30,6 +37,7 @@ def facts_of_run(out: Path, sensor: Sensor) -> list[tuple[str, str]]:
         ("Sensor", f"{sensor.name}, {sensor.height}×{sensor.width}, {as_found(sensor)}"),
         *(("Labels", text) for text in _labels(out)),
         *(("Uncertainty", text) for text in _uncertainty(out)),
+        *(("Time", text) for text in _times(out)),
     ]
 
 
@@ -78,6 +86,21 @@ def _uncertainty(out: Path) -> Iterator[str]:
         yield ", ".join([str(settings.get("method")), *given])
     if owner(out, ERROR) == "predict":
         yield "probability of error, of predict --error"
+
+
+def _times(out: Path) -> Iterator[str]:
+    """Say how long scans took each stage: the mean time between two results, pauses left out.
+
+    Nothing is said of a folder whose files are not those that were written there, such as a copy.
+    """
+    folders = ("predictions", "uncertainty/epistemic")
+    for stage, folder in {owner(out, folder): folder for folder in folders}.items():
+        paths = list(find_outputs(out, folder).values())
+        if stage and len(paths) >= LEAST_TIMED and not WrittenFiles(out).others(paths):
+            written = sorted(path.stat().st_mtime_ns for path in paths)
+            gaps_s = [gap / 1e9 for a, b in pairwise(written) if (gap := b - a) < PAUSE_S * 1e9]
+            if gaps_s:
+                yield f"{stage}: {mean(gaps_s):.2g} s per scan"
 
 
 def warnings_of_run(out: Path, wanted: Collection[str]) -> list[str]:
