@@ -14,6 +14,7 @@ from salsanext_cli.errors import NOTICE, UsageError
 from salsanext_cli.formats.clouds.asprs import asprs_class, classification
 from salsanext_cli.formats.clouds.las import encode_las, import_laspy
 from salsanext_cli.formats.clouds.ply import encode_ply
+from salsanext_cli.formats.label_scalars import PREFIX
 from salsanext_cli.inference.settings import NetworkSettings
 from salsanext_cli.parallel.run import Failure, Outcome, RunOptions, run_over_scans
 from salsanext_cli.report.colours import COLOURS, PointColours
@@ -62,19 +63,21 @@ def export_scan(
     if colours.colour not in columns:
         raise missing_column(colours.colour, file, output.out)
     rgb = dict(zip(("red", "green", "blue"), colours.of_points(columns).T, strict=True))
-    positions = dict(zip("xyz", results.scan.points.T, strict=True))
-    known = positions | rgb | columns
+    drawn = dict(zip("xyz", results.scan.points.T, strict=True)) | rgb
     comments = [f"colour {colours.legend}", f"label space {colours.space.name}"]
     if max_error is not None:
         comments.append(f"unlabelled where error is above {max_error:g}")
     (folder,) = output.folders
     if form == "ply":
-        output.write(file, folder, encode_ply(known, comments))
+        # CloudCompare takes what is named so for scalars, and shows the first.
+        shown = {colours.colour: columns[colours.colour]} | columns
+        named = {f"{PREFIX}{name}": values for name, values in shown.items()}
+        output.write(file, folder, encode_ply(drawn | named, comments))
         return results.rejected_points
     space, path = colours.space, output.path(file, folder)
     comments += [f"class {asprs_class(i, space)} {name}" for i, name in space.labels.items()]
     of_points = classification(columns.get("label", np.zeros(len(results.scan), np.uint32)), space)
-    output.write(file, folder, encode_las(path, known, of_points, comments))
+    output.write(file, folder, encode_las(path, drawn | columns, of_points, comments))
     return results.rejected_points
 
 

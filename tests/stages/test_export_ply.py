@@ -58,7 +58,8 @@ def ply(world, sequence="08", stem="000000", folder="ply"):
 
 
 def column(world, name, *where):
-    return np.array(ply(world, *where)["vertex"][name])
+    prefix = "" if name in ("x", "y", "z", "red", "green", "blue") else "scalar_"
+    return np.array(ply(world, *where)["vertex"][prefix + name])
 
 
 def colours(world, *where):
@@ -72,7 +73,9 @@ def test_every_scalar_is_a_property(sampled):
     assert data.byte_order == "<"
     names = [p.name for p in data["vertex"].properties]
     assert names[:6] == ["x", "y", "z", "red", "green", "blue"]
-    assert set(names[6:]) == {"intensity", "range", "label", "truth", "wrong", *KINDS}
+    scalars = ["label", "intensity", "range", "truth", "wrong"]
+    assert names[6:11] == [f"scalar_{name}" for name in scalars]
+    assert set(names[11:]) == {f"scalar_{kind}" for kind in KINDS}
     scan = read_scan(sampled.scan())
     for axis, values in zip("xyz", scan.points.T, strict=True):
         np.testing.assert_array_equal(column(sampled, axis), values)
@@ -83,6 +86,14 @@ def test_every_scalar_is_a_property(sampled):
     for kind in KINDS:
         stored = np.load(sampled.result(f"uncertainty/{kind}"))
         np.testing.assert_array_equal(column(sampled, kind), stored)
+
+
+def test_cloudcompare_shows_the_scalar_of_the_colours_first(sampled):
+    """It shows the first property whose name says that it is a scalar."""
+    export(sampled, colour="entropy")
+    scalars = [p.name for p in ply(sampled)["vertex"].properties if "scal" in p.name]
+    assert scalars[0] == "scalar_entropy"
+    assert len(scalars) == len(set(scalars)) == 5 + len(KINDS)
 
 
 @pytest.mark.parametrize("form", ["las", "laz"])
@@ -132,7 +143,7 @@ def test_opens_in_open3d_with_every_scalar(sampled):
     np.testing.assert_array_equal(positions, read_scan(sampled.scan()).points)
     np.testing.assert_array_equal(cloud.point.colors.numpy(), colours(sampled))
     for name in ("intensity", "range", "label", "truth", "wrong", *KINDS):
-        found = cloud.point[name].numpy().ravel()
+        found = cloud.point[f"scalar_{name}"].numpy().ravel()
         np.testing.assert_array_equal(found, column(sampled, name), err_msg=name)
 
 
@@ -282,7 +293,7 @@ def test_without_labels_there_is_neither_truth_nor_wrong(predicted, colour):
     with pytest.raises(NoInputError, match=r"has no labels .*labels.000000\.label"):
         export(predicted, colour=colour)
     assert export(predicted).done == 3
-    assert "truth" not in [p.name for p in ply(predicted)["vertex"].properties]
+    assert "scalar_truth" not in [p.name for p in ply(predicted)["vertex"].properties]
 
 
 def test_one_scan_without_labels_or_predictions_does_not_keep_the_others(predicted):
@@ -337,7 +348,7 @@ def test_clouds_of_older_results_are_made_anew(predicted):
     export(predicted)
     uncertainty(predicted.data, predicted.out, network=predicted.network, estimator=FEW)
     assert export(predicted).done == 3
-    assert "epistemic" in [p.name for p in ply(predicted)["vertex"].properties]
+    assert "scalar_epistemic" in [p.name for p in ply(predicted)["vertex"].properties]
 
 
 def test_scans_that_have_moved_are_exported_from_where_one_says(predicted):

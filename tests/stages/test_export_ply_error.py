@@ -44,11 +44,12 @@ def cloud(world, folder="ply", sequence="08", stem="000000"):
 
 
 def column(world, name, *where):
-    return np.array(cloud(world, *where)["vertex"][name])
+    return np.array(cloud(world, *where)["vertex"][f"scalar_{name}"])
 
 
 def colours(world, *where):
-    return np.stack([column(world, name, *where) for name in ("red", "green", "blue")], axis=1)
+    vertex = cloud(world, *where)["vertex"]
+    return np.stack([vertex[name] for name in ("red", "green", "blue")], axis=1)
 
 
 def truth_of(world):

@@ -233,10 +233,10 @@ def test_clouds_have_the_colours_of_merged_classes(world):
     rgb = np.stack([vertex[name] for name in ("red", "green", "blue")], axis=1)
     merged = COARSE.to_train(world.labels("00"))
     np.testing.assert_array_equal(rgb, COARSE.colours[merged])
-    np.testing.assert_array_equal(vertex["label"], COARSE.to_raw(merged))
+    np.testing.assert_array_equal(vertex["scalar_label"], COARSE.to_raw(merged))
     wrong = merged != COARSE.to_train(truth_of(world, "00"))
     counts = COARSE.scored[COARSE.to_train(truth_of(world, "00"))]
-    np.testing.assert_array_equal(vertex["wrong"][counts], wrong[counts])
+    np.testing.assert_array_equal(vertex["scalar_wrong"][counts], wrong[counts])
 
 
 def test_merged_classes_are_no_submission(coarse, tmp_path):
