@@ -23,7 +23,6 @@ install: $(INSTALLED)
 $(INSTALLED): pyproject.toml constraints.txt
 	@tools/system-libraries
 	test -x $(BIN)/python || $(PYTHON) -m venv .venv
-	$(BIN)/python -m pip install --quiet --requirement constraints.txt
 	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable '.[dev]'
 	@touch $@
 
@@ -35,6 +34,7 @@ test: $(INSTALLED)
 	OMP_NUM_THREADS=1 $(BIN)/python -m pytest --numprocesses $(WORKERS) --dist loadfile
 
 test-slow: $(INSTALLED)
+	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable '.[dev,rerun]'
 	$(BIN)/python -m pytest -m slow
 
 lint: $(INSTALLED)

@@ -16,6 +16,7 @@ from salsanext_cli.cli.demo import demo
 from salsanext_cli.cli.evaluate import evaluate
 from salsanext_cli.cli.export_onnx import export_onnx
 from salsanext_cli.cli.export_ply import export_ply
+from salsanext_cli.cli.export_rrd import export_rrd
 from salsanext_cli.cli.import_labels import import_labels
 from salsanext_cli.cli.import_weights import import_weights
 from salsanext_cli.cli.inspect import inspect
@@ -61,6 +62,7 @@ COMMANDS: dict[str, dict[str, Callable[..., None] | typer.Typer]] = {
     },
     "Look": {
         "picture": picture,
+        "export-rrd": export_rrd,
         "demo": demo,
         "report": report,
         "view": view,

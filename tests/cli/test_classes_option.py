@@ -7,7 +7,10 @@ from command_line import every_command, only_json, parsed
 
 from salsanext_cli import label_space
 
-OFFERED = {"predict", "uncertainty", "eval", "export-ply", "picture", "report", "demo"}
+OFFERED = {
+    *("predict", "uncertainty", "eval", "export-ply", "export-rrd", "picture", "report", "view"),
+    "demo",
+}
 
 
 def test_every_command_that_shows_classes_of_a_network_offers_it():

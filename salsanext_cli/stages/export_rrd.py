@@ -1,0 +1,143 @@
+# SPDX-License-Identifier: MIT
+"""Stage `export-rrd`: scans and results to recordings for the Rerun viewer."""
+
+import logging
+from collections.abc import Iterator, Mapping
+from contextlib import ExitStack, contextmanager
+from dataclasses import replace
+from functools import partial
+from itertools import groupby
+from pathlib import Path
+
+from salsanext_cli.classes import LabelSpace
+from salsanext_cli.errors import NOTICE, OutputError, printable
+from salsanext_cli.parallel.run import Outcome, RunOptions, run_over_scans
+from salsanext_cli.records import Float
+from salsanext_cli.report.colours import PointColours
+from salsanext_cli.report.rerun_recording import Columns, LogScan, import_rerun, recording
+from salsanext_cli.report.scales import common_scales
+from salsanext_cli.sensors import Sensor
+from salsanext_cli.storage.chosen_results import choose_results
+from salsanext_cli.storage.files.atomic import sweep_stale
+from salsanext_cli.storage.layout import UNCERTAINTY, ScanFile
+from salsanext_cli.storage.scan_results import read_results, scalar_columns, with_column
+from salsanext_cli.storage.selection import ScanSelection
+from salsanext_cli.storage.sources import recorded_scans
+from salsanext_cli.storage.stage_records import recorded_sensor
+from salsanext_cli.storage.written_files import WrittenFiles
+
+FOLDER = "rrd"
+"""Folder of the recordings in the output folder."""
+VIEWS = ("label", "truth", "wrong", *UNCERTAINTY)
+
+log = logging.getLogger(__name__)
+
+
+def export_rrd(
+    out: Path,
+    *,
+    dataset: Path | None = None,
+    space: LabelSpace | None = None,
+    classes: LabelSpace | None = None,
+    selection: ScanSelection = ScanSelection(),
+    options: RunOptions = RunOptions(),
+) -> Outcome:
+    """Write `OUT/rrd/<seq>.rrd`: points, classes, uncertainties and every other known scalar.
+
+    Recordings of earlier runs are replaced. A sequence gets none if none of its scans can be read.
+
+    Parameters
+    ----------
+    out : Path
+        The output folder, with what earlier stages left there.
+    dataset : Path, optional
+        Where the scans and labels are, if not where the scans came from.
+    space, classes : LabelSpace, optional
+        Of the labels, and into whose classes others are merged; as for `predicted_scans`.
+    selection : ScanSelection
+        Which scans.
+    options : RunOptions
+        Errors and progress; the scans of a recording are read one after the other.
+
+    Raises
+    ------
+    SalsanextError
+        If nothing can be done at all; failures of single scans are in the outcome.
+    """
+    import_rerun()
+    _require_text(out)
+    chosen = choose_results(out, selection, dataset, space, classes)
+    scans, space, sensor = chosen.scans, chosen.space, recorded_sensor(out)
+    WrittenFiles(out).require_replaceable(_path(out, scan.sequence) for scan in scans)
+    sweep_stale(out / FOLDER)
+    known = [name for name in VIEWS if with_column(name, scans, out)]
+    scales = common_scales(out, scans, known, space, sensor)
+    colourings = {
+        name: PointColours(name, scales.get(name, (0, 1)), space, dark=True) for name in known
+    }
+    numbers = _numbers(recorded_scans(out, dataset))
+    log_scan: dict[str, LogScan] = {}
+    with ExitStack() as held:
+
+        def keep(found: tuple[ScanFile, Float, Columns]) -> None:
+            file, points, columns = found
+            if file.sequence not in log_scan:
+                held.close()  # Scans are sorted: the recording before is complete.
+                opened = _recording(out, file.sequence, colourings, space)
+                log_scan[file.sequence] = held.enter_context(opened)
+            text = _text(file, columns, colourings)
+            log_scan[file.sequence](numbers[file], text, points, columns)
+
+        task = partial(_read, out=out, space=space, sensor=sensor, classes=classes)
+        in_turn = RunOptions(on_error=options.on_error, progress=options.progress)
+        outcome = run_over_scans(task, scans, in_turn, on_result=keep)
+    return replace(outcome, missing=chosen.missing)
+
+
+def _require_text(out: Path) -> None:
+    try:
+        str(out).encode()
+    except UnicodeEncodeError as error:
+        found = "its name is no UTF-8, which rerun-sdk cannot open"
+        raise OutputError(out, found, remedy="rename it") from error
+
+
+def _path(out: Path, sequence: str) -> Path:
+    return out / FOLDER / f"{sequence}.rrd"
+
+
+@contextmanager
+def _recording(
+    out: Path, sequence: str, colourings: Mapping[str, PointColours], space: LabelSpace
+) -> Iterator[LogScan]:
+    """Write the recording of a sequence, which appears under its name when it is complete."""
+    path, written = _path(out, sequence), WrittenFiles(out)
+    name = printable(f"{out.absolute().name}/{sequence}")
+    with written.writing(path, durable=True) as file:
+        with recording(file, name, colourings, space) as log_scan:
+            yield log_scan
+        written.require_replaceable([path])
+    log.log(NOTICE, "recording: %s", path)
+
+
+def _numbers(scans: list[ScanFile]) -> dict[ScanFile, int]:
+    """Return the place of every scan in its sequence, from 0."""
+    sequences = groupby(scans, lambda scan: scan.sequence)
+    return {scan: number for _, files in sequences for number, scan in enumerate(files)}
+
+
+def _read(
+    file: ScanFile, out: Path, space: LabelSpace, sensor: Sensor, classes: LabelSpace | None
+) -> tuple[ScanFile, Float, Columns]:
+    """Read the points of a scan and every known scalar."""
+    results = read_results(file, out, sensor, classes)
+    return file, results.scan.points, scalar_columns(results, space)
+
+
+def _text(file: ScanFile, columns: Columns, colourings: Mapping[str, PointColours]) -> str:
+    """Return the name of a scan and the meaning of its colours, as Markdown."""
+    lines = [
+        f"- {colouring.legend}" if name in columns else f"- no {name}"
+        for name, colouring in colourings.items()
+    ]
+    return "\n".join([printable(f"# {file.sequence}/{file.stem}"), "", *lines])

@@ -1,0 +1,82 @@
+# SPDX-License-Identifier: MIT
+"""`export-rrd` as it is typed; rerun-sdk is not needed."""
+
+import sys
+from contextlib import contextmanager
+from pathlib import Path
+
+import pytest
+from command_line import only_json
+from evaluated import CAR, ROAD, World
+
+from salsanext_cli.stages import export_rrd as stage
+
+KEYS = {
+    *("schema", "stage", "out", "done", "skipped", "failed", "failures", "seconds_per_scan"),
+    *("missing", "not_asked_for", "next", "seconds"),
+}
+
+
+@pytest.fixture
+def world(tmp_path):
+    world = World(tmp_path)
+    for stem in ("000000", "000001"):
+        world.add(stem, [CAR, ROAD], [CAR, CAR])
+    return world
+
+
+@pytest.fixture
+def recorded(monkeypatch):
+    """Take note of the numbers of scans instead of writing a recording."""
+    numbers: list[int] = []
+
+    @contextmanager
+    def recording(file, *_):
+        yield lambda number, *scan: numbers.append(number)
+        file.write(b"whole")
+
+    monkeypatch.setattr(stage, "import_rerun", lambda: None)
+    monkeypatch.setattr(stage, "recording", recording)
+    return numbers
+
+
+def test_the_command_says_where_the_recordings_are(run, world, recorded):
+    given = ("export-rrd", world.out, "--dataset", world.dataset)
+    result = run(*given)
+    assert (result.exit_code, recorded) == (0, [0, 1])
+    assert f"recording: {world.out / 'rrd/08.rrd'}" in result.stderr
+    assert "export-rrd: 2 scans" in result.stderr
+    found = only_json(run(*given, "--json", "--limit", 1))
+    assert {*found} == KEYS
+    assert (found["stage"], found["done"]) == ("export-rrd", 1)
+    assert run(*given, "-q").stderr == ""
+
+
+def test_scans_without_results_are_status_one(run, world, recorded):
+    path = world.out / "sequences/08/predictions/000001.label"
+    path.unlink()
+    result = run("export-rrd", world.out, "--dataset", world.dataset, "-q")
+    assert (result.exit_code, recorded) == (1, [0])
+    assert result.stderr.startswith("error: 1 of 2 scans have no results")
+
+
+def test_what_is_wrong_is_one_line(run, world, recorded):
+    for words, status, says in (
+        (["nowhere"], 1, "nowhere · no such folder"),
+        ([world.out], 1, "its scans are not in"),
+        ([world.out, "--dataset", world.dataset, "--sequences", "9"], 1, "no scans of sequence 9"),
+        ([world.out, "--limit", 0], 2, "--limit · 0"),
+        ([world.out, "--jobs", 2], 2, "No such option"),
+    ):
+        result = run("export-rrd", *words)
+        assert result.exit_code == status, result.output
+        assert says in result.stderr
+        assert "Traceback" not in result.output
+    assert not Path(world.out / "rrd").exists()
+
+
+def test_without_rerun_the_extra_is_named(run, world, monkeypatch):
+    monkeypatch.setitem(sys.modules, "rerun", None)
+    result = run("export-rrd", world.out, "--dataset", world.dataset)
+    assert result.exit_code == 1
+    assert result.stderr == "error: rerun · not installed · pip install 'salsanext[rerun]'\n"
