@@ -74,9 +74,10 @@ def assert_scored_and_exported(folder, sequence):
     assert (out / "scores.txt").read_text().startswith("accuracy_mean: ")
     (cloud,) = (out / "sequences" / sequence / "ply").iterdir()
     vertex = plyfile.PlyData.read(cloud)["vertex"]
-    names = [p.name for p in vertex.properties]
-    assert {"label", "truth", "wrong", "epistemic", "entropy", "mutual_information"} <= set(names)
-    assert np.isfinite(vertex["epistemic"]).all()
+    names = {p.name for p in vertex.properties}
+    kinds = ("label", "truth", "wrong", "epistemic", "entropy", "mutual_information")
+    assert {f"scalar_{kind}" for kind in kinds} <= names
+    assert np.isfinite(vertex["scalar_epistemic"]).all()
     assert len(np.unique(vertex["green"])) > 20
 
 

@@ -17,6 +17,9 @@ TOLERANCE_M = 1e-3
 """Largest distance between a point and its copy; millimetres rounded per axis differ by 0.87."""
 MAX_NEIGHBOURS = 16
 """Places that are looked at around a point, the nearest ones; no LiDAR resolves so many."""
+CLASS = np.uint32(0xFFFF)
+"""Bits of a label that are the class; the others are the instance, 0 for none."""
+NO_INSTANCE = np.uint32(1 << 16)
 NOTHING = np.iinfo(np.int64).max
 """Lowest of no labels; the highest is -1, below it, while that of several is above."""
 
@@ -51,6 +54,11 @@ class LabelTransfer:
     exact: Bools
     unmatched: npt.NDArray[np.float64]
     cloud_points: int
+
+    @property
+    def is_rounded(self) -> bool:
+        """Whether most points that the cloud has are copies of other coordinates."""
+        return int(self.exact.sum()) < int((~self.missing & ~self.exact).sum())
 
     @property
     def missing(self) -> Bools:
@@ -104,8 +112,9 @@ def transfer_labels(points: Float, cloud: Float, labels: Labels) -> LabelTransfe
 def merged_transfers(parts: Sequence[LabelTransfer], unlabelled: int) -> LabelTransfer:
     """Return the labels that several clouds give to the same points.
 
-    Of a point that has copies of the same coordinates in some clouds, only these count. Different
-    labels of two clouds leave a point without any, unless one of them is `unlabelled`.
+    Labels of different classes leave a point without any, unless one of them is `unlabelled`; of
+    the same class with different instances it has instance 0. Where a point has a copy of the same
+    coordinates in some cloud, neighbours of it in a cloud that is not rounded are no copies.
 
     Parameters
     ----------
@@ -114,16 +123,24 @@ def merged_transfers(parts: Sequence[LabelTransfer], unlabelled: int) -> LabelTr
     unlabelled : int
         Label, in the lower 16 bits, of points that a cloud leaves open.
     """
+    if len(parts) == 1:
+        return parts[0]
     exact = np.any([part.exact for part in parts], axis=0)
-    labels = np.zeros(len(exact), np.uint32)
+    classes, most = np.zeros((2, len(exact)), np.uint32)
+    least = np.full(len(exact), NO_INSTANCE)
     known, given, ambiguous = np.zeros((3, len(exact)), bool)
     for part in parts:
-        counts = part.exact | ~exact
-        own = part.known & counts & (part.labels & 0xFFFF != unlabelled)
-        ambiguous |= (part.ambiguous & counts) | (own & given & (labels != part.labels))
+        counts = part.exact | ~exact | part.is_rounded
+        of_class, instance = part.labels & CLASS, part.labels >> 16
+        own = part.known & counts & (of_class != unlabelled)
+        ambiguous |= (part.ambiguous & counts) | (own & given & (classes != of_class))
         open_yet = part.known & counts & ~given
-        labels[open_yet] = part.labels[open_yet]
+        classes[open_yet] = of_class[open_yet]
+        numbered = own & (instance > 0)
+        least[numbered] = np.minimum(least, instance)[numbered]
+        most[numbered] = np.maximum(most, instance)[numbered]
         known, given = known | open_yet, given | own
+    labels = classes | (np.where(least == most, most, 0).astype(np.uint32) << np.uint32(16))
     labels[ambiguous] = 0
     unmatched = np.concatenate([part.unmatched for part in parts])
     clouds = sum(part.cloud_points for part in parts)

@@ -22,7 +22,6 @@ from salsanext_cli.storage.files.atomic import sweep_stale
 from salsanext_cli.storage.layout import UNCERTAINTY, ScanFile
 from salsanext_cli.storage.scan_results import read_results, scalar_columns, with_column
 from salsanext_cli.storage.selection import ScanSelection
-from salsanext_cli.storage.sources import recorded_scans
 from salsanext_cli.storage.stage_records import recorded_sensor
 from salsanext_cli.storage.written_files import WrittenFiles
 
@@ -75,7 +74,7 @@ def export_rrd(
     colourings = {
         name: PointColours(name, scales.get(name, (0, 1)), space, dark=True) for name in known
     }
-    numbers = _numbers(recorded_scans(out, dataset))
+    numbers = _numbers(chosen.recorded)
     log_scan: dict[str, LogScan] = {}
     with ExitStack() as held:
 

@@ -18,6 +18,7 @@ from salsanext_cli.errors import (
     OutputError,
     SalsanextError,
     UsageError,
+    counted,
     first_few,
 )
 from salsanext_cli.formats import read_scan
@@ -197,7 +198,12 @@ class _Work:
         found.unedited += [str(path) for path in paths if path not in edited]
         if not (edited and labels):
             return
-        kept = [*paths] != [scan.label_path] and not records.is_replaceable(scan, edited)
+        if labels.contradicted:
+            points_of = counted(labels.contradicted, "point")
+            text = "%s: %s left unlabelled, of different labels in %s"
+            log.warning(text, name_of(scan), points_of, first_few([*edited]))
+        by_these = records.is_replaceable(scan, paths, labels.contradicted)
+        kept = [*paths] != [scan.label_path] and not by_these
         if kept and not self.overwrite:
             self.refused.update(dict.fromkeys(edited, scan.label_path))
             return
@@ -216,6 +222,9 @@ class _Work:
             found.fail(self.unknown, error)
         if self.refused:
             there = first_few([*dict.fromkeys(self.refused.values())])
-            text = "kept: changed, not written by salsanext, or imported from another file"
-            remedy = "move them, or replace them with --overwrite"
+            text = (
+                "kept: changed, not written by salsanext, imported from another file, or the files "
+                "contradict each other"
+            )
+            remedy = "leave out older files, move the labels, or replace them with --overwrite"
             found.fail(self.refused, OutputError(there, text, remedy=remedy))

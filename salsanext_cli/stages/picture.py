@@ -185,7 +185,7 @@ def _scans_alone(
     found_scans = scans_of(dataset) if dataset else recorded_scans(out)
     space = space_of_results(out, found_scans, space, classes)
     scans = choose(found_scans, selection, space, dataset or out)
-    return ChosenResults(scans, space, MissingResults())
+    return ChosenResults(scans, space, MissingResults(), found_scans)
 
 
 def _sensor_of(scans: Sequence[ScanFile], earlier: RecordedSettings | None) -> Sensor:

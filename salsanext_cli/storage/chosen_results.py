@@ -24,11 +24,14 @@ class ChosenResults:
         Classes of their labels.
     missing : MissingResults
         The other scans of the selection.
+    recorded : list of ScanFile
+        All scans of the sequences that there are results of, as `recorded_scans` finds them.
     """
 
     scans: list[ScanFile]
     space: LabelSpace
     missing: MissingResults
+    recorded: list[ScanFile]
 
 
 def choose_results(
@@ -53,14 +56,14 @@ def choose_results(
         As of `predictions.predicted_scans`, and if labels and uncertainties are of different
         weights.
     """
-    scans = recorded_scans(out, dataset)
-    space = space_of_results(out, scans, space, classes)
+    recorded = recorded_scans(out, dataset)
+    space = space_of_results(out, recorded, space, classes)
     require_same_weights(out)
-    chosen = choose(scans, ScanSelection(selection.split, selection.sequences), space, out)
+    chosen = choose(recorded, ScanSelection(selection.split, selection.sequences), space, out)
     scans = with_results(out, chosen)[: selection.limit]
     if len(scans) == selection.limit:
         # What comes after the last that is wanted is not looked at.
         chosen = chosen[: chosen.index(scans[-1]) + 1]
     missing = missing_results(out, set(chosen) - set(scans))
     missing.log_error(len(chosen), "results")
-    return ChosenResults(scans, space, missing)
+    return ChosenResults(scans, space, missing, recorded)

@@ -95,20 +95,34 @@ def test_equal_coordinates_count_before_near_ones():
 
 def slow_merge(points, clouds, unlabelled):
     """Return the label of each point by a loop over all places of all clouds."""
-    found = []
+
+    def copies(cloud, point):
+        same = (cloud == point).all(axis=1)
+        return same, np.linalg.norm(cloud.astype("f8") - point, axis=1) < TOLERANCE_M
+
+    rounded = []
+    for cloud, _ in clouds:
+        found = [copies(cloud, point) for point in points]
+        exact = sum(bool(same.any()) for same, _ in found)
+        rounded.append(exact < sum(bool(near.any() and not same.any()) for same, near in found))
+    merged = []
     for point in points:
-        same = [(cloud == point).all(axis=1) for cloud, _ in clouds]
-        if not np.any([near.any() for near in same]):
-            offsets = [np.linalg.norm(cloud.astype("f8") - point, axis=1) for cloud, _ in clouds]
-            same = [each < TOLERANCE_M for each in offsets]
-        of_cloud = [
-            {*labels[near].tolist()} for near, (_, labels) in zip(same, clouds, strict=True)
-        ]
-        given = {label for each in of_cloud for label in each if label & 0xFFFF != unlabelled}
-        several = len(given) > 1 or any(len(each) > 1 for each in of_cloud)
-        known = {unlabelled} if any(of_cloud) else {None}
-        found.append("several" if several else (given or known).pop())
-    return found
+        found = [copies(cloud, point) for cloud, _ in clouds]
+        others = any(same.any() for same, _ in found)
+        labels = []
+        for (same, near), (_, own), moved in zip(found, clouds, rounded, strict=True):
+            used = same if same.any() else near if moved or not others else np.zeros_like(near)
+            labels.append({*own[used].tolist()})
+        given = {label for each in labels for label in each if label & 0xFFFF != unlabelled}
+        classes = {label & 0xFFFF for label in given}
+        numbers = {label >> 16 for label in given if label >> 16}
+        if any(len(each) > 1 for each in labels) or len(classes) > 1:
+            merged.append("several")
+        elif classes:
+            merged.append(classes.pop() | (numbers.pop() << 16 if len(numbers) == 1 else 0))
+        else:
+            merged.append(unlabelled if any(labels) else None)
+    return merged
 
 
 @given(
@@ -125,9 +139,11 @@ def test_several_clouds_are_merged_as_a_loop_over_all_pairs_does(seed, size, cou
     clouds = []
     for _ in range(count):
         cloud = points[random.integers(0, 40, 25)]
-        moved = random.random((25, 1)) < 0.4
+        moved = random.random((25, 1)) < random.choice([0.4, 1.0])
         cloud = cloud + (moved * random.uniform(-4e-4, 4e-4, cloud.shape)).astype(np.float32)
-        labels = random.choice([unlabelled, 10, 10, 40, 10 | 1 << 16], 25).astype(np.uint32)
+        labels = random.choice([unlabelled, 10, 10, 10, 40, 10 | 1 << 16, 10 | 2 << 16], 25).astype(
+            np.uint32
+        )
         clouds.append((cloud, labels))
     parts = [transfer_labels(points, *each) for each in clouds]
     found = merged_transfers(parts, unlabelled)
@@ -138,10 +154,18 @@ def test_several_clouds_are_merged_as_a_loop_over_all_pairs_does(seed, size, cou
 
 
 def test_the_neighbour_of_a_point_in_another_cloud_is_not_its_copy():
-    points = np.float32([[0, 0, 0], [0, 0, 0.0005]])
-    parts = [transfer_labels(points, points[[i]], np.uint32([7 + i])) for i in range(2)]
-    assert as_listed(parts[0]) == [7, 7]
-    assert as_listed(merged_transfers(parts, 0)) == [7, 8]
+    points = np.float32([[0, 0, 0], [0, 0, 0.0005], [1, 0, 0], [2, 0, 0]])
+    parts = [transfer_labels(points, points[[i, i + 2]], np.uint32([7 + i] * 2)) for i in range(2)]
+    assert as_listed(parts[0]) == [7, 7, 7, None]
+    assert as_listed(merged_transfers(parts, 0)) == [7, 8, 7, 8]
+
+
+def test_a_rounded_cloud_counts_beside_one_that_is_not():
+    points = np.float32([[0.0004, 0, 0], [1.0004, 0, 0], [2.0004, 0, 0]])
+    base = transfer_labels(points, points, np.uint32([0, 48, 10 | 3 << 16]))
+    cars = transfer_labels(points, points.round(3), np.uint32([10, 10, 10]))
+    assert as_listed(merged_transfers([base, cars], 0)) == [10, "several", 10 | 3 << 16]
+    assert as_listed(merged_transfers([cars, base], 0)) == [10, "several", 10 | 3 << 16]
 
 
 @pytest.mark.parametrize(("count", "others"), [(0, 0), (0, 2), (2, 0)])

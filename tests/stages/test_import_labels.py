@@ -122,6 +122,23 @@ def test_files_of_one_scan_are_merged(world):
     assert "imported from another file" in only_failure(world.run())["reason"]
 
 
+def test_two_versions_of_a_scan_do_not_replace_what_was_imported(world, caplog):
+    world.write()
+    assert len(world.run().scans) == 1
+    before = world.labels()
+    corrected = np.where(np.arange(1500) < 300, 11, world.truth[0])
+    differ = int((corrected != world.truth[0])[(world.truth[0] != 0)].sum())
+    world.write("000010_v2.ply", corrected)
+    failure = only_failure(world.run())
+    assert "the files contradict each other" in failure["reason"]
+    assert f"{differ} points left unlabelled, of different labels in" in caplog.text
+    np.testing.assert_array_equal(world.labels(), before)
+    (world.edited / "000010.ply").unlink()
+    (world.edited / "000010_v2.ply").rename(world.edited / "000010.ply")
+    assert len(world.run().scans) == 1
+    np.testing.assert_array_equal(world.labels(), corrected)
+
+
 def test_a_part_with_an_unknown_id_keeps_its_scan_as_it_was(world):
     world.write(chosen=slice(700))
     world.write("000010 rest.ply", np.full(1500, 2), chosen=slice(700, None))
@@ -311,7 +328,7 @@ def test_labels_of_others_are_kept_unless_overwriting(world):
     write_labels(world.scans[0].label_path, theirs)
     failure = only_failure(world.run())
     assert (
-        "000010.label · kept: changed, not written by salsanext, or imported" in failure["reason"]
+        "000010.label · kept: changed, not written by salsanext, imported from" in failure["reason"]
     )
     np.testing.assert_array_equal(world.labels(), theirs)
     assert len(world.run(overwrite=True).scans) == 1

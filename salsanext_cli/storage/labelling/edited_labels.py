@@ -5,7 +5,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from pathlib import Path
 
 import numpy as np
@@ -69,6 +69,8 @@ class EditedLabels:
         numbers are N.
     unmatched : int
         Number of points of the files that are none of the scan's.
+    contradicted : int
+        Number of ambiguous points that each file has one label of.
     scalar : str
         Scalar that held the labels, or several.
     """
@@ -79,12 +81,12 @@ class EditedLabels:
     ambiguous: int
     missing: int
     unmatched: int
+    contradicted: int
     scalar: str
 
     def numbers(self) -> dict[str, int | str]:
         """Return all but the labels, as records and JSON have it."""
-        names = ("labelled", "unlabelled", "ambiguous", "missing", "unmatched", "scalar")
-        return {name: getattr(self, name) for name in names}
+        return {each.name: getattr(self, each.name) for each in fields(self) if each.name != "raw"}
 
 
 @dataclass(frozen=True, slots=True)
@@ -156,6 +158,7 @@ def edited_labels(
         If none of the labels counts.
     """
     found = merged_transfers([part.found for part in parts.values()], unlabelled)
+    alone = np.any([part.found.ambiguous for part in parts.values()], axis=0)
     scalar = ", ".join(sorted({part.scalar for part in parts.values()}))
     raw = found.filled(unlabelled)
     labelled = int(space.scored[space.to_train(raw, strict=False)].sum())
@@ -170,6 +173,7 @@ def edited_labels(
         int(found.ambiguous.sum()),
         int(found.missing.sum()),
         len(found.unmatched),
+        int((found.ambiguous & ~alone).sum()),
         scalar,
     )
 

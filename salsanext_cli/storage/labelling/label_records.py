@@ -71,17 +71,21 @@ class LabelRecords:
         confirmed = isinstance(earlier, Mapping) and earlier.get("sha256") == digest
         return self.is_guess(scan, digest) and not confirmed
 
-    def is_replaceable(self, scan: ScanFile, edited: Iterable[Path]) -> bool:
+    def is_replaceable(self, scan: ScanFile, edited: Iterable[Path], contradicted: int = 0) -> bool:
         """Say whether the label file of a scan, if there is one, may give way to edited files.
 
         It may if it is as salsanext wrote it, and was not imported from a file of a name that is
-        not among theirs, which may hold other points.
+        not among theirs, which may hold other points, nor from files that contradicted each other
+        in fewer points.
         """
         path, earlier = scan.label_path, self._imported.get(name_of(scan))
-        files = earlier.get("files") if isinstance(earlier, Mapping) else []
+        about = earlier if isinstance(earlier, Mapping) else {"files": []}
+        files, before = about.get("files"), about.get("contradicted")
         known = files if isinstance(files, list) else ["?"]
         imported = Counter(Path(str(file)).name for file in known)
-        if not imported <= Counter(file.name for file in edited) and present(path):
+        lost = imported - Counter(file.name for file in edited)
+        more = imported and contradicted > (before if isinstance(before, int) else 0)
+        if (lost or more) and present(path):
             return False
         return not WrittenFiles(self.root).others([path]) or self.holds_guess(scan)
 
