@@ -16,6 +16,7 @@ from served import served
 
 from salsanext_cli.cli.view import _forwarding
 from salsanext_cli.errors import NoInputError, UsageError
+from salsanext_cli.report.page import run_results
 from salsanext_cli.stages.report import report
 from salsanext_cli.stages.view import view
 from salsanext_cli.storage.stage_records import StageRecord
@@ -68,6 +69,30 @@ def test_a_kind_that_few_scans_have_keeps_its_first_scale(world, ask):
     for place in (1, 2, 3):
         _, text = ask(f"/cloud/TOKEN/{place}")
         assert json.loads(text)["scales"]["entropy"]["high"] == pytest.approx(0.5, rel=0.02)
+
+
+def test_of_a_thousand_scans_any_can_be_looked_at(world, monkeypatch):
+    for number in range(7, 1000):
+        world.add(f"{number:06}", [CAR, ROAD], [CAR, CAR])
+    read = []
+    shown = run_results.read_shown
+    monkeypatch.setattr(
+        run_results, "read_shown", lambda file, *a, **k: read.append(file) or shown(file, *a, **k)
+    )
+    with view(world.out, dataset=world.dataset) as server, served(server):
+        assert server.scans == 1000
+        assert len(read) < 10
+        _, text = asker(server)("/cloud/TOKEN/999")
+    assert json.loads(text)["name"] == "08/000999"
+
+
+def test_names_and_scans_without_labels_are_text_and_no_markup(tmp_path):
+    world = World(tmp_path / "<script>\"'")
+    world.add("a<b>", None, [CAR, ROAD])
+    with view(world.out, dataset=world.dataset) as server:
+        page = server.page().decode()
+    assert "<h1>&lt;script&gt;&quot;&#x27;/öut</h1>" in page
+    assert "<b>" not in page.partition('id="data">')[2].partition("</script>")[0]
 
 
 def test_nothing_else_is_served(ask):

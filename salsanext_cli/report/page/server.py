@@ -7,6 +7,7 @@ import errno
 import json
 import secrets
 import sys
+from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from http import HTTPStatus
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
@@ -24,7 +25,7 @@ MAX_DIGITS = 9
 """Digits of the place of a scan."""
 
 
-class PageServer(ThreadingHTTPServer):
+class PageServer(ABC, ThreadingHTTPServer):
     """Server on the loopback interface, of `page` and `cloud`.
 
     Parameters
@@ -59,10 +60,11 @@ class PageServer(ThreadingHTTPServer):
         """Address of the page."""
         return f"http://{LOOPBACK}:{self.server_port}/"
 
+    @abstractmethod
     def page(self) -> bytes:
         """Return the page as HTML."""
-        raise NotImplementedError
 
+    @abstractmethod
     def cloud(self, place: int) -> Mapping[str, Any] | None:
         """Return the cloud of a scan by its place, as plain data; None if there is no such scan.
 
@@ -71,7 +73,6 @@ class PageServer(ThreadingHTTPServer):
         SalsanextError
             If it cannot be read, which the page tells.
         """
-        raise NotImplementedError
 
     def handle_error(self, request: Any, client_address: Any) -> None:
         """Say nothing of a browser that no longer waits for its answer."""
