@@ -57,7 +57,7 @@ class LabelTransfer:
 
     @property
     def is_rounded(self) -> bool:
-        """Whether most points that the cloud has are copies of other coordinates."""
+        """True if most points that the cloud has are copies of other coordinates."""
         return int(self.exact.sum()) < int((~self.missing & ~self.exact).sum())
 
     @property
