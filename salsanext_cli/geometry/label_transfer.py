@@ -20,6 +20,7 @@ MAX_NEIGHBOURS = 16
 CLASS = np.uint32(0xFFFF)
 """Bits of a label that are the class; the others are the instance, 0 for none."""
 NO_INSTANCE = np.uint32(1 << 16)
+"""Above every instance."""
 NOTHING = np.iinfo(np.int64).max
 """Lowest of no labels; the highest is -1, below it, while that of several is above."""
 

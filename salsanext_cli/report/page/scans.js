@@ -2,7 +2,7 @@
 // Scans of the page: their points, which the page holds or asks its server for, and playing them.
 
 const KEPT = 20, PAUSE_MS = 100;  // scans kept of those asked for; shortest time between two that are played
-const kept = new Map(), unread = new Map();  // points by place, the last used at the end; and why there are none
+const kept = new Map(), unread = new Set();  // points by place, the last used at the end; places that could not be read
 let wanted = 0, playing = false, run = 0, lane = Promise.resolve();
 
 function decoded(raw) {
@@ -27,6 +27,7 @@ async function ask(index) {
   if (found.error) throw new Error(found.error);
   Object.assign(data.scales, found.scales);
   kept.set(index, decoded(found));
+  unread.delete(index);
   if (kept.size > KEPT) kept.delete(kept.keys().next().value);
 }
 
@@ -51,7 +52,7 @@ async function open(index) {
     }
     if (wanted === index) show(index, cloudAt(index));
   } catch (error) {
-    unread.set(index, error.message);
+    unread.add(index);
     const scans = unread.size > 1 ? `${unread.size} scans could not be read, the last` : "could not be read";
     byId("unread").textContent = `${scans}: ${data.shown[index].name}: ${error.message}`;
     if (wanted !== index) return;
