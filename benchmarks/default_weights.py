@@ -15,18 +15,27 @@ import subprocess
 import sys
 from collections.abc import Sequence
 from dataclasses import replace
+from itertools import groupby
 from pathlib import Path
 
 import numpy as np
 import torch
 
+from salsanext_cli.inference.scan_fit import fitted
 from salsanext_cli.inference.settings import NetworkSettings
 from salsanext_cli.network.weights import read_weights, save_weights, save_with_card
 from salsanext_cli.stages.tune_temperature import tune_temperature
+from salsanext_cli.storage.layout import ScanFile
+from salsanext_cli.training.cross_validation import folds
 from salsanext_cli.training.data.class_counts import class_shares
+from salsanext_cli.training.tuning.error import FOLDS, cross_validated
+from salsanext_cli.training.tuning.judged_points import JudgedPoints, judged_points
+from salsanext_cli.training.tuning.labelled_images import VALIDATION, labelled_scans
 
 HELD_OUT = 10
 """Scans of PandaSet that the temperature is fitted on too, and that are scored."""
+POINTS_OF_SCAN = 10_000
+"""Points of each validation scan that the model of errors is fitted to."""
 STREETS = ("--train", "120", "--valid", "5", "--scans", "8", "--spacing", "10", "--jobs", "2")
 
 DESCRIPTION = (
@@ -86,6 +95,24 @@ def finish(run: Path, datasets: Sequence[Path], target: Path) -> None:
     save_with_card(half, target, replace(card, temperature=float(np.exp(np.mean(np.log(fitted))))))
 
 
+def add_error(weights: Path, datasets: Sequence[Path]) -> None:
+    """Add a model of errors on the validation scans, each sequence with its sensor fitted.
+
+    It is without the height, so that it holds for sensors that are mounted otherwise.
+    """
+    settings = NetworkSettings(weights, device="cpu")
+    network = settings.load()
+    judged: dict[ScanFile, JudgedPoints] = {}
+    for dataset in datasets:
+        scans, space = labelled_scans(dataset, VALIDATION, network.card)
+        for _, members in groupby(scans, lambda file: file.sequence):
+            own = fitted(settings, network, files := list(members))
+            judged |= {file: judged_points(file, own, space, POINTS_OF_SCAN) for file in files}
+    model = cross_validated(judged, folds(list(judged), FOLDS), height=False)
+    print("errors:", model.scores, flush=True)
+    save_with_card(weights, weights, replace(network.card, error=model))
+
+
 def main() -> None:
     pandaset, out = map(Path, sys.argv[1:3])
     streets, sensors, real = (out / name for name in ("streets", "sensors", "pandaset"))
@@ -99,6 +126,7 @@ def main() -> None:
     salsanext("train", streets, runs[0], *how)
     salsanext("train", streets, runs[1], *how, "--weights", runs[0] / "last.safetensors")
     finish(runs[1], (streets, real), out / "default.safetensors")
+    add_error(out / "default.safetensors", (streets, sensors))
 
 
 if __name__ == "__main__":

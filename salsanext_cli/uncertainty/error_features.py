@@ -1,15 +1,15 @@
 # SPDX-License-Identifier: MIT
 """Features of a point that tell how likely its label is wrong, from a single pass of the network.
 
-They hold no class, so that they mean the same for any classes. Intensity is left out, since it
-differs from sensor to sensor and told nothing more.
+They hold no class, so that they mean the same for any classes. All but the height mean the same
+for any sensor.
 """
 
 import numpy as np
 
 from salsanext_cli.classes import TrainIds
 from salsanext_cli.errors import UsageError, WeightsError
-from salsanext_cli.geometry.window_agreement import window_agreement
+from salsanext_cli.geometry.label_support import label_support, region_means
 from salsanext_cli.inference.network import Network
 from salsanext_cli.network.error_model import ErrorModel
 from salsanext_cli.records import Float, RangeImage
@@ -20,20 +20,18 @@ FEATURES = (
     "largest probability",
     "margin to the second largest",
     "entropy",
+    "mean probability of the label around",
+    "mean largest probability of the region",
+    "log range beyond that of the pixel",
     "log range",
     "height above the sensor",
-    "log range beyond that of the pixel",
-    "pixels of the label in the window",
-    "spread of the log range in the window",
-    "occupied pixels of the window",
-    "mean probability of the label in the window",
 )
 NEAREST_M = 0.5
 """Ranges are no less in logarithms."""
 
 
 def error_features(image: RangeImage, probabilities: Float, labels: TrainIds) -> Float:
-    """Return the features of every point, (N, 11) float32; NaN where it has no pixel.
+    """Return the features of every point, (N, 9) float32; NaN where it has no pixel.
 
     Parameters
     ----------
@@ -44,23 +42,47 @@ def error_features(image: RangeImage, probabilities: Float, labels: TrainIds) ->
     labels : (N,) uint8
         Train ids of the points, after kNN.
     """
-    found = np.full((len(labels), len(FEATURES)), np.nan, np.float32)
-    points = np.flatnonzero(image.pixel_of_point >= 0)
-    pixels = image.pixel_of_point[points]
-    of_pixels = probabilities.reshape(len(probabilities), -1)
-    # Sorted once per pixel: several points may lie in one.
-    largest = np.partition(of_pixels, -2, axis=0)[-2:]
-    log_range = np.log(np.maximum(image.channels[0], NEAREST_M))
-    own = np.log(np.maximum(image.point_range[points], NEAREST_M))
-    found[points, 0] = of_pixels[labels[points], pixels]
-    found[points, 1] = largest[1, pixels]
-    found[points, 2] = (largest[1] - largest[0])[pixels]
-    found[points, 3] = entropy(of_pixels)[pixels]
-    found[points, 4] = own
-    found[points, 5] = image.channels[3].reshape(-1)[pixels]
-    found[points, 6] = own - log_range.reshape(-1)[pixels]
-    found[points, 7:] = window_agreement(image, log_range, probabilities, labels[points], pixels)
+    by_pixel = np.moveaxis(probabilities, 0, 2).copy()  # a pixel's side by side, as kernels read
+    log_range = _log_range(image.channels[0])
+    classes = probabilities.argmax(axis=0).astype(np.uint8).reshape(-1)
+    # Most points have the label of their pixel: described once per pixel, the others on their own.
+    table = _of_pixels(image, probabilities, classes.reshape(log_range.shape), by_pixel)
+    found = table.take(image.pixel_of_point, 0, mode="clip")
+    beyond = _log_range(image.point_range)
+    found[:, 7] = beyond
+    found[:, 6] = beyond - log_range.reshape(-1).take(image.pixel_of_point, mode="clip")
+    differs = labels != classes.take(image.pixel_of_point, mode="clip")
+    other = np.flatnonzero(differs & (image.pixel_of_point >= 0))
+    own, pixels = labels[other], image.pixel_of_point[other]
+    found[other, 0] = by_pixel.reshape(-1, len(probabilities))[pixels, own]
+    found[other, 4] = label_support(image, by_pixel, own, pixels)
+    found[image.pixel_of_point < 0] = np.nan
     return found
+
+
+def _of_pixels(
+    image: RangeImage, probabilities: Float, classes: TrainIds, by_pixel: Float
+) -> Float:
+    """Return the features of each pixel's nearest point with the pixel's class, (H · W, 9)."""
+    largest = np.zeros(classes.shape, np.float32)
+    second = largest.copy()
+    for each in probabilities:
+        np.maximum(second, np.minimum(largest, each), out=second)
+        np.maximum(largest, each, out=largest)
+    table = np.zeros((classes.size, len(FEATURES)), np.float32)
+    table[:, 0] = table[:, 1] = largest.reshape(-1)
+    table[:, 2] = (largest - second).reshape(-1)
+    table[:, 3] = entropy(probabilities).reshape(-1)
+    occupied = np.flatnonzero(image.channels[0] > 0).astype(np.int32)
+    table[occupied, 4] = label_support(image, by_pixel, classes.reshape(-1)[occupied], occupied)
+    table[:, 5] = region_means(image, classes, largest).reshape(-1)
+    table[:, 8] = image.channels[3].reshape(-1)
+    return table
+
+
+def _log_range(metres: Float) -> Float:
+    log_range: Float = np.log(np.maximum(metres, NEAREST_M))
+    return log_range
 
 
 def knows_error(network: Network) -> bool:

@@ -30,31 +30,49 @@ def test_features_are_those_of_a_slow_loop(count: int, seed: int) -> None:
     found = error_features(image, probabilities, labels)
     assert found.shape == (count, len(FEATURES))
     ranges = image.channels[0]
+    classes, largest = probabilities.argmax(axis=0), probabilities.max(axis=0)
     for i in range(count):
         if image.pixel_of_point[i] < 0:
             assert np.isnan(found[i]).all()
             continue
         v, u = divmod(int(image.pixel_of_point[i]), image.width)
         own = sorted(probabilities[:, v, u].tolist())
-        window = [
-            (row, (u + step) % image.width)
-            for row in range(v - 2, v + 3)
-            for step in range(-2, 3)
-            if 0 <= row < image.height and ranges[row, (u + step) % image.width] > 0
+        around = [
+            probabilities[labels[i], v + dv, (u + du) % image.width]
+            for dv in (-4, -2, 0, 2, 4)
+            for du in range(-8, 9, 2)
+            if 0 <= v + dv < image.height
+            and ranges[v + dv, (u + du) % image.width] > 0
+            and abs(ranges[v + dv, (u + du) % image.width] - ranges[v, u])
+            <= max(1, 0.05 * ranges[v, u])
         ]
-        logs = [math.log(max(ranges[place], 0.5)) for place in window]
         log_range = math.log(max(image.point_range[i], 0.5))
         expected = [
             probabilities[labels[i], v, u],
             own[-1],
             own[-1] - own[-2],
             -sum(p * math.log(p) for p in own),
+            np.mean(around),
+            np.mean([largest[place] for place in region(ranges > 0, classes, (v, u))]),
+            log_range - math.log(max(ranges[v, u], 0.5)),
             log_range,
             image.channels[3, v, u],
-            log_range - math.log(max(ranges[v, u], 0.5)),
-            np.mean([probabilities[:, r, c].argmax() == labels[i] for r, c in window]),
-            np.std(logs),
-            len(window) / 25,
-            np.mean([probabilities[labels[i], r, c] for r, c in window]),
         ]
         assert found[i] == pytest.approx(expected, abs=1e-5)
+
+
+def region(occupied, classes, start: tuple[int, int]) -> set[tuple[int, int]]:
+    """Return the pixels that can be reached from one in steps between pixels of its class."""
+    height, width = occupied.shape
+    steps = [(dv, du) for dv in (-1, 0, 1) for du in (-1, 0, 1)]
+    steps += [(0, 2), (0, -2), (2, 0), (-2, 0)]
+    found, waiting = {start}, [start]
+    while waiting:
+        v, u = waiting.pop()
+        for dv, du in steps:
+            place = (v + dv, (u + du) % width)
+            free = 0 <= place[0] < height and occupied[place] and place not in found
+            if free and classes[place] == classes[start]:
+                found.add(place)
+                waiting.append(place)
+    return found

@@ -25,13 +25,14 @@ from salsanext_cli.uncertainty.error_features import FEATURES
 FOLDS = 5
 SEED = 0
 """Seed of the first weights and of the order of the points."""
-HIDDEN = 32
+HIDDEN = 16
 """Values of each of the two hidden layers."""
-EPOCHS, BATCH = 12, 2048
+EPOCHS, BATCH = 8, 2048
 """Passes over the points, and points per step."""
 LEAST_STEPS = 400
 """Few points are passed over more often."""
 LEARNING_RATE, WEIGHT_DECAY = 3e-3, 1e-4
+HEIGHT = FEATURES.index("height above the sensor")
 LEAST_SPREAD = 1e-3
 """Features that hardly differ are not blown up."""
 
@@ -39,7 +40,10 @@ log = logging.getLogger(__name__)
 
 
 def cross_validated(
-    judged: Mapping[ScanFile, JudgedPoints], parts: Sequence[Sequence[ScanFile]]
+    judged: Mapping[ScanFile, JudgedPoints],
+    parts: Sequence[Sequence[ScanFile]],
+    *,
+    height: bool = True,
 ) -> ErrorModel:
     """Fit a model to all scans; its scores are those of models that lack a fold of the scans.
 
@@ -49,6 +53,8 @@ def cross_validated(
         Of which some are wrong and some right.
     parts : sequence of sequence of ScanFile
         Folds of the scans; empty if there are none.
+    height : bool
+        Whether it may use the height, which differs between sensors that are mounted differently.
 
     Returns
     -------
@@ -64,13 +70,13 @@ def cross_validated(
         "sequences": sorted({file.sequence for file in judged}),
         "points": len(wrong),
         "wrong": float(wrong.mean()),
-        **_scores_left_out(judged, parts),
+        **_scores_left_out(judged, parts, height),
     }
-    return replace(fit_error(every), scores=scores)
+    return replace(fit_error(every, height), scores=scores)
 
 
 def _scores_left_out(
-    judged: Mapping[ScanFile, JudgedPoints], parts: Sequence[Sequence[ScanFile]]
+    judged: Mapping[ScanFile, JudgedPoints], parts: Sequence[Sequence[ScanFile]], height: bool
 ) -> dict[str, Any]:
     """Fit without each fold of the scans, and score all points by the models that lack them."""
     errors, left_out = list[Float](), list[JudgedPoints]()
@@ -80,7 +86,7 @@ def _scores_left_out(
             log.warning("without %s no label is right, or none wrong", part[0].sequence)
             parts = []
             break
-        model = fit_error(others)
+        model = fit_error(others, height)
         left_out += [judged[file] for file in part]
         errors += [model.probability(judged[file].features) for file in part]
     if not parts:
@@ -106,15 +112,17 @@ def gains(model: ErrorModel) -> bool:
     return bool(error and error["aurc"] < confidence["aurc"])
 
 
-def fit_error(scans: Sequence[JudgedPoints]) -> ErrorModel:
+def fit_error(scans: Sequence[JudgedPoints], height: bool = True) -> ErrorModel:
     """Fit a model of the least cross-entropy to points of all scans, some of each class at least.
 
     AdamW with a one-cycle learning rate, seeded; the mean and spread of the features become part of
-    the first layer.
+    the first layer. Without `height`, its weights are 0.
     """
     features = np.concatenate([scan.features for scan in scans])
     wrong = torch.from_numpy(np.concatenate([scan.wrong for scan in scans])).float()
     mean, spread = features.mean(axis=0), np.maximum(features.std(axis=0), LEAST_SPREAD)
+    # What is left out is infinitely wide: all its values become 0, and so do its weights.
+    spread[HEIGHT] = spread[HEIGHT] if height else np.inf
     values = torch.from_numpy((features - mean) / spread)
     with torch.random.fork_rng([]):
         torch.manual_seed(SEED)
