@@ -41,7 +41,8 @@ STREETS = ("--train", "120", "--valid", "5", "--scans", "8", "--spacing", "10", 
 DESCRIPTION = (
     "Trained on simulated streets and sensors and on one drive of PandaSet: 960 scans each of "
     "`salsanext synth` with an HDL-64 and with random sensors, 28 of PandaSet (Hesai and Scale AI, "
-    "CC BY 4.0). See docs/model-card.md; not for use on real roads."
+    "CC BY 4.0). The error is fitted to simulated scans only. See docs/model-card.md; not for use "
+    "on real roads."
 )
 
 
@@ -85,14 +86,15 @@ def finish(run: Path, datasets: Sequence[Path], target: Path) -> None:
     card = replace(card, description=DESCRIPTION, temperature=1.0)
     half = target.with_name("half.safetensors")
     save_weights(half, module, card, half=True)
-    fitted = []
+    temperatures = []
     for dataset in datasets:
         tuned = half.with_name(f"{dataset.name}.safetensors")
         network = NetworkSettings(half, device="cpu")
         found = tune_temperature(dataset, tuned, network=network, overwrite=True)
-        fitted.append(found["after"]["temperature"])
-        print(f"temperature of {dataset.name}: {fitted[-1]:.3f}", flush=True)
-    save_with_card(half, target, replace(card, temperature=float(np.exp(np.mean(np.log(fitted))))))
+        temperatures.append(found["after"]["temperature"])
+        print(f"temperature of {dataset.name}: {temperatures[-1]:.3f}", flush=True)
+    temperature = float(np.exp(np.mean(np.log(temperatures))))
+    save_with_card(half, target, replace(card, temperature=temperature))
 
 
 def add_error(weights: Path, datasets: Sequence[Path]) -> None:
@@ -106,11 +108,14 @@ def add_error(weights: Path, datasets: Sequence[Path]) -> None:
     for dataset in datasets:
         scans, space = labelled_scans(dataset, VALIDATION, network.card)
         for _, members in groupby(scans, lambda file: file.sequence):
-            own = fitted(settings, network, files := list(members))
+            files = list(members)
+            own = fitted(settings, network, files)
             judged |= {file: judged_points(file, own, space, POINTS_OF_SCAN) for file in files}
     model = cross_validated(judged, folds(list(judged), FOLDS), height=False)
+    names = sorted({f"{file.path.parents[3].name}/{file.sequence}" for file in judged})
+    model = replace(model, scores=dict(model.scores) | {"sequences": names})
     print("errors:", model.scores, flush=True)
-    save_with_card(weights, weights, replace(network.card, error=model))
+    save_with_card(weights, weights, replace(network.card, error=model, description=DESCRIPTION))
 
 
 def main() -> None:

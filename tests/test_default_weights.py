@@ -1,16 +1,20 @@
 # SPDX-License-Identifier: MIT
 """What the package ships, as it is shipped."""
 
+import numpy as np
 import safetensors
 import torch
 
 from salsanext_cli import knn_refine, load_network, project, read_labels, read_scan
 from salsanext_cli.errors import NOTICE
+from salsanext_cli.geometry.gather import points_from_pixels
 from salsanext_cli.inference.settings import NetworkSettings
 from salsanext_cli.network.card import default_weights
 from salsanext_cli.stages.synth import synthesise
 from salsanext_cli.storage.layout import find_scans
 from salsanext_cli.training.recipe import Recipe, recipe
+from salsanext_cli.training.tuning.error import error_scores
+from salsanext_cli.uncertainty.error_features import knows_error, label_error
 
 
 def test_a_run_says_what_they_were_trained_on(caplog):
@@ -40,6 +44,15 @@ def test_they_know_a_street_that_they_never_saw(tmp_path):
     (file,) = find_scans(tmp_path)
     scan, network = read_scan(file.path), load_network(None, "cpu")
     image = project(scan, network.sensor)
-    labels = knn_refine(image, network.probabilities(image).argmax(axis=0))
+    probabilities = network.probabilities(image)
+    labels = knn_refine(image, probabilities.argmax(axis=0))
     truth = network.card.space.to_train(read_labels(file.label_path, len(scan)))
-    assert (labels == truth)[truth > 0].mean() > 0.75
+    wrong = (labels != truth)[truth > 0]
+    assert wrong.mean() < 0.25
+    assert knows_error(network)
+    error = label_error(network, image, probabilities, labels)[truth > 0]
+    confidence = points_from_pixels(probabilities, image.pixel_of_point, np.eye(1, 20))
+    doubt = 1 - confidence[np.arange(len(labels)), labels][truth > 0]
+    error, baseline = (error_scores(values, wrong) for values in (error, np.clip(doubt, 0, 1)))
+    assert error["aurc"] < baseline["aurc"]
+    assert error["ece"] < 0.06

@@ -30,7 +30,7 @@ def predict(
         bool,
         typer.Option(
             "--error",
-            help="Also write the probability that each label is wrong, if `tune error` fitted it.",
+            help="Also write the probability that each label is wrong, if the weights know it.",
         ),
     ] = False,
     reject: Annotated[

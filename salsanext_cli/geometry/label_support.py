@@ -15,10 +15,10 @@ NEAR_M, NEAR_SHARE = 1.0, 0.05
 
 
 def label_support(image: RangeImage, by_pixel: Float, labels: TrainIds, pixels: Int) -> Float:
-    """Return the mean probability of a label among the pixels around that are as far away.
+    """Return the mean probability of a label among a pixel and those around it at its range.
 
     Of a window of 9 × 17 pixels, which goes on around the image, every second row and column
-    counts.
+    counts; in an image that is narrower, a column may count twice.
 
     Parameters
     ----------

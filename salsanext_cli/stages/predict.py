@@ -119,13 +119,16 @@ def predict_scans(
     loaded = network.load()
     found = scans_of(source)
     scans = choose(found, selection, space_of(found, loaded.card.space), source)
-    network, loaded = network_of_run(network, loaded, found, out, overwrite=options.overwrite)
     if reject is not None:
         if not 0 <= reject <= 1:
             raise UsageError("--reject", f"{reject:g}", "a probability from 0 to 1")
         extras = tuple(dict.fromkeys((*extras, ERROR)))
     if ERROR in extras:
+        if network.adapt:
+            found_error = "the probability of errors is of the weights before they adapt"
+            raise UsageError("--adapt", found_error, "no --error and no --reject")
         error_model(loaded)
+    network, loaded = network_of_run(network, loaded, found, out, overwrite=options.overwrite)
     temperature = loaded.card.temperature
     settings = network.record(loaded) | {"temperature": temperature, "knn": asdict(knn)}
     settings |= {} if reject is None else {"reject": reject}

@@ -155,8 +155,8 @@ def missing_column(column: str, file: ScanFile, out: Path) -> NoInputError:
     remedy = f"run `salsanext {stage} SCANS {out}` first"
     if column == "error":
         remedy = (
-            f"run `salsanext predict SCANS {out} --error` with weights that hold it: "
-            "`salsanext tune error` fits it"
+            f"run `salsanext predict SCANS {out} --error`, with weights that know it: the default "
+            "ones, or what `salsanext tune error` writes"
         )
     return NoInputError(file.path, f"no {column} known", str(path), remedy)
 

@@ -30,6 +30,7 @@ from salsanext_cli.training.tuning.judged_points import (
     judged_points,
     points_of_scan,
 )
+from salsanext_cli.uncertainty.error_features import FEATURES
 
 log = logging.getLogger(__name__)
 
@@ -59,7 +60,7 @@ def error_of_folds(
     place : torch.device
     """
     weights = [fold_folder(run, number) / LAST for number in range(1, len(parts) + 1)]
-    inputs = [__version__, temperature, data_digest([source]), *map(fingerprint, weights)]
+    inputs = [__version__, FEATURES, temperature, data_digest([source]), *map(fingerprint, weights)]
     kept = read_json(run / ERROR) or {}
     if "error" not in kept or kept.get("sha256") != _checksum(inputs, kept["error"]):
         model = _fitted(weights, source, parts, temperature, place)

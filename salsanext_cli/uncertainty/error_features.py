@@ -63,7 +63,10 @@ def error_features(image: RangeImage, probabilities: Float, labels: TrainIds) ->
 def _of_pixels(
     image: RangeImage, probabilities: Float, classes: TrainIds, by_pixel: Float
 ) -> Float:
-    """Return the features of each pixel's nearest point with the pixel's class, (H · W, 9)."""
+    """Return the features of each pixel's nearest point with the pixel's class, (H · W, 9) float32.
+
+    Those of the point's own range are 0.
+    """
     largest = np.zeros(classes.shape, np.float32)
     second = largest.copy()
     for each in probabilities:
@@ -102,11 +105,11 @@ def error_model(network: Network) -> ErrorModel:
         If classes are merged: the model is of the labels before.
     """
     model = network.card.error
+    remedy = "`salsanext tune error DATASET WEIGHTS_OUT` fits one to labelled scans"
     if model is None:
-        remedy = "`salsanext tune error DATASET WEIGHTS_OUT` fits one to labelled scans"
         raise WeightsError(network.weights, "no probability of errors", "weights with one", remedy)
     if model.features != FEATURES:
-        raise WeightsError(network.weights, "errors by other features", ", ".join(FEATURES))
+        raise WeightsError(network.weights, "errors by other features", ", ".join(FEATURES), remedy)
     if network.merging is not None:
         found = "the probability of errors is of labels before merging"
         raise UsageError("--classes", found, "the classes of the weights")

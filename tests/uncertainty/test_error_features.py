@@ -2,6 +2,7 @@
 """Features of a point that tell how likely its label is wrong, against a slow loop."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -18,20 +19,26 @@ def drawn(count: int, seed: int) -> Scan:
     return Scan(points.astype("f4"), random.random(count).astype("f4"))
 
 
-@pytest.mark.parametrize(("count", "seed"), [(1, 0), (40, 1), (900, 2)])
-def test_features_are_those_of_a_slow_loop(count: int, seed: int) -> None:
-    scan = drawn(count, seed)
-    scan.points[0] = 0 if count > 1 else scan.points[0]
-    image = project(scan, SMALL)
-    random = np.random.default_rng(seed)
-    shape = (4, image.height, image.width)
-    probabilities = softmax(3 * random.normal(size=shape), axis=0).astype("f4")
+@pytest.mark.parametrize(
+    ("count", "width", "block"),
+    [(0, 128, 1), (1, 128, 1), (40, 8, 2), (900, 128, 1), (900, 128, 12), (40_000, 128, 7)],
+)
+def test_features_are_those_of_a_slow_loop(count: int, width: int, block: int) -> None:
+    """Large blocks of pixels are alike, so that regions are; of many points some are compared."""
+    scan = drawn(count, count + block)
+    scan.points[:1] = 0 if count > 1 else scan.points[:1]
+    image = project(scan, replace(SMALL, width=width))
+    random = np.random.default_rng(block)
+    coarse = random.normal(size=(4, image.height // block + 1, image.width // block + 1))
+    logits = coarse.repeat(block, 1).repeat(block, 2)[:, : image.height, : image.width]
+    logits = 3 * logits + random.normal(size=logits.shape) * (0.3 if block > 1 else 1)
+    probabilities = softmax(logits, axis=0).astype("f4")
     labels = random.integers(0, 4, count).astype(np.uint8)
     found = error_features(image, probabilities, labels)
     assert found.shape == (count, len(FEATURES))
     ranges = image.channels[0]
     classes, largest = probabilities.argmax(axis=0), probabilities.max(axis=0)
-    for i in range(count):
+    for i in range(0, count, 1 + count // 400):
         if image.pixel_of_point[i] < 0:
             assert np.isnan(found[i]).all()
             continue

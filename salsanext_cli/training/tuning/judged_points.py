@@ -18,7 +18,7 @@ from salsanext_cli.uncertainty.monte_carlo import scan_seed
 SEED = 0
 """Seed of the choice of points that are kept."""
 MAX_POINTS = 1_000_000
-"""Bound of the number of points of all scans, 48 MB."""
+"""Bound of the number of points of all scans, 37 MB."""
 MAX_POINTS_OF_SCAN = 20_000
 """Points of one scan are much alike: more of them tell little."""
 
