@@ -44,7 +44,7 @@ def error_features(image: RangeImage, probabilities: Float, labels: TrainIds) ->
     """
     by_pixel = np.moveaxis(probabilities, 0, 2).copy()  # a pixel's side by side, as kernels read
     log_range = _log_range(image.channels[0])
-    classes = probabilities.argmax(axis=0).astype(np.uint8).reshape(-1)
+    classes = by_pixel.argmax(axis=2).astype(np.uint8).reshape(-1)
     # Most points have the label of their pixel: described once per pixel, the others on their own.
     table = _of_pixels(image, probabilities, classes.reshape(log_range.shape), by_pixel)
     found = table.take(image.pixel_of_point, 0, mode="clip")
