@@ -48,9 +48,8 @@ def error_features(image: RangeImage, probabilities: Float, labels: TrainIds) ->
     # Most points have the label of their pixel: described once per pixel, the others on their own.
     table = _of_pixels(image, probabilities, classes.reshape(log_range.shape), by_pixel)
     found = table.take(image.pixel_of_point, 0, mode="clip")
-    beyond = _log_range(image.point_range)
-    found[:, 7] = beyond
-    found[:, 6] = beyond - log_range.reshape(-1).take(image.pixel_of_point, mode="clip")
+    found[:, 7] = _log_range(image.point_range)
+    found[:, 6] = found[:, 7] - log_range.reshape(-1).take(image.pixel_of_point, mode="clip")
     differs = labels != classes.take(image.pixel_of_point, mode="clip")
     other = np.flatnonzero(differs & (image.pixel_of_point >= 0))
     own, pixels = labels[other], image.pixel_of_point[other]
