@@ -101,7 +101,7 @@ def test_a_scan_without_error_is_named_beside_those_that_have_one(known):
 
 def test_error_without_any_is_refused_though_there_are_labels(world):
     world.predict_by_hand(CAR)
-    with pytest.raises(NoInputError, match=r"no error known .* `salsanext tune error` fits it"):
+    with pytest.raises(NoInputError, match=r"no error known .* `salsanext tune error` writes"):
         export(world, colour="error")
     assert not list(world.out.rglob("*.ply"))
 
