@@ -166,11 +166,12 @@ def parallel_for(work: Callable[[Item], object], items: Sequence[Item]) -> None:
     run_on_threads(pull, max(1, min(thread_count(), len(items))))
 
 
-def parallel_for_slices(work: Callable[[slice], object], count: int) -> None:
+def parallel_for_slices(work: Callable[[slice], object], count: int, cost: int = 1) -> None:
     """Call `work` for slices that cover ``0 … count``, one for each thread of `parallel_for`.
 
-    The result must not depend on their number.
+    The result must not depend on their number. Of items that each `cost` more, fewer are enough
+    for a second thread.
     """
-    threads = max(1, min(thread_count(), count // MIN_SLICE_ITEMS))
+    threads = max(1, min(thread_count(), count * cost // MIN_SLICE_ITEMS))
     borders = [count * part // threads for part in range(threads + 1)]
     parallel_for(work, [slice(start, stop) for start, stop in pairwise(borders)])

@@ -12,9 +12,11 @@ ROWS, COLUMNS, STEP = 4, 8, 2
 """Pixels of the window on each side, of which every second row and column counts."""
 NEAR_M, NEAR_SHARE = 1.0, 0.05
 """Ranges that differ by less, or by this share, are of the same surface."""
+COST = 8
+"""Time that a window takes, in those of a point's projection."""
 
 
-def label_support(image: RangeImage, by_pixel: Float, labels: TrainIds, pixels: Int) -> Float:
+def label_support(image: RangeImage, probabilities: Float, labels: TrainIds, pixels: Int) -> Float:
     """Return the mean probability of a label among a pixel and those around it at its range.
 
     Of a window of 9 × 17 pixels, which goes on around the image, every second row and column
@@ -23,8 +25,7 @@ def label_support(image: RangeImage, by_pixel: Float, labels: TrainIds, pixels: 
     Parameters
     ----------
     image : RangeImage
-    by_pixel : (H, W, C) float32
-        Probabilities.
+    probabilities : (C, H, W) float32
     labels : (M,) uint8
         Train ids.
     pixels : (M,) int32
@@ -34,26 +35,26 @@ def label_support(image: RangeImage, by_pixel: Float, labels: TrainIds, pixels: 
     -------
     (M,) float32
     """
-    ranges, by_pixel = argument(image.channels[0], np.float32), argument(by_pixel, np.float32)
+    ranges, softmax = argument(image.channels[0], np.float32), argument(probabilities, np.float32)
     labels, pixels = argument(labels, np.uint8), argument(pixels, np.int32)
     found = np.empty(len(labels), np.float32)
 
     def describe(part: slice) -> None:
-        mean_in_windows(ranges, by_pixel, labels[part], pixels[part], found[part])
+        mean_in_windows(ranges, softmax, labels[part], pixels[part], found[part])
 
-    parallel_for_slices(describe, len(labels))
+    parallel_for_slices(describe, len(labels), COST)
     return found
 
 
 @compiled
 def mean_in_windows(
-    ranges: Float, by_pixel: Float, labels: TrainIds, pixels: Int, found: Float
+    ranges: Float, probabilities: Float, labels: TrainIds, pixels: Int, found: Float
 ) -> None:
     """Write what `label_support` returns."""
     height, width = ranges.shape
     for i in range(len(labels)):
-        v, u, label = pixels[i] // width, pixels[i] % width, labels[i]
-        own = ranges[v, u]
+        v, u = pixels[i] // width, pixels[i] % width
+        own, of_label = ranges[v, u], probabilities[labels[i]]
         most = max(NEAR_M, NEAR_SHARE * own)
         count, total = 0, 0.0
         for row in range(v - ROWS, v + ROWS + 1, STEP):
@@ -62,7 +63,7 @@ def mean_in_windows(
                     column = (u + step) % width
                     if ranges[row, column] > 0 and abs(ranges[row, column] - own) <= most:
                         count += 1
-                        total += by_pixel[row, column, label]
+                        total += of_label[row, column]
         found[i] = total / count
 
 

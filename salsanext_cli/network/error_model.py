@@ -56,10 +56,13 @@ class ErrorModel:
         features : (N, F) float32
         """
         found = np.empty(len(features), np.float32)
+        # Added row by row, a few values at a time, a bias would take longer than the product.
+        hidden = [(weight, np.tile(bias, (BLOCK, 1))) for weight, bias in self.layers[:-1]]
         for start in range(0, len(features), BLOCK):
             values = features[start : start + BLOCK]
-            for weight, bias in self.layers[:-1]:
-                values = np.maximum(values @ weight + bias, 0)
+            for weight, biases in hidden:
+                values = values @ weight + biases[: len(values)]
+                np.maximum(values, 0, out=values)
             weight, bias = self.layers[-1]
             logits = (values @ weight + bias)[:, 0]
             # Beyond, the exponential overflows.

@@ -42,33 +42,31 @@ def error_features(image: RangeImage, probabilities: Float, labels: TrainIds) ->
     labels : (N,) uint8
         Train ids of the points, after kNN.
     """
-    by_pixel = np.moveaxis(probabilities, 0, 2).copy()  # a pixel's side by side, as kernels read
     log_range = _log_range(image.channels[0])
-    classes = by_pixel.argmax(axis=2).astype(np.uint8).reshape(-1)
     # Most points have the label of their pixel: described once per pixel, the others on their own.
-    table = _of_pixels(image, probabilities, classes.reshape(log_range.shape), by_pixel)
+    classes, table = _of_pixels(image, probabilities)
     found = table.take(image.pixel_of_point, 0, mode="clip")
     found[:, 7] = _log_range(image.point_range)
     found[:, 6] = found[:, 7] - log_range.reshape(-1).take(image.pixel_of_point, mode="clip")
     differs = labels != classes.take(image.pixel_of_point, mode="clip")
     other = np.flatnonzero(differs & (image.pixel_of_point >= 0))
     own, pixels = labels[other], image.pixel_of_point[other]
-    found[other, 0] = by_pixel.reshape(-1, len(probabilities))[pixels, own]
-    found[other, 4] = label_support(image, by_pixel, own, pixels)
+    found[other, 0] = probabilities.reshape(len(probabilities), -1)[own, pixels]
+    found[other, 4] = label_support(image, probabilities, own, pixels)
     found[image.pixel_of_point < 0] = np.nan
     return found
 
 
-def _of_pixels(
-    image: RangeImage, probabilities: Float, classes: TrainIds, by_pixel: Float
-) -> Float:
-    """Return the features of each pixel's nearest point with the pixel's class, (H · W, 9) float32.
+def _of_pixels(image: RangeImage, probabilities: Float) -> tuple[TrainIds, Float]:
+    """Return the class of each pixel, (H · W,), and its features, (H · W, 9) float32.
 
-    Those of the point's own range are 0.
+    They are those of its nearest point, if that has this class. Those of the point's own range
+    are 0.
     """
-    largest = np.zeros(classes.shape, np.float32)
-    second = largest.copy()
-    for each in probabilities:
+    largest, second = np.zeros((2, *probabilities.shape[1:]), np.float32)
+    classes = np.zeros(largest.shape, np.uint8)
+    for train_id, each in enumerate(probabilities):
+        np.copyto(classes, train_id, where=each > largest)
         np.maximum(second, np.minimum(largest, each), out=second)
         np.maximum(largest, each, out=largest)
     table = np.zeros((classes.size, len(FEATURES)), np.float32)
@@ -76,10 +74,11 @@ def _of_pixels(
     table[:, 2] = (largest - second).reshape(-1)
     table[:, 3] = entropy(probabilities).reshape(-1)
     occupied = np.flatnonzero(image.channels[0] > 0).astype(np.int32)
-    table[occupied, 4] = label_support(image, by_pixel, classes.reshape(-1)[occupied], occupied)
+    of_pixel = classes.reshape(-1)[occupied]
+    table[occupied, 4] = label_support(image, probabilities, of_pixel, occupied)
     table[:, 5] = region_means(image, classes, largest).reshape(-1)
     table[:, 8] = image.channels[3].reshape(-1)
-    return table
+    return classes.reshape(-1), table
 
 
 def _log_range(metres: Float) -> Float:
