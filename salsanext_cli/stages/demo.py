@@ -16,9 +16,10 @@ from salsanext_cli.stages.predict import predict_scans
 from salsanext_cli.stages.report import report
 from salsanext_cli.stages.synth import synthesise
 from salsanext_cli.stages.uncertainty import uncertainty
-from salsanext_cli.storage.layout import find_outputs, find_scans
+from salsanext_cli.storage.layout import ERROR, find_outputs, find_scans
 from salsanext_cli.storage.predictions import predicted_scans, provenance
 from salsanext_cli.storage.selection import ScanSelection
+from salsanext_cli.uncertainty.error_features import knows_error
 from salsanext_cli.uncertainty.settings import Estimator
 
 SEED = 2020
@@ -98,7 +99,8 @@ def demo(
         with bars("synth") as progress:
             synthesise(data, train=0, valid=1, **drive, overwrite=anew, progress=progress)
     with step("predict") as run:
-        predicted = predict_scans(data, out, network=network, options=run)
+        extras = (ERROR,) if knows_error(network.load()) else ()
+        predicted = predict_scans(data, out, network=network, extras=extras, options=run)
     with step("uncertainty") as run:
         sampled = uncertainty(data, out, network=network, estimator=estimator, options=run)
     with step("export-ply") as run:

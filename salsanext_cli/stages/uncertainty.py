@@ -8,10 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from salsanext_cli.classes import LabelSpace, TrainIds
 from salsanext_cli.errors import NOTICE, UsageError, counted
-from salsanext_cli.formats.labels import read_labels
-from salsanext_cli.formats.reading import present
 from salsanext_cli.geometry.gather import points_from_pixels
 from salsanext_cli.geometry.knn import KnnParameters, knn_refine
 from salsanext_cli.inference.adaptation import network_of_run
@@ -27,9 +24,12 @@ from salsanext_cli.parallel.network_task import NetworkTask
 from salsanext_cli.parallel.run import Failure, Outcome, RunOptions, run_over_scans
 from salsanext_cli.storage.layout import ERROR, ScanFile
 from salsanext_cli.storage.output_run import OutputRun, output_run
-from salsanext_cli.storage.scan_results import missing_column, uncertainty_meant, with_column
+from salsanext_cli.storage.scan_results import uncertainty_meant, with_column
 from salsanext_cli.storage.selection import ScanSelection, choose, scans_of, space_of
-from salsanext_cli.storage.stage_records import owner, recorded_weights, stage_settings
+from salsanext_cli.storage.stage_records import (
+    owner,
+    stage_settings,
+)
 from salsanext_cli.uncertainty.error_features import knows_error, label_error
 from salsanext_cli.uncertainty.settings import (
     Estimator,
@@ -58,29 +58,16 @@ def uncertainty_scan(
         of_pixels = getattr(estimate.uncertainty, kind)
         of_points = points_from_pixels(of_pixels, image.pixel_of_point, np.nan)
         output.write_array(file, f"uncertainty/{kind}", of_points)
-    if "predictions" in output.folders:
-        pixel_labels = estimate.probabilities.argmax(axis=0)
-        labels = knn_refine(image, pixel_labels, space.class_count, knn, device)
-    elif ERROR in output.folders:
-        labels = _labels_there(file, output, space, len(image.pixel_of_point))
-    else:
+    if "predictions" not in output.folders:
         return ScanSummary(file, check)
+    pixel_labels = estimate.probabilities.argmax(axis=0)
+    labels = knn_refine(image, pixel_labels, space.class_count, knn, device)
     if ERROR in output.folders:
         # The model of errors was fitted to a single pass.
         single = network.probabilities(image, file.path)
         output.write_array(file, ERROR, label_error(network, image, single, labels))
-    if "predictions" not in output.folders:
-        return ScanSummary(file, check)
     output.write_labels(file, space.to_raw(labels))
     return ScanSummary.of_labels(file, labels, space, check)
-
-
-def _labels_there(file: ScanFile, output: OutputRun, space: LabelSpace, count: int) -> TrainIds:
-    """Return the labels that another stage gave the points of a scan, (N,) train ids."""
-    path = output.path(file, "predictions")
-    if not present(path):
-        raise missing_column("label", file, output.out)
-    return space.to_train(read_labels(path, count), source=path)
 
 
 def uncertainty(
@@ -96,8 +83,7 @@ def uncertainty(
     """Estimate uncertainty into `OUT/sequences/<seq>/uncertainty/<kind>`.
 
     The labels of the mean softmax go to `predictions`, unless another stage keeps its
-    labels there already: those stay. The error, if the weights know it, is that of the labels that
-    are there then.
+    labels there already: those stay.
 
     Parameters
     ----------
@@ -140,11 +126,10 @@ def uncertainty_of(
     kinds = tuple(f"uncertainty/{kind}" for kind in estimator.kinds)
     labels_too = owner(out, "predictions") in (None, "uncertainty")
     folders = (*kinds, "predictions") if labels_too else kinds
-    if knows_error(loaded) and owner(out, ERROR) in (None, "uncertainty"):
-        if labels_too or recorded_weights(out, "predictions"):
-            folders = (ERROR, *folders)
-        else:
-            log.log(NOTICE, "no errors: the labels in %s are another program's", out)
+    if knows_error(loaded) and labels_too:
+        folders = (ERROR, *folders)
+    elif knows_error(loaded) and owner(out, ERROR) is None:
+        log.log(NOTICE, "no errors: the labels in %s are another stage's; see predict --error", out)
     require_network_of_labels(out, settings)
     summary = RunSummary.of_scans(scans, loaded.sensor, loaded.space)
     run = output_run(

@@ -63,10 +63,6 @@ def register_run(wanted: StageRecord, out: Path, overwrite: bool) -> StageRecord
                 f"{folder}/ holds the results of `{other}`",
                 remedy="use another output folder, or --overwrite to replace them",
             )
-    of_labels = owner(out, ERROR)
-    if "predictions" in (others if same else wanted.folders) and of_labels not in (None, stage):
-        # With labels go the probabilities that they are wrong.
-        others[ERROR] = of_labels
     kept: list[Path] = []
     with ExitStack() as held:
         for filler in [*([] if same else [stage]), *sorted({*others.values()})]:
@@ -75,10 +71,10 @@ def register_run(wanted: StageRecord, out: Path, overwrite: bool) -> StageRecord
         # Nothing is removed before it is certain that the run may begin.
         if not same:
             kept += _remove_results(out, before.folders)
-        for folder, other in others.items():
-            kept += _take_over(out, folder, other)
         for folder in wanted.folders:
-            if folder not in others and folder not in before.folders:
+            if folder in others:
+                kept += _take_over(out, folder, others[folder])
+            elif folder not in before.folders:
                 kept += _remove_unrecorded(out, folder, overwrite)
     merged = replace(wanted, kept=frozenset(path.relative_to(out).as_posix() for path in kept))
     if same:
@@ -100,10 +96,16 @@ def _merged(recorded: StageRecord, wanted: StageRecord) -> StageRecord:
 
 
 def _take_over(out: Path, folder: str, other: str) -> list[Path]:
-    """Remove the results of another stage from a folder, which is no longer its own."""
-    kept = _remove_results(out, [folder])
-    if record := read_record(out, other):
-        left = tuple(name for name in record.folders if name != folder)
+    """Remove the results of another stage from a folder, which is this stage's from now on.
+
+    With its labels go the probabilities that these are wrong.
+    """
+    taken = [folder, ERROR] if folder == "predictions" else [folder]
+    record = read_record(out, other)
+    taken = [name for name in taken if name == folder or (record and name in record.folders)]
+    kept = _remove_results(out, taken)
+    if record:
+        left = tuple(name for name in record.folders if name not in taken)
         replace(record, folders=left).write(out)
     return kept
 

@@ -6,17 +6,14 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from scans import SMALL
 from world import World
 
 from salsanext_cli import label_space, read_labels, write_labels
 from salsanext_cli.errors import LabelError, OutputError, TrainingError, UsageError, WeightsError
-from salsanext_cli.geometry.knn import KnnParameters
 from salsanext_cli.network.card import read_card
 from salsanext_cli.network.weights import save_with_card
 from salsanext_cli.parallel.run import RunOptions
 from salsanext_cli.stages.evaluate import evaluate
-from salsanext_cli.stages.knn_refine import knn_refine_scans
 from salsanext_cli.stages.models import describe_weights
 from salsanext_cli.stages.predict import predict_scans
 from salsanext_cli.stages.tune_batchnorm import tune_batchnorm
@@ -96,16 +93,7 @@ def test_what_is_wrong_is_found_in_scans_left_out(far_is_wrong: World, target, t
     found = evaluate(scans, world.out, label_space()).uncertainty.error
     assert found is not None
     assert found.ece < 0.1
-
-
-def test_errors_go_with_the_labels_that_they_are_of(
-    far_is_wrong: World, target, tmp_path, caplog
-) -> None:
-    world = far_is_wrong
-    tune_error(world.data, target, network=world.network, selection=ALL)
-    network = replace(world.network, weights=target)
-    predict_scans(world.data, world.out, network=network, extras=(ERROR,))
-    error = np.load(world.result(ERROR))
+    # Errors go with the labels that they are of.
     some = Estimator(samples=2, aleatoric="none")
     uncertainty(world.data, world.out, network=network, estimator=some)
     np.testing.assert_array_equal(np.load(world.result(ERROR)), error)
@@ -113,31 +101,12 @@ def test_errors_go_with_the_labels_that_they_are_of(
     other = tmp_path / "uncertain"
     uncertainty(world.data, other, network=network, estimator=some)
     assert {p.name for p in (other / "sequences/08/uncertainty").iterdir()} >= {"error", "entropy"}
-    # Other labels take the place of these: their errors are not known until asked for.
-    again = RunOptions(overwrite=True)
-    predict_scans(world.data, other, network=network, options=again)
+    # Other labels take the place of these: their errors are not known.
+    predict_scans(world.data, other, network=network, options=RunOptions(overwrite=True))
     assert (other / "sequences/08/uncertainty/entropy/000000.npy").exists()
     assert not list(other.rglob("error/*.npy"))
-    assert uncertainty(world.data, other, network=network, estimator=some).done == 3
-    own = np.load(other / "sequences/08/uncertainty/error/000000.npy")
-    np.testing.assert_array_equal(own, error)
-    # Labels after another vote are others, though of the same weights.
-    predict_scans(*(world.data, other), network=network, knn=KnnParameters(k=1), options=again)
+    uncertainty(world.data, other, network=network, estimator=some)
     assert not list(other.rglob("error/*.npy"))
-    assert uncertainty(world.data, other, network=network, estimator=some).done == 3
-    assert len(list(other.rglob("error/*.npy"))) == 3
-    # A scan that has no labels has no error, and that is said.
-    (other / "sequences/08/predictions/000000.label").unlink()
-    outcome = uncertainty(world.data, other, network=network, estimator=some, options=again)
-    assert (outcome.done, len(outcome.failures)) == (2, 1)
-    assert "no label known" in outcome.failures[0].reason
-    # Of labels that no network is known to have made, the model says nothing.
-    theirs = tmp_path / "theirs"
-    knn_refine_scans(theirs, labels=world.out, dataset=world.data, sensor=SMALL)
-    with caplog.at_level("INFO"):
-        assert uncertainty(world.data, theirs, network=network, estimator=some).done == 3
-    assert f"no errors: the labels in {theirs} are another program's" in caplog.text
-    assert not list(theirs.rglob("error/*.npy"))
 
 
 def test_weights_without_it_are_refused(world: World, target, tmp_path) -> None:
