@@ -1,7 +1,12 @@
 # SPDX-License-Identifier: MIT
+import json
+from pathlib import Path
+
+import numpy as np
 import pytest
 from evaluated import CAR, ROAD, World
 
+from salsanext_cli import read_labels
 from salsanext_cli.stages.demo import Demonstration
 
 
@@ -34,3 +39,16 @@ def test_a_scan_that_cannot_be_evaluated_is_named_and_status_one(
     assert result.exit_code == status, result.output
     assert says in result.stderr
     assert ("error: " in result.stderr) == bool(status)
+
+
+@pytest.mark.slow
+def test_the_whole_of_it_shows_the_probability_of_errors(run, tmp_path):
+    result = run("demo", tmp_path, "--scans", "1", "--samples", "2", "--json")
+    assert result.exit_code == 0, result.stderr
+    made = json.loads(result.stdout)
+    assert made["uncertainty"]["error"]["auroc"] > 0.5
+    (error,) = (tmp_path / "out/sequences/00/uncertainty/error").iterdir()
+    labels = tmp_path / "out/sequences/00/predictions" / f"{error.stem}.label"
+    assert np.load(error).shape == read_labels(labels).shape
+    assert [Path(picture).stat().st_size > 0 for picture in made["pictures"]] == [True]
+    assert Path(made["page"]).stat().st_size > 0
