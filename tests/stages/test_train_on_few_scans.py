@@ -34,8 +34,10 @@ from salsanext_cli.storage.written_files import WrittenFiles
 from salsanext_cli.training import fit, fold_errors
 from salsanext_cli.training.fit import Report
 from salsanext_cli.training.recipe import Recipe, recipe
+from salsanext_cli.training.tuning import error
 from salsanext_cli.training.tuning.judged_points import JudgedPoints, judged_points
 
+LEAST_STEPS = error.LEAST_STEPS
 FEW = Recipe(
     initial="default",
     folds=2,
@@ -62,7 +64,14 @@ def initial(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Path:
     torch.manual_seed(1)
     save_weights(path, TinyNetwork(), card)
     monkeypatch.setattr(stage, "default_weights", lambda: path)
+    monkeypatch.setattr(error, "LEAST_STEPS", 1)
     return path
+
+
+@pytest.fixture
+def good_errors(monkeypatch: pytest.MonkeyPatch, initial: Path) -> None:
+    """Fit errors in as many steps as outside of tests; most of these need no good ones."""
+    monkeypatch.setattr(error, "LEAST_STEPS", LEAST_STEPS)
 
 
 @pytest.fixture
@@ -77,6 +86,7 @@ def go(data: Path, run: Path, recipe: Recipe = FEW, **changes: object) -> TrainR
     return train(data, run, recipe=recipe, device="cpu", **changes)  # type: ignore[arg-type]
 
 
+@pytest.mark.usefixtures("good_errors")
 def test_the_folds_choose_the_epochs_and_all_scans_are_trained_on(
     data: Path, tmp_path: Path
 ) -> None:
@@ -116,6 +126,7 @@ def test_the_folds_choose_the_epochs_and_all_scans_are_trained_on(
     assert again == result
 
 
+@pytest.mark.usefixtures("good_errors")
 def test_errors_are_fitted_anew_only_to_other_weights_or_scans(
     data: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
