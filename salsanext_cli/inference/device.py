@@ -103,7 +103,10 @@ def openvino_core() -> "openvino.Core":
 
     # Two threads that ask for this first would wait for each other for ever.
     openvino.Type.f32.to_dtype()
-    return openvino.Core()
+    core = openvino.Core()
+    # While they compute, the threads of every worker would be bound to the same first cores.
+    core.set_property("CPU", {"ENABLE_CPU_PINNING": False})
+    return core
 
 
 @cache

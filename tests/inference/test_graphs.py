@@ -1,8 +1,12 @@
 # SPDX-License-Identifier: MIT
 """Graphs for OpenVINO compute what the torch modules do that they were made from."""
 
+import os
 import subprocess
 import sys
+import threading
+import time
+from contextlib import suppress
 
 import numpy as np
 import pytest
@@ -96,6 +100,23 @@ def test_the_bits_do_not_depend_on_threads_or_streams(precision):
             True,
             False,
         ] * 3
+
+
+@pytest.mark.skipif(not hasattr(os, "sched_getaffinity"), reason="a system without affinity")
+def test_computing_threads_are_not_bound_to_cores():
+    if len(cores := os.sched_getaffinity(0)) < 2:
+        pytest.skip("a single core")
+    run, image = compiled(network("salsanext"), x := images(1, 5, 32, 512)), x.numpy()
+    computing = threading.Thread(target=lambda: [run(image) for _ in range(5)])
+    computing.start()
+    found = []
+    while computing.is_alive():
+        with suppress(ProcessLookupError):  # it has just ended
+            found.append(os.sched_getaffinity(computing.native_id))
+        time.sleep(0.001)
+    # Workers with one thread each would all be bound to the first core.
+    assert len(found) > 10
+    assert all(each == cores for each in found)
 
 
 def test_inputs_that_do_not_fit_are_an_error():
