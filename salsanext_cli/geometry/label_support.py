@@ -52,6 +52,8 @@ def mean_in_windows(
 ) -> None:
     """Write what `label_support` returns."""
     height, width = ranges.shape
+    # Looked up, as a division for each of them would take longer than the rest.
+    columns = np.arange(-COLUMNS, width + COLUMNS) % width
     for i in range(len(labels)):
         v, u = pixels[i] // width, pixels[i] % width
         own, of_label = ranges[v, u], probabilities[labels[i]]
@@ -59,8 +61,7 @@ def mean_in_windows(
         count, total = 0, 0.0
         for row in range(v - ROWS, v + ROWS + 1, STEP):
             if 0 <= row < height:
-                for step in range(-COLUMNS, COLUMNS + 1, STEP):
-                    column = (u + step) % width
+                for column in columns[u : u + 2 * COLUMNS + 1 : STEP]:
                     if ranges[row, column] > 0 and abs(ranges[row, column] - own) <= most:
                         count += 1
                         total += of_label[row, column]

@@ -11,6 +11,7 @@ from salsanext_cli.classes import TrainIds
 from salsanext_cli.errors import UsageError, WeightsError
 from salsanext_cli.geometry.label_support import label_support, region_means
 from salsanext_cli.inference.network import Network
+from salsanext_cli.kernels import parallel_for_slices
 from salsanext_cli.network.error_model import ErrorModel
 from salsanext_cli.records import Float, RangeImage
 from salsanext_cli.uncertainty.estimate import entropy
@@ -42,13 +43,19 @@ def error_features(image: RangeImage, probabilities: Float, labels: TrainIds) ->
     labels : (N,) uint8
         Train ids of the points, after kNN.
     """
-    log_range = _log_range(image.channels[0])
     # Most points have the label of their pixel: described once per pixel, the others on their own.
     classes, table = _of_pixels(image, probabilities)
-    found = table.take(image.pixel_of_point, 0, mode="clip")
-    found[:, 7] = _log_range(image.point_range)
-    found[:, 6] = found[:, 7] - log_range.reshape(-1).take(image.pixel_of_point, mode="clip")
-    differs = labels != classes.take(image.pixel_of_point, mode="clip")
+    found = np.empty((len(labels), len(FEATURES)), np.float32)
+    differs = np.empty(len(labels), bool)
+
+    def gather(part: slice) -> None:
+        pixels, log_range = image.pixel_of_point[part], _log_range(image.point_range[part])
+        table.take(pixels, 0, found[part], "clip")
+        found[part, 6] = log_range - found[part, 7]
+        found[part, 7] = log_range
+        differs[part] = labels[part] != classes.take(pixels, mode="clip")
+
+    parallel_for_slices(gather, len(labels))
     other = np.flatnonzero(differs & (image.pixel_of_point >= 0))
     own, pixels = labels[other], image.pixel_of_point[other]
     found[other, 0] = probabilities.reshape(len(probabilities), -1)[own, pixels]
@@ -60,8 +67,7 @@ def error_features(image: RangeImage, probabilities: Float, labels: TrainIds) ->
 def _of_pixels(image: RangeImage, probabilities: Float) -> tuple[TrainIds, Float]:
     """Return the class of each pixel, (H · W,), and its features, (H · W, 9) float32.
 
-    They are those of its nearest point, if that has this class. Those of the point's own range
-    are 0.
+    They are those of its nearest point, if that has this class.
     """
     largest, second = np.zeros((2, *probabilities.shape[1:]), np.float32)
     classes = np.zeros(largest.shape, np.uint8)
@@ -77,6 +83,7 @@ def _of_pixels(image: RangeImage, probabilities: Float) -> tuple[TrainIds, Float
     of_pixel = classes.reshape(-1)[occupied]
     table[occupied, 4] = label_support(image, probabilities, of_pixel, occupied)
     table[:, 5] = region_means(image, classes, largest).reshape(-1)
+    table[:, 7] = _log_range(image.channels[0]).reshape(-1)
     table[:, 8] = image.channels[3].reshape(-1)
     return classes.reshape(-1), table
 
