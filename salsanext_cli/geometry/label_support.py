@@ -52,7 +52,7 @@ def mean_in_windows(
 ) -> None:
     """Write what `label_support` returns."""
     height, width = ranges.shape
-    # Looked up, as a division for each of them would take longer than the rest.
+    # A table: a division for each pixel of a window would take longer than the rest.
     columns = np.arange(-COLUMNS, width + COLUMNS) % width
     for i in range(len(labels)):
         v, u = pixels[i] // width, pixels[i] % width

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: MIT
 """Model of a label's error: a small network from features of a point to a probability.
 
-It is stored as plain numbers in the card of a weights file, and compiled for the CPU.
+It is stored as plain numbers in the card of a weights file.
 """
 
 from __future__ import annotations
@@ -13,11 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from salsanext_cli.kernels import argument, compiled, parallel_for_slices
 from salsanext_cli.records import Float
-
-BLOCK = 256
-"""Points computed together, whose values stay in the first cache."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -55,21 +51,20 @@ class ErrorModel:
         Parameters
         ----------
         features : (N, F) float32
+
+        Raises
+        ------
+        ValueError
+            For another number of features.
         """
-        features = argument(features, np.float32)
-        layers = tuple(
-            (argument(weight, np.float32), argument(bias, np.float32))
-            for weight, bias in self.layers
-        )
-        found = np.empty(len(features), np.float32)
+        # Not by who only reads a card: it imports the compiler.
+        from salsanext_cli.network.perceptron import last_values
 
-        def compute(part: slice) -> None:
-            write_logits(features[part], layers, found[part])
-            # Beyond, the exponential overflows.
-            found[part] = 1 / (1 + np.exp(-np.clip(found[part], -30, 30)))
-
-        parallel_for_slices(compute, len(features))
-        return found
+        if features.shape[1:] != (len(self.features),):
+            raise ValueError(f"features of {features.shape}, not of (N, {len(self.features)})")
+        # Beyond, the exponential overflows.
+        logits = np.clip(last_values(features, self.layers), -30, 30)
+        return (1 / (1 + np.exp(-logits))).astype(np.float32, copy=False)
 
     def to_dict(self) -> dict[str, Any]:
         """Return plain data that `from_dict` accepts; numbers have seven digits."""
@@ -88,32 +83,3 @@ class ErrorModel:
 
 def _rounded(values: Float) -> Any:
     return np.vectorize(lambda value: float(f"{value:.7g}"), otypes=[object])(values).tolist()
-
-
-@compiled
-def write_logits(features: Float, layers: tuple[tuple[Float, Float], ...], found: Float) -> None:
-    """Write the last value of a perceptron for each row of features."""
-    widest = features.shape[1]
-    for _, bias in layers:
-        widest = max(widest, len(bias))
-    before, after = np.empty((2, widest, BLOCK), np.float32)
-    for start in range(0, len(features), BLOCK):
-        count = min(BLOCK, len(features) - start)
-        for i in range(count):
-            for k in range(features.shape[1]):
-                before[k, i] = features[start + i, k]
-        for number, (weight, bias) in enumerate(layers):
-            for j in range(len(bias)):
-                values = after[j]
-                values[:] = bias[j]
-                for k in range(len(weight)):
-                    factor, given = weight[k, j], before[k]
-                    for i in range(BLOCK):
-                        values[i] += factor * given[i]
-                if number < len(layers) - 1:
-                    for i in range(BLOCK):
-                        # Not `max`: NaN stays.
-                        if values[i] < 0:
-                            values[i] = 0
-            before, after = after, before
-        found[start : start + count] = before[0, :count]

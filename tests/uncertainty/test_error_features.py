@@ -4,6 +4,7 @@
 import math
 from dataclasses import replace
 
+import numba
 import numpy as np
 import pytest
 from scans import SMALL
@@ -19,14 +20,21 @@ def drawn(count: int, seed: int) -> Scan:
     return Scan(points.astype("f4"), random.random(count).astype("f4"))
 
 
+@pytest.mark.parametrize("threads", [1, 2, 5])
 @pytest.mark.parametrize(
     ("count", "width", "block"),
-    [(0, 128, 1), (1, 128, 1), (40, 8, 2), (900, 128, 1), (900, 128, 12), (40_000, 128, 7)],
+    [(0, 128, 1), (1, 128, 1), (40, 8, 2), (900, 128, 1), (900, 128, 12), (9000, 128, 7)],
 )
-def test_features_are_those_of_a_slow_loop(count: int, width: int, block: int) -> None:
+def test_features_are_those_of_a_slow_loop(
+    count: int, width: int, block: int, threads: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """Large blocks of pixels are alike, so that regions are; of many points some are compared."""
+    monkeypatch.setattr("salsanext_cli.kernels.MIN_SLICE_ITEMS", 100)
+    monkeypatch.setitem(vars(numba.config), "NUMBA_NUM_THREADS", threads)
     scan = drawn(count, count + block)
-    scan.points[:1] = 0 if count > 1 else scan.points[:1]
+    # Points in the origin have no pixel: some where the threads' slices meet.
+    borders = [count * part // threads for part in range(threads) if count > threads]
+    scan.points[[border - step for border in borders for step in (0, 1)]] = 0
     image = project(scan, replace(SMALL, width=width))
     random = np.random.default_rng(block)
     coarse = random.normal(size=(4, image.height // block + 1, image.width // block + 1))
@@ -66,6 +74,14 @@ def test_features_are_those_of_a_slow_loop(count: int, width: int, block: int) -
             image.channels[3, v, u],
         ]
         assert found[i] == pytest.approx(expected, abs=1e-5)
+
+
+def test_points_without_a_pixel_have_no_features() -> None:
+    image = project(Scan(np.zeros((30, 3), "f4"), np.zeros(30, "f4")), SMALL)
+    probabilities = np.full((4, SMALL.height, SMALL.width), 0.25, "f4")
+    found = error_features(image, probabilities, np.zeros(30, np.uint8))
+    assert found.shape == (30, len(FEATURES))
+    assert np.isnan(found).all()
 
 
 def region(occupied, classes, start: tuple[int, int]) -> set[tuple[int, int]]:
