@@ -120,6 +120,7 @@ def test_other_sensors(tmp_path, weights, capsys):
 def test_training_speed(data):
     """Both sides find the same loss, or it would stop."""
     options = ("--sensor", data / "tiny.toml", "--architecture", "salsanet", "--turns", 2)
+    options += ("--precision", "float32")
     _, losses, *_, ratio = script_printed("training_speed.py", data, *options)
     plain, ours = (float(each) for each in re.findall(r"\d+\.\d+", losses))
     assert plain == pytest.approx(ours, rel=1e-4)

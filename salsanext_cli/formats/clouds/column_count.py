@@ -131,7 +131,9 @@ def _padded_count(values: Float, columns: int) -> int | None:
     """Return the number of columns of a table that has only zeros beside the columns expected."""
     for count in reversed(range(2 * columns, COUNTS.stop, columns)):
         rows = values[: len(values) // count * count].reshape(-1, count)
-        sample = rows[_places(len(rows), ROWS)]
+        # A NaN may signal.
+        with np.errstate(invalid="ignore"):
+            sample = rows[_places(len(rows), ROWS)].astype(bool)
         if not sample[..., columns:].any() and sample.any():
             return count
     return None

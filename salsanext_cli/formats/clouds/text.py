@@ -146,9 +146,9 @@ def _numbers(content: bytes, layout: Layout, used: tuple[int, ...]) -> npt.NDArr
         ndmin=2,
     )
     if layout.delimiter is None:
-        marks, table = table.shape[1] - 1, table[:, used]
+        marks: float = table.shape[1] - 1
     else:
         marks = body.count(layout.delimiter.encode()) / len(table)
     if marks != layout.width - 1:
         raise ValueError(f"lines of more or fewer than {layout.width} columns")
-    return table
+    return table if layout.delimiter else table[:, used]

@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: MIT
 """Number of columns told from values: simulated scans with what programs write beside them."""
 
+import warnings
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -133,3 +135,11 @@ def test_integers_among_the_columns_are_no_float32():
 def test_any_bytes_have_some_number_of_columns_or_none(content, expected):
     found = evident_count(content.view("<f4"), expected)
     assert found is None or (found in COUNTS and found != expected)
+
+
+def test_a_signalling_nan_is_no_warning():
+    content = np.ones(64, "<f4")
+    content.view("<u4")[-7:] = 0x7F800001
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        assert evident_count(content, 4) is None

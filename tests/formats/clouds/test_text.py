@@ -82,6 +82,7 @@ def test_columns_are_named_where_the_file_does_not(tmp_path):
         ("1 2 3 4\n5 6 7 8 9\n", "number of columns changed from 4 to 5"),
         ("x,y,z,i\n1,2,3,4\n5,6,7,8,9\n", "more or fewer than 4 columns"),
         ("x,y,z\n1,2,3,4\n", "more or fewer than 3 columns"),
+        ("x y z i ring\n1 2 3\n", "more or fewer than 5 columns"),
         ("1;2;3;4\n5;6;;8\n", "could not convert string ''"),
         ("1,5;2,5;3,5\n", "1,5"),
         ("a,b,c\n1,2,3\n", "a,b,c in place of numbers, or of names with x, y, z"),
