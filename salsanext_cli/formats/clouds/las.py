@@ -15,6 +15,7 @@ import numpy as np
 import numpy.typing as npt
 
 from salsanext_cli.errors import FormatError, MissingDependency, OutputError
+from salsanext_cli.formats.clouds.laz_sizes import require_chunks, require_layers
 from salsanext_cli.formats.columns import MAX_DISTANCE_M, Columns, scan_of
 from salsanext_cli.formats.reading import reading, size_of
 from salsanext_cli.packages import import_extra
@@ -28,10 +29,6 @@ COUNT = struct.Struct("<247xQ")
 """Number of points in headers from version 1.4 on."""
 RECORD_BYTES = 54
 """Least size of a record of variable length."""
-CHUNK_TABLE, CHUNK_COUNT = struct.Struct("<q"), struct.Struct("<4xI")
-"""Offset of the table of chunks, before the first chunk, and the start of the table."""
-TABLE_AT_END = -1
-"""Offset where the last bytes of the file hold it."""
 COMPRESSED_BIT = 0x80
 COMPRESSED_SUFFIX = ".laz"
 MAX_POINTS_PER_BYTE = 16
@@ -100,28 +97,8 @@ def _require_room(file: BinaryIO) -> None:
     if header > offset or records * RECORD_BYTES > offset or held < 0 or count > room:
         raise ValueError("the header promises more than the file holds")
     if kind & COMPRESSED_BIT and count:
-        _require_chunks(file, offset, size)
+        require_chunks(file, offset, size)
     file.seek(0)
-
-
-def _require_chunks(file: BinaryIO, offset: int, size: int) -> None:
-    """Raise `ValueError` if the table of chunks is not in the file, or promises too many.
-
-    lazrs would end the process where memory for so many cannot be had.
-    """
-    (table,) = CHUNK_TABLE.unpack(_bytes_at(file, offset, CHUNK_TABLE.size))
-    if table == TABLE_AT_END:
-        (table,) = CHUNK_TABLE.unpack(_bytes_at(file, size - CHUNK_TABLE.size, CHUNK_TABLE.size))
-    (chunks,) = CHUNK_COUNT.unpack(_bytes_at(file, table, CHUNK_COUNT.size))
-    if chunks > size:
-        raise ValueError(f"{chunks} chunks of compressed points in {size} bytes")
-
-
-def _bytes_at(file: BinaryIO, offset: int, count: int) -> bytes:
-    if not 0 <= offset <= size_of(file) - count:
-        raise ValueError(f"no table of chunks at byte {offset}")
-    file.seek(offset)
-    return file.read(count)
 
 
 def _read_columns(
@@ -137,6 +114,7 @@ def _read_columns(
             row = reader.point_source.vlr.item_size()
             if row != header.point_format.size:
                 raise ValueError(f"compressed points of {row} bytes")
+            require_layers(file, reader.point_source.vlr, header)
         parts = [columns_of(points) for points in reader.chunk_iterator(POINTS_PER_PART)]
         if sum(len(part["x"]) for part in parts) != header.point_count:
             raise ValueError("it is cut off")

@@ -115,6 +115,30 @@ def test_laz_of_billions_of_chunks_or_points_is_refused(tmp_path):
             read_scan(path)
 
 
+@pytest.mark.parametrize("kind", [3, 6, 7, 8])
+def test_laz_of_several_chunks_is_read_unless_a_layer_is_longer_than_the_file(tmp_path, kind):
+    """Memory is taken for a layer, up to 4 GB, before it is read."""
+    lazrs = pytest.importorskip("lazrs")
+    path = tmp_path / "s.laz"
+    cloud = laspy.create(point_format=kind)
+    cloud.add_extra_dim(laspy.ExtraBytesParams("ring", np.uint16))
+    cloud.x = cloud.y = cloud.z = np.random.default_rng(0).normal(0, 9, 60_000)
+    cloud.write(path)
+    assert len(read_scan(path)) == 60_000
+    if kind == 3:
+        return  # without layers
+    with laspy.open(path) as file, path.open("rb") as stream:
+        record, start = file.point_source.vlr, file.header.offset_to_point_data
+        stream.seek(start)
+        (_, length), _ = lazrs.read_chunk_table(stream, record)
+    content = path.read_bytes()
+    for chunk in (0, length):
+        at = start + 8 + chunk + record.item_size() + 4
+        path.write_bytes(content[:at] + b"\xff\xff\xff\x3f" + content[at + 4 :])
+        with pytest.raises(FormatError, match="layers of its points are longer than the file"):
+            read_scan(path)
+
+
 @pytest.mark.parametrize("name", ["laspy", "lazrs"])
 def test_a_missing_package_is_named_with_the_file(tmp_path, monkeypatch, name):
     path = tmp_path / "drive.laz"

@@ -1,0 +1,62 @@
+# SPDX-License-Identifier: MIT
+"""Sizes that compressed points of a LAZ file promise, compared with the file.
+
+lazrs believes them, and takes memory for so much before it reads.
+"""
+
+import struct
+from typing import Any, BinaryIO
+
+from salsanext_cli.formats.reading import size_of
+
+CHUNK_TABLE, CHUNK_COUNT = struct.Struct("<q"), struct.Struct("<4xI")
+"""Offset of the table of chunks, before the first chunk, and the start of the table."""
+TABLE_AT_END = -1
+"""Offset where the last bytes of the file hold it."""
+ITEM, ITEMS_AT = struct.Struct("<HHH"), 34
+"""Kind, size and version of an item of compressed points, and where the record has the first."""
+LAYERS = {10: 9, 11: 1, 12: 2, 13: 1}
+"""Layers of the kinds of items that have any: points, colours, colours with infrared, waves."""
+EXTRA_BYTES = 14
+"""Kind of item with a layer for each byte."""
+
+
+def require_chunks(file: BinaryIO, offset: int, size: int) -> None:
+    """Raise `ValueError` if the table of chunks is not in the file, or promises too many.
+
+    lazrs would end the process where memory for so many cannot be had.
+    """
+    (table,) = CHUNK_TABLE.unpack(_bytes_at(file, offset, CHUNK_TABLE.size))
+    if table == TABLE_AT_END:
+        (table,) = CHUNK_TABLE.unpack(_bytes_at(file, size - CHUNK_TABLE.size, CHUNK_TABLE.size))
+    (chunks,) = CHUNK_COUNT.unpack(_bytes_at(file, table, CHUNK_COUNT.size))
+    if chunks > size:
+        raise ValueError(f"{chunks} chunks of compressed points in {size} bytes")
+
+
+def require_layers(file: BinaryIO, record: Any, header: Any) -> None:
+    """Raise `ValueError` if the layers of compressed points go beyond the file.
+
+    lazrs takes memory for each before it is read, up to 4 GB. A chunk has its first point as it is,
+    the number of its points, the sizes of its layers, and these.
+    """
+    items = ITEM.iter_unpack(bytes(record.record_data())[ITEMS_AT:])
+    layers = sum(size if kind == EXTRA_BYTES else LAYERS.get(kind, 0) for kind, size, _ in items)
+    sizes = struct.Struct(f"<{1 + layers}I")
+    before, at = file.tell(), header.offset_to_point_data + CHUNK_TABLE.size
+    points = header.point_count if layers else 0
+    while points > 0:
+        at += record.item_size()
+        count, *lengths = sizes.unpack(_bytes_at(file, at, sizes.size))
+        at += sizes.size + sum(lengths)
+        if at > size_of(file):
+            raise ValueError("the layers of its points are longer than the file")
+        points -= max(1, count) if record.uses_variable_size_chunks() else record.chunk_size()
+    file.seek(before)
+
+
+def _bytes_at(file: BinaryIO, offset: int, count: int) -> bytes:
+    if not 0 <= offset <= size_of(file) - count:
+        raise ValueError(f"it has no byte {offset}")
+    file.seek(offset)
+    return file.read(count)
