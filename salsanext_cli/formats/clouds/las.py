@@ -46,6 +46,8 @@ BAD_FILE = (
     *(TypeError, ValueError, struct.error),
 )
 """Errors of laspy and lazrs, besides laspy's own, for a damaged file."""
+PANIC = "PanicException"
+"""Another error of lazrs, no `Exception`, whose class no module has."""
 
 
 def read_las(path: Path) -> Scan:
@@ -75,7 +77,10 @@ def _read(path: Path, columns_of: Callable[[Any], Columns]) -> Columns:
         try:
             _require_room(file)
             return _read_columns(file, path, laspy, columns_of)
-        except (laspy.errors.LaspyException, *BAD_FILE) as error:
+        except BaseException as error:
+            expected = (laspy.errors.LaspyException, *BAD_FILE)
+            if not isinstance(error, expected) and type(error).__name__ != PANIC:
+                raise
             found = f"not a whole LAS file: {shortened(str(error))}"
             raise FormatError(path, found, "a .las or .laz file") from error
 

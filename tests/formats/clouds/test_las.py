@@ -2,6 +2,7 @@
 """LAS and LAZ, compared with what laspy reads and writes by itself."""
 
 import sys
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
@@ -137,6 +138,18 @@ def test_laz_of_several_chunks_is_read_unless_a_layer_is_longer_than_the_file(tm
         path.write_bytes(content[:at] + b"\xff\xff\xff\x3f" + content[at + 4 :])
         with pytest.raises(FormatError, match="layers of its points are longer than the file"):
             read_scan(path)
+
+
+@pytest.mark.parametrize(
+    ("raised", "expected"),
+    [(type("PanicException", (BaseException,), {}), FormatError), (SystemExit, SystemExit)],
+)
+def test_a_panic_of_lazrs_is_a_damaged_file(tmp_path, monkeypatch, raised, expected):
+    path = tmp_path / "s.laz"
+    laspy.create().write(path)
+    monkeypatch.setattr(laspy, "open", Mock(side_effect=raised("index out of bounds")))
+    with pytest.raises(expected, match="index out of bounds"):
+        read_scan(path)
 
 
 @pytest.mark.parametrize("name", ["laspy", "lazrs"])
