@@ -57,7 +57,7 @@ class ErrorModel:
         ValueError
             For another number of features.
         """
-        # Not by who only reads a card: it imports the compiler.
+        # Imported here: to read a card takes no compiler.
         from salsanext_cli.network.perceptron import last_values
 
         if features.shape[1:] != (len(self.features),):

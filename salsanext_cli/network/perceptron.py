@@ -20,7 +20,7 @@ def last_values(rows: Float, layers: Sequence[tuple[Float, Float]]) -> Float:
     rows : (N, F) float32
     layers : sequence of ((I, O), (O,)) float32
         Weights and biases; between two layers, negative values become 0. The first takes F values,
-        the last returns one.
+        the last returns one; this is not checked.
 
     Returns
     -------

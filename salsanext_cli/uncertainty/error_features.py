@@ -67,7 +67,7 @@ def error_features(image: RangeImage, probabilities: Float, labels: TrainIds) ->
 def _of_pixels(image: RangeImage, probabilities: Float) -> tuple[TrainIds, Float]:
     """Return the class of each pixel, (H · W,), and its features, (H · W, 9) float32.
 
-    They are those of its nearest point, if that has this class: it lies 0 beyond the pixel's range.
+    They are those of its nearest point, if that has this class; how far it lies beyond is 0.
     """
     largest, second = np.zeros((2, *probabilities.shape[1:]), np.float32)
     classes = np.zeros(largest.shape, np.uint8)

@@ -4,8 +4,8 @@
 import os
 import subprocess
 import sys
-import threading
 import time
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
 from pathlib import Path
 
@@ -109,16 +109,19 @@ def test_computing_threads_are_not_bound_to_cores(threads, streams):
     """Workers with one thread each would all be bound to the first core."""
     if len(cores := os.sched_getaffinity(0)) < 2:
         pytest.skip("a single core")
+    tasks = Path("/proc/self/task")
+    before = {task.name for task in tasks.iterdir()}
     x = images(1, 5, 32, 512)
     run = compiled(network("salsanext"), x, threads=threads, streams=streams)
-    computing = threading.Thread(target=run.each, args=([[x.numpy()]] * 5,))
-    computing.start()
     found = []
-    while computing.is_alive():
-        for task in Path("/proc/self/task").iterdir():
-            with suppress(ProcessLookupError):  # it has just ended
-                found.append(os.sched_getaffinity(int(task.name)))
-        time.sleep(0.001)
+    with ThreadPoolExecutor(1) as pool:
+        computing = pool.submit(run.each, [[x.numpy()]] * 5)
+        while not computing.done():
+            for task in {task.name for task in tasks.iterdir()} - before:
+                with suppress(ProcessLookupError):  # it has just ended
+                    found.append(os.sched_getaffinity(int(task)))
+            time.sleep(0.001)
+        assert len(computing.result()) == 5
     assert found
     assert all(each == cores for each in found)
 

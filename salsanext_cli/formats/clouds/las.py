@@ -119,7 +119,8 @@ def _read_columns(
             row = reader.point_source.vlr.item_size()
             if row != header.point_format.size:
                 raise ValueError(f"compressed points of {row} bytes")
-            require_layers(file, reader.point_source.vlr, header)
+            start, count = header.offset_to_point_data, header.point_count
+            require_layers(file, reader.point_source.vlr, start, count)
         parts = [columns_of(points) for points in reader.chunk_iterator(POINTS_PER_PART)]
         if sum(len(part["x"]) for part in parts) != header.point_count:
             raise ValueError("it is cut off")

@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: MIT
 """LAS and LAZ, compared with what laspy reads and writes by itself."""
 
+import io
+import struct
 import sys
-from unittest.mock import Mock
 
 import numpy as np
 import pytest
@@ -14,10 +15,13 @@ from salsanext_cli import label_space, read_scan
 from salsanext_cli.classes import LabelSpace
 from salsanext_cli.errors import FormatError, MissingDependency, OutputError
 from salsanext_cli.formats.clouds.asprs import asprs_class, classification
-from salsanext_cli.formats.clouds.las import encode_las
+from salsanext_cli.formats.clouds.las import PANIC, encode_las
 
 laspy = pytest.importorskip("laspy")
+lazrs = pytest.importorskip("lazrs")
 SUFFIXES = (".las", ".laz")
+FIXED_CHUNK = 50_000
+"""Points in the chunks that laspy writes."""
 
 
 def columns_of(points, intensity):
@@ -116,39 +120,69 @@ def test_laz_of_billions_of_chunks_or_points_is_refused(tmp_path):
             read_scan(path)
 
 
-@pytest.mark.parametrize("kind", [3, 6, 7, 8])
-def test_laz_of_several_chunks_is_read_unless_a_layer_is_longer_than_the_file(tmp_path, kind):
-    """Memory is taken for a layer, up to 4 GB, before it is read."""
-    lazrs = pytest.importorskip("lazrs")
-    path = tmp_path / "s.laz"
+def compressed(path, kind, counts):
+    """Write random points in chunks of so many; return where the first begins, and their record."""
     cloud = laspy.create(point_format=kind)
     cloud.add_extra_dim(laspy.ExtraBytesParams("ring", np.uint16))
-    cloud.x = cloud.y = cloud.z = np.random.default_rng(0).normal(0, 9, 60_000)
+    cloud.x = cloud.y = cloud.z = np.random.default_rng(0).normal(0, 9, sum(counts))
     cloud.write(path)
-    assert len(read_scan(path)) == 60_000
-    if kind == 3:
-        return  # without layers
-    with laspy.open(path) as file, path.open("rb") as stream:
-        record, start = file.point_source.vlr, file.header.offset_to_point_data
-        stream.seek(start)
-        (_, length), _ = lazrs.read_chunk_table(stream, record)
+    with laspy.open(path) as file:
+        fixed, start = file.point_source.vlr.record_data(), file.header.offset_to_point_data
+    record = lazrs.LazVlr.new_for_compression(kind, 2, True)
+    content = io.BytesIO(path.read_bytes()[:start].replace(fixed, record.record_data()))
+    content.seek(start)
+    writer = lazrs.LasZipCompressor(content, record)
+    writer.reserve_offset_to_chunk_table()
+    for points in np.split(cloud.points.array, np.cumsum(counts)[:-1]):
+        writer.compress_many(points.tobytes())
+        writer.finish_current_chunk()
+    writer.done()
+    if counts[0] < FIXED_CHUNK:
+        path.write_bytes(content.getvalue())
+    return start, record if counts[0] < FIXED_CHUNK else lazrs.LazVlr(fixed)
+
+
+@pytest.mark.parametrize("counts", [(FIXED_CHUNK, 10_000), (300, 20, 1)], ids=["fixed", "variable"])
+@pytest.mark.parametrize("kind", [6, 7, 8, 9, 10])
+def test_layers_longer_than_the_file_are_refused(tmp_path, kind, counts):
+    """Memory is taken for a layer, up to 4 GB, before it is read."""
+    path = tmp_path / "s.laz"
+    start, record = compressed(path, kind, counts)
+    assert len(read_scan(path)) == sum(counts)
     content = path.read_bytes()
-    for chunk in (0, length):
-        at = start + 8 + chunk + record.item_size() + 4
-        path.write_bytes(content[:at] + b"\xff\xff\xff\x3f" + content[at + 4 :])
+    with path.open("rb") as file:
+        file.seek(start)
+        table = lazrs.read_chunk_table(file, record)
+    at = start + 8
+    for _, (_, length) in zip(counts, table, strict=False):
+        sizes = at + record.item_size()
+        damaged = b"\xff\xff\xff\xff" + b"\xff\xff\xff\x3f"
+        path.write_bytes(content[:sizes] + damaged + content[sizes + len(damaged) :])
         with pytest.raises(FormatError, match="layers of its points are longer than the file"):
             read_scan(path)
+        at += length
 
 
-@pytest.mark.parametrize(
-    ("raised", "expected"),
-    [(type("PanicException", (BaseException,), {}), FormatError), (SystemExit, SystemExit)],
-)
-def test_a_panic_of_lazrs_is_a_damaged_file(tmp_path, monkeypatch, raised, expected):
+@pytest.mark.parametrize("kind", [3, 6])
+@pytest.mark.parametrize("offset", [-1, 0])
+def test_a_table_of_chunks_may_be_told_at_the_end(tmp_path, kind, offset):
     path = tmp_path / "s.laz"
-    laspy.create().write(path)
-    monkeypatch.setattr(laspy, "open", Mock(side_effect=raised("index out of bounds")))
-    with pytest.raises(expected, match="index out of bounds"):
+    start, _ = compressed(path, kind, (FIXED_CHUNK, 10))
+    content = path.read_bytes()
+    moved = content[:start] + struct.pack("<q", offset) + content[start + 8 :]
+    path.write_bytes(moved + content[start : start + 8])
+    assert len(read_scan(path)) == FIXED_CHUNK + 10
+
+
+def test_a_panic_of_lazrs_is_a_damaged_file(tmp_path):
+    path = tmp_path / "s.laz"
+    _, record = compressed(path, 6, (FIXED_CHUNK, 10))
+    data = record.record_data()
+    path.write_bytes(path.read_bytes().replace(data, data[:32] + b"\0\0" + data[34:]))
+    with pytest.raises(BaseException, match="at least one LazItem") as caught:
+        laspy.read(path, laz_backend=laspy.LazBackend.Lazrs)
+    assert type(caught.value).__name__ == PANIC
+    with pytest.raises(FormatError, match=r"not a whole LAS file: .* at least one LazItem"):
         read_scan(path)
 
 
