@@ -26,10 +26,7 @@ from salsanext_cli.storage.layout import ERROR, ScanFile
 from salsanext_cli.storage.output_run import OutputRun, output_run
 from salsanext_cli.storage.scan_results import uncertainty_meant, with_column
 from salsanext_cli.storage.selection import ScanSelection, choose, scans_of, space_of
-from salsanext_cli.storage.stage_records import (
-    owner,
-    stage_settings,
-)
+from salsanext_cli.storage.stage_records import owner, stage_settings
 from salsanext_cli.uncertainty.error_features import knows_error, label_error
 from salsanext_cli.uncertainty.settings import (
     Estimator,

@@ -64,13 +64,16 @@ def require_layers(file: BinaryIO, record: Any, offset: int, points: int) -> Non
 
 
 def _chunks(file: BinaryIO, record: Any, offset: int, points: int) -> Sequence[object]:
-    """Return an item for each chunk that lazrs reads."""
+    """Return an item for each chunk that lazrs reads: as many as hold the points."""
     if not record.uses_variable_size_chunks():
         return range(0, points, record.chunk_size())
     import lazrs
 
     file.seek(offset)
-    return [count for count, _ in lazrs.read_chunk_table(file, record) if count]
+    counts = [count for count, _ in lazrs.read_chunk_table(file, record) if count]
+    if sum(counts) < points:
+        raise ValueError(f"chunks of {sum(counts)} of its {points} points")
+    return counts
 
 
 def _bytes_at(file: BinaryIO, offset: int, count: int) -> bytes:

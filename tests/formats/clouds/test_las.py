@@ -120,16 +120,35 @@ def test_laz_of_billions_of_chunks_or_points_is_refused(tmp_path):
             read_scan(path)
 
 
-def compressed(path, kind, counts):
-    """Write random points in chunks of so many; return where the first begins, and their record."""
+def written(path, kind, count):
+    """Write random points in chunks of `FIXED_CHUNK`."""
     cloud = laspy.create(point_format=kind)
     cloud.add_extra_dim(laspy.ExtraBytesParams("ring", np.uint16))
-    cloud.x = cloud.y = cloud.z = np.random.default_rng(0).normal(0, 9, sum(counts))
+    cloud.x = cloud.y = cloud.z = np.random.default_rng(0).normal(0, 9, count)
     cloud.write(path)
+    return cloud
+
+
+def record_of(path):
+    """Return the record of compressed points, and the byte where these begin."""
     with laspy.open(path) as file:
-        fixed, start = file.point_source.vlr.record_data(), file.header.offset_to_point_data
-    record = lazrs.LazVlr.new_for_compression(kind, 2, True)
-    content = io.BytesIO(path.read_bytes()[:start].replace(fixed, record.record_data()))
+        return file.point_source.vlr, file.header.offset_to_point_data
+
+
+def table_of(path):
+    """Return numbers of points and bytes of the chunks."""
+    record, start = record_of(path)
+    with path.open("rb") as file:
+        file.seek(start)
+        return [chunk for chunk in lazrs.read_chunk_table(file, record) if chunk[0]]
+
+
+def cut_into_chunks(path, cloud, counts):
+    """Write the points anew in chunks of so many, of variable size."""
+    fixed, start = record_of(path)
+    record = lazrs.LazVlr.new_for_compression(cloud.point_format.id, 2, True)
+    header = path.read_bytes()[:start].replace(fixed.record_data(), record.record_data())
+    content = io.BytesIO(header)
     content.seek(start)
     writer = lazrs.LasZipCompressor(content, record)
     writer.reserve_offset_to_chunk_table()
@@ -137,24 +156,22 @@ def compressed(path, kind, counts):
         writer.compress_many(points.tobytes())
         writer.finish_current_chunk()
     writer.done()
-    if counts[0] < FIXED_CHUNK:
-        path.write_bytes(content.getvalue())
-    return start, record if counts[0] < FIXED_CHUNK else lazrs.LazVlr(fixed)
+    path.write_bytes(content.getvalue())
 
 
-@pytest.mark.parametrize("counts", [(FIXED_CHUNK, 10_000), (300, 20, 1)], ids=["fixed", "variable"])
+@pytest.mark.parametrize("variable", [False, True])
 @pytest.mark.parametrize("kind", [6, 7, 8, 9, 10])
-def test_layers_longer_than_the_file_are_refused(tmp_path, kind, counts):
+def test_layers_longer_than_the_file_are_refused(tmp_path, kind, variable):
     """Memory is taken for a layer, up to 4 GB, before it is read."""
     path = tmp_path / "s.laz"
-    start, record = compressed(path, kind, counts)
-    assert len(read_scan(path)) == sum(counts)
-    content = path.read_bytes()
-    with path.open("rb") as file:
-        file.seek(start)
-        table = lazrs.read_chunk_table(file, record)
+    cloud = written(path, kind, 321 if variable else FIXED_CHUNK + 321)
+    if variable:
+        cut_into_chunks(path, cloud, (300, 20, 1))
+    assert len(read_scan(path)) == len(cloud.x)
+    table, content, (record, start) = table_of(path), path.read_bytes(), record_of(path)
+    assert len(table) == (3 if variable else 2)
     at = start + 8
-    for _, (_, length) in zip(counts, table, strict=False):
+    for _, length in table:
         sizes = at + record.item_size()
         damaged = b"\xff\xff\xff\xff" + b"\xff\xff\xff\x3f"
         path.write_bytes(content[:sizes] + damaged + content[sizes + len(damaged) :])
@@ -163,21 +180,33 @@ def test_layers_longer_than_the_file_are_refused(tmp_path, kind, counts):
         at += length
 
 
+def test_chunks_of_fewer_points_than_promised_are_refused(tmp_path):
+    """Layers of those beyond the table would be read without a look at their sizes."""
+    path = tmp_path / "s.laz"
+    cut_into_chunks(path, written(path, 6, 321), (300, 20, 1))
+    content, (_, start) = bytearray(path.read_bytes()), record_of(path)
+    (table,) = struct.unpack_from("<q", content, start)
+    struct.pack_into("<I", content, table + 4, 1)
+    path.write_bytes(content)
+    with pytest.raises(FormatError, match="chunks of 300 of its 321 points"):
+        read_scan(path)
+
+
 @pytest.mark.parametrize("kind", [3, 6])
 @pytest.mark.parametrize("offset", [-1, 0])
 def test_a_table_of_chunks_may_be_told_at_the_end(tmp_path, kind, offset):
     path = tmp_path / "s.laz"
-    start, _ = compressed(path, kind, (FIXED_CHUNK, 10))
-    content = path.read_bytes()
+    written(path, kind, 10)
+    content, (_, start) = path.read_bytes(), record_of(path)
     moved = content[:start] + struct.pack("<q", offset) + content[start + 8 :]
     path.write_bytes(moved + content[start : start + 8])
-    assert len(read_scan(path)) == FIXED_CHUNK + 10
+    assert len(read_scan(path)) == 10
 
 
 def test_a_panic_of_lazrs_is_a_damaged_file(tmp_path):
     path = tmp_path / "s.laz"
-    _, record = compressed(path, 6, (FIXED_CHUNK, 10))
-    data = record.record_data()
+    written(path, 6, 10)
+    data = record_of(path)[0].record_data()
     path.write_bytes(path.read_bytes().replace(data, data[:32] + b"\0\0" + data[34:]))
     with pytest.raises(BaseException, match="at least one LazItem") as caught:
         laspy.read(path, laz_backend=laspy.LazBackend.Lazrs)
