@@ -2,7 +2,7 @@
 """Values that a sensor may have."""
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 from salsanext_cli.beam_elevations import BEAMS_EXPECTED, are_beams
@@ -22,6 +22,16 @@ MIN_LENGTH = 1e-3
 INTENSITY_LEVELS = 65
 """Quantiles of intensity, evenly spaced from the smallest to the largest value."""
 POSSIBLE = "a possible sensor"
+BOX_EXPECTED = "six numbers in metres, the least x, y, z and then the largest, or none"
+
+
+def is_box(values: Sequence[float]) -> bool:
+    """Return whether these are the least and the largest coordinates of a box, or nothing."""
+    lowest, highest = values[:3], values[3:]
+    return not values or (
+        len(values) == 6
+        and all(-MAX_NUMBER <= a < b <= MAX_NUMBER for a, b in zip(lowest, highest, strict=True))
+    )
 
 
 def faults(sensor: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
@@ -80,3 +90,7 @@ def faults(sensor: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
         yield f"beams {shown['beams']}", BEAMS_EXPECTED
     if not 0 <= (sensor["row_gaps"] or 0) <= 1:
         yield f"row_gaps {shown['row_gaps']}", "a share"
+    if not 0 <= (sensor["min_range"] or 0) <= MAX_NUMBER:
+        yield f"min_range {shown['min_range']}", "a range in metres"
+    if not is_box(sensor["ego_box"] or ()):
+        yield f"ego_box {shown['ego_box']}", BOX_EXPECTED

@@ -42,6 +42,8 @@ OPTIONAL = {
     "intensity_quantiles": (),
     "beams": (),
     "row_gaps": None,
+    "min_range": None,
+    "ego_box": None,
 }
 """Defaults of fields that are written only where a sensor has another value."""
 NUMBERS = ("fov_up", "fov_down", "height", "width", "intensity_scale")
@@ -88,6 +90,13 @@ class Sensor:
     row_gaps : float, optional
         Share of gaps in its range images (`geometry.row_gaps`); those of scans that have more than
         training had are filled.
+    min_range : float, optional
+        Range in metres below which points are no measurements, but the housing and the mount of
+        the sensor; None if it is to be found, as 0 does.
+    ego_box : 6 floats or none, optional
+        Box around what the sensor sees of its own vehicle, in its own frame, upright: least x, y,
+        z, largest x, y, z in metres. Points in it are no measurements. Empty if it sees nothing of
+        it, None if that is to be found.
     """
 
     name: str
@@ -107,6 +116,8 @@ class Sensor:
     intensity_quantiles: tuple[float, ...] = ()
     beams: tuple[float, ...] = ()
     row_gaps: float | None = None
+    min_range: float | None = None
+    ego_box: tuple[float, ...] | None = None
 
     def __post_init__(self) -> None:
         for found, expected in faults(
@@ -155,7 +166,7 @@ class Sensor:
         left_out = ("name",) if images else ("name", *OF_IMAGES)
         values = {key: value for key, value in self.to_dict().items() if key not in left_out}
         # What JSON writes for texts, numbers and lists of numbers is TOML as well.
-        known = {key: value for key, value in values.items() if value not in (None, ())}
+        known = {key: value for key, value in values.items() if value is not None}
         return "".join(f"{key} = {json.dumps(value)}\n" for key, value in known.items())
 
     def view(self) -> dict[str, Any]:

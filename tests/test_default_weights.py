@@ -1,7 +1,10 @@
 # SPDX-License-Identifier: MIT
 """What the package ships, as it is shipped."""
 
+from dataclasses import replace
+
 import numpy as np
+import pytest
 import safetensors
 import torch
 
@@ -10,8 +13,10 @@ from salsanext_cli.errors import NOTICE
 from salsanext_cli.geometry.gather import points_from_pixels
 from salsanext_cli.inference.settings import NetworkSettings
 from salsanext_cli.network.card import default_weights
+from salsanext_cli.stages.predict import predict_scans
 from salsanext_cli.stages.synth import synthesise
 from salsanext_cli.storage.layout import find_scans
+from salsanext_cli.storage.point_files import write_bin
 from salsanext_cli.training.recipe import Recipe, recipe
 from salsanext_cli.training.tuning.error import error_scores
 from salsanext_cli.uncertainty.error_features import knows_error, label_error
@@ -56,3 +61,14 @@ def test_they_know_a_street_that_they_never_saw(tmp_path):
     error, baseline = (error_scores(values, wrong) for values in (error, np.clip(doubt, 0, 1)))
     assert error["aurc"] < baseline["aurc"]
     assert error["ece"] < 0.06
+
+
+@pytest.mark.real
+def test_noise_is_less_probable_than_any_street(real_data, tmp_path):
+    scan = read_scan(real_data / "data/semantickitti/sequences/00/velodyne/000000.bin")
+    noise = np.random.default_rng(0).normal(0, 1, scan.points.shape).astype(np.float32)
+    write_bin(tmp_path / "scans/street.bin", scan)
+    write_bin(tmp_path / "scans/noisy.bin", replace(scan, points=scan.points + noise))
+    outcome = predict_scans(tmp_path / "scans", tmp_path / "out")
+    doubted = {found["code"]: found["scans"] for found in outcome.summary.warnings()}
+    assert doubted["low-confidence"] == ["scans/noisy"]

@@ -28,7 +28,9 @@ def benchmark(
     ] = None,
     write: Annotated[Path | None, typer.Option(help="File for every measurement (.json).")] = None,
     selection: Annotated[selection_options.Selection, Default(limit=4)],
-    network: Annotated[options.NetworkOptions, Without({"intensity"}), Default(intensity="raw")],
+    network: Annotated[
+        options.NetworkOptions, Without({"intensity", "min_range", "ego"}), Default(intensity="raw")
+    ],
     running: run_options.Overwriting,
     output: console.Output,
 ) -> None:

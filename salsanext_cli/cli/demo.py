@@ -20,7 +20,7 @@ def demo(
     scans: Annotated[int, typer.Option(help="Number of scans of the synthetic drive.")] = 4,
     samples: Annotated[int, typer.Option(help="Monte-Carlo passes per scan.")] = 8,
     merged: options.MergedClasses,
-    network: Annotated[options.NetworkOptions, Without({"sensor", "columns"})],
+    network: Annotated[options.NetworkOptions, Without({"sensor", "columns", "min_range", "ego"})],
     local: run_options.Local,
     output: console.Output,
 ) -> None:

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -93,6 +94,15 @@ class NetworkOptions:
         default=AUTO,
     )
     columns: str | None = network_option(COLUMNS_HELP, show_default=COLUMNS_DEFAULT)
+    min_range: float | None = network_option(
+        "Leave points nearer than this unlabelled, in metres: housing and mount of the sensor.",
+        show_default="1, or what the sensor file tells",
+    )
+    ego: str = network_option(
+        "Box around what the sensor sees of its own vehicle, whose points stay unlabelled: least "
+        "x, y, z and largest x, y, z in metres, or none; auto finds it in the scans of a drive.",
+        default=AUTO,
+    )
     intensity: Intensity = network_option(
         "Match the intensity of the scans to that of training, take it raw, or take none; auto "
         "matches it if the weights know that of their training.",
@@ -129,6 +139,10 @@ class NetworkOptions:
             named = replace(self.trained_sensor(), **own)
         if self.columns is not None:
             named = with_columns(named or self.trained_sensor(), self.columns)
+        if self.min_range is not None:
+            named = replace(named or self.trained_sensor(), min_range=self.min_range)
+        if self.ego != AUTO:
+            named = replace(named or self.trained_sensor(), ego_box=ego_box(self.ego))
         # Those of training are not those of the scans.
         return named and replace(named, intensity_quantiles=(), row_gaps=None)
 
@@ -205,6 +219,19 @@ def sensor(name: str | None, base: Callable[[], Sensor] | None = None) -> Sensor
     if name is None:
         return None
     return find(name) if base is None or name in presets() else find(name, base())
+
+
+def ego_box(text: str) -> tuple[float, ...]:
+    """Return the box that a text tells, nothing for ``none``."""
+    from salsanext_cli.sensor_limits import BOX_EXPECTED, is_box
+
+    box: tuple[float, ...] = ()
+    if text != "none":
+        with suppress(ValueError):
+            box = tuple(float(number) for number in text.split(","))
+        if not box or not is_box(box):
+            raise UsageError("--ego", text, f"auto, or {BOX_EXPECTED}")
+    return box
 
 
 def with_columns(sensor: Sensor, columns: str | None) -> Sensor:

@@ -91,6 +91,7 @@ def _as_data(outcome: Outcome) -> dict[str, Any]:
 
         found["sensor"] = recorded_view(summary.sensor)
         found["largest_classes"] = summary.largest_classes()
+        found["ego_share"] = round(summary.ego_share, 4)
         found["warnings"] = summary.warnings()
     return found
 
@@ -99,9 +100,14 @@ def _lines(summary: RunSummary | None, following: str | None) -> Iterable[str]:
     """Yield what else is worth knowing: the sensor, the classes, the command to type next."""
     if summary is not None:
         sensor = summary.sensor
-        from salsanext_cli.geometry.fitting.view_fit import as_found
+        from salsanext_cli.geometry.fitting.view_fit import as_ego, as_found
 
         yield f"sensor: {sensor.name}, {sensor.height}×{sensor.width}, {as_found(sensor)}"
+        if share := summary.ego_share:
+            yield (
+                f"unlabelled: about {100 * share:.2g} % of the points, of the sensor's housing and "
+                f"its vehicle ({as_ego(sensor)})"
+            )
         yield from warning_lines(summary.warnings())
         if largest := summary.largest_classes():
             shares = ", ".join(f"{name} {100 * share:.1f} %" for name, share in largest.items())

@@ -78,7 +78,18 @@ def train(
     classes: selection_options.Classes,
     network: Annotated[
         options.NetworkOptions,
-        Without({"weights", "precision", "engine", "sensor", "columns", "intensity"}),
+        Without(
+            {
+                "weights",
+                "precision",
+                "engine",
+                "sensor",
+                "columns",
+                "min_range",
+                "ego",
+                "intensity",
+            }
+        ),
     ],
     local: run_options.Training,
     output: console.Output,

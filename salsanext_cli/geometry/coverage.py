@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from salsanext_cli.geometry.mounting import in_sensor_frame
+from salsanext_cli.geometry.mounting import without_ego
 from salsanext_cli.geometry.ranges import LARGEST, measured_ranges
 from salsanext_cli.records import Scan
 from salsanext_cli.sensors import Sensor
@@ -43,7 +43,7 @@ class FieldOfViewCoverage:
 
 def field_of_view_coverage(scan: Scan, sensor: Sensor) -> FieldOfViewCoverage:
     """Count the points of a scan in and out of view; `out_of_view` of the sensor has no effect."""
-    scan = in_sensor_frame(scan, sensor)
+    scan = without_ego(scan, sensor)
     ranges, measured = measured_ranges(scan.points, float(LARGEST))
     ranges, z = ranges[measured], scan.points[measured, 2].astype(np.float64)
     lowest, highest = (math.sin(math.radians(f)) for f in (sensor.fov_down, sensor.fov_up))

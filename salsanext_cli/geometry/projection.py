@@ -17,7 +17,7 @@ import math
 import numpy as np
 
 from salsanext_cli.geometry.beam_rows import rows_of
-from salsanext_cli.geometry.mounting import in_sensor_frame
+from salsanext_cli.geometry.mounting import without_ego
 from salsanext_cli.records import RangeImage, Scan
 from salsanext_cli.sensors import Sensor
 
@@ -43,7 +43,7 @@ def project(scan: Scan, sensor: Sensor, device: str = "cpu") -> RangeImage:
     RangeImage
         NumPy arrays, whatever the device.
     """
-    scan = in_sensor_frame(scan, sensor)
+    scan = without_ego(scan, sensor)
     up, down = math.radians(sensor.fov_up), math.radians(sensor.fov_down)
     view = (np.float32(down), np.float32(up - down), sensor.height, sensor.width)
     drop, rows = sensor.out_of_view == "drop", rows_of(scan, sensor)

@@ -29,6 +29,8 @@ MAX_SCANS = 16
 """Scans that a fit reads, evenly spaced among all of a source."""
 FITTED = ("name", "fov_up", "fov_down", "up", "origin")
 """Fields of a sensor that a fit of the view changes."""
+EGO = ("min_range", "ego_box")
+"""Fields that it finds unless they are told."""
 INTENSITIES = ("auto", "match", "raw", "none")
 SHARED = ("module", "torch_module", "_graphs", "batch_sizes")
 """Cached properties of a network that depend on the size of its images only."""
@@ -125,10 +127,11 @@ def fitted_view(files: Scans, sensor: Sensor, earlier: Sensor | None = None) -> 
     That of earlier results in the same folder stays.
     """
     if earlier is not None:
-        return replace(sensor, **{name: getattr(earlier, name) for name in FITTED})
+        names = [*FITTED, *(name for name in EGO if getattr(sensor, name) is None)]
+        return replace(sensor, **{name: getattr(earlier, name) for name in names})
     scans = list(sampled(files, sensor))
     found = fit_view(scans, sensor)
-    if found != sensor:
+    if replace(found, **{name: getattr(sensor, name) for name in EGO}) != sensor:
         log.log(NOTICE, "sensor fitted to %s: %s", counted(len(scans), "scan"), as_found(found))
     return found
 

@@ -8,7 +8,7 @@ import numpy.typing as npt
 
 from salsanext_cli.beam_elevations import MAX_BEAMS
 from salsanext_cli.geometry.beam_rows import medians_of_rings
-from salsanext_cli.geometry.mounting import in_sensor_frame
+from salsanext_cli.geometry.mounting import without_ego
 from salsanext_cli.geometry.ranges import LARGEST, measured_ranges
 from salsanext_cli.records import Scan
 from salsanext_cli.sensors import Sensor
@@ -50,7 +50,7 @@ def fit_beams(scans: Sequence[Scan], sensor: Sensor) -> tuple[float, ...]:
     """
     elevations, ranges, rings = [np.empty(0)], [np.empty(0)], [np.empty(0, np.int32)]
     for scan in scans:
-        points = in_sensor_frame(scan, sensor).points
+        points = without_ego(scan, sensor).points
         distance, measured = measured_ranges(points, float(LARGEST))
         measured &= distance > MIN_RANGE_M
         ranges.append(distance[measured])

@@ -26,13 +26,17 @@ from salsanext_cli.storage.output_run import OutputRun
 
 LARGEST_CLASSES = 5
 """Classes that a summary names."""
-LARGEST_SHARE = 0.6
-"""Largest share of a class in a scan that is believed; that of right settings was 0.44 or less."""
+LARGEST_SHARE = 0.75
+"""Largest share of a class in a scan that is believed; an empty crossroads had 0.6 of road."""
 FEW_CLASSES = 10
 LARGEST_SHARE_OF_FEW = 0.85
 """The same of so many classes or fewer, as `coarse` has; 0.67 or less with right settings."""
 FEWEST_CLASSES = 5
 """Of fewer, one may take nearly all of a scan. Both numbers include the class "unlabelled"."""
+MIN_CONFIDENCE = 0.55
+"""Least usual mean of the largest probabilities of a scan; that of streets was 0.58 or more."""
+USUAL = "0.58 or more is usual in streets: the place, the sensor or its settings may be others"
+LOOK = "look at them: `salsanext export-ply OUT`"
 log = logging.getLogger(__name__)
 
 
@@ -64,10 +68,11 @@ class ScanSummary:
         space: LabelSpace,
         check: ScanCheck = UNCHECKED,
         rejected_points: int = 0,
+        confidence: float = 1.0,
     ) -> ScanSummary:
-        """Count the predicted train ids (N,) of a scan, and look at them."""
+        """Count the predicted train ids (N,) of a scan; look at them and their mean probability."""
         points = np.bincount(labels, minlength=space.class_count)
-        found = (*check.findings, *_of_classes(points, space))
+        found = (*check.findings, *_of_classes(points, space), *_of_confidence(confidence))
         check = replace(check, findings=found)
         return cls(file, check, tuple(points.tolist()), rejected_points)
 
@@ -80,7 +85,13 @@ def _of_classes(points: npt.NDArray[np.int64], space: LabelSpace) -> Iterator[Fi
     most = LARGEST_SHARE if len(points) > FEW_CLASSES else LARGEST_SHARE_OF_FEW
     if total >= MIN_POINTS and points[largest] > most * total:
         found = f"{points[largest] / total:.0%} of the points are {space.names[largest]}"
-        yield Finding("one-class", found, "look at them: `salsanext export-ply OUT`")
+        yield Finding("one-class", found, LOOK)
+
+
+def _of_confidence(confidence: float) -> Iterator[Finding]:
+    if confidence < MIN_CONFIDENCE:
+        found = f"the labels have a mean probability of {confidence:.2f}"
+        yield Finding("low-confidence", found, f"{USUAL}; {LOOK}")
 
 
 def _name(file: ScanFile) -> str:
@@ -109,6 +120,8 @@ class RunSummary:
         Names of the scans that were added.
     rejected_points : int
         Number of points unlabelled for their error.
+    ego_shares : list of float
+        Shares of the points of scans that are of their sensor's housing or its vehicle.
     first : ScanFile, optional
         The first scan of the run, whose data set may describe other classes.
     """
@@ -121,6 +134,7 @@ class RunSummary:
     traits: dict[ScanFile, ScanTraits] = field(default_factory=dict)
     looked_at: set[str] = field(default_factory=set)
     rejected_points: int = 0
+    ego_shares: list[float] = field(default_factory=list)
     first: ScanFile | None = None
 
     @classmethod
@@ -135,6 +149,7 @@ class RunSummary:
         """Add a scan; say at once what is found for the first time."""
         self.looked_at.add(_name(scan.file))
         self.rejected_points += scan.rejected_points
+        self.ego_shares.append(scan.check.ego_share)
         for finding in scan.check.findings:
             self._add(scan.file, finding)
         if scan.check.traits is not None:
@@ -190,6 +205,11 @@ class RunSummary:
             words = {"message": findings[0].found, "remedy": findings[0].remedy}
             warnings.append({"code": code, **words, "scans": list(names)})
         return warnings
+
+    @property
+    def ego_share(self) -> float:
+        """Share of the points, 0…1, of housing and vehicle, over the scans of this run."""
+        return sum(self.ego_shares) / max(len(self.ego_shares), 1)
 
     def largest_classes(self) -> dict[str, float]:
         """Return the share of the points, 0…1, of the largest predicted classes, by name."""

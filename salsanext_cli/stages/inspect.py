@@ -13,9 +13,9 @@ from salsanext_cli.formats.labels import read_labels
 from salsanext_cli.formats.reading import present
 from salsanext_cli.geometry.checks.scan_checks import check_scan
 from salsanext_cli.geometry.fitting.view_fit import fit_view
-from salsanext_cli.geometry.mounting import in_sensor_frame
+from salsanext_cli.geometry.mounting import without_ego
 from salsanext_cli.geometry.projection import project
-from salsanext_cli.inference.scan_fit import sampled
+from salsanext_cli.inference.scan_fit import EGO, sampled
 from salsanext_cli.measures.beam_fit import fit_beams
 from salsanext_cli.measures.scan_summary import RunSummary, ScanSummary
 from salsanext_cli.measures.survey import Survey, survey
@@ -130,7 +130,8 @@ def inspect(
         weights = read_card(default_weights()).sensor
         seen = replace(sensor, fov_up=weights.fov_up, fov_down=weights.fov_down)
         seen = fit_view(some, seen)
-        sensor = replace(sensor, up=seen.up, origin=seen.origin)
+        of_seen = {name: getattr(seen, name) for name in ("up", "origin", *EGO)}
+        sensor = replace(sensor, **of_seen)
         sensor = replace(sensor, beams=fit_beams(some, sensor) or sensor.beams)
         # Only the view of this pass counts, so its checks would be against a wrong one.
         first = _inspect(scans, sensor, space, options, checked=False)
@@ -174,7 +175,7 @@ def inspect_scan(file: ScanFile, sensor: Sensor) -> tuple[Survey, ScanSummary]:
     plain = replace(sensor, intensity_quantiles=())
     check = check_scan(file.path, scan, plain, plain, fitting=False)
     raw = read_labels(file.label_path, len(scan)) if present(file.label_path) else None
-    found = survey(in_sensor_frame(scan, sensor), project(scan, sensor), raw)
+    found = survey(without_ego(scan, sensor), project(scan, sensor), raw)
     return found, ScanSummary(file, check)
 
 

@@ -39,7 +39,8 @@ def predict_scan(file: ScanFile, network: Network, labelling: Labelling) -> Scan
     image, check = _projected(file, network, labelling.output)
     softmax = network.probabilities(image, file.path)
     labels, rejected = labelling.write(file, image, softmax, network)
-    return ScanSummary.of_labels(file, labels, network.space, check, rejected)
+    sure = _confidence(image, softmax)
+    return ScanSummary.of_labels(file, labels, network.space, check, rejected, sure)
 
 
 def predict_batch(
@@ -64,10 +65,16 @@ def predict_batch(
                     probabilities = network.probabilities(image, file.path)
                 network.require_finite(probabilities, file.path)
                 labels, rejected = labelling.write(file, image, probabilities, network)
-            found = ScanSummary.of_labels(file, labels, network.space, checks[file], rejected)
-            yield file, found, None
+            numbers = (checks[file], rejected, _confidence(image, probabilities))
+            yield file, ScanSummary.of_labels(file, labels, network.space, *numbers), None
         except SalsanextError as error:
             yield file, None, error
+
+
+def _confidence(image: RangeImage, softmax: Float) -> float:
+    """Return the mean of the largest probability over the occupied pixels, 1 without any."""
+    occupied = image.channels[0] > 0
+    return float(softmax.max(axis=0)[occupied].mean()) if occupied.any() else 1.0
 
 
 def _projected(file: ScanFile, network: Network, output: OutputRun) -> tuple[RangeImage, ScanCheck]:

@@ -48,13 +48,20 @@ def test_what_is_found_is_said_at_once_and_listed_with_all_its_scans(caplog):
     assert summary.warnings() == [{"code": "tilted", **told}]
 
 
-@pytest.mark.parametrize(("share", "codes"), [(0.58, []), (0.62, ["one-class"])])
+@pytest.mark.parametrize(("share", "codes"), [(0.72, []), (0.78, ["one-class"])])
 def test_a_class_that_takes_the_scan(share, codes):
     labels = np.where(np.arange(1000) < 1000 * share, 1, 9).astype(np.uint8)
     found = ScanSummary.of_labels(FILE, np.append(labels, np.zeros(5000, np.uint8)), SPACE)
     assert [finding.code for finding in found.check.findings] == codes
     few = ScanSummary.of_labels(FILE, labels[:50], SPACE)
     assert few.check.findings == ()
+
+
+def test_labels_of_little_probability_are_doubted():
+    labels = np.arange(1000, dtype=np.uint8) % 20
+    for confidence, codes in ((0.5, ["low-confidence"]), (0.6, [])):
+        found = ScanSummary.of_labels(FILE, labels, SPACE, confidence=confidence)
+        assert [finding.code for finding in found.check.findings] == codes
 
 
 @pytest.mark.parametrize(

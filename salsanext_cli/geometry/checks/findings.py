@@ -35,10 +35,13 @@ class ScanCheck:
     findings : tuple of Finding
     traits : ScanTraits, optional
         None of a scan of fewer than `MIN_POINTS` points with a measurement.
+    ego_share : float
+        Share of the points on the housing of the sensor or its vehicle, 0…1.
     """
 
     findings: tuple[Finding, ...] = ()
     traits: ScanTraits | None = None
+    ego_share: float = 0.0
 
 
 UNCHECKED = ScanCheck()

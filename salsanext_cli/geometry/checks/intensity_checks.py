@@ -49,10 +49,16 @@ def intensity_findings(
     quantiles = matched or trained.intensity_quantiles
     if matched == NO_INTENSITY:
         return
+    if bright < 0:
+        found = f"{BRIGHT:.0%} of the intensities are below {bright:.3g}: negative"
+        yield Finding(
+            "intensity-scale", found, "name another column: --columns, or --intensity none"
+        )
+        return
     if quantiles:
         usual = quantiles[round(BRIGHT * (len(quantiles) - 1))]
         near = usual / INTENSITY_FACTOR <= bright <= usual * INTENSITY_FACTOR
-        doubtful = usual > 0 and not near  # Decibels have no factors.
+        doubtful = usual > 0 and not near  # Those below 0 have no factors.
         of = f"and {usual:.2g} in {'the scans fitted to' if matched else 'training'}"
     else:
         doubtful, of = bright > MAX_USUAL_INTENSITY, "where 0 to 1 is usual"

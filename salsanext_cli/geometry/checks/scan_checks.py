@@ -18,9 +18,14 @@ from salsanext_cli.geometry.checks.scan_traits import traits_of
 from salsanext_cli.geometry.coverage import LARGEST_SHARE_OUTSIDE
 from salsanext_cli.geometry.few_points import few_points
 from salsanext_cli.geometry.fitting.ground import TOLERANCE_M
-from salsanext_cli.geometry.fitting.mounting_fit import HEIGHTS_M, MAX_TILT_DEG, ground_of
+from salsanext_cli.geometry.fitting.mounting_fit import (
+    HEIGHTS_M,
+    MAX_TILT_DEG,
+    UPSIDE_DOWN_DEG,
+    ground_of,
+)
 from salsanext_cli.geometry.intensity import without_intensity
-from salsanext_cli.geometry.mounting import in_sensor_frame
+from salsanext_cli.geometry.mounting import ego_points, in_sensor_frame
 from salsanext_cli.geometry.ranges import measured_ranges
 from salsanext_cli.records import Float, Scan
 from salsanext_cli.sensors import FITTED_NAME, Sensor
@@ -35,7 +40,6 @@ MIN_MEASURED = 0.4
 """Least usual share of the points with a measurement; organised clouds had 0.55 or more."""
 MIN_ROWS, FEW_OF_ROW = 0.35, 0.1
 """Least usual share of the rows with points, more than a tenth of the average; those had 0.47."""
-UPSIDE_DOWN_DEG = 155.0
 MIN_SHARE_OF_GROUND = 0.15
 """Least share of the near points on a ground that gives reason to doubt."""
 SECTORS = 64
@@ -79,9 +83,14 @@ def check_scan(
         some = in_sensor_frame(scan, sensor)
         ranges, measured = measured_ranges(some.points)
     _require_metres(path, len(scan), ranges[measured])
+    own = ego_points(some.points, sensor)
+    ego_share = len(own) / max(len(some), 1)
+    if len(own):
+        some = some.take(np.delete(np.arange(len(some)), own))
+        ranges, measured = measured_ranges(some.points)
     if (count := int(measured.sum())) < MIN_POINTS:
         few = f"{counted(count, 'point')} with a measurement, too few to check"
-        return ScanCheck((Finding("few-points", few, "give whole scans"),))
+        return ScanCheck((Finding("few-points", few, "give whole scans"),), None, ego_share)
     share, ranges = count / len(some), ranges[measured]
     some = Scan(some.points[measured], some.intensity[measured])
     sines = _sines(some.points)
@@ -96,8 +105,8 @@ def check_scan(
     bright = 0.0 if reason else upper_intensity(some.intensity)
     if trained is not None:
         findings += intensity_findings(bright, reason, sensor, trained, fitting)
-    traits = traits_of(sines, bright, len(scan) * share / count)
-    return ScanCheck(tuple(findings), traits)
+    traits = traits_of(sines, bright, len(scan) * (1 - ego_share) * share / count)
+    return ScanCheck(tuple(findings), traits, ego_share)
 
 
 def _require_metres(path: Path, count: int, ranges: npt.NDArray[np.float64]) -> None:

@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from salsanext_cli.geometry.few_points import few_points
-from salsanext_cli.geometry.fitting.ground import MIN_HEIGHT_M, Ground, find_ground
+from salsanext_cli.geometry.fitting.ground import MIN_HEIGHT_M, TOLERANCE_M, Ground, find_ground
 from salsanext_cli.geometry.fitting.origin_fit import find_origin
 from salsanext_cli.geometry.mounting import in_sensor_frame, upright_rotation
 from salsanext_cli.records import Float, Scan
@@ -19,8 +19,13 @@ from salsanext_cli.sensors import FITTED_NAME, ORIGIN, UP, Sensor
 MAX_TILT_DEG = 8.0
 """Largest angle between the ground's normal and z of a sensor that stands upright; real ones had up
 to 5°. A vehicle stands on its street, however steep that is."""
+UPSIDE_DOWN_DEG = 155.0
+"""Least angle of a ground above the sensor."""
 SUPPORT = 1.5
 """Factor by which a tilted ground must have more points than the best one that is not."""
+SUPPORT_OF_CEILING = 4.0
+"""The same of a ground above the sensor with a level one below it: ceilings of simulated rooms had
+up to 3.7 times the points of the floor; below sensors that hang over a street was none."""
 HEIGHTS_M = (1.0, 2.6)
 """Least and largest height of a sensor on a vehicle; those of the real scans were 1.4 to 2.1."""
 USUAL_HEIGHT_M = 1.75
@@ -87,7 +92,7 @@ def ground_of(scan: Scan) -> Ground | None:
     """Find the ground in a scan, from some of its points.
 
     A tilted one must be likelier than the best level one, and at the height of a sensor on a
-    vehicle, or pass through the origin.
+    vehicle, or pass through the origin; much likelier if it could be the ceiling of a room.
     """
     points = _finite(few_points(scan))
     ground = find_ground(points)
@@ -95,7 +100,9 @@ def ground_of(scan: Scan) -> Ground | None:
         return ground
     level = find_ground(points, MAX_TILT_DEG)
     usual = HEIGHTS_M[0] <= ground.height <= HEIGHTS_M[1] or ground.height < MIN_HEIGHT_M
-    likely = level is None or ground.share > SUPPORT * level.share
+    in_room = level and level.height > TOLERANCE_M and ground.tilt_deg > UPSIDE_DOWN_DEG
+    support = SUPPORT_OF_CEILING if in_room else SUPPORT
+    likely = level is None or ground.share > support * level.share
     return ground if usual and likely else level
 
 

@@ -30,8 +30,6 @@ MIN_SHARPNESS = 1.4
 """Least sharpness of a comb: sensors of 32 to 128 beams had 1.8 to 20 at their place, clouds of
 no single sensor 1.1 anywhere. A Livox, whose points are no cones, had 1.1 at its place, and more
 only at an edge of the box."""
-MUCH_SHARPER = 1.2
-"""Factor by which a comb is sharper than that of the origin, if the sensor is not there."""
 MIN_POINTS = 1000
 
 
@@ -55,6 +53,8 @@ def find_origin(points: Float) -> tuple[float, float, float] | None:
         doubles[(distances > least) & (distances < DISTANCES_M[1])]
         for least in (DISTANCES_M[0], FAR_M)
     )
+    if len(near) >= MIN_POINTS and sharpness(near, np.zeros(3)) > MIN_SHARPNESS:
+        return 0.0, 0.0, 0.0
     if len(far) < MIN_POINTS:
         return None
     place = _sharpest(far, _grid((0,), (0,), np.arange(*ABOVE_M, STEP_OF_HEIGHT_M)))
@@ -64,8 +64,6 @@ def find_origin(points: Float) -> tuple[float, float, float] | None:
         place = _sharpest(near, place + step * _grid(*[(-1, 0, 1)] * 3))
         step /= 2
     sharpest = sharpness(near, place)
-    if sharpest < MUCH_SHARPER * sharpness(near, np.zeros(3)):
-        place = np.zeros(3)
     x, y, z = place.tolist()
     inside = AHEAD_M[0] < x < AHEAD_M[1] and ASIDE_M[0] < y < ASIDE_M[1]
     return (x, y, z) if inside and sharpest > MIN_SHARPNESS else None

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""View and mounting of a sensor from a few of its scans."""
+"""View, mounting and own vehicle of a sensor from a few of its scans."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -12,8 +12,9 @@ from salsanext_cli.geometry.coverage import (
     FieldOfViewCoverage,
     field_of_view_coverage,
 )
+from salsanext_cli.geometry.fitting.ego_fit import fit_ego
 from salsanext_cli.geometry.fitting.mounting_fit import fit_mounting
-from salsanext_cli.geometry.mounting import in_sensor_frame
+from salsanext_cli.geometry.mounting import without_ego
 from salsanext_cli.geometry.ranges import measured_ranges
 from salsanext_cli.records import Scan
 from salsanext_cli.sensors import FITTED_NAME, ORIGIN, UP, Sensor
@@ -36,7 +37,8 @@ MIN_POINTS = 1000
 def fit_view(scans: Sequence[Scan], sensor: Sensor) -> Sensor:
     """Return the sensor with the view and the mounting of scans where they differ much.
 
-    The mounting changes as `fit_mounting` says, the view where more than `LARGEST_SHARE_OUTSIDE` of
+    Points of housing and vehicle are left out, as `fit_ego` finds them. The mounting changes as
+    `fit_mounting` says, the view where more than `LARGEST_SHARE_OUTSIDE` of
     all points lie outside. Size and normalisation of the range images stay. Of the labelled scans
     of three sensors, this was never worse than the view of the weights.
 
@@ -47,14 +49,14 @@ def fit_view(scans: Sequence[Scan], sensor: Sensor) -> Sensor:
     sensor : Sensor
         That of the weights.
     """
-    sensor = fit_mounting(scans, sensor)
+    sensor = fit_ego(scans, fit_mounting(scans, sensor))
     coverages = (field_of_view_coverage(scan, sensor) for scan in scans)
     coverage = sum(coverages, start=FieldOfViewCoverage())
     if coverage.share <= LARGEST_SHARE_OUTSIDE or coverage.points < MIN_POINTS:
         return sensor
     elevations = []
     for scan in scans:
-        points = in_sensor_frame(scan, sensor).points
+        points = without_ego(scan, sensor).points
         ranges, measured = measured_ranges(points)
         elevations.append(np.degrees(np.arcsin(points[measured, 2] / ranges[measured])))
     lower, upper = _view(np.sort(np.concatenate(elevations)), sensor.fov_up - sensor.fov_down)
@@ -81,6 +83,14 @@ def _view(elevations: npt.NDArray[np.float64], extent: float) -> tuple[float, fl
     best = np.flatnonzero(inside >= NEARLY * inside.max())
     start = float(lower[best[len(best) // 2]])
     return start, start + float(extent)
+
+
+def as_ego(sensor: Sensor) -> str:
+    """Describe where points are of the vehicle: ``nearer than 1 m, or in x -0.6…0.7, …``."""
+    box = sensor.ego_box or ()
+    sides = (f"{axis} {a:g}…{b:g}" for axis, a, b in zip("xyz", box, box[3:], strict=False))
+    near = f"nearer than {sensor.min_range or 0:g} m"
+    return f"{near}, or in {', '.join(sides)} m" if box else near
 
 
 def as_found(sensor: Sensor) -> str:

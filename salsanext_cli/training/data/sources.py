@@ -8,6 +8,7 @@ from itertools import groupby
 from pathlib import Path
 
 import joblib
+import numpy as np
 
 from salsanext_cli.class_merging import ClassMerging, is_merged
 from salsanext_cli.classes import LabelSpace, label_space
@@ -16,7 +17,7 @@ from salsanext_cli.formats import read_scan
 from salsanext_cli.formats.labels import read_labels
 from salsanext_cli.geometry.fitting.view_fit import fit_view
 from salsanext_cli.geometry.intensity import on_other_scale
-from salsanext_cli.geometry.mounting import in_sensor_frame
+from salsanext_cli.geometry.mounting import ego_points, in_sensor_frame
 from salsanext_cli.geometry.projection import project
 from salsanext_cli.inference.scan_fit import as_seen, sampled, sampled_images
 from salsanext_cli.records import Float
@@ -74,11 +75,16 @@ class Source:
     def read(self, file: ScanFile, sets: ClassSets) -> LabelledScan:
         """Read a scan, in its sensor's frame, its intensity on training's scale, and its targets.
 
+        Points of the vehicle are left out.
+
         It raises what `read_labelled` does.
         """
         own = self.sensor_of(file)
         scan, targets = read_labelled(file, self.space, own, sets)
         scan = in_sensor_frame(scan, own)
+        if len(ego := ego_points(scan.points, own)):
+            others = np.delete(np.arange(len(scan)), ego)
+            scan, targets = scan.take(others), targets[others]
         quantiles, wanted = own.intensity_quantiles, self.sensor.intensity_quantiles
         if quantiles and wanted and quantiles != wanted:
             scan = replace(scan, intensity=on_other_scale(scan.intensity, quantiles, wanted))

@@ -1,0 +1,79 @@
+# SPDX-License-Identifier: MIT
+"""Points of the sensor's housing and of its vehicle stay unlabelled, and it is said."""
+
+import shlex
+
+import numpy as np
+import pytest
+from command_line import only_json
+from scans import labels_below
+from typer.testing import CliRunner
+
+from salsanext_cli import Scan, read_labels, read_scan
+from salsanext_cli.cli.app import app
+from salsanext_cli.storage.point_files import write_bin
+
+NEAR = 300
+
+
+@pytest.fixture
+def housed(world):
+    """Return the world; the first points of each scan are those of a housing at 0.3 m."""
+    directions = np.random.default_rng(0).normal(size=(NEAR, 3))
+    directions *= 0.3 / np.linalg.norm(directions, axis=1, keepdims=True)
+    for path in world.data.rglob("*.bin"):
+        scan = read_scan(path)
+        points = np.concatenate([directions.astype(np.float32), scan.points])
+        intensity = np.concatenate([np.full(NEAR, 0.5, np.float32), scan.intensity])
+        write_bin(path, Scan(points, intensity))
+    return world
+
+
+def typed(world, line, out=None):
+    """Run a command line with the scans for DATA, the results for OUT and small weights."""
+    places = {"DATA": world.data, "OUT": out or world.out, "WEIGHTS": world.network.weights}
+    line = line.replace("predict", "predict --engine torch --weights WEIGHTS")
+    return CliRunner().invoke(app, [str(places.get(word, word)) for word in shlex.split(line)])
+
+
+def unlabelled(world):
+    labels = [read_labels(path) for path in sorted(world.out.rglob("*.label"))]
+    return [(found[:NEAR] == 0).mean() for found in labels], [found[NEAR:] for found in labels]
+
+
+def test_the_housing_is_unlabelled_and_it_is_said(housed):
+    result = typed(housed, "predict DATA OUT")
+    shares, others = unlabelled(housed)
+    assert shares == [1.0] * 3
+    assert np.mean(np.concatenate(others) > 0) > 0.9
+    assert "unlabelled: about 17 % of the points" in result.stderr
+    assert "nearer than 1 m" in result.stderr
+
+
+def test_the_same_labels_step_by_step(housed, tmp_path):
+    typed(housed, "predict DATA OUT")
+    for line in ("project DATA OUT --weights WEIGHTS", "predict OUT OUT", "knn-refine OUT"):
+        assert typed(housed, line, tmp_path / "steps").exit_code == 0
+    assert labels_below(tmp_path / "steps") == labels_below(housed.out)
+
+
+def test_it_can_be_told_otherwise_but_not_for_a_part_of_the_results(housed):
+    typed(housed, "predict DATA OUT --limit 1")
+    other = typed(housed, "predict DATA OUT --min-range 0")
+    assert other.exit_code == 1
+    assert "min_range" in other.stderr
+    result = typed(housed, "predict DATA OUT --min-range 0 --json --overwrite")
+    assert only_json(result)["ego_share"] == 0
+    assert max(unlabelled(housed)[0]) < 1
+    boxed = "predict DATA OUT --min-range 0 --ego=-1,-1,-1,1,1,1 --json --overwrite"
+    found = only_json(typed(housed, boxed))
+    assert found["ego_share"] == pytest.approx(NEAR / (NEAR + 1500), abs=0.01)
+    assert found["sensor"]["ego_box"] == [-1, -1, -1, 1, 1, 1]
+
+
+@pytest.mark.parametrize("text", ["1,2,3", "1,1,1,0,0,0", "a,b,c,d,e,f", ""])
+def test_what_is_no_box_is_refused(housed, text):
+    result = typed(housed, f"predict DATA OUT --ego '{text}'")
+    assert result.exit_code == 2
+    assert "--ego" in result.stderr
+    assert not housed.out.exists()
