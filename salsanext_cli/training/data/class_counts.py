@@ -193,7 +193,7 @@ def class_counts(
         for source in further:
             of_source, others = count_classes(source, jobs)
             per_draw += also / len(further) * of_source.mean(axis=0)
-            warnings += _warnings(source, others)
+            warnings += [] if source.simulated else _warnings(source, others)
         counts = np.rint(len(training) * per_draw).astype(np.int64)
     result = ClassCounts(counts, warnings)
     by_name = dict(zip(space.names, counts.tolist(), strict=True))
