@@ -241,5 +241,5 @@ def _simulated_streets(
             why = "" if found in (None, wanted) else others
             log.log(NOTICE, "simulating %s in %s%s", counted(count, "street"), root, why)
             synthesise(root, **splits, **how, sensor=seen, jobs=jobs, overwrite=True)
-    made = [further_source(root, classes, sensor) for root in roots.values()]
-    return [replace(source, simulated=True) for source in made]
+    sources = [further_source(root, classes, sensor) for root in roots.values()]
+    return [replace(source, simulated=True) for source in sources]

@@ -223,7 +223,9 @@ def _name_unsplit(dataset: Path, space: LabelSpace) -> None:
     """Warn of sequences with labels that no split names."""
     unsplit = [scan for scan in find_scans(dataset) if space.split_of(scan.sequence) is None]
     if labelled := sorted({scan.sequence for scan in unsplit if scan.label_path.is_file()}):
-        log.warning("left out, since no split of %s names them: %s", space.name, first_few(labelled))
+        log.warning(
+            "left out, since no split of %s names them: %s", space.name, first_few(labelled)
+        )
 
 
 def labelled_split(
