@@ -19,7 +19,7 @@ import numpy as np
 import numpy.typing as npt
 import yaml
 
-from salsanext_cli.errors import LabelError, UsageError
+from salsanext_cli.errors import LabelError, UsageError, first_few
 from salsanext_cli.label_yaml import ALTERNATIVES, KEYS, RAW_ID_COUNT, UNKNOWN, read_fields
 from salsanext_cli.settings_files import read_yaml
 
@@ -27,6 +27,9 @@ TrainIds = npt.NDArray[np.uint8]
 RawIds = npt.NDArray[np.uint32]
 
 BUILT_IN = ("semantic-kitti", "coarse")
+MAX_UNKNOWN_SHARE = 0.1
+"""Largest share of the labelled points of a scan whose ids may be unknown where that is tolerated;
+of labels of another data set it was 0.4 or more."""
 MOVING = "moving-"
 """Start of the names of moving things, which are classes of their own over several scans only."""
 
@@ -101,7 +104,8 @@ class LabelSpace:
             Raw ids as label files hold them.
         strict : bool
             Raise on an unknown id; otherwise it becomes 0, unlabelled, as in the official
-            evaluator, and the caller reports `unknown_ids`.
+            evaluator, and the caller reports `unknown_ids`. More than `MAX_UNKNOWN_SHARE` of the
+            labelled points are never tolerated: these are ids of something else.
         source : object
             Subject of the error.
 
@@ -112,21 +116,27 @@ class LabelSpace:
         Raises
         ------
         LabelError
-            If `strict` and an id is unknown.
+            If `strict` and an id is unknown, or too many are.
         """
         train: TrainIds = self._train_of_raw[raw & 0xFFFF]
         unknown = train == UNKNOWN
-        if unknown.any():
-            if strict:
-                ids = ", ".join(f"{i} ({n}×)" for i, n in self.unknown_ids(raw).items())
-                raise LabelError(
-                    source,
-                    f"unknown label ids {ids}",
-                    f"ids of {self.name}",
-                    "give the label space of this data",
-                )
+        if count := np.count_nonzero(unknown):
+            if strict or count > MAX_UNKNOWN_SHARE * np.count_nonzero(train):
+                raise self._unknown(raw, source)
             train[unknown] = 0
         return train
+
+    def _unknown(self, raw: RawIds, source: object) -> LabelError:
+        """Return the error that names the commonest unknown ids, and what they look like."""
+        counts = self.unknown_ids(raw)
+        ids = first_few([f"{i} ({counts[i]}×)" for i in sorted(counts, key=lambda i: -counts[i])])
+        of_labelled = sum(counts.values()) / np.count_nonzero(self._train_of_raw[raw & 0xFFFF])
+        found = f"unknown label ids {ids}: {100 * of_labelled:.2g} % of the labelled points"
+        remedy = "give the label space of this data with --label-space"
+        if (raw & 0xFFFF).max() < self.class_count:
+            found += f", and no id above {self.class_count - 1}: train ids?"
+            remedy = f"write raw ids in place of train ids, or {remedy}"
+        return LabelError(source, found, f"raw ids of {self.name}", remedy)
 
     def to_raw(self, train: npt.NDArray[Any]) -> RawIds:
         """Map train ids to the raw ids that stand for them, uint32."""

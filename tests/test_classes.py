@@ -60,13 +60,24 @@ def test_instance_bits_are_dropped_and_shapes_kept(raw, instance):
 
 
 def test_unknown_ids() -> None:
-    raw = np.uint32([10, 7, 7 + (3 << 16), 65535, 40])
+    raw = np.uint32([10, 7, 7 + (3 << 16), 65535, *[40] * 26, 0])
     space = label_space()
     with pytest.raises(LabelError, match=r"a\.label · unknown label ids 7 \(2×\), 65535 \(1×\)"):
         space.to_train(raw, source="a.label")
-    assert space.to_train(raw, strict=False).tolist() == [1, 0, 0, 0, 9]
+    assert space.to_train(raw, strict=False).tolist() == [1, 0, 0, 0, *[9] * 26, 0]
+    # A tenth of the labelled points is the most that is taken for stray.
+    with pytest.raises(LabelError, match=r"7 \(2×\), 65535 \(1×\): 10 % of the labelled points"):
+        space.to_train(np.append(raw[:-2], raw[-1]), strict=False)
     assert space.unknown_ids(raw) == {7: 2, 65535: 1}
     assert space.unknown_ids(np.uint32([10])) == {}
+
+
+def test_train_ids_in_place_of_raw_ids_are_told() -> None:
+    space = label_space()
+    train = space.to_train(np.uint32(sorted(space.learning_map)))
+    for strict in (True, False):
+        with pytest.raises(LabelError, match=r"no id above 19: train ids.* write raw ids"):
+            space.to_train(train.astype(np.uint32), strict=strict)
 
 
 def test_own_space(small):

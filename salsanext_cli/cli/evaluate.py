@@ -20,12 +20,15 @@ def evaluate(
 ) -> None:
     """Compare predictions with labels, as the official benchmark does.
 
+    Scans that the weights were trained on are left out, unless all were.
+
     Example: salsanext eval --split valid
     """
     from rich.console import Group
     from rich.text import Text
 
     from salsanext_cli.report.tables import ring_table, score_table, uncertainty_tables
+    from salsanext_cli.stages.evaluate import ON_TRAINING_SCANS
     from salsanext_cli.stages.evaluate import evaluate as stage
     from salsanext_cli.storage.predictions import predicted_scans, provenance
 
@@ -38,7 +41,7 @@ def evaluate(
         evaluation = stage(
             *(files, out, space, run), by_distance=by_distance, settings=settings, labels=labels
         )
-    tables = [score_table(evaluation.scores)]
+    tables = [score_table(evaluation.scores, ON_TRAINING_SCANS * evaluation.on_training_scans)]
     if by_distance:
         tables.append(ring_table(evaluation.by_distance))
     tables += uncertainty_tables(evaluation.uncertainty)

@@ -16,6 +16,7 @@ from salsanext_cli.network.card import default_weights
 from salsanext_cli.sensor_limits import NOISE
 from salsanext_cli.sensors import Sensor
 from salsanext_cli.storage.files.identity import fingerprint
+from salsanext_cli.storage.scan_digests import joined
 
 log = logging.getLogger(__name__)
 
@@ -116,9 +117,11 @@ class NetworkSettings:
 
     def record(self, network: Network) -> dict[str, Any]:
         """Return what the results of a stage depend on, as plain data for its record."""
-        adapted = {"adapted": network.sha256} if self.adapted else {}
-        return adapted | {
-            "weights": fingerprint(self.path) if adapted else network.sha256,
+        known = {"adapted": network.sha256} if self.adapted else {}
+        if network.card.trained_on:
+            known["trained_on"] = joined(sorted(network.card.trained_on))
+        return known | {
+            "weights": fingerprint(self.path) if self.adapted else network.sha256,
             "label_space": network.space.to_dict(),
             "sensor": recorded_view(network.sensor),
             "precision": network.precision,

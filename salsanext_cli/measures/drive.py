@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import math
 import random
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -73,12 +73,13 @@ def read_row(
     merging: ClassMerging | None,
     sensor: Sensor,
     by_distance: bool = False,
+    trained_on: Collection[str] = (),
 ) -> tuple[ScanRow, ScanCounts | None]:
-    """Read the results of a scan, not the scan itself, and compare them with its labels.
+    """Read the results of a scan, and compare them with its labels.
 
     Parameters
     ----------
-    file, out, space, labels, merging, sensor, by_distance
+    file, out, space, labels, merging, sensor, by_distance, trained_on
         As for `count_scan`.
 
     Returns
@@ -89,7 +90,7 @@ def read_row(
     path_of = partial(output_path, out, file.sequence, stem=file.stem)
     class_points, points = None, 0
     if present(path := path_of(folder="predictions")):
-        predicted = space.to_train(read_labels(path), strict=False)
+        predicted = space.to_train(read_labels(path), strict=False, source=path)
         points = len(predicted)
         class_points = np.bincount(predicted, minlength=space.class_count)
     uncertainty = {}
@@ -101,7 +102,7 @@ def read_row(
             uncertainty[kind] = float(finite.mean(dtype=np.float64)) if len(finite) else math.nan
     if class_points is None or not present(file.label_path):
         return ScanRow(file, points, class_points, uncertainty), None
-    counts = count_scan(file, out, space, by_distance, sensor, labels, merging)
+    counts = count_scan(file, out, space, by_distance, sensor, labels, merging, trained_on)
     confusion = counts.confusion.counted(space.scored)
     return ScanRow(file, points, class_points, uncertainty, confusion), counts
 

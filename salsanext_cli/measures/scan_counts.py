@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Collection
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -13,7 +14,7 @@ import numpy.typing as npt
 
 from salsanext_cli.class_merging import ClassMerging
 from salsanext_cli.classes import LabelSpace, RawIds
-from salsanext_cli.errors import LabelError
+from salsanext_cli.errors import LabelError, counted
 from salsanext_cli.formats import read_scan
 from salsanext_cli.formats.labels import read_labels
 from salsanext_cli.formats.npy import read_probabilities
@@ -29,10 +30,11 @@ from salsanext_cli.measures.histograms import (
     uncertainty_histogram,
 )
 from salsanext_cli.measures.softmax import lack_of_confidence, softmax_entropy, softmax_errors
-from salsanext_cli.records import Float
+from salsanext_cli.records import Float, Scan
 from salsanext_cli.sensors import Sensor
 from salsanext_cli.storage.layout import UNCERTAINTY, ScanFile, output_path
 from salsanext_cli.storage.rejection import rejected_points
+from salsanext_cli.storage.scan_digests import scan_digest
 from salsanext_cli.storage.scan_results import read_kind
 
 SOFTMAX = "probabilities"
@@ -62,8 +64,10 @@ class ScanCounts:
         Counts by distance, one per name in `RING_NAMES`; empty if not requested.
     unknown_truth, unknown_predictions : Counter
         Number of points by raw id that the label space does not know.
-    scans : int
-        Number of scans counted.
+    scans, trained_on : int
+        Number of scans counted, and of those that the weights were trained on.
+    left_out : int
+        Number of scans that are not counted since the weights were trained on them.
     missing : list of ScanFile
         Scans without predictions.
     files : Counter of str
@@ -81,6 +85,8 @@ class ScanCounts:
     unknown_truth: Counter[int] = field(default_factory=Counter)
     unknown_predictions: Counter[int] = field(default_factory=Counter)
     scans: int = 0
+    trained_on: int = 0
+    left_out: int = 0
     missing: list[ScanFile] = field(default_factory=list)
     files: Counter[str] = field(default_factory=Counter)
     calibration_errors: list[float] = field(default_factory=list)
@@ -99,12 +105,48 @@ class ScanCounts:
         self.unknown_truth += other.unknown_truth
         self.unknown_predictions += other.unknown_predictions
         self.scans += other.scans
+        self.trained_on += other.trained_on
         self.missing += other.missing
         self.files += other.files
         self.calibration_errors += other.calibration_errors
         for key, histogram in other.histograms.items():
             if self.histograms.setdefault(key, histogram) is not histogram:
                 self.histograms[key] += histogram
+
+    def about_training(self) -> str:
+        """Say how many scans the weights were trained on, if any."""
+        if self.left_out:
+            every = counted(self.scans + self.left_out, "labelled scan")
+            were = "was" if self.left_out == 1 else "were"
+            return f"{self.left_out:,} of {every} {were} trained on: left out of the scores"
+        if self.trained_on:
+            return "every labelled scan was trained on: what the scores are of others is unknown"
+        return ""
+
+
+@dataclass(slots=True)
+class CountsApart:
+    """Counts of scans that the weights were trained on, apart from those of others."""
+
+    others: ScanCounts
+    trained_on: ScanCounts
+
+    @classmethod
+    def none(cls, space: LabelSpace, by_distance: bool) -> CountsApart:
+        """Return the counts of no scan at all."""
+        return cls(ScanCounts.none(space, by_distance), ScanCounts.none(space, by_distance))
+
+    def add(self, other: ScanCounts) -> None:
+        """Add the counts of one scan, which are used up."""
+        (self.trained_on if other.trained_on else self.others).add(other)
+
+    def scored(self) -> ScanCounts:
+        """Return the counts to score: of the others, unless every scan was trained on."""
+        if self.others.scans or not self.trained_on.scans:
+            self.others.left_out = self.trained_on.scans
+            return self.others
+        self.trained_on.missing = self.others.missing
+        return self.trained_on
 
 
 def count_scan(
@@ -115,6 +157,7 @@ def count_scan(
     sensor: Sensor | None = None,
     labels: LabelSpace | None = None,
     merging: ClassMerging | None = None,
+    trained_on: Collection[str] = (),
 ) -> ScanCounts:
     """Count one scan; one without predictions counts as missing.
 
@@ -138,6 +181,8 @@ def count_scan(
         Meaning of the raw ids of the labels, if they have their own for these classes.
     merging : ClassMerging, optional
         Of the classes of the probabilities into those compared.
+    trained_on : collection of str
+        Digests of scans that the weights were trained on; with any, the scan is read.
 
     Raises
     ------
@@ -149,20 +194,21 @@ def count_scan(
     if not present(predictions):
         counts.missing.append(scan)
         return counts
-    points = _points(scan, sensor) if by_distance else None
-    raw_truth, raw_predicted = _labels(scan, predictions, sensor, points)
+    cloud = read_scan(scan.path, sensor) if by_distance or trained_on else None
+    raw_truth, raw_predicted = _labels(scan, predictions, sensor, cloud)
     of_truth = labels or space
-    truth = of_truth.to_train(raw_truth, strict=False)
-    predicted = space.to_train(raw_predicted, strict=False)
+    truth = of_truth.to_train(raw_truth, strict=False, source=scan.label_path)
+    predicted = space.to_train(raw_predicted, strict=False, source=predictions)
     counts.scans = 1
+    counts.trained_on = int(cloud is not None and scan_digest(cloud) in trained_on)
     counts.unknown_truth.update(of_truth.unknown_ids(raw_truth))
     counts.unknown_predictions.update(space.unknown_ids(raw_predicted))
     counts.confusion.update(truth, predicted)
     scored = space.scored[truth]
     true_class, wrong = truth[scored], (predicted != truth)[scored]
     groups: dict[str, tuple[npt.NDArray[Any], int]] = {CLASS: (true_class, space.class_count)}
-    if points is not None:
-        ring = ring_of_point(points)
+    if cloud is not None and by_distance:
+        ring = ring_of_point((in_sensor_frame(cloud, sensor) if sensor else cloud).points)
         for i, of_ring in enumerate(counts.rings):
             of_ring.update(truth[ring == i], predicted[ring == i])
         # Points without a measurement are a group of their own.
@@ -211,22 +257,16 @@ def read_softmax(
 
 
 def _labels(
-    scan: ScanFile, predictions: Path, sensor: Sensor | None, points: Float | None
+    scan: ScanFile, predictions: Path, sensor: Sensor | None, cloud: Scan | None
 ) -> tuple[RawIds, RawIds]:
     """Read truth and predictions; where their lengths differ, the scan tells which is wrong."""
-    if points is None:
+    if cloud is None:
         raw_predicted = read_labels(predictions)
         try:
             return read_labels(scan.label_path, len(raw_predicted)), raw_predicted
         except LabelError:
-            points = _points(scan, sensor)
-    return read_labels(scan.label_path, len(points)), read_labels(predictions, len(points))
-
-
-def _points(file: ScanFile, sensor: Sensor | None) -> Float:
-    """Read the points of a scan, (N, 3), in the frame of its sensor if that is known."""
-    scan = read_scan(file.path, sensor)
-    return (in_sensor_frame(scan, sensor) if sensor else scan).points
+            cloud = read_scan(scan.path, sensor)
+    return read_labels(scan.label_path, len(cloud)), read_labels(predictions, len(cloud))
 
 
 def ring_of_point(points: Float) -> npt.NDArray[np.intp]:

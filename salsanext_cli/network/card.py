@@ -21,6 +21,7 @@ from salsanext_cli.network.error_model import ErrorModel
 from salsanext_cli.network.onnx_metadata import ONNX_SUFFIX, onnx_metadata
 from salsanext_cli.sensors import Sensor
 from salsanext_cli.settings_files import shortened, words_of
+from salsanext_cli.storage.scan_digests import joined, parted
 
 KEY = "salsanext"
 """The one key of the header: safetensors writes several in an order drawn anew each time."""
@@ -54,6 +55,8 @@ class WeightsCard:
         1 if none was fitted.
     error : ErrorModel, optional
         Model of the probability that a label is wrong; None if none was fitted.
+    trained_on : frozenset of str
+        Digests of the scans that the weights were trained on, as far as they are known.
     """
 
     architecture: Mapping[str, Any]
@@ -64,6 +67,7 @@ class WeightsCard:
     description: str = ""
     temperature: float = 1.0
     error: ErrorModel | None = None
+    trained_on: frozenset[str] = frozenset()
 
     def summary(self) -> str:
         """Return the start of the description, up to the first colon or full stop."""
@@ -94,6 +98,8 @@ class WeightsCard:
         }
         if self.error:
             values["error"] = self.error.to_dict()
+        if self.trained_on:
+            values["trained_on"] = joined(sorted(self.trained_on))
         return {KEY: json.dumps(values)}
 
     @classmethod
@@ -121,6 +127,7 @@ class WeightsCard:
                 description=str(values["description"]),
                 temperature=_temperature(values["temperature"]),
                 error=ErrorModel.from_dict(values["error"]) if "error" in values else None,
+                trained_on=frozenset(parted(values.get("trained_on", ""))),
             )
         except UsageError as error:
             raise WeightsError(source, f"damaged metadata: {error.found}") from error

@@ -63,6 +63,8 @@ def card_table(card: Mapping[str, Any]) -> Table:
     table.add_row("scores of the scans that chose the weights", _scores(card["scores"]) or "–")
     if card["error"] is not None:
         table.add_row("model of errors, on scans left out", _scores(card["error"]) or "–")
+    if card["trained_on"]:
+        table.add_row("scans known from training", f"{card['trained_on']:,}")
     table.add_row("size", f"{card['bytes'] / 1e6:.1f} MB")
     table.add_row("SHA-256", card["sha256"])
     return table

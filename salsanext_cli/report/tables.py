@@ -39,12 +39,13 @@ def number_table(first: str, *numbers: str, title: str = "", no_wrap: bool = Fal
 # Scores
 
 
-def score_table(result: Scores) -> Table:
+def score_table(result: Scores, title: str = "") -> Table:
     """Return a table of IoU, precision, recall and points by class, then accuracies and means.
 
     "–" stands where a class is absent.
     """
-    table = number_table("class", "IoU %", "precision %", "recall %", "points", no_wrap=True)
+    headings = ("class", "IoU %", "precision %", "recall %", "points")
+    table = number_table(*headings, title=title, no_wrap=True)
     for c in result.classes:
         shares = (percent(share) for share in (c.iou, c.precision, c.recall))
         table.add_row(escape(c.name), *shares, f"{c.points:,}")

@@ -14,7 +14,12 @@ from salsanext_cli.classes import LabelSpace
 from salsanext_cli.errors import LabelError, NoInputError, as_text, counted, first_few
 from salsanext_cli.formats.reading import present
 from salsanext_cli.measures.confusion import Confusion
-from salsanext_cli.measures.scan_counts import RING_NAMES, ScanCounts, count_scan
+from salsanext_cli.measures.scan_counts import (
+    RING_NAMES,
+    CountsApart,
+    ScanCounts,
+    count_scan,
+)
 from salsanext_cli.measures.scores import Scores, scores
 from salsanext_cli.measures.uncertainty_evaluation import (
     UncertaintyEvaluation,
@@ -29,11 +34,12 @@ from salsanext_cli.storage.layout import ScanFile
 from salsanext_cli.storage.predictions import merging_into, space_of_labels
 from salsanext_cli.storage.run_registration import records_lock
 from salsanext_cli.storage.sources import MissingResults, missing_predictions
-from salsanext_cli.storage.stage_records import as_json, recorded_sensor
+from salsanext_cli.storage.stage_records import as_json, recorded_sensor, scans_trained_on
 from salsanext_cli.storage.written_files import WrittenFiles
 
 FILES = ("scores.txt", *PICTURES, "eval.json")
 """Files that an evaluation may write into the output folder."""
+ON_TRAINING_SCANS = "scores on scans that the weights were trained on"
 
 log = logging.getLogger(__name__)
 
@@ -57,6 +63,10 @@ class Evaluation:
         know; they count as unlabelled.
     scans : int
         Number of scans compared.
+    trained_on : int
+        Number of scans left out since the weights were trained on them.
+    on_training_scans : bool
+        Whether the weights were trained on every scan, so that all are compared.
     missing : MissingResults
         Scans without predictions, left out.
     failures : tuple of Failure
@@ -73,6 +83,8 @@ class Evaluation:
     by_distance: dict[str, Scores]
     unknown_ids: dict[str, dict[int, int]]
     scans: int
+    trained_on: int
+    on_training_scans: bool
     missing: MissingResults
     failures: tuple[Failure, ...]
     settings: dict[str, Any]
@@ -86,6 +98,8 @@ class Evaluation:
             "settings": self.settings,
             "label_space": self.space.name,
             "scans": self.scans,
+            "trained_on": self.trained_on,
+            "on_training_scans": self.on_training_scans,
             "missing": [str(scan.path) for scan in self.missing.scans],
             "not_asked_for": self.missing.not_asked_for,
             "failures": [failure.to_dict() for failure in self.failures],
@@ -112,7 +126,7 @@ def evaluate(
 
     Writes ``scores.txt``, ``eval.json`` and ``eval_*.png`` into the output folder. Probabilities
     and uncertainties that lie there are evaluated too. An earlier result is replaced, whatever its
-    settings were.
+    settings were. Scans that the weights were trained on are left out, unless all were.
 
     Parameters
     ----------
@@ -148,10 +162,12 @@ def evaluate(
     own_files = [out / name for name in FILES]
     WrittenFiles(out).require_replaceable(own_files)
     _require_labels(scans)
-    counts = ScanCounts.none(space, by_distance)
+    apart = CountsApart.none(space, by_distance)
     count = partial(count_scan, out=out, space=space, labels=labels, merging=merging)
     count = partial(count, by_distance=by_distance, sensor=recorded_sensor(out))
-    outcome = run_over_scans(count, scans, options, on_result=counts.add)
+    count = partial(count, trained_on=scans_trained_on(out))
+    outcome = run_over_scans(count, scans, options, on_result=apart.add)
+    counts = apart.scored()
     if not counts.scans:
         raise _no_input(counts, out, outcome.failures)
     rings = zip(RING_NAMES, counts.rings, strict=by_distance)
@@ -165,11 +181,15 @@ def evaluate(
             "predictions": dict(sorted(counts.unknown_predictions.items())),
         },
         scans=counts.scans,
+        trained_on=counts.left_out,
+        on_training_scans=counts.trained_on > 0,
         missing=missing_predictions(out, counts.missing),
         failures=outcome.failures,
         settings=settings,
         uncertainty=evaluate_uncertainty(counts, space),
     )
+    if about := counts.about_training():
+        log.warning("%s", about)
     _warn(evaluation)
     files = _files(evaluation)
     with records_lock(out):
@@ -219,8 +239,9 @@ def _warn(evaluation: Evaluation) -> None:
 def _files(evaluation: Evaluation) -> dict[str, bytes]:
     """Return the content of every file to write, by its name; the report is the last one."""
     found = evaluation.scores, evaluation.confusion, evaluation.uncertainty
+    heading = f"# {ON_TRAINING_SCANS}\n" if evaluation.on_training_scans else ""
     return {
-        "scores.txt": evaluation.scores.official_yaml().encode(),
+        "scores.txt": (heading + evaluation.scores.official_yaml()).encode(),
         **evaluation_pictures(*found, evaluation.space),
         "eval.json": encode_json(as_text(evaluation.to_dict())),
     }

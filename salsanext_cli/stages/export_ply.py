@@ -49,12 +49,13 @@ def export_scan(
     sensor: Sensor,
     form: str,
     output: OutputRun,
-    classes: LabelSpace | None = None,
+    classes: LabelSpace | None,
+    labels: LabelSpace,
     max_error: float | None = None,
 ) -> int:
     """Write one scan as a coloured cloud with every known scalar; return how many are rejected."""
     output.require_replaceable(file)
-    results = read_results(file, output.out, sensor, classes)
+    results = read_results(file, output.out, sensor, classes, (labels, colours.space))
     if max_error is not None:
         if "error" not in results.uncertainty:
             raise missing_column("error", file, output.out)
@@ -170,7 +171,7 @@ def export_ply(
         record_scans=False,
     ) as output:
         task = partial(export_scan, colours=colours, sensor=sensor, form=form, output=output)
-        task = partial(task, classes=network.classes, max_error=max_error)
+        task = partial(task, classes=network.classes, labels=chosen.labels, max_error=max_error)
         outcome = run_over_scans(
             task, scans, options, is_done=output.is_done, on_result=rejected.append
         )

@@ -87,7 +87,8 @@ def export_rrd(
             text = _text(file, columns, colourings)
             log_scan[file.sequence](numbers[file], text, points, columns)
 
-        task = partial(_read, out=out, space=space, sensor=sensor, classes=classes)
+        task = partial(_read, out=out, sensor=sensor, classes=classes)
+        task = partial(task, space=space, labels=chosen.labels)
         in_turn = RunOptions(on_error=options.on_error, progress=options.progress)
         outcome = run_over_scans(task, scans, in_turn, on_result=keep)
     return replace(outcome, missing=chosen.missing)
@@ -126,10 +127,15 @@ def _numbers(scans: list[ScanFile]) -> dict[ScanFile, int]:
 
 
 def _read(
-    file: ScanFile, out: Path, space: LabelSpace, sensor: Sensor, classes: LabelSpace | None
+    file: ScanFile,
+    out: Path,
+    sensor: Sensor,
+    classes: LabelSpace | None,
+    space: LabelSpace,
+    labels: LabelSpace,
 ) -> tuple[ScanFile, Float, Columns]:
     """Read the points of a scan and every known scalar."""
-    results = read_results(file, out, sensor, classes)
+    results = read_results(file, out, sensor, classes, (labels, space))
     return file, results.scan.points, scalar_columns(results, space)
 
 

@@ -22,7 +22,7 @@ from salsanext_cli.storage.chosen_results import ChosenResults, choose_results
 from salsanext_cli.storage.files.json_files import RecordedSettings
 from salsanext_cli.storage.layout import COLOURINGS, SUFFIX_OF_FOLDER, ScanFile, find_outputs
 from salsanext_cli.storage.output_run import OutputRun, output_run
-from salsanext_cli.storage.predictions import space_of_results
+from salsanext_cli.storage.predictions import space_of_labels, space_of_results
 from salsanext_cli.storage.scan_results import (
     FOLDERS,
     missing_column,
@@ -48,11 +48,14 @@ def picture_scan(
     space: LabelSpace,
     sensor: Sensor,
     output: OutputRun,
-    classes: LabelSpace | None = None,
+    classes: LabelSpace | None,
+    labels: LabelSpace,
 ) -> None:
     """Write the picture of one scan: of some colours, or of all that is known of it."""
     output.require_replaceable(file)
-    results = read_results(file, output.out, sensor, classes)
+    shows_truth = not colours or {"truth", "wrong"} & {*colours}
+    truth_in = (labels, space) if shows_truth else None
+    results = read_results(file, output.out, sensor, classes, truth_in)
     columns = scalar_columns(results, space)
     for colour in colours:
         if colour not in columns:
@@ -134,7 +137,7 @@ def picture(
     with output_run(
         *(out, STAGE, settings, (FOLDER,), scans), overwrite=overwrite, record_scans=not results
     ) as output:
-        task = partial(task, output=output, classes=classes)
+        task = partial(task, output=output, classes=classes, labels=chosen.labels)
         outcome = run_over_scans(task, scans, options, is_done=output.is_done)
         log.log(NOTICE, "pictures: %s", out / "sequences/*" / FOLDER)
         failed = {failure.scan for failure in outcome.failures}
@@ -183,9 +186,10 @@ def _scans_alone(
         remedy = f"run `salsanext predict SCANS {out}` first, or name scans with --dataset"
         raise NoInputError(out, found, "the output folder of an earlier stage", remedy)
     found_scans = scans_of(dataset) if dataset else recorded_scans(out)
-    space = space_of_results(out, found_scans, space, classes)
+    given, space = space, space_of_results(out, found_scans, space, classes, own_ids=True)
     scans = choose(found_scans, selection, space, dataset or out)
-    return ChosenResults(scans, space, MissingResults(), found_scans)
+    labels = space_of_labels(found_scans, space, given)
+    return ChosenResults(scans, space, labels, MissingResults(), found_scans)
 
 
 def _sensor_of(scans: Sequence[ScanFile], earlier: RecordedSettings | None) -> Sensor:

@@ -2,7 +2,7 @@
 """Stage `report`: one page of a run, a single HTML file that needs nothing else."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -13,7 +13,7 @@ from salsanext_cli.errors import (
     SalsanextError,
 )
 from salsanext_cli.measures.drive import ScanRow, named, read_row, worth_looking_at
-from salsanext_cli.measures.scan_counts import ScanCounts
+from salsanext_cli.measures.scan_counts import CountsApart, ScanCounts
 from salsanext_cli.measures.scores import plain
 from salsanext_cli.parallel.run import Failure, RunOptions, run_over_scans
 from salsanext_cli.report.page.clouds import scales_of
@@ -32,7 +32,7 @@ from salsanext_cli.storage.run_registration import records_lock
 from salsanext_cli.storage.scan_results import with_results
 from salsanext_cli.storage.selection import ScanSelection
 from salsanext_cli.storage.sources import MissingResults, missing_results
-from salsanext_cli.storage.stage_records import recorded_sensor
+from salsanext_cli.storage.stage_records import recorded_sensor, scans_trained_on
 from salsanext_cli.storage.written_files import WrittenFiles
 
 PAGE = "report.html"
@@ -51,6 +51,10 @@ class Report:
         Its size.
     scans : int
         Number of scans of which it gives the numbers.
+    trained_on : int
+        Number of labelled scans left out of the scores since the weights were trained on them.
+    on_training_scans : bool
+        Whether the weights were trained on every labelled scan, so that all are scored.
     shown : dict of str to str
         Scans that it shows point by point, and why.
     accuracy, iou_mean_present : float or None
@@ -66,6 +70,8 @@ class Report:
     page: Path
     bytes: int
     scans: int
+    trained_on: int
+    on_training_scans: bool
     shown: dict[str, str]
     accuracy: float | None
     iou_mean_present: float | None
@@ -80,6 +86,8 @@ class Report:
             "page": str(self.page),
             "bytes": self.bytes,
             "scans": self.scans,
+            "trained_on": self.trained_on,
+            "on_training_scans": self.on_training_scans,
             "shown": self.shown,
             "accuracy": plain(self.accuracy),
             "iou_mean_present": plain(self.iou_mean_present),
@@ -151,6 +159,8 @@ def report(
         page=page,
         bytes=len(written),
         scans=len(run.rows),
+        trained_on=run.counts.left_out if run.counts else 0,
+        on_training_scans=bool(run.counts and run.counts.trained_on),
         shown={each.name: each.reason for each in shown},
         accuracy=compared.scores.accuracy if compared else None,
         iou_mean_present=compared.scores.iou_mean_present if compared else None,
@@ -192,20 +202,27 @@ def _rows(
 ) -> tuple[list[ScanRow], ScanCounts | None, tuple[Failure, ...]]:
     """Read the results of all scans; count those with labels."""
     rows: list[ScanRow] = []
-    counts = ScanCounts.none(how["space"], by_distance)
+    counts = CountsApart.none(how["space"], by_distance)
+    trained_on: set[ScanRow] = set()
 
     def keep(found: tuple[ScanRow, ScanCounts | None]) -> None:
-        rows.append(found[0])
-        if found[1]:
-            counts.add(found[1])
+        row, of_scan = found
+        rows.append(row)
+        if of_scan and of_scan.trained_on:
+            trained_on.add(row)
+        if of_scan:
+            counts.add(of_scan)
 
-    task = partial(read_row, out=out, by_distance=by_distance, **how)
+    known = scans_trained_on(out)
+    task = partial(read_row, out=out, by_distance=by_distance, trained_on=known, **how)
     outcome = run_over_scans(task, files, options, on_result=keep)
     if not rows:
         raise NoInputError(out, f"no results can be read, as {outcome.failures[0].reason}")
+    if (scored := counts.scored()).left_out:
+        rows = [replace(row, confusion=None) if row in trained_on else row for row in rows]
     # Workers are done in any order.
     rows.sort(key=lambda row: (row.file.sequence, row.file.stem))
-    return rows, counts if counts.scans else None, outcome.failures
+    return rows, scored if scored.scans else None, outcome.failures
 
 
 def _shown(

@@ -241,4 +241,5 @@ def _simulated_streets(
             why = "" if found in (None, wanted) else others
             log.log(NOTICE, "simulating %s in %s%s", counted(count, "street"), root, why)
             synthesise(root, **splits, **how, sensor=seen, jobs=jobs, overwrite=True)
-    return [further_source(root, classes, sensor) for root in roots.values()]
+    sources = [further_source(root, classes, sensor) for root in roots.values()]
+    return [replace(source, simulated=True) for source in sources]

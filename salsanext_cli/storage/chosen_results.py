@@ -6,7 +6,11 @@ from pathlib import Path
 
 from salsanext_cli.classes import LabelSpace
 from salsanext_cli.storage.layout import ScanFile
-from salsanext_cli.storage.predictions import require_same_weights, space_of_results
+from salsanext_cli.storage.predictions import (
+    require_same_weights,
+    space_of_labels,
+    space_of_results,
+)
 from salsanext_cli.storage.scan_results import with_results
 from salsanext_cli.storage.selection import ScanSelection, choose
 from salsanext_cli.storage.sources import MissingResults, missing_results, recorded_scans
@@ -22,6 +26,8 @@ class ChosenResults:
         With labels or an uncertainty, at least one.
     space : LabelSpace
         Classes of their labels.
+    labels : LabelSpace
+        Meaning of the raw ids of the truth, which may have its own for these classes.
     missing : MissingResults
         The other scans of the selection.
     recorded : list of ScanFile
@@ -30,6 +36,7 @@ class ChosenResults:
 
     scans: list[ScanFile]
     space: LabelSpace
+    labels: LabelSpace
     missing: MissingResults
     recorded: list[ScanFile]
 
@@ -57,7 +64,7 @@ def choose_results(
         weights.
     """
     recorded = recorded_scans(out, dataset)
-    space = space_of_results(out, recorded, space, classes)
+    given, space = space, space_of_results(out, recorded, space, classes, own_ids=True)
     require_same_weights(out)
     chosen = choose(recorded, ScanSelection(selection.split, selection.sequences), space, out)
     scans = with_results(out, chosen)[: selection.limit]
@@ -66,4 +73,5 @@ def choose_results(
         chosen = chosen[: chosen.index(scans[-1]) + 1]
     missing = missing_results(out, set(chosen) - set(scans))
     missing.log_error(len(chosen), "results")
-    return ChosenResults(scans, space, missing, recorded)
+    labels = space_of_labels(recorded, space, given)
+    return ChosenResults(scans, space, labels, missing, recorded)

@@ -96,15 +96,17 @@ def read_results(
     out: Path,
     sensor: Sensor | None = None,
     classes: LabelSpace | None = None,
+    truth_in: tuple[LabelSpace, LabelSpace] | None = None,
 ) -> ScanResults:
     """Read a scan and all that `out` and its data set hold about it.
 
-    Predicted classes that are merged into `classes` get their raw ids.
+    Predicted classes that are merged into `classes` get their raw ids. The truth is read if
+    `truth_in` has the label space of its ids and that to show it in, whose raw ids it gets.
 
     Raises
     ------
     FormatError, LabelError
-        If a file is damaged or belongs to another scan.
+        If a file is damaged or belongs to another scan, or the truth is of another label space.
     """
     scan = read_scan(file.path, sensor)
     count = len(scan)
@@ -112,7 +114,11 @@ def read_results(
     label = _labels(path, count)
     if label is not None and classes is not None:
         label = classes.to_raw(classes.to_train(label, strict=False))
-    truth = _labels(file.label_path, count)
+    truth = _labels(file.label_path, count) if truth_in else None
+    if truth is not None and truth_in:
+        own, space = truth_in
+        train = own.to_train(truth, strict=False, source=file.label_path)
+        truth = truth if own.learning_map == space.learning_map else space.to_raw(train)
     uncertainty = {
         kind: read_kind(path, kind, count)
         for kind, path in zip(UNCERTAINTY, kinds, strict=True)

@@ -15,6 +15,7 @@ from salsanext_cli.sensors import Sensor, sensor
 from salsanext_cli.settings_files import shortened
 from salsanext_cli.storage.files.json_files import RecordedSettings, read_json, write_json
 from salsanext_cli.storage.layout import COLOURINGS, SUFFIX_OF_FOLDER
+from salsanext_cli.storage.scan_digests import parted
 
 SHOWN_CHARACTERS_OF_VALUE = 40
 RESULT_STAGES = (
@@ -165,11 +166,32 @@ def recorded_weights(out: Path, folder: str) -> str | None:
 
     Of weights that were adapted to the scans, it is that of the adapted ones.
     """
-    settings: Mapping[str, Any] = settings_of(out, folder) or {}
-    if owner(out, folder) == "knn-refine" and settings.get("labels") is None:
-        return recorded_weights(out, "pixel_labels")
+    settings = _settings_of_network(out, folder)
     found = settings.get("adapted", settings.get("weights"))
     return None if found is None else str(found)
+
+
+def scans_trained_on(out: Path) -> frozenset[str]:
+    """Return the digests of the scans that the weights behind the predictions were trained on.
+
+    Raises
+    ------
+    OutputError
+        If the record is damaged.
+    """
+    try:
+        return frozenset(parted(_settings_of_network(out, "predictions").get("trained_on", "")))
+    except ValueError as error:
+        found = f"its record holds {error} under trained_on"
+        raise OutputError(out, found, remedy="use another folder") from error
+
+
+def _settings_of_network(out: Path, folder: str) -> Mapping[str, Any]:
+    """Return the settings of the stage that computed what a folder of results is made of."""
+    settings: Mapping[str, Any] = settings_of(out, folder) or {}
+    if owner(out, folder) == "knn-refine" and settings.get("labels") is None:
+        return _settings_of_network(out, "pixel_labels")
+    return settings
 
 
 def recorded_sensor(out: Path) -> Sensor:

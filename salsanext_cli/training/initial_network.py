@@ -28,7 +28,7 @@ log = logging.getLogger(__name__)
 def initial_network(
     weights: Path | None, space: LabelSpace, recipe: Recipe, own: Sensor | None
 ) -> tuple[SegmentationNetwork, WeightsCard]:
-    """Return the network before training, and its card: architecture, classes, sensor.
+    """Return the network before training, and its card: architecture, classes, sensor, scans.
 
     Where the weights are of other classes, outputs of classes of the same name keep their weights,
     and the others are random.
@@ -68,7 +68,8 @@ def initial_network(
     if not card.space.fits(space):
         tensors |= _outputs(module, tensors, card.space, space, architecture)
     module.load_state_dict(tensors)
-    return module, WeightsCard(architecture, space, _completed(own, card.sensor))
+    begun = WeightsCard(architecture, space, _completed(own, card.sensor))
+    return module, replace(begun, trained_on=card.trained_on)
 
 
 def _completed(own: Sensor | None, trained: Sensor) -> Sensor:

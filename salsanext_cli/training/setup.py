@@ -8,6 +8,7 @@ from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from functools import partial
+from itertools import chain
 from pathlib import Path
 from typing import Any, BinaryIO
 
@@ -73,7 +74,7 @@ class Setup:
         The network before training.
     card : WeightsCard
         Card of the weights files, without scores; of the recipe, keys with other values than the
-        recipe's.
+        recipe's; of the scans trained on, those of the weights that it begins from.
     sources : sequence of Source
         All labelled scans of the data set, and further data sets.
     counts : ClassCounts
@@ -142,12 +143,19 @@ class Setup:
         weights = class_weights(*of_class, recipe.class_weight)
         module = copy.deepcopy(self.initial)
         trained_on = [replace(first, files=files), *further]
+        real = (source.files for source in trained_on if not source.simulated)
+        digests = {self.counts.digests[file] for file in chain.from_iterable(real)}
+        card = replace(
+            self.card,
+            recipe={**recipe.to_dict(), **self.card.recipe},
+            trained_on=self.card.trained_on | digests,
+        )
         return Training(
             run=folder,
             learner=Learner(module, recipe, weights, self.place, self.group, self.sets),
             samples=Samples(trained_on, first.sensor, recipe, rare_classes(*of_class), self.sets),
             validation=validation,
-            card=replace(self.card, recipe={**recipe.to_dict(), **self.card.recipe}),
+            card=card,
             workers=self.workers,
             draw=draw,
             write_epoch=self.held.enter_context(tensorboard),

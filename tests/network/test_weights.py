@@ -23,6 +23,7 @@ CARD = WeightsCard(
     scores={"iou_mean": 0.5},
     description="für Prüfungen",
     temperature=1.25,
+    trained_on=frozenset({"0123456789abcdef", "f" * 16}),
 )
 
 
@@ -56,7 +57,7 @@ def test_round_trip_keeps_every_bit(module, tmp_path):
     assert card.architecture == CARD.architecture
     assert card.sensor == CARD.sensor
     assert card.space.to_dict() == SPACE.to_dict()
-    for name in ("recipe", "scores", "description", "temperature"):
+    for name in ("recipe", "scores", "description", "temperature", "trained_on"):
         assert getattr(card, name) == getattr(CARD, name)
     assert loaded.bottom.rate == 0.3
 

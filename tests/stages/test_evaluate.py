@@ -56,8 +56,10 @@ def test_scans_of_several_sequences_are_pooled(world):
 
 
 def test_unknown_ids_are_counted_as_unlabelled(world, caplog):
-    world.add("000000", [CAR, CAR, UNKNOWN | 5 << 16], [CAR, UNKNOWN, CAR])
-    world.add("000001", [CAR, UNKNOWN], [65535, CAR])
+    world.add(
+        "000000", [CAR, CAR, UNKNOWN | 5 << 16, *[ROAD] * 8], [CAR, UNKNOWN, CAR, *[ROAD] * 8]
+    )
+    world.add("000001", [CAR, UNKNOWN, *[ROAD] * 8], [65535, CAR, *[ROAD] * 8])
     with caplog.at_level(logging.WARNING):
         evaluation = world.evaluate()
     assert evaluation.unknown_ids["truth"] == {UNKNOWN: 2}
@@ -69,9 +71,25 @@ def test_unknown_ids_are_counted_as_unlabelled(world, caplog):
 
 
 def test_of_many_unknown_ids_the_first_are_named(world, caplog):
-    world.add("000000", [CAR] * 5000, [*range(1000, 6000)])
+    world.add("000000", [CAR] * 5000, [*range(1000, 1400), *[CAR] * 4600])
     world.evaluate()
-    assert "predictions: unknown ids 1000 (1×), 1001 (1×), 1002 (1×) and 4997 more" in caplog.text
+    assert "predictions: unknown ids 1000 (1×), 1001 (1×), 1002 (1×) and 397 more" in caplog.text
+
+
+@pytest.mark.parametrize("wrong", ["truth", "predicted"])
+def test_ids_of_something_else_are_refused(world, wrong):
+    """A few of nuScenes' ids are SemanticKITTI's of other things; so are a few train ids."""
+    nuscenes, right = [24, 24, 28, 28, 30, 17, 0], [ROAD, ROAD, CAR, CAR, CAR, CAR, 0]
+    given = {"truth": right, "predicted": right, wrong: nuscenes}
+    world.add("000000", **given)
+    with pytest.raises(NoInputError, match=r"000000\.label · unknown label ids 24 .*--label-space"):
+        world.evaluate()
+    assert not (world.out / "eval.json").exists()
+    # One scan of them is left out by name.
+    world.add("000001", right, right)
+    evaluation = world.evaluate()
+    assert evaluation.scans == 1
+    assert "83 % of the labelled points" in evaluation.failures[0].reason
 
 
 def test_missing_predictions_are_listed_and_do_not_fail(world, caplog):

@@ -2,6 +2,7 @@
 import json
 import sys
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import plyfile
@@ -21,6 +22,7 @@ from salsanext_cli.inference.settings import NetworkSettings
 from salsanext_cli.parallel.run import RunOptions
 from salsanext_cli.report.colours import EMPTY, RIGHT, WRONG, map_colours
 from salsanext_cli.stages.export_ply import export_ply
+from salsanext_cli.stages.picture import picture
 from salsanext_cli.stages.predict import predict_scans
 from salsanext_cli.stages.uncertainty import uncertainty
 from salsanext_cli.storage.point_files import write_bin
@@ -284,6 +286,18 @@ def test_other_classes_than_those_predicted_are_refused(predicted):
         export(predicted, space=two)
     with pytest.raises(LabelError, match="predictions in the classes of"):
         predicted_scans(predicted.out, ScanSelection(), space=two)
+
+
+def test_labels_of_something_else_are_refused_where_they_would_be_shown(predicted):
+    """Train ids in place of raw ids."""
+    for path in predicted.data.rglob("labels/*.label"):
+        write_labels(path, SPACE.to_train(read_labels(path)).astype(np.uint32))
+    pictures = partial(picture, predicted.out)
+    for stage in (partial(export, predicted), pictures, partial(pictures, colours=["wrong"])):
+        outcome = stage(options=OVERWRITE)
+        assert outcome.done == 0
+        assert "train ids?" in outcome.failures[0].reason
+    assert pictures(colours=["label"], options=OVERWRITE).done == 3
 
 
 @pytest.mark.parametrize("colour", ["truth", "wrong"])

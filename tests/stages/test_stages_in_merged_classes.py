@@ -21,6 +21,7 @@ from salsanext_cli.parallel.run import RunOptions
 from salsanext_cli.stages.evaluate import evaluate
 from salsanext_cli.stages.export_ply import export_ply
 from salsanext_cli.stages.knn_refine import knn_refine_scans
+from salsanext_cli.stages.picture import picture
 from salsanext_cli.stages.predict import predict_range_images, predict_scans
 from salsanext_cli.stages.project import project_scans
 from salsanext_cli.stages.submit import submit
@@ -162,9 +163,14 @@ def test_labels_of_other_raw_ids_count_where_the_names_of_the_classes_are_the_sa
     )
     (coarse.data / "labels.yaml").write_text(yaml.safe_dump(other.to_dict()))
     np.testing.assert_array_equal(compare(coarse).confusion.matrix, expected)
-    # A cloud would show the raw ids of both.
-    with pytest.raises(LabelError, match="predictions in the classes of coarse"):
-        export_ply(coarse.out)
+    # Clouds and pictures compare what `eval` does, in the raw ids of the predictions.
+    assert not picture(coarse.out, colours=["wrong"]).failures
+    export_ply(coarse.out)
+    cloud = plyfile.PlyData.read(coarse.result("ply"))["vertex"]
+    truth = COARSE.to_raw(other.to_train(truth_of(coarse)))
+    np.testing.assert_array_equal(cloud["scalar_truth"], truth)
+    right = cloud["scalar_label"] == cloud["scalar_truth"]
+    np.testing.assert_array_equal(cloud["scalar_wrong"][truth > 0], ~right[truth > 0])
 
 
 @pytest.mark.parametrize("method", ["sampling", "analytic"])

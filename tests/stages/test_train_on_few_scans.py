@@ -18,7 +18,7 @@ from safetensors.torch import load_file
 from scans import SMALL, write_sequence
 from tiny_network import TinyNetwork
 
-from salsanext_cli import label_space, read_labels, write_labels
+from salsanext_cli import label_space, read_labels, read_scan, write_labels
 from salsanext_cli.errors import NOTICE, LabelError, NoInputError, OutputError, TrainingError
 from salsanext_cli.network.card import WeightsCard, read_card
 from salsanext_cli.network.registry import ARCHITECTURES
@@ -30,6 +30,7 @@ from salsanext_cli.storage.files.identity import fingerprint
 from salsanext_cli.storage.files.json_files import write_json
 from salsanext_cli.storage.labelling.label_records import digest_of_file, first_guesses
 from salsanext_cli.storage.layout import ScanFile, find_scans
+from salsanext_cli.storage.scan_digests import scan_digest
 from salsanext_cli.storage.written_files import WrittenFiles
 from salsanext_cli.training import fit, fold_errors
 from salsanext_cli.training.fit import Report
@@ -275,6 +276,37 @@ def test_scans_of_other_splits_are_not_trained_on(
         go(data, tmp_path / "none")
 
 
+def test_without_named_splits_all_labelled_scans_are_trained_on(
+    data: Path, tmp_path: Path, initial: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    # SemanticKITTI trains on 00 and validates 08.
+    for seed, (name, usual) in enumerate((("a", "00"), ("b", "08"), ("c", "c"))):
+        (data / "sequences" / name).rename(data / "sequences" / usual)
+        write_sequence(data / "sequences" / usual, ["0"], count=600, seed=seed)
+    card, (module, _) = read_card(initial), read_weights(initial)
+    save_weights(initial, module, replace(card, trained_on=frozenset({"0" * 16})))
+    every = [scan_digest(read_scan(file.path)) for file in find_scans(data)]
+    caplog.set_level(NOTICE)
+    result = go(data, tmp_path / "run", FEW.with_changes(epochs=1))
+    assert "no splits are named: training on 3 labelled scans of 3 sequences" in caplog.messages
+    assert result.best_miou is None
+    counts = json.loads((tmp_path / "run/class_counts.json").read_text())["points"]
+    assert sum(counts.values()) == 3 * 600
+    # Weights know their scans, and those of the weights that they began from.
+    assert read_card(result.best).trained_on == {"0" * 16, *every}
+    folds = [read_card(path).trained_on for path in (tmp_path / "run/folds").glob("*/last.*")]
+    assert {*map(len, folds)} == {2, 3}
+    again = go(data, tmp_path / "run", FEW.with_changes(epochs=1))
+    assert read_card(again.last).trained_on == {"0" * 16, *every}
+    # Without folds the splits are SemanticKITTI's, and what these leave out is named.
+    split = go(data, tmp_path / "split", FEW.with_changes(epochs=1, folds=0))
+    assert read_card(split.best).trained_on == {"0" * 16, every[0]}
+    assert "left out, since no split of semantic-kitti names them: c" in caplog.messages
+    shutil.rmtree(data / "sequences/08")
+    with pytest.raises(NoInputError, match=r"no scans of split valid .* --set folds=3$"):
+        go(data, tmp_path / "none", FEW.with_changes(folds=0))
+
+
 def test_corrected_labels_are_another_training(data: Path, tmp_path: Path) -> None:
     run = tmp_path / "run"
     go(data, run)
@@ -334,7 +366,10 @@ def test_a_folder_of_another_recipe_is_kept(data: Path, tmp_path: Path) -> None:
 
 @pytest.fixture
 def simulated(monkeypatch: pytest.MonkeyPatch) -> list[Path]:
-    """Write tiny scans in the place of simulated streets; the list tells where."""
+    """Write tiny scans in the place of simulated streets; the list tells where.
+
+    They have too few points for the checks.
+    """
     made: list[Path] = []
 
     def write(
@@ -348,7 +383,7 @@ def simulated(monkeypatch: pytest.MonkeyPatch) -> list[Path]:
         names = [f"{number:02d}" for number in range(train)]
         for name in names:
             stems = [f"{index:06d}" for index in range(scans)]
-            write_sequence(out / "sequences" / name, stems, count=600)
+            write_sequence(out / "sequences" / name, stems, count=90)
         space = replace(label_space(), splits={"train": tuple(names)})
         (out / "labels.yaml").write_text(json.dumps(space.to_dict()))
 
@@ -365,9 +400,15 @@ def test_simulated_streets_are_trained_on_beside_the_scans(
     both = [streets / "hdl64", streets / "random"]
     assert simulated == both
     assert "simulated streets" in read_card(with_streets.best).description
+    # Nobody can mend them, and nobody's scans are they.
+    assert not with_streets.warnings
+    own = {scan_digest(read_scan(file.path)) for file in find_scans(data)}
+    assert read_card(with_streets.best).trained_on == own
     # They are what further data sets would be, and are made once.
     alone = FEW.with_changes(also=0.5)
     given = go(data, tmp_path / "given", alone, also=both)
+    assert {each["code"] for each in given.warnings} == {"few-points"}
+    assert read_card(given.best).trained_on > own
     assert load_file(with_streets.best).keys() == load_file(given.best).keys()
     for name, tensor in load_file(with_streets.best).items():
         assert torch.equal(tensor, load_file(given.best)[name])

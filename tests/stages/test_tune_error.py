@@ -87,7 +87,7 @@ def test_what_is_wrong_is_found_in_scans_left_out(far_is_wrong: World, target, t
     lost = sum((each[known] > 0.5).sum() for each, known in zip(errors, scored, strict=True))
     assert judged.points == whole.points - lost < whole.points
     assert judged.wrong < whole.wrong - 0.5 * lost
-    results = read_results(scans[0], few)
+    results = read_results(scans[0], few, truth_in=(space, space))
     np.testing.assert_array_equal(np.isnan(results.wrong(space)), ~scored[0] | (errors[0] > 0.5))
     scans = find_scans(world.data)
     found = evaluate(scans, world.out, label_space()).uncertainty.error

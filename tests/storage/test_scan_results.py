@@ -33,7 +33,7 @@ def test_everything_that_is_known(world, file):
     world.predict_by_hand(CAR | 3 << 16)
     for kind in ("entropy", "total"):
         write_array(world.result(f"uncertainty/{kind}"), np.linspace(0, 1, 1500, dtype=np.float32))
-    cloud = read_results(file, world.out)
+    cloud = read_results(file, world.out, truth_in=(SPACE, SPACE))
     assert set(scalar_columns(cloud, SPACE)) == {
         *("intensity", "range", "label", "truth", "wrong"),
         *("entropy", "total"),
@@ -65,7 +65,7 @@ def test_files_of_another_scan_are_refused(world, file):
         read_results(file, world.out)
     write_labels(file.label_path, np.zeros(4, np.uint32))
     with pytest.raises(LabelError, match="4 labels"):
-        read_results(file, world.out)
+        read_results(file, world.out, truth_in=(SPACE, SPACE))
 
 
 def test_intensities_are_scaled(world, file):

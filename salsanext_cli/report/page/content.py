@@ -126,9 +126,10 @@ def _tiles(rows: Sequence[ScanRow], compared: Comparison | None) -> list[tuple[s
     tiles = [("scans", f"{len(rows):,}"), ("points", f"{points:,}")]
     if compared:
         found, scans = compared.scores, counted(compared.counts.scans, "scan")
+        which = "trained on" if compared.counts.trained_on else "with labels"
         present = sum(each.points > 0 for each in found.classes)
         tiles += [
-            (f"accuracy, {scans} with labels", percent(found.accuracy, 1, " %")),
+            (f"accuracy, {scans} {which}", percent(found.accuracy, 1, " %")),
             (f"mean IoU of {present} classes present", percent(found.iou_mean_present, 1, " %")),
         ]
         if present < len(found.classes):

@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -76,10 +76,7 @@ def read_shown(
     FormatError, LabelError
         If a file is damaged or belongs to another scan.
     """
-    found = read_results(file, out, sensor, space)
-    if found.truth is not None and labels.learning_map != space.learning_map:
-        raw = space.to_raw(labels.to_train(found.truth, strict=False))
-        found = replace(found, truth=raw)
+    found = read_results(file, out, sensor, space, (labels, space))
     doubt = None
     if present(path := output_path(out, file.sequence, SOFTMAX, file.stem)):
         every = np.ones(len(found.scan), bool)

@@ -4,6 +4,7 @@
 import hashlib
 import json
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from itertools import groupby
 from pathlib import Path
@@ -22,6 +23,7 @@ from salsanext_cli.storage.files.identity import identity
 from salsanext_cli.storage.files.json_files import encode_json, read_json
 from salsanext_cli.storage.labelling.label_records import require_truth
 from salsanext_cli.storage.layout import ScanFile
+from salsanext_cli.storage.scan_digests import joined, parted, scan_digest
 from salsanext_cli.storage.written_files import WrittenFiles
 from salsanext_cli.training.data.sources import Source, read_labelled
 
@@ -42,10 +44,13 @@ class ClassCounts:
         Training points of each class.
     warnings : list of dict
         Reasons to doubt scans of either split, as `RunSummary.warnings` lists them.
+    digests : dict of ScanFile to str
+        Digests of the training scans.
     """
 
     points: Counts
     warnings: list[dict[str, Any]]
+    digests: dict[ScanFile, str]
 
     def require_no_warnings(self, dataset: Path) -> None:
         """Raise `TrainingError` if a scan is doubtful."""
@@ -67,7 +72,7 @@ def require_labels(files: Sequence[ScanFile]) -> None:
     require_truth(files)
 
 
-def count_classes(source: Source, jobs: int = 1) -> tuple[Counts, list[ScanSummary]]:
+def count_classes(source: Source, jobs: int = 1) -> tuple[Counts, list[ScanSummary], list[str]]:
     """Count the points of every class in every scan, reading and checking all with their labels.
 
     Returns
@@ -75,6 +80,7 @@ def count_classes(source: Source, jobs: int = 1) -> tuple[Counts, list[ScanSumma
     counts : (F, C) int64
     summaries : list of F `ScanSummary`
         What the checks found.
+    digests : list of F str
 
     Raises
     ------
@@ -84,20 +90,20 @@ def count_classes(source: Source, jobs: int = 1) -> tuple[Counts, list[ScanSumma
     # Unless it is fitted, the network learns from the intensity as it is.
     plain = replace(source.sensor, intensity_quantiles=())
 
-    def count(file: ScanFile) -> tuple[Counts, ScanSummary]:
+    def count(file: ScanFile) -> tuple[Counts, ScanSummary, str]:
         own, trained = plain, plain
         if source.fitted:
             own, trained = source.sensor_of(file), source.sensor
         scan, labels = read_labelled(file, source.space, own)
         check = check_scan(file.path, scan, own, trained, fitting=False)
         counts = np.bincount(labels, minlength=source.space.class_count).astype(np.int64)
-        return counts, ScanSummary(file, check)
+        return counts, ScanSummary(file, check), scan_digest(scan)
 
     # Reading and counting release the interpreter's lock, so that threads do.
     run = joblib.Parallel(jobs, backend="threading")
     found = run(joblib.delayed(count)(f) for f in source.files)
-    counts = np.reshape([counts for counts, _ in found], (-1, source.space.class_count))
-    return counts.astype(np.int64), [summary for _, summary in found]
+    counts = np.reshape([counts for counts, _, _ in found], (-1, source.space.class_count))
+    return counts.astype(np.int64), [each[1] for each in found], [each[2] for each in found]
 
 
 def class_shares(counts: Counts, scored: npt.NDArray[np.bool_]) -> npt.NDArray[np.float64]:
@@ -168,36 +174,41 @@ def class_counts(
     digest = data_digest([*sources, validation], validated, also if further else 0.0)
     known = read_json(path) or {}
     points, warnings = known.get("points"), known.get("warnings")
+    files = [file for source in sources for file in source.files]
+    digests = _parted(known.get("scans"))
     if (
-        known.get("files") == digest
+        len(digests) == len(files)
+        and known.get("files") == digest
         and isinstance(points, dict)
         and points.keys() == {*space.names}
         and all(type(n) is int and 0 <= n < 2**63 for n in points.values())
         and isinstance(warnings, list)
         and all(map(_is_warning, warnings))
     ):
-        return ClassCounts(np.array([points[name] for name in space.names], np.int64), warnings)
-    of_validation, summaries = count_classes(validation, jobs)
+        counts = np.array([points[name] for name in space.names], np.int64)
+        return ClassCounts(counts, warnings, dict(zip(files, digests, strict=True)))
+    of_validation, summaries, _ = count_classes(validation, jobs)
     scored = {*validated}
     of_validated = of_validation[[file in scored for file in validation.files]].sum(axis=0)
-    of_training, others = count_classes(first, jobs)
-    counts: Counts = of_training.sum(axis=0)
-    for files, of_files in ((validated, of_validated), (training, counts)):
-        if files and not of_files[space.scored].any():
-            total = f"{counted(of_files.sum(), 'point')} in {counted(len(files), 'scan')}"
+    of_training, others, digests = count_classes(first, jobs)
+    counts = of_training.sum(axis=0)
+    for scans, of_scans in ((validated, of_validated), (training, counts)):
+        if scans and not of_scans[space.scored].any():
+            total = f"{counted(of_scans.sum(), 'point')} in {counted(len(scans), 'scan')}"
             found = f"none of {total} is of a class that counts"
-            raise TrainingError(files[0].label_path.parent, found, f"labels of {space.name}")
+            raise TrainingError(scans[0].label_path.parent, found, f"labels of {space.name}")
     warnings = _warnings(first, [*others, *summaries])
     if further:
         per_draw = (1 - also) * of_training.mean(axis=0)
         for source in further:
-            of_source, others = count_classes(source, jobs)
+            of_source, others, own = count_classes(source, jobs)
+            digests += own
             per_draw += also / len(further) * of_source.mean(axis=0)
-            warnings += _warnings(source, others)
+            warnings += [] if source.simulated else _warnings(source, others)
         counts = np.rint(len(training) * per_draw).astype(np.int64)
-    result = ClassCounts(counts, warnings)
+    result = ClassCounts(counts, warnings, dict(zip(files, digests, strict=True)))
     by_name = dict(zip(space.names, counts.tolist(), strict=True))
-    content = {"files": digest, "points": by_name, "warnings": result.warnings}
+    content = {"files": digest, "points": by_name, "warnings": warnings, "scans": joined(digests)}
     WrittenFiles(path.parent).write(path, encode_json(content))
     return result
 
@@ -211,6 +222,12 @@ def _warnings(source: Source, summaries: Sequence[ScanSummary]) -> list[dict[str
             summary.add(scan)
         summary.finished(selectable=False)
     return summary.warnings()
+
+
+def _parted(text: object) -> list[str]:
+    with suppress(ValueError):
+        return parted(text)
+    return []
 
 
 def _is_warning(value: object) -> bool:

@@ -61,12 +61,15 @@ class Source:
         That the network is trained for.
     fitted : dict of str to Sensor
         Those of sequences as `predict` fits them; empty if all are taken as `sensor` says.
+    simulated : bool
+        Whether the training itself has simulated them: no scans of the user's.
     """
 
     files: Sequence[ScanFile]
     space: LabelSpace
     sensor: Sensor
     fitted: Mapping[str, Sensor] = field(default_factory=dict)
+    simulated: bool = False
 
     def sensor_of(self, file: ScanFile) -> Sensor:
         """Return the sensor that a scan is projected with."""
@@ -143,6 +146,7 @@ def further_source(dataset: Path, space: LabelSpace, sensor: Sensor) -> Source:
         alternatives may be others.
     """
     own, files = labelled_split(dataset, None, "train")
+    _name_unsplit(dataset, own)
     classes = merged_into(own, space)
     if classes is None:
         found = f"other classes ({first_few(own.differences(space))})"
@@ -168,9 +172,10 @@ def scans_to_train_on(
     dataset, space
         As for `labelled_split`.
     divisible : bool
-        Whether scans without a validation split will do: unless each labelled scan is in a split,
-        and some are in ``train`` and some in ``valid``, the training scans are then those with
-        labels in ``train`` or in no split, and the validation scans none.
+        Whether scans without a validation split will do. Unless the label space or the data set
+        names splits, the training scans are then all with labels, and the validation scans none.
+        So they are where a labelled scan is in no split, or none is in ``train`` or in ``valid``,
+        without those of other splits than ``train``.
 
     Raises
     ------
@@ -181,6 +186,7 @@ def scans_to_train_on(
     """
     if not divisible:
         classes, training = labelled_split(dataset, space, "train")
+        _name_unsplit(dataset, classes)
         return classes, training, labelled_split(dataset, classes, "valid")[1]
     classes = with_splits_of(dataset, space)
     found = find_scans(dataset)
@@ -193,6 +199,12 @@ def scans_to_train_on(
     if unlabelled := len(found) - len(labelled):
         words = ", ".join(filter(None, (counted(unlabelled, "scan"), text)))
         log.log(NOTICE, "left out without labels: %s", words)
+    own = space if space and space.splits else data_set_label_space(dataset)
+    if own is None or not own.splits:
+        found_in = counted(len({scan.sequence for scan in labelled}), "sequence")
+        scans = counted(len(labelled), "labelled scan")
+        log.log(NOTICE, "no splits are named: training on %s of %s", scans, found_in)
+        return classes, labelled, []
     of_split = {scan: classes.split_of(scan.sequence) for scan in labelled}
     if {"train", "valid"} <= {*of_split.values()} and None not in of_split.values():
         parts = [[s for s in labelled if of_split[s] == name] for name in ("train", "valid")]
@@ -211,6 +223,15 @@ def with_splits_of(dataset: Path, space: LabelSpace | None) -> LabelSpace:
     if space is None:
         return with_splits(data_set_label_space(dataset) or label_space())
     return completed(space, dataset)
+
+
+def _name_unsplit(dataset: Path, space: LabelSpace) -> None:
+    """Warn of sequences with labels that no split names."""
+    unsplit = [scan for scan in find_scans(dataset) if space.split_of(scan.sequence) is None]
+    if labelled := sorted({scan.sequence for scan in unsplit if scan.label_path.is_file()}):
+        log.warning(
+            "left out, since no split of %s names them: %s", space.name, first_few(labelled)
+        )
 
 
 def labelled_split(
@@ -243,6 +264,6 @@ def labelled_split(
             dataset,
             f"no scans of split {split}",
             f"one of the sequences {', '.join(members) or '(none)'}",
-            "name your sequences in labels.yaml, under split, or train with --recipe finetune",
+            "name your sequences in labels.yaml, under split, or cross-validate: --set folds=3",
         )
     return space, found

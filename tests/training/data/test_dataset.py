@@ -12,6 +12,7 @@ from salsanext_cli import label_space, project
 from salsanext_cli.formats.clouds.kitti import read_bin
 from salsanext_cli.formats.labels import read_labels
 from salsanext_cli.storage.layout import ScanFile, find_scans
+from salsanext_cli.storage.scan_digests import scan_digest
 from salsanext_cli.training.data.class_counts import (
     class_counts,
     class_shares,
@@ -188,11 +189,12 @@ def test_counting_counts_every_point(files: list[ScanFile]) -> None:
         for raw in read_labels(file.label_path):
             expected[SPACE.learning_map[int(raw)]] += 1
     for jobs in (1, 2):
-        counts, summaries = count_classes(Source(files, SPACE, SMALL), jobs)
+        counts, summaries, digests = count_classes(Source(files, SPACE, SMALL), jobs)
         assert [summary.file for summary in summaries] == list(files)
         np.testing.assert_array_equal(counts.sum(axis=0), expected)
         own = np.bincount(SPACE.to_train(read_labels(files[1].label_path)), minlength=20)
         np.testing.assert_array_equal(counts[1], own)
+        assert digests == [scan_digest(read_bin(file.path)) for file in files]
 
 
 @pytest.mark.parametrize(

@@ -1,0 +1,118 @@
+# SPDX-License-Identifier: MIT
+"""Scores on scans that the weights were trained on: left out, or said to be that."""
+
+import json
+import shutil
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from world import World
+
+from salsanext_cli import label_space, read_labels, read_scan
+from salsanext_cli.errors import OutputError
+from salsanext_cli.measures.confusion import Confusion
+from salsanext_cli.network.card import read_card
+from salsanext_cli.network.weights import save_with_card
+from salsanext_cli.parallel.run import RunOptions
+from salsanext_cli.stages.evaluate import Evaluation, evaluate
+from salsanext_cli.stages.knn_refine import knn_refine_scans
+from salsanext_cli.stages.predict import predict_scans
+from salsanext_cli.stages.report import read_run, report
+from salsanext_cli.storage.layout import find_scans
+from salsanext_cli.storage.point_files import write_bin
+from salsanext_cli.storage.scan_digests import scan_digest
+
+SPACE = label_space()
+EVERY = (("00", "000000"), ("08", "000000"), ("08", "000001"))
+
+
+@pytest.fixture
+def trained(world: World, tmp_path: Path) -> World:
+    """Return a world whose weights were trained on one of its scans; others are gone by now."""
+    source, path = world.network.path, tmp_path / "trained.safetensors"
+    known = frozenset({scan_digest(read_scan(world.scan("08", "000001"))), "0" * 16})
+    save_with_card(source, path, replace(read_card(source), trained_on=known))
+    return replace(world, network=replace(world.network, weights=path))
+
+
+def predict(world: World, **options: object) -> None:
+    predict_scans(world.data, world.out, network=world.network, **options)  # type: ignore[arg-type]
+
+
+def judged(world: World) -> Evaluation:
+    return evaluate(find_scans(world.data), world.out, SPACE)
+
+
+def counts_of(world: World, *scans: tuple[str, str]) -> np.ndarray:
+    confusion = Confusion(SPACE.class_count)
+    for sequence, stem in scans:
+        truth = read_labels(world.data / f"sequences/{sequence}/labels/{stem}.label")
+        predicted = world.labels(sequence, stem)
+        confusion.update(SPACE.to_train(truth), SPACE.to_train(predicted))
+    return confusion.matrix
+
+
+def test_they_are_left_out_whatever_their_name_and_format(
+    trained: World, caplog: pytest.LogCaptureFixture
+) -> None:
+    """Weights may have gone, scans have been renamed and their intensity changed."""
+    path = trained.scan("08", "000001")
+    scan = read_scan(path)
+    write_bin(path, replace(scan, intensity=scan.intensity / 2))
+    for old in (path, trained.data / "sequences/08/labels/000001.label"):
+        old.rename(old.with_stem("renamed"))
+    predict(trained)
+    caplog.clear()
+    trained.network.path.unlink()
+    found = judged(trained)
+    assert (found.scans, found.trained_on, found.on_training_scans) == (2, 1, False)
+    np.testing.assert_array_equal(found.confusion.matrix, counts_of(trained, *EVERY[:2]))
+    assert caplog.messages == ["1 of 3 labelled scans was trained on: left out of the scores"]
+    assert json.loads((trained.out / "eval.json").read_text())["trained_on"] == 1
+
+
+def test_where_all_are_the_scores_are_said_to_be_that(
+    trained: World, caplog: pytest.LogCaptureFixture
+) -> None:
+    for other in (trained.scan("00"), trained.scan("08", "000000")):
+        other.unlink()
+    predict(trained)
+    caplog.clear()
+    found = judged(trained)
+    assert (found.scans, found.trained_on, found.on_training_scans) == (1, 0, True)
+    np.testing.assert_array_equal(found.confusion.matrix, counts_of(trained, EVERY[2]))
+    assert caplog.messages[0].startswith("every labelled scan was trained on")
+    heading = (trained.out / "scores.txt").read_text().splitlines()[0]
+    assert heading == "# scores on scans that the weights were trained on"
+    made = report(trained.out)
+    assert (made.trained_on, made.on_training_scans) == (0, True)
+    assert made.accuracy == found.scores.accuracy
+    assert "accuracy, 1 scan trained on" in made.page.read_text("utf-8")
+
+
+def test_a_report_leaves_out_the_same(trained: World) -> None:
+    predict(trained)
+    made = report(trained.out)
+    assert (made.trained_on, made.on_training_scans) == (1, False)
+    assert made.accuracy == judged(trained).scores.accuracy
+    assert "1 of 3 labelled scans was trained on: left out" in made.page.read_text("utf-8")
+    rows, _ = read_run(trained.out)
+    assert [row.confusion is None for row in rows.rows] == [False, False, True]
+
+
+def test_labels_refined_anew_are_still_of_the_same_weights(trained: World) -> None:
+    predict(trained, extras=("pixel_labels",))
+    shutil.rmtree(trained.out / "sequences/08/predictions")
+    assert not knn_refine_scans(trained.out, options=RunOptions(overwrite=True)).failures
+    assert judged(trained).trained_on == 1
+
+
+def test_a_record_that_was_changed_is_refused(trained: World) -> None:
+    predict(trained)
+    record = json.loads((trained.out / "predict.json").read_text())
+    record["settings"]["trained_on"] = "all"
+    (trained.out / "predict.json").write_text(json.dumps(record))
+    with pytest.raises(OutputError, match="no digests of scans under trained_on"):
+        judged(trained)
