@@ -14,32 +14,21 @@ from contextlib import contextmanager, suppress
 
 TYPE_CHECKING = False  # Of `typing`, which takes its time.
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
-    from types import CodeType, FrameType
-    from typing import Any, NoReturn, TypeVar
-
-    Function = TypeVar("Function", bound=Callable[..., Any])
+    from collections.abc import Iterator
+    from types import FrameType
+    from typing import Any, NoReturn
 
 WORDS: dict[int, str] = {signal.SIGINT: "interrupted", signal.SIGTERM: "terminated"}
 INTACT = "everything finished so far is intact"
 ARRIVED: list[int] = []
 """The signal that has arrived during the work, if one has."""
-UNINTERRUPTED: set[CodeType] = set()
-"""Functions that signals wait for."""
-IMPORTS = "<frozen importlib._bootstrap>"
 WAIT_S = 3.0
-"""Time that signals wait for an import, or for a function that wants to be uninterrupted."""
+"""Time that a signal waits for an import, or for a context to be entered or left."""
 RETRY_S = 0.02
 REPEATED_S = 1.0
 """Time in which a second signal is the first: `timeout` sends it to a process and to its group."""
 TIMER = getattr(signal, "SIGALRM", None)
 """Signal of the timer that brings a waiting signal again; without it, none waits."""
-
-
-def uninterrupted(function: Function) -> Function:
-    """Let signals wait for a function, which must be short."""
-    UNINTERRUPTED.add(function.__code__)
-    return function
 
 
 def end_on_signals() -> None:
@@ -121,9 +110,12 @@ def interruptible() -> Iterator[None]:
 
 
 def _must_wait(frame: FrameType | None) -> bool:
-    """Return whether an exception in a frame would be lost, be turned into another, or do harm."""
+    """Return whether an exception would become another one in a library, or leave disorder."""
     while frame:
-        if frame.f_code.co_filename == IMPORTS or frame.f_code in UNINTERRUPTED:
+        name, file = frame.f_code.co_name, frame.f_code.co_filename
+        if file == "<frozen importlib._bootstrap>":
+            return True
+        if file == contextmanager.__code__.co_filename and name in ("__enter__", "__exit__"):
             return True
         frame = frame.f_back
     return False
