@@ -7,11 +7,10 @@ package, and asking the command line for help, takes no time.
 
 from __future__ import annotations
 
-import importlib
-import logging
-from typing import TYPE_CHECKING, Any
-
+TYPE_CHECKING = False  # Of `typing`, which takes its time.
 if TYPE_CHECKING:
+    from typing import Any
+
     from salsanext_cli.classes import LabelSpace, label_space
     from salsanext_cli.errors import SalsanextError
     from salsanext_cli.formats import read_scan
@@ -25,9 +24,6 @@ if TYPE_CHECKING:
     from salsanext_cli.sensors import Sensor, sensor
     from salsanext_cli.storage.point_files import write_labels, write_ply
     from salsanext_cli.uncertainty.monte_carlo import sample
-
-# Who uses the package says where its warnings go.
-logging.getLogger(__name__).addHandler(logging.NullHandler())
 
 __version__ = "0.1.0"
 
@@ -72,6 +68,8 @@ _HOME_OF = {name: home for home, names in _HOMES.items() for name in names}
 
 def __getattr__(name: str) -> Any:
     """Import a public name from its home."""
+    import importlib
+
     if name not in _HOME_OF:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
     value = getattr(importlib.import_module(f"{__name__}.{_HOME_OF[name]}"), name)

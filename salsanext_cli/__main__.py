@@ -1,7 +1,19 @@
 # SPDX-License-Identifier: MIT
-"""Entry point of ``python -m salsanext_cli``: the command line, as ``salsanext`` runs it."""
+"""Entry point of ``salsanext`` and ``python -m salsanext_cli``."""
 
-from salsanext_cli.cli.app import main
+try:
+    from salsanext_cli.interruption import end_on_signals
+except KeyboardInterrupt:
+    raise SystemExit(130) from None
+
+
+def main() -> None:
+    """Run the command line; its imports take a while, in which signals arrive too."""
+    end_on_signals()
+    from salsanext_cli.cli.app import main as run
+
+    run()
+
 
 if __name__ == "__main__":
     main()

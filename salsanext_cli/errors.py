@@ -18,8 +18,12 @@ The library raises these; only the command line prints them and chooses the exit
 Anything else that escapes is a bug and keeps its traceback.
 """
 
+import logging
 from collections.abc import Mapping, Sequence
 from typing import Any, ClassVar
+
+# Who uses the package says where its warnings go.
+logging.getLogger("salsanext_cli").addHandler(logging.NullHandler())
 
 NOTICE = 25
 """Log level of messages for every user that are not warnings."""

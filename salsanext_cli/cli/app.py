@@ -3,6 +3,7 @@
 
 import sys
 from collections.abc import Callable
+from io import TextIOWrapper
 from typing import Annotated, Any
 
 import typer
@@ -143,4 +144,7 @@ for commands in COMMANDS.values():
 def main() -> None:
     """Run the command line."""
     sys.modules.setdefault(UNUSED, None)  # type: ignore[arg-type]
+    if isinstance(sys.stdout, TextIOWrapper):
+        # Its encoding may lack what tables and names hold.
+        sys.stdout.reconfigure(errors="replace")
     app()

@@ -7,28 +7,27 @@ import dataclasses
 import functools
 import json
 import logging
-import os
 import signal
 import sys
-import threading
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from functools import partial
-from typing import TYPE_CHECKING, Any, NoReturn, ParamSpec, cast
+from typing import TYPE_CHECKING, Any, ParamSpec, cast
 
 import typer
 
 from salsanext_cli.cli.option_groups import option, option_group
 from salsanext_cli.cli.progress import tell
 from salsanext_cli.errors import NOTICE, SalsanextError, UsageError, as_text, printable
+from salsanext_cli.interruption import ARRIVED, INTACT, WORDS, interruptible
 
 if TYPE_CHECKING:
     from rich.console import RenderableType
 
 
-DONE, FAILED, WRONG_USE, INTERRUPTED, TERMINATED = 0, 1, 2, 130, 143
-"""Exit status: all done, something failed, the command line was wrong, Ctrl-C, SIGTERM."""
+DONE, FAILED, WRONG_USE = 0, 1, 2
+"""Exit status: all done, something failed, the command line was wrong; 128 + n after signal n."""
 
 SCHEMA = 1
 """Version of what `--json` prints; it grows when a key changes its meaning or goes."""
@@ -90,17 +89,13 @@ class StderrHandler(logging.Handler):
         tell(printable(f"{level}{record.getMessage()}"))
 
 
-class Terminated(KeyboardInterrupt):
-    """SIGTERM: what stops at Ctrl-C stops at that too."""
-
-
 def guarded(command: Callable[Parameters, None]) -> Callable[Parameters, None]:
     """Turn a user's mistake into one line and an exit status; let bugs keep their traceback."""
 
     @functools.wraps(command)
     def run(*args: Parameters.args, **kwargs: Parameters.kwargs) -> None:
         try:
-            with _sigterm_raised():
+            with interruptible():
                 command(*args, **kwargs)
         except SalsanextError as error:
             if not error.reported_elsewhere:
@@ -108,12 +103,12 @@ def guarded(command: Callable[Parameters, None]) -> Callable[Parameters, None]:
                 if kwargs.get("json"):
                     _print_json({"error": str(error), "code": error.code})
             raise typer.Exit(WRONG_USE if isinstance(error, UsageError) else FAILED) from None
-        except Terminated:
-            _tell_end("terminated", kwargs)
-            raise typer.Exit(TERMINATED) from None
         except KeyboardInterrupt:
-            _tell_end("interrupted", kwargs)
-            raise typer.Exit(INTERRUPTED) from None
+            number = ARRIVED[0] if ARRIVED else signal.SIGINT
+            tell(f"{WORDS[number]}: {INTACT}")
+            if kwargs.get("json"):
+                _print_json({"error": WORDS[number], "code": WORDS[number]})
+            raise typer.Exit(128 + number) from None
 
     return run
 
@@ -133,31 +128,3 @@ def usage_errors(arguments: Sequence[str]) -> Iterator[None]:
 def _print_json(data: Mapping[str, Any]) -> None:
     # ASCII, since stdout may be no UTF-8.
     typer.echo(json.dumps({"schema": SCHEMA} | as_text(data), allow_nan=False))
-
-
-def _tell_end(how: str, given: Mapping[str, object]) -> None:
-    tell(f"{how}: everything finished so far is intact")
-    if given.get("json"):
-        _print_json({"error": how, "code": how})
-
-
-@contextmanager
-def _sigterm_raised() -> Iterator[None]:
-    """Raise `Terminated` at SIGTERM while the body runs, unless the program handles it itself."""
-    mine = os.getpid()
-
-    def handle(number: int, _: object) -> NoReturn:
-        if os.getpid() != mine:
-            # A child made by fork ends at once, as it would have without this handler.
-            os._exit(128 + number)
-        raise Terminated
-
-    in_main_thread = threading.current_thread() is threading.main_thread()
-    if not in_main_thread or signal.getsignal(signal.SIGTERM) != signal.SIG_DFL:
-        yield
-        return
-    signal.signal(signal.SIGTERM, handle)
-    try:
-        yield
-    finally:
-        signal.signal(signal.SIGTERM, signal.SIG_DFL)

@@ -10,6 +10,7 @@ import typer
 from salsanext_cli.cli import console, options, run_end, run_options, selection_options
 from salsanext_cli.cli.option_groups import Without
 from salsanext_cli.errors import counted
+from salsanext_cli.interruption import ARRIVED
 
 
 def view(
@@ -52,6 +53,7 @@ def view(
             output.result(server.to_dict(), server.url)
             server.serve_forever()
     except KeyboardInterrupt:
+        ARRIVED.clear()
         output.say("view: ended")
     run_end.leave(server.failures, server.missing)
 

@@ -6,14 +6,16 @@ import os
 import re
 import signal
 import socket
+import subprocess
 import sys
 import threading
 from collections.abc import Callable, Iterator
-from concurrent.futures import CancelledError, Future
+from concurrent.futures import CancelledError, Future, ThreadPoolExecutor
 from contextlib import ExitStack, contextmanager, redirect_stdout
 from typing import Any
 
 from salsanext_cli.errors import MissingDependency, UsageError
+from salsanext_cli.parallel import ray_guard
 from salsanext_cli.parallel.options import RunOptions
 from salsanext_cli.parallel.pools import CHUNKS_IN_FLIGHT, WorkerPool, signals_blocked
 from salsanext_cli.parallel.threads import cores
@@ -159,23 +161,37 @@ def _connected_to_ray(ray: Any, address: str | None, here: int | None) -> Iterat
         return
     # It would tell its makers that it was used.
     os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")
-    sigterm = signal.getsignal(signal.SIGTERM)
     quiet = {"log_to_driver": False, "logging_level": logging.ERROR}
-    try:
+    with ExitStack() as held:
         if here:
-            with signals_blocked(signal.SIGINT):
-                ray.init(address="local", num_cpus=max(2, here), include_dashboard=False, **quiet)
-        else:
-            _connect_to_ray(ray, address or "", quiet)
-    finally:
+            held.enter_context(_guard())
+        # In the main thread Ray takes SIGTERM over, and a signal would leave it half started. Its
+        # processes end with the thread that started them.
+        thread = held.enter_context(ThreadPoolExecutor(1))
+        with signals_blocked(signal.SIGINT):
+            started = thread.submit(_start_ray, ray, address, here, quiet)
+        held.callback(lambda: thread.submit(ray.shutdown).result())
+        started.result()
+        held.callback(_join_result_threads)
         if threading.current_thread() is threading.main_thread():
-            # Ray's own handler ends the process with another status.
-            signal.signal(signal.SIGTERM, sigterm)
-    try:
+            # Ray puts a handler that prints a traceback beneath Python's.
+            signal.signal(signal.SIGTERM, signal.getsignal(signal.SIGTERM))
         yield
-    finally:
-        _join_result_threads()
-        ray.shutdown()
+
+
+@contextmanager
+def _guard() -> Iterator[None]:
+    """Let no process of a Ray that is started here live longer than this one."""
+    command = [sys.executable, "-I", "-S", ray_guard.__file__, str(os.getpid())]
+    guard = subprocess.Popen(
+        command,
+        stdin=subprocess.PIPE,
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.DEVNULL,
+        start_new_session=True,
+    )
+    with guard:
+        yield
 
 
 def _join_result_threads() -> None:
@@ -187,7 +203,11 @@ def _join_result_threads() -> None:
             thread.join(END_TIMEOUT_S)
 
 
-def _connect_to_ray(ray: Any, address: str, quiet: dict[str, Any]) -> None:
+def _start_ray(ray: Any, address: str | None, here: int | None, quiet: dict[str, Any]) -> None:
+    if here:
+        ray.init(address="local", num_cpus=max(2, here), include_dashboard=False, **quiet)
+        return
+    address = address or ""
     try:
         if found := re.fullmatch(r"(?:ray://)?\[?([^/]+?)]?:(\d+)", address):
             peer = found[1], int(found[2])

@@ -90,12 +90,21 @@ def _keep_names(folder: Path) -> None:
 
 def require_writable(folder: Path) -> None:
     """Raise `OutputError` if no file can be written into a folder, which is made."""
-    probe = _temporary(folder / "probe")
     try:
         folder.mkdir(parents=True, exist_ok=True)
-        probe.touch()
+        with _probe(folder):
+            pass
     except OSError as error:
         raise refusal(folder, error) from error
+
+
+@contextmanager
+def _probe(folder: Path) -> Iterator[Path]:
+    """Give an empty file in a folder, and remove it."""
+    probe = _temporary(folder / "probe")
+    try:
+        probe.touch()
+        yield probe
     finally:
         with suppress(OSError):
             probe.unlink()
@@ -165,12 +174,8 @@ def sweep_stale(folder: Path) -> None:
 
 def _time_of_disk(folder: Path) -> float:
     """Return the time that a file gets which is written now."""
-    probe = _temporary(folder / "probe")
-    try:
-        probe.touch()
+    with _probe(folder) as probe:
         return probe.stat().st_mtime
-    finally:
-        probe.unlink(missing_ok=True)
 
 
 def write_bytes(path: Path, content: bytes, *, durable: bool = False) -> None:
