@@ -127,7 +127,7 @@ function legend() {  // buttons stay where they are while scans change, so that 
   const box = byId("legend");
   const key = [name, ...there].join();
   if (box.dataset.key !== key) box.replaceChildren(...there.map(id => entry(name, id, there)));
-  box.style.setProperty("--entry", `${Math.max(0, ...there.map(id => CATEGORIES[name][id].name.length)) + 11}ch`);
+  box.style.setProperty("--entry", `${Math.max(0, ...there.map(id => CATEGORIES[name][id].name.length)) + 9}ch`);
   box.dataset.key = key;
   there.forEach((id, i) => {
     box.children[i].lastChild.textContent = `${CATEGORIES[name][id].name} ${(100 * counts[id] / cloud.shown).toFixed(1)} %`;
