@@ -21,7 +21,7 @@ from salsanext_cli.geometry.mounting import in_sensor_frame
 from salsanext_cli.inference.network import Network
 from salsanext_cli.inference.scan_fit import fitted
 from salsanext_cli.inference.settings import NetworkSettings
-from salsanext_cli.report.colours import Colours, legend_of, on_dark
+from salsanext_cli.report.colours import Colours, legend_of, screen_colours
 from salsanext_cli.report.scan_pictures import scan_picture
 from salsanext_cli.storage.layout import find_scans
 
@@ -54,7 +54,7 @@ def draw(picture: Path, path: Path, network: Network) -> None:
         image = sn.project(scan, used.sensor)
         pixel_labels = used.probabilities(image).argmax(axis=0)
         labels[title] = sn.knn_refine(image, pixel_labels, space.class_count)
-    of_classes = on_dark(space.colours)
+    of_classes = screen_colours(space)
     views: dict[str, Colours] = {title: of_classes[ids] for title, ids in labels.items()}
     points = in_sensor_frame(scan, used.sensor).points
     legend = legend_of(space, *labels.values())

@@ -120,6 +120,14 @@ def test_the_command_reference_is_current_whatever_the_terminal(monkeypatch):
     assert text_of("docs/cli.md") == page, "run `make docs`"
 
 
+def test_the_picture_of_the_pipeline_is_current(tmp_path):
+    script = runpy.run_path(str(DOCS / "pipeline_picture.py"))
+    script["main"](tmp_path / "pipeline.svg")
+    assert text_of("docs/images/pipeline.svg") == (tmp_path / "pipeline.svg").read_text("utf-8")
+    named = {each.text for each in script["BOXES"].values() if each.colours == script["COMMAND"]}
+    assert set(", ".join(named).split(", ")) <= {*NAMES}
+
+
 @pytest.fixture
 def a_scan_and_weights(tmp_path, weights, monkeypatch) -> Path:
     """Make a folder with the files that the Python examples name the current one."""

@@ -10,6 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from salsanext_cli.classes import LabelSpace
+from salsanext_cli.report.colour_difference import colour_difference, linear_rgb
 from salsanext_cli.storage.layout import COLOURINGS
 
 Colours = npt.NDArray[np.uint8]
@@ -22,6 +23,18 @@ COLOUR_MAP = "viridis"
 """Name of matplotlib's colour map for values; it is perceptually uniform."""
 LEAST_CONTRAST = 2.5
 """Least ratio of luminances of a colour and `EMPTY` in pictures, as WCAG 2 defines it."""
+LEAST_DIFFERENCE = 20.0
+"""Least difference of two classes in pictures, by `colour_difference`."""
+APART = np.frombuffer(
+    bytes.fromhex(
+        "636363 5392ff 17c7fa 4361a5 9589b5 7b20ff ff1e1e ff5992 "
+        "a27571 ff00ff fdaafe 845184 c20f50 ffc800 ffa08f 00af00 "
+        "95521d 96f71b fffcba f57906 7a8c6e ffe5e8 03ffff c0cfff "
+        "007325 c0ae94 05aca5 9d9b03 706517 ecffff 03e8a1 066f70"
+    ),
+    np.uint8,
+).reshape(-1, 3)
+"""Colours that differ by `LEAST_DIFFERENCE` or more, near SemanticKITTI's if they can, (32, 3)."""
 RIGHT = (92, 100, 112)
 WRONG = (255, 72, 48)
 """Colours of points with a right and with a wrong label."""
@@ -99,10 +112,49 @@ def on_dark(colours: npt.ArrayLike) -> Colours:
 
 def _luminance(colours: npt.NDArray[Any]) -> npt.NDArray[np.float64]:
     """Return the relative luminance of sRGB, to which WCAG 2 adds the light of a room."""
-    share = colours / 255
-    linear = np.where(share > 0.04045, ((share + 0.055) / 1.055) ** 2.4, share / 12.92)
-    luminance: npt.NDArray[np.float64] = linear @ np.array((0.2126, 0.7152, 0.0722)) + 0.05
+    luminance: npt.NDArray[np.float64] = linear_rgb(colours) @ (0.2126, 0.7152, 0.0722) + 0.05
     return luminance
+
+
+def screen_colours(space: LabelSpace) -> Colours:
+    """Return the colours of the classes in pictures, plots and pages, (C, 3).
+
+    They are those of the label space, dark ones lightened. If two of these differ by less than
+    `LEAST_DIFFERENCE`, each class gets one of `APART`, those nearest to their own first; more
+    classes than these get what differs most. A class keeps its own if that is far enough from all.
+    """
+    own = on_dark(space.colours)
+    if _least_difference(own) >= LEAST_DIFFERENCE:
+        return own
+    apart = _spread(len(own))
+    colours, differences = own.copy(), colour_difference(own[:, None], apart)
+    for _ in own:
+        i, place = np.unravel_index(differences.argmin(), differences.shape)
+        colours[i] = apart[place]
+        differences[i] = differences[:, place] = np.inf
+    for each, colour in enumerate(own):
+        if colour_difference(colour, np.delete(colours, each, axis=0)).min() >= LEAST_DIFFERENCE:
+            colours[each] = colour
+    return colours
+
+
+def _spread(count: int) -> Colours:
+    """Return `APART`, and up to a count those of a grid that differ most from all before."""
+    apart = APART
+    if count > len(apart):
+        grid = on_dark(36 * np.indices((8, 8, 8)).reshape(3, -1).T)
+        nearest = colour_difference(grid[:, None], apart).min(axis=1)
+        for _ in range(count - len(apart)):
+            most = grid[nearest.argmax()]
+            apart = np.concatenate([apart, most[None]])
+            nearest = np.minimum(nearest, colour_difference(grid, most))
+    return apart
+
+
+def _least_difference(colours: Colours) -> float:
+    """Return the least difference of two of (N, 3) colours; infinity if there are no two."""
+    first, second = np.triu_indices(len(colours), 1)
+    return float(colour_difference(colours[first], colours[second]).min(initial=np.inf))
 
 
 @cache
@@ -148,7 +200,7 @@ def map_colours(name: str) -> Colours:
 def legend_of(space: LabelSpace, *labels: npt.NDArray[Any]) -> Legend:
     """Return names and colours, as pictures have them, of the classes that occur."""
     present = np.unique(np.concatenate([train.ravel() for train in labels]))
-    colours = on_dark(space.colours)[present].tolist()
+    colours = screen_colours(space)[present].tolist()
     return [(space.names[i], (*rgb,)) for i, rgb in zip(present, colours, strict=True)]
 
 
@@ -165,7 +217,7 @@ class PointColours:
     space : LabelSpace
         Colours of the classes.
     dark : bool
-        Whether they are seen on `EMPTY`, in a picture, where dark ones are lightened.
+        Whether they are seen on `EMPTY`, in a picture, and not in a file for other tools.
     """
 
     colour: str
@@ -193,6 +245,6 @@ class PointColours:
         if self.colour == "wrong":
             colours = OUTCOMES[np.nan_to_num(columns["wrong"] + 1).astype(np.intp)]
             return colours
-        of_classes = on_dark(self.space.colours) if self.dark else self.space.colours
+        of_classes = screen_colours(self.space) if self.dark else self.space.colours
         colours = of_classes[self.space.to_train(columns[self.colour], strict=False)]
         return colours

@@ -22,10 +22,16 @@ def evaluation_pictures(
     scores: Scores, confusion: Confusion, uncertainty: UncertaintyEvaluation, space: LabelSpace
 ) -> dict[str, bytes]:
     """Draw what there is to an evaluation, PNG by name, in the order of `PICTURES`."""
-    pictures = {
+    scored = {
         "eval_iou.png": plots.iou_bars(scores, space),
         "eval_confusion.png": plots.confusion_picture(confusion, space),
     }
+    return scored | uncertainty_pictures(uncertainty, space)
+
+
+def uncertainty_pictures(uncertainty: UncertaintyEvaluation, space: LabelSpace) -> dict[str, bytes]:
+    """Draw what there is to probabilities and uncertainties, as `evaluation_pictures`."""
+    pictures = {}
     if uncertainty.calibration:
         diagram = uncertainty_plots.reliability_diagram(uncertainty.calibration)
         pictures["eval_reliability.png"] = diagram

@@ -25,7 +25,7 @@ from salsanext_cli.report.colours import (
     Colours,
     legend_of,
     map_on_dark,
-    on_dark,
+    screen_colours,
     value_colours,
     value_range,
 )
@@ -179,7 +179,7 @@ def picked_sheet(
     canvas.text_at(figure, MARGIN_PX, HEAD_PX // 2, "labels", 18)
     _draw_scale(figure, low, high, right, width - MARGIN_PX)
     colours = np.full((NO_CLASS + 1, 3), EMPTY, np.uint8)
-    colours[: space.class_count] = on_dark(space.colours)
+    colours[: space.class_count] = screen_colours(space)
     for number, (each, preview) in enumerate(drawn):
         top = HEAD_PX + number * row_px
         title = printable(f"{each.rank}   {each.name}   {each.reason}")

@@ -13,6 +13,7 @@ from salsanext_cli.measures.confusion import Confusion, ratio
 from salsanext_cli.measures.scores import Scores
 from salsanext_cli.report import canvas
 from salsanext_cli.report.canvas import DARK
+from salsanext_cli.report.colours import screen_colours
 from salsanext_cli.report.tables import percent
 
 ROW_PX = 28
@@ -32,7 +33,7 @@ def iou_bars(result: Scores, space: LabelSpace) -> bytes:
     Parameters
     ----------
     result : Scores
-        Scores to draw; a class that is absent has no bar.
+        Scores to draw; a class that is absent from the truth has no bar.
     space : LabelSpace
         Colours of the classes.
     """
@@ -40,8 +41,8 @@ def iou_bars(result: Scores, space: LabelSpace) -> bytes:
     title = f"{result.points:,} labelled points · accuracy {percent(result.accuracy, 1, ' %')}"
     figure, axes = canvas.new_plot(900, height + 130, (NAMES_PX, 70, 690, height), title)
     places = range(len(result.classes))
-    shares = [100 * c.iou for c in result.classes]
-    colours = [space.colours[c.train_id] / 255 for c in result.classes]
+    shares = [100 * c.iou if c.points else math.nan for c in result.classes]
+    colours = screen_colours(space)[[c.train_id for c in result.classes]] / 255
     axes.barh(places, np.nan_to_num(shares), 0.72, color=colours, edgecolor=DARK, linewidth=0.6)
     for place, share in zip(places, shares, strict=True):
         absent = math.isnan(share)

@@ -15,7 +15,7 @@ from salsanext_cli.classes import LabelSpace
 from salsanext_cli.errors import UsageError
 from salsanext_cli.packages import import_extra
 from salsanext_cli.records import Float
-from salsanext_cli.report.colours import EMPTY, PointColours, on_dark
+from salsanext_cli.report.colours import EMPTY, PointColours, screen_colours
 
 TIMELINE, POINTS, TEXT = "scan", "points", "text"
 """Timeline, and entities on it: the points with all that is known of them, and a text."""
@@ -132,7 +132,7 @@ def _components(
 
 def _classes(rerun: Any, space: LabelSpace) -> Any:
     """Return name and colour of every raw id."""
-    names, colours = space.names, on_dark(space.colours).tolist()
+    names, colours = space.names, screen_colours(space).tolist()
     return rerun.AnnotationContext(
         [
             (raw, space.labels.get(raw, names[train]), tuple(colours[train]))

@@ -10,7 +10,7 @@ import numpy as np
 from salsanext_cli.classes import LabelSpace
 from salsanext_cli.errors import NOTICE, counted
 from salsanext_cli.report.animation import encode_gif, encode_mp4
-from salsanext_cli.report.colours import OUTCOMES, map_on_dark, on_dark
+from salsanext_cli.report.colours import OUTCOMES, map_on_dark, screen_colours
 from salsanext_cli.storage.layout import ScanFile
 from salsanext_cli.storage.output_run import OutputRun
 from salsanext_cli.storage.written_files import WrittenFiles
@@ -41,7 +41,7 @@ def animate(
     """Write an animation of each sequence of which there are pictures."""
     files = WrittenFiles(output.out)
     # Every fifth colour of the map, from the high end.
-    kept = np.concatenate([OUTCOMES, map_on_dark()[::-5], on_dark(space.colours)])
+    kept = np.concatenate([OUTCOMES, map_on_dark()[::-5], screen_colours(space)])
     for sequence in dict.fromkeys(scan.sequence for scan in scans):
         mine = (scan for scan in scans if scan.sequence == sequence)
         pictures = [

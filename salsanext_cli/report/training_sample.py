@@ -10,7 +10,7 @@ from salsanext_cli.formats.labels import read_labels
 from salsanext_cli.geometry.knn import knn_refine
 from salsanext_cli.geometry.projection import project
 from salsanext_cli.inference.network import Network
-from salsanext_cli.report.colours import Colours, error_colours, on_dark
+from salsanext_cli.report.colours import Colours, error_colours, screen_colours
 from salsanext_cli.report.panel import coloured_strip, range_strip
 from salsanext_cli.storage.layout import ScanFile
 
@@ -47,7 +47,7 @@ def draw_sample(out: BinaryIO, file: ScanFile, network: Network) -> Colours:
     image = project(scan, sensor)
     pixel_labels = network.probabilities(image).argmax(axis=0)
     labels = knn_refine(image, pixel_labels, space.class_count)
-    of_classes = on_dark(space.colours)
+    of_classes = screen_colours(space)
     colours: dict[str, Colours] = {"truth": of_classes[truth], "prediction": of_classes[labels]}
     colours["errors"] = error_colours(truth, labels, space)
     strips = [range_strip(image), *(coloured_strip(image, *each) for each in colours.items())]

@@ -15,6 +15,7 @@ from salsanext_cli.measures.risk_coverage import COVERAGE
 from salsanext_cli.measures.uncertainty_evaluation import CalibrationResult, RankingResult
 from salsanext_cli.report import canvas
 from salsanext_cli.report.canvas import DARK
+from salsanext_cli.report.colours import screen_colours
 from salsanext_cli.report.tables import percent
 
 if TYPE_CHECKING:
@@ -43,8 +44,12 @@ BEST_ORDER_STYLE: dict[str, Any] = {
     "linewidth": 1.4,
 }
 """Style of the curve of the best order."""
-LEFT, TOP, WIDTH, HEIGHT, TITLE_TOP = 80, 60, 600, 420, 30
+PLOT_PX = 720, 560
+"""Width and height of every plot here, so that their text is of one size on a page."""
+LEFT, TOP, WIDTH, TITLE_TOP = 80, 60, 600, 30
 """Place of the main axes and of the title, in pixels."""
+HEIGHT, HEIGHT_ABOVE = 430, 330
+"""Height of the main axes, and of those that have a legend or other axes below them."""
 BELOW_PX = 90
 """Height in pixels of the axes below them, which show the distribution of the points."""
 DISTANCES_PX = (9, 16, 26, 40, 56, 76, 100)
@@ -64,7 +69,7 @@ def reliability_diagram(result: CalibrationResult) -> bytes:
     title = f"Calibration of the softmax · {scores.points:,} points"
     if scores.points:
         title += f" · ECE {percent(scores.ece, 2, ' %')}"
-    figure, axes = _main_plot(40, BELOW_PX + 80, title)
+    figure, axes = _main_plot(title, HEIGHT_ABOVE)
     bins = len(diagram.points)
     edges, width = 100 * np.arange(bins) / bins, 100 / bins
     accuracy = np.nan_to_num(100 * diagram.accuracy)
@@ -77,7 +82,7 @@ def reliability_diagram(result: CalibrationResult) -> bytes:
     axes.set_ylim(0, 100)
     axes.set_ylabel("accuracy in %")
     axes.legend(loc="upper left", frameon=False, fontsize=10)
-    below = canvas.axes_at(figure, LEFT, TOP + HEIGHT + 14, WIDTH, BELOW_PX)
+    below = canvas.axes_at(figure, LEFT, TOP + HEIGHT_ABOVE + 14, WIDTH, BELOW_PX)
     shares = 100 * diagram.points / max(scores.points, 1)
     below.bar(edges, shares, width, align="edge", color=canvas.FAINT, edgecolor=canvas.PAPER)
     below.set_ylabel("points in %")
@@ -132,7 +137,7 @@ def _curves(
     **axis_labels: str,
 ) -> bytes:
     """Draw a score and a curve per kind, and the curves of the best orders, as a PNG."""
-    figure, axes = _main_plot(330, 70, title)
+    figure, axes = _main_plot(title, HEIGHT_ABOVE)
     for kind, (score, y) in curves.items():
         colour, dashes = LINES[kind]
         axes.plot(x, y, color=colour, linestyle=dashes, label=f"{kind} · {score}")
@@ -142,8 +147,8 @@ def _curves(
     axes.set_xlim(0, 100)
     axes.set_ylim(bottom=0)
     if axes.lines:
-        outside: dict[str, Any] = {"loc": "upper left", "bbox_to_anchor": (1.02, 1.02)}
-        axes.legend(frameon=False, fontsize=10, handlelength=2.6, **outside)
+        below: dict[str, Any] = {"loc": "upper left", "bbox_to_anchor": (-0.02, -0.15), "ncols": 2}
+        axes.legend(frameon=False, fontsize=10, handlelength=2.6, **below)
     canvas.plain_frame(axes)
     return canvas.png_of(figure)
 
@@ -158,10 +163,9 @@ def _risk_of_best_order(rate: float) -> Ratios:
     return np.maximum(0, 1 - (1 - rate) / COVERAGE)
 
 
-def _main_plot(right: int, below: int, title: str) -> tuple[Figure, Axes]:
-    """Return a figure and its main axes, with room in pixels to the right and below."""
-    place = (LEFT, TOP, WIDTH, HEIGHT)
-    return canvas.new_plot(LEFT + WIDTH + right, TOP + HEIGHT + below, place, title, TITLE_TOP)
+def _main_plot(title: str, height: int = HEIGHT) -> tuple[Figure, Axes]:
+    """Return a figure and its main axes, of a height in pixels."""
+    return canvas.new_plot(*PLOT_PX, (LEFT, TOP, WIDTH, height), title, TITLE_TOP)
 
 
 def class_uncertainty(result: RankingResult, space: LabelSpace) -> bytes:
@@ -180,9 +184,8 @@ def class_uncertainty(result: RankingResult, space: LabelSpace) -> bytes:
     title = "Epistemic uncertainty of the classes"
     if not math.isnan(result.class_size_correlation):
         title += f" · rank correlation {result.class_size_correlation:+.2f}"
-    place = (LEFT, TOP, 740, HEIGHT + 80)
-    figure, axes = canvas.new_plot(LEFT + 780, TOP + HEIGHT + 150, place, title, TITLE_TOP)
-    colours = [space.colours[i] / 255 for i in present]
+    figure, axes = _main_plot(title)
+    colours = screen_colours(space)[[*present]] / 255
     axes.scatter(points, means, 60, colours, edgecolors=DARK, linewidths=0.8, zorder=3)
     axes.set_xscale("log")
     if present:

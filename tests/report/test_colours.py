@@ -1,4 +1,6 @@
 # SPDX-License-Identifier: MIT
+from dataclasses import replace
+
 import matplotlib
 import numpy as np
 import pytest
@@ -7,15 +9,18 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 from salsanext_cli.classes import label_space
+from salsanext_cli.report.colour_difference import colour_difference
 from salsanext_cli.report.colours import (
     EMPTY,
     LEAST_CONTRAST,
+    LEAST_DIFFERENCE,
     RIGHT,
     WRONG,
     error_colours,
     legend_of,
     map_colours,
     on_dark,
+    screen_colours,
     value_colours,
     value_range,
 )
@@ -62,7 +67,8 @@ def test_a_scale_of_nothing(values):
 
 def test_a_legend_names_what_occurs_once():
     legend = legend_of(SPACE, np.array([ROAD, CAR]), np.array([[CAR]]))
-    assert legend == [("car", (100, 150, 245)), ("road", (255, 0, 255))]
+    car, road = (tuple(screen_colours(SPACE)[i].tolist()) for i in (CAR, ROAD))
+    assert legend == [("car", car), ("road", road)]
     assert legend_of(SPACE, np.array([CAR])) == legend[:1]
     ((_, sidewalk),) = legend_of(SPACE, np.array([SPACE.names.index("sidewalk")]))
     assert contrast(sidewalk) >= LEAST_CONTRAST > 2 * contrast((75, 0, 75))
@@ -95,14 +101,48 @@ def test_dark_colours_are_mixed_with_as_little_white_as_makes_them_visible(colou
                        if colour[i] >= colour[j])  # fmt: skip
 
 
+def apart(colours):
+    """Return the least difference of two of some colours."""
+    table = colour_difference(colours[:, None], colours[None])
+    return table[~np.eye(len(table), dtype=bool)].min()
+
+
+def screen_of(colours):
+    """Return the colours on screens of a label space with these colours."""
+    return screen_colours(replace(SPACE, colours=np.array(colours, np.uint8)))
+
+
 @pytest.mark.parametrize("name", ["coarse", "semantic-kitti"])
-def test_lightened_classes_differ_as_before(name):
-    colours = label_space(name).colours
+def test_classes_can_be_told_apart_in_pictures(name):
+    space = label_space(name)
+    colours = dict(zip(space.names, screen_colours(space), strict=True))
+    assert apart(np.array([*colours.values()])) >= LEAST_DIFFERENCE == 20
+    assert all(contrast(colour) >= LEAST_CONTRAST for colour in colours.values())
+    assert np.ptp(colours["unlabeled"]) == 0
+    # Those known from SemanticKITTI's are hardly changed.
+    own = dict(zip(space.names, space.colours, strict=True))
+    for name in {"car", "road", "building", "vegetation", "terrain", "person"} & {*own}:
+        assert colour_difference(colours[name], own[name]) < 5
 
-    def nearest(table):
-        apart = np.abs(table[:, None].astype(int) - table[None]).max(axis=-1)
-        return apart[~np.eye(len(table), dtype=bool)].min()
 
-    assert nearest(on_dark(colours)) >= min(20, nearest(colours))
-    for colour in on_dark(colours).tolist():
-        assert contrast(colour) >= LEAST_CONTRAST
+@given(st.integers(1, 32).flatmap(lambda n: arrays(np.uint8, (n, 3))))
+def test_up_to_32_classes_of_any_colours_can_be_told_apart(own):
+    colours = screen_of(own)
+    assert len(own) == 1 or apart(colours) >= LEAST_DIFFERENCE
+    assert all(contrast(colour) >= LEAST_CONTRAST for colour in colours)
+    np.testing.assert_array_equal(colours, screen_of(own))
+
+
+def test_colours_that_are_far_apart_stay():
+    own = np.array([[255, 0, 0], [0, 255, 0], [100, 100, 255]])
+    np.testing.assert_array_equal(screen_of(own), own)
+    # Beside a second red only the reds are moved.
+    seen = screen_of([*own, [250, 0, 0]])
+    np.testing.assert_array_equal(seen[1:3], own[1:])
+    assert apart(seen) >= LEAST_DIFFERENCE
+    assert colour_difference(seen[0], own[0].astype(np.uint8)) < 5
+
+
+def test_many_classes_differ_as_much_as_they_can():
+    assert apart(screen_of(np.zeros((43, 3)))) > 10
+    assert len(np.unique(screen_of(np.zeros((255, 3))), axis=0)) == 255

@@ -78,6 +78,15 @@ const at = (target, name, x, y) => target.dispatchEvent(
   await new Promise(done => requestAnimationFrame(() => requestAnimationFrame(done)));
   const point = byId("point");
   found.hover = [point.hidden, point.textContent, +document.documentElement.dataset.point];
+  const asked = point.hidden, label = cloud.values.label[found.picked];
+  const button = legend().find(each => each.textContent.startsWith(data.classes[label].name));
+  button.click();
+  found.hidden = [asked, point.hidden, view.marked];
+  button.click();
+  const stage = byId("full").closest("#stage");
+  const controls = ["cloud", "play", "colour", "above", "legend"];
+  stage.requestFullscreen = () => { found.full = controls.every(id => stage.contains(byId(id))); };
+  byId("full").click();
   const before = view.azimuth;
   canvas.dispatchEvent(new KeyboardEvent("keydown", { key: "ArrowLeft" }));
   found.turned = view.azimuth - before;
@@ -133,7 +142,18 @@ LIVE_PROBE = """<script>
   await until(() => cloud);
   Object.assign(found, { first: cloud.name, left: document.documentElement.dataset.shown });
   view.show = (old => cloud => { found.from.push(cloud.name); old.call(view, cloud); })(view.show);
+  const steady = "#stage select, #stage input, #stage button, .view, #strip, #columns";
+  const places = () => [...document.querySelectorAll(steady)].map(each => {
+    const { x, y, width, height } = each.getBoundingClientRect();
+    return [each.id, x, y + scrollY, width, height].join();
+  });
+  const still = places();
+  found.moved = [];
+  const look = () => found.moved.push(...places().filter((place, i) => place !== still[i]));
+  const watch = setInterval(look, 5);
   await played();
+  clearInterval(watch);
+  look();
   found.unread = byId("unread").textContent;
   found.played = [[...found.from], cloud.name, byId("place").value];
   found.column = byId("column").textContent;
@@ -219,6 +239,9 @@ def test_the_page_draws_and_its_controls_work(world, tmp_path):
     assert not hidden
     assert re.search(r"label +(car|road)\ntruth +(car|road)\n", words)
     assert re.search(r"entropy +(0|[\d.]+) nats\n", words)
+    # Once its class is hidden, nothing is said of a point.
+    assert found["hidden"] == [False, True, -1]
+    assert found["full"]
     assert found["turned"] == 5
     assert found["pixels"]
     assert found["strip"][0] == found["strip"][1]
@@ -242,6 +265,7 @@ def test_the_live_page_plays_the_drive_and_names_what_fails(world, tmp_path, mon
     # The address hides entropies, which go from 0 to 2, above 0.5.
     assert abs(int(found["left"]) - COUNT / 4) < 0.02 * COUNT
     assert found["playing"] == "pause"
+    assert found["moved"] == []
     # Playing passes over the scan that cannot be read.
     assert found["played"] == [["08/000001", "08/000003"], "08/000003", "3"]
     assert found["column"].startswith("08/000003 ")

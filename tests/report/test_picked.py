@@ -13,7 +13,7 @@ from scans import SMALL, make_scan
 from salsanext_cli import label_space, project
 from salsanext_cli.measures.scan_choice import Choice
 from salsanext_cli.report.canvas import MARGIN_PX
-from salsanext_cli.report.colours import EMPTY, map_on_dark, on_dark
+from salsanext_cli.report.colours import EMPTY, map_on_dark, screen_colours
 from salsanext_cli.report.picked import (
     HEAD_PX,
     NO_CLASS,
@@ -125,7 +125,7 @@ def test_the_sheet_shows_both_pictures_of_every_scan():
         columns = (np.arange(128) * 2 + 1) * STRIP_WIDTH_PX // 256
         labels = pixels[rows[:, None], MARGIN_PX + columns]
         filled = each.classes != NO_CLASS
-        np.testing.assert_array_equal(labels[filled], on_dark(SPACE.colours)[each.classes[filled]])
+        np.testing.assert_array_equal(labels[filled], screen_colours(SPACE)[each.classes[filled]])
         assert (labels[~filled] == EMPTY).all()
         doubt = pixels[rows[:, None], 2 * MARGIN_PX + STRIP_WIDTH_PX + columns]
         assert (doubt[~filled] == EMPTY).all()

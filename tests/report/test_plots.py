@@ -9,6 +9,7 @@ from matplotlib.image import imread
 from salsanext_cli.classes import label_space
 from salsanext_cli.measures.confusion import Confusion
 from salsanext_cli.measures.scores import scores
+from salsanext_cli.report.colours import screen_colours
 from salsanext_cli.report.plots import CELL_PX, NAMES_PX, ROW_PX, confusion_picture, iou_bars
 
 SPACE = label_space()
@@ -32,11 +33,24 @@ def test_bars_are_as_long_as_the_iou_in_the_colour_of_the_class():
     for name in ("car", "road", "person"):
         place = SPACE.names.index(name) - 1
         row = picture[70 + place * ROW_PX + ROW_PX // 2 - 7]
-        colour = SPACE.colours[SPACE.names.index(name)]
+        colour = screen_colours(SPACE)[SPACE.names.index(name)]
         lengths[name] = (row == colour).all(axis=-1).sum() / (690 / 1.08)
     assert lengths["car"] == pytest.approx(1, abs=0.02)
     assert lengths["road"] == pytest.approx(0.5, abs=0.02)
     assert lengths["person"] == 0
+
+
+def test_classes_without_truth_are_absent_though_predicted():
+    car, road, person, truck = (SPACE.names.index(n) for n in ("car", "road", "person", "truck"))
+    found = Confusion(SPACE.class_count).update(np.array([car, road]), np.array([car, person]))
+    picture = pixels(iou_bars(scores(found, SPACE), SPACE))
+
+    def row(train_id):
+        top = 70 + (train_id - 1) * ROW_PX
+        return picture[top + 4 : top + ROW_PX - 4, NAMES_PX + 5 : NAMES_PX + 200]
+
+    np.testing.assert_array_equal(row(person), row(truck))
+    assert (row(person) != row(road)).any()
 
 
 def test_cells_are_as_dark_as_the_share_of_the_row():

@@ -9,7 +9,7 @@ from scans import SMALL, make_scan
 from salsanext_cli import Scan, label_space
 from salsanext_cli.report.birds_eye import TITLE_PX
 from salsanext_cli.report.canvas import MARGIN_PX
-from salsanext_cli.report.colours import WRONG, on_dark
+from salsanext_cli.report.colours import WRONG, screen_colours
 from salsanext_cli.report.panel import STRIP_HEIGHT_PX
 from salsanext_cli.report.scan_pictures import (
     HEAD_PX,
@@ -72,7 +72,7 @@ def draw(results, *colours, strips=None, scales=None):
 
 
 def test_colours_and_legend_are_of_the_classes_that_are_there(results):
-    of_class = dict(zip(SPACE.names, map(tuple, on_dark(SPACE.colours).tolist()), strict=True))
+    of_class = dict(zip(SPACE.names, map(tuple, screen_colours(SPACE).tolist()), strict=True))
     drawn = pixels(draw(results, "label"))
     assert drawn.shape[1] == NARROW_PX + 2 * MARGIN_PX
     for name in ("car", "sidewalk"):

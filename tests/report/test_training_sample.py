@@ -8,7 +8,7 @@ from tiny_network import TinyNetwork
 
 from salsanext_cli import Network, label_space
 from salsanext_cli.network.card import WeightsCard
-from salsanext_cli.report.colours import EMPTY
+from salsanext_cli.report.colours import EMPTY, screen_colours
 from salsanext_cli.report.training_sample import GAP_PX, ROW_HEIGHT_PX, draw_sample
 from salsanext_cli.storage.layout import find_scans
 
@@ -31,7 +31,7 @@ def test_strips_are_range_truth_prediction_and_errors(tmp_path: Path) -> None:
     np.testing.assert_array_equal((written * 255).round().astype(np.uint8), picture)
     starts = [i * (height + GAP_PX) for i in range(4)]
     _, truth, prediction, _ = (picture[s : s + height : ROW_HEIGHT_PX] for s in starts)
-    road = SPACE.colours[SPACE.names.index("road")]
+    road = screen_colours(SPACE)[SPACE.names.index("road")]
     filled = (prediction != EMPTY).any(axis=2)
     assert 100 < filled.sum() < filled.size
     assert (prediction[filled] == road).all()

@@ -9,11 +9,14 @@ from matplotlib.image import imread
 
 from salsanext_cli.measures.scan_counts import EVALUATED_KINDS
 from salsanext_cli.report import canvas
+from salsanext_cli.report.colours import screen_colours
 from salsanext_cli.report.uncertainty_plots import (
     BLUE,
     HEIGHT,
+    HEIGHT_ABOVE,
     LEFT,
     LINES,
+    PLOT_PX,
     SKY,
     TOP,
     WIDTH,
@@ -35,9 +38,9 @@ def rgb(colour: str) -> list[int]:
 
 def rows_of(picture, colour, x) -> np.ndarray:
     """Return how high a colour reaches in a column of the axes: 0 at the bottom, 1 at the top."""
-    column = picture[TOP : TOP + HEIGHT + 1, LEFT + round(x * WIDTH)]
+    column = picture[TOP : TOP + HEIGHT_ABOVE + 1, LEFT + round(x * WIDTH)]
     near = np.abs(column - rgb(colour)).sum(axis=-1) < 60
-    return 1 - np.flatnonzero(near) / HEIGHT
+    return 1 - np.flatnonzero(near) / HEIGHT_ABOVE
 
 
 def half_wrong(count=1000):
@@ -66,17 +69,17 @@ def test_the_dots_are_where_the_classes_are():
     picture = pixels(class_uncertainty(result, SPACE))
     places = {}
     for i in (car, road):
-        rows, columns = np.nonzero((picture == SPACE.colours[i]).all(axis=-1))
+        rows, columns = np.nonzero((picture == screen_colours(SPACE)[i]).all(axis=-1))
         places[i] = (rows.mean(), columns.mean())
     assert places[car][0] < places[road][0]
     assert places[car][1] < places[road][1]
-    bottom = TOP + HEIGHT + 80
+    bottom = TOP + HEIGHT
     heights = [bottom - places[i][0] for i in (car, road)]
     assert heights[0] / heights[1] == pytest.approx(2, abs=0.03)
 
 
 @pytest.mark.parametrize("count", [0, 2])
-def test_without_wrong_points_there_is_a_picture(count):
+def test_pictures_are_of_one_size_with_wrong_points_or_without(count):
     result = ranking_result([0.1] * count, np.zeros(count, bool))
     for picture in (
         risk_coverage({"epistemic": result}),
@@ -84,7 +87,7 @@ def test_without_wrong_points_there_is_a_picture(count):
         class_uncertainty(result, SPACE),
         reliability_diagram(calibration_result([])),
     ):
-        assert pixels(picture).size
+        assert pixels(picture).shape[1::-1] == PLOT_PX
 
 
 def test_every_kind_has_a_line_of_its_own():

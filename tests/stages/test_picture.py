@@ -14,7 +14,7 @@ from salsanext_cli.geometry.knn import KnnParameters
 from salsanext_cli.parallel.run import RunOptions
 from salsanext_cli.parallel.shards import Shard
 from salsanext_cli.report import birds_eye, scan_pictures
-from salsanext_cli.report.colours import WRONG, on_dark
+from salsanext_cli.report.colours import WRONG, screen_colours
 from salsanext_cli.stages.picture import picture
 from salsanext_cli.stages.predict import predict_scans
 from salsanext_cli.stages.project import project_scans
@@ -58,7 +58,7 @@ def has(seen, colour):
 
 
 def class_colour(raw):
-    return on_dark(SPACE.colours)[SPACE.to_train(np.array([raw], np.uint32))[0]]
+    return screen_colours(SPACE)[SPACE.to_train(np.array([raw], np.uint32))[0]]
 
 
 def test_a_picture_of_every_scan_with_results(labelled):
@@ -172,7 +172,7 @@ def test_range_images_alone(world):
     assert picture(world.out, selection=ONE, classes=label_space("coarse")).done == 1
     settings = json.loads((world.out / "picture.json").read_text())["settings"]
     assert settings["sensor"]["name"] == seen.name
-    colours = on_dark(label_space("coarse").colours)
+    colours = screen_colours(label_space("coarse"))
     assert has(drawn(world), colours[1])
 
 
@@ -210,7 +210,7 @@ def test_a_broken_scan_is_left_out_of_the_animation(labelled):
 def test_merged_classes(labelled):
     write_labels(labelled.result("predictions", "00"), np.full(1500, BUILDING, np.uint32))
     draw(labelled, classes=label_space("coarse"), colours=["label", "wrong"], selection=ONE)
-    colours = on_dark(label_space("coarse").colours)
+    colours = screen_colours(label_space("coarse"))
     structure = label_space("coarse").names.index("structure")
     assert has(drawn(labelled), colours[structure])
 

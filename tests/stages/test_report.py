@@ -1,5 +1,6 @@
 # SPDX-License-Identifier: MIT
 import json
+import re
 import shutil
 from html.parser import HTMLParser
 from pathlib import Path
@@ -16,6 +17,7 @@ from salsanext_cli.stages.report import read_run, report
 from salsanext_cli.storage.layout import output_path
 from salsanext_cli.storage.stage_records import StageRecord
 
+PERSON = 30
 TRUTH, PREDICTED = [CAR, ROAD, ROAD, MOVING_CAR], [CAR, CAR, ROAD, CAR]
 
 
@@ -77,9 +79,26 @@ def test_scores_are_those_of_eval(world):
     for text in ("87.5 %", found.sentence[1:], "not recorded", "0–10 m", "accuracy, 2 scans"):
         assert text in page.text
     assert "10–20 m" not in page.text
-    assert page.source.count("data:image/png;base64,") == 4
+    assert page.source.count("data:image/png;base64,") == 2
     assert [*found.shown] == ["08/000000", "08/000001"]
     assert page.data["drive"]["kind"] == "entropy"
+
+
+def test_confusions_are_in_words_and_absent_classes_have_no_iou(world):
+    world.add("000002", [ROAD] * 5, [PERSON] * 5)
+    _, page = made(world)
+    lines = page.source.partition("Largest confusions")[2].partition("</ol>")[0]
+    # Of nine points of road five are a person, one is a car.
+    assert re.findall("<li>(.*?)</li>", lines) == [
+        "road taken for person: 55.6 % of 9 points",
+        "road taken for car: 11.1 % of 9 points",
+    ]
+    rows = dict(
+        re.findall(r"<tr><td>([\w-]+)</td>.*?<td>(?:<i [^>]*></i> )?([^<]*)</td></tr>", page.source)
+    )
+    assert rows == {"car": "80.0 %", "road": "33.3 %", "person": "–"}
+    assert page.data["occurring"]["truth"] == [1, 9]
+    assert page.data["occurring"]["label"] == [1, 6, 9]
 
 
 def test_without_labels_there_are_no_scores(world):
@@ -135,7 +154,7 @@ def test_names_of_classes_are_no_markup(world):
     found, page = made(world, space=type(SPACE).from_dict(own))
     assert evil not in page.source
     assert page.data["classes"][9]["name"] == evil
-    assert [tag for tag, _ in page.tags].count("img") == 2
+    assert [tag for tag, _ in page.tags].count("img") == 0
     assert any(evil in reason for reason in found.shown.values())
 
 

@@ -12,7 +12,7 @@ from scans import make_scan, replace_points
 
 from salsanext_cli import Scan, read_labels, read_scan
 from salsanext_cli.errors import OutputError, UsageError
-from salsanext_cli.report.colours import EMPTY, map_on_dark, on_dark
+from salsanext_cli.report.colours import EMPTY, map_on_dark, screen_colours
 from salsanext_cli.stages.export_rrd import export_rrd
 from salsanext_cli.storage.layout import output_path
 from salsanext_cli.storage.point_files import write_bin
@@ -133,7 +133,7 @@ def test_what_a_scan_lacks_is_not_that_of_the_scan_before(world):
 def test_colours_are_those_of_pictures(world):
     path = exported(world)
     columns = scans_of(path)[0]
-    colours = on_dark(SPACE.colours)
+    colours = screen_colours(SPACE)
     for name, ids in (("label", "Points3D:class_ids"), ("truth", "truth:class_ids")):
         expected = colours[SPACE.to_train(columns[ids])]
         np.testing.assert_array_equal(rgb_of(columns[f"{name}:colors"]), expected)

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
@@ -11,6 +12,7 @@ import numpy as np
 
 from salsanext_cli.classes import LabelSpace
 from salsanext_cli.errors import as_text, counted
+from salsanext_cli.measures.confusion import Confusion
 from salsanext_cli.measures.drive import ScanRow, leading_kind
 from salsanext_cli.measures.scan_counts import RING_NAMES, ScanCounts
 from salsanext_cli.measures.scores import Scores, scores
@@ -18,8 +20,8 @@ from salsanext_cli.measures.uncertainty_evaluation import (
     UncertaintyEvaluation,
     evaluate_uncertainty,
 )
-from salsanext_cli.report.colours import COLOUR_MAP, WRONG, Colours, map_colours, on_dark
-from salsanext_cli.report.evaluation_pictures import evaluation_pictures
+from salsanext_cli.report.colours import COLOUR_MAP, WRONG, Colours, map_colours, screen_colours
+from salsanext_cli.report.evaluation_pictures import uncertainty_pictures
 from salsanext_cli.report.page.clouds import (
     NO_VALUE,
     base64_of,
@@ -35,6 +37,10 @@ OUTCOME_COLOURS = {"not judged": (62, 76, 150), "right": (125, 133, 145), "wrong
 """Farther apart than in other pictures, where what is not judged has the colour of nothing."""
 DARKEST_STEP = 48
 """Step of the colour map, of 255, where its scale begins: those below are lost on a dark view."""
+
+
+MAX_CONFUSIONS = 10
+"""Confusions that the page names."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -97,7 +103,7 @@ def content_of(
         Scans whose points the page asks a server for, with the reason to look at them, which may
         be empty; otherwise it holds those of `shown`.
     """
-    colours = on_dark(space.colours)
+    colours = screen_colours(space)
     offered = {scan.name: scan.reason for scan in shown} if served is None else served
     page = PageContent(
         title=title,
@@ -105,19 +111,21 @@ def content_of(
         facts=facts,
         warnings=warnings,
         shares=_shares(rows, compared, space, colours),
-        data=as_text(_data(rows, offered, scales, space, colours)),
+        data=as_text(
+            _data(rows, offered, scales, space, colours) | {"occurring": _occurring(rows, compared)}
+        ),
         clouds=[as_text(encode_cloud(each, space, sensor, scales)) for each in shown],
         live=served is not None,
     )
     if compared is None:
         return page
-    found = compared.scores, compared.counts.confusion, compared.uncertainty
     kept = compared.uncertainty.kept
     return replace(
         page,
         sentence=f"{kept.sentence[:1].upper()}{kept.sentence[1:]}." if kept else "",
         rings=_rings(compared.counts, space),
-        pictures=evaluation_pictures(*found, space),
+        confusions=_confusions(compared.counts.confusion, space),
+        pictures=uncertainty_pictures(compared.uncertainty, space),
     )
 
 
@@ -151,10 +159,24 @@ def _shares(
     shares = []
     for i, name in enumerate(space.names):
         score = judged.get(i)
-        if points[i] or (score and score.points):
-            iou = percent(score.iou, 1, " %") if score else ""
+        true = score.points if score else 0
+        if points[i] or true:
+            iou = score.iou if score and true else math.nan
             shares.append(ClassShare(name, colours[i].tolist(), points[i] / points.sum(), iou))
     return shares
+
+
+def _confusions(confusion: Confusion, space: LabelSpace) -> list[str]:
+    """Say what is taken for what, most points first."""
+    matrix, names = confusion.counted(space.scored), space.names
+    truths, wrong = matrix.sum(axis=1), np.where(np.eye(len(matrix), dtype=bool), 0, matrix)
+    most = np.argsort(-wrong, axis=None, kind="stable")[:MAX_CONFUSIONS]
+    return [
+        f"{names[true]} taken for {names[predicted]}: "
+        f"{percent(points / truths[true], 1, ' %')} of {counted(int(truths[true]), 'point')}"
+        for true, predicted in zip(*np.unravel_index(most, wrong.shape), strict=True)
+        if (points := wrong[true, predicted])
+    ]
 
 
 def _rings(counts: ScanCounts, space: LabelSpace) -> list[tuple[str, ...]]:
@@ -189,6 +211,14 @@ def _data(
         "shown": [{"name": name, "reason": reason} for name, reason in offered.items()],
         "drive": _drive(rows, list(offered)),
     }
+
+
+def _occurring(rows: Sequence[ScanRow], compared: Comparison | None) -> dict[str, list[int]]:
+    """Return the classes of some scan, by colour: the legend is the same for all scans."""
+    predicted = [row.class_points for row in rows if row.class_points is not None]
+    true = compared.counts.confusion.matrix.sum(axis=1) if compared else ()
+    found = {"label": np.sum(predicted, axis=0), "truth": true, "wrong": np.ones(3)}
+    return {name: np.flatnonzero(points).tolist() for name, points in found.items()}
 
 
 def _drive(rows: Sequence[ScanRow], shown: Sequence[str]) -> dict[str, Any]:

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import json
+import math
 from base64 import b64encode
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -15,6 +16,7 @@ from typing import Any, NamedTuple
 from salsanext_cli import __version__
 from salsanext_cli.errors import printable
 from salsanext_cli.report.evaluation_pictures import PICTURES
+from salsanext_cli.report.tables import percent
 
 PARTS = ("page.css", "view.js", "drive.js", "scans.js", "page.js")
 """Files beside this one that the template takes in, as $page_css and so on."""
@@ -33,12 +35,12 @@ LIVE_WORDS = {
 
 
 class ClassShare(NamedTuple):
-    """A class, its colour, its share of the points, 0…1, and its IoU as text if it has one."""
+    """A class, its colour, its share of the points and its IoU, 0…1, NaN if not in the truth."""
 
     name: str
     colour: Sequence[int]
     share: float
-    iou: str
+    iou: float
 
 
 @dataclass(frozen=True, slots=True)
@@ -63,8 +65,10 @@ class PageContent:
         Sentence on risk; empty without labels.
     rings : sequence of tuple of str
         Distance, mean IoU, accuracy and points as text; empty if not asked for.
+    confusions : sequence of str
+        What is taken for what, in words.
     pictures : mapping of str to bytes
-        PNG by a name of `PICTURES`; empty without labels.
+        PNG by a name of `PICTURES`, all of one size.
     live : bool
         Whether the page asks a server for its clouds, and so for those of any number of scans.
     """
@@ -78,6 +82,7 @@ class PageContent:
     clouds: Sequence[Mapping[str, Any]]
     sentence: str = ""
     rings: Sequence[tuple[str, ...]] = ()
+    confusions: Sequence[str] = ()
     pictures: Mapping[str, bytes] = field(default_factory=dict)
     live: bool = False
 
@@ -98,8 +103,8 @@ def html_of(content: PageContent, token: str = "") -> str:
         facts="".join(f"<dt>{_text(n)}</dt><dd>{_text(v)}</dd>" for n, v in content.facts),
         warnings=_warnings(content.warnings),
         shares=_shares(content.shares),
-        plots=_plots(content),
-        plots_link='<a href="#plots">Plots</a>' if content.pictures else "",
+        plots=(plots := _plots(content)),
+        plots_link='<a href="#plots">Comparison</a>' if plots else "",
         data=script_data("data", data) + "".join(blocks),
         **(LIVE_WORDS if content.live else FILE_WORDS),
         **{name.replace(".", "_"): _part(name) for name in PARTS},
@@ -133,16 +138,22 @@ def _shares(shares: Sequence[ClassShare]) -> str:
     """Return a table of the classes, the largest first, with bars."""
     if not shares:
         return "<p>No stage has predicted labels.</p>"
-    judged = any(each.iou for each in shares)
+    judged = not all(math.isnan(each.iou) for each in shares)
     largest = max(each.share for each in shares)
     heading = "<th>class</th><th>share of the points</th>" + "<th>IoU</th>" * judged
     rows = []
     for name, colour, share, iou in sorted(shares, key=lambda each: -each.share):
-        rgb = ",".join(map(str, colour))
-        bar = f'<i style="width:{75 * share / largest:.1f}%;background:rgb({rgb})"></i>'
-        cells = f"<td>{_text(name)}</td><td>{bar} {_percent(share)}</td>"
-        rows.append(f"<tr>{cells}{f'<td>{_text(iou)}</td>' * judged}</tr>")
+        cells = f"<td>{_text(name)}</td><td>{_bar(share / largest, colour)}{_percent(share)}</td>"
+        if judged:
+            bar = "" if math.isnan(iou) else _bar(iou, colour)
+            cells += f"<td>{bar}{percent(iou, 1, ' %')}</td>"
+        rows.append(f"<tr>{cells}</tr>")
     return f'<table class="shares"><tr>{heading}</tr>{"".join(rows)}</table>'
+
+
+def _bar(share: float, colour: Sequence[int]) -> str:
+    rgb = ",".join(map(str, colour))
+    return f'<i style="width:{65 * share:.1f}%;background:rgb({rgb})"></i> '
 
 
 def _percent(share: float) -> str:
@@ -151,11 +162,9 @@ def _percent(share: float) -> str:
 
 def _plots(content: PageContent) -> str:
     """Return the section that only labelled scans have."""
-    if not content.pictures:
-        return ""
-    figures = f'<div class="plots">{_pictures(content.pictures)}</div>'
-    rings = _rings(content.rings)
-    return f'<section id="plots"><h2>Comparison with labels</h2>{figures}{rings}</section>'
+    figures = f'<div class="plots">{_pictures(content.pictures)}</div>' * bool(content.pictures)
+    parts = _rings(content.rings) + _confusions(content.confusions) + figures
+    return f'<section id="plots"><h2>Comparison with labels</h2>{parts}</section>' * bool(parts)
 
 
 def _rings(rows: Iterable[Sequence[str]]) -> str:
@@ -165,6 +174,13 @@ def _rings(rows: Iterable[Sequence[str]]) -> str:
     names = ("distance", "mean IoU %", "accuracy %", "points")
     heading = "".join(f"<th>{name}</th>" for name in names)
     return f"<h3>By distance</h3><table><tr>{heading}</tr>{''.join(cells)}</table>"
+
+
+def _confusions(lines: Sequence[str]) -> str:
+    if not lines:
+        return ""
+    items = "".join(f"<li>{_text(line)}</li>" for line in lines)
+    return f'<h3>Largest confusions</h3><ol class="confusions">{items}</ol>'
 
 
 def _pictures(pictures: Mapping[str, bytes]) -> str:

@@ -47,7 +47,9 @@ function show(index, found) {
   state.by = keep(state.by, uncertain, uncertain[0] ?? "");
   options(byId("colour"), names, title);
   options(byId("by"), uncertain, title);
-  byId("by").closest("label").hidden = !uncertain.length;
+  const any = data.uncertain.some(name => data.scales[name]);  // in some scan: the others keep its place
+  byId("by").closest("label").hidden = !any;
+  byId("by").closest("label").style.visibility = uncertain.length ? "" : "hidden";
   const scale = data.scales[state.by];
   if (threshold !== null && scale) {
     state.above = Math.min(TOP, Math.max(0, Math.round((threshold - scale.low) / (scale.high - scale.low) * TOP) || 0));
@@ -90,6 +92,8 @@ function filter() {  // by class and by uncertainty
   }
   if (above && state.above < TOP) for (let i = 0; i < shown; i++) if (above[i] > state.above) visible[i] = 0;
   view?.filter(visible);
+  const asked = +document.documentElement.dataset.point;
+  if (asked >= 0 && !visible[asked]) point(-1);
   byId("above").value = state.above;
   byId("above-value").textContent = state.by && state.above < TOP ? shownValue(state.by, state.above) : "all shown";
   tell();
@@ -115,16 +119,19 @@ function tell() {
   document.documentElement.dataset.shown = left;
 }
 
-function legend() {  // buttons stay where the classes are the same, so that a click is not lost
+function legend() {  // buttons stay where they are while scans change, so that a click is not lost
   const name = CATEGORIES[state.colour] ? state.colour : cloud.values.label ? "label" : "";
   const ids = cloud.values[name] ?? [], hidden = state.hidden[name], counts = new Uint32Array(256);
   for (const id of ids) counts[id]++;
-  const there = [...(CATEGORIES[name] ?? []).keys()].filter(id => counts[id]), box = byId("legend");
+  const there = [...(CATEGORIES[name] ?? []).keys()].filter(id => counts[id] || data.occurring[name].includes(id));
+  const box = byId("legend");
   const key = [name, ...there].join();
   if (box.dataset.key !== key) box.replaceChildren(...there.map(id => entry(name, id, there)));
+  box.style.setProperty("--entry", `${Math.max(0, ...there.map(id => CATEGORIES[name][id].name.length)) + 9}ch`);
   box.dataset.key = key;
   there.forEach((id, i) => {
     box.children[i].lastChild.textContent = `${CATEGORIES[name][id].name} ${(100 * counts[id] / cloud.shown).toFixed(1)} %`;
+    box.children[i].classList.toggle("absent", !counts[id]);
     box.children[i].setAttribute("aria-pressed", !hidden.has(id));
   });
 }
@@ -247,6 +254,11 @@ function listen() {
     state.above = TOP;
     filter();
     paint();
+  });
+  byId("full").hidden = !document.fullscreenEnabled;
+  byId("full").addEventListener("click", () => document.fullscreenElement ? document.exitFullscreen() : byId("stage").requestFullscreen());
+  document.addEventListener("fullscreenchange", () => {
+    byId("full").textContent = document.fullscreenElement ? "leave full screen" : "full screen";
   });
   byId("strip").addEventListener("pointermove", event => {
     if (!cloud) return;
