@@ -74,7 +74,7 @@ class PickedDataSet:
 
         Their intensity is that of the file; bytes are divided by 255.
         """
-        if scan_suffix(file.path) == ".bin" and sensor.columns in COPIED_COLUMNS:
+        if scan_suffix(file.path.name) == ".bin" and sensor.columns in COPIED_COLUMNS:
             with reading(file.path) as source:
                 content = source.read()
         else:
