@@ -12,7 +12,13 @@ from salsanext_cli.formats import scan_suffix
 from salsanext_cli.formats.reading import is_folder
 from salsanext_cli.formats.recordings.address import recording_of
 from salsanext_cli.settings_files import shortened
-from salsanext_cli.storage.layout import SUFFIX_OF_FOLDER, ScanFile, find_outputs, find_scans
+from salsanext_cli.storage.layout import (
+    SCAN_FOLDER,
+    SUFFIX_OF_FOLDER,
+    ScanFile,
+    find_outputs,
+    find_scans,
+)
 from salsanext_cli.storage.scan_folders import names_in
 from salsanext_cli.storage.stage_records import ScanSource, owner, read_records
 
@@ -148,7 +154,9 @@ def _scans_of_sequence(
         return scans + _scans_named_themselves(source, {scan.stem for scan in scans})
     root = dataset or Path(os.environ.get(DATASET_VARIABLE, ""))
     if (root / "sequences").is_dir():
-        return find_scans(root, [sequence])
+        scans = root / "sequences" / sequence / SCAN_FOLDER
+        # Not all of a data set once for each of its sequences.
+        return find_scans(scans) if is_folder(scans) else find_scans(root, [sequence])
     looked_in = shortened(str(dataset or folder or root.absolute()), MAX_PATH_SHOWN)
     raise NoInputError(
         out / "sequences" / sequence,
