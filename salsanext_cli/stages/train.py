@@ -240,5 +240,5 @@ def _simulated_streets(
             others = ": those there are of another version or settings"
             why = "" if found in (None, wanted) else others
             log.log(NOTICE, "simulating %s in %s%s", counted(count, "street"), root, why)
-            synthesise(root, **splits, **how, sensor=seen, jobs=jobs, overwrite=True)
+            synthesise(root, **splits, **how, sensor=seen, jobs=jobs, overwrite=found != wanted)
     return [further_source(root, classes, sensor) for root in roots.values()]

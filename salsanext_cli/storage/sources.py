@@ -154,9 +154,9 @@ def _scans_of_sequence(
         return scans + _scans_named_themselves(source, {scan.stem for scan in scans})
     root = dataset or Path(os.environ.get(DATASET_VARIABLE, ""))
     if (root / "sequences").is_dir():
-        scans = root / "sequences" / sequence / SCAN_FOLDER
+        own = root / "sequences" / sequence / SCAN_FOLDER
         # Not all of a data set once for each of its sequences.
-        return find_scans(scans) if is_folder(scans) else find_scans(root, [sequence])
+        return find_scans(own) if is_folder(own) else find_scans(root, [sequence])
     looked_in = shortened(str(dataset or folder or root.absolute()), MAX_PATH_SHOWN)
     raise NoInputError(
         out / "sequences" / sequence,
