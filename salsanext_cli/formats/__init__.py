@@ -18,10 +18,13 @@ SCAN_SUFFIXES = (*CLOUD_SUFFIXES, *TABLE_SUFFIXES)
 """Suffixes of scans, upper or lower case."""
 
 
-def scan_suffix(path: Path) -> str:
+def scan_suffix(name: str) -> str:
     """Return the suffix that makes a file a scan, in lower case; empty if it is none."""
-    name = path.name.lower()
-    return next((suffix for suffix in SCAN_SUFFIXES if name.endswith(suffix)), "")
+    name = name.lower()
+    last = name[name.rfind(".") :]
+    if name.endswith(".pcd.bin"):
+        return ".pcd.bin"
+    return last if last in SCAN_SUFFIXES else ""
 
 
 def read_scan(path: Path | str, sensor: Sensor | None = None) -> Scan:
@@ -46,7 +49,7 @@ def read_scan(path: Path | str, sensor: Sensor | None = None) -> Scan:
     path = Path(path)
     scale = 1.0 if sensor is None else sensor.intensity_scale
     columns = () if sensor is None else sensor.columns
-    match scan_suffix(path):
+    match scan_suffix(path.name):
         case ".bin" | ".pcd.bin":
             return kitti.read_bin(path, columns=columns, intensity_scale=scale)
         case ".pcd":

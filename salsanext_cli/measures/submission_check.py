@@ -85,7 +85,7 @@ def problems(
 
 
 def _point_count(scan: Path) -> int:
-    return count_points(scan) if scan_suffix(scan) == ".bin" else len(read_scan(scan))
+    return count_points(scan) if scan_suffix(scan.name) == ".bin" else len(read_scan(scan))
 
 
 def _wide_labels(path: Path, count: int | None) -> RawIds:

@@ -16,7 +16,7 @@ from salsanext_cli.stages.predict import predict_scans
 from salsanext_cli.stages.report import report
 from salsanext_cli.stages.synth import synthesise
 from salsanext_cli.stages.uncertainty import uncertainty
-from salsanext_cli.storage.layout import ERROR, find_outputs, find_scans
+from salsanext_cli.storage.layout import ERROR, find_outputs
 from salsanext_cli.storage.predictions import predicted_scans, provenance
 from salsanext_cli.storage.selection import ScanSelection
 from salsanext_cli.uncertainty.error_features import knows_error
@@ -91,13 +91,10 @@ def demo(
         with bars(name) as progress:
             yield replace(options, progress=progress)
 
-    # `labels.yaml` is written last.
-    complete = (data / "labels.yaml").exists()
-    if options.overwrite or not complete or len(find_scans(data)) != scans:
-        drive: dict[str, Any] = {"scans": scans, "seed": SEED, "spacing": SPACING_M}
-        anew = options.overwrite or not complete
-        with bars("synth") as progress:
-            synthesise(data, train=0, valid=1, **drive, overwrite=anew, progress=progress)
+    drive: dict[str, Any] = {"scans": scans, "seed": SEED, "spacing": SPACING_M}
+    with step("synth") as run:
+        anew = options.overwrite
+        synthesise(data, train=0, valid=1, **drive, overwrite=anew, progress=run.progress)
     with step("predict") as run:
         extras = (ERROR,) if knows_error(network.load()) else ()
         predicted = predict_scans(data, out, network=network, extras=extras, options=run)

@@ -29,7 +29,7 @@ from salsanext_cli.formats.recordings.address import recording_of
 from salsanext_cli.parallel.options import Progress
 from salsanext_cli.sensors import Sensor
 from salsanext_cli.storage.files.locks import locked
-from salsanext_cli.storage.labelling.edited_files import find_edited, scan_of_edited
+from salsanext_cli.storage.labelling.edited_files import ScanNames, find_edited, scan_of_edited
 from salsanext_cli.storage.labelling.edited_labels import (
     FileLabels,
     UnknownIds,
@@ -142,9 +142,10 @@ def _matched(
 ) -> dict[ScanFile, list[Path]]:
     """Return the files of each scan that has some; the others are failures."""
     of_scan: dict[ScanFile, list[Path]] = {}
+    names = ScanNames(scans)
     for path in files:
         try:
-            of_scan.setdefault(scan_of_edited(path, edited, scans), []).append(path)
+            of_scan.setdefault(scan_of_edited(path, edited, names), []).append(path)
         except LabelError as error:
             found.fail([path], error)
     return {scan: of_scan[scan] for scan in scans if scan in of_scan}

@@ -225,10 +225,10 @@ def _written(
 
     def keep(guess: Guess) -> None:
         guesses[name_of(guess.file)] = guess
-        data_set.write_guess(guess.file, guess.labels)
 
     picked = [files[each.name] for each in record.picked if each.name in files]
     outcome = run_over_scans(task, picked, options, on_result=keep)
+    data_set.write_guesses({guess.file: guess.labels for guess in guesses.values()})
     written = [each for each in record.picked if each.name in guesses]
     data_set.write_label_space(space, record.picked)
     data_set.write_missing(data_set.out / TABLE, picked_csv(record.picked))

@@ -18,25 +18,31 @@ import numpy as np
 import yaml
 
 from salsanext_cli import __version__
-from salsanext_cli.classes import label_space
+from salsanext_cli.classes import RawIds, label_space
 from salsanext_cli.errors import OutputError, UsageError, counted
 from salsanext_cli.formats.clouds.kitti import encode_bin
-from salsanext_cli.formats.labels import encode_labels
+from salsanext_cli.formats.labels import encode_labels, read_labels
+from salsanext_cli.formats.reading import filled, present
 from salsanext_cli.packages import import_open3d
 from salsanext_cli.parallel.pools import end_with_parent, signals_blocked
 from salsanext_cli.parallel.run import Progress
 from salsanext_cli.parallel.threads import worker_count
-from salsanext_cli.storage.files.atomic import MARK, sweep
+from salsanext_cli.storage.files.atomic import MARK, sweep, sweep_stale
 from salsanext_cli.storage.files.json_files import encode_json, read_json
-from salsanext_cli.storage.written_files import RECORDS, WrittenFiles
+from salsanext_cli.storage.files.locks import locked
+from salsanext_cli.storage.stage_records import as_json, require_same_settings
+from salsanext_cli.storage.written_files import WrittenFiles
 from salsanext_cli.synthesis.drive import record
 from salsanext_cli.synthesis.sensor.rig import RIGS
 
 MANIFEST = "synth.json"
+LOCK = ".synth.lock"
 LABEL_SPACE = "labels.yaml"
 MAX_DRIVE_M = 3000.0
 """Longest drive of one sequence; the whole street is held in memory."""
 SEQUENCE_FILES = ("poses.txt", "times.txt", "calib.txt")
+FOLDERS = ("", "velodyne", "labels")
+"""Folders of a sequence that are written to."""
 IDENTITY = "1 0 0 0 0 1 0 0 0 0 1 0"
 SequenceWriter = Callable[[str], Iterator[dict[int, int]]]
 """Writes the sequence of a name; yields the number of points of each raw id, scan by scan."""
@@ -59,6 +65,8 @@ def synthesise(
     progress: Progress | None = None,
 ) -> dict[str, Any]:
     """Write a data set of synthetic streets: scans, labels, poses, times, `labels.yaml`.
+
+    Where a run with the same settings was interrupted, what is missing is added.
 
     Parameters
     ----------
@@ -94,8 +102,8 @@ def synthesise(
     UsageError
         If a number is out of range or the sensor unknown.
     OutputError
-        If the folder holds something else or cannot be written, or if a file that would be
-        replaced was changed or not written here.
+        If the folder holds something else, was made with other settings or cannot be written, or if
+        a file that is in the way was changed or not written here.
     MissingDependency
         If open3d cannot be loaded.
     """
@@ -106,26 +114,31 @@ def synthesise(
     made_with = manifest(counts, scans, seed, spacing, sensor)
     splits = made_with["settings"]["splits"]
     names = [name for members in splits.values() for name in members]
-    import_open3d()
-    _require_room(out, names, scans, overwrite)
-    written = WrittenFiles(out)
-    written.write(out / MANIFEST, encode_json(made_with), durable=True)
+    places = [out, *(out / "sequences" / name / folder for name in names for folder in FOLDERS)]
+    files = [path for name in names for path in _files(out / "sequences" / name, scans)]
+    files.append(out / LABEL_SPACE)
+    _require_room(out)
+    if overwrite or not all(map(filled, files)):
+        import_open3d()
     total = len(names) * scans
     points: Counter[int] = Counter()
     write = partial(_write_sequence, out, scans, seed, spacing, sensor)
-    try:
-        for done, of_scan in enumerate(_write(write, names, jobs), start=1):
-            points.update(of_scan)
-            if progress:
-                progress(done, total)
-    finally:
-        # Joblib kills workers, if it must, while they write.
-        for name in names:
-            for folder in ("velodyne", "labels"):
-                sweep(out / "sequences" / name / folder, MARK.get())
-    space = replace(label_space("semantic-kitti"), splits=splits)
-    text = yaml.safe_dump(space.to_dict(), sort_keys=False, allow_unicode=True)
-    written.write(out / LABEL_SPACE, text.encode())
+    with locked(out / LOCK, stage="synth"):
+        _begin(out, made_with, files, overwrite)
+        for place in places:
+            sweep_stale(place)
+        try:
+            for done, of_scan in enumerate(_write(write, names, jobs), start=1):
+                points.update(of_scan)
+                if progress:
+                    progress(done, total)
+        finally:
+            # Joblib kills workers, if it must, while they write.
+            for place in places:
+                sweep(place, MARK.get())
+        space = replace(label_space("semantic-kitti"), splits=splits)
+        text = yaml.safe_dump(space.to_dict(), sort_keys=False, allow_unicode=True)
+        _write_missing(out, out / LABEL_SPACE, text.encode())
     made = {"scans": total, "splits": splits, "points": dict(sorted(points.items()))}
     return {"stage": "synth", **made}
 
@@ -157,29 +170,52 @@ def _check(sequences: dict[str, int], scans: int, seed: int, spacing: float, job
     worker_count(jobs)
 
 
-def _require_room(out: Path, names: list[str], scans: int, overwrite: bool) -> None:
-    """Remove an earlier synthetic data set, as far as it is unchanged; refuse to replace more."""
-    if not out.exists() or (out.is_dir() and all(path.name == RECORDS for path in out.iterdir())):
+def _require_room(out: Path) -> None:
+    """Refuse a folder with something else than a synthetic data set."""
+    if out.is_dir() and (
+        present(out / MANIFEST) or all(path.name.startswith(".") for path in out.iterdir())
+    ):
         return
-    earlier = read_json(out / MANIFEST) if out.is_dir() else None
-    if earlier is None:
+    if present(out):
         raise OutputError(out, "holds something else", "a new or empty folder")
-    if not overwrite:
-        raise OutputError(
-            out, "holds a synthetic data set", "a new or empty folder", "--overwrite replaces it"
-        )
-    written = WrittenFiles(out)
-    files = [out / MANIFEST, out / LABEL_SPACE]
-    for sequence in (out / "sequences" / name for name in names):
-        files += [sequence / name for name in SEQUENCE_FILES]
-        files += [path for index in range(scans) for path in _scan_files(sequence, index)]
+
+
+def _begin(out: Path, made_with: dict[str, Any], files: list[Path], overwrite: bool) -> None:
+    """Record what is made, after removing an earlier data set if that is to be replaced.
+
+    Raises
+    ------
+    OutputError
+        If an earlier one has other settings, or files that would be replaced or completed were
+        changed.
+    """
+    written, path = WrittenFiles(out), out / MANIFEST
+    earlier, wanted = read_json(path), as_json(made_with)
+    whole = earlier is not None and all(map(filled, files))
+    if earlier is not None and not overwrite:
+        before, now = (_settings(record, version=not whole) for record in (earlier, wanted))
+        require_same_settings(path, before, now)
+        if whole:
+            return
     folders = {folder for path in files for folder in path.parents if out in folder.parents}
     links = sorted(folder for folder in folders if folder.is_symlink())
-    for path in (*links, *written.others(files)):
+    for other in (*links, *written.others([path, *files])):
         found = "is a link, was changed, or was not written by `synth`"
-        raise OutputError(path, found, remedy="move it, or choose another folder")
-    for path in written.remove(path for path in written.recorded() if _is_generated(path, out)):
-        log.warning("%s was changed since it was written: it is kept", path)
+        raise OutputError(other, found, remedy="move it, or choose another folder")
+    if overwrite:
+        # The record stays until it is replaced, so that a run that is killed before may go on.
+        ours = (each for each in written.recorded() if _is_generated(each, out) and each != path)
+        for other in written.remove(ours):
+            log.warning("%s was changed since it was written: it is kept", other)
+    if earlier != wanted:
+        written.write(path, encode_json(made_with), durable=True)
+
+
+def _settings(record: Mapping[str, Any], *, version: bool) -> dict[str, Any]:
+    """Return what a data set was made with; one that is whole may be of another version."""
+    settings = record.get("settings")
+    settings = dict(settings) if isinstance(settings, dict) else {}
+    return settings | {"version": record.get("version")} if version else settings
 
 
 def _is_generated(path: Path, out: Path) -> bool:
@@ -192,6 +228,12 @@ def _is_generated(path: Path, out: Path) -> bool:
         case ("sequences", _, folder, _):
             return folder in ("velodyne", "labels")
     return False
+
+
+def _files(sequence: Path, scans: int) -> list[Path]:
+    """Return the paths of all files of a sequence."""
+    of_scans = [path for index in range(scans) for path in _scan_files(sequence, index)]
+    return [*of_scans, *(sequence / name for name in SEQUENCE_FILES)]
 
 
 def _scan_files(sequence: Path, index: int) -> tuple[Path, Path]:
@@ -228,20 +270,34 @@ def _write_whole(mark: str, write: SequenceWriter, name: str) -> list[dict[int, 
 def _write_sequence(
     out: Path, scans: int, seed: int, spacing: float, sensor: str, name: str
 ) -> Iterator[dict[int, int]]:
-    """Write one sequence; poses are relative to the first scan, so that the first is identity."""
-    written, folder = WrittenFiles(out), out / "sequences" / name
+    """Write what is missing of a sequence; poses are relative to the first scan."""
+    folder = out / "sequences" / name
+    if all(map(filled, _files(folder, scans))):
+        for index in range(scans):
+            yield _points_of(read_labels(_scan_files(folder, index)[1]))
+        return
     poses, times = [], []
     first = np.eye(4)
     for index, frame in enumerate(record(seed, int(name), scans, spacing, RIGS[sensor])):
         scan, labels = _scan_files(folder, index)
-        written.write(scan, encode_bin(frame.scan))
-        written.write(labels, encode_labels(frame.labels))
+        _write_missing(out, scan, encode_bin(frame.scan))
+        _write_missing(out, labels, encode_labels(frame.labels))
         first = frame.pose if index == 0 else first
         relative = np.linalg.inv(first) @ frame.pose
         poses.append(" ".join(f"{value:.9e}" for value in relative[:3].ravel()))
         times.append(f"{frame.time:.6e}")
-        raw, counts = np.unique(frame.labels, return_counts=True)
-        yield dict(zip(raw.tolist(), counts.tolist(), strict=True))
+        yield _points_of(frame.labels)
     calibration = [f"{key}: {IDENTITY}" for key in ("P0", "P1", "P2", "P3", "Tr")]
     for file, lines in zip(SEQUENCE_FILES, (poses, times, calibration), strict=True):
-        written.write(folder / file, ("\n".join(lines) + "\n").encode())
+        _write_missing(out, folder / file, ("\n".join(lines) + "\n").encode())
+
+
+def _points_of(labels: RawIds) -> dict[int, int]:
+    """Return the number of points of each raw id."""
+    raw, counts = np.unique(labels, return_counts=True)
+    return dict(zip(raw.tolist(), counts.tolist(), strict=True))
+
+
+def _write_missing(out: Path, path: Path, content: bytes) -> None:
+    if not filled(path):
+        WrittenFiles(out).write(path, content)

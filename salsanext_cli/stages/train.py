@@ -240,6 +240,6 @@ def _simulated_streets(
             others = ": those there are of another version or settings"
             why = "" if found in (None, wanted) else others
             log.log(NOTICE, "simulating %s in %s%s", counted(count, "street"), root, why)
-            synthesise(root, **splits, **how, sensor=seen, jobs=jobs, overwrite=True)
+            synthesise(root, **splits, **how, sensor=seen, jobs=jobs, overwrite=found != wanted)
     sources = [further_source(root, classes, sensor) for root in roots.values()]
     return [replace(source, simulated=True) for source in sources]

@@ -8,18 +8,18 @@ from itertools import groupby
 from pathlib import Path
 
 from salsanext_cli.errors import NoInputError, OutputError
-from salsanext_cli.formats import CLOUD_SUFFIXES, SCAN_SUFFIXES, scan_suffix
-from salsanext_cli.formats.reading import present, reason
+from salsanext_cli.formats import CLOUD_SUFFIXES, scan_suffix
+from salsanext_cli.formats.reading import is_folder, present, reason
 from salsanext_cli.formats.recordings.address import (
     recording_of,
     sequence_of,
 )
 from salsanext_cli.formats.recordings.recorded_scans import recorded_paths
 from salsanext_cli.storage.scan_folders import (
-    files_in,
+    names_in,
     nothing_in,
     require_known,
-    suffixes_of,
+    suffixes_of_scans,
 )
 
 UNCERTAINTY = ("error", "epistemic", "aleatoric", "total", "entropy", "mutual_information")
@@ -100,11 +100,11 @@ def find_scans(source: Path, sequences: Collection[str] | None = None) -> list[S
             require_known(source)
         found = _scans_of(_absolute(source))
         scans = sorted(found, key=lambda scan: (scan.sequence, scan.stem, scan.path.name))
-        others = files_in(source) if not scans and source.is_dir() else []
+        others = names_in(source) if not scans and source.is_dir() else []
     except OSError as error:
         raise NoInputError(source, reason(error), "a scan or a folder of scans") from error
     if not scans:
-        raise nothing_in(source, others)
+        raise nothing_in(source, [source / name for name in others])
     if sequences is not None:
         scans = of_sequences(scans, sequences, source)
     _require_unique_stems(scans)
@@ -123,32 +123,33 @@ def _scans_of(path: Path) -> Iterator[ScanFile]:
             yield ScanFile(sequence_of(recording), scan.name, scan)
     elif not path.is_dir():
         path.stat()
-        yield from _as_scan(path, SCAN_SUFFIXES)
+        if suffix := scan_suffix(path.name):
+            yield ScanFile(_sequence_of(path.parent), path.name[: -len(suffix)], path)
     elif (path / "sequences").is_dir():
         yield from _scans_of_sequences(path / "sequences")
     elif (path / SCAN_FOLDER).is_dir():
         yield from _scans_in(path / SCAN_FOLDER)
     else:
-        scans = list(_scans_in(path, CLOUD_SUFFIXES)) or list(_scans_of_sequences(path))
-        yield from scans or _scans_in(path)
+        scans = list(_scans_in(path))
+        clouds = any(scan_suffix(scan.path.name) in CLOUD_SUFFIXES for scan in scans[:1])
+        # Tables beside the folders of sequences are something else.
+        yield from scans if clouds else [*_scans_of_sequences(path)] or scans
 
 
 def _scans_of_sequences(folder: Path) -> Iterator[ScanFile]:
-    for sequence in folder.iterdir():
-        if not sequence.name.startswith(".") and (sequence / SCAN_FOLDER).is_dir():
-            yield from _scans_in(sequence / SCAN_FOLDER)
+    with os.scandir(folder) as entries:
+        names = [e.name for e in entries if not e.name.startswith(".") and is_folder(e)]
+    for scans in (folder / name / SCAN_FOLDER for name in names):
+        if scans.is_dir():
+            yield from _scans_in(scans)
 
 
-def _scans_in(folder: Path, suffixes: Collection[str] = ()) -> Iterator[ScanFile]:
-    paths = files_in(folder)
-    for path in paths:
-        yield from _as_scan(path, suffixes or suffixes_of(paths))
-
-
-def _as_scan(path: Path, suffixes: Collection[str]) -> Iterator[ScanFile]:
-    suffix = scan_suffix(path)
-    if suffix in suffixes:
-        yield ScanFile(_sequence_of(path.parent), path.name[: -len(suffix)], path)
+def _scans_in(folder: Path) -> Iterator[ScanFile]:
+    suffix_of = {name: scan_suffix(name) for name in names_in(folder)}
+    suffixes, sequence = suffixes_of_scans({*suffix_of.values()}), _sequence_of(folder)
+    for name, suffix in suffix_of.items():
+        if suffix in suffixes:
+            yield ScanFile(sequence, name[: -len(suffix)], folder / name)
 
 
 def _sequence_of(folder: Path) -> str:

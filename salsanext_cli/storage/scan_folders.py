@@ -4,7 +4,6 @@
 import logging
 import os
 from collections.abc import Collection, Iterable
-from itertools import groupby
 from pathlib import Path
 
 from salsanext_cli.errors import NOTICE, NoInputError, first_few
@@ -18,27 +17,26 @@ COMPANIONS = (".label", ".toml", ".yaml", ".md")
 log = logging.getLogger(__name__)
 
 
-def files_in(folder: Path) -> list[Path]:
-    """Return everything in a folder but folders and what is hidden."""
+def names_in(folder: Path) -> list[str]:
+    """Return the names of everything in a folder but folders and what is hidden."""
     # Not is_file(): a link to a scan that is gone must fail when read, not be passed over.
     with os.scandir(folder) as entries:
-        return [folder / e.name for e in entries if not e.name.startswith(".") and not is_folder(e)]
+        return [e.name for e in entries if not e.name.startswith(".") and not is_folder(e)]
 
 
-def suffixes_of(paths: Iterable[Path]) -> tuple[str, ...]:
-    """Return the suffixes that make files scans in the folder that holds these.
+def suffixes_of_scans(found: Collection[str]) -> tuple[str, ...]:
+    """Return the suffixes, of those that `scan_suffix` found in a folder, of the scans in it.
 
     Tables are often something else: they count where there are no clouds, and of one kind only.
     """
-    found = {scan_suffix(path) for path in paths}
-    if not found.isdisjoint(CLOUD_SUFFIXES):
+    if any(suffix in CLOUD_SUFFIXES for suffix in found):
         return CLOUD_SUFFIXES
     return next(((suffix,) for suffix in TABLE_SUFFIXES if suffix in found), ())
 
 
 def require_known(path: Path) -> None:
     """Raise `NoInputError` for a file that is there and of no format of scans."""
-    if present(path) and not scan_suffix(path):
+    if present(path) and not scan_suffix(path.name):
         raise NoInputError(
             path,
             f"a {path.suffix} file, which is not read" if path.suffix else "has no suffix",
@@ -62,10 +60,10 @@ def log_passed_over(source: Path, folders: Iterable[Path], scans: Collection[str
     left = []
     for folder in folders:
         with os.scandir(folder) as entries:
-            # Of a million names nearly all are those of scans.
+            # Of a million names nearly all are those of scans and their labels.
             others = [e for e in entries if e.name not in scans and not e.name.startswith(".")]
+            others = [e for e in others if not e.name.lower().endswith(COMPANIONS)]
             left += [folder / e.name for e in others if not is_folder(e)]
-    left = [path for path in left if path.suffix.lower() not in COMPANIONS]
     if left:
         log.log(NOTICE, "%s: passed over %s", source, counted_by_suffix(left))
     for suffix, paths in _by_suffix(left).items():
@@ -78,9 +76,10 @@ def counted_by_suffix(paths: Iterable[Path]) -> str:
 
 
 def _by_suffix(paths: Iterable[Path]) -> dict[str, list[Path]]:
-    ordered = sorted(paths, key=lambda path: (path.suffix.lower(), path))
-    groups = groupby(ordered, lambda path: path.suffix.lower())
-    return {suffix or "without a suffix": list(group) for suffix, group in groups}
+    groups: dict[str, list[Path]] = {}
+    for path in sorted(paths, key=os.fspath):
+        groups.setdefault(path.suffix.lower(), []).append(path)
+    return {suffix or "without a suffix": groups[suffix] for suffix in sorted(groups)}
 
 
 def nothing_in(source: Path, others: list[Path]) -> NoInputError:

@@ -12,8 +12,14 @@ from salsanext_cli.formats import scan_suffix
 from salsanext_cli.formats.reading import is_folder
 from salsanext_cli.formats.recordings.address import recording_of
 from salsanext_cli.settings_files import shortened
-from salsanext_cli.storage.layout import SUFFIX_OF_FOLDER, ScanFile, find_outputs, find_scans
-from salsanext_cli.storage.scan_folders import files_in
+from salsanext_cli.storage.layout import (
+    SCAN_FOLDER,
+    SUFFIX_OF_FOLDER,
+    ScanFile,
+    find_outputs,
+    find_scans,
+)
+from salsanext_cli.storage.scan_folders import names_in
 from salsanext_cli.storage.stage_records import ScanSource, owner, read_records
 
 LABELLING_STAGES = ("predict", "knn-refine", "uncertainty")
@@ -148,7 +154,9 @@ def _scans_of_sequence(
         return scans + _scans_named_themselves(source, {scan.stem for scan in scans})
     root = dataset or Path(os.environ.get(DATASET_VARIABLE, ""))
     if (root / "sequences").is_dir():
-        return find_scans(root, [sequence])
+        own = root / "sequences" / sequence / SCAN_FOLDER
+        # Not all of a data set once for each of its sequences.
+        return find_scans(own) if is_folder(own) else find_scans(root, [sequence])
     looked_in = shortened(str(dataset or folder or root.absolute()), MAX_PATH_SHOWN)
     raise NoInputError(
         out / "sequences" / sequence,
@@ -161,8 +169,9 @@ def _scans_of_sequence(
 def _scans_named_themselves(source: ScanSource, found: Container[str]) -> list[ScanFile]:
     """Return the files of a folder that were asked for by name and are no scans otherwise."""
     wanted = {stem for stem in source.stems if stem not in found}
-    tables = files_in(Path(source.folder)) if wanted else []
-    scans = [scan for path in tables if scan_suffix(path) for scan in find_scans(path)]
+    folder = Path(source.folder)
+    tables = [name for name in names_in(folder) if scan_suffix(name)] if wanted else []
+    scans = [scan for name in tables for scan in find_scans(folder / name)]
     return [scan for scan in scans if scan.stem in wanted]
 
 

@@ -57,14 +57,16 @@ class WrittenFiles:
         """Record a file below the folder as it is now."""
         self._append(path, path.lstat())
 
-    def others(self, paths: Iterable[Path]) -> list[Path]:
+    def others(self, paths: Iterable[Path], states: States | None = None) -> list[Path]:
         """Return those of some files that are there and not as salsanext wrote them.
 
         They were changed since, are not recorded, or are reached through a link below the folder.
-        An empty file, as a power cut leaves it, counts as one of ours.
+        An empty file, as a power cut leaves it, counts as one of ours. Who asks often gives the
+        `states` that he has read once.
         """
         there = {path: path.lstat() for path in paths if os.path.lexists(path)}
-        states = self._states() if there else {}
+        if states is None:
+            states = self.states() if there else {}
         return [
             path
             for path, status in there.items()
@@ -106,13 +108,14 @@ class WrittenFiles:
 
     def recorded(self) -> list[Path]:
         """Return every recorded file that is there, whatever became of it, sorted."""
-        return sorted(path for path in self._states() if os.path.lexists(path))
+        return sorted(path for path in self.states() if os.path.lexists(path))
 
     def _behind_link(self, path: Path) -> bool:
         above = path.relative_to(self.folder).parents[:-1]
         return path.is_symlink() or any((self.folder / part).is_symlink() for part in above)
 
-    def _states(self) -> States:
+    def states(self) -> States:
+        """Read what is recorded."""
         states: States = {}
         for record in sorted((self.folder / RECORDS).glob("*.tsv")):
             with reading(record) as file:

@@ -11,7 +11,7 @@ import signal
 import subprocess
 import sys
 import traceback
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from importlib import import_module
 from pathlib import Path
 from types import SimpleNamespace
@@ -117,7 +117,36 @@ def training(folder: Path) -> Run:
     return lambda run: train(data, run, recipe=recipe, sensor=SMALL, device="cpu")
 
 
-JOBS: dict[str, Callable[[Path], Run]] = {"overwriting": overwriting, "training": training}
+def streets(folder: Path) -> Run:
+    """Return runs of `synth` of two streets of three points, which replace another data set."""
+    from salsanext_cli.records import Scan
+    from salsanext_cli.stages import synth
+    from salsanext_cli.synthesis.drive import Frame
+
+    def record(seed: int, sequence: int, scans: int, *_: object) -> Iterator[Frame]:
+        scan = Scan(np.full((3, 3), seed, np.float32), np.zeros(3, np.float32))
+        for index in range(scans):
+            yield Frame(scan, np.array([40, 40, 10], np.uint32), np.eye(4), float(index))
+
+    synth.record = record  # type: ignore[assignment]
+    synth.import_open3d = lambda: None  # type: ignore[assignment,return-value]
+
+    def run(out: Path) -> None:
+        if not (out / synth.MANIFEST).exists():
+            synth.synthesise(out, train=1, valid=0, scans=1, seed=1)
+        if json.loads((out / synth.MANIFEST).read_text())["settings"]["seed"] == 1:
+            synth.synthesise(out, train=1, valid=1, scans=2, overwrite=True)
+        # Without --overwrite it goes on, or finds all there.
+        synth.synthesise(out, train=1, valid=1, scans=2)
+
+    return run
+
+
+JOBS: dict[str, Callable[[Path], Run]] = {
+    "overwriting": overwriting,
+    "streets": streets,
+    "training": training,
+}
 
 
 def kills_of(folder: Path, *jobs: str) -> list[int]:
@@ -140,13 +169,15 @@ def kills_of(folder: Path, *jobs: str) -> list[int]:
 
 def test_a_few_kills(tmp_path: Path) -> None:
     """In one process, since importing torch takes most of the time."""
-    overwriting, training = kills_of(tmp_path, "overwriting:20", "training:40")
+    jobs = ("overwriting:20", "training:40", "streets:3")
+    overwriting, training, streets = kills_of(tmp_path, *jobs)
     assert overwriting >= 2
+    assert streets >= 10
     assert training >= 1
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("job", ["overwriting", "training"])
+@pytest.mark.parametrize("job", ["overwriting", "streets", "training"])
 def test_kills_at_every_step(tmp_path: Path, job: str) -> None:
     (found,) = kills_of(tmp_path, f"{job}:1")
     assert found > 30

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import yaml
 
 from salsanext_cli.storage.files.atomic import TEMPORARY
 from salsanext_cli.storage.written_files import RECORDS
@@ -53,6 +54,7 @@ WHOLE: dict[str, Callable[[Path], Any]] = {
     ".ply": _is_ply,
     ".npy": lambda path: np.load(path),
     ".json": lambda path: json.loads(path.read_text()),
+    ".yaml": lambda path: yaml.safe_load(path.read_text()),
     ".toml": lambda path: tomllib.loads(path.read_text()),
     ".txt": lambda path: path.read_text().endswith("\n"),
     ".png": _is_png,

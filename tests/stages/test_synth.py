@@ -18,6 +18,7 @@ from salsanext_cli.formats.clouds.kitti import read_bin
 from salsanext_cli.stages import synth
 from salsanext_cli.stages.synth import synthesise
 from salsanext_cli.storage.files.atomic import MARK, write_bytes
+from salsanext_cli.storage.files.locks import locked
 from salsanext_cli.storage.layout import find_scans
 from salsanext_cli.storage.stage_records import as_json
 from salsanext_cli.storage.written_files import WrittenFiles
@@ -175,6 +176,53 @@ def test_only_a_synthetic_data_set_is_replaced_and_only_when_told(again):
     }
     assert notes.read_text() == "mine"
     replace()
+
+
+def test_an_interrupted_run_goes_on(quick, tmp_path, monkeypatch):
+    """And says in the end what an undisturbed one says, and makes nothing that is there."""
+    how = {"train": 1, "valid": 1, "scans": 2}
+    made, expected = synthesise(tmp_path / "whole", **how), files_below(tmp_path / "whole")
+
+    def stop(done, total):
+        if done == stop_at:
+            raise KeyboardInterrupt
+
+    for stop_at in range(1, 5):
+        out = tmp_path / f"{stop_at}"
+        with pytest.raises(KeyboardInterrupt):
+            synthesise(out, **how, progress=stop)
+        (out / f".{'0' * 32}.part").write_bytes(b"of a killed process")
+        before = {path: path.stat().st_mtime_ns for path in out.rglob("0*.*")}
+        assert len(before) == 2 * stop_at
+        assert synthesise(out, **how) == made
+        assert files_below(out) == expected | {f".{'0' * 32}.part": b"of a killed process"}
+        assert before == {path: path.stat().st_mtime_ns for path in before}
+    # What is whole needs nothing any more, and is found by another version too.
+    monkeypatch.setitem(sys.modules, "open3d", None)
+    monkeypatch.setattr(synth, "__version__", "99")
+    assert synthesise(tmp_path / "whole", **how) == made
+    assert files_below(tmp_path / "whole") == expected
+
+
+def test_what_was_begun_otherwise_is_not_completed(quick, tmp_path, monkeypatch):
+    """By other settings, another version, beside another run, or where a file was edited since."""
+    out, how = tmp_path / "out", {"train": 1, "valid": 0, "scans": 2}
+    synthesise(out, **how)
+    (out / "labels.yaml").unlink()
+    before = files_below(out)
+    with pytest.raises(OutputError, match=r"synth\.json .* seed was 0 and is 1 .* --overwrite"):
+        synthesise(out, **how, seed=1)
+    with monkeypatch.context() as patched:
+        patched.setattr(synth, "__version__", "99")
+        with pytest.raises(OutputError, match=r'version was .* and is "99"'):
+            synthesise(out, **how)
+    with locked(out / synth.LOCK), pytest.raises(OutputError, match="another run of `synth`"):
+        synthesise(out, **how)
+    assert files_below(out) == before
+    (out / "sequences/00/labels/000000.label").write_bytes(b"corrected")
+    with pytest.raises(OutputError, match=r"000000\.label · .*was changed"):
+        synthesise(out, **how)
+    assert not (out / "labels.yaml").exists()
 
 
 @pytest.mark.parametrize(

@@ -2,8 +2,7 @@
 """Files that labelling tools have written, and the scans that they belong to."""
 
 import os
-import re
-from collections.abc import Sequence
+from collections.abc import Iterable
 from pathlib import Path
 
 from salsanext_cli.errors import LabelError, NoInputError, first_few
@@ -54,7 +53,28 @@ def _files_below(folder: Path) -> list[Path]:
     return found
 
 
-def scan_of_edited(path: Path, source: Path, scans: Sequence[ScanFile]) -> ScanFile:
+class ScanNames:
+    """Scans of a data set by their stems, for `scan_of_edited`."""
+
+    def __init__(self, scans: Iterable[ScanFile]) -> None:
+        self.of_stem: dict[str, list[ScanFile]] = {}
+        for scan in scans:
+            self.of_stem.setdefault(scan.stem, []).append(scan)
+        self.sequences = {scan.sequence for group in self.of_stem.values() for scan in group}
+
+    def only(self) -> ScanFile | None:
+        """Return the scan of a data set of one."""
+        groups = [*self.of_stem.values()]
+        return groups[0][0] if len(groups) == len(groups[0]) == 1 else None
+
+    def within(self, sequence: str | None, stems: Iterable[str]) -> list[ScanFile]:
+        """Return the scans of some stems, in one sequence if it is named."""
+        found = [scan for stem in stems for scan in self.of_stem.get(stem, ())]
+        found = [scan for scan in found if sequence in (None, scan.sequence)]
+        return sorted(found, key=lambda scan: (scan.sequence, scan.stem))
+
+
+def scan_of_edited(path: Path, source: Path, names: ScanNames) -> ScanFile:
     """Return the scan that an edited file belongs to.
 
     It is the only scan there is, if a single file was named; or the only one of that stem, or else
@@ -67,31 +87,27 @@ def scan_of_edited(path: Path, source: Path, scans: Sequence[ScanFile]) -> ScanF
         The file, absolute.
     source : Path
         The file or folder that was named.
-    scans : sequence of ScanFile
-        All scans of the data set.
+    names : ScanNames
+        All scans of the data set, of which there is one at least.
 
     Raises
     ------
     LabelError
         If there is none, or several.
     """
-    single = not is_folder(source)
-    if single and len(scans) == 1:
-        return scans[0]
-    sequence = _sequence_of(path, source, {scan.sequence for scan in scans})
-    within = [scan for scan in scans if sequence in (None, scan.sequence)]
-    fitting = [scan for scan in within if scan.stem == path.stem] or [
-        scan for scan in within if _has_word(path.stem, scan.stem)
-    ]
+    if not is_folder(source) and (only := names.only()):
+        return only
+    sequence = _sequence_of(path, source, names.sequences)
+    fitting = names.within(sequence, [path.stem]) or names.within(sequence, _words(path.stem))
     if len(fitting) > 1:
-        fitting = [scan for scan in fitting if _has_word(path.stem, scan.sequence)] or fitting
+        fitting = [scan for scan in fitting if scan.sequence in _words(path.stem)] or fitting
     if len(fitting) == 1:
         return fitting[0]
     where = "" if sequence is None else f" in sequence {sequence}"
-    names = first_few([f"{scan.sequence}/{scan.stem}" for scan in fitting])
+    several = first_few([f"{scan.sequence}/{scan.stem}" for scan in fitting])
     raise LabelError(
         path,
-        f"may belong to {names}" if fitting else f"belongs to no scan{where}",
+        f"may belong to {several}" if fitting else f"belongs to no scan{where}",
         "the name of one scan, alone or as a word, as in `000010 - Cloud.ply`",
         "put it into a folder with the name of its sequence" if fitting else "rename it",
     )
@@ -112,5 +128,9 @@ def _sequence_of(path: Path, source: Path, sequences: set[str]) -> str | None:
     return None
 
 
-def _has_word(text: str, word: str) -> bool:
-    return bool(re.search(rf"(?<![^\W_]){re.escape(word)}(?![^\W_])", text))
+def _words(text: str) -> set[str]:
+    """Return every part of a name that no letter or digit touches."""
+    borders = range(len(text) + 1)
+    starts = [i for i in borders if not text[:i][-1:].isalnum()]
+    ends = [i for i in borders if not text[i:][:1].isalnum()]
+    return {text[start:end] for start in starts for end in ends if start < end}

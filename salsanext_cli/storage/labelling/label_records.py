@@ -19,7 +19,7 @@ from salsanext_cli.formats.reading import present, reading
 from salsanext_cli.storage.files.json_files import encode_json, read_json
 from salsanext_cli.storage.layout import SCAN_FOLDER, ScanFile
 from salsanext_cli.storage.selection import data_set_of
-from salsanext_cli.storage.written_files import WrittenFiles
+from salsanext_cli.storage.written_files import States, WrittenFiles
 
 PICKED, GUESSES = "pick.json", "guesses"
 """Record of `pick`, and its key for the digests."""
@@ -58,6 +58,10 @@ class LabelRecords:
     def _imported(self) -> dict[str, Any]:
         return _table(self.root / IMPORTED, "scans")
 
+    @cached_property
+    def _states(self) -> States:
+        return WrittenFiles(self.root).states()
+
     def is_guess(self, scan: ScanFile, digest: str) -> bool:
         """Say whether labels with a SHA-256 are those that a network guessed for a scan."""
         return self._guesses.get(name_of(scan)) == digest
@@ -87,7 +91,8 @@ class LabelRecords:
         more = imported and contradicted > (before if isinstance(before, int) else 0)
         if (lost or more) and present(path):
             return False
-        return not WrittenFiles(self.root).others([path]) or self.holds_guess(scan)
+        changed = WrittenFiles(self.root).others([path], self._states)
+        return not changed or self.holds_guess(scan)
 
     def write(self, scan: ScanFile, content: bytes, about: Mapping[str, Any]) -> None:
         """Write the imported label file of a scan, and record it and what is known about it."""

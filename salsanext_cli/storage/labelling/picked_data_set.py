@@ -22,7 +22,7 @@ from salsanext_cli.sensors import Sensor
 from salsanext_cli.storage.files.atomic import MARK, sweep
 from salsanext_cli.storage.files.json_files import read_json
 from salsanext_cli.storage.files.locks import locked
-from salsanext_cli.storage.labelling.label_records import IMPORTED, PICKED, digest_of_file
+from salsanext_cli.storage.labelling.label_records import IMPORTED, PICKED, digest_of_file, name_of
 from salsanext_cli.storage.labelling.picked_scans import STAGE, PickedScan, PickRecord
 from salsanext_cli.storage.layout import SCAN_FOLDER, ScanFile, find_scans, output_path
 from salsanext_cli.storage.stage_records import require_same_settings
@@ -74,28 +74,30 @@ class PickedDataSet:
 
         Their intensity is that of the file; bytes are divided by 255.
         """
-        if scan_suffix(file.path) == ".bin" and sensor.columns in COPIED_COLUMNS:
+        if scan_suffix(file.path.name) == ".bin" and sensor.columns in COPIED_COLUMNS:
             with reading(file.path) as source:
                 content = source.read()
         else:
             content = encode_bin(read_scan(file.path, replace(sensor, intensity_scale=1.0)))
         self.write_missing(self.paths(file.sequence, file.stem).points, content)
 
-    def write_guess(self, file: ScanFile, labels: bytes) -> None:
-        """Write the labels of a scan that the network guessed, and record that they are a guess.
+    def write_guesses(self, labels: Mapping[ScanFile, bytes]) -> None:
+        """Write the labels of scans that the network guessed, and record that they are guesses.
 
         It is recorded first: in a run that is cut off nothing passes for labels of a person.
         """
-        path, record = self.paths(file.sequence, file.stem).labels, self._record()
-        if filled(path):
+        paths = {file: self.paths(file.sequence, file.stem).labels for file in labels}
+        missing = {file: content for file, content in labels.items() if not filled(paths[file])}
+        if not missing:
             return
-        if record is None:
+        if (record := self._record()) is None:
             remedy = "run again"
             raise OutputError(self.out / PICKED, "was removed during the run", remedy=remedy)
-        digest = hashlib.sha256(labels).hexdigest()
-        guesses = {**record.guesses, f"{file.sequence}/{file.stem}": digest}
-        self._write_record(replace(record, guesses=dict(sorted(guesses.items()))))
-        self.write_missing(path, labels)
+        digests = {name_of(file): hashlib.sha256(missing[file]).hexdigest() for file in missing}
+        guesses = dict(sorted({**record.guesses, **digests}.items()))
+        self._write_record(replace(record, guesses=guesses))
+        for file, content in missing.items():
+            self.write_missing(paths[file], content)
 
     def write_label_space(self, space: LabelSpace, picked: Iterable[PickedScan]) -> None:
         """Write the classes; all sequences are those for training."""
