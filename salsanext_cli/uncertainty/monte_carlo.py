@@ -109,7 +109,9 @@ def openvino_passes(
 ) -> Iterator[tuple[Float, Float]]:
     """Yield softmax (C, H, W) and entropy (H, W) of every pass, with the padding."""
     threads = thread_count()
-    trunk = network.graph("trunk", SegmentationNetwork.padded_trunk, lambda: [network.example_input()])
+    trunk = network.graph(
+        "trunk", SegmentationNetwork.padded_trunk, lambda: [network.example_input()]
+    )
     features = trunk(network.input_array(channels))
     rest = network.graph(
         "rest",
