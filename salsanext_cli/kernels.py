@@ -20,6 +20,7 @@ import numba
 import numpy as np
 import numpy.typing as npt
 from numba.core.caching import FunctionCache
+from numba.core.runtime.nrt import rtsys
 from numba.core.serialize import dumps
 
 from salsanext_cli.settings_files import words_of
@@ -70,8 +71,11 @@ class KernelCache(FunctionCache):
     failed = False
 
     def load_overload(self, sig: Any, target_context: Any) -> Any:
-        """Return the compiled kernel of a signature; None if there is none that can be used."""
-        target_context.refresh()
+        """Return the compiled kernel of a signature; None if there is none that can be used.
+
+        Compiled code needs numba's memory only; who compiles loads the compiler's libraries itself.
+        """
+        rtsys.initialize(target_context)
         codegen = target_context.codegen()
         try:
             file = self._file(sig, codegen)

@@ -311,11 +311,14 @@ def test_the_documented_way_of_one_scan_visits_these_files_in_order(world, monke
     original = stage.predict_scan
 
     def followed(*arguments, **options):
-        sys.setprofile(note)
-        try:
-            return original(*arguments, **options)
-        finally:
-            sys.setprofile(None)
+        steps = original(*arguments, **options)
+        for _ in range(3):
+            sys.setprofile(note)
+            try:
+                found = next(steps)
+            finally:
+                sys.setprofile(None)
+            yield found
 
     monkeypatch.setattr(stage, "predict_scan", followed)
     stage.predict_scans(world.scan(), world.out, network=network)

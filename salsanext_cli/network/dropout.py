@@ -9,6 +9,8 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
 
+from salsanext_cli.errors import WeightsError
+
 Draw = Callable[[int, float], Tensor]
 """Function of a number of channels and a rate: factors of the channels, (B, C) float32."""
 _DRAW: ContextVar[Draw | None] = ContextVar("_DRAW", default=None)
@@ -43,6 +45,15 @@ class ChannelDropout(nn.Module):
 def dropouts(module: nn.Module) -> list[ChannelDropout]:
     """Return the dropout layers of a network that drop anything, in order of definition."""
     return [m for m in module.modules() if isinstance(m, ChannelDropout) and m.rate > 0]
+
+
+def require_dropout(module: nn.Module) -> float:
+    """Return the dropout rate; `WeightsError` for a network that drops nothing."""
+    if not (layers := dropouts(module)):
+        found = "a network without dropout"
+        remedy = "`salsanext tune dropout` finds one"
+        raise WeightsError("weights", found, "a dropout rate above 0", remedy)
+    return layers[0].rate
 
 
 def drawn(generators: Sequence[torch.Generator]) -> Draw:

@@ -46,7 +46,11 @@ class SegmentationNetwork(nn.Module):
     def forward(self, image: Tensor) -> Tensor:
         """Map a normalised range image (B, 5, H, W) to logits (B, C, H, W); any H, W."""
         height, width = image.shape[-2:]
-        return self.rest(*self.trunk(self.pad(image)))[..., :height, :width]
+        return self.rest(*self.padded_trunk(image))[..., :height, :width]
+
+    def padded_trunk(self, image: Tensor) -> tuple[Tensor, ...]:
+        """Compute what `trunk` does of an image (B, 5, H, W) of any size, padded."""
+        return self.trunk(self.pad(image))
 
     def pad(self, image: Tensor) -> Tensor:
         """Extend (B, 5, H, W) to what `stride` divides: around the circle, and by empty rows."""

@@ -5,6 +5,7 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from functools import partial
+from inspect import isgeneratorfunction
 from itertools import islice
 from typing import Any
 
@@ -12,7 +13,7 @@ from salsanext_cli.errors import FormatError, out_of_memory
 from salsanext_cli.inference.device import MAX_BATCH_PIXELS, choose_device
 from salsanext_cli.inference.network import Network
 from salsanext_cli.inference.settings import NetworkSettings
-from salsanext_cli.parallel.tasks import Attempt, one_by_one
+from salsanext_cli.parallel.tasks import Attempt, Steps, one_by_one, overlapping
 from salsanext_cli.parallel.worker import own_device
 from salsanext_cli.storage.layout import ScanFile
 
@@ -27,7 +28,8 @@ class NetworkTask:
     Attributes
     ----------
     function : callable
-        Takes a scan file and a network; picklable.
+        Takes a scan file and a network; picklable. It returns the result or yields `Steps`, which
+        overlap on a CPU.
     settings : NetworkSettings
         Resolved: what the workers load.
     network : Network, optional
@@ -52,11 +54,19 @@ class NetworkTask:
         size, several = self.batch or default_batch(network), self.batch_function
         if several is None or (size == 1 and network.device == "cpu"):
 
-            def function(file: ScanFile) -> Any:
+            def steps(file: ScanFile) -> Steps:
+                with named_if_too_large(file, network):
+                    yield from self.function(file, network)
+
+            def whole(file: ScanFile) -> Any:
                 with named_if_too_large(file, network):
                     return self.function(file, network)
 
-            return partial(one_by_one, function)
+            if not isgeneratorfunction(self.function):
+                return partial(one_by_one, whole)
+            if network.device == "cpu":
+                return partial(overlapping, steps)
+            return partial(one_by_one, lambda file: [*steps(file)][-1])
 
         def batched_attempts(files: Iterable[ScanFile]) -> Iterator[Attempt]:
             waiting = iter(files)

@@ -2,6 +2,8 @@
 """Tasks: what a run does to each scan, and what comes of it."""
 
 from collections.abc import Callable, Iterable, Iterator
+from concurrent.futures import Future, ThreadPoolExecutor
+from contextvars import copy_context
 from functools import partial
 from typing import Any, Protocol, runtime_checkable
 
@@ -22,6 +24,9 @@ class OpenableTask(Protocol):
         """Load what all scans need, and return the function that works on them."""
 
 
+Steps = Iterator[Any]
+"""Work on a scan: yields when the scan is read, when its results are computed, and the result."""
+
 Task = Callable[[ScanFile], Any] | OpenableTask
 """Plain function of one scan, or a task that is opened first; both can be pickled."""
 
@@ -38,3 +43,54 @@ def one_by_one(function: Callable[[ScanFile], Any], files: Iterable[ScanFile]) -
             yield file, function(file), None
         except SalsanextError as error:
             yield file, None, error
+
+
+def overlapping(begin: Callable[[ScanFile], Steps], files: Iterable[ScanFile]) -> Iterator[Attempt]:
+    """Attempt scans in order; while one is computed, a thread writes the last and reads the next.
+
+    Parameters
+    ----------
+    begin : callable
+        Returns the steps of a scan, of which the second is done in this thread.
+    files : iterable of ScanFile
+    """
+    pool = ThreadPoolExecutor(1, "salsanext-files")
+    waiting = iter(files)
+
+    def step(file: ScanFile, steps: Steps) -> Attempt:
+        try:
+            return file, next(steps), None
+        except SalsanextError as error:
+            return file, None, error
+
+    def beside(file: ScanFile, steps: Steps) -> Future[Attempt]:
+        return pool.submit(copy_context().run, step, file, steps)
+
+    def read_next() -> tuple[Steps, Future[Attempt]] | None:
+        if (file := next(waiting, None)) is None:
+            return None
+        steps = begin(file)
+        return steps, beside(file, steps)
+
+    try:
+        ahead, last = read_next(), None
+        while ahead:
+            steps, reading = ahead
+            try:
+                file, _, error = reading.result()
+                ahead = read_next()
+                if error is None:
+                    file, _, error = step(file, steps)
+            finally:
+                # Also if this scan is interrupted: the one before has its results.
+                if last:
+                    yield last.result()
+            if error is None:
+                last = beside(file, steps)
+            else:
+                last = Future()
+                last.set_result((file, None, error))
+        if last:
+            yield last.result()
+    finally:
+        pool.shutdown(cancel_futures=True)

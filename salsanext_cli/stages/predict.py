@@ -24,7 +24,7 @@ from salsanext_cli.inference.settings import NetworkSettings
 from salsanext_cli.measures.scan_summary import RunSummary, ScanSummary
 from salsanext_cli.parallel.network_task import NetworkTask, named_if_too_large
 from salsanext_cli.parallel.run import Outcome, RunOptions, run_over_scans
-from salsanext_cli.parallel.tasks import Attempt
+from salsanext_cli.parallel.tasks import Attempt, Steps
 from salsanext_cli.records import Float, RangeImage
 from salsanext_cli.storage.layout import ERROR, ScanFile, with_outputs
 from salsanext_cli.storage.output_run import OutputRun, output_run
@@ -34,13 +34,15 @@ from salsanext_cli.uncertainty.error_features import error_model
 from salsanext_cli.uncertainty.labelling import Labelling, most_probable
 
 
-def predict_scan(file: ScanFile, network: Network, labelling: Labelling) -> ScanSummary:
-    """Label the points of one scan; return numbers about it."""
+def predict_scan(file: ScanFile, network: Network, labelling: Labelling) -> Steps:
+    """Label the points of one scan, in steps; the last yields numbers about it."""
     image, check = _projected(file, network, labelling.output)
+    yield
     softmax = network.probabilities(image, file.path)
+    yield
     labels, rejected = labelling.write(file, image, softmax, network)
     sure = _confidence(image, softmax)
-    return ScanSummary.of_labels(file, labels, network.space, check, rejected, sure)
+    yield ScanSummary.of_labels(file, labels, network.space, check, rejected, sure)
 
 
 def predict_batch(
@@ -154,14 +156,16 @@ def predict_scans(
     return replace(outcome, summary=summary, rejected_points=rejected)
 
 
-def predict_image(file: ScanFile, network: Network, folder: Path, output: OutputRun) -> ScanSummary:
-    """Label the pixels of one range image that `project` wrote into a folder; check it."""
+def predict_image(file: ScanFile, network: Network, folder: Path, output: OutputRun) -> Steps:
+    """Label the pixels of a range image that `project` wrote into a folder, in steps; check it."""
     output.require_replaceable(file)
     path, image = range_image(file, folder, network.sensor)
+    yield
     (probabilities,) = network.pixel_probabilities([image])
     network.require_finite(probabilities, path)
+    yield
     output.write_array(file, "pixel_labels", most_probable(probabilities))
-    return ScanSummary(file, check_image(image, network.sensor, network.card.sensor))
+    yield ScanSummary(file, check_image(image, network.sensor, network.card.sensor))
 
 
 def predict_range_images(

@@ -22,6 +22,7 @@ from salsanext_cli.inference.settings import NetworkSettings
 from salsanext_cli.measures.scan_summary import RunSummary, ScanSummary
 from salsanext_cli.parallel.network_task import NetworkTask
 from salsanext_cli.parallel.run import Failure, Outcome, RunOptions, run_over_scans
+from salsanext_cli.parallel.tasks import Steps
 from salsanext_cli.storage.layout import ERROR, ScanFile
 from salsanext_cli.storage.output_run import OutputRun, output_run
 from salsanext_cli.storage.scan_results import uncertainty_meant, with_column
@@ -44,27 +45,30 @@ def uncertainty_scan(
     knn: KnnParameters,
     estimator: Estimator,
     output: OutputRun,
-) -> ScanSummary:
-    """Estimate the uncertainty of the points of one scan; return numbers about it."""
+) -> Steps:
+    """Estimate the uncertainty of one scan's points, in steps; the last yields numbers about it."""
     output.require_replaceable(file)
     sensor, space, device = network.sensor, network.space, network.device
     image, check = project_checked(file, sensor, device, network.card.sensor)
+    yield
     estimate = estimator.estimate(network, image, file)
     network.require_finite(estimate.probabilities, file.path)
+    # The model of errors was fitted to a single pass.
+    single = network.probabilities(image, file.path) if ERROR in output.folders else None
+    yield
     for kind in estimator.kinds:
         of_pixels = getattr(estimate.uncertainty, kind)
         of_points = points_from_pixels(of_pixels, image.pixel_of_point, np.nan)
         output.write_array(file, f"uncertainty/{kind}", of_points)
     if "predictions" not in output.folders:
-        return ScanSummary(file, check)
+        yield ScanSummary(file, check)
+        return
     pixel_labels = estimate.probabilities.argmax(axis=0)
     labels = knn_refine(image, pixel_labels, space.class_count, knn, device)
-    if ERROR in output.folders:
-        # The model of errors was fitted to a single pass.
-        single = network.probabilities(image, file.path)
+    if single is not None:
         output.write_array(file, ERROR, label_error(network, image, single, labels))
     output.write_labels(file, space.to_raw(labels))
-    return ScanSummary.of_labels(file, labels, space, check)
+    yield ScanSummary.of_labels(file, labels, space, check)
 
 
 def uncertainty(

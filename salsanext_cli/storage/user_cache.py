@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import hashlib
 import logging
+import os
 from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
@@ -64,13 +65,14 @@ def store(name: str, content: bytes) -> bytes:
 
 def _read(path: Path) -> bytes | None:
     try:
-        content = path.read_bytes()
+        with path.open("rb") as file:
+            data = file.read(max(0, os.fstat(file.fileno()).st_size - CHECKSUM_BYTES))
+            checksum = file.read()
     except FileNotFoundError:
         return None
     except OSError as error:
         _say_once(f"{words_of(error)}: going on without it")
         return None
-    data, checksum = content[:-CHECKSUM_BYTES], content[-CHECKSUM_BYTES:]
     if hashlib.sha256(data).digest() == checksum:
         with suppress(OSError):  # a folder that can only be read
             path.touch()

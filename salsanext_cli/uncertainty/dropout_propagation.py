@@ -16,10 +16,11 @@ from torch import Tensor
 
 from salsanext_cli.inference.network import Network
 from salsanext_cli.inference.torch_engine import inference_mode
+from salsanext_cli.network.dropout import require_dropout
 from salsanext_cli.network.segmentation import SegmentationNetwork
 from salsanext_cli.records import RangeImage
 from salsanext_cli.uncertainty.adf import Gaussian, propagate
-from salsanext_cli.uncertainty.estimate import Estimate, entropy, require_dropout, trunk_of
+from salsanext_cli.uncertainty.estimate import Estimate, entropy
 
 SMALLEST_MEAN = 1e-12
 """Least divisor, of a probability."""
@@ -143,7 +144,7 @@ def propagate_dropout(network: Network, image: RangeImage) -> Estimate:
     WeightsError
         If the network drops nothing.
     """
-    rate = require_dropout(network)
+    rate = require_dropout(network.module)
     with inference_mode(network.device):
         if network.engine == "openvino":
             name, inputs = f"dropout moments at {rate}", lambda: [network.example_input()]
@@ -160,7 +161,7 @@ def propagate_dropout(network: Network, image: RangeImage) -> Estimate:
 
 def _moments(module: SegmentationNetwork, image: Tensor) -> tuple[Tensor, Tensor]:
     """Return mean and variance of the logits of an image (B, 5, H, W), with the padding."""
-    features = trunk_of(module, image)
+    features = module.padded_trunk(image)
     certain = (ChannelCorrelatedGaussian(f, torch.zeros_like(f)) for f in features)
     logits = propagate(module.rest, *certain)
     return logits.mean, logits.variance

@@ -8,12 +8,7 @@ from typing import TypeVar
 
 import numpy as np
 import numpy.typing as npt
-from torch import Tensor
 
-from salsanext_cli.errors import WeightsError
-from salsanext_cli.inference.network import Network
-from salsanext_cli.network.dropout import dropouts
-from salsanext_cli.network.segmentation import SegmentationNetwork
 from salsanext_cli.records import Float, Uncertainty
 
 Double = npt.NDArray[np.float64]
@@ -59,17 +54,3 @@ def entropy(probabilities: Values) -> Values:
     # A softmax rounded up to above 1 would have a negative one.
     nats: Values = np.maximum(-(probabilities * logarithms).sum(axis=0), 0)
     return nats
-
-
-def require_dropout(network: Network) -> float:
-    """Return the dropout rate; `WeightsError` for a network that drops nothing."""
-    if not (layers := dropouts(network.module)):
-        found = "a network without dropout"
-        remedy = "`salsanext tune dropout` finds one"
-        raise WeightsError("weights", found, "a dropout rate above 0", remedy)
-    return layers[0].rate
-
-
-def trunk_of(module: SegmentationNetwork, image: Tensor) -> tuple[Tensor, ...]:
-    """Return what lies before the first dropout: features of an image (B, 5, H, W), padded."""
-    return module.trunk(module.pad(image))

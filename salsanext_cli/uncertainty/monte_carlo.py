@@ -14,10 +14,10 @@ from salsanext_cli.inference.device import MAX_BATCH_PIXELS
 from salsanext_cli.inference.network import Network
 from salsanext_cli.inference.torch_engine import inference_mode
 from salsanext_cli.kernels import argument, compiled, parallel_for_slices, thread_count
-from salsanext_cli.network.dropout import drawn, sampling
+from salsanext_cli.network.dropout import drawn, require_dropout, sampling
 from salsanext_cli.network.segmentation import SegmentationNetwork
 from salsanext_cli.records import Float, RangeImage
-from salsanext_cli.uncertainty.estimate import Double, Estimate, entropy, require_dropout, trunk_of
+from salsanext_cli.uncertainty.estimate import Double, Estimate, entropy
 
 PASSES_PER_THREAD = 4
 """Passes that a thread computes before they are added up, in the order of their numbers."""
@@ -109,7 +109,9 @@ def openvino_passes(
 ) -> Iterator[tuple[Float, Float]]:
     """Yield softmax (C, H, W) and entropy (H, W) of every pass, with the padding."""
     threads = thread_count()
-    trunk = network.graph("trunk", trunk_of, lambda: [network.example_input()])
+    trunk = network.graph(
+        "trunk", SegmentationNetwork.padded_trunk, lambda: [network.example_input()]
+    )
     features = trunk(network.input_array(channels))
     rest = network.graph(
         "rest",
@@ -117,7 +119,7 @@ def openvino_passes(
         lambda: _inputs_of_rest(network.module, map(torch.from_numpy, features)),
         streams=threads,
     )
-    rate = require_dropout(network)
+    rate = require_dropout(network.module)
     size = PASSES_PER_THREAD * threads
     for start in range(0, len(seeds), size):
         calls = []
@@ -159,7 +161,7 @@ def torch_passes(
     network: Network, channels: Float, seeds: Sequence[int]
 ) -> Iterator[tuple[Float, Float]]:
     """Yield softmax (C, H, W) and entropy (H, W) of every pass, on a GPU several at once."""
-    features = trunk_of(network.torch_module, network.input(channels))
+    features = network.torch_module.padded_trunk(network.input(channels))
     most = 1 if network.device == "cpu" else MAX_BATCH_PIXELS // features[0].shape[-2:].numel()
     size = max(1, most)
     for start in range(0, len(seeds), size):
@@ -181,7 +183,7 @@ def torch_batch(
 def require_sampling(network: Network, samples: int) -> None:
     """Raise what `sample` raises, before any scan is read."""
     require_samples(samples)
-    require_dropout(network)
+    require_dropout(network.module)
 
 
 def require_samples(samples: int) -> None:

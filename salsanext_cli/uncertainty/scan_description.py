@@ -130,4 +130,4 @@ def pixel_features(network: Network, image: RangeImage) -> Float:
 def _decoded(module: SegmentationNetwork, image: Tensor) -> Tensor:
     """Map a normalised range image (1, 5, H, W) to features (1, D, H, W)."""
     height, width = image.shape[-2:]
-    return module.decoded(*module.trunk(module.pad(image)))[..., :height, :width]
+    return module.decoded(*module.padded_trunk(image))[..., :height, :width]

@@ -9,13 +9,14 @@ from salsanext_cli.errors import UsageError
 from salsanext_cli.geometry.knn import KnnParameters
 from salsanext_cli.geometry.normalise import noise_of
 from salsanext_cli.inference.network import Network
+from salsanext_cli.network.dropout import require_dropout
 from salsanext_cli.records import RangeImage
 from salsanext_cli.sensors import Sensor
 from salsanext_cli.storage.files.json_files import RecordedSettings
 from salsanext_cli.storage.layout import ScanFile
 from salsanext_cli.uncertainty.aleatoric import aleatoric
 from salsanext_cli.uncertainty.dropout_propagation import propagate_dropout
-from salsanext_cli.uncertainty.estimate import Estimate, require_dropout
+from salsanext_cli.uncertainty.estimate import Estimate
 from salsanext_cli.uncertainty.monte_carlo import require_samples, sample, scan_seed
 from salsanext_cli.uncertainty.noisy_copies import noise_variance
 
@@ -76,7 +77,7 @@ class Estimator:
 
     def require(self, network: Network) -> None:
         """Raise what `estimate` raises, before any scan is read."""
-        require_dropout(network)
+        require_dropout(network.module)
         if self.aleatoric != "none":
             noise_of(network.sensor)
 

@@ -5,6 +5,7 @@ import re
 
 import pytest
 from command_line import every_command, only_json, parsed, python
+from scans import files_below, write_sequence
 
 from salsanext_cli import __version__
 from salsanext_cli.cli.app import COMMANDS
@@ -20,6 +21,11 @@ HEAVY = (
     "pandas",
     "joblib",
     "plyfile",
+)
+
+UNUSED_BY_PREDICT = (
+    *("torch", "open3d", "matplotlib", "pandas", "sklearn", "joblib", "plyfile", "rich"),
+    "numba.typed.dictimpl",  # the compiler, not what runs compiled kernels
 )
 
 
@@ -66,6 +72,28 @@ def test_help_imports_nothing_heavy(arguments):
     )
     assert done.returncode == 0, done.stderr
     assert done.stdout.splitlines()[-1] == "HEAVY []"
+
+
+def test_a_second_predict_imports_no_library_that_it_does_not_compute_with(tmp_path):
+    """The first run makes what is cached; what follows is loaded without what compiled it."""
+    write_sequence(tmp_path / "data", ["0"])
+    lines = [["predict", str(tmp_path / "data"), str(tmp_path / str(i)), "-q"] for i in range(3)]
+    code = (
+        "import sys\n"
+        "from salsanext_cli.cli.app import main\n"
+        "for line in {lines!r}:\n"
+        "    sys.argv = ['salsanext', *line, '--device', 'cpu']\n"
+        "    try:\n        main()\n"
+        "    except SystemExit as leaving:\n        assert not leaving.code\n"
+        "print([name for name in {unused!r} if name in sys.modules])\n"
+    )
+    first = python(code.format(lines=[[*lines[0], "--error"]], unused=UNUSED_BY_PREDICT))
+    assert first.returncode == 0, first.stderr
+    again = python(code.format(lines=[lines[1], [*lines[2], "--error"]], unused=UNUSED_BY_PREDICT))
+    assert (again.returncode, again.stdout) == (0, "[]\n"), again.stdout + again.stderr
+    results = [files_below(tmp_path / str(i) / "sequences") for i in range(3)]
+    assert results[0] == results[2]
+    assert results[1].items() < results[2].items()
 
 
 def test_the_list_of_commands_needs_no_rich():
