@@ -21,9 +21,11 @@ MIN_RANGE_M = 1.0
 """Range below which only housing and mount were seen, of four vehicles; the street began at 1.3."""
 FARTHEST_M = 3.0
 """Farthest body of a vehicle that is sought."""
-MIN_SCANS = 3
+MIN_SCANS = 5
 AZIMUTHS, ELEVATIONS = 120, 120
 """Cells around, and from straight down to straight up."""
+MIN_CELLS = 5
+"""Fewest cells of a body; of SemanticKITTI's car, which is not seen, was one by chance."""
 CENTRES = ((np.arange(ELEVATIONS) + 0.5) / ELEVATIONS - 0.5) * np.pi
 TOLERANCE_M = 0.1
 """Largest difference between the nearest range of a cell and its usual one, if it stays."""
@@ -77,15 +79,16 @@ def fit_ego_box(scans: Sequence[Scan], sensor: Sensor) -> tuple[float, ...]:
     far = always & rises & (usual > FARTHEST_M)
     if not far.any() or (stays[far] >= STAYS).mean() > MOVING:
         return ()
-    reach = np.where(always & (usual <= FARTHEST_M) & (stays >= STAYS), usual + TOLERANCE_M, 0)
+    body_cells = always & rises & (usual <= FARTHEST_M) & (stays >= STAYS)
+    if body_cells.sum() < MIN_CELLS:
+        return ()
+    reach = np.where(body_cells, usual + TOLERANCE_M, 0)
     body = []
     for scan in upright:
         cells, ranges = _in_cells(scan.points)
         own = (ranges < reach[cells]) & (scan.points[:, 2] > least_z)
         body.append(scan.points[own])
     points = np.concatenate(body)
-    if not len(points):
-        return ()
     lowest, highest = points.min(axis=0) - MARGIN_M, points.max(axis=0) + MARGIN_M
     if (highest - lowest)[:2].min() > WIDEST_M:
         return ()
