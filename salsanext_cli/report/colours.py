@@ -10,10 +10,10 @@ import numpy as np
 import numpy.typing as npt
 
 from salsanext_cli.classes import LabelSpace
-from salsanext_cli.report.colour_difference import colour_difference, linear_rgb
 from salsanext_cli.storage.layout import COLOURINGS
 
 Colours = npt.NDArray[np.uint8]
+Values = npt.NDArray[np.float64]
 Legend = Sequence[tuple[str, tuple[int, int, int]]]
 """Names with their red, green, blue."""
 
@@ -35,6 +35,14 @@ APART = np.frombuffer(
     np.uint8,
 ).reshape(-1, 3)
 """Colours that differ by `LEAST_DIFFERENCE` or more, near SemanticKITTI's if they can, (32, 3)."""
+XYZ = np.array(
+    [
+        [0.4124564, 0.3575761, 0.1804375],
+        [0.2126729, 0.7151522, 0.0721750],
+        [0.0193339, 0.1191920, 0.9503041],
+    ]
+)
+"""From linear sRGB to CIE XYZ."""
 RIGHT = (92, 100, 112)
 WRONG = (255, 72, 48)
 """Colours of points with a right and with a wrong label."""
@@ -110,9 +118,9 @@ def on_dark(colours: npt.ArrayLike) -> Colours:
     return found
 
 
-def _luminance(colours: npt.NDArray[Any]) -> npt.NDArray[np.float64]:
+def _luminance(colours: npt.NDArray[Any]) -> Values:
     """Return the relative luminance of sRGB, to which WCAG 2 adds the light of a room."""
-    luminance: npt.NDArray[np.float64] = linear_rgb(colours) @ (0.2126, 0.7152, 0.0722) + 0.05
+    luminance: Values = _linear(colours) @ (0.2126, 0.7152, 0.0722) + 0.05
     return luminance
 
 
@@ -155,6 +163,63 @@ def _least_difference(colours: Colours) -> float:
     """Return the least difference of two of (N, 3) colours; infinity if there are no two."""
     first, second = np.triu_indices(len(colours), 1)
     return float(colour_difference(colours[first], colours[second]).min(initial=np.inf))
+
+
+def _linear(colours: npt.NDArray[Any]) -> Values:
+    """Return the light of sRGB values of 0 to 255, from 0 to 1."""
+    share = colours / 255
+    light: Values = np.where(share > 0.04045, ((share + 0.055) / 1.055) ** 2.4, share / 12.92)
+    return light
+
+
+def colour_difference(first: Colours, second: Colours) -> Values:
+    """Return the CIEDE2000 difference of sRGB colours, (…, 3) each, which are broadcast."""
+    return lab_difference(lab_of(first), lab_of(second))
+
+
+def lab_of(colours: Colours) -> Values:
+    """Return CIELAB coordinates of sRGB colours, under the white of sRGB."""
+    xyz = _linear(colours) @ XYZ.T / XYZ.sum(axis=1)
+    root = np.where(xyz > (6 / 29) ** 3, np.cbrt(xyz), xyz * (29 / 6) ** 2 / 3 + 4 / 29)
+    x, y, z = np.moveaxis(root, -1, 0)
+    return np.stack([116 * y - 16, 500 * (x - y), 200 * (y - z)], axis=-1)
+
+
+def lab_difference(first: Values, second: Values) -> Values:
+    """Return the difference of CIELAB colours, (…, 3) each, by CIEDE2000.
+
+    Sharma, Wu and Dalal, The CIEDE2000 color-difference formula, Color Research & Application 30
+    (2005), 21.
+    """
+    (l1, a1, b1), (l2, a2, b2) = np.moveaxis(first, -1, 0), np.moveaxis(second, -1, 0)
+    stretch = 1.5 - _saturation((np.hypot(a1, b1) + np.hypot(a2, b2)) / 2) / 2
+    c1, c2 = np.hypot(stretch * a1, b1), np.hypot(stretch * a2, b2)
+    h1, h2 = np.arctan2(b1, stretch * a1), np.arctan2(b2, stretch * a2)
+    coloured = c1 * c2 > 0
+    turn = np.where(coloured, (h2 - h1 + np.pi) % (2 * np.pi) - np.pi, 0)
+    hue = np.where(coloured, h1 + turn / 2, h1 + h2)
+    lightness, chroma = (l1 + l2) / 2, (c1 + c2) / 2
+    weight = (
+        1
+        - 0.17 * np.cos(hue - np.radians(30))
+        + 0.24 * np.cos(2 * hue)
+        + 0.32 * np.cos(3 * hue + np.radians(6))
+        - 0.20 * np.cos(4 * hue - np.radians(63))
+    )
+    middle = (lightness - 50) ** 2
+    lighter = (l2 - l1) / (1 + 0.015 * middle / np.sqrt(20 + middle))
+    stronger = (c2 - c1) / (1 + 0.045 * chroma)
+    turned = 2 * np.sqrt(c1 * c2) * np.sin(turn / 2) / (1 + 0.015 * chroma * weight)
+    blue = np.exp(-(((np.degrees(hue) % 360 - 275) / 25) ** 2))
+    rotation = -2 * _saturation(chroma) * np.sin(np.radians(60) * blue)
+    squares = lighter**2 + stronger**2 + turned**2 + rotation * stronger * turned
+    difference: Values = np.sqrt(squares)
+    return difference
+
+
+def _saturation(chroma: Values) -> Values:
+    root: Values = np.sqrt(chroma**7 / (chroma**7 + 25.0**7))
+    return root
 
 
 @cache
