@@ -17,7 +17,7 @@ from salsanext_cli.settings_files import shortened
 from salsanext_cli.storage.files.atomic import MARK, sweep, sweep_stale
 from salsanext_cli.storage.files.json_files import encode_json, read_json
 from salsanext_cli.storage.files.locks import locked
-from salsanext_cli.storage.layout import SCAN_FOLDER, ScanFile, find_scans
+from salsanext_cli.storage.layout import SCAN_FOLDER, ScanFile, find_scans, require_none_hidden
 from salsanext_cli.storage.written_files import WrittenFiles
 
 TIMES = "times.txt"
@@ -73,6 +73,7 @@ def convert(
     chosen = whole[::every][:limit] + (listed[len(whole) :] if limit is None else [])
     sequence = folder / "sequences" / listed[0].sequence
     place, written = sequence / SCAN_FOLDER, WrittenFiles(folder)
+    require_none_hidden(folder)
     with locked(sequence / LOCK, stage="convert"):
         _require_own(place, written, listed)
         _require_same_source(sequence / MANIFEST, written, listed[0])

@@ -8,7 +8,7 @@ from itertools import groupby
 from pathlib import Path
 
 from salsanext_cli.errors import NoInputError, OutputError
-from salsanext_cli.formats import CLOUD_SUFFIXES, scan_suffix
+from salsanext_cli.formats import CLOUD_SUFFIXES, TABLE_SUFFIXES, scan_suffix
 from salsanext_cli.formats.reading import is_folder, present, reason
 from salsanext_cli.formats.recordings.address import (
     recording_of,
@@ -44,6 +44,8 @@ SUFFIX_OF_FOLDER = {
 """Folders of a sequence in an output folder, and the suffix of the files in each."""
 
 SCAN_FOLDER = "velodyne"
+OWN_TABLES = ("scores.txt", "log.csv", "picked.csv")
+"""Files of `eval`, `train` and `pick` that are no scans where they lie beside some."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -125,27 +127,53 @@ def _scans_of(path: Path) -> Iterator[ScanFile]:
         path.stat()
         if suffix := scan_suffix(path.name):
             yield ScanFile(_sequence_of(path.parent), path.name[: -len(suffix)], path)
-    elif (path / "sequences").is_dir():
-        yield from _scans_of_sequences(path / "sequences")
-    elif (path / SCAN_FOLDER).is_dir():
-        yield from _scans_in(path / SCAN_FOLDER)
     else:
-        scans = list(_scans_in(path))
-        clouds = any(scan_suffix(scan.path.name) in CLOUD_SUFFIXES for scan in scans[:1])
-        # Tables beside the folders of sequences are something else.
-        yield from scans if clouds else [*_scans_of_sequences(path)] or scans
+        # What holds no scans hides none: `sequences` may be of results beside them.
+        yield from (
+            [*_scans_of_sequences(path / "sequences")]
+            or [*_scans_in(path / SCAN_FOLDER)]
+            or _scans_at(path)
+        )
+
+
+def require_none_hidden(root: Path) -> None:
+    """Refuse to write sequences with scans into a folder in which other scans are found.
+
+    Raises
+    ------
+    OutputError
+        If these would not be found beside ``sequences`` any more.
+    """
+    place = _absolute(root)
+    first = next(_scans_of(place), None) if place.is_dir() else None
+    if first is None or scan_suffix(first.path.name) in TABLE_SUFFIXES:
+        return
+    if place / "sequences" not in first.path.parents:
+        found = f"holds scans, such as {first.path.name}, which `sequences` there would hide"
+        remedy = "give another, such as data/"
+        raise OutputError(root, found, "an output folder of its own", remedy)
+
+
+def _scans_at(path: Path) -> list[ScanFile]:
+    """Return the scans in a folder itself, else in folders of sequences."""
+    scans = [*_scans_in(path)]
+    clouds = any(scan_suffix(scan.path.name) in CLOUD_SUFFIXES for scan in scans[:1])
+    # Tables beside the folders of sequences are something else.
+    return scans if clouds else [*_scans_of_sequences(path)] or scans
 
 
 def _scans_of_sequences(folder: Path) -> Iterator[ScanFile]:
+    if not folder.is_dir():
+        return
     with os.scandir(folder) as entries:
         names = [e.name for e in entries if not e.name.startswith(".") and is_folder(e)]
-    for scans in (folder / name / SCAN_FOLDER for name in names):
-        if scans.is_dir():
-            yield from _scans_in(scans)
+    for name in names:
+        yield from _scans_in(folder / name / SCAN_FOLDER)
 
 
 def _scans_in(folder: Path) -> Iterator[ScanFile]:
-    suffix_of = {name: scan_suffix(name) for name in names_in(folder)}
+    names = names_in(folder) if folder.is_dir() else []
+    suffix_of = {name: scan_suffix(name) for name in names if name not in OWN_TABLES}
     suffixes, sequence = suffixes_of_scans({*suffix_of.values()}), _sequence_of(folder)
     for name, suffix in suffix_of.items():
         if suffix in suffixes:

@@ -176,3 +176,14 @@ def test_one_output_folder_is_for_one_topic(tmp_path):
     project_scans(path / "a", tmp_path / "out", sensor=SMALL, selection=ScanSelection(limit=1))
     with pytest.raises(OutputError, match="use another output folder"):
         project_scans(path / "b", tmp_path / "out", sensor=SMALL)
+
+
+def test_a_recording_is_not_converted_into_a_folder_of_other_scans(bag, tmp_path):
+    """Where these would not be found any more."""
+    folder = tmp_path / "scans"
+    convert(bag, tmp_path / "data", limit=1)
+    (tmp_path / "data/sequences/drive/velodyne").rename(folder)
+    before = files_below(folder)
+    with pytest.raises(OutputError, match=r"holds scans, such as \d+\.bin, which .* hide"):
+        convert(bag, folder)
+    assert files_below(folder) == before

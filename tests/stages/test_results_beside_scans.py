@@ -1,0 +1,92 @@
+# SPDX-License-Identifier: MIT
+"""Results in the folder of the scans themselves, or above or below it, hide no scans."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from command_line import only_json
+from scans import make_scan, write_sequence
+from typer.testing import CliRunner
+
+from salsanext_cli.cli.app import app
+from salsanext_cli.errors import OutputError
+from salsanext_cli.storage.layout import find_scans, require_none_hidden
+from salsanext_cli.storage.point_files import write_bin
+
+
+@pytest.fixture
+def drive(tmp_path, monkeypatch):
+    """Make scans in every layout, and go there."""
+    write_sequence(tmp_path / "data/sequences/00", ["a", "b"], count=300)
+    write_sequence(tmp_path / "streets/east", ["a", "b"], count=300)
+    for number, stem in enumerate("ab"):
+        scan = make_scan(300, number)
+        write_bin(tmp_path / f"plain/{stem}.bin", scan)
+        (tmp_path / "tables").mkdir(exist_ok=True)
+        np.savetxt(tmp_path / f"tables/{stem}.txt", np.c_[scan.points, scan.intensity])
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+@pytest.fixture
+def call(weights):
+    def call(command):
+        result = CliRunner().invoke(app, command.replace("WEIGHTS", f"{weights}").split())
+        assert result.exit_code == 0, result.output
+        return only_json(result)
+
+    return call
+
+
+NETWORK = "--weights WEIGHTS --device cpu --engine torch --json --columns x,y,z,intensity"
+
+
+@pytest.mark.parametrize(
+    ("source", "out"),
+    [
+        ("plain", "plain"),
+        ("plain", "plain/out"),
+        ("plain", "plain/velodyne"),
+        ("tables", "tables"),
+        ("data/sequences/00/velodyne", "data/sequences/00/velodyne"),
+        ("data/sequences/00/velodyne", "data/sequences/00"),
+        ("data/sequences", "data/sequences"),
+        ("data", "data"),
+        ("streets", "streets"),
+        ("streets/east/velodyne", "streets"),
+    ],
+)
+def test_later_commands_find_the_scans(drive: Path, call, source: str, out: str) -> None:
+    places = ["plain", "tables", "data", "data/sequences", "data/sequences/00", "streets"]
+    before = {place: find_scans(Path(place)) for place in [*places, source]}
+    first = call(f"predict {source} {out} {NETWORK}")
+    assert (first["done"], first["failures"]) == (2, [])
+    # `eval` writes a table, which is no scan beside tables that are.
+    (Path(out) / "scores.txt").write_text("iou_mean: 0.5\n")
+    assert {place: find_scans(Path(place)) for place in before} == before
+    again = call(f"predict {source} {out} {NETWORK}")
+    assert (again["done"], again["skipped"]) == (0, 2)
+    assert call(f"export-ply --out {out} --json")["done"] == 2
+    call(f"predict {source} elsewhere {NETWORK}")
+    for labels in Path("elsewhere").rglob("*.label"):
+        assert labels.read_bytes() == (out / labels.relative_to("elsewhere")).read_bytes()
+
+
+@pytest.mark.parametrize(
+    ("place", "hidden"),
+    [
+        ("plain", True),
+        ("data/sequences/00", True),
+        ("streets", True),
+        ("data", False),
+        ("tables", False),
+        ("new", False),
+    ],
+)
+def test_sequences_with_scans_would_hide_others(drive: Path, place: str, hidden: bool) -> None:
+    if hidden:
+        with pytest.raises(OutputError, match="an output folder of its own · give another"):
+            require_none_hidden(Path(place))
+    else:
+        require_none_hidden(Path(place))
