@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: MIT
 """Workers of a Dask or Ray cluster, or of one that is started on this machine."""
 
+import atexit
 import logging
 import os
 import re
@@ -9,12 +10,16 @@ import socket
 import subprocess
 import sys
 import threading
+import time
 from collections.abc import Callable, Iterator
-from concurrent.futures import CancelledError, Future, ThreadPoolExecutor
+from concurrent.futures import CancelledError, Future
 from contextlib import ExitStack, contextmanager, redirect_stdout
+from multiprocessing import TimeoutError
+from multiprocessing.pool import AsyncResult, ThreadPool
 from typing import Any
 
 from salsanext_cli.errors import MissingDependency, UsageError
+from salsanext_cli.interruption import ARRIVED
 from salsanext_cli.parallel import ray_guard
 from salsanext_cli.parallel.options import RunOptions
 from salsanext_cli.parallel.pools import CHUNKS_IN_FLIGHT, WorkerPool, signals_blocked
@@ -22,8 +27,9 @@ from salsanext_cli.parallel.threads import cores
 
 CONNECT_TIMEOUT_S = 15
 """Time for a scheduler to answer, and for a first worker to come; Ray itself waits for minutes."""
-END_TIMEOUT_S = 5.0
-"""Time for a thread of Ray's pool to end."""
+END_TIMEOUT_S = 3.0
+"""Time for the threads of Ray's pool to end, and then for Ray itself."""
+START_POLL_S = 0.1
 
 
 @contextmanager
@@ -167,16 +173,29 @@ def _connected_to_ray(ray: Any, address: str | None, here: int | None) -> Iterat
             held.enter_context(_guard())
         # In the main thread Ray takes SIGTERM over, and a signal would leave it half started. Its
         # processes end with the thread that started them.
-        thread = held.enter_context(ThreadPoolExecutor(1))
         with signals_blocked(signal.SIGINT):
-            started = thread.submit(_start_ray, ray, address, here, quiet)
-        held.callback(lambda: thread.submit(ray.shutdown).result())
-        started.result()
+            thread = held.enter_context(ThreadPool(1))
+        started = thread.apply_async(_start_ray, (ray, address, here, quiet))
+        held.callback(_leave_ray, ray, thread, started)
+        while not started.ready() and not ARRIVED:
+            started.wait(START_POLL_S)
+        if ARRIVED:
+            raise KeyboardInterrupt
+        started.get()
         held.callback(_join_result_threads)
         if threading.current_thread() is threading.main_thread():
             # Ray puts a handler that prints a traceback beneath Python's.
             signal.signal(signal.SIGTERM, signal.getsignal(signal.SIGTERM))
         yield
+
+
+def _leave_ray(ray: Any, thread: ThreadPool, started: AsyncResult[None]) -> None:
+    """End Ray, or the connection, in order, unless its server is no more or is not there yet."""
+    try:
+        thread.apply_async(ray.shutdown).get(END_TIMEOUT_S if started.ready() else 0)
+    except TimeoutError:
+        # It would be tried again when Python ends.
+        atexit.unregister(ray.shutdown)
 
 
 @contextmanager
@@ -198,9 +217,10 @@ def _join_result_threads() -> None:
     """Let the threads of Ray's pool end: one that still asks for a result would connect again."""
     from ray.util.multiprocessing.pool import ResultThread
 
+    end = time.monotonic() + END_TIMEOUT_S
     for thread in threading.enumerate():
         if isinstance(thread, ResultThread):
-            thread.join(END_TIMEOUT_S)
+            thread.join(max(0.0, end - time.monotonic()))
 
 
 def _start_ray(ray: Any, address: str | None, here: int | None, quiet: dict[str, Any]) -> None:
