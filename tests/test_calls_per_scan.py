@@ -1,0 +1,168 @@
+# SPDX-License-Identifier: MIT
+"""Twice as many scans are at most twice the calls of any function: no step is quadratic."""
+
+import sys
+import threading
+from collections import Counter
+from collections.abc import Callable
+from contextlib import chdir
+from functools import partial
+from pathlib import Path
+from types import FrameType
+
+import pytest
+from scans import SMALL, lively, write_sequence
+from tiny_network import TinyNetwork
+from typer.testing import CliRunner
+
+import salsanext_cli
+from salsanext_cli import label_space
+from salsanext_cli.cli.app import app
+from salsanext_cli.network.card import WeightsCard
+from salsanext_cli.network.registry import ARCHITECTURES
+from salsanext_cli.network.weights import save_weights
+from salsanext_cli.storage.selection import scans_of
+
+PACKAGE = str(Path(salsanext_cli.__file__).parent)
+CONSTANT_PER_SCAN = 10
+"""Calls beyond twice as many that are let pass, for each scan of the smaller run: plots look for
+free places, and that depends on what is drawn. Of a quadratic step there are `scans` times more."""
+
+
+def calls(run: Callable[[], object]) -> Counter[str]:
+    """Count the calls of every function of ours, and those of C functions by each of ours."""
+    counts: Counter[str] = Counter()
+
+    def count(frame: FrameType, event: str, argument: object) -> None:
+        code = frame.f_code
+        if event in ("call", "c_call") and code.co_filename.startswith(PACKAGE):
+            name = f"{code.co_filename.removeprefix(PACKAGE)} {code.co_qualname}"
+            called = getattr(argument, "__qualname__", "") if event == "c_call" else ""
+            counts[f"{name} {called}"] += 1
+
+    threading.setprofile(count)
+    sys.setprofile(count)
+    try:
+        run()
+    finally:
+        sys.setprofile(None)
+        threading.setprofile(None)
+    return counts
+
+
+def require_linear(scans: int, few: Counter[str], many: Counter[str], what: object = "") -> None:
+    """Fail if twice as many scans are more than twice the calls of a function."""
+    most = CONSTANT_PER_SCAN * scans
+    worse = {name: (few[name], many[name]) for name in many if many[name] > 2 * few[name] + most}
+    assert not worse, what
+
+
+@pytest.mark.parametrize(
+    ("folder", "suffix", "source"),
+    [
+        ("plain", ".bin", "plain"),
+        ("plain", ".npy", "plain"),
+        ("plain", ".CSV", "plain"),
+        ("00/velodyne", ".bin", "00"),
+        ("data/sequences/00/velodyne", ".pcd.bin", "data"),
+        ("data/sequences/00/velodyne", ".npy", "data"),
+        ("data/sequences/00/velodyne", ".ply", "data/sequences"),
+        ("data/sequences/00/velodyne", ".bin", "data/sequences/00/velodyne"),
+        ("streets/00/velodyne", ".txt", "streets"),
+    ],
+)
+def test_finding_scans(tmp_path: Path, folder: str, suffix: str, source: str) -> None:
+    """Labels and pictures lie beside them."""
+    found = []
+    for scans in (200, 400):
+        place = tmp_path / f"{scans}" / folder
+        place.mkdir(parents=True)
+        for number in range(scans):
+            for end in (suffix, ".label", ".jpg"):
+                (place / f"{number:06d}{end}").touch()
+        found.append(calls(lambda s=scans: scans_of(tmp_path / f"{s}" / source)))
+    require_linear(200, *found)
+
+
+NETWORK = "--weights WEIGHTS --device cpu --engine torch"
+QUICK = (
+    "project DATA steps --sensor small.toml",
+    "project DATA steps --sensor small.toml",
+    f"predict steps steps {NETWORK}",
+    "knn-refine steps",
+    f"predict DATA out {NETWORK}",
+    f"predict DATA out {NETWORK}",
+    "eval --out out",
+)
+THOROUGH = (
+    *QUICK,
+    "inspect DATA",
+    f"predict DATA out {NETWORK} --probabilities --overwrite",
+    "export-ply --out out",
+    "export-ply --out out",
+    "report --out out",
+)
+WITH_SAMPLES = (
+    f"uncertainty DATA sampled {NETWORK} --samples 2",
+    f"uncertainty DATA sampled {NETWORK} --samples 2",
+    "eval --out sampled",
+    "export-ply --out sampled --colour entropy",
+    "picture sampled",
+    f"pick DATA picked {NETWORK} --count 1000",
+    f"pick DATA picked {NETWORK} --count 1000",
+    "import-labels DATA/sequences/08/labels picked",
+    "import-labels DATA/sequences/08/labels picked",
+    "tune temperature DATA tuned.safetensors --weights WEIGHTS --device cpu",
+)
+
+
+def counts_of(place: Path, commands, weights: Path, scans: int) -> list:
+    """Run commands on some scans; return their calls, which of two scans are not counted."""
+    write_sequence(place / "DATA/sequences/08", [f"{n:06d}" for n in range(scans)], count=60)
+    view = ("fov_up", "fov_down", "height", "width")
+    (place / "small.toml").write_text("\n".join(f"{k} = {getattr(SMALL, k)}" for k in view))
+    found = []
+    for command in commands:
+        words = command.replace("WEIGHTS", f"{weights}").split()
+        with chdir(place):
+            found.append(calls(partial(succeed, words)) if scans > 2 else succeed(words))
+    return found
+
+
+def succeed(words: list[str]) -> None:
+    result = CliRunner().invoke(app, words)
+    assert result.exit_code == 0, (words, result.output)
+
+
+@pytest.fixture
+def tiny(tmp_path: Path, monkeypatch) -> Path:
+    """Return weights of a network of so few layers that it makes hardly any calls itself."""
+    monkeypatch.setitem(ARCHITECTURES, "salsanext", TinyNetwork)
+    numbers = {"class_count": 20, "dropout": 0.2}
+    card = WeightsCard({"name": "salsanext", **numbers}, label_space(), SMALL, description="tiny")
+    save_weights(tmp_path / "tiny.safetensors", lively(TinyNetwork(**numbers)), card)
+    return tmp_path / "tiny.safetensors"
+
+
+def require_linear_steps(folder: Path, commands, weights: Path, scans: int) -> None:
+    """Fail if a command is not linear."""
+    # The first run imports libraries and compiles kernels, which is slow while calls are counted.
+    _, few, many = (
+        counts_of(folder / f"{count}", commands, weights, count) for count in (2, scans, 2 * scans)
+    )
+    for command, *counts in zip(commands, few, many, strict=True):
+        require_linear(scans, *counts, command)
+
+
+@pytest.mark.parametrize(
+    ("commands", "scans"),
+    [(QUICK, 20), pytest.param(THOROUGH, 200, marks=pytest.mark.slow)],
+    ids=["quick", "thorough"],
+)
+def test_steps_over_a_run(tmp_path: Path, tiny: Path, commands, scans: int) -> None:
+    require_linear_steps(tmp_path, commands, tiny, scans)
+
+
+@pytest.mark.slow
+def test_steps_that_sample(tmp_path: Path, weights: Path) -> None:
+    require_linear_steps(tmp_path, WITH_SAMPLES, weights, 20)
