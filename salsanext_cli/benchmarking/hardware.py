@@ -9,6 +9,7 @@ from typing import Any
 
 import torch
 
+from salsanext_cli.inference.device import bfloat16_instructions
 from salsanext_cli.network.complexity import multiply_accumulates
 from salsanext_cli.network.registry import build
 from salsanext_cli.sensors import Sensor
@@ -38,7 +39,9 @@ def describe(device: str, precision: str) -> dict[str, Any]:
     wait = torch.cuda.synchronize if on_gpu else tuple
     machine = {
         "processor": name or platform.processor() or platform.machine(),
-        "instructions": torch.backends.cpu.get_cpu_capability(),
+        "instructions": ", ".join(
+            (torch.backends.cpu.get_cpu_capability(), *bfloat16_instructions())
+        ),
         "threads": torch.get_num_threads(),
         "torch_version": torch.__version__,
         "device": torch.cuda.get_device_name(device) if on_gpu else "cpu",

@@ -22,11 +22,14 @@ MAX_BATCH_PIXELS = 16 * 64 * 2048
 GPU_FILES = ("/dev/nvidiactl", "/dev/nvidia0", "/dev/nvhost-ctrl", "/dev/kfd", "/dev/dxg")
 """Devices of Linux without one of which torch finds no GPU."""
 CPUINFO = Path("/proc/cpuinfo")
-BFLOAT16_FLAGS = {"avx512_bf16", "amx_bf16", "bf16"}
-"""Flags of processors that multiply bfloat16: of x86 and of ARM."""
 ISA_VARIABLES = ("ONEDNN_MAX_CPU_ISA", "DNNL_MAX_CPU_ISA")
-BFLOAT16_ISA = ("BF16", "FP16", "AMX", "AVX10", "ALL", "DEFAULT")
-"""Parts of the values of `ISA_VARIABLES` that leave bfloat16 to the libraries."""
+BFLOAT16_ISA = {
+    "amx_bf16": ("AMX", "ALL", "DEFAULT"),
+    "avx512_bf16": ("BF16", "FP16", "AMX", "AVX10", "ALL", "DEFAULT"),
+    "bf16": ("BF16", "FP16", "AMX", "AVX10", "ALL", "DEFAULT"),
+}
+"""Flags of processors that multiply bfloat16, of x86 and of ARM, and parts of the values of
+`ISA_VARIABLES` that leave them to the libraries."""
 CONVERTER = "openvino.tools.ovc"
 """Part of OpenVINO that reports its use over the network. OpenVINO imports it if it can."""
 OPENVINO_ERRORS = (AttributeError, ImportError, OSError, RuntimeError, TypeError, ValueError)
@@ -169,7 +172,17 @@ def flags() -> frozenset[str]:
 
 def has_bfloat16() -> bool:
     """Say whether the CPU multiplies bfloat16 by itself, and the environment allows it."""
-    return bool(flags() & BFLOAT16_FLAGS) and any(part in isa_limit() for part in BFLOAT16_ISA)
+    return bool(bfloat16_instructions())
+
+
+def bfloat16_instructions() -> list[str]:
+    """Return the flags of those that multiply bfloat16 here and that the environment allows."""
+    limit, known = isa_limit(), flags()
+    return [
+        flag
+        for flag, parts in BFLOAT16_ISA.items()
+        if flag in known and any(part in limit for part in parts)
+    ]
 
 
 def isa_limit() -> str:

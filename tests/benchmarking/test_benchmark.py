@@ -132,9 +132,11 @@ def test_ceilings_are_those_of_the_clock(monkeypatch):
     monkeypatch.setattr(hardware, "COPY_BYTES", {"cpu": 1 << 16})
     clock = iter(range(100))
     monkeypatch.setattr("time.perf_counter", lambda: next(clock))
+    monkeypatch.setattr(hardware, "bfloat16_instructions", lambda: ["amx_bf16", "avx512_bf16"])
     found = hardware.describe("cpu", "float32")
     assert (found["operations"], found["bytes"]) == (2 * 64**3, 2 << 16)
     assert found["machine"]["processor"]
+    assert found["machine"]["instructions"].endswith(", amx_bf16, avx512_bf16")
     assert list(found["machine"]) == list(MACHINE)
 
 

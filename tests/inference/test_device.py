@@ -32,16 +32,19 @@ def test_devices_that_are():
 @pytest.mark.parametrize(
     ("flags", "limit", "expected"),
     [
-        ("fpu avx2 avx512f avx512_bf16", None, True),
-        ("fpu avx2 amx_bf16 amx_tile", "AVX512_CORE_AMX", True),
-        ("fp asimd bf16", None, True),
-        ("fpu avx2 avx512f", None, False),
-        ("fpu avx2 avx512_bf16", "AVX2", False),
-        ("fpu avx2 avx512_bf16", "avx512_core_vnni", False),
-        ("fpu avx2 avx512_bf16", "avx512_core_bf16", True),
-        ("fpu avx2 avx512_bf16", "DNNL_MAX_CPU_ISA=AVX2", False),
-        ("fpu avx2 avx512_bf16", "ONEDNN_MAX_CPU_ISA=", True),
-        ("", None, False),
+        ("fpu avx2 avx512f avx512_bf16", None, "avx512_bf16"),
+        ("fpu avx512_bf16 amx_bf16 amx_tile", None, "amx_bf16 avx512_bf16"),
+        ("fpu avx512_bf16 amx_bf16 amx_tile", "AVX512_CORE_AMX", "amx_bf16 avx512_bf16"),
+        ("fpu avx512_bf16 amx_bf16 amx_tile", "AVX512_CORE_BF16", "avx512_bf16"),
+        ("fpu avx512_bf16 amx_bf16 amx_tile", "AVX10_1_512", "avx512_bf16"),
+        ("fp asimd bf16", None, "bf16"),
+        ("fpu avx2 avx512f", None, ""),
+        ("fpu avx2 avx512_bf16", "AVX2", ""),
+        ("fpu avx2 avx512_bf16", "avx512_core_vnni", ""),
+        ("fpu avx2 avx512_bf16", "avx512_core_bf16", "avx512_bf16"),
+        ("fpu avx2 avx512_bf16", "DNNL_MAX_CPU_ISA=AVX2", ""),
+        ("fpu avx2 avx512_bf16", "ONEDNN_MAX_CPU_ISA=", "avx512_bf16"),
+        ("", None, ""),
     ],
 )
 def test_bfloat16_where_the_cpu_multiplies_it(fresh, tmp_path, monkeypatch, flags, limit, expected):
@@ -53,6 +56,7 @@ def test_bfloat16_where_the_cpu_multiplies_it(fresh, tmp_path, monkeypatch, flag
     if limit:
         name, value = limit.split("=") if "=" in limit else (device.ISA_VARIABLES[0], limit)
         monkeypatch.setenv(name, value)
+    assert " ".join(device.bfloat16_instructions()) == expected
     assert choose_precision("auto", "cpu") == ("bfloat16" if expected else "float32")
     assert choose_precision("float32", "cpu") == "float32"
     if expected:
