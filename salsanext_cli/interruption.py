@@ -114,6 +114,9 @@ def interruptible() -> Iterator[None]:
 
 def _must_wait(frame: FrameType | None) -> bool:
     """Return whether an exception would become another one in a library, or leave disorder."""
+    if ARRIVED[0] in signal.pthread_sigmask(signal.SIG_BLOCK, ()):
+        # Another thread has taken what the main thread blocks while it starts processes.
+        return True
     while frame:
         name, file = frame.f_code.co_name, frame.f_code.co_filename
         if file == "<frozen importlib._bootstrap>":
