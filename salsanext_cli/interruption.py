@@ -37,16 +37,15 @@ def end_on_signals() -> None:
         signal.signal(number, _end)
     if TIMER:
         signal.signal(TIMER, signal.SIG_IGN)
-    shown = sys.unraisablehook
+    sys.unraisablehook = _show_unraisable
 
-    def show(unraisable: sys.UnraisableHookArgs) -> None:
-        if not ARRIVED:
-            shown(unraisable)
-        elif unraisable.exc_type is KeyboardInterrupt:
-            # Lost in a destructor, say.
-            _come_again()
 
-    sys.unraisablehook = show
+def _show_unraisable(unraisable: sys.UnraisableHookArgs) -> None:
+    if not ARRIVED:
+        sys.__unraisablehook__(unraisable)
+    elif unraisable.exc_type is KeyboardInterrupt:
+        # Lost in a destructor, say.
+        _come_again()
 
 
 def _left_to_python(number: int) -> bool:
@@ -73,6 +72,7 @@ def interruptible() -> Iterator[None]:
     Where a program handles a signal itself, it goes on doing so. A signal that comes again after
     `REPEATED_S` ends the process at once.
     """
+    import logging
     import threading
 
     process, since = os.getpid(), 0.0
@@ -88,6 +88,9 @@ def interruptible() -> Iterator[None]:
                 return
             ARRIVED.append(number)
             since = now
+            if sys.unraisablehook is _show_unraisable:
+                # What libraries say about work that is cut off is noise.
+                logging.disable()
         if TIMER and now - since < WAIT_S and _must_wait(frame):
             _come_again()
         else:
@@ -111,6 +114,9 @@ def interruptible() -> Iterator[None]:
 
 def _must_wait(frame: FrameType | None) -> bool:
     """Return whether an exception would become another one in a library, or leave disorder."""
+    if ARRIVED[0] in signal.pthread_sigmask(signal.SIG_BLOCK, ()):
+        # Another thread has taken what the main thread blocks while it starts processes.
+        return True
     while frame:
         name, file = frame.f_code.co_name, frame.f_code.co_filename
         if file == "<frozen importlib._bootstrap>":
