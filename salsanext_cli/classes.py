@@ -71,6 +71,8 @@ class LabelSpace:
 
     def __post_init__(self) -> None:
         table = np.full(RAW_ID_COUNT, UNKNOWN, np.uint8)
+        # What `to_raw` writes for unlabelled points is known, also where the map does not list it.
+        table[self.learning_map_inv[0]] = 0
         table[list(self.learning_map)] = list(self.learning_map.values())
         object.__setattr__(self, "_train_of_raw", table)
 

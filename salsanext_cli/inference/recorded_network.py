@@ -104,6 +104,7 @@ def network_of_labels(out: Path, network: NetworkSettings) -> NetworkSettings:
 def _with_noise(seen: Sensor, network: NetworkSettings) -> Sensor:
     """Return the sensor, of which `predict` recorded only the view, with its noise if known."""
     own = read_card(network.path).sensor
-    same = seen.name == FITTED_NAME or replace(own, columns=seen.columns).view() == seen.view()
+    found = {name: getattr(seen, name) for name in ("columns", "min_range", "ego_box")}
+    same = seen.name == FITTED_NAME or replace(own, **found).view() == seen.view()
     noise = presets().get(seen.name) or (own if same else seen)
     return replace(seen, range_noise=noise.range_noise, intensity_noise=noise.intensity_noise)
