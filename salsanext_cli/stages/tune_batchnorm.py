@@ -16,7 +16,7 @@ from salsanext_cli.inference.batch_norm import (
     require_norms,
 )
 from salsanext_cli.inference.checked_scans import project_checked
-from salsanext_cli.inference.scan_fit import fitted
+from salsanext_cli.inference.scan_fit import EGO, fitted
 from salsanext_cli.inference.settings import NetworkSettings
 from salsanext_cli.measures.scan_summary import RunSummary, ScanSummary
 from salsanext_cli.network.weights import save_with_card
@@ -98,7 +98,8 @@ def tune_batchnorm(
     known = trained.intensity_quantiles if sensor.intensity_quantiles else ()
     sensor = replace(sensor, intensity_quantiles=known, row_gaps=trained.row_gaps)
     # The mounting is that of these scans, not of those that the weights will be used for.
-    sensor = replace(sensor, up=trained.up, origin=trained.origin)
+    own = {name: getattr(trained, name) for name in ("up", "origin", *EGO)}
+    sensor = replace(sensor, **own)
     card = replace(loaded.card.changed(done), sensor=sensor)
     save_with_card(network.path, target, card, as_tensors(new))
     moved = [_moved(name, old[name], new[name], layers[name].eps) for name in new]

@@ -78,8 +78,8 @@ def good_errors(monkeypatch: pytest.MonkeyPatch, initial: Path) -> None:
 @pytest.fixture
 def data(tmp_path: Path) -> Path:
     """Three scans of three places that no split names."""
-    for name in ("a", "b", "c"):
-        write_sequence(tmp_path / "data/sequences" / name, ["0"], count=600)
+    for seed, name in enumerate(("a", "b", "c")):
+        write_sequence(tmp_path / "data/sequences" / name, ["0"], count=600, seed=seed)
     return tmp_path / "data"
 
 
