@@ -32,5 +32,7 @@ def models(
         describe_weights(options.weights_file(path))
         for path in weights or [options.DEFAULT_WEIGHTS]
     ]
-    tables = Group(network_table(listed), *map(card_table, described))
+    cards = map(card_table, described)
+    networks = network_table(listed)
+    tables = Group(*cards, networks) if weights else Group(networks, *cards)
     output.result({"stage": "models", "models": listed, "weights": described}, tables)

@@ -244,8 +244,11 @@ def _difference(key: str, before: Any, after: Any) -> str:
     """Say how a setting differs.
 
     Origins are named without their digests, label spaces by their classes, long lists by the
-    first value that differs.
+    first value that differs, or their length.
     """
+    if key == "sensor.intensity_quantiles" and None in (before, after):
+        was, now = ("raw", "matched") if before is None else ("matched", "raw")
+        return f"intensity was {was} and is {now} (--intensity)"
     if key.startswith("origins."):
         return f"what `{key.removeprefix('origins.')}` made was made anew"
     if isinstance(before, dict) and isinstance(after, dict):
@@ -269,4 +272,8 @@ def _flat(settings: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
 
 
 def _as_shown(value: object) -> str:
+    if value is None:
+        return "not set"
+    if isinstance(value, list) and len(json.dumps(value)) > SHOWN_CHARACTERS_OF_VALUE:
+        return f"{len(value)} values ({json.dumps(value[0])} to {json.dumps(value[-1])})"
     return shortened(json.dumps(value, ensure_ascii=False), SHOWN_CHARACTERS_OF_VALUE)

@@ -102,6 +102,12 @@ def test_the_list_of_commands_needs_no_rich():
     assert "Pipeline:" in done.stdout, done.stderr
 
 
+def test_what_the_encoding_of_stdout_lacks_is_replaced():
+    code = "from salsanext_cli.cli import app; app.app = lambda: print('1 ± 2'); app.main()"
+    ended = python(code, PYTHONIOENCODING="ascii")
+    assert (ended.returncode, ended.stdout) == (0, "1 ? 2\n"), ended.stderr
+
+
 def test_python_runs_the_package_as_the_command():
     ended = python(
         "import runpy, sys; sys.argv[1:] = ['--version']; "

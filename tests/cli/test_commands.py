@@ -408,6 +408,7 @@ def test_models_lists_networks_and_describes_weights(run, weights):
     assert result.exit_code == 0
     for figure in ("6,711,572", "62.30 G", "random", "9,246,036 (9.25 M)", "359.71 G (720.96 G)"):
         assert figure in result.stdout
+    assert result.stdout.index("SHA-256") < result.stdout.index("6,711,572")
     assert "salsanet-dilated† " in result.stdout
     assert "† the paper does not determine this network" in result.stdout
     found = only_json(run("models", weights, "--json"))

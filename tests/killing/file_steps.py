@@ -3,7 +3,7 @@
 
 ``SIGNAL_AT=FOLDER:STEP:SIGNAL`` sends a signal to the process itself before it opens, renames or
 makes something below the folder for the so-manieth time, from 1. Not before it removes something:
-SIGTERM would interrupt the very tidying up that is looked at afterwards.
+an exception in the hook would keep it from that.
 """
 
 import os

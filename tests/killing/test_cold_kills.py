@@ -110,9 +110,10 @@ def require_ended(process: subprocess.Popen[str], number: signal.Signals) -> Non
         time.sleep(0.1)
     if number == signal.SIGKILL:
         assert process.returncode in (0, -signal.SIGKILL), said
-    elif process.returncode not in (0, -signal.SIGTERM):
-        assert process.returncode == 143, said
-        assert said.endswith("terminated: everything finished so far is intact\n")
+    elif process.returncode not in (0, -number):
+        assert process.returncode == 128 + number, said
+        assert said.endswith("ed: everything finished so far is intact\n")
+        assert "Traceback" not in said
 
 
 def in_session(leader: int) -> list[str]:
@@ -225,3 +226,27 @@ def test_signals_at_random_moments(
             os.killpg(process.pid, number)
         require_ended(process, number)
         long.require_made_good(folder, number)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("moment", ["imports", "start", "work"])
+@pytest.mark.parametrize(
+    "number", [signal.SIGKILL, signal.SIGTERM, signal.SIGINT], ids=lambda number: number.name
+)
+def test_a_ray_of_our_own_ends_with_its_run(
+    tmp_path: Path, long: Trial, number: signal.Signals, moment: str
+) -> None:
+    """Within `END_TIMEOUT_S`, its agents and all."""
+    pytest.importorskip("ray")
+    process = long.begun(tmp_path / "trial", "--jobs 2 --backend ray")
+    end = time.monotonic() + 120
+    while moment == "start" and not any("gcs_server" in name for name in in_session(process.pid)):
+        assert time.monotonic() < end
+        time.sleep(0.02)
+    if moment == "work":
+        when_working(tmp_path / "trial")
+    elif moment == "imports":
+        time.sleep(2)
+    process.send_signal(number)
+    require_ended(process, number)
+    long.require_made_good(tmp_path / "trial", number)

@@ -132,7 +132,9 @@ def test_results_with_and_without_are_not_mixed(adapting, before):
     first, other = (replace(adapting.network, adapt=adapt) for adapt in (before, not before))
     predict_scans(adapting.data, adapting.out, network=first)
     labels = labels_below(adapting.out)
-    expected = "adapted was .* and is null" if before else r"predict\.json · made without --adapt"
+    expected = (
+        "adapted was .* and is not set" if before else r"predict\.json · made without --adapt"
+    )
     with pytest.raises(OutputError, match=expected):
         predict_scans(adapting.data, adapting.out, network=other)
     expected = "labels made with other weights .* --adapt" if before else "made without --adapt"

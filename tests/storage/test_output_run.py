@@ -83,8 +83,11 @@ def test_the_same_settings_may_go_on_and_write_more(tmp_path: Path) -> None:
     ("other", "named"),
     [
         ({"weights": "abc", "knn": {"k": 7}}, r"settings: knn\.k was 5 and is 7 · "),
-        ({"weights": "abc", "knn": {"k": 5}, "label_space": 7}, "label_space was null and is 7 · "),
-        ({"weights": "abc", "seed": 3}, r"knn\.k was 5 and is null, seed was null and is 3"),
+        (
+            {"weights": "abc", "knn": {"k": 5}, "label_space": 7},
+            "label_space was not set and is 7 · ",
+        ),
+        ({"weights": "abc", "seed": 3}, r"knn\.k was 5 and is not set, seed was not set and is 3"),
     ],
 )
 def test_other_settings_are_refused_and_named(tmp_path: Path, other, named: str) -> None:

@@ -6,6 +6,7 @@ eight and five times as long.
 """
 
 import io
+import re
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -24,6 +25,8 @@ COMMENT_MARKS = ("#", "//")
 MAX_HEADER_BYTES = 1 << 16
 USED = {"x", "y", "z", *INTENSITY_NAMES}
 EXPECTED = "a point in each line, with the same number of columns"
+DECIMAL_COMMA = re.compile(rb'(?:^|[;\s"])-?\d*,\d+(?:[;\s"]|$)')
+"""Number whose comma separates no columns, since blanks or semicolons do."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -84,6 +87,10 @@ def read_text(path: Path, *, columns: tuple[str, ...] = (), intensity_scale: flo
         if layout.count not in (None, len(table)):
             raise ValueError(f"{len(table)} of the {layout.count} points that its first line says")
     except ValueError as error:
+        if found := DECIMAL_COMMA.search(content):
+            number = found[0].strip(b'; \t\r\n"').decode()
+            expected, remedy = "decimal points", "write the file anew with points"
+            raise FormatError(path, f"decimal commas: {number}", expected, remedy) from error
         raise FormatError(path, shortened(str(error)), EXPECTED) from error
     return scan_of(dict(zip(used, table.T, strict=True)), path, intensity_scale)
 
@@ -137,14 +144,17 @@ def _numbers(content: bytes, layout: Layout, used: tuple[int, ...]) -> npt.NDArr
     if not body.strip():
         return np.empty((0, len(used)))
     # Of delimited columns others may hold text; blanks may be in it, so then all are numbers.
-    table = np.loadtxt(
-        *(io.BytesIO(body), np.float64),
-        comments=None,
-        delimiter=layout.delimiter,
-        quotechar='"',
-        usecols=used if layout.delimiter else None,
-        ndmin=2,
-    )
+    try:
+        table = np.loadtxt(
+            *(io.BytesIO(body), np.float64),
+            comments=None,
+            delimiter=layout.delimiter,
+            quotechar='"',
+            usecols=used if layout.delimiter else None,
+            ndmin=2,
+        )
+    except ValueError as error:
+        raise ValueError(_first_fault(content, layout, used)) from error
     if layout.delimiter is None:
         marks: float = table.shape[1] - 1
     else:
@@ -152,3 +162,17 @@ def _numbers(content: bytes, layout: Layout, used: tuple[int, ...]) -> npt.NDArr
     if marks != layout.width - 1:
         raise ValueError(f"lines of more or fewer than {layout.width} columns")
     return table if layout.delimiter else table[:, used]
+
+
+def _first_fault(content: bytes, layout: Layout, used: tuple[int, ...]) -> str:
+    """Say where the table does not go on as it began."""
+    before = content[: layout.start].count(b"\n")
+    lines = content[layout.start :].decode("latin-1").split("\n")
+    for number, line in enumerate(lines, before + 1):
+        words = _words(line.strip(), layout.delimiter)
+        if line.strip() and len(words) != layout.width:
+            return f"line {number} has {len(words)} columns, not {layout.width}"
+        for word in map(words.__getitem__, used if line.strip() else ()):
+            if not _is_number(word):
+                return f"line {number} has {shortened(word)!r} in place of a number"
+    return "no table of numbers"
