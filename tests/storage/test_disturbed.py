@@ -12,7 +12,7 @@ from pathlib import Path
 from shutil import which
 
 import pytest
-from scans import files_below, labels_below, write_weights
+from scans import files_below, labels_below, write_sequence, write_weights
 
 from salsanext_cli.errors import OutputError, WeightsError
 from salsanext_cli.geometry.knn import KnnParameters
@@ -43,15 +43,18 @@ def whole(world, tmp_path):
     return labels_below(tmp_path / "whole")
 
 
-def test_a_scan_that_is_deleted(world, whole):
-    path = world.scan("08", "000001")
+def test_a_scan_that_is_deleted(world, tmp_path):
+    """It is the fourth: when the first is done, the third may be read already."""
+    write_sequence(world.data / "sequences/08", ["000000", "000001", "000002"])
+    predict_scans(world.data, tmp_path / "whole", network=world.network)
+    path = world.scan("08", "000002")
     content = path.read_bytes()
     outcome = run(world, path.unlink)
-    assert (outcome.done, len(outcome.failures)) == (2, 1)
+    assert (outcome.done, len(outcome.failures)) == (3, 1)
     assert outcome.failures[0].reason.startswith(f"{path} · cannot be read: no such file")
     path.write_bytes(content)
     assert run(world).done == 1
-    assert labels_below(world.out) == whole
+    assert labels_below(world.out) == labels_below(tmp_path / "whole")
 
 
 def test_weights_that_are_deleted_once_they_are_loaded(world, whole, tmp_path):
