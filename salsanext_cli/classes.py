@@ -133,7 +133,7 @@ class LabelSpace:
         counts = self.unknown_ids(raw)
         ids = first_few([f"{i} ({counts[i]}×)" for i in sorted(counts, key=lambda i: -counts[i])])
         of_labelled = sum(counts.values()) / np.count_nonzero(self._train_of_raw[raw & 0xFFFF])
-        found = f"unknown label ids {ids}: {100 * of_labelled:.2g} % of the labelled points"
+        found = f"unknown label ids {ids}: {100 * of_labelled:.0f} % of the labelled points"
         remedy = "give the label space of this data with --label-space"
         if (raw & 0xFFFF).max() < self.class_count:
             found += f", and no id above {self.class_count - 1}: train ids?"

@@ -105,7 +105,7 @@ def _lines(summary: RunSummary | None, following: str | None) -> Iterable[str]:
         yield f"sensor: {sensor.name}, {sensor.height}×{sensor.width}, {as_found(sensor)}"
         if share := summary.ego_share:
             yield (
-                f"unlabelled: about {100 * share:.2g} % of the points, of the sensor's housing and "
+                f"unlabelled: about {100 * share:.1f} % of the points, of the sensor's housing and "
                 f"its vehicle ({as_ego(sensor)})"
             )
         yield from warning_lines(summary.warnings())

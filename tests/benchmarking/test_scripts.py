@@ -82,7 +82,9 @@ def test_stage_cost(data, weights, capsys):
     # 1500 points of 16 bytes; 5 float32 channels of 16×128 pixels and 1500 int32; 1500 uint32.
     for stage, read, written in (("project", 0.024, 0.047), ("predict, scans", 0.024, 0.006)):
         numbers = [float(number) for number in re.findall(r"(\d+\.\d+) MB", found[stage])]
-        assert numbers == pytest.approx([read, written], abs=0.011)
+        # `predict` reads ahead: of two scans, both before the first has its results.
+        ahead = read if stage == "predict, scans" else 0
+        assert numbers == pytest.approx([read - ahead, written], abs=0.011)
 
 
 def test_checks_cost(data, weights, capsys):

@@ -49,7 +49,7 @@ def intensity_findings(
     quantiles = matched or trained.intensity_quantiles
     if matched == NO_INTENSITY:
         return
-    if bright < 0:
+    if bright < 0 and not matched:
         found = f"{BRIGHT:.0%} of the intensities are below {bright:.3g}: negative"
         yield Finding(
             "intensity-scale", found, "name another column: --columns, or --intensity none"

@@ -38,7 +38,8 @@ ABOVE_GROUND_M = 0.4
 """Height above the ground of what is not the ground."""
 MARGIN_M = 0.05
 WIDEST_M = 2.6
-"""Largest of the lesser of length and width of a vehicle; wider is something beside it."""
+"""Largest of the lesser of length and width of a vehicle; wider is something beside it, and so is
+what begins more than `MIN_RANGE_M` from the axis of the sensor."""
 DIGITS = 2
 
 Cells = npt.NDArray[np.float64]
@@ -90,7 +91,8 @@ def fit_ego_box(scans: Sequence[Scan], sensor: Sensor) -> tuple[float, ...]:
         body.append(scan.points[own])
     points = np.concatenate(body)
     lowest, highest = points.min(axis=0) - MARGIN_M, points.max(axis=0) + MARGIN_M
-    if (highest - lowest)[:2].min() > WIDEST_M:
+    gap = np.hypot(*np.maximum.reduce([lowest, -highest, np.zeros(3)])[:2])
+    if (highest - lowest)[:2].min() > WIDEST_M or gap > MIN_RANGE_M:
         return ()
     return tuple(np.concatenate([lowest, highest]).astype(np.float64).round(DIGITS).tolist())
 

@@ -34,7 +34,7 @@ def hits(box: np.ndarray) -> np.ndarray:
     return np.where((entry < end) & (entry > 0), entry, np.inf)
 
 
-def driven(count: int, *, moving: bool = True, beside: int = 0) -> list[Scan]:
+def driven(count: int, *, moving: bool = True, beside: int = 0, roof: bool = True) -> list[Scan]:
     """Return scans of a flat place with a roof below the sensor, some with a car beside it."""
     scans = []
     with np.errstate(divide="ignore"):
@@ -42,7 +42,9 @@ def driven(count: int, *, moving: bool = True, beside: int = 0) -> list[Scan]:
     for seed in range(count):
         random = np.random.default_rng(seed if moving else 0)
         others = random.uniform(4, 40, len(ground))
-        ranges = np.minimum.reduce([ground, others, hits(ROOF)])
+        ranges = np.minimum(ground, others)
+        if roof:
+            ranges = np.minimum(ranges, hits(ROOF))
         if seed < beside:
             ranges = np.minimum(ranges, hits(NEIGHBOUR))
         ranges = ranges + np.random.default_rng(seed).normal(0, 0.01, len(ranges))
@@ -71,8 +73,9 @@ def test_the_box_holds_the_roof_and_little_more(beside):
         driven(2),
         driven(8, moving=False),
         [scan.take(np.flatnonzero(scan.points[:, 2] > -1)) for scan in driven(8)],
+        driven(8, beside=8, roof=False),
     ],
-    ids=["two scans", "vehicle that stands", "no ground"],
+    ids=["two scans", "vehicle that stands", "no ground", "another beside it all the way"],
 )
 def test_scans_that_do_not_tell_a_box(scans):
     assert fit_ego_box(scans, SMALL) == ()
