@@ -92,7 +92,7 @@ class Sensor:
         training had are filled.
     min_range : float, optional
         Range in metres below which points are no measurements, but the housing and the mount of
-        the sensor; None if it is to be found, as 0 does.
+        the sensor. None if it is to be found; until then it leaves nothing out, as 0 does.
     ego_box : 6 floats or none, optional
         Box around what the sensor sees of its own vehicle, in its own frame, upright: least x, y,
         z, largest x, y, z in metres. Points in it are no measurements. Empty if it sees nothing of

@@ -96,7 +96,7 @@ class NetworkOptions:
     columns: str | None = network_option(COLUMNS_HELP, show_default=COLUMNS_DEFAULT)
     min_range: float | None = network_option(
         "Leave points nearer than this unlabelled, in metres: housing and mount of the sensor.",
-        show_default="1, or what the sensor file tells",
+        show_default="1, or 0.8 of the height of a lower sensor",
     )
     ego: str = network_option(
         "Box around what the sensor sees of its own vehicle, whose points stay unlabelled: least "

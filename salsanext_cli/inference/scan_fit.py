@@ -10,6 +10,7 @@ from pathlib import Path
 
 from salsanext_cli.errors import NOTICE, SalsanextError, UsageError, counted
 from salsanext_cli.formats import read_scan
+from salsanext_cli.geometry.fitting.ego_fit import fit_ego
 from salsanext_cli.geometry.fitting.view_fit import as_found, fit_view
 from salsanext_cli.geometry.intensity import NO_INTENSITY, intensity_quantiles
 from salsanext_cli.geometry.projection import project
@@ -95,8 +96,9 @@ def fitted(
         If there is no such way, or the weights do not know the intensity of their training.
     """
     how, trained = _method(settings, network), network.card.sensor
-    if settings.fits_view and image_of is None:
-        network = with_sensor(network, fitted_view(files, network.sensor, earlier))
+    if image_of is None:
+        found = fitted_view(files, network.sensor, earlier, view=settings.fits_view)
+        network = with_sensor(network, found)
     known = [sensor for sensor in (earlier, settings.sensor) if sensor]
     images = cache(lambda: list(sampled_images(files, network.sensor, image_of)))
     quantiles: tuple[float, ...] = ()
@@ -114,23 +116,28 @@ def fitted(
         others_gaps = (each.row_gaps for each in known)
         gaps = next((each for each in others_gaps if each not in (None, trained.row_gaps)), None)
         gaps = row_gaps(images()) if gaps is None else gaps
-    found = replace(network.sensor, intensity_quantiles=quantiles, row_gaps=gaps)
-    network = with_sensor(network, found)
-    if fills_rows(found, trained):
+    seen = replace(network.sensor, intensity_quantiles=quantiles, row_gaps=gaps)
+    network = with_sensor(network, seen)
+    if fills_rows(seen, trained):
         log.log(NOTICE, "gaps between rows, %.0f %% of their pixels, are filled", 100 * (gaps or 0))
     return network
 
 
-def fitted_view(files: Scans, sensor: Sensor, earlier: Sensor | None = None) -> Sensor:
+def fitted_view(
+    files: Scans, sensor: Sensor, earlier: Sensor | None = None, *, view: bool = True
+) -> Sensor:
     """Return the sensor as `fit_view` fits it to scans, evenly spaced, and say so.
 
-    That of earlier results in the same folder stays.
+    Without `view`, only as `fit_ego` does. That of earlier results in the same folder stays.
     """
+    sought = [name for name in EGO if getattr(sensor, name) is None]
+    if not (view or sought):
+        return sensor
     if earlier is not None:
-        names = [*FITTED, *(name for name in EGO if getattr(sensor, name) is None)]
+        names = [*(FITTED if view else ()), *sought]
         return replace(sensor, **{name: getattr(earlier, name) for name in names})
     scans = list(sampled(files, sensor))
-    found = fit_view(scans, sensor)
+    found = fit_view(scans, sensor) if view else fit_ego(scans, sensor)
     if replace(found, **{name: getattr(sensor, name) for name in EGO}) != sensor:
         log.log(NOTICE, "sensor fitted to %s: %s", counted(len(scans), "scan"), as_found(found))
     return found

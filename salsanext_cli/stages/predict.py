@@ -196,8 +196,9 @@ def predict_range_images(
     """
     loaded = network.load()
     projected = projected_sensor(folder)
-    if network.fits_view and projected is not None:
-        loaded = with_sensor(loaded, fitted_view([], loaded.sensor, projected))
+    if projected is not None:
+        found_view = fitted_view([], loaded.sensor, projected, view=network.fits_view)
+        loaded = with_sensor(loaded, found_view)
     loaded = with_sensor(loaded, sensor_of_images(folder, projected, loaded.sensor))
     found = with_outputs(recorded_scans(folder), folder, "range")
     scans = choose(found, selection, space_of(found, loaded.card.space), folder)

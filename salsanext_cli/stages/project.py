@@ -43,7 +43,8 @@ def project_scans(
     sensor : Sensor
         Field of view and size of the range images.
     fit : bool
-        Whether its view and direction up are those of the scans where they differ much.
+        Whether its view and direction up are those of the scans where they differ much; what it
+        does not tell of housing and vehicle is found either way.
     source, out, selection, options
         As for `predict_scans`.
 
@@ -54,10 +55,9 @@ def project_scans(
     """
     found = scans_of(source)
     scans = choose(found, selection, space_of(found), source)
-    if fit:
-        recorded = None if options.overwrite else stage_settings(out, "project")
-        earlier = Sensor.from_dict(recorded.table("sensor"), recorded.path) if recorded else None
-        sensor = fitted_view(found, sensor, earlier)
+    recorded = None if options.overwrite else stage_settings(out, "project")
+    earlier = Sensor.from_dict(recorded.table("sensor"), recorded.path) if recorded else None
+    sensor = fitted_view(found, sensor, earlier, view=fit)
     settings, summary = {"sensor": sensor.to_dict()}, RunSummary.of_scans(scans, sensor)
     overwrite = options.overwrite
     run = output_run(out, "project", settings, FOLDERS, scans, overwrite=overwrite)

@@ -143,7 +143,9 @@ def test_every_real_intensity_is_one_and_no_other_column(real_data):
     usual, without = sensor("hdl64-512"), set()
     five = replace(usual, columns=("x", "y", "z", "intensity", "ring"))
     for path in sorted((real_data / "data").rglob("*.*"))[::2]:
-        if not path.name.endswith(SCAN_SUFFIXES) or path.suffix == ".las":  # in map coordinates
+        if not path.name.endswith(SCAN_SUFFIXES) or path.name == "poses.txt":
+            continue
+        if path.suffix == ".las":  # in map coordinates
             continue
         of = five if "five_columns_h" in path.name else usual
         scan = read_scan(path, of)

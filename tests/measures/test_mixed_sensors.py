@@ -179,7 +179,7 @@ def real_sensors(folder: Path) -> dict[str, list[ScanTraits]]:
 @pytest.mark.real
 def test_real_sensors_are_told_apart_and_no_place(real_data):
     sensors = real_sensors(real_data / "data")
-    assert len(sensors["pandar64"]) == 38
+    assert len(sensors["pandar64"]) == 42
     for of_one in sensors.values():
         for some in (of_one, *combinations(of_one, 2)):
             assert mixed_sensors(dict(zip(files("08", len(some)), some, strict=True))) == {}

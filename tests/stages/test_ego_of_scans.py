@@ -1,12 +1,13 @@
 # SPDX-License-Identifier: MIT
 """Points of the sensor's housing and of its vehicle stay unlabelled, and it is said."""
 
+import re
 import shlex
 
 import numpy as np
 import pytest
 from command_line import only_json
-from scans import labels_below
+from scans import SMALL, labels_below
 from typer.testing import CliRunner
 
 from salsanext_cli import Scan, read_labels, read_scan
@@ -46,8 +47,19 @@ def test_the_housing_is_unlabelled_and_it_is_said(housed):
     shares, others = unlabelled(housed)
     assert shares == [1.0] * 3
     assert np.mean(np.concatenate(others) > 0) > 0.9
-    assert "unlabelled: about 17 % of the points" in result.stderr
+    said = re.search(r"unlabelled: about ([\d.]+) % of the points", result.stderr)
+    assert float(said[1]) == pytest.approx(100 * NEAR / (NEAR + 1500), abs=1)
     assert "nearer than 1 m" in result.stderr
+
+
+@pytest.mark.parametrize(("keys", "share"), [("", 1.0), ("min_range = 0.1\n", 0.0)])
+def test_a_sensor_file_keeps_what_it_tells_and_no_more(housed, tmp_path, keys, share):
+    known = (f"{k} = {v}" for k, v in SMALL.to_dict().items() if isinstance(v, int | float))
+    (tmp_path / "own.toml").write_text('name = "own"\n' + "\n".join(known) + "\n" + keys)
+    result = typed(housed, f"predict DATA OUT --sensor '{tmp_path / 'own.toml'}'")
+    assert result.exit_code == 0, result.stderr
+    assert unlabelled(housed)[0] == pytest.approx([share] * 3, abs=0.5)
+    assert ("nearer than 1 m" in result.stderr) == (share == 1)
 
 
 def test_the_same_labels_step_by_step(housed, tmp_path):

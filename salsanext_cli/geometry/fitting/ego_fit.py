@@ -19,6 +19,10 @@ from salsanext_cli.sensors import Sensor
 
 MIN_RANGE_M = 1.0
 """Range below which only housing and mount were seen, of four vehicles; the street began at 1.3."""
+SHARE_OF_HEIGHT = 0.8
+"""Largest minimum range, as a share of the height above the ground: a low sensor sees its floor."""
+LEAST_HEIGHT_M = 0.1
+"""Least height of a sensor above what can be the ground that it stands on."""
 FARTHEST_M = 3.0
 """Farthest body of a vehicle that is sought."""
 MIN_SCANS = 5
@@ -46,9 +50,17 @@ Cells = npt.NDArray[np.float64]
 
 
 def fit_ego(scans: Sequence[Scan], sensor: Sensor) -> Sensor:
-    """Return the sensor with `min_range` and `ego_box` where they are None: to be found."""
-    least = MIN_RANGE_M if sensor.min_range is None else sensor.min_range
-    box = fit_ego_box(scans, sensor) if sensor.ego_box is None else sensor.ego_box
+    """Return the sensor with `min_range` and `ego_box` where they are None: to be found.
+
+    The minimum range is `MIN_RANGE_M`, less where the sensor is lower than usual above the ground.
+    """
+    least, box = sensor.min_range, sensor.ego_box
+    if least is None:
+        least, height = MIN_RANGE_M, _height([in_sensor_frame(scan, sensor) for scan in scans])
+        if height is not None and height >= LEAST_HEIGHT_M:
+            least = round(min(MIN_RANGE_M, SHARE_OF_HEIGHT * height), DIGITS)
+    if box is None:
+        box = fit_ego_box(scans, sensor)
     return replace(sensor, min_range=least, ego_box=box)
 
 
@@ -66,10 +78,10 @@ def fit_ego_box(scans: Sequence[Scan], sensor: Sensor) -> tuple[float, ...]:
     if len(scans) < MIN_SCANS:
         return ()
     upright = [in_sensor_frame(scan, sensor) for scan in scans]
-    heights = [ground.height for scan in upright if (ground := ground_of(scan))]
-    if not heights:
+    height = _height(upright)
+    if height is None:
         return ()
-    least_z = ABOVE_GROUND_M - float(np.median(heights))
+    least_z = ABOVE_GROUND_M - height
     nearest = np.array([_nearest(*_in_cells(scan.points)) for scan in upright])
     seen = np.isfinite(nearest).mean(axis=0)
     with np.errstate(invalid="ignore"):  # of a cell that no scan has a point in
@@ -95,6 +107,12 @@ def fit_ego_box(scans: Sequence[Scan], sensor: Sensor) -> tuple[float, ...]:
     if (highest - lowest)[:2].min() > WIDEST_M or gap > MIN_RANGE_M:
         return ()
     return tuple(np.concatenate([lowest, highest]).astype(np.float64).round(DIGITS).tolist())
+
+
+def _height(upright: Sequence[Scan]) -> float | None:
+    """Return the usual height of a sensor above the ground in metres, None where none is found."""
+    heights = [ground.height for scan in upright if (ground := ground_of(scan))]
+    return float(np.median(heights)) if heights else None
 
 
 def _in_cells(points: Float) -> tuple[npt.NDArray[np.intp], npt.NDArray[np.float64]]:
