@@ -28,8 +28,8 @@ RawIds = npt.NDArray[np.uint32]
 
 BUILT_IN = ("semantic-kitti", "coarse")
 MAX_UNKNOWN_SHARE = 0.1
-"""Largest share of the labelled points of a scan whose ids may be unknown where that is tolerated;
-of labels of another data set it was 0.4 or more."""
+"""Largest share of the labelled points of a scan whose ids may be unknown where that is tolerated,
+beyond twice the standard error of a small number; of another data set it was 0.4 or more."""
 MOVING = "moving-"
 """Start of the names of moving things, which are classes of their own over several scans only."""
 
@@ -123,7 +123,8 @@ class LabelSpace:
         train: TrainIds = self._train_of_raw[raw & 0xFFFF]
         unknown = train == UNKNOWN
         if count := np.count_nonzero(unknown):
-            if strict or count > MAX_UNKNOWN_SHARE * np.count_nonzero(train):
+            certain = count - 2 * count**0.5
+            if strict or certain > MAX_UNKNOWN_SHARE * np.count_nonzero(train):
                 raise self._unknown(raw, source)
             train[unknown] = 0
         return train

@@ -188,7 +188,7 @@ def evaluate(
         settings=settings,
         uncertainty=evaluate_uncertainty(counts, space),
     )
-    if about := counts.about_training():
+    for about in filter(None, (counts.about_training(), counts.about_labels(space))):
         log.warning("%s", about)
     _warn(evaluation)
     files = _files(evaluation)

@@ -2,7 +2,8 @@
 import numpy as np
 import pytest
 
-from salsanext_cli.measures.scan_counts import ring_of_point
+from salsanext_cli import label_space
+from salsanext_cli.measures.scan_counts import ScanCounts, ring_of_point
 
 
 @pytest.mark.parametrize(
@@ -16,3 +17,13 @@ def test_a_ring_begins_where_the_previous_one_ends(distance, ring):
 @pytest.mark.parametrize("point", [(0, 0, 0), (np.nan, 1, 1), (1, np.inf, 1)], ids=str)
 def test_points_without_a_measurement_are_in_no_ring(point):
     assert ring_of_point(np.array([point, (6, 8, 1)], np.float32)).tolist() == [-1, 1]
+
+
+@pytest.mark.parametrize(
+    ("right", "wrong", "said"), [(300, 9800, "3.0%"), (2100, 8000, ""), (1, 900, "")]
+)
+def test_labels_that_hardly_ever_agree_are_doubted(right, wrong, said):
+    counts = ScanCounts.none(label_space(), by_distance=False)
+    counts.confusion.matrix[[1, 9, 0], [1, 0, 5]] = right, wrong, 100_000
+    about = counts.about_labels(label_space())
+    assert (said in about and "--label-space" in about) if said else about == ""

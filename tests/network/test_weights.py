@@ -23,7 +23,7 @@ CARD = WeightsCard(
     scores={"iou_mean": 0.5},
     description="für Prüfungen",
     temperature=1.25,
-    trained_on=frozenset({"0123456789abcdef", "f" * 16}),
+    trained_on=frozenset({"0123456789abcdef01234567", "f" * 24}),
 )
 
 

@@ -285,7 +285,7 @@ def test_without_named_splits_all_labelled_scans_are_trained_on(
         (data / "sequences" / name).rename(data / "sequences" / usual)
         write_sequence(data / "sequences" / usual, ["0"], count=600, seed=seed)
     card, (module, _) = read_card(initial), read_weights(initial)
-    save_weights(initial, module, replace(card, trained_on=frozenset({"0" * 16})))
+    save_weights(initial, module, replace(card, trained_on=frozenset({"0" * 24})))
     every = [scan_digest(read_scan(file.path)) for file in find_scans(data)]
     caplog.set_level(NOTICE)
     result = go(data, tmp_path / "run", FEW.with_changes(epochs=1))
@@ -294,14 +294,14 @@ def test_without_named_splits_all_labelled_scans_are_trained_on(
     counts = json.loads((tmp_path / "run/class_counts.json").read_text())["points"]
     assert sum(counts.values()) == 3 * 600
     # Weights know their scans, and those of the weights that they began from.
-    assert read_card(result.best).trained_on == {"0" * 16, *every}
+    assert read_card(result.best).trained_on == {"0" * 24, *every}
     folds = [read_card(path).trained_on for path in (tmp_path / "run/folds").glob("*/last.*")]
     assert {*map(len, folds)} == {2, 3}
     again = go(data, tmp_path / "run", FEW.with_changes(epochs=1))
-    assert read_card(again.last).trained_on == {"0" * 16, *every}
+    assert read_card(again.last).trained_on == {"0" * 24, *every}
     # Without folds the splits are SemanticKITTI's, and what these leave out is named.
     split = go(data, tmp_path / "split", FEW.with_changes(epochs=1, folds=0))
-    assert read_card(split.best).trained_on == {"0" * 16, every[0]}
+    assert read_card(split.best).trained_on == {"0" * 24, every[0]}
     assert "left out, since no split of semantic-kitti names them: c" in caplog.messages
     shutil.rmtree(data / "sequences/08")
     with pytest.raises(NoInputError, match=r"no scans of split valid .* --set folds=3$"):

@@ -5,6 +5,7 @@ import json
 import shutil
 from dataclasses import replace
 from pathlib import Path
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
@@ -32,7 +33,7 @@ EVERY = (("00", "000000"), ("08", "000000"), ("08", "000001"))
 def trained(world: World, tmp_path: Path) -> World:
     """Return a world whose weights were trained on one of its scans; others are gone by now."""
     source, path = world.network.path, tmp_path / "trained.safetensors"
-    known = frozenset({scan_digest(read_scan(world.scan("08", "000001"))), "0" * 16})
+    known = frozenset({scan_digest(read_scan(world.scan("08", "000001"))), "0" * 24})
     save_with_card(source, path, replace(read_card(source), trained_on=known))
     return replace(world, network=replace(world.network, weights=path))
 
@@ -90,6 +91,20 @@ def test_where_all_are_the_scores_are_said_to_be_that(
     assert (made.trained_on, made.on_training_scans) == (0, True)
     assert made.accuracy == found.scores.accuracy
     assert "accuracy, 1 scan trained on" in made.page.read_text("utf-8")
+
+
+def test_scans_of_another_size_are_not_read(
+    trained: World, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = trained.scan("08", "000001")
+    write_bin(path, read_scan(path).take(np.arange(1000)))
+    labels = trained.data / "sequences/08/labels/000001.label"
+    labels.write_bytes(labels.read_bytes()[:4000])
+    predict(trained)
+    read = Mock(side_effect=read_scan)
+    monkeypatch.setattr("salsanext_cli.measures.scan_counts.read_scan", read)
+    assert judged(trained).trained_on == 0
+    assert path not in {call.args[0] for call in read.call_args_list}
 
 
 def test_a_report_leaves_out_the_same(trained: World) -> None:

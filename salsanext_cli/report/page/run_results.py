@@ -85,8 +85,9 @@ class RunResults:
     def _warnings(self) -> list[str]:
         """Return every reason to doubt the page, a line each."""
         lines = warnings_of_run(self.out, {row.name for row in self.rows})
-        if self.counts and (about := self.counts.about_training()):
-            lines.insert(0, about)
+        if self.counts:
+            about = self.counts.about_training(), self.counts.about_labels(self.how["space"])
+            lines = [*filter(None, about), *lines]
         for what, ids in (
             ("labels", self.counts.unknown_truth if self.counts else {}),
             ("predictions", self.counts.unknown_predictions if self.counts else {}),
