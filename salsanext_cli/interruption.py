@@ -36,7 +36,8 @@ def end_on_signals() -> None:
     for number in filter(_left_to_python, WORDS):
         signal.signal(number, _end)
     if TIMER:
-        signal.signal(TIMER, signal.SIG_IGN)
+        # Programs that this one starts would inherit SIG_IGN.
+        signal.signal(TIMER, _pass_over)
     sys.unraisablehook = _show_unraisable
 
 
@@ -58,6 +59,10 @@ def _end(number: int, _: object) -> NoReturn:
         with suppress(OSError):
             os.write(2, f"{WORDS[number]}: {INTACT}\n".encode())
     os._exit(128 + number)
+
+
+def _pass_over(_: int, __: object) -> None:
+    """Do nothing at a timer that rings after the work."""
 
 
 def _come_again() -> None:

@@ -128,6 +128,20 @@ def test_the_same_signal_twice_does_not_interrupt_tidying_up(tmp_path: Path) -> 
     assert (tmp_path / "tidy").exists()
 
 
+def test_programs_that_are_started_do_not_ignore_the_timer() -> None:
+    code = (
+        "import signal, subprocess, sys\n"
+        "from salsanext_cli.interruption import end_on_signals, interruptible\n"
+        "end_on_signals()\n"
+        "with interruptible():\n    pass\n"
+        "signal.raise_signal(signal.SIGALRM)\n"
+        "line = 'import signal; print(signal.getsignal(signal.SIGALRM) is signal.SIG_DFL)'\n"
+        "subprocess.run([sys.executable, '-c', line], check=True)"
+    )
+    ended = python(code)
+    assert (ended.returncode, ended.stdout) == (0, "True\n"), ended.stderr
+
+
 COMMAND = """
 import os, signal, sys, time, typer
 from salsanext_cli.cli.console import guarded

@@ -141,10 +141,17 @@ for commands in COMMANDS.values():
             app.command(name)(guarded(expanded(command)))
 
 
+def _fails_at_lacking(stream: TextIOWrapper) -> bool:
+    """Return whether characters of tables and names that an encoding lacks would be an error."""
+    # The second is Python's own choice for the C locale, for any other the user has asked.
+    return stream.errors == "strict" or (
+        stream.errors == "surrogateescape" and stream.encoding.lower() != "utf-8"
+    )
+
+
 def main() -> None:
     """Run the command line."""
     sys.modules.setdefault(UNUSED, None)  # type: ignore[arg-type]
-    if isinstance(sys.stdout, TextIOWrapper):
-        # Its encoding may lack what tables and names hold.
+    if isinstance(sys.stdout, TextIOWrapper) and _fails_at_lacking(sys.stdout):
         sys.stdout.reconfigure(errors="replace")
     app()

@@ -9,6 +9,7 @@ import signal
 import socket
 import subprocess
 import sys
+import tempfile
 import threading
 import time
 from collections.abc import Callable, Iterator
@@ -16,6 +17,7 @@ from concurrent.futures import CancelledError, Future
 from contextlib import ExitStack, contextmanager, redirect_stdout
 from multiprocessing import TimeoutError
 from multiprocessing.pool import AsyncResult, ThreadPool
+from pathlib import Path
 from typing import Any
 
 from salsanext_cli.errors import MissingDependency, UsageError
@@ -169,13 +171,12 @@ def _connected_to_ray(ray: Any, address: str | None, here: int | None) -> Iterat
     os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")
     quiet = {"log_to_driver": False, "logging_level": logging.ERROR}
     with ExitStack() as held:
-        if here:
-            held.enter_context(_guard())
+        folder = held.enter_context(_guarded_folder()) if here else None
         # In the main thread Ray takes SIGTERM over, and a signal would leave it half started. Its
         # processes end with the thread that started them.
         with signals_blocked(signal.SIGINT):
             thread = held.enter_context(ThreadPool(1))
-        started = thread.apply_async(_start_ray, (ray, address, here, quiet))
+        started = thread.apply_async(_start_ray, (ray, address, here, folder, quiet))
         held.callback(_leave_ray, ray, thread, started)
         while not started.ready() and not ARRIVED:
             started.wait(START_POLL_S)
@@ -199,9 +200,14 @@ def _leave_ray(ray: Any, thread: ThreadPool, started: AsyncResult[None]) -> None
 
 
 @contextmanager
-def _guard() -> Iterator[None]:
-    """Let no process of a Ray that is started here live longer than this one."""
-    command = [sys.executable, "-I", "-S", ray_guard.__file__, str(os.getpid())]
+def _guarded_folder() -> Iterator[str]:
+    """Make a folder for a Ray that is started here; none of its processes outlives this one."""
+    # The paths of Ray's sockets, which have long names, must not exceed 103 characters.
+    default = "/tmp" if os.name == "posix" else tempfile.gettempdir()
+    base = Path(os.environ.get("RAY_TMPDIR", default))
+    base.mkdir(parents=True, exist_ok=True)
+    folder = os.path.realpath(tempfile.mkdtemp(prefix="ray-", dir=base))
+    command = [sys.executable, "-I", "-S", ray_guard.__file__, str(os.getpid()), folder]
     guard = subprocess.Popen(
         command,
         stdin=subprocess.PIPE,
@@ -210,7 +216,7 @@ def _guard() -> Iterator[None]:
         start_new_session=True,
     )
     with guard:
-        yield
+        yield folder
 
 
 def _join_result_threads() -> None:
@@ -223,9 +229,12 @@ def _join_result_threads() -> None:
             thread.join(max(0.0, end - time.monotonic()))
 
 
-def _start_ray(ray: Any, address: str | None, here: int | None, quiet: dict[str, Any]) -> None:
+def _start_ray(
+    ray: Any, address: str | None, here: int | None, folder: str | None, quiet: dict[str, Any]
+) -> None:
     if here:
-        ray.init(address="local", num_cpus=max(2, here), include_dashboard=False, **quiet)
+        local = {"address": "local", "include_dashboard": False, "_temp_dir": folder}
+        ray.init(num_cpus=max(2, here), **local, **quiet)
         return
     address = address or ""
     try:

@@ -6,8 +6,9 @@ gone for a minute before they end too.
 """
 
 import os
-import re
+import shutil
 import signal
+import stat
 import sys
 import time
 from contextlib import suppress
@@ -18,30 +19,44 @@ INTERVAL_S = 0.3
 """Time between two scans of the processes: one that dies may be starting another."""
 
 
-def kill_ray_of(driver: int) -> bool:
-    """Kill the processes that write logs of a Ray of a process, and return whether there were any.
+def kill_writers(folder: str, driver: int) -> bool:
+    """Kill the processes that write files below a folder, and return whether there were any.
 
-    The name of the folder that they write into ends with the number of that process.
+    Parameters
+    ----------
+    folder : str
+        Folder of the files of one Ray and of nothing else, absolute, without links.
+    driver : int
+        Process that is left alone: the one that started this Ray.
     """
-    log = re.compile(rf"/session_[^/]+_{driver}/logs/")
     found = False
     for process in Path("/proc").glob("[0-9]*"):
+        # Of other users' processes the files are not shown, and a process may end at any time.
         with suppress(OSError):
-            files = map(os.readlink, (process / "fd").iterdir())
-            if process.name != str(driver) and any(map(log.search, files)):
+            if process.name != str(driver) and _writes_below(process, f"{folder}/"):
                 os.kill(int(process.name), signal.SIGKILL)
                 found = True
     return found
 
 
-def main(driver: int) -> None:
-    """Wait for the end of stdin, which the driver holds open, and end its Ray."""
+def _writes_below(process: Path, beginning: str) -> bool:
+    for file in (process / "fd").iterdir():
+        with suppress(FileNotFoundError):
+            # The mode of such a link says what the file is open for.
+            if file.lstat().st_mode & stat.S_IWUSR and str(file.readlink()).startswith(beginning):
+                return True
+    return False
+
+
+def main(driver: int, folder: str) -> None:
+    """Wait for the end of stdin, which the driver holds open; end its Ray and remove its folder."""
     sys.stdin.read()
     for _ in range(SCANS):
-        if not kill_ray_of(driver) and os.getppid() == driver:
+        if not kill_writers(folder, driver) and os.getppid() == driver:
             break
         time.sleep(INTERVAL_S)
+    shutil.rmtree(folder, ignore_errors=True)
 
 
 if __name__ == "__main__":
-    main(int(sys.argv[1]))
+    main(int(sys.argv[1]), sys.argv[2])

@@ -81,10 +81,18 @@ def overlapping(begin: Callable[[ScanFile], Steps], files: Iterable[ScanFile]) -
                 ahead = read_next()
                 if error is None:
                     file, _, error = step(file, steps)
-            finally:
-                # Also if this scan is interrupted: the one before has its results.
+            except Exception:
+                # A bug at this scan comes after what has become of the one before.
                 if last:
                     yield last.result()
+                raise
+            except BaseException:
+                # No error may hide an interrupt, but the scan before may have its results.
+                if last and last.exception() is None and last.result()[2] is None:
+                    yield last.result()
+                raise
+            if last:
+                yield last.result()
             if error is None:
                 last = beside(file, steps)
             else:

@@ -42,12 +42,13 @@ def number_table(first: str, *numbers: str, title: str = "", no_wrap: bool = Fal
 def score_table(result: Scores, title: str = "") -> Table:
     """Return a table of IoU, precision, recall and points by class, then accuracies and means.
 
-    "–" stands where a class is absent.
+    "–" stands where there is nothing to divide by, and for the IoU of a class without points.
     """
     headings = ("class", "IoU %", "precision %", "recall %", "points")
     table = number_table(*headings, title=title, no_wrap=True)
     for c in result.classes:
-        shares = (percent(share) for share in (c.iou, c.precision, c.recall))
+        iou = c.iou if c.points else math.nan
+        shares = (percent(share) for share in (iou, c.precision, c.recall))
         table.add_row(escape(c.name), *shares, f"{c.points:,}")
     table.add_section()
     table.add_row("accuracy", percent(result.accuracy), "", "", f"{result.points:,}")

@@ -16,6 +16,7 @@ from salsanext_cli.formats.recordings.address import (
 )
 from salsanext_cli.formats.recordings.recorded_scans import recorded_paths
 from salsanext_cli.storage.scan_folders import (
+    is_own_table,
     names_in,
     nothing_in,
     require_known,
@@ -44,8 +45,6 @@ SUFFIX_OF_FOLDER = {
 """Folders of a sequence in an output folder, and the suffix of the files in each."""
 
 SCAN_FOLDER = "velodyne"
-OWN_TABLES = ("scores.txt", "log.csv", "picked.csv")
-"""Files of `eval`, `train` and `pick` that are no scans where they lie beside some."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -173,7 +172,7 @@ def _scans_of_sequences(folder: Path) -> Iterator[ScanFile]:
 
 def _scans_in(folder: Path) -> Iterator[ScanFile]:
     names = names_in(folder) if folder.is_dir() else []
-    suffix_of = {name: scan_suffix(name) for name in names if name not in OWN_TABLES}
+    suffix_of = {name: scan_suffix(name) for name in names if not is_own_table(folder / name)}
     suffixes, sequence = suffixes_of_scans({*suffix_of.values()}), _sequence_of(folder)
     for name, suffix in suffix_of.items():
         if suffix in suffixes:

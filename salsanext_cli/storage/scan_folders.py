@@ -11,8 +11,19 @@ from salsanext_cli.formats import CLOUD_SUFFIXES, SCAN_SUFFIXES, TABLE_SUFFIXES,
 from salsanext_cli.formats.reading import is_folder, present
 from salsanext_cli.formats.recordings.address import is_recording
 
+MAX_LINE_BYTES = 200
 COMPANIONS = (".label", ".toml", ".yaml", ".md")
 """Suffixes of files that are known to lie beside scans."""
+
+OWN_TABLES = {
+    "scores.txt": b"accuracy_mean:",
+    "log.csv": b"epoch,learning_rate,",
+    "picked.csv": b"rank,sequence,scan,",
+}
+"""Names of the tables that `eval`, `train` and `pick` write, and how the first line of each begins.
+
+Lines that are a comment do not count.
+"""
 
 log = logging.getLogger(__name__)
 
@@ -22,6 +33,20 @@ def names_in(folder: Path) -> list[str]:
     # Not is_file(): a link to a scan that is gone must fail when read, not be passed over.
     with os.scandir(folder) as entries:
         return [e.name for e in entries if not e.name.startswith(".") and not is_folder(e)]
+
+
+def is_own_table(path: Path) -> bool:
+    """Return whether a file is a table that `eval`, `train` or `pick` has written."""
+    if (beginning := OWN_TABLES.get(path.name)) is None or not path.is_file():
+        return False
+    try:
+        with path.open("rb") as file:
+            lines = (file.readline(MAX_LINE_BYTES) for _ in range(2))
+            line = next((line for line in lines if not line.startswith(b"#")), b"")
+    except OSError:
+        # Who reads it as a scan says why that fails.
+        return False
+    return line.startswith(beginning)
 
 
 def suffixes_of_scans(found: Collection[str]) -> tuple[str, ...]:

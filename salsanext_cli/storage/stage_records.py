@@ -3,7 +3,7 @@
 
 import hashlib
 import json
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -246,8 +246,9 @@ def _difference(key: str, before: Any, after: Any) -> str:
     Origins are named without their digests, label spaces by their classes, long lists by the
     first value that differs, or their length.
     """
-    if key == "sensor.intensity_quantiles" and None in (before, after):
-        was, now = ("raw", "matched") if before is None else ("matched", "raw")
+    if key == "sensor.intensity_quantiles":
+        was, now = _intensity(before), _intensity(after)
+        now = "matched to other scans" if now == was else now
         return f"intensity was {was} and is {now} (--intensity)"
     if key.startswith("origins."):
         return f"what `{key.removeprefix('origins.')}` made was made anew"
@@ -260,6 +261,13 @@ def _difference(key: str, before: Any, after: Any) -> str:
         place, (before, after) = next(pair for pair in pairs if pair[1][0] != pair[1][1])
         key = f"{key}[{place}]"
     return f"{key} was {_as_shown(before)} and is {_as_shown(after)}"
+
+
+def _intensity(quantiles: Sequence[float] | None) -> str:
+    """Say how intensity is used with such quantiles of a sensor, which may not be set."""
+    if not quantiles:
+        return "raw"
+    return "matched" if any(quantiles) else "none"
 
 
 def _flat(settings: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:

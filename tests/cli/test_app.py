@@ -102,10 +102,20 @@ def test_the_list_of_commands_needs_no_rich():
     assert "Pipeline:" in done.stdout, done.stderr
 
 
-def test_what_the_encoding_of_stdout_lacks_is_replaced():
-    code = "from salsanext_cli.cli import app; app.app = lambda: print('1 ± 2'); app.main()"
-    ended = python(code, PYTHONIOENCODING="ascii")
-    assert (ended.returncode, ended.stdout) == (0, "1 ? 2\n"), ended.stderr
+@pytest.mark.parametrize(
+    ("environment", "printed"),
+    [
+        ({"PYTHONIOENCODING": "ascii"}, "1 ? 2\n"),
+        ({"PYTHONIOENCODING": "ascii:backslashreplace"}, "1 \\xb1 2\n"),
+        ({"LC_ALL": "C", "PYTHONCOERCECLOCALE": "0", "PYTHONUTF8": "0"}, "1 ? 2\n"),
+    ],
+)
+def test_what_the_encoding_of_stdout_lacks_is_replaced_unless_the_user_says_else(
+    environment, printed
+):
+    code = "from salsanext_cli.cli import app; app.app = lambda: print('1 \\xb1 2'); app.main()"
+    ended = python(code, **environment)
+    assert (ended.returncode, ended.stdout) == (0, printed), ended.stderr
 
 
 def test_python_runs_the_package_as_the_command():

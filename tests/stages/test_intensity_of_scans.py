@@ -253,20 +253,22 @@ def test_without_intensity_it_makes_no_difference(knowing, tmp_path):
     assert labels_below(tmp_path / "seen") != labels_below(blind.out)
 
 
-def test_results_of_another_way_are_refused(knowing):
-    run(knowing)
-    raw = replace(knowing.network, intensity="raw")
-    with pytest.raises(
-        OutputError, match=r"settings: intensity was matched and is raw \(--intensity\) ·"
-    ):
-        predict_scans(knowing.data, knowing.out, network=raw)
+WAYS = {"match": "matched", "raw": "raw", "none": "none"}
 
 
-def test_results_without_intensity_are_not_taken_for_matched_ones(knowing):
-    blind = replace(knowing.network, intensity="none")
-    predict_scans(knowing.data, knowing.out, network=blind)
-    with pytest.raises(OutputError, match=r"intensity_quantiles\[0\] was 0\.0 and is 0\.\d+ ·"):
-        run(knowing)
+@pytest.mark.parametrize(("was", "how"), [(a, b) for a in WAYS for b in WAYS if a != b])
+def test_results_of_another_way_are_refused_in_words(knowing, was, how):
+    first, second = (replace(knowing.network, intensity=way) for way in (was, how))
+    predict_scans(knowing.data, knowing.out, network=first)
+    said = rf"settings: intensity was {WAYS[was]} and is {WAYS[how]} \(--intensity\) ·"
+    with pytest.raises(OutputError, match=said):
+        predict_scans(knowing.data, knowing.out, network=second)
+
+
+def test_results_matched_to_other_scans_are_refused_in_words(tmp_path):
+    was, now = ({"sensor": {"intensity_quantiles": [0.0, last]}} for last in (0.5, 0.7))
+    with pytest.raises(OutputError, match="intensity was matched and is matched to other scans"):
+        require_same_settings(tmp_path, was, now)
 
 
 @pytest.mark.parametrize("how", ["match", "none"])

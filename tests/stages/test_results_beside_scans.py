@@ -63,7 +63,7 @@ def test_later_commands_find_the_scans(drive: Path, call, source: str, out: str)
     first = call(f"predict {source} {out} {NETWORK}")
     assert (first["done"], first["failures"]) == (2, [])
     # `eval` writes a table, which is no scan beside tables that are.
-    (Path(out) / "scores.txt").write_text("iou_mean: 0.5\n")
+    (Path(out) / "scores.txt").write_text("accuracy_mean: 0.5\n")
     assert {place: find_scans(Path(place)) for place in before} == before
     again = call(f"predict {source} {out} {NETWORK}")
     assert (again["done"], again["skipped"]) == (0, 2)

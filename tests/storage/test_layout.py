@@ -136,6 +136,31 @@ def test_tables_are_scans_where_there_are_no_clouds(tmp_path: Path, names, scans
         assert [scan.path.name for scan in find_scans(tmp_path / name)] == [name]
 
 
+OWN = {
+    "scores.txt": ("accuracy_mean: 0.5\n", "# scores on scans\naccuracy_mean: 0.5\n"),
+    "log.csv": ("epoch,learning_rate,loss\n1,0.1,2\n",),
+    "picked.csv": ("rank,sequence,scan,uncertainty\n",),
+}
+
+
+@pytest.mark.parametrize(
+    ("name", "text"), [(n, text) for n, texts in OWN.items() for text in texts]
+)
+def test_our_tables_are_no_scans_which_is_said_but_others_of_their_names_are(
+    tmp_path: Path, name, text, caplog
+) -> None:
+    suffix = Path(name).suffix
+    make(tmp_path, f"a{suffix}")
+    for content in ("x,y,z,intensity\n1,2,3,0\n", "1 2 3 0\n", ""):
+        (tmp_path / name).write_text(content)
+        assert {s.path.name for s in find_scans(tmp_path)} == {f"a{suffix}", name}
+    (tmp_path / name).write_text(text)
+    with caplog.at_level(NOTICE):
+        found = select_scans(tmp_path, ScanSelection())
+    assert [scan.path.name for scan in found] == [f"a{suffix}"]
+    assert caplog.messages == [f"{tmp_path}: passed over 1 {suffix}"]
+
+
 def test_text_beside_sequences_is_no_scan(tmp_path: Path) -> None:
     make(tmp_path / "08" / "velodyne", "0.bin")
     make(tmp_path, "readme.txt")
