@@ -70,7 +70,7 @@ class ScanStatistics:
     pixel_class, pixel_range, pixel_intensity : (P,)
         Of each labelled pixel.
     segment_class, segment_top, segment_below : (S,)
-        Class of each segment, height of its upper end, class next below it.
+        Class, height of the upper end, class next below.
     near, reaching : (K,)
         Class of each column in which it is near, and of each where it so reaches the top.
     columns : (1,)
@@ -93,10 +93,8 @@ class ScanStatistics:
 def joined(parts: Iterable[ScanStatistics]) -> ScanStatistics:
     """Return the statistics of several scans as one."""
     found = list(parts)
-    names = [field.name for field in fields(ScanStatistics)]
-    return ScanStatistics(
-        *(np.concatenate([getattr(part, name) for part in found]) for name in names)
-    )
+    columns = ([getattr(part, field.name) for part in found] for field in fields(ScanStatistics))
+    return ScanStatistics(*map(np.concatenate, columns))
 
 
 def segments(
@@ -117,17 +115,17 @@ def segments(
     first[1:] = (of_pixel[1:] != of_pixel[:-1]) | (column[1:] != column[:-1])
     start = np.flatnonzero(first)
     following = np.append(start[1:], count)
-    inside = np.append(column, -1)[following] == column[start]
-    below = np.where(inside, np.append(of_pixel, 0)[following], NOTHING)
+    column_at = np.append(column, -1)
+    inside = column_at[following] == column[start]
+    below = np.where(inside, np.append(of_pixel, 0)[following], NOTHING).astype(np.int16)
     is_ground = ground[of_pixel]
     places = np.where(is_ground, np.arange(count), count)
     next_ground = np.minimum.accumulate(places[::-1])[::-1][start]
-    known = np.append(column, -1)[next_ground] == column[start]
+    known = column_at[next_ground] == column[start]
     usual = np.median(z[is_ground]) if is_ground.any() else 0.0
     foot = np.where(known, np.append(z, 0)[next_ground], usual)
-    labelled = of_pixel[start] > 0
-    found = of_pixel[start], (z[start] - foot).astype(np.float32), below.astype(np.int16)
-    return found[0][labelled], found[1][labelled], found[2][labelled]
+    top, labelled = (z[start] - foot).astype(np.float32), of_pixel[start] > 0
+    return of_pixel[start][labelled], top[labelled], below[labelled]
 
 
 def near_columns(classes: TrainIds, near: Mask, occupied: Mask) -> tuple[TrainIds, TrainIds]:
@@ -212,9 +210,8 @@ def cells(row: dict[str, Any] | None) -> list[str]:
     """Return the cells of a row of the table."""
     if row is None:
         return ["0", *["–"] * 7]
-    quartiles = [
-        "/".join(f"{value:.1f}" for value in row[name]) or "–" for name in ("range", "top")
-    ]
+    pair = (row["range"], row["top"])
+    quartiles = ["/".join(f"{value:.1f}" for value in each) or "–" for each in pair]
     to_top = "–" if row["to_top"] is None else f"{100 * row['to_top']:.0f}"
     below = ", ".join(f"{name} {100 * share:.0f}" for name, share in row["below"].items())
     of_bins = ("–" if value is None else f"{value:.2f}" for value in row["intensity"])
@@ -232,14 +229,14 @@ def main(*words: str) -> None:
     parser.add_argument("--limit", type=int, default=0, help="scans of a data set; 0: all")
     parser.add_argument("--near", type=float, default=15.0, help="metres")
     parser.add_argument("--json", action="store_true")
-    given = parser.parse_args(words)
+    given = parser.parse_args(words or None)
     wanted = NetworkSettings(device="cpu").load().card.sensor.intensity_quantiles
     tables = {}
     for each in given.datasets:
         name, _, place = each.rpartition("=")
         path, own = Path(place), sensor(given.sensor)
-        rows = data_set_rows(path, own, wanted, limit=given.limit, near_m=given.near)
-        tables[name or path.name] = rows
+        key = name or path.name
+        tables[key] = data_set_rows(path, own, wanted, limit=given.limit, near_m=given.near)
     if given.json:
         print(json.dumps(tables))
         return
@@ -250,6 +247,4 @@ def main(*words: str) -> None:
 
 
 if __name__ == "__main__":
-    import sys
-
-    main(*sys.argv[1:])
+    main()
