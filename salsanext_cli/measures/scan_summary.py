@@ -35,7 +35,10 @@ FEWEST_CLASSES = 5
 """Of fewer, one may take nearly all of a scan. Both numbers include the class "unlabelled"."""
 MIN_CONFIDENCE = 0.55
 """Least usual mean of the largest probabilities of a scan; that of streets was 0.58 or more."""
-USUAL = "0.58 or more is usual in streets: the place, the sensor or its settings may be others"
+USUAL = (
+    "of the default weights, 0.58 or more is usual in streets: the place, the sensor or its "
+    "settings may be others"
+)
 LOOK = "look at them: `salsanext export-ply OUT`"
 log = logging.getLogger(__name__)
 
@@ -72,7 +75,7 @@ class ScanSummary:
     ) -> ScanSummary:
         """Count the predicted train ids (N,) of a scan; look at them and their mean probability."""
         points = np.bincount(labels, minlength=space.class_count)
-        found = (*check.findings, *_of_classes(points, space), *_of_confidence(confidence))
+        found = (*check.findings, *_of_classes(points, space), *_of_confidence(confidence, space))
         check = replace(check, findings=found)
         return cls(file, check, tuple(points.tolist()), rejected_points)
 
@@ -88,8 +91,8 @@ def _of_classes(points: npt.NDArray[np.int64], space: LabelSpace) -> Iterator[Fi
         yield Finding("one-class", found, LOOK)
 
 
-def _of_confidence(confidence: float) -> Iterator[Finding]:
-    if confidence < MIN_CONFIDENCE:
+def _of_confidence(confidence: float, space: LabelSpace) -> Iterator[Finding]:
+    if space.class_count > FEW_CLASSES and confidence < MIN_CONFIDENCE:
         found = f"the labels have a mean probability of {confidence:.2f}"
         yield Finding("low-confidence", found, f"{USUAL}; {LOOK}")
 
