@@ -128,7 +128,8 @@ def test_a_fit_may_leave_view_or_intensity(other_sensor):
     assert fitted.sensor.up == pytest.approx((0, 0, -1), abs=0.01)
     assert fitted.sensor.intensity_quantiles[-1] == pytest.approx(254, abs=2)
     kept = sn.fit_network(plain, other_sensor, view=False)
-    assert kept.sensor.view() == plain.sensor.view()
+    own = {"min_range": kept.sensor.min_range, "ego_box": ()}
+    assert kept.sensor.view() == plain.sensor.view() | own
     raw = sn.fit_network(plain, other_sensor, intensity="raw")
     assert raw.sensor == replace(fitted.sensor, intensity_quantiles=())
     with pytest.raises(sn.SalsanextError, match="nowhere · no such file"):

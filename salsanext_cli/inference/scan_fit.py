@@ -53,7 +53,8 @@ def fit_network(
         A scan, a folder of scans, a sequence or a data set; or scans that were read. Up to 16 of
         them count, evenly spaced.
     view : bool
-        Whether a view and a mounting that differ much from the sensor's are those of the scans.
+        Whether a view and a mounting that differ much from the sensor's are those of the scans;
+        what the sensor does not tell of housing and vehicle is found either way.
     intensity : {"auto", "match", "raw", "none"}
         Whether the intensity is to be matched to that of training; "auto": if the weights know it.
 

@@ -1,5 +1,6 @@
 # SPDX-License-Identifier: MIT
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -16,7 +17,8 @@ from salsanext_cli.storage.selection import ScanSelection
 def test_the_files_hold_the_projection(world):
     outcome = project_scans(world.data, world.out, sensor=SMALL)
     assert outcome.done == 3
-    image = project(read_scan(world.scan("08", "000001")), SMALL)
+    seen = replace(SMALL, min_range=1.0, ego_box=())
+    image = project(read_scan(world.scan("08", "000001")), seen)
     channels = np.load(world.result("range", "08", "000001"))
     pixels = np.load(world.result("pixels", "08", "000001"))
     assert channels.dtype == np.float32
@@ -24,9 +26,9 @@ def test_the_files_hold_the_projection(world):
     np.testing.assert_array_equal(channels, image.channels)
     np.testing.assert_array_equal(pixels, image.pixel_of_point)
     assert json.loads((world.out / "project.json").read_text())["settings"] == {
-        "sensor": json.loads(json.dumps(SMALL.to_dict()))
+        "sensor": json.loads(json.dumps(seen.to_dict()))
     }
-    assert projected_sensor(world.out) == SMALL
+    assert projected_sensor(world.out) == seen
     assert projected_sensor(world.data) is None
 
 
