@@ -142,8 +142,8 @@ for commands in COMMANDS.values():
 
 
 def _fails_at_lacking(stream: TextIOWrapper) -> bool:
-    """Return whether characters of tables and names that an encoding lacks would be an error."""
-    # The second is Python's own choice for the C locale, for any other the user has asked.
+    """Return whether a character that the encoding lacks would be an error, unasked."""
+    # Python sets "strict", or in the C locale "surrogateescape"; anything else, the user has set.
     return stream.errors == "strict" or (
         stream.errors == "surrogateescape" and stream.encoding.lower() != "utf-8"
     )

@@ -116,7 +116,11 @@ class ScanCounts:
             if self.histograms.setdefault(key, histogram) is not histogram:
                 self.histograms[key] += histogram
 
-    def about_training(self) -> str:
+    def doubts(self, space: LabelSpace) -> list[str]:
+        """Return what the scores do not tell, or may tell wrongly, in words."""
+        return [words for words in (self._about_training(), self._about_labels(space)) if words]
+
+    def _about_training(self) -> str:
         """Say how many scans the weights were trained on, if any."""
         if self.left_out:
             every = counted(self.scans + self.left_out, "labelled scan")
@@ -126,7 +130,7 @@ class ScanCounts:
             return "every labelled scan was trained on: what the scores are of others is unknown"
         return ""
 
-    def about_labels(self, space: LabelSpace) -> str:
+    def _about_labels(self, space: LabelSpace) -> str:
         """Say that labels and predictions hardly ever agree, if so."""
         matrix = self.confusion.counted(space.scored)
         points, right = int(matrix.sum()), int(np.trace(matrix))

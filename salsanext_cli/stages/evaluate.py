@@ -188,8 +188,8 @@ def evaluate(
         settings=settings,
         uncertainty=evaluate_uncertainty(counts, space),
     )
-    for about in filter(None, (counts.about_training(), counts.about_labels(space))):
-        log.warning("%s", about)
+    for doubt in counts.doubts(space):
+        log.warning("%s", doubt)
     _warn(evaluation)
     files = _files(evaluation)
     with records_lock(out):

@@ -25,5 +25,6 @@ def test_points_without_a_measurement_are_in_no_ring(point):
 def test_labels_that_hardly_ever_agree_are_doubted(right, wrong, said):
     counts = ScanCounts.none(label_space(), by_distance=False)
     counts.confusion.matrix[[1, 9, 0], [1, 0, 5]] = right, wrong, 100_000
-    about = counts.about_labels(label_space())
-    assert (said in about and "--label-space" in about) if said else about == ""
+    doubts = counts.doubts(label_space())
+    assert len(doubts) == bool(said)
+    assert all(said in doubt and "--label-space" in doubt for doubt in doubts)

@@ -53,36 +53,35 @@ def fit_ego(scans: Sequence[Scan], sensor: Sensor) -> Sensor:
     """Return the sensor with `min_range` and `ego_box` where they are None: to be found.
 
     The minimum range is `MIN_RANGE_M`, less where the sensor is lower than usual above the ground.
-    """
-    least, box = sensor.min_range, sensor.ego_box
-    if least is None:
-        least, height = MIN_RANGE_M, _height([in_sensor_frame(scan, sensor) for scan in scans])
-        if height is not None and height >= LEAST_HEIGHT_M:
-            least = round(min(MIN_RANGE_M, SHARE_OF_HEIGHT * height), DIGITS)
-    if box is None:
-        box = fit_ego_box(scans, sensor)
-    return replace(sensor, min_range=least, ego_box=box)
-
-
-def fit_ego_box(scans: Sequence[Scan], sensor: Sensor) -> tuple[float, ...]:
-    """Return the `ego_box` of a sensor, empty where scans do not tell it.
+    The box is empty where the scans do not tell it.
 
     Parameters
     ----------
     scans : sequence of Scan
-        Of one sensor and drive, some time apart; fewer than `MIN_SCANS` tell nothing, nor do those
+        Of one sensor and drive, some time apart; fewer than `MIN_SCANS` tell no box, nor do those
         of a vehicle that stands.
     sensor : Sensor
         Its mounting.
     """
-    if len(scans) < MIN_SCANS:
-        return ()
+    least, box = sensor.min_range, sensor.ego_box
+    if least is not None and box is not None:
+        return sensor
     upright = [in_sensor_frame(scan, sensor) for scan in scans]
-    height = _height(upright)
-    if height is None:
-        return ()
+    heights = [ground.height for scan in upright if (ground := ground_of(scan))]
+    height = float(np.median(heights)) if heights else None
+    if least is None:
+        least = MIN_RANGE_M
+        if height is not None and height >= LEAST_HEIGHT_M:
+            least = round(min(least, SHARE_OF_HEIGHT * height), DIGITS)
+    if box is None:
+        box = _ego_box(upright, height) if height is not None and len(scans) >= MIN_SCANS else ()
+    return replace(sensor, min_range=least, ego_box=box)
+
+
+def _ego_box(scans: Sequence[Scan], height: float) -> tuple[float, ...]:
+    """Return the box of upright scans of a sensor at a height in metres, empty without one."""
     least_z = ABOVE_GROUND_M - height
-    nearest = np.array([_nearest(*_in_cells(scan.points)) for scan in upright])
+    nearest = np.array([_nearest(*_in_cells(scan.points)) for scan in scans])
     seen = np.isfinite(nearest).mean(axis=0)
     with np.errstate(invalid="ignore"):  # of a cell that no scan has a point in
         usual = np.sort(nearest, axis=0)[(seen * len(scans) / 2).astype(int), np.arange(len(seen))]
@@ -97,7 +96,7 @@ def fit_ego_box(scans: Sequence[Scan], sensor: Sensor) -> tuple[float, ...]:
         return ()
     reach = np.where(body_cells, usual + TOLERANCE_M, 0)
     body = []
-    for scan in upright:
+    for scan in scans:
         cells, ranges = _in_cells(scan.points)
         own = (ranges < reach[cells]) & (scan.points[:, 2] > least_z)
         body.append(scan.points[own])
@@ -107,12 +106,6 @@ def fit_ego_box(scans: Sequence[Scan], sensor: Sensor) -> tuple[float, ...]:
     if (highest - lowest)[:2].min() > WIDEST_M or gap > MIN_RANGE_M:
         return ()
     return tuple(np.concatenate([lowest, highest]).astype(np.float64).round(DIGITS).tolist())
-
-
-def _height(upright: Sequence[Scan]) -> float | None:
-    """Return the usual height of a sensor above the ground in metres, None where none is found."""
-    heights = [ground.height for scan in upright if (ground := ground_of(scan))]
-    return float(np.median(heights)) if heights else None
 
 
 def _in_cells(points: Float) -> tuple[npt.NDArray[np.intp], npt.NDArray[np.float64]]:

@@ -86,8 +86,7 @@ class RunResults:
         """Return every reason to doubt the page, a line each."""
         lines = warnings_of_run(self.out, {row.name for row in self.rows})
         if self.counts:
-            about = self.counts.about_training(), self.counts.about_labels(self.how["space"])
-            lines = [*filter(None, about), *lines]
+            lines = [*self.counts.doubts(self.how["space"]), *lines]
         for what, ids in (
             ("labels", self.counts.unknown_truth if self.counts else {}),
             ("predictions", self.counts.unknown_predictions if self.counts else {}),

@@ -11,7 +11,7 @@ from hypothesis.extra import numpy as arrays
 from scans import SMALL
 
 from salsanext_cli import Scan, read_labels, read_scan
-from salsanext_cli.geometry.fitting.ego_fit import MIN_RANGE_M, fit_ego, fit_ego_box
+from salsanext_cli.geometry.fitting.ego_fit import MIN_RANGE_M, fit_ego
 from salsanext_cli.geometry.mounting import ego_points, without_ego
 from salsanext_cli.inference.scan_fit import MAX_SCANS
 from salsanext_cli.storage.selection import evenly_spaced
@@ -60,7 +60,7 @@ def driven(
 @pytest.mark.parametrize("beside", [0, 5])
 def test_the_box_holds_the_roof_and_little_more(beside):
     scans = driven(8, beside=beside)
-    box = fit_ego_box(scans, SMALL)
+    box = fit_ego(scans, SMALL).ego_box
     met = np.isfinite(hits(ROOF))
     met &= hits(ROOF) > MIN_RANGE_M
     own = ego_points(scans[7].points, replace(SMALL, ego_box=box))
@@ -82,7 +82,7 @@ def test_the_box_holds_the_roof_and_little_more(beside):
     ids=["two scans", "vehicle that stands", "no ground", "another beside it all the way"],
 )
 def test_scans_that_do_not_tell_a_box(scans):
-    assert fit_ego_box(scans, SMALL) == ()
+    assert fit_ego(scans, SMALL).ego_box == ()
 
 
 def test_what_is_told_is_not_sought():
