@@ -10,6 +10,8 @@ from salsanext_cli.synthesis.street.plan import Side
 from salsanext_cli.synthesis.things import fences, hedges, vegetation
 
 Maker = Callable[[float], Mesh]
+SOLID_M = 1.5
+"""Largest height of a wall or boards around a lot; higher walls are rarely labelled fence."""
 
 
 def boundary(builder: Builder) -> Maker:
@@ -20,16 +22,18 @@ def boundary(builder: Builder) -> Maker:
 def hedge(builder: Builder) -> Maker:
     """Return a maker of pieces of a hedge: low or high, clipped or ragged."""
     height, depth = builder.between(0.7, 2.7), builder.between(0.5, 1.5)
-    ragged = builder.between(0.012, 0.05) if builder.chance(0.6) else builder.between(0.05, 0.2)
+    clipped = builder.chance(0.5)
+    ragged = builder.between(0.003, 0.03) if clipped else builder.between(0.03, 0.2)
     return partial(hedges.hedge, builder.rng, height=height, depth=depth, ragged=ragged)
 
 
 def fence(builder: Builder) -> Maker:
     """Return a maker of pieces of a fence or a wall."""
     kind = str(builder.rng.choice(fences.FENCES))
-    solid = kind in ("wall", "boards")
-    high = builder.chance(0.35)
-    height = builder.between(1.2, 2.4) if high else builder.between(0.4 if solid else 0.8, 1.3)
+    if kind in ("wall", "boards"):
+        height = builder.between(0.4, SOLID_M)
+    else:
+        height = builder.between(1.2, 2.4) if builder.chance(0.35) else builder.between(0.8, 1.3)
     shade = builder.between(0.7, 1.5)
     return partial(fences.fence, builder.rng, kind=kind, height=height, shade=shade)
 
@@ -55,9 +59,10 @@ def thicket(
 
 
 def wall(builder: Builder, side: Side, start: float, end: float, out: float) -> None:
-    """Set up a high wall or a noise barrier, perhaps overgrown."""
+    """Set up a long wall, high as a noise barrier beside a motorway, perhaps overgrown."""
     kind = "wall" if builder.chance(0.6) else "boards"
-    height, shade = builder.between(1.5, 3.5), builder.between(0.6, 1.4)
+    heights = (1.5, 3.5) if builder.plan.style.barrier else (1.0, 1.9)
+    height, shade = builder.between(*heights), builder.between(0.6, 1.4)
     piece = partial(fences.fence, builder.rng, kind=kind, height=height, shade=shade)
     builder.put_line(piece, side, start, end, out)
     if builder.chance(0.4):

@@ -19,6 +19,7 @@ from salsanext_cli.synthesis.things import (
     people,
     vegetation,
 )
+from salsanext_cli.synthesis.things.trucks import truck
 from salsanext_cli.synthesis.things.vehicles import length_of, vehicle
 
 CAR_ROOM_M = 5.2
@@ -170,7 +171,8 @@ def _high_wall(builder: Builder, side: Side, lot: Lot) -> None:
 def _forecourt(builder: Builder, side: Side, lot: Lot) -> None:
     """Build a low house behind open ground on which vehicles stand."""
     for s in np.arange(lot.start + 3, lot.end - 3, builder.between(4, 9)):
-        mesh, yaw = vehicle(builder.rng), builder.between(0, 6.28)
+        mesh = truck(builder.rng) if builder.chance(0.4) else vehicle(builder.rng)
+        yaw = builder.between(0, 6.28)
         half = max(2.4, length_of(mesh) / 2)
         out = side.depth + builder.between(half, max(half + 0.1, lot.setback - half))
         builder.put_if_free(mesh, side, float(s), out, half, yaw)

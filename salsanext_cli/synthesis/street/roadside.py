@@ -50,7 +50,8 @@ def _trees(builder: Builder, side: Side) -> None:
     if not side.verge and builder.chance(0.5):
         return
     out = side.parking + side.verge / 2 if side.verge else side.parking + 0.7
-    s, height = builder.between(2, 10), builder.between(4.5, 12)
+    s = builder.between(2, 10)
+    height = builder.between(8, 16) if builder.chance(0.4) else builder.between(4.5, 12)
     while s < builder.plan.length:
         mesh = vegetation.tree(builder.rng, height * builder.between(0.85, 1.15))
         builder.put_if_free(mesh, side, s, out + builder.rng.normal(0, 0.1), 0.5)

@@ -11,6 +11,9 @@ from salsanext_cli.synthesis.surfaces import BUILDING, Material
 
 FOOT_M = -1.5
 """Height of the foot of a wall: below the ground, which is not level."""
+BLANK = 0.2
+"""Largest share of openings in the ground floor of a blank front; real ones near a sensor are often
+flat over more than 3 m."""
 Corners = list[list[float]]
 """Four points of a quadrangle."""
 Opening = tuple[float, float, float, float]
@@ -26,26 +29,45 @@ def house(rng: Rng, width: float, depth: float, floors: int) -> Mesh:
     bay = float(rng.uniform(2.2, 4.2))
     corners = np.array([[-1, 0], [1, 0], [1, 1], [-1, 1], [-1, 0]]) * [width / 2, depth]
     ends = (corners[i : i + 2] for i in range(4))
-    parts = [_facade(rng, e, height, storey, bay, wall, front=i == 0) for i, e in enumerate(ends)]
+    ground = _open_share(rng)
+    parts = [_facade(rng, e, height, storey, bay, wall, ground, i == 0) for i, e in enumerate(ends)]
     parts.append(_roof(rng, width, depth, height, wall))
-    parts += _details(rng, width, storey, floors, wall)
+    if ground > BLANK or rng.random() < 0.5:
+        parts += _details(rng, width, storey, floors, wall)
     return merge(parts)
 
 
+def _open_share(rng: Rng) -> float:
+    """Draw the share of the bays of a front's ground floor that have an opening."""
+    bounds = ((0, BLANK), (0.3, 0.6), (1, 1))[rng.choice(3, p=(0.45, 0.25, 0.3))]
+    return float(rng.uniform(*bounds))
+
+
 def _facade(
-    rng: Rng, ends: Array, height: float, storey: float, bay: float, wall: Skin, *, front: bool
+    rng: Rng,
+    ends: Array,
+    height: float,
+    storey: float,
+    bay: float,
+    wall: Skin,
+    ground: float,
+    front: bool,
 ) -> Mesh:
-    """Return one wall: a grid of bays and storeys, most of them with a window."""
+    """Return one wall: a grid of bays and storeys, most of them with a window.
+
+    `ground` is the share of the bays of the front's ground floor that are open.
+    """
     along = ends[1] - ends[0]
     length = float(np.hypot(*along))
     columns = max(1, round(length / bay))
     rows = max(1, int(height / storey))
     lows = np.linspace(0, length, columns + 1)
-    open_chance = 0.85 if front else 0.5
+    open_chance = np.array([ground, 0.85] if front else [0.65, 0.5])
     door = int(rng.integers(columns)) if front else -1
     bare = rng.uniform(0.1, 0.6)
     shop = front and bool(rng.random() < 0.25)
     size = rng.uniform([0.45, 1.1, 0.7], [0.75, 1.7, 1.0])
+    of_ground = np.array([*size[:2], rng.uniform(0.7, 2.0)])
     flat, glass, closed = panels = list[Corners](), list[Corners](), list[Corners]()
     for row in range(rows):
         bottom = row * storey + (FOOT_M if row == 0 else 0)
@@ -53,8 +75,8 @@ def _facade(
         for column in range(columns):
             x0, x1 = lows[column], lows[column + 1]
             kind = "window" if row else "door" if column == door else "shop" if shop else "window"
-            hole = _hole(rng, x0, x1, row, storey, size, kind)
-            if hole is None or rng.random() > open_chance + 0.15 * (row == 0):
+            hole = _hole(rng, x0, x1, row, storey, size if row else of_ground, kind)
+            if hole is None or rng.random() > open_chance[min(row, 1)]:
                 flat.append(_panel(x0, x1, bottom, top, 0))
                 continue
             walls, pane = _pierced(x0, x1, bottom, top, hole, rng.uniform(0.08, 0.3))

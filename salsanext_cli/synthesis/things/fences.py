@@ -11,7 +11,7 @@ from salsanext_cli.synthesis.surfaces import FENCE, Material
 
 FOOT_M = -0.4
 """Height of the foot of walls and posts: below the ground, which is not level."""
-FENCES = ("pickets", "railing", "railing", "mesh", "mesh", "boards", "wall")
+FENCES = ("pickets", "pickets", *["railing"] * 3, *["mesh"] * 3, "boards", "wall")
 PALES = {
     "pickets": (Material.WOOD, 0.16, 0.09),
     "boards": (Material.WOOD, 0.21, 0.2),

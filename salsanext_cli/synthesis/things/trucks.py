@@ -34,7 +34,7 @@ def truck(rng: Rng) -> Mesh:
     shape = VAN_CAB if name == "van" else LORRY_CAB
     stretch = rng.uniform([0.85, 0.88, 0.85], [1.1, 1.08, 1.15])
     material = (Material.PLASTER, Material.PAINT, Material.METAL)[rng.integers(3)]
-    load = Skin.drawn(rng, TRUCK, material, 0.2, 1.5)
+    load = Skin.drawn(rng, TRUCK, material, 0.5, 1.8)
     half_width = shape.width * 0.49 * stretch[1]
     bed = Bed(rng.uniform(*kind["bed"]) / 2, half_width, rng.uniform(*kind["floor"]), load)
     cab_length, gap = shape.length * stretch[0], rng.uniform(*kind["gap"])

@@ -19,6 +19,8 @@ from salsanext_cli.synthesis.mesh import (
 from salsanext_cli.synthesis.presets import Span
 from salsanext_cli.synthesis.surfaces import TRUNK, VEGETATION, Material
 
+THIN_M = 0.06
+"""Largest radius of a stem that is a branch, not a trunk."""
 FOOT_M = -0.4
 """Height of the foot of trunks, stems and hedges: below the ground, which is not level."""
 
@@ -45,8 +47,8 @@ def tree(rng: Rng, height: float) -> Mesh:
     """Return a broad-leaved tree: bent trunk, branches, a crown of clusters."""
     bark = Skin.drawn(rng, TRUNK, Material.BARK, 0.5, 1.15)
     branch = bark._replace(label=VEGETATION)
-    radius = float(rng.uniform(0.012, 0.03) * height**0.75)
-    clear = float(rng.uniform(0.12, 0.42) * height)
+    radius = float(rng.uniform(0.018, 0.06) * height**0.75)
+    clear = max(rng.uniform(0.2, 0.5) * height, 1.8 if rng.random() < 0.5 else 0.0)
     dense = rng.random() < 0.5
     bend = rng.normal(0, 0.05 * height, (2,))
     heights = np.array([FOOT_M, 0.0, 0.4, clear * 0.5, clear, clear * 1.5])
@@ -113,9 +115,9 @@ def thicket(rng: Rng, length: float, depth: float, height: float) -> Mesh:
         x, y = rng.uniform(0, length), rng.uniform(depth * 0.2, depth)
         lean = rng.normal(0, 0.5, 2)
         top = np.array([x + lean[0], y + lean[1], height * rng.uniform(0.6, 1.1)])
-        parts.append(
-            tube([np.array([x, y, FOOT_M]), top], [rng.uniform(0.03, 0.13), 0.03], bark, 6)
-        )
+        radius = rng.uniform(0.1, 0.25) if rng.random() < 0.25 else rng.uniform(0.03, 0.13)
+        stem = bark if radius > THIN_M else bark._replace(label=VEGETATION)
+        parts.append(tube([np.array([x, y, FOOT_M]), top], [radius, 0.03], stem, 6))
         parts.append(_leaves(rng, top, np.array([2.0, 2.0, height * 0.3]), 260, (0.12, 0.32), leaf))
     return merge(parts)
 
