@@ -99,8 +99,9 @@ def _body(name: str) -> Body:
 STYLES = tuple(Style(name, **_TABLES["style"][name]) for name in _TABLES["styles"])
 """Styles in the order in which sequences take them; from eight on a data set has all."""
 CARS = tuple(map(_body, _TABLES["cars"]))
-LORRY_CAB, VAN_CAB, BUS, CARAVAN = map(_body, ("lorry_cab", "van_cab", "bus", "caravan"))
+BUS, CARAVAN = map(_body, ("bus", "caravan"))
 TRUCKS: dict[str, dict[str, Any]] = _TABLES["truck"]
+CABS = {kind["cab"]: _body(kind["cab"]) for kind in TRUCKS.values()}
 TRAFFIC: dict[str, float] = _TABLES["traffic"]
 """Frequency of each kind of vehicle, parked or driving, relative to the others."""
 BRIGHTNESS: dict[str, Any] = _TABLES["brightness"]

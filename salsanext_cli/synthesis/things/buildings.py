@@ -4,6 +4,8 @@
 Local frame: x along the street, y away from it, the front wall at y = 0, the ground at z = 0.
 """
 
+from typing import NamedTuple
+
 import numpy as np
 
 from salsanext_cli.synthesis.mesh import Array, Mesh, Rng, Skin, box, merge, quads
@@ -20,6 +22,13 @@ Opening = tuple[float, float, float, float]
 """Left, right, bottom and top."""
 
 
+class GroundFloor(NamedTuple):
+    """Share of the front's bays that have an opening, and skin of the walls."""
+
+    open_share: float
+    skin: Skin
+
+
 def house(rng: Rng, width: float, depth: float, floors: int) -> Mesh:
     """Return a house whose front is `width` metres long and centred on x = 0."""
     material = Material.PLASTER if rng.random() < 0.7 else Material.BRICK
@@ -29,10 +38,11 @@ def house(rng: Rng, width: float, depth: float, floors: int) -> Mesh:
     bay = float(rng.uniform(2.2, 4.2))
     corners = np.array([[-1, 0], [1, 0], [1, 1], [-1, 1], [-1, 0]]) * [width / 2, depth]
     ends = (corners[i : i + 2] for i in range(4))
-    ground = _open_share(rng)
+    base = wall if rng.random() < 0.6 else Skin.drawn(rng, BUILDING, Material.BRICK, 0.4, 1.5)
+    ground = GroundFloor(_open_share(rng), base)
     parts = [_facade(rng, e, height, storey, bay, wall, ground, i == 0) for i, e in enumerate(ends)]
     parts.append(_roof(rng, width, depth, height, wall))
-    if ground > BLANK or rng.random() < 0.5:
+    if ground.open_share > BLANK or rng.random() < 0.5:
         parts += _details(rng, width, storey, floors, wall)
     return merge(parts)
 
@@ -50,25 +60,22 @@ def _facade(
     storey: float,
     bay: float,
     wall: Skin,
-    ground: float,
+    ground: GroundFloor,
     front: bool,
 ) -> Mesh:
-    """Return one wall: a grid of bays and storeys, most of them with a window.
-
-    `ground` is the share of the bays of the front's ground floor that are open.
-    """
+    """Return one wall: a grid of bays and storeys, most of them with a window."""
     along = ends[1] - ends[0]
     length = float(np.hypot(*along))
     columns = max(1, round(length / bay))
     rows = max(1, int(height / storey))
     lows = np.linspace(0, length, columns + 1)
-    open_chance = np.array([ground, 0.85] if front else [0.65, 0.5])
+    open_chance = np.array([ground.open_share, 0.85] if front else [0.65, 0.5])
     door = int(rng.integers(columns)) if front else -1
     bare = rng.uniform(0.1, 0.6)
     shop = front and bool(rng.random() < 0.25)
     size = rng.uniform([0.45, 1.1, 0.7], [0.75, 1.7, 1.0])
     of_ground = np.array([*size[:2], rng.uniform(0.7, 2.0)])
-    flat, glass, closed = panels = list[Corners](), list[Corners](), list[Corners]()
+    panels = base, flat, glass, closed = [list[Corners]() for _ in range(4)]
     for row in range(rows):
         bottom = row * storey + (FOOT_M if row == 0 else 0)
         top = (row + 1) * storey if row < rows - 1 else height
@@ -77,13 +84,13 @@ def _facade(
             kind = "window" if row else "door" if column == door else "shop" if shop else "window"
             hole = _hole(rng, x0, x1, row, storey, size if row else of_ground, kind)
             if hole is None or rng.random() > open_chance[min(row, 1)]:
-                flat.append(_panel(x0, x1, bottom, top, 0))
+                (flat if row else base).append(_panel(x0, x1, bottom, top, 0))
                 continue
             walls, pane = _pierced(x0, x1, bottom, top, hole, rng.uniform(0.08, 0.3))
-            flat += walls
+            (flat if row else base).extend(walls)
             (glass if rng.random() < bare else closed).append(pane)
     shutters = Skin.drawn(rng, BUILDING, Material.WOOD, 0.4, 1.1)
-    skins = (wall, Skin(BUILDING, Material.GLASS), shutters)
+    skins = (ground.skin, wall, Skin(BUILDING, Material.GLASS), shutters)
     skinned = zip(panels, skins, strict=True)
     mesh = merge(quads(np.array(corners), skin) for corners, skin in skinned if corners)
     return mesh.moved((*ends[0], 0), float(np.arctan2(*along[::-1])))

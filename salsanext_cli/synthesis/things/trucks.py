@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Trucks: delivery vans with a box, lorries with box, flatbed, tub or tank, semi-trailers.
+"""Trucks: pickups, delivery vans with a box, lorries with box, flatbed, tub or tank, semi-trailers.
 
 Local frame: x forward, y left, the middle of the footprint at the origin, the ground at z = 0.
 """
@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 
 from salsanext_cli.synthesis.mesh import Mesh, Rng, Skin, box, merge, quads, tube
-from salsanext_cli.synthesis.presets import LORRY_CAB, TRUCKS, VAN_CAB
+from salsanext_cli.synthesis.presets import CABS, TRUCKS
 from salsanext_cli.synthesis.surfaces import TRUCK, Material
 from salsanext_cli.synthesis.things.bodies import dark_paint, loft, wheels
 
@@ -29,9 +29,8 @@ class Bed(NamedTuple):
 def truck(rng: Rng) -> Mesh:
     """Return a truck of one of the kinds in the presets."""
     chances = np.array([kind["share"] for kind in TRUCKS.values()])
-    name = list(TRUCKS)[rng.choice(len(chances), p=chances / chances.sum())]
-    kind = TRUCKS[name]
-    shape = VAN_CAB if name == "van" else LORRY_CAB
+    kind = list(TRUCKS.values())[rng.choice(len(chances), p=chances / chances.sum())]
+    shape = CABS[kind["cab"]]
     stretch = rng.uniform([0.85, 0.88, 0.85], [1.1, 1.08, 1.15])
     material = (Material.PLASTER, Material.PAINT, Material.METAL)[rng.integers(3)]
     load = Skin.drawn(rng, TRUCK, material, 0.5, 1.8)
