@@ -27,7 +27,7 @@ from salsanext_cli.synthesis.things import (
 
 THINGS = {
     "car": (cars.car, {surfaces.CAR}, (3.4, 1.6, 1.3), (5.5, 2.4, 2.5)),
-    "truck": (trucks.truck, {surfaces.TRUCK}, (4.6, 1.6, 2.0), (17.5, 3.3, 4.2)),
+    "truck": (trucks.truck, {surfaces.TRUCK}, (4.2, 1.6, 1.5), (17.5, 3.3, 4.2)),
     "person": (people.person, {surfaces.PERSON}, (0.2, 0.2, 1.0), (1.4, 1.1, 2.0)),
     "bicycle": (cycles.bicycle, {surfaces.BICYCLE}, (1.5, 0.4, 0.8), (2.0, 0.8, 1.3)),
     "bicyclist": (riders.bicyclist, {surfaces.BICYCLIST}, (1.5, 0.4, 1.6), (2.1, 0.9, 2.1)),
