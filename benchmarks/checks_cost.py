@@ -22,11 +22,11 @@ from unittest.mock import patch
 import numpy as np
 import numpy.typing as npt
 
+from salsanext_cli.engines.network import Network
+from salsanext_cli.engines.settings import NetworkSettings
 from salsanext_cli.errors import counted
-from salsanext_cli.geometry.checks.findings import UNCHECKED
-from salsanext_cli.inference import adaptation, checked_scans
-from salsanext_cli.inference.network import Network
-from salsanext_cli.inference.settings import NetworkSettings
+from salsanext_cli.fitting import adaptation, checked_scans
+from salsanext_cli.fitting.findings import UNCHECKED
 from salsanext_cli.parallel.run import RunOptions
 from salsanext_cli.stages import predict
 

@@ -21,11 +21,11 @@ from pathlib import Path
 import numpy as np
 import torch
 
-from salsanext_cli.inference.scan_fit import fitted
-from salsanext_cli.inference.settings import NetworkSettings
+from salsanext_cli.engines.settings import NetworkSettings
+from salsanext_cli.fitting.scan_fit import fitted
 from salsanext_cli.network.weights import read_weights, save_weights, save_with_card
+from salsanext_cli.results.layout import ScanFile
 from salsanext_cli.stages.tune_temperature import tune_temperature
-from salsanext_cli.storage.layout import ScanFile
 from salsanext_cli.training.cross_validation import folds
 from salsanext_cli.training.data.class_counts import class_shares
 from salsanext_cli.training.tuning.error import FOLDS, cross_validated

@@ -25,10 +25,10 @@ import torch
 
 import salsanext_cli as sn
 from salsanext_cli.benchmarking.hardware import seconds_of
-from salsanext_cli.inference.device import has_bfloat16, openvino_core
-from salsanext_cli.inference.graphs import HINTS, Graph
-from salsanext_cli.inference.network import Network
-from salsanext_cli.kernels import thread_count
+from salsanext_cli.compiled.kernels import thread_count
+from salsanext_cli.engines.device import has_bfloat16, openvino_core
+from salsanext_cli.engines.graphs import HINTS, Graph
+from salsanext_cli.engines.network import Network
 
 KINDS = ("float32", "bfloat16") if has_bfloat16() else ("float32",)
 Engine = Callable[[np.ndarray], np.ndarray]
@@ -63,9 +63,9 @@ def by_openvino(network: Network) -> Engine:
 
 
 def by_openvino_in_int8(network: Network, image: np.ndarray) -> Engine:
-    from salsanext_cli.inference.onnx_export import exported
-    from salsanext_cli.inference.onnx_model import read_model
-    from salsanext_cli.inference.quantised import quantised
+    from salsanext_cli.engines.onnx_export import exported
+    from salsanext_cli.engines.onnx_model import read_model
+    from salsanext_cli.engines.quantised import quantised
 
     card = replace(network.card, sensor=network.sensor)
     content = quantised(exported(network.module, card), [image], lambda given: given)

@@ -19,7 +19,7 @@ import numpy as np
 from commands import link_data_set, mean_and_spread, salsanext, scored
 from matplotlib.figure import Figure
 
-from salsanext_cli.storage.layout import find_scans
+from salsanext_cli.results.layout import find_scans
 from salsanext_cli.training.cross_validation import folds
 
 BATCH_NORM = "batch norm"

@@ -17,8 +17,8 @@ from typing import TypeVar
 
 from salsanext_cli.parallel.run import RunOptions, run_over_scans
 from salsanext_cli.parallel.shards import Shard
-from salsanext_cli.storage.layout import ScanFile, find_scans, output_path
-from salsanext_cli.storage.output_run import OutputRun, output_run
+from salsanext_cli.results.layout import ScanFile, find_scans, output_path
+from salsanext_cli.results.output_run import OutputRun, output_run
 
 Result = TypeVar("Result")
 SCANS_PER_SEQUENCE = 1000

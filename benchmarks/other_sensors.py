@@ -23,12 +23,12 @@ from pathlib import Path
 import numpy as np
 
 import salsanext_cli as sn
-from salsanext_cli.geometry.fitting.view_fit import fit_view
-from salsanext_cli.inference.network import Network
-from salsanext_cli.inference.scan_fit import as_seen, with_sensor
-from salsanext_cli.measures.beam_fit import fit_beams
+from salsanext_cli.engines.network import Network
+from salsanext_cli.fitting.beam_fit import fit_beams
+from salsanext_cli.fitting.scan_fit import as_seen, with_sensor
+from salsanext_cli.fitting.view_fit import fit_view
 from salsanext_cli.measures.survey import Survey, survey
-from salsanext_cli.sensors import Sensor
+from salsanext_cli.sensors.sensor import Sensor
 from salsanext_cli.synthesis import drive
 from salsanext_cli.synthesis.sensor.beams import Beams
 from salsanext_cli.synthesis.sensor.rig import Rig, hdl64_rig

@@ -16,8 +16,8 @@ from pathlib import Path
 
 from commands import link_data_set, mean_and_spread, salsanext, scored
 
-from salsanext_cli.measures.scan_choice import STRATEGIES
-from salsanext_cli.storage.layout import find_scans
+from salsanext_cli.labelling.scan_choice import STRATEGIES
+from salsanext_cli.results.layout import find_scans
 
 
 def score(root: Path, given: argparse.Namespace, *how: object, seed: int) -> tuple[float, float]:

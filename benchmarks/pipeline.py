@@ -14,12 +14,12 @@ import tempfile
 import time
 from pathlib import Path
 
+from salsanext_cli.engines.settings import NetworkSettings
 from salsanext_cli.formats import read_scan
 from salsanext_cli.geometry.projection import project
-from salsanext_cli.inference.settings import NetworkSettings
 from salsanext_cli.parallel.run import RunOptions
+from salsanext_cli.results.layout import find_scans
 from salsanext_cli.stages.predict import predict_scans
-from salsanext_cli.storage.layout import find_scans
 
 LEFT_OUT = 3
 

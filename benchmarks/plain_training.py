@@ -11,9 +11,9 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
-from salsanext_cli.classes import LabelSpace
-from salsanext_cli.sensors import Sensor
-from salsanext_cli.storage.layout import ScanFile
+from salsanext_cli.classes.label_space import LabelSpace
+from salsanext_cli.results.layout import ScanFile
+from salsanext_cli.sensors.sensor import Sensor
 from salsanext_cli.training.recipe import Recipe
 
 

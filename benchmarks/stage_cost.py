@@ -15,17 +15,17 @@ from collections.abc import Callable
 from itertools import pairwise
 from pathlib import Path
 
-from salsanext_cli.inference.settings import NetworkSettings
+from salsanext_cli.engines.settings import NetworkSettings
 from salsanext_cli.parallel.run import RunOptions
 from salsanext_cli.parallel.threads import threads_of_workers
+from salsanext_cli.results.predictions import predicted_scans
+from salsanext_cli.results.selection import ScanSelection
 from salsanext_cli.stages.evaluate import evaluate
 from salsanext_cli.stages.export_ply import export_ply
 from salsanext_cli.stages.knn_refine import knn_refine_scans
 from salsanext_cli.stages.predict import predict_range_images, predict_scans
 from salsanext_cli.stages.project import project_scans
 from salsanext_cli.stages.uncertainty import uncertainty
-from salsanext_cli.storage.predictions import predicted_scans
-from salsanext_cli.storage.selection import ScanSelection
 from salsanext_cli.uncertainty.settings import Estimator
 
 

@@ -30,15 +30,15 @@ import numpy as np
 import numpy.typing as npt
 
 from salsanext_cli import label_space, read_labels, read_scan, sensor
-from salsanext_cli.classes import LabelSpace, TrainIds
+from salsanext_cli.classes.label_space import LabelSpace, TrainIds
+from salsanext_cli.engines.settings import NetworkSettings
+from salsanext_cli.fitting.scan_fit import fitted_view, sampled_images
 from salsanext_cli.geometry.intensity import intensity_quantiles, match_intensity
 from salsanext_cli.geometry.projection import project
-from salsanext_cli.inference.scan_fit import fitted_view, sampled_images
-from salsanext_cli.inference.settings import NetworkSettings
 from salsanext_cli.records import Float
-from salsanext_cli.sensors import Sensor
-from salsanext_cli.storage.layout import ScanFile, find_scans
-from salsanext_cli.storage.selection import evenly_spaced, space_of
+from salsanext_cli.results.layout import ScanFile, find_scans
+from salsanext_cli.results.selection import evenly_spaced, space_of
+from salsanext_cli.sensors.sensor import Sensor
 
 Mask = npt.NDArray[np.bool_]
 GROUND = ("road", "parking", "sidewalk", "other-ground", "terrain")

@@ -23,10 +23,10 @@ import torch
 from plain_training import PlainTraining
 from torch import Tensor
 
-from salsanext_cli.classes import label_space
+from salsanext_cli.classes.label_space import label_space
 from salsanext_cli.network.registry import build
-from salsanext_cli.sensors import sensor
-from salsanext_cli.storage.layout import find_scans
+from salsanext_cli.results.layout import find_scans
+from salsanext_cli.sensors.sensor import sensor
 from salsanext_cli.training.data.class_counts import class_weights, count_classes, rare_classes
 from salsanext_cli.training.data.dataset import Samples, batches
 from salsanext_cli.training.data.sources import Source

@@ -16,14 +16,14 @@ from pathlib import Path
 from shrink import shrink
 
 import salsanext_cli as sn
-from salsanext_cli.geometry.fitting.view_fit import as_found
+from salsanext_cli.engines.network import Network
+from salsanext_cli.engines.settings import NetworkSettings
+from salsanext_cli.fitting.scan_fit import fitted
+from salsanext_cli.fitting.view_fit import as_found
 from salsanext_cli.geometry.mounting import in_sensor_frame
-from salsanext_cli.inference.network import Network
-from salsanext_cli.inference.scan_fit import fitted
-from salsanext_cli.inference.settings import NetworkSettings
 from salsanext_cli.report.colours import Colours, legend_of, screen_colours
 from salsanext_cli.report.scan_pictures import scan_picture
-from salsanext_cli.storage.layout import find_scans
+from salsanext_cli.results.layout import find_scans
 
 WIDTH_PX = 1000
 """Width of a picture, so that twenty of them stay small."""

@@ -15,16 +15,16 @@ from pathlib import Path
 import torch
 
 import salsanext_cli as sn
+from salsanext_cli.engines.settings import NetworkSettings
 from salsanext_cli.geometry.knn import KnnParameters
-from salsanext_cli.inference.settings import NetworkSettings
 from salsanext_cli.network.complexity import PAPERS, multiply_accumulates, parameter_count
 from salsanext_cli.network.registry import build
 from salsanext_cli.parallel.run import RunOptions
+from salsanext_cli.results.predictions import predicted_scans
+from salsanext_cli.results.selection import ScanSelection
 from salsanext_cli.stages.evaluate import evaluate
 from salsanext_cli.stages.predict import predict_scans
 from salsanext_cli.stages.train import train
-from salsanext_cli.storage.predictions import predicted_scans
-from salsanext_cli.storage.selection import ScanSelection
 from salsanext_cli.training.recipe import recipe
 
 LADDER = {

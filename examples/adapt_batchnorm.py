@@ -12,17 +12,17 @@ from dataclasses import replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
-from salsanext_cli.classes import LabelSpace
-from salsanext_cli.inference.settings import NetworkSettings
+from salsanext_cli.classes.label_space import LabelSpace
+from salsanext_cli.engines.settings import NetworkSettings
 from salsanext_cli.measures.confusion import Confusion
 from salsanext_cli.measures.scan_counts import ScanCounts, count_scan
 from salsanext_cli.measures.scores import scores
 from salsanext_cli.network.card import default_weights, read_card
-from salsanext_cli.sensors import sensor
+from salsanext_cli.results.layout import ScanFile, find_scans
+from salsanext_cli.results.selection import space_of
+from salsanext_cli.sensors.sensor import sensor
 from salsanext_cli.stages.predict import predict_scans
 from salsanext_cli.stages.tune_batchnorm import tune_batchnorm
-from salsanext_cli.storage.layout import ScanFile, find_scans
-from salsanext_cli.storage.selection import space_of
 
 
 def link(scans: list[ScanFile], folder: Path) -> Path:

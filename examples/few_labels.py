@@ -13,15 +13,15 @@ import sys
 from pathlib import Path
 
 import salsanext_cli as sn
-from salsanext_cli.inference.settings import NetworkSettings
+from salsanext_cli.engines.settings import NetworkSettings
 from salsanext_cli.measures.confusion import Confusion
 from salsanext_cli.measures.scores import scores
+from salsanext_cli.results.layout import find_scans, output_path
 from salsanext_cli.stages.import_labels import import_labels
 from salsanext_cli.stages.pick import pick
 from salsanext_cli.stages.predict import predict_scans
 from salsanext_cli.stages.synth import synthesise
 from salsanext_cli.stages.train import train
-from salsanext_cli.storage.layout import find_scans, output_path
 from salsanext_cli.training.recipe import recipe
 
 SEED = 5

@@ -7,8 +7,8 @@ Run: python examples/own_sensor.py my/scans out/ [weights.safetensors]
 import sys
 from pathlib import Path
 
-from salsanext_cli.inference.settings import NetworkSettings
-from salsanext_cli.sensors import sensor
+from salsanext_cli.engines.settings import NetworkSettings
+from salsanext_cli.sensors.sensor import sensor
 from salsanext_cli.stages.inspect import inspect, write_sensor
 from salsanext_cli.stages.predict import predict_scans
 

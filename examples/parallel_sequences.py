@@ -12,10 +12,10 @@ from pathlib import Path
 
 import joblib
 
-from salsanext_cli.inference.settings import NetworkSettings
+from salsanext_cli.engines.settings import NetworkSettings
+from salsanext_cli.results.layout import find_scans
+from salsanext_cli.results.selection import ScanSelection
 from salsanext_cli.stages.predict import predict_scans
-from salsanext_cli.storage.layout import find_scans
-from salsanext_cli.storage.selection import ScanSelection
 
 
 def label_sequence(dataset: Path, out: Path, weights: Path | None, sequence: str) -> str:

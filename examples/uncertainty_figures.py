@@ -18,7 +18,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 import salsanext_cli as sn
-from salsanext_cli.inference.network import Network
+from salsanext_cli.engines.network import Network
 from salsanext_cli.measures.risk_coverage import spearman
 from salsanext_cli.records import RangeImage
 from salsanext_cli.uncertainty.aleatoric import aleatoric

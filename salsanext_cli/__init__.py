@@ -7,25 +7,25 @@ package, and asking the command line for help, takes no time.
 
 from __future__ import annotations
 
+from salsanext_cli.version import __version__
+
 TYPE_CHECKING = False  # Of `typing`, which takes its time.
 if TYPE_CHECKING:
     from typing import Any
 
-    from salsanext_cli.classes import LabelSpace, label_space
+    from salsanext_cli.classes.label_space import LabelSpace, label_space
+    from salsanext_cli.engines.loading import load_network
+    from salsanext_cli.engines.network import Network
     from salsanext_cli.errors import SalsanextError
+    from salsanext_cli.fitting.scan_fit import fit_network
     from salsanext_cli.formats import read_scan
     from salsanext_cli.formats.labels import read_labels
     from salsanext_cli.geometry.knn import KnnParameters, knn_refine
     from salsanext_cli.geometry.projection import project
-    from salsanext_cli.inference.loading import load_network
-    from salsanext_cli.inference.network import Network
-    from salsanext_cli.inference.scan_fit import fit_network
     from salsanext_cli.records import RangeImage, Scan
-    from salsanext_cli.sensors import Sensor, sensor
-    from salsanext_cli.storage.point_files import write_labels, write_ply
+    from salsanext_cli.results.point_files import write_labels, write_ply
+    from salsanext_cli.sensors.sensor import Sensor, sensor
     from salsanext_cli.uncertainty.monte_carlo import sample
-
-__version__ = "0.1.0"
 
 __all__ = [
     "KnnParameters",
@@ -35,6 +35,7 @@ __all__ = [
     "SalsanextError",
     "Scan",
     "Sensor",
+    "__version__",
     "fit_network",
     "knn_refine",
     "label_space",
@@ -49,18 +50,18 @@ __all__ = [
 ]
 
 _HOMES = {
-    "classes": ("LabelSpace", "label_space"),
+    "classes.label_space": ("LabelSpace", "label_space"),
     "errors": ("SalsanextError",),
     "formats": ("read_scan",),
     "formats.labels": ("read_labels",),
     "geometry.knn": ("KnnParameters", "knn_refine"),
     "geometry.projection": ("project",),
-    "inference.loading": ("load_network",),
-    "inference.network": ("Network",),
-    "inference.scan_fit": ("fit_network",),
+    "engines.loading": ("load_network",),
+    "engines.network": ("Network",),
+    "fitting.scan_fit": ("fit_network",),
     "records": ("RangeImage", "Scan"),
-    "sensors": ("Sensor", "sensor"),
-    "storage.point_files": ("write_labels", "write_ply"),
+    "sensors.sensor": ("Sensor", "sensor"),
+    "results.point_files": ("write_labels", "write_ply"),
     "uncertainty.monte_carlo": ("sample",),
 }
 _HOME_OF = {name: home for home, names in _HOMES.items() for name in names}

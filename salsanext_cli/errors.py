@@ -29,6 +29,8 @@ NOTICE = 25
 """Log level of messages for every user that are not warnings."""
 MAX_NAMES_SHOWN = 3
 """Files or scans that a message names."""
+SHOWN_CHARACTERS = 100
+"""Longest text of a wrong value in an error."""
 UNDECODED = {code: f"\\x{code & 0xFF:02x}" for code in range(0xDC80, 0xDD00)}
 """Bytes of names that are no text, as Python decodes them."""
 CONTROL = {code: f"\\x{code:02x}" for code in (*range(32), *range(127, 160))}
@@ -42,13 +44,13 @@ def printable(text: str) -> str:
     return text.translate(ESCAPES)
 
 
-def as_text(data: Any) -> Any:
+def escaped(data: Any) -> Any:
     """Return plain data with the bytes of names that are no text escaped, for other programs."""
     if isinstance(data, str):
         return data.translate(UNDECODED)
     if isinstance(data, Mapping):
-        return {as_text(key): as_text(value) for key, value in data.items()}
-    return [as_text(value) for value in data] if isinstance(data, list | tuple) else data
+        return {escaped(key): escaped(value) for key, value in data.items()}
+    return [escaped(value) for value in data] if isinstance(data, list | tuple) else data
 
 
 def counted(count: int, noun: str) -> str:
@@ -61,6 +63,30 @@ def first_few(names: Sequence[object]) -> str:
     more = len(names) - MAX_NAMES_SHOWN
     shown = ", ".join(map(str, names[:MAX_NAMES_SHOWN]))
     return f"{shown} and {more} more" if more > 0 else shown
+
+
+def error_text(error: BaseException) -> str:
+    """Return the message of an error on one line of limited length."""
+    if isinstance(error, RecursionError):
+        return "nested too deeply"
+    return shortened(" ".join(str(error).split()) or type(error).__name__, 3 * SHOWN_CHARACTERS)
+
+
+def shortened(value: object, length: int = SHOWN_CHARACTERS) -> str:
+    """Return the text of a value, shortened to a length."""
+    if isinstance(value, int) and value.bit_length() > 4 * length:
+        # Python refuses to write out numbers of thousands of digits.
+        return f"a number of {value.bit_length()} bits"
+    try:
+        text = value if isinstance(value, str) else repr(value)
+    except (ValueError, RecursionError):
+        return f"a {type(value).__name__}"
+    return text if len(text) <= length else text[: length - 1] + "…"
+
+
+def quoted(value: object) -> str:
+    """Return the text of a value, shortened, and of a text in quotation marks."""
+    return shortened(repr(value) if isinstance(value, str) else value)
 
 
 class SalsanextError(Exception):

@@ -74,7 +74,7 @@ def world(tmp_path: Path, weights: Path) -> "World":
     from scans import write_sequence
     from world import World
 
-    from salsanext_cli.inference.settings import NetworkSettings
+    from salsanext_cli.engines.settings import NetworkSettings
 
     data = tmp_path / "Daten für 1"
     write_sequence(data / "sequences/00", ["000000"], seed=7)

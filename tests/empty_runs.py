@@ -5,8 +5,8 @@ from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from salsanext_cli.storage.layout import ScanFile
-from salsanext_cli.storage.output_run import OutputRun, output_run
+from salsanext_cli.results.layout import ScanFile
+from salsanext_cli.results.output_run import OutputRun, output_run
 
 
 def begin_and_end(

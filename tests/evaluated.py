@@ -17,9 +17,9 @@ from salsanext_cli.measures.uncertainty_evaluation import (
     evaluate_uncertainty,
 )
 from salsanext_cli.parallel.run import RunOptions
+from salsanext_cli.results.layout import find_scans, output_path
+from salsanext_cli.results.point_files import write_bin
 from salsanext_cli.stages.evaluate import evaluate
-from salsanext_cli.storage.layout import find_scans, output_path
-from salsanext_cli.storage.point_files import write_bin
 
 SPACE = label_space()
 CAR, ROAD, MOVING_CAR, UNKNOWN = 10, 40, 252, 77

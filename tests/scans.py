@@ -14,8 +14,8 @@ from salsanext_cli import LabelSpace, Scan, Sensor, label_space, write_labels
 from salsanext_cli.network.card import WeightsCard
 from salsanext_cli.network.salsanext import SalsaNext
 from salsanext_cli.network.weights import save_weights
-from salsanext_cli.storage.point_files import write_bin, write_ply
-from salsanext_cli.storage.written_files import RECORDS
+from salsanext_cli.results.point_files import write_bin, write_ply
+from salsanext_cli.results.written_files import RECORDS
 
 SMALL = Sensor(
     "small",

@@ -21,7 +21,7 @@ from salsanext_cli.cli.app import app
 from salsanext_cli.network.card import WeightsCard
 from salsanext_cli.network.registry import ARCHITECTURES
 from salsanext_cli.network.weights import save_weights
-from salsanext_cli.storage.selection import scans_of
+from salsanext_cli.results.selection import scans_of
 
 PACKAGE = str(Path(salsanext_cli.__file__).parent)
 CONSTANT_PER_SCAN = 10

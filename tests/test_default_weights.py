@@ -9,14 +9,14 @@ import safetensors
 import torch
 
 from salsanext_cli import knn_refine, load_network, project, read_labels, read_scan
+from salsanext_cli.engines.settings import NetworkSettings
 from salsanext_cli.errors import NOTICE
 from salsanext_cli.geometry.gather import points_from_pixels
-from salsanext_cli.inference.settings import NetworkSettings
 from salsanext_cli.network.card import default_weights
+from salsanext_cli.results.layout import find_scans
+from salsanext_cli.results.point_files import write_bin
 from salsanext_cli.stages.predict import predict_scans
 from salsanext_cli.stages.synth import synthesise
-from salsanext_cli.storage.layout import find_scans
-from salsanext_cli.storage.point_files import write_bin
 from salsanext_cli.training.recipe import Recipe, recipe
 from salsanext_cli.training.tuning.error import error_scores
 from salsanext_cli.uncertainty.error_features import knows_error, label_error

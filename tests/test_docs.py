@@ -22,15 +22,16 @@ from command_line import every_command, parsed
 from scans import SMALL, make_scan, write_array, write_sequence
 
 import salsanext_cli
-from salsanext_cli import LabelSpace, Sensor, label_space, load_network, read_scan, sensors
+from salsanext_cli import LabelSpace, Sensor, label_space, load_network, read_scan
 from salsanext_cli.cli.app import COMMANDS, app
 from salsanext_cli.formats import SCAN_SUFFIXES
 from salsanext_cli.formats.clouds.asprs import asprs_class
+from salsanext_cli.results.layout import SUFFIX_OF_FOLDER
+from salsanext_cli.results.point_files import write_bin
+from salsanext_cli.sensors import sensor as sensors
 from salsanext_cli.stages import predict as stage
 from salsanext_cli.stages.export_onnx import export_onnx
 from salsanext_cli.stages.models import models
-from salsanext_cli.storage.layout import SUFFIX_OF_FOLDER
-from salsanext_cli.storage.point_files import write_bin
 from salsanext_cli.training import recipe
 from salsanext_cli.training.recipe import Recipe
 

@@ -13,8 +13,8 @@ from salsanext_cli.errors import (
     FormatError,
     OutputError,
     SalsanextError,
-    as_text,
     counted,
+    escaped,
     printable,
 )
 
@@ -77,7 +77,7 @@ def test_control_characters_in_names_of_files_are_escaped():
 def test_data_for_other_programs_is_text():
     data = {"a\udcff": ["b\udc80\n", ("ü", 1)], "deep": {"c": None, 3: 0.5}}
     expected = {"a\\xff": ["b\\x80\n", ["ü", 1]], "deep": {"c": None, 3: 0.5}}
-    assert as_text(data) == expected
+    assert escaped(data) == expected
 
 
 def test_commands_log_and_say_printable_text(capsys, monkeypatch):

@@ -19,8 +19,8 @@ from salsanext_cli.network.card import read_card
 from salsanext_cli.network.designs import SALSANET
 from salsanext_cli.network.registry import ARCHITECTURES
 from salsanext_cli.network.salsanext import SalsaNext
-from salsanext_cli.storage.layout import find_scans, output_path
-from salsanext_cli.storage.point_files import write_bin
+from salsanext_cli.results.layout import find_scans, output_path
+from salsanext_cli.results.point_files import write_bin
 from salsanext_cli.training.data.sources import Source
 from salsanext_cli.training.log import write_log
 from salsanext_cli.training.validation import validate

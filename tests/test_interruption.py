@@ -13,10 +13,10 @@ import pytest
 from command_line import python
 
 from salsanext_cli.errors import MissingDependency
+from salsanext_cli.files.atomic import write_bytes
+from salsanext_cli.files.locks import locked
+from salsanext_cli.files.optional_packages import import_open3d
 from salsanext_cli.interruption import ARRIVED, interruptible
-from salsanext_cli.packages import import_open3d
-from salsanext_cli.storage.files.atomic import write_bytes
-from salsanext_cli.storage.files.locks import locked
 
 SIGNALS = pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 

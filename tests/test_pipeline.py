@@ -18,15 +18,15 @@ from typer.testing import CliRunner
 
 from salsanext_cli import label_space, read_labels, sensor
 from salsanext_cli.cli.app import app
-from salsanext_cli.inference.settings import NetworkSettings
+from salsanext_cli.engines.settings import NetworkSettings
 from salsanext_cli.parallel.run import RunOptions
+from salsanext_cli.results.selection import ScanSelection
 from salsanext_cli.stages.export_ply import export_ply
 from salsanext_cli.stages.import_weights import import_weights
 from salsanext_cli.stages.knn_refine import knn_refine_scans
 from salsanext_cli.stages.predict import predict_range_images, predict_scans
 from salsanext_cli.stages.project import project_scans
 from salsanext_cli.stages.uncertainty import uncertainty
-from salsanext_cli.storage.selection import ScanSelection
 from salsanext_cli.uncertainty.settings import Estimator
 
 THREE_LINES = (

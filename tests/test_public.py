@@ -14,10 +14,10 @@ from typer.testing import CliRunner
 
 import salsanext_cli as sn
 from salsanext_cli.cli.app import app
-from salsanext_cli.inference.settings import NetworkSettings
-from salsanext_cli.sensor_limits import INTENSITY_LEVELS
+from salsanext_cli.engines.settings import NetworkSettings
+from salsanext_cli.results.point_files import write_bin
+from salsanext_cli.sensors.limits import INTENSITY_LEVELS
 from salsanext_cli.stages.predict import predict_scans
-from salsanext_cli.storage.point_files import write_bin
 
 NAMES = [name for name in sn.__all__ if not name.startswith("__")]
 HEAVY = ("torch", "numpy", "numba", "open3d", "matplotlib", "typer", "rich", "yaml", "plyfile")
@@ -63,7 +63,7 @@ def test_the_sample_of_the_design_runs(tmp_path, monkeypatch, weights):
     monkeypatch.chdir(tmp_path)
     write_bin(Path("000000.bin"), make_scan())
     Path("weights.safetensors").symlink_to(weights)
-    monkeypatch.setattr("salsanext_cli.sensors.presets", lambda: {"hdl64": SMALL})
+    monkeypatch.setattr("salsanext_cli.sensors.sensor.presets", lambda: {"hdl64": SMALL})
 
     scan = sn.read_scan("000000.bin")
     image = sn.project(scan, sn.sensor("hdl64"))

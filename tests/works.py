@@ -8,9 +8,9 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from salsanext_cli.errors import FormatError
+from salsanext_cli.files.atomic import MARK, sweep, writing
 from salsanext_cli.parallel.run import Outcome, RunOptions, run_over_scans
-from salsanext_cli.storage.files.atomic import MARK, sweep, writing
-from salsanext_cli.storage.layout import ScanFile
+from salsanext_cli.results.layout import ScanFile
 
 
 class Write:

@@ -7,8 +7,8 @@ from pathlib import Path
 import numpy as np
 
 from salsanext_cli import read_labels, write_labels
-from salsanext_cli.inference.settings import NetworkSettings
-from salsanext_cli.storage.layout import SUFFIX_OF_FOLDER
+from salsanext_cli.engines.settings import NetworkSettings
+from salsanext_cli.results.layout import SUFFIX_OF_FOLDER
 
 
 @dataclass

@@ -11,15 +11,15 @@ from typing import Any
 
 from salsanext_cli.benchmarking.hardware import least_seconds
 from salsanext_cli.benchmarking.turn import take_turn
+from salsanext_cli.engines.device import choose_device, choose_precision
+from salsanext_cli.engines.settings import NetworkSettings
 from salsanext_cli.errors import UsageError, WeightsError
 from salsanext_cli.formats import read_scan
 from salsanext_cli.geometry.normalise import noise_of
-from salsanext_cli.inference.device import choose_device, choose_precision
-from salsanext_cli.inference.settings import NetworkSettings
 from salsanext_cli.network.card import WeightsCard, default_weights, read_card, require_tensors
-from salsanext_cli.sensors import Sensor
-from salsanext_cli.storage.point_files import write_bin
-from salsanext_cli.storage.selection import ScanSelection, select_scans
+from salsanext_cli.results.point_files import write_bin
+from salsanext_cli.results.selection import ScanSelection, select_scans
+from salsanext_cli.sensors.sensor import Sensor
 
 PARTS = ("projection", "network", "knn", "predict", "uncertainty", "confusion", "cold", "help")
 SIDES = ("baseline", "product")

@@ -9,10 +9,10 @@ from typing import Any
 
 import torch
 
-from salsanext_cli.inference.device import bfloat16_instructions
+from salsanext_cli.engines.device import bfloat16_instructions
 from salsanext_cli.network.complexity import multiply_accumulates
 from salsanext_cli.network.registry import build
-from salsanext_cli.sensors import Sensor
+from salsanext_cli.sensors.sensor import Sensor
 
 MATRIX_ROWS = {"cpu": 2048, "cuda": 8192}
 COPY_BYTES = {"cpu": 1 << 27, "cuda": 1 << 30}  # more than any cache holds

@@ -11,7 +11,7 @@ import salsanext_cli as sn
 from salsanext_cli.benchmarking.hardware import describe
 from salsanext_cli.geometry.gather import points_from_pixels
 from salsanext_cli.measures.confusion import Confusion
-from salsanext_cli.storage.layout import ScanFile
+from salsanext_cli.results.layout import ScanFile
 from salsanext_cli.uncertainty.settings import Estimator
 
 

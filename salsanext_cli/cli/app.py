@@ -9,7 +9,6 @@ from typing import Annotated, Any
 import typer
 from typer.core import TyperGroup
 
-from salsanext_cli import __version__
 from salsanext_cli.cli.benchmark import benchmark
 from salsanext_cli.cli.console import WRONG_USE, guarded, usage_errors
 from salsanext_cli.cli.convert import convert
@@ -35,6 +34,7 @@ from salsanext_cli.cli.train import train
 from salsanext_cli.cli.tune import tune
 from salsanext_cli.cli.uncertainty import uncertainty
 from salsanext_cli.cli.view import view
+from salsanext_cli.version import __version__
 
 COMMANDS: dict[str, dict[str, Callable[..., None] | typer.Typer]] = {
     "Pipeline": {

@@ -40,9 +40,9 @@ def benchmark(
     """
     from salsanext_cli.benchmarking.benchmark import PARTS
     from salsanext_cli.benchmarking.benchmark import benchmark as run
+    from salsanext_cli.files.atomic import require_absent
+    from salsanext_cli.files.json_files import write_json
     from salsanext_cli.report.tables import benchmark_table
-    from salsanext_cli.storage.files.atomic import require_absent
-    from salsanext_cli.storage.files.json_files import write_json
 
     if write is not None:
         require_absent(write, running.overwrite)

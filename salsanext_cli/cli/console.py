@@ -19,7 +19,7 @@ import typer
 
 from salsanext_cli.cli.option_groups import option, option_group
 from salsanext_cli.cli.progress import tell
-from salsanext_cli.errors import NOTICE, SalsanextError, UsageError, as_text, printable
+from salsanext_cli.errors import NOTICE, SalsanextError, UsageError, escaped, printable
 from salsanext_cli.interruption import ARRIVED, INTACT, WORDS, interruptible
 
 if TYPE_CHECKING:
@@ -127,4 +127,4 @@ def usage_errors(arguments: Sequence[str]) -> Iterator[None]:
 
 def _print_json(data: Mapping[str, Any]) -> None:
     # ASCII, since stdout may be no UTF-8.
-    typer.echo(json.dumps({"schema": SCHEMA} | as_text(data), allow_nan=False))
+    typer.echo(json.dumps({"schema": SCHEMA} | escaped(data), allow_nan=False))

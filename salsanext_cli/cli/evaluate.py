@@ -28,9 +28,9 @@ def evaluate(
     from rich.text import Text
 
     from salsanext_cli.report.tables import ring_table, score_table, uncertainty_tables
+    from salsanext_cli.results.predictions import predicted_scans, provenance
     from salsanext_cli.stages.evaluate import ON_TRAINING_SCANS
     from salsanext_cli.stages.evaluate import evaluate as stage
-    from salsanext_cli.storage.predictions import predicted_scans, provenance
 
     out = results.folder()
     chosen, dataset = selection.scans(), selection.dataset

@@ -41,8 +41,8 @@ def export_onnx(
 
     Example: salsanext export-onnx weights.safetensors model.onnx
     """
+    from salsanext_cli.results.selection import ScanSelection
     from salsanext_cli.stages.export_onnx import export_onnx as stage
-    from salsanext_cli.storage.selection import ScanSelection
 
     if int8 != (calibrate is not None):
         given, lacking = ("--int8", "--calibrate") if int8 else ("--calibrate", "--int8")

@@ -46,7 +46,7 @@ def import_labels(
     Example: salsanext import-labels edited/ to-label/
     """
     from salsanext_cli.report.imported import imported_lines, imported_table
-    from salsanext_cli.sensors import sensor
+    from salsanext_cli.sensors.sensor import sensor
     from salsanext_cli.stages.import_labels import import_labels as stage
 
     with progress("import-labels", output.quiet) as bar:

@@ -42,8 +42,8 @@ def knn_refine(
 
     Example: salsanext knn-refine out/
     """
+    from salsanext_cli.results.stage_records import recorded_sensor
     from salsanext_cli.stages.knn_refine import knn_refine_scans
-    from salsanext_cli.storage.stage_records import recorded_sensor
 
     seen = options.sensor(sensor)
     if columns is not None:

@@ -17,10 +17,10 @@ from salsanext_cli.cli.selection_options import OUT_VARIABLE, label_space
 from salsanext_cli.errors import UsageError
 
 if TYPE_CHECKING:
-    from salsanext_cli.classes import LabelSpace
+    from salsanext_cli.classes.label_space import LabelSpace
+    from salsanext_cli.engines.settings import NetworkSettings
     from salsanext_cli.geometry.knn import KnnParameters
-    from salsanext_cli.inference.settings import NetworkSettings
-    from salsanext_cli.sensors import Sensor
+    from salsanext_cli.sensors.sensor import Sensor
 
 DEFAULT_WEIGHTS = Path("default")
 """Name of the weights of the package; a file of that name needs an absolute path."""
@@ -111,7 +111,7 @@ class NetworkOptions:
 
     def settings(self, *, sized: bool = False) -> NetworkSettings:
         """Build the settings that stages take; `sized` as for `named_sensor`."""
-        from salsanext_cli.inference.settings import NetworkSettings
+        from salsanext_cli.engines.settings import NetworkSettings
 
         weights = None if self.weights == DEFAULT_WEIGHTS else self.weights
         fit = self.is_fitted and not (sized and self.sensor != AUTO)
@@ -121,7 +121,7 @@ class NetworkOptions:
     @property
     def is_fitted(self) -> bool:
         """True if the view is that of the weights, fitted to the scans; a file tells its own."""
-        from salsanext_cli.sensors import presets
+        from salsanext_cli.sensors.sensor import presets
 
         return self.sensor == AUTO or self.sensor in presets()
 
@@ -131,7 +131,7 @@ class NetworkOptions:
         Of a built-in sensor that is all but noise and scale of intensity; `sized` ones have their
         own size and view.
         """
-        from salsanext_cli.sensors import OF_DEVICE
+        from salsanext_cli.sensors.sensor import OF_DEVICE
 
         named = None if self.sensor == AUTO else sensor(self.sensor, self.trained_sensor)
         if named and self.is_fitted and not sized:
@@ -213,8 +213,8 @@ def weights_file(path: Path | None) -> Path:
 
 def sensor(name: str | None, base: Callable[[], Sensor] | None = None) -> Sensor | None:
     """Look up a sensor, None where none was named; `base` has what its file does not tell."""
-    from salsanext_cli.sensors import presets
-    from salsanext_cli.sensors import sensor as find
+    from salsanext_cli.sensors.sensor import presets
+    from salsanext_cli.sensors.sensor import sensor as find
 
     if name is None:
         return None
@@ -223,7 +223,7 @@ def sensor(name: str | None, base: Callable[[], Sensor] | None = None) -> Sensor
 
 def ego_box(text: str) -> tuple[float, ...]:
     """Return the box that a text tells, nothing for ``none``."""
-    from salsanext_cli.sensor_limits import BOX_EXPECTED, is_box
+    from salsanext_cli.sensors.limits import BOX_EXPECTED, is_box
 
     box: tuple[float, ...] = ()
     if text != "none":
@@ -238,7 +238,7 @@ def with_columns(sensor: Sensor, columns: str | None) -> Sensor:
     """Return a sensor whose files have other columns, if some were named."""
     if columns is None:
         return sensor
-    from salsanext_cli.column_names import COLUMNS_EXPECTED, are_columns
+    from salsanext_cli.sensors.limits import COLUMNS_EXPECTED, are_columns
 
     names = tuple(name.strip().lower() for name in columns.split(","))
     if not are_columns(names):

@@ -59,9 +59,9 @@ def predict(
 
     Example: salsanext predict seq/velodyne out/
     """
-    from salsanext_cli.inference.range_images import projected_sensor
+    from salsanext_cli.fitting.range_images import projected_sensor
+    from salsanext_cli.results.layout import ERROR
     from salsanext_cli.stages import predict as stage
-    from salsanext_cli.storage.layout import ERROR
 
     source = selection.source(scans)
     wanted = {"pixel_labels": pixel_labels, "probabilities": probabilities, ERROR: error}

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
     from salsanext_cli.measures.scan_summary import RunSummary
     from salsanext_cli.parallel.run import Failure, Outcome
-    from salsanext_cli.storage.sources import MissingResults
+    from salsanext_cli.results.sources import MissingResults
 
 SUBMITTED_SPLIT = "test"
 SUBMISSION = "submission.zip"
@@ -87,7 +87,7 @@ def _as_data(outcome: Outcome) -> dict[str, Any]:
     if outcome.rejected_points is not None:
         found["rejected_points"] = outcome.rejected_points
     if summary := outcome.summary:
-        from salsanext_cli.inference.settings import recorded_view
+        from salsanext_cli.engines.settings import recorded_view
 
         found["sensor"] = recorded_view(summary.sensor)
         found["largest_classes"] = summary.largest_classes()
@@ -100,7 +100,7 @@ def _lines(summary: RunSummary | None, following: str | None) -> Iterable[str]:
     """Yield what else is worth knowing: the sensor, the classes, the command to type next."""
     if summary is not None:
         sensor = summary.sensor
-        from salsanext_cli.geometry.fitting.view_fit import as_ego, as_found
+        from salsanext_cli.fitting.view_fit import as_ego, as_found
 
         yield f"sensor: {sensor.name}, {sensor.height}×{sensor.width}, {as_found(sensor)}"
         if share := summary.ego_share:

@@ -14,8 +14,8 @@ from salsanext_cli.cli.option_groups import argument, option, option_group
 from salsanext_cli.errors import UsageError
 
 if TYPE_CHECKING:
-    from salsanext_cli.classes import LabelSpace
-    from salsanext_cli.storage.selection import ScanSelection
+    from salsanext_cli.classes.label_space import LabelSpace
+    from salsanext_cli.results.selection import ScanSelection
 
 OUT_VARIABLE = "SALSANEXT_OUT"
 TOPIC_HELP = "Topic of the point clouds of a recording."
@@ -41,7 +41,7 @@ class Selection:
 
     def scans(self) -> ScanSelection:
         """Build the selection that stages take."""
-        from salsanext_cli.storage.selection import ScanSelection
+        from salsanext_cli.results.selection import ScanSelection
 
         names = tuple(name.strip() for name in (self.sequences or "").split(",") if name.strip())
         if self.sequences is not None and not names:
@@ -145,6 +145,6 @@ class ResultSelection(Selection):
 
 def label_space(name: str | None) -> LabelSpace | None:
     """Look up a label space, None where none was named."""
-    from salsanext_cli.classes import label_space as find
+    from salsanext_cli.classes.label_space import label_space as find
 
     return None if name is None else find(name)

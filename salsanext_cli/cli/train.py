@@ -14,7 +14,7 @@ from salsanext_cli.errors import counted
 
 if TYPE_CHECKING:
     from salsanext_cli.parallel.run import Progress
-    from salsanext_cli.sensors import Sensor
+    from salsanext_cli.sensors.sensor import Sensor
     from salsanext_cli.stages.train import TrainResult
     from salsanext_cli.training.fit import Report
     from salsanext_cli.training.recipe import Recipe
@@ -50,7 +50,7 @@ class Start:
     def seen(self) -> "Sensor | None":
         """Return the sensor to train for, None for that of the weights, else the HDL-64."""
         from salsanext_cli.network.card import read_card
-        from salsanext_cli.sensors import sensor as find_sensor
+        from salsanext_cli.sensors.sensor import sensor as find_sensor
 
         named = options.sensor(self.sensor)
         if self.columns is None:

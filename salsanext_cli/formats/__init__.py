@@ -8,7 +8,7 @@ from salsanext_cli.formats.clouds import kitti, las, numpy_scans, pcd, ply, text
 from salsanext_cli.formats.recordings.address import recording_of
 from salsanext_cli.formats.recordings.recorded_scans import read_recorded
 from salsanext_cli.records import Scan
-from salsanext_cli.sensors import Sensor
+from salsanext_cli.sensors.sensor import Sensor
 
 CLOUD_SUFFIXES = (".pcd.bin", ".bin", ".pcd", ".ply", ".las", ".laz", ".xyz")
 """Suffixes of files that are scans wherever they lie; longer ones first: they decide the stem."""

@@ -8,10 +8,9 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from salsanext_cli.beam_elevations import MAX_BEAMS
-from salsanext_cli.column_names import UNUSED_COLUMN
 from salsanext_cli.errors import FormatError, counted
 from salsanext_cli.records import Float, Int, Scan
+from salsanext_cli.sensors.limits import MAX_BEAMS, UNUSED_COLUMN
 
 Columns = Mapping[str, npt.NDArray[Any]]
 """Values by name, each (N,)."""

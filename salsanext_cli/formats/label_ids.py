@@ -9,10 +9,10 @@ from pathlib import Path
 
 import numpy as np
 
-from salsanext_cli.classes import LabelSpace, RawIds
-from salsanext_cli.errors import UsageError
+from salsanext_cli.classes.label_space import LabelSpace, RawIds
+from salsanext_cli.errors import UsageError, quoted, shortened
+from salsanext_cli.files.yaml_toml import read_yaml
 from salsanext_cli.formats.label_scalars import NO_VALUE, Ids
-from salsanext_cli.settings_files import quoted, read_yaml, shortened
 
 CLASS_BITS = 0xFFFF
 EXPECTED_MAP = "a mapping of a tool's ids to names or raw ids of the label space, such as 3: car"

@@ -9,14 +9,13 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from salsanext_cli.errors import FormatError, LabelError
+from salsanext_cli.errors import FormatError, LabelError, shortened
 from salsanext_cli.formats.clouds.asprs import LAST_STANDARD_CLASS, UNASSIGNED
 from salsanext_cli.formats.clouds.las import las_columns
 from salsanext_cli.formats.clouds.pcd import pcd_columns
 from salsanext_cli.formats.clouds.ply import ply_columns
 from salsanext_cli.formats.columns import Columns
 from salsanext_cli.records import Float
-from salsanext_cli.settings_files import shortened
 
 READERS: dict[str, Callable[[Path], Columns]] = {
     ".ply": ply_columns,

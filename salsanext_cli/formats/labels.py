@@ -6,9 +6,9 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-from salsanext_cli.classes import RawIds
+from salsanext_cli.classes.label_space import RawIds
 from salsanext_cli.errors import FormatError, LabelError, counted
-from salsanext_cli.formats.reading import read_values, reading, size_of
+from salsanext_cli.files.reading import read_values, reading, size_of
 
 MAX_CLASS = 0xFFFF
 """Largest label of four bytes without an instance."""

@@ -16,7 +16,7 @@ import numpy.typing as npt
 from numpy.lib import format as npy
 
 from salsanext_cli.errors import FormatError
-from salsanext_cli.formats.reading import read_values, reading, size_of
+from salsanext_cli.files.reading import read_values, reading, size_of
 from salsanext_cli.records import Float
 
 MAX_HEADER_BYTES = 1024

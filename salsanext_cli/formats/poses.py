@@ -5,7 +5,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from salsanext_cli.errors import FormatError, counted
-from salsanext_cli.formats.reading import reading
+from salsanext_cli.files.reading import reading
 
 
 def pose_lines(path: Path, scans: Sequence[str], wanted: Sequence[str]) -> bytes:

@@ -6,7 +6,7 @@ import numpy.typing as npt
 
 from salsanext_cli.geometry.ranges import LARGEST, measured_ranges
 from salsanext_cli.records import Int, Scan
-from salsanext_cli.sensors import Sensor
+from salsanext_cli.sensors.sensor import Sensor
 
 
 def rows_of(scan: Scan, sensor: Sensor) -> Int | None:

@@ -9,8 +9,8 @@ import numpy.typing as npt
 from salsanext_cli.geometry.few_points import drawn
 from salsanext_cli.geometry.ranges import LARGEST, measured_ranges
 from salsanext_cli.records import Float
-from salsanext_cli.sensor_limits import INTENSITY_LEVELS
-from salsanext_cli.sensors import Sensor
+from salsanext_cli.sensors.limits import INTENSITY_LEVELS
+from salsanext_cli.sensors.sensor import Sensor
 
 DIGITS = 6
 """Significant digits of a quantile."""

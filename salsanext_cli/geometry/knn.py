@@ -17,7 +17,7 @@ from typing import TypeVar
 import numpy as np
 import numpy.typing as npt
 
-from salsanext_cli.classes import TrainIds
+from salsanext_cli.classes.label_space import TrainIds
 from salsanext_cli.errors import LabelError, UsageError
 from salsanext_cli.records import Float, Int, RangeImage
 

@@ -4,7 +4,7 @@
 import numpy as np
 import torch
 
-from salsanext_cli.classes import TrainIds
+from salsanext_cli.classes.label_space import TrainIds
 from salsanext_cli.records import Float, Int
 
 CHUNK_POINTS = 1 << 17

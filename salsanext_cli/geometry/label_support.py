@@ -4,8 +4,8 @@
 import numpy as np
 import numpy.typing as npt
 
-from salsanext_cli.classes import TrainIds
-from salsanext_cli.kernels import argument, compiled, parallel_for_slices
+from salsanext_cli.classes.label_space import TrainIds
+from salsanext_cli.compiled.kernels import argument, compiled, parallel_for_slices
 from salsanext_cli.records import Float, Int, RangeImage
 
 ROWS, COLUMNS, STEP = 4, 8, 2

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from salsanext_cli.packages import import_open3d
+from salsanext_cli.files.optional_packages import import_open3d
 from salsanext_cli.records import Float
 
 TOLERANCE_M = 1e-3

@@ -7,7 +7,7 @@ import numpy as np
 import numpy.typing as npt
 
 from salsanext_cli.records import Float, Scan
-from salsanext_cli.sensors import ORIGIN, UP, Sensor
+from salsanext_cli.sensors.sensor import ORIGIN, UP, Sensor
 
 
 def in_sensor_frame(scan: Scan, sensor: Sensor) -> Scan:

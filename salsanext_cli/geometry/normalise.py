@@ -5,7 +5,7 @@ import numpy as np
 
 from salsanext_cli.errors import UsageError
 from salsanext_cli.records import Float
-from salsanext_cli.sensors import Sensor
+from salsanext_cli.sensors.sensor import Sensor
 
 
 def normalise(channels: Float, sensor: Sensor) -> Float:

@@ -19,7 +19,7 @@ import numpy as np
 from salsanext_cli.geometry.beam_rows import rows_of
 from salsanext_cli.geometry.mounting import without_ego
 from salsanext_cli.records import RangeImage, Scan
-from salsanext_cli.sensors import Sensor
+from salsanext_cli.sensors.sensor import Sensor
 
 
 def project(scan: Scan, sensor: Sensor, device: str = "cpu") -> RangeImage:

@@ -9,8 +9,8 @@ import math
 
 import numpy as np
 
+from salsanext_cli.compiled.kernels import argument, compiled, parallel_for_slices
 from salsanext_cli.geometry.ranges import LARGEST
-from salsanext_cli.kernels import argument, compiled, parallel_for_slices
 from salsanext_cli.records import CHANNELS, Float, Int, RangeImage, Scan
 
 ZERO, HALF, ONE = np.float32(0), np.float32(0.5), np.float32(1)

@@ -6,7 +6,7 @@ from collections.abc import Iterable
 import numpy as np
 
 from salsanext_cli.records import Float
-from salsanext_cli.sensors import Sensor
+from salsanext_cli.sensors.sensor import Sensor
 
 MAX_GAP = 6
 """Most rows of a gap; larger ones are sky, or beams that returned nothing."""

@@ -12,17 +12,17 @@ from pathlib import Path
 
 import numpy as np
 
-from salsanext_cli.class_merging import ClassMerging
-from salsanext_cli.classes import LabelSpace
+from salsanext_cli.classes.label_space import LabelSpace
+from salsanext_cli.classes.merging import ClassMerging
 from salsanext_cli.errors import UsageError, first_few
+from salsanext_cli.files.reading import present
 from salsanext_cli.formats.labels import read_labels
-from salsanext_cli.formats.reading import present
 from salsanext_cli.measures.confusion import Confusion, Counts
 from salsanext_cli.measures.scan_counts import ScanCounts, count_scan
 from salsanext_cli.measures.scores import scores
-from salsanext_cli.sensors import Sensor
-from salsanext_cli.storage.layout import UNCERTAINTY, ScanFile, output_path
-from salsanext_cli.storage.scan_results import read_kind
+from salsanext_cli.results.layout import UNCERTAINTY, ScanFile, output_path
+from salsanext_cli.results.scan_results import read_kind
+from salsanext_cli.sensors.sensor import Sensor
 
 LEADING_KINDS = ("error", "entropy", *UNCERTAINTY)
 """Kinds of uncertainty by how well they tell which scan is uncertain; the first one known counts.

@@ -12,13 +12,13 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from salsanext_cli.class_merging import ClassMerging
-from salsanext_cli.classes import LabelSpace, RawIds
+from salsanext_cli.classes.label_space import LabelSpace, RawIds
+from salsanext_cli.classes.merging import ClassMerging
 from salsanext_cli.errors import LabelError, counted
+from salsanext_cli.files.reading import present
 from salsanext_cli.formats import read_scan
 from salsanext_cli.formats.labels import read_labels
 from salsanext_cli.formats.npy import read_probabilities
-from salsanext_cli.formats.reading import present
 from salsanext_cli.geometry.mounting import in_sensor_frame
 from salsanext_cli.geometry.ranges import measured_ranges
 from salsanext_cli.measures.calibration import SCAN_BINS, reliability
@@ -30,12 +30,12 @@ from salsanext_cli.measures.histograms import (
     uncertainty_histogram,
 )
 from salsanext_cli.measures.softmax import lack_of_confidence, softmax_entropy, softmax_errors
+from salsanext_cli.network.scan_digests import is_among
 from salsanext_cli.records import Float, Scan
-from salsanext_cli.sensors import Sensor
-from salsanext_cli.storage.layout import UNCERTAINTY, ScanFile, output_path
-from salsanext_cli.storage.rejection import rejected_points
-from salsanext_cli.storage.scan_digests import is_among
-from salsanext_cli.storage.scan_results import read_kind
+from salsanext_cli.results.layout import UNCERTAINTY, ScanFile, output_path
+from salsanext_cli.results.rejection import rejected_points
+from salsanext_cli.results.scan_results import read_kind
+from salsanext_cli.sensors.sensor import Sensor
 
 SOFTMAX = "probabilities"
 """Folder of the softmax, and key of the histograms of its confidence."""

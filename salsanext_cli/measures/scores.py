@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 import yaml
 
-from salsanext_cli.classes import LabelSpace
+from salsanext_cli.classes.label_space import LabelSpace
 from salsanext_cli.measures.confusion import Confusion, Ratios, ratio
 
 EPSILON = 1e-15

@@ -11,8 +11,8 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from salsanext_cli.classes import RawIds
-from salsanext_cli.geometry.fitting.view_fit import OUTLIERS
+from salsanext_cli.classes.label_space import RawIds
+from salsanext_cli.fitting.view_fit import OUTLIERS
 from salsanext_cli.geometry.ranges import measured_ranges
 from salsanext_cli.records import CHANNELS, RangeImage, Scan
 

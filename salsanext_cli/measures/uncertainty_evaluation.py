@@ -9,7 +9,7 @@ from typing import Any, Generic, TypeVar
 
 import numpy as np
 
-from salsanext_cli.classes import LabelSpace
+from salsanext_cli.classes.label_space import LabelSpace
 from salsanext_cli.measures.calibration import (
     CalibrationScores,
     Reliability,
@@ -35,7 +35,7 @@ from salsanext_cli.measures.scan_counts import (
     ScanCounts,
 )
 from salsanext_cli.measures.scores import plain
-from salsanext_cli.storage.layout import UNCERTAINTY
+from salsanext_cli.results.layout import UNCERTAINTY
 
 log = logging.getLogger(__name__)
 

@@ -13,15 +13,14 @@ from typing import Any
 
 import safetensors
 
-from salsanext_cli import __version__
-from salsanext_cli.classes import LabelSpace
-from salsanext_cli.errors import UsageError, WeightsError
-from salsanext_cli.formats.reading import is_folder, present
+from salsanext_cli.classes.label_space import LabelSpace
+from salsanext_cli.errors import UsageError, WeightsError, error_text, shortened
+from salsanext_cli.files.reading import is_folder, present
 from salsanext_cli.network.error_model import ErrorModel
 from salsanext_cli.network.onnx_metadata import ONNX_SUFFIX, onnx_metadata
-from salsanext_cli.sensors import Sensor
-from salsanext_cli.settings_files import shortened, words_of
-from salsanext_cli.storage.scan_digests import joined, parted
+from salsanext_cli.network.scan_digests import joined, parted
+from salsanext_cli.sensors.sensor import Sensor
+from salsanext_cli.version import __version__
 
 KEY = "salsanext"
 """The one key of the header: safetensors writes several in an order drawn anew each time."""
@@ -132,7 +131,7 @@ class WeightsCard:
         except UsageError as error:
             raise WeightsError(source, f"damaged metadata: {error.found}") from error
         except (KeyError, TypeError, ValueError, ArithmeticError, RecursionError) as error:
-            raise WeightsError(source, f"damaged metadata: {words_of(error)}") from error
+            raise WeightsError(source, f"damaged metadata: {error_text(error)}") from error
 
 
 def _temperature(value: Any) -> float:
@@ -158,7 +157,7 @@ def read_card(path: Path) -> WeightsCard:
         with safetensors.safe_open(path, framework="np") as file:
             metadata = file.metadata() or {}
     except (OSError, safetensors.SafetensorError) as error:
-        found = f"cannot be read: {words_of(error)}" if present(path) else "no such file"
+        found = f"cannot be read: {error_text(error)}" if present(path) else "no such file"
         remedy = "convert a published checkpoint with `salsanext import-weights`"
         if is_folder(path):
             found, remedy = "a folder", "name the file in it"

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import BinaryIO
 
 from salsanext_cli.errors import FormatError, WeightsError
-from salsanext_cli.formats.reading import present, reading, size_of
+from salsanext_cli.files.reading import present, reading, size_of
 
 ONNX_SUFFIX = ".onnx"
 OPSET = 17

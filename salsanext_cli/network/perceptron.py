@@ -5,7 +5,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from salsanext_cli.kernels import argument, compiled, parallel_for_slices
+from salsanext_cli.compiled.kernels import argument, compiled, parallel_for_slices
 from salsanext_cli.records import Float
 
 BLOCK = 256

@@ -13,10 +13,9 @@ import torch
 from torch import Tensor
 from torch.serialization import MAGIC_NUMBER, PROTOCOL_VERSION
 
-from salsanext_cli.errors import WeightsError
-from salsanext_cli.formats.reading import reason
+from salsanext_cli.errors import WeightsError, error_text, shortened
+from salsanext_cli.files.reading import reason
 from salsanext_cli.network.restricted_unpickler import Opaque, RestrictedUnpickler
-from salsanext_cli.settings_files import shortened, words_of
 
 UNITS = {"conv2": "narrow.0", "bn1": "narrow.2", "conv3": "middle.0", "bn2": "middle.2"}
 UNITS |= {"conv4": "wide.0", "bn3": "wide.2", "conv5": "fuse.0", "bn4": "fuse.2"}
@@ -105,7 +104,7 @@ def read_torch_file(path: Path) -> Any:
     except OSError as error:
         raise WeightsError(path, f"cannot be read: {reason(error)}") from error
     except UNREADABLE as error:
-        found = f"not readable safely: {words_of(error)}"
+        found = f"not readable safely: {error_text(error)}"
         raise WeightsError(path, found, "a file of torch.save") from error
 
 

@@ -5,13 +5,12 @@ from collections.abc import Callable, Mapping
 from functools import partial
 from typing import Any
 
-from salsanext_cli.errors import UsageError
+from salsanext_cli.errors import UsageError, error_text, shortened
 from salsanext_cli.network import designs
 from salsanext_cli.network.designs import Design
 from salsanext_cli.network.rangenet53 import RangeNet53
 from salsanext_cli.network.salsanext import SalsaNext
 from salsanext_cli.network.segmentation import SegmentationNetwork
-from salsanext_cli.settings_files import shortened, words_of
 
 NUMBERS = frozenset({"class_count", "dropout"})
 """Numbers that a weights file may give of a network."""
@@ -59,4 +58,4 @@ def build(architecture: Mapping[str, Any], source: object = "architecture") -> S
         return ARCHITECTURES[name](**numbers)
     except (TypeError, ValueError) as error:
         found = f"architecture {name} with {shortened(numbers)}"
-        raise UsageError(source, found, words_of(error)) from error
+        raise UsageError(source, found, error_text(error)) from error

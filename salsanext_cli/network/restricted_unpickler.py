@@ -16,7 +16,7 @@ from typing import Any, BinaryIO
 import torch
 from torch import Tensor
 
-from salsanext_cli.settings_files import shortened
+from salsanext_cli.errors import shortened
 
 MAX_OPERATIONS = 300_000
 """Operations of one pickle, which take a second; the published checkpoint has 10 000."""

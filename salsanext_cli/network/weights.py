@@ -9,13 +9,12 @@ import safetensors.torch
 import torch
 from torch import Tensor, nn
 
-from salsanext_cli.errors import UsageError, WeightsError
+from salsanext_cli.errors import UsageError, WeightsError, error_text, shortened
+from salsanext_cli.files.atomic import write_bytes
 from salsanext_cli.network.card import WeightsCard, read_card, require_tensors
 from salsanext_cli.network.registry import build
 from salsanext_cli.network.restricted_unpickler import DTYPES
 from salsanext_cli.network.segmentation import SegmentationNetwork
-from salsanext_cli.settings_files import shortened, words_of
-from salsanext_cli.storage.files.atomic import write_bytes
 
 NORM_SUFFIXES = (".running_mean", ".running_var")
 
@@ -85,7 +84,7 @@ def read_weights(path: Path) -> tuple[SegmentationNetwork, WeightsCard]:
     try:
         tensors = safetensors.torch.load_file(path)
     except (OSError, KeyError, ValueError, safetensors.SafetensorError) as error:
-        raise WeightsError(path, f"cannot be read: {words_of(error)}") from error
+        raise WeightsError(path, f"cannot be read: {error_text(error)}") from error
     load_tensors(module, tensors, path)
     return module.eval(), card
 

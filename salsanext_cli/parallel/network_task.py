@@ -9,13 +9,13 @@ from inspect import isgeneratorfunction
 from itertools import islice
 from typing import Any
 
+from salsanext_cli.engines.device import MAX_BATCH_PIXELS, choose_device
+from salsanext_cli.engines.network import Network
+from salsanext_cli.engines.settings import NetworkSettings
 from salsanext_cli.errors import FormatError, out_of_memory
-from salsanext_cli.inference.device import MAX_BATCH_PIXELS, choose_device
-from salsanext_cli.inference.network import Network
-from salsanext_cli.inference.settings import NetworkSettings
 from salsanext_cli.parallel.tasks import Attempt, Steps, one_by_one, overlapping
 from salsanext_cli.parallel.worker import own_device
-from salsanext_cli.storage.layout import ScanFile
+from salsanext_cli.results.layout import ScanFile
 
 MAX_BATCH_SCANS = 16
 """Scans computed together on a GPU; as many as a worker is sent together."""

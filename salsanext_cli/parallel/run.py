@@ -14,6 +14,7 @@ from typing import Any
 from uuid import uuid4
 
 from salsanext_cli.errors import WorkersLost, first_few
+from salsanext_cli.files.atomic import MARK
 from salsanext_cli.measures.scan_summary import RunSummary
 from salsanext_cli.parallel.clusters import dask_pool, ray_pool
 from salsanext_cli.parallel.options import CLUSTERS, Progress, RunOptions
@@ -21,9 +22,8 @@ from salsanext_cli.parallel.pools import WorkerPool, local_pool, signals_blocked
 from salsanext_cli.parallel.shards import Chunk, chunks
 from salsanext_cli.parallel.tasks import Attempt, Task, opened
 from salsanext_cli.parallel.worker import WORKER, WorkerContext, attempt_chunk
-from salsanext_cli.storage.files.atomic import MARK
-from salsanext_cli.storage.layout import ScanFile
-from salsanext_cli.storage.sources import MissingResults
+from salsanext_cli.results.layout import ScanFile
+from salsanext_cli.results.sources import MissingResults
 
 __all__ = ["Failure", "Outcome", "Progress", "RunOptions", "run_over_scans"]
 

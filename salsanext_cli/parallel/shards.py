@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from itertools import groupby, pairwise
 
 from salsanext_cli.errors import UsageError
-from salsanext_cli.storage.layout import ScanFile
+from salsanext_cli.results.layout import ScanFile
 
 PREFIX = "SLURM_ARRAY_TASK_"
 MAX_CHUNK_SCANS = 16

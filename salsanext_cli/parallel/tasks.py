@@ -8,7 +8,7 @@ from functools import partial
 from typing import Any, Protocol, runtime_checkable
 
 from salsanext_cli.errors import SalsanextError
-from salsanext_cli.storage.layout import ScanFile
+from salsanext_cli.results.layout import ScanFile
 
 Attempt = tuple[ScanFile, Any, SalsanextError | None]
 """A scan, its result, and the error if there is none."""

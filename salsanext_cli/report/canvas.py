@@ -13,8 +13,8 @@ from io import BytesIO
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
+from salsanext_cli.files.atomic import write_bytes
 from salsanext_cli.report.colours import EMPTY, Colours, Legend
-from salsanext_cli.storage.files.atomic import write_bytes
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from salsanext_cli.classes import LabelSpace
-from salsanext_cli.storage.layout import COLOURINGS
+from salsanext_cli.classes.label_space import LabelSpace
+from salsanext_cli.results.layout import COLOURINGS
 
 Colours = npt.NDArray[np.uint8]
 Values = npt.NDArray[np.float64]

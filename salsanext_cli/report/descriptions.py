@@ -8,12 +8,12 @@ from rich.console import Group
 from rich.markup import escape
 from rich.table import Table
 
-from salsanext_cli.classes import LabelSpace
+from salsanext_cli.classes.label_space import LabelSpace
 from salsanext_cli.errors import printable
 from salsanext_cli.measures.survey import Survey
 from salsanext_cli.records import CHANNELS
 from salsanext_cli.report.tables import number_table
-from salsanext_cli.sensors import Sensor
+from salsanext_cli.sensors.sensor import Sensor
 
 NOTES = {
     "agrees": "* not the paper's number of parameters to the digit",

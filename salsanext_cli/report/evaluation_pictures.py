@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: MIT
 """Plots of an evaluation."""
 
-from salsanext_cli.classes import LabelSpace
+from salsanext_cli.classes.label_space import LabelSpace
 from salsanext_cli.measures.confusion import Confusion
 from salsanext_cli.measures.scores import Scores
 from salsanext_cli.measures.uncertainty_evaluation import UncertaintyEvaluation

@@ -12,11 +12,12 @@ import numpy.typing as npt
 from rich.markup import escape
 from rich.table import Table
 
-from salsanext_cli.classes import LabelSpace, TrainIds
+from salsanext_cli.classes.label_space import LabelSpace, TrainIds
 from salsanext_cli.errors import counted, printable
 from salsanext_cli.formats.clouds.ply import encode_ply
 from salsanext_cli.geometry.gather import pixels_from_points, points_from_pixels
-from salsanext_cli.measures.scan_choice import Choice
+from salsanext_cli.labelling.picked_scans import PickedScan
+from salsanext_cli.labelling.scan_choice import Choice
 from salsanext_cli.records import Float
 from salsanext_cli.report import canvas
 from salsanext_cli.report.canvas import MARGIN_PX
@@ -30,8 +31,7 @@ from salsanext_cli.report.colours import (
     value_range,
 )
 from salsanext_cli.report.tables import ABSENT, number_table
-from salsanext_cli.storage.labelling.picked_scans import PickedScan
-from salsanext_cli.storage.layout import ScanFile
+from salsanext_cli.results.layout import ScanFile
 from salsanext_cli.uncertainty.scan_description import ScanLabels
 
 STRIP_WIDTH_PX, STRIP_HEIGHT_PX = 1024, 96

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from salsanext_cli.classes import LabelSpace
+from salsanext_cli.classes.label_space import LabelSpace
 from salsanext_cli.measures.confusion import Confusion, ratio
 from salsanext_cli.measures.scores import Scores
 from salsanext_cli.report import canvas

@@ -11,9 +11,9 @@ from typing import Any, BinaryIO
 import numpy as np
 import numpy.typing as npt
 
-from salsanext_cli.classes import LabelSpace
+from salsanext_cli.classes.label_space import LabelSpace
 from salsanext_cli.errors import UsageError
-from salsanext_cli.packages import import_extra
+from salsanext_cli.files.optional_packages import import_extra
 from salsanext_cli.records import Float
 from salsanext_cli.report.colours import EMPTY, PointColours, screen_colours
 

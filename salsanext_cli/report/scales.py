@@ -9,12 +9,12 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from salsanext_cli.classes import LabelSpace
+from salsanext_cli.classes.label_space import LabelSpace
 from salsanext_cli.errors import SalsanextError
 from salsanext_cli.report.colours import CLASS_COLOURS, value_range
-from salsanext_cli.sensors import Sensor
-from salsanext_cli.storage.layout import ScanFile
-from salsanext_cli.storage.scan_results import read_results, scalar_columns, with_column
+from salsanext_cli.results.layout import ScanFile
+from salsanext_cli.results.scan_results import read_results, scalar_columns, with_column
+from salsanext_cli.sensors.sensor import Sensor
 
 SCANS_FOR_SCALE = 20
 

@@ -5,7 +5,7 @@ from collections.abc import Collection, Mapping, Sequence
 
 import numpy as np
 
-from salsanext_cli.classes import LabelSpace
+from salsanext_cli.classes.label_space import LabelSpace
 from salsanext_cli.errors import counted, printable
 from salsanext_cli.geometry.mounting import in_sensor_frame
 from salsanext_cli.geometry.projection import project
@@ -21,9 +21,9 @@ from salsanext_cli.report.colours import (
 )
 from salsanext_cli.report.panel import Strip, coloured_strip, draw_strips
 from salsanext_cli.report.scales import Scales
-from salsanext_cli.sensors import Sensor
-from salsanext_cli.storage.layout import UNCERTAINTY
-from salsanext_cli.storage.scan_results import ScanResults, scalar_columns
+from salsanext_cli.results.layout import UNCERTAINTY
+from salsanext_cli.results.scan_results import ScanResults, scalar_columns
+from salsanext_cli.sensors.sensor import Sensor
 
 WIDTH_PX, NARROW_PX = 2048, 1024
 """Width of a strip, and beside a single view."""

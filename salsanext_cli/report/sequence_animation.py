@@ -7,13 +7,13 @@ from pathlib import Path
 
 import numpy as np
 
-from salsanext_cli.classes import LabelSpace
+from salsanext_cli.classes.label_space import LabelSpace
 from salsanext_cli.errors import NOTICE, counted
 from salsanext_cli.report.animation import encode_gif, encode_mp4
 from salsanext_cli.report.colours import OUTCOMES, map_on_dark, screen_colours
-from salsanext_cli.storage.layout import ScanFile
-from salsanext_cli.storage.output_run import OutputRun
-from salsanext_cli.storage.written_files import WrittenFiles
+from salsanext_cli.results.layout import ScanFile
+from salsanext_cli.results.output_run import OutputRun
+from salsanext_cli.results.written_files import WrittenFiles
 
 log = logging.getLogger(__name__)
 

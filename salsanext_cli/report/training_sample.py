@@ -5,14 +5,14 @@ from typing import BinaryIO
 
 import numpy as np
 
+from salsanext_cli.engines.network import Network
 from salsanext_cli.formats import read_scan
 from salsanext_cli.formats.labels import read_labels
 from salsanext_cli.geometry.knn import knn_refine
 from salsanext_cli.geometry.projection import project
-from salsanext_cli.inference.network import Network
 from salsanext_cli.report.colours import Colours, error_colours, screen_colours
 from salsanext_cli.report.panel import coloured_strip, range_strip
-from salsanext_cli.storage.layout import ScanFile
+from salsanext_cli.results.layout import ScanFile
 
 ROW_HEIGHT_PX = 3
 """Height of a row of `draw_sample`; beams are farther apart than columns."""

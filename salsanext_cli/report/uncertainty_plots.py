@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from salsanext_cli.classes import LabelSpace
+from salsanext_cli.classes.label_space import LabelSpace
 from salsanext_cli.measures.confusion import Ratios
 from salsanext_cli.measures.risk_coverage import COVERAGE
 from salsanext_cli.measures.uncertainty_evaluation import CalibrationResult, RankingResult

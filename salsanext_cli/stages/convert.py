@@ -6,19 +6,18 @@ from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
-from salsanext_cli.errors import OutputError, UsageError, counted, first_few
+from salsanext_cli.errors import OutputError, UsageError, counted, first_few, shortened
+from salsanext_cli.files.atomic import MARK, sweep, sweep_stale
+from salsanext_cli.files.json_files import encode_json, read_json
+from salsanext_cli.files.locks import locked
+from salsanext_cli.files.reading import filled
 from salsanext_cli.formats import read_scan
 from salsanext_cli.formats.clouds.kitti import encode_bin
-from salsanext_cli.formats.reading import filled
 from salsanext_cli.formats.recordings.address import recording_of
 from salsanext_cli.formats.recordings.recorded_scans import LOST
 from salsanext_cli.parallel.run import Outcome, RunOptions, run_over_scans
-from salsanext_cli.settings_files import shortened
-from salsanext_cli.storage.files.atomic import MARK, sweep, sweep_stale
-from salsanext_cli.storage.files.json_files import encode_json, read_json
-from salsanext_cli.storage.files.locks import locked
-from salsanext_cli.storage.layout import SCAN_FOLDER, ScanFile, find_scans, require_none_hidden
-from salsanext_cli.storage.written_files import WrittenFiles
+from salsanext_cli.results.layout import SCAN_FOLDER, ScanFile, find_scans, require_none_hidden
+from salsanext_cli.results.written_files import WrittenFiles
 
 TIMES = "times.txt"
 MANIFEST = "convert.json"

@@ -7,8 +7,11 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from salsanext_cli.inference.settings import NetworkSettings
+from salsanext_cli.engines.settings import NetworkSettings
 from salsanext_cli.parallel.run import Failure, Progress, RunOptions
+from salsanext_cli.results.layout import ERROR, find_outputs
+from salsanext_cli.results.predictions import predicted_scans, provenance
+from salsanext_cli.results.selection import ScanSelection
 from salsanext_cli.stages.evaluate import Evaluation, evaluate
 from salsanext_cli.stages.export_ply import export_ply
 from salsanext_cli.stages.picture import picture
@@ -16,9 +19,6 @@ from salsanext_cli.stages.predict import predict_scans
 from salsanext_cli.stages.report import report
 from salsanext_cli.stages.synth import synthesise
 from salsanext_cli.stages.uncertainty import uncertainty
-from salsanext_cli.storage.layout import ERROR, find_outputs
-from salsanext_cli.storage.predictions import predicted_scans, provenance
-from salsanext_cli.storage.selection import ScanSelection
 from salsanext_cli.uncertainty.error_features import knows_error
 from salsanext_cli.uncertainty.settings import Estimator
 

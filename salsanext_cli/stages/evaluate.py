@@ -9,10 +9,12 @@ from itertools import groupby
 from pathlib import Path
 from typing import Any
 
-from salsanext_cli import __version__
-from salsanext_cli.classes import LabelSpace
-from salsanext_cli.errors import LabelError, NoInputError, as_text, counted, first_few
-from salsanext_cli.formats.reading import present
+from salsanext_cli.classes.label_space import LabelSpace
+from salsanext_cli.errors import LabelError, NoInputError, counted, escaped, first_few
+from salsanext_cli.files.atomic import sweep_stale
+from salsanext_cli.files.json_files import encode_json
+from salsanext_cli.files.reading import present
+from salsanext_cli.labelling.label_records import require_truth
 from salsanext_cli.measures.confusion import Confusion
 from salsanext_cli.measures.scan_counts import (
     RING_NAMES,
@@ -27,15 +29,13 @@ from salsanext_cli.measures.uncertainty_evaluation import (
 )
 from salsanext_cli.parallel.run import Failure, RunOptions, run_over_scans
 from salsanext_cli.report.evaluation_pictures import PICTURES, evaluation_pictures
-from salsanext_cli.storage.files.atomic import sweep_stale
-from salsanext_cli.storage.files.json_files import encode_json
-from salsanext_cli.storage.labelling.label_records import require_truth
-from salsanext_cli.storage.layout import ScanFile
-from salsanext_cli.storage.predictions import merging_into, space_of_labels
-from salsanext_cli.storage.run_registration import records_lock
-from salsanext_cli.storage.sources import MissingResults, missing_predictions
-from salsanext_cli.storage.stage_records import as_json, recorded_sensor, scans_trained_on
-from salsanext_cli.storage.written_files import WrittenFiles
+from salsanext_cli.results.layout import ScanFile
+from salsanext_cli.results.predictions import merging_into, space_of_labels
+from salsanext_cli.results.run_registration import records_lock
+from salsanext_cli.results.sources import MissingResults, missing_predictions
+from salsanext_cli.results.stage_records import as_json, recorded_sensor, scans_trained_on
+from salsanext_cli.results.written_files import WrittenFiles
+from salsanext_cli.version import __version__
 
 FILES = ("scores.txt", *PICTURES, "eval.json")
 """Files that an evaluation may write into the output folder."""
@@ -243,5 +243,5 @@ def _files(evaluation: Evaluation) -> dict[str, bytes]:
     return {
         "scores.txt": (heading + evaluation.scores.official_yaml()).encode(),
         **evaluation_pictures(*found, evaluation.space),
-        "eval.json": encode_json(as_text(evaluation.to_dict())),
+        "eval.json": encode_json(escaped(evaluation.to_dict())),
     }

@@ -7,26 +7,26 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
+from salsanext_cli.engines.device import openvino_core
+from salsanext_cli.engines.graphs import Graph
+from salsanext_cli.engines.network import Network
+from salsanext_cli.engines.onnx_export import difference, exported
+from salsanext_cli.engines.onnx_model import read_model
+from salsanext_cli.engines.quantised import quantised
+from salsanext_cli.engines.settings import NetworkSettings
 from salsanext_cli.errors import UsageError, counted
+from salsanext_cli.files.atomic import require_target, write_bytes
+from salsanext_cli.files.optional_packages import import_extra, import_nncf
+from salsanext_cli.fitting.scan_fit import fitted
 from salsanext_cli.formats import read_scan
 from salsanext_cli.geometry.projection import project
-from salsanext_cli.inference.device import openvino_core
-from salsanext_cli.inference.graphs import Graph
-from salsanext_cli.inference.network import Network
-from salsanext_cli.inference.onnx_export import difference, exported
-from salsanext_cli.inference.onnx_model import read_model
-from salsanext_cli.inference.quantised import quantised
-from salsanext_cli.inference.scan_fit import fitted
-from salsanext_cli.inference.settings import NetworkSettings
 from salsanext_cli.network.card import WeightsCard
 from salsanext_cli.network.onnx_metadata import ONNX_SUFFIX, OPSET
 from salsanext_cli.network.weights import read_weights
-from salsanext_cli.packages import import_extra, import_nncf
 from salsanext_cli.records import Float
-from salsanext_cli.sensors import Sensor
-from salsanext_cli.storage.files.atomic import require_target, write_bytes
-from salsanext_cli.storage.layout import ScanFile
-from salsanext_cli.storage.selection import ScanSelection, select_evenly
+from salsanext_cli.results.layout import ScanFile
+from salsanext_cli.results.selection import ScanSelection, select_evenly
+from salsanext_cli.sensors.sensor import Sensor
 
 MIN_SCANS = 2
 """Fewest for calibration: the ranges of a single scan are those of a single place."""

@@ -9,34 +9,34 @@ from pathlib import Path
 
 import numpy as np
 
-from salsanext_cli.classes import LabelSpace
+from salsanext_cli.classes.label_space import LabelSpace
+from salsanext_cli.engines.settings import NetworkSettings
 from salsanext_cli.errors import NOTICE, UsageError
 from salsanext_cli.formats.clouds.asprs import asprs_class, classification
 from salsanext_cli.formats.clouds.las import encode_las, import_laspy
 from salsanext_cli.formats.clouds.ply import encode_ply
 from salsanext_cli.formats.label_scalars import PREFIX
-from salsanext_cli.inference.settings import NetworkSettings
 from salsanext_cli.parallel.run import Failure, Outcome, RunOptions, run_over_scans
 from salsanext_cli.report.colours import COLOURS, PointColours
 from salsanext_cli.report.scales import common_scales
-from salsanext_cli.sensors import Sensor
-from salsanext_cli.stages.uncertainty import estimate_missing
-from salsanext_cli.storage.chosen_results import choose_results
-from salsanext_cli.storage.layout import UNCERTAINTY, ScanFile
-from salsanext_cli.storage.output_run import OutputRun, output_run
-from salsanext_cli.storage.scan_results import (
+from salsanext_cli.results.chosen_results import choose_results
+from salsanext_cli.results.layout import UNCERTAINTY, ScanFile
+from salsanext_cli.results.output_run import OutputRun, output_run
+from salsanext_cli.results.scan_results import (
     missing_column,
     read_results,
     require_column,
     scalar_columns,
 )
-from salsanext_cli.storage.selection import ScanSelection
-from salsanext_cli.storage.sources import LABELLING_STAGES
-from salsanext_cli.storage.stage_records import (
+from salsanext_cli.results.selection import ScanSelection
+from salsanext_cli.results.sources import LABELLING_STAGES
+from salsanext_cli.results.stage_records import (
     origins,
     recorded_sensor,
     stage_settings,
 )
+from salsanext_cli.sensors.sensor import Sensor
+from salsanext_cli.stages.uncertainty import estimate_missing
 
 FORMATS = ("ply", "las", "laz")
 

@@ -9,21 +9,21 @@ from functools import partial
 from itertools import groupby
 from pathlib import Path
 
-from salsanext_cli.classes import LabelSpace
+from salsanext_cli.classes.label_space import LabelSpace
 from salsanext_cli.errors import NOTICE, OutputError, printable
+from salsanext_cli.files.atomic import sweep_stale
 from salsanext_cli.parallel.run import Outcome, RunOptions, run_over_scans
 from salsanext_cli.records import Float
 from salsanext_cli.report.colours import PointColours
 from salsanext_cli.report.rerun_recording import Columns, LogScan, import_rerun, recording
 from salsanext_cli.report.scales import common_scales
-from salsanext_cli.sensors import Sensor
-from salsanext_cli.storage.chosen_results import choose_results
-from salsanext_cli.storage.files.atomic import sweep_stale
-from salsanext_cli.storage.layout import UNCERTAINTY, ScanFile
-from salsanext_cli.storage.scan_results import read_results, scalar_columns, with_column
-from salsanext_cli.storage.selection import ScanSelection
-from salsanext_cli.storage.stage_records import recorded_sensor
-from salsanext_cli.storage.written_files import WrittenFiles
+from salsanext_cli.results.chosen_results import choose_results
+from salsanext_cli.results.layout import UNCERTAINTY, ScanFile
+from salsanext_cli.results.scan_results import read_results, scalar_columns, with_column
+from salsanext_cli.results.selection import ScanSelection
+from salsanext_cli.results.stage_records import recorded_sensor
+from salsanext_cli.results.written_files import WrittenFiles
+from salsanext_cli.sensors.sensor import Sensor
 
 FOLDER = "rrd"
 """Folder of the recordings in the output folder."""

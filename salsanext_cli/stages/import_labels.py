@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
-from salsanext_cli.classes import LabelSpace, RawIds
+from salsanext_cli.classes.label_space import LabelSpace, RawIds
 from salsanext_cli.errors import (
     LabelError,
     NoInputError,
@@ -21,31 +21,31 @@ from salsanext_cli.errors import (
     counted,
     first_few,
 )
+from salsanext_cli.files.locks import locked
+from salsanext_cli.files.reading import is_folder
 from salsanext_cli.formats import read_scan
 from salsanext_cli.formats.label_ids import LabelIds
 from salsanext_cli.formats.labels import encode_labels
-from salsanext_cli.formats.reading import is_folder
 from salsanext_cli.formats.recordings.address import recording_of
-from salsanext_cli.parallel.options import Progress
-from salsanext_cli.sensors import Sensor
-from salsanext_cli.storage.files.locks import locked
-from salsanext_cli.storage.labelling.edited_files import ScanNames, find_edited, scan_of_edited
-from salsanext_cli.storage.labelling.edited_labels import (
+from salsanext_cli.labelling.edited_files import ScanNames, find_edited, scan_of_edited
+from salsanext_cli.labelling.edited_labels import (
     FileLabels,
     UnknownIds,
     edited_labels,
     read_file_labels,
 )
-from salsanext_cli.storage.labelling.label_import import LabelImport
-from salsanext_cli.storage.labelling.label_records import (
+from salsanext_cli.labelling.label_import import LabelImport
+from salsanext_cli.labelling.label_records import (
     STAGE,
     LabelRecords,
     first_guesses,
     labels_root,
     name_of,
 )
-from salsanext_cli.storage.layout import ScanFile, find_scans
-from salsanext_cli.storage.selection import data_set_label_space, space_of
+from salsanext_cli.parallel.options import Progress
+from salsanext_cli.results.layout import ScanFile, find_scans
+from salsanext_cli.results.selection import data_set_label_space, space_of
+from salsanext_cli.sensors.sensor import Sensor
 
 LOCK = f".{STAGE}.lock"
 log = logging.getLogger(__name__)

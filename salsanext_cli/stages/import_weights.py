@@ -5,15 +5,15 @@ from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 
-from salsanext_cli.classes import LabelSpace, label_space
+from salsanext_cli.classes.label_space import LabelSpace, label_space
 from salsanext_cli.errors import UsageError, WeightsError
+from salsanext_cli.files.atomic import WEIGHTS_SUFFIX, require_target
 from salsanext_cli.network.card import WeightsCard
 from salsanext_cli.network.published import read_published
 from salsanext_cli.network.registry import build
 from salsanext_cli.network.segmentation import SegmentationNetwork
 from salsanext_cli.network.weights import load_tensors, read_weights, save_weights
-from salsanext_cli.sensors import Sensor, sensor
-from salsanext_cli.storage.files.atomic import WEIGHTS_SUFFIX, require_target
+from salsanext_cli.sensors.sensor import Sensor, sensor
 
 DROPOUT = 0.2
 """The rate of the published training."""

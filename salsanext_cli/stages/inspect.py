@@ -6,25 +6,25 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from salsanext_cli.classes import LabelSpace
+from salsanext_cli.classes.label_space import LabelSpace
 from salsanext_cli.errors import NoInputError, counted
+from salsanext_cli.files.atomic import require_absent, write_bytes
+from salsanext_cli.files.reading import present
+from salsanext_cli.fitting.beam_fit import fit_beams
+from salsanext_cli.fitting.scan_checks import check_scan
+from salsanext_cli.fitting.scan_fit import EGO, sampled
+from salsanext_cli.fitting.view_fit import fit_view
 from salsanext_cli.formats import read_scan
 from salsanext_cli.formats.labels import read_labels
-from salsanext_cli.formats.reading import present
-from salsanext_cli.geometry.checks.scan_checks import check_scan
-from salsanext_cli.geometry.fitting.view_fit import fit_view
 from salsanext_cli.geometry.mounting import without_ego
 from salsanext_cli.geometry.projection import project
-from salsanext_cli.inference.scan_fit import EGO, sampled
-from salsanext_cli.measures.beam_fit import fit_beams
 from salsanext_cli.measures.scan_summary import RunSummary, ScanSummary
 from salsanext_cli.measures.survey import Survey, survey
 from salsanext_cli.network.card import default_weights, read_card
 from salsanext_cli.parallel.run import Failure, RunOptions, run_over_scans
-from salsanext_cli.sensors import Sensor
-from salsanext_cli.storage.files.atomic import require_absent, write_bytes
-from salsanext_cli.storage.layout import ScanFile, find_scans
-from salsanext_cli.storage.selection import ScanSelection, select_scans, space_of
+from salsanext_cli.results.layout import ScanFile, find_scans
+from salsanext_cli.results.selection import ScanSelection, select_scans, space_of
+from salsanext_cli.sensors.sensor import Sensor
 
 MIN_POINTS_OF_FIT = 1000
 """Least number of points of a fit, which leaves out one in a thousand at either edge."""

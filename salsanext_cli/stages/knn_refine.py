@@ -5,23 +5,23 @@ from dataclasses import asdict, replace
 from functools import partial
 from pathlib import Path
 
-from salsanext_cli.classes import LabelSpace, TrainIds
+from salsanext_cli.classes.label_space import LabelSpace, TrainIds
 from salsanext_cli.errors import LabelError, NoInputError, UsageError, counted
+from salsanext_cli.files.reading import is_folder, present
 from salsanext_cli.formats import read_scan
 from salsanext_cli.formats.labels import read_labels
 from salsanext_cli.formats.npy import read_array
-from salsanext_cli.formats.reading import is_folder, present
 from salsanext_cli.geometry.gather import pixels_from_points
 from salsanext_cli.geometry.knn import KnnParameters, knn_refine
 from salsanext_cli.geometry.projection import project
 from salsanext_cli.measures.scan_summary import RunSummary, ScanSummary
 from salsanext_cli.parallel.run import Outcome, RunOptions, run_over_scans
-from salsanext_cli.sensors import Sensor
-from salsanext_cli.storage.layout import ScanFile, find_scans, output_path, with_outputs
-from salsanext_cli.storage.output_run import OutputRun, output_run
-from salsanext_cli.storage.selection import ScanSelection, choose, space_of
-from salsanext_cli.storage.sources import recorded_scans
-from salsanext_cli.storage.stage_records import origins, recorded_label_space, recorded_sensor
+from salsanext_cli.results.layout import ScanFile, find_scans, output_path, with_outputs
+from salsanext_cli.results.output_run import OutputRun, output_run
+from salsanext_cli.results.selection import ScanSelection, choose, space_of
+from salsanext_cli.results.sources import recorded_scans
+from salsanext_cli.results.stage_records import origins, recorded_label_space, recorded_sensor
+from salsanext_cli.sensors.sensor import Sensor
 
 
 def refine_scan(

@@ -8,6 +8,7 @@ from typing import Any
 
 import torch
 
+from salsanext_cli.files.identity import fingerprint
 from salsanext_cli.network.card import WeightsCard, read_card
 from salsanext_cli.network.complexity import (
     PAPERS,
@@ -17,7 +18,6 @@ from salsanext_cli.network.complexity import (
     parameter_count,
 )
 from salsanext_cli.network.registry import ARCHITECTURES, build
-from salsanext_cli.storage.files.identity import fingerprint
 
 HEIGHT, WIDTH = 64, 2048
 

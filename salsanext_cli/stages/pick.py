@@ -11,13 +11,16 @@ from typing import Any
 
 import numpy as np
 
-from salsanext_cli.classes import LabelSpace
+from salsanext_cli.classes.label_space import LabelSpace
+from salsanext_cli.engines.network import Network
+from salsanext_cli.engines.settings import NetworkSettings
 from salsanext_cli.errors import NOTICE, NoInputError, counted
+from salsanext_cli.fitting.scan_fit import fitted
 from salsanext_cli.formats.labels import encode_labels
-from salsanext_cli.inference.network import Network
-from salsanext_cli.inference.scan_fit import fitted
-from salsanext_cli.inference.settings import NetworkSettings
-from salsanext_cli.measures.scan_choice import choose_scans, require_choice
+from salsanext_cli.labelling.label_records import name_of
+from salsanext_cli.labelling.picked_data_set import SHEET, TABLE, PickedDataSet
+from salsanext_cli.labelling.picked_scans import STAGE, PickedScan, PickRecord
+from salsanext_cli.labelling.scan_choice import choose_scans, require_choice
 from salsanext_cli.measures.scan_summary import RunSummary, ScanSummary
 from salsanext_cli.parallel.network_task import NetworkTask
 from salsanext_cli.parallel.run import Failure, Outcome, RunOptions, run_over_scans
@@ -28,12 +31,9 @@ from salsanext_cli.report.picked import (
     picked_scans,
     picked_sheet,
 )
-from salsanext_cli.storage.labelling.label_records import name_of
-from salsanext_cli.storage.labelling.picked_data_set import SHEET, TABLE, PickedDataSet
-from salsanext_cli.storage.labelling.picked_scans import STAGE, PickedScan, PickRecord
-from salsanext_cli.storage.layout import ScanFile, find_scans
-from salsanext_cli.storage.selection import ScanSelection, choose, evenly_spaced, scans_of, space_of
-from salsanext_cli.storage.stage_records import as_json
+from salsanext_cli.results.layout import ScanFile, find_scans
+from salsanext_cli.results.selection import ScanSelection, choose, evenly_spaced, scans_of, space_of
+from salsanext_cli.results.stage_records import as_json
 from salsanext_cli.uncertainty.monte_carlo import require_sampling
 from salsanext_cli.uncertainty.scan_description import ScanDescription, describe_scan, label_scan
 

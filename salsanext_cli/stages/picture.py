@@ -8,22 +8,21 @@ from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
-from salsanext_cli.classes import LabelSpace
+from salsanext_cli.classes.label_space import LabelSpace
 from salsanext_cli.errors import NOTICE, NoInputError, UsageError
-from salsanext_cli.inference.scan_fit import fitted_view
+from salsanext_cli.files.json_files import RecordedSettings
+from salsanext_cli.fitting.scan_fit import fitted_view
 from salsanext_cli.parallel.run import Outcome, RunOptions, run_over_scans
 from salsanext_cli.report.animation import find_ffmpeg
 from salsanext_cli.report.colours import CLASS_COLOURS, COLOURS
 from salsanext_cli.report.scales import Scales, common_scales
 from salsanext_cli.report.scan_pictures import known_views, picture_of_results
 from salsanext_cli.report.sequence_animation import animate, require_animations_replaceable
-from salsanext_cli.sensors import Sensor, sensor
-from salsanext_cli.storage.chosen_results import ChosenResults, choose_results
-from salsanext_cli.storage.files.json_files import RecordedSettings
-from salsanext_cli.storage.layout import COLOURINGS, SUFFIX_OF_FOLDER, ScanFile, find_outputs
-from salsanext_cli.storage.output_run import OutputRun, output_run
-from salsanext_cli.storage.predictions import space_of_labels, space_of_results
-from salsanext_cli.storage.scan_results import (
+from salsanext_cli.results.chosen_results import ChosenResults, choose_results
+from salsanext_cli.results.layout import COLOURINGS, SUFFIX_OF_FOLDER, ScanFile, find_outputs
+from salsanext_cli.results.output_run import OutputRun, output_run
+from salsanext_cli.results.predictions import space_of_labels, space_of_results
+from salsanext_cli.results.scan_results import (
     FOLDERS,
     missing_column,
     read_results,
@@ -32,9 +31,10 @@ from salsanext_cli.storage.scan_results import (
     uncertainty_meant,
     with_column,
 )
-from salsanext_cli.storage.selection import ScanSelection, choose, scans_of
-from salsanext_cli.storage.sources import LABELLING_STAGES, MissingResults, recorded_scans
-from salsanext_cli.storage.stage_records import known_sensor, origins, stage_settings
+from salsanext_cli.results.selection import ScanSelection, choose, scans_of
+from salsanext_cli.results.sources import LABELLING_STAGES, MissingResults, recorded_scans
+from salsanext_cli.results.stage_records import known_sensor, origins, stage_settings
+from salsanext_cli.sensors.sensor import Sensor, sensor
 
 STAGE, FOLDER = "picture", "pictures"
 

@@ -7,29 +7,29 @@ from dataclasses import asdict, replace
 from functools import partial
 from pathlib import Path
 
+from salsanext_cli.engines.network import Network
+from salsanext_cli.engines.settings import NetworkSettings
 from salsanext_cli.errors import SalsanextError, UsageError
-from salsanext_cli.geometry.checks.findings import ScanCheck
-from salsanext_cli.geometry.checks.intensity_checks import check_image
-from salsanext_cli.geometry.knn import KnnParameters
-from salsanext_cli.inference.adaptation import network_of_run
-from salsanext_cli.inference.checked_scans import project_checked
-from salsanext_cli.inference.network import Network
-from salsanext_cli.inference.range_images import (
+from salsanext_cli.fitting.adaptation import network_of_run
+from salsanext_cli.fitting.checked_scans import project_checked
+from salsanext_cli.fitting.findings import ScanCheck
+from salsanext_cli.fitting.intensity_checks import check_image
+from salsanext_cli.fitting.range_images import (
     projected_sensor,
     range_image,
     sensor_of_images,
 )
-from salsanext_cli.inference.scan_fit import fitted_view, with_sensor
-from salsanext_cli.inference.settings import NetworkSettings
+from salsanext_cli.fitting.scan_fit import fitted_view, with_sensor
+from salsanext_cli.geometry.knn import KnnParameters
 from salsanext_cli.measures.scan_summary import RunSummary, ScanSummary
 from salsanext_cli.parallel.network_task import NetworkTask, named_if_too_large
 from salsanext_cli.parallel.run import Outcome, RunOptions, run_over_scans
 from salsanext_cli.parallel.tasks import Attempt, Steps
 from salsanext_cli.records import Float, RangeImage
-from salsanext_cli.storage.layout import ERROR, ScanFile, with_outputs
-from salsanext_cli.storage.output_run import OutputRun, output_run
-from salsanext_cli.storage.selection import ScanSelection, choose, scans_of, space_of
-from salsanext_cli.storage.sources import recorded_scans
+from salsanext_cli.results.layout import ERROR, ScanFile, with_outputs
+from salsanext_cli.results.output_run import OutputRun, output_run
+from salsanext_cli.results.selection import ScanSelection, choose, scans_of, space_of
+from salsanext_cli.results.sources import recorded_scans
 from salsanext_cli.uncertainty.error_features import error_model
 from salsanext_cli.uncertainty.labelling import Labelling, most_probable
 

@@ -5,15 +5,15 @@ from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
-from salsanext_cli.inference.checked_scans import project_checked
-from salsanext_cli.inference.scan_fit import fitted_view
+from salsanext_cli.fitting.checked_scans import project_checked
+from salsanext_cli.fitting.scan_fit import fitted_view
 from salsanext_cli.measures.scan_summary import RunSummary, ScanSummary
 from salsanext_cli.parallel.run import Outcome, RunOptions, run_over_scans
-from salsanext_cli.sensors import Sensor
-from salsanext_cli.storage.layout import ScanFile
-from salsanext_cli.storage.output_run import OutputRun, output_run
-from salsanext_cli.storage.selection import ScanSelection, choose, scans_of, space_of
-from salsanext_cli.storage.stage_records import stage_settings
+from salsanext_cli.results.layout import ScanFile
+from salsanext_cli.results.output_run import OutputRun, output_run
+from salsanext_cli.results.selection import ScanSelection, choose, scans_of, space_of
+from salsanext_cli.results.stage_records import stage_settings
+from salsanext_cli.sensors.sensor import Sensor
 
 FOLDERS = ("range", "pixels")
 

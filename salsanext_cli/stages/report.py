@@ -7,11 +7,12 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from salsanext_cli.classes import LabelSpace
+from salsanext_cli.classes.label_space import LabelSpace
 from salsanext_cli.errors import (
     NoInputError,
     SalsanextError,
 )
+from salsanext_cli.files.atomic import sweep_stale
 from salsanext_cli.measures.drive import ScanRow, named, read_row, worth_looking_at
 from salsanext_cli.measures.scan_counts import CountsApart, ScanCounts
 from salsanext_cli.measures.scores import plain
@@ -20,20 +21,19 @@ from salsanext_cli.report.page.clouds import scales_of
 from salsanext_cli.report.page.html import html_of
 from salsanext_cli.report.page.run_results import RunResults
 from salsanext_cli.report.page.shown_scans import ShownScan
-from salsanext_cli.storage.files.atomic import sweep_stale
-from salsanext_cli.storage.layout import ScanFile
-from salsanext_cli.storage.predictions import (
+from salsanext_cli.results.layout import ScanFile
+from salsanext_cli.results.predictions import (
     merging_into,
     predicted_scans,
     require_same_weights,
     space_of_labels,
 )
-from salsanext_cli.storage.run_registration import records_lock
-from salsanext_cli.storage.scan_results import with_results
-from salsanext_cli.storage.selection import ScanSelection
-from salsanext_cli.storage.sources import MissingResults, missing_results
-from salsanext_cli.storage.stage_records import recorded_sensor, scans_trained_on
-from salsanext_cli.storage.written_files import WrittenFiles
+from salsanext_cli.results.run_registration import records_lock
+from salsanext_cli.results.scan_results import with_results
+from salsanext_cli.results.selection import ScanSelection
+from salsanext_cli.results.sources import MissingResults, missing_results
+from salsanext_cli.results.stage_records import recorded_sensor, scans_trained_on
+from salsanext_cli.results.written_files import WrittenFiles
 
 PAGE = "report.html"
 """Name of the page in the output folder."""

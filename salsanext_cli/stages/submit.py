@@ -9,18 +9,18 @@ from itertools import count
 from pathlib import Path
 from typing import Any
 
-from salsanext_cli.class_merging import is_merged
-from salsanext_cli.classes import LabelSpace, label_space
+from salsanext_cli.classes.label_space import LabelSpace, label_space
+from salsanext_cli.classes.merging import is_merged
 from salsanext_cli.errors import LabelError, NoInputError, UsageError, first_few
-from salsanext_cli.formats.reading import is_folder, present
+from salsanext_cli.files.atomic import require_target
+from salsanext_cli.files.reading import is_folder, present
+from salsanext_cli.files.zip_files import write_zip
 from salsanext_cli.measures.submission_check import Problem, problems
 from salsanext_cli.parallel.options import Progress
-from salsanext_cli.storage.files.atomic import require_target
-from salsanext_cli.storage.files.zip_files import write_zip
-from salsanext_cli.storage.layout import ScanFile, find_outputs
-from salsanext_cli.storage.predictions import space_of_results
-from salsanext_cli.storage.selection import data_set_of, space_of, with_splits
-from salsanext_cli.storage.sources import recorded_scans
+from salsanext_cli.results.layout import ScanFile, find_outputs
+from salsanext_cli.results.predictions import space_of_results
+from salsanext_cli.results.selection import data_set_of, space_of, with_splits
+from salsanext_cli.results.sources import recorded_scans
 
 SPLIT = "test"
 SCANS_OF_TEST = {

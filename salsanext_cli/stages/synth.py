@@ -17,23 +17,23 @@ from typing import Any
 import numpy as np
 import yaml
 
-from salsanext_cli import __version__
-from salsanext_cli.classes import RawIds, label_space
+from salsanext_cli.classes.label_space import RawIds, label_space
 from salsanext_cli.errors import OutputError, UsageError, counted
+from salsanext_cli.files.atomic import MARK, sweep, sweep_stale
+from salsanext_cli.files.json_files import encode_json, read_json
+from salsanext_cli.files.locks import locked
+from salsanext_cli.files.optional_packages import import_open3d
+from salsanext_cli.files.reading import filled, present
 from salsanext_cli.formats.clouds.kitti import encode_bin
 from salsanext_cli.formats.labels import encode_labels, read_labels
-from salsanext_cli.formats.reading import filled, present
-from salsanext_cli.packages import import_open3d
 from salsanext_cli.parallel.pools import end_with_parent, signals_blocked
 from salsanext_cli.parallel.run import Progress
 from salsanext_cli.parallel.threads import worker_count
-from salsanext_cli.storage.files.atomic import MARK, sweep, sweep_stale
-from salsanext_cli.storage.files.json_files import encode_json, read_json
-from salsanext_cli.storage.files.locks import locked
-from salsanext_cli.storage.stage_records import as_json, require_same_settings
-from salsanext_cli.storage.written_files import WrittenFiles
+from salsanext_cli.results.stage_records import as_json, require_same_settings
+from salsanext_cli.results.written_files import WrittenFiles
 from salsanext_cli.synthesis.drive import record
 from salsanext_cli.synthesis.sensor.rig import RIGS
+from salsanext_cli.version import __version__
 
 MANIFEST = "synth.json"
 LOCK = ".synth.lock"

@@ -8,17 +8,17 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from salsanext_cli.classes import LabelSpace, label_space
+from salsanext_cli.classes.label_space import LabelSpace, label_space
 from salsanext_cli.errors import NOTICE, UsageError, counted
+from salsanext_cli.files.identity import fingerprint
+from salsanext_cli.files.json_files import read_json
 from salsanext_cli.network.card import default_weights
 from salsanext_cli.parallel.threads import worker_count
 from salsanext_cli.report.training_sample import draw_sample
-from salsanext_cli.sensors import Sensor
+from salsanext_cli.results.selection import evenly_spaced
+from salsanext_cli.results.stage_records import as_json
+from salsanext_cli.sensors.sensor import Sensor
 from salsanext_cli.stages.synth import LABEL_SPACE, MANIFEST, manifest, synthesise
-from salsanext_cli.storage.files.identity import fingerprint
-from salsanext_cli.storage.files.json_files import read_json
-from salsanext_cli.storage.selection import evenly_spaced
-from salsanext_cli.storage.stage_records import as_json
 from salsanext_cli.synthesis.sensor.rig import RIGS
 from salsanext_cli.training.cross_validation import Expectation
 from salsanext_cli.training.data.class_counts import ClassCounts, class_counts, require_labels

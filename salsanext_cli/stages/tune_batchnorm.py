@@ -7,23 +7,23 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+from salsanext_cli.engines.settings import NetworkSettings
 from salsanext_cli.errors import FormatError, UsageError, counted
-from salsanext_cli.inference.adaptation import SHARE
-from salsanext_cli.inference.batch_norm import (
+from salsanext_cli.files.atomic import require_target
+from salsanext_cli.fitting.adaptation import SHARE
+from salsanext_cli.fitting.batch_norm import (
     PooledStatistics,
     Statistics,
     as_tensors,
     require_norms,
 )
-from salsanext_cli.inference.checked_scans import project_checked
-from salsanext_cli.inference.scan_fit import EGO, fitted
-from salsanext_cli.inference.settings import NetworkSettings
+from salsanext_cli.fitting.checked_scans import project_checked
+from salsanext_cli.fitting.scan_fit import EGO, fitted
 from salsanext_cli.measures.scan_summary import RunSummary, ScanSummary
 from salsanext_cli.network.weights import save_with_card
 from salsanext_cli.parallel.run import Progress
-from salsanext_cli.storage.files.atomic import require_target
-from salsanext_cli.storage.layout import find_scans
-from salsanext_cli.storage.selection import ScanSelection, select_evenly
+from salsanext_cli.results.layout import find_scans
+from salsanext_cli.results.selection import ScanSelection, select_evenly
 
 log = logging.getLogger(__name__)
 

@@ -7,18 +7,18 @@ from typing import Any
 
 import numpy as np
 
+from salsanext_cli.engines.loading import with_dropout
+from salsanext_cli.engines.settings import NetworkSettings
 from salsanext_cli.errors import TrainingError
+from salsanext_cli.files.atomic import require_absent, require_target
+from salsanext_cli.fitting.scan_fit import fitted
 from salsanext_cli.geometry.normalise import noise_of
-from salsanext_cli.inference.loading import with_dropout
-from salsanext_cli.inference.scan_fit import fitted
-from salsanext_cli.inference.settings import NetworkSettings
 from salsanext_cli.network.dropout import dropouts
 from salsanext_cli.network.weights import save_with_card
 from salsanext_cli.parallel.run import Progress
 from salsanext_cli.report.plots import rate_curve
-from salsanext_cli.storage.files.atomic import require_absent, require_target
-from salsanext_cli.storage.layout import find_scans
-from salsanext_cli.storage.selection import ScanSelection
+from salsanext_cli.results.layout import find_scans
+from salsanext_cli.results.selection import ScanSelection
 from salsanext_cli.training.tuning.dropout_rate import objective, rates_between
 from salsanext_cli.training.tuning.labelled_images import (
     labelled_scans,

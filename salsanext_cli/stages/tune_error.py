@@ -8,15 +8,15 @@ from typing import Any
 
 import numpy as np
 
+from salsanext_cli.engines.settings import NetworkSettings
 from salsanext_cli.errors import TrainingError
-from salsanext_cli.inference.scan_fit import fitted
-from salsanext_cli.inference.settings import NetworkSettings
+from salsanext_cli.files.atomic import require_target
+from salsanext_cli.fitting.scan_fit import fitted
 from salsanext_cli.network.card import require_tensors
 from salsanext_cli.network.weights import save_with_card
 from salsanext_cli.parallel.run import Progress
-from salsanext_cli.storage.files.atomic import require_target
-from salsanext_cli.storage.layout import ScanFile, find_scans
-from salsanext_cli.storage.selection import ScanSelection
+from salsanext_cli.results.layout import ScanFile, find_scans
+from salsanext_cli.results.selection import ScanSelection
 from salsanext_cli.training.cross_validation import folds
 from salsanext_cli.training.tuning.error import FOLDS, cross_validated, gains, of_both_kinds
 from salsanext_cli.training.tuning.judged_points import (

@@ -13,11 +13,12 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from salsanext_cli.classes import LabelSpace
+from salsanext_cli.classes.label_space import LabelSpace
+from salsanext_cli.engines.network import Network
+from salsanext_cli.engines.settings import NetworkSettings
 from salsanext_cli.errors import NOTICE, TrainingError, WeightsError
-from salsanext_cli.inference.network import Network
-from salsanext_cli.inference.scan_fit import fitted
-from salsanext_cli.inference.settings import NetworkSettings
+from salsanext_cli.files.atomic import require_target
+from salsanext_cli.fitting.scan_fit import fitted
 from salsanext_cli.measures.calibration import calibration_scores
 from salsanext_cli.measures.histograms import confidence_histogram
 from salsanext_cli.measures.softmax import softmax_errors
@@ -25,9 +26,8 @@ from salsanext_cli.network.card import TEMPERATURES, require_tensors
 from salsanext_cli.network.weights import save_with_card
 from salsanext_cli.parallel.run import Progress
 from salsanext_cli.records import Float
-from salsanext_cli.storage.files.atomic import require_target
-from salsanext_cli.storage.layout import ScanFile, find_scans
-from salsanext_cli.storage.selection import ScanSelection
+from salsanext_cli.results.layout import ScanFile, find_scans
+from salsanext_cli.results.selection import ScanSelection
 from salsanext_cli.training.tuning.labelled_images import (
     VALIDATION,
     labelled_scans,

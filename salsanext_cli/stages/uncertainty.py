@@ -8,26 +8,26 @@ from pathlib import Path
 
 import numpy as np
 
+from salsanext_cli.engines.network import Network
+from salsanext_cli.engines.settings import NetworkSettings
 from salsanext_cli.errors import NOTICE, UsageError, counted
-from salsanext_cli.geometry.gather import points_from_pixels
-from salsanext_cli.geometry.knn import KnnParameters, knn_refine
-from salsanext_cli.inference.adaptation import network_of_run
-from salsanext_cli.inference.checked_scans import project_checked
-from salsanext_cli.inference.network import Network
-from salsanext_cli.inference.recorded_network import (
+from salsanext_cli.fitting.adaptation import network_of_run
+from salsanext_cli.fitting.checked_scans import project_checked
+from salsanext_cli.fitting.recorded_network import (
     network_of_labels,
     require_network_of_labels,
 )
-from salsanext_cli.inference.settings import NetworkSettings
+from salsanext_cli.geometry.gather import points_from_pixels
+from salsanext_cli.geometry.knn import KnnParameters, knn_refine
 from salsanext_cli.measures.scan_summary import RunSummary, ScanSummary
 from salsanext_cli.parallel.network_task import NetworkTask
 from salsanext_cli.parallel.run import Failure, Outcome, RunOptions, run_over_scans
 from salsanext_cli.parallel.tasks import Steps
-from salsanext_cli.storage.layout import ERROR, ScanFile
-from salsanext_cli.storage.output_run import OutputRun, output_run
-from salsanext_cli.storage.scan_results import uncertainty_meant, with_column
-from salsanext_cli.storage.selection import ScanSelection, choose, scans_of, space_of
-from salsanext_cli.storage.stage_records import owner, stage_settings
+from salsanext_cli.results.layout import ERROR, ScanFile
+from salsanext_cli.results.output_run import OutputRun, output_run
+from salsanext_cli.results.scan_results import uncertainty_meant, with_column
+from salsanext_cli.results.selection import ScanSelection, choose, scans_of, space_of
+from salsanext_cli.results.stage_records import owner, stage_settings
 from salsanext_cli.uncertainty.error_features import knows_error, label_error
 from salsanext_cli.uncertainty.settings import (
     Estimator,

@@ -9,8 +9,8 @@ from typing import Any
 
 import numpy as np
 
-from salsanext_cli.classes import LabelSpace
-from salsanext_cli.errors import NoInputError, OutputError, SalsanextError, as_text
+from salsanext_cli.classes.label_space import LabelSpace
+from salsanext_cli.errors import NoInputError, OutputError, SalsanextError, escaped
 from salsanext_cli.measures.drive import worth_looking_at
 from salsanext_cli.parallel.run import Failure, RunOptions
 from salsanext_cli.report.page.clouds import encode_cloud, plain_scales, scales_of
@@ -18,9 +18,9 @@ from salsanext_cli.report.page.html import html_of
 from salsanext_cli.report.page.run_results import RunResults
 from salsanext_cli.report.page.server import PageServer
 from salsanext_cli.report.page.shown_scans import ShownScan
+from salsanext_cli.results.selection import ScanSelection
+from salsanext_cli.results.sources import LABELLING_STAGES, MissingResults
 from salsanext_cli.stages.report import read_run
-from salsanext_cli.storage.selection import ScanSelection
-from salsanext_cli.storage.sources import LABELLING_STAGES, MissingResults
 
 SAMPLED = 5
 """Evenly spaced scans that the scales are taken from, besides those worth looking at."""
@@ -90,7 +90,7 @@ class View(PageServer):
                 self._scales |= {name: scales_of([shown])[name] for name in new}
         cloud = encode_cloud(shown, run.how["space"], run.how["sensor"], self._scales)
         cloud["scales"] = plain_scales(self._scales)
-        found: dict[str, Any] = as_text(cloud)
+        found: dict[str, Any] = escaped(cloud)
         return found
 
 

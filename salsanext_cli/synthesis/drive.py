@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from salsanext_cli.classes import RawIds
+from salsanext_cli.classes.label_space import RawIds
 from salsanext_cli.records import Scan
 from salsanext_cli.synthesis.mesh import Array, Rng, merge, turn_x, turn_y, turn_z
 from salsanext_cli.synthesis.presets import STYLES

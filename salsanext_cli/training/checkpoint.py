@@ -18,10 +18,9 @@ import safetensors.torch
 import torch
 from torch import Tensor
 
-from salsanext_cli.errors import FormatError, TrainingError
-from salsanext_cli.formats.reading import reading
-from salsanext_cli.settings_files import shortened, words_of
-from salsanext_cli.storage.written_files import WrittenFiles
+from salsanext_cli.errors import FormatError, TrainingError, error_text, shortened
+from salsanext_cli.files.reading import reading
+from salsanext_cli.results.written_files import WrittenFiles
 from salsanext_cli.training.learner import Learner
 from salsanext_cli.training.log import Row
 
@@ -104,7 +103,7 @@ def load_checkpoint(path: Path, learner: Learner) -> TrainingState:
     except DAMAGE as error:
         raise TrainingError(
             path,
-            f"cannot be resumed from: {words_of(error)}",
+            f"cannot be resumed from: {error_text(error)}",
             "a checkpoint of this training",
             "start anew with --overwrite or in another folder",
         ) from error

@@ -7,7 +7,7 @@ from itertools import groupby
 
 import numpy as np
 
-from salsanext_cli.storage.layout import ScanFile
+from salsanext_cli.results.layout import ScanFile
 from salsanext_cli.training.log import Row
 
 

@@ -16,8 +16,8 @@ import torch.nn.functional as F
 from torch import Tensor, nn
 from torch.nn.parallel import DistributedDataParallel
 
+from salsanext_cli.engines.device import choose_device
 from salsanext_cli.errors import SalsanextError, UsageError
-from salsanext_cli.inference.device import choose_device
 
 PROCESS_GROUP_TIMEOUT = timedelta(hours=12)
 """Time that workers wait for the main one, which counts labels, writes and draws."""

@@ -15,10 +15,10 @@ import numpy.typing as npt
 import safetensors.torch
 import torch
 
+from salsanext_cli.engines.network import Network
 from salsanext_cli.errors import TrainingError
-from salsanext_cli.inference.network import Network
 from salsanext_cli.network.card import WeightsCard
-from salsanext_cli.storage.written_files import WrittenFiles
+from salsanext_cli.results.written_files import WrittenFiles
 from salsanext_cli.training.checkpoint import TrainingState, load_checkpoint, save_checkpoint
 from salsanext_cli.training.data.dataset import Batch, Samples, batches
 from salsanext_cli.training.data.sources import Source

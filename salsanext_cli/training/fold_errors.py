@@ -12,15 +12,14 @@ from typing import Any
 
 import torch
 
-from salsanext_cli import __version__
-from salsanext_cli.inference.network import Network
-from salsanext_cli.inference.scan_fit import with_sensor
+from salsanext_cli.engines.network import Network
+from salsanext_cli.files.identity import fingerprint
+from salsanext_cli.files.json_files import encode_json, read_json
+from salsanext_cli.fitting.scan_fit import with_sensor
 from salsanext_cli.network.error_model import ErrorModel
 from salsanext_cli.network.weights import read_weights
-from salsanext_cli.storage.files.identity import fingerprint
-from salsanext_cli.storage.files.json_files import encode_json, read_json
-from salsanext_cli.storage.layout import ScanFile
-from salsanext_cli.storage.written_files import WrittenFiles
+from salsanext_cli.results.layout import ScanFile
+from salsanext_cli.results.written_files import WrittenFiles
 from salsanext_cli.training.data.class_counts import data_digest
 from salsanext_cli.training.data.sources import Source
 from salsanext_cli.training.run_folder import ERROR, LAST, fold_folder
@@ -31,6 +30,7 @@ from salsanext_cli.training.tuning.judged_points import (
     points_of_scan,
 )
 from salsanext_cli.uncertainty.error_features import FEATURES
+from salsanext_cli.version import __version__
 
 log = logging.getLogger(__name__)
 

@@ -10,13 +10,13 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from salsanext_cli.classes import LabelSpace
+from salsanext_cli.classes.label_space import LabelSpace
 from salsanext_cli.errors import NOTICE, WeightsError, first_few
 from salsanext_cli.network.card import WeightsCard
 from salsanext_cli.network.registry import build
 from salsanext_cli.network.segmentation import SegmentationNetwork
 from salsanext_cli.network.weights import read_weights
-from salsanext_cli.sensors import Sensor, sensor
+from salsanext_cli.sensors.sensor import Sensor, sensor
 from salsanext_cli.training.recipe import Recipe
 
 DEFAULT_SENSOR = "hdl64"

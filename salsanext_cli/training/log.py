@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-from salsanext_cli.storage.written_files import WrittenFiles
+from salsanext_cli.results.written_files import WrittenFiles
 
 Row = dict[str, float]
 """One epoch: epoch, learning_rate, loss, seconds; where validated, also what `Validation` says."""

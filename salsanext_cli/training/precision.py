@@ -4,8 +4,8 @@
 import torch
 from torch import Tensor, nn
 
-from salsanext_cli.inference.device import PRECISIONS, has_bfloat16
-from salsanext_cli.inference.graphs import LOGITS
+from salsanext_cli.engines.device import PRECISIONS, has_bfloat16
+from salsanext_cli.engines.graphs import LOGITS
 from salsanext_cli.records import CHANNELS
 from salsanext_cli.training.distributed import ProcessGroup
 

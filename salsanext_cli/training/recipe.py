@@ -10,8 +10,8 @@ from importlib import resources
 from pathlib import Path
 from typing import Any, Self
 
-from salsanext_cli.errors import UsageError
-from salsanext_cli.settings_files import read_toml, refuse_unknown, shortened
+from salsanext_cli.errors import UsageError, shortened
+from salsanext_cli.files.yaml_toml import read_toml, refuse_unknown
 
 CHOICES = {
     "optimiser": ("sgd", "adamw"),

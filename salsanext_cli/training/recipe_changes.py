@@ -5,7 +5,7 @@ from collections.abc import Callable, Iterable
 from typing import Any
 
 from salsanext_cli.errors import UsageError
-from salsanext_cli.settings_files import refuse_unknown
+from salsanext_cli.files.yaml_toml import refuse_unknown
 from salsanext_cli.training.recipe import Recipe
 
 READERS: dict[type, tuple[Callable[[str], Any], str]] = {

@@ -7,17 +7,17 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
+from salsanext_cli.engines.device import PRECISIONS
 from salsanext_cli.errors import OutputError
-from salsanext_cli.inference.device import PRECISIONS
-from salsanext_cli.storage.files.atomic import require_writable, sweep_stale
-from salsanext_cli.storage.files.locks import locked
-from salsanext_cli.storage.stage_records import (
+from salsanext_cli.files.atomic import require_writable, sweep_stale
+from salsanext_cli.files.locks import locked
+from salsanext_cli.results.stage_records import (
     StageRecord,
     as_json,
     require_same_settings,
     stage_settings,
 )
-from salsanext_cli.storage.written_files import WrittenFiles
+from salsanext_cli.results.written_files import WrittenFiles
 from salsanext_cli.training.recipe import Recipe
 
 STAGE = "train"

@@ -7,9 +7,9 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from salsanext_cli.storage.files.identity import fingerprint
-from salsanext_cli.storage.labelling.label_records import digest_of_file
-from salsanext_cli.storage.layout import ScanFile
+from salsanext_cli.files.identity import fingerprint
+from salsanext_cli.labelling.label_records import digest_of_file
+from salsanext_cli.results.layout import ScanFile
 from salsanext_cli.training.data.sources import Source
 from salsanext_cli.training.recipe import Recipe
 

@@ -16,14 +16,14 @@ import numpy as np
 import numpy.typing as npt
 import torch
 
+from salsanext_cli.engines.network import Network
 from salsanext_cli.errors import UsageError
-from salsanext_cli.inference.network import Network
-from salsanext_cli.inference.scan_fit import with_sensor
+from salsanext_cli.fitting.scan_fit import with_sensor
 from salsanext_cli.network.card import WeightsCard, read_card
 from salsanext_cli.network.segmentation import SegmentationNetwork
-from salsanext_cli.sensors import Sensor
-from salsanext_cli.storage.layout import ScanFile
-from salsanext_cli.storage.written_files import WrittenFiles
+from salsanext_cli.results.layout import ScanFile
+from salsanext_cli.results.written_files import WrittenFiles
+from salsanext_cli.sensors.sensor import Sensor
 from salsanext_cli.training.cross_validation import Expectation, expectation, folds
 from salsanext_cli.training.data.class_counts import ClassCounts, class_weights, rare_classes
 from salsanext_cli.training.data.dataset import Samples

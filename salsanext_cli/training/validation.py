@@ -7,10 +7,10 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from salsanext_cli.engines.network import Network
+from salsanext_cli.fitting.scan_fit import with_sensor
 from salsanext_cli.geometry.knn import knn_refine
 from salsanext_cli.geometry.projection import project
-from salsanext_cli.inference.network import Network
-from salsanext_cli.inference.scan_fit import with_sensor
 from salsanext_cli.measures.confusion import Confusion
 from salsanext_cli.measures.scores import scores
 from salsanext_cli.network.card import TEMPERATURES

@@ -4,10 +4,10 @@
 import torch
 from torch import Tensor
 
+from salsanext_cli.engines.network import Network
+from salsanext_cli.engines.torch_engine import inference_mode
 from salsanext_cli.geometry.normalise import input_variance
 from salsanext_cli.geometry.row_gaps import completed
-from salsanext_cli.inference.network import Network
-from salsanext_cli.inference.torch_engine import inference_mode
 from salsanext_cli.network.segmentation import SegmentationNetwork
 from salsanext_cli.records import Float, RangeImage
 from salsanext_cli.uncertainty.adf import Gaussian, propagate

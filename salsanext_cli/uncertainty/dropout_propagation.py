@@ -14,8 +14,8 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
-from salsanext_cli.inference.network import Network
-from salsanext_cli.inference.torch_engine import inference_mode
+from salsanext_cli.engines.network import Network
+from salsanext_cli.engines.torch_engine import inference_mode
 from salsanext_cli.network.dropout import require_dropout
 from salsanext_cli.network.segmentation import SegmentationNetwork
 from salsanext_cli.records import RangeImage

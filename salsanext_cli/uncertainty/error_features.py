@@ -7,11 +7,11 @@ for any sensor.
 
 import numpy as np
 
-from salsanext_cli.classes import TrainIds
+from salsanext_cli.classes.label_space import TrainIds
+from salsanext_cli.compiled.kernels import parallel_for_slices
+from salsanext_cli.engines.network import Network
 from salsanext_cli.errors import UsageError, WeightsError
 from salsanext_cli.geometry.label_support import label_support, region_means
-from salsanext_cli.inference.network import Network
-from salsanext_cli.kernels import parallel_for_slices
 from salsanext_cli.network.error_model import ErrorModel
 from salsanext_cli.records import Float, RangeImage
 from salsanext_cli.uncertainty.estimate import entropy

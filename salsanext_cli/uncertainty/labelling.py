@@ -5,13 +5,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from salsanext_cli.classes import TrainIds
+from salsanext_cli.classes.label_space import TrainIds
+from salsanext_cli.engines.network import Network
 from salsanext_cli.geometry.gather import points_from_pixels
 from salsanext_cli.geometry.knn import KnnParameters, knn_refine
-from salsanext_cli.inference.network import Network
 from salsanext_cli.records import Float, RangeImage
-from salsanext_cli.storage.layout import ERROR, ScanFile
-from salsanext_cli.storage.output_run import OutputRun
+from salsanext_cli.results.layout import ERROR, ScanFile
+from salsanext_cli.results.output_run import OutputRun
 from salsanext_cli.uncertainty.error_features import label_error
 
 

@@ -8,7 +8,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from salsanext_cli.kernels import parallel_for
+from salsanext_cli.compiled.kernels import parallel_for
 
 NODES = 12
 """Nodes of the Gauss-Hermite quadrature of the logistic function."""

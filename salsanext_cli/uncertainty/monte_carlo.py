@@ -9,11 +9,11 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from salsanext_cli.compiled.kernels import argument, compiled, parallel_for_slices, thread_count
+from salsanext_cli.engines.device import MAX_BATCH_PIXELS
+from salsanext_cli.engines.network import Network
+from salsanext_cli.engines.torch_engine import inference_mode
 from salsanext_cli.errors import UsageError
-from salsanext_cli.inference.device import MAX_BATCH_PIXELS
-from salsanext_cli.inference.network import Network
-from salsanext_cli.inference.torch_engine import inference_mode
-from salsanext_cli.kernels import argument, compiled, parallel_for_slices, thread_count
 from salsanext_cli.network.dropout import drawn, require_dropout, sampling
 from salsanext_cli.network.segmentation import SegmentationNetwork
 from salsanext_cli.records import Float, RangeImage

@@ -5,10 +5,10 @@ from collections.abc import Iterator
 
 import numpy as np
 
+from salsanext_cli.engines.network import Network
 from salsanext_cli.geometry.normalise import noise_of
-from salsanext_cli.inference.network import Network
 from salsanext_cli.records import Float, RangeImage
-from salsanext_cli.sensors import Sensor
+from salsanext_cli.sensors.sensor import Sensor
 from salsanext_cli.uncertainty.monte_carlo import PassStatistics
 
 COPIES = 8

@@ -7,18 +7,18 @@ import numpy as np
 import numpy.typing as npt
 from torch import Tensor
 
-from salsanext_cli.classes import TrainIds
+from salsanext_cli.classes.label_space import TrainIds
+from salsanext_cli.engines.network import Network
+from salsanext_cli.engines.torch_engine import inference_mode
 from salsanext_cli.errors import FormatError
+from salsanext_cli.fitting.checked_scans import project_checked
+from salsanext_cli.fitting.findings import ScanCheck
 from salsanext_cli.formats import read_scan
-from salsanext_cli.geometry.checks.findings import ScanCheck
 from salsanext_cli.geometry.knn import knn_refine
 from salsanext_cli.geometry.projection import project
-from salsanext_cli.inference.checked_scans import project_checked
-from salsanext_cli.inference.network import Network
-from salsanext_cli.inference.torch_engine import inference_mode
 from salsanext_cli.network.segmentation import SegmentationNetwork
 from salsanext_cli.records import Float, RangeImage, Scan
-from salsanext_cli.storage.layout import ScanFile
+from salsanext_cli.results.layout import ScanFile
 from salsanext_cli.uncertainty.estimate import Estimate
 from salsanext_cli.uncertainty.monte_carlo import sample
 

@@ -5,15 +5,15 @@ import logging
 from dataclasses import dataclass, replace
 from typing import Any
 
+from salsanext_cli.engines.network import Network
 from salsanext_cli.errors import UsageError
+from salsanext_cli.files.json_files import RecordedSettings
 from salsanext_cli.geometry.knn import KnnParameters
 from salsanext_cli.geometry.normalise import noise_of
-from salsanext_cli.inference.network import Network
 from salsanext_cli.network.dropout import require_dropout
 from salsanext_cli.records import RangeImage
-from salsanext_cli.sensors import Sensor
-from salsanext_cli.storage.files.json_files import RecordedSettings
-from salsanext_cli.storage.layout import ScanFile
+from salsanext_cli.results.layout import ScanFile
+from salsanext_cli.sensors.sensor import Sensor
 from salsanext_cli.uncertainty.aleatoric import aleatoric
 from salsanext_cli.uncertainty.dropout_propagation import propagate_dropout
 from salsanext_cli.uncertainty.estimate import Estimate

@@ -14,10 +14,10 @@ from scans import SMALL, make_scan, write_weights
 
 from salsanext_cli import RangeImage, Scan, knn_refine, load_network, project, read_labels
 from salsanext_cli.benchmarking import product
-from salsanext_cli.inference.settings import NetworkSettings
+from salsanext_cli.engines.settings import NetworkSettings
 from salsanext_cli.measures.confusion import Confusion
+from salsanext_cli.results.point_files import write_bin
 from salsanext_cli.stages.predict import predict_scans
-from salsanext_cli.storage.point_files import write_bin
 from salsanext_cli.uncertainty.aleatoric import aleatoric
 
 BENCHMARKS = Path(__file__).parents[2] / "benchmarks"

@@ -17,16 +17,16 @@ from scans import SMALL, make_scan, write_weights
 from salsanext_cli.benchmarking import benchmark as benchmarking
 from salsanext_cli.benchmarking import hardware, turn
 from salsanext_cli.benchmarking.benchmark import PARTS, benchmark
+from salsanext_cli.engines.settings import NetworkSettings
 from salsanext_cli.errors import SalsanextError, UsageError, WeightsError
 from salsanext_cli.formats import read_scan
-from salsanext_cli.inference.settings import NetworkSettings
 from salsanext_cli.network.card import read_card
 from salsanext_cli.network.registry import build
 from salsanext_cli.network.salsanext import SalsaNext
 from salsanext_cli.network.weights import save_weights
 from salsanext_cli.report.tables import benchmark_table
-from salsanext_cli.sensors import sensor as find_sensor
-from salsanext_cli.storage.point_files import write_bin
+from salsanext_cli.results.point_files import write_bin
+from salsanext_cli.sensors.sensor import sensor as find_sensor
 
 pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="benchmark needs POSIX")
 MACHINE = ("processor", "instructions", "threads", "torch_version", "device", "precision")

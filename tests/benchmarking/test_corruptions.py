@@ -14,7 +14,7 @@ from typer.testing import CliRunner
 from salsanext_cli import read_labels, read_scan
 from salsanext_cli.cli.app import app
 from salsanext_cli.records import Scan
-from salsanext_cli.storage.point_files import write_bin
+from salsanext_cli.results.point_files import write_bin
 
 BENCHMARKS = Path(__file__).parents[2] / "benchmarks"
 SHARES = r"nan|\d+\.\d"

@@ -14,7 +14,7 @@ import pytest
 from scans import write_sequence
 
 from salsanext_cli import Scan, write_labels
-from salsanext_cli.storage.point_files import write_bin
+from salsanext_cli.results.point_files import write_bin
 
 BENCHMARKS = Path(__file__).parents[2] / "benchmarks"
 TINY = "fov_up = 3.0\nfov_down = -25.0\nheight = 16\nwidth = 64\n"

@@ -14,7 +14,7 @@ from command_line import only_json
 from scans import SMALL, labels_below, write_array, write_sequence
 
 from salsanext_cli.parallel.run import Outcome
-from salsanext_cli.storage.layout import output_path
+from salsanext_cli.results.layout import output_path
 
 ROOT = Path(__file__).parents[2]
 

@@ -11,7 +11,6 @@ import pytest
 from command_line import every_command, only_json, parsed
 from scans import SMALL, labels_below, write_weights
 
-from salsanext_cli import sensors
 from salsanext_cli.cli import options, run_options, selection_options
 from salsanext_cli.cli.console import Output
 from salsanext_cli.cli.option_groups import Default, Without, expanded
@@ -19,6 +18,7 @@ from salsanext_cli.errors import UsageError
 from salsanext_cli.network.card import default_weights
 from salsanext_cli.parallel.options import BACKENDS, RunOptions
 from salsanext_cli.parallel.shards import Shard
+from salsanext_cli.sensors import sensor as sensors
 
 SHARDED = {"project", "predict", "knn-refine", "uncertainty", "picture", "export-ply"}
 

@@ -14,8 +14,8 @@ from salsanext_cli import label_space
 from salsanext_cli.cli.run_end import left_out, next_command
 from salsanext_cli.measures.scan_summary import RunSummary
 from salsanext_cli.parallel.run import Outcome
-from salsanext_cli.storage.layout import find_scans
-from salsanext_cli.storage.sources import MissingResults
+from salsanext_cli.results.layout import find_scans
+from salsanext_cli.results.sources import MissingResults
 
 
 def test_the_commands_to_type_next_lead_from_scans_to_scores(run, data, weights, tmp_path):

@@ -6,8 +6,8 @@ import pytest
 from command_line import only_json
 
 from salsanext_cli import write_labels
+from salsanext_cli.results.layout import output_path
 from salsanext_cli.stages import submit as stage
-from salsanext_cli.storage.layout import output_path
 
 
 @pytest.fixture

@@ -7,7 +7,7 @@ from scans import SMALL, write_sequence
 from tiny_network import TinyNetwork
 
 from salsanext_cli.cli import options
-from salsanext_cli.inference.device import has_bfloat16
+from salsanext_cli.engines.device import has_bfloat16
 from salsanext_cli.network.card import read_card
 from salsanext_cli.network.registry import ARCHITECTURES
 from salsanext_cli.training.recipe import presets, recipe

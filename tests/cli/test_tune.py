@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 from command_line import only_json
 
-from salsanext_cli.inference.adaptation import SHARE
+from salsanext_cli.fitting.adaptation import SHARE
 from salsanext_cli.network.card import read_card
-from salsanext_cli.storage.selection import ScanSelection
+from salsanext_cli.results.selection import ScanSelection
 
 UPS = [f"up{i}" for i in range(1, 5)]
 

@@ -23,6 +23,8 @@ from scans import SMALL, make_scan, write_sequence
 from tiny_network import TinyNetwork
 
 from salsanext_cli import LabelSpace, label_space, project, read_labels, read_scan, sensor
+from salsanext_cli.files.json_files import read_json
+from salsanext_cli.fitting.coverage import field_of_view_coverage
 from salsanext_cli.formats.npy import (
     encode_array,
     read_array,
@@ -30,15 +32,13 @@ from salsanext_cli.formats.npy import (
     read_uncertainty,
 )
 from salsanext_cli.formats.recordings import recorded_scans as recordings
-from salsanext_cli.geometry.coverage import field_of_view_coverage
 from salsanext_cli.network.card import WeightsCard, read_card
 from salsanext_cli.network.published import read_published
 from salsanext_cli.network.weights import read_weights, save_weights
-from salsanext_cli.storage.files.json_files import read_json
-from salsanext_cli.storage.layout import find_scans
-from salsanext_cli.storage.point_files import write_labels, write_ply
-from salsanext_cli.storage.sources import missing_results, recorded_scans
-from salsanext_cli.storage.stage_records import (
+from salsanext_cli.results.layout import find_scans
+from salsanext_cli.results.point_files import write_labels, write_ply
+from salsanext_cli.results.sources import missing_results, recorded_scans
+from salsanext_cli.results.stage_records import (
     StageRecord,
     origins,
     owner,

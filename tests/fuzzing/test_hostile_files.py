@@ -12,11 +12,11 @@ from scans import SMALL
 
 from salsanext_cli import label_space, read_scan, sensor
 from salsanext_cli.errors import FormatError, NoInputError, OutputError, UsageError, WeightsError
+from salsanext_cli.files.json_files import read_json
 from salsanext_cli.formats.npy import read_array
 from salsanext_cli.network.card import WeightsCard
 from salsanext_cli.network.weights import read_weights
-from salsanext_cli.storage.files.json_files import read_json
-from salsanext_cli.storage.layout import find_scans
+from salsanext_cli.results.layout import find_scans
 from salsanext_cli.training.recipe import recipe
 
 SPACE = "labels: {0: a, 1: b}\nlearning_map: {0: 0, 1: 1}\nlearning_map_inv: {0: 0, 1: 1}\n"

@@ -9,10 +9,10 @@ from empty_runs import begin_and_end
 from scans import SMALL, files_below, write_sequence
 
 from salsanext_cli.errors import OutputError
+from salsanext_cli.results.layout import find_scans
+from salsanext_cli.results.sources import recorded_scans
 from salsanext_cli.stages.project import project_scans
 from salsanext_cli.stages.synth import synthesise
-from salsanext_cli.storage.layout import find_scans
-from salsanext_cli.storage.sources import recorded_scans
 
 LABELS = np.zeros(5, np.uint32)
 

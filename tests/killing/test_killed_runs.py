@@ -70,8 +70,8 @@ def overwriting(folder: Path) -> Run:
     """Return runs of `predict` that write three files per scan over those of other settings."""
     from scans import write_sequence, write_weights
 
+    from salsanext_cli.engines.settings import NetworkSettings
     from salsanext_cli.geometry.knn import KnnParameters
-    from salsanext_cli.inference.settings import NetworkSettings
     from salsanext_cli.parallel.run import RunOptions
     from salsanext_cli.stages.predict import predict_scans
 

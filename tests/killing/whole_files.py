@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 import yaml
 
-from salsanext_cli.storage.files.atomic import TEMPORARY
-from salsanext_cli.storage.written_files import RECORDS
+from salsanext_cli.files.atomic import TEMPORARY
+from salsanext_cli.results.written_files import RECORDS
 
 
 def _is_png(path: Path) -> None:

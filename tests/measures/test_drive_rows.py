@@ -8,7 +8,7 @@ from evaluated import small_space
 
 from salsanext_cli.errors import UsageError
 from salsanext_cli.measures.drive import ScanRow, leading_kind, named, worth_looking_at
-from salsanext_cli.storage.layout import ScanFile
+from salsanext_cli.results.layout import ScanFile
 
 SPACE = small_space("unlabeled", "car", "road")
 

@@ -9,9 +9,9 @@ from hypothesis import strategies as st
 from scans import SMALL
 
 from salsanext_cli import LabelSpace, label_space
-from salsanext_cli.geometry.checks.findings import Finding, ScanCheck
+from salsanext_cli.fitting.findings import Finding, ScanCheck
 from salsanext_cli.measures.scan_summary import RunSummary, ScanSummary
-from salsanext_cli.storage.layout import ScanFile
+from salsanext_cli.results.layout import ScanFile
 
 SPACE = label_space()
 FILE = ScanFile("08", "000000", Path("000000.bin"))

@@ -8,7 +8,7 @@ import torch
 from scans import SMALL, lively
 
 from salsanext_cli import __version__
-from salsanext_cli.classes import label_space
+from salsanext_cli.classes.label_space import label_space
 from salsanext_cli.errors import WeightsError
 from salsanext_cli.network.card import KEY, WeightsCard, read_card
 from salsanext_cli.network.salsanext import SalsaNext

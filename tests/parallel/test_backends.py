@@ -12,8 +12,8 @@ import pytest
 from scans import files_below, write_sequence
 from works import Write, run, scans_of
 
+from salsanext_cli.engines.settings import NetworkSettings
 from salsanext_cli.errors import MissingDependency, UsageError, WorkersLost
-from salsanext_cli.inference.settings import NetworkSettings
 from salsanext_cli.parallel import clusters
 from salsanext_cli.parallel.run import RunOptions
 from salsanext_cli.parallel.threads import threads_of_workers

@@ -18,8 +18,8 @@ from salsanext_cli.parallel.shards import (
     Shard,
     chunks,
 )
+from salsanext_cli.results.layout import ScanFile
 from salsanext_cli.stages.predict import predict_scans
-from salsanext_cli.storage.layout import ScanFile
 
 COUNTS = st.integers(1, 9)
 NAMES = st.sets(st.tuples(st.sampled_from(["00", "08", "a"]), st.integers(0, 99)), max_size=40)

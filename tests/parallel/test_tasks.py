@@ -7,9 +7,9 @@ from pathlib import Path
 import pytest
 
 from salsanext_cli.errors import FormatError
+from salsanext_cli.files.atomic import MARK
 from salsanext_cli.parallel.tasks import overlapping
-from salsanext_cli.storage.files.atomic import MARK
-from salsanext_cli.storage.layout import ScanFile
+from salsanext_cli.results.layout import ScanFile
 
 FILES = [ScanFile("00", str(number), Path(f"{number}.bin")) for number in range(5)]
 STEPS = ("read", "compute", "write")

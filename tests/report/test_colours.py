@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from salsanext_cli.classes import label_space
+from salsanext_cli.classes.label_space import label_space
 from salsanext_cli.report.colours import (
     EMPTY,
     LEAST_CONTRAST,

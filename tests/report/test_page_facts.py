@@ -4,13 +4,13 @@ import os
 from scans import SMALL
 
 from salsanext_cli import label_space
+from salsanext_cli.files.identity import fingerprint
 from salsanext_cli.network.card import default_weights, read_card
 from salsanext_cli.report.page.facts import facts_of_run, warnings_of_run
-from salsanext_cli.storage.files.identity import fingerprint
-from salsanext_cli.storage.kept_findings import keep_findings
-from salsanext_cli.storage.layout import output_path
-from salsanext_cli.storage.stage_records import StageRecord
-from salsanext_cli.storage.written_files import WrittenFiles
+from salsanext_cli.results.kept_findings import keep_findings
+from salsanext_cli.results.layout import output_path
+from salsanext_cli.results.stage_records import StageRecord
+from salsanext_cli.results.written_files import WrittenFiles
 
 SPACE = label_space().to_dict()
 

@@ -17,11 +17,11 @@ from scans import SMALL, make_scan
 from served import served
 
 from salsanext_cli import write_labels
+from salsanext_cli.results.layout import output_path
+from salsanext_cli.results.point_files import write_bin
+from salsanext_cli.results.stage_records import StageRecord
 from salsanext_cli.stages.report import report
 from salsanext_cli.stages.view import view
-from salsanext_cli.storage.layout import output_path
-from salsanext_cli.storage.point_files import write_bin
-from salsanext_cli.storage.stage_records import StageRecord
 
 CHROMIUM = next(filter(None, map(shutil.which, ("chromium", "chromium-browser"))), None)
 pytestmark = pytest.mark.skipif(CHROMIUM is None, reason="needs chromium: make test installs it")

@@ -11,7 +11,7 @@ from rich.console import Console
 from scans import SMALL, make_scan
 
 from salsanext_cli import label_space, project
-from salsanext_cli.measures.scan_choice import Choice
+from salsanext_cli.labelling.scan_choice import Choice
 from salsanext_cli.report.canvas import MARGIN_PX
 from salsanext_cli.report.colours import EMPTY, map_on_dark, screen_colours
 from salsanext_cli.report.picked import (
@@ -27,7 +27,7 @@ from salsanext_cli.report.picked import (
     picked_table,
     reason,
 )
-from salsanext_cli.storage.layout import ScanFile
+from salsanext_cli.results.layout import ScanFile
 from salsanext_cli.uncertainty.scan_description import ScanLabels
 
 SPACE = label_space()

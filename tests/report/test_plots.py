@@ -6,7 +6,7 @@ import pytest
 from evaluated import small_space
 from matplotlib.image import imread
 
-from salsanext_cli.classes import label_space
+from salsanext_cli.classes.label_space import label_space
 from salsanext_cli.measures.confusion import Confusion
 from salsanext_cli.measures.scores import scores
 from salsanext_cli.report.colours import screen_colours

@@ -10,7 +10,7 @@ from salsanext_cli import Network, label_space
 from salsanext_cli.network.card import WeightsCard
 from salsanext_cli.report.colours import EMPTY, screen_colours
 from salsanext_cli.report.training_sample import GAP_PX, ROW_HEIGHT_PX, draw_sample
-from salsanext_cli.storage.layout import find_scans
+from salsanext_cli.results.layout import find_scans
 
 SPACE = label_space()
 

@@ -12,23 +12,23 @@ from scans import SMALL, labels_below, replace_points, write_sequence
 
 from salsanext_cli import Scan, load_network, project, read_scan
 from salsanext_cli.errors import FormatError, NoInputError, OutputError, WeightsError
-from salsanext_cli.inference.adaptation import SHARE, network_of_run
-from salsanext_cli.inference.batch_norm import PooledStatistics
+from salsanext_cli.files.identity import fingerprint
+from salsanext_cli.fitting.adaptation import SHARE, network_of_run
+from salsanext_cli.fitting.batch_norm import PooledStatistics
 from salsanext_cli.network.card import read_card
 from salsanext_cli.network.weights import NORM_SUFFIXES
 from salsanext_cli.parallel.run import RunOptions
 from salsanext_cli.parallel.shards import Shard
+from salsanext_cli.results.layout import find_scans
+from salsanext_cli.results.point_files import write_bin
+from salsanext_cli.results.selection import ScanSelection
+from salsanext_cli.results.stage_records import stage_settings
 from salsanext_cli.stages.export_ply import export_ply
 from salsanext_cli.stages.knn_refine import knn_refine_scans
 from salsanext_cli.stages.predict import predict_range_images, predict_scans
 from salsanext_cli.stages.project import project_scans
 from salsanext_cli.stages.tune_batchnorm import tune_batchnorm
 from salsanext_cli.stages.uncertainty import uncertainty
-from salsanext_cli.storage.files.identity import fingerprint
-from salsanext_cli.storage.layout import find_scans
-from salsanext_cli.storage.point_files import write_bin
-from salsanext_cli.storage.selection import ScanSelection
-from salsanext_cli.storage.stage_records import stage_settings
 from salsanext_cli.uncertainty.settings import Estimator
 
 FEW = Estimator(samples=2, aleatoric="none")
@@ -221,7 +221,7 @@ def test_networks_that_cannot_be_adapted(adapting, monkeypatch):
     onnx = replace(settings, weights=adapting.data / "m.onnx")
     with pytest.raises(WeightsError, match=r"m\.onnx · an ONNX model"):
         network_of_run(onnx, network, files, adapting.out)
-    monkeypatch.setattr("salsanext_cli.inference.batch_norm.norms", lambda _: {})
+    monkeypatch.setattr("salsanext_cli.fitting.batch_norm.norms", lambda _: {})
     with pytest.raises(WeightsError, match=r"random\.safetensors · its network has no batch norm"):
         network_of_run(settings, network, files, adapting.out)
     assert not adapting.out.exists()

@@ -13,12 +13,12 @@ from salsanext_cli import Scan, read_scan
 from salsanext_cli.errors import FormatError, TrainingError
 from salsanext_cli.network.registry import ARCHITECTURES
 from salsanext_cli.parallel.run import RunOptions
+from salsanext_cli.results.point_files import write_bin
+from salsanext_cli.results.selection import ScanSelection
 from salsanext_cli.stages import inspect as inspect_stage
 from salsanext_cli.stages.inspect import inspect
 from salsanext_cli.stages.project import project_scans
 from salsanext_cli.stages.train import train
-from salsanext_cli.storage.point_files import write_bin
-from salsanext_cli.storage.selection import ScanSelection
 from salsanext_cli.training.data import class_counts as counting
 from salsanext_cli.training.data.sources import Source, labelled_split
 from salsanext_cli.training.recipe import Recipe

@@ -12,14 +12,14 @@ from scans import SMALL, files_below, labels_below
 from salsanext_cli import read_scan
 from salsanext_cli.errors import NoInputError, OutputError, UsageError
 from salsanext_cli.parallel.run import RunOptions
+from salsanext_cli.results.layout import find_scans
+from salsanext_cli.results.selection import ScanSelection
+from salsanext_cli.results.sources import recorded_scans
 from salsanext_cli.stages.convert import convert
 from salsanext_cli.stages.export_ply import export_ply
 from salsanext_cli.stages.inspect import inspect
 from salsanext_cli.stages.predict import predict_scans
 from salsanext_cli.stages.project import project_scans
-from salsanext_cli.storage.layout import find_scans
-from salsanext_cli.storage.selection import ScanSelection
-from salsanext_cli.storage.sources import recorded_scans
 
 POINTS = [structured(seed=seed) for seed in range(5)]
 TIMES = [f"{START + n * STEP}" for n in range(5)]

@@ -12,9 +12,9 @@ from scans import files_below
 from salsanext_cli.errors import LabelError, NoInputError, OutputError
 from salsanext_cli.parallel.run import RunOptions
 from salsanext_cli.report import plots
+from salsanext_cli.results.layout import find_scans
+from salsanext_cli.results.written_files import WrittenFiles
 from salsanext_cli.stages.evaluate import evaluate
-from salsanext_cli.storage.layout import find_scans
-from salsanext_cli.storage.written_files import WrittenFiles
 
 
 @pytest.fixture

@@ -16,9 +16,9 @@ from salsanext_cli.measures.uncertainty_evaluation import (
     evaluate_uncertainty,
 )
 from salsanext_cli.parallel.run import RunOptions
+from salsanext_cli.results.layout import find_scans, output_path
+from salsanext_cli.results.scan_results import UNCERTAINTY
 from salsanext_cli.stages.evaluate import evaluate
-from salsanext_cli.storage.layout import find_scans, output_path
-from salsanext_cli.storage.scan_results import UNCERTAINTY
 
 C = SPACE.class_count
 CAR_ID, ROAD_ID = SPACE.names.index("car"), SPACE.names.index("road")

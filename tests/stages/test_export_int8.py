@@ -10,18 +10,18 @@ from command_line import python
 from scans import SMALL, make_scan, write_sequence, write_weights
 
 from salsanext_cli import Scan, load_network, project, read_scan
+from salsanext_cli.engines.onnx_export import run
+from salsanext_cli.engines.settings import NetworkSettings
 from salsanext_cli.errors import NoInputError, UsageError
-from salsanext_cli.inference.onnx_export import run
-from salsanext_cli.inference.scan_fit import fitted
-from salsanext_cli.inference.settings import NetworkSettings
+from salsanext_cli.files import user_cache
+from salsanext_cli.fitting.scan_fit import fitted
 from salsanext_cli.network.card import read_card
-from salsanext_cli.sensor_limits import INTENSITY_LEVELS
+from salsanext_cli.results.layout import find_scans
+from salsanext_cli.results.point_files import write_bin
+from salsanext_cli.results.selection import ScanSelection
+from salsanext_cli.sensors.limits import INTENSITY_LEVELS
 from salsanext_cli.stages import export_onnx as stage
 from salsanext_cli.stages.export_onnx import export_onnx
-from salsanext_cli.storage import user_cache
-from salsanext_cli.storage.layout import find_scans
-from salsanext_cli.storage.point_files import write_bin
-from salsanext_cli.storage.selection import ScanSelection
 
 onnx = pytest.importorskip("onnx")
 pytest.importorskip("onnxruntime")

@@ -11,10 +11,11 @@ from scans import SMALL, labels_below, lively, make_scan
 
 from salsanext_cli import LabelSpace, label_space, load_network, project
 from salsanext_cli.benchmarking.benchmark import benchmark
+from salsanext_cli.engines import onnx_export
+from salsanext_cli.engines.onnx_export import difference, exported, run
+from salsanext_cli.engines.settings import NetworkSettings
 from salsanext_cli.errors import MissingDependency, OutputError, UsageError, WeightsError
-from salsanext_cli.inference import onnx_export
-from salsanext_cli.inference.onnx_export import difference, exported, run
-from salsanext_cli.inference.settings import NetworkSettings
+from salsanext_cli.files import user_cache
 from salsanext_cli.network.card import WeightsCard, read_card
 from salsanext_cli.network.registry import build
 from salsanext_cli.network.weights import read_weights
@@ -23,7 +24,6 @@ from salsanext_cli.stages.export_onnx import export_onnx
 from salsanext_cli.stages.predict import predict_scans
 from salsanext_cli.stages.tune_temperature import tune_temperature
 from salsanext_cli.stages.uncertainty import uncertainty
-from salsanext_cli.storage import user_cache
 
 onnx = pytest.importorskip("onnx")
 pytest.importorskip("onnxruntime")

@@ -10,6 +10,7 @@ import pytest
 from scans import SMALL, files_below, replace_points, write_weights
 
 from salsanext_cli import LabelSpace, Scan, label_space, read_labels, read_scan, write_labels
+from salsanext_cli.engines.settings import NetworkSettings
 from salsanext_cli.errors import (
     LabelError,
     MissingDependency,
@@ -18,16 +19,15 @@ from salsanext_cli.errors import (
     UsageError,
 )
 from salsanext_cli.formats.clouds.asprs import classification
-from salsanext_cli.inference.settings import NetworkSettings
 from salsanext_cli.parallel.run import RunOptions
 from salsanext_cli.report.colours import EMPTY, RIGHT, WRONG, map_colours
+from salsanext_cli.results.point_files import write_bin
+from salsanext_cli.results.predictions import predicted_scans
+from salsanext_cli.results.selection import ScanSelection
 from salsanext_cli.stages.export_ply import export_ply
 from salsanext_cli.stages.picture import picture
 from salsanext_cli.stages.predict import predict_scans
 from salsanext_cli.stages.uncertainty import uncertainty
-from salsanext_cli.storage.point_files import write_bin
-from salsanext_cli.storage.predictions import predicted_scans
-from salsanext_cli.storage.selection import ScanSelection
 from salsanext_cli.uncertainty.settings import Estimator
 
 SPACE = label_space()

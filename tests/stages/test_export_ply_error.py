@@ -15,8 +15,8 @@ from salsanext_cli.errors import NoInputError, OutputError, UsageError
 from salsanext_cli.parallel.run import RunOptions
 from salsanext_cli.parallel.shards import Shard
 from salsanext_cli.report.colours import EMPTY, RIGHT, WRONG
+from salsanext_cli.results.selection import ScanSelection
 from salsanext_cli.stages.export_ply import export_ply
-from salsanext_cli.storage.selection import ScanSelection
 
 SPACE = label_space()
 SCANS = (("00", "000000"), ("08", "000000"), ("08", "000001"))

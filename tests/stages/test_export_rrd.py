@@ -18,10 +18,10 @@ from salsanext_cli.errors import (
 )
 from salsanext_cli.parallel.run import RunOptions
 from salsanext_cli.report.rerun_recording import import_rerun
+from salsanext_cli.results.layout import output_path
+from salsanext_cli.results.selection import ScanSelection
 from salsanext_cli.stages import export_rrd as stage
 from salsanext_cli.stages.export_rrd import export_rrd
-from salsanext_cli.storage.layout import output_path
-from salsanext_cli.storage.selection import ScanSelection
 
 CONTENT = b"whole"
 

@@ -10,12 +10,12 @@ from scans import SMALL, labels_below, write_weights
 from salsanext_cli import knn_refine, project, read_scan
 from salsanext_cli.geometry.row_gaps import fill_rows, row_gaps
 from salsanext_cli.parallel.run import RunOptions
+from salsanext_cli.results.point_files import write_bin
+from salsanext_cli.results.stage_records import stage_settings
 from salsanext_cli.stages.knn_refine import knn_refine_scans
 from salsanext_cli.stages.predict import predict_range_images, predict_scans
 from salsanext_cli.stages.project import project_scans
 from salsanext_cli.stages.uncertainty import uncertainty
-from salsanext_cli.storage.point_files import write_bin
-from salsanext_cli.storage.stage_records import stage_settings
 from salsanext_cli.uncertainty.settings import Estimator
 
 

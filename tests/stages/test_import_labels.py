@@ -13,10 +13,10 @@ from scans import files_below, write_sequence
 from salsanext_cli import label_space, read_labels, read_scan, write_labels
 from salsanext_cli.errors import NoInputError, SalsanextError, UsageError
 from salsanext_cli.formats.labels import encode_labels
+from salsanext_cli.labelling.label_records import first_guesses
+from salsanext_cli.results.layout import find_scans
+from salsanext_cli.results.written_files import WrittenFiles
 from salsanext_cli.stages.import_labels import import_labels
-from salsanext_cli.storage.labelling.label_records import first_guesses
-from salsanext_cli.storage.layout import find_scans
-from salsanext_cli.storage.written_files import WrittenFiles
 
 SPACE = label_space()
 STEMS = ("000010", "000011", "000012")

@@ -8,10 +8,10 @@ from scans import SMALL, make_scan, write_sequence
 
 from salsanext_cli import Scan, label_space, project, read_scan, sensor
 from salsanext_cli.errors import NoInputError
-from salsanext_cli.geometry.fitting.view_fit import fit_view
+from salsanext_cli.fitting.view_fit import fit_view
 from salsanext_cli.report.descriptions import survey_tables
+from salsanext_cli.results.point_files import write_bin
 from salsanext_cli.stages.inspect import inspect, write_sensor
-from salsanext_cli.storage.point_files import write_bin
 
 TILT = np.radians(6.5)
 

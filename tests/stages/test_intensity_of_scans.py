@@ -11,19 +11,19 @@ from salsanext_cli import Scan, project, read_scan
 from salsanext_cli.errors import OutputError, UsageError
 from salsanext_cli.geometry.intensity import intensity_quantiles
 from salsanext_cli.parallel.run import RunOptions
-from salsanext_cli.sensor_limits import INTENSITY_LEVELS
-from salsanext_cli.sensors import Sensor
-from salsanext_cli.stages.knn_refine import knn_refine_scans
-from salsanext_cli.stages.predict import predict_range_images, predict_scans
-from salsanext_cli.stages.project import project_scans
-from salsanext_cli.stages.uncertainty import uncertainty
-from salsanext_cli.storage.point_files import write_bin
-from salsanext_cli.storage.selection import ScanSelection
-from salsanext_cli.storage.stage_records import (
+from salsanext_cli.results.point_files import write_bin
+from salsanext_cli.results.selection import ScanSelection
+from salsanext_cli.results.stage_records import (
     earlier_settings,
     require_same_settings,
     stage_settings,
 )
+from salsanext_cli.sensors.limits import INTENSITY_LEVELS
+from salsanext_cli.sensors.sensor import Sensor
+from salsanext_cli.stages.knn_refine import knn_refine_scans
+from salsanext_cli.stages.predict import predict_range_images, predict_scans
+from salsanext_cli.stages.project import project_scans
+from salsanext_cli.stages.uncertainty import uncertainty
 from salsanext_cli.uncertainty.settings import Estimator
 
 TRAINED = tuple(np.linspace(0, 1, INTENSITY_LEVELS) ** 2)

@@ -10,11 +10,11 @@ from salsanext_cli import KnnParameters, knn_refine, label_space, project, read_
 from salsanext_cli.errors import NoInputError, OutputError, UsageError
 from salsanext_cli.geometry.gather import pixels_from_points
 from salsanext_cli.parallel.run import RunOptions
+from salsanext_cli.results.point_files import write_labels
+from salsanext_cli.results.selection import ScanSelection
 from salsanext_cli.stages.knn_refine import knn_refine_scans
 from salsanext_cli.stages.predict import predict_range_images, predict_scans
 from salsanext_cli.stages.project import project_scans
-from salsanext_cli.storage.point_files import write_labels
-from salsanext_cli.storage.selection import ScanSelection
 
 SPACE = label_space()
 

@@ -13,15 +13,15 @@ from scans import SMALL, files_below, make_scan, replace_points, write_sequence,
 
 from salsanext_cli import label_space, load_network, read_labels, read_scan, write_labels
 from salsanext_cli.errors import NOTICE, NoInputError, OutputError, UsageError, WeightsError
-from salsanext_cli.measures.scan_choice import choose_scans
+from salsanext_cli.labelling.picked_data_set import PickedDataSet
+from salsanext_cli.labelling.scan_choice import choose_scans
 from salsanext_cli.network.weights import read_weights, save_weights
 from salsanext_cli.parallel.run import RunOptions
+from salsanext_cli.results.layout import find_scans
+from salsanext_cli.results.point_files import write_bin, write_ply
+from salsanext_cli.results.selection import ScanSelection
+from salsanext_cli.results.written_files import WrittenFiles
 from salsanext_cli.stages.pick import pick
-from salsanext_cli.storage.labelling.picked_data_set import PickedDataSet
-from salsanext_cli.storage.layout import find_scans
-from salsanext_cli.storage.point_files import write_bin, write_ply
-from salsanext_cli.storage.selection import ScanSelection
-from salsanext_cli.storage.written_files import WrittenFiles
 from salsanext_cli.uncertainty.scan_description import describe_scan, label_scan
 
 PASSES = {"samples": 2, "seed": 0}

@@ -15,10 +15,10 @@ from salsanext_cli.parallel.run import RunOptions
 from salsanext_cli.parallel.shards import Shard
 from salsanext_cli.report import birds_eye, scan_pictures
 from salsanext_cli.report.colours import WRONG, screen_colours
+from salsanext_cli.results.selection import ScanSelection
 from salsanext_cli.stages.picture import picture
 from salsanext_cli.stages.predict import predict_scans
 from salsanext_cli.stages.project import project_scans
-from salsanext_cli.storage.selection import ScanSelection
 
 OVERWRITE = RunOptions(overwrite=True)
 ONE, TWO = ScanSelection(sequences=("00",)), ScanSelection(sequences=("08",))

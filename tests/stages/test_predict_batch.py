@@ -12,8 +12,8 @@ from salsanext_cli.errors import UsageError
 from salsanext_cli.parallel.network_task import default_batch
 from salsanext_cli.parallel.run import RunOptions
 from salsanext_cli.records import Scan
+from salsanext_cli.results.point_files import write_bin
 from salsanext_cli.stages.predict import predict_scans
-from salsanext_cli.storage.point_files import write_bin
 
 EXTRAS = ("pixel_labels", "probabilities")
 

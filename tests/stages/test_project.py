@@ -8,10 +8,10 @@ from scans import SMALL
 
 from salsanext_cli import project, read_scan
 from salsanext_cli.errors import OutputError
-from salsanext_cli.inference.range_images import projected_sensor
+from salsanext_cli.fitting.range_images import projected_sensor
 from salsanext_cli.parallel.run import RunOptions
+from salsanext_cli.results.selection import ScanSelection
 from salsanext_cli.stages.project import project_scans
-from salsanext_cli.storage.selection import ScanSelection
 
 
 def test_the_files_hold_the_projection(world):

@@ -13,9 +13,9 @@ from scans import SMALL, write_array
 from salsanext_cli import label_space
 from salsanext_cli.errors import NoInputError, OutputError, UsageError
 from salsanext_cli.parallel.run import RunOptions
+from salsanext_cli.results.layout import output_path
+from salsanext_cli.results.stage_records import StageRecord
 from salsanext_cli.stages.report import read_run, report
-from salsanext_cli.storage.layout import output_path
-from salsanext_cli.storage.stage_records import StageRecord
 
 PERSON = 30
 TRUTH, PREDICTED = [CAR, ROAD, ROAD, MOVING_CAR], [CAR, CAR, ROAD, CAR]

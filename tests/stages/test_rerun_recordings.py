@@ -13,9 +13,9 @@ from scans import make_scan, replace_points
 from salsanext_cli import Scan, read_labels, read_scan
 from salsanext_cli.errors import OutputError, UsageError
 from salsanext_cli.report.colours import EMPTY, map_on_dark, screen_colours
+from salsanext_cli.results.layout import output_path
+from salsanext_cli.results.point_files import write_bin
 from salsanext_cli.stages.export_rrd import export_rrd
-from salsanext_cli.storage.layout import output_path
-from salsanext_cli.storage.point_files import write_bin
 
 pytestmark = pytest.mark.slow
 COUNT = 500

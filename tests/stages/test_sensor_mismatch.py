@@ -7,7 +7,7 @@ import pytest
 from scans import SMALL
 
 from salsanext_cli.parallel.run import RunOptions
-from salsanext_cli.sensors import sensor
+from salsanext_cli.sensors.sensor import sensor
 from salsanext_cli.stages.inspect import inspect
 from salsanext_cli.stages.predict import predict_scans
 from salsanext_cli.stages.project import project_scans

@@ -11,13 +11,16 @@ import yaml
 from scans import SMALL, labels_below, write_weights
 
 from salsanext_cli import LabelSpace, knn_refine, label_space, project, read_labels, read_scan
-from salsanext_cli.class_merging import ClassMerging
+from salsanext_cli.classes.merging import ClassMerging
 from salsanext_cli.errors import LabelError, OutputError, UsageError
-from salsanext_cli.inference.recorded_network import network_of_labels
+from salsanext_cli.fitting.recorded_network import network_of_labels
 from salsanext_cli.measures.confusion import Confusion
 from salsanext_cli.measures.softmax import softmax_errors
 from salsanext_cli.network.card import read_card
 from salsanext_cli.parallel.run import RunOptions
+from salsanext_cli.results.point_files import write_labels
+from salsanext_cli.results.predictions import predicted_scans
+from salsanext_cli.results.selection import ScanSelection
 from salsanext_cli.stages.evaluate import evaluate
 from salsanext_cli.stages.export_ply import export_ply
 from salsanext_cli.stages.knn_refine import knn_refine_scans
@@ -26,9 +29,6 @@ from salsanext_cli.stages.predict import predict_range_images, predict_scans
 from salsanext_cli.stages.project import project_scans
 from salsanext_cli.stages.submit import submit
 from salsanext_cli.stages.uncertainty import uncertainty
-from salsanext_cli.storage.point_files import write_labels
-from salsanext_cli.storage.predictions import predicted_scans
-from salsanext_cli.storage.selection import ScanSelection
 from salsanext_cli.uncertainty.settings import Estimator
 
 FULL, COARSE = label_space(), label_space("coarse")

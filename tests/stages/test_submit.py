@@ -9,10 +9,10 @@ from scans import make_scan
 
 from salsanext_cli import label_space, write_labels
 from salsanext_cli.errors import LabelError, NoInputError, OutputError, UsageError
+from salsanext_cli.results.layout import output_path
+from salsanext_cli.results.point_files import write_bin
 from salsanext_cli.stages import submit as module
 from salsanext_cli.stages.submit import SCANS_OF_TEST, submit
-from salsanext_cli.storage.layout import output_path
-from salsanext_cli.storage.point_files import write_bin
 
 SPACE = label_space()
 COUNTS = dict.fromkeys(SCANS_OF_TEST, 1) | {"11": 3, "21": 2}

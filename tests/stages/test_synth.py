@@ -14,14 +14,14 @@ from scans import files_below, write_sequence
 from salsanext_cli import Scan, __version__, label_space, read_labels
 from salsanext_cli.cli import synth as cli
 from salsanext_cli.errors import MissingDependency, OutputError, UsageError
+from salsanext_cli.files.atomic import MARK, write_bytes
+from salsanext_cli.files.locks import locked
 from salsanext_cli.formats.clouds.kitti import read_bin
+from salsanext_cli.results.layout import find_scans
+from salsanext_cli.results.stage_records import as_json
+from salsanext_cli.results.written_files import WrittenFiles
 from salsanext_cli.stages import synth
 from salsanext_cli.stages.synth import synthesise
-from salsanext_cli.storage.files.atomic import MARK, write_bytes
-from salsanext_cli.storage.files.locks import locked
-from salsanext_cli.storage.layout import find_scans
-from salsanext_cli.storage.stage_records import as_json
-from salsanext_cli.storage.written_files import WrittenFiles
 from salsanext_cli.synthesis.drive import Frame
 from salsanext_cli.synthesis.sensor.rig import RIGS
 

@@ -20,18 +20,18 @@ from tiny_network import TinyNetwork
 
 from salsanext_cli import label_space, read_labels, read_scan, write_labels
 from salsanext_cli.errors import NOTICE, LabelError, NoInputError, OutputError, TrainingError
+from salsanext_cli.files.identity import fingerprint
+from salsanext_cli.files.json_files import write_json
+from salsanext_cli.labelling.label_records import digest_of_file, first_guesses
 from salsanext_cli.network.card import WeightsCard, read_card
 from salsanext_cli.network.registry import ARCHITECTURES
+from salsanext_cli.network.scan_digests import scan_digest
 from salsanext_cli.network.weights import read_weights, save_weights
+from salsanext_cli.results.layout import ScanFile, find_scans
+from salsanext_cli.results.written_files import WrittenFiles
 from salsanext_cli.stages import train as stage
 from salsanext_cli.stages.import_labels import import_labels
 from salsanext_cli.stages.train import TrainResult, train
-from salsanext_cli.storage.files.identity import fingerprint
-from salsanext_cli.storage.files.json_files import write_json
-from salsanext_cli.storage.labelling.label_records import digest_of_file, first_guesses
-from salsanext_cli.storage.layout import ScanFile, find_scans
-from salsanext_cli.storage.scan_digests import scan_digest
-from salsanext_cli.storage.written_files import WrittenFiles
 from salsanext_cli.training import fit, fold_errors
 from salsanext_cli.training.fit import Report
 from salsanext_cli.training.recipe import Recipe, recipe

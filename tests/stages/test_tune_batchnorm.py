@@ -9,13 +9,13 @@ from safetensors.torch import load_file
 from scans import SMALL, make_scan
 
 from salsanext_cli import Scan, load_network, project, read_scan
+from salsanext_cli.engines.settings import NetworkSettings
 from salsanext_cli.errors import FormatError, WeightsError
-from salsanext_cli.inference.batch_norm import norms
-from salsanext_cli.inference.settings import NetworkSettings
+from salsanext_cli.fitting.batch_norm import norms
 from salsanext_cli.network.card import read_card
 from salsanext_cli.network.weights import NORM_SUFFIXES, read_weights, save_weights
+from salsanext_cli.results.point_files import write_bin
 from salsanext_cli.stages.tune_batchnorm import tune_batchnorm
-from salsanext_cli.storage.point_files import write_bin
 
 WIDER = replace(SMALL, name="wider", width=192, fov_up=5.0, means=(10.0, 9.0, 0.0, -1.0, 0.3))
 
@@ -125,7 +125,7 @@ def test_a_network_whose_values_overflow(folder, target, network, tmp_path):
 
 
 def test_a_network_without_batch_norm(folder, target, network, monkeypatch):
-    monkeypatch.setattr("salsanext_cli.inference.batch_norm.norms", lambda _: {})
+    monkeypatch.setattr("salsanext_cli.fitting.batch_norm.norms", lambda _: {})
     with pytest.raises(WeightsError, match=r"random\.safetensors · its network has no batch norm"):
         tune_batchnorm(folder, target, network=network)
 

@@ -7,8 +7,8 @@ import pytest
 from scans import SMALL, write_weights
 
 from salsanext_cli import label_space, load_network, project, read_labels, read_scan, sample
+from salsanext_cli.engines.settings import NetworkSettings
 from salsanext_cli.errors import OutputError, UsageError
-from salsanext_cli.inference.settings import NetworkSettings
 from salsanext_cli.network.card import read_card
 from salsanext_cli.network.dropout import dropouts
 from salsanext_cli.network.weights import read_weights

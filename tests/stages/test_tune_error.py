@@ -13,6 +13,10 @@ from salsanext_cli.errors import LabelError, OutputError, TrainingError, UsageEr
 from salsanext_cli.network.card import read_card
 from salsanext_cli.network.weights import save_with_card
 from salsanext_cli.parallel.run import RunOptions
+from salsanext_cli.results.layout import ERROR, find_scans
+from salsanext_cli.results.predictions import provenance
+from salsanext_cli.results.scan_results import read_results
+from salsanext_cli.results.selection import ScanSelection
 from salsanext_cli.stages.evaluate import evaluate
 from salsanext_cli.stages.models import describe_weights
 from salsanext_cli.stages.predict import predict_scans
@@ -20,10 +24,6 @@ from salsanext_cli.stages.tune_batchnorm import tune_batchnorm
 from salsanext_cli.stages.tune_error import tune_error
 from salsanext_cli.stages.tune_temperature import tune_temperature
 from salsanext_cli.stages.uncertainty import uncertainty
-from salsanext_cli.storage.layout import ERROR, find_scans
-from salsanext_cli.storage.predictions import provenance
-from salsanext_cli.storage.scan_results import read_results
-from salsanext_cli.storage.selection import ScanSelection
 from salsanext_cli.uncertainty.error_features import FEATURES
 from salsanext_cli.uncertainty.settings import Estimator
 

@@ -10,15 +10,15 @@ import torch
 from safetensors.torch import load_file
 from scans import write_sequence
 
+from salsanext_cli.engines.settings import NetworkSettings
 from salsanext_cli.errors import LabelError, OutputError
-from salsanext_cli.inference.settings import NetworkSettings
 from salsanext_cli.network.card import read_card
 from salsanext_cli.network.weights import NORM_SUFFIXES, read_weights, save_weights
+from salsanext_cli.results.point_files import write_labels
+from salsanext_cli.results.selection import ScanSelection
 from salsanext_cli.stages.tune_batchnorm import tune_batchnorm
 from salsanext_cli.stages.tune_dropout import tune_dropout
 from salsanext_cli.stages.tune_temperature import tune_temperature
-from salsanext_cli.storage.point_files import write_labels
-from salsanext_cli.storage.selection import ScanSelection
 
 TUNE = {"temperature": tune_temperature, "dropout": tune_dropout, "batchnorm": tune_batchnorm}
 CHANGED = {

@@ -7,8 +7,8 @@ import pytest
 import torch
 
 from salsanext_cli import label_space, project, read_labels, read_scan, write_labels
+from salsanext_cli.engines.settings import NetworkSettings
 from salsanext_cli.errors import TrainingError, WeightsError
-from salsanext_cli.inference.settings import NetworkSettings
 from salsanext_cli.network.card import read_card
 from salsanext_cli.network.weights import read_weights, save_weights
 from salsanext_cli.stages.predict import predict_scans

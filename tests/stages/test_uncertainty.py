@@ -7,17 +7,17 @@ import pytest
 from scans import SMALL, files_below, labels_below, replace_points, write_weights
 
 from salsanext_cli import knn_refine, label_space, project, read_scan, sample
+from salsanext_cli.engines.settings import NetworkSettings
 from salsanext_cli.errors import OutputError, UsageError, WeightsError
-from salsanext_cli.inference.settings import NetworkSettings
+from salsanext_cli.files.identity import fingerprint
 from salsanext_cli.parallel.run import RunOptions
+from salsanext_cli.results.output_run import OutputRun
+from salsanext_cli.results.predictions import provenance
+from salsanext_cli.results.selection import ScanSelection
 from salsanext_cli.stages.knn_refine import knn_refine_scans
 from salsanext_cli.stages.predict import predict_range_images, predict_scans
 from salsanext_cli.stages.project import project_scans
 from salsanext_cli.stages.uncertainty import uncertainty
-from salsanext_cli.storage.files.identity import fingerprint
-from salsanext_cli.storage.output_run import OutputRun
-from salsanext_cli.storage.predictions import provenance
-from salsanext_cli.storage.selection import ScanSelection
 from salsanext_cli.uncertainty.aleatoric import aleatoric
 from salsanext_cli.uncertainty.dropout_propagation import propagate_dropout
 from salsanext_cli.uncertainty.monte_carlo import scan_seed

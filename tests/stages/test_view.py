@@ -17,9 +17,9 @@ from served import served
 from salsanext_cli.cli.view import _forwarding
 from salsanext_cli.errors import NoInputError, UsageError
 from salsanext_cli.report.page import run_results
+from salsanext_cli.results.stage_records import StageRecord
 from salsanext_cli.stages.report import report
 from salsanext_cli.stages.view import view
-from salsanext_cli.storage.stage_records import StageRecord
 
 
 @pytest.fixture

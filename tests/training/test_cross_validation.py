@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from salsanext_cli.storage.layout import ScanFile
+from salsanext_cli.results.layout import ScanFile
 from salsanext_cli.training.cross_validation import expectation, folds
 
 

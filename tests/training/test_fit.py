@@ -7,7 +7,7 @@ from scans import SMALL, write_sequence
 from salsanext_cli import knn_refine, load_network, project
 from salsanext_cli.formats.clouds.kitti import read_bin
 from salsanext_cli.formats.labels import read_labels
-from salsanext_cli.storage.layout import find_scans
+from salsanext_cli.results.layout import find_scans
 from salsanext_cli.training.data.sources import Source
 from salsanext_cli.training.validation import validate
 

@@ -5,7 +5,7 @@ import pytest
 import torch
 import torch.nn.functional as F
 
-from salsanext_cli.inference.loading import with_dropout
+from salsanext_cli.engines.loading import with_dropout
 from salsanext_cli.uncertainty.dropout_propagation import (
     ChannelCorrelatedGaussian,
     propagate_dropout,

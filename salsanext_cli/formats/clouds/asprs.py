@@ -4,7 +4,7 @@
 import numpy as np
 import numpy.typing as npt
 
-from salsanext_cli.classes import MOVING, LabelSpace, RawIds
+from salsanext_cli.classes.label_space import MOVING, LabelSpace, RawIds
 
 UNASSIGNED = 1
 CLASS_OF_NAME = {

@@ -13,9 +13,9 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from salsanext_cli.column_names import UNUSED_COLUMN
 from salsanext_cli.formats.clouds.raw_records import are_possible
 from salsanext_cli.records import Float
+from salsanext_cli.sensors.limits import UNUSED_COLUMN
 
 COUNTS = range(3, 17)
 """Numbers of columns that are told apart."""

@@ -14,13 +14,12 @@ from typing import Any, BinaryIO
 import numpy as np
 import numpy.typing as npt
 
-from salsanext_cli.errors import FormatError, MissingDependency, OutputError
+from salsanext_cli.errors import FormatError, MissingDependency, OutputError, shortened
+from salsanext_cli.files.optional_packages import import_extra
+from salsanext_cli.files.reading import reading, size_of
 from salsanext_cli.formats.clouds.laz_sizes import require_chunks, require_layers
 from salsanext_cli.formats.columns import MAX_DISTANCE_M, Columns, scan_of
-from salsanext_cli.formats.reading import reading, size_of
-from salsanext_cli.packages import import_extra
 from salsanext_cli.records import Scan
-from salsanext_cli.settings_files import shortened
 
 HEADER = struct.Struct("<4s20x2B68xHIIBHI")
 """Start of a header: signature, version, its size, offset of the points, number of records of

@@ -8,7 +8,7 @@ import struct
 from collections.abc import Sequence
 from typing import Any, BinaryIO
 
-from salsanext_cli.formats.reading import size_of
+from salsanext_cli.files.reading import size_of
 
 CHUNK_TABLE, CHUNK_COUNT = struct.Struct("<q"), struct.Struct("<4xI")
 """Offset of the table of chunks, before the first chunk or, if that is none, in the last bytes, and

@@ -12,12 +12,11 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from salsanext_cli.errors import FormatError
+from salsanext_cli.errors import FormatError, shortened
+from salsanext_cli.files.reading import reading
 from salsanext_cli.formats.columns import Columns, scan_of, unnamed_columns
 from salsanext_cli.formats.npy import read_header
-from salsanext_cli.formats.reading import reading
 from salsanext_cli.records import Scan
-from salsanext_cli.settings_files import shortened
 
 EXPECTED = "a table (N, columns), or columns x, y, z, of numbers"
 TABLE_NAMES = ("points", "xyz")

@@ -16,12 +16,11 @@ from typing import Any, BinaryIO
 import numpy as np
 import numpy.typing as npt
 
-from salsanext_cli.errors import FormatError
+from salsanext_cli.errors import FormatError, shortened
+from salsanext_cli.files.optional_packages import import_open3d
+from salsanext_cli.files.reading import read_values, reading, size_of
 from salsanext_cli.formats.columns import Columns, rows_as_rings, scan_of
-from salsanext_cli.formats.reading import read_values, reading, size_of
-from salsanext_cli.packages import import_open3d
 from salsanext_cli.records import Scan
-from salsanext_cli.settings_files import shortened
 
 KINDS = ("ascii", "binary", "binary_compressed")
 TYPES = {

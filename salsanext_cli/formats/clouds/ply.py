@@ -14,11 +14,10 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from salsanext_cli.errors import FormatError, MissingDependency
+from salsanext_cli.errors import FormatError, MissingDependency, shortened
+from salsanext_cli.files.reading import reading
 from salsanext_cli.formats.columns import Columns, scan_of
-from salsanext_cli.formats.reading import reading
 from salsanext_cli.records import Scan
-from salsanext_cli.settings_files import shortened
 
 START = re.compile(rb"ply(\r\n|\r|\n)")
 """First line, with the line end of the whole header."""

@@ -7,7 +7,7 @@ and the scans files. So it has a path as every scan has, which records and worke
 
 from pathlib import Path
 
-from salsanext_cli.formats.reading import is_folder, present
+from salsanext_cli.files.reading import is_folder, present
 
 BAG_SUFFIXES = (".bag", ".mcap", ".db3")
 RECORDING_SUFFIXES = (*BAG_SUFFIXES, ".pcap", ".osf")

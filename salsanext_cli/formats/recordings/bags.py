@@ -11,13 +11,12 @@ from pathlib import Path
 from threading import Lock
 from typing import Any
 
-from salsanext_cli.errors import FormatError, first_few
+from salsanext_cli.errors import FormatError, error_text, first_few
+from salsanext_cli.files.optional_packages import require_rosbags
+from salsanext_cli.files.reading import filled, reading
 from salsanext_cli.formats.columns import Columns
-from salsanext_cli.formats.reading import filled, reading
 from salsanext_cli.formats.recordings.address import METADATA, files_of, storages
 from salsanext_cli.formats.recordings.point_cloud2 import POINT_CLOUD2, columns_of
-from salsanext_cli.packages import require_rosbags
-from salsanext_cli.settings_files import words_of
 
 MAX_METADATA_BYTES = 4 << 20
 DAMAGED = (
@@ -188,4 +187,4 @@ def _refusing(path: Path) -> Iterator[None]:
         yield
     except (*own, zstd.ZstdError, apsw.Error, *DAMAGED) as error:
         remedy = "record it anew, or try `rosbag reindex` or `ros2 bag reindex`"
-        raise FormatError(path, f"damaged: {words_of(error)}", "a ROS bag", remedy) from error
+        raise FormatError(path, f"damaged: {error_text(error)}", "a ROS bag", remedy) from error

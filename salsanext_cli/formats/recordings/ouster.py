@@ -11,11 +11,10 @@ from pathlib import Path
 from threading import Lock
 from typing import BinaryIO
 
-from salsanext_cli.errors import FormatError
+from salsanext_cli.errors import FormatError, shortened
+from salsanext_cli.files.optional_packages import import_extra
+from salsanext_cli.files.reading import reading, size_of
 from salsanext_cli.formats.columns import Columns, rows_as_rings
-from salsanext_cli.formats.reading import reading, size_of
-from salsanext_cli.packages import import_extra
-from salsanext_cli.settings_files import shortened
 
 MAX_SHOWN = 200
 """Characters of an error of the library that are shown."""

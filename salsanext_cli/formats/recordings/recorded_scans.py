@@ -7,13 +7,12 @@ from functools import lru_cache
 from pathlib import Path
 from typing import Protocol
 
-from salsanext_cli.errors import FormatError, NoInputError, UsageError
+from salsanext_cli.errors import FormatError, NoInputError, UsageError, shortened
 from salsanext_cli.formats.columns import Columns, scan_of
 from salsanext_cli.formats.recordings.address import BAG_SUFFIXES, files_of, recording_of
 from salsanext_cli.formats.recordings.bags import Bag
 from salsanext_cli.formats.recordings.ouster import OusterRecording
 from salsanext_cli.records import Scan
-from salsanext_cli.settings_files import shortened
 
 NAME = re.compile(r"(-?\d{1,20})(?:_(\d{1,9}))?", re.ASCII)
 LOST = "cut-off"

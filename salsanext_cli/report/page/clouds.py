@@ -10,14 +10,14 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from salsanext_cli.classes import LabelSpace
+from salsanext_cli.classes.label_space import LabelSpace
 from salsanext_cli.geometry.projection import project
 from salsanext_cli.records import Float
 from salsanext_cli.report.colours import value_range
 from salsanext_cli.report.page.shown_scans import DOUBT, ShownScan
 from salsanext_cli.report.scan_pictures import UNITS
-from salsanext_cli.sensors import Sensor
-from salsanext_cli.storage.scan_results import ScanResults
+from salsanext_cli.results.scan_results import ScanResults
+from salsanext_cli.sensors.sensor import Sensor
 
 MAX_POINTS = 200_000
 """Points of a scan in a page; of a larger scan evenly spaced ones are shown."""

@@ -10,8 +10,8 @@ from typing import Any
 
 import numpy as np
 
-from salsanext_cli.classes import LabelSpace
-from salsanext_cli.errors import as_text, counted
+from salsanext_cli.classes.label_space import LabelSpace
+from salsanext_cli.errors import counted, escaped
 from salsanext_cli.measures.confusion import Confusion
 from salsanext_cli.measures.drive import ScanRow, leading_kind
 from salsanext_cli.measures.scan_counts import RING_NAMES, ScanCounts
@@ -31,7 +31,7 @@ from salsanext_cli.report.page.clouds import (
 from salsanext_cli.report.page.html import ClassShare, PageContent
 from salsanext_cli.report.page.shown_scans import UNCERTAIN, ShownScan
 from salsanext_cli.report.tables import percent
-from salsanext_cli.sensors import Sensor
+from salsanext_cli.sensors.sensor import Sensor
 
 OUTCOME_COLOURS = {"not judged": (62, 76, 150), "right": (125, 133, 145), "wrong": WRONG}
 """Farther apart than in other pictures, where what is not judged has the colour of nothing."""
@@ -111,10 +111,10 @@ def content_of(
         facts=facts,
         warnings=warnings,
         shares=_shares(rows, compared, space, colours),
-        data=as_text(
+        data=escaped(
             _data(rows, offered, scales, space, colours) | {"occurring": _occurring(rows, compared)}
         ),
-        clouds=[as_text(encode_cloud(each, space, sensor, scales)) for each in shown],
+        clouds=[escaped(encode_cloud(each, space, sensor, scales)) for each in shown],
         live=served is not None,
     )
     if compared is None:

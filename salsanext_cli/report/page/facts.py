@@ -12,14 +12,14 @@ from statistics import mean
 from typing import Any
 
 from salsanext_cli.errors import SalsanextError, counted, first_few
-from salsanext_cli.geometry.fitting.view_fit import as_found
+from salsanext_cli.files.identity import fingerprint
+from salsanext_cli.fitting.view_fit import as_found
 from salsanext_cli.network.card import default_weights, read_card
-from salsanext_cli.sensors import Sensor
-from salsanext_cli.storage.files.identity import fingerprint
-from salsanext_cli.storage.kept_findings import read_findings
-from salsanext_cli.storage.layout import ERROR, find_outputs
-from salsanext_cli.storage.stage_records import owner, recorded_weights, stage_settings
-from salsanext_cli.storage.written_files import WrittenFiles
+from salsanext_cli.results.kept_findings import read_findings
+from salsanext_cli.results.layout import ERROR, find_outputs
+from salsanext_cli.results.stage_records import owner, recorded_weights, stage_settings
+from salsanext_cli.results.written_files import WrittenFiles
+from salsanext_cli.sensors.sensor import Sensor
 
 DEFAULT_LIMITS = (
     "On real scans they find fences where there are none, take trucks for fence, sidewalk, "

@@ -13,10 +13,10 @@ from importlib import resources
 from string import Template
 from typing import Any, NamedTuple
 
-from salsanext_cli import __version__
 from salsanext_cli.errors import printable
 from salsanext_cli.report.evaluation_pictures import PICTURES
 from salsanext_cli.report.tables import percent
+from salsanext_cli.version import __version__
 
 PARTS = ("page.css", "view.js", "drive.js", "scans.js", "page.js")
 """Files beside this one that the template takes in, as $page_css and so on."""

@@ -10,15 +10,15 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from salsanext_cli.class_merging import ClassMerging
-from salsanext_cli.classes import LabelSpace
-from salsanext_cli.formats.reading import present
+from salsanext_cli.classes.label_space import LabelSpace
+from salsanext_cli.classes.merging import ClassMerging
+from salsanext_cli.files.reading import present
 from salsanext_cli.measures.scan_counts import SOFTMAX, read_softmax
 from salsanext_cli.measures.softmax import lack_of_confidence
 from salsanext_cli.records import Float
-from salsanext_cli.sensors import Sensor
-from salsanext_cli.storage.layout import ScanFile, output_path
-from salsanext_cli.storage.scan_results import ScanResults, read_results
+from salsanext_cli.results.layout import ScanFile, output_path
+from salsanext_cli.results.scan_results import ScanResults, read_results
+from salsanext_cli.sensors.sensor import Sensor
 
 DOUBT = "doubt"
 """1 − the largest probability, which is shown as confidence."""

@@ -6,8 +6,8 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from salsanext_cli.classes import RawIds
-from salsanext_cli.packages import import_open3d
+from salsanext_cli.classes.label_space import RawIds
+from salsanext_cli.files.optional_packages import import_open3d
 from salsanext_cli.synthesis.mesh import Array, Mesh, Rng
 from salsanext_cli.synthesis.surfaces import OPTICS
 

@@ -15,9 +15,9 @@ from typing import Self
 import numpy as np
 import numpy.typing as npt
 
-from salsanext_cli.classes import TrainIds
+from salsanext_cli.classes.label_space import TrainIds
 from salsanext_cli.records import Float, Scan
-from salsanext_cli.sensors import Sensor
+from salsanext_cli.sensors.sensor import Sensor
 from salsanext_cli.training.recipe import Recipe
 
 LabelledScan = tuple[Scan, TrainIds]

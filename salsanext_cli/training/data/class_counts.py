@@ -17,14 +17,14 @@ import torch
 from torch import Tensor
 
 from salsanext_cli.errors import LabelError, TrainingError, counted
-from salsanext_cli.geometry.checks.scan_checks import check_scan
+from salsanext_cli.files.identity import identity
+from salsanext_cli.files.json_files import encode_json, read_json
+from salsanext_cli.fitting.scan_checks import check_scan
+from salsanext_cli.labelling.label_records import require_truth
 from salsanext_cli.measures.scan_summary import RunSummary, ScanSummary
-from salsanext_cli.storage.files.identity import identity
-from salsanext_cli.storage.files.json_files import encode_json, read_json
-from salsanext_cli.storage.labelling.label_records import require_truth
-from salsanext_cli.storage.layout import ScanFile
-from salsanext_cli.storage.scan_digests import joined, parted, scan_digest
-from salsanext_cli.storage.written_files import WrittenFiles
+from salsanext_cli.network.scan_digests import joined, parted, scan_digest
+from salsanext_cli.results.layout import ScanFile
+from salsanext_cli.results.written_files import WrittenFiles
 from salsanext_cli.training.data.sources import Source, read_labelled
 
 Counts = npt.NDArray[np.int64]

@@ -14,7 +14,7 @@ import numpy.typing as npt
 from torch import Tensor
 from torch.utils.data import DataLoader, Dataset, default_collate
 
-from salsanext_cli.classes import TrainIds
+from salsanext_cli.classes.label_space import TrainIds
 from salsanext_cli.errors import SalsanextError
 from salsanext_cli.geometry.gather import pixels_from_points
 from salsanext_cli.geometry.intensity import NO_INTENSITY, bright_intensity, match_intensity
@@ -22,8 +22,8 @@ from salsanext_cli.geometry.normalise import normalise
 from salsanext_cli.geometry.projection import project
 from salsanext_cli.geometry.row_gaps import completed, row_gaps
 from salsanext_cli.records import Float
-from salsanext_cli.sensors import ORIGIN, UP, Sensor
-from salsanext_cli.storage.layout import ScanFile
+from salsanext_cli.results.layout import ScanFile
+from salsanext_cli.sensors.sensor import ORIGIN, UP, Sensor
 from salsanext_cli.training.data.augment import (
     PASTED_COPIES,
     Checkerboard,

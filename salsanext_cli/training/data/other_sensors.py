@@ -12,7 +12,7 @@ import numpy as np
 
 from salsanext_cli.geometry.ranges import measured_ranges
 from salsanext_cli.records import Float, Scan
-from salsanext_cli.sensors import Sensor
+from salsanext_cli.sensors.sensor import Sensor
 from salsanext_cli.training.data.augment import shift
 
 Rng = np.random.Generator

@@ -10,21 +10,21 @@ from pathlib import Path
 import joblib
 import numpy as np
 
-from salsanext_cli.class_merging import ClassMerging, is_merged
-from salsanext_cli.classes import LabelSpace, label_space
+from salsanext_cli.classes.label_space import LabelSpace, label_space
+from salsanext_cli.classes.merging import ClassMerging, is_merged
 from salsanext_cli.errors import NOTICE, LabelError, NoInputError, counted, first_few
+from salsanext_cli.fitting.scan_fit import as_seen, sampled, sampled_images
+from salsanext_cli.fitting.view_fit import fit_view
 from salsanext_cli.formats import read_scan
 from salsanext_cli.formats.labels import read_labels
-from salsanext_cli.geometry.fitting.view_fit import fit_view
 from salsanext_cli.geometry.intensity import on_other_scale
 from salsanext_cli.geometry.mounting import ego_points, in_sensor_frame
 from salsanext_cli.geometry.projection import project
-from salsanext_cli.inference.scan_fit import as_seen, sampled, sampled_images
+from salsanext_cli.labelling.label_records import first_guesses
 from salsanext_cli.records import Float
-from salsanext_cli.sensors import FITTED_NAME, Sensor
-from salsanext_cli.storage.labelling.label_records import first_guesses
-from salsanext_cli.storage.layout import ScanFile, find_scans
-from salsanext_cli.storage.selection import completed, data_set_label_space, with_splits
+from salsanext_cli.results.layout import ScanFile, find_scans
+from salsanext_cli.results.selection import completed, data_set_label_space, with_splits
+from salsanext_cli.sensors.sensor import FITTED_NAME, Sensor
 from salsanext_cli.training.data.augment import LabelledScan
 from salsanext_cli.training.data.targets import ClassSets, to_targets
 

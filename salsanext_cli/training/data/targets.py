@@ -10,9 +10,9 @@ from collections.abc import Callable, Iterable
 import numpy as np
 import numpy.typing as npt
 
-from salsanext_cli.classes import LabelSpace, RawIds, TrainIds
+from salsanext_cli.classes.label_space import LabelSpace, RawIds, TrainIds
+from salsanext_cli.classes.label_yaml import RAW_ID_COUNT, UNKNOWN
 from salsanext_cli.errors import UsageError
-from salsanext_cli.label_yaml import RAW_ID_COUNT, UNKNOWN
 
 ClassSets = tuple[tuple[int, ...], ...]
 """Sets of train ids, each in rising order."""

@@ -18,7 +18,7 @@ from salsanext_cli.measures.kept_points import kept_points
 from salsanext_cli.measures.risk_coverage import ranking_scores
 from salsanext_cli.network.error_model import ErrorModel
 from salsanext_cli.records import Float
-from salsanext_cli.storage.layout import ScanFile
+from salsanext_cli.results.layout import ScanFile
 from salsanext_cli.training.tuning.judged_points import JudgedPoints, Mask
 from salsanext_cli.uncertainty.error_features import FEATURES
 

@@ -6,11 +6,11 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from salsanext_cli.classes import LabelSpace
+from salsanext_cli.classes.label_space import LabelSpace
+from salsanext_cli.engines.network import Network
 from salsanext_cli.geometry.knn import knn_refine
-from salsanext_cli.inference.network import Network
 from salsanext_cli.records import Float
-from salsanext_cli.storage.layout import ScanFile
+from salsanext_cli.results.layout import ScanFile
 from salsanext_cli.training.tuning.labelled_images import read_labelled_image
 from salsanext_cli.uncertainty.error_features import FEATURES, error_features
 from salsanext_cli.uncertainty.monte_carlo import scan_seed

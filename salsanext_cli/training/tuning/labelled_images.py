@@ -7,14 +7,14 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-from salsanext_cli.classes import LabelSpace, TrainIds
+from salsanext_cli.classes.label_space import LabelSpace, TrainIds
+from salsanext_cli.engines.network import Network
 from salsanext_cli.errors import LabelError, first_few
 from salsanext_cli.geometry.projection import project
-from salsanext_cli.inference.network import Network
 from salsanext_cli.network.card import WeightsCard
 from salsanext_cli.records import Float, RangeImage
-from salsanext_cli.storage.layout import ScanFile
-from salsanext_cli.storage.selection import ScanSelection, select_evenly, space_of
+from salsanext_cli.results.layout import ScanFile
+from salsanext_cli.results.selection import ScanSelection, select_evenly, space_of
 from salsanext_cli.training.data.class_counts import require_labels
 from salsanext_cli.training.data.sources import read_labelled
 from salsanext_cli.training.data.targets import class_sets

@@ -14,7 +14,7 @@ from bags import KINDS, START, STEP, TOPIC, cloud, messages, structured, text, w
 from salsanext_cli import Sensor, read_scan
 from salsanext_cli.errors import FormatError, MissingDependency, NoInputError, UsageError
 from salsanext_cli.formats.recordings import bags
-from salsanext_cli.storage.layout import find_scans
+from salsanext_cli.results.layout import find_scans
 
 POINTS = [structured(seed=seed) for seed in range(5)]
 TIMES = [f"{START + n * STEP}" for n in range(5)]
@@ -182,7 +182,7 @@ def test_the_package_that_is_missing_is_named(tmp_path, monkeypatch):
     def missing(name):
         raise ModuleNotFoundError(f"No module named {name!r}", name=name)
 
-    monkeypatch.setattr("salsanext_cli.packages.import_module", missing)
+    monkeypatch.setattr("salsanext_cli.files.optional_packages.import_module", missing)
     with pytest.raises(
         MissingDependency, match=r"rosbags · not installed · pip install 'salsanext\[ros\]'"
     ):
@@ -191,7 +191,7 @@ def test_the_package_that_is_missing_is_named(tmp_path, monkeypatch):
 
 def test_a_version_that_is_too_old_is_named(tmp_path, monkeypatch):
     path = write_bag(tmp_path, ".bag", messages(POINTS[:1]))
-    monkeypatch.setattr("salsanext_cli.packages.version", lambda name: "0.9.23")
+    monkeypatch.setattr("salsanext_cli.files.optional_packages.version", lambda name: "0.9.23")
     with pytest.raises(MissingDependency, match=r"version 0\.9\.23 · expected 0\.11 or newer"):
         find_scans(path)
 

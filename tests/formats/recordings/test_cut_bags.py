@@ -14,7 +14,7 @@ from bags import KINDS, START, STEP, messages, structured, write_bag
 from salsanext_cli import read_scan
 from salsanext_cli.errors import FormatError, SalsanextError
 from salsanext_cli.formats.recordings.recorded_scans import LOST
-from salsanext_cli.storage.layout import find_scans
+from salsanext_cli.results.layout import find_scans
 
 COUNT = 12
 POINTS = [structured(2000, seed) for seed in range(COUNT)]

@@ -11,7 +11,7 @@ from ouster_recordings import START, STEP, write_recording
 from salsanext_cli import read_scan
 from salsanext_cli.errors import FormatError, SalsanextError
 from salsanext_cli.formats.recordings.recorded_scans import LOST
-from salsanext_cli.storage.layout import find_scans
+from salsanext_cli.results.layout import find_scans
 
 TIMES = [f"{START + n * STEP}" for n in range(4)]
 

@@ -11,13 +11,13 @@ from scans import SMALL, make_scan, write_sequence
 
 from salsanext_cli import LabelSpace, Scan, label_space, load_network, project, read_scan
 from salsanext_cli.errors import LabelError, NoInputError, UsageError
+from salsanext_cli.fitting.scan_fit import as_seen
 from salsanext_cli.geometry.gather import pixels_from_points
 from salsanext_cli.geometry.intensity import bright_intensity, match_intensity
 from salsanext_cli.geometry.normalise import normalise
 from salsanext_cli.geometry.row_gaps import completed
-from salsanext_cli.inference.scan_fit import as_seen
-from salsanext_cli.storage.layout import find_scans
-from salsanext_cli.storage.point_files import write_bin
+from salsanext_cli.results.layout import find_scans
+from salsanext_cli.results.point_files import write_bin
 from salsanext_cli.training.data.dataset import SAMPLE, Samples
 from salsanext_cli.training.data.other_sensors import change_intensity, mount_otherwise, other_view
 from salsanext_cli.training.data.sampling import SamplingPlan

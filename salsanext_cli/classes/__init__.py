@@ -1,0 +1,2 @@
+# SPDX-License-Identifier: MIT
+"""Label spaces, their YAML, and merging of classes."""

@@ -1,0 +1,150 @@
+# SPDX-License-Identifier: MIT
+"""Merging of classes: several of a label space become one of another, and their probabilities add.
+
+Which becomes which follows from the raw ids: each class goes where the other label space puts the
+raw ids of which it consists.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from salsanext_cli.classes.label_space import LabelSpace
+from salsanext_cli.errors import UsageError, first_few
+
+FEWEST_MERGED_CLASSES = 2
+"""Classes that merging must leave, "unlabelled" and other ignored ones aside."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ClassMerging:
+    """Merging of C classes into K.
+
+    Attributes
+    ----------
+    space : LabelSpace
+        The K merged classes. Its splits are those of the other label space if it has none; its
+        alternatives are those of both, where they are still of several classes.
+    targets : tuple of int, length C
+        Train id, 0…K-1, that each train id becomes.
+    """
+
+    space: LabelSpace
+    targets: tuple[int, ...]
+
+    @classmethod
+    def between(cls, own: LabelSpace, merged: LabelSpace) -> ClassMerging:
+        """Merge the classes of a label space into those of another one.
+
+        An ignored class stands for what has no class of its own, some of which the other may have:
+        it goes where the other puts the raw id that stands for it.
+
+        Raises
+        ------
+        UsageError
+            If the other does not know a raw id or means something else by it, if a class would be
+            split, or fewer than two would be left.
+        """
+        if problem := contradiction(own, merged):
+            expected = f"the classes of {own.name}, merged"
+            raise UsageError(f"label space {merged.name}", problem, expected)
+        targets = tuple(_targets(own, merged, i)[0] for i in range(own.class_count))
+        alternatives = _alternatives(own, merged, targets) | merged.alternatives
+        splits = merged.splits or own.splits
+        return cls(replace(merged, splits=splits, alternatives=alternatives), targets)
+
+    @classmethod
+    def needed(cls, own: LabelSpace, merged: LabelSpace | None) -> ClassMerging | None:
+        """Merge classes as `between`; None if no others are given or they are the same."""
+        if merged is None or (own.fits(merged) and own.learning_map == merged.learning_map):
+            return None
+        found = cls.between(own, merged)
+        return None if own.fits(merged) else found
+
+    @property
+    def groups(self) -> tuple[tuple[int, ...], ...]:
+        """Train ids that become each of the K; of some classes there may be none."""
+        every = range(self.space.class_count)
+        return tuple(tuple(i for i, t in enumerate(self.targets) if t == k) for k in every)
+
+    def add(self, probabilities: npt.NDArray[Any]) -> npt.NDArray[Any]:
+        """Add the probabilities of merged classes, (C, …) to (K, …), in the order of train ids."""
+        shape = (self.space.class_count, *probabilities.shape[1:])
+        merged = np.zeros(shape, probabilities.dtype)
+        for target, of_class in zip(self.targets, probabilities, strict=True):
+            merged[target] += of_class
+        return merged
+
+
+def is_merged(merged: LabelSpace, own: LabelSpace) -> bool:
+    """Say whether the classes of a label space are merged ones of another's."""
+    return not own.fits(merged) and not contradiction(own, merged)
+
+
+def contradiction(own: LabelSpace, merged: LabelSpace) -> str:
+    """Return why the classes of a label space cannot be merged into another's, empty if they can.
+
+    Where most of the raw ids of both have other names, they are of two systems of ids; those that
+    have the name of a class of several raw ids do not count.
+    """
+    known, standing = merged.learning_map, _standing_for_several(own, merged)
+    if missing := sorted({*own.learning_map, *own.learning_map_inv.values()} - known.keys()):
+        return f"no raw id {first_few([_named(own, i) for i in missing])}"
+    both = sorted((own.labels.keys() & merged.labels.keys()) - standing)
+    other = [i for i in both if own.labels[i] != merged.labels[i]]
+    if 2 * len(other) > len(both):
+        shown = [f"{merged.labels[i]} for raw id {_named(own, i)}" for i in other]
+        return first_few(shown)
+    every = range(own.class_count)
+    split = [i for i in every if not own.ignored[i] and len(_targets(own, merged, i)) > 1]
+    if split:
+        names = (merged.names[k] for k in _targets(own, merged, split[0]))
+        return f"{own.names[split[0]]} is split into {' and '.join(names)}"
+    left = {_targets(own, merged, i)[0] for i in every if not own.ignored[i]}
+    count = len({k for k in left if not merged.ignored[k]})
+    if count < FEWEST_MERGED_CLASSES and not own.fits(merged):
+        few = first_few([merged.names[k] for k in sorted(left)])
+        return f"all {len(every)} classes become {few}"
+    return ""
+
+
+def _standing_for_several(*spaces: LabelSpace) -> set[int]:
+    """Return the raw ids that stand for a class of several in one of the label spaces."""
+    return {
+        raw
+        for space in spaces
+        for train_id, raw in space.learning_map_inv.items()
+        if list(space.learning_map.values()).count(train_id) > 1
+    }
+
+
+def _targets(own: LabelSpace, merged: LabelSpace, train_id: int) -> list[int]:
+    """Return the train ids that the raw ids of a class become; of an ignored class only one."""
+    standing = own.learning_map_inv[train_id]
+    of_class = {raw for raw, train in own.learning_map.items() if train == train_id}
+    chosen = of_class - {standing} if not own.ignored[train_id] else set()
+    first = merged.learning_map[standing]
+    return [first, *sorted({merged.learning_map[raw] for raw in chosen} - {first})]
+
+
+def _alternatives(
+    own: LabelSpace, merged: LabelSpace, targets: Sequence[int]
+) -> dict[int, tuple[int, ...]]:
+    """Return what the alternatives become; several that become one class are none any more."""
+    found = {
+        raw: {
+            merged.learning_map[raw],
+            *(targets[i] for i in several if i != own.learning_map[raw]),
+        }
+        for raw, several in own.alternatives.items()
+    }
+    return {raw: tuple(sorted(several)) for raw, several in found.items() if len(several) > 1}
+
+
+def _named(space: LabelSpace, raw: int) -> str:
+    return f"{raw} ({space.labels[raw]})" if raw in space.labels else str(raw)

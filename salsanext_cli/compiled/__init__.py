@@ -1,0 +1,2 @@
+# SPDX-License-Identifier: MIT
+"""Compilation of kernels for the CPU, their cache and threads."""

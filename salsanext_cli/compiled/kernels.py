@@ -1,0 +1,169 @@
+# SPDX-License-Identifier: MIT
+"""Compilation of the CPU kernels, their cache, and loops over slices on several threads.
+
+Kernels release the interpreter lock and work on slices of arrays, so plain threads run them side
+by side. Numba's own parallel loops are not used: its thread pools can either not be entered from
+several threads (its default) or not survive a fork (OpenMP), and both happen in worker pools and
+data loaders.
+"""
+
+import hashlib
+import logging
+from collections.abc import Callable, Sequence
+from itertools import pairwise
+from pathlib import Path
+from pickle import PickleError
+from typing import Any, TypeVar, cast
+
+import numba
+import numpy as np
+import numpy.typing as npt
+from numba.core.caching import FunctionCache
+from numba.core.runtime.nrt import rtsys
+from numba.core.serialize import dumps
+
+from salsanext_cli.compiled.thread_pool import run_on_threads
+from salsanext_cli.errors import error_text
+from salsanext_cli.files.user_cache import cache_folder
+
+Function = TypeVar("Function", bound=Callable[..., Any])
+Item = TypeVar("Item")
+
+log = logging.getLogger(__name__)
+
+CACHE_ERRORS = (
+    *(ArithmeticError, AssertionError, AttributeError, EOFError, ImportError, LookupError),
+    *(MemoryError, OSError, PickleError, RuntimeError, TypeError, ValueError),
+)
+"""Raised by files that cannot be read or written, and by code of another version of numba."""
+CHECKSUM_BYTES = 32
+MIN_SLICE_ITEMS = 16384
+"""Number below which a second thread costs more than it saves."""
+
+
+def compiled(function: Function) -> Function:
+    """Compile on first call, strictly in IEEE arithmetic, and cache where a cache can be written.
+
+    That is the folder NUMBA_CACHE_DIR, by default the user's cache folder, which all processes
+    share; else beside the source. Without any of them, the kernel is compiled once per process.
+    """
+    kernel: Any = numba.njit(nogil=True, error_model="numpy")(function)
+    settings = vars(numba.config)
+    before = settings["CACHE_DIR"]
+    settings["CACHE_DIR"] = before or kernel_folder()
+    try:
+        kernel._cache = KernelCache(function)
+    except CACHE_ERRORS as error:
+        warn_once(error)
+    finally:
+        # What other programs compile in this process keeps its place.
+        settings["CACHE_DIR"] = before
+    return cast(Function, kernel)
+
+
+class KernelCache(FunctionCache):
+    """Cache of a kernel's machine code: a file per signature, with a checksum.
+
+    Numba's own files are an index and what it refers to. Two processes that write at once can mix
+    them up, and damaged ones end the program. Here, whatever fails is compiled anew.
+    """
+
+    failed = False
+
+    def load_overload(self, sig: Any, target_context: Any) -> Any:
+        """Return the compiled kernel of a signature; None if there is none that can be used.
+
+        Compiled code needs numba's memory only; who compiles loads the compiler's libraries itself.
+        """
+        rtsys.initialize(target_context)
+        codegen = target_context.codegen()
+        try:
+            file = self._file(sig, codegen)
+            content = file.read_bytes()
+            data, checksum = content[:-CHECKSUM_BYTES], content[-CHECKSUM_BYTES:]
+            if hashlib.sha256(data).digest() != checksum:
+                raise ValueError(f"{file} is damaged")
+            source, reduced = self._cache_file._load_data(file.name)
+            fresh = source == self._source(sig, codegen)
+            return self._impl.rebuild(target_context, reduced) if fresh else None
+        except FileNotFoundError:
+            return None
+        except CACHE_ERRORS as error:
+            warn_once(error)
+            return None
+
+    def save_overload(self, sig: Any, data: Any) -> None:
+        """Keep the compiled kernel of a signature, if that is possible."""
+        try:
+            if not self._impl.check_cachable(data):
+                return
+            source = self._source(sig, data.codegen)
+            content = dumps((source, self._impl.reduce(data)))
+            file = self._file(sig, data.codegen)
+            self._impl.locator.ensure_cache_path()
+            # Under another name first, so that others find a whole file or none.
+            with self._cache_file._open_for_write(str(file)) as stream:
+                stream.write(content + hashlib.sha256(content).digest())
+        except CACHE_ERRORS as error:
+            warn_once(error)
+
+    def _file(self, sig: Any, codegen: Any) -> Path:
+        machine = repr((numba.__version__, sig, codegen.magic_tuple()))
+        name = f"{self._impl.filename_base}.{hashlib.sha256(machine.encode()).hexdigest()[:16]}.nbc"
+        return Path(self.cache_path) / name
+
+    def _source(self, sig: Any, codegen: Any) -> Any:
+        """Return what must be the same for a cached kernel to be used."""
+        return self._impl.locator.get_source_stamp(), self._index_key(sig, codegen)
+
+
+def warn_once(error: Exception) -> None:
+    """Log the first failure of the cache in this process."""
+    if not KernelCache.failed:
+        KernelCache.failed = True
+        log.warning("going on without the cache of compiled kernels: %s", error_text(error))
+
+
+def kernel_folder() -> str:
+    """Return the folder of compiled kernels in the cache; empty for nowhere."""
+    return cache_folder() and str(Path(cache_folder(), "kernels"))
+
+
+def thread_count() -> int:
+    """Return how many threads this process may use: all cores unless NUMBA_NUM_THREADS is set."""
+    return int(vars(numba.config)["NUMBA_NUM_THREADS"])
+
+
+def argument(array: npt.NDArray[Any], dtype: npt.DTypeLike) -> npt.NDArray[Any]:
+    """Return the array as kernels take it, copied only if it must be.
+
+    Numba compiles anew for arrays that are read-only, unaligned or not contiguous.
+    """
+    return np.require(array, dtype, ["C_CONTIGUOUS", "ALIGNED", "WRITEABLE"])
+
+
+def parallel_for(work: Callable[[Item], object], items: Sequence[Item]) -> None:
+    """Call a function of each item, on several threads; no two calls may write to the same place.
+
+    There are up to ``NUMBA_NUM_THREADS`` of them: all cores, unless that variable is set, as joblib
+    does for its workers.
+    """
+    waiting = iter(items)
+
+    # `next` of an iterator over a sequence is one step of the interpreter: no lock is needed.
+    def pull() -> None:
+        for item in waiting:
+            work(item)
+
+    run_on_threads(pull, max(1, min(thread_count(), len(items))))
+
+
+def parallel_for_slices(work: Callable[[slice], object], count: int, cost: int = 1) -> None:
+    """Call `work` for slices that cover ``0 … count``, one for each thread of `parallel_for`.
+
+    The result must not depend on their number. Of items that each `cost` more, fewer are enough
+    for a second thread.
+    """
+    threads = max(1, min(thread_count(), count * cost // MIN_SLICE_ITEMS))
+    borders = [count * part // threads for part in range(threads + 1)]
+    parallel_for(work, [slice(start, stop) for start, stop in pairwise(borders)])

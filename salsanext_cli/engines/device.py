@@ -1,0 +1,195 @@
+# SPDX-License-Identifier: MIT
+"""Choice of device, engine and number type by what this machine has; torch only if needed."""
+
+import logging
+import os
+import platform
+import sys
+from functools import cache
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from salsanext_cli.errors import MissingDependency, UsageError, error_text
+
+if TYPE_CHECKING:
+    import openvino
+
+PRECISIONS = ("auto", "float32", "bfloat16", "float16")
+ENGINES = ("auto", "openvino", "torch")
+MAX_BATCH_PIXELS = 16 * 64 * 2048
+"""Pixels that a GPU computes side by side, of several images or of passes over one."""
+GPU_FILES = ("/dev/nvidiactl", "/dev/nvidia0", "/dev/nvhost-ctrl", "/dev/kfd", "/dev/dxg")
+"""Devices of Linux without one of which torch finds no GPU."""
+CPUINFO = Path("/proc/cpuinfo")
+ISA_VARIABLES = ("ONEDNN_MAX_CPU_ISA", "DNNL_MAX_CPU_ISA")
+BFLOAT16_ISA = {
+    "amx_bf16": ("AMX", "ALL", "DEFAULT"),
+    "avx512_bf16": ("BF16", "FP16", "AMX", "AVX10", "ALL", "DEFAULT"),
+    "bf16": ("BF16", "FP16", "AMX", "AVX10", "ALL", "DEFAULT"),
+}
+"""Flags of processors that multiply bfloat16, of x86 and of ARM, and parts of the values of
+`ISA_VARIABLES` that leave them to the libraries."""
+CONVERTER = "openvino.tools.ovc"
+"""Part of OpenVINO that reports its use over the network. OpenVINO imports it if it can."""
+OPENVINO_ERRORS = (AttributeError, ImportError, OSError, RuntimeError, TypeError, ValueError)
+"""Raised by installations that are damaged or of another platform."""
+
+log = logging.getLogger(__name__)
+
+
+def choose_device(name: str) -> str:
+    """Return the device of a name: ``"cpu"``, ``"cuda"`` …; ``"auto"`` is a GPU if there is one."""
+    without_gpu = sys.platform == "linux" and not any(Path(p).exists() for p in GPU_FILES)
+    if name == "cpu" or (name == "auto" and without_gpu):
+        return "cpu"
+    import torch
+
+    if name == "auto":
+        return "cuda" if torch.cuda.is_available() else "cpu"
+    try:
+        device = torch.device(name)
+    except RuntimeError as error:
+        raise UsageError(f"device {name}", "no such device", "cpu, cuda, cuda:0 …") from error
+    if device.type == "cuda":
+        count = torch.cuda.device_count()
+        if (device.index or 0) >= count:
+            found = f"{count} GPUs visible to torch"
+            raise UsageError(f"device {name}", found, "one of them, or cpu")
+    elif device.type != "cpu":
+        raise UsageError(f"device {name}", "not supported", "cpu or cuda")
+    return "cpu" if device.type == "cpu" else str(device)
+
+
+def choose_engine(name: str, device: str) -> str:
+    """Return the engine of a name on a device.
+
+    Parameters
+    ----------
+    name : {"auto", "openvino", "torch"}
+        ``"auto"`` is OpenVINO on a CPU on which it starts, and torch elsewhere.
+    device : str
+        As `choose_device` returns it.
+
+    Raises
+    ------
+    UsageError
+        If there is no such engine, or not on the device.
+    MissingDependency
+        If OpenVINO was asked for and does not start.
+    """
+    if name not in ENGINES:
+        raise UsageError("--engine", name, ", ".join(ENGINES))
+    if device != "cpu":
+        if name == "openvino":
+            raise UsageError("--engine", f"openvino on {device}", "torch, or --device cpu")
+        return "torch"
+    if name == "torch":
+        return name
+    if not (found := _openvino_fails()):
+        return "openvino"
+    if name == "openvino":
+        raise MissingDependency(name, found, remedy="install it again, or --engine torch")
+    _say_once(found)
+    return "torch"
+
+
+@cache
+def openvino_core() -> "openvino.Core":
+    """Return OpenVINO for this process.
+
+    It stays until the process ends: the CPU plugin gives the thread that loads it a stack for
+    signal handlers, and takes the memory back when it is unloaded, whichever thread does that. The
+    next signal would end the process.
+    """
+    import openvino
+
+    # Two threads that ask for this first would wait for each other for ever.
+    openvino.Type.f32.to_dtype()
+    core = openvino.Core()
+    # While they compute, the threads of every worker would be bound to the same first cores.
+    core.set_property("CPU", {"ENABLE_CPU_PINNING": False})
+    return core
+
+
+@cache
+def _openvino_fails() -> str:
+    """Return why OpenVINO cannot compute on this CPU, empty if it can."""
+    known = CONVERTER in sys.modules
+    sys.modules.setdefault(CONVERTER, None)  # type: ignore[arg-type]
+    try:
+        openvino_core().get_property("CPU", "FULL_DEVICE_NAME")
+    except OPENVINO_ERRORS as error:
+        return f"does not start: {error_text(error)}"
+    finally:
+        if not known:
+            del sys.modules[CONVERTER]
+    return ""
+
+
+@cache
+def _say_once(found: str) -> None:
+    log.warning("openvino %s; computing with torch, which is slower", found)
+
+
+def choose_precision(name: str, device: str) -> str:
+    """Return the number type of a name on a device.
+
+    Parameters
+    ----------
+    name : {"auto", "float32", "bfloat16", "float16"}
+        ``"auto"`` is float16 on a GPU with tensor cores, bfloat16 on a CPU that multiplies it, and
+        float32 elsewhere.
+    device : str
+        As `choose_device` returns it.
+
+    Raises
+    ------
+    UsageError
+        If there is no such type, or the CPU does not multiply it.
+    """
+    if name not in PRECISIONS:
+        raise UsageError("--precision", name, ", ".join(PRECISIONS))
+    if device == "cpu":
+        possible = ("float32", "bfloat16") if has_bfloat16() else ("float32",)
+        if name not in ("auto", *possible):
+            raise UsageError("--precision", f"{name} on this CPU", " or ".join(possible))
+        return possible[-1] if name == "auto" else name
+    if name != "auto":
+        return name
+    import torch
+
+    return "float16" if torch.cuda.get_device_capability(device) >= (7, 0) else "float32"
+
+
+@cache
+def flags() -> frozenset[str]:
+    """Return the processor's flags; empty where the system does not tell them (not Linux)."""
+    text = CPUINFO.read_text("utf-8") if CPUINFO.exists() else ""
+    lines = [line for line in text.splitlines() if line.startswith(("flags", "Features"))]
+    return frozenset(lines[0].partition(":")[2].split() if lines else ())
+
+
+def has_bfloat16() -> bool:
+    """Say whether the CPU multiplies bfloat16 by itself, and the environment allows it."""
+    return bool(bfloat16_instructions())
+
+
+def bfloat16_instructions() -> list[str]:
+    """Return the flags of those that multiply bfloat16 here and that the environment allows."""
+    limit, known = isa_limit(), flags()
+    return [
+        flag
+        for flag, parts in BFLOAT16_ISA.items()
+        if flag in known and any(part in limit for part in parts)
+    ]
+
+
+def isa_limit() -> str:
+    """Return the instructions that the environment holds the libraries to, "ALL" for any."""
+    named = (os.environ.get(variable) for variable in ISA_VARIABLES)
+    return next(filter(None, named), "ALL").upper()
+
+
+def processor() -> str:
+    """Return what code that is compiled for this processor depends on."""
+    return f"{platform.machine()} {sorted(flags())} {isa_limit()}"

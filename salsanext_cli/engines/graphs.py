@@ -1,0 +1,217 @@
+# SPDX-License-Identifier: MIT
+"""Parts of a network as OpenVINO graphs: traced once, compiled for this CPU, kept in the cache.
+
+A graph is made from the torch module by OpenVINO's own front end, in this process and without its
+command-line converter, which reports its use. What was compiled before is loaded without torch.
+"""
+
+import hashlib
+import re
+import tempfile
+import threading
+import warnings
+from collections.abc import Callable, Sequence
+from functools import cache
+from io import BytesIO
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+from xml.etree import ElementTree
+
+import numpy as np
+
+from salsanext_cli.engines.device import openvino_core, processor
+from salsanext_cli.errors import OutputError, error_text
+from salsanext_cli.files.user_cache import cached, store
+from salsanext_cli.records import CHANNELS, Float
+
+if TYPE_CHECKING:
+    import openvino
+    from torch import Tensor, nn
+
+HINTS = {"float32": "f32", "bfloat16": "bf16"}
+LOGITS = "logits"
+"""Name of the last convolution, in every architecture."""
+OF_LOGITS = re.compile(rf"[./]{LOGITS}/")
+"""Part of the names of its layers, traced from torch or read from ONNX."""
+ERFC = (
+    *(0.17087277, -0.82215223, 1.48851587, -1.13520398, 0.27886807),
+    *(-0.18628806, 0.09678418, 0.37409196, 1.00002368, -1.26551223),
+)
+"""Coefficients of ln(erfc(x)/t) + x² in t = 1/(1 + x/2), highest power first; relative error below
+1.2e-7 (Press et al., Numerical Recipes, 1992, section 6.2)."""
+_COMPILING = threading.Lock()
+"""Held while one thread traces and compiles: tracing has state of its own in torch."""
+
+
+class Graph:
+    """Compiled part of a network: float32 arrays in, float32 arrays out, the same bits always.
+
+    Parameters
+    ----------
+    compiled : openvino.CompiledModel
+        With one stream or several, each for calls side by side.
+    """
+
+    def __init__(self, compiled: "openvino.CompiledModel") -> None:
+        self.compiled = compiled
+        self.request = compiled.create_infer_request()
+
+    @property
+    def shapes(self) -> list[tuple[int, ...]]:
+        """Shapes of the inputs."""
+        return [tuple(port.shape) for port in self.compiled.inputs]
+
+    def __call__(self, *inputs: Float) -> list[Float]:
+        """Compute once."""
+        found = self.request.infer(dict(enumerate(inputs)), share_inputs=True)
+        return list(found.values())
+
+    def each(self, calls: Sequence[Sequence[Float]]) -> list[list[Float]]:
+        """Compute several times side by side; return the outputs in the order of the calls."""
+        from openvino import AsyncInferQueue
+
+        found: list[list[Float]] = [[]] * len(calls)
+
+        def keep(request: "openvino.InferRequest", number: int) -> None:
+            found[number] = [tensor.data.copy() for tensor in request.output_tensors]
+
+        queue = AsyncInferQueue(self.compiled)
+        queue.set_callback(keep)
+        for number, inputs in enumerate(calls):
+            queue.start_async(dict(enumerate(inputs)), number, share_inputs=True)
+        queue.wait_all()
+        return found
+
+
+def compiled_graph(
+    make: "Callable[[], openvino.Model]",
+    key: object,
+    precision: str = "float32",
+    threads: int = 1,
+    streams: int = 1,
+) -> Graph:
+    """Return a model, ready to compute; from the cache if it was compiled before.
+
+    Parameters
+    ----------
+    make : callable
+        Returns the model; called only if the cache does not hold it.
+    key : object
+        What the model depends on, with a `repr` of its own.
+    precision : {"float32", "bfloat16"}
+        Of all layers but those that see the range image or make the logits.
+    threads, streams : int
+        Threads in all, and calls that they compute side by side. No bit depends on them.
+    """
+    import openvino
+
+    hints = {
+        "INFERENCE_PRECISION_HINT": HINTS[precision],
+        "INFERENCE_NUM_THREADS": threads,
+        "NUM_STREAMS": streams,
+    }
+    core = openvino_core()
+
+    def compile_anew() -> bytes:
+        model = make()
+        if precision != "float32":
+            model = partly_float32(core, model)
+        blob: BytesIO = core.compile_model(model, "CPU", hints).export_model()
+        return blob.getvalue()
+
+    depends = repr((key, precision, openvino.__version__, processor(), _sources()))
+    name = f"graphs/{hashlib.sha256(depends.encode()).hexdigest()[:32]}.blob"
+    with _COMPILING:
+        content = cached(name, compile_anew)
+        try:
+            return Graph(core.import_model(content, "CPU", hints))
+        except RuntimeError:  # made by a build of the same version that compiles otherwise
+            return Graph(core.import_model(store(name, compile_anew()), "CPU", hints))
+
+
+@cache
+def _sources() -> str:
+    """Return a digest of the code that graphs are made of."""
+    package, digest = Path(__file__).parents[1], hashlib.sha256()
+    for room in ("inference", "network", "uncertainty"):
+        for path in sorted((package / room).glob("*.py")):
+            digest.update(path.read_bytes())
+    return digest.hexdigest()
+
+
+def converted(
+    module: "nn.Module", function: Callable[..., Any], inputs: "Sequence[Tensor]"
+) -> "openvino.Model":
+    """Return ``function(module, *inputs)`` as a graph for inputs of these shapes."""
+    import torch
+    from openvino.frontend import FrontEndManager
+    from openvino.frontend.pytorch import ConversionExtension
+    from openvino.frontend.pytorch.ts_decoder import TorchScriptPythonDecoder
+
+    class Function(torch.nn.Module):
+        def __init__(self) -> None:
+            super().__init__()
+            self.module = module
+
+        def forward(self, *given: torch.Tensor) -> Any:
+            return function(self.module, *given)
+
+    with torch.inference_mode(), warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # sizes become constants, as they should
+        traced = torch.jit.trace(Function().eval(), tuple(inputs), check_trace=False)  # type: ignore[no-untyped-call]
+        front_end = FrontEndManager().load_by_framework("pytorch")
+        front_end.add_extension(ConversionExtension("aten::special_erfc", _erfc))
+        decoder = TorchScriptPythonDecoder(traced, example_input=tuple(inputs))
+        model: openvino.Model = front_end.convert(front_end.load(decoder))
+    shapes = (list(tensor.shape) for tensor in inputs)
+    model.reshape(dict(zip(model.inputs, shapes, strict=True)))
+    return model
+
+
+def _erfc(node: Any) -> Any:
+    """Translate erfc of numbers from 0 on, for which OpenVINO has no operation."""
+    from openvino import opset13 as ops
+
+    def number(value: float) -> Any:
+        return ops.constant(np.float32(value))
+
+    x = node.get_input(0)
+    t = ops.divide(number(1), ops.add(ops.multiply(x, number(0.5)), number(1)))
+    power = number(ERFC[0])
+    for coefficient in ERFC[1:]:
+        power = ops.add(ops.multiply(power, t), number(coefficient))
+    return ops.multiply(t, ops.exp(ops.subtract(power, ops.multiply(x, x)))).outputs()
+
+
+def partly_float32(core: "openvino.Core", model: "openvino.Model") -> "openvino.Model":
+    """Mark what stays float32 in bfloat16: layers of the range image, logits, what follows them.
+
+    Python's interface cannot set the mark; OpenVINO's file format has it.
+    """
+    import openvino
+
+    try:
+        with tempfile.TemporaryDirectory() as folder:
+            file = Path(folder, "model.xml")
+            openvino.save_model(model, file, compress_to_fp16=False)
+            tree, weights = ElementTree.parse(file), file.with_suffix(".bin").read_bytes()
+    except (OSError, RuntimeError) as error:
+        full = f"cannot hold the network for a moment: {error_text(error)}"
+        raise OutputError("folder for temporary files", full, "room for weights") from error
+    after_logits = False
+    for layer in tree.getroot().iter("layer"):
+        if layer.get("type") in ("Convolution", "GroupConvolution"):
+            is_logits = bool(OF_LOGITS.search(str(layer.get("name"))))
+            channels = int(layer.findall("input/port")[0].findall("dim")[1].text or 0)
+            after_logits |= is_logits
+            precise = is_logits or channels == len(CHANNELS)
+        else:
+            precise = after_logits and layer.get("type") not in ("Const", "Parameter", "Result")
+        if precise:
+            mark = ElementTree.Element("attribute", name="precise", version="0")
+            found = layer.find("rt_info")
+            if found is None:
+                found = ElementTree.Element("rt_info")
+                layer.insert(1 if layer.find("data") is not None else 0, found)
+            found.append(mark)
+    return core.read_model(ElementTree.tostring(tree.getroot()), weights)

@@ -1,0 +1,134 @@
+# SPDX-License-Identifier: MIT
+"""Networks as ONNX models: written by torch, compared with it by ONNX Runtime."""
+
+import warnings
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import TYPE_CHECKING, Any, cast
+
+import numpy as np
+import torch
+from torch import Tensor, nn
+
+from salsanext_cli.errors import WeightsError
+from salsanext_cli.files.optional_packages import import_extra
+from salsanext_cli.network.card import WeightsCard
+from salsanext_cli.network.onnx_metadata import OPSET
+from salsanext_cli.network.segmentation import SegmentationNetwork
+from salsanext_cli.records import CHANNELS, Float
+
+if TYPE_CHECKING:
+    import onnx
+
+INPUT, OUTPUT = "image", "logits"
+TOLERANCE = 1e-3
+"""Largest difference from torch, relative to the largest logit."""
+SEED = 0
+
+
+class _Traced(nn.Module):
+    """A network for images of one height, with what is padded and cropped as constants.
+
+    Where there is nothing to pad, it takes every width that the network's stride divides.
+    """
+
+    def __init__(self, module: SegmentationNetwork, height: int, width: int) -> None:
+        super().__init__()
+        self.module = module
+        self.height, self.width = height, width
+        self.columns = torch.arange(width + -width % module.stride[1]) % width
+        self.rows = -height % module.stride[0]
+
+    def forward(self, image: Tensor) -> Tensor:
+        if len(self.columns) != self.width:
+            image = image[..., self.columns]
+        if self.rows:
+            image = nn.functional.pad(image, (0, 0, 0, self.rows))
+        logits: Tensor = self.module.rest(*self.module.trunk(image))
+        if self.rows:
+            logits = logits[..., : self.height, :]
+        return logits[..., : self.width] if len(self.columns) != self.width else logits
+
+
+def exported(
+    module: SegmentationNetwork, card: WeightsCard, *, dynamic_width: bool = False
+) -> "onnx.ModelProto":
+    """Return a network as an ONNX model with its card.
+
+    Parameters
+    ----------
+    module : SegmentationNetwork
+        In evaluation mode, on the CPU.
+    card : WeightsCard
+        Becomes the model's metadata; its sensor gives height and width.
+    dynamic_width : bool
+        The model takes every width that the network's stride divides.
+
+    Raises
+    ------
+    MissingDependency
+        If the package onnx is not installed.
+    """
+    package = import_extra("onnx", "onnx")
+    height, width = card.sensor.height, card.sensor.width
+    if dynamic_width:
+        width += -width % module.stride[1]
+    traced = _Traced(module, height, width)
+    example = torch.zeros(1, len(CHANNELS), height, width)
+    axes = {name: {3: "width"} for name in (INPUT, OUTPUT)} if dynamic_width else None
+    with warnings.catch_warnings(), torch.inference_mode(), TemporaryDirectory() as folder:
+        # The exporter that needs no further package; and sizes become constants, as they should.
+        warnings.simplefilter("ignore")
+        file = Path(folder, "model.onnx")
+        torch.onnx.export(
+            traced.eval(),
+            (example,),
+            file,
+            input_names=[INPUT],
+            output_names=[OUTPUT],
+            opset_version=OPSET,
+            dynamic_axes=axes,
+            dynamo=False,
+        )
+        model = package.load_model(file)
+    package.helper.set_model_props(model, card.to_metadata())
+    return cast("onnx.ModelProto", model)
+
+
+def run(content: bytes, images: list[Float]) -> list[Float]:
+    """Compute logits (1, C, H, W) of images (1, 5, H, W) by ONNX Runtime.
+
+    Raises
+    ------
+    MissingDependency
+        If it is not installed.
+    """
+    onnxruntime: Any = import_extra("onnxruntime", "onnx")
+    onnxruntime.disable_telemetry_events()
+    session = onnxruntime.InferenceSession(content, providers=["CPUExecutionProvider"])
+    return [session.run([OUTPUT], {INPUT: image})[0] for image in images]
+
+
+def difference(content: bytes, module: SegmentationNetwork, card: WeightsCard) -> float:
+    """Return the largest difference of the model's logits from torch's, relative to the largest.
+
+    Of a random and of an empty image.
+
+    Raises
+    ------
+    WeightsError
+        If it is above `TOLERANCE`, or not a number.
+    """
+    size = (1, len(CHANNELS), card.sensor.height, card.sensor.width)
+    drawn = np.random.default_rng(SEED).standard_normal(size, np.float32)
+    images = [drawn, np.zeros(size, np.float32)]
+    largest = 0.0
+    for image, found in zip(images, run(content, images), strict=True):
+        with torch.inference_mode():
+            expected = module(torch.from_numpy(image)).numpy()
+        error = np.abs(found - expected).max() / np.abs(expected).max()
+        if not error <= TOLERANCE:
+            wrong = f"ONNX Runtime's logits differ from torch's by {error:.2g}"
+            raise WeightsError("the ONNX model", wrong, f"at most {TOLERANCE:g}")
+        largest = max(largest, float(error))
+    return largest

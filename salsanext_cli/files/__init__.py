@@ -1,0 +1,2 @@
+# SPDX-License-Identifier: MIT
+"""Bytes on disk, and nothing of the method."""

@@ -1,0 +1,184 @@
+# SPDX-License-Identifier: MIT
+"""Write a file whole or not at all: temporary name in the same folder, then rename."""
+
+import errno
+import os
+import re
+import uuid
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
+from contextvars import ContextVar
+from pathlib import Path
+from typing import BinaryIO
+
+from salsanext_cli.errors import OutputError
+from salsanext_cli.files.reading import present, reason
+
+MARK: ContextVar[str] = ContextVar("MARK", default=uuid.uuid4().hex)
+"""Prefix of the temporary names of a run, so that `sweep` finds those of its killed workers."""
+FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
+TEMPORARY = re.compile(r"\.(?:[0-9a-f]{32}){1,2}\.part")
+"""The names, mark and all, that unfinished files have here."""
+STALE_AFTER_S = 24 * 3600.0
+"""Seconds that an unfinished file has not been touched when its writer must be dead."""
+WEIGHTS_SUFFIX = ".safetensors"
+
+
+@contextmanager
+def writing(
+    path: Path | str,
+    *,
+    durable: bool = False,
+    before_rename: Callable[[os.stat_result], object] | None = None,
+) -> Iterator[BinaryIO]:
+    """Open a file for writing that appears under its name only when it is complete.
+
+    Parent folders are made. If the body raises, Ctrl-C included, nothing is left behind and an
+    older file of that name stays as it was. The body should do nothing but write.
+
+    Parameters
+    ----------
+    path : Path or str
+        The file.
+    durable : bool
+        Whether it must survive a power cut too, for some milliseconds. Otherwise what was written
+        in the last half minute before may be empty or cut off then.
+    before_rename : callable, optional
+        Called with the status of the complete file before it gets its name.
+
+    Raises
+    ------
+    OutputError
+        If the system refuses: read-only folder, full disk, a file where a folder should be.
+    """
+    path = Path(path)
+    temporary = _temporary(path)
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        with temporary.open("xb") as file:
+            yield file
+            if durable:
+                file.flush()
+                os.fsync(file.fileno())
+        if before_rename:
+            before_rename(temporary.stat())
+        temporary.replace(path)
+        if durable:
+            _keep_names(path.parent)
+    except BaseException as error:
+        with suppress(OSError):
+            temporary.unlink()
+        if isinstance(error, OSError):
+            raise refusal(path, error) from error
+        raise
+
+
+def _temporary(path: Path) -> Path:
+    # A process id would not do: machines of a cluster share the folder, not the ids.
+    return path.with_name(f".{MARK.get()}{uuid.uuid4().hex}.part")
+
+
+def _keep_names(folder: Path) -> None:
+    """Let the names in a folder survive a power cut, where the system can."""
+    with suppress(OSError):
+        handle = os.open(folder, os.O_RDONLY)
+        try:
+            os.fsync(handle)
+        finally:
+            os.close(handle)
+
+
+def require_writable(folder: Path) -> None:
+    """Raise `OutputError` if no file can be written into a folder, which is made."""
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        with _probe(folder):
+            pass
+    except OSError as error:
+        raise refusal(folder, error) from error
+
+
+@contextmanager
+def _probe(folder: Path) -> Iterator[Path]:
+    """Give an empty file in a folder, and remove it."""
+    probe = _temporary(folder / "probe")
+    try:
+        probe.touch()
+        yield probe
+    finally:
+        with suppress(OSError):
+            probe.unlink()
+
+
+def require_target(target: Path, overwrite: bool, suffix: str = WEIGHTS_SUFFIX) -> None:
+    """Refuse a name for a file of weights before work is done that would be lost.
+
+    Raises
+    ------
+    OutputError
+        If it has another suffix, exists and may not be overwritten, or its folder cannot be
+        written to.
+    """
+    if target.suffix != suffix:
+        raise OutputError(target, f"suffix {target.suffix or 'missing'}", suffix)
+    require_absent(target, overwrite)
+    require_writable(target.parent)
+    sweep_stale(target.parent)
+
+
+def require_absent(path: Path, overwrite: bool) -> None:
+    """Raise `OutputError` if a file exists and may not be overwritten, or is a folder."""
+    if present(path) and not overwrite:
+        raise OutputError(path, "exists", remedy="use another name, or --overwrite")
+    if path.is_dir():
+        raise OutputError(path, "is a folder", "the name of a file")
+
+
+def refusal(path: Path, error: OSError) -> OutputError:
+    """Return the error that says why the system refuses to write a file, and what to do."""
+    found, expected = reason(error), "a folder that can be written to"
+    remedy = "change its permissions or choose another output folder"
+    if error.errno in FULL:
+        remedy = "free some space or choose another output folder"
+    elif error.errno in (errno.ENOTDIR, errno.EEXIST):
+        files = (folder for folder in path.parents if folder.exists() and not folder.is_dir())
+        found, expected = f"{next(files, path.parent)} is no folder", "a folder to write to"
+        remedy = "move it or choose another output folder"
+    elif error.errno == errno.EISDIR:
+        found, expected = "there is a folder of that name", "a file or nothing"
+        remedy = "move it or choose another name"
+    return OutputError(path, f"cannot be written: {found}", expected, remedy)
+
+
+def sweep(folder: Path, mark: str) -> None:
+    """Remove the temporary files of killed processes that had set `MARK`."""
+    for temporary in folder.glob(f".{mark}*.part"):
+        with suppress(OSError):
+            temporary.unlink()
+
+
+def sweep_stale(folder: Path) -> None:
+    """Remove the temporary files of writers that died long ago; nothing else is touched.
+
+    Others may be writing here at this moment, so an unfinished file is left alone until nobody
+    has touched it for a day. Both times are of the disk, whose clock may not be ours.
+    """
+    with suppress(OSError):
+        found = [path for path in folder.iterdir() if TEMPORARY.fullmatch(path.name)]
+        now = _time_of_disk(folder) if found else 0.0
+        for temporary in found:
+            with suppress(OSError):
+                if now - temporary.stat().st_mtime > STALE_AFTER_S:
+                    temporary.unlink()
+
+
+def _time_of_disk(folder: Path) -> float:
+    """Return the time that a file gets which is written now."""
+    with _probe(folder) as probe:
+        return probe.stat().st_mtime
+
+
+def write_bytes(path: Path, content: bytes, *, durable: bool = False) -> None:
+    """Write a file whole or not at all."""
+    with writing(path, durable=durable) as file:
+        file.write(content)

@@ -1,0 +1,119 @@
+# SPDX-License-Identifier: MIT
+"""Small records as JSON files, and the settings of a stage read back from one."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any, TypeVar
+
+from salsanext_cli.errors import OutputError
+from salsanext_cli.files.atomic import write_bytes
+from salsanext_cli.files.reading import present, reading
+
+MAX_NESTING = 20
+
+Kind = TypeVar("Kind")
+
+
+def write_json(path: Path, data: Mapping[str, Any]) -> None:
+    """Write plain data as JSON, durably; names of files may be no text, so only ASCII."""
+    write_bytes(path, encode_json(data), durable=True)
+
+
+def encode_json(data: Mapping[str, Any]) -> bytes:
+    """Return the content of a JSON file of plain data."""
+    return (json.dumps(data, indent=2, allow_nan=False) + "\n").encode("ascii")
+
+
+def read_json(path: Path) -> dict[str, Any] | None:
+    """Read what `write_json` wrote; None if there is no such file.
+
+    Raises
+    ------
+    OutputError
+        If the file is damaged.
+    """
+    if not present(path):
+        return None
+    with reading(path) as file:
+        text = file.read()
+    try:
+        data = json.loads(text, parse_constant=_refuse_constant)
+    except (ValueError, RecursionError) as error:
+        raise OutputError(path, "damaged", "JSON", "delete it or use another folder") from error
+    if not isinstance(data, dict) or not _is_shallow(data):
+        raise OutputError(path, "damaged", "a JSON object", "delete it or use another folder")
+    return data
+
+
+def _is_shallow(data: dict[str, Any]) -> bool:
+    """Say whether data is nested no deeper than records are."""
+    level: list[Any] = [data]
+    for _ in range(MAX_NESTING):
+        members = (each.values() if isinstance(each, dict) else each for each in level)
+        level = [m for each in members for m in each if isinstance(m, dict | list)]
+    return not level
+
+
+def _refuse_constant(name: str) -> None:
+    """Refuse NaN and infinities, which `write_json` never writes."""
+    raise ValueError(f"{name} is no JSON")
+
+
+class RecordedSettings(dict[str, Any]):
+    """Settings read back from `OUT/<stage>.json`; what was cut out of the file is named.
+
+    Parameters
+    ----------
+    values : mapping
+        The settings.
+    path : Path
+        The file that they were read from.
+    """
+
+    def __init__(self, values: Mapping[str, Any], path: Path) -> None:
+        super().__init__(values)
+        self.path = path
+
+    def __missing__(self, key: str) -> Any:
+        raise self._wrong(f"settings lack {key}", "what the stage wrote")
+
+    def table(self, key: str) -> RecordedSettings:
+        """Return a setting that is itself a mapping."""
+        return RecordedSettings(self._as(dict, key, "a JSON object"), self.path)
+
+    def one_of(self, key: str, values: Sequence[str]) -> str:
+        """Return a setting that is one of some words."""
+        value: str = self[key]
+        if value not in values:
+            raise self._wrong(f"settings have {key} {value!r}", f"one of {', '.join(values)}")
+        return value
+
+    def integer(self, key: str) -> int:
+        """Return a setting that is a whole number."""
+        return self._as(int, key, "a whole number")
+
+    def number(self, key: str) -> float:
+        """Return a setting that is a number; an infinite one is text in JSON."""
+        value = self[key]
+        if type(value) not in (int, float) and value != "Infinity":
+            raise self._wrong(f"settings have {key} {value!r}", "a number")
+        return float(value)
+
+    def pair(self, key: str) -> tuple[float, float]:
+        """Return a setting that is two numbers."""
+        value = self._as(list, key, "two numbers")
+        if [type(v) in (int, float) for v in value] != [True, True]:
+            raise self._wrong(f"settings have {key} {value!r}", "two numbers")
+        return float(value[0]), float(value[1])
+
+    def _as(self, kind: type[Kind], key: str, expected: str) -> Kind:
+        value = self[key]
+        if type(value) is not kind:
+            raise self._wrong(f"settings have {key} {value!r}", expected)
+        return value
+
+    def _wrong(self, found: str, expected: str) -> OutputError:
+        return OutputError(self.path, found, expected, "delete it or use another folder")

@@ -1,0 +1,72 @@
+# SPDX-License-Identifier: MIT
+"""Locks between processes, also of several machines, that end with the process that holds them."""
+
+import errno
+import logging
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from functools import cache
+from pathlib import Path
+
+from filelock import FileLock, Timeout
+
+from salsanext_cli.errors import OutputError
+from salsanext_cli.files.atomic import refusal
+from salsanext_cli.files.reading import reason
+
+UNSUPPORTED = (errno.ENOLCK, errno.EOPNOTSUPP, errno.ENOSYS, errno.EINVAL)
+"""Error numbers of file systems without locks."""
+
+log = logging.getLogger(__name__)
+
+
+@contextmanager
+def locked(path: Path, timeout_s: float = 0.0, *, stage: str = "") -> Iterator[None]:
+    """Hold a lock while the body runs; where the file system has none, run it all the same.
+
+    The lock is the system's, on an empty file that is made and removed here. It is released when
+    the process dies; its file may stay then, and means nothing.
+
+    Parameters
+    ----------
+    path : Path
+        The file; its folder is made.
+    timeout_s : float
+        Seconds to wait for others.
+    stage : str, optional
+        Stage whose run holds it while it fills the folder of the file, for the error.
+
+    Raises
+    ------
+    OutputError
+        If another process still holds it then, or if the file cannot be made.
+    """
+    lock = FileLock(path, timeout=timeout_s, fallback_to_soft=False)
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        lock.acquire()
+    except Timeout as error:
+        if not stage:
+            found, remedy = "held by another process", "wait until it has ended"
+            raise OutputError(path, found, remedy=remedy) from error
+        found = f"another run of `{stage}` is at work in it"
+        remedy = "wait until it has ended, or use another folder"
+        raise OutputError(path.parent, found, remedy=remedy) from error
+    except OSError as error:
+        if error.errno not in UNSUPPORTED:
+            raise refusal(path, error) from error
+        _warn_unlocked(reason(error))
+        yield
+        return
+    try:
+        yield
+    finally:
+        # Still held: who waits for it notices that the file has gone, and makes another.
+        with suppress(OSError):
+            path.unlink()
+        lock.release()
+
+
+@cache
+def _warn_unlocked(why: str) -> None:
+    log.warning("output folders are not locked (%s): do not run two stages in one at a time", why)

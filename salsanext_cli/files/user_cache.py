@@ -1,0 +1,109 @@
+# SPDX-License-Identifier: MIT
+"""Files in the user's cache folder: what can be made again, written whole and read checked."""
+
+from __future__ import annotations
+
+import hashlib
+import logging
+import os
+from collections.abc import Callable
+from contextlib import suppress
+from pathlib import Path
+
+from salsanext_cli.errors import OutputError, error_text
+from salsanext_cli.files.atomic import sweep_stale, writing
+from salsanext_cli.version import __version__
+
+CHECKSUM_BYTES = 32
+MAX_FOLDER_BYTES = 2 << 30
+"""Size of a folder of the cache above which the files unused for longest are removed."""
+
+_said: list[str] = []
+"""The one warning of this process, once it was given."""
+
+log = logging.getLogger(__name__)
+
+
+def cache_folder() -> str:
+    """Return the user's cache folder: ``$XDG_CACHE_HOME/salsanext`` or the like.
+
+    It is empty, for nowhere, if the user has no home.
+    """
+    try:
+        home = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
+    except RuntimeError:
+        return ""
+    return str(Path(home) / "salsanext")
+
+
+def cached(name: str, make: Callable[[], bytes]) -> bytes:
+    """Return the content of a file of the cache; it is made if it is missing or damaged.
+
+    Several processes may make it at once. Without a cache folder that can be written, it is made
+    each time, which is said once.
+    """
+    folder = cache_folder()
+    path = Path(folder, name)
+    if folder and (content := _read(path)) is not None:
+        return content
+    return store(name, make())
+
+
+def check_once(name: str, check: Callable[[], object]) -> None:
+    """Call a check that raises what is wrong, unless this version passed it under that name."""
+
+    def passed() -> bytes:
+        check()
+        return b"checked"
+
+    cached(f"weights/{name}-{__version__}.checked", passed)
+
+
+def store(name: str, content: bytes) -> bytes:
+    """Write a file of the cache, in the place of an older one, and return its content."""
+    if folder := cache_folder():
+        path = Path(folder, name)
+        try:
+            with writing(path) as file:
+                file.write(content + hashlib.sha256(content).digest())
+            sweep_stale(path.parent)
+            _remove_oldest(path)
+        except (OutputError, OSError) as error:
+            _say_once(f"{error_text(error)}: going on without it")
+    return content
+
+
+def _read(path: Path) -> bytes | None:
+    try:
+        with path.open("rb") as file:
+            data = file.read(max(0, os.fstat(file.fileno()).st_size - CHECKSUM_BYTES))
+            checksum = file.read()
+    except FileNotFoundError:
+        return None
+    except OSError as error:
+        _say_once(f"{error_text(error)}: going on without it")
+        return None
+    if hashlib.sha256(data).digest() == checksum:
+        with suppress(OSError):  # a folder that can only be read
+            path.touch()
+        return data
+    _say_once(f"{path} is damaged: made again")
+    return None
+
+
+def _remove_oldest(newest: Path) -> None:
+    """Keep a folder of the cache below its size."""
+    with suppress(OSError):
+        files = [(file.stat(), file) for file in newest.parent.glob(f"*{newest.suffix}")]
+        total = sum(status.st_size for status, _ in files)
+        for status, file in sorted(files, key=lambda pair: pair[0].st_mtime):
+            if total <= MAX_FOLDER_BYTES or file == newest:
+                break
+            file.unlink(missing_ok=True)
+            total -= status.st_size
+
+
+def _say_once(found: str) -> None:
+    if not _said:
+        _said.append(found)
+        log.warning("cache: %s", found)

@@ -1,0 +1,145 @@
+# SPDX-License-Identifier: MIT
+"""Network of a run: fitted and adapted to its scans, as earlier runs in the output folder had it.
+
+An adapted network is a weights file in the output folder, ``OUT/adapted-<digest>.safetensors``: the
+weights asked for, with batch-norm statistics moved towards those of the scans. The digest is that
+of the weights and of the range images that the statistics were made of, so that shards of a run
+agree on it, and no other network ever takes its place.
+"""
+
+import hashlib
+import logging
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from pathlib import Path
+
+from salsanext_cli.engines.network import Network
+from salsanext_cli.engines.settings import NetworkSettings
+from salsanext_cli.errors import NOTICE, NoInputError, OutputError, counted
+from salsanext_cli.files.atomic import WEIGHTS_SUFFIX
+from salsanext_cli.files.identity import fingerprint
+from salsanext_cli.files.locks import locked
+from salsanext_cli.files.reading import filled
+from salsanext_cli.fitting.checked_scans import project_checked
+from salsanext_cli.fitting.scan_fit import fitted, sampled_images, with_sensor
+from salsanext_cli.network.card import require_tensors
+from salsanext_cli.records import Float
+from salsanext_cli.results.layout import ScanFile
+from salsanext_cli.results.stage_records import earlier_settings
+from salsanext_cli.results.written_files import WrittenFiles
+from salsanext_cli.sensors.sensor import Sensor
+
+SHARE = 0.1
+"""Share of the statistics of the scans: larger ones lower the accuracy or the mean IoU on one of
+three sensors (docs/tune.md)."""
+LOCK_TIMEOUT_S = 1800.0
+"""Another shard adapts in a minute or two, on a slow processor in some more."""
+NAME = f"adapted-{{}}{WEIGHTS_SUFFIX}"
+
+log = logging.getLogger(__name__)
+
+
+def network_of_run(
+    settings: NetworkSettings,
+    network: Network,
+    files: Sequence[ScanFile],
+    out: Path,
+    *,
+    overwrite: bool = False,
+    image_of: Callable[[ScanFile], Float] | None = None,
+) -> tuple[NetworkSettings, Network]:
+    """Return a network fitted to the scans of a run, and adapted if asked for, and its settings.
+
+    Parameters
+    ----------
+    settings : NetworkSettings
+    network : Network
+        What they load.
+    files : sequence of ScanFile
+        All scans of the source, whichever of them the run is about.
+    out : Path
+        Its output folder: what earlier results there were made with stays.
+    overwrite : bool
+        Whether such results will be replaced, and mean nothing.
+    image_of : callable, optional
+        As `fitted` takes it.
+
+    Raises
+    ------
+    SalsanextError
+        If network or scans cannot be used so, or earlier results were made otherwise.
+    """
+    earlier = earlier_settings(out, network.sha256, overwrite)
+    sensor = Sensor.from_dict(earlier.table("sensor"), earlier.path) if earlier else None
+    network = fitted(settings, network, files, sensor, image_of)
+    if not settings.adapt:
+        return settings, network
+    require_tensors(settings.path)
+    if earlier is None:
+        made = _adapted_to(network, settings.path, files, out, image_of)
+    elif "adapted" in earlier:
+        made = _as_before(out, earlier["adapted"])
+    else:
+        remedy = "use another output folder, or --overwrite to replace all its results"
+        raise OutputError(earlier.path, "made without --adapt", remedy=remedy)
+    settings = replace(settings, adapted=made)
+    return settings, with_sensor(settings.load(), network.sensor)
+
+
+def _as_before(out: Path, digest: object) -> Path:
+    """Return the adapted weights of this SHA-256 in an output folder."""
+    for path in sorted(out.glob(NAME.format("*"))):
+        if fingerprint(path) == digest:
+            return path
+    raise OutputError(
+        out,
+        "the adapted weights of its results were removed or changed",
+        f"{NAME.format('…')} as it was",
+        "use another output folder, or --overwrite to replace all its results",
+    )
+
+
+def _adapted_to(
+    network: Network,
+    weights: Path,
+    files: Sequence[ScanFile],
+    out: Path,
+    image_of: Callable[[ScanFile], Float] | None,
+) -> Path:
+    """Adapt weights to scans, evenly spaced, unless another shard did; return the file."""
+    from salsanext_cli.fitting.batch_norm import require_norms
+
+    require_norms(network)
+
+    def checked(file: ScanFile) -> Float:
+        return project_checked(file, network.sensor)[0].channels
+
+    image_of = image_of or checked
+    sampled = sampled_images(files, network.sensor, image_of)
+    images = [channels for channels in sampled if channels[0].any()]
+    if not images:
+        image_of(files[0])  # raises what is wrong with it, if anything is
+        found = f"no point of {counted(len(files), 'scan')} is in view of the sensor"
+        raise NoInputError("--adapt", found, "scans to adapt to")
+    digest = hashlib.sha256(f"{network.sha256} {SHARE}".encode())
+    for channels in images:
+        digest.update(network.input_array(channels).tobytes())
+    path = out / NAME.format(digest.hexdigest()[:12])
+    with locked(out / ".adapted.lock", LOCK_TIMEOUT_S):
+        WrittenFiles(out).require_replaceable([path])
+        if not filled(path):
+            log.log(NOTICE, "adapting to %s: %s", counted(len(images), "scan"), path)
+            WrittenFiles(out).write(path, _adapted(network, weights, images), durable=True)
+    return path
+
+
+def _adapted(network: Network, weights: Path, images: Sequence[Float]) -> bytes:
+    """Return a weights file's content with batch-norm statistics moved towards those of images."""
+    from salsanext_cli.fitting.batch_norm import PooledStatistics, as_tensors
+    from salsanext_cli.network.weights import with_card
+
+    pooled = PooledStatistics(network, SHARE)
+    for channels in images:
+        pooled.add(channels)
+    done = f"Batch norm re-estimated on {counted(len(images), 'scan')}, share {SHARE:g}."
+    return with_card(weights, network.card.changed(done), as_tensors(pooled.moved()))

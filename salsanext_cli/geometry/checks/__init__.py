@@ -1,2 +1,0 @@
-# SPDX-License-Identifier: MIT
-"""Checks of scans before a network sees them."""

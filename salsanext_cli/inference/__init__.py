@@ -1,2 +1,0 @@
-# SPDX-License-Identifier: MIT
-"""A network ready to use: engines, precision, batches."""

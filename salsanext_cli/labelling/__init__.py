@@ -1,0 +1,2 @@
+# SPDX-License-Identifier: MIT
+"""Scans picked to be labelled, and labels taken back."""

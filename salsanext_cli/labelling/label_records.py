@@ -1,0 +1,137 @@
+# SPDX-License-Identifier: MIT
+"""Record of imported labels, and the label files that still hold the first guess of a network.
+
+``ROOT/pick.json`` has the SHA-256 of each label file that `pick` wrote, and
+``ROOT/import-labels.json`` that of each imported one, by sequence/scan. A label file is a first
+guess while it is as `pick` wrote it and was not imported; copies of a data set are no exception.
+"""
+
+import hashlib
+from collections import Counter
+from collections.abc import Iterable, Mapping
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+from salsanext_cli.errors import LabelError, counted
+from salsanext_cli.files.json_files import encode_json, read_json
+from salsanext_cli.files.reading import present, reading
+from salsanext_cli.results.layout import SCAN_FOLDER, ScanFile
+from salsanext_cli.results.selection import data_set_of
+from salsanext_cli.results.written_files import States, WrittenFiles
+from salsanext_cli.version import __version__
+
+PICKED, GUESSES = "pick.json", "guesses"
+"""Record of `pick`, and its key for the digests."""
+STAGE = "import-labels"
+IMPORTED = f"{STAGE}.json"
+
+
+def labels_root(scan: ScanFile) -> Path:
+    """Return the folder whose records tell of the labels of a scan: above scan and labels."""
+    folder = scan.path.parent
+    return data_set_of(scan) or (folder.parent if folder.name == SCAN_FOLDER else folder)
+
+
+def name_of(scan: ScanFile) -> str:
+    """Return sequence and stem of a scan, as records name it."""
+    return f"{scan.sequence}/{scan.stem}"
+
+
+class LabelRecords:
+    """Records of the labels of a data set.
+
+    Parameters
+    ----------
+    root : Path
+        What `labels_root` returns.
+    """
+
+    def __init__(self, root: Path) -> None:
+        self.root = root
+
+    @cached_property
+    def _guesses(self) -> dict[str, Any]:
+        return _table(self.root / PICKED, GUESSES)
+
+    @cached_property
+    def _imported(self) -> dict[str, Any]:
+        return _table(self.root / IMPORTED, "scans")
+
+    @cached_property
+    def _states(self) -> States:
+        return WrittenFiles(self.root).states()
+
+    def is_guess(self, scan: ScanFile, digest: str) -> bool:
+        """Say whether labels with a SHA-256 are those that a network guessed for a scan."""
+        return self._guesses.get(name_of(scan)) == digest
+
+    def holds_guess(self, scan: ScanFile) -> bool:
+        """Say whether the label file of a scan is still the first guess."""
+        if name_of(scan) not in self._guesses or not present(scan.label_path):
+            return False
+        digest = digest_of_file(scan.label_path)
+        earlier = self._imported.get(name_of(scan))
+        confirmed = isinstance(earlier, Mapping) and earlier.get("sha256") == digest
+        return self.is_guess(scan, digest) and not confirmed
+
+    def is_replaceable(self, scan: ScanFile, edited: Iterable[Path], contradicted: int = 0) -> bool:
+        """Say whether the label file of a scan, if there is one, may give way to edited files.
+
+        It may if it is as salsanext wrote it, and was not imported from a file of a name that is
+        not among theirs, which may hold other points, nor from files that contradicted each other
+        in fewer points.
+        """
+        path, earlier = scan.label_path, self._imported.get(name_of(scan))
+        about = earlier if isinstance(earlier, Mapping) else {"files": []}
+        files, before = about.get("files"), about.get("contradicted")
+        known = files if isinstance(files, list) else ["?"]
+        imported = Counter(Path(str(file)).name for file in known)
+        lost = imported - Counter(file.name for file in edited)
+        more = imported and contradicted > (before if isinstance(before, int) else 0)
+        if (lost or more) and present(path):
+            return False
+        changed = WrittenFiles(self.root).others([path], self._states)
+        return not changed or self.holds_guess(scan)
+
+    def write(self, scan: ScanFile, content: bytes, about: Mapping[str, Any]) -> None:
+        """Write the imported label file of a scan, and record it and what is known about it."""
+        digest = hashlib.sha256(content).hexdigest()
+        self._imported[name_of(scan)] = {"sha256": digest, **about}
+        scans = dict(sorted(self._imported.items()))
+        record = {"stage": STAGE, "version": __version__, "scans": scans}
+        written = WrittenFiles(self.root)
+        # Where this is cut off in between, the label file counts as what it was.
+        written.write(self.root / IMPORTED, encode_json(record), durable=True)
+        written.write(scan.label_path, content, durable=True)
+
+
+def first_guesses(scans: Iterable[ScanFile]) -> list[ScanFile]:
+    """Return the scans whose label file is still the first guess of a network."""
+    records: dict[Path, LabelRecords] = {}
+    found = []
+    for scan in scans:
+        root = labels_root(scan)
+        if records.setdefault(root, LabelRecords(root)).holds_guess(scan):
+            found.append(scan)
+    return found
+
+
+def require_truth(scans: Iterable[ScanFile]) -> None:
+    """Raise `LabelError` naming the first scan whose labels are a network's first guess."""
+    if guesses := first_guesses(scans):
+        more = f", as of {counted(len(guesses) - 1, 'other scan')}" if len(guesses) > 1 else ""
+        found = f"a network's first guess, unchanged{more}"
+        remedy = "label the scan, then `salsanext import-labels`"
+        raise LabelError(guesses[0].label_path, found, "labels by a person", remedy)
+
+
+def digest_of_file(path: Path) -> str:
+    """Return the SHA-256 of the content of a file, hexadecimal."""
+    with reading(path) as file:
+        return hashlib.sha256(file.read()).hexdigest()
+
+
+def _table(path: Path, key: str) -> dict[str, Any]:
+    found = (read_json(path) or {}).get(key)
+    return dict(found) if isinstance(found, Mapping) else {}

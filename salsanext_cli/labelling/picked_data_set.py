@@ -1,0 +1,219 @@
+# SPDX-License-Identifier: MIT
+"""Data set of picked scans: its files, and what a user changed in it."""
+
+import hashlib
+import logging
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
+from itertools import groupby
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import yaml
+
+from salsanext_cli.classes.label_space import LabelSpace
+from salsanext_cli.errors import FormatError, OutputError, UsageError
+from salsanext_cli.files.atomic import MARK, sweep
+from salsanext_cli.files.json_files import read_json
+from salsanext_cli.files.locks import locked
+from salsanext_cli.files.reading import filled, present, reading
+from salsanext_cli.formats import read_scan, scan_suffix
+from salsanext_cli.formats.clouds.kitti import encode_bin
+from salsanext_cli.formats.poses import pose_lines
+from salsanext_cli.labelling.label_records import IMPORTED, PICKED, digest_of_file, name_of
+from salsanext_cli.labelling.picked_scans import STAGE, PickedScan, PickRecord
+from salsanext_cli.results.layout import SCAN_FOLDER, ScanFile, find_scans, output_path
+from salsanext_cli.results.stage_records import require_same_settings
+from salsanext_cli.results.written_files import WrittenFiles
+from salsanext_cli.sensors.sensor import Sensor
+
+LOCK = ".pick.lock"
+LABEL_SPACE, TABLE, SHEET = "labels.yaml", "picked.csv", "picked.png"
+POSES, CALIBRATION = "poses.txt", "calib.txt"
+COPIED_COLUMNS = ((), ("x", "y", "z", "intensity"))
+"""Columns of `.bin` files that are copied."""
+
+log = logging.getLogger(__name__)
+
+
+class ScanPaths(NamedTuple):
+    """Files of a picked scan: `.bin`, `.label` and coloured `.ply`."""
+
+    points: Path
+    labels: Path
+    cloud: Path
+
+
+@dataclass(frozen=True, slots=True)
+class PickedDataSet:
+    """Folder of a data set of picked scans.
+
+    Attributes
+    ----------
+    out : Path
+        Its root.
+    """
+
+    out: Path
+
+    def paths(self, sequence: str, stem: str) -> ScanPaths:
+        """Return where the files of a scan lie."""
+        cloud = output_path(self.out, sequence, "ply", stem)
+        folder = cloud.parents[1]
+        labels = folder / "labels" / f"{stem}.label"
+        return ScanPaths(folder / SCAN_FOLDER / f"{stem}.bin", labels, cloud)
+
+    def write_missing(self, path: Path, content: bytes) -> None:
+        """Write a file of the data set, unless it is there: it may be edited."""
+        if not filled(path):
+            WrittenFiles(self.out).write(path, content)
+
+    def write_points(self, file: ScanFile, sensor: Sensor) -> None:
+        """Write a scan as `.bin`: a file that is one byte by byte, of others what they hold.
+
+        Their intensity is that of the file; bytes are divided by 255.
+        """
+        if scan_suffix(file.path.name) == ".bin" and sensor.columns in COPIED_COLUMNS:
+            with reading(file.path) as source:
+                content = source.read()
+        else:
+            content = encode_bin(read_scan(file.path, replace(sensor, intensity_scale=1.0)))
+        self.write_missing(self.paths(file.sequence, file.stem).points, content)
+
+    def write_guesses(self, labels: Mapping[ScanFile, bytes]) -> None:
+        """Write the labels of scans that the network guessed, and record that they are guesses.
+
+        It is recorded first: in a run that is cut off nothing passes for labels of a person.
+        """
+        paths = {file: self.paths(file.sequence, file.stem).labels for file in labels}
+        missing = {file: content for file, content in labels.items() if not filled(paths[file])}
+        if not missing:
+            return
+        if (record := self._record()) is None:
+            remedy = "run again"
+            raise OutputError(self.out / PICKED, "was removed during the run", remedy=remedy)
+        digests = {name_of(file): hashlib.sha256(missing[file]).hexdigest() for file in missing}
+        guesses = dict(sorted({**record.guesses, **digests}.items()))
+        self._write_record(replace(record, guesses=guesses))
+        for file, content in missing.items():
+            self.write_missing(paths[file], content)
+
+    def write_label_space(self, space: LabelSpace, picked: Iterable[PickedScan]) -> None:
+        """Write the classes; all sequences are those for training."""
+        sequences = tuple(sorted({each.sequence for each in picked}))
+        splits: dict[str, tuple[str, ...]] = {"train": sequences, "valid": (), "test": ()}
+        described = replace(space, splits=splits).to_dict()
+        # Names of folders may be no text, which yaml can escape.
+        text = yaml.safe_dump(described, sort_keys=False, allow_unicode=False)
+        self.write_missing(self.out / LABEL_SPACE, text.encode())
+
+    def write_poses(self, scans: Iterable[ScanFile]) -> None:
+        """Write poses and calibration of the sequences of picked scans, where they are known."""
+        ordered = sorted(scans, key=lambda scan: (scan.sequence, scan.stem))
+        for name, group in groupby(ordered, lambda scan: scan.sequence):
+            picked, folder = list(group), self.out / "sequences" / name
+            source = picked[0].path.parent
+            if source.name == SCAN_FOLDER:
+                self._copy_poses(source, folder / POSES, [scan.stem for scan in picked])
+                if present(source.with_name(CALIBRATION)):
+                    with reading(source.with_name(CALIBRATION)) as file:
+                        self.write_missing(folder / CALIBRATION, file.read())
+
+    def _copy_poses(self, source: Path, target: Path, picked: Sequence[str]) -> None:
+        poses = source.with_name(POSES)
+        if present(poses):
+            try:
+                stems = [scan.stem for scan in find_scans(source)]
+                self.write_missing(target, pose_lines(poses, stems, picked))
+            except (FormatError, OutputError) as error:
+                log.warning("%s; poses are left out", error)
+
+    def is_complete(self, record: PickRecord) -> bool:
+        """Say whether all files are there, but for poses and calibration, which may be unknown."""
+        files = [self.out / name for name in (LABEL_SPACE, TABLE, SHEET)]
+        files += [path for each in record.picked for path in self.paths(each.sequence, each.scan)]
+        return all(map(filled, files))
+
+    @contextmanager
+    def alone(self) -> Iterator[None]:
+        """Let no other run write into the folder while the body does; sweep up after workers."""
+        with locked(self.out / LOCK, stage=STAGE):
+            try:
+                yield
+            finally:
+                for folder in self.out.glob("sequences/*/*/"):
+                    sweep(folder, MARK.get())
+
+    def require_apart(self, scans: Iterable[ScanFile]) -> None:
+        """Raise `UsageError` if the folder holds the scans to choose from."""
+        out, folders = self.out.resolve(), {scan.path.parent.resolve() for scan in scans}
+        if any(out in (folder, *folder.parents) for folder in folders):
+            found = f"{self.out} holds the scans to choose from"
+            raise UsageError("OUT", found, "another folder, for those that are picked")
+
+    def earlier(self, settings: Mapping[str, Any], *, overwrite: bool) -> PickRecord | None:
+        """Return the record of an earlier run with the same settings; None to begin anew.
+
+        Raises
+        ------
+        OutputError
+            If the folder holds something else, or a pick with other settings that may not be
+            replaced or was changed since.
+        """
+        record = self._record()
+        if record is None:
+            there = self.out.iterdir() if self.out.is_dir() else ()
+            if any(not path.name.startswith(".") for path in there):
+                raise OutputError(self.out, "holds something else", "a new or empty folder")
+        elif overwrite:
+            self._require_unchanged(record)
+            return None
+        else:
+            require_same_settings(self.out / PICKED, record.settings, settings)
+        return record
+
+    def begin(self, record: PickRecord) -> None:
+        """Record what is picked; remove what an earlier run wrote.
+
+        Raises
+        ------
+        OutputError
+            If some of that was changed.
+        """
+        earlier = self._record()
+        if earlier is not None:
+            self._require_unchanged(earlier)
+            WrittenFiles(self.out).remove(self._files(earlier))
+        self._write_record(record)
+
+    def _write_record(self, record: PickRecord) -> None:
+        WrittenFiles(self.out).write(self.out / PICKED, record.to_json(), durable=True)
+
+    def _record(self) -> PickRecord | None:
+        found = read_json(self.out / PICKED)
+        return None if found is None else PickRecord.from_json(found, self.out / PICKED)
+
+    def _files(self, record: PickRecord) -> list[Path]:
+        files = [self.out / name for name in (LABEL_SPACE, TABLE, SHEET)]
+        files += [path for each in record.picked for path in self.paths(each.sequence, each.scan)]
+        folders = sorted({self.out / "sequences" / each.sequence for each in record.picked})
+        return files + [folder / name for folder in folders for name in (POSES, CALIBRATION)]
+
+    def _require_unchanged(self, record: PickRecord) -> None:
+        """Refuse to replace files that are not as `pick` wrote them, and imported labels."""
+        if present(self.out / IMPORTED):
+            found = "says that labels were imported, which are kept"
+            raise OutputError(self.out / IMPORTED, found, remedy="choose another folder")
+        changed = WrittenFiles(self.out).others(self._files(record))
+        for each in record.picked:
+            labels, guess = (
+                self.paths(each.sequence, each.scan).labels,
+                record.guesses.get(each.name),
+            )
+            # Other commands write labels too, and those are no guesses any more.
+            if guess and present(labels) and digest_of_file(labels) != guess:
+                changed.append(labels)
+        for path in changed:
+            found = f"was changed, or not written by `{STAGE}`, and is kept"
+            raise OutputError(path, found, remedy="move it, or choose another folder")

@@ -1,0 +1,277 @@
+# SPDX-License-Identifier: MIT
+"""Layout of scans, labels and results: the folders of SemanticKITTI, and plain ones."""
+
+import os
+from collections.abc import Collection, Iterable, Iterator
+from dataclasses import dataclass
+from itertools import groupby
+from pathlib import Path
+
+from salsanext_cli.errors import NoInputError, OutputError
+from salsanext_cli.files.reading import is_folder, present, reason
+from salsanext_cli.formats import CLOUD_SUFFIXES, TABLE_SUFFIXES, scan_suffix
+from salsanext_cli.formats.recordings.address import (
+    recording_of,
+    sequence_of,
+)
+from salsanext_cli.formats.recordings.recorded_scans import recorded_paths
+from salsanext_cli.results.scan_folders import (
+    is_own_table,
+    names_in,
+    nothing_in,
+    require_known,
+    suffixes_of_scans,
+)
+
+UNCERTAINTY = ("error", "epistemic", "aleatoric", "total", "entropy", "mutual_information")
+"""The kinds of uncertainty that stages may have written; "error" is a probability."""
+ERROR = "uncertainty/error"
+"""Folder of the probability that a label is wrong."""
+COLOURINGS = ("label", "truth", "wrong", "intensity", "range", *UNCERTAINTY)
+"""Values that point clouds may be coloured by."""
+SUFFIX_OF_FOLDER = {
+    "range": ".npy",
+    "pixels": ".npy",
+    "pixel_labels": ".npy",
+    "predictions": ".label",
+    "probabilities": ".npy",
+    **{f"uncertainty/{kind}": ".npy" for kind in UNCERTAINTY},
+    "pictures": ".png",
+    "ply": ".ply",
+    "las": ".las",
+    "laz": ".laz",
+    **{f"{form}/{name}": f".{form}" for form in ("ply", "las", "laz") for name in COLOURINGS},
+}
+"""Folders of a sequence in an output folder, and the suffix of the files in each."""
+
+SCAN_FOLDER = "velodyne"
+
+
+@dataclass(frozen=True, slots=True)
+class ScanFile:
+    """One scan on disk.
+
+    Attributes
+    ----------
+    sequence : str
+        Name of the sequence it belongs to.
+    stem : str
+        File name without suffix; unique within the sequence.
+    path : Path
+        The file, absolute; of a scan in a recording, the recording with topic and time.
+    """
+
+    sequence: str
+    stem: str
+    path: Path
+
+    @property
+    def label_path(self) -> Path:
+        """Path of the labels of this scan; the file may not exist."""
+        name = f"{self.stem}.label"
+        folder = self.path.parent
+        if folder.name == SCAN_FOLDER:
+            return folder.parent / "labels" / name
+        nested = folder / "labels" / name
+        return nested if present(nested) else folder / name
+
+
+def find_scans(source: Path, sequences: Collection[str] | None = None) -> list[ScanFile]:
+    """Find scans, sorted by sequence and stem.
+
+    Parameters
+    ----------
+    source : Path
+        A scan, a folder of scans, a sequence folder (holding ``velodyne/``), a data set root
+        (holding ``sequences/``), or that ``sequences`` folder itself. Hidden files are left out.
+        Files of `TABLE_SUFFIXES` are scans only in a folder without others. A recording, or a topic
+        in it.
+    sequences : collection of str, optional
+        Names of the sequences wanted; "8" also means "08".
+
+    Raises
+    ------
+    NoInputError
+        If the source does not exist or holds no scans, or a wanted sequence is missing.
+    OutputError
+        If two scans of a sequence have one stem, so that their results would overwrite each other.
+    """
+    try:
+        if not source.is_dir() and recording_of(_absolute(source)) is None:
+            require_known(source)
+        found = _scans_of(_absolute(source))
+        scans = sorted(found, key=lambda scan: (scan.sequence, scan.stem, scan.path.name))
+        others = names_in(source) if not scans and source.is_dir() else []
+    except OSError as error:
+        raise NoInputError(source, reason(error), "a scan or a folder of scans") from error
+    if not scans:
+        raise nothing_in(source, [source / name for name in others])
+    if sequences is not None:
+        scans = of_sequences(scans, sequences, source)
+    _require_unique_stems(scans)
+    return scans
+
+
+def _absolute(path: Path) -> Path:
+    """Make a path absolute; names stay as typed unless ``..`` makes following links necessary."""
+    # Path.resolve() fails at a link to itself, which is for the reader of that scan to refuse.
+    return Path(os.path.realpath(path)) if ".." in path.parts else path.absolute()
+
+
+def _scans_of(path: Path) -> Iterator[ScanFile]:
+    if recording := recording_of(path):
+        for scan in recorded_paths(path):
+            yield ScanFile(sequence_of(recording), scan.name, scan)
+    elif not path.is_dir():
+        path.stat()
+        if suffix := scan_suffix(path.name):
+            yield ScanFile(_sequence_of(path.parent), path.name[: -len(suffix)], path)
+    else:
+        # What holds no scans hides none: `sequences` may be of results beside them.
+        yield from (
+            [*_scans_of_sequences(path / "sequences")]
+            or [*_scans_in(path / SCAN_FOLDER)]
+            or _scans_at(path)
+        )
+
+
+def require_none_hidden(root: Path) -> None:
+    """Refuse to write sequences with scans into a folder in which other scans are found.
+
+    Raises
+    ------
+    OutputError
+        If these would not be found beside ``sequences`` any more.
+    """
+    place = _absolute(root)
+    first = next(_scans_of(place), None) if place.is_dir() else None
+    if first is None or scan_suffix(first.path.name) in TABLE_SUFFIXES:
+        return
+    if place / "sequences" not in first.path.parents:
+        found = f"holds scans, such as {first.path.name}, which `sequences` there would hide"
+        remedy = "give another, such as data/"
+        raise OutputError(root, found, "an output folder of its own", remedy)
+
+
+def _scans_at(path: Path) -> list[ScanFile]:
+    """Return the scans in a folder itself, else in folders of sequences."""
+    scans = [*_scans_in(path)]
+    clouds = any(scan_suffix(scan.path.name) in CLOUD_SUFFIXES for scan in scans[:1])
+    # Tables beside the folders of sequences are something else.
+    return scans if clouds else [*_scans_of_sequences(path)] or scans
+
+
+def _scans_of_sequences(folder: Path) -> Iterator[ScanFile]:
+    if not folder.is_dir():
+        return
+    with os.scandir(folder) as entries:
+        names = [e.name for e in entries if not e.name.startswith(".") and is_folder(e)]
+    for name in names:
+        yield from _scans_in(folder / name / SCAN_FOLDER)
+
+
+def _scans_in(folder: Path) -> Iterator[ScanFile]:
+    names = names_in(folder) if folder.is_dir() else []
+    suffix_of = {name: scan_suffix(name) for name in names if not is_own_table(folder / name)}
+    suffixes, sequence = suffixes_of_scans({*suffix_of.values()}), _sequence_of(folder)
+    for name, suffix in suffix_of.items():
+        if suffix in suffixes:
+            yield ScanFile(sequence, name[: -len(suffix)], folder / name)
+
+
+def _sequence_of(folder: Path) -> str:
+    """Name the sequence of a folder of scans; at the top of a disk a folder has no parent name."""
+    named = folder.parent.name if folder.name == SCAN_FOLDER else ""
+    return named or folder.name or "scans"
+
+
+def of_sequences(
+    scans: list[ScanFile], sequences: Collection[str], source: object
+) -> list[ScanFile]:
+    """Choose the scans of some sequences; "8" also means "08".
+
+    Raises
+    ------
+    NoInputError
+        If one of the sequences has no scans; `source` is named.
+    """
+    existing = {scan.sequence for scan in scans}
+    chosen: set[str] = set()
+    for name in sequences:
+        matches = {name} & existing or {
+            e for e in existing if _number(e) == _number(name) is not None
+        }
+        if not matches:
+            raise NoInputError(
+                source,
+                f"no scans of sequence {name}",
+                f"one of {', '.join(sorted(existing))}",
+            )
+        chosen |= matches
+    return [scan for scan in scans if scan.sequence in chosen]
+
+
+def _number(sequence: str) -> int | None:
+    return int(sequence) if sequence.isdecimal() else None
+
+
+def _require_unique_stems(scans: list[ScanFile]) -> None:
+    for (sequence, stem), group in groupby(scans, lambda scan: (scan.sequence, scan.stem)):
+        paths = [scan.path for scan in group]
+        if len(paths) > 1:
+            raise OutputError(
+                f"{sequence}/{stem}",
+                f"{len(paths)} scans of that name: {', '.join(map(str, paths))}",
+                "one, so that results do not overwrite each other",
+                "move or rename the others",
+            )
+
+
+def output_path(out: Path, sequence: str, folder: str, stem: str) -> Path:
+    """Return where a stage keeps the result of one scan.
+
+    Parameters
+    ----------
+    out : Path
+        The output folder.
+    sequence, stem : str
+        Of the scan.
+    folder : str
+        A key of `SUFFIX_OF_FOLDER`.
+
+    Raises
+    ------
+    OutputError
+        If a name would lead out of the output folder.
+    """
+    for name in (sequence, stem):
+        if name in ("", ".", "..") or "\0" in name or Path(name).name != name:
+            raise OutputError(repr(name), "cannot name a file", "a plain name without slashes")
+    return out / "sequences" / sequence / folder / f"{stem}{SUFFIX_OF_FOLDER[folder]}"
+
+
+def find_outputs(out: Path, folder: str) -> dict[tuple[str, str], Path]:
+    """Return the results in one folder of every sequence by sequence and stem, sorted.
+
+    Parameters
+    ----------
+    out : Path
+        The output folder; nothing is found where it does not exist.
+    folder : str
+        A key of `SUFFIX_OF_FOLDER`.
+    """
+    if not present(out / "sequences"):
+        return {}
+    suffix = SUFFIX_OF_FOLDER[folder]
+    found = {
+        (sequence.name, path.name.removesuffix(suffix)): path
+        for sequence in (out / "sequences").glob("*")
+        for path in (sequence / folder).glob(f"[!.]*{suffix}")
+    }
+    return dict(sorted(found.items()))
+
+
+def with_outputs(scans: Iterable[ScanFile], out: Path, *folders: str) -> list[ScanFile]:
+    """Return those scans that have a result in one of some folders of an output folder."""
+    found = {key for name in folders for key in find_outputs(out, name)}
+    return [scan for scan in scans if (scan.sequence, scan.stem) in found]

@@ -1,0 +1,206 @@
+# SPDX-License-Identifier: MIT
+"""Selection of the scans that a stage works on, and their label space."""
+
+import logging
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cache
+from pathlib import Path
+from typing import TypeVar
+
+import numpy as np
+
+from salsanext_cli.classes.label_space import LabelSpace, label_space
+from salsanext_cli.classes.merging import ClassMerging, is_merged
+from salsanext_cli.errors import NoInputError, UsageError
+from salsanext_cli.files.reading import is_folder, present
+from salsanext_cli.formats.recordings.address import recording_of
+from salsanext_cli.results.layout import SCAN_FOLDER, ScanFile, find_scans, of_sequences
+from salsanext_cli.results.scan_folders import log_passed_over
+
+LABEL_SPACE_FILES = ("labels.yaml", "semantic-kitti.yaml")
+"""Names, in the root of a data set, of the file that describes its label space."""
+
+log = logging.getLogger(__name__)
+Item = TypeVar("Item")
+
+
+@dataclass(frozen=True, slots=True)
+class ScanSelection:
+    """Selection among the scans that are found.
+
+    Attributes
+    ----------
+    split : str, optional
+        A split of the label space: only its sequences.
+    sequences : tuple of str
+        Names of sequences; empty for all.
+    limit : int, optional
+        At most so many scans, the first ones.
+    """
+
+    split: str | None = None
+    sequences: tuple[str, ...] = ()
+    limit: int | None = None
+
+    def __post_init__(self) -> None:
+        if self.split is not None and self.sequences:
+            raise UsageError("--split and --sequences", "both given", "one of them")
+        if self.limit is not None and self.limit < 1:
+            raise UsageError("--limit", str(self.limit), "at least 1")
+
+
+def scans_of(source: Path) -> list[ScanFile]:
+    """Find all scans of a source, as `layout.find_scans`; log what lies beside them."""
+    scans = find_scans(source)
+    if is_folder(source) and recording_of(scans[0].path) is None:
+        folders = {path.parent for path in {scan.sequence: scan.path for scan in scans}.values()}
+        log_passed_over(source, sorted(folders), {scan.path.name for scan in scans})
+    return scans
+
+
+def select_scans(
+    source: Path, selection: ScanSelection, space: LabelSpace | None = None
+) -> list[ScanFile]:
+    """Find the scans of a source and choose among them.
+
+    Parameters
+    ----------
+    source : Path
+        What `layout.find_scans` takes.
+    selection : ScanSelection
+        Split, sequences and limit.
+    space : LabelSpace, optional
+        Whose splits count if the source does not bring its own label space.
+
+    Raises
+    ------
+    NoInputError
+        If nothing is left.
+    UsageError
+        If the split does not exist.
+    """
+    scans = scans_of(source)
+    return choose(scans, selection, space_of(scans, space), source)
+
+
+def choose(
+    scans: list[ScanFile], selection: ScanSelection, space: LabelSpace, source: object
+) -> list[ScanFile]:
+    """Choose among scans by sequences, split and limit.
+
+    A split cannot choose where no split names any of the sequences, as in a folder of one's own:
+    then all stay, and a warning says so.
+
+    Raises
+    ------
+    NoInputError
+        If nothing is left; `source` is named.
+    UsageError
+        If the split does not exist.
+    """
+    if selection.sequences:
+        scans = of_sequences(scans, selection.sequences, source)
+    if selection.split is not None:
+        scans = _of_split(scans, selection.split, space, source)
+    return scans[: selection.limit]
+
+
+def _of_split(
+    scans: list[ScanFile], split: str, space: LabelSpace, source: object
+) -> list[ScanFile]:
+    space = with_splits(space, data_set_of(scans[0]) if scans else None)
+    members = space.split(split)
+    chosen = [scan for scan in scans if scan.sequence in members]
+    if chosen:
+        return chosen
+    found = sorted({scan.sequence for scan in scans})
+    if any(space.split_of(sequence) for sequence in found):
+        raise NoInputError(
+            source,
+            f"no scans of split {split} ({', '.join(members) or 'no sequences'})",
+            f"some besides {', '.join(found)}",
+            "choose with --split or --sequences",
+        )
+    log.warning("no split names %s: taking all", ", ".join(found))
+    return scans
+
+
+def data_set_of(scan: ScanFile) -> Path | None:
+    """Return the root of the data set that a scan lies in, None for a folder of one's own."""
+    folder = scan.path.parent
+    inside = folder.name == SCAN_FOLDER and folder.parent.parent.name == "sequences"
+    return folder.parents[2] if inside else None
+
+
+def data_set_label_space(root: Path) -> LabelSpace | None:
+    """Return the label space that a data set describes in its root, None if it does not."""
+    for name in LABEL_SPACE_FILES:
+        if present(root / name):
+            return label_space(root / name)
+    return None
+
+
+def with_splits(space: LabelSpace, root: Path | None = None) -> LabelSpace:
+    """Return a label space that has splits: its own, else the data set's, else SemanticKITTI's.
+
+    The data set describes them in its root, which is read only if it is needed.
+    """
+    if space.splits:
+        return space
+    own = data_set_label_space(root) if root else None
+    return replace(space, splits=(own and own.splits) or label_space().splits)
+
+
+def completed(space: LabelSpace, root: Path) -> LabelSpace:
+    """Return a label space with what it leaves to the one that a data set describes in its root.
+
+    These are the splits, if it has none, and the alternatives of classes that it merges.
+
+    Raises
+    ------
+    UsageError
+        If it has no splits and those of the data set cannot be read.
+    """
+    try:
+        own = data_set_label_space(root)
+    except UsageError as error:
+        if not space.splits:
+            raise
+        _warn_once(f"{error}: label space {space.name} is taken without it")
+        return space
+    if own is not None and is_merged(space, own):
+        space = ClassMerging.between(own, space).space
+    return replace(space, splits=space.splits or (own or space).splits or label_space().splits)
+
+
+@cache
+def _warn_once(message: str) -> None:
+    log.warning("%s", message)
+
+
+def space_of(scans: Sequence[ScanFile], fallback: LabelSpace | None = None) -> LabelSpace:
+    """Return the label space of the data set that scans lie in.
+
+    One that does not describe its own has SemanticKITTI's, with its splits and ignored classes,
+    unless the fallback, that of the weights say, has other classes.
+    """
+    root = data_set_of(scans[0]) if scans else None
+    own = data_set_label_space(root) if root else None
+    if own is not None:
+        return own
+    usual = label_space()
+    return usual if fallback is None or fallback.fits(usual) else fallback
+
+
+def evenly_spaced(files: Sequence[Item], count: int) -> list[Item]:
+    """Return `count` of the files, evenly spaced; all if `count` is 0 or there are no more."""
+    if count == 0 or count >= len(files):
+        return list(files)
+    return [files[i] for i in np.linspace(0, len(files) - 1, count).round().astype(int)]
+
+
+def select_evenly(source: Path, selection: ScanSelection, space: LabelSpace) -> list[ScanFile]:
+    """Find the scans of a selection, as `select_scans`; a limit takes evenly spaced ones."""
+    scans = select_scans(source, replace(selection, limit=None), space)
+    return evenly_spaced(scans, selection.limit or 0)

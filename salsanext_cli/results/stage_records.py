@@ -1,0 +1,286 @@
+# SPDX-License-Identifier: MIT
+"""Record of a stage in an output folder, ``OUT/<stage>.json``: settings, results and scans."""
+
+import hashlib
+import json
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from salsanext_cli.classes.label_space import LabelSpace
+from salsanext_cli.errors import OutputError, first_few, shortened
+from salsanext_cli.files.json_files import RecordedSettings, read_json, write_json
+from salsanext_cli.network.scan_digests import parted
+from salsanext_cli.results.layout import COLOURINGS, SUFFIX_OF_FOLDER
+from salsanext_cli.sensors.sensor import Sensor, sensor
+from salsanext_cli.version import __version__
+
+SHOWN_CHARACTERS_OF_VALUE = 40
+RESULT_STAGES = (
+    *("project", "predict", "knn-refine", "uncertainty", "picture", "export-ply"),
+    *(f"export-ply-{colour}" for colour in COLOURINGS),
+)
+
+
+@dataclass(frozen=True, slots=True)
+class ScanSource:
+    """Scans of one sequence that a stage worked on.
+
+    Attributes
+    ----------
+    folder : str
+        Where they lie, absolute.
+    stems : frozenset of str
+        Those that the stage was asked for in any of its runs, done or failed.
+    """
+
+    folder: str
+    stems: frozenset[str]
+
+
+@dataclass(frozen=True, slots=True)
+class StageRecord:
+    """Record of the runs of a stage, all with the same settings.
+
+    Attributes
+    ----------
+    stage : str
+        Its name on the command line.
+    settings : dict
+        Resolved settings that decide what the results are, as JSON gives them back.
+    folders : tuple of str
+        Folders of results that the stage fills, keys of `SUFFIX_OF_FOLDER`.
+    scans : dict of str to ScanSource
+        By sequence; empty for a stage that works on what earlier ones recorded.
+    kept : frozenset of str
+        Results of other settings or origin that were not removed, as paths below the folder.
+    """
+
+    stage: str
+    settings: dict[str, Any]
+    folders: tuple[str, ...] = ()
+    scans: dict[str, ScanSource] = field(default_factory=dict)
+    kept: frozenset[str] = frozenset()
+
+    def write(self, out: Path) -> None:
+        """Write the record into an output folder, durably."""
+        scans = {
+            sequence: {"folder": source.folder, "asked_for": sorted(source.stems)}
+            for sequence, source in sorted(self.scans.items())
+        }
+        written = {"stage": self.stage, "version": __version__, "settings": self.settings}
+        record = written | {"writes": list(self.folders), "scans": scans}
+        if self.kept:
+            record["kept"] = sorted(self.kept)
+        write_json(out / f"{self.stage}.json", record)
+
+
+def read_record(out: Path, stage: str) -> StageRecord | None:
+    """Read the record of a stage, None if it did not run in this output folder.
+
+    Raises
+    ------
+    OutputError
+        If the record is damaged.
+    """
+    path = out / f"{stage}.json"
+    found = read_json(path)
+    if found is None:
+        return None
+    try:
+        settings, folders = found["settings"], tuple(found["writes"])
+        if not isinstance(settings, dict) or not all(f in SUFFIX_OF_FOLDER for f in folders):
+            raise TypeError
+        scans = {name: _scan_source(entry) for name, entry in found.get("scans", {}).items()}
+        kept = frozenset(
+            out.joinpath(name).relative_to(out).as_posix() for name in found.get("kept", ())
+        )
+        return StageRecord(stage, settings, folders, scans, kept)
+    except (TypeError, KeyError, AttributeError) as error:
+        remedy = "delete it or use another folder"
+        raise OutputError(path, f"not what `{stage}` writes", remedy=remedy) from error
+
+
+def _scan_source(entry: dict[str, Any]) -> ScanSource:
+    folder, stems = entry["folder"], entry["asked_for"]
+    if not isinstance(folder, str) or "\0" in folder or not isinstance(stems, list):
+        raise TypeError
+    if not all(isinstance(stem, str) for stem in stems):
+        raise TypeError
+    return ScanSource(folder, frozenset(stems))
+
+
+def read_records(out: Path) -> dict[str, StageRecord]:
+    """Read the records of all stages that ran in an output folder, by stage."""
+    records = {stage: read_record(out, stage) for stage in RESULT_STAGES}
+    return {stage: record for stage, record in records.items() if record is not None}
+
+
+def stage_settings(out: Path, stage: str) -> RecordedSettings | None:
+    """Return the settings a stage ran with in this output folder, None if it did not."""
+    record = read_record(out, stage)
+    return RecordedSettings(record.settings, out / f"{stage}.json") if record else None
+
+
+def owner(out: Path, folder: str) -> str | None:
+    """Return the stage that writes a folder of results in this output folder, if any does."""
+    records = read_records(out)
+    return next((stage for stage, record in records.items() if folder in record.folders), None)
+
+
+def settings_of(out: Path, folder: str) -> RecordedSettings | None:
+    """Return the settings behind a folder of results, None if no stage recorded them."""
+    stage = owner(out, folder)
+    return stage_settings(out, stage) if stage else None
+
+
+def origins(out: Path, stages: Iterable[str]) -> dict[str, str]:
+    """Return a digest of the settings of each of the stages that ran in this output folder.
+
+    A stage that reads their results records it, so as not to keep what it made of older ones.
+    """
+    settings = {stage: stage_settings(out, stage) for stage in stages}
+    return {
+        stage: hashlib.sha256(json.dumps(values, sort_keys=True).encode()).hexdigest()[:12]
+        for stage, values in settings.items()
+        if values is not None
+    }
+
+
+def recorded_label_space(out: Path, *folders: str) -> LabelSpace | None:
+    """Return the label space of results in an output folder, if a stage recorded one.
+
+    It is that of the first of the folders that a stage fills; of the predictions by default.
+    """
+    found = (settings_of(out, folder) for folder in folders or ("predictions", "pixel_labels"))
+    settings = next((each for each in found if each), None)
+    if settings is None:
+        return None
+    return LabelSpace.from_dict(settings.table("label_space"), settings.path)
+
+
+def recorded_weights(out: Path, folder: str) -> str | None:
+    """Return the SHA-256 of the weights behind a folder of results, None if none is recorded.
+
+    Of weights that were adapted to the scans, it is that of the adapted ones.
+    """
+    settings = _settings_of_network(out, folder)
+    found = settings.get("adapted", settings.get("weights"))
+    return None if found is None else str(found)
+
+
+def scans_trained_on(out: Path) -> frozenset[str]:
+    """Return the digests of the scans that the weights behind the predictions were trained on.
+
+    Raises
+    ------
+    OutputError
+        If the record is damaged.
+    """
+    try:
+        return frozenset(parted(_settings_of_network(out, "predictions").get("trained_on", "")))
+    except ValueError as error:
+        found = f"its record holds {error} under trained_on"
+        raise OutputError(out, found, remedy="use another folder") from error
+
+
+def _settings_of_network(out: Path, folder: str) -> Mapping[str, Any]:
+    """Return the settings of the stage that computed what a folder of results is made of."""
+    settings: Mapping[str, Any] = settings_of(out, folder) or {}
+    if owner(out, folder) == "knn-refine" and settings.get("labels") is None:
+        return _settings_of_network(out, "pixel_labels")
+    return settings
+
+
+def recorded_sensor(out: Path) -> Sensor:
+    """Return the sensor that labels in an output folder were made through; else the HDL-64."""
+    return known_sensor(out) or sensor("hdl64")
+
+
+def known_sensor(out: Path) -> Sensor | None:
+    """Return the sensor that results in an output folder were made through, if one is recorded."""
+    for folder in ("pixel_labels", "predictions", "uncertainty/epistemic", "range"):
+        if (settings := settings_of(out, folder)) is not None:
+            return Sensor.from_dict(settings.table("sensor"), settings.path)
+    return None
+
+
+def earlier_settings(out: Path, weights: str | None, overwrite: bool) -> RecordedSettings | None:
+    """Return the settings of labels or uncertainties that were made with these weights, if any."""
+    for stage in () if overwrite else ("predict", "uncertainty"):
+        settings = stage_settings(out, stage)
+        if settings is not None and settings.get("weights") == weights:
+            return settings
+    return None
+
+
+def as_json(settings: Any) -> Any:
+    """Return settings as they are read back: lists for tuples, strings for keys."""
+    # JSON has no number for an infinite cutoff.
+    return json.loads(json.dumps(settings), parse_constant=str)
+
+
+def require_same_settings(
+    path: Path, recorded: Mapping[str, Any], settings: Mapping[str, Any]
+) -> None:
+    """Refuse to mix or to replace what was made with other settings, and say which."""
+    if recorded != settings:
+        found = f"made with other settings: {_differences(recorded, settings)}"
+        remedy = "use another output folder, or --overwrite to replace all its results"
+        raise OutputError(path, found, remedy=remedy)
+
+
+def _differences(recorded: Mapping[str, Any], settings: Mapping[str, Any]) -> str:
+    """Name what differs, key by key, and how."""
+    before, after = _flat(recorded), _flat(settings)
+    changed = sorted(k for k in before.keys() | after if before.get(k) != after.get(k))
+    shown = [_difference(key, before.get(key), after.get(key)) for key in changed]
+    return first_few(shown)
+
+
+def _difference(key: str, before: Any, after: Any) -> str:
+    """Say how a setting differs.
+
+    Origins are named without their digests, label spaces by their classes, long lists by the
+    first value that differs, or their length.
+    """
+    if key == "sensor.intensity_quantiles":
+        was, now = _intensity(before), _intensity(after)
+        now = "matched to other scans" if now == was else now
+        return f"intensity was {was} and is {now} (--intensity)"
+    if key.startswith("origins."):
+        return f"what `{key.removeprefix('origins.')}` made was made anew"
+    if isinstance(before, dict) and isinstance(after, dict):
+        old, new = (LabelSpace.from_dict(space, key) for space in (before, after))
+        return f"{key} ({first_few(old.differences(new))})"
+    lists = isinstance(before, list) and isinstance(after, list) and len(before) == len(after)
+    if lists and len(json.dumps(before)) > SHOWN_CHARACTERS_OF_VALUE:
+        pairs = enumerate(zip(before, after, strict=True))
+        place, (before, after) = next(pair for pair in pairs if pair[1][0] != pair[1][1])
+        key = f"{key}[{place}]"
+    return f"{key} was {_as_shown(before)} and is {_as_shown(after)}"
+
+
+def _intensity(quantiles: Sequence[float] | None) -> str:
+    """Say how intensity is used with such quantiles of a sensor, which may not be set."""
+    if not quantiles:
+        return "raw"
+    return "matched" if any(quantiles) else "none"
+
+
+def _flat(settings: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
+    """Return nested settings by dotted key; a label space stays whole."""
+    flat: dict[str, Any] = {}
+    for key, value in settings.items():
+        nested = isinstance(value, dict) and key != "label_space"
+        flat |= _flat(value, f"{prefix}{key}.") if nested else {prefix + key: value}
+    return flat
+
+
+def _as_shown(value: object) -> str:
+    if value is None:
+        return "not set"
+    if isinstance(value, list) and len(json.dumps(value)) > SHOWN_CHARACTERS_OF_VALUE:
+        return f"{len(value)} values ({json.dumps(value[0])} to {json.dumps(value[-1])})"
+    return shortened(json.dumps(value, ensure_ascii=False), SHOWN_CHARACTERS_OF_VALUE)

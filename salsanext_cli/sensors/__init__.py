@@ -1,0 +1,2 @@
+# SPDX-License-Identifier: MIT
+"""Geometry of a sensor; no statistics of scans."""

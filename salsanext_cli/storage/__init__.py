@@ -1,2 +1,0 @@
-# SPDX-License-Identifier: MIT
-"""The output folder: layout, atomic writes, locks, and what a run recorded."""

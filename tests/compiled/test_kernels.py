@@ -1,0 +1,213 @@
+# SPDX-License-Identifier: MIT
+"""Kernels: slices on threads, and caches that are damaged or cannot be written."""
+
+import importlib
+import os
+import shutil
+import subprocess
+import sys
+import threading
+import time
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+
+import numba
+import numpy as np
+import pytest
+
+import salsanext_cli
+from salsanext_cli.compiled.kernels import (
+    MIN_SLICE_ITEMS,
+    KernelCache,
+    argument,
+    cache_folder,
+    compiled,
+    parallel_for_slices,
+)
+from salsanext_cli.compiled.thread_pool import run_on_threads
+
+
+@pytest.mark.parametrize("count", [0, 1, MIN_SLICE_ITEMS, 10 * MIN_SLICE_ITEMS + 3])
+def test_slices_cover_everything_once(count):
+    visits = np.zeros(count, int)
+
+    def visit(part):
+        visits[part] += 1
+
+    parallel_for_slices(visit, count)
+    assert (visits == 1).all()
+
+
+def test_arguments_are_copied_only_if_they_must_be():
+    good = np.zeros((4, 3), np.float32)
+    assert argument(good, np.float32) is good
+    frozen = good.view()
+    frozen.setflags(write=False)
+    for other in (frozen, good[:, ::2], good.astype(np.float64)):
+        flags = argument(other, np.float32).flags
+        assert flags.writeable
+        assert flags.c_contiguous
+
+
+@pytest.fixture
+def kernel(tmp_path, monkeypatch):
+    """Return what compiles a small kernel as a new process does, with a cache of its own."""
+    monkeypatch.delenv("NUMBA_CACHE_DIR", raising=False)
+    monkeypatch.setitem(vars(numba.config), "CACHE_DIR", "")
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    monkeypatch.setattr(KernelCache, "failed", False)
+    monkeypatch.syspath_prepend(tmp_path)
+    (tmp_path / "small_kernel.py").write_text("def twice(x):\n    return 2 * x\n")
+
+    def load():
+        monkeypatch.delitem(sys.modules, "small_kernel", raising=False)
+        importlib.invalidate_caches()
+        return compiled(importlib.import_module("small_kernel").twice)
+
+    return load
+
+
+def cached_in(folder):
+    return sorted(folder.rglob("*.nbc"))
+
+
+def test_a_kernel_is_kept_in_the_users_cache_folder_for_each_signature(kernel, tmp_path):
+    first = kernel()
+    assert (first(2), first(1.5)) == (4, 3.0)
+    assert len(cached_in(tmp_path)) == 2
+    assert all(path.is_relative_to(cache_folder()) for path in cached_in(tmp_path))
+    other = kernel()
+    assert (other(2), other(1.5)) == (4, 3.0)
+    assert sum(other.stats.cache_hits.values()) == 2
+    assert not list(tmp_path.rglob("*.tmp*"))
+
+
+def flip(file):
+    data = bytearray(file.read_bytes())
+    data[len(data) // 2] ^= 255
+    file.write_bytes(data)
+
+
+DAMAGES = {
+    "empty": lambda file: file.write_bytes(b""),
+    "cut": lambda file: file.write_bytes(file.read_bytes()[:-100]),
+    "flipped": flip,
+    "not ours": lambda file: file.write_bytes(b"\x80\x04N." * 99),
+    "a link to itself": lambda file: (file.unlink(), file.symlink_to(file)),
+    "a folder": lambda file: (file.unlink(), file.mkdir()),
+}
+
+
+@pytest.mark.parametrize("damage", DAMAGES)
+def test_a_damaged_cache_is_said_once_and_done_without(kernel, tmp_path, caplog, damage):
+    first = kernel()
+    assert (first(2), first(1.5)) == (4, 3.0)
+    for file in cached_in(tmp_path):
+        DAMAGES[damage](file)
+    again = kernel()
+    assert (again(2), again(1.5)) == (4, 3.0)
+    assert [record.levelname for record in caplog.records] == ["WARNING"]
+    assert "going on without the cache of compiled kernels: " in caplog.text
+    if damage != "a folder":
+        mended = kernel()
+        assert (mended(2), mended(1.5)) == (4, 3.0)
+        assert sum(mended.stats.cache_hits.values()) == 2
+
+
+def test_machine_code_of_other_source_or_signature_is_not_used(kernel, tmp_path):
+    first = kernel()
+    assert (first(2), first(1.5)) == (4, 3.0)
+    one, other = cached_in(tmp_path)
+    one.write_bytes(other.read_bytes())
+    again = kernel()
+    assert (again(2), again(1.5)) == (4, 3.0)
+    assert sum(again.stats.cache_hits.values()) == 1
+    (tmp_path / "small_kernel.py").write_text("def twice(x):\n    return x + x + 1\n")
+    assert kernel()(2) == 5
+
+
+@pytest.mark.parametrize(
+    "error", [OSError(28, "No space left on device"), PermissionError(13, "No")]
+)
+def test_a_cache_that_cannot_be_written(kernel, tmp_path, caplog, monkeypatch, error):
+    def fail(*_):
+        raise error
+
+    first = kernel()
+    monkeypatch.setattr("numba.core.caching.os.replace", fail)
+    assert (first(2), first(1.5)) == (4, 3.0)
+    assert error.strerror in caplog.text
+    assert len(caplog.records) == 1
+    assert not any(path.is_file() for path in (tmp_path / "salsanext").rglob("*"))
+
+
+def test_a_cache_folder_that_goes_away(kernel, tmp_path, caplog):
+    first = kernel()
+    shutil.rmtree(tmp_path / "salsanext")
+    (tmp_path / "salsanext").touch()
+    assert first(2) == 4
+    assert len(caplog.records) == 1
+
+
+def test_processes_that_write_at_once(kernel, tmp_path):
+    """Each compiles two signatures in another order; afterwards both can be loaded."""
+    code = (
+        "import sys; from small_kernel import twice\n"
+        "from salsanext_cli.compiled.kernels import compiled\n"
+        "kernel, values = compiled(twice), [2, 1.5][:: int(sys.argv[1])]\n"
+        "assert [repr(kernel(x)) for x in values] == [repr(2 * x) for x in values]\n"
+        "print(sum(kernel.stats.cache_hits.values()))"
+    )
+    path = os.pathsep.join(map(str, (tmp_path, Path(salsanext_cli.__file__).parents[1])))
+    pipes = {"env": os.environ | {"PYTHONPATH": path}, "stdout": subprocess.PIPE, "text": True}
+    commands = [[sys.executable, "-c", code, order] for order in ("1", "-1", "1")]
+    started = [subprocess.Popen(command, **pipes) for command in commands]
+    for process in started:
+        process.communicate(timeout=120)
+        assert process.returncode == 0
+    last = subprocess.run(commands[0], **pipes, check=True, timeout=120)
+    assert last.stdout == "2\n"
+
+
+def test_works_where_nothing_can_be_cached(kernel, tmp_path, monkeypatch, caplog):
+    """A file stands where the cache folder would be, beside the source and in the home."""
+    for name in ("home", "__pycache__"):
+        (tmp_path / name).touch()
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "home"))
+    assert [kernel()(2), kernel()(1.5)] == [4, 3.0]
+    assert "no locator available" in caplog.text
+    assert len(caplog.records) == 1
+
+
+def test_without_a_home_there_is_no_cache_folder(monkeypatch):
+    monkeypatch.delenv("XDG_CACHE_HOME", raising=False)
+    monkeypatch.setattr(Path, "home", lambda: (_ for _ in ()).throw(RuntimeError("no home")))
+    assert cache_folder() == ""
+    # What other programs compile is kept elsewhere.
+    assert "salsanext" not in numba.config.CACHE_DIR
+
+
+def test_an_error_of_any_thread_is_raised_after_all_are_done():
+    together, arrived, done = threading.Barrier(3, timeout=10), iter(range(3)), []
+
+    def work():
+        together.wait()
+        if next(arrived) == 1:
+            raise ValueError("no")
+        time.sleep(0.05)
+        done.append(1)
+
+    with pytest.raises(ValueError, match="no"):
+        run_on_threads(work, 3)
+    assert len(done) == 2
+
+
+def test_calls_on_busy_threads_are_cancelled(monkeypatch):
+    busy = ThreadPoolExecutor(1)
+    free = threading.Event()
+    busy.submit(free.wait, 10)
+    monkeypatch.setattr("salsanext_cli.compiled.thread_pool._pool", lambda _: busy)
+    calls = []
+    run_on_threads(lambda: calls.append(1), 3)
+    assert calls == [1]
+    free.set()

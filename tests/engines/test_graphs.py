@@ -1,0 +1,171 @@
+# SPDX-License-Identifier: MIT
+"""Graphs for OpenVINO compute what the torch modules do that they were made from."""
+
+import os
+import subprocess
+import sys
+import time
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import suppress
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from architectures import EACH
+from torch import nn
+
+from salsanext_cli.engines.device import has_bfloat16
+from salsanext_cli.engines.graphs import compiled_graph, converted
+from salsanext_cli.engines.torch_engine import in_precision
+from salsanext_cli.files import user_cache
+from salsanext_cli.network.registry import build
+
+SIZE = (1, 5, 19, 70)
+
+
+def network(name):
+    """Return a network whose batch norms have statistics of their own."""
+    with torch.random.fork_rng():
+        torch.manual_seed(3)
+        module = build({"name": name, "class_count": 20, "dropout": 0.2})
+        for layer in module.modules():
+            if isinstance(layer, torch.nn.BatchNorm2d):
+                layer.running_mean.normal_(std=0.1)
+                layer.running_var.uniform_(0.5, 1.5)
+    return module.eval()
+
+
+def images(*size):
+    return torch.randn(*size, generator=torch.Generator().manual_seed(4))
+
+
+@pytest.fixture(autouse=True)
+def own_cache(tmp_path, monkeypatch):
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    monkeypatch.setattr(user_cache, "_said", [])
+
+
+def compiled(module, x, **options):
+    return compiled_graph(
+        lambda: converted(module, lambda m, image: m(image), [x]), "test", **options
+    )
+
+
+@pytest.mark.parametrize("name", EACH)
+def test_every_architecture_in_float32(name):
+    module, x = network(name), images(*SIZE)
+    (found,) = compiled(module, x)(x.numpy())
+    with torch.inference_mode():
+        expected = module.double()(x.double()).numpy()
+    assert found.dtype == np.float32
+    assert np.abs(found - expected).max() < 1e-4 * np.abs(expected).max()
+
+
+@pytest.mark.skipif(not has_bfloat16(), reason="a CPU without bfloat16")
+@pytest.mark.parametrize("name", ["salsanext", "rangenet53"])
+def test_ends_stay_float32_when_the_rest_is_short(name):
+    """By OpenVINO and by torch; a range that was rounded would be metres away."""
+    module, x = network(name), images(1, 5, 16, 64)
+    short = compiled(module, x, precision="bfloat16")
+    with torch.inference_mode():
+        by_torch = in_precision(module, torch.bfloat16)(x)
+        expected = module(x).numpy()
+    for found in (short(x.numpy())[0], by_torch.numpy()):
+        assert found.dtype == np.float32
+        error = np.abs(found - expected).mean() / np.abs(expected).mean()
+        assert 1e-5 < error < 0.03
+    precisions = {
+        str(layer.get_friendly_name()): layer.get_rt_info()["runtimePrecision"].astype(str)
+        for layer in short.compiled.get_runtime_model().get_ordered_ops()
+        if layer.get_rt_info()["layerType"].astype(str) == "Convolution"
+    }
+    assert set(precisions.values()) == {"f32", "bf16"}
+    assert {p for name, p in precisions.items() if ".logits/" in name} == {"f32"}
+    assert {p.dtype for p in module.parameters()} == {torch.float32}
+
+
+@pytest.mark.parametrize("precision", ["float32", "bfloat16"])
+def test_the_bits_do_not_depend_on_threads_or_streams(precision):
+    if precision == "bfloat16" and not has_bfloat16():
+        pytest.skip("a CPU without bfloat16")
+    module, x = network("salsanext"), images(1, 5, 32, 96)
+    others = [images(1, 5, 32, 96).flip(axis).numpy() for axis in (2, 3)]
+    (expected,) = compiled(module, x, precision=precision)(x.numpy())
+    for threads, streams in ((2, 1), (2, 2), (3, 3)):
+        run = compiled(module, x, precision=precision, threads=threads, streams=streams)
+        assert np.array_equal(run(x.numpy())[0], expected)
+        found = run.each([[image] for image in (others[0], x.numpy(), others[1])] * 3)
+        assert [np.array_equal(outputs[0], expected) for outputs in found] == [
+            False,
+            True,
+            False,
+        ] * 3
+
+
+@pytest.mark.parametrize(("threads", "streams"), [(1, 1), (2, 2)])
+@pytest.mark.skipif(not Path("/proc/self/task").is_dir(), reason="a system without these files")
+def test_computing_threads_are_not_bound_to_cores(threads, streams):
+    """Workers with one thread each would all be bound to the first core."""
+    if len(cores := os.sched_getaffinity(0)) < 2:
+        pytest.skip("a single core")
+    tasks = Path("/proc/self/task")
+    before = {task.name for task in tasks.iterdir()}
+    x = images(1, 5, 32, 512)
+    run = compiled(network("salsanext"), x, threads=threads, streams=streams)
+    found = []
+    with ThreadPoolExecutor(1) as pool:
+        computing = pool.submit(run.each, [[x.numpy()]] * 5)
+        while not computing.done():
+            for task in {task.name for task in tasks.iterdir()} - before:
+                with suppress(ProcessLookupError):  # it has just ended
+                    found.append(os.sched_getaffinity(int(task)))
+            time.sleep(0.001)
+        assert len(computing.result()) == 5
+    assert found
+    assert all(each == cores for each in found)
+
+
+def test_inputs_that_do_not_fit_are_an_error():
+    run = compiled(network("salsanext"), images(*SIZE))
+    with pytest.raises(RuntimeError):
+        run(images(1, 5, 16, 16).numpy())
+    with pytest.raises(RuntimeError):
+        run.each([[images(1, 5, 16, 16).numpy()]])
+
+
+def test_what_was_compiled_once_is_not_made_again(tmp_path, caplog):
+    module, x = nn.Conv2d(5, 8, 3).eval(), images(1, 5, 16, 32)
+    (expected,) = compiled(module, x)(x.numpy())
+    (blob,) = tmp_path.rglob("*.blob")
+
+    def refuse():
+        raise AssertionError("made again")
+
+    assert np.array_equal(compiled_graph(refuse, "test")(x.numpy())[0], expected)
+    with pytest.raises(AssertionError, match="made again"):
+        compiled_graph(refuse, "other")
+    # Cut, changed, or of another program: made again, and said.
+    content = blob.read_bytes()
+    for damaged in (b"", content[:100], content[:-40], content[:5000] + b"\0" + content[5001:]):
+        blob.write_bytes(damaged)
+        assert np.array_equal(compiled(module, x)(x.numpy())[0], expected)
+        assert np.array_equal(compiled_graph(refuse, "test")(x.numpy())[0], expected)
+    assert "is damaged: made again" in caplog.text
+
+
+def test_signals_are_handled_after_the_last_graph_is_gone():
+    """OpenVINO gives a thread a stack for its handlers, and must not take it back."""
+    program = """
+import gc, os, signal, threading, torch
+from salsanext_cli.engines.graphs import compiled_graph, converted
+signal.signal(signal.SIGUSR1, lambda *_: print("handled"))
+part = torch.nn.Conv2d(5, 3, 1), lambda module, image: module(image), [torch.zeros(1, 5, 8, 8)]
+made = [compiled_graph(lambda: converted(*part), "test")]
+thread = threading.Thread(target=lambda: (made.clear(), gc.collect()))
+thread.start()
+thread.join()
+os.kill(os.getpid(), signal.SIGUSR1)
+"""
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True)
+    assert (done.returncode, done.stdout) == (0, "handled\n"), done.stderr

@@ -1,0 +1,149 @@
+# SPDX-License-Identifier: MIT
+"""Networks whose classes are merged: the same sums by every engine and in every estimate."""
+
+import numpy as np
+import pytest
+import torch
+from scans import SMALL, make_scan
+
+from salsanext_cli import label_space, load_network, project, sample
+from salsanext_cli.classes.merging import ClassMerging
+from salsanext_cli.engines.loading import with_dropout
+from salsanext_cli.errors import UsageError
+from salsanext_cli.stages.export_onnx import export_onnx
+from salsanext_cli.uncertainty.aleatoric import aleatoric
+from salsanext_cli.uncertainty.dropout_propagation import propagate_dropout
+from salsanext_cli.uncertainty.moments import softmax_moments
+from salsanext_cli.uncertainty.monte_carlo import pass_seed, torch_passes
+
+COARSE = label_space("coarse")
+GROUPS = ClassMerging.between(label_space(), COARSE).groups
+ENGINES = pytest.mark.parametrize("engine", ["torch", "openvino"])
+
+
+@pytest.fixture(scope="module")
+def image():
+    return project(make_scan(), SMALL)
+
+
+def summed(values):
+    """Add the classes of each group, (C, ...) to (K, ...)."""
+    return np.stack([sum(values[i] for i in group) for group in GROUPS])
+
+
+def both(weights, engine):
+    """Return a network in its own classes and in merged ones."""
+    own = load_network(weights, "cpu", engine=engine)
+    return own, load_network(weights, "cpu", engine=engine, classes=COARSE)
+
+
+@ENGINES
+def test_probabilities_are_added(weights, image, engine):
+    own, merged = both(weights, engine)
+    assert own.space is own.card.space
+    assert merged.space.fits(COARSE)
+    assert merged.card.space.fits(own.space)
+    found = merged.probabilities(image)
+    assert (found.shape, found.dtype) == ((8, 16, 128), np.float32)
+    # Torch rounds otherwise from one call to the next.
+    np.testing.assert_allclose(found, summed(own.probabilities(image)), atol=1e-5)
+    np.testing.assert_allclose(merged.logits(image), own.logits(image), rtol=1e-4, atol=1e-4)
+    several = merged.pixel_probabilities([image.channels] * 2)
+    np.testing.assert_allclose(several[1], found, atol=1e-5)
+
+
+def test_probabilities_of_an_onnx_model_are_added(weights, image, tmp_path):
+    pytest.importorskip("onnxruntime")
+    export_onnx(weights, tmp_path / "model.onnx")
+    own, merged = both(tmp_path / "model.onnx", "auto")
+    found = merged.probabilities(image)
+    np.testing.assert_array_equal(found, summed(own.probabilities(image)))
+    by_torch = both(weights, "torch")[1].probabilities(image)
+    np.testing.assert_allclose(found, by_torch, atol=1e-5)
+
+
+@ENGINES
+def test_passes_are_added_before_they_are_counted(weights, image, engine):
+    """Mean, variance, entropy and mutual information from a loop over sums of every pass."""
+    own, merged = both(weights, engine)
+    with torch.inference_mode():
+        drawn = torch_passes(own, image.channels, [pass_seed(5, number) for number in range(4)])
+        passes = np.stack([summed(softmax) for softmax, _ in drawn]).astype(float)
+    mean = passes.mean(axis=0)
+    entropy = -(mean * np.log(mean)).sum(axis=0)
+    of_passes = -(passes * np.log(passes)).sum(axis=1).mean(axis=0)
+    found = sample(merged, image, samples=4, seed=5)
+    close = {"rtol": 1e-3, "atol": 2e-5}
+    np.testing.assert_allclose(found.probabilities, mean, **close)
+    np.testing.assert_allclose(found.variance, passes.var(axis=0), **close)
+    np.testing.assert_allclose(found.uncertainty.epistemic, passes.var(axis=0).mean(0), **close)
+    np.testing.assert_allclose(found.uncertainty.entropy, entropy, **close)
+    np.testing.assert_allclose(found.uncertainty.mutual_information, entropy - of_passes, **close)
+
+
+@pytest.mark.parametrize("estimate", [aleatoric, lambda *g: propagate_dropout(*g).variance])
+def test_moments_have_a_variance_of_each_merged_class_alike_by_both_engines(
+    weights, image, estimate
+):
+    found = [estimate(both(weights, engine)[1], image) for engine in ("torch", "openvino")]
+    assert found[0].shape == (8, 16, 128)
+    assert found[0].min() >= 0
+    assert found[0].max() <= 0.25
+    np.testing.assert_allclose(found[1], found[0], rtol=2e-3, atol=1e-6)
+
+
+def test_the_mean_in_one_pass_is_near_that_of_passes(weights, image):
+    _, merged = both(weights, "torch")
+    estimate = propagate_dropout(with_dropout(merged, 1e-6), image).probabilities
+    np.testing.assert_allclose(estimate, merged.probabilities(image), atol=1e-3)
+
+
+def test_certain_logits_have_sums_of_the_softmax():
+    logits = torch.from_numpy(np.random.default_rng(0).normal(0, 3, (20, 50)))
+    mean, variance = softmax_moments(logits, torch.zeros_like(logits), 0, GROUPS)
+    np.testing.assert_allclose(mean, summed(torch.softmax(logits, 0).numpy()), atol=1e-12)
+    assert not variance.any()
+
+
+def test_groups_of_one_class_change_nothing_and_empty_ones_are_impossible():
+    logits = torch.from_numpy(np.random.default_rng(1).normal(0, 3, (5, 50)))
+    spread = logits.abs()
+    plain = softmax_moments(logits, spread, 0)
+    found = softmax_moments(logits, spread, 0, [[0], [], [1], [2], [3], [4]])
+    for expected, values in zip(plain, found, strict=True):
+        np.testing.assert_allclose(np.delete(values.numpy(), 1, 0), expected, rtol=1e-9)
+        assert not values[1].any()
+    mean, variance = softmax_moments(logits, spread, 0, [[], range(5)])
+    np.testing.assert_allclose(mean, [[0] * 50, [1] * 50], atol=1e-12)
+    assert not variance.any()
+
+
+@pytest.mark.parametrize(
+    ("variance", "typical", "of_class", "of_mean"),
+    [(0.1, 0.02, 0.005, 0.005), (1.0, 0.05, 0.03, 0.03), (4.0, 0.05, 0.09, 0.1)],
+)
+def test_moments_of_sums_are_those_of_samples(variance, typical, of_class, of_mean):
+    """Tolerances as of classes that are not merged; the sum of their variances is far from it."""
+    random = np.random.default_rng(2)
+    logits = random.normal(0, 3, (20, 30))
+    spread = 2 * variance * random.random((20, 30))
+    drawn = random.normal(size=(20_000, 20, 30)) * np.sqrt(spread) + logits
+    sampled = summed(torch.softmax(torch.from_numpy(drawn), 1).numpy().swapaxes(0, 1))
+    given = torch.from_numpy(logits), torch.from_numpy(spread), 0
+    mean, found = (part.numpy() for part in softmax_moments(*given, GROUPS))
+    expected = sampled.var(axis=1)
+    error = np.sqrt(found.mean(axis=0) / expected.mean(axis=0)) - 1
+    assert np.median(np.abs(error)) < typical
+    assert np.abs(np.sqrt(found) - np.sqrt(expected)).max() < of_class
+    assert np.abs(mean - sampled.mean(axis=1)).max() < of_mean
+    unmerged = summed(softmax_moments(*given)[1].numpy())
+    assert np.abs(np.sqrt(unmerged) - np.sqrt(expected)).max() > 2 * of_class
+    np.testing.assert_allclose(mean, summed(softmax_moments(*given)[0].numpy()), atol=1e-12)
+    assert (found <= mean * (1 - mean) + 1e-12).all()
+
+
+def test_other_classes_are_refused(weights):
+    small = {"labels": {0: "no", 10: "yes"}, "learning_map": {0: 0, 10: 1}}
+    space = type(COARSE).from_dict({**small, "learning_map_inv": {0: 0, 1: 10}, "name": "small"})
+    with pytest.raises(UsageError, match="label space small · no raw id 1"):
+        load_network(weights, "cpu", classes=space)

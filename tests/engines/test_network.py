@@ -1,0 +1,139 @@
+# SPDX-License-Identifier: MIT
+import threading
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+from scans import SMALL, make_scan, write_weights
+
+from salsanext_cli import Scan, Sensor, project, sample
+from salsanext_cli.engines.loading import load_network, with_dropout
+from salsanext_cli.errors import WeightsError
+from salsanext_cli.geometry.normalise import normalise
+from salsanext_cli.network.dropout import dropouts
+
+
+@pytest.fixture(scope="module")
+def network(weights):
+    return load_network(weights, "cpu")
+
+
+def test_probabilities_are_the_softmax_of_the_module(network):
+    image = project(make_scan(), SMALL)
+    probabilities = network.probabilities(image)
+    normalised = torch.from_numpy(normalise(image.channels, SMALL))[None]
+    with torch.inference_mode():
+        logits = network.module(normalised)[0].numpy().astype(np.float64)
+    expected = np.exp(logits) / np.exp(logits).sum(axis=0)
+    assert probabilities.dtype == np.float32
+    np.testing.assert_allclose(probabilities, expected, atol=1e-5)
+    np.testing.assert_allclose(network.logits(image), logits, atol=2e-5 * np.abs(logits).max())
+
+
+@pytest.mark.parametrize("temperature", [0.4, 2.5])
+def test_the_temperature_divides_the_logits_and_keeps_the_labels(network, temperature):
+    image = project(make_scan(), SMALL)
+    tempered = replace(network, card=replace(network.card, temperature=temperature))
+    probabilities = tempered.probabilities(image)
+    powers = network.probabilities(image).astype(np.float64) ** (1 / temperature)
+    np.testing.assert_allclose(probabilities, powers / powers.sum(axis=0), atol=1e-5)
+    before = network.probabilities(image).argmax(axis=0)
+    np.testing.assert_array_equal(probabilities.argmax(axis=0), before)
+
+
+@pytest.mark.parametrize(
+    "points",
+    [
+        np.empty((0, 3), np.float32),
+        np.array([[5, 0, 0]], np.float32),
+        np.array([[0, 0, 0], [np.nan, 1, 1], [np.inf, 0, 0], [-np.inf, np.nan, 0]], np.float32),
+        np.array([[1e30, 1e30, 1e30], [1e-30, 0, 0]], np.float32),
+    ],
+)
+def test_probabilities_are_finite_whatever_the_scan(network, points):
+    scan = Scan(points, np.full(len(points), np.nan, np.float32))
+    probabilities = network.probabilities(project(scan, SMALL))
+    assert np.isfinite(probabilities).all()
+    np.testing.assert_allclose(probabilities.sum(axis=0), 1, atol=1e-5)
+
+
+def test_batches_stay_as_small_as_memory_had_room_for(weights, monkeypatch):
+    """The next scans begin with the number that the first ones ended with."""
+    channels = [project(make_scan(seed=seed), SMALL).channels for seed in range(5)]
+    small, sizes = load_network(weights, "cpu", engine="torch"), []
+    expected = [small.pixel_probabilities([image])[0] for image in channels]
+    forward = type(small.module).forward
+
+    def short_of_memory(module, x):
+        sizes.append(len(x))
+        if len(x) > 2:
+            raise torch.OutOfMemoryError("no room")
+        return forward(module, x)
+
+    monkeypatch.setattr(type(small.module), "forward", short_of_memory)
+    for _ in range(2):
+        np.testing.assert_allclose(small.pixel_probabilities(channels), expected, atol=1e-5)
+    assert sizes == [5, 2, 2, 1, 2, 2, 1]
+
+
+def test_another_size_than_the_one_trained_with(weights):
+    wide = Sensor("wide", 3, -25, 10, 45)
+    network = load_network(weights, "cpu", wide)
+    assert network.probabilities(project(make_scan(), wide)).shape == (20, 10, 45)
+
+
+def test_weights_may_be_named_by_text_and_must_exist(weights, tmp_path):
+    assert load_network(str(weights), "cpu").card.description == "random"
+    with pytest.raises(WeightsError):
+        load_network(tmp_path / "nothing", "cpu")
+
+
+@pytest.mark.parametrize("trained", [0.0, 0.2])
+def test_another_dropout_rate_shares_the_weights(tmp_path, trained):
+    network = load_network(write_weights(tmp_path / "w.safetensors", dropout=trained), "cpu")
+    state = torch.random.get_rng_state()
+    other = with_dropout(network, 0.4)
+    assert torch.equal(torch.random.get_rng_state(), state)
+    assert [layer.rate for layer in dropouts(other.module)] == [0.4] * 13
+    assert {layer.rate for layer in dropouts(network.module)} == ({trained} if trained else set())
+    assert other.card.architecture == {**network.card.architecture, "dropout": 0.4}
+    pairs = zip(other.module.parameters(), network.module.parameters(), strict=True)
+    assert all(one.data_ptr() == same.data_ptr() for one, same in pairs)
+    image = project(make_scan(), SMALL)
+    np.testing.assert_array_equal(other.probabilities(image), network.probabilities(image))
+
+
+def test_threads_may_share_a_network(weights):
+    network = load_network(weights, "cpu", engine="openvino")
+    images = [project(make_scan(seed=seed), SMALL) for seed in range(4)]
+    expected = [network.probabilities(image) for image in images]
+    start = threading.Barrier(4)
+
+    def repeat(number):
+        start.wait()
+        return [network.probabilities(images[number]) for _ in range(5)]
+
+    with ThreadPoolExecutor(4) as pool:
+        for number, found in enumerate(pool.map(repeat, range(4))):
+            assert all(np.array_equal(one, expected[number]) for one in found)
+
+
+def test_weights_that_are_replaced_before_they_are_needed_are_refused(tmp_path):
+    """Their graph would be kept under the name of the others for ever."""
+    path = write_weights(tmp_path / "w.safetensors", seed=11)
+    network = load_network(path, "cpu", engine="openvino")
+    vars(network).pop("module", None)
+    write_weights(path, seed=12)
+    with pytest.raises(WeightsError, match="replaced since the run began"):
+        _ = network.module
+
+
+def test_rates_of_dropout_share_their_graphs(weights):
+    network = load_network(weights, "cpu", engine="openvino")
+    image, graphs = project(make_scan(), SMALL), []
+    for rate in (0.1, 0.2, 0.3):
+        sample(with_dropout(network, rate), image, samples=2, seed=0)
+        graphs.append(len(network._graphs))
+    assert len(set(graphs)) == 1

@@ -1,0 +1,102 @@
+# SPDX-License-Identifier: MIT
+import errno
+import resource
+import signal
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import pytest
+
+from salsanext_cli.errors import OutputError
+from salsanext_cli.files.atomic import write_bytes, writing
+
+
+def test_file_appears_whole_and_parents_are_made(tmp_path: Path) -> None:
+    path = tmp_path / "a b" / "Größe.bin"
+    with writing(path) as file:
+        file.write(b"half")
+        (half,) = path.parent.iterdir()
+        assert half.name.startswith(".")
+        assert half.suffix == ".part"
+        file.write(b" whole")
+    assert path.read_bytes() == b"half whole"
+    assert list(path.parent.iterdir()) == [path]
+
+
+def test_permissions_are_the_usual_ones(tmp_path: Path) -> None:
+    (tmp_path / "usual").write_bytes(b"")
+    write_bytes(tmp_path / "ours", b"")
+    assert (tmp_path / "ours").stat().st_mode == (tmp_path / "usual").stat().st_mode
+
+
+@pytest.mark.parametrize("interruption", [KeyboardInterrupt, SystemExit, ValueError, MemoryError])
+def test_interruption_leaves_the_old_file_and_nothing_else(
+    tmp_path: Path, interruption: type[BaseException]
+) -> None:
+    path = tmp_path / "x"
+    path.write_bytes(b"old")
+
+    def write() -> None:
+        with writing(path) as file:
+            file.write(b"new")
+            raise interruption
+
+    with pytest.raises(interruption):
+        write()
+    assert path.read_bytes() == b"old"
+    assert list(tmp_path.iterdir()) == [path]
+
+
+def test_long_names_have_room(tmp_path: Path) -> None:
+    path = tmp_path / ("n" * 249 + ".label")
+    write_bytes(path, b"label")
+    assert path.read_bytes() == b"label"
+
+
+def test_file_in_place_of_a_folder(tmp_path: Path) -> None:
+    (tmp_path / "file").write_bytes(b"")
+    for path in (tmp_path / "file" / "x", tmp_path / "file" / "deeper" / "x"):
+        with pytest.raises(OutputError, match=r"cannot be written: .*file is no folder") as caught:
+            write_bytes(path, b"x")
+        assert caught.value.subject == str(path)
+        assert caught.value.remedy == "move it or choose another output folder"
+
+
+def test_folder_in_place_of_the_file(tmp_path: Path) -> None:
+    (tmp_path / "x").mkdir()
+    with pytest.raises(OutputError, match=r"a folder of that name .* move it"):
+        write_bytes(tmp_path / "x", b"x")
+    assert [entry.name for entry in tmp_path.iterdir()] == ["x"]
+
+
+def test_read_only_file_system() -> None:
+    # /proc refuses even the superuser.
+    if not Path("/proc/self").is_dir():
+        pytest.skip("needs /proc")
+    with pytest.raises(OutputError, match=r"cannot be written: .* change its permissions"):
+        write_bytes(Path("/proc/self/salsanext/x"), b"x")
+
+
+@contextmanager
+def full_disk(largest: int) -> Iterator[None]:
+    """Refuse files above so many bytes, as a full disk would.
+
+    Not a fixture: pytest writes its own progress, maybe into a larger file, while one is active.
+    """
+    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
+    old = signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (largest, hard))
+    try:
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
+        signal.signal(signal.SIGXFSZ, old)
+
+
+def test_full_disk(tmp_path: Path) -> None:
+    with pytest.raises(OutputError, match="free some space") as caught, full_disk(1000):
+        write_bytes(tmp_path / "x", b"x" * 5000)
+    assert isinstance(caught.value.__cause__, OSError)
+    assert caught.value.__cause__.errno == errno.EFBIG
+    assert list(tmp_path.iterdir()) == []

@@ -1,0 +1,62 @@
+# SPDX-License-Identifier: MIT
+import os
+
+import pytest
+
+from salsanext_cli.files import user_cache
+from salsanext_cli.files.user_cache import cached
+
+
+@pytest.fixture(autouse=True)
+def own_cache(tmp_path, monkeypatch):
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+    monkeypatch.setattr(user_cache, "_said", [])
+
+
+def refuse():
+    raise AssertionError("made again")
+
+
+def test_files_are_made_once_and_read_after_that():
+    assert cached("a/x.blob", lambda: b"content") == b"content"
+    assert cached("a/x.blob", refuse) == b"content"
+    with pytest.raises(AssertionError, match="made again"):
+        cached("a/y.blob", refuse)
+
+
+@pytest.mark.parametrize("damaged", [b"", b"content", b"contenT"])
+def test_damaged_files_are_made_again(tmp_path, damaged, caplog):
+    cached("a/x.blob", lambda: b"content")
+    (file,) = tmp_path.rglob("x.blob")
+    file.write_bytes(damaged + file.read_bytes()[len(damaged) + 7 :])
+    assert cached("a/x.blob", lambda: b"other") == b"other" == cached("a/x.blob", refuse)
+    assert "x.blob is damaged: made again" in caplog.text
+
+
+def test_without_a_folder_that_can_be_written_each_is_made(tmp_path, monkeypatch, caplog):
+    (tmp_path / "cache").touch()
+    for content in (b"one", b"two"):
+        assert cached("a/x.blob", lambda content=content: content) == content
+    assert caplog.text.count("going on without it") == 1
+    monkeypatch.setattr(user_cache, "cache_folder", lambda: "")
+    assert cached("a/x.blob", lambda: b"three") == b"three"
+
+
+def test_files_unused_for_longest_go_first(tmp_path, monkeypatch):
+    for number, name in enumerate("abc"):
+        cached(f"a/{name}.blob", lambda: bytes(1000))
+        os.utime(tmp_path / f"cache/salsanext/a/{name}.blob", (number, number))
+    cached("a/a.blob", refuse)
+    monkeypatch.setattr(user_cache, "MAX_FOLDER_BYTES", 3500)
+    cached("a/d.blob", lambda: bytes(1000))
+    assert sorted(path.stem for path in tmp_path.rglob("*.blob")) == ["a", "c", "d"]
+
+
+def test_a_folder_that_can_only_be_read_serves_too(monkeypatch):
+    cached("a/x.blob", lambda: b"content")
+
+    def refuse_touch(*_args, **_options):
+        raise OSError(30, "Read-only file system")
+
+    monkeypatch.setattr("pathlib.Path.touch", refuse_touch)
+    assert cached("a/x.blob", refuse) == b"content"

@@ -1,0 +1,126 @@
+# SPDX-License-Identifier: MIT
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scans import SMALL
+from streets import street_points
+
+from salsanext_cli import Scan, project
+from salsanext_cli.errors import UsageError
+from salsanext_cli.fitting.ground import find_ground
+from salsanext_cli.fitting.mounting_fit import USUAL_HEIGHT_M, fit_mounting
+from salsanext_cli.fitting.origin_fit import find_origin, sharpness
+from salsanext_cli.fitting.view_fit import as_found, fit_view
+from salsanext_cli.geometry.mounting import in_sensor_frame, upright_rotation
+
+HEIGHT = 1.7
+PLACES = [(1.3, 0, 1.9), (-1.1, 0.4, 0.9)]
+
+
+def street(beams: int, height: float = HEIGHT, seed: int = 0) -> Scan:
+    """Points of a rotating sensor on a street between walls and posts; beams 0: no two alike."""
+    random = np.random.default_rng(seed)
+    teeth = np.linspace(-24, 2, beams) if beams else random.uniform(-24, 2, 20_000)
+    elevation = np.radians(random.choice(teeth, 20_000))
+    azimuth = random.uniform(-np.pi, np.pi, 20_000)
+    posts = np.where(azimuth * 6 % 1 < 0.1, random.uniform(5, 30), 60)
+    points = street_points(azimuth, elevation, height, posts, random.normal(0, 0.01, 20_000))
+    return Scan(points, random.random(20_000, np.float32))
+
+
+def objects(beams: int) -> Scan:
+    """Points of a street that are not on the ground."""
+    scan = street(beams)
+    above = scan.points[:, 2] > 0.3 - HEIGHT
+    return Scan(scan.points[above], scan.intensity[above])
+
+
+def moved(scan, place):
+    """Return the scan in a frame in which the sensor is at a place."""
+    return Scan((scan.points + np.array(place)).astype(np.float32), scan.intensity)
+
+
+@pytest.mark.parametrize("beams", [16, 64])
+@pytest.mark.parametrize("place", PLACES)
+def test_the_place_that_beams_come_from(beams, place):
+    scan = moved(objects(beams), place)
+    assert find_origin(scan.points) == pytest.approx(place, abs=0.05)
+
+
+def test_a_comb_is_sharp_at_its_place_only():
+    points = objects(32).points.astype(np.float64)
+    assert sharpness(points, np.zeros(3)) > 3
+    assert sharpness(points, np.array([0, 0, 0.5])) < 1.5
+    assert sharpness(street(0).points.astype(np.float64), np.zeros(3)) == pytest.approx(1, abs=0.1)
+
+
+@pytest.mark.parametrize("count", [0, 50])
+def test_points_without_beams_have_no_place(count):
+    assert find_origin(street(0).points) is None
+    assert find_origin(street(32).points[:count]) is None
+
+
+@pytest.mark.parametrize("up", [(0, 0, 1), (0, 1, 0)])
+def test_scans_in_the_frame_of_a_vehicle_make_the_images_of_their_sensor(up):
+    """In frames with z or y up; only the direction that is ahead is not told."""
+    turn = upright_rotation(np.array(up, float))
+    scans = [
+        Scan((moved(scan, (0.9, 0, HEIGHT)).points @ turn).astype(np.float32), scan.intensity)
+        for scan in (street(32, seed=seed) for seed in range(3))
+    ]
+    found = fit_view(scans, SMALL)
+    assert np.dot(found.up, up) > 0.99
+    assert turn @ found.origin == pytest.approx((0.9, 0, HEIGHT), abs=0.15)
+    image, expected = project(scans[0], found), project(street(32), SMALL)
+    same = (image.channels[0] > 0) & (expected.channels[0] > 0)
+    if up == (0, 0, 1):
+        difference = np.abs(image.channels[:4, same] - expected.channels[:4, same])
+        assert np.quantile(difference, 0.9) < 0.15
+
+
+def test_a_sensor_on_the_ground_is_at_the_usual_height():
+    """Its beams are not seen, as in clouds that were corrected for the vehicle's motion."""
+    found = fit_mounting([moved(street(0), (0, 0, HEIGHT))] * 2, SMALL)
+    assert found.origin == pytest.approx((0, 0, USUAL_HEIGHT_M), abs=0.1)
+    ground = find_ground(in_sensor_frame(moved(street(0), (0, 0, HEIGHT)), found).points[::10])
+    assert ground.height == pytest.approx(USUAL_HEIGHT_M, abs=0.1)
+
+
+@pytest.mark.parametrize("height", [0.5, HEIGHT, 4.0])
+@pytest.mark.parametrize("beams", [0, 32])
+def test_scans_of_robots_cars_and_masts_stay_where_they_are(beams, height):
+    assert fit_mounting([street(beams, height)], SMALL) == SMALL
+
+
+def test_points_without_a_measurement_get_none_in_another_frame():
+    points = np.array([[0, 0, 0], [5, 1, 0], [np.nan, 0, 0]], np.float32)
+    sensor = replace(SMALL, origin=(0.5, 0.0, 1.7), out_of_view="clamp")
+    image = project(Scan(points, np.ones(3, np.float32)), sensor)
+    assert (image.pixel_of_point >= 0).tolist() == [False, True, False]
+
+
+@pytest.mark.parametrize("other", [{"origin": (2.0, 0.0, 1.0)}, {"up": (0.0, 1.0, 0.0)}])
+def test_the_mounting_of_other_scans_is_forgotten(other):
+    """As that of weights whose batch norm was tuned on them."""
+    for scans in ([street(32)], [moved(street(32), (0.9, 0, HEIGHT))]):
+        assert (
+            fit_mounting(scans, replace(SMALL, **other)).origin == fit_mounting(scans, SMALL).origin
+        )
+
+
+def test_no_scans_tell_nothing():
+    assert fit_mounting([], SMALL) == SMALL
+
+
+@pytest.mark.parametrize("origin", [(0, 0), (0, 0, np.nan), (0, 1e9, 0)])
+def test_impossible_origins(origin):
+    with pytest.raises(UsageError, match=r"origin .* expected a place, three numbers in metres"):
+        replace(SMALL, origin=origin)
+
+
+def test_an_origin_is_said_and_written():
+    sensor = replace(SMALL, origin=(0.9, 0.0, 1.75))
+    assert as_found(sensor) == "view +3° to -25°, origin (0.9, 0.0, 1.75)"
+    assert "origin = [0.9, 0.0, 1.75]\n" in sensor.to_toml()
+    assert "origin" not in SMALL.to_toml()

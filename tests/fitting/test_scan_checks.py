@@ -1,0 +1,197 @@
+# SPDX-License-Identifier: MIT
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scans import SMALL, make_scan
+
+from salsanext_cli import Scan, project
+from salsanext_cli.errors import FormatError
+from salsanext_cli.fitting.scan_checks import check_scan
+from salsanext_cli.fitting.view_fit import fit_view
+from salsanext_cli.formats import SCAN_SUFFIXES, read_scan
+from salsanext_cli.geometry.intensity import NO_INTENSITY, intensity_quantiles
+from salsanext_cli.sensors.limits import INTENSITY_LEVELS
+from salsanext_cli.sensors.sensor import sensor
+
+QUANTILES = tuple(np.linspace(0, 1, INTENSITY_LEVELS))
+TRAINED = replace(SMALL, intensity_quantiles=QUANTILES)
+STREET = make_scan(4000)
+LEVEL = np.abs(STREET.points[:, 2]) < 0.01 * np.linalg.norm(STREET.points, axis=1)
+AHEAD = STREET.points[:, 0] > np.abs(STREET.points[:, 1])
+
+
+def codes(scan, of=SMALL, trained=TRAINED):
+    return [f.code for f in check_scan(Path("s.bin"), scan, of, trained).findings]
+
+
+def moved(scale=1.0, turn=(1, 1, 1), shift=(0, 0, 0)):
+    points = STREET.points * np.float32(scale) * np.float32(turn) + np.float32(shift)
+    return Scan(points, STREET.intensity)
+
+
+def leaning(degrees):
+    cosine, sine = np.cos(np.radians(degrees)), np.sin(np.radians(degrees))
+    turn = np.array([[cosine, 0, -sine], [0, 1, 0], [sine, 0, cosine]], np.float32)
+    return Scan(STREET.points @ turn, STREET.intensity)
+
+
+def mostly_missing():
+    points = np.concatenate([STREET.points, np.zeros((3 * len(STREET), 3), np.float32)])
+    return Scan(points, np.tile(STREET.intensity, 4))
+
+
+def test_a_right_scan_is_not_doubted():
+    assert codes(STREET) == []
+    assert codes(STREET, trained=None) == []
+
+
+@pytest.mark.parametrize("scale", [1000, 100, 0.001])
+def test_other_units_are_an_error(scale):
+    with pytest.raises(FormatError, match=r"s\.bin · a median range of .* in metres"):
+        codes(moved(scale))
+
+
+def test_map_coordinates_are_an_error():
+    with pytest.raises(FormatError, match="take the sensor's place off map coordinates"):
+        codes(moved(shift=(467_000, 5_890_000, 30)))
+
+
+@pytest.mark.parametrize("value", [np.nan, np.inf, 0.0])
+def test_a_scan_without_a_measurement_is_an_error(value):
+    points = np.full((500, 3), value, np.float32)
+    with pytest.raises(FormatError, match="none of its 500 points is a measurement"):
+        codes(Scan(points, np.zeros(500, np.float32)))
+
+
+@pytest.mark.parametrize(
+    ("scan", "code"),
+    [
+        (moved(turn=(1, -1, -1)), "upside-down"),
+        (Scan(STREET.points[:, [0, 2, 1]], STREET.intensity), "tilted"),
+        (moved(shift=(0, 0, 1.2)), "height"),
+        (leaning(12), "tilted"),
+        (moved(scale=30), "units"),
+        (Scan(STREET.points[LEVEL], STREET.intensity[LEVEL]), "sparse"),
+        (mostly_missing(), "not-measured"),
+        (Scan(STREET.points[AHEAD], STREET.intensity[AHEAD]), "part-of-circle"),
+        (Scan(STREET.points, np.zeros_like(STREET.intensity)), "no-intensity"),
+        (Scan(STREET.points, np.linalg.norm(STREET.points, axis=1)), "no-intensity"),
+        (Scan(STREET.points, np.full_like(STREET.intensity, np.nan)), "no-intensity"),
+        (Scan(STREET.points, STREET.intensity * 255), "intensity-scale"),
+        (Scan(STREET.points, STREET.intensity / 80), "intensity-scale"),
+    ],
+)
+def test_what_is_doubtful(scan, code):
+    assert code in codes(scan)
+
+
+def test_points_out_of_view_are_doubtful():
+    assert codes(STREET, replace(SMALL, fov_up=-8.0)) == ["out-of-view"]
+
+
+def test_a_view_that_is_no_sensors_is_doubtful():
+    assert "wide-view" in codes(STREET, replace(SMALL, fov_up=75.0, fov_down=-75.0))
+
+
+def test_remedies_name_what_was_not_tried_yet():
+    named = replace(SMALL, name="mine", fov_up=-8.0)
+    for of, auto in ((named, True), (replace(named, name="fitted"), False)):
+        (found,) = check_scan(Path("s.bin"), STREET, of, TRAINED).findings
+        assert found.remedy.startswith("--sensor auto") == auto
+        assert "--fit" in found.remedy
+
+
+def test_matched_intensities_are_those_of_the_scans_matched_with():
+    bright = Scan(STREET.points, STREET.intensity * 255)
+    matched = replace(SMALL, intensity_quantiles=tuple(255 * q for q in QUANTILES))
+    assert codes(bright, matched) == []
+    assert codes(STREET, matched) == ["intensity-scale"]
+    assert codes(STREET, replace(SMALL, intensity_quantiles=NO_INTENSITY)) == []
+    decibels = Scan(STREET.points, -40 * STREET.intensity - 1)
+    negative = replace(SMALL, intensity_quantiles=tuple(-41 + 40 * q for q in QUANTILES))
+    assert codes(decibels, negative) == []
+    assert codes(decibels, trained=SMALL) == ["intensity-scale"]
+    own = matched
+    assert codes(bright, trained=None) == []
+    # Matched with scans of another scale, as in a folder that holds their results.
+    assert codes(bright, TRAINED) == codes(STREET, own) == ["intensity-scale"]
+    assert codes(bright, replace(SMALL, intensity_quantiles=NO_INTENSITY)) == []
+    assert codes(bright, trained=SMALL) == ["intensity-scale"]
+    assert codes(STREET, trained=SMALL) == []
+
+
+def test_intensities_that_are_no_numbers_are_none():
+    nothing = np.full_like(STREET.intensity, np.nan)
+    assert codes(Scan(STREET.points, nothing)) == ["no-intensity"]
+    nothing[7] = 0.5
+    assert codes(Scan(STREET.points, nothing)) == ["no-intensity"]
+    half = np.where(np.arange(len(STREET)) % 2, STREET.intensity, np.float32(np.nan))
+    assert codes(Scan(STREET.points, half)) == ["no-intensity"]
+
+
+def test_only_commands_that_fit_offer_it():
+    tilted = Scan(STREET.points[:, [0, 2, 1]], STREET.intensity * 255)
+    for fitting in (True, False):
+        named = replace(SMALL, name="mine")
+        check = check_scan(Path("s.bin"), tilted, named, SMALL, fitting=fitting)
+        remedies = [finding.remedy for finding in check.findings]
+        assert len(remedies) > 1
+        assert {"auto" in remedy for remedy in remedies} == {fitting}
+
+
+@pytest.mark.parametrize("rows", [32, 64, 128])
+@pytest.mark.parametrize("by_column", [False, True])
+def test_the_order_of_the_points_does_not_matter(rows, by_column):
+    """Of a grid of beams and azimuths, every n-th point may be one beam."""
+    beams, azimuths = np.radians(np.linspace(3, -25, rows)), np.linspace(-np.pi, np.pi, 1024)
+    elevation, azimuth = np.meshgrid(beams, azimuths, indexing="xy" if by_column else "ij")
+    distance = np.minimum(20, -1.7 / np.minimum(np.sin(elevation), -1e-3))
+    flat = distance * np.cos(elevation)
+    xyz = (flat * np.cos(azimuth), flat * np.sin(azimuth), distance * np.sin(elevation))
+    points = np.stack(xyz, axis=-1).reshape(-1, 3).astype(np.float32)
+    scan = Scan(points, np.random.default_rng(0).random(len(points), np.float32))
+    assert codes(scan) == []
+    assert codes(scan, replace(SMALL, fov_up=-4.0)) == ["out-of-view"]
+    assert codes(scan, replace(SMALL, fov_up=-1.5)) == []
+
+
+def test_few_measurements_among_many_points_are_judged():
+    """A sample of all points would hold hardly one of them."""
+    scan = moved(turn=(1, -1, -1))
+    points = np.zeros((1_000_000, 3), np.float32)
+    points[:: len(points) // len(scan)][: len(scan)] = scan.points
+    intensity = np.random.default_rng(0).random(len(points), np.float32)
+    assert codes(Scan(points, intensity)) == ["not-measured", *codes(scan)]
+    points[:] = np.nan
+    with pytest.raises(FormatError, match="none of its 1000000 points is a measurement"):
+        codes(Scan(points, intensity))
+
+
+@pytest.mark.parametrize("count", [0, 1, 99])
+def test_few_points_are_not_judged_but_said(count):
+    assert codes(make_scan(count)) == ["few-points"]
+
+
+KNOWN = {"livox_front": ["part-of-circle", "height"], "beams128_binary_compressed": ["height"]}
+"""Scans of the real ones that are doubted with reason: of sensors that are no car's."""
+
+
+@pytest.mark.real
+def test_no_real_scan_is_doubted_without_reason(real_data):
+    folders = ("semantickitti", "pandaset", "sensors")
+    names = [p for f in folders for p in sorted((real_data / "data" / f).rglob("*.*"))]
+    scans = [p for p in names if p.name.endswith(SCAN_SUFFIXES) and "five_columns_h" not in p.name]
+    scans = [path for path in scans if path.suffix != ".las"]
+    trained = replace(sensor("hdl64-512"), intensity_quantiles=QUANTILES)
+    found = {}
+    for path in scans:
+        scan = read_scan(path)
+        own = fit_view([scan], trained)
+        seen = intensity_quantiles([project(scan, own).channels])
+        own = replace(own, intensity_quantiles=seen)
+        if set(told := codes(scan, own, trained)) - {"no-intensity"}:
+            found[path.stem] = told
+    assert {name: told for name, told in found.items() if KNOWN.get(name) != told} == {}
+    assert len(scans) > 50

@@ -1,0 +1,193 @@
+# SPDX-License-Identifier: MIT
+import math
+import statistics
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from salsanext_cli.errors import UsageError
+from salsanext_cli.labelling.scan_choice import STRATEGIES, choose_scans, standardised
+
+GREEDY = [name for name in STRATEGIES if name != "random"]
+
+
+def pool(scans: int, seed: int, features: int = 5) -> tuple[np.ndarray, np.ndarray]:
+    """Return features of very different scales, in clusters as drives make them, and weights."""
+    random = np.random.default_rng(seed)
+    centres = random.normal(size=(max(1, scans // 4), features))
+    points = centres[random.integers(0, len(centres), scans)]
+    points = points + 0.1 * random.normal(size=points.shape)
+    return points * 10.0 ** np.arange(features), random.random(scans)
+
+
+def order(*arguments) -> list[int]:
+    return [choice.scan for choice in choose_scans(*arguments)]
+
+
+def distance_table(features: np.ndarray) -> list[list[float]]:
+    """Return all distances in plain numbers: RMS over features in standard deviations, by √2."""
+    columns = [[float(v) for v in column] for column in features.T]
+    deviations = [statistics.stdev(column) for column in columns]
+    return [
+        [
+            math.sqrt(
+                statistics.fmean(
+                    ((column[a] - column[b]) / deviation) ** 2 / 2
+                    for column, deviation in zip(columns, deviations, strict=True)
+                )
+            )
+            for b in range(len(features))
+        ]
+        for a in range(len(features))
+    ]
+
+
+def slow(features: np.ndarray, weights: np.ndarray, count: int, strategy: str) -> list[int]:
+    """Choose by plain loops over all pairs."""
+    table = distance_table(features)
+    scans = range(len(features))
+    # The nearest to the mean has the least mean square of distances.
+    typical = min(scans, key=lambda a: sum(d * d for d in table[a]))
+    diverse, least = [typical], math.inf
+    while len(diverse) < count:
+        least, farthest = max((min(table[a][b] for b in diverse), a) for a in scans)
+        diverse.append(farthest)
+    if strategy == "diverse":
+        return diverse
+    chosen = [max(scans, key=lambda a: weights[a])]
+    while len(chosen) < count:
+        apart = {a: min(table[a][b] for b in chosen) for a in scans if a not in chosen}
+        enough = [a for a in apart if apart[a] >= least / 2]
+        by_product = strategy == "both"
+        chosen.append(max(enough, key=lambda a: weights[a] * (apart[a] if by_product else 1)))
+    return chosen
+
+
+@pytest.mark.parametrize("strategy", GREEDY)
+@pytest.mark.parametrize(("scans", "count"), [(2, 1), (2, 2), (9, 4), (30, 10), (30, 30)])
+def test_the_choice_is_that_of_a_slow_clear_loop(strategy, scans, count):
+    features, weights = pool(scans, seed=scans + count)
+    assert order(features, weights, count, strategy) == slow(features, weights, count, strategy)
+
+
+def test_two_scans_are_one_apart_on_average():
+    points = standardised(pool(40, 1)[0])
+    apart = [math.dist(a, b) for i, a in enumerate(points) for b in points[:i]]
+    assert math.sqrt(statistics.fmean(d * d for d in apart)) == pytest.approx(1)
+
+
+def test_scans_on_a_line():
+    """Of a scan in the middle and others to both sides, diversity takes the ends next."""
+    line, doubt = np.array([[-3.0], [-1], [0], [1], [4]]), [1, 5, 2, 4, 3]
+    assert order(line, doubt, 3, "diverse") == [2, 4, 0]
+    # The two most uncertain ones, at -1 and 1, are not near each other: the ends are 3 apart.
+    assert order(line, doubt, 3, "uncertainty") == [1, 3, 4]
+    # At 4, 5·3 beats 4·2, at 1, and 1·2, at -3.
+    assert order(line, doubt, 2, "both") == [1, 4]
+
+
+def test_nearly_equal_neighbours_are_passed_over_however_uncertain():
+    features = np.array([[0.0], [0.01], [0.02], [0.03], [5], [9]])
+    doubt = [1.0, 0.9, 0.8, 0.7, 0.01, 0.02]
+    for strategy in GREEDY:
+        assert sorted(order(features, doubt, 3, strategy))[1:] == [4, 5]
+
+
+def test_what_is_told_of_a_choice():
+    features, weights = np.array([[0.0], [1], [4]]), [0.1, 0.3, 0.2]
+    first, second, third = choose_scans(features, weights, 3, "both")
+    assert (first.scan, first.uncertainty, first.uncertainty_rank) == (1, 0.3, 1)
+    assert math.isnan(first.distance)
+    assert first.nearest is None
+    assert (second.scan, second.uncertainty_rank, second.nearest) == (2, 2, 1)
+    assert second.distance == pytest.approx(3 * third.distance)
+    assert (third.scan, third.nearest) == (0, 1)
+
+
+@settings(deadline=None, max_examples=60)
+@given(st.integers(1, 12), st.integers(1, 15), st.integers(0, 99), st.sampled_from(GREEDY))
+def test_the_order_of_the_scans_does_not_matter(scans, count, seed, strategy):
+    features, weights = pool(scans, seed)
+    shuffled = np.random.default_rng(seed).permutation(scans)
+    found = order(features[shuffled], weights[shuffled], count, strategy)
+    assert [shuffled[place] for place in found] == order(features, weights, count, strategy)
+
+
+@settings(deadline=None, max_examples=100)
+@given(
+    st.lists(st.tuples(st.integers(0, 2), st.integers(0, 2)), min_size=1, max_size=12),
+    st.integers(1, 15),
+    st.sampled_from(GREEDY),
+    st.data(),
+)
+def test_every_scan_once_and_equal_ones_last(points, count, strategy, data):
+    doubt = st.lists(st.integers(0, 3), min_size=len(points), max_size=len(points))
+    found = choose_scans(np.array(points, float), data.draw(doubt), count, strategy)
+    chosen = [choice.scan for choice in found]
+    assert len(set(chosen)) == len(chosen) == min(count, len(points))
+    distinct = len({points[scan] for scan in chosen})
+    assert distinct == min(count, len(set(points)))
+    # A distance of 0 begins when nothing new is left.
+    assert [choice.distance != 0 for choice in found] == [i < distinct for i in range(len(found))]
+
+
+@pytest.mark.parametrize("strategy", STRATEGIES)
+def test_more_than_there_are_and_all_equal(strategy):
+    features, weights = pool(6, seed=3)
+    assert sorted(order(features, weights, 6, strategy)) == list(range(6))
+    assert order(features, weights, 99, strategy) == order(features, weights, 6, strategy)
+    found = order(np.ones((5, 4)), [1, 3, 2, 3, 0], 5, strategy)
+    assert sorted(found) == list(range(5))
+    if strategy in ("both", "uncertainty"):
+        assert found == [1, 3, 2, 0, 4]
+    assert order(np.ones((1, 4)), [0.0], 3, strategy) == [0]
+
+
+def test_equal_weights_are_no_weights():
+    features, _ = pool(20, seed=5)
+    for doubt in (np.zeros(20), np.full(20, 0.3)):
+        assert len(set(order(features, doubt, 8, "both"))) == 8
+    spread = min(c.distance for c in choose_scans(features, np.ones(20), 8, "both")[1:])
+    assert spread > 0.1
+
+
+@pytest.mark.parametrize("strategy", STRATEGIES)
+def test_labelled_scans_count_as_chosen_and_are_not_chosen_again(strategy):
+    features = np.random.default_rng(3).normal(size=(12, 4))
+    uncertainty = np.random.default_rng(4).uniform(1, 2, 12)
+    first = [each.scan for each in choose_scans(features, uncertainty, 4, strategy)]
+    more = choose_scans(features, uncertainty, 4, strategy, labelled=first)
+    assert len({each.scan for each in more} - {*first}) == 4
+    if strategy != "random":
+        # The next of a larger choice, but for the distance that it keeps.
+        apart = np.linalg.norm(
+            standardised(features)[more[0].scan] - standardised(features), axis=1
+        )
+        assert more[0].distance == pytest.approx(apart[first].min())
+        assert more[0].nearest in first
+    assert len(choose_scans(features, uncertainty, 20, strategy, labelled=first)) == 8
+
+
+def test_random_draws_by_the_seed():
+    features, weights = pool(30, seed=2)
+    drawn = {tuple(order(features, weights, 5, "random", seed)) for seed in range(20)}
+    assert len(drawn) == 20
+    again = order(features * 7, weights[::-1], 5, "random", 4)
+    assert again == order(features, weights, 5, "random", 4)
+    often = np.bincount([scan for draw in drawn for scan in draw], minlength=30)
+    assert (often > 0).sum() > 20
+
+
+@pytest.mark.parametrize(
+    ("how", "message"),
+    [
+        ({"count": 0}, "--count · 0 · expected at least 1"),
+        ({"strategy": "best"}, "--strategy · best · expected one of both"),
+        ({"seed": -1}, "--seed · -1"),
+    ],
+)
+def test_what_cannot_be_chosen(how, message):
+    with pytest.raises(UsageError, match=message):
+        choose_scans(np.ones((2, 1)), [1, 2], **{"count": 1} | how)

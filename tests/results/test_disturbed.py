@@ -1,0 +1,152 @@
+# SPDX-License-Identifier: MIT
+"""Runs while somebody meddles with their files, their folder or the clock."""
+
+import os
+import shutil
+import subprocess
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from functools import partial
+from pathlib import Path
+from shutil import which
+
+import pytest
+from scans import files_below, labels_below, write_sequence, write_weights
+
+from salsanext_cli.engines.settings import NetworkSettings
+from salsanext_cli.errors import OutputError, WeightsError
+from salsanext_cli.files.identity import fingerprint
+from salsanext_cli.geometry.knn import KnnParameters
+from salsanext_cli.parallel.network_task import NetworkTask
+from salsanext_cli.parallel.run import RunOptions, run_over_scans
+from salsanext_cli.results.layout import find_scans
+from salsanext_cli.results.output_run import OutputRun
+from salsanext_cli.stages.predict import predict_scan, predict_scans
+
+
+def run(world, meddle: Callable[[], object] = lambda: None, **options):
+    """Predict, and meddle after the first scan."""
+
+    def progress(done: int, _: int) -> None:
+        if done == 1:
+            meddle()
+
+    given = RunOptions(progress=progress, **options)
+    return predict_scans(world.data, world.out, network=world.network, options=given)
+
+
+@pytest.fixture
+def whole(world, tmp_path):
+    """Return the labels of a run that nobody meddled with."""
+    predict_scans(world.data, tmp_path / "whole", network=world.network)
+    return labels_below(tmp_path / "whole")
+
+
+def test_a_scan_that_is_deleted(world, tmp_path):
+    """It is the fourth: when the first is done, the third may be read already."""
+    write_sequence(world.data / "sequences/08", ["000000", "000001", "000002"])
+    predict_scans(world.data, tmp_path / "whole", network=world.network)
+    path = world.scan("08", "000002")
+    content = path.read_bytes()
+    outcome = run(world, path.unlink)
+    assert (outcome.done, len(outcome.failures)) == (3, 1)
+    assert outcome.failures[0].reason.startswith(f"{path} · cannot be read: no such file")
+    path.write_bytes(content)
+    assert run(world).done == 1
+    assert labels_below(world.out) == labels_below(tmp_path / "whole")
+
+
+def test_weights_that_are_deleted_once_they_are_loaded(world, whole, tmp_path):
+    weights = tmp_path / "w.safetensors"
+    shutil.copy(world.network.weights, weights)
+    options = RunOptions(progress=lambda *_: weights.unlink(missing_ok=True))
+    network = NetworkSettings(weights, "cpu")
+    outcome = predict_scans(world.data, world.out, network=network, options=options)
+    assert (outcome.done, outcome.failures) == (3, ())
+    assert labels_below(world.out) == whole
+    assert fingerprint(world.network.weights) in (world.out / "predict.json").read_text()
+
+
+def test_workers_that_find_other_weights_label_no_scan(world, tmp_path):
+    """As those of a training that goes on: who has not loaded the first ones stops."""
+    weights = tmp_path / "w.safetensors"
+    shutil.copy(world.network.weights, weights)
+    network = NetworkSettings(weights, "cpu").load()
+    settings = NetworkSettings(weights, "cpu").resolved(network)
+    write_weights(weights, seed=1)
+    output = OutputRun(world.out, ("predictions",))
+    task = NetworkTask(partial(predict_scan, knn=KnnParameters(), output=output), settings, network)
+    with pytest.raises(WeightsError, match="was replaced since the run began"):
+        run_over_scans(task, find_scans(world.data), RunOptions(jobs=2))
+    assert labels_below(world.out) == {}
+
+
+def mount(*arguments: str | Path) -> None:
+    """Mount as told, or skip the test."""
+    words = ["mount", *map(str, arguments)]
+    if not which("mount") or subprocess.run(words, capture_output=True, check=False).returncode:
+        pytest.skip("may not mount a folder")
+
+
+@contextmanager
+def read_only(folder: Path) -> Iterator[None]:
+    """Let nobody write into a folder, not even root, or skip the test."""
+    mount("--bind", folder, folder)
+    try:
+        mount("-o", "remount,ro,bind", folder)
+        yield
+    finally:
+        subprocess.run(["umount", "--lazy", str(folder)], capture_output=True, check=True)
+
+
+def test_a_result_folder_that_becomes_read_only(world, whole):
+    folder = world.result("predictions", "08").parent
+    folder.mkdir(parents=True)
+    with read_only(folder):
+        outcome = run(world)
+        assert (outcome.done, len(outcome.failures)) == (1, 2)
+        for failure in outcome.failures:
+            assert "read-only file system" in failure.reason
+            assert "change its permissions or choose another output folder" in failure.reason
+    assert run(world).done == 2
+    assert labels_below(world.out) == whole
+
+
+def test_an_output_folder_that_is_deleted(world, whole):
+    """The results that went with it are not taken for done."""
+    with pytest.raises(OutputError, match=r"was removed or replaced .* run again with --overwrite"):
+        run(world, lambda: shutil.rmtree(world.out))
+    with pytest.raises(OutputError, match="is a result that no stage recorded"):
+        run(world)
+    assert run(world, overwrite=True).done == 3
+    assert labels_below(world.out) == whole
+
+
+def test_a_clock_that_goes_backwards(world, whole, monkeypatch):
+    """Nothing is compared by time, neither of the clock nor of files."""
+    now = time.time()
+    ticks = iter(range(10**9))
+    monkeypatch.setattr(time, "time", lambda: now - 3600 * next(ticks))
+    monkeypatch.setattr(time, "time_ns", lambda: int(time.time() * 1e9))
+    for number, path in enumerate(sorted(world.data.rglob("*.*"))):
+        then = now + (-1) ** number * 10**9
+        os.utime(path, (then, then))
+    assert run(world).done == 3
+    for path in world.out.rglob("*.*"):
+        os.utime(path, (0, 0) if path.suffix == ".label" else (now + 10**9, now + 10**9))
+    again = run(world)
+    assert (again.done, again.skipped) == (0, 3)
+    assert labels_below(world.out) == whole
+    assert not [name for name in files_below(world.out) if ".part" in name]
+
+
+def test_a_file_replaced_by_one_of_the_same_size_and_time(tmp_path):
+    """As a clock that was set back, or a copy that keeps times, can leave it."""
+    digests = []
+    for content in (b"one", b"two"):
+        (tmp_path / "new").write_bytes(content)
+        os.utime(tmp_path / "new", (1, 1))
+        (tmp_path / "new").replace(tmp_path / "file")
+        digests.append(fingerprint(tmp_path / "file"))
+    assert digests[0] != digests[1]

@@ -1,0 +1,224 @@
+# SPDX-License-Identifier: MIT
+from pathlib import Path
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from salsanext_cli.errors import NOTICE, NoInputError, OutputError
+from salsanext_cli.results.layout import SUFFIX_OF_FOLDER, find_outputs, find_scans, output_path
+from salsanext_cli.results.selection import ScanSelection, select_scans
+
+
+def make(folder: Path, *names: str) -> None:
+    folder.mkdir(parents=True, exist_ok=True)
+    for name in names:
+        (folder / name).write_bytes(b"")
+
+
+@pytest.fixture
+def dataset(tmp_path: Path) -> Path:
+    """Make two sequences, equal file names, and things that are no scans."""
+    root = tmp_path / "Straße 1"
+    for sequence in ("08", "00"):
+        make(root / "sequences" / sequence / "velodyne", "000001.bin", "000000.bin")
+        make(root / "sequences" / sequence / "labels", "000000.label")
+        make(root / "sequences" / sequence, "poses.txt", "calib.txt")
+    make(root / "sequences" / "08" / "velodyne", ".000002.bin", "notes.txt", "000000.npy")
+    make(root / "sequences" / "08" / "velodyne" / "000009.bin")
+    make(root / "sequences" / "empty" / "velodyne")
+    make(root / "sequences" / ".hidden" / "velodyne", "000000.bin")
+    make(root / "sequences", "readme.txt")
+    return root
+
+
+BOTH = [("00", "000000"), ("00", "000001"), ("08", "000000"), ("08", "000001")]
+
+
+@pytest.mark.parametrize(
+    ("place", "expected"),
+    [
+        (".", BOTH),
+        ("sequences", BOTH),
+        ("sequences/08", BOTH[2:]),
+        ("sequences/08/velodyne", BOTH[2:]),
+        ("sequences/08/velodyne/000001.bin", BOTH[3:]),
+        ("sequences/../sequences/08", BOTH[2:]),
+    ],
+)
+def test_every_way_to_name_scans(dataset, place, expected) -> None:
+    scans = find_scans(dataset / place)
+    assert [(scan.sequence, scan.stem) for scan in scans] == expected
+    for scan in scans:
+        folder = dataset / "sequences" / scan.sequence
+        assert scan.path == folder / "velodyne" / f"{scan.stem}.bin"
+        assert scan.label_path == folder / "labels" / f"{scan.stem}.label"
+
+
+@pytest.mark.parametrize("place", [".", "..", "../velodyne", "./000000.bin", "../../08/velodyne"])
+def test_relative_places_get_their_true_names(dataset, place, monkeypatch) -> None:
+    monkeypatch.chdir(dataset / "sequences" / "08" / "velodyne")
+    scan = find_scans(Path(place))[0]
+    assert (scan.sequence, scan.stem) == ("08", "000000")
+    assert scan.path.is_absolute()
+
+
+def test_links_keep_the_name_as_typed(dataset: Path, tmp_path: Path) -> None:
+    link = tmp_path / "drive"
+    link.symlink_to(dataset / "sequences" / "08" / "velodyne")
+    assert {(scan.sequence, scan.path.parent) for scan in find_scans(link)} == {("drive", link)}
+
+
+def test_link_to_a_scan_that_is_gone_is_not_passed_over(tmp_path: Path) -> None:
+    make(tmp_path / "scans", "a.bin")
+    (tmp_path / "scans" / "b.bin").symlink_to(tmp_path / "gone.bin")
+    assert [scan.stem for scan in find_scans(tmp_path / "scans")] == ["a", "b"]
+
+
+def test_plain_folder_and_its_labels(tmp_path: Path) -> None:
+    folder = tmp_path / "Fahrt 1 äöü"
+    make(folder, "b.PLY", "a.Pcd", "n__LIDAR_TOP__15.331.pcd.bin", "c.x.BIN", "c.txt")
+    scans = find_scans(folder)
+    assert [scan.stem for scan in scans] == ["a", "b", "c.x", "n__LIDAR_TOP__15.331"]
+    assert {scan.sequence for scan in scans} == {"Fahrt 1 äöü"}
+    assert scans[2].label_path == folder / "c.x.label"
+    make(folder / "labels", "c.x.label")
+    assert scans[2].label_path == folder / "labels" / "c.x.label"
+    assert scans[0].label_path == folder / "a.label"
+
+
+@pytest.mark.parametrize(
+    ("names", "expected"),
+    [(["8"], ["08"]), (["008"], ["08"]), (["0", "8", "08"], ["00", "08"]), ([], [])],
+)
+def test_sequences_are_chosen_by_name_or_number(dataset, names, expected) -> None:
+    assert sorted({scan.sequence for scan in find_scans(dataset, names)}) == expected
+
+
+@pytest.mark.parametrize("name", ["9", "8.0", "-8", "x", "", "empty", ".hidden", "../08"])
+def test_missing_sequence_names_those_that_exist(dataset: Path, name: str) -> None:
+    with pytest.raises(NoInputError, match="one of 00, 08"):
+        find_scans(dataset, ["08", name])
+
+
+def test_exact_name_wins_over_number(tmp_path: Path) -> None:
+    for sequence in ("8", "08"):
+        make(tmp_path / "sequences" / sequence / "velodyne", "0.bin")
+    assert [scan.sequence for scan in find_scans(tmp_path, ["8"])] == ["8"]
+    assert [scan.sequence for scan in find_scans(tmp_path, ["008"])] == ["08", "8"]
+
+
+def test_nothing_to_find(tmp_path: Path) -> None:
+    make(tmp_path / "folder", "notes.md", ".hidden.bin")
+    with pytest.raises(NoInputError, match=r"holds no scans, but 1 \.md"):
+        find_scans(tmp_path / "folder")
+    with pytest.raises(NoInputError, match=r"a \.md file, which is not read .* to \.ply or \.las"):
+        find_scans(tmp_path / "folder/notes.md")
+    for source in ("missing", "folder/notes.md/deeper"):
+        with pytest.raises(NoInputError, match="directory"):
+            find_scans(tmp_path / source)
+
+
+@pytest.mark.parametrize(
+    ("names", "scans"),
+    [
+        (["a.bin", "b.las", "c.npy", "d.csv", "notes.txt"], ["a", "b"]),
+        (["c.npy", "d.csv", "notes.txt"], ["c"]),
+        (["d.npz", "d.csv", "notes.txt"], ["d"]),
+        (["d.csv", "notes.txt"], ["d"]),
+        (["e.TXT", "f.txt", "g.jpg"], ["e", "f"]),
+    ],
+)
+def test_tables_are_scans_where_there_are_no_clouds(tmp_path: Path, names, scans) -> None:
+    make(tmp_path, *names)
+    assert [scan.stem for scan in find_scans(tmp_path)] == scans
+    for name in names[:1]:
+        assert [scan.path.name for scan in find_scans(tmp_path / name)] == [name]
+
+
+OWN = {
+    "scores.txt": ("accuracy_mean: 0.5\n", "# scores on scans\naccuracy_mean: 0.5\n"),
+    "log.csv": ("epoch,learning_rate,loss\n1,0.1,2\n",),
+    "picked.csv": ("rank,sequence,scan,uncertainty\n",),
+}
+
+
+@pytest.mark.parametrize(
+    ("name", "text"), [(n, text) for n, texts in OWN.items() for text in texts]
+)
+def test_our_tables_are_no_scans_which_is_said_but_others_of_their_names_are(
+    tmp_path: Path, name, text, caplog
+) -> None:
+    suffix = Path(name).suffix
+    make(tmp_path, f"a{suffix}")
+    for content in ("x,y,z,intensity\n1,2,3,0\n", "1 2 3 0\n", ""):
+        (tmp_path / name).write_text(content)
+        assert {s.path.name for s in find_scans(tmp_path)} == {f"a{suffix}", name}
+    (tmp_path / name).write_text(text)
+    with caplog.at_level(NOTICE):
+        found = select_scans(tmp_path, ScanSelection())
+    assert [scan.path.name for scan in found] == [f"a{suffix}"]
+    assert caplog.messages == [f"{tmp_path}: passed over 1 {suffix}"]
+
+
+def test_text_beside_sequences_is_no_scan(tmp_path: Path) -> None:
+    make(tmp_path / "08" / "velodyne", "0.bin")
+    make(tmp_path, "readme.txt")
+    assert [scan.sequence for scan in find_scans(tmp_path)] == ["08"]
+
+
+def test_what_is_passed_over_is_said_once(tmp_path: Path, caplog) -> None:
+    make(tmp_path, "a.bin", "b.bin", "a.label", "notes.txt", "x.JPG", "y.jpg", "README", ".z.jpg")
+    make(tmp_path / "labels", "a.label")
+    with caplog.at_level("INFO"):
+        assert len(select_scans(tmp_path, ScanSelection())) == 2
+    notice, *details = caplog.records
+    assert notice.levelno == NOTICE
+    assert notice.getMessage() == f"{tmp_path}: passed over 1 without a suffix, 2 .jpg, 1 .txt"
+    assert [record.getMessage() for record in details] == [
+        f"passed over, without a suffix: {tmp_path / 'README'}",
+        f"passed over, .jpg: {tmp_path / 'x.JPG'}, {tmp_path / 'y.jpg'}",
+        f"passed over, .txt: {tmp_path / 'notes.txt'}",
+    ]
+    caplog.clear()
+    select_scans(tmp_path / "a.bin", ScanSelection())
+    assert not caplog.records
+
+
+def test_two_scans_of_one_stem_are_both_named(tmp_path: Path) -> None:
+    make(tmp_path, "000000.bin", "000000.pcd", "000001.bin")
+    with pytest.raises(OutputError, match=r"000000\.bin, .*000000\.pcd"):
+        find_scans(tmp_path)
+
+
+@pytest.mark.parametrize("folder", SUFFIX_OF_FOLDER)
+def test_outputs_are_found_where_they_are_put(tmp_path: Path, folder: str) -> None:
+    names = [("08", "b.c"), ("08", "a"), ("00 ä", "a")]
+    for sequence, stem in names:
+        path = output_path(tmp_path, sequence, folder, stem)
+        make(path.parent, path.name, ".half.part", f".{path.name}", "other.txt")
+    outputs = find_outputs(tmp_path, folder)
+    assert list(outputs) == sorted(names)
+    for (sequence, stem), path in outputs.items():
+        assert path == output_path(tmp_path, sequence, folder, stem)
+        assert path.is_file()
+
+
+def test_no_outputs(tmp_path: Path) -> None:
+    assert find_outputs(tmp_path / "missing", "predictions") == {}
+    make(tmp_path / "sequences" / "08")
+    assert find_outputs(tmp_path, "predictions") == {}
+
+
+NAMES = st.sampled_from(["a", "", ".", "..", "../x", "/etc", "a/b", "a/../b", "a/", "x\0y"])
+NAMES |= st.text()
+
+
+@given(NAMES, NAMES)
+def test_no_name_leads_out_of_the_output_folder(sequence: str, stem: str) -> None:
+    try:
+        path = output_path(Path("/out"), sequence, "range", stem)
+    except OutputError:
+        return
+    assert path.parts == ("/", "out", "sequences", sequence, "range", f"{stem}.npy")
+    assert not {"..", "\0"} & {*path.parts, *str(path)}

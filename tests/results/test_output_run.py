@@ -1,0 +1,347 @@
+# SPDX-License-Identifier: MIT
+"""Runs of stages in an output folder: what is recorded, refused, removed and kept."""
+
+import json
+import os
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
+from pathlib import Path
+from threading import Barrier, Event
+
+import numpy as np
+import pytest
+from empty_runs import begin_and_end
+from scans import files_below, write_sequence
+
+from salsanext_cli import __version__, label_space, sensor
+from salsanext_cli.errors import OutputError
+from salsanext_cli.files.atomic import STALE_AFTER_S
+from salsanext_cli.results import run_registration
+from salsanext_cli.results.layout import ScanFile, find_scans
+from salsanext_cli.results.output_run import output_run
+from salsanext_cli.results.run_registration import records_lock
+from salsanext_cli.results.stage_records import (
+    origins,
+    owner,
+    read_record,
+    recorded_label_space,
+    recorded_sensor,
+    stage_settings,
+)
+
+SETTINGS = {"weights": "abc", "knn": {"k": 5}}
+LABELS = np.full(5, 10, np.uint32)
+
+
+def scans_of(tmp_path: Path, *stems: str, sequence: str = "08") -> list[ScanFile]:
+    folder = tmp_path / "data" / sequence / "velodyne"
+    return [ScanFile(sequence, stem, folder / f"{stem}.bin") for stem in stems]
+
+
+def predict(out: Path, settings=SETTINGS, folders=("predictions",), scans=(), overwrite=False):
+    return begin_and_end(out, "predict", settings, folders, scans, overwrite=overwrite)
+
+
+def predicted(out: Path, scans: list[ScanFile], settings=SETTINGS) -> list[Path]:
+    """Write labels of scans as a run does; return their paths."""
+    output = predict(out, settings, scans=scans)
+    for scan in scans:
+        output.write_labels(scan, LABELS)
+    return [output.path(scan, "predictions") for scan in scans]
+
+
+def test_what_is_recorded(tmp_path: Path) -> None:
+    scans = scans_of(tmp_path, "a", "b")
+    predict(tmp_path / "out", scans=scans)
+    assert json.loads((tmp_path / "out/predict.json").read_text()) == {
+        "stage": "predict",
+        "version": __version__,
+        "settings": SETTINGS,
+        "writes": ["predictions"],
+        "scans": {"08": {"folder": str(scans[0].path.parent), "asked_for": ["a", "b"]}},
+    }
+    assert stage_settings(tmp_path / "out", "predict") == SETTINGS
+    assert stage_settings(tmp_path / "out", "project") is None
+    assert owner(tmp_path / "out", "predictions") == "predict"
+    assert owner(tmp_path / "out", "range") is None
+
+
+def test_the_same_settings_may_go_on_and_write_more(tmp_path: Path) -> None:
+    scans = scans_of(tmp_path, "a", "b")
+    predict(tmp_path, scans=scans)
+    predict(tmp_path, folders=("predictions", "pixel_labels"), scans=scans[:1])
+    before = files_below(tmp_path)
+    predict(tmp_path, scans=scans[1:])
+    assert files_below(tmp_path) == before
+    record = read_record(tmp_path, "predict")
+    assert record is not None
+    assert record.folders == ("pixel_labels", "predictions")
+    assert record.scans["08"].stems == {"a", "b"}
+
+
+@pytest.mark.parametrize(
+    ("other", "named"),
+    [
+        ({"weights": "abc", "knn": {"k": 7}}, r"settings: knn\.k was 5 and is 7 · "),
+        (
+            {"weights": "abc", "knn": {"k": 5}, "label_space": 7},
+            "label_space was not set and is 7 · ",
+        ),
+        ({"weights": "abc", "seed": 3}, r"knn\.k was 5 and is not set, seed was not set and is 3"),
+    ],
+)
+def test_other_settings_are_refused_and_named(tmp_path: Path, other, named: str) -> None:
+    predict(tmp_path)
+    before = files_below(tmp_path)
+    with pytest.raises(OutputError, match=f"{named}.*--overwrite"):
+        predict(tmp_path, other)
+    assert files_below(tmp_path) == before
+    first = origins(tmp_path, ["predict", "uncertainty"])
+    predict(tmp_path, other, overwrite=True)
+    assert first.keys() == {"predict"}
+    assert origins(tmp_path, ["predict"]) != first
+    assert list(files_below(tmp_path)) == ["predict.json"]
+
+
+def test_overwriting_removes_what_was_written_with_other_settings(tmp_path: Path) -> None:
+    """And what it was asked for; with the same settings nothing is removed."""
+    scans = scans_of(tmp_path, "a", "b")
+    paths = predicted(tmp_path / "out", scans)
+    predict(tmp_path / "out", scans=scans, overwrite=True)
+    assert all(path.exists() for path in paths)
+    predict(tmp_path / "out", {"weights": "new"}, scans=scans[:1], overwrite=True)
+    assert not any(path.exists() for path in paths)
+    record = read_record(tmp_path / "out", "predict")
+    assert record is not None
+    assert record.scans["08"].stems == {"a"}
+
+
+def test_overwriting_keeps_what_salsanext_did_not_write_so(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    """A corrected label, results of others, notes, and a sequence behind a link."""
+    out = tmp_path / "out"
+    scans = scans_of(tmp_path, "a", "b")
+    ours, corrected = predicted(out, scans)
+    corrected.write_bytes(b"corrected by hand...")
+    foreign = out / "sequences/99/predictions/a.label"
+    foreign.parent.mkdir(parents=True)
+    foreign.write_bytes(b"mine")
+    notes = ours.with_name("notes.txt")
+    notes.write_text("mine")
+    (linked,) = predicted(out, scans_of(tmp_path, "c", sequence="05"))
+    sequence = linked.parents[1].rename(tmp_path / "elsewhere")
+    (out / "sequences/05").symlink_to(sequence)
+
+    with output_run(
+        out, "predict", {"weights": "new"}, ("predictions",), scans, overwrite=True
+    ) as output:
+        assert output.kept == {corrected}
+        output.require_replaceable(scans[0])
+        with pytest.raises(OutputError, match=r"b\.label · was changed, or not written by"):
+            output.require_replaceable(scans[1])
+    assert json.loads((out / "predict.json").read_text())["kept"] == [
+        str(path.relative_to(out)) for path in (linked, corrected, foreign)
+    ]
+    # It is no result of the new settings, in the next run either, until it is moved.
+    again = predict(out, {"weights": "new"}, scans=scans)
+    assert (again.is_done(scans[1]), again.kept) == (False, {corrected})
+    corrected.unlink()
+    again.write_labels(scans[1], np.uint32([40]))
+    assert predict(out, {"weights": "new"}, scans=scans).is_done(scans[1])
+    corrected.write_bytes(b"corrected by hand...")
+    assert not ours.exists()
+    assert corrected.read_bytes() == b"corrected by hand..."
+    assert (sequence / "predictions/c.label").exists()
+    assert foreign.exists()
+    assert notes.exists()
+    for path in (corrected, foreign, linked):
+        assert str(path) in caplog.text
+
+
+def test_results_of_another_stage_are_refused(tmp_path: Path) -> None:
+    (path,) = predicted(tmp_path, scans_of(tmp_path, "a"))
+    refine = (tmp_path, "knn-refine", {}, ["predictions"])
+    with pytest.raises(OutputError, match="predictions/ holds the results of `predict`"):
+        begin_and_end(*refine)
+    assert path.exists()
+    begin_and_end(*refine, overwrite=True)
+    assert owner(tmp_path, "predictions") == "knn-refine"
+    assert not path.exists()
+
+
+def test_results_that_no_stage_recorded(tmp_path: Path) -> None:
+    """In a folder that the stage had not filled before they are not taken for its own either."""
+    out, scans = tmp_path / "out", scans_of(tmp_path, "a", "b")
+    for folder, name in (("predictions", "a.label"), ("probabilities", "a.npy")):
+        path = out / "sequences/08" / folder / name
+        path.parent.mkdir(parents=True)
+        path.write_bytes(b"mine")
+        with pytest.raises(OutputError, match=rf"{name} · is a result that no stage recorded"):
+            predict(out, folders=("predictions", folder), scans=scans)
+        output = predict(out, folders=("predictions", folder), scans=scans, overwrite=True)
+        assert path in output.kept
+        assert path.read_bytes() == b"mine"
+
+
+def test_an_infinite_setting_is_recorded_as_json_can(tmp_path: Path) -> None:
+    for _ in range(2):
+        predict(tmp_path, {"cutoff": float("inf")})
+    text = (tmp_path / "predict.json").read_text()
+    assert json.loads(text, parse_constant=pytest.fail)["settings"] == {"cutoff": "Infinity"}
+
+
+@pytest.mark.parametrize(
+    "content",
+    [
+        *(b"{", b"[]", b"\xff\xfe", b"null", b"{}", b'{"settings": {}}', b'{"writes": []}'),
+        b'{"settings": {}, "writes": 3}',
+        b'{"settings": {}, "writes": ["elsewhere"]}',
+        b'{"settings": {}, "writes": [[]]}',
+        b'{"settings": {}, "writes": [], "scans": 3}',
+        b'{"settings": {}, "writes": [], "scans": {"08": {"folder": 3, "asked_for": []}}}',
+        b'{"settings": {}, "writes": [], "scans": {"08": {"folder": "a", "asked_for": "all"}}}',
+        b'{"settings": {}, "writes": [], "scans": {"08": {"folder": "a", "asked_for": [3]}}}',
+    ],
+)
+def test_damaged_records_are_named(tmp_path: Path, content: bytes) -> None:
+    (tmp_path / "predict.json").write_bytes(content)
+    with pytest.raises(OutputError, match=r"predict\.json"):
+        predict(tmp_path)
+    with pytest.raises(OutputError, match=r"predict\.json"):
+        owner(tmp_path, "predictions")
+
+
+def test_an_output_folder_that_cannot_be_made(tmp_path: Path) -> None:
+    (tmp_path / "file").touch()
+    for out in (tmp_path / "file/out", tmp_path / "file"):
+        with pytest.raises(OutputError, match="cannot be"):
+            predict(out)
+
+
+def test_label_space_and_sensor_are_those_of_the_stage_that_wrote(tmp_path: Path) -> None:
+    assert (recorded_label_space(tmp_path), recorded_sensor(tmp_path)) == (None, sensor("hdl64"))
+    space, hdl32 = label_space(), sensor("hdl32")
+    predict(tmp_path, {"label_space": space.to_dict(), "sensor": hdl32.to_dict()})
+    found = recorded_label_space(tmp_path)
+    assert found is not None
+    assert found.to_dict() == space.to_dict()
+    assert recorded_sensor(tmp_path) == hdl32
+
+
+def test_another_source_of_the_same_name_is_refused_before_anything_is_removed(tmp_path) -> None:
+    predicted(tmp_path / "out", scans_of(tmp_path, "a"))
+    before = files_below(tmp_path / "out")
+    other = find_scans(write_sequence(tmp_path / "other/08", ["a"]))
+    with pytest.raises(OutputError, match=r"sequence 08 came from .*data.* not from .*other"):
+        predict(tmp_path / "out", {"weights": "new"}, scans=other, overwrite=True)
+    assert files_below(tmp_path / "out") == before
+    with pytest.raises(OutputError, match="sequence 08 came from"):
+        predict(tmp_path / "new", scans=[*scans_of(tmp_path, "a"), *other])
+    assert not (tmp_path / "new").exists()
+
+
+@pytest.mark.parametrize("overwrite", [False, True])
+def test_of_two_with_other_settings_one_has_the_folder(tmp_path: Path, overwrite: bool) -> None:
+    together, refused = Barrier(2, timeout=30), Event()
+
+    def begin(weights: str) -> str:
+        run = (tmp_path, "predict", {"weights": weights}, ("predictions",), ())
+        together.wait()
+        try:
+            with output_run(*run, overwrite=overwrite):
+                assert refused.wait(30)
+                return "begun"
+        except OutputError as error:
+            refused.set()
+            return str(error)
+
+    with ThreadPoolExecutor(2) as threads:
+        said = dict(zip("ab", threads.map(begin, "ab"), strict=True))
+    (winner,) = (name for name, words in said.items() if words == "begun")
+    (loser,) = {"a", "b"} - {winner}
+    assert "weights was" in said[loser] or "another run of `predict` is at work" in said[loser]
+    assert stage_settings(tmp_path, "predict") == {"weights": winner}
+    assert list(files_below(tmp_path)) == ["predict.json"]
+
+
+def test_results_that_are_being_made_are_not_removed(tmp_path: Path) -> None:
+    """Nor others by the run that is refused; the lock of a run that was killed means nothing."""
+    out, scans = tmp_path / "out", scans_of(tmp_path, "a")
+    (path,) = predicted(out, scans)
+    begin_and_end(out, "knn-refine", {}, ["pixel_labels"], scans)
+    before = files_below(out)
+    with output_run(out, "predict", SETTINGS, ("predictions",), scans, overwrite=False):
+        for stage in ("predict", "knn-refine"):
+            with pytest.raises(OutputError, match="another run of `predict` is at work in it · w"):
+                begin_and_end(out, stage, {"k": 3}, ["predictions"], scans, overwrite=True)
+    assert files_below(out) == before
+    (out / f".predict.{'0' * 32}.lock").touch()
+    predict(out, {"weights": "new"}, overwrite=True)
+    assert not path.exists()
+    assert sorted(files_below(out)) == ["knn-refine.json", "predict.json"]
+
+
+def test_runs_side_by_side(tmp_path: Path) -> None:
+    """With the same settings, or of stages that fill other folders."""
+    (path,) = predicted(tmp_path, scans_of(tmp_path, "a"))
+    first = (tmp_path, "predict", SETTINGS, ["predictions"], ())
+    export = (tmp_path, "export-ply", {"colour": "label"}, ["ply"])
+    with (
+        output_run(*first, overwrite=True),
+        output_run(*first, overwrite=False),
+        output_run(*export, (), overwrite=False),
+    ):
+        assert path.exists()
+        begin_and_end(*export, overwrite=True)
+        with pytest.raises(OutputError, match="another run of `export-ply`"):
+            begin_and_end(*export[:2], {"colour": "range"}, ["ply"], overwrite=True)
+    assert path.exists()
+
+
+def test_no_run_forgets_what_others_were_asked_for(tmp_path: Path) -> None:
+    stems = [f"{number:03d}" for number in range(40)]
+    with ThreadPoolExecutor(8) as threads:
+        list(threads.map(lambda s: predict(tmp_path, scans=scans_of(tmp_path, s)), stems))
+    record = read_record(tmp_path, "predict")
+    assert record is not None
+    assert record.scans["08"].stems == {*stems}
+
+
+def test_who_never_ends_recording_is_named(tmp_path: Path, monkeypatch) -> None:
+    monkeypatch.setattr(run_registration, "RECORDS_LOCK_TIMEOUT_S", 0.1)
+    held = r"records\.lock · held by another process · wait"
+    with records_lock(tmp_path), pytest.raises(OutputError, match=held):
+        predict(tmp_path)
+
+
+def test_what_was_left_half_written_long_ago_is_removed(tmp_path: Path) -> None:
+    """Nothing else is: others may be writing, and not all hidden files are ours."""
+    out, mark, old = tmp_path / "out", "0123456789abcdef" * 2, STALE_AFTER_S + 60
+    folder, other = out / "sequences/08/predictions", out / "sequences/09/predictions"
+    gone = [place / f".{mark}.part" for place in (folder, folder.parent, out)]
+    gone.append(folder / f".{mark}{mark}.part")
+    kept = {
+        folder / f".{mark[::-1]}.part": STALE_AFTER_S - 60,
+        folder / f".{'f' * 32}.part": -old,
+        folder / ".mine.part": old,
+        folder / f"{mark}.part": old,
+        other / f".{mark}.part": old,
+    }
+    for path, age in (dict.fromkeys(gone, old) | kept).items():
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_bytes(b"half")
+        then = path.stat().st_mtime - age
+        os.utime(path, (then, then))
+    predict(out, scans=scans_of(tmp_path, "a"))
+    assert [path for path in gone if path.exists()] == []
+    assert [path for path in kept if not path.exists()] == []
+
+
+def test_label_spaces_differ_by_their_classes(tmp_path):
+    space = label_space()
+    others = replace(space, name="mine", splits={"valid": ("07",), "train": (), "test": ()})
+    predict(tmp_path, {"label_space": space.to_dict()})
+    says = r"label_space \(split test: 11 .* ≠ , split train: .* ≠ 07 and 1 more\) · use another"
+    with pytest.raises(OutputError, match=says):
+        predict(tmp_path, {"label_space": others.to_dict()})

@@ -1,0 +1,129 @@
+# SPDX-License-Identifier: MIT
+import logging
+
+import pytest
+import yaml
+from scans import write_sequence
+
+from salsanext_cli.classes.label_space import LabelSpace, label_space
+from salsanext_cli.errors import NoInputError, UsageError
+from salsanext_cli.results.layout import find_scans
+from salsanext_cli.results.selection import (
+    ScanSelection,
+    choose,
+    completed,
+    data_set_of,
+    evenly_spaced,
+    select_scans,
+    space_of,
+    with_splits,
+)
+
+
+def names(scans):
+    return [f"{scan.sequence}/{scan.stem}" for scan in scans]
+
+
+@pytest.mark.parametrize(
+    ("selection", "expected"),
+    [
+        (ScanSelection(), ["00/000000", "08/000000", "08/000001"]),
+        (ScanSelection(split="valid"), ["08/000000", "08/000001"]),
+        (ScanSelection(split="train"), ["00/000000"]),
+        (ScanSelection(sequences=("8",)), ["08/000000", "08/000001"]),
+        (ScanSelection(sequences=("00",), limit=5), ["00/000000"]),
+        (ScanSelection(limit=2), ["00/000000", "08/000000"]),
+        (ScanSelection(split="valid", limit=1), ["08/000000"]),
+    ],
+)
+def test_choices(world, selection, expected):
+    assert names(select_scans(world.data, selection)) == expected
+
+
+@pytest.mark.parametrize(
+    ("selection", "says"),
+    [
+        ({"split": "test"}, r"no scans of split test \(11, 12.*besides 00, 08"),
+        ({"split": "tets"}, "split tets · no such split · expected one of train"),
+        ({"sequences": ("08", "77")}, "no scans of sequence 77"),
+        ({"limit": 0}, "--limit"),
+        ({"split": "valid", "sequences": ("08",)}, "--split and --sequences · both given"),
+    ],
+)
+def test_selections_that_are_none(world, selection, says):
+    with pytest.raises((NoInputError, UsageError), match=says):
+        select_scans(world.data, ScanSelection(**selection))
+
+
+def test_a_split_does_not_choose_in_a_folder_of_ones_own(tmp_path, caplog):
+    folder = write_sequence(tmp_path / "Straße 9", ["a"])
+    with caplog.at_level(logging.WARNING):
+        scans = select_scans(folder, ScanSelection(split="valid"))
+    assert names(scans) == ["Straße 9/a"]
+    assert "no split names Straße 9: taking all" in caplog.text
+
+
+@pytest.mark.parametrize("name", ["labels.yaml", "semantic-kitti.yaml"])
+def test_a_data_set_may_bring_its_own_splits(world, name):
+    space = label_space().to_dict() | {"name": "mine", "split": {"odd": ["00"]}}
+    (world.data / name).write_text(yaml.safe_dump(space))
+    scans = find_scans(world.data)
+    assert space_of(scans).splits == {"odd": ("00",)}
+    assert names(select_scans(world.data, ScanSelection(split="odd"))) == ["00/000000"]
+
+
+OWN, SAME_IDS = {"odd": ["00"], "valid": ["00", "08"]}, label_space("coarse").to_dict()
+
+
+@pytest.mark.parametrize("file", ["none", "labels.yaml"])
+@pytest.mark.parametrize("given", [{}, {"valid": ["00"]}])
+def test_splits_are_those_given_else_of_the_data_set_else_semantic_kittis(world, file, given):
+    if file != "none":
+        (world.data / file).write_text(yaml.safe_dump(label_space().to_dict() | {"split": OWN}))
+    space = LabelSpace.from_dict(SAME_IDS | {"split": given})
+    for found in (with_splits(space, world.data), completed(space, world.data)):
+        usual = {"none": ("08",), "labels.yaml": ("00", "08")}[file]
+        assert found.splits["valid"] == (("00",) if given else usual)
+        assert found.fits(space)
+    chosen = choose(find_scans(world.data), ScanSelection(split="valid"), space, world.data)
+    assert {scan.sequence for scan in chosen} == {*found.splits["valid"]}
+
+
+def test_a_data_set_without_splits_has_semantic_kittis(world):
+    (world.data / "labels.yaml").write_text(
+        yaml.safe_dump({k: v for k, v in label_space().to_dict().items() if k != "split"})
+    )
+    assert names(select_scans(world.data, ScanSelection(split="valid"))) == [
+        *("08/000000", "08/000001")
+    ]
+
+
+def test_a_broken_label_space_is_read_only_where_it_is_needed(world, caplog):
+    (world.data / "labels.yaml").write_text("labels: 3")
+    whole = LabelSpace.from_dict(SAME_IDS | {"split": {"train": ["00"]}})
+    assert with_splits(whole, world.data) is whole
+    for _ in range(2):
+        assert completed(whole, world.data) is whole
+    (said,) = caplog.messages
+    assert "labels.yaml · not a label space" in said
+    assert said.endswith("label space coarse is taken without it")
+    for complete in (with_splits, completed):
+        with pytest.raises(UsageError, match=r"labels\.yaml · not a label space"):
+            complete(label_space("coarse"), world.data)
+
+
+def test_the_label_space_of_scans_elsewhere_is_the_fallback(tmp_path):
+    folder = write_sequence(tmp_path / "one", ["a"])
+    (scan,) = find_scans(folder)
+    other = label_space()
+    assert data_set_of(scan) is None
+    assert space_of([scan], other) is other
+    assert space_of([]).name == "semantic-kitti"
+
+
+def test_evenly_spaced_takes_first_and_last_and_none_twice(tmp_path):
+    files = find_scans(write_sequence(tmp_path / "08", [f"{i:02d}" for i in range(11)], count=1))
+    assert evenly_spaced(files, 0) == files
+    assert evenly_spaced(files, 20) == files
+    assert [file.stem for file in evenly_spaced(files, 3)] == ["00", "05", "10"]
+    assert len(set(evenly_spaced(files, 10))) == 10

@@ -1,0 +1,215 @@
+# SPDX-License-Identifier: MIT
+import json
+import math
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from salsanext_cli.errors import UsageError
+from salsanext_cli.sensors.sensor import Sensor, presets, sensor
+
+VALID = Sensor("valid", fov_up=3, fov_down=-25, height=64, width=2048)
+
+
+@pytest.mark.parametrize("name", presets())
+def test_presets_bear_their_name_and_survive_json(name: str) -> None:
+    preset = sensor(name)
+    assert preset.name == name
+    assert Sensor.from_dict(json.loads(json.dumps(preset.to_dict()))) == preset
+
+
+@given(st.floats(-89, 89), st.floats(0.5, 90), st.integers(1, 256), st.integers(1, 4096))
+def test_any_possible_sensor_survives_json(
+    down: float, extent: float, height: int, width: int
+) -> None:
+    made = Sensor("s", down + extent, down, height, width, out_of_view="drop", intensity_scale=255)
+    assert Sensor.from_dict(json.loads(json.dumps(made.to_dict()))) == made
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"fov_up": -25},
+        {"fov_up": -30},
+        {"fov_up": math.nan},
+        {"fov_down": -math.inf},
+        {"height": 0},
+        {"width": -1},
+        {"means": (0, 0, 0, 0)},
+        {"stds": (1, 1, 1, 1)},
+        {"stds": (1, 1, 1, 1, 0)},
+        {"out_of_view": "wrap"},
+        {"intensity_scale": 0},
+        {"intensity_scale": 1e-40},
+        {"stds": (1, 1, 1, 1, 1e-40)},
+        {"stds": (1, 1, 1, 1, math.inf)},
+        {"means": (1e30, 0, 0, 0, 0)},
+        {"means": (math.nan, 0, 0, 0, 0)},
+        {"means": [0, 0, 0, 0, math.inf]},
+        {"range_noise": -0.01},
+        {"range_noise": math.nan},
+        {"intensity_noise": math.inf},
+        # Values of another type
+        {"fov_up": "3"},
+        {"height": "64"},
+        {"height": 64.5},
+        {"means": 1.0},
+        {"means": ["a", "b", "c", "d", "e"]},
+        {"intensity_scale": "255"},
+        {"columns": "xyz"},
+        {"columns": ["x", "y"]},
+        {"columns": ["x", "y", "z", "x"]},
+        {"columns": ["x", "y", "z", "Ring"]},
+        {"columns": ["x", "y", "z", ""]},
+        {"columns": ["x", "y", "z", 3]},
+        {"columns": ["x", "y", "z", *"_" * 62]},
+    ],
+)
+def test_impossible_sensors(change: dict[str, object]) -> None:
+    with pytest.raises(UsageError, match="sensor"):
+        Sensor.from_dict(VALID.to_dict() | change)
+
+
+def test_an_excessive_size_is_refused_with_its_memory() -> None:
+    assert VALID.resized() == VALID
+    assert VALID.resized(height=32) == replace(VALID, height=32)
+    assert VALID.resized(width=32768) == replace(VALID, width=32768)
+    with pytest.raises(UsageError) as caught:
+        VALID.resized(4096, 4096)
+    assert str(caught.value) == (
+        "sensor valid · size 4096×4096, of which an image takes 16 GB in a network"
+        " · expected at most 2097152 pixels, such as 64×32768"
+    )
+    with pytest.raises(UsageError, match=r"a number of \d+ bits"):
+        VALID.resized(1 << 2000, 1 << 2000)
+
+
+def test_unknown_and_missing_keys() -> None:
+    with pytest.raises(UsageError, match="unknown key fov_upp"):
+        Sensor.from_dict(VALID.to_dict() | {"fov_upp": 3})
+    with pytest.raises(
+        UsageError, match="sensor · lacks fov_down, height · expected a sensor with"
+    ):
+        Sensor.from_dict({"name": "s", "fov_up": 1, "width": 1})
+
+
+@pytest.mark.parametrize(
+    ("key", "value", "says"),
+    [
+        ("fov_up", "3", "fov_up is '3' · expected a number"),
+        ("height", None, "height is None · expected a number"),
+        ("intensity_scale", [1], r"intensity_scale is \[1\] · expected a number"),
+        ("means", 3, "means is 3 · expected 5 numbers"),
+        ("means", "12345", "means is '12345' · expected 5 numbers"),
+        ("stds", [1, 1, 1, 1, "a"], r"stds is \[1, 1, 1, 1, 'a'\] · expected 5 numbers"),
+        ("range_noise", "much", "range_noise is 'much' · expected a number"),
+    ],
+)
+def test_a_value_of_another_type_is_named(key, value, says) -> None:
+    with pytest.raises(UsageError, match=says):
+        Sensor.from_dict(VALID.to_dict() | {key: value})
+
+
+def test_columns_belong_to_the_view_where_they_are_named(tmp_path: Path) -> None:
+    named = replace(VALID, columns=("x", "y", "z", "_", "ring", "_"))
+    assert named.view() != VALID.view()
+    assert "columns" not in VALID.to_dict()
+    assert "columns" not in VALID.to_toml()
+    (tmp_path / "valid.toml").write_text(named.to_toml())
+    assert sensor(tmp_path / "valid.toml") == named
+    assert Sensor.from_dict(json.loads(json.dumps(named.to_dict()))) == named
+
+
+def test_file(tmp_path: Path) -> None:
+    path = tmp_path / "mein sensor.toml"
+    path.write_text("fov_up = 10\nfov_down = -10.5\nheight = 16\nwidth = 900\n")
+    own = sensor(path)
+    assert own == Sensor("mein sensor", 10, -10.5, 16, 900)
+    path.write_text(path.read_text() + 'name = "eigen"\nmeans = [1, 2, 3, 4, 5]\n')
+    assert sensor(str(path)) == replace(own, name="eigen", means=(1, 2, 3, 4, 5))
+
+
+@pytest.mark.parametrize(
+    "text", ["fov_up = ", "fov_up = 1", "speed = 3\n", "[hdl64]\nfov_up = 3\n", "\xff"]
+)
+def test_bad_files(tmp_path: Path, text: str) -> None:
+    path = tmp_path / "s.toml"
+    path.write_bytes(text.encode("latin-1"))
+    with pytest.raises(UsageError, match=r"s\.toml"):
+        sensor(path)
+
+
+def test_neither_preset_nor_file(tmp_path: Path) -> None:
+    with pytest.raises(UsageError, match="one of hdl64"):
+        sensor("hdl46")
+    with pytest.raises(UsageError, match=r"s\.toml · no preset and no file of that name"):
+        sensor(tmp_path / "s.toml")
+    with pytest.raises(UsageError, match="cannot be read: is a directory"):
+        sensor(tmp_path)
+    with pytest.raises(UsageError, match="cannot be read: file name too long"):
+        sensor("a" * 300)
+
+
+def test_every_preset_knows_its_noise():
+    assert all(preset.knows_noise for preset in presets().values())
+    assert not Sensor("s", 3, -25, 64, 512).knows_noise
+    assert not Sensor("s", 3, -25, 64, 512, range_noise=0.02).knows_noise
+
+
+def test_the_view_is_all_but_name_noise_and_quantiles():
+    one = sensor("hdl64")
+    assert one.view() == replace(one, name="x", range_noise=None, intensity_noise=1.0).view()
+    assert one.view() != replace(one, out_of_view="drop").view()
+    one = replace(one, intensity_quantiles=(0.0,) * 65, row_gaps=0.2)
+    left_out = {"name", "range_noise", "intensity_noise", "intensity_quantiles", "row_gaps"}
+    assert set(one.to_dict()) - set(one.view()) == left_out
+
+
+@pytest.mark.parametrize("quantiles", [(0.0, 1.0), (1.0,) + (0.0,) * 64, (math.nan,) * 65])
+def test_quantiles_that_are_none(quantiles):
+    with pytest.raises(UsageError, match=r"intensity_quantiles .* expected 65 numbers that rise"):
+        replace(sensor("hdl64"), intensity_quantiles=quantiles)
+
+
+def test_beams_in_a_file(tmp_path):
+    own = replace(VALID, beams=(10.5, 2.0, -3.25))
+    assert "beams" not in VALID.to_toml()
+    assert "beams" not in VALID.to_dict()
+    (tmp_path / "valid.toml").write_text(own.to_toml())
+    assert sensor(tmp_path / "valid.toml") == own
+    assert Sensor.from_dict(json.loads(json.dumps(own.to_dict()))) == own
+    assert own.view() != VALID.view()
+
+
+def test_beams_without_a_size_count_where_those_of_the_weights_do(tmp_path):
+    own = replace(VALID, beams=(10.5, 2.0, -3.25))
+    path = tmp_path / "valid.toml"
+    path.write_text(own.to_toml(images=False))
+    assert sensor(path, VALID).beams == ()
+    assert sensor(path, replace(VALID, beams=(3.0, 2.0))).beams == own.beams
+    assert sensor(path).beams == own.beams
+    path.write_text(own.to_toml())
+    assert sensor(path, VALID).beams == own.beams
+    path.write_text("fov_up = 3\nfov_down = -25\nbeams = [1, 2]\n")
+    with pytest.raises(UsageError, match=r"beams \(1, 2\)"):
+        sensor(path, VALID)
+
+
+@pytest.mark.parametrize(
+    "beams",
+    [[1.0], [1, 2], [2, 2], [2, math.nan], [math.inf, 2], [2, -91], ["a", "b"], "12", 3, {}]
+    + [list(range(44, -213, -1))],
+)
+def test_beams_that_are_none(beams):
+    data = {**VALID.to_dict(), "beams": beams}
+    with pytest.raises(UsageError, match=r"sensor valid · beams .* 2 to 256 elevations"):
+        Sensor.from_dict(data)
+
+
+@pytest.mark.parametrize("share", [-0.1, 1.5, math.nan])
+def test_a_share_of_gaps_that_is_none(share):
+    with pytest.raises(UsageError, match=r"row_gaps .* expected a share"):
+        replace(VALID, row_gaps=share)
