@@ -90,6 +90,9 @@ class Recipe:
         two more data sets.
     intensity, no_intensity, mount, view, fewer_beams : float
         Probability of each change to what another sensor sees; see `training.data.other_sensors`.
+    jitter, holes : float
+        Probability of noise on positions, and of pixels lost as real sensors do; see
+        `training.data.noise`.
     validate_every, validation_scans : int
         Epochs between validations, and how many scans of the split, evenly spaced; 0 for all.
     folds : int
@@ -136,6 +139,8 @@ class Recipe:
     mount: float = 0.0
     view: float = 0.0
     fewer_beams: float = 0.0
+    jitter: float = 0.0
+    holes: float = 0.0
     validate_every: int = 1
     validation_scans: int = 0
     folds: int = 0
@@ -162,7 +167,7 @@ class Recipe:
             self._require(key, getattr(self, key) >= 0, "at least 0")
         changes = ("rotate", "shift", "flip", "drop", "mix", "paste")
         of_sensors = ("intensity", "no_intensity", "mount", "view", "fewer_beams")
-        for key in (*changes, *of_sensors, "also", "crop_on_class"):
+        for key in (*changes, *of_sensors, "jitter", "holes", "also", "crop_on_class"):
             self._require(key, 0 <= getattr(self, key) <= 1, "between 0 and 1")
         for key in ("average", "dropout", "momentum", "label_smoothing"):
             self._require(key, 0 <= getattr(self, key) < 1, "from 0 to below 1")

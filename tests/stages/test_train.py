@@ -447,6 +447,7 @@ def further(tmp_path):
 
 OTHERWISE = TINY.with_changes(
     **dict.fromkeys(("mix", "paste", "intensity", "mount", "view", "fewer_beams"), 0.5),
+    **dict.fromkeys(("jitter", "holes"), 0.5),
     sensors="fitted",
     no_intensity=0.3,
 )

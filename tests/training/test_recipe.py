@@ -23,10 +23,11 @@ def test_the_papers_recipe_is_the_papers() -> None:
 
 
 def test_recipes_of_the_paper_change_scans_only_as_the_paper_does() -> None:
-    keys = ("mix", "paste", "label_smoothing", "whole_epochs", "intensity", "fewer_beams")
+    of_modern = ("mix", "paste", "label_smoothing", "whole_epochs")
+    keys = (*of_modern, "intensity", "fewer_beams", "jitter", "holes")
     others = {name for name in presets() if any(getattr(recipe(name), key) for key in keys)}
     assert others == {"finetune", "modern", "street"}
-    assert all(getattr(recipe("modern"), key) for key in keys[:4])
+    assert all(getattr(recipe("modern"), key) for key in of_modern)
 
 
 @pytest.mark.parametrize("name", presets())
@@ -63,6 +64,8 @@ def test_an_unknown_key_names_the_known_ones(tmp_path: Path) -> None:
         ("dropout", 1.5),
         ("flip", -0.1),
         ("paste", -0.5),
+        ("jitter", 1.5),
+        ("holes", -0.1),
         ("label_smoothing", 1.0),
         ("whole_epochs", -1),
         ("average", 1.0),

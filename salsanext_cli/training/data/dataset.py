@@ -34,6 +34,7 @@ from salsanext_cli.training.data.augment import (
     paste,
     select,
 )
+from salsanext_cli.training.data.noise import jitter, make_holes
 from salsanext_cli.training.data.other_sensors import (
     change_intensity,
     fewer_beams,
@@ -102,8 +103,10 @@ class Samples(Dataset[Sample]):
         view = self._view(index, random)
         image = project(scan, view)
         truth = pixels_from_points(labels, image.point_of_pixel)
-        # Rows are left out, and gaps filled, of both alike.
+        # Pixels and rows are left out, and gaps filled, of both alike.
         both = np.concatenate([image.channels, truth[None].astype(np.float32)])
+        if _drawn(recipe.holes, random):
+            both = make_holes(both, random)
         if _drawn(recipe.fewer_beams, random):
             both = fewer_beams(both, random)
             view = replace(view, row_gaps=row_gaps([both]))
@@ -139,6 +142,8 @@ class Samples(Dataset[Sample]):
         scan, labels = augment(labelled, self.recipe, random)
         if _drawn(self.recipe.mount, random):
             scan = replace(scan, points=mount_otherwise(scan.points, random))
+        if _drawn(self.recipe.jitter, random):
+            scan = replace(scan, points=jitter(scan.points, random))
         return scan, labels
 
     def _partner(self, index: int, random: np.random.Generator) -> LabelledScan:
