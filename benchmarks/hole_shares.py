@@ -23,7 +23,7 @@ from salsanext_cli.fitting.scan_fit import fitted_view
 from salsanext_cli.records import Float
 from salsanext_cli.results.layout import find_scans
 from salsanext_cli.results.selection import evenly_spaced
-from salsanext_cli.sensors import Sensor
+from salsanext_cli.sensors.sensor import Sensor
 from salsanext_cli.training.data.noise import HOLE_SHARES, hole_cells
 
 KINDS, BINS = HOLE_SHARES.shape
