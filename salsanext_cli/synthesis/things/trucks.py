@@ -84,7 +84,8 @@ def _flat(rng: Rng, bed: Bed) -> list[Mesh]:
         box((half_length - 0.05, -half_width, floor), (half_length, half_width, top + 0.5), skin),
     ]
     for _ in range(int(rng.integers(0, 7))):
-        size = rng.uniform([0.5, 0.4, 0.3], [1.6, 1.0, 1.4])
+        largest = np.minimum([1.6, 1.0], [1.8 * half_length, 1.8 * half_width])
+        size = rng.uniform([0.5, 0.4, 0.3], [*largest, 1.4])
         x, y = (
             rng.uniform(-half_length, half_length - size[0]),
             rng.uniform(-half_width, half_width - size[1]),
