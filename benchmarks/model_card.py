@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: MIT
 """Figures of docs/model-card.md: scores of weights on labelled data sets, as `predict` labels them.
 
-Prints the IoU per class; then accuracy, mean IoU over the classes present and expected calibration
-error in %, as the scans are, with batch norm adapted, without intensity, and in coarse classes.
+Prints the IoU per class; then accuracy, mean IoU over the classes present, expected calibration
+error, and mean IoU over the classes with at least 500 points, in %: as the scans are, with batch
+norm adapted, without intensity, and in coarse classes.
 
 A data set whose labels have other classes needs two label spaces of the same classes: those that
 the predictions are merged into, and those of its labels (docs/label-spaces.md has both for
@@ -68,7 +69,7 @@ def main() -> None:
         for name in dict.fromkeys(name for each in ious for name in each):
             row(name, [percent(each.get(name)) for each in ious])
         print()
-    row("accuracy / mean IoU / ECE", [*datasets])
+    row("accuracy / mean IoU / ECE / mean IoU of ≥ 500 points", [*datasets])
     row("---", ["---"] * len(datasets))
     for variant, results in found.items():
         row(variant, [overall(result) for result in results.values()])
@@ -81,12 +82,12 @@ def ious_of(result: dict[str, Any] | None) -> dict[str, float | None]:
 
 
 def overall(result: dict[str, Any] | None) -> str:
-    """Return accuracy, mean IoU and expected calibration error."""
+    """Return accuracy, mean IoU, expected calibration error and mean IoU of frequent classes."""
     if result is None:
         return "–"
     scores = result["scores"]
-    ece = result["calibration"]["ece"]
-    return " / ".join(map(percent, (scores["accuracy"], scores["iou_mean_present"], ece)))
+    mean, ece = scores["iou_mean_present"], result["calibration"]["ece"]
+    return " / ".join(map(percent, (scores["accuracy"], mean, ece, scores["iou_mean_frequent"])))
 
 
 if __name__ == "__main__":

@@ -24,6 +24,8 @@ from salsanext_cli.measures.confusion import Confusion, Ratios, ratio
 
 EPSILON = 1e-15
 """Added to every denominator by the official evaluator."""
+FREQUENT_POINTS = 500
+"""Points of a class from which on it is frequent; the IoU of fewer is mostly chance."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -75,6 +77,8 @@ class Scores:
     iou_mean_present : float
         Mean IoU over the classes that the truth holds, whatever is predicted; NaN if it
         holds none.
+    iou_mean_frequent : float
+        The same over the classes with at least `FREQUENT_POINTS` points; NaN without any.
     points : int
         Number of labelled points.
     classes : tuple of ClassScore
@@ -85,6 +89,7 @@ class Scores:
     accuracy_official: float
     iou_mean_official: float
     iou_mean_present: float
+    iou_mean_frequent: float
     points: int
     classes: tuple[ClassScore, ...]
 
@@ -121,6 +126,7 @@ def scores(confusion: Confusion, space: LabelSpace) -> Scores:
         accuracy_official=float(hits.sum() / (matrix[:, scored].sum() + EPSILON)),
         iou_mean_official=_mean(iou_official[scored]),
         iou_mean_present=_mean(iou[scored & (truths > 0)]),
+        iou_mean_frequent=_mean(iou[scored & (truths >= FREQUENT_POINTS)]),
         points=int(matrix.sum()),
         classes=tuple(
             ClassScore(

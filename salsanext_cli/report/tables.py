@@ -11,7 +11,7 @@ from rich.markup import escape
 from rich.table import Table
 
 from salsanext_cli.errors import counted
-from salsanext_cli.measures.scores import Scores
+from salsanext_cli.measures.scores import FREQUENT_POINTS, Scores
 from salsanext_cli.measures.uncertainty_evaluation import (
     CalibrationResult,
     ErrorResult,
@@ -42,7 +42,8 @@ def number_table(first: str, *numbers: str, title: str = "", no_wrap: bool = Fal
 def score_table(result: Scores, title: str = "") -> Table:
     """Return a table of IoU, precision, recall and points by class, then accuracies and means.
 
-    "–" stands where there is nothing to divide by, and for the IoU of a class without points.
+    The mean over the frequent classes is left out where all present are frequent. "–" stands where
+    there is nothing to divide by, and for the IoU of a class without points.
     """
     headings = ("class", "IoU %", "precision %", "recall %", "points")
     table = number_table(*headings, title=title, no_wrap=True)
@@ -56,6 +57,10 @@ def score_table(result: Scores, title: str = "") -> Table:
     table.add_row("mean IoU, official", percent(result.iou_mean_official))
     present = sum(c.points > 0 for c in result.classes)
     table.add_row(f"mean IoU, {present} classes present", percent(result.iou_mean_present))
+    frequent = sum(c.points >= FREQUENT_POINTS for c in result.classes)
+    if frequent < present:
+        name = f"mean IoU, {frequent} classes with ≥ {FREQUENT_POINTS} points"
+        table.add_row(name, percent(result.iou_mean_frequent))
     return table
 
 

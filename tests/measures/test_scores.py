@@ -70,10 +70,22 @@ def test_accuracy_and_means_of_points_predicted_unlabelled_and_of_absent_classes
     assert result.iou_mean_official == pytest.approx(1 / 3)
 
 
+def test_the_mean_of_frequent_classes_is_that_of_at_least_500_points():
+    # The tree has one point too few.
+    truth, predicted = np.repeat([1, 2, 2, 3], [500, 500, 250, 499]), np.repeat(1, 1749)
+    predicted[750:1000], predicted[1000:] = 2, 3
+    result = scores(Confusion(4).update(truth, predicted), SPACE)
+    assert [c.points for c in result.classes] == [500, 750, 499]
+    assert [c.iou for c in result.classes] == [500 / 750, 250 / 750, 499 / 749]
+    assert result.iou_mean_frequent == pytest.approx(1 / 2)
+    assert result.iou_mean_present == pytest.approx((1 + 499 / 749) / 3)
+
+
 def test_no_points_give_no_scores():
     result = of([])
     assert math.isnan(result.accuracy)
     assert math.isnan(result.iou_mean_present)
+    assert math.isnan(result.iou_mean_frequent)
     assert result.iou_mean_official == 0
     assert result.accuracy_official == 0
 
