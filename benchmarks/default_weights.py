@@ -1,16 +1,19 @@
 # SPDX-License-Identifier: MIT
 """Rebuild of the default weights: streets and sensors are simulated, PandaSet's scans are real.
 
-PANDASET is a folder ``sequences/002`` with velodyne/ and labels/: every second scan of the
-Pandar64 of that sequence, x forward, y left, z up, intensity / 255, and labels in raw ids of
-SemanticKITTI (docs/model-card.md has the map). The last ten are never trained on. The training
-has two rounds, the second of which begins with the weights of the first. An interrupted rebuild
-goes on where it was.
+PANDASET holds ``sequences/001`` and ``sequences/002``, each with velodyne/ and labels/: scans of
+the Pandar64 of two drives, x forward, y left, z up, intensity / 255, and labels in raw ids of
+SemanticKITTI (docs/model-card.md has the map). The last ten of 002 are never trained on. AACHEN, if
+given, holds ``sequences/a0`` and ``sequences/a1``, front sectors of a VLP-32C, likewise. An
+interrupted rebuild goes on where it was. What follows --train goes to `salsanext train`.
 
-Run: python benchmarks/default_weights.py pandaset/ folder/
+Run: python benchmarks/default_weights.py pandaset/ folder/ [aachen/] [--train --weights default]
 """
 
+import argparse
 import json
+import math
+import signal
 import subprocess
 import sys
 from collections.abc import Sequence
@@ -23,26 +26,38 @@ import torch
 
 from salsanext_cli.engines.settings import NetworkSettings
 from salsanext_cli.fitting.scan_fit import fitted
+from salsanext_cli.formats import read_scan
+from salsanext_cli.network.scan_digests import scan_digest
 from salsanext_cli.network.weights import read_weights, save_weights, save_with_card
-from salsanext_cli.results.layout import ScanFile
+from salsanext_cli.results.layout import ScanFile, find_scans
 from salsanext_cli.stages.tune_temperature import tune_temperature
 from salsanext_cli.training.cross_validation import folds
+from salsanext_cli.training.data.augment import rotate
 from salsanext_cli.training.data.class_counts import class_shares
+from salsanext_cli.training.data.sources import labelled_split
 from salsanext_cli.training.tuning.error import FOLDS, cross_validated
 from salsanext_cli.training.tuning.judged_points import JudgedPoints, judged_points
 from salsanext_cli.training.tuning.labelled_images import VALIDATION, labelled_scans
 
 HELD_OUT = 10
-"""Scans of PandaSet that the temperature is fitted on too, and that are scored."""
+"""Scans of PandaSet that every validation scores, and that the temperature is fitted on too."""
+STREETS_PER_VALIDATED = 4
+"""Validation scans of the streets for each that every validation scores: ten of forty."""
+SECTORS = 8
+"""Sectors of 46° that fill a circle."""
 POINTS_OF_SCAN = 10_000
 """Points of each validation scan that the model of errors is fitted to."""
-STREETS = ("--train", "120", "--valid", "5", "--scans", "8", "--spacing", "10", "--jobs", "2")
+STREETS = ("--train", "240", "--valid", "5", "--scans", "8", "--spacing", "10", "--jobs", "2")
 
 DESCRIPTION = (
-    "Trained on simulated streets and sensors and on one drive of PandaSet: 960 scans each of "
-    "`salsanext synth` with an HDL-64 and with random sensors, 28 of PandaSet (Hesai and Scale AI, "
-    "CC BY 4.0). The error is fitted to simulated scans only. See docs/model-card.md; not for use "
-    "on real roads."
+    "Trained on simulated streets and sensors and on two drives of PandaSet: 1 920 scans each of "
+    "`salsanext synth` with an HDL-64 and with random sensors, 32 of PandaSet (Hesai and Scale AI, "
+    "CC BY 4.0).{aachen} The error is fitted to simulated scans only. See docs/model-card.md; not "
+    "for use on real roads."
+)
+AACHEN = (
+    " Also 248 front sectors of one drive in Aachen (ika, RWTH Aachen, MIT), whose labels are from "
+    "a network for camera images."
 )
 
 
@@ -52,27 +67,75 @@ def salsanext(*words: str | Path) -> None:
     subprocess.run(["salsanext", *map(str, words)], check=True)
 
 
+def link(file: ScanFile, sequence: Path) -> None:
+    """Make links to a scan and its labels in a sequence."""
+    for path in (file.path, file.label_path):
+        place = sequence / path.parent.name / f"{file.sequence}-{path.name}"
+        place.parent.mkdir(parents=True, exist_ok=True)
+        if not place.is_symlink():
+            place.symlink_to(path.resolve())
+
+
 def link_pandaset(source: Path, root: Path) -> None:
-    """Make a data set of links to the scans, in two sequences."""
-    scans = sorted((source / "sequences/002/velodyne").glob("*.bin"))
-    splits = {"train": scans[:-HELD_OUT], "held-out": scans[-HELD_OUT:]}
-    for name, members in splits.items():
-        for scan in members:
-            label = scan.parent.parent / "labels" / f"{scan.stem}.label"
-            for file in (scan, label):
-                link = root / "sequences" / name / file.parent.name / file.name
-                link.parent.mkdir(parents=True, exist_ok=True)
-                if not link.is_symlink():
-                    link.symlink_to(file.resolve())
+    """Make a data set of links to the scans, the last ones in a sequence of their own."""
+    scans = find_scans(source, ["001", "002"])
+    for number, file in enumerate(scans, HELD_OUT - len(scans)):
+        link(file, root / "sequences" / ("held-out" if number >= 0 else file.sequence))
     (root / "labels.yaml").write_bytes((Path(__file__).parent / "pandaset.yaml").read_bytes())
 
 
-def finish(run: Path, datasets: Sequence[Path], target: Path) -> None:
+def link_streets(streets: Path, real: Path, root: Path) -> None:
+    """Make a data set of links to the streets that is validated on real scans, too."""
+    space, training = labelled_split(streets, None, "train")
+    for file in training:
+        link(file, root / "sequences" / file.sequence)
+    for dataset in (streets, real):
+        files = labelled_split(dataset, None, "valid")[1]
+        for file in files[:: STREETS_PER_VALIDATED if dataset == streets else 1]:
+            link(file, root / "sequences" / f"valid-{dataset.name}")
+    names = {"train": space.split("train"), "valid": [f"valid-{d.name}" for d in (streets, real)]}
+    (root / "labels.yaml").write_text(json.dumps(space.to_dict() | {"split": names}))
+
+
+def sectors_of(aachen: Path) -> list[ScanFile]:
+    """Return the sectors to train on, as many as fill whole circles."""
+    files = find_scans(aachen, ["a0", "a1"])
+    return files[: len(files) // SECTORS * SECTORS]
+
+
+def compose_circles(aachen: Path, root: Path) -> None:
+    """Make a data set of full circles, each of sectors that lie far apart on the drive.
+
+    A window of the image of a single sector would be empty, or for three quarters at least.
+    """
+    if (root / "labels.yaml").exists():
+        return
+    sequence = root / "sequences/train"
+    for folder in ("velodyne", "labels"):
+        (sequence / folder).mkdir(parents=True, exist_ok=True)
+    files = sectors_of(aachen)
+    circles = len(files) // SECTORS
+    for circle in range(circles):
+        points, labels = [], []
+        for place, file in enumerate(files[circle::circles]):
+            sector = np.fromfile(file.path, np.float32).reshape(-1, 4)
+            sector[:, :3] = rotate(sector[:, :3], 2 * math.pi * place / SECTORS)
+            points.append(sector)
+            labels.append(np.fromfile(file.label_path, np.uint32))
+        np.concatenate(points).tofile(sequence / f"velodyne/{circle:06}.bin")
+        np.concatenate(labels).tofile(sequence / f"labels/{circle:06}.label")
+    (root / "labels.yaml").write_bytes((Path(__file__).parent / "aachen.yaml").read_bytes())
+
+
+def finish(
+    run: Path, datasets: Sequence[Path], target: Path, sectors: Sequence[ScanFile] = ()
+) -> None:
     """Write the last weights of a run in float16, without class weights, with a temperature.
 
     A loss weighted by f^-a, f being the share of a class, makes the softmax that of a world where
     every class is f^-a times as frequent; a·log f added to the logits takes that back. The
-    temperature is the geometric mean of those fitted on the validation scans of the data sets.
+    temperature is the geometric mean of those fitted on the validation scans of the data sets. The
+    weights know the sectors of the circles that they were trained on.
     """
     module, card = read_weights(run / "last.safetensors")
     points = json.loads((run / "class_counts.json").read_text())["points"]
@@ -83,7 +146,13 @@ def finish(run: Path, datasets: Sequence[Path], target: Path) -> None:
     state = module.state_dict()
     state["logits.bias"] += torch.from_numpy(added.astype(np.float32))
     module.load_state_dict(state)
-    card = replace(card, description=DESCRIPTION, temperature=1.0)
+    digests = {scan_digest(read_scan(file.path, card.sensor)) for file in sectors}
+    card = replace(
+        card,
+        description=DESCRIPTION.format(aachen=AACHEN if sectors else ""),
+        temperature=1.0,
+        trained_on=card.trained_on | digests,
+    )
     half = target.with_name("half.safetensors")
     save_weights(half, module, card, half=True)
     temperatures = []
@@ -115,22 +184,35 @@ def add_error(weights: Path, datasets: Sequence[Path]) -> None:
     names = sorted({f"{file.path.parents[3].name}/{file.sequence}" for file in judged})
     model = replace(model, scores=dict(model.scores) | {"sequences": names})
     print("errors:", model.scores, flush=True)
-    save_with_card(weights, weights, replace(network.card, error=model, description=DESCRIPTION))
+    save_with_card(weights, weights, replace(network.card, error=model))
 
 
 def main() -> None:
-    pandaset, out = map(Path, sys.argv[1:3])
+    parser = argparse.ArgumentParser()
+    for name in ("pandaset", "folder"):
+        parser.add_argument(name, type=Path)
+    parser.add_argument("aachen", type=Path, nargs="?")
+    parser.add_argument("--train", nargs=argparse.REMAINDER, default=[])
+    given = parser.parse_args()
+    # The command that runs ends with this script.
+    signal.signal(signal.SIGTERM, lambda number, _: sys.exit(128 + number))
+    out: Path = given.folder
     streets, sensors, real = (out / name for name in ("streets", "sensors", "pandaset"))
-    runs = [out / "run-1", out / "run-2"]
     if not (streets / "labels.yaml").exists():
-        salsanext("synth", streets, *STREETS, "--seed", "0", "--overwrite")
+        salsanext("synth", streets, *STREETS, "--seed", "0")
     if not (sensors / "labels.yaml").exists():
-        salsanext("synth", sensors, *STREETS, "--seed", "1", "--sensor", "random", "--overwrite")
-    link_pandaset(pandaset, real)
-    how = ("--also", sensors, "--also", real, "--recipe", "street", "--sensor", "hdl64-512")
-    salsanext("train", streets, runs[0], *how)
-    salsanext("train", streets, runs[1], *how, "--weights", runs[0] / "last.safetensors")
-    finish(runs[1], (streets, real), out / "default.safetensors")
+        salsanext("synth", sensors, *STREETS, "--seed", "1", "--sensor", "random")
+    link_pandaset(given.pandaset, real)
+    link_streets(streets, real, out / "validated")
+    also = [sensors, real]
+    if given.aachen:
+        compose_circles(given.aachen, out / "aachen")
+        also.append(out / "aachen")
+    how = [word for dataset in also for word in ("--also", dataset)]
+    how += ["--recipe", "street", "--sensor", "hdl64-512", *given.train]
+    salsanext("train", out / "validated", out / "run", *how)
+    sectors = sectors_of(given.aachen) if given.aachen else []
+    finish(out / "run", (streets, real), out / "default.safetensors", sectors)
     add_error(out / "default.safetensors", (streets, sensors))
 
 

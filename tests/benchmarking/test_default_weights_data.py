@@ -1,0 +1,90 @@
+# SPDX-License-Identifier: MIT
+"""The data sets that benchmarks/default_weights.py makes of scans that are there."""
+
+import runpy
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scans import write_sequence
+
+from salsanext_cli import LabelSpace, label_space
+from salsanext_cli.results.layout import find_scans
+from salsanext_cli.results.selection import data_set_label_space
+from salsanext_cli.training.data.sources import labelled_split
+
+BENCHMARKS = Path(__file__).parents[2] / "benchmarks"
+
+
+@pytest.fixture(scope="module")
+def script():
+    """Return the names of the script."""
+    return runpy.run_path(str(BENCHMARKS / "default_weights.py"))
+
+
+def names(root: Path, split: str) -> list[str]:
+    _, files = labelled_split(root, None, split)
+    assert all(file.label_path.is_file() for file in files)
+    return [f"{file.sequence}/{file.stem}" for file in files]
+
+
+def test_streets_are_validated_with_real_scans_that_nothing_is_trained_on(tmp_path, script):
+    source, real = tmp_path / "source", tmp_path / "pandaset"
+    for sequence, count in (("001", 2), ("002", 12)):
+        write_sequence(source / "sequences" / sequence, [f"{i:02}" for i in range(count)])
+    script["link_pandaset"](source, real)
+    script["link_pandaset"](source, real)
+    assert names(real, "train") == ["001/001-00", "001/001-01", "002/002-00", "002/002-01"]
+    held_out = [f"002-{i:02}" for i in range(2, 12)]
+    assert names(real, "valid") == [f"held-out/{stem}" for stem in held_out]
+
+    streets = tmp_path / "streets"
+    for sequence, stems in (("00", "ab"), ("08", "abcdefgh")):
+        write_sequence(streets / "sequences" / sequence, stems)
+    script["link_streets"](streets, real, tmp_path / "validated")
+    assert names(tmp_path / "validated", "train") == ["00/00-a", "00/00-b"]
+    assert names(tmp_path / "validated", "valid") == [
+        *(f"valid-pandaset/held-out-{stem}" for stem in held_out),
+        *("valid-streets/08-a", "valid-streets/08-e"),
+    ]
+    # What the held-out scans are labelled with means the same as in PandaSet's label space.
+    both, own = data_set_label_space(tmp_path / "validated"), data_set_label_space(real)
+    assert isinstance(both, LabelSpace)
+    assert isinstance(own, LabelSpace)
+    ids = np.array(list(own.learning_map), np.uint32)
+    np.testing.assert_array_equal(both.to_train(ids), own.to_train(ids))
+
+
+def test_eight_sectors_make_a_circle(tmp_path, script):
+    """Each sector goes another eighth of the way round; those of a circle lie far apart."""
+    source, root = tmp_path / "source", tmp_path / "aachen"
+    write_sequence(source / "sequences/a0", [f"{i:02}" for i in range(15)])
+    write_sequence(source / "sequences/a1", ["00", "01"])
+    write_sequence(source / "sequences/b0", ["0"])
+    for number, file in enumerate(find_scans(source, ["a0", "a1"])):
+        np.array([[5, 0, -1, number / 17]], np.float32).tofile(file.path)
+        np.array([number], np.uint32).tofile(file.label_path)
+    assert len(script["sectors_of"](source)) == 16
+    script["compose_circles"](source, root)
+    files = find_scans(root)
+    assert len(files) == 2
+    for circle, file in enumerate(files):
+        x, y, z, intensity = np.fromfile(file.path, np.float32).reshape(-1, 4).T
+        numbers = np.arange(circle, 16, 2)
+        azimuth = np.degrees(np.arctan2(y, x)) % 360
+        np.testing.assert_allclose((azimuth + 1) % 360 - 1, np.arange(8) * 45, atol=1e-3)
+        np.testing.assert_allclose(np.hypot(x, y), 5, rtol=1e-6)
+        np.testing.assert_array_equal(z, -1)
+        np.testing.assert_allclose(intensity * 17, numbers, rtol=1e-6)
+        np.testing.assert_array_equal(np.fromfile(file.label_path, np.uint32), numbers)
+    before = files[0].path.stat().st_mtime_ns
+    script["compose_circles"](source, root)
+    assert files[0].path.stat().st_mtime_ns == before
+
+
+@pytest.mark.parametrize("name", ["pandaset", "aachen"])
+def test_the_label_spaces_have_the_classes_of_semantickitti(name):
+    space = label_space(BENCHMARKS / f"{name}.yaml")
+    assert space.fits(label_space())
+    for i, several in space.alternatives.items():
+        assert space.learning_map[i] in several
