@@ -41,20 +41,9 @@ DAMAGE = (
 
 @dataclass(slots=True)
 class TrainingState:
-    """Progress of a training.
+    """Progress of a training: finished epochs, best validation mIoU (-1 before the first), log.
 
-    Attributes
-    ----------
-    epoch : int
-        Finished epochs.
-    best : float
-        Best validation mIoU so far; -1 before the first.
-    rows : list of Row
-        The log so far, a row per epoch.
-    losses : list of float
-        Of the steps that are done of the current epoch.
-    seconds : float
-        Time that these steps took.
+    `losses` and `seconds` are of the steps that are done of the current epoch.
     """
 
     epoch: int = 0
@@ -82,10 +71,7 @@ def save_checkpoint(path: Path, learner: Learner, state: TrainingState) -> None:
 def load_checkpoint(path: Path, learner: Learner) -> TrainingState:
     """Restore a saved state; no more is read than the learner has room for.
 
-    Raises
-    ------
-    TrainingError
-        If the file is damaged or of another network or optimiser.
+    A file that is damaged or of another network or optimiser raises `TrainingError`.
     """
     try:
         tensors, values = _read(path, learner)

@@ -12,18 +12,11 @@ from salsanext_cli.training.log import Row
 
 
 def folds(files: Sequence[ScanFile], count: int) -> list[list[ScanFile]]:
-    """Divide scans into folds, each to be left out once.
+    """Divide scans, in order of sequences, into at most `count` folds, each to be left out once.
 
     Scans of one place are much alike, so that a fold takes whole sequences, the longest first, each
     to the fold with the fewest scans so far. The scans of a single sequence are divided into
     neighbours.
-
-    Parameters
-    ----------
-    files : sequence of ScanFile
-        In order of sequences.
-    count : int
-        Number of folds; no more than there are sequences, or scans of a single one.
     """
     sequences = [list(members) for _, members in groupby(files, lambda file: file.sequence)]
     if len(sequences) == 1:
@@ -39,21 +32,11 @@ def folds(files: Sequence[ScanFile], count: int) -> list[list[ScanFile]]:
 class Expectation:
     """Scores on scans left out, which tell what to expect of new ones.
 
-    Attributes
-    ----------
-    epochs : int
-        Number of epochs with the highest mean IoU, over the folds.
-    miou, accuracy : float
-        Mean over the folds, each after the number of epochs that the others would choose, so that
-        no scan chooses its own.
-    miou_spread, accuracy_spread : float or None
-        Standard deviations over the folds, with one degree of freedom less; None of a single fold.
-    temperature : float
-        Geometric mean of those fitted on the scans left out.
-    folds : int
-        Number of folds that could be scored.
-    one_drive : bool
-        Whether all scans are of one sequence, so that other places may be harder.
+    `epochs` is the number of epochs with the highest mean IoU over the folds. `miou` and `accuracy`
+    are means over the folds, each after the number of epochs that the others would choose, so that
+    no scan chooses its own; the spreads are standard deviations with one degree of freedom less,
+    None of a single fold. The temperature is the geometric mean of the folds'. With `one_drive` all
+    scans are of one sequence, so that other places may be harder.
     """
 
     epochs: int

@@ -33,12 +33,7 @@ log = logging.getLogger(__name__)
 class ProcessGroup:
     """Place of this process among the workers; in a group of one, collectives do nothing.
 
-    Attributes
-    ----------
-    rank : int
-        Number of this process; 0 is the main one, which alone writes and reports.
-    size : int
-        Number of workers.
+    The worker of rank 0 is the main one, which alone writes and reports.
     """
 
     rank: int = 0
@@ -110,15 +105,7 @@ def group_of_environment() -> ProcessGroup:
 def process_group(device: str) -> Iterator[tuple[ProcessGroup, torch.device]]:
     """Join the group of this process, and choose its device, while the body runs.
 
-    Parameters
-    ----------
-    device : str
-        As `choose_device` takes it; each worker of a machine takes a GPU of its own.
-
-    Raises
-    ------
-    UsageError
-        If the device does not exist or is one GPU for several workers.
+    Each worker of a machine takes a GPU of its own.
     """
     group, place = group_of_environment(), torch.device(choose_device(device))
     if group.size == 1:

@@ -35,20 +35,10 @@ log = logging.getLogger(__name__)
 
 @dataclass(frozen=True, slots=True)
 class Report:
-    """Progress of a training after a step.
+    """Progress of a training after a step, counted from 1 as epochs are.
 
-    Attributes
-    ----------
-    epoch, epochs : int
-        The current epoch, from 1, and the number of epochs.
-    step, steps : int
-        Steps done and steps of the whole training.
-    loss : float
-        Of this step.
-    row : Row or None
-        The finished line of the log after the last step of an epoch.
-    fold : int
-        Number of the fold of a cross-validation, from 1; 0 for the training itself.
+    `row` is the finished line of the log after the last step of an epoch; `fold` the number of the
+    fold of a cross-validation, from 1, and 0 for the training itself.
     """
 
     epoch: int
@@ -64,25 +54,9 @@ class Report:
 class Training:
     """Training in a run folder: its learner, samples, validation scans and outputs.
 
-    Attributes
-    ----------
-    run : Path
-        Folder for log, curve, weights and checkpoint.
-    learner : Learner
-    samples : Samples
-        Samples to learn from.
-    validation : Source
-        Scans that every validation scores; without any, the last weights are the best.
-    card : WeightsCard
-        Card of the weights files; scores and temperature of a validation take the place of its own.
-    workers : int
-        Processes that prepare samples.
-    draw : callable
-        Draws a network's predictions into an open file, and returns the picture, (H, W, 3).
-    write_epoch : callable
-        Writes a finished epoch for TensorBoard.
-    report : callable
-        Called after every step, by the main worker only.
+    Without validation scans the last weights are the best; scores and temperature of a validation
+    take the place of those of the card. `draw` draws a network's predictions into an open file and
+    returns the picture (H, W, 3); the main worker alone calls `report`, after every step.
     """
 
     run: Path

@@ -30,24 +30,10 @@ def initial_network(
 ) -> tuple[SegmentationNetwork, WeightsCard]:
     """Return the network before training, and its card: architecture, classes, sensor, scans.
 
-    Where the weights are of other classes, outputs of classes of the same name keep their weights,
-    and the others are random.
-
-    Parameters
-    ----------
-    weights : Path, optional
-        Weights to start from; None for random ones.
-    space : LabelSpace
-        Classes to train for.
-    recipe : Recipe
-    own : Sensor, optional
-        Sensor to train for, by default that of the weights, else `DEFAULT_SENSOR`. Intensity and
-        gaps that it does not know are those of the weights.
-
-    Raises
-    ------
-    WeightsError
-        If the weights cannot be read or are of another network than the recipe's.
+    Without weights it is random. Where the weights are of other classes, outputs of classes of the
+    same name keep their weights, and the others are random. The sensor is `own`, else that of the
+    weights, else `DEFAULT_SENSOR`; intensity and gaps that it does not know are those of the
+    weights.
     """
     architecture = {
         "name": recipe.architecture,

@@ -26,29 +26,9 @@ ONE_CYCLE_START, ONE_CYCLE_END = 1 / 25, 1 / 250_000
 class Learner:
     """Everything that changes during training: network, running average, optimiser, scaler.
 
-    Attributes
-    ----------
-    module : SegmentationNetwork
-        The network in training.
-    average : SegmentationNetwork
-        The network that is validated and kept: the running average of the weights, or `module`.
-    forward : nn.Module
-        The module, wrapped if several workers train it.
-    scaler : torch.amp.GradScaler
-        Keeps small gradients of float16 from vanishing; does nothing in other types.
-
-    Parameters
-    ----------
-    module : SegmentationNetwork
-        The network to train.
-    recipe : Recipe
-    weights : (C,) float32
-        Class weights.
-    device : torch.device
-    group : ProcessGroup
-        The workers that train the module together.
-    sets : ClassSets
-        Sets of classes that targets stand for.
+    `average` is validated and kept: the running average of the weights of `module`, or the module
+    itself. `forward` is the module, wrapped if several workers train it. The scaler keeps small
+    gradients of float16 from vanishing, and does nothing in other types.
     """
 
     def __init__(
@@ -78,19 +58,12 @@ class Learner:
         self.scaler = torch.amp.GradScaler(device.type, enabled=dtype is torch.float16)
 
     def step(self, images: Tensor, truth: Tensor, step: int, steps_per_epoch: int) -> float:
-        """Learn from one batch and return its loss; NaN if it or its gradient is not finite.
+        """Learn from images (B, 5, H, W) and truth (B, H, W) uint8, and return the loss.
 
-        Then no weight has changed. (Gradients that overflow in float16 are no mistake: the scaler
-        leaves the step out.) With several workers the images are this one's share of the batch,
-        and the loss is that of all.
-
-        Parameters
-        ----------
-        images : (B, 5, H, W) float32
-        truth : (B, H, W) uint8
-        step : int
-            Of the whole training, from 0; decides learning rate and dropout.
-        steps_per_epoch : int
+        It is NaN if it or its gradient is not finite; then no weight has changed. (Gradients that
+        overflow in float16 are no mistake: the scaler leaves the step out.) With several workers
+        the images are this one's share of the batch, and the loss is that of all. The number of the
+        step in the whole training, from 0, decides learning rate and dropout.
         """
         self.optimiser.zero_grad()
         loss = float(self._gradient(images, truth, step))

@@ -64,16 +64,8 @@ def draw_curve(path: Path, rows: Sequence[Row]) -> None:
 def tensorboard_in(run: Path, folder: str, *, wanted: bool = True) -> Iterator[EpochWriter]:
     """Yield the writer of epochs for TensorBoard; without TensorBoard it writes nothing.
 
-    Figures become scalars, those of classes below ``iou/``, and the picture an image.
-
-    Parameters
-    ----------
-    run : Path
-        The run folder.
-    folder : str
-        Folder below it that gets a file every time that training begins or is resumed.
-    wanted : bool
-        Whether to write; only the main worker does.
+    Figures become scalars, those of classes below ``iou/``, and the picture an image, in a folder
+    of the run that gets a file every time that training begins or is resumed.
     """
     if not wanted or find_spec("tensorboard") is None:
         if wanted:

@@ -21,31 +21,17 @@ def weighted_cross_entropy(
     smoothing: float = 0.0,
     class_count: int | None = None,
 ) -> Tensor:
-    """Return the mean of -log p(truth), each pixel weighing what its true class does.
+    """Return the mean of -log p(truth), each pixel weighing what its true class does, 0-d.
 
-    Smoothed, a share of the truth is spread evenly over the K classes with a weight::
+    Of log-probabilities (P, T) of `class_count` classes and, behind them, of sets of classes; truth
+    (P,) int64; weights (T,). `total_weight` is that of all pixels of the mean, if these are only
+    some of them. Smoothed by ε, a share of the truth is spread evenly over the K classes with a
+    weight::
 
         (1 − ε) (−log p(truth)) + ε/K Σ_k (−log p(k))
 
     The weight of a pixel stays that of its true class. `F.cross_entropy` weighs the terms of the
     sum by their own classes instead, so that a common class is spread mostly over the rarest.
-
-    Parameters
-    ----------
-    log_probabilities : (P, T) float
-        Of C classes, and of sets of them behind.
-    truth : (P,) int64
-    weights : (T,) float
-    total_weight : 0-d float, optional
-        Weight of all pixels that the mean is over, if these are only some of them.
-    smoothing : float
-        The share ε.
-    class_count : int, optional
-        C, if there are sets.
-
-    Returns
-    -------
-    0-d tensor; 0 where no pixel has a weight.
     """
     loss = F.nll_loss(log_probabilities, truth, weights, reduction="sum")
     if smoothing:
@@ -59,21 +45,12 @@ def weighted_cross_entropy(
 
 @torch.no_grad()
 def jaccard_gradient(errors: Tensor, foreground: Tensor) -> Tensor:
-    """Return the gradient of the Lovász extension of the Jaccard loss.
+    """Return the gradient of the Lovász extension of the Jaccard loss, (K, P), by pixel.
 
-    With the pixels sorted by falling error, pixel i weighs by how much the Jaccard loss grows when
-    it joins the mispredicted set {1 … i-1} (Berman et al. 2018, eq. 9 and algorithm 1).
-
-    Parameters
-    ----------
-    errors : (K, P) float
-        Error of every pixel for each of K classes.
-    foreground : (K, P) bool
-        Whether the pixel is of the class; at least one pixel of every class is.
-
-    Returns
-    -------
-    (K, P) float, in the order of the pixels.
+    `errors` (K, P) are those of every pixel for each of K classes, `foreground` (K, P) says which
+    pixels are of the class, at least one. With the pixels sorted by falling error, pixel i weighs
+    by how much the Jaccard loss grows when it joins the mispredicted set {1 … i-1} (Berman et al.
+    2018, eq. 9 and algorithm 1).
     """
     order = errors.argsort(dim=1, descending=True)
     belongs = foreground.gather(1, order)
@@ -90,18 +67,10 @@ def jaccard_gradient(errors: Tensor, foreground: Tensor) -> Tensor:
 def lovasz_softmax(
     probabilities: Tensor, truth: Tensor, group: ProcessGroup = SINGLE_PROCESS
 ) -> Tensor:
-    """Return the Lovász-Softmax loss, the mean over the classes present in the truth.
+    """Return the Lovász-Softmax loss, the mean over the classes present in the truth, 0-d.
 
-    Parameters
-    ----------
-    probabilities : (P, C) float
-    truth : (P,) int64
-    group : ProcessGroup
-        Workers whose pixels count as one set; the losses of all add up to that of the set.
-
-    Returns
-    -------
-    0-d tensor; 0 without pixels.
+    Of probabilities (P, C) and truth (P,) int64. The pixels of all workers of a group count as one
+    set; their losses add up to that of the set.
     """
     present = group.sum(truth.bincount(minlength=probabilities.shape[1])).nonzero()[:, 0]
     if not len(present):
@@ -120,17 +89,9 @@ def lovasz_softmax(
 class SegmentationLoss(nn.Module):
     """Weighted cross-entropy plus Lovász-Softmax on logits (paper eq. 3).
 
-    Parameters
-    ----------
-    weights : (C,) float32
-        Weight of each class; pixels of a class with weight 0 are left out of both terms.
-    lovasz : float
-        Weight of the Lovász term.
-    smoothing : float
-        Share of the truth that cross-entropy spreads over all classes with a weight.
-    sets : ClassSets
-        Target C + k says that a pixel is of any class of the k-th set. Its probability is the sum
-        of theirs, its weight the least of theirs above 0; Lovász-Softmax leaves it out.
+    Pixels of a class with weight 0, of weights (C,), are left out of both terms. Target C + k says
+    that a pixel is of any class of the k-th set: its probability is the sum of theirs, its weight
+    the least of theirs above 0; Lovász-Softmax leaves it out.
     """
 
     weights: Tensor
@@ -165,19 +126,9 @@ class SegmentationLoss(nn.Module):
         """Return the loss of logits (B, C, H, W) for integer targets (B, H, W), 0-d.
 
         Of a part of a batch it is the part's share: cross-entropy is the mean over all pixels of
-        all parts. Lovász-Softmax is no mean over pixels: all workers' pixels of a part have one,
-        and what counts is the mean over the parts.
-
-        Parameters
-        ----------
-        logits, truth
-            Of a batch, or of a part of it.
-        total_weight : 0-d float, optional
-            Weight of all pixels of all parts of all workers, if there are several.
-        parts : int
-            Number of parts of each worker.
-        group : ProcessGroup
-            The workers.
+        all parts, whose weight is `total_weight`. Lovász-Softmax is no mean over pixels: all
+        workers' pixels of a part have one, and what counts is the mean over the `parts` of each
+        worker.
         """
         truth = truth.flatten().long()
         counts = (self.weights[truth] > 0).nonzero()[:, 0]

@@ -4,7 +4,7 @@
 import json
 import math
 import tomllib
-from collections.abc import Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import asdict, dataclass, fields
 from importlib import resources
 from pathlib import Path
@@ -24,82 +24,19 @@ CHOICES = {
 MAX_INTEGER = 2**53
 """Bound of whole numbers in place of others: floats are no longer exact beyond."""
 
+READERS: dict[type, tuple[Callable[[str], Any], str]] = {
+    int: (int, "a whole number"),
+    float: (float, "a number"),
+    str: (lambda text: text.strip("\"'"), "a word"),
+}
+"""Reader of the text of each type of key, and its name; quotes are taken for those of TOML."""
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Recipe:
     """Everything that decides what a training ends with; the defaults are the paper's.
 
-    Attributes
-    ----------
-    architecture : str
-        Name of the network in `network.registry`.
-    initial : {"random", "default"}
-        Weights to start from, unless others are given: random ones, or those of the package.
-    precision : {"auto", "float32", "bfloat16", "float16"}
-        Type that the network computes in; weights and loss are float32 always. "auto" is the
-        shortest that the device computes fast.
-    epochs, batch : int
-        Number of passes through the data, and samples per step.
-    accumulate : int
-        Parts that a batch is computed in, one after the other, where memory does not hold all.
-    samples_per_epoch : int
-        Samples of one epoch; 0 for every scan once. More than there are scans repeats scans, each
-        time augmented and cropped anew.
-    crop_width : int
-        Columns of the window cut from each range image at a random azimuth; 0 for the full circle.
-    crop_on_class : float
-        Probability of placing the window so that it holds a pixel of a class drawn evenly from
-        those present, instead of anywhere.
-    whole_epochs : int
-        Epochs at the end that take the full circle instead; all, if there are no more.
-    optimiser : {"sgd", "adamw"}
-    learning_rate : float
-        Its peak.
-    schedule : {"decay", "one-cycle"}
-        After the warm-up, times `decay` at every epoch, or a half cosine down to nothing.
-    decay, warm_up : float
-        Factor per epoch, and epochs until the learning rate has reached its peak.
-    momentum, weight_decay : float
-        Of the optimiser; the momentum of AdamW is its first beta.
-    clip_gradient : float
-        Longest gradient (Euclidean norm over all weights); 0 for no limit.
-    average : float
-        Decay per step of the running average of the weights, which is then what is validated and
-        kept; 0 for none.
-    dropout : float
-        Rate of dropout in the network.
-    class_weight : float
-        Exponent of 1/share in the weights of the classes; 0 weighs all points alike.
-    lovasz : float
-        Weight of Lovász-Softmax beside cross-entropy.
-    label_smoothing : float
-        Share of every truth that cross-entropy spreads evenly over the classes that count.
-    rotate, shift, flip, drop : float
-        Probability of each augmentation.
-    mix : float
-        Probability of taking some cells of a scan from another scan; see `training.data.augment`.
-    paste : float
-        Probability of adding the points of rare classes of another scan.
-    sensors : {"given", "fitted"}
-        Projection: of all scans as one sensor says, or with view, mounting, intensity and gaps of
-        each sequence fitted as `predict` does.
-    also : float
-        Share of the samples from further data sets, where there are any.
-    streets : int
-        Simulated streets, of eight scans each, seen by an HDL-64, and as many by random sensors:
-        two more data sets.
-    intensity, no_intensity, mount, view, fewer_beams : float
-        Probability of each change to what another sensor sees; see `training.data.other_sensors`.
-    jitter, holes : float
-        Probability of noise on positions, and of pixels lost as real sensors do; see
-        `training.data.noise`.
-    validate_every, validation_scans : int
-        Epochs between validations, and how many scans of the split, evenly spaced; 0 for all.
-    folds : int
-        Folds of the cross-validation that chooses the number of epochs, at most `epochs`, where the
-        data set has no validation split; 0 for none, so that a split is needed.
-    seed : int
-        Of everything that is drawn.
+    `docs/train.md` says what each key means.
     """
 
     architecture: str = "salsanext"
@@ -198,13 +135,7 @@ class Recipe:
 
     @classmethod
     def from_dict(cls, data: Mapping[str, Any], source: object = "recipe") -> Self:
-        """Build a recipe from plain data; keys that are left out keep the paper's value.
-
-        Raises
-        ------
-        UsageError
-            If a key is unknown or its value is impossible.
-        """
+        """Build a recipe from plain data; keys that are left out keep the paper's value."""
         refuse_unknown(data, cls, source)
         return cls(**data)
 
@@ -216,16 +147,26 @@ def presets() -> tuple[str, ...]:
 
 
 def recipe(name_or_file: str | Path) -> Recipe:
-    """Return a built-in recipe by name, or read one from a TOML file.
-
-    Raises
-    ------
-    UsageError
-        If there is no such preset or file, or the file is not a recipe.
-    """
+    """Return a built-in recipe by name, or read one from a TOML file."""
     name = str(name_or_file)
     if name in presets():
         built_in = resources.files("salsanext_cli").joinpath(f"presets/recipes/{name}.toml")
         return Recipe.from_dict(tomllib.loads(built_in.read_text("utf-8")), name)
     path = Path(name_or_file)
     return Recipe.from_dict(read_toml(path, "recipe", presets()), path)
+
+
+def read_overrides(texts: Iterable[str]) -> dict[str, Any]:
+    """Return what `Recipe.with_changes` takes, of texts ``key=value`` as of ``--set``; the last holds."""
+    changes: dict[str, Any] = {}
+    for text in texts:
+        key, equals, value = (part.strip() for part in text.partition("="))
+        if not (key and equals and value):
+            raise UsageError(f"--set {text}", "no key and value", "key=value, such as batch=4")
+        refuse_unknown({key: value}, Recipe, f"--set {text}")
+        read, expected = READERS[type(getattr(Recipe(), key))]
+        try:
+            changes[key] = read(value)
+        except ValueError as error:
+            raise UsageError(f"--set {key}={value}", f"{value!r}", expected) from error
+    return changes

@@ -23,15 +23,9 @@ def scans_digest(scans: Sequence[ScanFile]) -> str:
 def training_settings(
     recipe: Recipe, sources: Sequence[Source], weights: Path | None
 ) -> dict[str, Any]:
-    """Return all that decides the result of a training.
+    """Return all that decides the result of a training, as plain data.
 
-    Parameters
-    ----------
-    recipe : Recipe
-    sources : sequence of Source
-        Scans to train on, those of the validation, and further data sets.
-    weights : Path, optional
-        Weights to start from.
+    The sources are the scans to train on, those of the validation, and further data sets.
     """
     first, validation, *further = sources
     settings: dict[str, Any] = {

@@ -65,35 +65,12 @@ def require_pixels(
 class Setup:
     """All that a training needs but its scans.
 
-    Attributes
-    ----------
-    run : Path
-        The run folder.
-    recipe : Recipe
-    initial : SegmentationNetwork
-        The network before training.
-    card : WeightsCard
-        Card of the weights files, without scores; of the recipe, keys with other values than the
-        recipe's; of the scans trained on, those of the weights that it begins from.
-    sources : sequence of Source
-        All labelled scans of the data set, and further data sets.
-    counts : ClassCounts
-    sets : ClassSets
-        Sets of classes that labels stand for.
-    settings : mapping
-        All that decides the result.
-    place : torch.device
-    group : ProcessGroup
-    workers : int
-        Processes that prepare samples.
-    overwrite : bool
-        Whether to begin anew.
-    draw : callable
-        Draws a network's predictions for a scan into an open file, and returns the picture.
-    report : callable
-        Called after every step.
-    held : ExitStack
-        Closed after the training.
+    `initial` is the network before training. The card of the weights files has no scores; of the
+    recipe it has keys with other values than the recipe's, of the scans trained on those of the
+    weights that it begins from. `sources` are all labelled scans of the data set, and further data
+    sets; `settings` all that decides the result. `draw` draws a network's predictions for a scan
+    into an open file and returns the picture; `report` is called after every step; `held` is closed
+    after the training.
     """
 
     run: Path
@@ -121,14 +98,7 @@ class Setup:
     ) -> Training:
         """Return a training on some scans of the data set that scores others.
 
-        Parameters
-        ----------
-        files : sequence of ScanFile
-        validation : Source
-        folder : Path, optional
-            If not the run folder.
-        report : callable, optional
-            If not that of the setup.
+        Folder and report are those of the setup, unless others are given.
         """
         folder, recipe = folder or self.run, self.recipe
         first, *further = self.sources

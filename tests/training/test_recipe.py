@@ -6,8 +6,7 @@ from pathlib import Path
 import pytest
 
 from salsanext_cli.errors import UsageError
-from salsanext_cli.training.recipe import Recipe, presets, recipe
-from salsanext_cli.training.recipe_changes import read_overrides
+from salsanext_cli.training.recipe import Recipe, presets, read_overrides, recipe
 
 
 def test_the_papers_recipe_is_the_papers() -> None:

@@ -82,19 +82,9 @@ class Checkerboard:
     """Checkerboard over the directions in which a sensor looks.
 
     Cell (i, j) is band i of inclination, from below, and sector j of azimuth, counter-clockwise; it
-    is odd if i + j is.
-
-    Attributes
-    ----------
-    bands : int
-        Equally high, from the lower edge of the field of view to the upper. The outer ones hold
-        the points beyond, too.
-    sectors : int
-        Equally wide; 1 or an even number, so that neighbours differ all around the circle.
-    azimuth : float
-        End of the first sector, in radians.
-    fov_down, fov_up : float
-        Edges of the field of view in degrees.
+    is odd if i + j is. Bands are equally high from edge to edge of the field of view (degrees), and
+    the outer ones hold the points beyond. Sectors are equally wide, the first of them ends at
+    `azimuth` (radians); their number is 1 or even, so that neighbours differ all around.
     """
 
     bands: int
@@ -183,24 +173,10 @@ def choose_columns(
     on_class: float,
     random: np.random.Generator,
 ) -> npt.NDArray[np.intp]:
-    """Choose the columns of a window that may go round the circle.
+    """Choose the columns, (width,), of a window that may go round the circle.
 
-    Parameters
-    ----------
-    truth : (H, W) uint8
-        Train ids.
-    scored : (C,) bool
-        Which classes count.
-    width : int
-        Columns wanted; 0 or more than W for all, in their order.
-    on_class : float
-        Probability of placing the window so that it holds a pixel of a class drawn evenly from
-        those present, instead of anywhere.
-    random : np.random.Generator
-
-    Returns
-    -------
-    (width,) intp
+    With probability `on_class` it holds a pixel of a class drawn evenly from those present in truth
+    (H, W) that are scored, (C,) bool; else it is anywhere. A width of 0, or more than W, takes all.
     """
     whole = truth.shape[1]
     if width == 0 or width >= whole:

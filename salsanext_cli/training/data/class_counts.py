@@ -38,14 +38,8 @@ WARNING_TEXTS = ("code", "message", "remedy")
 class ClassCounts:
     """Result of reading labelled scans once.
 
-    Attributes
-    ----------
-    points : (C,) int64
-        Training points of each class.
-    warnings : list of dict
-        Reasons to doubt scans of either split, as `RunSummary.warnings` lists them.
-    digests : dict of ScanFile to str
-        Digests of the training scans.
+    Training `points` of each class, (C,); `warnings` about scans of either split, as
+    `RunSummary.warnings` lists them; `digests` of the training scans.
     """
 
     points: Counts
@@ -75,17 +69,8 @@ def require_labels(files: Sequence[ScanFile]) -> None:
 def count_classes(source: Source, jobs: int = 1) -> tuple[Counts, list[ScanSummary], list[str]]:
     """Count the points of every class in every scan, reading and checking all with their labels.
 
-    Returns
-    -------
-    counts : (F, C) int64
-    summaries : list of F `ScanSummary`
-        What the checks found.
-    digests : list of F str
-
-    Raises
-    ------
-    FormatError, LabelError
-        If any scan cannot be trained on.
+    Return counts (F, C) int64, what the checks found, and a digest of each of F scans. A scan that
+    cannot be trained on raises `FormatError` or `LabelError`.
     """
     # Unless it is fitted, the network learns from the intensity as it is.
     plain = replace(source.sensor, intensity_quantiles=())
@@ -107,15 +92,7 @@ def count_classes(source: Source, jobs: int = 1) -> tuple[Counts, list[ScanSumma
 
 
 def class_shares(counts: Counts, scored: npt.NDArray[np.bool_]) -> npt.NDArray[np.float64]:
-    """Return the share of every class in the scored points, (C,) float64; 0 for ignored ones.
-
-    Parameters
-    ----------
-    counts : (C,) int64
-        Points of each class in the training data.
-    scored : (C,) bool
-        Classes that count.
-    """
+    """Return the share of every class in the scored points, (C,) float64; 0 for ignored ones."""
     used = np.where(scored, counts, 0).astype(np.float64)
     shares: npt.NDArray[np.float64] = used / max(used.sum(), 1)
     return shares
@@ -147,27 +124,10 @@ def class_counts(
 ) -> ClassCounts:
     """Return the points per class of all training data, reading and checking all scans.
 
-    Parameters
-    ----------
-    path : Path
-        The JSON file that keeps the result, which is right until a file of scans or labels
-        changes. For that of a whole SemanticKITTI 55 GB are read.
-    sources : sequence of Source
-        Training splits: of the data set, and of further ones.
-    validation, validated
-        The validation split, and those of its scans that are scored; there may be none.
-    jobs : int
-        Threads.
-    also : float
-        Share of the samples that is drawn from further data sets; points count as often as they
-        are drawn.
-
-    Raises
-    ------
-    FormatError, LabelError
-        If any scan cannot be trained on.
-    TrainingError
-        If no point of the training scans, or of those that are scored, is of a class that counts.
+    The JSON file keeps the result, which is right until a file of scans or labels changes; for a
+    whole SemanticKITTI 55 GB are read. Further sources get the share `also` of the samples, and
+    points count as often as they are drawn. Without any point of a class that counts, in the
+    training scans or in those `validated`, it raises `TrainingError`.
     """
     first, *further = sources
     space, training = first.space, first.files

@@ -61,18 +61,8 @@ Batch = tuple[Tensor, Tensor, Tensor]
 class Samples(Dataset[Sample]):
     """Augmented, mixed, projected, normalised and cropped scans, by sample key.
 
-    Attributes
-    ----------
-    sources : sequence of Source
-        Data sets; indices of scans go on from one to the next.
-    sensor : Sensor
-        Normalisation of the images; its intensity and gaps are those of training.
-    recipe : Recipe
-        Settings of augmentation, mixing and cropping.
-    rare : (C,) bool
-        Classes that are pasted.
-    sets : ClassSets
-        Sets of classes that labels stand for.
+    Indices of scans go on from one source to the next. Images are normalised for `sensor`, whose
+    intensity and gaps are those of training; points of `rare` classes, (C,) bool, are pasted.
     """
 
     sources: Sequence[Source]
@@ -184,17 +174,8 @@ def batches(
 ) -> Iterator[Batch]:
     """Yield the batches from a step to the end of the training.
 
-    Parameters
-    ----------
-    samples : Samples
-    first_step : int
-        Step to begin with.
-    workers : int
-        Processes that prepare samples beside this one; 0 for none.
-    pinned : bool
-        Whether to put batches into memory that a GPU copies from quickly.
-    group : ProcessGroup
-        Workers that share each batch.
+    `workers` processes prepare samples beside this one; `pinned` batches lie in memory that a GPU
+    copies from quickly; the workers of a group share each batch.
     """
     loader: DataLoader[Any] = DataLoader(
         _ErrorsAsValues(samples),

@@ -36,20 +36,11 @@ MOST_JITTER_M = 0.03
 
 
 def hole_cells(ranges: Float) -> npt.NDArray[np.intp]:
-    """Return the cell of `HOLE_SHARES`, counted row by row, that each pixel of an image is in.
+    """Return the cell of `HOLE_SHARES`, counted row by row, of each pixel of ranges (H, W).
 
-    It depends on the next measured pixels to the left and to the right, whether or not the pixel
-    itself is measured.
-
-    Parameters
-    ----------
-    ranges : (H, W) float32
-        Of a full circle; 0 where nothing was measured.
-
-    Returns
-    -------
-    (H, W) intp
-        -1 where the two are more than `MAX_RUN` pixels apart.
+    It depends on the next measured pixels (those above 0) to the left and to the right around the
+    circle, whether or not the pixel itself is measured; -1 where the two are more than `MAX_RUN`
+    pixels apart.
     """
     sides, steps = np.zeros((2, *ranges.shape), np.float32), np.full((2, *ranges.shape), MAX_RUN)
     for step in range(MAX_RUN, 0, -1):

@@ -23,14 +23,8 @@ class SamplingPlan:
 
     Every scan of a data set is drawn once before any is drawn again, and every batch is whole: the
     last one of an epoch goes on with the next round of scans. A batch of one or two would upset the
-    statistics of batch norm just before they are validated.
-
-    Attributes
-    ----------
-    scan_counts : sequence of int
-        Scans of each data set. Those behind the first have the share `recipe.also` of the samples,
-        all of them as many. Indices go on from one to the next.
-    recipe : Recipe
+    statistics of batch norm just before they are validated. Data sets behind the first have the
+    share `recipe.also` of the samples, all of them as many.
     """
 
     scan_counts: Sequence[int]

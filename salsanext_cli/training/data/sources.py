@@ -36,12 +36,7 @@ def read_labelled(
 ) -> LabelledScan:
     """Read a scan and the targets of its points, (N,) uint8; without sets these are train ids.
 
-    Raises
-    ------
-    FormatError
-        If a file cannot be read.
-    LabelError
-        If the numbers differ or a label id is unknown.
+    It raises `FormatError` or `LabelError`.
     """
     scan = read_scan(file.path, sensor)
     raw = read_labels(file.label_path, len(scan))
@@ -50,19 +45,10 @@ def read_labelled(
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Source:
-    """Labelled scans of one data set.
+    """Labelled scans of one data set, their label space and sensor.
 
-    Attributes
-    ----------
-    files : sequence of ScanFile
-    space : LabelSpace
-        Of their labels.
-    sensor : Sensor
-        That the network is trained for.
-    fitted : dict of str to Sensor
-        Those of sequences as `predict` fits them; empty if all are taken as `sensor` says.
-    simulated : bool
-        Whether the training itself has simulated them: no scans of the user's.
+    The network is trained for `sensor`; `fitted` has those of sequences as `predict` fits them, and
+    is empty if all are taken as `sensor` says. Of `simulated` scans the user knows nothing.
     """
 
     files: Sequence[ScanFile]
@@ -137,13 +123,8 @@ def fitted_source(source: Source, jobs: int = 1) -> Source:
 def further_source(dataset: Path, space: LabelSpace, sensor: Sensor) -> Source:
     """Return the training split of a further data set.
 
-    Raises
-    ------
-    NoInputError
-        If the split has no scans.
-    LabelError
-        If its classes are neither those of the label space nor merged into these; ids and
-        alternatives may be others.
+    Its ids and alternatives may be others, but classes that are neither those of the label space
+    nor merged into these raise `LabelError`.
     """
     own, files = labelled_split(dataset, None, "train")
     _name_unsplit(dataset, own)
@@ -167,22 +148,10 @@ def scans_to_train_on(
 ) -> tuple[LabelSpace, list[ScanFile], list[ScanFile]]:
     """Return the label space of a data set, its training scans and its validation scans.
 
-    Parameters
-    ----------
-    dataset, space
-        As for `labelled_split`.
-    divisible : bool
-        Whether scans without a validation split will do. Unless the label space or the data set
-        names splits, the training scans are then all with labels, and the validation scans none.
-        So they are where a labelled scan is in no split, or none is in ``train`` or in ``valid``,
-        without those of other splits than ``train``.
-
-    Raises
-    ------
-    NoInputError
-        If there are none.
-    UsageError
-        As `labelled_split`.
+    If it is `divisible`, scans without a validation split will do. Unless the label space or the
+    data set names splits, the training scans are then all with labels, and the validation scans
+    none. So they are where a labelled scan is in no split, or none is in ``train`` or in ``valid``,
+    without those of other splits than ``train``. No scans at all raise `NoInputError`.
     """
     if not divisible:
         classes, training = labelled_split(dataset, space, "train")
@@ -239,22 +208,9 @@ def labelled_split(
 ) -> tuple[LabelSpace, list[ScanFile]]:
     """Return the label space of a data set, and the scans of a split.
 
-    Parameters
-    ----------
-    dataset : Path
-        Its root.
-    space : LabelSpace, optional
-        Otherwise what the data set says, else SemanticKITTI's. One without splits has those of
-        the data set, else SemanticKITTI's; one that merges classes has the data set's alternatives.
-    split : str
-        Name of the split.
-
-    Raises
-    ------
-    NoInputError
-        If the split has no scans.
-    UsageError
-        If the data set's label space cannot be read where it is needed, or has no such split.
+    Unless a space is given, it is what the data set says, else SemanticKITTI's. One without splits
+    has those of the data set, else SemanticKITTI's; one that merges classes has the data set's
+    alternatives. A split without scans raises `NoInputError`.
     """
     space = with_splits_of(dataset, space)
     members = space.split(split)

@@ -19,13 +19,7 @@ ClassSets = tuple[tuple[int, ...], ...]
 
 
 def class_sets(spaces: Iterable[LabelSpace]) -> ClassSets:
-    """Return the sets of several classes that labels of these spaces stand for.
-
-    Raises
-    ------
-    UsageError
-        If there are more than targets, of a byte each.
-    """
+    """Return the sets of several classes that labels of these spaces stand for."""
     spaces = list(spaces)
     sets = {several for space in spaces for several in space.alternatives.values()}
     found = tuple(sorted(several for several in sets if len(several) > 1))
@@ -36,28 +30,7 @@ def class_sets(spaces: Iterable[LabelSpace]) -> ClassSets:
 
 
 def to_targets(raw: RawIds, space: LabelSpace, sets: ClassSets, source: object) -> TrainIds:
-    """Map raw ids to targets.
-
-    Parameters
-    ----------
-    raw : (N,) uint32
-        Raw ids as label files hold them.
-    space : LabelSpace
-        Of the ids.
-    sets : ClassSets
-        At least those of the space.
-    source : object
-        Subject of the error.
-
-    Returns
-    -------
-    (N,) uint8
-
-    Raises
-    ------
-    LabelError
-        If an id is unknown.
-    """
+    """Map raw ids (N,) to targets, (N,) uint8; an unknown id raises `LabelError`."""
     targets = space.to_train(raw, source=source)
     several = {i: each for i, each in space.alternatives.items() if each in sets}
     if not several:

@@ -18,13 +18,7 @@ Without it a few points that are sure and wrong would weigh more than all others
 
 
 def rates_between(lowest: float, highest: float, steps: int) -> list[float]:
-    """Return rates at equal steps of their logarithm, both ends included.
-
-    Raises
-    ------
-    UsageError
-        If 0 < lowest < highest < 1 or steps ≥ 2 does not hold.
-    """
+    """Return rates at equal steps of their logarithm, both ends included."""
     for option, rate in (("--lowest", lowest), ("--highest", highest)):
         if not 0 < rate < 1:
             raise UsageError(option, f"{rate:g}", "a dropout rate above 0 and below 1")
@@ -39,17 +33,9 @@ def rates_between(lowest: float, highest: float, steps: int) -> list[float]:
 def objective(probabilities: Float, variance: Float, truth: npt.NDArray[Any]) -> float:
     """Return Σ ½ log s + (y − p)² / 2s over points and classes; lower is better.
 
-    It is the negative log-likelihood, but for a constant, of the one-hot truth y under Gaussians of
-    mean p and variance s.
-
-    Parameters
-    ----------
-    probabilities : (M, C) float32
-        Mean softmax over the passes of each point.
-    variance : (M, C) float32
-        Its total variance; smaller ones count as `SMALLEST_VARIANCE`.
-    truth : (M,) integer
-        Train ids.
+    It is the negative log-likelihood, but for a constant, of the one-hot truth y (M,) under
+    Gaussians of mean p (M, C), the mean softmax over the passes, and variance s (M, C), their total
+    variance; smaller ones count as `SMALLEST_VARIANCE`.
     """
     s = np.maximum(variance.astype(np.float64), SMALLEST_VARIANCE)
     error = probabilities.astype(np.float64)

@@ -47,21 +47,10 @@ def cross_validated(
 ) -> ErrorModel:
     """Fit a model to all scans; its scores are those of models that lack a fold of the scans.
 
-    Parameters
-    ----------
-    judged : mapping of ScanFile to JudgedPoints
-        Of which some are wrong and some right.
-    parts : sequence of sequence of ScanFile
-        Folds of the scans; empty if there are none.
-    height : bool
-        Whether it may use the height, which differs between sensors that are mounted differently.
-
-    Returns
-    -------
-    ErrorModel
-        Its scores are the number of `scans`, `points` and `folds`, the names of the `sequences`,
-        the share of wrong points `wrong`, and `error_scores` of the model, `error`, and of 1 − the
-        probability of the label, `confidence`; both are None without folds.
+    Without `height` it may not use that, which differs between sensors that are mounted
+    differently. The scores are the number of `scans`, `points` and `folds`, the names of the
+    `sequences`, the share of wrong points `wrong`, and `error_scores` of the model, `error`, and of
+    1 − the probability of the label, `confidence`; both are None without folds.
     """
     every = list(judged.values())
     wrong = np.concatenate([points.wrong for points in every])

@@ -27,13 +27,7 @@ Mask = npt.NDArray[np.bool_]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class JudgedPoints:
-    """Points of one scan whose labels are known to be right or wrong.
-
-    Attributes
-    ----------
-    features : (M, F) float32
-    wrong : (M,) bool
-    """
+    """Features (M, F) of points of one scan whose labels are known to be wrong (M,) or right."""
 
     features: Float
     wrong: Mask
@@ -51,17 +45,7 @@ def points_of_scan(scans: int) -> int:
 
 
 def judged_points(file: ScanFile, network: Network, space: LabelSpace, most: int) -> JudgedPoints:
-    """Predict a labelled scan as `predict` does, and judge a random sample of its points.
-
-    Parameters
-    ----------
-    file : ScanFile
-    network : Network
-    space : LabelSpace
-        Of the labels, with the classes of the network.
-    most : int
-        Number of points that are kept.
-    """
+    """Predict a labelled scan as `predict` does, and judge a random sample of its points."""
     labelled = read_labelled_image(file, network, space)
     probabilities = network.probabilities(labelled.image, file.path)
     pixel_labels = probabilities.argmax(axis=0)

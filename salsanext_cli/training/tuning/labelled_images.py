@@ -25,18 +25,10 @@ VALIDATION = ScanSelection(split="valid")
 
 @dataclass(frozen=True, slots=True)
 class LabelledImage:
-    """A range image and those of its points that count.
+    """Range image of a whole scan, and those of its points that count, M of them.
 
-    Attributes
-    ----------
-    image : RangeImage
-        Of the whole scan.
-    points : (M,) int
-        Points that have a pixel and whose label stands for one class, not ignored.
-    pixels : (M,) int
-        Pixel, v * W + u, of each.
-    truth : (M,) uint8
-        Train ids of these points.
+    Those `points` have a pixel, `pixels` = v * W + u, and a label that stands for one class, not
+    ignored: `truth` (M,) uint8.
     """
 
     image: RangeImage
@@ -48,23 +40,9 @@ class LabelledImage:
 def labelled_scans(
     dataset: Path, selection: ScanSelection, card: WeightsCard
 ) -> tuple[list[ScanFile], LabelSpace]:
-    """Find labelled scans whose classes are those of a network.
+    """Find labelled scans whose classes are those of a network; a limit takes them evenly spaced.
 
-    Parameters
-    ----------
-    dataset : Path
-        A data set, a sequence or a folder of scans.
-    selection : ScanSelection
-        Which of them; a limit takes scans that are evenly spaced.
-    card : WeightsCard
-        Of the network.
-
-    Raises
-    ------
-    NoInputError
-        If there are none.
-    LabelError
-        If one has no labels, or the labels are of other classes.
+    Missing labels, or those of other classes, raise `LabelError`.
     """
     scans = select_evenly(dataset, selection, card.space)
     space = space_of(scans, card.space)
@@ -80,13 +58,7 @@ def labelled_scans(
 
 
 def read_labelled_image(file: ScanFile, network: Network, space: LabelSpace) -> LabelledImage:
-    """Read a scan with its labels and project it.
-
-    Raises
-    ------
-    FormatError, LabelError
-        If a file cannot be read, the numbers of points differ or a label id is unknown.
-    """
+    """Read a scan with its labels and project it."""
     scan, targets = read_labelled(file, space, network.sensor, class_sets([space]))
     image = project(scan, network.sensor, network.device)
     scored = np.flatnonzero(space.scored)

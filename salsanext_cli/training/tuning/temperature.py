@@ -13,40 +13,19 @@ CHUNK_POINTS = 1 << 16
 
 
 def negative_log_likelihood(logits: Tensor, truth: Tensor, temperature: float) -> float:
-    """Return the mean of −log softmax(logits / temperature) at the truth, in nats.
-
-    Parameters
-    ----------
-    logits : (N, C) float32
-        Of N points, at least one.
-    truth : (N,) int64
-        Their classes.
-    temperature : float
-        Above 0.
-    """
+    """Return the mean of −log softmax(logits (N, C) / temperature) at the truth (N,), in nats."""
     exact = torch.tensor(temperature, dtype=torch.float64)
     losses = (_loss(part, own, exact, len(truth)) for part, own in chunks(logits, truth))
     return sum(loss.item() for loss in losses)
 
 
 def best_temperature(logits: Tensor, truth: Tensor) -> float:
-    """Return the temperature of the least negative log-likelihood.
+    """Return the temperature of the least negative log-likelihood of truth (N,) by logits (N, C).
 
     LBFGS on the logarithm of the temperature, in float64. The loss is convex in 1/temperature, so
-    there is one minimum, or none above 0 and below infinity.
-
-    Parameters
-    ----------
-    logits : (N, C) float32
-        Of N points, at least one.
-    truth : (N,) int64
-        Their classes.
-
-    Returns
-    -------
-    float
-        0 if the loss falls all the way down there, since every point is right; infinity if it
-        falls all the way up, since the logits of the true classes are not above average.
+    there is one minimum, or none above 0 and below infinity: 0 if the loss falls all the way down
+    there, since every point is right; infinity if it falls all the way up, since the logits of the
+    true classes are not above average.
     """
     own = logits.gather(1, truth[:, None])[:, 0]
     if (own == logits.amax(dim=1)).all():
