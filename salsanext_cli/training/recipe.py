@@ -157,7 +157,7 @@ def recipe(name_or_file: str | Path) -> Recipe:
 
 
 def read_overrides(texts: Iterable[str]) -> dict[str, Any]:
-    """Return what `Recipe.with_changes` takes, of texts ``key=value`` as of ``--set``; the last holds."""
+    """Return what `Recipe.with_changes` takes, of texts ``key=value``; the last of a key holds."""
     changes: dict[str, Any] = {}
     for text in texts:
         key, equals, value = (part.strip() for part in text.partition("="))
