@@ -40,20 +40,11 @@ def benchmark(
 ) -> dict[str, Any]:
     """Measure both sides by turns, each turn in a process of its own, and return plain data.
 
-    Parameters
-    ----------
-    source, selection : Path, ScanSelection
-        The scans; every round takes the next one.
-    network : NetworkSettings
-        Weights of SalsaNext, device, sensor, precision and engine.
-    parts : sequence of str
-        Some of `PARTS`.
-    rounds, passes : int
-        Turns of each side at each part, and how many of the baseline's `SAMPLES` passes are timed.
-    threads : int, optional
-        Threads of each side; the default of its libraries if not given.
-    progress : callable, optional
-        Called with the number of parts measured and to be measured.
+    `source`, `selection`: the scans; every round takes the next one; `network`: weights of
+    SalsaNext, device, sensor, precision and engine; `parts`: some of `PARTS`; `rounds`, `passes`:
+    turns of each side at each part, and how many of the baseline's `SAMPLES` passes are timed;
+    `threads`: threads of each side; the default of its libraries if not given; `progress`: called
+    with the number of parts measured and to be measured.
     """
     if os.name != "posix":
         raise UsageError("benchmark", f"a system of the kind {os.name}", "Linux or macOS")

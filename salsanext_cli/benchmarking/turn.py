@@ -28,17 +28,9 @@ PYTHON, PACKAGE = sys.executable, Path(__file__).parents[1]
 def take_turn(side: str, part: str, task: Mapping[str, Any], scan: Path) -> dict[str, Any]:
     """Measure a part for one scan in a new process.
 
-    Returns
-    -------
-    dict
-        ``seconds``: of "cold" from start to end of the process, of "help" its CPU time.
-        ``peak_bytes``: of the GPU if it is used, else of the process; None for one smaller than
-        this one, because the system counts a new process with the memory of its parent.
-
-    Raises
-    ------
-    SalsanextError
-        If the process fails or is killed.
+    Returns ``seconds``: of "cold" from start to end of the process, of "help" its CPU time.
+    ``peak_bytes``: of the GPU if it is used, else of the process; None for one smaller than this
+    one, because the system counts a new process with the memory of its parent.
     """
     import resource  # not on Windows
 

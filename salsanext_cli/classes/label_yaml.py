@@ -21,13 +21,7 @@ KEYS = (
 
 
 def read_fields(data: Mapping[str, Any], source: object) -> dict[str, Any]:
-    """Return the fields of a `LabelSpace`, checked.
-
-    Raises
-    ------
-    UsageError
-        If the data is not of that form or contradicts itself; `source` is named.
-    """
+    """Return the fields of a `LabelSpace`, checked."""
     try:
         labels = {int(i): str(name) for i, name in data["labels"].items()}
         learning_map = {int(i): int(train) for i, train in data["learning_map"].items()}

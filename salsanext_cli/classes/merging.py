@@ -23,19 +23,12 @@ FEWEST_MERGED_CLASSES = 2
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ClassMerging:
-    """Merging of C classes into K.
+    """Merging of C classes into K."""
 
-    Attributes
-    ----------
-    space : LabelSpace
-        The K merged classes. Its splits are those of the other label space if it has none; its
-        alternatives are those of both, where they are still of several classes.
-    targets : tuple of int, length C
-        Train id, 0…K-1, that each train id becomes.
-    """
-
+    # The K merged classes. Its splits are those of the other label space if it has none; its
+    # alternatives are those of both, where they are still of several classes
     space: LabelSpace
-    targets: tuple[int, ...]
+    targets: tuple[int, ...]  # Train id, 0…K-1, that each train id becomes
 
     @classmethod
     def between(cls, own: LabelSpace, merged: LabelSpace) -> ClassMerging:
@@ -43,12 +36,6 @@ class ClassMerging:
 
         An ignored class stands for what has no class of its own, some of which the other may have:
         it goes where the other puts the raw id that stands for it.
-
-        Raises
-        ------
-        UsageError
-            If the other does not know a raw id or means something else by it, if a class would be
-            split, or fewer than two would be left.
         """
         if problem := contradiction(own, merged):
             expected = f"the classes of {own.name}, merged"

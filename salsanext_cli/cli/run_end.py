@@ -34,22 +34,10 @@ def finish(
 ) -> NoReturn:
     """Say what became of a run over scans and leave with the exit status for it.
 
-    Parameters
-    ----------
-    stage : str
-        The command.
-    outcome : Outcome
-        What its stage returned.
-    out : object
-        The output folder, as it was typed.
-    output : Output
-        Amount and form of what is printed.
-    more : str
-        Options that the command to type next needs as well.
-    split : str, optional
-        The split that the scans are of, if one was named.
-    strict : bool
-        Whether warnings about scans count as failures.
+    `stage`: the command; `outcome`: what its stage returned; `out`: the output folder, as it was
+    typed; `output`: amount and form of what is printed; `more`: options that the command to type
+    next needs as well; `split`: the split that the scans are of, if one was named; `strict`:
+    whether warnings about scans count as failures.
     """
     name_failures(outcome.failures)
     following = next_command(stage, outcome, str(out), more, split)

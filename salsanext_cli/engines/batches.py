@@ -21,22 +21,9 @@ def halved_batches(
 ) -> list[Result]:
     """Return the results of a function of batches, halved where memory runs out.
 
-    Parameters
-    ----------
-    function : callable
-        Takes some of the items, yields a result of each.
-    items : sequence
-    most : int
-        Items at once, as long as there is room.
-    name : str
-        Of the items, in the plural.
-    sizes : dict of str to int
-        Number of items by name that there was room for at once; is filled.
-
-    Raises
-    ------
-    MemoryError
-        If there is no room for a single item.
+    `function`: takes some of the items, yields a result of each; `most`: items at once, as long as
+    there is room; `name`: of the items, in the plural; `sizes`: number of items by name that there
+    was room for at once; is filled.
     """
     found: list[Result] = []
     while len(found) < len(items):

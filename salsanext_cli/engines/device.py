@@ -63,19 +63,8 @@ def choose_device(name: str) -> str:
 def choose_engine(name: str, device: str) -> str:
     """Return the engine of a name on a device.
 
-    Parameters
-    ----------
-    name : {"auto", "openvino", "torch"}
-        ``"auto"`` is OpenVINO on a CPU on which it starts, and torch elsewhere.
-    device : str
-        As `choose_device` returns it.
-
-    Raises
-    ------
-    UsageError
-        If there is no such engine, or not on the device.
-    MissingDependency
-        If OpenVINO was asked for and does not start.
+    `name` {"auto", "openvino", "torch"}, ``"auto"`` is OpenVINO on a CPU on which it starts, and
+    torch elsewhere; `device`: as `choose_device` returns it.
     """
     if name not in ENGINES:
         raise UsageError("--engine", name, ", ".join(ENGINES))
@@ -134,18 +123,9 @@ def _say_once(found: str) -> None:
 def choose_precision(name: str, device: str) -> str:
     """Return the number type of a name on a device.
 
-    Parameters
-    ----------
-    name : {"auto", "float32", "bfloat16", "float16"}
-        ``"auto"`` is float16 on a GPU with tensor cores, bfloat16 on a CPU that multiplies it, and
-        float32 elsewhere.
-    device : str
-        As `choose_device` returns it.
-
-    Raises
-    ------
-    UsageError
-        If there is no such type, or the CPU does not multiply it.
+    `name` {"auto", "float32", "bfloat16", "float16"}, ``"auto"`` is float16 on a GPU with tensor
+    cores, bfloat16 on a CPU that multiplies it, and float32 elsewhere; `device`: as `choose_device`
+    returns it.
     """
     if name not in PRECISIONS:
         raise UsageError("--precision", name, ", ".join(PRECISIONS))

@@ -46,10 +46,7 @@ _COMPILING = threading.Lock()
 class Graph:
     """Compiled part of a network: float32 arrays in, float32 arrays out, the same bits always.
 
-    Parameters
-    ----------
-    compiled : openvino.CompiledModel
-        With one stream or several, each for calls side by side.
+    `compiled`: with one stream or several, each for calls side by side.
     """
 
     def __init__(self, compiled: "openvino.CompiledModel") -> None:
@@ -92,16 +89,10 @@ def compiled_graph(
 ) -> Graph:
     """Return a model, ready to compute; from the cache if it was compiled before.
 
-    Parameters
-    ----------
-    make : callable
-        Returns the model; called only if the cache does not hold it.
-    key : object
-        What the model depends on, with a `repr` of its own.
-    precision : {"float32", "bfloat16"}
-        Of all layers but those that see the range image or make the logits.
-    threads, streams : int
-        Threads in all, and calls that they compute side by side. No bit depends on them.
+    `make`: returns the model; called only if the cache does not hold it; `key`: what the model
+    depends on, with a `repr` of its own; `precision` {"float32", "bfloat16"}, of all layers but
+    those that see the range image or make the logits; `threads`, `streams`: threads in all, and
+    calls that they compute side by side. No bit depends on them.
     """
     import openvino
 

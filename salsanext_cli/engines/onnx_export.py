@@ -55,19 +55,9 @@ def exported(
 ) -> "onnx.ModelProto":
     """Return a network as an ONNX model with its card.
 
-    Parameters
-    ----------
-    module : SegmentationNetwork
-        In evaluation mode, on the CPU.
-    card : WeightsCard
-        Becomes the model's metadata; its sensor gives height and width.
-    dynamic_width : bool
-        The model takes every width that the network's stride divides.
-
-    Raises
-    ------
-    MissingDependency
-        If the package onnx is not installed.
+    `module`: in evaluation mode, on the CPU; `card`: becomes the model's metadata; its sensor gives
+    height and width; `dynamic_width`: the model takes every width that the network's stride
+    divides.
     """
     package = import_extra("onnx", "onnx")
     height, width = card.sensor.height, card.sensor.width
@@ -96,13 +86,7 @@ def exported(
 
 
 def run(content: bytes, images: list[Float]) -> list[Float]:
-    """Compute logits (1, C, H, W) of images (1, 5, H, W) by ONNX Runtime.
-
-    Raises
-    ------
-    MissingDependency
-        If it is not installed.
-    """
+    """Compute logits (1, C, H, W) of images (1, 5, H, W) by ONNX Runtime."""
     onnxruntime: Any = import_extra("onnxruntime", "onnx")
     onnxruntime.disable_telemetry_events()
     session = onnxruntime.InferenceSession(content, providers=["CPUExecutionProvider"])
@@ -113,11 +97,6 @@ def difference(content: bytes, module: SegmentationNetwork, card: WeightsCard) -
     """Return the largest difference of the model's logits from torch's, relative to the largest.
 
     Of a random and of an empty image.
-
-    Raises
-    ------
-    WeightsError
-        If it is above `TOLERANCE`, or not a number.
     """
     size = (1, len(CHANNELS), card.sensor.height, card.sensor.width)
     drawn = np.random.default_rng(SEED).standard_normal(size, np.float32)

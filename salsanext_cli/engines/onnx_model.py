@@ -29,13 +29,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, eq=False)
 class OnnxNetwork(Network):
-    """Network of an ONNX file; it has no module in torch.
-
-    Attributes
-    ----------
-    path : Path
-        The file.
-    """
+    """Network of an ONNX file; it has no module in torch."""
 
     path: Path = Path()
 
@@ -119,21 +113,8 @@ def read_model(
 ) -> "openvino.Model":
     """Read an ONNX model of normalised range images (1, 5, H, W) to logits (1, C, H, W).
 
-    Parameters
-    ----------
-    content : bytes
-        Of the file.
-    source : object
-        Name of the file, for errors.
-    card : WeightsCard
-        With C classes.
-    sensor : Sensor
-        H and W; a model of dynamic width takes its width.
-
-    Raises
-    ------
-    WeightsError
-        If OpenVINO cannot read it, or inputs or outputs are others.
+    `content`: of the file; `source`: name of the file, for errors; `card`: with C classes;
+    `sensor`: h and W; a model of dynamic width takes its width.
     """
     import openvino
 

@@ -30,19 +30,8 @@ def quantised(
     centimetre, and the logits. The ranges of feature maps are means over the scans of high and low
     quantiles, not extremes.
 
-    Parameters
-    ----------
-    model : onnx.ModelProto
-        From `exported`; left as it is.
-    scans : sequence
-        For calibration.
-    image_of : callable
-        Returns the normalised image of one of them, (1, 5, H, W) float32.
-
-    Raises
-    ------
-    MissingDependency
-        If NNCF is not installed.
+    `model`: from `exported`; left as it is; `scans`: for calibration; `image_of`: returns the
+    normalised image of one of them, (1, 5, H, W) float32.
     """
     nncf = import_nncf()
     from nncf.quantization.range_estimator import RangeEstimatorParametersSet

@@ -23,44 +23,24 @@ log = logging.getLogger(__name__)
 
 @dataclass(frozen=True, slots=True)
 class NetworkSettings:
-    """Settings of a network to load; small enough to be sent to another process.
+    """Settings of a network to load; small enough to be sent to another process."""
 
-    Attributes
-    ----------
-    weights : Path, optional
-        A weights file; None for the default weights.
-    device : str
-        As `load_network` takes it.
-    sensor : Sensor, optional
-        Origin of the scans, if not the sensor that the weights name.
-    precision, engine : str
-        As `load_network` takes them.
-    fit : bool, optional
-        Whether a view and a mounting that differ much from the sensor's are those of the scans;
-        None: if no sensor is named.
-    intensity : {"auto", "match", "raw", "none"}
-        As `scan_fit.fitted` takes it; "auto" matches where the weights know their quantiles.
-    adapt : bool
-        Whether the batch norm is to be adapted to the scans, as `adaptation.network_of_run` does.
-    adapted : Path, optional
-        The weights file that came of it: this one is loaded.
-    sha256 : str, optional
-        Of the weights file that a run began with; others are refused.
-    classes : LabelSpace, optional
-        As `load_network` takes them.
-    """
-
-    weights: Path | None = None
-    device: str = "auto"
-    sensor: Sensor | None = None
-    precision: str = "float32"
+    weights: Path | None = None  # A weights file; None for the default weights
+    device: str = "auto"  # As `load_network` takes it
+    sensor: Sensor | None = None  # Origin of the scans, if not the sensor that the weights name
+    precision: str = "float32"  # As `load_network` takes them
     engine: str = "auto"
+    # Whether a view and a mounting that differ much from the sensor's are those of the scans; None:
+    # if no sensor is named
     fit: bool | None = None
+    # {"auto", "match", "raw", "none"}: as `scan_fit.fitted` takes it; "auto" matches where the
+    # weights know their quantiles
     intensity: str = "auto"
+    # Whether the batch norm is to be adapted to the scans, as `adaptation.network_of_run` does
     adapt: bool = False
-    adapted: Path | None = None
-    sha256: str | None = None
-    classes: LabelSpace | None = None
+    adapted: Path | None = None  # The weights file that came of it: this one is loaded
+    sha256: str | None = None  # Of the weights file that a run began with; others are refused
+    classes: LabelSpace | None = None  # As `load_network` takes them
 
     @property
     def path(self) -> Path:
@@ -73,16 +53,7 @@ class NetworkSettings:
         return self.sensor is None if self.fit is None else self.fit
 
     def load(self) -> Network:
-        """Load the network.
-
-        Raises
-        ------
-        WeightsError
-            If the file cannot be used, or was replaced since the run began.
-        UsageError
-            If the device does not exist, or does not compute in the precision or with the engine;
-            or if the classes are not merged ones of the weights'.
-        """
+        """Load the network."""
         file = self.adapted or self.path
         if self.sha256 and self.sha256 != fingerprint(file):
             found = "was replaced since the run began"

@@ -36,20 +36,9 @@ def writing(
     Parent folders are made. If the body raises, Ctrl-C included, nothing is left behind and an
     older file of that name stays as it was. The body should do nothing but write.
 
-    Parameters
-    ----------
-    path : Path or str
-        The file.
-    durable : bool
-        Whether it must survive a power cut too, for some milliseconds. Otherwise what was written
-        in the last half minute before may be empty or cut off then.
-    before_rename : callable, optional
-        Called with the status of the complete file before it gets its name.
-
-    Raises
-    ------
-    OutputError
-        If the system refuses: read-only folder, full disk, a file where a folder should be.
+    `path`: the file; `durable`: whether it must survive a power cut too, for some milliseconds.
+    Otherwise what was written in the last half minute before may be empty or cut off then;
+    `before_rename`: called with the status of the complete file before it gets its name.
     """
     path = Path(path)
     temporary = _temporary(path)
@@ -111,14 +100,7 @@ def _probe(folder: Path) -> Iterator[Path]:
 
 
 def require_target(target: Path, overwrite: bool, suffix: str = WEIGHTS_SUFFIX) -> None:
-    """Refuse a name for a file of weights before work is done that would be lost.
-
-    Raises
-    ------
-    OutputError
-        If it has another suffix, exists and may not be overwritten, or its folder cannot be
-        written to.
-    """
+    """Refuse a name for a file of weights before work is done that would be lost."""
     if target.suffix != suffix:
         raise OutputError(target, f"suffix {target.suffix or 'missing'}", suffix)
     require_absent(target, overwrite)

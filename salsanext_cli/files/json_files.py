@@ -28,13 +28,7 @@ def encode_json(data: Mapping[str, Any]) -> bytes:
 
 
 def read_json(path: Path) -> dict[str, Any] | None:
-    """Read what `write_json` wrote; None if there is no such file.
-
-    Raises
-    ------
-    OutputError
-        If the file is damaged.
-    """
+    """Read what `write_json` wrote; None if there is no such file."""
     if not present(path):
         return None
     with reading(path) as file:
@@ -65,12 +59,7 @@ def _refuse_constant(name: str) -> None:
 class RecordedSettings(dict[str, Any]):
     """Settings read back from `OUT/<stage>.json`; what was cut out of the file is named.
 
-    Parameters
-    ----------
-    values : mapping
-        The settings.
-    path : Path
-        The file that they were read from.
+    `values`: the settings; `path`: the file that they were read from.
     """
 
     def __init__(self, values: Mapping[str, Any], path: Path) -> None:

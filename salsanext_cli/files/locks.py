@@ -27,19 +27,8 @@ def locked(path: Path, timeout_s: float = 0.0, *, stage: str = "") -> Iterator[N
     The lock is the system's, on an empty file that is made and removed here. It is released when
     the process dies; its file may stay then, and means nothing.
 
-    Parameters
-    ----------
-    path : Path
-        The file; its folder is made.
-    timeout_s : float
-        Seconds to wait for others.
-    stage : str, optional
-        Stage whose run holds it while it fills the folder of the file, for the error.
-
-    Raises
-    ------
-    OutputError
-        If another process still holds it then, or if the file cannot be made.
+    `path`: the file; its folder is made; `timeout_s`: seconds to wait for others; `stage`: stage
+    whose run holds it while it fills the folder of the file, for the error.
     """
     lock = FileLock(path, timeout=timeout_s, fallback_to_soft=False)
     try:

@@ -14,13 +14,7 @@ ROSBAGS = (0, 11)
 
 
 def import_open3d() -> Any:
-    """Import open3d, which takes over a second and needs a system library.
-
-    Raises
-    ------
-    MissingDependency
-        If it is not installed, or a system library is missing.
-    """
+    """Import open3d, which takes over a second and needs a system library."""
     try:
         import open3d
     except ModuleNotFoundError as error:
@@ -33,13 +27,7 @@ def import_open3d() -> Any:
 
 
 def import_extra(name: str, extra: str) -> Any:
-    """Import a package that comes with an extra of this one.
-
-    Raises
-    ------
-    MissingDependency
-        If it is not installed, or cannot be imported.
-    """
+    """Import a package that comes with an extra of this one."""
     try:
         return import_module(name)
     except ImportError as error:
@@ -50,13 +38,7 @@ def import_extra(name: str, extra: str) -> Any:
 
 
 def require_rosbags() -> None:
-    """Require `rosbags` in a version that reads single files of a ROS 2 bag.
-
-    Raises
-    ------
-    MissingDependency
-        If it is not installed or older, as `ouster-sdk` wants it.
-    """
+    """Require `rosbags` in a version that reads single files of a ROS 2 bag."""
     import_extra("rosbags", "ros")
     found = version("rosbags")
     if tuple(map(int, re.findall(r"\d+", found)[:2])) < ROSBAGS:
@@ -66,13 +48,7 @@ def require_rosbags() -> None:
 
 
 def import_nncf() -> Any:
-    """Import NNCF without `openvino_telemetry`, by which it would report its use.
-
-    Raises
-    ------
-    MissingDependency
-        If it is not installed.
-    """
+    """Import NNCF without `openvino_telemetry`, by which it would report its use."""
     sys.modules["openvino_telemetry"] = None  # type: ignore[assignment]
     if "scipy.linalg" in sys.modules and sys.modules["scipy.linalg"] is None:
         del sys.modules["scipy.linalg"]  # the command line hides it, for a faster start

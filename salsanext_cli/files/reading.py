@@ -32,13 +32,7 @@ def reading(path: Path | str) -> Iterator[BinaryIO]:
 
 
 def read_values(file: BinaryIO, path: Path, dtype: npt.DTypeLike, count: int) -> npt.NDArray[Any]:
-    """Read values from the current position of an open file.
-
-    Raises
-    ------
-    FormatError
-        If the file has become shorter since its size was read.
-    """
+    """Read values from the current position of an open file."""
     values = np.fromfile(file, dtype, count)
     if len(values) != count:
         raise FormatError(path, "changed while it was read", "a file that no program is writing")
@@ -49,11 +43,6 @@ def present(path: Path) -> bool:
     """Return whether a name exists.
 
     A link to itself counts, and its reader refuses it; a link to nothing does not.
-
-    Raises
-    ------
-    FormatError
-        If the system cannot tell: the name is too long, or a folder is not readable.
     """
     return _status(path) is not None
 

@@ -46,15 +46,7 @@ class _PlainLoader(yaml.SafeLoader):
 
 
 def read_yaml(path: Path, expected: str) -> Any:
-    """Read plain values from a YAML file; references (``*name``) are refused.
-
-    Raises
-    ------
-    FileNotFoundError
-        If there is no such file.
-    UsageError
-        If it cannot be read; the message contains `expected`.
-    """
+    """Read plain values from a YAML file; references (``*name``) are refused."""
     text = _text(path, MAX_YAML_BYTES, expected)
     try:
         return yaml.load(text, _PlainLoader)
@@ -63,13 +55,7 @@ def read_yaml(path: Path, expected: str) -> Any:
 
 
 def read_toml(path: Path, kind: str, presets: Iterable[str]) -> dict[str, Any]:
-    """Read the TOML file of a setting, a "sensor" say, that is no preset.
-
-    Raises
-    ------
-    UsageError
-        If there is no such file or it cannot be read.
-    """
+    """Read the TOML file of a setting, a "sensor" say, that is no preset."""
     expected = f"a TOML file with a {kind}'s keys"
     try:
         text = _text(path, MAX_TOML_BYTES, expected)

@@ -22,21 +22,8 @@ def write_zip(
 ) -> None:
     """Write a ZIP file of files, with an entry for each folder before the files in it.
 
-    Parameters
-    ----------
-    path : Path
-        The file.
-    members : mapping of str to Path
-        Files by their names in the ZIP file, with slashes, in its order.
-    advance : callable, optional
-        Called after each file.
-
-    Raises
-    ------
-    FormatError
-        If a member cannot be read.
-    OutputError
-        If the file cannot be written.
+    `path`: the file; `members`: files by their names in the ZIP file, with slashes, in its order;
+    `advance`: called after each file.
     """
     with writing(path, durable=True) as file, ZipFile(file, "w", ZIP_DEFLATED) as made:
         folders: set[str] = set()

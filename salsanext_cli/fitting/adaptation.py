@@ -50,24 +50,9 @@ def network_of_run(
 ) -> tuple[NetworkSettings, Network]:
     """Return a network fitted to the scans of a run, and adapted if asked for, and its settings.
 
-    Parameters
-    ----------
-    settings : NetworkSettings
-    network : Network
-        What they load.
-    files : sequence of ScanFile
-        All scans of the source, whichever of them the run is about.
-    out : Path
-        Its output folder: what earlier results there were made with stays.
-    overwrite : bool
-        Whether such results will be replaced, and mean nothing.
-    image_of : callable, optional
-        As `fitted` takes it.
-
-    Raises
-    ------
-    SalsanextError
-        If network or scans cannot be used so, or earlier results were made otherwise.
+    `network`: what they load; `files`: all scans of the source, whichever of them the run is about;
+    `out`: its output folder: what earlier results there were made with stays; `overwrite`: whether
+    such results will be replaced, and mean nothing; `image_of`: as `fitted` takes it.
     """
     earlier = earlier_settings(out, network.sha256, overwrite)
     sensor = Sensor.from_dict(earlier.table("sensor"), earlier.path) if earlier else None

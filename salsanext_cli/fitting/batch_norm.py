@@ -23,17 +23,10 @@ from salsanext_cli.records import Float
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Statistics:
-    """Mean and variance of each channel; adding two gives those of both together.
+    """Mean and variance of each channel; adding two gives those of both together."""
 
-    Attributes
-    ----------
-    count : float
-        Values per channel.
-    mean, variance : (C,) float64
-        Of these values; the variance is that of the population, divided by `count`.
-    """
-
-    count: float
+    count: float  # Values per channel
+    # (C,) float64: of these values; the variance is that of the population, divided by `count`
     mean: Tensor
     variance: Tensor
 
@@ -50,12 +43,8 @@ class Statistics:
     def of(cls, values: Tensor, cells: Tensor) -> Statistics:
         """Return the statistics of values (C, h, w), each counted as often as `cells` (h, w) says.
 
-        Parameters
-        ----------
-        values : (C, h, w) Tensor
-            Of any precision.
-        cells : (h, w) float64
-            Not negative, not all 0.
+        `values` (C, h, w) Tensor, of any precision; `cells` (h, w) float64, not negative, not all
+        0.
         """
         double, count = values.double(), cells.sum()
         mean = torch.einsum("chw,hw->c", double, cells) / count
@@ -96,17 +85,10 @@ class PooledStatistics:
     """Statistics of several scans together: the variance within the scans and between them.
 
     Memory does not grow with the number of scans.
-
-    Attributes
-    ----------
-    network : Network
-        Stays as it is.
-    share : float
-        As `statistics_of_scan` takes it.
     """
 
-    network: Network
-    share: float
+    network: Network  # Stays as it is
+    share: float  # As `statistics_of_scan` takes it
     _pooled: dict[str, Statistics] = field(default_factory=dict)
 
     def add(self, channels: Float, source: object = "a scan") -> None:
@@ -138,26 +120,12 @@ def statistics_of_scan(
     padding of `SegmentationNetwork.pad` does not count; a cell that lies partly on it counts by the
     share of its area that is image.
 
-    Parameters
-    ----------
-    network : Network
-        Stays as it is.
-    channels : (5, H, W) float32
-        Range image of the scan.
-    share : float
-        Of the scan's statistics, 0 to 1; the rest are those of the layer.
-    source : object
-        What to call the scan in an error.
+    `network`: stays as it is; `channels` (5, H, W) float32, range image of the scan; `share`: of
+    the scan's statistics, 0 to 1; the rest are those of the layer; `source`: what to call the scan
+    in an error.
 
-    Returns
-    -------
-    dict of str to Statistics
-        The scan's own, by the name of the layer, in order of computation.
-
-    Raises
-    ------
-    WeightsError
-        If one is not finite.
+    Returns dict of str to Statistics, the scan's own, by the name of the layer, in order of
+    computation.
     """
     inputs = network.input(channels)
     height, width = inputs.shape[-2:]

@@ -41,12 +41,7 @@ def fit_beams(scans: Sequence[Scan], sensor: Sensor) -> tuple[float, ...]:
     origin. Scans whose motion was taken out, or whose beams start far from the origin as those of
     an HDL-64, have no clear maxima.
 
-    Parameters
-    ----------
-    scans : sequence of Scan
-        Of one sensor.
-    sensor : Sensor
-        Its direction up.
+    `scans`: of one sensor; `sensor`: its direction up.
     """
     elevations, ranges, rings = [np.empty(0)], [np.empty(0)], [np.empty(0, np.int32)]
     for scan in scans:

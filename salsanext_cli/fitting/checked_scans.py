@@ -15,20 +15,8 @@ def project_checked(
 ) -> tuple[RangeImage, ScanCheck]:
     """Read, check and project a scan; return its range image and what the check found.
 
-    Parameters
-    ----------
-    file : ScanFile
-    sensor : Sensor
-        What the scan is projected for.
-    device : str
-        As `project` takes it.
-    trained : Sensor, optional
-        That of the weights, if a network is to label the scan.
-
-    Raises
-    ------
-    FormatError
-        If the file cannot be read, or holds no scan in metres around the sensor.
+    `sensor`: what the scan is projected for; `device`: as `project` takes it; `trained`: that of
+    the weights, if a network is to label the scan.
     """
     scan = read_scan(file.path, sensor)
     check = check_scan(file.path, scan, sensor, trained)

@@ -19,18 +19,10 @@ LARGEST_SHARE_OUTSIDE = 0.2
 
 @dataclass(frozen=True, slots=True)
 class FieldOfViewCoverage:
-    """Numbers of points; adding two gives those of both.
+    """Numbers of points; adding two gives those of both."""
 
-    Attributes
-    ----------
-    points : int
-        Number of points with a measurement.
-    outside : int
-        Number of those above or below the field of view.
-    """
-
-    points: int = 0
-    outside: int = 0
+    points: int = 0  # Number of points with a measurement
+    outside: int = 0  # Number of those above or below the field of view
 
     def __add__(self, other: FieldOfViewCoverage) -> FieldOfViewCoverage:
         return FieldOfViewCoverage(self.points + other.points, self.outside + other.outside)

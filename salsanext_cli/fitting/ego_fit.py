@@ -55,13 +55,8 @@ def fit_ego(scans: Sequence[Scan], sensor: Sensor) -> Sensor:
     The minimum range is `MIN_RANGE_M`, less where the sensor is lower than usual above the ground.
     The box is empty where the scans do not tell it.
 
-    Parameters
-    ----------
-    scans : sequence of Scan
-        Of one sensor and drive, some time apart; fewer than `MIN_SCANS` tell no box, nor do those
-        of a vehicle that stands.
-    sensor : Sensor
-        Its mounting.
+    `scans`: of one sensor and drive, some time apart; fewer than `MIN_SCANS` tell no box, nor do
+    those of a vehicle that stands; `sensor`: its mounting.
     """
     least, box = sensor.min_range, sensor.ego_box
     if least is not None and box is not None:

@@ -36,22 +36,13 @@ AXES, UPWARDS = range(3), 2
 
 @dataclass(frozen=True, slots=True)
 class Ground:
-    """Plane below the sensor.
+    """Plane below the sensor."""
 
-    Attributes
-    ----------
-    up : (3,) float64
-        Unit normal, from the ground to the sensor; where the origin is on it, along the nearest
-        axis.
-    height : float
-        Distance of the origin from it, in metres; just below 0 if it is on it.
-    share : float
-        Of the near points that lie on it, 0…1.
-    """
-
+    # (3,) float64: unit normal, from the ground to the sensor; where the origin is on it, along the
+    # nearest axis
     up: npt.NDArray[np.float64]
-    height: float
-    share: float
+    height: float  # Distance of the origin from it, in metres; just below 0 if it is on it
+    share: float  # Of the near points that lie on it, 0…1
 
     @property
     def tilt_deg(self) -> float:
@@ -66,14 +57,10 @@ def find_ground(points: Float, max_tilt_deg: float | None = None) -> Ground | No
     points by least squares (Fischler & Bolles 1981). Points count by their range, since the rings
     near the sensor have most of them.
 
-    Parameters
-    ----------
-    points : (N, 3) float32
-        In metres, around the sensor or its vehicle; some of a scan are enough.
-    max_tilt_deg : float, optional
-        Largest angle between normal and z. Without it the orientation is any, if the sensor turns
-        about an axis of the frame; one that looks one way cannot tell ground from walls, so that
-        the ground leans no more than that of a sensor that turns about z.
+    `points` (N, 3) float32, in metres, around the sensor or its vehicle; some of a scan are enough;
+    `max_tilt_deg`: largest angle between normal and z. Without it the orientation is any, if the
+    sensor turns about an axis of the frame; one that looks one way cannot tell ground from walls,
+    so that the ground leans no more than that of a sensor that turns about z.
     """
     ranges = np.sqrt(np.einsum("nk,nk->n", points, points))
     near = np.flatnonzero((ranges > RANGES_M[0]) & (ranges < RANGES_M[1]))

@@ -73,12 +73,8 @@ def intensity_findings(
 def check_image(channels: Float, sensor: Sensor, trained: Sensor) -> ScanCheck:
     """Check the intensity of a range image, whose geometry was checked when it was projected.
 
-    Parameters
-    ----------
-    channels : (5, H, W) float32
-        A pixel of range 0 is empty.
-    sensor, trained : Sensor
-        That of the image, and that of the weights.
+    `channels` (5, H, W) float32, a pixel of range 0 is empty; `sensor`, `trained`: that of the
+    image, and that of the weights.
     """
     occupied = channels[:, channels[0] > 0]
     if occupied.shape[1] < MIN_POINTS:

@@ -32,12 +32,7 @@ def mixed_sensors(
     Scans differ if a gap of `DENSITY_FACTOR` divides them when all are sorted by one trait; a gap
     of the other factors for all points and for the intensity. Their order does not matter.
 
-    Parameters
-    ----------
-    traits : mapping
-        Traits of the scans of a run.
-    selectable : bool
-        Whether the command takes any SCANS.
+    `traits`: traits of the scans of a run; `selectable`: whether the command takes any SCANS.
     """
     files = sorted(traits, key=lambda file: (file.sequence, file.stem))
     if len(files) < 2:
@@ -72,9 +67,7 @@ def _groups(values: npt.NDArray[Any], factor: float) -> npt.NDArray[np.int64]:
 
     A value of 0 is unknown and in the first group.
 
-    Returns
-    -------
-    (F,) int64
+    Returns (F,) int64.
     """
     found = np.zeros(len(values), np.int64)
     known = np.flatnonzero(values > 0)

@@ -48,12 +48,8 @@ def fit_mounting(scans: Sequence[Scan], sensor: Sensor) -> Sensor:
     of a vehicle: to the place that the beams come from, if that is seen; else to the usual height
     if the ground passes through the origin, where no sensor can be.
 
-    Parameters
-    ----------
-    scans : sequence of Scan
-        Of one sensor.
-    sensor : Sensor
-        That of the weights; its own mounting, of other scans, is forgotten.
+    `scans`: of one sensor; `sensor`: that of the weights; its own mounting, of other scans, is
+    forgotten.
     """
     sensor = replace(sensor, up=UP, origin=ORIGIN)
     grounds = [ground for scan in scans if (ground := ground_of(scan))]

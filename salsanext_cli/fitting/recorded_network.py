@@ -26,17 +26,7 @@ from salsanext_cli.sensors.sensor import FITTED_NAME, Sensor, presets
 def require_network_of_labels(out: Path, settings: dict[str, Any]) -> None:
     """Refuse to put the uncertainty of one network beside the labels of another.
 
-    Parameters
-    ----------
-    out : Path
-        The output folder.
-    settings : dict
-        Of the run of `uncertainty`.
-
-    Raises
-    ------
-    OutputError
-        If labels there were made with other weights, through another view, or in other classes.
+    `out`: the output folder; `settings`: of the run of `uncertainty`.
     """
     stage = owner(out, "predictions")
     recorded = stage_settings(out, stage) if stage not in (None, "uncertainty") else None
@@ -74,11 +64,6 @@ def network_of_labels(out: Path, network: NetworkSettings) -> NetworkSettings:
     """Return the network, looking through the sensor that `predict` used; refuse other weights.
 
     Its classes are those of the labels, else of uncertainties that are there.
-
-    Raises
-    ------
-    UsageError
-        If the labels were made with other weights.
     """
     settings, weights = stage_settings(out, "predict"), fingerprint(network.path)
     if earlier := earlier_settings(out, weights, overwrite=False):

@@ -57,25 +57,10 @@ def check_scan(
 ) -> ScanCheck:
     """Check a scan, from some of its points.
 
-    Parameters
-    ----------
-    path : Path
-        Its file, for errors.
-    scan : Scan
-        N points.
-    sensor : Sensor
-        Sensor that it is projected for.
-    trained : Sensor, optional
-        That of the weights, if the intensity matters: if a network is to label the scan or to
-        learn from it. One without quantiles stands for intensities from 0 to 1.
-    fitting : bool
-        Whether the command can fit view and intensity to the scans by itself.
-
-    Raises
-    ------
-    FormatError
-        If the scan cannot be right: no point with a measurement, or not in metres around the
-        sensor.
+    `path`: its file, for errors; `scan`: n points; `sensor`: sensor that it is projected for;
+    `trained`: that of the weights, if the intensity matters: if a network is to label the scan or
+    to learn from it. One without quantiles stands for intensities from 0 to 1; `fitting`: whether
+    the command can fit view and intensity to the scans by itself.
     """
     some = in_sensor_frame(few_points(scan), sensor)
     ranges, measured = measured_ranges(some.points)

@@ -78,23 +78,10 @@ def fitted(
 ) -> Network:
     """Return the network for the scans: view, intensity and gaps between the rows of their sensor.
 
-    Parameters
-    ----------
-    settings : NetworkSettings
-    network : Network
-        What they load.
-    files : sequence of ScanFile or Scan
-        All scans of the source, whichever of them the run is about, so that runs over parts of it
-        agree; unreadable ones do not count, since the run itself names them.
-    earlier : Sensor, optional
-        Of earlier results in the same folder; what was fitted then stays.
-    image_of : callable, optional
-        Returns the range image of a scan, (5, H, W) float32; otherwise it is read and projected.
-
-    Raises
-    ------
-    UsageError
-        If there is no such way, or the weights do not know the intensity of their training.
+    `network`: what they load; `files`: all scans of the source, whichever of them the run is about,
+    so that runs over parts of it agree; unreadable ones do not count, since the run itself names
+    them; `earlier`: of earlier results in the same folder; what was fitted then stays; `image_of`:
+    returns the range image of a scan, (5, H, W) float32; otherwise it is read and projected.
     """
     how, trained = _method(settings, network), network.card.sensor
     if image_of is None:

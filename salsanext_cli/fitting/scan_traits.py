@@ -16,25 +16,14 @@ VIEW = (0.01, 0.99)
 
 @dataclass(frozen=True, slots=True)
 class ScanTraits:
-    """Traits of the sensor in one scan, estimated from a sample of its points.
+    """Traits of the sensor in one scan, estimated from a sample of its points."""
 
-    Attributes
-    ----------
-    points : int
-        Number of points with a measurement.
-    fov_up, fov_down : float
-        Elevations in degrees that few points lie above and below.
-    below : tuple of float
-        Number of points around each of `NODES_DEG` but the last, which counts none.
-    bright : float
-        Upper intensity; 0 if unknown.
-    """
-
-    points: int
-    fov_up: float
+    points: int  # Number of points with a measurement
+    fov_up: float  # Elevations in degrees that few points lie above and below
     fov_down: float
+    # Number of points around each of `NODES_DEG` but the last, which counts none
     below: tuple[float, ...]
-    bright: float
+    bright: float  # Upper intensity; 0 if unknown
 
 
 def traits_of(sines: Float, bright: float, per_point: float) -> ScanTraits:
@@ -43,14 +32,8 @@ def traits_of(sines: Float, bright: float, per_point: float) -> ScanTraits:
     Points between two nodes count for both by their distance, so that a beam that lies at one, or
     is measured a little higher or lower, makes no difference.
 
-    Parameters
-    ----------
-    sines : (M,) float32
-        Sines of elevation of a sample of the points with a measurement.
-    bright : float
-        Upper intensity of the scan.
-    per_point : float
-        Points of the scan for each of the sample.
+    `sines` (M,) float32, sines of elevation of a sample of the points with a measurement; `bright`:
+    upper intensity of the scan; `per_point`: points of the scan for each of the sample.
     """
     elevations = np.degrees(np.arcsin(sines))
     down, up = np.quantile(elevations, VIEW)

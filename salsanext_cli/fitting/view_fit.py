@@ -42,12 +42,7 @@ def fit_view(scans: Sequence[Scan], sensor: Sensor) -> Sensor:
     all points lie outside. Size and normalisation of the range images stay. Of the labelled scans
     of three sensors, this was never worse than the view of the weights.
 
-    Parameters
-    ----------
-    scans : sequence of Scan
-        Of one sensor.
-    sensor : Sensor
-        That of the weights.
+    `scans`: of one sensor; `sensor`: that of the weights.
     """
     sensor = fit_ego(scans, fit_mounting(scans, sensor))
     coverages = (field_of_view_coverage(scan, sensor) for scan in scans)

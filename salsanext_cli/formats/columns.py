@@ -28,13 +28,7 @@ MAX_DISTANCE_M = 10_000.0
 
 
 def scan_of(columns: Columns, path: Path, intensity_scale: float) -> Scan:
-    """Make a scan of the columns x, y, z and the intensity; without intensity it is 0.
-
-    Raises
-    ------
-    FormatError
-        If a coordinate is missing, or no point is near the origin; `path` is named.
-    """
+    """Make a scan of the columns x, y, z and the intensity; without intensity it is 0."""
     known = {name.lower(): values for name, values in columns.items() if values.dtype.kind in "iuf"}
     if missing := [axis for axis in "xyz" if axis not in known]:
         found = ", ".join(columns) or "nothing"
@@ -66,19 +60,8 @@ def rows_as_rings(count: int, height: int) -> dict[str, npt.NDArray[Any]]:
 def unnamed_columns(table: npt.NDArray[Any], names: tuple[str, ...], path: Path) -> Columns:
     """Name the columns of a table.
 
-    Parameters
-    ----------
-    table : (N, C)
-        Values of the file.
-    names : tuple of str
-        Those of the sensor, or none for `USUAL_COLUMNS` and at most one more.
-    path : Path
-        The file, for the error.
-
-    Raises
-    ------
-    FormatError
-        If there are more or fewer columns than names, or it is open what they hold.
+    `table` (N, C), values of the file; `names`: those of the sensor, or none for `USUAL_COLUMNS`
+    and at most one more; `path`: the file, for the error.
     """
     names = columns_of_width(table.shape[1], names, path)
     return {name: table[:, i] for i, name in enumerate(names) if name != UNUSED_COLUMN}
@@ -119,13 +102,9 @@ def _require_near_origin(values: npt.NDArray[Any], path: Path, axis: str) -> Non
 def normalised_intensity(values: npt.NDArray[Any], scale: float) -> Float:
     """Return intensities as (N,) float32, nominally 0…1.
 
-    Parameters
-    ----------
-    values : (N,), any real dtype
-        Values of the file.
-    scale : float
-        Divides the values; a sensor's `intensity_scale`. Bytes are divided by 255 whatever the
-        scale, because their type already says their range.
+    `values` (N,), any real dtype, values of the file; `scale`: divides the values; a sensor's
+    `intensity_scale`. Bytes are divided by 255 whatever the scale, because their type already says
+    their range.
     """
     divisor = 255.0 if values.dtype == np.uint8 else scale
     # A signalling NaN is a point without an intensity.

@@ -20,31 +20,15 @@ EXPECTED_MAP = "a mapping of a tool's ids to names or raw ids of the label space
 
 @dataclass(frozen=True, slots=True)
 class LabelIds:
-    """Meaning of the ids of a labelling tool.
+    """Meaning of the ids of a labelling tool."""
 
-    Attributes
-    ----------
-    raw_of : dict of int to int
-        Raw id by id of the tool.
-    names : dict of int to str
-        Name of the class by id of the tool.
-    unlabelled : int
-        Raw id of points without a label.
-    """
-
-    raw_of: dict[int, int]
-    names: dict[int, str]
-    unlabelled: int
+    raw_of: dict[int, int]  # Raw id by id of the tool
+    names: dict[int, str]  # Name of the class by id of the tool
+    unlabelled: int  # Raw id of points without a label
 
     @classmethod
     def of_space(cls, space: LabelSpace, tool: Path | None = None) -> LabelIds:
-        """Take the raw ids of a label space, or those that the YAML file of a tool maps to them.
-
-        Raises
-        ------
-        UsageError
-            If the file cannot be used, or no class of the label space is ignored.
-        """
+        """Take the raw ids of a label space, or those that the YAML file of a tool maps to them."""
         raw_of = {i: i for i in _raw_ids(space)} if tool is None else _read_map(tool, space)
         if not space.ignored[0]:
             found = f"class 0, {space.names[0]}, counts"

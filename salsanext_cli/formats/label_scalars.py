@@ -44,41 +44,18 @@ Ids = npt.NDArray[np.int64]
 
 @dataclass(frozen=True, slots=True)
 class LabelledCloud:
-    """Points that another program labelled, in any order.
+    """Points that another program labelled, in any order."""
 
-    Attributes
-    ----------
-    points : (M, 3) float32
-        Metres, in the frame of the scan.
-    ids : (M,) int64
-        Ids of the program; `NO_VALUE` where it has none.
-    scalar : str
-        Name of the scalar in the file.
-    """
-
-    points: Float
-    ids: Ids
-    scalar: str
+    points: Float  # (M, 3) float32: metres, in the frame of the scan
+    ids: Ids  # (M,) int64: ids of the program; `NO_VALUE` where it has none
+    scalar: str  # Name of the scalar in the file
 
 
 def read_labelled_cloud(path: Path, scalar: str | None = None) -> LabelledCloud:
     """Read coordinates and labels of a PLY, PCD, LAS or LAZ file.
 
-    Parameters
-    ----------
-    path : Path
-        The file, with a suffix of `READERS`.
-    scalar : str, optional
-        Name of the scalar with the labels; otherwise the only one of the `LABEL_NAMES`.
-
-    Raises
-    ------
-    FormatError
-        If the file cannot be read, is cut off, or lacks coordinates or the scalar.
-    LabelError
-        If a label is no whole number, or several scalars may hold labels.
-    MissingDependency
-        If the format needs a package that cannot be imported.
+    `path`: the file, with a suffix of `READERS`; `scalar`: name of the scalar with the labels;
+    otherwise the only one of the `LABEL_NAMES`.
     """
     columns = READERS[path.suffix.lower()](path)
     columns = {name: values for name, values in columns.items() if values.dtype.kind in "iuf"}
@@ -139,14 +116,7 @@ def _listed(columns: Columns) -> str:
 
 
 def whole_numbers(values: npt.NDArray[Any], path: Path, name: str) -> Ids:
-    """Return labels (M,) of any real dtype as integers, `NO_VALUE` for NaN.
-
-    Raises
-    ------
-    LabelError
-        If one is not whole, too large for a label, or beyond the whole numbers that its type tells
-        apart; `path` and the `name` of the scalar are named.
-    """
+    """Return labels (M,) of any real dtype as integers, `NO_VALUE` for NaN."""
     known = ~np.isnan(values) if values.dtype.kind == "f" else np.ones(len(values), bool)
     most = MAX_ID
     if values.dtype.kind == "f":

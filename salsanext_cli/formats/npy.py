@@ -33,19 +33,8 @@ ROUNDING = 0.01
 def read_array(path: Path, dtype: npt.DTypeLike, shape: tuple[int | None, ...]) -> npt.NDArray[Any]:
     """Read an array of known dtype and shape.
 
-    Parameters
-    ----------
-    path : Path
-        The `.npy` file.
-    dtype : dtype-like
-        Required dtype.
-    shape : tuple of int or None
-        Required shape; None stands for any length.
-
-    Raises
-    ------
-    FormatError
-        If the file cannot be read, is no `.npy` file, holds something else, or is cut off.
+    `path`: the `.npy` file; `dtype`: required dtype; `shape`: required shape; None stands for any
+    length.
     """
     required = np.dtype(dtype)
     expected = f"a .npy file of {required} {_words(shape)}"
@@ -68,13 +57,7 @@ def read_array(path: Path, dtype: npt.DTypeLike, shape: tuple[int | None, ...]) 
 
 
 def read_integers(path: Path) -> npt.NDArray[np.integer[Any]]:
-    """Read an array (N,) of integers of any size.
-
-    Raises
-    ------
-    FormatError
-        As for `read_array`.
-    """
+    """Read an array (N,) of integers of any size."""
     expected = "a .npy file of integers (N,)"
     with reading(path) as file:
         shape, _, dtype = read_header(file, path, expected)
@@ -89,22 +72,10 @@ def read_header(
 ) -> tuple[tuple[int, ...], bool, np.dtype[Any]]:
     """Read the header of a `.npy` file.
 
-    Parameters
-    ----------
-    file : binary file
-        Positioned at the start; at the end, at the first value.
-    path, expected : Path and str
-        Subject and expectation of the error.
+    `file`: positioned at the start; at the end, at the first value; `path`, `expected`: subject and
+    expectation of the error.
 
-    Returns
-    -------
-    tuple
-        The shape, whether the first index varies fastest, and the dtype.
-
-    Raises
-    ------
-    FormatError
-        If it is no header of version 1.
+    Returns tuple, the shape, whether the first index varies fastest, and the dtype.
     """
     try:
         # A header of version 1 has 64 kB at most; those of later versions may promise gigabytes.
@@ -133,17 +104,7 @@ def encode_array(array: npt.NDArray[Any]) -> bytes:
 def read_probabilities(path: Path, count: int, class_count: int) -> npt.NDArray[np.float16]:
     """Read the softmax of a scan's points, (N, C) float16.
 
-    Parameters
-    ----------
-    path : Path
-        The `.npy` file.
-    count, class_count : int
-        N and C.
-
-    Raises
-    ------
-    FormatError
-        If the file cannot be read, is of another shape, or holds no probabilities.
+    `path`: the `.npy` file; `count`, `class_count`: n and C.
     """
     softmax = read_array(path, np.float16, (count, class_count))
     sums = np.einsum("nc->n", softmax, dtype=np.float32)
@@ -158,19 +119,8 @@ def read_probabilities(path: Path, count: int, class_count: int) -> npt.NDArray[
 def read_uncertainty(path: Path, count: int | None, highest: float = math.inf) -> Float:
     """Read one kind of uncertainty of a scan's points, (N,) float32; NaN where there is none.
 
-    Parameters
-    ----------
-    path : Path
-        The `.npy` file.
-    count : int, optional
-        N; None for any number.
-    highest : float
-        Largest possible value: 1 for a probability.
-
-    Raises
-    ------
-    FormatError
-        If the file cannot be read, is of another length, or holds impossible values.
+    `path`: the `.npy` file; `count`: n; None for any number; `highest`: largest possible value: 1
+    for a probability.
     """
     values: Float = read_array(path, np.float32, (count,))
     bounded = math.isfinite(highest)

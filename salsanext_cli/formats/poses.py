@@ -14,19 +14,8 @@ def pose_lines(path: Path, scans: Sequence[str], wanted: Sequence[str]) -> bytes
     A file with a line for each scan that is there is in the order of their names; in another one,
     as KITTI's of a whole drive, a scan's name is the number of its line, from 0.
 
-    Parameters
-    ----------
-    path : Path
-        The file.
-    scans : sequence of str
-        Names of all scans of the sequence that are there, sorted, without suffix.
-    wanted : sequence of str
-        Those of some of them.
-
-    Raises
-    ------
-    FormatError
-        If the file cannot be read, or does not tell the lines of these scans.
+    `path`: the file; `scans`: names of all scans of the sequence that are there, sorted, without
+    suffix; `wanted`: those of some of them.
     """
     with reading(path) as file:
         lines = [line.strip() for line in file.read().splitlines() if line.strip()]

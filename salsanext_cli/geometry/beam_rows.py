@@ -15,18 +15,11 @@ def rows_of(scan: Scan, sensor: Sensor) -> Int | None:
     Of B beams, number b from the top has row ``floor((b + ½) H / B)``: with as many beams as rows
     each has its own, with fewer some rows stay empty, with more some share one.
 
-    Parameters
-    ----------
-    scan : Scan
-        Upright. Points of one ring are of one beam, that nearest to the median of their elevations;
-        points without a ring are of the beam nearest to their own.
-    sensor : Sensor
-        Its beams and the rows of its range image.
+    `scan`: upright. Points of one ring are of one beam, that nearest to the median of their
+    elevations; points without a ring are of the beam nearest to their own; `sensor`: its beams and
+    the rows of its range image.
 
-    Returns
-    -------
-    (N,) int32 or None
-        From 0 at the top; points without a measurement have any row.
+    Returns (N,) int32 or None, from 0 at the top; points without a measurement have any row.
     """
     if not sensor.beams:
         return None

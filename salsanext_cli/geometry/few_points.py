@@ -25,9 +25,7 @@ def few_points(scan: Scan, count: int = MAX_POINTS) -> Scan:
 def drawn(length: int, count: int) -> npt.NDArray[np.intp]:
     """Return places in an array of a length, rising, drawn alike; all if there are no more.
 
-    Returns
-    -------
-    (count,) or (length,) intp
+    Returns (count,) or (length,) intp.
     """
     return np.arange(length) if length <= count else (_uniform(count) * length).astype(np.intp)
 

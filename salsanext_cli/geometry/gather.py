@@ -16,19 +16,10 @@ def points_from_pixels(
 ) -> npt.NDArray[Value]:
     """Give every point its pixel's value.
 
-    Parameters
-    ----------
-    of_pixels : (H, W) or (C, H, W)
-        Values of the pixels, of any dtype.
-    pixel_of_point : (N,) int32
-        Flat pixel index, -1 without a pixel.
-    empty : scalar or (C,)
-        Value of the points without a pixel.
+    `of_pixels` (H, W) or (C, H, W), values of the pixels, of any dtype; `pixel_of_point` (N,)
+    int32, flat pixel index, -1 without a pixel; `empty`: value of the points without a pixel.
 
-    Returns
-    -------
-    (N,) or (N, C), same dtype
-        A new array.
+    Returns (N,) or (N, C), same dtype, a new array.
     """
     flat = of_pixels.reshape(*of_pixels.shape[:-2], -1)
     of_points: npt.NDArray[Value] = flat.T[pixel_of_point]
@@ -41,19 +32,10 @@ def pixels_from_points(
 ) -> npt.NDArray[Value]:
     """Give every pixel its nearest point's value.
 
-    Parameters
-    ----------
-    of_points : (N, …)
-        Values of the points, of any dtype.
-    point_of_pixel : (H, W) int32
-        Index of the nearest point, -1 where a pixel is empty.
-    empty : scalar or (…)
-        Value of the empty pixels.
+    `of_points` (N, …), values of the points, of any dtype; `point_of_pixel` (H, W) int32, index of
+    the nearest point, -1 where a pixel is empty; `empty`: value of the empty pixels.
 
-    Returns
-    -------
-    (H, W, …), same dtype
-        A new array.
+    Returns (H, W, …), same dtype, a new array.
     """
     # Index -1 finds the value that is appended.
     last = np.full((1, *of_points.shape[1:]), empty, of_points.dtype)

@@ -39,12 +39,8 @@ or more."""
 def without_intensity(points: Float, intensity: Float) -> str:
     """Say why the intensities of a scan tell nothing about its surfaces; nothing if they do.
 
-    Parameters
-    ----------
-    points : (N, 3) float32
-        Metres, in the frame of the sensor, in the order of the file.
-    intensity : (N,) float32
-        Of any scale; NaN, infinity and values beyond `LARGEST` are unusable.
+    `points` (N, 3) float32, metres, in the frame of the sensor, in the order of the file;
+    `intensity` (N,) float32, of any scale; NaN, infinity and values beyond `LARGEST` are unusable.
     """
     places = drawn(len(points), SAMPLE)
     points, intensity = points[places], intensity[places]
@@ -91,12 +87,8 @@ def dependence(ranks: npt.NDArray[np.int64], on: npt.NDArray[np.number]) -> floa
     Chatterjee's coefficient (arXiv 1909.10140), about 0 for independent values and 1 for a
     function: 1 - N Σ |r(i+1) - r(i)| / (2 Σ l(i) (N - l(i))), the values ordered by the others.
 
-    Parameters
-    ----------
-    ranks : (2, N) int64
-        For each value the number of those up to it, r, and of those from it on, l.
-    on : (N,)
-        The others.
+    `ranks` (2, N) int64, for each value the number of those up to it, r, and of those from it on,
+    l; `on` (N,), the others.
     """
     (up_to, from_on), count = ranks, len(on)
     steps = np.abs(np.diff(up_to[np.argsort(on, kind="stable")])).sum()
@@ -109,16 +101,10 @@ def intensity_quantiles(images: Iterable[Float]) -> tuple[float, ...]:
     Images of another scale than most, without intensity, and of fewer than `MIN_PIXELS` pixels
     do not count beside others, so that a few odd scans leave the result as it is.
 
-    Parameters
-    ----------
-    images : iterable of (5, H, W) float32
-        Channels; pixels of range 0 are empty and do not count.
+    `images`: channels; pixels of range 0 are empty and do not count.
 
-    Returns
-    -------
-    tuple of `INTENSITY_LEVELS` floats
-        From the smallest to the largest value; `NO_INTENSITY` if no image has an intensity, empty
-        if none has a pixel.
+    Returns tuple of `INTENSITY_LEVELS` floats, from the smallest to the largest value;
+    `NO_INTENSITY` if no image has an intensity, empty if none has a pixel.
     """
     seen = [_pixels(channels, np.flatnonzero(channels[0] > 0)) for channels in images]
     if not any(len(values) for _, values in seen):
@@ -149,17 +135,10 @@ def match_intensity(channels: Float, source: Sequence[float], target: Sequence[f
     A value at which several quantiles lie becomes the mean of theirs; `NO_INTENSITY` makes
     everything the mean of the target. So is an image `without_intensity`, whatever the source.
 
-    Parameters
-    ----------
-    channels : (5, H, W) float32
-        Empty pixels, of range 0, stay 0.
-    source, target : sequence of float
-        Quantiles of the sensor and of the scale wanted, at the same levels.
+    `channels` (5, H, W) float32, empty pixels, of range 0, stay 0; `source`, `target`: quantiles of
+    the sensor and of the scale wanted, at the same levels.
 
-    Returns
-    -------
-    (5, H, W) float32
-        A new array, unless nothing changes.
+    Returns (5, H, W) float32, a new array, unless nothing changes.
     """
     occupied = np.flatnonzero(channels[0] > 0)
     if without_intensity(*_pixels(channels, occupied[drawn(len(occupied), SAMPLE)])):

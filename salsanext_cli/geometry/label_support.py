@@ -22,18 +22,10 @@ def label_support(image: RangeImage, probabilities: Float, labels: TrainIds, pix
     Of a window of 9 × 17 pixels, which goes on around the image, every second row and column
     counts; in an image that is narrower, a column may count twice.
 
-    Parameters
-    ----------
-    image : RangeImage
-    probabilities : (C, H, W) float32
-    labels : (M,) uint8
-        Train ids.
-    pixels : (M,) int32
-        Occupied pixels, v · W + u, that the labels are of.
+    `probabilities` (C, H, W) float32; `labels` (M,) uint8, train ids; `pixels` (M,) int32, occupied
+    pixels, v · W + u, that the labels are of.
 
-    Returns
-    -------
-    (M,) float32
+    Returns (M,) float32.
     """
     ranges, softmax = argument(image.channels[0], np.float32), argument(probabilities, np.float32)
     labels, pixels = argument(labels, np.uint8), argument(pixels, np.int32)
@@ -74,16 +66,9 @@ def region_means(image: RangeImage, classes: TrainIds, values: Float) -> Float:
     A region is of occupied pixels of one class, each beside the next, in eight directions, or the
     next but one in its row or column. Regions go on around the image.
 
-    Parameters
-    ----------
-    image : RangeImage
-    classes : (H, W) uint8
-    values : (H, W) float32
+    `classes` (H, W) uint8; `values` (H, W) float32.
 
-    Returns
-    -------
-    (H, W) float32
-        Of empty pixels their own value.
+    Returns (H, W) float32, of empty pixels their own value.
     """
     found = np.empty(values.shape, np.float32)
     given = argument(classes, np.uint8), argument(values, np.float32)

@@ -30,31 +30,16 @@ Bools = npt.NDArray[np.bool_]
 
 @dataclass(frozen=True, slots=True)
 class LabelTransfer:
-    """Labels of points, taken from a labelled cloud.
+    """Labels of points, taken from a labelled cloud."""
 
-    Attributes
-    ----------
-    labels : (N,) uint32
-        0 where `known` is not set.
-    known : (N,) bool
-        Points that have a label of the cloud.
-    ambiguous : (N,) bool
-        Points at which the cloud has several labels.
-    exact : (N,) bool
-        Points of which a copy has the same coordinates.
-    unmatched : (U,) float64
-        Distance of each point of the cloud that is a copy of none to the nearest point, metres;
-        infinite without any.
-    cloud_points : int
-        Number of points of the cloud with finite coordinates.
-    """
-
-    labels: Labels
-    known: Bools
-    ambiguous: Bools
-    exact: Bools
+    labels: Labels  # (N,) uint32: 0 where `known` is not set
+    known: Bools  # (N,) bool: points that have a label of the cloud
+    ambiguous: Bools  # (N,) bool: points at which the cloud has several labels
+    exact: Bools  # (N,) bool: points of which a copy has the same coordinates
+    # (U,) float64: distance of each point of the cloud that is a copy of none to the nearest point,
+    # metres; infinite without any
     unmatched: npt.NDArray[np.float64]
-    cloud_points: int
+    cloud_points: int  # Number of points of the cloud with finite coordinates
 
     @property
     def is_rounded(self) -> bool:
@@ -77,14 +62,8 @@ def transfer_labels(points: Float, cloud: Float, labels: Labels) -> LabelTransfe
     Copies have the same coordinates; of a point without any, all places of the cloud within
     `TOLERANCE_M` are. If copies have different labels, the point has none.
 
-    Parameters
-    ----------
-    points : (N, 3) float32
-        Metres. Points that are not finite have no copy.
-    cloud : (M, 3) float32
-        Metres, in any order.
-    labels : (M,) uint32
-        Of the cloud.
+    `points` (N, 3) float32, metres. Points that are not finite have no copy; `cloud` (M, 3)
+    float32, metres, in any order; `labels` (M,) uint32, of the cloud.
     """
     finite = np.isfinite(points).all(axis=1)
     of_cloud = np.isfinite(cloud).all(axis=1)
@@ -117,12 +96,8 @@ def merged_transfers(parts: Sequence[LabelTransfer], unlabelled: int) -> LabelTr
     the same class with different instances it has instance 0. Where a point has a copy of the same
     coordinates in some cloud, neighbours of it in a cloud that is not rounded are no copies.
 
-    Parameters
-    ----------
-    parts : sequence of LabelTransfer
-        One at least.
-    unlabelled : int
-        Label, in the lower 16 bits, of points that a cloud leaves open.
+    `parts`: one at least; `unlabelled`: label, in the lower 16 bits, of points that a cloud leaves
+    open.
     """
     if len(parts) == 1:
         return parts[0]

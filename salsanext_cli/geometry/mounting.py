@@ -44,10 +44,8 @@ def without_ego(scan: Scan, sensor: Sensor) -> Scan:
 def ego_points(points: Float, sensor: Sensor) -> npt.NDArray[np.intp]:
     """Return the indices of points nearer than `min_range`, or in `ego_box`, of their sensor.
 
-    Parameters
-    ----------
-    points : (N, 3) float32
-        Metres, in the frame of the sensor, upright. Those at its origin are none either way.
+    `points` (N, 3) float32, metres, in the frame of the sensor, upright. Those at its origin are
+    none either way.
     """
     nearest, box = sensor.min_range or 0.0, np.array(sensor.ego_box or ()).reshape(2, -1)
     reach = max(nearest, float(np.linalg.norm(np.abs(box).max(axis=0, initial=0))))

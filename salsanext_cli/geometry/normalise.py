@@ -11,17 +11,10 @@ from salsanext_cli.sensors.sensor import Sensor
 def normalise(channels: Float, sensor: Sensor) -> Float:
     """Return ``(channel − mean) / std`` where a pixel holds a point, and 0 where it is empty.
 
-    Parameters
-    ----------
-    channels : (5, H, W) float32
-        Range, x, y, z in metres and intensity; a pixel of range 0 is empty.
-    sensor : Sensor
-        Sensor with the means and standard deviations.
+    `channels` (5, H, W) float32, range, x, y, z in metres and intensity; a pixel of range 0 is
+    empty; `sensor`: sensor with the means and standard deviations.
 
-    Returns
-    -------
-    (5, H, W) float32
-        A new array.
+    Returns (5, H, W) float32, a new array.
     """
     means = np.asarray(sensor.means, np.float32).reshape(-1, 1, 1)
     stds = np.asarray(sensor.stds, np.float32).reshape(-1, 1, 1)
@@ -37,22 +30,10 @@ def input_variance(channels: Float, sensor: Sensor) -> Float:
     A range that is wrong by δ moves the point along its ray: x by δ x/r, y and z alike. Empty
     pixels are certain.
 
-    Parameters
-    ----------
-    channels : (5, H, W) float32
-        Range, x, y, z in metres and intensity; a pixel of range 0 is empty.
-    sensor : Sensor
-        Its noise in metres and units of intensity, its stds.
+    `channels` (5, H, W) float32, range, x, y, z in metres and intensity; a pixel of range 0 is
+    empty; `sensor`: its noise in metres and units of intensity, its stds.
 
-    Returns
-    -------
-    (5, H, W) float32
-        In squared units of the normalised channels.
-
-    Raises
-    ------
-    UsageError
-        If the sensor does not know its noise.
+    Returns (5, H, W) float32, in squared units of the normalised channels.
     """
     range_noise, intensity_noise = noise_of(sensor)
     occupied = channels[0] > 0
@@ -67,13 +48,7 @@ def input_variance(channels: Float, sensor: Sensor) -> Float:
 
 
 def noise_of(sensor: Sensor) -> tuple[float, float]:
-    """Return the noise of ranges (metres) and of intensities, as standard deviations.
-
-    Raises
-    ------
-    UsageError
-        If the sensor does not know both.
-    """
+    """Return the noise of ranges (metres) and of intensities, as standard deviations."""
     if sensor.range_noise is None or sensor.intensity_noise is None:
         raise UsageError(
             f"sensor {sensor.name}",

@@ -17,19 +17,11 @@ def measured_ranges(
 ) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.bool_]]:
     """Return the range of every point, and whether the point holds a measurement.
 
-    Parameters
-    ----------
-    points : (N, 3) float32
-        Cartesian coordinates in metres, sensor frame.
-    farthest : float
-        Largest range in metres that is a measurement; any finite one if not given.
+    `points` (N, 3) float32, Cartesian coordinates in metres, sensor frame; `farthest`: largest
+    range in metres that is a measurement; any finite one if not given.
 
-    Returns
-    -------
-    ranges : (N,) float64
-        Distances from the sensor in metres.
-    measured : (N,) bool
-        False for the origin, NaN, infinity and ranges beyond the farthest.
+    Returns `ranges` (N,) float64, distances from the sensor in metres; `measured` (N,) bool, false
+    for the origin, NaN, infinity and ranges beyond the farthest.
     """
     with np.errstate(invalid="ignore"):  # of a signalling NaN
         x, y, z = np.square(points.T, dtype=np.float64)

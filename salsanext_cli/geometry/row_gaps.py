@@ -22,10 +22,7 @@ def row_gaps(images: Iterable[Float]) -> float | None:
 
     A gap are up to `MAX_GAP` empty pixels between two of points in a column.
 
-    Parameters
-    ----------
-    images : iterable of (5, H, W) float32
-        Channels; a pixel of range 0 is empty.
+    `images`: channels; a pixel of range 0 is empty.
     """
     gaps = occupied = 0
     for channels in images:
@@ -52,15 +49,9 @@ def completed(channels: Float, sensor: Sensor, trained: Sensor) -> Float:
 def fill_rows(channels: Float) -> Float:
     """Return a range image whose empty pixels hold the next point below, within `FILLED_ROWS`.
 
-    Parameters
-    ----------
-    channels : (5, H, W) float32
-        A pixel of range 0 is empty.
+    `channels` (5, H, W) float32, a pixel of range 0 is empty.
 
-    Returns
-    -------
-    (5, H, W) float32
-        A new array.
+    Returns (5, H, W) float32, a new array.
     """
     filled = channels.copy()
     for rows in range(1, FILLED_ROWS + 1):

@@ -19,11 +19,6 @@ def find_edited(source: Path) -> list[Path]:
     """Return a file with labels, or those in a folder and below it, absolute and sorted.
 
     What is hidden is left out.
-
-    Raises
-    ------
-    NoInputError
-        If there are none.
     """
     expected = f"labels: {', '.join(EDITED_SUFFIXES)} files"
     if not present(source):
@@ -81,19 +76,8 @@ def scan_of_edited(path: Path, source: Path, names: ScanNames) -> ScanFile:
     whose stem is a whole word of the file's name, as in ``000010 - Cloud.ply``. If a folder tells
     the sequence, only its scans count; so it is if the name has that of a sequence as a word.
 
-    Parameters
-    ----------
-    path : Path
-        The file, absolute.
-    source : Path
-        The file or folder that was named.
-    names : ScanNames
-        All scans of the data set, of which there is one at least.
-
-    Raises
-    ------
-    LabelError
-        If there is none, or several.
+    `path`: the file, absolute; `source`: the file or folder that was named; `names`: all scans of
+    the data set, of which there is one at least.
     """
     if not is_folder(source) and (only := names.only()):
         return only

@@ -54,35 +54,18 @@ class UnknownIds(LabelError):  # noqa: N818 - the name says what is wrong
 
 @dataclass(frozen=True, slots=True)
 class EditedLabels:
-    """Labels of the points of a scan.
+    """Labels of the points of a scan."""
 
-    Attributes
-    ----------
-    raw : (N,) uint32
-        Raw ids, with instances; the unlabelled one where there is no label.
-    labelled : int
-        Number of points of a class that counts.
-    unlabelled : int
-        Number of points that were left unlabelled, or given another ignored class.
-    ambiguous, missing : int
-        Number of points with several labels, and of those that the files lack; together the four
-        numbers are N.
-    unmatched : int
-        Number of points of the files that are none of the scan's.
-    contradicted : int
-        Number of ambiguous points that each file has one label of.
-    scalar : str
-        Scalar that held the labels, or several.
-    """
-
-    raw: RawIds
-    labelled: int
-    unlabelled: int
+    raw: RawIds  # (N,) uint32: raw ids, with instances; the unlabelled one where there is no label
+    labelled: int  # Number of points of a class that counts
+    unlabelled: int  # Number of points that were left unlabelled, or given another ignored class
+    # Number of points with several labels, and of those that the files lack; together the four
+    # numbers are N
     ambiguous: int
     missing: int
-    unmatched: int
-    contradicted: int
-    scalar: str
+    unmatched: int  # Number of points of the files that are none of the scan's
+    contradicted: int  # Number of ambiguous points that each file has one label of
+    scalar: str  # Scalar that held the labels, or several
 
     def numbers(self) -> dict[str, int | str]:
         """Return all but the labels, as records and JSON have it."""
@@ -102,26 +85,10 @@ def read_file_labels(
 ) -> FileLabels:
     """Read the labels that a tool wrote for a scan, or for a part of it.
 
-    Parameters
-    ----------
-    path : Path
-        A cloud with a label scalar, whose points are matched by their coordinates; or a `.label`
-        or `.npy` file with a label for each point of the scan, in its order.
-    points : (N, 3) float32
-        Of the scan, metres.
-    meanings : LabelIds
-        Raw ids of the tool's ids.
-    scalar : str, optional
-        As `read_labelled_cloud` takes it.
-
-    Raises
-    ------
-    FormatError
-        If the file cannot be read or is cut off.
-    UnknownIds
-        If ids mean nothing.
-    LabelError
-        If the file is of another scan.
+    `path`: a cloud with a label scalar, whose points are matched by their coordinates; or a
+    `.label` or `.npy` file with a label for each point of the scan, in its order; `points` (N, 3)
+    float32, of the scan, metres; `meanings`: raw ids of the tool's ids; `scalar`: as
+    `read_labelled_cloud` takes it.
     """
     if path.suffix.lower() in READERS:
         cloud = read_labelled_cloud(path, scalar)
@@ -143,19 +110,8 @@ def edited_labels(
 ) -> EditedLabels:
     """Return the labels that some files hold of a scan, as `merged_transfers` merges them.
 
-    Parameters
-    ----------
-    parts : mapping of Path to FileLabels
-        Files, one at least.
-    space : LabelSpace
-        Classes of the labels.
-    unlabelled : int
-        Raw id of points without a label.
-
-    Raises
-    ------
-    LabelError
-        If none of the labels counts.
+    `parts`: files, one at least; `space`: classes of the labels; `unlabelled`: raw id of points
+    without a label.
     """
     found = merged_transfers([part.found for part in parts.values()], unlabelled)
     alone = np.any([part.found.ambiguous for part in parts.values()], axis=0)

@@ -19,34 +19,19 @@ LARGEST_CLASSES = 5
 
 @dataclass(slots=True)
 class LabelImport:
-    """Result of an import.
+    """Result of an import."""
 
-    Attributes
-    ----------
-    space : LabelSpace
-        Classes of the labels.
-    class_points : (C,) int64
-        Number of imported points by train id.
-    scans : list of dict
-        Of each imported scan: `scan` as sequence/stem, its `files`, `scalar`, number of `points`,
-        `labelled`, `unlabelled`, `ambiguous`, `missing` and `unmatched`, as `EditedLabels` has
-        them.
-    failures : list of dict
-        What was not imported: `files`, `reason` and `code` of the error.
-    unedited : list of str
-        Files that hold the first guess of `pick`, all of it; they are not imported.
-    kept : int
-        Number of scans of the data set that keep the labels they have, or have none.
-    first_guesses : list of str
-        Scans of the data set whose label file is still the first guess, as sequence/stem.
-    """
-
-    space: LabelSpace
-    class_points: npt.NDArray[np.int64]
+    space: LabelSpace  # Classes of the labels
+    class_points: npt.NDArray[np.int64]  # (C,) int64: number of imported points by train id
+    # Of each imported scan: `scan` as sequence/stem, its `files`, `scalar`, number of `points`,
+    # `labelled`, `unlabelled`, `ambiguous`, `missing` and `unmatched`, as `EditedLabels` has them
     scans: list[dict[str, Any]] = field(default_factory=list)
+    # What was not imported: `files`, `reason` and `code` of the error
     failures: list[dict[str, Any]] = field(default_factory=list)
+    # Files that hold the first guess of `pick`, all of it; they are not imported
     unedited: list[str] = field(default_factory=list)
-    kept: int = 0
+    kept: int = 0  # Number of scans of the data set that keep the labels they have, or have none
+    # Scans of the data set whose label file is still the first guess, as sequence/stem
     first_guesses: list[str] = field(default_factory=list)
 
     def largest_classes(self) -> dict[str, float]:

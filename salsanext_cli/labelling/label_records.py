@@ -41,10 +41,7 @@ def name_of(scan: ScanFile) -> str:
 class LabelRecords:
     """Records of the labels of a data set.
 
-    Parameters
-    ----------
-    root : Path
-        What `labels_root` returns.
+    `root`: what `labels_root` returns.
     """
 
     def __init__(self, root: Path) -> None:

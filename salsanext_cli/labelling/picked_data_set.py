@@ -47,15 +47,9 @@ class ScanPaths(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class PickedDataSet:
-    """Folder of a data set of picked scans.
+    """Folder of a data set of picked scans."""
 
-    Attributes
-    ----------
-    out : Path
-        Its root.
-    """
-
-    out: Path
+    out: Path  # Its root
 
     def paths(self, sequence: str, stem: str) -> ScanPaths:
         """Return where the files of a scan lie."""
@@ -153,14 +147,7 @@ class PickedDataSet:
             raise UsageError("OUT", found, "another folder, for those that are picked")
 
     def earlier(self, settings: Mapping[str, Any], *, overwrite: bool) -> PickRecord | None:
-        """Return the record of an earlier run with the same settings; None to begin anew.
-
-        Raises
-        ------
-        OutputError
-            If the folder holds something else, or a pick with other settings that may not be
-            replaced or was changed since.
-        """
+        """Return the record of an earlier run with the same settings; None to begin anew."""
         record = self._record()
         if record is None:
             there = self.out.iterdir() if self.out.is_dir() else ()
@@ -174,13 +161,7 @@ class PickedDataSet:
         return record
 
     def begin(self, record: PickRecord) -> None:
-        """Record what is picked; remove what an earlier run wrote.
-
-        Raises
-        ------
-        OutputError
-            If some of that was changed.
-        """
+        """Record what is picked; remove what an earlier run wrote."""
         earlier = self._record()
         if earlier is not None:
             self._require_unchanged(earlier)

@@ -16,32 +16,17 @@ FAILURE_KEYS = ("scan", "reason", "code")
 
 @dataclass(frozen=True, slots=True)
 class PickedScan:
-    """A picked scan, as record, table and JSON have it.
+    """A picked scan, as record, table and JSON have it."""
 
-    Attributes
-    ----------
-    rank : int
-        From 1, the scan most worth labelling.
-    sequence, scan : str
-        Its sequence and its name without suffix.
-    uncertainty : float
-        Mean mutual information of its pixels, nats.
-    distance : float or None
-        Distance to the nearest scan picked before, 1 being that of two scans of the source (root
-        mean square); None for the first.
-    nearest : str or None
-        That scan, as sequence/scan.
-    reason : str
-        In words.
-    """
-
-    rank: int
-    sequence: str
+    rank: int  # From 1, the scan most worth labelling
+    sequence: str  # Its sequence and its name without suffix
     scan: str
-    uncertainty: float
+    uncertainty: float  # Mean mutual information of its pixels, nats
+    # Distance to the nearest scan picked before, 1 being that of two scans of the source (root mean
+    # square); None for the first
     distance: float | None
-    nearest: str | None
-    reason: str
+    nearest: str | None  # That scan, as sequence/scan
+    reason: str  # In words
 
     @property
     def name(self) -> str:
@@ -51,26 +36,15 @@ class PickedScan:
 
 @dataclass(frozen=True, slots=True)
 class PickRecord:
-    """Record of a run of `pick`.
+    """Record of a run of `pick`."""
 
-    Attributes
-    ----------
-    settings : dict
-        Resolved settings that decide what is picked, as JSON gives them back.
-    picked : list of PickedScan
-        In the order of their rank.
-    failures : list of dict
-        `scan`, `reason` and `code` of each scan that could not be looked at.
-    warnings : list of dict
-        Reasons to doubt scans, as `RunSummary.warnings` lists them.
-    guesses : dict of str to str
-        SHA-256 of the guessed labels that were written, by name of the scan.
-    """
-
+    # Resolved settings that decide what is picked, as JSON gives them back
     settings: dict[str, Any]
-    picked: list[PickedScan]
+    picked: list[PickedScan]  # In the order of their rank
+    # `scan`, `reason` and `code` of each scan that could not be looked at
     failures: list[dict[str, str]]
-    warnings: list[dict[str, Any]]
+    warnings: list[dict[str, Any]]  # Reasons to doubt scans, as `RunSummary.warnings` lists them
+    # SHA-256 of the guessed labels that were written, by name of the scan
     guesses: dict[str, str] = field(default_factory=dict)
 
     def to_json(self) -> bytes:

@@ -25,28 +25,15 @@ the scans that are a whole spread apart."""
 
 @dataclass(frozen=True, slots=True)
 class Choice:
-    """A chosen scan.
+    """A chosen scan."""
 
-    Attributes
-    ----------
-    scan : int
-        Its position among the scans to choose from.
-    uncertainty : float
-        Its uncertainty.
-    uncertainty_rank : int
-        Number of its uncertainty in decreasing order, from 1.
-    distance : float
-        Distance to the nearest scan that was chosen before it, in units of the root mean square
-        distance between two scans; NaN for the first.
-    nearest : int, optional
-        Position of that scan; None for the first.
-    """
-
-    scan: int
-    uncertainty: float
-    uncertainty_rank: int
+    scan: int  # Its position among the scans to choose from
+    uncertainty: float  # Its uncertainty
+    uncertainty_rank: int  # Number of its uncertainty in decreasing order, from 1
+    # Distance to the nearest scan that was chosen before it, in units of the root mean square
+    # distance between two scans; NaN for the first
     distance: float = math.nan
-    nearest: int | None = None
+    nearest: int | None = None  # Position of that scan; None for the first
 
 
 def choose_scans(
@@ -65,24 +52,11 @@ def choose_scans(
     A scan equal to a chosen one comes after all others. The order of the scans matters where
     nothing else tells them apart, and in "random".
 
-    Parameters
-    ----------
-    features : (S, F)
-        Description of each scan; features are given equal weight by their standard deviation.
-    uncertainty : (S,)
-        Not negative.
-    count : int
-        Number of scans to choose, at least 1; all S if there are no more.
-    strategy : {"both", "uncertainty", "diverse", "random"}
-    seed : int
-        Of "random", not negative.
-    labelled : sequence of int
-        Positions of scans that count as chosen before all others, and are not among those returned.
-
-    Raises
-    ------
-    UsageError
-        If count, strategy or seed are none.
+    `features` (S, F), description of each scan; features are given equal weight by their standard
+    deviation; `uncertainty` (S,), not negative; `count`: number of scans to choose, at least 1; all
+    S if there are no more; `strategy` {"both", "uncertainty", "diverse", "random"}; `seed`: of
+    "random", not negative; `labelled`: positions of scans that count as chosen before all others,
+    and are not among those returned.
     """
     require_choice(count, strategy, seed)
     weights = np.asarray(uncertainty, np.float64)

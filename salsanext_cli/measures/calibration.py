@@ -25,33 +25,15 @@ SCAN_BINS = 10
 
 @dataclass(frozen=True, slots=True)
 class CalibrationScores:
-    """Calibration of the probabilities of a set of points; NaN without points.
+    """Calibration of the probabilities of a set of points; NaN without points."""
 
-    Attributes
-    ----------
-    points : int
-        Number of points.
-    confidence : float
-        Mean confidence, 0…1.
-    accuracy : float
-        Share of the points whose most probable class is the true one, 0…1.
-    nll : float
-        Mean negative log-likelihood of the true class in nats, 0…16.6; lower is better.
-    brier : float
-        Mean squared distance Σ_c (p_c − [c is true])², 0…2; lower is better.
-    ece : float
-        Expected calibration error over 15 bins of equal width, 0…1; lower is better.
-    ace : float
-        The same over 15 bins of equally many points; lower is better.
-    """
-
-    points: int
-    confidence: float
-    accuracy: float
-    nll: float
-    brier: float
-    ece: float
-    ace: float
+    points: int  # Number of points
+    confidence: float  # Mean confidence, 0…1
+    accuracy: float  # Share of the points whose most probable class is the true one, 0…1
+    nll: float  # Mean negative log-likelihood of the true class in nats, 0…16.6; lower is better
+    brier: float  # Mean squared distance Σ_c (p_c − [c is true])², 0…2; lower is better
+    ece: float  # Expected calibration error over 15 bins of equal width, 0…1; lower is better
+    ace: float  # The same over 15 bins of equally many points; lower is better
 
 
 def calibration_scores(histogram: Histogram) -> CalibrationScores:
@@ -72,21 +54,11 @@ def calibration_scores(histogram: Histogram) -> CalibrationScores:
 
 @dataclass(frozen=True, slots=True)
 class Reliability:
-    """A reliability diagram: bin b of B holds the confidences above b/B up to (b + 1)/B.
+    """A reliability diagram: bin b of B holds the confidences above b/B up to (b + 1)/B."""
 
-    Attributes
-    ----------
-    points : (B,) int64
-        Number of points in each bin.
-    confidence : (B,) float64
-        Their mean confidence; NaN for a bin without points.
-    accuracy : (B,) float64
-        Share of them that is right; NaN for a bin without points.
-    """
-
-    points: Counts
-    confidence: Ratios
-    accuracy: Ratios
+    points: Counts  # (B,) int64: number of points in each bin
+    confidence: Ratios  # (B,) float64: their mean confidence; NaN for a bin without points
+    accuracy: Ratios  # (B,) float64: share of them that is right; NaN for a bin without points
 
     @property
     def error(self) -> float:

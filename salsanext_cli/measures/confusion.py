@@ -19,12 +19,8 @@ class Confusion:
     Every point is counted, also those whose truth is ignored: they are left out when the counts
     are divided.
 
-    Parameters
-    ----------
-    class_count : int
-        C, the number of train ids including 0.
-    matrix : (C, C) int64, optional
-        Counts to start from, truth × prediction; zeros if not given.
+    `class_count`: c, the number of train ids including 0; `matrix` (C, C) int64, optional, counts
+    to start from, truth × prediction; zeros if not given.
     """
 
     __slots__ = ("matrix",)
@@ -42,20 +38,9 @@ class Confusion:
     def update(self, truth: npt.NDArray[Any], predicted: npt.NDArray[Any]) -> Self:
         """Count the points of a scan, or the pixels of an image.
 
-        Parameters
-        ----------
-        truth, predicted : integer, same shape
-            Train ids, 0…C-1.
+        `truth`, `predicted`: train ids, 0…C-1.
 
-        Returns
-        -------
-        Confusion
-            This one.
-
-        Raises
-        ------
-        ValueError
-            If the shapes differ, or something is not a train id.
+        Returns Confusion, this one.
         """
         if truth.shape != predicted.shape:
             raise ValueError(f"truth {truth.shape} and predicted {predicted.shape} differ in shape")
@@ -73,15 +58,9 @@ class Confusion:
 
         Columns of ignored classes stay: a labelled point predicted "unlabelled" is a miss.
 
-        Parameters
-        ----------
-        scored : (C,) bool
-            Classes that count.
+        `scored` (C,) bool, classes that count.
 
-        Returns
-        -------
-        (C, C) int64
-            Truth × prediction, the rows of ignored classes 0.
+        Returns (C, C) int64, truth × prediction, the rows of ignored classes 0.
         """
         return np.where(scored[:, None], self.matrix, 0)
 

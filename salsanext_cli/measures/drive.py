@@ -31,25 +31,14 @@ LEADING_KINDS = ("error", "entropy", *UNCERTAINTY)
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ScanRow:
-    """One scan of a drive in numbers.
-
-    Attributes
-    ----------
-    file : ScanFile
-    points : int
-        Number of its points that have a label or an uncertainty.
-    class_points : (C,) int64 or None
-        Number of points by predicted train id.
-    uncertainty : dict of str to float
-        Mean over the points by kind; NaN without any.
-    confusion : (C, C) int64 or None
-        Points by truth and prediction, as `Confusion.counted`; None without labels.
-    """
+    """One scan of a drive in numbers."""
 
     file: ScanFile
-    points: int
-    class_points: Counts | None
-    uncertainty: Mapping[str, float]
+    points: int  # Number of its points that have a label or an uncertainty
+    class_points: Counts | None  # (C,) int64 or None: number of points by predicted train id
+    uncertainty: Mapping[str, float]  # Mean over the points by kind; NaN without any
+    # (C, C) int64 or None: points by truth and prediction, as `Confusion.counted`; None without
+    # labels
     confusion: Counts | None = None
 
     @property
@@ -77,15 +66,10 @@ def read_row(
 ) -> tuple[ScanRow, ScanCounts | None]:
     """Read the results of a scan, and compare them with its labels.
 
-    Parameters
-    ----------
-    file, out, space, labels, merging, sensor, by_distance, trained_on
-        As for `count_scan`.
+    `file`, `out`, `space`, `labels`, `merging`, `sensor`, `by_distance`, `trained_on`: as for
+    `count_scan`.
 
-    Returns
-    -------
-    tuple of ScanRow and ScanCounts or None
-        None without labels or without predictions.
+    Returns tuple of ScanRow and ScanCounts or None, none without labels or without predictions.
     """
     path_of = partial(output_path, out, file.sequence, stem=file.stem)
     class_points, points = None, 0
@@ -115,17 +99,9 @@ def leading_kind(rows: Sequence[ScanRow]) -> str | None:
 def worth_looking_at(rows: Sequence[ScanRow], space: LabelSpace) -> dict[str, str]:
     """Choose scans of a drive: most uncertain, most wrong, worst class, and one at random.
 
-    Parameters
-    ----------
-    rows : sequence of ScanRow
-        All scans, in their order; at least one.
-    space : LabelSpace
-        Classes of the labels.
+    `rows`: all scans, in their order; at least one; `space`: classes of the labels.
 
-    Returns
-    -------
-    dict of str to str
-        The reasons by the scan's name; one or two for each.
+    Returns dict of str to str, the reasons by the scan's name; one or two for each.
     """
     reasons: dict[str, list[str]] = {}
     if kind := leading_kind(rows):
@@ -176,13 +152,7 @@ def _missed(confusion: Counts | None, train_id: int) -> float:
 
 
 def named(rows: Sequence[ScanRow], names: Sequence[str]) -> dict[str, str]:
-    """Choose scans by name, ``08/000000``, or by stem where only one sequence has it.
-
-    Raises
-    ------
-    UsageError
-        If there is no such scan, or several.
-    """
+    """Choose scans by name, ``08/000000``, or by stem where only one sequence has it."""
     chosen: dict[str, str] = {}
     for name in names:
         found = [row.name for row in rows if name in (row.name, row.file.stem)]

@@ -37,26 +37,16 @@ FIRST_KEY = int(np.float32(2.0**LOWEST).view(np.int32)) >> BFLOAT16_SHIFT
 
 @dataclass(slots=True)
 class Histogram:
-    """Histograms by group, and sums of values over the points of each group.
+    """Histograms by group, and sums of values over the points of each group."""
 
-    Attributes
-    ----------
-    counts : (2, G, B) int64
-        Number of points by group and bin; those that are right first, then those that are wrong.
-        Groups are classes, rings of distance, or just one.
-    scan_sums : dict of str to array
-        By name, G float64 sums for each scan. `math.fsum` adds them for a mean, which is then the
-        same to the last digit in any order of the scans.
-    scans : int
-        Number of scans with a point that was counted.
-    left_out : int
-        Number of points without a value.
-    """
-
+    # (2, G, B) int64: number of points by group and bin; those that are right first, then those
+    # that are wrong. Groups are classes, rings of distance, or just one
     counts: Counts
+    # By name, G float64 sums for each scan. `math.fsum` adds them for a mean, which is then the
+    # same to the last digit in any order of the scans
     scan_sums: dict[str, array[float]]
-    scans: int
-    left_out: int
+    scans: int  # Number of scans with a point that was counted
+    left_out: int  # Number of points without a value
 
     @property
     def points(self) -> Counts:
@@ -98,19 +88,8 @@ def confidence_histogram(
 ) -> Histogram:
     """Count the points of a scan by confidence, in a bin for each of `CONFIDENCES`.
 
-    Parameters
-    ----------
-    errors : SoftmaxErrors
-        Errors of N points.
-    group : (N,) integer
-        The group of each point, 0…G-1.
-    group_count : int
-        G, the number of groups.
-
-    Raises
-    ------
-    ValueError
-        If a group is not one of them.
+    `errors`: errors of N points; `group` (N,) integer, the group of each point, 0…G-1;
+    `group_count`: g, the number of groups.
     """
     bins = errors.confidence.view(np.uint16).astype(np.intp)
     known, shape = ~np.isnan(errors.confidence), (2, group_count, len(CONFIDENCES))
@@ -122,14 +101,9 @@ def uncertainty_histogram(
 ) -> Histogram:
     """Count the points of a scan by uncertainty.
 
-    Parameters
-    ----------
-    uncertainty : (N,) float
-        Not negative; NaN for points without one, which are left out.
-    wrong : (N,) bool
-        Whether the label of each point is not the true one.
-    group, group_count
-        As `confidence_histogram` takes them, with the same error.
+    `uncertainty` (N,) float, not negative; NaN for points without one, which are left out; `wrong`
+    (N,) bool, whether the label of each point is not the true one; `group`, `group_count`: as
+    `confidence_histogram` takes them, with the same error.
     """
     values, shape = uncertainty.astype(np.float64), (2, group_count, UNCERTAINTY_BINS)
     bins = bin_of(uncertainty)
@@ -142,12 +116,8 @@ def error_histogram(error: npt.NDArray[Any], wrong: Mask) -> Histogram:
     The bins are `CONFIDENCES`, to which probabilities are rounded, and there is one group. "Wrong"
     is what is claimed with this probability, so a point that is wrong counts as right here.
 
-    Parameters
-    ----------
-    error : (N,) float
-        0…1; NaN for points without one, which are left out.
-    wrong : (N,) bool
-        Whether the label of each point is not the true one.
+    `error` (N,) float, 0…1; NaN for points without one, which are left out; `wrong` (N,) bool,
+    whether the label of each point is not the true one.
     """
     shape, group = (2, 1, len(CONFIDENCES)), np.zeros(len(error), np.intp)
     bins = np.abs(error).astype(np.float16).view(np.uint16).astype(np.intp)

@@ -17,28 +17,16 @@ UNITS = {"entropy": " nats"}
 
 @dataclass(frozen=True, slots=True)
 class KeptPoints:
-    """Points whose uncertainty is below a threshold.
+    """Points whose uncertainty is below a threshold."""
 
-    Attributes
-    ----------
-    kind : str
-        The kind of uncertainty.
-    points : int
-        Number of all points that have it.
-    risk_of_all : float
-        Share of these that is wrong, 0…1.
-    threshold : float
-        NaN where no threshold can help: no point is wrong, or no
-        point is right, or all points have values of one bin of the histogram.
-    coverage, risk : float
-        Share of the points below the threshold, and share of those that is wrong, 0…1; NaN
-        without a threshold. Both are exact.
-    """
-
-    kind: str
-    points: int
-    risk_of_all: float
+    kind: str  # The kind of uncertainty
+    points: int  # Number of all points that have it
+    risk_of_all: float  # Share of these that is wrong, 0…1
+    # NaN where no threshold can help: no point is wrong, or no point is right, or all points have
+    # values of one bin of the histogram
     threshold: float = math.nan
+    # Share of the points below the threshold, and share of those that is wrong, 0…1; NaN without a
+    # threshold. Both are exact
     coverage: float = math.nan
     risk: float = math.nan
 
@@ -64,12 +52,8 @@ class KeptPoints:
 def kept_points(kind: str, histogram: Histogram) -> KeptPoints:
     """Find the threshold that keeps nearly `PERCENT_KEPT` of the points, of tied ones all or none.
 
-    Parameters
-    ----------
-    kind : str
-        The kind of uncertainty.
-    histogram : Histogram
-        An `uncertainty_histogram` of at least one point; its groups are taken together.
+    `kind`: the kind of uncertainty; `histogram`: an `uncertainty_histogram` of at least one point;
+    its groups are taken together.
     """
     right, wrong = histogram.total().counts[:, 0]
     tied = right + wrong

@@ -21,36 +21,22 @@ COVERAGE = np.arange(1, 101) / 100
 
 @dataclass(frozen=True, slots=True)
 class RankingScores:
-    """Scores of an uncertainty as a detector of wrong points; NaN where undefined.
+    """Scores of an uncertainty as a detector of wrong points; NaN where undefined."""
 
-    Attributes
-    ----------
-    points, wrong : int
-        Number of points, and of those whose label is not the true one.
-    mean : float
-        Mean uncertainty.
-    auroc : float
-        Area under the receiver operating characteristic, 0…1: the chance that a wrong point is
-        more uncertain than a right one, ties counting half. 0.5 is guessing; higher is better.
-    aupr : float
-        Average precision with wrong points as the positives, 0…1. The share of wrong points is
-        guessing; higher is better.
-    aurc : float
-        Area under the risk-coverage curve, 0…1; lower is better.
-    excess_aurc : float
-        Difference to the area of the best order, all right points before all wrong ones.
-    ause : float
-        Area between the sparsification curve and that of the best order, both as multiples of the
-        share of wrong points among all; 0 is the best order, lower is better.
-    """
-
-    points: int
+    points: int  # Number of points, and of those whose label is not the true one
     wrong: int
-    mean: float
+    mean: float  # Mean uncertainty
+    # Area under the receiver operating characteristic, 0…1: the chance that a wrong point is more
+    # uncertain than a right one, ties counting half. 0.5 is guessing; higher is better
     auroc: float
+    # Average precision with wrong points as the positives, 0…1. The share of wrong points is
+    # guessing; higher is better
     aupr: float
-    aurc: float
+    aurc: float  # Area under the risk-coverage curve, 0…1; lower is better
+    # Difference to the area of the best order, all right points before all wrong ones
     excess_aurc: float
+    # Area between the sparsification curve and that of the best order, both as multiples of the
+    # share of wrong points among all; 0 is the best order, lower is better
     ause: float
 
 
@@ -115,18 +101,11 @@ def risk_coverage(
 ) -> tuple[Ratios, Ratios]:
     """Return the risk of keeping only the least uncertain points, and the threshold for it.
 
-    Parameters
-    ----------
-    right, wrong : (B,) int64
-        The counts.
-    coverage : (K,) float64
-        Shares of the points that are kept, above 0.
+    `right`, `wrong` (B,) int64, the counts; `coverage` (K,) float64, shares of the points that are
+    kept, above 0.
 
-    Returns
-    -------
-    risk, threshold : (K,) float64
-        Share of the kept points that is wrong, and upper end of the bin in which the coverage is
-        reached; NaN without points.
+    Returns `risk, threshold` (K,) float64, share of the kept points that is wrong, and upper end of
+    the bin in which the coverage is reached; NaN without points.
     """
     reached = (right + wrong).cumsum()
     kept = coverage * reached[-1]
@@ -154,15 +133,9 @@ def _harmonic(numbers: Counts) -> Ratios:
 def spearman(one: npt.NDArray[Any], other: npt.NDArray[Any]) -> float:
     """Return Spearman's rank correlation, the linear correlation of the ranks.
 
-    Parameters
-    ----------
-    one, other : (N,)
-        Finite numbers; equal ones share the mean of their ranks.
+    `one`, `other` (N,), finite numbers; equal ones share the mean of their ranks.
 
-    Returns
-    -------
-    float
-        -1…1; NaN where one of the two does not vary.
+    Returns -1…1; NaN where one of the two does not vary.
     """
     ranks = [_centred_ranks(values) for values in (one, other)]
     norm = math.prod(math.sqrt(r @ r) for r in ranks)

@@ -57,42 +57,25 @@ RING_NAMES = ("0–10 m", "10–20 m", "20–30 m", "30–40 m", "40–50 m", "o
 
 @dataclass(slots=True)
 class ScanCounts:
-    """Counts over scans.
+    """Counts over scans."""
 
-    Attributes
-    ----------
-    confusion : Confusion
-        Counts of all points.
-    rings : tuple of Confusion
-        Counts by distance, one per name in `RING_NAMES`; empty if not requested.
-    unknown_truth, unknown_predictions : Counter
-        Number of points by raw id that the label space does not know.
-    scans, trained_on : int
-        Number of scans counted, and of those that the weights were trained on.
-    left_out : int
-        Number of scans that are not counted since the weights were trained on them.
-    missing : list of ScanFile
-        Scans without predictions.
-    files : Counter of str
-        Number of scans that have probabilities or a kind of uncertainty, by folder.
-    calibration_errors : list of float
-        Expected calibration error of each scan that has a softmax.
-    histograms : dict of (str, str) to Histogram
-        Of confidence, under `SOFTMAX`, and of each kind of uncertainty; by grouping: `RING`, or
-        `CLASS`, which is the most probable class for the confidence, else the true one. Under
-        `OF_ERROR` that of `error_histogram`.
-    """
-
-    confusion: Confusion
+    confusion: Confusion  # Counts of all points
+    # Counts by distance, one per name in `RING_NAMES`; empty if not requested
     rings: tuple[Confusion, ...] = ()
+    # Number of points by raw id that the label space does not know
     unknown_truth: Counter[int] = field(default_factory=Counter)
     unknown_predictions: Counter[int] = field(default_factory=Counter)
-    scans: int = 0
+    scans: int = 0  # Number of scans counted, and of those that the weights were trained on
     trained_on: int = 0
-    left_out: int = 0
-    missing: list[ScanFile] = field(default_factory=list)
+    left_out: int = 0  # Number of scans that are not counted since the weights were trained on them
+    missing: list[ScanFile] = field(default_factory=list)  # Scans without predictions
+    # Number of scans that have probabilities or a kind of uncertainty, by folder
     files: Counter[str] = field(default_factory=Counter)
+    # Expected calibration error of each scan that has a softmax
     calibration_errors: list[float] = field(default_factory=list)
+    # Of confidence, under `SOFTMAX`, and of each kind of uncertainty; by grouping: `RING`, or
+    # `CLASS`, which is the most probable class for the confidence, else the true one. Under
+    # `OF_ERROR` that of `error_histogram`
     histograms: dict[tuple[str, str], Histogram] = field(default_factory=dict)
 
     @classmethod
@@ -181,29 +164,12 @@ def count_scan(
     folder holds `probabilities/` and `uncertainty/` of the scan. Points that `predict --reject`
     left unlabelled are missed ones in the confusion, and have no uncertainty.
 
-    Parameters
-    ----------
-    scan : ScanFile
-        Its labels lie where `ScanFile.label_path` says.
-    out : Path
-        Output folder with the predictions.
-    space : LabelSpace
-        Classes that are compared, and meaning of the raw ids.
-    by_distance : bool
-        Count rings of distance too, for which the scan is read.
-    sensor : Sensor, optional
-        Origin of the scan, which says how its file is read.
-    labels : LabelSpace, optional
-        Meaning of the raw ids of the labels, if they have their own for these classes.
-    merging : ClassMerging, optional
-        Of the classes of the probabilities into those compared.
-    trained_on : collection of str
-        Digests of scans that the weights were trained on.
-
-    Raises
-    ------
-    FormatError, LabelError
-        If a file cannot be read, is not of this scan, or holds impossible values.
+    `scan`: its labels lie where `ScanFile.label_path` says; `out`: output folder with the
+    predictions; `space`: classes that are compared, and meaning of the raw ids; `by_distance`:
+    count rings of distance too, for which the scan is read; `sensor`: origin of the scan, which
+    says how its file is read; `labels`: meaning of the raw ids of the labels, if they have their
+    own for these classes; `merging`: of the classes of the probabilities into those compared;
+    `trained_on`: digests of scans that the weights were trained on.
     """
     counts = ScanCounts.none(space, by_distance)
     predictions = output_path(out, scan.sequence, "predictions", scan.stem)
@@ -289,15 +255,10 @@ def _labels(
 def ring_of_point(points: Float) -> npt.NDArray[np.intp]:
     """Return the ring that each point lies in.
 
-    Parameters
-    ----------
-    points : (N, 3) float32
-        Cartesian coordinates in metres, sensor frame.
+    `points` (N, 3) float32, Cartesian coordinates in metres, sensor frame.
 
-    Returns
-    -------
-    (N,) int
-        Index into `RING_NAMES`; -1 for points without a measurement (origin, NaN, infinity).
+    Returns (N,) int, index into `RING_NAMES`; -1 for points without a measurement (origin, NaN,
+    infinity).
     """
     ranges, measured = measured_ranges(points)
     return np.where(measured, np.digitize(np.nan_to_num(ranges), RING_STARTS_M) - 1, -1)

@@ -45,23 +45,14 @@ log = logging.getLogger(__name__)
 
 @dataclass(frozen=True, slots=True)
 class ScanSummary:
-    """Numbers about one scan; small, since workers send them to the process that leads the run.
-
-    Attributes
-    ----------
-    file : ScanFile
-    check : ScanCheck
-        Reasons to doubt the scan or its labels, and traits of its sensor.
-    class_points : tuple of int
-        Number of points by predicted train id; empty if none were predicted.
-    rejected_points : int
-        Number of points unlabelled for their error.
-    """
+    """Numbers about one scan; small, since workers send them to the process that leads the run."""
 
     file: ScanFile
+    # Reasons to doubt the scan or its labels, and traits of its sensor
     check: ScanCheck = UNCHECKED
+    # Number of points by predicted train id; empty if none were predicted
     class_points: tuple[int, ...] = ()
-    rejected_points: int = 0
+    rejected_points: int = 0  # Number of points unlabelled for their error
 
     @classmethod
     def of_labels(
@@ -103,41 +94,20 @@ def _name(file: ScanFile) -> str:
 
 @dataclass(slots=True)
 class RunSummary:
-    """Summary of the scans that a run has worked on.
+    """Summary of the scans that a run has worked on."""
 
-    Attributes
-    ----------
-    sensor : Sensor
-        Sensor that the scans were projected for.
-    space : LabelSpace, optional
-        Classes of the predicted points, if any are predicted.
-    labelled : bool
-        Whether the scans, or at least the first of them, have labels.
-    class_points : list of int
-        Number of points by predicted train id.
-    findings : dict
-        Names of the scans by what was found, in the order in which it was found first.
-    traits : dict
-        Traits of the sensor by scan.
-    looked_at : set of str
-        Names of the scans that were added.
-    rejected_points : int
-        Number of points unlabelled for their error.
-    ego_shares : list of float
-        Shares of the points of scans that are of their sensor's housing or its vehicle.
-    first : ScanFile, optional
-        The first scan of the run, whose data set may describe other classes.
-    """
-
-    sensor: Sensor
-    space: LabelSpace | None = None
-    labelled: bool = False
-    class_points: list[int] = field(default_factory=list)
+    sensor: Sensor  # Sensor that the scans were projected for
+    space: LabelSpace | None = None  # Classes of the predicted points, if any are predicted
+    labelled: bool = False  # Whether the scans, or at least the first of them, have labels
+    class_points: list[int] = field(default_factory=list)  # Number of points by predicted train id
+    # Names of the scans by what was found, in the order in which it was found first
     findings: dict[str, list[tuple[str, Finding]]] = field(default_factory=dict)
-    traits: dict[ScanFile, ScanTraits] = field(default_factory=dict)
-    looked_at: set[str] = field(default_factory=set)
-    rejected_points: int = 0
+    traits: dict[ScanFile, ScanTraits] = field(default_factory=dict)  # Traits of the sensor by scan
+    looked_at: set[str] = field(default_factory=set)  # Names of the scans that were added
+    rejected_points: int = 0  # Number of points unlabelled for their error
+    # Shares of the points of scans that are of their sensor's housing or its vehicle
     ego_shares: list[float] = field(default_factory=list)
+    # The first scan of the run, whose data set may describe other classes
     first: ScanFile | None = None
 
     @classmethod

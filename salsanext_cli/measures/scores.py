@@ -30,68 +30,33 @@ FREQUENT_POINTS = 500
 
 @dataclass(frozen=True, slots=True)
 class ClassScore:
-    """Scores of one class; NaN where there is nothing to divide by.
-
-    Attributes
-    ----------
-    name : str
-        Name of the class.
-    train_id : int
-        Its train id.
-    iou : float
-        Intersection over union; NaN if the class is in neither truth nor prediction.
-    iou_official : float
-        The same by the official formula, 0 if absent.
-    precision : float
-        Share of the points predicted as this class that are of it; NaN if never predicted.
-    recall : float
-        Share of the points of this class that were found; NaN if there are none.
-    points : int
-        Number of points of this class.
-    predicted : int
-        Number of labelled points predicted as this class.
-    """
+    """Scores of one class; NaN where there is nothing to divide by."""
 
     name: str
     train_id: int
-    iou: float
-    iou_official: float
+    iou: float  # Intersection over union; NaN if the class is in neither truth nor prediction
+    iou_official: float  # The same by the official formula, 0 if absent
+    # Share of the points predicted as this class that are of it; NaN if never predicted
     precision: float
-    recall: float
-    points: int
-    predicted: int
+    recall: float  # Share of the points of this class that were found; NaN if there are none
+    points: int  # Number of points of this class
+    predicted: int  # Number of labelled points predicted as this class
 
 
 @dataclass(frozen=True, slots=True)
 class Scores:
-    """The scores of a set of points; shares are 0…1.
+    """The scores of a set of points; shares are 0…1."""
 
-    Attributes
-    ----------
-    accuracy : float
-        Share of labelled points that are right; NaN without any.
-    accuracy_official : float
-        The same as the official evaluator prints it: points predicted "unlabelled" left out.
-    iou_mean_official : float
-        Mean IoU over all scored classes, an absent class counting 0.
-    iou_mean_present : float
-        Mean IoU over the classes that the truth holds, whatever is predicted; NaN if it
-        holds none.
-    iou_mean_frequent : float
-        The same over the classes with at least `FREQUENT_POINTS` points; NaN without any.
-    points : int
-        Number of labelled points.
-    classes : tuple of ClassScore
-        Every scored class, in the order of the train ids.
-    """
-
-    accuracy: float
+    accuracy: float  # Share of labelled points that are right; NaN without any
+    # The same as the official evaluator prints it: points predicted "unlabelled" left out
     accuracy_official: float
-    iou_mean_official: float
+    iou_mean_official: float  # Mean IoU over all scored classes, an absent class counting 0
+    # Mean IoU over the classes that the truth holds, whatever is predicted; NaN if it holds none
     iou_mean_present: float
+    # The same over the classes with at least `FREQUENT_POINTS` points; NaN without any
     iou_mean_frequent: float
-    points: int
-    classes: tuple[ClassScore, ...]
+    points: int  # Number of labelled points
+    classes: tuple[ClassScore, ...]  # Every scored class, in the order of the train ids
 
     def official_yaml(self) -> str:
         """Return the text of the official ``scores.txt``: sorted yaml, every digit."""
@@ -108,12 +73,8 @@ class Scores:
 def scores(confusion: Confusion, space: LabelSpace) -> Scores:
     """Divide the counts.
 
-    Parameters
-    ----------
-    confusion : Confusion
-        Counts over the train ids of `space`.
-    space : LabelSpace
-        Names of the classes, and which of them are ignored.
+    `confusion`: counts over the train ids of `space`; `space`: names of the classes, and which of
+    them are ignored.
     """
     scored = space.scored
     matrix = confusion.counted(scored)

@@ -20,38 +20,20 @@ point costs at most 24 ln 2 = 16.6 nats.
 
 @dataclass(frozen=True, slots=True)
 class SoftmaxErrors:
-    """Errors of the softmax of points, each (N,); NaN for points that have none.
+    """Errors of the softmax of points, each (N,); NaN for points that have none."""
 
-    Attributes
-    ----------
-    predicted : intp
-        The most probable class.
-    wrong : bool
-        Whether the true class is another.
-    confidence : float16
-        The largest probability.
-    nll : float64
-        Negative log-likelihood of the true class in nats, 0…16.6.
-    brier : float64
-        Squared distance Σ_c (p_c − [c is true])², 0…2.
-    """
-
-    predicted: npt.NDArray[np.intp]
-    wrong: Mask
-    confidence: npt.NDArray[np.float16]
-    nll: Ratios
-    brier: Ratios
+    predicted: npt.NDArray[np.intp]  # The most probable class
+    wrong: Mask  # Whether the true class is another
+    confidence: npt.NDArray[np.float16]  # The largest probability
+    nll: Ratios  # Negative log-likelihood of the true class in nats, 0…16.6
+    brier: Ratios  # Squared distance Σ_c (p_c − [c is true])², 0…2
 
 
 def softmax_errors(probabilities: npt.NDArray[Any], truth: npt.NDArray[Any]) -> SoftmaxErrors:
     """Compare probabilities with the truth.
 
-    Parameters
-    ----------
-    probabilities : (N, C) float
-        Softmax; rows of NaN for points that have none.
-    truth : (N,) integer
-        Train ids, 0…C-1.
+    `probabilities` (N, C) float, softmax; rows of NaN for points that have none; `truth` (N,)
+    integer, train ids, 0…C-1.
     """
     exact = probabilities.astype(np.float64)
     every = np.arange(len(exact))

@@ -18,24 +18,13 @@ from salsanext_cli.formats.labels import read_labels
 
 @dataclass(frozen=True, slots=True)
 class Problem:
-    """Reason why a sequence cannot be submitted.
+    """Reason why a sequence cannot be submitted."""
 
-    Attributes
-    ----------
-    code : {"missing", "length", "unreadable", "unknown-id", "moving"}
-        Kind of the problem, for programs.
-    sequence : str
-        Name of the sequence.
-    scans : int
-        Number of scans that have the problem.
-    message : str
-        Problem and remedy in one line.
-    """
-
+    # {"missing", "length", "unreadable", "unknown-id", "moving"}: kind of the problem, for programs
     code: str
-    sequence: str
-    scans: int
-    message: str
+    sequence: str  # Name of the sequence
+    scans: int  # Number of scans that have the problem
+    message: str  # Problem and remedy in one line
 
 
 def problems(
@@ -48,19 +37,10 @@ def problems(
 ) -> Iterator[Problem]:
     """Yield all that is wrong with the predictions of a sequence, one problem of each kind.
 
-    Parameters
-    ----------
-    sequence : str
-        Name of the sequence.
-    stems : sequence of str
-        Names of the scans that must be there.
-    files, scans : mapping of str to Path
-        Predicted labels and scans, by stem. Scans may be absent: then the number of labels is not
-        compared with that of points.
-    space : LabelSpace
-        Classes that may be predicted.
-    advance : callable, optional
-        Called for each stem.
+    `sequence`: name of the sequence; `stems`: names of the scans that must be there; `files`,
+    `scans`: predicted labels and scans, by stem. Scans may be absent: then the number of labels is
+    not compared with that of points; `space`: classes that may be predicted; `advance`: called for
+    each stem.
     """
     found: dict[str, list[str]] = {"length": [], "unreadable": []}
     ids: dict[str, list[list[int]]] = {"unknown-id": [], "moving": []}

@@ -24,41 +24,26 @@ EXTREMES = {"smallest": min, "largest": max, "farthest": max, "brightest": max}
 
 @dataclass(slots=True)
 class Survey:
-    """Running counts over scans; adding two gives the counts of both.
+    """Running counts over scans; adding two gives the counts of both."""
 
-    Attributes
-    ----------
-    scans, labelled, points, invalid : int
-        Scans, scans with labels, points, and points without a measurement (origin, NaN, infinite).
-    smallest, largest : int
-        Fewest and most points of a scan.
-    farthest, brightest : float
-        Largest range in metres and largest intensity.
-    elevations : (ELEVATION_BINS,) int64
-        Points by elevation from -90° to 90°.
-    pixels : int
-        Occupied pixels of the range images.
-    sums, squares : (5,) float64
-        Sums over occupied pixels of each channel and of its square.
-    classes : Counter of int
-        Points by raw id, without instance.
-    """
-
+    # Scans, scans with labels, points, and points without a measurement (origin, NaN, infinite)
     scans: int = 0
     labelled: int = 0
     points: int = 0
     invalid: int = 0
-    smallest: int = np.iinfo(np.int64).max
+    smallest: int = np.iinfo(np.int64).max  # Fewest and most points of a scan
     largest: int = 0
-    farthest: float = 0.0
+    farthest: float = 0.0  # Largest range in metres and largest intensity
     brightest: float = 0.0
+    # (ELEVATION_BINS,) int64: points by elevation from -90° to 90°
     elevations: npt.NDArray[np.int64] = field(
         default_factory=lambda: np.zeros(ELEVATION_BINS, np.int64)
     )
-    pixels: int = 0
+    pixels: int = 0  # Occupied pixels of the range images
+    # (5,) float64: sums over occupied pixels of each channel and of its square
     sums: npt.NDArray[np.float64] = field(default_factory=lambda: np.zeros(len(CHANNELS)))
     squares: npt.NDArray[np.float64] = field(default_factory=lambda: np.zeros(len(CHANNELS)))
-    classes: Counter[int] = field(default_factory=Counter)
+    classes: Counter[int] = field(default_factory=Counter)  # Points by raw id, without instance
 
     def __add__(self, other: Survey) -> Survey:
         names = (field.name for field in fields(self))

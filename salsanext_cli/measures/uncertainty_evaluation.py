@@ -47,25 +47,13 @@ Scores = TypeVar("Scores", CalibrationScores, RankingScores)
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class GroupedScores(Generic[Scores]):
-    """Scores of all points, by class and by distance.
+    """Scores of all points, by class and by distance."""
 
-    Attributes
-    ----------
-    scores : CalibrationScores or RankingScores
-        Over all points.
-    scans, left_out : int
-        Number of scans with points, and of points without a value.
-    classes : dict of int to scores
-        Scores by train id.
-    by_distance : dict of str to scores
-        Scores by name of the ring of distance; empty if not requested.
-    """
-
-    scores: Scores
-    scans: int
+    scores: Scores  # Over all points
+    scans: int  # Number of scans with points, and of points without a value
     left_out: int
-    classes: dict[int, Scores]
-    by_distance: dict[str, Scores]
+    classes: dict[int, Scores]  # Scores by train id
+    by_distance: dict[str, Scores]  # Scores by name of the ring of distance; empty if not requested
 
     def to_dict(self, space: LabelSpace) -> dict[str, Any]:
         """Return plain data for JSON, the scores first; null stands for NaN."""
@@ -85,70 +73,43 @@ class CalibrationResult(GroupedScores[CalibrationScores]):
 
     Classes are the most probable ones: among the points of such a class, a calibrated network is
     right as often as its confidence says; among the points of a true class it need not be.
-
-    Attributes
-    ----------
-    ece_per_scan : float
-        Expected calibration error of a scan over 10 bins, mean over the scans, 0…1.
-    reliability : Reliability
-        The diagram over 15 bins.
     """
 
+    # Expected calibration error of a scan over 10 bins, mean over the scans, 0…1
     ece_per_scan: float
-    reliability: Reliability
+    reliability: Reliability  # The diagram over 15 bins
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RankingResult(GroupedScores[RankingScores]):
-    """Scores of one kind of uncertainty as a detector of wrong points; classes are the true ones.
+    """Scores of one kind of uncertainty as a detector of wrong points, by true class."""
 
-    Attributes
-    ----------
-    class_size_correlation : float
-        Spearman's rank correlation, over the classes present, of the mean uncertainty of a class
-        and its number of points, -1…1.
-    risk_coverage : (100,) float64
-        Share of wrong points among the least uncertain 1 %, 2 %, … 100 %.
-    thresholds : (100,) float64
-        Largest uncertainty of these points, at most 1 % too large.
-    """
-
+    # Spearman's rank correlation, over the classes present, of the mean uncertainty of a class and
+    # its number of points, -1…1
     class_size_correlation: float
+    # (100,) float64: share of wrong points among the least uncertain 1 %, 2 %, … 100 %
     risk_coverage: Ratios
-    thresholds: Ratios
+    thresholds: Ratios  # (100,) float64: largest uncertainty of these points, at most 1 % too large
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ErrorResult(RankingResult):
-    """Scores of the error, which is the probability that a label is wrong.
+    """Scores of the error, which is the probability that a label is wrong."""
 
-    Attributes
-    ----------
-    ece : float
-        Expected calibration error over 15 bins of equal width, 0…1: mean over the points of the
-        gap between the share of wrong points and the mean error of their bin.
-    """
-
+    # Expected calibration error over 15 bins of equal width, 0…1: mean over the points of the gap
+    # between the share of wrong points and the mean error of their bin
     ece: float
 
 
 @dataclass(frozen=True, slots=True)
 class UncertaintyEvaluation:
-    """Evaluation of the probabilities and uncertainties that lie beside predictions.
+    """Evaluation of the probabilities and uncertainties that lie beside predictions."""
 
-    Attributes
-    ----------
-    calibration : CalibrationResult or None
-        Result for the probabilities; None without any.
-    kinds : dict of str to RankingResult
-        Results by kind of uncertainty, that of "error" an `ErrorResult`; empty without any.
-    kept : KeptPoints or None
-        A threshold worth using, of the error, else of the entropy; None where neither is known of
-        any point.
-    """
-
-    calibration: CalibrationResult | None
+    calibration: CalibrationResult | None  # Result for the probabilities; None without any
+    # Results by kind of uncertainty, that of "error" an `ErrorResult`; empty without any
     kinds: dict[str, RankingResult]
+    # A threshold worth using, of the error, else of the entropy; None where neither is known of any
+    # point
     kept: KeptPoints | None = None
 
     @property

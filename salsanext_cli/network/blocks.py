@@ -100,12 +100,8 @@ class UnitChain(nn.Sequential):
 class ResidualBlock(nn.Module):
     """shortcut(x) + stack(x), by default of dilated convolutions.
 
-    Parameters
-    ----------
-    inputs, outputs : int
-        Channels.
-    stack : callable
-        Factory of the path beside the shortcut, from inputs and outputs.
+    `inputs`, `outputs`: channels; `stack`: factory of the path beside the shortcut, from inputs and
+    outputs.
     """
 
     def __init__(self, inputs: int, outputs: int, stack: Stack = DilatedStack) -> None:

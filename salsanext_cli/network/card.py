@@ -33,39 +33,23 @@ TEMPERATURES = (1e-3, 1e3)
 
 @dataclass(frozen=True, slots=True, eq=False)
 class WeightsCard:
-    """Metadata of a weights file.
+    """Metadata of a weights file."""
 
-    Attributes
-    ----------
-    architecture : dict
-        Name and numbers of the network, as `registry.build` takes them.
-    space : LabelSpace
-        The classes that the logits stand for.
-    sensor : Sensor
-        The geometry and normalisation that the network was trained with.
-    recipe : dict
-        The resolved training recipe; empty if unknown.
-    scores : dict
-        Measurements with these weights, and the data; empty if there are none.
-    description : str
-        A sentence or two on these weights.
-    temperature : float
-        Divides the logits before the softmax, so that its values are probabilities;
-        1 if none was fitted.
-    error : ErrorModel, optional
-        Model of the probability that a label is wrong; None if none was fitted.
-    trained_on : frozenset of str
-        Digests of the scans that the weights were trained on, as far as they are known.
-    """
-
+    # Name and numbers of the network, as `registry.build` takes them
     architecture: Mapping[str, Any]
-    space: LabelSpace
-    sensor: Sensor
+    space: LabelSpace  # The classes that the logits stand for
+    sensor: Sensor  # The geometry and normalisation that the network was trained with
+    # The resolved training recipe; empty if unknown
     recipe: Mapping[str, Any] = field(default_factory=dict)
+    # Measurements with these weights, and the data; empty if there are none
     scores: Mapping[str, Any] = field(default_factory=dict)
-    description: str = ""
+    description: str = ""  # A sentence or two on these weights
+    # Divides the logits before the softmax, so that its values are probabilities; 1 if none was
+    # fitted
     temperature: float = 1.0
+    # Model of the probability that a label is wrong; None if none was fitted
     error: ErrorModel | None = None
+    # Digests of the scans that the weights were trained on, as far as they are known
     trained_on: frozenset[str] = frozenset()
 
     def summary(self) -> str:
@@ -144,13 +128,7 @@ def _temperature(value: Any) -> float:
 
 
 def read_card(path: Path) -> WeightsCard:
-    """Read only the metadata of a weights file, or of an ONNX file of `export-onnx`.
-
-    Raises
-    ------
-    WeightsError
-        If the file cannot be read or is not one of ours.
-    """
+    """Read only the metadata of a weights file, or of an ONNX file of `export-onnx`."""
     if path.suffix == ONNX_SUFFIX:
         return WeightsCard.from_metadata(onnx_metadata(path), path)
     try:

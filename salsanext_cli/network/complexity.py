@@ -35,32 +35,18 @@ V1 = "arXiv 2003.03653v1, Table II"
 
 @dataclass(frozen=True, slots=True)
 class PaperFigures:
-    """Figures of a paper, as text, so that every digit is its own; None if not known for sure.
+    """Figures of a paper, as text, so that every digit is its own; None if not known for sure."""
 
-    Attributes
-    ----------
-    row : str
-        Table and row.
-    parameters : str
-        In millions.
-    flops : str or None
-        Of one image of 64×2048, in 10⁹, every multiplication and every addition.
-    miou_pixels, miou : str or None
-        In the table of ablations, SemanticKITTI, without and with the vote of the nearest
-        neighbours, in %.
-    miou_test : str or None
-        On the benchmark's test sequences, in %.
-    determined : bool
-        The text says all that the network is made of.
-    """
-
-    row: str
-    parameters: str
+    row: str  # Table and row
+    parameters: str  # In millions
+    # Of one image of 64×2048, in 10⁹, every multiplication and every addition
     flops: str | None = None
+    # In the table of ablations, SemanticKITTI, without and with the vote of the nearest neighbours,
+    # in %
     miou_pixels: str | None = None
     miou: str | None = None
-    miou_test: str | None = None
-    determined: bool = True
+    miou_test: str | None = None  # On the benchmark's test sequences, in %
+    determined: bool = True  # The text says all that the network is made of
 
 
 PAPERS = {

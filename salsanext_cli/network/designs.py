@@ -33,37 +33,21 @@ CONTEXT_WIDTH = 32
 
 @dataclass(frozen=True, slots=True)
 class Design:
-    """Composition of a network of the family.
+    """Composition of a network of the family."""
 
-    Attributes
-    ----------
-    context : tuple of callable
-        Factories of the context module's blocks, from channels in and out; empty for none.
-    widths : tuple of int
-        Channels of the encoder's blocks, from the finest level to the bottom.
-    stack : callable
-        Factory of the path beside the shortcut of the encoder's blocks.
-    pooling : callable
-        Factory of dropout and pooling, from channels and dropout rate.
-    up_block : callable
-        Factory of the decoder's blocks: from channels of the input, of the skip connection and of
-        the output, `fusing`, and dropout rate.
-    decoder_widths : tuple of int
-        Channels of the decoder's blocks, from above the bottom to the finest level.
-    fusing : callable
-        Factory of the layers that fuse the joined channels in the decoder's blocks.
-    central : bool
-        Leaves the first block and the last without dropout.
-    """
-
+    # Factories of the context module's blocks, from channels in and out; empty for none
     context: tuple[Stack, ...]
-    widths: tuple[int, ...]
-    stack: Stack
+    widths: tuple[int, ...]  # Channels of the encoder's blocks, from the finest level to the bottom
+    stack: Stack  # Factory of the path beside the shortcut of the encoder's blocks
+    # Factory of dropout and pooling, from channels and dropout rate
     pooling: Callable[[int, float], nn.Module]
+    # Factory of the decoder's blocks: from channels of the input, of the skip connection and of the
+    # output, `fusing`, and dropout rate
     up_block: Callable[[int, int, int, Stack, float], UpBlock]
+    # Channels of the decoder's blocks, from above the bottom to the finest level
     decoder_widths: tuple[int, ...]
-    fusing: Stack
-    central: bool
+    fusing: Stack  # Factory of the layers that fuse the joined channels in the decoder's blocks
+    central: bool  # Leaves the first block and the last without dropout
 
 
 SALSANET = Design(

@@ -18,21 +18,13 @@ from salsanext_cli.records import Float
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ErrorModel:
-    """Perceptron whose last value is the logit of the probability that a label is wrong.
+    """Perceptron whose last value is the logit of the probability that a label is wrong."""
 
-    Attributes
-    ----------
-    features : tuple of str
-        Names of the F features, in order.
-    layers : sequence of ((I, O), (O,)) float32
-        Weights and biases; between two layers, negative values become 0. The first takes F values,
-        the last returns one.
-    scores : mapping
-        Measurements of it on labelled scans that it was not fitted on, and their number.
-    """
-
-    features: tuple[str, ...]
+    features: tuple[str, ...]  # Names of the F features, in order
+    # Weights and biases; between two layers, negative values become 0. The first takes F values,
+    # the last returns one
     layers: Sequence[tuple[Float, Float]]
+    # Measurements of it on labelled scans that it was not fitted on, and their number
     scores: Mapping[str, Any] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
@@ -48,14 +40,7 @@ class ErrorModel:
     def probability(self, features: Float) -> Float:
         """Return the probability of an error, (N,) float32 in 0…1, NaN for features with NaN.
 
-        Parameters
-        ----------
-        features : (N, F) float32
-
-        Raises
-        ------
-        ValueError
-            For another number of features.
+        `features` (N, F) float32.
         """
         # Imported here: to read a card takes no compiler.
         from salsanext_cli.network.perceptron import last_values

@@ -26,14 +26,7 @@ KEY, VALUE = 1, 2
 
 
 def onnx_metadata(path: Path) -> dict[str, str]:
-    """Return the metadata of an ONNX file.
-
-    Raises
-    ------
-    WeightsError
-        If it cannot be read, is no ONNX file, is cut or damaged on its first level, or of another
-        opset than `OPSET`.
-    """
+    """Return the metadata of an ONNX file."""
     remedy = "write it with `salsanext export-onnx`"
     try:
         with reading(path) as file:

@@ -15,17 +15,10 @@ BLOCK = 256
 def last_values(rows: Float, layers: Sequence[tuple[Float, Float]]) -> Float:
     """Return the value of the last layer for each row; no bit depends on the number of threads.
 
-    Parameters
-    ----------
-    rows : (N, F) float32
-    layers : sequence of ((I, O), (O,)) float32
-        Weights and biases; between two layers, negative values become 0. The first takes F values,
-        the last returns one; this is not checked.
+    `rows` (N, F) float32; `layers`: weights and biases; between two layers, negative values become
+    0. The first takes F values, the last returns one; this is not checked.
 
-    Returns
-    -------
-    (N,) float32
-        NaN for rows with NaN.
+    Returns (N,) float32, NaN for rows with NaN.
     """
     rows = argument(rows, np.float32)
     given = tuple(

@@ -41,11 +41,6 @@ def read_published(path: Path) -> dict[str, Tensor]:
 
     Accepts what ``torch.save`` wrote: a dictionary with ``state_dict``, or the state dictionary
     itself, its keys with or without the prefix ``module.``.
-
-    Raises
-    ------
-    WeightsError
-        If the file is not such a checkpoint.
     """
     checkpoint = read_torch_file(path)
     state = checkpoint.get("state_dict", checkpoint) if isinstance(checkpoint, dict) else None
@@ -60,13 +55,7 @@ def read_published(path: Path) -> dict[str, Tensor]:
 
 
 def our_name(key: str, source: object = "checkpoint") -> str:
-    """Return our name of a published tensor, ``up1.stack.fuse.2.bias`` for ``upBlock1.bn4.bias``.
-
-    Raises
-    ------
-    WeightsError
-        If no published SalsaNext has such a tensor.
-    """
+    """Return our name of a tensor: ``up1.stack.fuse.2.bias`` for ``upBlock1.bn4.bias``."""
     if key in ("logits.weight", "logits.bias"):
         return key
     for pattern, block, units in STACKS:
@@ -85,11 +74,6 @@ def read_torch_file(path: Path) -> Any:
 
     Both forms are read: the archive, and that of before torch 1.6. No more memory is taken than a
     few times the size of the file.
-
-    Raises
-    ------
-    WeightsError
-        If the file cannot be read.
     """
     try:
         if path.exists() and not (path.is_file() or path.is_dir()):

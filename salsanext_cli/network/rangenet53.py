@@ -62,14 +62,9 @@ class UpStage(nn.Sequential):
 class RangeNet53(SegmentationNetwork):
     """A Darknet53 that keeps the height of the image; 50 377 364 parameters with 20 classes.
 
-    Parameters
-    ----------
-    class_count : int
-        C, including the unlabelled class 0.
-    dropout : float
-        Rate of the channel dropout after every stage and before the logits.
-    width : int
-        Channels of the stem; every stage has twice as many as the one before.
+    `class_count`: c, including the unlabelled class 0; `dropout`: rate of the channel dropout after
+    every stage and before the logits; `width`: channels of the stem; every stage has twice as many
+    as the one before.
     """
 
     stride = (1, 2 ** len(DEPTHS))

@@ -39,13 +39,7 @@ ARCHITECTURES: dict[str, Callable[..., SegmentationNetwork]] = {
 
 
 def build(architecture: Mapping[str, Any], source: object = "architecture") -> SegmentationNetwork:
-    """Build a network from its name and numbers, e.g. ``{"name": "salsanext", "class_count": 20}``.
-
-    Raises
-    ------
-    UsageError
-        If the name is unknown or a number does not fit; `source` is named.
-    """
+    """Build a network from name and numbers: ``{"name": "salsanext", "class_count": 20}``."""
     numbers = dict(architecture)
     name = numbers.pop("name", None)
     if not isinstance(name, str) or name not in ARCHITECTURES:

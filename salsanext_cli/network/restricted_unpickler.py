@@ -60,18 +60,10 @@ class RestrictedUnpickler:
     numbers; parameters become tensors. Objects of other classes, and tensors that are sparse,
     quantised, without numbers, or of complex or 8-bit floating-point numbers, become `Opaque`.
 
-    Parameters
-    ----------
-    file : BinaryIO
-        Read from where it is, and left behind the pickle.
-    load_storage : callable
-        Given key, dtype and number of elements, returns a tensor of one dimension; called once for
-        each key.
+    `storages`: returned by `load_storage`, by key.
 
-    Attributes
-    ----------
-    storages : dict
-        Returned by `load_storage`, by key.
+    `file`: read from where it is, and left behind the pickle; `load_storage`: given key, dtype and
+    number of elements, returns a tensor of one dimension; called once for each key.
     """
 
     def __init__(
@@ -85,13 +77,7 @@ class RestrictedUnpickler:
         self._memo: dict[int, Any] = {}
 
     def load(self) -> Any:
-        """Carry out the operations up to the end of the pickle, and return its object.
-
-        Raises
-        ------
-        ValueError, TypeError, LookupError, RuntimeError
-            If the pickle is damaged or asks for anything else.
-        """
+        """Carry out the operations up to the end of the pickle, and return its object."""
         for operation, argument, _ in islice(pickletools.genops(self._file), MAX_OPERATIONS):
             if operation.name == "STOP":
                 return self._stack.pop()

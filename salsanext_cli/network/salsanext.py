@@ -15,14 +15,8 @@ from salsanext_cli.records import CHANNELS
 class SalsaNext(SegmentationNetwork):
     """An encoder and a decoder; by default the second version, 6 711 572 parameters.
 
-    Parameters
-    ----------
-    class_count : int
-        C, including the unlabelled class 0.
-    dropout : float
-        Rate of the channel dropout, 0 ≤ rate < 1; the paper trains with 0.2.
-    design : Design
-        Its composition.
+    `class_count`: c, including the unlabelled class 0; `dropout`: rate of the channel dropout, 0 ≤
+    rate < 1; the paper trains with 0.2; `design`: its composition.
     """
 
     def __init__(

@@ -18,17 +18,10 @@ class SegmentationNetwork(nn.Module):
     The rest ends with the layer `logits`, which takes what `decoded` returns. All are written for
     tensors of sizes that `stride` divides, and with functions of torch only, so that Gaussians can
     take the place of tensors.
-
-    Attributes
-    ----------
-    stride : (int, int)
-        Divisors of height and width at the coarsest level.
-    logits : Conv2d
-        The last layer.
     """
 
-    stride: tuple[int, int]
-    logits: nn.Conv2d
+    stride: tuple[int, int]  # (int, int): divisors of height and width at the coarsest level
+    logits: nn.Conv2d  # The last layer
 
     @abstractmethod
     def trunk(self, image: Tensor) -> tuple[Tensor, ...]:

@@ -34,16 +34,9 @@ class TransposedUnit(nn.Sequential):
 class UpBlock(nn.Module):
     """Upsample ×2, concatenate the skip connection, fuse; channel dropout around each.
 
-    Parameters
-    ----------
-    upsampling : Module
-        (B, in, H, W) to (B, upsampled, 2H, 2W).
-    joined, outputs : int
-        Channels after the concatenation, and of the block.
-    stack : callable
-        Factory of the layers that fuse, from these two numbers.
-    dropout : float
-        Rate.
+    `upsampling`: (B, in, H, W) to (B, upsampled, 2H, 2W); `joined`, `outputs`: channels after the
+    concatenation, and of the block; `stack`: factory of the layers that fuse, from these two
+    numbers; `dropout`: rate.
     """
 
     def __init__(

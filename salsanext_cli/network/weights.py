@@ -22,17 +22,9 @@ NORM_SUFFIXES = (".running_mean", ".running_var")
 def save_weights(path: Path, module: nn.Module, card: WeightsCard, *, half: bool = False) -> None:
     """Write a weights file, atomically.
 
-    Parameters
-    ----------
-    path : Path
-        The `.safetensors` file.
-    module : nn.Module
-        The network that `card.architecture` names.
-    card : WeightsCard
-        Metadata to write.
-    half : bool
-        Store in float16, half the size; batch-norm statistics stay float32, as does a tensor with a
-        value beyond float16's range.
+    `path`: the `.safetensors` file; `module`: the network that `card.architecture` names; `card`:
+    metadata to write; `half`: store in float16, half the size; batch-norm statistics stay float32,
+    as does a tensor with a value beyond float16's range.
     """
     tensors = {name: _stored(name, tensor, half) for name, tensor in module.state_dict().items()}
     write_bytes(path, safetensors.torch.save(tensors, card.to_metadata()), durable=True)
@@ -61,14 +53,7 @@ def _stored(name: str, tensor: Tensor, half: bool) -> Tensor:
 
 
 def read_weights(path: Path) -> tuple[SegmentationNetwork, WeightsCard]:
-    """Read a weights file: the network in evaluation mode, float32, on the CPU, and its card.
-
-    Raises
-    ------
-    WeightsError
-        If the file cannot be read, its tensors do not fit its architecture, its architecture
-        does not fit its label space, or a value is impossible.
-    """
+    """Read a weights file: the network in evaluation mode, float32, on the CPU, and its card."""
     require_tensors(path)
     card = read_card(path)
     count = card.space.class_count
@@ -90,13 +75,7 @@ def read_weights(path: Path) -> tuple[SegmentationNetwork, WeightsCard]:
 
 
 def load_tensors(module: nn.Module, tensors: Mapping[str, Tensor], source: object) -> None:
-    """Put tensors into a network, float32; names, shapes and values are checked.
-
-    Raises
-    ------
-    WeightsError
-        Naming `source` and the first tensor that does not fit.
-    """
+    """Put tensors into a network, float32; names, shapes and values are checked."""
     wanted = module.state_dict()
     if missing := sorted(wanted.keys() - tensors.keys()):
         raise WeightsError(source, f"lacks {len(missing)} tensors, such as {shortened(missing[0])}")

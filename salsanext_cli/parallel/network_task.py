@@ -23,27 +23,17 @@ MAX_BATCH_SCANS = 16
 
 @dataclass(frozen=True, slots=True)
 class NetworkTask:
-    """Function of a scan and a network.
+    """Function of a scan and a network."""
 
-    Attributes
-    ----------
-    function : callable
-        Takes a scan file and a network; picklable. It returns the result or yields `Steps`, which
-        overlap on a CPU.
-    settings : NetworkSettings
-        Resolved: what the workers load.
-    network : Network, optional
-        The same, loaded in this process; it is not sent to others.
-    batch_function : callable, optional
-        Does the same to several scans together, and yields an attempt of each.
-    batch : int, optional
-        Scans computed together; by default one on a CPU, as many as keep it busy on a GPU.
-    """
-
+    # Takes a scan file and a network; picklable. It returns the result or yields `Steps`, which
+    # overlap on a CPU
     function: Callable[[ScanFile, Network], Any]
-    settings: NetworkSettings
+    settings: NetworkSettings  # Resolved: what the workers load
+    # The same, loaded in this process; it is not sent to others
     network: Network | None = field(default=None, compare=False)
+    # Does the same to several scans together, and yields an attempt of each
     batch_function: Callable[[Sequence[ScanFile], Network], Iterator[Attempt]] | None = None
+    # Scans computed together; by default one on a CPU, as many as keep it busy on a GPU
     batch: int | None = None
 
     def open(self) -> Callable[[Iterable[ScanFile]], Iterator[Attempt]]:

@@ -18,33 +18,21 @@ Progress = Callable[[int, int], None]
 
 @dataclass(frozen=True, slots=True)
 class RunOptions:
-    """Options of a run over scans.
+    """Options of a run over scans."""
 
-    Attributes
-    ----------
-    jobs : int, optional
-        Workers side by side; -1 is one per core, or all of a cluster. None is one here, and all of
-        a cluster.
-    on_error : {"skip", "stop"}
-        A scan that fails is named at the end, or ends the run.
-    overwrite : bool
-        Results that exist are made again.
-    progress : callable, optional
-        Called after each scan, or for several together when a worker is done with them.
-    backend : {"loky", "threading", "dask", "ray"}
-        Processes, threads, or the workers of a cluster.
-    scheduler : str, optional
-        Address of a Dask or Ray cluster; without one, it is started on this machine.
-    shard : Shard
-        Share of the scans that this run works on, where other runs work on the others.
-    """
-
+    # Workers side by side; -1 is one per core, or all of a cluster. None is one here, and all of a
+    # cluster
     jobs: int | None = None
+    # {"skip", "stop"}: a scan that fails is named at the end, or ends the run
     on_error: str = "skip"
-    overwrite: bool = False
+    overwrite: bool = False  # Results that exist are made again
+    # Called after each scan, or for several together when a worker is done with them
     progress: Progress | None = None
+    # {"loky", "threading", "dask", "ray"}: processes, threads, or the workers of a cluster
     backend: str = "loky"
+    # Address of a Dask or Ray cluster; without one, it is started on this machine
     scheduler: str | None = None
+    # Share of the scans that this run works on, where other runs work on the others
     shard: Shard = Shard()
 
     def __post_init__(self) -> None:

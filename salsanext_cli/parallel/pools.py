@@ -21,27 +21,13 @@ POLL_INTERVAL_S = 1.0
 
 @dataclass(frozen=True, slots=True)
 class WorkerPool:
-    """Workers that are ready.
+    """Workers that are ready."""
 
-    Attributes
-    ----------
-    backend : dict
-        Arguments of `joblib.parallel_config`.
-    workers : int
-        Number of chunks that are worked on side by side.
-    in_flight : int
-        Number of chunks that are sent before the first comes back.
-    threads : int
-        Threads that each worker may use.
-    died : tuple of exception types
-        Raised by the backend when a worker died.
-    """
-
-    backend: dict[str, Any]
-    workers: int
-    in_flight: int
-    threads: int
-    died: tuple[type[BaseException], ...] = ()
+    backend: dict[str, Any]  # Arguments of `joblib.parallel_config`
+    workers: int  # Number of chunks that are worked on side by side
+    in_flight: int  # Number of chunks that are sent before the first comes back
+    threads: int  # Threads that each worker may use
+    died: tuple[type[BaseException], ...] = ()  # Raised by the backend when a worker died
 
 
 @contextmanager
@@ -89,10 +75,7 @@ def end_with_parent(parent: int) -> None:
 
     A parent that is killed cannot end its workers.
 
-    Parameters
-    ----------
-    parent : int
-        Process id.
+    `parent`: process id.
     """
 
     def watch() -> None:

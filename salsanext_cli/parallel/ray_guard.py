@@ -22,12 +22,8 @@ INTERVAL_S = 0.3
 def kill_writers(folder: str, driver: int) -> bool:
     """Kill the processes that write files below a folder, and return whether there were any.
 
-    Parameters
-    ----------
-    folder : str
-        Folder of the files of one Ray and of nothing else, absolute, without links.
-    driver : int
-        Process that is left alone: the one that started this Ray.
+    `folder`: folder of the files of one Ray and of nothing else, absolute, without links; `driver`:
+    process that is left alone: the one that started this Ray.
     """
     found = False
     for process in Path("/proc").glob("[0-9]*"):

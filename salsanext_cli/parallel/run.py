@@ -60,32 +60,16 @@ class Failure:
 
 @dataclass(frozen=True, slots=True)
 class Outcome:
-    """Numbers of a run.
+    """Numbers of a run."""
 
-    Attributes
-    ----------
-    skipped : int
-        Scans that were done already.
-    failures : tuple of Failure
-        Scans that failed, in order.
-    done : int
-        Scans that were worked on with success.
-    missing : MissingResults, optional
-        Scans left out for want of results to work on, by a stage that looks for them.
-    seconds : float
-        Time of the work on scans, without the start of the command.
-    summary : RunSummary, optional
-        Of the scans that were worked on.
-    rejected_points : int, optional
-        Number of their points that were written as unlabelled for their error, if that was asked.
-    """
-
-    skipped: int
-    failures: tuple[Failure, ...]
-    done: int
+    skipped: int  # Scans that were done already
+    failures: tuple[Failure, ...]  # Scans that failed, in order
+    done: int  # Scans that were worked on with success
+    # Scans left out for want of results to work on, by a stage that looks for them
     missing: MissingResults | None = None
-    seconds: float = 0.0
-    summary: RunSummary | None = None
+    seconds: float = 0.0  # Time of the work on scans, without the start of the command
+    summary: RunSummary | None = None  # Of the scans that were worked on
+    # Number of their points that were written as unlabelled for their error, if that was asked
     rejected_points: int | None = None
 
 
@@ -99,25 +83,10 @@ def run_over_scans(
 ) -> Outcome:
     """Run a task over scans.
 
-    Parameters
-    ----------
-    task : Task
-        Works on a scan, writes its results, returns something small.
-    scans : sequence of ScanFile
-        Scans to work on; the same for every shard.
-    options : RunOptions
-        Workers, shard, errors, overwriting and progress.
-    is_done : callable, optional
-        Tells of a scan if it has its results; then it is skipped, unless overwriting.
-    on_result : callable, optional
-        Is given each result as it comes, in no particular order, in this process.
-
-    Raises
-    ------
-    SalsanextError
-        The first failure, if `options.on_error` is "stop".
-    WorkersLost
-        If a worker died; it says which scans are missing for that.
+    `task`: works on a scan, writes its results, returns something small; `scans`: scans to work on;
+    the same for every shard; `options`: workers, shard, errors, overwriting and progress;
+    `is_done`: tells of a scan if it has its results; then it is skipped, unless overwriting;
+    `on_result`: is given each result as it comes, in no particular order, in this process.
     """
     start = time.monotonic()
     mine = options.shard.of(scans)

@@ -22,18 +22,10 @@ Chunk = tuple[ScanFile, ...]
 
 @dataclass(frozen=True, slots=True)
 class Shard:
-    """Share of the scans that a run works on.
+    """Share of the scans that a run works on."""
 
-    Attributes
-    ----------
-    number : int
-        From 1 to `count`.
-    count : int
-        Number of shards.
-    """
-
-    number: int = 1
-    count: int = 1
+    number: int = 1  # From 1 to `count`
+    count: int = 1  # Number of shards
 
     def __post_init__(self) -> None:
         if not 1 <= self.number <= self.count:
@@ -55,11 +47,6 @@ class Shard:
         """Return the shard of a task of a Slurm array, None outside of one.
 
         Arrays begin where their user likes, at 0 or 1, and may count in steps.
-
-        Raises
-        ------
-        UsageError
-            If the array leaves out numbers, as ``--array=1,3,7`` does.
         """
         names = [PREFIX + name for name in ("ID", "MIN", "COUNT")]
         if any(name not in environment for name in names):
@@ -99,18 +86,12 @@ def _number(name: str, environment: Mapping[str, str], default: str = "") -> int
 def chunks(scans: Sequence[ScanFile], workers: int) -> list[Chunk]:
     """Cut scans into chunks, in order; each holds neighbours of one sequence.
 
-    Parameters
-    ----------
-    scans : sequence of ScanFile
-        In the order in which they are to be begun.
-    workers : int
-        Number of chunks that are worked on side by side.
+    `scans`: in the order in which they are to be begun; `workers`: number of chunks that are worked
+    on side by side.
 
-    Returns
-    -------
-    list of tuple of ScanFile
-        Of at most `MAX_CHUNK_SCANS` scans, and at least `MIN_CHUNKS_PER_WORKER` for each worker if
-        there are so many scans. Those of a sequence differ by one scan at most.
+    Returns list of tuple of ScanFile, of at most `MAX_CHUNK_SCANS` scans, and at least
+    `MIN_CHUNKS_PER_WORKER` for each worker if there are so many scans. Those of a sequence differ
+    by one scan at most.
     """
     size = max(1, min(MAX_CHUNK_SCANS, len(scans) // (MIN_CHUNKS_PER_WORKER * workers)))
     cut: list[Chunk] = []

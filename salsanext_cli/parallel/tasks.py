@@ -48,11 +48,7 @@ def one_by_one(function: Callable[[ScanFile], Any], files: Iterable[ScanFile]) -
 def overlapping(begin: Callable[[ScanFile], Steps], files: Iterable[ScanFile]) -> Iterator[Attempt]:
     """Attempt scans in order; while one is computed, a thread writes the last and reads the next.
 
-    Parameters
-    ----------
-    begin : callable
-        Returns the steps of a scan, of which the second is done in this thread.
-    files : iterable of ScanFile
+    `begin`: returns the steps of a scan, of which the second is done in this thread.
     """
     pool = ThreadPoolExecutor(1, "salsanext-files")
     waiting = iter(files)

@@ -27,38 +27,21 @@ log = logging.getLogger(__name__)
 
 @dataclass(frozen=True, slots=True)
 class WorkerContext:
-    """Context that a worker needs besides the task.
+    """Context that a worker needs besides the task."""
 
-    Attributes
-    ----------
-    run : str
-        Identifies the run: a worker may be an old one that served other runs before.
-    mark : str
-        Start of the names of temporary files.
-    stop : bool
-        The first failure ends the chunk.
-    folder : Path
-        Working folder, from which relative names start.
-    threads : int
-        Threads that each worker may use.
-    """
-
-    run: str
-    mark: str
-    stop: bool
-    folder: Path
-    threads: int
+    run: str  # Identifies the run: a worker may be an old one that served other runs before
+    mark: str  # Start of the names of temporary files
+    stop: bool  # The first failure ends the chunk
+    folder: Path  # Working folder, from which relative names start
+    threads: int  # Threads that each worker may use
 
 
 class Worker:
     """State of a process that works on chunks.
 
-    Attributes
-    ----------
-    run, ended : str
-        The run that it works for, empty where it works for none, and the last one that it ended.
-    slot : tuple of int and object, optional
-        Number of this process among the workers of its machine, once needed, and the lock on it.
+    `run`, `ended`: the run that it works for, empty where it works for none, and the last one that
+    it ended; `slot`: number of this process among the workers of its machine, once needed, and the
+    lock on it.
     """
 
     def __init__(self) -> None:
@@ -144,12 +127,7 @@ def own_device(device: str, gpus: int) -> str:
 
     Workers beyond the number of GPUs share them evenly. A device that was named stays.
 
-    Parameters
-    ----------
-    device : str
-        As `load_network` takes it.
-    gpus : int
-        Number of visible ones.
+    `device`: as `load_network` takes it; `gpus`: number of visible ones.
     """
     if not WORKER.run or device not in ("auto", "cuda") or gpus < 2:
         return device

@@ -30,13 +30,7 @@ Taken = TypeVar("Taken")
 
 
 def find_ffmpeg() -> str:
-    """Return the path of ffmpeg.
-
-    Raises
-    ------
-    UsageError
-        If it is not installed.
-    """
+    """Return the path of ffmpeg."""
     found = shutil.which("ffmpeg")
     if found is None:
         raise UsageError("--mp4", "no ffmpeg found", "it on the PATH", "install it, or use --gif")
@@ -47,11 +41,6 @@ def frames(pictures: Sequence[Path]) -> Iterator[Image]:
     """Yield pictures reduced to frames of one size, even in width and height.
 
     Smaller ones than the largest are at the upper left of a frame.
-
-    Raises
-    ------
-    FormatError
-        If a file is no picture.
     """
     from PIL import Image
 
@@ -68,14 +57,9 @@ def frames(pictures: Sequence[Path]) -> Iterator[Image]:
 def encode_gif(pictures: Sequence[Path], frames_per_second: float, kept: Colours) -> bytes:
     """Return pictures as the content of a GIF file that repeats without end.
 
-    Parameters
-    ----------
-    pictures : sequence of Path
-        At least one.
-    frames_per_second : float
-    kept : (N, 3) uint8
-        Colours that mean something, however rare: they stay as they are, the first 192 of them.
-        The other colours are those of the first picture, as far as a palette of 256 has them.
+    `pictures`: at least one; `kept` (N, 3) uint8, colours that mean something, however rare: they
+    stay as they are, the first 192 of them. The other colours are those of the first picture, as
+    far as a palette of 256 has them.
     """
     from PIL import Image
 
@@ -100,15 +84,7 @@ def encode_gif(pictures: Sequence[Path], frames_per_second: float, kept: Colours
 
 
 def encode_mp4(pictures: Sequence[Path], frames_per_second: float) -> bytes:
-    """Return pictures as the content of an MP4 file, H.264 as browsers show it.
-
-    Raises
-    ------
-    UsageError
-        If ffmpeg is not installed.
-    OutputError
-        If it fails.
-    """
+    """Return pictures as the content of an MP4 file, H.264 as browsers show it."""
     made_of = frames(pictures)
     first = next(made_of)
     size = f"{first.width}x{first.height}"

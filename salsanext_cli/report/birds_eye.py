@@ -26,23 +26,12 @@ GRID_M = 10.0
 def raster(points: Float, colours: Colours, reach: float, size: int, spread: int = 1) -> Colours:
     """Draw points as seen from above; a higher point hides a lower one.
 
-    Parameters
-    ----------
-    points : (N, 3) float32
-        Metres, sensor frame: x forward, y left, z up. NaN and infinity are left out.
-    colours : (N, 3) uint8
-        Red, green, blue of every point.
-    reach : float
-        Distance in metres from the sensor, in the middle, to an edge.
-    size : int
-        Height and width in pixels.
-    spread : int
-        Height and width of a point in pixels.
+    `points` (N, 3) float32, metres, sensor frame: x forward, y left, z up. NaN and infinity are
+    left out; `colours` (N, 3) uint8, red, green, blue of every point; `reach`: distance in metres
+    from the sensor, in the middle, to an edge; `size`: height and width in pixels; `spread`: height
+    and width of a point in pixels.
 
-    Returns
-    -------
-    (size, size, 3) uint8
-        x points up, y to the left.
+    Returns (size, size, 3) uint8, x points up, y to the left.
     """
     finite = np.flatnonzero(np.isfinite(points).all(axis=1))
     order = finite[np.argsort(points[finite, 2], kind="stable")]
@@ -63,19 +52,9 @@ def draw_view(
 ) -> None:
     """Draw a scan from above at a place of a figure, with circles every `GRID_M` metres.
 
-    Parameters
-    ----------
-    figure : Figure
-    points : (N, 3) float32
-        Metres, sensor frame.
-    title : str
-        Text above the view, `TITLE_PX` high.
-    colours : (N, 3) uint8
-        Red, green, blue of every point.
-    left, top : int
-        Place of its upper left corner, in pixels.
-    size : int
-        Height and width of the view below the title, in pixels.
+    `points` (N, 3) float32, metres, sensor frame; `title`: text above the view, `TITLE_PX` high;
+    `colours` (N, 3) uint8, red, green, blue of every point; `left`, `top`: place of its upper left
+    corner, in pixels; `size`: height and width of the view below the title, in pixels.
     """
     canvas.text_at(figure, left, top + TITLE_PX // 2, title, 18)
     axes = canvas.axes_at(figure, left, top + TITLE_PX, size, size)

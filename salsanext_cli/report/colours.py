@@ -61,17 +61,9 @@ def error_colours(
 ) -> Colours:
     """Return `RIGHT`, `WRONG`, or `EMPTY` where the truth is ignored.
 
-    Parameters
-    ----------
-    truth, predicted : integer, same shape
-        Train ids.
-    space : LabelSpace
-        Label space with the ignored classes.
+    `truth`, `predicted`: train ids; `space`: label space with the ignored classes.
 
-    Returns
-    -------
-    (…, 3) uint8
-        Red, green, blue.
+    Returns (…, 3) uint8, red, green, blue.
     """
     place = np.where(space.scored[truth], 1 + (truth != predicted), 0)
     colours: Colours = OUTCOMES[place]
@@ -81,15 +73,9 @@ def error_colours(
 def value_range(values: npt.NDArray[Any]) -> tuple[float, float]:
     """Return the lowest and highest value that a colour scale should span.
 
-    Parameters
-    ----------
-    values : float, any shape
-        Values to colour; NaN and infinity are left out.
+    `values`: values to colour; NaN and infinity are left out.
 
-    Returns
-    -------
-    tuple of float
-        The 1st and the 99th percentile; (0, 1) without values.
+    Returns tuple of float, the 1st and the 99th percentile; (0, 1) without values.
     """
     finite = values[np.isfinite(values)]
     if not finite.size:
@@ -101,15 +87,9 @@ def value_range(values: npt.NDArray[Any]) -> tuple[float, float]:
 def on_dark(colours: npt.ArrayLike) -> Colours:
     """Mix colours with white that are too dark to be seen on `EMPTY`; leave the others.
 
-    Parameters
-    ----------
-    colours : (N, 3) uint8
-        Red, green, blue.
+    `colours` (N, 3) uint8, red, green, blue.
 
-    Returns
-    -------
-    (N, 3) uint8
-        With a contrast to `EMPTY` of `LEAST_CONTRAST` or more.
+    Returns (N, 3) uint8, with a contrast to `EMPTY` of `LEAST_CONTRAST` or more.
     """
     white = np.linspace(0, 1, 256)[:, None, None]
     mixed = np.rint((1 - white) * np.asarray(colours) + white * 255)
@@ -233,19 +213,11 @@ def value_colours(
 ) -> Colours:
     """Colour values by a perceptually uniform map.
 
-    Parameters
-    ----------
-    values : float, any shape
-        Values; those beyond the scale get the colour of its end, NaN gets `EMPTY`.
-    low, high : float
-        The values at the two ends of the scale.
-    colour_map : (256, 3) uint8, optional
-        Otherwise `map_on_dark`, that of pictures.
+    `values`: values; those beyond the scale get the colour of its end, NaN gets `EMPTY`; `low`,
+    `high`: the values at the two ends of the scale; `colour_map` (256, 3) uint8, optional,
+    otherwise `map_on_dark`, that of pictures.
 
-    Returns
-    -------
-    (…, 3) uint8
-        Red, green, blue.
+    Returns (…, 3) uint8, red, green, blue.
     """
     span = high - low if high > low else 1.0
     share = np.clip((values.astype(np.float64) - low) / span, 0, 1)
@@ -271,23 +243,12 @@ def legend_of(space: LabelSpace, *labels: npt.NDArray[Any]) -> Legend:
 
 @dataclass(frozen=True, slots=True)
 class PointColours:
-    """Colouring of points, the same for all scans of a run.
+    """Colouring of points, the same for all scans of a run."""
 
-    Attributes
-    ----------
-    colour : str
-        One of `COLOURS`, "uncertainty" aside.
-    scale : pair of float
-        Values at the ends of the colour map, for colours that are values.
-    space : LabelSpace
-        Colours of the classes.
-    dark : bool
-        Whether they are seen on `EMPTY`, in a picture, and not in a file for other tools.
-    """
-
-    colour: str
-    scale: tuple[float, float]
-    space: LabelSpace
+    colour: str  # One of `COLOURS`, "uncertainty" aside
+    scale: tuple[float, float]  # Values at the ends of the colour map, for colours that are values
+    space: LabelSpace  # Colours of the classes
+    # Whether they are seen on `EMPTY`, in a picture, and not in a file for other tools
     dark: bool = False
 
     @property

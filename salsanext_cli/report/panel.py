@@ -35,24 +35,12 @@ STRIP_HEIGHT_PX = 128
 
 @dataclass(frozen=True, slots=True)
 class Strip:
-    """A picture of a range image with its title, and a colour bar if it shows values.
+    """A picture of a range image with its title, and a colour bar if it shows values."""
 
-    Attributes
-    ----------
-    title : str
-        Text above the picture.
-    picture : (H, W, 3) uint8
-        Red, green, blue of every pixel; row 0 is the highest beam.
-    scale : pair of float, optional
-        Values at the ends of its colour bar.
-    unit : str
-        Unit of these values.
-    """
-
-    title: str
-    picture: Colours
-    scale: tuple[float, float] | None = None
-    unit: str = ""
+    title: str  # Text above the picture
+    picture: Colours  # (H, W, 3) uint8: red, green, blue of every pixel; row 0 is the highest beam
+    scale: tuple[float, float] | None = None  # Values at the ends of its colour bar
+    unit: str = ""  # Unit of these values
 
 
 def coloured_strip(image: RangeImage, title: str, colours: Colours) -> Strip:
@@ -73,15 +61,9 @@ def range_strip(image: RangeImage) -> Strip:
 def draw_strips(figure: Figure, strips: Sequence[Strip], top: int, width: int) -> None:
     """Draw strips below each other, with titles and colour bars, from `MARGIN_PX` on the left.
 
-    Parameters
-    ----------
-    figure : Figure
-    strips : sequence of Strip
-        From top to bottom; each takes `TITLE_PX` and `STRIP_HEIGHT_PX`.
-    top : int
-        Place of the first title, in pixels.
-    width : int
-        Width of a strip in pixels; `BAR_PX` on its right are for the bar.
+    `strips`: from top to bottom; each takes `TITLE_PX` and `STRIP_HEIGHT_PX`; `top`: place of the
+    first title, in pixels; `width`: width of a strip in pixels; `BAR_PX` on its right are for the
+    bar.
     """
     for strip in strips:
         canvas.text_at(figure, MARGIN_PX, top + TITLE_PX // 2 + 2, strip.title, 18)

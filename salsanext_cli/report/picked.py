@@ -44,18 +44,11 @@ NO_CLASS = 255
 
 @dataclass(frozen=True, slots=True)
 class Preview:
-    """Classes and uncertainty of a scan, small enough to be sent and kept.
+    """Classes and uncertainty of a scan, small enough to be sent and kept."""
 
-    Attributes
-    ----------
-    classes : (H, W) uint8
-        Train ids, `NO_CLASS` where empty; at most `STRIP_WIDTH_PX` columns.
-    uncertainty : (H, W) float32
-        NaN where empty.
-    """
-
+    # (H, W) uint8: train ids, `NO_CLASS` where empty; at most `STRIP_WIDTH_PX` columns
     classes: TrainIds
-    uncertainty: Float
+    uncertainty: Float  # (H, W) float32: NaN where empty
 
     @classmethod
     def of(cls, found: ScanLabels) -> "Preview":
@@ -82,17 +75,8 @@ def picked_cloud(found: ScanLabels, space: LabelSpace) -> bytes:
 def reason(choice: Choice, rank: int, strategy: str, scans: int, nearest: str | None) -> str:
     """Say in words why a scan was picked.
 
-    Parameters
-    ----------
-    choice : Choice
-    rank : int
-        From 1.
-    strategy : str
-        One of `scan_choice.STRATEGIES`.
-    scans : int
-        Number of scans to choose from.
-    nearest : str, optional
-        Name of the nearest scan picked before.
+    `rank`: from 1; `strategy`: one of `scan_choice.STRATEGIES`; `scans`: number of scans to choose
+    from; `nearest`: name of the nearest scan picked before.
     """
     if scans == 1:
         return "the only scan"
@@ -160,14 +144,8 @@ def picked_sheet(
 ) -> bytes:
     """Return a PNG: classes and uncertainty of each picked scan, with its rank and the reason.
 
-    Parameters
-    ----------
-    picked : sequence of PickedScan
-        The first `MAX_ON_SHEET` are drawn.
-    previews : sequence of Preview
-        Of the same scans.
-    space : LabelSpace
-        Of the classes.
+    `picked`: the first `MAX_ON_SHEET` are drawn; `previews`: of the same scans; `space`: of the
+    classes.
     """
     drawn = list(zip(picked, previews, strict=True))[:MAX_ON_SHEET]
     low, high = value_range(np.concatenate([p.uncertainty.ravel() for _, p in drawn]))

@@ -30,12 +30,8 @@ BEST_COLOUR = "#b3472f"
 def iou_bars(result: Scores, space: LabelSpace) -> bytes:
     """Draw the IoU of every class as a bar in the class's colour, as a PNG.
 
-    Parameters
-    ----------
-    result : Scores
-        Scores to draw; a class that is absent from the truth has no bar.
-    space : LabelSpace
-        Colours of the classes.
+    `result`: scores to draw; a class that is absent from the truth has no bar; `space`: colours of
+    the classes.
     """
     height = ROW_PX * len(result.classes)
     title = f"{result.points:,} labelled points · accuracy {percent(result.accuracy, 1, ' %')}"
@@ -71,12 +67,8 @@ def iou_bars(result: Scores, space: LabelSpace) -> bytes:
 def confusion_picture(confusion: Confusion, space: LabelSpace) -> bytes:
     """Draw the confusion matrix, each row in percent of its true class, as a PNG.
 
-    Parameters
-    ----------
-    confusion : Confusion
-        Counts over the train ids of `space`.
-    space : LabelSpace
-        Names of the classes; ignored ones have a column, but no row.
+    `confusion`: counts over the train ids of `space`; `space`: names of the classes; ignored ones
+    have a column, but no row.
     """
     import matplotlib
 

@@ -30,13 +30,7 @@ LogScan = Callable[[int, str, Float, Columns], None]
 
 
 def import_rerun() -> Any:
-    """Import rerun-sdk, with a module that older versions lack.
-
-    Raises
-    ------
-    MissingDependency
-        If it is not installed.
-    """
+    """Import rerun-sdk, with a module that older versions lack."""
     rerun = import_extra("rerun", "rerun")
     import_extra("rerun.chunk", "rerun")
     return rerun
@@ -48,23 +42,9 @@ def recording(
 ) -> Iterator[LogScan]:
     """Write a recording to a new file, which is open, while the body logs scans.
 
-    Parameters
-    ----------
-    file : BinaryIO
-        The file; nothing else is written to it.
-    name : str
-        Name of the recording in the viewer.
-    colourings : mapping of str to PointColours
-        Scalar columns that scans may have, and their colours. Each is a view.
-    space : LabelSpace
-        Names and colours of the classes.
-
-    Raises
-    ------
-    OSError
-        If not all of it could be written.
-    UsageError
-        If the environment turns rerun-sdk off.
+    `file`: the file; nothing else is written to it; `name`: name of the recording in the viewer;
+    `colourings`: scalar columns that scans may have, and their colours. Each is a view; `space`:
+    names and colours of the classes.
     """
     rerun = import_rerun()
     stream = rerun.RecordingStream("salsanext", send_properties=False)

@@ -31,18 +31,9 @@ def common_scales(
 ) -> Scales:
     """Find what most points of some evenly spaced scans span.
 
-    Parameters
-    ----------
-    out : Path
-        Output folder of earlier stages.
-    scans : sequence of ScanFile
-        Those of the run.
-    colours : iterable of str
-        Of `COLOURINGS`; classes have no scale and are left out.
-    space : LabelSpace
-        Classes of the labels.
-    sensor : Sensor
-        What distances are measured from.
+    `out`: output folder of earlier stages; `scans`: those of the run; `colours`: of `COLOURINGS`;
+    classes have no scale and are left out; `space`: classes of the labels; `sensor`: what distances
+    are measured from.
     """
     values: dict[str, list[npt.NDArray[Any]]] = {}
     sampled: dict[ScanFile, list[str]] = {}

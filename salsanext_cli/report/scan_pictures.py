@@ -53,25 +53,12 @@ def picture_of_results(
 ) -> bytes:
     """Draw a scan and its results.
 
-    Parameters
-    ----------
-    name : str
-        Name of the scan, for the heading.
-    results : ScanResults
-        The scan and what is known of it.
-    space : LabelSpace
-        Meaning of the labels.
-    sensor : Sensor
-        Sensor of the range image.
-    scales : dict of str to pair of float
-        Values at the ends of the colour map, by colour.
-    views, strips : collection of str
-        Of `COLOURINGS`, all known: those seen from above, and those of the range image.
+    `name`: name of the scan, for the heading; `results`: the scan and what is known of it; `space`:
+    meaning of the labels; `sensor`: sensor of the range image; `scales`: values at the ends of the
+    colour map, by colour; `views`, `strips`: of `COLOURINGS`, all known: those seen from above, and
+    those of the range image.
 
-    Returns
-    -------
-    bytes
-        A PNG.
+    Returns a PNG.
     """
     columns = scalar_columns(results, space)
     image = project(results.scan, sensor)
@@ -120,20 +107,9 @@ def scan_picture(
 ) -> bytes:
     """Draw a scan from above and its strips below that, as a PNG.
 
-    Parameters
-    ----------
-    heading : str
-        First line.
-    points : (N, 3) float32
-        Metres, sensor frame.
-    views : mapping of str to (N, 3) uint8
-        Colours of the points from above, by title.
-    strips : sequence of Strip
-        From top to bottom.
-    legend : list of (name, colour)
-        Entries of the legend at the bottom.
-    absent : collection of str
-        Entries that the picture does not show.
+    `heading`: first line; `points` (N, 3) float32, metres, sensor frame; `views`: colours of the
+    points from above, by title; `strips`: from top to bottom; `legend`: entries of the legend at
+    the bottom; `absent`: entries that the picture does not show.
     """
     width = NARROW_PX if len(views) == 1 else WIDTH_PX
     in_row = max(1, min(len(views), MAX_IN_A_ROW))

@@ -153,10 +153,7 @@ def rate_table(rates: Sequence[float], objectives: Sequence[float], best: float)
 def moved_table(layers: Sequence[Mapping[str, Any]]) -> Table:
     """Return a table of how far batch norms moved, by the part of the network that they are in.
 
-    Parameters
-    ----------
-    layers : sequence of mapping
-        `layer`, its name, `shift` in old standard deviations, and `variance_ratio`.
+    `layers`: `layer`, its name, `shift` in old standard deviations, and `variance_ratio`.
     """
     numbers = ("layers", "mean moved by, σ", "variance, new / old")
     table = number_table("part", *numbers, title="Batch norm")

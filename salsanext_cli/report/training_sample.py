@@ -25,19 +25,9 @@ def draw_sample(out: BinaryIO, file: ScanFile, network: Network) -> Colours:
 
     It is quick to draw: strips without text.
 
-    Parameters
-    ----------
-    out : BinaryIO
-        An open file.
-    file : ScanFile
-        The scan.
-    network : Network
-        Network to predict it with, as `predict` does.
+    `out`: an open file; `file`: the scan; `network`: network to predict it with, as `predict` does.
 
-    Returns
-    -------
-    (4·3·H + gaps, W, 3) uint8
-        The picture.
+    Returns (4·3·H + gaps, W, 3) uint8, the picture.
     """
     from matplotlib.image import imsave  # a second to import, and only this needs it
 

@@ -171,12 +171,8 @@ def _main_plot(title: str, height: int = HEIGHT) -> tuple[Figure, Axes]:
 def class_uncertainty(result: RankingResult, space: LabelSpace) -> bytes:
     """Draw the mean uncertainty of each class against its number of points, as a PNG.
 
-    Parameters
-    ----------
-    result : RankingResult
-        Result for epistemic uncertainty; a class that is absent has no dot.
-    space : LabelSpace
-        Names and colours of the classes.
+    `result`: result for epistemic uncertainty; a class that is absent has no dot; `space`: names
+    and colours of the classes.
     """
     present = {i: scores for i, scores in result.classes.items() if scores.points}
     points = np.array([scores.points for scores in present.values()], np.float64)

@@ -18,26 +18,14 @@ from salsanext_cli.results.sources import MissingResults, missing_results, recor
 
 @dataclass(frozen=True, slots=True)
 class ChosenResults:
-    """Scans with results, and those that lack them.
+    """Scans with results, and those that lack them."""
 
-    Attributes
-    ----------
-    scans : list of ScanFile
-        With labels or an uncertainty, at least one.
-    space : LabelSpace
-        Classes of their labels.
-    labels : LabelSpace
-        Meaning of the raw ids of the truth, which may have its own for these classes.
-    missing : MissingResults
-        The other scans of the selection.
-    recorded : list of ScanFile
-        All scans of the sequences that there are results of, as `recorded_scans` finds them.
-    """
-
-    scans: list[ScanFile]
-    space: LabelSpace
+    scans: list[ScanFile]  # With labels or an uncertainty, at least one
+    space: LabelSpace  # Classes of their labels
+    # Meaning of the raw ids of the truth, which may have its own for these classes
     labels: LabelSpace
-    missing: MissingResults
+    missing: MissingResults  # The other scans of the selection
+    # All scans of the sequences that there are results of, as `recorded_scans` finds them
     recorded: list[ScanFile]
 
 
@@ -52,16 +40,7 @@ def choose_results(
 
     A limit is of scans with results.
 
-    Parameters
-    ----------
-    out, selection, dataset, space, classes
-        As for `predictions.predicted_scans`.
-
-    Raises
-    ------
-    SalsanextError
-        As of `predictions.predicted_scans`, and if labels and uncertainties are of different
-        weights.
+    `out`, `selection`, `dataset`, `space`, `classes`: as for `predictions.predicted_scans`.
     """
     recorded = recorded_scans(out, dataset)
     given, space = space, space_of_results(out, recorded, space, classes, own_ids=True)

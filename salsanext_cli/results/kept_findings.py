@@ -17,16 +17,9 @@ def keep_findings(
 ) -> dict[str, list[Texts]]:
     """Keep what a run found in an output folder; return what earlier runs found of other scans.
 
-    Parameters
-    ----------
-    out : Path
-        The output folder.
-    stage : str
-        The stage.
-    found : mapping of str to list of tuples
-        Code, message and remedy of each finding, by the name of the scan.
-    looked_at : collection of str
-        Names of all scans that the run has looked at; what earlier runs found of them is outdated.
+    `out`: the output folder; `stage`: the stage; `found`: code, message and remedy of each finding,
+    by the name of the scan; `looked_at`: names of all scans that the run has looked at; what
+    earlier runs found of them is outdated.
     """
     path = _path(out, stage)
     with records_lock(out):

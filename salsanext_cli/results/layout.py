@@ -49,21 +49,11 @@ SCAN_FOLDER = "velodyne"
 
 @dataclass(frozen=True, slots=True)
 class ScanFile:
-    """One scan on disk.
+    """One scan on disk."""
 
-    Attributes
-    ----------
-    sequence : str
-        Name of the sequence it belongs to.
-    stem : str
-        File name without suffix; unique within the sequence.
-    path : Path
-        The file, absolute; of a scan in a recording, the recording with topic and time.
-    """
-
-    sequence: str
-    stem: str
-    path: Path
+    sequence: str  # Name of the sequence it belongs to
+    stem: str  # File name without suffix; unique within the sequence
+    path: Path  # The file, absolute; of a scan in a recording, the recording with topic and time
 
     @property
     def label_path(self) -> Path:
@@ -79,22 +69,10 @@ class ScanFile:
 def find_scans(source: Path, sequences: Collection[str] | None = None) -> list[ScanFile]:
     """Find scans, sorted by sequence and stem.
 
-    Parameters
-    ----------
-    source : Path
-        A scan, a folder of scans, a sequence folder (holding ``velodyne/``), a data set root
-        (holding ``sequences/``), or that ``sequences`` folder itself. Hidden files are left out.
-        Files of `TABLE_SUFFIXES` are scans only in a folder without others. A recording, or a topic
-        in it.
-    sequences : collection of str, optional
-        Names of the sequences wanted; "8" also means "08".
-
-    Raises
-    ------
-    NoInputError
-        If the source does not exist or holds no scans, or a wanted sequence is missing.
-    OutputError
-        If two scans of a sequence have one stem, so that their results would overwrite each other.
+    `source`: a scan, a folder of scans, a sequence folder (holding ``velodyne/``), a data set root
+    (holding ``sequences/``), or that ``sequences`` folder itself. Hidden files are left out. Files
+    of `TABLE_SUFFIXES` are scans only in a folder without others. A recording, or a topic in it;
+    `sequences`: names of the sequences wanted; "8" also means "08".
     """
     try:
         if not source.is_dir() and recording_of(_absolute(source)) is None:
@@ -136,13 +114,7 @@ def _scans_of(path: Path) -> Iterator[ScanFile]:
 
 
 def require_none_hidden(root: Path) -> None:
-    """Refuse to write sequences with scans into a folder in which other scans are found.
-
-    Raises
-    ------
-    OutputError
-        If these would not be found beside ``sequences`` any more.
-    """
+    """Refuse to write sequences with scans into a folder in which other scans are found."""
     place = _absolute(root)
     first = next(_scans_of(place), None) if place.is_dir() else None
     if first is None or scan_suffix(first.path.name) in TABLE_SUFFIXES:
@@ -188,13 +160,7 @@ def _sequence_of(folder: Path) -> str:
 def of_sequences(
     scans: list[ScanFile], sequences: Collection[str], source: object
 ) -> list[ScanFile]:
-    """Choose the scans of some sequences; "8" also means "08".
-
-    Raises
-    ------
-    NoInputError
-        If one of the sequences has no scans; `source` is named.
-    """
+    """Choose the scans of some sequences; "8" also means "08"."""
     existing = {scan.sequence for scan in scans}
     chosen: set[str] = set()
     for name in sequences:
@@ -230,19 +196,8 @@ def _require_unique_stems(scans: list[ScanFile]) -> None:
 def output_path(out: Path, sequence: str, folder: str, stem: str) -> Path:
     """Return where a stage keeps the result of one scan.
 
-    Parameters
-    ----------
-    out : Path
-        The output folder.
-    sequence, stem : str
-        Of the scan.
-    folder : str
-        A key of `SUFFIX_OF_FOLDER`.
-
-    Raises
-    ------
-    OutputError
-        If a name would lead out of the output folder.
+    `out`: the output folder; `sequence`, `stem`: of the scan; `folder`: a key of
+    `SUFFIX_OF_FOLDER`.
     """
     for name in (sequence, stem):
         if name in ("", ".", "..") or "\0" in name or Path(name).name != name:
@@ -253,12 +208,8 @@ def output_path(out: Path, sequence: str, folder: str, stem: str) -> Path:
 def find_outputs(out: Path, folder: str) -> dict[tuple[str, str], Path]:
     """Return the results in one folder of every sequence by sequence and stem, sorted.
 
-    Parameters
-    ----------
-    out : Path
-        The output folder; nothing is found where it does not exist.
-    folder : str
-        A key of `SUFFIX_OF_FOLDER`.
+    `out`: the output folder; nothing is found where it does not exist; `folder`: a key of
+    `SUFFIX_OF_FOLDER`.
     """
     if not present(out / "sequences"):
         return {}

@@ -26,24 +26,13 @@ from salsanext_cli.results.written_files import WrittenFiles
 
 @dataclass(frozen=True, slots=True)
 class OutputRun:
-    """One run of a stage in an output folder; small enough to be sent to other processes.
-
-    Attributes
-    ----------
-    out : Path
-        The output folder.
-    folders : tuple of str
-        Folders of results that a scan is given, keys of `SUFFIX_OF_FOLDER`.
-    overwrite : bool
-        Whether results that are there are made again.
-    kept : frozenset of Path
-        Results that are there, but not as salsanext wrote them, of scans that lack a result or
-        have one of other settings: they are never replaced.
-    """
+    """One run of a stage in an output folder; small enough to be sent to other processes."""
 
     out: Path
-    folders: tuple[str, ...]
-    overwrite: bool = False
+    folders: tuple[str, ...]  # Folders of results that a scan is given, keys of `SUFFIX_OF_FOLDER`
+    overwrite: bool = False  # Whether results that are there are made again
+    # Results that are there, but not as salsanext wrote them, of scans that lack a result or have
+    # one of other settings: they are never replaced
     kept: frozenset[Path] = frozenset()
 
     def path(self, file: ScanFile, folder: str) -> Path:
@@ -98,31 +87,12 @@ def output_run(
     While the body runs, other runs with the same settings may work beside it, and none with
     others may remove its results.
 
-    Parameters
-    ----------
-    out : Path
-        The output folder.
-    stage : str
-        Its name on the command line.
-    settings : mapping
-        Resolved settings, JSON-able, that decide what the results are.
-    folders : iterable of str
-        The folders of results that the stage fills.
-    scans : sequence of ScanFile
-        What it works on.
-    overwrite : bool
-        Whether other settings may replace those recorded; results made with them are removed, if
-        salsanext wrote them and they are unchanged since.
-    record_scans : bool
-        Whether to record where the scans lie and that they were asked for; not for a stage that
-        works on what an earlier one recorded.
-
-    Raises
-    ------
-    OutputError
-        If the folder holds results of other settings, or of another stage, and `overwrite` is
-        not set, or another run is making them now; if a sequence of the same name came from
-        elsewhere; or if it cannot be written. At the end, if it was removed meanwhile.
+    `out`: the output folder; `stage`: its name on the command line; `settings`: resolved settings,
+    JSON-able, that decide what the results are; `folders`: the folders of results that the stage
+    fills; `scans`: what it works on; `overwrite`: whether other settings may replace those
+    recorded; results made with them are removed, if salsanext wrote them and they are unchanged
+    since; `record_scans`: whether to record where the scans lie and that they were asked for; not
+    for a stage that works on what an earlier one recorded.
     """
     # A contradiction of the scans themselves is an error before a folder is made.
     sources = scan_sources(out, scans) if record_scans else {}

@@ -43,27 +43,10 @@ def predicted_scans(
 ) -> tuple[list[ScanFile], LabelSpace]:
     """Find the scans whose predictions an output folder holds, and the classes to compare.
 
-    Parameters
-    ----------
-    out : Path
-        Output folder of `predict` or `knn-refine`.
-    selection : ScanSelection
-        Which of them.
-    dataset : Path, optional
-        Where the scans and labels are, if not where the scans came from.
-    space : LabelSpace, optional
-        Of the labels; otherwise that of the scans' data set, else the one recorded in `out`.
-    classes : LabelSpace, optional
-        Into whose classes those of labels and predictions are merged.
-
-    Raises
-    ------
-    NoInputError
-        If there are none.
-    LabelError
-        If predictions and labels speak of different classes.
-    UsageError
-        If the classes are not merged ones of both.
+    `out`: output folder of `predict` or `knn-refine`; `selection`: which of them; `dataset`: where
+    the scans and labels are, if not where the scans came from; `space`: of the labels; otherwise
+    that of the scans' data set, else the one recorded in `out`; `classes`: into whose classes those
+    of labels and predictions are merged.
     """
     scans = recorded_scans(out, dataset)
     space = space_of_results(out, scans, space, classes, own_ids=True)
@@ -92,21 +75,8 @@ def space_of_results(
     or those that both are to be merged into. The splits are those of the labels; there may be
     none, as `selection.with_splits` mends.
 
-    Parameters
-    ----------
-    out, space, classes
-        As for `predicted_scans`.
-    scans : list of ScanFile
-        All scans of the predictions.
-    own_ids : bool
-        Whether labels may have raw ids of their own for classes of the same names.
-
-    Raises
-    ------
-    LabelError
-        If predictions and labels speak of different classes.
-    UsageError
-        If the classes are not merged ones of both.
+    `out`, `space`, `classes`: as for `predicted_scans`; `scans`: all scans of the predictions;
+    `own_ids`: whether labels may have raw ids of their own for classes of the same names.
     """
     recorded = recorded_label_space(out)
     space = space or space_of(scans, recorded)

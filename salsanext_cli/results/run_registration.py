@@ -36,19 +36,8 @@ def records_lock(out: Path) -> Iterator[None]:
 def register_run(wanted: StageRecord, out: Path, overwrite: bool) -> StageRecord:
     """Bring the records of a folder, and its results, to what a run wants, under `records_lock`.
 
-    Parameters
-    ----------
-    wanted : StageRecord
-        What the run would record.
-    out : Path
-        The output folder.
-    overwrite : bool
-        Whether results of other settings or stages may be removed.
-
-    Raises
-    ------
-    OutputError
-        If there are such results and they may not be removed, or another run is making them now.
+    `wanted`: what the run would record; `out`: the output folder; `overwrite`: whether results of
+    other settings or stages may be removed.
     """
     stage, recorded = wanted.stage, read_record(out, wanted.stage)
     before = recorded or StageRecord(stage, wanted.settings)

@@ -73,14 +73,7 @@ def require_known(path: Path) -> None:
 def log_passed_over(source: Path, folders: Iterable[Path], scans: Collection[str]) -> None:
     """Log how many files of folders are passed over, by suffix; in detail their names.
 
-    Parameters
-    ----------
-    source : Path
-        Subject of the message.
-    folders : iterable of Path
-        Folders of scans.
-    scans : collection of str
-        File names of the scans.
+    `source`: subject of the message; `folders`: folders of scans; `scans`: file names of the scans.
     """
     left = []
     for folder in folders:

@@ -30,27 +30,17 @@ FOLDERS = ("predictions", *(f"uncertainty/{kind}" for kind in UNCERTAINTY))
 
 @dataclass(frozen=True, slots=True)
 class ScanResults:
-    """A scan and what is known about it.
+    """A scan and what is known about it."""
 
-    Attributes
-    ----------
-    scan : Scan
-        N points.
-    label, truth : (N,) uint32 or None
-        Raw ids, predicted and given, without instances.
-    uncertainty : dict of str to (N,) float32
-        By kind; only kinds that were computed.
-    sensor : Sensor, optional
-        That the distances are measured from; otherwise it is the origin of the points.
-    rejected : (N,) bool or None
-        Points whose label was taken away by `rejecting`.
-    """
-
-    scan: Scan
+    scan: Scan  # N points
+    # (N,) uint32 or None: raw ids, predicted and given, without instances
     label: RawIds | None = None
     truth: RawIds | None = None
+    # By kind; only kinds that were computed
     uncertainty: dict[str, Float] = field(default_factory=dict)
+    # That the distances are measured from; otherwise it is the origin of the points
     sensor: Sensor | None = None
+    # (N,) bool or None: points whose label was taken away by `rejecting`
     rejected: npt.NDArray[np.bool_] | None = None
 
     @property
@@ -102,11 +92,6 @@ def read_results(
 
     Predicted classes that are merged into `classes` get their raw ids. The truth is read if
     `truth_in` has the label space of its ids and that to show it in, whose raw ids it gets.
-
-    Raises
-    ------
-    FormatError, LabelError
-        If a file is damaged or belongs to another scan, or the truth is of another label space.
     """
     scan = read_scan(file.path, sensor)
     count = len(scan)

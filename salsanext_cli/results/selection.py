@@ -27,21 +27,11 @@ Item = TypeVar("Item")
 
 @dataclass(frozen=True, slots=True)
 class ScanSelection:
-    """Selection among the scans that are found.
+    """Selection among the scans that are found."""
 
-    Attributes
-    ----------
-    split : str, optional
-        A split of the label space: only its sequences.
-    sequences : tuple of str
-        Names of sequences; empty for all.
-    limit : int, optional
-        At most so many scans, the first ones.
-    """
-
-    split: str | None = None
-    sequences: tuple[str, ...] = ()
-    limit: int | None = None
+    split: str | None = None  # A split of the label space: only its sequences
+    sequences: tuple[str, ...] = ()  # Names of sequences; empty for all
+    limit: int | None = None  # At most so many scans, the first ones
 
     def __post_init__(self) -> None:
         if self.split is not None and self.sequences:
@@ -64,21 +54,8 @@ def select_scans(
 ) -> list[ScanFile]:
     """Find the scans of a source and choose among them.
 
-    Parameters
-    ----------
-    source : Path
-        What `layout.find_scans` takes.
-    selection : ScanSelection
-        Split, sequences and limit.
-    space : LabelSpace, optional
-        Whose splits count if the source does not bring its own label space.
-
-    Raises
-    ------
-    NoInputError
-        If nothing is left.
-    UsageError
-        If the split does not exist.
+    `source`: what `layout.find_scans` takes; `selection`: split, sequences and limit; `space`:
+    whose splits count if the source does not bring its own label space.
     """
     scans = scans_of(source)
     return choose(scans, selection, space_of(scans, space), source)
@@ -91,13 +68,6 @@ def choose(
 
     A split cannot choose where no split names any of the sequences, as in a folder of one's own:
     then all stay, and a warning says so.
-
-    Raises
-    ------
-    NoInputError
-        If nothing is left; `source` is named.
-    UsageError
-        If the split does not exist.
     """
     if selection.sequences:
         scans = of_sequences(scans, selection.sequences, source)
@@ -156,11 +126,6 @@ def completed(space: LabelSpace, root: Path) -> LabelSpace:
     """Return a label space with what it leaves to the one that a data set describes in its root.
 
     These are the splits, if it has none, and the alternatives of classes that it merges.
-
-    Raises
-    ------
-    UsageError
-        If it has no splits and those of the data set cannot be read.
     """
     try:
         own = data_set_label_space(root)

@@ -32,19 +32,12 @@ log = logging.getLogger(__name__)
 
 @dataclass(frozen=True, slots=True)
 class MissingResults:
-    """Scans without results.
+    """Scans without results."""
 
-    Attributes
-    ----------
-    scans : tuple of ScanFile
-        Those that a stage was asked for: it failed, was interrupted, or its results were deleted.
-        All, where no stage recorded what it was asked for.
-    not_asked_for : int
-        Number of the others, which were left out on purpose.
-    """
-
+    # Those that a stage was asked for: it failed, was interrupted, or its results were deleted.
+    # All, where no stage recorded what it was asked for
     scans: tuple[ScanFile, ...] = ()
-    not_asked_for: int = 0
+    not_asked_for: int = 0  # Number of the others, which were left out on purpose
 
     def log_error(self, count: int, what: str) -> None:
         """Log how many of so many scans lack what they should have."""
@@ -57,14 +50,7 @@ class MissingResults:
 
 
 def scan_sources(out: Path, scans: Iterable[ScanFile]) -> dict[str, ScanSource]:
-    """Return where scans lie and their stems, by sequence.
-
-    Raises
-    ------
-    OutputError
-        If a sequence of that name came from another folder, in this run or in an earlier one of
-        any stage: the results would overwrite each other.
-    """
+    """Return where scans lie and their stems, by sequence."""
     known: dict[str, str] = {}
     for record in read_records(out).values():
         known |= {sequence: source.folder for sequence, source in record.scans.items()}
@@ -92,19 +78,8 @@ def recorded_scans(
     folder that the environment variable `DATASET_VARIABLE` names, else in the working folder.
     Results whose scan is not there any more are told.
 
-    Parameters
-    ----------
-    out : Path
-        The output folder.
-    dataset : Path, optional
-        Where to look instead of where the scans came from.
-    sequence : str, optional
-        Only the scans of this one.
-
-    Raises
-    ------
-    NoInputError
-        If there is no such folder, it holds no results, or a sequence's scans are not to be found.
+    `out`: the output folder; `dataset`: where to look instead of where the scans came from;
+    `sequence`: only the scans of this one.
     """
     there = {key for folder in SUFFIX_OF_FOLDER for key in find_outputs(out, folder)}
     wanted = {key for key in there if sequence in (None, key[0])}

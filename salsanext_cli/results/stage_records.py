@@ -25,42 +25,24 @@ RESULT_STAGES = (
 
 @dataclass(frozen=True, slots=True)
 class ScanSource:
-    """Scans of one sequence that a stage worked on.
+    """Scans of one sequence that a stage worked on."""
 
-    Attributes
-    ----------
-    folder : str
-        Where they lie, absolute.
-    stems : frozenset of str
-        Those that the stage was asked for in any of its runs, done or failed.
-    """
-
-    folder: str
-    stems: frozenset[str]
+    folder: str  # Where they lie, absolute
+    stems: frozenset[str]  # Those that the stage was asked for in any of its runs, done or failed
 
 
 @dataclass(frozen=True, slots=True)
 class StageRecord:
-    """Record of the runs of a stage, all with the same settings.
+    """Record of the runs of a stage, all with the same settings."""
 
-    Attributes
-    ----------
-    stage : str
-        Its name on the command line.
-    settings : dict
-        Resolved settings that decide what the results are, as JSON gives them back.
-    folders : tuple of str
-        Folders of results that the stage fills, keys of `SUFFIX_OF_FOLDER`.
-    scans : dict of str to ScanSource
-        By sequence; empty for a stage that works on what earlier ones recorded.
-    kept : frozenset of str
-        Results of other settings or origin that were not removed, as paths below the folder.
-    """
-
-    stage: str
+    stage: str  # Its name on the command line
+    # Resolved settings that decide what the results are, as JSON gives them back
     settings: dict[str, Any]
+    # Folders of results that the stage fills, keys of `SUFFIX_OF_FOLDER`
     folders: tuple[str, ...] = ()
+    # By sequence; empty for a stage that works on what earlier ones recorded
     scans: dict[str, ScanSource] = field(default_factory=dict)
+    # Results of other settings or origin that were not removed, as paths below the folder
     kept: frozenset[str] = frozenset()
 
     def write(self, out: Path) -> None:
@@ -77,13 +59,7 @@ class StageRecord:
 
 
 def read_record(out: Path, stage: str) -> StageRecord | None:
-    """Read the record of a stage, None if it did not run in this output folder.
-
-    Raises
-    ------
-    OutputError
-        If the record is damaged.
-    """
+    """Read the record of a stage, None if it did not run in this output folder."""
     path = out / f"{stage}.json"
     found = read_json(path)
     if found is None:
@@ -171,13 +147,7 @@ def recorded_weights(out: Path, folder: str) -> str | None:
 
 
 def scans_trained_on(out: Path) -> frozenset[str]:
-    """Return the digests of the scans that the weights behind the predictions were trained on.
-
-    Raises
-    ------
-    OutputError
-        If the record is damaged.
-    """
+    """Return the digests of the scans that the weights behind the predictions were trained on."""
     try:
         return frozenset(parted(_settings_of_network(out, "predictions").get("trained_on", "")))
     except ValueError as error:

@@ -30,15 +30,9 @@ States = dict[Path, set[tuple[int, int]]]
 
 @dataclass(frozen=True, slots=True)
 class WrittenFiles:
-    """Record of the files that salsanext wrote below a folder.
+    """Record of the files that salsanext wrote below a folder."""
 
-    Attributes
-    ----------
-    folder : Path
-        The folder; it need not exist.
-    """
-
-    folder: Path
+    folder: Path  # The folder; it need not exist
 
     @contextmanager
     def writing(self, path: Path, *, durable: bool = False) -> Iterator[BinaryIO]:
@@ -75,25 +69,13 @@ class WrittenFiles:
         ]
 
     def require_replaceable(self, paths: Iterable[Path]) -> None:
-        """Refuse to replace files that salsanext did not write, or that were changed since.
-
-        Raises
-        ------
-        OutputError
-            For the first of `others`.
-        """
+        """Refuse to replace files that salsanext did not write, or that were changed since."""
         if others := self.others(paths):
             found = "exists, and was not recorded by salsanext or was changed since"
             raise OutputError(others[0], found, remedy="move it, or use another folder")
 
     def remove(self, paths: Iterable[Path]) -> list[Path]:
-        """Remove some files if they are as salsanext wrote them; return those that are kept.
-
-        Raises
-        ------
-        OutputError
-            If the system refuses.
-        """
+        """Remove some files if they are as salsanext wrote them; return those that are kept."""
         paths = list(paths)
         kept = self.others(paths)
         for path in {*paths} - {*kept}:

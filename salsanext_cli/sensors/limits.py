@@ -66,10 +66,7 @@ def faults(sensor: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
 
     Only the first is meaningful: later ones take earlier values to be right.
 
-    Parameters
-    ----------
-    sensor : mapping
-        The fields of a `Sensor` by name.
+    `sensor`: the fields of a `Sensor` by name.
     """
     shown = {key: shortened(value) for key, value in sensor.items()}
     if not isinstance(sensor["name"], str):

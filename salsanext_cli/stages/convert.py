@@ -41,24 +41,9 @@ def convert(
     scan without points is left out, since a `.bin` file of it would be one without content.
     Intensities are those that stages read: bytes divided by 255, others as they are.
 
-    Parameters
-    ----------
-    recording : Path
-        A recording, or a topic in it.
-    folder : Path
-        Root of the data set.
-    every, limit : int
-        Take every so many scans only, the first one included, and then at most `limit`.
-    options : RunOptions
-        Workers, errors, overwriting and progress.
-
-    Raises
-    ------
-    SalsanextError
-        If nothing can be done at all; failures of single scans are in the outcome.
-    OutputError
-        If the folder of the sequence holds scans of something else, or a file that would be
-        replaced was changed or not written here.
+    `recording`: a recording, or a topic in it; `folder`: root of the data set; `every`, `limit`:
+    take every so many scans only, the first one included, and then at most `limit`; `options`:
+    workers, errors, overwriting and progress.
     """
     for name, value in {"--every": every, "--limit": 1 if limit is None else limit}.items():
         if value < 1:

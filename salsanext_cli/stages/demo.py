@@ -32,24 +32,12 @@ StepProgress = Callable[[str], AbstractContextManager[Progress | None]]
 
 @dataclass(frozen=True, slots=True)
 class Demonstration:
-    """Results of the demonstration.
+    """Results of the demonstration."""
 
-    Attributes
-    ----------
-    evaluation : Evaluation
-        Scores of the predictions.
-    pictures : tuple of Path
-        PNG files.
-    page : Path
-        The page of the run.
-    failures : tuple of Failure
-        Scans that a stage could not process.
-    """
-
-    evaluation: Evaluation
-    pictures: tuple[Path, ...]
-    page: Path
-    failures: tuple[Failure, ...]
+    evaluation: Evaluation  # Scores of the predictions
+    pictures: tuple[Path, ...]  # PNG files
+    page: Path  # The page of the run
+    failures: tuple[Failure, ...]  # Scans that a stage could not process
 
 
 def demo(
@@ -63,25 +51,9 @@ def demo(
 ) -> Demonstration:
     """Run every stage on a synthetic drive; existing results are kept unless overwriting.
 
-    Parameters
-    ----------
-    folder : Path
-        Folder of ``data/`` and ``out/``.
-    scans : int
-        Number of scans of the drive.
-    samples : int
-        Monte-Carlo passes per scan.
-    network : NetworkSettings
-        Weights and device.
-    options : RunOptions
-        Jobs, errors and overwriting.
-    bars : callable
-        Gives the progress of a step, by its name.
-
-    Raises
-    ------
-    SalsanextError
-        If a stage cannot be run.
+    `folder`: folder of ``data/`` and ``out/``; `scans`: number of scans of the drive; `samples`:
+    Monte-Carlo passes per scan; `network`: weights and device; `options`: jobs, errors and
+    overwriting; `bars`: gives the progress of a step, by its name.
     """
     data, out = folder / "data", folder / "out"
     estimator, valid = Estimator(samples=samples), ScanSelection(split="valid")

@@ -46,48 +46,23 @@ log = logging.getLogger(__name__)
 
 @dataclass(frozen=True, slots=True)
 class Evaluation:
-    """Result of comparing predictions with labels.
+    """Result of comparing predictions with labels."""
 
-    Attributes
-    ----------
-    space : LabelSpace
-        Classes of the comparison.
-    confusion : Confusion
-        Counts of all points.
-    scores : Scores
-        Scores over all points.
-    by_distance : dict of str to Scores
-        Scores by name of the ring; empty if not requested.
-    unknown_ids : dict of str to dict of int to int
-        Number of points by raw id in ``truth`` and ``predictions`` that the label space does not
-        know; they count as unlabelled.
-    scans : int
-        Number of scans compared.
-    trained_on : int
-        Number of scans left out since the weights were trained on them.
-    on_training_scans : bool
-        Whether the weights were trained on every scan, so that all are compared.
-    missing : MissingResults
-        Scans without predictions, left out.
-    failures : tuple of Failure
-        Scans that could not be compared, left out.
-    settings : dict
-        Settings of the evaluation and of the predictions.
-    uncertainty : UncertaintyEvaluation
-        Results for the probabilities and uncertainties, if there are any.
-    """
-
-    space: LabelSpace
-    confusion: Confusion
-    scores: Scores
-    by_distance: dict[str, Scores]
+    space: LabelSpace  # Classes of the comparison
+    confusion: Confusion  # Counts of all points
+    scores: Scores  # Scores over all points
+    by_distance: dict[str, Scores]  # Scores by name of the ring; empty if not requested
+    # Number of points by raw id in ``truth`` and ``predictions`` that the label space does not
+    # know; they count as unlabelled
     unknown_ids: dict[str, dict[int, int]]
-    scans: int
-    trained_on: int
+    scans: int  # Number of scans compared
+    trained_on: int  # Number of scans left out since the weights were trained on them
+    # Whether the weights were trained on every scan, so that all are compared
     on_training_scans: bool
-    missing: MissingResults
-    failures: tuple[Failure, ...]
-    settings: dict[str, Any]
+    missing: MissingResults  # Scans without predictions, left out
+    failures: tuple[Failure, ...]  # Scans that could not be compared, left out
+    settings: dict[str, Any]  # Settings of the evaluation and of the predictions
+    # Results for the probabilities and uncertainties, if there are any
     uncertainty: UncertaintyEvaluation
 
     def to_dict(self) -> dict[str, Any]:
@@ -128,31 +103,11 @@ def evaluate(
     and uncertainties that lie there are evaluated too. An earlier result is replaced, whatever its
     settings were. Scans that the weights were trained on are left out, unless all were.
 
-    Parameters
-    ----------
-    scans : sequence of ScanFile
-        Scans with labels at `ScanFile.label_path`.
-    out : Path
-        Output folder of `predict` or `knn-refine`.
-    space : LabelSpace
-        Classes to compare, as `predicted_scans` returns them.
-    options : RunOptions
-        Jobs, errors and progress.
-    by_distance : bool
-        Score rings of distance too, for which the scans are read.
-    settings : mapping, optional
-        Settings of the selection and of the predictions, for the record.
-    labels : LabelSpace, optional
-        As `space_of_labels` takes it.
-
-    Raises
-    ------
-    LabelError
-        If a sequence has no labels at all.
-    NoInputError
-        If there is nothing to compare.
-    OutputError
-        If the folder holds files of these names that salsanext did not write, or that were changed.
+    `scans`: scans with labels at `ScanFile.label_path`; `out`: output folder of `predict` or
+    `knn-refine`; `space`: classes to compare, as `predicted_scans` returns them; `options`: jobs,
+    errors and progress; `by_distance`: score rings of distance too, for which the scans are read;
+    `settings`: settings of the selection and of the predictions, for the record; `labels`: as
+    `space_of_labels` takes it.
     """
     labels, merging = space_of_labels(scans, space, labels), merging_into(out, space)
     own = {"by_distance": by_distance, "label_space": space.to_dict()}

@@ -48,38 +48,17 @@ def export_onnx(
 
     It is computed by ONNX Runtime and compared with torch before it is written.
 
-    Parameters
-    ----------
-    weights : Path
-        A weights file.
-    target : Path
-        The `.onnx` file to write.
-    view : Sensor, optional
-        Origin of the range images, if not the sensor that the weights name; its intensity is
-        matched to that of their training.
-    dynamic_width : bool
-        The model takes every width that the network's stride divides.
-    calibrate : Path, optional
-        Scans, a sequence or a data set for quantisation to int8; no label is read. The model sees
-        them as in `predict`: without `view`, the sensor is fitted to them; their intensity is
-        matched.
-    selection : ScanSelection
-        Which of these; a limit takes evenly spaced ones.
-    overwrite : bool
-        Whether the target may exist.
+    `weights`: a weights file; `target`: the `.onnx` file to write; `view`: origin of the range
+    images, if not the sensor that the weights name; its intensity is matched to that of their
+    training; `dynamic_width`: the model takes every width that the network's stride divides;
+    `calibrate`: scans, a sequence or a data set for quantisation to int8; no label is read. The
+    model sees them as in `predict`: without `view`, the sensor is fitted to them; their intensity
+    is matched; `selection`: which of these; a limit takes evenly spaced ones; `overwrite`: whether
+    the target may exist.
 
-    Returns
-    -------
-    dict
-        JSON-able: `opset`, `bytes`, shapes of `input` and `output`, the largest `difference` from
-        torch relative to the largest logit; for int8 the number of `scans` and the share of pixels
-        with a point on which the label is that of float32, `equal_labels`.
-
-    Raises
-    ------
-    SalsanextError
-        If the weights or a scan cannot be used, a package is missing, or the file cannot be
-        written.
+    Returns JSON-able: `opset`, `bytes`, shapes of `input` and `output`, the largest `difference`
+    from torch relative to the largest logit; for int8 the number of `scans` and the share of pixels
+    with a point on which the label is that of float32, `equal_labels`.
     """
     for package in ("onnx", "onnxruntime"):
         import_extra(package, "onnx")

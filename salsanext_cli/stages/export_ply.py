@@ -100,34 +100,15 @@ def export_ply(
     The first colouring of a folder goes there, each further one to `ply/<colour>/*.ply`. Clouds of
     results that have been made anew since are replaced.
 
-    Parameters
-    ----------
-    out : Path
-        The output folder, with what earlier stages left there.
-    colour : str
-        One of `COLOURS`.
-    scale : pair of float, optional
-        The values at the ends of the colour map, for colours that are values. Otherwise what
-        most points of the first scans span; it is the same for all scans and written down in
-        every file.
-    max_error : float, optional
-        Points whose error is above it, 0…1, are written as unlabelled.
-    form : {"ply", "las", "laz"}
-        Format of the files, and folder.
-    dataset : Path, optional
-        Where the scans and labels are, if not where the scans came from.
-    space : LabelSpace, optional
-        Otherwise the one that `predict` recorded in `out`, else that of the scans' data set.
-    network : NetworkSettings
-        What to sample scans with whose uncertainty is asked for but was not computed yet; and the
-        classes into which those of labels and predictions are merged.
-    selection, options
-        Which scans, and how to go through them.
-
-    Raises
-    ------
-    SalsanextError
-        If nothing can be done at all; failures of single scans are in the outcome.
+    `out`: the output folder, with what earlier stages left there; `colour`: one of `COLOURS`;
+    `scale`: the values at the ends of the colour map, for colours that are values. Otherwise what
+    most points of the first scans span; it is the same for all scans and written down in every
+    file; `max_error`: points whose error is above it, 0…1, are written as unlabelled; `form`
+    {"ply", "las", "laz"}, format of the files, and folder; `dataset`: where the scans and labels
+    are, if not where the scans came from; `space`: otherwise the one that `predict` recorded in
+    `out`, else that of the scans' data set; `network`: what to sample scans with whose uncertainty
+    is asked for but was not computed yet; and the classes into which those of labels and
+    predictions are merged; `selection`, `options`: which scans, and how to go through them.
     """
     if colour not in COLOURS:
         raise UsageError("--colour", colour, f"one of {', '.join(COLOURS)}")

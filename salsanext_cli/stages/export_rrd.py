@@ -45,23 +45,10 @@ def export_rrd(
 
     Recordings of earlier runs are replaced. A sequence gets none if none of its scans can be read.
 
-    Parameters
-    ----------
-    out : Path
-        The output folder, with what earlier stages left there.
-    dataset : Path, optional
-        Where the scans and labels are, if not where the scans came from.
-    space, classes : LabelSpace, optional
-        Of the labels, and into whose classes others are merged; as for `predicted_scans`.
-    selection : ScanSelection
-        Which scans.
-    options : RunOptions
-        Errors and progress; the scans of a recording are read one after the other.
-
-    Raises
-    ------
-    SalsanextError
-        If nothing can be done at all; failures of single scans are in the outcome.
+    `out`: the output folder, with what earlier stages left there; `dataset`: where the scans and
+    labels are, if not where the scans came from; `space`, `classes`: of the labels, and into whose
+    classes others are merged; as for `predicted_scans`; `selection`: which scans; `options`: errors
+    and progress; the scans of a recording are read one after the other.
     """
     import_rerun()
     _require_text(out)

@@ -32,35 +32,13 @@ def import_weights(
 ) -> WeightsCard:
     """Write a weights file from a published checkpoint, or again from one of ours.
 
-    Parameters
-    ----------
-    source : Path
-        What the published code saved with ``torch.save``, or a `.safetensors` file of ours.
-    target : Path
-        The `.safetensors` file to write.
-    space : LabelSpace, optional
-        The classes of a published checkpoint; SemanticKITTI's by default. Ours know theirs, and
-        refuse others.
-    view : Sensor, optional
-        The sensor of a published checkpoint, the HDL-64 by default; or another than ours say.
-    dropout : float, optional
-        The dropout rate that a published checkpoint was trained with, 0.2 by default. Ours know
-        theirs, and refuse another.
-    description : str
-        What these weights are; replaces what ours say.
-    half : bool
-        Store in float16.
-    overwrite : bool
-        Whether the target may exist.
-
-    Raises
-    ------
-    UsageError
-        If weights of ours are given what only a published checkpoint needs.
-    WeightsError
-        If the source cannot be used.
-    OutputError
-        If the target exists or cannot be written.
+    `source`: what the published code saved with ``torch.save``, or a `.safetensors` file of ours;
+    `target`: the `.safetensors` file to write; `space`: the classes of a published checkpoint;
+    SemanticKITTI's by default. Ours know theirs, and refuse others; `view`: the sensor of a
+    published checkpoint, the HDL-64 by default; or another than ours say; `dropout`: the dropout
+    rate that a published checkpoint was trained with, 0.2 by default. Ours know theirs, and refuse
+    another; `description`: what these weights are; replaces what ours say; `half`: store in
+    float16; `overwrite`: whether the target may exist.
     """
     require_target(target, overwrite)
     if source.suffix == WEIGHTS_SUFFIX:

@@ -34,32 +34,15 @@ MIN_FIELD_OF_VIEW_DEG = 1.0
 
 @dataclass(frozen=True, slots=True)
 class Inspection:
-    """Result of inspecting scans.
+    """Result of inspecting scans."""
 
-    Attributes
-    ----------
-    sequences : dict of str to Survey
-        Surveys by sequence.
-    total : Survey
-        Survey of all scans.
-    sensor : Sensor
-        Sensor of the range images.
-    space : LabelSpace
-        Names of the classes.
-    failures : tuple of Failure
-        Scans that could not be read, or cannot be right.
-    warnings : list of dict
-        Reasons to doubt scans, as `RunSummary.warnings` lists them.
-    seen : Sensor, optional
-        Sensor with the view that `--sensor auto` takes for these scans, after a fit.
-    """
-
-    sequences: dict[str, Survey]
-    total: Survey
-    sensor: Sensor
-    space: LabelSpace
-    failures: tuple[Failure, ...]
-    warnings: list[dict[str, Any]]
+    sequences: dict[str, Survey]  # Surveys by sequence
+    total: Survey  # Survey of all scans
+    sensor: Sensor  # Sensor of the range images
+    space: LabelSpace  # Names of the classes
+    failures: tuple[Failure, ...]  # Scans that could not be read, or cannot be right
+    warnings: list[dict[str, Any]]  # Reasons to doubt scans, as `RunSummary.warnings` lists them
+    # Sensor with the view that `--sensor auto` takes for these scans, after a fit
     seen: Sensor | None = None
 
     def to_dict(self) -> dict[str, Any]:
@@ -77,11 +60,6 @@ class Inspection:
         """Return the sensor with the field of view and normalisation of these scans.
 
         Without `images` of its own, its view is the one for those of weights, `seen`.
-
-        Raises
-        ------
-        NoInputError
-            If their points are too few, or do not span the field of view of a LiDAR.
         """
         _require_fit(name, self.total)
         view = _with_field_of_view(self.sensor, self.total)
@@ -106,23 +84,11 @@ def inspect(
 ) -> Inspection:
     """Survey scans and check them.
 
-    Parameters
-    ----------
-    source : Path
-        A scan, a folder of scans, a sequence or a data set.
-    sensor : Sensor
-        Size of the range images, over whose pixels means and deviations are computed.
-    space : LabelSpace, optional
-        Names of the classes; otherwise the data set's own, else SemanticKITTI's.
-    selection, options
-        Selection of the scans, and options of the run.
-    fit : bool
-        Read the scans twice: first for field of view and beams, then for their range images.
-
-    Raises
-    ------
-    SalsanextError
-        If there is no scan to read; failures of single scans are in the result.
+    `source`: a scan, a folder of scans, a sequence or a data set; `sensor`: size of the range
+    images, over whose pixels means and deviations are computed; `space`: names of the classes;
+    otherwise the data set's own, else SemanticKITTI's; `selection`, `options`: selection of the
+    scans, and options of the run; `fit`: read the scans twice: first for field of view and beams,
+    then for their range images.
     """
     scans = select_scans(source, selection, space)
     if fit:
@@ -208,12 +174,6 @@ def _with_field_of_view(sensor: Sensor, found: Survey) -> Sensor:
 def write_sensor(
     path: Path, sensor: Sensor, *, images: bool = True, overwrite: bool = False
 ) -> None:
-    """Write a sensor as the TOML file that `--sensor` takes, as `Sensor.to_toml` does.
-
-    Raises
-    ------
-    OutputError
-        If the file exists and may not be overwritten, or cannot be written.
-    """
+    """Write a sensor as the TOML file that `--sensor` takes, as `Sensor.to_toml` does."""
     require_absent(path, overwrite)
     write_bytes(path, sensor.to_toml(images=images).encode())

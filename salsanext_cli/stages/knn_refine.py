@@ -88,26 +88,12 @@ def knn_refine_scans(
 ) -> Outcome:
     """Refine labels into `OUT/sequences/<seq>/predictions`.
 
-    Parameters
-    ----------
-    out : Path
-        The output folder; holds `pixel_labels` unless `labels` is given.
-    labels : Path, optional
-        A folder of point labels to refine instead, of any origin: `.label` files in the layout of
-        the benchmark's predictions, or directly.
-    dataset : Path, optional
-        Where the scans are, a folder of scans or a data set, if not where those of `out` came from.
-    sensor : Sensor, optional
-        Otherwise the one that earlier stages recorded in `out`; else the HDL-64.
-    space : LabelSpace, optional
-        Otherwise the one that `predict` recorded in `out`, else that of the scans' data set.
-    knn, selection, options
-        As for `predict_scans`.
-
-    Raises
-    ------
-    SalsanextError
-        If nothing can be done at all; failures of single scans are in the outcome.
+    `out`: the output folder; holds `pixel_labels` unless `labels` is given; `labels`: a folder of
+    point labels to refine instead, of any origin: `.label` files in the layout of the benchmark's
+    predictions, or directly; `dataset`: where the scans are, a folder of scans or a data set, if
+    not where those of `out` came from; `sensor`: otherwise the one that earlier stages recorded in
+    `out`; else the HDL-64; `space`: otherwise the one that `predict` recorded in `out`, else that
+    of the scans' data set; `knn`, `selection`, `options`: as for `predict_scans`.
     """
     if labels and labels.resolve().is_relative_to(out.resolve()):
         raise UsageError("--labels", f"{labels} inside {out}", "a folder that is only read")

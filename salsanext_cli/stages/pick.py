@@ -45,23 +45,12 @@ log = logging.getLogger(__name__)
 
 @dataclass(frozen=True, slots=True)
 class Picking:
-    """Result of picking scans.
+    """Result of picking scans."""
 
-    Attributes
-    ----------
-    picked : tuple of PickedScan
-        The scan most worth labelling first.
-    scans : int
-        Number of scans to choose from.
-    outcome : Outcome
-        Picked scans written and there already; all scans that failed, picked or not.
-    warnings : list of dict
-        Reasons to doubt scans, picked or not, as `RunSummary.warnings` lists them.
-    """
-
-    picked: tuple[PickedScan, ...]
-    scans: int
-    outcome: Outcome
+    picked: tuple[PickedScan, ...]  # The scan most worth labelling first
+    scans: int  # Number of scans to choose from
+    outcome: Outcome  # Picked scans written and there already; all scans that failed, picked or not
+    # Reasons to doubt scans, picked or not, as `RunSummary.warnings` lists them
     warnings: list[dict[str, Any]]
 
     def to_dict(self) -> dict[str, Any]:
@@ -112,30 +101,12 @@ def pick(
     Files of it that are there already stay, since they may be edited. A pick that nobody changed is
     replaced if `options.overwrite` says so.
 
-    Parameters
-    ----------
-    source : Path
-        A scan, a folder of scans, a sequence, a data set or a recording.
-    out : Path
-        Root of the data set to write.
-    count : int
-        Number of scans to pick; all if there are no more.
-    strategy : {"both", "uncertainty", "diverse", "random"}
-        As `choose_scans` takes it.
-    seed : int
-        Of the dropout masks, and of "random".
-    network, options
-        As for `predict_scans`.
-    selection : ScanSelection
-        Which scans to choose from; a limit takes evenly spaced ones.
-    labelled : sequence of Path
-        Data sets of scans that are labelled already, by sequence and name: other scans are picked,
-        unlike them.
-
-    Raises
-    ------
-    SalsanextError
-        If nothing can be done at all; failures of single scans are in the outcome.
+    `source`: a scan, a folder of scans, a sequence, a data set or a recording; `out`: root of the
+    data set to write; `count`: number of scans to pick; all if there are no more; `strategy`
+    {"both", "uncertainty", "diverse", "random"}, as `choose_scans` takes it; `seed`: of the dropout
+    masks, and of "random"; `network`, `options`: as for `predict_scans`; `selection`: which scans
+    to choose from; a limit takes evenly spaced ones; `labelled`: data sets of scans that are
+    labelled already, by sequence and name: other scans are picked, unlike them.
     """
     require_choice(count, strategy, seed)
     loaded = network.load()

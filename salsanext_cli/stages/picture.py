@@ -84,29 +84,13 @@ def picture(
 
     Pictures of results that have been made anew since are replaced, and animations always.
 
-    Parameters
-    ----------
-    out : Path
-        The output folder, with what earlier stages left there; without that, pictures are of the
-        scans of `dataset` alone.
-    colours : collection of str
-        Of `COLOURS`; otherwise everything known of each scan is drawn.
-    scale : pair of float, optional
-        The values at the ends of the colour map, for a single colour that is a value. Otherwise
-        what most points of some scans span; it is the same for all scans.
-    animations : collection of str
-        Of "gif" and "mp4": formats of an animation of the pictures of each sequence.
-    frames_per_second : float
-        Speed of these.
-    dataset, space, selection, options
-        As for `export_ply`.
-    classes : LabelSpace, optional
-        Into which those of labels and predictions are merged.
-
-    Raises
-    ------
-    SalsanextError
-        If nothing can be done at all; failures of single scans are in the outcome.
+    `out`: the output folder, with what earlier stages left there; without that, pictures are of the
+    scans of `dataset` alone; `colours`: of `COLOURS`; otherwise everything known of each scan is
+    drawn; `scale`: the values at the ends of the colour map, for a single colour that is a value.
+    Otherwise what most points of some scans span; it is the same for all scans; `animations`: of
+    "gif" and "mp4": formats of an animation of the pictures of each sequence; `frames_per_second`:
+    speed of these; `dataset`, `space`, `selection`, `options`: as for `export_ply`; `classes`: into
+    which those of labels and predictions are merged.
     """
     _require_usable(colours, scale, animations, frames_per_second, options)
     results = any(find_outputs(out, folder) for folder in FOLDERS)

@@ -98,30 +98,12 @@ def predict_scans(
 ) -> Outcome:
     """Label scans into `OUT/sequences/<seq>/predictions`.
 
-    Parameters
-    ----------
-    source : Path
-        A scan, a folder of scans, a sequence or a data set.
-    out : Path
-        The output folder.
-    network : NetworkSettings
-        Weights, device, sensor and precision.
-    knn : KnnParameters
-        Neighbours in the kNN refinement.
-    extras : tuple of {"pixel_labels", "probabilities", "uncertainty/error"}
-        Further results to write.
-    reject : float, optional
-        Points whose error is above it, 0…1, are unlabelled; the error is written too.
-    batch : int, optional
-        Scans computed together, at least 1; by default one on a CPU, on a GPU as many as keep it
-        busy. Halved where memory runs out.
-    selection, options
-        Which scans, and how to go through them.
-
-    Raises
-    ------
-    SalsanextError
-        If nothing can be done at all; failures of single scans are in the outcome.
+    `source`: a scan, a folder of scans, a sequence or a data set; `out`: the output folder;
+    `network`: weights, device, sensor and precision; `knn`: neighbours in the kNN refinement;
+    `extras`: further results to write; `reject`: points whose error is above it, 0…1, are
+    unlabelled; the error is written too; `batch`: scans computed together, at least 1; by default
+    one on a CPU, on a GPU as many as keep it busy. Halved where memory runs out; `selection`,
+    `options`: which scans, and how to go through them.
     """
     if batch is not None and batch < 1:
         raise UsageError("--batch", str(batch), "at least 1, or auto")
@@ -180,19 +162,8 @@ def predict_range_images(
 
     `knn_refine` makes point labels of them, the same as `predict_scans` does.
 
-    Parameters
-    ----------
-    folder : Path
-        The output folder of `project`.
-    out : Path
-        The output folder, which may be the same.
-    network, selection, options
-        As for `predict_scans`.
-
-    Raises
-    ------
-    SalsanextError
-        If nothing can be done at all; failures of single images are in the outcome.
+    `folder`: the output folder of `project`; `out`: the output folder, which may be the same;
+    `network`, `selection`, `options`: as for `predict_scans`.
     """
     loaded = network.load()
     projected = projected_sensor(folder)

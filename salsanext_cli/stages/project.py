@@ -38,20 +38,9 @@ def project_scans(
 ) -> Outcome:
     """Project scans to `OUT/sequences/<seq>/range` and `pixels`.
 
-    Parameters
-    ----------
-    sensor : Sensor
-        Field of view and size of the range images.
-    fit : bool
-        Whether its view and direction up are those of the scans where they differ much; what it
-        does not tell of housing and vehicle is found either way.
-    source, out, selection, options
-        As for `predict_scans`.
-
-    Raises
-    ------
-    SalsanextError
-        If nothing can be done at all; failures of single scans are in the outcome.
+    `sensor`: field of view and size of the range images; `fit`: whether its view and direction up
+    are those of the scans where they differ much; what it does not tell of housing and vehicle is
+    found either way; `source`, `out`, `selection`, `options`: as for `predict_scans`.
     """
     found = scans_of(source)
     scans = choose(found, selection, space_of(found), source)

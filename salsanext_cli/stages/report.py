@@ -41,43 +41,21 @@ PAGE = "report.html"
 
 @dataclass(frozen=True, slots=True)
 class Report:
-    """Page that was written.
-
-    Attributes
-    ----------
-    page : Path
-        The file.
-    bytes : int
-        Its size.
-    scans : int
-        Number of scans of which it gives the numbers.
-    trained_on : int
-        Number of labelled scans left out of the scores since the weights were trained on them.
-    on_training_scans : bool
-        Whether the weights were trained on every labelled scan, so that all are scored.
-    shown : dict of str to str
-        Scans that it shows point by point, and why.
-    accuracy, iou_mean_present : float or None
-        Scores of the labelled scans, 0…1; None without labels.
-    sentence : str or None
-        Sentence on risk; None without labels or uncertainty.
-    missing : MissingResults
-        Scans without results, left out.
-    failures : tuple of Failure
-        Scans that could not be read, left out.
-    """
+    """Page that was written."""
 
     page: Path
-    bytes: int
-    scans: int
+    bytes: int  # Its size
+    scans: int  # Number of scans of which it gives the numbers
+    # Number of labelled scans left out of the scores since the weights were trained on them
     trained_on: int
+    # Whether the weights were trained on every labelled scan, so that all are scored
     on_training_scans: bool
-    shown: dict[str, str]
-    accuracy: float | None
+    shown: dict[str, str]  # Scans that it shows point by point, and why
+    accuracy: float | None  # Scores of the labelled scans, 0…1; None without labels
     iou_mean_present: float | None
-    sentence: str | None
-    missing: MissingResults
-    failures: tuple[Failure, ...]
+    sentence: str | None  # Sentence on risk; None without labels or uncertainty
+    missing: MissingResults  # Scans without results, left out
+    failures: tuple[Failure, ...]  # Scans that could not be read, left out
 
     def to_dict(self) -> dict[str, Any]:
         """Return plain data for JSON; null stands for NaN."""
@@ -111,26 +89,12 @@ def report(
 ) -> Report:
     """Write `OUT/report.html`: what was run, the numbers of all scans, and some scans to look at.
 
-    Parameters
-    ----------
-    out : Path
-        The output folder, with what earlier stages left there.
-    scans : sequence of str
-        Names of the scans to show point by point, ``08/000000``; without any, up to four that are
-        worth looking at.
-    dataset : Path, optional
-        Where the scans and labels are, if not where the scans came from.
-    space, classes : LabelSpace, optional
-        Of the labels, and into whose classes others are merged; as for `predicted_scans`.
-    by_distance : bool
-        Score rings of distance too, for which all labelled scans are read.
-    selection, options
-        Which scans, and how to go through them.
-
-    Raises
-    ------
-    SalsanextError
-        If nothing can be done at all; failures of single scans are in the result.
+    `out`: the output folder, with what earlier stages left there; `scans`: names of the scans to
+    show point by point, ``08/000000``; without any, up to four that are worth looking at;
+    `dataset`: where the scans and labels are, if not where the scans came from; `space`, `classes`:
+    of the labels, and into whose classes others are merged; as for `predicted_scans`;
+    `by_distance`: score rings of distance too, for which all labelled scans are read; `selection`,
+    `options`: which scans, and how to go through them.
     """
     page = out / PAGE
     WrittenFiles(out).require_replaceable([page])

@@ -37,21 +37,11 @@ Predictions = dict[tuple[str, str], Path]
 
 @dataclass(frozen=True, slots=True)
 class Submission:
-    """Result of packing: a ZIP file, or what is wrong with the predictions.
+    """Result of packing: a ZIP file, or what is wrong with the predictions."""
 
-    Attributes
-    ----------
-    scans : int
-        Number of scans that a submission has.
-    lengths_checked : bool
-        Whether all numbers of labels were compared with those of points.
-    problems : tuple of Problem
-        By sequence; without any, the file is written.
-    """
-
-    scans: int
-    lengths_checked: bool
-    problems: tuple[Problem, ...]
+    scans: int  # Number of scans that a submission has
+    lengths_checked: bool  # Whether all numbers of labels were compared with those of points
+    problems: tuple[Problem, ...]  # By sequence; without any, the file is written
 
     def to_dict(self) -> dict[str, Any]:
         """Return plain data for JSON."""
@@ -70,34 +60,12 @@ def submit(
 ) -> Submission:
     """Check the predictions of the test split and pack them as the benchmark wants them.
 
-    Parameters
-    ----------
-    out : Path
-        Output folder with `predictions`.
-    target : Path
-        The `.zip` file; it is written only if nothing is wrong.
-    dataset : Path, optional
-        Where the scans are, if not where they came from. Without them, the numbers of labels are
-        not compared with those of points.
-    space : LabelSpace, optional
-        Otherwise that of the scans' data set or of the predictions.
-    description : Path, optional
-        Text about the method, for `description.txt`.
-    overwrite : bool
-        Whether the file may be replaced.
-    progress : callable, optional
-        Called with the number of files read, twice for each scan, and that of all.
-
-    Raises
-    ------
-    NoInputError
-        If there are no predictions at all.
-    OutputError
-        If the file exists or cannot be written.
-    LabelError
-        If the predictions are in merged classes.
-    UsageError
-        If the label space has no test split.
+    `out`: output folder with `predictions`; `target`: the `.zip` file; it is written only if
+    nothing is wrong; `dataset`: where the scans are, if not where they came from. Without them, the
+    numbers of labels are not compared with those of points; `space`: otherwise that of the scans'
+    data set or of the predictions; `description`: text about the method, for `description.txt`;
+    `overwrite`: whether the file may be replaced; `progress`: called with the number of files read,
+    twice for each scan, and that of all.
     """
     require_target(target, overwrite, ".zip")
     files = find_outputs(out, "predictions")

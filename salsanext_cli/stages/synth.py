@@ -68,44 +68,17 @@ def synthesise(
 
     Where a run with the same settings was interrupted, what is missing is added.
 
-    Parameters
-    ----------
-    out : Path
-        The data set's root; `out/sequences/00` and so on are written.
-    train, valid, test : int
-        Number of sequences per split, numbered in this order.
-    scans : int
-        Scans per sequence.
-    seed : int
-        The same seed gives the same bytes, whatever `jobs` is; another number of scans or another
-        spacing gives other streets.
-    spacing : float
-        Distance driven between two scans, metres.
-    sensor : str
-        ``"hdl64"``, or ``"random"``: another sensor in each sequence.
-    jobs : int
-        Number of processes, each for a sequence at a time; -1 is one per core.
-    overwrite : bool
-        Whether an earlier synthetic data set in `out` may be replaced. Only files that were
-        written by it, are unchanged since and are not behind a link are removed.
-    progress : callable, optional
-        Called with the number of scans done and in total.
+    `out`: the data set's root; `out/sequences/00` and so on are written; `train`, `valid`, `test`:
+    number of sequences per split, numbered in this order; `scans`: scans per sequence; `seed`: the
+    same seed gives the same bytes, whatever `jobs` is; another number of scans or another spacing
+    gives other streets; `spacing`: distance driven between two scans, metres; `sensor`:
+    ``"hdl64"``, or ``"random"``: another sensor in each sequence; `jobs`: number of processes, each
+    for a sequence at a time; -1 is one per core; `overwrite`: whether an earlier synthetic data set
+    in `out` may be replaced. Only files that were written by it, are unchanged since and are not
+    behind a link are removed; `progress`: called with the number of scans done and in total.
 
-    Returns
-    -------
-    dict
-        JSON-able: the number of all `scans`, the names of the sequences by split, `splits`, and the
-        number of points by raw id, `points`.
-
-    Raises
-    ------
-    UsageError
-        If a number is out of range or the sensor unknown.
-    OutputError
-        If the folder holds something else, was made with other settings or cannot be written, or if
-        a file that is in the way was changed or not written here.
-    MissingDependency
-        If open3d cannot be loaded.
+    Returns JSON-able: the number of all `scans`, the names of the sequences by split, `splits`, and
+    the number of points by raw id, `points`.
     """
     counts = {"train": train, "valid": valid, "test": test}
     _check({f"--{split}": count for split, count in counts.items()}, scans, seed, spacing, jobs)
@@ -181,14 +154,7 @@ def _require_room(out: Path) -> None:
 
 
 def _begin(out: Path, made_with: dict[str, Any], files: list[Path], overwrite: bool) -> None:
-    """Record what is made, after removing an earlier data set if that is to be replaced.
-
-    Raises
-    ------
-    OutputError
-        If an earlier one has other settings, or files that would be replaced or completed were
-        changed.
-    """
+    """Record what is made, after removing an earlier data set if that is to be replaced."""
     written, path = WrittenFiles(out), out / MANIFEST
     earlier, wanted = read_json(path), as_json(made_with)
     whole = earlier is not None and all(map(filled, files))

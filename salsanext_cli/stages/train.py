@@ -57,27 +57,15 @@ log = logging.getLogger(__name__)
 
 @dataclass(frozen=True, slots=True)
 class TrainResult:
-    """Result of a training.
+    """Result of a training."""
 
-    Attributes
-    ----------
-    best, last : Path
-        Weights files: of the best validation, and of the end.
-    best_miou : float or None
-        Validation mIoU on points, after kNN, of the best weights; None without validation split.
-    rows : sequence of Row
-        The log, a row per epoch.
-    warnings : list of dict
-        Reasons to doubt scans, as `RunSummary.warnings` lists them.
-    expected : Expectation, optional
-        What scans left out say of new ones, if there was a cross-validation.
-    """
-
-    best: Path
+    best: Path  # Weights files: of the best validation, and of the end
     last: Path
+    # Validation mIoU on points, after kNN, of the best weights; None without validation split
     best_miou: float | None
-    rows: Sequence[Row]
-    warnings: list[dict[str, Any]]
+    rows: Sequence[Row]  # The log, a row per epoch
+    warnings: list[dict[str, Any]]  # Reasons to doubt scans, as `RunSummary.warnings` lists them
+    # What scans left out say of new ones, if there was a cross-validation
     expected: Expectation | None = None
 
 
@@ -103,46 +91,18 @@ def train(
 
     Started by torchrun, each worker learns from its share of every batch, and the first writes.
 
-    Parameters
-    ----------
-    dataset : Path
-        A data set root; its label space says which sequences are for training and validation.
-    run : Path
-        Gets ``best.safetensors``, ``last.safetensors``, ``log.csv``, ``curve.png``,
-        ``recipe.toml``, a picture per epoch in ``samples`` and a checkpoint to resume from.
-    recipe : Recipe
-        How to train.
-    sensor : Sensor, optional
-        How to project; by default the sensor of `weights`, else the HDL-64.
-    space : LabelSpace, optional
-        Meaning of the labels and split of the sequences; by default what the data set says, else
-        SemanticKITTI's.
-    device : str
-        As `choose_device` takes it; under torchrun each worker of a machine has its own GPU.
-    jobs : int
-        Processes that prepare samples; with 1 the training process does it itself.
-    weights : Path, optional
-        Weights to start from; otherwise those that the recipe says.
-    overwrite : bool
-        Whether to start anew where the folder holds a training.
-    strict : bool
-        Whether to refuse doubtful scans.
-    also : sequence of Path
-        Roots of further data sets of the same classes, whose training splits the recipe's share
-        `also` of the samples is drawn from.
-    progress : callable
-        Called with a `Report` after every step.
-
-    Raises
-    ------
-    NoInputError, LabelError, FormatError, TrainingError
-        Before the first step, if the data cannot be trained on; `TrainingError` if the loss is
-        not finite.
-    OutputError
-        If the folder cannot be written, holds another training or files that salsanext did not
-        write.
-    WeightsError
-        If `weights` cannot be read, or are of another network than the recipe's.
+    `dataset`: a data set root; its label space says which sequences are for training and
+    validation; `run`: gets ``best.safetensors``, ``last.safetensors``, ``log.csv``, ``curve.png``,
+    ``recipe.toml``, a picture per epoch in ``samples`` and a checkpoint to resume from; `recipe`:
+    how to train; `sensor`: how to project; by default the sensor of `weights`, else the HDL-64;
+    `space`: meaning of the labels and split of the sequences; by default what the data set says,
+    else SemanticKITTI's; `device`: as `choose_device` takes it; under torchrun each worker of a
+    machine has its own GPU; `jobs`: processes that prepare samples; with 1 the training process
+    does it itself; `weights`: weights to start from; otherwise those that the recipe says;
+    `overwrite`: whether to start anew where the folder holds a training; `strict`: whether to
+    refuse doubtful scans; `also`: roots of further data sets of the same classes, whose training
+    splits the recipe's share `also` of the samples is drawn from; `progress`: called with a
+    `Report` after every step.
     """
     workers = worker_count(jobs)
     if recipe.batch < (size := group_of_environment().size):

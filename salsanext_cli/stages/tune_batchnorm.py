@@ -43,31 +43,17 @@ def tune_batchnorm(
     Every scan passes once, as `statistics_of_scan` says; no label is read. The statistics of all
     scans are pooled in float64.
 
-    Parameters
-    ----------
-    source : Path
-        A scan, a folder of scans, a sequence or a data set.
-    target : Path
-        The `.safetensors` file to write: all other tensors bit for bit. Its sensor is that of
-        `network`; `scores`, measured with the old statistics, are left out.
-    share : float
-        Of the new statistics, above 0 and at most 1; the rest are the old ones.
-    network, selection, overwrite, progress
-        As for `tune_temperature`.
+    `source`: a scan, a folder of scans, a sequence or a data set; `target`: the `.safetensors` file
+    to write: all other tensors bit for bit. Its sensor is that of `network`; `scores`, measured
+    with the old statistics, are left out; `share`: of the new statistics, above 0 and at most 1;
+    the rest are the old ones; `network`, `selection`, `overwrite`, `progress`: as for
+    `tune_temperature`.
 
-    Returns
-    -------
-    dict
-        JSON-able: the number of `scans`, the `share`, the name of the `sensor` of the weights
-        written, and `layers`, every batch norm in order of computation: its name, `layer`; the
-        distance of the new mean from the old one in old standard deviations, `shift`, mean over the
-        channels; the new variance over the old, ε added to both, `variance_ratio`, geometric mean;
-        and `warnings`, reasons to doubt the scans.
-
-    Raises
-    ------
-    SalsanextError
-        If a scan cannot be used, or the file cannot be written.
+    Returns JSON-able: the number of `scans`, the `share`, the name of the `sensor` of the weights
+    written, and `layers`, every batch norm in order of computation: its name, `layer`; the distance
+    of the new mean from the old one in old standard deviations, `shift`, mean over the channels;
+    the new variance over the old, ε added to both, `variance_ratio`, geometric mean; and
+    `warnings`, reasons to doubt the scans.
     """
     if not 0 < share <= 1:
         raise UsageError("--share", f"{share:g}", "above 0, at most 1")

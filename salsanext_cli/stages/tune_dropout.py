@@ -58,29 +58,14 @@ def tune_dropout(
     The objective is Σ ½ log s + (y − p)² / 2s over points and classes, with the mean p of the
     passes and the total variance s, epistemic and aleatoric.
 
-    Parameters
-    ----------
-    dataset, target, network, selection, overwrite, progress
-        As for `tune_temperature`. The curve is `curve_of` the target; progress is called after each
-        scan at each rate.
-    samples, seed : int
-        Passes per scan and rate, and the seed of their masks, as for `uncertainty`.
-    lowest, highest : float
-        Ends of the range.
-    steps : int
-        Number of rates to try, at equal steps of the logarithm.
+    `dataset`, `target`, `network`, `selection`, `overwrite`, `progress`: as for `tune_temperature`.
+    The curve is `curve_of` the target; progress is called after each scan at each rate; `samples`,
+    `seed`: passes per scan and rate, and the seed of their masks, as for `uncertainty`; `lowest`,
+    `highest`: ends of the range; `steps`: number of rates to try, at equal steps of the logarithm.
 
-    Returns
-    -------
-    dict
-        JSON-able: the rate that the weights had, `before`, and the `best`; the `rates` that were
-        tried and the `objectives` of each, mean over the points; the number of `scans` and of
-        `points` sampled at every rate.
-
-    Raises
-    ------
-    SalsanextError
-        If the scans cannot be learnt from, or the files cannot be written.
+    Returns JSON-able: the rate that the weights had, `before`, and the `best`; the `rates` that
+    were tried and the `objectives` of each, mean over the points; the number of `scans` and of
+    `points` sampled at every rate.
     """
     rates = rates_between(lowest, highest, steps)
     loaded = network.load()

@@ -47,30 +47,12 @@ def tune_error(
     The label is the one of `predict`, after kNN. The model is cross-validated over whole sequences,
     or over neighbouring scans of a single one, and then fitted to all scans.
 
-    Parameters
-    ----------
-    dataset : Path
-        Labelled scans that the network was not trained on.
-    target : Path
-        The `.safetensors` file to write: the same tensors, bit for bit.
-    network : NetworkSettings
-        Weights, device and sensor.
-    selection : ScanSelection
-        Which scans; a limit takes scans that are evenly spaced.
-    overwrite : bool
-        Whether the target may exist.
-    progress : callable, optional
-        Called after each scan.
+    `dataset`: labelled scans that the network was not trained on; `target`: the `.safetensors` file
+    to write: the same tensors, bit for bit; `network`: weights, device and sensor; `selection`:
+    which scans; a limit takes scans that are evenly spaced; `overwrite`: whether the target may
+    exist; `progress`: called after each scan.
 
-    Returns
-    -------
-    dict
-        JSON-able: the scores of the model, see `training.tuning.error.cross_validated`.
-
-    Raises
-    ------
-    SalsanextError
-        If the scans cannot be learnt from, or the file cannot be written.
+    Returns JSON-able: the scores of the model, see `training.tuning.error.cross_validated`.
     """
     require_tensors(network.path)
     loaded = network.load()

@@ -64,33 +64,15 @@ def tune_temperature(
     classes do not count. Of a scan with more points than its share of `MAX_LOGITS`, a random sample
     is taken, the same one every time.
 
-    Parameters
-    ----------
-    dataset : Path
-        Labelled scans that the network was not trained on.
-    target : Path
-        The `.safetensors` file to write: the same tensors, bit for bit.
-    network : NetworkSettings
-        Weights, device and sensor.
-    selection : ScanSelection
-        Which scans; a limit takes scans that are evenly spaced.
-    overwrite : bool
-        Whether the target may exist.
-    progress : callable, optional
-        Called after each scan.
+    `dataset`: labelled scans that the network was not trained on; `target`: the `.safetensors` file
+    to write: the same tensors, bit for bit; `network`: weights, device and sensor; `selection`:
+    which scans; a limit takes scans that are evenly spaced; `overwrite`: whether the target may
+    exist; `progress`: called after each scan.
 
-    Returns
-    -------
-    dict
-        JSON-able: with the temperature that the weights had, `before`, and with the one that was
-        fitted, `after`, the `temperature`, the mean negative log-likelihood of the true class in
-        nats, `nll`, and the expected calibration error over 15 bins, `ece`, 0…1; the number of
-        `scans` and of `points` fitted to.
-
-    Raises
-    ------
-    SalsanextError
-        If the scans cannot be learnt from, or the file cannot be written.
+    Returns JSON-able: with the temperature that the weights had, `before`, and with the one that
+    was fitted, `after`, the `temperature`, the mean negative log-likelihood of the true class in
+    nats, `nll`, and the expected calibration error over 15 bins, `ece`, 0…1; the number of `scans`
+    and of `points` fitted to.
     """
     require_tensors(network.path)
     loaded = network.load()

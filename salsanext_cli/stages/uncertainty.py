@@ -86,17 +86,8 @@ def uncertainty(
     The labels of the mean softmax go to `predictions`, unless another stage keeps its
     labels there already: those stay.
 
-    Parameters
-    ----------
-    estimator : Estimator
-        How; by default 30 passes of Monte-Carlo dropout and eight over noisy copies.
-    source, out, network, knn, selection, options
-        As for `predict_scans`.
-
-    Raises
-    ------
-    SalsanextError
-        If nothing can be done at all; failures of single scans are in the outcome.
+    `estimator`: how; by default 30 passes of Monte-Carlo dropout and eight over noisy copies;
+    `source`, `out`, `network`, `knn`, `selection`, `options`: as for `predict_scans`.
     """
     loaded = network.load()
     found = scans_of(source)
@@ -155,12 +146,6 @@ def estimate_missing(
     Returns the kind that the colour means, and the scans whose uncertainty could not be estimated,
     and why. "uncertainty" is the error where all scans have it, else the entropy. Shards take what
     is there. An error is estimated only for scans that a run of `uncertainty` left out.
-
-    Raises
-    ------
-    UsageError
-        If the labels in the folder were made with other weights, or the uncertainties that are
-        there without the kind that is asked for; or if a shard finds none at all.
     """
     earlier = stage_settings(out, "uncertainty")
     kind = uncertainty_meant(scans, out) if colour == "uncertainty" else colour

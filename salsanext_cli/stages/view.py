@@ -29,14 +29,8 @@ SAMPLED = 5
 class View(PageServer):
     """Server of a run's page; `serve_forever` answers, and leaving the context closes the port.
 
-    Attributes
-    ----------
-    scans : int
-        Number of scans that can be looked at.
-    missing : MissingResults
-        Scans without results, left out.
-    failures : tuple of Failure
-        Scans that could not be read.
+    `scans`: number of scans that can be looked at; `missing`: scans without results, left out;
+    `failures`: scans that could not be read.
     """
 
     def __init__(self, port: int) -> None:
@@ -107,17 +101,8 @@ def view(
 ) -> View:
     """Read the results of a run, and open a port on which a browser can look at them.
 
-    Parameters
-    ----------
-    out, dataset, space, classes, by_distance, selection, options
-        As for `report`.
-    port : int
-        Port on the loopback interface; 0 for any free one.
-
-    Raises
-    ------
-    SalsanextError
-        If there is nothing to look at, or the port cannot be used.
+    `out`, `dataset`, `space`, `classes`, `by_distance`, `selection`, `options`: as for `report`;
+    `port`: port on the loopback interface; 0 for any free one.
     """
     server = View(port)
     try:

@@ -24,24 +24,13 @@ VIEW_M = 90.0
 
 @dataclass(frozen=True, slots=True)
 class Frame:
-    """One recorded revolution.
+    """One recorded revolution."""
 
-    Attributes
-    ----------
-    scan : Scan
-        Points in the sensor frame at the middle of the revolution, the vehicle's motion removed.
-    labels : (N,) uint32
-        Raw ids.
-    pose : (4, 4)
-        Sensor frame to world.
-    time : float
-        Seconds since the first frame.
-    """
-
+    # Points in the sensor frame at the middle of the revolution, the vehicle's motion removed
     scan: Scan
-    labels: RawIds
-    pose: Array
-    time: float
+    labels: RawIds  # (N,) uint32: raw ids
+    pose: Array  # (4, 4): sensor frame to world
+    time: float  # Seconds since the first frame
 
 
 def record(
@@ -52,16 +41,9 @@ def record(
     The street comes from the seed, the sequence and the length of the drive, spacing times
     scans - 1; the noise of a frame from (seed, sequence, frame).
 
-    Parameters
-    ----------
-    seed, sequence : int
-        Not negative; the sequence number also chooses the style of the street.
-    scans : int
-        How many frames.
-    spacing : float
-        Metres that the vehicle drives between two frames.
-    make_rig : callable
-        Draws the sensor; the street is the same through any.
+    `seed`, `sequence`: not negative; the sequence number also chooses the style of the street;
+    `scans`: how many frames; `spacing`: metres that the vehicle drives between two frames;
+    `make_rig`: draws the sensor; the street is the same through any.
     """
     rng = np.random.default_rng([seed, sequence])
     speed = float(rng.uniform(*SPEED_M_PER_S))

@@ -35,27 +35,13 @@ class Skin(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class Mesh:
-    """Triangles with a skin each.
+    """Triangles with a skin each."""
 
-    Attributes
-    ----------
-    vertices : (V, 3) float64
-        Metres.
-    triangles : (T, 3) int64
-        Vertex indices.
-    labels : (T,) uint32
-        Raw SemanticKITTI ids.
-    materials : (T,) uint8
-        `Material` numbers.
-    shades : (T,) float32
-        Brightness relative to the material's usual one.
-    """
-
-    vertices: Array
-    triangles: npt.NDArray[np.int64]
-    labels: npt.NDArray[np.uint32]
-    materials: npt.NDArray[np.uint8]
-    shades: npt.NDArray[np.float32]
+    vertices: Array  # (V, 3) float64: metres
+    triangles: npt.NDArray[np.int64]  # (T, 3) int64: vertex indices
+    labels: npt.NDArray[np.uint32]  # (T,) uint32: raw SemanticKITTI ids
+    materials: npt.NDArray[np.uint8]  # (T,) uint8: `Material` numbers
+    shades: npt.NDArray[np.float32]  # (T,) float32: brightness relative to the material's usual one
 
     @classmethod
     def of(cls, vertices: Array, triangles: npt.NDArray[np.int64], skin: Skin) -> Mesh:

@@ -24,18 +24,13 @@ MOVING = {
 
 
 class Material(IntEnum):
-    """Material of a surface, numbered from 0, and its optics.
+    """Material of a surface, numbered from 0, and its optics."""
 
-    Attributes
-    ----------
-    optics : 5 floats
-        Brightness: intensity that a surface facing the sensor at 15 m returns. Texture: relative
-        spread of the brightness from point to point. Falloff: exponent of the cosine of the angle
-        of incidence, near grazing. Gloss: share of the pulses that a mirror-like surface sends
-        elsewhere, the more the darker it is. Roughness: standard deviation of the surface along
-        the ray, in metres.
-    """
-
+    # Brightness: intensity that a surface facing the sensor at 15 m returns. Texture: relative
+    # spread of the brightness from point to point. Falloff: exponent of the cosine of the angle of
+    # incidence, near grazing. Gloss: share of the pulses that a mirror-like surface sends
+    # elsewhere, the more the darker it is. Roughness: standard deviation of the surface along the
+    # ray, in metres
     optics: tuple[float, ...]
 
     def __new__(cls, *optics: float) -> Self:

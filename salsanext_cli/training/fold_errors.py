@@ -47,17 +47,8 @@ def error_of_folds(
     It is fitted again only if weights or scans are others than those of the one in the run folder.
     There is none where it would tell no more than the confidence.
 
-    Parameters
-    ----------
-    run : Path
-        The run folder, with the weights of the folds.
-    source : Source
-        All labelled scans.
-    parts : sequence of sequence of ScanFile
-        Those that each fold left out.
-    temperature : float
-        That of the final weights.
-    place : torch.device
+    `run`: the run folder, with the weights of the folds; `source`: all labelled scans; `parts`:
+    those that each fold left out; `temperature`: that of the final weights.
     """
     weights = [fold_folder(run, number) / LAST for number in range(1, len(parts) + 1)]
     inputs = [__version__, FEATURES, temperature, data_digest([source]), *map(fingerprint, weights)]

@@ -47,11 +47,6 @@ def trained_alone(run: Path) -> Iterator[None]:
     """Keep other trainings out of a folder while the body runs.
 
     Temporary files of a training that was killed long ago are removed.
-
-    Raises
-    ------
-    OutputError
-        If another training runs in it.
     """
     with locked(run / f".{STAGE}.lock", stage=STAGE):
         for folder in _folders(run):
@@ -61,15 +56,7 @@ def trained_alone(run: Path) -> Iterator[None]:
 
 
 def require_free(run: Path, settings: Mapping[str, Any], *, overwrite: bool) -> None:
-    """Refuse, before anything is done, a folder that a training may not have.
-
-    Raises
-    ------
-    OutputError
-        If it cannot be written; if it holds files of a training's names that salsanext did not
-        write, or that were changed since; or, unless `overwrite`, if it holds a training with
-        other settings that has come to a first checkpoint.
-    """
+    """Refuse, before anything is done, a folder that a training may not have."""
     require_writable(run)
     recorded = stage_settings(run, STAGE)
     epochs = as_json(settings)["recipe"]["epochs"]
@@ -95,14 +82,8 @@ def recorded_precision(run: Path) -> str | None:
 def begin(run: Path, settings: Mapping[str, Any], *, overwrite: bool) -> None:
     """Record a training in a folder that is free; results of other settings are removed.
 
-    Parameters
-    ----------
-    run : Path
-        The folder.
-    settings : mapping
-        All that decides the result of the training, its recipe under that name.
-    overwrite : bool
-        Whether to begin anew with the same settings too.
+    `run`: the folder; `settings`: all that decides the result of the training, its recipe under
+    that name; `overwrite`: whether to begin anew with the same settings too.
     """
     recorded, written = stage_settings(run, STAGE), WrittenFiles(run)
     if overwrite or recorded is None or _decisive(recorded) != _decisive(as_json(settings)):

@@ -25,21 +25,12 @@ MAX_POINTS = 200_000
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Validation:
-    """Predictions for labelled scans.
+    """Predictions for labelled scans."""
 
-    Attributes
-    ----------
-    confusion : Confusion
-        Truth by predicted label of all points.
-    logits : (C, M) float32
-        Of some points of the classes that count, evenly spaced in every scan.
-    truth : (M,) int64
-        Their classes.
-    """
-
-    confusion: Confusion
+    confusion: Confusion  # Truth by predicted label of all points
+    # (C, M) float32: of some points of the classes that count, evenly spaced in every scan
     logits: Tensor
-    truth: Tensor
+    truth: Tensor  # (M,) int64: their classes
 
     def across(self, group: ProcessGroup, device: torch.device) -> "Validation":
         """Return those of all workers together."""

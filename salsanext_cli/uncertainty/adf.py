@@ -24,18 +24,12 @@ class Gaussian:
 
     PyTorch asks such a stand-in what each function of a network does to it. A function without a
     rule is an error, so that the moments cannot drift apart from the network.
-
-    Attributes
-    ----------
-    mean, variance : Tensor
-        Of the same shape, dtype and device; the variance is not negative.
-    RULES : mapping
-        From a function to what it does to moments (Gast & Roth 2018), with the same arguments.
     """
 
+    # From a function to what it does to moments (Gast & Roth 2018), with the same arguments
     RULES: ClassVar[Mapping[Callable[..., Any], Callable[..., Any]]] = {}
 
-    mean: Tensor
+    mean: Tensor  # Of the same shape, dtype and device; the variance is not negative
     variance: Tensor
 
     def __post_init__(self) -> None:

@@ -18,22 +18,9 @@ def aleatoric(network: Network, image: RangeImage) -> Float:
 
     One pass of assumed density filtering, dropout off, without the temperature, as in `sample`.
 
-    Parameters
-    ----------
-    network : Network
-        Whose sensor knows its noise.
-    image : RangeImage
-        One scan.
+    `network`: whose sensor knows its noise; `image`: one scan.
 
-    Returns
-    -------
-    (C, H, W) float32
-        At least 0; its mean over the classes is the aleatoric uncertainty.
-
-    Raises
-    ------
-    UsageError
-        If the sensor does not know its noise.
+    Returns (C, H, W) float32, at least 0; its mean over the classes is the aleatoric uncertainty.
     """
     mean = network.input_array(image.channels)
     channels = completed(image.channels, network.sensor, network.card.sensor)

@@ -29,13 +29,10 @@ SMALLEST_MEAN = 1e-12
 class ChannelCorrelatedGaussian(Gaussian):
     """Gaussians that are independent between channels, but move together within one.
 
-    Attributes
-    ----------
-    mean, variance : (B, C, H, W) Tensor
-        As of `Gaussian`. At a pixel, the neighbours of its window are taken to have its window's
-        mean variance, and the image to go on beyond its border; the numbers that a pixel
-        shuffle makes neighbours are taken to move together too. It is an estimate, to be judged by
-        how it ranks.
+    `mean`, `variance` (B, C, H, W) Tensor, as of `Gaussian`. At a pixel, the neighbours of its
+    window are taken to have its window's mean variance, and the image to go on beyond its border;
+    the numbers that a pixel shuffle makes neighbours are taken to move together too. It is an
+    estimate, to be judged by how it ranks.
     """
 
     __slots__ = ()
@@ -132,17 +129,8 @@ def propagate_dropout(network: Network, image: RangeImage) -> Estimate:
     The mutual information is that of a small spread of the softmax around its mean, ½ Σ v / p, and
     at most the entropy.
 
-    Parameters
-    ----------
-    network : Network
-        With at least one dropout of a rate above 0; its temperature is left out, as in `sample`.
-    image : RangeImage
-        One scan.
-
-    Raises
-    ------
-    WeightsError
-        If the network drops nothing.
+    `network`: with at least one dropout of a rate above 0; its temperature is left out, as in
+    `sample`; `image`: one scan.
     """
     rate = require_dropout(network.module)
     with inference_mode(network.device):

@@ -34,14 +34,8 @@ NEAREST_M = 0.5
 def error_features(image: RangeImage, probabilities: Float, labels: TrainIds) -> Float:
     """Return the features of every point, (N, 9) float32; NaN where it has no pixel.
 
-    Parameters
-    ----------
-    image : RangeImage
-        Of the scan.
-    probabilities : (C, H, W) float32
-        Softmax of a single pass.
-    labels : (N,) uint8
-        Train ids of the points, after kNN.
+    `image`: of the scan; `probabilities` (C, H, W) float32, softmax of a single pass; `labels` (N,)
+    uint8, train ids of the points, after kNN.
     """
     # Most points have the label of their pixel: described once per pixel, the others on their own.
     classes, table = _of_pixels(image, probabilities)
@@ -100,15 +94,7 @@ def knows_error(network: Network) -> bool:
 
 
 def error_model(network: Network) -> ErrorModel:
-    """Return the model of errors of weights.
-
-    Raises
-    ------
-    WeightsError
-        If they have none, or one of other features.
-    UsageError
-        If classes are merged: the model is of the labels before.
-    """
+    """Return the model of errors of weights."""
     model = network.card.error
     remedy = "`salsanext tune error DATASET WEIGHTS_OUT` fits one to labelled scans"
     if model is None:

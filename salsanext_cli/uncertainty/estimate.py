@@ -17,21 +17,11 @@ Values = TypeVar("Values", Float, Double)
 
 @dataclass(frozen=True, slots=True)
 class Estimate:
-    """Mean and spread of the softmax under dropout.
+    """Mean and spread of the softmax under dropout."""
 
-    Attributes
-    ----------
-    probabilities : (C, H, W) float32
-        Mean softmax: the prediction.
-    variance : (C, H, W) float32
-        Variance of the softmax, of each class.
-    uncertainty : Uncertainty of (H, W) float32
-        Every pixel's, occupied or not.
-    """
-
-    probabilities: Float
-    variance: Float
-    uncertainty: Uncertainty
+    probabilities: Float  # (C, H, W) float32: mean softmax: the prediction
+    variance: Float  # (C, H, W) float32: variance of the softmax, of each class
+    uncertainty: Uncertainty  # Every pixel's, occupied or not
 
     @classmethod
     def of(cls, mean: Double, variance: Double, information: Double) -> Estimate:

@@ -17,42 +17,20 @@ from salsanext_cli.uncertainty.error_features import label_error
 
 @dataclass(frozen=True, slots=True)
 class Labelling:
-    """Way from the softmax of a scan to the results that are asked for.
+    """Way from the softmax of a scan to the results that are asked for."""
 
-    Attributes
-    ----------
-    knn : KnnParameters
-        Neighbours in the kNN refinement.
-    output : OutputRun
-        Takes the results.
-    reject : float, optional
-        Points whose error is above it are unlabelled.
-    """
-
-    knn: KnnParameters
-    output: OutputRun
-    reject: float | None
+    knn: KnnParameters  # Neighbours in the kNN refinement
+    output: OutputRun  # Takes the results
+    reject: float | None  # Points whose error is above it are unlabelled
 
     def write(
         self, file: ScanFile, image: RangeImage, probabilities: Float, network: Network
     ) -> tuple[TrainIds, int]:
         """Write the results, the labels last.
 
-        Parameters
-        ----------
-        file : ScanFile
-        image : RangeImage
-        probabilities : (C, H, W) float32
-            Softmax of every pixel.
-        network : Network
-            What computed it.
+        `probabilities` (C, H, W) float32, softmax of every pixel; `network`: what computed it.
 
-        Returns
-        -------
-        (N,) uint8
-            The labels.
-        int
-            Number of points unlabelled for their error.
+        Returns (N,) uint8, the labels; number of points unlabelled for their error.
         """
         space, pixel_labels, output = network.space, most_probable(probabilities), self.output
         labels = knn_refine(image, pixel_labels, space.class_count, self.knn, network.device)

@@ -37,12 +37,8 @@ def leaky_relu_moments(mean: Tensor, variance: Tensor, slope: float) -> tuple[Te
 
     Nothing cancels, as it does in E[y²] − E[y]², which is 0 in float32 for m = 10, v = 10⁻⁶.
 
-    Parameters
-    ----------
-    mean, variance : Tensor, same shape
-        float32 or float64; of a half precision, float32 is used in between.
-    slope : float
-        a, 0 ≤ a ≤ 1.
+    `mean`, `variance`: float32 or float64; of a half precision, float32 is used in between;
+    `slope`: a, 0 ≤ a ≤ 1.
     """
     wide = torch.promote_types(mean.dtype, torch.float32)
     found = _leaky_relu(mean.to(wide), variance.to(wide), slope)
@@ -81,19 +77,12 @@ def softmax_moments(
     logarithm of the sum of their exponentials, taken as log-normal like that of the others; logits
     of groups without a common class are independent.
 
-    Parameters
-    ----------
-    mean, variance : Tensor, same shape
-        Of the logits; float32 or float64, a half precision is widened in between.
-    dim : int
-        The classes.
-    groups : sequence of sequences of int, optional
-        The classes that are merged into each; every class is in one group.
+    `mean`, `variance`: of the logits; float32 or float64, a half precision is widened in between;
+    `dim`: the classes; `groups`: the classes that are merged into each; every class is in one
+    group.
 
-    Returns
-    -------
-    mean, variance : Tensor
-        The means sum to 1; of variance 0, they are the plain softmax, or its sums over groups.
+    Returns `mean, variance`, the means sum to 1; of variance 0, they are the plain softmax, or its
+    sums over groups.
     """
     wide = torch.promote_types(mean.dtype, torch.float32)
     m, v = (t.to(wide).movedim(dim, 0) for t in (mean, variance))

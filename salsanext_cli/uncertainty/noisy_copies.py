@@ -20,11 +20,6 @@ def noisy_copies(image: RangeImage, sensor: Sensor, seed: int) -> Iterator[Float
 
     A range that is wrong moves its point along its ray; each pixel's error is its own. Empty pixels
     stay empty.
-
-    Raises
-    ------
-    UsageError
-        If the sensor does not know its noise.
     """
     range_noise, intensity_noise = noise_of(sensor)
     random = np.random.default_rng(seed)
@@ -45,24 +40,9 @@ def noise_variance(network: Network, image: RangeImage, seed: int) -> Float:
 
     Without the temperature, as in `sample`.
 
-    Parameters
-    ----------
-    network : Network
-        Whose sensor knows its noise.
-    image : RangeImage
-        One scan.
-    seed : int
-        Of the noise.
+    `network`: whose sensor knows its noise; `image`: one scan; `seed`: of the noise.
 
-    Returns
-    -------
-    (C, H, W) float32
-        Without bias: divided by the number of copies less one.
-
-    Raises
-    ------
-    UsageError
-        If the sensor does not know its noise.
+    Returns (C, H, W) float32, without bias: divided by the number of copies less one.
     """
     statistics = PassStatistics((network.space.class_count, image.height, image.width))
     copies = noisy_copies(image, network.sensor, seed)

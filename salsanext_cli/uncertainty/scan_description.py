@@ -25,23 +25,13 @@ from salsanext_cli.uncertainty.monte_carlo import sample
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ScanDescription:
-    """Means over the pixels of a scan that hold a point.
-
-    Attributes
-    ----------
-    file : ScanFile
-    features : (D,) float64
-        Of the layer before the logits, without dropout; 32 in SalsaNext.
-    uncertainty : float
-        Mutual information of label and weights, nats.
-    check : ScanCheck
-        Reasons to doubt the scan.
-    """
+    """Means over the pixels of a scan that hold a point."""
 
     file: ScanFile
+    # (D,) float64: of the layer before the logits, without dropout; 32 in SalsaNext
     features: npt.NDArray[np.float64]
-    uncertainty: float
-    check: ScanCheck
+    uncertainty: float  # Mutual information of label and weights, nats
+    check: ScanCheck  # Reasons to doubt the scan
 
 
 def describe_scan(file: ScanFile, network: Network, samples: int, seed: int) -> ScanDescription:
@@ -50,19 +40,7 @@ def describe_scan(file: ScanFile, network: Network, samples: int, seed: int) -> 
     The masks of dropout are those of the seed, the same for every scan: between masks the mutual
     information of a scan varies more than between scans of one drive.
 
-    Parameters
-    ----------
-    file : ScanFile
-    network : Network
-    samples, seed : int
-        As `sample` takes them.
-
-    Raises
-    ------
-    FormatError
-        If the file cannot be read, or no point is in view of the sensor.
-    WeightsError
-        If features or probabilities are not finite.
+    `samples`, `seed`: as `sample` takes them.
     """
     image, check = project_checked(file, network.sensor, network.device, network.card.sensor)
     filled = image.point_of_pixel >= 0
@@ -77,23 +55,13 @@ def describe_scan(file: ScanFile, network: Network, samples: int, seed: int) -> 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ScanLabels:
-    """A scan with the labels that the network gives it, and their uncertainty.
+    """A scan with the labels that the network gives it, and their uncertainty."""
 
-    Attributes
-    ----------
-    scan : Scan
-        N points.
-    image : RangeImage
-        The scan, projected.
-    labels : (N,) uint8
-        Train ids of the mean softmax, refined by nearest neighbours.
-    information : (H, W) float32
-        Mutual information of label and weights of each pixel, nats; meaningless where empty.
-    """
-
-    scan: Scan
-    image: RangeImage
-    labels: TrainIds
+    scan: Scan  # N points
+    image: RangeImage  # The scan, projected
+    labels: TrainIds  # (N,) uint8: train ids of the mean softmax, refined by nearest neighbours
+    # (H, W) float32: mutual information of label and weights of each pixel, nats; meaningless where
+    # empty
     information: Float
 
 

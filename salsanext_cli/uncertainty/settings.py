@@ -31,24 +31,15 @@ log = logging.getLogger(__name__)
 
 @dataclass(frozen=True, slots=True)
 class Estimator:
-    """Method of estimating uncertainty, and its numbers.
+    """Method of estimating uncertainty, and its numbers."""
 
-    Attributes
-    ----------
-    method : {"sampling", "analytic"}
-        Monte-Carlo dropout, or its variance carried through the network in one pass.
-    samples : int
-        Passes per scan, at least 2, if sampling; 30 is the paper's number.
-    seed : int
-        A scan's masks and noise depend on this, its sequence and its name only.
-    aleatoric : {"copies", "paper", "none"}
-        The sensor's noise: by passes over noisy copies of the scan, or carried through the network
-        by assumed density filtering; or no aleatoric uncertainty.
-    """
-
+    # {"sampling", "analytic"}: Monte-Carlo dropout, or its variance carried through the network in
+    # one pass
     method: str = "sampling"
-    samples: int = 30
-    seed: int = 0
+    samples: int = 30  # Passes per scan, at least 2, if sampling; 30 is the paper's number
+    seed: int = 0  # A scan's masks and noise depend on this, its sequence and its name only
+    # {"copies", "paper", "none"}: the sensor's noise: by passes over noisy copies of the scan, or
+    # carried through the network by assumed density filtering; or no aleatoric uncertainty
     aleatoric: str = "copies"
 
     def __post_init__(self) -> None:

@@ -44,12 +44,8 @@ RANGE_LOG10 = 3.0
 def evident_count(values: Float, expected: int) -> int | None:
     """Return another number of columns that a table evidently has, None if there is none.
 
-    Parameters
-    ----------
-    values : (M,) float32
-        All values of the table, row by row; a part of the last row may be missing.
-    expected : int
-        Number of columns that its reader expects.
+    `values` (M,) float32, all values of the table, row by row; a part of the last row may be
+    missing; `expected`: number of columns that its reader expects.
     """
     if len(values) < LEAST_EXPLAINED_BY_CHANCE:
         return None

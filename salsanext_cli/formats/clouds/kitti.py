@@ -29,19 +29,8 @@ ANEW = "write it anew as float32 x, y, z, intensity"
 def read_bin(path: Path, *, columns: tuple[str, ...] = (), intensity_scale: float = 1.0) -> Scan:
     """Read a scan of float32 x, y, z, intensity and, in `.pcd.bin` files, ring.
 
-    Parameters
-    ----------
-    path : Path
-        The file.
-    columns : tuple of str
-        Names of other columns; empty for those above.
-    intensity_scale : float
-        Divides the intensity.
-
-    Raises
-    ------
-    FormatError
-        If the file cannot be read, is empty or truncated, or evidently holds something else.
+    `path`: the file; `columns`: names of other columns; empty for those above; `intensity_scale`:
+    divides the intensity.
     """
     has_ring = path.name.lower().endswith(".pcd.bin")
     width = len(columns) or (COLUMNS_WITH_RING if has_ring else COLUMNS)
@@ -103,13 +92,7 @@ def _other_count(path: Path, values: Float, count: int, expected: int) -> Format
 
 
 def count_points(path: Path) -> int:
-    """Return the number of points of a `.bin` file of four columns, from its size.
-
-    Raises
-    ------
-    FormatError
-        If the file cannot be read.
-    """
+    """Return the number of points of a `.bin` file of four columns, from its size."""
     with reading(path) as file:
         return size_of(file) // (4 * COLUMNS)
 

@@ -50,15 +50,7 @@ PANIC = "PanicException"
 
 
 def read_las(path: Path) -> Scan:
-    """Read the points of a LAS or LAZ file; 16-bit intensities are divided by 65535.
-
-    Raises
-    ------
-    FormatError
-        If the file cannot be read, is cut off, or has no point near the origin.
-    MissingDependency
-        If laspy or, for compressed points, lazrs cannot be imported.
-    """
+    """Read the points of a LAS or LAZ file; 16-bit intensities are divided by 65535."""
     return scan_of(_read(path, _used_columns), path, 1.0)
 
 
@@ -150,25 +142,10 @@ def encode_las(
 ) -> bytes:
     """Return a cloud as a LAS 1.4 file.
 
-    Parameters
-    ----------
-    path : Path
-        Name of the file to be; `.laz` is compressed.
-    columns : mapping of str to (N,) array
-        x, y, z in metres; red, green, blue uint8; intensity, nominally 0…1; the others become
-        extra dimensions of their name and type. Points that are not finite are written at the
-        origin and marked as withheld.
-    classification : (N,) uint8
-        Classes of the ASPRS.
-    comments : iterable of str
-        Lines of the text record.
-
-    Raises
-    ------
-    OutputError
-        If a point is farther than 10 km, which would round the others.
-    MissingDependency
-        If laspy, or lazrs for LAZ, cannot be imported.
+    `path`: name of the file to be; `.laz` is compressed; `columns`: x, y, z in metres; red, green,
+    blue uint8; intensity, nominally 0…1; the others become extra dimensions of their name and type.
+    Points that are not finite are written at the origin and marked as withheld; `classification`
+    (N,) uint8, classes of the ASPRS; `comments`: lines of the text record.
     """
     compressed = path.suffix == COMPRESSED_SUFFIX
     laspy = import_laspy(path, compressed=compressed)
@@ -209,13 +186,7 @@ def encode_las(
 
 
 def import_laspy(subject: object, *, compressed: bool) -> Any:
-    """Import laspy, and keep it from printing.
-
-    Raises
-    ------
-    MissingDependency
-        If it, or lazrs for compressed points, is not installed; `subject` is named.
-    """
+    """Import laspy, and keep it from printing."""
     try:
         laspy = import_extra("laspy", "las")
     except MissingDependency as error:

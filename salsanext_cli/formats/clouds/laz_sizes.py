@@ -40,15 +40,7 @@ def require_layers(file: BinaryIO, record: Any, offset: int, points: int) -> Non
     lazrs takes memory for each before it is read, up to 4 GB. A chunk has its first point as it is,
     the number of its points, the sizes of its layers in bytes, and these.
 
-    Parameters
-    ----------
-    file : binary file
-        Its position stays.
-    record : lazrs.LazVlr
-    offset : int
-        Byte where the points begin.
-    points : int
-        Their number.
+    `file`: its position stays; `offset`: byte where the points begin; `points`: their number.
     """
     items = ITEM.iter_unpack(bytes(record.record_data())[ITEMS_AT:])
     layers = sum(size if kind == EXTRA_BYTES else LAYERS.get(kind, 0) for kind, size, _ in items)

@@ -35,19 +35,8 @@ ARCHIVE_ERRORS = (
 def read_npy(path: Path, *, columns: tuple[str, ...] = (), intensity_scale: float = 1.0) -> Scan:
     """Read a scan from a `.npy` file: (N, C) numbers, or (N,) records with named fields.
 
-    Parameters
-    ----------
-    path : Path
-        The file.
-    columns : tuple of str
-        Names of the columns where the file has none; empty for the usual ones.
-    intensity_scale : float
-        Divides the intensity.
-
-    Raises
-    ------
-    FormatError
-        If the file cannot be read, is cut off, or holds no table of points.
+    `path`: the file; `columns`: names of the columns where the file has none; empty for the usual
+    ones; `intensity_scale`: divides the intensity.
     """
     with reading(path) as file:
         array = _array(file.read(), path)

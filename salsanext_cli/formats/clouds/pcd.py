@@ -39,26 +39,14 @@ LARGEST_RATIO = 264 / 3
 
 @dataclass(frozen=True, slots=True)
 class Header:
-    """Fields, points and encoding of a PCD file.
+    """Fields, points and encoding of a PCD file."""
 
-    Attributes
-    ----------
-    names, types, counts : tuples of equal length
-        Fields in order of storage: name, numpy type, values per point.
-    points : int
-        N.
-    kind : str
-        One of `KINDS`.
-    height : int
-        Rows of an organised cloud, else 1.
-    """
-
-    names: tuple[str, ...]
+    names: tuple[str, ...]  # Fields in order of storage: name, numpy type, values per point
     types: tuple[str, ...]
     counts: tuple[int, ...]
-    points: int
-    kind: str
-    height: int = 1
+    points: int  # N
+    kind: str  # One of `KINDS`
+    height: int = 1  # Rows of an organised cloud, else 1
 
     def __post_init__(self) -> None:
         if not len(self.names) == len(self.types) == len(self.counts):
@@ -104,15 +92,7 @@ class Header:
 
 
 def read_pcd(path: Path, *, intensity_scale: float = 1.0) -> Scan:
-    """Read a PCD file; intensities of one byte are divided by 255, without any they are 0.
-
-    Raises
-    ------
-    FormatError
-        If the file cannot be read, is cut off, or has no x, y and z.
-    MissingDependency
-        If the file is compressed and open3d cannot be imported.
-    """
+    """Read a PCD file; intensities of one byte are divided by 255, without any they are 0."""
     header, columns = _read(path)
     # Without columns, points take no room, however many there are.
     rings = rows_as_rings(header.points, header.height) if columns else {}

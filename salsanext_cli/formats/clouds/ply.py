@@ -34,15 +34,7 @@ MIN_ASCII_BYTES = 2
 
 
 def read_ply(path: Path, *, intensity_scale: float = 1.0) -> Scan:
-    """Read the vertices of a PLY file; without an intensity it is 0.
-
-    Raises
-    ------
-    FormatError
-        If the file cannot be read, is cut off, or has no vertices with x, y and z.
-    MissingDependency
-        If plyfile is not installed.
-    """
+    """Read the vertices of a PLY file; without an intensity it is 0."""
     return scan_of(ply_columns(path), path, intensity_scale)
 
 
@@ -106,13 +98,9 @@ def _elements(lines: list[list[str]], ascii_file: bool) -> list[tuple[int, int]]
 def encode_ply(columns: Mapping[str, npt.NDArray[Any]], comments: Iterable[str] = ()) -> bytes:
     """Return vertices as a binary little endian PLY file, one property per column, in order.
 
-    Parameters
-    ----------
-    columns : mapping of str to (N,) array
-        Values by property name, any real dtype. They become uchar, int, float or double, the only
-        types that open3d reads: integers wider than a byte become int, or double beyond its range.
-    comments : iterable of str
-        Lines of the header; anything outside ASCII is escaped.
+    `columns`: values by property name, any real dtype. They become uchar, int, float or double, the
+    only types that open3d reads: integers wider than a byte become int, or double beyond its range;
+    `comments`: lines of the header; anything outside ASCII is escaped.
     """
     plyfile = _plyfile()
     readable = {name: _readable(values) for name, values in columns.items()}

@@ -56,17 +56,11 @@ def other_suffix(content: bytes) -> str | None:
 def are_float64(values: Float) -> bool:
     """Say whether float32 values are the halves of float64 ones.
 
-    Parameters
-    ----------
-    values : (M,) float32
-        All values of a file.
+    `values` (M,) float32, all values of a file.
 
-    Returns
-    -------
-    bool
-        True if most are possible as float64 and most of their low halves are not as float32: those
-        of rounded decimals are random, those that were float32 before have one of eight values, of
-        which six are impossible.
+    Returns true if most are possible as float64 and most of their low halves are not as float32:
+    those of rounded decimals are random, those that were float32 before have one of eight values,
+    of which six are impossible.
     """
     if len(values) % 2:
         return False

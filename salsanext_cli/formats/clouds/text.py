@@ -30,45 +30,20 @@ DECIMAL_COMMA = re.compile(rb'(?:^|[;\s"])-?\d*,\d+(?:[;\s"]|$)')
 
 @dataclass(frozen=True, slots=True)
 class Layout:
-    """Layout of a table of text.
+    """Layout of a table of text."""
 
-    Attributes
-    ----------
-    start : int
-        Offset of the first point in bytes.
-    delimiter : str, optional
-        Character between values; None for blanks.
-    width : int
-        Number of columns.
-    names : tuple of str
-        Names of the columns in lower case; empty if the file has none.
-    count : int, optional
-        Number of points, where the first line is nothing else.
-    """
-
-    start: int
-    delimiter: str | None
-    width: int
-    names: tuple[str, ...]
-    count: int | None = None
+    start: int  # Offset of the first point in bytes
+    delimiter: str | None  # Character between values; None for blanks
+    width: int  # Number of columns
+    names: tuple[str, ...]  # Names of the columns in lower case; empty if the file has none
+    count: int | None = None  # Number of points, where the first line is nothing else
 
 
 def read_text(path: Path, *, columns: tuple[str, ...] = (), intensity_scale: float = 1.0) -> Scan:
     """Read a scan from text, with the names of its columns in a header, a comment or nowhere.
 
-    Parameters
-    ----------
-    path : Path
-        The file.
-    columns : tuple of str
-        Names of the columns where the file has none for x, y and z; empty for the usual ones.
-    intensity_scale : float
-        Divides the intensity.
-
-    Raises
-    ------
-    FormatError
-        If the file cannot be read, is no table of numbers, or it is open what its columns hold.
+    `path`: the file; `columns`: names of the columns where the file has none for x, y and z; empty
+    for the usual ones; `intensity_scale`: divides the intensity.
     """
     with reading(path) as file:
         content = file.read().removeprefix(BYTE_ORDER_MARK)

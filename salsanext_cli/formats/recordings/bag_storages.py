@@ -27,13 +27,7 @@ INDEX_ENTRY = struct.Struct("<QQ")
 
 
 def whole_storage(path: Path) -> Any:
-    """Open a storage with its index.
-
-    Raises
-    ------
-    Exception
-        One of `bags.library_errors()`, if the library refuses it.
-    """
+    """Open a storage with its index."""
     storage: Any
     for database in storages(path) if path.is_dir() else [path]:
         if database.suffix == ".db3" and operator.mod(*page_sizes(database)):

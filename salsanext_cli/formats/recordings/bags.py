@@ -115,13 +115,7 @@ class Bag:
             return sorted(chain.from_iterable(times))
 
     def columns(self, topic: str, time: int, number: int, path: Path) -> Columns:
-        """Read the cloud of a topic and a time; of several of one time that of a number.
-
-        Raises
-        ------
-        FormatError
-            If it is not there or damaged; `path` is named.
-        """
+        """Read the cloud of a topic and a time; of several of one time that of a number."""
         with _refusing(path):
             with self._lock:
                 found = next(islice(self._messages(topic, time), number, None), None)

@@ -14,14 +14,7 @@ MAX_LINE = 64
 class BoundedFile(io.BufferedReader):
     """File of which a read allocates no more than is left; after its end, other bytes follow.
 
-    Parameters
-    ----------
-    path : Path
-        The file.
-    end : int, optional
-        Number of its bytes that count.
-    tail : bytes
-        Read after them.
+    `path`: the file; `end`: number of its bytes that count; `tail`: read after them.
     """
 
     def __init__(self, path: Path, end: int | None = None, tail: bytes = b"") -> None:

@@ -33,10 +33,7 @@ MCAP_DATA_END, MCAP_FOOTER_RECORD = 0x0F, 0x02
 class UnindexedBag(Reader):
     """ROS 1 bag without its index, which its recorder writes last: chunk after chunk is looked for.
 
-    Attributes
-    ----------
-    whole : bool
-        Whether nothing but the index is missing.
+    `whole`: whether nothing but the index is missing.
     """
 
     whole = False
@@ -151,13 +148,7 @@ class CutDatabase(Sqlite3Reader):
 
 
 def page_sizes(path: Path) -> tuple[int, int]:
-    """Return the size of a SQLite file and of its pages in bytes.
-
-    Raises
-    ------
-    ReaderError
-        If that is no size of a page.
-    """
+    """Return the size of a SQLite file and of its pages in bytes."""
     with path.open("rb") as file:
         head = file.read(18)
     page = int.from_bytes(head[16:18], "big")

@@ -68,11 +68,6 @@ class OusterRecording:
 
         Every column of the sensor counts, measured or not: pixels without a return are points at
         the origin. Only first returns are read.
-
-        Raises
-        ------
-        FormatError
-            If it is not there or damaged; `path` is named.
         """
         from ouster.sdk.core import XYZLut
 

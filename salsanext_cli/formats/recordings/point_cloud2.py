@@ -17,23 +17,11 @@ TYPES = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 8: "f8"}
 def columns_of(message: Any, path: Path) -> Columns:
     """Return the values of each field of one value per point, as views into the message.
 
-    Parameters
-    ----------
-    message : sensor_msgs/PointCloud2
-        Rows may be padded, points too; those of an organised cloud follow row by row.
-    path : Path
-        Named in errors.
+    `message`: rows may be padded, points too; those of an organised cloud follow row by row;
+    `path`: named in errors.
 
-    Returns
-    -------
-    dict of str to (N,) array
-        By the field's name; of two of one name, the first. The row of an organised cloud is its
-        ring, unless a field says otherwise.
-
-    Raises
-    ------
-    FormatError
-        If fields, sizes and data contradict each other.
+    Returns dict of str to (N,) array, by the field's name; of two of one name, the first. The row
+    of an organised cloud is its ring, unless a field says otherwise.
     """
     height, width, step = message.height, message.width, message.point_step
     row = message.row_step if height > 1 else width * step

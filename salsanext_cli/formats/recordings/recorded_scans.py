@@ -26,14 +26,9 @@ class Recording(Protocol):
 
     Opening one raises `FormatError` if nothing of it can be read, and `MissingDependency` if the
     package that reads it is missing or too old.
-
-    Attributes
-    ----------
-    lost : str
-        Description of what it lacks because it was cut off; empty if it is whole.
     """
 
-    lost: str
+    lost: str  # Description of what it lacks because it was cut off; empty if it is whole
 
     def topics(self) -> dict[str, str]:
         """Return the type of the messages of every topic that has some."""
@@ -51,19 +46,7 @@ class Recording(Protocol):
 def recorded_paths(path: Path) -> list[Path]:
     """Return the paths of the scans of a recording, sorted by time; no scan is read.
 
-    Parameters
-    ----------
-    path : Path
-        A recording with one topic of point clouds; a topic in it; one of its scans.
-
-    Raises
-    ------
-    NoInputError, UsageError
-        If it holds no clouds, or not those asked for; if it has several topics and none is named.
-    FormatError
-        If it is damaged; of one that was cut off, the last path stands for the scans lost.
-    MissingDependency
-        If the package that reads it is not installed.
+    `path`: a recording with one topic of point clouds; a topic in it; one of its scans.
     """
     recording = _of(path)
     opened = _opened(recording)
@@ -108,17 +91,7 @@ def _names(times: list[int]) -> list[str]:
 def read_recorded(path: Path, intensity_scale: float) -> Scan:
     """Read a scan of a recording.
 
-    Parameters
-    ----------
-    path : Path
-        One of `recorded_paths`.
-    intensity_scale : float
-        Divides the intensity, except that of bytes.
-
-    Raises
-    ------
-    FormatError
-        If it is damaged, not there, or has no coordinates.
+    `path`: one of `recorded_paths`; `intensity_scale`: divides the intensity, except that of bytes.
     """
     recording = _of(path)
     opened = _opened(recording)

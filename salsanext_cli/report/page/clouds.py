@@ -64,18 +64,9 @@ def encode_cloud(
     Points are in the order of the pixels of the range image, row by row, the nearest of each pixel
     first, those without a pixel last. So the number of points of every pixel says which are whose.
 
-    Parameters
-    ----------
-    shown : ShownScan
-        The scan.
-    space : LabelSpace
-        Classes of the labels.
-    sensor : Sensor
-        Sensor of the range image.
-    scales : mapping
-        As `scales_of` returns them.
-    most : int
-        Most points; of more, evenly spaced ones are taken.
+    `shown`: the scan; `space`: classes of the labels; `sensor`: sensor of the range image;
+    `scales`: as `scales_of` returns them; `most`: most points; of more, evenly spaced ones are
+    taken.
     """
     points = shown.results.scan.points
     measured = np.flatnonzero((np.abs(points) <= FARTHEST_M).all(axis=1))

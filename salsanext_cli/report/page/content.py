@@ -45,20 +45,11 @@ MAX_CONFUSIONS = 10
 
 @dataclass(frozen=True, slots=True)
 class Comparison:
-    """Comparison of the scans that have labels.
+    """Comparison of the scans that have labels."""
 
-    Attributes
-    ----------
-    counts : ScanCounts
-        Counts of their points.
-    scores : Scores
-        Scores of the labels.
-    uncertainty : UncertaintyEvaluation
-        Results for the probabilities and uncertainties, if there are any.
-    """
-
-    counts: ScanCounts
-    scores: Scores
+    counts: ScanCounts  # Counts of their points
+    scores: Scores  # Scores of the labels
+    # Results for the probabilities and uncertainties, if there are any
     uncertainty: UncertaintyEvaluation
 
     @classmethod
@@ -83,25 +74,11 @@ def content_of(
 ) -> PageContent:
     """Put a page together.
 
-    Parameters
-    ----------
-    title : str
-        Name of the run.
-    facts, warnings : sequences
-        As `facts_of_run` and `warnings_of_run` return them.
-    rows : sequence of ScanRow
-        All scans, in their order.
-    compared : Comparison or None
-        Of the scans with labels, if there are any.
-    shown : sequence of ShownScan
-        Scans to show point by point.
-    scales : mapping
-        As `scales_of` returns them.
-    space, sensor
-        Classes and range image of the labels.
-    served : mapping of str to str, optional
-        Scans whose points the page asks a server for, with the reason to look at them, which may
-        be empty; otherwise it holds those of `shown`.
+    `title`: name of the run; `facts`, `warnings`: as `facts_of_run` and `warnings_of_run` return
+    them; `rows`: all scans, in their order; `compared`: of the scans with labels, if there are any;
+    `shown`: scans to show point by point; `scales`: as `scales_of` returns them; `space`, `sensor`:
+    classes and range image of the labels; `served`: scans whose points the page asks a server for,
+    with the reason to look at them, which may be empty; otherwise it holds those of `shown`.
     """
     colours = screen_colours(space)
     offered = {scan.name: scan.reason for scan in shown} if served is None else served

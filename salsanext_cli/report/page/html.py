@@ -45,45 +45,22 @@ class ClassShare(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class PageContent:
-    """Content of a page.
+    """Content of a page."""
 
-    Attributes
-    ----------
-    title : str
-        Name of the output folder.
-    tiles : sequence of (str, str)
-        Numbers for the first screen, each with its name.
-    facts, warnings : sequences
-        What was run, by title; and warnings about the scans.
-    shares : sequence of ClassShare
-        Classes; empty without predictions.
-    data : mapping
-        What the scripts show besides: classes, scales, the drive.
-    clouds : sequence of mapping
-        As `encode_cloud` returns them.
-    sentence : str
-        Sentence on risk; empty without labels.
-    rings : sequence of tuple of str
-        Distance, mean IoU, accuracy and points as text; empty if not asked for.
-    confusions : sequence of str
-        What is taken for what, in words.
-    pictures : mapping of str to bytes
-        PNG by a name of `PICTURES`, all of one size.
-    live : bool
-        Whether the page asks a server for its clouds, and so for those of any number of scans.
-    """
-
-    title: str
-    tiles: Sequence[tuple[str, str]]
-    facts: Sequence[tuple[str, str]]
+    title: str  # Name of the output folder
+    tiles: Sequence[tuple[str, str]]  # Numbers for the first screen, each with its name
+    facts: Sequence[tuple[str, str]]  # What was run, by title; and warnings about the scans
     warnings: Sequence[str]
-    shares: Sequence[ClassShare]
-    data: Mapping[str, Any]
-    clouds: Sequence[Mapping[str, Any]]
-    sentence: str = ""
+    shares: Sequence[ClassShare]  # Classes; empty without predictions
+    data: Mapping[str, Any]  # What the scripts show besides: classes, scales, the drive
+    clouds: Sequence[Mapping[str, Any]]  # As `encode_cloud` returns them
+    sentence: str = ""  # Sentence on risk; empty without labels
+    # Distance, mean IoU, accuracy and points as text; empty if not asked for
     rings: Sequence[tuple[str, ...]] = ()
-    confusions: Sequence[str] = ()
+    confusions: Sequence[str] = ()  # What is taken for what, in words
+    # PNG by a name of `PICTURES`, all of one size
     pictures: Mapping[str, bytes] = field(default_factory=dict)
+    # Whether the page asks a server for its clouds, and so for those of any number of scans
     live: bool = False
 
 

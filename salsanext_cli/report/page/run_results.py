@@ -20,27 +20,13 @@ from salsanext_cli.results.sources import MissingResults
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RunResults:
-    """Results of a run in numbers per scan, and what its scans are read with.
-
-    Attributes
-    ----------
-    out : Path
-        The output folder.
-    rows : sequence of ScanRow
-        Scans that could be read, in their order; at least one.
-    counts : ScanCounts or None
-        Of the scans with labels; None without any.
-    missing : MissingResults
-        Scans without results, left out.
-    how : dict
-        Arguments that `read_row` and `read_shown` take alike for all scans.
-    """
+    """Results of a run in numbers per scan, and what its scans are read with."""
 
     out: Path
-    rows: Sequence[ScanRow]
-    counts: ScanCounts | None
-    missing: MissingResults
-    how: dict[str, Any]
+    rows: Sequence[ScanRow]  # Scans that could be read, in their order; at least one
+    counts: ScanCounts | None  # Of the scans with labels; None without any
+    missing: MissingResults  # Scans without results, left out
+    how: dict[str, Any]  # Arguments that `read_row` and `read_shown` take alike for all scans
 
     def read(self, row: ScanRow, reason: str = "") -> ShownScan:
         """Read a scan to be shown; raises as `read_shown`."""
@@ -60,12 +46,8 @@ class RunResults:
     ) -> PageContent:
         """Put the page together.
 
-        Parameters
-        ----------
-        shown, compared, scales, served
-            As for `content_of`.
-        failed : sequence of str
-            Reasons why scans are left out.
+        `shown`, `compared`, `scales`, `served`: as for `content_of`; `failed`: reasons why scans
+        are left out.
         """
         # The folder above often says more.
         title = "/".join(self.out.absolute().parts[-2:])

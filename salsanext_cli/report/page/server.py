@@ -28,21 +28,10 @@ MAX_DIGITS = 9
 class PageServer(ABC, ThreadingHTTPServer):
     """Server on the loopback interface, of `page` and `cloud`.
 
-    Parameters
-    ----------
-    port : int
-        Port; 0 for any free one. It is taken at once; requests wait until `serve_forever`.
+    `token`: part of the address of the clouds, so that the page of an earlier server gets none of
+    this one's.
 
-    Attributes
-    ----------
-    token : str
-        Part of the address of the clouds, so that the page of an earlier server gets none of this
-        one's.
-
-    Raises
-    ------
-    UsageError
-        If the port is taken or may not be used.
+    `port`: port; 0 for any free one. It is taken at once; requests wait until `serve_forever`.
     """
 
     def __init__(self, port: int) -> None:
@@ -66,13 +55,7 @@ class PageServer(ABC, ThreadingHTTPServer):
 
     @abstractmethod
     def cloud(self, place: int) -> Mapping[str, Any] | None:
-        """Return the cloud of a scan by its place, as plain data; None if there is no such scan.
-
-        Raises
-        ------
-        SalsanextError
-            If it cannot be read, which the page tells.
-        """
+        """Return the cloud of a scan by its place, as plain data; None if there is no such scan."""
 
     def handle_error(self, request: Any, client_address: Any) -> None:
         """Say nothing of a browser that no longer waits for its answer."""

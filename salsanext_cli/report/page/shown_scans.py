@@ -30,23 +30,12 @@ SCALARS = (*UNCERTAIN, "range", "intensity")
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ShownScan:
-    """Scan to show in a page.
+    """Scan to show in a page."""
 
-    Attributes
-    ----------
-    name : str
-        Sequence and stem.
-    reason : str
-        Why it is shown.
-    results : ScanResults
-        N points and what is known about them.
-    doubt : (N,) float32 or None
-        1 − the largest probability, NaN without one; None without probabilities.
-    """
-
-    name: str
-    reason: str
-    results: ScanResults
+    name: str  # Sequence and stem
+    reason: str  # Why it is shown
+    results: ScanResults  # N points and what is known about them
+    # (N,) float32 or None: 1 − the largest probability, NaN without one; None without probabilities
     doubt: Float | None
 
     def values(self) -> dict[str, npt.NDArray[Any]]:
@@ -70,11 +59,6 @@ def read_shown(
     """Read a scan, its results, and the confidence of its points.
 
     Arguments are those of `count_scan`; the truth gets the raw ids of `space`.
-
-    Raises
-    ------
-    FormatError, LabelError
-        If a file is damaged or belongs to another scan.
     """
     found = read_results(file, out, sensor, space, (labels, space))
     doubt = None

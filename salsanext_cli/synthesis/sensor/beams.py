@@ -14,32 +14,18 @@ REVOLUTION_S = 0.1
 
 @dataclass(frozen=True, slots=True)
 class Beams:
-    """The lasers of one sensor, upper ones first; L of them.
+    """The lasers of one sensor, upper ones first; L of them."""
 
-    Attributes
-    ----------
-    elevation : (L,)
-        Radians.
-    azimuth : (L,)
-        Offset of the first firing, radians.
-    height, aside : (L,)
-        Where the beam starts, metres above and to the left of the sensor's origin.
-    gain, offset : (L,)
-        Brightness that the laser reports relative to the others, and what it reports less.
-    power : (L,)
-        Strength of the pulse relative to the others.
-    columns : int
-        Firings per revolution.
-    """
-
-    elevation: Array
-    azimuth: Array
+    elevation: Array  # (L,): radians
+    azimuth: Array  # (L,): offset of the first firing, radians
+    # (L,): where the beam starts, metres above and to the left of the sensor's origin
     height: Array
     aside: Array
+    # (L,): brightness that the laser reports relative to the others, and what it reports less
     gain: Array
     offset: Array
-    power: Array
-    columns: int
+    power: Array  # (L,): strength of the pulse relative to the others
+    columns: int  # Firings per revolution
 
     def azimuths(self) -> Array:
         """Return the azimuth of each firing, (L, columns), radians, anticlockwise from ahead."""

@@ -44,32 +44,16 @@ RELATIVE_RESPONSE = (0.82, 0.86, 0.92, 1.0, 1.05, 0.92, 0.66, 0.45)
 
 
 class Response(NamedTuple):
-    """Limits, noise and brightness of the pulses that a sensor reports.
+    """Limits, noise and brightness of the pulses that a sensor reports."""
 
-    Attributes
-    ----------
-    noise : float
-        Standard deviation of the range, metres.
-    nearest, farthest : float
-        Smallest and largest reported range, metres.
-    lost_pulses : float
-        Share of pulses lost whatever the surface.
-    threshold : float
-        Signal (brightness · cos / range²) at which half of the pulses are lost.
-    gain, gamma : float
-        Factor and exponent of the reported brightness.
-    steps : int
-        Number of steps of the reported brightness from 0 to 1.
-    """
-
-    noise: float
-    nearest: float
+    noise: float  # Standard deviation of the range, metres
+    nearest: float  # Smallest and largest reported range, metres
     farthest: float
-    lost_pulses: float
-    threshold: float
-    gain: float
+    lost_pulses: float  # Share of pulses lost whatever the surface
+    threshold: float  # Signal (brightness · cos / range²) at which half of the pulses are lost
+    gain: float  # Factor and exponent of the reported brightness
     gamma: float
-    steps: int
+    steps: int  # Number of steps of the reported brightness from 0 to 1
 
 
 HDL64 = Response(
@@ -93,13 +77,7 @@ class Firings(NamedTuple):
 
 
 class Scene:
-    """Triangles that rays can hit: a mesh in world coordinates.
-
-    Raises
-    ------
-    MissingDependency
-        If open3d cannot be loaded.
-    """
+    """Triangles that rays can hit: a mesh in world coordinates."""
 
     def __init__(self, mesh: Mesh) -> None:
         self.mesh = mesh
@@ -128,27 +106,12 @@ def measure(
 ) -> tuple[Array, Array, RawIds]:
     """Measure along rays.
 
-    Parameters
-    ----------
-    rng : numpy.random.Generator
-        Of the noise.
-    scenes : list of Scene
-        The nearest hit over all of them counts.
-    rays : (R, 6)
-        Origins and unit directions, world coordinates; neighbours in azimuth follow each other.
-    firings : Firings
-        Of the rays' lasers.
-    response : Response
-        Of the sensor.
+    `rng`: of the noise; `scenes`: the nearest hit over all of them counts; `rays` (R, 6), origins
+    and unit directions, world coordinates; neighbours in azimuth follow each other; `firings`: of
+    the rays' lasers; `response`: of the sensor.
 
-    Returns
-    -------
-    distance : (R,)
-        Metres, NaN where nothing came back.
-    intensity : (R,)
-        0…1.
-    labels : (R,) uint32
-        Raw ids.
+    Returns `distance` (R,), metres, NaN where nothing came back; `intensity` (R,), 0…1; `labels`
+    (R,) uint32, raw ids.
     """
     distance, cosine = np.full(len(rays), np.inf), np.ones(len(rays))
     labels = np.zeros(len(rays), np.uint32)

@@ -24,27 +24,13 @@ HDL64_MOUNT_M = 1.73
 
 @dataclass(frozen=True, slots=True)
 class Rig:
-    """A sensor and its mounting.
+    """A sensor and its mounting."""
 
-    Attributes
-    ----------
-    beams : Beams
-        Its lasers.
-    response : Response
-        What it makes of the pulses that return.
-    seen : (L * columns,) bool
-        Rays that the vehicle does not block.
-    mount : float
-        Height above the road, metres.
-    tilt : (2,)
-        Pitch and roll of the mounting, radians.
-    """
-
-    beams: Beams
-    response: Response
-    seen: npt.NDArray[np.bool_]
-    mount: float
-    tilt: Array
+    beams: Beams  # Its lasers
+    response: Response  # What it makes of the pulses that return
+    seen: npt.NDArray[np.bool_]  # (L * columns,) bool: rays that the vehicle does not block
+    mount: float  # Height above the road, metres
+    tilt: Array  # (2,): pitch and roll of the mounting, radians
 
     def rays(self) -> tuple[Array, Array, Array]:
         """Return origins, directions and times of the rays that leave the vehicle."""

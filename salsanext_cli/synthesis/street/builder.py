@@ -53,10 +53,7 @@ class Builder:
     ) -> bool:
         """Set a thing down unless a thing, a side street or the street's end is within `radius`.
 
-        Returns
-        -------
-        bool
-            Whether it was set down.
+        Returns whether it was set down.
         """
         t = side.sign * (self.plan.half + out)
         if not radius <= s <= self.plan.length - radius:

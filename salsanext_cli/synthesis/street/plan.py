@@ -84,33 +84,17 @@ class Side:
 
 @dataclass(frozen=True, slots=True)
 class Plan:
-    """A whole street.
+    """A whole street."""
 
-    Attributes
-    ----------
-    style : Style
-        What it was drawn from.
-    length : float
-        Of the centre line, metres.
-    half : float
-        Half the width of the carriageway.
-    knots, x, y, heading : (K,)
-        The centre line at every half metre of s.
-    waves : (M, 4)
-        Amplitude, x and y wave number and phase of the rolling ground.
-    bank, sides : pairs
-        Slope of the ground beyond the verge, and the sides themselves, left and right.
-    """
-
-    style: Style
-    length: float
-    half: float
-    knots: Array
+    style: Style  # What it was drawn from
+    length: float  # Of the centre line, metres
+    half: float  # Half the width of the carriageway
+    knots: Array  # (K,): the centre line at every half metre of s
     x: Array
     y: Array
     heading: Array
-    waves: Array
-    bank: Span
+    waves: Array  # (M, 4): amplitude, x and y wave number and phase of the rolling ground
+    bank: Span  # Slope of the ground beyond the verge, and the sides themselves, left and right
     crossings: tuple[Crossing, ...]
     sides: tuple[Side, Side]
 

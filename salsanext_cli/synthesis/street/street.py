@@ -19,14 +19,8 @@ def build_street(
 ) -> tuple[Plan, Mesh, tuple[Mover, ...]]:
     """Build a street on which the recording vehicle can drive `distance` metres.
 
-    Returns
-    -------
-    plan : Plan
-        The ground plan.
-    standing : Mesh
-        All that keeps still, world coordinates.
-    movers : tuple of Mover
-        All that moves.
+    Returns `plan`, the ground plan; `standing`, all that keeps still, world coordinates; `movers`,
+    all that moves.
     """
     plan = draw_plan(rng, style, distance + 2 * RUN_OUT_M)
     builder = Builder(rng, plan)
