@@ -13,9 +13,13 @@ from salsanext_cli.errors import UsageError, WeightsError, error_text, shortened
 from salsanext_cli.files.atomic import write_bytes
 from salsanext_cli.network.card import WeightsCard, read_card, require_tensors
 from salsanext_cli.network.registry import build
-from salsanext_cli.network.restricted_unpickler import DTYPES
 from salsanext_cli.network.segmentation import SegmentationNetwork
 
+DTYPES = (
+    *(torch.float32, torch.float64, torch.float16, torch.bfloat16),
+    *(torch.int64, torch.int32, torch.int16, torch.int8, torch.uint8, torch.bool),
+)
+"""Number types of tensors that can be loaded."""
 NORM_SUFFIXES = (".running_mean", ".running_var")
 
 
@@ -91,7 +95,7 @@ def _checked(name: str, tensor: Tensor, wanted: Tensor, source: object) -> Tenso
     """Return a tensor in the number type that is wanted; anything amiss raises `WeightsError`."""
     if tensor.shape != wanted.shape:
         raise WeightsError(source, f"{name} is {tuple(tensor.shape)}", str(tuple(wanted.shape)))
-    if tensor.dtype not in DTYPES.values():
+    if tensor.dtype not in DTYPES:
         raise WeightsError(source, f"{name} is of {tensor.dtype}", "float32 or float16")
     found = tensor.to(wanted.dtype)
     if not torch.isfinite(found).all():

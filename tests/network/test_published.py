@@ -1,7 +1,8 @@
 # SPDX-License-Identifier: MIT
 """Checkpoints as the published code saves them, and files that only look like it."""
 
-from collections import OrderedDict
+import os
+from collections import OrderedDict, defaultdict
 from dataclasses import replace
 from pathlib import Path
 
@@ -90,9 +91,12 @@ def test_prefix_and_wrapping_do_not_matter(tmp_path, prefix, wrapped):
         ({"model": {"x": torch.zeros(1)}}, "no state_dict of tensors"),
         ([torch.zeros(1)], "no state_dict of tensors"),
         (torch.zeros(3), "no state_dict of tensors"),
-        ({"state_dict": {**FEW, "logits.weight": "text"}}, "logits.weight is no plain tensor"),
+        (
+            {"state_dict": {**FEW, "logits.weight": "text"}},
+            "logits.weight is no plain tensor but str",
+        ),
         ({"state_dict": {**FEW, "logits.weight": torch.ones(2).to_sparse()}}, "no plain tensor"),
-        ({"state_dict": {**FEW, "logits.weight": Path()}}, "no plain tensor but pathlib"),
+        ({"state_dict": {**FEW, "logits.weight": Path()}}, "no plain tensor but Ignored"),
         ({"state_dict": {"unheard.of.weight": torch.zeros(1)}}, "unknown tensor unheard.of.weight"),
         ({"state_dict": {3: torch.zeros(1)}}, "unknown tensor 3"),
     ],
@@ -100,6 +104,62 @@ def test_prefix_and_wrapping_do_not_matter(tmp_path, prefix, wrapped):
 def test_files_that_are_no_checkpoints(tmp_path, content, says):
     path = save(tmp_path / "SalsaNext", content)
     with pytest.raises(WeightsError, match=f"SalsaNext · .*{says}"):
+        read_published(path)
+
+
+FORMS = pytest.mark.parametrize("as_zip", [True, False], ids=["zip", "legacy"])
+
+
+@FORMS
+def test_what_else_a_checkpoint_holds_is_ignored(tmp_path, as_zip):
+    """The published code saves the state of its schedulers, whose objects torch refuses."""
+    model = torch.nn.Linear(3, 2)
+    optimiser = torch.optim.SGD(model.parameters(), 0.1, momentum=0.9)
+    schedulers = [
+        torch.optim.lr_scheduler.CyclicLR(optimiser, 0.01, 0.1),
+        torch.optim.lr_scheduler.ExponentialLR(optimiser, 0.9),
+    ]
+    others = {"kind": dict, "by": defaultdict(dict), "place": Path("x"), "score": np.float64(0.5)}
+    content = {"state_dict": FEW, "scheduler": {"last": schedulers[1]}, "others": others}
+    path = tmp_path / "SalsaNext"
+    torch.save(content, path, _use_new_zipfile_serialization=as_zip)
+    assert tuple(read_published(path)) == FEW_OURS
+
+
+class Touches:
+    """Pickles as a call that makes a file."""
+
+    def __init__(self, file):
+        self.file = file
+
+    def __reduce__(self):
+        return os.system, (f"touch {self.file}",)
+
+
+@FORMS
+def test_nothing_in_a_file_is_run(tmp_path, as_zip):
+    proof, path = tmp_path / "touched", tmp_path / "SalsaNext"
+    content = {"state_dict": FEW, "x": Touches(proof)}
+    torch.save(content, path, _use_new_zipfile_serialization=as_zip)
+    with pytest.raises(WeightsError, match=r"it names posix\.system"):
+        read_published(path)
+    assert not proof.exists()
+    torch.load(path, weights_only=False)
+    assert proof.exists(), "the attack would not have worked"
+
+
+@pytest.mark.parametrize("content", [b"", b"no checkpoint", b"PK\x03\x04", bytes(100)])
+def test_rubbish_is_refused(tmp_path, content):
+    path = tmp_path / "SalsaNext"
+    path.write_bytes(content)
+    with pytest.raises(WeightsError, match=r"SalsaNext · "):
+        read_published(path)
+
+
+def test_a_file_cut_off_is_refused(tmp_path):
+    path = save(tmp_path / "SalsaNext", {"state_dict": FEW})
+    path.write_bytes(path.read_bytes()[:-300])
+    with pytest.raises(WeightsError, match=r"SalsaNext · "):
         read_published(path)
 
 
