@@ -4,7 +4,7 @@
 Points are sorted by range and written into the image, the farthest first. The network is eager,
 in float32 and NCHW. Neighbours are unfolded, gathered and voted for with torch. Each Monte-Carlo
 pass carries means and variances through the whole network. Counting adds one at a time. What
-`salsanext benchmark` compares with is this file; it needs torch, numpy and safetensors only.
+`speed.py` compares with is this file; it needs torch, numpy and safetensors only.
 
 Run: python benchmarks/baseline.py 000000.bin OUT.label [--weights FILE --device cuda]
 """

@@ -22,9 +22,9 @@ from importlib.util import find_spec
 
 import numpy as np
 import torch
+from speed_hardware import seconds_of
 
 import salsanext_cli as sn
-from salsanext_cli.benchmarking.hardware import seconds_of
 from salsanext_cli.compiled.kernels import thread_count
 from salsanext_cli.engines.device import has_bfloat16, openvino_core
 from salsanext_cli.engines.graphs import HINTS, Graph

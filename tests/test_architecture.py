@@ -24,7 +24,7 @@ LEVELS = (
     ("uncertainty", "measures"),
     ("labelling",),
     ("training", "synthesis", "parallel", "report"),
-    ("stages", "benchmarking"),
+    ("stages",),
     ("cli",),
     ("__main__",),
 )

@@ -9,7 +9,6 @@ from typing import Annotated, Any
 import typer
 from typer.core import TyperGroup
 
-from salsanext_cli.cli.benchmark import benchmark
 from salsanext_cli.cli.console import WRONG_USE, guarded, usage_errors
 from salsanext_cli.cli.convert import convert
 from salsanext_cli.cli.demo import demo
@@ -59,7 +58,6 @@ COMMANDS: dict[str, dict[str, Callable[..., None] | typer.Typer]] = {
         "import-weights": import_weights,
         "export-onnx": export_onnx,
         "tune": tune,
-        "benchmark": benchmark,
     },
     "Look": {
         "picture": picture,

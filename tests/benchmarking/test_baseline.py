@@ -9,11 +9,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import speed_product as product
 import torch
 from scans import SMALL, make_scan, write_weights
 
 from salsanext_cli import RangeImage, Scan, knn_refine, load_network, project, read_labels
-from salsanext_cli.benchmarking import product
 from salsanext_cli.engines.settings import NetworkSettings
 from salsanext_cli.measures.confusion import Confusion
 from salsanext_cli.results.point_files import write_bin

@@ -10,13 +10,14 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import speed
+import speed_hardware as hardware
+import speed_turn as turn
 import torch
 from rich.console import Console
 from scans import SMALL, make_scan, write_weights
+from speed import PARTS, benchmark, benchmark_table
 
-from salsanext_cli.benchmarking import benchmark as benchmarking
-from salsanext_cli.benchmarking import hardware, turn
-from salsanext_cli.benchmarking.benchmark import PARTS, benchmark
 from salsanext_cli.engines.settings import NetworkSettings
 from salsanext_cli.errors import SalsanextError, UsageError, WeightsError
 from salsanext_cli.formats import read_scan
@@ -24,7 +25,6 @@ from salsanext_cli.network.card import read_card
 from salsanext_cli.network.registry import build
 from salsanext_cli.network.salsanext import SalsaNext
 from salsanext_cli.network.weights import save_weights
-from salsanext_cli.report.tables import benchmark_table
 from salsanext_cli.results.point_files import write_bin
 from salsanext_cli.sensors.sensor import sensor as find_sensor
 
@@ -69,7 +69,7 @@ def test_sides_take_turns_on_the_same_scan(monkeypatch, tmp_path, weights):
             return {"seconds": 2.504, "peak_bytes": None}
         return {"seconds": next(seconds[side]), "peak_bytes": len(asked) * 10**9}
 
-    monkeypatch.setattr(benchmarking, "take_turn", take_turn)
+    monkeypatch.setattr(speed, "take_turn", take_turn)
     found = benchmark(
         tmp_path,
         network=NetworkSettings(weights, "cpu", replace(SMALL, intensity_scale=255.0)),
@@ -156,8 +156,8 @@ def test_a_process_that_fails_or_dies_is_named(monkeypatch, tmp_path, capfd):
 def test_a_turn_ends_with_the_process_that_started_it(tmp_path, weights):
     write_bin(tmp_path / "0.bin", make_scan())
     task = {"weights": str(weights), "device": "cpu", "sensor": SMALL.to_dict(), "passes": 10**6}
-    command = (turn.__name__, "baseline", "uncertainty", json.dumps({**task, "parent": 0}))
-    words = [sys.executable, "-m", *command, str(tmp_path / "0.bin")]
+    command = (turn.__file__, "baseline", "uncertainty", json.dumps({**task, "parent": 0}))
+    words = [sys.executable, *command, str(tmp_path / "0.bin")]
     assert subprocess.run(words, timeout=60, check=False).returncode == 1
 
 
@@ -183,3 +183,26 @@ def test_everything_is_measured(tmp_path, weights, device):
         assert part["product"]["median"] > 0
         assert (part["ratio"] is None) == (part["part"] == "help")
         assert (part["share_of_ceiling"] or 0.5) < 1.5
+
+
+def test_the_script_prints_a_table_and_writes_all(tmp_path, weights, capsys):
+    write_bin(tmp_path / "000000.bin", make_scan())
+    file = tmp_path / "speed.json"
+    options = ("--weights", weights, "--device", "cpu", "--rounds", 1, "--threads", 1)
+    speed.main(*map(str, (tmp_path, *options, "--parts", "knn, help", "--write", file)))
+    found = json.loads(file.read_text())
+    knn, help_ = found["parts"]
+    assert knn["ratio"]["median"] == knn["baseline"]["median"] / knn["product"]["median"]
+    assert 0 < knn["share_of_ceiling"] < 1
+    assert help_["baseline"] is None
+    assert "times as fast" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    "option", [("--rounds", 0), ("--threads", 0), ("--parts", ""), ("--parts", "knn,nets")]
+)
+def test_a_wrong_option(tmp_path, option, capsys):
+    write_bin(tmp_path / "000000.bin", make_scan())
+    with pytest.raises(SystemExit):
+        speed.main(str(tmp_path), *map(str, option))
+    assert f"{option[0]} · " in capsys.readouterr().err

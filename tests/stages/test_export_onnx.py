@@ -10,7 +10,6 @@ from architectures import EACH
 from scans import SMALL, labels_below, lively, make_scan
 
 from salsanext_cli import LabelSpace, label_space, load_network, project
-from salsanext_cli.benchmarking.benchmark import benchmark
 from salsanext_cli.engines import onnx_export
 from salsanext_cli.engines.onnx_export import difference, exported, run
 from salsanext_cli.engines.settings import NetworkSettings
@@ -162,8 +161,6 @@ def test_labels_and_probabilities_only(world, model, tmp_path):
         uncertainty(world.data, world.out, network=settings)
     with pytest.raises(WeightsError, match="labels and probabilities only"):
         tune_temperature(world.data, tmp_path / "t.safetensors", network=settings)
-    with pytest.raises(WeightsError, match="labels and probabilities only"):
-        benchmark(world.data, network=settings)
     with pytest.raises(WeightsError, match="labels and probabilities only"):
         read_weights(model)
     for options in ({"device": "cuda"}, {"engine": "torch"}):

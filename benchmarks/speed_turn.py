@@ -13,8 +13,8 @@ from subprocess import PIPE, Popen
 from typing import Any
 
 import torch
+from speed_hardware import seconds_of
 
-from salsanext_cli.benchmarking.hardware import seconds_of
 from salsanext_cli.errors import SalsanextError
 from salsanext_cli.parallel.pools import end_with_parent
 
@@ -22,7 +22,7 @@ REPETITIONS = {"projection": 20, "network": 5, "knn": 20, "predict": 5, "confusi
 """Calls of a part, of which the median counts; one if not listed."""
 THREAD_VARIABLES = ("OMP_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS")
 MAXRSS_UNIT_BYTES = 1 if sys.platform == "darwin" else 1024
-PYTHON, PACKAGE = sys.executable, Path(__file__).parents[1]
+PYTHON, FOLDER = sys.executable, Path(__file__).parent
 
 
 def take_turn(side: str, part: str, task: Mapping[str, Any], scan: Path) -> dict[str, Any]:
@@ -63,31 +63,21 @@ def _command(side: str, part: str, task: Mapping[str, Any], scan: Path) -> tuple
         return (PYTHON, "-m", "salsanext_cli", "--help")
     if part != "cold":
         settings = json.dumps({**task, "parent": os.getpid()})
-        return (PYTHON, "-m", __name__, side, part, settings, scan)
+        return (PYTHON, __file__, side, part, settings, scan)
     options = ["--weights", task["weights"], "--device", task["device"]]
     options += ["--sensor", scan.with_name("sensor.toml")]
     if side == "baseline":
-        return (PYTHON, baseline_path(), scan, scan.with_suffix(".label"), *options)
+        return (PYTHON, FOLDER / "baseline.py", scan, scan.with_suffix(".label"), *options)
     options += ["--precision", task["precision"], "--engine", task["engine"], "--quiet"]
     return (PYTHON, "-m", "salsanext_cli", "predict", scan, scan.with_suffix(".out"), *options)
-
-
-def baseline_path() -> Path:
-    """Return the baseline's file: inside an installed package, or beside it in a checkout."""
-    installed = PACKAGE / "benchmarks" / "baseline.py"
-    return installed if installed.exists() else PACKAGE.parent / "benchmarks" / "baseline.py"
 
 
 def main(side: str, part: str, task: str, scan: str) -> None:
     """Measure a part for one scan and print the result as JSON."""
     settings, repetitions = json.loads(task), REPETITIONS.get(part, 1)
     end_with_parent(settings["parent"])
-    if side == "baseline":
-        sys.path.insert(0, str(baseline_path().parent))
-        prepare = importlib.import_module("baseline").prepare
-    else:
-        # Not imported for the baseline, whose memory it would add to.
-        from salsanext_cli.benchmarking.product import prepare
+    # Ours is not imported for the baseline, whose memory it would add to.
+    prepare = importlib.import_module("baseline" if side == "baseline" else "speed_product").prepare
     work = prepare(part, Path(scan), settings)
     found = work() if part == "hardware" else {"seconds": median(seconds_of(work, repetitions))}
     if (side, part) == ("baseline", "uncertainty"):

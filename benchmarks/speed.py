@@ -1,6 +1,15 @@
 # SPDX-License-Identifier: MIT
-"""Time and memory of each part of the method, beside the same method written plainly."""
+"""Time and memory of each part of the method, beside the same method written plainly.
 
+Each turn of each side runs in a process of its own (`speed_turn.py`): the plain side is
+`baseline.py`, ours `speed_product.py`; `speed_hardware.py` measures what the machine could do.
+
+Run: python benchmarks/speed.py seq/velodyne [--parts network,predict] [--rounds 5] [--passes 1]
+     [--threads 2] [--limit 4] [--weights FILE] [--device cpu] [--precision auto] [--engine auto]
+     [--sensor NAME] [--write speed.json]
+"""
+
+import argparse
 import os
 import tempfile
 from collections.abc import Callable, Mapping, Sequence
@@ -9,17 +18,24 @@ from pathlib import Path
 from statistics import median
 from typing import Any
 
-from salsanext_cli.benchmarking.hardware import least_seconds
-from salsanext_cli.benchmarking.turn import take_turn
+from rich.console import Console
+from rich.markup import escape
+from rich.table import Table
+from speed_hardware import least_seconds
+from speed_turn import take_turn
+
 from salsanext_cli.engines.device import choose_device, choose_precision
 from salsanext_cli.engines.settings import NetworkSettings
-from salsanext_cli.errors import UsageError, WeightsError
+from salsanext_cli.errors import SalsanextError, UsageError, WeightsError, counted
+from salsanext_cli.files.json_files import write_json
 from salsanext_cli.formats import read_scan
 from salsanext_cli.geometry.normalise import noise_of
 from salsanext_cli.network.card import WeightsCard, default_weights, read_card, require_tensors
+from salsanext_cli.report.tables import ABSENT, number_table
 from salsanext_cli.results.point_files import write_bin
 from salsanext_cli.results.selection import ScanSelection, select_scans
 from salsanext_cli.sensors.sensor import Sensor
+from salsanext_cli.sensors.sensor import sensor as find_sensor
 
 PARTS = ("projection", "network", "knn", "predict", "uncertainty", "confusion", "cold", "help")
 SIDES = ("baseline", "product")
@@ -126,3 +142,81 @@ def _summary(part: str, turns: Mapping[str, Any], least: float | None) -> dict[s
     if least is not None:
         found["share_of_ceiling"] = least / found["product"]["median"]
     return found
+
+
+def benchmark_table(found: Mapping[str, Any]) -> Table:
+    """Return a table with a row per part of what `benchmark` returns."""
+    machine, ceiling, settings = found["machine"], found["ceiling"], found["settings"]
+    sensor, precision = settings["sensor"], machine["precision"]
+    title = (
+        f"{machine['processor']} ({machine['instructions']}), {machine['threads']} threads, "
+        f"torch {machine['torch_version']}, {machine['device']}\n"
+        f"{sensor['name']}, {sensor['height']}×{sensor['width']}, {precision}; "
+        f"{counted(settings['scans'], 'scan')} of {settings['points']:,} points on average"
+    )
+    notes = (
+        f"Medians of {settings['rounds']} rounds, in brackets the lowest and the highest ratio of "
+        "a round; of help, CPU time.\n"
+        f"Ceiling: {ceiling['operations'] / 1e9:,.0f} GFLOP/s of a matrix product in {precision}, "
+        f"{ceiling['bytes'] / 1e9:,.1f} GB/s of a memory copy.\n"
+        f"Of the baseline's {settings['samples']} passes, all alike, {settings['passes']} timed."
+    )
+    numbers = ("baseline", "product", "times as fast", "of ceiling", "peak memory, GB")
+    table = number_table("part", *numbers, title=title)
+    table.caption = escape(notes)
+    for column in table.columns:
+        column.no_wrap = True
+    for part in found["parts"]:
+        ratio, share = part["ratio"], part["share_of_ceiling"]
+        sides = [part[side] for side in ("baseline", "product")]
+        peaks = [side["peak_bytes"] for side in sides if side]
+        table.add_row(
+            part["part"],
+            *(_time(side["median"]) if side else ABSENT for side in sides),
+            "{median:.3g} × ({lowest:.3g} to {highest:.3g})".format_map(ratio) if ratio else ABSENT,
+            f"{share:.1%}" if share else ABSENT,
+            " / ".join(f"{peak / 1e9:.2f}" if peak else ABSENT for peak in peaks),
+        )
+    return table
+
+
+def _time(seconds: float) -> str:
+    return f"{seconds:.2f} s " if seconds >= 1 else f"{seconds * 1e3:.3g} ms"
+
+
+def main(*words: str) -> None:
+    parser = argparse.ArgumentParser()
+    parser.add_argument("scans", type=Path)
+    parser.add_argument("--parts", default=",".join(PARTS))
+    for name, default in (("rounds", 3), ("passes", 1), ("threads", None), ("limit", 4)):
+        parser.add_argument(f"--{name}", type=int, default=default)
+    parser.add_argument("--weights", type=Path)
+    for name in ("device", "precision", "engine"):
+        parser.add_argument(f"--{name}", default="auto")
+    parser.add_argument("--sensor", type=find_sensor)
+    parser.add_argument("--write", type=Path, help="file for every measurement (.json)")
+    given = parser.parse_args(words or None)
+    network = NetworkSettings(
+        *(given.weights, given.device, given.sensor, given.precision, given.engine),
+        fit=False,
+        intensity="raw",
+    )
+    try:
+        found = benchmark(
+            given.scans,
+            network=network,
+            selection=ScanSelection(limit=given.limit),
+            parts=[name.strip() for name in given.parts.split(",")],
+            rounds=given.rounds,
+            passes=given.passes,
+            threads=given.threads,
+        )
+    except SalsanextError as error:
+        parser.error(str(error))
+    if given.write is not None:
+        write_json(given.write, found)
+    Console().print(benchmark_table(found))
+
+
+if __name__ == "__main__":
+    main()

@@ -6,9 +6,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from speed_hardware import describe
 
 import salsanext_cli as sn
-from salsanext_cli.benchmarking.hardware import describe
 from salsanext_cli.geometry.gather import points_from_pixels
 from salsanext_cli.measures.confusion import Confusion
 from salsanext_cli.results.layout import ScanFile
