@@ -14,7 +14,6 @@ from salsanext_cli.files.reading import filled
 from salsanext_cli.formats import read_scan
 from salsanext_cli.formats.clouds.kitti import encode_bin
 from salsanext_cli.formats.recordings.address import recording_of
-from salsanext_cli.formats.recordings.recorded_scans import LOST
 from salsanext_cli.parallel.run import Outcome, RunOptions, run_over_scans
 from salsanext_cli.results.layout import SCAN_FOLDER, ScanFile, find_scans, require_none_hidden
 from salsanext_cli.results.written_files import WrittenFiles
@@ -52,9 +51,7 @@ def convert(
         found = "no recording" if recording.exists() else "no such recording"
         raise UsageError(recording, found, "a ROS bag or an Ouster recording")
     listed = find_scans(recording)
-    whole = [scan for scan in listed if scan.stem != LOST]
-    # With a limit nobody asked for what comes last.
-    chosen = whole[::every][:limit] + (listed[len(whole) :] if limit is None else [])
+    chosen = listed[::every][:limit]
     sequence = folder / "sequences" / listed[0].sequence
     place, written = sequence / SCAN_FOLDER, WrittenFiles(folder)
     require_none_hidden(folder)

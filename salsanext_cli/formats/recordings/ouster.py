@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: MIT
 """Recordings of Ouster sensors: `.pcap` with its metadata `.json` beside it, and `.osf`."""
 
+import logging
 import struct
 import subprocess
 import sys
@@ -28,6 +29,8 @@ PCAP_BYTE_ORDER = {
 NS_PER_PCAP_TIME = 1000
 KIND = "Ouster"
 
+log = logging.getLogger(__name__)
+
 
 class OusterRecording:
     """`Recording` of one or more Ouster sensors, which are its topics."""
@@ -36,10 +39,11 @@ class OusterRecording:
         import_extra("ouster.sdk", "ouster")
         from ouster.sdk import open_source
 
-        self.path, self.lost, self._lock = path, "", Lock()
+        self.path, self._lock = path, Lock()
         is_pcap = path.suffix.lower() == ".pcap"
         with reading(path) as file:
-            self.lost = _cut_pcap(file) if is_pcap else ""
+            if is_pcap and _is_cut(file):
+                log.warning("%s: cut off within a packet: its last scan is not whole", path)
         if not is_pcap:
             _probe(path)
         with _refusing(path):
@@ -84,8 +88,8 @@ class OusterRecording:
             return columns | {"reflectivity": frame.field("REFLECTIVITY").ravel()}
 
 
-def _cut_pcap(file: BinaryIO) -> str:
-    """Return in words that a file of packets ends within one; empty if it does not."""
+def _is_cut(file: BinaryIO) -> bool:
+    """Say whether a file of packets ends within one."""
     size, order = size_of(file), PCAP_BYTE_ORDER.get(file.read(4))
     place = file.seek(24)
     while order and place < size:
@@ -94,8 +98,8 @@ def _cut_pcap(file: BinaryIO) -> str:
             place += 16 + struct.unpack(f"{order}8xI4x", head)[0]
             file.seek(place)
         if len(head) < 16 or place > size:
-            return "cut off within a packet, so that its last scan is not whole"
-    return ""
+            return True
+    return False
 
 
 def _probe(path: Path) -> None:

@@ -15,8 +15,6 @@ from salsanext_cli.formats.recordings.ouster import OusterRecording
 from salsanext_cli.records import Scan
 
 NAME = re.compile(r"(-?\d{1,20})(?:_(\d{1,9}))?", re.ASCII)
-LOST = "cut-off"
-"""Name of the scan that stands for those that a recording lost; reading it fails."""
 MAX_SHOWN = 500
 """Characters of a list of topics in an error."""
 
@@ -27,8 +25,6 @@ class Recording(Protocol):
     Opening one raises `FormatError` if nothing of it can be read, and `MissingDependency` if the
     package that reads it is missing or too old.
     """
-
-    lost: str  # Description of what it lacks because it was cut off; empty if it is whole
 
     def topics(self) -> dict[str, str]:
         """Return the type of the messages of every topic that has some."""
@@ -58,7 +54,7 @@ def recorded_paths(path: Path) -> list[Path]:
     if topic not in clouds:
         listed = shortened(", ".join(opened.clouds()), MAX_SHOWN)
         raise NoInputError(recording, f"no clouds of topic {inside}", f"one of {listed}")
-    names = [*_names(opened.times(clouds[topic])), *([LOST] if opened.lost else [])]
+    names = _names(opened.times(clouds[topic]))
     if name and name not in names:
         raise NoInputError(path, "no such scan", f"one of the {len(names)} of the recording")
     return [recording / topic / each for each in names if name in ("", each)]
@@ -95,9 +91,6 @@ def read_recorded(path: Path, intensity_scale: float) -> Scan:
     """
     recording = _of(path)
     opened = _opened(recording)
-    if path.name == LOST:
-        remedy = "record or copy it anew; the scans before are not affected"
-        raise FormatError(recording, opened.lost or "is whole", "all its scans", remedy)
     topic = "/".join(path.parent.relative_to(recording).parts)
     given = next((each for each in opened.clouds() if each.strip("/") == topic), None)
     match = NAME.fullmatch(path.name)

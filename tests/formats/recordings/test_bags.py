@@ -125,34 +125,21 @@ def test_a_folder_of_bags_asks_for_one(tmp_path):
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_the_definition_of_the_messages_must_be_that_of_ros(tmp_path, kind):
-    from rosbags.interfaces import MessageDefinition, MessageDefinitionFormat
-
-    path = write_bag(tmp_path, kind, messages(POINTS[:1]))
-    (scan,) = find_scans(path)
-    bag = bags.Bag(path)
-    storage = bag._storages[0]
-    known = storage.connections[0].msgdef
-    for data, said in (
-        (known.data.replace("uint32 height", "uint32 depth"), "defines sensor_msgs"),
-        (known.data.replace("uint8 datatype", "uint16 datatype"), "defines sensor_msgs"),
-        (known.data.replace("uint32 height", "uint32 = ("), "damaged"),
-        ("uint32 height", "defines sensor_msgs"),
-    ):
-        wrong = MessageDefinition(known.format, data)
-        storage.connections[0] = storage.connections[0]._replace(msgdef=wrong)
-        with pytest.raises(FormatError, match=said):
-            bag.columns(TOPIC, START, 0, scan.path)
-    none = MessageDefinition(MessageDefinitionFormat.NONE, "")
-    storage.connections[0] = storage.connections[0]._replace(msgdef=none)
-    np.testing.assert_array_equal(bag.columns(TOPIC, START, 0, scan.path)["x"], POINTS[0]["x"])
+def test_a_bag_that_was_cut_is_refused_with_a_remedy(tmp_path, kind):
+    points = [structured(2000, seed) for seed in range(12)]
+    path = write_bag(tmp_path, kind, messages(points))
+    data = path.read_bytes()
+    for share in (0, 1, 30, 70, 99):
+        path.write_bytes(data[: len(data) * share // 100])
+        with pytest.raises(FormatError, match=rf"drive{kind} · .* reindex"):
+            find_scans(path)
 
 
-def test_damaged_metadata_name_the_file_and_the_storage_itself_is_read(tmp_path):
+def test_damaged_metadata_are_refused_and_the_storage_itself_is_read(tmp_path):
     path = write_bag(tmp_path, ".db3", messages(POINTS))
     for damaged in ("a: [", "rosbag2_bagfile_information: 3", "", "\0", "{"):
         (path.parent / "metadata.yaml").write_text(damaged)
-        with pytest.raises(FormatError, match=rf"metadata\.yaml · .* give {path} itself"):
+        with pytest.raises(FormatError, match=r"drive · "):
             find_scans(path.parent)
     assert len(find_scans(path)) == 5
 
@@ -160,10 +147,8 @@ def test_damaged_metadata_name_the_file_and_the_storage_itself_is_read(tmp_path)
 def test_what_the_recorder_left_in_its_log_is_missed(tmp_path):
     path = write_bag(tmp_path, ".db3", messages(POINTS))
     path.with_name("drive.db3-wal").write_bytes(b"pages")
-    scans = find_scans(path)
-    assert len(scans) == 6
-    with pytest.raises(FormatError, match=r"drive\.db3-wal"):
-        read_scan(scans[-1].path)
+    with pytest.raises(FormatError, match=r"drive\.db3-wal · .* sqlite3"):
+        find_scans(path)
 
 
 def test_a_database_without_definitions_is_read(tmp_path):
