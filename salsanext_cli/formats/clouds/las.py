@@ -17,7 +17,6 @@ import numpy.typing as npt
 from salsanext_cli.errors import FormatError, MissingDependency, OutputError, shortened
 from salsanext_cli.files.optional_packages import import_extra
 from salsanext_cli.files.reading import reading, size_of
-from salsanext_cli.formats.clouds.laz_sizes import require_chunks, require_layers
 from salsanext_cli.formats.columns import MAX_DISTANCE_M, Columns, scan_of
 from salsanext_cli.records import Scan
 
@@ -92,8 +91,6 @@ def _require_room(file: BinaryIO) -> None:
     room = held * MAX_POINTS_PER_BYTE if kind & COMPRESSED_BIT else held // max(row, 1)
     if header > offset or records * RECORD_BYTES > offset or held < 0 or count > room:
         raise ValueError("the header promises more than the file holds")
-    if kind & COMPRESSED_BIT and count:
-        require_chunks(file, offset, size)
     file.seek(0)
 
 
@@ -106,12 +103,6 @@ def _read_columns(
         header = reader.header
         if header.are_points_compressed and not backend.is_available():
             raise _missing(path, "lazrs")
-        if header.are_points_compressed and header.point_count:
-            row = reader.point_source.vlr.item_size()
-            if row != header.point_format.size:
-                raise ValueError(f"compressed points of {row} bytes")
-            start, count = header.offset_to_point_data, header.point_count
-            require_layers(file, reader.point_source.vlr, start, count)
         parts = [columns_of(points) for points in reader.chunk_iterator(POINTS_PER_PART)]
         if sum(len(part["x"]) for part in parts) != header.point_count:
             raise ValueError("it is cut off")

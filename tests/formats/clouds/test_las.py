@@ -1,7 +1,6 @@
 # SPDX-License-Identifier: MIT
 """LAS and LAZ, compared with what laspy reads and writes by itself."""
 
-import io
 import struct
 import sys
 
@@ -105,21 +104,6 @@ def test_maps_and_damaged_files_are_refused(tmp_path, suffix):
         assert "\n" not in str(caught.value)
 
 
-def test_laz_of_billions_of_chunks_or_points_is_refused(tmp_path):
-    """Memory for so many chunks cannot be had, at which lazrs would end the process."""
-    path = tmp_path / "s.laz"
-    cloud = laspy.create(point_format=6)
-    cloud.x = cloud.y = cloud.z = np.random.default_rng(0).normal(0, 9, 100)
-    cloud.write(path)
-    content = path.read_bytes()
-    first = int.from_bytes(content[96:100], "little")
-    table = int.from_bytes(content[first : first + 8], "little")
-    for at, size in ((table + 4, 4), (247, 8), (first, 8)):
-        path.write_bytes(content[:at] + b"\xfe" * size + content[at + size :])
-        with pytest.raises(FormatError, match="not a whole LAS file"):
-            read_scan(path)
-
-
 def written(path, kind, count):
     """Write random points in chunks of `FIXED_CHUNK`."""
     cloud = laspy.create(point_format=kind)
@@ -133,63 +117,6 @@ def record_of(path):
     """Return the record of compressed points, and the byte where these begin."""
     with laspy.open(path) as file:
         return file.point_source.vlr, file.header.offset_to_point_data
-
-
-def table_of(path):
-    """Return numbers of points and bytes of the chunks."""
-    record, start = record_of(path)
-    with path.open("rb") as file:
-        file.seek(start)
-        return [chunk for chunk in lazrs.read_chunk_table(file, record) if chunk[0]]
-
-
-def cut_into_chunks(path, cloud, counts):
-    """Write the points anew in chunks of so many, of variable size."""
-    fixed, start = record_of(path)
-    record = lazrs.LazVlr.new_for_compression(cloud.point_format.id, 2, True)
-    header = path.read_bytes()[:start].replace(fixed.record_data(), record.record_data())
-    content = io.BytesIO(header)
-    content.seek(start)
-    writer = lazrs.LasZipCompressor(content, record)
-    writer.reserve_offset_to_chunk_table()
-    for points in np.split(cloud.points.array, np.cumsum(counts)[:-1]):
-        writer.compress_many(points.tobytes())
-        writer.finish_current_chunk()
-    writer.done()
-    path.write_bytes(content.getvalue())
-
-
-@pytest.mark.parametrize("variable", [False, True])
-@pytest.mark.parametrize("kind", [6, 7, 8, 9, 10])
-def test_layers_longer_than_the_file_are_refused(tmp_path, kind, variable):
-    """Memory is taken for a layer, up to 4 GB, before it is read."""
-    path = tmp_path / "s.laz"
-    cloud = written(path, kind, 321 if variable else FIXED_CHUNK + 321)
-    if variable:
-        cut_into_chunks(path, cloud, (300, 20, 1))
-    assert len(read_scan(path)) == len(cloud.x)
-    table, content, (record, start) = table_of(path), path.read_bytes(), record_of(path)
-    assert len(table) == (3 if variable else 2)
-    at = start + 8
-    for _, length in table:
-        sizes = at + record.item_size()
-        damaged = b"\xff\xff\xff\xff" + b"\xff\xff\xff\x3f"
-        path.write_bytes(content[:sizes] + damaged + content[sizes + len(damaged) :])
-        with pytest.raises(FormatError, match="layers of its points are longer than the file"):
-            read_scan(path)
-        at += length
-
-
-def test_chunks_of_fewer_points_than_promised_are_refused(tmp_path):
-    """Layers of those beyond the table would be read without a look at their sizes."""
-    path = tmp_path / "s.laz"
-    cut_into_chunks(path, written(path, 6, 321), (300, 20, 1))
-    content, (_, start) = bytearray(path.read_bytes()), record_of(path)
-    (table,) = struct.unpack_from("<q", content, start)
-    struct.pack_into("<I", content, table + 4, 1)
-    path.write_bytes(content)
-    with pytest.raises(FormatError, match="chunks of 300 of its 321 points"):
-        read_scan(path)
 
 
 @pytest.mark.parametrize("kind", [3, 6])
