@@ -1,10 +1,11 @@
 # SPDX-License-Identifier: MIT
-"""Animations of pictures of scans: GIF, and MP4 where ffmpeg is installed."""
+"""Animations of the pictures of each sequence: GIF, and MP4 where ffmpeg is installed."""
 
 from __future__ import annotations
 
+import logging
 import shutil
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterator, Sequence
 from contextlib import suppress
 from io import BytesIO
 from itertools import chain
@@ -13,12 +14,60 @@ from subprocess import DEVNULL, PIPE, Popen
 from tempfile import TemporaryDirectory, TemporaryFile
 from typing import TYPE_CHECKING, BinaryIO, TypeVar, cast
 
-from salsanext_cli.errors import FormatError, OutputError, UsageError
+import numpy as np
+
+from salsanext_cli.classes.label_space import LabelSpace
+from salsanext_cli.errors import NOTICE, FormatError, OutputError, UsageError, counted
 from salsanext_cli.report.canvas import NIGHT
-from salsanext_cli.report.colours import Colours
+from salsanext_cli.report.colours import OUTCOMES, Colours, map_on_dark, screen_colours
+from salsanext_cli.results.layout import ScanFile
+from salsanext_cli.results.output_run import OutputRun
+from salsanext_cli.results.written_files import WrittenFiles
 
 if TYPE_CHECKING:
     from PIL.Image import Image
+
+log = logging.getLogger(__name__)
+
+
+def _animation(out: Path, sequence: str, form: str) -> Path:
+    return out / "sequences" / sequence / f"pictures.{form}"
+
+
+def require_animations_replaceable(
+    out: Path, animations: Collection[str], scans: Sequence[ScanFile]
+) -> None:
+    """Refuse to replace animations of other programs, before anything is drawn."""
+    sequences = dict.fromkeys(scan.sequence for scan in scans)
+    paths = [_animation(out, sequence, form) for form in animations for sequence in sequences]
+    WrittenFiles(out).require_replaceable(paths)
+
+
+def animate(
+    form: str,
+    frames_per_second: float,
+    scans: Sequence[ScanFile],
+    space: LabelSpace,
+    output: OutputRun,
+) -> None:
+    """Write an animation of each sequence of which there are pictures."""
+    files = WrittenFiles(output.out)
+    # Every fifth colour of the map, from the high end.
+    kept = np.concatenate([OUTCOMES, map_on_dark()[::-5], screen_colours(space)])
+    for sequence in dict.fromkeys(scan.sequence for scan in scans):
+        mine = (scan for scan in scans if scan.sequence == sequence)
+        pictures = [
+            path for path in (output.path(scan, "pictures") for scan in mine) if path.exists()
+        ]
+        path = _animation(output.out, sequence, form)
+        if not pictures:
+            continue
+        if form == "gif":
+            files.write(path, encode_gif(pictures, frames_per_second, kept))
+        else:
+            files.write(path, encode_mp4(pictures, frames_per_second))
+        log.log(NOTICE, "animation of %s: %s", counted(len(pictures), "scan"), path)
+
 
 LARGEST_PX = (1280, 1080)
 """Width and height that a frame is reduced to."""

@@ -13,11 +13,10 @@ from salsanext_cli.errors import NOTICE, NoInputError, UsageError
 from salsanext_cli.files.json_files import RecordedSettings
 from salsanext_cli.fitting.scan_fit import fitted_view
 from salsanext_cli.parallel.run import Outcome, RunOptions, run_over_scans
-from salsanext_cli.report.animation import find_ffmpeg
+from salsanext_cli.report.animation import animate, find_ffmpeg, require_animations_replaceable
 from salsanext_cli.report.colours import CLASS_COLOURS, COLOURS
 from salsanext_cli.report.scales import Scales, common_scales
 from salsanext_cli.report.scan_pictures import known_views, picture_of_results
-from salsanext_cli.report.sequence_animation import animate, require_animations_replaceable
 from salsanext_cli.results.chosen_results import ChosenResults, choose_results
 from salsanext_cli.results.layout import COLOURINGS, SUFFIX_OF_FOLDER, ScanFile, find_outputs
 from salsanext_cli.results.output_run import OutputRun, output_run

@@ -3,10 +3,13 @@
 
 from collections.abc import Iterator, Sequence
 from contextlib import suppress
-from dataclasses import asdict, replace
+from dataclasses import asdict, dataclass, replace
 from functools import partial
 from pathlib import Path
 
+import numpy as np
+
+from salsanext_cli.classes.label_space import TrainIds
 from salsanext_cli.engines.network import Network
 from salsanext_cli.engines.settings import NetworkSettings
 from salsanext_cli.errors import SalsanextError, UsageError
@@ -20,7 +23,8 @@ from salsanext_cli.fitting.range_images import (
     sensor_of_images,
 )
 from salsanext_cli.fitting.scan_fit import fitted_view, with_sensor
-from salsanext_cli.geometry.knn import KnnParameters
+from salsanext_cli.geometry.gather import points_from_pixels
+from salsanext_cli.geometry.knn import KnnParameters, knn_refine
 from salsanext_cli.measures.scan_summary import RunSummary, ScanSummary
 from salsanext_cli.parallel.network_task import NetworkTask, named_if_too_large
 from salsanext_cli.parallel.run import Outcome, RunOptions, run_over_scans
@@ -30,8 +34,49 @@ from salsanext_cli.results.layout import ERROR, ScanFile, with_outputs
 from salsanext_cli.results.output_run import OutputRun, output_run
 from salsanext_cli.results.selection import ScanSelection, choose, scans_of, space_of
 from salsanext_cli.results.sources import recorded_scans
-from salsanext_cli.uncertainty.error_features import error_model
-from salsanext_cli.uncertainty.labelling import Labelling, most_probable
+from salsanext_cli.uncertainty.error_features import error_model, label_error
+
+
+@dataclass(frozen=True, slots=True)
+class Labelling:
+    """Way from the softmax of a scan to the results that are asked for."""
+
+    knn: KnnParameters  # Neighbours in the kNN refinement
+    output: OutputRun  # Takes the results
+    reject: float | None  # Points whose error is above it are unlabelled
+
+    def write(
+        self, file: ScanFile, image: RangeImage, probabilities: Float, network: Network
+    ) -> tuple[TrainIds, int]:
+        """Write the results, the labels last.
+
+        `probabilities` (C, H, W) float32, softmax of every pixel; `network`: what computed it.
+
+        Returns (N,) uint8, the labels; number of points unlabelled for their error.
+        """
+        space, pixel_labels, output = network.space, most_probable(probabilities), self.output
+        labels = knn_refine(image, pixel_labels, space.class_count, self.knn, network.device)
+        rejected = np.zeros(len(labels), bool)
+        if "pixel_labels" in output.folders:
+            output.write_array(file, "pixel_labels", pixel_labels)
+        if "probabilities" in output.folders:
+            none = np.eye(1, space.class_count)  # certainly unlabelled
+            of_points = points_from_pixels(probabilities, image.pixel_of_point, none)
+            output.write_array(file, "probabilities", of_points.astype(np.float16))
+        if ERROR in output.folders:
+            error = label_error(network, image, probabilities, labels)
+            output.write_array(file, ERROR, error)
+            if self.reject is not None:
+                rejected = error > self.reject
+        labels[rejected] = 0
+        output.write_labels(file, space.to_raw(labels))
+        return labels, int(rejected.sum())
+
+
+def most_probable(probabilities: Float) -> TrainIds:
+    """Return the most probable class of every pixel: (C, H, W) to (H, W) uint8."""
+    labels: TrainIds = probabilities.argmax(axis=0).astype(np.uint8)
+    return labels
 
 
 def predict_scan(file: ScanFile, network: Network, labelling: Labelling) -> Steps:

@@ -2,25 +2,69 @@
 """Submission to SemanticKITTI's benchmark: predictions of the test split, checked and packed."""
 
 import logging
-from collections.abc import Mapping, Sequence
+import stat
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import asdict, dataclass
 from itertools import count
 from pathlib import Path
 from typing import Any
+from zipfile import ZIP_DEFLATED, ZipFile, ZipInfo
 
 from salsanext_cli.classes.label_space import LabelSpace, label_space
 from salsanext_cli.classes.merging import is_merged
 from salsanext_cli.errors import LabelError, NoInputError, UsageError, first_few
-from salsanext_cli.files.atomic import require_target
-from salsanext_cli.files.reading import is_folder, present
-from salsanext_cli.files.zip_files import write_zip
+from salsanext_cli.files.atomic import require_target, writing
+from salsanext_cli.files.reading import is_folder, present, reading
 from salsanext_cli.measures.submission_check import Problem, problems
 from salsanext_cli.parallel.options import Progress
 from salsanext_cli.results.layout import ScanFile, find_outputs
 from salsanext_cli.results.predictions import space_of_results
 from salsanext_cli.results.selection import data_set_of, space_of, with_splits
 from salsanext_cli.results.sources import recorded_scans
+
+OLDEST = (1980, 1, 1, 0, 0, 0)
+"""First date that the format knows, given to all members."""
+UNIX = 3
+FOLDER_IN_DOS = 0x10
+LEVEL = 6
+"""Of compression; given, so that it is that of every Python."""
+
+
+def write_zip(
+    path: Path, members: Mapping[str, Path], advance: Callable[[], None] = lambda: None
+) -> None:
+    """Write a ZIP file of files, with an entry for each folder before the files in it.
+
+    `path`: the file; `members`: files by their names in the ZIP file, with slashes, in its order;
+    `advance`: called after each file.
+    """
+    with writing(path, durable=True) as file, ZipFile(file, "w", ZIP_DEFLATED) as made:
+        folders: set[str] = set()
+        for name, member in members.items():
+            for folder in _folders_of(name):
+                if folder not in folders:
+                    folders.add(folder)
+                    made.writestr(_entry(folder, stat.S_IFDIR | 0o755, FOLDER_IN_DOS), b"")
+            with reading(member) as opened:
+                content = opened.read()
+            made.writestr(_entry(name, stat.S_IFREG | 0o644), content, ZIP_DEFLATED, LEVEL)
+            advance()
+
+
+def _folders_of(name: str) -> Iterator[str]:
+    """Yield the folders of a name, the outermost first: "a/", "a/b/" of "a/b/c"."""
+    parts = name.split("/")[:-1]
+    yield from ("/".join(parts[:depth]) + "/" for depth in range(1, len(parts) + 1))
+
+
+def _entry(name: str, mode: int, attributes_of_dos: int = 0) -> ZipInfo:
+    entry = ZipInfo(name, OLDEST)
+    # Else the machine and its settings would be in the file.
+    entry.create_system = UNIX
+    entry.external_attr = mode << 16 | attributes_of_dos
+    return entry
+
 
 SPLIT = "test"
 SCANS_OF_TEST = {

@@ -2,19 +2,49 @@
 """Recorded drive through a street: a scan every few metres."""
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from salsanext_cli.classes.label_space import RawIds
 from salsanext_cli.records import Scan
-from salsanext_cli.synthesis.mesh import Array, Rng, merge, turn_x, turn_y, turn_z
-from salsanext_cli.synthesis.presets import STYLES
+from salsanext_cli.synthesis.mesh import Array, Mesh, Rng, merge, turn_x, turn_y, turn_z
+from salsanext_cli.synthesis.presets import STYLES, Style
 from salsanext_cli.synthesis.sensor.lidar import Scene, measure
 from salsanext_cli.synthesis.sensor.rig import Rig, RigMaker, hdl64_rig
+from salsanext_cli.synthesis.street import boundaries, lots, roadside
+from salsanext_cli.synthesis.street.brightness import draw_brightness, with_brightness
+from salsanext_cli.synthesis.street.builder import Builder
+from salsanext_cli.synthesis.street.draw import draw_plan
+from salsanext_cli.synthesis.street.ground import ground
 from salsanext_cli.synthesis.street.plan import RUN_OUT_M, Plan
-from salsanext_cli.synthesis.street.street import build_street
-from salsanext_cli.synthesis.street.traffic import Mover
+from salsanext_cli.synthesis.street.traffic import Mover, moving
+
+
+def build_street(
+    rng: Rng, style: Style, distance: float, ego_speed: float
+) -> tuple[Plan, Mesh, tuple[Mover, ...]]:
+    """Build a street on which the recording vehicle can drive `distance` metres.
+
+    Returns `plan`, the ground plan; `standing`, all that keeps still, world coordinates; `movers`,
+    all that moves.
+    """
+    plan = draw_plan(rng, style, distance + 2 * RUN_OUT_M)
+    builder = Builder(rng, plan)
+    builder.parts.append(ground(rng, plan))
+    for side in plan.sides:
+        roadside.furnish(builder, side)
+        for lot in side.lots:
+            lots.furnish(builder, side, lot)
+    duration = distance / ego_speed
+    if style.barrier:
+        boundaries.median(builder)
+    movers = moving(builder, ego_speed, duration)
+    of_material = draw_brightness(rng)
+    standing = with_brightness(merge(builder.parts), of_material)
+    movers = tuple(replace(m, mesh=with_brightness(m.mesh, of_material)) for m in movers)
+    return plan, standing, movers
+
 
 SPEED_M_PER_S = (4.0, 12.0)
 """Slowest and fastest drive."""

@@ -23,8 +23,8 @@ from salsanext_cli.compiled.kernels import (
     cache_folder,
     compiled,
     parallel_for_slices,
+    run_on_threads,
 )
-from salsanext_cli.compiled.thread_pool import run_on_threads
 
 
 @pytest.mark.parametrize("count", [0, 1, MIN_SLICE_ITEMS, 10 * MIN_SLICE_ITEMS + 3])
@@ -206,7 +206,7 @@ def test_calls_on_busy_threads_are_cancelled(monkeypatch):
     busy = ThreadPoolExecutor(1)
     free = threading.Event()
     busy.submit(free.wait, 10)
-    monkeypatch.setattr("salsanext_cli.compiled.thread_pool._pool", lambda _: busy)
+    monkeypatch.setattr("salsanext_cli.compiled.kernels._pool", lambda _: busy)
     calls = []
     run_on_threads(lambda: calls.append(1), 3)
     assert calls == [1]

@@ -12,8 +12,7 @@ from salsanext_cli.errors import OutputError, UsageError
 from salsanext_cli.network.card import read_card
 from salsanext_cli.network.dropout import dropouts
 from salsanext_cli.network.weights import read_weights
-from salsanext_cli.stages.tune_dropout import curve_of, tune_dropout
-from salsanext_cli.training.tuning.dropout_rate import SMALLEST_VARIANCE
+from salsanext_cli.stages.tune_dropout import SMALLEST_VARIANCE, curve_of, tune_dropout
 from salsanext_cli.uncertainty.aleatoric import aleatoric
 from salsanext_cli.uncertainty.monte_carlo import scan_seed
 

@@ -8,16 +8,72 @@ import numpy as np
 import numpy.typing as npt
 
 from salsanext_cli.synthesis.mesh import Array, Rng
+from salsanext_cli.synthesis.presets import RANDOM_SENSOR as BOUNDS
 from salsanext_cli.synthesis.sensor.beams import Beams
-from salsanext_cli.synthesis.sensor.hdl64 import hdl64
+from salsanext_cli.synthesis.sensor.hdl64 import hdl64, lasers
 from salsanext_cli.synthesis.sensor.lidar import HDL64, Firings, Response
-from salsanext_cli.synthesis.sensor.random_sensor import (
-    random_beams,
-    random_mount,
-    random_response,
-    random_shadow,
-)
 from salsanext_cli.synthesis.sensor.shadow import hidden_by_vehicle
+
+
+def random_beams(rng: Rng) -> Beams:
+    """Draw the lasers of a sensor: their number, elevations, firings and deviations."""
+    lost = rng.uniform(*BOUNDS.lost_beams) * (rng.random() < BOUNDS.lost_beams_chance)
+    elevation = random_elevations(rng)
+    elevation = elevation[rng.random(len(elevation)) >= lost]
+    count = len(elevation)
+    columns = min(int(rng.choice(BOUNDS.column_counts)), int(BOUNDS.max_rays / count))
+    azimuth = rng.choice(BOUNDS.stagger) * rng.uniform(0, 2 * np.pi / columns, count)
+    height = np.zeros(count)
+    aside = rng.uniform(*BOUNDS.laser_aside) * np.resize([1.0, -1.0], count)
+    return Beams(np.radians(elevation), azimuth, height, aside, *lasers(rng, count), columns)
+
+
+def random_elevations(rng: Rng) -> Array:
+    """Draw elevations in degrees, the highest first: evenly spaced, or denser near the horizon."""
+    count = int(rng.choice(BOUNDS.beam_counts))
+    upper, lower = rng.uniform(*BOUNDS.upper_edge), rng.uniform(*BOUNDS.lower_edge)
+    between = np.linspace(upper, lower, 1001)
+    density = np.ones(len(between))
+    if rng.random() < BOUNDS.dense_chance:
+        middle, width = rng.uniform(*BOUNDS.dense_elevation), rng.uniform(*BOUNDS.dense_width)
+        bell = np.exp(-(((between - middle) / width) ** 2) / 2)
+        density += rng.uniform(*BOUNDS.dense_factor) * bell
+    above = np.cumsum(density)
+    above = (above - above[0]) / (above[-1] - above[0])
+    elevation = np.interp(np.linspace(0, 1, count), above, between)
+    jitter = rng.normal(0, BOUNDS.elevation_jitter * (upper - lower) / count, count)
+    return np.sort(elevation + jitter)[::-1]
+
+
+def random_mount(rng: Rng) -> tuple[float, Array]:
+    """Draw height above the road in metres, pitch and roll in radians."""
+    tilt = np.radians(rng.normal(0, BOUNDS.tilt, 2))
+    return float(rng.uniform(*BOUNDS.mount)), tilt
+
+
+def random_response(rng: Rng) -> Response:
+    """Draw noise, limits and brightness of what a sensor reports."""
+    names = ("noise", "nearest", "farthest", "lost_pulses", "threshold", "gain", "gamma")
+    low, high = np.array([getattr(BOUNDS, name) for name in names]).T
+    values = np.exp(rng.uniform(np.log(low), np.log(high)))
+    drawn = dict(zip(names, values.tolist(), strict=True))
+    return Response(**drawn, steps=int(rng.choice(BOUNDS.intensity_steps)))
+
+
+def random_shadow(beams: Beams, rng: Rng) -> npt.NDArray[np.bool_]:
+    """Draw which rays the vehicle blocks: none, those of a car's outline, or those of a roof."""
+    kind = rng.choice(BOUNDS.shadows)
+    if kind == "none":
+        return np.zeros(len(beams.elevation) * beams.columns, bool)
+    if kind == "car":
+        return hidden_by_vehicle(beams, rng)
+    azimuth = beams.azimuths()
+    wave = np.cos(2 * azimuth) * rng.uniform(*BOUNDS.roof_ahead_and_behind)
+    wave = wave + np.cos(azimuth) * rng.uniform(*BOUNDS.roof_ahead)
+    edge = -rng.uniform(*BOUNDS.roof_edge) + wave
+    hidden: npt.NDArray[np.bool_] = np.degrees(beams.elevation)[:, None] < edge
+    return hidden.reshape(-1)
+
 
 HDL64_MOUNT_M = 1.73
 
