@@ -84,11 +84,14 @@ def fitted(
     returns the range image of a scan, (5, H, W) float32; otherwise it is read and projected.
     """
     how, trained = _method(settings, network), network.card.sensor
+    given = network.sensor
+    # They are read once, for the view as for the intensity and the gaps.
+    scans = cache(lambda: files if image_of else list(sampled(files, given)))
     if image_of is None:
-        found = fitted_view(files, network.sensor, earlier, view=settings.fits_view)
+        found = _fitted_view(scans, given, earlier, view=settings.fits_view)
         network = with_sensor(network, found)
     known = [sensor for sensor in (earlier, settings.sensor) if sensor]
-    images = cache(lambda: list(sampled_images(files, network.sensor, image_of)))
+    images = cache(lambda: list(sampled_images(scans(), network.sensor, image_of)))
     quantiles: tuple[float, ...] = ()
     if how == "none":
         quantiles = NO_INTENSITY
@@ -118,13 +121,19 @@ def fitted_view(
 
     Without `view`, only as `fit_ego` does. That of earlier results in the same folder stays.
     """
+    return _fitted_view(lambda: list(sampled(files, sensor)), sensor, earlier, view=view)
+
+
+def _fitted_view(
+    read: Callable[[], Scans], sensor: Sensor, earlier: Sensor | None, *, view: bool
+) -> Sensor:
     sought = [name for name in EGO if getattr(sensor, name) is None]
     if not (view or sought):
         return sensor
     if earlier is not None:
         names = [*(FITTED if view else ()), *sought]
         return replace(sensor, **{name: getattr(earlier, name) for name in names})
-    scans = list(sampled(files, sensor))
+    scans = [scan for scan in read() if isinstance(scan, Scan)]
     found = fit_view(scans, sensor) if view else fit_ego(scans, sensor)
     if replace(found, **{name: getattr(sensor, name) for name in EGO}) != sensor:
         log.log(NOTICE, "sensor fitted to %s: %s", counted(len(scans), "scan"), as_found(found))

@@ -5,10 +5,13 @@ import numpy as np
 import pytest
 from scans import SMALL, make_scan
 
-from salsanext_cli import Scan, project
+from salsanext_cli import Scan, project, read_scan
+from salsanext_cli.engines.settings import NetworkSettings
+from salsanext_cli.fitting import scan_fit
 from salsanext_cli.fitting.coverage import field_of_view_coverage
 from salsanext_cli.fitting.view_fit import SHOWN, as_found, fit_view
 from salsanext_cli.geometry.mounting import upright_rotation
+from salsanext_cli.results.layout import find_scans
 
 SCANS = [make_scan(3000, seed) for seed in range(3)]
 
@@ -91,3 +94,18 @@ def test_a_sensor_in_a_room_stands_upright_where_its_beams_come_from(height):
     found = fit_view([Scan(points, np.zeros(len(points), np.float32))], SMALL)
     assert (found.up, found.origin) == (SMALL.up, SMALL.origin)
     assert -46 < found.fov_down < found.fov_up < 46
+
+
+def test_each_scan_is_read_once_for_view_intensity_and_gaps(world, monkeypatch):
+    read = []
+
+    def counted(path, *arguments):
+        read.append(path)
+        return read_scan(path, *arguments)
+
+    monkeypatch.setattr(scan_fit, "read_scan", counted)
+    settings = NetworkSettings(device="cpu", engine="torch")
+    network = scan_fit.fitted(settings, settings.load(), find_scans(world.data))
+    assert network.sensor.intensity_quantiles
+    assert network.sensor.row_gaps is not None
+    assert sorted(read) == sorted(file.path for file in find_scans(world.data))
