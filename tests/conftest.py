@@ -9,9 +9,14 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import pytest
+from hypothesis import settings
 
 if TYPE_CHECKING:
     from world import World
+
+settings.register_profile("few", max_examples=25, deadline=None)
+settings.register_profile("many", max_examples=400, deadline=None)
+settings.load_profile("few")
 
 # On a processor that multiplies bfloat16 commands would choose that, and other bits.
 os.environ.setdefault("SALSANEXT_PRECISION", "float32")

@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays
 from scans import SMALL
@@ -101,7 +101,6 @@ def test_a_low_sensor_keeps_its_floor(height):
     assert not len(ego_points(scans[0].points, found))
 
 
-@settings(max_examples=25, deadline=None)
 @given(
     arrays.arrays(np.float32, (30, 3), elements=st.floats(-3, 3, width=32)),
     st.floats(0, 2),

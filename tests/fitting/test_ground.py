@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: MIT
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from scans import make_scan
 from streets import street_points
@@ -29,7 +29,6 @@ def test_the_ground_of_a_street_and_not_its_walls(height):
     assert 0.1 < found.share < 1
 
 
-@settings(max_examples=25, deadline=None)
 @given(DIRECTION)
 def test_in_any_orientation(up):
     """Of a sensor that turns about an axis of its frame, or near one."""

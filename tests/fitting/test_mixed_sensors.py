@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from scans import SMALL
 
@@ -103,7 +103,6 @@ VALUES = st.lists(st.sampled_from([0.0, *np.geomspace(1, 300, 40).tolist()]), ma
 
 
 @given(VALUES, st.sampled_from([1.2, 1.6, 4.0]))
-@settings(max_examples=100, deadline=None)
 def test_groups_are_those_linked_one_by_one(values, factor):
     found = module._groups(np.array(values), factor)
     slow = {number: {number} for number, value in enumerate(values) if value}
@@ -117,7 +116,6 @@ def test_groups_are_those_linked_one_by_one(values, factor):
 
 
 @given(st.permutations(range(8)))
-@settings(max_examples=20, deadline=None)
 def test_the_order_of_the_scans_does_not_matter(order):
     scans = list(zip(files("08", 8), [*OF["of-64"][:6], *OF["wide"][:2]], strict=True))
     expected = mixed_sensors(dict(scans))

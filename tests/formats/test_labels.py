@@ -3,7 +3,7 @@ import struct
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
@@ -13,7 +13,6 @@ from salsanext_cli.results.point_files import write_labels
 
 
 @given(hnp.arrays(np.uint32, st.integers(0, 50)))
-@settings(max_examples=30, deadline=None)
 def test_labels_survive_the_round_trip(tmp_path_factory, raw):
     path = tmp_path_factory.mktemp("label") / "s.label"
     write_labels(path, raw)

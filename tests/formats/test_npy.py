@@ -4,7 +4,7 @@ import pickle
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 from scans import write_array
@@ -16,7 +16,6 @@ DTYPES = st.sampled_from([np.float32, np.float16, np.int32, np.uint8])
 
 
 @given(DTYPES.flatmap(lambda t: hnp.arrays(t, hnp.array_shapes(min_dims=1, min_side=0))))
-@settings(max_examples=50, deadline=None)
 def test_round_trip_and_the_bytes_of_numpy(tmp_path_factory, array):
     path = tmp_path_factory.mktemp("npy") / "a.npy"
     np.save(path, array)

@@ -5,7 +5,7 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from scans import SMALL, make_scan
 
@@ -73,7 +73,6 @@ def test_a_few_odd_scans_do_not_change_them():
     assert intensity_quantiles([*others, *same]) in (expected, intensity_quantiles(others))
 
 
-@settings(max_examples=50, deadline=None)
 @given(st.lists(st.tuples(st.integers(0, 5), st.integers(0, 50)), min_size=2, max_size=30))
 def test_dependence_equals_the_slow_way(pairs):
     values, on = zip(*pairs, strict=True)
@@ -177,7 +176,6 @@ def test_decibels_count_all():
     np.testing.assert_allclose(intensity_quantiles(images), np.mean(each, axis=0), rtol=1e-4)
 
 
-@settings(max_examples=30, deadline=None)
 @given(st.lists(st.sampled_from([0.0, 0.1, 0.5, 7.0, 255.0]), min_size=3, max_size=40))
 def test_equals_the_slow_way_with_ties_and_beyond_the_ends(values):
     image = image_of(values)

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numba
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from slow_geometry import DEVICES, ON_TORCH, published_refine, slow_refine
 
@@ -62,7 +62,6 @@ def problems(draw):
     return image_of(ranges, pixels, own), labels, parameters
 
 
-@settings(deadline=None, max_examples=400)
 @given(problems())
 def test_equals_the_slow_loop_on_both_devices(problem):
     image, labels, parameters = problem

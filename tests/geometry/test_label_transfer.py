@@ -3,7 +3,7 @@
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from salsanext_cli.geometry.label_transfer import (
@@ -55,7 +55,6 @@ def require_same(points, cloud, labels):
     jitter=st.sampled_from([0.0, 0.0004]),
     share=st.sampled_from([0.0, 0.5, 1.0]),
 )
-@settings(max_examples=80, deadline=None)
 def test_it_is_what_a_loop_over_all_pairs_gives(seed, count, size, jitter, share):
     random = np.random.default_rng(seed)
     points = random.uniform(-size, size, (count, 3)).astype(np.float32)
@@ -71,7 +70,6 @@ def test_it_is_what_a_loop_over_all_pairs_gives(seed, count, size, jitter, share
 
 
 @given(seed=st.integers(0, 1 << 30), jitter=st.floats(0, 0.0004), kept=st.floats(0, 1))
-@settings(max_examples=40, deadline=None)
 def test_a_cloud_in_another_order_cut_and_moved_a_little_gives_its_labels_back(seed, jitter, kept):
     random = np.random.default_rng(seed)
     # Places a centimetre apart, so that none has two points within a millimetre.
@@ -131,7 +129,6 @@ def slow_merge(points, clouds, unlabelled):
     count=st.integers(1, 4),
     unlabelled=st.sampled_from([0, 255]),
 )
-@settings(max_examples=80, deadline=None)
 def test_several_clouds_are_merged_as_a_loop_over_all_pairs_does(seed, size, count, unlabelled):
     random = np.random.default_rng(seed)
     points = random.uniform(-size, size, (40, 3)).astype(np.float32)

@@ -7,7 +7,7 @@ import numba
 import numpy as np
 import pytest
 import torch
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays
 from slow_geometry import DEVICES, ON_TORCH, slow_project
@@ -57,7 +57,6 @@ def sensors(draw):
     return Sensor("drawn", down + extent, down, height, width, out_of_view=out_of_view)
 
 
-@settings(deadline=None, max_examples=300)
 @given(scans, sensors())
 def test_equals_the_slow_loop_on_both_devices(scan, drawn):
     expected = slow_project(scan, drawn)

@@ -4,7 +4,7 @@ import statistics
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from salsanext_cli.errors import UsageError
@@ -106,7 +106,6 @@ def test_what_is_told_of_a_choice():
     assert (third.scan, third.nearest) == (0, 1)
 
 
-@settings(deadline=None, max_examples=60)
 @given(st.integers(1, 12), st.integers(1, 15), st.integers(0, 99), st.sampled_from(GREEDY))
 def test_the_order_of_the_scans_does_not_matter(scans, count, seed, strategy):
     features, weights = pool(scans, seed)
@@ -115,7 +114,6 @@ def test_the_order_of_the_scans_does_not_matter(scans, count, seed, strategy):
     assert [shuffled[place] for place in found] == order(features, weights, count, strategy)
 
 
-@settings(deadline=None, max_examples=100)
 @given(
     st.lists(st.tuples(st.integers(0, 2), st.integers(0, 2)), min_size=1, max_size=12),
     st.integers(1, 15),

@@ -3,7 +3,7 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from salsanext_cli.measures.histograms import uncertainty_histogram
@@ -20,7 +20,6 @@ def kept_of(values, wrong, kind="error"):
     return kept_points(kind, uncertainty_histogram(values, wrong, group, 3))
 
 
-@settings(max_examples=80, deadline=None)
 @given(POINTS)
 def test_threshold_is_that_of_a_slow_loop(points):
     values, wrong = (np.array(column) for column in zip(*points, strict=True))

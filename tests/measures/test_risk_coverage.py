@@ -7,7 +7,7 @@ from operator import iadd
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from scipy.stats import spearmanr
 from sklearn.metrics import average_precision_score, roc_auc_score
@@ -23,7 +23,6 @@ from salsanext_cli.measures.risk_coverage import COVERAGE, ranking_scores, risk_
 
 LEVELS = (0.0, 2.0**-48, 1e-9, 2.0**-10, 0.3, 1.0, 1.0078125, 7.0, 255.0)
 """Uncertainties of different bins."""
-FEW = settings(max_examples=40, deadline=None)
 POINTS = st.lists(st.tuples(st.sampled_from(LEVELS), st.booleans()), min_size=1, max_size=60)
 
 
@@ -64,7 +63,6 @@ def mean(values) -> float:
     return float(sum(values) / len(values))
 
 
-@FEW
 @given(POINTS.filter(lambda points: len({wrong for _, wrong in points}) == 2))
 def test_auroc_and_precision_are_those_of_scikit_learn(points):
     uncertainty, wrong = zip(*points, strict=True)
@@ -73,7 +71,6 @@ def test_auroc_and_precision_are_those_of_scikit_learn(points):
     assert scores(points).aupr == pytest.approx(expected, abs=1e-13)
 
 
-@FEW
 @given(POINTS)
 def test_risk_and_sparsification_are_those_of_a_slow_loop(points):
     result = scores(points)
@@ -147,7 +144,6 @@ def test_without_values_there_are_no_scores(count):
     assert np.isnan(risk_coverage(*nothing.counts[:, 0])).all()
 
 
-@FEW
 @given(st.lists(st.floats(2.0**LOWEST, 2.0**HIGHEST, width=32), min_size=2, max_size=50))
 def test_bins_keep_the_order_and_are_narrow(values):
     values = np.sort(np.array(values, np.float32))
@@ -166,7 +162,6 @@ SCANS = st.lists(
 )
 
 
-@FEW
 @given(SCANS, st.randoms(use_true_random=False))
 def test_scores_do_not_depend_on_the_order_of_the_scans(scans, random):
     histograms = [of(*zip(*scan, strict=True)) for scan in scans]
@@ -201,7 +196,6 @@ def test_thresholds_keep_at_least_their_share():
 PAIRS = st.lists(st.tuples(st.integers(0, 6), st.floats(-1e9, 1e9)), min_size=2, max_size=30)
 
 
-@FEW
 @given(PAIRS.filter(lambda pairs: all(len(set(column)) > 1 for column in zip(*pairs, strict=True))))
 def test_correlation_is_scipys(pairs):
     one, other = (np.array(column) for column in zip(*pairs, strict=True))

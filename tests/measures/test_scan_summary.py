@@ -4,7 +4,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from scans import SMALL
 
@@ -19,7 +19,6 @@ SCANS = st.lists(st.lists(st.integers(0, SPACE.class_count - 1), max_size=30), m
 
 
 @given(SCANS)
-@settings(max_examples=50, deadline=None)
 def test_the_largest_classes_are_those_counted_slowly(scans):
     summary = RunSummary(SMALL, SPACE)
     for train_ids in scans:
@@ -81,7 +80,6 @@ def test_one_of_few_classes_may_take_more_of_the_scan(count, share, codes):
 
 
 @given(st.permutations(range(6)))
-@settings(max_examples=20, deadline=None)
 def test_warnings_do_not_depend_on_the_order_of_the_scans(order):
     scans = []
     for number in range(6):

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from scans import SMALL, make_scan
 
@@ -52,7 +52,6 @@ def in_order_of_pixels(scan):
 
 
 @given(st.integers(0, 10_000), st.integers(0, 400))
-@settings(max_examples=15, deadline=None)
 def test_positions_and_pixels_come_back(seed, count):
     scan = make_scan(count, seed)
     data = encoded(shown(scan))

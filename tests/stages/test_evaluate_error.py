@@ -7,7 +7,7 @@ import re
 import numpy as np
 import pytest
 from evaluated import CAR, ROAD, SPACE, World
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from rich.console import Console, Group
 
@@ -30,7 +30,6 @@ def slow_ece(error, wrong) -> float:
     return np.abs(gaps).sum() / len(wrong)
 
 
-@settings(max_examples=50, deadline=None)
 @given(st.lists(st.tuples(st.floats(0, 1, width=16), st.booleans()), min_size=1, max_size=50))
 def test_calibration_error_is_that_of_a_slow_loop(points):
     error, wrong = (np.array(column) for column in zip(*points, strict=True))

@@ -7,7 +7,7 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 import torch
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from torch.nn import functional as F
 
@@ -50,7 +50,6 @@ def images(draw: st.DrawFn) -> tuple[Numbers, npt.NDArray[np.int64]]:
     return np.reshape(numbers, (pixels, classes)), np.array(truth)
 
 
-@settings(max_examples=150, deadline=None)
 @given(images())
 def test_lovasz_is_the_integral_of_the_set_function(
     image: tuple[Numbers, npt.NDArray[np.int64]],

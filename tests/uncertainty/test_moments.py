@@ -7,7 +7,7 @@ from itertools import pairwise
 import numpy as np
 import pytest
 import torch
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from scipy.special import expit
 from scipy.stats import norm
@@ -86,7 +86,6 @@ def test_float32_is_as_good_as_float64():
 SHAPES = st.lists(st.integers(1, 4), min_size=4, max_size=4)
 
 
-@settings(max_examples=60, deadline=None)
 @given(SHAPES, st.booleans(), st.booleans(), st.integers(0, 3))
 def test_leaky_relu_of_any_layout(shape, last, last_variance, cut):
     """Strides of dimensions of size 1 mean nothing, a slice has gaps, an expansion overlaps."""
@@ -139,7 +138,6 @@ def test_certain_logits_give_the_plain_softmax(dtype, scale):
     st.floats(-12, 30),
     st.sampled_from(FLOATS[:3]),
 )
-@settings(max_examples=200, deadline=None)
 def test_softmax_stays_within_what_a_probability_can_do(classes, seed, scale, power, dtype):
     """Sum 1; 0 ≤ variance ≤ p (1 − p), whatever certain, vague and huge logits stand together."""
     random = np.random.default_rng(seed)

@@ -5,7 +5,7 @@ import warnings
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
@@ -131,7 +131,6 @@ def test_integers_among_the_columns_are_no_float32():
 
 
 @given(hnp.arrays("<u4", st.integers(0, 300)), st.sampled_from([*COUNTS, 40]))
-@settings(max_examples=60, deadline=None)
 def test_any_bytes_have_some_number_of_columns_or_none(content, expected):
     found = evident_count(content.view("<f4"), expected)
     assert found is None or (found in COUNTS and found != expected)

@@ -6,7 +6,7 @@ import sys
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from scans import make_scan
 
@@ -33,7 +33,6 @@ def columns_of(points, intensity):
 
 @pytest.mark.parametrize("suffix", SUFFIXES)
 @given(st.integers(0, 300), st.sampled_from([1e-3, 1.0, 63.9, 64.0, 9999.0]), st.integers(0, 5))
-@settings(max_examples=15, deadline=None)
 def test_what_is_written_is_read_again(tmp_path_factory, suffix, count, size, seed):
     path = tmp_path_factory.mktemp("las") / f"s{suffix}"
     scan = make_scan(count, seed)

@@ -4,7 +4,7 @@ import zipfile
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
@@ -19,7 +19,6 @@ TABLE = np.array([[1, -2, 3, 51], [4, 5, -6, 255]], np.float32)
     st.sampled_from(["<f4", ">f4", "<f8", "<f2", "<i2", ">i4", "u1"]),
     st.sampled_from("CF"),
 )
-@settings(max_examples=30, deadline=None)
 def test_tables_of_any_type_and_order(tmp_path_factory, shape, kind, order):
     path = tmp_path_factory.mktemp("npy") / "s.npy"
     table = np.arange(shape[0] * shape[1]).reshape(shape).astype(kind, order)

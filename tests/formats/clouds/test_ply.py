@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 from scans import IN_BYTES
@@ -33,7 +33,6 @@ def elements(kind) -> st.SearchStrategy[object]:
 
 
 @given(st.data())
-@settings(max_examples=20, deadline=None)
 def test_every_column_survives(tmp_path_factory, data):
     plyfile = pytest.importorskip("plyfile")
     count = data.draw(st.integers(0, 5))

@@ -3,7 +3,7 @@
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from salsanext_cli.errors import FormatError
@@ -43,7 +43,6 @@ NUMBERS = st.floats(-500, 500, width=32) | st.sampled_from([0.0, -0.0, float("na
 
 
 @given(st.lists(st.tuples(*[NUMBERS] * 4), min_size=1, max_size=20), st.sampled_from(" ,;\t"))
-@settings(max_examples=40, deadline=None)
 def test_what_python_writes_is_read_exactly(tmp_path_factory, rows, mark):
     path = tmp_path_factory.mktemp("text") / "s.xyz"
     path.write_text("".join(mark.join(map(repr, row)) + "\n" for row in rows))

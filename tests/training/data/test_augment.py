@@ -4,7 +4,7 @@ from collections import Counter
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from scans import SMALL, make_scan
 
@@ -166,7 +166,6 @@ def test_odd_points_are_those_of_odd_cells(bands: int, sectors: int, azimuth: fl
     assert 0.1 < odd.mean() < 0.9
 
 
-@settings(max_examples=40)
 @given(st.integers(0, 2**32 - 1))
 def test_every_point_comes_from_the_scan_of_its_cell_and_keeps_its_label(seed: int) -> None:
     board = Checkerboard.drawn(SMALL, np.random.default_rng(seed))

@@ -3,7 +3,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from scans import SMALL, make_scan
 
@@ -26,7 +26,6 @@ def rng(seed: int) -> np.random.Generator:
     return np.random.default_rng(seed)
 
 
-@settings(max_examples=30, deadline=None)
 @given(SEEDS, st.sampled_from([1.0, 0.6, 255.0]))
 def test_intensities_follow_one_law_of_intensity_and_range(seed: int, bright: float) -> None:
     """On whatever scale they are."""
@@ -57,7 +56,6 @@ def test_points_without_a_measurement_change_no_other() -> None:
     assert np.isnan(moved[1]).any()
 
 
-@settings(max_examples=50, deadline=None)
 @given(SEEDS)
 def test_another_place_is_a_small_rotation_and_a_shift_up_or_down(seed: int) -> None:
     points = make_scan(50, seed).points

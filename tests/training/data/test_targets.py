@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 import torch
 import yaml
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from salsanext_cli import LabelSpace, label_space
@@ -63,7 +63,6 @@ def slow_loss(
     return total / weight if weight else 0.0
 
 
-@settings(max_examples=60, deadline=None)
 @given(st.lists(st.integers(0, 7), min_size=1, max_size=12), st.integers(0, 99))
 def test_the_probability_of_a_set_is_the_sum_of_its_classes(truth: list[int], seed: int) -> None:
     """Class 0 is ignored, and so is the set of 0 and a class without a weight."""
