@@ -16,8 +16,8 @@ from itertools import pairwise
 from pathlib import Path
 
 from salsanext_cli.engines.settings import NetworkSettings
+from salsanext_cli.parallel.options import threads_of_workers
 from salsanext_cli.parallel.run import RunOptions
-from salsanext_cli.parallel.threads import threads_of_workers
 from salsanext_cli.results.predictions import predicted_scans
 from salsanext_cli.results.selection import ScanSelection
 from salsanext_cli.stages.evaluate import evaluate

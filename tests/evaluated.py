@@ -8,9 +8,12 @@ from scans import write_array
 
 from salsanext_cli import LabelSpace, Scan, label_space, write_labels
 from salsanext_cli.measures.calibration import SCAN_BINS, reliability
-from salsanext_cli.measures.histograms import confidence_histogram, uncertainty_histogram
+from salsanext_cli.measures.histograms import (
+    confidence_histogram,
+    softmax_errors,
+    uncertainty_histogram,
+)
 from salsanext_cli.measures.scan_counts import CLASS, SOFTMAX, ScanCounts
-from salsanext_cli.measures.softmax import softmax_errors
 from salsanext_cli.measures.uncertainty_evaluation import (
     CalibrationResult,
     RankingResult,

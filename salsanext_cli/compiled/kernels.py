@@ -30,6 +30,18 @@ from salsanext_cli.files.user_cache import cache_folder
 
 MAX_THREADS = 256
 """Size of the pool, which starts only as many threads as are busy together."""
+Function = TypeVar("Function", bound=Callable[..., Any])
+Item = TypeVar("Item")
+CACHE_ERRORS = (
+    *(ArithmeticError, AssertionError, AttributeError, EOFError, ImportError, LookupError),
+    *(MemoryError, OSError, PickleError, RuntimeError, TypeError, ValueError),
+)
+"""Raised by files that cannot be read or written, and by code of another version of numba."""
+CHECKSUM_BYTES = 32
+MIN_SLICE_ITEMS = 16384
+"""Number below which a second thread costs more than it saves."""
+
+log = logging.getLogger(__name__)
 
 
 def run_on_threads(work: Callable[[], object], threads: int) -> None:
@@ -53,21 +65,6 @@ def run_on_threads(work: Callable[[], object], threads: int) -> None:
 def _pool(_process: int) -> ThreadPoolExecutor:
     """Return the pool of a process; after a fork it is a new one."""
     return ThreadPoolExecutor(MAX_THREADS, "salsanext")
-
-
-Function = TypeVar("Function", bound=Callable[..., Any])
-Item = TypeVar("Item")
-
-log = logging.getLogger(__name__)
-
-CACHE_ERRORS = (
-    *(ArithmeticError, AssertionError, AttributeError, EOFError, ImportError, LookupError),
-    *(MemoryError, OSError, PickleError, RuntimeError, TypeError, ValueError),
-)
-"""Raised by files that cannot be read or written, and by code of another version of numba."""
-CHECKSUM_BYTES = 32
-MIN_SLICE_ITEMS = 16384
-"""Number below which a second thread costs more than it saves."""
 
 
 def compiled(function: Function) -> Function:

@@ -9,8 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from salsanext_cli.errors import first_few
-from salsanext_cli.fitting.findings import Finding
-from salsanext_cli.fitting.scan_traits import ScanTraits
+from salsanext_cli.fitting.findings import Finding, ScanTraits
 from salsanext_cli.geometry.intensity import INTENSITY_FACTOR
 from salsanext_cli.results.layout import ScanFile
 

@@ -5,31 +5,46 @@ A check that fails for certain is an error of the scan; one that only makes its 
 finding, which becomes a warning of the run. docs/checks.md says where the thresholds come from.
 """
 
+from __future__ import annotations
+
+import math
 from collections.abc import Iterator
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
 
 from salsanext_cli.errors import FormatError, counted
-from salsanext_cli.fitting.coverage import LARGEST_SHARE_OUTSIDE
-from salsanext_cli.fitting.findings import MIN_POINTS, Finding, ScanCheck
+from salsanext_cli.fitting.findings import MIN_POINTS, UNCHECKED, Finding, ScanCheck, traits_of
 from salsanext_cli.fitting.ground import TOLERANCE_M
-from salsanext_cli.fitting.intensity_checks import intensity_findings, upper_intensity
 from salsanext_cli.fitting.mounting_fit import (
     HEIGHTS_M,
     MAX_TILT_DEG,
     UPSIDE_DOWN_DEG,
     ground_of,
 )
-from salsanext_cli.fitting.scan_traits import traits_of
 from salsanext_cli.geometry.few_points import few_points
-from salsanext_cli.geometry.intensity import without_intensity
-from salsanext_cli.geometry.mounting import ego_points, in_sensor_frame
-from salsanext_cli.geometry.ranges import measured_ranges
+from salsanext_cli.geometry.intensity import (
+    BRIGHT,
+    INTENSITY_FACTOR,
+    NO_INTENSITY,
+    without_intensity,
+)
+from salsanext_cli.geometry.mounting import ego_points, in_sensor_frame, without_ego
+from salsanext_cli.geometry.ranges import LARGEST, measured_ranges
 from salsanext_cli.records import Float, Scan
 from salsanext_cli.sensors.sensor import FITTED_NAME, Sensor
 
+MAX_USUAL_INTENSITY = 2.0
+"""Largest upper intensity of the scale 0…1, where that of training is not known."""
+NAME_IT = (
+    "if the files hold one, name its column, --columns x,y,z,_,intensity for example, or its "
+    "scale, intensity_scale in a file for --sensor"
+)
+
+LARGEST_SHARE_OUTSIDE = 0.2
+"""Largest share of points outside without a warning; a matching sensor has 0.07 or less."""
 MEDIAN_RANGES_M = (0.3, 250.0)
 """Least and largest median range of a scan in metres; real scans had 4 to 32."""
 USUAL_RANGES_M = (60.0, 300.0)
@@ -50,6 +65,92 @@ AUTO = "--sensor auto, or "
 UNITS = "convert them to metres, or name the columns: --columns x,y,z,intensity"
 TRAIN = "expect worse labels, or `salsanext train` weights on scans of this sensor"
 ORIGIN = "say by `origin` in a sensor file where the sensor is, or train weights for that height"
+
+
+def upper_intensity(intensity: Float) -> float:
+    """Return the upper intensity of those that are numbers, 0 without any."""
+    finite = intensity[np.isfinite(intensity)]
+    return float(np.quantile(finite, BRIGHT)) if len(finite) else 0.0
+
+
+def intensity_findings(
+    bright: float, reason: str, sensor: Sensor, trained: Sensor, fitting: bool
+) -> Iterator[Finding]:
+    """Compare an upper intensity with that of scans matched with, of training, or with 0 to 1.
+
+    `reason` says why the values are no intensity, if they are none.
+    """
+    matched = sensor.intensity_quantiles
+    if reason:
+        found = reason if matched else f"{reason}; the network takes it as it is"
+        remedy = (
+            "--intensity none"
+            if fitting and trained.intensity_quantiles and not matched
+            else NAME_IT
+        )
+        yield Finding("no-intensity", found, remedy)
+        return
+    quantiles = matched or trained.intensity_quantiles
+    if matched == NO_INTENSITY:
+        return
+    if bright < 0 and not matched:
+        found = f"{BRIGHT:.0%} of the intensities are below {bright:.3g}: negative"
+        yield Finding(
+            "intensity-scale", found, "name another column: --columns, or --intensity none"
+        )
+        return
+    if quantiles:
+        usual = quantiles[round(BRIGHT * (len(quantiles) - 1))]
+        near = usual / INTENSITY_FACTOR <= bright <= usual * INTENSITY_FACTOR
+        doubtful = usual > 0 and not near  # Those below 0 have no factors.
+        of = f"and {usual:.2g} in {'the scans fitted to' if matched else 'training'}"
+    else:
+        doubtful, of = bright > MAX_USUAL_INTENSITY, "where 0 to 1 is usual"
+    if doubtful:
+        found = f"{BRIGHT:.0%} of the intensities are below {bright:.3g}, {of}"
+        scale = "set intensity_scale in a file for --sensor"
+        alone = "run it apart, or " if fitting else ""
+        remedy = f"{alone}{scale}" if matched or not fitting else f"--intensity auto, or {scale}"
+        yield Finding("intensity-scale", found, remedy)
+
+
+def check_image(channels: Float, sensor: Sensor, trained: Sensor) -> ScanCheck:
+    """Check the intensity of a range image, whose geometry was checked when it was projected.
+
+    `channels` (5, H, W) float32, a pixel of range 0 is empty; `sensor`, `trained`: that of the
+    image, and that of the weights.
+    """
+    occupied = channels[:, channels[0] > 0]
+    if occupied.shape[1] < MIN_POINTS:
+        return UNCHECKED
+    reason, bright = without_intensity(occupied[1:4].T, occupied[4]), upper_intensity(occupied[4])
+    return ScanCheck(tuple(intensity_findings(bright, reason, sensor, trained, fitting=True)))
+
+
+@dataclass(frozen=True, slots=True)
+class FieldOfViewCoverage:
+    """Numbers of points; adding two gives those of both."""
+
+    points: int = 0  # Number of points with a measurement
+    outside: int = 0  # Number of those above or below the field of view
+
+    def __add__(self, other: FieldOfViewCoverage) -> FieldOfViewCoverage:
+        return FieldOfViewCoverage(self.points + other.points, self.outside + other.outside)
+
+    @property
+    def share(self) -> float:
+        """Share of the points that lies outside, 0…1; 0 without points."""
+        return self.outside / max(self.points, 1)
+
+
+def field_of_view_coverage(scan: Scan, sensor: Sensor) -> FieldOfViewCoverage:
+    """Count the points of a scan in and out of view; `out_of_view` of the sensor has no effect."""
+    scan = without_ego(scan, sensor)
+    ranges, measured = measured_ranges(scan.points, float(LARGEST))
+    ranges, z = ranges[measured], scan.points[measured, 2].astype(np.float64)
+    lowest, highest = (math.sin(math.radians(f)) for f in (sensor.fov_down, sensor.fov_up))
+    outside = (z < lowest * ranges) | (z > highest * ranges)
+    return FieldOfViewCoverage(len(z), int(outside.sum()))
 
 
 def check_scan(

@@ -7,13 +7,13 @@ from dataclasses import replace
 import numpy as np
 import numpy.typing as npt
 
-from salsanext_cli.fitting.coverage import (
+from salsanext_cli.fitting.ego_fit import fit_ego
+from salsanext_cli.fitting.mounting_fit import fit_mounting
+from salsanext_cli.fitting.scan_checks import (
     LARGEST_SHARE_OUTSIDE,
     FieldOfViewCoverage,
     field_of_view_coverage,
 )
-from salsanext_cli.fitting.ego_fit import fit_ego
-from salsanext_cli.fitting.mounting_fit import fit_mounting
 from salsanext_cli.geometry.mounting import without_ego
 from salsanext_cli.geometry.ranges import measured_ranges
 from salsanext_cli.records import Scan

@@ -8,8 +8,7 @@ from pathlib import Path
 from salsanext_cli.errors import LabelError, NoInputError, first_few
 from salsanext_cli.files.reading import is_folder, present
 from salsanext_cli.formats.label_scalars import READERS
-from salsanext_cli.results.layout import ScanFile
-from salsanext_cli.results.scan_folders import counted_by_suffix
+from salsanext_cli.results.layout import ScanFile, counted_by_suffix
 
 EDITED_SUFFIXES = (*READERS, ".label", ".npy")
 """Suffixes of files with labels, upper or lower case."""

@@ -13,9 +13,9 @@ import numpy.typing as npt
 
 from salsanext_cli.classes.label_space import LabelSpace, RawIds
 from salsanext_cli.errors import LabelError, counted, first_few
-from salsanext_cli.formats.label_ids import LabelIds
 from salsanext_cli.formats.label_scalars import (
     READERS,
+    LabelIds,
     LabelledCloud,
     read_labelled_cloud,
     whole_numbers,

@@ -13,14 +13,13 @@ from typing import Any, NamedTuple
 import yaml
 
 from salsanext_cli.classes.label_space import LabelSpace
-from salsanext_cli.errors import FormatError, OutputError, UsageError
+from salsanext_cli.errors import FormatError, OutputError, UsageError, counted
 from salsanext_cli.files.atomic import MARK, sweep
 from salsanext_cli.files.json_files import read_json
 from salsanext_cli.files.locks import locked
 from salsanext_cli.files.reading import filled, present, reading
 from salsanext_cli.formats import read_scan, scan_suffix
 from salsanext_cli.formats.clouds.kitti import encode_bin
-from salsanext_cli.formats.poses import pose_lines
 from salsanext_cli.labelling.label_records import IMPORTED, PICKED, digest_of_file, name_of
 from salsanext_cli.labelling.picked_scans import STAGE, PickedScan, PickRecord
 from salsanext_cli.results.layout import SCAN_FOLDER, ScanFile, find_scans, output_path
@@ -35,6 +34,27 @@ COPIED_COLUMNS = ((), ("x", "y", "z", "intensity"))
 """Columns of `.bin` files that are copied."""
 
 log = logging.getLogger(__name__)
+
+
+def pose_lines(path: Path, scans: Sequence[str], wanted: Sequence[str]) -> bytes:
+    """Return the lines of some scans of a sequence, in their order.
+
+    A file with a line for each scan that is there is in the order of their names; in another one,
+    as KITTI's of a whole drive, a scan's name is the number of its line, from 0.
+
+    `path`: the file; `scans`: names of all scans of the sequence that are there, sorted, without
+    suffix; `wanted`: those of some of them.
+    """
+    with reading(path) as file:
+        lines = [line.strip() for line in file.read().splitlines() if line.strip()]
+    if len(lines) == len(scans):
+        places = [scans.index(name) for name in wanted]
+    else:
+        places = [int(name) if name.isdecimal() else len(lines) for name in wanted]
+    if max(places, default=-1) >= len(lines):
+        expected = f"one for each of {counted(len(scans), 'scan')}, or names that are line numbers"
+        raise FormatError(path, counted(len(lines), "line"), expected)
+    return b"".join(lines[place] + b"\n" for place in places)
 
 
 class ScanPaths(NamedTuple):

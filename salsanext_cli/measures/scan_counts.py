@@ -27,13 +27,15 @@ from salsanext_cli.measures.histograms import (
     Histogram,
     confidence_histogram,
     error_histogram,
+    lack_of_confidence,
+    softmax_entropy,
+    softmax_errors,
     uncertainty_histogram,
 )
-from salsanext_cli.measures.softmax import lack_of_confidence, softmax_entropy, softmax_errors
 from salsanext_cli.network.scan_digests import is_among
 from salsanext_cli.records import Float, Scan
 from salsanext_cli.results.layout import UNCERTAINTY, ScanFile, output_path
-from salsanext_cli.results.rejection import rejected_points
+from salsanext_cli.results.predictions import rejected_points
 from salsanext_cli.results.scan_results import read_kind
 from salsanext_cli.sensors.sensor import Sensor
 

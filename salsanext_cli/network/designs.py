@@ -18,8 +18,6 @@ from salsanext_cli.network.blocks import (
     Stack,
     StridedDown,
     UnitChain,
-)
-from salsanext_cli.network.up_blocks import (
     UpBlock,
     adding_3x3,
     concatenating_2x2,

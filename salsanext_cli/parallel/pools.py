@@ -11,8 +11,7 @@ from dataclasses import dataclass
 from multiprocessing import resource_tracker
 from typing import Any
 
-from salsanext_cli.parallel.options import RunOptions
-from salsanext_cli.parallel.threads import cores, threads_of_workers
+from salsanext_cli.parallel.options import RunOptions, cores, threads_of_workers
 
 CHUNKS_IN_FLIGHT = 2
 """Chunks sent for each worker, so that the next one is there when one is done."""

@@ -15,9 +15,9 @@ from pathlib import Path
 
 from salsanext_cli.errors import OutputError
 from salsanext_cli.files.atomic import MARK
+from salsanext_cli.parallel.options import use_threads
 from salsanext_cli.parallel.shards import Chunk
 from salsanext_cli.parallel.tasks import Attempt, AttemptFunction, Task, opened
-from salsanext_cli.parallel.threads import use_threads
 
 THREAD_TIMEOUT_S = 10.0
 """Time for an idle thread of joblib's to end."""

@@ -26,6 +26,11 @@ from salsanext_cli.results.written_files import WrittenFiles
 
 if TYPE_CHECKING:
     from PIL.Image import Image
+LARGEST_PX = (1280, 1080)
+"""Width and height that a frame is reduced to."""
+PALETTE, MOST_KEPT = 256, 192
+"""Colours of a GIF, and how many of them may be chosen beforehand."""
+Taken = TypeVar("Taken")
 
 log = logging.getLogger(__name__)
 
@@ -67,15 +72,6 @@ def animate(
         else:
             files.write(path, encode_mp4(pictures, frames_per_second))
         log.log(NOTICE, "animation of %s: %s", counted(len(pictures), "scan"), path)
-
-
-LARGEST_PX = (1280, 1080)
-"""Width and height that a frame is reduced to."""
-PALETTE, MOST_KEPT = 256, 192
-"""Colours of a GIF, and how many of them may be chosen beforehand."""
-
-
-Taken = TypeVar("Taken")
 
 
 def find_ffmpeg() -> str:

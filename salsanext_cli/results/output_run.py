@@ -1,7 +1,8 @@
 # SPDX-License-Identifier: MIT
 """The run of a stage that fills an output folder: settings, lock, results there and missing."""
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+import logging
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -11,17 +12,125 @@ from uuid import uuid4
 import numpy.typing as npt
 
 from salsanext_cli.classes.label_space import RawIds
-from salsanext_cli.errors import OutputError
+from salsanext_cli.errors import OutputError, first_few
 from salsanext_cli.files.atomic import MARK, sweep, sweep_stale
+from salsanext_cli.files.json_files import read_json, write_json
 from salsanext_cli.files.locks import locked
-from salsanext_cli.files.reading import filled
+from salsanext_cli.files.reading import filled, present
 from salsanext_cli.formats.labels import encode_labels
 from salsanext_cli.formats.npy import encode_array
-from salsanext_cli.results.layout import ScanFile, output_path
-from salsanext_cli.results.run_registration import records_lock, register_run
+from salsanext_cli.results.layout import ERROR, ScanFile, find_outputs, output_path
 from salsanext_cli.results.sources import scan_sources
-from salsanext_cli.results.stage_records import StageRecord, as_json, read_record
+from salsanext_cli.results.stage_records import (
+    ScanSource,
+    StageRecord,
+    as_json,
+    owner,
+    read_record,
+    require_same_settings,
+)
 from salsanext_cli.results.written_files import WrittenFiles
+
+RECORDS_LOCK_TIMEOUT_S = 1800.0
+"""Others hold the lock for a moment each, seconds if it is a million scans, and there may be a
+hundred of them."""
+Texts = tuple[str, str, str]
+"""Code, message and remedy."""
+
+log = logging.getLogger(__name__)
+
+
+@contextmanager
+def records_lock(out: Path) -> Iterator[None]:
+    """Let no other process read or write the records of an output folder while the body does."""
+    with locked(out / ".records.lock", RECORDS_LOCK_TIMEOUT_S):
+        yield
+
+
+def register_run(wanted: StageRecord, out: Path, overwrite: bool) -> StageRecord:
+    """Bring the records of a folder, and its results, to what a run wants, under `records_lock`.
+
+    `wanted`: what the run would record; `out`: the output folder; `overwrite`: whether results of
+    other settings or stages may be removed.
+    """
+    stage, recorded = wanted.stage, read_record(out, wanted.stage)
+    before = recorded or StageRecord(stage, wanted.settings)
+    same = before.settings == wanted.settings
+    owners = {folder: owner(out, folder) for folder in wanted.folders}
+    others = {folder: other for folder, other in owners.items() if other and other != stage}
+    if not overwrite:
+        require_same_settings(out / f"{stage}.json", before.settings, wanted.settings)
+        for folder, other in others.items():
+            raise OutputError(
+                out / f"{other}.json",
+                f"{folder}/ holds the results of `{other}`",
+                remedy="use another output folder, or --overwrite to replace them",
+            )
+    kept: list[Path] = []
+    with ExitStack() as held:
+        for filler in [*([] if same else [stage]), *sorted({*others.values()})]:
+            for lock in sorted(out.glob(f".{filler}.*.lock")):
+                held.enter_context(locked(lock, stage=filler))
+        # Nothing is removed before it is certain that the run may begin.
+        if not same:
+            kept += _remove_results(out, before.folders)
+        for folder in wanted.folders:
+            if folder in others:
+                kept += _take_over(out, folder, others[folder])
+            elif folder not in before.folders:
+                kept += _remove_unrecorded(out, folder, overwrite)
+    merged = replace(wanted, kept=frozenset(path.relative_to(out).as_posix() for path in kept))
+    if same:
+        merged = _merged(before, merged)
+    # The record comes last: without it, a run that was killed before begins anew.
+    if merged != recorded:
+        merged.write(out)
+    return merged
+
+
+def _merged(recorded: StageRecord, wanted: StageRecord) -> StageRecord:
+    """Return a record of what was done before with the same settings, and of what is wanted."""
+    scans = dict(recorded.scans)
+    for sequence, source in wanted.scans.items():
+        before = scans[sequence].stems if sequence in scans else frozenset()
+        scans[sequence] = ScanSource(source.folder, source.stems | before)
+    folders = tuple(sorted({*recorded.folders, *wanted.folders}))
+    return replace(wanted, folders=folders, scans=scans, kept=wanted.kept | recorded.kept)
+
+
+def _take_over(out: Path, folder: str, other: str) -> list[Path]:
+    """Remove the results of another stage from a folder, which is this stage's from now on.
+
+    With its labels go the probabilities that these are wrong.
+    """
+    taken = [folder, ERROR] if folder == "predictions" else [folder]
+    record = read_record(out, other)
+    taken = [name for name in taken if name == folder or (record and name in record.folders)]
+    kept = _remove_results(out, taken)
+    if record:
+        left = tuple(name for name in record.folders if name not in taken)
+        replace(record, folders=left).write(out)
+    return kept
+
+
+def _remove_unrecorded(out: Path, folder: str, overwrite: bool) -> list[Path]:
+    """Refuse results that no stage recorded, or remove them: it is not known how they were made."""
+    if (found := find_outputs(out, folder)) and not overwrite:
+        raise OutputError(
+            next(iter(found.values())),
+            "is a result that no stage recorded",
+            remedy="use another output folder, or --overwrite to work beside it",
+        )
+    return _remove_results(out, [folder])
+
+
+def _remove_results(out: Path, folders: Iterable[str]) -> list[Path]:
+    """Remove results that salsanext wrote and that are unchanged; name and return the others."""
+    found = [path for folder in folders for path in find_outputs(out, folder).values()]
+    kept = WrittenFiles(out).remove(found)
+    if kept:
+        log.warning("kept, since changed or not written by salsanext: %s", first_few(kept))
+    return kept
 
 
 @dataclass(frozen=True, slots=True)
@@ -127,3 +236,43 @@ def _places(out: Path, folders: Iterable[str], scans: Iterable[ScanFile]) -> lis
     """Return every folder that the results of scans go to."""
     sequences = [out / "sequences" / name for name in sorted({scan.sequence for scan in scans})]
     return [out, *sequences, *(place / folder for place in sequences for folder in folders)]
+
+
+def keep_findings(
+    out: Path, stage: str, found: Mapping[str, list[Texts]], looked_at: Collection[str]
+) -> dict[str, list[Texts]]:
+    """Keep what a run found in an output folder; return what earlier runs found of other scans.
+
+    `out`: the output folder; `stage`: the stage; `found`: code, message and remedy of each finding,
+    by the name of the scan; `looked_at`: names of all scans that the run has looked at; what
+    earlier runs found of them is outdated.
+    """
+    path = _path(out, stage)
+    with records_lock(out):
+        known = read_findings(out, stage)
+        earlier = {name: texts for name, texts in known.items() if name not in looked_at}
+        if present(path) or found:
+            everything = {**earlier, **{name: sorted(texts) for name, texts in found.items()}}
+            write_json(path, {"stage": stage, "scans": dict(sorted(everything.items()))})
+    return earlier
+
+
+def read_findings(out: Path, stage: str) -> dict[str, list[Texts]]:
+    """Return what the runs of a stage found, by the name of the scan; empty if none is kept."""
+    known = read_json(_path(out, stage))
+    scans = {} if known is None else known.get("scans")
+    return {
+        name: [tuple(texts) for texts in findings]
+        for name, findings in (scans.items() if isinstance(scans, dict) else ())
+        if _are_findings(findings)
+    }
+
+
+def _path(out: Path, stage: str) -> Path:
+    return out / f"{stage}.warnings.json"
+
+
+def _are_findings(value: object) -> bool:
+    return isinstance(value, list) and all(
+        isinstance(texts, list) and [*map(type, texts)] == [str, str, str] for texts in value
+    )

@@ -7,11 +7,14 @@ from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+import numpy.typing as npt
+
 from salsanext_cli.classes.label_space import LabelSpace
 from salsanext_cli.classes.merging import ClassMerging, contradiction
 from salsanext_cli.errors import LabelError, OutputError, first_few
+from salsanext_cli.records import Float
 from salsanext_cli.results.layout import ERROR, ScanFile
-from salsanext_cli.results.rejection import rejected_above
 from salsanext_cli.results.selection import (
     ScanSelection,
     choose,
@@ -25,13 +28,26 @@ from salsanext_cli.results.stage_records import (
     owner,
     recorded_label_space,
     recorded_weights,
+    settings_of,
     stage_settings,
 )
 
-log = logging.getLogger(__name__)
-
 UNCERTAINTY_SETTINGS = ("method", "samples", "seed", "noise", "weights")
 """Settings of `uncertainty` that an evaluation records."""
+
+log = logging.getLogger(__name__)
+
+
+def rejected_above(out: Path) -> float | None:
+    """Return the error above which the points in a folder were left unlabelled; None if none."""
+    settings = settings_of(out, "predictions")
+    return None if settings is None else settings.get("reject")
+
+
+def rejected_points(out: Path, error: Float) -> npt.NDArray[np.bool_]:
+    """Say of points, by their error (N,), which were left unlabelled for it."""
+    above = rejected_above(out)
+    return np.zeros(len(error), bool) if above is None else error > above
 
 
 def predicted_scans(

@@ -22,7 +22,7 @@ from salsanext_cli.geometry.mounting import in_sensor_frame
 from salsanext_cli.geometry.ranges import measured_ranges
 from salsanext_cli.records import Float, Scan
 from salsanext_cli.results.layout import UNCERTAINTY, ScanFile, output_path, with_outputs
-from salsanext_cli.results.rejection import rejected_points
+from salsanext_cli.results.predictions import rejected_points
 from salsanext_cli.sensors.sensor import Sensor
 
 FOLDERS = ("predictions", *(f"uncertainty/{kind}" for kind in UNCERTAINTY))

@@ -15,8 +15,13 @@ from salsanext_cli.classes.merging import ClassMerging, is_merged
 from salsanext_cli.errors import NoInputError, UsageError
 from salsanext_cli.files.reading import is_folder, present
 from salsanext_cli.formats.recordings.address import recording_of
-from salsanext_cli.results.layout import SCAN_FOLDER, ScanFile, find_scans, of_sequences
-from salsanext_cli.results.scan_folders import log_passed_over
+from salsanext_cli.results.layout import (
+    SCAN_FOLDER,
+    ScanFile,
+    find_scans,
+    log_passed_over,
+    of_sequences,
+)
 
 LABEL_SPACE_FILES = ("labels.yaml", "semantic-kitti.yaml")
 """Names, in the root of a data set, of the file that describes its label space."""

@@ -17,8 +17,8 @@ from salsanext_cli.results.layout import (
     ScanFile,
     find_outputs,
     find_scans,
+    names_in,
 )
-from salsanext_cli.results.scan_folders import names_in
 from salsanext_cli.results.stage_records import ScanSource, owner, read_records
 
 LABELLING_STAGES = ("predict", "knn-refine", "uncertainty")

@@ -28,10 +28,10 @@ from salsanext_cli.measures.uncertainty_evaluation import (
     evaluate_uncertainty,
 )
 from salsanext_cli.parallel.run import Failure, RunOptions, run_over_scans
-from salsanext_cli.report.evaluation_pictures import PICTURES, evaluation_pictures
+from salsanext_cli.report.plots import PICTURES, evaluation_pictures
 from salsanext_cli.results.layout import ScanFile
+from salsanext_cli.results.output_run import records_lock
 from salsanext_cli.results.predictions import merging_into, space_of_labels
-from salsanext_cli.results.run_registration import records_lock
 from salsanext_cli.results.sources import MissingResults, missing_predictions
 from salsanext_cli.results.stage_records import as_json, recorded_sensor, scans_trained_on
 from salsanext_cli.results.written_files import WrittenFiles

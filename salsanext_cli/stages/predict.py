@@ -16,12 +16,12 @@ from salsanext_cli.errors import SalsanextError, UsageError
 from salsanext_cli.fitting.adaptation import network_of_run
 from salsanext_cli.fitting.checked_scans import project_checked
 from salsanext_cli.fitting.findings import ScanCheck
-from salsanext_cli.fitting.intensity_checks import check_image
 from salsanext_cli.fitting.range_images import (
     projected_sensor,
     range_image,
     sensor_of_images,
 )
+from salsanext_cli.fitting.scan_checks import check_image
 from salsanext_cli.fitting.scan_fit import fitted_view, with_sensor
 from salsanext_cli.geometry.gather import points_from_pixels
 from salsanext_cli.geometry.knn import KnnParameters, knn_refine

@@ -22,13 +22,13 @@ from salsanext_cli.report.page.html import html_of
 from salsanext_cli.report.page.run_results import RunResults
 from salsanext_cli.report.page.shown_scans import ShownScan
 from salsanext_cli.results.layout import ScanFile
+from salsanext_cli.results.output_run import records_lock
 from salsanext_cli.results.predictions import (
     merging_into,
     predicted_scans,
     require_same_weights,
     space_of_labels,
 )
-from salsanext_cli.results.run_registration import records_lock
 from salsanext_cli.results.scan_results import with_results
 from salsanext_cli.results.selection import ScanSelection
 from salsanext_cli.results.sources import MissingResults, missing_results

@@ -29,6 +29,16 @@ UNIX = 3
 FOLDER_IN_DOS = 0x10
 LEVEL = 6
 """Of compression; given, so that it is that of every Python."""
+SPLIT = "test"
+SCANS_OF_TEST = {
+    **{"11": 921, "12": 1061, "13": 3281, "14": 631, "15": 1901, "16": 1731},
+    **{"17": 491, "18": 1801, "19": 4981, "20": 831, "21": 2721},
+}
+"""Number of scans of each test sequence of SemanticKITTI, named 000000, 000001, …"""
+Predictions = dict[tuple[str, str], Path]
+"""Label files by sequence and stem."""
+
+log = logging.getLogger(__name__)
 
 
 def write_zip(
@@ -64,19 +74,6 @@ def _entry(name: str, mode: int, attributes_of_dos: int = 0) -> ZipInfo:
     entry.create_system = UNIX
     entry.external_attr = mode << 16 | attributes_of_dos
     return entry
-
-
-SPLIT = "test"
-SCANS_OF_TEST = {
-    **{"11": 921, "12": 1061, "13": 3281, "14": 631, "15": 1901, "16": 1731},
-    **{"17": 491, "18": 1801, "19": 4981, "20": 831, "21": 2721},
-}
-"""Number of scans of each test sequence of SemanticKITTI, named 000000, 000001, …"""
-
-log = logging.getLogger(__name__)
-
-Predictions = dict[tuple[str, str], Path]
-"""Label files by sequence and stem."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -13,7 +13,7 @@ from salsanext_cli.errors import NOTICE, UsageError, counted
 from salsanext_cli.files.identity import fingerprint
 from salsanext_cli.files.json_files import read_json
 from salsanext_cli.network.card import default_weights
-from salsanext_cli.parallel.threads import worker_count
+from salsanext_cli.parallel.options import worker_count
 from salsanext_cli.report.training_sample import draw_sample
 from salsanext_cli.results.selection import evenly_spaced
 from salsanext_cli.results.stage_records import as_json
@@ -33,8 +33,8 @@ from salsanext_cli.training.data.targets import class_sets
 from salsanext_cli.training.distributed import group_of_environment, process_group
 from salsanext_cli.training.fit import Report
 from salsanext_cli.training.initial_network import initial_network
+from salsanext_cli.training.learner import common_precision
 from salsanext_cli.training.log import Row
-from salsanext_cli.training.precision import common_precision
 from salsanext_cli.training.recipe import Recipe
 from salsanext_cli.training.run_folder import (
     BEST,

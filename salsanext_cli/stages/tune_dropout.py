@@ -36,6 +36,14 @@ SMALLEST_VARIANCE = 1e-4
 
 Without it a few points that are sure and wrong would weigh more than all others.
 """
+SAMPLES = 30
+"""Passes per scan and rate."""
+LOWEST, HIGHEST, STEPS = 0.02, 0.5, 10
+"""Ends of the range of rates, and their number."""
+SCANS = 20
+"""Number of scans that are sampled at every rate, unless another limit is given."""
+
+log = logging.getLogger(__name__)
 
 
 def rates_between(lowest: float, highest: float, steps: int) -> list[float]:
@@ -62,16 +70,6 @@ def objective(probabilities: Float, variance: Float, truth: npt.NDArray[Any]) ->
     error = probabilities.astype(np.float64)
     error[np.arange(len(truth)), truth] -= 1
     return math.fsum((np.log(s) / 2 + error**2 / (2 * s)).sum(axis=0))
-
-
-SAMPLES = 30
-"""Passes per scan and rate."""
-LOWEST, HIGHEST, STEPS = 0.02, 0.5, 10
-"""Ends of the range of rates, and their number."""
-SCANS = 20
-"""Number of scans that are sampled at every rate, unless another limit is given."""
-
-log = logging.getLogger(__name__)
 
 
 def tune_dropout(

@@ -20,8 +20,7 @@ from salsanext_cli.errors import NOTICE, TrainingError, WeightsError
 from salsanext_cli.files.atomic import require_target
 from salsanext_cli.fitting.scan_fit import fitted
 from salsanext_cli.measures.calibration import calibration_scores
-from salsanext_cli.measures.histograms import confidence_histogram
-from salsanext_cli.measures.softmax import softmax_errors
+from salsanext_cli.measures.histograms import confidence_histogram, softmax_errors
 from salsanext_cli.network.card import TEMPERATURES, require_tensors
 from salsanext_cli.network.weights import save_with_card
 from salsanext_cli.parallel.run import Progress

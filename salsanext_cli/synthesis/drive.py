@@ -20,6 +20,11 @@ from salsanext_cli.synthesis.street.ground import ground
 from salsanext_cli.synthesis.street.plan import RUN_OUT_M, Plan
 from salsanext_cli.synthesis.street.traffic import Mover, moving
 
+SPEED_M_PER_S = (4.0, 12.0)
+"""Slowest and fastest drive."""
+VIEW_M = 90.0
+"""Largest distance at which moving things are recorded."""
+
 
 def build_street(
     rng: Rng, style: Style, distance: float, ego_speed: float
@@ -44,12 +49,6 @@ def build_street(
     standing = with_brightness(merge(builder.parts), of_material)
     movers = tuple(replace(m, mesh=with_brightness(m.mesh, of_material)) for m in movers)
     return plan, standing, movers
-
-
-SPEED_M_PER_S = (4.0, 12.0)
-"""Slowest and fastest drive."""
-VIEW_M = 90.0
-"""Largest distance at which moving things are recorded."""
 
 
 @dataclass(frozen=True, slots=True)

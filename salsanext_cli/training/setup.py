@@ -26,8 +26,7 @@ from salsanext_cli.results.written_files import WrittenFiles
 from salsanext_cli.sensors.sensor import Sensor
 from salsanext_cli.training.cross_validation import Expectation, expectation, folds
 from salsanext_cli.training.data.class_counts import ClassCounts, class_weights, rare_classes
-from salsanext_cli.training.data.dataset import Samples
-from salsanext_cli.training.data.sampling import SamplingPlan
+from salsanext_cli.training.data.dataset import Samples, SamplingPlan
 from salsanext_cli.training.data.sources import Source
 from salsanext_cli.training.data.targets import ClassSets
 from salsanext_cli.training.distributed import ProcessGroup

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from scans import SMALL, make_scan
 
 from salsanext_cli import Scan, project
-from salsanext_cli.fitting.coverage import FieldOfViewCoverage, field_of_view_coverage
+from salsanext_cli.fitting.scan_checks import FieldOfViewCoverage, field_of_view_coverage
 from salsanext_cli.geometry.ranges import measured_ranges
 
 DROPPING = replace(SMALL, out_of_view="drop")

@@ -8,7 +8,7 @@ from scans import SMALL, make_scan
 from salsanext_cli import Scan, project, read_scan
 from salsanext_cli.engines.settings import NetworkSettings
 from salsanext_cli.fitting import scan_fit
-from salsanext_cli.fitting.coverage import field_of_view_coverage
+from salsanext_cli.fitting.scan_checks import field_of_view_coverage
 from salsanext_cli.fitting.view_fit import SHOWN, as_found, fit_view
 from salsanext_cli.geometry.mounting import upright_rotation
 from salsanext_cli.results.layout import find_scans

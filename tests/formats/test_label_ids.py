@@ -8,8 +8,7 @@ import pytest
 
 from salsanext_cli import label_space
 from salsanext_cli.errors import UsageError
-from salsanext_cli.formats.label_ids import LabelIds
-from salsanext_cli.formats.label_scalars import NO_VALUE
+from salsanext_cli.formats.label_scalars import NO_VALUE, LabelIds
 
 SPACE = label_space()
 

@@ -2,7 +2,7 @@
 import pytest
 
 from salsanext_cli.errors import FormatError
-from salsanext_cli.formats.poses import pose_lines
+from salsanext_cli.labelling.picked_data_set import pose_lines
 
 
 @pytest.fixture

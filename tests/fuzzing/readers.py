@@ -24,7 +24,7 @@ from tiny_network import TinyNetwork
 
 from salsanext_cli import LabelSpace, label_space, project, read_labels, read_scan, sensor
 from salsanext_cli.files.json_files import read_json
-from salsanext_cli.fitting.coverage import field_of_view_coverage
+from salsanext_cli.fitting.scan_checks import field_of_view_coverage
 from salsanext_cli.formats.npy import (
     encode_array,
     read_array,

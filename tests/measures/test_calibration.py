@@ -7,8 +7,12 @@ import pytest
 from sklearn.metrics import brier_score_loss, log_loss
 
 from salsanext_cli.measures.calibration import adaptive_error, calibration_scores, reliability
-from salsanext_cli.measures.histograms import Histogram, confidence_histogram
-from salsanext_cli.measures.softmax import SMALLEST_PROBABILITY, softmax_errors
+from salsanext_cli.measures.histograms import (
+    SMALLEST_PROBABILITY,
+    Histogram,
+    confidence_histogram,
+    softmax_errors,
+)
 
 C = 4
 SEEDS = pytest.mark.parametrize("seed", range(4))

@@ -4,7 +4,7 @@ import math
 import numpy as np
 from scipy.stats import entropy
 
-from salsanext_cli.measures.softmax import lack_of_confidence, softmax_entropy
+from salsanext_cli.measures.histograms import lack_of_confidence, softmax_entropy
 
 
 def test_entropy_is_that_of_scipy_and_confidence_the_largest():

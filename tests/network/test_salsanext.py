@@ -7,10 +7,10 @@ import torch
 import torch.nn.functional as F
 from scans import lively
 
+from salsanext_cli.network.blocks import ReplicatingConvTranspose2d, TransposedUnit
 from salsanext_cli.network.published import our_name
 from salsanext_cli.network.registry import ARCHITECTURES, build
 from salsanext_cli.network.salsanext import SalsaNext
-from salsanext_cli.network.up_blocks import ReplicatingConvTranspose2d, TransposedUnit
 
 
 @pytest.fixture(scope="module")

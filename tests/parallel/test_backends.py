@@ -15,8 +15,8 @@ from works import Write, run, scans_of
 from salsanext_cli.engines.settings import NetworkSettings
 from salsanext_cli.errors import MissingDependency, UsageError, WorkersLost
 from salsanext_cli.parallel import clusters
+from salsanext_cli.parallel.options import threads_of_workers
 from salsanext_cli.parallel.run import RunOptions
-from salsanext_cli.parallel.threads import threads_of_workers
 from salsanext_cli.stages.predict import predict_scans
 from salsanext_cli.stages.uncertainty import uncertainty
 from salsanext_cli.uncertainty.settings import Estimator

@@ -8,7 +8,7 @@ import numba
 import pytest
 import torch
 
-from salsanext_cli.parallel.threads import (
+from salsanext_cli.parallel.options import (
     cores,
     threads_of_workers,
     use_threads,

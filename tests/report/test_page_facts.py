@@ -7,8 +7,8 @@ from salsanext_cli import label_space
 from salsanext_cli.files.identity import fingerprint
 from salsanext_cli.network.card import default_weights, read_card
 from salsanext_cli.report.page.facts import facts_of_run, warnings_of_run
-from salsanext_cli.results.kept_findings import keep_findings
 from salsanext_cli.results.layout import output_path
+from salsanext_cli.results.output_run import keep_findings
 from salsanext_cli.results.stage_records import StageRecord
 from salsanext_cli.results.written_files import WrittenFiles
 

@@ -16,10 +16,9 @@ from scans import files_below, write_sequence
 from salsanext_cli import __version__, label_space, sensor
 from salsanext_cli.errors import OutputError
 from salsanext_cli.files.atomic import STALE_AFTER_S
-from salsanext_cli.results import run_registration
+from salsanext_cli.results import output_run as run_registration
 from salsanext_cli.results.layout import ScanFile, find_scans
-from salsanext_cli.results.output_run import output_run
-from salsanext_cli.results.run_registration import records_lock
+from salsanext_cli.results.output_run import output_run, records_lock
 from salsanext_cli.results.stage_records import (
     origins,
     owner,

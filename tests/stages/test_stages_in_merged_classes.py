@@ -15,7 +15,7 @@ from salsanext_cli.classes.merging import ClassMerging
 from salsanext_cli.errors import LabelError, OutputError, UsageError
 from salsanext_cli.fitting.recorded_network import network_of_labels
 from salsanext_cli.measures.confusion import Confusion
-from salsanext_cli.measures.softmax import softmax_errors
+from salsanext_cli.measures.histograms import softmax_errors
 from salsanext_cli.network.card import read_card
 from salsanext_cli.parallel.run import RunOptions
 from salsanext_cli.results.point_files import write_labels

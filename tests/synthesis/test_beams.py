@@ -5,8 +5,7 @@ import numpy as np
 import pytest
 
 from salsanext_cli.synthesis.sensor.beams import ENCODER_STEP_DEG
-from salsanext_cli.synthesis.sensor.hdl64 import LOWER_BLOCK, UPPER_BLOCK, hdl64
-from salsanext_cli.synthesis.sensor.shadow import hidden_by_vehicle
+from salsanext_cli.synthesis.sensor.rig import LOWER_BLOCK, UPPER_BLOCK, hdl64, hidden_by_vehicle
 
 
 @pytest.fixture(scope="module")

@@ -5,7 +5,6 @@ import numpy as np
 import pytest
 
 from salsanext_cli.synthesis.mesh import Skin, quads
-from salsanext_cli.synthesis.sensor.hdl64 import hdl64
 from salsanext_cli.synthesis.sensor.lidar import (
     HDL64,
     INTENSITY_NOISE,
@@ -14,6 +13,7 @@ from salsanext_cli.synthesis.sensor.lidar import (
     Scene,
     measure,
 )
+from salsanext_cli.synthesis.sensor.rig import hdl64
 from salsanext_cli.synthesis.surfaces import BUILDING, CAR, ROAD, Material
 
 

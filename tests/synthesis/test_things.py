@@ -13,7 +13,6 @@ from salsanext_cli.synthesis.street.plan import Lot
 from salsanext_cli.synthesis.surfaces import Material
 from salsanext_cli.synthesis.things import (
     buildings,
-    cars,
     cycles,
     fences,
     furniture,
@@ -23,10 +22,11 @@ from salsanext_cli.synthesis.things import (
     riders,
     trucks,
     vegetation,
+    vehicles,
 )
 
 THINGS = {
-    "car": (cars.car, {surfaces.CAR}, (3.4, 1.6, 1.3), (5.5, 2.4, 2.5)),
+    "car": (vehicles.car, {surfaces.CAR}, (3.4, 1.6, 1.3), (5.5, 2.4, 2.5)),
     "truck": (trucks.truck, {surfaces.TRUCK}, (4.2, 1.6, 1.5), (17.5, 3.3, 4.2)),
     "person": (people.person, {surfaces.PERSON}, (0.2, 0.2, 1.0), (1.4, 1.1, 2.0)),
     "bicycle": (cycles.bicycle, {surfaces.BICYCLE}, (1.5, 0.4, 0.8), (2.0, 0.8, 1.3)),
@@ -76,7 +76,7 @@ def test_things_have_their_classes_and_sizes(name):
 
 def test_vehicles_stand_on_their_wheels_and_let_light_through_below():
     for seed in range(10):
-        mesh = cars.car(np.random.default_rng(seed))
+        mesh = vehicles.car(np.random.default_rng(seed))
         assert mesh.vertices[:, 2].min() == pytest.approx(0, abs=0.02)
         low = mesh.vertices[mesh.vertices[:, 2] < 0.15]
         assert np.abs(low[:, 0]).min() > 0.4

@@ -10,11 +10,11 @@ from torch import Tensor, nn
 from salsanext_cli.training.learner import (
     Learner,
     build_optimiser,
+    choose_precision,
     learning_rate,
     update_average,
 )
 from salsanext_cli.training.losses import SegmentationLoss
-from salsanext_cli.training.precision import choose_precision
 from salsanext_cli.training.recipe import Recipe
 
 CPU = torch.device("cpu")
@@ -292,7 +292,7 @@ def test_auto_is_what_the_device_computes_fast(
     chosen: tuple[str, str],
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr("salsanext_cli.training.precision.has_bfloat16", lambda: multiplies)
+    monkeypatch.setattr("salsanext_cli.training.learner.has_bfloat16", lambda: multiplies)
     monkeypatch.setattr(torch.cuda, "get_device_capability", lambda device: capability)
     devices = (torch.device("cpu"), torch.device("cuda", 0))
     assert tuple(choose_precision("auto", device) for device in devices) == chosen

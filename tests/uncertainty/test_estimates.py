@@ -9,7 +9,7 @@ from scans import write_weights
 
 from salsanext_cli import load_network, sample
 from salsanext_cli.errors import WeightsError
-from salsanext_cli.parallel.threads import threads_of_workers
+from salsanext_cli.parallel.options import threads_of_workers
 from salsanext_cli.uncertainty.aleatoric import aleatoric
 from salsanext_cli.uncertainty.dropout_propagation import propagate_dropout
 from salsanext_cli.uncertainty.noisy_copies import noise_variance

@@ -21,6 +21,13 @@ from salsanext_cli.formats.recordings.address import files_of
 POINT_CLOUD2 = "sensor_msgs/msg/PointCloud2"
 TYPES = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 8: "f8"}
 """NumPy's names of the types of a field."""
+INDEX_ENTRY = struct.Struct("<QQ")
+"""Time and place of a message, in the index of an MCAP chunk."""
+DAMAGED = (
+    *(struct.error, ValueError, LookupError, TypeError, AttributeError, AssertionError),
+    *(ArithmeticError, MemoryError, EOFError, RuntimeError, OSError),
+)
+"""Built-in errors of the library where a bag is damaged."""
 
 
 def columns_of(message: Any, path: Path) -> Columns:
@@ -63,15 +70,6 @@ def _types(message: Any, path: Path) -> dict[str, tuple[str, int]]:
         if field.count <= 1:  # Old drivers write 0.
             found.setdefault(field.name, (kind, field.offset))
     return found
-
-
-INDEX_ENTRY = struct.Struct("<QQ")
-"""Time and place of a message, in the index of an MCAP chunk."""
-DAMAGED = (
-    *(struct.error, ValueError, LookupError, TypeError, AttributeError, AssertionError),
-    *(ArithmeticError, MemoryError, EOFError, RuntimeError, OSError),
-)
-"""Built-in errors of the library where a bag is damaged."""
 
 
 class Bag:

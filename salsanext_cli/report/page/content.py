@@ -21,7 +21,6 @@ from salsanext_cli.measures.uncertainty_evaluation import (
     evaluate_uncertainty,
 )
 from salsanext_cli.report.colours import COLOUR_MAP, WRONG, Colours, map_colours, screen_colours
-from salsanext_cli.report.evaluation_pictures import uncertainty_pictures
 from salsanext_cli.report.page.clouds import (
     NO_VALUE,
     base64_of,
@@ -30,6 +29,7 @@ from salsanext_cli.report.page.clouds import (
 )
 from salsanext_cli.report.page.html import ClassShare, PageContent
 from salsanext_cli.report.page.shown_scans import UNCERTAIN, ShownScan
+from salsanext_cli.report.plots import uncertainty_pictures
 from salsanext_cli.report.tables import percent
 from salsanext_cli.sensors.sensor import Sensor
 

@@ -15,8 +15,8 @@ from salsanext_cli.errors import SalsanextError, counted, first_few
 from salsanext_cli.files.identity import fingerprint
 from salsanext_cli.fitting.view_fit import as_found
 from salsanext_cli.network.card import default_weights, read_card
-from salsanext_cli.results.kept_findings import read_findings
 from salsanext_cli.results.layout import ERROR, find_outputs
+from salsanext_cli.results.output_run import read_findings
 from salsanext_cli.results.stage_records import owner, recorded_weights, stage_settings
 from salsanext_cli.results.written_files import WrittenFiles
 from salsanext_cli.sensors.sensor import Sensor

@@ -14,7 +14,7 @@ from string import Template
 from typing import Any, NamedTuple
 
 from salsanext_cli.errors import printable
-from salsanext_cli.report.evaluation_pictures import PICTURES
+from salsanext_cli.report.plots import PICTURES
 from salsanext_cli.report.tables import percent
 from salsanext_cli.version import __version__
 

@@ -13,8 +13,8 @@ import numpy.typing as npt
 from salsanext_cli.classes.label_space import LabelSpace
 from salsanext_cli.classes.merging import ClassMerging
 from salsanext_cli.files.reading import present
+from salsanext_cli.measures.histograms import lack_of_confidence
 from salsanext_cli.measures.scan_counts import SOFTMAX, read_softmax
-from salsanext_cli.measures.softmax import lack_of_confidence
 from salsanext_cli.records import Float
 from salsanext_cli.results.layout import ScanFile, output_path
 from salsanext_cli.results.scan_results import ScanResults, read_results

@@ -9,10 +9,55 @@ import numpy.typing as npt
 
 from salsanext_cli.synthesis.mesh import Array, Rng
 from salsanext_cli.synthesis.presets import RANDOM_SENSOR as BOUNDS
+from salsanext_cli.synthesis.presets import VEHICLE_OUTLINES_DEG
 from salsanext_cli.synthesis.sensor.beams import Beams
-from salsanext_cli.synthesis.sensor.hdl64 import hdl64, lasers
 from salsanext_cli.synthesis.sensor.lidar import HDL64, Firings, Response
-from salsanext_cli.synthesis.sensor.shadow import hidden_by_vehicle
+
+PARALLAX_DEG = 1.2
+"""Shift of the vehicle as seen by lasers to the left and right of the axis."""
+UPPER_BLOCK, LOWER_BLOCK = (2.4, -8.0, 32), (-8.6, -23.9, 32)
+"""Elevation of the first and the last beam of a block in degrees, and their number."""
+AZIMUTH_STEP_DEG = 0.1667
+"""Angle between firings of a laser at 10 Hz."""
+HDL64_MOUNT_M = 1.73
+
+
+def hidden_by_vehicle(beams: Beams, rng: Rng) -> npt.NDArray[np.bool_]:
+    """Return the rays that the recording vehicle blocks, (L * columns,); mounting varies a bit."""
+    azimuth = np.degrees(beams.azimuths()) + PARALLAX_DEG * np.sign(beams.aside)[:, None]
+    elevation = np.degrees(beams.elevation)[:, None]
+    hidden = np.zeros(azimuth.shape, bool)
+    for outline in VEHICLE_OUTLINES_DEG:
+        corner, upper, lower = outline.T
+        beyond = np.mod(azimuth - corner[0] - rng.normal(0, 0.3), 360)
+        shift = rng.normal(0, 0.3)
+        below = elevation < np.interp(beyond, corner - corner[0], upper, right=-90) + shift
+        hidden |= below & (elevation > np.interp(beyond, corner - corner[0], lower, right=-90))
+    return hidden.reshape(-1)
+
+
+def lasers(rng: Rng, count: int) -> tuple[Array, Array, Array]:
+    """Return gain, offset and power of lasers; a few report much less than others."""
+    gain = rng.normal(1, 0.08, count)
+    offset = np.abs(rng.normal(0, 0.012, count))
+    weak = rng.random(count) < 0.1
+    offset[weak] += rng.uniform(0.03, 0.2, int(weak.sum()))
+    return gain, offset, np.exp(rng.normal(0, 0.5, count))
+
+
+def hdl64(rng: Rng) -> Beams:
+    """Return the beams of one HDL-64E with its own small deviations."""
+    elevation = np.concatenate([np.linspace(*UPPER_BLOCK), np.linspace(*LOWER_BLOCK)])
+    elevation = elevation + rng.normal(0, 0.045, 64) + rng.normal(0, 0.06)
+    columns = round(360 / (AZIMUTH_STEP_DEG + rng.normal(0, 0.0006)))
+    return Beams(
+        np.radians(np.sort(elevation)[::-1]),
+        rng.uniform(0, 2 * np.pi / columns, 64),
+        np.repeat([0.05, 0.0], 32) + rng.normal(0, 0.003, 64),
+        np.tile([0.026, -0.026], 32),
+        *lasers(rng, 64),
+        columns,
+    )
 
 
 def random_beams(rng: Rng) -> Beams:
@@ -73,9 +118,6 @@ def random_shadow(beams: Beams, rng: Rng) -> npt.NDArray[np.bool_]:
     edge = -rng.uniform(*BOUNDS.roof_edge) + wave
     hidden: npt.NDArray[np.bool_] = np.degrees(beams.elevation)[:, None] < edge
     return hidden.reshape(-1)
-
-
-HDL64_MOUNT_M = 1.73
 
 
 @dataclass(frozen=True, slots=True)

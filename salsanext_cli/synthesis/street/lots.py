@@ -12,7 +12,6 @@ from salsanext_cli.synthesis.street.builder import Builder
 from salsanext_cli.synthesis.street.plan import REACH_M, Lot, Side
 from salsanext_cli.synthesis.things import (
     buildings,
-    cars,
     fences,
     furniture,
     hedges,
@@ -20,7 +19,7 @@ from salsanext_cli.synthesis.things import (
     vegetation,
 )
 from salsanext_cli.synthesis.things.trucks import truck
-from salsanext_cli.synthesis.things.vehicles import length_of, vehicle
+from salsanext_cli.synthesis.things.vehicles import car, length_of, vehicle
 
 CAR_ROOM_M = 5.2
 """Distance from the kerb to the house that a car in the driveway needs."""
@@ -197,7 +196,7 @@ def _park(
 ) -> None:
     """Set down a parked car, sometimes the other way round."""
     turned = yaw + np.pi * builder.chance(0.5) + builder.rng.normal(0, 0.03)
-    builder.put_if_free(cars.car(builder.rng), side, s, out, radius, turned)
+    builder.put_if_free(car(builder.rng), side, s, out, radius, turned)
 
 
 def _scatter(

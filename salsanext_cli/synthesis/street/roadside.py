@@ -6,8 +6,8 @@ import numpy as np
 from salsanext_cli.synthesis.street import crowd
 from salsanext_cli.synthesis.street.builder import Builder
 from salsanext_cli.synthesis.street.plan import Crossing, Side
-from salsanext_cli.synthesis.things import cars, cycles, furniture, people, vegetation
-from salsanext_cli.synthesis.things.vehicles import length_of, vehicle
+from salsanext_cli.synthesis.things import cycles, furniture, people, vegetation
+from salsanext_cli.synthesis.things.vehicles import car, length_of, vehicle
 
 TOWARDS_TRAFFIC_RAD = np.pi / 2
 """Turns a sign, which faces its local -y, towards the traffic on its side of the street."""
@@ -131,7 +131,7 @@ def _side_street(builder: Builder, side: Side, crossing: Crossing) -> None:
     if builder.chance(0.5):
         yaw = -np.pi / 2
         s = crossing.s - side.sign * crossing.half * 0.45
-        builder.put(cars.car(builder.rng), side, s, builder.between(2.6, 5), yaw)
+        builder.put(car(builder.rng), side, s, builder.between(2.6, 5), yaw)
     for _ in builder.count(2 if crossing.pavement else 0.5):
         away = (crossing.half + builder.between(0.4, 1.4)) * builder.rng.choice([-1, 1])
         make_thing = (people.person, people.person, furniture.post, cycles.bicycle, furniture.sign)

@@ -3,11 +3,33 @@
 
 import numpy as np
 
-from salsanext_cli.synthesis.mesh import Mesh, Rng
-from salsanext_cli.synthesis.presets import TRAFFIC
-from salsanext_cli.synthesis.things.cars import car
+from salsanext_cli.synthesis.mesh import Mesh, Rng, Skin, box, merge
+from salsanext_cli.synthesis.presets import CARS, TRAFFIC
+from salsanext_cli.synthesis.surfaces import CAR, Material
+from salsanext_cli.synthesis.things.bodies import dark_paint, fittings, loft, wheels
 from salsanext_cli.synthesis.things.others import bus, other_vehicle
 from salsanext_cli.synthesis.things.trucks import truck
+
+
+def car(rng: Rng) -> Mesh:
+    """Return a car of one of several shapes, sizes and paints."""
+    body = CARS[rng.integers(len(CARS))]
+    stretch = rng.uniform([0.93, 0.96, 0.96], [1.07, 1.03, 1.05])
+    track = (body.width / 2 + 0.005) * stretch[1]
+    axles = [0.31 * body.length * stretch[0], -0.30 * body.length * stretch[0]]
+    parts = [
+        loft(body, CAR, dark_paint(rng), stretch),
+        *wheels(CAR, axles, track, body.wheel, 0.2),
+        *fittings(body, CAR, stretch),
+    ]
+    floor = Skin(CAR, Material.RUBBER)
+    reach = body.length * 0.45
+    parts.append(box((-reach, -0.7, body.bottom - 0.04), (reach, 0.7, body.bottom + 0.1), floor))
+    if rng.random() < 0.15:
+        top = body.profile[:, 2].max() * stretch[2]
+        parts.append(box((-0.9, -0.5, top + 0.05), (0.8, 0.5, top + 0.3), floor))
+    return merge(parts)
+
 
 MAKERS = {"car": car, "truck": truck, "bus": bus, "other": other_vehicle}
 

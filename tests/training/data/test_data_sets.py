@@ -18,9 +18,8 @@ from salsanext_cli.geometry.normalise import normalise
 from salsanext_cli.geometry.row_gaps import completed
 from salsanext_cli.results.layout import find_scans
 from salsanext_cli.results.point_files import write_bin
-from salsanext_cli.training.data.dataset import SAMPLE, Samples
+from salsanext_cli.training.data.dataset import SAMPLE, Samples, SamplingPlan
 from salsanext_cli.training.data.other_sensors import change_intensity, mount_otherwise, other_view
-from salsanext_cli.training.data.sampling import SamplingPlan
 from salsanext_cli.training.data.sources import (
     Source,
     fitted_source,

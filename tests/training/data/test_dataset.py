@@ -19,8 +19,7 @@ from salsanext_cli.training.data.class_counts import (
     count_classes,
     rare_classes,
 )
-from salsanext_cli.training.data.dataset import Samples, batches
-from salsanext_cli.training.data.sampling import SamplingPlan
+from salsanext_cli.training.data.dataset import Samples, SamplingPlan, batches
 from salsanext_cli.training.data.sources import Source, read_labelled
 from salsanext_cli.training.distributed import ProcessGroup
 from salsanext_cli.training.recipe import Recipe
