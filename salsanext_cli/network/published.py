@@ -2,6 +2,7 @@
 """Checkpoints of the published implementation, read without running anything they contain."""
 
 import re
+import struct
 import warnings
 from pathlib import Path
 from pickle import UnpicklingError
@@ -31,7 +32,7 @@ BUILTINS = ("builtins", "__builtin__")
 UNKNOWN_NAME = re.compile(r"GLOBAL ([\w.]+)")
 UNREADABLE = (
     *(ArithmeticError, AssertionError, AttributeError, EOFError, LookupError, MemoryError),
-    *(RecursionError, RuntimeError, TypeError, ValueError, UnpicklingError),
+    *(RecursionError, RuntimeError, TypeError, ValueError, UnpicklingError, struct.error),
 )
 """Errors over bytes that `torch.save` did not write."""
 

@@ -3,20 +3,17 @@
 
 import json
 import struct
-from contextlib import suppress
 
 import pytest
-from bags import messages, structured, write_bag
 from limits import bounded
 from scans import SMALL
 
 from salsanext_cli import label_space, read_scan, sensor
-from salsanext_cli.errors import FormatError, NoInputError, OutputError, UsageError, WeightsError
+from salsanext_cli.errors import FormatError, OutputError, UsageError, WeightsError
 from salsanext_cli.files.json_files import read_json
 from salsanext_cli.formats.npy import read_array
 from salsanext_cli.network.card import WeightsCard
 from salsanext_cli.network.weights import read_weights
-from salsanext_cli.results.layout import find_scans
 from salsanext_cli.training.recipe import recipe
 
 SPACE = "labels: {0: a, 1: b}\nlearning_map: {0: 0, 1: 1}\nlearning_map_inv: {0: 0, 1: 1}\n"
@@ -216,30 +213,3 @@ DEEP = json.dumps({"__metadata__": {"salsanext": '{"a":' * 50_000}}).encode()
 )
 def test_safetensors(tmp_path, data):
     refused(tmp_path / "w.safetensors", data, read_weights, WeightsError)
-
-
-def test_merges_of_merges_in_the_metadata_of_a_bag(tmp_path):
-    pytest.importorskip("rosbags")
-    path = write_bag(tmp_path, ".mcap", messages([structured()]))
-    assert find_scans(path.parent)
-    said = refused(path.with_name("metadata.yaml"), MERGES, read_folder, FormatError)
-    assert "not as ROS writes it" in said
-
-
-def test_lengths_of_a_terabyte_in_a_bag(tmp_path):
-    """Each replaces the length of a record, which rosbags would read at once."""
-    pytest.importorskip("rosbags")
-    claimed = struct.pack("<Q", 10**12)
-    for kind in (".bag", ".mcap"):
-        data = write_bag(tmp_path / kind, kind, messages([structured(20)])).read_bytes()
-        for place in range(9, len(data) - 8, 131):
-            path = tmp_path / f"a{kind}"
-            path.write_bytes(data[:place] + claimed + data[place + 8 :])
-            with bounded(len(data)), suppress(FormatError, NoInputError):
-                for scan in find_scans(path):
-                    read_scan(scan.path)
-
-
-def read_folder(path):
-    """Find the scans of the bag that a file is of."""
-    return find_scans(path.parent)

@@ -89,7 +89,7 @@ def test_scans_that_do_not_fit_into_memory_are_named(nine, tmp_path, monkeypatch
     def no_room(*_args, **_options):
         raise torch.OutOfMemoryError("no room")
 
-    homes = {"project": "inference.checked_scans", "knn_refine": "uncertainty.labelling"}
+    homes = {"project": "fitting.checked_scans", "knn_refine": "stages.predict"}
     home = homes.get(step, "stages.predict")
     monkeypatch.setattr(f"salsanext_cli.{home}.{step}", no_room)
     by_torch = replace(nine.network, engine="torch")

@@ -203,7 +203,7 @@ def test_another_recipe_is_refused_and_overwrite_starts_anew(dataset, tmp_path):
 def test_another_cpu_resumes_in_the_precision_of_the_first(
     dataset, tmp_path, monkeypatch, multiplies, found
 ):
-    wanted, has = TINY.with_changes(epochs=1, precision="auto"), "training.precision.has_bfloat16"
+    wanted, has = TINY.with_changes(epochs=1, precision="auto"), "training.learner.has_bfloat16"
     monkeypatch.setattr(f"salsanext_cli.{has}", lambda: multiplies)
     first = go(dataset, tmp_path / "run", recipe=wanted)
     assert recipe(tmp_path / "run/recipe.toml") == wanted.with_changes(precision=found)
