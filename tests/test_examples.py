@@ -85,6 +85,7 @@ def test_most_uncertain(tmp_path, capsys):
     assert capsys.readouterr().out.split() == ["0.200000", "08/wild", "0.100000", "08/middling"]
 
 
+@pytest.mark.slow
 def test_uncertainty_figures(scan, weights, tmp_path, capsys):
     folder = tmp_path / "figures"
     load("uncertainty_figures")(str(scan), str(folder), "12", "12", str(weights))
@@ -97,6 +98,7 @@ def test_uncertainty_figures(scan, weights, tmp_path, capsys):
     assert (folder / "uncertainty.png").read_bytes().startswith(b"\x89PNG")
 
 
+@pytest.mark.slow
 def test_ablation(tmp_path, capsys, monkeypatch):
     narrow = replace(SALSANET, widths=5 * (4,), decoder_widths=4 * (4,))
     for name in ("salsanet", "salsanext"):
@@ -149,6 +151,7 @@ def test_adapt_batchnorm(tmp_path, weights, capsys):
     assert rows[2][1:] != rows[1][1:]
 
 
+@pytest.mark.slow
 def test_few_labels(tmp_path, weights, capsys):
     plan = tmp_path / "plan.toml"
     few = ("folds = 2", "epochs = 1", "batch = 2", "samples_per_epoch = 2", "crop_width = 32")

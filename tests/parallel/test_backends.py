@@ -63,7 +63,10 @@ def ray():
         cluster.shutdown()
 
 
-@pytest.fixture(params=["loky", "threading", "dask", pytest.param("ray", marks=pytest.mark.slow)])
+CLUSTERS = [pytest.param(name, marks=pytest.mark.slow) for name in ("dask", "ray")]
+
+
+@pytest.fixture(params=["loky", "threading", *CLUSTERS])
 def workers(request):
     """Return the options for two workers of each kind."""
     if request.param in ("loky", "threading"):
@@ -148,7 +151,7 @@ def test_a_scan_that_kills_its_workers_is_one_error_and_the_next_run_goes_on(tmp
     assert {path.name for path in (tmp_path / "s").iterdir()} == {scan.stem for scan in scans}
 
 
-@pytest.mark.parametrize("backend", ["dask", pytest.param("ray", marks=pytest.mark.slow)])
+@pytest.mark.parametrize("backend", CLUSTERS)
 def test_a_cluster_of_our_own_ends_with_the_run(tmp_path, backend, monkeypatch):
     pytest.importorskip({"dask": "distributed"}.get(backend, backend))
     psutil = pytest.importorskip("psutil")

@@ -166,6 +166,7 @@ def test_scans_can_be_named(world):
         made(world, scans=["5"])
 
 
+@pytest.mark.slow
 def test_of_a_thousand_scans_only_the_shown_ones_are_read(world):
     for number in range(2, 1000):
         world.add(f"{number:06}", TRUTH, PREDICTED)

@@ -191,7 +191,9 @@ class Stopped(BaseException):
     """Ctrl-C at a chosen step."""
 
 
-@pytest.mark.parametrize("step", [1, 8, 13])
+@pytest.mark.parametrize(
+    "step", [8, *(pytest.param(step, marks=pytest.mark.slow) for step in (1, 13))]
+)
 def test_a_training_that_was_stopped_anywhere_ends_alike(
     data: Path, tmp_path: Path, step: int
 ) -> None:

@@ -71,6 +71,7 @@ def test_a_kind_that_few_scans_have_keeps_its_first_scale(world, ask):
         assert json.loads(text)["scales"]["entropy"]["high"] == pytest.approx(0.5, rel=0.02)
 
 
+@pytest.mark.slow
 def test_of_a_thousand_scans_any_can_be_looked_at(world, monkeypatch):
     for number in range(7, 1000):
         world.add(f"{number:06}", [CAR, ROAD], [CAR, CAR])
