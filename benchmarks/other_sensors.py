@@ -25,7 +25,7 @@ import numpy as np
 import salsanext_cli as sn
 from salsanext_cli.engines.network import Network
 from salsanext_cli.fitting.beam_fit import fit_beams
-from salsanext_cli.fitting.scan_fit import as_seen, with_sensor
+from salsanext_cli.fitting.scan_fit import with_image_statistics, with_sensor
 from salsanext_cli.fitting.view_fit import fit_view
 from salsanext_cli.measures.survey import Survey, survey
 from salsanext_cli.sensors.sensor import Sensor
@@ -80,7 +80,7 @@ def thinned(dataset: Path, step: int, space: sn.LabelSpace) -> Iterator[Labelled
 def score(network: Network, scans: list[LabelledScan], sensor: Sensor, *, fill: bool) -> str:
     """Return accuracy and mean IoU of the labels in the view of a sensor."""
     images = [sn.project(scan, sensor) for scan, _ in scans]
-    seen = as_seen(sensor, [image.channels for image in images])
+    seen = with_image_statistics(sensor, [image.channels for image in images])
     network = with_sensor(network, seen if fill else replace(seen, row_gaps=None))
     count = network.card.space.class_count
     confusion = np.zeros((count, count), np.int64)

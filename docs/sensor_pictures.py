@@ -19,7 +19,7 @@ import salsanext_cli as sn
 from salsanext_cli.engines.network import Network
 from salsanext_cli.engines.settings import NetworkSettings
 from salsanext_cli.fitting.scan_fit import fitted
-from salsanext_cli.fitting.view_fit import as_found
+from salsanext_cli.fitting.view_fit import view_text
 from salsanext_cli.geometry.mounting import in_sensor_frame
 from salsanext_cli.report.colours import Colours, legend_of, screen_colours
 from salsanext_cli.report.scan_pictures import scan_picture
@@ -60,7 +60,7 @@ def draw(picture: Path, path: Path, network: Network) -> None:
     legend = legend_of(space, *labels.values())
     png = scan_picture(f"{picture.stem}   {len(scan):,} points", points, views, legend=legend)
     shrink(BytesIO(png), picture, WIDTH_PX)
-    print(f"{picture.stem}: {len(scan)} points; {as_found(used.sensor)}")
+    print(f"{picture.stem}: {len(scan)} points; {view_text(used.sensor)}")
 
 
 if __name__ == "__main__":

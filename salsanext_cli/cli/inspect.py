@@ -29,7 +29,7 @@ def inspect(
 
     Example: salsanext inspect my/scans --fit my-sensor.toml --height 32 --width 1024
     """
-    from salsanext_cli.fitting.view_fit import as_found
+    from salsanext_cli.fitting.view_fit import view_text
     from salsanext_cli.report.descriptions import survey_tables
     from salsanext_cli.sensors.sensor import sensor as find_sensor
     from salsanext_cli.stages.inspect import inspect as stage
@@ -51,7 +51,7 @@ def inspect(
         fitted = found.fitted_sensor(fit.stem, images=images)
         write_sensor(fit, fitted, images=images, overwrite=running.overwrite)
         beams = f", {len(fitted.beams)} beams" if fitted.beams else ", beams not discernible"
-        output.say(f"inspect: sensor, {as_found(fitted)}{beams} → {fit}")
+        output.say(f"inspect: sensor, {view_text(fitted)}{beams} → {fit}")
     tables = survey_tables(found.sequences, found.total, found.space, found.sensor)
     output.result(found.to_dict(), tables)
     run_end.name_failures(found.failures)

@@ -88,13 +88,13 @@ def _lines(summary: RunSummary | None, following: str | None) -> Iterable[str]:
     """Yield what else is worth knowing: the sensor, the classes, the command to type next."""
     if summary is not None:
         sensor = summary.sensor
-        from salsanext_cli.fitting.view_fit import as_ego, as_found
+        from salsanext_cli.fitting.view_fit import ego_text, view_text
 
-        yield f"sensor: {sensor.name}, {sensor.height}×{sensor.width}, {as_found(sensor)}"
+        yield f"sensor: {sensor.name}, {sensor.height}×{sensor.width}, {view_text(sensor)}"
         if share := summary.ego_share:
             yield (
                 f"unlabelled: about {100 * share:.1f} % of the points, of the sensor's housing and "
-                f"its vehicle ({as_ego(sensor)})"
+                f"its vehicle ({ego_text(sensor)})"
             )
         yield from warning_lines(summary.warnings())
         if largest := summary.largest_classes():

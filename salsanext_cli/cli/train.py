@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from salsanext_cli.parallel.run import Progress
     from salsanext_cli.sensors.sensor import Sensor
     from salsanext_cli.stages.train import TrainResult
-    from salsanext_cli.training.fit import Report
+    from salsanext_cli.training.fit import StepReport
     from salsanext_cli.training.recipe import Recipe
 
 
@@ -142,7 +142,7 @@ def _found(done: "TrainResult") -> str:
     return f"on {where} expect {texts} ({counted(e.folds, 'fold')}, {counted(e.epochs, 'epoch')})"
 
 
-def _show(report: "Report", bar: "Progress | None", output: console.Output) -> None:
+def _show(report: "StepReport", bar: "Progress | None", output: console.Output) -> None:
     """Move the bar at every step; print a line at the end of an epoch."""
     if bar is not None:
         bar(report.step, report.steps)

@@ -16,7 +16,7 @@ from salsanext_cli.engines.graphs import Graph, compiled_graph, converted
 from salsanext_cli.errors import WeightsError
 from salsanext_cli.geometry.intensity import match_intensity
 from salsanext_cli.geometry.normalise import normalise
-from salsanext_cli.geometry.row_gaps import completed
+from salsanext_cli.geometry.row_gaps import with_filled_gaps
 from salsanext_cli.network.card import WeightsCard
 from salsanext_cli.records import Float, RangeImage
 from salsanext_cli.sensors.sensor import Sensor
@@ -177,7 +177,7 @@ class Network:
         own, trained = (s.intensity_quantiles for s in (self.sensor, self.card.sensor))
         if own and trained:
             channels = match_intensity(channels, own, trained)
-        channels = completed(channels, self.sensor, self.card.sensor)
+        channels = with_filled_gaps(channels, self.sensor, self.card.sensor)
         return normalise(channels, self.sensor)[None]
 
     def input(self, channels: Float) -> "Tensor":

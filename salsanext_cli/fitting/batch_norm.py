@@ -124,7 +124,7 @@ def statistics_of_scan(
     the scan's statistics, 0 to 1; the rest are those of the layer; `source`: what to call the scan
     in an error.
 
-    Returns dict of str to Statistics, the scan's own, by the name of the layer, in order of
+    Returns the scan's own, by the name of the layer, in order of
     computation.
     """
     inputs = network.input(channels)

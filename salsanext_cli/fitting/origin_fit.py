@@ -39,7 +39,7 @@ def find_origin(points: Float) -> tuple[float, float, float] | None:
     `points` (N, 3) float32, in metres, z up; of one scan, or of several of one sensor. Without
     those of the ground, which has one elevation as seen from a place on it.
 
-    Returns tuple of float, x, y, z in the frame of the points, within some centimetres.
+    Returns x, y, z in the frame of the points, within some centimetres.
     """
     doubles: Double = points.astype(np.float64)
     distances = np.hypot(doubles[:, 0], doubles[:, 1])

@@ -12,7 +12,7 @@ from salsanext_cli.engines.network import Network
 from salsanext_cli.engines.settings import NetworkSettings
 from salsanext_cli.errors import NOTICE, SalsanextError, UsageError, counted
 from salsanext_cli.fitting.ego_fit import fit_ego
-from salsanext_cli.fitting.view_fit import as_found, fit_view
+from salsanext_cli.fitting.view_fit import fit_view, view_text
 from salsanext_cli.formats import read_scan
 from salsanext_cli.geometry.intensity import NO_INTENSITY, intensity_quantiles
 from salsanext_cli.geometry.projection import project
@@ -136,11 +136,11 @@ def _fitted_view(
     scans = [scan for scan in read() if isinstance(scan, Scan)]
     found = fit_view(scans, sensor) if view else fit_ego(scans, sensor)
     if replace(found, **{name: getattr(sensor, name) for name in EGO}) != sensor:
-        log.log(NOTICE, "sensor fitted to %s: %s", counted(len(scans), "scan"), as_found(found))
+        log.log(NOTICE, "sensor fitted to %s: %s", counted(len(scans), "scan"), view_text(found))
     return found
 
 
-def as_seen(sensor: Sensor, images: Sequence[Float]) -> Sensor:
+def with_image_statistics(sensor: Sensor, images: Sequence[Float]) -> Sensor:
     """Return the sensor with what its range images, (5, H, W) each, say of intensity and gaps."""
     quantiles = intensity_quantiles(images)
     return replace(sensor, intensity_quantiles=quantiles, row_gaps=row_gaps(images))

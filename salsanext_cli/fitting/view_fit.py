@@ -80,7 +80,7 @@ def _view(elevations: npt.NDArray[np.float64], extent: float) -> tuple[float, fl
     return start, start + float(extent)
 
 
-def as_ego(sensor: Sensor) -> str:
+def ego_text(sensor: Sensor) -> str:
     """Describe where points are of the vehicle: ``nearer than 1 m, or in x -0.6…0.7, …``."""
     box = sensor.ego_box or ()
     sides = (f"{axis} {a:g}…{b:g}" for axis, a, b in zip("xyz", box, box[3:], strict=False))
@@ -88,7 +88,7 @@ def as_ego(sensor: Sensor) -> str:
     return f"{near}, or in {', '.join(sides)} m" if box else near
 
 
-def as_found(sensor: Sensor) -> str:
+def view_text(sensor: Sensor) -> str:
     """Describe view and mounting: ``view +10.7° to -30.7°, origin (0.0, 0.0, 1.75)``."""
     up = "" if sensor.up == UP else f", up {sensor.up}"
     origin = "" if sensor.origin == ORIGIN else f", origin {sensor.origin}"

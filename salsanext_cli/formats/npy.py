@@ -75,7 +75,7 @@ def read_header(
     `file`: positioned at the start; at the end, at the first value; `path`, `expected`: subject and
     expectation of the error.
 
-    Returns tuple, the shape, whether the first index varies fastest, and the dtype.
+    Returns the shape, whether the first index varies fastest, and the dtype.
     """
     try:
         # A header of version 1 has 64 kB at most; those of later versions may promise gigabytes.

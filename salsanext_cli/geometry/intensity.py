@@ -103,7 +103,7 @@ def intensity_quantiles(images: Iterable[Float]) -> tuple[float, ...]:
 
     `images`: channels; pixels of range 0 are empty and do not count.
 
-    Returns tuple of `INTENSITY_LEVELS` floats, from the smallest to the largest value;
+    Returns `INTENSITY_LEVELS` floats, from the smallest to the largest value;
     `NO_INTENSITY` if no image has an intensity, empty if none has a pixel.
     """
     seen = [_pixels(channels, np.flatnonzero(channels[0] > 0)) for channels in images]

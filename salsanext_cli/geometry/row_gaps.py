@@ -41,7 +41,7 @@ def fills_rows(sensor: Sensor, trained: Sensor) -> bool:
     return own is not None and of_training is not None and own > of_training + MORE_GAPS
 
 
-def completed(channels: Float, sensor: Sensor, trained: Sensor) -> Float:
+def with_filled_gaps(channels: Float, sensor: Sensor, trained: Sensor) -> Float:
     """Return a range image with its gaps filled where `fills_rows` says so, as `fill_rows` does."""
     return fill_rows(channels) if fills_rows(sensor, trained) else channels
 

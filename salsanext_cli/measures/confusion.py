@@ -39,8 +39,6 @@ class Confusion:
         """Count the points of a scan, or the pixels of an image.
 
         `truth`, `predicted`: train ids, 0…C-1.
-
-        Returns Confusion, this one.
         """
         if truth.shape != predicted.shape:
             raise ValueError(f"truth {truth.shape} and predicted {predicted.shape} differ in shape")

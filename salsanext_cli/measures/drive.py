@@ -69,7 +69,7 @@ def read_row(
     `file`, `out`, `space`, `labels`, `merging`, `sensor`, `by_distance`, `trained_on`: as for
     `count_scan`.
 
-    Returns tuple of ScanRow and ScanCounts or None, none without labels or without predictions.
+    The counts are None without labels or without predictions.
     """
     path_of = partial(output_path, out, file.sequence, stem=file.stem)
     class_points, points = None, 0
@@ -101,7 +101,7 @@ def worth_looking_at(rows: Sequence[ScanRow], space: LabelSpace) -> dict[str, st
 
     `rows`: all scans, in their order; at least one; `space`: classes of the labels.
 
-    Returns dict of str to str, the reasons by the scan's name; one or two for each.
+    Returns the reasons by the scan's name; one or two for each.
     """
     reasons: dict[str, list[str]] = {}
     if kind := leading_kind(rows):

@@ -89,7 +89,7 @@ def chunks(scans: Sequence[ScanFile], workers: int) -> list[Chunk]:
     `scans`: in the order in which they are to be begun; `workers`: number of chunks that are worked
     on side by side.
 
-    Returns list of tuple of ScanFile, of at most `MAX_CHUNK_SCANS` scans, and at least
+    Each is of at most `MAX_CHUNK_SCANS` scans, and at least
     `MIN_CHUNKS_PER_WORKER` for each worker if there are so many scans. Those of a sequence differ
     by one scan at most.
     """

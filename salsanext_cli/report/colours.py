@@ -75,7 +75,7 @@ def value_range(values: npt.NDArray[Any]) -> tuple[float, float]:
 
     `values`: values to colour; NaN and infinity are left out.
 
-    Returns tuple of float, the 1st and the 99th percentile; (0, 1) without values.
+    Returns the 1st and the 99th percentile; (0, 1) without values.
     """
     finite = values[np.isfinite(values)]
     if not finite.size:

@@ -58,7 +58,7 @@ def picture_of_results(
     colour map, by colour; `views`, `strips`: of `COLOURINGS`, all known: those seen from above, and
     those of the range image.
 
-    Returns a PNG.
+    It is a PNG.
     """
     columns = scalar_columns(results, space)
     image = project(results.scan, sensor)

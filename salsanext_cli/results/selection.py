@@ -127,7 +127,7 @@ def with_splits(space: LabelSpace, root: Path | None = None) -> LabelSpace:
     return replace(space, splits=(own and own.splits) or label_space().splits)
 
 
-def completed(space: LabelSpace, root: Path) -> LabelSpace:
+def with_splits_and_alternatives(space: LabelSpace, root: Path) -> LabelSpace:
     """Return a label space with what it leaves to the one that a data set describes in its root.
 
     These are the splits, if it has none, and the alternatives of classes that it merges.

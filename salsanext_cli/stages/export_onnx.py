@@ -56,7 +56,7 @@ def export_onnx(
     is matched; `selection`: which of these; a limit takes evenly spaced ones; `overwrite`: whether
     the target may exist.
 
-    Returns JSON-able: `opset`, `bytes`, shapes of `input` and `output`, the largest `difference`
+    Returns plain data: `opset`, `bytes`, shapes of `input` and `output`, the largest `difference`
     from torch relative to the largest logit; for int8 the number of `scans` and the share of pixels
     with a point on which the label is that of float32, `equal_labels`.
     """

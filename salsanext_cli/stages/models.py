@@ -25,7 +25,7 @@ HEIGHT, WIDTH = 64, 2048
 def models() -> list[dict[str, Any]]:
     """Build every network, without its numbers, and return what it costs and what papers print.
 
-    Returns list of dict, JSON-able: the `name` in weights files and recipes; the number of
+    Returns plain data: the `name` in weights files and recipes; the number of
     `parameters`, with 20 classes; the `multiply_accumulates` of the convolutions on an image of
     64×2048, of which the papers print twice as many, with those of the rest, as FLOPs; the
     `receptive_field`, height and width of what a pixel's logits depend on; the figures of the

@@ -77,7 +77,7 @@ def synthesise(
     in `out` may be replaced. Only files that were written by it, are unchanged since and are not
     behind a link are removed; `progress`: called with the number of scans done and in total.
 
-    Returns JSON-able: the number of all `scans`, the names of the sequences by split, `splits`, and
+    Returns plain data: the number of all `scans`, the names of sequences by split, `splits`, and
     the number of points by raw id, `points`.
     """
     counts = {"train": train, "valid": valid, "test": test}

@@ -24,14 +24,14 @@ from salsanext_cli.training.cross_validation import Expectation
 from salsanext_cli.training.data.class_counts import ClassCounts, class_counts, require_labels
 from salsanext_cli.training.data.sources import (
     Source,
-    as_trained,
     further_source,
     merged_into,
     scans_to_train_on,
+    training_sources,
 )
 from salsanext_cli.training.data.targets import class_sets
 from salsanext_cli.training.distributed import group_of_environment, process_group
-from salsanext_cli.training.fit import Report
+from salsanext_cli.training.fit import StepReport
 from salsanext_cli.training.initial_network import initial_network
 from salsanext_cli.training.learner import common_precision
 from salsanext_cli.training.log import Row
@@ -82,7 +82,7 @@ def train(
     overwrite: bool = False,
     strict: bool = False,
     also: Sequence[Path] = (),
-    progress: Callable[[Report], object] = lambda report: None,
+    progress: Callable[[StepReport], object] = lambda report: None,
 ) -> TrainResult:
     """Train a network, or resume a training that was interrupted in the same folder.
 
@@ -102,7 +102,7 @@ def train(
     `overwrite`: whether to start anew where the folder holds a training; `strict`: whether to
     refuse doubtful scans; `also`: roots of further data sets of the same classes, whose training
     splits the recipe's share `also` of the samples is drawn from; `progress`: called with a
-    `Report` after every step.
+    `StepReport` after every step.
     """
     workers = worker_count(jobs)
     if recipe.batch < (size := group_of_environment().size):
@@ -130,7 +130,7 @@ def train(
             require_free(run, settings, overwrite=overwrite)
             require_labels([file for source in given for file in source.files])
             streets = _simulated_streets(run / STREETS, recipe.streets, classes, sensor, jobs)
-            fitted = as_trained([*given, *streets], fit=recipe.sensors == "fitted", jobs=jobs)
+            fitted = training_sources([*given, *streets], fit=recipe.sensors == "fitted", jobs=jobs)
             first, scored, *others = fitted
             kept, sources = run / CLASS_COUNTS, [first, *others]
             validated = evenly_spaced(scored.files, recipe.validation_scans)

@@ -49,7 +49,7 @@ def tune_batchnorm(
     the rest are the old ones; `network`, `selection`, `overwrite`, `progress`: as for
     `tune_temperature`.
 
-    Returns JSON-able: the number of `scans`, the `share`, the name of the `sensor` of the weights
+    Returns plain data: the number of `scans`, the `share`, the name of the `sensor` of the weights
     written, and `layers`, every batch norm in order of computation: its name, `layer`; the distance
     of the new mean from the old one in old standard deviations, `shift`, mean over the channels;
     the new variance over the old, ε added to both, `variance_ratio`, geometric mean; and

@@ -96,7 +96,7 @@ def tune_dropout(
     `seed`: passes per scan and rate, and the seed of their masks, as for `uncertainty`; `lowest`,
     `highest`: ends of the range; `steps`: number of rates to try, at equal steps of the logarithm.
 
-    Returns JSON-able: the rate that the weights had, `before`, and the `best`; the `rates` that
+    Returns plain data: the rate that the weights had, `before`, and the `best`; the `rates` that
     were tried and the `objectives` of each, mean over the points; the number of `scans` and of
     `points` sampled at every rate.
     """

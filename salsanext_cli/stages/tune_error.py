@@ -52,7 +52,7 @@ def tune_error(
     which scans; a limit takes scans that are evenly spaced; `overwrite`: whether the target may
     exist; `progress`: called after each scan.
 
-    Returns JSON-able: the scores of the model, see `training.tuning.error.cross_validated`.
+    Returns plain data: the scores of the model, see `training.tuning.error.cross_validated`.
     """
     require_tensors(network.path)
     loaded = network.load()

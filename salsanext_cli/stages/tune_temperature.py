@@ -68,7 +68,7 @@ def tune_temperature(
     which scans; a limit takes scans that are evenly spaced; `overwrite`: whether the target may
     exist; `progress`: called after each scan.
 
-    Returns JSON-able: with the temperature that the weights had, `before`, and with the one that
+    Returns plain data: with the temperature that the weights had, `before`, and with the one that
     was fitted, `after`, the `temperature`, the mean negative log-likelihood of the true class in
     nats, `nll`, and the expected calibration error over 15 bins, `ece`, 0…1; the number of `scans`
     and of `points` fitted to.

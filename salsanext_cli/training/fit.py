@@ -34,7 +34,7 @@ log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True, slots=True)
-class Report:
+class StepReport:
     """Progress of a training after a step, counted from 1 as epochs are.
 
     `row` is the finished line of the log after the last step of an epoch; `fold` the number of the
@@ -67,7 +67,7 @@ class Training:
     workers: int
     draw: Callable[[BinaryIO, Network], npt.NDArray[np.uint8]]
     write_epoch: EpochWriter
-    report: Callable[[Report], object]
+    report: Callable[[StepReport], object]
 
     def fit(self) -> TrainingState:
         """Train from the last checkpoint, if there is one, to the end."""
@@ -196,4 +196,4 @@ class Training:
     def _report(self, state: TrainingState, step: int, loss: float, row: Row | None = None) -> None:
         if self.learner.group.is_main:
             epoch, epochs = state.epoch + (row is None), self.learner.recipe.epochs
-            self.report(Report(epoch, epochs, step + 1, self.samples.plan.steps, loss, row))
+            self.report(StepReport(epoch, epochs, step + 1, self.samples.plan.steps, loss, row))

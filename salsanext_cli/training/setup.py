@@ -30,7 +30,7 @@ from salsanext_cli.training.data.dataset import Samples, SamplingPlan
 from salsanext_cli.training.data.sources import Source
 from salsanext_cli.training.data.targets import ClassSets
 from salsanext_cli.training.distributed import ProcessGroup
-from salsanext_cli.training.fit import Report, Training
+from salsanext_cli.training.fit import StepReport, Training
 from salsanext_cli.training.fold_errors import error_of_folds
 from salsanext_cli.training.learner import Learner
 from salsanext_cli.training.log import Row, tensorboard_in
@@ -85,7 +85,7 @@ class Setup:
     workers: int
     overwrite: bool
     draw: Callable[[BinaryIO, ScanFile, Network], npt.NDArray[np.uint8]]
-    report: Callable[[Report], object]
+    report: Callable[[StepReport], object]
     held: ExitStack
 
     def training(
@@ -93,7 +93,7 @@ class Setup:
         files: Sequence[ScanFile],
         validation: Source,
         folder: Path | None = None,
-        report: Callable[[Report], object] | None = None,
+        report: Callable[[StepReport], object] | None = None,
     ) -> Training:
         """Return a training on some scans of the data set that scores others.
 
@@ -139,7 +139,7 @@ class Setup:
         counts = [len(source.files) for source in self.sources]
         before = len(self._folds()) * SamplingPlan(counts, self.recipe).steps
 
-        def report(own: Report) -> None:
+        def report(own: StepReport) -> None:
             self.report(replace(own, step=before + own.step, steps=before + own.steps))
 
         if expected is None:
@@ -184,8 +184,8 @@ class Setup:
         require_free(folder, settings, overwrite=self.overwrite)
         begin(folder, settings, overwrite=self.overwrite)
 
-    def _report_fold(self, number: int, count: int, report: Report) -> None:
-        """Report a step as one of the whole cross-validation and the training after it.
+    def _report_fold(self, number: int, count: int, report: StepReport) -> None:
+        """StepReport a step as one of the whole cross-validation and the training after it.
 
         After an epoch, the best weights of the fold become those of the run if they are better.
         """

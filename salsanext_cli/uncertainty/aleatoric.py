@@ -7,7 +7,7 @@ from torch import Tensor
 from salsanext_cli.engines.network import Network
 from salsanext_cli.engines.torch_engine import inference_mode
 from salsanext_cli.geometry.normalise import input_variance
-from salsanext_cli.geometry.row_gaps import completed
+from salsanext_cli.geometry.row_gaps import with_filled_gaps
 from salsanext_cli.network.segmentation import SegmentationNetwork
 from salsanext_cli.records import Float, RangeImage
 from salsanext_cli.uncertainty.adf import Gaussian, propagate
@@ -23,7 +23,7 @@ def aleatoric(network: Network, image: RangeImage) -> Float:
     Returns (C, H, W) float32, at least 0; its mean over the classes is the aleatoric uncertainty.
     """
     mean = network.input_array(image.channels)
-    channels = completed(image.channels, network.sensor, network.card.sensor)
+    channels = with_filled_gaps(image.channels, network.sensor, network.card.sensor)
     variance = input_variance(channels, network.sensor)[None]
     with inference_mode(network.device):
         if network.engine == "openvino":

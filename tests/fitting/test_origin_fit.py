@@ -11,7 +11,7 @@ from salsanext_cli.errors import UsageError
 from salsanext_cli.fitting.ground import find_ground
 from salsanext_cli.fitting.mounting_fit import USUAL_HEIGHT_M, fit_mounting
 from salsanext_cli.fitting.origin_fit import find_origin, sharpness
-from salsanext_cli.fitting.view_fit import as_found, fit_view
+from salsanext_cli.fitting.view_fit import fit_view, view_text
 from salsanext_cli.geometry.mounting import in_sensor_frame, upright_rotation
 
 HEIGHT = 1.7
@@ -121,6 +121,6 @@ def test_impossible_origins(origin):
 
 def test_an_origin_is_said_and_written():
     sensor = replace(SMALL, origin=(0.9, 0.0, 1.75))
-    assert as_found(sensor) == "view +3° to -25°, origin (0.9, 0.0, 1.75)"
+    assert view_text(sensor) == "view +3° to -25°, origin (0.9, 0.0, 1.75)"
     assert "origin = [0.9, 0.0, 1.75]\n" in sensor.to_toml()
     assert "origin" not in SMALL.to_toml()

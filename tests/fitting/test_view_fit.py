@@ -9,7 +9,7 @@ from salsanext_cli import Scan, project, read_scan
 from salsanext_cli.engines.settings import NetworkSettings
 from salsanext_cli.fitting import scan_fit
 from salsanext_cli.fitting.scan_checks import field_of_view_coverage
-from salsanext_cli.fitting.view_fit import SHOWN, as_found, fit_view
+from salsanext_cli.fitting.view_fit import SHOWN, fit_view, view_text
 from salsanext_cli.geometry.mounting import upright_rotation
 from salsanext_cli.results.layout import find_scans
 
@@ -75,8 +75,8 @@ def test_too_few_points_tell_nothing(count):
 
 
 def test_what_was_found_is_said():
-    assert as_found(SMALL) == "view +3° to -25°"
-    assert as_found(replace(SMALL, up=(0.0, 1.0, 0.0))) == "view +3° to -25°, up (0.0, 1.0, 0.0)"
+    assert view_text(SMALL) == "view +3° to -25°"
+    assert view_text(replace(SMALL, up=(0.0, 1.0, 0.0))) == "view +3° to -25°, up (0.0, 1.0, 0.0)"
 
 
 @pytest.mark.parametrize("height", [0.3, 0.6, 0.9, 1.5])

@@ -9,10 +9,10 @@ from scans import SMALL
 from salsanext_cli.geometry.row_gaps import (
     FILLED_ROWS,
     MAX_GAP,
-    completed,
     fill_rows,
     fills_rows,
     row_gaps,
+    with_filled_gaps,
 )
 
 
@@ -74,4 +74,6 @@ def test_gaps_are_filled_where_training_had_fewer(own, trained, filled):
     sensors = [replace(SMALL, row_gaps=gaps) for gaps in (own, trained)]
     assert fills_rows(*sensors) is filled
     given = image(0.4)
-    np.testing.assert_array_equal(completed(given, *sensors), fill_rows(given) if filled else given)
+    np.testing.assert_array_equal(
+        with_filled_gaps(given, *sensors), fill_rows(given) if filled else given
+    )

@@ -11,12 +11,12 @@ from salsanext_cli.results.layout import find_scans
 from salsanext_cli.results.selection import (
     ScanSelection,
     choose,
-    completed,
     data_set_of,
     evenly_spaced,
     select_scans,
     space_of,
     with_splits,
+    with_splits_and_alternatives,
 )
 
 
@@ -81,7 +81,7 @@ def test_splits_are_those_given_else_of_the_data_set_else_semantic_kittis(world,
     if file != "none":
         (world.data / file).write_text(yaml.safe_dump(label_space().to_dict() | {"split": OWN}))
     space = LabelSpace.from_dict(SAME_IDS | {"split": given})
-    for found in (with_splits(space, world.data), completed(space, world.data)):
+    for found in (with_splits(space, world.data), with_splits_and_alternatives(space, world.data)):
         usual = {"none": ("08",), "labels.yaml": ("00", "08")}[file]
         assert found.splits["valid"] == (("00",) if given else usual)
         assert found.fits(space)
@@ -103,11 +103,11 @@ def test_a_broken_label_space_is_read_only_where_it_is_needed(world, caplog):
     whole = LabelSpace.from_dict(SAME_IDS | {"split": {"train": ["00"]}})
     assert with_splits(whole, world.data) is whole
     for _ in range(2):
-        assert completed(whole, world.data) is whole
+        assert with_splits_and_alternatives(whole, world.data) is whole
     (said,) = caplog.messages
     assert "labels.yaml · not a label space" in said
     assert said.endswith("label space coarse is taken without it")
-    for complete in (with_splits, completed):
+    for complete in (with_splits, with_splits_and_alternatives):
         with pytest.raises(UsageError, match=r"labels\.yaml · not a label space"):
             complete(label_space("coarse"), world.data)
 

@@ -33,7 +33,7 @@ from salsanext_cli.stages import train as stage
 from salsanext_cli.stages.import_labels import import_labels
 from salsanext_cli.stages.train import TrainResult, train
 from salsanext_cli.training import fit, fold_errors
-from salsanext_cli.training.fit import Report
+from salsanext_cli.training.fit import StepReport
 from salsanext_cli.training.recipe import Recipe, recipe
 from salsanext_cli.training.tuning import error
 from salsanext_cli.training.tuning.judged_points import JudgedPoints, judged_points
@@ -91,7 +91,7 @@ def go(data: Path, run: Path, recipe: Recipe = FEW, **changes: object) -> TrainR
 def test_the_folds_choose_the_epochs_and_all_scans_are_trained_on(
     data: Path, tmp_path: Path
 ) -> None:
-    reports: list[Report] = []
+    reports: list[StepReport] = []
     run = tmp_path / "run"
     result = go(data, run, progress=reports.append)
     expected = result.expected
@@ -199,7 +199,7 @@ def test_a_training_that_was_stopped_anywhere_ends_alike(
 ) -> None:
     whole, run = go(data, tmp_path / "whole"), tmp_path / "stopped"
 
-    def stop(report: Report) -> None:
+    def stop(report: StepReport) -> None:
         if report.step == step:
             raise Stopped
 
@@ -343,7 +343,7 @@ def test_the_checkpoint_of_a_first_fold_is_kept(
     monkeypatch.setattr(fit, "SAVE_INTERVAL_S", 0.0)
     run = tmp_path / "run"
 
-    def stop(report: Report) -> None:
+    def stop(report: StepReport) -> None:
         raise Stopped
 
     with pytest.raises(Stopped):

@@ -36,7 +36,7 @@ def columns_of(message: Any, path: Path) -> Columns:
     `message`: rows may be padded, points too; those of an organised cloud follow row by row;
     `path`: named in errors.
 
-    Returns dict of str to (N,) array, by the field's name; of two of one name, the first. The row
+    Returns arrays (N,) by the field's name; of two of one name, the first. The row
     of an organised cloud is its ring, unless a field says otherwise.
     """
     height, width, step = message.height, message.width, message.point_step

@@ -13,7 +13,7 @@ from typing import Any
 
 from salsanext_cli.errors import SalsanextError, counted, first_few
 from salsanext_cli.files.identity import fingerprint
-from salsanext_cli.fitting.view_fit import as_found
+from salsanext_cli.fitting.view_fit import view_text
 from salsanext_cli.network.card import default_weights, read_card
 from salsanext_cli.results.layout import ERROR, find_outputs
 from salsanext_cli.results.output_run import read_findings
@@ -40,7 +40,7 @@ def facts_of_run(out: Path, sensor: Sensor) -> list[tuple[str, str]]:
     """Return what was run and how, as pairs of a title and a text."""
     return [
         ("Weights", _weights(out)),
-        ("Sensor", f"{sensor.name}, {sensor.height}×{sensor.width}, {as_found(sensor)}"),
+        ("Sensor", f"{sensor.name}, {sensor.height}×{sensor.width}, {view_text(sensor)}"),
         *(("Labels", text) for text in _labels(out)),
         *(("Uncertainty", text) for text in _uncertainty(out)),
         *(("Time", text) for text in _times(out)),

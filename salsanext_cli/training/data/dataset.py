@@ -21,7 +21,7 @@ from salsanext_cli.geometry.gather import pixels_from_points
 from salsanext_cli.geometry.intensity import NO_INTENSITY, bright_intensity, match_intensity
 from salsanext_cli.geometry.normalise import normalise
 from salsanext_cli.geometry.projection import project
-from salsanext_cli.geometry.row_gaps import completed, row_gaps
+from salsanext_cli.geometry.row_gaps import row_gaps, with_filled_gaps
 from salsanext_cli.records import Float
 from salsanext_cli.results.layout import ScanFile
 from salsanext_cli.sensors.sensor import ORIGIN, UP, Sensor
@@ -170,7 +170,7 @@ class Samples(Dataset[Sample]):
         if _drawn(recipe.fewer_beams, random):
             both = fewer_beams(both, random)
             view = replace(view, row_gaps=row_gaps([both]))
-        both = completed(both, view, self.sensor)
+        both = with_filled_gaps(both, view, self.sensor)
         channels, truth = both[:-1], both[-1].astype(np.uint8)
         if _drawn(recipe.no_intensity, random):
             channels = match_intensity(channels, NO_INTENSITY, self.sensor.intensity_quantiles)

@@ -13,7 +13,7 @@ import numpy as np
 from salsanext_cli.classes.label_space import LabelSpace, label_space
 from salsanext_cli.classes.merging import ClassMerging, is_merged
 from salsanext_cli.errors import NOTICE, LabelError, NoInputError, counted, first_few
-from salsanext_cli.fitting.scan_fit import as_seen, sampled, sampled_images
+from salsanext_cli.fitting.scan_fit import sampled, sampled_images, with_image_statistics
 from salsanext_cli.fitting.view_fit import fit_view
 from salsanext_cli.formats import read_scan
 from salsanext_cli.formats.labels import read_labels
@@ -23,7 +23,11 @@ from salsanext_cli.geometry.projection import project
 from salsanext_cli.labelling.label_records import first_guesses
 from salsanext_cli.records import Float
 from salsanext_cli.results.layout import ScanFile, find_scans
-from salsanext_cli.results.selection import completed, data_set_label_space, with_splits
+from salsanext_cli.results.selection import (
+    data_set_label_space,
+    with_splits,
+    with_splits_and_alternatives,
+)
 from salsanext_cli.sensors.sensor import FITTED_NAME, Sensor
 from salsanext_cli.training.data.augment import LabelledScan
 from salsanext_cli.training.data.targets import ClassSets, to_targets
@@ -80,7 +84,7 @@ class Source:
         return scan, targets
 
 
-def as_trained(sources: Sequence[Source], *, fit: bool, jobs: int = 1) -> list[Source]:
+def training_sources(sources: Sequence[Source], *, fit: bool, jobs: int = 1) -> list[Source]:
     """Return sources as training sees them: fitted or not, and with what it sees in their sensor.
 
     Intensity and gaps of the sensor that the network is trained for are those of the first source,
@@ -97,7 +101,9 @@ def as_trained(sources: Sequence[Source], *, fit: bool, jobs: int = 1) -> list[S
         own = first.sensor_of(file)
         return project(read_scan(file.path, own), own).channels
 
-    sensor = as_seen(first.sensor, list(sampled_images(first.files, first.sensor, image_of)))
+    sensor = with_image_statistics(
+        first.sensor, list(sampled_images(first.files, first.sensor, image_of))
+    )
     return [replace(source, sensor=sensor) for source in sources]
 
 
@@ -110,7 +116,7 @@ def fitted_source(source: Source, jobs: int = 1) -> Source:
     def fit(files: Sequence[ScanFile]) -> Sensor:
         scans = list(sampled(files, source.sensor))
         found = fit_view(scans, source.sensor)
-        return as_seen(found, [project(scan, found).channels for scan in scans])
+        return with_image_statistics(found, [project(scan, found).channels for scan in scans])
 
     run = joblib.Parallel(jobs, backend="threading")
     found = run(joblib.delayed(fit)(files) for files in sequences.values())
@@ -191,7 +197,7 @@ def with_splits_of(dataset: Path, space: LabelSpace | None) -> LabelSpace:
     """Return the label space of a data set with splits; parameters as of `labelled_split`."""
     if space is None:
         return with_splits(data_set_label_space(dataset) or label_space())
-    return completed(space, dataset)
+    return with_splits_and_alternatives(space, dataset)
 
 
 def _name_unsplit(dataset: Path, space: LabelSpace) -> None:

@@ -11,11 +11,11 @@ from scans import SMALL, make_scan, write_sequence
 
 from salsanext_cli import LabelSpace, Scan, label_space, load_network, project, read_scan
 from salsanext_cli.errors import LabelError, NoInputError, UsageError
-from salsanext_cli.fitting.scan_fit import as_seen
+from salsanext_cli.fitting.scan_fit import with_image_statistics
 from salsanext_cli.geometry.gather import pixels_from_points
 from salsanext_cli.geometry.intensity import bright_intensity, match_intensity
 from salsanext_cli.geometry.normalise import normalise
-from salsanext_cli.geometry.row_gaps import completed
+from salsanext_cli.geometry.row_gaps import with_filled_gaps
 from salsanext_cli.results.layout import find_scans
 from salsanext_cli.results.point_files import write_bin
 from salsanext_cli.training.data.dataset import SAMPLE, Samples, SamplingPlan
@@ -76,7 +76,7 @@ def seen(roots: list[Path]) -> tuple[Source, Source]:
     _, files = labelled_split(roots[0], None, "train")
     plain = Source(files, SPACE, SMALL)
     images = [project(plain.read(file, ())[0], SMALL).channels for file in files]
-    sensor = as_seen(SMALL, images)
+    sensor = with_image_statistics(SMALL, images)
     return Source(files, SPACE, sensor), further_source(roots[1], SPACE, sensor)
 
 
@@ -108,7 +108,7 @@ def test_a_fitted_sequence_is_seen_as_predict_sees_it(roots: list[Path]) -> None
     channels = match_intensity(
         image.channels, own.intensity_quantiles, first.sensor.intensity_quantiles
     )
-    expected = completed(channels, own, first.sensor)
+    expected = with_filled_gaps(channels, own, first.sensor)
     recipe = NOTHING.with_changes(also=1.0)
     found = Samples([first, fitted], first.sensor, recipe, NEVER, class_sets([second.space]))[0, 4]
     means, stds = (np.array(v)[:, None, None] for v in (SMALL.means, SMALL.stds))
