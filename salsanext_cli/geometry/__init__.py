@@ -17,7 +17,4 @@
     └── knn_torch               … on a torch device, the same labels
     gather                  values of pixels onto points and back
     ranges                  distances of points, and which of them hold a measurement
-    coverage                share of points outside the field of view
-    fitting/                ground, mounting and view of a sensor, found from its scans
-    checks/                 reasons to doubt a scan
 """

@@ -101,7 +101,7 @@ class ScanCounts:
             if self.histograms.setdefault(key, histogram) is not histogram:
                 self.histograms[key] += histogram
 
-    def doubts(self, space: LabelSpace) -> list[str]:
+    def label_warnings(self, space: LabelSpace) -> list[str]:
         """Return what the scores do not tell, or may tell wrongly, in words."""
         return [words for words in (self._about_training(), self._about_labels(space)) if words]
 

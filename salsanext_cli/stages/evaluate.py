@@ -143,8 +143,8 @@ def evaluate(
         settings=settings,
         uncertainty=evaluate_uncertainty(counts, space),
     )
-    for doubt in counts.doubts(space):
-        log.warning("%s", doubt)
+    for text in counts.label_warnings(space):
+        log.warning("%s", text)
     _warn(evaluation)
     files = _files(evaluation)
     with records_lock(out):

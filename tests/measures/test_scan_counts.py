@@ -25,6 +25,6 @@ def test_points_without_a_measurement_are_in_no_ring(point):
 def test_labels_that_hardly_ever_agree_are_doubted(right, wrong, said):
     counts = ScanCounts.none(label_space(), by_distance=False)
     counts.confusion.matrix[[1, 9, 0], [1, 0, 5]] = right, wrong, 100_000
-    doubts = counts.doubts(label_space())
-    assert len(doubts) == bool(said)
-    assert all(said in doubt and "--label-space" in doubt for doubt in doubts)
+    warnings = counts.label_warnings(label_space())
+    assert len(warnings) == bool(said)
+    assert all(said in text and "--label-space" in text for text in warnings)

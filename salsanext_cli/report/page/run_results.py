@@ -68,7 +68,7 @@ class RunResults:
         """Return every reason to doubt the page, a line each."""
         lines = warnings_of_run(self.out, {row.name for row in self.rows})
         if self.counts:
-            lines = [*self.counts.doubts(self.how["space"]), *lines]
+            lines = [*self.counts.label_warnings(self.how["space"]), *lines]
         for what, ids in (
             ("labels", self.counts.unknown_truth if self.counts else {}),
             ("predictions", self.counts.unknown_predictions if self.counts else {}),
