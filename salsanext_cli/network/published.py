@@ -49,6 +49,15 @@ class Ignored:
     def __setstate__(self, state: object) -> None: ...
 
 
+def _plain_dict(*_: object) -> dict[Any, Any]:
+    """Return an empty dictionary, whatever makes its values by default."""
+    return {}
+
+
+STAND_INS: dict[str, Any] = {"collections.defaultdict": _plain_dict}
+"""Stand-ins that are filled as what they stand for: the state of an optimiser is one."""
+
+
 def read_published(path: Path) -> dict[str, Tensor]:
     """Read the tensors of a published checkpoint under the names that our SalsaNext gives them.
 
@@ -91,7 +100,7 @@ def read_torch_file(path: Path) -> Any:
         raise WeightsError(path, "neither a file nor a link to one", "a file of torch.save")
     ignored: list[str] = []
     while True:
-        stand_ins = [(Ignored, name) for name in ignored]
+        stand_ins = [(STAND_INS.get(name, Ignored), name) for name in ignored]
         try:
             with warnings.catch_warnings(), torch.serialization.safe_globals(stand_ins):  # type: ignore[arg-type]
                 warnings.simplefilter("ignore")

@@ -115,11 +115,18 @@ def test_what_else_a_checkpoint_holds_is_ignored(tmp_path, as_zip):
     """The published code saves the state of its schedulers, whose objects torch refuses."""
     model = torch.nn.Linear(3, 2)
     optimiser = torch.optim.SGD(model.parameters(), 0.1, momentum=0.9)
+    model(torch.ones(1, 3)).sum().backward()
+    optimiser.step()
     schedulers = [
         torch.optim.lr_scheduler.CyclicLR(optimiser, 0.01, 0.1),
         torch.optim.lr_scheduler.ExponentialLR(optimiser, 0.9),
     ]
-    others = {"kind": dict, "by": defaultdict(dict), "place": Path("x"), "score": np.float64(0.5)}
+    others = {
+        "kind": dict,
+        "by": defaultdict(dict, {1: {}}),
+        "place": Path("x"),
+        "score": np.float64(0.5),
+    }
     content = {"state_dict": FEW, "scheduler": {"last": schedulers[1]}, "others": others}
     path = tmp_path / "SalsaNext"
     torch.save(content, path, _use_new_zipfile_serialization=as_zip)
