@@ -85,3 +85,14 @@ def world(tmp_path: Path, weights: Path) -> "World":
     write_sequence(data / "sequences/00", ["000000"], seed=7)
     write_sequence(data / "sequences/08", ["000000", "000001"])
     return World(data, tmp_path / "öut put", NetworkSettings(weights, "cpu", engine="torch"))
+
+
+@pytest.fixture
+def undrawn(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Draw nothing of an evaluation: pictures take tenths of a second, and have their own tests."""
+    from salsanext_cli.report import plots, uncertainty_plots
+
+    monkeypatch.setattr(plots, "iou_bars", lambda *_: b"picture")
+    monkeypatch.setattr(plots, "confusion_picture", lambda *_: b"picture")
+    for name in ("reliability_diagram", "risk_coverage", "sparsification", "class_uncertainty"):
+        monkeypatch.setattr(uncertainty_plots, name, lambda *_: b"picture")

@@ -105,7 +105,7 @@ def test_the_same_lines_when_the_scans_lie_elsewhere(weights, tmp_path, monkeypa
     assert_scored_and_exported(tmp_path / "here", "Fahrt ü")
 
 
-@pytest.mark.parametrize("jobs", [1, 2])
+@pytest.mark.parametrize("jobs", [pytest.param(1, marks=pytest.mark.slow), 2])
 def test_ctrl_c_in_the_middle(weights, tmp_path, jobs):
     stems = [f"{number:06d}" for number in range(SCANS)]
     many = write_sequence(tmp_path / "many", stems, count=POINTS, labels=False)

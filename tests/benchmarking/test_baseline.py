@@ -15,7 +15,6 @@ from scans import SMALL, make_scan, write_weights
 
 from salsanext_cli import RangeImage, Scan, knn_refine, load_network, project, read_labels
 from salsanext_cli.engines.settings import NetworkSettings
-from salsanext_cli.measures.confusion import Confusion
 from salsanext_cli.results.point_files import write_bin
 from salsanext_cli.stages.predict import predict_scans
 from salsanext_cli.uncertainty.aleatoric import aleatoric
@@ -107,11 +106,6 @@ def test_same_neighbours_but_for_the_published_rules(plain):
     assert set(theirs[inner & ~voted]) == {1}
 
 
-def test_same_counts(plain):
-    pair = np.random.default_rng(0).integers(0, 20, (2, 10_000)).astype(np.uint8)
-    np.testing.assert_array_equal(plain.confusion(*pair, 20), Confusion(20).update(*pair).matrix)
-
-
 def test_script_and_benchmark_label_a_scan_as_predict_does(tmp_path, weights):
     """No window of the points compared reaches an edge of the image, and all have a label."""
     scan, file = make_scan(), tmp_path / "000000.bin"
@@ -128,6 +122,7 @@ def test_script_and_benchmark_label_a_scan_as_predict_does(tmp_path, weights):
     assert np.mean(plain[compared] != labels[compared]) <= 2e-3
 
 
+@pytest.mark.slow
 def test_both_sides_of_a_benchmark_do_the_same(plain, tmp_path, weights):
     scan, sensor = tmp_path / "0.bin", ODD.to_dict()
     write_bin(scan, make_scan())

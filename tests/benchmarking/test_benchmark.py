@@ -11,7 +11,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 import speed
-import speed_hardware as hardware
 import speed_turn as turn
 import torch
 from rich.console import Console
@@ -23,7 +22,6 @@ from salsanext_cli.errors import SalsanextError, UsageError, WeightsError
 from salsanext_cli.formats import read_scan
 from salsanext_cli.network.card import read_card
 from salsanext_cli.network.registry import build
-from salsanext_cli.network.salsanext import SalsaNext
 from salsanext_cli.network.weights import save_weights
 from salsanext_cli.results.point_files import write_bin
 from salsanext_cli.sensors.sensor import sensor as find_sensor
@@ -99,47 +97,6 @@ def test_sides_take_turns_on_the_same_scan(monkeypatch, tmp_path, weights):
     assert "30 passes, all alike, 1 timed" in text
 
 
-def test_least_times(weights):
-    """At one byte or one operation per second, with operations counted layer by layer."""
-    architecture, points = read_card(weights).architecture, 1000
-    slow_copy = {"operations": 1e30, "bytes": 1.0}
-    least = hardware.least_seconds(architecture, SMALL, points, slow_copy)
-    assert least["projection"] == points * (16 + 8) + PIXELS * (5 * 4 + 4)
-    assert least["network"] == PIXELS * 5 * 4
-    assert least["knn"] == points * 9 + PIXELS * 5
-    assert least["confusion"] == 2 * points
-    files = points * (16 + 4)
-    assert least["predict"] == files + least["projection"] + least["network"] + least["knn"]
-    counted = 0
-
-    def count(layer, inputs, output):
-        nonlocal counted
-        counted += output[0, 0].numel() * layer.weight.numel()
-
-    module = SalsaNext(20).eval()
-    for layer in module.modules():
-        if isinstance(layer, torch.nn.Conv2d):
-            layer.register_forward_hook(count)
-    module(torch.zeros(1, 5, SMALL.height, SMALL.width))
-    slow_product = {"operations": 1.0, "bytes": 1e30}
-    least = hardware.least_seconds(architecture, SMALL, points, slow_product)
-    # A bias is one more weight for each number that comes out.
-    assert least["network"] == least["predict"] == pytest.approx(2 * counted, rel=0.01)
-
-
-def test_ceilings_are_those_of_the_clock(monkeypatch):
-    monkeypatch.setattr(hardware, "MATRIX_ROWS", {"cpu": 64})
-    monkeypatch.setattr(hardware, "COPY_BYTES", {"cpu": 1 << 16})
-    clock = iter(range(100))
-    monkeypatch.setattr("time.perf_counter", lambda: next(clock))
-    monkeypatch.setattr(hardware, "bfloat16_instructions", lambda: ["amx_bf16", "avx512_bf16"])
-    found = hardware.describe("cpu", "float32")
-    assert (found["operations"], found["bytes"]) == (2 * 64**3, 2 << 16)
-    assert found["machine"]["processor"]
-    assert found["machine"]["instructions"].endswith(", amx_bf16, avx512_bf16")
-    assert list(found["machine"]) == list(MACHINE)
-
-
 def test_a_process_that_fails_or_dies_is_named(monkeypatch, tmp_path, capfd):
     task = {"weights": "none.safetensors", "device": "cpu", "threads": None}
     with pytest.raises(SalsanextError, match=r"benchmark, baseline cold · .* status 1"):
@@ -185,6 +142,7 @@ def test_everything_is_measured(tmp_path, weights, device):
         assert (part["share_of_ceiling"] or 0.5) < 1.5
 
 
+@pytest.mark.slow
 def test_the_script_prints_a_table_and_writes_all(tmp_path, weights, capsys):
     write_bin(tmp_path / "000000.bin", make_scan())
     file = tmp_path / "speed.json"

@@ -9,7 +9,6 @@ import pytest
 from scans import write_sequence
 
 from salsanext_cli import LabelSpace, label_space
-from salsanext_cli.results.layout import find_scans
 from salsanext_cli.results.selection import data_set_label_space
 from salsanext_cli.training.data.sources import labelled_split
 
@@ -53,33 +52,6 @@ def test_streets_are_validated_with_real_scans_that_nothing_is_trained_on(tmp_pa
     assert isinstance(own, LabelSpace)
     ids = np.array(list(own.learning_map), np.uint32)
     np.testing.assert_array_equal(both.to_train(ids), own.to_train(ids))
-
-
-def test_eight_sectors_make_a_circle(tmp_path, script):
-    """Each sector goes another eighth of the way round; those of a circle lie far apart."""
-    source, root = tmp_path / "source", tmp_path / "aachen"
-    write_sequence(source / "sequences/a0", [f"{i:02}" for i in range(15)])
-    write_sequence(source / "sequences/a1", ["00", "01"])
-    write_sequence(source / "sequences/b0", ["0"])
-    for number, file in enumerate(find_scans(source, ["a0", "a1"])):
-        np.array([[5, 0, -1, number / 17]], np.float32).tofile(file.path)
-        np.array([number], np.uint32).tofile(file.label_path)
-    assert len(script["sectors_of"](source)) == 16
-    script["compose_circles"](source, root)
-    files = find_scans(root)
-    assert len(files) == 2
-    for circle, file in enumerate(files):
-        x, y, z, intensity = np.fromfile(file.path, np.float32).reshape(-1, 4).T
-        numbers = np.arange(circle, 16, 2)
-        azimuth = np.degrees(np.arctan2(y, x)) % 360
-        np.testing.assert_allclose((azimuth + 1) % 360 - 1, np.arange(8) * 45, atol=1e-3)
-        np.testing.assert_allclose(np.hypot(x, y), 5, rtol=1e-6)
-        np.testing.assert_array_equal(z, -1)
-        np.testing.assert_allclose(intensity * 17, numbers, rtol=1e-6)
-        np.testing.assert_array_equal(np.fromfile(file.label_path, np.uint32), numbers)
-    before = files[0].path.stat().st_mtime_ns
-    script["compose_circles"](source, root)
-    assert files[0].path.stat().st_mtime_ns == before
 
 
 @pytest.mark.parametrize("name", ["pandaset", "aachen"])

@@ -74,6 +74,7 @@ def test_engines(data, weights):
         assert same > (99.9 if "float32" in name else 50), name
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(not Path("/proc/self/io").exists(), reason="Linux only")
 def test_stage_cost(data, weights, capsys):
     found = printed(capsys, "stage_cost.py", data, data / "out", 2, weights)
@@ -103,6 +104,7 @@ def test_many_scans(tmp_path, capsys):
     assert not list(tmp_path.iterdir())
 
 
+@pytest.mark.slow
 def test_other_sensors(tmp_path, weights, capsys):
     azimuth = np.linspace(0, 2 * np.pi, 40, endpoint=False)
     elevation, azimuth = np.meshgrid(np.radians(np.linspace(2, -24, 64)), azimuth, indexing="ij")
@@ -127,41 +129,6 @@ def test_training_speed(data):
     plain, ours = (float(each) for each in re.findall(r"\d+\.\d+", losses))
     assert plain == pytest.approx(ours, rel=1e-4)
     assert re.fullmatch(r"ours is \S+ × as fast \(\S+ to \S+ over 2 turns\)", ratio)
-
-
-@pytest.mark.slow
-def test_picking(tmp_path, weights, capsys, monkeypatch):
-    """Each strategy and number of scans has a line; the labels are those of the pool."""
-    write_sequence(tmp_path / "pool/sequences/00", ["0", "1", "2"], count=600)
-    write_sequence(tmp_path / "others/sequences/00", ["9"], count=600, seed=9)
-    monkeypatch.syspath_prepend(BENCHMARKS)
-    script = runpy.run_path(str(BENCHMARKS / "picking.py"))
-    run, trained = subprocess.run, []
-
-    def command(words, **how):
-        """Run a command, but a training, which copies weights that are there."""
-        if words[1] == "train":
-            labels = sorted(Path(words[2]).glob("sequences/train/labels/*.label"))
-            own = tmp_path / "pool/sequences/00/labels"
-            assert {path.resolve().parent for path in labels} == {own}
-            trained.append((len(labels), words[4:]))
-            Path(words[3]).mkdir()
-            Path(words[3], "last.safetensors").write_bytes(weights.read_bytes())
-            return subprocess.CompletedProcess(words, 0, b"{}")
-        code = ("-c", "from salsanext_cli.cli.app import main; main()")
-        return run([sys.executable, *code, *words[1:]], **how)
-
-    monkeypatch.setattr(subprocess, "run", command)
-    monkeypatch.setenv("SALSANEXT_ENGINE", "torch")
-    given = ("--weights", str(weights))
-    options = ("--counts", "2", "--seeds", "1", "--strategies", "both", *given)
-    folders = [str(tmp_path / name) for name in ("pool", "others", "out")]
-    script["main"](*folders, *options, "--train", "-x")
-    (line,) = capsys.readouterr().out.splitlines()
-    assert re.fullmatch(r"both, 2 scans  \d+\.\d ± 0\.0  \d+\.\d ± 0\.0", line)
-    ((count, words),) = trained
-    assert count == 2
-    assert words[2:] == [*given, "--set", "seed=0", "--set", "folds=0", "-x", "--json", "--quiet"]
 
 
 def test_learning_curve(tmp_path, capsys, monkeypatch):

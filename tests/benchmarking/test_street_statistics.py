@@ -43,24 +43,6 @@ def test_segments(seed):
     assert list(zip(*(each.tolist() for each in found), strict=True)) == wanted
 
 
-def test_near_columns():
-    random = np.random.default_rng(7)
-    classes = random.integers(0, 4, (12, 40)).astype(np.uint8)
-    occupied = random.random((12, 40)) < 0.6
-    occupied[:2] = False  # Nothing is as high as the first two rows.
-    near = occupied & (random.random((12, 40)) < 0.3)
-    wanted, at_top = [], []
-    for column, pixels in columns_of(classes, occupied):
-        own = {
-            which: [r for k, r in pixels if k == which and near[r, column]] for which in (1, 2, 3)
-        }
-        wanted += [which for which, rows in own.items() if rows]
-        at_top += [which for which, rows in own.items() if rows and min(rows) < 4]
-    found, reaching = SCRIPT["near_columns"](classes, near, occupied)
-    assert sorted(found.tolist()) == sorted(wanted)
-    assert sorted(reaching.tolist()) == sorted(at_top)
-
-
 def test_table(tmp_path, capsys):
     folder = write_sequence(tmp_path / "streets/sequences/00", ["0"], count=900)
     tiny = tmp_path / "tiny.toml"

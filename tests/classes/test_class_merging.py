@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: MIT
 """Classes merged into fewer: derived from raw ids, probabilities added, nonsense refused."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 from hypothesis import given
@@ -77,24 +75,6 @@ def test_sums_are_those_of_a_slow_loop_and_keep_the_total(targets, seed):
     np.testing.assert_allclose(found.sum(axis=0), 1, atol=1e-6)
 
 
-def test_the_most_probable_class_may_be_another_than_that_of_the_most_probable_part():
-    softmax = np.zeros((20, 1, 1), np.float32)
-    softmax[[9, 11, 13], 0, 0] = 0.3, 0.3, 0.4
-    assert FULL.names[softmax.argmax()] == "building"
-    found = ClassMerging.between(FULL, COARSE).add(softmax)
-    assert COARSE.names[found.argmax()] == "ground"
-
-
-def test_no_merging_is_needed_into_the_same_classes():
-    assert ClassMerging.needed(FULL, None) is None
-    assert ClassMerging.needed(FULL, FULL) is None
-    own = LabelSpace.from_dict(FULL.to_dict() | {"name": "mine", "learning_ignore": {3: True}})
-    assert ClassMerging.needed(own, FULL) is None
-    # Some more raw ids for one of few classes do not merge them.
-    more = LabelSpace.from_dict(ONE_CLASS | {"learning_map": {0: 0, 10: 1, 252: 1}})
-    assert ClassMerging.needed(LabelSpace.from_dict(ONE_CLASS), more) is None
-
-
 ONE_CLASS = {
     "name": "one",
     "labels": {0: "unlabeled", 10: "car", 252: "moving-car"},
@@ -137,14 +117,6 @@ def test_alternatives_are_those_of_the_merged_classes(targets, others):
     told = {70: [targets[FULL.learning_map[70]]]}
     merged = space_of(targets, 4, learning_alternatives=told)
     assert ClassMerging.between(own, merged).space.alternatives[70] == tuple(told[70])
-
-
-def test_alternatives_follow_a_raw_id_that_gets_a_class_of_its_own():
-    """Other structures, unlabelled in the benchmark, are a class in coarse."""
-    own = replace(FULL, alternatives={52: (0, 9), 1: (0, 9), 70: (15, 16), 40: (9, 10)})
-    space = ClassMerging.between(own, COARSE).space
-    assert space.alternatives == {52: (3, 4), 1: (0, 3), 70: (5, 6)}
-    assert LabelSpace.from_dict(space.to_dict()).alternatives == space.alternatives
 
 
 def test_an_ignored_class_goes_where_the_raw_id_that_stands_for_it_does():
@@ -192,14 +164,3 @@ def test_what_is_no_merging_is_refused_in_one_line(merged, found):
     assert "\n" not in str(caught.value)
     with pytest.raises(UsageError, match=found):
         ClassMerging.needed(FULL, merged)
-
-
-def test_merged_classes_are_not_divided_again():
-    with pytest.raises(UsageError, match="vehicle is split into car and truck and other-vehicle"):
-        ClassMerging.between(COARSE, FULL)
-    things = [0, 1, 1, 2, 2, 2, 2, 2]
-    train = {raw: things[i] for raw, i in COARSE.learning_map.items()}
-    inverse = {0: 0, 1: 10, 2: 40}
-    fewer = COARSE.to_dict() | {"learning_map": train, "learning_map_inv": inverse}
-    merging = ClassMerging.between(COARSE, LabelSpace.from_dict(fewer))
-    assert list(merging.targets) == things

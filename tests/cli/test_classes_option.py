@@ -12,6 +12,8 @@ OFFERED = {
     "demo",
 }
 
+pytestmark = pytest.mark.usefixtures("undrawn")
+
 
 def test_every_command_that_shows_classes_of_a_network_offers_it():
     offering = {

@@ -17,6 +17,7 @@ from salsanext_cli.parallel.run import Outcome
 from salsanext_cli.results.layout import output_path
 
 ROOT = Path(__file__).parents[2]
+pytestmark = pytest.mark.usefixtures("undrawn")
 
 
 @pytest.fixture

@@ -9,6 +9,8 @@ from evaluated import CAR, ROAD, World
 from salsanext_cli import read_labels
 from salsanext_cli.stages.demo import Demonstration
 
+pytestmark = pytest.mark.usefixtures("undrawn")
+
 
 @pytest.fixture
 def world(tmp_path, monkeypatch):

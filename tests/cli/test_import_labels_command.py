@@ -60,8 +60,3 @@ def test_a_label_space_that_is_not_the_data_sets_is_wrong_use(run, data, edited)
     refused = run("import-labels", edited, data, "--scalar", "mine", "--label-space", "coarse")
     assert refused.exit_code == 2
     assert "labels.yaml has other classes or ids" in refused.stderr
-
-
-@pytest.mark.parametrize("option", ["--map", "--label-space"])
-def test_a_wrong_option_is_wrong_use(run, data, edited, option):
-    assert run("import-labels", edited, data, option, "no.yaml").exit_code == 2

@@ -52,12 +52,6 @@ def test_sequences(text, names):
     assert selection_options.Selection(sequences=text).scans().sequences == names
 
 
-def test_where_scans_are_looked_for(monkeypatch):
-    assert selection_options.Selection(dataset=Path("b")).source(Path("a")) == Path("a")
-    assert selection_options.Selection(dataset=Path("b")).source(None) == Path("b")
-    assert selection_options.Selection().source(None) == Path()
-
-
 def test_the_default_weights_have_a_name():
     assert options.NetworkOptions(weights=Path("default")).settings().weights is None
     assert options.weights_file(Path("default")) == options.weights_file(None) == default_weights()

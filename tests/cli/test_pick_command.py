@@ -24,14 +24,6 @@ def test_json_and_exit_status(run, data, tmp_path, weights):
     assert "000002.bin" in found.stderr
 
 
-def test_no_scan_that_can_be_read(run, data, tmp_path, weights):
-    for path in (data / "sequences/08/velodyne").iterdir():
-        path.write_bytes(b"x")
-    found = run("pick", data, tmp_path / "out", "--weights", weights)
-    assert (found.exit_code, found.stdout) == (1, "")
-    assert "next" not in found.stderr
-
-
 def test_wrong_numbers_and_names(run, data, tmp_path):
     for wrong in (("--count", 0), ("--strategy", "best"), ("--seed", -1)):
         assert run("pick", data, tmp_path / "out", *wrong).exit_code == 2

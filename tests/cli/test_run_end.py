@@ -17,6 +17,8 @@ from salsanext_cli.parallel.run import Outcome
 from salsanext_cli.results.layout import find_scans
 from salsanext_cli.results.sources import MissingResults
 
+pytestmark = pytest.mark.usefixtures("undrawn")
+
 
 def test_the_commands_to_type_next_lead_from_scans_to_scores(run, data, weights, tmp_path):
     out = tmp_path / "my out"

@@ -12,41 +12,15 @@ from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import numba
-import numpy as np
 import pytest
 
 import salsanext_cli
 from salsanext_cli.compiled.kernels import (
-    MIN_SLICE_ITEMS,
     KernelCache,
-    argument,
     cache_folder,
     compiled,
-    parallel_for_slices,
     run_on_threads,
 )
-
-
-@pytest.mark.parametrize("count", [0, 1, MIN_SLICE_ITEMS, 10 * MIN_SLICE_ITEMS + 3])
-def test_slices_cover_everything_once(count):
-    visits = np.zeros(count, int)
-
-    def visit(part):
-        visits[part] += 1
-
-    parallel_for_slices(visit, count)
-    assert (visits == 1).all()
-
-
-def test_arguments_are_copied_only_if_they_must_be():
-    good = np.zeros((4, 3), np.float32)
-    assert argument(good, np.float32) is good
-    frozen = good.view()
-    frozen.setflags(write=False)
-    for other in (frozen, good[:, ::2], good.astype(np.float64)):
-        flags = argument(other, np.float32).flags
-        assert flags.writeable
-        assert flags.c_contiguous
 
 
 @pytest.fixture

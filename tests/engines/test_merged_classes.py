@@ -8,9 +8,7 @@ from scans import SMALL, make_scan
 
 from salsanext_cli import label_space, load_network, project, sample
 from salsanext_cli.classes.merging import ClassMerging
-from salsanext_cli.engines.loading import with_dropout
 from salsanext_cli.errors import UsageError
-from salsanext_cli.stages.export_onnx import export_onnx
 from salsanext_cli.uncertainty.aleatoric import aleatoric
 from salsanext_cli.uncertainty.dropout_propagation import propagate_dropout
 from salsanext_cli.uncertainty.moments import softmax_moments
@@ -52,16 +50,6 @@ def test_probabilities_are_added(weights, image, engine):
     np.testing.assert_allclose(several[1], found, atol=1e-5)
 
 
-def test_probabilities_of_an_onnx_model_are_added(weights, image, tmp_path):
-    pytest.importorskip("onnxruntime")
-    export_onnx(weights, tmp_path / "model.onnx")
-    own, merged = both(tmp_path / "model.onnx", "auto")
-    found = merged.probabilities(image)
-    np.testing.assert_array_equal(found, summed(own.probabilities(image)))
-    by_torch = both(weights, "torch")[1].probabilities(image)
-    np.testing.assert_allclose(found, by_torch, atol=1e-5)
-
-
 @ENGINES
 def test_passes_are_added_before_they_are_counted(weights, image, engine):
     """Mean, variance, entropy and mutual information from a loop over sums of every pass."""
@@ -92,19 +80,6 @@ def test_moments_have_a_variance_of_each_merged_class_alike_by_both_engines(
     np.testing.assert_allclose(found[1], found[0], rtol=2e-3, atol=1e-6)
 
 
-def test_the_mean_in_one_pass_is_near_that_of_passes(weights, image):
-    _, merged = both(weights, "torch")
-    estimate = propagate_dropout(with_dropout(merged, 1e-6), image).probabilities
-    np.testing.assert_allclose(estimate, merged.probabilities(image), atol=1e-3)
-
-
-def test_certain_logits_have_sums_of_the_softmax():
-    logits = torch.from_numpy(np.random.default_rng(0).normal(0, 3, (20, 50)))
-    mean, variance = softmax_moments(logits, torch.zeros_like(logits), 0, GROUPS)
-    np.testing.assert_allclose(mean, summed(torch.softmax(logits, 0).numpy()), atol=1e-12)
-    assert not variance.any()
-
-
 def test_groups_of_one_class_change_nothing_and_empty_ones_are_impossible():
     logits = torch.from_numpy(np.random.default_rng(1).normal(0, 3, (5, 50)))
     spread = logits.abs()
@@ -116,30 +91,6 @@ def test_groups_of_one_class_change_nothing_and_empty_ones_are_impossible():
     mean, variance = softmax_moments(logits, spread, 0, [[], range(5)])
     np.testing.assert_allclose(mean, [[0] * 50, [1] * 50], atol=1e-12)
     assert not variance.any()
-
-
-@pytest.mark.parametrize(
-    ("variance", "typical", "of_class", "of_mean"),
-    [(0.1, 0.02, 0.005, 0.005), (1.0, 0.05, 0.03, 0.03), (4.0, 0.05, 0.09, 0.1)],
-)
-def test_moments_of_sums_are_those_of_samples(variance, typical, of_class, of_mean):
-    """Tolerances as of classes that are not merged; the sum of their variances is far from it."""
-    random = np.random.default_rng(2)
-    logits = random.normal(0, 3, (20, 30))
-    spread = 2 * variance * random.random((20, 30))
-    drawn = random.normal(size=(20_000, 20, 30)) * np.sqrt(spread) + logits
-    sampled = summed(torch.softmax(torch.from_numpy(drawn), 1).numpy().swapaxes(0, 1))
-    given = torch.from_numpy(logits), torch.from_numpy(spread), 0
-    mean, found = (part.numpy() for part in softmax_moments(*given, GROUPS))
-    expected = sampled.var(axis=1)
-    error = np.sqrt(found.mean(axis=0) / expected.mean(axis=0)) - 1
-    assert np.median(np.abs(error)) < typical
-    assert np.abs(np.sqrt(found) - np.sqrt(expected)).max() < of_class
-    assert np.abs(mean - sampled.mean(axis=1)).max() < of_mean
-    unmerged = summed(softmax_moments(*given)[1].numpy())
-    assert np.abs(np.sqrt(unmerged) - np.sqrt(expected)).max() > 2 * of_class
-    np.testing.assert_allclose(mean, summed(softmax_moments(*given)[0].numpy()), atol=1e-12)
-    assert (found <= mean * (1 - mean) + 1e-12).all()
 
 
 def test_other_classes_are_refused(weights):

@@ -8,7 +8,7 @@ import pytest
 import torch
 from scans import SMALL, make_scan, write_weights
 
-from salsanext_cli import Scan, Sensor, project, sample
+from salsanext_cli import Scan, project
 from salsanext_cli.engines.loading import load_network, with_dropout
 from salsanext_cli.errors import WeightsError
 from salsanext_cli.geometry.normalise import normalise
@@ -78,12 +78,6 @@ def test_batches_stay_as_small_as_memory_had_room_for(weights, monkeypatch):
     assert sizes == [5, 2, 2, 1, 2, 2, 1]
 
 
-def test_another_size_than_the_one_trained_with(weights):
-    wide = Sensor("wide", 3, -25, 10, 45)
-    network = load_network(weights, "cpu", wide)
-    assert network.probabilities(project(make_scan(), wide)).shape == (20, 10, 45)
-
-
 def test_weights_may_be_named_by_text_and_must_exist(weights, tmp_path):
     assert load_network(str(weights), "cpu").card.description == "random"
     with pytest.raises(WeightsError):
@@ -128,12 +122,3 @@ def test_weights_that_are_replaced_before_they_are_needed_are_refused(tmp_path):
     write_weights(path, seed=12)
     with pytest.raises(WeightsError, match="replaced since the run began"):
         _ = network.module
-
-
-def test_rates_of_dropout_share_their_graphs(weights):
-    network = load_network(weights, "cpu", engine="openvino")
-    image, graphs = project(make_scan(), SMALL), []
-    for rate in (0.1, 0.2, 0.3):
-        sample(with_dropout(network, rate), image, samples=2, seed=0)
-        graphs.append(len(network._graphs))
-    assert len(set(graphs)) == 1

@@ -14,7 +14,7 @@ from salsanext_cli import Network, label_space, project
 from salsanext_cli.fitting.batch_norm import Statistics, norms, statistics_of_scan
 from salsanext_cli.network.card import WeightsCard
 from salsanext_cli.network.rangenet53 import RangeNet53
-from salsanext_cli.network.registry import ARCHITECTURES, build
+from salsanext_cli.network.registry import build
 from salsanext_cli.network.segmentation import SegmentationNetwork
 
 SPACE = label_space()
@@ -102,29 +102,6 @@ def test_one_scan_has_the_statistics_and_logits_of_batch_norm_in_training(module
     np.testing.assert_allclose(after, logits[0], rtol=1e-5, atol=1e-5)
 
 
-@pytest.mark.parametrize("name", ARCHITECTURES)
-def test_all_that_a_weights_file_holds_of_batch_norm_is_found(name):
-    with torch.device("meta"):
-        module = build({"name": name})
-    kept = [key for key in module.state_dict() if key.endswith(".running_mean")]
-    assert [f"{layer}.running_mean" for layer in norms(module)] == kept != []
-
-
-def test_a_share_is_the_fixed_point_of_adapting_layer_by_layer():
-    network, image, share = network_of(Normed()), image_of(), 0.3
-    slow = copy.deepcopy(network.module)
-    inputs = network.input(image.channels)
-    found = statistics_of_scan(network, image.channels, share)
-    for name in norms(slow):
-        # Everything before this layer is adapted already, nothing after it matters.
-        seen = inputs_of_norms(copy.deepcopy(slow), inputs)[0][name]
-        mean, variance = seen.mean(axis=(1, 2)), seen.var(axis=(1, 2))
-        close(found[name], mean, variance)
-        layer = norms(slow)[name]
-        layer.running_mean.mul_(1 - share).add_(torch.from_numpy(mean), alpha=share)
-        layer.running_var.mul_(1 - share).add_(torch.from_numpy(variance), alpha=share)
-
-
 def test_empty_pixels_count_and_padding_does_not():
     sensor = SMALL.resized(10, 90)
     network, image = network_of(Normed(), sensor), image_of(0, sensor)
@@ -174,8 +151,3 @@ def test_pooling_is_the_same_as_having_all_at_once_in_any_order(sizes, offset, s
         assert found.count == len(together)
         np.testing.assert_allclose(found.mean[0], together.mean(), rtol=1e-12, atol=1e-9)
         np.testing.assert_allclose(found.variance[0], together.var(), rtol=1e-6, atol=1e-12)
-
-
-def test_layers_that_keep_no_statistics_are_none():
-    plain = nn.Sequential(nn.BatchNorm2d(2, track_running_stats=False), nn.BatchNorm2d(2))
-    assert list(norms(plain)) == ["1"]

@@ -3,7 +3,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from scans import SMALL, make_scan
+from scans import SMALL
 
 from salsanext_cli import Scan, read_scan
 from salsanext_cli.fitting.beam_fit import fit_beams
@@ -47,14 +47,6 @@ def test_beams_are_those_of_the_upright_sensor(up):
     points = (x, -y, -z) if up[2] else (x, z, -y)
     turned = replace(upright, points=np.stack(points, 1).astype(np.float32))
     np.testing.assert_allclose(fit_beams([turned], replace(SMALL, up=up)), UNEVEN, atol=0.06)
-
-
-def test_elevations_that_show_no_beams():
-    assert fit_beams([make_scan(20000)], SMALL) == ()
-    assert fit_beams([of_beams(FINE, 0.3)], SMALL) == ()
-    assert fit_beams([of_beams(np.array([3.0]), 0.01)], SMALL) == ()
-    nothing = Scan(np.full((9, 3), np.nan, np.float32), np.zeros(9, np.float32))
-    assert fit_beams([nothing], SMALL) == fit_beams([], SMALL) == ()
 
 
 def test_a_ring_that_is_something_else_does_not_count():

@@ -85,14 +85,6 @@ def test_scans_that_do_not_tell_a_box(scans):
     assert fit_ego(scans, SMALL).ego_box == ()
 
 
-def test_what_is_told_is_not_sought():
-    scans = driven(8)
-    assert fit_ego(scans, SMALL).ego_box
-    assert fit_ego(scans, SMALL).min_range == MIN_RANGE_M
-    told = replace(SMALL, min_range=0.0, ego_box=())
-    assert fit_ego(scans, told) == told
-
-
 @pytest.mark.parametrize("height", [0.4, 0.9])
 def test_a_low_sensor_keeps_its_floor(height):
     scans = driven(2, roof=False, height=height)

@@ -3,13 +3,10 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from scans import make_scan
 from streets import street_points
 
 from salsanext_cli.fitting.ground import find_ground
-from salsanext_cli.geometry.mounting import in_sensor_frame, upright_rotation
-from salsanext_cli.records import Scan
-from salsanext_cli.sensors.sensor import sensor as preset
+from salsanext_cli.geometry.mounting import upright_rotation
 
 DIRECTION = st.tuples(*[st.floats(-1, 1)] * 3).filter(lambda v: np.linalg.norm(v) > 0.1)
 
@@ -53,14 +50,6 @@ def test_where_there_is_none(points):
     assert find_ground(points.astype(np.float32)) is None
 
 
-@given(DIRECTION)
-def test_the_rotation_turns_up_to_z_and_nothing_else(up):
-    rotation = upright_rotation(np.array(up))
-    np.testing.assert_allclose(rotation @ (up / np.linalg.norm(up)), [0, 0, 1], atol=2e-6)
-    np.testing.assert_allclose(rotation @ rotation.T, np.eye(3), atol=2e-6)
-    assert np.linalg.det(rotation) == pytest.approx(1)
-
-
 @pytest.mark.parametrize(
     ("up", "ahead"),
     [
@@ -75,9 +64,3 @@ def test_the_rotation_turns_up_to_z_and_nothing_else(up):
 def test_what_is_ahead_stays_ahead(up, ahead):
     """Hanging, lying, leaning sensors, and the frames of cameras, whose z is ahead and y down."""
     assert upright_rotation(np.array(up, float))[0] @ ahead > 0.95
-
-
-def test_an_upright_scan_is_left_alone():
-    scan = make_scan()
-    assert in_sensor_frame(scan, preset("hdl64")) is scan
-    assert isinstance(in_sensor_frame(scan, preset("hdl64")), Scan)

@@ -2,7 +2,7 @@
 """Scans of two sensors in one run are noticed; different places of one sensor are not."""
 
 from dataclasses import replace
-from itertools import combinations, pairwise
+from itertools import combinations
 from pathlib import Path
 
 import numpy as np
@@ -13,7 +13,7 @@ from scans import SMALL
 
 from salsanext_cli import Scan, read_scan, sensor
 from salsanext_cli.fitting import mixed_sensors as module
-from salsanext_cli.fitting.findings import ScanCheck, ScanTraits, traits_of
+from salsanext_cli.fitting.findings import ScanCheck, ScanTraits
 from salsanext_cli.fitting.mixed_sensors import mixed_sensors
 from salsanext_cli.fitting.scan_checks import check_scan
 from salsanext_cli.measures.scan_summary import RunSummary, ScanSummary
@@ -93,11 +93,6 @@ def test_intensities_of_two_scales_are_told_apart():
     assert "intensities to 1.3e+02" in found[file].found
 
 
-def test_few_scans_say_nothing():
-    assert mixed_sensors({}) == {}
-    assert mixed_sensors({ScanFile("08", "0", FILE): OF["wide"][0]}) == {}
-
-
 VALUES = st.lists(st.sampled_from([0.0, *np.geomspace(1, 300, 40).tolist()]), max_size=12)
 
 
@@ -112,31 +107,6 @@ def test_groups_are_those_linked_one_by_one(values, factor):
     for a, b in combinations(slow, 2):
         assert (found[a] == found[b]) == (b in slow[a])
     assert all(found[number] == 0 for number, value in enumerate(values) if not value)
-
-
-@given(st.permutations(range(8)))
-def test_the_order_of_the_scans_does_not_matter(order):
-    scans = list(zip(files("08", 8), [*OF["of-64"][:6], *OF["wide"][:2]], strict=True))
-    expected = mixed_sensors(dict(scans))
-    assert len(expected) == 2
-    assert mixed_sensors(dict(scans[place] for place in order)) == expected
-
-
-def test_points_between_nodes_count_for_both():
-    """Compared with a slow loop; half way between two nodes a point counts half for each."""
-    elevations = np.random.default_rng(0).uniform(-60, 30, 500)
-    nodes, expected = (-30, -20, -12, -6, -3), np.zeros(5)
-    for elevation in elevations:
-        if elevation <= nodes[0]:
-            expected[0] += 1
-        for place, (low, high) in enumerate(pairwise(nodes)):
-            if low < elevation < high:
-                part = (elevation - low) / (high - low)
-                expected[[place, place + 1]] += 1 - part, part
-    sines = np.sin(np.radians(elevations)).astype(np.float32)
-    found = traits_of(sines, 0.5, 3.0)
-    np.testing.assert_allclose(found.below, 3 * expected[:4], atol=0.06)
-    assert (found.points, found.bright) == (1500, 0.5)
 
 
 def test_a_run_says_it_at_its_end(caplog):

@@ -10,7 +10,7 @@ from salsanext_cli import Scan, project
 from salsanext_cli.errors import UsageError
 from salsanext_cli.fitting.ground import find_ground
 from salsanext_cli.fitting.mounting_fit import USUAL_HEIGHT_M, fit_mounting
-from salsanext_cli.fitting.origin_fit import find_origin, sharpness
+from salsanext_cli.fitting.origin_fit import find_origin
 from salsanext_cli.fitting.view_fit import fit_view, view_text
 from salsanext_cli.geometry.mounting import in_sensor_frame, upright_rotation
 
@@ -46,19 +46,6 @@ def moved(scan, place):
 def test_the_place_that_beams_come_from(beams, place):
     scan = moved(objects(beams), place)
     assert find_origin(scan.points) == pytest.approx(place, abs=0.05)
-
-
-def test_a_comb_is_sharp_at_its_place_only():
-    points = objects(32).points.astype(np.float64)
-    assert sharpness(points, np.zeros(3)) > 3
-    assert sharpness(points, np.array([0, 0, 0.5])) < 1.5
-    assert sharpness(street(0).points.astype(np.float64), np.zeros(3)) == pytest.approx(1, abs=0.1)
-
-
-@pytest.mark.parametrize("count", [0, 50])
-def test_points_without_beams_have_no_place(count):
-    assert find_origin(street(0).points) is None
-    assert find_origin(street(32).points[:count]) is None
 
 
 @pytest.mark.parametrize("up", [(0, 0, 1), (0, 1, 0)])
@@ -107,10 +94,6 @@ def test_the_mounting_of_other_scans_is_forgotten(other):
         assert (
             fit_mounting(scans, replace(SMALL, **other)).origin == fit_mounting(scans, SMALL).origin
         )
-
-
-def test_no_scans_tell_nothing():
-    assert fit_mounting([], SMALL) == SMALL
 
 
 @pytest.mark.parametrize("origin", [(0, 0), (0, 0, np.nan), (0, 1e9, 0)])

@@ -122,15 +122,6 @@ def test_matched_intensities_are_those_of_the_scans_matched_with():
     assert codes(STREET, trained=SMALL) == []
 
 
-def test_intensities_that_are_no_numbers_are_none():
-    nothing = np.full_like(STREET.intensity, np.nan)
-    assert codes(Scan(STREET.points, nothing)) == ["no-intensity"]
-    nothing[7] = 0.5
-    assert codes(Scan(STREET.points, nothing)) == ["no-intensity"]
-    half = np.where(np.arange(len(STREET)) % 2, STREET.intensity, np.float32(np.nan))
-    assert codes(Scan(STREET.points, half)) == ["no-intensity"]
-
-
 def test_only_commands_that_fit_offer_it():
     tilted = Scan(STREET.points[:, [0, 2, 1]], STREET.intensity * 255)
     for fitting in (True, False):

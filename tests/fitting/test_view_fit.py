@@ -9,7 +9,7 @@ from salsanext_cli import Scan, project, read_scan
 from salsanext_cli.engines.settings import NetworkSettings
 from salsanext_cli.fitting import scan_fit
 from salsanext_cli.fitting.scan_checks import field_of_view_coverage
-from salsanext_cli.fitting.view_fit import SHOWN, fit_view, view_text
+from salsanext_cli.fitting.view_fit import SHOWN, fit_view
 from salsanext_cli.geometry.mounting import upright_rotation
 from salsanext_cli.results.layout import find_scans
 
@@ -66,17 +66,6 @@ def test_images_of_sensors_that_lie_or_hang(up):
         assert (image.channels[0] > 0).mean() > 0.9 * (expected.channels[0] > 0).mean()
         z = [each.channels[3][each.channels[0] > 0] for each in (image, expected)]
         assert np.quantile(z[0], 0.1) == pytest.approx(np.quantile(z[1], 0.1), abs=0.1)
-
-
-@pytest.mark.parametrize("count", [0, 10])
-def test_too_few_points_tell_nothing(count):
-    other = replace(TOLD, fov_up=50.0, fov_down=40.0)
-    assert fit_view([make_scan(count)], other) == other
-
-
-def test_what_was_found_is_said():
-    assert view_text(SMALL) == "view +3° to -25°"
-    assert view_text(replace(SMALL, up=(0.0, 1.0, 0.0))) == "view +3° to -25°, up (0.0, 1.0, 0.0)"
 
 
 @pytest.mark.parametrize("height", [0.3, 0.6, 0.9, 1.5])

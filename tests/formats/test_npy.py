@@ -1,5 +1,4 @@
 # SPDX-License-Identifier: MIT
-import io
 import pickle
 
 import numpy as np
@@ -23,13 +22,6 @@ def test_round_trip_and_the_bytes_of_numpy(tmp_path_factory, array):
     back = read_array(path, array.dtype, (None,) * array.ndim)
     np.testing.assert_array_equal(back, array)
     assert back.flags.writeable
-
-
-def test_arrays_of_other_memory_order(tmp_path):
-    array = np.arange(24, dtype=np.float32).reshape(2, 3, 4)
-    np.save(tmp_path / "f.npy", np.asfortranarray(array))
-    np.testing.assert_array_equal(read_array(tmp_path / "f.npy", "f4", (2, 3, 4)), array)
-    np.testing.assert_array_equal(np.load(io.BytesIO(encode_array(array.T))), array.T)
 
 
 @pytest.mark.parametrize(

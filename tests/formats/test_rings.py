@@ -8,7 +8,6 @@ import pytest
 from scans import SMALL
 
 from salsanext_cli import Scan, read_scan
-from salsanext_cli.errors import FormatError
 from salsanext_cli.formats.columns import MAX_RING, ring_of, rows_as_rings, scan_of
 
 POINTS = np.arange(24, dtype=np.float32).reshape(8, 3) + 1
@@ -65,11 +64,3 @@ def test_points_chosen_keep_their_rings(tmp_path):
         Scan(POINTS, scan.intensity, RINGS[:-1])
     with pytest.raises(ValueError, match="ring"):
         Scan(POINTS, scan.intensity, RINGS.astype(np.int64))
-
-
-def test_points_without_columns_take_no_room(tmp_path):
-    path = tmp_path / "a.pcd"
-    size = f"WIDTH {10**12}\nHEIGHT 200\nPOINTS {2 * 10**14}"
-    path.write_text(f"FIELDS n\nSIZE 4\nTYPE F\nCOUNT 0\n{size}\nDATA binary\n")
-    with pytest.raises(FormatError, match="also x, y, z"):
-        read_scan(path)

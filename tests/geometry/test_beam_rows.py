@@ -4,8 +4,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 from scans import SMALL, make_scan
 from slow_geometry import DEVICES, slow_project
 
@@ -44,19 +42,6 @@ def test_rows_are_those_of_the_nearest_beam(height):
     scan = make_scan(2000)
     np.testing.assert_array_equal(rows_of(scan, seen), slow_rows(scan, seen))
     assert rows_of(scan, SMALL) is None
-
-
-@given(st.integers(2, 256), st.integers(1, 300))
-def test_beams_are_spread_over_the_rows(count, height):
-    beams = tuple(np.linspace(30, -30, count).round(3).tolist())
-    seen = replace(SMALL, beams=beams, height=height)
-    rows = rows_of(of_beams(beams, 1), seen)
-    assert rows.dtype == np.int32
-    steps = np.diff(rows)
-    assert rows[0] >= 0
-    assert rows[-1] < height
-    assert steps.min() >= height // count
-    assert steps.max() <= -(-height // count)
 
 
 def test_rings_tell_beams_in_any_order_of_their_numbers():

@@ -5,10 +5,8 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays
-from scans import SMALL, make_scan
 
 from salsanext_cli.geometry.gather import pixels_from_points, points_from_pixels
-from salsanext_cli.geometry.projection import project
 
 DTYPES = st.sampled_from([np.float32, np.float16, np.uint8])
 
@@ -38,14 +36,3 @@ def test_pixels_from_points_equals_a_loop(data, dtype, count):
     pairs = pixels_from_points(np.stack([values, values], axis=1), indices, (9, 8))
     np.testing.assert_array_equal(pairs[..., 0], found)
     assert (pairs[indices < 0] == (9, 8)).all()
-
-
-def test_there_and_back_gives_points_the_nearest_points_value():
-    scan = make_scan(4000)
-    image = project(scan, SMALL)
-    pixels = pixels_from_points(scan.intensity, image.point_of_pixel, np.nan)
-    np.testing.assert_array_equal(np.nan_to_num(pixels), image.channels[4])
-    points = points_from_pixels(pixels, image.pixel_of_point, np.nan)
-    nearest = image.point_of_pixel[image.point_of_pixel >= 0]
-    np.testing.assert_array_equal(points[nearest], scan.intensity[nearest])
-    assert np.isnan(points_from_pixels(pixels, np.int32([-1]), np.nan)).all()

@@ -12,7 +12,6 @@ from scans import SMALL, make_scan
 from salsanext_cli import Scan, project, sensor
 from salsanext_cli.formats import SCAN_SUFFIXES, read_scan
 from salsanext_cli.geometry.intensity import (
-    NO_INTENSITY,
     dependence,
     intensity_quantiles,
     match_intensity,
@@ -58,21 +57,6 @@ def test_quantiles_are_the_mean_of_those_of_the_images():
     assert intensity_quantiles([*images, empty]) == intensity_quantiles(images)
 
 
-def test_a_few_odd_scans_do_not_change_them():
-    same = [bright(seed=seed)[0] for seed in range(4)]
-    expected = intensity_quantiles(same)
-    no, ranges, tiny = (same[0].copy() for _ in range(3))
-    no[4] = 0
-    ranges[4] = ranges[0]
-    tiny[:, :, 3:] = 0
-    assert intensity_quantiles([no, *same, ranges, tiny]) == expected
-    assert intensity_quantiles([no, ranges]) == NO_INTENSITY
-    assert intensity_quantiles([tiny, no]) == intensity_quantiles([tiny]) != NO_INTENSITY
-    others = [bright(seed=seed, scale=255)[0] for seed in range(4)]
-    assert intensity_quantiles([*others[1:], *same]) == expected
-    assert intensity_quantiles([*others, *same]) in (expected, intensity_quantiles(others))
-
-
 @given(st.lists(st.tuples(st.integers(0, 5), st.integers(0, 50)), min_size=2, max_size=30))
 def test_dependence_equals_the_slow_way(pairs):
     values, on = zip(*pairs, strict=True)
@@ -84,17 +68,6 @@ def test_dependence_equals_the_slow_way(pairs):
     steps = sum(abs(b - a) for a, b in pairwise(ordered))
     slow = 1 - len(on) * steps / (2 * sum(n * (len(on) - n) for n in from_on))
     assert dependence(np.array([up_to, from_on]), np.array(on)) == pytest.approx(slow)
-
-
-def test_dependence_equals_that_of_scipy():
-    stats = pytest.importorskip("scipy.stats")
-    random = np.random.default_rng(0)
-    on = random.random(500)
-    for values in (random.random(500), np.sin(9 * on), np.round(9 * on), random.random(500) + on):
-        ordered = np.sort(values)
-        ends = [np.searchsorted(ordered, values, side) for side in ("right", "left")]
-        expected = stats.chatterjeexi(on, values, y_continuous=False).statistic
-        assert dependence(np.array([ends[0], 500 - ends[1]]), on) == pytest.approx(expected)
 
 
 STREET = make_scan(4000)
@@ -127,14 +100,6 @@ IDS = np.random.default_rng(1).permutation(64)
 )
 def test_what_is_no_intensity(intensity, reason):
     assert re.search(reason, without_intensity(STREET.points, np.asarray(intensity, np.float32)))
-
-
-def test_points_without_a_measurement_do_not_count():
-    nowhere = np.concatenate([np.zeros((4000, 3)), np.full((4000, 3), np.nan)]).astype(np.float32)
-    nothing = np.full(8000, np.nan, np.float32)
-    points = np.concatenate([STREET.points, nowhere])
-    assert without_intensity(points, np.concatenate([STREET.intensity, nothing])) == ""
-    assert without_intensity(nowhere, nothing) == without_intensity(nowhere[:0], nothing[:0]) == ""
 
 
 @pytest.mark.real
@@ -199,17 +164,3 @@ def test_the_scale_does_not_matter(scale):
     occupied = matched[0][0] > 0
     found = np.quantile(matched[1][4][occupied], np.linspace(0, 1, INTENSITY_LEVELS))
     np.testing.assert_allclose(found, TARGET, atol=2e-3)
-
-
-@pytest.mark.parametrize("source", [NO_INTENSITY, TARGET, tuple(np.linspace(0, 1, 65))])
-@pytest.mark.parametrize("values", [np.zeros(4000), np.ones(4000), RANGES])
-def test_no_intensity_becomes_the_mean(source, values):
-    image = image_of(values)
-    matched = match_intensity(image, source, TARGET)
-    np.testing.assert_allclose(matched[4][image[0] > 0], np.mean(TARGET), rtol=1e-6)
-    assert (matched[4][image[0] <= 0] == 0).all()
-
-
-def test_what_has_the_scale_already_stays():
-    image, _ = bright()
-    assert match_intensity(image, TARGET, TARGET) is image

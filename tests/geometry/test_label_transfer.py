@@ -2,7 +2,6 @@
 """Transfer of labels by coordinates, compared with a loop over all pairs."""
 
 import numpy as np
-import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -85,12 +84,6 @@ def test_a_cloud_in_another_order_cut_and_moved_a_little_gives_its_labels_back(s
     assert not len(found.unmatched)
 
 
-def test_equal_coordinates_count_before_near_ones():
-    points = np.float32([[0, 0, 0], [0, 0, 0.0005], [0, 0, 0.0008]])
-    found = transfer_labels(points, points[:2], np.uint32([7, 8]))
-    assert as_listed(found) == [7, 8, "several"]
-
-
 def slow_merge(points, clouds, unlabelled):
     """Return the label of each point by a loop over all places of all clouds."""
 
@@ -155,23 +148,6 @@ def test_the_neighbour_of_a_point_in_another_cloud_is_not_its_copy():
     parts = [transfer_labels(points, points[[i, i + 2]], np.uint32([7 + i] * 2)) for i in range(2)]
     assert as_listed(parts[0]) == [7, 7, 7, None]
     assert as_listed(merged_transfers(parts, 0)) == [7, 8, 7, 8]
-
-
-def test_a_rounded_cloud_counts_beside_one_that_is_not():
-    points = np.float32([[0.0004, 0, 0], [1.0004, 0, 0], [2.0004, 0, 0]])
-    base = transfer_labels(points, points, np.uint32([0, 48, 10 | 3 << 16]))
-    cars = transfer_labels(points, points.round(3), np.uint32([10, 10, 10]))
-    assert as_listed(merged_transfers([base, cars], 0)) == [10, "several", 10 | 3 << 16]
-    assert as_listed(merged_transfers([cars, base], 0)) == [10, "several", 10 | 3 << 16]
-
-
-@pytest.mark.parametrize(("count", "others"), [(0, 0), (0, 2), (2, 0)])
-def test_nothing_matches_nothing(count, others):
-    found = transfer_labels(
-        np.ones((count, 3), np.float32), np.zeros((others, 3), np.float32), np.ones(others, "u4")
-    )
-    assert found.missing.tolist() == [True] * count
-    assert found.unmatched.tolist() == [np.inf] * others
 
 
 def test_points_at_one_place_take_no_more_time_than_others():

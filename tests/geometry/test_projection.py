@@ -101,17 +101,6 @@ def test_takes_views_and_read_only_arrays(rings):
     assert_same(image, fields_of(project(rings, WIDE)))
 
 
-def test_arctangent():
-    random = np.random.default_rng(3)
-    pairs = random.normal(size=(20000, 2)) * 10.0 ** random.integers(-30, 30, (20000, 2))
-    special = [0.0, -0.0, 1.0, -1.0, math.tan(math.pi / 8), 1e-300]
-    pairs = [*map(tuple, pairs), *((y, x) for y in special for x in special)]
-    ours = np.array([arctan2(y, x) for y, x in pairs])
-    exact = np.array([math.atan2(y, x) for y, x in pairs])
-    np.testing.assert_allclose(ours, exact, rtol=1e-11, atol=0)
-    assert (np.signbit(ours) == np.signbit(exact)).all()
-
-
 def test_both_arctangents_are_the_same_bits():
     """A last bit of float32 moves one point in a hundred thousand to the next pixel."""
     y, x = np.random.default_rng(5).normal(size=(2, 20_000))

@@ -42,11 +42,6 @@ def test_gaps_are_those_of_each_column(share):
     assert row_gaps(images) == round(gaps / (gaps + occupied), 4)
 
 
-def test_images_without_points_have_no_share():
-    assert row_gaps([]) is None
-    assert row_gaps([np.zeros((5, 4, 4), np.float32)]) is None
-
-
 @pytest.mark.parametrize("height", [1, 2, 24])
 @pytest.mark.parametrize("share", [0.0, 0.1, 0.4, 1.0])
 def test_empty_pixels_take_the_next_point_below(height, share):

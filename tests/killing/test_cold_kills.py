@@ -8,7 +8,9 @@ import signal
 import subprocess
 import sys
 import time
+from collections.abc import Callable
 from contextlib import chdir
+from functools import cache
 from pathlib import Path
 
 import pytest
@@ -97,8 +99,9 @@ class Trial:
 
 
 @pytest.fixture(scope="module")
-def trials(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Trial]:
-    return {name: Trial(name, tmp_path_factory.mktemp(name)) for name in COMMANDS}
+def trials(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str], Trial]:
+    """Return a function that gives the trial of a command, each made once."""
+    return cache(lambda name: Trial(name, tmp_path_factory.mktemp(name)))
 
 
 def require_ended(process: subprocess.Popen[str], number: signal.Signals) -> None:
@@ -146,44 +149,38 @@ SIGNALS = pytest.mark.parametrize(
 
 @pytest.mark.parametrize(
     ("name", "number"),
-    [
-        ("predict", signal.SIGKILL),
-        ("export-ply", signal.SIGTERM),
-        ("eval", signal.SIGKILL),
-        ("knn-refine", signal.SIGKILL),
-        ("tune", signal.SIGTERM),
-    ],
+    [("export-ply", signal.SIGTERM), ("knn-refine", signal.SIGKILL)],
 )
 def test_a_signal_at_some_step(
-    tmp_path: Path, trials: dict[str, Trial], name: str, number: signal.Signals
+    tmp_path: Path, trials: Callable[[str], Trial], name: str, number: signal.Signals
 ) -> None:
-    step = random.Random(f"{name} {number}").randint(1, trials[name].steps)
-    disturb(trials[name], tmp_path / "trial", number, step)
+    step = random.Random(f"{name} {number}").randint(1, trials(name).steps)
+    disturb(trials(name), tmp_path / "trial", number, step)
 
 
 @pytest.mark.slow
 @SIGNALS
 @pytest.mark.parametrize("name", COMMANDS)
 def test_a_signal_at_many_steps(
-    tmp_path: Path, trials: dict[str, Trial], name: str, number: signal.Signals
+    tmp_path: Path, trials: Callable[[str], Trial], name: str, number: signal.Signals
 ) -> None:
-    for step in range(1, trials[name].steps + 1, max(1, trials[name].steps // 12)):
-        disturb(trials[name], tmp_path / f"{step}", number, step)
-
-
-def test_two_runs_at_once(tmp_path: Path, trials: dict[str, Trial]) -> None:
-    folder = tmp_path / "trial"
-    for process in [trials["predict"].begun(folder) for _ in range(2)]:
-        said, _ = process.communicate(timeout=120)
-        assert process.returncode == 0, said
-    require_alike(trials["predict"].expected, folder / OUT)
-    require_tidy(folder / OUT)
+    for step in range(1, trials(name).steps + 1, max(1, trials(name).steps // 12)):
+        disturb(trials(name), tmp_path / f"{step}", number, step)
 
 
 @pytest.fixture(scope="module")
 def long(tmp_path_factory: pytest.TempPathFactory) -> Trial:
     """Return a run that lasts a while after its first result."""
     return Trial("predict", tmp_path_factory.mktemp("long"), scans=60)
+
+
+def test_two_runs_at_once(tmp_path: Path, long: Trial) -> None:
+    folder = tmp_path / "trial"
+    for process in [long.begun(folder) for _ in range(2)]:
+        said, _ = process.communicate(timeout=120)
+        assert process.returncode == 0, said
+    require_alike(long.expected, folder / OUT)
+    require_tidy(folder / OUT)
 
 
 def when_working(folder: Path) -> None:
@@ -194,7 +191,9 @@ def when_working(folder: Path) -> None:
         time.sleep(0.02)
 
 
-@SIGNALS
+@pytest.mark.parametrize(
+    "number", [pytest.param(signal.SIGKILL, marks=pytest.mark.slow), signal.SIGTERM]
+)
 def test_workers_end_with_their_run(tmp_path: Path, long: Trial, number: signal.Signals) -> None:
     process = long.begun(tmp_path / "trial", "--jobs 2")
     when_working(tmp_path / "trial")

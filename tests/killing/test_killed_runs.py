@@ -169,11 +169,9 @@ def kills_of(folder: Path, *jobs: str) -> list[int]:
 
 def test_a_few_kills(tmp_path: Path) -> None:
     """In one process, since importing torch takes most of the time."""
-    jobs = ("overwriting:20", "training:40", "streets:3")
-    overwriting, training, streets = kills_of(tmp_path, *jobs)
-    assert overwriting >= 2
-    assert streets >= 10
-    assert training >= 1
+    overwriting, streets = kills_of(tmp_path, "overwriting:30", "streets:6")
+    assert overwriting >= 1
+    assert streets >= 5
 
 
 @pytest.mark.slow

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from sklearn.metrics import brier_score_loss, log_loss
 
-from salsanext_cli.measures.calibration import adaptive_error, calibration_scores, reliability
+from salsanext_cli.measures.calibration import calibration_scores, reliability
 from salsanext_cli.measures.histograms import (
     SMALLEST_PROBABILITY,
     Histogram,
@@ -83,25 +83,6 @@ def test_errors_are_those_of_a_slow_loop(seed, scale):
     hits = probabilities.argmax(axis=1) == truth
     assert result.accuracy == hits.mean()
     assert result.confidence == pytest.approx(probabilities.max(axis=1).astype(float).mean())
-
-
-def test_diagram_by_hand():
-    """A confidence at the border of two bins belongs to the lower one."""
-    probabilities = np.array([[0.75, 0.25], [0.75, 0.25], [0.75, 0.25], [1, 0]], np.float16)
-    diagram = reliability(of(probabilities, np.array([0, 0, 1, 1])).total().counts[:, 0], 4)
-    assert diagram.points.tolist() == [0, 0, 3, 1]
-    np.testing.assert_array_equal(diagram.confidence, [np.nan, np.nan, 0.75, 1])
-    np.testing.assert_array_equal(diagram.accuracy, [np.nan, np.nan, 2 / 3, 0])
-    assert diagram.error == pytest.approx((3 * abs(2 / 3 - 0.75) + 1) / 4)
-
-
-def test_bins_of_equal_mass_divide_ties_in_proportion():
-    """Of points of one confidence, each bin holds the same shares of right and wrong ones."""
-    probabilities = np.tile(np.array([0.5, 0.25, 0.25, 0], np.float16), (7, 1))
-    truth = np.array([0, 0, 1, 1, 1, 1, 1])
-    counts = of(probabilities, truth).total().counts[:, 0]
-    for bins in (1, 2, 15):
-        assert adaptive_error(counts, bins) == pytest.approx(0.5 - 2 / 7)
 
 
 def test_a_probability_of_0_costs_as_much_as_the_smallest_float16():

@@ -37,11 +37,6 @@ def test_only_points_of_ignored_truth_are_left_out():
     assert counted.tolist() == [[0, 0, 0], [1, 1, 0], [0, 0, 0]]
 
 
-def test_images_count_like_points_whatever_their_dtypes():
-    truth, predicted = np.full((2, 3), 254, np.uint64), np.full((2, 3), 253, np.uint8)
-    assert Confusion(255).update(truth, predicted).matrix[254, 253] == 6
-
-
 @pytest.mark.parametrize(
     ("truth", "predicted", "message"),
     [

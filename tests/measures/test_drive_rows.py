@@ -42,19 +42,6 @@ def test_most_uncertain_most_wrong_and_worst_class_are_chosen():
     assert found == worth_looking_at(rows, SPACE)
 
 
-def test_a_name_of_a_class_is_text():
-    rows = [row("1", [[0, 0, 0], [0, 1, 4], [0, 0, 9]])]
-    found = worth_looking_at(rows, small_space("unlabeled", "{car}", "road"))
-    assert found["00/1"].endswith("worst class: 4 points of {car} wrong")
-
-
-def test_one_scan_may_be_chosen_for_several_reasons():
-    both = row("1", [[0, 0, 0], [0, 0, 5], [0, 0, 0]], error=0.9, entropy=0.1)
-    found = worth_looking_at([both, row("2", error=0.1, entropy=0.8)], SPACE)
-    assert found["00/1"].count(",") == 2
-    assert found["00/2"] == "at random"
-
-
 def test_without_labels_and_uncertainty_any_scan_is_chosen():
     found = worth_looking_at([row(str(i)) for i in range(50)], SPACE)
     assert [*found.values()] == ["at random"]

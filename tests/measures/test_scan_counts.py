@@ -14,11 +14,6 @@ def test_a_ring_begins_where_the_previous_one_ends(distance, ring):
     assert ring_of_point(np.array([[0, -distance, 0]], np.float32)) == ring
 
 
-@pytest.mark.parametrize("point", [(0, 0, 0), (np.nan, 1, 1), (1, np.inf, 1)], ids=str)
-def test_points_without_a_measurement_are_in_no_ring(point):
-    assert ring_of_point(np.array([point, (6, 8, 1)], np.float32)).tolist() == [-1, 1]
-
-
 @pytest.mark.parametrize(
     ("right", "wrong", "said"), [(300, 9800, "3.0%"), (2100, 8000, ""), (1, 900, "")]
 )

@@ -31,12 +31,6 @@ def test_the_largest_classes_are_those_counted_slowly(scans):
     assert list(found.values()) == largest
 
 
-def test_scans_of_pixels_have_no_classes():
-    summary = RunSummary(SMALL)
-    summary.add(ScanSummary(FILE))
-    assert summary.largest_classes() == {}
-
-
 def test_what_is_found_is_said_at_once_and_listed_with_all_its_scans(caplog):
     summary, tilted = RunSummary(SMALL), Finding("tilted", "the ground is tilted", "turn it")
     for number in range(3):

@@ -9,7 +9,7 @@ from evaluated import small_space
 from hypothesis import given
 from hypothesis import strategies as st
 
-from salsanext_cli import LabelSpace, label_space, read_labels
+from salsanext_cli import label_space, read_labels
 from salsanext_cli.measures.confusion import Confusion
 from salsanext_cli.measures.scores import scores
 
@@ -88,16 +88,6 @@ def test_no_points_give_no_scores():
     assert math.isnan(result.iou_mean_frequent)
     assert result.iou_mean_official == 0
     assert result.accuracy_official == 0
-
-
-def test_ignored_classes_are_those_of_the_label_space():
-    data = SPACE.to_dict() | {"learning_ignore": {0: True, 3: True}}
-    space = LabelSpace.from_dict(data)
-    confusion = Confusion(4).update(np.array([1, 3, 1]), np.array([1, 1, 3]))
-    result = scores(confusion, space)
-    assert [c.name for c in result.classes] == ["car", "on: road"]
-    assert result.classes[0].iou == 0.5
-    assert result.points == 2
 
 
 def test_the_official_text_is_sorted_yaml_with_every_digit():

@@ -18,8 +18,6 @@ from salsanext_cli.network.dropout import drawn, dropouts, sampling
 from salsanext_cli.network.registry import ARCHITECTURES, build
 from salsanext_cli.training.learner import Learner
 from salsanext_cli.training.recipe import Recipe
-from salsanext_cli.uncertainty.adf import Gaussian, propagate
-from salsanext_cli.uncertainty.aleatoric import aleatoric
 from salsanext_cli.uncertainty.dropout_propagation import propagate_dropout
 
 NAMES = list(ARCHITECTURES)
@@ -73,17 +71,6 @@ def test_odd_sizes(name):
     assert logits.std() > 0
 
 
-@pytest.mark.parametrize("name", NAMES)
-def test_sizes_are_padded_to_what_the_network_divides(name):
-    rows, columns = network(name).module.stride
-    v1, ranges = name.startswith("salsanext-v1"), name == "rangenet53"
-    assert (rows, columns) == ((32, 32) if v1 else (1, 32) if ranges else (16, 16))
-    padded = network(name).module.pad(noise(1, 5, 9, 37))
-    assert padded.shape == (1, 5, -(-9 // rows) * rows, -(-37 // columns) * columns)
-    assert torch.equal(padded[..., :9, 37:], padded[..., :9, : padded.shape[3] - 37])
-    assert not padded[..., 9:, :].any()
-
-
 @pytest.mark.parametrize("name", DIFFERENT)
 @torch.inference_mode()
 def test_nothing_drops_in_the_trunk_and_something_right_after_it(name):
@@ -128,30 +115,6 @@ def test_dropout_in_one_pass(name, image):
     assert found.uncertainty.epistemic.max() > 0
     hardly = propagate_dropout(with_dropout(network(name), 1e-12), image)
     np.testing.assert_allclose(hardly.probabilities, network(name).probabilities(image), atol=1e-4)
-
-
-@pytest.mark.parametrize("name", DIFFERENT)
-@torch.inference_mode()
-def test_a_certain_input_gives_the_deterministic_output(name):
-    module, image = network(name).module, noise(1, 5, 16, 32)
-    logits = propagate(module, Gaussian(image, torch.zeros_like(image)))
-    torch.testing.assert_close(logits.mean, module(image), rtol=1e-4, atol=1e-4)
-    assert not logits.variance.any()
-
-
-@pytest.mark.parametrize("name", DIFFERENT)
-def test_noise_of_the_input_is_noise_of_the_output(name, image):
-    variance = aleatoric(network(name), image)
-    assert np.isfinite(variance).all()
-    assert variance.min() >= 0
-    assert variance.mean() > 0
-
-
-@pytest.mark.parametrize(("name", "twin"), TWINS.items())
-def test_twins(name, twin):
-    one, other = (network(n).module.state_dict() for n in (name, twin))
-    assert one.keys() == other.keys()
-    assert all(torch.equal(one[key], other[key]) for key in one)
 
 
 @pytest.mark.parametrize(

@@ -6,7 +6,7 @@ from contextlib import suppress
 import pytest
 
 from salsanext_cli.errors import WeightsError
-from salsanext_cli.network.card import WeightsCard, read_card
+from salsanext_cli.network.card import read_card
 from salsanext_cli.network.onnx_metadata import MAX_FIELDS, OPSET, onnx_metadata
 
 onnx = pytest.importorskip("onnx")
@@ -81,13 +81,6 @@ def test_without_our_card(tmp_path):
     for metadata, found in (({}, "lacks"), ({"salsanext": "[1"}, "damaged metadata")):
         with pytest.raises(WeightsError, match=found):
             read_card(write(tmp_path / "m.onnx", metadata))
-
-
-def test_the_card_is_that_of_the_weights(tmp_path, weights):
-    card = read_card(weights)
-    found = read_card(write(tmp_path / "m.onnx", card.to_metadata()))
-    assert isinstance(found, WeightsCard)
-    assert found.to_metadata() == card.to_metadata()
 
 
 @pytest.mark.parametrize("opset", [1, 16, 4000])

@@ -33,16 +33,6 @@ def test_names_and_shapes_are_those_of_the_published_checkpoint(golden):
     assert published == ours
 
 
-def test_the_output_depends_on_every_channel(network):
-    image = noise(1, 5, 16, 32)
-    with torch.inference_mode():
-        before = network(image)
-        for channel in range(5):
-            changed = image.clone()
-            changed[:, channel] += 1
-            assert not torch.allclose(network(changed), before), channel
-
-
 @pytest.mark.parametrize("training", [False, True])
 def test_the_first_version_repeats_the_last_row_and_column(training):
     """The published up block: convolution, repetition, LeakyReLU, batch norm, in this order."""

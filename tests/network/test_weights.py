@@ -12,7 +12,7 @@ from salsanext_cli.classes.label_space import label_space
 from salsanext_cli.errors import WeightsError
 from salsanext_cli.network.card import KEY, WeightsCard, read_card
 from salsanext_cli.network.salsanext import SalsaNext
-from salsanext_cli.network.weights import load_tensors, read_weights, save_weights, save_with_card
+from salsanext_cli.network.weights import read_weights, save_weights, save_with_card
 
 SPACE = label_space()
 CARD = WeightsCard(
@@ -204,11 +204,3 @@ def test_a_missing_file_and_a_folder_are_refused(tmp_path):
         read_weights(tmp_path / "none.safetensors")
     with pytest.raises(WeightsError, match=r"a folder · .* · name the file in it"):
         read_weights(tmp_path)
-
-
-def test_loading_tensors_casts_to_float32():
-    module = SalsaNext(2)
-    tensors = {name: t.double() for name, t in lively(SalsaNext(2)).state_dict().items()}
-    load_tensors(module, tensors, "here")
-    assert module.logits.weight.dtype == torch.float32
-    assert module.context[0].local[2].num_batches_tracked.dtype == torch.int64

@@ -86,11 +86,6 @@ def test_results_can_be_handed_on_as_they_come(tmp_path, options):
     assert (outcome.done, len(outcome.failures)) == (3, 1)
 
 
-def test_no_scans_at_all(tmp_path):
-    outcome = run(Write(tmp_path), [], jobs=2)
-    assert (outcome.done, outcome.skipped, outcome.failures) == (0, 0, ())
-
-
 @pytest.mark.parametrize(
     "options",
     [

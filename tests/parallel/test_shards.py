@@ -47,11 +47,6 @@ def test_all_shards_have_every_scan_once_whatever_the_order(names, count, draw):
     assert max(sizes) - min(sizes) <= 1
 
 
-def test_one_shard_is_all_in_the_order_given():
-    scans = scans_of({("00", n) for n in range(5)})[::-1]
-    assert Shard().of(scans) == scans
-
-
 def test_shards_leave_what_one_run_leaves(world):
     network = replace(world.network, engine="openvino")
 
@@ -124,9 +119,3 @@ def test_chunks_hold_every_scan_in_order_and_are_alike_within_a_sequence(lengths
         assert 1 <= len(chunk) <= MAX_CHUNK_SCANS
     for one, other in pairwise(found):
         assert one[0].sequence != other[0].sequence or abs(len(one) - len(other)) <= 1
-
-
-def test_many_scans_make_large_chunks():
-    assert {len(chunk) for chunk in chunks(scans_of(("00", n) for n in range(1600)), 4)} == {
-        MAX_CHUNK_SCANS
-    }

@@ -119,7 +119,3 @@ def test_who_stops_at_a_failure_finds_nothing_written_after_it(failing):
     attempts.close()
     assert of("write", work.done) == ["0"]
     assert not [thread for thread in threading.enumerate() if "salsanext-files" in thread.name]
-
-
-def test_no_scans():
-    assert list(overlapping(Work().begin, [])) == []

@@ -8,12 +8,11 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from salsanext_cli.errors import FormatError, OutputError, UsageError
+from salsanext_cli.errors import FormatError, OutputError
 from salsanext_cli.report.animation import (
     LARGEST_PX,
     encode_gif,
     encode_mp4,
-    find_ffmpeg,
     frames,
 )
 
@@ -53,13 +52,6 @@ def test_a_gif_shows_every_picture_in_turn_for_ever(picture):
             assert gif.convert("RGB").getpixel((40, 75)) == colour
 
 
-def test_more_colours_than_a_palette_has(picture):
-    many = np.stack(np.meshgrid(*[np.arange(0, 256, 32)] * 3), axis=-1).reshape(-1, 3)
-    content = encode_gif([picture(RED)], 4.0, np.concatenate([KEPT, many.astype(np.uint8)]))
-    with Image.open(io.BytesIO(content)) as gif:
-        assert gif.convert("RGB").getpixel((40, 75)) == RED
-
-
 def test_what_is_no_picture_is_named(picture, tmp_path):
     broken = picture(RED)
     broken.write_bytes(broken.read_bytes()[:500])
@@ -68,12 +60,6 @@ def test_what_is_no_picture_is_named(picture, tmp_path):
     for path in (broken, text, tmp_path / "absent.png"):
         with pytest.raises(FormatError, match=r"png · no picture, or cut off"):
             encode_gif([picture(RED), path], 4.0, KEPT)
-
-
-def test_without_ffmpeg_there_is_no_mp4(monkeypatch):
-    monkeypatch.setenv("PATH", "")
-    with pytest.raises(UsageError, match="--mp4 · no ffmpeg found"):
-        find_ffmpeg()
 
 
 @pytest.fixture

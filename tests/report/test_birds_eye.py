@@ -41,10 +41,3 @@ def test_a_higher_point_hides_a_lower_one(spread):
 def test_points_outside_the_view_are_left_out(point):
     assert (seen([point], [RED]) == EMPTY).all()
     assert (seen(np.zeros((0, 3)), np.zeros((0, 3))) == EMPTY).all()
-
-
-def test_large_points_are_cut_at_the_edge_not_wrapped():
-    picture = seen([(-9.9, -9.9, 0), (10.4, 10.4, 0)], [RED, GREEN], spread=3)
-    red, green = (np.argwhere((picture == c).all(axis=-1)) for c in (RED, GREEN))
-    assert red.tolist() == [[19, 19]]
-    assert green.tolist() == [[0, 0], [0, 1], [1, 0], [1, 1]]

@@ -18,7 +18,6 @@ from salsanext_cli.report.colours import (
     colour_difference,
     error_colours,
     lab_difference,
-    lab_of,
     legend_of,
     map_colours,
     on_dark,
@@ -81,11 +80,6 @@ def test_a_scale_leaves_outliers_out():
     assert 0.98 < high < 1
 
 
-@pytest.mark.parametrize("values", [[], [np.nan], [np.inf, -np.inf]], ids=str)
-def test_a_scale_of_nothing(values):
-    assert value_range(np.array(values)) == (0, 1)
-
-
 def test_a_legend_names_what_occurs_once():
     legend = legend_of(SPACE, np.array([ROAD, CAR]), np.array([[CAR]]))
     car, road = (tuple(screen_colours(SPACE)[i].tolist()) for i in (CAR, ROAD))
@@ -128,28 +122,6 @@ def test_differences_are_those_published(line):
     first, second = np.array(values[:3]), np.array(values[3:])
     assert lab_difference(first, second) == pytest.approx(expected, abs=5e-5)
     assert lab_difference(second, first) == pytest.approx(expected, abs=5e-5)
-
-
-@pytest.mark.parametrize(
-    ("rgb", "lab"),
-    [
-        ((255, 255, 255), (100, 0, 0)),
-        ((0, 0, 0), (0, 0, 0)),
-        ((255, 0, 0), (53.24, 80.09, 67.20)),
-        ((0, 255, 0), (87.73, -86.18, 83.18)),
-        ((0, 0, 255), (32.30, 79.19, -107.86)),
-        ((119, 119, 119), (50.03, 0, 0)),
-    ],
-    ids=str,
-)
-def test_lab_of_known_colours(rgb, lab):
-    np.testing.assert_allclose(lab_of(np.array(rgb)), lab, atol=0.01)
-
-
-def test_colours_are_broadcast():
-    colours = np.array([[0, 0, 0], [255, 255, 255]], np.uint8)
-    found = colour_difference(colours[:, None], colours[None])
-    np.testing.assert_allclose(found, [[0, 100], [100, 0]], atol=1e-3)
 
 
 def apart(colours):

@@ -102,12 +102,6 @@ def test_points_without_a_measurement_or_too_far_are_left_out():
     assert max(data["step"]) < 0.01
 
 
-def test_of_many_points_evenly_spaced_ones_are_shown():
-    data = encoded(shown(make_scan(1000)), most=300)
-    assert (data["points"], data["shown"]) == (1000, 250)
-    assert of_pixel(data).sum() == 250
-
-
 @pytest.mark.parametrize(("count", "size"), [(255, 1), (256, 2), (70_000, 4)])
 def test_many_points_of_one_pixel_are_counted(count, size):
     points = np.tile(np.array([[5, 0, 0]], np.float32), (count, 1))

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: MIT
 import csv
 import io
-from dataclasses import asdict, replace
+from dataclasses import asdict
 from pathlib import Path
 
 import matplotlib.image
@@ -64,20 +64,6 @@ def test_reasons(strategy, words):
     assert reason(first, 1, strategy, 1, None) == "the only scan"
 
 
-def test_reasons_of_what_nothing_speaks_for():
-    equal = Choice(8, 0.2, 2, 0.0, 3)
-    assert reason(equal, 2, "both", 9, "00/3") == "equal to 00/3; no other is left"
-    passed = Choice(8, 0.2, 2, 1.0, 3)
-    assert reason(passed, 2, "uncertainty", 9, "00/3") == "number 2 of 9 by uncertainty"
-
-
-def test_rows_are_named_and_ranked():
-    assert [each.rank for each in PICKED] == [1, 2, 3]
-    assert [each.name for each in PICKED] == ["$0$/[2]", "$0$/[0]", "$0$/[1]"]
-    assert [each.nearest for each in PICKED] == [None, "$0$/[2]", "$0$/[0]"]
-    assert [each.distance for each in PICKED] == [None, 1.25, 0.0]
-
-
 def test_the_table_shows_names_as_they_are():
     out = io.StringIO()
     Console(file=out, width=120).print(picked_table(PICKED))
@@ -100,19 +86,6 @@ def preview(seed=0, sensor=SMALL):
     labels = np.random.default_rng(seed).integers(0, 20, len(scan)).astype(np.uint8)
     values = np.random.default_rng(seed).random(image.point_of_pixel.shape, np.float32)
     return image, labels, values, Preview.of(ScanLabels(scan, image, labels, values))
-
-
-def test_a_preview_holds_every_so_many_columns():
-    image, labels, values, small = preview()
-    for v, u in zip(*np.nonzero(image.point_of_pixel >= 0), strict=True):
-        assert small.classes[v, u] == labels[image.point_of_pixel[v, u]]
-        assert small.uncertainty[v, u] == values[v, u]
-    empty = image.point_of_pixel < 0
-    assert (small.classes[empty] == NO_CLASS).all()
-    assert np.isnan(small.uncertainty[empty]).all()
-    image, *_, wide = preview(sensor=replace(SMALL, width=2050))
-    assert wide.classes.shape == wide.uncertainty.shape == (16, 684)
-    assert ((wide.classes == NO_CLASS) == (image.point_of_pixel[:, ::3] < 0)).all()
 
 
 def test_the_sheet_shows_both_pictures_of_every_scan():

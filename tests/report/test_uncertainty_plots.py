@@ -7,15 +7,11 @@ import pytest
 from evaluated import SPACE, calibration_result, ranking_result
 from matplotlib.image import imread
 
-from salsanext_cli.measures.scan_counts import EVALUATED_KINDS
 from salsanext_cli.report import canvas
-from salsanext_cli.report.colours import screen_colours
 from salsanext_cli.report.uncertainty_plots import (
     BLUE,
-    HEIGHT,
     HEIGHT_ABOVE,
     LEFT,
-    LINES,
     PLOT_PX,
     SKY,
     TOP,
@@ -62,22 +58,6 @@ def test_the_risk_of_useless_uncertainty_is_flat(draw):
     assert min(heights) > 0.9
 
 
-def test_the_dots_are_where_the_classes_are():
-    car, road = SPACE.names.index("car"), SPACE.names.index("road")
-    truth = np.repeat([car, road], [10, 1000])
-    result = ranking_result(np.where(truth == car, 0.2, 0.1), truth < 0, truth)
-    picture = pixels(class_uncertainty(result, SPACE))
-    places = {}
-    for i in (car, road):
-        rows, columns = np.nonzero((picture == screen_colours(SPACE)[i]).all(axis=-1))
-        places[i] = (rows.mean(), columns.mean())
-    assert places[car][0] < places[road][0]
-    assert places[car][1] < places[road][1]
-    bottom = TOP + HEIGHT
-    heights = [bottom - places[i][0] for i in (car, road)]
-    assert heights[0] / heights[1] == pytest.approx(2, abs=0.03)
-
-
 @pytest.mark.parametrize("count", [0, 2])
 def test_pictures_are_of_one_size_with_wrong_points_or_without(count):
     result = ranking_result([0.1] * count, np.zeros(count, bool))
@@ -88,11 +68,6 @@ def test_pictures_are_of_one_size_with_wrong_points_or_without(count):
         reliability_diagram(calibration_result([])),
     ):
         assert pixels(picture).shape[1::-1] == PLOT_PX
-
-
-def test_every_kind_has_a_line_of_its_own():
-    assert set(LINES) == set(EVALUATED_KINDS)
-    assert len(set(LINES.values())) == len(EVALUATED_KINDS)
 
 
 def drawn_names(x, y, names):

@@ -11,22 +11,16 @@ from scans import files_below
 
 from salsanext_cli.errors import LabelError, NoInputError, OutputError
 from salsanext_cli.parallel.run import RunOptions
-from salsanext_cli.report import plots
 from salsanext_cli.results.layout import find_scans
 from salsanext_cli.results.written_files import WrittenFiles
 from salsanext_cli.stages.evaluate import evaluate
+
+pytestmark = pytest.mark.usefixtures("undrawn")
 
 
 @pytest.fixture
 def world(tmp_path):
     return World(tmp_path)
-
-
-@pytest.fixture(autouse=True)
-def quick_to_draw(monkeypatch):
-    """Draw nothing: pictures take a second each, and have their own tests."""
-    for name in ("iou_bars", "confusion_picture"):
-        monkeypatch.setattr(plots, name, lambda *_: b"picture")
 
 
 def iou(evaluation, name):
@@ -68,12 +62,6 @@ def test_unknown_ids_are_counted_as_unlabelled(world, caplog):
     assert "labels: unknown ids 77 (2×)" in caplog.text
     report = json.loads((world.out / "eval.json").read_text())
     assert report["unknown_ids"] == {"truth": {"77": 2}, "predictions": {"77": 1, "65535": 1}}
-
-
-def test_of_many_unknown_ids_the_first_are_named(world, caplog):
-    world.add("000000", [CAR] * 5000, [*range(1000, 1400), *[CAR] * 4600])
-    world.evaluate()
-    assert "predictions: unknown ids 1000 (1×), 1001 (1×), 1002 (1×) and 397 more" in caplog.text
 
 
 @pytest.mark.parametrize("wrong", ["truth", "predicted"])
@@ -205,13 +193,6 @@ def test_files_are_complete_and_replace_earlier_ones(world):
     assert report["by_distance"]["0–10 m"]["points"] == 2
     assert np.sum(report["confusion"]) == 2
     assert report["classes"] == list(SPACE.names)
-
-
-def test_the_result_of_other_settings_is_replaced(world):
-    world.add("000000", [CAR], [CAR])
-    world.evaluate(by_distance=True)
-    world.evaluate()
-    assert not json.loads((world.out / "eval.json").read_text())["by_distance"]
 
 
 @pytest.mark.parametrize(

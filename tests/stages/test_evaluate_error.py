@@ -15,6 +15,8 @@ from salsanext_cli.measures.calibration import reliability
 from salsanext_cli.measures.histograms import error_histogram
 from salsanext_cli.report.tables import uncertainty_tables
 
+pytestmark = pytest.mark.usefixtures("undrawn")
+
 
 @pytest.fixture
 def world(tmp_path):

@@ -175,7 +175,7 @@ def test_errors_are_right_wrong_or_not_counted(predicted):
     assert (found[20:][labelled] == RIGHT).all()
 
 
-@pytest.mark.parametrize("colour", ["intensity", "range", *KINDS])
+@pytest.mark.parametrize("colour", ["range", "entropy"])
 def test_values_take_a_uniform_map_whose_range_is_written_down(sampled, colour):
     export(sampled, colour=colour)
     values = column(sampled, colour).astype(np.float64)
@@ -231,14 +231,6 @@ def test_a_kind_that_was_not_estimated_is_refused(sampled):
     )
     with pytest.raises(UsageError, match="without aleatoric · expected total"):
         export(sampled, colour="total", options=OVERWRITE)
-
-
-def test_a_sensor_that_sees_as_that_of_the_weights_is_as_noisy(world):
-    predict_scans(world.data, world.out, network=replace(world.network, sensor=SMALL))
-    assert export(world, colour="uncertainty", selection=ScanSelection(limit=1)).done == 1
-    recorded = json.loads((world.out / "uncertainty.json").read_text())["settings"]
-    assert recorded["noise"] == [0.02, 0.02]
-    assert "range_noise" not in recorded["sensor"]
 
 
 def test_a_sensor_of_unknown_noise_has_no_total(world, caplog):
@@ -390,9 +382,3 @@ def test_an_empty_scan_is_exported(world):
     for colour in ("label", "wrong", "range"):
         assert export(world, colour=colour, options=OVERWRITE).done == 1
         assert len(ply(world)["vertex"].data) == 0
-
-
-def test_names_in_comments_are_ascii(predicted):
-    space = replace(SPACE, name="Straße")
-    export(predicted, space=space)
-    assert "label space Stra\\xdfe" in ply(predicted).comments

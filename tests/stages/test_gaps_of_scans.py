@@ -50,14 +50,6 @@ def test_the_network_sees_no_gaps(knowing):
         np.testing.assert_array_equal(np.frombuffer(content, "<u4"), space.to_raw(labels))
 
 
-def test_weights_that_do_not_know_their_gaps_see_the_scans_as_they_are(knowing, tmp_path):
-    run(knowing)
-    unknown = write_weights(tmp_path / "unknown.safetensors")
-    run(replace(knowing, network=replace(knowing.network, weights=unknown)), tmp_path / "other")
-    assert labels_below(tmp_path / "other") != labels_below(knowing.out)
-    assert "row_gaps" not in stage_settings(tmp_path / "other", "predict")["sensor"]
-
-
 def test_step_by_step_in_shards_and_by_workers_the_bytes_are_the_same(knowing, tmp_path):
     from salsanext_cli.parallel.shards import Shard
 

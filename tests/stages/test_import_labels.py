@@ -221,12 +221,6 @@ def test_points_without_a_label_get_the_raw_id_that_stands_for_them(world):
     np.testing.assert_array_equal(world.labels(), [0] * 600 + [255] * 900)
 
 
-def test_points_without_a_value_are_unlabelled(world):
-    world.write(labels=np.where(np.arange(1500) < 1000, np.nan, 10))
-    assert world.run().scans[0]["unlabelled"] == 1000
-    assert world.labels().sum() == 500 * 10
-
-
 def test_unknown_ids_of_all_files_are_one_error(world):
     world.write(labels=np.where(np.arange(1500) < 7, 2, 10))
     world.write("000011.ply", np.where(np.arange(1500) < 3, 2, 3), 1)

@@ -11,7 +11,6 @@ from salsanext_cli.errors import NoInputError, OutputError, UsageError
 from salsanext_cli.geometry.gather import pixels_from_points
 from salsanext_cli.parallel.run import RunOptions
 from salsanext_cli.results.point_files import write_labels
-from salsanext_cli.results.selection import ScanSelection
 from salsanext_cli.stages.knn_refine import knn_refine_scans
 from salsanext_cli.stages.predict import predict_range_images, predict_scans
 from salsanext_cli.stages.project import project_scans
@@ -120,12 +119,6 @@ def test_pixel_labels_of_other_weights_are_not_passed_over(pixels, tmp_path):
         knn_refine_scans(pixels.out)
     assert knn_refine_scans(pixels.out, options=overwrite).done == 3
     assert labels_below(pixels.out) != before
-
-
-def test_only_chosen_scans_with_pixel_labels_are_refined(pixels):
-    pixels.result("pixel_labels", "08", "000000").unlink()
-    assert knn_refine_scans(pixels.out, selection=ScanSelection(split="valid")).done == 1
-    assert list(labels_below(pixels.out)) == ["sequences/08/predictions/000001.label"]
 
 
 def test_no_pixel_labels_at_all(world):

@@ -241,14 +241,6 @@ def test_what_is_cut_off_leaves_no_guess_unrecorded_and_is_finished_later(drive,
     assert files_below(drive.out) == whole
 
 
-def test_results_of_others_in_the_folder_stay(drive):
-    run(drive)
-    prediction = drive.out / "sequences/08/predictions/000000.label"
-    write_labels(prediction, np.zeros(3, np.uint32))
-    run(drive, count=1, overwrite=True)
-    assert prediction.exists()
-
-
 def test_a_folder_that_holds_something_else(drive):
     drive.out.mkdir()
     (drive.out / "mine").touch()
@@ -309,24 +301,12 @@ def test_all_of_too_few(drive, caplog):
     assert [each.reason for each in alone.picked] == ["the only scan"]
 
 
-def test_limits_are_evenly_spaced(drive):
-    found = run(drive, count=9, selection=ScanSelection(limit=3))
-    assert sorted(each.scan for each in found.picked) == ["000000", "000020", "000050"]
-
-
 def test_poses_that_cannot_be_told_are_left_out(drive, caplog):
     (drive.data / "sequences/08/poses.txt").write_text("1 0 0\n2 0 0\n")
     run(drive)
     assert not (drive.out / "sequences/08/poses.txt").exists()
     assert (drive.out / "sequences/08/calib.txt").exists()
     assert "poses.txt · 2 lines" in caplog.text
-
-
-def test_a_plain_folder_has_no_poses(drive, tmp_path):
-    shutil.copytree(drive.data / "sequences/08/velodyne", tmp_path / "plain/cut")
-    (tmp_path / "plain/poses.txt").write_text("0\n" * 6)
-    run(drive, tmp_path / "plain/cut")
-    assert not (drive.out / "sequences/cut/poses.txt").exists()
 
 
 def test_the_classes_are_described_as_the_data_set_does_where_it_may(drive):

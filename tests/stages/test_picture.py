@@ -8,7 +8,7 @@ from matplotlib.image import imread
 from PIL import Image
 from scans import files_below, write_array
 
-from salsanext_cli import label_space, write_labels
+from salsanext_cli import label_space
 from salsanext_cli.errors import NoInputError, OutputError, UsageError
 from salsanext_cli.geometry.knn import KnnParameters
 from salsanext_cli.parallel.run import RunOptions
@@ -23,7 +23,7 @@ from salsanext_cli.stages.project import project_scans
 OVERWRITE = RunOptions(overwrite=True)
 ONE, TWO = ScanSelection(sequences=("00",)), ScanSelection(sequences=("08",))
 SPACE = label_space()
-CAR, ROAD, BUILDING = 10, 40, 50
+CAR, ROAD = 10, 40
 
 
 @pytest.fixture(autouse=True)
@@ -205,14 +205,6 @@ def test_a_broken_scan_is_left_out_of_the_animation(labelled):
     assert [failure.scan.stem for failure in outcome.failures] == ["000001"]
     with Image.open(labelled.out / "sequences/08/pictures.gif") as gif:
         assert gif.n_frames == 1
-
-
-def test_merged_classes(labelled):
-    write_labels(labelled.result("predictions", "00"), np.full(1500, BUILDING, np.uint32))
-    draw(labelled, classes=label_space("coarse"), colours=["label", "wrong"], selection=ONE)
-    colours = screen_colours(label_space("coarse"))
-    structure = label_space("coarse").names.index("structure")
-    assert has(drawn(labelled), colours[structure])
 
 
 @pytest.mark.parametrize(

@@ -148,6 +148,7 @@ def test_points_without_a_measurement_change_nothing_for_the_others(world):
     assert not world.labels("08")[:5].any()
 
 
+@pytest.mark.slow
 def test_two_million_points(world):
     write_bin(world.scan(), make_scan(2_000_000))
     assert run(world, world.scan()).done == 1

@@ -12,11 +12,10 @@ from scans import SMALL, labels_below, write_weights
 
 from salsanext_cli import LabelSpace, knn_refine, label_space, project, read_labels, read_scan
 from salsanext_cli.classes.merging import ClassMerging
-from salsanext_cli.errors import LabelError, OutputError, UsageError
+from salsanext_cli.errors import OutputError, UsageError
 from salsanext_cli.fitting.recorded_network import network_of_labels
 from salsanext_cli.measures.confusion import Confusion
 from salsanext_cli.measures.histograms import softmax_errors
-from salsanext_cli.network.card import read_card
 from salsanext_cli.parallel.run import RunOptions
 from salsanext_cli.results.point_files import write_labels
 from salsanext_cli.results.predictions import predicted_scans
@@ -27,7 +26,6 @@ from salsanext_cli.stages.knn_refine import knn_refine_scans
 from salsanext_cli.stages.picture import picture
 from salsanext_cli.stages.predict import predict_range_images, predict_scans
 from salsanext_cli.stages.project import project_scans
-from salsanext_cli.stages.submit import submit
 from salsanext_cli.stages.uncertainty import uncertainty
 from salsanext_cli.uncertainty.settings import Estimator
 
@@ -243,19 +241,3 @@ def test_clouds_have_the_colours_of_merged_classes(world):
     wrong = merged != COARSE.to_train(truth_of(world, "00"))
     counts = COARSE.scored[COARSE.to_train(truth_of(world, "00"))]
     np.testing.assert_array_equal(vertex["scalar_wrong"][counts], wrong[counts])
-
-
-def test_merged_classes_are_no_submission(coarse, tmp_path):
-    predict(coarse)
-    for space in (None, FULL):
-        with pytest.raises(LabelError, match=r"merged classes of coarse .* without --classes"):
-            submit(coarse.out, tmp_path / "a.zip", space=space)
-    assert not (tmp_path / "a.zip").exists()
-
-
-def test_adapted_weights_keep_their_own_classes(coarse):
-    adapting = replace(coarse.network, adapt=True)
-    predict_scans(coarse.data, coarse.out, network=adapting, selection=ONE)
-    (made,) = coarse.out.glob("adapted-*.safetensors")
-    assert read_card(made).space.fits(FULL)
-    assert {*np.unique(coarse.labels("00"))} <= {0, *COARSE.learning_map_inv.values()}

@@ -26,6 +26,7 @@ from salsanext_cli.geometry.row_gaps import row_gaps
 from salsanext_cli.network.card import WeightsCard, read_card
 from salsanext_cli.network.registry import ARCHITECTURES
 from salsanext_cli.network.weights import save_weights
+from salsanext_cli.results.written_files import WrittenFiles
 from salsanext_cli.stages.train import train
 from salsanext_cli.training import fit
 from salsanext_cli.training.checkpoint import TrainingState
@@ -140,15 +141,13 @@ def test_an_interrupted_training_ends_with_the_weights_of_an_uninterrupted_one(
 
 
 @pytest.mark.parametrize(
-    "changes",
+    ("stop", "changes"),
     [
-        {},
-        {"optimiser": "sgd", "schedule": "decay", "average": 0.0},
-        {"accumulate": 2, "clip_gradient": 0.5, "precision": "float16", "whole_epochs": 1},
-        {"precision": "bfloat16", "samples_per_epoch": 8, "mix": 0.5, "paste": 0.5},
+        (4, {"optimiser": "sgd", "schedule": "decay", "average": 0.0}),
+        (1, {"accumulate": 2, "clip_gradient": 0.5, "precision": "float16", "whole_epochs": 1}),
+        (4, {"precision": "bfloat16", "samples_per_epoch": 8, "mix": 0.5, "paste": 0.5}),
     ],
 )
-@pytest.mark.parametrize("stop", [1, 4])
 def test_from_a_checkpoint_within_an_epoch_it_goes_on_at_the_next_step(
     dataset, tmp_path, monkeypatch, stop, changes
 ):
@@ -252,19 +251,19 @@ def test_the_recipe_of_a_run_resumes_it_unless_it_was_edited(dataset, tmp_path):
     assert (run / "recipe.toml").read_text("utf-8") == text
 
 
-@pytest.mark.parametrize(
-    "name", ["best.safetensors", "checkpoint.safetensors", "log.csv", "recipe.toml"]
-)
-@pytest.mark.parametrize("overwrite", [False, True])
-def test_files_that_no_training_wrote_are_not_replaced(name, overwrite, dataset, tmp_path):
-    new, run = tmp_path / "new", tmp_path / "run"
-    stop_at(dataset, run, 3)
-    for theirs in (new / name, run / name):
-        theirs.parent.mkdir(exist_ok=True)
-        theirs.write_text("mine")
-        with pytest.raises(OutputError, match=f"{name} · not written by salsanext, or changed"):
-            go(dataset, theirs.parent, progress=no_step, overwrite=overwrite)
-        assert theirs.read_text() == "mine"
+def test_files_that_no_training_wrote_are_not_replaced(dataset, tmp_path):
+    stop_at(dataset, tmp_path / "run", 3)
+    for name in ("best.safetensors", "checkpoint.safetensors", "log.csv", "recipe.toml"):
+        for theirs in (tmp_path / f"new {name}" / name, tmp_path / "run" / name):
+            theirs.parent.mkdir(exist_ok=True)
+            before = theirs.read_bytes() if theirs.exists() else None
+            theirs.write_text("mine")
+            for overwrite in (False, True):
+                with pytest.raises(OutputError, match=f"{name} · not written by salsanext, or"):
+                    go(dataset, theirs.parent, progress=no_step, overwrite=overwrite)
+                assert theirs.read_text() == "mine"
+            if before is not None:
+                WrittenFiles(theirs.parent).write(theirs, before)
 
 
 def test_overwrite_follows_no_link_and_keeps_pictures_of_others(dataset, tmp_path, caplog):
@@ -461,12 +460,6 @@ def test_a_training_on_two_data_sets_can_be_interrupted(dataset, further, tmp_pa
     parts = go(dataset, tmp_path / "parts", **given, jobs=2)
     require_same(whole, parts)
     assert not same(whole.last, go(dataset, tmp_path / "alone", recipe=OTHERWISE).last)
-
-
-def test_another_further_data_set_is_another_training(dataset, further, tmp_path):
-    go(dataset, tmp_path / "run")
-    with pytest.raises(OutputError, match="also"):
-        go(dataset, tmp_path / "run", also=[further])
 
 
 def test_points_of_further_data_sets_count_as_often_as_they_are_drawn(dataset, further, tmp_path):

@@ -19,7 +19,7 @@ from scans import SMALL, write_sequence
 from tiny_network import TinyNetwork
 
 from salsanext_cli import label_space, read_labels, read_scan, write_labels
-from salsanext_cli.errors import NOTICE, LabelError, NoInputError, OutputError, TrainingError
+from salsanext_cli.errors import NOTICE, LabelError, NoInputError, OutputError
 from salsanext_cli.files.identity import fingerprint
 from salsanext_cli.files.json_files import write_json
 from salsanext_cli.labelling.label_records import digest_of_file, first_guesses
@@ -330,13 +330,6 @@ def test_a_sensor_of_ones_own_keeps_the_intensity_of_the_weights(
     assert read_card(result.best).sensor.intensity_quantiles == known.intensity_quantiles
 
 
-def test_labels_that_are_all_ignored_are_refused(data: Path, tmp_path: Path) -> None:
-    for file in data.glob("sequences/*/labels/*.label"):
-        write_labels(file, np.zeros(600, np.uint32))
-    with pytest.raises(TrainingError, match="none of 1,800 points in 3 scans"):
-        go(data, tmp_path / "run")
-
-
 def test_the_checkpoint_of_a_first_fold_is_kept(
     data: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -353,18 +346,6 @@ def test_the_checkpoint_of_a_first_fold_is_kept(
     with pytest.raises(OutputError, match="learning_rate"):
         go(data, run, FEW.with_changes(learning_rate=1e-3))
     assert (run / "folds/1/checkpoint.safetensors").read_bytes() == before
-
-
-def test_a_folder_of_another_recipe_is_kept(data: Path, tmp_path: Path) -> None:
-    run = tmp_path / "run"
-    go(data, run)
-    before = (run / "best.safetensors").read_bytes()
-    other = FEW.with_changes(learning_rate=1e-3)
-    with pytest.raises(OutputError, match="learning_rate"):
-        go(data, run, other)
-    assert (run / "best.safetensors").read_bytes() == before
-    go(data, run, other, overwrite=True)
-    assert (run / "best.safetensors").read_bytes() != before
 
 
 @pytest.fixture

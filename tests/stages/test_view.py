@@ -192,8 +192,7 @@ def test_scans_that_cannot_be_read_and_scans_moved_away_are_told(world, caplog):
     )
 
 
-@pytest.mark.parametrize("ending", [signal.SIGINT, signal.SIGTERM])
-@pytest.mark.parametrize("damaged", [False, True])
+@pytest.mark.parametrize(("ending", "damaged"), [(signal.SIGINT, False), (signal.SIGTERM, True)])
 def test_it_ends_when_it_is_told_to(world, ending, damaged):
     if damaged:
         (world.dataset / "sequences/08/velodyne/000000.bin").write_bytes(b"damaged")

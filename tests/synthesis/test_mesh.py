@@ -9,8 +9,6 @@ from salsanext_cli.synthesis.mesh import (
     Skin,
     box,
     disc,
-    ellipsoid,
-    facets,
     merge,
     quads,
     tube,
@@ -37,12 +35,6 @@ def test_a_box_has_its_volume_and_its_surface():
     assert area(mesh) == pytest.approx(2 * (2 + 3 + 6))
 
 
-def test_a_tube_keeps_its_radius():
-    mesh = tube([[0, 0, 0], [0, 0, 1], [0, 0, 2]], [0.1, 0.2, 0.3], STEEL, sides=9)
-    radius = np.hypot(mesh.vertices[:, 0], mesh.vertices[:, 1])
-    np.testing.assert_allclose(radius, 0.1 + 0.1 * mesh.vertices[:, 2], atol=1e-12)
-
-
 @pytest.mark.parametrize("direction", [(1, 0, 0), (0, 1, 0), (0, 0, 1), (1, -2, 0.5)])
 def test_a_tube_may_point_anywhere(direction):
     end = np.array(direction, float)
@@ -52,28 +44,12 @@ def test_a_tube_may_point_anywhere(direction):
     np.testing.assert_allclose(across, 0.2, atol=1e-9)
 
 
-def test_an_ellipsoid_without_lumps_is_one():
-    mesh = ellipsoid((1, 2, 3), (0.5, 1, 2), STEEL)
-    unit = (mesh.vertices - [1, 2, 3]) / [0.5, 1, 2]
-    np.testing.assert_allclose(np.linalg.norm(unit, axis=1), 1, atol=1e-12)
-
-
 def test_discs_and_quads_are_flat_polygons():
     mesh = disc((0, 0, 1), 2.0, STEEL, sides=12)
     assert area(mesh) == pytest.approx(0.5 * 12 * 4 * np.sin(2 * np.pi / 12))
     assert np.ptp(mesh.vertices[:, 1]) == 0
     square = np.array([[[0, 0, 0], [2, 0, 0], [2, 3, 0], [0, 3, 0]]], float)
     assert area(quads(np.concatenate([square, square + 5]), STEEL)) == pytest.approx(12)
-
-
-def test_facets_stay_near_their_centres():
-    rng = np.random.default_rng(0)
-    centres = rng.normal(0, 5, (200, 3))
-    mesh = facets(centres, np.full(200, 0.1), STEEL, rng)
-    assert len(mesh) == 200
-    corners = mesh.vertices[mesh.triangles]
-    assert np.abs(corners - centres[:, None]).max() <= 0.1
-    assert np.ptp(mesh.shades) > 0
 
 
 def test_merging_keeps_every_triangle_and_its_skin():
@@ -91,10 +67,3 @@ def test_moving_turns_first_and_shifts_then():
     mesh = box((0, 0, 0), (2, 1, 1), STEEL).moved((10, 0, 0), np.pi / 2)
     np.testing.assert_allclose(mesh.vertices.min(0), [9, 0, 0], atol=1e-12)
     np.testing.assert_allclose(mesh.vertices.max(0), [10, 2, 1], atol=1e-12)
-
-
-def test_leaning_and_scaling_keep_the_triangles():
-    mesh = box((0, 0, 0), (1, 1, 1), STEEL)
-    assert signed_volume(mesh.leaned(0.4)) == pytest.approx(1)
-    assert signed_volume(mesh.scaled((2, 3, 4))) == pytest.approx(24)
-    assert set(mesh.relabelled(99).labels) == {99}

@@ -36,13 +36,6 @@ def test_strips_lie_in_order_from_the_kerb_outwards(plan):
                 assert (plan.label(s, np.full_like(s, t)) == label).all()
 
 
-def test_the_carriageway_is_road_or_paint(plan):
-    s, t = np.meshgrid(np.arange(0, 160, 0.5), np.linspace(-0.99, 0.99, 41) * plan.half)
-    labels = plan.label(s, t)
-    assert set(np.unique(labels)) <= {surfaces.ROAD, surfaces.MARKING}
-    assert (labels == surfaces.ROAD).mean() > 0.6
-
-
 def test_side_streets_are_road_and_level_with_it(plan):
     for crossing in plan.crossings:
         for side in plan.sides:
@@ -88,11 +81,6 @@ def test_t_is_a_distance_in_the_world(plan):
     np.testing.assert_allclose(np.hypot(*(far - near)[:, :2].T), 5, atol=1e-9)
     step = plan.world(s + 0.5, 0.0) - plan.world(s, 0.0)
     np.testing.assert_allclose(np.hypot(step[:, 0], step[:, 1]), 0.5, atol=5e-3)
-
-
-def test_bends_do_not_fold_the_ground_over(plan):
-    turn = np.abs(np.diff(plan.heading)) / np.diff(plan.knots)
-    assert turn.max() * REACH_M < 1
 
 
 def test_the_ground_has_no_holes_and_the_plans_labels():

@@ -9,12 +9,11 @@ from scipy.spatial import Delaunay
 
 from salsanext_cli.synthesis import surfaces
 from salsanext_cli.synthesis.presets import STYLES
-from salsanext_cli.synthesis.street import crowd, lots, roadside
+from salsanext_cli.synthesis.street import lots, roadside
 from salsanext_cli.synthesis.street.builder import Builder
 from salsanext_cli.synthesis.street.draw import draw_plan
 from salsanext_cli.synthesis.street.plan import LEFT, Crossing, Lot
 from salsanext_cli.synthesis.street.traffic import Mover, lanes
-from salsanext_cli.synthesis.surfaces import Material
 from salsanext_cli.synthesis.things import furniture
 
 VEHICLES = {
@@ -58,66 +57,6 @@ def test_no_vehicle_at_the_roadside_stands_in_the_sensors_path(seed):
     for side in builder.plan.sides:
         roadside.furnish(builder, side)
     assert in_the_way(builder) == 0
-
-
-def test_most_signs_face_the_traffic_on_their_side():
-    ahead = STREET.world([59, 61], 0.0)[:, :2]
-    along = np.diff(ahead, axis=0)[0]
-    for side in STREET.sides:
-        towards_traffic = along * side.sign
-        facing = []
-        for seed in range(16):
-            builder = Builder(np.random.default_rng(seed), replace(STREET, sides=(side,) * 2))
-            roadside.furnish(builder, side)
-            for part in builder.parts:
-                sign = part.labels == surfaces.SIGN
-                if sign.any():
-                    bright, back = (
-                        part.vertices[part.triangles[sign & (part.materials == material)]]
-                        for material in (Material.RETRO, Material.METAL)
-                    )
-                    facing.append((bright.mean((0, 1)) - back.mean((0, 1)))[:2] @ towards_traffic)
-        assert len(facing) > 15
-        assert np.mean(np.array(facing) > 0.005) > 0.45
-        assert np.mean(np.array(facing) < -0.005) < 0.4
-
-
-def test_vehicles_in_a_side_street_stand_one_behind_the_other():
-    crossing = Crossing(60.0, 3.0, 0.0, (LEFT,), False, 1.0)
-    plan = replace(STREET, crossings=(crossing,))
-    side, found = plan.sides[0], 0
-    origin, ahead = plan.world(60.0, plan.half), plan.world(60.0, plan.half + 1)
-    for seed in range(8):
-        builder = Builder(np.random.default_rng(seed), plan)
-        roadside.furnish(builder, side)
-        extents = []
-        for part in parts_of(builder, VEHICLES - {surfaces.MOTORCYCLE}):
-            out = (part.vertices - origin)[:, :2] @ (ahead - origin)[:2]
-            if out.mean() > 2.5:
-                extents.append((out.min(), out.max()))
-        extents = np.reshape(sorted(extents), (-1, 2))
-        assert (extents[1:, 0] > extents[:-1, 1]).all()
-        found += len(extents)
-    assert found > 10
-
-
-def test_bicycles_in_a_row_lean_off_the_road():
-    """Bicycles in a rack stand across the street, those of groups upright."""
-    plan = replace(STREET, style=replace(STREET.style, crowd=20.0))
-    side, found = plan.sides[0], 0
-    ahead, off = (plan.world(*place) - plan.world(60.0, 8.0) for place in ((61, 8), (60, 9)))
-    for seed in range(14):
-        builder = Builder(np.random.default_rng(seed), plan)
-        crowd.gather(builder, side)
-        for part in parts_of(builder, {surfaces.BICYCLE}):
-            along, across = (part.vertices[:, :2] @ axis[:2] for axis in (ahead, off))
-            if np.ptp(along) < 1.5 * np.ptp(across):
-                continue
-            low, high = np.percentile(part.vertices[:, 2], [15, 85])
-            wheels, saddle = part.vertices[:, 2] < low, part.vertices[:, 2] > high
-            assert across[saddle].mean() > across[wheels].mean() - 0.12
-            found += 1
-    assert found > 8
 
 
 def test_things_are_set_down_only_where_there_is_room():

@@ -10,18 +10,13 @@ from salsanext_cli.synthesis.street import lots
 from salsanext_cli.synthesis.street.builder import Builder
 from salsanext_cli.synthesis.street.draw import draw_plan
 from salsanext_cli.synthesis.street.plan import Lot
-from salsanext_cli.synthesis.surfaces import Material
 from salsanext_cli.synthesis.things import (
-    buildings,
     cycles,
-    fences,
     furniture,
-    hedges,
     others,
     people,
     riders,
     trucks,
-    vegetation,
     vehicles,
 )
 
@@ -72,54 +67,6 @@ def test_things_have_their_classes_and_sizes(name):
         size = np.ptp(mesh.vertices, axis=0)
         assert (size >= np.array(smallest) - 1e-9).all(), size
         assert (size <= largest).all(), size
-
-
-def test_vehicles_stand_on_their_wheels_and_let_light_through_below():
-    for seed in range(10):
-        mesh = vehicles.car(np.random.default_rng(seed))
-        assert mesh.vertices[:, 2].min() == pytest.approx(0, abs=0.02)
-        low = mesh.vertices[mesh.vertices[:, 2] < 0.15]
-        assert np.abs(low[:, 0]).min() > 0.4
-
-
-PLANTS = {
-    "tree": lambda rng: vegetation.tree(rng, 8.0),
-    "conifer": lambda rng: vegetation.conifer(rng, 6.0),
-    "bush": lambda rng: vegetation.bush(rng, 1.0),
-    "hedge": lambda rng: hedges.hedge(rng, 5.0, 1.5, 0.8),
-    "ivy": lambda rng: hedges.ivy(rng, 4.0, 3.0),
-    "thicket": lambda rng: vegetation.thicket(rng, 5.0, 3.0, 4.0),
-}
-
-
-@pytest.mark.parametrize("name", PLANTS)
-def test_plants_are_vegetation_on_trunks_and_ragged(name):
-    mesh = PLANTS[name](np.random.default_rng(1))
-    assert set(np.unique(mesh.labels).tolist()) <= {surfaces.VEGETATION, surfaces.TRUNK}
-    leaves = mesh.triangles[mesh.labels == surfaces.VEGETATION]
-    corners = mesh.vertices[leaves]
-    edge = np.linalg.norm(corners[:, 0] - corners[:, 1], axis=1)
-    assert len(leaves) > 100
-    assert np.median(edge) < 0.4
-
-
-@pytest.mark.parametrize("kind", [*sorted(set(fences.FENCES)), "barrier"])
-def test_fences_have_their_length(kind):
-    mesh = fences.fence(np.random.default_rng(0), 4.0, kind, 1.2, 1.0)
-    assert set(mesh.labels) == {surfaces.FENCE}
-    assert mesh.vertices[:, 0].min() >= 0
-    assert 4.0 <= mesh.vertices[:, 0].max() <= 4.25
-    assert mesh.vertices[:, 2].max() < 1.6
-
-
-def test_houses_have_glass_behind_the_wall():
-    mesh = buildings.house(np.random.default_rng(2), 12.0, 9.0, 3)
-    assert set(mesh.labels) == {surfaces.BUILDING}
-    glass = mesh.vertices[mesh.triangles[mesh.materials == Material.GLASS]].reshape(-1, 3)
-    front = glass[np.abs(glass[:, 1]) < 1]
-    assert len(front)
-    assert (front[:, 1] > 0.05).all()
-    assert np.abs(mesh.vertices[:, 0]).max() <= 6.2
 
 
 @pytest.mark.parametrize("kind", lots.KINDS)

@@ -39,11 +39,6 @@ def test_folds_of_one_sequence_are_neighbours_and_those_of_two_are_these() -> No
     assert folds(files, 3) == [files[:5], files[5:]]
 
 
-def test_sequences_go_to_the_shortest_fold() -> None:
-    sizes = [[file.sequence for file in fold] for fold in folds(scans(1, 5, 2, 2), 2)]
-    assert sizes == [["01"] * 5, ["00", "02", "02", "03", "03"]]
-
-
 def row(
     epoch: int, miou: float, accuracy: float = 0.5, temperature: float = 1.0
 ) -> dict[str, float]:

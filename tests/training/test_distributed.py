@@ -69,17 +69,6 @@ def test_two_workers_have_the_gradient_of_one_with_twice_the_batch(
 
 
 @gloo
-def test_the_cases_say_something(two: dict[str, Any]) -> None:
-    """The mean of two workers' own losses, the usual way, would be another loss."""
-    losses = []
-    for rank in range(2):
-        images, truth = (share(each, ProcessGroup(rank, 2)) for each in batch())
-        losses.append(learner(SINGLE_PROCESS).step(images, truth, 5, 1))
-    assert abs(sum(losses) / 2 - float(two["both losses"]["loss"])) > 1e-4
-    assert two["both losses"]["gradient of features.0.weight"].abs().max() > 1e-3
-
-
-@gloo
 def test_batch_norm_on_cpus_is_each_workers_own_and_validated_is_the_main_ones(
     two: dict[str, Any],
 ) -> None:

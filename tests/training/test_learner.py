@@ -54,11 +54,6 @@ def test_a_step_is_a_function_of_its_number_and_leaves_the_global_generator_alon
         assert torch.equal(one, other)
 
 
-def test_dropout_differs_from_step_to_step() -> None:
-    losses = [learner(dropout=0.5).step(*batch(), step, 10) for step in range(2)]
-    assert losses[0] != losses[1]
-
-
 @pytest.mark.parametrize("clip", [0.0, 1.0])
 @pytest.mark.parametrize("spoilt", ["image", "gradient"])
 def test_what_is_not_finite_changes_no_weight(clip: float, spoilt: str) -> None:
@@ -136,12 +131,6 @@ def test_lovasz_is_the_mean_of_the_parts() -> None:
     lovasz = [both(logits[p], truth[p]) - entropy(logits[p], truth[p]) for p in parts]
     expected = float(entropy(logits, truth) + (lovasz[0] + lovasz[1]) / 2)
     assert learning.step(images, truth, 0, 10) == pytest.approx(expected, rel=1e-6)
-
-
-def test_parts_are_one_step_for_average_and_optimiser() -> None:
-    learning = learner(accumulate=2, average=0.9, optimiser="adamw")
-    learning.step(*batch(), 0, 10)
-    assert {float(state["step"]) for state in learning.optimiser.state.values()} == {1.0}
 
 
 @pytest.mark.parametrize(

@@ -25,10 +25,6 @@ def test_shape_type_and_bounds(network, image):
     assert variance.mean(axis=0).std() > 0
 
 
-def test_a_perfect_sensor_leaves_no_doubt(network, image):
-    assert not aleatoric(with_noise(network, 0.0, 0.0), image).any()
-
-
 @pytest.mark.parametrize("noise", [(1e-3, 0.0), (0.0, 1e-3)])
 def test_small_noises_act_as_their_squares(network, image, noise):
     """To first order the variance of an output is proportional to that of the input."""

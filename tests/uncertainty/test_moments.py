@@ -12,7 +12,6 @@ from hypothesis import strategies as st
 from scipy.special import expit
 from scipy.stats import norm
 
-from salsanext_cli.uncertainty import moments
 from salsanext_cli.uncertainty.moments import MAX_DEVIATIONS, leaky_relu_moments, softmax_moments
 
 SAMPLES = 100_000
@@ -83,37 +82,6 @@ def test_float32_is_as_good_as_float64():
     torch.testing.assert_close(narrow[1].double(), wide[1], rtol=5e-5, atol=0)
 
 
-SHAPES = st.lists(st.integers(1, 4), min_size=4, max_size=4)
-
-
-@given(SHAPES, st.booleans(), st.booleans(), st.integers(0, 3))
-def test_leaky_relu_of_any_layout(shape, last, last_variance, cut):
-    """Strides of dimensions of size 1 mean nothing, a slice has gaps, an expansion overlaps."""
-    mean, variance = draw(*shape), draw(*shape, seed=1).square()
-    expected = leaky_relu_moments(mean.flatten(), variance.flatten(), 0.01)
-    layouts = (
-        torch.channels_last if flag else torch.contiguous_format for flag in (last, last_variance)
-    )
-    laid = [t.contiguous(memory_format=m) for t, m in zip((mean, variance), layouts, strict=True)]
-    for found, flat in zip(leaky_relu_moments(*laid, 0.01), expected, strict=True):
-        assert torch.equal(found, flat.view(shape))
-        assert found.stride() == laid[0].stride()
-    part, of_part = (t[..., cut:] for t in laid)
-    sliced = leaky_relu_moments(part, of_part, 0.01)
-    assert torch.equal(sliced[1], expected[1].view(shape)[..., cut:])
-    same = leaky_relu_moments(mean, variance[:1].expand_as(mean), 0.01)
-    assert torch.equal(same[1][0], expected[1].view(shape)[0])
-
-
-def test_the_size_of_a_step_changes_nothing(monkeypatch):
-    mean, variance = draw(2, 5, 8, 7), draw(2, 5, 8, 7, seed=1).square()
-    whole = *leaky_relu_moments(mean, variance, 0.01), *softmax_moments(mean, variance, 1)
-    monkeypatch.setattr(moments, "CHUNK_SIZE", 33)
-    parts = *leaky_relu_moments(mean, variance, 0.01), *softmax_moments(mean, variance, 1)
-    for one, other in zip(whole, parts, strict=True):
-        torch.testing.assert_close(one, other, rtol=1e-14, atol=0)
-
-
 # Softmax
 
 
@@ -175,28 +143,6 @@ def test_two_classes_against_quadrature(variance, worst, ahead):
     assert found.sqrt().tolist() == pytest.approx([math.sqrt(expected[1])] * 2, rel=worst)
 
 
-@pytest.mark.parametrize("variance", [0.01, 0.5, 1, 4])
-@pytest.mark.parametrize("ahead", [5, 10, 20, 30])
-def test_a_confident_class_keeps_its_digits_in_float32(variance, ahead):
-    logits, variances = [ahead, 0, -1], [variance] * 3
-    _, narrow = softmax(logits, variances, torch.float32)
-    _, wide = softmax(logits, variances)
-    np.testing.assert_allclose(narrow.sqrt(), wide.sqrt(), rtol=2e-6)
-
-
-@pytest.mark.parametrize("scale", [0.3, 3, 10])
-def test_a_small_variance_passes_through_the_derivatives(scale):
-    logits, variance = draw(10, 40) * scale, 1e-10 * draw(10, 40, seed=1).square()
-    p = torch.softmax(logits, dim=0)
-    jacobian = torch.diag_embed(p.T) - p.T[:, :, None] * p.T[:, None, :]
-    expected = (jacobian.square() @ variance.T[:, :, None])[..., 0].T
-    mean, found = softmax(logits, variance)
-    # The derivatives of a certain class cancel in the reference.
-    sure = p * (1 - p) > 1e-8
-    torch.testing.assert_close(found[sure], expected[sure], rtol=1e-6, atol=0)
-    torch.testing.assert_close(mean, p, rtol=1e-8, atol=1e-13)
-
-
 @pytest.mark.parametrize("scale", [1, 30])
 def test_softmax_knows_neither_order_nor_offset(scale):
     logits, variance = draw(20, 300) * scale, 3 * draw(20, 300, seed=1).square()
@@ -209,15 +155,6 @@ def test_softmax_knows_neither_order_nor_offset(scale):
     ):
         for one, other in zip(plain, changed, strict=True):
             torch.testing.assert_close(other[back], one, rtol=1e-10, atol=1e-300)
-
-
-@pytest.mark.parametrize("dim", [0, 1, 2, -3])
-def test_classes_lie_in_any_dimension(dim):
-    logits, variance = draw(4, 5, 6), draw(4, 5, 6, seed=1).square()
-    found = softmax_moments(logits, variance, dim)
-    columns = softmax(*(t.movedim(dim, 0).flatten(1) for t in (logits, variance)))
-    for one, other in zip(found, columns, strict=True):
-        torch.testing.assert_close(one.movedim(dim, 0).flatten(1), other, rtol=1e-13, atol=0)
 
 
 @pytest.fixture(scope="module")

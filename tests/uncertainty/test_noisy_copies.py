@@ -5,9 +5,7 @@ from dataclasses import replace
 from itertools import islice
 
 import numpy as np
-import pytest
 
-from salsanext_cli.errors import UsageError
 from salsanext_cli.geometry.normalise import input_variance, normalise
 from salsanext_cli.uncertainty.noisy_copies import COPIES, noise_variance, noisy_copies
 
@@ -40,12 +38,3 @@ def test_the_variance_is_that_of_the_plain_softmax_of_the_copies(network, image)
     np.testing.assert_allclose(found, softmax.var(axis=0, ddof=1), atol=1e-7)
     assert found.mean(axis=0).std() > 0
     assert not np.array_equal(found, noise_variance(hot, image, 6))
-
-
-def test_a_perfect_sensor_leaves_no_doubt(network, image):
-    assert noise_variance(with_noise(network, 0.0, 0.0), image, 0).max() < 1e-12
-
-
-def test_a_sensor_of_unknown_noise(network, image):
-    with pytest.raises(UsageError, match="its noise is not known"):
-        noise_variance(with_noise(network, None, 0.02), image, 0)

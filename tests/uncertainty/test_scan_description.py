@@ -35,21 +35,6 @@ def test_the_features_are_what_the_logits_are_made_of(network):
     np.testing.assert_allclose(logits, network.logits(image), atol=1e-4)
 
 
-def test_half_a_precision_changes_features_little(weights):
-    image = project(make_scan(), SMALL)
-    whole = pixel_features(load_network(weights, "cpu", engine="torch"), image)
-    half = load_network(weights, "cpu", engine="torch", precision="bfloat16")
-    found = pixel_features(half, image)
-    assert found.dtype == np.float32
-    assert 0 < np.abs(found - whole).mean() < 0.1 * whole.std()
-
-
-def test_sizes_that_the_network_does_not_divide(weights):
-    odd = replace(SMALL, height=9, width=37)
-    network = load_network(weights, "cpu", sensor=odd, engine="torch")
-    assert pixel_features(network, project(make_scan(), odd)).shape == (32, 9, 37)
-
-
 def test_means_are_over_the_pixels_that_hold_a_point(network, file):
     found = describe_scan(file, network, **PASSES)
     image = project(read_scan(file.path), SMALL)

@@ -1,6 +1,5 @@
 # SPDX-License-Identifier: MIT
 import struct
-import subprocess
 import sys
 from dataclasses import replace
 
@@ -223,10 +222,3 @@ def test_missing_system_library_is_named(tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, "open3d", None)
     with pytest.raises(MissingDependency, match="pip install open3d"):
         read_pcd(path)
-
-
-def test_importing_formats_is_cheap():
-    heavy = {"open3d", "plyfile", "numba", "torch", "matplotlib"}
-    code = f"import salsanext_cli.formats, sys; sys.exit(str({heavy} & {{*sys.modules}}))"
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
-    assert done.stderr == "set()\n"

@@ -57,25 +57,6 @@ def test_every_column_survives(tmp_path_factory, data):
     np.testing.assert_array_equal(scan.intensity, columns["intensity"])
 
 
-def test_open3d_opens_what_is_written(tmp_path):
-    open3d = pytest.importorskip("open3d")
-    rng = np.random.default_rng(0)
-    columns = {axis: rng.normal(size=5).astype(np.float32) for axis in "xyz"}
-    colours = {name: rng.integers(0, 256, 5, np.uint8) for name in ("red", "green", "blue")}
-    scalars = {kind: np.arange(5).astype(kind) for kind in SCALARS}
-    scalars["beyond"] = np.uint32([0, 1, 2, 3, 2**32 - 1])
-    write_ply(tmp_path / "s.ply", columns | colours | scalars)
-    cloud = open3d.t.io.read_point_cloud(str(tmp_path / "s.ply"))
-    np.testing.assert_array_equal(
-        cloud.point.positions.numpy(), np.column_stack(list(columns.values()))
-    )
-    np.testing.assert_array_equal(
-        cloud.point.colors.numpy(), np.column_stack(list(colours.values()))
-    )
-    for name, values in scalars.items():
-        np.testing.assert_array_equal(cloud.point[name].numpy()[:, 0], values)
-
-
 @pytest.mark.parametrize(
     "name",
     ["intensity", "Intensity", "scalar_intensity", "scalar_Intensity", "reflectance", "remission"],

@@ -2,7 +2,6 @@
 """Scans of ROS bags that rosbags' own writers wrote."""
 
 import sqlite3
-from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 import pytest
@@ -11,9 +10,8 @@ pytest.importorskip("rosbags")
 
 from bags import KINDS, START, STEP, TOPIC, cloud, messages, structured, text, write_bag
 
-from salsanext_cli import Sensor, read_scan
+from salsanext_cli import read_scan
 from salsanext_cli.errors import FormatError, MissingDependency, NoInputError, UsageError
-from salsanext_cli.formats.recordings import bags
 from salsanext_cli.results.layout import find_scans
 
 POINTS = [structured(seed=seed) for seed in range(5)]
@@ -53,33 +51,6 @@ def test_clouds_of_one_time_are_numbered_in_their_order(tmp_path, kind):
     assert [scan.stem for scan in scans] == stems
     for scan, points in zip(scans, POINTS, strict=True):
         require_equal(read_scan(scan.path), points)
-
-
-@pytest.mark.parametrize("kind", KINDS)
-def test_threads_read_from_one_bag(tmp_path, kind):
-    scans = find_scans(write_bag(tmp_path, kind, messages(POINTS)))
-    with ThreadPoolExecutor(4) as pool:
-        read = list(pool.map(read_scan, [scan.path for scan in scans * 10]))
-    for n, scan in enumerate(read):
-        require_equal(scan, POINTS[n % 5])
-
-
-@pytest.mark.parametrize("kind", KINDS)
-def test_listing_reads_no_cloud(tmp_path, kind, monkeypatch):
-    path = write_bag(tmp_path, kind, messages(POINTS))
-
-    def read(*_):
-        pytest.fail("a message was read")
-
-    monkeypatch.setattr(bags.Bag, "_messages", read)
-    from rosbags.rosbag1.reader import Reader
-    from rosbags.rosbag2.storage_mcap import McapReader
-    from rosbags.rosbag2.storage_sqlite3 import Sqlite3Reader
-
-    for reader in (Reader, McapReader, Sqlite3Reader):
-        monkeypatch.setattr(reader, "messages", read)
-    monkeypatch.setattr(McapReader, "messages_scan", read)
-    assert len(find_scans(path)) == 5
 
 
 def test_a_bag_that_is_replaced_is_opened_anew(tmp_path):
@@ -179,13 +150,3 @@ def test_a_version_that_is_too_old_is_named(tmp_path, monkeypatch):
     monkeypatch.setattr("salsanext_cli.files.optional_packages.version", lambda name: "0.9.23")
     with pytest.raises(MissingDependency, match=r"version 0\.9\.23 · expected 0\.11 or newer"):
         find_scans(path)
-
-
-def test_the_intensity_is_scaled_as_that_of_files(tmp_path):
-    points = structured()
-    points["intensity"] *= 255
-    (scan,) = find_scans(write_bag(tmp_path, ".bag", messages([points])))
-    scaled = Sensor("bytes", 3.0, -25.0, 16, 128, intensity_scale=255.0)
-    expected = points["intensity"] / np.float32(255)
-    np.testing.assert_array_equal(read_scan(scan.path, scaled).intensity, expected)
-    np.testing.assert_array_equal(read_scan(scan.path).intensity, points["intensity"])

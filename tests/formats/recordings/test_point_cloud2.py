@@ -11,7 +11,6 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from salsanext_cli.errors import FormatError
-from salsanext_cli.formats.columns import scan_of
 from salsanext_cli.formats.recordings.bags import TYPES, columns_of
 
 PATH = Path("drive.bag/points/1")
@@ -83,23 +82,11 @@ def message(**changed):
     return SimpleNamespace(**{**values, **changed})
 
 
-def test_points_without_a_measurement_are_kept():
-    data = np.array([[np.nan, 1, 2], [0, 0, 0]], "<f4")
-    scan = scan_of(columns_of(message(data=data.view(np.uint8).ravel()), PATH), PATH, 1.0)
-    np.testing.assert_array_equal(scan.points, data)
-    np.testing.assert_array_equal(scan.intensity, [0, 0])
-
-
 def test_a_single_row_may_have_any_length_and_a_field_of_several_values_is_passed_over():
     several = SimpleNamespace(name="normal", offset=0, datatype=7, count=3)
     old = SimpleNamespace(name="i", offset=0, datatype=2, count=0)
     columns = columns_of(message(row_step=0, fields=[several, old]), PATH)
     assert [*columns] == ["i"]
-
-
-def test_points_without_fields_take_no_room():
-    changed = {"height": 200, "width": 10**12, "point_step": 0, "row_step": 0, "fields": []}
-    assert columns_of(message(**changed), PATH) == {}
 
 
 @pytest.mark.parametrize(

@@ -1,6 +1,5 @@
 # SPDX-License-Identifier: MIT
 import math
-from collections import Counter
 
 import numpy as np
 import pytest
@@ -8,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scans import SMALL, make_scan
 
-from salsanext_cli import Scan, label_space, project
+from salsanext_cli import Scan, label_space
 from salsanext_cli.training.data.augment import (
     CLEAR_RADIUS_M,
     Checkerboard,
@@ -41,27 +40,9 @@ def augmented(seed: int = 0, **probabilities: float) -> LabelledScan:
     )
 
 
-def test_nothing_happens_with_probability_zero() -> None:
-    scan, labels = augmented()
-    np.testing.assert_array_equal(scan.points, labelled(0, count=500)[0].points)
-    np.testing.assert_array_equal(labels, labelled(0, count=500)[1])
-
-
 def test_rotation_is_counter_clockwise() -> None:
     turned = rotate(np.array([[1, 0, 3], [0, 2, -1]], np.float32), np.pi / 2)
     np.testing.assert_allclose(turned, [[0, 1, 3], [-2, 0, -1]], atol=1e-6)
-
-
-def test_rotation_angles_cover_the_whole_circle() -> None:
-    ahead = (
-        Scan(np.array([[1, 0, 0]], np.float32), np.zeros(1, np.float32)),
-        np.zeros(1, np.uint8),
-    )
-    always = NEVER.with_changes(rotate=1.0)
-    turned = [augment(ahead, always, np.random.default_rng(i))[0].points[0] for i in range(400)]
-    angles = np.arctan2(*np.transpose(turned)[[1, 0]])
-    counts, _ = np.histogram(angles, bins=8, range=(-np.pi, np.pi))
-    assert counts.min() > 25
 
 
 def test_shift_moves_all_points_alike_and_within_bounds() -> None:
@@ -180,28 +161,9 @@ def test_every_point_comes_from_the_scan_of_its_cell_and_keeps_its_label(seed: i
         np.testing.assert_array_equal(labels[here], truth[index])
 
 
-def test_boards_are_bands_sectors_and_boxes_as_often_as_each_other() -> None:
-    boards = [Checkerboard.drawn(SMALL, np.random.default_rng(seed)) for seed in range(900)]
-    kinds = Counter((board.bands > 1, board.sectors > 1) for board in boards)
-    assert set(kinds) == {(True, False), (False, True), (True, True)}
-    assert min(kinds.values()) > 250
-    assert {board.bands for board in boards} == {1, 2, 3, 4, 5, 6}
-    assert {board.sectors for board in boards} == {1, 2, 4, 6}
-    turned = np.histogram([board.azimuth for board in boards], 6, (-np.pi, np.pi))[0]
-    assert turned.min() > 100
-
-
 POINTLESS = np.float32(
     [[0, 0, 0], [np.nan, 1, 1], [1, np.inf, 0], [-np.inf, 1, 1], [3e38, 3e38, 3e38]]
 )
-
-
-@pytest.mark.parametrize(("bands", "sectors"), BOARDS)
-def test_mixed_points_without_a_measurement_stay_without(bands: int, sectors: int) -> None:
-    broken = (Scan(POINTLESS, np.ones(5, np.float32)), np.ones(5, np.uint8))
-    scan, _ = mix(broken, broken, Checkerboard(bands, sectors, 0.5, DOWN, UP))
-    assert len(scan) == len(broken[0])
-    assert (project(scan, SMALL).pixel_of_point < 0).all()
 
 
 @pytest.mark.parametrize("counts", [(0, 0), (0, 50), (50, 0)])
@@ -248,14 +210,6 @@ def test_nothing_is_pasted_on_the_sensor_or_without_a_measurement() -> None:
 # Windows
 
 SCORED = label_space().scored
-
-
-@pytest.mark.parametrize("width", [0, 100, 200])
-def test_no_crop_takes_every_column_in_order(width: int) -> None:
-    columns = choose_columns(
-        np.zeros((4, 100), np.uint8), SCORED, width, 1.0, np.random.default_rng(0)
-    )
-    np.testing.assert_array_equal(columns, np.arange(100))
 
 
 def test_windows_start_anywhere_and_go_round_the_circle() -> None:

@@ -117,13 +117,6 @@ def test_a_fitted_sequence_is_seen_as_predict_sees_it(roots: list[Path]) -> None
     np.testing.assert_allclose(shown, expected, atol=2e-4)
 
 
-def make_scan_of(file):
-    from salsanext_cli import read_scan
-
-    scan = read_scan(file.path)
-    return scan.points, scan.intensity
-
-
 def changed(roots: list[Path], **chances: float) -> tuple[np.ndarray, np.ndarray, Source]:
     """Return a sample of the first data set with some changes, and the data set."""
     first, _ = seen(roots)
@@ -152,30 +145,6 @@ def test_each_change_to_another_sensor_is_made(roots: list[Path], key: str) -> N
     np.testing.assert_array_equal(found, normalise(image.channels, SMALL))
     np.testing.assert_array_equal(truth, pixels_from_points(labels, image.point_of_pixel))
     assert not np.array_equal(found, changed(roots)[0])
-
-
-def test_without_intensity_all_pixels_have_the_mean(roots: list[Path]) -> None:
-    image, truth, source = changed(roots, no_intensity=1.0)
-    full = image.any(axis=0)
-    mean = np.mean(source.sensor.intensity_quantiles)
-    expected = (mean - SMALL.means[4]) / SMALL.stds[4]
-    np.testing.assert_allclose(image[4][full], expected, rtol=1e-5)
-    np.testing.assert_array_equal(truth, changed(roots)[1])
-
-
-def test_filled_pixels_have_the_label_of_the_point_below(roots: list[Path]) -> None:
-    """Rows are left out of image and truth alike; what is filled is a copy of another pixel."""
-    image, truth, _ = changed(roots, fewer_beams=1.0)
-    plain, labels, _ = changed(roots)
-    full = image.any(axis=0)
-    assert not truth[~full].any()
-    copies = 0
-    for v, u in np.argwhere(full):
-        sources = [w for w in range(v, v + 3) if w < len(plain[0])]
-        (source, *_) = [w for w in sources if np.array_equal(plain[:, w, u], image[:, v, u])]
-        assert truth[v, u] == labels[source, u]
-        copies += source > v
-    assert copies > 20
 
 
 def test_further_data_sets_are_checked(roots: list[Path], tmp_path: Path) -> None:
@@ -215,14 +184,6 @@ def test_a_label_space_that_is_named_keeps_its_own_splits(roots: list[Path]) -> 
             labelled_split(roots[0], unknown, "train")
     (roots[0] / "labels.yaml").unlink()
     assert labelled_split(roots[0], COARSE, "train")[0].splits == SPACE.splits
-
-
-def test_labels_of_merged_classes_keep_their_alternatives(roots: list[Path]) -> None:
-    """Trunks may be labelled vegetation, in coarse classes too; road and parking are one there."""
-    describe(roots[1], SPACE, learning_alternatives={70: [15, 16], 40: [9, 10]})
-    space, _ = labelled_split(roots[1], COARSE, "train")
-    assert space.alternatives == {70: (5, 6)}
-    assert labelled_split(roots[1], space, "train")[0].alternatives == {70: (5, 6)}
 
 
 @pytest.mark.parametrize("described", [False, True])

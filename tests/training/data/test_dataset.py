@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
-from scans import SMALL, replace_points, write_sequence
+from scans import SMALL, write_sequence
 
 from salsanext_cli import label_space, project
 from salsanext_cli.formats.clouds.kitti import read_bin
@@ -37,15 +37,6 @@ def files(tmp_path_factory: pytest.TempPathFactory) -> list[ScanFile]:
 
 def samples(files: list[ScanFile], recipe: Recipe) -> Samples:
     return Samples([Source(files, SPACE, SMALL)], SMALL, recipe, RARE)
-
-
-def test_truth_of_an_empty_scan_is_unlabelled(tmp_path: Path) -> None:
-    folder = write_sequence(tmp_path / "00", count=0)
-    replace_points(folder / "velodyne/000000.bin", [])
-    (file,) = find_scans(folder)
-    image, truth, _ = samples([file], Recipe())[0, 0]
-    assert not truth.any()
-    assert not image.any()
 
 
 def test_a_sample_is_the_normalised_scan_and_its_truth(files: list[ScanFile]) -> None:
@@ -164,13 +155,6 @@ def test_pixels_of_a_pasted_sample_are_its_own_or_turned_ones_of_rare_classes(
     assert pasted > 20
 
 
-def test_pasting_where_no_point_is_rare(files: list[ScanFile]) -> None:
-    recipe = PLAIN.with_changes(paste=1.0)
-    none = Samples([Source(files, SPACE, SMALL)], SMALL, recipe, np.zeros(20, bool))[3, 1]
-    np.testing.assert_array_equal(none[0], samples(files, PLAIN)[3, 1][0])
-    np.testing.assert_array_equal(none[1], samples(files, PLAIN)[3, 1][1])
-
-
 def test_rare_classes_have_less_than_a_hundredth_of_the_points_that_count() -> None:
     counts = np.array([10_000, 9, 991, 10, 0])
     scored = np.array([False, True, True, True, True])
@@ -215,13 +199,3 @@ def test_kept_counts_that_are_none_are_counted_again(
         path.write_text(json.dumps({**kept, "points": points}))
         np.testing.assert_array_equal(class_counts(path, [source], source, files).points, expected)
         assert path.read_bytes() == content
-
-
-def test_kept_counts_are_used(files: list[ScanFile], tmp_path: Path) -> None:
-    path, source = tmp_path / "class_counts.json", Source(files, SPACE, SMALL)
-    expected = class_counts(path, [source], source, files).points
-    kept = json.loads(path.read_bytes())
-    kept["points"]["car"] += 7
-    path.write_text(json.dumps(kept))
-    more = class_counts(path, [source], source, files).points - expected
-    assert more.tolist() == [7 * (name == "car") for name in SPACE.names]

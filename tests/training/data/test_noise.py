@@ -74,10 +74,6 @@ def test_holes_of_one_surface_come_in_runs(monkeypatch: pytest.MonkeyPatch) -> N
     assert going_on == pytest.approx(CONTINUED + (1 - CONTINUED) * lost.mean(), abs=0.02)
 
 
-def test_an_empty_image_stays_empty() -> None:
-    assert not make_holes(np.zeros((6, 4, 16), np.float32), np.random.default_rng(0)).any()
-
-
 @pytest.mark.parametrize("seed", range(4))
 def test_jitter_is_normal_noise_on_measured_points(seed: int) -> None:
     points = np.full((20_000, 3), 9, np.float32)

@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scans import SMALL, make_scan
 
-from salsanext_cli import Scan, project
+from salsanext_cli import project
 from salsanext_cli.training.data import other_sensors
 from salsanext_cli.training.data.other_sensors import (
     EDGE_SHIFT_DEG,
@@ -44,18 +44,6 @@ def test_intensities_follow_one_law_of_intensity_and_range(seed: int, bright: fl
     np.testing.assert_array_equal(found.points, scan.points)
 
 
-def test_points_without_a_measurement_change_no_other() -> None:
-    points = np.array([[0, 0, 0], [np.nan, 1, 1], [3, 4, 0]], np.float32)
-    scan = Scan(points, np.array([0.5, -1, 0.5], np.float32))
-    found = change_intensity(scan, 1.0, rng(0)).intensity
-    alone = change_intensity(Scan(points[2:], scan.intensity[2:]), 1.0, rng(0)).intensity
-    assert np.isfinite(found).all()
-    assert found[2] == alone[0]
-    moved = mount_otherwise(points, rng(0))
-    assert not moved[0].any()
-    assert np.isnan(moved[1]).any()
-
-
 @given(SEEDS)
 def test_another_place_is_a_small_rotation_and_a_shift_up_or_down(seed: int) -> None:
     points = make_scan(50, seed).points
@@ -79,14 +67,6 @@ def test_edges_of_the_view_move_on_their_own() -> None:
         assert np.abs(found - usual).max() <= EDGE_SHIFT_DEG
         assert np.ptp(found) > 1.8 * EDGE_SHIFT_DEG
     assert abs(np.corrcoef(up, down)[0, 1]) < 0.3
-
-
-@pytest.mark.parametrize("extent", [0.5, 4.0, 12.0])
-def test_edges_of_a_narrow_view_never_meet(extent: float) -> None:
-    narrow = replace(SMALL, fov_up=2.0, fov_down=2.0 - extent)
-    views = [other_view(narrow, rng(seed)) for seed in range(100)]
-    assert min(view.fov_up - view.fov_down for view in views) >= extent / 2 - 1e-9
-    assert all(type(view.fov_up) is float for view in views)
 
 
 @pytest.mark.parametrize("seed", range(8))

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from salsanext_cli import LabelSpace, label_space
 from salsanext_cli.errors import LabelError, UsageError
-from salsanext_cli.training.data.targets import class_sets, of_targets, to_targets
+from salsanext_cli.training.data.targets import class_sets, to_targets
 from salsanext_cli.training.losses import SegmentationLoss, lovasz_softmax
 
 PLAIN = label_space()
@@ -40,12 +40,6 @@ def test_more_sets_than_a_byte_has_targets_are_refused() -> None:
     many = replace(PLAIN, alternatives=dict(enumerate(pairs[:236])))
     with pytest.raises(UsageError, match="236 different ones · expected at most 235"):
         class_sets([many])
-
-
-def test_what_holds_for_any_or_for_all_classes_of_a_set() -> None:
-    classes = np.array([False, True, True, False])
-    assert of_targets(classes, ((1, 2), (2, 3)), np.all).tolist()[4:] == [True, False]
-    assert of_targets(classes, ((1, 2), (0, 3)), np.any).tolist()[4:] == [True, False]
 
 
 def slow_loss(
@@ -79,14 +73,6 @@ def test_the_probability_of_a_set_is_the_sum_of_its_classes(truth: list[int], se
     lovasz = lovasz_softmax(flat, torch.tensor([truth[i] for i in single], dtype=torch.long))
     expected += float(lovasz) if single else 0
     assert float(both(given_logits, targets)) == pytest.approx(expected, abs=1e-9)
-
-
-def test_the_gradient_of_a_set_is_right() -> None:
-    random = torch.Generator().manual_seed(4)
-    logits = torch.randn(1, 3, 1, 4, dtype=torch.float64, generator=random, requires_grad=True)
-    loss = SegmentationLoss(torch.tensor([0.0, 1.0, 2.0]), 1.0, 0.1, ((1, 2),))
-    truth = torch.tensor([[[3, 1, 3, 2]]])
-    assert torch.autograd.gradcheck(lambda x: loss(x, truth), (logits,))
 
 
 def test_label_spaces_with_alternatives_survive_a_round_trip_and_are_checked() -> None:

@@ -6,7 +6,6 @@ import pytest
 import torch
 from sklearn.metrics import log_loss
 
-from salsanext_cli.training.tuning import temperature as module
 from salsanext_cli.training.tuning.temperature import best_temperature, negative_log_likelihood
 
 
@@ -28,26 +27,11 @@ def test_the_best_is_the_lowest_of_a_dense_grid(temperature):
     assert negative_log_likelihood(logits, truth, best) <= min(losses)
 
 
-def test_two_points_in_closed_form():
-    """Three in four points with the logits (1, 0) are of the first class: 1/T = ln 3."""
-    logits = torch.tensor([[1.0, 0.0]]).expand(4, 2)
-    truth = torch.tensor([0, 0, 0, 1])
-    assert best_temperature(logits, truth) == pytest.approx(1 / math.log(3), rel=1e-7)
-
-
 def test_the_loss_against_scikit_learn():
     logits, truth = drawn(1.3)
     shares = torch.softmax(logits.double() / 0.8, dim=1).numpy()
     expected = log_loss(truth.numpy(), shares, labels=range(5))
     assert negative_log_likelihood(logits, truth, 0.8) == pytest.approx(expected, rel=1e-12)
-
-
-def test_chunks_change_nothing(monkeypatch):
-    logits, truth = drawn(1.3, 1000)
-    whole = best_temperature(logits, truth), negative_log_likelihood(logits, truth, 2.0)
-    monkeypatch.setattr(module, "CHUNK_POINTS", 7)
-    parts = best_temperature(logits, truth), negative_log_likelihood(logits, truth, 2.0)
-    assert parts == pytest.approx(whole, rel=1e-9)
 
 
 def test_where_there_is_no_best():
