@@ -5,16 +5,11 @@ import runpy
 from pathlib import Path
 
 import numpy as np
-import pytest
 from scans import write_sequence
 
 from salsanext_cli.training.data.noise import (
-    CONTINUED,
     HOLE_SHARES,
-    MAX_RUN,
-    MOST_HOLES,
     hole_cells,
-    make_holes,
 )
 
 SCRIPT = runpy.run_path(str(Path(__file__).parents[2] / "benchmarks/hole_shares.py"))
@@ -35,18 +30,6 @@ def test_counting():
             goes_on = hole and ranges[row, right] == 0 and cells[row, right] >= 0
             wanted[:, cell // kinds, cell % kinds] += [1, hole, goes_on]
     np.testing.assert_array_equal(SCRIPT["count_holes"](ranges), wanted)
-
-
-@pytest.mark.parametrize("seed", range(3))
-def test_what_is_made_is_counted_but_for_long_runs(seed):
-    """Those of up to four holes hold this part of all holes if each goes on by the same chance."""
-    surface = np.full((1, 2000, 512), 7, np.float32)
-    share = np.random.default_rng(seed).uniform(0, MOST_HOLES) * HOLE_SHARES[0, 1]
-    chance = CONTINUED + (1 - CONTINUED) * share
-    in_short_runs = sum(k * chance ** (k - 1) * (1 - chance) ** 2 for k in range(1, MAX_RUN + 1))
-    image = make_holes(surface, np.random.default_rng(seed))[0]
-    pixels, holes, _ = SCRIPT["count_holes"](image)
-    assert holes[0, 1] / pixels[0, 1] == pytest.approx(share * in_short_runs, rel=0.05)
 
 
 def test_table(tmp_path, capsys):

@@ -239,15 +239,6 @@ def test_errors_of_points_are_evaluated_and_reject_points(run, predicted, data):
     assert "--max-error · 1.5 · expected a probability from 0 to 1" in result.stderr
 
 
-def test_eval_of_a_scan_that_cannot_be_compared_is_status_one(run, predicted, data):
-    path = data / "sequences/08/labels/000001.label"
-    path.write_bytes(path.read_bytes()[:-4])
-    result = run("eval", "--out", predicted)
-    assert result.exit_code == 1
-    assert "1,499 labels · expected 1,500" in result.stderr
-    assert len(json.loads((predicted / "eval.json").read_text())["failures"]) == 1
-
-
 @pytest.mark.parametrize("command", ["eval", "export-ply", "picture"])
 def test_scans_left_out_on_purpose_are_counted_and_no_failure(run, predict, tmp_path, command):
     out = tmp_path / "out"
@@ -341,6 +332,7 @@ def test_nothing_to_work_on_is_status_one(run, weights, tmp_path, monkeypatch, l
     monkeypatch.chdir(tmp_path)
     (tmp_path / "empty").mkdir()
     (tmp_path / "rubbish.safetensors").write_bytes(b"rubbish")
+    monkeypatch.setattr("salsanext_cli.stages.models.ARCHITECTURES", {})  # counting takes seconds
     result = run(*(word.format(weights=weights) for word in line.split()))
     assert result.exit_code == 1, result.output
     assert result.stdout == ""

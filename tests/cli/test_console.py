@@ -4,7 +4,6 @@ import logging
 import os
 import signal
 import time
-from concurrent.futures import ThreadPoolExecutor
 
 import pytest
 import typer
@@ -95,12 +94,6 @@ def test_a_program_that_handles_sigterm_goes_on_doing_so():
     assert (result.exit_code, seen) == (0, [1])
 
 
-def test_a_command_in_another_thread_leaves_signals_alone():
-    with ThreadPoolExecutor(1) as thread:
-        result = thread.submit(invoke, lambda output: output.result({}, "done")).result()
-    assert (result.exit_code, result.stdout) == (0, "done\n")
-
-
 def test_a_bug_keeps_its_traceback():
     result = invoke(raising(ZeroDivisionError("of ours")))
     assert isinstance(result.exception, ZeroDivisionError)
@@ -143,8 +136,3 @@ def test_a_result_is_shown_or_json():
     found = json.loads(invoke(body, "--json").stdout)
     assert 0 <= found.pop("seconds") < 10
     assert found == {"schema": 1, "name": "Größe \\xff", "value": 1.5}
-
-
-def test_no_number_in_json_is_none_of_json():
-    result = invoke(lambda output: output.result({"value": float("nan")}), "--json")
-    assert isinstance(result.exception, ValueError)

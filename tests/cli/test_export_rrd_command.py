@@ -52,14 +52,6 @@ def test_the_command_says_where_the_recordings_are(run, world, recorded):
     assert run(*given, "-q").stderr == ""
 
 
-def test_scans_without_results_are_status_one(run, world, recorded):
-    path = world.out / "sequences/08/predictions/000001.label"
-    path.unlink()
-    result = run("export-rrd", world.out, "--dataset", world.dataset, "-q")
-    assert (result.exit_code, recorded) == (1, [0])
-    assert result.stderr.startswith("error: 1 of 2 scans have no results")
-
-
 def test_what_is_wrong_is_one_line(run, world, recorded):
     for words, status, says in (
         (["nowhere"], 1, "nowhere · no such folder"),

@@ -18,7 +18,6 @@ from salsanext_cli.errors import UsageError
 from salsanext_cli.network.card import default_weights
 from salsanext_cli.parallel.options import BACKENDS, RunOptions
 from salsanext_cli.parallel.shards import Shard
-from salsanext_cli.sensors import sensor as sensors
 
 SHARDED = {"project", "predict", "knn-refine", "uncertainty", "picture", "export-ply"}
 
@@ -43,13 +42,6 @@ def test_a_group_is_expanded_filled_and_handed_over():
     typed(**defaults | {"sequences": "00", "knn_k": 3})
     assert seen["selection"] == selection_options.Selection(sequences="00", limit=4)
     assert seen["knn"] == options.Knn(knn_k=3)
-
-
-@pytest.mark.parametrize(
-    ("text", "names"), [(None, ()), ("08", ("08",)), (" 00, 8 ,my drive", ("00", "8", "my drive"))]
-)
-def test_sequences(text, names):
-    assert selection_options.Selection(sequences=text).scans().sequences == names
 
 
 def test_the_default_weights_have_a_name():
@@ -164,13 +156,6 @@ def test_a_built_in_sensor_tells_noise_and_scale_of_intensity(network):
     own = {"name": "hdl32", "intensity_scale": 255.0}
     assert settings.sensor == replace(SMALL, **own, range_noise=0.02, intensity_noise=0.02)
     assert settings.fit
-
-
-def test_images_that_are_timed_have_the_size_of_a_built_in_sensor(network):
-    settings = network(sensor="hdl32").settings(sized=True)
-    assert settings.sensor == sensors.sensor("hdl32")
-    assert not settings.fit
-    assert network().settings(sized=True) == network().settings()
 
 
 def test_a_file_tells_view_and_size(network, tmp_path):

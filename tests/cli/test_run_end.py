@@ -11,11 +11,10 @@ from command_line import only_json
 from scans import SMALL, write_sequence
 
 from salsanext_cli import label_space
-from salsanext_cli.cli.run_end import left_out, next_command
+from salsanext_cli.cli.run_end import next_command
 from salsanext_cli.measures.scan_summary import RunSummary
 from salsanext_cli.parallel.run import Outcome
 from salsanext_cli.results.layout import find_scans
-from salsanext_cli.results.sources import MissingResults
 
 pytestmark = pytest.mark.usefixtures("undrawn")
 
@@ -78,15 +77,3 @@ def test_next_commands(stage, split, done, expected, tmp_path):
     assert next_command("export-ply", Outcome(0, (), done), "a b", ()) is None
     assert next_command("convert", Outcome(1, (), 0), "a b", ()) == "salsanext predict 'a b'"
     assert next_command("convert", Outcome(0, (), 0), "a b", ()) is None
-
-
-@pytest.mark.parametrize(
-    ("count", "said"),
-    [
-        (0, ""),
-        (1, " (the other scan is left out: no earlier stage was asked for it)"),
-        (6, " (the other 6 scans are left out: no earlier stage was asked for them)"),
-    ],
-)
-def test_what_is_said_of_scans_left_out_on_purpose(count, said):
-    assert left_out(MissingResults((), count)) == said

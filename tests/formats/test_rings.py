@@ -8,7 +8,7 @@ import pytest
 from scans import SMALL
 
 from salsanext_cli import Scan, read_scan
-from salsanext_cli.formats.columns import MAX_RING, ring_of, rows_as_rings, scan_of
+from salsanext_cli.formats.columns import MAX_RING, ring_of, scan_of
 
 POINTS = np.arange(24, dtype=np.float32).reshape(8, 3) + 1
 RINGS = np.array([5, 3, 3, 0, 31, 1, 0, 2], np.int32)
@@ -39,11 +39,6 @@ def test_a_column_is_read(tmp_path):
 def test_rows_of_organised_clouds_are_rings(tmp_path):
     assert pcd(tmp_path / "a.pcd", 8, 1).ring is None
     np.testing.assert_array_equal(pcd(tmp_path / "b.pcd", 2, 4).ring, np.repeat(np.arange(4), 2))
-
-
-@pytest.mark.parametrize(("count", "height"), [(8, 1), (8, 0), (8, 3), (514, 257), (0, 1)])
-def test_other_clouds_have_none(count, height):
-    assert rows_as_rings(count, height) == {}
 
 
 def test_impossible_rings_are_not_known():

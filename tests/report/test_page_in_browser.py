@@ -250,6 +250,7 @@ def test_the_page_draws_and_its_controls_work(world, tmp_path):
     assert found["fetched"] == 0
 
 
+@pytest.mark.slow
 def test_the_live_page_plays_the_drive_and_names_what_fails(world, tmp_path, monkeypatch):
     for stem in ("000002", "000003"):
         world.add(stem, [CAR, ROAD], [CAR, CAR])

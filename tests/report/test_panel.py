@@ -41,24 +41,6 @@ def test_every_pixel_is_drawn_as_it_is_upright_and_large(height, width):
     np.testing.assert_array_equal(body, expected)
 
 
-def test_strips_are_below_each_other_with_a_bar(tmp_path):
-    dark = Strip("dark", np.zeros((64, 2048, 3), np.uint8), (0, 80), "m")
-    second = drawn(Strip("one", noise(64, 2048)), dark)[TOP + ROW + TITLE_PX :]
-    assert not second[:, MARGIN_PX : MARGIN_PX + WIDTH].any()
-    bar = second[:, MARGIN_PX + WIDTH + 16 + 8]
-    np.testing.assert_array_equal(bar[[0, -1]], map_on_dark()[[255, 0]])
-
-
-def test_titles_are_written():
-    titled, bare, again = (
-        drawn(Strip(title, noise(64, 2048))) for title in ("Höhe $x$_1", "", "Höhe $x$_1")
-    )
-    np.testing.assert_array_equal(titled, again)
-    heads = titled[TOP : TOP + TITLE_PX], bare[TOP : TOP + TITLE_PX]
-    assert len(np.unique(heads[1].reshape(-1, 3), axis=0)) == 1
-    assert (heads[0] != heads[1]).any(axis=-1).sum() > 200
-
-
 def test_the_strip_of_distances_says_its_scale():
     point_of_pixel = np.arange(200, dtype=np.int32).reshape(2, 100)
     point_of_pixel[0, 0] = -1

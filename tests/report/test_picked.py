@@ -104,8 +104,3 @@ def test_the_sheet_shows_both_pictures_of_every_scan():
         assert (doubt[~filled] == EMPTY).all()
         lowest = filled & (each.uncertainty < 0.01)
         assert (doubt[lowest] == map_on_dark()[0]).all()
-
-
-def test_a_sheet_without_a_measurement():
-    nothing = Preview(np.full((4, 8), NO_CLASS, np.uint8), np.full((4, 8), np.nan, np.float32))
-    assert picked_sheet(PICKED[:1], [nothing], SPACE).startswith(b"\x89PNG")

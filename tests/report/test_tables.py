@@ -44,23 +44,6 @@ def test_a_row_per_class_then_the_means():
     ]
 
 
-def test_a_mean_over_frequent_classes_where_a_class_present_is_none():
-    truth = np.repeat([1, 2, 3], [500, 1000, 499])
-    predicted = np.where(truth == 3, 2, truth)
-    rows = printed(score_table(scores(Confusion(4).update(truth, predicted), SPACE)))
-    assert [row[:2] for row in rows[-2:]] == [
-        ["mean IoU, 3 classes present", "55.6"],
-        ["mean IoU, 2 classes with ≥ 500 points", "83.4"],
-    ]
-
-
-def test_a_class_without_points_has_no_iou_although_it_is_predicted():
-    found = scores(Confusion(4).update(np.repeat([1, 1], 500), np.repeat([1, 3], 500)), SPACE)
-    assert printed(score_table(found))[2] == ["tree", "–", "0.0", "–", "0"]
-    assert found.to_dict()["classes"][-1]["iou"] == 0.0
-    assert "iou_tree: 0.0\n" in found.official_yaml()
-
-
 def test_a_row_per_ring():
     nothing = scores(Confusion(4), SPACE)
     assert printed(ring_table({"0–10 m": result(), "over 50 m": nothing})) == [

@@ -9,7 +9,6 @@ from matplotlib.image import imread
 
 from salsanext_cli.report import canvas
 from salsanext_cli.report.uncertainty_plots import (
-    BLUE,
     HEIGHT_ABOVE,
     LEFT,
     PLOT_PX,
@@ -39,23 +38,10 @@ def rows_of(picture, colour, x) -> np.ndarray:
     return 1 - np.flatnonzero(near) / HEIGHT_ABOVE
 
 
-def half_wrong(count=1000):
-    """Return a constant uncertainty of points of which every second is wrong."""
-    return ranking_result(np.full(count, 0.1), np.arange(count) % 2 == 1)
-
-
 def test_bars_are_as_high_as_the_accuracy():
     picture = pixels(reliability_diagram(calibration_result([1] * 6 + [2] * 4)))
     assert rows_of(picture, SKY, 11.5 / 15).max() == pytest.approx(0.6, abs=0.01)
     assert not rows_of(picture, SKY, 5.5 / 15).size
-
-
-@pytest.mark.parametrize("draw", [risk_coverage, sparsification])
-def test_the_risk_of_useless_uncertainty_is_flat(draw):
-    picture = pixels(draw({"epistemic": half_wrong()}))
-    heights = [rows_of(picture, BLUE, x).mean() for x in (0.1, 0.5, 0.9)]
-    assert max(heights) - min(heights) < 0.01
-    assert min(heights) > 0.9
 
 
 @pytest.mark.parametrize("count", [0, 2])

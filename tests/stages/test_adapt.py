@@ -1,7 +1,6 @@
 # SPDX-License-Identifier: MIT
 """Stages with a network adapted to the scans at hand."""
 
-import pickle
 import threading
 from dataclasses import replace
 
@@ -92,13 +91,6 @@ def test_step_by_step_in_shards_and_by_workers_the_bytes_are_the_same(adapting, 
         assert adapted(other).name == adapted(adapting.out).name
 
 
-def test_other_processes_load_the_adapted_weights(adapting):
-    files, settings = find_scans(adapting.data), adapting.network
-    settings, network = network_of_run(settings, settings.load(), files, adapting.out)
-    sent = pickle.loads(pickle.dumps(settings.resolved(network)))
-    assert sent.load().sha256 == fingerprint(adapted(adapting.out))
-
-
 def test_later_runs_and_stages_take_the_same_statistics(adapting):
     run(adapting, selection=ScanSelection(limit=1))
     before = fingerprint(adapted(adapting.out))
@@ -107,16 +99,6 @@ def test_later_runs_and_stages_take_the_same_statistics(adapting):
     uncertainty(adapting.data, adapting.out, network=adapting.network, estimator=FEW)
     assert stage_settings(adapting.out, "uncertainty")["adapted"] == before
     assert fingerprint(adapted(adapting.out)) == before
-
-
-def test_uncertainties_that_are_made_anew_stay_those_of_the_labels(adapting):
-    run(adapting)
-    before = fingerprint(adapted(adapting.out))
-    for only in (None, 1):
-        anew, one = RunOptions(overwrite=bool(only)), ScanSelection(limit=only)
-        given = {"network": adapting.network, "estimator": FEW, "selection": one, "options": anew}
-        assert uncertainty(adapting.data, adapting.out, **given).done == (only or 3)
-        assert stage_settings(adapting.out, "uncertainty")["adapted"] == before
 
 
 def test_export_ply_estimates_the_uncertainty_of_the_adapted_network(adapting, tmp_path):

@@ -133,17 +133,6 @@ def test_a_training_that_goes_on_knows_the_warnings(dataset, monkeypatch):
     assert len(checked) == 7 * 4
 
 
-def test_another_sensor_is_checked_anew(dataset):
-    assert trained(dataset) == []
-    upwards = replace(SMALL, fov_up=30.0, fov_down=-2.0)
-    folder = dataset.parent / "run"
-    warnings = train(
-        dataset, folder, recipe=TINY, sensor=upwards, device="cpu", overwrite=True
-    ).warnings
-    assert {*found(warnings)} == {"out-of-view"}
-    assert warnings[0]["scans"] == ["00/0", "00/1", "00/2", "08/0"]
-
-
 def test_warnings_do_not_depend_on_jobs(dataset):
     change(dataset, points=(0, 2, 1))
     change(dataset, brighter=255.0, stem="2")

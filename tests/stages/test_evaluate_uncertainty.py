@@ -83,14 +83,6 @@ def report_of(world: World) -> dict:
     return json.loads((world.out / "eval.json").read_text())
 
 
-def test_without_such_files_they_are_not_mentioned(world):
-    world.add("000000", [CAR], [CAR])
-    evaluation = world.evaluate(by_distance=True)
-    assert files_of(world) == ALWAYS
-    assert evaluation.uncertainty.to_dict(SPACE) == {}
-    assert not {"calibration", "uncertainty"} & report_of(world).keys()
-
-
 @pytest.mark.parametrize("folder", PICTURES)
 def test_whatever_is_there_is_evaluated(world, folder):
     world.add("000000", [CAR, ROAD], [CAR, CAR])

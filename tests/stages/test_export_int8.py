@@ -77,14 +77,6 @@ def test_context_and_logits_stay_float32(made):
     assert {types[name] for name in zeros} == {onnx.TensorProto.UINT8}
 
 
-def test_the_card_says_so(made, weights):
-    card, before = read_card(made[0]), read_card(weights)
-    assert card.description == "random Quantised to int8 on 4 scans."
-    assert card.scores == {}
-    assert card.sensor == before.sensor
-    assert card.architecture == before.architecture
-
-
 def test_it_sees_what_predict_sees(tmp_path, monkeypatch):
     """Scans of another scale of intensity, upside down."""
     known = replace(SMALL, intensity_quantiles=tuple(np.linspace(0, 1, INTENSITY_LEVELS) ** 2))

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from architectures import EACH
-from scans import SMALL, labels_below, lively, make_scan
+from scans import SMALL, lively, make_scan
 
 from salsanext_cli import LabelSpace, label_space, load_network, project
 from salsanext_cli.engines import onnx_export
@@ -18,7 +18,6 @@ from salsanext_cli.files import user_cache
 from salsanext_cli.network.card import WeightsCard, read_card
 from salsanext_cli.network.registry import build
 from salsanext_cli.network.weights import read_weights
-from salsanext_cli.parallel.run import RunOptions
 from salsanext_cli.stages.export_onnx import export_onnx
 from salsanext_cli.stages.predict import predict_scans
 from salsanext_cli.stages.tune_temperature import tune_temperature
@@ -119,16 +118,6 @@ def test_predicts_as_the_weights_do(world, model, weights):
     assert predict_scans(world.data, world.out, network=settings).done == 3
     record = json.loads((world.out / "predict.json").read_text("utf-8"))
     assert record["settings"]["weights"] == network.sha256
-
-
-def test_workers_predict_the_same(world, model):
-    """Where this process found a CPU, they do not look for a GPU."""
-    settings = NetworkSettings(model)
-    predict_scans(world.data, world.out / "1", network=settings)
-    options = RunOptions(jobs=2)
-    assert predict_scans(world.data, world.out / "2", network=settings, options=options).done == 3
-    assert labels_below(world.out / "1") == labels_below(world.out / "2")
-    assert settings.resolved(load_network(model)).device == "cpu"
 
 
 def test_the_temperature_counts(tmp_path, weights):

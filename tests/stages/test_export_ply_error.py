@@ -11,11 +11,10 @@ from empty_runs import begin_and_end
 from scans import SMALL, write_array
 
 from salsanext_cli import label_space, read_labels
-from salsanext_cli.errors import NoInputError, OutputError, UsageError
+from salsanext_cli.errors import NoInputError, OutputError
 from salsanext_cli.parallel.run import RunOptions
 from salsanext_cli.parallel.shards import Shard
 from salsanext_cli.report.colours import EMPTY, RIGHT, WRONG
-from salsanext_cli.results.selection import ScanSelection
 from salsanext_cli.stages.export_ply import export_ply
 
 SPACE = label_space()
@@ -81,14 +80,6 @@ def test_uncertainty_is_the_entropy_where_there_is_no_error(world):
         assert cloud(world, f"ply/{colour}").comments[0].startswith(f"colour {colour} viridis")
 
 
-def test_error_of_other_scans_is_not_what_is_meant(known):
-    known.result("uncertainty/error", "00").unlink()
-    only = ScanSelection(sequences=("00",))
-    write_array(known.result("uncertainty/entropy", "00"), ERROR)
-    assert export(known, colour="uncertainty", selection=only).done == 1
-    assert cloud(known, "ply", "00").comments[0].startswith("colour entropy ")
-
-
 def test_a_scan_without_error_is_named_beside_those_that_have_one(known):
     known.result("uncertainty/error", "08", "000001").unlink()
     outcome = export(known, colour="error", options=RunOptions(overwrite=True))
@@ -142,12 +133,6 @@ def test_another_threshold_does_not_mix_with_the_first(known):
     assert json.loads((known.out / "export-ply.json").read_text())["settings"]["max_error"] == 0.4
 
 
-@pytest.mark.parametrize("max_error", [-0.1, 1.01, np.nan, np.inf])
-def test_a_threshold_is_a_probability(known, max_error):
-    with pytest.raises(UsageError, match=r"--max-error .* a probability from 0 to 1"):
-        export(known, max_error=max_error)
-
-
 def test_a_threshold_without_errors_says_how_to_get_them(known):
     known.result("uncertainty/error", "08", "000001").unlink()
     outcome = export(known, max_error=0.1)
@@ -189,10 +174,3 @@ def test_errors_of_other_weights_than_the_labels_are_refused(known):
     for options in ({"colour": "error"}, {"max_error": 0.5}):
         with pytest.raises(OutputError, match=r"labels by the weights aaaa.*uncertainty by bbbb"):
             export(known, **options)
-
-
-def test_points_without_an_error_keep_their_label(known):
-    for scan in SCANS:
-        write_array(known.result("uncertainty/error", *scan), np.full(COUNT, np.nan, np.float32))
-    assert export(known, max_error=0).rejected_points == 0
-    assert set(column(known, "label")) == {CAR}

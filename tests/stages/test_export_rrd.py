@@ -11,12 +11,10 @@ from evaluated import CAR, MOVING_CAR, ROAD, World
 
 from salsanext_cli import read_labels, read_scan
 from salsanext_cli.errors import (
-    FormatError,
     MissingDependency,
     NoInputError,
     OutputError,
 )
-from salsanext_cli.parallel.run import RunOptions
 from salsanext_cli.report.rerun_recording import import_rerun
 from salsanext_cli.results.layout import output_path
 from salsanext_cli.results.selection import ScanSelection
@@ -107,17 +105,6 @@ def test_all_recordings_have_the_same_views_and_scales_and_say_what_a_scan_lacks
     assert other.splitlines()[2:] == ["- label", "- no truth", "- no wrong", scale]
 
 
-def test_scans_are_chosen_as_elsewhere(world, recorded):
-    outcome = export(world, selection=ScanSelection(sequences=("8",), limit=1))
-    assert (outcome.done, outcome.missing.scans) == (1, ())
-    assert written(world) == {"08.rrd": CONTENT}
-    assert [scan[0] for scan in recorded["öut/08"].scans] == [0]
-    export(world, selection=ScanSelection(split="train"))
-    assert {*written(world)} == {"00.rrd", "08.rrd"}
-    with pytest.raises(NoInputError, match="no scans of sequence 9"):
-        export(world, selection=ScanSelection(sequences=("9",)))
-
-
 def test_a_scan_that_cannot_be_read_is_left_out_and_named(world, recorded):
     broken = output_path(world.out, "08", "predictions", "000000")
     broken.write_bytes(broken.read_bytes() + b"1234")
@@ -125,23 +112,6 @@ def test_a_scan_that_cannot_be_read_is_left_out_and_named(world, recorded):
     assert (outcome.done, len(outcome.failures)) == (2, 1)
     assert str(broken) in outcome.failures[0].reason
     assert [scan[0] for scan in recorded["öut/08"].scans] == [2]
-
-
-def test_a_sequence_without_any_readable_scan_has_no_recording(world, recorded):
-    broken = output_path(world.out, "00", "predictions", "000000")
-    broken.write_bytes(b"1234567")
-    outcome = export(world)
-    assert (outcome.done, len(outcome.failures)) == (2, 1)
-    assert written(world) == {"08.rrd": CONTENT}
-
-
-def test_to_stop_at_a_failure_leaves_what_was_there(world, recorded):
-    export(world)
-    output_path(world.out, "08", "predictions", "000002").write_bytes(b"1234567")
-    before = written(world)
-    with pytest.raises(FormatError):
-        export(world, options=RunOptions(on_error="stop"))
-    assert written(world) == before
 
 
 def test_a_recording_that_fails_leaves_no_part_of_a_file(world, recorded, monkeypatch):
@@ -198,14 +168,6 @@ def test_a_name_that_is_no_text_is_refused(world, recorded):
     out = world.out.rename(world.out.with_name("o\udcff"))
     with pytest.raises(OutputError, match=r"o\\xff · its name is no UTF-8.* · rename it"):
         export_rrd(out, dataset=world.dataset)
-
-
-def test_without_rerun_nothing_is_done_and_the_extra_is_named(world, monkeypatch):
-    monkeypatch.setitem(sys.modules, "rerun", None)
-    with pytest.raises(MissingDependency) as raised:
-        export(world)
-    assert str(raised.value) == "rerun · not installed · pip install 'salsanext[rerun]'"
-    assert not (world.out / "rrd").exists()
 
 
 def test_an_older_rerun_is_one_that_lacks_a_module(tmp_path, monkeypatch):

@@ -155,17 +155,6 @@ def test_what_is_selected_makes_no_difference(knowing, tmp_path):
         assert labels_below(tmp_path / name).items() <= expected.items()
 
 
-def test_range_images_of_a_part_are_fitted_as_all(knowing, tmp_path):
-    run(knowing)
-    steps = tmp_path / "steps"
-    project_scans(knowing.data, steps, sensor=SMALL)
-    for name in ("08", "00"):
-        chosen = ScanSelection(sequences=(name,))
-        predict_range_images(steps, steps, network=knowing.network, selection=chosen)
-    knn_refine_scans(steps)
-    assert labels_below(steps) == labels_below(knowing.out)
-
-
 @pytest.mark.parametrize(
     "odd",
     [

@@ -4,20 +4,7 @@ import hashlib
 import pytest
 
 from salsanext_cli.errors import WeightsError
-from salsanext_cli.network.registry import ARCHITECTURES
-from salsanext_cli.stages.models import describe_weights, models
-
-
-def test_every_network_and_what_it_costs():
-    found = {model["name"]: model for model in models()}
-    assert list(found) == list(ARCHITECTURES)
-    salsanext = found["salsanext"]
-    assert salsanext["parameters"] == 6_711_572
-    assert round(salsanext["multiply_accumulates"] / 1e9, 2) == 62.30
-    assert salsanext["receptive_field"] == (425, 425)
-    assert salsanext["paper"]["miou_test"] == "59.5"
-    assert not salsanext["agrees"]
-    assert found["salsanext-v1"]["agrees"]
+from salsanext_cli.stages.models import describe_weights
 
 
 def test_what_weights_say_of_themselves(weights):

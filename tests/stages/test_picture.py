@@ -176,14 +176,6 @@ def test_range_images_alone(world):
     assert has(drawn(world), colours[1])
 
 
-def test_scans_moved_away(world):
-    predict_scans(world.data, world.out, network=world.network)
-    moved = world.data.rename(world.data.parent / "elsewhere")
-    with pytest.raises(NoInputError, match="give with --dataset the folder"):
-        picture(world.out)
-    assert picture(world.out, dataset=moved).done == 3
-
-
 def test_an_animation_of_each_sequence(labelled):
     draw(labelled, animations=["gif"], frames_per_second=2.0)
     for sequence, count in (("00", 1), ("08", 2)):

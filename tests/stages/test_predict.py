@@ -94,14 +94,6 @@ def test_other_settings_stop_and_say_what_differs(world):
     assert labels_below(world.out).items().isdisjoint(before.items())
 
 
-def test_weights_replaced_under_the_same_name_are_noticed(world, tmp_path):
-    network = replace(world.network, weights=write_weights(tmp_path / "w.safetensors", seed=1))
-    predict_scans(world.data, world.out, network=network)
-    write_weights(network.weights, seed=2)
-    with pytest.raises(OutputError, match="weights was"):
-        predict_scans(world.data, world.out, network=network)
-
-
 def test_a_plain_folder_and_several_formats(world, tmp_path):
     folder = tmp_path / "my drive"
     scan = make_scan(seed=4)

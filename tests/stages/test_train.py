@@ -29,7 +29,6 @@ from salsanext_cli.network.weights import save_weights
 from salsanext_cli.results.written_files import WrittenFiles
 from salsanext_cli.stages.train import train
 from salsanext_cli.training import fit
-from salsanext_cli.training.checkpoint import TrainingState
 from salsanext_cli.training.data import dataset as dataset_module
 from salsanext_cli.training.data.class_counts import class_weights
 from salsanext_cli.training.fit import Training
@@ -158,18 +157,6 @@ def test_from_a_checkpoint_within_an_epoch_it_goes_on_at_the_next_step(
     parts = go(dataset, tmp_path / "parts", progress=lambda r: steps.append(r.step), **wanted)
     assert steps[0] == stop + 1
     require_same(go(dataset, tmp_path / "whole", **wanted), parts)
-
-
-@pytest.mark.parametrize("steps", [2, 3])
-def test_a_checkpoint_of_more_steps_than_an_epoch_has_is_refused(
-    dataset, tmp_path, monkeypatch, steps
-):
-    """An epoch of this training has two, and its last is never kept alone."""
-    stop_at(dataset, tmp_path / "run", 2)
-    found = TrainingState(losses=[1.0] * steps)
-    monkeypatch.setattr(fit, "load_checkpoint", lambda *_: found)
-    with pytest.raises(TrainingError, match=f"{steps} steps of an epoch of 2 "):
-        go(dataset, tmp_path / "run", progress=no_step)
 
 
 def test_another_network_by_its_name(dataset, tmp_path):

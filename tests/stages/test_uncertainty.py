@@ -180,15 +180,6 @@ def test_labels_made_step_by_step_remember_their_weights(world, tmp_path):
         run(world)
 
 
-def test_labels_do_not_depend_on_the_noise_of_the_sensor(world):
-    silent = replace(SMALL, range_noise=None, name="the same")
-    predict_scans(world.data, world.out, network=replace(world.network, sensor=silent))
-    assert run(world).done == 3
-    other = replace(world.network, sensor=replace(SMALL, fov_up=4.0))
-    with pytest.raises(OutputError, match="labels made with other sensor"):
-        run(replace(world, network=other), options=RunOptions(overwrite=True))
-
-
 def test_interrupted_and_resumed_gives_the_same_bytes(on_openvino, tmp_path, monkeypatch):
     world = on_openvino
     run(world, out=tmp_path / "whole")

@@ -125,16 +125,6 @@ def test_results_made_anew_are_not_shown_as_those_of_the_start(world):
     assert "start view again" in json.loads(text)["error"]
 
 
-def test_scans_worth_looking_at_are_named_and_marked(world, ask):
-    _, page = ask("/")
-    _, _, after = page.partition('id="data">')
-    data = json.loads(after.partition("</script>")[0])
-    reasons = {each["name"]: each["reason"] for each in data["shown"]}
-    assert list(reasons) == [f"08/{number:06}" for number in range(7)]
-    assert sum(reason.startswith("most wrong") for reason in reasons.values()) == 1
-    assert "at random" in reasons.values()
-
-
 def test_a_browser_that_leaves_is_no_error(ask, world, capfd):
     with view(world.out, dataset=world.dataset) as server, served(server):
         connection = socket.create_connection(("127.0.0.1", server.server_port))

@@ -111,25 +111,6 @@ def test_few_points_are_enough_or_nothing_is_said(rows):
         assert evident_count(values, 4) in {None, 3 + len(names)}, names
 
 
-def test_two_layers_in_turn_are_not_two_halves_of_a_record():
-    """Of two beams in turn, one down and one up, every other row is of another kind."""
-    points = scan(turns=9000, beams=[-10, 10])
-    rows = table(("byte",), points)
-    assert evident_count(rows.ravel(), 4) is None
-    # A second return of each is there or not.
-    second = rows * 1.01
-    second[np.random.default_rng(5).random(len(second)) < 0.95] = 0
-    assert evident_count(np.stack([rows, second], 1).ravel(), 4) is None
-
-
-def test_integers_among_the_columns_are_no_float32():
-    rows = table(("byte", "ring"), scan())
-    whole = rows.copy()
-    whole[:, 4] = rows[:, 4].astype("<u4").view("<f4")
-    assert likely_names(whole) is None
-    assert likely_names(rows) is not None
-
-
 @given(hnp.arrays("<u4", st.integers(0, 300)), st.sampled_from([*COUNTS, 40]))
 def test_any_bytes_have_some_number_of_columns_or_none(content, expected):
     found = evident_count(content.view("<f4"), expected)

@@ -87,12 +87,6 @@ def test_the_last_epochs_are_whole_and_a_batch_is_never_mixed() -> None:
         assert batches == [{width} for width in expected for _ in range(plan.steps_per_epoch)]
 
 
-@pytest.mark.parametrize("first", range(7))
-def test_what_is_drawn_from_a_step_on_does_not_depend_on_where_one_begins(first: int) -> None:
-    plan = SamplingPlan([5], Recipe(epochs=3, batch=3, samples_per_epoch=7))
-    assert list(plan.batches(first)) == list(plan.batches())[first:]
-
-
 @pytest.mark.parametrize("size", [1, 2, 3, 4])
 def test_workers_together_draw_what_one_alone_draws(size: int) -> None:
     plan = SamplingPlan([8], Recipe(epochs=2, batch=5))

@@ -33,15 +33,6 @@ def test_an_unknown_id_is_refused() -> None:
         to_targets(np.uint32([40, 7]), OTHER, class_sets([OTHER]), "a.label")
 
 
-def test_more_sets_than_a_byte_has_targets_are_refused() -> None:
-    pairs = [(i, j) for i in range(1, 20) for j in range(i + 1, 20)] + [
-        (0, i) for i in range(1, 70)
-    ]
-    many = replace(PLAIN, alternatives=dict(enumerate(pairs[:236])))
-    with pytest.raises(UsageError, match="236 different ones · expected at most 235"):
-        class_sets([many])
-
-
 def slow_loss(
     logits: np.ndarray, truth: np.ndarray, weights: np.ndarray, sets: tuple[tuple[int, ...], ...]
 ) -> float:
