@@ -12,7 +12,7 @@ import pytest
 from hypothesis import settings
 
 if TYPE_CHECKING:
-    from world import World
+    from world import Kept, World
 
 settings.register_profile("few", max_examples=25, deadline=None)
 settings.register_profile("many", max_examples=400, deadline=None)
@@ -76,15 +76,28 @@ def weights(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture
 def world(tmp_path: Path, weights: Path) -> "World":
     """Return scans in SemanticKITTI's layout, in a folder with a space and an umlaut."""
-    from scans import write_sequence
     from world import World
 
-    from salsanext_cli.engines.settings import NetworkSettings
+    return World.made(tmp_path, weights)
 
-    data = tmp_path / "Daten für 1"
-    write_sequence(data / "sequences/00", ["000000"], seed=7)
-    write_sequence(data / "sequences/08", ["000000", "000001"])
-    return World(data, tmp_path / "öut put", NetworkSettings(weights, "cpu", engine="torch"))
+
+@pytest.fixture(scope="session")
+def once_predicted(tmp_path_factory: pytest.TempPathFactory, weights: Path) -> "Kept":
+    """Keep a world with predictions."""
+    from world import Kept, World
+
+    from salsanext_cli.stages.predict import predict_scans
+
+    def predict(world: World) -> None:
+        predict_scans(world.data, world.out, network=world.network)
+
+    return Kept(tmp_path_factory.mktemp("predicted"), weights, predict)
+
+
+@pytest.fixture
+def predicted(once_predicted: "Kept") -> "World":
+    """Return a world with predictions, of which there is one in a session: no other is left."""
+    return once_predicted.anew()
 
 
 @pytest.fixture

@@ -1,10 +1,13 @@
 # SPDX-License-Identifier: MIT
 """A data set and an output folder for tests of stages."""
 
-from dataclasses import dataclass
+import shutil
+from collections.abc import Callable
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
+from scans import write_sequence
 
 from salsanext_cli import read_labels, write_labels
 from salsanext_cli.engines.settings import NetworkSettings
@@ -18,6 +21,14 @@ class World:
     data: Path
     out: Path
     network: NetworkSettings
+
+    @classmethod
+    def made(cls, folder: Path, weights: Path) -> "World":
+        """Write three scans; names of folders have a space and an umlaut."""
+        data = folder / "Daten für 1"
+        write_sequence(data / "sequences/00", ["000000"], seed=7)
+        write_sequence(data / "sequences/08", ["000000", "000001"])
+        return cls(data, folder / "öut put", NetworkSettings(weights, "cpu", engine="torch"))
 
     def scan(self, sequence: str = "08", stem: str = "000000") -> Path:
         return self.data / "sequences" / sequence / "velodyne" / f"{stem}.bin"
@@ -34,3 +45,22 @@ class World:
         for sequence, stem in (("00", "000000"), ("08", "000000"), ("08", "000001")):
             path = self.result("predictions", sequence, stem)
             write_labels(path, np.full(count, raw, np.uint32))
+
+
+class Kept:
+    """A world with results that are made once; each test gets it at the same place as before.
+
+    Records of results have absolute names, and times of modification, which copies keep.
+    """
+
+    def __init__(self, folder: Path, weights: Path, fill: Callable[[World], None]) -> None:
+        self.place, self.kept = folder / "now", folder / "kept"
+        self.world = World.made(self.place, weights)
+        fill(self.world)
+        self.place.rename(self.kept)
+
+    def anew(self) -> World:
+        """Return the world as it was when its results were made."""
+        shutil.rmtree(self.place, ignore_errors=True)
+        shutil.copytree(self.kept, self.place)
+        return replace(self.world)

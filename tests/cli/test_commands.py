@@ -31,7 +31,7 @@ def predict(run, data, weights):
 
 
 @pytest.fixture
-def predicted(predict, tmp_path):
+def results(predict, tmp_path):
     """Return an output folder with predictions."""
     out = tmp_path / "out"
     assert predict(out).exit_code == 0
@@ -165,15 +165,15 @@ def test_failures_are_in_the_json(predict, tmp_path):
     assert result.exit_code == 1
 
 
-def test_eval_replaces_its_result_of_other_settings_and_inputs(run, predict, predicted, data):
+def test_eval_replaces_its_result_of_other_settings_and_inputs(run, predict, results, data):
     reports = []
     for other in ((), ("--limit", 1), ("--limit", 1, "--by-distance"), ("--dataset", data)):
-        result = run("eval", "--out", predicted, *other)
+        result = run("eval", "--out", results, *other)
         assert result.exit_code == 0, result.output
-        reports.append(json.loads((predicted / "eval.json").read_text())["settings"])
-    assert predict(predicted, "--knn-k", 3, "--overwrite").exit_code == 0
-    assert run("eval", "--out", predicted).exit_code == 0
-    reports.append(json.loads((predicted / "eval.json").read_text())["settings"])
+        reports.append(json.loads((results / "eval.json").read_text())["settings"])
+    assert predict(results, "--knn-k", 3, "--overwrite").exit_code == 0
+    assert run("eval", "--out", results).exit_code == 0
+    reports.append(json.loads((results / "eval.json").read_text())["settings"])
     assert all(a != b for a, b in pairwise(reports))
     assert reports[0]["origins"] != reports[-1]["origins"]
 
@@ -217,24 +217,24 @@ def test_eval_prints_how_good_the_uncertainty_is_and_notices_when_it_changes(
     assert report["settings"]["uncertainty"]["method"] == "analytic"
 
 
-def test_errors_of_points_are_evaluated_and_reject_points(run, predicted, data):
+def test_errors_of_points_are_evaluated_and_reject_points(run, results, data):
     for stem in ("000000", "000001"):
-        path = output_path(predicted, "08", "uncertainty/error", stem)
+        path = output_path(results, "08", "uncertainty/error", stem)
         write_array(path, np.linspace(0, 1, 1500, dtype=np.float32))
-    result = run("eval", "--out", predicted)
+    result = run("eval", "--out", results)
     assert result.exit_code == 0, result.output
     said = " ".join(result.stdout.split())
     assert "80 % of points with error below 0.8" in said
     assert "error: the probability that a label is wrong" in said
-    found = only_json(run("eval", "--out", predicted, "--json"))
+    found = only_json(run("eval", "--out", results, "--json"))
     assert found["kept"]["sentence"] in said
-    result = run("export-ply", "--out", predicted, "--max-error", "0.5")
+    result = run("export-ply", "--out", results, "--max-error", "0.5")
     assert result.exit_code == 0, result.output
     assert "1,500 points unlabelled for their error" in result.stderr
-    found = only_json(run("export-ply", predicted, "--max-error", 0.5, "--overwrite", "--json"))
+    found = only_json(run("export-ply", results, "--max-error", 0.5, "--overwrite", "--json"))
     assert found["rejected_points"] == 1500
     assert undocumented(found, "export-ply") == set()
-    result = run("export-ply", predicted, "--max-error", 1.5)
+    result = run("export-ply", results, "--max-error", 1.5)
     assert result.exit_code == 2
     assert "--max-error · 1.5 · expected a probability from 0 to 1" in result.stderr
 
@@ -253,15 +253,15 @@ def test_scans_left_out_on_purpose_are_counted_and_no_failure(run, predict, tmp_
 
 
 @pytest.mark.parametrize("command", ["eval", "export-ply", "picture"])
-def test_scans_that_should_have_results_are_status_one(run, predicted, command):
-    (predicted / "sequences/08/predictions/000001.label").unlink()
-    result = run(command, "--out", predicted, "-q")
+def test_scans_that_should_have_results_are_status_one(run, results, command):
+    (results / "sequences/08/predictions/000001.label").unlink()
+    result = run(command, "--out", results, "-q")
     assert result.exit_code == 1
     assert result.stderr.startswith("error: 1 of 2 scans have no ")
     assert result.stderr.endswith("the first is 08/000001\n")
-    found = only_json(run(command, "--out", predicted, "--json"))
+    found = only_json(run(command, "--out", results, "--json"))
     assert [Path(path).name for path in found["missing"]] == ["000001.bin"]
-    assert run("export-ply", "--out", predicted, "--limit", 1).exit_code == 0
+    assert run("export-ply", "--out", results, "--limit", 1).exit_code == 0
 
 
 ON_DATA = "{data} other --weights {weights}"
@@ -297,12 +297,11 @@ ON_DATA = "{data} other --weights {weights}"
         ),
     ],
 )
-def test_wrong_settings_are_status_two(
-    run, predicted, data, weights, tmp_path, monkeypatch, line, says
-):
-    monkeypatch.chdir(tmp_path)
+def test_wrong_settings_are_status_two(run, predicted, weights, monkeypatch, line, says):
+    monkeypatch.chdir(predicted.out.parent)
     monkeypatch.setenv("PATH", "")
-    result = run(*(word.format(data=data, weights=weights) for word in line.split()))
+    monkeypatch.setenv("SALSANEXT_OUT", str(predicted.out))
+    result = run(*(word.format(data=predicted.data.name, weights=weights) for word in line.split()))
     assert result.exit_code == 2, result.output
     assert result.stderr.startswith("error: ")
     assert result.stderr.count("\n") == 1

@@ -8,6 +8,7 @@ import numpy as np
 import plyfile
 import pytest
 from scans import SMALL, files_below, replace_points, write_weights
+from world import Kept
 
 from salsanext_cli import LabelSpace, Scan, label_space, read_labels, read_scan, write_labels
 from salsanext_cli.engines.settings import NetworkSettings
@@ -36,16 +37,20 @@ FEW = Estimator(samples=2)
 KINDS = FEW.kinds
 
 
-@pytest.fixture
-def predicted(world):
+def sample(world):
     predict_scans(world.data, world.out, network=world.network)
-    return world
+    uncertainty(world.data, world.out, network=world.network, estimator=FEW)
+
+
+@pytest.fixture(scope="session")
+def once_sampled(tmp_path_factory, weights):
+    return Kept(tmp_path_factory.mktemp("sampled"), weights, sample)
 
 
 @pytest.fixture
-def sampled(predicted):
-    uncertainty(predicted.data, predicted.out, network=predicted.network, estimator=FEW)
-    return predicted
+def sampled(once_sampled):
+    """Return a world with predictions and uncertainties."""
+    return once_sampled.anew()
 
 
 def export(world, **options):
