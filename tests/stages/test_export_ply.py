@@ -252,7 +252,9 @@ def test_a_sensor_of_unknown_noise_has_no_total(world, caplog):
 def test_sampling_uses_the_weights_and_sensor_that_predicted(world, tmp_path):
     wide = SMALL.resized(width=64)
     predict_scans(world.data, world.out, network=replace(world.network, sensor=wide))
-    other = NetworkSettings(write_weights(tmp_path / "other.safetensors", seed=1), "cpu")
+    other = NetworkSettings(
+        write_weights(tmp_path / "other.safetensors", seed=1), "cpu", engine="torch"
+    )
     with pytest.raises(UsageError, match="the same weights"):
         export(world, colour="epistemic", network=other)
     uncertainty(
@@ -267,7 +269,9 @@ def test_sampling_uses_the_weights_and_sensor_that_predicted(world, tmp_path):
 
 
 def test_labels_made_anew_by_other_weights_are_not_shown_with_older_uncertainty(sampled, tmp_path):
-    other = NetworkSettings(write_weights(tmp_path / "other.safetensors", seed=1), "cpu")
+    other = NetworkSettings(
+        write_weights(tmp_path / "other.safetensors", seed=1), "cpu", engine="torch"
+    )
     predict_scans(sampled.data, sampled.out, network=other, options=OVERWRITE)
     with pytest.raises(OutputError, match=r"labels by the weights .* SCANS .* --overwrite"):
         export(sampled, colour="epistemic", network=other)

@@ -82,8 +82,8 @@ def test_a_picture_of_every_scan_with_results(labelled):
         assert has(everything, colour)
 
 
-def test_what_is_there_stays_until_results_or_settings_change(world):
-    predict_scans(world.data, world.out, network=world.network)
+def test_what_is_there_stays_until_results_or_settings_change(predicted):
+    world = predicted
     assert picture(world.out).done == 3
     before = pngs(world)
     assert picture(world.out).skipped == 3

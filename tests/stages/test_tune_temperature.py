@@ -92,7 +92,7 @@ def test_predict_uses_it_and_keeps_the_labels(drawn, target, tmp_path):
     temperature = go(drawn, target)["after"]["temperature"]
     before, after = tmp_path / "before", tmp_path / "after"
     predict_scans(drawn.data, before, network=drawn.network, extras=("probabilities",))
-    network = NetworkSettings(target, "cpu")
+    network = NetworkSettings(target, "cpu", engine="torch")
     predict_scans(drawn.data, after, network=network, extras=("probabilities",))
     name = "sequences/08/probabilities/000000.npy"
     powers = np.load(before / name).astype(np.float64) ** (1 / temperature)
@@ -120,5 +120,9 @@ def test_networks_without_a_best_temperature(world, target, tmp_path, weight, bi
         module.logits.bias.copy_(torch.tensor(bias + [0.0] * 18))
     save_weights(tmp_path / "odd.safetensors", module, card)
     with pytest.raises(error, match=says):
-        go(world, target, network=NetworkSettings(tmp_path / "odd.safetensors", "cpu"))
+        go(
+            world,
+            target,
+            network=NetworkSettings(tmp_path / "odd.safetensors", "cpu", engine="torch"),
+        )
     assert not target.exists()

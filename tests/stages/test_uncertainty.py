@@ -73,8 +73,8 @@ def test_another_seed_or_number_of_passes_is_refused(world):
     assert run(world).skipped == 3
 
 
-def test_labels_that_predict_made_stay(world):
-    predict_scans(world.data, world.out, network=world.network)
+def test_labels_that_predict_made_stay(predicted):
+    world = predicted
     before = labels_below(world.out)
     assert run(world).done == 3
     assert labels_below(world.out) == before
@@ -117,7 +117,7 @@ def test_a_wrong_estimator_is_refused_before_anything_is_written(world, how, say
 
 def test_a_network_without_dropout_is_refused(world, tmp_path):
     weights = write_weights(tmp_path / "w.safetensors", dropout=0.0)
-    certain = replace(world, network=NetworkSettings(weights, "cpu"))
+    certain = replace(world, network=NetworkSettings(weights, "cpu", engine="torch"))
     with pytest.raises(WeightsError, match="without dropout"):
         run(certain)
     assert not world.out.exists()
@@ -171,7 +171,9 @@ def test_a_sensor_of_unknown_noise_is_refused_unless_it_does_not_matter(world, m
 
 
 def test_labels_made_step_by_step_remember_their_weights(world, tmp_path):
-    other = NetworkSettings(write_weights(tmp_path / "other.safetensors", seed=1), "cpu")
+    other = NetworkSettings(
+        write_weights(tmp_path / "other.safetensors", seed=1), "cpu", engine="torch"
+    )
     project_scans(world.data, world.out, sensor=SMALL)
     predict_range_images(world.out, world.out, network=other)
     knn_refine_scans(world.out)
