@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 import speed_product as product
 import torch
-from scans import SMALL, make_scan, write_weights
+from scans import SMALL, make_scan
 
 from salsanext_cli import RangeImage, Scan, knn_refine, load_network, project, read_labels
 from salsanext_cli.engines.settings import NetworkSettings
@@ -70,25 +70,6 @@ def test_same_moments(plain, weights):
     ours = aleatoric(load_network(weights, "cpu", ODD), image)
     assert ours.max() > 1e-3
     np.testing.assert_allclose(variance.numpy(), ours, rtol=1e-3, atol=1e-12)
-
-
-def test_passes_without_noise_are_those_of_plain_dropout(plain, tmp_path):
-    """Both networks draw the same masks; the passes' variance and mean are NumPy's."""
-    quiet = replace(SMALL, range_noise=0.0, intensity_noise=0.0)
-    weights = write_weights(tmp_path / "quiet.safetensors", sensor=quiet)
-    baseline = plain.Baseline(weights)
-    image = with_holes(project(make_scan(), quiet))
-    certain = baseline.probabilities(image)
-    torch.manual_seed(1)
-    mean, epistemic, noise = baseline.uncertainty(image, passes=3)
-    plain.drop(baseline.network)
-    torch.manual_seed(1)
-    passes = np.stack([baseline.probabilities(image) for _ in range(3)])
-    np.testing.assert_allclose(mean, passes.mean(0), atol=1e-5)
-    np.testing.assert_allclose(epistemic, passes.var(0).mean(0), atol=1e-5)
-    np.testing.assert_allclose(noise, 0, atol=1e-12)
-    assert epistemic.max() > 1e-3
-    np.testing.assert_allclose(baseline.aleatoric(image)[0], certain, atol=1e-5)
 
 
 def test_same_neighbours_but_for_the_published_rules(plain):

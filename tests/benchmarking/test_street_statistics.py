@@ -13,34 +13,6 @@ from salsanext_cli import label_space, project, read_labels, read_scan, sensor
 
 SCRIPT = runpy.run_path(str(Path(__file__).parents[2] / "benchmarks/street_statistics.py"))
 TINY = "fov_up = 3.0\nfov_down = -25.0\nheight = 16\nwidth = 64\n"
-GROUND = np.array([False, True, False, False])
-
-
-def columns_of(classes, occupied):
-    """Yield the class and the row of the occupied pixels of each column, from the top."""
-    for column in range(classes.shape[1]):
-        rows = [row for row in range(len(classes)) if occupied[row, column]]
-        yield column, [(int(classes[row, column]), row) for row in rows]
-
-
-@pytest.mark.parametrize("seed", range(4))
-def test_segments(seed):
-    random = np.random.default_rng(seed)
-    classes = random.integers(0, 4, (12, 9)).astype(np.uint8)
-    heights = random.normal(size=(12, 9)).astype(np.float32)
-    occupied = random.random((12, 9)) < 0.6
-    usual = np.median(heights[occupied & (classes == 1)])
-    wanted = []
-    for column, pixels in columns_of(classes, occupied):
-        for place, (which, row) in enumerate(pixels):
-            if which == 0 or (place > 0 and pixels[place - 1][0] == which):
-                continue
-            lower = [other for other, _ in pixels[place:] if other != which]
-            feet = [heights[below, column] for other, below in pixels[place:] if other == 1]
-            top = heights[row, column] - (feet[0] if feet else usual)
-            wanted.append((which, pytest.approx(top), lower[0] if lower else -1))
-    found = SCRIPT["segments"](classes, heights, occupied, GROUND)
-    assert list(zip(*(each.tolist() for each in found), strict=True)) == wanted
 
 
 def test_table(tmp_path, capsys):

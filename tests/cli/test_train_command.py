@@ -10,7 +10,7 @@ from salsanext_cli.cli import options
 from salsanext_cli.engines.device import has_bfloat16
 from salsanext_cli.network.card import read_card
 from salsanext_cli.network.registry import ARCHITECTURES
-from salsanext_cli.training.recipe import presets, recipe
+from salsanext_cli.training.recipe import recipe
 
 
 @pytest.fixture(autouse=True)
@@ -56,11 +56,6 @@ def test_a_batch_too_small_for_the_workers(run, data, tmp_path, monkeypatch):
     assert result.exit_code == 2
     assert "recipe key batch · 2 · expected at least one sample for each of 3" in result.stderr
     assert result.stderr.count("\n") == 1
-
-
-def test_help_names_every_recipe(run):
-    said = " ".join(run("train", "--help").output.split())
-    assert all(name in said for name in presets())
 
 
 def test_further_data_sets(run, data, tmp_path):

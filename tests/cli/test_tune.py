@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 from command_line import only_json
 
-from salsanext_cli.fitting.adaptation import SHARE
 from salsanext_cli.network.card import read_card
 from salsanext_cli.results.selection import ScanSelection
 
@@ -96,14 +95,6 @@ def test_settings_reach_the_stage(typed, weights, what, split, limit):
     used = seen["network"]
     assert (used.weights, used.sensor.name, used.device) == (weights, "hdl32", "cpu")
     assert typed(what, "--split", "train", "--limit", 1)["selection"].split == "train"
-
-
-def test_numbers_reach_the_stage(typed):
-    assert typed("batchnorm")["share"] == SHARE
-    assert typed("batchnorm", "--share", 0.9)["share"] == 0.9
-    numbers = {"samples": 4, "seed": 3, "lowest": 0.1, "highest": 0.3, "steps": 5}
-    words = (word for name, number in numbers.items() for word in (f"--{name}", number))
-    assert typed("dropout", *words).items() >= numbers.items()
 
 
 @pytest.mark.parametrize("what", ["temperature", "dropout", "batchnorm"])

@@ -3,12 +3,10 @@
 
 import importlib
 import os
-import shutil
 import subprocess
 import sys
 import threading
 import time
-from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import numba
@@ -115,14 +113,6 @@ def test_a_cache_that_cannot_be_written(kernel, tmp_path, caplog, monkeypatch, e
     assert not any(path.is_file() for path in (tmp_path / "salsanext").rglob("*"))
 
 
-def test_a_cache_folder_that_goes_away(kernel, tmp_path, caplog):
-    first = kernel()
-    shutil.rmtree(tmp_path / "salsanext")
-    (tmp_path / "salsanext").touch()
-    assert first(2) == 4
-    assert len(caplog.records) == 1
-
-
 def test_processes_that_write_at_once(kernel, tmp_path):
     """Each compiles two signatures in another order; afterwards both can be loaded."""
     code = (
@@ -174,14 +164,3 @@ def test_an_error_of_any_thread_is_raised_after_all_are_done():
     with pytest.raises(ValueError, match="no"):
         run_on_threads(work, 3)
     assert len(done) == 2
-
-
-def test_calls_on_busy_threads_are_cancelled(monkeypatch):
-    busy = ThreadPoolExecutor(1)
-    free = threading.Event()
-    busy.submit(free.wait, 10)
-    monkeypatch.setattr("salsanext_cli.compiled.kernels._pool", lambda _: busy)
-    calls = []
-    run_on_threads(lambda: calls.append(1), 3)
-    assert calls == [1]
-    free.set()

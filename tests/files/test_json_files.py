@@ -4,6 +4,7 @@ from functools import partial, reduce
 from pathlib import Path
 
 import pytest
+from world import Kept
 
 from salsanext_cli.errors import OutputError
 from salsanext_cli.files.json_files import RecordedSettings
@@ -69,9 +70,8 @@ def test_a_word_that_means_nothing_is_named():
         SETTINGS.one_of("yes", ("copies", "none"))
 
 
-@pytest.fixture
-def filled(world):
-    """Return a world in whose output folder most stages have left a record."""
+def fill(world):
+    """Leave records of most stages in the output folder of a world."""
     first = {"network": world.network, "selection": ScanSelection(limit=1)}
     sensor = world.network.load().sensor
     project_scans(world.data, world.out, sensor=sensor, selection=first["selection"])
@@ -80,7 +80,16 @@ def filled(world):
     world.result("uncertainty/epistemic", "00").unlink()
     export_ply(world.out, colour="range")
     picture(world.out, colours=["range"])
-    return world
+
+
+@pytest.fixture(scope="session")
+def once_filled(tmp_path_factory, weights):
+    return Kept(tmp_path_factory.mktemp("filled"), weights, fill)
+
+
+@pytest.fixture
+def filled(once_filled):
+    return once_filled.anew()
 
 
 @pytest.mark.parametrize(

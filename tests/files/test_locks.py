@@ -49,12 +49,6 @@ def test_the_folder_may_go_while_it_is_held(tmp_path: Path) -> None:
         (tmp_path / "gone").rmdir()
 
 
-def test_where_no_file_can_be_made(tmp_path: Path) -> None:
-    (tmp_path / "file").touch()
-    with pytest.raises(OutputError, match="cannot be written"), locked(tmp_path / "file/lock"):
-        pass
-
-
 @pytest.mark.parametrize("number", [errno.ENOLCK, errno.EOPNOTSUPP, errno.ENOSYS])
 def test_without_locks_it_goes_on_and_says_so_once(
     tmp_path: Path,

@@ -123,24 +123,6 @@ def test_every_real_intensity_is_one_and_no_other_column(real_data):
     assert without <= {"ascii_rgb_normals.ply", "float64_xyz_only.ply"}
 
 
-def test_few_images_of_another_scale_or_none_do_not_count():
-    images = [image_of(np.random.default_rng(n).random(1500)) for n in range(5)]
-    bright, none = image_of(255 * np.random.default_rng(9).random(1500)), image_of(np.zeros(1500))
-    expected = intensity_quantiles(images)
-    assert intensity_quantiles([bright, *images, bright, none, none]) == expected
-    assert intensity_quantiles([bright, none]) == intensity_quantiles([bright])
-    assert intensity_quantiles([none, none]) == (0.0,) * INTENSITY_LEVELS
-    order = np.random.default_rng(0).permutation(5)
-    assert intensity_quantiles(images[place] for place in order) == pytest.approx(expected)
-
-
-def test_decibels_count_all():
-    images = [image_of(-40 * np.random.default_rng(100 + n).random(4000) - n) for n in range(3)]
-    levels = np.linspace(0, 1, INTENSITY_LEVELS)
-    each = [np.quantile(image[4][image[0] > 0], levels) for image in images]
-    np.testing.assert_allclose(intensity_quantiles(images), np.mean(each, axis=0), rtol=1e-4)
-
-
 @given(st.lists(st.sampled_from([0.0, 0.1, 0.5, 7.0, 255.0]), min_size=3, max_size=40))
 def test_equals_the_slow_way_with_ties_and_beyond_the_ends(values):
     image = image_of(values)

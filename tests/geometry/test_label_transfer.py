@@ -143,13 +143,6 @@ def test_several_clouds_are_merged_as_a_loop_over_all_pairs_does(seed, size, cou
     assert len(found.unmatched) == sum(len(part.unmatched) for part in parts)
 
 
-def test_the_neighbour_of_a_point_in_another_cloud_is_not_its_copy():
-    points = np.float32([[0, 0, 0], [0, 0, 0.0005], [1, 0, 0], [2, 0, 0]])
-    parts = [transfer_labels(points, points[[i, i + 2]], np.uint32([7 + i] * 2)) for i in range(2)]
-    assert as_listed(parts[0]) == [7, 7, 7, None]
-    assert as_listed(merged_transfers(parts, 0)) == [7, 8, 7, 8]
-
-
 def test_points_at_one_place_take_no_more_time_than_others():
     """A sensor without returns gives tens of thousands of zeros, and billions of pairs."""
     points = np.zeros((60_000, 3), np.float32)

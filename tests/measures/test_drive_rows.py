@@ -42,11 +42,6 @@ def test_most_uncertain_most_wrong_and_worst_class_are_chosen():
     assert found == worth_looking_at(rows, SPACE)
 
 
-def test_without_labels_and_uncertainty_any_scan_is_chosen():
-    found = worth_looking_at([row(str(i)) for i in range(50)], SPACE)
-    assert [*found.values()] == ["at random"]
-
-
 def test_the_error_leads_before_the_entropy():
     rows = [row("1", entropy=1.0), row("2", error=0.5)]
     assert leading_kind(rows) == "error"

@@ -39,15 +39,6 @@ def test_threshold_is_that_of_a_slow_loop(points):
     assert found.threshold == float(f"{found.threshold:.4g}")
 
 
-def test_sentence_is_one_to_act_on():
-    values = np.repeat([0.05, 0.2, 0.7], [500, 300, 200])
-    wrong = np.concatenate([np.arange(800) < 33, np.arange(200) < 117])
-    assert kept_of(values, wrong).sentence == (
-        "keep the 80 % of points with error below 0.4: 4.1 % of them are wrong instead of 15.0 %"
-    )
-    assert "entropy below 0.4 nats: 4.1 %" in kept_of(values, wrong, "entropy").sentence
-
-
 @pytest.mark.parametrize(
     ("values", "wrong", "says"),
     [

@@ -31,16 +31,6 @@ def test_the_largest_classes_are_those_counted_slowly(scans):
     assert list(found.values()) == largest
 
 
-def test_what_is_found_is_said_at_once_and_listed_with_all_its_scans(caplog):
-    summary, tilted = RunSummary(SMALL), Finding("tilted", "the ground is tilted", "turn it")
-    for number in range(3):
-        file = ScanFile("08", f"{number}", Path("scan.bin"))
-        summary.add(ScanSummary(file, ScanCheck((tilted,) if number else ())))
-    assert caplog.messages == ["08/1: the ground is tilted; turn it (tilted)"]
-    told = {"message": "the ground is tilted", "remedy": "turn it", "scans": ["08/1", "08/2"]}
-    assert summary.warnings() == [{"code": "tilted", **told}]
-
-
 @pytest.mark.parametrize(("share", "codes"), [(0.72, []), (0.78, ["one-class"])])
 def test_a_class_that_takes_the_scan(share, codes):
     labels = np.where(np.arange(1000) < 1000 * share, 1, 9).astype(np.uint8)

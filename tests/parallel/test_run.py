@@ -3,7 +3,6 @@ import os
 import signal
 import threading
 from functools import partial
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -100,14 +99,6 @@ def test_results_can_be_handed_on_as_they_come(tmp_path, options):
 def test_options_that_are_none(options):
     with pytest.raises(UsageError):
         RunOptions(**options)
-
-
-def test_workers_follow_when_the_program_changes_its_folder(tmp_path, monkeypatch):
-    for name in ("one", "two"):
-        (tmp_path / name).mkdir()
-        monkeypatch.chdir(tmp_path / name)
-        run(Write(Path("out")), scans_of("a", "b"), jobs=2)
-        assert sorted(path.name for path in Path("out/s").iterdir()) == ["a", "b"]
 
 
 @LOCAL

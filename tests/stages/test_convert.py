@@ -63,14 +63,6 @@ def test_some_of_the_scans_and_later_the_rest(bag, tmp_path):
     assert before.items() <= after.items()
 
 
-def test_times_are_those_of_the_scans_that_are_there(bag, tmp_path):
-    folder = tmp_path / "data"
-    convert(bag, folder, every=2)
-    (folder / f"sequences/drive/velodyne/{TIMES[0]}.bin").unlink()
-    convert(bag, folder, every=4, limit=1)
-    assert sequence(folder)[1] == ["0.000000000", SECONDS[2], SECONDS[4]]
-
-
 def test_nothing_else_is_replaced(bag, tmp_path):
     folder = tmp_path / "data"
     place = folder / "sequences/drive"

@@ -15,8 +15,6 @@ from salsanext_cli.results.stage_records import stage_settings
 from salsanext_cli.stages.knn_refine import knn_refine_scans
 from salsanext_cli.stages.predict import predict_range_images, predict_scans
 from salsanext_cli.stages.project import project_scans
-from salsanext_cli.stages.uncertainty import uncertainty
-from salsanext_cli.uncertainty.settings import Estimator
 
 
 @pytest.fixture
@@ -66,16 +64,6 @@ def test_step_by_step_in_shards_and_by_workers_the_bytes_are_the_same(knowing, t
     for other in (steps, tmp_path / "shards", tmp_path / "workers"):
         assert labels_below(other) == expected
     assert run(knowing).skipped == 3
-
-
-def test_uncertainty_of_filled_images(knowing):
-    run(knowing)
-    estimator = Estimator(samples=2)
-    uncertainty(knowing.data, knowing.out, network=knowing.network, estimator=estimator)
-    before = stage_settings(knowing.out, "predict")["sensor"]
-    assert stage_settings(knowing.out, "uncertainty")["sensor"] == before
-    values = np.load(next(knowing.out.rglob("aleatoric/*.npy")))
-    assert np.isfinite(values).all()
 
 
 def test_beams_of_a_sensor_reach_every_stage(world, tmp_path):

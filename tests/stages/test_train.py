@@ -449,17 +449,6 @@ def test_a_training_on_two_data_sets_can_be_interrupted(dataset, further, tmp_pa
     assert not same(whole.last, go(dataset, tmp_path / "alone", recipe=OTHERWISE).last)
 
 
-def test_points_of_further_data_sets_count_as_often_as_they_are_drawn(dataset, further, tmp_path):
-    counts = {}
-    for also in (0.0, 0.25, 1.0):
-        run = tmp_path / f"run-{also}"
-        go(dataset, run, recipe=TINY.with_changes(also=also, epochs=1), also=[further])
-        counts[also] = json.loads((run / "class_counts.json").read_text())["points"]
-    for name, found in counts[0.25].items():
-        expected = 0.75 * counts[0.0][name] + 0.25 * counts[1.0][name]
-        assert found == pytest.approx(expected, abs=1.5)
-
-
 def test_a_further_data_set_without_labels_is_named(dataset, further, tmp_path):
     label = next(further.glob("sequences/00/labels/*.label"))
     label.unlink()

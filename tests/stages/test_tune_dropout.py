@@ -63,12 +63,6 @@ def test_every_rate_against_a_slow_loop_and_the_least_is_stored(world, target, t
     assert curve_of(target).name == "tuned_dropout.png"
 
 
-def test_it_changes_with_the_seed(world, target):
-    assert (
-        go(world, target)["objectives"] != go(world, target, overwrite=True, seed=1)["objectives"]
-    )
-
-
 def test_a_network_that_was_trained_without_dropout_gets_it_where_the_paper_has_it(
     world, target, tmp_path
 ):

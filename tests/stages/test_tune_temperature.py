@@ -1,6 +1,5 @@
 # SPDX-License-Identifier: MIT
 
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -78,14 +77,6 @@ def test_a_sample_of_the_points_is_enough_and_always_the_same(drawn, target, mon
     assert some["points"] == 1400 < whole["points"]
     assert some["after"]["temperature"] == pytest.approx(whole["after"]["temperature"], rel=0.1)
     assert some["after"]["temperature"] != whole["after"]["temperature"]
-
-
-def test_what_was_tuned_can_be_tuned_again_in_place(drawn, target):
-    first = go(drawn, target)
-    network = replace(drawn.network, weights=target)
-    again = go(drawn, target, network=network, overwrite=True)
-    assert again["before"] == first["after"]
-    assert again["after"]["temperature"] == pytest.approx(first["after"]["temperature"], rel=1e-9)
 
 
 def test_predict_uses_it_and_keeps_the_labels(drawn, target, tmp_path):

@@ -63,14 +63,6 @@ def test_every_scan_is_as_a_report_holds_it(world, ask):
         assert cloud["name"] == name
 
 
-def test_a_kind_that_few_scans_have_keeps_its_first_scale(world, ask):
-    world.put("uncertainty/entropy", "000001", [0.1, 0.5, 0.2])
-    world.put("uncertainty/entropy", "000002", [0.1, 5.0, 0.2])
-    for place in (1, 2, 3):
-        _, text = ask(f"/cloud/TOKEN/{place}")
-        assert json.loads(text)["scales"]["entropy"]["high"] == pytest.approx(0.5, rel=0.02)
-
-
 @pytest.mark.slow
 def test_of_a_thousand_scans_any_can_be_looked_at(world, monkeypatch):
     for number in range(7, 1000):

@@ -121,24 +121,6 @@ def test_the_nearer_of_two_scenes_counts():
         assert distance[kept].max() < 7
 
 
-def test_an_edge_gives_returns_between_near_surfaces_only():
-    """Half of a fan hits a wall at 8 m, the other half one farther away."""
-    azimuth = np.tile([-0.01, 0.01], 4000)
-    directions = np.stack([np.cos(azimuth), np.sin(azimuth), np.zeros(len(azimuth))], -1)
-    rays = np.concatenate([np.zeros((len(directions), 3)), directions], 1)
-
-    def between(gap):
-        corners = np.array([[[8, 0, -9], [8, 9, -9], [8, 9, 9], [8, 0, 9]]], float)
-        scenes = [wall(8 + gap), Scene(quads(corners, Skin(BUILDING, Material.PLASTER)))]
-        distance, _, _ = look(scenes, rays)
-        return ((distance > 8.2) & (distance < 7.8 + gap)).mean(), np.isnan(distance).mean()
-
-    near, far = between(0.8), between(4.0)
-    assert 0.2 < near[0] < 0.5
-    assert far[0] == 0
-    assert far[1] > near[1] + 0.1
-
-
 @pytest.mark.parametrize("echo", [USUAL_ECHO, 0.5 * USUAL_ECHO, 0.3 * USUAL_ECHO])
 def test_gamma_darkens_what_is_darker_than_usual_and_changes_no_range(echo):
     rays, _ = fan(4000, spread=0.03)

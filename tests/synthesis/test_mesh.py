@@ -8,9 +8,7 @@ from salsanext_cli.synthesis.mesh import (
     Mesh,
     Skin,
     box,
-    disc,
     merge,
-    quads,
     tube,
 )
 from salsanext_cli.synthesis.surfaces import CAR, POLE, Material
@@ -42,14 +40,6 @@ def test_a_tube_may_point_anywhere(direction):
     along = mesh.vertices @ end / np.linalg.norm(end)
     across = np.sqrt((mesh.vertices**2).sum(1) - along**2)
     np.testing.assert_allclose(across, 0.2, atol=1e-9)
-
-
-def test_discs_and_quads_are_flat_polygons():
-    mesh = disc((0, 0, 1), 2.0, STEEL, sides=12)
-    assert area(mesh) == pytest.approx(0.5 * 12 * 4 * np.sin(2 * np.pi / 12))
-    assert np.ptp(mesh.vertices[:, 1]) == 0
-    square = np.array([[[0, 0, 0], [2, 0, 0], [2, 3, 0], [0, 3, 0]]], float)
-    assert area(quads(np.concatenate([square, square + 5]), STEEL)) == pytest.approx(12)
 
 
 def test_merging_keeps_every_triangle_and_its_skin():

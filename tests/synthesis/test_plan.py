@@ -75,14 +75,6 @@ def test_a_kerb_is_lowered_at_driveways():
         assert high == pytest.approx(low, abs=1e-3)
 
 
-def test_t_is_a_distance_in_the_world(plan):
-    s = np.linspace(5, 155, 40)
-    near, far = plan.world(s, 3.0), plan.world(s, 8.0)
-    np.testing.assert_allclose(np.hypot(*(far - near)[:, :2].T), 5, atol=1e-9)
-    step = plan.world(s + 0.5, 0.0) - plan.world(s, 0.0)
-    np.testing.assert_allclose(np.hypot(step[:, 0], step[:, 1]), 0.5, atol=5e-3)
-
-
 def test_the_ground_has_no_holes_and_the_plans_labels():
     plan = PLANS[0]
     mesh = ground(np.random.default_rng(0), plan)

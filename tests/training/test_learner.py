@@ -64,20 +64,6 @@ def test_what_is_not_finite_changes_no_weight(clip: float, spoilt: str) -> None:
             assert torch.equal(parameter, kept[name])
 
 
-@pytest.mark.parametrize("bad", [[], [1], [0, 3]])
-def test_images_are_tried_alone_and_by_their_own_statistics(bad: list[int]) -> None:
-    learning = learner()
-    images = torch.randn(4, 5, 8, 16)
-    truth = torch.ones(4, 8, 16, dtype=torch.uint8)
-    images[bad, 2, 3, 3] = math.inf
-    learning.module.train().norm.running_mean.fill_(math.nan)  # as a step with such an image does
-    before = {name: values.clone() for name, values in learning.module.state_dict().items()}
-    assert learning.non_finite_samples(images, truth) == bad
-    assert learning.module.training
-    for name, values in learning.module.state_dict().items():
-        torch.testing.assert_close(values, before[name], equal_nan=True)
-
-
 def test_clipping_bounds_the_gradient() -> None:
     learning = learner(clip_gradient=1e-3)
     learning.step(*batch(), 0, 10)

@@ -32,16 +32,6 @@ def test_curve_is_a_picture(tmp_path: Path) -> None:
         assert (tmp_path / "curve.png").read_bytes().startswith(b"\x89PNG")
 
 
-@pytest.mark.parametrize("wanted", [True, False])
-def test_without_tensorboard_nothing_is_written(
-    wanted: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(log, "find_spec", lambda name: None)
-    with tensorboard_in(tmp_path, "tensorboard", wanted=wanted) as write:
-        write(ROWS[1], PICTURE)
-    assert not list(tmp_path.iterdir())
-
-
 def test_an_epoch_is_scalars_and_an_image(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """TensorBoard, which need not be installed, is a mock."""
     tensorboard = MagicMock()

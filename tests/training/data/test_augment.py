@@ -166,15 +166,6 @@ POINTLESS = np.float32(
 )
 
 
-@pytest.mark.parametrize("counts", [(0, 0), (0, 50), (50, 0)])
-def test_scans_without_points_can_be_mixed_and_pasted(counts: tuple[int, int]) -> None:
-    first, second = (labelled(seed, 0, count) for seed, count in enumerate(counts))
-    scan, labels = mix(first, second, Checkerboard(3, 2, 0.0, DOWN, UP))
-    assert len(scan) == len(labels) <= sum(counts)
-    scan, labels = paste(first, second, np.array([1.0, 2.0]))
-    assert len(scan) == len(labels) >= counts[0]
-
-
 def test_pasting_adds_the_points_turned_and_nothing_else() -> None:
     onto, other = labelled(1), labelled(2, 5000)
     rare = select(other, (other[1] == 6) & (np.hypot(*other[0].points.T[:2]) > CLEAR_RADIUS_M))
@@ -210,17 +201,6 @@ def test_nothing_is_pasted_on_the_sensor_or_without_a_measurement() -> None:
 # Windows
 
 SCORED = label_space().scored
-
-
-def test_windows_start_anywhere_and_go_round_the_circle() -> None:
-    random = np.random.default_rng(0)
-    truth = np.ones((2, 64), np.uint8)
-    starts = set()
-    for _ in range(1000):
-        columns = choose_columns(truth, SCORED, 24, 0.0, random)
-        np.testing.assert_array_equal(columns, (columns[0] + np.arange(24)) % 64)
-        starts.add(int(columns[0]))
-    assert starts == set(range(64))
 
 
 def test_windows_on_a_class_hold_rare_ones_as_often_as_common_ones() -> None:
