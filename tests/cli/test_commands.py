@@ -5,6 +5,7 @@ import json
 import re
 import shlex
 from dataclasses import replace
+from functools import cache
 from itertools import pairwise
 from pathlib import Path
 
@@ -15,6 +16,7 @@ from scans import SMALL, labels_below, write_array, write_sequence
 
 from salsanext_cli.parallel.run import Outcome
 from salsanext_cli.results.layout import output_path
+from salsanext_cli.stages import models as stages
 
 ROOT = Path(__file__).parents[2]
 pytestmark = pytest.mark.usefixtures("undrawn")
@@ -331,7 +333,7 @@ def test_nothing_to_work_on_is_status_one(run, weights, tmp_path, monkeypatch, l
     monkeypatch.chdir(tmp_path)
     (tmp_path / "empty").mkdir()
     (tmp_path / "rubbish.safetensors").write_bytes(b"rubbish")
-    monkeypatch.setattr("salsanext_cli.stages.models.ARCHITECTURES", {})  # counting takes seconds
+    monkeypatch.setattr(stages, "ARCHITECTURES", {})  # counting takes seconds
     result = run(*(word.format(weights=weights) for word in line.split()))
     assert result.exit_code == 1, result.output
     assert result.stdout == ""
@@ -395,7 +397,8 @@ def test_file_names_that_are_not_text(run, weights, tmp_path):
     assert failure["scan"] == f"{tmp_path}/Stra\\xdfe 1/velodyne/Fahrt \\xfc.bin"
 
 
-def test_models_lists_networks_and_describes_weights(run, weights):
+def test_models_lists_networks_and_describes_weights(run, weights, monkeypatch):
+    monkeypatch.setattr(stages, "models", cache(stages.models))  # counting takes seconds
     result = run("models", weights)
     assert result.exit_code == 0
     for figure in ("6,711,572", "62.30 G", "random", "9,246,036 (9.25 M)", "359.71 G (720.96 G)"):

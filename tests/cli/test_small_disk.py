@@ -84,7 +84,14 @@ def require_one_line(result, out: Path, before: dict[str, bytes]) -> None:
 
 
 @pytest.mark.parametrize(
-    ("stage", "room"), [("predict", 0), *((stage, 40_000) for stage in STAGES)]
+    ("stage", "room"),
+    [
+        *(("predict", 0), ("project", 40_000), ("export-ply", 40_000)),
+        *(
+            pytest.param(stage, 40_000, marks=pytest.mark.slow)
+            for stage in ("predict", "uncertainty", "picture", "eval")
+        ),
+    ],
 )
 def test_a_full_disk(run, places, disk, tmp_path, stage, room) -> None:
     _, earlier = STAGES[stage]
@@ -106,7 +113,7 @@ def test_a_full_disk(run, places, disk, tmp_path, stage, room) -> None:
     assert files_below(out) == files_below(whole)
 
 
-@pytest.mark.parametrize("room", [0, 20_000])
+@pytest.mark.parametrize("room", [pytest.param(0, marks=pytest.mark.slow), 20_000])
 def test_a_training_on_a_full_disk(run, disk, tmp_path, monkeypatch, room) -> None:
     monkeypatch.setitem(ARCHITECTURES, "salsanext", TinyNetwork)
     monkeypatch.setattr(options, "sensor", lambda name: SMALL)

@@ -63,7 +63,7 @@ def test_every_architecture_in_float32(name):
 
 
 @pytest.mark.skipif(not has_bfloat16(), reason="a CPU without bfloat16")
-@pytest.mark.parametrize("name", ["salsanext", "rangenet53"])
+@pytest.mark.parametrize("name", ["salsanext", pytest.param("rangenet53", marks=pytest.mark.slow)])
 def test_ends_stay_float32_when_the_rest_is_short(name):
     """By OpenVINO and by torch; a range that was rounded would be metres away."""
     module, x = network(name), images(1, 5, 16, 64)
@@ -85,7 +85,7 @@ def test_ends_stay_float32_when_the_rest_is_short(name):
     assert {p.dtype for p in module.parameters()} == {torch.float32}
 
 
-@pytest.mark.parametrize("precision", ["float32", "bfloat16"])
+@pytest.mark.parametrize("precision", ["float32", pytest.param("bfloat16", marks=pytest.mark.slow)])
 def test_the_bits_do_not_depend_on_threads_or_streams(precision):
     if precision == "bfloat16" and not has_bfloat16():
         pytest.skip("a CPU without bfloat16")
@@ -103,7 +103,9 @@ def test_the_bits_do_not_depend_on_threads_or_streams(precision):
         ] * 3
 
 
-@pytest.mark.parametrize(("threads", "streams"), [(1, 1), (2, 2)])
+@pytest.mark.parametrize(
+    ("threads", "streams"), [pytest.param(1, 1, marks=pytest.mark.slow), (2, 2)]
+)
 @pytest.mark.skipif(not Path("/proc/self/task").is_dir(), reason="a system without these files")
 def test_computing_threads_are_not_bound_to_cores(threads, streams):
     """Workers with one thread each would all be bound to the first core."""

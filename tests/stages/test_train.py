@@ -127,7 +127,7 @@ def require_same(whole, parts):
     assert parts.best_miou == whole.best_miou
 
 
-@pytest.mark.parametrize(("stop", "jobs"), [(2, 1), (3, 2)])
+@pytest.mark.parametrize(("stop", "jobs"), [(2, 1), pytest.param(3, 2, marks=pytest.mark.slow)])
 def test_an_interrupted_training_ends_with_the_weights_of_an_uninterrupted_one(
     dataset, tmp_path, stop, jobs
 ):
