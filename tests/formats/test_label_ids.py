@@ -60,11 +60,6 @@ def test_a_map_that_cannot_be_used_is_one_error(tmp_path, text, found):
     assert found in str(caught.value)
 
 
-def test_a_map_that_is_missing_is_named(tmp_path):
-    with pytest.raises(UsageError, match=r"--map .*no\.yaml · no such file"):
-        LabelIds.of_space(SPACE, tmp_path / "no.yaml")
-
-
 def test_a_class_must_be_left_for_points_without_a_label():
     everything = replace(SPACE, ignored=(False,) * SPACE.class_count)
     with pytest.raises(UsageError, match="class 0, unlabeled, counts"):

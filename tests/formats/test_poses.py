@@ -37,8 +37,3 @@ def test_empty_lines_and_foreign_line_ends_do_not_count(poses):
 def test_lines_that_cannot_be_told(poses, wanted):
     with pytest.raises(FormatError, match="3 lines · expected one for each of 2 scans"):
         pose_lines(poses(3), ["000000", wanted], [wanted])
-
-
-def test_no_file(tmp_path):
-    with pytest.raises(FormatError, match="cannot be read"):
-        pose_lines(tmp_path / "poses.txt", ["a"], ["a"])

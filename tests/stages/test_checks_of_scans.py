@@ -133,14 +133,6 @@ def test_a_training_that_goes_on_knows_the_warnings(dataset, monkeypatch):
     assert len(checked) == 7 * 4
 
 
-def test_warnings_do_not_depend_on_jobs(dataset):
-    change(dataset, points=(0, 2, 1))
-    change(dataset, brighter=255.0, stem="2")
-    one, more = (counted(dataset, dataset / f"{jobs}.json", jobs) for jobs in (1, 3))
-    assert one == more
-    assert {*found(one)} == {"out-of-view", "tilted", "intensity-scale", "mixed-sensors"}
-
-
 def test_a_fit_is_checked_with_what_it_found(dataset, monkeypatch):
     """And each scan twice read, but its reasons counted once."""
     upwards = replace(SMALL, fov_up=30.0, fov_down=-2.0)

@@ -9,7 +9,6 @@ from scans import SMALL, labels_below, write_weights
 
 from salsanext_cli import knn_refine, project, read_scan
 from salsanext_cli.geometry.row_gaps import fill_rows, row_gaps
-from salsanext_cli.parallel.run import RunOptions
 from salsanext_cli.results.point_files import write_bin
 from salsanext_cli.results.stage_records import stage_settings
 from salsanext_cli.stages.knn_refine import knn_refine_scans
@@ -46,24 +45,6 @@ def test_the_network_sees_no_gaps(knowing):
         full = replace(image, channels=fill_rows(image.channels))
         labels = knn_refine(image, network.probabilities(full).argmax(0), space.class_count)
         np.testing.assert_array_equal(np.frombuffer(content, "<u4"), space.to_raw(labels))
-
-
-def test_step_by_step_in_shards_and_by_workers_the_bytes_are_the_same(knowing, tmp_path):
-    from salsanext_cli.parallel.shards import Shard
-
-    run(knowing)
-    steps = tmp_path / "steps"
-    project_scans(knowing.data, steps, sensor=SMALL)
-    predict_range_images(steps, steps, network=knowing.network)
-    knn_refine_scans(steps)
-    for number in (1, 2):
-        run(knowing, tmp_path / "shards", options=RunOptions(shard=Shard(number, 2)))
-    run(knowing, tmp_path / "workers", options=RunOptions(jobs=2, backend="threading"))
-    expected = labels_below(knowing.out)
-    assert len(expected) == 3
-    for other in (steps, tmp_path / "shards", tmp_path / "workers"):
-        assert labels_below(other) == expected
-    assert run(knowing).skipped == 3
 
 
 def test_beams_of_a_sensor_reach_every_stage(world, tmp_path):

@@ -37,12 +37,6 @@ def test_scans_of_another_sensor_cause_one_warning(world, caplog, stage, jobs):
     assert "inspect SCANS --fit" in said
 
 
-@pytest.mark.parametrize("stage", ["project", "inspect", "predict"])
-def test_scans_of_the_sensor_cause_no_warning(world, caplog, stage):
-    run(stage, world, SMALL)
-    assert "outside the view" not in caplog.text
-
-
 def test_a_fit_causes_no_warning(world, caplog):
     inspect(world.data, sensor=UPWARDS, fit=True)
     assert not caplog.records
