@@ -25,7 +25,7 @@ import numpy.typing as npt
 from salsanext_cli.engines.network import Network
 from salsanext_cli.engines.settings import NetworkSettings
 from salsanext_cli.errors import counted
-from salsanext_cli.fitting import adaptation, checked_scans
+from salsanext_cli.fitting import adaptation, label_scan
 from salsanext_cli.fitting.findings import UNCHECKED
 from salsanext_cli.parallel.run import RunOptions
 from salsanext_cli.stages import predict
@@ -50,7 +50,7 @@ def times_of(scans: Path, network: NetworkSettings, *, checked: bool) -> tuple[T
     def mark(*_: int) -> None:
         marks.append((time.perf_counter(), time.process_time()))
 
-    unchecked = patch.object(checked_scans, "check_scan", lambda *_: UNCHECKED)
+    unchecked = patch.object(label_scan, "check_scan", lambda *_: UNCHECKED)
     with (
         tempfile.TemporaryDirectory() as out,
         patch.object(adaptation, "fitted", timed),

@@ -58,18 +58,18 @@ def by_onnx_runtime(module: torch.nn.Module, image: np.ndarray) -> Engine:
 
 
 def by_openvino(network: Network) -> Engine:
-    graph = network.graph("logits", lambda m, x: m(x), lambda: [network.example_input()])
+    graph = network.engine.output_graph(None)
     return lambda image: graph(image)[0]
 
 
 def by_openvino_in_int8(network: Network, image: np.ndarray) -> Engine:
+    from salsanext_cli.engines.onnx_engine import read_model
     from salsanext_cli.engines.onnx_export import exported
-    from salsanext_cli.engines.onnx_model import read_model
     from salsanext_cli.engines.quantised import quantised
 
     card = replace(network.card, sensor=network.sensor)
     content = quantised(exported(network.module, card), [image], lambda given: given)
-    model = read_model(content.SerializeToString(), "int8", card, network.sensor)
+    model = read_model(content.SerializeToString(), "int8", card, network.engine.size)
     hints = {"INFERENCE_PRECISION_HINT": HINTS[KINDS[-1]], "INFERENCE_NUM_THREADS": thread_count()}
     graph = Graph(openvino_core().compile_model(model, "CPU", hints))
     return lambda image: graph(image)[0]
@@ -96,7 +96,7 @@ def compare(scan: sn.Scan, sensor: sn.Sensor, weights: str | None, rounds: int) 
         return sn.load_network(weights, "cpu", sensor, kind, engine)
 
     projected = sn.project(scan, sensor)
-    image = load("torch", "float32").input_array(projected.channels)
+    image = load("torch", "float32").fit.input(projected.channels)
     found = engines(load, image)
     times = {name: [] for name in found}
     for _ in range(rounds):

@@ -25,7 +25,7 @@ import numpy as np
 import salsanext_cli as sn
 from salsanext_cli.engines.network import Network
 from salsanext_cli.fitting.beam_fit import fit_beams
-from salsanext_cli.fitting.scan_fit import with_image_statistics, with_sensor
+from salsanext_cli.fitting.scan_fit import with_image_statistics
 from salsanext_cli.fitting.view_fit import fit_view
 from salsanext_cli.measures.survey import Survey, survey
 from salsanext_cli.sensors.sensor import Sensor
@@ -81,7 +81,7 @@ def score(network: Network, scans: list[LabelledScan], sensor: Sensor, *, fill: 
     """Return accuracy and mean IoU of the labels in the view of a sensor."""
     images = [sn.project(scan, sensor) for scan, _ in scans]
     seen = with_image_statistics(sensor, [image.channels for image in images])
-    network = with_sensor(network, seen if fill else replace(seen, row_gaps=None))
+    network = network.for_sensor(seen if fill else replace(seen, row_gaps=None))
     count = network.card.space.class_count
     confusion = np.zeros((count, count), np.int64)
     for image, (_, truth) in zip(images, scans, strict=True):

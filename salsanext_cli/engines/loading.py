@@ -8,12 +8,14 @@ from typing import TYPE_CHECKING
 from salsanext_cli.classes.label_space import LabelSpace
 from salsanext_cli.classes.merging import ClassMerging
 from salsanext_cli.engines.device import choose_device, choose_engine, choose_precision
+from salsanext_cli.engines.engine import Engine
 from salsanext_cli.engines.network import Network
-from salsanext_cli.engines.onnx_model import load_onnx
+from salsanext_cli.engines.onnx_engine import load_onnx
 from salsanext_cli.errors import WeightsError
 from salsanext_cli.files.identity import fingerprint
 from salsanext_cli.files.user_cache import check_once
-from salsanext_cli.network.card import default_weights, read_card
+from salsanext_cli.geometry.scan_fit import ScanFit
+from salsanext_cli.network.card import WeightsCard, default_weights, read_card
 from salsanext_cli.network.onnx_metadata import ONNX_SUFFIX
 from salsanext_cli.sensors.sensor import Sensor
 
@@ -60,26 +62,32 @@ def load_network(
     file = default_weights() if path is None else Path(path)
     card = read_card(file)
     merging = ClassMerging.needed(card.space, classes)
+    fit = ScanFit(sensor or card.sensor, card.sensor)
+    size = (fit.sensor.height, fit.sensor.width)
     if file.suffix == ONNX_SUFFIX:
-        model = load_onnx(file, card, device, sensor or card.sensor, precision, engine)
-        return replace(model, merging=merging)
+        return Network(load_onnx(file, card, size, device, precision, engine), fit, merging)
     sha256, place = fingerprint(file), choose_device(device)
-    network = Network(
+    loaded = Engine(
         lambda: _read_module(file, place, sha256),
         card,
-        sensor or card.sensor,
+        size,
         place,
         choose_precision(precision, place),
         choose_engine(engine, place),
         "default weights" if path is None else str(path),
         sha256,
-        merging,
     )
-    if network.engine == "torch":
-        _ = network.module
+    if loaded.library == "torch":
+        _ = loaded.module
     else:
-        check_once(sha256, lambda: network.module)  # what was read once needs no torch
-    return network
+        check_once(sha256, lambda: loaded.module)  # what was read once needs no torch
+    return Network(loaded, fit, merging)
+
+
+def network_of_module(module: "SegmentationNetwork", card: WeightsCard, device: str) -> Network:
+    """Return the network of a module that is on a device already, computed by torch."""
+    size = (card.sensor.height, card.sensor.width)
+    return Network(Engine(lambda: module, card, size, device), ScanFit(card.sensor, card.sensor))
 
 
 def _read_module(file: Path, device: str, sha256: str) -> "SegmentationNetwork":
@@ -110,6 +118,4 @@ def with_dropout(network: Network, rate: float) -> Network:
         module = build(architecture)
     module.load_state_dict(network.module.state_dict(), assign=True)
     card = replace(network.card, architecture=architecture)
-    found = replace(network, load_module=module.eval, card=card)
-    vars(found)["_graphs"] = network._graphs
-    return found
+    return replace(network, engine=replace(network.engine, load_module=module.eval, card=card))

@@ -65,7 +65,7 @@ class NetworkSettings:
     def announce(self, network: Network) -> None:
         """Log what computes, and on what the default weights were trained."""
         name = self.weights or f"default weights ({network.card.summary()})"
-        how = (network.device, network.engine, network.precision)
+        how = (network.device, network.engine.library, network.engine.precision)
         adapted = f", adapted: {self.adapted}" if self.adapted else ""
         merged = f", merged into the classes of {network.space.name}" if network.merging else ""
         log.log(NOTICE, "%s on %s by %s in %s%s%s", name, *how, adapted, merged)
@@ -81,22 +81,23 @@ class NetworkSettings:
             self,
             device="cpu" if network.device == "cpu" else self.device,
             sensor=network.sensor,
-            precision=network.precision,
-            engine=network.engine,
-            sha256=network.sha256,
+            precision=network.engine.precision,
+            engine=network.engine.library,
+            sha256=network.engine.sha256,
         )
 
     def record(self, network: Network) -> dict[str, Any]:
         """Return what the results of a stage depend on, as plain data for its record."""
-        known = {"adapted": network.sha256} if self.adapted else {}
+        engine = network.engine
+        known = {"adapted": engine.sha256} if self.adapted else {}
         if network.card.trained_on:
             known["trained_on"] = joined(sorted(network.card.trained_on))
         return known | {
-            "weights": fingerprint(self.path) if self.adapted else network.sha256,
+            "weights": fingerprint(self.path) if self.adapted else engine.sha256,
             "label_space": network.space.to_dict(),
             "sensor": recorded_view(network.sensor),
-            "precision": network.precision,
-            "engine": network.engine,
+            "precision": engine.precision,
+            "engine": engine.library,
         }
 
 

@@ -20,8 +20,8 @@ from salsanext_cli.files.atomic import WEIGHTS_SUFFIX
 from salsanext_cli.files.identity import fingerprint
 from salsanext_cli.files.locks import locked
 from salsanext_cli.files.reading import filled
-from salsanext_cli.fitting.checked_scans import project_checked
-from salsanext_cli.fitting.scan_fit import fitted, sampled_images, with_sensor
+from salsanext_cli.fitting.label_scan import project_for
+from salsanext_cli.fitting.scan_fit import fitted, sampled_images
 from salsanext_cli.network.card import require_tensors
 from salsanext_cli.records import Float
 from salsanext_cli.results.layout import ScanFile
@@ -54,7 +54,7 @@ def network_of_run(
     `out`: its output folder: what earlier results there were made with stays; `overwrite`: whether
     such results will be replaced, and mean nothing; `image_of`: as `fitted` takes it.
     """
-    earlier = earlier_settings(out, network.sha256, overwrite)
+    earlier = earlier_settings(out, network.engine.sha256, overwrite)
     sensor = Sensor.from_dict(earlier.table("sensor"), earlier.path) if earlier else None
     network = fitted(settings, network, files, sensor, image_of)
     if not settings.adapt:
@@ -68,7 +68,7 @@ def network_of_run(
         remedy = "use another output folder, or --overwrite to replace all its results"
         raise OutputError(earlier.path, "made without --adapt", remedy=remedy)
     settings = replace(settings, adapted=made)
-    return settings, with_sensor(settings.load(), network.sensor)
+    return settings, settings.load().for_sensor(network.sensor)
 
 
 def _as_before(out: Path, digest: object) -> Path:
@@ -97,7 +97,7 @@ def _adapted_to(
     require_norms(network)
 
     def checked(file: ScanFile) -> Float:
-        return project_checked(file, network.sensor)[0].channels
+        return project_for(network, file).image.channels
 
     image_of = image_of or checked
     sampled = sampled_images(files, network.sensor, image_of)
@@ -106,9 +106,9 @@ def _adapted_to(
         image_of(files[0])  # raises what is wrong with it, if anything is
         found = f"no point of {counted(len(files), 'scan')} is in view of the sensor"
         raise NoInputError("--adapt", found, "scans to adapt to")
-    digest = hashlib.sha256(f"{network.sha256} {SHARE}".encode())
+    digest = hashlib.sha256(f"{network.engine.sha256} {SHARE}".encode())
     for channels in images:
-        digest.update(network.input_array(channels).tobytes())
+        digest.update(network.fit.input(channels).tobytes())
     path = out / NAME.format(digest.hexdigest()[:12])
     with locked(out / ".adapted.lock", LOCK_TIMEOUT_S):
         WrittenFiles(out).require_replaceable([path])

@@ -76,7 +76,9 @@ def require_norms(network: Network) -> dict[str, nn.BatchNorm2d]:
     """Return what `norms` does; raise `WeightsError` if it is nothing."""
     found = norms(network.module)
     if not found:
-        raise WeightsError(network.weights, "its network has no batch norm", "one with batch norm")
+        raise WeightsError(
+            network.engine.name, "its network has no batch norm", "one with batch norm"
+        )
     return found
 
 
@@ -127,9 +129,10 @@ def statistics_of_scan(
     Returns the scan's own, by the name of the layer, in order of
     computation.
     """
-    inputs = network.input(channels)
+    module = network.module
+    inputs = network.engine.tensor(network.fit.input(channels))
     height, width = inputs.shape[-2:]
-    inside = torch.zeros(network.module.pad(inputs).shape[-2:], dtype=torch.float64)
+    inside = torch.zeros(module.pad(inputs).shape[-2:], dtype=torch.float64)
     inside[:height, :width] = 1
     inside = inside.to(network.device)
     found: dict[str, Statistics] = {}
@@ -145,9 +148,9 @@ def statistics_of_scan(
 
         return layer.register_forward_hook(normalise)
 
-    handles = [hook(name, layer) for name, layer in norms(network.module).items()]
+    handles = [hook(name, layer) for name, layer in norms(module).items()]
     try:
-        network.module(inputs)
+        module(inputs)
     finally:
         for handle in handles:
             handle.remove()

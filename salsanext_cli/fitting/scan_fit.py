@@ -33,8 +33,6 @@ FITTED = ("name", "fov_up", "fov_down", "up", "origin")
 EGO = ("min_range", "ego_box")
 """Fields that it finds unless they are told."""
 INTENSITIES = ("auto", "match", "raw", "none")
-SHARED = ("module", "torch_module", "_graphs", "batch_sizes")
-"""Cached properties of a network that depend on the size of its images only."""
 
 
 def fit_network(
@@ -89,7 +87,7 @@ def fitted(
     scans = cache(lambda: files if image_of else list(sampled(files, given)))
     if image_of is None:
         found = _fitted_view(scans, given, earlier, view=settings.fits_view)
-        network = with_sensor(network, found)
+        network = network.for_sensor(found)
     known = [sensor for sensor in (earlier, settings.sensor) if sensor]
     images = cache(lambda: list(sampled_images(scans(), network.sensor, image_of)))
     quantiles: tuple[float, ...] = ()
@@ -108,7 +106,7 @@ def fitted(
         gaps = next((each for each in others_gaps if each not in (None, trained.row_gaps)), None)
         gaps = row_gaps(images()) if gaps is None else gaps
     seen = replace(network.sensor, intensity_quantiles=quantiles, row_gaps=gaps)
-    network = with_sensor(network, seen)
+    network = network.for_sensor(seen)
     if fills_rows(seen, trained):
         log.log(NOTICE, "gaps between rows, %.0f %% of their pixels, are filled", 100 * (gaps or 0))
     return network
@@ -144,13 +142,6 @@ def with_image_statistics(sensor: Sensor, images: Sequence[Float]) -> Sensor:
     """Return the sensor with what its range images, (5, H, W) each, say of intensity and gaps."""
     quantiles = intensity_quantiles(images)
     return replace(sensor, intensity_quantiles=quantiles, row_gaps=row_gaps(images))
-
-
-def with_sensor(network: Network, sensor: Sensor) -> Network:
-    """Return the network for another sensor, whose images have the same size."""
-    found = replace(network, sensor=sensor)
-    vars(found).update({name: vars(network)[name] for name in SHARED if name in vars(network)})
-    return found
 
 
 def _method(settings: NetworkSettings, network: Network) -> str:

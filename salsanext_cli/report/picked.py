@@ -14,6 +14,7 @@ from rich.table import Table
 
 from salsanext_cli.classes.label_space import LabelSpace, TrainIds
 from salsanext_cli.errors import counted, printable
+from salsanext_cli.fitting.label_scan import LabelledScan
 from salsanext_cli.formats.clouds.ply import encode_ply
 from salsanext_cli.geometry.gather import pixels_from_points, points_from_pixels
 from salsanext_cli.labelling.picked_scans import PickedScan
@@ -32,7 +33,6 @@ from salsanext_cli.report.colours import (
 )
 from salsanext_cli.report.tables import ABSENT, number_table
 from salsanext_cli.results.layout import ScanFile
-from salsanext_cli.uncertainty.scan_description import ScanLabels
 
 STRIP_WIDTH_PX, STRIP_HEIGHT_PX = 1024, 96
 TITLE_PX, HEAD_PX, BAR_PX = 34, 44, 200
@@ -51,23 +51,26 @@ class Preview:
     uncertainty: Float  # (H, W) float32: NaN where empty
 
     @classmethod
-    def of(cls, found: ScanLabels) -> "Preview":
-        """Take every so many columns of a scan's range image."""
-        image, step = found.image, -(-found.image.width // STRIP_WIDTH_PX)
-        classes = pixels_from_points(found.labels, image.point_of_pixel, NO_CLASS)
-        values = np.where(image.point_of_pixel < 0, np.float32(np.nan), found.information)
+    def of(cls, labelled: LabelledScan, uncertainty: Float) -> "Preview":
+        """Take every so many columns of a scan's range image and of a pixel's uncertainty."""
+        image, step = labelled.image, -(-labelled.image.width // STRIP_WIDTH_PX)
+        classes = pixels_from_points(labelled.labels, image.point_of_pixel, NO_CLASS)
+        values = np.where(image.point_of_pixel < 0, np.float32(np.nan), uncertainty)
         return cls(classes[:, ::step].copy(), values[:, ::step].copy())
 
 
-def picked_cloud(found: ScanLabels, space: LabelSpace) -> bytes:
-    """Return a PLY of a scan, coloured by its labels, with scalars that CloudCompare shows."""
-    scan, labels = found.scan, found.labels
+def picked_cloud(labelled: LabelledScan, uncertainty: Float, space: LabelSpace) -> bytes:
+    """Return a PLY of a scan, coloured by its labels, with scalars that CloudCompare shows.
+
+    `uncertainty` (H, W): of the pixels.
+    """
+    scan, labels = labelled.scan, labelled.labels
     columns: dict[str, Any] = dict(zip("xyz", scan.points.T, strict=True))
     columns |= zip(("red", "green", "blue"), space.colours[labels].T, strict=True)
     # CloudCompare takes properties of such names for scalars, without asking.
     columns["scalar_label"] = space.to_raw(labels)
-    pixel_of_point = found.image.pixel_of_point
-    columns["scalar_uncertainty"] = points_from_pixels(found.information, pixel_of_point, np.nan)
+    pixels = labelled.image.pixel_of_point
+    columns["scalar_uncertainty"] = points_from_pixels(uncertainty, pixels, np.nan)
     columns["scalar_intensity"] = scan.intensity
     return encode_ply(columns, ["scalar_label: raw ids of labels.yaml"])
 

@@ -8,7 +8,6 @@ import numpy as np
 from salsanext_cli.engines.network import Network
 from salsanext_cli.formats import read_scan
 from salsanext_cli.formats.labels import read_labels
-from salsanext_cli.geometry.knn import knn_refine
 from salsanext_cli.geometry.projection import project
 from salsanext_cli.report.colours import Colours, error_colours, screen_colours
 from salsanext_cli.report.panel import coloured_strip, range_strip
@@ -35,8 +34,7 @@ def draw_sample(out: BinaryIO, file: ScanFile, network: Network) -> Colours:
     scan = read_scan(file.path, sensor)
     truth = space.to_train(read_labels(file.label_path, len(scan)), source=file.label_path)
     image = project(scan, sensor)
-    pixel_labels = network.probabilities(image).argmax(axis=0)
-    labels = knn_refine(image, pixel_labels, space.class_count)
+    labels = network.labels(image, network.probabilities(image))
     of_classes = screen_colours(space)
     colours: dict[str, Colours] = {"truth": of_classes[truth], "prediction": of_classes[labels]}
     colours["errors"] = error_colours(truth, labels, space)

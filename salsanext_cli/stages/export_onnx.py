@@ -9,9 +9,10 @@ from typing import Any
 
 from salsanext_cli.engines.device import openvino_core
 from salsanext_cli.engines.graphs import Graph
+from salsanext_cli.engines.loading import network_of_module
 from salsanext_cli.engines.network import Network
+from salsanext_cli.engines.onnx_engine import read_model
 from salsanext_cli.engines.onnx_export import difference, exported
-from salsanext_cli.engines.onnx_model import read_model
 from salsanext_cli.engines.quantised import quantised
 from salsanext_cli.engines.settings import NetworkSettings
 from salsanext_cli.errors import UsageError, counted
@@ -85,7 +86,7 @@ def export_onnx(
     }
     if scans:
         settings = NetworkSettings(weights, fit=view is None, intensity="auto")
-        network = fitted(settings, Network(lambda: module, card, card.sensor), scans)
+        network = fitted(settings, network_of_module(module, card, "cpu"), scans)
         content, share = _int8(model, network, scans)
         found |= {"scans": len(scans), "equal_labels": share}
     write_bytes(target, content, durable=True)
@@ -117,10 +118,11 @@ def _int8(model: Any, network: Network, scans: list[ScanFile]) -> tuple[bytes, f
 def _input(file: ScanFile, network: Network) -> Float:
     """Return what the network sees of a scan, (1, 5, H, W)."""
     image = project(read_scan(file.path, network.sensor), network.sensor, "cpu")
-    return network.input_array(image.channels)
+    return network.fit.input(image.channels)
 
 
 def _graph(content: bytes, card: WeightsCard) -> Graph:
-    model = read_model(content, "the ONNX model", card, card.sensor)
+    size = (card.sensor.height, card.sensor.width)
+    model = read_model(content, "the ONNX model", card, size)
     hints = {"INFERENCE_PRECISION_HINT": "f32"}
     return Graph(openvino_core().compile_model(model, "CPU", hints))

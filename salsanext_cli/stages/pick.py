@@ -35,7 +35,7 @@ from salsanext_cli.results.layout import ScanFile, find_scans
 from salsanext_cli.results.selection import ScanSelection, choose, evenly_spaced, scans_of, space_of
 from salsanext_cli.results.stage_records import as_json
 from salsanext_cli.uncertainty.monte_carlo import require_sampling
-from salsanext_cli.uncertainty.scan_description import ScanDescription, describe_scan, label_scan
+from salsanext_cli.uncertainty.scan_description import ScanDescription, describe_scan, label_sampled
 
 SAMPLES = 8
 """Passes of Monte-Carlo dropout, whose masks are the same for all scans."""
@@ -77,11 +77,12 @@ def write_scan(
     file: ScanFile, network: Network, samples: int, seed: int, data_set: PickedDataSet
 ) -> Guess:
     """Write a picked scan, and a coloured cloud with the labels that the network guesses."""
-    found, space = label_scan(file, network, samples, seed), network.space
+    found, information = label_sampled(file, network, samples, seed)
+    space = network.space
     data_set.write_points(file, network.sensor)
-    cloud = picked_cloud(found, space)
+    cloud = picked_cloud(found, information, space)
     data_set.write_missing(data_set.paths(file.sequence, file.stem).cloud, cloud)
-    return Guess(file, encode_labels(space.to_raw(found.labels)), Preview.of(found))
+    return Guess(file, encode_labels(space.to_raw(found.labels)), Preview.of(found, information))
 
 
 def pick(

@@ -14,17 +14,22 @@ from salsanext_cli.engines.network import Network
 from salsanext_cli.engines.settings import NetworkSettings
 from salsanext_cli.errors import SalsanextError, UsageError
 from salsanext_cli.fitting.adaptation import network_of_run
-from salsanext_cli.fitting.checked_scans import project_checked
-from salsanext_cli.fitting.findings import ScanCheck
+from salsanext_cli.fitting.label_scan import (
+    LabelledScan,
+    ProjectedScan,
+    label_scan,
+    labelled,
+    project_for,
+)
 from salsanext_cli.fitting.range_images import (
     projected_sensor,
     range_image,
     sensor_of_images,
 )
 from salsanext_cli.fitting.scan_checks import check_image
-from salsanext_cli.fitting.scan_fit import fitted_view, with_sensor
+from salsanext_cli.fitting.scan_fit import fitted_view
 from salsanext_cli.geometry.gather import points_from_pixels
-from salsanext_cli.geometry.knn import KnnParameters, knn_refine
+from salsanext_cli.geometry.knn import KnnParameters
 from salsanext_cli.measures.scan_summary import RunSummary, ScanSummary
 from salsanext_cli.parallel.network_task import NetworkTask, named_if_too_large
 from salsanext_cli.parallel.run import Outcome, RunOptions, run_over_scans
@@ -38,39 +43,35 @@ from salsanext_cli.uncertainty.error_features import error_model, label_error
 
 
 @dataclass(frozen=True, slots=True)
-class Labelling:
-    """Way from the softmax of a scan to the results that are asked for."""
+class LabelWriter:
+    """Writer of the results that are asked for of a scan, the labels last."""
 
     knn: KnnParameters  # Neighbours in the kNN refinement
     output: OutputRun  # Takes the results
     reject: float | None  # Points whose error is above it are unlabelled
 
-    def write(
-        self, file: ScanFile, image: RangeImage, probabilities: Float, network: Network
-    ) -> tuple[TrainIds, int]:
-        """Write the results, the labels last.
-
-        `probabilities` (C, H, W) float32, softmax of every pixel; `network`: what computed it.
-
-        Returns (N,) uint8, the labels; number of points unlabelled for their error.
-        """
-        space, pixel_labels, output = network.space, most_probable(probabilities), self.output
-        labels = knn_refine(image, pixel_labels, space.class_count, self.knn, network.device)
+    def write(self, scan: LabelledScan, network: Network) -> ScanSummary:
+        """Write the results of a scan; return numbers about it."""
+        file, image, softmax, labels = scan.file, scan.image, scan.softmax, scan.labels
+        space, output = network.space, self.output
         rejected = np.zeros(len(labels), bool)
         if "pixel_labels" in output.folders:
-            output.write_array(file, "pixel_labels", pixel_labels)
+            output.write_array(file, "pixel_labels", most_probable(softmax))
         if "probabilities" in output.folders:
             none = np.eye(1, space.class_count)  # certainly unlabelled
-            of_points = points_from_pixels(probabilities, image.pixel_of_point, none)
+            of_points = points_from_pixels(softmax, image.pixel_of_point, none)
             output.write_array(file, "probabilities", of_points.astype(np.float16))
         if ERROR in output.folders:
-            error = label_error(network, image, probabilities, labels)
+            error = label_error(network, image, softmax, labels)
             output.write_array(file, ERROR, error)
             if self.reject is not None:
                 rejected = error > self.reject
         labels[rejected] = 0
         output.write_labels(file, space.to_raw(labels))
-        return labels, int(rejected.sum())
+        confidence = _confidence(image, softmax)
+        return ScanSummary.of_labels(
+            file, labels, space, scan.check, int(rejected.sum()), confidence
+        )
 
 
 def most_probable(probabilities: Float) -> TrainIds:
@@ -79,54 +80,43 @@ def most_probable(probabilities: Float) -> TrainIds:
     return labels
 
 
-def predict_scan(file: ScanFile, network: Network, labelling: Labelling) -> Steps:
-    """Label the points of one scan, in steps; the last yields numbers about it."""
-    image, check = _projected(file, network, labelling.output)
-    yield
-    softmax = network.probabilities(image, file.path)
-    yield
-    labels, rejected = labelling.write(file, image, softmax, network)
-    sure = _confidence(image, softmax)
-    yield ScanSummary.of_labels(file, labels, network.space, check, rejected, sure)
-
-
-def predict_batch(
-    files: Sequence[ScanFile], network: Network, labelling: Labelling
-) -> Iterator[Attempt]:
-    """Label the points of several scans, computed together; yield an attempt of each."""
-    images: dict[ScanFile, RangeImage] = {}
-    checks: dict[ScanFile, ScanCheck] = {}
-    for file in files:
-        try:
-            with named_if_too_large(file, network):
-                images[file], checks[file] = _projected(file, network, labelling.output)
-        except SalsanextError as error:
-            yield file, None, error
-    softmax: Sequence[Float | None] = [None] * len(images)
-    with suppress(MemoryError):
-        softmax = network.pixel_probabilities([image.channels for image in images.values()])
-    for (file, image), probabilities in zip(images.items(), softmax, strict=True):
-        try:
-            with named_if_too_large(file, network):
-                if probabilities is None:
-                    probabilities = network.probabilities(image, file.path)
-                network.require_finite(probabilities, file.path)
-                labels, rejected = labelling.write(file, image, probabilities, network)
-            numbers = (checks[file], rejected, _confidence(image, probabilities))
-            yield file, ScanSummary.of_labels(file, labels, network.space, *numbers), None
-        except SalsanextError as error:
-            yield file, None, error
-
-
 def _confidence(image: RangeImage, softmax: Float) -> float:
     """Return the mean of the largest probability over the occupied pixels, 1 without any."""
     occupied = image.channels[0] > 0
     return float(softmax.max(axis=0)[occupied].mean()) if occupied.any() else 1.0
 
 
-def _projected(file: ScanFile, network: Network, output: OutputRun) -> tuple[RangeImage, ScanCheck]:
-    output.require_replaceable(file)
-    return project_checked(file, network.sensor, network.device, network.card.sensor)
+def predict_scan(file: ScanFile, network: Network, writer: LabelWriter) -> Steps:
+    """Label the points of one scan, in steps; the last yields numbers about it."""
+    writer.output.require_replaceable(file)
+    scan = yield from label_scan(file, network, writer.knn)
+    yield writer.write(scan, network)
+
+
+def predict_batch(
+    files: Sequence[ScanFile], network: Network, writer: LabelWriter
+) -> Iterator[Attempt]:
+    """Label the points of several scans, computed together; yield an attempt of each."""
+    scans: list[ProjectedScan] = []
+    for file in files:
+        try:
+            with named_if_too_large(file, network):
+                writer.output.require_replaceable(file)
+                scans.append(project_for(network, file))
+        except SalsanextError as error:
+            yield file, None, error
+    softmax: Sequence[Float | None] = [None] * len(scans)
+    with suppress(MemoryError):
+        softmax = network.pixel_probabilities([scan.image.channels for scan in scans])
+    for scan, probabilities in zip(scans, softmax, strict=True):
+        try:
+            with named_if_too_large(scan.file, network):
+                if probabilities is None:
+                    probabilities = network.probabilities(scan.image, scan.file.path)
+                done = writer.write(labelled(scan, probabilities, network, writer.knn), network)
+            yield scan.file, done, None
+        except SalsanextError as error:
+            yield scan.file, None, error
 
 
 def predict_scans(
@@ -172,9 +162,9 @@ def predict_scans(
     folders = (*extras, "predictions")
     run = output_run(out, "predict", settings, folders, scans, overwrite=options.overwrite)
     with run as output, summary.kept_in(output, "predict", scans):
-        labelling = Labelling(knn, output, reject)
-        one = partial(predict_scan, labelling=labelling)
-        several = partial(predict_batch, labelling=labelling)
+        writer = LabelWriter(knn, output, reject)
+        one = partial(predict_scan, writer=writer)
+        several = partial(predict_batch, writer=writer)
         task = NetworkTask(one, network.resolved(loaded), loaded, several, batch)
         outcome = run_over_scans(
             task, scans, options, is_done=output.is_done, on_result=summary.add
@@ -189,7 +179,7 @@ def predict_image(file: ScanFile, network: Network, folder: Path, output: Output
     path, image = range_image(file, folder, network.sensor)
     yield
     (probabilities,) = network.pixel_probabilities([image])
-    network.require_finite(probabilities, path)
+    network.engine.require_finite(probabilities, path)
     yield
     output.write_array(file, "pixel_labels", most_probable(probabilities))
     yield ScanSummary(file, check_image(image, network.sensor, network.card.sensor))
@@ -214,8 +204,8 @@ def predict_range_images(
     projected = projected_sensor(folder)
     if projected is not None:
         found_view = fitted_view([], loaded.sensor, projected, view=network.fits_view)
-        loaded = with_sensor(loaded, found_view)
-    loaded = with_sensor(loaded, sensor_of_images(folder, projected, loaded.sensor))
+        loaded = loaded.for_sensor(found_view)
+    loaded = loaded.for_sensor(sensor_of_images(folder, projected, loaded.sensor))
     found = with_outputs(recorded_scans(folder), folder, "range")
     scans = choose(found, selection, space_of(found, loaded.card.space), folder)
     network, loaded = network_of_run(

@@ -5,7 +5,7 @@ from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
-from salsanext_cli.fitting.checked_scans import project_checked
+from salsanext_cli.fitting.label_scan import project_scan
 from salsanext_cli.fitting.scan_fit import fitted_view
 from salsanext_cli.measures.scan_summary import RunSummary, ScanSummary
 from salsanext_cli.parallel.run import Outcome, RunOptions, run_over_scans
@@ -18,13 +18,13 @@ from salsanext_cli.sensors.sensor import Sensor
 FOLDERS = ("range", "pixels")
 
 
-def project_scan(file: ScanFile, sensor: Sensor, output: OutputRun) -> ScanSummary:
+def write_projected(file: ScanFile, sensor: Sensor, output: OutputRun) -> ScanSummary:
     """Project one scan; write its range image and the pixels of its points."""
     output.require_replaceable(file)
-    image, check = project_checked(file, sensor)
-    output.write_array(file, "range", image.channels)
-    output.write_array(file, "pixels", image.pixel_of_point)
-    return ScanSummary(file, check)
+    projected = project_scan(file, sensor)
+    output.write_array(file, "range", projected.image.channels)
+    output.write_array(file, "pixels", projected.image.pixel_of_point)
+    return ScanSummary(file, projected.check)
 
 
 def project_scans(
@@ -51,7 +51,7 @@ def project_scans(
     overwrite = options.overwrite
     run = output_run(out, "project", settings, FOLDERS, scans, overwrite=overwrite)
     with run as output, summary.kept_in(output, "project", scans):
-        task = partial(project_scan, sensor=sensor, output=output)
+        task = partial(write_projected, sensor=sensor, output=output)
         outcome = run_over_scans(
             task, scans, options, is_done=output.is_done, on_result=summary.add
         )

@@ -17,7 +17,7 @@ from salsanext_cli.fitting.batch_norm import (
     as_tensors,
     require_norms,
 )
-from salsanext_cli.fitting.checked_scans import project_checked
+from salsanext_cli.fitting.label_scan import project_for
 from salsanext_cli.fitting.scan_fit import EGO, fitted
 from salsanext_cli.measures.scan_summary import RunSummary, ScanSummary
 from salsanext_cli.network.weights import save_with_card
@@ -67,8 +67,9 @@ def tune_batchnorm(
     pooled = PooledStatistics(loaded, share)
     summary = RunSummary(loaded.sensor)
     for number, file in enumerate(scans, start=1):
-        image, check = project_checked(file, loaded.sensor, loaded.device, loaded.card.sensor)
-        summary.add(ScanSummary(file, check))
+        projected = project_for(loaded, file)
+        image = projected.image
+        summary.add(ScanSummary(file, projected.check))
         if not (image.pixel_of_point >= 0).any():
             none = f"none of its {len(image.pixel_of_point)} points has a pixel"
             raise FormatError(file.path, none, "points that were measured, in view of the sensor")

@@ -12,13 +12,13 @@ from salsanext_cli.engines.network import Network
 from salsanext_cli.engines.settings import NetworkSettings
 from salsanext_cli.errors import NOTICE, UsageError, counted
 from salsanext_cli.fitting.adaptation import network_of_run
-from salsanext_cli.fitting.checked_scans import project_checked
+from salsanext_cli.fitting.label_scan import labelled, project_for
 from salsanext_cli.fitting.recorded_network import (
     network_of_labels,
     require_network_of_labels,
 )
 from salsanext_cli.geometry.gather import points_from_pixels
-from salsanext_cli.geometry.knn import KnnParameters, knn_refine
+from salsanext_cli.geometry.knn import KnnParameters
 from salsanext_cli.measures.scan_summary import RunSummary, ScanSummary
 from salsanext_cli.parallel.network_task import NetworkTask
 from salsanext_cli.parallel.run import Failure, Outcome, RunOptions, run_over_scans
@@ -48,11 +48,11 @@ def uncertainty_scan(
 ) -> Steps:
     """Estimate the uncertainty of one scan's points, in steps; the last yields numbers about it."""
     output.require_replaceable(file)
-    sensor, space, device = network.sensor, network.space, network.device
-    image, check = project_checked(file, sensor, device, network.card.sensor)
+    projected = project_for(network, file)
+    image, check = projected.image, projected.check
     yield
     estimate = estimator.estimate(network, image, file)
-    network.require_finite(estimate.probabilities, file.path)
+    network.engine.require_finite(estimate.probabilities, file.path)
     # The model of errors was fitted to a single pass.
     single = network.probabilities(image, file.path) if ERROR in output.folders else None
     yield
@@ -63,8 +63,7 @@ def uncertainty_scan(
     if "predictions" not in output.folders:
         yield ScanSummary(file, check)
         return
-    pixel_labels = estimate.probabilities.argmax(axis=0)
-    labels = knn_refine(image, pixel_labels, space.class_count, knn, device)
+    labels, space = labelled(projected, estimate.probabilities, network, knn).labels, network.space
     if single is not None:
         output.write_array(file, ERROR, label_error(network, image, single, labels))
     output.write_labels(file, space.to_raw(labels))

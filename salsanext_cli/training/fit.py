@@ -15,6 +15,7 @@ import numpy.typing as npt
 import safetensors.torch
 import torch
 
+from salsanext_cli.engines.loading import network_of_module
 from salsanext_cli.engines.network import Network
 from salsanext_cli.errors import TrainingError
 from salsanext_cli.network.card import WeightsCard
@@ -163,7 +164,9 @@ class Training:
         scores = {**self.card.scores, **measured, "epoch": state.epoch}
         temperature = row.get("temperature", self.card.temperature)
         card = replace(self.card, scores=scores, temperature=temperature)
-        tensors = {name: t.cpu().contiguous() for name, t in network.module.state_dict().items()}
+        tensors = {
+            name: t.cpu().contiguous() for name, t in network.engine.module.state_dict().items()
+        }
         weights = safetensors.torch.save(tensors, card.to_metadata())
         written.write(self.run / LAST, weights, durable=True)
         last_of_all = not self.validation.files and state.epoch == self.learner.recipe.epochs
@@ -179,7 +182,7 @@ class Training:
 
     def _network(self) -> Network:
         module = self.learner.average.eval()
-        return Network(lambda: module, self.card, self.card.sensor, str(self.learner.device))
+        return network_of_module(module, self.card, str(self.learner.device))
 
     def _scores(self) -> Row:
         """Score the validation scans, each by one worker."""

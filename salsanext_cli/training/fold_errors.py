@@ -6,16 +6,14 @@ import json
 import logging
 from collections.abc import Sequence
 from dataclasses import replace
-from functools import partial
 from pathlib import Path
 from typing import Any
 
 import torch
 
-from salsanext_cli.engines.network import Network
+from salsanext_cli.engines.loading import network_of_module
 from salsanext_cli.files.identity import fingerprint
 from salsanext_cli.files.json_files import encode_json, read_json
-from salsanext_cli.fitting.scan_fit import with_sensor
 from salsanext_cli.network.error_model import ErrorModel
 from salsanext_cli.network.weights import read_weights
 from salsanext_cli.results.layout import ScanFile
@@ -81,9 +79,9 @@ def _fitted(
         module, card = read_weights(path)
         # That of the final weights: the fold's own was fitted to these very scans.
         card = replace(card, temperature=temperature)
-        network = Network(partial(module.to, place), card, card.sensor, str(place))
+        network = network_of_module(module.to(place), card, str(place))
         for file in part:
-            own = with_sensor(network, source.sensor_of(file))
+            own = network.for_sensor(source.sensor_of(file))
             judged[file] = judged_points(file, own, source.space, most)
     model = cross_validated(judged, parts) if of_both_kinds(judged.values()) else None
     return model if model and gains(model) else None

@@ -18,7 +18,6 @@ import torch
 
 from salsanext_cli.engines.network import Network
 from salsanext_cli.errors import UsageError
-from salsanext_cli.fitting.scan_fit import with_sensor
 from salsanext_cli.network.card import WeightsCard, read_card
 from salsanext_cli.network.segmentation import SegmentationNetwork
 from salsanext_cli.results.layout import ScanFile
@@ -107,7 +106,7 @@ class Setup:
         shown = validation if validation.files else first
 
         def draw(file: BinaryIO, network: Network) -> npt.NDArray[np.uint8]:
-            return self.draw(file, drawn, with_sensor(network, shown.sensor_of(drawn)))
+            return self.draw(file, drawn, network.for_sensor(shown.sensor_of(drawn)))
 
         weights = class_weights(*of_class, recipe.class_weight)
         module = copy.deepcopy(self.initial)

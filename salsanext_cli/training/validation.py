@@ -8,8 +8,6 @@ import torch
 from torch import Tensor
 
 from salsanext_cli.engines.network import Network
-from salsanext_cli.fitting.scan_fit import with_sensor
-from salsanext_cli.geometry.knn import knn_refine
 from salsanext_cli.geometry.projection import project
 from salsanext_cli.measures.confusion import Confusion
 from salsanext_cli.measures.scores import scores
@@ -69,11 +67,11 @@ def validate(network: Network, source: Source, group: ProcessGroup = SINGLE_PROC
     confusion = Confusion(space.class_count)
     logits, truth = [torch.empty(space.class_count, 0)], [torch.empty(0, dtype=torch.int64)]
     for file in source.files[group.rank :: group.size]:
-        own = with_sensor(network, source.sensor_of(file))
+        own = network.for_sensor(source.sensor_of(file))
         scan, labels = read_labelled(file, source.space, own.sensor)
         image = project(scan, own.sensor)
         of_pixels = own.logits(image)
-        confusion.update(labels, knn_refine(image, of_pixels.argmax(axis=0), space.class_count))
+        confusion.update(labels, own.labels(image, of_pixels))
         usable = np.flatnonzero(space.scored[labels] & (image.pixel_of_point >= 0))
         chosen = usable[:: max(1, len(usable) * len(source.files) // MAX_POINTS)]
         pixels = image.pixel_of_point[chosen]

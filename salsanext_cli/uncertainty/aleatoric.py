@@ -7,7 +7,6 @@ from torch import Tensor
 from salsanext_cli.engines.network import Network
 from salsanext_cli.engines.torch_engine import inference_mode
 from salsanext_cli.geometry.normalise import input_variance
-from salsanext_cli.geometry.row_gaps import with_filled_gaps
 from salsanext_cli.network.segmentation import SegmentationNetwork
 from salsanext_cli.records import Float, RangeImage
 from salsanext_cli.uncertainty.adf import Gaussian, propagate
@@ -22,17 +21,16 @@ def aleatoric(network: Network, image: RangeImage) -> Float:
 
     Returns (C, H, W) float32, at least 0; its mean over the classes is the aleatoric uncertainty.
     """
-    mean = network.input_array(image.channels)
-    channels = with_filled_gaps(image.channels, network.sensor, network.card.sensor)
-    variance = input_variance(channels, network.sensor)[None]
-    with inference_mode(network.device):
-        if network.engine == "openvino":
-            inputs = [network.example_input()] * 2
-            graph = network.graph("moments", _moments, lambda: inputs, precision="float32")
+    engine, mean = network.engine, network.fit.input(image.channels)
+    variance = input_variance(network.fit.filled(image.channels), network.sensor)[None]
+    with inference_mode(engine.device):
+        if engine.library == "openvino":
+            inputs = [engine.example_input()] * 2
+            graph = engine.graph("moments", _moments, lambda: inputs, precision="float32")
             moments = tuple(map(torch.from_numpy, graph(mean, variance)))
         else:
-            given = (torch.from_numpy(values).to(network.device) for values in (mean, variance))
-            moments = _moments(network.module, *given)
+            given = (torch.from_numpy(values).to(engine.device) for values in (mean, variance))
+            moments = _moments(engine.module, *given)
         softmax = Gaussian(*moments).softmax(dim=1, groups=network.groups)
         variances: Float = softmax.variance[0].cpu().numpy()
         return variances

@@ -132,14 +132,14 @@ def propagate_dropout(network: Network, image: RangeImage) -> Estimate:
     `network`: with at least one dropout of a rate above 0; its temperature is left out, as in
     `sample`; `image`: one scan.
     """
-    rate = require_dropout(network.module)
-    with inference_mode(network.device):
-        if network.engine == "openvino":
-            name, inputs = f"dropout moments at {rate}", lambda: [network.example_input()]
-            graph = network.graph(name, _moments, inputs, precision="float32")
-            moments = tuple(map(torch.from_numpy, graph(network.input_array(image.channels))))
+    engine, given = network.engine, network.fit.input(image.channels)
+    rate = require_dropout(engine.module)
+    with inference_mode(engine.device):
+        if engine.library == "openvino":
+            graph = engine.graph(f"dropout moments at {rate}", _moments, precision="float32")
+            moments = tuple(map(torch.from_numpy, graph(given)))
         else:
-            moments = _moments(network.module, network.input(image.channels))
+            moments = _moments(engine.module, engine.tensor(given))
         logits = ChannelCorrelatedGaussian(*moments)[..., : image.height, : image.width]
         softmax = logits.softmax(dim=1, groups=network.groups)
     mean, variance = (t[0].double().cpu().numpy() for t in (softmax.mean, softmax.variance))

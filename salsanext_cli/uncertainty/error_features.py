@@ -98,9 +98,13 @@ def error_model(network: Network) -> ErrorModel:
     model = network.card.error
     remedy = "`salsanext tune error DATASET WEIGHTS_OUT` fits one to labelled scans"
     if model is None:
-        raise WeightsError(network.weights, "no probability of errors", "weights with one", remedy)
+        raise WeightsError(
+            network.engine.name, "no probability of errors", "weights with one", remedy
+        )
     if model.features != FEATURES:
-        raise WeightsError(network.weights, "errors by other features", ", ".join(FEATURES), remedy)
+        raise WeightsError(
+            network.engine.name, "errors by other features", ", ".join(FEATURES), remedy
+        )
     if network.merging is not None:
         found = "the probability of errors is of labels before merging"
         raise UsageError("--classes", found, "the classes of the weights")

@@ -11,6 +11,7 @@ from torch import Tensor
 
 from salsanext_cli.compiled.kernels import argument, compiled, parallel_for_slices, thread_count
 from salsanext_cli.engines.device import MAX_BATCH_PIXELS
+from salsanext_cli.engines.engine import Engine
 from salsanext_cli.engines.network import Network
 from salsanext_cli.engines.torch_engine import inference_mode
 from salsanext_cli.errors import UsageError
@@ -92,9 +93,9 @@ def sample(network: Network, image: RangeImage, *, samples: int, seed: int) -> E
     shape = (network.space.class_count, image.height, image.width)
     statistics = PassStatistics(shape)
     seeds = [pass_seed(seed, number) for number in range(samples)]
-    passes = openvino_passes if network.engine == "openvino" else torch_passes
+    passes = openvino_passes if network.engine.library == "openvino" else torch_passes
     with inference_mode(network.device):
-        for softmax, nats in passes(network, image.channels, seeds):
+        for softmax, nats in passes(network.engine, network.fit.input(image.channels), seeds):
             inside = (..., slice(image.height), slice(image.width))
             softmax, nats = softmax[inside], nats[inside]
             if network.merging is not None:
@@ -105,21 +106,18 @@ def sample(network: Network, image: RangeImage, *, samples: int, seed: int) -> E
 
 
 def openvino_passes(
-    network: Network, channels: Float, seeds: Sequence[int]
+    engine: Engine, image: Float, seeds: Sequence[int]
 ) -> Iterator[tuple[Float, Float]]:
     """Yield softmax (C, H, W) and entropy (H, W) of every pass, with the padding."""
     threads = thread_count()
-    trunk = network.graph(
-        "trunk", SegmentationNetwork.padded_trunk, lambda: [network.example_input()]
-    )
-    features = trunk(network.input_array(channels))
-    rest = network.graph(
+    features = engine.graph("trunk", SegmentationNetwork.padded_trunk)(image)
+    rest = engine.graph(
         "rest",
         _rest,
-        lambda: _inputs_of_rest(network.module, map(torch.from_numpy, features)),
+        lambda: _inputs_of_rest(engine.module, map(torch.from_numpy, features)),
         streams=threads,
     )
-    rate = require_dropout(network.module)
+    rate = require_dropout(engine.module)
     size = PASSES_PER_THREAD * threads
     for start in range(0, len(seeds), size):
         calls = []
@@ -158,16 +156,16 @@ def _inputs_of_rest(module: SegmentationNetwork, features: Iterable[Tensor]) -> 
 
 
 def torch_passes(
-    network: Network, channels: Float, seeds: Sequence[int]
+    engine: Engine, image: Float, seeds: Sequence[int]
 ) -> Iterator[tuple[Float, Float]]:
     """Yield softmax (C, H, W) and entropy (H, W) of every pass, on a GPU several at once."""
-    features = network.torch_module.padded_trunk(network.input(channels))
-    most = 1 if network.device == "cpu" else MAX_BATCH_PIXELS // features[0].shape[-2:].numel()
+    features = engine.torch_module.padded_trunk(engine.tensor(image))
+    most = 1 if engine.device == "cpu" else MAX_BATCH_PIXELS // features[0].shape[-2:].numel()
     size = max(1, most)
     for start in range(0, len(seeds), size):
         batch = seeds[start : start + size]
-        function = partial(torch_batch, network.torch_module, features)
-        yield from network.in_batches(function, batch, size, "passes")
+        function = partial(torch_batch, engine.torch_module, features)
+        yield from engine.in_batches(function, batch, size, "passes")
 
 
 def torch_batch(

@@ -47,7 +47,6 @@ def noise_variance(network: Network, image: RangeImage, seed: int) -> Float:
     statistics = PassStatistics((network.space.class_count, image.height, image.width))
     copies = noisy_copies(image, network.sensor, seed)
     for _ in range(COPIES):
-        (softmax,) = network.card_probabilities([next(copies)], temperature=1.0)
-        statistics.add(network.merged(softmax))
+        statistics.add(*network.pixel_probabilities([next(copies)], temperature=1.0))
     variance: Float = (statistics.variance() * (COPIES / (COPIES - 1))).astype(np.float32)
     return variance

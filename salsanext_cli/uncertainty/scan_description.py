@@ -7,17 +7,14 @@ import numpy as np
 import numpy.typing as npt
 from torch import Tensor
 
-from salsanext_cli.classes.label_space import TrainIds
 from salsanext_cli.engines.network import Network
 from salsanext_cli.engines.torch_engine import inference_mode
 from salsanext_cli.errors import FormatError
-from salsanext_cli.fitting.checked_scans import project_checked
 from salsanext_cli.fitting.findings import ScanCheck
-from salsanext_cli.formats import read_scan
-from salsanext_cli.geometry.knn import knn_refine
-from salsanext_cli.geometry.projection import project
+from salsanext_cli.fitting.label_scan import LabelledScan, labelled, project_for
+from salsanext_cli.geometry.knn import KnnParameters
 from salsanext_cli.network.segmentation import SegmentationNetwork
-from salsanext_cli.records import Float, RangeImage, Scan
+from salsanext_cli.records import Float, RangeImage
 from salsanext_cli.results.layout import ScanFile
 from salsanext_cli.uncertainty.estimate import Estimate
 from salsanext_cli.uncertainty.monte_carlo import sample
@@ -42,55 +39,48 @@ def describe_scan(file: ScanFile, network: Network, samples: int, seed: int) -> 
 
     `samples`, `seed`: as `sample` takes them.
     """
-    image, check = project_checked(file, network.sensor, network.device, network.card.sensor)
+    projected = project_for(network, file)
+    image = projected.image
     filled = image.point_of_pixel >= 0
     if not filled.any():
         raise FormatError(file.path, "no point is in view of the sensor", "a scan with points")
     features = pixel_features(network, image)[:, filled].mean(axis=1, dtype=np.float64)
-    network.require_finite(features, file.path)
+    network.engine.require_finite(features, file.path)
     information = _estimate(file, image, network, samples, seed).uncertainty.mutual_information
     mean = float(information[filled].mean(dtype=np.float64))
-    return ScanDescription(file, features, mean, check)
+    return ScanDescription(file, features, mean, projected.check)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class ScanLabels:
-    """A scan with the labels that the network gives it, and their uncertainty."""
+def label_sampled(
+    file: ScanFile, network: Network, samples: int, seed: int
+) -> tuple[LabelledScan, Float]:
+    """Label a scan by the mean softmax of the passes; parameters as of `describe_scan`.
 
-    scan: Scan  # N points
-    image: RangeImage  # The scan, projected
-    labels: TrainIds  # (N,) uint8: train ids of the mean softmax, refined by nearest neighbours
-    # (H, W) float32: mutual information of label and weights of each pixel, nats; meaningless where
-    # empty
-    information: Float
-
-
-def label_scan(file: ScanFile, network: Network, samples: int, seed: int) -> ScanLabels:
-    """Read a scan and label it; parameters and errors as of `describe_scan`."""
-    scan = read_scan(file.path, network.sensor)
-    image = project(scan, network.sensor, network.device)
-    estimate = _estimate(file, image, network, samples, seed)
-    pixel_labels, classes = estimate.probabilities.argmax(axis=0), network.space.class_count
-    labels = knn_refine(image, pixel_labels, classes, device=network.device)
-    return ScanLabels(scan, image, labels, estimate.uncertainty.mutual_information)
+    Returns the mutual information of label and weights of each pixel, (H, W) float32, nats, too; it
+    is meaningless where the pixel is empty.
+    """
+    projected = project_for(network, file)
+    estimate = _estimate(file, projected.image, network, samples, seed)
+    scan = labelled(projected, estimate.probabilities, network, KnnParameters())
+    return scan, estimate.uncertainty.mutual_information
 
 
 def _estimate(
     file: ScanFile, image: RangeImage, network: Network, samples: int, seed: int
 ) -> Estimate:
     estimate = sample(network, image, samples=samples, seed=seed)
-    network.require_finite(estimate.probabilities, file.path)
+    network.engine.require_finite(estimate.probabilities, file.path)
     return estimate
 
 
 def pixel_features(network: Network, image: RangeImage) -> Float:
     """Return the features of every pixel of a scan, (D, H, W) float32, without dropout."""
-    if network.engine == "openvino":
-        graph = network.graph("features", _decoded, lambda: [network.example_input()])
-        of_one: Float = graph(network.input_array(image.channels))[0][0]
+    engine, given = network.engine, network.fit.input(image.channels)
+    if engine.library == "openvino":
+        of_one: Float = engine.graph("features", _decoded)(given)[0][0]
         return of_one
-    with inference_mode(network.device):
-        decoded = _decoded(network.torch_module, network.input(image.channels))
+    with inference_mode(engine.device):
+        decoded = _decoded(engine.torch_module, engine.tensor(given))
         features: Float = decoded[0].float().cpu().numpy()
         return features
 

@@ -55,7 +55,8 @@ def test_passes_are_added_before_they_are_counted(weights, image, engine):
     """Mean, variance, entropy and mutual information from a loop over sums of every pass."""
     own, merged = both(weights, engine)
     with torch.inference_mode():
-        drawn = torch_passes(own, image.channels, [pass_seed(5, number) for number in range(4)])
+        seeds = [pass_seed(5, number) for number in range(4)]
+        drawn = torch_passes(own.engine, own.fit.input(image.channels), seeds)
         passes = np.stack([summed(softmax) for softmax, _ in drawn]).astype(float)
     mean = passes.mean(axis=0)
     entropy = -(mean * np.log(mean)).sum(axis=0)

@@ -35,7 +35,10 @@ def test_probabilities_are_the_softmax_of_the_module(network):
 @pytest.mark.parametrize("temperature", [0.4, 2.5])
 def test_the_temperature_divides_the_logits_and_keeps_the_labels(network, temperature):
     image = project(make_scan(), SMALL)
-    tempered = replace(network, card=replace(network.card, temperature=temperature))
+    tempered = replace(
+        network,
+        engine=replace(network.engine, card=replace(network.card, temperature=temperature)),
+    )
     probabilities = tempered.probabilities(image)
     powers = network.probabilities(image).astype(np.float64) ** (1 / temperature)
     np.testing.assert_allclose(probabilities, powers / powers.sum(axis=0), atol=1e-5)
@@ -118,7 +121,7 @@ def test_weights_that_are_replaced_before_they_are_needed_are_refused(tmp_path):
     """Their graph would be kept under the name of the others for ever."""
     path = write_weights(tmp_path / "w.safetensors", seed=11)
     network = load_network(path, "cpu", engine="openvino")
-    vars(network).pop("module", None)
+    vars(network.engine).pop("module", None)
     write_weights(path, seed=12)
     with pytest.raises(WeightsError, match="replaced since the run began"):
         _ = network.module

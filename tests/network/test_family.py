@@ -11,8 +11,10 @@ from scans import SMALL, lively, make_scan
 from torch import nn
 
 from salsanext_cli import label_space, project, sample
+from salsanext_cli.engines.engine import Engine
 from salsanext_cli.engines.loading import with_dropout
 from salsanext_cli.engines.network import Network
+from salsanext_cli.geometry.scan_fit import ScanFit
 from salsanext_cli.network.card import WeightsCard
 from salsanext_cli.network.dropout import drawn, dropouts, sampling
 from salsanext_cli.network.registry import ARCHITECTURES, build
@@ -31,7 +33,8 @@ def network(name):
     """Return a network of random weights that has seen training."""
     card = WeightsCard(architecture(name), SPACE, SMALL)
     # What the engine has in memory goes with the network; the largest has a gigabyte.
-    return Network(lambda: trained(name), card, SMALL)
+    size = (SMALL.height, SMALL.width)
+    return Network(Engine(lambda: trained(name), card, size), ScanFit(SMALL, SMALL))
 
 
 def architecture(name):

@@ -11,6 +11,8 @@ from rich.console import Console
 from scans import SMALL, make_scan
 
 from salsanext_cli import label_space, project
+from salsanext_cli.fitting.findings import UNCHECKED
+from salsanext_cli.fitting.label_scan import LabelledScan
 from salsanext_cli.labelling.scan_choice import Choice
 from salsanext_cli.report.canvas import MARGIN_PX
 from salsanext_cli.report.colours import EMPTY, map_on_dark, screen_colours
@@ -28,7 +30,6 @@ from salsanext_cli.report.picked import (
     reason,
 )
 from salsanext_cli.results.layout import ScanFile
-from salsanext_cli.uncertainty.scan_description import ScanLabels
 
 SPACE = label_space()
 FILES = [ScanFile("$0$", f"[{i}]", Path(f"/s/[{i}].bin")) for i in range(3)]
@@ -85,7 +86,10 @@ def preview(seed=0, sensor=SMALL):
     image = project(scan, sensor)
     labels = np.random.default_rng(seed).integers(0, 20, len(scan)).astype(np.uint8)
     values = np.random.default_rng(seed).random(image.point_of_pixel.shape, np.float32)
-    return image, labels, values, Preview.of(ScanLabels(scan, image, labels, values))
+    file = ScanFile("00", "000000", Path("000000.bin"))
+    softmax = np.empty((0, *image.point_of_pixel.shape), np.float32)
+    labelled = LabelledScan(file, scan, image, UNCHECKED, softmax, labels)
+    return image, labels, values, Preview.of(labelled, values)
 
 
 def test_the_sheet_shows_both_pictures_of_every_scan():

@@ -6,7 +6,8 @@ from matplotlib.image import imread
 from scans import SMALL, write_sequence
 from tiny_network import TinyNetwork
 
-from salsanext_cli import Network, label_space
+from salsanext_cli import label_space
+from salsanext_cli.engines.loading import network_of_module
 from salsanext_cli.network.card import WeightsCard
 from salsanext_cli.report.colours import EMPTY, screen_colours
 from salsanext_cli.report.training_sample import GAP_PX, ROW_HEIGHT_PX, draw_sample
@@ -22,7 +23,7 @@ def test_strips_are_range_truth_prediction_and_errors(tmp_path: Path) -> None:
     module.logits.weight.data.zero_()
     module.logits.bias.data.zero_()[SPACE.names.index("road")] = 9.0
     card = WeightsCard({"name": "tiny"}, SPACE, SMALL)
-    network = Network(lambda: module, card, SMALL)
+    network = network_of_module(module, card, "cpu")
     with (tmp_path / "sample.png").open("wb") as out:
         picture = draw_sample(out, file, network)
     height = ROW_HEIGHT_PX * SMALL.height

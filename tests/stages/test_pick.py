@@ -22,7 +22,7 @@ from salsanext_cli.results.point_files import write_bin, write_ply
 from salsanext_cli.results.selection import ScanSelection
 from salsanext_cli.results.written_files import WrittenFiles
 from salsanext_cli.stages.pick import pick
-from salsanext_cli.uncertainty.scan_description import describe_scan, label_scan
+from salsanext_cli.uncertainty.scan_description import describe_scan, label_sampled
 
 PASSES = {"samples": 2, "seed": 0}
 
@@ -85,7 +85,7 @@ def test_the_data_set_is_ready_to_label(drive):
         source = drive.scan("08", scan.stem)
         assert scan.path.read_bytes() == source.read_bytes()
         original = next(s for s in find_scans(drive.data) if s.stem == scan.stem)
-        expected = label_scan(original, network, **PASSES)
+        expected, _ = label_sampled(original, network, **PASSES)
         raw = read_labels(scan.label_path, len(expected.scan))
         np.testing.assert_array_equal(raw, space.to_raw(expected.labels))
     written = label_space(drive.out / "labels.yaml")

@@ -84,14 +84,15 @@ def test_batches_shrink_when_memory_is_short(nine, tmp_path, monkeypatch, caplog
 
 
 @pytest.mark.parametrize("batch", [1, 4])
-@pytest.mark.parametrize("step", ["project", "knn_refine", "Network.input"])
+@pytest.mark.parametrize(
+    "step",
+    ["fitting.label_scan.project", "engines.network.knn_refine", "engines.engine.Engine.tensor"],
+)
 def test_scans_that_do_not_fit_into_memory_are_named(nine, tmp_path, monkeypatch, step, batch):
     def no_room(*_args, **_options):
         raise torch.OutOfMemoryError("no room")
 
-    homes = {"project": "fitting.checked_scans", "knn_refine": "stages.predict"}
-    home = homes.get(step, "stages.predict")
-    monkeypatch.setattr(f"salsanext_cli.{home}.{step}", no_room)
+    monkeypatch.setattr(f"salsanext_cli.{step}", no_room)
     by_torch = replace(nine.network, engine="torch")
     outcome = predict(nine, tmp_path / "out", batch=batch, network=by_torch)
     assert len(outcome.failures) == 9
@@ -101,7 +102,7 @@ def test_scans_that_do_not_fit_into_memory_are_named(nine, tmp_path, monkeypatch
 def test_sizes_of_batches(nine, tmp_path):
     network = nine.network.load()
     assert default_batch(network) == 1
-    assert default_batch(replace(network, device="cuda")) == 16
+    assert default_batch(replace(network, engine=replace(network.engine, device="cuda"))) == 16
     with pytest.raises(UsageError, match="--batch"):
         predict(nine, tmp_path / "out", batch=0)
 

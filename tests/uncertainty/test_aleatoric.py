@@ -12,7 +12,7 @@ from salsanext_cli.uncertainty.noisy_copies import noisy_copies
 
 def with_noise(network, metres, intensity):
     sensor = replace(network.sensor, range_noise=metres, intensity_noise=intensity)
-    return replace(network, sensor=sensor)
+    return network.for_sensor(sensor)
 
 
 def test_a_sensor_of_unknown_noise(network, image):

@@ -86,8 +86,8 @@ def test_the_seed_matters_and_neither_order_nor_global_generator(network, image,
 @torch.inference_mode()
 def test_fewer_passes_at_once_when_memory_is_short(network, image, monkeypatch):
     """As on a GPU, where passes are computed in batches."""
-    seeds, module = [pass_seed(5, number) for number in range(4)], network.torch_module
-    features = module.trunk(network.input(image.channels))
+    seeds, module = [pass_seed(5, number) for number in range(4)], network.engine.torch_module
+    features = module.trunk(network.engine.tensor(network.fit.input(image.channels)))
     expected = [softmax for softmax, _ in torch_batch(module, features, seeds)]
     sizes, most, rest = [], [1], type(module).rest
 
@@ -98,18 +98,20 @@ def test_fewer_passes_at_once_when_memory_is_short(network, image, monkeypatch):
         return rest(module, *features)
 
     monkeypatch.setattr(type(module), "rest", short_of_memory)
-    network = replace(network, load_module=lambda: module)
+    engine = replace(network.engine, load_module=lambda: module)
     function = partial(torch_batch, module, features)
-    found = [softmax for softmax, _ in network.in_batches(function, seeds, 4, "passes")]
+    found = [softmax for softmax, _ in engine.in_batches(function, seeds, 4, "passes")]
     torch.testing.assert_close(found, expected)
     assert sizes == [4, 2, 1, 1, 1, 1]
     most[0] = 0
     with pytest.raises(MemoryError):
-        network.in_batches(function, seeds, 4, "passes")
+        engine.in_batches(function, seeds, 4, "passes")
 
 
 def test_the_temperature_is_left_out(network, image, sampled):
-    hot = replace(network, card=replace(network.card, temperature=1e6))
+    hot = replace(
+        network, engine=replace(network.engine, card=replace(network.card, temperature=1e6))
+    )
     again = sample(hot, image, samples=SAMPLES, seed=5)
     np.testing.assert_array_equal(again.variance, sampled.variance)
     np.testing.assert_array_equal(
@@ -124,7 +126,7 @@ def test_sampling_changes_nothing_in_the_network(network, image):
     sample(network, image, samples=2, seed=0)
     for name, tensor in network.module.state_dict().items():
         assert torch.equal(tensor, before[name]), name
-    layers = [*network.module.modules(), *network.torch_module.modules()]
+    layers = [*network.module.modules(), *network.engine.torch_module.modules()]
     assert not any(layer.training for layer in layers)
     np.testing.assert_array_equal(network.probabilities(image), expected)
 

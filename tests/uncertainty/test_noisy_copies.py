@@ -12,7 +12,7 @@ from salsanext_cli.uncertainty.noisy_copies import COPIES, noise_variance, noisy
 
 def with_noise(network, metres, intensity):
     sensor = replace(network.sensor, range_noise=metres, intensity_noise=intensity)
-    return replace(network, sensor=sensor)
+    return network.for_sensor(sensor)
 
 
 def test_copies_have_the_noise_that_density_filtering_begins_with(network, image):
@@ -29,10 +29,10 @@ def test_copies_have_the_noise_that_density_filtering_begins_with(network, image
 
 
 def test_the_variance_is_that_of_the_plain_softmax_of_the_copies(network, image):
-    hot = replace(network, card=replace(network.card, temperature=3.0))
+    card = replace(network.card, temperature=3.0)
+    hot = replace(network, engine=replace(network.engine, card=card))
     copies = [*islice(noisy_copies(image, network.sensor, 5), COPIES)]
-    cold = replace(network, card=replace(network.card, temperature=1.0))
-    softmax = np.stack([cold.pixel_probabilities([copy])[0] for copy in copies])
+    softmax = np.stack([network.pixel_probabilities([copy], 1.0)[0] for copy in copies])
     found = noise_variance(hot, image, 5)
     assert found.dtype == np.float32
     np.testing.assert_allclose(found, softmax.var(axis=0, ddof=1), atol=1e-7)

@@ -10,7 +10,7 @@ from salsanext_cli import knn_refine, load_network, project, read_scan, sample
 from salsanext_cli.errors import FormatError
 from salsanext_cli.results.layout import ScanFile
 from salsanext_cli.results.point_files import write_bin
-from salsanext_cli.uncertainty.scan_description import describe_scan, label_scan, pixel_features
+from salsanext_cli.uncertainty.scan_description import describe_scan, label_sampled, pixel_features
 
 PASSES = {"samples": 3, "seed": 4}
 
@@ -59,12 +59,12 @@ def test_equal_scans_are_described_alike_whatever_their_names(network, file):
 
 
 def test_labels_are_those_of_the_mean_softmax(network, file):
-    found = label_scan(file, network, **PASSES)
+    found, information = label_sampled(file, network, **PASSES)
     image = project(read_scan(file.path), SMALL)
     sampled = sample(network, image, **PASSES)
     refined = knn_refine(image, sampled.probabilities.argmax(axis=0))
     np.testing.assert_array_equal(found.labels, refined)
-    np.testing.assert_array_equal(found.information, sampled.uncertainty.mutual_information)
+    np.testing.assert_array_equal(information, sampled.uncertainty.mutual_information)
 
 
 def test_a_scan_without_a_measurement(weights, tmp_path):

@@ -8,7 +8,6 @@ import numpy.typing as npt
 
 from salsanext_cli.classes.label_space import LabelSpace
 from salsanext_cli.engines.network import Network
-from salsanext_cli.geometry.knn import knn_refine
 from salsanext_cli.records import Float
 from salsanext_cli.results.layout import ScanFile
 from salsanext_cli.training.tuning.labelled_images import read_labelled_image
@@ -48,8 +47,7 @@ def judged_points(file: ScanFile, network: Network, space: LabelSpace, most: int
     """Predict a labelled scan as `predict` does, and judge a random sample of its points."""
     labelled = read_labelled_image(file, network, space)
     probabilities = network.probabilities(labelled.image, file.path)
-    pixel_labels = probabilities.argmax(axis=0)
-    labels = knn_refine(labelled.image, pixel_labels, space.class_count, device=network.device)
+    labels = network.labels(labelled.image, probabilities)
     features = error_features(labelled.image, probabilities, labels)
     random = np.random.default_rng(scan_seed(SEED, file.sequence, file.stem))
     count = len(labelled.truth)

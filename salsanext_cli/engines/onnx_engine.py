@@ -1,9 +1,8 @@
 # SPDX-License-Identifier: MIT
-"""Network that OpenVINO reads from an ONNX file: labels and probabilities, without torch."""
+"""Engine that OpenVINO reads from an ONNX file: labels and probabilities, without torch."""
 
 import hashlib
 import threading
-from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -12,14 +11,13 @@ import numpy as np
 
 from salsanext_cli.compiled.kernels import thread_count
 from salsanext_cli.engines.device import choose_engine, choose_precision, openvino_core
+from salsanext_cli.engines.engine import Engine
 from salsanext_cli.engines.graphs import Graph, compiled_graph
-from salsanext_cli.engines.network import Network
 from salsanext_cli.errors import MissingDependency, UsageError, WeightsError, error_text
 from salsanext_cli.files.identity import fingerprint
 from salsanext_cli.files.user_cache import check_once
 from salsanext_cli.network.card import WeightsCard
-from salsanext_cli.records import CHANNELS, Float, RangeImage
-from salsanext_cli.sensors.sensor import Sensor
+from salsanext_cli.records import CHANNELS
 
 if TYPE_CHECKING:
     import openvino
@@ -28,23 +26,10 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True, eq=False)
-class OnnxNetwork(Network):
-    """Network of an ONNX file; it has no module in torch."""
+class OnnxEngine(Engine):
+    """Engine of an ONNX file; it has no module in torch."""
 
     path: Path = Path()
-
-    def logits(self, image: RangeImage) -> Float:
-        """Return the logits of every pixel, (C, H, W) float32."""
-        (logits,) = self._compiled(None)(self.input_array(image.channels))
-        of_one: Float = logits[0]
-        return of_one
-
-    def card_probabilities(
-        self, channels: Sequence[Float], temperature: float | None = None
-    ) -> list[Float]:
-        """Return the softmax of every pixel of some range images, (C, H, W) float32 each."""
-        compiled = self._compiled(temperature or self.card.temperature)
-        return [compiled(self.input_array(image))[0][0] for image in channels]
 
     def model(self, temperature: float | None = None) -> "openvino.Model":
         """Read the file; with a temperature, for the softmax of the logits divided by it."""
@@ -55,22 +40,28 @@ class OnnxNetwork(Network):
         if hashlib.sha256(content).hexdigest() != self.sha256:
             found = "was replaced since the run began"
             raise WeightsError(self.path, found, "the same file", "run again with --overwrite")
-        model = read_model(content, self.path, self.card, self.sensor)
+        model = read_model(content, self.path, self.card, self.size)
         return model if temperature is None else with_softmax(model, temperature)
 
-    def _compiled(self, temperature: float | None) -> Graph:
+    def output_graph(self, temperature: float | None) -> Graph:
+        """Return the graph of the softmax at a temperature, or of the logits."""
         threads = thread_count()
         place = (temperature, threads, threading.get_ident())
-        if place not in self._graphs:
-            key = ("ONNX", temperature, self.sha256, self.sensor.height, self.sensor.width)
+        if place not in self.graphs:
+            key = ("ONNX", temperature, self.sha256, *self.size)
             made = compiled_graph(lambda: self.model(temperature), key, self.precision, threads)
-            self._graphs[place] = made
-        return self._graphs[place]
+            self.graphs[place] = made
+        return self.graphs[place]
 
 
 def load_onnx(
-    path: Path, card: WeightsCard, device: str, sensor: Sensor, precision: str, engine: str
-) -> OnnxNetwork:
+    path: Path,
+    card: WeightsCard,
+    size: tuple[int, int],
+    device: str,
+    precision: str,
+    engine: str,
+) -> OnnxEngine:
     """Load an ONNX file that `export-onnx` wrote; parameters and errors as of `load_network`."""
     if device not in ("auto", "cpu"):
         raise UsageError("--device", f"{device} for an ONNX model", "cpu, or .safetensors weights")
@@ -82,10 +73,10 @@ def load_onnx(
 
         return read_weights(path)[0]  # raises what is to be said
 
-    network = OnnxNetwork(
+    loaded = OnnxEngine(
         no_module,
         card,
-        sensor,
+        size,
         "cpu",
         choose_precision(precision, "cpu"),
         _openvino(),
@@ -95,9 +86,9 @@ def load_onnx(
     )
     import openvino
 
-    size = f"{sensor.height}x{sensor.width}"
-    check_once(f"{network.sha256}.{size}-{openvino.__version__}", network.model)
-    return network
+    shape = "x".join(map(str, size))
+    check_once(f"{loaded.sha256}.{shape}-{openvino.__version__}", loaded.model)
+    return loaded
 
 
 def _openvino() -> str:
@@ -109,16 +100,15 @@ def _openvino() -> str:
 
 
 def read_model(
-    content: bytes, source: object, card: WeightsCard, sensor: Sensor
+    content: bytes, source: object, card: WeightsCard, size: tuple[int, int]
 ) -> "openvino.Model":
     """Read an ONNX model of normalised range images (1, 5, H, W) to logits (1, C, H, W).
 
     `content`: of the file; `source`: name of the file, for errors; `card`: with C classes;
-    `sensor`: h and W; a model of dynamic width takes its width.
+    `size`: H and W; a model of dynamic width takes this width.
     """
     import openvino
 
-    size = (sensor.height, sensor.width)
     wanted = [1, len(CHANNELS), *size]
     try:
         model = openvino_core().read_model(content)
