@@ -10,7 +10,8 @@ from hypothesis import strategies as st
 from scans import SMALL, lively, make_scan
 from torch import nn
 
-from salsanext_cli import Network, label_space, project
+from salsanext_cli import label_space, project
+from salsanext_cli.engines.loading import network_of_module
 from salsanext_cli.fitting.batch_norm import Statistics, norms, statistics_of_scan
 from salsanext_cli.network.card import WeightsCard
 from salsanext_cli.network.rangenet53 import RangeNet53
@@ -43,7 +44,7 @@ def network_of(module, sensor=SMALL):
     card = WeightsCard({"name": "any"}, SPACE, sensor)
     module = lively(module).double()
     module.register_forward_pre_hook(lambda _, inputs: inputs[0].double())
-    return Network(lambda: module, card, sensor)
+    return network_of_module(module, card, "cpu")
 
 
 def image_of(seed=0, sensor=SMALL):
@@ -89,7 +90,7 @@ def test_one_scan_has_the_statistics_and_logits_of_batch_norm_in_training(module
     network, image = network_of(module, sensor), image_of(0, sensor)
     found = statistics_of_scan(network, image.channels)
     training = as_when_training(module)
-    logits = training(network.input(image.channels)).detach().numpy()
+    logits = training(network.engine.tensor(network.fit.input(image.channels))).detach().numpy()
     assert list(found) == [name for name, _ in norms(training).items()]
     for name, layer in norms(training).items():
         count = found[name].count
@@ -98,7 +99,9 @@ def test_one_scan_has_the_statistics_and_logits_of_batch_norm_in_training(module
     for name, layer in norms(adapted).items():
         layer.running_mean.copy_(found[name].mean)
         layer.running_var.copy_(found[name].variance)
-    after = replace(network, load_module=lambda: adapted).logits(image)
+    after = replace(
+        network, engine=replace(network.engine, load_module=lambda: adapted).logits(image)
+    )
     np.testing.assert_allclose(after, logits[0], rtol=1e-5, atol=1e-5)
 
 
@@ -107,7 +110,7 @@ def test_empty_pixels_count_and_padding_does_not():
     network, image = network_of(Normed(), sensor), image_of(0, sensor)
     assert (image.point_of_pixel < 0).mean() > 0.1
     found = statistics_of_scan(network, image.channels)
-    channels = network.input(image.channels)[0].double().numpy()
+    channels = network.engine.tensor(network.fit.input(image.channels))[0].double().numpy()
     close(found["norm"], channels.mean(axis=(1, 2)), channels.var(axis=(1, 2)))
     assert found["norm"].count == 900
     training = as_when_training(network.module)
@@ -116,7 +119,9 @@ def test_empty_pixels_count_and_padding_does_not():
         layer.eval()
         layer.running_mean.copy_(found[name].mean)
         layer.running_var.copy_(found[name].variance)
-    values = inputs_of_norms(training, network.input(image.channels))[0]["deep"]
+    values = inputs_of_norms(training, network.engine.tensor(network.fit.input(image.channels)))[0][
+        "deep"
+    ]
     weights = np.zeros((3, 23))
     for row in range(10):
         for column in range(90):

@@ -163,7 +163,7 @@ def test_shards_that_begin_at_once_adapt_once(adapting, monkeypatch):
     def begin():
         network = settings.load()
         both.wait()
-        found.append(network_of_run(settings, network, files, adapting.out)[1].sha256)
+        found.append(network_of_run(settings, network, files, adapting.out)[1].engine.sha256)
 
     shards = [threading.Thread(target=begin) for _ in range(2)]
     for shard in shards:

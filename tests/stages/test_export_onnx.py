@@ -117,7 +117,7 @@ def test_predicts_as_the_weights_do(world, model, weights):
     settings = NetworkSettings(model)
     assert predict_scans(world.data, world.out, network=settings).done == 3
     record = json.loads((world.out / "predict.json").read_text("utf-8"))
-    assert record["settings"]["weights"] == network.sha256
+    assert record["settings"]["weights"] == network.engine.sha256
 
 
 def test_the_temperature_counts(tmp_path, weights):

@@ -69,7 +69,7 @@ def test_labels_do_not_depend_on_the_scale_of_the_files(knowing, tmp_path):
 def test_the_sensor_of_the_run_has_the_quantiles_of_its_scans(knowing):
     run(knowing)
     images = [project(read_scan(p), SMALL).channels for p in sorted(knowing.data.rglob("*.bin"))]
-    recorded = earlier_settings(knowing.out, knowing.network.load().sha256, False)
+    recorded = earlier_settings(knowing.out, knowing.network.load().engine.sha256, False)
     sensor = Sensor.from_dict(recorded["sensor"])
     assert sensor.intensity_quantiles == intensity_quantiles(images)
     assert run(knowing).skipped == 3
