@@ -14,8 +14,8 @@ from salsanext_cli import LabelSpace, Scan, Sensor, label_space, write_labels
 from salsanext_cli.network.card import WeightsCard
 from salsanext_cli.network.salsanext import SalsaNext
 from salsanext_cli.network.weights import save_weights
+from salsanext_cli.results.owned_folder import FILE_LISTS
 from salsanext_cli.results.point_files import write_bin, write_ply
-from salsanext_cli.results.written_files import RECORDS
 
 SMALL = Sensor(
     "small",
@@ -118,7 +118,7 @@ def files_below(folder: Path) -> dict[str, bytes]:
     return {
         str(path.relative_to(folder)): path.read_bytes()
         for path in sorted(folder.rglob("*"))
-        if path.is_file() and RECORDS not in path.parts
+        if path.is_file() and FILE_LISTS not in path.parts
     }
 
 

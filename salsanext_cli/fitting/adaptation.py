@@ -25,8 +25,8 @@ from salsanext_cli.fitting.scan_fit import fitted, sampled_images
 from salsanext_cli.network.card import require_tensors
 from salsanext_cli.records import Float
 from salsanext_cli.results.layout import ScanFile
+from salsanext_cli.results.owned_folder import OwnedFolder
 from salsanext_cli.results.stage_records import earlier_settings
-from salsanext_cli.results.written_files import WrittenFiles
 from salsanext_cli.sensors.sensor import Sensor
 
 SHARE = 0.1
@@ -111,10 +111,10 @@ def _adapted_to(
         digest.update(network.fit.input(channels).tobytes())
     path = out / NAME.format(digest.hexdigest()[:12])
     with locked(out / ".adapted.lock", LOCK_TIMEOUT_S):
-        WrittenFiles(out).require_replaceable([path])
+        OwnedFolder(out).require_own([path])
         if not filled(path):
             log.log(NOTICE, "adapting to %s: %s", counted(len(images), "scan"), path)
-            WrittenFiles(out).write(path, _adapted(network, weights, images), durable=True)
+            OwnedFolder(out).write(path, _adapted(network, weights, images), durable=True)
     return path
 
 

@@ -17,8 +17,8 @@ from salsanext_cli.errors import LabelError, counted
 from salsanext_cli.files.json_files import encode_json, read_json
 from salsanext_cli.files.reading import present, reading
 from salsanext_cli.results.layout import SCAN_FOLDER, ScanFile
+from salsanext_cli.results.owned_folder import OwnedFolder, States
 from salsanext_cli.results.selection import data_set_of
-from salsanext_cli.results.written_files import States, WrittenFiles
 from salsanext_cli.version import __version__
 
 PICKED, GUESSES = "pick.json", "guesses"
@@ -57,7 +57,7 @@ class LabelRecords:
 
     @cached_property
     def _states(self) -> States:
-        return WrittenFiles(self.root).states()
+        return OwnedFolder(self.root).states()
 
     def is_guess(self, scan: ScanFile, digest: str) -> bool:
         """Say whether labels with a SHA-256 are those that a network guessed for a scan."""
@@ -88,7 +88,7 @@ class LabelRecords:
         more = imported and contradicted > (before if isinstance(before, int) else 0)
         if (lost or more) and present(path):
             return False
-        changed = WrittenFiles(self.root).others([path], self._states)
+        changed = OwnedFolder(self.root).others([path], self._states)
         return not changed or self.holds_guess(scan)
 
     def write(self, scan: ScanFile, content: bytes, about: Mapping[str, Any]) -> None:
@@ -97,7 +97,7 @@ class LabelRecords:
         self._imported[name_of(scan)] = {"sha256": digest, **about}
         scans = dict(sorted(self._imported.items()))
         record = {"stage": STAGE, "version": __version__, "scans": scans}
-        written = WrittenFiles(self.root)
+        written = OwnedFolder(self.root)
         # Where this is cut off in between, the label file counts as what it was.
         written.write(self.root / IMPORTED, encode_json(record), durable=True)
         written.write(scan.label_path, content, durable=True)

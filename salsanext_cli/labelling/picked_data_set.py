@@ -23,8 +23,8 @@ from salsanext_cli.formats.clouds.kitti import encode_bin
 from salsanext_cli.labelling.label_records import IMPORTED, PICKED, digest_of_file, name_of
 from salsanext_cli.labelling.picked_scans import STAGE, PickedScan, PickRecord
 from salsanext_cli.results.layout import SCAN_FOLDER, ScanFile, find_scans, output_path
+from salsanext_cli.results.owned_folder import OwnedFolder
 from salsanext_cli.results.stage_records import require_same_settings
-from salsanext_cli.results.written_files import WrittenFiles
 from salsanext_cli.sensors.sensor import Sensor
 
 LOCK = ".pick.lock"
@@ -81,7 +81,7 @@ class PickedDataSet:
     def write_missing(self, path: Path, content: bytes) -> None:
         """Write a file of the data set, unless it is there: it may be edited."""
         if not filled(path):
-            WrittenFiles(self.out).write(path, content)
+            OwnedFolder(self.out).write(path, content)
 
     def write_points(self, file: ScanFile, sensor: Sensor) -> None:
         """Write a scan as `.bin`: a file that is one byte by byte, of others what they hold.
@@ -185,11 +185,11 @@ class PickedDataSet:
         earlier = self._record()
         if earlier is not None:
             self._require_unchanged(earlier)
-            WrittenFiles(self.out).remove(self._files(earlier))
+            OwnedFolder(self.out).remove_own(self._files(earlier))
         self._write_record(record)
 
     def _write_record(self, record: PickRecord) -> None:
-        WrittenFiles(self.out).write(self.out / PICKED, record.to_json(), durable=True)
+        OwnedFolder(self.out).write(self.out / PICKED, record.to_json(), durable=True)
 
     def _record(self) -> PickRecord | None:
         found = read_json(self.out / PICKED)
@@ -206,7 +206,7 @@ class PickedDataSet:
         if present(self.out / IMPORTED):
             found = "says that labels were imported, which are kept"
             raise OutputError(self.out / IMPORTED, found, remedy="choose another folder")
-        changed = WrittenFiles(self.out).others(self._files(record))
+        changed = OwnedFolder(self.out).others(self._files(record))
         for each in record.picked:
             labels, guess = (
                 self.paths(each.sequence, each.scan).labels,

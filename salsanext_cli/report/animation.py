@@ -22,7 +22,7 @@ from salsanext_cli.report.canvas import NIGHT
 from salsanext_cli.report.colours import OUTCOMES, Colours, map_on_dark, screen_colours
 from salsanext_cli.results.layout import ScanFile
 from salsanext_cli.results.output_run import OutputRun
-from salsanext_cli.results.written_files import WrittenFiles
+from salsanext_cli.results.owned_folder import OwnedFolder
 
 if TYPE_CHECKING:
     from PIL.Image import Image
@@ -45,7 +45,7 @@ def require_animations_replaceable(
     """Refuse to replace animations of other programs, before anything is drawn."""
     sequences = dict.fromkeys(scan.sequence for scan in scans)
     paths = [_animation(out, sequence, form) for form in animations for sequence in sequences]
-    WrittenFiles(out).require_replaceable(paths)
+    OwnedFolder(out).require_own(paths)
 
 
 def animate(
@@ -56,7 +56,7 @@ def animate(
     output: OutputRun,
 ) -> None:
     """Write an animation of each sequence of which there are pictures."""
-    files = WrittenFiles(output.out)
+    files = OwnedFolder(output.out)
     # Every fifth colour of the map, from the high end.
     kept = np.concatenate([OUTCOMES, map_on_dark()[::-5], screen_colours(space)])
     for sequence in dict.fromkeys(scan.sequence for scan in scans):

@@ -20,6 +20,7 @@ from salsanext_cli.files.reading import filled, present
 from salsanext_cli.formats.labels import encode_labels
 from salsanext_cli.formats.npy import encode_array
 from salsanext_cli.results.layout import ERROR, ScanFile, find_outputs, output_path
+from salsanext_cli.results.owned_folder import OwnedFolder
 from salsanext_cli.results.sources import scan_sources
 from salsanext_cli.results.stage_records import (
     ScanSource,
@@ -29,7 +30,6 @@ from salsanext_cli.results.stage_records import (
     read_record,
     require_same_settings,
 )
-from salsanext_cli.results.written_files import WrittenFiles
 
 RECORDS_LOCK_TIMEOUT_S = 1800.0
 """Others hold the lock for a moment each, seconds if it is a million scans, and there may be a
@@ -127,7 +127,7 @@ def _remove_unrecorded(out: Path, folder: str, overwrite: bool) -> list[Path]:
 def _remove_results(out: Path, folders: Iterable[str]) -> list[Path]:
     """Remove results that salsanext wrote and that are unchanged; name and return the others."""
     found = [path for folder in folders for path in find_outputs(out, folder).values()]
-    kept = WrittenFiles(out).remove(found)
+    kept = OwnedFolder(out).remove_own(found)
     if kept:
         log.warning("kept, since changed or not written by salsanext: %s", first_few(kept))
     return kept
@@ -169,7 +169,7 @@ class OutputRun:
 
     def write(self, file: ScanFile, folder: str, content: bytes) -> None:
         """Write a result of a scan whole or not at all, and record it."""
-        WrittenFiles(self.out).write(self.path(file, folder), content)
+        OwnedFolder(self.out).write(self.path(file, folder), content)
 
     def write_array(self, file: ScanFile, folder: str, array: npt.NDArray[Any]) -> None:
         """Write a result of a scan as a `.npy` file."""
@@ -220,7 +220,7 @@ def output_run(
         for place in _places(out, wanted.folders, scans):
             sweep_stale(place)
             held.callback(sweep, place, mark)
-        others = WrittenFiles(out).others
+        others = OwnedFolder(out).others
         # First those of other settings: they are no results of this run.
         kept = frozenset(others(out / name for name in recorded.kept))
         run = OutputRun(out, tuple(folders), overwrite, kept)

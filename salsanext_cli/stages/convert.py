@@ -7,21 +7,15 @@ from functools import partial
 from pathlib import Path
 
 from salsanext_cli.errors import OutputError, UsageError, counted, first_few, shortened
-from salsanext_cli.files.atomic import MARK, sweep, sweep_stale
-from salsanext_cli.files.json_files import encode_json, read_json
-from salsanext_cli.files.locks import locked
 from salsanext_cli.files.reading import filled
 from salsanext_cli.formats import read_scan
 from salsanext_cli.formats.clouds.kitti import encode_bin
 from salsanext_cli.formats.recordings.address import recording_of
 from salsanext_cli.parallel.run import Outcome, RunOptions, run_over_scans
 from salsanext_cli.results.layout import SCAN_FOLDER, ScanFile, find_scans, require_none_hidden
-from salsanext_cli.results.written_files import WrittenFiles
+from salsanext_cli.results.owned_folder import OwnedFolder
 
 TIMES = "times.txt"
-MANIFEST = "convert.json"
-"""Record of the recording, topic and first scan of a sequence."""
-LOCK = ".convert.lock"
 
 log = logging.getLogger(__name__)
 
@@ -52,29 +46,25 @@ def convert(
         raise UsageError(recording, found, "a ROS bag or an Ouster recording")
     listed = find_scans(recording)
     chosen = listed[::every][:limit]
-    sequence = folder / "sequences" / listed[0].sequence
-    place, written = sequence / SCAN_FOLDER, WrittenFiles(folder)
+    sequence = Path("sequences", listed[0].sequence)
+    owned, place = OwnedFolder(folder, "convert", str(sequence)), folder / sequence / SCAN_FOLDER
     require_none_hidden(folder)
-    with locked(sequence / LOCK, stage="convert"):
-        _require_own(place, written, listed)
-        _require_same_source(sequence / MANIFEST, written, listed[0])
-        sweep_stale(place)
+    with owned.open(place):
+        _require_own(place, owned, listed)
+        owned.begin(_source_of(listed[0], owned))
         empty: set[str] = set()
-        try:
-            task = partial(_convert_scan, folder=folder, place=place)
-            done = {_target(place, scan) for scan in chosen if filled(_target(place, scan))}
-            outcome = run_over_scans(
-                task,
-                chosen,
-                options,
-                is_done=lambda scan: _target(place, scan) in done,
-                on_result=empty.update,
-            )
-        finally:
-            sweep(place, MARK.get())
+        task = partial(_convert_scan, owned=owned, place=place)
+        done = {_target(place, scan) for scan in chosen if filled(_target(place, scan))}
+        outcome = run_over_scans(
+            task,
+            chosen,
+            options,
+            is_done=lambda scan: _target(place, scan) in done,
+            on_result=empty.update,
+        )
         times = [_time(scan) for scan in listed if filled(_target(place, scan))]
         lines = [f"{(time - times[0]) / 1e9:.9f}\n" for time in times]
-        written.write(sequence / TIMES, "".join(lines).encode())
+        owned.write(folder / sequence / TIMES, "".join(lines).encode())
     if empty:
         log.warning(
             "%s left out, without points: %s", counted(len(empty), "scan"), first_few(sorted(empty))
@@ -91,32 +81,31 @@ def _time(scan: ScanFile) -> int:
     return int(scan.stem.partition("_")[0])
 
 
-def _convert_scan(scan: ScanFile, folder: Path, place: Path) -> tuple[str, ...]:
+def _convert_scan(scan: ScanFile, owned: OwnedFolder, place: Path) -> tuple[str, ...]:
     """Write a scan; return its name if it has no points."""
     points = read_scan(scan.path)
     if not len(points):
         return (scan.stem,)
-    WrittenFiles(folder).write(_target(place, scan), encode_bin(points))
+    owned.write(_target(place, scan), encode_bin(points))
     return ()
 
 
-def _require_same_source(path: Path, written: WrittenFiles, first: ScanFile) -> None:
-    """Record where the scans come from; refuse a folder with those of another topic."""
+def _source_of(first: ScanFile, owned: OwnedFolder) -> dict[str, str]:
+    """Return the record of where scans come from; refuse a folder with those of another topic."""
     recording = recording_of(first.path) or first.path
     topic = str(first.path.parent.relative_to(recording))
-    wanted = {"recording": recording.name, "topic": topic, "first": first.stem}
-    recorded = read_json(path)
-    if recorded is None:
-        written.write(path, encode_json({"stage": "convert", **wanted}), durable=True)
-    elif any(recorded.get(key) != value for key, value in wanted.items()):
+    wanted = {"stage": "convert", "recording": recording.name, "topic": topic, "first": first.stem}
+    recorded = owned.recorded()
+    if recorded is not None and any(recorded.get(key) != wanted[key] for key in wanted):
         found = (
             f"scans of {shortened(recorded.get('recording'))}, {shortened(recorded.get('topic'))}"
         )
         expected = f"those of {recording.name}, {topic}"
-        raise OutputError(path.parent, found, expected, "choose another folder")
+        raise OutputError(owned.record_path.parent, found, expected, "choose another folder")
+    return wanted
 
 
-def _require_own(place: Path, written: WrittenFiles, listed: list[ScanFile]) -> None:
+def _require_own(place: Path, owned: OwnedFolder, listed: list[ScanFile]) -> None:
     """Refuse a folder with scans of something else, or files that are not as they were written."""
     names = {_target(place, scan).name for scan in listed}
     there = sorted(place.iterdir()) if place.is_dir() else []
@@ -125,6 +114,4 @@ def _require_own(place: Path, written: WrittenFiles, listed: list[ScanFile]) -> 
         if path.name not in names:
             found = "is not of this recording"
             raise OutputError(path, found, "scans of it only", "choose another folder")
-    for path in written.others([*scans, place.parent / TIMES]):
-        found = "was changed, or not written by `convert`"
-        raise OutputError(path, found, remedy="move it, or choose another folder")
+    owned.require_own([*scans, place.parent / TIMES])

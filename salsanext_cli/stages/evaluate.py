@@ -31,10 +31,10 @@ from salsanext_cli.parallel.run import Failure, RunOptions, run_over_scans
 from salsanext_cli.report.plots import PICTURES, evaluation_pictures
 from salsanext_cli.results.layout import ScanFile
 from salsanext_cli.results.output_run import records_lock
+from salsanext_cli.results.owned_folder import OwnedFolder
 from salsanext_cli.results.predictions import merging_into, space_of_labels
 from salsanext_cli.results.sources import MissingResults, missing_predictions
 from salsanext_cli.results.stage_records import as_json, recorded_sensor, scans_trained_on
-from salsanext_cli.results.written_files import WrittenFiles
 from salsanext_cli.version import __version__
 
 FILES = ("scores.txt", *PICTURES, "eval.json")
@@ -115,7 +115,7 @@ def evaluate(
         own["label_space_of_labels"] = labels.to_dict()
     settings = dict(as_json({**(settings or {}), **own}))
     own_files = [out / name for name in FILES]
-    WrittenFiles(out).require_replaceable(own_files)
+    OwnedFolder(out).require_own(own_files)
     _require_labels(scans)
     apart = CountsApart.none(space, by_distance)
     count = partial(count_scan, out=out, space=space, labels=labels, merging=merging)
@@ -149,10 +149,10 @@ def evaluate(
     files = _files(evaluation)
     with records_lock(out):
         sweep_stale(out)
-        WrittenFiles(out).require_replaceable(own_files)
-        WrittenFiles(out).remove(path for path in own_files if path.name not in files)
+        OwnedFolder(out).require_own(own_files)
+        OwnedFolder(out).remove_own(path for path in own_files if path.name not in files)
         for name, content in files.items():
-            WrittenFiles(out).write(out / name, content, durable=True)
+            OwnedFolder(out).write(out / name, content, durable=True)
     return evaluation
 
 

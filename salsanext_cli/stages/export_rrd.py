@@ -19,10 +19,10 @@ from salsanext_cli.report.rerun_recording import Columns, LogScan, import_rerun,
 from salsanext_cli.report.scales import common_scales
 from salsanext_cli.results.chosen_results import choose_results
 from salsanext_cli.results.layout import UNCERTAINTY, ScanFile
+from salsanext_cli.results.owned_folder import OwnedFolder
 from salsanext_cli.results.scan_results import read_results, scalar_columns, with_column
 from salsanext_cli.results.selection import ScanSelection
 from salsanext_cli.results.stage_records import recorded_sensor
-from salsanext_cli.results.written_files import WrittenFiles
 from salsanext_cli.sensors.sensor import Sensor
 
 FOLDER = "rrd"
@@ -54,7 +54,7 @@ def export_rrd(
     _require_text(out)
     chosen = choose_results(out, selection, dataset, space, classes)
     scans, space, sensor = chosen.scans, chosen.space, recorded_sensor(out)
-    WrittenFiles(out).require_replaceable(_path(out, scan.sequence) for scan in scans)
+    OwnedFolder(out).require_own(_path(out, scan.sequence) for scan in scans)
     sweep_stale(out / FOLDER)
     known = [name for name in VIEWS if with_column(name, scans, out)]
     scales = common_scales(out, scans, known, space, sensor)
@@ -98,12 +98,12 @@ def _recording(
     out: Path, sequence: str, colourings: Mapping[str, PointColours], space: LabelSpace
 ) -> Iterator[LogScan]:
     """Write the recording of a sequence, which appears under its name when it is complete."""
-    path, written = _path(out, sequence), WrittenFiles(out)
+    path, written = _path(out, sequence), OwnedFolder(out)
     name = printable(f"{out.absolute().name}/{sequence}")
     with written.writing(path, durable=True) as file:
         with recording(file, name, colourings, space) as log_scan:
             yield log_scan
-        written.require_replaceable([path])
+        written.require_own([path])
     log.log(NOTICE, "recording: %s", path)
 
 

@@ -23,6 +23,7 @@ from salsanext_cli.report.page.run_results import RunResults
 from salsanext_cli.report.page.shown_scans import ShownScan
 from salsanext_cli.results.layout import ScanFile
 from salsanext_cli.results.output_run import records_lock
+from salsanext_cli.results.owned_folder import OwnedFolder
 from salsanext_cli.results.predictions import (
     merging_into,
     predicted_scans,
@@ -33,7 +34,6 @@ from salsanext_cli.results.scan_results import with_results
 from salsanext_cli.results.selection import ScanSelection
 from salsanext_cli.results.sources import MissingResults, missing_results
 from salsanext_cli.results.stage_records import recorded_sensor, scans_trained_on
-from salsanext_cli.results.written_files import WrittenFiles
 
 PAGE = "report.html"
 """Name of the page in the output folder."""
@@ -97,7 +97,7 @@ def report(
     `options`: which scans, and how to go through them.
     """
     page = out / PAGE
-    WrittenFiles(out).require_replaceable([page])
+    OwnedFolder(out).require_own([page])
     run, failures = read_run(
         out,
         dataset=dataset,
@@ -116,8 +116,8 @@ def report(
     written = html_of(content).encode()
     with records_lock(out):
         sweep_stale(out)
-        WrittenFiles(out).require_replaceable([page])
-        WrittenFiles(out).write(page, written, durable=True)
+        OwnedFolder(out).require_own([page])
+        OwnedFolder(out).write(page, written, durable=True)
     kept = compared.uncertainty.kept if compared else None
     return Report(
         page=page,

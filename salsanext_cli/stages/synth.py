@@ -18,25 +18,22 @@ import numpy as np
 import yaml
 
 from salsanext_cli.classes.label_space import RawIds, label_space
-from salsanext_cli.errors import OutputError, UsageError, counted
-from salsanext_cli.files.atomic import MARK, sweep, sweep_stale
-from salsanext_cli.files.json_files import encode_json, read_json
-from salsanext_cli.files.locks import locked
+from salsanext_cli.errors import UsageError, counted
+from salsanext_cli.files.atomic import MARK
 from salsanext_cli.files.optional_packages import import_open3d
-from salsanext_cli.files.reading import filled, present
+from salsanext_cli.files.reading import filled
 from salsanext_cli.formats.clouds.kitti import encode_bin
 from salsanext_cli.formats.labels import encode_labels, read_labels
 from salsanext_cli.parallel.options import worker_count
 from salsanext_cli.parallel.pools import end_with_parent, signals_blocked
 from salsanext_cli.parallel.run import Progress
+from salsanext_cli.results.owned_folder import OwnedFolder
 from salsanext_cli.results.stage_records import as_json, require_same_settings
-from salsanext_cli.results.written_files import WrittenFiles
 from salsanext_cli.synthesis.drive import record
 from salsanext_cli.synthesis.sensor.rig import RIGS
 from salsanext_cli.version import __version__
 
 MANIFEST = "synth.json"
-LOCK = ".synth.lock"
 LABEL_SPACE = "labels.yaml"
 MAX_DRIVE_M = 3000.0
 """Longest drive of one sequence; the whole street is held in memory."""
@@ -87,31 +84,25 @@ def synthesise(
     made_with = manifest(counts, scans, seed, spacing, sensor)
     splits = made_with["settings"]["splits"]
     names = [name for members in splits.values() for name in members]
-    places = [out, *(out / "sequences" / name / folder for name in names for folder in FOLDERS)]
+    places = [out / "sequences" / name / folder for name in names for folder in FOLDERS]
     files = [path for name in names for path in _files(out / "sequences" / name, scans)]
     files.append(out / LABEL_SPACE)
-    _require_room(out)
+    owned = OwnedFolder(out, "synth")
+    owned.require_new()
     if overwrite or not all(map(filled, files)):
         import_open3d()
     total = len(names) * scans
     points: Counter[int] = Counter()
-    write = partial(_write_sequence, out, scans, seed, spacing, sensor)
-    with locked(out / LOCK, stage="synth"):
-        _begin(out, made_with, files, overwrite)
-        for place in places:
-            sweep_stale(place)
-        try:
-            for done, of_scan in enumerate(_write(write, names, jobs), start=1):
-                points.update(of_scan)
-                if progress:
-                    progress(done, total)
-        finally:
-            # Joblib kills workers, if it must, while they write.
-            for place in places:
-                sweep(place, MARK.get())
+    write = partial(_write_sequence, owned, scans, seed, spacing, sensor)
+    with owned.open(*places):
+        _begin(owned, made_with, files, overwrite)
+        for done, of_scan in enumerate(_write(write, names, jobs), start=1):
+            points.update(of_scan)
+            if progress:
+                progress(done, total)
         space = replace(label_space("semantic-kitti"), splits=splits)
         text = yaml.safe_dump(space.to_dict(), sort_keys=False, allow_unicode=True)
-        _write_missing(out, out / LABEL_SPACE, text.encode())
+        owned.write_missing(out / LABEL_SPACE, text.encode())
     made = {"scans": total, "splits": splits, "points": dict(sorted(points.items()))}
     return {"stage": "synth", **made}
 
@@ -143,38 +134,23 @@ def _check(sequences: dict[str, int], scans: int, seed: int, spacing: float, job
     worker_count(jobs)
 
 
-def _require_room(out: Path) -> None:
-    """Refuse a folder with something else than a synthetic data set."""
-    if out.is_dir() and (
-        present(out / MANIFEST) or all(path.name.startswith(".") for path in out.iterdir())
-    ):
-        return
-    if present(out):
-        raise OutputError(out, "holds something else", "a new or empty folder")
-
-
-def _begin(out: Path, made_with: dict[str, Any], files: list[Path], overwrite: bool) -> None:
+def _begin(
+    owned: OwnedFolder, made_with: dict[str, Any], files: list[Path], overwrite: bool
+) -> None:
     """Record what is made, after removing an earlier data set if that is to be replaced."""
-    written, path = WrittenFiles(out), out / MANIFEST
-    earlier, wanted = read_json(path), as_json(made_with)
+    out, earlier = owned.root, owned.recorded()
     whole = earlier is not None and all(map(filled, files))
     if earlier is not None and not overwrite:
-        before, now = (_settings(record, version=not whole) for record in (earlier, wanted))
-        require_same_settings(path, before, now)
+        before, now = (_settings(each, version=not whole) for each in (earlier, as_json(made_with)))
+        require_same_settings(owned.record_path, before, now)
         if whole:
             return
     folders = {folder for path in files for folder in path.parents if out in folder.parents}
     links = sorted(folder for folder in folders if folder.is_symlink())
-    for other in (*links, *written.others([path, *files])):
-        found = "is a link, was changed, or was not written by `synth`"
-        raise OutputError(other, found, remedy="move it, or choose another folder")
-    if overwrite:
-        # The record stays until it is replaced, so that a run that is killed before may go on.
-        ours = (each for each in written.recorded() if _is_generated(each, out) and each != path)
-        for other in written.remove(ours):
-            log.warning("%s was changed since it was written: it is kept", other)
-    if earlier != wanted:
-        written.write(path, encode_json(made_with), durable=True)
+    owned.require_own([*links, owned.record_path, *files])
+    # The record stays until it is replaced, so that a run that is killed before may go on.
+    generated = [path for path in owned.written() if _is_generated(path, out)]
+    owned.begin(made_with, generated if overwrite else [])
 
 
 def _settings(record: Mapping[str, Any], *, version: bool) -> dict[str, Any]:
@@ -188,7 +164,7 @@ def _is_generated(path: Path, out: Path) -> bool:
     """Say whether a file has a place that `synth` fills; other stages may have results beside."""
     match path.relative_to(out).parts:
         case (name,):
-            return name in (MANIFEST, LABEL_SPACE)
+            return name == LABEL_SPACE
         case ("sequences", _, name):
             return name in SEQUENCE_FILES
         case ("sequences", _, folder, _):
@@ -234,10 +210,10 @@ def _write_whole(mark: str, write: SequenceWriter, name: str) -> list[dict[int, 
 
 
 def _write_sequence(
-    out: Path, scans: int, seed: int, spacing: float, sensor: str, name: str
+    owned: OwnedFolder, scans: int, seed: int, spacing: float, sensor: str, name: str
 ) -> Iterator[dict[int, int]]:
     """Write what is missing of a sequence; poses are relative to the first scan."""
-    folder = out / "sequences" / name
+    folder = owned.root / "sequences" / name
     if all(map(filled, _files(folder, scans))):
         for index in range(scans):
             yield _points_of(read_labels(_scan_files(folder, index)[1]))
@@ -246,8 +222,8 @@ def _write_sequence(
     first = np.eye(4)
     for index, frame in enumerate(record(seed, int(name), scans, spacing, RIGS[sensor])):
         scan, labels = _scan_files(folder, index)
-        _write_missing(out, scan, encode_bin(frame.scan))
-        _write_missing(out, labels, encode_labels(frame.labels))
+        owned.write_missing(scan, encode_bin(frame.scan))
+        owned.write_missing(labels, encode_labels(frame.labels))
         first = frame.pose if index == 0 else first
         relative = np.linalg.inv(first) @ frame.pose
         poses.append(" ".join(f"{value:.9e}" for value in relative[:3].ravel()))
@@ -255,15 +231,10 @@ def _write_sequence(
         yield _points_of(frame.labels)
     calibration = [f"{key}: {IDENTITY}" for key in ("P0", "P1", "P2", "P3", "Tr")]
     for file, lines in zip(SEQUENCE_FILES, (poses, times, calibration), strict=True):
-        _write_missing(out, folder / file, ("\n".join(lines) + "\n").encode())
+        owned.write_missing(folder / file, ("\n".join(lines) + "\n").encode())
 
 
 def _points_of(labels: RawIds) -> dict[int, int]:
     """Return the number of points of each raw id."""
     raw, counts = np.unique(labels, return_counts=True)
     return dict(zip(raw.tolist(), counts.tolist(), strict=True))
-
-
-def _write_missing(out: Path, path: Path, content: bytes) -> None:
-    if not filled(path):
-        WrittenFiles(out).write(path, content)

@@ -20,7 +20,7 @@ from torch import Tensor
 
 from salsanext_cli.errors import FormatError, TrainingError, error_text, shortened
 from salsanext_cli.files.reading import reading
-from salsanext_cli.results.written_files import WrittenFiles
+from salsanext_cli.results.owned_folder import OwnedFolder
 from salsanext_cli.training.learner import Learner
 from salsanext_cli.training.log import Row
 
@@ -65,7 +65,7 @@ def save_checkpoint(path: Path, learner: Learner, state: TrainingState) -> None:
     values: dict[str, Any] = {"progress": progress, "scaler": learner.scaler.state_dict()}
     values["sha256"] = _checksum(values, tensors)
     content = safetensors.torch.save(tensors, {KEY: json.dumps(values)})
-    WrittenFiles(path.parent).write(path, content, durable=True)
+    OwnedFolder(path.parent).write(path, content, durable=True)
 
 
 def load_checkpoint(path: Path, learner: Learner) -> TrainingState:

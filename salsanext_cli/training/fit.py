@@ -19,7 +19,7 @@ from salsanext_cli.engines.loading import network_of_module
 from salsanext_cli.engines.network import Network
 from salsanext_cli.errors import TrainingError
 from salsanext_cli.network.card import WeightsCard
-from salsanext_cli.results.written_files import WrittenFiles
+from salsanext_cli.results.owned_folder import OwnedFolder
 from salsanext_cli.training.checkpoint import TrainingState, load_checkpoint, save_checkpoint
 from salsanext_cli.training.data.dataset import Batch, Samples, batches
 from salsanext_cli.training.data.sources import Source
@@ -160,7 +160,7 @@ class Training:
             for key, value in row.items()
             if ("iou" in key or key == "accuracy") and value == value
         }
-        network, written = self._network(), WrittenFiles(self.run)
+        network, written = self._network(), OwnedFolder(self.run)
         scores = {**self.card.scores, **measured, "epoch": state.epoch}
         temperature = row.get("temperature", self.card.temperature)
         card = replace(self.card, scores=scores, temperature=temperature)

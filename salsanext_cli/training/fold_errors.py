@@ -17,7 +17,7 @@ from salsanext_cli.files.json_files import encode_json, read_json
 from salsanext_cli.network.error_model import ErrorModel
 from salsanext_cli.network.weights import read_weights
 from salsanext_cli.results.layout import ScanFile
-from salsanext_cli.results.written_files import WrittenFiles
+from salsanext_cli.results.owned_folder import OwnedFolder
 from salsanext_cli.training.data.class_counts import data_digest
 from salsanext_cli.training.data.sources import Source
 from salsanext_cli.training.run_folder import ERROR, LAST, fold_folder
@@ -55,7 +55,7 @@ def error_of_folds(
         model = _fitted(weights, source, parts, temperature, place)
         found = model.to_dict() if model else None
         kept = {"error": found, "sha256": _checksum(inputs, found)}
-        WrittenFiles(run).write(run / ERROR, encode_json(kept), durable=True)
+        OwnedFolder(run).write(run / ERROR, encode_json(kept), durable=True)
     if kept["error"] is None:
         log.warning("no model of errors: it would tell no more than the confidence")
         return None

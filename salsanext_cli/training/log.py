@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-from salsanext_cli.results.written_files import WrittenFiles
+from salsanext_cli.results.owned_folder import OwnedFolder
 
 Row = dict[str, float]
 """One epoch: epoch, learning_rate, loss, seconds; where validated, also what `Validation` says."""
@@ -29,7 +29,7 @@ def write_log(path: Path, rows: Sequence[Row]) -> None:
     table = csv.DictWriter(text, columns, lineterminator="\n")
     table.writeheader()
     table.writerows({key: _cell(value) for key, value in row.items()} for row in rows)
-    WrittenFiles(path.parent).write(path, text.getvalue().encode())
+    OwnedFolder(path.parent).write(path, text.getvalue().encode())
 
 
 def _cell(value: float) -> str:
@@ -56,7 +56,7 @@ def draw_curve(path: Path, rows: Sequence[Row]) -> None:
     right.set(ylabel="validation mIoU on points", ylim=(0, 1))
     right.yaxis.label.set_color("C1")
     left.set_title("Training")
-    with WrittenFiles(path.parent).writing(path) as file:
+    with OwnedFolder(path.parent).writing(path) as file:
         figure.savefig(file, format="png", dpi=120)
 
 
@@ -74,7 +74,7 @@ def tensorboard_in(run: Path, folder: str, *, wanted: bool = True) -> Iterator[E
         return
     from torch.utils.tensorboard import SummaryWriter  # an optional dependency
 
-    before, written = {*(run / folder).glob("events.*")}, WrittenFiles(run)
+    before, written = {*(run / folder).glob("events.*")}, OwnedFolder(run)
     with SummaryWriter(str(run / folder)) as writer:
 
         def write(row: Row, picture: npt.NDArray[np.uint8]) -> None:
@@ -85,6 +85,6 @@ def tensorboard_in(run: Path, folder: str, *, wanted: bool = True) -> Iterator[E
             writer.add_image("sample", picture, epoch, dataformats="HWC")
             writer.flush()
             for path in {*(run / folder).glob("events.*")} - before:
-                written.record(path)
+                written.add(path)
 
         yield write

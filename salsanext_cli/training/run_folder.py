@@ -11,13 +11,13 @@ from salsanext_cli.engines.device import PRECISIONS
 from salsanext_cli.errors import OutputError
 from salsanext_cli.files.atomic import require_writable, sweep_stale
 from salsanext_cli.files.locks import locked
+from salsanext_cli.results.owned_folder import OwnedFolder
 from salsanext_cli.results.stage_records import (
     StageRecord,
     as_json,
     require_same_settings,
     stage_settings,
 )
-from salsanext_cli.results.written_files import WrittenFiles
 from salsanext_cli.training.recipe import Recipe
 
 STAGE = "train"
@@ -62,7 +62,7 @@ def require_free(run: Path, settings: Mapping[str, Any], *, overwrite: bool) -> 
     epochs = as_json(settings)["recipe"]["epochs"]
     replaced = [run / name for name in (*RESULTS, RECIPE, CLASS_COUNTS)]
     replaced += [sample_path(run, epoch) for epoch in range(1, epochs + 1)]
-    for path in WrittenFiles(run).others(replaced):
+    for path in OwnedFolder(run).others(replaced):
         if path.name != RECIPE or _content(path) != _recipe_file(settings):
             found = "not written by salsanext, or changed since"
             raise OutputError(path, found, remedy="move it, or use another folder")
@@ -85,12 +85,12 @@ def begin(run: Path, settings: Mapping[str, Any], *, overwrite: bool) -> None:
     `run`: the folder; `settings`: all that decides the result of the training, its recipe under
     that name; `overwrite`: whether to begin anew with the same settings too.
     """
-    recorded, written = stage_settings(run, STAGE), WrittenFiles(run)
+    recorded, written = stage_settings(run, STAGE), OwnedFolder(run)
     if overwrite or recorded is None or _decisive(recorded) != _decisive(as_json(settings)):
         for folder in _folders(run):
             results = [folder / name for name in RESULTS]
             results += [*folder.glob(f"{SAMPLES}/epoch-*.png"), *folder.glob(f"{EVENTS}/events.*")]
-            for path in WrittenFiles(folder).remove(results):
+            for path in OwnedFolder(folder).remove_own(results):
                 log.warning("%s is kept: not written by salsanext, or changed since", path)
     StageRecord(STAGE, as_json(settings)).write(run)
     if _content(run / RECIPE) != _recipe_file(settings):

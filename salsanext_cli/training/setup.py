@@ -21,7 +21,7 @@ from salsanext_cli.errors import UsageError
 from salsanext_cli.network.card import WeightsCard, read_card
 from salsanext_cli.network.segmentation import SegmentationNetwork
 from salsanext_cli.results.layout import ScanFile
-from salsanext_cli.results.written_files import WrittenFiles
+from salsanext_cli.results.owned_folder import OwnedFolder
 from salsanext_cli.sensors.sensor import Sensor
 from salsanext_cli.training.cross_validation import Expectation, expectation, folds
 from salsanext_cli.training.data.class_counts import ClassCounts, class_weights, rare_classes
@@ -194,6 +194,6 @@ class Setup:
                 read_card(path).scores.get("miou", -1.0) for path in (best, own) if path.exists()
             ]
             if len(scores) == 1 or scores[1] > scores[0]:
-                WrittenFiles(self.run).write(best, own.read_bytes(), durable=True)
+                OwnedFolder(self.run).write(best, own.read_bytes(), durable=True)
         done, steps = (number - 1) * report.steps + report.step, (count + 1) * report.steps
         self.report(replace(report, step=done, steps=steps, fold=number))

@@ -193,7 +193,7 @@ def test_the_three_lines_may_be_typed_again(run, predict, weights, tmp_path):
     (out / "scores.txt").write_text("mine")
     result = run("eval", "--out", out)
     assert result.exit_code == 1
-    assert "scores.txt · exists, and was not recorded by salsanext or was changed" in result.stderr
+    assert "scores.txt · was changed, or not written by salsanext" in result.stderr
 
 
 def test_eval_prints_how_good_the_uncertainty_is_and_notices_when_it_changes(

@@ -42,7 +42,7 @@ def test_synthetic_data_sets_that_name_folders_elsewhere(tmp_path, splits):
     victim.touch()
     (tmp_path / "out").mkdir()
     (tmp_path / "out/synth.json").write_text(json.dumps({"settings": {"splits": splits}}))
-    with pytest.raises(OutputError, match=r"synth\.json · is a link, was changed, or was not"):
+    with pytest.raises(OutputError, match=r"synth\.json · was changed, or not written"):
         synthesise(tmp_path / "out", train=1, valid=0, scans=1, overwrite=True)
     assert victim.exists()
 

@@ -11,7 +11,7 @@ import numpy as np
 import yaml
 
 from salsanext_cli.files.atomic import TEMPORARY
-from salsanext_cli.results.written_files import RECORDS
+from salsanext_cli.results.owned_folder import FILE_LISTS
 
 
 def _is_png(path: Path) -> None:
@@ -70,7 +70,7 @@ def files(folder: Path, *, hidden: bool = False) -> dict[str, Path]:
     return {
         str(path.relative_to(folder)): path
         for path in found
-        if path.name.startswith(".") == hidden and RECORDS not in path.parts
+        if path.name.startswith(".") == hidden and FILE_LISTS not in path.parts
     }
 
 

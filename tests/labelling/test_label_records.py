@@ -21,7 +21,7 @@ from salsanext_cli.labelling.label_records import (
     labels_root,
 )
 from salsanext_cli.results.layout import find_scans
-from salsanext_cli.results.written_files import WrittenFiles
+from salsanext_cli.results.owned_folder import OwnedFolder
 
 GUESS = encode_labels(np.full(1500, 40, np.uint32))
 
@@ -33,7 +33,7 @@ def data(tmp_path):
     write_sequence(root / "sequences/00", ["000000", "000001"], labels=False)
     write_sequence(root / "sequences/01", ["000000"])
     for scan in find_scans(root)[:2]:
-        WrittenFiles(root).write(scan.label_path, GUESS)
+        OwnedFolder(root).write(scan.label_path, GUESS)
     digest = hashlib.sha256(GUESS).hexdigest()
     guesses = {f"00/00000{i}": digest for i in range(2)}
     (root / PICKED).write_text(json.dumps({"stage": "pick", GUESSES: guesses}))
@@ -91,14 +91,14 @@ def test_labels_that_are_missing_are_no_guess_and_can_be_written(data):
 
 def test_an_import_that_was_cut_off_leaves_a_first_guess(data, monkeypatch):
     scan = find_scans(data)[0]
-    write = WrittenFiles.write
+    write = OwnedFolder.write
 
     def refuse(self, path, content, **options):
         if path == scan.label_path:
             raise OutputError(path, "no space left")
         write(self, path, content, **options)
 
-    monkeypatch.setattr(WrittenFiles, "write", refuse)
+    monkeypatch.setattr(OwnedFolder, "write", refuse)
     with pytest.raises(OutputError):
         LabelRecords(data).write(scan, GUESS[:-4] + bytes(4), {})
     assert guessed(data) == ["00/000000", "00/000001"]

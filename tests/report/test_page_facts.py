@@ -9,8 +9,8 @@ from salsanext_cli.network.card import default_weights, read_card
 from salsanext_cli.report.page.facts import facts_of_run, warnings_of_run
 from salsanext_cli.results.layout import output_path
 from salsanext_cli.results.output_run import keep_findings
+from salsanext_cli.results.owned_folder import OwnedFolder
 from salsanext_cli.results.stage_records import StageRecord
-from salsanext_cli.results.written_files import WrittenFiles
 
 SPACE = label_space().to_dict()
 
@@ -60,7 +60,7 @@ def test_the_time_per_scan_is_that_between_results(tmp_path):
         path.parent.mkdir(parents=True, exist_ok=True)
         path.write_bytes(b"result")
         os.utime(path, (begin + time, begin + time))
-        WrittenFiles(tmp_path).record(path)
+        OwnedFolder(tmp_path).add(path)
     assert dict(facts_of_run(tmp_path, SMALL))["Time"] == "predict: 0.18 s per scan"
     path.write_bytes(b"another")
     assert "Time" not in dict(facts_of_run(tmp_path, SMALL))

@@ -147,7 +147,7 @@ def test_a_file_of_that_name_stays(adapting):
     run(adapting)
     file = adapted(adapting.out)
     file.write_bytes(b"mine")
-    with pytest.raises(OutputError, match="was not recorded by salsanext or was changed since"):
+    with pytest.raises(OutputError, match="was changed, or not written by salsanext"):
         run(adapting, options=RunOptions(overwrite=True))
     assert file.read_bytes() == b"mine"
 

@@ -12,7 +12,7 @@ from scans import files_below
 from salsanext_cli.errors import LabelError, NoInputError, OutputError
 from salsanext_cli.parallel.run import RunOptions
 from salsanext_cli.results.layout import find_scans
-from salsanext_cli.results.written_files import WrittenFiles
+from salsanext_cli.results.owned_folder import OwnedFolder
 from salsanext_cli.stages.evaluate import evaluate
 
 pytestmark = pytest.mark.usefixtures("undrawn")
@@ -179,7 +179,7 @@ def test_files_are_complete_and_replace_earlier_ones(world):
     world.add("000000", [CAR], [CAR])
     world.evaluate(by_distance=True)
     # Of an evaluation with probabilities, say.
-    WrittenFiles(world.out).write(world.out / "eval_reliability.png", b"PNG")
+    OwnedFolder(world.out).write(world.out / "eval_reliability.png", b"PNG")
     world.add("000001", [CAR], [ROAD])
     world.evaluate(by_distance=True)
     names = {path.name for path in world.out.iterdir() if path.is_file()}
@@ -202,7 +202,7 @@ def test_foreign_files_stay(world, name):
     world.add("000000", [CAR], [CAR])
     (world.out / name).write_text("mine")
     before = files_below(world.out)
-    with pytest.raises(OutputError, match=rf"{name} · exists, and was not recorded by salsanext"):
+    with pytest.raises(OutputError, match=rf"{name} · .*and is kept"):
         world.evaluate(by_distance=True)
     assert files_below(world.out) == before
 
@@ -218,6 +218,6 @@ def test_files_of_eval_that_were_changed_stay(world, tmp_path, linked):
     else:
         path.write_text(path.read_text() + "# seen by me\n")
     before = files_below(world.out)
-    with pytest.raises(OutputError, match=r"scores\.txt · exists, and .* was changed since"):
+    with pytest.raises(OutputError, match=r"scores\.txt · .*and is kept"):
         world.evaluate()
     assert files_below(world.out) == before

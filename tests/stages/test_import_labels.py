@@ -15,7 +15,7 @@ from salsanext_cli.errors import NoInputError, SalsanextError, UsageError
 from salsanext_cli.formats.labels import encode_labels
 from salsanext_cli.labelling.label_records import first_guesses
 from salsanext_cli.results.layout import find_scans
-from salsanext_cli.results.written_files import WrittenFiles
+from salsanext_cli.results.owned_folder import OwnedFolder
 from salsanext_cli.stages.import_labels import import_labels
 
 SPACE = label_space()
@@ -34,7 +34,7 @@ class Labelled:
         guess = encode_labels(np.full(1500, 40, np.uint32))
         for scan in self.scans:
             scan.label_path.unlink()
-            WrittenFiles(self.data).write(scan.label_path, guess)
+            OwnedFolder(self.data).write(scan.label_path, guess)
         guesses = {f"08/{stem}": hashlib.sha256(guess).hexdigest() for stem in STEMS}
         (self.data / "pick.json").write_text(json.dumps({"guesses": guesses}))
 

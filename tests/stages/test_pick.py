@@ -18,9 +18,9 @@ from salsanext_cli.labelling.scan_choice import choose_scans
 from salsanext_cli.network.weights import read_weights, save_weights
 from salsanext_cli.parallel.run import RunOptions
 from salsanext_cli.results.layout import find_scans
+from salsanext_cli.results.owned_folder import OwnedFolder
 from salsanext_cli.results.point_files import write_bin, write_ply
 from salsanext_cli.results.selection import ScanSelection
-from salsanext_cli.results.written_files import WrittenFiles
 from salsanext_cli.stages.pick import pick
 from salsanext_cli.uncertainty.scan_description import describe_scan, label_sampled
 
@@ -197,7 +197,7 @@ def test_files_that_were_changed_are_never_replaced(drive):
     for change in (
         lambda: labels.write_bytes(first_guess[::-1]),
         # Other commands that write labels there record them as written by salsanext.
-        lambda: WrittenFiles(drive.out).write(labels, first_guess[::-1]),
+        lambda: OwnedFolder(drive.out).write(labels, first_guess[::-1]),
     ):
         change()
         before = files_below(drive.out)
@@ -205,7 +205,7 @@ def test_files_that_were_changed_are_never_replaced(drive):
             with pytest.raises(OutputError, match=r"\.label · was changed"):
                 run(drive, overwrite=True, **how)
         assert files_below(drive.out) == before
-    WrittenFiles(drive.out).write(labels, first_guess)
+    OwnedFolder(drive.out).write(labels, first_guess)
     assert len(run(drive, count=2, overwrite=True).picked) == 2
 
 

@@ -186,7 +186,7 @@ def test_an_animation_of_each_sequence(labelled):
     with Image.open(path) as gif:
         assert gif.info["duration"] == 250
     path.write_bytes(b"mine")
-    with pytest.raises(OutputError, match=r"pictures\.gif · exists, and was not recorded"):
+    with pytest.raises(OutputError, match=r"pictures\.gif · .*and is kept"):
         draw(labelled, animations=["gif"])
     assert path.read_bytes() == b"mine"
 

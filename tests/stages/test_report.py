@@ -205,7 +205,7 @@ def test_missing_results_missing_scans_and_others_pages_are_one_line_each(world)
     page = made(world)[0].page
     made(world)
     page.write_text("mine")
-    with pytest.raises(OutputError, match="not recorded by salsanext"):
+    with pytest.raises(OutputError, match="and is kept"):
         made(world)
     assert page.read_text() == "mine"
     page.unlink()

@@ -15,8 +15,8 @@ from salsanext_cli.files.atomic import MARK, write_bytes
 from salsanext_cli.files.locks import locked
 from salsanext_cli.formats.clouds.kitti import read_bin
 from salsanext_cli.results.layout import find_scans
+from salsanext_cli.results.owned_folder import OwnedFolder
 from salsanext_cli.results.stage_records import as_json
-from salsanext_cli.results.written_files import WrittenFiles
 from salsanext_cli.stages import synth
 from salsanext_cli.stages.synth import synthesise
 from salsanext_cli.synthesis.drive import Frame
@@ -200,7 +200,7 @@ def test_what_was_begun_otherwise_is_not_completed(quick, tmp_path, monkeypatch)
         patched.setattr(synth, "__version__", "99")
         with pytest.raises(OutputError, match=r'version was .* and is "99"'):
             synthesise(out, **how)
-    with locked(out / synth.LOCK), pytest.raises(OutputError, match="another run of `synth`"):
+    with locked(out / ".synth.lock"), pytest.raises(OutputError, match="another run of `synth`"):
         synthesise(out, **how)
     assert files_below(out) == before
     (out / "sequences/00/labels/000000.label").write_bytes(b"corrected")
@@ -222,7 +222,7 @@ def test_real_scans_and_results_of_other_stages_stay(again, name, recorded):
     path = out / "sequences" / name
     write_bytes(path, b"precious")
     if recorded:
-        WrittenFiles(out).write(path, path.read_bytes())
+        OwnedFolder(out).write(path, path.read_bytes())
     replace()
     assert path.read_bytes() == b"precious"
 

@@ -26,7 +26,7 @@ from salsanext_cli.geometry.row_gaps import row_gaps
 from salsanext_cli.network.card import WeightsCard, read_card
 from salsanext_cli.network.registry import ARCHITECTURES
 from salsanext_cli.network.weights import save_weights
-from salsanext_cli.results.written_files import WrittenFiles
+from salsanext_cli.results.owned_folder import OwnedFolder
 from salsanext_cli.stages.train import train
 from salsanext_cli.training import fit
 from salsanext_cli.training.data import dataset as dataset_module
@@ -250,7 +250,7 @@ def test_files_that_no_training_wrote_are_not_replaced(dataset, tmp_path):
                     go(dataset, theirs.parent, progress=no_step, overwrite=overwrite)
                 assert theirs.read_text() == "mine"
             if before is not None:
-                WrittenFiles(theirs.parent).write(theirs, before)
+                OwnedFolder(theirs.parent).write(theirs, before)
 
 
 def test_overwrite_follows_no_link_and_keeps_pictures_of_others(dataset, tmp_path, caplog):

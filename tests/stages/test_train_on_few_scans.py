@@ -28,7 +28,7 @@ from salsanext_cli.network.registry import ARCHITECTURES
 from salsanext_cli.network.scan_digests import scan_digest
 from salsanext_cli.network.weights import read_weights, save_weights
 from salsanext_cli.results.layout import ScanFile, find_scans
-from salsanext_cli.results.written_files import WrittenFiles
+from salsanext_cli.results.owned_folder import OwnedFolder
 from salsanext_cli.stages import train as stage
 from salsanext_cli.stages.import_labels import import_labels
 from salsanext_cli.stages.train import TrainResult, train
@@ -153,11 +153,11 @@ def test_errors_are_fitted_anew_only_to_other_weights_or_scans(
     assert json.loads((run / "error.json").read_bytes())["error"] == json.loads(kept)["error"]
     two = run / "folds/2/last.safetensors"
     other = (run / "best.safetensors").read_bytes()
-    weights = partial(WrittenFiles(two.parent).write, two, other)
+    weights = partial(OwnedFolder(two.parent).write, two, other)
     assert judged_again(weights) == 3
     for damaged in ({}, json.loads((run / "error.json").read_bytes()) | {"error": None}):
         content = json.dumps(damaged).encode()
-        assert judged_again(partial(WrittenFiles(run).write, run / "error.json", content)) == 3
+        assert judged_again(partial(OwnedFolder(run).write, run / "error.json", content)) == 3
     monkeypatch.setattr(fold_errors, "gains", lambda _: False)
     assert judged_again((run / "error.json").unlink) == 3
     for _ in range(2):

@@ -17,8 +17,8 @@ from salsanext_cli.fitting.view_fit import view_text
 from salsanext_cli.network.card import default_weights, read_card
 from salsanext_cli.results.layout import ERROR, find_outputs
 from salsanext_cli.results.output_run import read_findings
+from salsanext_cli.results.owned_folder import OwnedFolder
 from salsanext_cli.results.stage_records import owner, recorded_weights, stage_settings
-from salsanext_cli.results.written_files import WrittenFiles
 from salsanext_cli.sensors.sensor import Sensor
 
 DEFAULT_LIMITS = (
@@ -103,7 +103,7 @@ def _times(out: Path) -> Iterator[str]:
     folders = ("predictions", "uncertainty/epistemic")
     for stage, folder in {owner(out, folder): folder for folder in folders}.items():
         paths = list(find_outputs(out, folder).values())
-        if stage and len(paths) >= LEAST_TIMED and not WrittenFiles(out).others(paths):
+        if stage and len(paths) >= LEAST_TIMED and not OwnedFolder(out).others(paths):
             written = sorted(path.stat().st_mtime_ns for path in paths)
             gaps_s = [gap / 1e9 for a, b in pairwise(written) if (gap := b - a) < PAUSE_S * 1e9]
             if gaps_s:

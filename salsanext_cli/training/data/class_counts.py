@@ -24,7 +24,7 @@ from salsanext_cli.labelling.label_records import require_truth
 from salsanext_cli.measures.scan_summary import RunSummary, ScanSummary
 from salsanext_cli.network.scan_digests import joined, parted, scan_digest
 from salsanext_cli.results.layout import ScanFile
-from salsanext_cli.results.written_files import WrittenFiles
+from salsanext_cli.results.owned_folder import OwnedFolder
 from salsanext_cli.training.data.sources import Source, read_labelled
 
 Counts = npt.NDArray[np.int64]
@@ -169,7 +169,7 @@ def class_counts(
     result = ClassCounts(counts, warnings, dict(zip(files, digests, strict=True)))
     by_name = dict(zip(space.names, counts.tolist(), strict=True))
     content = {"files": digest, "points": by_name, "warnings": warnings, "scans": joined(digests)}
-    WrittenFiles(path.parent).write(path, encode_json(content))
+    OwnedFolder(path.parent).write(path, encode_json(content))
     return result
 
 

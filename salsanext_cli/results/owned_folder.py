@@ -1,0 +1,192 @@
+# SPDX-License-Identifier: MIT
+"""The one owner of a folder that a stage fills: lock, record of settings, list of written files.
+
+``FOLDER/.salsanext.files/<machine>.tsv`` holds a line per file: its path below the folder
+(percent-encoded), its size in bytes and its time of modification in nanoseconds. Lines are only
+ever appended, each before its file gets its name. Every machine of a cluster has a list of its
+own, since appending to one file over a network loses lines. Files that are not on a list, or were
+changed since, are never removed, and `OwnedFolder.remove_own` is all that removes any.
+"""
+
+import json
+import logging
+import os
+import re
+import socket
+from collections.abc import Iterable, Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import Any, BinaryIO
+from urllib.parse import quote_from_bytes, unquote_to_bytes
+
+from salsanext_cli.errors import OutputError, first_few
+from salsanext_cli.files.atomic import MARK, refusal, sweep, sweep_stale, writing
+from salsanext_cli.files.json_files import encode_json, read_json
+from salsanext_cli.files.locks import locked
+from salsanext_cli.files.reading import filled, present, reading
+
+FILE_LISTS = ".salsanext.files"
+LINE = re.compile(rb"(\S+)\t(\d{1,19})\t(\d{1,19})")
+States = dict[Path, set[tuple[int, int]]]
+"""Sizes and times of modification that files were written with."""
+
+log = logging.getLogger(__name__)
+
+
+@dataclass(frozen=True, slots=True)
+class OwnedFolder:
+    """Folder that a stage fills; small enough to be sent to other processes."""
+
+    root: Path  # The folder; it need not exist
+    stage: str = ""  # Name of the stage on the command line
+    part: str = ""  # Folder below the root that has lock and record, if it is not the root
+
+    @property
+    def record_path(self) -> Path:
+        """Path of the record of the stage's settings."""
+        return self.root / self.part / f"{self.stage}.json"
+
+    @contextmanager
+    def open(self, *places: Path) -> Iterator[None]:
+        """Keep other runs of the stage out of the folder while the body runs.
+
+        Temporary files are removed from the folder and the `places` in it: before, those of runs
+        that were killed long ago; after, those that killed workers of this run have left.
+        """
+        with locked(self.root / self.part / f".{self.stage}.lock", stage=self.stage):
+            for place in (self.root, *places):
+                sweep_stale(place)
+            try:
+                yield
+            finally:
+                for place in (self.root, *places):
+                    sweep(place, MARK.get())
+
+    def recorded(self) -> dict[str, Any] | None:
+        """Return the record of an earlier run of the stage, None if there was none."""
+        return read_json(self.record_path)
+
+    def require_new(self) -> None:
+        """Refuse a folder that holds something, but no record of the stage."""
+        if present(self.record_path) or not present(self.root):
+            return
+        if not self.root.is_dir() or any(p.name[0] != "." for p in self.root.iterdir()):
+            raise OutputError(self.root, "holds something else", "a new or empty folder")
+
+    def begin(self, record: Mapping[str, Any], replaced: Iterable[Path] = ()) -> None:
+        """Remove what earlier runs wrote, then record what is written from now on.
+
+        A run that is killed in between finds the earlier record, and may go on or begin anew.
+        """
+        self.remove_own(replaced)
+        # JSON has lists for tuples.
+        if self.recorded() != json.loads(json.dumps(record)):
+            self.write(self.record_path, encode_json(record), durable=True)
+
+    @contextmanager
+    def writing(self, path: Path, *, durable: bool = False) -> Iterator[BinaryIO]:
+        """Open a file of the folder as `atomic.writing` does, and list it."""
+        with writing(
+            path, durable=durable, before_rename=partial(self._list, path, durable=durable)
+        ) as file:
+            yield file
+
+    def write(self, path: Path, content: bytes, *, durable: bool = False) -> None:
+        """Write a file of the folder whole or not at all, and list it."""
+        with self.writing(path, durable=durable) as file:
+            file.write(content)
+
+    def write_missing(self, path: Path, content: bytes) -> None:
+        """Write a file of the folder, unless it is there: it may be edited."""
+        if not filled(path):
+            self.write(path, content)
+
+    def add(self, path: Path) -> None:
+        """List a file of the folder as it is now."""
+        self._list(path, path.lstat())
+
+    def others(self, paths: Iterable[Path], states: States | None = None) -> list[Path]:
+        """Return those of some files that are there and not as salsanext wrote them.
+
+        They were changed since, are not listed, or are reached through a link below the folder. An
+        empty file, as a power cut leaves it, counts as one of ours. Who asks often gives the
+        `states` that he has read once.
+        """
+        there = {path: path.lstat() for path in paths if os.path.lexists(path)}
+        if states is None:
+            states = self.states() if there else {}
+        return [
+            path
+            for path, status in there.items()
+            if self._behind_link(path)
+            or (status.st_size and (status.st_size, status.st_mtime_ns) not in states.get(path, ()))
+        ]
+
+    def require_own(self, paths: Iterable[Path]) -> None:
+        """Refuse to replace files that salsanext did not write, or that were changed since."""
+        if others := self.others(paths):
+            raise not_own(others[0])
+
+    def remove_own(self, paths: Iterable[Path]) -> list[Path]:
+        """Remove some files if they are as salsanext wrote them; name and return the others."""
+        paths = list(paths)
+        kept = self.others(paths)
+        for path in {*paths} - {*kept}:
+            # A folder of that name is not ours; who wants to write there will name it.
+            if path.is_dir():
+                continue
+            try:
+                path.unlink(missing_ok=True)
+            except OSError as error:
+                raise refusal(path, error) from error
+        if kept:
+            log.warning("kept, since changed or not written by salsanext: %s", first_few(kept))
+        return kept
+
+    def written(self) -> list[Path]:
+        """Return every listed file that is there, whatever became of it, sorted."""
+        return sorted(path for path in self.states() if os.path.lexists(path))
+
+    def states(self) -> States:
+        """Read the lists of written files."""
+        states: States = {}
+        for listing in sorted((self.root / FILE_LISTS).glob("*.tsv")):
+            with reading(listing) as file:
+                # A line that was cut off says nothing.
+                lines = [match for line in file if (match := LINE.fullmatch(line.rstrip()))]
+            for name, size, time_ns in (line.groups() for line in lines):
+                below = Path(os.fsdecode(unquote_to_bytes(name)))
+                # Anybody may have written a list; it is of files below the folder only.
+                if not below.is_absolute() and ".." not in below.parts:
+                    state = int(size), int(time_ns)
+                    states.setdefault(self.root / below, set()).add(state)
+        return states
+
+    def _behind_link(self, path: Path) -> bool:
+        above = path.relative_to(self.root).parents[:-1]
+        return path.is_symlink() or any((self.root / part).is_symlink() for part in above)
+
+    def _list(self, path: Path, status: os.stat_result, *, durable: bool = False) -> None:
+        machine = re.sub(r"[^\w.-]", "_", socket.gethostname())
+        listing = self.root / FILE_LISTS / f"{machine}.tsv"
+        name = quote_from_bytes(os.fsencode(path.relative_to(self.root)))
+        # The line end comes first too: the line before may have been cut off.
+        line = f"\n{name}\t{status.st_size}\t{status.st_mtime_ns}\n".encode()
+        try:
+            listing.parent.mkdir(parents=True, exist_ok=True)
+            # Unbuffered, it is one write, and those of other processes do not mix with it.
+            with listing.open("ab", buffering=0) as file:
+                file.write(line)
+                if durable:
+                    os.fsync(file.fileno())
+        except OSError as error:
+            raise refusal(listing, error) from error
+
+
+def not_own(path: Path) -> OutputError:
+    """Return the error of a file that is kept, since it is not as salsanext wrote it."""
+    found = "was changed, or not written by salsanext, and is kept"
+    found = "is a link, and is kept" if path.is_symlink() else found
+    return OutputError(path, found, remedy="move it, or use another output folder")
