@@ -444,7 +444,7 @@ def test_a_training_on_two_data_sets_can_be_interrupted(dataset, further, tmp_pa
     whole = go(dataset, tmp_path / "whole", **given)
     assert all(math.isfinite(row["loss"]) for row in whole.rows)
     stop_at(dataset, tmp_path / "parts", 5, **given)
-    parts = go(dataset, tmp_path / "parts", **given, jobs=2)
+    parts = go(dataset, tmp_path / "parts", **given)
     require_same(whole, parts)
     assert not same(whole.last, go(dataset, tmp_path / "alone", recipe=OTHERWISE).last)
 

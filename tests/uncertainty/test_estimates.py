@@ -47,9 +47,9 @@ def test_a_network_without_dropout_is_refused(image, tmp_path, estimate):
 @pytest.mark.parametrize(
     "variance",
     [
-        aleatoric,
+        pytest.param(aleatoric, marks=pytest.mark.slow),
         lambda *given: noise_variance(*given, 5),
-        lambda *given: propagate_dropout(*given).variance,
+        pytest.param(lambda *given: propagate_dropout(*given).variance, marks=pytest.mark.slow),
         lambda *given: sample(*given, samples=4, seed=5).variance,
     ],
     ids=["aleatoric", "copies", "analytic", "sampling"],
