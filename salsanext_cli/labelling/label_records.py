@@ -45,19 +45,19 @@ class LabelRecords:
     """
 
     def __init__(self, root: Path) -> None:
-        self.root = root
+        self.owned = OwnedFolder(root, STAGE)
 
     @cached_property
     def _guesses(self) -> dict[str, Any]:
-        return _table(self.root / PICKED, GUESSES)
+        return _table(self.owned.root / PICKED, GUESSES)
 
     @cached_property
     def _imported(self) -> dict[str, Any]:
-        return _table(self.root / IMPORTED, "scans")
+        return _table(self.owned.record_path, "scans")
 
     @cached_property
     def _states(self) -> States:
-        return OwnedFolder(self.root).states()
+        return self.owned.states()
 
     def is_guess(self, scan: ScanFile, digest: str) -> bool:
         """Say whether labels with a SHA-256 are those that a network guessed for a scan."""
@@ -88,7 +88,7 @@ class LabelRecords:
         more = imported and contradicted > (before if isinstance(before, int) else 0)
         if (lost or more) and present(path):
             return False
-        changed = OwnedFolder(self.root).others([path], self._states)
+        changed = self.owned.others([path], self._states)
         return not changed or self.holds_guess(scan)
 
     def write(self, scan: ScanFile, content: bytes, about: Mapping[str, Any]) -> None:
@@ -97,10 +97,9 @@ class LabelRecords:
         self._imported[name_of(scan)] = {"sha256": digest, **about}
         scans = dict(sorted(self._imported.items()))
         record = {"stage": STAGE, "version": __version__, "scans": scans}
-        written = OwnedFolder(self.root)
         # Where this is cut off in between, the label file counts as what it was.
-        written.write(self.root / IMPORTED, encode_json(record), durable=True)
-        written.write(scan.label_path, content, durable=True)
+        self.owned.write(self.owned.record_path, encode_json(record), durable=True)
+        self.owned.write(scan.label_path, content, durable=True)
 
 
 def first_guesses(scans: Iterable[ScanFile]) -> list[ScanFile]:

@@ -3,8 +3,7 @@
 
 import hashlib
 import logging
-from collections.abc import Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import groupby
 from pathlib import Path
@@ -14,20 +13,16 @@ import yaml
 
 from salsanext_cli.classes.label_space import LabelSpace
 from salsanext_cli.errors import FormatError, OutputError, UsageError, counted
-from salsanext_cli.files.atomic import MARK, sweep
-from salsanext_cli.files.json_files import read_json
-from salsanext_cli.files.locks import locked
 from salsanext_cli.files.reading import filled, present, reading
 from salsanext_cli.formats import read_scan, scan_suffix
 from salsanext_cli.formats.clouds.kitti import encode_bin
-from salsanext_cli.labelling.label_records import IMPORTED, PICKED, digest_of_file, name_of
+from salsanext_cli.labelling.label_records import IMPORTED, digest_of_file, name_of
 from salsanext_cli.labelling.picked_scans import STAGE, PickedScan, PickRecord
 from salsanext_cli.results.layout import SCAN_FOLDER, ScanFile, find_scans, output_path
-from salsanext_cli.results.owned_folder import OwnedFolder
+from salsanext_cli.results.owned_folder import OwnedFolder, not_own
 from salsanext_cli.results.stage_records import require_same_settings
 from salsanext_cli.sensors.sensor import Sensor
 
-LOCK = ".pick.lock"
 LABEL_SPACE, TABLE, SHEET = "labels.yaml", "picked.csv", "picked.png"
 POSES, CALIBRATION = "poses.txt", "calib.txt"
 COPIED_COLUMNS = ((), ("x", "y", "z", "intensity"))
@@ -66,22 +61,17 @@ class ScanPaths(NamedTuple):
 
 
 @dataclass(frozen=True, slots=True)
-class PickedDataSet:
+class PickedDataSet(OwnedFolder):
     """Folder of a data set of picked scans."""
 
-    out: Path  # Its root
+    stage: str = STAGE
 
     def paths(self, sequence: str, stem: str) -> ScanPaths:
         """Return where the files of a scan lie."""
-        cloud = output_path(self.out, sequence, "ply", stem)
+        cloud = output_path(self.root, sequence, "ply", stem)
         folder = cloud.parents[1]
         labels = folder / "labels" / f"{stem}.label"
         return ScanPaths(folder / SCAN_FOLDER / f"{stem}.bin", labels, cloud)
-
-    def write_missing(self, path: Path, content: bytes) -> None:
-        """Write a file of the data set, unless it is there: it may be edited."""
-        if not filled(path):
-            OwnedFolder(self.out).write(path, content)
 
     def write_points(self, file: ScanFile, sensor: Sensor) -> None:
         """Write a scan as `.bin`: a file that is one byte by byte, of others what they hold.
@@ -106,10 +96,10 @@ class PickedDataSet:
             return
         if (record := self._record()) is None:
             remedy = "run again"
-            raise OutputError(self.out / PICKED, "was removed during the run", remedy=remedy)
+            raise OutputError(self.record_path, "was removed during the run", remedy=remedy)
         digests = {name_of(file): hashlib.sha256(missing[file]).hexdigest() for file in missing}
         guesses = dict(sorted({**record.guesses, **digests}.items()))
-        self._write_record(replace(record, guesses=guesses))
+        self.begin(replace(record, guesses=guesses).to_dict())
         for file, content in missing.items():
             self.write_missing(paths[file], content)
 
@@ -120,13 +110,13 @@ class PickedDataSet:
         described = replace(space, splits=splits).to_dict()
         # Names of folders may be no text, which yaml can escape.
         text = yaml.safe_dump(described, sort_keys=False, allow_unicode=False)
-        self.write_missing(self.out / LABEL_SPACE, text.encode())
+        self.write_missing(self.root / LABEL_SPACE, text.encode())
 
     def write_poses(self, scans: Iterable[ScanFile]) -> None:
         """Write poses and calibration of the sequences of picked scans, where they are known."""
         ordered = sorted(scans, key=lambda scan: (scan.sequence, scan.stem))
         for name, group in groupby(ordered, lambda scan: scan.sequence):
-            picked, folder = list(group), self.out / "sequences" / name
+            picked, folder = list(group), self.root / "sequences" / name
             source = picked[0].path.parent
             if source.name == SCAN_FOLDER:
                 self._copy_poses(source, folder / POSES, [scan.stem for scan in picked])
@@ -145,76 +135,54 @@ class PickedDataSet:
 
     def is_complete(self, record: PickRecord) -> bool:
         """Say whether all files are there, but for poses and calibration, which may be unknown."""
-        files = [self.out / name for name in (LABEL_SPACE, TABLE, SHEET)]
+        files = [self.root / name for name in (LABEL_SPACE, TABLE, SHEET)]
         files += [path for each in record.picked for path in self.paths(each.sequence, each.scan)]
         return all(map(filled, files))
 
-    @contextmanager
-    def alone(self) -> Iterator[None]:
-        """Let no other run write into the folder while the body does; sweep up after workers."""
-        with locked(self.out / LOCK, stage=STAGE):
-            try:
-                yield
-            finally:
-                for folder in self.out.glob("sequences/*/*/"):
-                    sweep(folder, MARK.get())
-
     def require_apart(self, scans: Iterable[ScanFile]) -> None:
         """Raise `UsageError` if the folder holds the scans to choose from."""
-        out, folders = self.out.resolve(), {scan.path.parent.resolve() for scan in scans}
+        out, folders = self.root.resolve(), {scan.path.parent.resolve() for scan in scans}
         if any(out in (folder, *folder.parents) for folder in folders):
-            found = f"{self.out} holds the scans to choose from"
+            found = f"{self.root} holds the scans to choose from"
             raise UsageError("OUT", found, "another folder, for those that are picked")
 
     def earlier(self, settings: Mapping[str, Any], *, overwrite: bool) -> PickRecord | None:
         """Return the record of an earlier run with the same settings; None to begin anew."""
+        self.require_new()
         record = self._record()
-        if record is None:
-            there = self.out.iterdir() if self.out.is_dir() else ()
-            if any(not path.name.startswith(".") for path in there):
-                raise OutputError(self.out, "holds something else", "a new or empty folder")
-        elif overwrite:
+        if record and overwrite:
             self._require_unchanged(record)
             return None
-        else:
-            require_same_settings(self.out / PICKED, record.settings, settings)
+        if record:
+            require_same_settings(self.record_path, record.settings, settings)
         return record
 
-    def begin(self, record: PickRecord) -> None:
+    def begin_anew(self, record: PickRecord) -> None:
         """Record what is picked; remove what an earlier run wrote."""
         earlier = self._record()
-        if earlier is not None:
+        if earlier:
             self._require_unchanged(earlier)
-            OwnedFolder(self.out).remove_own(self._files(earlier))
-        self._write_record(record)
-
-    def _write_record(self, record: PickRecord) -> None:
-        OwnedFolder(self.out).write(self.out / PICKED, record.to_json(), durable=True)
+        self.begin(record.to_dict(), self._files(earlier) if earlier else [])
 
     def _record(self) -> PickRecord | None:
-        found = read_json(self.out / PICKED)
-        return None if found is None else PickRecord.from_json(found, self.out / PICKED)
+        found = self.recorded()
+        return None if found is None else PickRecord.from_dict(found, self.record_path)
 
     def _files(self, record: PickRecord) -> list[Path]:
-        files = [self.out / name for name in (LABEL_SPACE, TABLE, SHEET)]
+        files = [self.root / name for name in (LABEL_SPACE, TABLE, SHEET)]
         files += [path for each in record.picked for path in self.paths(each.sequence, each.scan)]
-        folders = sorted({self.out / "sequences" / each.sequence for each in record.picked})
+        folders = sorted({self.root / "sequences" / each.sequence for each in record.picked})
         return files + [folder / name for folder in folders for name in (POSES, CALIBRATION)]
 
     def _require_unchanged(self, record: PickRecord) -> None:
         """Refuse to replace files that are not as `pick` wrote them, and imported labels."""
-        if present(self.out / IMPORTED):
+        if present(self.root / IMPORTED):
             found = "says that labels were imported, which are kept"
-            raise OutputError(self.out / IMPORTED, found, remedy="choose another folder")
-        changed = OwnedFolder(self.out).others(self._files(record))
+            raise OutputError(self.root / IMPORTED, found, remedy="choose another folder")
+        self.require_own(self._files(record))
         for each in record.picked:
-            labels, guess = (
-                self.paths(each.sequence, each.scan).labels,
-                record.guesses.get(each.name),
-            )
+            labels = self.paths(each.sequence, each.scan).labels
+            guess = record.guesses.get(each.name)
             # Other commands write labels too, and those are no guesses any more.
             if guess and present(labels) and digest_of_file(labels) != guess:
-                changed.append(labels)
-        for path in changed:
-            found = f"was changed, or not written by `{STAGE}`, and is kept"
-            raise OutputError(path, found, remedy="move it, or choose another folder")
+                raise not_own(labels)

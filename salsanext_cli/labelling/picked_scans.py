@@ -7,7 +7,6 @@ from pathlib import Path
 from typing import Any
 
 from salsanext_cli.errors import OutputError
-from salsanext_cli.files.json_files import encode_json
 from salsanext_cli.version import __version__
 
 STAGE = "pick"
@@ -47,13 +46,13 @@ class PickRecord:
     # SHA-256 of the guessed labels that were written, by name of the scan
     guesses: dict[str, str] = field(default_factory=dict)
 
-    def to_json(self) -> bytes:
+    def to_dict(self) -> dict[str, Any]:
         """Return the content of the record's file."""
-        return encode_json({"stage": STAGE, "version": __version__, **asdict(self)})
+        return {"stage": STAGE, "version": __version__, **asdict(self)}
 
     @classmethod
-    def from_json(cls, data: Mapping[str, Any], path: Path) -> "PickRecord":
-        """Read what `to_json` wrote into a file; `OutputError` if it is something else."""
+    def from_dict(cls, data: Mapping[str, Any], path: Path) -> "PickRecord":
+        """Read what `to_dict` returned from a file; `OutputError` if it is something else."""
         try:
             picked = [PickedScan(**row) for row in data["picked"]]
             failures = [{key: str(row[key]) for key in FAILURE_KEYS} for row in data["failures"]]

@@ -28,6 +28,8 @@ from salsanext_cli.files.locks import locked
 from salsanext_cli.files.reading import filled, present, reading
 
 FILE_LISTS = ".salsanext.files"
+PLACES = ("sequences/*/", "sequences/*/*/", "samples/", "folds/*/", "folds/*/samples/")
+"""Folders below that stages which have a folder for themselves write into."""
 LINE = re.compile(rb"(\S+)\t(\d{1,19})\t(\d{1,19})")
 States = dict[Path, set[tuple[int, int]]]
 """Sizes and times of modification that files were written with."""
@@ -49,20 +51,23 @@ class OwnedFolder:
         return self.root / self.part / f"{self.stage}.json"
 
     @contextmanager
-    def open(self, *places: Path) -> Iterator[None]:
+    def open(self) -> Iterator[None]:
         """Keep other runs of the stage out of the folder while the body runs.
 
-        Temporary files are removed from the folder and the `places` in it: before, those of runs
-        that were killed long ago; after, those that killed workers of this run have left.
+        Temporary files are removed: before, those of runs that were killed long ago; after, those
+        that killed workers of this run have left.
         """
         with locked(self.root / self.part / f".{self.stage}.lock", stage=self.stage):
-            for place in (self.root, *places):
+            for place in self._places():
                 sweep_stale(place)
             try:
                 yield
             finally:
-                for place in (self.root, *places):
+                for place in self._places():
                     sweep(place, MARK.get())
+
+    def _places(self) -> list[Path]:
+        return [self.root, *(place for below in PLACES for place in self.root.glob(below))]
 
     def recorded(self) -> dict[str, Any] | None:
         """Return the record of an earlier run of the stage, None if there was none."""

@@ -49,7 +49,7 @@ def convert(
     sequence = Path("sequences", listed[0].sequence)
     owned, place = OwnedFolder(folder, "convert", str(sequence)), folder / sequence / SCAN_FOLDER
     require_none_hidden(folder)
-    with owned.open(place):
+    with owned.open():
         _require_own(place, owned, listed)
         owned.begin(_source_of(listed[0], owned))
         empty: set[str] = set()

@@ -21,7 +21,6 @@ from salsanext_cli.errors import (
     counted,
     first_few,
 )
-from salsanext_cli.files.locks import locked
 from salsanext_cli.files.reading import is_folder
 from salsanext_cli.formats import read_scan
 from salsanext_cli.formats.label_scalars import LabelIds
@@ -36,7 +35,6 @@ from salsanext_cli.labelling.edited_labels import (
 )
 from salsanext_cli.labelling.label_import import LabelImport
 from salsanext_cli.labelling.label_records import (
-    STAGE,
     LabelRecords,
     first_guesses,
     labels_root,
@@ -47,7 +45,6 @@ from salsanext_cli.results.layout import ScanFile, find_scans
 from salsanext_cli.results.selection import data_set_label_space, space_of
 from salsanext_cli.sensors.sensor import Sensor
 
-LOCK = f".{STAGE}.lock"
 log = logging.getLogger(__name__)
 
 
@@ -88,8 +85,8 @@ def import_labels(
     of_scan = _matched(_elsewhere(edited, scans), edited, scans, found)
     records = {root: LabelRecords(root) for root in sorted({*map(labels_root, of_scan)})}
     with ExitStack() as held:
-        for root in records:
-            held.enter_context(locked(root / LOCK, stage=STAGE))
+        for each in records.values():
+            held.enter_context(each.owned.open())
         for done, (scan, paths) in enumerate(of_scan.items(), start=1):
             try:
                 work.import_scan(scan, paths, records[labels_root(scan)], found)

@@ -121,7 +121,7 @@ def pick(
     done = {scan for scan in scans if name_of(scan) in known}
     if len(done) == len(scans):
         raise NoInputError(source, "every scan is labelled already", "others to pick")
-    with data_set.alone():
+    with data_set.open():
         loaded = fitted(network, loaded, found)
         how = {"strategy": strategy, "count": count, "seed": seed, "scans": _digest(scans)}
         if labelled:
@@ -142,7 +142,7 @@ def pick(
             picked = _chosen(described, count, strategy, seed, done)
             failed = [failure.to_dict() for failure in failures]
             record = PickRecord(settings, picked, failed, warnings)
-            data_set.begin(record)
+            data_set.begin_anew(record)
         write = partial(write_scan, samples=SAMPLES, seed=seed, data_set=data_set)
         task = NetworkTask(write, resolved, loaded)
         classes = space if space.fits(loaded.space) else space_of([], loaded.space)
@@ -203,12 +203,12 @@ def _written(
     data_set.write_guesses({guess.file: guess.labels for guess in guesses.values()})
     written = [each for each in record.picked if each.name in guesses]
     data_set.write_label_space(space, record.picked)
-    data_set.write_missing(data_set.out / TABLE, picked_csv(record.picked))
+    data_set.write_missing(data_set.root / TABLE, picked_csv(record.picked))
     if len(written) == len(record.picked):
         # Poses and pictures of a part would stay: what is there is not written again.
         data_set.write_poses(guesses[each.name].file for each in written)
         previews = [guesses[each.name].preview for each in written]
-        data_set.write_missing(data_set.out / SHEET, picked_sheet(written, previews, space))
+        data_set.write_missing(data_set.root / SHEET, picked_sheet(written, previews, space))
     return replace(outcome, failures=(*_failures(record, scans), *outcome.failures))
 
 

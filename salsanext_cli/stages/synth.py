@@ -38,8 +38,6 @@ LABEL_SPACE = "labels.yaml"
 MAX_DRIVE_M = 3000.0
 """Longest drive of one sequence; the whole street is held in memory."""
 SEQUENCE_FILES = ("poses.txt", "times.txt", "calib.txt")
-FOLDERS = ("", "velodyne", "labels")
-"""Folders of a sequence that are written to."""
 IDENTITY = "1 0 0 0 0 1 0 0 0 0 1 0"
 SequenceWriter = Callable[[str], Iterator[dict[int, int]]]
 """Writes the sequence of a name; yields the number of points of each raw id, scan by scan."""
@@ -84,7 +82,6 @@ def synthesise(
     made_with = manifest(counts, scans, seed, spacing, sensor)
     splits = made_with["settings"]["splits"]
     names = [name for members in splits.values() for name in members]
-    places = [out / "sequences" / name / folder for name in names for folder in FOLDERS]
     files = [path for name in names for path in _files(out / "sequences" / name, scans)]
     files.append(out / LABEL_SPACE)
     owned = OwnedFolder(out, "synth")
@@ -94,7 +91,7 @@ def synthesise(
     total = len(names) * scans
     points: Counter[int] = Counter()
     write = partial(_write_sequence, owned, scans, seed, spacing, sensor)
-    with owned.open(*places):
+    with owned.open():
         _begin(owned, made_with, files, overwrite)
         for done, of_scan in enumerate(_write(write, names, jobs), start=1):
             points.update(of_scan)

@@ -13,7 +13,6 @@ from scans import SMALL, files_below, make_scan, replace_points, write_sequence,
 
 from salsanext_cli import label_space, load_network, read_labels, read_scan, write_labels
 from salsanext_cli.errors import NOTICE, NoInputError, OutputError, UsageError, WeightsError
-from salsanext_cli.labelling.picked_data_set import PickedDataSet
 from salsanext_cli.labelling.scan_choice import choose_scans
 from salsanext_cli.network.weights import read_weights, save_weights
 from salsanext_cli.parallel.run import RunOptions
@@ -217,7 +216,7 @@ def test_imported_labels_are_never_replaced(drive):
 
 
 def test_what_is_cut_off_leaves_no_guess_unrecorded_and_is_finished_later(drive, monkeypatch):
-    write, labels = PickedDataSet.write_missing, []
+    write, labels = OwnedFolder.write_missing, []
 
     def interrupted(self, path, content):
         if path.suffix == ".label":
@@ -227,7 +226,7 @@ def test_what_is_cut_off_leaves_no_guess_unrecorded_and_is_finished_later(drive,
         write(self, path, content)
 
     with monkeypatch.context() as patch:
-        patch.setattr(PickedDataSet, "write_missing", interrupted)
+        patch.setattr(OwnedFolder, "write_missing", interrupted)
         with pytest.raises(KeyboardInterrupt):
             run(drive)
     record = json.loads((drive.out / "pick.json").read_text())
