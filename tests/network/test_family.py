@@ -7,6 +7,7 @@ from functools import cache
 import numpy as np
 import pytest
 import torch
+from architectures import EACH
 from scans import SMALL, lively, make_scan
 from torch import nn
 
@@ -17,15 +18,14 @@ from salsanext_cli.engines.network import Network
 from salsanext_cli.geometry.scan_fit import ScanFit
 from salsanext_cli.network.card import WeightsCard
 from salsanext_cli.network.dropout import drawn, dropouts, sampling
-from salsanext_cli.network.registry import ARCHITECTURES, build
+from salsanext_cli.network.registry import build
 from salsanext_cli.training.learner import Learner
 from salsanext_cli.training.recipe import Recipe
 from salsanext_cli.uncertainty.dropout_propagation import propagate_dropout
 
-NAMES = list(ARCHITECTURES)
 TWINS = {"salsanet-shuffle": "salsanext", "salsanext-v1-pooling": "salsanext-v1"}
 """Rungs of the same network as another's, which only the loss tells apart."""
-DIFFERENT = [name for name in NAMES if name not in TWINS]
+DIFFERENT = [each for each in EACH if each.values[0] not in TWINS]
 SPACE = label_space()
 
 
