@@ -1,7 +1,6 @@
 # SPDX-License-Identifier: MIT
 """The run of a stage that fills an output folder: settings, lock, results there and missing."""
 
-import logging
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass, replace
@@ -12,7 +11,7 @@ from uuid import uuid4
 import numpy.typing as npt
 
 from salsanext_cli.classes.label_space import RawIds
-from salsanext_cli.errors import OutputError, first_few
+from salsanext_cli.errors import OutputError
 from salsanext_cli.files.atomic import MARK, sweep, sweep_stale
 from salsanext_cli.files.json_files import read_json, write_json
 from salsanext_cli.files.locks import locked
@@ -20,7 +19,7 @@ from salsanext_cli.files.reading import filled, present
 from salsanext_cli.formats.labels import encode_labels
 from salsanext_cli.formats.npy import encode_array
 from salsanext_cli.results.layout import ERROR, ScanFile, find_outputs, output_path
-from salsanext_cli.results.owned_folder import OwnedFolder
+from salsanext_cli.results.owned_folder import OwnedFolder, not_own
 from salsanext_cli.results.sources import scan_sources
 from salsanext_cli.results.stage_records import (
     ScanSource,
@@ -36,8 +35,6 @@ RECORDS_LOCK_TIMEOUT_S = 1800.0
 hundred of them."""
 Texts = tuple[str, str, str]
 """Code, message and remedy."""
-
-log = logging.getLogger(__name__)
 
 
 @contextmanager
@@ -125,12 +122,9 @@ def _remove_unrecorded(out: Path, folder: str, overwrite: bool) -> list[Path]:
 
 
 def _remove_results(out: Path, folders: Iterable[str]) -> list[Path]:
-    """Remove results that salsanext wrote and that are unchanged; name and return the others."""
+    """Remove results that are as salsanext wrote them; return the others."""
     found = [path for folder in folders for path in find_outputs(out, folder).values()]
-    kept = OwnedFolder(out).remove_own(found)
-    if kept:
-        log.warning("kept, since changed or not written by salsanext: %s", first_few(kept))
-    return kept
+    return OwnedFolder(out).remove_own(found)
 
 
 @dataclass(frozen=True, slots=True)
@@ -164,8 +158,7 @@ class OutputRun:
         """Raise `OutputError` if a result of a scan is there that salsanext did not write so."""
         for path in self.paths(file):
             if path in self.kept:
-                found = "was changed, or not written by salsanext, and is kept"
-                raise OutputError(path, found, remedy="move it, or use another output folder")
+                raise not_own(path)
 
     def write(self, file: ScanFile, folder: str, content: bytes) -> None:
         """Write a result of a scan whole or not at all, and record it."""

@@ -45,8 +45,8 @@ class StageRecord:
     # Results of other settings or origin that were not removed, as paths below the folder
     kept: frozenset[str] = frozenset()
 
-    def write(self, out: Path) -> None:
-        """Write the record into an output folder, durably."""
+    def to_dict(self) -> dict[str, Any]:
+        """Return the content of the record's file."""
         scans = {
             sequence: {"folder": source.folder, "asked_for": sorted(source.stems)}
             for sequence, source in sorted(self.scans.items())
@@ -55,7 +55,11 @@ class StageRecord:
         record = written | {"writes": list(self.folders), "scans": scans}
         if self.kept:
             record["kept"] = sorted(self.kept)
-        write_json(out / f"{self.stage}.json", record)
+        return record
+
+    def write(self, out: Path) -> None:
+        """Write the record into an output folder, durably."""
+        write_json(out / f"{self.stage}.json", self.to_dict())
 
 
 def read_record(out: Path, stage: str) -> StageRecord | None:

@@ -15,6 +15,7 @@ from salsanext_cli.files.json_files import read_json
 from salsanext_cli.network.card import default_weights
 from salsanext_cli.parallel.options import worker_count
 from salsanext_cli.report.training_sample import draw_sample
+from salsanext_cli.results.owned_folder import OwnedFolder
 from salsanext_cli.results.selection import evenly_spaced
 from salsanext_cli.results.stage_records import as_json
 from salsanext_cli.sensors.sensor import Sensor
@@ -40,11 +41,11 @@ from salsanext_cli.training.run_folder import (
     BEST,
     CLASS_COUNTS,
     LAST,
+    STAGE,
     STREETS,
     begin,
     recorded_precision,
     require_free,
-    trained_alone,
 )
 from salsanext_cli.training.settings import training_settings
 from salsanext_cli.training.setup import Setup, require_pixels
@@ -126,7 +127,7 @@ def train(
         settings = training_settings(recipe, given, start)
 
         def prepare() -> tuple[list[Source], ClassCounts]:
-            held.enter_context(trained_alone(run))
+            held.enter_context(OwnedFolder(run, STAGE).open())
             require_free(run, settings, overwrite=overwrite)
             require_labels([file for source in given for file in source.files])
             streets = _simulated_streets(run / STREETS, recipe.streets, classes, sensor, jobs)

@@ -233,7 +233,7 @@ def test_the_recipe_of_a_run_resumes_it_unless_it_was_edited(dataset, tmp_path):
     text = "# shorter\n" + TINY.with_changes(epochs=1).to_toml()
     (run / "recipe.toml").write_text(text, "utf-8")
     for overwrite in (False, True):
-        with pytest.raises(OutputError, match=r"recipe\.toml · not written by .* changed since"):
+        with pytest.raises(OutputError, match=r"recipe\.toml · was changed"):
             go(dataset, run, recipe=recipe(run / "recipe.toml"), overwrite=overwrite)
     assert (run / "recipe.toml").read_text("utf-8") == text
 
@@ -246,7 +246,7 @@ def test_files_that_no_training_wrote_are_not_replaced(dataset, tmp_path):
             before = theirs.read_bytes() if theirs.exists() else None
             theirs.write_text("mine")
             for overwrite in (False, True):
-                with pytest.raises(OutputError, match=f"{name} · not written by salsanext, or"):
+                with pytest.raises(OutputError, match=f"{name} · .*and is kept"):
                     go(dataset, theirs.parent, progress=no_step, overwrite=overwrite)
                 assert theirs.read_text() == "mine"
             if before is not None:
@@ -264,7 +264,7 @@ def test_overwrite_follows_no_link_and_keeps_pictures_of_others(dataset, tmp_pat
     go(dataset, run, recipe=TINY.with_changes(epochs=1), overwrite=True)
     assert (elsewhere / "epoch-007.png").read_text() == "mine"
     assert (elsewhere / "epoch-008.png").read_text() == "mine"
-    assert "epoch-008.png is kept" in caplog.text
+    assert "epoch-008.png" in caplog.text
 
 
 def test_rare_classes_and_weights_come_from_the_training_split(dataset, tmp_path, monkeypatch):

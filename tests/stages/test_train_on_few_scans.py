@@ -165,7 +165,7 @@ def test_errors_are_fitted_anew_only_to_other_weights_or_scans(
         assert judged_again() == 0
         assert "no model of errors: it would tell no more than the confidence" in caplog.messages
     (run / "error.json").write_text("{}")
-    with pytest.raises(OutputError, match=r"error\.json · not written by salsanext, or changed"):
+    with pytest.raises(OutputError, match=r"error\.json · was changed, or not written"):
         go(data, run)
 
 
