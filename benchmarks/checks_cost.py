@@ -39,11 +39,11 @@ def times_of(scans: Path, network: NetworkSettings, *, checked: bool) -> tuple[T
     """Predict into a new folder; return the times of each scan but the first, and of the fit."""
     fitting: list[float] = []
     marks: list[tuple[float, float]] = []
-    fitted = adaptation.fitted
+    fit_scans = adaptation.fit_scans
 
     def timed(*given: Any) -> Network:
         start = time.perf_counter()
-        found = fitted(*given)
+        found = fit_scans(*given)
         fitting.append(time.perf_counter() - start)
         return found
 
@@ -53,7 +53,7 @@ def times_of(scans: Path, network: NetworkSettings, *, checked: bool) -> tuple[T
     unchecked = patch.object(label_scan, "check_scan", lambda *_: UNCHECKED)
     with (
         tempfile.TemporaryDirectory() as out,
-        patch.object(adaptation, "fitted", timed),
+        patch.object(adaptation, "fit_scans", timed),
         nullcontext() if checked else unchecked,
     ):
         options = RunOptions(progress=mark)

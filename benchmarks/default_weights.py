@@ -25,12 +25,12 @@ import numpy as np
 import torch
 
 from salsanext_cli.engines.settings import NetworkSettings
-from salsanext_cli.fitting.scan_fit import fitted
+from salsanext_cli.fitting.scan_fit import ScanSample, fit_scans
 from salsanext_cli.formats import read_scan
 from salsanext_cli.network.scan_digests import scan_digest
 from salsanext_cli.network.weights import read_weights, save_weights, save_with_card
 from salsanext_cli.results.layout import ScanFile, find_scans
-from salsanext_cli.stages.tune_temperature import tune_temperature
+from salsanext_cli.stages.tune import tune
 from salsanext_cli.training.cross_validation import folds
 from salsanext_cli.training.data.augment import rotate
 from salsanext_cli.training.data.class_counts import class_shares
@@ -159,7 +159,7 @@ def finish(
     for dataset in datasets:
         tuned = half.with_name(f"{dataset.name}.safetensors")
         network = NetworkSettings(half, device="cpu")
-        found = tune_temperature(dataset, tuned, network=network, overwrite=True)
+        found = tune("temperature", dataset, tuned, network=network, overwrite=True)
         temperatures.append(found["after"]["temperature"])
         print(f"temperature of {dataset.name}: {temperatures[-1]:.3f}", flush=True)
     temperature = float(np.exp(np.mean(np.log(temperatures))))
@@ -178,7 +178,7 @@ def add_error(weights: Path, datasets: Sequence[Path]) -> None:
         scans, space = labelled_scans(dataset, VALIDATION, network.card)
         for _, members in groupby(scans, lambda file: file.sequence):
             files = list(members)
-            own = fitted(settings, network, files)
+            own = fit_scans(settings, network, ScanSample(files, network.sensor))
             judged |= {file: judged_points(file, own, space, POINTS_OF_SCAN) for file in files}
     model = cross_validated(judged, folds(list(judged), FOLDS), height=False)
     names = sorted({f"{file.path.parents[3].name}/{file.sequence}" for file in judged})

@@ -64,8 +64,7 @@ def by_openvino(network: Network) -> Engine:
 
 def by_openvino_in_int8(network: Network, image: np.ndarray) -> Engine:
     from salsanext_cli.engines.onnx_engine import read_model
-    from salsanext_cli.engines.onnx_export import exported
-    from salsanext_cli.engines.quantised import quantised
+    from salsanext_cli.engines.onnx_export import exported, quantised
 
     card = replace(network.card, sensor=network.sensor)
     content = quantised(exported(network.module, card), [image], lambda given: given)

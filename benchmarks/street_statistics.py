@@ -32,7 +32,6 @@ import numpy.typing as npt
 from salsanext_cli import label_space, read_labels, read_scan, sensor
 from salsanext_cli.classes.label_space import LabelSpace, TrainIds
 from salsanext_cli.engines.settings import NetworkSettings
-from salsanext_cli.fitting.scan_fit import fitted_view, sampled_images
 from salsanext_cli.geometry.intensity import intensity_quantiles, match_intensity
 from salsanext_cli.geometry.projection import project
 from salsanext_cli.records import Float
@@ -199,7 +198,7 @@ def data_set_rows(
     files = [file for file in find_scans(path) if file.label_path.is_file()]
     files, space = evenly_spaced(files, limit), space_of(files)
     own = fitted_view(files, given)
-    quantiles = intensity_quantiles(sampled_images(files, own))
+    quantiles = intensity_quantiles(ScanSample(files, own).images(own))
     own = replace(own, intensity_quantiles=quantiles)
     found = joined(scan_statistics(file, space, own, wanted, near_m) for file in files)
     names = space.names

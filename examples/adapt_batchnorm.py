@@ -22,7 +22,7 @@ from salsanext_cli.results.layout import ScanFile, find_scans
 from salsanext_cli.results.selection import space_of
 from salsanext_cli.sensors.sensor import sensor
 from salsanext_cli.stages.predict import predict_scans
-from salsanext_cli.stages.tune_batchnorm import tune_batchnorm
+from salsanext_cli.stages.tune import tune
 
 
 def link(scans: list[ScanFile], folder: Path) -> Path:
@@ -57,7 +57,7 @@ def main(dataset: str, sensor_name: str = "", weights: str = "", *shares: str) -
                 network = NetworkSettings(before, sensor=own, fit=False, intensity="raw")
                 if share:
                     adapted = Path(folder) / f"{number}.safetensors"
-                    tune_batchnorm(adapting, adapted, network=network, share=share)
+                    tune("batchnorm", adapting, adapted, network=network, share=share)
                     # The adapted weights know their sensor.
                     network = replace(network, weights=adapted, sensor=None)
                 total += count(scoring, Path(folder) / f"out{number}", network, space)

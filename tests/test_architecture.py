@@ -123,8 +123,7 @@ def test_wrong_imports_and_circles_would_be_found():
 
 def test_training_and_synthesis_can_be_removed():
     """Nothing but their own stages and commands, and the demonstration, may need them."""
-    tuned = {"tune", "tune_error", "tune_temperature", "tune_dropout", "tune_batchnorm"}
-    allowed = {"train", "synth", "demo"} | tuned
+    allowed = {"train", "tune", "synth", "demo"}
     users = {
         module.stem
         for module in MODULES

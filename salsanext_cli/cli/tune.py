@@ -26,10 +26,11 @@ def tune_temperature(
     Example: salsanext tune temperature streets/ tuned.safetensors --limit 50
     """
     from salsanext_cli.report.tables import temperature_table
-    from salsanext_cli.stages.tune_temperature import tune_temperature as stage
+    from salsanext_cli.stages.tune import tune as stage
 
     with progress("tune temperature", output.quiet) as on_progress:
         tuned = stage(
+            "temperature",
             dataset,
             target,
             network=network.settings(),
@@ -66,11 +67,12 @@ def tune_dropout(
     Example: salsanext tune dropout streets/ tuned.safetensors --steps 10
     """
     from salsanext_cli.report.tables import rate_table
-    from salsanext_cli.stages.tune_dropout import curve_of
-    from salsanext_cli.stages.tune_dropout import tune_dropout as stage
+    from salsanext_cli.stages.tune import curve_of
+    from salsanext_cli.stages.tune import tune as stage
 
     with progress("tune dropout", output.quiet, unit="samplings") as on_progress:
         tuned = stage(
+            "dropout",
             dataset,
             target,
             network=network.settings(),
@@ -109,10 +111,11 @@ def tune_batchnorm(
     Example: salsanext tune batchnorm my/scans adapted.safetensors --sensor hdl32
     """
     from salsanext_cli.report.tables import moved_table
-    from salsanext_cli.stages.tune_batchnorm import tune_batchnorm as stage
+    from salsanext_cli.stages.tune import tune as stage
 
     with progress("tune batchnorm", output.quiet) as on_progress:
         tuned = stage(
+            "batchnorm",
             scans,
             target,
             network=network.settings(),
@@ -140,10 +143,11 @@ def tune_error(
     Example: salsanext tune error streets/ tuned.safetensors
     """
     from salsanext_cli.report.tables import error_table
-    from salsanext_cli.stages.tune_error import tune_error as stage
+    from salsanext_cli.stages.tune import tune as stage
 
     with progress("tune error", output.quiet) as on_progress:
         tuned = stage(
+            "error",
             dataset,
             target,
             network=network.settings(),

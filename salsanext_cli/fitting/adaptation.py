@@ -21,7 +21,7 @@ from salsanext_cli.files.identity import fingerprint
 from salsanext_cli.files.locks import locked
 from salsanext_cli.files.reading import filled
 from salsanext_cli.fitting.label_scan import project_for
-from salsanext_cli.fitting.scan_fit import fitted, sampled_images
+from salsanext_cli.fitting.scan_fit import ScanSample, fit_scans
 from salsanext_cli.network.card import require_tensors
 from salsanext_cli.records import Float
 from salsanext_cli.results.layout import ScanFile
@@ -52,16 +52,17 @@ def network_of_run(
 
     `network`: what they load; `files`: all scans of the source, whichever of them the run is about;
     `out`: its output folder: what earlier results there were made with stays; `overwrite`: whether
-    such results will be replaced, and mean nothing; `image_of`: as `fitted` takes it.
+    such results will be replaced, and mean nothing; `image_of`: as `ScanSample` takes it.
     """
     earlier = earlier_settings(out, network.engine.sha256, overwrite)
     sensor = Sensor.from_dict(earlier.table("sensor"), earlier.path) if earlier else None
-    network = fitted(settings, network, files, sensor, image_of)
+    sample = ScanSample(files, network.sensor, image_of)
+    network = fit_scans(settings, network, sample, sensor)
     if not settings.adapt:
         return settings, network
     require_tensors(settings.path)
     if earlier is None:
-        made = _adapted_to(network, settings.path, files, out, image_of)
+        made = _adapted_to(network, settings.path, files, sample, out)
     elif "adapted" in earlier:
         made = _as_before(out, earlier["adapted"])
     else:
@@ -85,25 +86,19 @@ def _as_before(out: Path, digest: object) -> Path:
 
 
 def _adapted_to(
-    network: Network,
-    weights: Path,
-    files: Sequence[ScanFile],
-    out: Path,
-    image_of: Callable[[ScanFile], Float] | None,
+    network: Network, weights: Path, files: Sequence[ScanFile], sample: ScanSample, out: Path
 ) -> Path:
-    """Adapt weights to scans, evenly spaced, unless another shard did; return the file."""
+    """Adapt weights to a sample of the files, unless another shard did; return the file."""
     from salsanext_cli.fitting.batch_norm import require_norms
 
     require_norms(network)
-
-    def checked(file: ScanFile) -> Float:
-        return project_for(network, file).image.channels
-
-    image_of = image_of or checked
-    sampled = sampled_images(files, network.sensor, image_of)
-    images = [channels for channels in sampled if channels[0].any()]
+    images = [channels for channels in sample.images(network.sensor) if channels[0].any()]
     if not images:
-        image_of(files[0])  # raises what is wrong with it, if anything is
+        # These raise what is wrong with the first scan, if anything is.
+        if sample.image_of:
+            sample.image_of(files[0])
+        else:
+            project_for(network, files[0])
         found = f"no point of {counted(len(files), 'scan')} is in view of the sensor"
         raise NoInputError("--adapt", found, "scans to adapt to")
     digest = hashlib.sha256(f"{network.engine.sha256} {SHARE}".encode())

@@ -17,10 +17,10 @@ import numpy.typing as npt
 
 from salsanext_cli.errors import FormatError, counted
 from salsanext_cli.fitting.findings import MIN_POINTS, UNCHECKED, Finding, ScanCheck, traits_of
-from salsanext_cli.fitting.ground import TOLERANCE_M
 from salsanext_cli.fitting.mounting_fit import (
     HEIGHTS_M,
     MAX_TILT_DEG,
+    TOLERANCE_M,
     UPSIDE_DOWN_DEG,
     ground_of,
 )

@@ -2,17 +2,17 @@
 """Fit of a network to the scans at hand: what their sensor does otherwise than that of training."""
 
 import logging
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from contextlib import suppress
 from dataclasses import replace
-from functools import cache
+from functools import cached_property
 from pathlib import Path
+from typing import Any, TypeVar
 
 from salsanext_cli.engines.network import Network
 from salsanext_cli.engines.settings import NetworkSettings
 from salsanext_cli.errors import NOTICE, SalsanextError, UsageError, counted
-from salsanext_cli.fitting.ego_fit import fit_ego
-from salsanext_cli.fitting.view_fit import fit_view, view_text
+from salsanext_cli.fitting.view_fit import fit_ego, fit_view, view_text
 from salsanext_cli.formats import read_scan
 from salsanext_cli.geometry.intensity import NO_INTENSITY, intensity_quantiles
 from salsanext_cli.geometry.projection import project
@@ -25,6 +25,7 @@ from salsanext_cli.sensors.sensor import Sensor
 log = logging.getLogger(__name__)
 
 Scans = Sequence[ScanFile | Scan]
+Result = TypeVar("Result")
 
 MAX_SCANS = 16
 """Scans that a fit reads, evenly spaced among all of a source."""
@@ -64,47 +65,84 @@ def fit_network(
         If there is no such way, or the weights do not know the intensity of their training.
     """
     files = find_scans(Path(scans)) if isinstance(scans, Path | str) else scans
-    return fitted(NetworkSettings(fit=view, intensity=intensity), network, files)
+    settings = NetworkSettings(fit=view, intensity=intensity)
+    return fit_scans(settings, network, ScanSample(files, network.sensor))
 
 
-def fitted(
-    settings: NetworkSettings,
-    network: Network,
-    files: Scans,
-    earlier: Sensor | None = None,
-    image_of: Callable[[ScanFile], Float] | None = None,
+class ScanSample:
+    """Up to 16 scans of a source, evenly spaced; each is read and projected once for all fits.
+
+    `files`: all scans of the source, whichever of them a run is about, so that runs over parts of
+    it agree; unreadable ones do not count, since the run itself names them; `sensor`: tells how to
+    read them; `image_of`: returns the range image of a scan, (5, H, W) float32, of those that were
+    projected before.
+    """
+
+    def __init__(
+        self,
+        files: Scans,
+        sensor: Sensor,
+        image_of: Callable[[ScanFile], Float] | None = None,
+    ) -> None:
+        self.files, self.sensor, self.image_of = evenly_spaced(files, MAX_SCANS), sensor, image_of
+        self._images: list[tuple[dict[str, Any], list[Float]]] = []
+
+    @cached_property
+    def scans(self) -> list[Scan]:
+        """Scans that could be read; none if there are range images instead."""
+        return [] if self.image_of else _usable(lambda file: _read(file, self.sensor), self.files)
+
+    def images(self, sensor: Sensor) -> list[Float]:
+        """Range images (5, H, W) float32 of the scans, for a view."""
+        view = sensor.view()
+        for known, images in self._images:
+            if known == view:
+                return images
+        if self.image_of:
+            images = _usable(self.image_of, self.files)
+        else:
+            images = _usable(lambda scan: project(scan, sensor).channels, self.scans)
+        self._images = [(view, images)]
+        return images
+
+
+def _usable(function: Callable[[Any], Result], items: Iterable[Any]) -> list[Result]:
+    """Return the results of a function, but for the items that are no good."""
+    results = []
+    for item in items:
+        with suppress(SalsanextError):
+            results.append(function(item))
+    return results
+
+
+def fit_scans(
+    settings: NetworkSettings, network: Network, sample: ScanSample, earlier: Sensor | None = None
 ) -> Network:
     """Return the network for the scans: view, intensity and gaps between the rows of their sensor.
 
-    `network`: what they load; `files`: all scans of the source, whichever of them the run is about,
-    so that runs over parts of it agree; unreadable ones do not count, since the run itself names
-    them; `earlier`: of earlier results in the same folder; what was fitted then stays; `image_of`:
-    returns the range image of a scan, (5, H, W) float32; otherwise it is read and projected.
+    `network`: what the settings load; `earlier`: sensor of earlier results in the same folder; what
+    was fitted then stays.
     """
-    how, trained = _method(settings, network), network.card.sensor
-    given = network.sensor
-    # They are read once, for the view as for the intensity and the gaps.
-    scans = cache(lambda: files if image_of else list(sampled(files, given)))
-    if image_of is None:
-        found = _fitted_view(scans, given, earlier, view=settings.fits_view)
-        network = network.for_sensor(found)
+    method, trained = _method(settings, network), network.card.sensor
+    if sample.image_of is None:
+        view = _fitted_view(sample, network.sensor, earlier, view=settings.fits_view)
+        network = network.for_sensor(view)
     known = [sensor for sensor in (earlier, settings.sensor) if sensor]
-    images = cache(lambda: list(sampled_images(scans(), network.sensor, image_of)))
     quantiles: tuple[float, ...] = ()
-    if how == "none":
+    if method == "none":
         quantiles = NO_INTENSITY
-    elif how:
+    elif method:
         # Earlier results without intensity tell nothing about that of the scans; nor does the
         # sensor of the weights, which was named for its columns, say.
         others = ((), NO_INTENSITY, trained.intensity_quantiles)
         measured = (sensor.intensity_quantiles for sensor in known)
         usable = (found for found in measured if found not in others)
-        quantiles = next(usable, ()) or intensity_quantiles(images())
+        quantiles = next(usable, ()) or intensity_quantiles(sample.images(network.sensor))
     gaps = None
     if trained.row_gaps is not None:
         others_gaps = (each.row_gaps for each in known)
         gaps = next((each for each in others_gaps if each not in (None, trained.row_gaps)), None)
-        gaps = row_gaps(images()) if gaps is None else gaps
+        gaps = row_gaps(sample.images(network.sensor)) if gaps is None else gaps
     seen = replace(network.sensor, intensity_quantiles=quantiles, row_gaps=gaps)
     network = network.for_sensor(seen)
     if fills_rows(seen, trained):
@@ -119,11 +157,11 @@ def fitted_view(
 
     Without `view`, only as `fit_ego` does. That of earlier results in the same folder stays.
     """
-    return _fitted_view(lambda: list(sampled(files, sensor)), sensor, earlier, view=view)
+    return _fitted_view(ScanSample(files, sensor), sensor, earlier, view=view)
 
 
 def _fitted_view(
-    read: Callable[[], Scans], sensor: Sensor, earlier: Sensor | None, *, view: bool
+    sample: ScanSample, sensor: Sensor, earlier: Sensor | None, *, view: bool
 ) -> Sensor:
     sought = [name for name in EGO if getattr(sensor, name) is None]
     if not (view or sought):
@@ -131,11 +169,11 @@ def _fitted_view(
     if earlier is not None:
         names = [*(FITTED if view else ()), *sought]
         return replace(sensor, **{name: getattr(earlier, name) for name in names})
-    scans = [scan for scan in read() if isinstance(scan, Scan)]
-    found = fit_view(scans, sensor) if view else fit_ego(scans, sensor)
-    if replace(found, **{name: getattr(sensor, name) for name in EGO}) != sensor:
-        log.log(NOTICE, "sensor fitted to %s: %s", counted(len(scans), "scan"), view_text(found))
-    return found
+    fitted = fit_view(sample.scans, sensor) if view else fit_ego(sample.scans, sensor)
+    if replace(fitted, **{name: getattr(sensor, name) for name in EGO}) != sensor:
+        scans = counted(len(sample.scans), "scan")
+        log.log(NOTICE, "sensor fitted to %s: %s", scans, view_text(fitted))
+    return fitted
 
 
 def with_image_statistics(sensor: Sensor, images: Sequence[Float]) -> Sensor:
@@ -146,36 +184,15 @@ def with_image_statistics(sensor: Sensor, images: Sequence[Float]) -> Sensor:
 
 def _method(settings: NetworkSettings, network: Network) -> str:
     """Return "match" or "none", or nothing where the intensity stays as it is."""
-    how = settings.intensity
-    if how not in INTENSITIES:
-        raise UsageError("--intensity", how, ", ".join(INTENSITIES))
-    if how == "raw" or network.card.sensor.intensity_quantiles:
-        return {"raw": "", "auto": "match"}.get(how, how)
-    if how == "auto":
+    method = settings.intensity
+    if method not in INTENSITIES:
+        raise UsageError("--intensity", method, ", ".join(INTENSITIES))
+    if method == "raw" or network.card.sensor.intensity_quantiles:
+        return {"raw": "", "auto": "match"}.get(method, method)
+    if method == "auto":
         return ""
-    found = f"{how}, but these weights do not know the intensity of their training"
+    found = f"{method}, but these weights do not know the intensity of their training"
     raise UsageError("--intensity", found, "auto or raw")
-
-
-def sampled_images(
-    files: Scans,
-    sensor: Sensor,
-    image_of: Callable[[ScanFile], Float] | None = None,
-) -> Iterator[Float]:
-    """Yield the range images of scans, evenly spaced; parameters as of `fitted`."""
-    for file in evenly_spaced(files, MAX_SCANS):
-        with suppress(SalsanextError):
-            if image_of is None or isinstance(file, Scan):
-                yield project(_read(file, sensor), sensor).channels
-            else:
-                yield image_of(file)
-
-
-def sampled(files: Scans, sensor: Sensor) -> Iterator[Scan]:
-    """Yield scans, evenly spaced, but for those that cannot be read."""
-    for file in evenly_spaced(files, MAX_SCANS):
-        with suppress(SalsanextError):
-            yield _read(file, sensor)
 
 
 def _read(file: ScanFile | Scan, sensor: Sensor) -> Scan:

@@ -7,17 +7,121 @@ from dataclasses import replace
 import numpy as np
 import numpy.typing as npt
 
-from salsanext_cli.fitting.ego_fit import fit_ego
-from salsanext_cli.fitting.mounting_fit import fit_mounting
+from salsanext_cli.fitting.mounting_fit import fit_mounting, ground_of
 from salsanext_cli.fitting.scan_checks import (
     LARGEST_SHARE_OUTSIDE,
     FieldOfViewCoverage,
     field_of_view_coverage,
 )
-from salsanext_cli.geometry.mounting import without_ego
+from salsanext_cli.geometry.mounting import in_sensor_frame, without_ego
 from salsanext_cli.geometry.ranges import measured_ranges
-from salsanext_cli.records import Scan
+from salsanext_cli.records import Float, Scan
 from salsanext_cli.sensors.sensor import FITTED_NAME, ORIGIN, UP, Sensor
+
+MIN_RANGE_M = 1.0
+"""Range below which only housing and mount were seen, of four vehicles; the street began at 1.3."""
+SHARE_OF_HEIGHT = 0.8
+"""Largest minimum range, as a share of the height above the ground: a low sensor sees its floor."""
+LEAST_HEIGHT_M = 0.1
+"""Least height of a sensor above what can be the ground that it stands on."""
+FARTHEST_M = 3.0
+"""Farthest body of a vehicle that is sought."""
+MIN_SCANS = 5
+AZIMUTHS, ELEVATIONS = 120, 120
+"""Cells around, and from straight down to straight up."""
+MIN_CELLS = 5
+"""Fewest cells of a body; of SemanticKITTI's car, which is not seen, was one by chance."""
+CENTRES = ((np.arange(ELEVATIONS) + 0.5) / ELEVATIONS - 0.5) * np.pi
+TOLERANCE_M = 0.1
+"""Largest difference between the nearest range of a cell and its usual one, if it stays."""
+SEEN, STAYS = 0.9, 0.8
+"""Least share of the scans in which a cell of the vehicle has a point, and of those in which its
+range stays."""
+MOVING = 0.15
+"""Largest share of the farther cells above the ground whose range stays, if the vehicle moves."""
+ABOVE_GROUND_M = 0.4
+"""Height above the ground of what is not the ground."""
+MARGIN_M = 0.05
+WIDEST_M = 2.6
+"""Largest of the lesser of length and width of a vehicle; wider is something beside it, and so is
+what begins more than `MIN_RANGE_M` from the axis of the sensor."""
+DIGITS = 2
+
+Cells = npt.NDArray[np.float64]
+
+
+def fit_ego(scans: Sequence[Scan], sensor: Sensor) -> Sensor:
+    """Return the sensor with `min_range` and `ego_box` where they are None: to be found.
+
+    The minimum range is `MIN_RANGE_M`, less where the sensor is lower than usual above the ground.
+    The box is empty where the scans do not tell it.
+
+    `scans`: of one sensor and drive, some time apart; fewer than `MIN_SCANS` tell no box, nor do
+    those of a vehicle that stands; `sensor`: its mounting.
+    """
+    least, box = sensor.min_range, sensor.ego_box
+    if least is not None and box is not None:
+        return sensor
+    upright = [in_sensor_frame(scan, sensor) for scan in scans]
+    heights = [ground.height for scan in upright if (ground := ground_of(scan))]
+    height = float(np.median(heights)) if heights else None
+    if least is None:
+        least = MIN_RANGE_M
+        if height is not None and height >= LEAST_HEIGHT_M:
+            least = round(min(least, SHARE_OF_HEIGHT * height), DIGITS)
+    if box is None:
+        box = _ego_box(upright, height) if height is not None and len(scans) >= MIN_SCANS else ()
+    return replace(sensor, min_range=least, ego_box=box)
+
+
+def _ego_box(scans: Sequence[Scan], height: float) -> tuple[float, ...]:
+    """Return the box of upright scans of a sensor at a height in metres, empty without one."""
+    least_z = ABOVE_GROUND_M - height
+    nearest = np.array([_nearest(*_in_cells(scan.points)) for scan in scans])
+    seen = np.isfinite(nearest).mean(axis=0)
+    with np.errstate(invalid="ignore"):  # of a cell that no scan has a point in
+        usual = np.sort(nearest, axis=0)[(seen * len(scans) / 2).astype(int), np.arange(len(seen))]
+        stays = (np.abs(nearest - usual) < TOLERANCE_M).sum(axis=0) / (seen * len(scans))
+        rises = usual * np.tile(np.sin(CENTRES), AZIMUTHS) > least_z
+    always = seen >= SEEN
+    far = always & rises & (usual > FARTHEST_M)
+    if not far.any() or (stays[far] >= STAYS).mean() > MOVING:
+        return ()
+    body_cells = always & rises & (usual <= FARTHEST_M) & (stays >= STAYS)
+    if body_cells.sum() < MIN_CELLS:
+        return ()
+    reach = np.where(body_cells, usual + TOLERANCE_M, 0)
+    body = []
+    for scan in scans:
+        cells, ranges = _in_cells(scan.points)
+        own = (ranges < reach[cells]) & (scan.points[:, 2] > least_z)
+        body.append(scan.points[own])
+    points = np.concatenate(body)
+    lowest, highest = points.min(axis=0) - MARGIN_M, points.max(axis=0) + MARGIN_M
+    gap = np.hypot(*np.maximum.reduce([lowest, -highest, np.zeros(3)])[:2])
+    if (highest - lowest)[:2].min() > WIDEST_M or gap > MIN_RANGE_M:
+        return ()
+    return tuple(np.concatenate([lowest, highest]).astype(np.float64).round(DIGITS).tolist())
+
+
+def _in_cells(points: Float) -> tuple[npt.NDArray[np.intp], npt.NDArray[np.float64]]:
+    """Return the cell and the range of each point (N, 3); infinite below `MIN_RANGE_M`."""
+    ranges, measured = measured_ranges(points)
+    usable = measured & (ranges >= MIN_RANGE_M)
+    x, y, z = np.where(usable[:, None], points, np.float32(1)).T
+    around = (np.arctan2(y, x) / (2 * np.pi) + 0.5) * AZIMUTHS
+    upwards = (np.arctan2(z, np.hypot(x, y)) / np.pi + 0.5) * ELEVATIONS
+    cells = around.astype(np.intp) % AZIMUTHS * ELEVATIONS
+    cells += upwards.astype(np.intp).clip(0, ELEVATIONS - 1)
+    return cells, np.where(usable, ranges, np.inf)
+
+
+def _nearest(cells: npt.NDArray[np.intp], ranges: npt.NDArray[np.float64]) -> Cells:
+    """Return the nearest range of each cell, infinite without a point."""
+    nearest = np.full(AZIMUTHS * ELEVATIONS, np.inf)
+    np.minimum.at(nearest, cells, ranges)
+    return nearest
+
 
 OUTLIERS = 0.001
 """Share of the points above, and of those below, that no view needs to show."""

@@ -12,13 +12,12 @@ from salsanext_cli.engines.graphs import Graph
 from salsanext_cli.engines.loading import network_of_module
 from salsanext_cli.engines.network import Network
 from salsanext_cli.engines.onnx_engine import read_model
-from salsanext_cli.engines.onnx_export import difference, exported
-from salsanext_cli.engines.quantised import quantised
+from salsanext_cli.engines.onnx_export import difference, exported, quantised
 from salsanext_cli.engines.settings import NetworkSettings
 from salsanext_cli.errors import UsageError, counted
 from salsanext_cli.files.atomic import require_target, write_bytes
 from salsanext_cli.files.optional_packages import import_extra, import_nncf
-from salsanext_cli.fitting.scan_fit import fitted
+from salsanext_cli.fitting.scan_fit import ScanSample, fit_scans
 from salsanext_cli.formats import read_scan
 from salsanext_cli.geometry.projection import project
 from salsanext_cli.network.card import WeightsCard
@@ -86,7 +85,8 @@ def export_onnx(
     }
     if scans:
         settings = NetworkSettings(weights, fit=view is None, intensity="auto")
-        network = fitted(settings, network_of_module(module, card, "cpu"), scans)
+        network = network_of_module(module, card, "cpu")
+        network = fit_scans(settings, network, ScanSample(scans, card.sensor))
         content, share = _int8(model, network, scans)
         found |= {"scans": len(scans), "equal_labels": share}
     write_bytes(target, content, durable=True)

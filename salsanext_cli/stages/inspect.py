@@ -12,7 +12,7 @@ from salsanext_cli.files.atomic import require_absent, write_bytes
 from salsanext_cli.files.reading import present
 from salsanext_cli.fitting.beam_fit import fit_beams
 from salsanext_cli.fitting.scan_checks import check_scan
-from salsanext_cli.fitting.scan_fit import EGO, sampled
+from salsanext_cli.fitting.scan_fit import EGO, ScanSample
 from salsanext_cli.fitting.view_fit import fit_view
 from salsanext_cli.formats import read_scan
 from salsanext_cli.formats.labels import read_labels
@@ -92,7 +92,7 @@ def inspect(
     """
     scans = select_scans(source, selection, space)
     if fit:
-        some = list(sampled(find_scans(source), sensor))
+        some = ScanSample(find_scans(source), sensor).scans
         weights = read_card(default_weights()).sensor
         seen = replace(sensor, fov_up=weights.fov_up, fov_down=weights.fov_down)
         seen = fit_view(some, seen)

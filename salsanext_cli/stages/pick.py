@@ -15,7 +15,7 @@ from salsanext_cli.classes.label_space import LabelSpace
 from salsanext_cli.engines.network import Network
 from salsanext_cli.engines.settings import NetworkSettings
 from salsanext_cli.errors import NOTICE, NoInputError, counted
-from salsanext_cli.fitting.scan_fit import fitted
+from salsanext_cli.fitting.scan_fit import ScanSample, fit_scans
 from salsanext_cli.formats.labels import encode_labels
 from salsanext_cli.labelling.label_records import name_of
 from salsanext_cli.labelling.picked_data_set import SHEET, TABLE, PickedDataSet
@@ -122,7 +122,7 @@ def pick(
     if len(done) == len(scans):
         raise NoInputError(source, "every scan is labelled already", "others to pick")
     with data_set.open():
-        loaded = fitted(network, loaded, found)
+        loaded = fit_scans(network, loaded, ScanSample(found, loaded.sensor))
         how = {"strategy": strategy, "count": count, "seed": seed, "scans": _digest(scans)}
         if labelled:
             how["labelled"] = _digest(sorted(done, key=name_of))

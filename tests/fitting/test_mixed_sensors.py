@@ -13,8 +13,7 @@ from scans import SMALL
 
 from salsanext_cli import Scan, read_scan, sensor
 from salsanext_cli.fitting import mixed_sensors as module
-from salsanext_cli.fitting.findings import ScanCheck, ScanTraits
-from salsanext_cli.fitting.mixed_sensors import mixed_sensors
+from salsanext_cli.fitting.findings import ScanCheck, ScanTraits, mixed_sensors
 from salsanext_cli.fitting.scan_checks import check_scan
 from salsanext_cli.measures.scan_summary import RunSummary, ScanSummary
 from salsanext_cli.results.layout import ScanFile

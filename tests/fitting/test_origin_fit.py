@@ -8,9 +8,12 @@ from streets import street_points
 
 from salsanext_cli import Scan, project
 from salsanext_cli.errors import UsageError
-from salsanext_cli.fitting.ground import find_ground
-from salsanext_cli.fitting.mounting_fit import USUAL_HEIGHT_M, fit_mounting
-from salsanext_cli.fitting.origin_fit import find_origin
+from salsanext_cli.fitting.mounting_fit import (
+    USUAL_HEIGHT_M,
+    find_ground,
+    find_origin,
+    fit_mounting,
+)
 from salsanext_cli.fitting.view_fit import fit_view, view_text
 from salsanext_cli.geometry.mounting import in_sensor_frame, upright_rotation
 

@@ -85,7 +85,7 @@ def test_a_sensor_in_a_room_stands_upright_where_its_beams_come_from(height):
     assert -46 < found.fov_down < found.fov_up < 46
 
 
-def test_each_scan_is_read_once_for_view_intensity_and_gaps(world, monkeypatch):
+def test_each_scan_is_read_once_for_view_intensity_gaps_and_adaptation(world, monkeypatch):
     read = []
 
     def counted(path, *arguments):
@@ -94,7 +94,10 @@ def test_each_scan_is_read_once_for_view_intensity_and_gaps(world, monkeypatch):
 
     monkeypatch.setattr(scan_fit, "read_scan", counted)
     settings = NetworkSettings(device="cpu", engine="torch")
-    network = scan_fit.fitted(settings, settings.load(), find_scans(world.data))
+    network = settings.load()
+    sample = scan_fit.ScanSample(find_scans(world.data), network.sensor)
+    network = scan_fit.fit_scans(settings, network, sample)
+    assert len(sample.images(network.sensor)) == len(read)
     assert network.sensor.intensity_quantiles
     assert network.sensor.row_gaps is not None
     assert sorted(read) == sorted(file.path for file in find_scans(world.data))

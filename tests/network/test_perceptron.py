@@ -7,7 +7,7 @@ import numba
 import numpy as np
 import pytest
 
-from salsanext_cli.network.perceptron import last_values
+from salsanext_cli.network.error_model import last_values
 
 
 def layers(*sizes: int):

@@ -26,7 +26,7 @@ from salsanext_cli.stages.export_ply import export_ply
 from salsanext_cli.stages.knn_refine import knn_refine_scans
 from salsanext_cli.stages.predict import predict_range_images, predict_scans
 from salsanext_cli.stages.project import project_scans
-from salsanext_cli.stages.tune_batchnorm import tune_batchnorm
+from salsanext_cli.stages.tune import tune
 from salsanext_cli.stages.uncertainty import uncertainty
 from salsanext_cli.uncertainty.settings import Estimator
 
@@ -52,7 +52,7 @@ def adapted(out):
 def test_it_is_what_tune_batchnorm_makes_of_the_scans(adapting, target, tmp_path):
     run(adapting)
     plain = replace(adapting.network, adapt=False)
-    tune_batchnorm(adapting.data, target, network=plain, share=SHARE)
+    tune("batchnorm", adapting.data, target, network=plain, share=SHARE)
     tuned, found = load_file(target), load_file(adapted(adapting.out))
     before = load_file(adapting.network.path)
     assert tuned.keys() == found.keys()

@@ -14,7 +14,7 @@ from salsanext_cli.engines.onnx_export import run
 from salsanext_cli.engines.settings import NetworkSettings
 from salsanext_cli.errors import NoInputError, UsageError
 from salsanext_cli.files import user_cache
-from salsanext_cli.fitting.scan_fit import fitted
+from salsanext_cli.fitting.scan_fit import ScanSample, fit_scans
 from salsanext_cli.network.card import read_card
 from salsanext_cli.results.layout import find_scans
 from salsanext_cli.results.point_files import write_bin
@@ -94,7 +94,8 @@ def test_it_sees_what_predict_sees(tmp_path, monkeypatch):
     monkeypatch.setattr(stage, "quantised", calibrated)
     said = export_onnx(weights, tmp_path / "m.onnx", calibrate=scans)
     settings, files = NetworkSettings(weights, fit=True, intensity="auto"), find_scans(scans)
-    network = fitted(settings, settings.load(), files)
+    network = settings.load()
+    network = fit_scans(settings, network, ScanSample(files, network.sensor))
     assert network.sensor.up != SMALL.up
     for file, image in zip(files, seen, strict=True):
         upright = project(read_scan(file.path), network.sensor).channels

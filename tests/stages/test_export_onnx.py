@@ -20,7 +20,7 @@ from salsanext_cli.network.registry import build
 from salsanext_cli.network.weights import read_weights
 from salsanext_cli.stages.export_onnx import export_onnx
 from salsanext_cli.stages.predict import predict_scans
-from salsanext_cli.stages.tune_temperature import tune_temperature
+from salsanext_cli.stages.tune import tune
 from salsanext_cli.stages.uncertainty import uncertainty
 
 onnx = pytest.importorskip("onnx")
@@ -149,7 +149,7 @@ def test_labels_and_probabilities_only(world, model, tmp_path):
     with pytest.raises(WeightsError, match="labels and probabilities only"):
         uncertainty(world.data, world.out, network=settings)
     with pytest.raises(WeightsError, match="labels and probabilities only"):
-        tune_temperature(world.data, tmp_path / "t.safetensors", network=settings)
+        tune("temperature", world.data, tmp_path / "t.safetensors", network=settings)
     with pytest.raises(WeightsError, match="labels and probabilities only"):
         read_weights(model)
     for options in ({"device": "cuda"}, {"engine": "torch"}):

@@ -15,7 +15,7 @@ from salsanext_cli.fitting.batch_norm import norms
 from salsanext_cli.network.card import read_card
 from salsanext_cli.network.weights import NORM_SUFFIXES, read_weights, save_weights
 from salsanext_cli.results.point_files import write_bin
-from salsanext_cli.stages.tune_batchnorm import tune_batchnorm
+from salsanext_cli.stages.tune import tune
 
 WIDER = replace(SMALL, name="wider", width=192, fov_up=5.0, means=(10.0, 9.0, 0.0, -1.0, 0.3))
 
@@ -60,7 +60,7 @@ def slow_statistics(network, paths):
 
 
 def test_the_statistics_of_all_scans_are_stored_and_how_far_they_moved(folder, target, network):
-    tuned = tune_batchnorm(folder, target, network=network, share=1.0)
+    tuned = tune("batchnorm", folder, target, network=network, share=1.0)
     slow = slow_statistics(network, sorted(folder.iterdir()))
     old, new = load_file(network.weights), load_file(target)
     for moved, (name, (mean, variance)) in zip(tuned["layers"], slow.items(), strict=True):
@@ -79,7 +79,7 @@ def test_the_statistics_of_all_scans_are_stored_and_how_far_they_moved(folder, t
 
 def test_a_share_of_one_scan_leaves_the_rest_to_the_old(folder, target, network):
     scan = folder / "000000.bin"
-    tune_batchnorm(scan, target, network=network, share=0.25)
+    tune("batchnorm", scan, target, network=network, share=0.25)
     old, new = load_file(network.weights), load_file(target)
     # What comes into the first batch norm depends on no other.
     first, values = next(iter(slow_statistics(network, [scan]).items()))
@@ -93,7 +93,7 @@ def test_the_card_keeps_what_is_still_true(folder, target, weights, tmp_path):
     tempered = replace(card, temperature=1.5, scores={"miou": 0.5}, recipe={"name": "quick"})
     source = tmp_path / "source.safetensors"
     save_weights(source, module, tempered)
-    tune_batchnorm(folder, target, network=NetworkSettings(source, "cpu", WIDER), share=0.5)
+    tune("batchnorm", folder, target, network=NetworkSettings(source, "cpu", WIDER), share=0.5)
     found = read_card(target)
     said = "random Batch norm re-estimated on 3 scans of wider, share 0.5."
     expected = replace(tempered, scores={}, sensor=WIDER, description=said)
@@ -106,10 +106,10 @@ def test_scans_that_cannot_be_used(folder, target, network):
     bad = folder / "000002.bin"
     bad.write_bytes(b"half a point")
     with pytest.raises(FormatError, match=r"000002\.bin · "):
-        tune_batchnorm(folder, target, network=network)
+        tune("batchnorm", folder, target, network=network)
     write_bin(bad, Scan(np.zeros((3, 3), np.float32), np.zeros(3, np.float32)))
     with pytest.raises(FormatError, match=r"000002\.bin · none of its 3 points has a pixel"):
-        tune_batchnorm(folder, target, network=network)
+        tune("batchnorm", folder, target, network=network)
     assert not target.exists()
 
 
@@ -119,8 +119,11 @@ def test_a_network_whose_values_overflow(folder, target, network, tmp_path):
         module.get_parameter("stages.1.0.0.weight").mul_(1e25)
     save_weights(tmp_path / "huge.safetensors", module, card)
     with pytest.raises(WeightsError, match=r"000000\.bin · the network's \S+ is not finite"):
-        tune_batchnorm(
-            folder, target, network=NetworkSettings(tmp_path / "huge.safetensors", "cpu")
+        tune(
+            "batchnorm",
+            folder,
+            target,
+            network=NetworkSettings(tmp_path / "huge.safetensors", "cpu"),
         )
     assert not target.exists()
 
@@ -128,11 +131,11 @@ def test_a_network_whose_values_overflow(folder, target, network, tmp_path):
 def test_a_network_without_batch_norm(folder, target, network, monkeypatch):
     monkeypatch.setattr("salsanext_cli.fitting.batch_norm.norms", lambda _: {})
     with pytest.raises(WeightsError, match=r"random\.safetensors · its network has no batch norm"):
-        tune_batchnorm(folder, target, network=network)
+        tune("batchnorm", folder, target, network=network)
 
 
 def test_the_wrong_sensor_is_noticed(folder, target, network, caplog):
     narrow = replace(network, sensor=replace(SMALL, fov_up=-5.0))
     with caplog.at_level(logging.WARNING):
-        tune_batchnorm(folder / "000000.bin", target, network=narrow)
+        tune("batchnorm", folder / "000000.bin", target, network=narrow)
     assert "lie outside the view of small" in caplog.text

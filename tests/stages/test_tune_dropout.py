@@ -12,7 +12,8 @@ from salsanext_cli.errors import OutputError, UsageError
 from salsanext_cli.network.card import read_card
 from salsanext_cli.network.dropout import dropouts
 from salsanext_cli.network.weights import read_weights
-from salsanext_cli.stages.tune_dropout import SMALLEST_VARIANCE, curve_of, tune_dropout
+from salsanext_cli.stages.tune import curve_of, tune
+from salsanext_cli.training.tuning.dropout_rate import SMALLEST_VARIANCE
 from salsanext_cli.uncertainty.aleatoric import aleatoric
 from salsanext_cli.uncertainty.monte_carlo import scan_seed
 
@@ -21,7 +22,7 @@ FEW = {"samples": 3, "steps": 3, "lowest": 0.05, "highest": 0.3}
 
 
 def go(world, target, **changes):
-    return tune_dropout(world.data, target, **{"network": world.network, **FEW, **changes})
+    return tune("dropout", world.data, target, **{"network": world.network, **FEW, **changes})
 
 
 def slow_mean(world, path, rate, stems, seed=0):
@@ -83,7 +84,7 @@ def test_a_network_that_was_trained_without_dropout_gets_it_where_the_paper_has_
 )
 def test_the_end_of_the_range_is_named(world, target, caplog, monkeypatch, objectives, best, says):
     values = iter(objectives * 2)
-    module = "salsanext_cli.stages.tune_dropout"
+    module = "salsanext_cli.training.tuning.dropout_rate"
     monkeypatch.setattr(f"{module}.objective", lambda *_: next(values))
     with caplog.at_level(logging.WARNING):
         assert go(world, target)["best"] == pytest.approx(best)

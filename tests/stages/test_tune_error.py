@@ -20,9 +20,7 @@ from salsanext_cli.results.selection import ScanSelection
 from salsanext_cli.stages.evaluate import evaluate
 from salsanext_cli.stages.models import describe_weights
 from salsanext_cli.stages.predict import predict_scans
-from salsanext_cli.stages.tune_batchnorm import tune_batchnorm
-from salsanext_cli.stages.tune_error import tune_error
-from salsanext_cli.stages.tune_temperature import tune_temperature
+from salsanext_cli.stages.tune import tune
 from salsanext_cli.stages.uncertainty import uncertainty
 from salsanext_cli.uncertainty.error_features import FEATURES
 from salsanext_cli.uncertainty.settings import Estimator
@@ -47,7 +45,7 @@ def far_is_wrong(world: World, tmp_path) -> World:
 
 def test_what_is_wrong_is_found_in_scans_left_out(far_is_wrong: World, target, tmp_path) -> None:
     world = far_is_wrong
-    tuned = tune_error(world.data, target, network=world.network, selection=ALL)
+    tuned = tune("error", world.data, target, network=world.network, selection=ALL)
     assert (tuned["scans"], tuned["sequences"], tuned["folds"]) == (3, ["00", "08"], 2)
     assert tuned["error"]["auroc"] > 0.97 > tuned["confidence"]["auroc"]
     assert tuned["error"]["aurc"] < tuned["confidence"]["aurc"]
@@ -56,7 +54,7 @@ def test_what_is_wrong_is_found_in_scans_left_out(far_is_wrong: World, target, t
     assert stored.features == FEATURES
     assert stored.scores == {key: tuned[key] for key in tuned if key != "stage"}
     assert describe_weights(target)["error"] == stored.scores
-    again = tune_error(world.data, target, network=world.network, selection=ALL, overwrite=True)
+    again = tune("error", world.data, target, network=world.network, selection=ALL, overwrite=True)
     assert again == tuned
     network = replace(world.network, weights=target)
     predict_scans(world.data, world.out, network=network, extras=(ERROR,))
@@ -124,7 +122,7 @@ def test_weights_without_it_are_refused(world: World, target, tmp_path) -> None:
 
 def test_other_features_and_merged_classes_are_refused(far_is_wrong: World, target) -> None:
     world = far_is_wrong
-    tune_error(world.data, target, network=world.network, selection=ALL)
+    tune("error", world.data, target, network=world.network, selection=ALL)
     network = replace(world.network, weights=target)
     coarse = replace(network, classes=label_space("coarse"))
     with pytest.raises(UsageError, match=r"--classes · .*labels before merging"):
@@ -142,7 +140,7 @@ def test_other_features_and_merged_classes_are_refused(far_is_wrong: World, targ
         predict_scans(world.data, world.out, network=network, extras=(ERROR,))
     # Another temperature changes the features that it was fitted to.
     tuned = target.with_name("tempered.safetensors")
-    tune_temperature(world.data, tuned, network=network)
+    tune("temperature", world.data, tuned, network=network)
     assert read_card(tuned).error is None
 
 
@@ -153,18 +151,18 @@ def test_labels_that_teach_nothing(world: World, target, tmp_path) -> None:
         labels = world.data / "sequences" / sequence / "labels"
         shutil.copytree(own / "sequences" / sequence / "predictions", labels, dirs_exist_ok=True)
     with pytest.raises(TrainingError, match=r"no label of \d+ points is wrong"):
-        tune_error(world.data, target, network=world.network, selection=ALL)
+        tune("error", world.data, target, network=world.network, selection=ALL)
     for path in (world.data / "sequences").rglob("*.label"):
         write_labels(path, np.zeros(1500, np.uint32))
     with pytest.raises(LabelError, match="no point is of a class that counts"):
-        tune_error(world.data, target, network=world.network, selection=ALL)
+        tune("error", world.data, target, network=world.network, selection=ALL)
     assert not target.exists()
 
 
 def test_a_single_scan_is_not_cross_validated(far_is_wrong: World, target, caplog) -> None:
     world = far_is_wrong
     selection = ScanSelection(split="valid", limit=1)
-    tuned = tune_error(world.data, target, network=world.network, selection=selection)
+    tuned = tune("error", world.data, target, network=world.network, selection=selection)
     assert (tuned["folds"], tuned["error"], tuned["confidence"]) == (0, None, None)
     assert "1 scan: not cross-validated" in caplog.messages
     assert read_card(target).error is not None
@@ -176,14 +174,14 @@ def test_without_a_fold_there_may_be_nothing_to_learn_from(
     world = far_is_wrong
     for path in (world.data / "sequences/08/labels").iterdir():
         write_labels(path, np.zeros(1500, np.uint32))
-    tuned = tune_error(world.data, target, network=world.network, selection=ALL)
+    tuned = tune("error", world.data, target, network=world.network, selection=ALL)
     assert tuned["folds"] == 0
     assert "without 00 no label is right, or none wrong" in caplog.messages
 
 
 def test_other_batch_norm_has_no_model_of_errors(far_is_wrong: World, target) -> None:
     world = far_is_wrong
-    tune_error(world.data, target, network=world.network, selection=ALL)
+    tune("error", world.data, target, network=world.network, selection=ALL)
     adapted = target.with_name("adapted.safetensors")
-    tune_batchnorm(world.data, adapted, network=replace(world.network, weights=target))
+    tune("batchnorm", world.data, adapted, network=replace(world.network, weights=target))
     assert read_card(adapted).error is None

@@ -16,11 +16,9 @@ from salsanext_cli.network.card import read_card
 from salsanext_cli.network.weights import NORM_SUFFIXES, read_weights, save_weights
 from salsanext_cli.results.point_files import write_labels
 from salsanext_cli.results.selection import ScanSelection
-from salsanext_cli.stages.tune_batchnorm import tune_batchnorm
-from salsanext_cli.stages.tune_dropout import tune_dropout
-from salsanext_cli.stages.tune_temperature import tune_temperature
+from salsanext_cli.stages.tune import tune as tune_part
 
-TUNE = {"temperature": tune_temperature, "dropout": tune_dropout, "batchnorm": tune_batchnorm}
+TUNE = ("temperature", "dropout", "batchnorm")
 CHANGED = {
     "temperature": {"temperature"},
     "dropout": {"architecture"},
@@ -41,7 +39,7 @@ def tune(world, target, what):
     few = {"samples": 2, "steps": 2} if what == "dropout" else {}
 
     def call(target=target, **changes):
-        return TUNE[what](world.data, target, **{"network": world.network, **few, **changes})
+        return tune_part(what, world.data, target, **{"network": world.network, **few, **changes})
 
     return call
 
@@ -72,7 +70,7 @@ def test_it_is_the_same_every_time(tune, world, target):
 def test_progress_and_selection(tune, what, world, caplog):
     write_sequence(world.data / "sequences/08", [f"{i:06d}" for i in range(2, 5)], seed=2)
     seen, selection = [], ScanSelection(split="valid", limit=3)
-    with caplog.at_level(logging.INFO, f"salsanext_cli.stages.tune_{what}"):
+    with caplog.at_level(logging.INFO, "salsanext_cli.training.tuning"):
         assert tune(selection=selection, progress=lambda *n: seen.append(n))["scans"] == 3
     count = 6 if what == "dropout" else 3
     assert seen == [(number, count) for number in range(1, count + 1)]

@@ -11,7 +11,7 @@ from salsanext_cli.errors import TrainingError, WeightsError
 from salsanext_cli.network.card import read_card
 from salsanext_cli.network.weights import read_weights, save_weights
 from salsanext_cli.stages.predict import predict_scans
-from salsanext_cli.stages.tune_temperature import tune_temperature
+from salsanext_cli.stages.tune import tune
 from salsanext_cli.training.tuning.temperature import negative_log_likelihood
 
 SPACE = label_space()
@@ -31,7 +31,7 @@ def drawn(world):
 
 def go(world, target, **changes):
     given = {"network": world.network, **changes}
-    return tune_temperature(world.data, target, **given)
+    return tune("temperature", world.data, target, **given)
 
 
 def points_of(world, sequence, stems):
@@ -71,7 +71,7 @@ def test_the_temperature_of_the_labels_is_found_and_stored(drawn, target):
 
 def test_a_sample_of_the_points_is_enough_and_always_the_same(drawn, target, monkeypatch):
     whole = go(drawn, target)
-    monkeypatch.setattr("salsanext_cli.stages.tune_temperature.MAX_LOGITS", 2 * 700 * 20)
+    monkeypatch.setattr("salsanext_cli.training.tuning.temperature.MAX_LOGITS", 2 * 700 * 20)
     some = go(drawn, target, overwrite=True)
     assert some == go(drawn, target, overwrite=True)
     assert some["points"] == 1400 < whole["points"]

@@ -13,7 +13,7 @@ import numpy as np
 from salsanext_cli.classes.label_space import LabelSpace, label_space
 from salsanext_cli.classes.merging import ClassMerging, is_merged
 from salsanext_cli.errors import NOTICE, LabelError, NoInputError, counted, first_few
-from salsanext_cli.fitting.scan_fit import sampled, sampled_images, with_image_statistics
+from salsanext_cli.fitting.scan_fit import ScanSample, with_image_statistics
 from salsanext_cli.fitting.view_fit import fit_view
 from salsanext_cli.formats import read_scan
 from salsanext_cli.formats.labels import read_labels
@@ -101,9 +101,8 @@ def training_sources(sources: Sequence[Source], *, fit: bool, jobs: int = 1) -> 
         own = first.sensor_of(file)
         return project(read_scan(file.path, own), own).channels
 
-    sensor = with_image_statistics(
-        first.sensor, list(sampled_images(first.files, first.sensor, image_of))
-    )
+    images = ScanSample(first.files, first.sensor, image_of).images(first.sensor)
+    sensor = with_image_statistics(first.sensor, images)
     return [replace(source, sensor=sensor) for source in sources]
 
 
@@ -114,7 +113,7 @@ def fitted_source(source: Source, jobs: int = 1) -> Source:
     sequences = {name: list(files) for name, files in groupby(source.files, lambda f: f.sequence)}
 
     def fit(files: Sequence[ScanFile]) -> Sensor:
-        scans = list(sampled(files, source.sensor))
+        scans = ScanSample(files, source.sensor).scans
         found = fit_view(scans, source.sensor)
         return with_image_statistics(found, [project(scan, found).channels for scan in scans])
 

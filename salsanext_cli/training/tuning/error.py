@@ -11,7 +11,7 @@ import torch
 import torch.nn.functional as F
 from torch import nn
 
-from salsanext_cli.errors import counted
+from salsanext_cli.errors import TrainingError, counted
 from salsanext_cli.measures.calibration import reliability
 from salsanext_cli.measures.histograms import error_histogram, uncertainty_histogram
 from salsanext_cli.measures.kept_points import kept_points
@@ -19,7 +19,15 @@ from salsanext_cli.measures.risk_coverage import ranking_scores
 from salsanext_cli.network.error_model import ErrorModel
 from salsanext_cli.records import Float
 from salsanext_cli.results.layout import ScanFile
-from salsanext_cli.training.tuning.judged_points import JudgedPoints, Mask
+from salsanext_cli.training.cross_validation import folds
+from salsanext_cli.training.tuning.judged_points import (
+    JudgedPoints,
+    Mask,
+    judged_points,
+    points_of_scan,
+)
+from salsanext_cli.training.tuning.labelled_images import require_points
+from salsanext_cli.training.tuning.tuning import Tuned, TuningScans
 from salsanext_cli.uncertainty.error_features import FEATURES
 
 FOLDS = 5
@@ -37,6 +45,28 @@ LEAST_SPREAD = 1e-3
 """Features that hardly differ are not blown up."""
 
 log = logging.getLogger(__name__)
+
+
+def fit_error_model(scans: TuningScans) -> Tuned:
+    """Fit a model of the probability that a point's label is wrong.
+
+    The label is the one of `predict`, after kNN. The model is cross-validated over whole sequences,
+    or over neighbouring scans of a single one, and then fitted to all scans. Reports its scores, as
+    `cross_validated` returns them.
+    """
+    files, network = scans.files, scans.network
+    most = points_of_scan(len(files))
+    judged = {file: judged_points(file, network, scans.space, most) for file in scans.each()}
+    wrong = np.concatenate([points.wrong for points in judged.values()])
+    require_points(len(wrong), scans.source, scans.space)
+    if not of_both_kinds(judged.values()):
+        count = f"{'every' if wrong.all() else 'no'} label of {len(wrong)} points is wrong"
+        remedy = "use more scans, or other weights"
+        raise TrainingError(scans.source, count, "right and wrong ones", remedy)
+    model = cross_validated(judged, folds(files, FOLDS) if len(files) > 1 else [])
+    if model.scores["folds"] and not gains(model):
+        log.warning("the error is no better than the confidence on scans left out")
+    return Tuned(replace(network.card, error=model), dict(model.scores))
 
 
 def cross_validated(

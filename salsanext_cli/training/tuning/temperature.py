@@ -1,15 +1,107 @@
 # SPDX-License-Identifier: MIT
 """Temperature scaling (arXiv 1706.04599): one number that calibrates a softmax."""
 
+import logging
 import math
 from collections.abc import Iterator
+from dataclasses import replace
+from functools import reduce
+from operator import iadd
+from pathlib import Path
+from typing import Any
 
+import numpy as np
 import torch
 import torch.nn.functional as F
 from torch import Tensor
 
+from salsanext_cli.errors import NOTICE, TrainingError, WeightsError
+from salsanext_cli.measures.calibration import calibration_scores
+from salsanext_cli.measures.histograms import confidence_histogram, softmax_errors
+from salsanext_cli.network.card import TEMPERATURES
+from salsanext_cli.records import Float
+from salsanext_cli.training.tuning.labelled_images import read_labelled_image, require_points
+from salsanext_cli.training.tuning.tuning import Tuned, TuningScans
+from salsanext_cli.uncertainty.monte_carlo import scan_seed
+
+MAX_LOGITS = 20_000_000
+"""Bound of the number of logits that are kept, 80 MB: a million points with 20 classes."""
+SEED = 0
+"""Seed of the choice of points that are kept."""
 CHUNK_POINTS = 1 << 16
 """Points whose logits are float64 at the same time."""
+
+log = logging.getLogger(__name__)
+
+
+def fit_temperature(scans: TuningScans) -> Tuned:
+    """Fit the temperature of the least negative log-likelihood.
+
+    Each point has the logits of its pixel, as for `predict --probabilities`; points of ignored
+    classes do not count. Of a scan with more points than its share of `MAX_LOGITS`, a random sample
+    is taken, the same one every time.
+
+    Reports, with the temperature that the weights had, `before`, and with the one that was fitted,
+    `after`, the `temperature`, the mean negative log-likelihood of the true class in nats, `nll`,
+    and the expected calibration error over 15 bins, `ece`, 0…1; the number of `scans` and of
+    `points` fitted to.
+    """
+    card = scans.network.card
+    most = max(1, MAX_LOGITS // card.space.class_count // len(scans.files))
+    samples = list(_samples(scans, most))
+    logits = torch.from_numpy(np.concatenate([values for values, _ in samples]))
+    truth = torch.from_numpy(np.concatenate([classes for _, classes in samples])).long()
+    require_points(len(truth), scans.source, scans.space)
+    temperature = best_temperature(logits, truth)
+    _require_possible(scans.source, temperature, len(truth))
+    if card.error:
+        log.log(NOTICE, "the error model is left out: fit it anew with `salsanext tune error`")
+    report = {
+        "before": _tempered(logits, truth, card.temperature),
+        "after": _tempered(logits, truth, temperature),
+        "scans": len(scans.files),
+        "points": len(truth),
+    }
+    return Tuned(replace(card, temperature=temperature, error=None), report)
+
+
+def _samples(scans: TuningScans, most: int) -> Iterator[tuple[Float, Any]]:
+    """Yield the logits (M, C) and train ids (M,) of at most so many points of each scan."""
+    for file in scans.each():
+        labelled = read_labelled_image(file, scans.network, scans.space)
+        logits = scans.network.logits(labelled.image).reshape(scans.space.class_count, -1)
+        if not np.isfinite(logits).all():
+            raise WeightsError(file.path, "the network's logits are not finite", "finite ones")
+        random = np.random.default_rng(scan_seed(SEED, file.sequence, file.stem))
+        count = len(labelled.truth)
+        chosen = random.choice(count, most, replace=False) if count > most else slice(None)
+        log.info("%s/%s: %d points", file.sequence, file.stem, min(count, most))
+        yield logits[:, labelled.pixels[chosen]].T.copy(), labelled.truth[chosen]
+
+
+def _require_possible(dataset: Path, temperature: float, points: int) -> None:
+    """Refuse a temperature that no softmax can be used with."""
+    lowest, highest = TEMPERATURES
+    if temperature == 0:
+        found = f"each of {points} points is right: the lower, the better"
+    elif temperature == float("inf"):
+        found = f"{points} points whose classes the network does not know: the higher, the better"
+    else:
+        found = f"the best temperature is {temperature:g}"
+    if not lowest <= temperature <= highest:
+        expected = f"one between {lowest:g} and {highest:g}"
+        raise TrainingError(dataset, found, expected, "use more scans, or other weights")
+
+
+def _tempered(logits: Tensor, truth: Tensor, temperature: float) -> dict[str, float]:
+    errors = (
+        softmax_errors(torch.softmax(part / temperature, dim=1).numpy(), classes.numpy())
+        for part, classes in chunks(logits, truth)
+    )
+    one_group = (confidence_histogram(e, np.zeros(len(e.wrong), np.intp), 1) for e in errors)
+    histogram = reduce(iadd, one_group)
+    nll = negative_log_likelihood(logits, truth, temperature)
+    return {"temperature": temperature, "nll": nll, "ece": calibration_scores(histogram).ece}
 
 
 def negative_log_likelihood(logits: Tensor, truth: Tensor, temperature: float) -> float:

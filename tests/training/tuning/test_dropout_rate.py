@@ -5,7 +5,11 @@ import numpy as np
 import pytest
 
 from salsanext_cli.errors import UsageError
-from salsanext_cli.stages.tune_dropout import SMALLEST_VARIANCE, objective, rates_between
+from salsanext_cli.training.tuning.dropout_rate import (
+    SMALLEST_VARIANCE,
+    objective,
+    rates_between,
+)
 
 
 def slow_objective(probabilities, variance, truth):

@@ -1,0 +1,85 @@
+# SPDX-License-Identifier: MIT
+"""Batch-norm statistics re-estimated on scans without labels."""
+
+import logging
+import math
+from dataclasses import replace
+from typing import Any
+
+from salsanext_cli.engines.network import Network
+from salsanext_cli.errors import FormatError, UsageError, counted
+from salsanext_cli.fitting.adaptation import SHARE
+from salsanext_cli.fitting.batch_norm import (
+    PooledStatistics,
+    Statistics,
+    as_tensors,
+    norms,
+    require_norms,
+)
+from salsanext_cli.fitting.label_scan import project_for
+from salsanext_cli.fitting.scan_fit import EGO
+from salsanext_cli.measures.scan_summary import RunSummary, ScanSummary
+from salsanext_cli.training.tuning.tuning import Tuned, TuningScans
+
+log = logging.getLogger(__name__)
+
+
+def require_batchnorm(network: Network, share: float = SHARE) -> None:
+    """Raise what `fit_batchnorm` raises for a network and a share, before a scan is read."""
+    if not 0 < share <= 1:
+        raise UsageError("--share", f"{share:g}", "above 0, at most 1")
+    require_norms(network)
+
+
+def fit_batchnorm(scans: TuningScans, share: float = SHARE) -> Tuned:
+    """Move the statistics of batch norm towards those of scans of one's own.
+
+    Every scan passes once, as `statistics_of_scan` says; no label is read. The statistics of all
+    scans are pooled in float64. The sensor of the new weights is that of the network; `scores`,
+    measured with the old statistics, are left out.
+
+    `share`: of the new statistics, above 0 and at most 1; the rest are the old ones.
+
+    Reports the number of `scans`, the `share`, the name of the `sensor` of the weights written, and
+    `layers`, every batch norm in order of computation: its name, `layer`; the distance of the new
+    mean from the old one in old standard deviations, `shift`, mean over the channels; the new
+    variance over the old, ε added to both, `variance_ratio`, geometric mean; and `warnings`,
+    reasons to doubt the scans.
+    """
+    network = scans.network
+    layers = norms(network.module)
+    old = {name: Statistics.kept_by(layer) for name, layer in layers.items()}
+    pooled, summary = PooledStatistics(network, share), RunSummary(network.sensor)
+    for file in scans.each():
+        projected = project_for(network, file)
+        image = projected.image
+        summary.add(ScanSummary(file, projected.check))
+        if not (image.pixel_of_point >= 0).any():
+            none = f"none of its {len(image.pixel_of_point)} points has a pixel"
+            raise FormatError(file.path, none, "points that were measured, in view of the sensor")
+        pooled.add(image.channels, file.path)
+        log.info("%s/%s: done", file.sequence, file.stem)
+    new, sensor, trained = pooled.moved(), network.sensor, network.card.sensor
+    scanned = counted(len(scans.files), "scan")
+    done = f"Batch norm re-estimated on {scanned} of {sensor.name}, share {share:g}."
+    # Later scans are matched and filled as these were.
+    known = trained.intensity_quantiles if sensor.intensity_quantiles else ()
+    sensor = replace(sensor, intensity_quantiles=known, row_gaps=trained.row_gaps)
+    # The mounting is that of these scans, not of those that the weights will be used for.
+    sensor = replace(sensor, **{name: getattr(trained, name) for name in ("up", "origin", *EGO)})
+    report = {
+        "scans": len(scans.files),
+        "share": share,
+        "sensor": sensor.name,
+        "layers": [_moved(name, old[name], new[name], layers[name].eps) for name in new],
+        "warnings": summary.finished().warnings(),
+    }
+    card = replace(network.card.changed(done), sensor=sensor)
+    return Tuned(card, report, as_tensors(new))
+
+
+def _moved(layer: str, old: Statistics, new: Statistics, eps: float) -> dict[str, Any]:
+    variance = old.variance + eps
+    shift = ((new.mean - old.mean).abs() / variance.sqrt()).mean()
+    ratio = ((new.variance + eps) / variance).log().mean()
+    return {"layer": layer, "shift": float(shift), "variance_ratio": math.exp(ratio)}
