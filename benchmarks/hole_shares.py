@@ -19,6 +19,7 @@ import numpy as np
 import numpy.typing as npt
 
 from salsanext_cli import project, read_scan, sensor
+from salsanext_cli.fitting.scan_fit import fitted_view
 from salsanext_cli.records import Float
 from salsanext_cli.results.layout import find_scans
 from salsanext_cli.results.selection import evenly_spaced

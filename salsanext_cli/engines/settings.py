@@ -33,7 +33,7 @@ class NetworkSettings:
     # Whether a view and a mounting that differ much from the sensor's are those of the scans; None:
     # if no sensor is named
     fit: bool | None = None
-    # {"auto", "match", "raw", "none"}: as `scan_fit.fitted` takes it; "auto" matches where the
+    # {"auto", "match", "raw", "none"}: as `fit_network` takes it; "auto" matches where the
     # weights know their quantiles
     intensity: str = "auto"
     # Whether the batch norm is to be adapted to the scans, as `adaptation.network_of_run` does
