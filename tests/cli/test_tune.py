@@ -66,13 +66,12 @@ def typed(run, monkeypatch):
     def call(what, *arguments):
         seen = {}
 
-        def stage(source, target, **settings):
-            assert (source, target) == (Path("data"), Path("w.safetensors"))
+        def stage(part, source, target, **settings):
+            assert (part, source, target) == (what, Path("data"), Path("w.safetensors"))
             seen.update(settings)
             raise InterruptedError
 
-        module = f"salsanext_cli.stages.tune_{what}"
-        monkeypatch.setattr(f"{module}.tune_{what}", stage)
+        monkeypatch.setattr("salsanext_cli.stages.tune.tune", stage)
         result = run("tune", what, "data", "w.safetensors", *arguments)
         assert isinstance(result.exception, InterruptedError), result.output
         return seen
