@@ -12,6 +12,7 @@ from typing import Any, TypeVar
 from salsanext_cli.engines.network import Network
 from salsanext_cli.engines.settings import NetworkSettings
 from salsanext_cli.errors import NOTICE, SalsanextError, UsageError, counted
+from salsanext_cli.fitting.scan_checks import check_scan
 from salsanext_cli.fitting.view_fit import fit_ego, fit_view, view_text
 from salsanext_cli.formats import read_scan
 from salsanext_cli.geometry.intensity import NO_INTENSITY, intensity_quantiles
@@ -93,7 +94,7 @@ class ScanSample:
         return [] if self.image_of else _usable(lambda file: _read(file, self.sensor), self.files)
 
     def images(self, sensor: Sensor) -> list[Float]:
-        """Range images (5, H, W) float32 of the scans, for a view."""
+        """Range images (5, H, W) float32, for a view, of the scans that would get labels."""
         view = sensor.view()
         for known, images in self._images:
             if known == view:
@@ -101,9 +102,14 @@ class ScanSample:
         if self.image_of:
             images = _usable(self.image_of, self.files)
         else:
-            images = _usable(lambda scan: project(scan, sensor).channels, self.scans)
+            images = _usable(lambda scan: _checked_image(scan, sensor), self.scans)
         self._images = [(view, images)]
         return images
+
+
+def _checked_image(scan: Scan, sensor: Sensor) -> Float:
+    check_scan(Path(), scan, sensor)
+    return project(scan, sensor).channels
 
 
 def _usable(function: Callable[[Any], Result], items: Iterable[Any]) -> list[Result]:

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from scans import SMALL
 
 from salsanext_cli import Scan, read_scan, sensor
-from salsanext_cli.fitting import mixed_sensors as module
+from salsanext_cli.fitting import findings as module
 from salsanext_cli.fitting.findings import ScanCheck, ScanTraits, mixed_sensors
 from salsanext_cli.fitting.scan_checks import check_scan
 from salsanext_cli.measures.scan_summary import RunSummary, ScanSummary

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""What fitting one part of the weights starts from, and what comes of it."""
+"""Scans that one part of the weights is fitted to, and the part that comes of it."""
 
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
