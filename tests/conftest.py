@@ -86,12 +86,7 @@ def once_predicted(tmp_path_factory: pytest.TempPathFactory, weights: Path) -> "
     """Keep a world with predictions."""
     from world import Kept, World
 
-    from salsanext_cli.stages.predict import predict_scans
-
-    def predict(world: World) -> None:
-        predict_scans(world.data, world.out, network=world.network)
-
-    return Kept(tmp_path_factory.mktemp("predicted"), weights, predict)
+    return Kept(tmp_path_factory.mktemp("predicted"), weights, World.predict)
 
 
 @pytest.fixture

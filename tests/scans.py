@@ -12,7 +12,7 @@ from torch import nn
 
 from salsanext_cli import LabelSpace, Scan, Sensor, label_space, write_labels
 from salsanext_cli.network.card import WeightsCard
-from salsanext_cli.network.salsanext import SalsaNext
+from salsanext_cli.network.registry import build
 from salsanext_cli.network.weights import save_weights
 from salsanext_cli.results.owned_folder import FILE_LISTS
 from salsanext_cli.results.point_files import write_bin, write_ply
@@ -104,9 +104,9 @@ def write_weights(
 ) -> Path:
     """Write a weights file of a random network."""
     space = space or label_space()
-    numbers = {"class_count": space.class_count, "dropout": dropout}
-    card = WeightsCard({"name": "salsanext", **numbers}, space, sensor, description="random")
-    save_weights(path, lively(SalsaNext(**numbers), seed), card)
+    architecture = {"name": "salsanext", "class_count": space.class_count, "dropout": dropout}
+    card = WeightsCard(architecture, space, sensor, description="random")
+    save_weights(path, lively(build(architecture), seed), card)
     return path
 
 

@@ -12,6 +12,7 @@ from scans import write_sequence
 from salsanext_cli import read_labels, write_labels
 from salsanext_cli.engines.settings import NetworkSettings
 from salsanext_cli.results.layout import SUFFIX_OF_FOLDER
+from salsanext_cli.stages.predict import predict_scans
 
 
 @dataclass
@@ -39,6 +40,10 @@ class World:
 
     def labels(self, sequence: str = "08", stem: str = "000000") -> np.ndarray:
         return read_labels(self.result("predictions", sequence, stem))
+
+    def predict(self) -> None:
+        """Leave predictions for every scan."""
+        predict_scans(self.data, self.out, network=self.network)
 
     def predict_by_hand(self, raw: int = 10, count: int = 1500) -> None:
         """Leave predictions of unknown origin for every scan."""

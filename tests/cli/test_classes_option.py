@@ -38,22 +38,6 @@ def test_the_way_of_a_user(run, data, weights, tmp_path):
     assert merged["scores"] == found["scores"]
 
 
-def test_a_file_that_merges(run, data, weights, tmp_path):
-    space = label_space().to_dict()
-    train = {raw: min(i, 1) + (i > 8) for raw, i in space["learning_map"].items()}
-    two = space | {"learning_map": train, "learning_map_inv": {0: 0, 1: 10, 2: 40}}
-    two["labels"] = space["labels"] | {10: "thing", 40: "stuff"}
-    two["learning_ignore"] = {0: True}
-    del two["split"]
-    (tmp_path / "two.yaml").write_text(yaml.safe_dump(two | {"name": "two"}))
-    more = ("--weights", weights, "--device", "cpu", "--classes", tmp_path / "two.yaml")
-    assert run("predict", data, tmp_path / "out", *more).exit_code == 0
-    found = only_json(run("eval", tmp_path / "out", "--split", "valid", "--json", "-q"))
-    assert found["classes"] == ["unlabeled", "thing", "stuff"]
-    assert found["scans"] == 2
-
-
-@pytest.mark.parametrize("command", ["predict", "uncertainty"])
 @pytest.mark.parametrize(
     ("classes", "message"),
     [
@@ -63,7 +47,7 @@ def test_a_file_that_merges(run, data, weights, tmp_path):
     ],
 )
 def test_what_is_no_merging_is_one_line(
-    run, data, weights, tmp_path, monkeypatch, command, classes, message
+    run, data, weights, tmp_path, monkeypatch, classes, message
 ):
     monkeypatch.chdir(tmp_path)
     space = label_space().to_dict() | {"name": "split"}
@@ -71,7 +55,7 @@ def test_what_is_no_merging_is_one_line(
     (tmp_path / "split.yaml").write_text(yaml.safe_dump(space))
     few = {"labels": {0: "a", 10: "b"}, "learning_map": {0: 0, 10: 1}}
     (tmp_path / "few.yaml").write_text(yaml.safe_dump(few | {"learning_map_inv": {0: 0, 1: 10}}))
-    result = run(command, data, "out", "--weights", weights, "--classes", classes)
+    result = run("predict", data, "out", "--weights", weights, "--classes", classes)
     assert result.exit_code == 2
     assert result.stderr.startswith(message)
     assert result.stderr.count("\n") == 1

@@ -5,19 +5,16 @@ import inspect
 import json
 from dataclasses import replace
 from pathlib import Path
-from typing import Annotated, get_args
+from typing import Annotated
 
 import pytest
 from command_line import every_command, only_json, parsed
 from scans import SMALL, labels_below, write_weights
 
-from salsanext_cli.cli import options, run_options, selection_options
-from salsanext_cli.cli.console import Output
+from salsanext_cli.cli import options, selection_options
 from salsanext_cli.cli.option_groups import Default, Without, expanded
 from salsanext_cli.errors import UsageError
 from salsanext_cli.network.card import default_weights
-from salsanext_cli.parallel.options import BACKENDS, RunOptions
-from salsanext_cli.parallel.shards import Shard
 
 SHARDED = {"project", "predict", "knn-refine", "uncertainty", "picture", "export-ply"}
 
@@ -76,17 +73,6 @@ def test_where_results_are_looked_for(monkeypatch, given, variable, expected):
     assert selection_options.Results(**given).folder() == Path(expected)
     with pytest.raises(UsageError, match="OUT and --out · both given"):
         selection_options.Results(Path("a"), Path("a")).folder()
-
-
-def test_the_options_of_a_run():
-    for on_error in ("skip", "stop"):
-        for backend, scheduler in (("threading", None), ("dask", "tcp://here:8786")):
-            running = run_options.Running(4, backend, scheduler, "2/3", True, on_error)
-            with running.over_scans("predict", Output(quiet=True)) as run:
-                assert run == RunOptions(
-                    4, on_error, True, None, backend, scheduler, shard=Shard(2, 3)
-                )
-    assert get_args(run_options.Backend) == BACKENDS
 
 
 def test_results_over_all_scans_cannot_be_sharded():

@@ -22,10 +22,3 @@ def test_json_and_exit_status(run, data, tmp_path, weights):
     assert result["picked"][0]["distance"] is None
     assert [failure["code"] for failure in result["failures"]] == ["format"]
     assert "000002.bin" in found.stderr
-
-
-def test_wrong_numbers_and_names(run, data, tmp_path):
-    for wrong in (("--count", 0), ("--strategy", "best"), ("--seed", -1)):
-        assert run("pick", data, tmp_path / "out", *wrong).exit_code == 2
-    assert run("pick", data, data).exit_code == 2
-    assert run("pick", data).exit_code == 2

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from scans import SMALL, make_scan, write_sequence
+from scans import SMALL, write_sequence
 from tiny_network import TinyNetwork
 
 from salsanext_cli import Scan, read_scan
@@ -155,14 +155,6 @@ def test_sequences_of_two_sensors(dataset):
     assert inspected["remedy"] == f"give 08 and 00 as SCANS of their own, such as {folder}"
     # There is no such option.
     assert warning["remedy"] == "put the scans of each sensor into a folder of their own"
-
-
-def test_scans_of_two_sensors_in_one_folder(tmp_path):
-    for number in range(5):
-        write_bin(tmp_path / f"scans/{number}.bin", make_scan(4000 if number else 800, number))
-    (warning,) = inspect(tmp_path / "scans", sensor=SMALL).warnings
-    assert (warning["code"], warning["scans"]) == ("mixed-sensors", ["scans/0"])
-    assert "a folder of their own" in warning["remedy"]
 
 
 def test_what_was_found_is_told_by_later_runs_too(dataset):

@@ -205,19 +205,3 @@ def test_foreign_files_stay(world, name):
     with pytest.raises(OutputError, match=rf"{name} · .*and is kept"):
         world.evaluate(by_distance=True)
     assert files_below(world.out) == before
-
-
-@pytest.mark.parametrize("linked", [False, True])
-def test_files_of_eval_that_were_changed_stay(world, tmp_path, linked):
-    world.add("000000", [CAR], [CAR])
-    world.evaluate()
-    path = world.out / "scores.txt"
-    if linked:
-        path.rename(tmp_path / "kept.txt")
-        path.symlink_to(tmp_path / "kept.txt")
-    else:
-        path.write_text(path.read_text() + "# seen by me\n")
-    before = files_below(world.out)
-    with pytest.raises(OutputError, match=r"scores\.txt · .*and is kept"):
-        world.evaluate()
-    assert files_below(world.out) == before

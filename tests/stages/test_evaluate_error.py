@@ -2,11 +2,10 @@
 """Evaluation of the kind of uncertainty that is a probability of error."""
 
 import json
-import re
 
 import numpy as np
 import pytest
-from evaluated import CAR, ROAD, SPACE, World
+from evaluated import CAR, ROAD, World
 from hypothesis import given
 from hypothesis import strategies as st
 from rich.console import Console, Group
@@ -100,36 +99,3 @@ def test_threshold_is_of_the_error_else_of_the_entropy(world, truth, error, entr
     kept = world.evaluate().uncertainty.kept
     assert (kept and kept.kind) == kind
     assert ("kept" in json.loads((world.out / "eval.json").read_text())) == (kind is not None)
-
-
-@pytest.mark.parametrize(
-    ("values", "says"),
-    [
-        ([0.5, 1.5], "below 0 or above 1 at 1 of 2 points · expected numbers from 0 to 1, or NaN"),
-        ([-0.1, -0.5], "below 0 or above 1 at 2 of 2 points"),
-        ([0.5, np.inf], "below 0 or above 1 at 1 of 2 points"),
-        ([0.5, 0.5, 0.5], r"float32 \(2\)"),
-    ],
-)
-def test_impossible_errors_are_named_and_the_other_scans_scored(world, values, says):
-    for stem in ("000000", "000001"):
-        world.add(stem, [CAR, ROAD], [CAR, CAR])
-        world.put("uncertainty/error", stem, [0.25, 0.5])
-    world.put("uncertainty/error", "000001", values)
-    evaluation = world.evaluate()
-    assert evaluation.scans == 1
-    (failure,) = evaluation.failures
-    assert failure.code == "format"
-    assert re.search(says, failure.reason)
-
-
-def test_report_does_not_depend_on_jobs(world):
-    random = np.random.default_rng(0)
-    for i in range(4):
-        world.add(f"{i:06d}", [CAR] * 50, random.choice([CAR, ROAD], 50))
-        world.put("uncertainty/error", f"{i:06d}", random.random(50))
-    world.evaluate()
-    once = (world.out / "eval.json").read_bytes()
-    evaluation = world.evaluate(jobs=2)
-    assert (world.out / "eval.json").read_bytes() == once
-    assert evaluation.uncertainty.to_dict(SPACE)["uncertainty"]["error"]["ece"] > 0

@@ -198,6 +198,7 @@ BAD = {
     "probabilities": (np.full((2, 3), 1 / 3, np.float16), r"float16 \(2, 20\)"),
     "uncertainty/entropy": (np.float32([0.1, -0.1]), "negative or infinite at 1 of 2 points"),
     "uncertainty/total": (np.array([0.1, 0.2]), "<f8"),
+    "uncertainty/error": (np.float32([0.5, 1.5]), "below 0 or above 1 at 1 of 2 points"),
 }
 
 

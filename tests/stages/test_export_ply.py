@@ -42,7 +42,7 @@ def sample(world):
     uncertainty(world.data, world.out, network=world.network, estimator=FEW)
 
 
-@pytest.fixture(scope="session")
+@pytest.fixture(scope="module")
 def once_sampled(tmp_path_factory, weights):
     return Kept(tmp_path_factory.mktemp("sampled"), weights, sample)
 

@@ -149,8 +149,6 @@ def test_a_threshold_without_errors_says_how_to_get_them(known):
     [
         (np.float32([0.5] * 3), r"float32 \(3\)"),
         (np.full(COUNT, 1.5, np.float32), "below 0 or above 1 at 1500 of 1500 points"),
-        (np.full(COUNT, -0.5, np.float32), "below 0 or above 1"),
-        (np.full(COUNT, 0.5), "<f8"),
     ],
 )
 def test_impossible_errors_reject_nothing_and_are_named(known, values, says):

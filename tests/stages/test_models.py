@@ -1,9 +1,6 @@
 # SPDX-License-Identifier: MIT
 import hashlib
 
-import pytest
-
-from salsanext_cli.errors import WeightsError
 from salsanext_cli.stages.models import describe_weights
 
 
@@ -17,8 +14,3 @@ def test_what_weights_say_of_themselves(weights):
     assert said["label_space"] == "semantic-kitti"
     assert said["classes"][1] == "car"
     assert (said["sensor"]["height"], said["sensor"]["width"]) == (16, 128)
-
-
-def test_no_weights(tmp_path):
-    with pytest.raises(WeightsError, match="no such file"):
-        describe_weights(tmp_path / "none.safetensors")

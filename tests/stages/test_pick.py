@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 import yaml
 from scans import SMALL, files_below, make_scan, replace_points, write_sequence, write_weights
+from world import Kept
 
 from salsanext_cli import label_space, load_network, read_labels, read_scan, write_labels
 from salsanext_cli.errors import NOTICE, NoInputError, OutputError, UsageError, WeightsError
@@ -26,10 +27,31 @@ from salsanext_cli.uncertainty.scan_description import describe_scan, label_samp
 PASSES = {"samples": 2, "seed": 0}
 
 
+@pytest.fixture(autouse=True, scope="module")
+def few_samples():
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("salsanext_cli.stages.pick.SAMPLES", PASSES["samples"])
+        yield
+
+
 @pytest.fixture
-def drive(world, monkeypatch):
+def drive(world):
     """Return the world with a drive of six scans, no two of them equal, with poses."""
-    monkeypatch.setattr("salsanext_cli.stages.pick.SAMPLES", PASSES["samples"])
+    return with_drive(world)
+
+
+@pytest.fixture(scope="module")
+def once_picked(tmp_path_factory, weights, few_samples):
+    return Kept(tmp_path_factory.mktemp("picked"), weights, lambda world: run(with_drive(world)))
+
+
+@pytest.fixture
+def picked(once_picked):
+    """Return the drive, three scans of which are picked."""
+    return once_picked.anew()
+
+
+def with_drive(world):
     sequence = world.data / "sequences/08"
     write_sequence(sequence, [f"{10 * i:06d}" for i in range(6)], labels=False, seed=20)
     (sequence / "velodyne/000001.bin").unlink()
@@ -40,7 +62,7 @@ def drive(world, monkeypatch):
 
 
 def run(world, source=None, out=None, *, jobs=1, overwrite=False, **how):
-    options = RunOptions(jobs=jobs, overwrite=overwrite)
+    options = RunOptions(jobs=jobs, backend="threading", overwrite=overwrite)
     given = {"network": world.network, "count": 3} | how
     return pick(source or world.data, out or world.out, options=options, **given)
 
@@ -69,29 +91,29 @@ def test_what_is_chosen_is_what_the_descriptions_say(drive):
     ]
 
 
-def test_the_data_set_is_ready_to_label(drive):
-    found = run(drive)
-    network, space = drive.network.load(), label_space()
+def test_the_data_set_is_ready_to_label(picked):
+    found = run(picked)
+    network, space = picked.network.load(), label_space()
     stems = sorted(each.scan for each in found.picked)
     for folder, suffix in (("velodyne", "bin"), ("labels", "label"), ("ply", "ply")):
-        assert of_folder(drive, folder) == [f"{stem}.{suffix}" for stem in stems]
-    poses = (drive.out / "sequences/08/poses.txt").read_text().splitlines()
+        assert of_folder(picked, folder) == [f"{stem}.{suffix}" for stem in stems]
+    poses = (picked.out / "sequences/08/poses.txt").read_text().splitlines()
     assert poses == [f"{int(stem) // 10} 0 0" for stem in stems]
-    assert (drive.out / "sequences/08/calib.txt").read_text() == "Tr: 1 0 0\n"
-    scans = find_scans(drive.out)
+    assert (picked.out / "sequences/08/calib.txt").read_text() == "Tr: 1 0 0\n"
+    scans = find_scans(picked.out)
     assert [scan.stem for scan in scans] == stems
     for scan in scans:
-        source = drive.scan("08", scan.stem)
+        source = picked.scan("08", scan.stem)
         assert scan.path.read_bytes() == source.read_bytes()
-        original = next(s for s in find_scans(drive.data) if s.stem == scan.stem)
+        original = next(s for s in find_scans(picked.data) if s.stem == scan.stem)
         expected, _ = label_sampled(original, network, **PASSES)
         raw = read_labels(scan.label_path, len(expected.scan))
         np.testing.assert_array_equal(raw, space.to_raw(expected.labels))
-    written = label_space(drive.out / "labels.yaml")
+    written = label_space(picked.out / "labels.yaml")
     assert written.fits(space)
     assert written.splits == {"train": ("08",), "valid": (), "test": ()}
-    assert (drive.out / "picked.png").read_bytes().startswith(b"\x89PNG")
-    lines = (drive.out / "picked.csv").read_text().splitlines()
+    assert (picked.out / "picked.png").read_bytes().startswith(b"\x89PNG")
+    lines = (picked.out / "picked.csv").read_text().splitlines()
     assert [line.split(",")[2] for line in lines[1:]] == [each.scan for each in found.picked]
 
 
@@ -143,36 +165,34 @@ def test_workers_and_order_change_nothing(drive, tmp_path):
     assert files_below(alone) == files_below(many)
 
 
-def test_a_second_run_leaves_everything_and_says_the_same(drive):
-    first = run(drive)
-    before = files_below(drive.out)
-    labels = next((drive.out / "sequences/08/labels").iterdir())
+def test_a_second_run_leaves_everything_and_says_the_same(picked):
+    first = run(picked)
+    before = files_below(picked.out)
+    labels = next((picked.out / "sequences/08/labels").iterdir())
     write_labels(labels, read_labels(labels) * 0 + 10)
-    again = run(drive)
+    again = run(picked)
     assert again.picked == first.picked
     assert (again.outcome.skipped, again.outcome.done) == (3, 0)
-    after = files_below(drive.out)
-    name = str(labels.relative_to(drive.out))
+    after = files_below(picked.out)
+    name = str(labels.relative_to(picked.out))
     assert {key for key in before if before[key] != after[key]} == {name}
 
 
-def test_what_is_missing_is_written_and_what_is_there_stays(drive):
-    run(drive)
-    before = files_below(drive.out)
-    edited, lost = list((drive.out / "sequences/08/labels").iterdir())[:2]
+def test_what_is_missing_is_written_and_what_is_there_stays(picked):
+    before = files_below(picked.out)
+    edited, lost = list((picked.out / "sequences/08/labels").iterdir())[:2]
     write_labels(edited, read_labels(edited) * 0 + 10)
-    (drive.out / "labels.yaml").write_text("mine\n")
-    kept = files_below(drive.out)
+    (picked.out / "labels.yaml").write_text("mine\n")
+    kept = files_below(picked.out)
     lost.unlink()
-    (drive.out / "picked.png").unlink()
-    assert run(drive).outcome.done == 3
-    assert files_below(drive.out) == kept
+    (picked.out / "picked.png").unlink()
+    assert run(picked).outcome.done == 3
+    assert files_below(picked.out) == kept
     assert kept.keys() == before.keys()
 
 
-def test_other_settings_need_another_folder_or_overwrite(drive):
-    run(drive)
-    before = files_below(drive.out)
+def test_other_settings_need_another_folder_or_overwrite(picked):
+    before = files_below(picked.out)
     for how, difference in (
         ({"count": 4}, "count was 3 and is 4"),
         ({"seed": 1}, "seed was 0 and is 1"),
@@ -180,39 +200,37 @@ def test_other_settings_need_another_folder_or_overwrite(drive):
         ({"selection": ScanSelection(limit=5)}, 'scans was "6, .*and is "5, '),
     ):
         with pytest.raises(OutputError, match=difference):
-            run(drive, **how)
-    assert files_below(drive.out) == before
-    found = run(drive, strategy="random", count=2, overwrite=True)
+            run(picked, **how)
+    assert files_below(picked.out) == before
+    found = run(picked, strategy="random", count=2, overwrite=True)
     stems = sorted(each.scan for each in found.picked)
     for folder in ("velodyne", "labels", "ply"):
-        assert [name.partition(".")[0] for name in of_folder(drive, folder)] == stems
-    assert len((drive.out / "sequences/08/poses.txt").read_text().splitlines()) == 2
+        assert [name.partition(".")[0] for name in of_folder(picked, folder)] == stems
+    assert len((picked.out / "sequences/08/poses.txt").read_text().splitlines()) == 2
 
 
-def test_files_that_were_changed_are_never_replaced(drive):
-    run(drive)
-    labels = next((drive.out / "sequences/08/labels").iterdir())
+def test_files_that_were_changed_are_never_replaced(picked):
+    labels = next((picked.out / "sequences/08/labels").iterdir())
     first_guess = labels.read_bytes()
     for change in (
         lambda: labels.write_bytes(first_guess[::-1]),
         # Other commands that write labels there record them as written by salsanext.
-        lambda: OwnedFolder(drive.out).write(labels, first_guess[::-1]),
+        lambda: OwnedFolder(picked.out).write(labels, first_guess[::-1]),
     ):
         change()
-        before = files_below(drive.out)
+        before = files_below(picked.out)
         for how in ({}, {"count": 2}):
             with pytest.raises(OutputError, match=r"\.label · was changed"):
-                run(drive, overwrite=True, **how)
-        assert files_below(drive.out) == before
-    OwnedFolder(drive.out).write(labels, first_guess)
-    assert len(run(drive, count=2, overwrite=True).picked) == 2
+                run(picked, overwrite=True, **how)
+        assert files_below(picked.out) == before
+    OwnedFolder(picked.out).write(labels, first_guess)
+    assert len(run(picked, count=2, overwrite=True).picked) == 2
 
 
-def test_imported_labels_are_never_replaced(drive):
-    run(drive)
-    (drive.out / "import-labels.json").write_text("{}\n")
+def test_imported_labels_are_never_replaced(picked):
+    (picked.out / "import-labels.json").write_text("{}\n")
     with pytest.raises(OutputError, match="labels were imported"):
-        run(drive, overwrite=True)
+        run(picked, overwrite=True)
 
 
 def test_what_is_cut_off_leaves_no_guess_unrecorded_and_is_finished_later(drive, monkeypatch):
@@ -352,9 +370,8 @@ def test_names_that_are_no_text(drive, tmp_path):
     assert run(drive, tmp_path / name).outcome.skipped == 3
 
 
-def test_a_damaged_record(drive):
-    run(drive)
-    path = drive.out / "pick.json"
+def test_a_damaged_record(picked):
+    path = picked.out / "pick.json"
     record = json.loads(path.read_text())
     for damage in (
         {"picked": [{"rank": 1}]},
@@ -365,24 +382,24 @@ def test_a_damaged_record(drive):
     ):
         path.write_text(json.dumps(record | damage))
         with pytest.raises(OutputError, match="not what `pick` writes"):
-            run(drive)
+            run(picked)
     del record["failures"]
     path.write_text(json.dumps(record))
     with pytest.raises(OutputError, match="not what `pick` writes"):
-        run(drive)
+        run(picked)
 
 
-def test_scans_that_are_labelled_already_are_not_picked_again(drive, tmp_path):
-    first = run(drive)
-    more = run(drive, out=tmp_path / "more", labelled=[drive.out])
+def test_scans_that_are_labelled_already_are_not_picked_again(picked, tmp_path):
+    first = run(picked)
+    more = run(picked, out=tmp_path / "more", labelled=[picked.out])
     assert {*names(more)} == {
-        file.sequence + "/" + file.stem for file in find_scans(drive.data)
+        file.sequence + "/" + file.stem for file in find_scans(picked.data)
     } - {*names(first)}
     assert more.picked[0].nearest in names(first)
     with pytest.raises(NoInputError, match="every scan is labelled already"):
-        run(drive, out=tmp_path / "none", labelled=[drive.out, tmp_path / "more"])
+        run(picked, out=tmp_path / "none", labelled=[picked.out, tmp_path / "more"])
     # Nothing is left to pick if the others cannot be read.
     for name in names(more):
-        (drive.data / "sequences/08/velodyne" / f"{name.split('/')[1]}.bin").write_bytes(b"short")
-    nothing = run(drive, out=tmp_path / "none", labelled=[drive.out])
+        (picked.data / "sequences/08/velodyne" / f"{name.split('/')[1]}.bin").write_bytes(b"short")
+    nothing = run(picked, out=tmp_path / "none", labelled=[picked.out])
     assert (nothing.picked, len(nothing.outcome.failures)) == ((), 3)

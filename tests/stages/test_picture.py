@@ -218,10 +218,3 @@ def test_settings_that_mean_nothing(labelled, options, message):
     with pytest.raises(UsageError, match=message):
         draw(labelled, **options)
     assert not (labelled.out / "picture.json").exists()
-
-
-def test_without_ffmpeg_nothing_is_drawn(labelled, monkeypatch):
-    monkeypatch.setenv("PATH", "")
-    with pytest.raises(UsageError, match="--mp4 · no ffmpeg found"):
-        draw(labelled, animations=["gif", "mp4"])
-    assert not pngs(labelled)

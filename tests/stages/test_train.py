@@ -253,20 +253,6 @@ def test_files_that_no_training_wrote_are_not_replaced(dataset, tmp_path):
                 OwnedFolder(theirs.parent).write(theirs, before)
 
 
-def test_overwrite_follows_no_link_and_keeps_pictures_of_others(dataset, tmp_path, caplog):
-    run, elsewhere = tmp_path / "run", tmp_path / "elsewhere"
-    go(dataset, run, recipe=TINY.with_changes(epochs=1))
-    (run / "samples/epoch-001.png").unlink()
-    (run / "samples/epoch-007.png").write_text("mine")
-    (run / "samples").rename(elsewhere)
-    (run / "samples").symlink_to(elsewhere)
-    (elsewhere / "epoch-008.png").write_text("mine")
-    go(dataset, run, recipe=TINY.with_changes(epochs=1), overwrite=True)
-    assert (elsewhere / "epoch-007.png").read_text() == "mine"
-    assert (elsewhere / "epoch-008.png").read_text() == "mine"
-    assert "epoch-008.png" in caplog.text
-
-
 def test_rare_classes_and_weights_come_from_the_training_split(dataset, tmp_path, monkeypatch):
     labels = np.full(1800, 40, np.uint32)
     labels[:10] = 30  # person: 10 of 1800 points
@@ -447,10 +433,3 @@ def test_a_training_on_two_data_sets_can_be_interrupted(dataset, further, tmp_pa
     parts = go(dataset, tmp_path / "parts", **given)
     require_same(whole, parts)
     assert not same(whole.last, go(dataset, tmp_path / "alone", recipe=OTHERWISE).last)
-
-
-def test_a_further_data_set_without_labels_is_named(dataset, further, tmp_path):
-    label = next(further.glob("sequences/00/labels/*.label"))
-    label.unlink()
-    with pytest.raises(LabelError, match=f"{label.name} · no such file"):
-        go(dataset, tmp_path / "run", also=[further], progress=no_step)

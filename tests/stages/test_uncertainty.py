@@ -57,11 +57,9 @@ def test_the_same_whatever_the_order_and_company(world, tmp_path):
     run(world)
     alone = tmp_path / "alone"
     run(world, world.scan("08", "000001"), alone)
-    everything = files_below(world.out)
-    for name, content in files_below(alone).items():
-        if name.endswith((".npy", ".label")):
-            assert everything[name] == content
-    assert len(files_below(alone)) == len(KINDS) + 3
+    found = {n: c for n, c in files_below(alone).items() if n.endswith((".npy", ".label"))}
+    assert found.items() <= files_below(world.out).items()
+    assert len(found) == len(KINDS) + 1
 
 
 def test_another_seed_or_number_of_passes_is_refused(world):
