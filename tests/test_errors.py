@@ -13,7 +13,6 @@ from salsanext_cli.errors import (
     FormatError,
     OutputError,
     SalsanextError,
-    counted,
     escaped,
     printable,
 )
@@ -47,13 +46,6 @@ def test_every_kind_has_its_own_documented_code():
     codes = set(re.findall(r"`([a-z-]+)`", table)) - {"interrupted", "terminated"}
     assert codes == {kind.code for kind in kinds}
     assert len(codes) == len(kinds)
-
-
-@pytest.mark.parametrize(
-    ("count", "said"), [(0, "0 scans"), (1, "1 scan"), (2, "2 scans"), (20_351, "20,351 scans")]
-)
-def test_counts_agree_with_their_noun(count, said):
-    assert counted(count, "scan") == said
 
 
 def test_the_drawn_tree_is_the_tree():

@@ -3,7 +3,6 @@
 
 import io
 import json
-import subprocess
 import sys
 from dataclasses import replace
 from pathlib import Path
@@ -110,14 +109,6 @@ def test_a_process_that_fails_or_dies_is_named(monkeypatch, tmp_path, capfd):
         turn.take_turn("product", "knn", task, Path("0.bin"))
 
 
-def test_a_turn_ends_with_the_process_that_started_it(tmp_path, weights):
-    write_bin(tmp_path / "0.bin", make_scan())
-    task = {"weights": str(weights), "device": "cpu", "sensor": SMALL.to_dict(), "passes": 10**6}
-    command = (turn.__file__, "baseline", "uncertainty", json.dumps({**task, "parent": 0}))
-    words = [sys.executable, *command, str(tmp_path / "0.bin")]
-    assert subprocess.run(words, timeout=60, check=False).returncode == 1
-
-
 @pytest.mark.parametrize(
     "device",
     [
@@ -154,13 +145,3 @@ def test_the_script_prints_a_table_and_writes_all(tmp_path, weights, capsys):
     assert 0 < knn["share_of_ceiling"] < 1
     assert help_["baseline"] is None
     assert "times as fast" in capsys.readouterr().out
-
-
-@pytest.mark.parametrize(
-    "option", [("--rounds", 0), ("--threads", 0), ("--parts", ""), ("--parts", "knn,nets")]
-)
-def test_a_wrong_option(tmp_path, option, capsys):
-    write_bin(tmp_path / "000000.bin", make_scan())
-    with pytest.raises(SystemExit):
-        speed.main(str(tmp_path), *map(str, option))
-    assert f"{option[0]} · " in capsys.readouterr().err

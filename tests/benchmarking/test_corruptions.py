@@ -8,13 +8,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from scans import make_scan, write_sequence
+from scans import write_sequence
 from typer.testing import CliRunner
 
 from salsanext_cli import read_labels, read_scan
 from salsanext_cli.cli.app import app
-from salsanext_cli.records import Scan
-from salsanext_cli.results.point_files import write_bin
 
 BENCHMARKS = Path(__file__).parents[2] / "benchmarks"
 SHARES = r"nan|\d+\.\d"
@@ -99,33 +97,3 @@ def test_error_and_other_kinds_have_columns(data, tmp_path, weights, commands, c
     assert commands == ["predict", "uncertainty", "eval"] * 2
     assert [len(cell) for cell in found["crosstalk 2"]] == [1, 1, 1, 2, 2, 2, 2, 2, 2, 2, 4]
     assert not (tmp_path / "folder/clean/data/sequences/01").exists()
-
-
-def test_results_of_other_settings_are_refused(data, tmp_path, weights, commands):
-    folder = tmp_path / "folder"
-    some = ("--weights", weights, "--corruptions", "wet ground", "--severities", 1)
-    run(data, folder, *some)
-    with pytest.raises(SystemExit, match=r"^error: .*corruptions.json · other seed · give another"):
-        run(data, folder, *some, "--seed", 1)
-    with pytest.raises(SystemExit, match="other scans · "):
-        run(data, folder, *some, "--sequences", "00")
-    assert commands == ["predict", "eval"] * 2
-
-
-def test_bad_data_sets(data, tmp_path, weights, commands):
-    some = ("--weights", weights)
-    scan = make_scan()
-    write_bin(data / "sequences/00/velodyne/0.bin", Scan(scan.points, scan.intensity * 255))
-    with pytest.raises(SystemExit, match=r"0.bin · intensity above 1 · "):
-        run(data, tmp_path / "folder", *some)
-    (data / "labels.yaml").write_text(
-        "labels: {0: a, 1: b}\nlearning_map: {0: 0, 1: 1}\n"
-        "learning_map_inv: {0: 0, 1: 1}\nlearning_ignore: {0: true, 1: false}\n"
-    )
-    with pytest.raises(SystemExit, match=r"data · raw ids of other classes · "):
-        run(data, tmp_path / "other", *some)
-    for label in data.rglob("*.label"):
-        label.unlink()
-    with pytest.raises(SystemExit, match=r"data · no labels · "):
-        run(data, tmp_path / "none", *some)
-    assert not commands

@@ -56,25 +56,6 @@ def test_the_error_of_an_unknown_sensor_lists_auto_where_that_is_one():
         options.sensor("atuo")
 
 
-@pytest.mark.parametrize(
-    ("given", "variable", "expected"),
-    [
-        ({}, None, "out"),
-        ({}, "", "out"),
-        ({}, "v", "v"),
-        ({"out": Path("a")}, "v", "a"),
-        ({"out_option": Path("b")}, "v", "b"),
-    ],
-)
-def test_where_results_are_looked_for(monkeypatch, given, variable, expected):
-    monkeypatch.delenv(selection_options.OUT_VARIABLE, raising=False)
-    if variable is not None:
-        monkeypatch.setenv(selection_options.OUT_VARIABLE, variable)
-    assert selection_options.Results(**given).folder() == Path(expected)
-    with pytest.raises(UsageError, match="OUT and --out · both given"):
-        selection_options.Results(Path("a"), Path("a")).folder()
-
-
 def test_results_over_all_scans_cannot_be_sharded():
     flags = {
         name: [flag for p in parsed(name).params for flag in p.opts] for name in every_command()

@@ -9,14 +9,7 @@ from contextlib import suppress
 import pytest
 
 from salsanext_cli.cli import progress as module
-from salsanext_cli.cli.progress import Lines, words_of_rate, words_of_seconds
-
-
-@pytest.mark.parametrize(
-    ("rate", "words"), [(12.34, "12.3 scans/s"), (1, "1.0 scans/s"), (0.25, "4.0 s/scan")]
-)
-def test_rates_read_well(rate, words):
-    assert words_of_rate(rate, "scans") == words
+from salsanext_cli.cli.progress import Lines, words_of_seconds
 
 
 def test_what_is_said_goes_above_the_bar():

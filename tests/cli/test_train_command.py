@@ -4,18 +4,15 @@ from pathlib import Path
 import pytest
 from command_line import only_json
 from scans import SMALL, write_sequence
-from tiny_network import TinyNetwork
 
 from salsanext_cli.cli import options
 from salsanext_cli.engines.device import has_bfloat16
 from salsanext_cli.network.card import read_card
-from salsanext_cli.network.registry import ARCHITECTURES
 from salsanext_cli.training.recipe import recipe
 
 
 @pytest.fixture(autouse=True)
-def _tiny(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(ARCHITECTURES, "salsanext", TinyNetwork)
+def small_sensor(tiny_training, monkeypatch):
     monkeypatch.setattr(options, "sensor", lambda name: SMALL)
 
 

@@ -143,14 +143,6 @@ def test_works_where_nothing_can_be_cached(kernel, tmp_path, monkeypatch, caplog
     assert len(caplog.records) == 1
 
 
-def test_without_a_home_there_is_no_cache_folder(monkeypatch):
-    monkeypatch.delenv("XDG_CACHE_HOME", raising=False)
-    monkeypatch.setattr(Path, "home", lambda: (_ for _ in ()).throw(RuntimeError("no home")))
-    assert cache_folder() == ""
-    # What other programs compile is kept elsewhere.
-    assert "salsanext" not in numba.config.CACHE_DIR
-
-
 def test_an_error_of_any_thread_is_raised_after_all_are_done():
     together, arrived, done = threading.Barrier(3, timeout=10), iter(range(3)), []
 

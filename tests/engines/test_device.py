@@ -18,12 +18,6 @@ def fresh():
         cache.cache_clear()
 
 
-@pytest.mark.parametrize("name", ["gpu", "cuda:99", "cuda:x", "mps", "meta", "", "cpu:banana"])
-def test_devices_that_are_not_there(name):
-    with pytest.raises(UsageError, match="device"):
-        choose_device(name)
-
-
 def test_devices_that_are():
     assert choose_device("cpu") == choose_device("cpu:0") == "cpu"
     assert choose_device("auto") == ("cuda" if torch.cuda.is_available() else "cpu")
@@ -71,12 +65,6 @@ def test_a_gpu_with_tensor_cores_takes_float16(monkeypatch, capability):
     monkeypatch.setattr(torch.cuda, "get_device_capability", lambda device: capability)
     expected = "float16" if capability >= (7, 0) else "float32"
     assert choose_precision("auto", "cuda") == expected
-
-
-@pytest.mark.parametrize("name", ["float16", "half", "", "int8"])
-def test_precisions_that_are_not_there(name):
-    with pytest.raises(UsageError, match="precision"):
-        choose_precision(name, "cpu")
 
 
 def test_engines():

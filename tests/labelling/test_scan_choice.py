@@ -7,7 +7,6 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from salsanext_cli.errors import UsageError
 from salsanext_cli.labelling.scan_choice import STRATEGIES, choose_scans, standardised
 
 GREEDY = [name for name in STRATEGIES if name != "random"]
@@ -154,16 +153,3 @@ def test_random_draws_by_the_seed():
     assert again == order(features, weights, 5, "random", 4)
     often = np.bincount([scan for draw in drawn for scan in draw], minlength=30)
     assert (often > 0).sum() > 20
-
-
-@pytest.mark.parametrize(
-    ("how", "message"),
-    [
-        ({"count": 0}, "--count · 0 · expected at least 1"),
-        ({"strategy": "best"}, "--strategy · best · expected one of both"),
-        ({"seed": -1}, "--seed · -1"),
-    ],
-)
-def test_what_cannot_be_chosen(how, message):
-    with pytest.raises(UsageError, match=message):
-        choose_scans(np.ones((2, 1)), [1, 2], **{"count": 1} | how)

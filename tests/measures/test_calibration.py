@@ -1,6 +1,5 @@
 # SPDX-License-Identifier: MIT
 import math
-from operator import iadd
 
 import numpy as np
 import pytest
@@ -112,15 +111,3 @@ def test_without_points_there_are_no_scores(count):
     assert (result.points, nothing.scans, nothing.left_out) == (0, 0, count)
     for name in ("confidence", "accuracy", "nll", "brier", "ece", "ace"):
         assert math.isnan(getattr(result, name)), name
-
-
-def test_arrays_that_do_not_fit_are_refused():
-    probabilities, truth = softmax(4, 10)
-    with pytest.raises(IndexError, match=r"\(10,\) \(9,\)"):
-        softmax_errors(probabilities, truth[:9])
-    errors = softmax_errors(probabilities, truth)
-    for group in (truth[:9], truth.astype(float), truth + C, truth - C):
-        with pytest.raises((IndexError, TypeError, ValueError)):
-            confidence_histogram(errors, group, C)
-    with pytest.raises(ValueError, match="4 and 5 groups"):
-        iadd(*(confidence_histogram(errors, truth, groups) for groups in (C, C + 1)))

@@ -53,8 +53,3 @@ def test_invalid_train_ids_are_refused_and_nothing_is_counted(truth, predicted, 
     with pytest.raises(ValueError, match=message):
         confusion.update(truth, predicted)
     assert not confusion.matrix.any()
-
-
-def test_counts_of_different_classes_do_not_add():
-    with pytest.raises(ValueError, match="3 and 4"):
-        Confusion(3) + Confusion(4)

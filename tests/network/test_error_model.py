@@ -39,12 +39,6 @@ def test_a_probability_is_that_of_a_slow_loop() -> None:
     assert np.isnan(found.probability(features)[3])
 
 
-def test_other_numbers_of_features_are_refused() -> None:
-    for count in (2, 4):
-        with pytest.raises(ValueError, match="not of"):
-            model().probability(np.zeros((5, count), "f4"))
-
-
 def test_certain_values_stay_between_0_and_1() -> None:
     sure = ErrorModel(("a",), [(np.array([[1]], "f4"), np.array([0], "f4"))])
     found = sure.probability(np.array([[-1e9], [0], [1e9]], "f4"))

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from works import Write, run, scans_of
 
-from salsanext_cli.errors import FormatError, UsageError, WorkersLost
+from salsanext_cli.errors import FormatError, WorkersLost
 from salsanext_cli.parallel.run import RunOptions, run_over_scans
 from salsanext_cli.parallel.tasks import one_by_one
 from salsanext_cli.parallel.worker import WORKER
@@ -83,22 +83,6 @@ def test_results_can_be_handed_on_as_they_come(tmp_path, options):
     assert sorted(seen) == seen
     assert seen[0] <= 1
     assert (outcome.done, len(outcome.failures)) == (3, 1)
-
-
-@pytest.mark.parametrize(
-    "options",
-    [
-        {"jobs": 0},
-        {"jobs": -2},
-        {"on_error": "panic"},
-        {"backend": "multiprocessing"},
-        {"scheduler": "tcp://here:1"},
-        {"scheduler": "tcp://here:1", "backend": "threading"},
-    ],
-)
-def test_options_that_are_none(options):
-    with pytest.raises(UsageError):
-        RunOptions(**options)
 
 
 @LOCAL

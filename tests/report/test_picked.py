@@ -6,7 +6,6 @@ from pathlib import Path
 
 import matplotlib.image
 import numpy as np
-import pytest
 from rich.console import Console
 from scans import SMALL, make_scan
 
@@ -27,7 +26,6 @@ from salsanext_cli.report.picked import (
     picked_scans,
     picked_sheet,
     picked_table,
-    reason,
 )
 from salsanext_cli.results.layout import ScanFile
 
@@ -35,34 +33,6 @@ SPACE = label_space()
 FILES = [ScanFile("$0$", f"[{i}]", Path(f"/s/[{i}].bin")) for i in range(3)]
 CHOICES = [Choice(2, 0.5, 1), Choice(0, 0.25, 3, 1.25, 2), Choice(1, 0.375, 2, 0.0, 0)]
 PICKED = picked_scans(CHOICES, FILES, "both")
-
-
-@pytest.mark.parametrize(
-    ("strategy", "words"),
-    [
-        (
-            "both",
-            ["most uncertain of 9 scans", "number 4 of 9 by uncertainty, 1.25 from 00/000003"],
-        ),
-        (
-            "uncertainty",
-            [
-                "most uncertain of 9 scans",
-                "number 4 of 9 by uncertainty; nearly equal ones passed over",
-            ],
-        ),
-        (
-            "diverse",
-            ["most typical of 9 scans", "farthest from those before: 1.25 from 00/000003"],
-        ),
-        ("random", ["drawn at random"] * 2),
-    ],
-)
-def test_reasons(strategy, words):
-    first, second = Choice(3, 0.5, 1), Choice(8, 0.2, 4, 1.25, 3)
-    assert reason(first, 1, strategy, 9, None) == words[0]
-    assert reason(second, 2, strategy, 9, "00/000003") == words[1]
-    assert reason(first, 1, strategy, 1, None) == "the only scan"
 
 
 def test_the_table_shows_names_as_they_are():

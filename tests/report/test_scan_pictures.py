@@ -15,7 +15,6 @@ from salsanext_cli.report.scan_pictures import (
     HEAD_PX,
     NARROW_PX,
     WIDTH_PX,
-    known_views,
     picture_of_results,
     scan_picture,
 )
@@ -93,23 +92,6 @@ def test_values_have_their_scale_beside_them(results):
     assert near == draw(results, "entropy", scales={"entropy": (0, 1)})
     with_strip, alone = pixels(near), pixels(draw(results, "entropy", strips=()))
     assert with_strip.shape[0] - alone.shape[0] > STRIP_HEIGHT_PX
-
-
-def test_what_is_seen_from_above():
-    scan = ["intensity", "range"]
-    assert known_views(scan) == scan
-    assert known_views([*scan, "truth"]) == ["truth", "intensity"]
-    assert known_views([*scan, "label", "aleatoric"]) == ["label", "aleatoric"]
-    everything = [*scan, "label", "truth", "wrong", "epistemic", "entropy", "error"]
-    assert known_views(everything) == ["truth", "label", "wrong", "error"]
-    assert known_views(everything[:-1])[-1] == "entropy"
-
-
-def test_strange_names_are_text(results):
-    for name in ("a$x$_^{", "<b>&amp;", "日本", "\udcff\n"):
-        png = picture_of_results(name, results, SPACE, SMALL, {}, ["label"], [])
-        assert png.startswith(b"\x89PNG")
-    assert draw(results, "label") == draw(results, "label")
 
 
 @pytest.mark.parametrize("points", [np.zeros((0, 3)), np.full((5, 3), np.nan), np.zeros((5, 3))])

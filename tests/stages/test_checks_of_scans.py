@@ -7,11 +7,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from scans import SMALL, write_sequence
-from tiny_network import TinyNetwork
 
 from salsanext_cli import Scan, read_scan
 from salsanext_cli.errors import FormatError, TrainingError
-from salsanext_cli.network.registry import ARCHITECTURES
 from salsanext_cli.parallel.run import RunOptions
 from salsanext_cli.results.point_files import write_bin
 from salsanext_cli.results.selection import ScanSelection
@@ -26,10 +24,7 @@ from salsanext_cli.training.recipe import Recipe
 UPWARDS = replace(SMALL, name="upwards", fov_up=30.0, fov_down=-2.0)
 TINY = Recipe(epochs=1, batch=2, crop_width=32)
 
-
-@pytest.fixture(autouse=True)
-def _tiny(monkeypatch):
-    monkeypatch.setitem(ARCHITECTURES, "salsanext", TinyNetwork)
+pytestmark = pytest.mark.usefixtures("tiny_training")
 
 
 @pytest.fixture

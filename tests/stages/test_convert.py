@@ -13,7 +13,6 @@ from salsanext_cli import read_scan
 from salsanext_cli.errors import FormatError, NoInputError, OutputError, UsageError
 from salsanext_cli.parallel.run import RunOptions
 from salsanext_cli.results.layout import find_scans
-from salsanext_cli.results.selection import ScanSelection
 from salsanext_cli.results.sources import recorded_scans
 from salsanext_cli.stages.convert import convert
 from salsanext_cli.stages.export_ply import export_ply
@@ -156,13 +155,6 @@ def test_a_bag_that_is_a_folder(world, tmp_path, kind):
     assert predict_scans(folder, tmp_path / "out", network=world.network).done == 2
     assert project_scans(folder, tmp_path / "images", sensor=SMALL).done == 2
     assert inspect(folder, sensor=SMALL).total.scans == 2
-
-
-def test_one_output_folder_is_for_one_topic(tmp_path):
-    path = write_bag(tmp_path, ".mcap", [*messages(POINTS[:1], "/a"), *messages(POINTS[1:2], "/b")])
-    project_scans(path / "a", tmp_path / "out", sensor=SMALL, selection=ScanSelection(limit=1))
-    with pytest.raises(OutputError, match="use another output folder"):
-        project_scans(path / "b", tmp_path / "out", sensor=SMALL)
 
 
 def test_a_recording_is_not_converted_into_a_folder_of_other_scans(bag, tmp_path):

@@ -81,11 +81,3 @@ def test_it_can_be_told_otherwise_but_not_for_a_part_of_the_results(housed):
     found = only_json(typed(housed, boxed))
     assert found["ego_share"] == pytest.approx(NEAR / (NEAR + 1500), abs=0.01)
     assert found["sensor"]["ego_box"] == [-1, -1, -1, 1, 1, 1]
-
-
-@pytest.mark.parametrize("text", ["1,2,3", "1,1,1,0,0,0", "a,b,c,d,e,f", ""])
-def test_what_is_no_box_is_refused(housed, text):
-    result = typed(housed, f"predict DATA OUT --ego '{text}'")
-    assert result.exit_code == 2
-    assert "--ego" in result.stderr
-    assert not housed.out.exists()

@@ -7,7 +7,7 @@ from functools import partial
 import numpy as np
 import plyfile
 import pytest
-from scans import SMALL, files_below, replace_points, write_weights
+from scans import SMALL, files_below, write_weights
 from world import Kept
 
 from salsanext_cli import LabelSpace, Scan, label_space, read_labels, read_scan, write_labels
@@ -206,15 +206,6 @@ def test_a_scale_may_be_given(predicted):
     assert export(predicted, colour="range", scale=(0, 20), options=OVERWRITE).done == 3
 
 
-def test_a_run_that_goes_on_colours_alike_and_most_points_are_in_the_range(predicted):
-    export(predicted, colour="range", selection=ScanSelection(limit=1))
-    export(predicted, colour="range")
-    (comment,) = {ply(predicted, s).comments[0] for s in ("00", "08")}
-    low, high = (float(n) for n in comment.split()[-2:])
-    ranges = column(predicted, "range")
-    assert ((ranges >= low) & (ranges <= high)).mean() > 0.95
-
-
 def test_uncertainty_is_sampled_where_it_is_missing(predicted, caplog):
     earlier = {"estimator": Estimator(samples=2, seed=3), "selection": ScanSelection(limit=1)}
     uncertainty(predicted.data, predicted.out, network=predicted.network, **earlier)
@@ -320,14 +311,6 @@ def test_one_scan_without_labels_or_predictions_does_not_keep_the_others(predict
     assert export(predicted, options=OVERWRITE).done == 2
 
 
-@pytest.mark.parametrize("scale", [(1, 1), (2, 1), (float("nan"), 1), (0, float("inf"))])
-def test_wrong_options(predicted, scale):
-    with pytest.raises(UsageError, match="--scale"):
-        export(predicted, colour="range", scale=scale)
-    with pytest.raises(UsageError, match=r"--colour · rainbow · expected one of label, truth"):
-        export(predicted, colour="rainbow")
-
-
 def test_several_colourings_lie_side_by_side(predicted):
     first = {"colour": "range", "scale": (0, 10)}
     assert export(predicted, **first).done == 3
@@ -382,12 +365,3 @@ def test_odd_points_are_exported(world):
     assert export(world, colour="epistemic").done == 1
     np.testing.assert_array_equal(colours(world)[[0, 1, 3]], np.tile(EMPTY, (3, 1)))
     assert np.isnan(column(world, "epistemic")[[0, 1, 3]]).all()
-
-
-def test_an_empty_scan_is_exported(world):
-    empty = replace_points(world.scan(), [])
-    (world.data / "sequences/08/labels/000000.label").write_bytes(b"")
-    predict_scans(empty, world.out, network=world.network)
-    for colour in ("label", "wrong", "range"):
-        assert export(world, colour=colour, options=OVERWRITE).done == 1
-        assert len(ply(world)["vertex"].data) == 0

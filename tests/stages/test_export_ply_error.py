@@ -13,7 +13,6 @@ from scans import SMALL, write_array
 from salsanext_cli import label_space, read_labels
 from salsanext_cli.errors import NoInputError, OutputError
 from salsanext_cli.parallel.run import RunOptions
-from salsanext_cli.parallel.shards import Shard
 from salsanext_cli.report.colours import EMPTY, RIGHT, WRONG
 from salsanext_cli.stages.export_ply import export_ply
 
@@ -78,23 +77,6 @@ def test_uncertainty_is_the_entropy_where_there_is_no_error(world):
     for colour in ("epistemic", "total"):
         assert export(world, colour=colour).done == 3
         assert cloud(world, f"ply/{colour}").comments[0].startswith(f"colour {colour} viridis")
-
-
-def test_a_scan_without_error_is_named_beside_those_that_have_one(known):
-    known.result("uncertainty/error", "08", "000001").unlink()
-    outcome = export(known, colour="error", options=RunOptions(overwrite=True))
-    assert (outcome.done, len(outcome.failures)) == (2, 1)
-    assert "000001.bin · no error known" in outcome.failures[0].reason
-    assert "salsanext tune error" in outcome.failures[0].reason
-    outcome = export(known, colour="error", options=RunOptions(shard=Shard(1, 2)))
-    assert outcome.failures == ()
-
-
-def test_error_without_any_is_refused_though_there_are_labels(world):
-    world.predict_by_hand(CAR)
-    with pytest.raises(NoInputError, match=r"no error known .* `salsanext tune error` writes"):
-        export(world, colour="error")
-    assert not list(world.out.rglob("*.ply"))
 
 
 @pytest.mark.parametrize("max_error", [0.0, 0.5])

@@ -149,12 +149,6 @@ def test_scans_that_have_moved_and_missing_results_are_errors_as_of_export_ply(w
     assert export(world, dataset=moved).done == 3
 
 
-def test_a_name_that_is_no_text_is_refused(world, recorded):
-    out = world.out.rename(world.out.with_name("o\udcff"))
-    with pytest.raises(OutputError, match=r"o\\xff · its name is no UTF-8.* · rename it"):
-        export_rrd(out, dataset=world.dataset)
-
-
 def test_an_older_rerun_is_one_that_lacks_a_module(tmp_path, monkeypatch):
     (tmp_path / "rerun").mkdir()
     (tmp_path / "rerun/__init__.py").touch()

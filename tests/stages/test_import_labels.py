@@ -11,7 +11,7 @@ from edited_clouds import WRITERS, write_ply
 from scans import files_below, write_sequence
 
 from salsanext_cli import label_space, read_labels, read_scan, write_labels
-from salsanext_cli.errors import NoInputError, SalsanextError, UsageError
+from salsanext_cli.errors import NoInputError
 from salsanext_cli.formats.labels import encode_labels
 from salsanext_cli.labelling.label_records import first_guesses
 from salsanext_cli.results.layout import find_scans
@@ -374,15 +374,3 @@ def test_a_plain_folder_of_scans_will_do(world, tmp_path):
     for place in (plain, tmp_path / "plain"):
         import_labels(world.edited / "any.ply", place)
         np.testing.assert_array_equal(read_labels(plain.with_suffix(".label")), world.truth[0])
-
-
-@pytest.mark.parametrize(
-    ("options", "kind"),
-    [({"ids": "no.yaml"}, UsageError), ({"edited": "no.ply"}, SalsanextError)],
-)
-def test_what_is_missing_is_said_before_anything_is_written(world, tmp_path, options, kind):
-    world.write()
-    before = files_below(world.data)
-    with pytest.raises(kind, match="no such file"):
-        world.run(**{key: tmp_path / name for key, name in options.items()})
-    assert files_below(world.data) == before

@@ -2,14 +2,13 @@
 import copy
 import hashlib
 import json
-import os
 import shutil
 from dataclasses import replace
 
 import numpy as np
 import pytest
 import yaml
-from scans import SMALL, files_below, make_scan, replace_points, write_sequence, write_weights
+from scans import SMALL, files_below, make_scan, write_sequence, write_weights
 from world import Kept
 
 from salsanext_cli import label_space, load_network, read_labels, read_scan, write_labels
@@ -19,7 +18,7 @@ from salsanext_cli.network.weights import read_weights, save_weights
 from salsanext_cli.parallel.run import RunOptions
 from salsanext_cli.results.layout import find_scans
 from salsanext_cli.results.owned_folder import OwnedFolder
-from salsanext_cli.results.point_files import write_bin, write_ply
+from salsanext_cli.results.point_files import write_ply
 from salsanext_cli.results.selection import ScanSelection
 from salsanext_cli.stages.pick import pick
 from salsanext_cli.uncertainty.scan_description import describe_scan, label_sampled
@@ -284,31 +283,6 @@ def test_unreadable_scans_are_named_each_time_and_the_others_picked(drive):
     assert found.to_dict()["failures"][0]["code"] == "format"
 
 
-def test_doubts_are_said_each_time(drive):
-    scan = read_scan(drive.scan("08", "000030"))
-    write_bin(drive.scan("08", "000030"), replace(scan, points=np.abs(scan.points)))
-    first, again = run(drive), run(drive)
-    assert "out-of-view" in {warning["code"] for warning in first.warnings}
-    assert {name for warning in first.warnings for name in warning["scans"]} == {"08/000030"}
-    assert again.warnings == first.warnings
-
-
-def test_nothing_is_written_if_no_scan_can_be_read(drive):
-    for path in (drive.data / "sequences/08/velodyne").iterdir():
-        path.write_bytes(b"x" * 17)
-    found = run(drive)
-    assert (found.picked, len(found.outcome.failures)) == ((), 6)
-    assert files_below(drive.out) == {}
-
-
-def test_no_point_in_view(drive):
-    path = replace_points(drive.scan("08", "000010"), np.full((200, 3), [0, 0, 9.0]))
-    network = replace(drive.network, sensor=replace(SMALL, out_of_view="drop"), fit=False)
-    found = run(drive, path, network=network)
-    assert found.picked == ()
-    assert "no point" in found.outcome.failures[0].reason
-
-
 def test_all_of_too_few(drive, caplog):
     caplog.set_level(NOTICE)
     found = run(drive, count=99)
@@ -359,34 +333,6 @@ def test_what_is_wrong_is_said_before_a_scan_is_read(drive, tmp_path):
         run(drive, network=replace(drive.network, weights=certain))
     assert load_network(certain, "cpu", engine="torch")
     assert not drive.out.exists()
-
-
-def test_names_that_are_no_text(drive, tmp_path):
-    name = os.fsdecode(b"dr\xe4ve")
-    shutil.copytree(drive.data / "sequences/08/velodyne", tmp_path / name)
-    found = run(drive, tmp_path / name)
-    assert {each.sequence for each in found.picked} == {name}
-    assert label_space(drive.out / "labels.yaml").splits["train"] == (name,)
-    assert run(drive, tmp_path / name).outcome.skipped == 3
-
-
-def test_a_damaged_record(picked):
-    path = picked.out / "pick.json"
-    record = json.loads(path.read_text())
-    for damage in (
-        {"picked": [{"rank": 1}]},
-        {"picked": 3},
-        {"settings": None},
-        {"guesses": [1]},
-        {"warnings": [1]},
-    ):
-        path.write_text(json.dumps(record | damage))
-        with pytest.raises(OutputError, match="not what `pick` writes"):
-            run(picked)
-    del record["failures"]
-    path.write_text(json.dumps(record))
-    with pytest.raises(OutputError, match="not what `pick` writes"):
-        run(picked)
 
 
 def test_scans_that_are_labelled_already_are_not_picked_again(picked, tmp_path):

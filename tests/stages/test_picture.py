@@ -9,7 +9,7 @@ from PIL import Image
 from scans import files_below, write_array
 
 from salsanext_cli import label_space
-from salsanext_cli.errors import NoInputError, OutputError, UsageError
+from salsanext_cli.errors import NoInputError, OutputError
 from salsanext_cli.geometry.knn import KnnParameters
 from salsanext_cli.parallel.run import RunOptions
 from salsanext_cli.parallel.shards import Shard
@@ -197,24 +197,3 @@ def test_a_broken_scan_is_left_out_of_the_animation(labelled):
     assert [failure.scan.stem for failure in outcome.failures] == ["000001"]
     with Image.open(labelled.out / "sequences/08/pictures.gif") as gif:
         assert gif.n_frames == 1
-
-
-@pytest.mark.parametrize(
-    ("options", "message"),
-    [
-        ({"colours": ["red"]}, "--colour · red · expected one of label"),
-        ({"colours": ["range"], "scale": (2, 1)}, "--scale · 2 1"),
-        ({"colours": ["label"], "scale": (1, 2)}, "--scale · --colour is label · expected"),
-        ({"colours": ["range", "entropy"], "scale": (1, 2)}, "--colour is range, entropy"),
-        ({"scale": (1, 2)}, "--colour is none"),
-        ({"frames_per_second": float("nan")}, "--fps · nan · expected a number from 0.1 to 50"),
-        (
-            {"animations": ["gif"], "options": RunOptions(shard=Shard.parse("1/2"))},
-            "--gif · --shard 1/2 draws a part of the scans",
-        ),
-    ],
-)
-def test_settings_that_mean_nothing(labelled, options, message):
-    with pytest.raises(UsageError, match=message):
-        draw(labelled, **options)
-    assert not (labelled.out / "picture.json").exists()

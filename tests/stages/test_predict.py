@@ -17,7 +17,7 @@ from scans import (
 
 from salsanext_cli import KnnParameters, LabelSpace, Scan, knn_refine, label_space, project
 from salsanext_cli.engines.settings import NetworkSettings
-from salsanext_cli.errors import NoInputError, OutputError, UsageError, WeightsError
+from salsanext_cli.errors import OutputError, UsageError
 from salsanext_cli.formats import read_scan
 from salsanext_cli.network.weights import read_weights, save_weights
 from salsanext_cli.parallel.run import RunOptions
@@ -161,28 +161,6 @@ def test_files_that_cannot_be_read_are_named_and_the_rest_is_done(world):
         assert str(failure.scan.path) in failure.reason
     again = run(world, folder)
     assert (again.done, again.skipped, len(again.failures)) == (0, 1, 3)
-
-
-def test_a_result_that_cannot_be_written_fails_that_scan(world):
-    blocked = world.result("predictions", "00").parent
-    blocked.parent.mkdir(parents=True)
-    blocked.write_text("a file where a folder should be")
-    outcome = run(world)
-    assert outcome.done == 2
-    assert "cannot be written" in outcome.failures[0].reason
-
-
-def test_what_cannot_be_used_stops_before_anything_is_written(world, tmp_path):
-    bad = tmp_path / "bad.safetensors"
-    bad.write_bytes(b"rubbish")
-    with pytest.raises(WeightsError, match="bad"):
-        predict_scans(world.data, world.out, network=NetworkSettings(bad, "cpu"))
-    with pytest.raises(NoInputError):
-        run(world, tmp_path / "nowhere")
-    network = replace(world.network, device="cuda:77")
-    with pytest.raises(UsageError, match="device"):
-        predict_scans(world.data, world.out, network=network)
-    assert not world.out.exists()
 
 
 def test_weights_of_another_label_space_write_its_raw_ids(world, tmp_path):

@@ -11,7 +11,7 @@ from evaluated import CAR, MOVING_CAR, ROAD, SPACE, UNKNOWN, World
 from scans import SMALL, write_array
 
 from salsanext_cli import label_space
-from salsanext_cli.errors import NoInputError, OutputError, UsageError
+from salsanext_cli.errors import NoInputError, OutputError
 from salsanext_cli.parallel.run import RunOptions
 from salsanext_cli.results.layout import output_path
 from salsanext_cli.results.stage_records import StageRecord
@@ -156,24 +156,6 @@ def test_names_of_classes_are_no_markup(world):
     assert page.data["classes"][9]["name"] == evil
     assert [tag for tag, _ in page.tags].count("img") == 0
     assert any(evil in reason for reason in found.shown.values())
-
-
-def test_scans_can_be_named(world):
-    found, page = made(world, scans=["000001"])
-    assert found.shown == {"08/000001": "named"}
-    assert page.data["drive"]["shown"] == [-1, 0]
-    with pytest.raises(UsageError, match="--scans"):
-        made(world, scans=["5"])
-
-
-@pytest.mark.slow
-def test_of_a_thousand_scans_only_the_shown_ones_are_read(world):
-    for number in range(2, 1000):
-        world.add(f"{number:06}", TRUTH, PREDICTED)
-        (world.dataset / f"sequences/08/velodyne/{number:06}.bin").write_bytes(b"damaged")
-    found, page = made(world, scans=["000001"])
-    assert (found.scans, found.failures) == (1000, ())
-    assert len(page.data["drive"]["names"]) == 1000
 
 
 def test_a_page_is_the_same_whatever_the_order_of_the_scans(world):

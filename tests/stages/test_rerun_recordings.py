@@ -215,27 +215,8 @@ def test_what_cannot_be_written_whole_is_an_error_and_the_older_recording_stays(
     assert [each.name for each in path.parent.iterdir()] == ["08.rrd"]
 
 
-def test_a_scan_that_is_lost_on_the_way_is_an_error(world, rerun, monkeypatch):
-    send = rerun.RecordingStream.send_columns
-
-    def lose_some(stream, entity, index, columns):
-        if entity != "points" or index[0].times.to_pylist() != [1]:
-            send(stream, entity, index, columns)
-
-    monkeypatch.setattr(rerun.RecordingStream, "send_columns", lose_some)
-    with pytest.raises(OutputError, match=r"08\.rrd · cannot be written: input/output error"):
-        exported(world)
-    assert not [*(world.out / "rrd").iterdir()]
-
-
 def test_a_recording_that_is_turned_off_is_an_error(world, monkeypatch):
     monkeypatch.setenv("RERUN", "off")
     with pytest.raises(UsageError, match="RERUN · off · expected on"):
         exported(world)
     assert not [*(world.out / "rrd").iterdir()]
-
-
-def test_the_settings_of_rerun_are_left_as_they_were(world, rerun):
-    assert rerun.strict_mode() is False
-    exported(world)
-    assert rerun.strict_mode() is False

@@ -37,11 +37,6 @@ def test_scans_of_another_sensor_cause_one_warning(world, caplog, stage, jobs):
     assert "inspect SCANS --fit" in said
 
 
-def test_a_fit_causes_no_warning(world, caplog):
-    inspect(world.data, sensor=UPWARDS, fit=True)
-    assert not caplog.records
-
-
 @pytest.mark.real
 @pytest.mark.parametrize(
     ("folder", "preset", "fits"),

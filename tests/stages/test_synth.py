@@ -11,7 +11,7 @@ from scans import files_below, write_sequence
 
 from salsanext_cli import Scan, __version__, label_space, read_labels
 from salsanext_cli.errors import MissingDependency, OutputError, UsageError
-from salsanext_cli.files.atomic import MARK, write_bytes
+from salsanext_cli.files.atomic import write_bytes
 from salsanext_cli.files.locks import locked
 from salsanext_cli.formats.clouds.kitti import read_bin
 from salsanext_cli.results.layout import find_scans
@@ -225,21 +225,6 @@ def test_real_scans_and_results_of_other_stages_stay(again, name, recorded):
         OwnedFolder(out).write(path, path.read_bytes())
     replace()
     assert path.read_bytes() == b"precious"
-
-
-def test_unfinished_files_of_killed_workers_are_removed(quick, tmp_path):
-    """Joblib kills workers, if it must, while they write; those of other runs stay."""
-    folder = tmp_path / "out/sequences/00/labels"
-    other = folder / f".{'0' * 32}.part"
-
-    def stop(*_):
-        for path in (other, folder / f".{MARK.get()}{'1' * 32}.part"):
-            path.touch()
-        raise KeyboardInterrupt
-
-    with pytest.raises(KeyboardInterrupt):
-        synthesise(tmp_path / "out", train=1, valid=0, scans=2, progress=stop)
-    assert sorted(folder.iterdir()) == [other, folder / "000000.label"]
 
 
 @pytest.mark.parametrize("sequence", ["00", "01", "07"])

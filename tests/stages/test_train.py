@@ -24,7 +24,6 @@ from salsanext_cli.errors import (
 from salsanext_cli.geometry.intensity import intensity_quantiles
 from salsanext_cli.geometry.row_gaps import row_gaps
 from salsanext_cli.network.card import WeightsCard, read_card
-from salsanext_cli.network.registry import ARCHITECTURES
 from salsanext_cli.network.weights import save_weights
 from salsanext_cli.results.owned_folder import OwnedFolder
 from salsanext_cli.stages.train import train
@@ -45,10 +44,7 @@ TINY = Recipe(
     average=0.5,
 )
 
-
-@pytest.fixture(autouse=True)
-def _tiny(monkeypatch):
-    monkeypatch.setitem(ARCHITECTURES, "salsanext", TinyNetwork)
+pytestmark = pytest.mark.usefixtures("tiny_training")
 
 
 @pytest.fixture

@@ -24,7 +24,6 @@ from salsanext_cli.files.identity import fingerprint
 from salsanext_cli.files.json_files import write_json
 from salsanext_cli.labelling.label_records import digest_of_file, first_guesses
 from salsanext_cli.network.card import WeightsCard, read_card
-from salsanext_cli.network.registry import ARCHITECTURES
 from salsanext_cli.network.scan_digests import scan_digest
 from salsanext_cli.network.weights import read_weights, save_weights
 from salsanext_cli.results.layout import ScanFile, find_scans
@@ -55,11 +54,12 @@ FEW = Recipe(
     sensors="fitted",
 )
 
+pytestmark = pytest.mark.usefixtures("tiny_training")
+
 
 @pytest.fixture(autouse=True)
-def initial(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Path:
+def initial(tiny_training: None, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Path:
     """Put a tiny network in the place of the default weights."""
-    monkeypatch.setitem(ARCHITECTURES, "salsanext", TinyNetwork)
     path = tmp_path / "initial.safetensors"
     card = WeightsCard({"name": "salsanext", "class_count": 20}, label_space(), SMALL)
     torch.manual_seed(1)
@@ -308,26 +308,6 @@ def test_without_named_splits_all_labelled_scans_are_trained_on(
     shutil.rmtree(data / "sequences/08")
     with pytest.raises(NoInputError, match=r"no scans of split valid .* --set folds=3$"):
         go(data, tmp_path / "none", FEW.with_changes(folds=0))
-
-
-def test_corrected_labels_are_another_training(data: Path, tmp_path: Path) -> None:
-    run = tmp_path / "run"
-    go(data, run)
-    path = data / "sequences/a/labels/0.label"
-    write_labels(path, np.roll(read_labels(path), 1))
-    with pytest.raises(OutputError, match="labels"):
-        go(data, run)
-
-
-def test_a_sensor_of_ones_own_keeps_the_intensity_of_the_weights(
-    data: Path, tmp_path: Path, initial: Path
-) -> None:
-    card, (module, _) = read_card(initial), read_weights(initial)
-    known = replace(card.sensor, intensity_quantiles=tuple(np.linspace(0, 0.5, 65)))
-    save_weights(initial, module, replace(card, sensor=known))
-    mine = replace(SMALL, name="mine", fov_up=5.0)
-    result = go(data, tmp_path / "run", FEW.with_changes(epochs=1), sensor=mine)
-    assert read_card(result.best).sensor.intensity_quantiles == known.intensity_quantiles
 
 
 def test_the_checkpoint_of_a_first_fold_is_kept(

@@ -1,5 +1,4 @@
 # SPDX-License-Identifier: MIT
-import logging
 from dataclasses import replace
 
 import numpy as np
@@ -126,16 +125,3 @@ def test_a_network_whose_values_overflow(folder, target, network, tmp_path):
             network=NetworkSettings(tmp_path / "huge.safetensors", "cpu"),
         )
     assert not target.exists()
-
-
-def test_a_network_without_batch_norm(folder, target, network, monkeypatch):
-    monkeypatch.setattr("salsanext_cli.fitting.batch_norm.norms", lambda _: {})
-    with pytest.raises(WeightsError, match=r"random\.safetensors · its network has no batch norm"):
-        tune("batchnorm", folder, target, network=network)
-
-
-def test_the_wrong_sensor_is_noticed(folder, target, network, caplog):
-    narrow = replace(network, sensor=replace(SMALL, fov_up=-5.0))
-    with caplog.at_level(logging.WARNING):
-        tune("batchnorm", folder / "000000.bin", target, network=narrow)
-    assert "lie outside the view of small" in caplog.text

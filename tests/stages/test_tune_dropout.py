@@ -8,7 +8,7 @@ from scans import SMALL, write_weights
 
 from salsanext_cli import label_space, load_network, project, read_labels, read_scan, sample
 from salsanext_cli.engines.settings import NetworkSettings
-from salsanext_cli.errors import OutputError, UsageError
+from salsanext_cli.errors import OutputError
 from salsanext_cli.network.card import read_card
 from salsanext_cli.network.dropout import dropouts
 from salsanext_cli.network.weights import read_weights
@@ -90,16 +90,6 @@ def test_the_end_of_the_range_is_named(world, target, caplog, monkeypatch, objec
         assert go(world, target)["best"] == pytest.approx(best)
     assert says in caplog.text
     assert bool(caplog.text) == bool(says)
-
-
-@pytest.mark.parametrize(
-    ("changes", "says"),
-    [({"samples": 1}, "--samples · 1"), ({"steps": 1}, "--steps"), ({"lowest": 0.4}, "--lowest")],
-)
-def test_settings_that_are_none(world, target, changes, says):
-    with pytest.raises(UsageError, match=says):
-        go(world, target, **changes)
-    assert not target.exists()
 
 
 def test_a_curve_is_not_overwritten_unasked(world, target):

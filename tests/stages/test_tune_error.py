@@ -168,17 +168,6 @@ def test_a_single_scan_is_not_cross_validated(far_is_wrong: World, target, caplo
     assert read_card(target).error is not None
 
 
-def test_without_a_fold_there_may_be_nothing_to_learn_from(
-    far_is_wrong: World, target, caplog
-) -> None:
-    world = far_is_wrong
-    for path in (world.data / "sequences/08/labels").iterdir():
-        write_labels(path, np.zeros(1500, np.uint32))
-    tuned = tune("error", world.data, target, network=world.network, selection=ALL)
-    assert tuned["folds"] == 0
-    assert "without 00 no label is right, or none wrong" in caplog.messages
-
-
 def test_other_batch_norm_has_no_model_of_errors(far_is_wrong: World, target) -> None:
     world = far_is_wrong
     tune("error", world.data, target, network=world.network, selection=ALL)

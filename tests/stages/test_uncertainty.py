@@ -103,16 +103,6 @@ def test_points_without_a_measurement_are_unlabelled_and_have_no_uncertainty(wor
     assert not world.labels()[nowhere].any()
 
 
-@pytest.mark.parametrize(
-    ("how", "says"),
-    [({"samples": 1}, "--samples"), ({"method": "guess"}, "--method · guess · expected sampling")],
-)
-def test_a_wrong_estimator_is_refused_before_anything_is_written(world, how, says):
-    with pytest.raises(UsageError, match=says):
-        run(world, **how)
-    assert not world.out.exists()
-
-
 def test_a_network_without_dropout_is_refused(world, tmp_path):
     weights = write_weights(tmp_path / "w.safetensors", dropout=0.0)
     certain = replace(world, network=NetworkSettings(weights, "cpu", engine="torch"))

@@ -80,14 +80,6 @@ def test_no_such_recipe_names_the_presets() -> None:
         recipe("papr")
 
 
-@pytest.mark.parametrize("content", [b"epochs = ", b"\xff\xfe", b"[epochs]\nx = 1\n"])
-def test_not_a_recipe(content: bytes, tmp_path: Path) -> None:
-    path = tmp_path / "broken.toml"
-    path.write_bytes(content)
-    with pytest.raises(UsageError):
-        recipe(path)
-
-
 # Overrides
 
 

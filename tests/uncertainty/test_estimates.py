@@ -5,10 +5,8 @@ from functools import partial
 
 import numpy as np
 import pytest
-from scans import write_weights
 
 from salsanext_cli import load_network, sample
-from salsanext_cli.errors import WeightsError
 from salsanext_cli.parallel.options import threads_of_workers
 from salsanext_cli.uncertainty.aleatoric import aleatoric
 from salsanext_cli.uncertainty.dropout_propagation import propagate_dropout
@@ -35,13 +33,6 @@ def test_shapes_types_and_bounds(network, image, estimate):
         assert np.isfinite(values).all()
         assert 0 <= values.min() <= values.max() <= most + 1e-6
     assert (found.uncertainty.mutual_information <= found.uncertainty.entropy).all()
-
-
-@EPISTEMIC
-def test_a_network_without_dropout_is_refused(image, tmp_path, estimate):
-    certain = load_network(write_weights(tmp_path / "w.safetensors", dropout=0.0), "cpu")
-    with pytest.raises(WeightsError, match="without dropout"):
-        estimate(certain, image)
 
 
 @pytest.mark.parametrize(

@@ -173,9 +173,3 @@ def test_dropout_is_off_outside_of_sampling_and_training():
     torch.manual_seed(0)
     assert not torch.equal(layer(x), x)
     assert "rate=0.5" in repr(layer)
-
-
-@pytest.mark.parametrize("rate", [-0.1, 1.0, 1.5, float("nan")])
-def test_rates_that_are_none(rate):
-    with pytest.raises(ValueError, match="dropout"):
-        ChannelDropout(rate)

@@ -104,7 +104,7 @@ def test_the_names_of_the_error_read_a_real_scan_with_other_columns(real_data, t
 
 @pytest.mark.real
 def test_no_real_scan_in_another_order_is_refused(real_data):
-    for path in sorted((real_data / "data").rglob("*.bin")):
+    for path in sorted((real_data / "data").rglob("*.bin"))[::4]:
         count = 5 if "five" in path.name else 4
         table = np.fromfile(path, "<f4").reshape(-1, count)
         shuffled = np.random.default_rng(0).permutation(table)

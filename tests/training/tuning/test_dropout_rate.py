@@ -4,7 +4,6 @@ import math
 import numpy as np
 import pytest
 
-from salsanext_cli.errors import UsageError
 from salsanext_cli.training.tuning.dropout_rate import (
     SMALLEST_VARIANCE,
     objective,
@@ -38,18 +37,3 @@ def test_rates_are_equal_steps_of_the_logarithm_with_exact_ends():
     steps = np.diff(np.log(rates))
     np.testing.assert_allclose(steps, math.log(25) / 9)
     assert rates_between(0.1, 0.2, 2) == [0.1, 0.2]
-
-
-@pytest.mark.parametrize(
-    ("lowest", "highest", "steps", "says"),
-    [
-        (0.0, 0.5, 10, "--lowest · 0"),
-        (math.nan, 0.5, 10, "--lowest · nan"),
-        (0.02, 1.0, 10, "--highest · 1"),
-        (0.5, 0.5, 10, "--lowest · 0.5 · expected less than --highest, 0.5"),
-        (0.02, 0.5, 1, "--steps · 1 · expected at least 2"),
-    ],
-)
-def test_ranges_that_are_none(lowest, highest, steps, says):
-    with pytest.raises(UsageError, match=says):
-        rates_between(lowest, highest, steps)
