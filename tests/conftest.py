@@ -66,11 +66,17 @@ def golden(real_data: Path) -> Path:
 
 
 @pytest.fixture(scope="session")
-def weights(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def full_weights(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Return a weights file of a random network for the sensor `scans.SMALL`."""
     from scans import write_weights
 
     return write_weights(tmp_path_factory.mktemp("weights") / "random.safetensors")
+
+
+@pytest.fixture(scope="session")
+def weights(full_weights: Path) -> Path:
+    """Return the same file, or one of a network of few channels, as `narrow.py` has it."""
+    return full_weights
 
 
 @pytest.fixture

@@ -70,7 +70,7 @@ def test_sockets_and_telemetry_are_noted(tmp_path):
 
 
 @pytest.mark.slow
-def test_no_command_opens_a_socket_or_loads_telemetry(tmp_path, weights):
+def test_no_command_opens_a_socket_or_loads_telemetry(tmp_path, full_weights):
     data, out, steps = tmp_path / "data", tmp_path / "out", tmp_path / "steps"
     write_sequence(data / "sequences/00", ["0", "1"])
     write_sequence(data / "sequences/08", ["0", "1"])
@@ -78,7 +78,7 @@ def test_no_command_opens_a_socket_or_loads_telemetry(tmp_path, weights):
     view = ("fov_up", "fov_down", "height", "width")
     sensor.write_text("".join(f"{name} = {getattr(SMALL, name)}\n" for name in view))
     few = ("--epochs", 1, "--set", "samples_per_epoch=2", "--set", "crop_width=64")
-    network = ("--weights", weights, "--device", "cpu", "--engine", "openvino")
+    network = ("--weights", full_weights, "--device", "cpu", "--engine", "openvino")
     lines = [
         ("predict", data, out, *network),
         ("predict", data, out, *network, "--jobs", 2, "--overwrite"),
@@ -91,9 +91,9 @@ def test_no_command_opens_a_socket_or_loads_telemetry(tmp_path, weights):
         ("predict", steps, steps, *network),
         ("knn-refine", steps),
         ("inspect", data),
-        ("models", weights),
-        ("import-weights", weights, tmp_path / "again.safetensors"),
-        ("export-onnx", weights, tmp_path / "weights.onnx"),
+        ("models", full_weights),
+        ("import-weights", full_weights, tmp_path / "again.safetensors"),
+        ("export-onnx", full_weights, tmp_path / "weights.onnx"),
         ("tune", "temperature", data, tmp_path / "t.safetensors", *network),
         # Not synth: open3d imports urllib3, which binds a socket to see whether there is IPv6.
         ("train", data, tmp_path / "run", "--recipe", "quick", "--sensor", sensor, *few),

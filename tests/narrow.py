@@ -1,0 +1,47 @@
+# SPDX-License-Identifier: MIT
+"""Fixtures of a network of few channels, for tests that ask what is done with a network."""
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+
+import pytest
+from scans import write_weights
+from world import Kept, World
+
+from salsanext_cli.network import salsanext
+from salsanext_cli.network.designs import SALSANEXT
+from salsanext_cli.network.registry import ARCHITECTURES
+from salsanext_cli.network.salsanext import SalsaNext
+
+NARROW = replace(SALSANEXT, widths=(8, 16, 32, 32, 32), decoder_widths=(32, 32, 16, 16))
+"""Few channels: a network of full size would take most of the time of a test."""
+
+
+@contextmanager
+def narrow_salsanext() -> Iterator[None]:
+    """Have few channels in the network that is called salsanext, in this process."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(salsanext, "CONTEXT_WIDTH", 8)
+        patch.setitem(ARCHITECTURES, "salsanext", partial(SalsaNext, design=NARROW))
+        yield
+
+
+@pytest.fixture(autouse=True, scope="module")
+def narrow() -> Iterator[None]:
+    with narrow_salsanext():
+        yield
+
+
+@pytest.fixture(scope="session")
+def weights(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    with narrow_salsanext():
+        return write_weights(tmp_path_factory.mktemp("narrow") / "random.safetensors")
+
+
+@pytest.fixture(scope="session")
+def once_predicted(tmp_path_factory: pytest.TempPathFactory, weights: Path) -> Kept:
+    with narrow_salsanext():
+        return Kept(tmp_path_factory.mktemp("predicted"), weights, World.predict)
