@@ -74,28 +74,6 @@ def test_labels_stay_with_their_points(kind, severity):
         np.testing.assert_array_equal(old, given)
 
 
-@pytest.mark.parametrize("kind", [kind for kind in LEVELS if kind not in ("motion blur", "snow")])
-def test_severer_ones_lose_points_of_the_milder(kind):
-    """With steps of 2, 3 and 4, other sensors only lose more."""
-    scan, labels = a_scan(count=2**16 - 1)
-    left = [set(corrupted(kind, s, scan, labels)[1][:]) - {0} for s in (0, 1, 2, 3)]
-    assert len(left[0]) > len(left[1]) > len(left[2]) > len(left[3])
-    if kind != "other sensor":
-        assert left[0] > left[1] > left[2] > left[3]
-
-
-@pytest.mark.parametrize("kind", ["fog", "wet ground", "snow", "crosstalk", "incomplete echo"])
-def test_points_without_a_measurement_stay(kind):
-    scan, labels = a_scan(count=500)
-    points = scan.points.copy()
-    points[3], points[7] = np.nan, 0
-    found, kept = corrupted(kind, 3, Scan(points, scan.intensity), labels)
-    numbers = (kept >> 16).tolist()
-    assert np.isnan(found.points[numbers.index(3)]).all()
-    assert (found.points[numbers.index(7)] == 0).all()
-    assert np.isnan(found.points).any(axis=1).sum() == 1
-
-
 @pytest.mark.parametrize("reflectivity", [0.02, 0.2])
 def test_share_of_fog_echoes(reflectivity):
     """One cell of fog before the surface: the integral of exp(-needed / mean) over it."""

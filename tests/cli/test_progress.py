@@ -9,7 +9,7 @@ from contextlib import suppress
 import pytest
 
 from salsanext_cli.cli import progress as module
-from salsanext_cli.cli.progress import Lines, words_of_seconds
+from salsanext_cli.cli.progress import Lines
 
 
 def test_what_is_said_goes_above_the_bar():
@@ -81,17 +81,3 @@ def test_a_log_file_gets_a_line_now_and_then(monkeypatch, capsys, first, total, 
     assert err[0] == line
     assert len(err) == 9
     assert not any(f"{total}/{total}" in said for said in err)
-
-
-@pytest.mark.parametrize(
-    ("seconds", "said"),
-    [
-        (0.0532, "53 ms"),
-        (1, "1.0 s"),
-        (99.94, "99.9 s"),
-        (725, "12 min 5 s"),
-        (11_520, "3 h 12 min"),
-    ],
-)
-def test_durations(seconds, said):
-    assert words_of_seconds(seconds) == said

@@ -49,12 +49,3 @@ def test_a_device_that_was_named_or_is_alone_stays(device, count, monkeypatch):
 
 def test_a_process_that_is_no_worker_takes_the_first():
     assert worker.own_device("auto", 4) == "auto"
-
-
-def test_where_nothing_can_be_locked_chance_divides(tmp_path, monkeypatch, caplog):
-    (tmp_path / "file").touch()
-    monkeypatch.setattr(WORKER, "run", "a run")
-    monkeypatch.setattr(WORKER, "slot", None)
-    monkeypatch.setattr(worker, "_folder_of_slots", lambda: tmp_path / "file")
-    assert worker.own_device("auto", 2) in ("cuda:0", "cuda:1")
-    assert "GPUs are shared by chance" in caplog.text

@@ -127,26 +127,6 @@ def test_a_sequence_without_labels_is_an_error(world):
         world.evaluate()
 
 
-def test_no_predictions_at_all_is_an_error_with_advice(world):
-    world.add("000000", [CAR], None)
-    with pytest.raises(NoInputError, match=r"no predictions for any of 1 scan .*salsanext predict"):
-        world.evaluate()
-    assert not world.out.exists()
-
-
-@pytest.mark.parametrize("kind", ["u1", "<u2", "<u4"])
-@pytest.mark.parametrize("by_distance", [False, True])
-def test_labels_of_one_two_or_four_bytes(world, kind, by_distance):
-    """Those of nuScenes have one byte per point."""
-    truth = [CAR, CAR, ROAD, 0, CAR, ROAD, ROAD, CAR]
-    world.add("000000", truth, [CAR] * 8)
-    labels = world.dataset / "sequences/08/labels/000000.label"
-    labels.write_bytes(np.array(truth, kind).tobytes())
-    evaluation = world.evaluate(by_distance=by_distance)
-    assert not evaluation.failures
-    assert iou(evaluation, "car") == pytest.approx(4 / 7)
-
-
 @pytest.mark.parametrize("wrong", ["labels", "predictions"])
 def test_the_file_that_does_not_fit_the_scan_is_blamed(world, wrong):
     world.add("000000", [CAR] * 8, [CAR] * 8)

@@ -8,11 +8,9 @@ import pytest
 from evaluated import CAR, ROAD, World
 from hypothesis import given
 from hypothesis import strategies as st
-from rich.console import Console, Group
 
 from salsanext_cli.measures.calibration import reliability
 from salsanext_cli.measures.histograms import error_histogram
-from salsanext_cli.report.tables import uncertainty_tables
 
 pytestmark = pytest.mark.usefixtures("undrawn")
 
@@ -56,27 +54,6 @@ def test_it_is_scored_as_the_others_are_and_as_a_probability(world):
     assert report["kept"]["sentence"] == evaluation.uncertainty.kept.sentence
     assert 0.125 < report["kept"]["threshold"] < 0.5
     assert (world.out / "eval_risk_coverage.png").exists()
-
-
-def test_table_of_calibration_has_a_row_of_the_error(world):
-    world.add("000000", [CAR, CAR], [CAR, ROAD])
-    world.put("uncertainty/entropy", "000000", [0.25, 0.5])
-    tables = uncertainty_tables(world.evaluate().uncertainty)
-    assert "ECE" not in printed(*tables)
-    world.put("uncertainty/error", "000000", [0.25, 0.5])
-    tables = uncertainty_tables(world.evaluate().uncertainty)
-    assert "error: the probability that a label is wrong" in printed(tables[0])
-    rows = [line.replace("│", "").split() for line in printed(tables[0]).splitlines()]
-    assert ["error", "37.50", "1", "2"] in rows
-    rows = [line.replace("│", "").split() for line in printed(tables[1]).splitlines()]
-    assert ["error", *["100.0", "100.0", "25.00", "0.000", "50.0", "1", "2"]] in rows
-
-
-def printed(*tables) -> str:
-    console = Console(width=120)
-    with console.capture() as captured:
-        console.print(Group(*tables))
-    return captured.get()
 
 
 @pytest.mark.parametrize(

@@ -3,13 +3,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from rich.console import Console
-from scans import SMALL, make_scan, write_sequence
+from scans import SMALL, make_scan
 
-from salsanext_cli import Scan, label_space, project, read_scan, sensor
+from salsanext_cli import Scan, project, read_scan, sensor
 from salsanext_cli.errors import NoInputError
 from salsanext_cli.fitting.view_fit import fit_view
-from salsanext_cli.report.descriptions import survey_tables
 from salsanext_cli.results.point_files import write_bin
 from salsanext_cli.stages.inspect import inspect, write_sensor
 
@@ -40,15 +38,6 @@ def test_a_fitted_sensor_is_measured_through_its_own_view(tilted, tmp_path):
     again = inspect(folder, sensor=sensor(tmp_path / "mine.toml"), fit=True)
     assert again.fitted_sensor("mine") == fitted
     assert (fitted.range_noise, fitted.intensity_noise) == (None, SMALL.intensity_noise)
-
-
-def test_names_are_shown_as_they_are(tmp_path):
-    write_sequence(tmp_path / "sequences/[red]x[bold]")
-    found = inspect(tmp_path, sensor=SMALL)
-    console = Console(width=200)
-    with console.capture() as capture:
-        console.print(survey_tables(found.sequences, found.total, label_space(), SMALL))
-    assert "[red]x[bold]" in capture.get()
 
 
 @pytest.mark.parametrize(

@@ -292,14 +292,6 @@ def test_all_of_too_few(drive, caplog):
     assert [each.reason for each in alone.picked] == ["the only scan"]
 
 
-def test_poses_that_cannot_be_told_are_left_out(drive, caplog):
-    (drive.data / "sequences/08/poses.txt").write_text("1 0 0\n2 0 0\n")
-    run(drive)
-    assert not (drive.out / "sequences/08/poses.txt").exists()
-    assert (drive.out / "sequences/08/calib.txt").exists()
-    assert "poses.txt · 2 lines" in caplog.text
-
-
 def test_the_classes_are_described_as_the_data_set_does_where_it_may(drive):
     own = copy.deepcopy(label_space().to_dict()) | {
         "name": "mine",

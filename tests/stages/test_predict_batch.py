@@ -8,8 +8,6 @@ import pytest
 import torch
 from scans import files_below, replace_points, write_sequence
 
-from salsanext_cli.errors import UsageError
-from salsanext_cli.parallel.network_task import default_batch
 from salsanext_cli.parallel.run import RunOptions
 from salsanext_cli.records import Scan
 from salsanext_cli.results.point_files import write_bin
@@ -97,14 +95,6 @@ def test_scans_that_do_not_fit_into_memory_are_named(nine, tmp_path, monkeypatch
     outcome = predict(nine, tmp_path / "out", batch=batch, network=by_torch)
     assert len(outcome.failures) == 9
     assert "000000.bin · is too large for the memory of cpu" in outcome.failures[0].reason
-
-
-def test_sizes_of_batches(nine, tmp_path):
-    network = nine.network.load()
-    assert default_batch(network) == 1
-    assert default_batch(replace(network, engine=replace(network.engine, device="cuda"))) == 16
-    with pytest.raises(UsageError, match="--batch"):
-        predict(nine, tmp_path / "out", batch=0)
 
 
 @pytest.mark.cuda

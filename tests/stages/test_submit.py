@@ -8,7 +8,7 @@ import yaml
 from scans import make_scan
 
 from salsanext_cli import label_space, write_labels
-from salsanext_cli.errors import LabelError, NoInputError, OutputError, UsageError
+from salsanext_cli.errors import LabelError, OutputError
 from salsanext_cli.results.layout import output_path
 from salsanext_cli.results.point_files import write_bin
 from salsanext_cli.stages import submit as module
@@ -160,17 +160,6 @@ def test_nothing_is_replaced_unasked(folders):
     folders.zip = folders.zip.with_suffix(".tar")
     with pytest.raises(OutputError, match=r"suffix \.tar · expected \.zip"):
         folders.submit()
-
-
-def test_bad_input(folders, tmp_path):
-    with pytest.raises(NoInputError, match=r"holds no predictions .* --split test"):
-        submit(tmp_path / "none", folders.zip)
-    with pytest.raises(UsageError, match=r"--description \S+ · no such file"):
-        folders.submit(description=tmp_path / "none.txt")
-    with pytest.raises(NoInputError, match="nowhere"):
-        submit(folders.out, folders.zip, dataset=tmp_path / "nowhere")
-    with pytest.raises(UsageError, match="split test is empty"):
-        folders.submit(space=replace(SPACE, splits={**SPACE.splits, "test": ()}))
 
 
 def test_another_label_space_needs_the_scans_of_its_own_test_split(folders):

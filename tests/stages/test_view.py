@@ -14,7 +14,6 @@ from evaluated import CAR, ROAD, SPACE, World
 from scans import SMALL
 from served import served
 
-from salsanext_cli.cli.view import _forwarding
 from salsanext_cli.errors import UsageError
 from salsanext_cli.report.page import run_results
 from salsanext_cli.results.stage_records import StageRecord
@@ -185,13 +184,3 @@ def test_it_ends_when_it_is_told_to(world, ending, damaged):
     assert more == ""
     assert "Traceback" not in said
     assert "ssh -N -L" in said
-
-
-def test_forwarding_names_what_ssh_needs(monkeypatch):
-    connection = "10.0.0.1 5000 10.0.0.2 2222"
-    forwarded = "ssh -N -L 8765:127.0.0.1:8765 -p 2222"
-    monkeypatch.setenv("USER", "CORP\\ada")
-    assert _forwarding(8765, connection) == f"{forwarded} 'CORP\\ada@10.0.0.2'"
-    monkeypatch.delenv("USER")
-    assert _forwarding(8765, connection) == f"{forwarded} 10.0.0.2"
-    assert _forwarding(8765, "") == ""

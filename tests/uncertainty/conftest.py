@@ -1,7 +1,9 @@
 # SPDX-License-Identifier: MIT
+# ruff: noqa: F811
 """Network and range image that these tests share."""
 
 import pytest
+from narrow import narrow, weights  # noqa: F401
 from scans import SMALL, make_scan
 
 from salsanext_cli import load_network, project

@@ -29,7 +29,8 @@ def file(tmp_path) -> ScanFile:
 def test_the_features_are_what_the_logits_are_made_of(network):
     image = project(make_scan(), SMALL)
     features = pixel_features(network, image)
-    assert features.shape == (32, SMALL.height, SMALL.width)
+    channels = network.module.logits.in_channels
+    assert features.shape == (channels, SMALL.height, SMALL.width)
     with torch.inference_mode():
         logits = network.module.logits(torch.from_numpy(features)[None])[0].numpy()
     np.testing.assert_allclose(logits, network.logits(image), atol=1e-4)
