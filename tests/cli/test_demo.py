@@ -12,6 +12,11 @@ from salsanext_cli.stages.demo import Demonstration
 pytestmark = pytest.mark.usefixtures("undrawn")
 
 
+@pytest.fixture(autouse=True, scope="module")
+def narrow():
+    """Leave the network as it is: the default weights are of its size."""
+
+
 @pytest.fixture
 def world(tmp_path, monkeypatch):
     """Return a world whose evaluation the demonstration ends with."""

@@ -94,29 +94,11 @@ PLY = (
 )
 
 
-@pytest.mark.parametrize("form", ["ascii", "binary_little_endian", "binary_big_endian"])
-@pytest.mark.parametrize("count", ["1000000000000", "1_000_000_000", "100000000", "-1", "9" * 5000])
+@pytest.mark.parametrize("form", ["ascii", "binary_little_endian"])
+@pytest.mark.parametrize("count", ["1000000000000", "-1", "9" * 5000])
 def test_ply_that_promises_points(tmp_path, form, count):
     text = PLY.format(form, count) + "end_header\n1 2 3\n"
     refused(tmp_path / "a.ply", text, read_scan, FormatError)
-
-
-@pytest.mark.parametrize(
-    "header",
-    [
-        PLY.format("binary_little_endian", "1") + "element nothing 1000000000000\nend_header\n",
-        PLY.format("ascii", "1") + "element nothing 1000000000000\nend_header\n",
-        PLY.format("ascii", "1") + "element\x1cface\x1c1000000000000\nproperty int i\nend_header\n",
-        PLY.format("ascii", "1").replace("\n", "\r")
-        + "comment \nend_header \relement face 1000000000000\rproperty int i\rend_header\r",
-        PLY.format("binary_little_endian", "1")
-        + "element face 10\nproperty list uint int i\nend_header\n",
-        "ply\n" + "comment x\n" * 200_000,
-    ],
-)
-def test_ply_that_promises_other_things(tmp_path, header):
-    data = header.encode() + b"1 2 3\n" + b"\xff" * 12
-    refused(tmp_path / "a.ply", data, read_scan, FormatError)
 
 
 PCD = "VERSION 0.7\nFIELDS x y z\nSIZE 4 4 4\nTYPE F F F\nCOUNT 1 1 1\n"
@@ -133,28 +115,6 @@ PCD = "VERSION 0.7\nFIELDS x y z\nSIZE 4 4 4\nTYPE F F F\nCOUNT 1 1 1\n"
 def test_pcd_that_promises_points(tmp_path, kind, size):
     data = f"{PCD}{size}\nDATA {kind}\n".encode() + struct.pack("<II", 8, 0xFFFFFFF0) + bytes(8)
     refused(tmp_path / "a.pcd", data, read_scan, FormatError)
-
-
-def test_pcd_of_thousands_of_fields(tmp_path):
-    """Each of which was once measured for each."""
-    count = 5000
-    rows = [
-        "FIELDS x y z " + " ".join(f"{n:x}" for n in range(count)),
-        *(f"{key} " + f"{value} " * (count + 3) for key, value in (("SIZE", 1), ("TYPE", "U"))),
-        "POINTS 1",
-    ]
-    data = "\n".join([*rows, "DATA binary\n"]).encode() + bytes(count + 3)
-    path = tmp_path / "a.pcd"
-    path.write_bytes(data)
-    with bounded(len(data)):
-        assert len(read_scan(path).points) == 1
-
-
-def test_pcd_that_unpacks_to_more_than_it_can(tmp_path):
-    data = f"{PCD}POINTS 100000000\nDATA binary_compressed\n".encode()
-    data += struct.pack("<II", 100, 1_200_000_000) + bytes(100)
-    said = refused(tmp_path / "a.pcd", data, read_scan, FormatError)
-    assert "100 bytes of compressed data that cannot unpack to 1200000000" in said
 
 
 NO_HEADERS = (
@@ -180,12 +140,6 @@ NPY = "{'descr': '<f4', 'fortran_order': False, 'shape': (%s,), }"
 def test_npy(tmp_path, header, shape):
     data = b"\x93NUMPY\x01\x00" + struct.pack("<H", len(header)) + header.encode() + bytes(40)
     refused(tmp_path / "a.npy", data, lambda path: read_array(path, "float32", shape), FormatError)
-
-
-@pytest.mark.parametrize("version", [b"\x02\x00", b"\x03\x00", b"\xff\xff"])
-def test_npy_of_a_large_header(tmp_path, version):
-    data = b"\x93NUMPY" + version + struct.pack("<I", 1 << 24) + b"[" * (1 << 24)
-    refused(tmp_path / "a.npy", data, lambda path: read_array(path, "f4", (None,)), FormatError)
 
 
 def metadata(**changes):
