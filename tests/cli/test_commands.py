@@ -308,6 +308,8 @@ ON_DATA = "{data} other --weights {weights}"
         (f"predict {ON_DATA} --shard 0", "i/n"),
         (f"predict {ON_DATA} --scheduler tcp://h:1", "--scheduler tcp://h:1 · --backend loky"),
         ("knn-refine --label-space none.yaml", "none.yaml · no such file"),
+        ("train {data} other --set epoch=3", "--set epoch=3 · unknown key epoch"),
+        ("train {data} other --set epochs=0", "recipe key epochs · 0"),
         ("import-weights {weights} other.safetensors --dropout 0.2", "leave --dropout out"),
         (
             "import-weights {weights} other.safetensors --label-space semantic-kitti",

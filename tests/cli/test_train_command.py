@@ -29,21 +29,6 @@ def test_set_changes_the_recipe_that_the_run_folder_and_the_weights_record(run, 
     assert read_card(Path(only_json(result)["best"])).recipe == wanted.to_dict()
 
 
-@pytest.mark.parametrize(
-    ("text", "found"),
-    [
-        ("epoch=3", "--set epoch=3 · unknown key epoch"),
-        ("epochs=0", "recipe key epochs · 0 · expected at least 1"),
-    ],
-)
-def test_a_wrong_override_is_one_line(run, data, tmp_path, text, found):
-    result = run("train", data, tmp_path / "run", "--set", text)
-    assert result.exit_code == 2
-    assert result.stderr.startswith(f"error: {found}")
-    assert result.stderr.count("\n") == 1
-    assert not (tmp_path / "run").exists()
-
-
 def test_a_batch_too_small_for_the_workers(run, data, tmp_path, monkeypatch):
     """Refuse it at once, before the workers find each other."""
     write_sequence(data / "sequences/00", ["0", "1"], count=300)

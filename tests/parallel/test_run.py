@@ -4,11 +4,10 @@ import signal
 import threading
 from functools import partial
 
-import numpy as np
 import pytest
 from works import Write, run, scans_of
 
-from salsanext_cli.errors import FormatError, WorkersLost
+from salsanext_cli.errors import FormatError
 from salsanext_cli.parallel.run import RunOptions, run_over_scans
 from salsanext_cli.parallel.tasks import one_by_one
 from salsanext_cli.parallel.worker import WORKER
@@ -108,33 +107,3 @@ def test_an_interruption_leaves_whole_files_only(tmp_path, options):
     again = run(Write(tmp_path), scans, **options)
     assert again.skipped == len(written)
     assert again.done == 400 - len(written)
-
-
-HOARD = []
-
-
-class Grow(Write):
-    """Keep memory that was not there after the worker's first scan, as a network does."""
-
-    def __call__(self, scan):
-        if not HOARD:
-            HOARD.append(np.ones(50_000_000))
-        return super().__call__(scan)
-
-
-def test_workers_that_grow_are_replaced_without_a_word(tmp_path):
-    run(Write(tmp_path / "small"), scans_of("a", "b"), jobs=2)
-    scans = scans_of(*(f"{n:02d}" for n in range(12)))
-    assert run(Grow(tmp_path / "large", pause=0.4), scans, jobs=2).done == 12
-
-
-class Forgetful:
-    """Task that leaves out its last scan."""
-
-    def open(self):
-        return lambda files: ((file, None, None) for file in list(files)[:-1])
-
-
-def test_scans_that_no_worker_attempted_are_an_error():
-    with pytest.raises(WorkersLost, match=r"not every scan .*; 1 of 3 scans are missing: s/c"):
-        run_over_scans(Forgetful(), scans_of("a", "b", "c"), RunOptions())

@@ -93,24 +93,6 @@ def test_what_was_written_before_an_interrupt_is_told_and_nothing_is_written_aft
     assert told == of("write", work.done) == ["0", "1"]
 
 
-@pytest.mark.parametrize("interrupt", [KeyboardInterrupt(), SystemExit(143)])
-@pytest.mark.parametrize("error", [ZeroDivisionError(), NO_SCAN])
-def test_no_error_of_the_scan_before_hides_an_interrupt(interrupt, error):
-    def begin(file):
-        yield
-        if file.stem == "1":
-            raise interrupt
-        yield
-        raise error
-
-    def run():
-        for _, _, found in overlapping(begin, FILES):
-            raise found
-
-    with pytest.raises(type(interrupt)):
-        run()
-
-
 @pytest.mark.parametrize("failing", STEPS)
 def test_who_stops_at_a_failure_finds_nothing_written_after_it(failing):
     work = Work(fails=[(failing, "1")])

@@ -1,7 +1,4 @@
 # SPDX-License-Identifier: MIT
-import importlib
-import sys
-import time
 from concurrent.futures import ThreadPoolExecutor
 
 import numba
@@ -45,16 +42,3 @@ def test_a_worker_of_a_cluster_sets_its_own():
         pool.submit(use_threads, 2).result()
         assert pool.submit(torch.get_num_threads).result() == 2
     assert numba.config.NUMBA_NUM_THREADS == 2
-
-
-def test_a_module_that_another_thread_imports_is_waited_for(tmp_path, monkeypatch):
-    slow = "import time\ntime.sleep(0.5)\nclass config:\n    NUMBA_NUM_THREADS = 1\n"
-    (tmp_path / "numba.py").write_text(slow)
-    monkeypatch.syspath_prepend(tmp_path)
-    monkeypatch.delitem(sys.modules, "numba")
-    with ThreadPoolExecutor(1) as pool:
-        imported = pool.submit(importlib.import_module, "numba")
-        while "numba" not in sys.modules:
-            time.sleep(0.01)
-        use_threads(2)
-        assert imported.result().config.NUMBA_NUM_THREADS == 2

@@ -1,5 +1,4 @@
 # SPDX-License-Identifier: MIT
-import itertools
 from io import BytesIO
 
 import numpy as np
@@ -7,7 +6,6 @@ import pytest
 from evaluated import SPACE, calibration_result, ranking_result
 from matplotlib.image import imread
 
-from salsanext_cli.report import canvas
 from salsanext_cli.report.uncertainty_plots import (
     HEIGHT_ABOVE,
     LEFT,
@@ -16,7 +14,6 @@ from salsanext_cli.report.uncertainty_plots import (
     TOP,
     WIDTH,
     class_uncertainty,
-    name_dots,
     reliability_diagram,
     risk_coverage,
     sparsification,
@@ -54,26 +51,3 @@ def test_pictures_are_of_one_size_with_wrong_points_or_without(count):
         reliability_diagram(calibration_result([])),
     ):
         assert pixels(picture).shape[1::-1] == PLOT_PX
-
-
-def drawn_names(x, y, names):
-    """Return the axes and the boxes of the names beside dots."""
-    figure = canvas.new_figure(800, 500, canvas.PAPER)
-    axes = canvas.axes_at(figure, 50, 50, 700, 400)
-    axes.set_xlim(0, 1)
-    axes.set_ylim(0, 1)
-    name_dots(axes, np.array(x), np.array(y), names, "black")
-    return axes, [text.get_window_extent() for text in axes.texts]
-
-
-def test_names_do_not_cover_each_other_nor_the_dots():
-    rng = np.random.default_rng(0)
-    x, y = rng.uniform(0.4, 0.7, (2, 19))
-    axes, boxes = drawn_names(x, y, SPACE.names[1:])
-    assert not any(a.overlaps(b) for a, b in itertools.combinations(boxes, 2))
-    for dot in axes.transData.transform(np.stack([x, y], axis=1)):
-        assert not any(box.contains(*dot) for box in boxes)
-    # Those without room at their dot have a line to it; none leaves the axes.
-    assert axes.lines
-    assert all(axes.bbox.contains(*corner) for box in boxes for corner in (box.min, box.max))
-    assert not drawn_names([0.0, 1.0], [1.0, 0.0], ["left", "right $x$"])[0].lines

@@ -4,7 +4,6 @@
 import json
 import os
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import replace
 from pathlib import Path
 from threading import Barrier, Event
 
@@ -335,12 +334,3 @@ def test_what_was_left_half_written_long_ago_is_removed(tmp_path: Path) -> None:
     predict(out, scans=scans_of(tmp_path, "a"))
     assert [path for path in gone if path.exists()] == []
     assert [path for path in kept if not path.exists()] == []
-
-
-def test_label_spaces_differ_by_their_classes(tmp_path):
-    space = label_space()
-    others = replace(space, name="mine", splits={"valid": ("07",), "train": (), "test": ()})
-    predict(tmp_path, {"label_space": space.to_dict()})
-    says = r"label_space \(split test: 11 .* ≠ , split train: .* ≠ 07 and 1 more\) · use another"
-    with pytest.raises(OutputError, match=says):
-        predict(tmp_path, {"label_space": others.to_dict()})

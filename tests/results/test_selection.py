@@ -6,7 +6,7 @@ import yaml
 from scans import write_sequence
 
 from salsanext_cli.classes.label_space import LabelSpace, label_space
-from salsanext_cli.errors import NoInputError, UsageError
+from salsanext_cli.errors import UsageError
 from salsanext_cli.results.layout import find_scans
 from salsanext_cli.results.selection import (
     ScanSelection,
@@ -38,21 +38,6 @@ def names(scans):
 )
 def test_choices(world, selection, expected):
     assert names(select_scans(world.data, selection)) == expected
-
-
-@pytest.mark.parametrize(
-    ("selection", "says"),
-    [
-        ({"split": "test"}, r"no scans of split test \(11, 12.*besides 00, 08"),
-        ({"split": "tets"}, "split tets · no such split · expected one of train"),
-        ({"sequences": ("08", "77")}, "no scans of sequence 77"),
-        ({"limit": 0}, "--limit"),
-        ({"split": "valid", "sequences": ("08",)}, "--split and --sequences · both given"),
-    ],
-)
-def test_selections_that_are_none(world, selection, says):
-    with pytest.raises((NoInputError, UsageError), match=says):
-        select_scans(world.data, ScanSelection(**selection))
 
 
 def test_a_split_does_not_choose_in_a_folder_of_ones_own(tmp_path, caplog):

@@ -13,7 +13,7 @@ from salsanext_cli import LabelSpace, label_space, load_network, project
 from salsanext_cli.engines import onnx_export
 from salsanext_cli.engines.onnx_export import difference, exported, run
 from salsanext_cli.engines.settings import NetworkSettings
-from salsanext_cli.errors import MissingDependency, OutputError, UsageError, WeightsError
+from salsanext_cli.errors import MissingDependency, UsageError, WeightsError
 from salsanext_cli.files import user_cache
 from salsanext_cli.network.card import WeightsCard, read_card
 from salsanext_cli.network.registry import build
@@ -193,18 +193,6 @@ def test_models_that_are_not_ours(tmp_path, model):
         (tmp_path / "cut.onnx").write_bytes(content[:length])
         with pytest.raises(WeightsError):
             load_network(tmp_path / "cut.onnx")
-
-
-def test_targets(tmp_path, weights):
-    with pytest.raises(OutputError, match=r"expected \.onnx"):
-        export_onnx(weights, tmp_path / "m.safetensors")
-    (tmp_path / "m.onnx").write_text("mine")
-    with pytest.raises(OutputError, match="exists"):
-        export_onnx(weights, tmp_path / "m.onnx")
-    export_onnx(weights, tmp_path / "m.onnx", overwrite=True)
-    assert sorted(p.name for p in tmp_path.glob("*m.onnx*")) == ["m.onnx"]
-    with pytest.raises(WeightsError, match="only"):
-        export_onnx(tmp_path / "m.onnx", tmp_path / "again.onnx")
 
 
 @pytest.mark.parametrize("package", ["onnx", "onnxruntime", "nncf"])

@@ -43,15 +43,3 @@ def test_an_epoch_is_scalars_and_an_image(tmp_path: Path, monkeypatch: pytest.Mo
     scalars = [("loss", 2.5, 2), ("miou", 0.25, 2), ("iou/road", 0.5, 2)]
     assert [given.args for given in writer.add_scalar.call_args_list] == scalars
     writer.add_image.assert_called_once_with("sample", PICTURE, 2, dataformats="HWC")
-
-
-def test_tensorboard_reads_what_was_written(tmp_path: Path) -> None:
-    pytest.importorskip("tensorboard")
-    from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
-
-    with tensorboard_in(tmp_path, "events") as write:
-        write(ROWS[1], PICTURE)
-    found = EventAccumulator(str(tmp_path / "events")).Reload()
-    assert set(found.Tags()["scalars"]) == {"loss", "miou", "iou/road"}
-    assert [(e.step, e.value) for e in found.Scalars("miou")] == [(2, 0.25)]
-    assert [(e.step, e.width) for e in found.Images("sample")] == [(2, 6)]

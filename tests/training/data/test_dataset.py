@@ -1,7 +1,5 @@
 # SPDX-License-Identifier: MIT
-import json
 from collections import Counter
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -14,7 +12,6 @@ from salsanext_cli.formats.labels import read_labels
 from salsanext_cli.network.scan_digests import scan_digest
 from salsanext_cli.results.layout import ScanFile, find_scans
 from salsanext_cli.training.data.class_counts import (
-    class_counts,
     class_shares,
     count_classes,
     rare_classes,
@@ -172,24 +169,3 @@ def test_counting_counts_every_point(files: list[ScanFile]) -> None:
         own = np.bincount(SPACE.to_train(read_labels(files[1].label_path)), minlength=20)
         np.testing.assert_array_equal(counts[1], own)
         assert digests == [scan_digest(read_bin(file.path)) for file in files]
-
-
-@pytest.mark.parametrize(
-    "edited",
-    [
-        *({"car": "1"}, {"car": 1.5}, {"car": True}, {"car": None}, {"car": [1]}),
-        *({"car": -1}, {"car": 2**63}, {"tram": 1}),
-    ],
-)
-def test_kept_counts_that_are_none_are_counted_again(
-    files: list[ScanFile], tmp_path: Path, edited: dict[str, object]
-) -> None:
-    path, source = tmp_path / "class_counts.json", Source(files, SPACE, SMALL)
-    expected = class_counts(path, [source], source, files).points
-    content = path.read_bytes()
-    kept = json.loads(content)
-    fewer = dict(list(kept["points"].items())[1:])
-    for points in ({**kept["points"], **edited}, {**fewer, **edited}, list(edited), None):
-        path.write_text(json.dumps({**kept, "points": points}))
-        np.testing.assert_array_equal(class_counts(path, [source], source, files).points, expected)
-        assert path.read_bytes() == content
