@@ -102,6 +102,15 @@ def predicted(once_predicted: "Kept") -> "World":
 
 
 @pytest.fixture
+def own_cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Keep what is compiled below the folder of the test."""
+    from salsanext_cli.files import user_cache
+
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+    monkeypatch.setattr(user_cache, "_said", [])
+
+
+@pytest.fixture
 def undrawn(monkeypatch: pytest.MonkeyPatch) -> None:
     """Draw nothing of an evaluation: pictures take tenths of a second, and have their own tests."""
     from salsanext_cli.report import plots, uncertainty_plots

@@ -18,10 +18,11 @@ from torch import nn
 from salsanext_cli.engines.device import has_bfloat16
 from salsanext_cli.engines.graphs import compiled_graph, converted
 from salsanext_cli.engines.torch_engine import in_precision
-from salsanext_cli.files import user_cache
 from salsanext_cli.network.registry import build
 
 SIZE = (1, 5, 19, 70)
+
+pytestmark = pytest.mark.usefixtures("own_cache")
 
 
 def network(name):
@@ -38,12 +39,6 @@ def network(name):
 
 def images(*size):
     return torch.randn(*size, generator=torch.Generator().manual_seed(4))
-
-
-@pytest.fixture(autouse=True)
-def own_cache(tmp_path, monkeypatch):
-    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
-    monkeypatch.setattr(user_cache, "_said", [])
 
 
 def compiled(module, x, **options):

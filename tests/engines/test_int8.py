@@ -13,7 +13,6 @@ from salsanext_cli import Scan, load_network, project, read_scan
 from salsanext_cli.engines.onnx_export import run
 from salsanext_cli.engines.settings import NetworkSettings
 from salsanext_cli.errors import NoInputError, UsageError
-from salsanext_cli.files import user_cache
 from salsanext_cli.fitting.scan_fit import ScanSample, fit_scans
 from salsanext_cli.network.card import read_card
 from salsanext_cli.results.layout import find_scans
@@ -28,10 +27,7 @@ pytest.importorskip("onnxruntime")
 pytest.importorskip("nncf")
 
 
-@pytest.fixture(autouse=True)
-def own_cache(tmp_path, monkeypatch):
-    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
-    monkeypatch.setattr(user_cache, "_said", [])
+pytestmark = pytest.mark.usefixtures("own_cache")
 
 
 @pytest.fixture(scope="module")

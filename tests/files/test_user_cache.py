@@ -6,11 +6,7 @@ import pytest
 from salsanext_cli.files import user_cache
 from salsanext_cli.files.user_cache import cached
 
-
-@pytest.fixture(autouse=True)
-def own_cache(tmp_path, monkeypatch):
-    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
-    monkeypatch.setattr(user_cache, "_said", [])
+pytestmark = pytest.mark.usefixtures("own_cache")
 
 
 def refuse():

@@ -14,7 +14,6 @@ from salsanext_cli.engines import onnx_export
 from salsanext_cli.engines.onnx_export import difference, exported, run
 from salsanext_cli.engines.settings import NetworkSettings
 from salsanext_cli.errors import MissingDependency, UsageError, WeightsError
-from salsanext_cli.files import user_cache
 from salsanext_cli.network.card import WeightsCard, read_card
 from salsanext_cli.network.registry import build
 from salsanext_cli.network.weights import read_weights
@@ -40,10 +39,7 @@ FEW = LabelSpace.from_dict(
 )
 
 
-@pytest.fixture(autouse=True)
-def own_cache(tmp_path, monkeypatch):
-    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
-    monkeypatch.setattr(user_cache, "_said", [])
+pytestmark = pytest.mark.usefixtures("own_cache")
 
 
 @pytest.fixture(scope="module")

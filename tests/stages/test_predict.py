@@ -27,16 +27,12 @@ from salsanext_cli.stages.predict import predict_range_images, predict_scans
 from salsanext_cli.stages.project import project_scans
 
 
-@pytest.fixture
-def world(on_openvino):
-    return on_openvino
-
-
 def run(world, source=None, **options):
     return predict_scans(source or world.data, world.out, network=world.network, **options)
 
 
-def test_the_labels_are_those_of_the_three_steps(world):
+def test_the_labels_are_those_of_the_three_steps(on_openvino):
+    world = on_openvino
     assert run(world).done == 3
     network = world.network.load()
     image = project(read_scan(world.scan("08", "000001")), SMALL)
@@ -175,7 +171,8 @@ NOT_BY_16 = replace(SMALL, height=13, width=90, fov_up=-2.0, fov_down=-20.0, out
 
 
 @pytest.mark.parametrize(("projected", "sensor"), [("same", SMALL), ("other", NOT_BY_16)])
-def test_in_three_steps_or_in_one_gives_the_same_bytes(world, tmp_path, projected, sensor):
+def test_in_three_steps_or_in_one_gives_the_same_bytes(on_openvino, tmp_path, projected, sensor):
+    world = on_openvino
     replace_points(world.scan("00"), [*ODD_POINTS, (5, 0, 0)])
     network = replace(world.network, sensor=sensor)
     images = world.out if projected == "same" else tmp_path / "projected"

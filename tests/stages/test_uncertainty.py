@@ -111,8 +111,7 @@ def test_a_network_without_dropout_is_refused(world, tmp_path):
     assert not world.out.exists()
 
 
-def test_the_analytic_way_needs_neither_passes_nor_seed(on_openvino):
-    world = on_openvino
+def test_the_analytic_way_needs_neither_passes_nor_seed(world):
     assert run(world, method="analytic").done == 3
     network = world.network.load()
     image = project(read_scan(world.scan("08", "000001")), SMALL)
@@ -170,8 +169,7 @@ def test_labels_made_step_by_step_remember_their_weights(world, tmp_path):
         run(world)
 
 
-def test_interrupted_and_resumed_gives_the_same_bytes(on_openvino, tmp_path, monkeypatch):
-    world = on_openvino
+def test_interrupted_and_resumed_gives_the_same_bytes(world, tmp_path, monkeypatch):
     run(world, out=tmp_path / "whole")
     writes, write_array = [], OutputRun.write_array
 
