@@ -12,7 +12,7 @@ import pytest
 from hypothesis import settings
 
 if TYPE_CHECKING:
-    from world import Kept, World
+    from world import World
 
 settings.register_profile("few", max_examples=25, deadline=None)
 settings.register_profile("many", max_examples=400, deadline=None)
@@ -85,20 +85,6 @@ def world(tmp_path: Path, weights: Path) -> "World":
     from world import World
 
     return World.made(tmp_path, weights)
-
-
-@pytest.fixture(scope="session")
-def once_predicted(tmp_path_factory: pytest.TempPathFactory, weights: Path) -> "Kept":
-    """Keep a world with predictions."""
-    from world import Kept, World
-
-    return Kept(tmp_path_factory.mktemp("predicted"), weights, World.predict)
-
-
-@pytest.fixture
-def predicted(once_predicted: "Kept") -> "World":
-    """Return a world with predictions, of which there is one in a session: no other is left."""
-    return once_predicted.anew()
 
 
 @pytest.fixture

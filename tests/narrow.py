@@ -45,3 +45,9 @@ def weights(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def once_predicted(tmp_path_factory: pytest.TempPathFactory, weights: Path) -> Kept:
     with narrow_salsanext():
         return Kept(tmp_path_factory.mktemp("predicted"), weights, World.predict)
+
+
+@pytest.fixture
+def predicted(once_predicted: Kept) -> World:
+    """Return a world with predictions, of which there is one in a session: no other is left."""
+    return once_predicted.anew()

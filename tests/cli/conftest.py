@@ -5,7 +5,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
-from narrow import narrow, once_predicted, weights  # noqa: F401
+from narrow import narrow, once_predicted, predicted, weights  # noqa: F401
 from scans import write_sequence
 from typer.testing import CliRunner, Result
 

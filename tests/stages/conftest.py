@@ -6,7 +6,7 @@ from functools import partial
 from pathlib import Path
 
 import pytest
-from narrow import narrow, once_predicted, weights  # noqa: F401
+from narrow import narrow, once_predicted, predicted, weights  # noqa: F401
 from scans import SMALL, lively
 from world import World
 
